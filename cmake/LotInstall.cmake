@@ -1,0 +1,28 @@
+# cmake --install: the library, its headers, the CMake package `lot` and lot.pc. Both descriptions
+# find their prefix from where they lie, so that the installed tree may be moved.
+include(CMakePackageConfigHelpers)
+
+set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
+
+install(TARGETS lot EXPORT lotTargets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot
+  DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
+  FILES_MATCHING PATTERN "*.hpp")
+install(EXPORT lotTargets NAMESPACE lot:: DESTINATION ${lot_package_dir})
+
+configure_package_config_file(
+  ${CMAKE_CURRENT_LIST_DIR}/lotConfig.cmake.in ${PROJECT_BINARY_DIR}/lotConfig.cmake
+  INSTALL_DESTINATION ${lot_package_dir}
+  NO_SET_AND_CHECK_MACRO)
+# 0.x: a minor version may change the interface and the layout of the segment.
+write_basic_package_version_file(${PROJECT_BINARY_DIR}/lotConfigVersion.cmake
+  COMPATIBILITY SameMinorVersion)
+install(FILES
+  ${PROJECT_BINARY_DIR}/lotConfig.cmake ${PROJECT_BINARY_DIR}/lotConfigVersion.cmake
+  DESTINATION ${lot_package_dir})
+
+set(lot_pc_dir ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
+file(RELATIVE_PATH lot_pc_prefix /p/${lot_pc_dir} /p)
+string(REGEX REPLACE "/$" "" lot_pc_prefix "${lot_pc_prefix}")
+configure_file(${CMAKE_CURRENT_LIST_DIR}/lot.pc.in ${PROJECT_BINARY_DIR}/lot.pc @ONLY)
+install(FILES ${PROJECT_BINARY_DIR}/lot.pc DESTINATION ${lot_pc_dir})

@@ -1,0 +1,11 @@
+# Applies LOT_SANITIZE to every target that is defined after this file is included.
+if(LOT_SANITIZE)
+  if("thread" IN_LIST LOT_SANITIZE AND "address" IN_LIST LOT_SANITIZE)
+    message(FATAL_ERROR "LOT_SANITIZE: thread and address cannot be combined")
+  endif()
+  list(JOIN LOT_SANITIZE "," lot_sanitizers)
+  add_compile_options(-fsanitize=${lot_sanitizers} -fno-sanitize-recover=all
+    -fno-omit-frame-pointer -g)
+  add_link_options(-fsanitize=${lot_sanitizers})
+  unset(lot_sanitizers)
+endif()

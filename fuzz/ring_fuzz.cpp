@@ -1,0 +1,290 @@
+// Any sequence of ring operations against a model that is too simple to be wrong: a deque of the
+// messages that are left, and for each reader the index of the message that it reads next.
+//
+// Input: depth - 1 | policy and readers | first sequence | operations, a byte each:
+//     7     5 4      3 2         0
+//    +-------+--------+-----------+
+//    |  arg  | reader | operation |     corpus/ring/ has examples
+//    +-------+--------+-----------+
+
+#include <algorithm>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <deque>
+#include <iterator>
+#include <optional>
+#include <vector>
+
+#include "lot/detail/atomics.hpp"
+
+#include "lockfree_ring/ring.hpp"
+
+namespace {
+
+using lot::detail::HardwareAtomics;
+using lot::ring::kNoBlock;
+using lot::ring::kSequenceMask;
+using lot::ring::kSleeper;
+using lot::ring::State;
+using lot::ring::Word;
+using Ring = lot::ring::Ring<HardwareAtomics>;
+using Cell = lot::ring::Cell<HardwareAtomics>;
+using Writer = lot::ring::Writer<HardwareAtomics>;
+using Reader = lot::ring::Reader<HardwareAtomics>;
+
+/// Aborts, and names what differs from the model.
+void require(bool same, const char* what) {
+  if (same) return;
+  std::fprintf(stderr, "ring and model differ: %s\n", what);
+  std::abort();
+}
+
+enum Operation : unsigned { Publish, Poll, Borrow, Done, Join, Leave, Evict, Sleep };
+
+/// Any block that a slot can name, different for messages that are near each other.
+Word block_of(Word index) { return index * 40503 % kNoBlock; }
+
+constexpr Word kFirst[] = {0,
+                           1,
+                           4095,
+                           kSequenceMask,
+                           kSequenceMask - 1,
+                           kSequenceMask - 6,
+                           kSequenceMask - 40,
+                           kSequenceMask >> 1,
+                           (kSequenceMask >> 1) + 1,
+                           (kSequenceMask >> 1) - 6};
+constexpr std::uint64_t kHistory[] = {0, 1, 2, 3, 5, 9, 100, Reader::kFromTheStart};
+
+class Fuzz {
+ public:
+  Fuzz(std::uint32_t depth, bool blocking, std::uint32_t readers, Word first)
+      : slots_(depth), cells_(readers), who_(readers), readers_(readers) {
+    ring_.writer = &writer_word_;
+    ring_.slots = slots_.data();
+    ring_.cells = cells_.data();
+    ring_.who = who_.data();
+    ring_.roster = &roster_;
+    ring_.space = &space_;
+    ring_.depth = depth;
+    ring_.readers = readers;
+    ring_.blocking = blocking;
+    ring_.first = first;
+    ring_.format();
+    writer_word_ = lot::ring::make_writer(1, State::Live, 1);
+    writer_ = Writer(ring_);
+  }
+
+  void run(std::uint8_t byte) {
+    const unsigned arg = byte >> 5;
+    auto& reader = readers_[(byte >> 3 & 3) % readers_.size()];
+    switch (static_cast<Operation>(byte & 7)) {
+      case Publish:
+        for (unsigned n = 0; n <= arg; ++n) publish();
+        break;
+      case Poll:
+        for (unsigned n = 0; n <= arg; ++n) {
+          if (reader) poll(*reader);
+          if (reader && reader->borrowed) done(*reader);
+        }
+        break;
+      case Borrow:
+        if (reader) poll(*reader);
+        break;
+      case Done:
+        if (reader && reader->borrowed) done(*reader);
+        break;
+      case Join:
+        join(kHistory[arg]);
+        break;
+      case Leave:
+        if (!reader) break;
+        reader->real.leave();
+        reader.reset();
+        break;
+      case Evict:
+        evict();
+        break;
+      case Sleep:
+        if (reader) sleep(*reader);
+        break;
+    }
+    check();
+  }
+
+  /// The publisher goes; everybody reads what is left.
+  void end() {
+    writer_word_ = lot::ring::make_writer(1, State::Orphan, 1);
+    ring_.clear_sleepers();
+    marked_ = false;
+    bool full = true;
+    if (std::any_of(readers_.begin(), readers_.end(), [](auto& r) { return !r; })) {
+      require(!Reader::join(ring_, 1, 1, 0, full) && !full, "nobody joins an orphan");
+    }
+    for (auto& reader : readers_) {
+      if (!reader) continue;
+      do {
+        require(reader->real.ended() == (reader->next == published_), "ended");
+        poll(*reader);
+        if (!reader->borrowed) break;
+        done(*reader);
+      } while (true);
+      require(reader->real.ended(), "ended after the last");
+      reader->real.leave();
+      reader.reset();
+    }
+    require(ring_.deserted(), "deserted");
+  }
+
+ private:
+  struct Model {
+    Reader real;
+    Word next;                     ///< index of the message that it reads next
+    std::optional<Word> borrowed;  ///< block between poll and done
+  };
+
+  Word oldest() const { return published_ - kept_.size(); }
+
+  /// True if nobody still needs the message that the next publish overwrites.
+  bool room() const {
+    if (!ring_.blocking) return true;
+    return std::all_of(readers_.begin(), readers_.end(),
+                       [this](auto& r) { return !r || published_ - r->next < ring_.depth; });
+  }
+
+  void publish() {
+    require(writer_.room() == room(), "room");
+    if (!room()) {
+      require(writer_.mark_waiting() == space_ && space_ % 2 == 1, "mark_waiting");
+      waiting_ = true;
+      return;
+    }
+    Word replaced = kNoBlock;
+    if (kept_.size() == ring_.depth) {
+      replaced = kept_.front().value_or(kNoBlock);
+      kept_.pop_front();
+    }
+    const auto result = writer_.publish(block_of(published_));
+    require(result.replaced == replaced, "replaced");
+    require(result.wake == marked_, "wake");
+    require(result.slot == &slots_[published_ % ring_.depth], "slot");
+    marked_ = false;
+    kept_.emplace_back(block_of(published_++));
+  }
+
+  void evict() {
+    if (ring_.blocking) return;  // back-pressure loses nothing, and borrows without hazards
+    Word expected = kNoBlock;
+    for (auto& message : kept_) {
+      if (!message) continue;
+      expected = *message;
+      message.reset();
+      break;
+    }
+    require(writer_.evict_oldest() == expected, "evict_oldest");
+  }
+
+  void poll(Model& reader) {
+    const Word before = reader.next;
+    reader.next = std::max(reader.next, oldest());
+    while (reader.next < published_ && !kept_[reader.next - oldest()]) ++reader.next;
+    reader.borrowed.reset();
+    if (reader.next < published_) reader.borrowed = kept_[reader.next - oldest()];
+
+    std::uint64_t missed = 7;  // it adds
+    require(reader.real.poll(missed) == reader.borrowed.value_or(kNoBlock), "poll");
+    require(missed == 7 + (reader.next - before), "missed");
+    if (!reader.borrowed) ring_bell(reader.real.sender_waits());
+  }
+
+  void done(Model& reader) {
+    reader.borrowed.reset();
+    ++reader.next;
+    ring_bell(reader.real.done());
+  }
+
+  void ring_bell(bool told) {
+    require(told == (ring_.blocking && waiting_), "the sender waits");
+    if (!told) return;
+    require(Reader::ring_bell(space_) && !Reader::ring_bell(space_), "ring_bell");
+    waiting_ = false;
+  }
+
+  void join(std::uint64_t history) {
+    const auto seat =
+        std::find_if(readers_.begin(), readers_.end(), [](auto& reader) { return !reader; });
+    bool full = false;
+    auto real = Reader::join(ring_, 1, 1, history, full);
+    require(full == (seat == readers_.end()) && full == !real, "join");
+    if (!real) return;
+    Word back = ring_.blocking ? ring_.depth - 1 : ring_.depth;
+    if (!ring_.blocking && history == Reader::kFromTheStart) back = published_;
+    back = std::min({back, Word{history}, published_});
+    require(real->cell() == static_cast<std::size_t>(seat - readers_.begin()), "cell");
+    *seat = Model{*real, published_ - back, std::nullopt};
+  }
+
+  void sleep(Model& reader) {
+    const auto mark = reader.real.mark_sleeping();
+    require(mark.has_value() == (reader.next == published_), "mark_sleeping");
+    if (!mark) return;
+    require(*mark == reader.real.slot() && (*mark & kSleeper) != 0, "mark");
+    marked_ = true;
+  }
+
+  /// What must hold between operations, whoever asks.
+  void check() {
+    std::vector<Word> expected;
+    std::vector<Word> hazards;
+    std::vector<std::uint32_t> late;
+    std::vector<std::uint32_t> laggards;
+    for (std::uint32_t i = 0; i < readers_.size(); ++i) {
+      if (!readers_[i]) continue;
+      const Model& reader = *readers_[i];
+      require(reader.real.cursor() == lot::ring::advance(ring_.first, reader.next), "cursor");
+      require(reader.real.ready() == (reader.next < published_), "ready");
+      require(!reader.real.ended(), "ended while the publisher lives");
+      Word next = kNoBlock;
+      if (reader.next < published_ && reader.next >= oldest()) {
+        next = kept_[reader.next - oldest()].value_or(kNoBlock);
+      }
+      require(reader.real.peek() == next, "peek");
+      if (reader.borrowed && !ring_.blocking) expected.push_back(*reader.borrowed);
+      if (ring_.blocking && published_ - reader.next >= ring_.depth) late.push_back(i);
+    }
+    writer_.hazards([&](Word block) { hazards.push_back(block); });
+    require(hazards == expected, "hazards");
+    if (!ring_.blocking) return;  // under overwrite a lapped reader's place is known only to itself
+    writer_.laggards([&](std::uint32_t cell) { laggards.push_back(cell); });
+    require(laggards == late, "laggards");
+  }
+
+  std::atomic<Word> writer_word_{0};
+  std::vector<std::atomic<Word>> slots_;
+  std::vector<Cell> cells_;
+  std::vector<std::atomic<std::uint32_t>> who_;
+  std::atomic<std::uint32_t> roster_{0};
+  std::atomic<std::uint32_t> space_{0};
+  Ring ring_;
+  Writer writer_;
+
+  std::deque<std::optional<Word>> kept_;  ///< the newest messages, oldest first; empty: evicted
+  std::vector<std::optional<Model>> readers_;
+  Word published_ = 0;
+  bool marked_ = false;   ///< somebody sleeps on the slot of the next message
+  bool waiting_ = false;  ///< the sender sleeps for room
+};
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  if (size < 3) return 0;
+  Fuzz fuzz(1 + data[0] % 9, (data[1] & 1) != 0, 1 + (data[1] >> 1) % 3U,
+            kFirst[data[2] % std::size(kFirst)]);
+  for (std::size_t i = 3; i < size; ++i) fuzz.run(data[i]);
+  fuzz.end();
+  return 0;
+}

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace lot::transport {
+class Participant;
+}
+
+namespace lot::detail {
+
+/// The memory of one message: where its containers allocate while it is built.
+///
+/// An arena lives in the segment, one for each block, and is written only by the block's home while
+/// the message is exclusively held there. It hands out memory by bumping a cursor: first in the
+/// block's own small payload, then in extents of power-of-two size, each at least twice the one
+/// before, so that sixteen suffice for any message. Nothing is freed one by one, except the newest
+/// piece; an extent in which nothing lives is reused or given back. The whole is released at once
+/// when the message dies.
+///
+/// Threads: one at a time (a message is built by one thread).
+/// Memory:  192 bytes, address-free: all places are offsets from the segment's begin.
+/// Crash:   the arena is a hint; the truth about memory is in the granules' tags, which name the
+///          block, and the reaper frees by them. `references` is read by the reaper.
+struct Arena {
+  static constexpr unsigned kMaxExtents = 14;
+
+  struct Extent {
+    std::uint32_t granule;
+    std::uint8_t order;    ///< log2 of its granules
+    std::uint8_t used;     ///< 1 when this message has allocated from it
+    std::uint16_t living;  ///< allocations in it that were not given back (saturates)
+  };
+
+  std::uint64_t self;    ///< offset of this arena in the segment
+  std::uint64_t root;    ///< offset of the message object
+  std::uint64_t cursor;  ///< next free byte, as an offset
+  std::uint64_t limit;   ///< end of the region that cursor is in
+  std::uint32_t block;
+  std::uint8_t extents;  ///< how many of `extent` are there
+  std::uint8_t current;  ///< index + 1 of the extent that cursor is in, 0: the small payload
+  std::uint16_t reserved;
+  std::uint64_t references;  ///< offset of the first ReferenceList, 0: none
+  Extent extent[kMaxExtents];
+  std::uint64_t data;  ///< offset of granule 0
+  std::uint64_t padding[3];
+
+  unsigned char* base() { return reinterpret_cast<unsigned char*>(this) - self; }
+
+  /// Memory for `bytes`, or throws OutOfMemory.
+  void* allocate(std::size_t bytes, std::size_t align) {
+    const std::uint64_t begin = (cursor + (align - 1)) & ~std::uint64_t{align - 1};
+    if (begin <= limit && bytes <= limit - begin) {
+      cursor = begin + bytes;
+      if (current != 0) count(current - 1U);
+      return base() + begin;
+    }
+    return grow(bytes, align);
+  }
+
+  /// Takes a piece back: at once if it is the newest, or the last one living in its extent.
+  void deallocate(void* piece, std::size_t bytes) noexcept;
+
+ private:
+  void count(unsigned index) {
+    if (extent[index].living != 0xffff) ++extent[index].living;
+  }
+  void* grow(std::size_t bytes, std::size_t align);
+  void drop_idle(transport::Participant& p) noexcept;
+};
+static_assert(sizeof(Arena) == 192);
+
+/// Which blocks a message refers to (ShmRef): a list in the message's own memory, so that the
+/// message keeps them alive and a reaper can adopt them.
+struct ReferenceList {
+  static constexpr std::uint32_t kEntries = 13;
+  std::uint64_t next;  ///< offset of the next list, 0: none
+  std::uint32_t count;
+  std::uint32_t block[kEntries];
+};
+static_assert(sizeof(ReferenceList) == 64);
+
+/// The arena of the message that this thread is constructing right now, or null.
+Arena*& arena_being_built() noexcept;
+
+}  // namespace lot::detail

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+
+#include "lot/detail/hold_word.hpp"
+
+namespace lot::detail {
+
+struct ControlCell;
+
+/// What a pointer needs of the copy of the library that made it. It is reached through the pointer
+/// itself, so a pointer may be released by code that was linked with another copy.
+struct Hub {
+  void (*released)(ControlCell*) noexcept;   ///< the last pointer in this process has gone
+  void (*abandoned)(ControlCell*) noexcept;  ///< a unique pointer let go of what was never shared
+  void (*acquire)(ControlCell*) noexcept;    ///< a pointer hold on a block that is protected
+  bool (*lock_weak)(ControlCell*, std::uint32_t generation) noexcept;
+  std::uint32_t (*generation)(const ControlCell*) noexcept;
+  std::size_t (*others)(const ControlCell*) noexcept;  ///< other processes that hold the block
+  void (*weak_count)(ControlCell*, int change) noexcept;
+  void (*shared_from_unique)(ControlCell*) noexcept;
+  const char* (*path)(const ControlCell*) noexcept;  ///< of the segment
+  std::uint64_t (*instance)(
+      const ControlCell*) noexcept;  ///< of the segment: which one of its name
+};
+
+/// How the library handles a message without knowing its type.
+struct MessageType {
+  std::uint64_t size;
+  std::uint64_t align;
+  std::uint64_t hash;
+  const char* name;
+  void (*destroy)(void*) noexcept;  ///< null: nothing to do
+  bool plain;                       ///< trivially copyable: has no memory beside its own bytes
+};
+
+/// What this process knows of one block: the private hold word, and who releases it.
+///
+/// Memory: private to the process; lives as long as its participant.
+struct alignas(32) ControlCell {
+  std::atomic<std::uint64_t> hold;
+  const Hub* hub;
+  const MessageType* type;  ///< set while the block is at home here
+  std::uint32_t block;
+  std::uint32_t pool;  ///< index of the pool that has it, while at home here
+
+  /// Another pointer of this process. REQUIRES: one exists.
+  void add_pointer() noexcept { hold.fetch_add(hold::kPointer, std::memory_order_relaxed); }
+
+  /// One pointer less.
+  void drop_pointer() noexcept {
+    if (hold::pointers(hold.fetch_sub(hold::kPointer, std::memory_order_acq_rel)) == 1) {
+      hub->released(this);
+    }
+  }
+};
+static_assert(sizeof(ControlCell) == 32);
+
+}  // namespace lot::detail

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <string_view>
+
+#include "lot/detail/arena.hpp"
+#include "lot/detail/control.hpp"
+#include "lot/error.hpp"
+#include "lot/options.hpp"
+
+namespace lot::transport {
+class Participant;
+}
+
+/// The untyped halves of engine, pusher and puller. They live in the library; the typed halves are
+/// thin templates in the public headers.
+namespace lot::detail {
+
+using Clock = std::chrono::steady_clock;
+
+/// Where a message is to be built.
+struct Loan {
+  ControlCell* cell = nullptr;  ///< null: out of memory
+  void* root = nullptr;
+  Arena* arena = nullptr;
+};
+
+/// A message that is borrowed: readable until the borrow ends.
+struct Borrowed {
+  ControlCell* cell = nullptr;  ///< null: none
+  const void* root = nullptr;
+  std::uint64_t missed = 0;  ///< messages lost to this reader just before this one
+};
+
+class PusherCore {
+ public:
+  virtual ~PusherCore() = default;
+  virtual Loan loan(const MessageType& type, bool or_throw) = 0;
+  /// Publishes a unique message; on Status::Full it stays with the caller.
+  virtual Status push_unique(ControlCell* cell, std::chrono::nanoseconds block_for) = 0;
+  /// Publishes a message that is shared; the caller keeps its pointer.
+  virtual Status push_shared(const ControlCell* cell, std::chrono::nanoseconds block_for) = 0;
+  virtual std::size_t readers() = 0;
+  virtual bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) = 0;
+  /// Makes `count` blocks with `bytes` of touched memory each.
+  virtual void reserve(std::size_t count, std::size_t bytes) = 0;
+};
+
+class PullerCore {
+ public:
+  virtual ~PullerCore() = default;
+  /// Deadline: none = only look.
+  virtual Status borrow(Borrowed& borrowed, bool wait, Clock::time_point deadline,
+                        bool forever) = 0;
+  virtual void done() noexcept = 0;
+  /// A pointer hold on the borrowed message.
+  virtual ControlCell* keep() = 0;
+  /// borrow, keep and done in one.
+  virtual Status pull(Borrowed& kept, bool wait, Clock::time_point deadline, bool forever) = 0;
+  virtual std::size_t publishers() = 0;
+};
+
+std::shared_ptr<transport::Participant> join(const EngineOptions& options);
+std::unique_ptr<PusherCore> make_pusher(std::shared_ptr<transport::Participant> participant,
+                                        std::string_view topic, const MessageType& type,
+                                        const PusherOptions& options);
+std::unique_ptr<PullerCore> make_puller(std::shared_ptr<transport::Participant> participant,
+                                        std::string_view topic, const MessageType& type,
+                                        const PullerOptions& options);
+/// A message that belongs to no topic.
+std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> participant);
+const char* segment_path(const transport::Participant& participant) noexcept;
+
+/// Makes the message that is built in `arena` hold another one, for as long as it lives. Returns
+/// the cell of the target in the arena's own participant. Throws lot::Error when they are in
+/// different segments.
+ControlCell* refer(Arena& arena, ControlCell* target);
+/// The cell of a block in the participant that has mapped `inside`.
+ControlCell* cell_of(const void* inside, std::uint32_t block);
+/// Another pointer hold on a block that the caller protects. Returns the cell.
+ControlCell* acquire_block(ControlCell* cell);
+
+}  // namespace lot::detail

@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+namespace lot::detail {
+
+/// The fields of a hold word: what one process knows of its own holds on one block.
+///
+/// A hold word is private to a process; the shared fact "this process holds the block" is one
+/// ownership bit, and flips only when the hold word goes from none to some or back. So copying a
+/// pointer never touches a cache line that another process writes.
+///
+///     63           36 35        16 15     3  2    1    0
+///    +---------------+------------+---------+----+----+----+
+///    | pointers : 28 | rings : 20 | tag: 13 |home|held|edge|
+///    +---------------+------------+---------+----+----+----+
+///
+///  - pointers: ShmSharedPtr, ShmUniquePtr (and the pool, for a block that is ready to be loaned)
+///  - rings:    holds by rings and by messages that refer to this one
+///  - tag:      low bits of the block's generation while this process is its home; makes a weak
+///              lock's compare-and-swap fail on a block that has died meanwhile
+///  - home:     this process owns the block's memory
+///  - held:     our ownership bit stands in the shared word
+///  - edge:     some thread is moving the ownership bit; the others spin
+namespace hold {
+inline constexpr std::uint64_t kEdge = 1;
+inline constexpr std::uint64_t kHeld = 2;
+inline constexpr std::uint64_t kHome = 4;
+inline constexpr unsigned kTagShift = 3;
+inline constexpr std::uint64_t kTagMask = ((std::uint64_t{1} << 13) - 1) << kTagShift;
+inline constexpr std::uint64_t kRing = std::uint64_t{1} << 16;
+inline constexpr std::uint64_t kRingMask = ((std::uint64_t{1} << 20) - 1) << 16;
+inline constexpr std::uint64_t kPointer = std::uint64_t{1} << 36;
+inline constexpr std::uint64_t kHolds = ~((std::uint64_t{1} << 16) - 1);  ///< rings and pointers
+
+constexpr std::uint64_t pointers(std::uint64_t word) { return word >> 36; }
+constexpr std::uint64_t tag_of(std::uint32_t generation) {
+  return (std::uint64_t{generation} << kTagShift) & kTagMask;
+}
+}  // namespace hold
+
+}  // namespace lot::detail

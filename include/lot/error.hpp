@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <new>
+#include <stdexcept>
+#include <string>
+
+namespace lot {
+
+/// How an operation that may come to nothing in ordinary life ended. Not an error.
+enum class Status {
+  Ok,
+  Empty,          ///< nothing to read now
+  Full,           ///< a slow reader holds the queue back, and the deadline has passed
+  Timeout,        ///< nothing came until the deadline
+  PublisherGone,  ///< nothing to read, and nobody publishes on the topic now
+  OutOfMemory     ///< the segment has no room (only from the try_ forms)
+};
+
+const char* to_string(Status status) noexcept;
+
+/// A failure from outside: the system said no, or a segment is not what it should be. what() names
+/// the object, the reason and what to do about it.
+class Error : public std::runtime_error {
+ public:
+  Error(int error_number, std::string object, const std::string& reason, const std::string& advice);
+
+  /// errno of the failure, or 0 where no system call failed.
+  int error_number() const noexcept { return errno_; }
+  /// The path or name it is about.
+  const std::string& object() const noexcept { return object_; }
+
+ private:
+  int errno_;
+  std::string object_;
+};
+
+/// The segment has no room for a message. what() says how full it is and what to raise.
+class OutOfMemory : public std::bad_alloc {
+ public:
+  explicit OutOfMemory(const char* what) noexcept;
+  const char* what() const noexcept override { return what_; }
+
+ private:
+  char what_[256];
+};
+
+}  // namespace lot

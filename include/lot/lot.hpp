@@ -1,0 +1,13 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// Everything of LOT's interface.
+#include "lot/compliance.hpp"     // IWYU pragma: export
+#include "lot/engine.hpp"         // IWYU pragma: export
+#include "lot/error.hpp"          // IWYU pragma: export
+#include "lot/message.hpp"        // IWYU pragma: export
+#include "lot/options.hpp"        // IWYU pragma: export
+#include "lot/pointers.hpp"       // IWYU pragma: export
+#include "lot/puller.hpp"         // IWYU pragma: export
+#include "lot/pusher.hpp"         // IWYU pragma: export
+#include "lot/type_identity.hpp"  // IWYU pragma: export

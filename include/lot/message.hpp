@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <limits>
+#include <new>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "lot/compliance.hpp"
+#include "lot/detail/arena.hpp"
+#include "lot/detail/core.hpp"
+#include "lot/detail/offset_ptr.hpp"
+#include "lot/pointers.hpp"
+
+/// What messages are made of beside plain data: strings, vectors and references to other messages.
+namespace lot {
+
+/// The allocator of containers in messages.
+///
+/// It knows the message that it allocates in, or none: then it is the ordinary heap. A container
+/// that is default-constructed while a message is built by loan() belongs to that message; any
+/// other is on the heap. Containers of different messages never steal each other's memory: a move
+/// between them copies, and so `Frame mine = *seen;` is an ordinary private copy. (As with every
+/// allocator, swapping two containers of different messages is undefined.)
+///
+/// Memory grows only while the message is built, since afterwards everybody sees it as const. It is
+/// not zeroed: resize() default-initialises, so trivial elements hold what was there before.
+///
+/// Errors: throws lot::OutOfMemory when the segment is full.
+template <class T>
+class ShmAllocator {
+ public:
+  using value_type = T;
+  using pointer = detail::OffsetPtr<T>;
+  using const_pointer = detail::OffsetPtr<const T>;
+  using void_pointer = detail::OffsetPtr<void>;
+  using const_void_pointer = detail::OffsetPtr<const void>;
+  using size_type = std::size_t;
+  using difference_type = std::ptrdiff_t;
+  using propagate_on_container_copy_assignment = std::false_type;
+  using propagate_on_container_move_assignment = std::false_type;
+  using propagate_on_container_swap = std::false_type;
+  using is_always_equal = std::false_type;
+  template <class U>
+  struct rebind {
+    using other = ShmAllocator<U>;
+  };
+
+  ShmAllocator() noexcept : arena_(detail::arena_being_built()) {}
+  ShmAllocator(const ShmAllocator& other) noexcept = default;
+  template <class U>
+  ShmAllocator(const ShmAllocator<U>& other) noexcept : arena_(other.arena()) {}
+  ShmAllocator& operator=(const ShmAllocator&) noexcept = default;
+
+  pointer allocate(std::size_t n) {
+    if (n > std::numeric_limits<std::size_t>::max() / 2 / sizeof(T)) throw std::bad_alloc();
+    if (detail::Arena* arena = arena_.get()) {
+      return pointer(static_cast<T*>(arena->allocate(n * sizeof(T), alignof(T))));
+    }
+    return pointer(static_cast<T*>(::operator new(n * sizeof(T), std::align_val_t(alignof(T)))));
+  }
+  void deallocate(const pointer& p, std::size_t n) noexcept {
+    if (detail::Arena* arena = arena_.get()) {
+      arena->deallocate(p.get(), n * sizeof(T));
+    } else {
+      ::operator delete(p.get(), std::align_val_t(alignof(T)));
+    }
+  }
+
+  /// Elements that are containers get this allocator too, so that cloud->fields.resize(4) stays in
+  /// the message; trivial elements are left as they are.
+  template <class U, class... Args>
+  void construct(U* place, Args&&... args) {
+    if constexpr (sizeof...(Args) == 0) {
+      const BuildScope scope(arena_.get());
+      ::new (static_cast<void*>(place)) U;
+    } else if constexpr (std::is_trivially_copyable_v<U>) {
+      ::new (static_cast<void*>(place)) U(std::forward<Args>(args)...);
+    } else {
+      const BuildScope scope(arena_.get());
+      ::new (static_cast<void*>(place)) U(std::forward<Args>(args)...);
+    }
+  }
+
+  ShmAllocator select_on_container_copy_construction() const noexcept { return ShmAllocator(); }
+
+  detail::Arena* arena() const noexcept { return arena_.get(); }
+
+  friend bool operator==(const ShmAllocator& a, const ShmAllocator& b) noexcept {
+    return a.arena() == b.arena();
+  }
+  friend bool operator!=(const ShmAllocator& a, const ShmAllocator& b) noexcept {
+    return a.arena() != b.arena();
+  }
+
+ private:
+  /// Containers that are default-constructed meanwhile belong to `arena`.
+  class BuildScope {
+   public:
+    explicit BuildScope(detail::Arena* arena) noexcept
+        : before_(std::exchange(detail::arena_being_built(), arena)) {}
+    ~BuildScope() { detail::arena_being_built() = before_; }
+    BuildScope(const BuildScope&) = delete;
+    BuildScope& operator=(const BuildScope&) = delete;
+
+   private:
+    detail::Arena* before_;
+  };
+
+  detail::OffsetPtr<detail::Arena> arena_;
+};
+
+template <class T>
+struct is_shm_allocator<ShmAllocator<T>> : std::true_type {};
+
+using ShmString = std::basic_string<char, std::char_traits<char>, ShmAllocator<char>>;
+
+template <class T>
+using ShmVector = std::vector<T, ShmAllocator<T>>;
+
+/// A ShmSharedPtr that is stored in a message: the message keeps its target alive, also when the
+/// process that published it has died.
+///
+/// Outside of messages it works as well, and then simply holds a ShmSharedPtr's share.
+///
+///     struct Detection { lot::ShmRef<const Frame> frame; float box[4]; };
+///     detection->frame = seen;
+template <class U>
+class ShmRef {
+ public:
+  using element_type = U;
+
+  ShmRef() noexcept : arena_(detail::arena_being_built()) {}
+  ShmRef(const ShmRef& other) : ShmRef() { assign(other.get(), other.cell_here()); }
+  template <class V, detail::EnableIfConvertible<V, U> = 0>
+  ShmRef(const ShmSharedPtr<V>& target) : ShmRef() {
+    *this = target;
+  }
+  ShmRef& operator=(const ShmRef& other) {
+    if (this != &other) assign(other.get(), other.cell_here());
+    return *this;
+  }
+  template <class V, detail::EnableIfConvertible<V, U> = 0>
+  ShmRef& operator=(const ShmSharedPtr<V>& target) {
+    assign(target.get(), detail::PointerAccess::cell(target));
+    return *this;
+  }
+  ~ShmRef() { let_go(); }
+
+  U* get() const noexcept { return target_.get(); }
+  U& operator*() const noexcept { return *get(); }
+  U* operator->() const noexcept { return get(); }
+  explicit operator bool() const noexcept { return get() != nullptr; }
+
+  /// A pointer of this process to the target. REQUIRES: the message is held or borrowed.
+  ShmSharedPtr<U> lock() const {
+    return get() == nullptr
+               ? ShmSharedPtr<U>()
+               : detail::PointerAccess::shared(get(), detail::acquire_block(cell_here()));
+  }
+
+ private:
+  /// The target's control cell in this process. A message says by its address which segment it is
+  /// in.
+  detail::ControlCell* cell_here() const {
+    if (get() == nullptr) return nullptr;
+    return arena_.get() != nullptr ? detail::cell_of(this, block_) : private_cell_;
+  }
+
+  void assign(U* target, detail::ControlCell* cell) {
+    if (target != nullptr && cell != nullptr) {
+      if (detail::Arena* arena = arena_.get()) {
+        block_ = detail::refer(*arena, cell)->block;  // released as a whole when the message dies
+      } else {
+        cell = detail::acquire_block(cell);
+        let_go();
+        private_cell_ = cell;
+      }
+    } else {
+      let_go();
+      target = nullptr;
+    }
+    target_ = target;
+  }
+
+  void let_go() noexcept {
+    if (arena_.get() == nullptr && target_.get() != nullptr && private_cell_ != nullptr) {
+      private_cell_->drop_pointer();
+    }
+    private_cell_ = nullptr;
+    target_ = nullptr;
+  }
+
+  detail::OffsetPtr<detail::Arena> arena_;
+  detail::OffsetPtr<U> target_;
+  detail::ControlCell* private_cell_ = nullptr;  ///< outside of messages only
+  std::uint32_t block_ = 0;                      ///< inside of messages only
+};
+
+template <class U>
+struct is_trusted_message<ShmRef<U>> : std::true_type {};
+
+}  // namespace lot

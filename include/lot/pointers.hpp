@@ -1,0 +1,401 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <ostream>
+#include <type_traits>
+#include <utility>
+
+#include "lot/detail/control.hpp"
+
+namespace lot {
+
+template <class T>
+class ShmSharedPtr;
+template <class T>
+class ShmWeakPtr;
+
+namespace detail {
+struct PointerAccess;
+
+template <class From, class To>
+using EnableIfConvertible = std::enable_if_t<std::is_convertible_v<From*, To*>, int>;
+}  // namespace detail
+
+/// A message in shared memory that only its maker can see: it is built through this, then pushed or
+/// turned into a ShmSharedPtr, both without a copy.
+///
+/// Threads: as std::unique_ptr.
+/// Crash:   the message is freed by the reaper.
+template <class T>
+class ShmUniquePtr {
+ public:
+  using element_type = T;
+  using pointer = T*;
+
+  constexpr ShmUniquePtr() noexcept = default;
+  constexpr ShmUniquePtr(std::nullptr_t) noexcept {}
+  ShmUniquePtr(ShmUniquePtr&& other) noexcept
+      : object_(std::exchange(other.object_, nullptr)),
+        cell_(std::exchange(other.cell_, nullptr)) {}
+  ShmUniquePtr& operator=(ShmUniquePtr&& other) noexcept {
+    ShmUniquePtr(std::move(other)).swap(*this);
+    return *this;
+  }
+  ShmUniquePtr& operator=(std::nullptr_t) noexcept {
+    reset();
+    return *this;
+  }
+  ~ShmUniquePtr() { reset(); }
+
+  T* get() const noexcept { return object_; }
+  T& operator*() const noexcept { return *object_; }
+  T* operator->() const noexcept { return object_; }
+  explicit operator bool() const noexcept { return object_ != nullptr; }
+
+  /// Frees the message.
+  void reset() noexcept {
+    if (cell_ != nullptr) {
+      object_ = nullptr;
+      detail::ControlCell* cell = std::exchange(cell_, nullptr);
+      cell->hub->abandoned(cell);
+    }
+  }
+  void swap(ShmUniquePtr& other) noexcept {
+    std::swap(object_, other.object_);
+    std::swap(cell_, other.cell_);
+  }
+
+ private:
+  friend struct detail::PointerAccess;
+  ShmUniquePtr(T* object, detail::ControlCell* cell) noexcept : object_(object), cell_(cell) {}
+
+  T* object_ = nullptr;
+  detail::ControlCell* cell_ = nullptr;
+};
+
+/// A shared pointer to a message in shared memory, across processes.
+///
+/// It behaves as std::shared_ptr and boost::interprocess::shared_ptr do: copies, moves, converts to
+/// const, aliases, casts, has a weak form. Copying it counts in private memory of this process;
+/// only the first and the last pointer of a process touch the segment. The message lives while any
+/// process has a pointer to it: after the callback, after unsubscribing, after its publisher's
+/// death.
+///
+/// Threads: distinct objects freely, one object with synchronisation.
+/// Memory:  two words; get() is one load. The object itself belongs in private memory: in a message
+///          use ShmRef.
+/// Crash:   a process that dies loses its holds at the next reap; nobody else notices.
+template <class T>
+class ShmSharedPtr {
+ public:
+  using element_type = T;
+  using value_type = T;
+  using pointer = T*;
+  using weak_type = ShmWeakPtr<T>;
+
+  constexpr ShmSharedPtr() noexcept = default;
+  constexpr ShmSharedPtr(std::nullptr_t) noexcept {}
+  ShmSharedPtr(const ShmSharedPtr& other) noexcept : ShmSharedPtr(other, other.object_) {}
+  ShmSharedPtr(ShmSharedPtr&& other) noexcept
+      : object_(std::exchange(other.object_, nullptr)),
+        cell_(std::exchange(other.cell_, nullptr)) {}
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmSharedPtr(const ShmSharedPtr<U>& other) noexcept : ShmSharedPtr(other, other.get()) {}
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmSharedPtr(ShmSharedPtr<U>&& other) noexcept
+      : object_(std::exchange(other.object_, nullptr)),
+        cell_(std::exchange(other.cell_, nullptr)) {}
+  /// Aliasing: points to `part`, keeps alive what `other` keeps alive.
+  template <class U>
+  ShmSharedPtr(const ShmSharedPtr<U>& other, T* part) noexcept : object_(part), cell_(other.cell_) {
+    if (cell_ != nullptr) cell_->add_pointer();
+  }
+  template <class U>
+  ShmSharedPtr(ShmSharedPtr<U>&& other, T* part) noexcept
+      : object_(part), cell_(std::exchange(other.cell_, nullptr)) {
+    other.object_ = nullptr;
+  }
+  /// Unique becomes shared; nothing is copied.
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmSharedPtr(ShmUniquePtr<U>&& unique) noexcept;
+  /// Throws std::bad_weak_ptr when the message has died.
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  explicit ShmSharedPtr(const ShmWeakPtr<U>& weak);
+  ~ShmSharedPtr() {
+    if (cell_ != nullptr) cell_->drop_pointer();
+  }
+
+  ShmSharedPtr& operator=(const ShmSharedPtr& other) noexcept {
+    ShmSharedPtr(other).swap(*this);
+    return *this;
+  }
+  ShmSharedPtr& operator=(ShmSharedPtr&& other) noexcept {
+    ShmSharedPtr(std::move(other)).swap(*this);
+    return *this;
+  }
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmSharedPtr& operator=(const ShmSharedPtr<U>& other) noexcept {
+    ShmSharedPtr(other).swap(*this);
+    return *this;
+  }
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmSharedPtr& operator=(ShmSharedPtr<U>&& other) noexcept {
+    ShmSharedPtr(std::move(other)).swap(*this);
+    return *this;
+  }
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmSharedPtr& operator=(ShmUniquePtr<U>&& unique) noexcept {
+    ShmSharedPtr(std::move(unique)).swap(*this);
+    return *this;
+  }
+
+  T* get() const noexcept { return object_; }
+  std::add_lvalue_reference_t<T> operator*() const noexcept { return *object_; }
+  T* operator->() const noexcept { return object_; }
+  explicit operator bool() const noexcept { return object_ != nullptr; }
+
+  void reset() noexcept { ShmSharedPtr().swap(*this); }
+  void swap(ShmSharedPtr& other) noexcept {
+    std::swap(object_, other.object_);
+    std::swap(cell_, other.cell_);
+  }
+
+  /// Pointers in this process, and one for each other process that has some (or forwards the
+  /// message). Neither the publisher's queue nor borrows count.
+  long use_count() const noexcept {
+    if (cell_ == nullptr) return 0;
+    const auto here = detail::hold::pointers(cell_->hold.load(std::memory_order_acquire));
+    return static_cast<long>(here + cell_->hub->others(cell_));
+  }
+  bool unique() const noexcept { return use_count() == 1; }
+
+  template <class U>
+  bool owner_before(const ShmSharedPtr<U>& other) const noexcept {
+    return std::less<const void*>()(cell_, other.cell_);
+  }
+  template <class U>
+  bool owner_before(const ShmWeakPtr<U>& other) const noexcept {
+    return std::less<const void*>()(cell_, other.cell_);
+  }
+
+ private:
+  template <class U>
+  friend class ShmSharedPtr;
+  template <class U>
+  friend class ShmWeakPtr;
+  friend struct detail::PointerAccess;
+  ShmSharedPtr(T* object, detail::ControlCell* cell) noexcept : object_(object), cell_(cell) {}
+
+  T* object_ = nullptr;
+  detail::ControlCell* cell_ = nullptr;
+};
+
+/// Looks after a message without keeping it alive.
+///
+/// Threads: as std::weak_ptr.
+template <class T>
+class ShmWeakPtr {
+ public:
+  using element_type = T;
+
+  constexpr ShmWeakPtr() noexcept = default;
+  ShmWeakPtr(const ShmWeakPtr& other) noexcept
+      : ShmWeakPtr(other.object_, other.cell_, other.generation_) {}
+  ShmWeakPtr(ShmWeakPtr&& other) noexcept { swap(other); }
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmWeakPtr(const ShmWeakPtr<U>& other) noexcept
+      : ShmWeakPtr(other.object_, other.cell_, other.generation_) {}
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmWeakPtr(const ShmSharedPtr<U>& shared) noexcept
+      : ShmWeakPtr(shared.object_, shared.cell_,
+                   shared.cell_ != nullptr ? shared.cell_->hub->generation(shared.cell_) : 0) {}
+  ~ShmWeakPtr() {
+    if (cell_ != nullptr) cell_->hub->weak_count(cell_, -1);
+  }
+  ShmWeakPtr& operator=(const ShmWeakPtr& other) noexcept {
+    ShmWeakPtr(other).swap(*this);
+    return *this;
+  }
+  ShmWeakPtr& operator=(ShmWeakPtr&& other) noexcept {
+    ShmWeakPtr(std::move(other)).swap(*this);
+    return *this;
+  }
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmWeakPtr& operator=(const ShmSharedPtr<U>& shared) noexcept {
+    ShmWeakPtr(shared).swap(*this);
+    return *this;
+  }
+
+  /// A pointer to the message, or null when it has died.
+  ShmSharedPtr<T> lock() const noexcept {
+    if (cell_ == nullptr || !cell_->hub->lock_weak(cell_, generation_)) return {};
+    return {object_, cell_};
+  }
+  long use_count() const noexcept {
+    const ShmSharedPtr<T> shared = lock();
+    return shared.cell_ != nullptr ? shared.use_count() - 1 : 0;
+  }
+  /// True when the message has died. (A message that only the publisher's queue holds has not.)
+  bool expired() const noexcept {
+    return cell_ == nullptr || cell_->hub->generation(cell_) != generation_;
+  }
+  void reset() noexcept { ShmWeakPtr().swap(*this); }
+  void swap(ShmWeakPtr& other) noexcept {
+    std::swap(object_, other.object_);
+    std::swap(cell_, other.cell_);
+    std::swap(generation_, other.generation_);
+  }
+  template <class U>
+  bool owner_before(const ShmWeakPtr<U>& other) const noexcept {
+    return std::less<const void*>()(cell_, other.cell_);
+  }
+  template <class U>
+  bool owner_before(const ShmSharedPtr<U>& other) const noexcept {
+    return std::less<const void*>()(cell_, other.cell_);
+  }
+
+ private:
+  template <class U>
+  friend class ShmWeakPtr;
+  template <class U>
+  friend class ShmSharedPtr;
+  ShmWeakPtr(T* object, detail::ControlCell* cell, std::uint32_t generation) noexcept
+      : object_(object), cell_(cell), generation_(generation) {
+    if (cell_ != nullptr) cell_->hub->weak_count(cell_, 1);
+  }
+
+  T* object_ = nullptr;
+  detail::ControlCell* cell_ = nullptr;
+  std::uint32_t generation_ = 0;
+};
+
+namespace detail {
+/// How pushers, pullers and ShmRef make and take pointers.
+struct PointerAccess {
+  template <class T>
+  static ShmUniquePtr<T> unique(T* object, ControlCell* cell) noexcept {
+    return {object, cell};
+  }
+  template <class T>
+  static ShmSharedPtr<T> shared(T* object, ControlCell* cell) noexcept {
+    return {object, cell};
+  }
+  template <class Pointer>
+  static ControlCell* cell(const Pointer& p) noexcept {
+    return p.cell_;
+  }
+  /// Takes what the pointer holds out of it.
+  template <class Pointer>
+  static ControlCell* take(Pointer& p) noexcept {
+    p.object_ = nullptr;
+    return std::exchange(p.cell_, nullptr);
+  }
+};
+}  // namespace detail
+
+template <class T>
+template <class U, detail::EnableIfConvertible<U, T>>
+ShmSharedPtr<T>::ShmSharedPtr(ShmUniquePtr<U>&& unique) noexcept : object_(unique.get()) {
+  cell_ = detail::PointerAccess::take(unique);
+  if (cell_ != nullptr) cell_->hub->shared_from_unique(cell_);
+}
+
+template <class T>
+template <class U, detail::EnableIfConvertible<U, T>>
+ShmSharedPtr<T>::ShmSharedPtr(const ShmWeakPtr<U>& weak) : ShmSharedPtr(weak.lock()) {
+  if (cell_ == nullptr) throw std::bad_weak_ptr();
+}
+
+/// The paper's helper: the same message, read only.
+template <class T>
+ShmSharedPtr<const T> make_const(ShmSharedPtr<T> pointer) noexcept {
+  return ShmSharedPtr<const T>(std::move(pointer));
+}
+
+template <class T, class U>
+ShmSharedPtr<T> static_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
+  return {p, static_cast<T*>(p.get())};
+}
+template <class T, class U>
+ShmSharedPtr<T> const_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
+  return {p, const_cast<T*>(p.get())};
+}
+template <class T, class U>
+ShmSharedPtr<T> reinterpret_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
+  return {p, reinterpret_cast<T*>(p.get())};
+}
+
+template <class T>
+T* to_raw_pointer(const ShmSharedPtr<T>& p) noexcept {
+  return p.get();
+}
+
+template <class T, class U>
+bool operator==(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+  return a.get() == b.get();
+}
+template <class T, class U>
+bool operator!=(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+  return a.get() != b.get();
+}
+template <class T, class U>
+bool operator<(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+  return std::less<std::common_type_t<T*, U*>>()(a.get(), b.get());
+}
+template <class T, class U>
+bool operator>(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+  return b < a;
+}
+template <class T, class U>
+bool operator<=(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+  return !(b < a);
+}
+template <class T, class U>
+bool operator>=(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+  return !(a < b);
+}
+template <class T>
+bool operator==(const ShmSharedPtr<T>& p, std::nullptr_t) noexcept {
+  return !p;
+}
+template <class T>
+bool operator==(std::nullptr_t, const ShmSharedPtr<T>& p) noexcept {
+  return !p;
+}
+template <class T>
+bool operator!=(const ShmSharedPtr<T>& p, std::nullptr_t) noexcept {
+  return static_cast<bool>(p);
+}
+template <class T>
+bool operator!=(std::nullptr_t, const ShmSharedPtr<T>& p) noexcept {
+  return static_cast<bool>(p);
+}
+template <class T>
+void swap(ShmSharedPtr<T>& a, ShmSharedPtr<T>& b) noexcept {
+  a.swap(b);
+}
+template <class T>
+void swap(ShmUniquePtr<T>& a, ShmUniquePtr<T>& b) noexcept {
+  a.swap(b);
+}
+template <class T>
+void swap(ShmWeakPtr<T>& a, ShmWeakPtr<T>& b) noexcept {
+  a.swap(b);
+}
+template <class T>
+std::ostream& operator<<(std::ostream& out, const ShmSharedPtr<T>& p) {
+  return out << p.get();
+}
+
+}  // namespace lot
+
+template <class T>
+struct std::hash<lot::ShmSharedPtr<T>> {
+  std::size_t operator()(const lot::ShmSharedPtr<T>& p) const noexcept {
+    return std::hash<T*>()(p.get());
+  }
+};

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <utility>
+
+#include "lot/detail/core.hpp"
+#include "lot/pointers.hpp"
+
+namespace lot {
+
+/// A message that is looked at in place and not kept: cheaper than a pointer.
+///
+/// It ends with the object. While it lives the message can not change, however far the publisher
+/// runs ahead. One at a time per puller, which it must not outlive.
+template <class T>
+class ShmBorrow {
+ public:
+  ShmBorrow() noexcept = default;
+  ShmBorrow(detail::PullerCore* core, const detail::Borrowed& borrowed) noexcept
+      : core_(core), borrowed_(borrowed) {}
+  ShmBorrow(ShmBorrow&& other) noexcept
+      : core_(std::exchange(other.core_, nullptr)),
+        borrowed_(std::exchange(other.borrowed_, detail::Borrowed())) {}
+  ShmBorrow& operator=(ShmBorrow&& other) noexcept {
+    if (this != &other) {
+      end();
+      core_ = std::exchange(other.core_, nullptr);
+      borrowed_ = std::exchange(other.borrowed_, detail::Borrowed());
+    }
+    return *this;
+  }
+  ~ShmBorrow() { end(); }
+
+  explicit operator bool() const noexcept { return core_ != nullptr; }
+  const T* get() const noexcept { return static_cast<const T*>(borrowed_.root); }
+  const T& operator*() const noexcept { return *get(); }
+  const T* operator->() const noexcept { return get(); }
+
+  /// Messages that this reader missed just before this one.
+  std::uint64_t missed() const noexcept { return borrowed_.missed; }
+
+  /// A pointer to the message that outlives the borrow.
+  ShmSharedPtr<const T> keep() const {
+    if (core_ == nullptr) return {};
+    return detail::PointerAccess::shared(get(), core_->keep());
+  }
+
+  /// Ends the borrow early.
+  void end() noexcept {
+    if (core_ != nullptr) std::exchange(core_, nullptr)->done();
+    borrowed_ = detail::Borrowed();
+  }
+
+ private:
+  detail::PullerCore* core_ = nullptr;
+  detail::Borrowed borrowed_;
+};
+
+/// Receives the messages of a topic, from all its publishers; those that come later are found.
+///
+/// Threads: one at a time.
+/// Crash:   its place in the queue is freed by the reaper, and a publisher that waits for it goes
+/// on.
+template <class T>
+class ShmPuller {
+ public:
+  explicit ShmPuller(std::unique_ptr<detail::PullerCore> core) : core_(std::move(core)) {}
+
+  /// The next message, or null; status() says why, missed() how many were lost before it.
+  ShmSharedPtr<const T> try_pull() { return pull_kept(false, {}, false); }
+  ShmSharedPtr<const T> pull(std::chrono::nanoseconds timeout) {
+    return pull_kept(true, detail::Clock::now() + timeout, false);
+  }
+  ShmSharedPtr<const T> pull_until(std::chrono::steady_clock::time_point deadline) {
+    return pull_kept(true, deadline, false);
+  }
+  /// Waits for ever.
+  ShmSharedPtr<const T> pull() { return pull_kept(true, {}, true); }
+
+  ShmBorrow<T> try_borrow() { return look(false, {}, false); }
+  ShmBorrow<T> borrow(std::chrono::nanoseconds timeout) {
+    return look(true, detail::Clock::now() + timeout, false);
+  }
+  ShmBorrow<T> borrow_until(std::chrono::steady_clock::time_point deadline) {
+    return look(true, deadline, false);
+  }
+  ShmBorrow<T> borrow() { return look(true, {}, true); }
+
+  /// How the last pull or borrow ended: Ok, Empty, Timeout or PublisherGone.
+  Status status() const noexcept { return status_; }
+  /// Messages lost to this reader just before the last one that it got.
+  std::uint64_t missed() const noexcept { return missed_; }
+  /// All that were lost to it.
+  std::uint64_t missed_total() const noexcept { return missed_total_; }
+  /// Publishers of the topic that are there now.
+  std::size_t publishers() { return core_->publishers(); }
+
+ private:
+  ShmSharedPtr<const T> pull_kept(bool wait, detail::Clock::time_point deadline, bool forever) {
+    detail::Borrowed kept;
+    status_ = core_->pull(kept, wait, deadline, forever);
+    if (status_ != Status::Ok) return {};
+    count(kept);
+    return detail::PointerAccess::shared(static_cast<const T*>(kept.root), kept.cell);
+  }
+  ShmBorrow<T> look(bool wait, detail::Clock::time_point deadline, bool forever) {
+    detail::Borrowed borrowed;
+    status_ = core_->borrow(borrowed, wait, deadline, forever);
+    if (status_ != Status::Ok) return {};
+    count(borrowed);
+    return {core_.get(), borrowed};
+  }
+  void count(const detail::Borrowed& borrowed) noexcept {
+    missed_ = borrowed.missed;
+    missed_total_ += borrowed.missed;
+  }
+
+  std::unique_ptr<detail::PullerCore> core_;
+  Status status_ = Status::Empty;
+  std::uint64_t missed_ = 0;
+  std::uint64_t missed_total_ = 0;
+};
+
+}  // namespace lot

@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <chrono>
+#include <memory>
+#include <utility>
+
+#include "lot/compliance.hpp"
+#include "lot/detail/core.hpp"
+#include "lot/pointers.hpp"
+#include "lot/type_identity.hpp"
+
+namespace lot {
+
+namespace detail {
+
+/// Builds a T in a loan; containers in it that are default-constructed meanwhile belong to it.
+template <class T, class... Args>
+ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
+  struct Scope {
+    Arena* before;
+    explicit Scope(Arena* arena) noexcept : before(std::exchange(arena_being_built(), arena)) {}
+    ~Scope() { arena_being_built() = before; }
+  };
+  struct Abandon {  // when the constructor of T throws
+    ControlCell* cell;
+    ~Abandon() {
+      if (cell == nullptr) return;
+      cell->type = nullptr;
+      cell->hub->abandoned(cell);
+    }
+  } abandon{loan.cell};
+  T* object;
+  if constexpr (sizeof...(Args) == 0 && std::is_trivially_default_constructible_v<T>) {
+    object = ::new (loan.root) T;  // no zeroing of pixels
+  } else {
+    const Scope scope(loan.arena);
+    if constexpr (sizeof...(Args) == 0) {
+      object = ::new (loan.root) T;
+    } else if constexpr (std::is_constructible_v<T, Args...>) {
+      object = ::new (loan.root) T(std::forward<Args>(args)...);
+    } else {
+      object = ::new (loan.root) T{std::forward<Args>(args)...};
+    }
+  }
+  abandon.cell = nullptr;
+  return PointerAccess::unique(object, loan.cell);
+}
+
+}  // namespace detail
+
+/// Publishes messages of type T on a topic.
+///
+///     auto frame = pusher.loan();
+///     frame->data.resize(16 << 20);      // not zeroed
+///     pusher.push(std::move(frame));      // readers see these bytes
+///
+/// The cost of a push does not depend on the number of readers, and it makes no system call unless
+/// one of them sleeps.
+///
+/// Threads: all members may be called at once.
+/// Crash:   what was pushed is read to its end; what was only loaned is freed.
+template <class T>
+class ShmPusher {
+ public:
+  ShmPusher(std::unique_ptr<detail::PusherCore> core, std::chrono::nanoseconds block_for)
+      : core_(std::move(core)), block_for_(block_for) {}
+
+  /// A new message, built in shared memory from args. Plain types are not zeroed.
+  /// Errors: lot::OutOfMemory.
+  template <class... Args>
+  ShmUniquePtr<T> loan(Args&&... args) {
+    return detail::build<T>(core_->loan(detail::message_type<T>(), true),
+                            std::forward<Args>(args)...);
+  }
+  /// The same, but null when the segment has no room.
+  template <class... Args>
+  ShmUniquePtr<T> try_loan(Args&&... args) {
+    const detail::Loan loan = core_->loan(detail::message_type<T>(), false);
+    if (loan.cell == nullptr) return nullptr;
+    return detail::build<T>(loan, std::forward<Args>(args)...);
+  }
+
+  /// Publishes. Under Policy::Block it waits for a slow reader, at most PusherOptions::block_for
+  /// (or `block_for`); Status::Full then, and the message stays with the caller. Else always
+  /// Status::Ok.
+  Status push(ShmUniquePtr<T>&& message) { return push(std::move(message), block_for_); }
+  Status push(ShmUniquePtr<T>&& message, std::chrono::nanoseconds block_for) {
+    const Status status = core_->push_unique(detail::PointerAccess::cell(message), block_for);
+    if (status == Status::Ok) detail::PointerAccess::take(message);
+    return status;
+  }
+  /// Never waits.
+  Status try_push(ShmUniquePtr<T>&& message) {
+    return push(std::move(message), std::chrono::nanoseconds(0));
+  }
+
+  /// Publishes a message that was received, or is kept: no copy.
+  Status push(const ShmSharedPtr<const T>& message) { return push(message, block_for_); }
+  Status push(const ShmSharedPtr<const T>& message, std::chrono::nanoseconds block_for) {
+    return core_->push_shared(detail::PointerAccess::cell(message), block_for);
+  }
+  Status push(const ShmSharedPtr<T>& message) { return push(message, block_for_); }
+  Status push(const ShmSharedPtr<T>& message, std::chrono::nanoseconds block_for) {
+    return core_->push_shared(detail::PointerAccess::cell(message), block_for);
+  }
+
+  /// Readers that have joined this publisher.
+  std::size_t readers() const { return core_->readers(); }
+  bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) {
+    return core_->wait_for_readers(count, timeout);
+  }
+  /// Makes memory for `count` messages of `bytes` each and touches it, so that the first frames are
+  /// as fast as the later ones.
+  void reserve(std::size_t count, std::size_t bytes) { core_->reserve(count, bytes); }
+
+ private:
+  std::unique_ptr<detail::PusherCore> core_;
+  std::chrono::nanoseconds block_for_;
+};
+
+}  // namespace lot

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <new>
+#include <string>
+#include <type_traits>
+#include <typeinfo>
+
+#include "lot/detail/control.hpp"
+
+namespace lot {
+
+/// What must be equal at both ends of a topic beside size and alignment. Specialise it to give a
+/// message a name of your own (say, one that all languages share) and a hash of its definition.
+template <class T>
+struct TypeIdentity {
+  static const char* name();
+  static constexpr std::uint64_t hash() { return 0; }
+};
+
+namespace detail {
+
+std::string demangle(const char* name);
+
+template <class T>
+void destroy_message(void* message) noexcept {
+  static_cast<T*>(message)->~T();
+}
+
+/// The one MessageType of T in this copy of the library.
+template <class T>
+const MessageType& message_type() {
+  static const MessageType type{
+      sizeof(T),
+      alignof(T),
+      TypeIdentity<T>::hash(),
+      TypeIdentity<T>::name(),
+      std::is_trivially_destructible_v<T> ? nullptr : &destroy_message<T>,
+      std::is_trivially_copyable_v<T> && std::is_trivially_destructible_v<T>};
+  return type;
+}
+
+}  // namespace detail
+
+template <class T>
+const char* TypeIdentity<T>::name() {
+  static const std::string name = detail::demangle(typeid(T).name());
+  return name.c_str();
+}
+
+}  // namespace lot

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <optional>
+
+/// Sleeping on a word in shared memory until another process wakes it.
+///
+/// Always shared futexes: a private one does not wake another process. Deadlines are on the steady
+/// clock. A sleep may end for nothing; the caller looks again.
+///
+/// Threads: all functions may be called at once.
+/// Crash:   a sleeper that is killed leaves nothing behind.
+/// Source:  futex(2), FUTEX_WAIT_BITSET for absolute deadlines; futex_waitv(2) for many words.
+namespace lot::futex {
+
+using Clock = std::chrono::steady_clock;
+using Deadline = std::optional<Clock::time_point>;  ///< none: for ever
+
+/// One word to sleep on, and the value that it must still have.
+struct Wait {
+  const void* word;
+  std::uint32_t value;
+};
+
+/// The futex of a 64-bit slot: its low half.
+const void* low_half(const std::atomic<std::uint64_t>& word) noexcept;
+
+/// Sleeps while *word == value. False when the deadline has passed.
+bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexcept;
+
+/// Sleeps while all the words have their values (at most kMaxWords are looked at; where the kernel
+/// has no futex_waitv, for a few milliseconds at most). False when the deadline has passed.
+inline constexpr unsigned kMaxWords = 128;
+bool wait_any(const Wait* waits, unsigned count, const Deadline& deadline) noexcept;
+
+void wake_all(const void* word) noexcept;
+
+}  // namespace lot::futex

@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "liveness/lock_file.hpp"
+
+#include <cerrno>
+#include <fcntl.h>
+#include <thread>
+#include <unistd.h>
+
+#include "lot/error.hpp"
+
+#include "segment/segment.hpp"
+
+namespace lot::liveness {
+namespace {
+
+struct flock byte_range(short type, std::uint32_t first, std::uint32_t count) {
+  struct flock range {};
+  range.l_type = type;
+  range.l_whence = SEEK_SET;
+  range.l_start = first;
+  range.l_len = count;
+  return range;
+}
+
+}  // namespace
+
+LockFile::LockFile(std::string path, mode_t mode)
+    : path_(std::move(path)), fd_(segment::open_private(path_, mode)) {
+  struct stat status {};
+  fstat(fd_, &status);
+  device_ = status.st_dev;
+  inode_ = status.st_ino;
+}
+
+LockFile::~LockFile() { abandon(); }
+
+bool LockFile::try_lock(std::uint32_t byte) noexcept {
+  struct flock range = byte_range(F_WRLCK, byte, 1);
+  int result;
+  do {
+    result = fcntl(fd_, F_OFD_SETLK, &range);
+  } while (result == -1 && errno == EINTR);
+  return result == 0;
+}
+
+void LockFile::unlock(std::uint32_t byte) noexcept {
+  struct flock range = byte_range(F_UNLCK, byte, 1);
+  fcntl(fd_, F_OFD_SETLK, &range);
+}
+
+bool LockFile::held_by_other(std::uint32_t first, std::uint32_t count) const noexcept {
+  struct flock range = byte_range(F_WRLCK, first, count);
+  // On failure say "held": nobody is ever reaped because a system call went wrong.
+  if (fcntl(fd_, F_OFD_GETLK, &range) == -1) return true;
+  return range.l_type != F_UNLCK;
+}
+
+bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
+  const auto until = std::chrono::steady_clock::now() + timeout;
+  while (!try_lock(kGate)) {
+    if (errno != EAGAIN && errno != EACCES) {
+      throw Error(errno, path_, "cannot lock it", "does its file system support fcntl locks?");
+    }
+    if (std::chrono::steady_clock::now() >= until) {
+      throw Error(
+          EBUSY, path_, "another process has been opening or closing the segment all the time",
+          "look for a stopped process that uses it (state T in ps) and continue or kill it");
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  struct stat named {};
+  if (stat(path_.c_str(), &named) == 0 && named.st_dev == device_ && named.st_ino == inode_) {
+    return true;
+  }
+  leave_gate();
+  return false;
+}
+
+bool LockFile::intact() const noexcept {
+  struct stat status {};
+  return fstat(fd_, &status) == 0 && status.st_dev == device_ && status.st_ino == inode_;
+}
+
+bool LockFile::reopen() noexcept {
+  const int fd = ::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW);
+  if (fd == -1) return false;
+  struct stat status {};
+  if (fstat(fd, &status) == -1 || status.st_dev != device_ || status.st_ino != inode_) {
+    ::close(fd);
+    return false;
+  }
+  fd_ = fd;
+  return true;
+}
+
+void LockFile::abandon() noexcept {
+  if (intact()) ::close(fd_);
+  fd_ = -1;
+}
+
+}  // namespace lot::liveness

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <string>
+#include <sys/stat.h>
+
+/// Who is alive is said by the kernel: each participant holds a write lock on its byte of the lock
+/// file, and the kernel drops it when the process dies. No process ids: they mean nothing in
+/// another container.
+///
+/// The locks belong to the open file description (F_OFD_SETLK). They do not exclude threads that
+/// share it, so whoever locks another's byte holds a process-private mutex as well. The descriptor
+/// is never mapped: a mapping would keep a dead owner's lock.
+///
+/// Bytes: 1 .. N-1 are participants, 0 is the orphanage (who acts for it holds it), kGate guards
+/// creating, opening and removing the segment.
+///
+/// Source: fcntl(2), "Open file description locks".
+namespace lot::liveness {
+
+class LockFile {
+ public:
+  static constexpr std::uint32_t kGate = 1 << 20;
+
+  /// Opens the lock file, made if absent. Throws lot::Error.
+  LockFile(std::string path, mode_t mode);
+  ~LockFile();
+  LockFile(const LockFile&) = delete;
+  LockFile& operator=(const LockFile&) = delete;
+
+  bool try_lock(std::uint32_t byte) noexcept;
+  void unlock(std::uint32_t byte) noexcept;
+  /// True when somebody else holds a byte of [first, first + count).
+  bool held_by_other(std::uint32_t first, std::uint32_t count = 1) const noexcept;
+
+  /// Takes the gate, waiting up to `timeout`; throws lot::Error when it stays taken. Returns false
+  /// when the file was removed meanwhile: open it again.
+  bool enter_gate(std::chrono::milliseconds timeout);
+  void leave_gate() noexcept { unlock(kGate); }
+
+  /// False when the descriptor was closed behind our back (closefrom) and our locks are gone.
+  bool intact() const noexcept;
+  /// Opens the file again after that. False when it is another file by now.
+  bool reopen() noexcept;
+
+  /// In a forked child: closes the descriptor, so that the child does not keep the parent's locks.
+  void abandon() noexcept;
+
+  const std::string& path() const noexcept { return path_; }
+
+ private:
+  std::string path_;
+  std::atomic<int> fd_;
+  dev_t device_ = 0;
+  ino_t inode_ = 0;
+};
+
+}  // namespace lot::liveness

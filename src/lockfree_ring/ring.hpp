@@ -1,0 +1,417 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "lockfree_ring/words.hpp"
+
+/// A single-producer broadcast ring of blocks: a pure algorithm over memory that it is given. It
+/// makes no system call; whoever must be woken or waited for is said in return values.
+///
+/// There is no head word: the slots are the truth, and the newest one says where the ring stands.
+///
+/// Edges (the release side, the acquire side, and what is carried); docs/edges.md has them all
+///   R1  slot exchange in Writer::publish   -> slot load in Reader::poll
+///       carries: the message in the block.
+///   R2  slot exchange, then position load in Writer::hazards (both seq_cst)
+///       <-> position store, then second slot load in Reader::poll (both seq_cst)
+///       either the reader sees that the slot has moved on, or the writer sees the hazard.
+///   R3  position store in Reader::done     -> position load in Writer::room, Writer::hazards
+///       carries: "the payload has been read".
+///   R4  roster bump, then slot loads in Reader::join (seq_cst)
+///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
+///       in Writer::room (seq_cst): a joiner is either on the writer's list or starts behind it.
+///   R5  sleeper's compare-and-swap on the slot (acquire) <- Ring::clear_sleepers (release)
+///       carries: the writer word ORPHAN (or the directory's change) that preceded the clearing.
+///   R6  space mark, then positions in Writer::room (seq_cst)
+///       <-> position store, then space load on an empty poll (seq_cst)
+///       a sender that sleeps for room is rung by the reader that made some.
+namespace lot::ring {
+
+/// One reader's shared word, on a line of its own: {cursor, hazard}. Written by that reader, and
+/// when it has died by its reaper; read by the writer.
+template <class P>
+struct alignas(P::kLine) Cell {
+  typename P::template Atomic<Word> position;
+};
+
+/// A view of one ring in shared memory. Copyable; owns nothing.
+template <class P>
+struct Ring {
+  template <class T>
+  using Atomic = typename P::template Atomic<T>;
+
+  Atomic<Word>* writer = nullptr;           ///< who publishes here: make_writer()
+  Atomic<Word>* slots = nullptr;            ///< [depth]
+  Cell<P>* cells = nullptr;                 ///< [readers]
+  Atomic<std::uint32_t>* who = nullptr;     ///< [readers] 0, or participant + 1
+  Atomic<std::uint32_t>* roster = nullptr;  ///< bumped by each joiner: "look at who[] again"
+  Atomic<std::uint32_t>* space = nullptr;   ///< futex; odd = the sender sleeps for room
+  std::uint32_t depth = 0;
+  std::uint32_t readers = 0;
+  bool blocking =
+      false;       ///< the slowest reader holds the writer back (else the oldest is overwritten)
+  Word first = 0;  ///< sequence of the first message; slot 0 is the one that takes it
+
+  /// Makes the slots and cells of a new ring. REQUIRES: writer is INIT and the caller owns it.
+  void format() {
+    for (std::uint32_t i = 0; i < depth; ++i) {
+      slots[i].store(make(advance(first, Word{i} - depth), kNoBlock), std::memory_order_release);
+    }
+    for (std::uint32_t c = 0; c < readers; ++c) {
+      cells[c].position.store(kIdle, std::memory_order_release);
+      who[c].store(0, std::memory_order_release);
+    }
+  }
+
+  /// Takes the sleepers' marks away, so that a late sleeper's compare-and-swap reads from this and
+  /// sees what was stored before. The caller then wakes every slot, whatever the marks were.
+  void clear_sleepers() {
+    // An RMW even where no mark stands: edge R5 hangs on it.
+    for (std::uint32_t i = 0; i < depth; ++i)
+      slots[i].fetch_and(~kSleeper, std::memory_order_release);
+  }
+
+  /// True when no reader has a cell here.
+  bool deserted() const {
+    for (std::uint32_t c = 0; c < readers; ++c) {
+      if (who[c].load(std::memory_order_seq_cst) != 0) return false;
+    }
+    return true;
+  }
+};
+
+/// The publisher's side: private state of the one thread that publishes at a time.
+template <class P>
+class Writer {
+ public:
+  /// What publish() leaves to the caller.
+  struct Published {
+    Word replaced;  ///< block that the slot held before, or kNoBlock: it is the caller's to retire
+    bool wake;      ///< somebody sleeps on the slot: wake `slot`
+    typename P::template Atomic<Word>* slot;
+  };
+
+  Writer() = default;
+  explicit Writer(const Ring<P>& ring) : ring_(ring), next_(ring.first) {
+    active_.reserve(ring.readers);
+  }
+
+  /// True if the next publish overwrites nothing that a reader still needs (always, under
+  /// overwrite). Looks at the readers only when the cached minimum does not suffice.
+  bool room() {
+    if (!ring_.blocking) return true;
+    refresh_roster();
+    if (minimum_known_ && distance(next_, minimum_) < ring_.depth) return true;
+    minimum_ = next_;
+    minimum_known_ = true;
+    for (const std::uint32_t c : active_) {
+      const Word position = ring_.cells[c].position.load(std::memory_order_seq_cst);  // R3, R6
+      if (position == kIdle) continue;
+      if (position == kPinAll) {
+        minimum_known_ = false;
+        return false;
+      }
+      if (distance(sequence(position), minimum_) < 0) minimum_ = sequence(position);
+    }
+    return distance(next_, minimum_) < ring_.depth;
+  }
+
+  /// Publishes a block; the caller's hold on it becomes the ring's. REQUIRES: room().
+  ///
+  /// Crash: killed before the exchange, the message was never published and its block is freed by
+  /// the reaper; after it, the message is published, and the reaper adopts it and wakes sleepers.
+  Published publish(Word block) {
+    auto& slot = ring_.slots[index_];
+    const Word old = slot.exchange(make(next_, block), std::memory_order_seq_cst);  // R1, R2, R4
+    next_ = next(next_);
+    if (++index_ == ring_.depth) index_ = 0;
+    P::prefetch_write(&ring_.slots[index_]);
+    return {ring::block(old), (old & kSleeper) != 0, &slot};
+  }
+
+  /// Takes the oldest message back out of the ring, when memory has run out; readers that have not
+  /// read it count it as missed. Returns its block, or kNoBlock when the ring holds none.
+  Word evict_oldest() {
+    std::uint32_t i = index_;
+    for (std::uint32_t n = 0; n < ring_.depth; ++n) {
+      // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
+      const Word old = ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
+      if (block(old) != kNoBlock) return block(old);
+      if (++i == ring_.depth) i = 0;
+    }
+    return kNoBlock;
+  }
+
+  /// Calls seen(block) for each block that some reader may be looking at right now.
+  template <class Seen>
+  void hazards(Seen&& seen) {
+    refresh_roster();
+    for (const std::uint32_t c : active_) {
+      const Word position = ring_.cells[c].position.load(std::memory_order_seq_cst);  // R2, R3
+      if (position != kIdle && block(position) != kNoBlock) seen(block(position));
+    }
+  }
+
+  /// Calls lag(cell, position) for each reader that holds the sender back.
+  template <class Lag>
+  void laggards(Lag&& lag) {
+    refresh_roster();
+    for (const std::uint32_t c : active_) {
+      const Word position = ring_.cells[c].position.load(std::memory_order_seq_cst);
+      if (position == kIdle) continue;
+      if (position == kPinAll || distance(next_, sequence(position)) >= ring_.depth) lag(c);
+    }
+  }
+
+  /// Announces on `space` that the sender is about to sleep; returns the value to sleep on. The
+  /// caller looks at room() once more, and sleeps only if there is still none.
+  std::uint32_t mark_waiting() {
+    std::uint32_t v = ring_.space->load(std::memory_order_seq_cst);
+    while ((v & 1) == 0) {
+      if (ring_.space->compare_exchange_strong(v, v + 1, std::memory_order_seq_cst,
+                                               std::memory_order_seq_cst)) {  // R6
+        return v + 1;
+      }
+    }
+    return v;
+  }
+
+  Word next_sequence() const { return next_; }
+  std::uint32_t depth() const { return ring_.depth; }
+  const Ring<P>& ring() const { return ring_; }
+  std::size_t active_readers() {
+    refresh_roster();
+    return active_.size();
+  }
+
+ private:
+  void refresh_roster() {
+    const std::uint32_t now = ring_.roster->load(std::memory_order_seq_cst);  // R4
+    if (roster_known_ && now == roster_) return;
+    roster_ = now;
+    roster_known_ = true;
+    minimum_known_ = false;  // a late joiner may stand behind the cached minimum
+    active_.clear();
+    for (std::uint32_t c = 0; c < ring_.readers; ++c) {
+      if (ring_.who[c].load(std::memory_order_seq_cst) != 0) active_.push_back(c);
+    }
+  }
+
+  Ring<P> ring_;
+  Word next_ = 0;
+  Word minimum_ = 0;
+  std::uint32_t index_ = 0;  ///< slot of next_; kept apart so that depth need not be a power of two
+  std::uint32_t roster_ = 0;
+  bool roster_known_ = false;
+  bool minimum_known_ = false;
+  std::vector<std::uint32_t> active_;
+};
+
+/// A consumer's side: private state of one reader, used by one thread at a time.
+template <class P>
+class Reader {
+ public:
+  /// History that asks for everything since the ring was made.
+  static constexpr std::uint64_t kFromTheStart = ~std::uint64_t{0};
+
+  Reader() = default;
+
+  /// Joins a ring of the given generation, starting with the newest `history` messages. Returns
+  /// no reader when the ring is not live any more, or has no free cell (then `full` is set).
+  ///
+  /// Crash: killed after the claim of who[c], the reaper makes the cell idle and frees it.
+  static std::optional<Reader> join(const Ring<P>& ring, std::uint32_t generation,
+                                    std::uint32_t participant, std::uint64_t history, bool& full) {
+    full = false;
+    std::uint32_t c = 0;
+    for (; c < ring.readers; ++c) {
+      std::uint32_t nobody = 0;
+      if (ring.who[c].compare_exchange_strong(nobody, participant + 1, std::memory_order_seq_cst,
+                                              std::memory_order_relaxed)) {
+        break;
+      }
+    }
+    if (c == ring.readers) {
+      full = true;
+      return std::nullopt;
+    }
+    const Word writer = ring.writer->load(std::memory_order_seq_cst);
+    if (writer_state(writer) != State::Live || writer_generation(writer) != generation) {
+      ring.who[c].store(0, std::memory_order_release);
+      return std::nullopt;
+    }
+    auto& position = ring.cells[c].position;
+    if (ring.blocking) position.store(kPinAll, std::memory_order_release);
+    ring.roster->fetch_add(1, std::memory_order_seq_cst);  // R4
+    Reader reader;
+    reader.ring_ = ring;
+    reader.cell_ = c;
+    reader.start_at_newest(history);
+    // Until here the sender was pinned; from here the cursor holds it.
+    position.store(make(reader.cursor_, kNoBlock), std::memory_order_release);
+    return reader;
+  }
+
+  /// Borrows the next message: its block, or kNoBlock when there is none. The block and its payload
+  /// are protected until done(). `missed` is increased by the messages that were overwritten before
+  /// they could be read.
+  Word poll(std::uint64_t& missed) {
+    for (;;) {
+      auto& slot = ring_.slots[index_];
+      const Word seen = without_sleeper(slot.load(std::memory_order_acquire));  // R1
+      const std::int64_t ahead = distance(sequence(seen), cursor_);
+      if (ahead < 0) {
+        when_empty();
+        return kNoBlock;
+      }
+      if (ahead > 0) {  // lapped: the oldest that can still be there is one round behind `seen`
+        skip(static_cast<Word>(ahead) + 1 - ring_.depth, missed);
+        continue;
+      }
+      if (block(seen) == kNoBlock) {  // evicted
+        skip(1, missed);
+        continue;
+      }
+      if (!ring_.blocking) {
+        auto& position = ring_.cells[cell_].position;
+        position.store(seen, std::memory_order_seq_cst);                              // R2
+        if (without_sleeper(slot.load(std::memory_order_seq_cst)) != seen) continue;  // R2
+      }
+      drained_ = false;
+      return block(seen);
+    }
+  }
+
+  /// What lies in the slot ahead of poll(), for prefetching only: may be wrong.
+  Word peek() const {
+    const Word seen = ring_.slots[index_].load(std::memory_order_relaxed);
+    return distance(sequence(seen), cursor_) == 0 ? block(seen) : kNoBlock;
+  }
+
+  /// Ends a borrow. Returns true when the sender sleeps for room: the caller then calls ring_bell()
+  /// and, if that says so, wakes `space`.
+  bool done() {
+    step(1);
+    ring_.cells[cell_].position.store(make(cursor_, kNoBlock), std::memory_order_release);  // R3
+    // A stale "even" here is mended by the next empty poll, or by the sender's own timed look.
+    return ring_.blocking && (ring_.space->load(std::memory_order_relaxed) & 1) != 0;
+  }
+
+  /// After an empty poll under back-pressure: true when the sender sleeps for room.
+  bool sender_waits() {
+    return ring_.blocking && (ring_.space->load(std::memory_order_seq_cst) & 1) != 0;  // R6
+  }
+
+  /// Takes the sender's mark away; true when the caller must wake `space`.
+  static bool ring_bell(typename P::template Atomic<std::uint32_t>& space) {
+    std::uint32_t v = space.load(std::memory_order_relaxed);
+    return (v & 1) != 0 && space.compare_exchange_strong(v, v + 1, std::memory_order_relaxed,
+                                                         std::memory_order_relaxed);
+  }
+
+  /// Leaves a sleeper's mark in the slot that the next publish will exchange. Returns the slot word
+  /// to sleep on, or nothing when there is something to look at. The caller must then look at
+  /// ended() and the directory before it sleeps.
+  std::optional<Word> mark_sleeping() {
+    auto& slot = ring_.slots[index_];
+    Word seen = slot.load(std::memory_order_relaxed);
+    if (distance(sequence(seen), cursor_) >= 0) return std::nullopt;
+    if ((seen & kSleeper) == 0) {
+      if (!slot.compare_exchange_strong(seen, seen | kSleeper, std::memory_order_acquire,
+                                        std::memory_order_relaxed)) {  // R5
+        return std::nullopt;
+      }
+      seen |= kSleeper;
+    }
+    return seen;
+  }
+
+  /// True when the publisher has gone: no message will follow those that are in the ring.
+  bool orphaned() const {
+    return writer_state(ring_.writer->load(std::memory_order_seq_cst)) == State::Orphan;
+  }
+
+  /// True when the publisher has gone and everything was read. (The writer word first, then the
+  /// slot: else a last message could slip in between.)
+  bool ended() const {
+    return orphaned() &&
+           distance(sequence(ring_.slots[index_].load(std::memory_order_seq_cst)), cursor_) < 0;
+  }
+
+  /// True when poll() would find something.
+  bool ready() const {
+    return distance(sequence(ring_.slots[index_].load(std::memory_order_acquire)), cursor_) >= 0;
+  }
+
+  /// Frees the cell. The caller wakes `space` unconditionally. Crash: the reaper does the rest.
+  void leave() {
+    ring_.cells[cell_].position.store(kIdle, std::memory_order_release);
+    ring_.space->fetch_add(2, std::memory_order_acq_rel);
+    ring_.who[cell_].store(0, std::memory_order_release);
+  }
+
+  typename P::template Atomic<Word>& slot() const { return ring_.slots[index_]; }
+  const Ring<P>& ring() const { return ring_; }
+  Word cursor() const { return cursor_; }
+  std::uint32_t cell() const { return cell_; }
+
+ private:
+  /// Puts the cursor `history` messages before the newest one, as far as the ring goes back.
+  void start_at_newest(std::uint64_t history) {
+    std::uint32_t newest_index = 0;
+    Word newest = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
+    for (std::uint32_t i = 1; i < ring_.depth; ++i) {
+      const Word here = sequence(ring_.slots[i].load(std::memory_order_seq_cst));  // R4
+      if (distance(here, newest) > 0) {
+        newest = here;
+        newest_index = i;
+      }
+    }
+    const Word head = next(newest);
+    const auto published = static_cast<std::uint64_t>(distance(head, ring_.first));
+    // Under back-pressure the sender may be one message ahead of what the joiner saw.
+    std::uint64_t back =
+        ring_.blocking ? std::uint64_t{ring_.depth} - 1 : std::uint64_t{ring_.depth};
+    if (history == kFromTheStart && !ring_.blocking) back = published;  // poll() counts the missed
+    if (back > history) back = history;
+    if (back > published) back = published;
+    cursor_ = advance(head, Word{0} - back);
+    index_ = static_cast<std::uint32_t>(
+        (std::uint64_t{newest_index} + 1 + ring_.depth - back % ring_.depth) % ring_.depth);
+  }
+
+  void step(Word by) {
+    cursor_ = advance(cursor_, by);
+    if (by == 1) {
+      if (++index_ == ring_.depth) index_ = 0;
+    } else {
+      index_ = static_cast<std::uint32_t>((index_ + by) % ring_.depth);
+    }
+  }
+
+  void skip(Word by, std::uint64_t& missed) {
+    missed += by;
+    step(by);
+  }
+
+  void when_empty() {
+    auto& position = ring_.cells[cell_].position;
+    if (!ring_.blocking) {
+      position.store(make(cursor_, kNoBlock), std::memory_order_release);  // R3: lets a hazard go
+    } else if (!drained_) {
+      drained_ = true;
+      position.store(make(cursor_, kNoBlock), std::memory_order_seq_cst);  // R6
+    }
+  }
+
+  Ring<P> ring_;
+  Word cursor_ = 0;
+  std::uint32_t index_ = 0;
+  std::uint32_t cell_ = 0;
+  bool drained_ = false;
+};
+
+}  // namespace lot::ring

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+/// The words of the ring and how they are read. Widths and meanings are part of the layout
+/// (docs/layout.md).
+namespace lot::ring {
+
+/// A slot:  {sequence : 44 | sleeper : 1 | block : 19}.
+///
+/// One atomic word is the whole truth about a slot: which message is in it, in which block, and
+/// whether some reader sleeps until the *next* message comes into it. Its low 32 bits are the
+/// futex.
+///
+/// A reader's position uses the same format: {cursor | 0 | kNoBlock} is a place, {sequence | 0 |
+/// block} a place and a hazard. The sleeper bit is never part of a place, so words that carry it
+/// are free for kIdle and kPinAll.
+using Word = std::uint64_t;
+
+inline constexpr unsigned kBlockBits = 19;
+inline constexpr Word kNoBlock = (Word{1} << kBlockBits) - 1;
+inline constexpr Word kSleeper = Word{1} << kBlockBits;
+inline constexpr unsigned kSequenceShift = kBlockBits + 1;
+inline constexpr Word kSequenceMask = (Word{1} << (64 - kSequenceShift)) - 1;
+
+inline constexpr Word kIdle = ~Word{0};               ///< position: nobody reads here
+inline constexpr Word kPinAll = kSleeper | kNoBlock;  ///< position: a joiner stops the sender
+
+constexpr Word make(Word sequence, Word block) { return sequence << kSequenceShift | block; }
+constexpr Word sequence(Word word) { return word >> kSequenceShift; }
+constexpr Word block(Word word) { return word & kNoBlock; }
+constexpr Word without_sleeper(Word word) { return word & ~kSleeper; }
+
+/// a - b of two sequences, as a signed number: sequences wrap after 2^44 messages, and two that are
+/// compared are never further apart than 2^43.
+constexpr std::int64_t distance(Word a, Word b) {
+  return static_cast<std::int64_t>((a - b) << kSequenceShift) >> kSequenceShift;
+}
+constexpr Word next(Word sequence) { return (sequence + 1) & kSequenceMask; }
+constexpr Word advance(Word sequence, Word by) { return (sequence + by) & kSequenceMask; }
+
+/// The writer word of a ring: {generation : 32 | state : 8 | owner : 24}.
+enum class State : std::uint8_t { Free = 0, Init = 1, Live = 2, Orphan = 3 };
+
+constexpr Word make_writer(Word generation, State state, Word owner) {
+  return generation << 32 | Word{static_cast<std::uint8_t>(state)} << 24 | owner;
+}
+constexpr std::uint32_t writer_generation(Word w) { return static_cast<std::uint32_t>(w >> 32); }
+constexpr State writer_state(Word w) { return static_cast<State>(w >> 24 & 0xff); }
+constexpr std::uint32_t writer_owner(Word w) { return static_cast<std::uint32_t>(w & 0xffffff); }
+
+}  // namespace lot::ring

@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "lockfree_ring/ring.hpp"
+#include "refcount/ownership.hpp"
+
+/// The one place that repairs what a death leaves. A clean exit is the same code, run on oneself.
+///
+/// Every step may be repeated: a reaper that is killed anywhere is followed by another that begins
+/// again (docs/crash.md).
+///
+/// The World is what is repaired:
+///   participants()               -> number of indexes, 0 included
+///   part(k)                      -> Atomic<uint32_t>&, 0 free, 1 taken
+///   blocks(), block(b)           -> BlockWords<P>&
+///   channels()                   -> number of channels
+///   channel_writer(c)            -> Atomic<Word>&
+///   ring(c)                      -> Ring<P>; depth 0 when it was never finished
+///   each_reference(b, f)         -> f(block) for each block that the message in b refers to
+///   lock_rings(), unlock_rings() -> the registry's lock, tried: joiners and recycling exclude each
+///   other recycle_ring(c)              -> releases the ring's memory and names
+///   release_extents(dead)        -> releases the memory of the blocks named in vector<bool> dead
+///   forget(k)                    -> what else names participant k (users of topics)
+///   wake(word)                   -> wakes everybody who sleeps on it
+namespace lot::recovery {
+
+template <class P, class World>
+class Recovery {
+ public:
+  explicit Recovery(World& world) : world_(world) {}
+
+  /// Repairs what participant k left. REQUIRES: byte locks k and 0 are held, k is dead (or is the
+  /// caller, leaving). Returns false when there was nothing to do.
+  bool reap(std::uint32_t k) {
+    if (world_.part(k).load(std::memory_order_relaxed) == 0) return false;
+    for (std::uint32_t c = 0; c < world_.channels(); ++c) orphan_ring(c, k);
+    for (std::uint32_t c = 0; c < world_.channels(); ++c) free_cells(c, k);
+    adopt_references(k);
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);
+    world_.forget(k);
+    world_.part(k).store(0, std::memory_order_release);
+    collect();
+    return true;
+  }
+
+  /// The publisher of channel c, which is k, is gone: no new joiners, the orphanage holds what is
+  /// in the ring and what is still borrowed, sleepers wake and find the end. REQUIRES: byte lock 0.
+  void orphan_ring(std::uint32_t c, std::uint32_t k) {
+    auto& writer = world_.channel_writer(c);
+    const ring::Word w = writer.load(std::memory_order_acquire);
+    if (ring::writer_owner(w) != k || ring::writer_state(w) == ring::State::Free) return;
+    const auto generation = ring::writer_generation(w);
+    const bool finished = ring::writer_state(w) != ring::State::Init;
+    writer.store(ring::make_writer(generation, ring::State::Orphan, k), std::memory_order_seq_cst);
+    if (finished) {
+      ring::Ring<P> r = world_.ring(c);
+      for (std::uint32_t i = 0; i < r.depth; ++i) {
+        adopt(ring::block(r.slots[i].load(std::memory_order_seq_cst)));
+      }
+      for (std::uint32_t i = 0; i < r.readers; ++i) {
+        const ring::Word position = r.cells[i].position.load(std::memory_order_seq_cst);
+        if (position != ring::kIdle) adopt(ring::block(position));
+      }
+      wake_readers(r);
+    }
+    // The name last: until here a reaper that follows us finds the ring by it (I4).
+    writer.store(ring::make_writer(generation, ring::State::Orphan, refcount::kOrphanage),
+                 std::memory_order_release);
+  }
+
+  /// Wakes whoever sleeps on a ring, unconditionally: a conditional wake loses a sleeper whose mark
+  /// was taken by a publisher that died before it could wake.
+  void wake_readers(ring::Ring<P>& r) {
+    r.clear_sleepers();
+    for (std::uint32_t i = 0; i < r.depth; ++i) world_.wake(r.slots[i]);
+  }
+
+  /// Frees what nobody needs any more: rings without readers, adopted blocks that no orphan ring
+  /// names, dead blocks of the orphanage. REQUIRES: byte lock 0. Returns true if all was looked at
+  /// (false: the registry was locked, rings are left for the next time).
+  bool collect() {
+    const bool all = recycle_rings();
+    mark_needed();
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      auto& words = world_.block(b);
+      if ((words.own[0].load(std::memory_order_acquire) & 1) != 0 && !needed_[b]) {
+        words.own[0].fetch_and(~std::uint64_t{1}, std::memory_order_release);  // O1
+      }
+    }
+    while (bury()) {
+    }
+    return all;
+  }
+
+ private:
+  using Own = refcount::Ownership<P>;
+
+  void adopt(ring::Word b) {
+    if (b < world_.blocks()) Own::adopt(world_.block(static_cast<std::uint32_t>(b)));
+  }
+
+  void free_cells(std::uint32_t c, std::uint32_t k) {
+    const auto state = ring::writer_state(world_.channel_writer(c).load(std::memory_order_acquire));
+    if (state != ring::State::Live && state != ring::State::Orphan) return;
+    ring::Ring<P> r = world_.ring(c);
+    for (std::uint32_t i = 0; i < r.readers; ++i) {
+      if (r.who[i].load(std::memory_order_seq_cst) != k + 1) continue;
+      r.cells[i].position.store(ring::kIdle, std::memory_order_release);
+      r.space->fetch_add(2, std::memory_order_acq_rel);
+      world_.wake(*r.space);
+      r.who[i].store(0, std::memory_order_release);
+    }
+  }
+
+  /// Messages of k that live on in others' hands keep alive what they refer to.
+  void adopt_references(std::uint32_t k) {
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      if (world_.block(b).home.load(std::memory_order_relaxed) == k + 1) {
+        world_.each_reference(b, [this](ring::Word target) { adopt(target); });
+      }
+    }
+  }
+
+  void let_go(std::uint32_t b, std::uint32_t k) {
+    auto& words = world_.block(b);
+    auto& own = Own::word(words, k);
+    if ((own.load(std::memory_order_acquire) & Own::bit(k)) != 0) {
+      own.fetch_and(~Own::bit(k), std::memory_order_release);  // O1
+    }
+    if (words.home.load(std::memory_order_relaxed) == k + 1) {
+      words.home_points.store(0, std::memory_order_relaxed);
+      words.home.store(refcount::kHomeOrphanage, std::memory_order_release);  // O3
+    }
+  }
+
+  bool recycle_rings() {
+    bool wanted = false;
+    for (std::uint32_t c = 0; c < world_.channels() && !wanted; ++c) wanted = is_deserted_orphan(c);
+    if (!wanted) return true;
+    if (!world_.lock_rings()) return false;
+    for (std::uint32_t c = 0; c < world_.channels(); ++c) {
+      if (!is_deserted_orphan(c)) continue;
+      const auto w = world_.channel_writer(c).load(std::memory_order_acquire);
+      ring::Ring<P> r = world_.ring(c);
+      for (std::uint32_t i = 0; i < r.depth; ++i) {
+        r.slots[i].store(ring::make(0, ring::kNoBlock), std::memory_order_release);
+      }
+      world_.recycle_ring(c);
+      world_.channel_writer(c).store(
+          ring::make_writer(ring::writer_generation(w) + 1, ring::State::Free, 0),
+          std::memory_order_release);
+    }
+    world_.unlock_rings();
+    return true;
+  }
+
+  bool is_deserted_orphan(std::uint32_t c) {
+    const auto w = world_.channel_writer(c).load(std::memory_order_acquire);
+    return ring::writer_state(w) == ring::State::Orphan &&
+           ring::writer_owner(w) == refcount::kOrphanage && world_.ring(c).deserted();
+  }
+
+  /// Which blocks the orphanage must go on holding: those that an orphan ring or a position in it
+  /// names, and those that a living message of the orphanage refers to.
+  void mark_needed() {
+    needed_.assign(world_.blocks(), false);
+    auto need = [this](ring::Word b) {
+      if (b < needed_.size()) needed_[static_cast<std::size_t>(b)] = true;
+    };
+    for (std::uint32_t c = 0; c < world_.channels(); ++c) {
+      const auto w = world_.channel_writer(c).load(std::memory_order_acquire);
+      if (ring::writer_state(w) != ring::State::Orphan) continue;
+      ring::Ring<P> r = world_.ring(c);
+      for (std::uint32_t i = 0; i < r.depth; ++i) {
+        need(ring::block(r.slots[i].load(std::memory_order_seq_cst)));
+      }
+      for (std::uint32_t i = 0; i < r.readers; ++i) {
+        const ring::Word position = r.cells[i].position.load(std::memory_order_seq_cst);
+        if (position != ring::kIdle) need(ring::block(position));
+      }
+    }
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      if (world_.block(b).home.load(std::memory_order_acquire) == refcount::kHomeOrphanage) {
+        world_.each_reference(b, need);
+      }
+    }
+  }
+
+  /// Frees the orphanage's dead. Returns true when one of them referred to another block: that one
+  /// may now be free as well.
+  bool bury() {
+    std::vector<bool> dead(world_.blocks(), false);
+    bool any = false;
+    bool released = false;
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      auto& words = world_.block(b);
+      if (words.home.load(std::memory_order_acquire) != refcount::kHomeOrphanage ||
+          !Own::die(words, 0, false)) {
+        continue;
+      }
+      dead[b] = any = true;
+    }
+    if (!any) return false;
+    std::vector<bool> referred(world_.blocks(), false);
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      if (!dead[b]) continue;
+      world_.each_reference(b, [&](ring::Word target) {
+        if (target < referred.size()) referred[static_cast<std::size_t>(target)] = released = true;
+      });
+    }
+    world_.release_extents(dead);
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      if (dead[b])
+        world_.block(b).home.store(refcount::kHomeFree, std::memory_order_release);  // O3
+    }
+    if (!released) return false;
+    mark_needed();
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      if (referred[b] && !needed_[b] &&
+          (world_.block(b).own[0].load(std::memory_order_acquire) & 1) != 0) {
+        world_.block(b).own[0].fetch_and(~std::uint64_t{1}, std::memory_order_release);  // O1
+      }
+    }
+    return true;
+  }
+
+  World& world_;
+  std::vector<bool> needed_;
+};
+
+}  // namespace lot::recovery

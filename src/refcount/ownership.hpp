@@ -1,0 +1,251 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "lot/detail/hold_word.hpp"
+
+/// Robust ownership of blocks: who holds which block is said by one bit per participant, never by a
+/// counter, so that a reaper repairs a death by clearing a bit.
+///
+/// Invariants
+///   I1  A block in a ring, or overwritten but possibly still borrowed from that ring, is held by
+///       that ring's owner. Hazards are the ring owner's business only.
+///   I2  The home's own bit stands from alloc to give_back; at home only the hold word counts.
+///   I3  A hold moves as "set the new bit, bump life, then clear the old one".
+///   I4  The word that names the dead is erased after everything that it lets a reaper find is
+///   done.
+///
+/// Edges
+///   O1  clearing an own bit (release)         -> own scan in die() (acquire)
+///       carries: "the holder has read all that it wanted to".
+///   O2  life bump in acquire() (release)      -> life load in die() (acquire)
+///       carries: the new own bit: whoever sees the bump sees the bit.
+///   O3  home = 0 in give_back (release)       -> home claim in claim() (acquire)
+///       carries: cleared bits and released extents.
+///   O4  hold word, edge released (release)    -> edge taken (acquire)
+///       carries: the own bit, between threads of one process.
+namespace lot::refcount {
+
+namespace hold = detail::hold;
+
+/// The shared words of one block, on a line of their own.
+template <class P>
+struct alignas(P::kLine) BlockWords {
+  template <class T>
+  using Atomic = typename P::template Atomic<T>;
+
+  /// Bit p: participant p holds the block. Bit 0: the orphanage does. Written by p, by p's reaper,
+  /// and bit 0 by whoever has byte lock 0.
+  Atomic<std::uint64_t> own[P::kOwnWords];
+  /// {version : 32 | generation : 32}. The version is bumped by each hand-over; the generation ends
+  /// a message: its death is one compare-and-swap on this word.
+  Atomic<std::uint64_t> life;
+  /// 0: free; p + 1: participant p owns the memory; 1: the orphanage does.
+  Atomic<std::uint32_t> home;
+  /// 1 while pointers in the home process hold the block. Written by home, for use_count() of
+  /// others.
+  Atomic<std::uint32_t> home_points;
+};
+
+inline constexpr std::uint64_t kVersion = std::uint64_t{1} << 32;
+inline constexpr std::uint32_t kOrphanage = 0;
+inline constexpr std::uint32_t kHomeFree = 0;
+inline constexpr std::uint32_t kHomeOrphanage = 1;
+
+constexpr std::uint32_t generation_of(std::uint64_t life) {
+  return static_cast<std::uint32_t>(life);
+}
+constexpr std::uint64_t next_generation(std::uint64_t life) {
+  return (life & ~std::uint64_t{0xffffffff}) | static_cast<std::uint32_t>(generation_of(life) + 1);
+}
+
+/// The steps that one participant does on blocks. Each takes the block's shared words and, where
+/// the participant itself is meant, its private hold word.
+///
+/// Threads: all may be called at once on the same block by threads of one process.
+template <class P>
+struct Ownership {
+  using Hold = typename P::template Atomic<std::uint64_t>;
+  using Words = BlockWords<P>;
+
+  std::uint32_t self = 0;
+
+  static std::uint64_t bit(std::uint32_t p) { return std::uint64_t{1} << (p % P::kBitsPerWord); }
+  static auto& word(Words& b, std::uint32_t p) { return b.own[p / P::kBitsPerWord]; }
+
+  /// Adds `amount` (hold::kPointer or hold::kRing) to our holds. REQUIRES: the caller protects the
+  /// block by a hazard, a cursor or another hold.
+  ///
+  /// Crash: killed between bit and bump, or after: the reaper clears the bit.
+  void acquire(Words& b, Hold& h, std::uint64_t amount) const {
+    std::uint64_t v = h.load(std::memory_order_acquire);
+    for (;;) {
+      if ((v & hold::kEdge) != 0) {
+        P::pause();
+        v = h.load(std::memory_order_acquire);
+      } else if ((v & hold::kHeld) != 0) {  // the bit stands and has stood all the time
+        if (h.compare_exchange_weak(v, v + amount, std::memory_order_acquire,
+                                    std::memory_order_acquire)) {
+          return;
+        }
+      } else if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
+                                         std::memory_order_acquire)) {  // O4
+        word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
+        b.life.fetch_add(kVersion, std::memory_order_release);     // O2
+        h.store(hold::kHeld | amount, std::memory_order_release);  // O4
+        return;
+      }
+    }
+  }
+
+  /// Adds a pointer hold if the block still carries that generation; false: the message has died.
+  /// The caller protects nothing.
+  bool acquire_weak(Words& b, Hold& h, std::uint32_t generation) const {
+    std::uint64_t v = h.load(std::memory_order_acquire);
+    for (;;) {
+      if ((v & hold::kEdge) != 0) {
+        P::pause();
+        v = h.load(std::memory_order_acquire);
+      } else if ((v & hold::kHome) != 0) {
+        // The tag in the hold word makes the compare-and-swap fail if the message dies meanwhile.
+        if ((v & hold::kTagMask) != hold::tag_of(generation) ||
+            generation_of(b.life.load(std::memory_order_acquire)) != generation) {
+          return false;
+        }
+        if (h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_acquire,
+                                    std::memory_order_acquire)) {
+          return true;
+        }
+      } else if ((v & hold::kHeld) != 0) {
+        if (!h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_acquire,
+                                     std::memory_order_acquire)) {
+          continue;
+        }
+        if (generation_of(b.life.load(std::memory_order_acquire)) == generation) return true;
+        release(b, h, hold::kPointer);
+        return false;
+      } else if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
+                                         std::memory_order_acquire)) {  // O4
+        word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
+        const std::uint64_t old = b.life.fetch_add(kVersion, std::memory_order_release);  // O2
+        const bool alive = generation_of(old) == generation;
+        if (!alive) word(b, self).fetch_and(~bit(self), std::memory_order_release);    // O1
+        h.store(alive ? hold::kHeld | hold::kPointer : 0, std::memory_order_release);  // O4
+        return alive;
+      }
+    }
+  }
+
+  /// Takes `amount` from our holds. Returns true when that was the last one and the block is ours
+  /// (at home): the caller then tries reclaim(). Elsewhere the last release clears our bit.
+  bool release(Words& b, Hold& h, std::uint64_t amount) const {
+    const std::uint64_t left = h.fetch_sub(amount, std::memory_order_acq_rel) - amount;
+    return (left & hold::kHolds) == 0 && let_go(b, h);
+  }
+
+  /// The second half of release(): no holds were left. Another thread may have taken one since.
+  bool let_go(Words& b, Hold& h) const {
+    std::uint64_t v = h.load(std::memory_order_relaxed);
+    if ((v & hold::kHome) != 0) return true;
+    for (;;) {
+      if ((v & hold::kHolds) != 0 || (v & hold::kHeld) == 0 || (v & hold::kEdge) != 0) return false;
+      if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
+                                  std::memory_order_relaxed)) {  // O4
+        break;
+      }
+    }
+    word(b, self).fetch_and(~bit(self), std::memory_order_release);  // O1
+    h.store(0, std::memory_order_release);                           // O4
+    return false;
+  }
+
+  /// The death of a message: nobody but `except` (our own bit, or none) holds the block, and nobody
+  /// can have taken a hold meanwhile. REQUIRES: at home under the edge, or byte lock 0.
+  static bool die(Words& b, std::uint32_t except, bool ignore_except) {
+    std::uint64_t life = b.life.load(std::memory_order_acquire);  // O2
+    for (std::uint32_t w = 0; w < P::kOwnWords; ++w) {
+      std::uint64_t holders = b.own[w].load(std::memory_order_acquire);  // O1
+      if (ignore_except && w == except / P::kBitsPerWord) holders &= ~bit(except);
+      if (holders != 0) return false;
+    }
+    // Fails if anybody bumped the version since it was read. Killed after it: an exclusively owned,
+    // unpublished block, which the reaper frees.
+    return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_acq_rel,
+                                          std::memory_order_relaxed);
+  }
+
+  /// Home only: makes a block whose holds here equal `expected` (0, or the one ring hold that the
+  /// caller gives up) exclusively ours again, with one pointer hold. False: others still hold it,
+  /// and `expected` is given up all the same.
+  bool reclaim(Words& b, Hold& h, std::uint64_t expected) const {
+    std::uint64_t v = h.load(std::memory_order_acquire);
+    for (;;) {
+      if ((v & hold::kEdge) != 0) {
+        P::pause();
+        v = h.load(std::memory_order_acquire);
+        continue;
+      }
+      if ((v & hold::kHolds) != expected) {  // more holds here
+        if (expected == 0) return false;
+        if (h.compare_exchange_weak(v, v - expected, std::memory_order_acq_rel,
+                                    std::memory_order_acquire)) {
+          return false;
+        }
+        continue;
+      }
+      if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
+                                  std::memory_order_acquire)) {  // O4
+        break;
+      }
+    }
+    const bool dead = die(b, self, true);
+    const std::uint64_t base = hold::kHome | hold::kHeld;
+    if (dead) {
+      const std::uint32_t generation = generation_of(b.life.load(std::memory_order_relaxed));
+      h.store(base | hold::kPointer | hold::tag_of(generation), std::memory_order_release);  // O4
+    } else {
+      h.store(base | (v & hold::kTagMask), std::memory_order_release);  // O4
+    }
+    return dead;
+  }
+
+  /// Claims a free block for this process: exclusively ours, one pointer hold. False: not free.
+  ///
+  /// Crash: killed after the claim: the reaper makes it the orphanage's, which frees it.
+  bool claim(Words& b, Hold& h) const {
+    std::uint32_t free = kHomeFree;
+    if (b.home.load(std::memory_order_relaxed) != kHomeFree ||
+        !b.home.compare_exchange_strong(free, self + 1, std::memory_order_acquire,
+                                        std::memory_order_relaxed)) {  // O3
+      return false;
+    }
+    const std::uint64_t generation = generation_of(b.life.load(std::memory_order_acquire));
+    const std::uint64_t mine = hold::kHome | hold::kHeld | hold::kPointer |
+                               hold::tag_of(static_cast<std::uint32_t>(generation));
+    std::uint64_t none = 0;
+    // A weak lock of ours may have the edge for a moment, or a last release may not be through yet.
+    while (!h.compare_exchange_weak(none, mine, std::memory_order_acq_rel,
+                                    std::memory_order_relaxed)) {
+      none = 0;
+      P::pause();
+    }
+    word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
+    return true;
+  }
+
+  /// Gives an exclusively owned block back to everybody. The name goes last.
+  void give_back(Words& b, Hold& h) const {
+    word(b, self).fetch_and(~bit(self), std::memory_order_release);  // O1
+    h.store(0, std::memory_order_release);                           // O4
+    b.home.store(kHomeFree, std::memory_order_release);              // O3
+  }
+
+  /// Makes the orphanage a holder. REQUIRES: byte lock 0; somebody still holds the block.
+  static void adopt(Words& b) {
+    b.own[0].fetch_or(1, std::memory_order_relaxed);
+    b.life.fetch_add(kVersion, std::memory_order_release);  // O2: adopting is a hand-over too
+  }
+};
+
+}  // namespace lot::refcount

@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "registry/registry.hpp"
+
+#include <bit>
+#include <cerrno>
+#include <cstring>
+#include <string>
+
+#include "lot/error.hpp"
+
+#include "futex/futex.hpp"
+#include "robust_mutex/robust_mutex.hpp"
+
+namespace lot::registry {
+namespace {
+
+using segment::Atomics;
+
+constexpr std::chrono::seconds kPatience{5};
+
+bool in_use(const segment::TopicEntry& topic) {
+  for (const auto& users : topic.users) {
+    if (users.load(std::memory_order_acquire) != 0) return true;
+  }
+  return false;
+}
+
+std::string describe(std::string_view name, std::uint64_t size, std::uint64_t align) {
+  return std::string(name) + " (" + std::to_string(size) + " bytes, alignment " +
+         std::to_string(align) + ")";
+}
+
+std::uint64_t bit(std::uint32_t p) { return std::uint64_t{1} << (p % Atomics::kBitsPerWord); }
+
+void check_name(std::string_view name) {
+  if (name.empty() || name.size() >= segment::kTopicNameBytes ||
+      name.find('\0') != std::string_view::npos) {
+    throw Error(EINVAL, std::string(name), "not a name for a topic",
+                "use 1 to " + std::to_string(segment::kTopicNameBytes - 1) + " bytes");
+  }
+}
+
+std::string_view text(const char* bytes, std::size_t room) { return {bytes, strnlen(bytes, room)}; }
+
+}  // namespace
+
+Registry::Lock::Lock(Registry& registry) : registry_(registry) {
+  RobustMutex mutex(registry.segment_.directory().lock.mutex);
+  if (mutex.lock_for(kPatience) == RobustMutex::Outcome::Busy) {
+    throw Error(EBUSY, registry.segment_.path(),
+                "another process has held the registry's lock all the time",
+                "look for a stopped process that uses it (state T in ps) and continue or kill it");
+  }
+}
+Registry::Lock::~Lock() { registry_.unlock(); }
+
+bool Registry::try_lock() noexcept {
+  return RobustMutex(segment_.directory().lock.mutex).try_lock() != RobustMutex::Outcome::Busy;
+}
+void Registry::unlock() noexcept { RobustMutex(segment_.directory().lock.mutex).unlock(); }
+
+std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& type,
+                              std::uint32_t participant) {
+  check_name(name);
+  const auto topics = segment_.topics();
+  const std::string_view type_name =
+      std::string_view(type.name).substr(0, segment::kTypeNameBytes - 1);
+  segment::TopicEntry* free = nullptr;
+  segment::TopicEntry* found = nullptr;
+  for (auto& topic : topics) {
+    if (!in_use(topic)) {
+      if (free == nullptr) free = &topic;
+    } else if (text(topic.name, sizeof(topic.name)) == name) {
+      found = &topic;
+      break;
+    }
+  }
+  if (found != nullptr) {
+    const auto there = text(found->type_name, sizeof(found->type_name));
+    if (there != type_name || found->type_size != type.size || found->type_align != type.align ||
+        found->type_hash != type.hash) {
+      throw Error(EPROTOTYPE, std::string(name),
+                  "the topic carries " + describe(there, found->type_size, found->type_align) +
+                      ", this side wants " + describe(type_name, type.size, type.align),
+                  "build both sides with the same definition of the message, or use another topic");
+    }
+  } else if (free != nullptr) {
+    // Not found by anybody until a user's bit stands: killed in between, it is still free.
+    found = free;
+    found->type_size = type.size;
+    found->type_align = type.align;
+    found->type_hash = type.hash;
+    std::memset(found->name, 0, sizeof(found->name));
+    std::memset(found->type_name, 0, sizeof(found->type_name));
+    std::memcpy(found->name, name.data(), name.size());
+    std::memcpy(found->type_name, type_name.data(), type_name.size());
+  } else {
+    throw Error(ENOSPC, segment_.path(),
+                "all " + std::to_string(topics.size()) + " topics are in use",
+                "make the segment with a larger EngineOptions::topics");
+  }
+  found->users[participant / Atomics::kBitsPerWord].fetch_or(bit(participant),
+                                                             std::memory_order_release);
+  return static_cast<std::uint32_t>(found - topics.data());
+}
+
+void Registry::leave(std::uint32_t topic, std::uint32_t participant) noexcept {
+  segment_.topics()[topic].users[participant / Atomics::kBitsPerWord].fetch_and(
+      ~bit(participant), std::memory_order_release);
+}
+
+void Registry::forget(std::uint32_t participant) noexcept {
+  for (auto& topic : segment_.topics()) {
+    auto& users = topic.users[participant / Atomics::kBitsPerWord];
+    if ((users.load(std::memory_order_relaxed) & bit(participant)) != 0) {
+      users.fetch_and(~bit(participant), std::memory_order_release);
+    }
+  }
+}
+
+ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
+                           const RingOptions& options) {
+  const auto channels = segment_.channels();
+  for (std::uint32_t c = 0; c < channels.size(); ++c) {
+    auto& entry = channels[c];
+    ring::Word w = entry.writer.load(std::memory_order_acquire);
+    if (ring::writer_state(w) != ring::State::Free) continue;
+    const std::uint32_t generation = ring::writer_generation(w) + 1;
+    if (!entry.writer.compare_exchange_strong(
+            w, ring::make_writer(generation, ring::State::Init, participant),
+            std::memory_order_acquire, std::memory_order_relaxed)) {
+      continue;
+    }
+    entry.topic = topic;
+    entry.depth = options.depth;
+    entry.readers = options.readers;
+    entry.blocking = options.blocking ? 1 : 0;
+    entry.first = options.first != 0 ? options.first : options.depth;
+    const std::uint64_t granules =
+        (segment::Segment::ring_bytes(options.depth, options.readers) + segment::kGranule - 1) /
+        segment::kGranule;
+    entry.order = static_cast<std::uint32_t>(std::bit_width(granules - 1));
+    entry.granule = segment_.claim_run(entry.order, segment::kRingTag | c);
+    if (entry.granule == segment::Granules<Atomics>::kNone) {
+      entry.writer.store(ring::make_writer(generation, ring::State::Free, 0),
+                         std::memory_order_release);
+      throw OutOfMemory(
+          "lot: no room in the segment for another ring: raise LOT_SIZE, or lower the "
+          "depth");
+    }
+    entry.formed.store(1, std::memory_order_release);
+    ring::Ring<Atomics> ring = segment_.ring(c);
+    ring.roster->store(0, std::memory_order_relaxed);
+    ring.space->store(0, std::memory_order_relaxed);
+    ring.format();
+    entry.writer.store(ring::make_writer(generation, ring::State::Live, participant),
+                       std::memory_order_seq_cst);
+    announce(topic);
+    return {c, generation};
+  }
+  throw Error(ENOSPC, segment_.path(),
+              "all " + std::to_string(channels.size()) + " channels are in use",
+              "make the segment with a larger EngineOptions::channels");
+}
+
+std::vector<ChannelName> Registry::live(std::uint32_t topic) const {
+  std::vector<ChannelName> found;
+  const auto channels = segment_.channels();
+  for (std::uint32_t c = 0; c < channels.size(); ++c) {
+    const auto w = channels[c].writer.load(std::memory_order_seq_cst);
+    if (ring::writer_state(w) == ring::State::Live && channels[c].topic == topic) {
+      found.push_back({c, ring::writer_generation(w)});
+    }
+  }
+  return found;
+}
+
+void Registry::recycle(std::uint32_t channel) noexcept {
+  auto& entry = segment_.channels()[channel];
+  entry.formed.store(0, std::memory_order_release);
+  segment_.granules().release_if(
+      [channel](std::uint32_t tag) { return tag == (segment::kRingTag | channel); });
+}
+
+void Registry::announce(std::uint32_t topic) noexcept {
+  auto& version = segment_.directory().version;
+  version.fetch_add(1, std::memory_order_seq_cst);  // D1
+  futex::wake_all(&version);
+  // Readers of the topic's other rings sleep there. A mark that a live publisher takes away is
+  // woken by it, one that a dead publisher took by its reaper: so only standing marks matter here.
+  for (const ChannelName& name : live(topic)) {
+    ring::Ring<Atomics> ring = segment_.ring(name.channel);
+    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+      if ((ring.slots[i].fetch_and(~ring::kSleeper, std::memory_order_release) & ring::kSleeper) !=
+          0) {
+        futex::wake_all(futex::low_half(ring.slots[i]));
+      }
+    }
+  }
+}
+
+}  // namespace lot::registry

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <string_view>
+#include <vector>
+
+#include "lot/detail/control.hpp"
+
+#include "segment/segment.hpp"
+
+namespace lot::registry {
+
+/// How a publisher wants its ring.
+struct RingOptions {
+  std::uint32_t depth = 0;
+  std::uint32_t readers = 0;
+  bool blocking = false;
+  std::uint64_t first = 0;  ///< sequence of the first message; 0: the depth
+};
+
+/// One live ring of a topic.
+struct ChannelName {
+  std::uint32_t channel;
+  std::uint32_t generation;
+  friend bool operator==(const ChannelName&, const ChannelName&) = default;
+};
+
+/// Who talks where: topics and their rings. All of it is slow path, under one robust lock; a holder
+/// that dies leaves words that are each true by themselves, so there is nothing to repair.
+///
+/// Edges
+///   D1  directory version bump (seq_cst) after LIVE -> version load of a puller (acquire)
+///       carries: the new ring.
+class Registry {
+ public:
+  explicit Registry(segment::Segment& segment) : segment_(segment) {}
+
+  /// The registry's lock, held while this lives. Joiners of rings hold it too, so that no ring is
+  /// recycled under them. Throws lot::Error when a stopped process keeps it.
+  class Lock {
+   public:
+    explicit Lock(Registry& registry);
+    ~Lock();
+    Lock(const Lock&) = delete;
+    Lock& operator=(const Lock&) = delete;
+
+   private:
+    Registry& registry_;
+  };
+  bool try_lock() noexcept;
+  void unlock() noexcept;
+
+  // The following REQUIRE the lock.
+
+  /// Finds or makes a topic and enters the participant as one of its users. Throws lot::Error when
+  /// it has another type, or the table is full.
+  std::uint32_t enter(std::string_view name, const detail::MessageType& type,
+                      std::uint32_t participant);
+  void leave(std::uint32_t topic, std::uint32_t participant) noexcept;
+
+  /// Makes a ring for the participant and announces it. Throws lot::Error or OutOfMemory.
+  ChannelName open(std::uint32_t topic, std::uint32_t participant, const RingOptions& options);
+  /// The rings of a topic that are live now.
+  std::vector<ChannelName> live(std::uint32_t topic) const;
+  /// Gives a ring's memory back. REQUIRES: nobody reads or writes it.
+  void recycle(std::uint32_t channel) noexcept;
+
+  // Without the lock.
+
+  std::uint32_t version() const noexcept {
+    return segment_.directory().version.load(std::memory_order_acquire);  // D1
+  }
+  /// Says that rings have come or gone, and wakes who waits for that.
+  void announce(std::uint32_t topic) noexcept;
+  /// No participant uses these any more: part of a reap.
+  void forget(std::uint32_t participant) noexcept;
+
+ private:
+  segment::Segment& segment_;
+};
+
+}  // namespace lot::registry

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "robust_mutex/robust_mutex.hpp"
+
+#include <cerrno>
+#include <ctime>
+#include <system_error>
+
+namespace lot {
+
+void RobustMutex::construct(pthread_mutex_t& memory) {
+  pthread_mutexattr_t attributes;
+  pthread_mutexattr_init(&attributes);
+  pthread_mutexattr_setpshared(&attributes, PTHREAD_PROCESS_SHARED);
+  pthread_mutexattr_setrobust(&attributes, PTHREAD_MUTEX_ROBUST);
+  const int result = pthread_mutex_init(&memory, &attributes);
+  pthread_mutexattr_destroy(&attributes);
+  if (result != 0) throw std::system_error(result, std::generic_category(), "pthread_mutex_init");
+}
+
+RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
+  timespec until{};
+  clock_gettime(CLOCK_MONOTONIC, &until);
+  const long long ns = until.tv_nsec + timeout.count();
+  until.tv_sec += static_cast<time_t>(ns / 1'000'000'000);
+  until.tv_nsec = static_cast<long>(ns % 1'000'000'000);
+  return outcome(pthread_mutex_clocklock(&mutex_, CLOCK_MONOTONIC, &until));
+}
+
+RobustMutex::Outcome RobustMutex::try_lock() noexcept {
+  return outcome(pthread_mutex_trylock(&mutex_));
+}
+
+void RobustMutex::unlock() noexcept { pthread_mutex_unlock(&mutex_); }
+
+RobustMutex::Outcome RobustMutex::outcome(int result) noexcept {
+  if (result == 0) return Outcome::Locked;
+  if (result == EOWNERDEAD) {
+    pthread_mutex_consistent(&mutex_);
+    return Outcome::OwnerDied;
+  }
+  return Outcome::Busy;
+}
+
+}  // namespace lot

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <pthread.h>
+
+#include "lot/detail/arena.hpp"
+#include "lot/detail/atomics.hpp"
+
+#include "lockfree_ring/ring.hpp"
+#include "refcount/ownership.hpp"
+
+/// Every byte of a segment (docs/layout.md). All zero bytes are a valid empty table, so that only
+/// the header and the locks need to be written when a segment is made.
+namespace lot::segment {
+
+using Atomics = detail::HardwareAtomics;
+using BlockWords = refcount::BlockWords<Atomics>;
+using Ring = ring::Ring<Atomics>;
+using Cell = ring::Cell<Atomics>;
+
+inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
+inline constexpr std::uint32_t kLayoutVersion = 1;
+
+inline constexpr std::uint32_t kMaxParticipants =
+    Atomics::kOwnWords * Atomics::kBitsPerWord;  // index 0, the orphanage, included
+inline constexpr std::uint64_t kGranule = 4096;  ///< unit of message memory
+inline constexpr std::uint64_t kSmallBytes =
+    256;  ///< payload that every block has without an extent
+inline constexpr std::uint64_t kReserveUnit =
+    2 << 20;  ///< memory is reserved from the system in these
+inline constexpr std::size_t kTopicNameBytes = 200;
+inline constexpr std::size_t kTypeNameBytes = 232;
+
+/// The first 64 bytes. They never change their meaning, so that a newer library can tell an old
+/// segment from rubbish.
+struct Identity {
+  char magic[8];
+  std::uint32_t layout_version;
+  std::uint32_t header_bytes;
+  std::uint64_t fingerprint;  ///< pointer width, byte order, cache line, widths
+  std::uint64_t size;         ///< bytes of the file
+  std::uint64_t instance;     ///< random: tells one segment of this name from the next
+  std::uint64_t boot;         ///< hash of the system's boot id: locks of another boot mean nothing
+  std::uint64_t reserved[2];
+};
+static_assert(sizeof(Identity) == 64);
+
+/// The numbers that a segment is made with; everything else follows from them.
+struct Capacity {
+  std::uint64_t size = 0;
+  std::uint32_t participants = kMaxParticipants;
+  std::uint32_t blocks = 16384;
+  std::uint32_t topics = 1024;
+  std::uint32_t channels = 2048;
+  std::uint32_t readers = 256;  ///< of one channel
+};
+
+/// Offsets of the tables, computed alike by everybody from the capacity.
+struct Geometry {
+  std::uint64_t participants, witnesses, directory, topics, channels, blocks, arenas, small, tags,
+      reserved, data;
+  std::uint64_t granules;  ///< in the data area
+  static Geometry of(const Capacity& capacity);
+};
+
+struct Header {
+  Identity identity;
+  Capacity capacity;
+};
+
+/// A participant as others see it. `state` is the fact; the rest is for people.
+struct alignas(64) ParticipantEntry {
+  std::atomic<std::uint32_t> state;  ///< 0 free, 1 taken; written under byte lock k
+  std::int32_t pid;                  ///< in its own namespace: never used for liveness
+  std::uint64_t since_ns;
+  char name[48];
+};
+static_assert(sizeof(ParticipantEntry) == 64);
+
+/// A lock that dies with the thread that holds it (src/robust_mutex).
+struct alignas(64) LockWord {
+  pthread_mutex_t mutex;
+};
+
+/// What all processes look at to find each other.
+struct alignas(64) Directory {
+  std::atomic<std::uint32_t> version;  ///< futex; bumped by each advertise and unadvertise
+  alignas(64) LockWord lock;           ///< registry: topics, joining, recycling
+};
+
+/// A topic exists while any `users` bit stands: bit p is written by participant p and its reaper.
+struct alignas(64) TopicEntry {
+  std::atomic<std::uint64_t> users[Atomics::kOwnWords];
+  std::uint64_t type_size;
+  std::uint64_t type_align;
+  std::uint64_t type_hash;
+  char name[kTopicNameBytes];
+  char type_name[kTypeNameBytes];
+  char padding[16];
+};
+static_assert(sizeof(TopicEntry) == 512);
+
+/// One publisher's ring on a topic. Plain fields are written while the writer word is INIT.
+struct alignas(64) ChannelEntry {
+  std::atomic<ring::Word> writer;
+  std::uint64_t first;  ///< sequence of the first message
+  std::uint32_t topic;
+  std::uint32_t depth;
+  std::uint32_t readers;
+  std::uint32_t blocking;
+  std::uint32_t granule;              ///< first granule of the ring's memory
+  std::uint32_t order;                ///< log2 of its granules
+  std::atomic<std::uint32_t> formed;  ///< 1: the fields above are complete
+};
+static_assert(sizeof(ChannelEntry) == 64);
+
+/// The first bytes of a ring's memory; behind it who[], slots[] and cells[].
+struct RingHead {
+  alignas(64) std::atomic<std::uint32_t> roster;
+  alignas(64) std::atomic<std::uint32_t> space;
+};
+
+/// Owner of one granule: 0 free, block + 1, or kRingTag | channel. Stale for nobody: the owner's
+/// own words say whether it lives, so freeing after a death is a search by name.
+using Tag = std::atomic<std::uint32_t>;
+inline constexpr std::uint32_t kRingTag = std::uint32_t{1} << 31;
+
+static_assert(sizeof(BlockWords) == 64);
+static_assert(sizeof(Cell) == 64);
+
+}  // namespace lot::segment

@@ -1,0 +1,376 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "segment/segment.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <fcntl.h>
+#include <fstream>
+#include <sys/mman.h>
+#include <sys/random.h>
+#include <sys/stat.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
+
+#include <boost/interprocess/exceptions.hpp>
+
+#include "lot/error.hpp"
+
+#include "robust_mutex/robust_mutex.hpp"
+
+namespace lot::segment {
+namespace {
+
+constexpr std::uint64_t kDefaultSize = std::uint64_t{1} << 30;
+constexpr std::uint64_t kSmallestData = std::uint64_t{4} << 20;
+
+constexpr std::uint64_t round_up(std::uint64_t n, std::uint64_t to) {
+  return (n + to - 1) / to * to;
+}
+
+std::uint64_t hash(const char* bytes, std::size_t n, std::uint64_t h = 14695981039346656037U) {
+  for (std::size_t i = 0; i < n; ++i) {
+    h = (h ^ static_cast<unsigned char>(bytes[i])) * 1099511628211U;  // FNV-1a
+  }
+  return h;
+}
+
+/// What two builds must have in common to read each other's bytes.
+std::uint64_t fingerprint() {
+  const std::uint64_t facts[] = {sizeof(void*),    std::endian::native == std::endian::little,
+                                 Atomics::kLine,   Atomics::kOwnWords,
+                                 ring::kBlockBits, sizeof(pthread_mutex_t),
+                                 sizeof(Capacity), kGranule,
+                                 kSmallBytes};
+  return hash(reinterpret_cast<const char*>(facts), sizeof(facts));
+}
+
+std::uint64_t boot() {
+  std::ifstream file("/proc/sys/kernel/random/boot_id");
+  std::string id;
+  return file >> id ? hash(id.data(), id.size()) : 0;
+}
+
+std::string mib(std::uint64_t bytes) { return std::to_string(bytes >> 20) + " MiB"; }
+
+struct Descriptor {  // also what Boost's mapped_region maps
+  int fd;
+  explicit Descriptor(int f) : fd(f) {}
+  ~Descriptor() {
+    if (fd != -1) ::close(fd);
+  }
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  boost::interprocess::mapping_handle_t get_mapping_handle() const { return {fd, false}; }
+  boost::interprocess::mode_t get_mode() const { return boost::interprocess::read_write; }
+};
+
+Capacity choose_size(const std::string& path, Capacity capacity) {
+  const std::string directory = path.substr(0, path.rfind('/'));
+  struct statvfs room {};
+  if (statvfs(directory.c_str(), &room) == -1) {
+    throw Error(errno, directory, "cannot look at the segment directory",
+                "make it, or name another with LOT_DIR");
+  }
+  const std::uint64_t free = std::uint64_t{room.f_bavail} * room.f_frsize;
+  const bool chosen = capacity.size != 0;
+  if (!chosen) capacity.size = std::min(kDefaultSize, free / 4 * 3);
+  capacity.size = capacity.size / kReserveUnit * kReserveUnit;
+  const std::uint64_t least = Geometry::of(capacity).data + kSmallestData;
+  if (capacity.size < least) {
+    throw Error(chosen ? EINVAL : ENOSPC, path,
+                "a segment needs at least " + mib(least + kReserveUnit) + "; " +
+                    (chosen ? mib(capacity.size) + " were asked for"
+                            : mib(free) + " are free in " + directory),
+                chosen ? "raise LOT_SIZE"
+                       : "free memory there, enlarge it (docker run --shm-size), or set LOT_DIR");
+  }
+  if (capacity.size > free) {
+    throw Error(ENOSPC, path,
+                mib(capacity.size) + " were asked for, " + mib(free) + " are free in " + directory,
+                "lower LOT_SIZE, enlarge the file system (docker run --shm-size), or set LOT_DIR");
+  }
+  return capacity;
+}
+
+/// The reason why these bytes are no segment for us, or "".
+std::string objection(const Header& h, std::uint64_t file_size) {
+  if (file_size < sizeof(Header))
+    return "it is too short (" + std::to_string(file_size) + " bytes)";
+  if (std::memcmp(h.identity.magic, kMagic, sizeof(kMagic)) != 0) return "it is not a LOT segment";
+  if (h.identity.layout_version != kLayoutVersion) {
+    return "it has layout version " + std::to_string(h.identity.layout_version) +
+           ", this library has " + std::to_string(kLayoutVersion);
+  }
+  if (h.identity.fingerprint != fingerprint() || h.identity.header_bytes != sizeof(Header)) {
+    return "it was made by a build with other word sizes";
+  }
+  const Capacity& c = h.capacity;
+  if (h.identity.size != file_size || c.size != file_size) {
+    return "its file is " + std::to_string(file_size) + " bytes, its header says " +
+           std::to_string(h.identity.size);
+  }
+  if (c.participants < 2 || c.participants > kMaxParticipants || c.blocks == 0 ||
+      c.blocks >= ring::kNoBlock || c.topics == 0 || c.topics > (1U << 20) || c.channels == 0 ||
+      c.channels > (1U << 20) || c.readers == 0 || c.readers > (1U << 16) ||
+      Geometry::of(c).data + kGranule > c.size) {
+    return "its header is damaged";
+  }
+  return "";
+}
+
+Header read_header(int fd, std::uint64_t& size) {
+  struct stat status {};
+  Header header{};
+  fstat(fd, &status);
+  size = static_cast<std::uint64_t>(status.st_size);
+  if (size >= sizeof(header) && pread(fd, &header, sizeof(header), 0) != sizeof(header)) size = 0;
+  return header;
+}
+
+}  // namespace
+
+int open_private(const std::string& path, mode_t mode) {
+  const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, mode);
+  if (fd == -1) {
+    const char* advice = errno == EACCES   ? "it belongs to another user: share it by "
+                                             "LOT_PERMISSIONS=0660 and a common group, or set LOT_DIR"
+                         : errno == EROFS  ? "the directory is read-only: name another with LOT_DIR"
+                         : errno == ENOENT ? "make the directory, or name another with LOT_DIR"
+                         : errno == ENOSPC ? "free memory there, or name another with LOT_DIR"
+                         : errno == EMFILE ? "raise the limit of open files (ulimit -n)"
+                                           : "set LOT_DIR to a directory that you may write to";
+    throw Error(errno, path, "cannot open it", advice);
+  }
+  struct stat status {};
+  // The mode that was asked for, whatever the umask; only its owner can set it.
+  if (fstat(fd, &status) == 0 && (status.st_mode & 07777) != mode && status.st_size == 0) {
+    (void)fchmod(fd, mode);
+  }
+  return fd;
+}
+
+std::string path_of(const std::string& directory, const std::string& name) {
+  const bool good = !name.empty() && name.size() <= 100 && name[0] != '.' &&
+                    std::all_of(name.begin(), name.end(), [](char c) {
+                      return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
+                             (c >= '0' && c <= '9') || c == '_' || c == '-' || c == '.';
+                    });
+  if (!good) {
+    throw Error(EINVAL, name, "not a name for a segment",
+                "use 1 to 100 letters, digits, '_', '-' and '.', not beginning with '.'");
+  }
+  return directory + "/" + name;
+}
+
+Geometry Geometry::of(const Capacity& c) {
+  Geometry g{};
+  std::uint64_t at = kGranule;
+  auto table = [&at](std::uint64_t& place, std::uint64_t bytes) {
+    place = at;
+    at = round_up(at + bytes, 64);
+  };
+  const std::uint64_t all_granules = c.size / kGranule;
+  table(g.participants, c.participants * sizeof(ParticipantEntry));
+  table(g.witnesses, c.participants * sizeof(LockWord));
+  table(g.directory, sizeof(Directory));
+  table(g.topics, c.topics * sizeof(TopicEntry));
+  table(g.channels, c.channels * sizeof(ChannelEntry));
+  table(g.blocks, c.blocks * sizeof(BlockWords));
+  table(g.arenas, c.blocks * sizeof(detail::Arena));
+  table(g.tags, all_granules * sizeof(Tag));
+  table(g.reserved, (c.size / kReserveUnit + 1) * sizeof(Tag));
+  at = round_up(at, kGranule);  // payload begins on a page of its own
+  table(g.small, c.blocks * kSmallBytes);
+  g.data = round_up(at, kGranule);
+  g.granules = g.data < c.size ? (c.size - g.data) / kGranule : 0;
+  return g;
+}
+
+void Segment::create(const std::string& path, Capacity capacity, mode_t mode) {
+  capacity = choose_size(path, capacity);
+  const Geometry geometry = Geometry::of(capacity);
+  const std::string unfinished = path + ".new";
+  ::unlink(unfinished.c_str());  // of a creator that died: we hold the gate
+  Descriptor file(open_private(unfinished, mode));
+  const auto fail = [&](int error, const char* what) {
+    ::unlink(unfinished.c_str());
+    throw Error(error, path, what, "free memory in its directory, or set LOT_SIZE or LOT_DIR");
+  };
+  if (ftruncate(file.fd, static_cast<off_t>(capacity.size)) == -1) fail(errno, "cannot make it");
+  int error = posix_fallocate(file.fd, 0, static_cast<off_t>(geometry.data));
+  if (error != 0) fail(error, "cannot reserve memory for its tables");
+  Header header{};
+  std::memcpy(header.identity.magic, kMagic, sizeof(kMagic));
+  header.identity.layout_version = kLayoutVersion;
+  header.identity.header_bytes = sizeof(Header);
+  header.identity.fingerprint = fingerprint();
+  header.identity.size = capacity.size;
+  header.identity.boot = boot();
+  if (getrandom(&header.identity.instance, sizeof(std::uint64_t), 0) != sizeof(std::uint64_t)) {
+    header.identity.instance = static_cast<std::uint64_t>(getpid());
+  }
+  header.capacity = capacity;
+  if (pwrite(file.fd, &header, sizeof(header), 0) != sizeof(header)) fail(errno, "cannot write it");
+  {
+    Segment segment(unfinished);
+    for (LockWord& w : segment.witnesses()) RobustMutex::construct(w.mutex);
+    RobustMutex::construct(segment.directory().lock.mutex);
+  }
+  if (::rename(unfinished.c_str(), path.c_str()) == -1) fail(errno, "cannot name it");
+}
+
+Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, std::string& reason) {
+  reason.clear();
+  Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
+  if (file.fd == -1) {
+    if (errno == ENOENT) return Fit::Absent;
+    throw Error(
+        errno, path, "cannot open the segment",
+        "it belongs to another user? share it by LOT_PERMISSIONS=0660 and a common group, or "
+        "set LOT_SEGMENT");
+  }
+  std::uint64_t file_size = 0;
+  const Header header = read_header(file.fd, file_size);
+  reason = objection(header, file_size);
+  if (!reason.empty()) {
+    return std::memcmp(header.identity.magic, kMagic, sizeof(kMagic)) == 0 ? Fit::Stale
+                                                                           : Fit::Foreign;
+  }
+  if (header.identity.boot != 0 && boot() != 0 && header.identity.boot != boot()) {
+    reason = "it was left by another boot of the system";
+  } else if (size != 0 && size / kReserveUnit * kReserveUnit != file_size) {
+    reason = "it has " + mib(file_size) + ", " + mib(size) + " were asked for";
+  }
+  return reason.empty() ? Fit::Fits : Fit::Stale;
+}
+
+void Segment::remove(const std::string& path) noexcept {
+  ::unlink(path.c_str());
+  ::unlink((path + ".new").c_str());
+}
+
+Segment::Segment(const std::string& path) : path_(path) {
+  Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
+  if (file.fd == -1) throw Error(errno, path, "cannot open it", "may you read and write it?");
+  std::uint64_t size = 0;
+  const Header header = read_header(file.fd, size);
+  const std::string why = objection(header, size);
+  if (!why.empty()) {
+    throw Error(EINVAL, path, why, "stop what uses it and remove it, or set LOT_SEGMENT");
+  }
+  capacity_ = header.capacity;
+  geometry_ = Geometry::of(capacity_);
+  try {
+    region_ = boost::interprocess::mapped_region(file, boost::interprocess::read_write, 0, size);
+  } catch (const boost::interprocess::interprocess_exception& e) {
+    throw Error(e.get_native_error(), path, "cannot map it", "is there enough address space?");
+  }
+  base_ = static_cast<unsigned char*>(region_.get_address());
+  blocks_ = at<BlockWords>(geometry_.blocks);
+  arenas_ = at<detail::Arena>(geometry_.arenas);
+  small_ = at<unsigned char>(geometry_.small);
+  granules_.reset(at<Tag>(geometry_.tags), static_cast<std::uint32_t>(geometry_.granules));
+}
+
+std::span<ParticipantEntry> Segment::participants() const noexcept {
+  return {at<ParticipantEntry>(geometry_.participants), capacity_.participants};
+}
+std::span<LockWord> Segment::witnesses() const noexcept {
+  return {at<LockWord>(geometry_.witnesses), capacity_.participants};
+}
+Directory& Segment::directory() const noexcept { return *at<Directory>(geometry_.directory); }
+std::span<TopicEntry> Segment::topics() const noexcept {
+  return {at<TopicEntry>(geometry_.topics), capacity_.topics};
+}
+std::span<ChannelEntry> Segment::channels() const noexcept {
+  return {at<ChannelEntry>(geometry_.channels), capacity_.channels};
+}
+
+namespace {
+constexpr std::uint64_t who_bytes(std::uint32_t readers) { return round_up(readers * 4ULL, 64); }
+constexpr std::uint64_t slot_bytes(std::uint32_t depth) { return round_up(depth * 8ULL, 64); }
+}  // namespace
+
+std::uint64_t Segment::ring_bytes(std::uint32_t depth, std::uint32_t readers) noexcept {
+  return sizeof(RingHead) + who_bytes(readers) + slot_bytes(depth) + readers * sizeof(Cell);
+}
+
+Ring Segment::ring(std::uint32_t channel) const noexcept {
+  ChannelEntry& entry = channels()[channel];
+  Ring ring;
+  ring.writer = &entry.writer;
+  if (entry.formed.load(std::memory_order_acquire) == 0) return ring;
+  const std::uint64_t bytes = ring_bytes(entry.depth, entry.readers);
+  if (entry.order >= Granules<Atomics>::kOrders || entry.granule >= geometry_.granules ||
+      (std::uint64_t{1} << entry.order) > geometry_.granules - entry.granule ||
+      bytes > kGranule << entry.order) {
+    return ring;
+  }
+  std::uint64_t place = granule_offset(entry.granule);
+  auto* head = at<RingHead>(place);
+  ring.roster = &head->roster;
+  ring.space = &head->space;
+  place += sizeof(RingHead);
+  ring.who = at<std::atomic<std::uint32_t>>(place);
+  place += who_bytes(entry.readers);
+  ring.slots = at<std::atomic<ring::Word>>(place);
+  place += slot_bytes(entry.depth);
+  ring.cells = at<Cell>(place);
+  ring.depth = entry.depth;
+  ring.readers = entry.readers;
+  ring.blocking = entry.blocking != 0;
+  ring.first = entry.first;
+  return ring;
+}
+
+std::uint32_t Segment::claim_run(unsigned order, std::uint32_t tag) noexcept {
+  errno = 0;
+  const std::uint32_t run = granules_.claim(order, tag);
+  if (run == Granules<Atomics>::kNone) return run;
+  if (!reserve(granule_offset(run), kGranule << order)) {
+    granules_.release(run, order);
+    errno = ENOSPC;
+    return Granules<Atomics>::kNone;
+  }
+  return run;
+}
+
+/// Takes the memory from the system before it is used, so that a full file system is an error here
+/// and not a SIGBUS later. Done once for each unit, by whoever comes first; done twice does no
+/// harm.
+bool Segment::reserve(std::uint64_t offset, std::uint64_t bytes) noexcept {
+  auto* done = at<Tag>(geometry_.reserved);
+  for (std::uint64_t unit = offset / kReserveUnit; unit <= (offset + bytes - 1) / kReserveUnit;
+       ++unit) {
+    if (done[unit].load(std::memory_order_acquire) != 0) continue;
+    const std::uint64_t begin = unit * kReserveUnit;
+    if (!populate(begin, std::min(kReserveUnit, size() - begin))) return false;
+    done[unit].store(1, std::memory_order_release);
+  }
+  return true;
+}
+
+bool Segment::populate(std::uint64_t begin, std::uint64_t bytes) noexcept {
+#ifdef MADV_POPULATE_WRITE
+  constexpr int kPopulateWrite = MADV_POPULATE_WRITE;
+#else
+  constexpr int kPopulateWrite = 23;
+#endif
+  int result;
+  do {
+    result = madvise(base_ + begin, bytes, kPopulateWrite);
+  } while (result == -1 && (errno == EINTR || errno == EAGAIN));
+  if (result == 0) return true;
+  if (errno != EINVAL) return false;
+  // Linux before 5.14: by the file, if it still is ours.
+  Descriptor file(::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
+  std::uint64_t ignored = 0;
+  return file.fd != -1 &&
+         read_header(file.fd, ignored).identity.instance == header().identity.instance &&
+         posix_fallocate(file.fd, static_cast<off_t>(begin), static_cast<off_t>(bytes)) == 0;
+}
+
+}  // namespace lot::segment

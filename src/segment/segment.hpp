@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <sys/types.h>
+
+#include <boost/interprocess/mapped_region.hpp>
+
+#include "segment/granules.hpp"
+#include "segment/layout.hpp"
+
+namespace lot::segment {
+
+/// Opens a file for reading and writing, made with exactly `mode` if absent; never follows a link.
+/// Throws lot::Error with advice.
+int open_private(const std::string& path, mode_t mode);
+
+/// "<directory>/<name>", after a check that the name is one. Throws lot::Error.
+std::string path_of(const std::string& directory, const std::string& name);
+
+/// One segment, mapped. All tables are reached through it; nothing here is shared state of its own.
+///
+/// Absent or complete: a segment is built under a temporary name and renamed in one step, so that
+/// nobody ever sees a half-made one. REQUIRES (create, attach, remove): the gate is held.
+class Segment {
+ public:
+  /// Makes a new segment; size 0 takes a default that the directory has room for.
+  static void create(const std::string& path, Capacity capacity, mode_t mode);
+  enum class Fit {
+    Absent,
+    Fits,    ///< complete, of this version, machine and boot, and of the size asked for
+    Stale,   ///< a segment, but not one that we can join
+    Foreign  ///< no segment at all: never touched
+  };
+  /// What is at path; `size` 0 means any. Says why it does not fit in `reason`.
+  static Fit examine(const std::string& path, std::uint64_t size, std::string& reason);
+  static void remove(const std::string& path) noexcept;
+
+  /// Maps the segment at path. Throws lot::Error when it is not one, with the reason.
+  explicit Segment(const std::string& path);
+
+  const std::string& path() const noexcept { return path_; }
+  const Header& header() const noexcept { return *reinterpret_cast<const Header*>(base_); }
+  const Capacity& capacity() const noexcept { return capacity_; }
+  unsigned char* base() const noexcept { return base_; }
+  std::uint64_t size() const noexcept { return capacity_.size; }
+
+  std::span<ParticipantEntry> participants() const noexcept;
+  std::span<LockWord> witnesses() const noexcept;
+  Directory& directory() const noexcept;
+  std::span<TopicEntry> topics() const noexcept;
+  std::span<ChannelEntry> channels() const noexcept;
+  std::span<BlockWords> blocks() const noexcept { return {blocks_, capacity_.blocks}; }
+  BlockWords& block(std::uint32_t b) const noexcept { return blocks_[b]; }
+  detail::Arena& arena(std::uint32_t b) const noexcept { return arenas_[b]; }
+  /// The payload that block b has without any extent.
+  unsigned char* small(std::uint32_t b) const noexcept { return small_ + b * kSmallBytes; }
+  std::uint64_t offset_of(const void* p) const noexcept {
+    return static_cast<std::uint64_t>(static_cast<const unsigned char*>(p) - base_);
+  }
+
+  /// The ring of a channel; depth 0 when it was never finished or its numbers make no sense.
+  Ring ring(std::uint32_t channel) const noexcept;
+  static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers) noexcept;
+
+  Granules<Atomics>& granules() noexcept { return granules_; }
+  std::uint64_t granule_offset(std::uint32_t granule) const noexcept {
+    return geometry_.data + granule * kGranule;
+  }
+  /// Claims a run for `tag` and makes sure that the system really has the memory. kNone: there is
+  /// no run; errno is ENOSPC when it was the system that had none.
+  std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
+
+ private:
+  template <class T>
+  T* at(std::uint64_t offset) const noexcept {
+    return reinterpret_cast<T*>(base_ + offset);
+  }
+  bool reserve(std::uint64_t offset, std::uint64_t bytes) noexcept;
+  bool populate(std::uint64_t begin, std::uint64_t bytes) noexcept;
+
+  std::string path_;
+  boost::interprocess::mapped_region region_;
+  unsigned char* base_ = nullptr;
+  Capacity capacity_;
+  Geometry geometry_{};
+  BlockWords* blocks_ = nullptr;
+  detail::Arena* arenas_ = nullptr;
+  unsigned char* small_ = nullptr;
+  Granules<Atomics> granules_;
+};
+
+}  // namespace lot::segment

@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "lot/detail/arena.hpp"
+
+#include <bit>
+#include <cerrno>
+#include <cstdio>
+
+#include "lot/error.hpp"
+
+#include "transport/participant.hpp"
+
+namespace lot::detail {
+namespace {
+
+std::uint64_t bytes_of(const Arena::Extent& extent) { return segment::kGranule << extent.order; }
+
+[[noreturn]] void out_of_memory(transport::Participant& p, std::size_t bytes, int error) {
+  char text[256];
+  auto& granules = p.segment().granules();
+  std::snprintf(
+      text, sizeof(text),
+      "lot: %s: no room for %zu bytes (%u of %u MiB are in use%s); raise LOT_SIZE, keep fewer "
+      "messages, or publish with a smaller depth",
+      p.segment().path().c_str(), bytes, granules.used() / 256, granules.count() / 256,
+      error == ENOSPC ? ", and the file system is full" : "");
+  throw OutOfMemory(text);
+}
+
+}  // namespace
+
+Arena*& arena_being_built() noexcept {
+  static thread_local Arena* arena = nullptr;
+  return arena;
+}
+
+void* Arena::grow(std::size_t bytes, std::size_t align) {
+  // An extent begins at a page, which suits every alignment that a message may have.
+  unsigned best = kMaxExtents;
+  for (unsigned i = 0; i < extents; ++i) {
+    if (extent[i].living == 0 && current != i + 1 && bytes_of(extent[i]) >= bytes &&
+        (best == kMaxExtents || extent[i].order < extent[best].order)) {
+      best = i;
+    }
+  }
+  transport::Participant* p = nullptr;
+  if (best == kMaxExtents) {
+    p = transport::Participant::at(this);
+    if (p == nullptr) throw OutOfMemory("lot: a message of another process can not grow");
+    if (extents == kMaxExtents) drop_idle(*p);
+    if (extents == kMaxExtents) out_of_memory(*p, bytes, 0);
+    // Each at least twice the one before: kMaxExtents suffice for any message.
+    const std::uint64_t granules =
+        (static_cast<std::uint64_t>(bytes) + segment::kGranule - 1) / segment::kGranule;
+    const unsigned order =
+        std::max(static_cast<unsigned>(std::bit_width(granules - 1)), unsigned{extents});
+    unsigned claimed = order;
+    std::uint32_t run = p->claim_run(order, block + 1);
+    if (run == segment::Granules<HardwareAtomics>::kNone) {
+      drop_idle(*p);
+      claimed = static_cast<unsigned>(std::bit_width(granules - 1));
+      run = p->claim_run(claimed, block + 1);
+    }
+    if (run == segment::Granules<HardwareAtomics>::kNone) out_of_memory(*p, bytes, errno);
+    best = extents++;
+    extent[best] = {run, static_cast<std::uint8_t>(claimed), 0, 0};
+  }
+  (void)align;
+  Extent& chosen = extent[best];
+  chosen.used = 1;
+  current = static_cast<std::uint8_t>(best + 1);
+  const std::uint64_t begin = data + std::uint64_t{chosen.granule} * segment::kGranule;
+  cursor = begin + bytes;
+  limit = begin + bytes_of(chosen);
+  count(best);
+  return base() + begin;
+}
+
+/// Gives extents back in which nothing lives.
+void Arena::drop_idle(transport::Participant& p) noexcept {
+  std::uint8_t kept = 0;
+  std::uint8_t now = 0;
+  for (unsigned i = 0; i < extents; ++i) {
+    if (extent[i].living == 0 && current != i + 1) {
+      p.segment().granules().release(extent[i].granule, extent[i].order);
+      continue;
+    }
+    extent[kept++] = extent[i];
+    if (current == i + 1) now = kept;
+  }
+  extents = kept;
+  current = now;
+}
+
+void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
+  const std::uint64_t at = static_cast<std::uint64_t>(static_cast<unsigned char*>(piece) - base());
+  if (at + bytes == cursor) cursor = at;
+  for (unsigned i = 0; i < extents; ++i) {
+    Extent& e = extent[i];
+    const std::uint64_t begin = data + std::uint64_t{e.granule} * segment::kGranule;
+    if (at < begin || at >= begin + bytes_of(e)) continue;
+    if (e.living != 0 && e.living != 0xffff) --e.living;
+    if (e.living == 0) {
+      e.used = 0;
+      if (current == i + 1) cursor = begin;
+    }
+    return;
+  }
+}
+
+}  // namespace lot::detail

@@ -1,0 +1,644 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/participant.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cerrno>
+#include <csignal>
+#include <cstdlib>
+#include <cstring>
+#include <map>
+#include <new>
+#include <pthread.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include "lot/error.hpp"
+
+#include "robust_mutex/robust_mutex.hpp"
+
+namespace lot::transport {
+namespace {
+
+using namespace std::chrono_literals;
+constexpr auto kGatePatience = 5s;
+constexpr auto kOrphanagePatience = 2s;
+constexpr auto kWardenPeriod = 100ms;
+/// A search through all blocks costs cache lines that publishers want: only now and then.
+constexpr unsigned kWardenRoundsPerSearch = 10;
+
+/// What the process knows of its participants. Never destroyed: pointers may be released by static
+/// destructors that run after ours.
+struct Process {
+  std::mutex mutex;
+  std::map<std::string, std::weak_ptr<Participant>> by_path;
+  std::vector<Participant*> all;
+};
+Process& process() {
+  static auto* const p = new Process;
+  return *p;
+}
+
+const char* environment(const char* name) {
+  const char* value = std::getenv(name);
+  return value != nullptr && *value != '\0' ? value : nullptr;
+}
+
+std::uint64_t parse_size(const char* text) {
+  char* end = nullptr;
+  errno = 0;
+  std::uint64_t n = std::strtoull(text, &end, 10);
+  const char unit = *end != '\0' ? *end++ : 'B';
+  const unsigned shift = unit == 'B'                  ? 0
+                         : unit == 'K' || unit == 'k' ? 10
+                         : unit == 'M' || unit == 'm' ? 20
+                         : unit == 'G' || unit == 'g' ? 30
+                                                      : 64;
+  if (end == text || *end != '\0' || shift == 64 || errno != 0 || n == 0 || text[0] == '-' ||
+      n > (~std::uint64_t{0} >> shift)) {
+    throw Error(EINVAL, std::string("LOT_SIZE=") + text, "not a size",
+                "write a number of bytes, or one with K, M or G behind it");
+  }
+  return n << shift;
+}
+
+unsigned parse_permissions(const char* text) {
+  char* end = nullptr;
+  const unsigned long mode = std::strtoul(text, &end, 8);
+  if (*end != '\0' || (mode & ~0666UL) != 0 || (mode & 0600) != 0600) {
+    throw Error(EINVAL, std::string("LOT_PERMISSIONS=") + text, "not usable permissions",
+                "write them in octal: 0600 (you), 0660 (your group), 0666 (everybody)");
+  }
+  return static_cast<unsigned>(mode);
+}
+
+EngineOptions with_environment(EngineOptions options) {
+  if (const char* v = environment("LOT_SEGMENT")) options.segment = v;
+  if (const char* v = environment("LOT_DIR")) options.directory = v;
+  if (const char* v = environment("LOT_SIZE")) options.size_bytes = parse_size(v);
+  if (const char* v = environment("LOT_PERMISSIONS")) options.permissions = parse_permissions(v);
+  if (options.name.empty()) options.name = program_invocation_short_name;
+  const auto check = [](const char* what, std::uint64_t value, std::uint64_t most) {
+    if (value == 0 || value > most) {
+      throw Error(EINVAL, std::string("EngineOptions::") + what,
+                  std::to_string(value) + " is out of range", "use 1 to " + std::to_string(most));
+    }
+  };
+  check("processes", options.processes, segment::kMaxParticipants - 1);
+  check("blocks", options.blocks, ring::kNoBlock - 1);
+  check("topics", options.topics, 1U << 20);
+  check("channels", options.channels, 1U << 20);
+  check("readers", options.readers, 1U << 16);
+  return options;
+}
+
+}  // namespace
+
+/// Opening, making and removing the segment happens between these.
+class Participant::GateGuard {
+ public:
+  explicit GateGuard(liveness::LockFile& file) : file_(&file) {}
+  ~GateGuard() { file_->leave_gate(); }
+  GateGuard(const GateGuard&) = delete;
+  GateGuard& operator=(const GateGuard&) = delete;
+
+ private:
+  liveness::LockFile* file_;
+};
+
+std::shared_ptr<Participant> Participant::join(EngineOptions options) {
+  options = with_environment(std::move(options));
+  const std::string path = segment::path_of(options.directory, options.segment);
+  static const int registered =
+      pthread_atfork(&prepare_fork, &after_fork_in_parent, &after_fork_in_child);
+  (void)registered;
+  const std::lock_guard guard(process().mutex);
+  if (auto existing = process().by_path[path].lock()) return existing;
+
+  for (;;) {
+    auto file = std::make_unique<liveness::LockFile>(path + ".lock", options.permissions);
+    if (!file->enter_gate(kGatePatience)) continue;  // removed by the last one to leave: once more
+    liveness::LockFile& lock_file = *file;
+    GateGuard gate(lock_file);
+    const auto in_use = [&] { return lock_file.held_by_other(0, segment::kMaxParticipants); };
+    try {
+      std::string reason;
+      const auto fit = segment::Segment::examine(path, options.size_bytes, reason);
+      if (fit == segment::Segment::Fit::Foreign) {
+        throw Error(EINVAL, path, reason, "remove it if it is yours, or set LOT_SEGMENT");
+      }
+      if (fit == segment::Segment::Fit::Stale && in_use()) {
+        throw Error(EBUSY, path, reason + ", and it is in use",
+                    "leave LOT_SIZE as those have it who use it, stop them, or set LOT_SEGMENT");
+      }
+      if (fit != segment::Segment::Fit::Fits) {
+        segment::Segment::remove(path);
+        segment::Segment::create(path,
+                                 {options.size_bytes, options.processes + 1, options.blocks,
+                                  options.topics, options.channels, options.readers},
+                                 options.permissions);
+      }
+      auto* p = new Participant(options, std::move(file));
+      std::shared_ptr<Participant> handle(p, &handle_gone);
+      process().by_path[path] = handle;
+      process().all.push_back(p);
+      return handle;
+    } catch (...) {
+      std::string ignored;
+      if (!in_use() && access(path.c_str(), F_OK) != 0) ::unlink((path + ".lock").c_str());
+      throw;
+    }
+  }
+}
+
+Participant::Participant(const EngineOptions& options,
+                         std::unique_ptr<liveness::LockFile> lock_file)
+    : lock_file_(std::move(lock_file)),
+      segment_(segment::path_of(options.directory, options.segment)),
+      registry_(segment_),
+      options_(options) {
+  fill_hub();
+  const std::uint32_t blocks = segment_.capacity().blocks;
+  cells_bytes_ = blocks * sizeof(detail::ControlCell);
+  void* cells =
+      mmap(nullptr, cells_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  if (cells == MAP_FAILED) throw std::bad_alloc();
+  holder_.cells = static_cast<detail::ControlCell*>(cells);
+  for (std::uint32_t b = 0; b < blocks; ++b) {
+    auto* cell = new (&holder_.cells[b]) detail::ControlCell{};
+    cell->hub = &hub_;
+    cell->block = b;
+  }
+  holder_.segment = &segment_;
+  holder_.pools = &pools_;
+  pools_.reserve(segment_.capacity().channels + 64);
+  try {
+    holder_.own.self = take_index(options);
+    holder_.next_free = (blocks / segment_.capacity().participants) * holder_.own.self;
+    start_warden();
+  } catch (...) {
+    munmap(holder_.cells, cells_bytes_);
+    throw;
+  }
+}
+
+Participant::~Participant() { munmap(holder_.cells, cells_bytes_); }
+
+void Participant::fill_hub() noexcept {
+  hub_.owner = this;
+  hub_.released = [](detail::ControlCell* c) noexcept { of(c).released(*c); };
+  hub_.abandoned = [](detail::ControlCell* c) noexcept {
+    Participant& p = of(c);
+    if (p.inert_) return;
+    p.pools_[c->pool]->give_back(c->block);
+    if (p.closing_.load(std::memory_order_seq_cst) && !p.holds_pointers()) p.leave();
+  };
+  hub_.acquire = [](detail::ControlCell* c) noexcept {
+    of(c).holder_.acquire(c->block, hold::kPointer);
+  };
+  hub_.path = [](const detail::ControlCell* c) noexcept { return of(c).segment_.path().c_str(); };
+  hub_.instance = [](const detail::ControlCell* c) noexcept {
+    return of(c).segment_.header().identity.instance;
+  };
+  hub_.lock_weak = [](detail::ControlCell* c, std::uint32_t generation) noexcept {
+    Participant& p = of(c);
+    if (p.inert_ || p.left_) return false;
+    segment::BlockWords& words = p.segment_.block(c->block);
+    if (!p.holder_.own.acquire_weak(words, c->hold, generation)) return false;
+    if ((c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
+      words.home_points.store(1, std::memory_order_relaxed);
+    }
+    return true;
+  };
+  hub_.generation = [](const detail::ControlCell* c) noexcept {
+    return refcount::generation_of(
+        of(c).segment_.block(c->block).life.load(std::memory_order_acquire));
+  };
+  hub_.others = [](const detail::ControlCell* c) noexcept {
+    Participant& p = of(c);
+    segment::BlockWords& words = p.segment_.block(c->block);
+    const std::uint32_t self = p.index();
+    const std::uint32_t home = words.home.load(std::memory_order_relaxed);
+    std::size_t n = 0;
+    for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
+      std::uint64_t holders = words.own[w].load(std::memory_order_acquire);
+      const auto without = [&](std::uint32_t k) {
+        if (k / segment::Atomics::kBitsPerWord == w) holders &= ~HardwareOwnership::bit(k);
+      };
+      without(refcount::kOrphanage);
+      without(self);
+      if (home > 1 && words.home_points.load(std::memory_order_relaxed) == 0) without(home - 1);
+      n += static_cast<std::size_t>(std::popcount(holders));
+    }
+    return n;
+  };
+  hub_.weak_count = [](detail::ControlCell* c, int change) noexcept {
+    Participant& p = of(c);
+    p.weak_pointers_.fetch_add(change, std::memory_order_acq_rel);
+    if (change < 0) p.delete_if_unreferenced();
+  };
+  hub_.shared_from_unique = [](detail::ControlCell* c) noexcept {
+    of(c).segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
+  };
+}
+
+Participant& Participant::of(const detail::ControlCell* cell) noexcept {
+  return *static_cast<const OwnedHub*>(cell->hub)->owner;
+}
+
+// ------------------------------------------------------------------------------- who is alive
+
+std::uint32_t Participant::take_index(const EngineOptions& options) {
+  for (std::uint32_t k = 1; k < segment_.capacity().participants; ++k) {
+    if (!lock_file_->try_lock(k)) continue;
+    RobustMutex witness(segment_.witnesses()[k].mutex);
+    if (witness.try_lock() != RobustMutex::Outcome::Busy) {
+      bool clean = part(k).load(std::memory_order_acquire) == 0;
+      if (!clean && lock_file_->try_lock(refcount::kOrphanage)) {  // a dead one is in there
+        Recovery(*this).reap(k);
+        lock_file_->unlock(refcount::kOrphanage);
+        clean = true;
+      }
+      witness.unlock();
+      if (clean) {
+        auto& entry = segment_.participants()[k];
+        entry.pid = getpid();
+        entry.since_ns = static_cast<std::uint64_t>(
+            std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1));
+        std::memset(entry.name, 0, sizeof(entry.name));
+        std::memcpy(entry.name, options.name.data(),
+                    std::min(options.name.size(), sizeof(entry.name) - 1));
+        return k;
+      }
+    }
+    lock_file_->unlock(k);
+  }
+  throw Error(EUSERS, segment_.path(),
+              "all " + std::to_string(segment_.capacity().participants - 1) +
+                  " processes of the segment are taken",
+              "make the segment with a larger EngineOptions::processes, or use several segments");
+}
+
+void Participant::start_warden() {
+  warden_ = std::thread([this] { warden(); });
+  pthread_setname_np(warden_.native_handle(), "lot-warden");
+  std::unique_lock lock(warden_mutex_);
+  warden_signal_.wait(lock, [this] { return warden_ready_; });
+}
+
+void Participant::warden() {
+  sigset_t all;
+  sigfillset(&all);
+  pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
+  RobustMutex witness(segment_.witnesses()[index()].mutex);
+  while (witness.lock_for(1s) == RobustMutex::Outcome::Busy) {
+  }
+  part(index()).store(1, std::memory_order_release);
+  std::unique_lock lock(warden_mutex_);
+  warden_ready_ = true;
+  warden_signal_.notify_all();
+  for (unsigned round = 0; !warden_stop_;) {
+    warden_signal_.wait_for(lock, kWardenPeriod);
+    if (warden_stop_) break;
+    lock.unlock();
+    keep_own_lock();
+    const bool look_at_blocks = ++round % kWardenRoundsPerSearch == 0;
+    if (reap_dead() || look_at_blocks || has_orphan_rings()) collect();
+    finish_closing();
+    lock.lock();
+  }
+  lock.unlock();
+
+  // Leaving is exactly a reap of oneself, and then: the last one out removes the files.
+  bool in_gate = false;
+  try {
+    in_gate = lock_file_->enter_gate(kGatePatience);
+  } catch (const Error&) {
+  }
+  bool reaped = false;
+  {
+    const std::lock_guard guard(reap_mutex_);
+    const auto until = futex::Clock::now() + kOrphanagePatience;
+    while (!reaped && futex::Clock::now() < until) {
+      if (lock_file_->try_lock(refcount::kOrphanage)) {
+        Recovery(*this).reap(index());
+        lock_file_->unlock(refcount::kOrphanage);
+        reaped = true;
+      } else {
+        std::this_thread::sleep_for(1ms);
+      }
+    }
+  }
+  witness.unlock();
+  if (in_gate) {
+    if (reaped && !options_.persist && lock_file_->intact() &&
+        !lock_file_->held_by_other(0, segment_.capacity().participants)) {
+      bool alone = true;  // a living process may have lost its lock to closefrom(): ask its witness
+      for (std::uint32_t k = 1; k < participants() && alone; ++k) {
+        if (part(k).load(std::memory_order_acquire) == 0) continue;
+        RobustMutex other(segment_.witnesses()[k].mutex);
+        alone = other.try_lock() != RobustMutex::Outcome::Busy;
+        if (alone) other.unlock();
+      }
+      if (alone) {
+        segment::Segment::remove(segment_.path());
+        ::unlink(lock_file_->path().c_str());
+      }
+    }
+    lock_file_->leave_gate();
+  }
+}
+
+/// closefrom() and the like in the application drop our lock. Nobody reaps us then, because the
+/// witness stands; but nobody should have to ask it.
+void Participant::keep_own_lock() noexcept {
+  if (lock_file_->intact()) return;
+  const std::lock_guard guard(reap_mutex_);
+  if (lock_file_->reopen()) lock_file_->try_lock(index());
+}
+
+bool Participant::reap_if_dead(std::uint32_t k) noexcept {
+  if (k == index() || k == refcount::kOrphanage || k >= participants()) return false;
+  const std::unique_lock guard(reap_mutex_, std::try_to_lock);
+  if (!guard || !lock_file_->intact() || !lock_file_->try_lock(k)) return false;
+  bool done = false;
+  RobustMutex witness(segment_.witnesses()[k].mutex);
+  if (part(k).load(std::memory_order_acquire) != 0 &&
+      witness.try_lock() != RobustMutex::Outcome::Busy) {
+    if (lock_file_->try_lock(refcount::kOrphanage)) {
+      done = Recovery(*this).reap(k);
+      lock_file_->unlock(refcount::kOrphanage);
+    }
+    witness.unlock();
+  }
+  lock_file_->unlock(k);
+  return done;
+}
+
+bool Participant::reap_dead() noexcept {
+  bool done = false;
+  for (std::uint32_t k = 1; k < participants(); ++k) {
+    if (k != index() && part(k).load(std::memory_order_acquire) != 0 &&
+        !lock_file_->held_by_other(k)) {
+      done |= reap_if_dead(k);
+    }
+  }
+  return done;
+}
+
+bool Participant::has_orphan_rings() noexcept {
+  for (std::uint32_t c = 0; c < channels(); ++c) {
+    const auto w = channel_writer(c).load(std::memory_order_acquire);
+    if (ring::writer_state(w) == ring::State::Orphan) return true;
+  }
+  return false;
+}
+
+void Participant::collect() noexcept {
+  bool orphans = has_orphan_rings();
+  for (std::uint32_t b = 0; b < blocks() && !orphans; ++b) {
+    orphans = block(b).home.load(std::memory_order_relaxed) == refcount::kHomeOrphanage;
+  }
+  if (!orphans) return;
+  const std::unique_lock guard(reap_mutex_, std::try_to_lock);
+  if (!guard || !lock_file_->intact() || !lock_file_->try_lock(refcount::kOrphanage)) return;
+  Recovery(*this).collect();
+  lock_file_->unlock(refcount::kOrphanage);
+}
+
+void Participant::release_extents(const std::vector<bool>& dead) noexcept {
+  segment_.granules().release_if([&dead](std::uint32_t tag) {
+    return (tag & segment::kRingTag) == 0 && tag - 1 < dead.size() && dead[tag - 1];
+  });
+}
+
+std::uint32_t Participant::participants() const noexcept {
+  return segment_.capacity().participants;
+}
+std::atomic<std::uint32_t>& Participant::part(std::uint32_t k) noexcept {
+  return segment_.participants()[k].state;
+}
+std::atomic<ring::Word>& Participant::channel_writer(std::uint32_t c) noexcept {
+  return segment_.channels()[c].writer;
+}
+
+// ------------------------------------------------------------------------------ rings and pools
+
+void Participant::close_ring(const registry::ChannelName& name) noexcept {
+  auto& writer = channel_writer(name.channel);
+  writer.store(ring::make_writer(name.generation, ring::State::Orphan, index()),
+               std::memory_order_seq_cst);
+  segment::Ring r = ring(name.channel);
+  Recovery recovery(*this);
+  recovery.wake_readers(r);
+  registry_.announce(segment_.channels()[name.channel].topic);
+  finish_closing();
+}
+
+bool Participant::ring_closed(const registry::ChannelName& name) const noexcept {
+  const auto w = segment_.channels()[name.channel].writer.load(std::memory_order_acquire);
+  return ring::writer_generation(w) != name.generation || ring::writer_owner(w) != index();
+}
+
+bool Participant::finish_closing() noexcept {
+  const auto is_ours = [this](std::uint32_t c) {
+    const auto w = channel_writer(c).load(std::memory_order_acquire);
+    return ring::writer_state(w) == ring::State::Orphan && ring::writer_owner(w) == index();
+  };
+  bool any = false;
+  for (std::uint32_t c = 0; c < channels() && !any; ++c) any = is_ours(c);
+  if (any) {
+    const std::lock_guard guard(reap_mutex_);
+    if (!lock_file_->intact() || !lock_file_->try_lock(refcount::kOrphanage)) return false;
+    Recovery recovery(*this);
+    for (std::uint32_t c = 0; c < channels(); ++c) {
+      if (is_ours(c)) recovery.orphan_ring(c, index());
+    }
+    recovery.collect();
+    lock_file_->unlock(refcount::kOrphanage);
+  }
+  // What the closed rings held is the orphanage's now: our own holds may go.
+  std::vector<std::uint32_t> blocks;
+  {
+    const std::lock_guard guard(pools_mutex_);
+    for (auto& d : draining_) {
+      if (!d.blocks.empty() && ring_closed(d.ring)) {
+        blocks.insert(blocks.end(), d.blocks.begin(), d.blocks.end());
+        d.blocks.clear();
+      }
+    }
+  }
+  for (const std::uint32_t b : blocks) holder_.release_ring_hold(b);
+  const std::lock_guard guard(pools_mutex_);
+  for (std::size_t i = 0; i < draining_.size();) {
+    if (draining_[i].blocks.empty() && draining_[i].pool->drain()) {
+      idle_.push_back(draining_[i].pool);
+      draining_.erase(draining_.begin() + static_cast<std::ptrdiff_t>(i));
+    } else {
+      ++i;
+    }
+  }
+  return true;
+}
+
+Pool& Participant::open_pool() {
+  const std::lock_guard guard(pools_mutex_);
+  if (!idle_.empty()) {
+    Pool* pool = idle_.back();
+    idle_.pop_back();
+    return *pool;
+  }
+  if (pools_.size() == pools_.capacity()) {
+    throw Error(ENOSPC, segment_.path(), "too many publishers in this process",
+                "make the segment with a larger EngineOptions::channels");
+  }
+  pools_.push_back(std::make_unique<Pool>(holder_, static_cast<std::uint32_t>(pools_.size())));
+  return *pools_.back();
+}
+
+void Participant::close_pool(Pool& pool, const registry::ChannelName& ring,
+                             std::vector<std::uint32_t> blocks) noexcept {
+  const std::lock_guard guard(pools_mutex_);
+  draining_.push_back({&pool, ring, std::move(blocks)});
+}
+
+bool Participant::trim() noexcept {
+  const std::lock_guard guard(pools_mutex_);
+  bool any = false;
+  for (auto& pool : pools_) any |= pool->trim();
+  return any;
+}
+
+std::uint32_t Participant::claim_run(unsigned order, std::uint32_t tag) noexcept {
+  constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
+  std::uint32_t run = segment_.claim_run(order, tag);
+  if (run != kNone) return run;
+  reap_dead();
+  collect();
+  trim();
+  while ((run = segment_.claim_run(order, tag)) == kNone && evict()) trim();
+  return run;
+}
+
+void Participant::add(Evictor& evictor) {
+  const std::lock_guard guard(evictors_mutex_);
+  evictors_.push_back(&evictor);
+}
+
+void Participant::remove(Evictor& evictor) noexcept {
+  const std::lock_guard guard(evictors_mutex_);
+  std::erase(evictors_, &evictor);
+}
+
+bool Participant::evict() noexcept {
+  const std::lock_guard guard(evictors_mutex_);
+  bool any = false;
+  for (Evictor* e : evictors_) any |= e->evict();
+  return any;
+}
+
+std::uint32_t Participant::enter_topic(std::string_view name, const detail::MessageType& type) {
+  const std::lock_guard guard(topics_mutex_);
+  const registry::Registry::Lock lock(registry_);
+  const std::uint32_t topic = registry_.enter(name, type, index());
+  ++topic_uses_[topic];
+  return topic;
+}
+
+void Participant::leave_topic(std::uint32_t topic) noexcept {
+  const std::lock_guard guard(topics_mutex_);
+  if (--topic_uses_[topic] == 0) {
+    topic_uses_.erase(topic);
+    registry_.leave(topic, index());
+  }
+}
+
+// ------------------------------------------------------------------------------ pointers, leaving
+
+void Participant::check_usable() const {
+  if (inert_) {
+    throw Error(ECHILD, segment_.path(), "this object was inherited through fork() and is inert",
+                "make a new lot::ShmEngine in the child, or exec");
+  }
+}
+
+void Participant::released(detail::ControlCell& cell) noexcept {
+  if (inert_) return;
+  segment::BlockWords& words = segment_.block(cell.block);
+  const std::uint64_t v = cell.hold.load(std::memory_order_acquire);
+  if ((v & hold::kHome) != 0 && hold::pointers(v) == 0) {
+    words.home_points.store(0, std::memory_order_relaxed);
+    if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
+      words.home_points.store(1, std::memory_order_relaxed);  // another thread was quicker
+    }
+  }
+  if ((v & hold::kHolds) == 0 && (v & hold::kHeld) != 0 && holder_.own.let_go(words, cell.hold)) {
+    pools_[cell.pool]->came_home(cell.block);
+  }
+  if (closing_.load(std::memory_order_seq_cst) && !holds_pointers()) leave();
+}
+
+/// Only asked when all handles have gone. Blocks that are ready for loan carry a pointer hold of
+/// their pool, so the pools give those back first.
+bool Participant::holds_pointers() noexcept {
+  trim();
+  for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) {
+    if (hold::pointers(holder_.cells[b].hold.load(std::memory_order_seq_cst)) != 0) return true;
+  }
+  return false;
+}
+
+void Participant::handle_gone(Participant* p) noexcept {
+  if (p->inert_) return;  // a forked child touches nothing, and has no thread to stop
+  p->finish_closing();
+  p->closing_.store(true, std::memory_order_seq_cst);
+  if (!p->holds_pointers()) p->leave();
+}
+
+void Participant::leave() noexcept {
+  if (left_.exchange(true)) return;
+  {
+    const std::lock_guard guard(process().mutex);
+    std::erase(process().all, this);
+  }
+  {
+    const std::lock_guard guard(warden_mutex_);
+    warden_stop_ = true;
+    warden_signal_.notify_all();
+  }
+  warden_.join();
+  delete_if_unreferenced();
+}
+
+void Participant::delete_if_unreferenced() noexcept {
+  if (left_ && weak_pointers_.load(std::memory_order_acquire) == 0 && !deleted_.exchange(true)) {
+    delete this;
+  }
+}
+
+bool Participant::same_segment(const detail::ControlCell& cell) const noexcept {
+  return cell.hub == &hub_ || cell.hub->instance(&cell) == segment_.header().identity.instance;
+}
+
+Participant* Participant::at(const void* address) noexcept {
+  const std::lock_guard guard(process().mutex);
+  for (Participant* p : process().all) {
+    const auto* base = p->segment_.base();
+    if (address >= base && address < base + p->segment_.size() && !p->inert_) return p;
+  }
+  return nullptr;
+}
+
+void Participant::prepare_fork() noexcept { process().mutex.lock(); }
+void Participant::after_fork_in_parent() noexcept { process().mutex.unlock(); }
+void Participant::after_fork_in_child() noexcept {
+  for (Participant* p : process().all) {
+    p->inert_ = true;
+    p->lock_file_->abandon();  // else the child would keep the parent alive in others' eyes
+  }
+  process().all.clear();
+  process().by_path.clear();
+  process().mutex.unlock();
+}
+
+}  // namespace lot::transport

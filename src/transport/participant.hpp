@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <unordered_map>
+#include <vector>
+
+#include "lot/options.hpp"
+
+#include "futex/futex.hpp"
+#include "liveness/lock_file.hpp"
+#include "recovery/recovery.hpp"
+#include "registry/registry.hpp"
+#include "transport/pool.hpp"
+
+namespace lot::transport {
+
+/// The membership of one process (and one copy of the library) in one segment. Engines, pushers and
+/// pullers share it; it leaves when the last of them and the last pointer has gone.
+///
+/// It runs one thread, the warden: it holds the witness lock that dies with the process, reaps the
+/// dead, and finishes what a moment's lock contention made others put off.
+///
+/// Threads: all members may be called at once.
+/// Crash:   whatever a participant leaves is found by its index and repaired by reap().
+class Participant {
+ public:
+  /// Joins the segment that the options name, made if absent. Throws lot::Error.
+  static std::shared_ptr<Participant> join(EngineOptions options);
+
+  ~Participant();
+  Participant(const Participant&) = delete;
+  Participant& operator=(const Participant&) = delete;
+
+  std::uint32_t index() const noexcept { return holder_.own.self; }
+  segment::Segment& segment() noexcept { return segment_; }
+  registry::Registry& registry() noexcept { return registry_; }
+  Holder& holder() noexcept { return holder_; }
+  const detail::Hub* hub() const noexcept { return &hub_; }
+
+  /// Throws lot::Error in a forked child, where every inherited object is inert.
+  void check_usable() const;
+  bool inert() const noexcept { return inert_; }
+
+  /// A pool for a new publisher (or for an engine's own messages). It belongs to the participant
+  /// and is used again after its publisher has gone and its last message has died.
+  Pool& open_pool();
+  /// Its publisher has gone. `blocks` are held by the publisher's ring, or were retired from it:
+  /// those holds go once the ring is closed.
+  void close_pool(Pool& pool, const registry::ChannelName& ring,
+                  std::vector<std::uint32_t> blocks) noexcept;
+
+  /// Enters and leaves topics; counts the handles of this process on each.
+  std::uint32_t enter_topic(std::string_view name, const detail::MessageType& type);
+  void leave_topic(std::uint32_t topic) noexcept;
+
+  /// Ends a ring of ours: its readers get what is in it and then the end.
+  void close_ring(const registry::ChannelName& name) noexcept;
+  /// True when the ring's blocks are the orphanage's, so that our own holds on them may go.
+  bool ring_closed(const registry::ChannelName& name) const noexcept;
+
+  /// Reaps participant k if it is dead. False: it lives, or somebody else is at it.
+  bool reap_if_dead(std::uint32_t k) noexcept;
+  /// Reaps all the dead and collects what nobody needs. True when something was done.
+  bool reap_dead() noexcept;
+  /// Frees orphan rings that have lost their last reader.
+  void collect() noexcept;
+  /// A run of memory for a block: from the segment, or, when it is full, after freeing what can be
+  /// freed.
+  std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
+  /// Gives the idle memory of all our pools back. True when there was some.
+  bool trim() noexcept;
+
+  /// Whoever can give messages up when memory runs out: publishers that may overwrite.
+  class Evictor {
+   public:
+    virtual bool evict() noexcept = 0;
+
+   protected:
+    ~Evictor() = default;
+  };
+  void add(Evictor& evictor);
+  void remove(Evictor& evictor) noexcept;
+  /// Lets each of them give one message up. False: there is none left.
+  bool evict() noexcept;
+
+  /// True when the pointer belongs to this segment, whichever copy of the library made it.
+  bool same_segment(const detail::ControlCell& cell) const noexcept;
+  /// The participant that has mapped this address, or null.
+  static Participant* at(const void* address) noexcept;
+
+  // What Recovery asks of its World.
+  std::uint32_t participants() const noexcept;
+  std::atomic<std::uint32_t>& part(std::uint32_t k) noexcept;
+  std::uint32_t blocks() const noexcept { return segment_.capacity().blocks; }
+  segment::BlockWords& block(std::uint32_t b) noexcept { return segment_.block(b); }
+  std::uint32_t channels() const noexcept { return segment_.capacity().channels; }
+  std::atomic<ring::Word>& channel_writer(std::uint32_t c) noexcept;
+  segment::Ring ring(std::uint32_t c) const noexcept { return segment_.ring(c); }
+  template <class F>
+  void each_reference(std::uint32_t b, F&& f) {
+    holder_.each_reference(b, f);
+  }
+  bool lock_rings() noexcept { return registry_.try_lock(); }
+  void unlock_rings() noexcept { registry_.unlock(); }
+  void recycle_ring(std::uint32_t c) noexcept { registry_.recycle(c); }
+  void release_extents(const std::vector<bool>& dead) noexcept;
+  void forget(std::uint32_t k) noexcept { registry_.forget(k); }
+  void wake(std::atomic<ring::Word>& word) noexcept { futex::wake_all(futex::low_half(word)); }
+  void wake(std::atomic<std::uint32_t>& word) noexcept { futex::wake_all(&word); }
+
+ private:
+  struct OwnedHub : detail::Hub {
+    Participant* owner = nullptr;
+  };
+  struct Draining {
+    Pool* pool;
+    registry::ChannelName ring;
+    std::vector<std::uint32_t> blocks;
+  };
+  using Recovery = recovery::Recovery<detail::HardwareAtomics, Participant>;
+  class GateGuard;
+
+  Participant(const EngineOptions& options, std::unique_ptr<liveness::LockFile> lock_file);
+  static Participant& of(const detail::ControlCell* cell) noexcept;
+  void fill_hub() noexcept;
+  std::uint32_t take_index(const EngineOptions& options);
+  void start_warden();
+  void warden();
+  void keep_own_lock() noexcept;
+  bool finish_closing() noexcept;
+
+  void released(detail::ControlCell& cell) noexcept;
+  bool holds_pointers() noexcept;
+  bool has_orphan_rings() noexcept;
+  /// Called when the last handle has gone: leaves now, or when the last pointer goes.
+  static void handle_gone(Participant* p) noexcept;
+  void leave() noexcept;
+  void delete_if_unreferenced() noexcept;
+
+  static void prepare_fork() noexcept;
+  static void after_fork_in_parent() noexcept;
+  static void after_fork_in_child() noexcept;
+
+  OwnedHub hub_;
+  std::unique_ptr<liveness::LockFile> lock_file_;
+  segment::Segment segment_;
+  registry::Registry registry_;
+  Holder holder_;
+  EngineOptions options_;
+  std::size_t cells_bytes_ = 0;
+
+  std::mutex reap_mutex_;  ///< byte locks do not exclude our own threads
+  std::mutex pools_mutex_;
+  std::vector<std::unique_ptr<Pool>> pools_;
+  std::vector<Draining> draining_;
+  std::vector<Pool*> idle_;
+  std::mutex evictors_mutex_;
+  std::vector<Evictor*> evictors_;
+  std::mutex topics_mutex_;
+  std::unordered_map<std::uint32_t, unsigned> topic_uses_;
+
+  std::thread warden_;
+  std::mutex warden_mutex_;
+  std::condition_variable warden_signal_;
+  bool warden_ready_ = false;
+  bool warden_stop_ = false;
+
+  std::atomic<bool> inert_{false};
+  std::atomic<bool> closing_{false};
+  std::atomic<bool> left_{false};
+  std::atomic<long> weak_pointers_{0};
+  std::atomic<bool> deleted_{false};
+};
+
+}  // namespace lot::transport

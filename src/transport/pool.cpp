@@ -1,0 +1,227 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/pool.hpp"
+
+#include <thread>
+
+#include "lot/error.hpp"
+
+namespace lot::transport {
+
+using detail::Arena;
+using detail::ControlCell;
+
+void SpinLock::lock() noexcept {
+  for (unsigned n = 0; taken_.exchange(true, std::memory_order_acquire); ++n) {
+    while (taken_.load(std::memory_order_relaxed)) {
+      if (++n < 64) {
+        detail::HardwareAtomics::pause();
+      } else if (n < 128) {
+        std::this_thread::yield();
+      } else {  // a real-time thread must not starve the holder
+        std::this_thread::sleep_for(std::chrono::microseconds(50));
+      }
+    }
+  }
+}
+
+void Holder::acquire(std::uint32_t b, std::uint64_t amount) const noexcept {
+  ControlCell& c = cell(b);
+  own.acquire(words(b), c.hold, amount);
+  if (amount == hold::kPointer && (c.hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
+    words(b).home_points.store(1, std::memory_order_relaxed);
+  }
+}
+
+void Holder::release_ring_hold(std::uint32_t b) const noexcept {
+  ControlCell& c = cell(b);
+  if (own.release(words(b), c.hold, hold::kRing)) (*pools)[c.pool]->came_home(b);
+}
+
+void Holder::release_references(std::uint32_t b) const noexcept {
+  Arena& arena = segment->arena(b);
+  if (arena.references == 0) return;
+  each_reference(b, [this](std::uint32_t target) { release_ring_hold(target); });
+  arena.references = 0;
+}
+
+std::uint32_t Pool::try_loan() {
+  if (!ready_.empty()) {
+    const std::uint32_t b = ready_.back();
+    ready_.pop_back();
+    return b;
+  }
+  while (!free_.empty()) {
+    const std::uint32_t b = free_.front();
+    free_.pop_front();
+    if (reclaim(b, hold::kRing)) return b;
+  }
+  for (unsigned n = 0; n < 4 && !kept_.empty(); ++n) {
+    const std::uint32_t b = kept_.front();
+    kept_.pop_front();
+    is_kept_[b] = false;
+    if (reclaim(b, 0)) return b;
+  }
+  return kNone;
+}
+
+/// On failure the block is entered among the kept ones, unless pointers here still hold it: then
+/// came_home() will see to it.
+bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
+  ControlCell& c = holder_.cell(b);
+  if (holder_.own.reclaim(holder_.words(b), c.hold, expected)) return true;
+  if ((c.hold.load(std::memory_order_relaxed) & hold::kHolds) == 0 && !is_kept_[b]) {
+    is_kept_[b] = true;
+    kept_.push_back(b);
+  }
+  return false;
+}
+
+std::uint32_t Pool::claim() {
+  const std::uint32_t blocks = holder_.segment->capacity().blocks;
+  std::uint32_t b = holder_.next_free.load(std::memory_order_relaxed);
+  for (std::uint32_t n = 0; n < blocks; ++n, ++b) {
+    if (b >= blocks) b = 0;
+    ControlCell& c = holder_.cell(b);
+    if (!holder_.own.claim(holder_.words(b), c.hold)) continue;
+    holder_.next_free.store(b + 1, std::memory_order_relaxed);
+    holder_.words(b).home_points.store(0, std::memory_order_relaxed);
+    c.pool = index_;
+    c.type = nullptr;
+    Arena& arena = holder_.segment->arena(b);
+    arena.self = holder_.segment->offset_of(&arena);
+    arena.block = b;
+    arena.data = holder_.segment->granule_offset(0);
+    arena.extents = 0;
+    arena.references = 0;
+    return b;
+  }
+  return kNone;
+}
+
+void* Pool::lay_out(std::uint32_t b, const detail::MessageType& type) {
+  segment::Segment& s = *holder_.segment;
+  ControlCell& c = holder_.cell(b);
+  const bool fits = type.size <= segment::kSmallBytes && type.align <= 64;
+  if (fits && type.plain && c.type == &type) return s.small(b);  // as it was the last time
+  Arena& arena = s.arena(b);
+  if (c.type != nullptr) bury(b);
+  const std::uint64_t small = s.offset_of(s.small(b));
+  arena.current = 0;
+  arena.cursor = small;
+  arena.limit = small + segment::kSmallBytes;
+  void* root = s.small(b);
+  if (fits) {
+    arena.cursor += type.size;
+  } else {
+    root = arena.allocate(type.size, type.align);
+  }
+  arena.root = s.offset_of(root);
+  c.type = &type;
+  return root;
+}
+
+void Pool::give_back(std::uint32_t b) noexcept {
+  bury(b);
+  const std::lock_guard guard(lock_);
+  ready_.push_back(b);
+}
+
+void Pool::came_home(std::uint32_t b) noexcept {
+  {
+    const std::lock_guard guard(lock_);
+    if (is_kept_[b]) return;  // somebody else held it before: the next loan looks
+    if (!reclaim(b, 0)) return;
+  }
+  bury(b);
+  const std::lock_guard guard(lock_);
+  ready_.push_back(b);
+}
+
+void Pool::retire(std::uint32_t b, bool borrowed) {
+  if (borrowed) {
+    retired_.push_back(b);
+  } else if ((holder_.cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
+             holder_.cell(b).pool == index_) {
+    free_.push_back(b);
+  } else {
+    foreign_.push_back(b);
+  }
+}
+
+void Pool::poll_kept() {
+  for (std::size_t n = kept_.size(); n > 0; --n) {
+    const std::uint32_t b = kept_.front();
+    kept_.pop_front();
+    is_kept_[b] = false;
+    if (reclaim(b, 0)) ready_.push_back(b);
+  }
+  for (std::size_t n = free_.size(); n > 0; --n) {
+    const std::uint32_t b = free_.front();
+    free_.pop_front();
+    if (reclaim(b, hold::kRing)) ready_.push_back(b);
+  }
+}
+
+void Pool::bury(std::uint32_t b) noexcept {
+  ControlCell& c = holder_.cell(b);
+  const detail::MessageType* type = c.type;
+  if (type == nullptr || type->plain) {
+    c.type = type != nullptr && type->size <= segment::kSmallBytes ? type : nullptr;
+    if (type != nullptr && c.type == nullptr) recycle_extents(b);
+    return;
+  }
+  c.type = nullptr;
+  if (type->destroy != nullptr) {
+    type->destroy(holder_.segment->base() + holder_.segment->arena(b).root);
+  }
+  holder_.release_references(b);
+  recycle_extents(b);
+}
+
+/// Keeps the extents that the message used, gives the others back.
+void Pool::recycle_extents(std::uint32_t b) noexcept {
+  Arena& arena = holder_.segment->arena(b);
+  std::uint8_t kept = 0;
+  for (unsigned i = 0; i < arena.extents; ++i) {
+    Arena::Extent extent = arena.extent[i];
+    if (extent.used == 0) {
+      holder_.segment->granules().release(extent.granule, extent.order);
+      continue;
+    }
+    extent.used = 0;
+    extent.living = 0;
+    arena.extent[kept++] = extent;
+  }
+  arena.extents = kept;
+}
+
+void Pool::release_block(std::uint32_t b) noexcept {
+  bury(b);
+  Arena& arena = holder_.segment->arena(b);
+  for (unsigned i = 0; i < arena.extents; ++i) {
+    holder_.segment->granules().release(arena.extent[i].granule, arena.extent[i].order);
+  }
+  arena.extents = 0;
+  ControlCell& c = holder_.cell(b);
+  c.type = nullptr;
+  holder_.own.give_back(holder_.words(b), c.hold);
+}
+
+bool Pool::trim() noexcept {
+  std::vector<std::uint32_t> idle;
+  {
+    const std::lock_guard guard(lock_);
+    poll_kept();
+    idle.swap(ready_);
+  }
+  for (const std::uint32_t b : idle) release_block(b);
+  return !idle.empty();
+}
+
+bool Pool::drain() noexcept {
+  trim();
+  const std::lock_guard guard(lock_);
+  return kept_.empty() && free_.empty() && retired_.empty() && ready_.empty();
+}
+
+}  // namespace lot::transport

@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <utility>
+#include <vector>
+
+#include "lot/detail/control.hpp"
+
+#include "refcount/ownership.hpp"
+#include "segment/segment.hpp"
+
+namespace lot::transport {
+
+namespace hold = detail::hold;
+using HardwareOwnership = refcount::Ownership<detail::HardwareAtomics>;
+
+/// A lock between threads of one process for sections that never block: one locked operation.
+class SpinLock {
+ public:
+  void lock() noexcept;
+  void unlock() noexcept { taken_.store(false, std::memory_order_release); }
+
+ private:
+  std::atomic<bool> taken_{false};
+};
+
+class Pool;
+
+/// What a pool needs of its process: hold words, blocks, and the rings' hazards.
+struct Holder {
+  segment::Segment* segment = nullptr;
+  HardwareOwnership own;
+  detail::ControlCell* cells = nullptr;  ///< [blocks]
+  const std::vector<std::unique_ptr<Pool>>* pools = nullptr;
+  std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
+
+  segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }
+  detail::ControlCell& cell(std::uint32_t b) const noexcept { return cells[b]; }
+
+  /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
+  void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
+  /// Lets go of a ring's or a message's hold.
+  void release_ring_hold(std::uint32_t b) const noexcept;
+  /// Lets go of what a dead message referred to.
+  void release_references(std::uint32_t b) const noexcept;
+  /// The blocks that the message in b refers to. Bounds are checked: it may be rubbish.
+  template <class F>
+  void each_reference(std::uint32_t b, F&& f) const;
+};
+
+/// The blocks of one publisher: loans them, and takes them back when their messages have died.
+///
+/// A block stays at home from loan to loan, with its extents: so a loan of a warm block touches no
+/// word that another process writes.
+///
+///     ready   --loan-->  a message is built  --push-->  in the ring
+///       ^                                                  | overwritten
+///       |                                                  v
+///       +--- reclaimed --- free (no hazard) <--scan--- retired (may still be borrowed)
+///       |                    | others hold it
+///       +--- reclaimed --- kept
+///
+/// Threads: all members may be called at once, but those marked "locked": with lock() held.
+class Pool {
+ public:
+  Pool(Holder& holder, std::uint32_t index)
+      : holder_(holder), index_(index), is_kept_(holder.segment->capacity().blocks, false) {}
+
+  SpinLock& lock() noexcept { return lock_; }
+
+  /// An exclusively owned block for a message of this type, or kNone. Locked.
+  static constexpr std::uint32_t kNone = ~std::uint32_t{0};
+  std::uint32_t try_loan();
+  /// The same, from blocks that nobody has.
+  std::uint32_t claim();
+
+  /// Lays the arena of an exclusively owned block out for a message. Throws OutOfMemory.
+  void* lay_out(std::uint32_t b, const detail::MessageType& type);
+
+  /// An exclusively owned block whose message was never shared comes back.
+  void give_back(std::uint32_t b) noexcept;
+  /// The last hold of this process on a message of ours has gone.
+  void came_home(std::uint32_t b) noexcept;
+
+  /// A block has left the ring; its hold is still the ring's. Locked. `borrowed` says whether a
+  /// reader may still look at it.
+  void retire(std::uint32_t b, bool borrowed);
+  std::size_t retired() const noexcept { return retired_.size(); }
+  /// Ring holds on blocks that are not this pool's. The caller releases them once it has unlocked
+  /// (their own pools' locks are taken then). Locked.
+  std::vector<std::uint32_t> take_foreign() noexcept { return std::exchange(foreign_, {}); }
+  bool has_foreign() const noexcept { return !foreign_.empty(); }
+  /// The retired blocks, for who closes the ring. Locked.
+  std::vector<std::uint32_t> take_retired() noexcept { return std::exchange(retired_, {}); }
+  /// Retired blocks that is_protected(block) denies become free. Locked.
+  template <class Protected>
+  void scan(Protected&& is_protected);
+  /// Looks at all blocks that others hold. Locked.
+  void poll_kept();
+
+  /// Frees what it can; true when nothing is left. For a pool whose publisher has gone.
+  bool drain() noexcept;
+  /// Gives the memory of idle blocks back to everybody. True when there was some.
+  bool trim() noexcept;
+
+ private:
+  /// The message has died and the block is exclusively ours: its destructor runs, its references
+  /// are let go, its memory is kept for the next one.
+  void bury(std::uint32_t b) noexcept;
+  void recycle_extents(std::uint32_t b) noexcept;
+  bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
+  void release_block(std::uint32_t b) noexcept;
+
+  Holder& holder_;
+  std::uint32_t index_;
+  SpinLock lock_;
+  std::vector<std::uint32_t> ready_;
+  std::deque<std::uint32_t> free_;  ///< retired and unprotected, still with the ring's hold
+  std::vector<std::uint32_t> retired_;
+  std::vector<std::uint32_t> foreign_;  ///< left our ring, but is not ours
+  std::deque<std::uint32_t> kept_;
+  std::vector<bool> is_kept_;
+};
+
+template <class F>
+void Holder::each_reference(std::uint32_t b, F&& f) const {
+  const std::uint64_t end = segment->size();
+  std::uint64_t at = segment->arena(b).references;
+  for (unsigned n = 0;
+       n < 4096 && at != 0 && at % 8 == 0 && at <= end - sizeof(detail::ReferenceList); ++n) {
+    const auto* list = reinterpret_cast<const detail::ReferenceList*>(segment->base() + at);
+    for (std::uint32_t i = 0; i < list->count && i < detail::ReferenceList::kEntries; ++i) {
+      if (list->block[i] < segment->capacity().blocks) f(list->block[i]);
+    }
+    at = list->next;
+  }
+}
+
+template <class Protected>
+void Pool::scan(Protected&& is_protected) {
+  std::size_t kept = 0;
+  for (const std::uint32_t b : retired_) {
+    if (is_protected(b)) {
+      retired_[kept++] = b;
+    } else {
+      retire(b, false);
+    }
+  }
+  retired_.resize(kept);
+}
+
+}  // namespace lot::transport

@@ -1,0 +1,272 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <sched.h>
+
+#include "lot/detail/core.hpp"
+
+#include "transport/participant.hpp"
+
+namespace lot::transport {
+namespace {
+
+using namespace std::chrono_literals;
+using ring::kNoBlock;
+
+using Policy = segment::Atomics;
+using Reader = ring::Reader<Policy>;
+
+/// Adaptive waiting spins this long: a little more than what a wake-up across cores costs.
+constexpr auto kSpinTime = 50us;
+constexpr unsigned kPollsPerClock = 64;
+
+bool has_several_cores() {
+  cpu_set_t set;
+  return sched_getaffinity(0, sizeof(set), &set) != 0 || CPU_COUNT(&set) > 1;
+}
+
+class Puller final : public detail::PullerCore {
+ public:
+  Puller(std::shared_ptr<Participant> participant, std::string_view topic,
+         const detail::MessageType& type, const PullerOptions& options)
+      : participant_(std::move(participant)),
+        directory_(participant_->segment().directory().version),
+        topic_(participant_->enter_topic(topic, type)),
+        small_(type.size <= segment::kSmallBytes && type.align <= 64),
+        wait_(options.wait == Wait::Adaptive && !has_several_cores() ? Wait::Park : options.wait) {
+    try {
+      find_rings(options.history, true);
+    } catch (...) {
+      leave_all();
+      participant_->leave_topic(topic_);
+      throw;
+    }
+  }
+
+  ~Puller() override {
+    if (participant_->inert()) return;
+    leave_all();
+    participant_->leave_topic(topic_);
+  }
+
+  Status borrow(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
+                bool forever) override {
+    if (look(borrowed)) return Status::Ok;
+    if (!wait) return sources_.empty() ? Status::PublisherGone : Status::Empty;
+    return wait_and_look(borrowed, forever ? futex::Deadline() : futex::Deadline(deadline));
+  }
+
+  void done() noexcept override {
+    Reader& reader = sources_[current_].reader;
+    if (reader.done()) ring_bell(reader);
+    borrowing_ = false;
+  }
+
+  detail::ControlCell* keep() override {
+    participant_->holder().acquire(block_, hold::kPointer);
+    return &participant_->holder().cell(block_);
+  }
+
+  Status pull(detail::Borrowed& kept, bool wait, detail::Clock::time_point deadline,
+              bool forever) override {
+    keeping_ = true;
+    const Status status = borrow(kept, wait, deadline, forever);
+    keeping_ = false;
+    if (status == Status::Ok) {
+      kept.cell = keep();
+      done();
+    }
+    return status;
+  }
+
+  std::size_t publishers() override {
+    participant_->check_usable();
+    if (directory_.load(std::memory_order_acquire) != version_)
+      find_rings(Reader::kFromTheStart, false);
+    return static_cast<std::size_t>(std::count_if(
+        sources_.begin(), sources_.end(), [](const Source& s) { return !s.reader.orphaned(); }));
+  }
+
+ private:
+  struct Source {
+    registry::ChannelName name;
+    Reader reader;
+  };
+
+  /// One look at every ring, beginning behind the one that had the last message.
+  bool look(detail::Borrowed& borrowed) {
+    if (participant_->inert() || borrowing_) [[unlikely]]
+      refuse();
+    if (directory_.load(std::memory_order_acquire) != version_) [[unlikely]] {
+      find_rings(Reader::kFromTheStart, false);
+    }
+    const std::size_t n = sources_.size();
+    for (std::size_t i = 0; i < n; ++i) {
+      if (++current_ >= n) current_ = 0;
+      Reader& reader = sources_[current_].reader;
+      prefetch(reader.peek());
+      const ring::Word b = reader.poll(missed_);
+      if (b == kNoBlock) continue;
+      found(borrowed, b);
+      return true;
+    }
+    return false;
+  }
+
+  void prefetch(ring::Word b) const {
+    if (b == kNoBlock) return;
+    const auto index = static_cast<std::uint32_t>(b);
+    Policy::prefetch_read(participant_->segment().small(index));
+    if (keeping_) Policy::prefetch_write(&participant_->holder().words(index));
+  }
+
+  void found(detail::Borrowed& borrowed, ring::Word b) {
+    segment::Segment& s = participant_->segment();
+    if (b >= participant_->blocks()) [[unlikely]]
+      broken("a slot names a block that does not exist");
+    block_ = static_cast<std::uint32_t>(b);
+    borrowed.cell = &participant_->holder().cell(block_);
+    borrowed.root = small_ ? s.small(block_) : s.base() + s.arena(block_).root;
+    borrowed.missed = missed_;
+    missed_ = 0;
+    borrowing_ = true;
+  }
+
+  /// After a look that found nothing: rings that have ended are left, senders that wait are rung.
+  /// Returns false when there is something to look at after all.
+  bool settle() {
+    for (std::size_t i = 0; i < sources_.size(); ++i) {
+      Reader& reader = sources_[i].reader;
+      if (reader.sender_waits()) ring_bell(reader);
+      if (!reader.orphaned()) continue;
+      if (!reader.ended()) return false;
+      leave(reader);
+      sources_.erase(sources_.begin() + static_cast<std::ptrdiff_t>(i--));
+      participant_->collect();
+    }
+    return true;
+  }
+
+  Status wait_and_look(detail::Borrowed& borrowed, const futex::Deadline& deadline) {
+    for (;;) {
+      if (wait_ != Wait::Park) {
+        const auto start = futex::Clock::now();
+        for (unsigned n = 1;; ++n) {
+          Policy::pause();
+          if (look(borrowed)) return Status::Ok;
+          if (n % kPollsPerClock != 0) continue;
+          settle();
+          const auto now = futex::Clock::now();
+          if (deadline && now >= *deadline) return Status::Timeout;
+          if (wait_ == Wait::Adaptive && now - start >= kSpinTime) break;
+        }
+      }
+      const bool in_time = park(deadline);
+      if (look(borrowed)) return Status::Ok;
+      if (!in_time) return Status::Timeout;
+    }
+  }
+
+  /// Sleeps until something may have come. False when the deadline has passed.
+  bool park(const futex::Deadline& deadline) {
+    if (!settle()) return true;
+    waits_.clear();
+    for (Source& source : sources_) {
+      Reader& reader = source.reader;
+      const auto word = reader.mark_sleeping();
+      if (!word) return true;
+      waits_.push_back({futex::low_half(reader.slot()), static_cast<std::uint32_t>(*word)});
+    }
+    // What may have changed before the marks stood: whoever changes it takes marks away and wakes.
+    for (const Source& source : sources_) {
+      if (source.reader.orphaned()) return true;
+    }
+    if (directory_.load(std::memory_order_seq_cst) != version_) return true;
+    if (waits_.empty()) waits_.push_back({&directory_, version_});
+    return futex::wait_any(waits_.data(), static_cast<unsigned>(waits_.size()), deadline);
+  }
+
+  /// Joins the rings of the topic that we do not read yet. Those that were there before the
+  /// subscription are read from `history` on, later ones from their first message.
+  void find_rings(std::uint64_t history, bool complain) {
+    const std::uint32_t version = directory_.load(std::memory_order_acquire);
+    const registry::Registry::Lock lock(participant_->registry());
+    for (const auto& name : participant_->registry().live(topic_)) {
+      if (std::any_of(sources_.begin(), sources_.end(),
+                      [&](const Source& s) { return s.name == name; })) {
+        continue;
+      }
+      bool full = false;
+      auto reader = Reader::join(participant_->segment().ring(name.channel), name.generation,
+                                 participant_->index(), history, full);
+      if (reader) {
+        sources_.push_back({name, *reader});
+      } else if (full && complain) {
+        throw Error(EUSERS, participant_->segment().path(),
+                    "a publisher of the topic has all the readers that it can have",
+                    "make the segment with a larger EngineOptions::readers");
+      }
+    }
+    version_ = version;
+  }
+
+  void ring_bell(Reader& reader) noexcept {
+    auto& space = *reader.ring().space;
+    if (Reader::ring_bell(space)) futex::wake_all(&space);
+  }
+
+  void leave(Reader& reader) noexcept {
+    reader.leave();
+    futex::wake_all(reader.ring().space);
+  }
+
+  void leave_all() noexcept {
+    for (Source& s : sources_) leave(s.reader);
+    const bool orphans = std::any_of(sources_.begin(), sources_.end(),
+                                     [](const Source& s) { return s.reader.orphaned(); });
+    sources_.clear();
+    if (orphans) participant_->collect();
+  }
+
+  [[noreturn]] void refuse() const {
+    participant_->check_usable();
+    throw Error(EBUSY, participant_->segment().path(),
+                "this puller has a borrow that has not ended",
+                "end it (one borrow at a time), or keep() the message");
+  }
+
+  [[noreturn]] void broken(const char* what) const {
+    std::fprintf(stderr, "lot: %s: broken: %s\n", participant_->segment().path().c_str(), what);
+    std::abort();
+  }
+
+  std::shared_ptr<Participant> participant_;
+  std::atomic<std::uint32_t>& directory_;
+  std::uint32_t topic_;
+  bool small_;  ///< the messages lie in their blocks' small payload
+  Wait wait_;
+  bool borrowing_ = false;
+  bool keeping_ = false;
+  std::uint32_t version_ = 0;  ///< of the directory, when sources_ was right
+  std::uint32_t block_ = 0;
+  std::size_t current_ = 0;
+  std::uint64_t missed_ = 0;
+  std::vector<Source> sources_;
+  std::vector<futex::Wait> waits_;
+};
+
+}  // namespace
+}  // namespace lot::transport
+
+namespace lot::detail {
+
+std::unique_ptr<PullerCore> make_puller(std::shared_ptr<transport::Participant> participant,
+                                        std::string_view topic, const MessageType& type,
+                                        const PullerOptions& options) {
+  participant->check_usable();
+  return std::make_unique<transport::Puller>(std::move(participant), topic, type, options);
+}
+
+}  // namespace lot::detail

@@ -1,0 +1,12 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <memory>
+
+#include <lot/compliance.hpp>
+
+struct Message {
+  int stamp;
+  std::unique_ptr<int> data;
+};
+
+static_assert(lot::assert_message<Message>());

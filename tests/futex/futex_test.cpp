@@ -1,0 +1,207 @@
+// Sleeping on words that another process changes. A lost wake is an endless sleep: the watchdog of
+// Fixture ends it.
+
+#include "futex/futex.hpp"
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <cstring>
+#include <new>
+#include <optional>
+#include <sys/mman.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <doctest/doctest.h>
+
+namespace {
+
+namespace futex = lot::futex;
+using namespace std::chrono_literals;
+using Word = std::atomic<std::uint32_t>;
+
+struct Shared {
+  Word words[4] = {};
+  std::atomic<std::uint64_t> slot{0};
+};
+
+/// Words that a child process shares. A case that hangs is ended by SIGALRM, in the child as well.
+class Fixture {
+ public:
+  Fixture() {
+    alarm(60);
+    void* at =
+        mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    REQUIRE(at != MAP_FAILED);
+    shared = new (at) Shared;
+  }
+  ~Fixture() {
+    munmap(shared, sizeof(Shared));
+    alarm(0);
+  }
+  Fixture(const Fixture&) = delete;
+  Fixture& operator=(const Fixture&) = delete;
+
+ protected:
+  template <class Body>
+  pid_t in_child(Body&& body) {
+    const pid_t pid = fork();
+    REQUIRE(pid >= 0);
+    if (pid == 0) {
+      alarm(60);  // is not inherited
+      body();
+      _exit(0);
+    }
+    return pid;
+  }
+
+  static int status_of(pid_t pid) {
+    int status = -1;
+    REQUIRE(waitpid(pid, &status, 0) == pid);
+    return status;
+  }
+
+  Shared* shared = nullptr;
+};
+
+void wait_until(Word& word, std::uint32_t value) {
+  for (std::uint32_t seen; (seen = word) != value;) futex::wait(&word, seen, std::nullopt);
+}
+
+void set(Word& word, std::uint32_t value) {
+  word = value;
+  futex::wake_all(&word);
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("futex");
+
+TEST_CASE_FIXTURE(Fixture, "two processes wake each other, again and again") {
+  const std::uint32_t rounds = 2000;
+  Word& ping = shared->words[0];
+  Word& pong = shared->words[1];
+  const pid_t child = in_child([&] {
+    for (std::uint32_t i = 1; i <= rounds; ++i) {
+      wait_until(ping, i);
+      set(pong, i);
+    }
+  });
+  for (std::uint32_t i = 1; i <= rounds; ++i) {
+    set(ping, i);
+    wait_until(pong, i);
+  }
+  CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "one wake reaches all who sleep on the word") {
+  pid_t children[3];
+  for (pid_t& child : children) {
+    child = in_child([this] {
+      ++shared->words[1];
+      wait_until(shared->words[0], 1);
+    });
+  }
+  while (shared->words[1] != 3) usleep(200);
+  usleep(10'000);  // most likely asleep by now; right in any case
+  set(shared->words[0], 1);
+  for (const pid_t child : children) CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a word that has another value already is not slept on") {
+  shared->words[0] = 5;
+  CHECK(futex::wait(&shared->words[0], 4, std::nullopt));
+  const futex::Wait waits[] = {{&shared->words[1], 0}, {&shared->words[0], 4}};
+  CHECK(futex::wait_any(waits, 2, std::nullopt));
+  CHECK(futex::wait_any(waits + 1, 1, std::nullopt));
+}
+
+TEST_CASE_FIXTURE(Fixture, "a sleep ends when its deadline has passed, and not before") {
+  const futex::Wait waits[] = {{&shared->words[0], 0}, {&shared->words[1], 0}};
+  for (const unsigned count : {0U, 1U, 2U}) {  // 0: one word, by wait()
+    CAPTURE(count);
+    const auto deadline = futex::Clock::now() + 20ms;
+    auto sleep = [&] {
+      return count == 0 ? futex::wait(waits[0].word, 0, deadline)
+                        : futex::wait_any(waits, count, deadline);
+    };
+    while (sleep()) {  // a sleep may end for nothing
+    }
+    CHECK((futex::Clock::now() >= deadline));
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a deadline that lies in the past ends the sleep at once") {
+  const auto deadline = futex::Clock::now() - 1s;
+  const futex::Wait waits[] = {{&shared->words[0], 0}, {&shared->words[1], 0}};
+  CHECK_FALSE(futex::wait(&shared->words[0], 0, deadline));
+  CHECK_FALSE(futex::wait_any(waits, 2, deadline));
+}
+
+TEST_CASE_FIXTURE(Fixture, "a wake that comes in time beats the deadline") {
+  const pid_t child = in_child([this] {
+    usleep(5'000);
+    set(shared->words[0], 1);
+  });
+  const auto deadline = futex::Clock::now() + 60s;
+  while (shared->words[0] == 0) CHECK(futex::wait(&shared->words[0], 0, deadline));
+  CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a sleep on many words is ended by a wake on any of them") {
+  const std::uint32_t rounds = 500;
+  Word* words = shared->words;
+  Word& answer = words[3];
+  const pid_t child = in_child([&] {
+    for (std::uint32_t i = 1; i <= rounds; ++i) {
+      set(words[i % 3], i);
+      wait_until(answer, i);
+    }
+  });
+  for (std::uint32_t i = 1; i <= rounds; ++i) {
+    Word& expected = words[i % 3];
+    for (;;) {
+      const futex::Wait waits[] = {
+          {&words[0], words[0]}, {&words[1], words[1]}, {&words[2], words[2]}};
+      if (expected == i) break;
+      futex::wait_any(waits, 3, std::nullopt);
+    }
+    set(answer, i);
+  }
+  CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a wake on the second word ends the sleep") {
+  const pid_t child = in_child([this] {
+    usleep(10'000);
+    set(shared->words[1], 1);
+  });
+  const futex::Wait waits[] = {{&shared->words[0], 0}, {&shared->words[1], 0}};
+  while (shared->words[1] == 0) CHECK(futex::wait_any(waits, 2, std::nullopt));
+  CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "the low half of a slot is the half that small numbers change") {
+  shared->slot = 0x1122334455667788;
+  std::uint32_t low = 0;
+  std::memcpy(&low, futex::low_half(shared->slot), sizeof(low));
+  CHECK(low == 0x55667788);
+
+  const pid_t child = in_child([this] {
+    usleep(5'000);
+    ++shared->slot;
+    futex::wake_all(futex::low_half(shared->slot));
+  });
+  while (shared->slot == 0x1122334455667788) {
+    futex::wait(futex::low_half(shared->slot), 0x55667788, std::nullopt);
+  }
+  CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a wake that nobody waits for does nothing") {
+  futex::wake_all(&shared->words[0]);
+  CHECK_FALSE(futex::wait(&shared->words[0], 0, futex::Clock::now() + 1ms));
+}
+
+TEST_SUITE_END();

@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scenario.hpp"
+
+/// Blocks in many hands: forwarding, weak locks, threads of one process.
+namespace lot::model {
+namespace {
+
+/// A message goes through three processes whose bits lie in three words. A forwarder's ring is
+/// invisible to the block's home.
+struct ForwarderChain : Scene<ForwarderChain, 3> {
+  ForwarderChain() : Scene({.blocks = 3, .depth = 1, .readers = 1, .channels = 2}) {}
+  void prepare() {
+    first.open(start(5), 0, false);
+    second.open(start(3), 1, false);
+    RL_ASSERT(middle.join(process(3), 0, 1, 1));
+    RL_ASSERT(last.join(start(1), 1, 1, 1));
+    first.send();
+    forward();
+    first.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) first.send();
+    } else if (t == 1) {
+      for (int i = 0; i < 2; ++i) forward();
+    } else {
+      for (int i = 0; i < 3; ++i) take();
+    }
+  }
+  void forward() {
+    const Word b = middle.borrow();
+    if (b == kNoBlock) return;
+    const std::uint64_t expected = middle.number();
+    process(3).keep(b);
+    middle.done();
+    RL_ASSERT(process(3).read(b) == expected);
+    second.forward(b);
+    second.scan();
+  }
+  void take() {
+    const Word b = last.borrow();
+    if (b == kNoBlock) return;
+    process(1).keep(b);
+    last.done();
+    const std::uint64_t message = process(1).read(b);
+    RL_ASSERT(!seen || message > *seen);
+    seen = message;
+    RL_ASSERT(process(1).read(b) == message);
+    process(1).drop(b);
+  }
+  Publisher first, second;
+  Subscriber middle, last;
+  std::optional<std::uint64_t> seen;
+};
+
+/// A weak pointer elsewhere locks the message it was made from, or nothing.
+struct WeakLockElsewhere : Scene<WeakLockElsewhere, 2> {
+  WeakLockElsewhere() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    publisher.send();
+    block = subscriber.borrow();
+    generation = process(2).generation(block);
+    subscriber.done();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 4; ++i) publisher.send();
+      return;
+    }
+    for (int i = 0; i < 2; ++i) {
+      if (!process(2).lock_weak(block, generation)) continue;
+      RL_ASSERT(process(2).read(block) == 0);
+      process(2).drop(block);
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+  Word block = kNoBlock;
+  std::uint32_t generation = 0;
+};
+
+/// The same in the block's own process.
+struct WeakLockAtHome : Scene<WeakLockAtHome, 2> {
+  WeakLockAtHome() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    block = process(4).loan();
+    generation = process(4).generation(block);
+    process(4).write(block, 0);
+    publisher.send_own(block);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 4; ++i) publisher.send();
+      return;
+    }
+    for (int i = 0; i < 2; ++i) {
+      if (!process(4).lock_weak(block, generation)) continue;
+      RL_ASSERT(process(4).read(block) == 0);
+      process(4).drop(block);
+    }
+  }
+  Publisher publisher;
+  Word block = kNoBlock;
+  std::uint32_t generation = 0;
+};
+
+/// A stale weak pointer against its own process giving the block back and claiming it again, while
+/// another process claims as well.
+struct WeakLockAgainstClaim : Scene<WeakLockAgainstClaim, 3> {
+  WeakLockAgainstClaim() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    block = start(2).loan();
+    generation = process(2).generation(block);
+    process(2).write(block, 0);
+    publisher.open(process(2), 0, false);
+    publisher.send_own(block);
+    RL_ASSERT(publisher.evict());
+    publisher.scan();
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) use(process(2));
+    } else if (t == 1) {
+      for (int i = 0; i < 2; ++i) RL_ASSERT(!process(2).lock_weak(block, generation));
+    } else {
+      use(process(3));
+    }
+  }
+  static void use(Process& process) {
+    const Word b = process.loan();
+    if (b == Process::kNone) return;
+    process.write(b, process.index());
+    RL_ASSERT(process.read(b) == process.index());
+    process.give_back(b);
+  }
+  Publisher publisher;
+  Word block = kNoBlock;
+  std::uint32_t generation = 0;
+};
+
+/// Two threads of one process keep, lock and drop the same block.
+struct ThreadsOfOneProcess : Scene<ThreadsOfOneProcess, 3> {
+  ThreadsOfOneProcess() : Scene({.blocks = 3, .depth = 1, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    start(2);
+    publisher.send();
+    for (Subscriber& subscriber : subscribers) RL_ASSERT(subscriber.join(process(2), 0, 1, 1));
+    block = subscribers[0].borrow();
+    generation = process(2).generation(block);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 4; ++i) publisher.send();
+      return;
+    }
+    for (int i = 0; i < 2; ++i) {
+      subscribers[t - 1].receive_and_keep();
+      if (t == 2 && process(2).lock_weak(block, generation)) {
+        RL_ASSERT(process(2).read(block) == 0);
+        process(2).drop(block);
+      }
+    }
+  }
+  Publisher publisher;
+  Subscriber subscribers[2];
+  Word block = kNoBlock;
+  std::uint32_t generation = 0;
+};
+
+/// A message that refers to another one keeps it alive for those who hold only the first.
+struct MessageRefersToMessage : Scene<MessageRefersToMessage, 2> {
+  MessageRefersToMessage() : Scene({.blocks = 4, .depth = 1, .readers = 1, .channels = 2}) {}
+  void prepare() {
+    targets.open(start(4), 0, false);
+    messages.open(start(3), 1, false);
+    RL_ASSERT(reader_of_targets.join(process(3), 0, 1, 1));
+    RL_ASSERT(reader.join(start(2), 1, 1, 1));
+    targets.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publish_reference();
+      targets.send();
+      targets.send();
+      targets.send();
+      messages.send();
+      messages.send();
+    } else if (const Word b = reader.borrow(); b != kNoBlock) {
+      if (reader.number() == 0) {
+        const Word target = segment.references[b].read();
+        RL_ASSERT(process(2).read(target) == 0);
+      }
+      reader.done();
+    }
+  }
+  void publish_reference() {
+    const Word target = reader_of_targets.borrow();
+    const Word b = process(3).loan();
+    process(3).refer(b, target);
+    reader_of_targets.done();
+    process(3).write(b, 0);
+    messages.send_own(b);
+  }
+  Publisher targets, messages;
+  Subscriber reader_of_targets, reader;
+};
+
+}  // namespace
+
+std::vector<Scenario> ownership_scenarios() {
+  return {
+      {"forwarder_chain", "a forwarded block lives as long as the last ring that has it",
+       rl::simulate<ForwarderChain>},
+      {"weak_lock_elsewhere", "a weak lock gets its message or nothing",
+       rl::simulate<WeakLockElsewhere>, 2},
+      {"weak_lock_at_home", "the same in the block's own process", rl::simulate<WeakLockAtHome>, 2},
+      {"weak_lock_against_claim", "a stale weak lock never disturbs a new owner",
+       rl::simulate<WeakLockAgainstClaim>, 1},
+      {"threads_of_one_process", "threads share one ownership bit", rl::simulate<ThreadsOfOneProcess>},
+      {"message_refers_to_message", "a referred message lives as long as the referring one",
+       rl::simulate<MessageRefersToMessage>},
+  };
+}
+
+}  // namespace lot::model

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <map>
+#include <optional>
+#include <source_location>
+#include <string>
+#include <string_view>
+#include <tuple>
+
+/// Mistakes that are planted at run time, to see whether the model finds them.
+///
+/// Every atomic step of the headers under test passes through the policy, which knows its place in
+/// the source. So one step can be weakened, or left out, without touching the headers.
+namespace lot::model {
+
+enum class Operation { Load, Store, Exchange, Fetch, CompareExchange };
+
+/// One atomic step of the source, as written.
+struct Step {
+  Operation operation;
+  std::memory_order order;
+  std::source_location where;
+};
+
+/// What is done instead.
+struct Done {
+  std::memory_order order;
+  bool dropped = false;  ///< the step is not done at all (a Fetch then only reads)
+};
+
+/// Which step is spoilt, and how.
+struct Plant {
+  std::string file;        ///< end of the path
+  unsigned line = 0;       ///< 0: any line
+  std::string function;    ///< part of the function's name; empty: any
+  std::optional<Operation> operation;
+  std::optional<std::memory_order> written;
+  std::optional<std::memory_order> instead;  ///< none: one step weaker
+  bool drop = false;
+
+  bool names(const Step& step) const;
+};
+
+/// The mistakes that are not in an atomic step but in what the transport does around it.
+struct Omissions {
+  bool wake_readers = false;   ///< publish() says "wake", nobody does
+  bool ring_for_room = false;  ///< a reader makes room and does not ring
+  bool hazards = false;        ///< the pool reclaims what has left the ring without a look
+  bool rings_lock = false;     ///< joiners do not take the registry's lock
+};
+
+/// The mistake of this run, and the list of all steps that were seen.
+class Garden {
+ public:
+  Done look(const Step& step);
+
+  void plant(Plant plant) { plant_ = std::move(plant); }
+  /// FILE:LINE, FILE:LINE=ORDER or FILE:LINE=drop. False: not of this form.
+  bool plant(std::string_view text);
+  /// One of the mistakes with a name. False: no such mistake.
+  bool plant_named(std::string_view name);
+  static void list_names(std::ostream& out);
+
+  bool planted_step_was_seen() const { return !plant_ || seen_; }
+  void record_steps() { record_ = true; }
+  void list_steps(std::ostream& out) const;
+
+  Omissions omitted;
+
+ private:
+  std::optional<Plant> plant_;
+  bool seen_ = false;
+  bool record_ = false;
+  std::map<std::tuple<std::string, unsigned, unsigned>, Step> steps_;
+  std::map<std::tuple<const char*, unsigned, unsigned>, bool> named_;  ///< answers of names()
+};
+
+inline Garden garden;
+
+const char* name_of(std::memory_order order);
+
+}  // namespace lot::model

@@ -1,0 +1,278 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scenario.hpp"
+
+/// Rings without deaths: who may read what, who sleeps, who joins late.
+namespace lot::model {
+namespace {
+
+/// Two readers borrow from an overwriting publisher that has hardly any blocks.
+struct OverwriteBorrow : Scene<OverwriteBorrow, 3> {
+  OverwriteBorrow() : Scene({.blocks = 3, .depth = 2, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    for (int i = 0; i < 3; ++i) publisher.send();
+    for (int i : {0, 1}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 2));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) publisher.send();
+    } else {
+      for (int i = 0; i < 2; ++i) subscribers[t - 1].receive();
+    }
+  }
+  Publisher publisher;
+  Subscriber subscribers[2];
+};
+
+/// The same, and the readers keep what they borrowed.
+struct OverwriteKeep : Scene<OverwriteKeep, 3> {
+  OverwriteKeep() : Scene({.blocks = 3, .depth = 2, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    for (int i = 0; i < 3; ++i) publisher.send();
+    for (int i : {0, 1}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 2));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) publisher.send();
+    } else {
+      for (int i = 0; i < 2; ++i) subscribers[t - 1].receive_and_keep();
+    }
+  }
+  Publisher publisher;
+  Subscriber subscribers[2];
+};
+
+/// The smallest ring: one slot, one reader, one spare block. Small enough for the bounded search.
+struct OneSlot : Scene<OneSlot, 2> {
+  OneSlot() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) publisher.send();
+    } else if (!subscriber.receive()) {
+      subscriber.receive_and_keep();
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// Under back-pressure nothing is lost; a publisher without room refuses.
+struct BlockingLossless : Scene<BlockingLossless, 3> {
+  BlockingLossless() : Scene({.blocks = 3, .depth = 2, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    for (int i : {0, 1}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 1));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 5; ++i) publisher.send();
+    } else {
+      for (int i = 0; i < 3; ++i) subscribers[t - 1].receive();
+    }
+  }
+  void check() {
+    for (Subscriber& subscriber : subscribers) {
+      while (subscriber.receive()) {
+      }
+      RL_ASSERT(subscriber.missed() == 0 && subscriber.received() == publisher.sent());
+    }
+  }
+  Publisher publisher;
+  Subscriber subscribers[2];
+};
+
+/// Readers that sleep for each message get all of them, if they are not lapped.
+struct Sleepers : Scene<Sleepers, 3> {
+  Sleepers() : Scene({.blocks = 4, .depth = 2, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    for (int i : {0, 1}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 1));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) RL_ASSERT(publisher.send());
+      return;
+    }
+    Subscriber& subscriber = subscribers[t - 1];
+    while (subscriber.received() < 2) {
+      if (!subscriber.receive()) subscriber.sleep();
+    }
+  }
+  Publisher publisher;
+  Subscriber subscribers[2];
+};
+
+/// Sender and reader sleep for each other and neither sleeps for ever.
+struct BothSleep : Scene<BothSleep, 2> {
+  static constexpr unsigned kMessages = 4;
+  BothSleep() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 0));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (unsigned i = 0; i < kMessages; ++i) publisher.send_and_wait();
+      return;
+    }
+    while (subscriber.received() < kMessages) {
+      if (!subscriber.receive()) subscriber.sleep();
+    }
+  }
+  void check() { RL_ASSERT(subscriber.missed() == 0); }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// A joiner pins a blocking sender, even one that goes to sleep on the pin, and then misses nothing.
+struct LateJoinerBlocking : Scene<LateJoinerBlocking, 3> {
+  LateJoinerBlocking() : Scene({.blocks = 4, .depth = 2, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(first.join(start(2), 0, 1, 0));
+    publisher.send();
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 4; ++i) publisher.send();
+    } else if (t == 1) {
+      for (int i = 0; i < 3; ++i) first.receive();
+    } else {
+      RL_ASSERT(late.join(process(3), 0, 1, 2));
+      for (int i = 0; i < 3; ++i) late.receive();
+    }
+  }
+  void check() { RL_ASSERT(first.missed() == 0 && late.missed() == 0); }
+  Publisher publisher;
+  Subscriber first, late;
+};
+
+/// A sender that sleeps for room while somebody joins gets all its messages out in the end.
+struct JoinerWhileSenderSleeps : Scene<JoinerWhileSenderSleeps, 2> {
+  static constexpr unsigned kMessages = 3;
+  JoinerWhileSenderSleeps() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    publisher.send();
+    start(2);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (unsigned i = 0; i < kMessages; ++i) publisher.send_and_wait();
+      return;
+    }
+    RL_ASSERT(subscriber.join(process(2), 0, 1, 1));
+    while (subscriber.number() < 1 + kMessages) {
+      if (!subscriber.receive()) subscriber.sleep();
+    }
+  }
+  void check() { RL_ASSERT(subscriber.missed() == 0); }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// A joiner that borrows at once is on the publisher's list, or starts behind what was overwritten.
+struct LateJoinerOverwrite : Scene<LateJoinerOverwrite, 2> {
+  LateJoinerOverwrite() : Scene({.blocks = 3, .depth = 2, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    start(3);
+    for (int i = 0; i < 3; ++i) publisher.send();
+    publisher.scan();
+    publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) publisher.send();
+    } else {
+      RL_ASSERT(subscriber.join(process(3), 0, 1, 2));
+      for (int i = 0; i < 2; ++i) subscriber.receive();
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// A publisher that takes its oldest messages back does not take them from under a borrower, and a
+/// reader counts them as missed.
+struct EvictAgainstBorrow : Scene<EvictAgainstBorrow, 2> {
+  EvictAgainstBorrow() : Scene({.blocks = 2, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 2));
+    for (int i = 0; i < 2; ++i) publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) {
+        if (!publisher.send()) publisher.evict();
+      }
+    } else {
+      for (int i = 0; i < 2; ++i) {
+        if (!(rl::rand(2) != 0 ? subscriber.receive() : subscriber.receive_and_keep())) {
+          subscriber.ended();
+        }
+      }
+    }
+  }
+  void check() {
+    while (subscriber.receive()) {
+    }
+    RL_ASSERT(subscriber.received() + subscriber.missed() == publisher.sent());
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// A reader that leaves lets a sleeping sender go on.
+struct LeaverFreesSender : Scene<LeaverFreesSender, 2> {
+  LeaverFreesSender() : Scene({.blocks = 3, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 0));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) publisher.send_and_wait();
+    } else {
+      subscriber.receive();
+      subscriber.leave();
+      process(2).leave();
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+}  // namespace
+
+std::vector<Scenario> ring_scenarios() {
+  return {
+      {"overwrite_borrow", "a borrowed block is never written", rl::simulate<OverwriteBorrow>},
+      {"overwrite_keep", "a kept block is never written", rl::simulate<OverwriteKeep>},
+      {"one_slot", "the same on the smallest ring", rl::simulate<OneSlot>, 2},
+      {"blocking_lossless", "under back-pressure nobody misses a message",
+       rl::simulate<BlockingLossless>},
+      {"sleepers", "a sleeping reader is woken by each message", rl::simulate<Sleepers>, 1},
+      {"both_sleep", "sender and reader never both sleep for ever", rl::simulate<BothSleep>, 2},
+      {"late_joiner_blocking", "a late joiner misses nothing from its start on",
+       rl::simulate<LateJoinerBlocking>},
+      {"joiner_while_sender_sleeps", "a joiner's pin does not put the sender to sleep for ever",
+       rl::simulate<JoinerWhileSenderSleeps>, 2},
+      {"late_joiner_overwrite", "what a late joiner borrows is never written",
+       rl::simulate<LateJoinerOverwrite>, 2},
+      {"evict_against_borrow", "an evicted block is not taken from a borrower",
+       rl::simulate<EvictAgainstBorrow>, 2},
+      {"leaver_frees_sender", "a reader that leaves lets a sleeping sender go on",
+       rl::simulate<LeaverFreesSender>, 2},
+  };
+}
+
+}  // namespace lot::model

@@ -1,0 +1,404 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "world.hpp"
+
+namespace lot::model {
+
+// ---- Channel and Segment --------------------------------------------------------------------------
+
+Channel::Channel(const Shape& shape)
+    : slots(shape.depth), cells(shape.readers), who(shape.readers) {
+  finished.write(false);
+  blocking.write(false);
+}
+
+Segment::Segment(const Shape& s)
+    : shape(s),
+      parts(kParticipants),
+      blocks(s.blocks),
+      payloads(s.blocks),
+      references(s.blocks),
+      locks_(kRegistryLock + 1),
+      ended_(kParticipants) {
+  for (std::uint32_t c = 0; c < s.channels; ++c) channels.emplace_back(s);
+  for (auto& reference : references) reference.write(kNoBlock);
+}
+
+bool Segment::try_lock(std::uint32_t lock, std::uint32_t holder) {
+  std::uint32_t nobody = 0;
+  return locks_[lock].compare_exchange_strong(nobody, holder + 1, std::memory_order_acq_rel,
+                                              std::memory_order_relaxed);
+}
+
+void Segment::unlock(std::uint32_t lock) { locks_[lock].store(0, std::memory_order_release); }
+
+void Segment::bury(std::uint32_t participant) {
+  for (auto& lock : locks_) {
+    if (lock.load(std::memory_order_relaxed) == participant + 1) {
+      lock.store(0, std::memory_order_release);
+    }
+  }
+  ended_[participant].store(1, std::memory_order_release);
+  ended_[participant].wake_all();
+}
+
+void Segment::await_end_of(std::uint32_t participant) {
+  while (ended_[participant].load(std::memory_order_acquire) == 0) {
+    ended_[participant].wait_while(0);
+  }
+}
+
+// ---- Process --------------------------------------------------------------------------------------
+
+Process::Process(Segment& segment, std::uint32_t index)
+    : segment_(&segment), own_{index}, holds_(segment.shape.blocks) {}
+
+bool Process::attach() {
+  if (!segment_->try_lock(index(), index())) return false;
+  if (part(index()).load(std::memory_order_relaxed) != 0) {  // a dead one is in there: reap first
+    segment_->unlock(index());
+    return false;
+  }
+  part(index()).store(1, std::memory_order_relaxed);
+  return true;
+}
+
+void Process::leave() {
+  while (!segment_->try_lock(refcount::kOrphanage, index())) Policy::pause();
+  Recovery(*this).reap(index());
+  segment_->unlock(refcount::kOrphanage);
+  segment_->bury(index());
+}
+
+bool Process::reap(std::uint32_t k) {
+  if (!segment_->try_lock(k, index())) return false;
+  bool reaped = false;
+  if (segment_->try_lock(refcount::kOrphanage, index())) {
+    reaped = Recovery(*this).reap(k);
+    segment_->unlock(refcount::kOrphanage);
+  }
+  segment_->unlock(k);
+  return reaped;
+}
+
+void Process::see_reaped(std::uint32_t k) {
+  while (!reap(k) && part(k).load(std::memory_order_acquire) != 0) Policy::pause();
+}
+
+void Process::collect() {
+  if (!segment_->try_lock(refcount::kOrphanage, index())) return;
+  Recovery(*this).collect();
+  segment_->unlock(refcount::kOrphanage);
+}
+
+Word Process::loan() {
+  if (const Word b = try_loan(); b != kNone) return b;
+  for (std::uint32_t b = 0; b < blocks(); ++b) {
+    if (own_.claim(words(b), hold(b))) return b;
+  }
+  for (Publisher* publisher : publishers_) publisher->scan();
+  return try_loan();
+}
+
+Word Process::try_loan() {
+  Word loaned = kNone;
+  lock_pool();
+  if (!ready_.empty()) {
+    loaned = ready_.front();
+    ready_.pop_front();
+  }
+  for (std::size_t n = kept_.size(); n > 0 && loaned == kNone; --n) {
+    const Word b = kept_.front();
+    kept_.pop_front();
+    if (reclaim(b, 0)) loaned = b;
+  }
+  unlock_pool();
+  if (loaned != kNone) release_reference(loaned);
+  return loaned;
+}
+
+void Process::lock_pool() {
+  std::uint32_t open = 0;
+  while (!pool_lock_.compare_exchange_strong(open, 1, std::memory_order_acquire,
+                                             std::memory_order_relaxed)) {
+    open = 0;
+    Policy::pause();
+  }
+}
+
+/// On failure the block is entered among the kept ones, unless pointers here still hold it: whoever
+/// drops the last one comes back. REQUIRES: the pool is locked.
+bool Process::reclaim(Word b, std::uint64_t expected) {
+  if (own_.reclaim(words(b), hold(b), expected)) return true;
+  if ((hold(b).load(std::memory_order_relaxed) & hold::kHolds) == 0 &&
+      std::find(kept_.begin(), kept_.end(), b) == kept_.end()) {
+    kept_.push_back(b);
+  }
+  return false;
+}
+
+/// The last hold on a message of ours has gone, but for `expected`, which goes now.
+void Process::come_home(Word b, std::uint64_t expected) {
+  lock_pool();
+  const bool dead = reclaim(b, expected);
+  unlock_pool();
+  if (!dead) return;
+  release_reference(b);
+  unloan(b);
+}
+
+void Process::give_back(Word b) { own_.give_back(words(b), hold(b)); }
+
+void Process::unloan(Word b) {
+  lock_pool();
+  ready_.push_back(b);
+  unlock_pool();
+}
+
+void Process::keep(Word b) { own_.acquire(words(b), hold(b), hold::kPointer); }
+
+bool Process::lock_weak(Word b, std::uint32_t generation) {
+  return own_.acquire_weak(words(b), hold(b), generation);
+}
+
+void Process::drop(Word b) {
+  if (own_.release(words(b), hold(b), hold::kPointer)) come_home(b, 0);
+}
+
+void Process::hand_to_ring(Word b) {
+  hold(b).fetch_add(hold::kRing - hold::kPointer, std::memory_order_relaxed);
+}
+
+void Process::hand_own_to_ring(Word b) {
+  // Plain: nobody has holds, and a stale weak lock fails by the tag. What follows is ordered by the
+  // exchange in publish().
+  hold(b).store(hold::kHome | hold::kHeld | hold::kRing | hold::tag_of(generation(b)),
+                std::memory_order_relaxed);
+}
+
+void Process::refer(Word b, Word target) {
+  own_.acquire(words(target), hold(target), hold::kRing);
+  segment_->references[b].write(target);
+}
+
+void Process::release_reference(Word b) {
+  const Word target = segment_->references[b].read();
+  if (target == kNoBlock) return;
+  segment_->references[b].write(kNoBlock);
+  take_from_ring(target);
+}
+
+void Process::take_from_ring(Word b) {
+  if (at_home(b)) {
+    come_home(b, hold::kRing);
+  } else {
+    own_.release(words(b), hold(b), hold::kRing);
+  }
+}
+
+bool Process::at_home(Word b) {
+  return (hold(b).load(std::memory_order_relaxed) & hold::kHome) != 0;
+}
+
+std::uint32_t Process::generation(Word b) {
+  return refcount::generation_of(words(b).life.load(std::memory_order_relaxed));
+}
+
+std::uint64_t Process::read(Word b, std::source_location where) {
+  return segment_->payloads[b].read(where);
+}
+
+void Process::write(Word b, std::uint64_t message, std::source_location where) {
+  segment_->payloads[b].write(message, where);
+}
+
+ring::Ring<Policy> Process::ring(std::uint32_t c) {
+  Channel& channel = segment_->channels[c];
+  if (!channel.finished.read()) return {};
+  return {&channel.writer,
+          channel.slots.data(),
+          channel.cells.data(),
+          channel.who.data(),
+          &channel.roster,
+          &channel.space,
+          segment_->shape.depth,
+          segment_->shape.readers,
+          channel.blocking.read(),
+          Segment::kFirst};
+}
+
+void Process::release_extents(const std::vector<bool>& dead) {
+  for (std::uint32_t b = 0; b < blocks(); ++b) {
+    if (dead[b]) segment_->references[b].write(kNoBlock);
+  }
+}
+
+// ---- Publisher ------------------------------------------------------------------------------------
+
+bool Publisher::open(Process& process, std::uint32_t c, bool blocking) {
+  Channel& channel = process.segment().channels[c];
+  Word free = channel.writer.load(std::memory_order_relaxed);
+  if (ring::writer_state(free) != ring::State::Free) return false;
+  const Word generation = ring::writer_generation(free) + 1;
+  if (!channel.writer.compare_exchange_strong(
+          free, ring::make_writer(generation, ring::State::Init, process.index()),
+          std::memory_order_acquire, std::memory_order_relaxed)) {
+    return false;
+  }
+  channel.blocking.write(blocking);
+  channel.finished.write(true);
+  ring::Ring<Policy> ring = process.ring(c);
+  ring.format();
+  channel.writer.store(ring::make_writer(generation, ring::State::Live, process.index()),
+                       std::memory_order_release);
+  process_ = &process;
+  blocking_ = blocking;
+  writer_ = ring::Writer<Policy>(ring);
+  process.enter(*this);
+  return true;
+}
+
+bool Publisher::send() {
+  const Word b = process_->loan();
+  if (b == Process::kNone) return false;
+  process_->write(b, sent_);
+  if (!writer_.room()) {
+    process_->unloan(b);
+    return false;
+  }
+  send_own(b);
+  return true;
+}
+
+void Publisher::send_and_wait() {
+  const Word b = process_->loan();
+  RL_ASSERT(b != Process::kNone);
+  process_->write(b, sent_);
+  while (!writer_.room()) {
+    const std::uint32_t odd = writer_.mark_waiting();
+    if (!writer_.room()) writer_.ring().space->wait_while(odd);
+  }
+  send_own(b);
+}
+
+void Publisher::send_own(Word b) {
+  process_->hand_own_to_ring(b);
+  publish(b);
+}
+
+void Publisher::forward(Word b) {
+  process_->hand_to_ring(b);
+  publish(b);
+}
+
+bool Publisher::evict() {
+  const Word b = writer_.evict_oldest();
+  if (b == kNoBlock) return false;
+  retire(b);
+  return true;
+}
+
+void Publisher::publish(Word b) {
+  const auto published = writer_.publish(b);
+  ++sent_;
+  if (published.wake && !garden.omitted.wake_readers) published.slot->wake_all();
+  if (published.replaced != kNoBlock) retire(published.replaced);
+}
+
+void Publisher::retire(Word b) {
+  if (blocking_ || garden.omitted.hazards) {
+    process_->take_from_ring(b);
+  } else {
+    retired_.push_back(b);
+  }
+}
+
+void Publisher::scan() {
+  if (retired_.empty()) return;
+  std::vector<Word> hazards;
+  writer_.hazards([&](Word b) { hazards.push_back(b); });
+  const auto looked_at = [&](Word b) {
+    return std::find(hazards.begin(), hazards.end(), b) != hazards.end();
+  };
+  std::vector<Word> retired;
+  retired.swap(retired_);
+  for (const Word b : retired) {
+    if (looked_at(b)) {
+      retired_.push_back(b);
+    } else {
+      process_->take_from_ring(b);
+    }
+  }
+}
+
+// ---- Subscriber -----------------------------------------------------------------------------------
+
+bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generation,
+                      std::uint64_t history) {
+  const bool locked = !garden.omitted.rings_lock;
+  while (locked && !process.lock_rings()) Policy::pause();
+  std::optional<ring::Reader<Policy>> reader;
+  const Word writer = process.channel_writer(c).load(std::memory_order_acquire);
+  if (ring::writer_state(writer) == ring::State::Live) {
+    bool full = false;
+    reader = ring::Reader<Policy>::join(process.ring(c), generation, process.index(), history, full);
+  }
+  if (locked) process.unlock_rings();
+  if (!reader) return false;
+  process_ = &process;
+  reader_ = *reader;
+  return true;
+}
+
+void Subscriber::leave() {
+  reader_.leave();
+  reader_.ring().space->wake_all();
+}
+
+Word Subscriber::borrow() {
+  const Word b = reader_.poll(missed_);
+  if (b == kNoBlock && reader_.sender_waits()) ring_for_room();
+  return b;
+}
+
+void Subscriber::done() {
+  if (reader_.done()) ring_for_room();
+}
+
+void Subscriber::ring_for_room() {
+  if (garden.omitted.ring_for_room) return;
+  auto& space = *reader_.ring().space;
+  if (ring::Reader<Policy>::ring_bell(space)) space.wake_all();
+}
+
+void Subscriber::sleep() {
+  const std::optional<Word> marked = reader_.mark_sleeping();
+  if (!marked || reader_.orphaned()) return;
+  reader_.slot().wait_while(*marked);
+}
+
+bool Subscriber::receive() {
+  const Word b = borrow();
+  if (b == kNoBlock) return false;
+  RL_ASSERT(process_->read(b) == number());
+  done();
+  ++received_;
+  return true;
+}
+
+bool Subscriber::receive_and_keep() {
+  const Word b = borrow();
+  if (b == kNoBlock) return false;
+  const std::uint64_t expected = number();
+  process_->keep(b);
+  done();
+  RL_ASSERT(process_->read(b) == expected);
+  process_->drop(b);
+  ++received_;
+  return true;
+}
+
+std::uint64_t Subscriber::number() const {
+  return static_cast<std::uint64_t>(ring::distance(reader_.cursor(), Segment::kFirst));
+}
+
+}  // namespace lot::model

@@ -1,0 +1,301 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "policy.hpp"
+
+#include "lockfree_ring/ring.hpp"
+#include "recovery/recovery.hpp"
+#include "refcount/ownership.hpp"
+
+/// A small world around the headers under test: a segment, processes in it, and what the transport
+/// does with them (pool, publisher, subscriber), reduced to its atomic steps.
+namespace lot::model {
+
+namespace hold = detail::hold;
+using ring::kNoBlock;
+using ring::Word;
+
+template <class T>
+using Atomic = CheckedAtomic<T>;
+
+/// Indexes of processes are 1 .. kParticipants - 1; 0 is the orphanage.
+inline constexpr std::uint32_t kParticipants = Policy::kOwnWords * Policy::kBitsPerWord;
+/// Somebody without an index, who only looks after things when all others have gone.
+inline constexpr std::uint32_t kJanitor = kParticipants;
+/// The lock of the registry; the byte locks of the participants come before it.
+inline constexpr std::uint32_t kRegistryLock = kParticipants;
+
+struct Shape {
+  std::uint32_t blocks = 3;
+  std::uint32_t depth = 2;
+  std::uint32_t readers = 1;
+  std::uint32_t channels = 1;
+};
+
+/// One channel's words, and the plain ones that the publisher writes before it goes LIVE.
+struct Channel {
+  explicit Channel(const Shape& shape);
+
+  Atomic<Word> writer;
+  std::vector<Atomic<Word>> slots;
+  std::vector<ring::Cell<Policy>> cells;
+  std::vector<Atomic<std::uint32_t>> who;
+  Atomic<std::uint32_t> roster;
+  Atomic<std::uint32_t> space;
+  Plain<bool> finished;
+  Plain<bool> blocking;
+};
+
+/// Everything that is shared, and the kernel's locks.
+class Segment {
+ public:
+  /// So close to the end that every scenario wraps the sequence.
+  static constexpr Word kFirst = ring::kSequenceMask - 1;
+
+  explicit Segment(const Shape& shape);
+
+  bool try_lock(std::uint32_t lock, std::uint32_t holder);
+  void unlock(std::uint32_t lock);
+
+  /// What the kernel does for a process that has ended, in whatever way.
+  void bury(std::uint32_t participant);
+  /// Waits until somebody has ended; 0 < participant < kParticipants.
+  void await_end_of(std::uint32_t participant);
+
+  const Shape shape;
+  std::vector<Atomic<std::uint32_t>> parts;
+  std::vector<refcount::BlockWords<Policy>> blocks;
+  std::deque<Channel> channels;
+  /// The message of a block: its number. Any access that the protocol does not order is a race.
+  std::vector<Plain<std::uint64_t>> payloads;
+  /// A block that the message of a block refers to, or kNoBlock.
+  std::vector<Plain<Word>> references;
+
+ private:
+  std::vector<Atomic<std::uint32_t>> locks_;  ///< holder + 1
+  std::vector<Atomic<std::uint32_t>> ended_;
+};
+
+class Publisher;
+
+/// One process: its hold words, its blocks, and the World that Recovery sees through its eyes.
+class Process {
+ public:
+  static constexpr Word kNone = kNoBlock;
+
+  /// As participant `index`, or as janitor. Enters the segment with attach().
+  Process(Segment& segment, std::uint32_t index);
+
+  bool attach();
+  /// A clean exit: reaps itself. Waits for the orphanage's lock.
+  void leave();
+  /// Repairs what k left. False: nothing to do, k lives, or somebody else is at it.
+  bool reap(std::uint32_t k);
+  /// The same, until it is done, by whomever.
+  void see_reaped(std::uint32_t k);
+  void collect();
+
+  // Blocks. All words are block numbers or kNone.
+  Word loan();
+  void give_back(Word b);              ///< a loaned block, to everybody
+  void unloan(Word b);                 ///< a loaned block, to our pool
+  void keep(Word b);                   ///< takes a pointer hold; the caller protects the block
+  bool lock_weak(Word b, std::uint32_t generation);
+  void drop(Word b);                   ///< lets go of a pointer hold
+  void hand_to_ring(Word b);           ///< the pointer hold becomes the ring's
+  void hand_own_to_ring(Word b);       ///< the same for a loaned block: nobody else has holds
+  void refer(Word b, Word target);     ///< the message in b keeps `target`, which we hold, alive
+  void take_from_ring(Word b);         ///< the ring's hold ends; nobody reads the block there
+  bool at_home(Word b);
+  std::uint32_t generation(Word b);
+
+  std::uint64_t read(Word b, std::source_location where = std::source_location::current());
+  void write(Word b, std::uint64_t message,
+             std::source_location where = std::source_location::current());
+
+  void enter(Publisher& publisher) { publishers_.push_back(&publisher); }
+
+  std::uint32_t index() const { return own_.self; }
+  Segment& segment() { return *segment_; }
+
+  // What Recovery asks of its World.
+  std::uint32_t participants() const { return kParticipants; }
+  Atomic<std::uint32_t>& part(std::uint32_t k) { return segment_->parts[k]; }
+  std::uint32_t blocks() const { return segment_->shape.blocks; }
+  refcount::BlockWords<Policy>& block(std::uint32_t b) { return segment_->blocks[b]; }
+  std::uint32_t channels() const { return segment_->shape.channels; }
+  Atomic<Word>& channel_writer(std::uint32_t c) { return segment_->channels[c].writer; }
+  ring::Ring<Policy> ring(std::uint32_t c);
+  template <class F>
+  void each_reference(std::uint32_t b, F&& f) {
+    f(segment_->references[b].read());
+  }
+  bool lock_rings() { return segment_->try_lock(kRegistryLock, index()); }
+  void unlock_rings() { segment_->unlock(kRegistryLock); }
+  void recycle_ring(std::uint32_t c) { segment_->channels[c].finished.write(false); }
+  void release_extents(const std::vector<bool>& dead);
+  void forget(std::uint32_t) {}
+  template <class T>
+  void wake(Atomic<T>& word) {
+    word.wake_all();
+  }
+
+ private:
+  using Recovery = recovery::Recovery<Policy, Process>;
+
+  refcount::BlockWords<Policy>& words(Word b) { return segment_->blocks[b]; }
+  Atomic<std::uint64_t>& hold(Word b) { return holds_[b]; }
+  bool reclaim(Word b, std::uint64_t expected);
+  void come_home(Word b, std::uint64_t expected);
+  void release_reference(Word b);
+  Word try_loan();
+  // No guard: its destructor would touch the lock while a killed process unwinds.
+  void lock_pool();
+  void unlock_pool() { pool_lock_.store(0, std::memory_order_release); }
+
+  Segment* segment_;
+  refcount::Ownership<Policy> own_;
+  std::vector<Atomic<std::uint64_t>> holds_;
+  Atomic<std::uint32_t> pool_lock_;
+  std::deque<Word> ready_;  ///< exclusively ours
+  std::deque<Word> kept_;   ///< ours, but others held them when we looked
+  std::vector<Publisher*> publishers_;
+};
+
+/// The sending end of a channel, and the list of blocks that readers may still be looking at.
+class Publisher {
+ public:
+  /// Claims a free channel. False: not free.
+  bool open(Process& process, std::uint32_t channel, bool blocking);
+
+  /// Publishes the next message in a block of its own. False: no block, or no room.
+  bool send();
+  /// The same, and sleeps while there is no room. REQUIRES: blocks enough.
+  void send_and_wait();
+  /// Publishes a block that we have a pointer hold on, which becomes the ring's.
+  void forward(Word b);
+  /// Publishes a loaned block. REQUIRES: room.
+  void send_own(Word b);
+  /// Takes the oldest message back. False: the ring is empty.
+  bool evict();
+  /// Gives up the retired blocks that no reader looks at.
+  void scan();
+
+  std::uint64_t sent() const { return sent_; }
+
+ private:
+  void publish(Word b);
+  void retire(Word b);
+
+  Process* process_ = nullptr;
+  bool blocking_ = false;
+  ring::Writer<Policy> writer_;
+  std::vector<Word> retired_;
+  std::uint64_t sent_ = 0;
+};
+
+/// The receiving end of a channel.
+class Subscriber {
+ public:
+  /// Joins generation `generation` of a channel under the registry's lock.
+  bool join(Process& process, std::uint32_t channel, std::uint32_t generation,
+            std::uint64_t history);
+  void leave();
+
+  /// The next message's block, or kNone; protected until done().
+  Word borrow();
+  void done();
+  bool ended() const { return reader_.ended(); }
+  /// Sleeps until there may be something to look at.
+  void sleep();
+
+  /// Borrows, reads, and checks that it is the message of this place. False: there is none.
+  bool receive();
+  /// Borrows, keeps, lets the borrow go, reads and checks, drops. False: there is none.
+  bool receive_and_keep();
+  /// What receive() and receive_and_keep() saw.
+  std::uint64_t received() const { return received_; }
+  std::uint64_t missed() const { return missed_; }
+  /// Number of the message at the cursor: 0 for the first one of the ring.
+  std::uint64_t number() const;
+
+ private:
+  void ring_for_room();
+
+  Process* process_ = nullptr;
+  ring::Reader<Policy> reader_;
+  std::uint64_t missed_ = 0;
+  std::uint64_t received_ = 0;
+};
+
+/// First in every scene, before anything allocates.
+struct SceneBegins {
+  SceneBegins() {
+    OrdinaryHeap::use();
+    killer.aim_at_nobody();
+  }
+};
+
+/// What scenarios share: a segment, its processes, and the look at what is left in the end.
+template <class Derived, unsigned kThreads>
+class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
+ public:
+  void before() {
+    static_cast<Derived*>(this)->prepare();
+  }
+  void after() {
+    killer.aim_at_nobody();
+    static_cast<Derived*>(this)->check();
+    quiesce();
+  }
+  void check() {}
+
+ protected:
+  explicit Scene(const Shape& shape = {}) : segment(shape) {}
+
+  /// Starts a process; in the place of one that has ended, if need be.
+  Process& start(std::uint32_t index) {
+    processes_[index].emplace(segment, index);
+    RL_ASSERT(processes_[index]->attach());
+    return *processes_[index];
+  }
+  Process& process(std::uint32_t index) { return *processes_[index]; }
+
+  /// Runs f as a process that is killed at one of its first `steps` atomic steps, or ends by itself
+  /// without any cleaning up after f.
+  template <class F>
+  void die_within(std::uint32_t index, unsigned steps, F&& f) {
+    killer.aim(1 + rl::rand(steps));
+    try {
+      f();
+    } catch (const Killed&) {  // nothing here: Relacy may not switch threads inside a handler
+    }
+    killer.aim(0);
+    segment.bury(index);
+  }
+
+  Segment segment;
+
+ private:
+  /// Everybody has gone, one way or the other: nothing may be left.
+  void quiesce() {
+    for (std::uint32_t k = 1; k < kParticipants; ++k) segment.bury(k);
+    Process janitor(segment, kJanitor);
+    for (std::uint32_t k = 1; k < kParticipants; ++k) janitor.reap(k);
+    janitor.collect();
+    constexpr auto kOrder = std::memory_order_seq_cst;
+    for (auto& part : segment.parts) RL_ASSERT(part.load(kOrder) == 0);
+    for (auto& block : segment.blocks) {
+      RL_ASSERT(block.home.load(kOrder) == refcount::kHomeFree);
+      for (auto& word : block.own) RL_ASSERT(word.load(kOrder) == 0);
+    }
+    for (auto& channel : segment.channels) {
+      RL_ASSERT(ring::writer_state(channel.writer.load(kOrder)) == ring::State::Free);
+      for (auto& who : channel.who) RL_ASSERT(who.load(kOrder) == 0);
+    }
+  }
+
+  std::array<std::optional<Process>, kParticipants> processes_;
+};
+
+}  // namespace lot::model

@@ -1,0 +1,362 @@
+// Ownership in one thread: who holds a block, when its message dies, and who gets its memory then.
+// What threads do to it is in tests/stress/threads_test.cpp.
+
+#include <atomic>
+#include <cstdint>
+
+#include <doctest/doctest.h>
+
+#include "lot/detail/atomics.hpp"
+#include "lot/detail/hold_word.hpp"
+
+// The policy comes first: the algorithm takes its atomics and their memory orders from it.
+#include "refcount/ownership.hpp"
+
+namespace {
+
+using lot::detail::HardwareAtomics;
+using Ownership = lot::refcount::Ownership<HardwareAtomics>;
+using Words = lot::refcount::BlockWords<HardwareAtomics>;
+using lot::refcount::generation_of;
+namespace hold = lot::detail::hold;
+
+/// One process: its index, and its private hold word for the one block of a case.
+struct Participant {
+  explicit Participant(std::uint32_t index) : own{index} {}
+
+  bool claim(Words& b) { return own.claim(b, word); }
+  void give_back(Words& b) { own.give_back(b, word); }
+  void acquire(Words& b, std::uint64_t amount = hold::kPointer) { own.acquire(b, word, amount); }
+  bool release(Words& b, std::uint64_t amount = hold::kPointer) {
+    return own.release(b, word, amount);
+  }
+  bool lock(Words& b, std::uint32_t generation) { return own.acquire_weak(b, word, generation); }
+  bool reclaim(Words& b, std::uint64_t expected) { return own.reclaim(b, word, expected); }
+
+  /// True when the shared word says that this process holds the block.
+  bool holds(Words& b) const {
+    return (Ownership::word(b, own.self) & Ownership::bit(own.self)) != 0;
+  }
+
+  Ownership own;
+  std::atomic<std::uint64_t> word{0};
+};
+
+/// One block and three processes; the bit of `far` stands in another word than those of the others.
+struct Block {
+  std::uint32_t generation() const { return generation_of(words.life); }
+  std::uint64_t version() const { return words.life >> 32; }
+  bool unheld() const {
+    for (const auto& bits : words.own) {
+      if (bits != 0) return false;
+    }
+    return true;
+  }
+
+  Words words{};
+  Participant home{1};
+  Participant other{2};
+  Participant far{70};
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("refcount");
+
+TEST_CASE("the next generation wraps and leaves the version alone") {
+  CHECK(lot::refcount::next_generation(0x5'00000007) == 0x5'00000008);
+  CHECK(lot::refcount::next_generation(0x5'ffffffff) == 0x5'00000000);
+}
+
+// ---- claim and give back
+// --------------------------------------------------------------------------
+
+TEST_CASE_FIXTURE(Block, "a claimed block is exclusively ours: one pointer, one bit, one home") {
+  CHECK(home.claim(words));
+  CHECK(words.home == 2);
+  CHECK(home.holds(words));
+  CHECK(hold::pointers(home.word) == 1);
+  CHECK((home.word & hold::kHome) != 0);
+  CHECK((home.word & hold::kEdge) == 0);
+}
+
+TEST_CASE_FIXTURE(Block, "a block that somebody owns cannot be claimed") {
+  REQUIRE(home.claim(words));
+  CHECK_FALSE(other.claim(words));
+  CHECK_FALSE(home.claim(words));
+  CHECK(other.word == 0);
+  CHECK_FALSE(other.holds(words));
+  CHECK(hold::pointers(home.word) == 1);
+}
+
+TEST_CASE_FIXTURE(Block, "a block that was given back is free for anybody") {
+  for (Participant* next : {&home, &other, &far, &home}) {
+    REQUIRE(next->claim(words));
+    CHECK(next->holds(words));
+    next->give_back(words);
+    CHECK(words.home == lot::refcount::kHomeFree);
+    CHECK(next->word == 0);
+    CHECK(unheld());
+  }
+}
+
+// ---- acquire and release
+// --------------------------------------------------------------------------
+
+TEST_CASE_FIXTURE(Block, "at home only the hold word counts, and the last release says so") {
+  REQUIRE(home.claim(words));
+  const std::uint64_t life = words.life;
+  home.acquire(words);
+  home.acquire(words, hold::kRing);
+  CHECK(hold::pointers(home.word) == 2);
+  CHECK_FALSE(home.release(words));
+  CHECK_FALSE(home.release(words));
+  CHECK(home.release(words, hold::kRing));  // true: now try reclaim()
+  CHECK(home.holds(words));                 // the home's bit stands until give_back
+  CHECK(words.life == life);
+}
+
+TEST_CASE_FIXTURE(Block, "elsewhere the first hold sets the bit and the last one clears it") {
+  REQUIRE(home.claim(words));
+  for (Participant* guest : {&other, &far, &other}) {
+    const std::uint64_t before = version();
+    guest->acquire(words);
+    CHECK(guest->holds(words));
+    CHECK(version() == before + 1);
+    guest->acquire(words);
+    guest->acquire(words, hold::kRing);
+    CHECK(version() == before + 1);  // copies touch no shared word
+    CHECK_FALSE(guest->release(words));
+    CHECK_FALSE(guest->release(words, hold::kRing));
+    CHECK(guest->holds(words));
+    CHECK_FALSE(guest->release(words));
+    CHECK_FALSE(guest->holds(words));
+    CHECK(guest->word == 0);
+  }
+  CHECK(generation() == 0);
+}
+
+// ---- death
+// ----------------------------------------------------------------------------------------
+
+TEST_CASE_FIXTURE(Block, "a message dies only when nobody holds it") {
+  REQUIRE(home.claim(words));
+  CHECK_FALSE(Ownership::die(words, 0, false));  // home's own bit counts unless it is excepted
+  far.acquire(words);
+  CHECK_FALSE(Ownership::die(words, home.own.self, true));
+  far.release(words);
+  other.acquire(words);
+  CHECK_FALSE(Ownership::die(words, home.own.self, true));
+  CHECK(generation() == 0);
+  other.release(words);
+  const std::uint64_t before = version();
+  CHECK(Ownership::die(words, home.own.self, true));
+  CHECK(generation() == 1);
+  CHECK(version() == before);
+}
+
+TEST_CASE_FIXTURE(Block, "the excepted bit excepts that participant and not its namesake") {
+  Participant namesake{6};  // the same bit as 70, in another word
+  REQUIRE(far.claim(words));
+  namesake.acquire(words);
+  CHECK_FALSE(Ownership::die(words, far.own.self, true));
+  namesake.release(words);
+  CHECK(Ownership::die(words, far.own.self, true));
+}
+
+// ---- reclaim
+// --------------------------------------------------------------------------------------
+
+TEST_CASE_FIXTURE(Block, "the last release at home makes the block ours again, as a new message") {
+  REQUIRE(home.claim(words));
+  for (std::uint32_t message = 0; message < 3; ++message) {
+    CHECK(generation() == message);
+    REQUIRE(home.release(words));
+    CHECK(home.reclaim(words, 0));
+    CHECK(hold::pointers(home.word) == 1);
+    CHECK(generation() == message + 1);
+    CHECK((home.word & hold::kTagMask) == hold::tag_of(message + 1));
+  }
+}
+
+TEST_CASE_FIXTURE(Block, "a block that others still hold is reclaimed once they have let go") {
+  REQUIRE(home.claim(words));
+  other.acquire(words);
+  far.acquire(words);
+  REQUIRE(home.release(words));
+  CHECK_FALSE(home.reclaim(words, 0));
+  other.release(words);
+  CHECK_FALSE(home.reclaim(words, 0));
+  CHECK((home.word & hold::kHolds) == 0);
+  CHECK((home.word & hold::kEdge) == 0);
+  far.release(words);
+  CHECK(home.reclaim(words, 0));
+  CHECK(generation() == 1);
+}
+
+TEST_CASE_FIXTURE(Block, "a block that we hold ourselves is not reclaimed") {
+  REQUIRE(home.claim(words));
+  CHECK_FALSE(home.reclaim(words, 0));
+  CHECK(hold::pointers(home.word) == 1);
+  CHECK(generation() == 0);
+}
+
+TEST_CASE_FIXTURE(Block, "the ring's hold is turned into the next message's pointer") {
+  REQUIRE(home.claim(words));
+  home.acquire(words, hold::kRing);
+  REQUIRE_FALSE(home.release(words));
+  CHECK(home.reclaim(words, hold::kRing));
+  CHECK((home.word & hold::kRingMask) == 0);
+  CHECK(hold::pointers(home.word) == 1);
+  CHECK(generation() == 1);
+}
+
+TEST_CASE_FIXTURE(Block,
+                  "the ring's hold is given up even when pointers at home keep the message") {
+  REQUIRE(home.claim(words));
+  home.acquire(words, hold::kRing);
+  CHECK_FALSE(home.reclaim(words, hold::kRing));
+  CHECK((home.word & hold::kRingMask) == 0);
+  CHECK(hold::pointers(home.word) == 1);
+  CHECK(generation() == 0);
+  CHECK(home.release(words));
+  CHECK(home.reclaim(words, 0));
+}
+
+TEST_CASE_FIXTURE(Block, "the ring's hold is given up even when others keep the message") {
+  REQUIRE(home.claim(words));
+  home.acquire(words, hold::kRing);
+  REQUIRE_FALSE(home.release(words));
+  other.acquire(words);
+  CHECK_FALSE(home.reclaim(words, hold::kRing));
+  CHECK((home.word & hold::kHolds) == 0);
+  CHECK(home.holds(words));
+  CHECK(generation() == 0);
+  other.release(words);
+  CHECK(home.reclaim(words, 0));
+}
+
+// ---- weak pointers
+// --------------------------------------------------------------------------------
+
+TEST_CASE_FIXTURE(Block, "a weak lock of a living message holds it, at home and elsewhere") {
+  REQUIRE(home.claim(words));
+  for (Participant* process : {&home, &other, &far}) {
+    const std::uint64_t before = hold::pointers(process->word);
+    CHECK(process->lock(words, 0));
+    CHECK(process->lock(words, 0));
+    CHECK(process->holds(words));
+    CHECK(hold::pointers(process->word) == before + 2);
+  }
+  home.release(words);
+  home.release(words);
+  REQUIRE(home.release(words));
+  CHECK_FALSE(home.reclaim(words, 0));
+  CHECK(generation() == 0);
+}
+
+TEST_CASE_FIXTURE(Block, "a weak lock of a dead message fails and leaves nothing behind") {
+  REQUIRE(home.claim(words));
+  REQUIRE(home.release(words));
+  REQUIRE(home.reclaim(words, 0));
+  for (Participant* process : {&other, &far}) {
+    CHECK_FALSE(process->lock(words, 0));
+    CHECK(process->word == 0);
+    CHECK_FALSE(process->holds(words));
+  }
+  CHECK_FALSE(home.lock(words, 0));
+  CHECK(hold::pointers(home.word) == 1);
+  CHECK(home.lock(words, 1));
+}
+
+TEST_CASE_FIXTURE(Block, "a weak lock fails on a process that holds the block's next message") {
+  REQUIRE(home.claim(words));
+  REQUIRE(home.release(words));
+  REQUIRE(home.reclaim(words, 0));
+  other.acquire(words);
+  CHECK_FALSE(other.lock(words, 0));
+  CHECK(hold::pointers(other.word) == 1);
+  CHECK(other.holds(words));
+}
+
+TEST_CASE_FIXTURE(Block, "a weak lock fails after the block has gone to another process") {
+  REQUIRE(home.claim(words));
+  REQUIRE(home.release(words));
+  REQUIRE(home.reclaim(words, 0));
+  home.give_back(words);
+  CHECK_FALSE(other.lock(words, 0));
+  CHECK(unheld());
+  REQUIRE(far.claim(words));
+  for (Participant* process : {&home, &other, &far}) CHECK_FALSE(process->lock(words, 0));
+  CHECK_FALSE(home.holds(words));
+  CHECK_FALSE(other.holds(words));
+  CHECK(far.release(words));
+  CHECK(far.reclaim(words, 0));
+}
+
+TEST_CASE_FIXTURE(Block, "a weak lock whose generation has the same tag fails at home, too") {
+  REQUIRE(home.claim(words));
+  const std::uint32_t alias = 1U << 13;
+  REQUIRE(hold::tag_of(alias) == hold::tag_of(generation()));
+  CHECK_FALSE(home.lock(words, alias));
+  CHECK(hold::pointers(home.word) == 1);
+}
+
+TEST_CASE_FIXTURE(Block, "a weak lock revives a message between its last release and its reclaim") {
+  REQUIRE(home.claim(words));
+  REQUIRE(home.release(words));
+  CHECK(home.lock(words, 0));
+  CHECK_FALSE(home.reclaim(words, 0));
+  CHECK(home.release(words));
+  CHECK(home.reclaim(words, 0));
+}
+
+TEST_CASE_FIXTURE(Block,
+                  "a reclaim that comes late leaves a block alone that was given back since") {
+  REQUIRE(home.claim(words));
+  REQUIRE(home.release(words));  // thread A, which stops here
+  REQUIRE(home.lock(words, 0));  // thread B
+  REQUIRE(home.release(words));
+  REQUIRE(home.reclaim(words, 0));
+  home.give_back(words);
+  SUBCASE("and is free") {}
+  SUBCASE("and belongs to another process") { REQUIRE(other.claim(words)); }
+  CHECK_FALSE(home.reclaim(words, 0));  // thread A goes on
+  CHECK(home.word == 0);
+  CHECK_FALSE(home.holds(words));
+  CHECK(generation() == 1);
+}
+
+// ---- the orphanage
+// --------------------------------------------------------------------------------
+
+TEST_CASE_FIXTURE(Block, "an adopted message lives until the orphanage lets it go") {
+  REQUIRE(home.claim(words));
+  const std::uint64_t before = version();
+  Ownership::adopt(words);
+  CHECK(version() == before + 1);
+  REQUIRE(home.release(words));
+  CHECK_FALSE(home.reclaim(words, 0));
+  words.own[0].fetch_and(~std::uint64_t{1});
+  CHECK(home.reclaim(words, 0));
+}
+
+TEST_CASE_FIXTURE(Block, "the orphanage buries a message only when nobody holds it") {
+  REQUIRE(home.claim(words));
+  other.acquire(words);
+  // Home has died: its reaper clears its bit and takes the block over.
+  words.own[0].fetch_and(~Ownership::bit(home.own.self));
+  words.home = lot::refcount::kHomeOrphanage;
+  CHECK_FALSE(Ownership::die(words, 0, false));
+  Ownership::adopt(words);
+  other.release(words);
+  CHECK_FALSE(Ownership::die(words, 0, false));
+  CHECK_FALSE(far.claim(words));
+  words.own[0].fetch_and(~std::uint64_t{1});
+  CHECK(Ownership::die(words, 0, false));
+  CHECK_FALSE(other.lock(words, 0));
+  words.home = lot::refcount::kHomeFree;
+  CHECK(far.claim(words));
+}
+
+TEST_SUITE_END();

@@ -1,0 +1,192 @@
+// The robust mutex between real processes, one of which is killed.
+
+#include "robust_mutex/robust_mutex.hpp"
+
+#include <atomic>
+#include <chrono>
+#include <new>
+#include <pthread.h>
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <doctest/doctest.h>
+
+namespace {
+
+using lot::RobustMutex;
+using Outcome = RobustMutex::Outcome;
+using namespace std::chrono_literals;
+
+/// What two processes share: the lock, a counter that it guards, and a flag to wait for.
+struct Shared {
+  pthread_mutex_t memory;
+  long counter = 0;
+  std::atomic<int> stage{0};
+};
+
+/// A Shared of one case. A case that hangs is ended by SIGALRM, in the children as well.
+class Fixture {
+ public:
+  Fixture() {
+    alarm(60);
+    void* at =
+        mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    REQUIRE(at != MAP_FAILED);
+    shared = new (at) Shared;
+    RobustMutex::construct(shared->memory);
+  }
+  ~Fixture() {
+    munmap(shared, sizeof(Shared));
+    alarm(0);
+  }
+  Fixture(const Fixture&) = delete;
+  Fixture& operator=(const Fixture&) = delete;
+
+ protected:
+  /// Runs body in a child process, which then exits with 0 for true.
+  template <class Body>
+  pid_t in_child(Body&& body) {
+    const pid_t pid = fork();
+    REQUIRE(pid >= 0);
+    if (pid == 0) {
+      alarm(60);  // is not inherited
+      _exit(body() ? 0 : 1);
+    }
+    return pid;
+  }
+
+  static int status_of(pid_t pid) {
+    int status = -1;
+    REQUIRE(waitpid(pid, &status, 0) == pid);
+    return status;
+  }
+
+  void wait_for_stage(int stage) const {
+    while (shared->stage != stage) usleep(200);
+  }
+
+  Shared* shared = nullptr;
+};
+
+/// Adds to a counter that only the lock guards; false if the lock ever says anything but Locked.
+bool count(Shared& shared, int rounds) {
+  RobustMutex mutex(shared.memory);
+  for (int i = 0; i < rounds; ++i) {
+    if (mutex.lock_for(30s) != Outcome::Locked) return false;
+    const long seen = shared.counter;
+    if (i % 64 == 0) usleep(1);  // let the other one run into the lock
+    shared.counter = seen + 1;
+    mutex.unlock();
+  }
+  return true;
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("robust_mutex");
+
+TEST_CASE_FIXTURE(Fixture, "two processes that count under the lock lose no count") {
+  const int rounds = 5000;
+  const pid_t child = in_child([&] { return count(*shared, rounds); });
+  CHECK(count(*shared, rounds));
+  CHECK(status_of(child) == 0);
+  CHECK(shared->counter == 2 * rounds);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a free lock is locked at once, also by a timeout of nothing") {
+  RobustMutex mutex(shared->memory);
+  CHECK((mutex.try_lock() == Outcome::Locked));
+  mutex.unlock();
+  CHECK((mutex.lock_for(0ns) == Outcome::Locked));
+  mutex.unlock();
+}
+
+TEST_CASE_FIXTURE(Fixture,
+                  "a lock that another process holds is busy, at once or after the timeout") {
+  const pid_t child = in_child([this] {
+    RobustMutex mutex(shared->memory);
+    if (mutex.try_lock() != Outcome::Locked) return false;
+    shared->stage = 1;
+    wait_for_stage(2);
+    mutex.unlock();
+    return true;
+  });
+  wait_for_stage(1);
+  RobustMutex mutex(shared->memory);
+  CHECK((mutex.try_lock() == Outcome::Busy));
+  const auto begin = std::chrono::steady_clock::now();
+  CHECK((mutex.lock_for(30ms) == Outcome::Busy));
+  CHECK((std::chrono::steady_clock::now() - begin >= 30ms));
+  CHECK((mutex.lock_for(0ns) == Outcome::Busy));
+  shared->stage = 2;
+  CHECK((mutex.lock_for(30s) == Outcome::Locked));
+  mutex.unlock();
+  CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture,
+                  "after a holder was killed the next one is told, and then all is normal") {
+  RobustMutex mutex(shared->memory);
+  for (int death = 0; death < 3; ++death) {
+    shared->stage = 0;
+    const pid_t holder = in_child([this] {
+      if (RobustMutex(shared->memory).lock_for(30s) != Outcome::Locked) return false;
+      shared->stage = 1;
+      for (;;) pause();
+    });
+    wait_for_stage(1);
+    CHECK((mutex.try_lock() == Outcome::Busy));
+    REQUIRE(kill(holder, SIGKILL) == 0);
+    CHECK((mutex.lock_for(30s) == Outcome::OwnerDied));
+    CHECK(WIFSIGNALED(status_of(holder)));
+    mutex.unlock();
+    CHECK((mutex.try_lock() == Outcome::Locked));
+    mutex.unlock();
+    CHECK(status_of(in_child([this] { return count(*shared, 10); })) == 0);
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a waiter that sleeps already is told when the holder is killed") {
+  const pid_t holder = in_child([this] {
+    if (RobustMutex(shared->memory).lock_for(30s) != Outcome::Locked) return false;
+    shared->stage = 1;
+    for (;;) pause();
+  });
+  wait_for_stage(1);
+  const pid_t waiter = in_child([this] {
+    RobustMutex mutex(shared->memory);
+    shared->stage = 2;
+    const bool told = mutex.lock_for(30s) == Outcome::OwnerDied;
+    mutex.unlock();
+    return told;
+  });
+  wait_for_stage(2);
+  usleep(20'000);  // most likely asleep by now; right in any case
+  REQUIRE(kill(holder, SIGKILL) == 0);
+  CHECK(status_of(waiter) == 0);
+  CHECK(WIFSIGNALED(status_of(holder)));
+  CHECK((RobustMutex(shared->memory).try_lock() == Outcome::Locked));
+  RobustMutex(shared->memory).unlock();
+}
+
+TEST_CASE_FIXTURE(Fixture, "one that was told and is killed itself leaves the same to the next") {
+  auto die_holding = [this](Outcome expected) {
+    return in_child([this, expected] {
+      if (RobustMutex(shared->memory).lock_for(30s) != expected) return false;
+      kill(getpid(), SIGKILL);
+      return false;
+    });
+  };
+  CHECK(WIFSIGNALED(status_of(die_holding(Outcome::Locked))));
+  CHECK(WIFSIGNALED(status_of(die_holding(Outcome::OwnerDied))));
+  CHECK(WIFSIGNALED(status_of(die_holding(Outcome::OwnerDied))));
+  RobustMutex mutex(shared->memory);
+  CHECK((mutex.try_lock() == Outcome::OwnerDied));
+  mutex.unlock();
+  CHECK((mutex.lock_for(30s) == Outcome::Locked));
+  mutex.unlock();
+}
+
+TEST_SUITE_END();
