@@ -308,6 +308,7 @@ void Participant::warden() {
     lock.lock();
   }
   lock.unlock();
+  keep_own_lock();
 
   // Leaving is exactly a reap of oneself, and then: the last one out removes the files.
   bool in_gate = false;
@@ -425,13 +426,15 @@ std::atomic<ring::Word>& Participant::channel_writer(std::uint32_t c) noexcept {
 // ------------------------------------------------------------------------------ rings and pools
 
 void Participant::close_ring(const registry::ChannelName& name) noexcept {
-  auto& writer = channel_writer(name.channel);
-  writer.store(ring::make_writer(name.generation, ring::State::Orphan, index()),
+  {
+    // Until we let finish_closing() at it, nobody can recycle the ring under us.
+    const std::lock_guard guard(reap_mutex_);
+    channel_writer(name.channel)
+        .store(ring::make_writer(name.generation, ring::State::Orphan, index()),
                std::memory_order_seq_cst);
-  segment::Ring r = ring(name.channel);
-  Recovery recovery(*this);
-  recovery.wake_readers(r);
-  registry_.announce(segment_.channels()[name.channel].topic);
+    segment::Ring r = ring(name.channel);
+    Recovery(*this).wake_readers(r);
+  }
   finish_closing();
 }
 

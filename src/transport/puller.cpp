@@ -21,6 +21,7 @@ using Reader = ring::Reader<Policy>;
 /// Adaptive waiting spins this long: a little more than what a wake-up across cores costs.
 constexpr auto kSpinTime = 50us;
 constexpr unsigned kPollsPerClock = 64;
+constexpr auto kBusyRegistry = 5ms;
 
 bool has_several_cores() {
   cpu_set_t set;
@@ -37,6 +38,7 @@ class Puller final : public detail::PullerCore {
         small_(type.size <= segment::kSmallBytes && type.align <= 64),
         wait_(options.wait == Wait::Adaptive && !has_several_cores() ? Wait::Park : options.wait) {
     try {
+      const registry::Registry::Lock lock(participant_->registry());
       find_rings(options.history, true);
     } catch (...) {
       leave_all();
@@ -59,12 +61,14 @@ class Puller final : public detail::PullerCore {
   }
 
   void done() noexcept override {
+    if (participant_->inert()) return;
     Reader& reader = sources_[current_].reader;
     if (reader.done()) ring_bell(reader);
     borrowing_ = false;
   }
 
   detail::ControlCell* keep() override {
+    participant_->check_usable();
     participant_->holder().acquire(block_, hold::kPointer);
     return &participant_->holder().cell(block_);
   }
@@ -99,9 +103,8 @@ class Puller final : public detail::PullerCore {
   bool look(detail::Borrowed& borrowed) {
     if (participant_->inert() || borrowing_) [[unlikely]]
       refuse();
-    if (directory_.load(std::memory_order_acquire) != version_) [[unlikely]] {
-      find_rings(Reader::kFromTheStart, false);
-    }
+    if (directory_.load(std::memory_order_acquire) != version_) [[unlikely]]
+      find_new_rings();
     const std::size_t n = sources_.size();
     for (std::size_t i = 0; i < n; ++i) {
       if (++current_ >= n) current_ = 0;
@@ -183,16 +186,23 @@ class Puller final : public detail::PullerCore {
     for (const Source& source : sources_) {
       if (source.reader.orphaned()) return true;
     }
-    if (directory_.load(std::memory_order_seq_cst) != version_) return true;
+    const std::uint32_t version = directory_.load(std::memory_order_seq_cst);
+    if (version != version_) {
+      // Somebody keeps the registry's lock, else look() had found the new rings: not for long.
+      const auto soon = futex::Clock::now() + kBusyRegistry;
+      const bool last = deadline && *deadline <= soon;
+      futex::wait(&directory_, version, last ? *deadline : soon);
+      return !last;
+    }
     if (waits_.empty()) waits_.push_back({&directory_, version_});
     return futex::wait_any(waits_.data(), static_cast<unsigned>(waits_.size()), deadline);
   }
 
   /// Joins the rings of the topic that we do not read yet. Those that were there before the
   /// subscription are read from `history` on, later ones from their first message.
+  /// Joins the rings of the topic that we do not read yet.
   void find_rings(std::uint64_t history, bool complain) {
     const std::uint32_t version = directory_.load(std::memory_order_acquire);
-    const registry::Registry::Lock lock(participant_->registry());
     for (const auto& name : participant_->registry().live(topic_)) {
       if (std::any_of(sources_.begin(), sources_.end(),
                       [&](const Source& s) { return s.name == name; })) {
@@ -210,6 +220,15 @@ class Puller final : public detail::PullerCore {
       }
     }
     version_ = version;
+  }
+
+  /// Rings that have come since the subscription: read from their first message. On the data path,
+  /// so it never waits for the registry's lock; the next look tries again.
+  void find_new_rings() {
+    registry::Registry& registry = participant_->registry();
+    if (!registry.try_lock()) return;
+    find_rings(Reader::kFromTheStart, false);
+    registry.unlock();
   }
 
   void ring_bell(Reader& reader) noexcept {

@@ -111,7 +111,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   }
 
   Status push_unique(detail::ControlCell* cell, std::chrono::nanoseconds block_for) override {
-    participant_->check_usable();
+    check(cell);
     if (cell->hub != participant_->hub()) {  // made by another copy of the library
       const Status status = push_shared(cell, block_for);
       if (status == Status::Ok) {
@@ -131,7 +131,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   }
 
   Status push_shared(const detail::ControlCell* cell, std::chrono::nanoseconds block_for) override {
-    participant_->check_usable();
+    check(cell);
     if (!participant_->same_segment(*cell)) {
       throw Error(EINVAL, participant_->segment().path(),
                   std::string("the message lies in another segment, ") + cell->hub->path(cell),
@@ -182,6 +182,14 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
  private:
   static constexpr std::uint32_t kDeepest = 65536;
+
+  void check(const detail::ControlCell* cell) const {
+    participant_->check_usable();
+    if (cell == nullptr) {
+      throw Error(EINVAL, participant_->segment().path(), "an empty pointer was pushed",
+                  "loan() a message, or look at the pointer before");
+    }
+  }
 
   void close_without_ring() noexcept { participant_->close_pool(pool_, {}, {}); }
 
