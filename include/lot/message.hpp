@@ -74,11 +74,13 @@ class ShmAllocator {
   /// the message; trivial elements are left as they are.
   template <class U, class... Args>
   void construct(U* place, Args&&... args) {
-    if constexpr (sizeof...(Args) == 0) {
-      const BuildScope scope(arena_.get());
-      ::new (static_cast<void*>(place)) U;
-    } else if constexpr (std::is_trivially_copyable_v<U>) {
-      ::new (static_cast<void*>(place)) U(std::forward<Args>(args)...);
+    // A trivial element needs no scope; the loop over a resize() then vanishes in the compiler.
+    if constexpr (std::is_trivially_copyable_v<U>) {
+      if constexpr (sizeof...(Args) == 0) {
+        ::new (static_cast<void*>(place)) U;
+      } else {
+        ::new (static_cast<void*>(place)) U(std::forward<Args>(args)...);
+      }
     } else {
       const BuildScope scope(arena_.get());
       ::new (static_cast<void*>(place)) U(std::forward<Args>(args)...);

@@ -48,6 +48,7 @@ bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexc
 }
 
 bool wait_any(const Wait* waits, unsigned count, const Deadline& deadline) noexcept {
+  if (count == 0) return true;
   if (count == 1) return wait(waits[0].word, waits[0].value, deadline);
   if (count > kMaxWords) count = kMaxWords;
   WaitvEntry entries[kMaxWords];
@@ -63,8 +64,7 @@ bool wait_any(const Wait* waits, unsigned count, const Deadline& deadline) noexc
   // No futex_waitv here (Linux before 5.16, some sandboxes): look at each in turn, a little while.
   const auto slice = Clock::now() + std::chrono::milliseconds(2);
   const bool last = deadline && *deadline <= slice;
-  wait(waits[0].word, waits[0].value, last ? *deadline : slice);
-  return !last;
+  return wait(waits[0].word, waits[0].value, last ? *deadline : slice) || !last;
 }
 
 void wake_all(const void* word) noexcept {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -134,6 +135,7 @@ class Writer {
 
   /// Takes the oldest message back out of the ring, when memory has run out; readers that have not
   /// read it count it as missed. Returns its block, or kNoBlock when the ring holds none.
+  /// REQUIRES: not blocking (a borrow has no hazard there).
   Word evict_oldest() {
     std::uint32_t i = index_;
     for (std::uint32_t n = 0; n < ring_.depth; ++n) {
@@ -361,6 +363,7 @@ class Reader {
  private:
   /// Puts the cursor `history` messages before the newest one, as far as the ring goes back.
   void start_at_newest(std::uint64_t history) {
+    const bool went_round = slot_was_used(ring_.depth - 1);
     std::uint32_t newest_index = 0;
     Word newest = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
     for (std::uint32_t i = 1; i < ring_.depth; ++i) {
@@ -371,7 +374,13 @@ class Reader {
       }
     }
     const Word head = next(newest);
-    const auto published = static_cast<std::uint64_t>(distance(head, ring_.first));
+    // All that were ever published, unless that number has wrapped: then the ring is full long
+    // since.
+    const std::int64_t since_first = distance(head, ring_.first);
+    std::uint64_t published = static_cast<std::uint64_t>(since_first);
+    if (since_first < 0 || (since_first < ring_.depth && went_round)) {
+      published = ring_.depth;
+    }
     // Under back-pressure the sender may be one message ahead of what the joiner saw.
     std::uint64_t back =
         ring_.blocking ? std::uint64_t{ring_.depth} - 1 : std::uint64_t{ring_.depth};
@@ -381,6 +390,12 @@ class Reader {
     cursor_ = advance(head, Word{0} - back);
     index_ = static_cast<std::uint32_t>(
         (std::uint64_t{newest_index} + 1 + ring_.depth - back % ring_.depth) % ring_.depth);
+  }
+
+  /// False while slot i is as format() made it.
+  bool slot_was_used(std::uint32_t i) const {
+    const Word word = ring_.slots[i].load(std::memory_order_seq_cst);
+    return block(word) != kNoBlock || sequence(word) != advance(ring_.first, Word{i} - ring_.depth);
   }
 
   void step(Word by) {
@@ -395,6 +410,7 @@ class Reader {
   void skip(Word by, std::uint64_t& missed) {
     missed += by;
     step(by);
+    drained_ = false;
   }
 
   void when_empty() {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 
 #include "lot/detail/hold_word.hpp"
@@ -186,6 +187,8 @@ struct Ownership {
         v = h.load(std::memory_order_acquire);
         continue;
       }
+      // Late: another thread took a hold, let it go and has given the block back meanwhile.
+      if ((v & hold::kHome) == 0) return false;
       if ((v & hold::kHolds) != expected) {  // more holds here
         if (expected == 0) return false;
         if (h.compare_exchange_weak(v, v - expected, std::memory_order_acq_rel,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "robust_mutex/robust_mutex.hpp"
 
+#include <algorithm>
 #include <cerrno>
 #include <ctime>
 #include <system_error>
@@ -20,6 +21,8 @@ void RobustMutex::construct(pthread_mutex_t& memory) {
 RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
   timespec until{};
   clock_gettime(CLOCK_MONOTONIC, &until);
+  constexpr std::chrono::nanoseconds kLongest = std::chrono::hours(24 * 365);
+  timeout = std::clamp(timeout, std::chrono::nanoseconds(0), kLongest);
   const long long ns = until.tv_nsec + timeout.count();
   until.tv_sec += static_cast<time_t>(ns / 1'000'000'000);
   until.tv_nsec = static_cast<long>(ns % 1'000'000'000);

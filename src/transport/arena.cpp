@@ -99,10 +99,7 @@ void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
     const std::uint64_t begin = data + std::uint64_t{e.granule} * segment::kGranule;
     if (at < begin || at >= begin + bytes_of(e)) continue;
     if (e.living != 0 && e.living != 0xffff) --e.living;
-    if (e.living == 0) {
-      e.used = 0;
-      if (current == i + 1) cursor = begin;
-    }
+    if (e.living == 0 && current == i + 1) cursor = begin;
     return;
   }
 }

@@ -69,7 +69,8 @@ std::uint32_t Pool::try_loan() {
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
   ControlCell& c = holder_.cell(b);
   if (holder_.own.reclaim(holder_.words(b), c.hold, expected)) return true;
-  if ((c.hold.load(std::memory_order_relaxed) & hold::kHolds) == 0 && !is_kept_[b]) {
+  const std::uint64_t v = c.hold.load(std::memory_order_relaxed);
+  if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0 && !is_kept_[b]) {
     is_kept_[b] = true;
     kept_.push_back(b);
   }
@@ -171,8 +172,13 @@ void Pool::bury(std::uint32_t b) noexcept {
     return;
   }
   c.type = nullptr;
+  // What lives now is what the next message will want; what a growing vector left behind is not.
+  Arena& arena = holder_.segment->arena(b);
+  for (unsigned i = 0; i < arena.extents; ++i) {
+    arena.extent[i].used = arena.extent[i].living != 0 ? 1 : 0;
+  }
   if (type->destroy != nullptr) {
-    type->destroy(holder_.segment->base() + holder_.segment->arena(b).root);
+    type->destroy(holder_.segment->base() + arena.root);
   }
   holder_.release_references(b);
   recycle_extents(b);

@@ -87,8 +87,7 @@ class Puller final : public detail::PullerCore {
 
   std::size_t publishers() override {
     participant_->check_usable();
-    if (directory_.load(std::memory_order_acquire) != version_)
-      find_rings(Reader::kFromTheStart, false);
+    if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
     return static_cast<std::size_t>(std::count_if(
         sources_.begin(), sources_.end(), [](const Source& s) { return !s.reader.orphaned(); }));
   }

@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <optional>
 #include <random>
 #include <utility>
@@ -26,9 +27,6 @@ using lot::ring::kNoBlock;
 using lot::ring::kSequenceMask;
 using lot::ring::kSleeper;
 using lot::ring::Word;
-using Ring = lot::ring::Ring<HardwareAtomics>;
-using Cell = lot::ring::Cell<HardwareAtomics>;
-using Writer = lot::ring::Writer<HardwareAtomics>;
 using Reader = lot::ring::Reader<HardwareAtomics>;
 using lot::ring::State;
 
@@ -37,8 +35,13 @@ constexpr std::uint32_t kParticipant = 3;
 enum class Policy { Overwrite, Blocking };
 
 /// A live ring in plain memory, its writer, and what most cases do with the two.
-struct Channel {
-  Channel(std::uint32_t depth, Policy policy, std::uint32_t readers = 3, Word first = 0)
+template <class P>
+struct BasicChannel {
+  using Reader = lot::ring::Reader<P>;
+  template <class T>
+  using Atomic = typename P::template Atomic<T>;
+
+  BasicChannel(std::uint32_t depth, Policy policy, std::uint32_t readers = 3, Word first = 0)
       : slots(depth), cells(readers), who(readers) {
     ring.writer = &writer_word;
     ring.slots = slots.data();
@@ -52,7 +55,7 @@ struct Channel {
     ring.first = first;
     ring.format();
     become(State::Live);
-    writer = Writer(ring);
+    writer = lot::ring::Writer<P>(ring);
   }
 
   void become(State state) {
@@ -87,15 +90,17 @@ struct Channel {
     return found;
   }
 
-  std::atomic<Word> writer_word{0};
-  std::vector<std::atomic<Word>> slots;
-  std::vector<Cell> cells;
-  std::vector<std::atomic<std::uint32_t>> who;
-  std::atomic<std::uint32_t> roster{0};
-  std::atomic<std::uint32_t> space{0};
-  Ring ring;
-  Writer writer;
+  Atomic<Word> writer_word{0};
+  std::vector<Atomic<Word>> slots;
+  std::vector<lot::ring::Cell<P>> cells;
+  std::vector<Atomic<std::uint32_t>> who;
+  Atomic<std::uint32_t> roster{0};
+  Atomic<std::uint32_t> space{0};
+  lot::ring::Ring<P> ring;
+  lot::ring::Writer<P> writer;
 };
+
+using Channel = BasicChannel<HardwareAtomics>;
 
 /// What a reader gets when it reads until there is nothing left.
 struct Drained {
@@ -124,8 +129,7 @@ Blocks blocks(Word from, Word to) {
 
 TEST_SUITE_BEGIN("lockfree_ring");
 
-// ---- words
-// ----------------------------------------------------------------------------------------
+// ---- words --------------------------------------------------------------------------------------
 
 TEST_CASE("a slot word gives back the sequence and the block that it was made of") {
   for (const Word sequence : {Word{0}, Word{1}, kSequenceMask - 1, kSequenceMask}) {
@@ -160,8 +164,7 @@ TEST_CASE("a writer word gives back generation, state and owner") {
   CHECK(lot::ring::writer_owner(word) == 0xabcdef);
 }
 
-// ---- reading what was published
-// -------------------------------------------------------------------
+// ---- reading what was published -----------------------------------------------------------------
 
 TEST_CASE("a new ring has nothing to read, nothing to evict and no readers") {
   for (const std::uint32_t depth : {1U, 3U, 8U}) {
@@ -243,8 +246,7 @@ TEST_CASE("publish hands back the block that it replaced") {
   }
 }
 
-// ---- hazards
-// --------------------------------------------------------------------------------------
+// ---- hazards ------------------------------------------------------------------------------------
 
 TEST_CASE("a borrowed block is a hazard until it is given back") {
   Channel channel(2, Policy::Overwrite);
@@ -285,8 +287,7 @@ TEST_CASE("a poll that borrows the next message or finds none lets the hazard be
   CHECK(missed == 2);
 }
 
-// ---- joining, history, leaving
-// --------------------------------------------------------------------
+// ---- joining, history, leaving ------------------------------------------------------------------
 
 TEST_CASE("a joiner gets as much history as it asks for and as the ring still has") {
   for (const Policy policy : {Policy::Overwrite, Policy::Blocking}) {
@@ -376,8 +377,7 @@ TEST_CASE("nobody joins a ring that is not live, or that has become another one"
   CHECK(channel.writer.room());
 }
 
-// ---- back-pressure
-// --------------------------------------------------------------------------------
+// ---- back-pressure ------------------------------------------------------------------------------
 
 TEST_CASE("the slowest reader holds the sender back until it has read") {
   for (const std::uint32_t depth : {1U, 2U, 3U, 5U}) {
@@ -501,8 +501,7 @@ TEST_CASE("nobody is rung for a sender that never waits") {
   CHECK_FALSE(reader.sender_waits());
 }
 
-// ---- eviction
-// -------------------------------------------------------------------------------------
+// ---- eviction -----------------------------------------------------------------------------------
 
 TEST_CASE("what was evicted counts as missed, and only for readers that have not read it") {
   for (const std::uint32_t depth : {1U, 3U, 4U}) {
@@ -556,8 +555,7 @@ TEST_CASE("a sleeper's mark survives an eviction") {
   CHECK(drain(reader).blocks == Blocks{2});
 }
 
-// ---- sleeping
-// -------------------------------------------------------------------------------------
+// ---- sleeping -----------------------------------------------------------------------------------
 
 TEST_CASE("a sleeper's mark is seen by the next publish and by no other") {
   for (const std::uint32_t depth : {1U, 3U}) {
@@ -625,8 +623,7 @@ TEST_CASE("clearing the marks changes the word that a sleeper waits on") {
   CHECK_FALSE(channel.writer.publish(0).wake);
 }
 
-// ---- the end
-// --------------------------------------------------------------------------------------
+// ---- the end ------------------------------------------------------------------------------------
 
 TEST_CASE("a ring ends when its publisher has gone and everything was read, not before") {
   Channel channel(2, Policy::Overwrite);
@@ -670,8 +667,7 @@ TEST_CASE("a lapped reader is not at the end until it has read what is left") {
   CHECK(reader.ended());
 }
 
-// ---- the wrap
-// -------------------------------------------------------------------------------------
+// ---- the wrap -----------------------------------------------------------------------------------
 
 TEST_CASE("sequences that wrap at 2^44 change nothing") {
   for (const Policy policy : {Policy::Overwrite, Policy::Blocking}) {
@@ -731,8 +727,109 @@ TEST_CASE("back-pressure holds across the wrap") {
   }
 }
 
-// ---- oracles
-// --------------------------------------------------------------------------------------
+// ---- between two steps
+// -----------------------------------------------------------------------------
+
+namespace {
+
+/// Runs once, in the middle of a ring operation, when the given word is reached.
+struct Interruption {
+  const void* at = nullptr;
+  std::function<void()> act = {};
+};
+Interruption interruption;
+
+void reached(const void* word) {
+  if (word != interruption.at) return;
+  interruption.at = nullptr;
+  interruption.act();
+}
+
+/// An atomic that can be interrupted after a store or an addition and before a compare-and-swap.
+template <class T>
+struct InterruptedAtomic : std::atomic<T> {
+  using std::atomic<T>::atomic;
+  using std::atomic<T>::operator=;
+
+  void store(T value, std::memory_order order) {
+    std::atomic<T>::store(value, order);
+    reached(this);
+  }
+  T fetch_add(T value, std::memory_order order) {
+    const T before = std::atomic<T>::fetch_add(value, order);
+    reached(this);
+    return before;
+  }
+  bool compare_exchange_strong(T& expected, T desired, std::memory_order success,
+                               std::memory_order failure) {
+    reached(this);
+    return std::atomic<T>::compare_exchange_strong(expected, desired, success, failure);
+  }
+};
+
+struct InterruptedAtomics : HardwareAtomics {
+  template <class T>
+  using Atomic = InterruptedAtomic<T>;
+};
+
+using InterruptedChannel = BasicChannel<InterruptedAtomics>;
+
+}  // namespace
+
+TEST_CASE("a message that is overwritten between a reader's look and its hazard is not borrowed") {
+  InterruptedChannel channel(1, Policy::Overwrite);
+  auto reader = channel.join();
+  channel.publish(1, 2);
+  interruption = {&channel.cells[reader.cell()].position, [&] {
+                    CHECK(channel.hazards() == Blocks{1});
+                    channel.publish(2, 3);
+                  }};
+  std::uint64_t missed = 0;
+  CHECK(reader.poll(missed) == 2);
+  CHECK(missed == 1);
+  CHECK(channel.hazards() == Blocks{2});
+  CHECK(interruption.at == nullptr);
+}
+
+TEST_CASE("a message that is evicted between a reader's look and its hazard is not borrowed") {
+  InterruptedChannel channel(2, Policy::Overwrite);
+  auto reader = channel.join();
+  channel.publish(1, 2);
+  interruption = {&channel.cells[reader.cell()].position,
+                  [&] { CHECK(channel.writer.evict_oldest() == 1); }};
+  std::uint64_t missed = 0;
+  CHECK(reader.poll(missed) == kNoBlock);
+  CHECK(missed == 1);
+  CHECK(channel.hazards().empty());
+  CHECK(interruption.at == nullptr);
+}
+
+TEST_CASE("a sender that learns of a joiner waits until the joiner has found its place") {
+  InterruptedChannel channel(2, Policy::Blocking);
+  channel.publish(0, 2);
+  REQUIRE(channel.writer.room());
+  interruption = {&channel.roster, [&] { CHECK_FALSE(channel.writer.room()); }};
+  auto reader = channel.join(1);
+  CHECK(interruption.at == nullptr);
+  CHECK(channel.writer.room());
+  channel.publish(2, 3);
+  CHECK_FALSE(channel.writer.room());
+  std::uint64_t missed = 0;
+  CHECK(reader.poll(missed) == 1);
+}
+
+TEST_CASE("a message that comes while a reader marks its slot is not slept through") {
+  InterruptedChannel channel(2, Policy::Overwrite);
+  auto reader = channel.join();
+  interruption = {&reader.slot(), [&] { channel.publish(7, 8); }};
+  CHECK_FALSE(reader.mark_sleeping().has_value());
+  CHECK(interruption.at == nullptr);
+  CHECK((reader.slot() & kSleeper) == 0);
+  std::uint64_t missed = 0;
+  CHECK(reader.poll(missed) == 7);
+}
+
+// ---- oracles ------------------------------------------------------------------------------------
 
 TEST_CASE("random operations agree with a deque") {
   const std::uint32_t seed = std::random_device{}();

@@ -6,6 +6,7 @@ foreach(mistake IN ITEMS
     life-bump-relaxed)
   execute_process(
     COMMAND ${MODEL} --random 20000 --plant ${mistake}
+      forwarder_chain threads_of_one_process evict_against_borrow
     RESULT_VARIABLE status
     OUTPUT_VARIABLE output)
   if(NOT status EQUAL 1)  # 0: not found; 2: the step is no longer there

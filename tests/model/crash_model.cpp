@@ -9,8 +9,7 @@ namespace {
 /// end.
 template <class Derived, bool kBlocking>
 struct PublisherKilledScene : Scene<Derived, 3> {
-  PublisherKilledScene()
-      : Scene<Derived, 3>({.blocks = 3, .depth = 2, .readers = 1}) {}
+  PublisherKilledScene() : Scene<Derived, 3>({.blocks = 3, .depth = 2, .readers = 1}) {}
   void prepare() {
     publisher.open(this->start(4), 0, kBlocking);
     RL_ASSERT(subscriber.join(this->start(2), 0, 1, 1));
@@ -122,7 +121,8 @@ struct LaggardKilled : Scene<LaggardKilled, 3> {
   Subscriber subscriber;
 };
 
-/// A reaper is killed anywhere and another one takes over; a sleeping reader gets all, then the end.
+/// A reaper is killed anywhere and another one takes over; a sleeping reader gets all, then the
+/// end.
 struct ReaperKilled : Scene<ReaperKilled, 3> {
   ReaperKilled() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
   void prepare() {
@@ -183,8 +183,8 @@ struct IndexReuse : Scene<IndexReuse, 3> {
   Subscriber killed, next;
 };
 
-/// One publisher has died; its ring is reaped, freed and opened by the next one while somebody joins
-/// the old generation.
+/// One publisher has died; its ring is reaped, freed and opened by the next one while somebody
+/// joins the old generation.
 struct TwoInSuccession : Scene<TwoInSuccession, 2> {
   TwoInSuccession() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
   void prepare() {
@@ -382,17 +382,18 @@ std::vector<Scenario> crash_scenarios() {
       {"publisher_killed_blocking", "the same under back-pressure, and miss nothing",
        rl::simulate<PublisherKilledBlocking>},
       {"opener_killed", "a half-made ring is an empty orphan, and then free",
-       rl::simulate<OpenerKilled>, 1},
-      {"reader_killed", "a dead reader's holds come back", rl::simulate<ReaderKilled>, 1},
-      {"laggard_killed", "a dead reader does not hold the sender back",
-       rl::simulate<LaggardKilled>},
+       rl::simulate<OpenerKilled>, 2},
+      {"reader_killed", "a dead reader's holds come back", rl::simulate<ReaderKilled>, 2},
+      {"laggard_killed", "a dead reader does not hold the sender back", rl::simulate<LaggardKilled>,
+       1},
       {"reaper_killed", "a killed reaper is followed by another", rl::simulate<ReaperKilled>},
       {"index_reuse", "a new process may have a dead one's index at once",
        rl::simulate<IndexReuse>},
-      {"two_in_succession", "a ring is not recycled under a joiner", rl::simulate<TwoInSuccession>, 2},
+      {"two_in_succession", "a ring is not recycled under a joiner", rl::simulate<TwoInSuccession>,
+       2},
       {"forwarder_killed", "adopting a block is a hand-over", rl::simulate<ForwarderKilled>},
       {"orphan_travels", "kept by one, freed by the orphanage, claimed by another",
-       rl::simulate<OrphanTravels>, 1},
+       rl::simulate<OrphanTravels>, 2},
       {"clean_exit", "a clean exit is a reap of oneself", rl::simulate<CleanExit>, 1},
       {"referrer_killed", "the orphanage holds what its messages refer to",
        rl::simulate<ReferrerKilled>},

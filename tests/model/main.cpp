@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <chrono>
 #include <charconv>
+#include <chrono>
 #include <cstdio>
 #include <cstring>
 
@@ -9,7 +9,8 @@
 namespace lot::model {
 namespace {
 
-constexpr const char* kUsage = R"(lot_model: explores the headers of the protocol under Relacy's memory model.
+constexpr const char* kUsage =
+    R"(lot_model: explores the headers of the protocol under Relacy's memory model.
 
 usage: lot_model [--random N | --bounded] [--weaken SITE | --plant NAME] [SCENARIO...]
 
@@ -127,8 +128,8 @@ void run(const Scenario& scenario, const Options& options, Totals& totals) {
 int run_all(const std::vector<Scenario>& scenarios, const Options& options) {
   Totals totals;
   for (const Scenario& scenario : scenarios) {
-    const bool named = std::find(options.names.begin(), options.names.end(), scenario.name) !=
-                       options.names.end();
+    const bool named =
+        std::find(options.names.begin(), options.names.end(), scenario.name) != options.names.end();
     if (!named && !options.names.empty()) continue;
     if (options.bounded && !options.bound && scenario.bound == 0) continue;
     run(scenario, options, totals);

@@ -215,15 +215,16 @@ struct MessageRefersToMessage : Scene<MessageRefersToMessage, 2> {
 std::vector<Scenario> ownership_scenarios() {
   return {
       {"forwarder_chain", "a forwarded block lives as long as the last ring that has it",
-       rl::simulate<ForwarderChain>},
+       rl::simulate<ForwarderChain>, 1},
       {"weak_lock_elsewhere", "a weak lock gets its message or nothing",
        rl::simulate<WeakLockElsewhere>, 2},
       {"weak_lock_at_home", "the same in the block's own process", rl::simulate<WeakLockAtHome>, 2},
       {"weak_lock_against_claim", "a stale weak lock never disturbs a new owner",
-       rl::simulate<WeakLockAgainstClaim>, 1},
-      {"threads_of_one_process", "threads share one ownership bit", rl::simulate<ThreadsOfOneProcess>},
+       rl::simulate<WeakLockAgainstClaim>, 2},
+      {"threads_of_one_process", "threads share one ownership bit",
+       rl::simulate<ThreadsOfOneProcess>, 1},
       {"message_refers_to_message", "a referred message lives as long as the referring one",
-       rl::simulate<MessageRefersToMessage>},
+       rl::simulate<MessageRefersToMessage>, 2},
   };
 }
 

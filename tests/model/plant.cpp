@@ -15,8 +15,7 @@ constexpr std::pair<const char*, std::memory_order> kOrders[] = {
 };
 
 std::memory_order one_weaker(std::memory_order order) {
-  return order == std::memory_order_seq_cst ? std::memory_order_acq_rel
-                                            : std::memory_order_relaxed;
+  return order == std::memory_order_seq_cst ? std::memory_order_acq_rel : std::memory_order_relaxed;
 }
 
 struct NamedPlant {

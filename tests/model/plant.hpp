@@ -32,9 +32,9 @@ struct Done {
 
 /// Which step is spoilt, and how.
 struct Plant {
-  std::string file;        ///< end of the path
-  unsigned line = 0;       ///< 0: any line
-  std::string function;    ///< part of the function's name; empty: any
+  std::string file;      ///< end of the path
+  unsigned line = 0;     ///< 0: any line
+  std::string function;  ///< part of the function's name; empty: any
   std::optional<Operation> operation;
   std::optional<std::memory_order> written;
   std::optional<std::memory_order> instead;  ///< none: one step weaker

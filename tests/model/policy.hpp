@@ -101,8 +101,8 @@ class CheckedAtomic {
     return compare_exchange_strong(expected, desired, order, order, where);
   }
 
-  /// FUTEX_WAIT: the comparison and the falling asleep are one step, and the kernel's bucket lock is
-  /// a full barrier on both sides.
+  /// FUTEX_WAIT: the comparison and the falling asleep are one step, and the kernel's bucket lock
+  /// is a full barrier on both sides.
   void wait_while(T value, Where where = Where::current()) {
     killer.step();
     rl::context& c = rl::ctx();
@@ -133,12 +133,17 @@ class CheckedAtomic {
 
   static rl::memory_order for_both(Order order) {
     switch (order) {
-      case Order::relaxed: return rl::mo_relaxed;
+      case Order::relaxed:
+        return rl::mo_relaxed;
       case Order::consume:
-      case Order::acquire: return rl::mo_acquire;
-      case Order::release: return rl::mo_release;
-      case Order::acq_rel: return rl::mo_acq_rel;
-      case Order::seq_cst: break;
+      case Order::acquire:
+        return rl::mo_acquire;
+      case Order::release:
+        return rl::mo_release;
+      case Order::acq_rel:
+        return rl::mo_acq_rel;
+      case Order::seq_cst:
+        break;
     }
     return rl::mo_seq_cst;
   }

@@ -130,7 +130,8 @@ struct BothSleep : Scene<BothSleep, 2> {
   Subscriber subscriber;
 };
 
-/// A joiner pins a blocking sender, even one that goes to sleep on the pin, and then misses nothing.
+/// A joiner pins a blocking sender, even one that goes to sleep on the pin, and then misses
+/// nothing.
 struct LateJoinerBlocking : Scene<LateJoinerBlocking, 3> {
   LateJoinerBlocking() : Scene({.blocks = 4, .depth = 2, .readers = 2}) {}
   void prepare() {
@@ -255,15 +256,15 @@ struct LeaverFreesSender : Scene<LeaverFreesSender, 2> {
 
 std::vector<Scenario> ring_scenarios() {
   return {
-      {"overwrite_borrow", "a borrowed block is never written", rl::simulate<OverwriteBorrow>},
-      {"overwrite_keep", "a kept block is never written", rl::simulate<OverwriteKeep>},
+      {"overwrite_borrow", "a borrowed block is never written", rl::simulate<OverwriteBorrow>, 1},
+      {"overwrite_keep", "a kept block is never written", rl::simulate<OverwriteKeep>, 1},
       {"one_slot", "the same on the smallest ring", rl::simulate<OneSlot>, 2},
       {"blocking_lossless", "under back-pressure nobody misses a message",
-       rl::simulate<BlockingLossless>},
-      {"sleepers", "a sleeping reader is woken by each message", rl::simulate<Sleepers>, 1},
+       rl::simulate<BlockingLossless>, 1},
+      {"sleepers", "a sleeping reader is woken by each message", rl::simulate<Sleepers>, 2},
       {"both_sleep", "sender and reader never both sleep for ever", rl::simulate<BothSleep>, 2},
       {"late_joiner_blocking", "a late joiner misses nothing from its start on",
-       rl::simulate<LateJoinerBlocking>},
+       rl::simulate<LateJoinerBlocking>, 1},
       {"joiner_while_sender_sleeps", "a joiner's pin does not put the sender to sleep for ever",
        rl::simulate<JoinerWhileSenderSleeps>, 2},
       {"late_joiner_overwrite", "what a late joiner borrows is never written",

@@ -3,7 +3,8 @@
 
 namespace lot::model {
 
-// ---- Channel and Segment --------------------------------------------------------------------------
+// ---- Channel and Segment
+// --------------------------------------------------------------------------
 
 Channel::Channel(const Shape& shape)
     : slots(shape.depth), cells(shape.readers), who(shape.readers) {
@@ -47,7 +48,8 @@ void Segment::await_end_of(std::uint32_t participant) {
   }
 }
 
-// ---- Process --------------------------------------------------------------------------------------
+// ---- Process
+// --------------------------------------------------------------------------------------
 
 Process::Process(Segment& segment, std::uint32_t index)
     : segment_(&segment), own_{index}, holds_(segment.shape.blocks) {}
@@ -214,15 +216,9 @@ void Process::write(Word b, std::uint64_t message, std::source_location where) {
 ring::Ring<Policy> Process::ring(std::uint32_t c) {
   Channel& channel = segment_->channels[c];
   if (!channel.finished.read()) return {};
-  return {&channel.writer,
-          channel.slots.data(),
-          channel.cells.data(),
-          channel.who.data(),
-          &channel.roster,
-          &channel.space,
-          segment_->shape.depth,
-          segment_->shape.readers,
-          channel.blocking.read(),
+  return {&channel.writer,       channel.slots.data(),    channel.cells.data(),
+          channel.who.data(),    &channel.roster,         &channel.space,
+          segment_->shape.depth, segment_->shape.readers, channel.blocking.read(),
           Segment::kFirst};
 }
 
@@ -232,7 +228,8 @@ void Process::release_extents(const std::vector<bool>& dead) {
   }
 }
 
-// ---- Publisher ------------------------------------------------------------------------------------
+// ---- Publisher
+// ------------------------------------------------------------------------------------
 
 bool Publisher::open(Process& process, std::uint32_t c, bool blocking) {
   Channel& channel = process.segment().channels[c];
@@ -330,7 +327,8 @@ void Publisher::scan() {
   }
 }
 
-// ---- Subscriber -----------------------------------------------------------------------------------
+// ---- Subscriber
+// -----------------------------------------------------------------------------------
 
 bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generation,
                       std::uint64_t history) {
@@ -340,7 +338,8 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
   const Word writer = process.channel_writer(c).load(std::memory_order_acquire);
   if (ring::writer_state(writer) == ring::State::Live) {
     bool full = false;
-    reader = ring::Reader<Policy>::join(process.ring(c), generation, process.index(), history, full);
+    reader =
+        ring::Reader<Policy>::join(process.ring(c), generation, process.index(), history, full);
   }
   if (locked) process.unlock_rings();
   if (!reader) return false;

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "policy.hpp"
+#include <atomic>  // the headers under test name memory orders and include no atomics of their own
 
 #include "lockfree_ring/ring.hpp"
+#include "policy.hpp"
 #include "recovery/recovery.hpp"
 #include "refcount/ownership.hpp"
 
@@ -97,15 +98,15 @@ class Process {
 
   // Blocks. All words are block numbers or kNone.
   Word loan();
-  void give_back(Word b);              ///< a loaned block, to everybody
-  void unloan(Word b);                 ///< a loaned block, to our pool
-  void keep(Word b);                   ///< takes a pointer hold; the caller protects the block
+  void give_back(Word b);  ///< a loaned block, to everybody
+  void unloan(Word b);     ///< a loaned block, to our pool
+  void keep(Word b);       ///< takes a pointer hold; the caller protects the block
   bool lock_weak(Word b, std::uint32_t generation);
-  void drop(Word b);                   ///< lets go of a pointer hold
-  void hand_to_ring(Word b);           ///< the pointer hold becomes the ring's
-  void hand_own_to_ring(Word b);       ///< the same for a loaned block: nobody else has holds
-  void refer(Word b, Word target);     ///< the message in b keeps `target`, which we hold, alive
-  void take_from_ring(Word b);         ///< the ring's hold ends; nobody reads the block there
+  void drop(Word b);                ///< lets go of a pointer hold
+  void hand_to_ring(Word b);        ///< the pointer hold becomes the ring's
+  void hand_own_to_ring(Word b);    ///< the same for a loaned block: nobody else has holds
+  void refer(Word b, Word target);  ///< the message in b keeps `target`, which we hold, alive
+  void take_from_ring(Word b);      ///< the ring's hold ends; nobody reads the block there
   bool at_home(Word b);
   std::uint32_t generation(Word b);
 
@@ -240,9 +241,7 @@ struct SceneBegins {
 template <class Derived, unsigned kThreads>
 class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
  public:
-  void before() {
-    static_cast<Derived*>(this)->prepare();
-  }
+  void before() { static_cast<Derived*>(this)->prepare(); }
   void after() {
     killer.aim_at_nobody();
     static_cast<Derived*>(this)->check();

@@ -68,8 +68,7 @@ TEST_CASE("the next generation wraps and leaves the version alone") {
   CHECK(lot::refcount::next_generation(0x5'ffffffff) == 0x5'00000000);
 }
 
-// ---- claim and give back
-// --------------------------------------------------------------------------
+// ---- claim and give back ------------------------------------------------------------------------
 
 TEST_CASE_FIXTURE(Block, "a claimed block is exclusively ours: one pointer, one bit, one home") {
   CHECK(home.claim(words));
@@ -100,8 +99,7 @@ TEST_CASE_FIXTURE(Block, "a block that was given back is free for anybody") {
   }
 }
 
-// ---- acquire and release
-// --------------------------------------------------------------------------
+// ---- acquire and release ------------------------------------------------------------------------
 
 TEST_CASE_FIXTURE(Block, "at home only the hold word counts, and the last release says so") {
   REQUIRE(home.claim(words));
@@ -136,8 +134,7 @@ TEST_CASE_FIXTURE(Block, "elsewhere the first hold sets the bit and the last one
   CHECK(generation() == 0);
 }
 
-// ---- death
-// ----------------------------------------------------------------------------------------
+// ---- death --------------------------------------------------------------------------------------
 
 TEST_CASE_FIXTURE(Block, "a message dies only when nobody holds it") {
   REQUIRE(home.claim(words));
@@ -164,8 +161,7 @@ TEST_CASE_FIXTURE(Block, "the excepted bit excepts that participant and not its 
   CHECK(Ownership::die(words, far.own.self, true));
 }
 
-// ---- reclaim
-// --------------------------------------------------------------------------------------
+// ---- reclaim ------------------------------------------------------------------------------------
 
 TEST_CASE_FIXTURE(Block, "the last release at home makes the block ours again, as a new message") {
   REQUIRE(home.claim(words));
@@ -236,8 +232,7 @@ TEST_CASE_FIXTURE(Block, "the ring's hold is given up even when others keep the 
   CHECK(home.reclaim(words, 0));
 }
 
-// ---- weak pointers
-// --------------------------------------------------------------------------------
+// ---- weak pointers ------------------------------------------------------------------------------
 
 TEST_CASE_FIXTURE(Block, "a weak lock of a living message holds it, at home and elsewhere") {
   REQUIRE(home.claim(words));
@@ -327,8 +322,7 @@ TEST_CASE_FIXTURE(Block,
   CHECK(generation() == 1);
 }
 
-// ---- the orphanage
-// --------------------------------------------------------------------------------
+// ---- the orphanage ------------------------------------------------------------------------------
 
 TEST_CASE_FIXTURE(Block, "an adopted message lives until the orphanage lets it go") {
   REQUIRE(home.claim(words));

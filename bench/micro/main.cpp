@@ -1,0 +1,244 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <linux/futex.h>
+#include <map>
+#include <random>
+#include <sched.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <thread>
+#include <unistd.h>
+
+#include "micro.hpp"
+
+namespace bench {
+namespace {
+
+/// One line of the final table: what a counter of a benchmark should reach.
+struct Figure {
+  const char* benchmark;
+  const char* text;
+  const char* counter;
+  bool at_most;
+  double target;
+};
+
+constexpr Figure kFigures[] = {
+    {"latency/borrowed/overwrite", "ping-pong, borrowed / line hand-over", "ratio", true, 1.8},
+    {"latency/borrowed/block", "  the same under back-pressure", "ratio", true, 1.8},
+    {"latency/kept/overwrite", "ping-pong, kept / line hand-over", "ratio", true, 2.5},
+    {"latency/kept/block", "  the same under back-pressure", "ratio", true, 2.5},
+    {"latency/16MiB_vs_128B", "16 MiB / 128 B, not rewritten", "ratio", true, 1.05},
+    {"latency/parked/one_core", "parked / futex hand-over, one core", "ratio", true, 1.15},
+    {"latency/parked/across", "  across cores, upper end", "hi", true, 1.1},
+    {"publish/vs_exchange", "publish / locked exchange", "ratio", true, 4},
+    {"publish/readers_250_vs_1", "publish, 250 readers / 1 reader", "ratio", true, 1.1},
+    {"loan/128B", "loan + reset, 128 B / make_shared", "ratio", true, 4},
+    {"loan/16MiB", "loan + reset, 16 MiB / make_shared", "ratio", true, 8},
+    {"loan/128B/two_processes", "  128 B, two processes / one", "ratio", true, 1.25},
+    {"loan/16MiB/two_processes", "  16 MiB, two processes / one", "ratio", true, 1.25},
+    {"pointers/vs_std", "copy + destroy / std::shared_ptr", "ratio", true, 1.1},
+    {"pointers/two_processes_vs_boost", "  two processes: faster than Boost", "faster", false, 5},
+    {"throughput/borrowed", "64 B, M/s, none lost, borrowed", "M/s", false, 20},
+    {"throughput/kept", "64 B, M/s, none lost, kept", "M/s", false, 8},
+};
+
+double median(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  if (values.size() % 2 == 1) return *middle;
+  return (*middle + *std::max_element(values.begin(), middle)) / 2;
+}
+
+/// The 95 % interval of the median, by bootstrap with a fixed seed.
+std::pair<double, double> interval(const std::vector<double>& values) {
+  constexpr std::size_t kResamples = 1000;
+  std::mt19937_64 random(1);
+  std::uniform_int_distribution<std::size_t> any(0, values.size() - 1);
+  std::vector<double> medians;
+  std::vector<double> sample(values.size());
+  for (std::size_t n = 0; n < kResamples; ++n) {
+    for (double& v : sample) v = values[any(random)];
+    medians.push_back(median(sample));
+  }
+  std::sort(medians.begin(), medians.end());
+  return {medians[kResamples / 40], medians[kResamples - 1 - kResamples / 40]};
+}
+
+/// The console, and behind it the table of figures. With repetitions: their medians.
+class Table final : public benchmark::ConsoleReporter {
+ public:
+  using ConsoleReporter::ConsoleReporter;
+
+  void ReportRuns(const std::vector<Run>& runs) override {
+    ConsoleReporter::ReportRuns(runs);
+    for (const Run& run : runs) {
+      if (run.run_type != Run::RT_Iteration || run.error_occurred) continue;
+      for (const auto& [name, counter] : run.counters) {
+        seen_[run.run_name.function_name + ' ' + name].push_back(counter.value);
+      }
+    }
+  }
+
+  void Finalize() override {
+    ConsoleReporter::Finalize();
+    std::printf("\n%-42s %9s %17s %10s  %s\n", "figure", "reached", "95 %", "target", "met");
+    for (const Figure& f : kFigures) {
+      const auto value = [&](const char* counter) {
+        return median(seen_[std::string(f.benchmark) + ' ' + counter]);
+      };
+      const double reached = value(f.counter);
+      if (reached == 0) continue;  // not run
+      const bool met = f.at_most ? reached <= f.target : reached >= f.target;
+      std::printf("%-42s %9.2f %8.2f ..%6.2f %4s %6.2f  %s\n", f.text, reached, value("lo"),
+                  value("hi"), f.at_most ? "<=" : ">=", f.target, met ? "yes" : "no");
+    }
+  }
+
+ private:
+  std::map<std::string, std::vector<double>> seen_;
+};
+
+cpu_set_t affinity() {
+  cpu_set_t set;
+  expect(sched_getaffinity(0, sizeof(set), &set) == 0, "sched_getaffinity");
+  return set;
+}
+const cpu_set_t& affinity_at_start() {
+  static const cpu_set_t set = affinity();
+  return set;
+}
+
+std::string segment_name;  // of this run; children inherit it
+
+}  // namespace
+
+void expect(bool good, const char* what) {
+  if (good) [[likely]]
+    return;
+  std::fprintf(stderr, "lot_micro[%d]: failed: %s\n", static_cast<int>(getpid()), what);
+  std::abort();
+}
+
+lot::EngineOptions segment() {
+  lot::EngineOptions options;
+  options.segment = segment_name;
+  return options;
+}
+
+unsigned cores() { return static_cast<unsigned>(CPU_COUNT(&affinity_at_start())); }
+
+void pin(unsigned which) {
+  cpu_set_t set;
+  CPU_ZERO(&set);
+  for (int cpu = 0; cpu < CPU_SETSIZE; ++cpu) {
+    if (CPU_ISSET(cpu, &affinity_at_start()) && which-- == 0) CPU_SET(cpu, &set);
+  }
+  expect(sched_setaffinity(0, sizeof(set), &set) == 0, "sched_setaffinity");
+}
+
+void unpin() {
+  expect(sched_setaffinity(0, sizeof(cpu_set_t), &affinity_at_start()) == 0, "sched_setaffinity");
+}
+
+bool needs_two_cores(benchmark::State& state) {
+  if (cores() >= 2) return true;
+  state.SkipWithError("needs two cores");
+  return false;
+}
+
+Companion::Companion(const std::function<void(Companion&)>& body) {
+  unpin();
+  child_ = fork();
+  expect(child_ >= 0, "fork");
+  if (child_ > 0) return;
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (getppid() == 1) _exit(1);  // the parent has died already
+  body(*this);
+  _exit(0);
+}
+
+Companion::~Companion() {
+  tell(kStop);
+  int status = 0;
+  expect(waitpid(child_, &status, 0) == child_ && status == 0, "the second process failed");
+  unpin();
+}
+
+void Companion::meet() {
+  ++meetings_;
+  auto& mine = page_->came[child_ == 0];
+  auto& other = page_->came[child_ != 0];
+  mine.store(meetings_, std::memory_order_release);
+  syscall(SYS_futex, &mine, FUTEX_WAKE, 1, nullptr, nullptr, 0);
+  for (;;) {
+    const std::uint32_t seen = other.load(std::memory_order_acquire);
+    if (static_cast<std::int32_t>(seen - meetings_) >= 0) return;
+    const timespec limit{1, 0};
+    syscall(SYS_futex, &other, FUTEX_WAIT, seen, &limit, nullptr, 0);
+    expect(child_ == 0 || waitpid(child_, nullptr, WNOHANG) == 0, "the second process has died");
+  }
+}
+
+void Companion::tell(std::uint64_t order) {
+  page_->order = order;
+  meet();
+}
+
+std::uint64_t Companion::hear() {
+  meet();
+  return page_->order;
+}
+
+void Rounds::report(benchmark::State& state) const {
+  if (arm_.empty()) return;
+  std::vector<double> ratios;
+  for (std::size_t i = 0; i < arm_.size(); ++i) ratios.push_back(arm_[i] / floor_[i]);
+  const auto [lo, hi] = interval(ratios);
+  state.counters["ratio"] = median(ratios);
+  state.counters["lo"] = lo;
+  state.counters["hi"] = hi;
+  state.counters["arm_ns"] = median(arm_);
+  state.counters["floor_ns"] = median(floor_);
+}
+
+void Rounds::report_faster(benchmark::State& state) const {
+  report(state);
+  const auto inverse = [&](const char* name) { return 1 / state.counters[name]; };
+  const double lo = inverse("hi");
+  const double hi = inverse("lo");
+  state.counters["faster"] = inverse("ratio");
+  state.counters["lo"] = lo;
+  state.counters["hi"] = hi;
+}
+
+void Rounds::report_rate(benchmark::State& state) const {
+  report(state);
+  std::vector<double> rates;
+  for (const double ns : arm_) rates.push_back(1000 / ns);
+  if (rates.empty()) return;
+  const auto [lo, hi] = interval(rates);
+  state.counters["M/s"] = median(rates);
+  state.counters["lo"] = lo;
+  state.counters["hi"] = hi;
+}
+
+}  // namespace bench
+
+int main(int argc, char** argv) {
+  using namespace bench;
+  affinity_at_start();
+  segment_name = "lot_micro_" + std::to_string(getpid());
+  std::thread([] {}).join();  // from now on std::shared_ptr counts atomically
+  benchmark::Initialize(&argc, argv);
+  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 1;
+  Table table;
+  benchmark::RunSpecifiedBenchmarks(&table);
+  benchmark::Shutdown();
+  return 0;
+}

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "micro.hpp"
+
+/// 64-byte messages from one process to another, none lost, every one checked; beside it a queue
+/// that protects nothing.
+namespace bench {
+namespace {
+
+constexpr std::uint64_t kMessages = 100'000;
+constexpr std::uint64_t kFloor = 1;
+constexpr std::uint64_t kArm = 2;
+
+template <class Receive>
+void stream(benchmark::State& state, Receive receive) {
+  if (!needs_two_cores(state)) return;
+  const Shared<BareQueue> bare;
+  Companion other([&](Companion& here) {
+    lot::ShmEngine engine(segment());
+    here.meet();  // the topic is there
+    auto in = engine.subscribe<Ball>("/stream");
+    here.meet();
+    pin(1);
+    std::uint64_t floor_ball = 0;
+    std::uint64_t ball = 0;
+    for (std::uint64_t order; (order = here.hear()) != Companion::kStop; here.meet()) {
+      if (order == kFloor) {
+        bare->receive(floor_ball, kMessages);
+        floor_ball += kMessages;
+        continue;
+      }
+      const auto until = Clock::now() + 60s;
+      for (std::uint64_t i = 0; i < kMessages; ++i, ++ball) {
+        const auto seen = receive(in, until);
+        expect(seen && seen->is(ball), "a message was lost");
+      }
+      expect(in.missed_total() == 0, "messages were missed");
+    }
+  });
+  lot::ShmEngine engine(segment());
+  lot::PusherOptions options;
+  options.policy = lot::Policy::Block;
+  auto out = engine.advertise<Ball>("/stream", options);
+  other.meet();
+  other.meet();
+  pin(0);
+  std::uint64_t floor_ball = 0;
+  std::uint64_t ball = 0;
+  Rounds rounds;
+  const auto arm_block = [&] {
+    other.tell(kArm);
+    return time_ns(kMessages, [&] {
+      for (std::uint64_t i = 0; i < kMessages; ++i, ++ball) {
+        auto message = out.loan();
+        message->fill(ball);
+        expect(out.push(std::move(message)) == lot::Status::Ok, "push");
+      }
+      other.meet();
+    });
+  };
+  const auto floor_block = [&] {
+    other.tell(kFloor);
+    return time_ns(kMessages, [&] {
+      bare->send(floor_ball, kMessages);
+      floor_ball += kMessages;
+      other.meet();
+    });
+  };
+  for ([[maybe_unused]] auto _ : state) rounds.run(arm_block, floor_block);
+  rounds.report_rate(state);
+}
+
+void borrowed(benchmark::State& state) {
+  stream(state, [](auto& in, Clock::time_point until) { return in.borrow_until(until); });
+}
+void kept(benchmark::State& state) {
+  stream(state, [](auto& in, Clock::time_point until) { return in.pull_until(until); });
+}
+
+}  // namespace
+
+BENCHMARK(borrowed)->Name("throughput/borrowed")->UseRealTime();
+BENCHMARK(kept)->Name("throughput/kept")->UseRealTime();
+
+}  // namespace bench
