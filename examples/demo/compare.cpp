@@ -101,15 +101,13 @@ void print_half(const Row& row) {
 }
 
 void print_table(const Result& ring, const Result& tcp) {
-  const char* rule =
-      "------------+-----------------------------------------+------------------------------------"
-      "-----\n";
-  std::printf("\n              %-41s  %s\n", "| ring: latency in ms", "| TCP copy: latency in ms");
-  std::printf("%-12s", "");
+  const std::string half_rule = "+" + std::string(42, '-');
+  const std::string rule = std::string(14, '-') + half_rule + half_rule + "\n";
+  std::printf("\n%14s| %-41s| %s\n%-12s", "", "ring: latency in ms", "TCP copy: latency in ms", "");
   for (int half = 0; half < 2; ++half) {
     std::printf("  | %8s %8s %8s %6s %5s", "median", "p99", "max", "CPU s", "lost");
   }
-  std::printf("\n%s", rule);
+  std::printf("\n%s", rule.c_str());
   for (unsigned i = 0; i < kConsumers; ++i) {
     std::printf("%-12s", consumer_name(i + 1).c_str());
     print_half(ring.consumers[i]);
@@ -126,7 +124,7 @@ void print_table(const Result& ring, const Result& tcp) {
     std::printf("\n");
   };
   line("camera", ring.cpu_seconds, tcp.cpu_seconds, "%6.2f");
-  std::printf("%s", rule);
+  std::printf("%s", rule.c_str());
   line("all CPU s", ring.all_cpu_seconds(), tcp.all_cpu_seconds(), "%6.2f");
   line("frames sent", static_cast<double>(ring.sent), static_cast<double>(tcp.sent), "%6.0f");
   line("not sent *", static_cast<double>(ring.skipped), static_cast<double>(tcp.skipped), "%6.0f");

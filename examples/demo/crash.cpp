@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <filesystem>
 #include <vector>
 
 #include "screen.hpp"
@@ -21,16 +20,6 @@ class Memory {
 };
 
 double mib(std::uint32_t pages) { return pages / 256.0; }
-
-std::vector<std::string> files_of(const std::string& path) {
-  std::vector<std::string> found;
-  const std::filesystem::path segment(path);
-  for (const auto& entry : std::filesystem::directory_iterator(segment.parent_path())) {
-    const std::string name = entry.path().filename();
-    if (name.rfind(segment.filename().string(), 0) == 0) found.push_back(name);
-  }
-  return found;
-}
 
 /// Kills processes at the worst moments and tells how the others take it.
 class Drama {

@@ -60,7 +60,8 @@ struct Cleaner {
     std::error_code ignored;
     for (const auto& entry : std::filesystem::directory_iterator(
              directory != nullptr ? directory : "/dev/shm", ignored)) {
-      if (entry.path().filename().string().rfind(name, 0) == 0) {
+      const std::string file = entry.path().filename().string();
+      if (file == name || file.rfind(name + ".", 0) == 0) {
         std::filesystem::remove(entry.path(), ignored);
       }
     }
@@ -70,7 +71,7 @@ struct Cleaner {
 int direct(Settings& s) {
   demo::catch_signals();
   s.segment = "lotdemo_" + std::to_string(getpid());
-  const Cleaner cleaner{s.segment + "."};
+  const Cleaner cleaner{s.segment};
   bool good = false;
   if (!s.input.empty()) {
     good = demo::video(s);

@@ -4,8 +4,10 @@
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
+#include <filesystem>
 #include <string>
 #include <unistd.h>
+#include <vector>
 
 #include "process.hpp"
 
@@ -49,6 +51,18 @@ inline std::string how_far(Family& family) {
     text += " " + std::to_string(frames_of(family[consumer_name(i)]));
   }
   return text;
+}
+
+/// The files that a segment still has.
+inline std::vector<std::string> files_of(const std::string& path) {
+  std::vector<std::string> found;
+  const std::filesystem::path segment(path);
+  for (const auto& entry : std::filesystem::directory_iterator(segment.parent_path())) {
+    const std::string name = entry.path().filename();
+    const std::string stem = segment.filename();
+    if (name == stem || name.rfind(stem + ".", 0) == 0) found.push_back(name);
+  }
+  return found;
 }
 
 }  // namespace demo

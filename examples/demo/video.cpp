@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <array>
-#include <cctype>
 #include <cerrno>
+#include <csignal>
 #include <cstdio>
 #include <fcntl.h>
-#include <iostream>
 #include <sstream>
 #include <sys/prctl.h>
 #include <sys/wait.h>
@@ -230,7 +230,9 @@ bool video(const Settings& settings) {
               expected.size(), kConsumers,
               equal ? "all hashes equal to those of" : "NOT ALL HASHES EQUAL to those of",
               static_cast<unsigned long long>(lost));
-  return equal && lost == 0;
+  const auto files = files_of(family[consumer_name(1)].said["ready"].at("path").get<std::string>());
+  for (const std::string& name : files) std::printf("left behind: %s\n", name.c_str());
+  return equal && lost == 0 && files.empty();
 }
 
 }  // namespace demo

@@ -133,6 +133,19 @@ class Writer {
     return {ring::block(old), (old & kSleeper) != 0, &slot};
   }
 
+  /// The block that will be replaced `ahead` publishes from now, or kNoBlock when there is none or
+  /// a reader may still need it. For prefetching only.
+  Word upcoming(std::uint32_t ahead) const {
+    if (ahead >= ring_.depth) return kNoBlock;
+    if (ring_.blocking &&
+        (!minimum_known_ || distance(advance(next_, Word{ahead} - ring_.depth), minimum_) >= 0)) {
+      return kNoBlock;
+    }
+    const std::uint32_t i = index_ + ahead;
+    return block(
+        ring_.slots[i < ring_.depth ? i : i - ring_.depth].load(std::memory_order_relaxed));
+  }
+
   /// Takes the oldest message back out of the ring, when memory has run out; readers that have not
   /// read it count it as missed. Returns its block, or kNoBlock when the ring holds none.
   /// REQUIRES: not blocking (a borrow has no hazard there).
@@ -287,10 +300,14 @@ class Reader {
     }
   }
 
-  /// What lies in the slot ahead of poll(), for prefetching only: may be wrong.
-  Word peek() const {
-    const Word seen = ring_.slots[index_].load(std::memory_order_relaxed);
-    return distance(sequence(seen), cursor_) == 0 ? block(seen) : kNoBlock;
+  /// The block of the message `ahead` of the next one, or kNoBlock. For prefetching only: may be
+  /// wrong.
+  Word peek(std::uint32_t ahead) const {
+    if (ahead >= ring_.depth) return kNoBlock;
+    const std::uint32_t i = index_ + ahead;
+    const Word seen =
+        ring_.slots[i < ring_.depth ? i : i - ring_.depth].load(std::memory_order_relaxed);
+    return sequence(seen) == advance(cursor_, ahead) ? block(seen) : kNoBlock;
   }
 
   /// Ends a borrow. Returns true when the sender sleeps for room: the caller then calls ring_bell()

@@ -177,4 +177,7 @@ class Participant {
   std::atomic<bool> deleted_{false};
 };
 
+/// Whether spinning can help: with one core the other side cannot move meanwhile.
+bool has_several_cores() noexcept;
+
 }  // namespace lot::transport

@@ -64,6 +64,22 @@ std::uint32_t Pool::try_loan() {
   return kNone;
 }
 
+void Pool::prepare() noexcept {
+  if (ready_.empty() && !free_.empty()) {
+    const std::uint32_t b = free_.front();
+    free_.pop_front();
+    if (reclaim(b, hold::kRing)) ready_.push_back(b);
+  }
+  if (!ready_.empty()) prefetch(ready_.back());
+}
+
+void Pool::prefetch(std::uint64_t b) const noexcept {
+  if (b >= holder_.segment->capacity().blocks) return;
+  const auto index = static_cast<std::uint32_t>(b);
+  detail::HardwareAtomics::prefetch_write(holder_.segment->small(index));
+  detail::HardwareAtomics::prefetch_write(&holder_.words(index));
+}
+
 /// On failure the block is entered among the kept ones, unless pointers here still hold it: then
 /// came_home() will see to it.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {

@@ -76,7 +76,12 @@ class Pool {
   /// An exclusively owned block for a message of this type, or kNone. Locked.
   static constexpr std::uint32_t kNone = ~std::uint32_t{0};
   std::uint32_t try_loan();
-  /// The same, from blocks that nobody has.
+  /// Does what it can of the next loan's work now, after a publish, when nobody waits for it.
+  /// Locked.
+  void prepare() noexcept;
+  /// Fetches the lines that a loan of this block will write.
+  void prefetch(std::uint64_t b) const noexcept;
+  /// A block as by try_loan(), from those that nobody has.
   std::uint32_t claim();
 
   /// Lays the arena of an exclusively owned block out for a message. Throws OutOfMemory.
@@ -94,6 +99,7 @@ class Pool {
   /// Ring holds on blocks that are not this pool's. The caller releases them once it has unlocked
   /// (their own pools' locks are taken then). Locked.
   std::vector<std::uint32_t> take_foreign() noexcept { return std::exchange(foreign_, {}); }
+  bool has_free() const noexcept { return !ready_.empty() || !free_.empty(); }
   bool has_foreign() const noexcept { return !foreign_.empty(); }
   /// The retired blocks, for who closes the ring. Locked.
   std::vector<std::uint32_t> take_retired() noexcept { return std::exchange(retired_, {}); }

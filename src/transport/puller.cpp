@@ -3,7 +3,6 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
-#include <sched.h>
 
 #include "lot/detail/core.hpp"
 
@@ -21,12 +20,13 @@ using Reader = ring::Reader<Policy>;
 /// Adaptive waiting spins this long: a little more than what a wake-up across cores costs.
 constexpr auto kSpinTime = 50us;
 constexpr unsigned kPollsPerClock = 64;
+/// So many messages without a wait are a stream; its reader then waits so long before it looks
+/// again.
+constexpr unsigned kBurst = 4;
+constexpr unsigned kPausesAfterBurst = 32;
+/// In a stream, the lines of this message are fetched while those before it are read.
+constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
-
-bool has_several_cores() {
-  cpu_set_t set;
-  return sched_getaffinity(0, sizeof(set), &set) != 0 || CPU_COUNT(&set) > 1;
-}
 
 class Puller final : public detail::PullerCore {
  public:
@@ -55,7 +55,10 @@ class Puller final : public detail::PullerCore {
 
   Status borrow(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
                 bool forever) override {
-    if (look(borrowed)) return Status::Ok;
+    if (look(borrowed)) {
+      ++burst_;
+      return Status::Ok;
+    }
     if (!wait) return sources_.empty() ? Status::PublisherGone : Status::Empty;
     return wait_and_look(borrowed, forever ? futex::Deadline() : futex::Deadline(deadline));
   }
@@ -108,7 +111,8 @@ class Puller final : public detail::PullerCore {
     for (std::size_t i = 0; i < n; ++i) {
       if (++current_ >= n) current_ = 0;
       Reader& reader = sources_[current_].reader;
-      prefetch(reader.peek());
+      prefetch(reader.peek(0));
+      if (burst_ >= kBurst) prefetch(reader.peek(kPrefetchAhead));
       const ring::Word b = reader.poll(missed_);
       if (b == kNoBlock) continue;
       found(borrowed, b);
@@ -152,6 +156,12 @@ class Puller final : public detail::PullerCore {
   }
 
   Status wait_and_look(detail::Borrowed& borrowed, const futex::Deadline& deadline) {
+    // At the heels of a streaming publisher every message would cost both sides the slot's line:
+    // let it get ahead.
+    if (std::exchange(burst_, 0) >= kBurst && wait_ != Wait::Park) {
+      for (unsigned n = 0; n < kPausesAfterBurst; ++n) Policy::pause();
+      if (look(borrowed)) return Status::Ok;
+    }
     for (;;) {
       if (wait_ != Wait::Park) {
         const auto start = futex::Clock::now();
@@ -267,6 +277,7 @@ class Puller final : public detail::PullerCore {
   Wait wait_;
   bool borrowing_ = false;
   bool keeping_ = false;
+  unsigned burst_ = 0;         ///< messages since the last wait
   std::uint32_t version_ = 0;  ///< of the directory, when sources_ was right
   std::uint32_t block_ = 0;
   std::size_t current_ = 0;

@@ -20,6 +20,10 @@ constexpr std::uint64_t kBatchedBytes = 64 << 10;
 constexpr std::size_t kSmallestBatch = 32;
 /// A sender that waits for room looks by itself this often: a reader's ring may have been missed.
 constexpr auto kLookPeriod = 1ms;
+constexpr auto kSpinTime = 50us;
+constexpr unsigned kPausesPerLook = 16;
+/// The lines of the block that is replaced so many publishes from now are fetched back in time.
+constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr unsigned kLooksPerProbe = 4;  ///< and asks whether the laggards live
 
 class Pusher final : public detail::PusherCore, private Participant::Evictor {
@@ -222,6 +226,11 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       }
       if (pool_.has_foreign()) foreign = pool_.take_foreign();
     }
+    if (!published.wake) {
+      if (!pool_.has_free() && pool_.retired() >= batch()) scan();
+      pool_.prepare();
+      pool_.prefetch(writer_->upcoming(kPrefetchAhead));
+    }
     lock.unlock();
     if (published.wake) futex::wake_all(futex::low_half(*published.slot));
     for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
@@ -238,9 +247,18 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return bytes > kBatchedBytes;
   }
 
-  /// Sleeps until the slowest reader has read, or died. Called and left with the lock held.
+  /// Waits until the slowest reader has read, or died: a reader that is at work makes room within
+  /// microseconds, so it spins first. Called and left with the lock held.
   bool wait_for_room(std::unique_lock<SpinLock>& lock, std::chrono::nanoseconds block_for) {
-    const auto until = futex::Clock::now() + block_for;
+    const auto start = futex::Clock::now();
+    const auto until = start + block_for;
+    while (spins_ && futex::Clock::now() < std::min(until, start + kSpinTime)) {
+      lock.unlock();
+      // Seldom enough to leave the reader its cursor's line, and to find room for more than one.
+      for (unsigned n = 0; n < kPausesPerLook; ++n) segment::Atomics::pause();
+      lock.lock();
+      if (writer_->room()) return true;
+    }
     for (unsigned look = 1;; ++look) {
       const std::uint32_t value = writer_->mark_waiting();
       if (writer_->room()) return true;
@@ -296,6 +314,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   registry::ChannelName name_{};
   std::optional<ring::Writer<segment::Atomics>> writer_;
   bool blocking_ = false;
+  bool spins_ = has_several_cores();
   bool big_ = false;
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;

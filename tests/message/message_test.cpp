@@ -1,1 +1,407 @@
 // SPDX-License-Identifier: Apache-2.0
+
+// Strings, vectors and references in messages.
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+const char* const kLong = "a text that is much too long for the small string in place";
+
+struct Field {
+  lot::ShmString name;
+  std::uint32_t offset = 17;
+  std::uint32_t count;
+};
+struct Cloud {
+  std::uint32_t width = 3;
+  lot::ShmString frame_id;
+  lot::ShmVector<Field> fields;
+  lot::ShmVector<lot::ShmVector<float>> rows;
+  lot::ShmVector<std::uint8_t> data;
+  std::array<lot::ShmString, 2> notes;
+};
+struct Names {
+  lot::ShmVector<lot::ShmString> names;
+};
+struct Target {
+  std::uint64_t number;
+  lot::ShmVector<std::uint64_t> data;
+};
+struct Detection {
+  lot::ShmRef<const Target> frame;
+  float box[4];
+};
+struct Detections {
+  lot::ShmVector<Detection> all;
+  lot::ShmVector<lot::ShmRef<const Target>> refs;
+};
+
+struct Place {
+  explicit Place(std::uint64_t size = 64 << 20) : options(fresh(size)), engine(options) {
+    lot::segment::Segment s(engine.path());
+    bytes = s.size();
+  }
+  lot::EngineOptions options;
+  lot::ShmEngine engine;
+  std::uint64_t bytes = 0;
+};
+
+/// Fills a cloud with what `n` says.
+void fill(Cloud& cloud, std::uint32_t n) {
+  cloud.width = n;
+  cloud.frame_id = kLong;
+  cloud.frame_id += std::to_string(n).c_str();
+  cloud.fields.resize(4);
+  for (std::uint32_t i = 0; i < 4; ++i) {
+    cloud.fields[i].name = kLong;
+    cloud.fields[i].name += static_cast<char>('a' + i);
+    cloud.fields[i].count = i;
+  }
+  cloud.rows.resize(3);
+  for (auto& row : cloud.rows) row.assign(1000, static_cast<float>(n));
+  cloud.data.resize(100000);
+  std::fill(cloud.data.begin(), cloud.data.end(), static_cast<std::uint8_t>(n));
+  cloud.notes[1] = kLong;
+}
+bool good(const Cloud& cloud, std::uint32_t n) {
+  bool ok = cloud.width == n && cloud.fields.size() == 4 && cloud.rows.size() == 3 &&
+            cloud.data.size() == 100000 && cloud.notes[0].empty() && cloud.notes[1] == kLong &&
+            cloud.frame_id == (kLong + std::to_string(n)).c_str();
+  for (std::uint32_t i = 0; ok && i < 4; ++i) {
+    ok = cloud.fields[i].name.back() == static_cast<char>('a' + i) && cloud.fields[i].count == i &&
+         cloud.fields[i].offset == 17;
+  }
+  for (const auto& row : cloud.rows) {
+    ok = ok && row.size() == 1000 && row[999] == static_cast<float>(n);
+  }
+  return ok && std::all_of(cloud.data.begin(), cloud.data.end(),
+                           [&](auto b) { return b == static_cast<std::uint8_t>(n); });
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("message");
+
+TEST_CASE("strings, vectors and nested ones cross to another process") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps ready;
+  Child reader([&] {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<Cloud>("/t");
+    ready.tell();
+    for (std::uint32_t n = 0; n < 100; ++n) {
+      auto seen = puller.pull(20s);
+      must(bool(seen) && good(*seen, n), "the cloud");
+      const Cloud mine = *seen;  // a private copy
+      seen.reset();
+      must(good(mine, n), "the copy");
+    }
+  });
+  REQUIRE(ready.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Cloud>("/t", {lot::Policy::Block, 3, 30s});
+    REQUIRE(pusher.wait_for_readers(1, 10s));
+    for (std::uint32_t n = 0; n < 100; ++n) {
+      auto cloud = pusher.loan();
+      CHECK(cloud->width == 3);  // defaults hold
+      CHECK(cloud->fields.empty());
+      fill(*cloud, n);
+      CHECK(good(*cloud, n));
+      REQUIRE(pusher.push(std::move(cloud)) == lot::Status::Ok);
+    }
+    CHECK(reader.wait() == 0);
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("everything that is put into a message lies in the segment, wherever it came from") {
+  const Watchdog watchdog(60);
+  Place place;
+  auto pusher = place.engine.advertise<Names>("/names");
+  auto clouds = place.engine.advertise<Cloud>("/clouds");
+  const auto inside = [](const auto& container) {
+    return container.get_allocator().arena() != nullptr;
+  };
+  auto names = pusher.loan();
+  const lot::ShmString heap = kLong;
+  CHECK(!inside(heap));
+  CHECK(inside(names->names));
+  names->names.push_back(heap);
+  names->names.push_back(kLong);                  // a temporary on the heap, moved
+  names->names.push_back(lot::ShmString(kLong));  // the same
+  names->names.emplace_back(kLong);
+  names->names.emplace_back();
+  names->names.insert(names->names.begin(), lot::ShmString(kLong));
+  names->names.resize(10, heap);
+  names->names.resize(20);
+  for (int i = 0; i < 100; ++i) names->names.emplace_back(kLong);  // they move as it grows
+  for (const auto& name : names->names) CHECK(inside(name));
+  lot::ShmVector<lot::ShmString> many(5, heap);
+  CHECK(!inside(many));
+  names->names = many;
+  for (const auto& name : names->names) CHECK(inside(name));
+  names->names = std::move(many);
+  CHECK(inside(names->names));
+  for (const auto& name : names->names) CHECK(inside(name));
+  names->names[0] = lot::ShmString(kLong);
+  names->names[1] = std::move(names->names[2]);
+  CHECK(inside(names->names[0]));
+  CHECK(inside(names->names[1]));
+  CHECK(names->names[1] == kLong);
+
+  auto cloud = clouds.loan();
+  Cloud mine;
+  fill(mine, 5);
+  *cloud = mine;
+  CHECK(good(*cloud, 5));
+  CHECK(inside(cloud->frame_id));
+  CHECK(inside(cloud->fields[0].name));
+  cloud->fields.push_back(mine.fields[0]);
+  cloud->fields.push_back(Field{lot::ShmString(kLong), 1, 2});
+  CHECK(inside(cloud->fields[4].name));
+  CHECK(inside(cloud->fields[5].name));
+  cloud->rows.push_back(lot::ShmVector<float>(100, 1.0F));
+  CHECK(inside(cloud->rows.back()));
+  *cloud = std::move(mine);
+  CHECK(good(*cloud, 5));
+  CHECK(inside(cloud->rows[0]));
+
+  // What loan() is given is copied into the message.
+  auto by_copy = pusher.loan(names->names);
+  CHECK(inside(by_copy->names));
+  CHECK(inside(by_copy->names[0]));
+  auto by_move = pusher.loan(lot::ShmVector<lot::ShmString>(3, heap));
+  CHECK(inside(by_move->names));
+  CHECK(inside(by_move->names[0]));
+  auto whole = clouds.loan(*cloud);
+  CHECK(good(*whole, 5));
+  CHECK(inside(whole->frame_id));
+  Cloud another;
+  fill(another, 6);
+  auto moved = clouds.loan(std::move(another));
+  CHECK(good(*moved, 6));
+  CHECK(inside(moved->frame_id));
+  CHECK(inside(moved->fields[0].name));
+}
+
+TEST_CASE("copies are private, and moves between messages copy") {
+  Place place;
+  auto pusher = place.engine.advertise<Cloud>("/t");
+  auto first = pusher.loan();
+  fill(*first, 1);
+  auto second = pusher.loan();
+  *second = std::move(*first);
+  CHECK(good(*second, 1));
+  const Cloud copy = *second;
+  CHECK(copy.data.get_allocator().arena() == nullptr);
+  CHECK(copy.fields[0].name.get_allocator().arena() == nullptr);
+  second->data[0] = 99;
+  second->frame_id = "other";
+  CHECK(good(copy, 1));
+  first.reset();
+  second.reset();
+  CHECK(good(copy, 1));
+}
+
+TEST_CASE("an exception while a message is built frees it") {
+  Place place(16 << 20);
+  auto pusher = place.engine.advertise<Target>("/t", {lot::Policy::Overwrite, 2, 1s});
+  for (int n = 0; n < 50; ++n) {
+    auto target = pusher.loan();
+    CHECK_THROWS_AS(target->data.resize(100 << 20), lot::OutOfMemory);
+    target->data.resize(1000);
+    target->data.assign(1000, 5);
+    CHECK(target->data[999] == 5);
+  }
+  const lot::ShmVector<std::uint64_t> huge(4 << 20);  // 32 MiB
+  for (int n = 0; n < 50; ++n) {
+    CHECK_THROWS_AS(pusher.loan(std::uint64_t{1}, huge), lot::OutOfMemory);
+  }
+  lot::segment::Segment s(place.engine.path());
+  CHECK(Audit(s).homes < 5);
+  auto target = pusher.loan();
+  target->data.assign(100000, 1);
+  CHECK(pusher.push(std::move(target)) == lot::Status::Ok);
+}
+
+TEST_CASE("a message keeps what it refers to alive, and lets it go when it dies") {
+  const Watchdog watchdog(60);
+  Place place;
+  lot::segment::Segment s(place.engine.path());
+  auto pusher = place.engine.advertise<Detection>("/d", {lot::Policy::Overwrite, 1, 1s});
+  auto puller = place.engine.subscribe<Detection>("/d");
+  lot::ShmWeakPtr<const Target> watch;
+  {
+    auto target = place.engine.make<Target>();
+    target->number = 7;
+    target->data.assign(10000, 7);
+    const lot::ShmSharedPtr<const Target> shared = std::move(target);
+    watch = shared;
+    auto detection = pusher.loan();
+    CHECK(!detection->frame);
+    detection->frame = shared;
+    detection->frame = shared;  // once more changes nothing
+    CHECK(detection->frame->number == 7);
+    CHECK(detection->frame.get() == shared.get());
+    CHECK(shared.use_count() == 1);
+    pusher.push(std::move(detection));
+  }
+  CHECK(!watch.expired());
+  auto seen = puller.pull(1s);
+  REQUIRE(seen);
+  CHECK((*seen->frame).data[9999] == 7);
+  auto locked = seen->frame.lock();
+  CHECK(locked->number == 7);
+  locked.reset();
+  auto copy = *seen;  // outside of messages it is a share of its own
+  seen.reset();
+  pusher.push(pusher.loan());
+  CHECK(copy.frame->number == 7);
+  auto again = copy;
+  copy = Detection();
+  CHECK(again.frame->data[0] == 7);
+  CHECK(again.frame.lock()->number == 7);
+  again.frame = lot::ShmSharedPtr<const Target>();
+  CHECK(!again.frame);
+  for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
+  CHECK(watch.expired());
+}
+
+TEST_CASE("many references in vectors, also of messages that refer to others") {
+  const Watchdog watchdog(60);
+  Place place;
+  lot::segment::Segment s(place.engine.path());
+  {
+    auto pusher = place.engine.advertise<Detections>("/d", {lot::Policy::Overwrite, 1, 1s});
+    auto puller = place.engine.subscribe<Detections>("/d");
+    for (int round = 0; round < 20; ++round) {
+      auto all = pusher.loan();
+      for (std::uint64_t n = 0; n < 100; ++n) {
+        auto target = place.engine.make<Target>();
+        target->number = n;
+        target->data.assign(100, n);
+        const lot::ShmSharedPtr<const Target> shared = std::move(target);
+        all->refs.push_back(shared);
+        all->refs.emplace_back(shared);
+        all->all.emplace_back();
+        all->all.back().frame = shared;
+        all->all.push_back(Detection{lot::ShmRef<const Target>(shared), {}});
+      }
+      pusher.push(std::move(all));
+      auto seen = puller.pull(1s);
+      REQUIRE(seen);
+      for (std::uint64_t n = 0; n < 100; ++n) {
+        REQUIRE(seen->refs[2 * n]->number == n);
+        REQUIRE(seen->refs[2 * n + 1]->data[99] == n);
+        REQUIRE(seen->all[2 * n].frame->data[0] == n);
+        REQUIRE(seen->all[2 * n + 1].frame.get() == seen->refs[2 * n].get());
+      }
+    }
+    CHECK(Audit(s).homes < 400);
+  }
+  CHECK(eventually([&] { return Audit(s).homes < 120; }));
+}
+
+TEST_CASE("a reference stays good when its message's publisher is killed, and is freed after") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps joined;
+  Child publisher([&] {
+    must(joined.next() == '.', "a reader");
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Detection>("/d");
+    must(pusher.wait_for_readers(1, 10s), "it joined");
+    auto target = engine.make<Target>();
+    target->number = 7;
+    target->data.assign(100000, 7);
+    const lot::ShmSharedPtr<const Target> shared = std::move(target);
+    auto detection = pusher.loan();
+    detection->frame = shared;
+    pusher.push(std::move(detection));
+    kill(getpid(), SIGKILL);
+  });
+  {
+    lot::ShmEngine engine(options);
+    lot::segment::Segment s(engine.path());
+    auto puller = engine.subscribe<Detection>("/d");
+    joined.tell();
+    auto seen = puller.pull(20s);
+    REQUIRE(seen);
+    CHECK(publisher.wait() == 128 + SIGKILL);
+    CHECK(eventually([&] { return Audit(s).participants == 1; }));
+    puller.pull(10ms);  // leaves the dead publisher's ring
+    std::this_thread::sleep_for(1300ms);
+    CHECK(seen->frame->data.size() == 100000);
+    CHECK(seen->frame->data[99999] == 7);
+    auto target = seen->frame.lock();
+    seen.reset();
+    std::this_thread::sleep_for(1300ms);
+    CHECK(target->data[99999] == 7);
+    target.reset();
+    CHECK(eventually([&] { return Audit(s).homes == 0; }));
+    CHECK(Audit(s).own_bits == 0);
+    CHECK(Audit(s).granules == 0);
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a reference into another segment is refused") {
+  Place here;
+  Place there;
+  auto pusher = here.engine.advertise<Detection>("/d");
+  const lot::ShmSharedPtr<const Target> other = there.engine.make<Target>();
+  auto detection = pusher.loan();
+  CHECK_THROWS_AS(detection->frame = other, lot::Error);
+  CHECK(!detection->frame);
+}
+
+TEST_CASE("a reference to a reference keeps the whole chain") {
+  const Watchdog watchdog(60);
+  struct Link {
+    std::uint64_t number;
+    lot::ShmRef<const Detection> next;
+  };
+  Place place;
+  auto pusher = place.engine.advertise<Link>("/l", {lot::Policy::Overwrite, 1, 1s});
+  auto puller = place.engine.subscribe<Link>("/l");
+  lot::ShmWeakPtr<const Target> watch;
+  {
+    auto target = place.engine.make<Target>();
+    target->number = 3;
+    const lot::ShmSharedPtr<const Target> t = std::move(target);
+    watch = t;
+    auto detection = place.engine.make<Detection>();
+    detection->frame = t;
+    const lot::ShmSharedPtr<const Detection> d = std::move(detection);
+    auto link = pusher.loan();
+    link->next = d;
+    pusher.push(std::move(link));
+  }
+  auto seen = puller.pull(1s);
+  CHECK(seen->next->frame->number == 3);
+  seen.reset();
+  for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
+  CHECK(watch.expired());
+}
+
+TEST_SUITE_END();

@@ -160,7 +160,10 @@ class Child {
   ~Child() { end(); }
 
   pid_t pid() const { return pid_; }
-  void send(int signal) const { ::kill(pid_, signal); }
+  /// Nothing when it has ended: kill(-1) would mean every process there is.
+  void send(int signal) const {
+    if (pid_ > 0) ::kill(pid_, signal);
+  }
   /// kill -9, and waits until it is dead.
   void kill9() {
     send(SIGKILL);

@@ -1,1 +1,450 @@
 // SPDX-License-Identifier: Apache-2.0
+
+// The whole interface of the pointers, in one process and across several.
+
+#include <cstdint>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <thread>
+#include <type_traits>
+#include <unordered_set>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+struct Pair {
+  std::uint64_t a;
+  std::uint64_t b;
+};
+struct Text {
+  std::uint64_t number;
+  lot::ShmString text;
+};
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+using Unique = lot::ShmUniquePtr<Pair>;
+using Shared = lot::ShmSharedPtr<Pair>;
+using Const = lot::ShmSharedPtr<const Pair>;
+using Weak = lot::ShmWeakPtr<Pair>;
+
+static_assert(!std::is_copy_constructible_v<Unique> && !std::is_copy_assignable_v<Unique>);
+static_assert(std::is_nothrow_move_constructible_v<Unique>);
+static_assert(std::is_nothrow_move_constructible_v<Shared>);
+static_assert(std::is_convertible_v<Shared, Const> && !std::is_convertible_v<Const, Shared>);
+static_assert(std::is_convertible_v<Unique, Const> && std::is_convertible_v<Unique, Shared>);
+static_assert(!std::is_convertible_v<Shared, lot::ShmSharedPtr<int>>);
+static_assert(std::is_convertible_v<Shared, Weak> && !std::is_convertible_v<Weak, Shared>);
+static_assert(std::is_constructible_v<Shared, Weak>);
+static_assert(std::is_same_v<Const::element_type, const Pair>);
+static_assert(std::is_same_v<Shared::weak_type, Weak>);
+
+struct Place {
+  Place() : options(fresh()), engine(std::make_unique<lot::ShmEngine>(options)) {}
+  ~Place() {
+    engine.reset();
+    CHECK(files_of(options) == 0);
+  }
+  Shared make(std::uint64_t a) { return engine->make<Pair>(a, a + 1); }
+  Audit audit() {
+    lot::segment::Segment s(options.directory + "/" + options.segment);
+    return Audit(s);
+  }
+  lot::EngineOptions options;
+  std::unique_ptr<lot::ShmEngine> engine;
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("pointers");
+
+TEST_CASE("null and moved-from pointers behave") {
+  Place place;
+  Unique u;
+  CHECK(!u);
+  CHECK(u.get() == nullptr);
+  u.reset();
+  u = nullptr;
+  Unique from_null = nullptr;
+  swap(u, from_null);
+  const Shared from_empty = std::move(u);
+  CHECK(!from_empty);
+  CHECK(from_empty.use_count() == 0);
+
+  Shared s;
+  const Shared n = nullptr;
+  CHECK(s == n);
+  CHECK(s == nullptr);
+  CHECK(nullptr == s);
+  CHECK_FALSE(s != nullptr);
+  CHECK_FALSE(nullptr != s);
+  CHECK(!s.unique());
+  s.reset();
+  s = n;
+  CHECK(lot::make_const(s) == nullptr);
+  CHECK(lot::static_pointer_cast<const Pair>(s) == nullptr);
+  CHECK(lot::to_raw_pointer(s) == nullptr);
+  CHECK(std::hash<Shared>()(s) == std::hash<Pair*>()(nullptr));
+  const Shared aliased_null(s, static_cast<Pair*>(nullptr));
+  CHECK(aliased_null.use_count() == 0);
+
+  Weak w;
+  CHECK(w.expired());
+  CHECK(w.use_count() == 0);
+  CHECK(w.lock() == nullptr);
+  w.reset();
+  w = s;
+  CHECK(w.expired());
+  CHECK_THROWS_AS(Shared{w}, std::bad_weak_ptr);
+
+  s = place.make(1);
+  Shared moved = std::move(s);
+  CHECK(s == nullptr);
+  CHECK(s.use_count() == 0);
+  CHECK(moved.use_count() == 1);
+  s = std::move(moved);
+  CHECK(moved == nullptr);
+  CHECK(s->a == 1);
+  Shared& self = s;
+  s = self;
+  CHECK(s->a == 1);
+  CHECK(s.unique());
+  w = s;
+  Weak v = std::move(w);
+  CHECK(w.expired());
+  CHECK(!v.expired());
+}
+
+TEST_CASE("a unique pointer owns, moves, swaps, frees and becomes shared without a copy") {
+  Place place;
+  Unique u = place.engine->make<Pair>(std::uint64_t{1}, std::uint64_t{2});
+  const Pair* address = u.get();
+  CHECK((*u).a == 1);
+  CHECK(u->b == 2);
+  Unique v = std::move(u);
+  CHECK(!u);
+  CHECK(v.get() == address);
+  u = place.engine->make<Pair>(std::uint64_t{3}, std::uint64_t{4});
+  swap(u, v);
+  CHECK(u.get() == address);
+  v.swap(u);
+  CHECK(v.get() == address);
+  u = std::move(v);
+  CHECK(u.get() == address);
+  CHECK(!v);
+  Const c = std::move(u);
+  CHECK(c.get() == address);
+  CHECK(c.use_count() == 1);
+  u = place.engine->make<Pair>(std::uint64_t{5}, std::uint64_t{6});
+  c = std::move(u);
+  CHECK(c->a == 5);
+  Unique w = place.engine->make<Pair>();
+  w = nullptr;
+  CHECK(!w);
+}
+
+TEST_CASE("copies count, convert, alias, cast, compare, hash and print as std::shared_ptr's do") {
+  Place place;
+  Shared s = place.make(1);
+  const Shared other = place.make(5);
+  {
+    const Shared copy = s;
+    const Const constant = s;
+    CHECK(s.use_count() == 3);
+    CHECK(!s.unique());
+    CHECK(copy == s);
+    CHECK(constant == s);
+    Const assigned;
+    assigned = s;
+    assigned = constant;
+    CHECK(s.use_count() == 4);
+  }
+  CHECK(s.unique());
+
+  // Aliasing keeps the whole alive, also by a part or by null.
+  lot::ShmSharedPtr<std::uint64_t> part(s, &s->b);
+  CHECK(*part == 2);
+  CHECK(part.use_count() == 2);
+  CHECK_FALSE(part.owner_before(s));
+  CHECK_FALSE(s.owner_before(part));
+  CHECK(s.owner_before(other) != other.owner_before(s));
+  const Pair* address = s.get();
+  s.reset();
+  CHECK(*part == 2);
+  CHECK(part.unique());
+  lot::ShmSharedPtr<std::uint64_t> moved_part(std::move(part), part.get() - 1);
+  CHECK(part == nullptr);
+  CHECK(*moved_part == 1);
+  Shared null_part(moved_part, static_cast<Pair*>(nullptr));
+  CHECK(null_part == nullptr);
+  CHECK(null_part.use_count() == 2);
+  null_part.reset();
+
+  s = lot::reinterpret_pointer_cast<Pair>(moved_part);
+  CHECK(s.get() == address);
+  CHECK(s.use_count() == 2);
+  moved_part.reset();
+  const Const constant = lot::make_const(s);
+  CHECK(constant.get() == address);
+  CHECK(lot::const_pointer_cast<Pair>(constant) == s);
+  CHECK(lot::static_pointer_cast<const Pair>(s) == constant);
+  CHECK(lot::to_raw_pointer(s) == address);
+  CHECK(lot::make_const(std::move(s)).get() == address);
+  CHECK(s == nullptr);
+  s = lot::const_pointer_cast<Pair>(constant);
+
+  CHECK(s != other);
+  CHECK((s < other) == (s.get() < other.get()));
+  CHECK((s > other) == (s.get() > other.get()));
+  CHECK((s <= other) == (s.get() <= other.get()));
+  CHECK((s >= other) == (s.get() >= other.get()));
+  CHECK(s <= constant);
+  CHECK(std::hash<Const>()(constant) == std::hash<const Pair*>()(address));
+  std::unordered_set<Shared> set{s, other, s};
+  CHECK(set.size() == 2);
+  std::ostringstream out, raw;
+  out << s;
+  raw << address;
+  CHECK(out.str() == raw.str());
+  Shared a = s;
+  Shared b = other;
+  swap(a, b);
+  CHECK(a == other);
+  a.swap(b);
+  CHECK(a == s);
+}
+
+TEST_CASE("a weak pointer does not keep the message alive, nor takes the next one in its memory") {
+  Place place;
+  Shared s = place.make(1);
+  const Weak w = s;
+  const lot::ShmWeakPtr<const Pair> c = w;
+  Weak copy;
+  copy = w;
+  CHECK(w.use_count() == 1);
+  CHECK(s.unique());
+  CHECK(!w.expired());
+  CHECK(w.lock() == s);
+  CHECK(Shared(w)->a == 1);
+  CHECK(c.lock()->b == 2);
+  CHECK_FALSE(w.owner_before(s));
+  CHECK_FALSE(s.owner_before(w));
+  CHECK_FALSE(w.owner_before(copy));
+  const Pair* address = s.get();
+  s.reset();
+  CHECK(w.expired());
+  CHECK(w.lock() == nullptr);
+  CHECK(w.use_count() == 0);
+  CHECK_THROWS_AS(Shared{w}, std::bad_weak_ptr);
+  std::vector<Shared> more;
+  for (std::uint64_t n = 0; n < 10; ++n) more.push_back(place.make(n));
+  bool same_memory = false;
+  for (const auto& m : more) same_memory |= m.get() == address;
+  CHECK(same_memory);
+  CHECK(w.expired());
+  CHECK(w.lock() == nullptr);
+  CHECK(copy.lock() == nullptr);
+  Weak other = more[0];
+  swap(copy, other);
+  CHECK(copy.lock() == more[0]);
+}
+
+TEST_CASE("a message that only the queue holds has not expired for a weak pointer") {
+  Place place;
+  auto pusher = place.engine->advertise<Pair>("/t", {lot::Policy::Overwrite, 2, 1s});
+  Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
+  pusher.push(s);
+  const Weak w = s;
+  s.reset();
+  CHECK(!w.expired());
+  CHECK(w.lock()->a == 1);
+  for (std::uint64_t n = 0; n < 200; ++n) pusher.push(pusher.loan(n, n));
+  CHECK(w.lock() == nullptr);
+}
+
+TEST_CASE("use_count says one for each other process that has pointers") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps joined, kept, go, dropped;
+  const auto reader = [&] {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<Pair>("/t");
+    joined.tell();
+    auto seen = puller.pull(20s);
+    must(bool(seen), "a message");
+    const auto again = seen;
+    kept.tell();
+    must(go.next() == '.', "both have it");
+    must(seen.use_count() == 4, "two here, two elsewhere");
+    dropped.tell();
+    must(go.next() == '.', "the end");
+  };
+  Child first(reader), second(reader);
+  REQUIRE(joined.next() == '.');
+  REQUIRE(joined.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Pair>("/t");
+    REQUIRE(pusher.wait_for_readers(2, 10s));
+    Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
+    CHECK(s.unique());
+    pusher.push(s);
+    CHECK(kept.next() == '.');
+    CHECK(kept.next() == '.');
+    CHECK(s.use_count() == 3);
+    const Weak w = s;
+    CHECK(w.use_count() == 3);
+    go.tell();
+    go.tell();
+    CHECK(dropped.next() == '.');
+    CHECK(dropped.next() == '.');
+    go.tell();
+    go.tell();
+    CHECK(first.wait() == 0);
+    CHECK(second.wait() == 0);
+    CHECK(s.unique());
+    s.reset();
+    CHECK(!w.expired());  // the queue has it
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a kept message outlives its subscription, its publisher and its publisher's death") {
+  const Watchdog watchdog(60);
+  for (const bool killed : {false, true}) {
+    CAPTURE(killed);
+    const auto options = fresh();
+    Steps joined, go;
+    Child publisher([&] {
+      must(joined.next() == '.', "a reader");
+      lot::ShmEngine engine(options);
+      auto pusher = engine.advertise<Text>("/t");
+      must(pusher.wait_for_readers(1, 10s), "a reader joined");
+      auto text = pusher.loan();
+      text->number = 7;
+      text->text.assign(100000, 'x');
+      pusher.push(std::move(text));
+      go.next();
+      if (killed) kill(getpid(), SIGKILL);
+    });
+    {
+      lot::ShmEngine engine(options);
+      lot::ShmSharedPtr<const Text> kept;
+      lot::ShmWeakPtr<const Text> weak;
+      {
+        auto puller = engine.subscribe<Text>("/t");
+        joined.tell();
+        kept = puller.pull(20s);
+        REQUIRE(kept);
+        weak = kept;
+      }
+      go.tell();
+      CHECK(publisher.wait() == (killed ? 128 + SIGKILL : 0));
+      lot::segment::Segment s(engine.path());
+      CHECK(eventually([&] { return Audit(s).participants == 1; }));
+      std::this_thread::sleep_for(1300ms);
+      CHECK(kept->number == 7);
+      CHECK(kept->text == lot::ShmString(100000, 'x'));
+      CHECK(kept.unique());
+      // It can still be sent.
+      auto pusher = engine.advertise<Text>("/again");
+      auto puller = engine.subscribe<Text>("/again");
+      CHECK(pusher.push(kept) == lot::Status::Ok);
+      CHECK(puller.pull(1s).get() == kept.get());
+      kept.reset();
+    }
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("pointers outlive their engine, and the process leaves with the last of them") {
+  const auto options = fresh();
+  Shared s;
+  Unique u;
+  Weak w;
+  {
+    lot::ShmEngine engine(options);
+    s = engine.make<Pair>(std::uint64_t{1}, std::uint64_t{2});
+    u = engine.make<Pair>(std::uint64_t{3}, std::uint64_t{4});
+    w = s;
+  }
+  CHECK(files_of(options) == 2);
+  CHECK(s->b == 2);
+  CHECK(u->b == 4);
+  CHECK(w.lock() == s);
+  s.reset();
+  CHECK(files_of(options) == 2);
+  u.reset();
+  CHECK(files_of(options) == 0);
+  CHECK(w.lock() == nullptr);  // the segment has gone from under it
+  CHECK(w.expired());
+  w.reset();
+}
+
+TEST_CASE("a weak pointer that outlives its engine does not keep the files for others") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps ready, done;
+  Child other([&] {
+    lot::ShmEngine engine(options);
+    ready.tell();
+    done.next();
+  });
+  REQUIRE(ready.next() == '.');
+  Weak w;
+  {
+    lot::ShmEngine engine(options);
+    const Shared s = engine.make<Pair>();
+    w = s;
+  }
+  done.tell();
+  CHECK(other.wait() == 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("the last pointers of a process may go in several threads at once") {
+  const Watchdog watchdog(60);
+  for (int round = 0; round < 100; ++round) {
+    const auto options = fresh(16 << 20);
+    std::vector<Shared> kept;
+    {
+      lot::ShmEngine engine(options);
+      for (std::uint64_t n = 0; n < 4; ++n) kept.push_back(engine.make<Pair>(n, n));
+    }
+    std::atomic<int> waiting{0};
+    std::vector<std::thread> threads;
+    for (auto& k : kept) {
+      threads.emplace_back([&] {
+        ++waiting;
+        while (waiting != 4) {
+        }
+        k.reset();
+      });
+    }
+    for (auto& t : threads) t.join();
+    REQUIRE(eventually([&] { return files_of(options) == 0; }));
+  }
+}
+
+TEST_CASE("messages give back what they held when they come home") {
+  const Watchdog watchdog(60);
+  Place place;
+  auto pusher = place.engine->advertise<Text>("/t", {lot::Policy::Overwrite, 2, 1s});
+  lot::ShmSharedPtr<Text> target = pusher.loan();
+  const lot::ShmWeakPtr<Text> watch = target;
+  target->text = "kept by nobody";
+  target.reset();
+  CHECK(watch.expired());
+}
+
+TEST_SUITE_END();
