@@ -251,7 +251,7 @@ class Fuzz {
       if (reader.next < published_ && reader.next >= oldest()) {
         next = kept_[reader.next - oldest()].value_or(kNoBlock);
       }
-      require(reader.real.peek() == next, "peek");
+      require(reader.real.peek(0) == next, "peek");
       if (reader.borrowed && !ring_.blocking) expected.push_back(*reader.borrowed);
       if (ring_.blocking && published_ - reader.next >= ring_.depth) late.push_back(i);
     }

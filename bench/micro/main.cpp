@@ -7,6 +7,7 @@
 #include <map>
 #include <random>
 #include <sched.h>
+#include <string>
 #include <sys/prctl.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
@@ -115,6 +116,35 @@ const cpu_set_t& affinity_at_start() {
 }
 
 std::string segment_name;  // of this run; children inherit it
+std::string segment_files[2];
+
+/// Interrupted: the children die with us, and nobody is left to remove the segment.
+void sweep(int signal) {
+  for (const std::string& file : segment_files) unlink(file.c_str());
+  std::signal(signal, SIG_DFL);
+  std::raise(signal);
+}
+
+/// Names the segment for this run alone, or as LOT_SEGMENT says.
+void name_segment() {
+  segment_name = "lot_micro_" + std::to_string(getpid());
+  {
+    const lot::ShmEngine engine(segment());
+    segment_files[0] = engine.path();
+  }
+  segment_files[1] = segment_files[0] + ".lock";
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGABRT}) std::signal(signal, sweep);
+}
+
+/// A benchmark that leaves something behind has failed.
+bool swept() {
+  for (const std::string& file : segment_files) {
+    if (access(file.c_str(), F_OK) != 0) continue;
+    std::fprintf(stderr, "lot_micro: %s is still there\n", file.c_str());
+    return false;
+  }
+  return true;
+}
 
 }  // namespace
 
@@ -157,6 +187,7 @@ Companion::Companion(const std::function<void(Companion&)>& body) {
   child_ = fork();
   expect(child_ >= 0, "fork");
   if (child_ > 0) return;
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGABRT}) std::signal(signal, SIG_DFL);
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (getppid() == 1) _exit(1);  // the parent has died already
   body(*this);
@@ -233,12 +264,12 @@ void Rounds::report_rate(benchmark::State& state) const {
 int main(int argc, char** argv) {
   using namespace bench;
   affinity_at_start();
-  segment_name = "lot_micro_" + std::to_string(getpid());
+  name_segment();
   std::thread([] {}).join();  // from now on std::shared_ptr counts atomically
   benchmark::Initialize(&argc, argv);
   if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 1;
   Table table;
   benchmark::RunSpecifiedBenchmarks(&table);
   benchmark::Shutdown();
-  return 0;
+  return swept() ? 0 : 1;
 }

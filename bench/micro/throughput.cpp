@@ -6,7 +6,8 @@
 namespace bench {
 namespace {
 
-constexpr std::uint64_t kMessages = 100'000;
+/// Short enough that most blocks see no other process on their cores.
+constexpr std::uint64_t kMessages = 20'000;
 constexpr std::uint64_t kFloor = 1;
 constexpr std::uint64_t kArm = 2;
 
@@ -14,6 +15,7 @@ template <class Receive>
 void stream(benchmark::State& state, Receive receive) {
   if (!needs_two_cores(state)) return;
   const Shared<BareQueue> bare;
+  const Shared<Line> done;  // blocks that the reader has read
   Companion other([&](Companion& here) {
     lot::ShmEngine engine(segment());
     here.meet();  // the topic is there
@@ -22,18 +24,21 @@ void stream(benchmark::State& state, Receive receive) {
     pin(1);
     std::uint64_t floor_ball = 0;
     std::uint64_t ball = 0;
-    for (std::uint64_t order; (order = here.hear()) != Companion::kStop; here.meet()) {
-      if (order == kFloor) {
-        bare->receive(floor_ball, kMessages);
-        floor_ball += kMessages;
-        continue;
-      }
+    const auto read_bare = [&] {
+      bare->receive(floor_ball, kMessages);
+      floor_ball += kMessages;
+    };
+    const auto read_block = [&] {
       const auto until = Clock::now() + 60s;
       for (std::uint64_t i = 0; i < kMessages; ++i, ++ball) {
         const auto seen = receive(in, until);
         expect(seen && seen->is(ball), "a message was lost");
       }
       expect(in.missed_total() == 0, "messages were missed");
+    };
+    for (std::uint64_t order; (order = here.hear()) != Companion::kStop; here.meet()) {
+      order == kFloor ? read_bare() : read_block();
+      done->value.fetch_add(1, std::memory_order_release);
     }
   });
   lot::ShmEngine engine(segment());
@@ -45,25 +50,34 @@ void stream(benchmark::State& state, Receive receive) {
   pin(0);
   std::uint64_t floor_ball = 0;
   std::uint64_t ball = 0;
+  std::uint64_t blocks = 0;
+  const auto await_reader = [&] {
+    ++blocks;
+    while (done->value.load(std::memory_order_acquire) != blocks) spin();
+  };
   Rounds rounds;
   const auto arm_block = [&] {
     other.tell(kArm);
-    return time_ns(kMessages, [&] {
+    const double ns = time_ns(kMessages, [&] {
       for (std::uint64_t i = 0; i < kMessages; ++i, ++ball) {
         auto message = out.loan();
         message->fill(ball);
         expect(out.push(std::move(message)) == lot::Status::Ok, "push");
       }
-      other.meet();
+      await_reader();
     });
+    other.meet();
+    return ns;
   };
   const auto floor_block = [&] {
     other.tell(kFloor);
-    return time_ns(kMessages, [&] {
+    const double ns = time_ns(kMessages, [&] {
       bare->send(floor_ball, kMessages);
       floor_ball += kMessages;
-      other.meet();
+      await_reader();
     });
+    other.meet();
+    return ns;
   };
   for ([[maybe_unused]] auto _ : state) rounds.run(arm_block, floor_block);
   rounds.report_rate(state);

@@ -352,6 +352,8 @@ void Participant::warden() {
         ::unlink(lock_file_->path().c_str());
       }
     }
+    // Inside the gate: whoever leaves next must see that we are gone.
+    lock_file_->unlock(index());
     lock_file_->leave_gate();
   }
 }

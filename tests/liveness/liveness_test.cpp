@@ -1,1 +1,126 @@
 // SPDX-License-Identifier: Apache-2.0
+
+// Who is alive, as the kernel's locks say it.
+
+#include <cstdint>
+#include <string>
+#include <thread>
+#include <unistd.h>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "liveness/lock_file.hpp"
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::liveness::LockFile;
+
+struct Number {
+  std::uint64_t value;
+};
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+}  // namespace
+
+TEST_SUITE_BEGIN("liveness");
+
+TEST_CASE("a lock is seen by others, and goes with the process that holds it") {
+  const Watchdog watchdog(60);
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  Steps locked;
+  Child holder([&] {
+    LockFile file(path, 0600);
+    must(file.try_lock(7), "the lock");
+    must(!file.held_by_other(7), "one's own lock is not another's");
+    locked.tell();
+    pause();
+  });
+  REQUIRE(locked.next() == '.');
+  {
+    LockFile file(path, 0600);
+    CHECK(file.held_by_other(7));
+    CHECK(file.held_by_other(0, 320));
+    CHECK(!file.held_by_other(6));
+    CHECK(!file.held_by_other(8, 100));
+    CHECK(!file.try_lock(7));
+    CHECK(file.try_lock(8));
+    holder.kill9();
+    CHECK(!file.held_by_other(7));
+    CHECK(file.try_lock(7));
+    file.unlock(7);
+    file.unlock(8);
+    CHECK(file.enter_gate(1s));
+    LockFile second(path, 0600);
+    CHECK_THROWS_AS(second.enter_gate(20ms), lot::Error);
+    unlink(path.c_str());
+    file.leave_gate();
+    CHECK(!second.enter_gate(1s));  // it was removed: open it again
+  }
+}
+
+TEST_CASE("closefrom() in a living process: it is not reaped, goes on, and gets its lock back") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps ready, close_now, closed, done;
+  const int last_of_mine = dup(2);  // the child's descriptors that come after it are LOT's
+  Child careless([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Number>("/t", {lot::Policy::Overwrite, 64, 1s});
+    ready.tell();
+    must(close_now.next() == '.', "the order");
+    closefrom(last_of_mine + 1);
+    closed.tell();
+    for (std::uint64_t n = 0; n < 400; ++n) {
+      pusher.push(pusher.loan(n));
+      usleep(3000);
+    }
+    must(done.next() == '.', "the end");
+  });
+  close(last_of_mine);
+  REQUIRE(ready.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<Number>("/t");
+    close_now.tell();
+    REQUIRE(closed.next() == '.');
+    std::uint64_t next = 0;
+    while (next < 400) {
+      auto seen = puller.pull(20s);
+      REQUIRE(seen);
+      REQUIRE(seen->value == next);
+      next = seen->value + 1;
+    }
+    CHECK(puller.missed_total() == 0);
+    lot::segment::Segment s(engine.path());
+    CHECK(Audit(s).participants == 2);
+    LockFile file(engine.path() + ".lock", 0600);
+    std::uint32_t held = 0;
+    CHECK(eventually([&] {
+      held = 0;
+      for (std::uint32_t k = 1; k < 320; ++k) held += file.held_by_other(k);
+      return held == 2;
+    }));
+    done.tell();
+    CHECK(careless.wait() == 0);
+    CHECK(eventually([&] { return Audit(s).participants == 1; }));
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a process that leaves right after closefrom() leaves no file") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Child careless([&] {
+    const lot::ShmEngine engine(options);
+    closefrom(3);
+  });
+  CHECK(careless.wait() == 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_SUITE_END();

@@ -2,6 +2,12 @@
 
 // Strings, vectors and references in messages.
 
+#if defined(__GNUC__) && !defined(__clang__)
+// g++ 12 does not see, through a pointer that is a class, that libstdc++'s string assignment only
+// uses the old capacity together with the old data.
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
+#endif
+
 #include <algorithm>
 #include <array>
 #include <cstdint>

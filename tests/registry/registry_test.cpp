@@ -1,1 +1,163 @@
 // SPDX-License-Identifier: Apache-2.0
+
+// Topics, their types, and the tables' limits.
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+struct Apple {
+  std::uint64_t value;
+};
+struct Pear {
+  std::uint64_t value;
+};
+struct BigApple {
+  std::uint64_t value[4];
+};
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+std::string refusal(const std::function<void()>& what) {
+  try {
+    what();
+  } catch (const lot::Error& e) {
+    return e.what();
+  }
+  return "";
+}
+bool says(const std::string& text, const char* what) {
+  return text.find(what) != std::string::npos;
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("registry");
+
+TEST_CASE("another type on a topic is an error at either end, which names both") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  const auto names_both = [](const std::string& text, const char* topic, const char* second) {
+    return says(text, topic) && says(text, "Apple (8 bytes, alignment 8)") && says(text, second) &&
+           says(text, "same definition");
+  };
+  {
+    auto puller = engine.subscribe<Apple>("/p");
+    CHECK(names_both(refusal([&] { engine.advertise<Pear>("/p"); }), "/p", "Pear (8 bytes"));
+    CHECK(names_both(refusal([&] { engine.subscribe<Pear>("/p"); }), "/p", "Pear (8 bytes"));
+    auto pusher = engine.advertise<Apple>("/q");
+    CHECK(names_both(refusal([&] { engine.subscribe<BigApple>("/q"); }), "/q", "BigApple (32"));
+    Child other([&] {
+      lot::ShmEngine mine(options);
+      must(names_both(refusal([&] { mine.subscribe<Pear>("/q"); }), "/q", "Pear"), "subscribe");
+      must(names_both(refusal([&] { mine.advertise<Pear>("/p"); }), "/p", "Pear"), "advertise");
+      must(refusal([&] { mine.subscribe<Apple>("/q"); }).empty(), "the right type");
+    });
+    CHECK(other.wait() == 0);
+    // The ends that were refused left nothing.
+    CHECK(puller.publishers() == 0);
+    pusher.push(pusher.loan(std::uint64_t{1}));
+  }
+  // After all have left, the name is free for another type.
+  auto pusher = engine.advertise<Pear>("/p");
+  auto puller = engine.subscribe<Pear>("/p");
+  pusher.push(pusher.loan(std::uint64_t{4}));
+  CHECK(puller.pull(1s)->value == 4);
+  auto other = engine.subscribe<BigApple>("/q");
+}
+
+TEST_CASE("a topic of a process that was killed is free for another type") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps ready;
+  Child victim([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Apple>("/p");
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() == '.');
+  lot::ShmEngine engine(options);
+  CHECK(!refusal([&] { engine.subscribe<Pear>("/p"); }).empty());
+  victim.kill9();
+  CHECK(eventually([&] { return refusal([&] { engine.subscribe<Pear>("/p"); }).empty(); }));
+}
+
+TEST_CASE("bad topic names and depths are refused") {
+  lot::ShmEngine engine(fresh());
+  for (const std::string& bad : {std::string(), std::string(200, 'x'), std::string("a\0b", 3)}) {
+    CHECK(says(refusal([&] { engine.advertise<Apple>(bad); }), "not a name for a topic"));
+    CHECK(says(refusal([&] { engine.subscribe<Apple>(bad); }), "not a name for a topic"));
+  }
+  auto longest = engine.advertise<Apple>(std::string(199, 'x'));
+  for (const std::uint32_t bad : {0U, 65537U}) {
+    CHECK(says(refusal([&] {
+                 engine.advertise<Apple>("/t", {lot::Policy::Block, bad, 1s});
+               }),
+               "depth"));
+  }
+  lot::segment::Segment s(engine.path());
+  CHECK(Audit(s).topics == 1);
+  CHECK(Audit(s).channels == 1);
+}
+
+TEST_CASE("each limit is an error that names the setting, and what is freed is there again") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  options.processes = 2;
+  options.topics = 3;
+  options.channels = 4;
+  options.readers = 2;
+  options.blocks = 64;
+  {
+    lot::ShmEngine engine(options);
+    lot::segment::Segment s(engine.path());
+    for (int round = 0; round < 3; ++round) {
+      std::vector<lot::ShmPusher<Apple>> pushers;
+      for (const char* topic : {"/a", "/b", "/c"}) {
+        pushers.push_back(engine.advertise<Apple>(topic));
+      }
+      CHECK(says(refusal([&] { engine.advertise<Apple>("/d"); }), "EngineOptions::topics"));
+      CHECK(says(refusal([&] { engine.subscribe<Apple>("/d"); }), "EngineOptions::topics"));
+      pushers.push_back(engine.advertise<Apple>("/a"));
+      CHECK(says(refusal([&] { engine.advertise<Apple>("/a"); }), "EngineOptions::channels"));
+      std::vector<lot::ShmPuller<Apple>> pullers;
+      for (int n = 0; n < 2; ++n) pullers.push_back(engine.subscribe<Apple>("/b"));
+      CHECK(says(refusal([&] { engine.subscribe<Apple>("/b"); }), "EngineOptions::readers"));
+      pullers.pop_back();
+      CHECK(refusal([&] { engine.subscribe<Apple>("/b"); }).empty());
+    }
+    CHECK(eventually([&] { return Audit(s).nothing(); }));
+    INFO(Audit(s).text());
+    Steps ready, done;
+    Child second([&] {
+      lot::ShmEngine mine(options);
+      ready.tell();
+      done.next();
+    });
+    REQUIRE(ready.next() == '.');
+    Child third([&] {
+      must(says(refusal([&] { lot::ShmEngine mine(options); }), "EngineOptions::processes"),
+           "the setting");
+    });
+    CHECK(third.wait() == 0);
+    second.kill9();
+    Child fourth([&] { lot::ShmEngine mine(options); });
+    CHECK(fourth.wait() == 0);
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_SUITE_END();

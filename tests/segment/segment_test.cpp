@@ -1,1 +1,370 @@
 // SPDX-License-Identifier: Apache-2.0
+
+// A segment is absent or complete, and what can not be a segment is an error that says what to do.
+
+#include <cstdint>
+#include <cstdlib>
+#include <fcntl.h>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <optional>
+#include <string>
+#include <sys/mount.h>
+#include <sys/stat.h>
+#include <unistd.h>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+struct Frame {
+  std::uint64_t number;
+  lot::ShmVector<std::uint64_t> data;
+};
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+/// The text of the lot::Error that joining gives, or "" when it works.
+std::string refusal(const lot::EngineOptions& options) {
+  try {
+    const lot::ShmEngine engine(options);
+  } catch (const lot::Error& e) {
+    return e.what();
+  }
+  return "";
+}
+bool says(const std::string& text, const char* what) {
+  return text.find(what) != std::string::npos;
+}
+
+/// A tmpfs of its own; empty path when it can not be mounted.
+struct SmallDisk {
+  explicit SmallDisk(const std::string& mount_options) {
+    char pattern[] = "/tmp/lot_disk_XXXXXX";
+    if (mkdtemp(pattern) == nullptr) return;
+    path = pattern;
+    if (mount("lot", pattern, "tmpfs", 0, mount_options.c_str()) != 0) {
+      rmdir(pattern);
+      path.clear();
+    }
+  }
+  ~SmallDisk() {
+    if (path.empty()) return;
+    umount(path.c_str());
+    rmdir(path.c_str());
+  }
+  SmallDisk(const SmallDisk&) = delete;
+  SmallDisk& operator=(const SmallDisk&) = delete;
+  std::string path;
+};
+
+/// An environment variable for the time of a test.
+struct Environment {
+  Environment(const char* n, const char* value) : name(n) { setenv(n, value, 1); }
+  ~Environment() { unsetenv(name); }
+  Environment(const Environment&) = delete;
+  Environment& operator=(const Environment&) = delete;
+  const char* name;
+};
+
+std::string file_of(const lot::EngineOptions& options) {
+  return options.directory + "/" + options.segment;
+}
+void overwrite(const std::string& path, std::streamoff at, std::uint32_t value) {
+  std::fstream file(path, std::ios::in | std::ios::out | std::ios::binary);
+  file.seekp(at);
+  file.write(reinterpret_cast<const char*>(&value), sizeof(value));
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("segment");
+
+TEST_CASE("processes that start at once find the segment absent or complete") {
+  const Watchdog watchdog(60);
+  for (int round = 0; round < 10; ++round) {
+    const auto options = fresh(16 << 20);
+    Steps go;
+    std::vector<Child> nodes;
+    for (int n = 0; n < 6; ++n) {
+      nodes.emplace_back([&] {
+        go.next();
+        const lot::ShmEngine engine(options);
+        must(lot::segment::Segment(engine.path()).size() == 16 << 20, "a complete segment");
+      });
+    }
+    for (int n = 0; n < 6; ++n) go.tell();
+    for (auto& node : nodes) CHECK(node.wait() == 0);
+    REQUIRE(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("a creator that is killed leaves nothing that the next one stumbles over") {
+  const Watchdog watchdog(60);
+  std::mt19937_64 random(seed());
+  for (int round = 0; round < 30; ++round) {
+    const auto options = fresh(64 << 20);
+    Child creator([&] { const lot::ShmEngine engine(options); });
+    usleep(static_cast<useconds_t>(random() % 4000));
+    creator.kill9();
+    CHECK(refusal(options) == "");
+    REQUIRE(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("a file that is no segment is named and never touched") {
+  for (const char* content : {"", "x",
+                              "this is a text of mine that nobody may remove, and it is "
+                              "longer than a header would be, by some bytes at least: so "
+                              "there is enough to look at, and no magic is in it at all"}) {
+    const auto options = fresh();
+    std::ofstream(file_of(options)) << content;
+    const std::string text = refusal(options);
+    CHECK(says(text, file_of(options).c_str()));
+    CHECK(says(text, "remove it if it is yours"));
+    std::string still;
+    std::getline(std::ifstream(file_of(options)), still);
+    CHECK(still == content);
+    CHECK(files_of(options) == 1);  // and no lock file beside it
+    std::filesystem::remove(file_of(options));
+    std::filesystem::remove(file_of(options) + ".lock");
+  }
+}
+
+TEST_CASE("what another version or a crash left is replaced when nobody uses it") {
+  const Watchdog watchdog(60);
+  for (const int how : {0, 1, 2, 3}) {
+    CAPTURE(how);
+    auto options = fresh();
+    options.persist = true;
+    { const lot::ShmEngine engine(options); }
+    CHECK(files_of(options) == 2);
+    options.persist = false;
+    if (how == 0) std::filesystem::resize_file(file_of(options), 8 << 20);
+    if (how == 1) overwrite(file_of(options), 8, 999);     // layout version
+    if (how == 2) overwrite(file_of(options), 40, 12345);  // boot
+    if (how == 3) options.size_bytes = 32 << 20;
+    CHECK(refusal(options) == "");
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("a segment in use of another version or size is an error that says so") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  const lot::ShmEngine engine(options);
+  Child other([&] {
+    auto bigger = options;
+    bigger.size_bytes = 128 << 20;
+    const std::string text = refusal(bigger);
+    must(says(text, "64 MiB") && says(text, "128 MiB were asked for"), "both sizes");
+    must(says(text, "in use") && says(text, "LOT_SIZE"), "the advice");
+    auto any = options;
+    any.size_bytes = 0;
+    must(refusal(any) == "", "no size means any");
+  });
+  CHECK(other.wait() == 0);
+  overwrite(engine.path(), 8, 999);
+  Child newer([&] {
+    const std::string text = refusal(options);
+    must(says(text, "layout version 999") && says(text, "this library has 1"), "both versions");
+    must(says(text, "in use"), "why it can not be replaced");
+  });
+  CHECK(newer.wait() == 0);
+  overwrite(engine.path(), 8, 1);
+  CHECK(files_of(options) == 2);
+}
+
+TEST_CASE("bad names, sizes and permissions are refused, and leave nothing") {
+  auto options = fresh();
+  const auto with_name = [&](const std::string& name) {
+    auto o = options;
+    o.segment = name;
+    return refusal(o);
+  };
+  for (const std::string& bad :
+       {std::string(), std::string(".."), std::string("a/b"), std::string(".hidden"),
+        std::string("a b"), std::string("\xc3\xa4"), std::string(101, 'x'),
+        std::string("a\0b", 3)}) {
+    CHECK(says(with_name(bad), "not a name for a segment"));
+  }
+  for (const char* bad : {"x", "12Q", "-5", "0", "5MM", "99999999999G", "18446744073709551616",
+                          "1.5G", "M", " ", "+-3"}) {
+    CAPTURE(bad);
+    const Environment size("LOT_SIZE", bad);
+    CHECK(says(refusal(options), "LOT_SIZE"));
+  }
+  for (const char* bad : {"x", "888", "0777", "0060", "-1", "01666", "600 "}) {
+    CAPTURE(bad);
+    const Environment permissions("LOT_PERMISSIONS", bad);
+    CHECK(says(refusal(options), "LOT_PERMISSIONS"));
+  }
+  {
+    const Environment size("LOT_SIZE", "1M");
+    CHECK(says(refusal(options), "raise LOT_SIZE"));
+  }
+  {
+    const Environment size("LOT_SIZE", "1000000G");
+    CHECK(says(refusal(options), "lower LOT_SIZE"));
+  }
+  for (auto member :
+       {&lot::EngineOptions::processes, &lot::EngineOptions::blocks, &lot::EngineOptions::topics,
+        &lot::EngineOptions::channels, &lot::EngineOptions::readers}) {
+    for (const std::uint32_t value : {0U, 0xffffffffU}) {
+      auto o = options;
+      o.*member = value;
+      CHECK(says(refusal(o), "out of range"));
+    }
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("the environment comes before the code") {
+  auto options = fresh();
+  const std::string name = unique_name();
+  const Environment segment("LOT_SEGMENT", name.c_str());
+  const Environment size("LOT_SIZE", "32M");
+  const Environment permissions("LOT_PERMISSIONS", "0660");
+  const lot::ShmEngine engine(options);
+  CHECK(engine.path() == options.directory + "/" + name);
+  struct stat status {};
+  REQUIRE(stat(engine.path().c_str(), &status) == 0);
+  CHECK(status.st_size == 32 << 20);
+  CHECK((status.st_mode & 07777) == 0660);
+  REQUIRE(stat((engine.path() + ".lock").c_str(), &status) == 0);
+  CHECK((status.st_mode & 07777) == 0660);
+}
+
+TEST_CASE("a directory that is absent, no directory or read-only is named with an advice") {
+  auto options = fresh();
+  options.directory = "/nonexistent/lot";
+  CHECK(says(refusal(options), "LOT_DIR"));
+  options.directory = "/proc/version";
+  CHECK(says(refusal(options), "LOT_DIR"));
+  const SmallDisk disk("size=64m,ro");
+  if (disk.path.empty()) {
+    MESSAGE("skipped: can not mount a tmpfs");
+    return;
+  }
+  options.directory = disk.path;
+  const std::string text = refusal(options);
+  CHECK(says(text, "read-only"));
+  CHECK(says(text, "LOT_DIR"));
+}
+
+TEST_CASE("links are not followed") {
+  const auto options = fresh();
+  const std::string elsewhere = "/tmp/" + options.segment;
+  std::ofstream(elsewhere) << "mine";
+  for (const char* suffix : {"", ".lock"}) {
+    std::filesystem::create_symlink(elsewhere, file_of(options) + suffix);
+    CHECK(says(refusal(options), file_of(options).c_str()));
+    std::string still;
+    std::getline(std::ifstream(elsewhere), still);
+    CHECK(still == "mine");
+    std::filesystem::remove(file_of(options) + suffix);
+  }
+  std::filesystem::remove(elsewhere);
+  std::filesystem::remove(file_of(options) + ".lock");
+}
+
+TEST_CASE("a directory of 64 MB, as Docker's, works with what is there") {
+  const Watchdog watchdog(60);
+  const SmallDisk disk("size=64m");
+  if (disk.path.empty()) {
+    MESSAGE("skipped: can not mount a tmpfs");
+    return;
+  }
+  auto options = fresh(0);
+  options.directory = disk.path;
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Frame>("/t", {lot::Policy::Overwrite, 1, 1s});
+    auto puller = engine.subscribe<Frame>("/t");
+    for (int round = 0; round < 3; ++round) {
+      std::vector<lot::ShmUniquePtr<Frame>> frames;
+      for (;;) {
+        REQUIRE(frames.size() < 5);
+        auto frame = pusher.loan();
+        try {
+          frame->data.resize((16 << 20) / 8);
+        } catch (const lot::OutOfMemory& e) {
+          CHECK(says(e.what(), "LOT_SIZE"));
+          break;
+        }
+        std::fill(frame->data.begin(), frame->data.end(), 5);
+        frames.push_back(std::move(frame));
+      }
+      CHECK(!frames.empty());
+      for (auto& frame : frames) {
+        CHECK(pusher.push(std::move(frame)) == lot::Status::Ok);
+        CHECK(puller.pull(1s)->data.back() == 5);
+      }
+    }
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a directory that is full, or becomes full later, is an error and never a SIGBUS") {
+  const Watchdog watchdog(60);
+  const SmallDisk disk("size=64m");
+  if (disk.path.empty()) {
+    MESSAGE("skipped: can not mount a tmpfs");
+    return;
+  }
+  auto options = fresh(0);
+  options.directory = disk.path;
+  const auto fill_up = [&](std::size_t leave) {
+    const std::string ballast = disk.path + "/ballast";
+    const int fd = open(ballast.c_str(), O_CREAT | O_RDWR, 0600);
+    const auto size = static_cast<off_t>(std::filesystem::space(disk.path).available - leave);
+    CHECK(posix_fallocate(fd, 0, size) == 0);
+    close(fd);
+  };
+  fill_up(0);
+  CHECK(says(refusal(options), "--shm-size"));
+  CHECK(files_of(options) == 0);
+  std::filesystem::remove(disk.path + "/ballast");
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Frame>("/t", {lot::Policy::Overwrite, 1, 1s});
+    fill_up(5 << 20);
+    auto frame = pusher.loan();
+    try {
+      frame->data.resize((16 << 20) / 8);
+      FAIL("no exception");
+    } catch (const lot::OutOfMemory& e) {
+      CHECK(says(e.what(), "the file system is full"));
+    }
+    std::filesystem::remove(disk.path + "/ballast");
+    frame->data.assign((16 << 20) / 8, 3);
+    CHECK(pusher.push(std::move(frame)) == lot::Status::Ok);
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("two segments in one process have nothing to do with each other") {
+  const auto one = fresh();
+  const auto two = fresh();
+  {
+    lot::ShmEngine a(one), b(two);
+    auto pusher = a.advertise<Frame>("/t");
+    auto puller = b.subscribe<Frame>("/t");
+    auto right = a.subscribe<Frame>("/t");
+    pusher.push(pusher.loan());
+    CHECK(puller.try_pull() == nullptr);
+    CHECK(puller.status() == lot::Status::PublisherGone);
+    CHECK(right.try_pull() != nullptr);
+  }
+  CHECK(files_of(one) + files_of(two) == 0);
+}
+
+TEST_SUITE_END();

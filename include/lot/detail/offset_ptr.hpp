@@ -94,20 +94,12 @@ class OffsetPtr {
 };
 
 // Sums and differences are ordinary pointers or go through them: T* converts back where it is kept.
-template <class T>
-OffsetPtr<T> operator+(const OffsetPtr<T>& p, std::ptrdiff_t n) noexcept {
+template <class T, class N, std::enable_if_t<std::is_integral_v<N>, int> = 0>
+OffsetPtr<T> operator+(const OffsetPtr<T>& p, N n) noexcept {
   return OffsetPtr<T>(p.get() + n);
 }
-template <class T>
-OffsetPtr<T> operator-(const OffsetPtr<T>& p, std::ptrdiff_t n) noexcept {
-  return OffsetPtr<T>(p.get() - n);
-}
-template <class T>
-OffsetPtr<T> operator+(const OffsetPtr<T>& p, std::size_t n) noexcept {
-  return OffsetPtr<T>(p.get() + n);
-}
-template <class T>
-OffsetPtr<T> operator-(const OffsetPtr<T>& p, std::size_t n) noexcept {
+template <class T, class N, std::enable_if_t<std::is_integral_v<N>, int> = 0>
+OffsetPtr<T> operator-(const OffsetPtr<T>& p, N n) noexcept {
   return OffsetPtr<T>(p.get() - n);
 }
 template <class T, class U>
