@@ -81,6 +81,23 @@ class ShmAllocator {
       } else {
         ::new (static_cast<void*>(place)) U(std::forward<Args>(args)...);
       }
+    } else if constexpr ((std::is_same_v<Args, U> && ...) && sizeof...(Args) == 1 &&
+                         std::is_default_constructible_v<U> && std::is_move_assignable_v<U>) {
+      // A move constructor would take the other's memory over, whichever that is; an assignment
+      // does so only within one message.
+      const BuildScope scope(arena_.get());
+      ::new (static_cast<void*>(place)) U;
+      struct Undo {
+        U* built;
+        ~Undo() {
+          if (built != nullptr) built->~U();
+        }
+      } undo{place};
+      ((*place = std::forward<Args>(args)), ...);
+      undo.built = nullptr;
+    } else if constexpr (std::is_constructible_v<U, const Args&...>) {
+      const BuildScope scope(arena_.get());
+      ::new (static_cast<void*>(place)) U(static_cast<const Args&>(args)...);
     } else {
       const BuildScope scope(arena_.get());
       ::new (static_cast<void*>(place)) U(std::forward<Args>(args)...);

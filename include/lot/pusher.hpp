@@ -35,12 +35,16 @@ ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
     object = ::new (loan.root) T;  // no zeroing of pixels
   } else {
     const Scope scope(loan.arena);
+    // As const: a move would take memory along that is not the message's.
     if constexpr (sizeof...(Args) == 0) {
       object = ::new (loan.root) T;
-    } else if constexpr (std::is_constructible_v<T, Args...>) {
-      object = ::new (loan.root) T(std::forward<Args>(args)...);
+    } else if constexpr (std::is_constructible_v<T, const Args&...>) {
+      object = ::new (loan.root) T(static_cast<const Args&>(args)...);
     } else {
-      object = ::new (loan.root) T{std::forward<Args>(args)...};
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wmissing-field-initializers"
+      object = ::new (loan.root) T{static_cast<const Args&>(args)...};
+#pragma GCC diagnostic pop
     }
   }
   abandon.cell = nullptr;

@@ -372,6 +372,9 @@ class Reader {
     ring_.who[cell_].store(0, std::memory_order_release);
   }
 
+  /// Of a reader that joined from the start: messages that were overwritten before it came.
+  std::uint64_t skipped() const { return skipped_; }
+
   typename P::template Atomic<Word>& slot() const { return ring_.slots[index_]; }
   const Ring<P>& ring() const { return ring_; }
   Word cursor() const { return cursor_; }
@@ -404,6 +407,7 @@ class Reader {
     if (history == kFromTheStart && !ring_.blocking) back = published;  // poll() counts the missed
     if (back > history) back = history;
     if (back > published) back = published;
+    if (history == kFromTheStart) skipped_ = published - back;
     cursor_ = advance(head, Word{0} - back);
     index_ = static_cast<std::uint32_t>(
         (std::uint64_t{newest_index} + 1 + ring_.depth - back % ring_.depth) % ring_.depth);
@@ -442,6 +446,7 @@ class Reader {
 
   Ring<P> ring_;
   Word cursor_ = 0;
+  std::uint64_t skipped_ = 0;
   std::uint32_t index_ = 0;
   std::uint32_t cell_ = 0;
   bool drained_ = false;

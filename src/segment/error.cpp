@@ -1,10 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "lot/error.hpp"
 
+#include <algorithm>
 #include <cstdio>
 #include <cstring>
 
 namespace lot {
+namespace {
+
+/// what() is a C string: a NUL in a name must not end it.
+std::string printable(std::string name) {
+  std::replace(name.begin(), name.end(), '\0', '?');
+  return name;
+}
+
+}  // namespace
 
 const char* to_string(Status status) noexcept {
   switch (status) {
@@ -26,7 +36,7 @@ const char* to_string(Status status) noexcept {
 
 Error::Error(int error_number, std::string object, const std::string& reason,
              const std::string& advice)
-    : std::runtime_error("lot: " + object + ": " + reason +
+    : std::runtime_error("lot: " + printable(object) + ": " + reason +
                          (error_number != 0 ? std::string(" (") + std::strerror(error_number) + ")"
                                             : std::string()) +
                          (advice.empty() ? std::string() : "; " + advice)),

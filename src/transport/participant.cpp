@@ -126,10 +126,12 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
     if (!file->enter_gate(kGatePatience)) continue;  // removed by the last one to leave: once more
     liveness::LockFile& lock_file = *file;
     GateGuard gate(lock_file);
+    bool ours = false;  // there is a segment that the lock file belongs to
     const auto in_use = [&] { return lock_file.held_by_other(0, segment::kMaxParticipants); };
     try {
       std::string reason;
       const auto fit = segment::Segment::examine(path, options.size_bytes, reason);
+      ours = fit == segment::Segment::Fit::Fits || fit == segment::Segment::Fit::Stale;
       if (fit == segment::Segment::Fit::Foreign) {
         throw Error(EINVAL, path, reason, "remove it if it is yours, or set LOT_SEGMENT");
       }
@@ -139,19 +141,20 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
       }
       if (fit != segment::Segment::Fit::Fits) {
         segment::Segment::remove(path);
+        ours = false;
         segment::Segment::create(path,
                                  {options.size_bytes, options.processes + 1, options.blocks,
                                   options.topics, options.channels, options.readers},
                                  options.permissions);
       }
+      ours = true;
       auto* p = new Participant(options, std::move(file));
       std::shared_ptr<Participant> handle(p, &handle_gone);
       process().by_path[path] = handle;
       process().all.push_back(p);
       return handle;
     } catch (...) {
-      std::string ignored;
-      if (!in_use() && access(path.c_str(), F_OK) != 0) ::unlink((path + ".lock").c_str());
+      if (!ours && !in_use()) ::unlink((path + ".lock").c_str());
       throw;
     }
   }
@@ -192,12 +195,19 @@ Participant::~Participant() { munmap(holder_.cells, cells_bytes_); }
 
 void Participant::fill_hub() noexcept {
   hub_.owner = this;
-  hub_.released = [](detail::ControlCell* c) noexcept { of(c).released(*c); };
+  hub_.drop_last = [](detail::ControlCell* c) noexcept {
+    Participant& p = of(c);
+    if (p.inert_) return;
+    p.enter();
+    p.drop_pointer(*c);
+    p.exit();
+  };
   hub_.abandoned = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
     if (p.inert_) return;
+    p.enter();
     p.pools_[c->pool]->give_back(c->block);
-    if (p.closing_.load(std::memory_order_seq_cst) && !p.holds_pointers()) p.leave();
+    p.exit();
   };
   hub_.acquire = [](detail::ControlCell* c) noexcept {
     of(c).holder_.acquire(c->block, hold::kPointer);
@@ -208,13 +218,16 @@ void Participant::fill_hub() noexcept {
   };
   hub_.lock_weak = [](detail::ControlCell* c, std::uint32_t generation) noexcept {
     Participant& p = of(c);
-    if (p.inert_ || p.left_) return false;
+    if (p.inert_) return false;
+    p.enter();
     segment::BlockWords& words = p.segment_.block(c->block);
-    if (!p.holder_.own.acquire_weak(words, c->hold, generation)) return false;
-    if ((c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
+    const bool alive = !p.left_.load(std::memory_order_seq_cst) &&
+                       p.holder_.own.acquire_weak(words, c->hold, generation);
+    if (alive && (c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
       words.home_points.store(1, std::memory_order_relaxed);
     }
-    return true;
+    p.exit();
+    return alive;
   };
   hub_.generation = [](const detail::ControlCell* c) noexcept {
     return refcount::generation_of(
@@ -240,8 +253,11 @@ void Participant::fill_hub() noexcept {
   };
   hub_.weak_count = [](detail::ControlCell* c, int change) noexcept {
     Participant& p = of(c);
-    p.weak_pointers_.fetch_add(change, std::memory_order_acq_rel);
-    if (change < 0) p.delete_if_unreferenced();
+    if (change > 0) {
+      p.life_.fetch_add(kReference, std::memory_order_relaxed);
+    } else {
+      p.drop_reference();
+    }
   };
   hub_.shared_from_unique = [](detail::ControlCell* c) noexcept {
     of(c).segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
@@ -361,9 +377,12 @@ void Participant::warden() {
 /// closefrom() and the like in the application drop our lock. Nobody reaps us then, because the
 /// witness stands; but nobody should have to ask it.
 void Participant::keep_own_lock() noexcept {
-  if (lock_file_->intact()) return;
-  const std::lock_guard guard(reap_mutex_);
-  if (lock_file_->reopen()) lock_file_->try_lock(index());
+  if (!lock_file_->intact()) {
+    const std::lock_guard guard(reap_mutex_);
+    lock_lost_ = lock_file_->reopen();
+  }
+  // A prober may have the byte for a moment: then again the next time.
+  if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index());
 }
 
 bool Participant::reap_if_dead(std::uint32_t k) noexcept {
@@ -573,20 +592,61 @@ void Participant::check_usable() const {
   }
 }
 
-void Participant::released(detail::ControlCell& cell) noexcept {
-  if (inert_) return;
+void Participant::drop_pointer(detail::ControlCell& cell) noexcept {
   segment::BlockWords& words = segment_.block(cell.block);
-  const std::uint64_t v = cell.hold.load(std::memory_order_acquire);
-  if ((v & hold::kHome) != 0 && hold::pointers(v) == 0) {
+  const std::uint64_t v =
+      cell.hold.fetch_sub(hold::kPointer, std::memory_order_acq_rel) - hold::kPointer;
+  if (hold::pointers(v) != 0) return;
+  if ((v & hold::kHome) != 0) {
     words.home_points.store(0, std::memory_order_relaxed);
     if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
       words.home_points.store(1, std::memory_order_relaxed);  // another thread was quicker
     }
   }
-  if ((v & hold::kHolds) == 0 && (v & hold::kHeld) != 0 && holder_.own.let_go(words, cell.hold)) {
+  if ((v & hold::kHolds) == 0 && holder_.own.let_go(words, cell.hold)) {
     pools_[cell.pool]->came_home(cell.block);
   }
-  if (closing_.load(std::memory_order_seq_cst) && !holds_pointers()) leave();
+}
+
+/// Between enter() and exit() the participant neither leaves nor goes away. REQUIRES: the caller
+/// has a pointer or a weak pointer of it.
+void Participant::enter() noexcept {
+  life_.fetch_add(kReference | kInside, std::memory_order_seq_cst);
+}
+
+void Participant::exit() noexcept {
+  std::uint64_t v = life_.load(std::memory_order_relaxed);
+  while ((v & kClosing) == 0) {
+    if (life_.compare_exchange_weak(v, v - (kReference | kInside), std::memory_order_seq_cst,
+                                    std::memory_order_relaxed)) {
+      return;
+    }
+  }
+  // All handles have gone: whoever comes out last and leaves no pointer behind closes the door.
+  life_.fetch_sub(kInside, std::memory_order_seq_cst);
+  leave_if_unused();
+  drop_reference();
+}
+
+void Participant::drop_reference() noexcept {
+  const std::uint64_t left = life_.fetch_sub(kReference, std::memory_order_acq_rel) - kReference;
+  if ((left & kReferences) == 0) delete this;
+}
+
+void Participant::leave_if_unused() noexcept {
+  const auto unused = [this] {
+    return (life_.load(std::memory_order_seq_cst) & kInsideMask) == 0 && !holds_pointers();
+  };
+  {
+    const std::lock_guard guard(leave_mutex_);
+    if (left_ || !unused()) return;
+    left_.store(true, std::memory_order_seq_cst);
+    if (!unused()) {  // a weak pointer was locked just now: its holder comes by here again
+      left_.store(false, std::memory_order_seq_cst);
+      return;
+    }
+  }
+  leave();
 }
 
 /// Only asked when all handles have gone. Blocks that are ready for loan carry a pointer hold of
@@ -602,12 +662,12 @@ bool Participant::holds_pointers() noexcept {
 void Participant::handle_gone(Participant* p) noexcept {
   if (p->inert_) return;  // a forked child touches nothing, and has no thread to stop
   p->finish_closing();
-  p->closing_.store(true, std::memory_order_seq_cst);
-  if (!p->holds_pointers()) p->leave();
+  p->life_.fetch_or(kClosing, std::memory_order_seq_cst);
+  p->leave_if_unused();
+  p->drop_reference();
 }
 
 void Participant::leave() noexcept {
-  if (left_.exchange(true)) return;
   {
     const std::lock_guard guard(process().mutex);
     std::erase(process().all, this);
@@ -618,13 +678,6 @@ void Participant::leave() noexcept {
     warden_signal_.notify_all();
   }
   warden_.join();
-  delete_if_unreferenced();
-}
-
-void Participant::delete_if_unreferenced() noexcept {
-  if (left_ && weak_pointers_.load(std::memory_order_acquire) == 0 && !deleted_.exchange(true)) {
-    delete this;
-  }
 }
 
 bool Participant::same_segment(const detail::ControlCell& cell) const noexcept {

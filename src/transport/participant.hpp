@@ -134,13 +134,16 @@ class Participant {
   void keep_own_lock() noexcept;
   bool finish_closing() noexcept;
 
-  void released(detail::ControlCell& cell) noexcept;
+  void drop_pointer(detail::ControlCell& cell) noexcept;
+  void enter() noexcept;
+  void exit() noexcept;
+  void drop_reference() noexcept;
+  void leave_if_unused() noexcept;
   bool holds_pointers() noexcept;
   bool has_orphan_rings() noexcept;
   /// Called when the last handle has gone: leaves now, or when the last pointer goes.
   static void handle_gone(Participant* p) noexcept;
   void leave() noexcept;
-  void delete_if_unreferenced() noexcept;
 
   static void prepare_fork() noexcept;
   static void after_fork_in_parent() noexcept;
@@ -171,10 +174,19 @@ class Participant {
   bool warden_stop_ = false;
 
   std::atomic<bool> inert_{false};
-  std::atomic<bool> closing_{false};
   std::atomic<bool> left_{false};
-  std::atomic<long> weak_pointers_{0};
-  std::atomic<bool> deleted_{false};
+  std::mutex leave_mutex_;
+  bool lock_lost_ = false;  ///< our byte must be locked again; the warden's
+
+  /// {closing : 1 | references : 31 | inside : 32}. Closing: all handles have gone. References: the
+  /// handles together are one, each weak pointer and each thread inside is one; at none the object
+  /// goes. Inside: threads that are dropping a last pointer.
+  static constexpr std::uint64_t kInside = 1;
+  static constexpr std::uint64_t kInsideMask = 0xffffffff;
+  static constexpr std::uint64_t kReference = std::uint64_t{1} << 32;
+  static constexpr std::uint64_t kReferences = std::uint64_t{0x7fffffff} << 32;
+  static constexpr std::uint64_t kClosing = std::uint64_t{1} << 63;
+  std::atomic<std::uint64_t> life_{kReference};
 };
 
 /// Whether spinning can help: with one core the other side cannot move meanwhile.

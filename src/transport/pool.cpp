@@ -159,10 +159,24 @@ void Pool::retire(std::uint32_t b, bool borrowed) {
     retired_.push_back(b);
   } else if ((holder_.cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
              holder_.cell(b).pool == index_) {
-    free_.push_back(b);
+    if (!drop_if_held(b)) free_.push_back(b);
   } else {
     foreign_.push_back(b);
   }
+}
+
+/// Gives a ring's hold up at once where others of this process remain: a message that is pushed
+/// again and again has one entry in a ring after the other, but dies once.
+bool Pool::drop_if_held(std::uint32_t b) noexcept {
+  auto& word = holder_.cell(b).hold;
+  std::uint64_t v = word.load(std::memory_order_relaxed);
+  while ((v & hold::kHolds) != hold::kRing) {
+    if (word.compare_exchange_weak(v, v - hold::kRing, std::memory_order_acq_rel,
+                                   std::memory_order_relaxed)) {
+      return true;
+    }
+  }
+  return false;
 }
 
 void Pool::poll_kept() {
@@ -182,9 +196,13 @@ void Pool::poll_kept() {
 void Pool::bury(std::uint32_t b) noexcept {
   ControlCell& c = holder_.cell(b);
   const detail::MessageType* type = c.type;
-  if (type == nullptr || type->plain) {
-    c.type = type != nullptr && type->size <= segment::kSmallBytes ? type : nullptr;
-    if (type != nullptr && c.type == nullptr) recycle_extents(b);
+  if (type == nullptr) {  // nothing was built, or its constructor threw
+    holder_.release_references(b);
+    return;
+  }
+  if (type->plain) {
+    c.type = type->size <= segment::kSmallBytes ? type : nullptr;
+    if (c.type == nullptr) recycle_extents(b);
     return;
   }
   c.type = nullptr;

@@ -120,6 +120,7 @@ class Pool {
   void bury(std::uint32_t b) noexcept;
   void recycle_extents(std::uint32_t b) noexcept;
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
+  bool drop_if_held(std::uint32_t b) noexcept;
   void release_block(std::uint32_t b) noexcept;
 
   Holder& holder_;

@@ -59,7 +59,10 @@ class Puller final : public detail::PullerCore {
       ++burst_;
       return Status::Ok;
     }
-    if (!wait) return sources_.empty() ? Status::PublisherGone : Status::Empty;
+    if (!wait) {
+      if (!settle() && look(borrowed)) return Status::Ok;
+      return sources_.empty() ? Status::PublisherGone : Status::Empty;
+    }
     return wait_and_look(borrowed, forever ? futex::Deadline() : futex::Deadline(deadline));
   }
 
@@ -221,6 +224,7 @@ class Puller final : public detail::PullerCore {
       auto reader = Reader::join(participant_->segment().ring(name.channel), name.generation,
                                  participant_->index(), history, full);
       if (reader) {
+        missed_ += reader->skipped();
         sources_.push_back({name, *reader});
       } else if (full && complain) {
         throw Error(EUSERS, participant_->segment().path(),

@@ -65,15 +65,18 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     }
     if (!blocking_) participant_->remove(*this);
     std::vector<std::uint32_t> blocks;
+    std::vector<std::uint32_t> foreign;
     {
       const std::lock_guard guard(pool_.lock());
       blocks = pool_.take_retired();
+      foreign = pool_.take_foreign();
       const auto& ring = writer_->ring();
       for (std::uint32_t i = 0; i < ring.depth; ++i) {
         const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
         if (b != kNoBlock) blocks.push_back(static_cast<std::uint32_t>(b));
       }
     }
+    for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
     participant_->close_pool(pool_, name_, std::move(blocks));
     participant_->close_ring(name_);
     participant_->leave_topic(*topic_);
@@ -217,7 +220,9 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   void publish(std::unique_lock<SpinLock>& lock, std::uint32_t b) {
     const auto published = writer_->publish(b);
     std::vector<std::uint32_t> foreign;
-    if (published.replaced != kNoBlock) {
+    if (published.replaced == b) {
+      foreign.push_back(b);  // the same message again: it is in the ring, so nobody needs this hold
+    } else if (published.replaced != kNoBlock) {
       pool_.retire(static_cast<std::uint32_t>(published.replaced), !blocking_);
       if (!blocking_) {
         big_ = is_big(b);
@@ -240,6 +245,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     const detail::MessageType* type = participant_->holder().cell(b).type;
     if (type != nullptr && type->plain && type->size <= segment::kSmallBytes) return false;
     const detail::Arena& arena = participant_->segment().arena(b);
+    if (arena.references != 0) return true;  // what it refers to may be big
     std::uint64_t bytes = 0;
     for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
       bytes += segment::kGranule << arena.extent[i].order;

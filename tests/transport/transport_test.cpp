@@ -287,20 +287,17 @@ TEST_CASE("one subscription reads several publishers, which come and go in any o
   CHECK(all_got + puller.missed_total() == all_sent);  // received, or counted as missed
 }
 
-TEST_CASE("what a publisher sent after the subscription counts, even if it left before a look") {
+TEST_CASE("what a publisher sent after the subscription counts, even before the first look") {
   const Watchdog watchdog(60);
   Place place;
   for (const auto policy : {Policy::Overwrite, Policy::Block}) {
     CAPTURE(static_cast<int>(policy));
     auto puller = place.engine.subscribe<Number>("/t");
-    {
-      auto pusher = place.engine.advertise<Number>("/t", {policy, 4, 1s});
-      for (std::uint64_t n = 0; n < 10; ++n) send(pusher, n);
-      SUBCASE("it leaves") {}
-      SUBCASE("it stays") { CHECK(puller.publishers() == 1); }
-    }
+    auto pusher = place.engine.advertise<Number>("/t", {policy, 4, 1s});
+    for (std::uint64_t n = 0; n < 10; ++n) send(pusher, n);
     std::uint64_t got = 0;
     while (puller.try_pull()) ++got;
+    CHECK(got >= 3);
     CHECK(got + puller.missed_total() == 10);
   }
 }

@@ -14,7 +14,7 @@ struct ControlCell;
 /// What a pointer needs of the copy of the library that made it. It is reached through the pointer
 /// itself, so a pointer may be released by code that was linked with another copy.
 struct Hub {
-  void (*released)(ControlCell*) noexcept;   ///< the last pointer in this process has gone
+  void (*drop_last)(ControlCell*) noexcept;  ///< drops what is most likely the last pointer here
   void (*abandoned)(ControlCell*) noexcept;  ///< a unique pointer let go of what was never shared
   void (*acquire)(ControlCell*) noexcept;    ///< a pointer hold on a block that is protected
   bool (*lock_weak)(ControlCell*, std::uint32_t generation) noexcept;
@@ -50,11 +50,17 @@ struct alignas(32) ControlCell {
   /// Another pointer of this process. REQUIRES: one exists.
   void add_pointer() noexcept { hold.fetch_add(hold::kPointer, std::memory_order_relaxed); }
 
-  /// One pointer less.
+  /// One pointer less. The last one is dropped by the hub, which may be gone afterwards, and so
+  /// this.
   void drop_pointer() noexcept {
-    if (hold::pointers(hold.fetch_sub(hold::kPointer, std::memory_order_acq_rel)) == 1) {
-      hub->released(this);
+    std::uint64_t v = hold.load(std::memory_order_relaxed);
+    while (hold::pointers(v) > 1) {
+      if (hold.compare_exchange_weak(v, v - hold::kPointer, std::memory_order_acq_rel,
+                                     std::memory_order_relaxed)) {
+        return;
+      }
     }
+    hub->drop_last(this);
   }
 };
 static_assert(sizeof(ControlCell) == 32);

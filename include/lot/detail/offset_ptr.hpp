@@ -49,9 +49,7 @@ class OffsetPtr {
   }
 
   T* get() const noexcept {
-    return offset_ == kNull
-               ? nullptr
-               : reinterpret_cast<T*>(reinterpret_cast<std::uintptr_t>(this) + offset_);
+    return offset_ == kNull ? nullptr : reinterpret_cast<T*>(hidden(this) + offset_);
   }
   operator T*() const noexcept { return get(); }
   reference operator*() const noexcept { return *get(); }
@@ -84,10 +82,16 @@ class OffsetPtr {
   /// No object begins one byte behind a pointer to it, so this offset is free to mean null.
   static constexpr std::uintptr_t kNull = 1;
 
+  /// The address as a number that the compiler knows nothing about: else g++ -O3 takes what is
+  /// found at a distance from `this` for a part of *this, and reorders stores.
+  static std::uintptr_t hidden(const volatile void* p) noexcept {
+    auto address = reinterpret_cast<std::uintptr_t>(p);
+    asm("" : "+r"(address));
+    return address;
+  }
+
   void set(T* target) noexcept {
-    offset_ = target == nullptr ? kNull
-                                : reinterpret_cast<std::uintptr_t>(target) -
-                                      reinterpret_cast<std::uintptr_t>(this);
+    offset_ = target == nullptr ? kNull : hidden(target) - hidden(this);
   }
 
   std::uintptr_t offset_ = kNull;
