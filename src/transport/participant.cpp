@@ -661,10 +661,10 @@ bool Participant::holds_pointers() noexcept {
 
 void Participant::handle_gone(Participant* p) noexcept {
   if (p->inert_) return;  // a forked child touches nothing, and has no thread to stop
+  p->enter();
   p->finish_closing();
   p->life_.fetch_or(kClosing, std::memory_order_seq_cst);
-  p->leave_if_unused();
-  p->drop_reference();
+  p->exit();
 }
 
 void Participant::leave() noexcept {
@@ -678,6 +678,7 @@ void Participant::leave() noexcept {
     warden_signal_.notify_all();
   }
   warden_.join();
+  drop_reference();  // the handles' one
 }
 
 bool Participant::same_segment(const detail::ControlCell& cell) const noexcept {

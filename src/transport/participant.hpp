@@ -179,7 +179,7 @@ class Participant {
   bool lock_lost_ = false;  ///< our byte must be locked again; the warden's
 
   /// {closing : 1 | references : 31 | inside : 32}. Closing: all handles have gone. References: the
-  /// handles together are one, each weak pointer and each thread inside is one; at none the object
+  /// membership is one, each weak pointer and each thread inside is one; at none the object
   /// goes. Inside: threads that are dropping a last pointer.
   static constexpr std::uint64_t kInside = 1;
   static constexpr std::uint64_t kInsideMask = 0xffffffff;
