@@ -122,7 +122,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
   if (auto existing = process().by_path[path].lock()) return existing;
 
   for (;;) {
-    auto file = std::make_unique<liveness::LockFile>(path + ".lock", options.permissions);
+    auto file = std::make_shared<liveness::LockFile>(path + ".lock", options.permissions);
     if (!file->enter_gate(kGatePatience)) continue;  // removed by the last one to leave: once more
     liveness::LockFile& lock_file = *file;
     GateGuard gate(lock_file);
@@ -148,7 +148,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
                                  options.permissions);
       }
       ours = true;
-      auto* p = new Participant(options, std::move(file));
+      auto* p = new Participant(options, file);
       std::shared_ptr<Participant> handle(p, &handle_gone);
       process().by_path[path] = handle;
       process().all.push_back(p);
@@ -161,7 +161,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
 }
 
 Participant::Participant(const EngineOptions& options,
-                         std::unique_ptr<liveness::LockFile> lock_file)
+                         std::shared_ptr<liveness::LockFile> lock_file)
     : lock_file_(std::move(lock_file)),
       segment_(segment::path_of(options.directory, options.segment)),
       registry_(segment_),

@@ -125,7 +125,7 @@ class Participant {
   using Recovery = recovery::Recovery<detail::HardwareAtomics, Participant>;
   class GateGuard;
 
-  Participant(const EngineOptions& options, std::unique_ptr<liveness::LockFile> lock_file);
+  Participant(const EngineOptions& options, std::shared_ptr<liveness::LockFile> lock_file);
   static Participant& of(const detail::ControlCell* cell) noexcept;
   void fill_hub() noexcept;
   std::uint32_t take_index(const EngineOptions& options);
@@ -150,7 +150,7 @@ class Participant {
   static void after_fork_in_child() noexcept;
 
   OwnedHub hub_;
-  std::unique_ptr<liveness::LockFile> lock_file_;
+  std::shared_ptr<liveness::LockFile> lock_file_;
   segment::Segment segment_;
   registry::Registry registry_;
   Holder holder_;

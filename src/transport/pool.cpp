@@ -1,28 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "transport/pool.hpp"
 
-#include <thread>
-
 #include "lot/error.hpp"
 
 namespace lot::transport {
 
 using detail::Arena;
 using detail::ControlCell;
-
-void SpinLock::lock() noexcept {
-  for (unsigned n = 0; taken_.exchange(true, std::memory_order_acquire); ++n) {
-    while (taken_.load(std::memory_order_relaxed)) {
-      if (++n < 64) {
-        detail::HardwareAtomics::pause();
-      } else if (n < 128) {
-        std::this_thread::yield();
-      } else {  // a real-time thread must not starve the holder
-        std::this_thread::sleep_for(std::chrono::microseconds(50));
-      }
-    }
-  }
-}
 
 void Holder::acquire(std::uint32_t b, std::uint64_t amount) const noexcept {
   ControlCell& c = cell(b);

@@ -13,21 +13,12 @@
 
 #include "refcount/ownership.hpp"
 #include "segment/segment.hpp"
+#include "transport/biased_lock.hpp"
 
 namespace lot::transport {
 
 namespace hold = detail::hold;
 using HardwareOwnership = refcount::Ownership<detail::HardwareAtomics>;
-
-/// A lock between threads of one process for sections that never block: one locked operation.
-class SpinLock {
- public:
-  void lock() noexcept;
-  void unlock() noexcept { taken_.store(false, std::memory_order_release); }
-
- private:
-  std::atomic<bool> taken_{false};
-};
 
 class Pool;
 
@@ -71,7 +62,7 @@ class Pool {
   Pool(Holder& holder, std::uint32_t index)
       : holder_(holder), index_(index), is_kept_(holder.segment->capacity().blocks, false) {}
 
-  SpinLock& lock() noexcept { return lock_; }
+  BiasedLock& lock() noexcept { return lock_; }
 
   /// An exclusively owned block for a message of this type, or kNone. Locked.
   static constexpr std::uint32_t kNone = ~std::uint32_t{0};
@@ -125,7 +116,7 @@ class Pool {
 
   Holder& holder_;
   std::uint32_t index_;
-  SpinLock lock_;
+  BiasedLock lock_;
   std::vector<std::uint32_t> ready_;
   std::deque<std::uint32_t> free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;

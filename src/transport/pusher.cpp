@@ -217,7 +217,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   }
 
   /// Publishes, retires what was overwritten, unlocks, wakes.
-  void publish(std::unique_lock<SpinLock>& lock, std::uint32_t b) {
+  void publish(std::unique_lock<BiasedLock>& lock, std::uint32_t b) {
     const auto published = writer_->publish(b);
     std::vector<std::uint32_t> foreign;
     if (published.replaced == b) {
@@ -255,7 +255,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
   /// Waits until the slowest reader has read, or died: a reader that is at work makes room within
   /// microseconds, so it spins first. Called and left with the lock held.
-  bool wait_for_room(std::unique_lock<SpinLock>& lock, std::chrono::nanoseconds block_for) {
+  bool wait_for_room(std::unique_lock<BiasedLock>& lock, std::chrono::nanoseconds block_for) {
     const auto start = futex::Clock::now();
     const auto until = start + block_for;
     while (spins_ && futex::Clock::now() < std::min(until, start + kSpinTime)) {

@@ -128,7 +128,7 @@ struct ReaperKilled : Scene<ReaperKilled, 3> {
   void prepare() {
     publisher.open(start(4), 0, false);
     RL_ASSERT(subscriber.join(start(2), 0, 1, 2));
-    for (std::uint32_t k : {1, 3}) start(k);
+    for (std::uint32_t k : {1U, 3U}) start(k);
     for (int i = 0; i < 2; ++i) publisher.send();
     segment.bury(4);
   }
@@ -275,7 +275,7 @@ struct OrphanTravels : Scene<OrphanTravels, 3> {
   void prepare() {
     publisher.open(start(4), 0, false);
     RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
-    for (std::uint32_t k : {1, 3}) start(k);
+    for (std::uint32_t k : {1U, 3U}) start(k);
     publisher.send();
     block = subscriber.borrow();
     process(2).keep(block);

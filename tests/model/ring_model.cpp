@@ -11,7 +11,7 @@ struct OverwriteBorrow : Scene<OverwriteBorrow, 3> {
   void prepare() {
     publisher.open(start(4), 0, false);
     for (int i = 0; i < 3; ++i) publisher.send();
-    for (int i : {0, 1}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 2));
+    for (unsigned i : {0U, 1U}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 2));
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -30,7 +30,7 @@ struct OverwriteKeep : Scene<OverwriteKeep, 3> {
   void prepare() {
     publisher.open(start(4), 0, false);
     for (int i = 0; i < 3; ++i) publisher.send();
-    for (int i : {0, 1}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 2));
+    for (unsigned i : {0U, 1U}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 2));
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -67,7 +67,7 @@ struct BlockingLossless : Scene<BlockingLossless, 3> {
   BlockingLossless() : Scene({.blocks = 3, .depth = 2, .readers = 2}) {}
   void prepare() {
     publisher.open(start(4), 0, true);
-    for (int i : {0, 1}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 1));
+    for (unsigned i : {0U, 1U}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 1));
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -92,7 +92,7 @@ struct Sleepers : Scene<Sleepers, 3> {
   Sleepers() : Scene({.blocks = 4, .depth = 2, .readers = 2}) {}
   void prepare() {
     publisher.open(start(4), 0, false);
-    for (int i : {0, 1}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 1));
+    for (unsigned i : {0U, 1U}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 1));
   }
   void thread(unsigned t) {
     if (t == 0) {

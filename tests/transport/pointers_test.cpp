@@ -275,7 +275,7 @@ TEST_CASE("a message that only the queue holds has not expired for a weak pointe
 TEST_CASE("use_count says one for each other process that has pointers") {
   const Watchdog watchdog(60);
   const auto options = fresh();
-  Steps joined, kept, go, dropped;
+  Steps joined, kept, go, dropped, end;
   const auto reader = [&] {
     lot::ShmEngine engine(options);
     auto puller = engine.subscribe<Pair>("/t");
@@ -287,7 +287,7 @@ TEST_CASE("use_count says one for each other process that has pointers") {
     must(go.next() == '.', "both have it");
     must(seen.use_count() == 4, "two here, two elsewhere");
     dropped.tell();
-    must(go.next() == '.', "the end");
+    must(end.next() == '.', "the end");
   };
   Child first(reader), second(reader);
   REQUIRE(joined.next() == '.');
@@ -308,8 +308,8 @@ TEST_CASE("use_count says one for each other process that has pointers") {
     go.tell();
     CHECK(dropped.next() == '.');
     CHECK(dropped.next() == '.');
-    go.tell();
-    go.tell();
+    end.tell();
+    end.tell();
     CHECK(first.wait() == 0);
     CHECK(second.wait() == 0);
     CHECK(s.unique());

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/biased_lock.hpp"
+
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <linux/membarrier.h>
+#include <sys/syscall.h>
+#include <thread>
+#include <unistd.h>
+
+#include "lot/detail/atomics.hpp"
+
+namespace lot::transport {
+namespace {
+
+bool membarrier(int command) noexcept { return syscall(SYS_membarrier, command, 0, 0) == 0; }
+
+/// True when this process (a forked child is another one) may use the barrier.
+bool can_revoke() noexcept {
+#if defined(__SANITIZE_THREAD__)
+  return false;  // it does not know of membarrier
+#else
+#if defined(__has_feature)
+#if __has_feature(thread_sanitizer)
+  return false;
+#endif
+#endif
+  static std::atomic<pid_t> registered{0};
+  const pid_t process = getpid();
+  if (registered.load(std::memory_order_acquire) == process) return true;
+  if (!membarrier(MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED)) return false;
+  registered.store(process, std::memory_order_release);
+  return true;
+#endif
+}
+
+}  // namespace
+
+BiasedLock::BiasedLock() noexcept {
+  if (!can_revoke()) {
+    owner_.store(kNobody, std::memory_order_relaxed);
+    shared_.store(true, std::memory_order_relaxed);
+  }
+}
+
+void BiasedLock::lock_shared() noexcept {
+  for (unsigned n = 0; taken_.exchange(true, std::memory_order_acquire);) {  // L2
+    while (taken_.load(std::memory_order_relaxed)) {
+      if (++n < 64) {
+        detail::HardwareAtomics::pause();
+      } else if (n < 128) {
+        std::this_thread::yield();
+      } else {  // a real-time thread must not starve the holder
+        std::this_thread::sleep_for(std::chrono::microseconds(50));
+      }
+    }
+  }
+  if (shared_.load(std::memory_order_relaxed)) {
+    // Whoever revoked the bias waited for its owner; since then the owner stays out.
+    return;
+  }
+  if (owner_.load(std::memory_order_relaxed) == kUnowned) {
+    owner_.store(self(), std::memory_order_relaxed);
+    return;
+  }
+  shared_.store(true, std::memory_order_seq_cst);  // L1
+  if (!membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED)) {
+    std::fputs("lot: membarrier was registered and fails now\n", stderr);
+    std::abort();
+  }
+  while (busy_.load(std::memory_order_acquire)) detail::HardwareAtomics::pause();  // L1, L2
+  owner_.store(kNobody, std::memory_order_relaxed);
+}
+
+}  // namespace lot::transport

@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+
+namespace lot::transport {
+
+/// A lock between the threads of one process, for sections that never block. As long as one thread
+/// alone uses it, it costs no locked operation.
+///
+/// The first thread that takes it becomes its owner and says by a plain store that it is inside. A
+/// second thread revokes that for good: it raises shared_, makes every core of the process pass a
+/// barrier (membarrier), and waits until the owner is out. From then on all take an ordinary spin
+/// lock.
+///
+/// Edges
+///   L1  busy_ = true, then shared_ load by the owner <-> shared_ = true, membarrier, then busy_
+///   load by
+///       the revoker: one of the two sees the other. The owner's half is ordered for the compiler
+///       only; the membarrier is the processor's half of both.
+///   L2  busy_ = false / taken_ = false (release) -> busy_ load / taken_ exchange (acquire)
+///       carries: what the lock guards.
+///
+/// Threads: all members may be called at once.
+/// Memory:  private to the process, so that nothing of it can be left by a crash.
+/// Source:  membarrier(2), MEMBARRIER_CMD_PRIVATE_EXPEDITED; biased locking as in Java's monitors.
+class BiasedLock {
+ public:
+  BiasedLock() noexcept;
+
+  void lock() noexcept {
+    if (owner_.load(std::memory_order_relaxed) == self()) {
+      busy_.store(true, std::memory_order_relaxed);  // L1
+      std::atomic_signal_fence(std::memory_order_seq_cst);
+      if (!shared_.load(std::memory_order_relaxed)) {  // L1
+        biased_ = true;
+        return;
+      }
+      busy_.store(false, std::memory_order_release);  // L2
+    }
+    lock_shared();
+  }
+
+  void unlock() noexcept {
+    if (biased_) {
+      biased_ = false;
+      busy_.store(false, std::memory_order_release);  // L2
+    } else {
+      taken_.store(false, std::memory_order_release);  // L2
+    }
+  }
+
+ private:
+  static constexpr std::uintptr_t kUnowned = 0;
+  static constexpr std::uintptr_t kNobody = 1;
+
+  /// Tells this thread from the others that live.
+  static std::uintptr_t self() noexcept {
+    static thread_local char here;
+    return reinterpret_cast<std::uintptr_t>(&here);
+  }
+  void lock_shared() noexcept;
+
+  std::atomic<std::uintptr_t> owner_{kUnowned};
+  std::atomic<bool> busy_{false};    ///< the owner is inside, without taken_
+  std::atomic<bool> shared_{false};  ///< the bias was revoked
+  std::atomic<bool> taken_{false};
+  bool biased_ = false;  ///< how the one who is inside came in; guarded by the lock itself
+};
+
+}  // namespace lot::transport
