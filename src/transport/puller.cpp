@@ -20,10 +20,12 @@ using Reader = ring::Reader<Policy>;
 /// Adaptive waiting spins this long: a little more than what a wake-up across cores costs.
 constexpr auto kSpinTime = 50us;
 constexpr unsigned kPollsPerClock = 64;
+/// The first polls of a wait follow each other at once: a pause would add to the latency.
+constexpr unsigned kEagerPolls = 4096;
 /// So many messages without a wait are a stream; its reader then waits so long before it looks
 /// again.
 constexpr unsigned kBurst = 4;
-constexpr unsigned kPausesAfterBurst = 32;
+constexpr unsigned kPausesAfterBurst = 200;
 /// In a stream, the lines of this message are fetched while those before it are read.
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
@@ -169,7 +171,7 @@ class Puller final : public detail::PullerCore {
       if (wait_ != Wait::Park) {
         const auto start = futex::Clock::now();
         for (unsigned n = 1;; ++n) {
-          Policy::pause();
+          if (n > kEagerPolls) Policy::pause();
           if (look(borrowed)) return Status::Ok;
           if (n % kPollsPerClock != 0) continue;
           settle();
