@@ -234,7 +234,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     if (!published.wake) {
       if (!pool_.has_free() && pool_.retired() >= batch()) scan();
       pool_.prepare();
-      pool_.prefetch(writer_->upcoming(kPrefetchAhead));
+      if (blocking_) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // a lossless stream
     }
     lock.unlock();
     if (published.wake) futex::wake_all(futex::low_half(*published.slot));
