@@ -48,7 +48,11 @@ class Drama {
   void tell(const char* format, Args... args) const {
     const std::chrono::duration<double> t = std::chrono::steady_clock::now() - start_;
     std::printf("  %5.2f s  ", t.count());
-    std::printf(format, args...);
+    if constexpr (sizeof...(Args) == 0) {
+      std::fputs(format, stdout);
+    } else {
+      std::printf(format, args...);
+    }
     std::printf("\n");
     std::fflush(stdout);
   }
