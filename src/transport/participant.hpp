@@ -114,6 +114,9 @@ class Participant {
   void wake(std::atomic<std::uint32_t>& word) noexcept { futex::wake_all(&word); }
 
  private:
+  /// How long opening and leaving wait for others who do the same.
+  static constexpr std::chrono::seconds kGatePatience{5};
+
   struct OwnedHub : detail::Hub {
     Participant* owner = nullptr;
   };

@@ -1,0 +1,195 @@
+// SPDX-License-Identifier: Apache-2.0
+/// Who is alive: taking an index, the warden, reaping, collecting, and leaving the segment.
+#include <algorithm>
+#include <cerrno>
+#include <csignal>
+#include <cstring>
+#include <unistd.h>
+
+#include "lot/error.hpp"
+
+#include "robust_mutex/robust_mutex.hpp"
+#include "transport/participant.hpp"
+
+namespace lot::transport {
+namespace {
+
+using namespace std::chrono_literals;
+constexpr auto kOrphanagePatience = 2s;
+constexpr auto kWardenPeriod = 100ms;
+/// A search through all blocks costs cache lines that publishers want: only now and then.
+constexpr unsigned kWardenRoundsPerSearch = 10;
+
+}  // namespace
+
+std::uint32_t Participant::take_index(const EngineOptions& options) {
+  for (std::uint32_t k = 1; k < segment_.capacity().participants; ++k) {
+    if (!lock_file_->try_lock(k)) continue;
+    RobustMutex witness(segment_.witnesses()[k].mutex);
+    if (witness.try_lock() != RobustMutex::Outcome::Busy) {
+      bool clean = part(k).load(std::memory_order_acquire) == 0;
+      if (!clean && lock_file_->try_lock(refcount::kOrphanage)) {  // a dead one is in there
+        Recovery(*this).reap(k);
+        lock_file_->unlock(refcount::kOrphanage);
+        clean = true;
+      }
+      witness.unlock();
+      if (clean) {
+        auto& entry = segment_.participants()[k];
+        entry.pid = getpid();
+        entry.since_ns = static_cast<std::uint64_t>(
+            std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1));
+        std::memset(entry.name, 0, sizeof(entry.name));
+        std::memcpy(entry.name, options.name.data(),
+                    std::min(options.name.size(), sizeof(entry.name) - 1));
+        return k;
+      }
+    }
+    lock_file_->unlock(k);
+  }
+  throw Error(EUSERS, segment_.path(),
+              "all " + std::to_string(segment_.capacity().participants - 1) +
+                  " processes of the segment are taken",
+              "make the segment with a larger EngineOptions::processes, or use several segments");
+}
+
+void Participant::start_warden() {
+  warden_ = std::thread([this] { warden(); });
+  pthread_setname_np(warden_.native_handle(), "lot-warden");
+  std::unique_lock lock(warden_mutex_);
+  warden_signal_.wait(lock, [this] { return warden_ready_; });
+}
+
+void Participant::warden() {
+  sigset_t all;
+  sigfillset(&all);
+  pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
+  RobustMutex witness(segment_.witnesses()[index()].mutex);
+  while (witness.lock_for(1s) == RobustMutex::Outcome::Busy) {
+  }
+  part(index()).store(1, std::memory_order_release);
+  std::unique_lock lock(warden_mutex_);
+  warden_ready_ = true;
+  warden_signal_.notify_all();
+  for (unsigned round = 0; !warden_stop_;) {
+    warden_signal_.wait_for(lock, kWardenPeriod);
+    if (warden_stop_) break;
+    lock.unlock();
+    keep_own_lock();
+    const bool look_at_blocks = ++round % kWardenRoundsPerSearch == 0;
+    if (reap_dead() || look_at_blocks || has_orphan_rings()) collect();
+    finish_closing();
+    lock.lock();
+  }
+  lock.unlock();
+  keep_own_lock();
+
+  // Leaving is exactly a reap of oneself, and then: the last one out removes the files.
+  bool in_gate = false;
+  try {
+    in_gate = lock_file_->enter_gate(kGatePatience);
+  } catch (const Error&) {
+  }
+  bool reaped = false;
+  {
+    const std::lock_guard guard(reap_mutex_);
+    const auto until = futex::Clock::now() + kOrphanagePatience;
+    while (!reaped && futex::Clock::now() < until) {
+      if (lock_file_->try_lock(refcount::kOrphanage)) {
+        Recovery(*this).reap(index());
+        lock_file_->unlock(refcount::kOrphanage);
+        reaped = true;
+      } else {
+        std::this_thread::sleep_for(1ms);
+      }
+    }
+  }
+  witness.unlock();
+  if (in_gate) {
+    if (reaped && !options_.persist && lock_file_->intact() &&
+        !lock_file_->held_by_other(0, segment_.capacity().participants)) {
+      bool alone = true;  // a living process may have lost its lock to closefrom(): ask its witness
+      for (std::uint32_t k = 1; k < participants() && alone; ++k) {
+        if (part(k).load(std::memory_order_acquire) == 0) continue;
+        RobustMutex other(segment_.witnesses()[k].mutex);
+        alone = other.try_lock() != RobustMutex::Outcome::Busy;
+        if (alone) other.unlock();
+      }
+      if (alone) {
+        segment::Segment::remove(segment_.path());
+        ::unlink(lock_file_->path().c_str());
+      }
+    }
+    // Inside the gate: whoever leaves next must see that we are gone.
+    lock_file_->unlock(index());
+    lock_file_->leave_gate();
+  }
+}
+
+/// closefrom() and the like in the application drop our lock. Nobody reaps us then, because the
+/// witness stands; but nobody should have to ask it.
+void Participant::keep_own_lock() noexcept {
+  if (!lock_file_->intact()) {
+    const std::lock_guard guard(reap_mutex_);
+    lock_lost_ = lock_file_->reopen();
+  }
+  // A prober may have the byte for a moment: then again the next time.
+  if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index());
+}
+
+bool Participant::reap_if_dead(std::uint32_t k) noexcept {
+  if (k == index() || k == refcount::kOrphanage || k >= participants()) return false;
+  const std::unique_lock guard(reap_mutex_, std::try_to_lock);
+  if (!guard || !lock_file_->intact() || !lock_file_->try_lock(k)) return false;
+  bool done = false;
+  RobustMutex witness(segment_.witnesses()[k].mutex);
+  if (part(k).load(std::memory_order_acquire) != 0 &&
+      witness.try_lock() != RobustMutex::Outcome::Busy) {
+    if (lock_file_->try_lock(refcount::kOrphanage)) {
+      done = Recovery(*this).reap(k);
+      lock_file_->unlock(refcount::kOrphanage);
+    }
+    witness.unlock();
+  }
+  lock_file_->unlock(k);
+  return done;
+}
+
+bool Participant::reap_dead() noexcept {
+  bool done = false;
+  for (std::uint32_t k = 1; k < participants(); ++k) {
+    if (k != index() && part(k).load(std::memory_order_acquire) != 0 &&
+        !lock_file_->held_by_other(k)) {
+      done |= reap_if_dead(k);
+    }
+  }
+  return done;
+}
+
+bool Participant::has_orphan_rings() noexcept {
+  for (std::uint32_t c = 0; c < channels(); ++c) {
+    const auto w = channel_writer(c).load(std::memory_order_acquire);
+    if (ring::writer_state(w) == ring::State::Orphan) return true;
+  }
+  return false;
+}
+
+void Participant::collect() noexcept {
+  bool orphans = has_orphan_rings();
+  for (std::uint32_t b = 0; b < blocks() && !orphans; ++b) {
+    orphans = block(b).home.load(std::memory_order_relaxed) == refcount::kHomeOrphanage;
+  }
+  if (!orphans) return;
+  const std::unique_lock guard(reap_mutex_, std::try_to_lock);
+  if (!guard || !lock_file_->intact() || !lock_file_->try_lock(refcount::kOrphanage)) return;
+  Recovery(*this).collect();
+  lock_file_->unlock(refcount::kOrphanage);
+}
+
+void Participant::release_extents(const std::vector<bool>& dead) noexcept {
+  segment_.granules().release_if([&dead](std::uint32_t tag) {
+    return (tag & segment::kRingTag) == 0 && tag - 1 < dead.size() && dead[tag - 1];
+  });
+}
+
+}  // namespace lot::transport

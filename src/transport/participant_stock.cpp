@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: Apache-2.0
+/// What a participant owns: rings, pools, memory, topics.
+#include <cerrno>
+
+#include "lot/error.hpp"
+
+#include "transport/participant.hpp"
+
+namespace lot::transport {
+
+void Participant::close_ring(const registry::ChannelName& name) noexcept {
+  {
+    // Until we let finish_closing() at it, nobody can recycle the ring under us.
+    const std::lock_guard guard(reap_mutex_);
+    channel_writer(name.channel)
+        .store(ring::make_writer(name.generation, ring::State::Orphan, index()),
+               std::memory_order_seq_cst);
+    segment::Ring r = ring(name.channel);
+    Recovery(*this).wake_readers(r);
+  }
+  finish_closing();
+}
+
+bool Participant::ring_closed(const registry::ChannelName& name) const noexcept {
+  const auto w = segment_.channels()[name.channel].writer.load(std::memory_order_acquire);
+  return ring::writer_generation(w) != name.generation || ring::writer_owner(w) != index();
+}
+
+bool Participant::finish_closing() noexcept {
+  const auto is_ours = [this](std::uint32_t c) {
+    const auto w = channel_writer(c).load(std::memory_order_acquire);
+    return ring::writer_state(w) == ring::State::Orphan && ring::writer_owner(w) == index();
+  };
+  bool any = false;
+  for (std::uint32_t c = 0; c < channels() && !any; ++c) any = is_ours(c);
+  if (any) {
+    const std::lock_guard guard(reap_mutex_);
+    if (!lock_file_->intact() || !lock_file_->try_lock(refcount::kOrphanage)) return false;
+    Recovery recovery(*this);
+    for (std::uint32_t c = 0; c < channels(); ++c) {
+      if (is_ours(c)) recovery.orphan_ring(c, index());
+    }
+    recovery.collect();
+    lock_file_->unlock(refcount::kOrphanage);
+  }
+  // What the closed rings held is the orphanage's now: our own holds may go.
+  std::vector<std::uint32_t> blocks;
+  {
+    const std::lock_guard guard(pools_mutex_);
+    for (auto& d : draining_) {
+      if (!d.blocks.empty() && ring_closed(d.ring)) {
+        blocks.insert(blocks.end(), d.blocks.begin(), d.blocks.end());
+        d.blocks.clear();
+      }
+    }
+  }
+  for (const std::uint32_t b : blocks) holder_.release_ring_hold(b);
+  const std::lock_guard guard(pools_mutex_);
+  for (std::size_t i = 0; i < draining_.size();) {
+    if (draining_[i].blocks.empty() && draining_[i].pool->drain()) {
+      idle_.push_back(draining_[i].pool);
+      draining_.erase(draining_.begin() + static_cast<std::ptrdiff_t>(i));
+    } else {
+      ++i;
+    }
+  }
+  return true;
+}
+
+Pool& Participant::open_pool() {
+  const std::lock_guard guard(pools_mutex_);
+  if (!idle_.empty()) {
+    Pool* pool = idle_.back();
+    idle_.pop_back();
+    return *pool;
+  }
+  if (pools_.size() == pools_.capacity()) {
+    throw Error(ENOSPC, segment_.path(), "too many publishers in this process",
+                "make the segment with a larger EngineOptions::channels");
+  }
+  pools_.push_back(std::make_unique<Pool>(holder_, static_cast<std::uint32_t>(pools_.size())));
+  return *pools_.back();
+}
+
+void Participant::close_pool(Pool& pool, const registry::ChannelName& ring,
+                             std::vector<std::uint32_t> blocks) noexcept {
+  const std::lock_guard guard(pools_mutex_);
+  draining_.push_back({&pool, ring, std::move(blocks)});
+}
+
+bool Participant::trim() noexcept {
+  const std::lock_guard guard(pools_mutex_);
+  bool any = false;
+  for (auto& pool : pools_) any |= pool->trim();
+  return any;
+}
+
+std::uint32_t Participant::claim_run(unsigned order, std::uint32_t tag) noexcept {
+  constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
+  std::uint32_t run = segment_.claim_run(order, tag);
+  if (run != kNone) return run;
+  reap_dead();
+  collect();
+  trim();
+  while ((run = segment_.claim_run(order, tag)) == kNone && evict()) trim();
+  return run;
+}
+
+void Participant::add(Evictor& evictor) {
+  const std::lock_guard guard(evictors_mutex_);
+  evictors_.push_back(&evictor);
+}
+
+void Participant::remove(Evictor& evictor) noexcept {
+  const std::lock_guard guard(evictors_mutex_);
+  std::erase(evictors_, &evictor);
+}
+
+bool Participant::evict() noexcept {
+  const std::lock_guard guard(evictors_mutex_);
+  bool any = false;
+  for (Evictor* e : evictors_) any |= e->evict();
+  return any;
+}
+
+std::uint32_t Participant::enter_topic(std::string_view name, const detail::MessageType& type) {
+  const std::lock_guard guard(topics_mutex_);
+  const registry::Registry::Lock lock(registry_);
+  const std::uint32_t topic = registry_.enter(name, type, index());
+  ++topic_uses_[topic];
+  return topic;
+}
+
+void Participant::leave_topic(std::uint32_t topic) noexcept {
+  const std::lock_guard guard(topics_mutex_);
+  if (--topic_uses_[topic] == 0) {
+    topic_uses_.erase(topic);
+    registry_.leave(topic, index());
+  }
+}
+
+}  // namespace lot::transport
