@@ -10,11 +10,10 @@ namespace lot {
 /// How an operation that may come to nothing in ordinary life ended. Not an error.
 enum class Status {
   Ok,
-  Empty,          ///< nothing to read now
-  Full,           ///< a slow reader holds the queue back, and the deadline has passed
-  Timeout,        ///< nothing came until the deadline
-  PublisherGone,  ///< nothing to read, and nobody publishes on the topic now
-  OutOfMemory     ///< the segment has no room (only from the try_ forms)
+  Empty,         ///< nothing to read now
+  Full,          ///< a slow reader holds the queue back, and the deadline has passed
+  Timeout,       ///< nothing came until the deadline
+  PublisherGone  ///< nothing to read, and nobody publishes on the topic now
 };
 
 const char* to_string(Status status) noexcept;

@@ -28,8 +28,6 @@ const char* to_string(Status status) noexcept {
       return "timeout";
     case Status::PublisherGone:
       return "publisher gone";
-    case Status::OutOfMemory:
-      return "out of memory";
   }
   return "?";
 }

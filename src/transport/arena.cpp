@@ -33,7 +33,7 @@ Arena*& arena_being_built() noexcept {
   return arena;
 }
 
-void* Arena::grow(std::size_t bytes, std::size_t align) {
+void* Arena::grow(std::size_t bytes) {
   // An extent begins at a page, which suits every alignment that a message may have.
   unsigned best = kMaxExtents;
   for (unsigned i = 0; i < extents; ++i) {
@@ -64,7 +64,6 @@ void* Arena::grow(std::size_t bytes, std::size_t align) {
     best = extents++;
     extent[best] = {run, static_cast<std::uint8_t>(claimed), 0, 0};
   }
-  (void)align;
   Extent& chosen = extent[best];
   chosen.used = 1;
   current = static_cast<std::uint8_t>(best + 1);

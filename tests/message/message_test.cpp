@@ -12,6 +12,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <utility>
@@ -22,6 +23,17 @@
 #include "lot/lot.hpp"
 
 #include "support/processes.hpp"
+
+/// A message whose constructor fails after it has taken memory.
+struct Failing {
+  lot::ShmVector<std::uint8_t> data;
+  explicit Failing(bool fails) {
+    data.resize(1 << 20);
+    if (fails) throw std::runtime_error("no picture");
+  }
+};
+template <>
+struct lot::is_trusted_message<Failing> : std::true_type {};
 
 namespace {
 
@@ -392,6 +404,16 @@ TEST_CASE("a reference into another segment is refused") {
   auto detection = pusher.loan();
   CHECK_THROWS_AS(detection->frame = other, lot::Error);
   CHECK(!detection->frame);
+}
+
+TEST_CASE("a message whose constructor throws gives its memory back, however often it does") {
+  const Watchdog watchdog(60);
+  Place place(32 << 20);
+  auto pusher = place.engine.advertise<Failing>("/t");
+  for (int n = 0; n < 100; ++n) CHECK_THROWS_AS(pusher.loan(true), std::runtime_error);
+  auto message = pusher.loan(false);
+  REQUIRE(message);
+  CHECK(message->data.size() == 1 << 20);
 }
 
 TEST_CASE("a reference to a reference keeps the whole chain") {

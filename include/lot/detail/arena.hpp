@@ -56,7 +56,7 @@ struct Arena {
       if (current != 0) count(current - 1U);
       return base() + begin;
     }
-    return grow(bytes, align);
+    return grow(bytes);
   }
 
   /// Takes a piece back: at once if it is the newest, or the last one living in its extent.
@@ -66,7 +66,7 @@ struct Arena {
   void count(unsigned index) {
     if (extent[index].living != 0xffff) ++extent[index].living;
   }
-  void* grow(std::size_t bytes, std::size_t align);
+  void* grow(std::size_t bytes);
   void drop_idle(transport::Participant& p) noexcept;
 };
 static_assert(sizeof(Arena) == 192);

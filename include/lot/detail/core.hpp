@@ -72,7 +72,6 @@ std::unique_ptr<PullerCore> make_puller(std::shared_ptr<transport::Participant> 
                                         const PullerOptions& options);
 /// A message that belongs to no topic.
 std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> participant);
-const char* segment_path(const transport::Participant& participant) noexcept;
 
 /// Makes the message that is built in `arena` hold another one, for as long as it lives. Returns
 /// the cell of the target in the arena's own participant. Throws lot::Error when they are in
