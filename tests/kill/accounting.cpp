@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "accounting.hpp"
+
+#include <algorithm>
+
+#include "robust_mutex/robust_mutex.hpp"
+
+namespace lot::kill {
+namespace {
+
+using Own = refcount::Ownership<segment::Atomics>;
+
+class Books {
+ public:
+  Books(segment::Segment& segment, const std::vector<std::uint32_t>& living)
+      : segment_(segment), living_(living) {}
+
+  std::string check() {
+    participants();
+    blocks();
+    channels();
+    topics();
+    granules();
+    registry_lock();
+    return text_;
+  }
+
+ private:
+  void wrong(const std::string& what) {
+    if (text_.size() < 300) text_ += (text_.empty() ? "" : "; ") + what;
+  }
+  bool lives(std::uint32_t k) const {
+    return std::find(living_.begin(), living_.end(), k) != living_.end();
+  }
+
+  void participants() {
+    const auto entries = segment_.participants();
+    for (std::uint32_t k = 1; k < entries.size(); ++k) {
+      if ((entries[k].state.load() != 0) != lives(k)) {
+        wrong("participant " + std::to_string(k) + (lives(k) ? " has no entry" : " has an entry"));
+      }
+    }
+  }
+
+  void blocks() {
+    for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) {
+      auto& words = segment_.block(b);
+      const std::uint32_t home = words.home.load();
+      const std::string block = "block " + std::to_string(b);
+      if (home > 1 && !lives(home - 1)) wrong(block + " is at home with the dead");
+      bool held = false;
+      for (std::uint32_t k = 0; k < segment_.capacity().participants; ++k) {
+        if ((Own::word(words, k).load() & Own::bit(k)) == 0) continue;
+        held = true;
+        if (k != refcount::kOrphanage && !lives(k)) wrong(block + " is held by the dead");
+      }
+      if (home == refcount::kHomeFree && held) wrong(block + " is free and held");
+      if (home == refcount::kHomeOrphanage && !held) wrong(block + " was not buried");
+      if (home > 1 && !held) wrong(block + " is at home and not held");
+    }
+  }
+
+  void channels() {
+    const auto channels = segment_.channels();
+    for (std::uint32_t c = 0; c < channels.size(); ++c) {
+      const ring::Word w = channels[c].writer.load();
+      const ring::State state = ring::writer_state(w);
+      const std::string channel = "channel " + std::to_string(c);
+      if (state == ring::State::Free) {
+        if (channels[c].formed.load() != 0) wrong(channel + " is free and formed");
+        continue;
+      }
+      if (state == ring::State::Init) wrong(channel + " was never finished");
+      const std::uint32_t owner = ring::writer_owner(w);
+      if (owner != refcount::kOrphanage && !lives(owner)) wrong(channel + " is the dead's");
+      if (state == ring::State::Live && owner == refcount::kOrphanage)
+        wrong(channel + " is nobody's");
+      const segment::Ring ring = segment_.ring(c);
+      for (std::uint32_t i = 0; i < ring.readers; ++i) {
+        const std::uint32_t who = ring.who[i].load();
+        if (who != 0 && !lives(who - 1)) wrong(channel + " has a dead reader");
+        if (who == 0 && ring.cells[i].position.load() != ring::kIdle) {
+          wrong(channel + " has a position without a reader");
+        }
+      }
+      if (state == ring::State::Orphan && owner == refcount::kOrphanage && ring.deserted()) {
+        wrong(channel + " is an orphan without readers");
+      }
+    }
+  }
+
+  void topics() {
+    for (auto& topic : segment_.topics()) {
+      for (std::uint32_t k = 0; k < segment_.capacity().participants; ++k) {
+        const auto& users = topic.users[k / segment::Atomics::kBitsPerWord];
+        if ((users.load() & Own::bit(k)) != 0 && !lives(k)) wrong("a topic is used by the dead");
+      }
+    }
+  }
+
+  void granules() {
+    const auto& granules = segment_.granules();
+    for (std::uint32_t g = 0; g < granules.count(); ++g) {
+      const std::uint32_t tag = granules.tag(g);
+      if (tag == 0) continue;
+      if ((tag & segment::kRingTag) != 0) {
+        const std::uint32_t c = tag & ~segment::kRingTag;
+        if (c >= segment_.capacity().channels ||
+            ring::writer_state(segment_.channels()[c].writer.load()) == ring::State::Free) {
+          wrong("granule " + std::to_string(g) + " belongs to no ring");
+        }
+      } else if (tag > segment_.capacity().blocks ||
+                 segment_.block(tag - 1).home.load() == refcount::kHomeFree) {
+        wrong("granule " + std::to_string(g) + " belongs to no message");
+      }
+    }
+  }
+
+  void registry_lock() {
+    RobustMutex mutex(segment_.directory().lock.mutex);
+    if (mutex.try_lock() == RobustMutex::Outcome::Busy) {
+      wrong("the registry is locked");
+    } else {
+      mutex.unlock();
+    }
+  }
+
+  segment::Segment& segment_;
+  const std::vector<std::uint32_t>& living_;
+  std::string text_;
+};
+
+}  // namespace
+
+std::string unaccounted(segment::Segment& segment, const std::vector<std::uint32_t>& living) {
+  return Books(segment, living).check();
+}
+
+}  // namespace lot::kill

@@ -1,0 +1,195 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Kills, or stops, a process at every instruction of every operation that has changed something.
+
+#include <algorithm>
+#include <chrono>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <map>
+#include <sched.h>
+#include <string>
+#include <unistd.h>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "support/processes.hpp"
+#include "trial.hpp"
+
+namespace lot::kill {
+namespace {
+
+struct Options {
+  bool stop = false;
+  bool list = false;
+  unsigned every = 1;
+  unsigned part = 0;
+  unsigned parts = 1;
+  std::int64_t only = -1;
+  std::vector<std::string> names;
+};
+
+struct Totals {
+  std::uint64_t operations = 0, instructions = 0, points = 0, kills = 0, violations = 0;
+};
+
+/// What the neighbours of a stopped process needed.
+struct Neighbour {
+  std::uint64_t most = 0, runs = 0, waits = 0;
+};
+
+std::string current_segment;
+
+/// Ctrl-C leaves nothing behind: the processes die with this one.
+void end_at_once(int signal) {
+  for (const char* suffix : {"", ".lock", ".new"}) {
+    unlink(("/dev/shm/" + current_segment + suffix).c_str());
+  }
+  _exit(128 + signal);
+}
+
+class Run {
+ public:
+  explicit Run(const Options& options) : options_(options) {}
+
+  int all() {
+    const auto operations = all_operations();
+    std::printf("%-56s %-10s %12s %7s %6s %10s %7s\n", "operation", "promise", "instructions",
+                "points", options_.stop ? "stops" : "kills", "violations", "seconds");
+    for (std::size_t i = 0; i < operations.size(); ++i) {
+      if (i % options_.parts == options_.part && chosen(operations[i].name)) one(operations[i]);
+    }
+    if (options_.stop) table_of_neighbours();
+    std::printf(
+        "summary: %llu operations, %llu instructions, %llu points, %llu %s, %llu violations\n",
+        ull(totals_.operations), ull(totals_.instructions), ull(totals_.points), ull(totals_.kills),
+        options_.stop ? "stops" : "kills", ull(totals_.violations));
+    return totals_.violations == 0 && totals_.kills > 0 ? 0 : 1;
+  }
+
+ private:
+  static unsigned long long ull(std::uint64_t n) { return n; }
+
+  bool chosen(const std::string& name) const {
+    return options_.names.empty() ||
+           std::any_of(options_.names.begin(), options_.names.end(),
+                       [&](const std::string& n) { return name.find(n) != std::string::npos; });
+  }
+
+  void one(const Operation& operation) {
+    const auto start = std::chrono::steady_clock::now();
+    std::uint64_t kills = 0;
+    std::uint64_t violations = 0;
+    Trial::Walk whole;
+    if (options_.only >= 0) {
+      violations += at(operation, static_cast<std::uint64_t>(options_.only));
+      ++kills;
+    } else {
+      violations += at(operation, Trial::kMost, &whole);
+      ++kills;
+      for (std::uint64_t point = 0; point < whole.points; point += options_.every) {
+        violations += at(operation, point);
+        ++kills;
+      }
+    }
+    const std::chrono::duration<double> took = std::chrono::steady_clock::now() - start;
+    std::printf("%-56s %-10s %12llu %7llu %6llu %10llu %7.1f\n", operation.name.c_str(),
+                name_of(operation.promise), ull(whole.instructions), ull(whole.points), ull(kills),
+                ull(violations), took.count());
+    std::fflush(stdout);
+    ++totals_.operations;
+    totals_.instructions += whole.instructions;
+    totals_.points += whole.points;
+    totals_.kills += kills;
+    totals_.violations += violations;
+  }
+
+  /// Runs the operation up to a point, and kills. Returns the number of violations.
+  std::uint64_t at(const Operation& operation, std::uint64_t point, Trial::Walk* whole = nullptr) {
+    std::vector<std::string> violations;
+    try {
+      current_segment = testing::unique_name();
+      Trial trial(operation, current_segment, options_.stop);
+      const Trial::Walk walk = trial.walk(point);
+      if (whole != nullptr) *whole = walk;
+      if (options_.stop) {
+        const auto probed = trial.probe(point);
+        for (std::size_t i = 0; i < probed.size(); ++i) {
+          if (probed[i].instructions == 0 && !probed[i].waited) continue;
+          Neighbour& n = neighbours_[i];
+          ++n.runs;
+          n.waits += probed[i].waited;
+          if (!probed[i].waited) n.most = std::max(n.most, probed[i].instructions);
+        }
+      }
+      violations = trial.kill_and_inspect();
+    } catch (const std::exception& e) {
+      violations.push_back(e.what());
+    }
+    for (const auto& v : violations) {
+      std::printf("  VIOLATION %s, point %lld: %s\n", operation.name.c_str(),
+                  static_cast<long long>(point), v.c_str());
+      std::fflush(stdout);
+    }
+    return violations.size();
+  }
+
+  void table_of_neighbours() const {
+    std::printf("\n%-36s %-10s %8s %18s %8s\n", "beside a stopped process", "promise", "runs",
+                "most instructions", "waited");
+    for (const auto& [i, n] : neighbours_) {
+      const Probe& p = all_probes()[i];
+      std::printf("%-36s %-10s %8llu %18llu %8llu\n", p.name, name_of(p.promise), ull(n.runs),
+                  ull(n.most), ull(n.waits));
+    }
+  }
+
+  const Options& options_;
+  Totals totals_;
+  std::map<std::size_t, Neighbour> neighbours_;
+};
+
+/// Tracer and traced hand over to each other at each step: on one core that costs least.
+void stay_on_one_core(unsigned part) {
+  cpu_set_t allowed;
+  CPU_ZERO(&allowed);
+  sched_getaffinity(0, sizeof(allowed), &allowed);
+  std::vector<std::size_t> cores;
+  for (std::size_t c = 0; c < CPU_SETSIZE; ++c) {
+    if (CPU_ISSET(c, &allowed)) cores.push_back(c);
+  }
+  if (cores.empty()) return;
+  cpu_set_t one;
+  CPU_ZERO(&one);
+  CPU_SET(cores[part % cores.size()], &one);
+  sched_setaffinity(0, sizeof(one), &one);
+}
+
+}  // namespace
+}  // namespace lot::kill
+
+int main(int argc, char** argv) {
+  using namespace lot::kill;
+  lot::testing::prefix();
+  Options options;
+  CLI::App app(
+      "Kills a process at every instruction of every operation that has changed something");
+  app.add_flag("--stop", options.stop, "stop it there, and let a neighbour do its operations");
+  app.add_flag("--list", options.list, "list the operations");
+  app.add_option("--every", options.every, "only every Nth point")->check(CLI::PositiveNumber);
+  app.add_option("--part", options.part, "of the operations, those of part N (from 0) ...");
+  app.add_option("--parts", options.parts, "... of so many")->check(CLI::PositiveNumber);
+  app.add_option("--point", options.only, "this point only");
+  app.add_option("operation", options.names, "operations whose names contain this; all by default");
+  CLI11_PARSE(app, argc, argv);
+  if (options.list) {
+    for (const auto& o : all_operations()) std::printf("%s\n", o.name.c_str());
+    return 0;
+  }
+  for (const int s : {SIGINT, SIGTERM, SIGHUP}) std::signal(s, end_at_once);
+  stay_on_one_core(options.part);
+  return Run(options).all();
+}

@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "node.hpp"
+
+#include <chrono>
+
+#include "support/processes.hpp"
+#include "transport/participant.hpp"
+
+namespace lot::kill {
+
+using namespace std::chrono_literals;
+
+Number numbered(std::uint64_t source, std::uint64_t number) {
+  return {source, number, source * 0x9e3779b97f4a7c15U + number * 0xff51afd7ed558ccdU};
+}
+
+bool intact(const Number& message) {
+  return message.check == numbered(message.source, message.number).check;
+}
+
+void Account::complain(const std::string& what) {
+  if (complaint_.empty()) complaint_ = what;
+}
+
+void Account::enter(const Number& message, std::uint64_t missed) {
+  if (!intact(message) || message.source >= kSources) {
+    complain("a torn message");
+    return;
+  }
+  const auto source = static_cast<std::size_t>(message.source);
+  if (seen_[source] && message.number != next_[source] + missed) {
+    complain("message " + std::to_string(message.number) + " of source " + std::to_string(source) +
+             " after " + std::to_string(next_[source]) + " and " + std::to_string(missed) +
+             " missed ones");
+  }
+  seen_[source] = true;
+  next_[source] = message.number + 1;
+}
+
+std::uint64_t Account::last(std::uint64_t source) const {
+  return next_[static_cast<std::size_t>(source)];
+}
+
+void Node::join() { engine.emplace(options); }
+
+void Node::drop_all() {
+  borrow.end();
+  if (sleeper.joinable()) sleeper.join();
+  probe_frames.reset();
+  probe_puller.reset();
+  probe_pusher.reset();
+  own.reset();
+  weak.reset();
+  kept.clear();
+  loans.clear();
+  frame_loans.clear();
+  frame_puller.reset();
+  frames.reset();
+  puller.reset();
+  pusher.reset();
+}
+
+void Node::leave() {
+  drop_all();
+  engine.reset();
+}
+
+void Node::publish(unsigned count) {
+  for (unsigned i = 0; i < count; ++i) {
+    auto message = pusher->loan(numbered(source, published));
+    if (pusher->push(std::move(message), 10s) == Status::Ok) ++published;
+  }
+}
+
+bool Node::receive() {
+  const auto message = puller->try_borrow();
+  if (!message) return false;
+  account.enter(*message, message.missed());
+  return true;
+}
+
+void Node::receive_all() {
+  while (receive()) {
+  }
+}
+
+void Node::sleep_on_topic() {
+  sleeper = std::thread([this] {
+    for (;;) {
+      const auto message = puller->borrow(100ms);
+      if (message) {
+        account.enter(*message, message.missed());
+      } else if (puller->try_borrow()) {
+        account.complain("a message that did not wake its reader");
+      } else if (puller->status() == Status::PublisherGone) {
+        return;
+      }
+    }
+  });
+  await_sleeper();
+}
+
+void Node::await_sleeper() {
+  const auto participant = transport::Participant::join(options);
+  const bool sleeps = testing::eventually([&] {
+    for (std::uint32_t c = 0; c < participant->channels(); ++c) {
+      const auto ring = participant->ring(c);
+      for (std::uint32_t i = 0; i < ring.depth; ++i) {
+        if ((ring.slots[i].load() & ring::kSleeper) != 0) return true;
+      }
+    }
+    return false;
+  });
+  testing::must(sleeps, "a reader fell asleep");
+}
+
+void Node::hold(bool borrowing) {
+  auto message = puller->borrow(10s);
+  testing::must(bool(message), "there is a message to hold");
+  account.enter(*message, message.missed());
+  held = *message;
+  if (borrowing) {
+    borrow = std::move(message);
+  } else {
+    kept.push_back(message.keep());
+  }
+}
+
+void Node::reap() {
+  const auto participant = transport::Participant::join(options);
+  participant->reap_dead();
+  participant->collect();
+}
+
+void Node::arm() {
+  probe_pusher.emplace(engine->advertise<Number>("/probe", {Policy::Overwrite, 2, 1s}));
+  probe_puller.emplace(engine->subscribe<Number>("/probe"));
+  probe_frames.emplace(engine->advertise<Frame>("/probe-frames", {Policy::Overwrite, 1, 1s}));
+  probe_pusher->push(probe_pusher->loan(numbered(7, 0)));
+  probe_puller->try_borrow();
+}
+
+void Node::inspect() {
+  using testing::must;
+  reap();
+  if (held) {
+    const Number* there = borrow ? borrow.get() : kept.front().get();
+    must(intact(*there) && there->number == held->number, "a held message did not change");
+    borrow.end();
+  }
+  if (sleeper.joinable()) {
+    sleeper.join();  // it ends when it has been woken and has found the end
+  } else if (puller) {
+    const bool ended = testing::eventually([&] {
+      const auto message = puller->try_borrow();
+      if (message) account.enter(*message, message.missed());
+      return !message && puller->status() == Status::PublisherGone;
+    });
+    must(ended, "the reader learned that its publisher is gone");
+  }
+  if (frame_puller) {
+    if (const auto frame = frame_puller->try_pull(); frame && frame->reference) {
+      must(intact(*frame->reference), "a message that another one refers to is whole");
+    }
+  }
+  if (pusher) {
+    for (int i = 0; i < 6; ++i) {
+      auto message = pusher->loan(numbered(source, published));
+      must(pusher->push(std::move(message), 20s) == Status::Ok, "nobody holds the publisher back");
+      ++published;
+    }
+  }
+  must(account.complaint().empty(), account.complaint().c_str());
+}
+
+void Node::live_again() {
+  join();
+  pusher.emplace(engine->advertise<Number>(kTopic, {Policy::Overwrite, 4, 1s}));
+  puller.emplace(engine->subscribe<Number>(kOther));
+  publish(3);
+  receive_all();
+}
+
+void Node::meet() {
+  if (!puller) return;
+  const bool all = testing::eventually([&] {
+    const auto message = puller->borrow(50ms);
+    if (message) account.enter(*message, message.missed());
+    return account.last(kSecondLife) == 3;
+  });
+  testing::must(all, "the second life's messages came");
+  testing::must(account.complaint().empty(), account.complaint().c_str());
+}
+
+void Node::start() {
+  join();
+  pusher.emplace(engine->advertise<Number>(kTopic, {Policy::Overwrite, 4, 1s}));
+  puller.emplace(engine->subscribe<Number>(kTopic));
+  publish(3);
+  receive_all();
+  testing::must(account.last(source) == 3, "one's own messages came");
+}
+
+const char* name_of(Promise promise) {
+  switch (promise) {
+    case Promise::WaitFree:
+      return "wait-free";
+    case Promise::LockFree:
+      return "lock-free";
+    case Promise::Blocking:
+      return "blocking";
+  }
+  return "?";
+}
+
+}  // namespace lot::kill

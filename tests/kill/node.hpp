@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "lot/lot.hpp"
+
+namespace lot::kill {
+
+/// What the nodes send: small and plain.
+struct Number {
+  std::uint64_t source;
+  std::uint64_t number;
+  std::uint64_t check;
+};
+/// What grows, and refers to others.
+struct Frame {
+  Number number;
+  ShmVector<std::uint64_t> data;
+  ShmRef<const Number> reference;
+};
+
+Number numbered(std::uint64_t source, std::uint64_t number);
+bool intact(const Number& message);
+
+/// What a reader has seen of each publisher: numbers that follow each other, but for those that it
+/// was told it missed.
+class Account {
+ public:
+  /// A message was received, after `missed` others.
+  void enter(const Number& message, std::uint64_t missed);
+  void complain(const std::string& what);
+
+  std::uint64_t last(std::uint64_t source) const;  ///< number of the last message + 1
+  const std::string& complaint() const { return complaint_; }
+
+ private:
+  static constexpr std::size_t kSources = 8;
+  std::uint64_t next_[kSources] = {};
+  bool seen_[kSources] = {};
+  std::string complaint_;
+};
+
+/// A process of a scene, and all that it may have.
+struct Node {
+  Node(const EngineOptions& o, std::uint64_t s) : options(o), source(s) {}
+  ~Node() { leave(); }
+  Node(const Node&) = delete;
+  Node& operator=(const Node&) = delete;
+
+  void join();
+  /// Everything goes, the engine last.
+  void leave();
+  /// Everything but the engine.
+  void drop_all();
+
+  // Steps that scenes are made of.
+  void publish(unsigned count = 1);
+  bool receive();          ///< the next message, if there is one, goes into the account
+  void receive_all();      ///< those that are there
+  void sleep_on_topic();   ///< a thread of its own sleeps for the topic's messages until the end
+  void hold(bool borrow);  ///< the next message stays borrowed, or is kept
+  void reap();             ///< repairs what the dead left, now
+  void await_sleeper();    ///< until a mark stands in some slot
+  void arm();              ///< makes what the probes use
+
+  // After a death.
+  void inspect();     ///< repairs, reads and publishes all it can, looks at what it holds
+  void live_again();  ///< what a node does that was started again
+  void meet();        ///< receives what the second life published
+  void start();       ///< joins, publishes to itself and reads it
+
+  EngineOptions options;
+  std::uint64_t source;
+  std::uint64_t published = 0;
+  Account account;
+
+  std::optional<ShmEngine> engine;
+  std::optional<ShmPusher<Number>> pusher;
+  std::optional<ShmPuller<Number>> puller;
+  std::optional<ShmPusher<Frame>> frames;
+  std::optional<ShmPuller<Frame>> frame_puller;
+  ShmBorrow<Number> borrow;
+  std::vector<ShmUniquePtr<Number>> loans;
+  std::vector<ShmUniquePtr<Frame>> frame_loans;
+  std::vector<ShmSharedPtr<const Number>> kept;
+  ShmSharedPtr<Number> own;
+  ShmWeakPtr<const Number> weak;
+  bool reads_topic = false;    ///< the puller is the topic's
+  std::optional<Number> held;  ///< what was borrowed or kept first must stay like this
+  std::thread sleeper;
+
+  // What the probes use.
+  std::optional<ShmPusher<Number>> probe_pusher;
+  std::optional<ShmPuller<Number>> probe_puller;
+  std::optional<ShmPusher<Frame>> probe_frames;
+};
+
+/// What a scene does before its operation, and who does it.
+enum class Who : std::uint8_t {
+  Victim,
+  Witness,  ///< lives on and sees to it that nothing is lost
+  Dead      ///< is killed before the operation
+};
+struct Act {
+  Who who;
+  std::function<void(Node&)> act;
+};
+
+/// How far others can hold the operation up.
+enum class Promise : std::uint8_t {
+  WaitFree,  ///< a bounded number of its own instructions, whatever others do
+  LockFree,  ///< the same when others stand still
+  Blocking   ///< waits for others: with a patience, and not for the dead
+};
+const char* name_of(Promise promise);
+
+/// One operation of the public interface in one situation.
+struct Operation {
+  std::string name;
+  Promise promise;
+  std::vector<Act> before;
+  std::function<void(Node&)> run;            ///< the operation itself
+  std::function<void(Node&)> when_asleep{};  ///< the witness does this when the victim sleeps in it
+  bool alone = false;                        ///< there is no witness while it runs
+};
+
+std::vector<Operation> all_operations();
+
+/// What a neighbour does while the victim stands still in the middle of its operation.
+struct Probe {
+  const char* name;
+  Promise promise;
+  std::function<void(Node&)> run;
+};
+const std::vector<Probe>& all_probes();
+
+inline constexpr const char* kTopic = "/numbers";  ///< the victim publishes here
+inline constexpr const char* kOther = "/others";   ///< the witness publishes here
+inline constexpr const char* kFrames = "/frames";
+inline constexpr std::uint64_t kVictim = 1, kWitness = 2, kDead = 3, kSecondLife = 4;
+
+}  // namespace lot::kill

@@ -1,0 +1,335 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Every operation of the public interface that touches the segment, in the situations that make a
+// difference to it.
+#include <string_view>
+#include <utility>
+
+#include "node.hpp"
+
+namespace lot::kill {
+namespace {
+
+using namespace std::chrono_literals;
+
+PusherOptions overwrite(std::uint32_t depth) { return {Policy::Overwrite, depth, 10s}; }
+PusherOptions block(std::uint32_t depth) { return {Policy::Block, depth, 10s}; }
+PullerOptions parked(std::uint64_t history = 0) { return {Wait::Park, history}; }
+
+// ---- acts ---------------------------------------------------------------------------------------
+
+Act victim(std::function<void(Node&)> act) { return {Who::Victim, std::move(act)}; }
+Act witness(std::function<void(Node&)> act) { return {Who::Witness, std::move(act)}; }
+Act dead(std::function<void(Node&)> act) { return {Who::Dead, std::move(act)}; }
+
+void join(Node& n) { n.join(); }
+
+/// Joined, and publishing on its topic.
+Act publisher(Act (*who)(std::function<void(Node&)>), const PusherOptions& options,
+              const char* topic) {
+  return who([=](Node& n) { n.pusher.emplace(n.engine->advertise<Number>(topic, options)); });
+}
+Act reader(Act (*who)(std::function<void(Node&)>), const char* topic, std::uint64_t history = 0) {
+  return who([=](Node& n) {
+    n.puller.emplace(n.engine->subscribe<Number>(topic, parked(history)));
+    n.reads_topic = std::string_view(topic) == kTopic;
+  });
+}
+Act publishes(Act (*who)(std::function<void(Node&)>), unsigned count) {
+  return who([=](Node& n) { n.publish(count); });
+}
+
+using Acts = std::vector<Act>;
+Acts operator+(Acts a, const Acts& b) {
+  a.insert(a.end(), b.begin(), b.end());
+  return a;
+}
+
+/// The victim publishes, the witness reads.
+Acts victim_publishes(const PusherOptions& options, unsigned count) {
+  return {witness(join), victim(join), publisher(victim, options, kTopic), reader(witness, kTopic),
+          publishes(victim, count)};
+}
+/// The witness publishes, the victim reads.
+Acts victim_reads(const PusherOptions& options, unsigned count) {
+  return {witness(join), victim(join), publisher(witness, options, kOther), reader(victim, kOther),
+          publishes(witness, count)};
+}
+
+void loan_one(Node& n) { n.loans.push_back(n.pusher->loan(numbered(n.source, n.published))); }
+void push_loan(Node& n) {
+  if (n.pusher->push(std::move(n.loans.back()), 10s) == Status::Ok) ++n.published;
+  n.loans.pop_back();
+}
+
+// ---- the tables ---------------------------------------------------------------------------------
+
+void membership(std::vector<Operation>& all) {
+  all.push_back({"create a segment", Promise::Blocking, {}, join, {}, true});
+  all.push_back({"open a segment", Promise::Blocking, {witness(join)}, join});
+  all.push_back(
+      {"close, others stay", Promise::Blocking, {witness(join), victim(join)}, [](Node& n) {
+         n.engine.reset();
+       }});
+  all.push_back({"close, last one out",
+                 Promise::Blocking,
+                 {victim(join)},
+                 [](Node& n) { n.engine.reset(); },
+                 {},
+                 true});
+  all.push_back({"close with everything open", Promise::Blocking,
+                 victim_publishes(overwrite(2), 3) + Acts{victim(loan_one)},
+                 [](Node& n) { n.leave(); }});
+}
+
+void topics(std::vector<Operation>& all) {
+  const auto advertise = [](const PusherOptions& options) {
+    return [=](Node& n) { n.pusher.emplace(n.engine->advertise<Number>(kTopic, options)); };
+  };
+  const Acts both{witness(join), victim(join)};
+  all.push_back({"advertise, a new topic", Promise::Blocking, both, advertise(overwrite(3))});
+  all.push_back({"advertise, a reader waits", Promise::Blocking,
+                 both + Acts{reader(witness, kTopic)}, advertise(block(2))});
+  all.push_back({"unadvertise, messages unread", Promise::Blocking,
+                 victim_publishes(overwrite(3), 2), [](Node& n) { n.pusher.reset(); }});
+  all.push_back(
+      {"unadvertise, a reader sleeps", Promise::Blocking,
+       victim_publishes(overwrite(2), 1) + Acts{witness([](Node& n) { n.receive_all(); }),
+                                                witness([](Node& n) { n.sleep_on_topic(); })},
+       [](Node& n) { n.pusher.reset(); }});
+  all.push_back({"unadvertise, a reader borrows and keeps", Promise::Blocking,
+                 victim_publishes(overwrite(2), 2) + Acts{witness([](Node& n) { n.hold(false); }),
+                                                          witness([](Node& n) { n.hold(true); })},
+                 [](Node& n) { n.pusher.reset(); }});
+  for (const bool blocking : {false, true}) {
+    const PusherOptions options = blocking ? block(2) : overwrite(2);
+    const std::string policy = blocking ? ", block" : ", overwrite";
+    all.push_back(
+        {"subscribe, history" + policy, Promise::Blocking,
+         both + Acts{publisher(witness, options, kOther), publishes(witness, 3)},
+         [](Node& n) { n.puller.emplace(n.engine->subscribe<Number>(kOther, parked(2))); }});
+    all.push_back({"unsubscribe" + policy, Promise::Blocking, victim_reads(options, 1),
+                   [](Node& n) { n.puller.reset(); }});
+  }
+  all.push_back({"subscribe, no publisher", Promise::Blocking, both,
+                 [](Node& n) { n.puller.emplace(n.engine->subscribe<Number>(kOther, parked())); }});
+}
+
+void loans(std::vector<Operation>& all) {
+  const Acts fresh{witness(join), victim(join), publisher(victim, overwrite(2), kTopic)};
+  all.push_back({"loan, a fresh block", Promise::LockFree, fresh, loan_one});
+  all.push_back(
+      {"loan, a used block", Promise::LockFree, victim_publishes(overwrite(1), 40), loan_one});
+  all.push_back({"loan, blocks have run out: evict", Promise::LockFree,
+                 victim_publishes(overwrite(8), 8) + Acts{victim([](Node& n) {
+                   while (auto loan = n.pusher->try_loan(Number{})) {
+                     n.loans.push_back(std::move(loan));
+                     if (n.loans.size() == n.options.blocks - 9) break;
+                   }
+                 })},
+                 [](Node& n) {
+                   for (int i = 0; i < 3; ++i) n.loans.push_back(n.pusher->loan(numbered(9, 0)));
+                 }});
+  all.push_back({"loan given back", Promise::LockFree, fresh + Acts{victim(loan_one)},
+                 [](Node& n) { n.loans.clear(); }});
+  all.push_back({"make, without a topic", Promise::LockFree, fresh,
+                 [](Node& n) { auto made = n.engine->make<Number>(numbered(n.source, 0)); }});
+  const auto frame = [](Node& n) { n.frame_loans.push_back(n.frames->loan()); };
+  const Acts frames{witness(join), victim(join), victim([](Node& n) {
+                      n.frames.emplace(n.engine->advertise<Frame>(kFrames, overwrite(1)));
+                    })};
+  all.push_back({"grow a message", Promise::LockFree, frames + Acts{victim(frame)}, [](Node& n) {
+                   auto& data = n.frame_loans.back()->data;
+                   for (const std::size_t size : {20U, 700U, 3000U}) data.resize(size);
+                 }});
+  all.push_back({"a grown message given back", Promise::LockFree,
+                 frames + Acts{victim(frame), victim([](Node& n) {
+                                 n.frame_loans.back()->data.resize(700);
+                                 n.frame_loans.back()->data.resize(2000);
+                               })},
+                 [](Node& n) { n.frame_loans.clear(); }});
+}
+
+void pushes(std::vector<Operation>& all) {
+  const auto loaned = [](Acts acts) { return std::move(acts) + Acts{victim(loan_one)}; };
+  const auto add = [&](const char* name, Promise promise, const Acts& before) {
+    all.push_back({name, promise, before, push_loan});
+  };
+  add("push, overwrite, an empty ring", Promise::WaitFree,
+      loaned(victim_publishes(overwrite(2), 0)));
+  add("push, overwrite, a full ring wraps", Promise::WaitFree,
+      loaned(victim_publishes(overwrite(2), 4)));
+  add("push, overwrite, one slot", Promise::WaitFree, loaned(victim_publishes(overwrite(1), 1)));
+  add("push, overwrite, a reader sleeps", Promise::WaitFree,
+      loaned(victim_publishes(overwrite(2), 1)) +
+          Acts{witness([](Node& n) { n.receive_all(); }),
+               witness([](Node& n) { n.sleep_on_topic(); })});
+  add("push, overwrite, a reader borrows", Promise::WaitFree,
+      loaned(victim_publishes(overwrite(1), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
+  add("push, overwrite, a reader keeps", Promise::WaitFree,
+      loaned(victim_publishes(overwrite(1), 1) + Acts{witness([](Node& n) { n.hold(false); })}));
+  all.push_back({"loan and push, a batch is scanned", Promise::LockFree,
+                 victim_publishes(overwrite(1), 33) + Acts{witness([](Node& n) { n.hold(true); })},
+                 [](Node& n) { n.publish(2); }});
+  add("push, block, room", Promise::Blocking, loaned(victim_publishes(block(2), 1)));
+  add("push, block, wraps", Promise::Blocking,
+      loaned(victim_publishes(block(2), 2) + Acts{witness([](Node& n) { n.receive_all(); })}));
+  add("push, block, a reader sleeps", Promise::Blocking,
+      loaned(victim_publishes(block(2), 1)) + Acts{witness([](Node& n) { n.receive_all(); }),
+                                                   witness([](Node& n) { n.sleep_on_topic(); })});
+  all.push_back({"push, block, full: refused", Promise::LockFree,
+                 loaned(victim_publishes(block(1), 1)), [](Node& n) {
+                   if (n.pusher->try_push(std::move(n.loans.back())) == Status::Ok) std::abort();
+                 }});
+  all.push_back({"push, block, full: waits for room", Promise::Blocking,
+                 loaned(victim_publishes(block(1), 1)), push_loan,
+                 [](Node& n) { n.receive_all(); }});
+}
+
+void pulls(std::vector<Operation>& all) {
+  for (const bool blocking : {false, true}) {
+    const std::string policy = blocking ? ", block" : ", overwrite";
+    const PusherOptions options = blocking ? block(2) : overwrite(2);
+    all.push_back({"try, nothing there" + policy, Promise::LockFree, victim_reads(options, 0),
+                   [](Node& n) { n.puller->try_borrow(); }});
+    all.push_back({"borrow and end" + policy, Promise::LockFree, victim_reads(options, 2),
+                   [](Node& n) { n.receive(); }});
+    all.push_back({"pull and let go" + policy, Promise::LockFree, victim_reads(options, 2),
+                   [](Node& n) { n.puller->try_pull(); }});
+    all.push_back({"pull sleeps and is woken" + policy, Promise::Blocking, victim_reads(options, 0),
+                   [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
+                   [](Node& n) { n.publish(1); }});
+  }
+  all.push_back({"timed pull, too late", Promise::Blocking, victim_reads(overwrite(2), 0),
+                 [](Node& n) { n.puller->pull(2ms); }});
+  all.push_back({"borrow, lapped", Promise::LockFree, victim_reads(overwrite(2), 7),
+                 [](Node& n) { n.receive_all(); }});
+  all.push_back({"try, a new publisher has come", Promise::LockFree,
+                 Acts{witness(join), victim(join), reader(victim, kOther),
+                      publisher(witness, overwrite(2), kOther), publishes(witness, 1)},
+                 [](Node& n) { n.receive(); }});
+  all.push_back({"try, the publisher has gone", Promise::LockFree,
+                 victim_reads(overwrite(2), 1) + Acts{witness([](Node& n) { n.pusher.reset(); })},
+                 [](Node& n) {
+                   n.receive_all();
+                   n.puller->try_borrow();
+                 }});
+}
+
+void pointers(std::vector<Operation>& all) {
+  const Acts holding = victim_reads(overwrite(2), 1) + Acts{victim([](Node& n) { n.hold(false); })};
+  all.push_back({"keep a borrowed message", Promise::WaitFree,
+                 victim_reads(overwrite(2), 1) + Acts{victim([](Node& n) { n.hold(true); })},
+                 [](Node& n) { n.kept.push_back(n.borrow.keep()); }});
+  all.push_back({"copy a pointer", Promise::WaitFree, holding,
+                 [](Node& n) { n.kept.push_back(n.kept.front()); }});
+  all.push_back({"drop a copy", Promise::WaitFree,
+                 holding + Acts{victim([](Node& n) { n.kept.push_back(n.kept.front()); })},
+                 [](Node& n) { n.kept.pop_back(); }});
+  all.push_back(
+      {"last pointer of a reader", Promise::WaitFree, holding, [](Node& n) { n.kept.clear(); }});
+  all.push_back({"last pointer anywhere, the message was overwritten", Promise::WaitFree,
+                 holding + Acts{publishes(witness, 3)}, [](Node& n) { n.kept.clear(); }});
+  all.push_back({"weak lock, alive", Promise::LockFree, holding + Acts{victim([](Node& n) {
+                                                          n.weak = n.kept.front();
+                                                          n.kept.clear();
+                                                        })},
+                 [](Node& n) { n.kept.push_back(n.weak.lock()); }});
+  all.push_back({"weak lock, dead", Promise::LockFree,
+                 holding + Acts{victim([](Node& n) {
+                                  n.weak = n.kept.front();
+                                  n.kept.clear();
+                                }),
+                                publishes(witness, 70)},
+                 [](Node& n) { n.kept.push_back(n.weak.lock()); }});
+  all.push_back(
+      {"share one's own, and drop it", Promise::LockFree,
+       Acts{witness(join), victim(join), publisher(victim, overwrite(1), kTopic), victim(loan_one)},
+       [](Node& n) {
+         n.own = ShmSharedPtr<Number>(std::move(n.loans.back()));
+         n.own.reset();
+       }});
+  all.push_back({"publish again what was received", Promise::LockFree,
+                 holding + Acts{victim([](Node& n) {
+                   n.pusher.emplace(n.engine->advertise<Number>("/again", overwrite(1)));
+                 })},
+                 [](Node& n) {
+                   n.pusher->push(n.kept.front());
+                   n.kept.clear();
+                   for (int i = 0; i < 2; ++i)
+                     n.pusher->push(n.pusher->loan(numbered(n.source, 0)));
+                 }});
+  const Acts referring = holding + Acts{victim([](Node& n) {
+                           n.frames.emplace(n.engine->advertise<Frame>(kFrames, overwrite(1)));
+                           n.frame_loans.push_back(n.frames->loan());
+                         })};
+  all.push_back({"a message refers to another", Promise::LockFree, referring, [](Node& n) {
+                   n.frame_loans.back()->reference = n.kept.front();
+                   n.kept.clear();
+                   n.frames->push(std::move(n.frame_loans.back()));
+                 }});
+  all.push_back({"a message that refers dies", Promise::LockFree,
+                 referring + Acts{victim([](Node& n) {
+                   n.frame_loans.back()->reference = n.kept.front();
+                   n.kept.clear();
+                 })},
+                 [](Node& n) { n.frame_loans.clear(); }});
+}
+
+void reaps(std::vector<Operation>& all) {
+  const Acts three{witness(join), victim(join), dead(join)};
+  const auto reap = [](Node& n) { n.reap(); };
+  all.push_back({"reap, a dead publisher, a reader sleeps", Promise::LockFree,
+                 three + Acts{publisher(dead, overwrite(2), kTopic), reader(witness, kTopic),
+                              publishes(dead, 1), witness([](Node& n) { n.receive_all(); }),
+                              witness([](Node& n) { n.sleep_on_topic(); })},
+                 reap});
+  all.push_back({"reap, a dead publisher, messages unread and held", Promise::LockFree,
+                 three + Acts{publisher(dead, overwrite(3), kTopic), reader(witness, kTopic),
+                              publishes(dead, 4), witness([](Node& n) { n.hold(false); }),
+                              witness([](Node& n) { n.hold(true); }),
+                              dead([](Node& n) { n.loans.push_back(n.pusher->loan()); })},
+                 reap});
+  all.push_back({"reap, a dead reader", Promise::LockFree,
+                 three + Acts{publisher(witness, block(2), kOther), reader(dead, kOther),
+                              publishes(witness, 2), dead([](Node& n) { n.hold(false); }),
+                              dead([](Node& n) { n.hold(true); })},
+                 reap});
+  all.push_back({"reap, a dead referrer", Promise::LockFree,
+                 three + Acts{publisher(witness, overwrite(1), kOther), reader(dead, kOther),
+                              publishes(witness, 1), witness([](Node& n) {
+                                n.frame_puller.emplace(n.engine->subscribe<Frame>(kFrames));
+                              }),
+                              dead([](Node& n) {
+                                n.hold(false);
+                                n.frames.emplace(n.engine->advertise<Frame>(kFrames, overwrite(1)));
+                                auto frame = n.frames->loan();
+                                frame->data.resize(700);
+                                frame->reference = n.kept.front();
+                                n.frames->push(std::move(frame));
+                              })},
+                 reap});
+  all.push_back({"collect, an orphan ring loses its last reader", Promise::LockFree,
+                 three + Acts{publisher(dead, overwrite(2), kTopic), reader(victim, kTopic),
+                              publishes(dead, 2)},
+                 [](Node& n) {
+                   n.reap();
+                   n.puller.reset();
+                 }});
+}
+
+}  // namespace
+
+std::vector<Operation> all_operations() {
+  std::vector<Operation> all;
+  membership(all);
+  topics(all);
+  loans(all);
+  pushes(all);
+  pulls(all);
+  pointers(all);
+  reaps(all);
+  return all;
+}
+
+}  // namespace lot::kill

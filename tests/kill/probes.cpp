@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// What a neighbour can do while another process stands still anywhere.
+#include "node.hpp"
+#include "transport/participant.hpp"
+
+namespace lot::kill {
+namespace {
+
+using namespace std::chrono_literals;
+
+void read_all(Node& n) {
+  if (n.puller && !n.sleeper.joinable() && !n.borrow) n.receive_all();
+}
+void read_own(Node& n) {
+  while (n.probe_puller->try_borrow()) {
+  }
+}
+void publish_own(Node& n) { n.probe_pusher->push(n.probe_pusher->loan(numbered(7, 0))); }
+/// To the victim, if it reads here.
+void publish_other(Node& n) {
+  if (!n.pusher) return;
+  auto message = n.pusher->loan(numbered(n.source, n.published));
+  if (n.pusher->try_push(std::move(message)) == Status::Ok) ++n.published;
+}
+void keep_and_drop(Node& n) {
+  auto kept = n.probe_puller->try_pull();
+  auto copy = kept;
+  const ShmWeakPtr<const Number> weak = kept;
+  kept.reset();
+  kept = weak.lock();
+}
+void grow(Node& n) {
+  auto frame = n.probe_frames->loan();
+  frame->data.resize(3000);
+}
+void look_for_the_dead(Node& n) { transport::Participant::join(n.options)->reap_dead(); }
+
+void subscribe(Node& n) { const auto puller = n.engine->subscribe<Number>(kOther); }
+void advertise(Node& n) { const auto pusher = n.engine->advertise<Number>("/short-lived"); }
+
+}  // namespace
+
+const std::vector<Probe>& all_probes() {
+  static const std::vector<Probe> probes = {
+      {"read what the victim published", Promise::LockFree, read_all},
+      {"loan and push, overwrite", Promise::LockFree, publish_own},
+      {"publish to the victim", Promise::LockFree, publish_other},
+      {"pull, copy, weak lock, drop", Promise::LockFree, keep_and_drop},
+      {"borrow", Promise::LockFree, read_own},
+      {"grow a message", Promise::LockFree, grow},
+      {"look for the dead", Promise::LockFree, look_for_the_dead},
+      {"subscribe, unsubscribe", Promise::Blocking, subscribe},
+      {"advertise, unadvertise", Promise::Blocking, advertise},
+  };
+  return probes;
+}
+
+}  // namespace lot::kill

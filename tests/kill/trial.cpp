@@ -1,0 +1,437 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "trial.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <csignal>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <poll.h>
+#include <stdexcept>
+#include <sys/prctl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "accounting.hpp"
+#include "support/processes.hpp"
+#include "transport/participant.hpp"
+
+namespace lot::kill {
+namespace {
+
+/// Where the tracer begins and ends to count. Their addresses are the same in all forks.
+extern "C" {
+[[gnu::noinline]] void lot_kill_begins() { asm volatile(""); }
+[[gnu::noinline]] void lot_kill_ends() { asm volatile("nop"); }
+}
+std::uint64_t address_of(void (*f)()) { return reinterpret_cast<std::uintptr_t>(f); }
+
+constexpr std::uint64_t kRunaway = 5'000'000;  ///< instructions of one operation
+/// Far more than any neighbour's operation takes, far less than a loop that waits for somebody.
+constexpr std::uint64_t kBound = 200'000;
+constexpr unsigned kPatienceMs = 5'000;
+constexpr unsigned kWaitsMs = 20;  ///< a neighbour that sleeps so long waits for somebody
+
+void write_all(int fd, const void* bytes, std::size_t n) {
+  if (write(fd, bytes, n) != static_cast<ssize_t>(n)) throw std::runtime_error("pipe");
+}
+bool read_all(int fd, void* bytes, std::size_t n) {
+  auto* p = static_cast<char*>(bytes);
+  while (n > 0) {
+    const ssize_t got = read(fd, p, n);
+    if (got == -1 && errno == EINTR) continue;
+    if (got <= 0) return false;
+    p += got;
+    n -= static_cast<std::size_t>(got);
+  }
+  return true;
+}
+
+struct Told {
+  Actor::Order order;
+  std::uint32_t number;
+};
+
+}  // namespace
+
+// ---- Actor --------------------------------------------------------------------------------------
+
+Actor::Actor(const Operation& operation, const EngineOptions& options, std::uint64_t source) {
+  if (pipe(orders_) != 0 || pipe(replies_) != 0) throw std::runtime_error("pipe");
+  std::fflush(nullptr);
+  const pid_t parent = getpid();
+  pid_ = fork();
+  if (pid_ == -1) throw std::runtime_error("fork");
+  if (pid_ != 0) return;
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (getppid() != parent) _exit(3);
+  for (const int s : {SIGTERM, SIGINT, SIGHUP}) signal(s, SIG_DFL);
+  EngineOptions own = options;
+  own.name = "node " + std::to_string(source);
+  Node node(own, source);
+  serve(operation, node);
+}
+
+Actor::~Actor() {
+  kill();
+  for (const int fd : {orders_[0], orders_[1], replies_[0], replies_[1]}) close(fd);
+}
+
+void Actor::kill() {
+  if (pid_ <= 0) return;
+  ::kill(pid_, SIGKILL);
+  while (waitpid(pid_, nullptr, 0) == -1 && errno == EINTR) {
+  }
+  pid_ = -1;
+}
+
+void Actor::send(int signal) const {
+  if (pid_ > 0) ::kill(pid_, signal);
+}
+
+void Actor::tell(Order order, std::uint32_t number) {
+  const Told told{order, number};
+  write_all(orders_[1], &told, sizeof(told));
+}
+
+std::optional<Actor::Reply> Actor::answer(unsigned seconds) {
+  pollfd ready{replies_[0], POLLIN, 0};
+  const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(seconds);
+  while (std::chrono::steady_clock::now() < until) {
+    if (poll(&ready, 1, 200) == 1) {
+      Reply reply{};
+      if (!read_all(replies_[0], &reply, sizeof(reply))) return std::nullopt;
+      return reply;
+    }
+    if (pid_ > 0) {
+      siginfo_t info{};
+      if (waitid(P_PID, static_cast<id_t>(pid_), &info, WEXITED | WNOHANG | WNOWAIT) == 0 &&
+          info.si_pid == pid_) {
+        return std::nullopt;
+      }
+    }
+  }
+  return std::nullopt;
+}
+
+std::string Actor::whereabouts() const {
+  std::string text;
+  for (const char* name : {"stat", "wchan"}) {
+    std::ifstream file("/proc/" + std::to_string(pid_) + "/" + name);
+    std::string line;
+    std::getline(file, line);
+    text += (text.empty() ? "" : " / ") + line.substr(0, 60);
+  }
+  return text;
+}
+
+void Actor::serve(const Operation& operation, Node& node) {
+  Told told{};
+  while (read_all(orders_[0], &told, sizeof(told))) {
+    Reply reply{};
+    reply.ok = true;
+    try {
+      obey(told.order, told.number, operation, node);
+    } catch (const std::exception& e) {
+      reply.ok = false;
+      std::snprintf(reply.complaint, sizeof(reply.complaint), "%s", e.what());
+    }
+    if (node.engine) reply.index = transport::Participant::join(node.options)->index();
+    for (std::uint64_t s = 0; s < std::size(reply.last); ++s) reply.last[s] = node.account.last(s);
+    reply.reads_topic = node.reads_topic;
+    write_all(replies_[1], &reply, sizeof(reply));
+  }
+  _exit(0);
+}
+
+void Actor::obey(Order order, std::uint32_t number, const Operation& operation, Node& node) {
+  switch (order) {
+    case Order::Act:
+      operation.before[number].act(node);
+      break;
+    case Order::Operate:
+      lot_kill_begins();
+      operation.run(node);
+      lot_kill_ends();
+      break;
+    case Order::WhenAsleep:
+      operation.when_asleep(node);
+      break;
+    case Order::Arm:
+      node.arm();
+      break;
+    case Order::Probe:
+      lot_kill_begins();
+      all_probes()[number].run(node);
+      lot_kill_ends();
+      break;
+    case Order::Inspect:
+      node.inspect();
+      break;
+    case Order::NewLife:
+      node.live_again();
+      break;
+    case Order::Meet:
+      node.meet();
+      break;
+    case Order::Start:
+      node.start();
+      break;
+    case Order::Drop:
+      node.drop_all();
+      node.reap();
+      break;
+    case Order::Leave:
+      node.leave();
+      break;
+  }
+}
+
+// ---- Trial --------------------------------------------------------------------------------------
+
+Trial::Trial(const Operation& operation, std::string segment, bool probes) : operation_(operation) {
+  options_.segment = std::move(segment);
+  options_.size_bytes = 6 << 20;
+  options_.processes = 7;
+  options_.blocks = 48;
+  options_.topics = 6;
+  options_.channels = 8;
+  options_.readers = 4;
+  set_up();
+  if (probes && witness_) {
+    witness_->tell(Actor::Order::Arm);
+    must_answer(*witness_, "the probes are made ready");
+  }
+}
+
+Trial::~Trial() {
+  traced_.reset();
+  for (auto* actor : {&victim_, &dead_, &witness_}) actor->reset();
+  const std::string path = options_.directory + "/" + options_.segment;
+  for (const char* suffix : {"", ".lock", ".new"}) unlink((path + suffix).c_str());
+}
+
+void Trial::violation(const std::string& what) { violations_.push_back(what); }
+
+Actor::Reply Trial::must_answer(Actor& actor, const char* what) {
+  const auto reply = actor.answer();
+  if (!reply) throw std::runtime_error(std::string(what) + ": no answer, " + actor.whereabouts());
+  if (!reply->ok) throw std::runtime_error(std::string(what) + ": " + reply->complaint);
+  return *reply;
+}
+
+void Trial::set_up() {
+  const auto& acts = operation_.before;
+  if (!operation_.alone) witness_.emplace(operation_, options_, kWitness);
+  const bool dies =
+      std::any_of(acts.begin(), acts.end(), [](const Act& a) { return a.who == Who::Dead; });
+  if (dies) dead_.emplace(operation_, options_, kDead);
+  victim_.emplace(operation_, options_, kVictim);
+  for (std::uint32_t i = 0; i < acts.size(); ++i) {
+    Actor& actor = acts[i].who == Who::Victim    ? *victim_
+                   : acts[i].who == Who::Witness ? *witness_
+                                                 : *dead_;
+    actor.tell(Actor::Order::Act, i);
+    must_answer(actor, "before");
+  }
+}
+
+Trial::Walk Trial::walk(std::uint64_t points) {
+  if (witness_) witness_->send(SIGSTOP);  // its warden must not do the victim's work
+  if (dead_) dead_->kill();
+  traced_.emplace(victim_->pid());
+  victim_->tell(Actor::Order::Operate);
+  while (traced_->place() != address_of(&lot_kill_begins)) {
+    if (traced_->step(kPatienceMs).event == Tracee::Event::Ended) {
+      throw std::runtime_error("the victim died before its operation");
+    }
+  }
+  shadow_.emplace(options_);
+  if (witness_) published_before_ = published_on_topic();
+  Walk walk;
+  bool helped = false;
+  while (walk.points < points) {
+    const Tracee::Step step = traced_->step(helped ? kPatienceMs : 2);
+    if (step.event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
+    if (step.event == Tracee::Event::AllAsleep ||
+        (step.event == Tracee::Event::Asleep && operation_.when_asleep && !helped)) {
+      if (helped) throw std::runtime_error("the victim hangs in its operation");
+      helped = true;
+      if (witness_) {
+        witness_->send(SIGCONT);
+        if (operation_.when_asleep) {
+          witness_->tell(Actor::Order::WhenAsleep);
+          must_answer(*witness_, "when the victim sleeps");
+        }
+        // What the witness has changed is not the victim's doing.
+        shadow_->changed();
+      }
+      continue;
+    }
+    ++walk.instructions;
+    if (walk.instructions > kRunaway) throw std::runtime_error("the operation does not end");
+    if (step.system_call) shadow_->look_for_file();
+    const bool changed = shadow_->changed();
+    if (changed || step.system_call) ++walk.points;
+    if (traced_->place() == address_of(&lot_kill_ends)) {
+      walk.finished = true;
+      break;
+    }
+  }
+  if (walk.finished && shadow_->stray() != 0) {
+    violation("the operation wrote into memory that nobody owns");
+  }
+  return walk;
+}
+
+std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking) {
+  std::vector<Probed> results(all_probes().size());
+  if (!witness_) return results;
+  witness_->send(SIGCONT);
+  std::vector<std::uint32_t> order;
+  std::vector<std::uint32_t> blocking;
+  for (std::uint32_t i = 0; i < all_probes().size(); ++i) {
+    (all_probes()[i].promise == Promise::Blocking ? blocking : order).push_back(i);
+  }
+  order.push_back(blocking[which_blocking % blocking.size()]);
+  for (const std::uint32_t i : order) {
+    const Probe& p = all_probes()[i];
+    bool let_go = false;
+    {
+      Tracee neighbour(witness_->pid());
+      witness_->tell(Actor::Order::Probe, i);
+      bool counting = false;
+      for (;;) {
+        const Tracee::Step step = neighbour.step(kWaitsMs);
+        if (step.event == Tracee::Event::Ended) throw std::runtime_error("the neighbour died");
+        if (step.event == Tracee::Event::AllAsleep) {
+          if (!counting) continue;  // it has not read the order yet
+          results[i].waited = true;
+          if (p.promise != Promise::Blocking) {
+            violation(std::string(p.name) + ": waits for a process that stands still");
+          }
+          break;
+        }
+        if (counting) ++results[i].instructions;
+        if (neighbour.place() == address_of(&lot_kill_begins)) counting = true;
+        if (neighbour.place() == address_of(&lot_kill_ends)) break;
+        if (results[i].instructions > kBound) {
+          results[i].waited = true;
+          if (p.promise != Promise::Blocking) {
+            violation(std::string(p.name) + ": more than " + std::to_string(kBound) +
+                      " instructions beside a process that stands still");
+          }
+          break;
+        }
+      }
+      let_go = results[i].waited;
+    }
+    if (let_go) {  // now the one that stood still dies, and the neighbour must come through
+      traced_->kill();
+      victim_->was_killed();
+    }
+    must_answer(*witness_, p.name);
+    if (let_go) break;
+  }
+  return results;
+}
+
+std::vector<std::string> Trial::kill_and_inspect() {
+  try {
+    traced_->kill();
+    victim_->was_killed();
+    traced_.reset();
+    if (witness_) {
+      witness_->send(SIGCONT);
+      inspect_with_witness();
+    } else {
+      inspect_alone();
+    }
+    if (files() != 0) violation("files are left");
+  } catch (const std::exception& e) {
+    violation(e.what());
+  }
+  return std::exchange(violations_, {});
+}
+
+std::size_t Trial::files() const { return testing::files_of(options_); }
+
+/// How many messages the dead publisher of the topic got out: the ring itself says so.
+std::uint64_t Trial::published_on_topic() const {
+  segment::Segment segment(options_.directory + "/" + options_.segment);
+  std::uint64_t most = 0;
+  for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
+    const auto& entry = segment.channels()[c];
+    const ring::State state = ring::writer_state(entry.writer.load());
+    if (state == ring::State::Free || state == ring::State::Init || entry.formed.load() == 0 ||
+        std::strcmp(segment.topics()[entry.topic].name, kTopic) != 0) {
+      continue;
+    }
+    const segment::Ring ring = segment.ring(c);
+    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+      const ring::Word w = ring.slots[i].load();
+      if (ring::block(w) == ring::kNoBlock) continue;
+      most = std::max(
+          most, static_cast<std::uint64_t>(ring::distance(ring::sequence(w), ring.first) + 1));
+    }
+  }
+  return most;
+}
+
+void Trial::inspect_with_witness() {
+  const std::string path = options_.directory + "/" + options_.segment;
+  const std::uint64_t published = std::max(published_before_, published_on_topic());
+  witness_->tell(Actor::Order::Inspect);
+  const Actor::Reply seen = must_answer(*witness_, "the witness");
+  const std::uint64_t read = seen.last[kVictim] + seen.last[kDead];
+  if (seen.reads_topic && read != published) {
+    violation("published " + std::to_string(published) + ", seen " + std::to_string(read));
+  }
+  {
+    segment::Segment segment(path);
+    const auto books = [&] { return unaccounted(segment, {seen.index}); };
+    if (!testing::eventually([&] { return books().empty(); }, std::chrono::seconds(3))) {
+      violation(books());
+    }
+  }
+  {
+    Actor second(operation_, options_, kSecondLife);
+    second.tell(Actor::Order::NewLife);
+    must_answer(second, "the second life");
+    witness_->tell(Actor::Order::Meet);
+    must_answer(*witness_, "the witness meets the second life");
+    second.tell(Actor::Order::Leave);
+    must_answer(second, "the second life leaves");
+  }
+  witness_->tell(Actor::Order::Drop);
+  const Actor::Reply dropped = must_answer(*witness_, "the witness lets go");
+  {
+    segment::Segment segment(path);
+    const auto clean = [&] {
+      const testing::Audit audit(segment);
+      return audit.nothing() && audit.participants == 1;
+    };
+    if (!testing::eventually(clean, std::chrono::seconds(5))) {
+      violation("left: " + testing::Audit(segment).text());
+    }
+    if (const auto books = unaccounted(segment, {dropped.index}); !books.empty()) violation(books);
+  }
+  witness_->tell(Actor::Order::Leave);
+  must_answer(*witness_, "the witness leaves");
+}
+
+void Trial::inspect_alone() {
+  Actor next(operation_, options_, kSecondLife);
+  next.tell(Actor::Order::Start);
+  const Actor::Reply started = must_answer(next, "the next one");
+  {
+    segment::Segment segment(options_.directory + "/" + options_.segment);
+    if (const auto books = unaccounted(segment, {started.index}); !books.empty()) violation(books);
+  }
+  next.tell(Actor::Order::Leave);
+  must_answer(next, "the next one leaves");
+}
+
+}  // namespace lot::kill

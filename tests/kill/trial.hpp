@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "node.hpp"
+#include "shadow.hpp"
+#include "tracee.hpp"
+
+namespace lot::kill {
+
+/// A forked process that does what it is told, one order at a time.
+class Actor {
+ public:
+  Actor(const Operation& operation, const EngineOptions& options, std::uint64_t source);
+  ~Actor();
+  Actor(const Actor&) = delete;
+  Actor& operator=(const Actor&) = delete;
+
+  enum class Order : std::uint32_t {
+    Act,      ///< the scene's act of that number
+    Operate,  ///< the operation itself, between the marks
+    WhenAsleep,
+    Arm,      ///< prepares what the probes need
+    Probe,    ///< the probe of that number, between the marks
+    Inspect,  ///< reads and publishes all it can, looks at what it holds
+    NewLife,  ///< what a node does that was started again
+    Meet,     ///< receives what the new life published
+    Start,    ///< joins, publishes to itself: works after everybody has died
+    Drop,     ///< drops all but the engine
+    Leave
+  };
+  struct Reply {
+    bool ok;
+    std::uint32_t index;    ///< of the participant; 0: none
+    std::uint64_t last[8];  ///< by source: number of the last message + 1
+    bool reads_topic;
+    char complaint[200];
+  };
+  void tell(Order order, std::uint32_t number = 0);
+  /// Nothing: it hangs, or has ended.
+  std::optional<Reply> answer(unsigned seconds = 30);
+
+  pid_t pid() const { return pid_; }
+  void send(int signal) const;
+  /// The tracer has killed it and waited for it.
+  void was_killed() { pid_ = -1; }
+  void kill();
+  /// Where it stands, for people.
+  std::string whereabouts() const;
+
+ private:
+  [[noreturn]] void serve(const Operation& operation, Node& node);
+  static void obey(Order order, std::uint32_t number, const Operation& operation, Node& node);
+
+  pid_t pid_ = -1;
+  int orders_[2];
+  int replies_[2];
+};
+
+/// One run of an operation in its scene, up to a point.
+class Trial {
+ public:
+  /// `probes`: the witness will be asked to probe().
+  Trial(const Operation& operation, std::string segment, bool probes);
+  ~Trial();
+  Trial(const Trial&) = delete;
+  Trial& operator=(const Trial&) = delete;
+
+  struct Walk {
+    std::uint64_t instructions = 0;
+    std::uint64_t points = 0;  ///< instructions after which something had changed
+    bool finished = false;     ///< the operation came to its end
+  };
+  /// Steps the victim until `points` changes were seen, or to the end of its operation.
+  Walk walk(std::uint64_t points);
+
+  /// What one probe took while the victim stood still.
+  struct Probed {
+    std::uint64_t instructions = 0;
+    bool waited = false;
+  };
+  /// The neighbour's operations while the victim stands still; one of the blocking ones.
+  std::vector<Probed> probe(std::uint64_t which_blocking);
+
+  /// Kills the victim and looks whether all promises hold. Returns the violations.
+  std::vector<std::string> kill_and_inspect();
+
+  static constexpr std::uint64_t kMost = ~std::uint64_t{0};
+
+ private:
+  void set_up();
+  Actor::Reply must_answer(Actor& actor, const char* what);
+  std::uint64_t published_on_topic() const;
+  void inspect_with_witness();
+  void inspect_alone();
+  void violation(const std::string& what);
+  std::size_t files() const;
+
+  const Operation& operation_;
+  EngineOptions options_;
+  std::optional<Actor> witness_;
+  std::optional<Actor> dead_;
+  std::optional<Actor> victim_;
+  std::optional<Tracee> traced_;
+  std::optional<Shadow> shadow_;
+  std::vector<std::string> violations_;
+  /// A closed ring may be gone before it can be asked: what was in it when the operation began.
+  std::uint64_t published_before_ = 0;
+};
+
+}  // namespace lot::kill
