@@ -7,11 +7,13 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <exception>
 #include <map>
 #include <sched.h>
 #include <string>
 #include <unistd.h>
+#include <utility>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -24,7 +26,9 @@ namespace {
 
 struct Options {
   bool stop = false;
+  bool fail = false;
   bool list = false;
+  bool self_test = false;
   unsigned every = 1;
   unsigned part = 0;
   unsigned parts = 1;
@@ -53,16 +57,50 @@ void end_at_once(int signal) {
 
 class Run {
  public:
-  explicit Run(const Options& options) : options_(options) {}
+  explicit Run(Options options) : options_(std::move(options)) {}
+
+  /// Everything that is planted must be found.
+  int self_test() {
+    unsigned missed = 0;
+    unsigned planted = 0;
+    const auto judge = [&](const std::string& name, std::uint64_t found) {
+      std::printf("%-56s %s\n", name.c_str(), found != 0 ? "found" : "NOT FOUND");
+      ++planted;
+      missed += found == 0;
+    };
+    for (const Operation& operation : planted_operations()) {
+      judge(operation.name, at(operation, Trial::kMost));
+    }
+    options_.stop = true;
+    strict_ = true;
+    std::uint64_t waits = 0;
+    for (const Operation& operation : all_operations()) {
+      if (operation.name == "advertise, a new topic") waits = at(operation, 8);
+    }
+    judge("a neighbour must wait", waits);
+    std::printf("summary: %u planted mistakes, %u not found\n", planted, missed);
+    return missed == 0 ? 0 : 1;
+  }
 
   int all() {
     const auto operations = all_operations();
-    std::printf("%-56s %-10s %12s %7s %6s %10s %7s\n", "operation", "promise", "instructions",
-                "points", options_.stop ? "stops" : "kills", "violations", "seconds");
+    if (options_.fail) {
+      std::printf("%-56s %6s %9s %7s %9s %10s %7s\n", "operation", "calls", "failures", "thrown",
+                  "survived", "violations", "seconds");
+    } else {
+      std::printf("%-56s %-10s %12s %7s %6s %10s %7s\n", "operation", "promise", "instructions",
+                  "points", options_.stop ? "stops" : "kills", "violations", "seconds");
+    }
     for (std::size_t i = 0; i < operations.size(); ++i) {
-      if (i % options_.parts == options_.part && chosen(operations[i].name)) one(operations[i]);
+      if (i % options_.parts != options_.part || !chosen(operations[i].name)) continue;
+      options_.fail ? fail(operations[i]) : one(operations[i]);
     }
     if (options_.stop) table_of_neighbours();
+    if (options_.fail) {
+      std::printf("summary: %llu operations, %llu failed system calls, %llu violations\n",
+                  ull(totals_.operations), ull(totals_.kills), ull(totals_.violations));
+      return totals_.violations == 0 && totals_.kills > 0 ? 0 : 1;
+    }
     std::printf(
         "summary: %llu operations, %llu instructions, %llu points, %llu %s, %llu violations\n",
         ull(totals_.operations), ull(totals_.instructions), ull(totals_.points), ull(totals_.kills),
@@ -107,6 +145,42 @@ class Run {
     totals_.violations += violations;
   }
 
+  /// Each of the operation's system calls fails in each way.
+  void fail(const Operation& operation) {
+    const auto start = std::chrono::steady_clock::now();
+    std::uint64_t calls = 0, failures = 0, thrown = 0, violations = 0;
+    try {
+      current_segment = testing::unique_name();
+      calls = Trial(operation, current_segment, false).walk(Trial::kMost).calls;
+      for (std::uint64_t nth = 0; nth < calls; ++nth) {
+        for (const int error : {EINTR, ENOMEM, ENOSPC, EPERM, EMFILE}) {
+          current_segment = testing::unique_name();
+          Trial trial(operation, current_segment, false);
+          const Trial::Failure f = trial.fail_call(nth, error);
+          failures += f.call.has_value();
+          thrown += f.call && !f.error.empty();
+          violations += f.violations.size();
+          for (const auto& v : f.violations) {
+            std::printf("  VIOLATION %s, call %llu (number %ld) fails by %s: %s%s%s\n",
+                        operation.name.c_str(), ull(nth), f.call.value_or(-1),
+                        strerrorname_np(error), v.c_str(),
+                        f.error.empty() ? "" : "; thrown: ", f.error.c_str());
+          }
+        }
+      }
+    } catch (const std::exception& e) {
+      std::printf("  VIOLATION %s: %s\n", operation.name.c_str(), e.what());
+      ++violations;
+    }
+    const std::chrono::duration<double> took = std::chrono::steady_clock::now() - start;
+    std::printf("%-56s %6llu %9llu %7llu %9llu %10llu %7.1f\n", operation.name.c_str(), ull(calls),
+                ull(failures), ull(thrown), ull(failures - thrown), ull(violations), took.count());
+    std::fflush(stdout);
+    ++totals_.operations;
+    totals_.kills += failures;
+    totals_.violations += violations;
+  }
+
   /// Runs the operation up to a point, and kills. Returns the number of violations.
   std::uint64_t at(const Operation& operation, std::uint64_t point, Trial::Walk* whole = nullptr) {
     std::vector<std::string> violations;
@@ -116,7 +190,7 @@ class Run {
       const Trial::Walk walk = trial.walk(point);
       if (whole != nullptr) *whole = walk;
       if (options_.stop) {
-        const auto probed = trial.probe(point);
+        const auto probed = trial.probe(point, strict_);
         for (std::size_t i = 0; i < probed.size(); ++i) {
           if (probed[i].instructions == 0 && !probed[i].waited) continue;
           Neighbour& n = neighbours_[i];
@@ -147,7 +221,8 @@ class Run {
     }
   }
 
-  const Options& options_;
+  Options options_;
+  bool strict_ = false;
   Totals totals_;
   std::map<std::size_t, Neighbour> neighbours_;
 };
@@ -178,6 +253,8 @@ int main(int argc, char** argv) {
   CLI::App app(
       "Kills a process at every instruction of every operation that has changed something");
   app.add_flag("--stop", options.stop, "stop it there, and let a neighbour do its operations");
+  app.add_flag("--fail", options.fail, "let each of its system calls fail instead");
+  app.add_flag("--self-test", options.self_test, "see whether planted mistakes are found");
   app.add_flag("--list", options.list, "list the operations");
   app.add_option("--every", options.every, "only every Nth point")->check(CLI::PositiveNumber);
   app.add_option("--part", options.part, "of the operations, those of part N (from 0) ...");
@@ -191,5 +268,6 @@ int main(int argc, char** argv) {
   }
   for (const int s : {SIGINT, SIGTERM, SIGHUP}) std::signal(s, end_at_once);
   stay_on_one_core(options.part);
-  return Run(options).all();
+  Run run(options);
+  return options.self_test ? run.self_test() : run.all();
 }

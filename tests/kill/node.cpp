@@ -57,6 +57,7 @@ void Node::drop_all() {
   frame_puller.reset();
   frames.reset();
   puller.reset();
+  second.reset();
   pusher.reset();
 }
 
@@ -100,18 +101,37 @@ void Node::sleep_on_topic() {
   await_sleeper();
 }
 
+void Node::sleep_for_room() {
+  sleeper = std::thread([this] {
+    auto message = pusher->loan(numbered(source, published));
+    if (pusher->push(std::move(message), 20s) == Status::Ok) {
+      ++published;
+    } else {
+      account.complain("a publisher that nobody lets go on");
+    }
+  });
+  await([](const segment::Ring& ring) { return (ring.space->load() & 1) != 0; });
+}
+
 void Node::await_sleeper() {
-  const auto participant = transport::Participant::join(options);
-  const bool sleeps = testing::eventually([&] {
-    for (std::uint32_t c = 0; c < participant->channels(); ++c) {
-      const auto ring = participant->ring(c);
-      for (std::uint32_t i = 0; i < ring.depth; ++i) {
-        if ((ring.slots[i].load() & ring::kSleeper) != 0) return true;
-      }
+  await([](const segment::Ring& ring) {
+    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+      if ((ring.slots[i].load() & ring::kSleeper) != 0) return true;
     }
     return false;
   });
-  testing::must(sleeps, "a reader fell asleep");
+}
+
+void Node::await(const std::function<bool(const segment::Ring&)>& mark) const {
+  const auto participant = transport::Participant::join(options);
+  const bool stands = testing::eventually([&] {
+    for (std::uint32_t c = 0; c < participant->channels(); ++c) {
+      const auto ring = participant->ring(c);
+      if (ring.depth != 0 && mark(ring)) return true;
+    }
+    return false;
+  });
+  testing::must(stands, "somebody fell asleep");
 }
 
 void Node::hold(bool borrowing) {

@@ -11,6 +11,8 @@
 
 #include "lot/lot.hpp"
 
+#include "segment/layout.hpp"
+
 namespace lot::kill {
 
 /// What the nodes send: small and plain.
@@ -65,6 +67,7 @@ struct Node {
   bool receive();          ///< the next message, if there is one, goes into the account
   void receive_all();      ///< those that are there
   void sleep_on_topic();   ///< a thread of its own sleeps for the topic's messages until the end
+  void sleep_for_room();   ///< a thread of its own publishes one more, for which there is no room
   void hold(bool borrow);  ///< the next message stays borrowed, or is kept
   void reap();             ///< repairs what the dead left, now
   void await_sleeper();    ///< until a mark stands in some slot
@@ -75,6 +78,7 @@ struct Node {
   void live_again();  ///< what a node does that was started again
   void meet();        ///< receives what the second life published
   void start();       ///< joins, publishes to itself and reads it
+  void await(const std::function<bool(const segment::Ring&)>& mark) const;
 
   EngineOptions options;
   std::uint64_t source;
@@ -82,7 +86,7 @@ struct Node {
   Account account;
 
   std::optional<ShmEngine> engine;
-  std::optional<ShmPusher<Number>> pusher;
+  std::optional<ShmPusher<Number>> pusher, second;
   std::optional<ShmPuller<Number>> puller;
   std::optional<ShmPusher<Frame>> frames;
   std::optional<ShmPuller<Frame>> frame_puller;
@@ -132,6 +136,8 @@ struct Operation {
 };
 
 std::vector<Operation> all_operations();
+/// Operations that break a promise each, to see whether that is found.
+std::vector<Operation> planted_operations();
 
 /// What a neighbour does while the victim stands still in the middle of its operation.
 struct Probe {

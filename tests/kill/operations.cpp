@@ -130,6 +130,8 @@ void loans(std::vector<Operation>& all) {
                  [](Node& n) {
                    for (int i = 0; i < 3; ++i) n.loans.push_back(n.pusher->loan(numbered(9, 0)));
                  }});
+  all.push_back(
+      {"reserve memory", Promise::LockFree, fresh, [](Node& n) { n.pusher->reserve(2, 8000); }});
   all.push_back({"loan given back", Promise::LockFree, fresh + Acts{victim(loan_one)},
                  [](Node& n) { n.loans.clear(); }});
   all.push_back({"make, without a topic", Promise::LockFree, fresh,
@@ -177,6 +179,8 @@ void pushes(std::vector<Operation>& all) {
   add("push, block, a reader sleeps", Promise::Blocking,
       loaned(victim_publishes(block(2), 1)) + Acts{witness([](Node& n) { n.receive_all(); }),
                                                    witness([](Node& n) { n.sleep_on_topic(); })});
+  add("push, block, a reader borrows", Promise::Blocking,
+      loaned(victim_publishes(block(2), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
   all.push_back({"push, block, full: refused", Promise::LockFree,
                  loaned(victim_publishes(block(1), 1)), [](Node& n) {
                    if (n.pusher->try_push(std::move(n.loans.back())) == Status::Ok) std::abort();
@@ -200,6 +204,28 @@ void pulls(std::vector<Operation>& all) {
                    [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                    [](Node& n) { n.publish(1); }});
   }
+  all.push_back({"borrow and end, the sender sleeps for room", Promise::LockFree,
+                 victim_reads(block(1), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
+                 [](Node& n) {
+                   n.receive();
+                   n.puller->try_borrow();
+                 }});
+  all.push_back({"unsubscribe, the sender sleeps for room", Promise::Blocking,
+                 victim_reads(block(1), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
+                 [](Node& n) { n.puller.reset(); }});
+  all.push_back({"pull sleeps on two publishers", Promise::Blocking,
+                 victim_reads(overwrite(2), 0) + Acts{witness([](Node& n) {
+                   n.second.emplace(n.engine->advertise<Number>(kOther, overwrite(2)));
+                 })},
+                 [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
+                 [](Node& n) { n.publish(1); }});
+  all.push_back({"pull sleeps until a publisher comes", Promise::Blocking,
+                 Acts{witness(join), victim(join), reader(victim, kOther)},
+                 [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
+                 [](Node& n) {
+                   n.pusher.emplace(n.engine->advertise<Number>(kOther, overwrite(2)));
+                   n.publish(1);
+                 }});
   all.push_back({"timed pull, too late", Promise::Blocking, victim_reads(overwrite(2), 0),
                  [](Node& n) { n.puller->pull(2ms); }});
   all.push_back({"borrow, lapped", Promise::LockFree, victim_reads(overwrite(2), 7),

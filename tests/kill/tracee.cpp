@@ -10,9 +10,11 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <linux/futex.h>
 #include <sched.h>
 #include <stdexcept>
 #include <sys/ptrace.h>
+#include <sys/syscall.h>
 #include <sys/user.h>
 #include <sys/wait.h>
 #include <thread>
@@ -24,6 +26,7 @@ namespace {
 
 constexpr long kOptions = PTRACE_O_TRACECLONE | PTRACE_O_EXITKILL;
 constexpr unsigned kSpins = 64;
+constexpr long kFutexWaitv = 449;
 
 long trace(__ptrace_request request, pid_t thread, std::uintptr_t address = 0,
            std::uintptr_t data = 0) {
@@ -73,23 +76,25 @@ bool Tracee::is_system_call(const Thread& thread, std::uint64_t place) {
   return errno == 0 && (word & 0xffff) == 0x050f;  // syscall
 }
 
-bool Tracee::at_system_call() const {
-  return threads_.front().stopped && is_system_call(threads_.front(), place_of(threads_.front()));
-}
-
-long Tracee::system_call_number() const {
-  return trace(PTRACE_PEEKUSER, threads_.front().id, offsetof(user_regs_struct, rax));
-}
-
-void Tracee::fail_system_call(int error) {
+bool Tracee::fail_if_due(const Thread& thread) {
+  if (error_ == 0 || failed_call_ || spared_call_ || calls_left_-- != 0) return false;
   user_regs_struct registers{};
-  const pid_t id = threads_.front().id;
-  trace(PTRACE_GETREGS, id, 0, reinterpret_cast<std::uintptr_t>(&registers));
+  trace(PTRACE_GETREGS, thread.id, 0, reinterpret_cast<std::uintptr_t>(&registers));
+  const auto number = static_cast<long>(registers.rax);
+  const bool futex = number == SYS_futex || number == kFutexWaitv;
+  if (number == SYS_exit || number == SYS_exit_group || number == SYS_rt_sigreturn ||
+      number == SYS_rseq || (futex && error_ != EINTR) ||
+      (futex && (registers.rsi & FUTEX_CMD_MASK) == FUTEX_WAKE)) {
+    spared_call_ = true;
+    return false;
+  }
+  failed_call_ = number;
   registers.rip += 2;  // over the instruction
-  registers.rax = static_cast<unsigned long long>(-static_cast<long long>(error));
+  registers.rax = static_cast<unsigned long long>(-static_cast<long long>(error_));
   registers.rcx = registers.rip;  // what the instruction would have overwritten
   registers.r11 = registers.eflags;
-  trace(PTRACE_SETREGS, id, 0, reinterpret_cast<std::uintptr_t>(&registers));
+  trace(PTRACE_SETREGS, thread.id, 0, reinterpret_cast<std::uintptr_t>(&registers));
+  return true;
 }
 
 bool Tracee::asleep(const Thread& thread) const {
@@ -148,6 +153,7 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
   const pid_t id = thread.id;
   const std::uint64_t place = place_of(thread);
   const bool call = is_system_call(thread, place);
+  if (call && fail_if_due(thread)) return {Event::Stepped, true, place};
   const bool may_sleep = std::exchange(thread.may_resume_call, false) || call;
   thread.stopped = false;
   trace(PTRACE_SINGLESTEP, id, 0, static_cast<std::uintptr_t>(std::exchange(thread.signal, 0)));

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <sys/types.h>
 #include <vector>
@@ -46,12 +47,15 @@ class Tracee {
   /// Lets all threads run on by themselves.
   void detach();
 
-  /// Puts `error` in place of the system call that the next step would do (it is not done), as the
-  /// kernel would report it. REQUIRES: the next instruction is a system call.
-  /// Returns the number of the call.
-  long system_call_number() const;
-  bool at_system_call() const;
-  void fail_system_call(int error);
+  /// The system call `calls` calls from now is not done; it returns `error` instead.
+  void fail_call(std::uint64_t calls, int error) {
+    calls_left_ = calls;
+    error_ = error;
+  }
+  /// The number of the call that was failed; nothing as long as none was, or it must not be failed
+  /// with that error: an exit, or a futex call, whose failures are all spelt out in futex(2).
+  std::optional<long> failed_call() const { return failed_call_; }
+  bool spared_call() const { return spared_call_; }
 
  private:
   struct Thread {
@@ -61,6 +65,8 @@ class Tracee {
     int signal = 0;               ///< to be delivered with the next step
   };
 
+  /// True when the call was put aside.
+  bool fail_if_due(const Thread& thread);
   static std::uint64_t place_of(const Thread& thread);
   static bool is_system_call(const Thread& thread, std::uint64_t place);
   bool asleep(const Thread& thread) const;
@@ -73,6 +79,10 @@ class Tracee {
   pid_t pid_;
   std::vector<Thread> threads_;
   bool dead_ = false;
+  std::uint64_t calls_left_ = 0;
+  int error_ = 0;
+  std::optional<long> failed_call_;
+  bool spared_call_ = false;
 };
 
 }  // namespace lot::kill

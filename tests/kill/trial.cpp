@@ -210,7 +210,7 @@ Trial::~Trial() {
   traced_.reset();
   for (auto* actor : {&victim_, &dead_, &witness_}) actor->reset();
   const std::string path = options_.directory + "/" + options_.segment;
-  for (const char* suffix : {"", ".lock", ".new"}) unlink((path + suffix).c_str());
+  for (const char* suffix : {"", ".lock", ".new", ".left"}) unlink((path + suffix).c_str());
 }
 
 void Trial::violation(const std::string& what) { violations_.push_back(what); }
@@ -238,7 +238,8 @@ void Trial::set_up() {
   }
 }
 
-Trial::Walk Trial::walk(std::uint64_t points) {
+/// Brings the victim to the first instruction of its operation.
+void Trial::begin() {
   if (witness_) witness_->send(SIGSTOP);  // its warden must not do the victim's work
   if (dead_) dead_->kill();
   traced_.emplace(victim_->pid());
@@ -248,8 +249,22 @@ Trial::Walk Trial::walk(std::uint64_t points) {
       throw std::runtime_error("the victim died before its operation");
     }
   }
-  shadow_.emplace(options_);
   if (witness_) published_before_ = published_on_topic();
+}
+
+/// The victim waits for others: now they may go on.
+void Trial::help_sleeper() {
+  if (!witness_) return;
+  witness_->send(SIGCONT);
+  if (operation_.when_asleep) {
+    witness_->tell(Actor::Order::WhenAsleep);
+    must_answer(*witness_, "when the victim sleeps");
+  }
+}
+
+Trial::Walk Trial::walk(std::uint64_t points) {
+  begin();
+  shadow_.emplace(options_);
   Walk walk;
   bool helped = false;
   while (walk.points < points) {
@@ -259,18 +274,12 @@ Trial::Walk Trial::walk(std::uint64_t points) {
         (step.event == Tracee::Event::Asleep && operation_.when_asleep && !helped)) {
       if (helped) throw std::runtime_error("the victim hangs in its operation");
       helped = true;
-      if (witness_) {
-        witness_->send(SIGCONT);
-        if (operation_.when_asleep) {
-          witness_->tell(Actor::Order::WhenAsleep);
-          must_answer(*witness_, "when the victim sleeps");
-        }
-        // What the witness has changed is not the victim's doing.
-        shadow_->changed();
-      }
+      help_sleeper();
+      shadow_->changed();  // by the witness, not by the victim
       continue;
     }
     ++walk.instructions;
+    walk.calls += step.system_call;
     if (walk.instructions > kRunaway) throw std::runtime_error("the operation does not end");
     if (step.system_call) shadow_->look_for_file();
     const bool changed = shadow_->changed();
@@ -286,7 +295,41 @@ Trial::Walk Trial::walk(std::uint64_t points) {
   return walk;
 }
 
-std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking) {
+Trial::Failure Trial::fail_call(std::uint64_t nth, int error) {
+  Failure failure;
+  try {
+    begin();
+    traced_->fail_call(nth, error);
+    bool helped = false;
+    while (!traced_->failed_call() && !traced_->spared_call() &&
+           traced_->place() != address_of(&lot_kill_ends)) {
+      const Tracee::Event event = traced_->step(2).event;
+      if (event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
+      if (event == Tracee::Event::Asleep || event == Tracee::Event::AllAsleep) {
+        if (!helped) help_sleeper();
+        helped = true;
+      }
+    }
+    failure.call = traced_->failed_call();
+    if (!failure.call) return failure;
+    traced_.reset();
+    if (!helped) help_sleeper();
+    const auto reply = victim_->answer();
+    if (!reply) throw std::runtime_error("no answer, " + victim_->whereabouts());
+    failure.error = reply->complaint;
+    if (witness_) published_before_ = published_on_topic();
+    victim_->tell(Actor::Order::Leave);
+    must_answer(*victim_, "the victim leaves");
+    victim_->kill();
+    inspect();
+  } catch (const std::exception& e) {
+    violation(e.what());
+  }
+  failure.violations = std::exchange(violations_, {});
+  return failure;
+}
+
+std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking, bool strict) {
   std::vector<Probed> results(all_probes().size());
   if (!witness_) return results;
   witness_->send(SIGCONT);
@@ -309,7 +352,7 @@ std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking) {
         if (step.event == Tracee::Event::AllAsleep) {
           if (!counting) continue;  // it has not read the order yet
           results[i].waited = true;
-          if (p.promise != Promise::Blocking) {
+          if (strict || p.promise != Promise::Blocking) {
             violation(std::string(p.name) + ": waits for a process that stands still");
           }
           break;
@@ -319,7 +362,7 @@ std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking) {
         if (neighbour.place() == address_of(&lot_kill_ends)) break;
         if (results[i].instructions > kBound) {
           results[i].waited = true;
-          if (p.promise != Promise::Blocking) {
+          if (strict || p.promise != Promise::Blocking) {
             violation(std::string(p.name) + ": more than " + std::to_string(kBound) +
                       " instructions beside a process that stands still");
           }
@@ -343,17 +386,21 @@ std::vector<std::string> Trial::kill_and_inspect() {
     traced_->kill();
     victim_->was_killed();
     traced_.reset();
-    if (witness_) {
-      witness_->send(SIGCONT);
-      inspect_with_witness();
-    } else {
-      inspect_alone();
-    }
-    if (files() != 0) violation("files are left");
+    inspect();
   } catch (const std::exception& e) {
     violation(e.what());
   }
   return std::exchange(violations_, {});
+}
+
+void Trial::inspect() {
+  if (witness_) {
+    witness_->send(SIGCONT);
+    inspect_with_witness();
+  } else {
+    inspect_alone();
+  }
+  if (files() != 0) violation("files are left");
 }
 
 std::size_t Trial::files() const { return testing::files_of(options_); }

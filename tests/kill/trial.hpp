@@ -74,6 +74,7 @@ class Trial {
   struct Walk {
     std::uint64_t instructions = 0;
     std::uint64_t points = 0;  ///< instructions after which something had changed
+    std::uint64_t calls = 0;   ///< system calls
     bool finished = false;     ///< the operation came to its end
   };
   /// Steps the victim until `points` changes were seen, or to the end of its operation.
@@ -84,16 +85,30 @@ class Trial {
     std::uint64_t instructions = 0;
     bool waited = false;
   };
-  /// The neighbour's operations while the victim stands still; one of the blocking ones.
-  std::vector<Probed> probe(std::uint64_t which_blocking);
+  /// The neighbour's operations while the victim stands still; one of the blocking ones. `strict`:
+  /// none may wait.
+  std::vector<Probed> probe(std::uint64_t which_blocking, bool strict = false);
 
   /// Kills the victim and looks whether all promises hold. Returns the violations.
   std::vector<std::string> kill_and_inspect();
+
+  /// What became of an operation one of whose system calls failed.
+  struct Failure {
+    std::optional<long> call;  ///< its number; nothing: it was not one that can fail so
+    std::string error;         ///< what the operation threw; empty: it got through
+    std::vector<std::string> violations;
+  };
+  /// Runs the operation with one system call failing, lets the victim leave, and looks whether all
+  /// promises hold.
+  Failure fail_call(std::uint64_t nth, int error);
 
   static constexpr std::uint64_t kMost = ~std::uint64_t{0};
 
  private:
   void set_up();
+  void begin();
+  void help_sleeper();
+  void inspect();
   Actor::Reply must_answer(Actor& actor, const char* what);
   std::uint64_t published_on_topic() const;
   void inspect_with_witness();
