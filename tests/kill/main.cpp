@@ -3,15 +3,19 @@
 // Kills, or stops, a process at every instruction of every operation that has changed something.
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <exception>
-#include <map>
+#include <new>
 #include <sched.h>
 #include <string>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
 #include <unistd.h>
 #include <utility>
 #include <vector>
@@ -30,22 +34,27 @@ struct Options {
   bool list = false;
   bool self_test = false;
   unsigned every = 1;
-  unsigned part = 0;
-  unsigned parts = 1;
+  unsigned jobs = 1;
   std::int64_t only = -1;
   std::vector<std::string> names;
 };
 
-struct Totals {
-  std::uint64_t operations = 0, instructions = 0, points = 0, kills = 0, violations = 0;
-};
-
 /// What the neighbours of a stopped process needed.
 struct Neighbour {
-  std::uint64_t most = 0, runs = 0, waits = 0;
+  std::atomic<std::uint64_t> most{0}, runs{0}, waits{0};
+};
+
+/// What the workers have in common.
+struct Shared {
+  std::atomic<std::size_t> next{0};  ///< operation to be done next
+  std::atomic<std::uint64_t> operations{0}, instructions{0}, points{0}, kills{0}, violations{0};
+  Neighbour neighbours[16];
 };
 
 std::string current_segment;
+
+/// Workers are forks: what is unique in one process is not among them.
+std::string fresh_name() { return testing::unique_name() + "_" + std::to_string(getpid()); }
 
 /// Ctrl-C leaves nothing behind: the processes die with this one.
 void end_at_once(int signal) {
@@ -55,9 +64,28 @@ void end_at_once(int signal) {
   _exit(128 + signal);
 }
 
+/// Tracer and traced hand over to each other at each step: on one core that costs least.
+void stay_on_one_core(unsigned job) {
+  cpu_set_t allowed;
+  CPU_ZERO(&allowed);
+  sched_getaffinity(0, sizeof(allowed), &allowed);
+  std::vector<std::size_t> cores;
+  for (std::size_t c = 0; c < CPU_SETSIZE; ++c) {
+    if (CPU_ISSET(c, &allowed)) cores.push_back(c);
+  }
+  if (cores.empty()) return;
+  cpu_set_t one;
+  CPU_ZERO(&one);
+  CPU_SET(cores[job % cores.size()], &one);
+  sched_setaffinity(0, sizeof(one), &one);
+}
+
 class Run {
  public:
-  explicit Run(Options options) : options_(std::move(options)) {}
+  explicit Run(Options options)
+      : options_(std::move(options)),
+        totals_(*new (mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE,
+                           MAP_SHARED | MAP_ANONYMOUS, -1, 0)) Shared) {}
 
   /// Everything that is planted must be found.
   int self_test() {
@@ -91,9 +119,21 @@ class Run {
       std::printf("%-56s %-10s %12s %7s %6s %10s %7s\n", "operation", "promise", "instructions",
                   "points", options_.stop ? "stops" : "kills", "violations", "seconds");
     }
-    for (std::size_t i = 0; i < operations.size(); ++i) {
-      if (i % options_.parts != options_.part || !chosen(operations[i].name)) continue;
-      options_.fail ? fail(operations[i]) : one(operations[i]);
+    std::fflush(stdout);
+    std::vector<pid_t> workers;
+    for (unsigned job = 1; job < options_.jobs; ++job) {
+      const pid_t pid = fork();
+      if (pid == 0) {
+        prctl(PR_SET_PDEATHSIG, SIGTERM);
+        work(operations, job);
+        _exit(0);
+      }
+      workers.push_back(pid);
+    }
+    work(operations, 0);
+    for (const pid_t pid : workers) {
+      int status = 0;
+      if (waitpid(pid, &status, 0) != pid || status != 0) ++totals_.violations;
     }
     if (options_.stop) table_of_neighbours();
     if (options_.fail) {
@@ -110,6 +150,13 @@ class Run {
 
  private:
   static unsigned long long ull(std::uint64_t n) { return n; }
+
+  void work(const std::vector<Operation>& operations, unsigned job) {
+    stay_on_one_core(job);
+    for (std::size_t i; (i = totals_.next++) < operations.size();) {
+      if (chosen(operations[i].name)) options_.fail ? fail(operations[i]) : one(operations[i]);
+    }
+  }
 
   bool chosen(const std::string& name) const {
     return options_.names.empty() ||
@@ -150,11 +197,11 @@ class Run {
     const auto start = std::chrono::steady_clock::now();
     std::uint64_t calls = 0, failures = 0, thrown = 0, violations = 0;
     try {
-      current_segment = testing::unique_name();
+      current_segment = fresh_name();
       calls = Trial(operation, current_segment, false).walk(Trial::kMost).calls;
       for (std::uint64_t nth = 0; nth < calls; ++nth) {
         for (const int error : {EINTR, ENOMEM, ENOSPC, EPERM, EMFILE}) {
-          current_segment = testing::unique_name();
+          current_segment = fresh_name();
           Trial trial(operation, current_segment, false);
           const Trial::Failure f = trial.fail_call(nth, error);
           failures += f.call.has_value();
@@ -185,7 +232,7 @@ class Run {
   std::uint64_t at(const Operation& operation, std::uint64_t point, Trial::Walk* whole = nullptr) {
     std::vector<std::string> violations;
     try {
-      current_segment = testing::unique_name();
+      current_segment = fresh_name();
       Trial trial(operation, current_segment, options_.stop);
       const Trial::Walk walk = trial.walk(point);
       if (whole != nullptr) *whole = walk;
@@ -193,10 +240,14 @@ class Run {
         const auto probed = trial.probe(point, strict_);
         for (std::size_t i = 0; i < probed.size(); ++i) {
           if (probed[i].instructions == 0 && !probed[i].waited) continue;
-          Neighbour& n = neighbours_[i];
+          Neighbour& n = totals_.neighbours[i];
           ++n.runs;
           n.waits += probed[i].waited;
-          if (!probed[i].waited) n.most = std::max(n.most, probed[i].instructions);
+          if (probed[i].waited) continue;
+          std::uint64_t most = n.most;
+          while (most < probed[i].instructions &&
+                 !n.most.compare_exchange_weak(most, probed[i].instructions)) {
+          }
         }
       }
       violations = trial.kill_and_inspect();
@@ -214,8 +265,9 @@ class Run {
   void table_of_neighbours() const {
     std::printf("\n%-36s %-10s %8s %18s %8s\n", "beside a stopped process", "promise", "runs",
                 "most instructions", "waited");
-    for (const auto& [i, n] : neighbours_) {
+    for (std::size_t i = 0; i < all_probes().size(); ++i) {
       const Probe& p = all_probes()[i];
+      const Neighbour& n = totals_.neighbours[i];
       std::printf("%-36s %-10s %8llu %18llu %8llu\n", p.name, name_of(p.promise), ull(n.runs),
                   ull(n.most), ull(n.waits));
     }
@@ -223,25 +275,8 @@ class Run {
 
   Options options_;
   bool strict_ = false;
-  Totals totals_;
-  std::map<std::size_t, Neighbour> neighbours_;
+  Shared& totals_;
 };
-
-/// Tracer and traced hand over to each other at each step: on one core that costs least.
-void stay_on_one_core(unsigned part) {
-  cpu_set_t allowed;
-  CPU_ZERO(&allowed);
-  sched_getaffinity(0, sizeof(allowed), &allowed);
-  std::vector<std::size_t> cores;
-  for (std::size_t c = 0; c < CPU_SETSIZE; ++c) {
-    if (CPU_ISSET(c, &allowed)) cores.push_back(c);
-  }
-  if (cores.empty()) return;
-  cpu_set_t one;
-  CPU_ZERO(&one);
-  CPU_SET(cores[part % cores.size()], &one);
-  sched_setaffinity(0, sizeof(one), &one);
-}
 
 }  // namespace
 }  // namespace lot::kill
@@ -257,8 +292,8 @@ int main(int argc, char** argv) {
   app.add_flag("--self-test", options.self_test, "see whether planted mistakes are found");
   app.add_flag("--list", options.list, "list the operations");
   app.add_option("--every", options.every, "only every Nth point")->check(CLI::PositiveNumber);
-  app.add_option("--part", options.part, "of the operations, those of part N (from 0) ...");
-  app.add_option("--parts", options.parts, "... of so many")->check(CLI::PositiveNumber);
+  app.add_option("--jobs", options.jobs, "so many at once, each on a core of its own")
+      ->check(CLI::PositiveNumber);
   app.add_option("--point", options.only, "this point only");
   app.add_option("operation", options.names, "operations whose names contain this; all by default");
   CLI11_PARSE(app, argc, argv);
@@ -267,7 +302,7 @@ int main(int argc, char** argv) {
     return 0;
   }
   for (const int s : {SIGINT, SIGTERM, SIGHUP}) std::signal(s, end_at_once);
-  stay_on_one_core(options.part);
+  stay_on_one_core(0);
   Run run(options);
   return options.self_test ? run.self_test() : run.all();
 }

@@ -141,11 +141,11 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
   for (;;) {
     for (std::size_t i = 0; i < threads_.size() && turn == threads_.size(); ++i) {
       if (threads_[i].stopped || poll(i)) turn = i;
-      if (dead_) return {Event::Ended, false, 0};
+      if (dead_) return {Event::Ended, false, false, 0};
     }
     if (turn < threads_.size()) break;
     turn = threads_.size();
-    if (std::chrono::steady_clock::now() >= until) return {Event::AllAsleep, false, 0};
+    if (std::chrono::steady_clock::now() >= until) return {Event::AllAsleep, false, false, 0};
     std::this_thread::sleep_for(std::chrono::microseconds(50));
   }
 
@@ -153,7 +153,9 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
   const pid_t id = thread.id;
   const std::uint64_t place = place_of(thread);
   const bool call = is_system_call(thread, place);
-  if (call && fail_if_due(thread)) return {Event::Stepped, true, place};
+  const long number = call ? trace(PTRACE_PEEKUSER, id, offsetof(user_regs_struct, rax)) : -1;
+  const bool futex = number == SYS_futex || number == kFutexWaitv;
+  if (call && fail_if_due(thread)) return {Event::Stepped, true, futex, place};
   const bool may_sleep = std::exchange(thread.may_resume_call, false) || call;
   thread.stopped = false;
   trace(PTRACE_SINGLESTEP, id, 0, static_cast<std::uintptr_t>(std::exchange(thread.signal, 0)));
@@ -162,13 +164,13 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
     int status = 0;
     if (waitpid(id, &status, __WALL | (may_sleep ? WNOHANG : 0)) == id) {
       note(turn, status);
-      return {dead_ ? Event::Ended : Event::Stepped, call, place};
+      return {dead_ ? Event::Ended : Event::Stepped, call, futex, place};
     }
     if (spin < kSpins) {
       sched_yield();
     } else {
       sleeps = asleep(thread) ? sleeps + 1 : 0;
-      if (sleeps == 3) return {Event::Asleep, call, place};
+      if (sleeps == 3) return {Event::Asleep, call, futex, place};
       std::this_thread::sleep_for(std::chrono::microseconds(20));
     }
   }

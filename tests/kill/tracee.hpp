@@ -34,6 +34,7 @@ class Tracee {
   struct Step {
     Event event;
     bool system_call;     ///< the instruction was one
+    bool futex;           ///< a futex call: the process slept, or woke others
     std::uint64_t place;  ///< address of the instruction
   };
   /// One instruction of the thread whose turn it is. Waits up to `patience_ms` when all sleep.

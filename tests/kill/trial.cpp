@@ -270,23 +270,23 @@ Trial::Walk Trial::walk(std::uint64_t points) {
   while (walk.points < points) {
     const Tracee::Step step = traced_->step(helped ? kPatienceMs : 2);
     if (step.event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
-    if (step.event == Tracee::Event::AllAsleep ||
-        (step.event == Tracee::Event::Asleep && operation_.when_asleep && !helped)) {
-      if (helped) throw std::runtime_error("the victim hangs in its operation");
+    const bool sleeps = step.event == Tracee::Event::AllAsleep;
+    if (sleeps && helped) throw std::runtime_error("the victim hangs in its operation");
+    if (!sleeps) {
+      if (++walk.instructions > kRunaway) throw std::runtime_error("the operation does not end");
+      walk.calls += step.system_call;
+      if (step.system_call) shadow_->look_for_file();
+      const bool changed = shadow_->changed();
+      if (changed || step.system_call) ++walk.points;
+      if (traced_->place() == address_of(&lot_kill_ends)) {
+        walk.finished = true;
+        break;
+      }
+    }
+    if (!helped && walk.points < points && (sleeps || (step.futex && operation_.when_asleep))) {
       helped = true;
       help_sleeper();
       shadow_->changed();  // by the witness, not by the victim
-      continue;
-    }
-    ++walk.instructions;
-    walk.calls += step.system_call;
-    if (walk.instructions > kRunaway) throw std::runtime_error("the operation does not end");
-    if (step.system_call) shadow_->look_for_file();
-    const bool changed = shadow_->changed();
-    if (changed || step.system_call) ++walk.points;
-    if (traced_->place() == address_of(&lot_kill_ends)) {
-      walk.finished = true;
-      break;
     }
   }
   if (walk.finished && shadow_->stray() != 0) {
@@ -303,11 +303,11 @@ Trial::Failure Trial::fail_call(std::uint64_t nth, int error) {
     bool helped = false;
     while (!traced_->failed_call() && !traced_->spared_call() &&
            traced_->place() != address_of(&lot_kill_ends)) {
-      const Tracee::Event event = traced_->step(2).event;
-      if (event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
-      if (event == Tracee::Event::Asleep || event == Tracee::Event::AllAsleep) {
-        if (!helped) help_sleeper();
+      const Tracee::Step step = traced_->step(2);
+      if (step.event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
+      if (!helped && (step.futex || step.event == Tracee::Event::AllAsleep)) {
         helped = true;
+        help_sleeper();
       }
     }
     failure.call = traced_->failed_call();
