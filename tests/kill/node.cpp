@@ -48,6 +48,7 @@ void Node::drop_all() {
   if (sleeper.joinable()) sleeper.join();
   probe_frames.reset();
   probe_puller.reset();
+  probe_again.reset();
   probe_pusher.reset();
   own.reset();
   weak.reset();
@@ -154,6 +155,7 @@ void Node::reap() {
 
 void Node::arm() {
   probe_pusher.emplace(engine->advertise<Number>("/probe", {Policy::Overwrite, 2, 1s}));
+  probe_again.emplace(engine->advertise<Number>("/probe", {Policy::Overwrite, 1, 1s}));
   probe_puller.emplace(engine->subscribe<Number>("/probe"));
   probe_frames.emplace(engine->advertise<Frame>("/probe-frames", {Policy::Overwrite, 1, 1s}));
   probe_pusher->push(probe_pusher->loan(numbered(7, 0)));

@@ -101,7 +101,7 @@ struct Node {
   std::thread sleeper;
 
   // What the probes use.
-  std::optional<ShmPusher<Number>> probe_pusher;
+  std::optional<ShmPusher<Number>> probe_pusher, probe_again;
   std::optional<ShmPuller<Number>> probe_puller;
   std::optional<ShmPusher<Frame>> probe_frames;
 };

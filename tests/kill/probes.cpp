@@ -34,6 +34,22 @@ void grow(Node& n) {
   auto frame = n.probe_frames->loan();
   frame->data.resize(3000);
 }
+void make_and_share(Node& n) {
+  ShmSharedPtr<Number> own = n.engine->make<Number>(numbered(7, 0));
+  const auto copy = own;
+  own.reset();
+}
+void publish_again(Node& n) {
+  publish_own(n);
+  if (const auto kept = n.probe_puller->try_pull()) n.probe_again->push(kept);
+}
+void refer(Node& n) {
+  publish_own(n);
+  auto frame = n.probe_frames->loan();
+  frame->reference = n.probe_puller->try_pull();
+  n.probe_frames->push(std::move(frame));
+}
+void collect(Node& n) { transport::Participant::join(n.options)->collect(); }
 void look_for_the_dead(Node& n) { transport::Participant::join(n.options)->reap_dead(); }
 
 void subscribe(Node& n) { const auto puller = n.engine->subscribe<Number>(kOther); }
@@ -49,6 +65,10 @@ const std::vector<Probe>& all_probes() {
       {"pull, copy, weak lock, drop", Promise::LockFree, keep_and_drop},
       {"borrow", Promise::LockFree, read_own},
       {"grow a message", Promise::LockFree, grow},
+      {"make, share, copy, drop", Promise::LockFree, make_and_share},
+      {"publish again what was received", Promise::LockFree, publish_again},
+      {"publish a message that refers", Promise::LockFree, refer},
+      {"collect what nobody needs", Promise::LockFree, collect},
       {"look for the dead", Promise::LockFree, look_for_the_dead},
       {"subscribe, unsubscribe", Promise::Blocking, subscribe},
       {"advertise, unadvertise", Promise::Blocking, advertise},

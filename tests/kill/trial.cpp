@@ -182,6 +182,7 @@ void Actor::obey(Order order, std::uint32_t number, const Operation& operation, 
     case Order::Drop:
       node.drop_all();
       node.reap();
+      transport::Participant::join(node.options)->trim();  // what the engine's maker has ready
       break;
     case Order::Leave:
       node.leave();
@@ -197,7 +198,7 @@ Trial::Trial(const Operation& operation, std::string segment, bool probes) : ope
   options_.processes = 7;
   options_.blocks = 48;
   options_.topics = 6;
-  options_.channels = 8;
+  options_.channels = 12;
   options_.readers = 4;
   set_up();
   if (probes && witness_) {
