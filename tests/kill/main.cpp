@@ -301,7 +301,9 @@ int main(int argc, char** argv) {
     for (const auto& o : all_operations()) std::printf("%s\n", o.name.c_str());
     return 0;
   }
-  for (const int s : {SIGINT, SIGTERM, SIGHUP}) std::signal(s, end_at_once);
+  for (const int s : {SIGINT, SIGTERM, SIGHUP}) {
+    if (std::signal(s, end_at_once) == SIG_IGN) std::signal(s, SIG_IGN);  // nohup
+  }
   stay_on_one_core(0);
   Run run(options);
   return options.self_test ? run.self_test() : run.all();

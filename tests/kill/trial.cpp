@@ -318,7 +318,7 @@ Trial::Failure Trial::fail_call(std::uint64_t nth, int error) {
     const auto reply = victim_->answer();
     if (!reply) throw std::runtime_error("no answer, " + victim_->whereabouts());
     failure.error = reply->complaint;
-    if (witness_) published_before_ = published_on_topic();
+    if (witness_) published_before_ = std::max(published_before_, published_on_topic());
     victim_->tell(Actor::Order::Leave);
     must_answer(*victim_, "the victim leaves");
     victim_->kill();
