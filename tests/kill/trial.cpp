@@ -164,7 +164,10 @@ void Actor::obey(Order order, std::uint32_t number, const Operation& operation, 
       break;
     case Order::Probe:
       lot_kill_begins();
-      all_probes()[number].run(node);
+      try {
+        all_probes()[number].run(node);
+      } catch (const OutOfMemory&) {  // the victim has all of it: that is an answer, too
+      }
       lot_kill_ends();
       break;
     case Order::Inspect:
@@ -208,7 +211,10 @@ Trial::Trial(const Operation& operation, std::string segment, bool probes) : ope
 }
 
 Trial::~Trial() {
-  traced_.reset();
+  if (traced_) {
+    traced_->kill();
+    victim_->was_killed();
+  }
   for (auto* actor : {&victim_, &dead_, &witness_}) actor->reset();
   const std::string path = options_.directory + "/" + options_.segment;
   for (const char* suffix : {"", ".lock", ".new", ".left"}) unlink((path + suffix).c_str());
