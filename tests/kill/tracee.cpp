@@ -213,7 +213,10 @@ void Tracee::detach() {
       }
       if (!is_stop_event(status) && WSTOPSIG(status) != SIGTRAP) thread.signal = WSTOPSIG(status);
     }
-    trace(PTRACE_DETACH, thread.id, 0, static_cast<std::uintptr_t>(thread.signal));
+    if (trace(PTRACE_DETACH, thread.id, 0, static_cast<std::uintptr_t>(thread.signal)) == -1 &&
+        thread.id != pid_) {
+      waitpid(thread.id, &status, __WALL | WNOHANG);  // it has died: only its tracer can bury it
+    }
   }
   threads_.clear();
   dead_ = true;
