@@ -155,7 +155,7 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
   const bool call = is_system_call(thread, place);
   const long number = call ? trace(PTRACE_PEEKUSER, id, offsetof(user_regs_struct, rax)) : -1;
   const bool futex = number == SYS_futex || number == kFutexWaitv;
-  if (call && fail_if_due(thread)) return {Event::Stepped, true, futex, place};
+  if (call && fail_if_due(thread)) return {Event::Stepped, true, futex, place, turn == 0};
   const bool may_sleep = std::exchange(thread.may_resume_call, false) || call;
   thread.stopped = false;
   trace(PTRACE_SINGLESTEP, id, 0, static_cast<std::uintptr_t>(std::exchange(thread.signal, 0)));
@@ -164,13 +164,13 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
     int status = 0;
     if (waitpid(id, &status, __WALL | (may_sleep ? WNOHANG : 0)) == id) {
       note(turn, status);
-      return {dead_ ? Event::Ended : Event::Stepped, call, futex, place};
+      return {dead_ ? Event::Ended : Event::Stepped, call, futex, place, turn == 0};
     }
     if (spin < kSpins) {
       sched_yield();
     } else {
       sleeps = asleep(thread) ? sleeps + 1 : 0;
-      if (sleeps == 3) return {Event::Asleep, call, futex, place};
+      if (sleeps == 3) return {Event::Asleep, call, futex, place, turn == 0};
       std::this_thread::sleep_for(std::chrono::microseconds(20));
     }
   }

@@ -36,6 +36,7 @@ class Tracee {
     bool system_call;     ///< the instruction was one
     bool futex;           ///< a futex call: the process slept, or woke others
     std::uint64_t place;  ///< address of the instruction
+    bool first = false;   ///< by the process's first thread
   };
   /// One instruction of the thread whose turn it is. Waits up to `patience_ms` when all sleep.
   Step step(unsigned patience_ms = 0);

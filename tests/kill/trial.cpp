@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <csignal>
 #include <cstdio>
 #include <cstring>
@@ -32,6 +33,9 @@ constexpr std::uint64_t kRunaway = 5'000'000;  ///< instructions of one operatio
 /// Far more than any neighbour's operation takes, far less than a loop that waits for somebody.
 constexpr std::uint64_t kBound = 200'000;
 constexpr unsigned kPatienceMs = 5'000;
+/// Other threads of a neighbour may get on all the time: then it is the first one's sleep that
+/// counts.
+constexpr std::chrono::milliseconds kOthersGetOn{1000};
 constexpr unsigned kWaitsMs = 20;  ///< a neighbour that sleeps so long waits for somebody
 
 void write_all(int fd, const void* bytes, std::size_t n) {
@@ -348,15 +352,17 @@ std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking, bool stric
   order.push_back(blocking[which_blocking % blocking.size()]);
   for (const std::uint32_t i : order) {
     const Probe& p = all_probes()[i];
-    bool let_go = false;
     {
       Tracee neighbour(witness_->pid());
       witness_->tell(Actor::Order::Probe, i);
       bool counting = false;
+      auto awake = std::chrono::steady_clock::now();
       for (;;) {
         const Tracee::Step step = neighbour.step(kWaitsMs);
+        const auto now = std::chrono::steady_clock::now();
+        if (step.first && step.event == Tracee::Event::Stepped) awake = now;
         if (step.event == Tracee::Event::Ended) throw std::runtime_error("the neighbour died");
-        if (step.event == Tracee::Event::AllAsleep) {
+        if (step.event == Tracee::Event::AllAsleep || now - awake > kOthersGetOn) {
           if (!counting) continue;  // it has not read the order yet
           results[i].waited = true;
           if (strict || p.promise != Promise::Blocking) {
@@ -364,7 +370,7 @@ std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking, bool stric
           }
           break;
         }
-        if (counting) ++results[i].instructions;
+        if (counting && step.first) ++results[i].instructions;
         if (neighbour.place() == address_of(&lot_kill_begins)) counting = true;
         if (neighbour.place() == address_of(&lot_kill_ends)) break;
         if (results[i].instructions > kBound) {
@@ -376,14 +382,13 @@ std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking, bool stric
           break;
         }
       }
-      let_go = results[i].waited;
     }
-    if (let_go) {  // now the one that stood still dies, and the neighbour must come through
+    if (results[i].waited) {  // now the one that stood still dies
       traced_->kill();
       victim_->was_killed();
     }
     must_answer(*witness_, p.name);
-    if (let_go) break;
+    if (results[i].waited) break;
   }
   return results;
 }
