@@ -15,6 +15,7 @@
 #include <iterator>
 #include <stdexcept>
 #include <string>
+#include <unistd.h>
 #include <vector>
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
@@ -22,6 +23,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
 namespace {
 
 namespace fs = std::filesystem;
+
+constexpr unsigned kPatience = 60;  ///< seconds; an input that takes longer hangs
 
 /// The files named by the arguments; of a directory, all that lie in it, in a fixed order.
 std::vector<fs::path> inputs(int argc, char** argv) {
@@ -53,6 +56,7 @@ int main(int argc, char** argv) try {
   for (const auto& file : files) {
     std::printf("%s\n", file.c_str());
     std::fflush(stdout);  // a failing input aborts: its name is the last line
+    alarm(kPatience);
     const auto bytes = read(file);
     LLVMFuzzerTestOneInput(bytes.data(), bytes.size());
   }

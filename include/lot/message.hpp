@@ -174,7 +174,8 @@ class ShmRef {
   U* operator->() const noexcept { return get(); }
   explicit operator bool() const noexcept { return get() != nullptr; }
 
-  /// A pointer of this process to the target. REQUIRES: the message is held or borrowed.
+  /// A pointer of this process to the target. REQUIRES: the message is held or borrowed. Throws
+  /// lot::Error when the reference is damaged; get() does not look.
   ShmSharedPtr<U> lock() const {
     return get() == nullptr
                ? ShmSharedPtr<U>()
@@ -183,10 +184,12 @@ class ShmRef {
 
  private:
   /// The target's control cell in this process. A message says by its address which segment it is
-  /// in.
+  /// in: its own words may be damaged.
   detail::ControlCell* cell_here() const {
     if (get() == nullptr) return nullptr;
-    return arena_.get() != nullptr ? detail::cell_of(this, block_) : private_cell_;
+    detail::ControlCell* cell =
+        detail::cell_of(this, arena_.get() != nullptr, block_, get(), sizeof(U));
+    return cell != nullptr ? cell : private_cell_;
   }
 
   void assign(U* target, detail::ControlCell* cell) {

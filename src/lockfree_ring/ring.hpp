@@ -24,11 +24,17 @@
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
 ///       in Writer::room (seq_cst): a joiner is either on the writer's list or starts behind it.
-///   R5  sleeper's compare-and-swap on the slot (acquire) <- Ring::clear_sleepers (release)
+///   R5  Ring::clear_sleepers, announce() (release) -> sleeper's look at the slot (acquire)
 ///       carries: the writer word ORPHAN (or the directory's change) that preceded the clearing.
 ///   R6  space mark, then positions in Writer::room (seq_cst)
 ///       <-> position store, then space load on an empty poll (seq_cst)
 ///       a sender that sleeps for room is rung by the reader that made some.
+///   R7  LIVE (release)                     -> writer load in Reader::join (acquire)
+///       carries: what format() made.
+///   R8  who = 0 in Reader::leave, reaper (release) -> claim of who in Reader::join (acquire)
+///       carries: the former reader's last stores to the cell.
+///   R9  ORPHAN (release)                   -> writer load in Reader::orphaned (acquire)
+///       carries: the last messages.
 namespace lot::ring {
 
 /// One reader's shared word, on a line of its own: {cursor, hazard}. Written by that reader, and
@@ -58,12 +64,13 @@ struct Ring {
 
   /// Makes the slots and cells of a new ring. REQUIRES: writer is INIT and the caller owns it.
   void format() {
+    // Relaxed: LIVE, which the caller stores then, carries them (R7).
     for (std::uint32_t i = 0; i < depth; ++i) {
-      slots[i].store(make(advance(first, Word{i} - depth), kNoBlock), std::memory_order_release);
+      slots[i].store(make(advance(first, Word{i} - depth), kNoBlock), std::memory_order_relaxed);
     }
     for (std::uint32_t c = 0; c < readers; ++c) {
-      cells[c].position.store(kIdle, std::memory_order_release);
-      who[c].store(0, std::memory_order_release);
+      cells[c].position.store(kIdle, std::memory_order_relaxed);
+      who[c].store(0, std::memory_order_relaxed);
     }
   }
 
@@ -75,10 +82,10 @@ struct Ring {
       slots[i].fetch_and(~kSleeper, std::memory_order_release);
   }
 
-  /// True when no reader has a cell here.
+  /// True when no reader has a cell here. REQUIRES: nobody can join meanwhile.
   bool deserted() const {
     for (std::uint32_t c = 0; c < readers; ++c) {
-      if (who[c].load(std::memory_order_seq_cst) != 0) return false;
+      if (who[c].load(std::memory_order_acquire) != 0) return false;  // R3: leave()
     }
     return true;
   }
@@ -170,12 +177,12 @@ class Writer {
     }
   }
 
-  /// Calls lag(cell, position) for each reader that holds the sender back.
+  /// Calls lag(cell) for each reader that seems to hold the sender back.
   template <class Lag>
   void laggards(Lag&& lag) {
     refresh_roster();
     for (const std::uint32_t c : active_) {
-      const Word position = ring_.cells[c].position.load(std::memory_order_seq_cst);
+      const Word position = ring_.cells[c].position.load(std::memory_order_relaxed);
       if (position == kIdle) continue;
       if (position == kPinAll || distance(next_, sequence(position)) >= ring_.depth) lag(c);
     }
@@ -184,10 +191,11 @@ class Writer {
   /// Announces on `space` that the sender is about to sleep; returns the value to sleep on. The
   /// caller looks at room() once more, and sleeps only if there is still none.
   std::uint32_t mark_waiting() {
-    std::uint32_t v = ring_.space->load(std::memory_order_seq_cst);
+    // A mark may stand from the last time, and somebody may have left since.
+    std::uint32_t v = ring_.space->load(std::memory_order_acquire);  // R6
     while ((v & 1) == 0) {
       if (ring_.space->compare_exchange_strong(v, v + 1, std::memory_order_seq_cst,
-                                               std::memory_order_seq_cst)) {  // R6
+                                               std::memory_order_relaxed)) {  // R6
         return v + 1;
       }
     }
@@ -211,7 +219,8 @@ class Writer {
     minimum_known_ = false;  // a late joiner may stand behind the cached minimum
     active_.clear();
     for (std::uint32_t c = 0; c < ring_.readers; ++c) {
-      if (ring_.who[c].load(std::memory_order_seq_cst) != 0) active_.push_back(c);
+      // R3: who has left has read. That a joiner is seen is the roster's business (R4).
+      if (ring_.who[c].load(std::memory_order_acquire) != 0) active_.push_back(c);
     }
   }
 
@@ -244,8 +253,8 @@ class Reader {
     std::uint32_t c = 0;
     for (; c < ring.readers; ++c) {
       std::uint32_t nobody = 0;
-      if (ring.who[c].compare_exchange_strong(nobody, participant + 1, std::memory_order_seq_cst,
-                                              std::memory_order_relaxed)) {
+      if (ring.who[c].compare_exchange_strong(nobody, participant + 1, std::memory_order_acquire,
+                                              std::memory_order_relaxed)) {  // R8
         break;
       }
     }
@@ -253,19 +262,20 @@ class Reader {
       full = true;
       return std::nullopt;
     }
-    const Word writer = ring.writer->load(std::memory_order_seq_cst);
+    const Word writer = ring.writer->load(std::memory_order_acquire);  // R7
     if (writer_state(writer) != State::Live || writer_generation(writer) != generation) {
-      ring.who[c].store(0, std::memory_order_release);
+      ring.who[c].store(0, std::memory_order_relaxed);  // nothing was done with the cell
       return std::nullopt;
     }
     auto& position = ring.cells[c].position;
-    if (ring.blocking) position.store(kPinAll, std::memory_order_release);
-    ring.roster->fetch_add(1, std::memory_order_seq_cst);  // R4
+    if (ring.blocking) position.store(kPinAll, std::memory_order_relaxed);  // R4 carries it
+    ring.roster->fetch_add(1, std::memory_order_seq_cst);                   // R4
     Reader reader;
     reader.ring_ = ring;
     reader.cell_ = c;
     reader.start_at_newest(history);
-    // Until here the sender was pinned; from here the cursor holds it.
+    // Until here the sender was pinned; from here the cursor holds it. Who has had the cell before
+    // may have borrowed, so this lets its hazard go (R3).
     position.store(make(reader.cursor_, kNoBlock), std::memory_order_release);
     return reader;
   }
@@ -336,7 +346,7 @@ class Reader {
   /// ended() and the directory before it sleeps.
   std::optional<Word> mark_sleeping() {
     auto& slot = ring_.slots[index_];
-    Word seen = slot.load(std::memory_order_relaxed);
+    Word seen = slot.load(std::memory_order_acquire);  // R5: the mark may be another reader's
     if (distance(sequence(seen), cursor_) >= 0) return std::nullopt;
     if ((seen & kSleeper) == 0) {
       if (!slot.compare_exchange_strong(seen, seen | kSleeper, std::memory_order_acquire,
@@ -350,26 +360,27 @@ class Reader {
 
   /// True when the publisher has gone: no message will follow those that are in the ring.
   bool orphaned() const {
-    return writer_state(ring_.writer->load(std::memory_order_seq_cst)) == State::Orphan;
+    return writer_state(ring_.writer->load(std::memory_order_acquire)) == State::Orphan;  // R9
   }
 
   /// True when the publisher has gone and everything was read. (The writer word first, then the
   /// slot: else a last message could slip in between.)
   bool ended() const {
+    // R9 carries the slot.
     return orphaned() &&
-           distance(sequence(ring_.slots[index_].load(std::memory_order_seq_cst)), cursor_) < 0;
+           distance(sequence(ring_.slots[index_].load(std::memory_order_relaxed)), cursor_) < 0;
   }
 
   /// True when poll() would find something.
   bool ready() const {
-    return distance(sequence(ring_.slots[index_].load(std::memory_order_acquire)), cursor_) >= 0;
+    return distance(sequence(ring_.slots[index_].load(std::memory_order_relaxed)), cursor_) >= 0;
   }
 
   /// Frees the cell. The caller wakes `space` unconditionally. Crash: the reaper does the rest.
   void leave() {
-    ring_.cells[cell_].position.store(kIdle, std::memory_order_release);
-    ring_.space->fetch_add(2, std::memory_order_acq_rel);
-    ring_.who[cell_].store(0, std::memory_order_release);
+    ring_.cells[cell_].position.store(kIdle, std::memory_order_release);  // R3
+    ring_.space->fetch_add(2, std::memory_order_release);                 // R6
+    ring_.who[cell_].store(0, std::memory_order_release);                 // R3, R8
   }
 
   /// Of a reader that joined from the start: messages that were overwritten before it came.
@@ -415,7 +426,8 @@ class Reader {
 
   /// False while slot i is as format() made it.
   bool slot_was_used(std::uint32_t i) const {
-    const Word word = ring_.slots[i].load(std::memory_order_seq_cst);
+    // Relaxed: start_at_newest() loads the slot once more, and that load counts.
+    const Word word = ring_.slots[i].load(std::memory_order_relaxed);
     return block(word) != kNoBlock || sequence(word) != advance(ring_.first, Word{i} - ring_.depth);
   }
 

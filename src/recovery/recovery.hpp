@@ -12,6 +12,9 @@
 /// Every step may be repeated: a reaper that is killed anywhere is followed by another that begins
 /// again (docs/crash.md).
 ///
+/// What the dead has written is carried by its byte lock, and what other reapers have written by
+/// byte lock 0, so that those words are read relaxed. What the living write is not.
+///
 /// The World is what is repaired:
 ///   participants()               -> number of indexes, 0 included
 ///   part(k)                      -> Atomic<uint32_t>&, 0 free, 1 taken
@@ -36,12 +39,16 @@ class Recovery {
   /// caller, leaving). Returns false when there was nothing to do.
   bool reap(std::uint32_t k) {
     if (world_.part(k).load(std::memory_order_relaxed) == 0) return false;
+    wake_whom_it_announced_to(k);
     for (std::uint32_t c = 0; c < world_.channels(); ++c) orphan_ring(c, k);
     for (std::uint32_t c = 0; c < world_.channels(); ++c) free_cells(c, k);
     adopt_references(k);
+    // All homes before the first hold: else a reaper that is killed in between leaves a message of
+    // k's that nobody takes for the orphanage's, and what it refers to without a holder (I4).
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) move_home(b, k);
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);
     world_.forget(k);
-    world_.part(k).store(0, std::memory_order_release);
+    world_.part(k).store(0, std::memory_order_relaxed);  // read under byte lock k
     collect();
     return true;
   }
@@ -50,22 +57,27 @@ class Recovery {
   /// in the ring and what is still borrowed, sleepers wake and find the end. REQUIRES: byte lock 0.
   void orphan_ring(std::uint32_t c, std::uint32_t k) {
     auto& writer = world_.channel_writer(c);
-    const ring::Word w = writer.load(std::memory_order_acquire);
+    const ring::Word w = writer.load(std::memory_order_relaxed);
     if (ring::writer_owner(w) != k || ring::writer_state(w) == ring::State::Free) return;
     const auto generation = ring::writer_generation(w);
-    const bool finished = ring::writer_state(w) != ring::State::Init;
-    writer.store(ring::make_writer(generation, ring::State::Orphan, k), std::memory_order_seq_cst);
-    if (finished) {
-      ring::Ring<P> r = world_.ring(c);
-      for (std::uint32_t i = 0; i < r.depth; ++i) {
-        adopt(ring::block(r.slots[i].load(std::memory_order_seq_cst)));
-      }
-      for (std::uint32_t i = 0; i < r.readers; ++i) {
-        const ring::Word position = r.cells[i].position.load(std::memory_order_seq_cst);
-        if (position != ring::kIdle) adopt(ring::block(position));
-      }
-      wake_readers(r);
+    if (ring::writer_state(w) == ring::State::Init) {
+      // Nobody else knows it, and its memory may still hold what was in there before.
+      world_.recycle_ring(c);
+      writer.store(ring::make_writer(generation + 1, ring::State::Free, 0),
+                   std::memory_order_release);
+      return;
     }
+    writer.store(ring::make_writer(generation, ring::State::Orphan, k),
+                 std::memory_order_release);  // R9
+    ring::Ring<P> r = world_.ring(c);
+    for (std::uint32_t i = 0; i < r.depth; ++i) {
+      adopt(ring::block(r.slots[i].load(std::memory_order_relaxed)));
+    }
+    for (std::uint32_t i = 0; i < r.readers; ++i) {
+      const ring::Word position = r.cells[i].position.load(std::memory_order_seq_cst);  // R2
+      if (position != ring::kIdle) adopt(ring::block(position));
+    }
+    wake_readers(r);
     // The name last: until here a reaper that follows us finds the ring by it (I4).
     writer.store(ring::make_writer(generation, ring::State::Orphan, refcount::kOrphanage),
                  std::memory_order_release);
@@ -86,7 +98,7 @@ class Recovery {
     mark_needed();
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
       auto& words = world_.block(b);
-      if ((words.own[0].load(std::memory_order_acquire) & 1) != 0 && !needed_[b]) {
+      if ((words.own[0].load(std::memory_order_relaxed) & 1) != 0 && !needed_[b]) {
         words.own[0].fetch_and(~std::uint64_t{1}, std::memory_order_release);  // O1
       }
     }
@@ -102,16 +114,35 @@ class Recovery {
     if (b < world_.blocks()) Own::adopt(world_.block(static_cast<std::uint32_t>(b)));
   }
 
+  /// A publisher that announces itself takes marks away from the rings of others, and wakes; killed
+  /// in between, it leaves sleepers without a mark. Its ring still names it then.
+  void wake_whom_it_announced_to(std::uint32_t k) {
+    bool published = false;
+    for (std::uint32_t c = 0; c < world_.channels() && !published; ++c) {
+      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
+      published = ring::writer_owner(w) == k && ring::writer_state(w) > ring::State::Init;
+    }
+    if (!published) return;
+    for (std::uint32_t c = 0; c < world_.channels(); ++c) {
+      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
+      if (ring::writer_state(w) != ring::State::Live) continue;
+      ring::Ring<P> r = world_.ring(c);
+      for (std::uint32_t i = 0; i < r.depth; ++i) world_.wake(r.slots[i]);
+    }
+  }
+
   void free_cells(std::uint32_t c, std::uint32_t k) {
-    const auto state = ring::writer_state(world_.channel_writer(c).load(std::memory_order_acquire));
+    const auto state =
+        ring::writer_state(world_.channel_writer(c).load(std::memory_order_acquire));  // R7
     if (state != ring::State::Live && state != ring::State::Orphan) return;
     ring::Ring<P> r = world_.ring(c);
     for (std::uint32_t i = 0; i < r.readers; ++i) {
-      if (r.who[i].load(std::memory_order_seq_cst) != k + 1) continue;
-      r.cells[i].position.store(ring::kIdle, std::memory_order_release);
-      r.space->fetch_add(2, std::memory_order_acq_rel);
+      if (r.who[i].load(std::memory_order_relaxed) != k + 1) continue;
+      r.cells[i].position.store(ring::kIdle, std::memory_order_release);  // R3
+      r.space->fetch_add(2, std::memory_order_release);                   // R6
       world_.wake(*r.space);
-      r.who[i].store(0, std::memory_order_release);
+      wake_readers(r);  // it may have left a mark, or taken one and not woken (lie_down)
+      r.who[i].store(0, std::memory_order_release);  // R3, R8
     }
   }
 
@@ -124,15 +155,17 @@ class Recovery {
     }
   }
 
-  void let_go(std::uint32_t b, std::uint32_t k) {
+  void move_home(std::uint32_t b, std::uint32_t k) {
     auto& words = world_.block(b);
-    auto& own = Own::word(words, k);
-    if ((own.load(std::memory_order_acquire) & Own::bit(k)) != 0) {
+    if (words.home.load(std::memory_order_relaxed) != k + 1) return;
+    words.home_points.store(0, std::memory_order_relaxed);
+    words.home.store(refcount::kHomeOrphanage, std::memory_order_relaxed);
+  }
+
+  void let_go(std::uint32_t b, std::uint32_t k) {
+    auto& own = Own::word(world_.block(b), k);
+    if ((own.load(std::memory_order_relaxed) & Own::bit(k)) != 0) {
       own.fetch_and(~Own::bit(k), std::memory_order_release);  // O1
-    }
-    if (words.home.load(std::memory_order_relaxed) == k + 1) {
-      words.home_points.store(0, std::memory_order_relaxed);
-      words.home.store(refcount::kHomeOrphanage, std::memory_order_release);  // O3
     }
   }
 
@@ -143,11 +176,7 @@ class Recovery {
     if (!world_.lock_rings()) return false;
     for (std::uint32_t c = 0; c < world_.channels(); ++c) {
       if (!is_deserted_orphan(c)) continue;
-      const auto w = world_.channel_writer(c).load(std::memory_order_acquire);
-      ring::Ring<P> r = world_.ring(c);
-      for (std::uint32_t i = 0; i < r.depth; ++i) {
-        r.slots[i].store(ring::make(0, ring::kNoBlock), std::memory_order_release);
-      }
+      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       world_.recycle_ring(c);
       world_.channel_writer(c).store(
           ring::make_writer(ring::writer_generation(w) + 1, ring::State::Free, 0),
@@ -158,7 +187,7 @@ class Recovery {
   }
 
   bool is_deserted_orphan(std::uint32_t c) {
-    const auto w = world_.channel_writer(c).load(std::memory_order_acquire);
+    const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
     return ring::writer_state(w) == ring::State::Orphan &&
            ring::writer_owner(w) == refcount::kOrphanage && world_.ring(c).deserted();
   }
@@ -171,19 +200,19 @@ class Recovery {
       if (b < needed_.size()) needed_[static_cast<std::size_t>(b)] = true;
     };
     for (std::uint32_t c = 0; c < world_.channels(); ++c) {
-      const auto w = world_.channel_writer(c).load(std::memory_order_acquire);
+      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       if (ring::writer_state(w) != ring::State::Orphan) continue;
       ring::Ring<P> r = world_.ring(c);
       for (std::uint32_t i = 0; i < r.depth; ++i) {
-        need(ring::block(r.slots[i].load(std::memory_order_seq_cst)));
+        need(ring::block(r.slots[i].load(std::memory_order_relaxed)));
       }
       for (std::uint32_t i = 0; i < r.readers; ++i) {
-        const ring::Word position = r.cells[i].position.load(std::memory_order_seq_cst);
+        const ring::Word position = r.cells[i].position.load(std::memory_order_acquire);  // R3
         if (position != ring::kIdle) need(ring::block(position));
       }
     }
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
-      if (world_.block(b).home.load(std::memory_order_acquire) == refcount::kHomeOrphanage) {
+      if (world_.block(b).home.load(std::memory_order_relaxed) == refcount::kHomeOrphanage) {
         world_.each_reference(b, need);
       }
     }
@@ -197,7 +226,7 @@ class Recovery {
     bool released = false;
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
       auto& words = world_.block(b);
-      if (words.home.load(std::memory_order_acquire) != refcount::kHomeOrphanage ||
+      if (words.home.load(std::memory_order_relaxed) != refcount::kHomeOrphanage ||
           !Own::die(words, 0, false)) {
         continue;
       }
@@ -220,7 +249,7 @@ class Recovery {
     mark_needed();
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
       if (referred[b] && !needed_[b] &&
-          (world_.block(b).own[0].load(std::memory_order_acquire) & 1) != 0) {
+          (world_.block(b).own[0].load(std::memory_order_relaxed) & 1) != 0) {
         world_.block(b).own[0].fetch_and(~std::uint64_t{1}, std::memory_order_release);  // O1
       }
     }

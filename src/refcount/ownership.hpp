@@ -80,18 +80,18 @@ struct Ownership {
   ///
   /// Crash: killed between bit and bump, or after: the reaper clears the bit.
   void acquire(Words& b, Hold& h, std::uint64_t amount) const {
-    std::uint64_t v = h.load(std::memory_order_acquire);
+    std::uint64_t v = h.load(std::memory_order_relaxed);
     for (;;) {
       if ((v & hold::kEdge) != 0) {
         P::pause();
-        v = h.load(std::memory_order_acquire);
+        v = h.load(std::memory_order_relaxed);
       } else if ((v & hold::kHeld) != 0) {  // the bit stands and has stood all the time
         if (h.compare_exchange_weak(v, v + amount, std::memory_order_acquire,
-                                    std::memory_order_acquire)) {
+                                    std::memory_order_relaxed)) {  // O4
           return;
         }
       } else if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
-                                         std::memory_order_acquire)) {  // O4
+                                         std::memory_order_relaxed)) {  // O4
         word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
         b.life.fetch_add(kVersion, std::memory_order_release);     // O2
         h.store(hold::kHeld | amount, std::memory_order_release);  // O4
@@ -103,35 +103,38 @@ struct Ownership {
   /// Adds a pointer hold if the block still carries that generation; false: the message has died.
   /// The caller protects nothing.
   bool acquire_weak(Words& b, Hold& h, std::uint32_t generation) const {
-    std::uint64_t v = h.load(std::memory_order_acquire);
+    std::uint64_t v = h.load(std::memory_order_relaxed);
     for (;;) {
       if ((v & hold::kEdge) != 0) {
         P::pause();
-        v = h.load(std::memory_order_acquire);
+        v = h.load(std::memory_order_relaxed);
       } else if ((v & hold::kHome) != 0) {
         // The tag in the hold word makes the compare-and-swap fail if the message dies meanwhile.
+        // Relaxed: who has a weak pointer has seen the message.
         if ((v & hold::kTagMask) != hold::tag_of(generation) ||
-            generation_of(b.life.load(std::memory_order_acquire)) != generation) {
+            generation_of(b.life.load(std::memory_order_relaxed)) != generation) {
           return false;
         }
-        if (h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_acquire,
-                                    std::memory_order_acquire)) {
+        if (h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_relaxed,
+                                    std::memory_order_relaxed)) {
           return true;
         }
       } else if ((v & hold::kHeld) != 0) {
         if (!h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_acquire,
-                                     std::memory_order_acquire)) {
+                                     std::memory_order_relaxed)) {  // O4
           continue;
         }
-        if (generation_of(b.life.load(std::memory_order_acquire)) == generation) return true;
+        // Relaxed: at least as new as when our bit was set (O4), and it has not died since.
+        if (generation_of(b.life.load(std::memory_order_relaxed)) == generation) return true;
         release(b, h, hold::kPointer);
         return false;
       } else if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
-                                         std::memory_order_acquire)) {  // O4
+                                         std::memory_order_relaxed)) {  // O4
         word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
         const std::uint64_t old = b.life.fetch_add(kVersion, std::memory_order_release);  // O2
         const bool alive = generation_of(old) == generation;
-        if (!alive) word(b, self).fetch_and(~bit(self), std::memory_order_release);    // O1
+        // Relaxed: nothing was read.
+        if (!alive) word(b, self).fetch_and(~bit(self), std::memory_order_relaxed);
         h.store(alive ? hold::kHeld | hold::kPointer : 0, std::memory_order_release);  // O4
         return alive;
       }
@@ -141,7 +144,8 @@ struct Ownership {
   /// Takes `amount` from our holds. Returns true when that was the last one and the block is ours
   /// (at home): the caller then tries reclaim(). Elsewhere the last release clears our bit.
   bool release(Words& b, Hold& h, std::uint64_t amount) const {
-    const std::uint64_t left = h.fetch_sub(amount, std::memory_order_acq_rel) - amount;
+    // Only release: whoever goes on takes the edge, and with it acquires.
+    const std::uint64_t left = h.fetch_sub(amount, std::memory_order_release) - amount;  // O4
     return (left & hold::kHolds) == 0 && let_go(b, h);
   }
 
@@ -170,9 +174,9 @@ struct Ownership {
       if (ignore_except && w == except / P::kBitsPerWord) holders &= ~bit(except);
       if (holders != 0) return false;
     }
-    // Fails if anybody bumped the version since it was read. Killed after it: an exclusively owned,
-    // unpublished block, which the reaper frees.
-    return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_acq_rel,
+    // Fails if anybody bumped the version since it was read; so the load has acquired all there is.
+    // Killed after it: an exclusively owned, unpublished block, which the reaper frees.
+    return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
                                           std::memory_order_relaxed);
   }
 
@@ -180,25 +184,25 @@ struct Ownership {
   /// caller gives up) exclusively ours again, with one pointer hold. False: others still hold it,
   /// and `expected` is given up all the same.
   bool reclaim(Words& b, Hold& h, std::uint64_t expected) const {
-    std::uint64_t v = h.load(std::memory_order_acquire);
+    std::uint64_t v = h.load(std::memory_order_relaxed);
     for (;;) {
       if ((v & hold::kEdge) != 0) {
         P::pause();
-        v = h.load(std::memory_order_acquire);
+        v = h.load(std::memory_order_relaxed);
         continue;
       }
       // Late: another thread took a hold, let it go and has given the block back meanwhile.
       if ((v & hold::kHome) == 0) return false;
       if ((v & hold::kHolds) != expected) {  // more holds here
         if (expected == 0) return false;
-        if (h.compare_exchange_weak(v, v - expected, std::memory_order_acq_rel,
-                                    std::memory_order_acquire)) {
+        if (h.compare_exchange_weak(v, v - expected, std::memory_order_release,
+                                    std::memory_order_relaxed)) {  // O4
           return false;
         }
         continue;
       }
       if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
-                                  std::memory_order_acquire)) {  // O4
+                                  std::memory_order_relaxed)) {  // O4
         break;
       }
     }
@@ -206,7 +210,8 @@ struct Ownership {
     const std::uint64_t base = hold::kHome | hold::kHeld;
     if (dead) {
       const std::uint32_t generation = generation_of(b.life.load(std::memory_order_relaxed));
-      h.store(base | hold::kPointer | hold::tag_of(generation), std::memory_order_release);  // O4
+      // Relaxed: it is only ours, and who gets it from us has it in other ways.
+      h.store(base | hold::kPointer | hold::tag_of(generation), std::memory_order_relaxed);
     } else {
       h.store(base | (v & hold::kTagMask), std::memory_order_release);  // O4
     }
@@ -223,13 +228,13 @@ struct Ownership {
                                         std::memory_order_relaxed)) {  // O3
       return false;
     }
-    const std::uint64_t generation = generation_of(b.life.load(std::memory_order_acquire));
+    const std::uint64_t generation = generation_of(b.life.load(std::memory_order_relaxed));
     const std::uint64_t mine = hold::kHome | hold::kHeld | hold::kPointer |
                                hold::tag_of(static_cast<std::uint32_t>(generation));
     std::uint64_t none = 0;
     // A weak lock of ours may have the edge for a moment, or a last release may not be through yet.
-    while (!h.compare_exchange_weak(none, mine, std::memory_order_acq_rel,
-                                    std::memory_order_relaxed)) {
+    while (!h.compare_exchange_weak(none, mine, std::memory_order_acquire,
+                                    std::memory_order_relaxed)) {  // O4
       none = 0;
       P::pause();
     }
@@ -239,7 +244,7 @@ struct Ownership {
 
   /// Gives an exclusively owned block back to everybody. The name goes last.
   void give_back(Words& b, Hold& h) const {
-    word(b, self).fetch_and(~bit(self), std::memory_order_release);  // O1
+    word(b, self).fetch_and(~bit(self), std::memory_order_relaxed);  // O3 carries it
     h.store(0, std::memory_order_release);                           // O4
     b.home.store(kHomeFree, std::memory_order_release);              // O3
   }

@@ -4,11 +4,13 @@
 #include <bit>
 #include <cerrno>
 #include <cstring>
+#include <ranges>
 #include <string>
 
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
+#include "lockfree_ring/sleep.hpp"
 #include "robust_mutex/robust_mutex.hpp"
 
 namespace lot::registry {
@@ -183,20 +185,18 @@ void Registry::recycle(std::uint32_t channel) noexcept {
 }
 
 void Registry::announce(std::uint32_t topic) noexcept {
-  auto& version = segment_.directory().version;
-  version.fetch_add(1, std::memory_order_seq_cst);  // D1
-  futex::wake_all(&version);
-  // Readers of the topic's other rings sleep there. A mark that a live publisher takes away is
-  // woken by it, one that a dead publisher took by its reaper: so only standing marks matter here.
-  for (const ChannelName& name : live(topic)) {
-    ring::Ring<Atomics> ring = segment_.ring(name.channel);
-    for (std::uint32_t i = 0; i < ring.depth; ++i) {
-      if ((ring.slots[i].fetch_and(~ring::kSleeper, std::memory_order_release) & ring::kSleeper) !=
-          0) {
-        futex::wake_all(futex::low_half(ring.slots[i]));
-      }
-    }
-  }
+  const auto names = live(topic);
+  ring::announce(segment_.directory().version,
+                 names | std::views::transform([this](const ChannelName& name) {
+                   return segment_.ring(name.channel);
+                 }),
+                 [](const auto& word) {
+                   if constexpr (sizeof(word) == sizeof(ring::Word)) {
+                     futex::wake_all(futex::low_half(word));
+                   } else {
+                     futex::wake_all(&word);
+                   }
+                 });
 }
 
 }  // namespace lot::registry

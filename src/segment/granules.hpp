@@ -89,6 +89,7 @@ class Granules {
       if (tags_[first + i].load(std::memory_order_relaxed) != 0 ||
           !tags_[first + i].compare_exchange_strong(free, tag, std::memory_order_acquire,
                                                     std::memory_order_relaxed)) {  // G1
+        // Release: what the former owner has released is handed on (G1).
         while (i > 0) tags_[first + --i].store(0, std::memory_order_release);
         return false;
       }
@@ -98,7 +99,7 @@ class Granules {
 
   Tag* tags_ = nullptr;
   std::uint32_t count_ = 0;
-  std::array<std::atomic<std::uint32_t>, kOrders> hint_{};  ///< private: where to look first
+  std::array<Tag, kOrders> hint_{};  ///< private: where to look first
 };
 
 }  // namespace lot::segment

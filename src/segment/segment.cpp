@@ -121,6 +121,16 @@ std::string objection(const Header& h, std::uint64_t file_size) {
   return "";
 }
 
+/// A lock of another kind could do anything: block for ever, change priorities, end the process.
+bool is_robust(const pthread_mutex_t& mutex) {
+  static const pthread_mutex_t model = [] {
+    pthread_mutex_t fresh;
+    RobustMutex::construct(fresh);
+    return fresh;
+  }();
+  return mutex.__data.__kind == model.__data.__kind;
+}
+
 Header read_header(int fd, std::uint64_t& size) {
   struct stat status {};
   Header header{};
@@ -215,7 +225,7 @@ void Segment::create(const std::string& path, Capacity capacity, mode_t mode) {
   header.capacity = capacity;
   if (pwrite(file.fd, &header, sizeof(header), 0) != sizeof(header)) fail(errno, "cannot write it");
   {
-    Segment segment(unfinished);
+    Segment segment(unfinished, false);
     for (LockWord& w : segment.witnesses()) RobustMutex::construct(w.mutex);
     RobustMutex::construct(segment.directory().lock.mutex);
   }
@@ -252,15 +262,18 @@ void Segment::remove(const std::string& path) noexcept {
   ::unlink((path + ".new").c_str());
 }
 
-Segment::Segment(const std::string& path) : path_(path) {
+Segment::Segment(const std::string& path) : Segment(path, true) {}
+
+Segment::Segment(const std::string& path, bool finished) : path_(path) {
   Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
   if (file.fd == -1) throw Error(errno, path, "cannot open it", "may you read and write it?");
   std::uint64_t size = 0;
   const Header header = read_header(file.fd, size);
-  const std::string why = objection(header, size);
-  if (!why.empty()) {
+  const auto refuse = [&path](const std::string& why) {
     throw Error(EINVAL, path, why, "stop what uses it and remove it, or set LOT_SEGMENT");
-  }
+  };
+  const std::string why = objection(header, size);
+  if (!why.empty()) refuse(why);
   capacity_ = header.capacity;
   geometry_ = Geometry::of(capacity_);
   try {
@@ -273,6 +286,12 @@ Segment::Segment(const std::string& path) : path_(path) {
   arenas_ = at<detail::Arena>(geometry_.arenas);
   small_ = at<unsigned char>(geometry_.small);
   granules_.reset(at<Tag>(geometry_.tags), static_cast<std::uint32_t>(geometry_.granules));
+  const auto locks = witnesses();
+  if (finished && !(is_robust(directory().lock.mutex) &&
+                    std::all_of(locks.begin(), locks.end(),
+                                [](const LockWord& w) { return is_robust(w.mutex); }))) {
+    refuse("its locks are damaged");
+  }
 }
 
 std::span<ParticipantEntry> Segment::participants() const noexcept {
@@ -298,29 +317,49 @@ std::uint64_t Segment::ring_bytes(std::uint32_t depth, std::uint32_t readers) no
   return sizeof(RingHead) + who_bytes(readers) + slot_bytes(depth) + readers * sizeof(Cell);
 }
 
+bool Segment::holds(std::uint32_t b, std::uint64_t offset, std::uint64_t bytes) const noexcept {
+  const std::uint64_t own_small = geometry_.small + b * kSmallBytes;
+  if (offset >= own_small && offset < own_small + kSmallBytes) {
+    return bytes <= own_small + kSmallBytes - offset;
+  }
+  const std::uint64_t end = geometry_.data + geometry_.granules * kGranule;
+  if (offset < geometry_.data || offset >= end || bytes == 0 || bytes > end - offset) return false;
+  const auto first = static_cast<std::uint32_t>((offset - geometry_.data) / kGranule);
+  const auto last = static_cast<std::uint32_t>((offset + bytes - 1 - geometry_.data) / kGranule);
+  return granules_.tag(first) == b + 1 && granules_.tag(last) == b + 1;
+}
+
 Ring Segment::ring(std::uint32_t channel) const noexcept {
   ChannelEntry& entry = channels()[channel];
   Ring ring;
   ring.writer = &entry.writer;
   if (entry.formed.load(std::memory_order_acquire) == 0) return ring;
-  const std::uint64_t bytes = ring_bytes(entry.depth, entry.readers);
-  if (entry.order >= Granules<Atomics>::kOrders || entry.granule >= geometry_.granules ||
-      (std::uint64_t{1} << entry.order) > geometry_.granules - entry.granule ||
-      bytes > kGranule << entry.order) {
+  // Each once: whoever writes them meanwhile cannot get past the checks.
+  const std::uint32_t depth = entry.depth;
+  const std::uint32_t readers = entry.readers;
+  const std::uint32_t granule = entry.granule;
+  const std::uint32_t order = entry.order;
+  if (depth == 0 || depth > kDeepest || readers == 0 || readers > capacity_.readers ||
+      order >= Granules<Atomics>::kOrders || granule >= geometry_.granules ||
+      (std::uint64_t{1} << order) > geometry_.granules - granule ||
+      ring_bytes(depth, readers) > kGranule << order) {
     return ring;
   }
-  std::uint64_t place = granule_offset(entry.granule);
+  for (std::uint32_t i = 0; i < std::uint32_t{1} << order; ++i) {
+    if (granules_.tag(granule + i) != (kRingTag | channel)) return ring;
+  }
+  std::uint64_t place = granule_offset(granule);
   auto* head = at<RingHead>(place);
   ring.roster = &head->roster;
   ring.space = &head->space;
   place += sizeof(RingHead);
   ring.who = at<std::atomic<std::uint32_t>>(place);
-  place += who_bytes(entry.readers);
+  place += who_bytes(readers);
   ring.slots = at<std::atomic<ring::Word>>(place);
-  place += slot_bytes(entry.depth);
+  place += slot_bytes(depth);
   ring.cells = at<Cell>(place);
-  ring.depth = entry.depth;
-  ring.readers = entry.readers;
+  ring.depth = depth;
+  ring.readers = readers;
   ring.blocking = entry.blocking != 0;
   ring.first = entry.first;
   return ring;

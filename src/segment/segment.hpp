@@ -61,8 +61,15 @@ class Segment {
     return static_cast<std::uint64_t>(static_cast<const unsigned char*>(p) - base_);
   }
 
-  /// The ring of a channel; depth 0 when it was never finished or its numbers make no sense.
+  /// True when these bytes, which begin at an offset that was read from the segment, lie in memory
+  /// of block b: in its small payload, or in granules that carry its tag (the first and the last
+  /// do).
+  bool holds(std::uint32_t b, std::uint64_t offset, std::uint64_t bytes) const noexcept;
+
+  /// The ring of a channel; depth 0 when it was never finished, or its numbers make no sense, or
+  /// its memory is not its own.
   Ring ring(std::uint32_t channel) const noexcept;
+  static constexpr std::uint32_t kDeepest = 65536;  ///< slots of a ring
   static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers) noexcept;
 
   Granules<Atomics>& granules() noexcept { return granules_; }
@@ -74,6 +81,7 @@ class Segment {
   std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
 
  private:
+  Segment(const std::string& path, bool finished);
   template <class T>
   T* at(std::uint64_t offset) const noexcept {
     return reinterpret_cast<T*>(base_ + offset);

@@ -21,23 +21,27 @@ std::string demangle(const char* name) {
 
 namespace {
 
-transport::Participant& participant_at(const void* inside) {
-  transport::Participant* p = transport::Participant::at(inside);
-  if (p == nullptr) {
-    throw Error(EINVAL, "message", "it lies in no segment that this copy of the library has joined",
-                "join its segment by a lot::ShmEngine first");
-  }
-  return *p;
+[[noreturn]] void refuse_unknown() {
+  throw Error(EINVAL, "message", "it lies in no segment that this copy of the library has joined",
+              "join its segment by a lot::ShmEngine first");
 }
 
 }  // namespace
 
-ControlCell* cell_of(const void* inside, std::uint32_t block) {
-  transport::Participant& p = participant_at(inside);
-  if (block >= p.blocks()) {
-    throw Error(EINVAL, p.segment().path(), "a reference in a message is damaged", "");
+ControlCell* cell_of(const void* reference, bool in_message, std::uint32_t block,
+                     const void* target, std::size_t bytes) {
+  transport::Participant* p = transport::Participant::at(reference);
+  if (p == nullptr) {
+    if (in_message) refuse_unknown();
+    return nullptr;
   }
-  return &p.holder().cell(block);
+  const std::uint64_t offset = p->segment().offset_of(target);
+  if (block >= p->blocks() || offset > p->segment().size() ||
+      bytes > p->segment().size() - offset) {
+    throw Error(EBADMSG, p->segment().path(), "a reference in a message is damaged",
+                "somebody has written into the segment who should not");
+  }
+  return &p->holder().cell(block);
 }
 
 ControlCell* acquire_block(ControlCell* cell) {
@@ -46,10 +50,18 @@ ControlCell* acquire_block(ControlCell* cell) {
 }
 
 ControlCell* refer(Arena& arena, ControlCell* target) {
-  transport::Participant& p = participant_at(&arena);
+  transport::Participant* const at = transport::Participant::at(&arena);
+  if (at == nullptr) refuse_unknown();
+  transport::Participant& p = *at;
   if (!p.same_segment(*target)) {
     throw Error(EINVAL, p.segment().path(), "a message can not refer to one in another segment",
                 "copy it, or put both topics into one segment");
+  }
+  if (target->hub != p.hub()) {  // it knows the target by an address of another mapping
+    throw Error(
+        EINVAL, p.segment().path(),
+        "a message can not refer to one that another copy of the library has pulled or made",
+        "pull it by the copy that makes the message");
   }
   ControlCell* cell = &p.holder().cell(target->block);
   bool known = false;

@@ -127,12 +127,14 @@ class Pool {
 
 template <class F>
 void Holder::each_reference(std::uint32_t b, F&& f) const {
-  const std::uint64_t end = segment->size();
+  using detail::ReferenceList;
   std::uint64_t at = segment->arena(b).references;
-  for (unsigned n = 0;
-       n < 4096 && at != 0 && at % 8 == 0 && at <= end - sizeof(detail::ReferenceList); ++n) {
-    const auto* list = reinterpret_cast<const detail::ReferenceList*>(segment->base() + at);
-    for (std::uint32_t i = 0; i < list->count && i < detail::ReferenceList::kEntries; ++i) {
+  // A message refers to each block once.
+  const std::uint32_t most = segment->capacity().blocks / ReferenceList::kEntries + 1;
+  for (std::uint32_t n = 0; n < most && at != 0; ++n) {
+    if (at % alignof(ReferenceList) != 0 || !segment->holds(b, at, sizeof(ReferenceList))) return;
+    const auto* list = reinterpret_cast<const ReferenceList*>(segment->base() + at);
+    for (std::uint32_t i = 0; i < list->count && i < ReferenceList::kEntries; ++i) {
       if (list->block[i] < segment->capacity().blocks) f(list->block[i]);
     }
     at = list->next;

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cerrno>
-#include <cstdio>
-#include <cstdlib>
 
 #include "lot/detail/core.hpp"
 
+#include "lockfree_ring/sleep.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::transport {
@@ -37,6 +36,7 @@ class Puller final : public detail::PullerCore {
       : participant_(std::move(participant)),
         directory_(participant_->segment().directory().version),
         topic_(participant_->enter_topic(topic, type)),
+        type_(type),
         small_(type.size <= segment::kSmallBytes && type.align <= 64),
         wait_(options.wait == Wait::Adaptive && !has_several_cores() ? Wait::Park : options.wait) {
     try {
@@ -127,7 +127,7 @@ class Puller final : public detail::PullerCore {
   }
 
   void prefetch(ring::Word b) const {
-    if (b == kNoBlock) return;
+    if (b >= participant_->blocks()) return;
     const auto index = static_cast<std::uint32_t>(b);
     Policy::prefetch_read(participant_->segment().small(index));
     if (keeping_) Policy::prefetch_write(&participant_->holder().words(index));
@@ -136,28 +136,30 @@ class Puller final : public detail::PullerCore {
   void found(detail::Borrowed& borrowed, ring::Word b) {
     segment::Segment& s = participant_->segment();
     if (b >= participant_->blocks()) [[unlikely]]
-      broken("a slot names a block that does not exist");
+      skip_damaged("its slot names a block that does not exist");
     block_ = static_cast<std::uint32_t>(b);
+    if (small_) {
+      borrowed.root = s.small(block_);
+    } else {
+      const std::uint64_t root = s.arena(block_).root;
+      if (root % type_.align != 0 || !s.holds(block_, root, type_.size)) [[unlikely]]
+        skip_damaged("it is said to lie where it cannot be");
+      borrowed.root = s.base() + root;
+    }
     borrowed.cell = &participant_->holder().cell(block_);
-    borrowed.root = small_ ? s.small(block_) : s.base() + s.arena(block_).root;
     borrowed.missed = missed_;
     missed_ = 0;
     borrowing_ = true;
   }
 
-  /// After a look that found nothing: rings that have ended are left, senders that wait are rung.
-  /// Returns false when there is something to look at after all.
+  /// After a look that found nothing. False: there is something to look at after all.
   bool settle() {
-    for (std::size_t i = 0; i < sources_.size(); ++i) {
-      Reader& reader = sources_[i].reader;
-      if (reader.sender_waits()) ring_bell(reader);
-      if (!reader.orphaned()) continue;
-      if (!reader.ended()) return false;
-      leave(reader);
-      sources_.erase(sources_.begin() + static_cast<std::ptrdiff_t>(i--));
-      participant_->collect();
-    }
-    return true;
+    return ring::settle(
+        sources_, [this](Reader& reader) { ring_bell(reader); },
+        [this](Reader& reader) {
+          leave(reader);
+          participant_->collect();
+        });
   }
 
   Status wait_and_look(detail::Borrowed& borrowed, const futex::Deadline& deadline) {
@@ -190,27 +192,25 @@ class Puller final : public detail::PullerCore {
   bool park(const futex::Deadline& deadline) {
     if (!settle()) return true;
     waits_.clear();
-    for (Source& source : sources_) {
-      Reader& reader = source.reader;
-      const auto word = reader.mark_sleeping();
-      if (!word) return true;
-      waits_.push_back({futex::low_half(reader.slot()), static_cast<std::uint32_t>(*word)});
+    const ring::Rest rest = ring::lie_down(
+        sources_, directory_, version_,
+        [this](const auto& word, auto value) {
+          waits_.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
+        },
+        [](const auto& word) { futex::wake_all(futex_of(word)); });
+    if (rest == ring::Rest::Look) return true;
+    if (rest == ring::Rest::Sleep) {
+      return futex::wait_any(waits_.data(), static_cast<unsigned>(waits_.size()), deadline);
     }
-    // What may have changed before the marks stood: whoever changes it takes marks away and wakes.
-    for (const Source& source : sources_) {
-      if (source.reader.orphaned()) return true;
-    }
-    const std::uint32_t version = directory_.load(std::memory_order_seq_cst);
-    if (version != version_) {
-      // Somebody keeps the registry's lock, else look() had found the new rings: not for long.
-      const auto soon = futex::Clock::now() + kBusyRegistry;
-      const bool last = deadline && *deadline <= soon;
-      futex::wait(&directory_, version, last ? *deadline : soon);
-      return !last;
-    }
-    if (waits_.empty()) waits_.push_back({&directory_, version_});
-    return futex::wait_any(waits_.data(), static_cast<unsigned>(waits_.size()), deadline);
+    // Somebody keeps the registry's lock, else look() had found the new rings: not for long.
+    const auto soon = futex::Clock::now() + kBusyRegistry;
+    const bool last = deadline && *deadline <= soon;
+    futex::wait(waits_.back().word, waits_.back().value, last ? *deadline : soon);
+    return !last;
   }
+
+  static const void* futex_of(const std::atomic<ring::Word>& word) { return futex::low_half(word); }
+  static const void* futex_of(const std::atomic<std::uint32_t>& word) { return &word; }
 
   /// Joins the rings of the topic that we do not read yet. Those that were there before the
   /// subscription are read from `history` on, later ones from their first message.
@@ -222,9 +222,14 @@ class Puller final : public detail::PullerCore {
                       [&](const Source& s) { return s.name == name; })) {
         continue;
       }
+      const segment::Ring ring = participant_->segment().ring(name.channel);
+      if (ring.depth == 0) {
+        if (!complain) continue;
+        throw Error(EBADMSG, participant_->segment().path(),
+                    "the queue of a publisher of the topic is damaged", "restart the publisher");
+      }
       bool full = false;
-      auto reader = Reader::join(participant_->segment().ring(name.channel), name.generation,
-                                 participant_->index(), history, full);
+      auto reader = Reader::join(ring, name.generation, participant_->index(), history, full);
       if (reader) {
         missed_ += reader->skipped();
         sources_.push_back({name, *reader});
@@ -271,14 +276,21 @@ class Puller final : public detail::PullerCore {
                 "end it (one borrow at a time), or keep() the message");
   }
 
-  [[noreturn]] void broken(const char* what) const {
-    std::fprintf(stderr, "lot: %s: broken: %s\n", participant_->segment().path().c_str(), what);
-    std::abort();
+  /// The reader goes on behind the message, which counts as missed.
+  [[noreturn]] void skip_damaged(const char* what) {
+    Reader& reader = sources_[current_].reader;
+    if (reader.done()) ring_bell(reader);
+    ++missed_;
+    throw Error(EBADMSG, participant_->segment().path(),
+                std::string("a message is damaged: ") + what,
+                "somebody has written into the segment who should not: look for a process that "
+                "writes behind the end of its messages");
   }
 
   std::shared_ptr<Participant> participant_;
   std::atomic<std::uint32_t>& directory_;
   std::uint32_t topic_;
+  const detail::MessageType& type_;
   bool small_;  ///< the messages lie in their blocks' small payload
   Wait wait_;
   bool borrowing_ = false;

@@ -6,6 +6,7 @@
 
 #include "lot/detail/core.hpp"
 
+#include "lockfree_ring/sleep.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::transport {
@@ -35,10 +36,10 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   Pusher(std::shared_ptr<Participant> participant, std::string_view topic,
          const detail::MessageType& type, const PusherOptions& options)
       : participant_(std::move(participant)), pool_(participant_->open_pool()) {
-    if (options.depth == 0 || options.depth > kDeepest) {
+    if (options.depth == 0 || options.depth > segment::Segment::kDeepest) {
       close_without_ring();
       throw Error(EINVAL, std::string(topic), "depth " + std::to_string(options.depth),
-                  "use 1 to " + std::to_string(kDeepest));
+                  "use 1 to " + std::to_string(segment::Segment::kDeepest));
     }
     try {
       topic_ = participant_->enter_topic(topic, type);
@@ -73,7 +74,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       const auto& ring = writer_->ring();
       for (std::uint32_t i = 0; i < ring.depth; ++i) {
         const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
-        if (b != kNoBlock) blocks.push_back(static_cast<std::uint32_t>(b));
+        if (b < participant_->blocks()) blocks.push_back(static_cast<std::uint32_t>(b));
       }
     }
     for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
@@ -188,8 +189,6 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   }
 
  private:
-  static constexpr std::uint32_t kDeepest = 65536;
-
   void check(const detail::ControlCell* cell) const {
     participant_->check_usable();
     if (cell == nullptr) {
@@ -222,7 +221,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     std::vector<std::uint32_t> foreign;
     if (published.replaced == b) {
       foreign.push_back(b);  // the same message again: it is in the ring, so nobody needs this hold
-    } else if (published.replaced != kNoBlock) {
+    } else if (published.replaced < participant_->blocks()) {  // else none, or it is damaged
       pool_.retire(static_cast<std::uint32_t>(published.replaced), !blocking_);
       if (!blocking_) {
         big_ = is_big(b);
@@ -248,7 +247,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     if (arena.references != 0) return true;  // what it refers to may be big
     std::uint64_t bytes = 0;
     for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
-      bytes += segment::kGranule << arena.extent[i].order;
+      bytes +=
+          segment::kGranule << arena.extent[i].order % segment::Granules<segment::Atomics>::kOrders;
     }
     return bytes > kBatchedBytes;
   }
@@ -266,8 +266,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       if (writer_->room()) return true;
     }
     for (unsigned look = 1;; ++look) {
-      const std::uint32_t value = writer_->mark_waiting();
-      if (writer_->room()) return true;
+      const auto value = ring::wait_for_room(*writer_);
+      if (!value) return true;
       const auto now = futex::Clock::now();
       if (now >= until) return false;
       std::vector<std::uint32_t> laggards;
@@ -279,7 +279,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       }
       lock.unlock();
       for (const std::uint32_t k : laggards) participant_->reap_if_dead(k);
-      futex::wait(writer_->ring().space, value, std::min(until, now + kLookPeriod));
+      futex::wait(writer_->ring().space, *value, std::min(until, now + kLookPeriod));
       lock.lock();
     }
   }
@@ -309,7 +309,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   bool evict() noexcept override {
     const std::lock_guard guard(pool_.lock());
     const ring::Word b = writer_->evict_oldest();
-    if (b != kNoBlock) pool_.retire(static_cast<std::uint32_t>(b), true);
+    if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
     scan();
     return b != kNoBlock;
   }

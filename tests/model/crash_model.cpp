@@ -121,6 +121,30 @@ struct LaggardKilled : Scene<LaggardKilled, 3> {
   Subscriber subscriber;
 };
 
+/// The same, and the sender itself reaps whoever holds it back.
+struct SenderReapsLaggard : Scene<SenderReapsLaggard, 2> {
+  SenderReapsLaggard() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    start(2);
+    publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      while (!publisher.send()) {
+        publisher.laggards([this](std::uint32_t k) { process(4).reap(k); });
+        Policy::pause();
+      }
+    } else {
+      die_within(2, 25, [this] {
+        if (subscriber.join(process(2), 0, 1, 1)) subscriber.receive();
+      });
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
 /// A reaper is killed anywhere and another one takes over; a sleeping reader gets all, then the
 /// end.
 struct ReaperKilled : Scene<ReaperKilled, 3> {
@@ -215,96 +239,6 @@ struct TwoInSuccession : Scene<TwoInSuccession, 2> {
   Subscriber subscriber;
 };
 
-/// A forwarder is killed anywhere and reaped while a reader keeps blocks from its ring: that the
-/// orphanage adopts them is a hand-over, too.
-struct ForwarderKilled : Scene<ForwarderKilled, 3> {
-  ForwarderKilled() : Scene({.blocks = 3, .depth = 1, .readers = 1, .channels = 2}) {}
-  void prepare() {
-    first.open(start(5), 0, false);
-    second.open(start(3), 1, false);
-    start(2);
-    RL_ASSERT(middle.join(process(3), 0, 1, 1));
-    RL_ASSERT(last.join(start(1), 1, 1, 1));
-    first.send();
-  }
-  void thread(unsigned t) {
-    if (t == 0) {
-      for (int i = 0; i < 4; ++i) first.send();
-    } else if (t == 1) {
-      die_within(3, 60, [this] {
-        for (int i = 0; i < 2; ++i) forward();
-      });
-      process(2).reap(3);
-    } else {
-      for (int i = 0; i < 3; ++i) take();
-    }
-  }
-  void forward() {
-    const Word b = middle.borrow();
-    if (b == kNoBlock) return;
-    process(3).keep(b);
-    middle.done();
-    second.forward(b);
-    second.scan();
-  }
-  void take() {
-    const Word b = last.borrow();
-    if (b == kNoBlock) return;
-    const bool keep = rl::rand(2) != 0;
-    if (keep) {
-      process(1).keep(b);
-      last.done();
-    }
-    const std::uint64_t message = process(1).read(b);
-    RL_ASSERT(!seen || message > *seen);
-    seen = message;
-    if (keep) {
-      process(1).drop(b);
-    } else {
-      last.done();
-    }
-  }
-  Publisher first, second;
-  Subscriber middle, last;
-  std::optional<std::uint64_t> seen;
-};
-
-/// A dead publisher's block is kept by one process, freed by the orphanage and claimed by another.
-struct OrphanTravels : Scene<OrphanTravels, 3> {
-  OrphanTravels() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
-  void prepare() {
-    publisher.open(start(4), 0, false);
-    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
-    for (std::uint32_t k : {1U, 3U}) start(k);
-    publisher.send();
-    block = subscriber.borrow();
-    process(2).keep(block);
-    subscriber.done();
-    segment.bury(4);
-  }
-  void thread(unsigned t) {
-    if (t == 0) {
-      RL_ASSERT(process(2).read(block) == 0);
-      subscriber.leave();
-      process(2).drop(block);
-    } else if (t == 1) {
-      process(3).reap(4);
-      process(3).collect();
-    } else {
-      for (int i = 0; i < 3; ++i) {
-        const Word b = process(1).loan();
-        if (b == Process::kNone) continue;
-        process(1).write(b, 9);
-        if (rl::rand(2) != 0) process(1).give_back(b);
-        return;
-      }
-    }
-  }
-  Publisher publisher;
-  Subscriber subscriber;
-  Word block = kNoBlock;
-};
-
 /// A publisher ends cleanly, by reaping itself, while a reader borrows, keeps and finds the end.
 struct CleanExit : Scene<CleanExit, 2> {
   CleanExit() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
@@ -331,73 +265,70 @@ struct CleanExit : Scene<CleanExit, 2> {
   Subscriber subscriber;
 };
 
-/// Whoever published a message that refers to another is killed anywhere: the target lives on.
-struct ReferrerKilled : Scene<ReferrerKilled, 3> {
-  ReferrerKilled() : Scene({.blocks = 4, .depth = 1, .readers = 1, .channels = 2}) {}
+/// Who keeps a message dies, and a third process reaps it: the reads came before the bit is
+/// cleared.
+struct KeeperKilled : Scene<KeeperKilled, 2> {
+  KeeperKilled() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
   void prepare() {
-    targets.open(start(4), 0, false);
-    messages.open(start(3), 1, false);
-    RL_ASSERT(reader_of_targets.join(process(3), 0, 1, 1));
-    RL_ASSERT(reader.join(start(2), 1, 1, 1));
-    start(1);
-    targets.send();
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    start(3);
+    publisher.send();
   }
   void thread(unsigned t) {
     if (t == 0) {
-      for (int i = 0; i < 3; ++i) targets.send();
-    } else if (t == 1) {
-      die_within(3, 50, [this] { publish_reference(); });
-      process(1).reap(3);
+      for (int i = 0; i < 3; ++i) publisher.send();
     } else {
-      const Word b = reader.borrow();
-      if (b == kNoBlock) return;
-      const Word target = segment.references[b].read();
-      RL_ASSERT(target != kNoBlock && process(2).read(target) == process(2).read(b));
-      process(2).keep(b);
-      reader.done();
-      RL_ASSERT(process(2).read(target) == process(2).read(b));
-      process(2).drop(b);
+      die_within(2, 20, [this] { subscriber.receive_and_keep(); });
+      process(3).reap(2);
     }
   }
-  void publish_reference() {
-    const Word target = reader_of_targets.borrow();
-    if (target == kNoBlock) return;
-    const Word b = process(3).loan();
-    if (b == Process::kNone) return;
-    process(3).refer(b, target);
-    reader_of_targets.done();
-    process(3).write(b, process(3).read(target));
-    messages.send_own(b);
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// A reader is reaped while a ring is made in memory that has its name in it.
+struct ReapedWhileARingIsMade : Scene<ReapedWhileARingIsMade, 2> {
+  ReapedWhileARingIsMade() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    for (std::uint32_t k : {1U, 3U, 4U, kSoiledBy}) start(k);
+    segment.bury(kSoiledBy);
   }
-  Publisher targets, messages;
-  Subscriber reader_of_targets, reader;
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.open(process(4), 0, true) && subscriber.join(process(3), 0, 1, 1));
+      publisher.send();
+      RL_ASSERT(!publisher.send());  // the reader holds it back
+    } else {
+      process(1).reap(kSoiledBy);
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+const Entered entered{
+    {"publisher_killed_overwrite", "readers get what was published, then the end",
+     rl::simulate<PublisherKilledOverwrite>},
+    {"publisher_killed_blocking", "the same under back-pressure, and miss nothing",
+     rl::simulate<PublisherKilledBlocking>},
+    {"opener_killed", "a half-made ring is an empty orphan, and then free",
+     rl::simulate<OpenerKilled>, 2},
+    {"reader_killed", "a dead reader's holds come back", rl::simulate<ReaderKilled>, 2},
+    {"laggard_killed", "a dead reader does not hold the sender back", rl::simulate<LaggardKilled>,
+     1},
+    {"sender_reaps_laggard", "a sender gets rid of whoever holds it back",
+     rl::simulate<SenderReapsLaggard>, 1},
+    {"reaper_killed", "a killed reaper is followed by another", rl::simulate<ReaperKilled>},
+    {"index_reuse", "a new process may have a dead one's index at once", rl::simulate<IndexReuse>},
+    {"two_in_succession", "a ring is not recycled under a joiner", rl::simulate<TwoInSuccession>,
+     2},
+    {"clean_exit", "a clean exit is a reap of oneself", rl::simulate<CleanExit>, 1},
+    {"keeper_killed", "a dead keeper has read before its bit is cleared",
+     rl::simulate<KeeperKilled>, 1},
+    {"reaped_while_a_ring_is_made", "a reaper does not read what a ring's memory held before",
+     rl::simulate<ReapedWhileARingIsMade>, 2},
 };
 
 }  // namespace
-
-std::vector<Scenario> crash_scenarios() {
-  return {
-      {"publisher_killed_overwrite", "readers get what was published, then the end",
-       rl::simulate<PublisherKilledOverwrite>},
-      {"publisher_killed_blocking", "the same under back-pressure, and miss nothing",
-       rl::simulate<PublisherKilledBlocking>},
-      {"opener_killed", "a half-made ring is an empty orphan, and then free",
-       rl::simulate<OpenerKilled>, 2},
-      {"reader_killed", "a dead reader's holds come back", rl::simulate<ReaderKilled>, 2},
-      {"laggard_killed", "a dead reader does not hold the sender back", rl::simulate<LaggardKilled>,
-       1},
-      {"reaper_killed", "a killed reaper is followed by another", rl::simulate<ReaperKilled>},
-      {"index_reuse", "a new process may have a dead one's index at once",
-       rl::simulate<IndexReuse>},
-      {"two_in_succession", "a ring is not recycled under a joiner", rl::simulate<TwoInSuccession>,
-       2},
-      {"forwarder_killed", "adopting a block is a hand-over", rl::simulate<ForwarderKilled>},
-      {"orphan_travels", "kept by one, freed by the orphanage, claimed by another",
-       rl::simulate<OrphanTravels>, 2},
-      {"clean_exit", "a clean exit is a reap of oneself", rl::simulate<CleanExit>, 1},
-      {"referrer_killed", "the orphanage holds what its messages refer to",
-       rl::simulate<ReferrerKilled>},
-  };
-}
-
 }  // namespace lot::model

@@ -12,14 +12,18 @@ namespace {
 constexpr const char* kUsage =
     R"(lot_model: explores the headers of the protocol under Relacy's memory model.
 
-usage: lot_model [--random N | --bounded] [--weaken SITE | --plant NAME] [SCENARIO...]
+usage: lot_model [--random N | --bounded] [--weaken SITE=DAMAGE | --plant NAME] [SCENARIO...]
 
-  --random N      N random schedules of each scenario (default: 3000)
+  --random N      N random schedules of each scenario (default: 3000); the n-th is seeded with n, so
+                  that a run is repeatable
   --bounded       all schedules with few forced switches, of the scenarios that are small enough
   --bound N       with --bounded: N forced switches, whatever the scenario affords
-  --weaken SITE   runs with one atomic step spoilt. SITE is FILE:LINE (one order weaker),
-                  FILE:LINE=ORDER, or FILE:LINE=drop (the step is left out)
+  --weaken SITE=DAMAGE
+                  runs with one atomic step spoilt. SITE is FILE:LINE[:COLUMN] as --sites says it;
+                  DAMAGE is another ORDER, fail:ORDER (of a compare-exchange that fails), drop (the
+                  step is left out), or stale (a load returns what this thread read there before)
   --plant NAME    runs with a known mistake; exit status 0 then means that it was NOT found
+  --stop          ends with the first scenario that fails
   --list          lists the scenarios and the mistakes
   --sites         after the run, lists every atomic step that was seen
   --history       prints the schedule of a failure
@@ -33,6 +37,7 @@ struct Options {
   bool bounded = false;
   std::optional<unsigned> bound;
   bool history = false;
+  bool stop = false;
   bool sites = false;
   bool list = false;
   std::vector<std::string_view> names;
@@ -44,14 +49,6 @@ struct Totals {
   unsigned long executions = 0;
   double seconds = 0;
 };
-
-std::vector<Scenario> all_scenarios() {
-  std::vector<Scenario> all = ring_scenarios();
-  for (const auto& more : {ownership_scenarios(), crash_scenarios()}) {
-    all.insert(all.end(), more.begin(), more.end());
-  }
-  return all;
-}
 
 template <class T>
 bool parse(const char* text, T& value) {
@@ -73,6 +70,8 @@ bool parse(int argc, char** argv, Options& options) {
       if (!garden.plant(next())) return false;
     } else if (word == "--plant") {
       if (!garden.plant_named(next())) return false;
+    } else if (word == "--stop") {
+      options.stop = true;
     } else if (word == "--history") {
       options.history = true;
     } else if (word == "--sites") {
@@ -89,8 +88,8 @@ bool parse(int argc, char** argv, Options& options) {
   return true;
 }
 
-void list(const std::vector<Scenario>& scenarios) {
-  for (const Scenario& s : scenarios) {
+void list() {
+  for (const Scenario& s : scenarios()) {
     std::cout << s.name << ": " << s.says;
     if (s.bound != 0) std::cout << " (bounded: " << s.bound << ')';
     std::cout << '\n';
@@ -125,14 +124,15 @@ void run(const Scenario& scenario, const Options& options, Totals& totals) {
   totals.seconds += took.count();
 }
 
-int run_all(const std::vector<Scenario>& scenarios, const Options& options) {
+int run_all(const Options& options) {
   Totals totals;
-  for (const Scenario& scenario : scenarios) {
+  for (const Scenario& scenario : scenarios()) {
     const bool named =
         std::find(options.names.begin(), options.names.end(), scenario.name) != options.names.end();
     if (!named && !options.names.empty()) continue;
     if (options.bounded && !options.bound && scenario.bound == 0) continue;
     run(scenario, options, totals);
+    if (options.stop && totals.failed != 0) break;
   }
   if (options.sites) garden.list_steps(std::cout);
   if (!garden.planted_step_was_seen()) {
@@ -159,10 +159,9 @@ int main(int argc, char** argv) {
     std::cerr << kUsage;
     return 2;
   }
-  const std::vector<Scenario> scenarios = all_scenarios();
   if (options.list) {
-    list(scenarios);
+    list();
     return 0;
   }
-  return run_all(scenarios, options);
+  return run_all(options);
 }

@@ -210,22 +210,87 @@ struct MessageRefersToMessage : Scene<MessageRefersToMessage, 2> {
   Subscriber reader_of_targets, reader;
 };
 
+/// One thread keeps the next message in a block while another one locks a weak pointer to the last.
+struct WeakLockBesideTheNextMessage : Scene<WeakLockBesideTheNextMessage, 3> {
+  WeakLockBesideTheNextMessage() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    publisher.send();
+    block = subscriber.borrow();
+    generation = process(2).generation(block);
+    subscriber.done();
+    publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.send();
+    } else if (t == 1) {
+      for (int i = 0; i < 2; ++i) {
+        const Word b = subscriber.borrow();
+        if (b == kNoBlock) continue;
+        process(2).keep(b);
+        subscriber.done();
+      }
+    } else if (process(2).lock_weak(block, generation)) {
+      RL_ASSERT(process(2).read(block) == 0);
+      process(2).drop(block);
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+  Word block = kNoBlock;
+  std::uint32_t generation = 0;
+};
+
+/// Ownership without a pool, whose lock would order its threads: at home one thread gives up the
+/// ring's hold and another one a pointer, elsewhere a process lets go. Then the block is written.
+struct HomeHasThreads : SceneBegins, rl::test_suite<HomeHasThreads, 3> {
+  using Own = refcount::Ownership<Policy>;
+  void before() {
+    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    RL_ASSERT(home.claim(block, home_hold));
+    payload.write(1);
+    home_hold.fetch_add(hold::kRing, std::memory_order_relaxed);
+    other.acquire(block, other_hold, hold::kPointer);
+  }
+  void thread(unsigned t) {
+    RL_ASSERT(payload.read() == 1);
+    bool ours = false;
+    if (t == 0) {
+      ours = home.reclaim(block, home_hold, hold::kRing);
+    } else if (t == 1) {
+      ours = home.release(block, home_hold, hold::kPointer) && home.reclaim(block, home_hold, 0);
+    } else {
+      other.release(block, other_hold, hold::kPointer);
+      ours = home.reclaim(block, home_hold, 0);  // a thread of the home's comes by again
+    }
+    if (ours) payload.write(2);
+  }
+  Own home{2};
+  Own other{5};
+  refcount::BlockWords<Policy> block;
+  Own::Hold home_hold, other_hold;
+  Plain<int> payload;
+};
+
+const Entered entered{
+    {"forwarder_chain", "a forwarded block lives as long as the last ring that has it",
+     rl::simulate<ForwarderChain>, 1},
+    {"weak_lock_elsewhere", "a weak lock gets its message or nothing",
+     rl::simulate<WeakLockElsewhere>, 2},
+    {"weak_lock_at_home", "the same in the block's own process", rl::simulate<WeakLockAtHome>, 2},
+    {"weak_lock_against_claim", "a stale weak lock never disturbs a new owner",
+     rl::simulate<WeakLockAgainstClaim>, 2},
+    {"weak_lock_beside_the_next", "a weak lock never gets the next message in the block",
+     rl::simulate<WeakLockBesideTheNextMessage>, 2},
+    {"home_has_threads", "threads at home give up their holds in any order",
+     rl::simulate<HomeHasThreads>, 3},
+    {"threads_of_one_process", "threads share one ownership bit", rl::simulate<ThreadsOfOneProcess>,
+     1},
+    {"message_refers_to_message", "a referred message lives as long as the referring one",
+     rl::simulate<MessageRefersToMessage>, 2},
+};
+
 }  // namespace
-
-std::vector<Scenario> ownership_scenarios() {
-  return {
-      {"forwarder_chain", "a forwarded block lives as long as the last ring that has it",
-       rl::simulate<ForwarderChain>, 1},
-      {"weak_lock_elsewhere", "a weak lock gets its message or nothing",
-       rl::simulate<WeakLockElsewhere>, 2},
-      {"weak_lock_at_home", "the same in the block's own process", rl::simulate<WeakLockAtHome>, 2},
-      {"weak_lock_against_claim", "a stale weak lock never disturbs a new owner",
-       rl::simulate<WeakLockAgainstClaim>, 2},
-      {"threads_of_one_process", "threads share one ownership bit",
-       rl::simulate<ThreadsOfOneProcess>, 1},
-      {"message_refers_to_message", "a referred message lives as long as the referring one",
-       rl::simulate<MessageRefersToMessage>, 2},
-  };
-}
-
 }  // namespace lot::model

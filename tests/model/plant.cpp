@@ -14,8 +14,11 @@ constexpr std::pair<const char*, std::memory_order> kOrders[] = {
     {"seq_cst", std::memory_order_seq_cst},
 };
 
-std::memory_order one_weaker(std::memory_order order) {
-  return order == std::memory_order_seq_cst ? std::memory_order_acq_rel : std::memory_order_relaxed;
+std::optional<std::memory_order> order_of(std::string_view text) {
+  for (const auto& [name, value] : kOrders) {
+    if (text == name) return value;
+  }
+  return std::nullopt;
 }
 
 struct NamedPlant {
@@ -23,25 +26,28 @@ struct NamedPlant {
   Plant plant;
 };
 
+constexpr auto kRelaxed = std::memory_order_relaxed;
+constexpr auto kRelease = std::memory_order_release;
+constexpr auto kSeqCst = std::memory_order_seq_cst;
+
 // Named by what they are, not by their line: they stay when the headers move.
 const NamedPlant kPlants[] = {
     {"publish-release-only",  // R2: no order between publishing and looking at the hazards
-     {"ring.hpp", 0, "::publish", Operation::Exchange, std::memory_order_seq_cst,
-      std::memory_order_release}},
+     {"ring.hpp", 0, 0, "::publish", Operation::Exchange, kSeqCst, {.order = kRelease}}},
     {"second-look-relaxed",  // R2: the reader's half
-     {"ring.hpp", 0, "::poll", Operation::Load, std::memory_order_seq_cst,
-      std::memory_order_relaxed}},
+     {"ring.hpp", 0, 0, "::poll", Operation::Load, kSeqCst, {.order = kRelaxed}}},
+    {"second-look-stale",  // the same look, left out
+     {"ring.hpp", 0, 0, "::poll", Operation::Load, kSeqCst, {.stale = true}}},
     {"life-bump-relaxed",  // O2: home sees the bump and not the bit
-     {"ownership.hpp", 0, "::acquire(", Operation::Fetch, std::memory_order_release,
-      std::memory_order_relaxed}},
+     {"ownership.hpp", 0, 0, "::acquire(", Operation::Fetch, kRelease, {.order = kRelaxed}}},
     {"life-bump-dropped",  // I3: set the bit, and nobody notices
-     {"ownership.hpp", 0, "::acquire(", Operation::Fetch, std::memory_order_release, {}, true}},
+     {"ownership.hpp", 0, 0, "::acquire(", Operation::Fetch, kRelease, {.drop = true}}},
     {"adopt-without-bump",  // adopting for a dead owner is a hand-over too
-     {"ownership.hpp", 0, "::adopt(", Operation::Fetch, std::memory_order_release, {}, true}},
+     {"ownership.hpp", 0, 0, "::adopt(", Operation::Fetch, kRelease, {.drop = true}}},
     {"joiner-not-announced",  // R4
-     {"ring.hpp", 0, "::join", Operation::Fetch, std::memory_order_seq_cst, {}, true}},
+     {"ring.hpp", 0, 0, "::join", Operation::Fetch, kSeqCst, {.drop = true}}},
     {"marks-not-cleared",  // R5: a late sleeper does not see the end
-     {"ring.hpp", 0, "::clear_sleepers", Operation::Fetch, std::memory_order_release, {}, true}},
+     {"ring.hpp", 0, 0, "::clear_sleepers", Operation::Fetch, kRelease, {.drop = true}}},
 };
 
 const std::pair<const char*, bool Omissions::*> kOmissions[] = {
@@ -61,42 +67,50 @@ const char* name_of(std::memory_order order) {
 }
 
 bool Plant::names(const Step& step) const {
-  return std::string_view(step.where.file_name()).ends_with(file) &&
-         (line == 0 || step.where.line() == line) &&
-         std::string_view(step.where.function_name()).find(function) != std::string_view::npos &&
-         (!operation || *operation == step.operation) && (!written || *written == step.order);
+  return (line == 0 || step.where.line() == line) &&
+         (column == 0 || step.where.column() == column) &&
+         (!operation || *operation == step.operation) && (!written || *written == step.order) &&
+         std::string_view(step.where.file_name()).ends_with(file) &&
+         std::string_view(step.where.function_name()).find(function) != std::string_view::npos;
 }
 
 Done Garden::look(const Step& step) {
   if (record_) {
     steps_.try_emplace({step.where.file_name(), step.where.line(), step.where.column()}, step);
   }
-  if (!plant_) return {step.order};
-  const std::tuple place{step.where.file_name(), unsigned{step.where.line()},
-                         unsigned{step.where.column()}};
-  const auto [known, is_new] = named_.try_emplace(place, false);
-  if (is_new) known->second = plant_->names(step);
-  if (!known->second) return {step.order};
+  if (!plant_ || !plant_->names(step)) return {step.order, step.failure};
   seen_ = true;
-  return {plant_->instead.value_or(one_weaker(step.order)), plant_->drop};
+  const Damage& damage = plant_->damage;
+  return {damage.order.value_or(step.order), damage.failure.value_or(step.failure), damage.drop,
+          damage.stale};
 }
 
 bool Garden::plant(std::string_view text) {
-  const auto colon = text.rfind(':');
-  if (colon == std::string_view::npos) return false;
-  const auto equals = text.find('=', colon);
   Plant p;
+  const auto equals = text.find('=');
+  const auto colon = text.find(':');
+  if (equals == text.npos || colon == text.npos || colon > equals) return false;
   p.file = text.substr(0, colon);
-  const auto number = text.substr(colon + 1, equals == text.npos ? text.npos : equals - colon - 1);
-  const auto end = number.data() + number.size();
-  if (std::from_chars(number.data(), end, p.line).ptr != end || p.line == 0) return false;
-  if (equals != std::string_view::npos) {
-    const auto order = text.substr(equals + 1);
-    p.drop = order == "drop";
-    for (const auto& [name, value] : kOrders) {
-      if (order == name) p.instead = value;
-    }
-    if (!p.drop && !p.instead) return false;
+  const char* const end = text.data() + equals;
+  const char* at = text.data() + colon + 1;
+  auto number = std::from_chars(at, end, p.line);
+  if (number.ec != std::errc() || p.line == 0) return false;
+  if (number.ptr != end) {
+    if (*number.ptr != ':') return false;
+    number = std::from_chars(number.ptr + 1, end, p.column);
+    if (number.ec != std::errc() || number.ptr != end) return false;
+  }
+  std::string_view damage = text.substr(equals + 1);
+  if (damage == "drop") {
+    p.damage.drop = true;
+  } else if (damage == "stale") {
+    p.damage.stale = true;
+  } else if (damage.starts_with("fail:")) {
+    p.damage.failure = order_of(damage.substr(5));
+    if (!p.damage.failure) return false;
+  } else {
+    p.damage.order = order_of(damage);
+    if (!p.damage.order) return false;
   }
   plant_ = std::move(p);
   return true;
@@ -124,8 +138,11 @@ void Garden::list_steps(std::ostream& out) const {
   constexpr const char* kNames[] = {"load", "store", "exchange", "fetch", "compare_exchange"};
   for (const auto& [place, step] : steps_) {
     const std::string& file = std::get<0>(place);
-    out << file.substr(file.rfind('/') + 1) << ':' << std::get<1>(place) << ' '
-        << kNames[static_cast<int>(step.operation)] << ' ' << name_of(step.order) << '\n';
+    out << "site " << file.substr(file.rfind('/') + 1) << ':' << std::get<1>(place) << ':'
+        << std::get<2>(place) << ' ' << kNames[static_cast<int>(step.operation)] << ' '
+        << name_of(step.order);
+    if (step.operation == Operation::CompareExchange) out << ' ' << name_of(step.failure);
+    out << '\n';
   }
 }
 

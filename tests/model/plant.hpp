@@ -2,6 +2,7 @@
 #pragma once
 
 #include <atomic>
+#include <cstdint>
 #include <map>
 #include <optional>
 #include <source_location>
@@ -21,24 +22,36 @@ enum class Operation { Load, Store, Exchange, Fetch, CompareExchange };
 struct Step {
   Operation operation;
   std::memory_order order;
+  std::memory_order failure;  ///< of a CompareExchange; else the same as `order`
   std::source_location where;
 };
 
 /// What is done instead.
 struct Done {
   std::memory_order order;
+  std::memory_order failure;
   bool dropped = false;  ///< the step is not done at all (a Fetch then only reads)
+  bool stale = false;    ///< a Load: what this thread read there before, if anything
+};
+
+/// How a step is spoilt.
+struct Damage {
+  std::optional<std::memory_order> order = {};  ///< instead of the one that is written
+  /// The same for a CompareExchange that fails.
+  std::optional<std::memory_order> failure = {};
+  bool drop = false;
+  bool stale = false;
 };
 
 /// Which step is spoilt, and how.
 struct Plant {
   std::string file;      ///< end of the path
   unsigned line = 0;     ///< 0: any line
+  unsigned column = 0;   ///< 0: any column
   std::string function;  ///< part of the function's name; empty: any
   std::optional<Operation> operation;
   std::optional<std::memory_order> written;
-  std::optional<std::memory_order> instead;  ///< none: one step weaker
-  bool drop = false;
+  Damage damage;
 
   bool names(const Step& step) const;
 };
@@ -56,8 +69,8 @@ class Garden {
  public:
   Done look(const Step& step);
 
-  void plant(Plant plant) { plant_ = std::move(plant); }
-  /// FILE:LINE, FILE:LINE=ORDER or FILE:LINE=drop. False: not of this form.
+  /// FILE:LINE[:COLUMN]=DAMAGE, where the damage is an order, fail:ORDER, drop or stale. False: not
+  /// of this form.
   bool plant(std::string_view text);
   /// One of the mistakes with a name. False: no such mistake.
   bool plant_named(std::string_view name);
@@ -67,6 +80,17 @@ class Garden {
   void record_steps() { record_ = true; }
   void list_steps(std::ostream& out) const;
 
+  /// True when values that were read must be remembered.
+  bool remembers() const { return plant_ && plant_->damage.stale; }
+  void remember(const void* location, unsigned thread, std::uint64_t value) {
+    read_[{location, thread}] = value;
+  }
+  std::optional<std::uint64_t> remembered(const void* location, unsigned thread) const {
+    const auto found = read_.find({location, thread});
+    return found == read_.end() ? std::nullopt : std::optional(found->second);
+  }
+  void forget() { read_.clear(); }
+
   Omissions omitted;
 
  private:
@@ -74,7 +98,7 @@ class Garden {
   bool seen_ = false;
   bool record_ = false;
   std::map<std::tuple<std::string, unsigned, unsigned>, Step> steps_;
-  std::map<std::tuple<const char*, unsigned, unsigned>, bool> named_;  ///< answers of names()
+  std::map<std::pair<const void*, unsigned>, std::uint64_t> read_;  ///< last values, by thread
 };
 
 inline Garden garden;

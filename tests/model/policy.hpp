@@ -36,6 +36,78 @@ class Killer {
 
 inline Killer killer;
 
+template <class T>
+class CheckedAtomic;
+
+/// Where a thread sleeps: FUTEX_WAIT, or futex_waitv when it is on many words. The kernel compares
+/// one word and queues the thread on it, then the next one; each of these is one step under the
+/// lock of the word's bucket. (Its system calls order more than that; nobody has promised it.)
+class Bed {
+  using Where = std::source_location;
+
+ public:
+  Bed() { pillow_.store(0, rl::mo_relaxed, rl::debug_info("initial", "", 0)); }
+  ~Bed() {
+    for (const auto& leave : queues_) leave();
+  }
+  Bed(const Bed&) = delete;
+  Bed& operator=(const Bed&) = delete;
+
+  /// One word more to sleep on, while it has this value.
+  template <class T>
+  void add(const CheckedAtomic<T>& word, T value) {
+    words_.push_back([this, &word, value](Where where) { return queue_on(word, value, where); });
+  }
+  void sleep(Where where = Where::current()) {
+    for (const auto& queue_on : words_) {
+      if (!queue_on(where)) return;
+    }
+    if (!woken_) pillow_.wait(rl::ctx(), false, false, info(where));
+  }
+  void wake(Where where) {
+    woken_ = true;
+    pillow_.wake(rl::ctx(), 1, info(where));
+  }
+
+ private:
+  /// False when the word has another value, or somebody has woken us already.
+  template <class T>
+  bool queue_on(const CheckedAtomic<T>& word, T value, Where where) {
+    killer.step();
+    word.take_bucket(where);
+    rl::preemption_disabler one_step(rl::ctx());
+    if (woken_ || word.value_.load(rl::mo_acquire, info(where)) != value) return false;
+    word.beds_.push_back(this);
+    queues_.push_back([this, &word] { std::erase(word.beds_, this); });
+    return true;
+  }
+  static rl::debug_info info(const Where& where) {
+    return rl::debug_info(where.function_name(), where.file_name(), where.line());
+  }
+
+  bool woken_ = false;
+  rl::atomic<unsigned> pillow_;
+  std::vector<std::function<bool(Where)>> words_;
+  std::vector<std::function<void()>> queues_;  ///< how to leave those that we are on
+};
+
+/// A plain variable: two accesses that nothing orders are a data race, and fail the run.
+template <class T>
+class Plain {
+  using Where = std::source_location;
+
+ public:
+  T read(Where where = Where::current()) const { return value_(info(where)); }
+  void write(T value, Where where = Where::current()) { value_(info(where)) = value; }
+
+ private:
+  static rl::debug_info info(const Where& where) {
+    return rl::debug_info(where.function_name(), where.file_name(), where.line());
+  }
+
+  rl::var<T> value_;
+};
+
 /// std::atomic's interface on rl::atomic. compare_exchange_weak never fails spuriously: every loop
 /// around one must stand the other failures anyway, and the search stays bounded.
 template <class T>
@@ -46,48 +118,71 @@ class CheckedAtomic {
  public:
   CheckedAtomic() { value_.store(T{}, rl::mo_relaxed, rl::debug_info("initial", "", 0)); }
 
+  /// Of a word whose bits each belong to somebody: setting and clearing of one bit must be ordered
+  /// by more than the schedule. (Relacy does read-modify-writes in the order of the schedule; a
+  /// machine may not.)
+  void watch_bits(unsigned count) {
+    for (bits_.resize(count); auto& bit : bits_) bit.write(0);
+  }
+
   T load(Order order, Where where = Where::current()) const {
-    const Done done = begin(Operation::Load, order, where);
-    return value_.load(for_load(done.order), info(where));
+    const Done done = begin(Operation::Load, order, order, where);
+    const auto before = done.stale ? garden.remembered(this, rl::thread_index()) : std::nullopt;
+    if (before) {
+      rl::ctx().sched();
+      return static_cast<T>(*before);
+    }
+    return remember(value_.load(for_load(done.order), info(where)));
   }
 
   void store(T value, Order order, Where where = Where::current()) {
-    const Done done = begin(Operation::Store, order, where);
+    const Done done = begin(Operation::Store, order, order, where);
     if (!done.dropped) value_.store(value, for_store(done.order), info(where));
   }
 
   T exchange(T value, Order order, Where where = Where::current()) {
-    const Done done = begin(Operation::Exchange, order, where);
-    return value_.exchange(value, for_both(done.order), info(where));
+    const Done done = begin(Operation::Exchange, order, order, where);
+    return remember(value_.exchange(value, for_both(done.order), info(where)));
   }
 
   T fetch_add(T value, Order order, Where where = Where::current()) {
-    const Done done = begin(Operation::Fetch, order, where);
+    const Done done = begin(Operation::Fetch, order, order, where);
     if (done.dropped) return value_.load(rl::mo_relaxed, info(where));
-    return value_.fetch_add(value, for_both(done.order), info(where));
+    return remember(value_.fetch_add(value, for_both(done.order), info(where)));
   }
   T fetch_sub(T value, Order order, Where where = Where::current()) {
-    const Done done = begin(Operation::Fetch, order, where);
+    const Done done = begin(Operation::Fetch, order, order, where);
     if (done.dropped) return value_.load(rl::mo_relaxed, info(where));
-    return value_.fetch_sub(value, for_both(done.order), info(where));
+    return remember(value_.fetch_sub(value, for_both(done.order), info(where)));
   }
   T fetch_or(T value, Order order, Where where = Where::current()) {
-    const Done done = begin(Operation::Fetch, order, where);
+    const Done done = begin(Operation::Fetch, order, order, where);
     if (done.dropped) return value_.load(rl::mo_relaxed, info(where));
-    return value_.fetch_or(value, for_both(done.order), info(where));
+    const T old = remember(value_.fetch_or(value, for_both(done.order), info(where)));
+    touch(value, where);
+    return old;
   }
   T fetch_and(T value, Order order, Where where = Where::current()) {
-    const Done done = begin(Operation::Fetch, order, where);
+    const Done done = begin(Operation::Fetch, order, order, where);
     if (done.dropped) return value_.load(rl::mo_relaxed, info(where));
-    return value_.fetch_and(value, for_both(done.order), info(where));
+    const T old = remember(value_.fetch_and(value, for_both(done.order), info(where)));
+    touch(~value, where);
+    return old;
   }
 
   bool compare_exchange_strong(T& expected, T desired, Order success, Order failure,
                                Where where = Where::current()) {
-    const Done done = begin(Operation::CompareExchange, success, where);
-    const rl::memory_order weakened = for_both(done.order);
-    return value_.compare_exchange(rl::bool_t<false>(), expected, desired, weakened,
-                                   no_stronger(for_load(failure), weakened), info(where));
+    const Done done = begin(Operation::CompareExchange, success, failure, where);
+    rl::context& c = rl::ctx();
+    c.sched();
+    rl::preemption_disabler one_step(c);
+    // Relacy wants a failure order that is no stronger than the other; C++17 does not. So it is
+    // only told the order of what is about to happen.
+    const bool will = value_.debug_value() == expected;
+    const rl::memory_order order = will ? for_both(done.order) : for_load(done.failure);
+    value_.compare_exchange(rl::bool_t<false>(), expected, desired, order, info(where));
+    remember(expected);
+    return will;
   }
   bool compare_exchange_strong(T& expected, T desired, Order order,
                                Where where = Where::current()) {
@@ -101,31 +196,43 @@ class CheckedAtomic {
     return compare_exchange_strong(expected, desired, order, order, where);
   }
 
-  /// FUTEX_WAIT: the comparison and the falling asleep are one step, and the kernel's bucket lock
-  /// is a full barrier on both sides.
-  void wait_while(T value, Where where = Where::current()) {
-    killer.step();
-    rl::context& c = rl::ctx();
-    c.atomic_thread_fence_seq_cst();
-    {
-      rl::preemption_disabler until_asleep(c);
-      if (value_.load(rl::mo_acquire, info(where)) != value) return;
-    }
-    value_.wait(c, false, false, info(where));
+  /// FUTEX_WAIT.
+  void wait_while(T value, Where where = Where::current()) const {
+    Bed bed;
+    bed.add(*this, value);
+    bed.sleep(where);
   }
 
   /// FUTEX_WAKE of everybody.
-  void wake_all(Where where = Where::current()) {
+  void wake_all(Where where = Where::current()) const {
     killer.step();
-    rl::context& c = rl::ctx();
-    c.atomic_thread_fence_seq_cst();
-    value_.wake(c, 100, info(where));
+    take_bucket(where);
+    for (Bed* bed : beds_) bed->wake(where);
+    beds_.clear();
   }
 
  private:
-  static Done begin(Operation operation, Order order, const Where& where) {
+  static Done begin(Operation operation, Order order, Order failure, const Where& where) {
     killer.step();
-    return garden.look({operation, order, where});
+    return garden.look({operation, order, failure, where});
+  }
+  /// Orders who sleeps on the word and who wakes, one after the other.
+  void take_bucket(const Where& where) const {
+    if (!bucket_) {
+      rl::preemption_disabler until_made(rl::ctx());
+      bucket_.emplace();
+      bucket_->store(0, rl::mo_relaxed, rl::debug_info("initial", "", 0));
+    }
+    bucket_->fetch_add(1, rl::mo_acq_rel, info(where));
+  }
+  void touch(T bits, Where where) {
+    for (unsigned i = 0; i < bits_.size(); ++i) {
+      if ((bits >> i & 1) != 0) bits_[i].write(0, where);
+    }
+  }
+  T remember(T value) const {
+    if (garden.remembers()) garden.remember(this, rl::thread_index(), value);
+    return value;
   }
   static rl::debug_info info(const Where& where) {
     return rl::debug_info(where.function_name(), where.file_name(), where.line());
@@ -155,32 +262,12 @@ class CheckedAtomic {
     const rl::memory_order mo = for_both(order);
     return mo == rl::mo_acq_rel ? rl::mo_release : mo == rl::mo_acquire ? rl::mo_relaxed : mo;
   }
-  /// Relacy refuses a failure order that is stronger than what the success order loads with.
-  static rl::memory_order no_stronger(rl::memory_order failure, rl::memory_order success) {
-    const rl::memory_order most = success == rl::mo_acq_rel   ? rl::mo_acquire
-                                  : success == rl::mo_release ? rl::mo_relaxed
-                                                              : success;
-    return failure < most ? failure : most;
-  }
 
+  friend class Bed;
   rl::atomic<T> value_;
-};
-
-/// A plain variable: two accesses that nothing orders are a data race, and fail the run.
-template <class T>
-class Plain {
-  using Where = std::source_location;
-
- public:
-  T read(Where where = Where::current()) const { return value_(info(where)); }
-  void write(T value, Where where = Where::current()) { value_(info(where)) = value; }
-
- private:
-  static rl::debug_info info(const Where& where) {
-    return rl::debug_info(where.function_name(), where.file_name(), where.line());
-  }
-
-  rl::var<T> value_;
+  mutable std::vector<Bed*> beds_;  ///< who sleeps here
+  mutable std::optional<rl::atomic<unsigned>> bucket_;
+  std::vector<Plain<int>> bits_;
 };
 
 /// Few participants in many words: 0 and 1, 2 and 3, 4 and 5 share an ownership word.

@@ -179,6 +179,26 @@ struct JoinerWhileSenderSleeps : Scene<JoinerWhileSenderSleeps, 2> {
   Subscriber subscriber;
 };
 
+/// The same without any other reader, whom the sender might have waited for.
+struct OnlyJoinerBlocking : Scene<OnlyJoinerBlocking, 2> {
+  OnlyJoinerBlocking() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    start(2);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 4; ++i) publisher.send();
+    } else {
+      RL_ASSERT(subscriber.join(process(2), 0, 1, 2));
+      for (int i = 0; i < 2; ++i) subscriber.receive();
+    }
+  }
+  void check() { RL_ASSERT(subscriber.missed() == 0); }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
 /// A joiner that borrows at once is on the publisher's list, or starts behind what was overwritten.
 struct LateJoinerOverwrite : Scene<LateJoinerOverwrite, 2> {
   LateJoinerOverwrite() : Scene({.blocks = 3, .depth = 2, .readers = 2}) {}
@@ -232,6 +252,121 @@ struct EvictAgainstBorrow : Scene<EvictAgainstBorrow, 2> {
   Subscriber subscriber;
 };
 
+/// A reader leaves in the middle of a borrow, and another one joins.
+struct LeavesInABorrow : Scene<LeavesInABorrow, 3> {
+  LeavesInABorrow() : Scene({.blocks = 2, .depth = 1, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(leaver.join(start(2), 0, 1, 1));
+    publisher.send();
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) publisher.send();
+    } else if (t == 1) {
+      if (const Word b = leaver.borrow(); b != kNoBlock) {
+        RL_ASSERT(process(2).read(b) == leaver.number());
+      }
+      leaver.leave();
+    } else {
+      RL_ASSERT(joiner.join(process(3), 0, 1, 1));
+    }
+  }
+  Publisher publisher;
+  Subscriber leaver, joiner;
+};
+
+/// What is only for prefetching may be wrong, but no more than that.
+struct Hints : Scene<Hints, 2> {
+  Hints() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.writer().upcoming(1);
+      publisher.send();
+      publisher.writer().upcoming(0);
+    } else {
+      RL_ASSERT(subscriber.reader().ready());
+      const Word soon = subscriber.reader().peek(0);
+      RL_ASSERT(soon == kNoBlock || soon < segment.shape.blocks);
+      subscriber.reader().peek(1);
+      RL_ASSERT(subscriber.receive());
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// Somebody joins a ring as soon as it sees it, without the lock under which rings are made.
+struct JoinsWhatIsLive : Scene<JoinsWhatIsLive, 2> {
+  JoinsWhatIsLive() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    start(4);
+    start(2);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.open(process(4), 0, false);
+      return;
+    }
+    const ring::Ring<Policy> ring = process(2).ring(0);
+    bool full = false;
+    if (ring.depth == 0) return;
+    const auto reader = ring::Reader<Policy>::join(ring, 1, 2, 1, full);
+    RL_ASSERT(!reader || reader->cursor() == Segment::kFirst);
+  }
+  Publisher publisher;
+};
+
+/// A cell has one reader after the other, and the second one is not taken for the first.
+struct CellChangesHands : Scene<CellChangesHands, 3> {
+  CellChangesHands() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(leaver.join(start(2), 0, 1, 1));
+    publisher.send();
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.send();
+    } else if (t == 1) {
+      leaver.receive();
+      leaver.leave();
+    } else if (joiner.join(process(3), 0, 1, 1)) {
+      joiner.receive();
+    }
+  }
+  Publisher publisher;
+  Subscriber leaver, joiner;
+};
+
+/// Sender and reader sleep for each other over one slot.
+struct BothSleepOverOneSlot : Scene<BothSleepOverOneSlot, 2> {
+  static constexpr unsigned kMessages = 2;
+  BothSleepOverOneSlot() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 0));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (unsigned i = 0; i < kMessages; ++i) publisher.send_and_wait();
+      return;
+    }
+    while (subscriber.received() < kMessages) {
+      if (!subscriber.receive()) subscriber.sleep();
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
 /// A reader that leaves lets a sleeping sender go on.
 struct LeaverFreesSender : Scene<LeaverFreesSender, 2> {
   LeaverFreesSender() : Scene({.blocks = 3, .depth = 1, .readers = 1}) {}
@@ -252,28 +387,35 @@ struct LeaverFreesSender : Scene<LeaverFreesSender, 2> {
   Subscriber subscriber;
 };
 
+const Entered entered{
+    {"overwrite_borrow", "a borrowed block is never written", rl::simulate<OverwriteBorrow>, 1},
+    {"overwrite_keep", "a kept block is never written", rl::simulate<OverwriteKeep>, 1},
+    {"one_slot", "the same on the smallest ring", rl::simulate<OneSlot>, 2},
+    {"blocking_lossless", "under back-pressure nobody misses a message",
+     rl::simulate<BlockingLossless>, 1},
+    {"sleepers", "a sleeping reader is woken by each message", rl::simulate<Sleepers>, 2},
+    {"both_sleep", "sender and reader never both sleep for ever", rl::simulate<BothSleep>, 2},
+    {"late_joiner_blocking", "a late joiner misses nothing from its start on",
+     rl::simulate<LateJoinerBlocking>, 1},
+    {"joiner_while_sender_sleeps", "a joiner's pin does not put the sender to sleep for ever",
+     rl::simulate<JoinerWhileSenderSleeps>, 2},
+    {"only_joiner_blocking", "the same when the sender need not wait for others",
+     rl::simulate<OnlyJoinerBlocking>, 3},
+    {"late_joiner_overwrite", "what a late joiner borrows is never written",
+     rl::simulate<LateJoinerOverwrite>, 2},
+    {"evict_against_borrow", "an evicted block is not taken from a borrower",
+     rl::simulate<EvictAgainstBorrow>, 2},
+    {"leaves_in_a_borrow", "what a leaver has borrowed is not written before it has read",
+     rl::simulate<LeavesInABorrow>, 2},
+    {"hints", "a hint that is wrong does no harm", rl::simulate<Hints>, 2},
+    {"joins_what_is_live", "a live ring is a complete ring", rl::simulate<JoinsWhatIsLive>, 3},
+    {"cell_changes_hands", "a cell has one reader after the other", rl::simulate<CellChangesHands>,
+     2},
+    {"both_sleep_over_one_slot", "sender and reader take turns", rl::simulate<BothSleepOverOneSlot>,
+     3},
+    {"leaver_frees_sender", "a reader that leaves lets a sleeping sender go on",
+     rl::simulate<LeaverFreesSender>, 2},
+};
+
 }  // namespace
-
-std::vector<Scenario> ring_scenarios() {
-  return {
-      {"overwrite_borrow", "a borrowed block is never written", rl::simulate<OverwriteBorrow>, 1},
-      {"overwrite_keep", "a kept block is never written", rl::simulate<OverwriteKeep>, 1},
-      {"one_slot", "the same on the smallest ring", rl::simulate<OneSlot>, 2},
-      {"blocking_lossless", "under back-pressure nobody misses a message",
-       rl::simulate<BlockingLossless>, 1},
-      {"sleepers", "a sleeping reader is woken by each message", rl::simulate<Sleepers>, 2},
-      {"both_sleep", "sender and reader never both sleep for ever", rl::simulate<BothSleep>, 2},
-      {"late_joiner_blocking", "a late joiner misses nothing from its start on",
-       rl::simulate<LateJoinerBlocking>, 1},
-      {"joiner_while_sender_sleeps", "a joiner's pin does not put the sender to sleep for ever",
-       rl::simulate<JoinerWhileSenderSleeps>, 2},
-      {"late_joiner_overwrite", "what a late joiner borrows is never written",
-       rl::simulate<LateJoinerOverwrite>, 2},
-      {"evict_against_borrow", "an evicted block is not taken from a borrower",
-       rl::simulate<EvictAgainstBorrow>, 2},
-      {"leaver_frees_sender", "a reader that leaves lets a sleeping sender go on",
-       rl::simulate<LeaverFreesSender>, 2},
-  };
-}
-
 }  // namespace lot::model

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <initializer_list>
 #include <vector>
 
 #include "world.hpp"
@@ -15,8 +16,16 @@ struct Scenario {
   unsigned bound = 0;
 };
 
-std::vector<Scenario> ring_scenarios();
-std::vector<Scenario> ownership_scenarios();
-std::vector<Scenario> crash_scenarios();
+/// All scenarios of the program: each file enters its own, so that a program may have few of them.
+inline std::vector<Scenario>& scenarios() {
+  static std::vector<Scenario> all;
+  return all;
+}
+
+struct Entered {
+  Entered(std::initializer_list<Scenario> more) {
+    scenarios().insert(scenarios().end(), more.begin(), more.end());
+  }
+};
 
 }  // namespace lot::model

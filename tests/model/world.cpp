@@ -7,9 +7,19 @@ namespace lot::model {
 // --------------------------------------------------------------------------
 
 Channel::Channel(const Shape& shape)
-    : slots(shape.depth), cells(shape.readers), who(shape.readers) {
-  finished.write(false);
+    : slots(shape.depth), cells(shape.readers), who(shape.readers), tenants(shape.readers) {
   blocking.write(false);
+  used.write(false);
+  for (auto& tenant : tenants) tenant.write(0);
+}
+
+void Channel::soil() {
+  constexpr auto kOrder = std::memory_order_relaxed;
+  for (auto& slot : slots) slot.store(ring::make(7, 0), kOrder);
+  for (auto& cell : cells) cell.position.store(ring::make(7, 0), kOrder);
+  for (auto& w : who) w.store(kSoiledBy + 1, kOrder);
+  roster.store(7, kOrder);
+  space.store(7, kOrder);
 }
 
 Segment::Segment(const Shape& s)
@@ -22,6 +32,9 @@ Segment::Segment(const Shape& s)
       ended_(kParticipants) {
   for (std::uint32_t c = 0; c < s.channels; ++c) channels.emplace_back(s);
   for (auto& reference : references) reference.write(kNoBlock);
+  for (auto& block : blocks) {
+    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+  }
 }
 
 bool Segment::try_lock(std::uint32_t lock, std::uint32_t holder) {
@@ -215,11 +228,37 @@ void Process::write(Word b, std::uint64_t message, std::source_location where) {
 
 ring::Ring<Policy> Process::ring(std::uint32_t c) {
   Channel& channel = segment_->channels[c];
-  if (!channel.finished.read()) return {};
+  if (channel.formed.load(std::memory_order_acquire) == 0) return {};
   return {&channel.writer,       channel.slots.data(),    channel.cells.data(),
           channel.who.data(),    &channel.roster,         &channel.space,
           segment_->shape.depth, segment_->shape.readers, channel.blocking.read(),
           Segment::kFirst};
+}
+
+void Process::close_ring(std::uint32_t c) {
+  Atomic<Word>& writer = channel_writer(c);
+  const Word generation = ring::writer_generation(writer.load(std::memory_order_relaxed));
+  writer.store(ring::make_writer(generation, ring::State::Orphan, index()),
+               std::memory_order_seq_cst);
+  Recovery recovery(*this);
+  ring::Ring<Policy> r = ring(c);
+  recovery.wake_readers(r);
+  while (!segment_->try_lock(refcount::kOrphanage, index())) Policy::pause();
+  recovery.orphan_ring(c, index());
+  recovery.collect();
+  segment_->unlock(refcount::kOrphanage);
+}
+
+bool Process::ring_closed(std::uint32_t c) {
+  return ring::writer_owner(channel_writer(c).load(std::memory_order_acquire)) != index();
+}
+
+void Process::move_in(std::uint32_t c, std::uint32_t cell) {
+  segment_->channels[c].tenants[cell].write(index());
+}
+
+void Process::move_out(std::uint32_t c, std::uint32_t cell) {
+  segment_->channels[c].tenants[cell].write(0);
 }
 
 void Process::release_extents(const std::vector<bool>& dead) {
@@ -232,6 +271,21 @@ void Process::release_extents(const std::vector<bool>& dead) {
 // ------------------------------------------------------------------------------------
 
 bool Publisher::open(Process& process, std::uint32_t c, bool blocking) {
+  while (!process.lock_rings()) Policy::pause();
+  const bool made = make_ring(process, c, blocking);
+  process.unlock_rings();
+  return made;
+}
+
+bool Publisher::advertise(Process& process, std::uint32_t c, bool blocking) {
+  while (!process.lock_rings()) Policy::pause();
+  const bool made = make_ring(process, c, blocking);
+  if (made) announce();
+  process.unlock_rings();
+  return made;
+}
+
+bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
   Channel& channel = process.segment().channels[c];
   Word free = channel.writer.load(std::memory_order_relaxed);
   if (ring::writer_state(free) != ring::State::Free) return false;
@@ -241,17 +295,30 @@ bool Publisher::open(Process& process, std::uint32_t c, bool blocking) {
           std::memory_order_acquire, std::memory_order_relaxed)) {
     return false;
   }
+  channel.used.write(true);
+  channel.soil();
   channel.blocking.write(blocking);
-  channel.finished.write(true);
+  channel.formed.store(1, std::memory_order_release);
   ring::Ring<Policy> ring = process.ring(c);
+  ring.roster->store(0, std::memory_order_relaxed);
+  ring.space->store(0, std::memory_order_relaxed);
   ring.format();
   channel.writer.store(ring::make_writer(generation, ring::State::Live, process.index()),
-                       std::memory_order_release);
+                       std::memory_order_seq_cst);
   process_ = &process;
   blocking_ = blocking;
   writer_ = ring::Writer<Policy>(ring);
   process.enter(*this);
   return true;
+}
+
+void Publisher::announce() {
+  std::vector<ring::Ring<Policy>> rings;
+  for (std::uint32_t c = 0; c < process_->channels(); ++c) {
+    const Word writer = process_->channel_writer(c).load(std::memory_order_seq_cst);
+    if (ring::writer_state(writer) == ring::State::Live) rings.push_back(process_->ring(c));
+  }
+  ring::announce(process_->segment().version, rings, [](const auto& word) { word.wake_all(); });
 }
 
 bool Publisher::send() {
@@ -271,8 +338,7 @@ void Publisher::send_and_wait() {
   RL_ASSERT(b != Process::kNone);
   process_->write(b, sent_);
   while (!writer_.room()) {
-    const std::uint32_t odd = writer_.mark_waiting();
-    if (!writer_.room()) writer_.ring().space->wait_while(odd);
+    if (const auto odd = ring::wait_for_room(writer_)) writer_.ring().space->wait_while(*odd);
   }
   send_own(b);
 }
@@ -335,7 +401,7 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
   const bool locked = !garden.omitted.rings_lock;
   while (locked && !process.lock_rings()) Policy::pause();
   std::optional<ring::Reader<Policy>> reader;
-  const Word writer = process.channel_writer(c).load(std::memory_order_acquire);
+  const Word writer = process.channel_writer(c).load(std::memory_order_relaxed);
   if (ring::writer_state(writer) == ring::State::Live) {
     bool full = false;
     reader =
@@ -343,12 +409,15 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
   }
   if (locked) process.unlock_rings();
   if (!reader) return false;
+  process.move_in(c, reader->cell());
   process_ = &process;
+  channel_ = c;
   reader_ = *reader;
   return true;
 }
 
 void Subscriber::leave() {
+  process_->move_out(channel_, reader_.cell());
   reader_.leave();
   reader_.ring().space->wake_all();
 }
@@ -370,9 +439,11 @@ void Subscriber::ring_for_room() {
 }
 
 void Subscriber::sleep() {
-  const std::optional<Word> marked = reader_.mark_sleeping();
-  if (!marked || reader_.orphaned()) return;
-  reader_.slot().wait_while(*marked);
+  struct Source {
+    ring::Reader<Policy>& reader;
+  };
+  std::array<Source, 1> only{{{reader_}}};
+  sleep_on(only, process_->segment(), 0);
 }
 
 bool Subscriber::receive() {

@@ -3,7 +3,7 @@
 
 #include <atomic>  // the headers under test name memory orders and include no atomics of their own
 
-#include "lockfree_ring/ring.hpp"
+#include "lockfree_ring/sleep.hpp"
 #include "policy.hpp"
 #include "recovery/recovery.hpp"
 #include "refcount/ownership.hpp"
@@ -23,6 +23,8 @@ using Atomic = CheckedAtomic<T>;
 inline constexpr std::uint32_t kParticipants = Policy::kOwnWords * Policy::kBitsPerWord;
 /// Somebody without an index, who only looks after things when all others have gone.
 inline constexpr std::uint32_t kJanitor = kParticipants;
+/// Whose name the memory has in it that a ring is made in.
+inline constexpr std::uint32_t kSoiledBy = 5;
 /// The lock of the registry; the byte locks of the participants come before it.
 inline constexpr std::uint32_t kRegistryLock = kParticipants;
 
@@ -36,6 +38,8 @@ struct Shape {
 /// One channel's words, and the plain ones that the publisher writes before it goes LIVE.
 struct Channel {
   explicit Channel(const Shape& shape);
+  /// As the memory is that a new ring gets: somebody's message was in there.
+  void soil();
 
   Atomic<Word> writer;
   std::vector<Atomic<Word>> slots;
@@ -43,8 +47,11 @@ struct Channel {
   std::vector<Atomic<std::uint32_t>> who;
   Atomic<std::uint32_t> roster;
   Atomic<std::uint32_t> space;
-  Plain<bool> finished;
+  Atomic<std::uint32_t> formed;  ///< 1: `blocking` is written
   Plain<bool> blocking;
+  Plain<bool> used;  ///< written by who makes a ring and who frees it: one after the other
+  /// Written by who takes and who leaves a cell: a cell has one reader after the other.
+  std::vector<Plain<std::uint32_t>> tenants;
 };
 
 /// Everything that is shared, and the kernel's locks.
@@ -67,6 +74,8 @@ class Segment {
   std::vector<Atomic<std::uint32_t>> parts;
   std::vector<refcount::BlockWords<Policy>> blocks;
   std::deque<Channel> channels;
+  /// The directory's.
+  Atomic<std::uint32_t> version;
   /// The message of a block: its number. Any access that the protocol does not order is a race.
   std::vector<Plain<std::uint64_t>> payloads;
   /// A block that the message of a block refers to, or kNoBlock.
@@ -114,6 +123,15 @@ class Process {
   void write(Word b, std::uint64_t message,
              std::source_location where = std::source_location::current());
 
+  /// Ends a ring of ours, as a publisher does that goes while its process stays.
+  void close_ring(std::uint32_t channel);
+  /// True when the ring's blocks are the orphanage's.
+  bool ring_closed(std::uint32_t channel);
+
+  // A reader of ours takes and leaves a cell.
+  void move_in(std::uint32_t channel, std::uint32_t cell);
+  void move_out(std::uint32_t channel, std::uint32_t cell);
+
   void enter(Publisher& publisher) { publishers_.push_back(&publisher); }
 
   std::uint32_t index() const { return own_.self; }
@@ -133,7 +151,10 @@ class Process {
   }
   bool lock_rings() { return segment_->try_lock(kRegistryLock, index()); }
   void unlock_rings() { segment_->unlock(kRegistryLock); }
-  void recycle_ring(std::uint32_t c) { segment_->channels[c].finished.write(false); }
+  void recycle_ring(std::uint32_t c) {
+    segment_->channels[c].formed.store(0, std::memory_order_release);
+    segment_->channels[c].used.write(false);
+  }
   void release_extents(const std::vector<bool>& dead);
   void forget(std::uint32_t) {}
   template <class T>
@@ -168,6 +189,20 @@ class Publisher {
  public:
   /// Claims a free channel. False: not free.
   bool open(Process& process, std::uint32_t channel, bool blocking);
+  /// The same, and tells the readers of all channels, which are of one topic.
+  bool advertise(Process& process, std::uint32_t channel, bool blocking);
+  /// Calls f(participant) for each whose reader holds the sender back.
+  template <class F>
+  void laggards(F&& f) {
+    writer_.laggards([&](std::uint32_t cell) {
+      const std::uint32_t who = writer_.ring().who[cell].load(std::memory_order_acquire);
+      if (who != 0) f(who - 1);
+    });
+  }
+  const ring::Writer<Policy>& writer() const { return writer_; }
+
+  /// Only tells. REQUIRES: the registry's lock.
+  void announce();
 
   /// Publishes the next message in a block of its own. False: no block, or no room.
   bool send();
@@ -185,6 +220,7 @@ class Publisher {
   std::uint64_t sent() const { return sent_; }
 
  private:
+  bool make_ring(Process& process, std::uint32_t channel, bool blocking);
   void publish(Word b);
   void retire(Word b);
 
@@ -195,7 +231,19 @@ class Publisher {
   std::uint64_t sent_ = 0;
 };
 
-/// The receiving end of a channel.
+/// Falls asleep on many rings, as a puller does that knows of the directory's `version`.
+template <class Sources>
+void sleep_on(Sources& sources, Segment& segment, std::uint32_t version) {
+  Bed bed;
+  const ring::Rest rest = ring::lie_down(
+      sources, segment.version, version,
+      [&bed](const auto& word, auto value) { bed.add(word, value); },
+      [](const auto& word) { word.wake_all(); });
+  if (rest == ring::Rest::Sleep) bed.sleep();
+  if (rest == ring::Rest::Doze) Policy::pause();
+}
+
+/// The receiving end of a channel. For scenarios in which nobody advertises.
 class Subscriber {
  public:
   /// Joins generation `generation` of a channel under the registry's lock.
@@ -207,6 +255,7 @@ class Subscriber {
   Word borrow();
   void done();
   bool ended() const { return reader_.ended(); }
+  const ring::Reader<Policy>& reader() const { return reader_; }
   /// Sleeps until there may be something to look at.
   void sleep();
 
@@ -224,6 +273,7 @@ class Subscriber {
   void ring_for_room();
 
   Process* process_ = nullptr;
+  std::uint32_t channel_ = 0;
   ring::Reader<Policy> reader_;
   std::uint64_t missed_ = 0;
   std::uint64_t received_ = 0;
@@ -234,6 +284,7 @@ struct SceneBegins {
   SceneBegins() {
     OrdinaryHeap::use();
     killer.aim_at_nobody();
+    garden.forget();
   }
 };
 
@@ -290,7 +341,6 @@ class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
     }
     for (auto& channel : segment.channels) {
       RL_ASSERT(ring::writer_state(channel.writer.load(kOrder)) == ring::State::Free);
-      for (auto& who : channel.who) RL_ASSERT(who.load(kOrder) == 0);
     }
   }
 

@@ -77,8 +77,11 @@ std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> p
 /// the cell of the target in the arena's own participant. Throws lot::Error when they are in
 /// different segments.
 ControlCell* refer(Arena& arena, ControlCell* target);
-/// The cell of a block in the participant that has mapped `inside`.
-ControlCell* cell_of(const void* inside, std::uint32_t block);
+/// The cell of what a reference refers to, in the participant that has mapped the reference; null
+/// when nobody has, since it lies in private memory. Throws lot::Error when nobody has mapped the
+/// message that it is in, and when it is damaged: the target must lie in the same segment.
+ControlCell* cell_of(const void* reference, bool in_message, std::uint32_t block,
+                     const void* target, std::size_t bytes);
 /// Another pointer hold on a block that the caller protects. Returns the cell.
 ControlCell* acquire_block(ControlCell* cell);
 

@@ -1,0 +1,13 @@
+# Lets a target make mistakes that it must find: a check that cannot fail proves nothing.
+# Usage: cmake -D REPLAY=program -D CORPUS=directory -D PLANTS=mistake,... -P can_fail.cmake
+string(REPLACE "," ";" PLANTS "${PLANTS}")
+foreach(mistake IN LISTS PLANTS)
+  set(ENV{LOT_FUZZ_PLANT} ${mistake})
+  execute_process(COMMAND ${REPLAY} ${CORPUS}
+    RESULT_VARIABLE status OUTPUT_VARIABLE output ERROR_VARIABLE output)
+  if(status EQUAL 0)
+    message(SEND_ERROR "${mistake}: not found\n${output}")
+  else()
+    message(STATUS "${mistake}: found (${status})")
+  endif()
+endforeach()

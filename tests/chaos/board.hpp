@@ -1,0 +1,166 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <string_view>
+
+#include "findings.hpp"
+#include "topics.hpp"
+
+/// What the supervisor and the nodes tell each other: in anonymous memory that they share, never
+/// through the segment under test.
+namespace lot::chaos {
+
+inline constexpr unsigned kMostNodes = 64;
+inline constexpr std::uint32_t kIncarnations = 1 << 19;
+
+/// What a node is about to do, for the table of kills and for who is stuck.
+enum class Doing : std::uint32_t {
+  Starting,
+  Opening,
+  Advertising,
+  Subscribing,
+  Running,
+  Loaning,
+  Filling,
+  Pushing,
+  Looking,
+  Reading,
+  Closing,
+  Leaving,
+};
+inline constexpr std::array kDoingNames{"starting", "opening", "advertising", "subscribing",
+                                        "running",  "loaning", "filling",     "pushing",
+                                        "looking",  "reading", "closing",     "leaving"};
+
+enum class Count : std::uint32_t {
+  Opened,
+  Advertised,
+  Subscribed,
+  Published,
+  Refused,
+  Received,
+  Missed,
+  Kept,
+  Rechecked,
+  Relayed,
+  References,
+  WeakAlive,
+  WeakDead,
+  NoMemory,
+  Closed,
+  kCounts
+};
+inline constexpr std::array kCountNames{
+    "engines opened",
+    "advertised",
+    "subscribed",
+    "published",
+    "refused (Full)",
+    "received",
+    "missed, and told so",
+    "kept",
+    "checked again before letting go",
+    "relayed without a copy",
+    "read through a reference",
+    "weak, alive",
+    "weak, expired",
+    "out of memory",
+    "books closed: nothing more to read, all accounted for",
+};
+static_assert(kCountNames.size() == static_cast<std::size_t>(Count::kCounts));
+
+/// A step towards a checkpoint that all nodes take together.
+enum class Stage : std::uint32_t {
+  Run,
+  Awake,  ///< nobody waits for long
+  Quiet,  ///< nobody publishes
+  Settle  ///< everybody reads to the end and lets go of everything
+};
+
+/// What NodeRecord::reached says.
+constexpr std::uint32_t step_of(std::uint32_t checkpoint, Stage stage) {
+  return checkpoint << 2 | static_cast<std::uint32_t>(stage);
+}
+
+/// One name under which a node is started again and again.
+struct alignas(64) NodeRecord {
+  std::atomic<std::uint32_t> life;     ///< how often it has been started
+  std::atomic<std::uint32_t> doomed;   ///< 1: the supervisor ends it, or has
+  std::atomic<std::uint64_t> beats;    ///< moves with everything it does
+  std::atomic<std::uint32_t> doing;    ///< Doing << 16 | topic
+  std::atomic<std::uint32_t> reached;  ///< step_of() the last checkpoint that it has reached
+  std::atomic<std::uint64_t> serial;   ///< messages made under this name, in all lives
+  std::array<std::atomic<std::uint16_t>, kTopics> pushers;  ///< that it has now
+  std::array<std::atomic<std::uint16_t>, kTopics> pullers;
+  std::array<std::atomic<std::uint64_t>, static_cast<std::size_t>(Count::kCounts)> counts;
+};
+
+/// A publisher from advertise to its end. Its numbers begin with 0.
+///
+/// `done` <= published <= `begun`, at every moment and after a kill at any moment: begun is raised
+/// before a push and done after it, so a publisher that dies leaves at most one message in doubt.
+struct alignas(64) Incarnation {
+  enum State : std::uint32_t { None, Advertising, Live, Closed };
+  std::atomic<std::uint32_t> state;
+  std::uint32_t topic;
+  std::uint32_t before;  ///< the one before on this topic, or 0
+  std::uint32_t slot;    ///< the node
+  std::uint32_t life;    ///< of the node
+  std::uint32_t depth;
+  std::uint32_t blocking;
+  std::atomic<std::uint64_t> begun;
+  std::atomic<std::uint64_t> done;
+};
+
+/// Under which number a relay publishes a message again: the message itself cannot say it.
+struct Relayed {
+  std::atomic<std::uint64_t> serial;
+  std::atomic<std::uint32_t> incarnation;
+  std::atomic<std::uint32_t> number;
+};
+
+struct Report {
+  std::atomic<std::uint32_t> written;
+  Finding finding;
+  std::uint32_t slot;
+  std::uint32_t life;
+  std::array<char, 400> text;
+};
+
+struct Board {
+  static constexpr std::uint32_t kReports = 256;
+  /// A reader that is this many messages behind its relay is told so by missed() long before.
+  static constexpr std::uint64_t kRelayedBack = 4096;
+  static constexpr unsigned kProcessors = 256;
+
+  std::atomic<std::uint32_t> stage;               ///< Stage
+  std::atomic<std::uint32_t> last_came;           ///< the one that sees whether anything is left
+  std::atomic<std::uint32_t> last_alone;          ///< all others have ended
+  std::atomic<std::uint32_t> checkpoint;          ///< counts them; what `reached` refers to
+  std::atomic<std::uint32_t> incarnations_begun;  ///< the next one; 0 is nobody
+  std::array<std::atomic<std::uint32_t>, kTopics> newest;  ///< incarnation on each topic
+  std::atomic<std::uint32_t> reports_begun;
+  std::atomic<std::int64_t> stalled_at;  ///< when the machine stood still (canary.hpp)
+  std::array<std::atomic<std::int64_t>, kProcessors> canary_seen;
+  std::array<std::atomic<std::uint32_t>, kFindings> found;
+  std::array<NodeRecord, kMostNodes> nodes;
+  std::array<Incarnation, kIncarnations> incarnations;
+  std::array<std::array<std::array<Relayed, kRelayedBack>, kMostNodes>, kTopics - kFirstRelay>
+      relayed;
+  std::array<Report, kReports> reports;
+
+  /// A board that forked processes share.
+  static Board& make();
+
+  void report(Finding finding, std::uint32_t slot, std::string_view text);
+  Relayed& relayed_as(std::uint32_t topic, std::uint64_t serial) {
+    return relayed[topic - kFirstRelay][serial >> 56][serial % kRelayedBack];
+  }
+  std::uint64_t total(Count count) const;
+  std::uint32_t findings() const;
+};
+
+}  // namespace lot::chaos

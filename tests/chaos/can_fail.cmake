@@ -1,0 +1,29 @@
+# Plants mistakes that the chaos must find: a check that cannot fail proves nothing.
+# Usage: cmake -D CHAOS=path/to/lot_chaos -P can_fail.cmake
+foreach(planted IN ITEMS
+    tear=torn smear=torn refer=torn weak=torn
+    skip=lost miss=lost more=lost ghost=lost overrun=lost deaf=lost
+    twice=twice
+    leak=leaked leak-at-end=leaked hoard=leaked
+    file=files
+    wedge=wedged doze=wedged stay=wedged
+    crash=crashed)
+  string(REPLACE "=" ";" planted ${planted})
+  list(GET planted 0 mistake)
+  list(GET planted 1 finding)
+  set(checkpoint 40)
+  if(mistake STREQUAL "doze")  # takes some seconds
+    set(checkpoint 400)
+  endif()
+  execute_process(
+    COMMAND ${CHAOS} --kills 800 --checkpoint ${checkpoint} --patience 6 --seed 3 --plant ${mistake}
+    RESULT_VARIABLE status
+    OUTPUT_VARIABLE output
+    ERROR_VARIABLE output)
+  # A line that begins with the finding; and the exit status.
+  if(NOT status EQUAL 1 OR NOT output MATCHES "\n${finding}: ")
+    message(SEND_ERROR "${mistake}: expected '${finding}', exit status is ${status}\n${output}")
+  else()
+    message(STATUS "${mistake}: found")
+  endif()
+endforeach()

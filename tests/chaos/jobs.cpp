@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "jobs.hpp"
+
+#include <array>
+
+#include "juggler.hpp"
+#include "publisher.hpp"
+#include "relay.hpp"
+
+namespace lot::chaos {
+namespace {
+
+std::unique_ptr<Job> make_publisher(Life& life, ShmEngine& engine, std::uint32_t topic) {
+  if (kTopic[topic].kind == Kind::Plain) {
+    return std::make_unique<Publisher<Plain>>(life, engine, topic);
+  }
+  return std::make_unique<Publisher<Frame>>(life, engine, topic);
+}
+
+std::unique_ptr<Job> make_relay(Life& life, ShmEngine& engine, const Part& part) {
+  if (kTopic[part.to].kind == Kind::Seen) {
+    return std::make_unique<Relay<Seen>>(life, engine, part.from, part.to);
+  }
+  return std::make_unique<Relay<Frame>>(life, engine, part.from, part.to);
+}
+
+}  // namespace
+
+std::unique_ptr<Job> make_inlet(Life& life, ShmEngine& engine, std::uint32_t topic, Role role) {
+  switch (kTopic[topic].kind) {
+    case Kind::Plain:
+      return std::make_unique<Inlet<Plain>>(life, engine, topic, role);
+    case Kind::Frame:
+      return std::make_unique<Inlet<Frame>>(life, engine, topic, role);
+    default:
+      return std::make_unique<Inlet<Seen>>(life, engine, topic, role);
+  }
+}
+
+Jobs make_jobs(Life& life, std::optional<ShmEngine>& engine) {
+  const Part part = part_of(life.slot);
+  Jobs jobs;
+  const auto read_some = [&](std::uint64_t n) {
+    for (; n > 0; --n) jobs.push_back(make_inlet(life, *engine, life.random.pick(kTopics)));
+  };
+  switch (part.role) {
+    case Role::Publish:
+      jobs.push_back(make_publisher(life, *engine, part.to));
+      if (life.random.chance(20)) read_some(1);
+      break;
+    case Role::Read:
+      read_some(1 + life.random.below(3));
+      break;
+    case Role::Sleep:
+      // Where a message that did not wake is still there at the end of the sleep.
+      jobs.push_back(make_inlet(
+          life, *engine,
+          std::array{kLossless, kMixed, kRefuse, kPoints, kSeen}[life.random.below(5)], part.role));
+      break;
+    case Role::Relay:
+      jobs.push_back(make_relay(life, *engine, part));
+      break;
+    case Role::Annotate:
+      jobs.push_back(std::make_unique<Annotator>(life, *engine, part.from, part.to));
+      break;
+    case Role::Juggle:
+      engine.reset();
+      jobs.push_back(std::make_unique<Juggler>(life, part.to));
+      break;
+  }
+  return jobs;
+}
+
+}  // namespace lot::chaos

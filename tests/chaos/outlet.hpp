@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <optional>
+#include <utility>
+
+#include "lot/lot.hpp"
+
+#include "life.hpp"
+#include "plan.hpp"
+
+namespace lot::chaos {
+
+/// A pusher that keeps its record on the board.
+template <class T>
+class Outlet {
+ public:
+  Outlet(Life& life, ShmEngine& engine, std::uint32_t topic)
+      : life_(life), topic_(topic), plan_(publishing(life.random, topic)) {
+    life_.doing(Doing::Advertising, topic);
+    incarnation_ = life_.new_incarnation(topic, plan_.depth, plan_.policy == Policy::Block);
+    Publishing real = plan_;
+    if (life_.has(Plant::Overrun) && real.depth > 1) {
+      real.policy = Policy::Overwrite;
+      --real.depth;  // as much history as under Block
+    }
+    pusher_.emplace(engine.advertise<T>(kTopic[topic].name, pusher_options(real)));
+    record().state.store(Incarnation::Live, std::memory_order_release);
+    life_.me.pushers[topic].fetch_add(1);
+    life_.count(Count::Advertised);
+  }
+  ~Outlet() {
+    life_.doing(Doing::Closing, topic_);
+    record().state.store(Incarnation::Closed, std::memory_order_release);
+    life_.me.pushers[topic_].fetch_sub(1);
+    pusher_.reset();
+  }
+  Outlet(const Outlet&) = delete;
+  Outlet& operator=(const Outlet&) = delete;
+
+  /// The place of the next message.
+  Place next() const { return {incarnation_, number_}; }
+  std::uint32_t topic() const { return topic_; }
+  const Publishing& plan() const { return plan_; }
+
+  /// A message without payload, or null when the segment is full.
+  ShmUniquePtr<T> loan() {
+    life_.doing(Doing::Loaning, topic_);
+    if (life_.random.chance(50)) return pusher_->try_loan();
+    try {
+      return pusher_->loan();
+    } catch (const OutOfMemory&) {
+      return nullptr;
+    }
+  }
+
+  /// Pushes a unique or a shared message that bears next().
+  template <class Pointer>
+  Status push(Pointer&& message) {
+    life_.doing(Doing::Pushing, topic_);
+    record().begun.store(number_ + 1, std::memory_order_release);
+    const Status status = push_now(std::forward<Pointer>(message));
+    if (status == Status::Ok) {
+      record().done.store(++number_, std::memory_order_release);
+      life_.count(Count::Published);
+    } else {
+      record().begun.store(number_, std::memory_order_release);
+      life_.count(Count::Refused);
+    }
+    return status;
+  }
+
+  // Mistakes.
+  void skip_number() {
+    record().begun.store(++number_);
+    record().done.store(number_);
+  }
+  void use_number_again() {
+    if (number_ != 0) --number_;
+  }
+
+ private:
+  Incarnation& record() { return life_.board.incarnations[incarnation_]; }
+  Status push_now(ShmUniquePtr<T>&& message) {
+    return plan_.refuses ? pusher_->try_push(std::move(message))
+                         : pusher_->push(std::move(message));
+  }
+  Status push_now(const ShmSharedPtr<const T>& message) {
+    return plan_.refuses ? pusher_->push(message, std::chrono::nanoseconds(0))
+                         : pusher_->push(message);
+  }
+
+  Life& life_;
+  std::uint32_t topic_;
+  Publishing plan_;
+  std::uint32_t incarnation_ = 0;
+  std::uint64_t number_ = 0;
+  std::optional<ShmPusher<T>> pusher_;
+};
+
+}  // namespace lot::chaos

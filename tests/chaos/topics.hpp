@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+namespace lot::chaos {
+
+/// What a topic carries (message.hpp).
+enum class Kind : std::uint8_t { Plain, Frame, Seen };
+
+/// What its publishers may do about slow readers; each of them chooses by itself.
+enum class Queueing : std::uint8_t { Overwrite, Block, Either };
+
+enum TopicId : std::uint32_t {
+  kCount,
+  kLossless,
+  kMixed,
+  kRefuse,
+  kCamera,
+  kPoints,
+  kTwin,
+  kSeen,
+  kCameraRelay,
+  kPointsRelay,
+  kSecondRelay,
+  kSeenRelay,
+  kTopics,
+  kFirstRelay = kCameraRelay
+};
+
+struct Topic {
+  const char* name;
+  Kind kind;
+  Queueing queueing;
+  std::array<std::uint32_t, 3> depths;  ///< one of them, by chance
+};
+
+inline constexpr std::array<Topic, kTopics> kTopic{{
+    {"/count", Kind::Plain, Queueing::Overwrite, {1, 5, 64}},
+    {"/lossless", Kind::Plain, Queueing::Block, {2, 7, 32}},
+    {"/mixed", Kind::Plain, Queueing::Either, {2, 3, 16}},
+    {"/refuse", Kind::Plain, Queueing::Block, {1, 1, 3}},
+    {"/camera", Kind::Frame, Queueing::Overwrite, {1, 3, 8}},
+    {"/points", Kind::Frame, Queueing::Block, {2, 3, 4}},
+    {"/twin", Kind::Frame, Queueing::Overwrite, {2, 2, 5}},
+    {"/seen", Kind::Seen, Queueing::Either, {2, 3, 9}},
+    {"/camera/relay", Kind::Frame, Queueing::Either, {2, 3, 5}},
+    {"/points/relay", Kind::Frame, Queueing::Block, {2, 4, 4}},
+    {"/camera/relay/relay", Kind::Frame, Queueing::Overwrite, {1, 3, 3}},
+    {"/seen/relay", Kind::Seen, Queueing::Overwrite, {2, 4, 4}},
+}};
+
+/// Topics on which messages of others are published again, each by one node.
+constexpr bool is_relayed(std::uint32_t topic) { return topic >= kFirstRelay; }
+
+}  // namespace lot::chaos

@@ -1,0 +1,166 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// One at a time acts for the orphanage, also when locks are lost in the middle of a reap: else
+// messages that a dead publisher left to its readers are freed under them.
+
+#include <algorithm>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <thread>
+#include <unistd.h>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "janitor.hpp"
+#include "lockfree_ring/words.hpp"
+#include "neighbour.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::Policy;
+using lot::transport::Participant;
+
+struct Number {
+  std::uint64_t value;
+};
+
+[[maybe_unused]] const bool has_janitor = start_janitor();
+
+// Deep and many, so that a reap takes its time.
+constexpr std::uint64_t kRings = 6;
+constexpr std::uint64_t kMessages = 8000;
+constexpr std::uint32_t kDepth = 8192;
+constexpr int kRounds = 8;
+
+std::string topic(std::uint64_t n) { return {'/', static_cast<char>('a' + n)}; }
+
+bool is_orphan(const lot::segment::ChannelEntry& channel) {
+  return lot::ring::writer_state(channel.writer.load()) == lot::ring::State::Orphan;
+}
+
+/// Messages in orphan rings that nobody holds: their memory may be used again at any time.
+std::size_t unheld_messages(lot::segment::Segment& s) {
+  std::size_t n = 0;
+  for (std::uint32_t c = 0; c < s.capacity().channels; ++c) {
+    if (!is_orphan(s.channels()[c])) continue;
+    const auto ring = s.ring(c);
+    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+      const auto b = lot::ring::block(ring.slots[i].load());
+      if (b == lot::ring::kNoBlock) continue;
+      bool held = false;
+      for (auto& word : s.block(static_cast<std::uint32_t>(b)).own) held |= word.load() != 0;
+      n += !held;
+    }
+  }
+  return n;
+}
+
+enum class Fault { LockFileRemoved, ClosedInAReap };
+
+/// A publisher and its reader, and somebody who collects all the time what nobody needs. The
+/// publisher is killed. Returns how many of its messages are then held by nobody.
+std::size_t kill_a_publisher(Fault fault) {
+  Ground options;
+  options.size_bytes = 256 << 20;
+  options.blocks = 60000;
+  Steps ready, joined, published, read, collecting, enough;
+  Child reader([&] {
+    lot::ShmEngine engine(named(options, "reader"));
+    std::vector<lot::ShmPuller<Number>> pullers;
+    must(ready.next() == '.', "the publisher");
+    for (std::uint64_t i = 0; i < kRings; ++i) {
+      pullers.push_back(engine.subscribe<Number>(topic(i)));
+    }
+    joined.tell();
+    must(read.next() == '.', "the order");
+    for (auto& puller : pullers) {
+      for (std::uint64_t n = 0; n < kMessages; ++n) {
+        const auto look = puller.try_borrow();
+        must(look && look->value == n && look.missed() == 0, "each message of the dead");
+      }
+    }
+  });
+  Child publisher([&] {
+    lot::ShmEngine engine(named(options, "publisher"));
+    std::vector<lot::ShmPusher<Number>> pushers;
+    for (std::uint64_t i = 0; i < kRings; ++i) {
+      pushers.push_back(engine.advertise<Number>(topic(i), {Policy::Overwrite, kDepth, 1s}));
+    }
+    ready.tell();
+    must(joined.next() == '.', "the reader");
+    for (auto& pusher : pushers) {
+      for (std::uint64_t n = 0; n < kMessages; ++n) pusher.push(pusher.loan(n));
+    }
+    published.tell();
+    pause();
+  });
+  REQUIRE(published.next() == '.');
+  lot::segment::Segment s(file_of(options));
+  if (fault == Fault::LockFileRemoved) std::filesystem::remove(file_of(options) + ".lock");
+  Child collector([&] {
+    const auto participant = Participant::join(named(options, "collector"));
+    collecting.tell();
+    while (enough.next(0ms) == '\0') participant->collect();
+  });
+  REQUIRE(collecting.next() == '.');
+  Child careless;
+  if (fault == Fault::ClosedInAReap) {
+    careless = Child([&] {
+      const int first = dup(2);
+      const auto participant = Participant::join(named(options, "careless"));
+      std::thread([&participant] {
+        for (;;) participant->reap_dead();
+      }).detach();
+      collecting.tell();
+      while (std::none_of(s.channels().begin(), s.channels().end(), is_orphan)) {
+      }
+      closefrom(first);
+      pause();
+    });
+    REQUIRE(collecting.next() == '.');
+  }
+  publisher.kill9();
+  CHECK(eventually([&] { return index_of(s, "publisher") == 0; }));
+  std::this_thread::sleep_for(30ms);  // a collection that had begun before is over
+  const std::size_t unheld = unheld_messages(s);
+  if (unheld == 0) {
+    read.tell();
+    CHECK(reader.wait() == 0);
+  }
+  enough.tell();
+  CHECK(collector.wait() == 0);
+  return unheld;
+}
+
+/// It is a race: nothing may happen in any of the rounds.
+void check_rounds(Fault fault) {
+  for (int round = 0; round < kRounds; ++round) {
+    CAPTURE(round);
+    const std::size_t unheld = kill_a_publisher(fault);
+    CHECK(unheld == 0);
+    if (unheld != 0) break;
+  }
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("orphanage");
+
+TEST_CASE("the lock file removed: old and new processes do not act for the orphanage at once" *
+          doctest::should_fail("byte lock 0 of two lock files excludes nobody")) {
+  const Watchdog watchdog(60);
+  check_rounds(Fault::LockFileRemoved);
+}
+
+TEST_CASE("closefrom() in the middle of a reap: nobody else acts for the orphanage meanwhile" *
+          doctest::should_fail("byte lock 0 goes with the descriptor, and the reap goes on")) {
+  const Watchdog watchdog(60);
+  check_rounds(Fault::ClosedInAReap);
+}
+
+TEST_SUITE_END();

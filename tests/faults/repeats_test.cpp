@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Words of which only a part is compared look the same again after a while: a reader's futex after
+// 4096 messages, a hold word's tag after 8192. Who was held up for exactly so long must not be
+// taken in.
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <thread>
+#include <unistd.h>
+#include <utility>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "futex/futex.hpp"
+#include "janitor.hpp"
+#include "lockfree_ring/words.hpp"
+#include "neighbour.hpp"
+#include "refcount/ownership.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::Policy;
+using lot::Wait;
+
+struct Number {
+  std::uint64_t value;
+};
+
+[[maybe_unused]] const bool has_janitor = start_janitor();
+
+thread_local bool held_up = false;  ///< before this thread's next sleep
+std::atomic<bool> arrived{false};
+std::atomic<bool> released{false};
+
+}  // namespace
+
+// The linker (--wrap) sends the callers of futex::wait_any() to the second of these.
+bool really_wait(const lot::futex::Wait*, unsigned, const lot::futex::Deadline&) asm(
+    "__real__ZN3lot5futex8wait_anyEPKNS0_4WaitEjRKSt8optionalINSt6chrono10time_pointINS5_3_"
+    "V212steady_clockENS5_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+bool wait_held_up(const lot::futex::Wait*, unsigned, const lot::futex::Deadline&) asm(
+    "__wrap__ZN3lot5futex8wait_anyEPKNS0_4WaitEjRKSt8optionalINSt6chrono10time_pointINS5_3_"
+    "V212steady_clockENS5_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+
+bool wait_held_up(const lot::futex::Wait* waits, unsigned count,
+                  const lot::futex::Deadline& deadline) {
+  if (held_up) {
+    held_up = false;
+    arrived = true;
+    while (!released) usleep(100);
+  }
+  return really_wait(waits, count, deadline);
+}
+
+TEST_SUITE_BEGIN("repeats");
+
+TEST_CASE("a reader that is held up before it sleeps does not sleep over 4096 messages" *
+          doctest::should_fail("the futex is 12 bits of the sequence, the block and the mark")) {
+  const Watchdog watchdog(60);
+  const Ground options;
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Number>("/t", {Policy::Overwrite, 1, 1s});
+  const lot::ShmSharedPtr<Number> message = engine.make<Number>();  // the same block each time
+  arrived = released = false;
+  std::atomic<pid_t> slow_thread{0}, quick_thread{0};
+  std::atomic<int> slow_got{0}, quick_got{0};
+  std::thread slow([&] {
+    auto puller = engine.subscribe<Number>("/t", {Wait::Park, 0});
+    slow_thread = gettid();
+    while (slow_got < 2 && puller.pull()) {
+      held_up = ++slow_got == 1;
+    }
+  });
+  std::thread quick([&] {
+    auto puller = engine.subscribe<Number>("/t", {Wait::Park, 0});
+    quick_thread = gettid();
+    while (quick_got < 4098 && puller.pull()) quick_got += 1 + static_cast<int>(puller.missed());
+  });
+  CHECK(eventually([&] { return pusher.readers() == 2; }));
+  pusher.push(message);
+  CHECK(eventually([&] { return arrived.load(); }));  // its mark stands
+  for (int n = 0; n < 4096; ++n) pusher.push(message);
+  CHECK(eventually([&] { return quick_got == 4097 && asleep(getpid(), quick_thread); }));
+  released = true;
+  CHECK(eventually([&] { return slow_got == 2; }, 3s));  // there is a message that it has not read
+  pusher.push(message);
+  slow.join();
+  quick.join();
+}
+
+namespace {
+
+/// An atomic that lets something happen between one load and what follows it.
+template <class T>
+struct Interrupted : std::atomic<T> {
+  T load(std::memory_order order) const {
+    const T value = std::atomic<T>::load(order);
+    if (meanwhile) std::exchange(meanwhile, nullptr)();
+    return value;
+  }
+  mutable std::function<void()> meanwhile;
+};
+
+struct InterruptedAtomics : lot::detail::HardwareAtomics {
+  template <class T>
+  using Atomic = Interrupted<T>;
+};
+
+}  // namespace
+
+TEST_CASE("a weak lock that is held up while its block lives through 8192 messages fails" *
+          doctest::should_fail("the tag in the hold word is 13 bits of the generation")) {
+  namespace hold = lot::refcount::hold;
+  lot::refcount::BlockWords<InterruptedAtomics> block{};
+  Interrupted<std::uint64_t> word{};
+  lot::refcount::Ownership<InterruptedAtomics> home;
+  home.self = 5;
+  REQUIRE(home.claim(block, word));
+  const std::uint32_t generation =
+      lot::refcount::generation_of(block.life.load(std::memory_order_relaxed));
+  block.life.meanwhile = [&] {  // another thread of the home process
+    for (int n = 0; n < 8192; ++n) {
+      REQUIRE(home.release(block, word, hold::kPointer));
+      REQUIRE(home.reclaim(block, word, 0));
+    }
+  };
+  CHECK(!home.acquire_weak(block, word, generation));
+  CHECK(hold::pointers(word.load(std::memory_order_relaxed)) ==
+        1);  // the new message is exclusively its maker's
+}
+
+TEST_SUITE_END();

@@ -1,0 +1,309 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Processes that are stopped (SIGSTOP) for longer than all their deadlines, and continued.
+
+#include <atomic>
+#include <csignal>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <sys/wait.h>
+#include <thread>
+#include <unistd.h>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "janitor.hpp"
+#include "liveness/lock_file.hpp"
+#include "neighbour.hpp"
+#include "registry/registry.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::Policy;
+using lot::Status;
+using lot::Wait;
+
+struct Number {
+  std::uint64_t value;
+};
+struct Frame {
+  std::uint64_t number;
+  lot::ShmVector<std::uint64_t> data;
+};
+
+[[maybe_unused]] const bool has_janitor = start_janitor();
+
+/// Long enough to be stopped in, on a machine that has much else to do.
+constexpr auto kDeadline = 2s;
+
+/// Stops a process, and waits until it stands.
+void stop(const Child& child) {
+  child.send(SIGSTOP);
+  int status = 0;
+  REQUIRE(waitpid(child.pid(), &status, WUNTRACED) == child.pid());
+  REQUIRE(WIFSTOPPED(status));
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("stopped");
+
+TEST_CASE("a reader that is stopped past its deadline gets the message that came, or Timeout") {
+  const Watchdog watchdog(60);
+  const Ground options;
+  Neighbour neighbour(options);
+  Steps ready, all_stopped, done;
+  Child writer([&] {
+    lot::ShmEngine engine(named(options, "writer"));
+    auto pusher = engine.advertise<Number>("/message");
+    auto silent = engine.advertise<Number>("/silence");
+    ready.tell();
+    must(all_stopped.next() == '.', "the readers are stopped");
+    for (std::uint64_t n = 0; n < 3; ++n) pusher.push(pusher.loan(n));
+    must(done.next() == '.', "the end");
+  });
+  REQUIRE(ready.next() == '.');
+  std::vector<Child> readers;
+  for (const bool message : {true, false}) {
+    for (const auto wait : {Wait::Spin, Wait::Adaptive, Wait::Park}) {
+      readers.emplace_back([&, message, wait] {
+        lot::ShmEngine engine(named(options, "reader"));
+        auto puller = engine.subscribe<Number>(message ? "/message" : "/silence", {wait, 0});
+        ready.tell();
+        const auto seen = puller.pull(kDeadline);
+        must(bool(seen) == message, "the message, or none");
+        must(puller.status() == (message ? Status::Ok : Status::Timeout), "the status");
+        must(!message || seen->value == 0, "the oldest of them");
+        must(done.next() == '.', "the end");
+      });
+      REQUIRE(ready.next() == '.');
+      stop(readers.back());
+    }
+  }
+  lot::segment::Segment s(file_of(options));
+  const auto before = taken(s);
+  CHECK(before.size() == readers.size() + 2);
+  all_stopped.tell();
+  std::this_thread::sleep_for(kDeadline + 100ms);
+  CHECK(taken(s) == before);
+  for (const auto& r : readers) r.send(SIGCONT);
+  for (std::size_t i = 0; i < readers.size() + 1; ++i) done.tell();
+  for (auto& r : readers) CHECK(r.wait() == 0);
+  CHECK(writer.wait() == 0);
+  CHECK(neighbour.leave() == 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a publisher that is stopped past its deadline says Full, or Ok when there is room") {
+  const Watchdog watchdog(60);
+  const Ground options;
+  Neighbour neighbour(options);
+  Steps joined, pushing, done;
+  Steps with_room, without_room;
+  std::vector<Child> writers;
+  for (const bool room : {true, false}) {
+    writers.emplace_back([&, room] {
+      lot::ShmEngine engine(named(options, "writer"));
+      auto pusher =
+          engine.advertise<Number>(room ? "/room" : "/full", {Policy::Block, 2, kDeadline});
+      joined.tell();
+      must(pusher.wait_for_readers(1, 10s), "the reader");
+      for (std::uint64_t n = 0; n < 2; ++n) pusher.push(pusher.loan(n));
+      auto third = pusher.loan(std::uint64_t{2});
+      pushing.tell();
+      const Status status = pusher.push(std::move(third));
+      must(status == (room ? Status::Ok : Status::Full), "the status");
+      must(bool(third) != room, "what was not pushed stays with the caller");
+      (room ? with_room : without_room).tell();
+      must(done.next() == '.', "the end");
+    });
+    REQUIRE(joined.next() == '.');
+  }
+  {
+    lot::ShmEngine engine(options);
+    auto room = engine.subscribe<Number>("/room");
+    auto full = engine.subscribe<Number>("/full");
+    for (std::size_t i = 0; i < writers.size(); ++i) REQUIRE(pushing.next() == '.');
+    usleep(20000);
+    for (const auto& w : writers) stop(w);
+    lot::segment::Segment s(engine.path());
+    const auto before = taken(s);
+    CHECK(before.size() == 4);
+    CHECK(room.pull(1s)->value == 0);
+    std::this_thread::sleep_for(kDeadline + 100ms);
+    CHECK(taken(s) == before);
+    for (const auto& w : writers) w.send(SIGCONT);
+    CHECK(with_room.next() == '.');
+    CHECK(without_room.next() == '.');
+    for (const std::uint64_t n : {1U, 2U}) CHECK(room.pull(1s)->value == n);
+    for (const std::uint64_t n : {0U, 1U}) CHECK(full.pull(1s)->value == n);
+    CHECK(full.try_pull() == nullptr);
+    for (std::size_t i = 0; i < writers.size(); ++i) done.tell();
+    for (auto& w : writers) CHECK(w.wait() == 0);
+  }
+  CHECK(neighbour.leave() == 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a stopped reader that borrows: Block is held back, Overwrite goes on, the bytes stay") {
+  const Watchdog watchdog(60);
+  const Ground options;
+  Neighbour neighbour(options);
+  {
+    lot::ShmEngine engine(options);
+    auto block = engine.advertise<Number>("/block", {Policy::Block, 2, 100ms});
+    auto overwrite = engine.advertise<Number>("/overwrite", {Policy::Overwrite, 2, 100ms});
+    Steps borrowing, done;
+    Child reader([&] {
+      lot::ShmEngine own(named(options, "reader"));
+      auto blocked = own.subscribe<Number>("/block");
+      auto overwritten = own.subscribe<Number>("/overwrite");
+      borrowing.tell();
+      auto one = blocked.borrow(10s);
+      auto two = overwritten.borrow(10s);
+      borrowing.tell();
+      must(done.next() == '.', "the order");
+      must(one && one->value == 0 && two && two->value == 0, "the bytes are as they were");
+      one.end();
+      two.end();
+      must(blocked.pull(10s)->value == 1 && blocked.missed() == 0, "the next");
+      must(overwritten.pull(10s)->value == 99 && overwritten.missed() == 98, "what was missed");
+      borrowing.tell();
+      must(done.next() == '.', "the end");
+    });
+    REQUIRE(borrowing.next() == '.');
+    block.push(block.loan(std::uint64_t{0}));
+    overwrite.push(overwrite.loan(std::uint64_t{0}));
+    REQUIRE(borrowing.next() == '.');
+    stop(reader);
+    lot::segment::Segment s(engine.path());
+    CHECK(block.push(block.loan(std::uint64_t{1})) == Status::Ok);
+    CHECK(block.push(block.loan(std::uint64_t{2})) == Status::Full);
+    for (std::uint64_t n = 1; n <= 100; ++n) {
+      CHECK(overwrite.push(overwrite.loan(n)) == Status::Ok);
+    }
+    CHECK(index_of(s, "reader") != 0);
+    reader.send(SIGCONT);
+    done.tell();
+    CHECK(borrowing.next() == '.');
+    CHECK(block.push(block.loan(std::uint64_t{2})) == Status::Ok);
+    done.tell();
+    CHECK(reader.wait() == 0);
+  }
+  CHECK(neighbour.leave() == 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a process stopped inside a lock of slow paths: others get errors that say so, no hang") {
+  const Watchdog watchdog(60);
+  const Ground registry_kept, gate_kept;
+  Steps inside, done;
+  const auto refusal = [](auto&& use) -> std::string {
+    try {
+      use();
+    } catch (const lot::Error& e) {
+      return e.error_number() == EBUSY ? e.what() : "";
+    }
+    return "";
+  };
+  const auto names_the_stopped = [](const std::string& text) {
+    return text.find("stopped process") != std::string::npos;
+  };
+  // One keeps the registry of the first segment, one the gate of the second.
+  Child in_registry([&] {
+    lot::ShmEngine engine(registry_kept);
+    lot::segment::Segment s(engine.path());
+    lot::registry::Registry registry(s);
+    {
+      const lot::registry::Registry::Lock lock(registry);
+      inside.tell();
+      must(done.next() == '.', "continued");
+    }
+  });
+  REQUIRE(inside.next() == '.');
+  stop(in_registry);
+  Child waits_for_registry([&] {
+    lot::ShmEngine engine(registry_kept);
+    must(names_the_stopped(refusal([&] { engine.advertise<Number>("/t"); })), "advertise");
+    inside.tell();
+    must(done.next() == '.', "continued");
+    engine.advertise<Number>("/t");
+  });
+
+  Steps joined, leave;
+  Child leaves([&] {
+    const lot::ShmEngine engine(named(gate_kept, "leaves"));
+    joined.tell();
+    must(leave.next() == '.', "the order");
+  });
+  REQUIRE(joined.next() == '.');
+  Steps in_gate;
+  Child keeps_gate([&] {
+    lot::liveness::LockFile file(file_of(gate_kept) + ".lock", 0600);
+    must(file.enter_gate(5s), "the gate");
+    in_gate.tell();
+    pause();
+  });
+  REQUIRE(in_gate.next() == '.');
+  stop(keeps_gate);
+  leave.tell();
+  CHECK(names_the_stopped(refusal([&] { const lot::ShmEngine engine(gate_kept); })));
+  CHECK(leaves.wait() == 0);
+  lot::segment::Segment s(file_of(gate_kept));
+  CHECK(index_of(s, "leaves") == 0);  // it has given up everything but the files
+  CHECK(files_of(gate_kept) == 2);
+  keeps_gate.kill9();
+  { const lot::ShmEngine engine(gate_kept); }  // the next one takes them along
+  CHECK(files_of(gate_kept) == 0);
+
+  CHECK(inside.next() == '.');
+  in_registry.send(SIGCONT);
+  for (int i = 0; i < 2; ++i) done.tell();
+  CHECK(in_registry.wait() == 0);
+  CHECK(waits_for_registry.wait() == 0);
+  CHECK(files_of(registry_kept) == 0);
+}
+
+TEST_CASE("while one thread waits for the gate of a segment, another grows messages in its own" *
+          doctest::should_fail("join() keeps the process's list locked while it waits")) {
+  const Watchdog watchdog(60);
+  const Ground ours, stuck;
+  Steps in_gate, result, done;
+  Child keeps_gate([&] {
+    lot::liveness::LockFile file(file_of(stuck) + ".lock", 0600);
+    must(file.enter_gate(5s), "the gate");
+    in_gate.tell();
+    must(done.next() == '.', "the end");
+    file.leave_gate();
+  });
+  REQUIRE(in_gate.next() == '.');
+  stop(keeps_gate);
+  Child node([&] {
+    lot::ShmEngine engine(ours);
+    auto pusher = engine.advertise<Frame>("/t");
+    std::thread joiner([&] { const lot::ShmEngine other(stuck); });
+    std::this_thread::sleep_for(50ms);  // it waits
+    std::atomic<bool> grown{false};
+    std::thread grower([&] {
+      auto frame = pusher.loan();
+      frame->data.resize(1 << 17);
+      grown = pusher.push(std::move(frame)) == Status::Ok;
+    });
+    result.tell(eventually([&] { return grown.load(); }, 1s) ? '.' : '!');
+    grower.join();
+    joiner.join();
+  });
+  CHECK(result.next() == '.');
+  keeps_gate.send(SIGCONT);
+  done.tell();
+  CHECK(keeps_gate.wait() == 0);
+  CHECK(node.wait() == 0);
+  CHECK(files_of(ours) + files_of(stuck) == 0);
+}
+
+TEST_SUITE_END();

@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "subscription.hpp"
+
+namespace lot::model {
+
+void Subscription::join(Process& process) {
+  process_ = &process;
+  while (!process.lock_rings()) Policy::pause();
+  find_rings();
+  process.unlock_rings();
+}
+
+void Subscription::find_rings() {
+  const std::uint32_t version = process_->segment().version.load(std::memory_order_acquire);
+  for (std::uint32_t c = 0; c < process_->channels(); ++c) {
+    const Word writer = process_->channel_writer(c).load(std::memory_order_seq_cst);
+    const std::uint32_t generation = ring::writer_generation(writer);
+    if (ring::writer_state(writer) != ring::State::Live ||
+        std::any_of(sources_.begin(), sources_.end(), [&](const Source& s) {
+          return s.channel == c && s.generation == generation;
+        })) {
+      continue;
+    }
+    bool full = false;
+    auto reader = ring::Reader<Policy>::join(process_->ring(c), generation, process_->index(),
+                                             ring::Reader<Policy>::kFromTheStart, full);
+    RL_ASSERT(!full);
+    if (!reader) continue;
+    process_->move_in(c, reader->cell());
+    sources_.push_back({c, generation, *reader});
+  }
+  version_ = version;
+}
+
+bool Subscription::receive() {
+  if (process_->segment().version.load(std::memory_order_acquire) != version_ &&
+      process_->lock_rings()) {
+    find_rings();
+    process_->unlock_rings();
+  }
+  for (Source& source : sources_) {
+    std::uint64_t missed = 0;
+    const Word b = source.reader.poll(missed);
+    if (b == kNoBlock) continue;
+    const std::int64_t number = ring::distance(source.reader.cursor(), Segment::kFirst);
+    RL_ASSERT(process_->read(b) == static_cast<std::uint64_t>(number));
+    source.reader.done();
+    ++received_;
+    return true;
+  }
+  return false;
+}
+
+void Subscription::await_change() {
+  const bool nothing = ring::settle(
+      sources_, [](ring::Reader<Policy>&) {},
+      [this](ring::Reader<Policy>& reader) {
+        leave(reader);
+        process_->collect();
+      });
+  if (nothing) sleep_on(sources_, process_->segment(), version_);
+}
+
+void Subscription::leave(ring::Reader<Policy>& reader) {
+  for (std::uint32_t c = 0; c < process_->channels(); ++c) {
+    if (reader.ring().writer == &process_->channel_writer(c)) process_->move_out(c, reader.cell());
+  }
+  reader.leave();
+  reader.ring().space->wake_all();
+}
+
+}  // namespace lot::model

@@ -1,0 +1,140 @@
+"""Mistakes in the steps of recovery, sleep and death, each planted in a copy of the headers."""
+
+import dataclasses
+import pathlib
+import shutil
+import subprocess
+import tempfile
+
+RECOVERY = 'src/recovery/recovery.hpp'
+OWNERSHIP = 'src/refcount/ownership.hpp'
+SLEEP = 'src/lockfree_ring/sleep.hpp'
+
+
+@dataclasses.dataclass(frozen=True)
+class Planted:
+    name: str
+    file: str
+    unit: str     # the scenarios that are to notice: tests/model/UNIT_model.cpp
+    pairs: tuple  # (text, text instead), each found exactly once
+
+
+MISTAKES = (
+    Planted('a conditional wake in the reaper', RECOVERY, 'crash', ((
+        '''    r.clear_sleepers();
+    for (std::uint32_t i = 0; i < r.depth; ++i) world_.wake(r.slots[i]);''',
+        '''    for (std::uint32_t i = 0; i < r.depth; ++i) {
+      const ring::Word old = r.slots[i].fetch_and(~ring::kSleeper, std::memory_order_release);
+      if ((old & ring::kSleeper) != 0) world_.wake(r.slots[i]);
+    }'''),)),
+    Planted('the ring loses its name before the work', RECOVERY, 'crash', ((
+        'ring::State::Orphan, k),', 'ring::State::Orphan, refcount::kOrphanage),'),)),
+    Planted('the participant loses its name before the work', RECOVERY, 'crash', ((
+        '    wake_whom_it_announced_to(k);\n    for',
+        '    world_.part(k).store(0, std::memory_order_relaxed);\n'
+        '    wake_whom_it_announced_to(k);\n    for'),)),
+    Planted('a half-done ring is taken for done', RECOVERY, 'crash', ((
+        'if (ring::writer_owner(w) != k || ring::writer_state(w) == ring::State::Free) return;',
+        'if (ring::writer_owner(w) != k || ring::writer_state(w) == ring::State::Free ||\n'
+        '        ring::writer_state(w) == ring::State::Orphan) return;'),)),
+    Planted('an unfinished ring is left as an orphan', RECOVERY, 'crash', ((
+        '    if (ring::writer_state(w) == ring::State::Init) {', '    if (false) {'),)),
+    Planted('a cell loses its name before its cursor', RECOVERY, 'crash', ((
+        '      r.cells[i].position.store(ring::kIdle, std::memory_order_release);  // R3\n',
+        '      r.who[i].store(0, std::memory_order_release);\n'
+        '      r.cells[i].position.store(ring::kIdle, std::memory_order_release);  // R3\n'),)),
+    Planted('a dead reader does not make the sender look', RECOVERY, 'crash', ((
+        '      r.space->fetch_add(2, std::memory_order_release);                   // R6\n', ''),)),
+    Planted('the sender is not woken for a dead reader', RECOVERY, 'crash', ((
+        '      world_.wake(*r.space);\n', ''),)),
+    Planted('marks of a dead reader stay', RECOVERY, 'sleep', ((
+        '      wake_readers(r);  // it may have left a mark, or taken one and not woken (lie_down)\n',
+        ''),)),
+    Planted('whom a dead publisher announced itself to sleeps on', RECOVERY, 'sleep', ((
+        '    wake_whom_it_announced_to(k);\n    for', '    for'),)),
+    Planted('no look at the readers\' places when adopting', RECOVERY, 'orphan', ((
+        '      if (position != ring::kIdle) adopt(ring::block(position));\n', ''),)),
+    Planted('references are not adopted', RECOVERY, 'orphan', ((
+        '    adopt_references(k);\n    // All', '    // All'),)),
+    Planted('own bits are cleared before the orphanage adopts', RECOVERY, 'orphan', (
+        ('    for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);\n', ''),
+        ('    wake_whom_it_announced_to(k);\n    for',
+         '    for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);\n'
+         '    wake_whom_it_announced_to(k);\n    for'))),
+    Planted('holds go while a home still has the dead one\'s name', RECOVERY, 'orphan', ((
+        '++b) move_home(b, k);\n    for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);',
+        '++b) {\n      let_go(b, k);\n      move_home(b, k);\n    }'),)),
+    Planted('adopting does not bump the version', OWNERSHIP, 'orphan', ((
+        '    b.life.fetch_add(kVersion, std::memory_order_release);  // O2: adopting is a hand-over too\n',
+        ''),)),
+    Planted('a counter for the orphanage\'s bit', OWNERSHIP, 'crash', ((
+        'b.own[0].fetch_or(1, std::memory_order_relaxed);',
+        'b.own[0].fetch_add(1, std::memory_order_relaxed);'),)),
+    Planted('a block is free before its memory', RECOVERY, 'orphan', (
+        ('    world_.release_extents(dead);\n', ''),
+        ('    if (!released) return false;\n',
+         '    world_.release_extents(dead);\n    if (!released) return false;\n'))),
+    Planted('a reap does not collect', RECOVERY, 'crash', ((
+        '    collect();\n    return true;\n', '    return true;\n'),)),
+    Planted('what is still borrowed is not needed', RECOVERY, 'orphan', ((
+        '        if (position != ring::kIdle) need(ring::block(position));\n', ''),)),
+    Planted('what orphans refer to is not needed', RECOVERY, 'orphan', ((
+        '        world_.each_reference(b, need);\n', ''),)),
+    Planted('rings are recycled without the lock', RECOVERY, 'crash', (
+        ('    if (!world_.lock_rings()) return false;\n', ''),
+        ('    world_.unlock_rings();\n', ''))),
+    Planted('re-check: deserted, under the lock', RECOVERY, 'crash', ((
+        '      if (!is_deserted_orphan(c)) continue;\n', '''      const auto state = ring::writer_state(
+          world_.channel_writer(c).load(std::memory_order_relaxed));
+      if (state != ring::State::Orphan) continue;
+'''),)),
+    Planted('re-check: room, after the mark', SLEEP, 'ring', ((
+        '  if (writer.room()) return std::nullopt;', '  if (false) return std::nullopt;'),)),
+    Planted('re-check: the end, after the mark', SLEEP, 'sleep', ((
+        '  for (auto& source : sources) ended |= source.reader.orphaned();\n', ''),)),
+    Planted('a mark that came too late stays', SLEEP, 'sleep', ((
+        '  if (ended || now != version) {\n', '  if (false) {\n'),)),
+    Planted('re-check: at home, before a reclaim', OWNERSHIP, 'ownership', ((
+        '      if ((v & hold::kHome) == 0) return false;\n', ''),)),
+    Planted('re-check: the version, at the death', OWNERSHIP, 'ownership', ((
+        '''    return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
+                                          std::memory_order_relaxed);''',
+        '''    life = b.life.load(std::memory_order_relaxed);
+    return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
+                                          std::memory_order_relaxed);'''),)),
+)
+
+
+class Builds:
+    """Builds the model against copies of the headers; each is gone when it has been tried out."""
+
+    COPIED = ('lockfree_ring', 'refcount', 'recovery')
+
+    def __init__(self, root, compiler, relacy):
+        self.root = root
+        self.compiler = compiler
+        self.relacy = relacy
+
+    def try_out(self, mutant, hint, try_model):
+        with tempfile.TemporaryDirectory(prefix='lot_mutant_') as scratch:
+            source = pathlib.Path(scratch) / 'src'
+            for room in self.COPIED:
+                shutil.copytree(self.root / 'src' / room, source / room)
+            file = pathlib.Path(scratch) / mutant.file
+            text = file.read_text()
+            for old, new in mutant.pairs:
+                if text.count(old) != 1:
+                    raise ValueError(f'{mutant.name}: not once in {mutant.file}: {old.strip()}')
+                text = text.replace(old, new)
+            file.write_text(text)
+            return try_model(self.build(mutant, source), [], hint)
+
+    def build(self, mutant, source):
+        model = self.root / 'tests' / 'model'
+        program = source.parent / 'model'
+        units = ('main', 'plant', 'world', 'subscription', mutant.unit + '_model')
+        subprocess.run(
+            [self.compiler, '-std=c++20', '-O1', '-w', '-I', source, '-I', self.root / 'src', '-I',
+             self.root / 'include', '-isystem', self.relacy,
+             *(model / f'{unit}.cpp' for unit in units), '-o', program], check=True, timeout=1800)
+        return program
