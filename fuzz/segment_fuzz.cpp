@@ -170,7 +170,9 @@ class Base {
     must(done.next() != 0, "all is read");
     for (Child* child : {&reader, &publisher, &closer}) child->kill9();
     std::ifstream file(path(), std::ios::binary);
-    bytes_.assign(std::istreambuf_iterator<char>(file), {});
+    bytes_.resize(options_.size_bytes);
+    file.read(reinterpret_cast<char*>(bytes_.data()), static_cast<std::streamsize>(bytes_.size()));
+    must(file.good(), "what is left is read");
     remove();
     for (std::size_t at = 0; at < bytes_.size(); at += kPage) {
       const auto* page = bytes_.data() + at;

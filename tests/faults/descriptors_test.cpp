@@ -2,6 +2,7 @@
 
 // An application closes descriptors that are not its own, and uses their numbers for its own files.
 
+#include <algorithm>
 #include <cstdint>
 #include <cstdlib>
 #include <filesystem>
@@ -22,6 +23,7 @@
 #include "janitor.hpp"
 #include "liveness/lock_file.hpp"
 #include "lock_spy.hpp"
+#include "lockfree_ring/words.hpp"
 #include "neighbour.hpp"
 
 namespace {
@@ -505,6 +507,46 @@ TEST_CASE(
   });
   CHECK(careless.wait() == 0);
   std::filesystem::remove(file_of(options));
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("closefrom() in the middle of a reap: what has the number then is not unlocked" *
+          doctest::should_fail("a reap ends by unlocking whatever has the number now")) {
+  const Watchdog watchdog(60);
+  const Ground options;
+  Steps joined, dead, done;
+  Child careless([&] {
+    OwnFiles own;
+    std::optional<lot::ShmEngine> engine(named(options, "careless"));
+    lot::segment::Segment s(engine->path());
+    const int lock = lock_descriptor(options);
+    joined.tell();
+    must(dead.next() == '.', "the publisher is there");
+    const auto is_orphan = [](auto& channel) {
+      return lot::ring::writer_state(channel.writer.load()) == lot::ring::State::Orphan;
+    };
+    while (std::none_of(s.channels().begin(), s.channels().end(), is_orphan)) {
+    }
+    close(lock);
+    own.take(lock);
+    must(eventually([&] { return index_of(s, "publisher") == 0; }), "it is reaped");
+    engine.reset();
+    must(own.untouched(), "what is the application's was not touched");
+  });
+  REQUIRE(joined.next() == '.');
+  Child publisher([&] {
+    lot::ShmEngine engine(named(options, "publisher"));
+    std::list<lot::ShmPusher<Number>> pushers;  // so deep that the reap takes its time
+    for (int i = 0; i < 8; ++i) {
+      pushers.push_back(engine.advertise<Number>("/t", {Policy::Overwrite, 65536, 1s}));
+    }
+    joined.tell();
+    pause();
+  });
+  REQUIRE(joined.next() == '.');
+  dead.tell();
+  publisher.kill9();
+  CHECK(careless.wait() == 0);
   CHECK(files_of(options) == 0);
 }
 

@@ -210,6 +210,50 @@ TEST_CASE("the lock file removed: newcomers join the same segment, and nobody is
   }
 }
 
+TEST_CASE("the lock file removed and another size asked for: a new segment, those inside go on") {
+  const Watchdog watchdog(60);
+  const Ground options;
+  Insiders inside(options);
+  remove_lock_file(options);
+  lot::EngineOptions bigger = options;
+  bigger.size_bytes *= 2;
+  Newcomers outside(bigger);
+  CHECK(outside.c.knows_nothing_of(inside.a));
+  let_wardens_look();
+  inside.check();
+  inside.leave();
+  CHECK(files_of(options) == 2);
+  outside.leave();
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("both files removed: another engine of a process inside joins those inside") {
+  const Watchdog watchdog(60);
+  const Ground options;
+  Steps joined, removed, done;
+  Child inside([&] {
+    lot::ShmEngine first(options);
+    joined.tell();
+    must(removed.next() == '.', "the order");
+    lot::ShmEngine second(options);
+    must(files_of(options) == 0, "no new segment");
+    auto pusher = second.advertise<Number>("/t");
+    auto puller = first.subscribe<Number>("/t");
+    pusher.push(pusher.loan(std::uint64_t{7}));
+    must(puller.pull(10s)->value == 7, "they are one participant");
+    joined.tell();
+    must(done.next() == '.', "the end");
+  });
+  REQUIRE(joined.next() == '.');
+  remove_both(options);
+  removed.tell();
+  REQUIRE(joined.next() == '.');
+  CHECK(Refusal(options).number == 0);  // others get a new one
+  done.tell();
+  CHECK(inside.wait() == 0);
+  CHECK(files_of(options) == 0);
+}
+
 TEST_CASE(
     "the lock file removed and nobody comes: the segment stays, and the next one removes it") {
   const Watchdog watchdog(60);

@@ -77,8 +77,8 @@ def receiver(text, dot):
                     break
         elif c.isalnum() or c in '_.' or text[i - 2:i] in ('->', '::'):
             i -= 2 if text[i - 2:i] in ('->', '::') else 1
-        elif c.isspace() and text[i:i + 1] in '.-':  # the expression goes on in the next line
-            i -= 1
+        elif c.isspace() and text[i] in '.-':  # the expression goes on in the next line
+            i = len(text[:i].rstrip())
         else:
             break
     return i
@@ -171,8 +171,8 @@ EXPECTED = [
     ('poll word(b,self).fetch_or#1', ('release',), (8, 9)),
     ('poll ring.who[c].compare_exchange_strong#1', ('seq_cst', 'relaxed'), (9, 10)),
     ('poll world_.part(k).load#1', ('seq_cst',), (11, 14)),
-    ('poll a.exchange#1', ('acq_rel',), (13, 48)),
-    ('poll b.load#1', ('relaxed',), (13, 59)),
+    ('poll a.exchange#1', ('acq_rel',), (13, 52)),
+    ('poll b.load#1', ('relaxed',), (13, 63)),
     ('poll slots[0].load#1', ('acquire',), (16, 12)),
     ('poll slots[0].load#2', ('relaxed',), (16, 56)),
 ]

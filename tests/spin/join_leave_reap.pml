@@ -20,7 +20,6 @@
  * bug full_table -DNEWCOMER_COMES -DMORTALS=2 -DFULL_TABLE : a dead one's index is refused while somebody holds lock 0
  *
  * plant NO_WITNESS lost_lock : a free byte alone counts as death
- * plant LEAVES_BEFORE_REAPED lost_lock : a leaver gives its locks back before it has tidied up
  * plant TAKEN_WITHOUT_REAP restart : the new owner of an index does not repair what the dead one left
  * plant INIT_IS_A_RING restart : what was never finished is taken for a ring
  * plant NO_REGISTRY_LOCK readers : the recycler does not keep joiners away
@@ -393,17 +392,11 @@ inline take_index() {
 inline leave() {
   acquire(gate, me); /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->enter_gate(kGatePatience) */
   occupant[k] = NONE;
-#ifdef LEAVES_BEFORE_REAPED
-  lock[k] = NONE;
-  witness[k] = NONE;
-#endif
   acquire(lock[0], me); /* @ src/transport/participant_liveness.cpp warden: lock_file_->try_lock(refcount::kOrphanage) */
   reap(k); /* @ src/transport/participant_liveness.cpp warden: Recovery(*this).reap(index()) */
   lock[0] = NONE; /* @ src/transport/participant_liveness.cpp warden: lock_file_->unlock(refcount::kOrphanage) */
-#ifndef LEAVES_BEFORE_REAPED
   witness[k] = NONE; /* @ src/transport/participant_liveness.cpp warden: witness.unlock() */
   lock[k] = NONE; /* @ src/transport/participant_liveness.cpp warden: lock_file_->unlock(index()) */
-#endif
   gate = NONE /* @ src/transport/participant_liveness.cpp warden: lock_file_->leave_gate() */
 }
 

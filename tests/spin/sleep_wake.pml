@@ -15,9 +15,11 @@
  * run killed -DMORTALS=2 : the same, and it is killed
  * run reapers -DREADERS=1 -DTWO_WARDENS -DMORTALS=34 : the publisher dies, and so does who repairs that
  * run two_rings -DRINGS=2 -DREADERS=1 -DMORTALS=4 : a second publisher appears, or is killed on its way
+ * run succession -DRINGS=2 -DREADERS=1 -DMORTALS=2 : the first publisher may be gone when the second one comes
  * run room -DROOM -DREADERS=1 -DMESSAGES=2 -DTIMED_LOOK -DMORTALS=8 : a sender waits for a reader that leaves or dies
  * run room_by_wakes -DROOM -DREADERS=1 -DMESSAGES=2 -DMORTALS=8 : the same without the timed look; nobody dies in leave()
- * run served -DCLOSES -DMORTALS=2 -DSERVED : everybody who waits is served in the end
+ * run served -DCLOSES -DSERVED : everybody who waits is served in the end
+ * run served_killed -DREADERS=1 -DMORTALS=2 -DSERVED : and learns of the publisher's death
  * run sent -DROOM -DREADERS=1 -DMESSAGES=2 -DTIMED_LOOK -DNO_WARDEN -DMORTALS=8 -DSENT : the sender alone notices a dead laggard
  * full killed_reader -DMORTALS=18 : a reader dies as well, and its mark stays
  * full killed_deep -DMORTALS=2 -DDEPTH=2 -DMESSAGES=2 -DCLOSES : more slots and messages, and the end
@@ -39,6 +41,7 @@
  * plant RELEASE_NAME_FIRST reapers : the dead one's name goes before its sleepers are woken
  * plant NO_DIRECTORY_RECHECK two_rings : the directory is not looked at after the mark
  * plant ANNOUNCE_WAKES_DIRECTORY_ONLY two_rings : who sleeps on another ring does not learn of a new one
+ * plant DIRECTORY_IS_NOT_WOKEN succession : who has no ring does not learn of a new one
  * plant NO_DOZE two_rings : who cannot look for the new ring at once sleeps as if there were none
  * plant ANNOUNCER_IS_FORGOTTEN two_rings : nobody wakes whose mark a dead announcer took
  * plant NO_ROOM_RECHECK room_by_wakes : the sender does not look again once its mark stands
@@ -345,7 +348,11 @@ inline announce() {
   :: atomic { c == RINGS -> c = 0; break }
   od;
 #endif
+#ifdef DIRECTORY_IS_NOT_WOKEN
+  skip
+#else
   kernel_wake(DIRECTORY) /* @ src/lockfree_ring/sleep.hpp announce: wake(directory) */
+#endif
 }
 
 inline open(me, mine) {
@@ -816,7 +823,7 @@ init {
 
 /* Under weak fairness: who can move all the time does so in the end. */
 #ifdef SERVED
-ltl served { <> (ended[READER(0)] && ended[READER(1)]) }
+ltl served { <> (ended[READER(0)] && ended[READER(READERS - 1)]) }
 #endif
 #ifdef SENT
 ltl sent { <> (ended[PUBLISHER(0)] || dead[PUBLISHER(0)]) }
