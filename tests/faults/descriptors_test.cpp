@@ -320,7 +320,7 @@ TEST_CASE("two neighbours that close everything at the same moment both live") {
   Steps ready, go, done;
   const int first = first_of_others();
   std::vector<Child> careless;
-  for (const std::uint64_t me : {0, 1}) {
+  for (const std::uint64_t me : {0U, 1U}) {
     careless.emplace_back([&, me] {
       lot::ShmEngine engine(named(options, me == 0 ? "one" : "two"));
       auto pusher = engine.advertise<Number>("/" + std::to_string(me));
@@ -491,7 +491,8 @@ TEST_CASE("who has closed its descriptors and is killed then is reaped") {
 
 TEST_CASE(
     "with its lock file gone and its descriptor closed, a process leaves others' files alone" *
-    doctest::should_fail("who leaves locks and asks whatever has the number now")) {
+    doctest::description("who leaves locks and asks whatever has the number now") *
+    doctest::should_fail()) {
   const Watchdog watchdog(60);
   const Ground options;
   Child careless([&] {
@@ -511,7 +512,8 @@ TEST_CASE(
 }
 
 TEST_CASE("closefrom() in the middle of a reap: what has the number then is not unlocked" *
-          doctest::should_fail("a reap ends by unlocking whatever has the number now")) {
+          doctest::description("a reap ends by unlocking whatever has the number now") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   const Ground options;
   Steps joined, dead, done;

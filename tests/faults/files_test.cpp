@@ -151,7 +151,8 @@ TEST_CASE("the segment, or both files, removed: those inside go on, newcomers me
 }
 
 TEST_CASE("the segment removed: who dies inside is reaped by those inside, whatever newcomers do" *
-          doctest::should_fail("newcomers lock the dead one's byte: they use the same lock file")) {
+          doctest::description("newcomers lock the dead one's byte: they use the same lock file") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   const Ground options;
   Insiders inside(options);
@@ -268,7 +269,8 @@ TEST_CASE(
 }
 
 TEST_CASE("replaced by another segment in use: newcomers meet those, nobody is reaped, all go on" *
-          doctest::should_fail("the last to leave removes the file whosever it is")) {
+          doctest::description("the last to leave removes the file whosever it is") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   const Ground options, other;
   Insiders inside(options);
@@ -291,7 +293,8 @@ TEST_CASE("replaced by another segment in use: newcomers meet those, nobody is r
 }
 
 TEST_CASE("replaced by rubbish: newcomers get an error, those inside go on and leave it alone" *
-          doctest::should_fail("the last to leave removes the file whosever it is")) {
+          doctest::description("the last to leave removes the file whosever it is") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   const Ground options;
   Insiders inside(options);

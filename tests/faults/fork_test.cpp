@@ -416,7 +416,8 @@ TEST_CASE("a child forked while another thread is joining waits for it, and hold
 }
 
 TEST_CASE("a child forked while another thread is leaving holds no lock, and the parent is reaped" *
-          doctest::should_fail("leave() takes the participant from the list too early")) {
+          doctest::description("leave() takes the participant from the list too early") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   const Ground options;
   Neighbour neighbour(options);

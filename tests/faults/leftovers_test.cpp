@@ -68,7 +68,7 @@ TEST_SUITE_BEGIN("leftovers");
 
 TEST_CASE("an unfinished file of whatever kind and permissions does not stand in the way") {
   const Watchdog watchdog(60);
-  for (const mode_t mode : {0000, 0400, 0666, 0777}) {
+  for (const mode_t mode : {0000U, 0400U, 0666U, 0777U}) {
     CAPTURE(mode);
     const Ground options;
     const std::string unfinished = file_of(options) + ".new";
@@ -115,7 +115,7 @@ TEST_CASE("a directory under the unfinished file's name is an error that names i
 }
 
 TEST_CASE("another user's unfinished file is an error, and is left as it was" *
-          doctest::should_fail("it is opened, enlarged and written to") *
+          doctest::description("it is opened, enlarged and written to") * doctest::should_fail() *
           doctest::skip(!can_be_another_user())) {
   const Watchdog watchdog(60);
   const Ground options;
@@ -173,7 +173,8 @@ TEST_CASE("a lock file that is a directory or a link is an error, and is left al
 }
 
 TEST_CASE("a lock file that is a FIFO, a device or somebody's text is an error, and is left alone" *
-          doctest::should_fail("it is locked, its permissions are changed, and it is removed")) {
+          doctest::description("it is locked, its permissions are changed, and it is removed") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   for (const int kind : {S_IFIFO, S_IFCHR, S_IFREG}) {
     CAPTURE(kind);

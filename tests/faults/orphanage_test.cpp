@@ -152,13 +152,15 @@ void check_rounds(Fault fault) {
 TEST_SUITE_BEGIN("orphanage");
 
 TEST_CASE("the lock file removed: old and new processes do not act for the orphanage at once" *
-          doctest::should_fail("byte lock 0 of two lock files excludes nobody")) {
+          doctest::description("byte lock 0 of two lock files excludes nobody") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   check_rounds(Fault::LockFileRemoved);
 }
 
 TEST_CASE("closefrom() in the middle of a reap: nobody else acts for the orphanage meanwhile" *
-          doctest::should_fail("byte lock 0 goes with the descriptor, and the reap goes on")) {
+          doctest::description("byte lock 0 goes with the descriptor, and the reap goes on") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   check_rounds(Fault::ClosedInAReap);
 }

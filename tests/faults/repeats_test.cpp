@@ -60,7 +60,8 @@ bool wait_held_up(const lot::futex::Wait* waits, unsigned count,
 TEST_SUITE_BEGIN("repeats");
 
 TEST_CASE("a reader that is held up before it sleeps does not sleep over 4096 messages" *
-          doctest::should_fail("the futex is 12 bits of the sequence, the block and the mark")) {
+          doctest::description("the futex is 12 bits of the sequence, the block and the mark") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   const Ground options;
   lot::ShmEngine engine(options);
@@ -114,7 +115,8 @@ struct InterruptedAtomics : lot::detail::HardwareAtomics {
 }  // namespace
 
 TEST_CASE("a weak lock that is held up while its block lives through 8192 messages fails" *
-          doctest::should_fail("the tag in the hold word is 13 bits of the generation")) {
+          doctest::description("the tag in the hold word is 13 bits of the generation") *
+          doctest::should_fail()) {
   namespace hold = lot::refcount::hold;
   lot::refcount::BlockWords<InterruptedAtomics> block{};
   Interrupted<std::uint64_t> word{};

@@ -270,7 +270,8 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
 }
 
 TEST_CASE("while one thread waits for the gate of a segment, another grows messages in its own" *
-          doctest::should_fail("join() keeps the process's list locked while it waits")) {
+          doctest::description("join() keeps the process's list locked while it waits") *
+          doctest::should_fail()) {
   const Watchdog watchdog(60);
   const Ground ours, stuck;
   Steps in_gate, result, done;
