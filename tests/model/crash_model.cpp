@@ -45,6 +45,38 @@ struct PublisherKilledScene : Scene<Derived, 3> {
 struct PublisherKilledOverwrite : PublisherKilledScene<PublisherKilledOverwrite, false> {};
 struct PublisherKilledBlocking : PublisherKilledScene<PublisherKilledBlocking, true> {};
 
+/// The same in small: it is killed around the exchange, and reaped at once.
+template <class Derived, bool kBlocking>
+struct KilledAtTheExchangeScene : Scene<Derived, 2> {
+  KilledAtTheExchangeScene() : Scene<Derived, 2>({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(this->start(4), 0, kBlocking);
+    RL_ASSERT(subscriber.join(this->start(2), 0, 1, 1));
+    this->start(3);
+    block = this->process(4).loan();
+    this->process(4).write(block, 0);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      this->die_within(4, 6, [this] { publisher.send_own(block); });
+      this->process(3).see_reaped(4);
+      return;
+    }
+    while (!subscriber.ended()) {
+      if (!subscriber.receive()) subscriber.sleep();
+    }
+  }
+  void check() {
+    const std::uint64_t seen = subscriber.received();
+    RL_ASSERT(seen == publisher.sent() || seen == publisher.sent() + 1);
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+  Word block = kNoBlock;
+};
+struct KilledAtTheExchange : KilledAtTheExchangeScene<KilledAtTheExchange, false> {};
+struct KilledAtTheExchangeBlocking : KilledAtTheExchangeScene<KilledAtTheExchangeBlocking, true> {};
+
 /// The publisher is killed while it makes its ring; the next one finds the channel free.
 struct OpenerKilled : Scene<OpenerKilled, 2> {
   OpenerKilled() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
@@ -179,6 +211,48 @@ struct ReaperKilled : Scene<ReaperKilled, 3> {
   Subscriber subscriber;
 };
 
+/// The same in small: the next reaper follows at once, and the reader has read.
+struct NextReaper : Scene<NextReaper, 2> {
+  NextReaper() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    for (std::uint32_t k : {1U, 3U}) start(k);
+    publisher.send();
+    RL_ASSERT(subscriber.receive());
+    segment.bury(4);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      die_within(3, 45, [this] { process(3).reap(4); });
+      process(1).see_reaped(4);
+      process(1).see_reaped(3);
+    } else {
+      while (!subscriber.ended()) subscriber.sleep();
+      subscriber.leave();
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// One reap leaves nothing of a publisher that nobody reads: its ring and its block can be had.
+struct ReapFreesAll : Scene<ReapFreesAll, 2> {
+  ReapFreesAll() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    publisher.send();
+    segment.bury(4);
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t != 0) return;
+    RL_ASSERT(process(3).reap(4));
+    RL_ASSERT(next.open(process(3), 0, false) && next.send());
+  }
+  Publisher publisher, next;
+};
+
 /// A reader is killed anywhere, and a new process takes its index at once.
 struct IndexReuse : Scene<IndexReuse, 3> {
   IndexReuse() : Scene({.blocks = 4, .depth = 2, .readers = 2}) {}
@@ -202,6 +276,29 @@ struct IndexReuse : Scene<IndexReuse, 3> {
       RL_ASSERT(next.join(heir, 0, 1, 1));
       for (int i = 0; i < 2; ++i) next.receive_and_keep();
     }
+  }
+  Publisher publisher;
+  Subscriber killed, next;
+};
+
+/// The same in small: killed while it keeps, reaped, and followed by the heir, one after the other.
+struct HeirAtOnce : Scene<HeirAtOnce, 2> {
+  HeirAtOnce() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(killed.join(start(2), 0, 1, 1));
+    start(3);
+    publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) publisher.send();
+      return;
+    }
+    die_within(2, 12, [this] { killed.receive_and_keep(); });
+    process(3).see_reaped(2);
+    RL_ASSERT(next.join(start(2), 0, 1, 1));
+    next.receive_and_keep();
   }
   Publisher publisher;
   Subscriber killed, next;
@@ -312,6 +409,10 @@ const Entered entered{
      rl::simulate<PublisherKilledOverwrite>},
     {"publisher_killed_blocking", "the same under back-pressure, and miss nothing",
      rl::simulate<PublisherKilledBlocking>},
+    {"killed_at_the_exchange", "published or not, and never half",
+     rl::simulate<KilledAtTheExchange>, 2},
+    {"killed_at_the_exchange_blocking", "the same under back-pressure",
+     rl::simulate<KilledAtTheExchangeBlocking>, 2},
     {"opener_killed", "a half-made ring is an empty orphan, and then free",
      rl::simulate<OpenerKilled>, 2},
     {"reader_killed", "a dead reader's holds come back", rl::simulate<ReaderKilled>, 2},
@@ -320,7 +421,11 @@ const Entered entered{
     {"sender_reaps_laggard", "a sender gets rid of whoever holds it back",
      rl::simulate<SenderReapsLaggard>, 1},
     {"reaper_killed", "a killed reaper is followed by another", rl::simulate<ReaperKilled>},
+    {"next_reaper", "the next reaper finds what the killed one has left", rl::simulate<NextReaper>,
+     1},
+    {"reap_frees_all", "one reap leaves nothing of the dead", rl::simulate<ReapFreesAll>, 1},
     {"index_reuse", "a new process may have a dead one's index at once", rl::simulate<IndexReuse>},
+    {"heir_at_once", "a dead reader's index is clean for the next", rl::simulate<HeirAtOnce>, 1},
     {"two_in_succession", "a ring is not recycled under a joiner", rl::simulate<TwoInSuccession>,
      2},
     {"clean_exit", "a clean exit is a reap of oneself", rl::simulate<CleanExit>, 1},

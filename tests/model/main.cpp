@@ -114,7 +114,7 @@ void run(const Scenario& scenario, const Options& options, Totals& totals) {
   const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
 
   const auto executions = static_cast<unsigned long>(params.stop_iteration);
-  std::printf("%-27s %s %9lu executions %6.1f s  %s\n", scenario.name, holds ? "ok  " : "FAIL",
+  std::printf("%-31s %s %9lu executions %6.1f s  %s\n", scenario.name, holds ? "ok  " : "FAIL",
               executions, took.count(), holds ? "" : rl::test_result_str(params.test_result));
   if (!holds) std::printf("    should hold: %s\n", scenario.says);
   std::fflush(stdout);

@@ -331,6 +331,79 @@ struct ForwarderKilled : Scene<ForwarderKilled, 3> {
   std::optional<std::uint64_t> seen;
 };
 
+/// The same in small: it is killed while it hands on, reaped, and its reader comes later.
+struct KilledWhileHandingOn : Scene<KilledWhileHandingOn, 2> {
+  KilledWhileHandingOn() : Scene({.blocks = 2, .depth = 1, .readers = 1, .channels = 2}) {}
+  void prepare() {
+    first.open(start(5), 0, false);
+    second.open(start(3), 1, false);
+    start(2);
+    RL_ASSERT(middle.join(process(3), 0, 1, 1));
+    RL_ASSERT(last.join(start(1), 1, 1, 1));
+    first.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) first.send();
+      return;
+    }
+    die_within(3, 14, [this] {
+      const Word b = middle.borrow();
+      if (b == kNoBlock) return;
+      message = segment.payloads[b].read();
+      process(3).keep(b);
+      middle.done();
+      second.forward(b);
+    });
+    process(2).reap(3);
+  }
+  void check() {
+    const Word b = last.borrow();
+    RL_ASSERT(b == kNoBlock || process(1).read(b) == message);
+  }
+  Publisher first, second;
+  Subscriber middle, last;
+  std::uint64_t message = 0;
+};
+
+/// Whoever refers to a message is killed while it does, and reaped; a reader comes later.
+struct KilledWhileReferring : Scene<KilledWhileReferring, 2> {
+  KilledWhileReferring() : Scene({.blocks = 3, .depth = 1, .readers = 1, .channels = 2}) {}
+  void prepare() {
+    targets.open(start(4), 0, false);
+    messages.open(start(3), 1, false);
+    RL_ASSERT(reader_of_targets.join(process(3), 0, 1, 1));
+    RL_ASSERT(reader.join(start(2), 1, 1, 1));
+    start(1);
+    targets.send();
+    message = process(3).loan();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) targets.send();
+      return;
+    }
+    die_within(3, 14, [this] {
+      const Word target = reader_of_targets.borrow();
+      if (target == kNoBlock) return;
+      process(3).refer(message, target);
+      reader_of_targets.done();
+      process(3).write(message, process(3).read(target));
+      messages.send_own(message);
+    });
+    process(1).reap(3);
+  }
+  void check() {
+    const Word b = reader.borrow();
+    if (b == kNoBlock) return;
+    const Word target = segment.references[b].read();
+    RL_ASSERT(target != kNoBlock && process(2).read(target) == process(2).read(b));
+  }
+  Publisher targets, messages;
+  Subscriber reader_of_targets, reader;
+  Word message = kNoBlock;
+};
+
 const Entered entered{
     {"borrow_outlives_publisher", "what is borrowed is not freed with its publisher",
      rl::simulate<BorrowOutlivesPublisher>, 2},
@@ -348,6 +421,10 @@ const Entered entered{
      rl::simulate<ReferrerKilled>},
     {"referrers_reaper_killed", "the same when the reaper is killed and others collect",
      rl::simulate<ReferrersReaperKilled>, 1},
+    {"killed_while_handing_on", "what was handed on is held until it was read",
+     rl::simulate<KilledWhileHandingOn>, 1},
+    {"killed_while_referring", "a reference is whole, or its message is not published",
+     rl::simulate<KilledWhileReferring>, 1},
     {"forwarder_killed", "adopting a block is a hand-over", rl::simulate<ForwarderKilled>},
 };
 

@@ -91,6 +91,33 @@ struct PublishersInSuccession : Scene<PublishersInSuccession, 2> {
   Subscription subscription;
 };
 
+/// The same with three readers, one of which comes late.
+struct SuccessionWithThreeReaders : Scene<SuccessionWithThreeReaders, 4> {
+  SuccessionWithThreeReaders() : Scene({.blocks = 3, .depth = 1, .readers = 3, .channels = 2}) {}
+  void prepare() {
+    former.open(start(4), 0, false);
+    for (unsigned i : {0U, 1U}) subscriptions[i].join(start(1 + i));
+    start(3);
+    start(5);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(former.send());
+      process(4).leave();
+      RL_ASSERT(next.advertise(process(5), 1, false) && next.send());
+      return;
+    }
+    Subscription& subscription = subscriptions[t - 1];
+    if (t == 3) subscription.join(process(3));
+    const unsigned all = t == 3 ? 1 : 2;  // the late one may have missed the first
+    while (subscription.received() < all) {
+      if (!subscription.receive()) subscription.await_change();
+    }
+  }
+  Publisher former, next;
+  Subscription subscriptions[3];
+};
+
 /// A publisher is killed anywhere while it announces itself: the reader of another ring still gets
 /// what is published there.
 struct AnnouncerKilled : Scene<AnnouncerKilled, 2> {
@@ -169,9 +196,11 @@ const Entered entered{
     {"first_publisher", "a reader without rings hears of the first one",
      rl::simulate<FirstPublisher>, 2},
     {"publishers_in_succession", "the reader of a topic gets all of two that follow each other",
-     rl::simulate<PublishersInSuccession>, 2},
+     rl::simulate<PublishersInSuccession>, 1},
+    {"succession_with_three_readers", "the same with three readers",
+     rl::simulate<SuccessionWithThreeReaders>},
     {"announcer_killed", "an announcer's death takes nobody's wake-up",
-     rl::simulate<AnnouncerKilled>, 2},
+     rl::simulate<AnnouncerKilled>, 1},
     {"two_sleepers_find_the_end", "two that sleep on one mark both find the end",
      rl::simulate<TwoSleepersFindTheEnd>, 2},
     {"two_sleepers_hear_of_a_ring", "two that sleep on one mark both hear of a new ring",
