@@ -11,12 +11,12 @@ foreach(planted IN ITEMS
   string(REPLACE "=" ";" planted ${planted})
   list(GET planted 0 mistake)
   list(GET planted 1 finding)
-  set(checkpoint 40)
-  if(mistake STREQUAL "doze")  # takes some seconds
-    set(checkpoint 400)
+  set(size --kills 800 --checkpoint 40)
+  if(mistake STREQUAL "doze")  # few readers sleep that long
+    set(size --kills 4000 --checkpoint 400)
   endif()
   execute_process(
-    COMMAND ${CHAOS} --kills 800 --checkpoint ${checkpoint} --patience 6 --seed 3 --plant ${mistake}
+    COMMAND ${CHAOS} ${size} --patience 6 --seed 4 --plant ${mistake}
     RESULT_VARIABLE status
     OUTPUT_VARIABLE output
     ERROR_VARIABLE output)

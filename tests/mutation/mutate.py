@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Spoils the protocol on purpose and shows which check notices.
 
-    mutate.py [options] --model LOT_MODEL
+    mutate.py [options] --build BUILD
 
   orders      every memory_order argument of the headers, one step weaker
   re-checks   every second look (rechecks.txt), left out
@@ -11,9 +11,8 @@
 A mutant that no check notices must be in survivors.txt, with the reason why it is right to keep the
 stronger order. Where a mutant was caught the last time is kept in caught.txt and tried first.
 
-    --model PATH      the lot_model of this source tree
-    --relacy DIR      with it the recovery mutants are built: the directory that has relacy/
-    --compiler PATH   for them (default: g++)
+    --build DIR       where the lot_model of this source tree is built (default: build/release)
+    --compiler PATH   builds the recovery mutants (default: g++)
     --quick           every 8th mutant, chosen by the seed; nothing that must be built
     --seed N          for --quick (default: a new one)
     --only TEXT       only mutants whose key contains TEXT
@@ -44,7 +43,7 @@ ROOT = HERE.parent.parent
 FAILED = re.compile(r'^(\S+) +FAIL +(\d+) executions +[\d.]+ s  (.+)$', re.M)
 # What is tried until one search notices: quick ones first.
 SEARCHES = (('random', 20000), ('bounded', 0))
-PATIENCE_S = 900  # a watchdog, not a limit that is ever near
+PATIENCE_S = 1800  # a watchdog, not a limit that is ever near
 
 
 class Caught:
@@ -123,8 +122,7 @@ def self_test():
 
 def parse(arguments):
     parser = argparse.ArgumentParser(usage=__doc__, add_help=True)
-    parser.add_argument('--model')
-    parser.add_argument('--relacy')
+    parser.add_argument('--build', type=pathlib.Path, default=ROOT / 'build' / 'release')
     parser.add_argument('--compiler', default='g++')
     parser.add_argument('--quick', action='store_true')
     parser.add_argument('--seed', type=int)
@@ -134,8 +132,10 @@ def parse(arguments):
     parser.add_argument('--jobs', type=int, default=2)
     parser.add_argument('--self-test', action='store_true')
     options = parser.parse_args(arguments)
-    if not options.self_test and not options.model:
-        parser.error('--model is missing')
+    options.model = options.build.resolve() / 'tests' / 'model' / 'lot_model'
+    options.relacy = options.model.parent / 'include'  # as tests/model/CMakeLists.txt has mended it
+    if not options.self_test and not options.model.exists():
+        parser.error(f'there is no {options.model}: build it, or say --build')
     return options
 
 
@@ -184,7 +184,7 @@ def main(arguments):
                     problems.append(f'not caught: {mutant.key}')
             rows.append((mutant.site.key, mutant.written, mutant.instead, verdict))
         planted = []
-        if options.relacy and not options.quick:
+        if not options.quick:
             planted = [m for m in recovery.MISTAKES if options.only in m.name]
             builds = recovery.Builds(ROOT, options.compiler, options.relacy)
             for mutant, how in zip(planted, pool.map(
