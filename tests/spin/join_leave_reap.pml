@@ -13,8 +13,11 @@
  * run reapers -DREADER_COMES -DREADER_IS_SETTLED -DTWO_WARDENS -DMORTALS=18 : the publisher and who reaps it are killed
  * run readers -DREADER_COMES -DMORTALS=4 : the reader is killed, wherever the publisher is
  * run lost_lock -DNEWCOMER_COMES -DANY_TIME -DCLOSEFROM : the publisher loses its kernel lock and lives
- * full everybody -DREADER_COMES -DNEWCOMER_COMES -DMORTALS=14 : all three, and all may be killed
- * full two_deaths -DREADER_COMES -DREADER_IS_SETTLED -DNEWCOMER_COMES -DANY_TIME -DTWO_WARDENS -DMORTALS=10 : two are dead and two reap
+ * run overlap -DREADER_COMES -DREADER_IS_SETTLED -DNEWCOMER_COMES -DANY_TIME -DMORTALS=2 : others come and leave while the publisher is reaped
+ * full everybody -DREADER_COMES -DNEWCOMER_COMES -DMORTALS=2 : all three, and the publisher may be killed
+ * full reader_and_publisher -DREADER_COMES -DMORTALS=6 : both may be killed
+ *
+ * pan -DCOLLAPSE
  *
  * bug forwarded -DFORWARDED -DMORTALS=2 : who is killed in collect() after part = 0 leaves a hold of the orphanage's
  * bug full_table -DNEWCOMER_COMES -DMORTALS=2 -DFULL_TABLE : a dead one's index is refused while somebody holds lock 0
@@ -28,7 +31,7 @@
  * plant RELEASE_NAME_FIRST reapers : part is cleared before what it lets a reaper find
  * plant RING_NAME_FIRST reapers : the ring forgets its owner before its messages are adopted
  * plant HOLD_FIRST reapers : the dead one's hold goes before the orphanage has one
- * plant NO_ORPHANAGE_LOCK two_deaths : two act for the orphanage at once
+ * plant NO_ORPHANAGE_LOCK overlap : two act for the orphanage at once
  */
 
 #ifndef MORTALS

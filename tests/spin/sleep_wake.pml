@@ -24,9 +24,9 @@
  * full killed_reader -DMORTALS=18 : a reader dies as well, and its mark stays
  * full killed_deep -DMORTALS=2 -DDEPTH=2 -DMESSAGES=2 -DCLOSES : more slots and messages, and the end
  * full room_for_two -DROOM -DTIMED_LOOK -DMORTALS=16 : a sender waits for two readers
- * full two_rings_two_readers -DRINGS=2 -DMENDED : two readers meet the second publisher
+ * full two_rings_two_readers -DRINGS=2 -DMENDED : two readers meet the second publisher, and sleep on the directory as well
  *
- * pan -DNFAIR=3
+ * pan -DNFAIR=3 -DCOLLAPSE
  *
  * bug mark_of_another -DRINGS=2 : a reader sleeps on a mark that another one has set again, and misses the new ring
  *
@@ -501,6 +501,7 @@ proctype publisher(byte mine) {
 #else
 #define ALONE (cursor[0] == 0 && cursor[1] == 0)
 #endif
+/* A mark says nothing about who set it, and when: only the directory's own word does (mark_of_another). */
 #ifdef MENDED
 #define WATCHES_ALL true
 #else
@@ -629,8 +630,7 @@ settle:
 #ifndef NO_LOOK_AT_SPACE
       ring_bell(); /* @ src/lockfree_ring/sleep.hpp settle: if (s->reader.sender_waits()) ring_bell(s->reader) */
 #endif
-#endif
-#ifndef ROOM
+#else
       if
       :: STATE(writer[s]) == ORPHAN -> /* @ src/lockfree_ring/ring.hpp orphaned: writer_state(ring_.writer->load */
         atomic {
