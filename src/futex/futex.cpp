@@ -50,21 +50,23 @@ bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexc
 bool wait_any(const Wait* waits, unsigned count, const Deadline& deadline) noexcept {
   if (count == 0) return true;
   if (count == 1) return wait(waits[0].word, waits[0].value, deadline);
-  if (count > kMaxWords) count = kMaxWords;
+  // Without futex_waitv (Linux before 5.16, some sandboxes), and of more words than it takes, only
+  // some are slept on: so not for long.
+  const Clock::time_point slice = Clock::now() + std::chrono::milliseconds(2);
+  const bool last = deadline && *deadline <= slice;
+  const Deadline soon = last ? *deadline : slice;
+  const bool all = count <= kMaxWords;
+  const Deadline& until = all ? deadline : soon;
+  if (!all) count = kMaxWords;
   WaitvEntry entries[kMaxWords];
   for (unsigned i = 0; i < count; ++i) {
     entries[i] = {waits[i].value, reinterpret_cast<std::uint64_t>(waits[i].word), kSize32, 0};
   }
-  timespec until{};
-  if (deadline) until = to_timespec(*deadline);
-  const long r =
-      syscall(kFutexWaitv, entries, count, 0, deadline ? &until : nullptr, CLOCK_MONOTONIC);
+  const timespec at = until ? to_timespec(*until) : timespec{};
+  const long r = syscall(kFutexWaitv, entries, count, 0, until ? &at : nullptr, CLOCK_MONOTONIC);
   if (r >= 0 || errno == EAGAIN || errno == EINTR) return true;
-  if (errno == ETIMEDOUT) return false;
-  // No futex_waitv here (Linux before 5.16, some sandboxes): look at each in turn, a little while.
-  const auto slice = Clock::now() + std::chrono::milliseconds(2);
-  const bool last = deadline && *deadline <= slice;
-  return wait(waits[0].word, waits[0].value, last ? *deadline : slice) || !last;
+  if (errno == ETIMEDOUT) return !all && !last;
+  return wait(waits[0].word, waits[0].value, soon) || !last;
 }
 
 void wake_all(const void* word) noexcept {

@@ -31,8 +31,8 @@ const void* low_half(const std::atomic<std::uint64_t>& word) noexcept;
 /// Sleeps while *word == value. False when the deadline has passed.
 bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexcept;
 
-/// Sleeps while all the words have their values (at most kMaxWords are looked at; where the kernel
-/// has no futex_waitv, for a few milliseconds at most). False when the deadline has passed.
+/// Sleeps while all the words have their values; for a few milliseconds at most where the kernel
+/// has no futex_waitv, or if there are more than kMaxWords. False when the deadline has passed.
 inline constexpr unsigned kMaxWords = 128;
 bool wait_any(const Wait* waits, unsigned count, const Deadline& deadline) noexcept;
 

@@ -12,6 +12,7 @@
 #include <sys/mman.h>
 #include <sys/wait.h>
 #include <unistd.h>
+#include <vector>
 
 #include <doctest/doctest.h>
 
@@ -180,6 +181,17 @@ TEST_CASE_FIXTURE(Fixture, "a wake on the second word ends the sleep") {
   const futex::Wait waits[] = {{&shared->words[0], 0}, {&shared->words[1], 0}};
   while (shared->words[1] == 0) CHECK(futex::wait_any(waits, 2, std::nullopt));
   CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a change behind the words that the kernel takes is not slept through") {
+  std::vector<futex::Wait> waits(futex::kMaxWords, {&shared->words[0], 0});
+  waits.push_back({&shared->words[1], 1});  // has changed to 0
+  const auto count = static_cast<unsigned>(waits.size());
+  CHECK(futex::wait_any(waits.data(), count, std::nullopt));
+  const auto deadline = futex::Clock::now() + 5ms;
+  while (futex::wait_any(waits.data(), count, deadline)) {  // looks again now and then
+  }
+  CHECK((futex::Clock::now() >= deadline));
 }
 
 TEST_CASE_FIXTURE(Fixture, "the low half of a slot is the half that small numbers change") {
