@@ -48,8 +48,9 @@ class Recovery {
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) move_home(b, k);
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);
     world_.forget(k);
-    world_.part(k).store(0, std::memory_order_relaxed);  // read under byte lock k
+    // Before the name goes (I4): nobody looks for what is left by who is killed here while leaving.
     collect();
+    world_.part(k).store(0, std::memory_order_relaxed);  // read under byte lock k
     return true;
   }
 

@@ -75,7 +75,7 @@ MISTAKES = (
         ('    if (!released) return false;\n',
          '    world_.release_extents(dead);\n    if (!released) return false;\n'))),
     Planted('a reap does not collect', RECOVERY, 'crash', ((
-        '    collect();\n    return true;\n', '    return true;\n'),)),
+        '    collect();\n    world_.part', '    world_.part'),)),
     Planted('what is still borrowed is not needed', RECOVERY, 'orphan', ((
         '        if (position != ring::kIdle) need(ring::block(position));\n', ''),)),
     Planted('what orphans refer to is not needed', RECOVERY, 'orphan', ((

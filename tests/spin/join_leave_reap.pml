@@ -14,12 +14,12 @@
  * run readers -DREADER_COMES -DMORTALS=4 : the reader is killed, wherever the publisher is
  * run lost_lock -DNEWCOMER_COMES -DANY_TIME -DCLOSEFROM : the publisher loses its kernel lock and lives
  * run overlap -DREADER_COMES -DREADER_IS_SETTLED -DNEWCOMER_COMES -DANY_TIME -DMORTALS=2 : others come and leave while the publisher is reaped
+ * run forwarded -DFORWARDED -DNEWCOMER_COMES -DMORTALS=10 : publishers of somebody else's message leave and are killed
  * full everybody -DREADER_COMES -DNEWCOMER_COMES -DMORTALS=2 : all three, and the publisher may be killed
  * full reader_and_publisher -DREADER_COMES -DMORTALS=6 : both may be killed
  *
  * pan -DCOLLAPSE
  *
- * bug forwarded -DFORWARDED -DMORTALS=2 : who is killed in collect() after part = 0 leaves a hold of the orphanage's
  * bug full_table -DNEWCOMER_COMES -DMORTALS=2 -DFULL_TABLE : a dead one's index is refused while somebody holds lock 0
  *
  * plant NO_WITNESS lost_lock : a free byte alone counts as death
@@ -29,6 +29,7 @@
  * plant JOINER_TAKES_NO_LOCK readers : the joiner does not keep the recycler away
  * plant RECYCLED_UNDER_READERS readers : a ring is recycled while somebody has a cell
  * plant RELEASE_NAME_FIRST reapers : part is cleared before what it lets a reaper find
+ * plant NAME_BEFORE_COLLECT forwarded : part is cleared before the orphanage has let go
  * plant RING_NAME_FIRST reapers : the ring forgets its owner before its messages are adopted
  * plant HOLD_FIRST reapers : the dead one's hold goes before the orphanage has one
  * plant NO_ORPHANAGE_LOCK overlap : two act for the orphanage at once
@@ -267,10 +268,11 @@ inline reap(k) {
   :: else
   fi;
 #endif
-#ifndef RELEASE_NAME_FIRST
-  part[k] = 0; /* @ src/recovery/recovery.hpp reap: world_.part(k).store(0 */
+#ifdef NAME_BEFORE_COLLECT
+  part[k] = 0;
 #endif
-  collect() /* @ src/recovery/recovery.hpp reap: collect() */
+  collect(); /* @ src/recovery/recovery.hpp reap: collect() */
+  part[k] = 0 /* @ src/recovery/recovery.hpp reap: world_.part(k).store(0 */
 }
 
 /* ---- wardens ----------------------------------------------------------------------------------- */
