@@ -24,8 +24,8 @@
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
 ///       in Writer::room (seq_cst): a joiner is either on the writer's list or starts behind it.
-///   R5  Ring::clear_sleepers, announce() (release) -> sleeper's look at the slot (acquire)
-///       carries: the writer word ORPHAN (or the directory's change) that preceded the clearing.
+///   R5  Ring::clear_sleepers (release)     -> sleeper's look at the slot (acquire)
+///       carries: the writer word ORPHAN that preceded the clearing.
 ///   R6  space mark, then positions in Writer::room (seq_cst)
 ///       <-> position store, then space load on an empty poll (seq_cst)
 ///       a sender that sleeps for room is rung by the reader that made some.

@@ -14,7 +14,7 @@
 ///
 /// Edges
 ///   R5  a mark taken away (release) -> sleeper's compare-and-swap (acquire)
-///       carries: the directory's new version, or the writer word ORPHAN.
+///       carries: the writer word ORPHAN.
 namespace lot::ring {
 
 /// What a reader does that has looked everywhere and found nothing.
@@ -56,11 +56,10 @@ Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t versio
     if (!all_empty) break;
     sleep_on(source.reader.slot(), *marked);
   }
-  // What changed before the marks stood. Whoever changes it later takes the marks away and wakes.
+  // What ended before the marks stood. Whoever ends it later takes the marks away and wakes.
   bool ended = false;
   for (auto& source : sources) ended |= source.reader.orphaned();
-  const std::uint32_t now = directory.load(std::memory_order_relaxed);  // R5 has acquired it
-  if (ended || now != version) {
+  if (ended) {
     // These marks came after that. Another reader, whose mark was taken and who has not fallen
     // asleep yet, would take ours for its own.
     for (auto& source : sources) {
@@ -69,24 +68,26 @@ Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t versio
     }
   }
   if (ended || !all_empty) return Rest::Look;
-  if (now != version || sources.empty()) sleep_on(directory, now);
+  // A mark does not say whose it is: a new ring may have taken ours, and a reader that knows that
+  // ring set it again. So everybody sleeps on the directory, too. Relaxed: sleeping compares.
+  const std::uint32_t now = directory.load(std::memory_order_relaxed);
+  sleep_on(directory, now);
   return now == version ? Rest::Sleep : Rest::Doze;
 }
 
-/// Says that a ring has come, and wakes who may want to read it: who has nothing to read sleeps on
-/// the directory's version, the others in the other rings of the topic. A mark that is taken by a
-/// publisher, or by a reaper, is woken by it: so only standing marks matter here.
+/// Says that a ring has come, and wakes who may want to read it. All sleep on the directory, but
+/// where the kernel waits for one word at a time it is the first ring that is slept on.
 ///
 /// Crash: killed between a mark and its wake, it leaves a reader of somebody else's ring asleep
 /// without a mark. The reaper wakes all sleepers of all rings.
 template <class Directory, class Rings, class Wake>
 void announce(Directory& directory, Rings&& rings, Wake&& wake) {
-  // Relaxed: R5 carries it, and who finds it changed takes the registry's lock, which carries the
-  // ring.
+  // All relaxed: who finds the directory changed takes the registry's lock, which carries the ring;
+  // who does not is woken.
   directory.fetch_add(1, std::memory_order_relaxed);
   for (auto&& ring : rings) {
     for (std::uint32_t i = 0; i < ring.depth; ++i) {
-      const Word old = ring.slots[i].fetch_and(~kSleeper, std::memory_order_release);  // R5
+      const Word old = ring.slots[i].fetch_and(~kSleeper, std::memory_order_relaxed);
       if ((old & kSleeper) != 0) wake(ring.slots[i]);
     }
   }

@@ -24,11 +24,9 @@
  * full killed_reader -DMORTALS=18 : a reader dies as well, and its mark stays
  * full killed_deep -DMORTALS=2 -DDEPTH=2 -DMESSAGES=2 -DCLOSES : more slots and messages, and the end
  * full room_for_two -DROOM -DTIMED_LOOK -DMORTALS=16 : a sender waits for two readers
- * full two_rings_two_readers -DRINGS=2 -DMENDED : two readers meet the second publisher, and sleep on the directory as well
+ * run two_rings_two_readers -DRINGS=2 : two readers meet the second publisher, one later than the other
  *
  * pan -DNFAIR=3 -DCOLLAPSE
- *
- * bug mark_of_another -DRINGS=2 : a reader sleeps on a mark that another one has set again, and misses the new ring
  *
  * plant CONDITIONAL_WAKE killed : the reaper wakes only where it finds a mark
  * plant CLOSE_WAKES_FIRST close : a closing publisher wakes before it says that it has gone
@@ -39,8 +37,7 @@
  * plant EXCHANGE_IN_TWO_STEPS stream : the publisher looks at the mark, then stores
  * plant MARK_WITHOUT_COMPARE stream : the mark is set whatever has come into the slot
  * plant RELEASE_NAME_FIRST reapers : the dead one's name goes before its sleepers are woken
- * plant NO_DIRECTORY_RECHECK two_rings : the directory is not looked at after the mark
- * plant ANNOUNCE_WAKES_DIRECTORY_ONLY two_rings : who sleeps on another ring does not learn of a new one
+ * plant SLEEPS_ON_MARKS_ALONE two_rings_two_readers : on the mark of a reader that knows the new ring already
  * plant DIRECTORY_IS_NOT_WOKEN succession : who has no ring does not learn of a new one
  * plant NO_DOZE two_rings : who cannot look for the new ring at once sleeps as if there were none
  * plant ANNOUNCER_IS_FORGOTTEN two_rings : nobody wakes whose mark a dead announcer took
@@ -327,7 +324,6 @@ end_idle:
 
 inline announce() {
   directory++; /* @ src/lockfree_ring/sleep.hpp announce: directory.fetch_add(1 */
-#ifndef ANNOUNCE_WAKES_DIRECTORY_ONLY
   do
   :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp live: ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
     do
@@ -347,7 +343,6 @@ inline announce() {
   :: atomic { c < RINGS && STATE(writer[c]) != LIVE -> c++ } /* @ src/registry/registry.cpp live: ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
   :: atomic { c == RINGS -> c = 0; break }
   od;
-#endif
 #ifdef DIRECTORY_IS_NOT_WOKEN
   skip
 #else
@@ -501,11 +496,10 @@ proctype publisher(byte mine) {
 #else
 #define ALONE (cursor[0] == 0 && cursor[1] == 0)
 #endif
-/* A mark says nothing about who set it, and when: only the directory's own word does (mark_of_another). */
-#ifdef MENDED
-#define WATCHES_ALL true
+#ifdef SLEEPS_ON_MARKS_ALONE
+#define SLEEPS_ON_DIRECTORY ALONE
 #else
-#define WATCHES_ALL false
+#define SLEEPS_ON_DIRECTORY true
 #endif
 #define GIVE_UP(otherwise) \
   queued[me] = 0; woken[me] = 0; value[0] = 0; value[RINGS - 1] = 0; \
@@ -689,17 +683,10 @@ settle:
     :: atomic { s == RINGS -> break }
     od;
 #endif
-    atomic {
-      now = directory; /* @ src/lockfree_ring/sleep.hpp lie_down: const std::uint32_t now = directory.load */
-#ifdef NO_DIRECTORY_RECHECK
-      now = version;
-#endif
-      s = 0;
-      next_ring(s)
-    };
+    atomic { s = 0; next_ring(s) };
     do
 #ifndef MARKS_STAY
-    :: s < RINGS && (over || now != version) ->
+    :: s < RINGS && over ->
       slot[SLOT(s, cursor[s])] = slot[SLOT(s, cursor[s])] & ~MARK; /* @ src/lockfree_ring/sleep.hpp lie_down: source.reader.slot().fetch_and(~kSleeper */
       kernel_wake(SLOT(s, cursor[s])); /* @ src/lockfree_ring/sleep.hpp lie_down: wake(source.reader.slot()) */
       atomic { s++; next_ring(s) }
@@ -710,6 +697,7 @@ settle:
     atomic {
       s = 0;
       next_ring(s);
+      now = directory; /* @ src/lockfree_ring/sleep.hpp lie_down: const std::uint32_t now = directory.load */
       if
 #ifdef ROOM
       :: found ->
@@ -745,9 +733,9 @@ settle:
 #endif
     :: atomic { s == RINGS ->
         if
-        :: ALONE || WATCHES_ALL ->
+        :: SLEEPS_ON_DIRECTORY ->
           if
-          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp lie_down: if (now != version || sources.empty()) sleep_on(directory, now) */
+          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp lie_down: sleep_on(directory, now) */
           :: else -> GIVE_UP(look)
           fi
         :: else
