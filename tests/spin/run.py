@@ -285,8 +285,10 @@ def search(model, run, more, children):
             return Outcome(False, 'spin: ' + (output.strip().splitlines() or ['-'])[0])
         fair = re.search(r'^ltl \w+:', output, re.M)
         compile_flags = [o for o in model.options if o.startswith('-D')]
+        # A mistake is found sooner than gcc has optimised.
+        optimise = '-O2' if run.kind == 'run' else '-O0'
         status, output = children.output_of(
-            ['gcc', '-O2', '-w', f'-DMEMLIM={MEMORY_MB}', *([] if fair else ['-DSAFETY']),
+            ['gcc', optimise, '-w', f'-DMEMLIM={MEMORY_MB}', *([] if fair else ['-DSAFETY']),
              *compile_flags, '-o', 'pan', 'pan.c'], folder)
         if status != 0:
             return Outcome(False, 'gcc: ' + (output.strip().splitlines() or ['-'])[0])
