@@ -346,7 +346,8 @@ class Reader {
   /// ended() and the directory before it sleeps.
   std::optional<Word> mark_sleeping() {
     auto& slot = ring_.slots[index_];
-    Word seen = slot.load(std::memory_order_acquire);  // R5: the mark may be another reader's
+    // Relaxed: another reader's mark that came after a change is taken away by that reader.
+    Word seen = slot.load(std::memory_order_relaxed);
     if (distance(sequence(seen), cursor_) >= 0) return std::nullopt;
     if ((seen & kSleeper) == 0) {
       if (!slot.compare_exchange_strong(seen, seen | kSleeper, std::memory_order_acquire,

@@ -179,9 +179,10 @@ class Recovery {
       if (!is_deserted_orphan(c)) continue;
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       world_.recycle_ring(c);
+      // Relaxed: who opens it next takes the registry's lock.
       world_.channel_writer(c).store(
           ring::make_writer(ring::writer_generation(w) + 1, ring::State::Free, 0),
-          std::memory_order_release);
+          std::memory_order_relaxed);
     }
     world_.unlock_rings();
     return true;

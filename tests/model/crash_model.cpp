@@ -102,6 +102,24 @@ struct OpenerKilled : Scene<OpenerKilled, 2> {
   Subscriber subscriber;
 };
 
+/// The same, and the next one waits for nothing but a free channel.
+struct OpenerKilledAndFollowed : Scene<OpenerKilledAndFollowed, 2> {
+  OpenerKilledAndFollowed() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    for (std::uint32_t k : {2U, 3U, 4U}) start(k);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      die_within(4, 8, [this] { killed.open(process(4), 0, false); });
+      process(3).see_reaped(4);
+    } else {
+      while (!next.open(process(2), 0, true)) Policy::pause();
+      RL_ASSERT(next.send());
+    }
+  }
+  Publisher killed, next;
+};
+
 /// A reader is killed anywhere between joining and leaving; the publisher reaps it and gets every
 /// block back.
 struct ReaderKilled : Scene<ReaderKilled, 2> {
@@ -281,6 +299,25 @@ struct IndexReuse : Scene<IndexReuse, 3> {
   Subscriber killed, next;
 };
 
+/// A reader is killed, and another one waits for nothing but its place.
+struct ReaderKilledAndFollowed : Scene<ReaderKilledAndFollowed, 2> {
+  ReaderKilledAndFollowed() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    for (std::uint32_t k : {1U, 2U, 3U}) start(k);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      die_within(2, 12, [this] { killed.join(process(2), 0, 1, 1); });
+      process(1).see_reaped(2);
+    } else {
+      while (!next.join(process(3), 0, 1, 1)) Policy::pause();
+    }
+  }
+  Publisher publisher;
+  Subscriber killed, next;
+};
+
 /// The same in small: killed while it keeps, reaped, and followed by the heir, one after the other.
 struct HeirAtOnce : Scene<HeirAtOnce, 2> {
   HeirAtOnce() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
@@ -400,6 +437,7 @@ struct ReapedWhileARingIsMade : Scene<ReapedWhileARingIsMade, 2> {
       process(1).reap(kSoiledBy);
     }
   }
+  void check() { RL_ASSERT(process(3).ring(0).who[0].load(std::memory_order_relaxed) == 3 + 1); }
   Publisher publisher;
   Subscriber subscriber;
 };
@@ -415,7 +453,11 @@ const Entered entered{
      rl::simulate<KilledAtTheExchangeBlocking>, 2},
     {"opener_killed", "a half-made ring is an empty orphan, and then free",
      rl::simulate<OpenerKilled>, 2},
+    {"opener_killed_and_followed", "a half-made ring can be had as soon as it is free",
+     rl::simulate<OpenerKilledAndFollowed>, 1},
     {"reader_killed", "a dead reader's holds come back", rl::simulate<ReaderKilled>, 2},
+    {"reader_killed_and_followed", "a dead reader's place can be had as soon as it is free",
+     rl::simulate<ReaderKilledAndFollowed>, 2},
     {"laggard_killed", "a dead reader does not hold the sender back", rl::simulate<LaggardKilled>,
      1},
     {"sender_reaps_laggard", "a sender gets rid of whoever holds it back",

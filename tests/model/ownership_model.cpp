@@ -243,6 +243,38 @@ struct WeakLockBesideTheNextMessage : Scene<WeakLockBesideTheNextMessage, 3> {
   std::uint32_t generation = 0;
 };
 
+/// The same, and the one that keeps has come behind a death that the other has not seen.
+struct WeakLockBehindADeath : Scene<WeakLockBehindADeath, 2> {
+  WeakLockBehindADeath() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    publisher.send();
+    block = subscriber.borrow();
+    generation = process(2).generation(block);
+    subscriber.done();
+    publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.send();
+      RL_ASSERT(subscriber.borrow() == block);
+      process(2).keep(block);
+      subscriber.done();
+      return;
+    }
+    while (!process(2).holds(block)) Policy::pause();
+    if (process(2).lock_weak(block, generation)) {
+      RL_ASSERT(process(2).read(block) == 0);
+      process(2).drop(block);
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+  Word block = kNoBlock;
+  std::uint32_t generation = 0;
+};
+
 /// Ownership without a pool, whose lock would order its threads: at home one thread gives up the
 /// ring's hold and another one a pointer, elsewhere a process lets go. Then the block is written.
 struct HomeHasThreads : SceneBegins, rl::test_suite<HomeHasThreads, 3> {
@@ -284,6 +316,8 @@ const Entered entered{
      rl::simulate<WeakLockAgainstClaim>, 2},
     {"weak_lock_beside_the_next", "a weak lock never gets the next message in the block",
      rl::simulate<WeakLockBesideTheNextMessage>, 2},
+    {"weak_lock_behind_a_death", "the same, and it has not seen the last one die",
+     rl::simulate<WeakLockBehindADeath>, 2},
     {"home_has_threads", "threads at home give up their holds in any order",
      rl::simulate<HomeHasThreads>, 3},
     {"threads_of_one_process", "threads share one ownership bit", rl::simulate<ThreadsOfOneProcess>,

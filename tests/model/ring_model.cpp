@@ -281,7 +281,7 @@ struct LeavesInABorrow : Scene<LeavesInABorrow, 3> {
 struct Hints : Scene<Hints, 2> {
   Hints() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
   void prepare() {
-    publisher.open(start(4), 0, true);
+    publisher.open(start(4), 0, false);
     RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
     publisher.send();
   }

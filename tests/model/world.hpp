@@ -110,6 +110,8 @@ class Process {
   void give_back(Word b);  ///< a loaned block, to everybody
   void unloan(Word b);     ///< a loaned block, to our pool
   void keep(Word b);       ///< takes a pointer hold; the caller protects the block
+  /// As another thread sees it that waits for nothing.
+  bool holds(Word b) { return (hold(b).load(std::memory_order_relaxed) & hold::kHeld) != 0; }
   bool lock_weak(Word b, std::uint32_t generation);
   void drop(Word b);                ///< lets go of a pointer hold
   void hand_to_ring(Word b);        ///< the pointer hold becomes the ring's
