@@ -28,6 +28,11 @@ LockFile::LockFile(std::string path, mode_t mode)
     : path_(std::move(path)), fd_(segment::open_private(path_, mode)) {
   struct stat status {};
   fstat(fd_, &status);
+  if (!S_ISREG(status.st_mode) || status.st_size != 0) {
+    ::close(fd_);
+    throw Error(EINVAL, path_, "it is not a lock file",
+                "remove it if it is yours, or set LOT_SEGMENT");
+  }
   device_ = status.st_dev;
   inode_ = status.st_ino;
 }
@@ -35,6 +40,10 @@ LockFile::LockFile(std::string path, mode_t mode)
 LockFile::~LockFile() { abandon(); }
 
 bool LockFile::try_lock(std::uint32_t byte) noexcept {
+  if (!intact()) {  // the number may be a file of the application by now
+    errno = EBADF;
+    return false;
+  }
   struct flock range = byte_range(F_WRLCK, byte, 1);
   int result;
   do {
@@ -44,6 +53,7 @@ bool LockFile::try_lock(std::uint32_t byte) noexcept {
 }
 
 void LockFile::unlock(std::uint32_t byte) noexcept {
+  if (!intact()) return;
   struct flock range = byte_range(F_UNLCK, byte, 1);
   fcntl(fd_, F_OFD_SETLK, &range);
 }

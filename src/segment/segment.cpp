@@ -142,8 +142,8 @@ Header read_header(int fd, std::uint64_t& size) {
 
 }  // namespace
 
-int open_private(const std::string& path, mode_t mode) {
-  const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, mode);
+int open_private(const std::string& path, mode_t mode, int flags) {
+  const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | flags, mode);
   if (fd == -1) {
     const char* advice = errno == EACCES   ? "it belongs to another user: share it by "
                                              "LOT_PERMISSIONS=0660 and a common group, or set LOT_DIR"
@@ -151,12 +151,15 @@ int open_private(const std::string& path, mode_t mode) {
                          : errno == ENOENT ? "make the directory, or name another with LOT_DIR"
                          : errno == ENOSPC ? "free memory there, or name another with LOT_DIR"
                          : errno == EMFILE ? "raise the limit of open files (ulimit -n)"
+                         : errno == EEXIST ? "somebody else's file is in its place: remove it, or "
+                                             "name another directory with LOT_DIR"
                                            : "set LOT_DIR to a directory that you may write to";
     throw Error(errno, path, "cannot open it", advice);
   }
   struct stat status {};
   // The mode that was asked for, whatever the umask; only its owner can set it.
-  if (fstat(fd, &status) == 0 && (status.st_mode & 07777) != mode && status.st_size == 0) {
+  if (fstat(fd, &status) == 0 && S_ISREG(status.st_mode) && (status.st_mode & 07777) != mode &&
+      status.st_size == 0) {
     (void)fchmod(fd, mode);
   }
   return fd;
@@ -204,7 +207,7 @@ void Segment::create(const std::string& path, Capacity capacity, mode_t mode) {
   const Geometry geometry = Geometry::of(capacity);
   const std::string unfinished = path + ".new";
   ::unlink(unfinished.c_str());  // of a creator that died: we hold the gate
-  Descriptor file(open_private(unfinished, mode));
+  Descriptor file(open_private(unfinished, mode, O_EXCL));
   const auto fail = [&](int error, const char* what) {
     ::unlink(unfinished.c_str());
     throw Error(error, path, what, "free memory in its directory, or set LOT_SIZE or LOT_DIR");
@@ -260,6 +263,13 @@ Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, std::
 void Segment::remove(const std::string& path) noexcept {
   ::unlink(path.c_str());
   ::unlink((path + ".new").c_str());
+}
+
+bool Segment::is_at_its_path() const noexcept {
+  Descriptor file(::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
+  std::uint64_t ignored = 0;
+  return file.fd != -1 &&
+         read_header(file.fd, ignored).identity.instance == header().identity.instance;
 }
 
 Segment::Segment(const std::string& path) : Segment(path, true) {}

@@ -14,8 +14,8 @@
 namespace lot::segment {
 
 /// Opens a file for reading and writing, made with exactly `mode` if absent; never follows a link.
-/// Throws lot::Error with advice.
-int open_private(const std::string& path, mode_t mode);
+/// `flags` as for open(2). Throws lot::Error with advice.
+int open_private(const std::string& path, mode_t mode, int flags = 0);
 
 /// "<directory>/<name>", after a check that the name is one. Throws lot::Error.
 std::string path_of(const std::string& directory, const std::string& name);
@@ -37,6 +37,8 @@ class Segment {
   /// What is at path; `size` 0 means any. Says why it does not fit in `reason`.
   static Fit examine(const std::string& path, std::uint64_t size, std::string& reason);
   static void remove(const std::string& path) noexcept;
+  /// False when the path names another file by now, or none.
+  bool is_at_its_path() const noexcept;
 
   /// Maps the segment at path. Throws lot::Error when it is not one, with the reason.
   explicit Segment(const std::string& path);

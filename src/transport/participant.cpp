@@ -20,7 +20,8 @@ namespace {
 /// What the process knows of its participants. Never destroyed: pointers may be released by static
 /// destructors that run after ours.
 struct Process {
-  std::mutex mutex;
+  std::mutex joining;  ///< held while one joins, which may take its time; taken before `mutex`
+  std::mutex mutex;    ///< the lists
   std::map<std::string, std::weak_ptr<Participant>> by_path;
   std::vector<Participant*> all;
 };
@@ -108,8 +109,11 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
   static const int registered =
       pthread_atfork(&prepare_fork, &after_fork_in_parent, &after_fork_in_child);
   (void)registered;
-  const std::lock_guard guard(process().mutex);
-  if (auto existing = process().by_path[path].lock()) return existing;
+  const std::lock_guard joining(process().joining);
+  {
+    const std::lock_guard guard(process().mutex);
+    if (auto existing = process().by_path[path].lock()) return existing;
+  }
 
   for (;;) {
     auto file = std::make_shared<liveness::LockFile>(path + ".lock", options.permissions);
@@ -129,6 +133,11 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
         throw Error(EBUSY, path, reason + ", and it is in use",
                     "leave LOT_SIZE as those have it who use it, stop them, or set LOT_SEGMENT");
       }
+      if (fit == segment::Segment::Fit::Absent && in_use()) {
+        // Somebody has removed the segment of living processes: the lock file is theirs.
+        ::unlink((path + ".lock").c_str());
+        continue;
+      }
       if (fit != segment::Segment::Fit::Fits) {
         segment::Segment::remove(path);
         ours = false;
@@ -140,6 +149,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
       ours = true;
       auto* p = new Participant(options, file);
       std::shared_ptr<Participant> handle(p, &handle_gone);
+      const std::lock_guard guard(process().mutex);
       process().by_path[path] = handle;
       process().all.push_back(p);
       return handle;
@@ -352,15 +362,17 @@ void Participant::handle_gone(Participant* p) noexcept {
 
 void Participant::leave() noexcept {
   {
-    const std::lock_guard guard(process().mutex);
-    std::erase(process().all, this);
-  }
-  {
     const std::lock_guard guard(warden_mutex_);
     warden_stop_ = true;
     warden_signal_.notify_all();
   }
   warden_.join();
+  {
+    // Not before: a child that is forked meanwhile must close the lock file.
+    const std::lock_guard guard(process().mutex);
+    lock_file_->abandon();
+    std::erase(process().all, this);
+  }
   drop_reference();  // the handles' one
 }
 
@@ -377,8 +389,14 @@ Participant* Participant::at(const void* address) noexcept {
   return nullptr;
 }
 
-void Participant::prepare_fork() noexcept { process().mutex.lock(); }
-void Participant::after_fork_in_parent() noexcept { process().mutex.unlock(); }
+void Participant::prepare_fork() noexcept {
+  process().joining.lock();
+  process().mutex.lock();
+}
+void Participant::after_fork_in_parent() noexcept {
+  process().mutex.unlock();
+  process().joining.unlock();
+}
 void Participant::after_fork_in_child() noexcept {
   for (Participant* p : process().all) {
     p->inert_ = true;
@@ -387,6 +405,7 @@ void Participant::after_fork_in_child() noexcept {
   process().all.clear();
   process().by_path.clear();
   process().mutex.unlock();
+  process().joining.unlock();
 }
 
 }  // namespace lot::transport

@@ -135,6 +135,8 @@ class Participant {
   void start_warden();
   void warden();
   void keep_own_lock() noexcept;
+  bool enter_orphanage() noexcept;
+  void leave_orphanage() noexcept;
   bool finish_closing() noexcept;
 
   void drop_pointer(detail::ControlCell& cell) noexcept;

@@ -28,9 +28,9 @@ std::uint32_t Participant::take_index(const EngineOptions& options) {
     RobustMutex witness(segment_.witnesses()[k].mutex);
     if (witness.try_lock() != RobustMutex::Outcome::Busy) {
       bool clean = part(k).load(std::memory_order_acquire) == 0;
-      if (!clean && lock_file_->try_lock(refcount::kOrphanage)) {  // a dead one is in there
+      if (!clean && enter_orphanage()) {  // a dead one is in there
         Recovery(*this).reap(k);
-        lock_file_->unlock(refcount::kOrphanage);
+        leave_orphanage();
         clean = true;
       }
       witness.unlock();
@@ -87,7 +87,8 @@ void Participant::warden() {
   // Leaving is exactly a reap of oneself, and then: the last one out removes the files.
   bool in_gate = false;
   try {
-    in_gate = lock_file_->enter_gate(kGatePatience);
+    // Without a lock file there is nothing to remove, and its number may name another file.
+    in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience);
   } catch (const Error&) {
   }
   bool reaped = false;
@@ -95,9 +96,9 @@ void Participant::warden() {
     const std::lock_guard guard(reap_mutex_);
     const auto until = futex::Clock::now() + kOrphanagePatience;
     while (!reaped && futex::Clock::now() < until) {
-      if (lock_file_->try_lock(refcount::kOrphanage)) {
+      if (enter_orphanage()) {
         Recovery(*this).reap(index());
-        lock_file_->unlock(refcount::kOrphanage);
+        leave_orphanage();
         reaped = true;
       } else {
         std::this_thread::sleep_for(1ms);
@@ -116,7 +117,7 @@ void Participant::warden() {
         if (alone) other.unlock();
       }
       if (alone) {
-        segment::Segment::remove(segment_.path());
+        if (segment_.is_at_its_path()) segment::Segment::remove(segment_.path());
         ::unlink(lock_file_->path().c_str());
       }
     }
@@ -137,6 +138,24 @@ void Participant::keep_own_lock() noexcept {
   if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index());
 }
 
+/// Two locks, as everywhere. The byte lock goes with the descriptor, and there are two lock files
+/// when somebody has removed one: so a mutex in the segment. A thread that is killed while it tries
+/// for that one sets its owner free when they have the same id in two PID namespaces: so only who
+/// has the byte tries. Who has lost its lock file has the mutex alone.
+///
+/// REQUIRES: reap_mutex_, or that nobody else knows this participant yet.
+bool Participant::enter_orphanage() noexcept {
+  if (lock_file_->intact() && !lock_file_->try_lock(refcount::kOrphanage)) return false;
+  RobustMutex mutex(segment_.witnesses()[refcount::kOrphanage].mutex);
+  if (mutex.try_lock() != RobustMutex::Outcome::Busy) return true;
+  lock_file_->unlock(refcount::kOrphanage);
+  return false;
+}
+void Participant::leave_orphanage() noexcept {
+  RobustMutex(segment_.witnesses()[refcount::kOrphanage].mutex).unlock();
+  lock_file_->unlock(refcount::kOrphanage);
+}
+
 bool Participant::reap_if_dead(std::uint32_t k) noexcept {
   if (k == index() || k == refcount::kOrphanage || k >= participants()) return false;
   const std::unique_lock guard(reap_mutex_, std::try_to_lock);
@@ -145,9 +164,9 @@ bool Participant::reap_if_dead(std::uint32_t k) noexcept {
   RobustMutex witness(segment_.witnesses()[k].mutex);
   if (part(k).load(std::memory_order_acquire) != 0 &&
       witness.try_lock() != RobustMutex::Outcome::Busy) {
-    if (lock_file_->try_lock(refcount::kOrphanage)) {
+    if (enter_orphanage()) {
       done = Recovery(*this).reap(k);
-      lock_file_->unlock(refcount::kOrphanage);
+      leave_orphanage();
     }
     witness.unlock();
   }
@@ -181,9 +200,9 @@ void Participant::collect() noexcept {
   }
   if (!orphans) return;
   const std::unique_lock guard(reap_mutex_, std::try_to_lock);
-  if (!guard || !lock_file_->intact() || !lock_file_->try_lock(refcount::kOrphanage)) return;
+  if (!guard || !enter_orphanage()) return;
   Recovery(*this).collect();
-  lock_file_->unlock(refcount::kOrphanage);
+  leave_orphanage();
 }
 
 void Participant::release_extents(const std::vector<bool>& dead) noexcept {

@@ -35,13 +35,13 @@ bool Participant::finish_closing() noexcept {
   for (std::uint32_t c = 0; c < channels() && !any; ++c) any = is_ours(c);
   if (any) {
     const std::lock_guard guard(reap_mutex_);
-    if (!lock_file_->intact() || !lock_file_->try_lock(refcount::kOrphanage)) return false;
+    if (!enter_orphanage()) return false;
     Recovery recovery(*this);
     for (std::uint32_t c = 0; c < channels(); ++c) {
       if (is_ours(c)) recovery.orphan_ring(c, index());
     }
     recovery.collect();
-    lock_file_->unlock(refcount::kOrphanage);
+    leave_orphanage();
   }
   // What the closed rings held is the orphanage's now: our own holds may go.
   std::vector<std::uint32_t> blocks;

@@ -28,6 +28,7 @@ constexpr unsigned kPausesAfterBurst = 200;
 /// In a stream, the lines of this message are fetched while those before it are read.
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
+constexpr auto kLongestSleep = 1s;
 
 class Puller final : public detail::PullerCore {
  public:
@@ -200,7 +201,13 @@ class Puller final : public detail::PullerCore {
         [](const auto& word) { futex::wake_all(futex_of(word)); });
     if (rest == ring::Rest::Look) return true;
     if (rest == ring::Rest::Sleep) {
-      return futex::wait_any(waits_.data(), static_cast<unsigned>(waits_.size()), deadline);
+      // A slot's futex looks the same again after 4096 messages: who was held up for exactly so
+      // long before it sleeps looks once more after a while.
+      const auto later = futex::Clock::now() + kLongestSleep;
+      const bool final = deadline && *deadline <= later;
+      return futex::wait_any(waits_.data(), static_cast<unsigned>(waits_.size()),
+                             final ? *deadline : later) ||
+             !final;
     }
     // Somebody keeps the registry's lock, else look() had found the new rings: not for long.
     const auto soon = futex::Clock::now() + kBusyRegistry;

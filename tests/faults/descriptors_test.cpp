@@ -490,9 +490,7 @@ TEST_CASE("who has closed its descriptors and is killed then is reaped") {
 }
 
 TEST_CASE(
-    "with its lock file gone and its descriptor closed, a process leaves others' files alone" *
-    doctest::description("who leaves locks and asks whatever has the number now") *
-    doctest::should_fail()) {
+    "with its lock file gone and its descriptor closed, a process leaves others' files alone") {
   const Watchdog watchdog(60);
   const Ground options;
   Child careless([&] {
@@ -511,9 +509,7 @@ TEST_CASE(
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("closefrom() in the middle of a reap: what has the number then is not unlocked" *
-          doctest::description("a reap ends by unlocking whatever has the number now") *
-          doctest::should_fail()) {
+TEST_CASE("closefrom() in the middle of a reap: what has the number then is not unlocked") {
   const Watchdog watchdog(60);
   const Ground options;
   Steps joined, dead, done;

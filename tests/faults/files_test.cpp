@@ -150,9 +150,7 @@ TEST_CASE("the segment, or both files, removed: those inside go on, newcomers me
   }
 }
 
-TEST_CASE("the segment removed: who dies inside is reaped by those inside, whatever newcomers do" *
-          doctest::description("newcomers lock the dead one's byte: they use the same lock file") *
-          doctest::should_fail()) {
+TEST_CASE("the segment removed: who dies inside is reaped by those inside, whatever newcomers do") {
   const Watchdog watchdog(60);
   const Ground options;
   Insiders inside(options);
@@ -268,9 +266,7 @@ TEST_CASE(
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("replaced by another segment in use: newcomers meet those, nobody is reaped, all go on" *
-          doctest::description("the last to leave removes the file whosever it is") *
-          doctest::should_fail()) {
+TEST_CASE("replaced by another segment in use: newcomers meet those, nobody is reaped, all go on") {
   const Watchdog watchdog(60);
   const Ground options, other;
   Insiders inside(options);
@@ -292,9 +288,7 @@ TEST_CASE("replaced by another segment in use: newcomers meet those, nobody is r
   CHECK(stranger.leave());
 }
 
-TEST_CASE("replaced by rubbish: newcomers get an error, those inside go on and leave it alone" *
-          doctest::description("the last to leave removes the file whosever it is") *
-          doctest::should_fail()) {
+TEST_CASE("replaced by rubbish: newcomers get an error, those inside go on and leave it alone") {
   const Watchdog watchdog(60);
   const Ground options;
   Insiders inside(options);

@@ -16,8 +16,10 @@
 #include "lot/lot.hpp"
 
 #include "janitor.hpp"
+#include "liveness/lock_file.hpp"
 #include "lockfree_ring/words.hpp"
 #include "neighbour.hpp"
+#include "robust_mutex/robust_mutex.hpp"
 
 namespace {
 
@@ -151,16 +153,46 @@ void check_rounds(Fault fault) {
 
 TEST_SUITE_BEGIN("orphanage");
 
-TEST_CASE("the lock file removed: old and new processes do not act for the orphanage at once" *
-          doctest::description("byte lock 0 of two lock files excludes nobody") *
-          doctest::should_fail()) {
+TEST_CASE("the lock file removed: old and new processes do not act for the orphanage at once") {
   const Watchdog watchdog(60);
   check_rounds(Fault::LockFileRemoved);
 }
 
-TEST_CASE("closefrom() in the middle of a reap: nobody else acts for the orphanage meanwhile" *
-          doctest::description("byte lock 0 goes with the descriptor, and the reap goes on") *
-          doctest::should_fail()) {
+TEST_CASE("nobody acts for the orphanage without its byte lock, nor without its mutex") {
+  const Watchdog watchdog(60);
+  for (const bool byte : {true, false}) {
+    CAPTURE(byte);
+    const Ground options;
+    Neighbour neighbour(options);
+    Steps joined;
+    Child victim([&] {
+      const lot::ShmEngine engine(named(options, "victim"));
+      joined.tell();
+      pause();
+    });
+    REQUIRE(joined.next() == '.');
+    lot::segment::Segment s(file_of(options));
+    lot::liveness::LockFile file(file_of(options) + ".lock", 0600);
+    lot::RobustMutex mutex(s.witnesses()[lot::refcount::kOrphanage].mutex);
+    if (byte) {
+      CHECK(eventually([&] { return file.try_lock(lot::refcount::kOrphanage); }));
+    } else {
+      CHECK(mutex.lock_for(10s) == lot::RobustMutex::Outcome::Locked);
+    }
+    victim.kill9();
+    CHECK(!eventually([&] { return index_of(s, "victim") == 0; }, 300ms));
+    if (byte) {
+      file.unlock(lot::refcount::kOrphanage);
+    } else {
+      mutex.unlock();
+    }
+    CHECK(eventually([&] { return index_of(s, "victim") == 0; }));
+    CHECK(neighbour.leave() >= 0);
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("closefrom() in the middle of a reap: nobody else acts for the orphanage meanwhile") {
   const Watchdog watchdog(60);
   check_rounds(Fault::ClosedInAReap);
 }
