@@ -15,6 +15,9 @@
 /// share it, so whoever locks another's byte holds a process-private mutex as well. The descriptor
 /// is never mapped: a mapping would keep a dead owner's lock.
 ///
+/// The application may close the descriptor, and use its number for a file of its own, at any time:
+/// so each lock and unlock looks first whether it still is the lock file.
+///
 /// Bytes: 1 .. N-1 are participants, 0 is the orphanage (who acts for it holds it), kGate guards
 /// creating, opening and removing the segment.
 ///
@@ -25,7 +28,8 @@ class LockFile {
  public:
   static constexpr std::uint32_t kGate = 1 << 20;
 
-  /// Opens the lock file, made if absent. Throws lot::Error.
+  /// Opens the lock file, made if absent. Throws lot::Error, also when it is no lock file (not an
+  /// empty regular one): that is left alone.
   LockFile(std::string path, mode_t mode);
   ~LockFile();
   LockFile(const LockFile&) = delete;
