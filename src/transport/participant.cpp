@@ -135,7 +135,10 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
       }
       if (fit == segment::Segment::Fit::Absent && in_use()) {
         // Somebody has removed the segment of living processes: the lock file is theirs.
-        ::unlink((path + ".lock").c_str());
+        if (::unlink((path + ".lock").c_str()) == -1 && errno != ENOENT) {
+          throw Error(errno, path + ".lock", "it is used with a segment that was removed",
+                      "stop those who use it (its owner can also remove it), or set LOT_SEGMENT");
+        }
         continue;
       }
       if (fit != segment::Segment::Fit::Fits) {
@@ -388,6 +391,8 @@ Participant* Participant::at(const void* address) noexcept {
   }
   return nullptr;
 }
+
+std::mutex& Participant::no_fork() noexcept { return process().mutex; }
 
 void Participant::prepare_fork() noexcept {
   process().joining.lock();

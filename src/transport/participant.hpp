@@ -150,6 +150,8 @@ class Participant {
   static void handle_gone(Participant* p) noexcept;
   void leave() noexcept;
 
+  /// Held while a lock file is opened or closed: a child must know all that it has to close.
+  static std::mutex& no_fork() noexcept;
   static void prepare_fork() noexcept;
   static void after_fork_in_parent() noexcept;
   static void after_fork_in_child() noexcept;
@@ -175,7 +177,7 @@ class Participant {
   std::thread warden_;
   std::mutex warden_mutex_;
   std::condition_variable warden_signal_;
-  bool warden_ready_ = false;
+  enum class Witness { Awaited, Held, Refused } witness_ = Witness::Awaited;
   bool warden_stop_ = false;
 
   std::atomic<bool> inert_{false};

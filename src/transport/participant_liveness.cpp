@@ -47,6 +47,10 @@ std::uint32_t Participant::take_index(const EngineOptions& options) {
     }
     lock_file_->unlock(k);
   }
+  if (!lock_file_->intact()) {
+    throw Error(EBADF, lock_file_->path(), "its descriptor was closed while the process joined",
+                "try again; in a process with other threads do not close descriptors of others");
+  }
   throw Error(EUSERS, segment_.path(),
               "all " + std::to_string(segment_.capacity().participants - 1) +
                   " processes of the segment are taken",
@@ -57,7 +61,13 @@ void Participant::start_warden() {
   warden_ = std::thread([this] { warden(); });
   pthread_setname_np(warden_.native_handle(), "lot-warden");
   std::unique_lock lock(warden_mutex_);
-  warden_signal_.wait(lock, [this] { return warden_ready_; });
+  warden_signal_.wait(lock, [this] { return witness_ != Witness::Awaited; });
+  if (witness_ == Witness::Held) return;
+  lock.unlock();
+  warden_.join();
+  throw Error(EBUSY, lock_file_->path(),
+              "another process has got the same index: the lock file was removed meanwhile",
+              "try again");
 }
 
 void Participant::warden() {
@@ -65,12 +75,13 @@ void Participant::warden() {
   sigfillset(&all);
   pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
   RobustMutex witness(segment_.witnesses()[index()].mutex);
-  while (witness.lock_for(1s) == RobustMutex::Outcome::Busy) {
-  }
-  part(index()).store(1, std::memory_order_release);
+  // A prober lets go at once. Who keeps it has the byte of another lock file.
+  const bool held = witness.lock_for(kGatePatience) != RobustMutex::Outcome::Busy;
+  if (held) part(index()).store(1, std::memory_order_release);
   std::unique_lock lock(warden_mutex_);
-  warden_ready_ = true;
+  witness_ = held ? Witness::Held : Witness::Refused;
   warden_signal_.notify_all();
+  if (!held) return;
   for (unsigned round = 0; !warden_stop_;) {
     warden_signal_.wait_for(lock, kWardenPeriod);
     if (warden_stop_) break;
@@ -131,7 +142,7 @@ void Participant::warden() {
 /// witness stands; but nobody should have to ask it.
 void Participant::keep_own_lock() noexcept {
   if (!lock_file_->intact()) {
-    const std::lock_guard guard(reap_mutex_);
+    const std::scoped_lock guard(reap_mutex_, no_fork());
     lock_lost_ = lock_file_->reopen();
   }
   // A prober may have the byte for a moment: then again the next time.

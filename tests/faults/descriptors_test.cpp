@@ -3,6 +3,7 @@
 // An application closes descriptors that are not its own, and uses their numbers for its own files.
 
 #include <algorithm>
+#include <cerrno>
 #include <cstdint>
 #include <cstdlib>
 #include <fcntl.h>
@@ -508,6 +509,34 @@ TEST_CASE(
   CHECK(careless.wait() == 0);
   std::filesystem::remove(file_of(options));
   CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("closed while it joins: an error that says so, or it goes on; the next one cleans up") {
+  const Watchdog watchdog(60);
+  int refused = 0;
+  for (int n = 1; n <= 6; ++n) {  // at its n-th lock or unlock
+    CAPTURE(n);
+    const Ground options;
+    Child joining([&] {
+      close_at_lock(n);
+      try {
+        lot::ShmEngine engine(options);
+        auto pusher = engine.advertise<Number>("/t");
+        auto puller = engine.subscribe<Number>("/t");
+        pusher.push(pusher.loan(std::uint64_t{7}));
+        must(puller.pull(10s)->value == 7, "it goes on");
+      } catch (const lot::Error& e) {
+        must(e.error_number() == EBADF, e.what());
+        _exit(1);
+      }
+    });
+    const int status = joining.wait();
+    CHECK(status <= 1);
+    refused += status;
+    { const lot::ShmEngine next(options); }
+    CHECK(files_of(options) == 0);
+  }
+  CHECK(refused == 2);  // without the gate, without its byte
 }
 
 TEST_CASE("closefrom() in the middle of a reap: what has the number then is not unlocked") {

@@ -2,13 +2,17 @@
 
 // An administrator removes, replaces and renames files under living processes.
 
+#include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <list>
+#include <optional>
 #include <string>
 #include <sys/stat.h>
+#include <thread>
 #include <unistd.h>
 
 #include <doctest/doctest.h>
@@ -19,6 +23,7 @@
 #include "liveness/lock_file.hpp"
 #include "neighbour.hpp"
 #include "puppet.hpp"
+#include "robust_mutex/robust_mutex.hpp"
 
 namespace {
 
@@ -61,6 +66,8 @@ struct Look {
 struct Number {
   std::uint64_t value;
 };
+
+std::atomic<bool> first_joiner_is_quicker{false};
 
 constexpr const char* kRubbish = "a text of mine that nobody may remove";
 
@@ -111,6 +118,30 @@ void remove_both(const lot::EngineOptions& options) {
 }
 
 }  // namespace
+
+// The linker (--wrap) sends the callers of RobustMutex::lock_for() to the second of these.
+lot::RobustMutex::Outcome really_lock(lot::RobustMutex*, std::chrono::nanoseconds) asm(
+    "__real__ZN3lot11RobustMutex8lock_forENSt6chrono8durationIlSt5ratioILl1ELl1000000000EEEE");
+lot::RobustMutex::Outcome lock_second(lot::RobustMutex*, std::chrono::nanoseconds) asm(
+    "__wrap__ZN3lot11RobustMutex8lock_forENSt6chrono8durationIlSt5ratioILl1ELl1000000000EEEE");
+
+lot::RobustMutex::Outcome lock_second(lot::RobustMutex* mutex, std::chrono::nanoseconds timeout) {
+  std::optional<std::thread> first;
+  std::atomic<bool> locked{false}, done{false};
+  if (first_joiner_is_quicker.exchange(false)) {
+    first.emplace([&] {
+      must(mutex->try_lock() != lot::RobustMutex::Outcome::Busy, "the first one's witness");
+      locked = true;
+      while (!done) usleep(1000);
+      mutex->unlock();
+    });
+    while (!locked) usleep(100);
+  }
+  const auto outcome = really_lock(mutex, timeout);
+  done = true;
+  if (first) first->join();
+  return outcome;
+}
 
 TEST_SUITE_BEGIN("files");
 
@@ -362,6 +393,43 @@ struct Directory {
 };
 
 }  // namespace
+
+TEST_CASE("the segment removed, its lock file another user's: an error, those inside go on") {
+  const Watchdog watchdog(60);
+  const Directory directory;
+  auto options = directory.options(directory.name);
+  options.permissions = 0666;
+  Insiders inside(options);
+  remove_segment(options);
+  REQUIRE(chmod(directory.name.c_str(), 0555) == 0);  // may open it, may not remove it
+  Child newcomer([&] {
+    must(getuid() != 0 || (setgid(65534) == 0 && setuid(65534) == 0), "an ordinary user");
+    const Refusal refusal(options);
+    must(refusal.number == EACCES && refusal.says(lock_of(options)), "an error that names it");
+  });
+  CHECK(newcomer.wait() == 0);
+  REQUIRE(chmod(directory.name.c_str(), 0700) == 0);
+  inside.check();
+  inside.leave();
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("the lock file removed while two join: who gets the other's index gets an error") {
+  const Watchdog watchdog(60);
+  const Ground options;
+  Insiders inside(options);
+  Child second([&] {
+    first_joiner_is_quicker = true;
+    const Refusal refusal(options);
+    must(refusal.number == EBUSY && refusal.says(lock_of(options)), "an error");
+    const Refusal again(options);
+    must(again.number == 0, "the next time it works");
+  });
+  CHECK(second.wait() == 0);
+  inside.check();
+  inside.leave();
+  CHECK(files_of(options) == 0);
+}
 
 TEST_CASE("the directory renamed: those inside go on, and meet who comes by the new name") {
   const Watchdog watchdog(60);

@@ -23,6 +23,7 @@
 #include "janitor.hpp"
 #include "liveness/lock_file.hpp"
 #include "neighbour.hpp"
+#include "slow_open.hpp"
 
 namespace {
 
@@ -86,14 +87,19 @@ pid_t with_posix_spawn() {
 
 bool lives(pid_t pid) { return kill(pid, 0) == 0; }
 
-/// Whether a process has the segment's lock file open.
-bool has_lock_file(pid_t pid, const lot::EngineOptions& options) {
+/// A process's descriptor of the segment's lock file, or -1.
+int lock_descriptor(pid_t pid, const lot::EngineOptions& options) {
   std::error_code gone;
   const auto descriptors = "/proc/" + std::to_string(pid) + "/fd";
   for (const auto& entry : std::filesystem::directory_iterator(descriptors, gone)) {
-    if (std::filesystem::read_symlink(entry, gone) == file_of(options) + ".lock") return true;
+    if (std::filesystem::read_symlink(entry, gone) == file_of(options) + ".lock") {
+      return std::stoi(entry.path().filename());
+    }
   }
-  return false;
+  return -1;
+}
+bool has_lock_file(pid_t pid, const lot::EngineOptions& options) {
+  return lock_descriptor(pid, options) != -1;
 }
 
 }  // namespace
@@ -411,6 +417,35 @@ TEST_CASE("a child forked while another thread is joining waits for it, and hold
   CHECK(index_of(s, "child") != 0);
   life.tell();
   CHECK(eventually([&] { return index_of(s, "child") == 0; }));
+  CHECK(neighbour.leave() >= 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a child forked while a closed lock file is opened again holds no lock") {
+  const Watchdog watchdog(60);
+  const Ground options;
+  Neighbour neighbour(options);
+  Steps forked, life;
+  Child parent([&] {
+    const lot::ShmEngine engine(named(options, "parent"));
+    const int lock = lock_descriptor(getpid(), options);
+    must(lock != -1, "the lock file is open");
+    open_lock_files_slowly();
+    must(dup2(0, lock) == lock, "dup2");  // so that it gets another number
+    while (!is_opening_slowly()) {
+    }
+    if (fork() == 0) {
+      forked.tell(has_lock_file(getpid(), options) ? 'y' : 'n');
+      await(life);
+      _exit(0);
+    }
+    pause();
+  });
+  CHECK(forked.next() == 'n');
+  parent.kill9();
+  lot::segment::Segment s(file_of(options));
+  CHECK(eventually([&] { return index_of(s, "parent") == 0; }));
+  life.tell();
   CHECK(neighbour.leave() >= 0);
   CHECK(files_of(options) == 0);
 }

@@ -12,6 +12,7 @@
 namespace {
 
 std::atomic<unsigned> strays{0};
+std::atomic<int> until_close{0};
 
 bool is_stray(int fd) {
   char link[32];
@@ -33,10 +34,12 @@ extern "C" int fcntl(int fd, int command, ...) {
   va_start(arguments, command);
   void* argument = va_arg(arguments, void*);
   va_end(arguments);
+  if (command == F_OFD_SETLK && until_close > 0 && --until_close == 0) close(fd);
   if (command == F_OFD_SETLK && is_stray(fd)) ++strays;
   return static_cast<int>(syscall(SYS_fcntl, fd, command, argument));
 }
 
 namespace lot::testing {
 unsigned stray_locks() { return strays; }
+void close_at_lock(int n) { until_close = n; }
 }  // namespace lot::testing
