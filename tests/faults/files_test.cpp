@@ -190,7 +190,7 @@ TEST_CASE("the segment removed: who dies inside is reaped by those inside, whate
   inside.b.kill9();
   Newcomers outside(options);  // they look for free indexes before `a` can reap
   inside.a.go_on();
-  CHECK(eventually([&] { return index_of(inside.segment, "b") == 0; }, 2s));
+  CHECK(eventually([&] { return index_of(inside.segment, "b") == 0; }));
   CHECK(index_of(inside.segment, "a") != 0);
   CHECK(inside.a.leave());
   outside.leave();

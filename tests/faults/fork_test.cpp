@@ -477,7 +477,7 @@ TEST_CASE(
   CHECK(forked.next() == 'n');
   parent.kill9();
   gate.leave_gate();
-  CHECK(eventually([&] { return index_of(s, "parent") == 0; }, 2s));
+  CHECK(eventually([&] { return index_of(s, "parent") == 0; }));
   life.tell();
   CHECK(eventually([&] { return index_of(s, "parent") == 0; }));
   CHECK(neighbour.leave() >= 0);

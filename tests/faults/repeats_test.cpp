@@ -86,7 +86,7 @@ TEST_CASE("a reader that is held up before it sleeps does not sleep over 4096 me
   for (int n = 0; n < 4096; ++n) pusher.push(message);
   CHECK(eventually([&] { return quick_got == 4097 && asleep(getpid(), quick_thread); }));
   released = true;
-  CHECK(eventually([&] { return slow_got == 2; }, 3s));  // there is a message that it has not read
+  CHECK(eventually([&] { return slow_got == 2; }, 20s));  // there is a message that it has not read
   pusher.push(message);
   slow.join();
   quick.join();

@@ -39,7 +39,7 @@ struct Frame {
 [[maybe_unused]] const bool has_janitor = start_janitor();
 
 /// Long enough to be stopped in, on a machine that has much else to do.
-constexpr auto kDeadline = 2s;
+constexpr auto kDeadline = 3s;
 
 /// Stops a process, and waits until it stands.
 void stop(const Child& child) {
@@ -285,19 +285,27 @@ TEST_CASE("while one thread waits for the gate of a segment, another grows messa
   Child node([&] {
     lot::ShmEngine engine(ours);
     auto pusher = engine.advertise<Frame>("/t");
-    std::thread joiner([&] { const lot::ShmEngine other(stuck); });
-    std::this_thread::sleep_for(50ms);  // it waits
-    std::atomic<bool> grown{false};
-    std::thread grower([&] {
+    bool meanwhile = false;
+    for (int attempt = 0; attempt < 3 && !meanwhile; ++attempt) {  // a slow machine may be too slow
+      std::atomic<bool> waits{true};
+      std::thread joiner([&] {
+        try {
+          const lot::ShmEngine other(stuck);
+        } catch (const lot::Error&) {
+        }
+        waits = false;
+      });
+      std::this_thread::sleep_for(50ms);
       auto frame = pusher.loan();
       frame->data.resize(1 << 17);
-      grown = pusher.push(std::move(frame)) == Status::Ok;
-    });
-    result.tell(eventually([&] { return grown.load(); }, 1s) ? '.' : '!');
-    grower.join();
-    joiner.join();
+      must(pusher.push(std::move(frame)) == Status::Ok, "a push");
+      meanwhile = waits;
+      if (meanwhile) result.tell();
+      joiner.join();
+    }
+    must(meanwhile, "a message grew while the other thread waited");
   });
-  CHECK(result.next() == '.');
+  CHECK(result.next(40s) == '.');
   keeps_gate.send(SIGCONT);
   done.tell();
   CHECK(keeps_gate.wait() == 0);
