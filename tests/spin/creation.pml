@@ -127,8 +127,8 @@ inline open_segment(p) {
 again:
   atomic {
     if
-    :: lock_name == NONE -> kernel_fresh(file); lock_name = file; lock_file[p] = file /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, mode) */
-    :: else -> lock_file[p] = lock_name /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, mode) */
+    :: lock_name == NONE -> kernel_fresh(file); lock_name = file; lock_file[p] = file /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | flags, mode) */
+    :: else -> lock_file[p] = lock_name /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | flags, mode) */
     fi;
     file = NONE
   };
@@ -150,7 +150,7 @@ again:
 #else
 #ifndef UNFINISHED_IS_USED
     unfinished = NONE; /* @ src/segment/segment.cpp create: ::unlink(unfinished.c_str()) */
-    atomic { kernel_fresh(file); unfinished = file }; /* @ src/segment/segment.cpp create: Descriptor file(open_private(unfinished, mode)) */
+    atomic { kernel_fresh(file); unfinished = file }; /* @ src/segment/segment.cpp create: Descriptor file(open_private(unfinished, mode, O_EXCL)) */
     complete[file] = 1; /* @ src/segment/segment.cpp create: RobustMutex::construct(segment.directory().lock.mutex) */
     atomic { segment_name = unfinished; unfinished = NONE; file = NONE } /* @ src/segment/segment.cpp create: if (::rename(unfinished.c_str(), path.c_str()) == -1) */
 #else
@@ -205,7 +205,7 @@ inline remove_files(p) {
 inline leave(p) {
   atomic { in_gate = 1; alone = (alive == 1); came = came & ~(1 << p) };
 #ifndef NO_GATE
-  atomic { gate[lock_file[p]] == NONE -> gate[lock_file[p]] = p }; /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->enter_gate(kGatePatience) */
+  atomic { gate[lock_file[p]] == NONE -> gate[lock_file[p]] = p }; /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience) */
 #ifndef NO_INODE_CHECK
   if
   :: lock_name != lock_file[p] -> gate[lock_file[p]] = NONE; in_gate = 0 /* @ src/liveness/lock_file.cpp enter_gate: leave_gate(); return false */

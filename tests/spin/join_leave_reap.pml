@@ -298,9 +298,9 @@ end_idle:
     :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/participant_liveness.cpp reap_dead: !lock_file_->held_by_other(k) */
     :: CAN_BE_COLLECTED -> /* @ src/transport/participant_liveness.cpp warden: reap_dead() || look_at_blocks || has_orphan_rings() */
       if
-      :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp collect: lock_file_->try_lock(refcount::kOrphanage) */
+      :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp collect: enter_orphanage() */
         collect(); /* @ src/transport/participant_liveness.cpp collect: Recovery(*this).collect() */
-        lock[0] = NONE /* @ src/transport/participant_liveness.cpp collect: lock_file_->unlock(refcount::kOrphanage) */
+        lock[0] = NONE /* @ src/transport/participant_liveness.cpp collect: leave_orphanage() */
       :: !CAN_BE_COLLECTED /* Somebody else was quicker. */
       fi
     :: atomic { me == WARDEN && ALL_HAVE_GONE && !CAN_BE_REAPED(1) && !CAN_BE_REAPED(2) && !CAN_BE_COLLECTED -> goto gone }
@@ -315,9 +315,9 @@ end_idle:
       :: atomic { WITNESS_IS_GONE(k) -> witness[k] = me }; /* @ src/transport/participant_liveness.cpp reap_if_dead: witness.try_lock() != RobustMutex::Outcome::Busy */
 #ifndef NO_ORPHANAGE_LOCK
         if
-        :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(refcount::kOrphanage) */
+        :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp reap_if_dead: enter_orphanage() */
           reap(k); /* @ src/transport/participant_liveness.cpp reap_if_dead: Recovery(*this).reap(k) */
-          lock[0] = NONE /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(refcount::kOrphanage) */
+          lock[0] = NONE /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
         :: else
         fi;
 #else
@@ -362,9 +362,9 @@ inline take_index() {
 #else
         :: part[k] -> /* @ src/transport/participant_liveness.cpp take_index: bool clean = part(k).load */
           if
-          :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp take_index: lock_file_->try_lock(refcount::kOrphanage) */
+          :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp take_index: enter_orphanage() */
             reap(k); /* @ src/transport/participant_liveness.cpp take_index: Recovery(*this).reap(k) */
-            lock[0] = NONE; /* @ src/transport/participant_liveness.cpp take_index: lock_file_->unlock(refcount::kOrphanage) */
+            lock[0] = NONE; /* @ src/transport/participant_liveness.cpp take_index: leave_orphanage() */
             clean = 1
           :: else
           fi
@@ -384,7 +384,7 @@ inline take_index() {
   od;
   if
   :: k <= LAST ->
-    acquire(witness[k], me); /* @ src/transport/participant_liveness.cpp warden: witness.lock_for(1s) == RobustMutex::Outcome::Busy */
+    acquire(witness[k], me); /* @ src/transport/participant_liveness.cpp warden: witness.lock_for(kGatePatience) != RobustMutex::Outcome::Busy */
     part[k] = 1 /* @ src/transport/participant_liveness.cpp warden: part(index()).store(1 */
   :: else -> /* @ src/transport/participant_liveness.cpp take_index: throw Error(EUSERS, segment_.path() */
 #ifdef FULL_TABLE
@@ -395,11 +395,11 @@ inline take_index() {
 }
 
 inline leave() {
-  acquire(gate, me); /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->enter_gate(kGatePatience) */
+  acquire(gate, me); /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience) */
   occupant[k] = NONE;
-  acquire(lock[0], me); /* @ src/transport/participant_liveness.cpp warden: lock_file_->try_lock(refcount::kOrphanage) */
+  acquire(lock[0], me); /* @ src/transport/participant_liveness.cpp warden: enter_orphanage() */
   reap(k); /* @ src/transport/participant_liveness.cpp warden: Recovery(*this).reap(index()) */
-  lock[0] = NONE; /* @ src/transport/participant_liveness.cpp warden: lock_file_->unlock(refcount::kOrphanage) */
+  lock[0] = NONE; /* @ src/transport/participant_liveness.cpp warden: leave_orphanage() */
   witness[k] = NONE; /* @ src/transport/participant_liveness.cpp warden: witness.unlock() */
   lock[k] = NONE; /* @ src/transport/participant_liveness.cpp warden: lock_file_->unlock(index()) */
   gate = NONE /* @ src/transport/participant_liveness.cpp warden: lock_file_->leave_gate() */

@@ -309,9 +309,9 @@ end_idle:
     :: atomic { IS_DEAD(3) -> lock[3] = p; k = 3; break } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
     :: atomic { IS_DEAD(4) -> lock[4] = p; k = 4; break } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
     od;
-    acquire(lock[0], p); /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(refcount::kOrphanage) */
+    acquire(lock[0], p); /* @ src/transport/participant_liveness.cpp reap_if_dead: enter_orphanage() */
     reap(k); /* @ src/transport/participant_liveness.cpp reap_if_dead: Recovery(*this).reap(k) */
-    lock[0] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(refcount::kOrphanage) */
+    lock[0] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
     atomic {
       lock[k] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(k) */
       k = 0;
@@ -389,9 +389,9 @@ inline close_ring(me, mine) {
 #else
   writer[mine] = WRITER(ORPHAN, me); /* @ src/transport/participant_stock.cpp close_ring: .store(ring::make_writer(name.generation, ring::State::Orphan, index()) */
   wake_readers(mine); /* @ src/transport/participant_stock.cpp close_ring: Recovery(*this).wake_readers(r) */
-  acquire(lock[0], me); /* @ src/transport/participant_stock.cpp finish_closing: lock_file_->try_lock(refcount::kOrphanage) */
+  acquire(lock[0], me); /* @ src/transport/participant_stock.cpp finish_closing: enter_orphanage() */
   orphan_ring(mine, me); /* @ src/transport/participant_stock.cpp finish_closing: recovery.orphan_ring(c, index()) */
-  lock[0] = 0 /* @ src/transport/participant_stock.cpp finish_closing: lock_file_->unlock(refcount::kOrphanage) */
+  lock[0] = 0 /* @ src/transport/participant_stock.cpp finish_closing: leave_orphanage() */
 #endif
 }
 
@@ -433,10 +433,10 @@ mark:
 #ifndef NO_PROBE
   if
   :: atomic { IS_DEAD(LAGGARD) -> lock[LAGGARD] = me }; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
-    acquire(lock[0], me); /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(refcount::kOrphanage) */
+    acquire(lock[0], me); /* @ src/transport/participant_liveness.cpp reap_if_dead: enter_orphanage() */
     free_cell(0, READERS - 1, LAGGARD); /* @ src/recovery/recovery.hpp reap: free_cells(c, k) */
     part[LAGGARD] = 0; /* @ src/recovery/recovery.hpp reap: world_.part(k).store(0 */
-    lock[0] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(refcount::kOrphanage) */
+    lock[0] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
     lock[LAGGARD] = 0 /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(k) */
   :: !IS_DEAD(LAGGARD) /* @ src/transport/pusher.cpp wait_for_room: for (const std::uint32_t k : laggards) participant_->reap_if_dead(k) */
   fi;
