@@ -35,7 +35,6 @@ struct Number {
 /// Says that a case can not be run here.
 bool skipped() {
   if (WallClock::lacking().empty()) return false;
-  MESSAGE("skipped: ", WallClock::lacking());
   std::printf("skipped: %s\n", WallClock::lacking().c_str());
   return true;
 }
