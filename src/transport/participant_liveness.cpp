@@ -59,7 +59,6 @@ std::uint32_t Participant::take_index(const EngineOptions& options) {
 
 void Participant::start_warden() {
   warden_ = std::thread([this] { warden(); });
-  pthread_setname_np(warden_.native_handle(), "lot-warden");
   std::unique_lock lock(warden_mutex_);
   warden_signal_.wait(lock, [this] { return witness_ != Witness::Awaited; });
   if (witness_ == Witness::Held) return;
@@ -71,6 +70,7 @@ void Participant::start_warden() {
 }
 
 void Participant::warden() {
+  pthread_setname_np(pthread_self(), "lot-warden");  // of another thread it would go through /proc
   sigset_t all;
   sigfillset(&all);
   pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
