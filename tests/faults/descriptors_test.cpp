@@ -305,6 +305,7 @@ TEST_CASE("dup2() over the lock file's descriptor leaves what it was made to nam
     must(index_of(s, "careless") != 0, "not reaped");
     pusher.push(pusher.loan(std::uint64_t{7}));
     must(puller.pull(10s)->value == 7, "it goes on");
+    must(eventually([&] { return lock_descriptor(options) != -1; }), "it is open again");
     must(lock_descriptor(options) != number, "the library has opened another one");
     must(own.untouched() && stray_locks() == 0, "the file behind it was not touched");
     struct stat through {};
