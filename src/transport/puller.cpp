@@ -179,7 +179,8 @@ class Puller final : public detail::PullerCore {
           if (n % kPollsPerClock != 0) continue;
           settle();
           const auto now = futex::Clock::now();
-          if (deadline && now >= *deadline) return Status::Timeout;
+          // Once more: we may have been held up since the last look.
+          if (deadline && now >= *deadline) return look(borrowed) ? Status::Ok : Status::Timeout;
           if (wait_ == Wait::Adaptive && now - start >= kSpinTime) break;
         }
       }

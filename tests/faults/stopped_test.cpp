@@ -5,6 +5,7 @@
 #include <atomic>
 #include <csignal>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <sys/wait.h>
@@ -49,9 +50,42 @@ void stop(const Child& child) {
   REQUIRE(WIFSTOPPED(status));
 }
 
+thread_local int looks_at_the_clock = 0;            ///< until this thread is held up
+thread_local std::function<void()> meanwhile = {};  ///< what happens then, in an hour
+
 }  // namespace
 
+// The linker (--wrap) sends the callers of steady_clock::now() to the second of these.
+std::chrono::steady_clock::time_point true_time() asm(
+    "__real__ZNSt6chrono3_V212steady_clock3nowEv");
+std::chrono::steady_clock::time_point time_held_up() asm(
+    "__wrap__ZNSt6chrono3_V212steady_clock3nowEv");
+std::chrono::steady_clock::time_point time_held_up() {
+  if (looks_at_the_clock == 0 || --looks_at_the_clock != 0) return true_time();
+  meanwhile();
+  return true_time() + std::chrono::hours(1);
+}
+
 TEST_SUITE_BEGIN("stopped");
+
+TEST_CASE("a reader that is held up between its last look and the clock gets what came meanwhile") {
+  const Watchdog watchdog(60);
+  const Ground options;
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Number>("/t");
+  for (const auto wait : {Wait::Spin, Wait::Adaptive, Wait::Park}) {
+    for (int look = 1; look <= 4; ++look) {
+      CAPTURE(static_cast<int>(wait));
+      CAPTURE(look);
+      auto puller = engine.subscribe<Number>("/t", {wait, 0});
+      meanwhile = [&] { pusher.push(pusher.loan(std::uint64_t{7})); };
+      looks_at_the_clock = look;
+      const auto seen = puller.pull(100ms);
+      if (looks_at_the_clock == 0) CHECK((seen && seen->value == 7));
+      looks_at_the_clock = 0;
+    }
+  }
+}
 
 TEST_CASE("a reader that is stopped past its deadline gets the message that came, or Timeout") {
   const Watchdog watchdog(60);
