@@ -1,6 +1,7 @@
 # Lets a target make mistakes that it must find: a check that cannot fail proves nothing.
 # Usage: cmake -D REPLAY=program -D CORPUS=directory -D PLANTS=mistake,... -P can_fail.cmake
 string(REPLACE "," ";" PLANTS "${PLANTS}")
+set(ENV{LOT_FUZZ_PATIENCE} 10)
 foreach(mistake IN LISTS PLANTS)
   set(ENV{LOT_FUZZ_PLANT} ${mistake})
   execute_process(COMMAND ${REPLAY} ${CORPUS}

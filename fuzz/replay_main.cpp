@@ -4,11 +4,14 @@
 // repeats what fuzzing has found before.
 //
 //     ring_fuzz_replay FILE_OR_DIRECTORY...
+//
+// An input that takes longer than LOT_FUZZ_PATIENCE seconds (60) hangs: the process is ended.
 
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
+#include <cstdlib>
 #include <exception>
 #include <filesystem>
 #include <fstream>
@@ -24,7 +27,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr unsigned kPatience = 60;  ///< seconds; an input that takes longer hangs
+unsigned patience() {
+  const char* seconds = std::getenv("LOT_FUZZ_PATIENCE");
+  return seconds != nullptr ? static_cast<unsigned>(std::strtoul(seconds, nullptr, 10)) : 60;
+}
 
 /// The files named by the arguments; of a directory, all that lie in it, in a fixed order.
 std::vector<fs::path> inputs(int argc, char** argv) {
@@ -56,7 +62,7 @@ int main(int argc, char** argv) try {
   for (const auto& file : files) {
     std::printf("%s\n", file.c_str());
     std::fflush(stdout);  // a failing input aborts: its name is the last line
-    alarm(kPatience);
+    alarm(patience());
     const auto bytes = read(file);
     LLVMFuzzerTestOneInput(bytes.data(), bytes.size());
   }

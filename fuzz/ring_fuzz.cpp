@@ -1,5 +1,6 @@
 // Any sequence of ring operations against a model that is too simple to be wrong: a deque of the
-// messages that are left, and for each reader the index of the message that it reads next.
+// messages that are left, and for each reader the index of the message that it reads next. Where a
+// ring has room for one reader, under back-pressure, boost::lockfree::spsc_queue is asked as well.
 //
 // Input: depth - 1 | policy and readers | first sequence | operations, a byte each:
 //     7     5 4      3 2         0
@@ -15,16 +16,21 @@
 #include <cstdlib>
 #include <deque>
 #include <iterator>
+#include <memory>
 #include <optional>
 #include <vector>
+
+#include <boost/lockfree/spsc_queue.hpp>
 
 #include "lot/detail/atomics.hpp"
 
 #include "lockfree_ring/ring.hpp"
+#include "support/plant.hpp"
 
 namespace {
 
 using lot::detail::HardwareAtomics;
+using lot::fuzz::planted;
 using lot::ring::kNoBlock;
 using lot::ring::kSequenceMask;
 using lot::ring::kSleeper;
@@ -112,6 +118,7 @@ class Fuzz {
         if (reader) sleep(*reader);
         break;
     }
+    spoil();
     check();
   }
 
@@ -157,6 +164,8 @@ class Fuzz {
 
   void publish() {
     require(writer_.room() == room(), "room");
+    const bool read = oracle_ && readers_[0];
+    require(!read || (oracle_->write_available() != 0) == room(), "room, as boost has it");
     if (!room()) {
       require(writer_.mark_waiting() == space_ && space_ % 2 == 1, "mark_waiting");
       waiting_ = true;
@@ -172,6 +181,7 @@ class Fuzz {
     require(result.wake == marked_, "wake");
     require(result.slot == &slots_[published_ % ring_.depth], "slot");
     marked_ = false;
+    if (read) oracle_->push(block_of(published_));
     kept_.emplace_back(block_of(published_++));
   }
 
@@ -196,6 +206,11 @@ class Fuzz {
 
     std::uint64_t missed = 7;  // it adds
     require(reader.real.poll(missed) == reader.borrowed.value_or(kNoBlock), "poll");
+    if (oracle_) {
+      const bool any = oracle_->read_available() != 0;
+      require((any ? oracle_->front() : kNoBlock) == reader.borrowed.value_or(kNoBlock),
+              "poll, as boost has it");
+    }
     require(missed == 7 + (reader.next - before), "missed");
     if (!reader.borrowed) ring_bell(reader.real.sender_waits());
   }
@@ -203,6 +218,7 @@ class Fuzz {
   void done(Model& reader) {
     reader.borrowed.reset();
     ++reader.next;
+    if (oracle_) oracle_->pop();
     ring_bell(reader.real.done());
   }
 
@@ -225,6 +241,9 @@ class Fuzz {
     back = std::min({back, Word{history}, published_});
     require(real->cell() == static_cast<std::size_t>(seat - readers_.begin()), "cell");
     *seat = Model{*real, published_ - back, std::nullopt};
+    if (!ring_.blocking || readers_.size() != 1) return;
+    oracle_ = std::make_unique<boost::lockfree::spsc_queue<Word>>(ring_.depth);
+    for (Word m = published_ - back; m < published_; ++m) oracle_->push(block_of(m));
   }
 
   void sleep(Model& reader) {
@@ -233,6 +252,17 @@ class Fuzz {
     if (!mark) return;
     require(*mark == reader.real.slot() && (*mark & kSleeper) != 0, "mark");
     marked_ = true;
+  }
+
+  /// Makes one of the mistakes that must be found.
+  void spoil() {
+    if (++steps_ % 8 != 0) return;
+    if (planted("lost_message")) writer_.publish(0);
+    if (planted("changed_slot")) slots_[0] ^= 1;
+    if (planted("forgotten_sleeper")) slots_[published_ % ring_.depth] &= ~kSleeper;
+    for (auto& reader : readers_) {
+      if (planted("moved_reader") && reader) reader->real.done();
+    }
   }
 
   /// What must hold between operations, whoever asks.
@@ -271,11 +301,14 @@ class Fuzz {
   Ring ring_;
   Writer writer_;
 
+  /// What the one reader has not read; none while there may be several.
+  std::unique_ptr<boost::lockfree::spsc_queue<Word>> oracle_;
   std::deque<std::optional<Word>> kept_;  ///< the newest messages, oldest first; empty: evicted
   std::vector<std::optional<Model>> readers_;
   Word published_ = 0;
   bool marked_ = false;   ///< somebody sleeps on the slot of the next message
   bool waiting_ = false;  ///< the sender sleeps for room
+  unsigned steps_ = 0;
 };
 
 }  // namespace
