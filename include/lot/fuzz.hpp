@@ -452,9 +452,10 @@ class Queue {
     std::abort();
   }
 
-  void remember(std::uint64_t number, std::size_t side, const ShmSharedPtr<const Mail>& pointer) {
+  /// The pointer is a copy: it may be one of those that move here.
+  void remember(std::uint64_t number, std::size_t side, ShmSharedPtr<const Mail> pointer) {
     if (pointers_.size() == kMostPointers) pointers_.erase(pointers_.begin());
-    pointers_.push_back({number, side, pointer});
+    pointers_.push_back({number, side, std::move(pointer)});
   }
 
   void lock(const Known<ShmWeakPtr<const Mail>>& weak) {

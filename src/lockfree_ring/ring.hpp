@@ -282,9 +282,10 @@ class Reader {
 
   /// Borrows the next message: its block, or kNoBlock when there is none. The block and its payload
   /// are protected until done(). `missed` is increased by the messages that were overwritten before
-  /// they could be read.
+  /// they could be read. kDamaged: somebody else has written into the ring; done() goes on behind
+  /// it.
   Word poll(std::uint64_t& missed) {
-    for (;;) {
+    for (Word lapped = 0;;) {
       auto& slot = ring_.slots[index_];
       const Word seen = without_sleeper(slot.load(std::memory_order_acquire));  // R1
       const std::int64_t ahead = distance(sequence(seen), cursor_);
@@ -293,6 +294,9 @@ class Reader {
         return kNoBlock;
       }
       if (ahead > 0) {  // lapped: the oldest that can still be there is one round behind `seen`
+        lapped += static_cast<Word>(ahead);
+        // Not by whole rounds, or round and round the numbers: it would never come to an end.
+        if (ahead % ring_.depth != 0 || lapped > kSequenceMask / 2) return kDamaged;
         skip(static_cast<Word>(ahead) + 1 - ring_.depth, missed);
         continue;
       }

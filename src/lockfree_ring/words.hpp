@@ -32,6 +32,9 @@ constexpr Word sequence(Word word) { return word >> kSequenceShift; }
 constexpr Word block(Word word) { return word & kNoBlock; }
 constexpr Word without_sleeper(Word word) { return word & ~kSleeper; }
 
+/// What Reader::poll() returns for a slot that no publisher can have written. It names no block.
+inline constexpr Word kDamaged = kNoBlock + 1;
+
 /// a - b of two sequences, as a signed number: sequences wrap after 2^44 messages, and two that are
 /// compared are never further apart than 2^43.
 constexpr std::int64_t distance(Word a, Word b) {

@@ -137,7 +137,7 @@ class Puller final : public detail::PullerCore {
   void found(detail::Borrowed& borrowed, ring::Word b) {
     segment::Segment& s = participant_->segment();
     if (b >= participant_->blocks()) [[unlikely]]
-      skip_damaged("its slot names a block that does not exist");
+      skip_damaged("its slot in the queue cannot be right");
     block_ = static_cast<std::uint32_t>(b);
     if (small_) {
       borrowed.root = s.small(block_);

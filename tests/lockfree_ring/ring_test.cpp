@@ -233,6 +233,27 @@ TEST_CASE("a reader that is lapped again and again misses each message once") {
   }
 }
 
+TEST_CASE("a slot that no publisher can have written ends a poll, and done() goes on behind it") {
+  Channel channel(4, Policy::Overwrite);
+  Reader reader = channel.join();
+  channel.publish(0, 4);
+  std::uint64_t missed = 0;
+  SUBCASE("it is ahead by less than a round") {
+    channel.slots[0] = lot::ring::make(3, 0);
+    CHECK(reader.poll(missed) == lot::ring::kDamaged);
+    reader.done();
+    CHECK(reader.poll(missed) == 1);
+    CHECK(missed == 0);
+  }
+  SUBCASE("the slots lead round and round the sequences") {
+    for (Word i = 0; i < 4; ++i) {
+      // Each is most of half the circle ahead of where the one before leads.
+      channel.slots[i] = lot::ring::make((i + 1) * (kSequenceMask / 8 * 3) / 4 * 4 + i, i);
+    }
+    CHECK(reader.poll(missed) == lot::ring::kDamaged);
+  }
+}
+
 TEST_CASE("publish hands back the block that it replaced") {
   for (const std::uint32_t depth : {1U, 3U}) {
     Channel channel(depth, Policy::Overwrite);
