@@ -18,7 +18,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 
 ROOT = pathlib.Path(__file__).resolve().parent
 AT_ONCE = 2
@@ -26,8 +25,14 @@ PATIENCE = 60  # seconds that one input may take on a busy machine
 LONGEST = 600  # bytes of an input
 DONE = re.compile(r'^#(\d+)\s+(?:DONE|pulse|NEW|REDUCE|INITED).*?cov: (\d+).*?corp: (\d+)', re.M)
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 running = set()
-lock = threading.Lock()
+stopping = False
+
+
+class Stopped(Exception):
+    """A signal says that it is enough."""
 
 
 def run(target, binary, seconds, seed, scratch):
@@ -39,12 +44,12 @@ def run(target, binary, seconds, seed, scratch):
     command = [binary, f'-max_total_time={seconds}', f'-timeout={PATIENCE}', f'-max_len={LONGEST}',
                f'-seed={seed}', '-len_control=20', '-print_final_stats=1', f'-artifact_prefix={found}/', corpus]
     with open(scratch / target / 'log', 'w+', errors='replace') as log:
-        with lock:
-            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, cwd=scratch)
-            running.add(process)
+        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, cwd=scratch)
+        running.add(process)
+        if stopping:  # looked at when it can be found: stop() does it the other way round
+            process.kill()
         process.wait()
-        with lock:
-            running.discard(process)
+        running.discard(process)
         log.seek(0)
         text = log.read()
     last = DONE.findall(text)
@@ -74,27 +79,21 @@ def main():
         sys.exit(f'fuzz/run.py: {" ".join(unknown) or "no target"} is not built in {arguments.build}: '
                  'cmake --preset fuzz && cmake --build --preset fuzz')
 
-    def stop(number, _):
-        with lock:
-            for process in running:
-                process.kill()
-        sys.exit(128 + number)
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, stop)
-
     print(f'{arguments.seconds} s each, seed {arguments.seed}')
     print(f'{"target":<10} {"runs":>9} {"exec/s":>7} {"coverage":>8} {"corpus":>6}  result', flush=True)
     rows = []
     with tempfile.TemporaryDirectory(prefix='lot-fuzz.') as scratch, \
             concurrent.futures.ThreadPoolExecutor(AT_ONCE) as pool:
-        work = [pool.submit(run, t, binaries[t], arguments.seconds, arguments.seed, pathlib.Path(scratch))
-                for t in targets]
-        for future in concurrent.futures.as_completed(work):
-            row = future.result()
-            rows.append(row)
-            print(f'{row["target"]:<10} {row["runs"]:>9} {row["speed"]:>7} {row["coverage"]:>8} '
-                  f'{row["corpus"]:>6}  {"ok" if row["good"] else "FAILED"}', flush=True)
+        try:
+            work = [pool.submit(run, t, binaries[t], arguments.seconds, arguments.seed, pathlib.Path(scratch))
+                    for t in targets]
+            for future in concurrent.futures.as_completed(work):
+                row = future.result()
+                rows.append(row)
+                print(f'{row["target"]:<10} {row["runs"]:>9} {row["speed"]:>7} {row["coverage"]:>8} '
+                      f'{row["corpus"]:>6}  {"ok" if row["good"] else "FAILED"}', flush=True)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
     for row in rows:
         if row['good']:
             continue
@@ -107,5 +106,21 @@ def main():
     return 1 if failed else 0
 
 
+def stop(number, _):
+    global stopping
+    for other in SIGNALS:
+        signal.signal(other, signal.SIG_IGN)
+    stopping = True
+    for process in list(running):
+        process.kill()
+    raise Stopped(number)
+
+
 if __name__ == '__main__':
-    sys.exit(main())
+    for number in SIGNALS:
+        signal.signal(number, stop)
+    try:
+        sys.exit(main())
+    except Stopped as stopped:
+        print('summary: stopped by a signal')
+        sys.exit(128 + stopped.args[0])

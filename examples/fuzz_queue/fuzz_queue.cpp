@@ -17,8 +17,9 @@ void fill(Track& track, lot::fuzz::Bytes& bytes) {
 
 /// All that is in it.
 std::string print(const Track& track) {
-  std::string text = std::to_string(track.id) + ":" + track.name.c_str();
-  for (const float point : track.points) text += " " + std::to_string(point);
+  std::string text = std::to_string(track.id) + ":";
+  text.append(track.name);
+  for (const float point : track.points) text.append(" ").append(std::to_string(point));
   return text;
 }
 

@@ -8,10 +8,11 @@
 /// it tests, behind its model's back; can_fail.cmake sees that each of them is found.
 namespace lot::fuzz {
 
-/// True when the mistake of this name is to be made: LOT_FUZZ_PLANT names it.
-inline bool planted(std::string_view mistake) {
+/// The mistake that is to be made, or "".
+inline std::string_view plant() {
   static const char* const name = std::getenv("LOT_FUZZ_PLANT");
-  return name != nullptr && mistake == name;
+  return name != nullptr ? name : "";
 }
+inline bool planted(std::string_view mistake) { return plant() == mistake; }
 
 }  // namespace lot::fuzz
