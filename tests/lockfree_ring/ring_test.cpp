@@ -246,9 +246,9 @@ TEST_CASE("a slot that no publisher can have written ends a poll, and done() goe
     CHECK(missed == 0);
   }
   SUBCASE("the slots lead round and round the sequences") {
+    constexpr Word kQuarter = (kSequenceMask + 1) / 4;
     for (Word i = 0; i < 4; ++i) {
-      // Each is most of half the circle ahead of where the one before leads.
-      channel.slots[i] = lot::ring::make((i + 1) * (kSequenceMask / 8 * 3) / 4 * 4 + i, i);
+      channel.slots[i] = lot::ring::make(lot::ring::advance((i + 1) * kQuarter, i), i);
     }
     CHECK(reader.poll(missed) == lot::ring::kDamaged);
   }
