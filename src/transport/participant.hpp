@@ -4,6 +4,7 @@
 #include <condition_variable>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <unordered_map>
@@ -132,6 +133,7 @@ class Participant {
   static Participant& of(const detail::ControlCell* cell) noexcept;
   void fill_hub() noexcept;
   std::uint32_t take_index(const EngineOptions& options);
+  std::optional<std::uint32_t> try_take_index();
   void start_warden();
   void warden();
   void keep_own_lock() noexcept;

@@ -4,6 +4,7 @@
 #include <cerrno>
 #include <csignal>
 #include <cstring>
+#include <optional>
 #include <unistd.h>
 
 #include "lot/error.hpp"
@@ -19,10 +20,40 @@ constexpr auto kOrphanagePatience = 2s;
 constexpr auto kWardenPeriod = 100ms;
 /// A search through all blocks costs cache lines that publishers want: only now and then.
 constexpr unsigned kWardenRoundsPerSearch = 10;
+/// Who joins when all indexes are taken asks again so long: somebody may be reaping just now.
+constexpr auto kFullPatience = 200ms;
 
 }  // namespace
 
 std::uint32_t Participant::take_index(const EngineOptions& options) {
+  const auto until = futex::Clock::now() + kFullPatience;
+  std::optional<std::uint32_t> k;
+  while (!(k = try_take_index())) {
+    if (!lock_file_->intact()) {
+      throw Error(EBADF, lock_file_->path(), "its descriptor was closed while the process joined",
+                  "try again; in a process with other threads do not close descriptors of others");
+    }
+    if (futex::Clock::now() >= until) {
+      throw Error(
+          EUSERS, segment_.path(),
+          "all " + std::to_string(segment_.capacity().participants - 1) +
+              " processes of the segment are taken",
+          "make the segment with a larger EngineOptions::processes, or use several segments");
+    }
+    std::this_thread::sleep_for(1ms);
+  }
+  auto& entry = segment_.participants()[*k];
+  entry.pid = getpid();
+  entry.since_ns = static_cast<std::uint64_t>(std::chrono::system_clock::now().time_since_epoch() /
+                                              std::chrono::nanoseconds(1));
+  std::memset(entry.name, 0, sizeof(entry.name));
+  std::memcpy(entry.name, options.name.data(),
+              std::min(options.name.size(), sizeof(entry.name) - 1));
+  return *k;
+}
+
+/// Locks an index that nobody has, once what a dead one left there is repaired.
+std::optional<std::uint32_t> Participant::try_take_index() {
   for (std::uint32_t k = 1; k < segment_.capacity().participants; ++k) {
     if (!lock_file_->try_lock(k)) continue;
     RobustMutex witness(segment_.witnesses()[k].mutex);
@@ -34,27 +65,11 @@ std::uint32_t Participant::take_index(const EngineOptions& options) {
         clean = true;
       }
       witness.unlock();
-      if (clean) {
-        auto& entry = segment_.participants()[k];
-        entry.pid = getpid();
-        entry.since_ns = static_cast<std::uint64_t>(
-            std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1));
-        std::memset(entry.name, 0, sizeof(entry.name));
-        std::memcpy(entry.name, options.name.data(),
-                    std::min(options.name.size(), sizeof(entry.name) - 1));
-        return k;
-      }
+      if (clean) return k;
     }
     lock_file_->unlock(k);
   }
-  if (!lock_file_->intact()) {
-    throw Error(EBADF, lock_file_->path(), "its descriptor was closed while the process joined",
-                "try again; in a process with other threads do not close descriptors of others");
-  }
-  throw Error(EUSERS, segment_.path(),
-              "all " + std::to_string(segment_.capacity().participants - 1) +
-                  " processes of the segment are taken",
-              "make the segment with a larger EngineOptions::processes, or use several segments");
+  return std::nullopt;
 }
 
 void Participant::start_warden() {

@@ -197,4 +197,26 @@ TEST_CASE("closefrom() in the middle of a reap: nobody else acts for the orphana
   check_rounds(Fault::ClosedInAReap);
 }
 
+TEST_CASE("a dead one's index is not refused because somebody reaps just now") {
+  const Watchdog watchdog(60);
+  Ground options;
+  options.processes = 1;
+  Steps joined;
+  Child dead([&] {
+    lot::ShmEngine engine(named(options, "dead"));
+    joined.tell();
+    pause();
+  });
+  REQUIRE(joined.next() == '.');
+  dead.kill9();
+  lot::liveness::LockFile lock_file(file_of(options) + ".lock", 0600);
+  REQUIRE(lock_file.try_lock(lot::refcount::kOrphanage));
+  std::thread reaper([&] {
+    std::this_thread::sleep_for(30ms);
+    lock_file.unlock(lot::refcount::kOrphanage);
+  });
+  CHECK_NOTHROW(lot::ShmEngine(named(options, "next")));
+  reaper.join();
+}
+
 TEST_SUITE_END();

@@ -15,12 +15,11 @@
  * run lost_lock -DNEWCOMER_COMES -DANY_TIME -DCLOSEFROM : the publisher loses its kernel lock and lives
  * run overlap -DREADER_COMES -DREADER_IS_SETTLED -DNEWCOMER_COMES -DANY_TIME -DMORTALS=2 : others come and leave while the publisher is reaped
  * run forwarded -DFORWARDED -DNEWCOMER_COMES -DMORTALS=10 : publishers of somebody else's message leave and are killed
+ * run full_table -DNEWCOMER_COMES -DMORTALS=2 -DFULL_TABLE : a newcomer finds every index taken, one by somebody dead
  * full everybody -DREADER_COMES -DNEWCOMER_COMES -DMORTALS=2 : all three, and the publisher may be killed
  * full reader_and_publisher -DREADER_COMES -DMORTALS=6 : both may be killed
  *
  * pan -DCOLLAPSE
- *
- * bug full_table -DNEWCOMER_COMES -DMORTALS=2 -DFULL_TABLE : a dead one's index is refused while somebody holds lock 0
  *
  * plant NO_WITNESS lost_lock : a free byte alone counts as death
  * plant TAKEN_WITHOUT_REAP restart : the new owner of an index does not repair what the dead one left
@@ -32,6 +31,7 @@
  * plant NAME_BEFORE_COLLECT forwarded : part is cleared before the orphanage has let go
  * plant RING_NAME_FIRST reapers : the ring forgets its owner before its messages are adopted
  * plant HOLD_FIRST reapers : the dead one's hold goes before the orphanage has one
+ * plant LOOKS_ONCE full_table : a dead one's index is refused while somebody reaps
  * plant NO_ORPHANAGE_LOCK overlap : two act for the orphanage at once
  */
 
@@ -352,35 +352,39 @@ inline take_index() {
   do
   :: k <= LAST ->
     if
-    :: atomic { lock[k] == NONE -> lock[k] = me }; /* @ src/transport/participant_liveness.cpp take_index: if (!lock_file_->try_lock(k)) continue */
+    :: atomic { lock[k] == NONE -> lock[k] = me }; /* @ src/transport/participant_liveness.cpp try_take_index: if (!lock_file_->try_lock(k)) continue */
       if
-      :: atomic { WITNESS_IS_GONE(k) -> witness[k] = me }; /* @ src/transport/participant_liveness.cpp take_index: witness.try_lock() != RobustMutex::Outcome::Busy */
+      :: atomic { WITNESS_IS_GONE(k) -> witness[k] = me }; /* @ src/transport/participant_liveness.cpp try_take_index: witness.try_lock() != RobustMutex::Outcome::Busy */
         if
-        :: part[k] == 0 -> clean = 1 /* @ src/transport/participant_liveness.cpp take_index: bool clean = part(k).load */
+        :: part[k] == 0 -> clean = 1 /* @ src/transport/participant_liveness.cpp try_take_index: bool clean = part(k).load */
 #ifdef TAKEN_WITHOUT_REAP
         :: part[k] -> clean = 1
 #else
-        :: part[k] -> /* @ src/transport/participant_liveness.cpp take_index: bool clean = part(k).load */
+        :: part[k] -> /* @ src/transport/participant_liveness.cpp try_take_index: bool clean = part(k).load */
           if
-          :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp take_index: enter_orphanage() */
-            reap(k); /* @ src/transport/participant_liveness.cpp take_index: Recovery(*this).reap(k) */
-            lock[0] = NONE; /* @ src/transport/participant_liveness.cpp take_index: leave_orphanage() */
+          :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp try_take_index: enter_orphanage() */
+            reap(k); /* @ src/transport/participant_liveness.cpp try_take_index: Recovery(*this).reap(k) */
+            lock[0] = NONE; /* @ src/transport/participant_liveness.cpp try_take_index: leave_orphanage() */
             clean = 1
           :: else
           fi
 #endif
         fi;
-        witness[k] = NONE /* @ src/transport/participant_liveness.cpp take_index: witness.unlock() */
+        witness[k] = NONE /* @ src/transport/participant_liveness.cpp try_take_index: witness.unlock() */
       :: else
       fi;
       if
       :: atomic { clean -> clean = 0; assert(occupant[k] == NONE && !IS_NAMED(k)); occupant[k] = me; break }
-      :: else -> lock[k] = NONE /* @ src/transport/participant_liveness.cpp take_index: lock_file_->unlock(k) */
+      :: else -> lock[k] = NONE /* @ src/transport/participant_liveness.cpp try_take_index: lock_file_->unlock(k) */
       fi
     :: else
     fi;
     k++
+#if defined(FULL_TABLE) && !defined(LOOKS_ONCE)
+  :: else -> k = 1
+#else
   :: else -> break
+#endif
   od;
   if
   :: k <= LAST ->
