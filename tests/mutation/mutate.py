@@ -105,10 +105,8 @@ def try_out(model, weaken, hint):
     return None
 
 
-def table(rows):
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        print('  '.join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
+def show(site, written, instead, verdict):
+    print(f'{site:<62} {written:>8} {instead:<13} {verdict}', flush=True)
 
 
 def self_test():
@@ -160,7 +158,8 @@ def main(arguments):
         offset = random.Random(seed).randrange(8)
         chosen = chosen[offset::8]
 
-    results, kept, rows = {}, [], [('site', 'written', 'instead', 'caught by')]
+    results, kept = {}, []
+    show('site', 'written', 'instead', 'caught by')
 
     def attempt(mutant):
         if mutant.key in survivors and not options.survivors or mutant.site.key not in at:
@@ -182,7 +181,7 @@ def main(arguments):
                 verdict = 'NOT CAUGHT'
                 if mutant.site.key in at:
                     problems.append(f'not caught: {mutant.key}')
-            rows.append((mutant.site.key, mutant.written, mutant.instead, verdict))
+            show(mutant.site.key, mutant.written, mutant.instead, verdict)
         planted = []
         if not options.quick:
             planted = [m for m in recovery.MISTAKES if options.only in m.name]
@@ -195,9 +194,8 @@ def main(arguments):
                 else:
                     verdict = 'NOT CAUGHT'
                     problems.append(f'not caught: {mutant.name}')
-                rows.append((mutant.name, mutant.file, 'recovery', verdict))
+                show(mutant.name, 'planted', pathlib.PurePath(mutant.file).name, verdict)
 
-    table(rows)
     if options.update:
         caught.write({key: how for key, how in results.items()})
     for problem in problems:
