@@ -24,8 +24,8 @@
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
 ///       in Writer::room (seq_cst): a joiner is either on the writer's list or starts behind it.
-///   R5  Ring::clear_sleepers (release)     -> sleeper's look at the slot (acquire)
-///       carries: the writer word ORPHAN that preceded the clearing.
+///   R5  clear_sleeper() (release)          -> sleeper's look at the slot (acquire)
+///       carries: the writer word ORPHAN, or the directory's change, that preceded the clearing.
 ///   R6  space mark, then positions in Writer::room (seq_cst)
 ///       <-> position store, then space load on an empty poll (seq_cst)
 ///       a sender that sleeps for room is rung by the reader that made some.
@@ -43,6 +43,20 @@ template <class P>
 struct alignas(P::kLine) Cell {
   typename P::template Atomic<Word> position;
 };
+
+/// Takes a sleeper's mark away. True when there was one: the caller may have to wake.
+template <class Slot>
+bool clear_sleeper(Slot& slot) {
+  Word seen = slot.load(std::memory_order_relaxed);
+  for (;;) {
+    // An RMW even where no mark stands: edge R5 hangs on it.
+    const bool marked = (seen & kSleeper) != 0;
+    if (slot.compare_exchange_weak(seen, marked ? next_round(seen) : seen,
+                                   std::memory_order_release, std::memory_order_relaxed)) {  // R5
+      return marked;
+    }
+  }
+}
 
 /// A view of one ring in shared memory. Copyable; owns nothing.
 template <class P>
@@ -74,12 +88,10 @@ struct Ring {
     }
   }
 
-  /// Takes the sleepers' marks away, so that a late sleeper's compare-and-swap reads from this and
-  /// sees what was stored before. The caller then wakes every slot, whatever the marks were.
+  /// Takes the sleepers' marks away, so that a late sleeper sees what was stored before. The caller
+  /// then wakes every slot, whatever the marks were.
   void clear_sleepers() {
-    // An RMW even where no mark stands: edge R5 hangs on it.
-    for (std::uint32_t i = 0; i < depth; ++i)
-      slots[i].fetch_and(~kSleeper, std::memory_order_release);
+    for (std::uint32_t i = 0; i < depth; ++i) clear_sleeper(slots[i]);
   }
 
   /// True when no reader has a cell here. REQUIRES: nobody can join meanwhile.
@@ -287,7 +299,7 @@ class Reader {
   Word poll(std::uint64_t& missed) {
     for (Word lapped = 0;;) {
       auto& slot = ring_.slots[index_];
-      const Word seen = without_sleeper(slot.load(std::memory_order_acquire));  // R1
+      const Word seen = place(slot.load(std::memory_order_acquire));  // R1
       const std::int64_t ahead = distance(sequence(seen), cursor_);
       if (ahead < 0) {
         when_empty();
@@ -306,8 +318,8 @@ class Reader {
       }
       if (!ring_.blocking) {
         auto& position = ring_.cells[cell_].position;
-        position.store(seen, std::memory_order_seq_cst);                              // R2
-        if (without_sleeper(slot.load(std::memory_order_seq_cst)) != seen) continue;  // R2
+        position.store(seen, std::memory_order_seq_cst);                    // R2
+        if (place(slot.load(std::memory_order_seq_cst)) != seen) continue;  // R2
       }
       drained_ = false;
       return block(seen);
@@ -350,8 +362,7 @@ class Reader {
   /// ended() and the directory before it sleeps.
   std::optional<Word> mark_sleeping() {
     auto& slot = ring_.slots[index_];
-    // Relaxed: another reader's mark that came after a change is taken away by that reader.
-    Word seen = slot.load(std::memory_order_relaxed);
+    Word seen = slot.load(std::memory_order_acquire);  // R5: the mark may be another reader's
     if (distance(sequence(seen), cursor_) >= 0) return std::nullopt;
     if ((seen & kSleeper) == 0) {
       if (!slot.compare_exchange_strong(seen, seen | kSleeper, std::memory_order_acquire,

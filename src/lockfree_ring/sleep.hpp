@@ -13,8 +13,8 @@
 /// `Sources` is a container of structs that have a `reader`, one for each ring that is read.
 ///
 /// Edges
-///   R5  a mark taken away (release) -> sleeper's compare-and-swap (acquire)
-///       carries: the writer word ORPHAN.
+///   R5  a mark taken away (release) -> sleeper's look at the slot (acquire)
+///       carries: the directory's new version, or the writer word ORPHAN.
 namespace lot::ring {
 
 /// What a reader does that has looked everywhere and found nothing.
@@ -42,53 +42,40 @@ bool settle(Sources& sources, RingBell&& ring_bell, Leave&& leave) {
 }
 
 /// Leaves marks in the rings, and calls sleep_on(word, value) for each word to sleep on. `version`
-/// is the directory's when the sources were all rings of the topic; wake(word) wakes who sleeps on
-/// a word.
+/// is the directory's when the sources were all rings of the topic.
 ///
-/// Crash: the marks stay behind. The reaper takes them away and wakes.
-template <class Sources, class Directory, class SleepOn, class Wake>
+/// Crash: the marks stay behind, and cost one needless wake each.
+template <class Sources, class Directory, class SleepOn>
 Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t version,
-              SleepOn&& sleep_on, Wake&& wake) {
-  bool all_empty = true;
+              SleepOn&& sleep_on) {
   for (auto& source : sources) {
     const auto marked = source.reader.mark_sleeping();
-    all_empty = marked.has_value();
-    if (!all_empty) break;
+    if (!marked) return Rest::Look;
     sleep_on(source.reader.slot(), *marked);
   }
-  // What ended before the marks stood. Whoever ends it later takes the marks away and wakes.
-  bool ended = false;
-  for (auto& source : sources) ended |= source.reader.orphaned();
-  if (ended) {
-    // These marks came after that. Another reader, whose mark was taken and who has not fallen
-    // asleep yet, would take ours for its own.
-    for (auto& source : sources) {
-      source.reader.slot().fetch_and(~kSleeper, std::memory_order_relaxed);
-      wake(source.reader.slot());
-    }
+  // What changed before the marks stood. Whoever changes it later takes the marks away, which
+  // begins a new round of the slot, and wakes.
+  for (auto& source : sources) {
+    if (source.reader.orphaned()) return Rest::Look;
   }
-  if (ended || !all_empty) return Rest::Look;
-  // A mark does not say whose it is: a new ring may have taken ours, and a reader that knows that
-  // ring set it again. So everybody sleeps on the directory, too. Relaxed: sleeping compares.
-  const std::uint32_t now = directory.load(std::memory_order_relaxed);
-  sleep_on(directory, now);
+  const std::uint32_t now = directory.load(std::memory_order_relaxed);  // R5 has acquired it
+  if (now != version || sources.empty()) sleep_on(directory, now);
   return now == version ? Rest::Sleep : Rest::Doze;
 }
 
-/// Says that a ring has come, and wakes who may want to read it. All sleep on the directory, but
-/// where the kernel waits for one word at a time it is the first ring that is slept on.
+/// Says that a ring has come, and wakes who may want to read it: who has nothing to read sleeps on
+/// the directory's version, the others in the other rings of the topic.
 ///
 /// Crash: killed between a mark and its wake, it leaves a reader of somebody else's ring asleep
 /// without a mark. The reaper wakes all sleepers of all rings.
 template <class Directory, class Rings, class Wake>
 void announce(Directory& directory, Rings&& rings, Wake&& wake) {
-  // All relaxed: who finds the directory changed takes the registry's lock, which carries the ring;
-  // who does not is woken.
+  // Relaxed: R5 carries it, and who finds it changed takes the registry's lock, which carries the
+  // ring.
   directory.fetch_add(1, std::memory_order_relaxed);
   for (auto&& ring : rings) {
     for (std::uint32_t i = 0; i < ring.depth; ++i) {
-      const Word old = ring.slots[i].fetch_and(~kSleeper, std::memory_order_relaxed);
-      if ((old & kSleeper) != 0) wake(ring.slots[i]);
+      if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);
     }
   }
   wake(directory);

@@ -7,11 +7,12 @@
 /// (docs/layout.md).
 namespace lot::ring {
 
-/// A slot:  {sequence : 44 | sleeper : 1 | block : 19}.
+/// A slot:  {sequence : 42 | round : 2 | sleeper : 1 | block : 19}.
 ///
 /// One atomic word is the whole truth about a slot: which message is in it, in which block, and
 /// whether some reader sleeps until the *next* message comes into it. Its low 32 bits are the
-/// futex.
+/// futex. A mark that is taken away without a message begins a new round: who has not fallen asleep
+/// on it yet does not take the next reader's mark for its own.
 ///
 /// A reader's position uses the same format: {cursor | 0 | kNoBlock} is a place, {sequence | 0 |
 /// block} a place and a hazard. The sleeper bit is never part of a place, so words that carry it
@@ -21,7 +22,10 @@ using Word = std::uint64_t;
 inline constexpr unsigned kBlockBits = 19;
 inline constexpr Word kNoBlock = (Word{1} << kBlockBits) - 1;
 inline constexpr Word kSleeper = Word{1} << kBlockBits;
-inline constexpr unsigned kSequenceShift = kBlockBits + 1;
+inline constexpr unsigned kRoundBits = 2;
+inline constexpr Word kRound = kSleeper << 1;
+inline constexpr Word kRoundMask = kRound * ((Word{1} << kRoundBits) - 1);
+inline constexpr unsigned kSequenceShift = kBlockBits + 1 + kRoundBits;
 inline constexpr Word kSequenceMask = (Word{1} << (64 - kSequenceShift)) - 1;
 
 inline constexpr Word kIdle = ~Word{0};               ///< position: nobody reads here
@@ -30,13 +34,18 @@ inline constexpr Word kPinAll = kSleeper | kNoBlock;  ///< position: a joiner st
 constexpr Word make(Word sequence, Word block) { return sequence << kSequenceShift | block; }
 constexpr Word sequence(Word word) { return word >> kSequenceShift; }
 constexpr Word block(Word word) { return word & kNoBlock; }
-constexpr Word without_sleeper(Word word) { return word & ~kSleeper; }
+/// The slot's message: what a position that reads it says.
+constexpr Word place(Word slot) { return slot & ~(kSleeper | kRoundMask); }
+/// The slot without its mark, in a round of its own.
+constexpr Word next_round(Word slot) {
+  return (slot & ~(kSleeper | kRoundMask)) | ((slot + kRound) & kRoundMask);
+}
 
 /// What Reader::poll() returns for a slot that no publisher can have written. It names no block.
 inline constexpr Word kDamaged = kNoBlock + 1;
 
-/// a - b of two sequences, as a signed number: sequences wrap after 2^44 messages, and two that are
-/// compared are never further apart than 2^43.
+/// a - b of two sequences, as a signed number: sequences wrap after 2^42 messages, and two that are
+/// compared are never further apart than 2^41.
 constexpr std::int64_t distance(Word a, Word b) {
   return static_cast<std::int64_t>((a - b) << kSequenceShift) >> kSequenceShift;
 }

@@ -142,7 +142,6 @@ class Recovery {
       r.cells[i].position.store(ring::kIdle, std::memory_order_release);  // R3
       r.space->fetch_add(2, std::memory_order_release);                   // R6
       world_.wake(*r.space);
-      wake_readers(r);  // it may have left a mark, or taken one and not woken (lie_down)
       r.who[i].store(0, std::memory_order_release);  // R3, R8
     }
   }

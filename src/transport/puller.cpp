@@ -194,15 +194,13 @@ class Puller final : public detail::PullerCore {
   bool park(const futex::Deadline& deadline) {
     if (!settle()) return true;
     waits_.clear();
-    const ring::Rest rest = ring::lie_down(
-        sources_, directory_, version_,
-        [this](const auto& word, auto value) {
+    const ring::Rest rest =
+        ring::lie_down(sources_, directory_, version_, [this](const auto& word, auto value) {
           waits_.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
-        },
-        [](const auto& word) { futex::wake_all(futex_of(word)); });
+        });
     if (rest == ring::Rest::Look) return true;
     if (rest == ring::Rest::Sleep) {
-      // A slot's futex looks the same again after 4096 messages: who was held up for exactly so
+      // A slot's futex looks the same again after 1024 messages: who was held up for exactly so
       // long before it sleeps looks once more after a while.
       const auto later = futex::Clock::now() + kLongestSleep;
       const bool final = deadline && *deadline <= later;

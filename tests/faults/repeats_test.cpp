@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 // Words of which only a part is compared look the same again after a while: a reader's futex after
-// 4096 messages, a hold word's tag after 8192 (docs/limits.md). Who was held up for so long must
+// 1024 messages, a hold word's tag after 8192 (docs/limits.md). Who was held up for so long must
 // not be taken in.
 
 #include <atomic>
@@ -59,7 +59,7 @@ bool wait_held_up(const lot::futex::Wait* waits, unsigned count,
 
 TEST_SUITE_BEGIN("repeats");
 
-TEST_CASE("a reader that is held up before it sleeps does not sleep over 4096 messages") {
+TEST_CASE("a reader that is held up before it sleeps does not sleep over 1024 messages") {
   const Watchdog watchdog(60);
   const Ground options;
   lot::ShmEngine engine(options);
@@ -78,13 +78,13 @@ TEST_CASE("a reader that is held up before it sleeps does not sleep over 4096 me
   std::thread quick([&] {
     auto puller = engine.subscribe<Number>("/t", {Wait::Park, 0});
     quick_thread = gettid();
-    while (quick_got < 4098 && puller.pull()) quick_got += 1 + static_cast<int>(puller.missed());
+    while (quick_got < 1026 && puller.pull()) quick_got += 1 + static_cast<int>(puller.missed());
   });
   CHECK(eventually([&] { return pusher.readers() == 2; }));
   pusher.push(message);
   CHECK(eventually([&] { return arrived.load(); }));  // its mark stands
-  for (int n = 0; n < 4096; ++n) pusher.push(message);
-  CHECK(eventually([&] { return quick_got == 4097 && asleep(getpid(), quick_thread); }));
+  for (int n = 0; n < 1024; ++n) pusher.push(message);
+  CHECK(eventually([&] { return quick_got == 1025 && asleep(getpid(), quick_thread); }));
   released = true;
   CHECK(eventually([&] { return slow_got == 2; }, 20s));  // there is a message that it has not read
   pusher.push(message);

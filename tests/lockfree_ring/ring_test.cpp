@@ -138,7 +138,10 @@ TEST_CASE("a slot word gives back the sequence and the block that it was made of
       CHECK(lot::ring::sequence(word) == sequence);
       CHECK(lot::ring::block(word) == block);
       CHECK((word & kSleeper) == 0);
-      CHECK(lot::ring::without_sleeper(word | kSleeper) == word);
+      for (Word w = word | kSleeper, n = 0; n < 10; w = lot::ring::next_round(w) | kSleeper, ++n) {
+        CHECK(lot::ring::place(w) == word);
+        CHECK(lot::ring::next_round(w) != (w & ~kSleeper));
+      }
       CHECK(word != lot::ring::kIdle);
       CHECK(word != lot::ring::kPinAll);
     }
@@ -640,7 +643,7 @@ TEST_CASE("clearing the marks changes the word that a sleeper waits on") {
   const auto mark = reader.mark_sleeping();
   REQUIRE(mark.has_value());
   channel.ring.clear_sleepers();
-  CHECK(reader.slot() == lot::ring::without_sleeper(*mark));
+  CHECK(reader.slot() == lot::ring::next_round(*mark));
   CHECK_FALSE(channel.writer.publish(0).wake);
 }
 

@@ -47,7 +47,7 @@ const NamedPlant kPlants[] = {
     {"joiner-not-announced",  // R4
      {"ring.hpp", 0, 0, "::join", Operation::Fetch, kSeqCst, {.drop = true}}},
     {"marks-not-cleared",  // R5: a late sleeper does not see the end
-     {"ring.hpp", 0, 0, "::clear_sleepers", Operation::Fetch, kRelease, {.drop = true}}},
+     {"ring.hpp", 0, 0, "clear_sleeper(", Operation::CompareExchange, kRelease, {.drop = true}}},
 };
 
 const std::pair<const char*, bool Omissions::*> kOmissions[] = {

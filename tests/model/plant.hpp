@@ -30,7 +30,8 @@ struct Step {
 struct Done {
   std::memory_order order;
   std::memory_order failure;
-  bool dropped = false;  ///< the step is not done at all (a Fetch then only reads)
+  bool dropped = false;  ///< the step is not done at all (a Fetch then only reads, a
+                         ///< CompareExchange says that it is done)
   bool stale = false;    ///< a Load: what this thread read there before, if anything
 };
 

@@ -173,6 +173,7 @@ class CheckedAtomic {
   bool compare_exchange_strong(T& expected, T desired, Order success, Order failure,
                                Where where = Where::current()) {
     const Done done = begin(Operation::CompareExchange, success, failure, where);
+    if (done.dropped) return true;
     rl::context& c = rl::ctx();
     c.sched();
     rl::preemption_disabler one_step(c);

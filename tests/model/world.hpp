@@ -237,10 +237,9 @@ class Publisher {
 template <class Sources>
 void sleep_on(Sources& sources, Segment& segment, std::uint32_t version) {
   Bed bed;
-  const ring::Rest rest = ring::lie_down(
-      sources, segment.version, version,
-      [&bed](const auto& word, auto value) { bed.add(word, value); },
-      [](const auto& word) { word.wake_all(); });
+  const ring::Rest rest =
+      ring::lie_down(sources, segment.version, version,
+                     [&bed](const auto& word, auto value) { bed.add(word, value); });
   if (rest == ring::Rest::Sleep) bed.sleep();
   if (rest == ring::Rest::Doze) Policy::pause();
 }

@@ -24,8 +24,7 @@ MISTAKES = (
         '''    r.clear_sleepers();
     for (std::uint32_t i = 0; i < r.depth; ++i) world_.wake(r.slots[i]);''',
         '''    for (std::uint32_t i = 0; i < r.depth; ++i) {
-      const ring::Word old = r.slots[i].fetch_and(~ring::kSleeper, std::memory_order_release);
-      if ((old & ring::kSleeper) != 0) world_.wake(r.slots[i]);
+      if (ring::clear_sleeper(r.slots[i])) world_.wake(r.slots[i]);
     }'''),)),
     Planted('the ring loses its name before the work', RECOVERY, 'crash', ((
         'ring::State::Orphan, k),', 'ring::State::Orphan, refcount::kOrphanage),'),)),
@@ -47,9 +46,6 @@ MISTAKES = (
         '      r.space->fetch_add(2, std::memory_order_release);                   // R6\n', ''),)),
     Planted('the sender is not woken for a dead reader', RECOVERY, 'crash', ((
         '      world_.wake(*r.space);\n', ''),)),
-    Planted('marks of a dead reader stay', RECOVERY, 'sleep', ((
-        '      wake_readers(r);  // it may have left a mark, or taken one and not woken (lie_down)\n',
-        ''),)),
     Planted('whom a dead publisher announced itself to sleeps on', RECOVERY, 'sleep', ((
         '    wake_whom_it_announced_to(k);\n    for', '    for'),)),
     Planted('no look at the readers\' places when adopting', RECOVERY, 'orphan', ((
@@ -91,9 +87,13 @@ MISTAKES = (
     Planted('re-check: room, after the mark', SLEEP, 'ring', ((
         '  if (writer.room()) return std::nullopt;', '  if (false) return std::nullopt;'),)),
     Planted('re-check: the end, after the mark', SLEEP, 'sleep', ((
-        '  for (auto& source : sources) ended |= source.reader.orphaned();\n', ''),)),
-    Planted('a mark that came too late stays', SLEEP, 'sleep', ((
-        '  if (ended || now != version) {\n', '  if (false) {\n'),)),
+        '    if (source.reader.orphaned()) return Rest::Look;\n', ''),)),
+    Planted('a mark is taken away and begins no new round', 'src/lockfree_ring/ring.hpp', 'sleep', ((
+        'marked ? next_round(seen) : seen', 'seen & ~kSleeper'),)),
+    Planted('a conditional wake in the announcement', SLEEP, 'sleep', ((
+        '      if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);\n',
+        '      if ((ring.slots[i].load(std::memory_order_relaxed) & kSleeper) != 0) {\n'
+        '        clear_sleeper(ring.slots[i]);\n      }\n'),)),
     Planted('re-check: at home, before a reclaim', OWNERSHIP, 'ownership', ((
         '      if ((v & hold::kHome) == 0) return false;\n', ''),)),
     Planted('re-check: the version, at the death', OWNERSHIP, 'ownership', ((

@@ -171,7 +171,7 @@ again:
   atomic {
     k = 1;
     do
-    :: k <= PROCESSES && BYTE(lock_file[p], k) == NONE -> break /* @ src/transport/participant_liveness.cpp take_index: if (!lock_file_->try_lock(k)) continue */
+    :: k <= PROCESSES && BYTE(lock_file[p], k) == NONE -> break /* @ src/transport/participant_liveness.cpp try_take_index: if (!lock_file_->try_lock(k)) continue */
     :: k <= PROCESSES && BYTE(lock_file[p], k) != NONE -> k++
     od;
     BYTE(lock_file[p], k) = p;

@@ -527,7 +527,7 @@ joined:
 #endif
 #endif
     if
-    :: inside && slot -> /* @ src/lockfree_ring/ring.hpp poll: without_sleeper(slot.load */
+    :: inside && slot -> /* @ src/lockfree_ring/ring.hpp poll: place(slot.load */
       assert(message);
       own = own | 1 << k; /* @ src/refcount/ownership.hpp acquire: word(b, self).fetch_or(bit(self) */
       assert(message)

@@ -31,13 +31,13 @@
  * plant CONDITIONAL_WAKE killed : the reaper wakes only where it finds a mark
  * plant CLOSE_WAKES_FIRST close : a closing publisher wakes before it says that it has gone
  * plant NO_RECHECK_ORPHAN close : the writer word is not looked at after the mark
- * plant MARKS_STAY close : a reader that finds the end does not take its mark away
- * plant DEAD_READERS_MARK_STAYS killed_reader : nor does the reaper of one that was killed before it could
  * plant MARK_IS_A_SEPARATE_WORD stream : sleepers are announced beside the slot
  * plant EXCHANGE_IN_TWO_STEPS stream : the publisher looks at the mark, then stores
  * plant MARK_WITHOUT_COMPARE stream : the mark is set whatever has come into the slot
  * plant RELEASE_NAME_FIRST reapers : the dead one's name goes before its sleepers are woken
- * plant SLEEPS_ON_MARKS_ALONE two_rings_two_readers : on the mark of a reader that knows the new ring already
+ * plant NO_DIRECTORY_RECHECK two_rings : the directory is not looked at after the mark
+ * plant ANNOUNCE_WAKES_DIRECTORY_ONLY two_rings : who sleeps on another ring does not learn of a new one
+ * plant SAME_ROUND two_rings_two_readers : a reader sleeps on a mark that another one has set again, and misses the new ring
  * plant DIRECTORY_IS_NOT_WOKEN succession : who has no ring does not learn of a new one
  * plant NO_DOZE two_rings : who cannot look for the new ring at once sleeps as if there were none
  * plant ANNOUNCER_IS_FORGOTTEN two_rings : nobody wakes whose mark a dead announcer took
@@ -74,10 +74,17 @@
 #define SECOND_WARDEN 6
 #define PROCESSES 7
 
-/* A slot: the sequence and the sleeper's mark. Sequences begin with DEPTH. */
+/* A slot: the sequence, the round and the sleeper's mark. Sequences begin with DEPTH. */
 #define MARK 1
-#define SEQUENCE(w) ((w) >> 1)
-#define MAKE(sequence) ((sequence) << 1)
+#define ROUND 2
+#define ROUNDS 6
+#define SEQUENCE(w) ((w) >> 3)
+#define MAKE(sequence) ((sequence) << 3)
+#ifdef SAME_ROUND
+#define CLEARED(w) ((w) & ~MARK)
+#else
+#define CLEARED(w) ((w) & MARK -> (w) & ~(MARK | ROUNDS) | (w) + ROUND & ROUNDS : (w))
+#endif
 #define SLOT(c, s) ((c) * DEPTH + (s) % DEPTH)
 /* Sequence of the first message that is published: with ROOM the ring is full from the start. */
 #ifdef ROOM
@@ -179,7 +186,7 @@ inline clear_sleepers(c) {
       :: else
       fi;
 #endif
-      slot[SLOT(c, i)] = slot[SLOT(c, i)] & ~MARK; /* @ src/lockfree_ring/ring.hpp clear_sleepers: slots[i].fetch_and(~kSleeper */
+      slot[SLOT(c, i)] = CLEARED(slot[SLOT(c, i)]); /* @ src/lockfree_ring/ring.hpp clear_sleepers: clear_sleeper(slots[i]) */
       i++ }
   :: atomic { i == DEPTH -> i = 0; break }
   od
@@ -271,9 +278,6 @@ inline free_cell(c, r, k) {
 #endif
     kernel_wake(SPACE); /* @ src/recovery/recovery.hpp free_cells: world_.wake(*r.space) */
 #endif
-#ifndef DEAD_READERS_MARK_STAYS
-    wake_readers(c); /* @ src/recovery/recovery.hpp free_cells: wake_readers(r) */
-#endif
     who[c * READERS + r] = 0 /* @ src/recovery/recovery.hpp free_cells: r.who[i].store(0 */
   :: else
   fi
@@ -324,15 +328,16 @@ end_idle:
 
 inline announce() {
   directory++; /* @ src/lockfree_ring/sleep.hpp announce: directory.fetch_add(1 */
+#ifndef ANNOUNCE_WAKES_DIRECTORY_ONLY
   do
   :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp live: ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
     do
     :: atomic { i < DEPTH ->
-        old = slot[SLOT(c, i)]; /* @ src/lockfree_ring/sleep.hpp announce: const Word old = ring.slots[i].fetch_and(~kSleeper */
-        slot[SLOT(c, i)] = old & ~MARK }; /* @ src/lockfree_ring/sleep.hpp announce: const Word old = ring.slots[i].fetch_and(~kSleeper */
+        old = slot[SLOT(c, i)]; /* @ src/lockfree_ring/ring.hpp clear_sleeper: const bool marked = (seen & kSleeper) != 0 */
+        slot[SLOT(c, i)] = CLEARED(old) }; /* @ src/lockfree_ring/ring.hpp clear_sleeper: slot.compare_exchange_weak(seen, marked ? next_round(seen) : seen */
       atomic {
         if
-        :: old & MARK -> kernel_wake(SLOT(c, i)) /* @ src/lockfree_ring/sleep.hpp announce: if ((old & kSleeper) != 0) wake(ring.slots[i]) */
+        :: old & MARK -> kernel_wake(SLOT(c, i)) /* @ src/lockfree_ring/sleep.hpp announce: if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]) */
         :: else
         fi;
         old = 0;
@@ -343,6 +348,7 @@ inline announce() {
   :: atomic { c < RINGS && STATE(writer[c]) != LIVE -> c++ } /* @ src/registry/registry.cpp live: ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
   :: atomic { c == RINGS -> c = 0; break }
   od;
+#endif
 #ifdef DIRECTORY_IS_NOT_WOKEN
   skip
 #else
@@ -496,11 +502,6 @@ proctype publisher(byte mine) {
 #else
 #define ALONE (cursor[0] == 0 && cursor[1] == 0)
 #endif
-#ifdef SLEEPS_ON_MARKS_ALONE
-#define SLEEPS_ON_DIRECTORY ALONE
-#else
-#define SLEEPS_ON_DIRECTORY true
-#endif
 #define GIVE_UP(otherwise) \
   queued[me] = 0; woken[me] = 0; value[0] = 0; value[RINGS - 1] = 0; \
   w = 0; s = 0; now = 0; over = 0; found = 0; goto otherwise
@@ -596,7 +597,7 @@ poll:
     atomic { s = 0; next_ring(s) };
     do
     :: atomic { s < RINGS ->
-        w = slot[SLOT(s, cursor[s])]; /* @ src/lockfree_ring/ring.hpp poll: without_sleeper(slot.load */
+        w = slot[SLOT(s, cursor[s])]; /* @ src/lockfree_ring/ring.hpp poll: place(slot.load */
         if
         :: SEQUENCE(w) < cursor[s] -> s++; next_ring(s)
         :: else -> cursor[s] = SEQUENCE(w) + 1; w = 0; break
@@ -676,28 +677,21 @@ settle:
     do
     :: atomic { s < RINGS ->
         if
-        :: STATE(writer[s]) == ORPHAN -> over = 1 /* @ src/lockfree_ring/sleep.hpp lie_down: ended |= source.reader.orphaned() */
+        :: STATE(writer[s]) == ORPHAN -> over = 1 /* @ src/lockfree_ring/sleep.hpp lie_down: if (source.reader.orphaned()) return Rest::Look */
         :: else
         fi;
         s++; next_ring(s) }
     :: atomic { s == RINGS -> break }
     od;
 #endif
-    atomic { s = 0; next_ring(s) };
-    do
-#ifndef MARKS_STAY
-    :: s < RINGS && over ->
-      slot[SLOT(s, cursor[s])] = slot[SLOT(s, cursor[s])] & ~MARK; /* @ src/lockfree_ring/sleep.hpp lie_down: source.reader.slot().fetch_and(~kSleeper */
-      kernel_wake(SLOT(s, cursor[s])); /* @ src/lockfree_ring/sleep.hpp lie_down: wake(source.reader.slot()) */
-      atomic { s++; next_ring(s) }
-#endif
-    :: else -> break
-    od;
 #endif
     atomic {
       s = 0;
       next_ring(s);
       now = directory; /* @ src/lockfree_ring/sleep.hpp lie_down: const std::uint32_t now = directory.load */
+#ifdef NO_DIRECTORY_RECHECK
+      now = version;
+#endif
       if
 #ifdef ROOM
       :: found ->
@@ -733,9 +727,9 @@ settle:
 #endif
     :: atomic { s == RINGS ->
         if
-        :: SLEEPS_ON_DIRECTORY ->
+        :: ALONE ->
           if
-          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp lie_down: sleep_on(directory, now) */
+          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp lie_down: if (now != version || sources.empty()) sleep_on(directory, now) */
           :: else -> GIVE_UP(look)
           fi
         :: else
