@@ -58,7 +58,7 @@ std::string fresh_name() { return testing::unique_name() + "_" + std::to_string(
 
 /// Ctrl-C leaves nothing behind: the processes die with this one.
 void end_at_once(int signal) {
-  for (const char* suffix : {"", ".lock", ".new"}) {
+  for (const char* suffix : {"", ".lock", ".new", ".left"}) {
     unlink(("/dev/shm/" + current_segment + suffix).c_str());
   }
   _exit(128 + signal);

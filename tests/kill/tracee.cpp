@@ -84,7 +84,7 @@ bool Tracee::fail_if_due(const Thread& thread) {
   const bool futex = number == SYS_futex || number == kFutexWaitv;
   if (number == SYS_exit || number == SYS_exit_group || number == SYS_rt_sigreturn ||
       number == SYS_rseq || (futex && error_ != EINTR) ||
-      (futex && (static_cast<long>(registers.rsi) & FUTEX_CMD_MASK) == FUTEX_WAKE)) {
+      (number == SYS_futex && (static_cast<long>(registers.rsi) & FUTEX_CMD_MASK) == FUTEX_WAKE)) {
     spared_call_ = true;
     return false;
   }
