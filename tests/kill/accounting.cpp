@@ -2,6 +2,7 @@
 #include "accounting.hpp"
 
 #include <algorithm>
+#include <cstring>
 
 #include "robust_mutex/robust_mutex.hpp"
 
@@ -38,6 +39,12 @@ class Books {
     for (std::uint32_t k = 1; k < entries.size(); ++k) {
       if ((entries[k].state.load() != 0) != lives(k)) {
         wrong("participant " + std::to_string(k) + (lives(k) ? " has no entry" : " has an entry"));
+      }
+      for (std::uint32_t other = 1; other < k && lives(k); ++other) {
+        if (lives(other) && std::strcmp(entries[k].name, entries[other].name) == 0) {
+          wrong("participants " + std::to_string(other) + " and " + std::to_string(k) +
+                " have the same name");
+        }
       }
     }
   }

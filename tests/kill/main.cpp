@@ -47,9 +47,22 @@ struct Neighbour {
 /// What the workers have in common.
 struct Shared {
   std::atomic<std::size_t> next{0};  ///< operation to be done next
-  std::atomic<std::uint64_t> operations{0}, instructions{0}, points{0}, kills{0}, violations{0};
-  Neighbour neighbours[16];
+  std::atomic<std::uint64_t> operations{0}, instructions{0}, points{0}, kills{0}, not_reached{0},
+      spared{0}, violations{0};
+  Neighbour neighbours[32];
 };
+
+using Violations = std::vector<std::string>;
+
+/// What came of a run up to a point.
+struct At {
+  Trial::Walk walk;
+  Violations violations;
+  bool reached = false;  ///< the point was there
+};
+
+/// Of so many points one may be missed.
+constexpr std::uint64_t kMissesPer = 20;
 
 std::string current_segment;
 
@@ -85,39 +98,62 @@ class Run {
   explicit Run(Options options)
       : options_(std::move(options)),
         totals_(*new (mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE,
-                           MAP_SHARED | MAP_ANONYMOUS, -1, 0)) Shared) {}
+                           MAP_SHARED | MAP_ANONYMOUS, -1, 0)) Shared) {
+    if (all_probes().size() > std::size(totals_.neighbours)) std::abort();
+  }
 
-  /// Everything that is planted must be found.
+  /// Everything that is planted must be found, and as what it is.
   int self_test() {
     unsigned missed = 0;
     unsigned planted = 0;
-    const auto judge = [&](const std::string& name, std::uint64_t found) {
-      std::printf("%-56s %s\n", name.c_str(), found != 0 ? "found" : "NOT FOUND");
+    const auto judge = [&](const std::string& name, const Violations& violations,
+                           const std::string& text) {
+      const bool found = std::any_of(violations.begin(), violations.end(), [&](const auto& v) {
+        return v.find(text) != std::string::npos;
+      });
+      std::printf("%-56s %s\n", name.c_str(), found ? "found" : "NOT FOUND");
+      if (!found) std::printf("  it must be found as: %s\n", text.c_str());
       ++planted;
-      missed += found == 0;
+      missed += !found;
     };
-    for (const Operation& operation : planted_operations()) {
-      judge(operation.name, at(operation, Trial::kMost));
+    for (const auto& [operation, text] : planted_operations()) {
+      judge(operation.name, at(operation, Trial::kMost).violations, text);
+    }
+    options_.every = 5;  // a leak that stays takes its time
+    const Plant failure = planted_failure();
+    judge(failure.operation.name, fail(failure.operation), failure.found_as);
+    const Plant shrinking = planted_shrinking();
+    judge(shrinking.operation.name, one(shrinking.operation), shrinking.found_as);
+    for (const Operation& operation : planted_pledges()) {
+      judge(operation.name, unshown({operation}), operation.name);
     }
     options_.stop = true;
-    strict_ = true;
-    std::uint64_t waits = 0;
-    for (const Operation& operation : all_operations()) {
-      if (operation.name == "advertise, a new topic") waits = at(operation, 8);
+    const auto operations = all_operations();
+    const auto locked = std::find_if(
+        operations.begin(), operations.end(),
+        [](const Operation& operation) { return operation.name == "advertise, a new topic"; });
+    for (std::uint32_t i = 0; i < all_probes().size(); ++i) {
+      const Probe& p = all_probes()[i];
+      if (p.found_as == nullptr) continue;
+      probes_ = {i};
+      judge(p.name, at(*locked, 8).violations, p.found_as);
     }
-    judge("a neighbour must wait", waits);
     std::printf("summary: %u planted mistakes, %u not found\n", planted, missed);
     return missed == 0 ? 0 : 1;
   }
 
   int all() {
     const auto operations = all_operations();
+    for (const auto& v : unshown(operations)) {
+      std::printf("  VIOLATION %s\n", v.c_str());
+      ++totals_.violations;
+    }
     if (options_.fail) {
-      std::printf("%-56s %6s %9s %7s %9s %10s %7s\n", "operation", "calls", "failures", "thrown",
-                  "survived", "violations", "seconds");
+      std::printf("%-56s %6s %9s %7s %9s %7s %6s %10s %7s\n", "operation", "calls", "failures",
+                  "thrown", "survived", "spared", "missed", "violations", "seconds");
     } else {
-      std::printf("%-56s %-10s %12s %7s %6s %10s %7s\n", "operation", "promise", "instructions",
-                  "points", options_.stop ? "stops" : "kills", "violations", "seconds");
+      std::printf("%-56s %-10s %12s %7s %6s %6s %10s %7s\n", "operation", "promise", "instructions",
+                  "points", options_.stop ? "stops" : "kills", "missed", "violations", "seconds");
     }
     std::fflush(stdout);
     std::vector<pid_t> workers;
@@ -137,14 +173,19 @@ class Run {
     }
     if (options_.stop) table_of_neighbours();
     if (options_.fail) {
-      std::printf("summary: %llu operations, %llu failed system calls, %llu violations\n",
-                  ull(totals_.operations), ull(totals_.kills), ull(totals_.violations));
-      return totals_.violations == 0 && totals_.kills > 0 ? 0 : 1;
+      std::printf(
+          "summary: %llu operations, %llu failed system calls, %llu spared, %llu not reached, "
+          "%llu violations\n",
+          ull(totals_.operations), ull(totals_.kills), ull(totals_.spared),
+          ull(totals_.not_reached), ull(totals_.violations));
+    } else {
+      std::printf(
+          "summary: %llu operations, %llu instructions, %llu points, %llu %s, %llu points not "
+          "reached, %llu violations\n",
+          ull(totals_.operations), ull(totals_.instructions), ull(totals_.points),
+          ull(totals_.kills), options_.stop ? "stops" : "kills", ull(totals_.not_reached),
+          ull(totals_.violations));
     }
-    std::printf(
-        "summary: %llu operations, %llu instructions, %llu points, %llu %s, %llu violations\n",
-        ull(totals_.operations), ull(totals_.instructions), ull(totals_.points), ull(totals_.kills),
-        options_.stop ? "stops" : "kills", ull(totals_.violations));
     return totals_.violations == 0 && totals_.kills > 0 ? 0 : 1;
   }
 
@@ -164,117 +205,177 @@ class Run {
                        [&](const std::string& n) { return name.find(n) != std::string::npos; });
   }
 
-  void one(const Operation& operation) {
+  Violations one(const Operation& operation) {
     const auto start = std::chrono::steady_clock::now();
     std::uint64_t kills = 0;
-    std::uint64_t violations = 0;
+    std::uint64_t not_reached = 0;
+    Violations all;
     Trial::Walk whole;
+    const auto kill_at = [&](std::uint64_t point) {
+      const At done = at(operation, point);
+      ++(done.reached ? kills : not_reached);
+      all.insert(all.end(), done.violations.begin(), done.violations.end());
+      return done.walk;
+    };
     if (options_.only >= 0) {
-      violations += at(operation, static_cast<std::uint64_t>(options_.only));
-      ++kills;
+      kill_at(static_cast<std::uint64_t>(options_.only));
     } else {
-      violations += at(operation, Trial::kMost, &whole);
-      ++kills;
-      for (std::uint64_t point = 0; point < whole.points; point += options_.every) {
-        violations += at(operation, point);
-        ++kills;
-      }
+      whole = kill_at(Trial::kMost);
+      for (std::uint64_t point = 0; point < whole.points; point += options_.every) kill_at(point);
     }
+    look_at_misses(operation, not_reached, kills, "points", all);
     const std::chrono::duration<double> took = std::chrono::steady_clock::now() - start;
-    std::printf("%-56s %-10s %12llu %7llu %6llu %10llu %7.1f\n", operation.name.c_str(),
-                name_of(operation.promise), ull(whole.instructions), ull(whole.points), ull(kills),
-                ull(violations), took.count());
+    std::printf("%-56s %-10s %12llu %7llu %6llu %6llu %10zu %7.1f\n", operation.name.c_str(),
+                name_of(operation.pledge.promise), ull(whole.instructions), ull(whole.points),
+                ull(kills), ull(not_reached), all.size(), took.count());
     std::fflush(stdout);
     ++totals_.operations;
     totals_.instructions += whole.instructions;
     totals_.points += whole.points;
     totals_.kills += kills;
-    totals_.violations += violations;
+    totals_.not_reached += not_reached;
+    totals_.violations += all.size();
+    return all;
+  }
+
+  /// Runs differ a little; but where many end early, little was shown.
+  static void look_at_misses(const Operation& operation, std::uint64_t missed,
+                             std::uint64_t reached, const char* what, Violations& all) {
+    if (missed <= (missed + reached + kMissesPer - 1) / kMissesPer) return;
+    all.push_back(std::to_string(missed) + " of " + std::to_string(missed + reached) + " " + what +
+                  " were not reached");
+    std::printf("  VIOLATION %s: %s\n", operation.name.c_str(), all.back().c_str());
   }
 
   /// Each of the operation's system calls fails in each way.
-  void fail(const Operation& operation) {
+  Violations fail(const Operation& operation) {
     const auto start = std::chrono::steady_clock::now();
-    std::uint64_t calls = 0, failures = 0, thrown = 0, violations = 0;
+    constexpr int kErrors[] = {EINTR, ENOMEM, ENOSPC, EPERM, EMFILE};
+    std::uint64_t calls = 0, failures = 0, thrown = 0, spared = 0, not_reached = 0;
+    Violations all;
     try {
       current_segment = fresh_name();
       calls = Trial(operation, current_segment, false).walk(Trial::kMost).calls;
-      for (std::uint64_t nth = 0; nth < calls; ++nth) {
-        for (const int error : {EINTR, ENOMEM, ENOSPC, EPERM, EMFILE}) {
-          current_segment = fresh_name();
-          Trial trial(operation, current_segment, false);
-          const Trial::Failure f = trial.fail_call(nth, error);
-          failures += f.call.has_value();
-          thrown += f.call && !f.error.empty();
-          violations += f.violations.size();
-          for (const auto& v : f.violations) {
-            std::printf("  VIOLATION %s, call %llu (number %ld) fails by %s: %s%s%s\n",
-                        operation.name.c_str(), ull(nth), f.call.value_or(-1),
-                        strerrorname_np(error), v.c_str(),
-                        f.error.empty() ? "" : "; thrown: ", f.error.c_str());
-          }
+      std::uint64_t turn = 0;
+      for (std::uint64_t i = 0; i < calls * std::size(kErrors); i += options_.every) {
+        const std::uint64_t nth = i / std::size(kErrors);
+        const int error = kErrors[turn++ % std::size(kErrors)];
+        current_segment = fresh_name();
+        Trial trial(operation, current_segment, false);
+        const Trial::Failure f = trial.fail_call(nth, error);
+        failures += f.call.has_value();
+        thrown += f.call && !f.error.empty();
+        spared += f.spared;
+        not_reached += !f.call && !f.spared;
+        for (const auto& v : f.violations) {
+          std::printf("  VIOLATION %s, call %llu (number %ld) fails by %s: %s%s%s\n",
+                      operation.name.c_str(), ull(nth), f.call.value_or(-1), strerrorname_np(error),
+                      v.c_str(), f.error.empty() ? "" : "; thrown: ", f.error.c_str());
+          all.push_back(v);
         }
       }
     } catch (const std::exception& e) {
       std::printf("  VIOLATION %s: %s\n", operation.name.c_str(), e.what());
-      ++violations;
+      all.emplace_back(e.what());
     }
+    look_at_misses(operation, not_reached, failures + spared, "calls", all);
     const std::chrono::duration<double> took = std::chrono::steady_clock::now() - start;
-    std::printf("%-56s %6llu %9llu %7llu %9llu %10llu %7.1f\n", operation.name.c_str(), ull(calls),
-                ull(failures), ull(thrown), ull(failures - thrown), ull(violations), took.count());
+    std::printf("%-56s %6llu %9llu %7llu %9llu %7llu %6llu %10zu %7.1f\n", operation.name.c_str(),
+                ull(calls), ull(failures), ull(thrown), ull(failures - thrown), ull(spared),
+                ull(not_reached), all.size(), took.count());
     std::fflush(stdout);
     ++totals_.operations;
     totals_.kills += failures;
-    totals_.violations += violations;
+    totals_.spared += spared;
+    totals_.not_reached += not_reached;
+    totals_.violations += all.size();
+    return all;
   }
 
-  /// Runs the operation up to a point, and kills. Returns the number of violations.
-  std::uint64_t at(const Operation& operation, std::uint64_t point, Trial::Walk* whole = nullptr) {
-    std::vector<std::string> violations;
+  /// Runs the operation up to a point, and kills.
+  At at(const Operation& operation, std::uint64_t point) {
+    At done;
     try {
       current_segment = fresh_name();
       Trial trial(operation, current_segment, options_.stop);
-      const Trial::Walk walk = trial.walk(point);
-      if (whole != nullptr) *whole = walk;
+      done.walk = trial.walk(point);
+      done.reached = point == Trial::kMost || done.walk.points >= point;
       if (options_.stop) {
-        const auto probed = trial.probe(point, strict_);
-        for (std::size_t i = 0; i < probed.size(); ++i) {
-          if (probed[i].instructions == 0 && !probed[i].waited) continue;
-          Neighbour& n = totals_.neighbours[i];
-          ++n.runs;
-          n.waits += probed[i].waited;
-          if (probed[i].waited) continue;
-          std::uint64_t most = n.most;
-          while (most < probed[i].instructions &&
-                 !n.most.compare_exchange_weak(most, probed[i].instructions)) {
-          }
-        }
+        const auto which = probes_.empty() ? probes_beside(point) : probes_;
+        const auto probed = trial.probe(which);
+        for (const std::uint32_t i : which) count(probed[i], totals_.neighbours[i]);
       }
-      violations = trial.kill_and_inspect();
+      done.violations = trial.kill_and_inspect();
     } catch (const std::exception& e) {
-      violations.push_back(e.what());
+      done.violations.emplace_back(e.what());
     }
-    for (const auto& v : violations) {
+    for (const auto& v : done.violations) {
       std::printf("  VIOLATION %s, point %lld: %s\n", operation.name.c_str(),
                   static_cast<long long>(point), v.c_str());
       std::fflush(stdout);
     }
-    return violations.size();
+    return done;
   }
 
-  void table_of_neighbours() const {
-    std::printf("\n%-36s %-10s %8s %18s %8s\n", "beside a stopped process", "promise", "runs",
-                "most instructions", "waited");
+  /// All that promise not to wait, and one of the blocking ones.
+  static std::vector<std::uint32_t> probes_beside(std::uint64_t point) {
+    std::vector<std::uint32_t> which;
+    std::vector<std::uint32_t> blocking;
+    for (std::uint32_t i = 0; i < all_probes().size(); ++i) {
+      const Probe& p = all_probes()[i];
+      if (p.found_as == nullptr) (p.promise == Promise::Blocking ? blocking : which).push_back(i);
+    }
+    which.push_back(blocking[point % blocking.size()]);
+    return which;
+  }
+
+  static void count(const Trial::Probed& probed, Neighbour& n) {
+    if (probed.instructions == 0 && !probed.waited) return;
+    ++n.runs;
+    n.waits += probed.waited;
+    if (probed.waited) return;
+    std::uint64_t most = n.most;
+    while (most < probed.instructions && !n.most.compare_exchange_weak(most, probed.instructions)) {
+    }
+  }
+
+  /// Operations that promise not to wait, and which no probe shows that promises as much.
+  static Violations unshown(const std::vector<Operation>& operations) {
+    Violations all;
+    for (const Operation& o : operations) {
+      const auto& [promise, name] = o.pledge;
+      if (promise == Promise::Blocking) continue;
+      const bool shown = std::any_of(all_probes().begin(), all_probes().end(),
+                                     [&, p = promise, n = name](const Probe& probe) {
+                                       return n != nullptr && probe.found_as == nullptr &&
+                                              std::strcmp(probe.name, n) == 0 && probe.promise <= p;
+                                     });
+      if (!shown)
+        all.push_back("no probe shows that it is " + std::string(name_of(promise)) + ": " + o.name);
+    }
+    return all;
+  }
+
+  void table_of_neighbours() {
+    std::printf("\n%-36s %-10s %8s %18s %8s %8s\n", "beside a stopped process", "promise", "runs",
+                "most instructions", "bound", "waited");
     for (std::size_t i = 0; i < all_probes().size(); ++i) {
       const Probe& p = all_probes()[i];
+      if (p.found_as != nullptr) continue;
       const Neighbour& n = totals_.neighbours[i];
-      std::printf("%-36s %-10s %8llu %18llu %8llu\n", p.name, name_of(p.promise), ull(n.runs),
-                  ull(n.most), ull(n.waits));
+      const std::string bound =
+          p.promise == Promise::Blocking ? "-" : std::to_string(Trial::bound_of(p.promise));
+      std::printf("%-36s %-10s %8llu %18llu %8s %8llu\n", p.name, name_of(p.promise), ull(n.runs),
+                  ull(n.most), bound.c_str(), ull(n.waits));
+      if (n.runs == 0 && options_.names.empty()) {
+        std::printf("  VIOLATION %s: it never ran\n", p.name);
+        ++totals_.violations;
+      }
     }
   }
 
   Options options_;
-  bool strict_ = false;
+  std::vector<std::uint32_t> probes_;  ///< these only
   Shared& totals_;
 };
 
@@ -291,7 +392,8 @@ int main(int argc, char** argv) {
   app.add_flag("--fail", options.fail, "let each of its system calls fail instead");
   app.add_flag("--self-test", options.self_test, "see whether planted mistakes are found");
   app.add_flag("--list", options.list, "list the operations");
-  app.add_option("--every", options.every, "only every Nth point")->check(CLI::PositiveNumber);
+  app.add_option("--every", options.every, "only every Nth point, or failure")
+      ->check(CLI::PositiveNumber);
   app.add_option("--jobs", options.jobs, "so many at once, each on a core of its own")
       ->check(CLI::PositiveNumber);
   app.add_option("--point", options.only, "this point only");

@@ -31,10 +31,12 @@ struct Frame {
 Number numbered(std::uint64_t source, std::uint64_t number);
 bool intact(const Number& message);
 
-/// What a reader has seen of each publisher: numbers that follow each other, but for those that it
-/// was told it missed.
+/// What a reader has seen of each publisher: numbers from 0 that follow each other, but for those
+/// that it was told it missed.
 class Account {
  public:
+  /// The reader came after the first message: it begins anywhere.
+  void joined_late() { late_ = true; }
   /// A message was received, after `missed` others.
   void enter(const Number& message, std::uint64_t missed);
   void complain(const std::string& what);
@@ -46,6 +48,7 @@ class Account {
   static constexpr std::size_t kSources = 8;
   std::uint64_t next_[kSources] = {};
   bool seen_[kSources] = {};
+  bool late_ = false;
   std::string complaint_;
 };
 
@@ -70,11 +73,13 @@ struct Node {
   void sleep_for_room();   ///< a thread of its own publishes one more, for which there is no room
   void hold(bool borrow);  ///< the next message stays borrowed, or is kept
   void reap();             ///< repairs what the dead left, now
+  bool reads_now() const;  ///< the puller is free for a read
   void await_sleeper();    ///< until a mark stands in some slot
   void arm();              ///< makes what the probes use
 
   // After a death.
-  void inspect();     ///< repairs, reads and publishes all it can, looks at what it holds
+  void inspect();  ///< repairs, reads and publishes all it can, looks at what it holds
+  ShmSharedPtr<const Frame> inspect_frames();
   void live_again();  ///< what a node does that was started again
   void meet();        ///< receives what the second life published
   void start();       ///< joins, publishes to itself and reads it
@@ -96,14 +101,23 @@ struct Node {
   std::vector<ShmSharedPtr<const Number>> kept;
   ShmSharedPtr<Number> own;
   ShmWeakPtr<const Number> weak;
-  bool reads_topic = false;    ///< the puller is the topic's
+  bool reads_topic = false;  ///< the puller is the topic's
+  bool blocking = false;     ///< the pusher's policy is Block
+  std::uint64_t frames_seen = 0;
   std::optional<Number> held;  ///< what was borrowed or kept first must stay like this
   std::thread sleeper;
 
   // What the probes use.
-  std::optional<ShmPusher<Number>> probe_pusher, probe_again;
-  std::optional<ShmPuller<Number>> probe_puller;
+  std::optional<ShmPusher<Number>> probe_pusher, probe_again, probe_block;
+  std::optional<ShmPuller<Number>> probe_puller, probe_block_puller;
   std::optional<ShmPusher<Frame>> probe_frames;
+  ShmBorrow<Number> probe_borrow;
+  ShmUniquePtr<Number> probe_loan;
+  std::vector<ShmUniquePtr<Number>> probe_loans;
+  ShmSharedPtr<const Number> probe_kept, probe_copy;
+  ShmWeakPtr<const Number> probe_weak;
+  bool probe_ready = false;
+  void drop_probes();
 };
 
 /// What a scene does before its operation, and who does it.
@@ -125,10 +139,17 @@ enum class Promise : std::uint8_t {
 };
 const char* name_of(Promise promise);
 
+/// The promise of an operation, and the probe that shows it: what does not wait must name one.
+struct Pledge {
+  Pledge(Promise p, const char* probe = nullptr) : promise(p), shown_by(probe) {}
+  Promise promise;
+  const char* shown_by;
+};
+
 /// One operation of the public interface in one situation.
 struct Operation {
   std::string name;
-  Promise promise;
+  Pledge pledge;
   std::vector<Act> before;
   std::function<void(Node&)> run;            ///< the operation itself
   std::function<void(Node&)> when_asleep{};  ///< the witness does this when the victim sleeps in it
@@ -136,16 +157,30 @@ struct Operation {
 };
 
 std::vector<Operation> all_operations();
-/// Operations that break a promise each, to see whether that is found.
-std::vector<Operation> planted_operations();
 
 /// What a neighbour does while the victim stands still in the middle of its operation.
 struct Probe {
   const char* name;
   Promise promise;
   std::function<void(Node&)> run;
+  std::function<bool(Node&)> ready{};  ///< before it is counted; false: not in this scene
+  const char* found_as = nullptr;      ///< it breaks its promise, and this must be said of it
 };
+/// Those that are planted come last.
 const std::vector<Probe>& all_probes();
+
+/// An operation that breaks a promise, and what must be said of it.
+struct Plant {
+  Operation operation;
+  const char* found_as;
+};
+std::vector<Plant> planted_operations();
+/// To be found when its system calls fail.
+Plant planted_failure();
+/// Its calls are fewer from its second run on: most of its points are never reached.
+Plant planted_shrinking();
+/// What names no probe, or one that promises less.
+std::vector<Operation> planted_pledges();
 
 inline constexpr const char* kTopic = "/numbers";  ///< the victim publishes here
 inline constexpr const char* kOther = "/others";   ///< the witness publishes here

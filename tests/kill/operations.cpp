@@ -27,7 +27,10 @@ void join(Node& n) { n.join(); }
 /// Joined, and publishing on its topic.
 Act publisher(Act (*who)(std::function<void(Node&)>), const PusherOptions& options,
               const char* topic) {
-  return who([=](Node& n) { n.pusher.emplace(n.engine->advertise<Number>(topic, options)); });
+  return who([=](Node& n) {
+    n.pusher.emplace(n.engine->advertise<Number>(topic, options));
+    n.blocking = options.policy == Policy::Block;
+  });
 }
 Act reader(Act (*who)(std::function<void(Node&)>), const char* topic, std::uint64_t history = 0) {
   return who([=](Node& n) {
@@ -35,6 +38,7 @@ Act reader(Act (*who)(std::function<void(Node&)>), const char* topic, std::uint6
     n.reads_topic = std::string_view(topic) == kTopic;
   });
 }
+void read_frames(Node& n) { n.frame_puller.emplace(n.engine->subscribe<Frame>(kFrames)); }
 Act publishes(Act (*who)(std::function<void(Node&)>), unsigned count) {
   return who([=](Node& n) { n.publish(count); });
 }
@@ -117,10 +121,13 @@ void topics(std::vector<Operation>& all) {
 
 void loans(std::vector<Operation>& all) {
   const Acts fresh{witness(join), victim(join), publisher(victim, overwrite(2), kTopic)};
-  all.push_back({"loan, a fresh block", Promise::LockFree, fresh, loan_one});
-  all.push_back(
-      {"loan, a used block", Promise::LockFree, victim_publishes(overwrite(1), 40), loan_one});
-  all.push_back({"loan, blocks have run out: evict", Promise::LockFree,
+  all.push_back({"loan, a fresh block", {Promise::LockFree, "loan, give back"}, fresh, loan_one});
+  all.push_back({"loan, a used block",
+                 {Promise::LockFree, "loan and push, overwrite"},
+                 victim_publishes(overwrite(1), 40),
+                 loan_one});
+  all.push_back({"loan, blocks have run out: evict",
+                 {Promise::LockFree, "loan, blocks have run out"},
                  victim_publishes(overwrite(8), 8) + Acts{victim([](Node& n) {
                    while (auto loan = n.pusher->try_loan(Number{})) {
                      n.loans.push_back(std::move(loan));
@@ -130,21 +137,30 @@ void loans(std::vector<Operation>& all) {
                  [](Node& n) {
                    for (int i = 0; i < 3; ++i) n.loans.push_back(n.pusher->loan(numbered(9, 0)));
                  }});
-  all.push_back(
-      {"reserve memory", Promise::LockFree, fresh, [](Node& n) { n.pusher->reserve(2, 8000); }});
-  all.push_back({"loan given back", Promise::LockFree, fresh + Acts{victim(loan_one)},
+  all.push_back({"reserve memory", {Promise::LockFree, "reserve memory"}, fresh, [](Node& n) {
+                   n.pusher->reserve(2, 8000);
+                 }});
+  all.push_back({"loan given back",
+                 {Promise::LockFree, "loan, give back"},
+                 fresh + Acts{victim(loan_one)},
                  [](Node& n) { n.loans.clear(); }});
-  all.push_back({"make, without a topic", Promise::LockFree, fresh,
-                 [](Node& n) { auto made = n.engine->make<Number>(numbered(n.source, 0)); }});
+  all.push_back(
+      {"make, without a topic", {Promise::LockFree, "make, share, copy, drop"}, fresh, [](Node& n) {
+         auto made = n.engine->make<Number>(numbered(n.source, 0));
+       }});
   const auto frame = [](Node& n) { n.frame_loans.push_back(n.frames->loan()); };
   const Acts frames{witness(join), victim(join), victim([](Node& n) {
                       n.frames.emplace(n.engine->advertise<Frame>(kFrames, overwrite(1)));
                     })};
-  all.push_back({"grow a message", Promise::LockFree, frames + Acts{victim(frame)}, [](Node& n) {
+  all.push_back({"grow a message",
+                 {Promise::LockFree, "grow a message"},
+                 frames + Acts{victim(frame)},
+                 [](Node& n) {
                    auto& data = n.frame_loans.back()->data;
                    for (const std::size_t size : {20U, 700U, 3000U}) data.resize(size);
                  }});
-  all.push_back({"a grown message given back", Promise::LockFree,
+  all.push_back({"a grown message given back",
+                 {Promise::LockFree, "grow a message"},
                  frames + Acts{victim(frame), victim([](Node& n) {
                                  n.frame_loans.back()->data.resize(700);
                                  n.frame_loans.back()->data.resize(2000);
@@ -154,23 +170,23 @@ void loans(std::vector<Operation>& all) {
 
 void pushes(std::vector<Operation>& all) {
   const auto loaned = [](Acts acts) { return std::move(acts) + Acts{victim(loan_one)}; };
-  const auto add = [&](const char* name, Promise promise, const Acts& before) {
-    all.push_back({name, promise, before, push_loan});
+  const auto add = [&](const char* name, const Pledge& pledge, const Acts& before) {
+    all.push_back({name, pledge, before, push_loan});
   };
-  add("push, overwrite, an empty ring", Promise::WaitFree,
-      loaned(victim_publishes(overwrite(2), 0)));
-  add("push, overwrite, a full ring wraps", Promise::WaitFree,
-      loaned(victim_publishes(overwrite(2), 4)));
-  add("push, overwrite, one slot", Promise::WaitFree, loaned(victim_publishes(overwrite(1), 1)));
-  add("push, overwrite, a reader sleeps", Promise::WaitFree,
+  const Pledge shown{Promise::WaitFree, "push, overwrite"};
+  add("push, overwrite, an empty ring", shown, loaned(victim_publishes(overwrite(2), 0)));
+  add("push, overwrite, a full ring wraps", shown, loaned(victim_publishes(overwrite(2), 4)));
+  add("push, overwrite, one slot", shown, loaned(victim_publishes(overwrite(1), 1)));
+  add("push, overwrite, a reader sleeps", shown,
       loaned(victim_publishes(overwrite(2), 1)) +
           Acts{witness([](Node& n) { n.receive_all(); }),
                witness([](Node& n) { n.sleep_on_topic(); })});
-  add("push, overwrite, a reader borrows", Promise::WaitFree,
+  add("push, overwrite, a reader borrows", shown,
       loaned(victim_publishes(overwrite(1), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
-  add("push, overwrite, a reader keeps", Promise::WaitFree,
+  add("push, overwrite, a reader keeps", shown,
       loaned(victim_publishes(overwrite(1), 1) + Acts{witness([](Node& n) { n.hold(false); })}));
-  all.push_back({"loan and push, a batch is scanned", Promise::LockFree,
+  all.push_back({"loan and push, a batch is scanned",
+                 {Promise::LockFree, "loan and push, overwrite"},
                  victim_publishes(overwrite(1), 33) + Acts{witness([](Node& n) { n.hold(true); })},
                  [](Node& n) { n.publish(2); }});
   add("push, block, room", Promise::Blocking, loaned(victim_publishes(block(2), 1)));
@@ -181,8 +197,10 @@ void pushes(std::vector<Operation>& all) {
                                                    witness([](Node& n) { n.sleep_on_topic(); })});
   add("push, block, a reader borrows", Promise::Blocking,
       loaned(victim_publishes(block(2), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
-  all.push_back({"push, block, full: refused", Promise::LockFree,
-                 loaned(victim_publishes(block(1), 1)), [](Node& n) {
+  all.push_back({"push, block, full: refused",
+                 {Promise::LockFree, "push, block, full: refused"},
+                 loaned(victim_publishes(block(1), 1)),
+                 [](Node& n) {
                    if (n.pusher->try_push(std::move(n.loans.back())) == Status::Ok) std::abort();
                  }});
   all.push_back({"push, block, full: waits for room", Promise::Blocking,
@@ -194,17 +212,24 @@ void pulls(std::vector<Operation>& all) {
   for (const bool blocking : {false, true}) {
     const std::string policy = blocking ? ", block" : ", overwrite";
     const PusherOptions options = blocking ? block(2) : overwrite(2);
-    all.push_back({"try, nothing there" + policy, Promise::LockFree, victim_reads(options, 0),
+    all.push_back({"try, nothing there" + policy,
+                   {Promise::LockFree, "borrow"},
+                   victim_reads(options, 0),
                    [](Node& n) { n.puller->try_borrow(); }});
-    all.push_back({"borrow and end" + policy, Promise::LockFree, victim_reads(options, 2),
+    all.push_back({"borrow and end" + policy,
+                   {Promise::LockFree, "borrow"},
+                   victim_reads(options, 2),
                    [](Node& n) { n.receive(); }});
-    all.push_back({"pull and let go" + policy, Promise::LockFree, victim_reads(options, 2),
+    all.push_back({"pull and let go" + policy,
+                   {Promise::LockFree, "pull, copy, weak lock, drop"},
+                   victim_reads(options, 2),
                    [](Node& n) { n.puller->try_pull(); }});
     all.push_back({"pull sleeps and is woken" + policy, Promise::Blocking, victim_reads(options, 0),
                    [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                    [](Node& n) { n.publish(1); }});
   }
-  all.push_back({"borrow and end, the sender sleeps for room", Promise::LockFree,
+  all.push_back({"borrow and end, the sender sleeps for room",
+                 {Promise::LockFree, "read what the victim published"},
                  victim_reads(block(1), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
                  [](Node& n) {
                    n.receive();
@@ -228,13 +253,17 @@ void pulls(std::vector<Operation>& all) {
                  }});
   all.push_back({"timed pull, too late", Promise::Blocking, victim_reads(overwrite(2), 0),
                  [](Node& n) { n.puller->pull(2ms); }});
-  all.push_back({"borrow, lapped", Promise::LockFree, victim_reads(overwrite(2), 7),
+  all.push_back({"borrow, lapped",
+                 {Promise::LockFree, "read what the victim published"},
+                 victim_reads(overwrite(2), 7),
                  [](Node& n) { n.receive_all(); }});
-  all.push_back({"try, a new publisher has come", Promise::LockFree,
+  all.push_back({"try, a new publisher has come",
+                 {Promise::LockFree, "read what the victim published"},
                  Acts{witness(join), victim(join), reader(victim, kOther),
                       publisher(witness, overwrite(2), kOther), publishes(witness, 1)},
                  [](Node& n) { n.receive(); }});
-  all.push_back({"try, the publisher has gone", Promise::LockFree,
+  all.push_back({"try, the publisher has gone",
+                 {Promise::LockFree, "read what the victim published"},
                  victim_reads(overwrite(2), 1) + Acts{witness([](Node& n) { n.pusher.reset(); })},
                  [](Node& n) {
                    n.receive_all();
@@ -244,24 +273,34 @@ void pulls(std::vector<Operation>& all) {
 
 void pointers(std::vector<Operation>& all) {
   const Acts holding = victim_reads(overwrite(2), 1) + Acts{victim([](Node& n) { n.hold(false); })};
-  all.push_back({"keep a borrowed message", Promise::WaitFree,
+  all.push_back({"keep a borrowed message",
+                 {Promise::WaitFree, "keep"},
                  victim_reads(overwrite(2), 1) + Acts{victim([](Node& n) { n.hold(true); })},
                  [](Node& n) { n.kept.push_back(n.borrow.keep()); }});
-  all.push_back({"copy a pointer", Promise::WaitFree, holding,
-                 [](Node& n) { n.kept.push_back(n.kept.front()); }});
-  all.push_back({"drop a copy", Promise::WaitFree,
+  all.push_back({"copy a pointer", {Promise::WaitFree, "copy"}, holding, [](Node& n) {
+                   n.kept.push_back(n.kept.front());
+                 }});
+  all.push_back({"drop a copy",
+                 {Promise::WaitFree, "drop a copy"},
                  holding + Acts{victim([](Node& n) { n.kept.push_back(n.kept.front()); })},
                  [](Node& n) { n.kept.pop_back(); }});
-  all.push_back(
-      {"last pointer of a reader", Promise::WaitFree, holding, [](Node& n) { n.kept.clear(); }});
-  all.push_back({"last pointer anywhere, the message was overwritten", Promise::WaitFree,
-                 holding + Acts{publishes(witness, 3)}, [](Node& n) { n.kept.clear(); }});
-  all.push_back({"weak lock, alive", Promise::LockFree, holding + Acts{victim([](Node& n) {
-                                                          n.weak = n.kept.front();
-                                                          n.kept.clear();
-                                                        })},
+  all.push_back({"last pointer of a reader",
+                 {Promise::WaitFree, "drop the last one here"},
+                 holding,
+                 [](Node& n) { n.kept.clear(); }});
+  all.push_back({"last pointer anywhere, the message was overwritten",
+                 {Promise::WaitFree, "drop the last one here"},
+                 holding + Acts{publishes(witness, 3)},
+                 [](Node& n) { n.kept.clear(); }});
+  all.push_back({"weak lock, alive",
+                 {Promise::WaitFree, "weak lock, alive"},
+                 holding + Acts{victim([](Node& n) {
+                   n.weak = n.kept.front();
+                   n.kept.clear();
+                 })},
                  [](Node& n) { n.kept.push_back(n.weak.lock()); }});
-  all.push_back({"weak lock, dead", Promise::LockFree,
+  all.push_back({"weak lock, dead",
+                 {Promise::WaitFree, "weak lock, dead"},
                  holding + Acts{victim([](Node& n) {
                                   n.weak = n.kept.front();
                                   n.kept.clear();
@@ -269,13 +308,15 @@ void pointers(std::vector<Operation>& all) {
                                 publishes(witness, 70)},
                  [](Node& n) { n.kept.push_back(n.weak.lock()); }});
   all.push_back(
-      {"share one's own, and drop it", Promise::LockFree,
+      {"share one's own, and drop it",
+       {Promise::LockFree, "make, share, copy, drop"},
        Acts{witness(join), victim(join), publisher(victim, overwrite(1), kTopic), victim(loan_one)},
        [](Node& n) {
          n.own = ShmSharedPtr<Number>(std::move(n.loans.back()));
          n.own.reset();
        }});
-  all.push_back({"publish again what was received", Promise::LockFree,
+  all.push_back({"publish again what was received",
+                 {Promise::LockFree, "publish again what was received"},
                  holding + Acts{victim([](Node& n) {
                    n.pusher.emplace(n.engine->advertise<Number>("/again", overwrite(1)));
                  })},
@@ -285,16 +326,22 @@ void pointers(std::vector<Operation>& all) {
                    for (int i = 0; i < 2; ++i)
                      n.pusher->push(n.pusher->loan(numbered(n.source, 0)));
                  }});
-  const Acts referring = holding + Acts{victim([](Node& n) {
-                           n.frames.emplace(n.engine->advertise<Frame>(kFrames, overwrite(1)));
-                           n.frame_loans.push_back(n.frames->loan());
-                         })};
-  all.push_back({"a message refers to another", Promise::LockFree, referring, [](Node& n) {
+  const Acts referring =
+      holding + Acts{victim([](Node& n) {
+                       n.frames.emplace(n.engine->advertise<Frame>(kFrames, overwrite(1)));
+                       n.frame_loans.push_back(n.frames->loan());
+                     }),
+                     witness(read_frames)};
+  all.push_back({"a message refers to another",
+                 {Promise::LockFree, "publish a message that refers"},
+                 referring,
+                 [](Node& n) {
                    n.frame_loans.back()->reference = n.kept.front();
                    n.kept.clear();
                    n.frames->push(std::move(n.frame_loans.back()));
                  }});
-  all.push_back({"a message that refers dies", Promise::LockFree,
+  all.push_back({"a message that refers dies",
+                 {Promise::LockFree, "publish a message that refers"},
                  referring + Acts{victim([](Node& n) {
                    n.frame_loans.back()->reference = n.kept.front();
                    n.kept.clear();
@@ -305,37 +352,41 @@ void pointers(std::vector<Operation>& all) {
 void reaps(std::vector<Operation>& all) {
   const Acts three{witness(join), victim(join), dead(join)};
   const auto reap = [](Node& n) { n.reap(); };
-  all.push_back({"reap, a dead publisher, a reader sleeps", Promise::LockFree,
+  all.push_back({"reap, a dead publisher, a reader sleeps",
+                 {Promise::LockFree, "look for the dead"},
                  three + Acts{publisher(dead, overwrite(2), kTopic), reader(witness, kTopic),
                               publishes(dead, 1), witness([](Node& n) { n.receive_all(); }),
                               witness([](Node& n) { n.sleep_on_topic(); })},
                  reap});
-  all.push_back({"reap, a dead publisher, messages unread and held", Promise::LockFree,
+  all.push_back({"reap, a dead publisher, messages unread and held",
+                 {Promise::LockFree, "look for the dead"},
                  three + Acts{publisher(dead, overwrite(3), kTopic), reader(witness, kTopic),
                               publishes(dead, 4), witness([](Node& n) { n.hold(false); }),
                               witness([](Node& n) { n.hold(true); }),
                               dead([](Node& n) { n.loans.push_back(n.pusher->loan()); })},
                  reap});
-  all.push_back({"reap, a dead reader", Promise::LockFree,
+  all.push_back({"reap, a dead reader",
+                 {Promise::LockFree, "look for the dead"},
                  three + Acts{publisher(witness, block(2), kOther), reader(dead, kOther),
                               publishes(witness, 2), dead([](Node& n) { n.hold(false); }),
                               dead([](Node& n) { n.hold(true); })},
                  reap});
-  all.push_back({"reap, a dead referrer", Promise::LockFree,
+  all.push_back({"reap, a dead referrer",
+                 {Promise::LockFree, "look for the dead"},
                  three + Acts{publisher(witness, overwrite(1), kOther), reader(dead, kOther),
-                              publishes(witness, 1), witness([](Node& n) {
-                                n.frame_puller.emplace(n.engine->subscribe<Frame>(kFrames));
-                              }),
-                              dead([](Node& n) {
+                              publishes(witness, 1), dead([](Node& n) {
                                 n.hold(false);
                                 n.frames.emplace(n.engine->advertise<Frame>(kFrames, overwrite(1)));
+                              }),
+                              witness(read_frames), dead([](Node& n) {
                                 auto frame = n.frames->loan();
                                 frame->data.resize(700);
                                 frame->reference = n.kept.front();
                                 n.frames->push(std::move(frame));
                               })},
                  reap});
-  all.push_back({"collect, an orphan ring loses its last reader", Promise::LockFree,
+  all.push_back({"collect, an orphan ring loses its last reader",
+                 {Promise::LockFree, "collect what nobody needs"},
                  three + Acts{publisher(dead, overwrite(2), kTopic), reader(victim, kTopic),
                               publishes(dead, 2)},
                  [](Node& n) {

@@ -1,7 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 
 // Operations that break a promise each: the inspection must find every one of them.
+#include <cstring>
+#include <fcntl.h>
 #include <fstream>
+#include <sys/mman.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 #include <utility>
 
 #include "node.hpp"
@@ -19,7 +24,7 @@ std::shared_ptr<transport::Participant> participant(Node& n) {
   return transport::Participant::join(n.options);
 }
 
-std::vector<Act> scene(std::function<void(Node&)> last) {
+std::vector<Act> scene(std::function<void(Node&)> last, unsigned published = 2) {
   const auto subscribe = [](Node& n) {
     n.puller.emplace(n.engine->subscribe<Number>(kTopic, {Wait::Park, 0}));
     n.reads_topic = true;
@@ -31,7 +36,7 @@ std::vector<Act> scene(std::function<void(Node&)> last) {
              n.pusher.emplace(n.engine->advertise<Number>(kTopic, {Policy::Overwrite, 4, 1s}));
            }},
           {Who::Witness, subscribe},
-          {Who::Victim, [](Node& n) { n.publish(2); }},
+          {Who::Victim, [=](Node& n) { n.publish(published); }},
           {Who::Witness, std::move(last)}};
 }
 
@@ -42,32 +47,32 @@ void holds_both_ways(Node& n) {
 
 }  // namespace
 
-std::vector<Operation> planted_operations() {
-  std::vector<Operation> all;
+std::vector<Plant> planted_operations() {
+  std::vector<Plant> all;
   const auto plant = [&](
-                         const char* name, std::function<void(Node&)> harm,
+                         const char* name, const char* found_as, std::function<void(Node&)> harm,
                          std::function<void(Node&)> last = [](Node&) {}) {
-    all.push_back({name, Promise::LockFree, scene(std::move(last)), std::move(harm)});
+    all.push_back({{name, Promise::Blocking, scene(std::move(last)), std::move(harm)}, found_as});
   };
-  plant("a hold of nobody", [](Node& n) {
+  plant("a hold of nobody", "is free and held", [](Node& n) {
     participant(n)->block(kFreeBlock).own[0].fetch_or(std::uint64_t{1} << kNobody);
   });
-  plant("a block at home with nobody",
+  plant("a block at home with nobody", "is at home with the dead",
         [](Node& n) { participant(n)->block(kFreeBlock).home.store(kNobody + 1); });
-  plant("memory of a message that is not there",
+  plant("memory of a message that is not there", "belongs to no message",
         [](Node& n) { participant(n)->segment().granules().claim(0, kFreeBlock + 1); });
-  plant("a reader's cell of nobody", [](Node& n) {
+  plant("a reader's cell of nobody", "has a dead reader", [](Node& n) {
     const auto p = participant(n);
     for (std::uint32_t c = 0; c < p->channels(); ++c) {
       const auto ring = p->ring(c);
       if (ring.depth != 0) ring.who[ring.readers - 1].store(kNobody + 1);
     }
   });
-  plant("a topic of nobody", [](Node& n) {
+  plant("a topic of nobody", "a topic is used by the dead", [](Node& n) {
     participant(n)->segment().topics()[3].users[0].fetch_or(std::uint64_t{1} << kNobody);
   });
   plant(
-      "a held message is written",
+      "a held message is written", "a held message did not change",
       [](Node& n) {
         const auto p = participant(n);
         const auto ring = p->ring(0);
@@ -78,33 +83,99 @@ std::vector<Operation> planted_operations() {
         }
       },
       holds_both_ways);
-  plant("a number is left out", [](Node& n) {
+  plant("a number is left out", "message 3 of source 1 after 2 and 0 missed", [](Node& n) {
     ++n.published;
     n.publish(1);
   });
-  plant("a message comes twice", [](Node& n) {
+  plant("a message comes twice", "message 2 of source 1 after 3 and 0 missed", [](Node& n) {
     n.publish(1);
     --n.published;
     n.publish(1);
   });
-  plant("a message is taken back", [](Node& n) {
+  plant("a message is taken back", "published 4, seen 2", [](Node& n) {
     n.publish(1);
     auto& slot = participant(n)->ring(0).slots[2];
     slot.store(ring::make(ring::sequence(slot.load()) - 4, ring::kNoBlock));
     n.publish(1);
   });
-  plant("memory of nobody is written", [](Node& n) {
+  plant("memory of nobody is written", "memory that nobody owns", [](Node& n) {
     auto& segment = participant(n)->segment();
     segment.base()[segment.size() - 1] ^= 1;
   });
-  plant("a lock that nobody will open", [](Node& n) {
+  plant("a lock that nobody will open", "locked", [](Node& n) {
     auto& mutex = participant(n)->segment().directory().lock.mutex;
     mutex.__data.__lock = 1;  // the first process of the system
   });
-  plant("a file is left", [](Node& n) {
+  plant("a file is left", "files are left", [](Node& n) {
     std::ofstream(n.options.directory + "/" + n.options.segment + ".left") << "x";
   });
+  all.push_back({{"the first message is left out", Promise::Blocking, scene([](Node&) {}, 0),
+                  [](Node& n) {
+                    ++n.published;
+                    n.publish(1);
+                  }},
+                 "message 1 of source 1 after 0 and 0 missed"});
+  plant("the second life's name is taken", "have the same name", [](Node& n) {
+    const auto p = participant(n);
+    const auto& own = p->segment().participants()[p->index()].name;
+    for (auto& entry : p->segment().participants()) {
+      if (entry.state.load() != 0) std::memcpy(entry.name, own, sizeof(own));
+    }
+  });
+  auto frames = scene([](Node&) {});
+  frames.push_back(
+      {Who::Victim, [](Node& n) {
+         n.frames.emplace(n.engine->advertise<Frame>(kFrames, {Policy::Overwrite, 1, 1s}));
+       }});
+  frames.push_back(
+      {Who::Witness, [](Node& n) { n.frame_puller.emplace(n.engine->subscribe<Frame>(kFrames)); }});
+  all.push_back({{"a reference is null", Promise::Blocking, frames,
+                  [](Node& n) { n.frames->push(n.frames->loan()); }},
+                 "refers to what its sender gave it"});
+  frames.push_back({Who::Victim, [](Node& n) { n.frames->push(n.frames->loan()); }});
+  frames.push_back({Who::Witness, [](Node& n) { n.frame_puller->try_pull(); }});
+  all.push_back(
+      {{"a frame is lost", Promise::Blocking, frames, [](Node&) {}}, "published 1 frames, seen 0"});
   return all;
+}
+
+Plant planted_failure() {
+  return {{"an error is swallowed, and a hold leaks", Promise::Blocking, scene([](Node&) {}),
+           [](Node& n) {
+             const int fd = ::open("/dev/null", O_RDONLY | O_CLOEXEC);
+             if (fd != -1) {
+               ::close(fd);
+             } else {
+               participant(n)->block(kFreeBlock).own[0].fetch_or(std::uint64_t{1} << kNobody);
+             }
+           }},
+          "is free and held"};
+}
+
+Plant planted_shrinking() {
+  // The runs are forks: what they count together lies in shared memory.
+  auto* const runs = static_cast<std::atomic<unsigned>*>(
+      mmap(nullptr, sizeof(std::atomic<unsigned>), PROT_READ | PROT_WRITE,
+           MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+  return {{"points that are not reached", Promise::Blocking, scene([](Node&) {}),
+           [=](Node&) {
+             const unsigned calls = runs->fetch_add(1) == 0 ? 40 : 4;
+             for (unsigned i = 0; i < calls; ++i) syscall(SYS_getppid);
+           }},
+          "points were not reached"};
+}
+
+std::vector<Operation> planted_pledges() {
+  const auto nothing = [](Node&) {};
+  return {{"a lock-free operation that names no probe", Promise::LockFree, {}, nothing},
+          {"a wait-free operation that names a lock-free probe",
+           {Promise::WaitFree, "borrow"},
+           {},
+           nothing},
+          {"an operation that names a blocking probe",
+           {Promise::LockFree, "subscribe, unsubscribe"},
+           {},
+           nothing}};
 }
 
 }  // namespace lot::kill

@@ -10,7 +10,7 @@ namespace {
 using namespace std::chrono_literals;
 
 void read_all(Node& n) {
-  if (n.puller && !n.sleeper.joinable() && !n.borrow) n.receive_all();
+  if (n.reads_now()) n.receive_all();
 }
 void read_own(Node& n) {
   while (n.probe_puller->try_borrow()) {
@@ -55,23 +55,147 @@ void look_for_the_dead(Node& n) { transport::Participant::join(n.options)->reap_
 void subscribe(Node& n) { const auto puller = n.engine->subscribe<Number>(kOther); }
 void advertise(Node& n) { const auto pusher = n.engine->advertise<Number>("/short-lived"); }
 
+void loan_and_give_back(Node& n) { const auto loan = n.probe_pusher->loan(numbered(7, 0)); }
+void reserve(Node& n) { n.probe_pusher->reserve(1, 1000); }
+
+bool take_all_blocks(Node& n) {
+  const auto participant = transport::Participant::join(n.options);
+  const auto free = [&] {
+    for (std::uint32_t b = 0; b < participant->blocks(); ++b) {
+      if (participant->block(b).home.load() == refcount::kHomeFree) return true;
+    }
+    return false;
+  };
+  while (free()) n.probe_loans.push_back(n.probe_pusher->loan(Number{}));
+  return true;
+}
+void loan_without_blocks(Node& n) { const auto loan = n.probe_pusher->try_loan(Number{}); }
+
+bool fill_block(Node& n) {
+  while (auto loan = n.probe_block->try_loan(numbered(7, 0))) {
+    if (n.probe_block->try_push(std::move(loan)) == Status::Full) break;
+  }
+  n.probe_loan = n.probe_block->try_loan(numbered(7, 0));
+  return bool(n.probe_loan);
+}
+void push_refused(Node& n) {
+  if (n.probe_block->try_push(std::move(n.probe_loan)) == Status::Ok) {
+    n.account.complain("a push into a full ring");
+  }
+}
+
+// ---- wait-free: one operation each, made ready before it is counted -----------------------------
+
+bool loan_own(Node& n) {
+  n.probe_loan = n.probe_pusher->loan(numbered(7, 0));
+  return true;
+}
+void push_own(Node& n) { n.probe_pusher->push(std::move(n.probe_loan)); }
+
+bool loan_other(Node& n) {
+  if (!n.pusher || n.blocking) return false;
+  n.probe_loan = n.pusher->loan(numbered(n.source, n.published));
+  return true;
+}
+void push_other(Node& n) {
+  if (n.pusher->push(std::move(n.probe_loan)) == Status::Ok) ++n.published;
+}
+
+/// The victim's message where there is one.
+bool borrow_one(Node& n) {
+  if (n.borrow) return true;
+  publish_own(n);
+  n.probe_borrow = n.probe_puller->try_borrow();
+  return bool(n.probe_borrow);
+}
+void keep(Node& n) { n.probe_kept = (n.borrow ? n.borrow : n.probe_borrow).keep(); }
+
+bool pull_own(Node& n) {
+  publish_own(n);
+  n.probe_kept = n.probe_puller->try_pull();
+  return bool(n.probe_kept);
+}
+bool hold_one(Node& n) {
+  if (n.kept.empty()) return pull_own(n);
+  n.probe_kept = n.kept.front();
+  return true;
+}
+void copy(Node& n) { n.probe_copy = n.probe_kept; }
+bool copied(Node& n) {
+  const bool held = hold_one(n);
+  copy(n);
+  return held;
+}
+void drop_copy(Node& n) { n.probe_copy.reset(); }
+/// Of a message of the victim, so that our bit goes and not the message.
+bool hold_last(Node& n) {
+  if (!n.reads_now()) return false;
+  n.probe_kept = n.puller->try_pull();
+  if (n.probe_kept) n.account.enter(*n.probe_kept, n.puller->missed());
+  return bool(n.probe_kept);
+}
+bool make_one(Node& n) {
+  n.probe_kept = ShmSharedPtr<const Number>(n.engine->make<Number>(numbered(7, 0)));
+  return true;
+}
+void drop_last(Node& n) { n.probe_kept.reset(); }
+
+bool look_after(Node& n) {
+  const bool held = hold_one(n);
+  n.probe_weak = n.probe_kept;
+  return held;
+}
+void lock_weak(Node& n) { n.probe_copy = n.probe_weak.lock(); }
+bool look_after_a_dead_one(Node& n) {
+  const ShmSharedPtr<Number> made = n.engine->make<Number>(numbered(7, 0));
+  n.probe_weak = ShmSharedPtr<const Number>(made);
+  return true;
+}
+void lock_dead(Node& n) {
+  if (n.probe_weak.lock()) n.account.complain("a weak pointer to a dead message was locked");
+}
+
+void doze(Node&) { std::this_thread::sleep_for(2ms); }
+void grow_often(Node& n) {
+  for (int i = 0; i < 20; ++i) grow(n);
+}
+
 }  // namespace
 
 const std::vector<Probe>& all_probes() {
+  constexpr auto kWaitFree = Promise::WaitFree;
+  constexpr auto kLockFree = Promise::LockFree;
+  constexpr auto kBlocking = Promise::Blocking;
   static const std::vector<Probe> probes = {
-      {"read what the victim published", Promise::LockFree, read_all},
-      {"loan and push, overwrite", Promise::LockFree, publish_own},
-      {"publish to the victim", Promise::LockFree, publish_other},
-      {"pull, copy, weak lock, drop", Promise::LockFree, keep_and_drop},
-      {"borrow", Promise::LockFree, read_own},
-      {"grow a message", Promise::LockFree, grow},
-      {"make, share, copy, drop", Promise::LockFree, make_and_share},
-      {"publish again what was received", Promise::LockFree, publish_again},
-      {"publish a message that refers", Promise::LockFree, refer},
-      {"collect what nobody needs", Promise::LockFree, collect},
-      {"look for the dead", Promise::LockFree, look_for_the_dead},
-      {"subscribe, unsubscribe", Promise::Blocking, subscribe},
-      {"advertise, unadvertise", Promise::Blocking, advertise},
+      {"push, overwrite", kWaitFree, push_own, loan_own},
+      {"push to the victim, overwrite", kWaitFree, push_other, loan_other},
+      {"keep", kWaitFree, keep, borrow_one},
+      {"copy", kWaitFree, copy, hold_one},
+      {"drop a copy", kWaitFree, drop_copy, copied},
+      {"drop the last one here", kWaitFree, drop_last, hold_last},
+      {"drop the last one at home", kWaitFree, drop_last, make_one},
+      {"weak lock, alive", kWaitFree, lock_weak, look_after},
+      {"weak lock, dead", kWaitFree, lock_dead, look_after_a_dead_one},
+      {"read what the victim published", kLockFree, read_all},
+      {"loan, give back", kLockFree, loan_and_give_back},
+      {"loan and push, overwrite", kLockFree, publish_own},
+      {"push, block, full: refused", kLockFree, push_refused, fill_block},
+      {"publish to the victim", kLockFree, publish_other},
+      {"pull, copy, weak lock, drop", kLockFree, keep_and_drop},
+      {"borrow", kLockFree, read_own},
+      {"grow a message", kLockFree, grow},
+      {"reserve memory", kLockFree, reserve},
+      {"make, share, copy, drop", kLockFree, make_and_share},
+      {"publish again what was received", kLockFree, publish_again},
+      {"publish a message that refers", kLockFree, refer},
+      {"collect what nobody needs", kLockFree, collect},
+      {"look for the dead", kLockFree, look_for_the_dead},
+      {"loan, blocks have run out", kLockFree, loan_without_blocks, take_all_blocks},
+      {"subscribe, unsubscribe", kBlocking, subscribe},
+      {"advertise, unadvertise", kBlocking, advertise},
+      {"a lock-free one that takes the registry's lock", kLockFree, advertise, {}, "waits for"},
+      {"a wait-free one that sleeps", kWaitFree, doze, {}, ": sleeps"},
+      {"a wait-free one that takes long", kWaitFree, grow_often, {}, "more than 5000 instructions"},
   };
   return probes;
 }

@@ -154,8 +154,8 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
   const std::uint64_t place = place_of(thread);
   const bool call = is_system_call(thread, place);
   const long number = call ? trace(PTRACE_PEEKUSER, id, offsetof(user_regs_struct, rax)) : -1;
-  const bool futex = number == SYS_futex || number == kFutexWaitv;
-  if (call && fail_if_due(thread)) return {Event::Stepped, true, futex, place, turn == 0};
+  const bool waits = number == SYS_futex || number == kFutexWaitv || number == SYS_clock_nanosleep;
+  if (call && fail_if_due(thread)) return {Event::Stepped, true, waits, place, turn == 0};
   const bool may_sleep = std::exchange(thread.may_resume_call, false) || call;
   thread.stopped = false;
   trace(PTRACE_SINGLESTEP, id, 0, static_cast<std::uintptr_t>(std::exchange(thread.signal, 0)));
@@ -164,13 +164,13 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
     int status = 0;
     if (waitpid(id, &status, __WALL | (may_sleep ? WNOHANG : 0)) == id) {
       note(turn, status);
-      return {dead_ ? Event::Ended : Event::Stepped, call, futex, place, turn == 0};
+      return {dead_ ? Event::Ended : Event::Stepped, call, waits, place, turn == 0};
     }
     if (spin < kSpins) {
       sched_yield();
     } else {
       sleeps = asleep(thread) ? sleeps + 1 : 0;
-      if (sleeps == 3) return {Event::Asleep, call, futex, place, turn == 0};
+      if (sleeps == 3) return {Event::Asleep, call, waits, place, turn == 0};
       std::this_thread::sleep_for(std::chrono::microseconds(20));
     }
   }

@@ -34,7 +34,7 @@ class Tracee {
   struct Step {
     Event event;
     bool system_call;     ///< the instruction was one
-    bool futex;           ///< a futex call: the process slept, or woke others
+    bool waits;           ///< a futex call or a sleep: others may be waited for, or are woken
     std::uint64_t place;  ///< address of the instruction
     bool first = false;   ///< by the process's first thread
   };

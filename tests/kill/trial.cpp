@@ -31,7 +31,9 @@ std::uint64_t address_of(void (*f)()) { return reinterpret_cast<std::uintptr_t>(
 
 constexpr std::uint64_t kRunaway = 5'000'000;  ///< instructions of one operation
 /// Far more than any neighbour's operation takes, far less than a loop that waits for somebody.
-constexpr std::uint64_t kBound = 200'000;
+constexpr std::uint64_t kLockFreeBound = 200'000;
+/// Room for a scan of all readers, none for a loop that goes on while others do.
+constexpr std::uint64_t kWaitFreeBound = 5'000;
 constexpr unsigned kPatienceMs = 5'000;
 /// Other threads of a neighbour may get on all the time: then it is the first one's sleep that
 /// counts.
@@ -53,6 +55,8 @@ bool read_all(int fd, void* bytes, std::size_t n) {
   return true;
 }
 
+constexpr const char* kVictimName = "the victim";
+
 struct Told {
   Actor::Order order;
   std::uint32_t number;
@@ -62,7 +66,8 @@ struct Told {
 
 // ---- Actor --------------------------------------------------------------------------------------
 
-Actor::Actor(const Operation& operation, const EngineOptions& options, std::uint64_t source) {
+Actor::Actor(const Operation& operation, const EngineOptions& options, std::uint64_t source,
+             std::string name) {
   if (pipe(orders_) != 0 || pipe(replies_) != 0) throw std::runtime_error("pipe");
   std::fflush(nullptr);
   const pid_t parent = getpid();
@@ -73,7 +78,7 @@ Actor::Actor(const Operation& operation, const EngineOptions& options, std::uint
   if (getppid() != parent) _exit(3);
   for (const int s : {SIGTERM, SIGINT, SIGHUP}) signal(s, SIG_DFL);
   EngineOptions own = options;
-  own.name = "node " + std::to_string(source);
+  own.name = std::move(name);
   Node node(own, source);
   serve(operation, node);
 }
@@ -145,6 +150,9 @@ void Actor::serve(const Operation& operation, Node& node) {
     if (node.engine) reply.index = transport::Participant::join(node.options)->index();
     for (std::uint64_t s = 0; s < std::size(reply.last); ++s) reply.last[s] = node.account.last(s);
     reply.reads_topic = node.reads_topic;
+    reply.reads_frames = node.frame_puller.has_value();
+    reply.frames = node.frames_seen;
+    reply.probe_ready = node.probe_ready;
     write_all(replies_[1], &reply, sizeof(reply));
   }
   _exit(0);
@@ -166,6 +174,16 @@ void Actor::obey(Order order, std::uint32_t number, const Operation& operation, 
     case Order::Arm:
       node.arm();
       break;
+    case Order::Ready: {
+      const Probe& probe = all_probes()[number];
+      node.probe_ready = false;
+      node.drop_probes();
+      try {
+        node.probe_ready = !probe.ready || probe.ready(node);
+      } catch (const OutOfMemory&) {
+      }
+      break;
+    }
     case Order::Probe:
       lot_kill_begins();
       try {
@@ -204,7 +222,7 @@ Trial::Trial(const Operation& operation, std::string segment, bool probes) : ope
   options_.size_bytes = 6 << 20;
   options_.processes = 7;
   options_.blocks = 48;
-  options_.topics = 6;
+  options_.topics = 8;
   options_.channels = 12;
   options_.readers = 4;
   set_up();
@@ -235,11 +253,11 @@ Actor::Reply Trial::must_answer(Actor& actor, const char* what) {
 
 void Trial::set_up() {
   const auto& acts = operation_.before;
-  if (!operation_.alone) witness_.emplace(operation_, options_, kWitness);
+  if (!operation_.alone) witness_.emplace(operation_, options_, kWitness, "the witness");
   const bool dies =
       std::any_of(acts.begin(), acts.end(), [](const Act& a) { return a.who == Who::Dead; });
-  if (dies) dead_.emplace(operation_, options_, kDead);
-  victim_.emplace(operation_, options_, kVictim);
+  if (dies) dead_.emplace(operation_, options_, kDead, "another dead one");
+  victim_.emplace(operation_, options_, kVictim, kVictimName);
   for (std::uint32_t i = 0; i < acts.size(); ++i) {
     Actor& actor = acts[i].who == Who::Victim    ? *victim_
                    : acts[i].who == Who::Witness ? *witness_
@@ -260,7 +278,7 @@ void Trial::begin() {
       throw std::runtime_error("the victim died before its operation");
     }
   }
-  if (witness_) published_before_ = published_on_topic();
+  note_published();
 }
 
 /// The victim waits for others: now they may go on.
@@ -294,7 +312,7 @@ Trial::Walk Trial::walk(std::uint64_t points) {
         break;
       }
     }
-    if (!helped && walk.points < points && (sleeps || (step.futex && operation_.when_asleep))) {
+    if (!helped && walk.points < points && (sleeps || (step.waits && operation_.when_asleep))) {
       helped = true;
       help_sleeper();
       shadow_->changed();  // by the witness, not by the victim
@@ -314,21 +332,24 @@ Trial::Failure Trial::fail_call(std::uint64_t nth, int error) {
     bool helped = false;
     while (!traced_->failed_call() && !traced_->spared_call() &&
            traced_->place() != address_of(&lot_kill_ends)) {
-      const Tracee::Step step = traced_->step(2);
+      const Tracee::Step step = traced_->step(helped ? kPatienceMs : 2);
       if (step.event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
-      if (!helped && (step.futex || step.event == Tracee::Event::AllAsleep)) {
+      const bool sleeps = step.event == Tracee::Event::AllAsleep;
+      if (sleeps && helped) throw std::runtime_error("the victim hangs in its operation");
+      if (!helped && (sleeps || (step.waits && operation_.when_asleep))) {
         helped = true;
         help_sleeper();
       }
     }
     failure.call = traced_->failed_call();
+    failure.spared = traced_->spared_call();
     if (!failure.call) return failure;
     traced_.reset();
     if (!helped) help_sleeper();
     const auto reply = victim_->answer();
     if (!reply) throw std::runtime_error("no answer, " + victim_->whereabouts());
     failure.error = reply->complaint;
-    if (witness_) published_before_ = std::max(published_before_, published_on_topic());
+    note_published();
     victim_->tell(Actor::Order::Leave);
     must_answer(*victim_, "the victim leaves");
     victim_->kill();
@@ -340,18 +361,19 @@ Trial::Failure Trial::fail_call(std::uint64_t nth, int error) {
   return failure;
 }
 
-std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking, bool strict) {
+std::uint64_t Trial::bound_of(Promise promise) {
+  return promise == Promise::WaitFree ? kWaitFreeBound : kLockFreeBound;
+}
+
+std::vector<Trial::Probed> Trial::probe(const std::vector<std::uint32_t>& which) {
   std::vector<Probed> results(all_probes().size());
   if (!witness_) return results;
+  note_published();
   witness_->send(SIGCONT);
-  std::vector<std::uint32_t> order;
-  std::vector<std::uint32_t> blocking;
-  for (std::uint32_t i = 0; i < all_probes().size(); ++i) {
-    (all_probes()[i].promise == Promise::Blocking ? blocking : order).push_back(i);
-  }
-  order.push_back(blocking[which_blocking % blocking.size()]);
-  for (const std::uint32_t i : order) {
+  for (const std::uint32_t i : which) {
     const Probe& p = all_probes()[i];
+    witness_->tell(Actor::Order::Ready, i);
+    if (!must_answer(*witness_, p.name).probe_ready) continue;
     {
       Tracee neighbour(witness_->pid());
       witness_->tell(Actor::Order::Probe, i);
@@ -365,18 +387,22 @@ std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking, bool stric
         if (step.event == Tracee::Event::AllAsleep || now - awake > kOthersGetOn) {
           if (!counting) continue;  // it has not read the order yet
           results[i].waited = true;
-          if (strict || p.promise != Promise::Blocking) {
+          if (p.promise != Promise::Blocking) {
             violation(std::string(p.name) + ": waits for a process that stands still");
           }
           break;
         }
+        if (counting && step.first && step.event == Tracee::Event::Asleep &&
+            p.promise == Promise::WaitFree) {
+          violation(std::string(p.name) + ": sleeps");
+        }
         if (counting && step.first) ++results[i].instructions;
         if (neighbour.place() == address_of(&lot_kill_begins)) counting = true;
         if (neighbour.place() == address_of(&lot_kill_ends)) break;
-        if (results[i].instructions > kBound) {
+        if (results[i].instructions > bound_of(p.promise)) {
           results[i].waited = true;
-          if (strict || p.promise != Promise::Blocking) {
-            violation(std::string(p.name) + ": more than " + std::to_string(kBound) +
+          if (p.promise != Promise::Blocking) {
+            violation(std::string(p.name) + ": more than " + std::to_string(bound_of(p.promise)) +
                       " instructions beside a process that stands still");
           }
           break;
@@ -384,6 +410,7 @@ std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking, bool stric
       }
     }
     if (results[i].waited) {  // now the one that stood still dies
+      note_published();
       traced_->kill();
       victim_->was_killed();
     }
@@ -395,6 +422,7 @@ std::vector<Trial::Probed> Trial::probe(std::uint64_t which_blocking, bool stric
 
 std::vector<std::string> Trial::kill_and_inspect() {
   try {
+    note_published();
     traced_->kill();
     victim_->was_killed();
     traced_.reset();
@@ -417,15 +445,22 @@ void Trial::inspect() {
 
 std::size_t Trial::files() const { return testing::files_of(options_); }
 
-/// How many messages the dead publisher of the topic got out: the ring itself says so.
-std::uint64_t Trial::published_on_topic() const {
+/// Before the witness goes on, or the victim dies: then rings may be reaped and used again.
+void Trial::note_published() {
+  if (!witness_) return;
+  published_ = std::max(published_, published_on(kTopic));
+  frames_ = std::max(frames_, published_on(kFrames));
+}
+
+/// How many messages the only publisher of a topic got out: the ring itself says so.
+std::uint64_t Trial::published_on(const char* topic) const {
   segment::Segment segment(options_.directory + "/" + options_.segment);
   std::uint64_t most = 0;
   for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
     const auto& entry = segment.channels()[c];
     const ring::State state = ring::writer_state(entry.writer.load());
     if (state == ring::State::Free || state == ring::State::Init || entry.formed.load() == 0 ||
-        std::strcmp(segment.topics()[entry.topic].name, kTopic) != 0) {
+        std::strcmp(segment.topics()[entry.topic].name, topic) != 0) {
       continue;
     }
     const segment::Ring ring = segment.ring(c);
@@ -441,12 +476,15 @@ std::uint64_t Trial::published_on_topic() const {
 
 void Trial::inspect_with_witness() {
   const std::string path = options_.directory + "/" + options_.segment;
-  const std::uint64_t published = std::max(published_before_, published_on_topic());
   witness_->tell(Actor::Order::Inspect);
   const Actor::Reply seen = must_answer(*witness_, "the witness");
   const std::uint64_t read = seen.last[kVictim] + seen.last[kDead];
-  if (seen.reads_topic && read != published) {
-    violation("published " + std::to_string(published) + ", seen " + std::to_string(read));
+  if (seen.reads_topic && read != published_) {
+    violation("published " + std::to_string(published_) + ", seen " + std::to_string(read));
+  }
+  if (seen.reads_frames && seen.frames != frames_) {
+    violation("published " + std::to_string(frames_) + " frames, seen " +
+              std::to_string(seen.frames));
   }
   {
     segment::Segment segment(path);
@@ -456,11 +494,19 @@ void Trial::inspect_with_witness() {
     }
   }
   {
-    Actor second(operation_, options_, kSecondLife);
+    Actor second(operation_, options_, kSecondLife, kVictimName);
     second.tell(Actor::Order::NewLife);
-    must_answer(second, "the second life");
+    const Actor::Reply lives = must_answer(second, "the second life");
     witness_->tell(Actor::Order::Meet);
     must_answer(*witness_, "the witness meets the second life");
+    segment::Segment segment(path);
+    if (std::strcmp(segment.participants()[lives.index].name, kVictimName) != 0) {
+      violation("the second life has another name");
+    }
+    const auto books = [&] { return unaccounted(segment, {seen.index, lives.index}); };
+    if (!testing::eventually([&] { return books().empty(); }, std::chrono::seconds(3))) {
+      violation(books());
+    }
     second.tell(Actor::Order::Leave);
     must_answer(second, "the second life leaves");
   }
@@ -482,7 +528,7 @@ void Trial::inspect_with_witness() {
 }
 
 void Trial::inspect_alone() {
-  Actor next(operation_, options_, kSecondLife);
+  Actor next(operation_, options_, kSecondLife, kVictimName);
   next.tell(Actor::Order::Start);
   const Actor::Reply started = must_answer(next, "the next one");
   {

@@ -16,7 +16,9 @@ namespace lot::kill {
 /// A forked process that does what it is told, one order at a time.
 class Actor {
  public:
-  Actor(const Operation& operation, const EngineOptions& options, std::uint64_t source);
+  /// `name`: what the segment calls it.
+  Actor(const Operation& operation, const EngineOptions& options, std::uint64_t source,
+        std::string name);
   ~Actor();
   Actor(const Actor&) = delete;
   Actor& operator=(const Actor&) = delete;
@@ -26,6 +28,7 @@ class Actor {
     Operate,  ///< the operation itself, between the marks
     WhenAsleep,
     Arm,      ///< prepares what the probes need
+    Ready,    ///< prepares what the probe of that number needs
     Probe,    ///< the probe of that number, between the marks
     Inspect,  ///< reads and publishes all it can, looks at what it holds
     NewLife,  ///< what a node does that was started again
@@ -39,6 +42,9 @@ class Actor {
     std::uint32_t index;    ///< of the participant; 0: none
     std::uint64_t last[8];  ///< by source: number of the last message + 1
     bool reads_topic;
+    bool reads_frames;
+    std::uint64_t frames;
+    bool probe_ready;  ///< the scene has what the probe needs
     char complaint[200];
   };
   void tell(Order order, std::uint32_t number = 0);
@@ -85,16 +91,18 @@ class Trial {
     std::uint64_t instructions = 0;
     bool waited = false;
   };
-  /// The neighbour's operations while the victim stands still; one of the blocking ones. `strict`:
-  /// none may wait.
-  std::vector<Probed> probe(std::uint64_t which_blocking, bool strict = false);
+  /// Operations of the neighbour while the victim stands still. None that is called wait-free or
+  /// lock-free may wait, or take more instructions than its bound.
+  std::vector<Probed> probe(const std::vector<std::uint32_t>& which);
+  static std::uint64_t bound_of(Promise promise);
 
   /// Kills the victim and looks whether all promises hold. Returns the violations.
   std::vector<std::string> kill_and_inspect();
 
   /// What became of an operation one of whose system calls failed.
   struct Failure {
-    std::optional<long> call;  ///< its number; nothing: it was not one that can fail so
+    std::optional<long> call;  ///< its number
+    bool spared = false;       ///< it was not one that can fail so
     std::string error;         ///< what the operation threw; empty: it got through
     std::vector<std::string> violations;
   };
@@ -110,7 +118,8 @@ class Trial {
   void help_sleeper();
   void inspect();
   Actor::Reply must_answer(Actor& actor, const char* what);
-  std::uint64_t published_on_topic() const;
+  std::uint64_t published_on(const char* topic) const;
+  void note_published();
   void inspect_with_witness();
   void inspect_alone();
   void violation(const std::string& what);
@@ -124,8 +133,8 @@ class Trial {
   std::optional<Tracee> traced_;
   std::optional<Shadow> shadow_;
   std::vector<std::string> violations_;
-  /// A closed ring may be gone before it can be asked: what was in it when the operation began.
-  std::uint64_t published_before_ = 0;
+  /// What the rings said while they stood still: those that are closed may be gone later.
+  std::uint64_t published_ = 0, frames_ = 0;
 };
 
 }  // namespace lot::kill
