@@ -2,6 +2,7 @@
 
 // Every operation of the public interface that touches the segment, in the situations that make a
 // difference to it.
+#include <fstream>
 #include <string_view>
 #include <utility>
 
@@ -70,7 +71,31 @@ void push_loan(Node& n) {
 
 void membership(std::vector<Operation>& all) {
   all.push_back({"create a segment", Promise::Blocking, {}, join, {}, true});
+  all.push_back({"create, an unfinished one is left",
+                 Promise::Blocking,
+                 {victim([](Node& n) {
+                   std::ofstream(n.options.directory + "/" + n.options.segment + ".new") << "x";
+                 })},
+                 join,
+                 {},
+                 true});
+  all.push_back({"create, killed ones have left one of another size",
+                 Promise::Blocking,
+                 {dead([](Node& n) {
+                   n.options.size_bytes += 2 << 20;
+                   n.join();
+                 })},
+                 join,
+                 {},
+                 true});
   all.push_back({"open a segment", Promise::Blocking, {witness(join)}, join});
+  all.push_back({"open, killed ones have left it",
+                 Promise::Blocking,
+                 {dead(join), publisher(dead, overwrite(2), kTopic), reader(dead, kTopic),
+                  publishes(dead, 3), dead(loan_one), dead([](Node& n) { n.hold(true); })},
+                 join,
+                 {},
+                 true});
   all.push_back(
       {"close, others stay", Promise::Blocking, {witness(join), victim(join)}, [](Node& n) {
          n.engine.reset();
@@ -115,6 +140,13 @@ void topics(std::vector<Operation>& all) {
     all.push_back({"unsubscribe" + policy, Promise::Blocking, victim_reads(options, 1),
                    [](Node& n) { n.puller.reset(); }});
   }
+  all.push_back({"wait for readers", Promise::Blocking,
+                 both + Acts{publisher(victim, overwrite(2), kTopic)},
+                 [](Node& n) { n.pusher->wait_for_readers(1, 10s); },
+                 [](Node& n) {
+                   n.puller.emplace(n.engine->subscribe<Number>(kTopic, parked()));
+                   n.reads_topic = true;
+                 }});
   all.push_back({"subscribe, no publisher", Promise::Blocking, both,
                  [](Node& n) { n.puller.emplace(n.engine->subscribe<Number>(kOther, parked())); }});
 }
@@ -251,6 +283,12 @@ void pulls(std::vector<Operation>& all) {
                    n.pusher.emplace(n.engine->advertise<Number>(kOther, overwrite(2)));
                    n.publish(1);
                  }});
+  all.push_back({"borrow spins, sleeps and is woken", Promise::Blocking,
+                 Acts{witness(join), victim(join), publisher(witness, overwrite(2), kOther),
+                      victim([](Node& n) {
+                        n.puller.emplace(n.engine->subscribe<Number>(kOther, {Wait::Adaptive, 0}));
+                      })},
+                 [](Node& n) { n.borrow = n.puller->borrow(10s); }, [](Node& n) { n.publish(1); }});
   all.push_back({"timed pull, too late", Promise::Blocking, victim_reads(overwrite(2), 0),
                  [](Node& n) { n.puller->pull(2ms); }});
   all.push_back({"borrow, lapped",
@@ -306,6 +344,23 @@ void pointers(std::vector<Operation>& all) {
                                   n.kept.clear();
                                 }),
                                 publishes(witness, 70)},
+                 [](Node& n) { n.kept.push_back(n.weak.lock()); }});
+  const Acts made =
+      victim_publishes(overwrite(1), 0) + Acts{victim(loan_one), victim([](Node& n) {
+                                                 n.kept.emplace_back(std::move(n.loans.back()));
+                                                 n.loans.clear();
+                                                 n.weak = n.kept.back();
+                                                 if (n.pusher->push(n.kept.back()) == Status::Ok)
+                                                   ++n.published;
+                                                 n.kept.clear();
+                                               })};
+  all.push_back({"weak lock, alive, by its maker",
+                 {Promise::WaitFree, "weak lock, alive"},
+                 made,
+                 [](Node& n) { n.kept.push_back(n.weak.lock()); }});
+  all.push_back({"weak lock, dead, by its maker",
+                 {Promise::WaitFree, "weak lock, dead"},
+                 made + Acts{publishes(victim, 70)},
                  [](Node& n) { n.kept.push_back(n.weak.lock()); }});
   all.push_back(
       {"share one's own, and drop it",
