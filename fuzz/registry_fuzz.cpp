@@ -193,7 +193,7 @@ class Fuzz {
         player.topics.empty() ? 0 : player.topics[bytes_.below(player.topics.size())];
     const std::uint32_t depth = 1 + static_cast<std::uint32_t>(bytes_.below(5));
     const bool blocking = bytes_.below(2) != 0;
-    const std::uint32_t version = local_.registry().version();
+    const std::uint32_t version = local_.segment().directory().version.load();
     const auto opened = attempt([&] {
       const Registry::Lock lock(local_.registry());
       return local_.registry().open(topic, player.index, {depth, kReaders, blocking, 0});
@@ -205,7 +205,7 @@ class Fuzz {
     require(opened->channel == static_cast<std::uint32_t>(free - channels_.begin()) &&
                 opened->generation == free->generation + 1,
             "which channel is taken");
-    require(local_.registry().version() != version, "a new ring is announced");
+    require(local_.segment().directory().version.load() != version, "a new ring is announced");
     *free = {State::Live, opened->generation, topic, player.index};
     player.rings.push_back(*opened);
     const auto ring = local_.ring(opened->channel);

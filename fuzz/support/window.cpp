@@ -4,15 +4,15 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
-#include <ctime>
-#include <pthread.h>
 #include <sys/mman.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "robust_mutex/robust_mutex.hpp"
 #include "segment/segment.hpp"
 
 #if defined(__SANITIZE_ADDRESS__)
@@ -120,7 +120,6 @@ namespace window = lot::fuzz::window;
 extern "C" {
 void* __real_mmap(void*, std::size_t, int, int, int, off_t);
 int __real_munmap(void*, std::size_t);
-int __real_pthread_mutex_clocklock(pthread_mutex_t*, clockid_t, const timespec*);
 std::uint32_t __real__ZN3lot7segment7Segment9claim_runEjj(lot::segment::Segment*, unsigned,
                                                           std::uint32_t);
 
@@ -142,19 +141,6 @@ int __wrap_munmap(void* at, std::size_t bytes) {
   return 0;
 }
 
-int __wrap_pthread_mutex_clocklock(pthread_mutex_t* mutex, clockid_t clock, const timespec* until) {
-  timespec soon{};
-  clock_gettime(clock, &soon);
-  soon.tv_nsec += 2'000'000;
-  if (soon.tv_nsec >= 1'000'000'000) {
-    ++soon.tv_sec;
-    soon.tv_nsec -= 1'000'000'000;
-  }
-  const bool late = soon.tv_sec > until->tv_sec ||
-                    (soon.tv_sec == until->tv_sec && soon.tv_nsec > until->tv_nsec);
-  return __real_pthread_mutex_clocklock(mutex, clock, late ? until : &soon);
-}
-
 std::uint32_t __wrap__ZN3lot7segment7Segment9claim_runEjj(lot::segment::Segment* segment,
                                                           unsigned order, std::uint32_t tag) {
   const std::uint32_t run = __real__ZN3lot7segment7Segment9claim_runEjj(segment, order, tag);
@@ -165,3 +151,14 @@ std::uint32_t __wrap__ZN3lot7segment7Segment9claim_runEjj(lot::segment::Segment*
   return run;
 }
 }  // extern "C"
+
+// A function that returns what extern "C" cannot.
+lot::RobustMutex::Outcome really_lock(lot::RobustMutex*, std::chrono::nanoseconds) asm(
+    "__real__ZN3lot11RobustMutex8lock_forENSt6chrono8durationIlSt5ratioILl1ELl1000000000EEEE");
+lot::RobustMutex::Outcome lock_soon(lot::RobustMutex*, std::chrono::nanoseconds) asm(
+    "__wrap__ZN3lot11RobustMutex8lock_forENSt6chrono8durationIlSt5ratioILl1ELl1000000000EEEE");
+
+lot::RobustMutex::Outcome lock_soon(lot::RobustMutex* mutex, std::chrono::nanoseconds timeout) {
+  return really_lock(mutex,
+                     std::min<std::chrono::nanoseconds>(timeout, std::chrono::milliseconds(2)));
+}

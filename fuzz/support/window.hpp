@@ -10,7 +10,7 @@ namespace lot::fuzz::window {
 /// AddressSanitizer free granules are poisoned as well.
 ///
 /// The library knows nothing of it: its calls of mmap, munmap, Segment::claim_run and
-/// pthread_mutex_clocklock come by here first (ld --wrap). The last one is cut short: a lock word
+/// RobustMutex::lock_for come by here first (ld --wrap). The last one is cut short: a lock word
 /// that names a living thread for ever would cost seconds of patience each time.
 
 /// From now on. (It is not for segments that other processes use: their claims are not seen here.)

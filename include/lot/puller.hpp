@@ -72,7 +72,7 @@ class ShmPuller {
   /// The next message, or null; status() says why, missed() how many were lost before it.
   ShmSharedPtr<const T> try_pull() { return pull_kept(false, {}, false); }
   ShmSharedPtr<const T> pull(std::chrono::nanoseconds timeout) {
-    return pull_kept(true, detail::Clock::now() + timeout, false);
+    return pull_kept(true, detail::after(timeout), false);
   }
   ShmSharedPtr<const T> pull_until(std::chrono::steady_clock::time_point deadline) {
     return pull_kept(true, deadline, false);
@@ -82,7 +82,7 @@ class ShmPuller {
 
   ShmBorrow<T> try_borrow() { return look(false, {}, false); }
   ShmBorrow<T> borrow(std::chrono::nanoseconds timeout) {
-    return look(true, detail::Clock::now() + timeout, false);
+    return look(true, detail::after(timeout), false);
   }
   ShmBorrow<T> borrow_until(std::chrono::steady_clock::time_point deadline) {
     return look(true, deadline, false);

@@ -59,6 +59,7 @@ void LockFile::unlock(std::uint32_t byte) noexcept {
 }
 
 bool LockFile::held_by_other(std::uint32_t first, std::uint32_t count) const noexcept {
+  if (!intact()) return true;
   struct flock range = byte_range(F_WRLCK, first, count);
   // On failure say "held": nobody is ever reaped because a system call went wrong.
   if (fcntl(fd_, F_OFD_GETLK, &range) == -1) return true;
@@ -68,6 +69,10 @@ bool LockFile::held_by_other(std::uint32_t first, std::uint32_t count) const noe
 bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
   const auto until = std::chrono::steady_clock::now() + timeout;
   while (!try_lock(kGate)) {
+    if (!intact()) {
+      throw Error(EBADF, path_, "its descriptor was closed meanwhile",
+                  "try again; in a process with other threads do not close descriptors of others");
+    }
     if (errno != EAGAIN && errno != EACCES) {
       throw Error(errno, path_, "cannot lock it", "does its file system support fcntl locks?");
     }

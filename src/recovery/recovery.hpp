@@ -13,7 +13,8 @@
 /// again (docs/crash.md).
 ///
 /// What the dead has written is carried by its byte lock, and what other reapers have written by
-/// byte lock 0, so that those words are read relaxed. What the living write is not.
+/// the orphanage's locks (byte lock 0 and a mutex), so that those words are read relaxed. What the
+/// living write is not.
 ///
 /// The World is what is repaired:
 ///   participants()               -> number of indexes, 0 included
@@ -23,8 +24,8 @@
 ///   channel_writer(c)            -> Atomic<Word>&
 ///   ring(c)                      -> Ring<P>; depth 0 when it was never finished
 ///   each_reference(b, f)         -> f(block) for each block that the message in b refers to
-///   lock_rings(), unlock_rings() -> the registry's lock, tried: joiners and recycling exclude each
-///   other recycle_ring(c)              -> releases the ring's memory and names
+///   lock_rings(), unlock_rings() -> the registry's lock, tried, against joiners
+///   recycle_ring(c)              -> releases the ring's memory and names
 ///   release_extents(dead)        -> releases the memory of the blocks named in vector<bool> dead
 ///   forget(k)                    -> what else names participant k (users of topics)
 ///   wake(word)                   -> wakes everybody who sleeps on it
@@ -178,10 +179,9 @@ class Recovery {
       if (!is_deserted_orphan(c)) continue;
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       world_.recycle_ring(c);
-      // Relaxed: who opens it next takes the registry's lock.
       world_.channel_writer(c).store(
           ring::make_writer(ring::writer_generation(w) + 1, ring::State::Free, 0),
-          std::memory_order_relaxed);
+          std::memory_order_release);
     }
     world_.unlock_rings();
     return true;

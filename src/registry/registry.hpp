@@ -30,8 +30,8 @@ struct ChannelName {
 /// that dies leaves words that are each true by themselves, so there is nothing to repair.
 ///
 /// Edges
-///   D1  directory version bump (seq_cst) after LIVE -> version load of a puller (acquire)
-///       carries: the new ring.
+///   D1  directory version bump after LIVE -> version load of a puller
+///       carries nothing: who finds it changed takes the lock, which carries the new ring.
 class Registry {
  public:
   explicit Registry(segment::Segment& segment) : segment_(segment) {}
@@ -68,15 +68,14 @@ class Registry {
 
   // Without the lock.
 
-  std::uint32_t version() const noexcept {
-    return segment_.directory().version.load(std::memory_order_acquire);  // D1
-  }
-  /// Says that rings have come or gone, and wakes who waits for that.
-  void announce(std::uint32_t topic) noexcept;
   /// No participant uses these any more: part of a reap.
   void forget(std::uint32_t participant) noexcept;
 
  private:
+  /// Says that a ring has come, and wakes who waits for that. REQUIRES: the lock, so that no ring
+  /// is recycled meanwhile.
+  void announce(std::uint32_t topic) noexcept;
+
   segment::Segment& segment_;
 };
 

@@ -3,10 +3,16 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <ctime>
 #include <system_error>
+#include <thread>
 
 namespace lot {
+namespace {
+
+constexpr std::chrono::nanoseconds kFirstPause = std::chrono::microseconds(20);
+constexpr std::chrono::nanoseconds kLongestPause = std::chrono::milliseconds(1);
+
+}  // namespace
 
 void RobustMutex::construct(pthread_mutex_t& memory) {
   pthread_mutexattr_t attributes;
@@ -19,14 +25,15 @@ void RobustMutex::construct(pthread_mutex_t& memory) {
 }
 
 RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
-  timespec until{};
-  clock_gettime(CLOCK_MONOTONIC, &until);
+  using Clock = std::chrono::steady_clock;
   constexpr std::chrono::nanoseconds kLongest = std::chrono::hours(24 * 365);
-  timeout = std::clamp(timeout, std::chrono::nanoseconds(0), kLongest);
-  const long long ns = until.tv_nsec + timeout.count();
-  until.tv_sec += static_cast<time_t>(ns / 1'000'000'000);
-  until.tv_nsec = static_cast<long>(ns % 1'000'000'000);
-  return outcome(pthread_mutex_clocklock(&mutex_, CLOCK_MONOTONIC, &until));
+  const auto until = Clock::now() + std::min(timeout, kLongest);
+  for (std::chrono::nanoseconds pause = kFirstPause;; pause = std::min(2 * pause, kLongestPause)) {
+    const Outcome outcome = try_lock();
+    const auto left = until - Clock::now();
+    if (outcome != Outcome::Busy || left <= left.zero()) return outcome;
+    std::this_thread::sleep_for(std::min<std::chrono::nanoseconds>(pause, left));
+  }
 }
 
 RobustMutex::Outcome RobustMutex::try_lock() noexcept {

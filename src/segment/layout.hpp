@@ -86,7 +86,7 @@ struct alignas(64) LockWord {
 
 /// What all processes look at to find each other.
 struct alignas(64) Directory {
-  std::atomic<std::uint32_t> version;  ///< futex; bumped by each advertise and unadvertise
+  std::atomic<std::uint32_t> version;  ///< futex; bumped by each advertise
   alignas(64) LockWord lock;           ///< registry: topics, joining, recycling
 };
 

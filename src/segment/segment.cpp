@@ -39,10 +39,15 @@ std::uint64_t hash(const char* bytes, std::size_t n, std::uint64_t h = 146959810
 
 /// What two builds must have in common to read each other's bytes.
 std::uint64_t fingerprint() {
-  const std::uint64_t facts[] = {sizeof(void*),    std::endian::native == std::endian::little,
-                                 Atomics::kLine,   Atomics::kOwnWords,
-                                 ring::kBlockBits, sizeof(pthread_mutex_t),
-                                 sizeof(Capacity), kGranule,
+  const std::uint64_t facts[] = {sizeof(void*),
+                                 std::endian::native == std::endian::little,
+                                 Atomics::kLine,
+                                 Atomics::kOwnWords,
+                                 ring::kBlockBits,
+                                 ring::kSequenceShift,
+                                 sizeof(pthread_mutex_t),
+                                 sizeof(Capacity),
+                                 kGranule,
                                  kSmallBytes};
   return hash(reinterpret_cast<const char*>(facts), sizeof(facts));
 }

@@ -20,6 +20,7 @@ constexpr auto kOrphanagePatience = 2s;
 constexpr auto kWardenPeriod = 100ms;
 /// A search through all blocks costs cache lines that publishers want: only now and then.
 constexpr unsigned kWardenRoundsPerSearch = 10;
+constexpr auto kWitnessPatience = 1s;
 /// Who joins when all indexes are taken asks again so long: somebody may be reaping just now.
 constexpr auto kFullPatience = 200ms;
 
@@ -90,8 +91,13 @@ void Participant::warden() {
   sigfillset(&all);
   pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
   RobustMutex witness(segment_.witnesses()[index()].mutex);
-  // A prober lets go at once. Who keeps it has the byte of another lock file.
-  const bool held = witness.lock_for(kGatePatience) != RobustMutex::Outcome::Busy;
+  // A prober lets go at once. Who keeps it has the byte of another lock file; and if that one has
+  // died meanwhile, its index is to be reaped first.
+  bool held = witness.lock_for(kWitnessPatience) != RobustMutex::Outcome::Busy;
+  if (held && part(index()).load(std::memory_order_acquire) != 0) {
+    witness.unlock();
+    held = false;
+  }
   if (held) part(index()).store(1, std::memory_order_release);
   std::unique_lock lock(warden_mutex_);
   witness_ = held ? Witness::Held : Witness::Refused;

@@ -218,8 +218,6 @@ class Puller final : public detail::PullerCore {
   static const void* futex_of(const std::atomic<ring::Word>& word) { return futex::low_half(word); }
   static const void* futex_of(const std::atomic<std::uint32_t>& word) { return &word; }
 
-  /// Joins the rings of the topic that we do not read yet. Those that were there before the
-  /// subscription are read from `history` on, later ones from their first message.
   /// Joins the rings of the topic that we do not read yet.
   void find_rings(std::uint64_t history, bool complain) {
     const std::uint32_t version = directory_.load(std::memory_order_acquire);
@@ -235,6 +233,7 @@ class Puller final : public detail::PullerCore {
                     "the queue of a publisher of the topic is damaged", "restart the publisher");
       }
       bool full = false;
+      sources_.reserve(sources_.size() + 1);  // else a joined cell may be lost
       auto reader = Reader::join(ring, name.generation, participant_->index(), history, full);
       if (reader) {
         missed_ += reader->skipped();
@@ -253,8 +252,11 @@ class Puller final : public detail::PullerCore {
   void find_new_rings() {
     registry::Registry& registry = participant_->registry();
     if (!registry.try_lock()) return;
+    const struct Unlock {
+      registry::Registry& registry;
+      ~Unlock() { registry.unlock(); }
+    } unlock{registry};
     find_rings(Reader::kFromTheStart, false);
-    registry.unlock();
   }
 
   void ring_bell(Reader& reader) noexcept {

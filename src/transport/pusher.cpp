@@ -164,7 +164,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   }
 
   bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) override {
-    const auto until = futex::Clock::now() + timeout;
+    const auto until = detail::after(timeout);
     while (readers() < count) {
       if (futex::Clock::now() >= until) return false;
       std::this_thread::sleep_for(kLookPeriod);
@@ -257,7 +257,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   /// microseconds, so it spins first. Called and left with the lock held.
   bool wait_for_room(std::unique_lock<BiasedLock>& lock, std::chrono::nanoseconds block_for) {
     const auto start = futex::Clock::now();
-    const auto until = start + block_for;
+    const auto until = detail::after(block_for);
     while (spins_ && futex::Clock::now() < std::min(until, start + kSpinTime)) {
       lock.unlock();
       // Seldom enough to leave the reader its cursor's line, and to find room for more than one.

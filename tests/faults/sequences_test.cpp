@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Rings whose sequence numbers wrap while they are used: 2^44 is followed by 0, and nothing
+// Rings whose sequence numbers wrap while they are used: 2^42 is followed by 0, and nothing
 // happens.
 
 #include <algorithm>

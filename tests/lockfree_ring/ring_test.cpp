@@ -693,7 +693,7 @@ TEST_CASE("a lapped reader is not at the end until it has read what is left") {
 
 // ---- the wrap -----------------------------------------------------------------------------------
 
-TEST_CASE("sequences that wrap at 2^44 change nothing") {
+TEST_CASE("sequences that wrap at 2^42 change nothing") {
   for (const Policy policy : {Policy::Overwrite, Policy::Blocking}) {
     for (const std::uint32_t depth : {1U, 3U, 4U, 7U}) {
       for (Word before = 0; before <= 2 * depth; ++before) {

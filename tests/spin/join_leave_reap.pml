@@ -388,7 +388,7 @@ inline take_index() {
   od;
   if
   :: k <= LAST ->
-    acquire(witness[k], me); /* @ src/transport/participant_liveness.cpp warden: witness.lock_for(kGatePatience) != RobustMutex::Outcome::Busy */
+    acquire(witness[k], me); /* @ src/transport/participant_liveness.cpp warden: witness.lock_for(kWitnessPatience) != RobustMutex::Outcome::Busy */
     part[k] = 1 /* @ src/transport/participant_liveness.cpp warden: part(index()).store(1 */
   :: else -> /* @ src/transport/participant_liveness.cpp take_index: throw Error(EUSERS, segment_.path() */
 #ifdef FULL_TABLE

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <memory>
@@ -20,6 +21,11 @@ class Participant;
 namespace lot::detail {
 
 using Clock = std::chrono::steady_clock;
+
+/// So much later, or a year, if that is sooner: nanoseconds::max() is a way to say "for ever".
+inline Clock::time_point after(std::chrono::nanoseconds timeout) {
+  return Clock::now() + std::min<std::chrono::nanoseconds>(timeout, std::chrono::hours(24 * 365));
+}
 
 /// Where a message is to be built.
 struct Loan {
