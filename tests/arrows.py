@@ -17,12 +17,11 @@ INCLUDE = re.compile(r'^[ \t]*#[ \t]*(?:include|include_next|import)[ \t]*["<]([
 COMMENT = re.compile(r'/\*.*?\*/', re.S)
 ROW = re.compile(r'^\|\s*`(\w+)/?`\s*\|(.*)\|([^|]*)\|\s*$')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.inc', '.in'}
-BASES = ('src', 'include', 'tests', 'bench', 'fuzz', 'examples', 'tools', '')
+BASES = ('src', 'include', 'tests', 'bench', 'fuzz', 'examples', '')
 # Who, outside a folder, may include it. Folders of src/ are the table's business.
 OUTER = {
     'bench': {'bench'},
     'examples': {'examples'},
-    'tools': {'tools'},
     'tests': {'tests', 'fuzz'},
     'fuzz': {'fuzz', 'tests'},
 }

@@ -3,10 +3,18 @@
 foreach(mistake IN ITEMS
     publish-release-only
     second-look-relaxed
-    life-bump-relaxed)
+    second-look-stale
+    life-bump-relaxed
+    life-bump-dropped
+    adopt-without-bump
+    joiner-not-announced
+    marks-not-cleared
+    no-wake
+    no-ring-for-room
+    no-look-at-hazards
+    no-lock-for-joiners)
   execute_process(
-    COMMAND ${MODEL} --random 20000 --plant ${mistake}
-      forwarder_chain threads_of_one_process evict_against_borrow
+    COMMAND ${MODEL} --stop --random 20000 --plant ${mistake}
     RESULT_VARIABLE status
     OUTPUT_VARIABLE output)
   if(NOT status EQUAL 1)  # 0: not found; 2: the step is no longer there
