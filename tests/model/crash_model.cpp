@@ -271,6 +271,27 @@ struct ReapFreesAll : Scene<ReapFreesAll, 2> {
   Publisher publisher, next;
 };
 
+/// A block that a reap frees is claimed as soon as it is free.
+struct FreedAndClaimed : Scene<FreedAndClaimed, 2> {
+  FreedAndClaimed() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    publisher.send();
+    segment.bury(4);
+    for (std::uint32_t k : {2U, 3U}) start(k);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      process(3).see_reaped(4);
+      return;
+    }
+    Word b = process(2).loan();
+    for (; b == Process::kNone; b = process(2).loan()) Policy::pause();
+    RL_ASSERT(segment.references[b].read() == kNoBlock);
+  }
+  Publisher publisher;
+};
+
 /// A reader is killed anywhere, and a new process takes its index at once.
 struct IndexReuse : Scene<IndexReuse, 3> {
   IndexReuse() : Scene({.blocks = 4, .depth = 2, .readers = 2}) {}
@@ -313,6 +334,10 @@ struct ReaderKilledAndFollowed : Scene<ReaderKilledAndFollowed, 2> {
     } else {
       while (!next.join(process(3), 0, 1, 1)) Policy::pause();
     }
+  }
+  void check() {
+    const auto& cell = process(3).ring(0).cells[next.reader().cell()];
+    RL_ASSERT(cell.position.load(std::memory_order_relaxed) != ring::kIdle);
   }
   Publisher publisher;
   Subscriber killed, next;
@@ -466,6 +491,8 @@ const Entered entered{
     {"next_reaper", "the next reaper finds what the killed one has left", rl::simulate<NextReaper>,
      1},
     {"reap_frees_all", "one reap leaves nothing of the dead", rl::simulate<ReapFreesAll>, 1},
+    {"freed_and_claimed", "what a reap frees is free with its memory",
+     rl::simulate<FreedAndClaimed>, 1},
     {"index_reuse", "a new process may have a dead one's index at once", rl::simulate<IndexReuse>},
     {"heir_at_once", "a dead reader's index is clean for the next", rl::simulate<HeirAtOnce>, 1},
     {"two_in_succession", "a ring is not recycled under a joiner", rl::simulate<TwoInSuccession>,

@@ -306,6 +306,39 @@ struct HomeHasThreads : SceneBegins, rl::test_suite<HomeHasThreads, 3> {
   Plain<int> payload;
 };
 
+/// One thread has let its last hold go, and comes late: another one has locked a weak pointer, let
+/// go and given the block back, and another process may have it.
+struct LateReclaim : SceneBegins, rl::test_suite<LateReclaim, 3> {
+  using Own = refcount::Ownership<Policy>;
+  void before() {
+    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    RL_ASSERT(home.claim(block, home_hold));
+    generation = refcount::generation_of(block.life.load(std::memory_order_relaxed));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      let_go();
+    } else if (t == 1) {
+      if (home.acquire_weak(block, home_hold, generation)) let_go();
+    } else if (other.claim(block, other_hold)) {
+      payload.write(1);
+      RL_ASSERT(payload.read() == 1);
+    }
+  }
+  void let_go() {
+    if (!home.release(block, home_hold, hold::kPointer) || !home.reclaim(block, home_hold, 0))
+      return;
+    payload.write(2);
+    home.give_back(block, home_hold);
+  }
+  Own home{2};
+  Own other{5};
+  refcount::BlockWords<Policy> block;
+  Own::Hold home_hold, other_hold;
+  Plain<int> payload;
+  std::uint32_t generation = 0;
+};
+
 const Entered entered{
     {"forwarder_chain", "a forwarded block lives as long as the last ring that has it",
      rl::simulate<ForwarderChain>, 1},
@@ -320,6 +353,8 @@ const Entered entered{
      rl::simulate<WeakLockBehindADeath>, 2},
     {"home_has_threads", "threads at home give up their holds in any order",
      rl::simulate<HomeHasThreads>, 3},
+    {"late_reclaim", "who comes late does not touch a block that was given back",
+     rl::simulate<LateReclaim>, 2},
     {"threads_of_one_process", "threads share one ownership bit", rl::simulate<ThreadsOfOneProcess>,
      1},
     {"message_refers_to_message", "a referred message lives as long as the referring one",

@@ -197,7 +197,10 @@ def main(arguments):
                 show(mutant.name, 'planted', pathlib.PurePath(mutant.file).name, verdict)
 
     if options.update:
-        caught.write({key: how for key, how in results.items()})
+        if options.quick or options.only:
+            problems.append('--update is for a whole run: caught.txt stays as it is')
+        else:
+            caught.write(results)
     for problem in problems:
         print(problem)
     print(f'summary: {len(found)} atomic sites, {len(chosen)} weakened or left out and '

@@ -66,7 +66,7 @@ MISTAKES = (
     Planted('a counter for the orphanage\'s bit', OWNERSHIP, 'crash', ((
         'b.own[0].fetch_or(1, std::memory_order_relaxed);',
         'b.own[0].fetch_add(1, std::memory_order_relaxed);'),)),
-    Planted('a block is free before its memory', RECOVERY, 'orphan', (
+    Planted('a block is free before its memory', RECOVERY, 'crash', (
         ('    world_.release_extents(dead);\n', ''),
         ('    if (!released) return false;\n',
          '    world_.release_extents(dead);\n    if (!released) return false;\n'))),
