@@ -45,11 +45,16 @@ Tracee::Tracee(pid_t pid) : pid_(pid) {
     const pid_t id = std::stoi(entry.path().filename());
     if (id != pid) ids.push_back(id);
   }
-  for (const pid_t id : ids) {
-    if (trace(PTRACE_SEIZE, id, 0, kOptions) == -1 || trace(PTRACE_INTERRUPT, id) == -1) {
-      throw std::runtime_error(std::string("ptrace: ") + std::strerror(errno));
+  try {
+    for (const pid_t id : ids) {
+      if (trace(PTRACE_SEIZE, id, 0, kOptions) == -1 || trace(PTRACE_INTERRUPT, id) == -1) {
+        throw std::runtime_error(std::string("ptrace: ") + std::strerror(errno));
+      }
+      adopt(id);
     }
-    adopt(id);
+  } catch (...) {
+    detach();  // a thread that stays traced can only be buried by us
+    throw;
   }
 }
 
