@@ -39,6 +39,7 @@ constexpr unsigned kPatienceMs = 5'000;
 /// counts.
 constexpr std::chrono::milliseconds kOthersGetOn{1000};
 constexpr unsigned kWaitsMs = 20;  ///< a neighbour that sleeps so long waits for somebody
+constexpr unsigned kAsks = 100;  ///< and so does one that sleeps so often: it asks again and again
 
 void write_all(int fd, const void* bytes, std::size_t n) {
   if (write(fd, bytes, n) != static_cast<ssize_t>(n)) throw std::runtime_error("pipe");
@@ -378,13 +379,16 @@ std::vector<Trial::Probed> Trial::probe(const std::vector<std::uint32_t>& which)
       Tracee neighbour(witness_->pid());
       witness_->tell(Actor::Order::Probe, i);
       bool counting = false;
+      unsigned sleeps = 0;
       auto awake = std::chrono::steady_clock::now();
       for (;;) {
         const Tracee::Step step = neighbour.step(kWaitsMs);
         const auto now = std::chrono::steady_clock::now();
         if (step.first && step.event == Tracee::Event::Stepped) awake = now;
         if (step.event == Tracee::Event::Ended) throw std::runtime_error("the neighbour died");
-        if (step.event == Tracee::Event::AllAsleep || now - awake > kOthersGetOn) {
+        if (counting && step.first && step.event == Tracee::Event::Asleep) ++sleeps;
+        if (step.event == Tracee::Event::AllAsleep || now - awake > kOthersGetOn ||
+            sleeps > kAsks) {
           if (!counting) continue;  // it has not read the order yet
           results[i].waited = true;
           if (p.promise != Promise::Blocking) {
