@@ -319,8 +319,9 @@ TEST_CASE("while one thread waits for the gate of a segment, another grows messa
   Child node([&] {
     lot::ShmEngine engine(ours);
     auto pusher = engine.advertise<Frame>("/t");
-    bool meanwhile = false;
-    for (int attempt = 0; attempt < 3 && !meanwhile; ++attempt) {  // a slow machine may be too slow
+    bool overlapped = false;
+    for (int attempt = 0; attempt < 3 && !overlapped;
+         ++attempt) {  // a slow machine may be too slow
       std::atomic<bool> waits{true};
       std::thread joiner([&] {
         try {
@@ -333,11 +334,11 @@ TEST_CASE("while one thread waits for the gate of a segment, another grows messa
       auto frame = pusher.loan();
       frame->data.resize(1 << 17);
       must(pusher.push(std::move(frame)) == Status::Ok, "a push");
-      meanwhile = waits;
-      if (meanwhile) result.tell();
+      overlapped = waits;
+      if (overlapped) result.tell();
       joiner.join();
     }
-    must(meanwhile, "a message grew while the other thread waited");
+    must(overlapped, "a message grew while the other thread waited");
   });
   CHECK(result.next(40s) == '.');
   keeps_gate.send(SIGCONT);
