@@ -3,16 +3,10 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <ctime>
 #include <system_error>
-#include <thread>
 
 namespace lot {
-namespace {
-
-constexpr std::chrono::nanoseconds kFirstPause = std::chrono::microseconds(20);
-constexpr std::chrono::nanoseconds kLongestPause = std::chrono::milliseconds(1);
-
-}  // namespace
 
 void RobustMutex::construct(pthread_mutex_t& memory) {
   pthread_mutexattr_t attributes;
@@ -25,15 +19,14 @@ void RobustMutex::construct(pthread_mutex_t& memory) {
 }
 
 RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
-  using Clock = std::chrono::steady_clock;
+  timespec until{};
+  clock_gettime(CLOCK_MONOTONIC, &until);
   constexpr std::chrono::nanoseconds kLongest = std::chrono::hours(24 * 365);
-  const auto until = Clock::now() + std::min(timeout, kLongest);
-  for (std::chrono::nanoseconds pause = kFirstPause;; pause = std::min(2 * pause, kLongestPause)) {
-    const Outcome outcome = try_lock();
-    const auto left = until - Clock::now();
-    if (outcome != Outcome::Busy || left <= left.zero()) return outcome;
-    std::this_thread::sleep_for(std::min<std::chrono::nanoseconds>(pause, left));
-  }
+  timeout = std::clamp(timeout, std::chrono::nanoseconds(0), kLongest);
+  const long long ns = until.tv_nsec + timeout.count();
+  until.tv_sec += static_cast<time_t>(ns / 1'000'000'000);
+  until.tv_nsec = static_cast<long>(ns % 1'000'000'000);
+  return outcome(pthread_mutex_clocklock(&mutex_, CLOCK_MONOTONIC, &until));
 }
 
 RobustMutex::Outcome RobustMutex::try_lock() noexcept {

@@ -29,10 +29,6 @@ class RobustMutex {
   static void construct(pthread_mutex_t& memory);
 
   /// Locks, waiting until `timeout` has passed (steady clock): Busy then.
-  ///
-  /// It asks again and again, and never waits inside pthread_mutex_lock(): a thread that is killed
-  /// there, in another PID namespace and with the thread id of the owner, would make the kernel say
-  /// that the owner has died.
   Outcome lock_for(std::chrono::nanoseconds timeout) noexcept;
   Outcome try_lock() noexcept;
   void unlock() noexcept;
