@@ -15,11 +15,8 @@ foreach(planted IN ITEMS
   if(mistake STREQUAL "doze")  # few readers sleep that long
     set(size --kills 4000 --checkpoint 400)
   endif()
-  if("${planted}" MATCHES "wedged")
-    list(APPEND size --patience 6)
-  endif()
   execute_process(
-    COMMAND ${CHAOS} ${size} --seed 4 --plant ${mistake}
+    COMMAND ${CHAOS} ${size} --patience 6 --seed 4 --plant ${mistake}
     RESULT_VARIABLE status
     OUTPUT_VARIABLE output
     ERROR_VARIABLE output)
