@@ -32,8 +32,8 @@ class Publisher final : public Job {
   }
 
   void turn() override {
-    for (std::uint64_t n = life_.random.below(most_ + 1); n > 0 && !life_.stopping(); --n)
-      publish();
+    // Each one may wait for a reader; when all come to rest, nobody reads any more.
+    for (std::uint64_t n = life_.random.below(most_ + 1); n > 0 && goes_on(); --n) publish();
     if (life_.has(Plant::Hoard)) {
       for (unsigned n = 0; n < 200; ++n) hoard_.push_back(outlet_.loan());
     }
@@ -51,6 +51,8 @@ class Publisher final : public Job {
   }
 
  private:
+  bool goes_on() const { return !life_.stopping() && life_.stage() == Stage::Run; }
+
   void publish() {
     if (life_.has(Plant::Skip, 2)) outlet_.skip_number();
     if (life_.has(Plant::Twice, 2)) outlet_.use_number_again();
