@@ -18,6 +18,8 @@ void RobustMutex::construct(pthread_mutex_t& memory) {
   if (result != 0) throw std::system_error(result, std::generic_category(), "pthread_mutex_init");
 }
 
+RobustMutex::Outcome RobustMutex::lock() noexcept { return outcome(pthread_mutex_lock(&mutex_)); }
+
 RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
   timespec until{};
   clock_gettime(CLOCK_MONOTONIC, &until);

@@ -28,6 +28,8 @@ class RobustMutex {
   /// Makes the mutex in fresh memory; done once, before the segment can be found.
   static void construct(pthread_mutex_t& memory);
 
+  /// Locks, however long that takes; never Busy, unless the memory is damaged.
+  Outcome lock() noexcept;
   /// Locks, waiting until `timeout` has passed (steady clock): Busy then.
   Outcome lock_for(std::chrono::nanoseconds timeout) noexcept;
   Outcome try_lock() noexcept;

@@ -1,0 +1,156 @@
+// The condition between real processes, some of which are killed.
+
+#include "robust_mutex/robust_condition.hpp"
+
+#include <chrono>
+#include <csignal>
+#include <new>
+#include <sys/mman.h>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::RobustCondition;
+using lot::RobustMutex;
+using Outcome = RobustMutex::Outcome;
+
+/// A number that only grows, what guards it and what says that it has grown.
+struct Shared {
+  pthread_mutex_t mutex;
+  RobustCondition::Word word{0};
+  long number = 0;
+};
+
+class Fixture {
+ public:
+  Fixture() {
+    void* at =
+        mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    REQUIRE(at != MAP_FAILED);
+    shared = new (at) Shared;
+    RobustMutex::construct(shared->mutex);
+  }
+  ~Fixture() { munmap(shared, sizeof(Shared)); }
+  Fixture(const Fixture&) = delete;
+  Fixture& operator=(const Fixture&) = delete;
+
+ protected:
+  RobustMutex mutex() { return RobustMutex(shared->mutex); }
+  RobustCondition condition() { return RobustCondition(shared->word); }
+
+  /// Sleeps until the number is at least `least`; false when the lock was lost or time is up.
+  bool wait_for(long least, std::chrono::nanoseconds patience = 30s) {
+    const auto until = lot::futex::Clock::now() + patience;
+    for (;;) {
+      if (mutex().lock() == Outcome::Busy) return false;
+      const bool there = shared->number >= least;
+      const std::uint32_t seen = there ? 0 : condition().announce();
+      mutex().unlock();
+      if (there) return true;
+      if (!condition().sleep_until(seen, until)) return false;
+    }
+  }
+  void grow() {
+    mutex().lock();
+    ++shared->number;
+    const bool wake = condition().changed();
+    mutex().unlock();
+    if (wake) condition().wake_all();
+  }
+  bool somebody_waits() const { return (shared->word.load() & 1) != 0; }
+
+  const Watchdog watchdog{60};
+  Shared* shared = nullptr;
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("robust_condition");
+
+TEST_CASE_FIXTURE(Fixture, "all who wait hear of a change, each time") {
+  std::vector<Child> waiters;
+  for (int i = 0; i < 4; ++i) {
+    waiters.emplace_back([this] {
+      for (long n = 1; n <= 500; ++n) must(wait_for(n), "the change");
+    });
+  }
+  for (int n = 0; n < 500; ++n) {
+    grow();
+    if (n % 16 == 0) std::this_thread::sleep_for(1ms);  // lets them fall asleep
+  }
+  for (Child& waiter : waiters) CHECK(waiter.wait() == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "nobody waits: a change needs no wake") {
+  mutex().lock();
+  CHECK(!condition().changed());
+  mutex().unlock();
+}
+
+TEST_CASE_FIXTURE(Fixture, "a change between looking and sleeping is not slept through") {
+  mutex().lock();
+  const std::uint32_t seen = condition().announce();
+  mutex().unlock();
+  grow();
+  CHECK(condition().sleep_until(seen, {}));
+}
+
+TEST_CASE_FIXTURE(Fixture, "a deadline passes") {
+  CHECK(!wait_for(1, 20ms));
+  CHECK(somebody_waits());  // its mark stays, and costs one needless wake
+  grow();
+  CHECK(!somebody_waits());
+}
+
+TEST_CASE_FIXTURE(Fixture, "killed waiters leave nothing that a change trips over") {
+  for (int round = 0; round < 20; ++round) {
+    Child waiter([this] { wait_for(1'000'000); });
+    REQUIRE(eventually([this] { return somebody_waits(); }));
+    waiter.kill9();
+    Child other([this, round] { must(wait_for(round + 1), "the change"); });
+    grow();
+    CHECK(other.wait() == 0);
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "killed between the change and the wake: the repair wakes all") {
+  std::vector<Child> waiters;
+  for (int i = 0; i < 3; ++i) {
+    waiters.emplace_back([this] { must(wait_for(1), "the change"); });
+  }
+  REQUIRE(eventually([this] { return somebody_waits(); }));
+  std::this_thread::sleep_for(20ms);  // most likely all asleep by now; right in any case
+  Child changer([this] {
+    mutex().lock();
+    ++shared->number;
+    must(condition().changed(), "somebody waits");
+    mutex().unlock();
+    raise(SIGKILL);
+  });
+  CHECK(changer.wait() == 128 + SIGKILL);
+  CHECK(!somebody_waits());
+  condition().renew();
+  for (Child& waiter : waiters) CHECK(waiter.wait() == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "killed while it has the mutex: the next one is told, and wakes all") {
+  Child waiter([this] { must(wait_for(1), "the change"); });
+  REQUIRE(eventually([this] { return somebody_waits(); }));
+  Child changer([this] {
+    mutex().lock();
+    ++shared->number;
+    raise(SIGKILL);
+  });
+  CHECK(changer.wait() == 128 + SIGKILL);
+  CHECK((mutex().lock() == Outcome::OwnerDied));
+  mutex().unlock();
+  condition().renew();
+  CHECK(waiter.wait() == 0);
+}
+
+TEST_SUITE_END();
