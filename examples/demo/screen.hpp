@@ -48,7 +48,8 @@ inline std::uint64_t frames_of(const Child& child) {
 inline std::string how_far(Family& family) {
   std::string text = "camera " + std::to_string(frames_of(family["camera"])) + ", consumers";
   for (unsigned i = 1; i <= kConsumers; ++i) {
-    text += " " + std::to_string(frames_of(family[consumer_name(i)]));
+    text += ' ';
+    text += std::to_string(frames_of(family[consumer_name(i)]));
   }
   return text;
 }

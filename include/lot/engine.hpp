@@ -12,6 +12,8 @@
 #include "lot/options.hpp"
 #include "lot/puller.hpp"
 #include "lot/pusher.hpp"
+#include "lot/queue.hpp"
+#include "lot/wait_set.hpp"
 
 namespace lot {
 
@@ -38,15 +40,42 @@ class ShmEngine {
   template <class T>
   ShmPusher<T> advertise(std::string_view topic, const PusherOptions& options = PusherOptions()) {
     assert_message<T>();
-    return {detail::make_pusher(participant_, topic, detail::message_type<T>(), options),
+    return {detail::make_pusher(participant_, topic, detail::message_type<T>(), options,
+                                detail::Delivery::ToAll),
             options.block_for};
   }
   /// Messages that are published after this call are received, or counted as missed.
   template <class T>
   ShmPuller<T> subscribe(std::string_view topic, const PullerOptions& options = PullerOptions()) {
     assert_message<T>();
-    return ShmPuller<T>(
-        detail::make_puller(participant_, topic, detail::message_type<T>(), options));
+    return ShmPuller<T>(detail::make_puller(participant_, topic, detail::message_type<T>(), options,
+                                            detail::Delivery::ToAll));
+  }
+  /// Subscribes, and calls callback(const ShmSharedPtr<const T>&) for each message on a thread of
+  /// its own, until the listener is destroyed.
+  template <class T, class Callback>
+  ShmListener listen(std::string_view topic, Callback&& callback,
+                     const PullerOptions& options = PullerOptions(),
+                     const ThreadOptions& thread = ThreadOptions()) {
+    return {subscribe<T>(topic, options), std::forward<Callback>(callback), options.wait, thread};
+  }
+  /// One end, or both, of a queue of items of type T. Errors: as advertise().
+  template <class T>
+  ShmQueue<T> queue(std::string_view name, const QueueOptions& options = QueueOptions()) {
+    using Item = detail::QueueItem<T>;
+    using Element = typename Item::Element;
+    assert_message<Element>();
+    PusherOptions putting;
+    putting.depth = options.depth;
+    putting.policy = options.policy;
+    putting.engine = options.engine;
+    PullerOptions popping;
+    popping.wait = options.wait;
+    return ShmQueue<T>(detail::make_queue(participant_, name,
+                                          Item::kDelivery == detail::Delivery::ToAll
+                                              ? detail::message_type<Element>()
+                                              : detail::taken_type<Element>(),
+                                          putting, popping, Item::kDelivery));
   }
   /// A message that belongs to no topic: to be pushed on several, or referred to by others.
   template <class T, class... Args>

@@ -26,9 +26,16 @@ struct EngineOptions {
 };
 
 /// What a publisher does when the slowest reader has not read the oldest message yet.
-enum class Policy {
+enum class Policy : std::uint32_t {
   Overwrite,  ///< the oldest is overwritten; each reader is told how many it missed
-  Block       ///< push waits up to PusherOptions::block_for, then says Status::Full
+  Block,      ///< push waits up to PusherOptions::block_for, then says Status::Full
+  Refuse      ///< push says Status::Full at once
+};
+
+/// How a queue works inside. Both do the same; readers follow the publisher.
+enum class QueueEngine : std::uint32_t {
+  Ring,  ///< lock-free: a process that is killed or stopped holds nobody up
+  Mutex  ///< every step under one lock, as most queues are built: to compare with
 };
 
 struct PusherOptions {
@@ -37,6 +44,8 @@ struct PusherOptions {
   /// short of memory.
   std::uint32_t depth = 64;
   std::chrono::nanoseconds block_for = std::chrono::seconds(1);
+  /// LOT_QUEUE=ring or LOT_QUEUE=mutex in the environment comes before it, for every topic.
+  QueueEngine engine = QueueEngine::Ring;
 };
 
 /// How a puller passes the time until a message comes.

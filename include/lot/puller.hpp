@@ -97,8 +97,19 @@ class ShmPuller {
   std::uint64_t missed_total() const noexcept { return missed_total_; }
   /// Publishers of the topic that are there now.
   std::size_t publishers() { return core_->publishers(); }
+  /// Messages that are there to be read.
+  std::size_t size() { return core_->size(); }
+
+  /// A descriptor for epoll, poll, Asio or GLib: readable (level-triggered) from when a message may
+  /// have come until try_pull() or try_borrow() has found none. It may say so for nothing, each
+  /// second at most. From the first call on, a thread of the library's watches the queue whenever a
+  /// look has found nothing. It belongs to the puller, which closes it.
+  int fd() { return core_->fd(); }
 
  private:
+  friend class WaitSet;
+  friend class ShmListener;
+
   ShmSharedPtr<const T> pull_kept(bool wait, detail::Clock::time_point deadline, bool forever) {
     detail::Borrowed kept;
     status_ = core_->pull(kept, wait, deadline, forever);

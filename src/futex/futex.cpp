@@ -1,13 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "futex/futex.hpp"
 
+#include <algorithm>
+#include <array>
 #include <bit>
 #include <cerrno>
 #include <climits>
+#include <csignal>
 #include <ctime>
 #include <linux/futex.h>
+#include <span>
 #include <sys/syscall.h>
+#include <thread>
 #include <unistd.h>
+#include <vector>
 
 namespace lot::futex {
 namespace {
@@ -47,26 +53,67 @@ bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexc
   return !(r == -1 && errno == ETIMEDOUT);
 }
 
-bool wait_any(const Wait* waits, unsigned count, const Deadline& deadline) noexcept {
-  if (count == 0) return true;
-  if (count == 1) return wait(waits[0].word, waits[0].value, deadline);
-  // Without futex_waitv (Linux before 5.16, some sandboxes), and of more words than it takes, only
-  // some are slept on: so not for long.
-  const Clock::time_point slice = Clock::now() + std::chrono::milliseconds(2);
-  const bool last = deadline && *deadline <= slice;
-  const Deadline soon = last ? *deadline : slice;
-  const bool all = count <= kMaxWords;
-  const Deadline& until = all ? deadline : soon;
-  if (!all) count = kMaxWords;
+namespace {
+
+constexpr auto kSlice = std::chrono::milliseconds(2);
+
+/// Sleeps on at most kMaxWords words.
+bool wait_some(std::span<const detail::FutexWait> waits, const Deadline& deadline) noexcept {
   WaitvEntry entries[kMaxWords];
-  for (unsigned i = 0; i < count; ++i) {
+  for (std::size_t i = 0; i < waits.size(); ++i) {
     entries[i] = {waits[i].value, reinterpret_cast<std::uint64_t>(waits[i].word), kSize32, 0};
   }
-  const timespec at = until ? to_timespec(*until) : timespec{};
-  const long r = syscall(kFutexWaitv, entries, count, 0, until ? &at : nullptr, CLOCK_MONOTONIC);
+  const timespec at = deadline ? to_timespec(*deadline) : timespec{};
+  const long r =
+      syscall(kFutexWaitv, entries, waits.size(), 0, deadline ? &at : nullptr, CLOCK_MONOTONIC);
   if (r >= 0 || errno == EAGAIN || errno == EINTR) return true;
-  if (errno == ETIMEDOUT) return !all && !last;
-  return wait(waits[0].word, waits[0].value, soon) || !last;
+  if (errno == ETIMEDOUT) return false;
+  // There is no futex_waitv: one is slept on, so not for long.
+  const Clock::time_point soon = Clock::now() + kSlice;
+  const bool last = deadline && *deadline <= soon;
+  return wait(waits[0].word, waits[0].value, last ? *deadline : soon) || !last;
+}
+
+/// Each group of words has a thread that sleeps on it; who wakes first rings all the others.
+bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
+  std::atomic<std::uint32_t> bell{0};
+  const auto sleep = [&](std::size_t begin) {
+    const std::size_t end = std::min(waits.size(), begin + kMaxWords - 1);
+    std::array<detail::FutexWait, kMaxWords> group;
+    std::copy(waits.begin() + static_cast<std::ptrdiff_t>(begin),
+              waits.begin() + static_cast<std::ptrdiff_t>(end), group.begin());
+    group[end - begin] = {&bell, 0};
+    const bool woken = wait_some({group.data(), end - begin + 1}, deadline);
+    bell.store(1, std::memory_order_relaxed);  // what was woken for is looked at by the caller
+    wake_all(&bell);
+    return woken;
+  };
+  std::vector<std::jthread> others;
+  try {
+    for (std::size_t begin = kMaxWords - 1; begin < waits.size(); begin += kMaxWords - 1) {
+      others.emplace_back([&sleep, begin] {
+        sigset_t all;
+        sigfillset(&all);
+        pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
+        sleep(begin);
+      });
+    }
+  } catch (...) {  // no more threads: who is there goes on, and the caller looks again
+    bell.store(1, std::memory_order_relaxed);
+    wake_all(&bell);
+    std::this_thread::sleep_for(kSlice);
+  }
+  return sleep(0);
+}
+
+}  // namespace
+
+bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcept {
+  if (waits.empty()) return true;
+  if (waits.size() == 1) return wait(waits[0].word, waits[0].value, deadline);
+  if (waits.size() <= kMaxWords) return wait_some(waits, deadline);
+  wait_chained(waits, deadline);
+  return !(deadline && Clock::now() >= *deadline);
 }
 
 void wake_all(const void* word) noexcept {

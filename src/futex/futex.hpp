@@ -3,8 +3,11 @@
 
 #include <atomic>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
+
+#include "lot/detail/wait.hpp"
 
 /// Sleeping on a word in shared memory until another process wakes it.
 ///
@@ -19,22 +22,19 @@ namespace lot::futex {
 using Clock = std::chrono::steady_clock;
 using Deadline = std::optional<Clock::time_point>;  ///< none: for ever
 
-/// One word to sleep on, and the value that it must still have.
-struct Wait {
-  const void* word;
-  std::uint32_t value;
-};
-
 /// The futex of a 64-bit slot: its low half.
 const void* low_half(const std::atomic<std::uint64_t>& word) noexcept;
 
 /// Sleeps while *word == value. False when the deadline has passed.
 bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexcept;
 
-/// Sleeps while all the words have their values; for a few milliseconds at most where the kernel
-/// has no futex_waitv, or if there are more than kMaxWords. False when the deadline has passed.
-inline constexpr unsigned kMaxWords = 128;
-bool wait_any(const Wait* waits, unsigned count, const Deadline& deadline) noexcept;
+/// Sleeps while all the words have their values. False when the deadline has passed.
+///
+/// The kernel takes kMaxWords at once (futex_waitv); of more, threads of their own sleep on the
+/// rest. Where the kernel has no futex_waitv (Linux before 5.16, some sandboxes) it is a sleep of a
+/// few milliseconds at most.
+inline constexpr std::size_t kMaxWords = 128;
+bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcept;
 
 void wake_all(const void* word) noexcept;
 

@@ -4,9 +4,11 @@
 #include <atomic>
 #include <cstdint>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "lockfree_ring/words.hpp"
+#include "robust_mutex/robust_condition.hpp"
 
 /// A single-producer broadcast ring of blocks: a pure algorithm over memory that it is given. It
 /// makes no system call; whoever must be woken or waited for is said in return values.
@@ -35,6 +37,12 @@
 ///       carries: the former reader's last stores to the cell.
 ///   R9  ORPHAN (release)                   -> writer load in Reader::orphaned (acquire)
 ///       carries: the last messages.
+///   R10 slot compare-and-swap in Reader::take -> slot load in Writer::room, Writer::each_taken
+///       carries: the taker's hold on the block. Both are seq_cst, as R2: the writer sees the
+///       hazard of whoever has seen the message before.
+///
+/// A queue whose messages are each taken by one reader (`taken`) is a ring as well: who has read a
+/// message takes it out of its slot, and who finds none there goes on.
 namespace lot::ring {
 
 /// One reader's shared word, on a line of its own: {cursor, hazard}. Written by that reader, and
@@ -72,9 +80,14 @@ struct Ring {
   Atomic<std::uint32_t>* space = nullptr;   ///< futex; odd = the sender sleeps for room
   std::uint32_t depth = 0;
   std::uint32_t readers = 0;
-  bool blocking =
-      false;       ///< the slowest reader holds the writer back (else the oldest is overwritten)
-  Word first = 0;  ///< sequence of the first message; slot 0 is the one that takes it
+  bool blocking = false;  ///< what was not read holds the writer back (else it is overwritten)
+  bool taken = false;     ///< each message is for one reader, which takes it (else for all)
+  Word first = 0;         ///< sequence of the first message; slot 0 is the one that takes it
+  /// The mutex engine's condition: readers sleep on it (else on the slots).
+  Atomic<std::uint32_t>* arrived = nullptr;
+
+  /// Readers protect by a hazard what they look at; else their cursor does.
+  bool guarded() const { return taken || !blocking; }
 
   /// Makes the slots and cells of a new ring. REQUIRES: writer is INIT and the caller owns it.
   void format() {
@@ -89,9 +102,16 @@ struct Ring {
   }
 
   /// Takes the sleepers' marks away, so that a late sleeper sees what was stored before. The caller
-  /// then wakes every slot, whatever the marks were.
+  /// then wakes all sleepers, whatever the marks were.
   void clear_sleepers() {
+    if (arrived != nullptr) return RobustCondition(*arrived).renew();
     for (std::uint32_t i = 0; i < depth; ++i) clear_sleeper(slots[i]);
+  }
+  /// Calls wake(word) for each word on which somebody may sleep.
+  template <class Wake>
+  void wake_sleepers(Wake&& wake) {
+    if (arrived != nullptr) return wake(*arrived);
+    for (std::uint32_t i = 0; i < depth; ++i) wake(slots[i]);
   }
 
   /// True when no reader has a cell here. REQUIRES: nobody can join meanwhile.
@@ -110,19 +130,23 @@ class Writer {
   /// What publish() leaves to the caller.
   struct Published {
     Word replaced;  ///< block that the slot held before, or kNoBlock: it is the caller's to retire
-    bool wake;      ///< somebody sleeps on the slot: wake `slot`
+    bool wake;      ///< somebody sleeps: wake `slot`, or `arrived` if the ring has one
     typename P::template Atomic<Word>* slot;
   };
 
   Writer() = default;
   explicit Writer(const Ring<P>& ring) : ring_(ring), next_(ring.first) {
     active_.reserve(ring.readers);
+    if (ring.taken) put_.resize(ring.depth, kNoBlock);
   }
 
   /// True if the next publish overwrites nothing that a reader still needs (always, under
   /// overwrite). Looks at the readers only when the cached minimum does not suffice.
   bool room() {
     if (!ring_.blocking) return true;
+    if (ring_.taken) {
+      return block(ring_.slots[index_].load(std::memory_order_seq_cst)) == kNoBlock;  // R6, R10
+    }
     refresh_roster();
     if (minimum_known_ && distance(next_, minimum_) < ring_.depth) return true;
     minimum_ = next_;
@@ -146,10 +170,36 @@ class Writer {
   Published publish(Word block) {
     auto& slot = ring_.slots[index_];
     const Word old = slot.exchange(make(next_, block), std::memory_order_seq_cst);  // R1, R2, R4
+    Published published{ring::block(old), (old & kSleeper) != 0, &slot};
+    if (ring_.arrived != nullptr) published.wake = RobustCondition(*ring_.arrived).changed();
+    if (ring_.taken) published.replaced = std::exchange(put_[index_], block);
     next_ = next(next_);
     if (++index_ == ring_.depth) index_ = 0;
     P::prefetch_write(&ring_.slots[index_]);
-    return {ring::block(old), (old & kSleeper) != 0, &slot};
+    return published;
+  }
+
+  /// Calls gone(block) for messages that were taken, as far as all before them were: the holds on
+  /// them are the caller's to retire. REQUIRES: the messages of the ring are taken.
+  template <class Gone>
+  void each_taken(Gone&& gone) {
+    for (std::uint32_t n = 0; n < ring_.depth; ++n) {
+      Word& put = put_[oldest_];
+      if (put != kNoBlock) {
+        if (block(ring_.slots[oldest_].load(std::memory_order_seq_cst)) != kNoBlock) return;  // R10
+        gone(std::exchange(put, kNoBlock));
+      } else if (oldest_ == index_) {
+        return;
+      }
+      if (++oldest_ == ring_.depth) oldest_ = 0;
+    }
+  }
+  /// Calls hold(block) for each message whose hold is still the ring's. REQUIRES: as each_taken().
+  template <class Hold>
+  void each_put(Hold&& hold) const {
+    for (const Word b : put_) {
+      if (b != kNoBlock) hold(b);
+    }
   }
 
   /// The block that will be replaced `ahead` publishes from now, or kNoBlock when there is none or
@@ -167,7 +217,7 @@ class Writer {
 
   /// Takes the oldest message back out of the ring, when memory has run out; readers that have not
   /// read it count it as missed. Returns its block, or kNoBlock when the ring holds none.
-  /// REQUIRES: not blocking (a borrow has no hazard there).
+  /// REQUIRES: not blocking (a borrow has no hazard there), and that all get each message.
   Word evict_oldest() {
     std::uint32_t i = index_;
     for (std::uint32_t n = 0; n < ring_.depth; ++n) {
@@ -195,7 +245,7 @@ class Writer {
     refresh_roster();
     for (const std::uint32_t c : active_) {
       const Word position = ring_.cells[c].position.load(std::memory_order_relaxed);
-      if (position == kIdle) continue;
+      if (position == kIdle || ring_.taken) continue;
       if (position == kPinAll || distance(next_, sequence(position)) >= ring_.depth) lag(c);
     }
   }
@@ -244,6 +294,8 @@ class Writer {
   bool roster_known_ = false;
   bool minimum_known_ = false;
   std::vector<std::uint32_t> active_;
+  std::vector<Word> put_;  ///< by slot, if messages are taken: the block whose hold is the ring's
+  std::uint32_t oldest_ = 0;  ///< slot of the oldest of put_
 };
 
 /// A consumer's side: private state of one reader, used by one thread at a time.
@@ -280,8 +332,8 @@ class Reader {
       return std::nullopt;
     }
     auto& position = ring.cells[c].position;
-    if (ring.blocking) position.store(kPinAll, std::memory_order_relaxed);  // R4 carries it
-    ring.roster->fetch_add(1, std::memory_order_seq_cst);                   // R4
+    if (!ring.guarded()) position.store(kPinAll, std::memory_order_relaxed);  // R4 carries it
+    ring.roster->fetch_add(1, std::memory_order_seq_cst);                     // R4
     Reader reader;
     reader.ring_ = ring;
     reader.cell_ = c;
@@ -312,11 +364,11 @@ class Reader {
         skip(static_cast<Word>(ahead) + 1 - ring_.depth, missed);
         continue;
       }
-      if (block(seen) == kNoBlock) {  // evicted
+      if (block(seen) == kNoBlock) {  // evicted, or taken by another reader
         skip(1, missed);
         continue;
       }
-      if (!ring_.blocking) {
+      if (ring_.guarded()) {
         auto& position = ring_.cells[cell_].position;
         position.store(seen, std::memory_order_seq_cst);                    // R2
         if (place(slot.load(std::memory_order_seq_cst)) != seen) continue;  // R2
@@ -324,6 +376,22 @@ class Reader {
       drained_ = false;
       return block(seen);
     }
+  }
+
+  /// Takes the message that poll() has found out of the ring, for this reader alone. False: another
+  /// one was faster. REQUIRES: the messages of the ring are taken; the caller holds the block.
+  ///
+  /// Crash: killed before it, the message stays where it is; after it, it is gone with its taker.
+  bool take() {
+    auto& slot = ring_.slots[index_];
+    Word seen = slot.load(std::memory_order_relaxed);
+    while (sequence(seen) == cursor_ && block(seen) != kNoBlock) {
+      if (slot.compare_exchange_weak(seen, seen | kNoBlock, std::memory_order_seq_cst,
+                                     std::memory_order_relaxed)) {  // R6, R10
+        return true;
+      }
+    }
+    return false;
   }
 
   /// The block of the message `ahead` of the next one, or kNoBlock. For prefetching only: may be
@@ -374,6 +442,12 @@ class Reader {
     return seen;
   }
 
+  /// The same where readers sleep on the mutex engine's condition. REQUIRES: its lock.
+  std::optional<std::uint32_t> announce_sleeping() {
+    if (ready()) return std::nullopt;
+    return RobustCondition(*ring_.arrived).announce();
+  }
+
   /// True when the publisher has gone: no message will follow those that are in the ring.
   bool orphaned() const {
     return writer_state(ring_.writer->load(std::memory_order_acquire)) == State::Orphan;  // R9
@@ -403,6 +477,20 @@ class Reader {
   std::uint64_t skipped() const { return skipped_; }
 
   typename P::template Atomic<Word>& slot() const { return ring_.slots[index_]; }
+
+  /// Messages that are there to be read.
+  std::uint32_t size() const {
+    std::uint32_t n = 0;
+    std::uint32_t i = index_;
+    for (std::uint32_t ahead = 0; ahead < ring_.depth; ++ahead) {
+      const Word seen = ring_.slots[i].load(std::memory_order_relaxed);
+      if (distance(sequence(seen), advance(cursor_, ahead)) < 0) break;
+      if (block(seen) != kNoBlock) ++n;
+      if (++i == ring_.depth) i = 0;
+    }
+    return n;
+  }
+
   const Ring<P>& ring() const { return ring_; }
   Word cursor() const { return cursor_; }
   std::uint32_t cell() const { return cell_; }
@@ -429,12 +517,13 @@ class Reader {
       published = ring_.depth;
     }
     // Under back-pressure the sender may be one message ahead of what the joiner saw.
-    std::uint64_t back =
-        ring_.blocking ? std::uint64_t{ring_.depth} - 1 : std::uint64_t{ring_.depth};
-    if (history == kFromTheStart && !ring_.blocking) back = published;  // poll() counts the missed
+    std::uint64_t back = std::uint64_t{ring_.depth} - (ring_.guarded() ? 0 : 1);
+    if (history == kFromTheStart && !ring_.blocking && !ring_.taken) {
+      back = published;  // poll() counts the missed
+    }
     if (back > history) back = history;
     if (back > published) back = published;
-    if (history == kFromTheStart) skipped_ = published - back;
+    if (history == kFromTheStart && !ring_.taken) skipped_ = published - back;
     cursor_ = advance(head, Word{0} - back);
     index_ = static_cast<std::uint32_t>(
         (std::uint64_t{newest_index} + 1 + ring_.depth - back % ring_.depth) % ring_.depth);
@@ -457,14 +546,14 @@ class Reader {
   }
 
   void skip(Word by, std::uint64_t& missed) {
-    missed += by;
+    if (!ring_.taken) missed += by;  // else another reader has got them
     step(by);
     drained_ = false;
   }
 
   void when_empty() {
     auto& position = ring_.cells[cell_].position;
-    if (!ring_.blocking) {
+    if (ring_.guarded()) {
       position.store(make(cursor_, kNoBlock), std::memory_order_release);  // R3: lets a hazard go
     } else if (!drained_) {
       drained_ = true;

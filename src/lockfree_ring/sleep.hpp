@@ -10,7 +10,8 @@
 /// How the reader of many rings falls asleep, and how a new ring wakes the readers of its topic:
 /// all steps in shared memory, in their order. The system calls are the caller's.
 ///
-/// `Sources` is a container of structs that have a `reader`, one for each ring that is read.
+/// `Sources` is a container of structs that have a `reader`, one for each ring that is read, and a
+/// `Turn`: while it lives they are alone with a ring of the mutex engine.
 ///
 /// Edges
 ///   R5  a mark taken away (release) -> sleeper's look at the slot (acquire)
@@ -41,6 +42,22 @@ bool settle(Sources& sources, RingBell&& ring_bell, Leave&& leave) {
   return true;
 }
 
+/// Leaves a mark in one ring, or says on its condition that somebody sleeps. False: there is
+/// something to look at after all.
+template <class Source, class SleepOn>
+bool leave_mark(Source& source, SleepOn& sleep_on) {
+  auto* arrived = source.reader.ring().arrived;
+  if (arrived == nullptr) {
+    const auto marked = source.reader.mark_sleeping();
+    if (marked) sleep_on(source.reader.slot(), *marked);
+    return marked.has_value();
+  }
+  const typename Source::Turn turn(source);
+  const auto announced = source.reader.announce_sleeping();
+  if (announced) sleep_on(*arrived, *announced);
+  return announced.has_value();
+}
+
 /// Leaves marks in the rings, and calls sleep_on(word, value) for each word to sleep on. `version`
 /// is the directory's when the sources were all rings of the topic.
 ///
@@ -49,9 +66,7 @@ template <class Sources, class Directory, class SleepOn>
 Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t version,
               SleepOn&& sleep_on) {
   for (auto& source : sources) {
-    const auto marked = source.reader.mark_sleeping();
-    if (!marked) return Rest::Look;
-    sleep_on(source.reader.slot(), *marked);
+    if (!leave_mark(source, sleep_on)) return Rest::Look;
   }
   // What changed before the marks stood. Whoever changes it later takes the marks away, which
   // begins a new round of the slot, and wakes.
@@ -74,6 +89,11 @@ void announce(Directory& directory, Rings&& rings, Wake&& wake) {
   // ring.
   directory.fetch_add(1, std::memory_order_relaxed);
   for (auto&& ring : rings) {
+    if (ring.arrived != nullptr) {
+      ring.clear_sleepers();
+      wake(*ring.arrived);
+      continue;
+    }
     for (std::uint32_t i = 0; i < ring.depth; ++i) {
       if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);
     }
@@ -81,12 +101,12 @@ void announce(Directory& directory, Rings&& rings, Wake&& wake) {
   wake(directory);
 }
 
-/// What a sender sleeps on when its ring is full, the value of `space`; nothing when there is room
-/// after all.
-template <class Writer>
-std::optional<std::uint32_t> wait_for_room(Writer& writer) {
+/// What a sender sleeps on when its ring is full, the value of `space`; nothing when there is
+/// room() after all.
+template <class Writer, class Room>
+std::optional<std::uint32_t> wait_for_room(Writer& writer, Room&& room) {
   const std::uint32_t value = writer.mark_waiting();
-  if (writer.room()) return std::nullopt;  // R6: made before the mark stood, so nobody rings
+  if (room()) return std::nullopt;  // R6: made before the mark stood, so nobody rings
   return value;
 }
 

@@ -73,7 +73,8 @@ class Recovery {
                  std::memory_order_release);  // R9
     ring::Ring<P> r = world_.ring(c);
     for (std::uint32_t i = 0; i < r.depth; ++i) {
-      adopt(ring::block(r.slots[i].load(std::memory_order_relaxed)));
+      // Readers may be taking messages: each is still in its slot, or has a holder or a hazard.
+      adopt(ring::block(r.slots[i].load(std::memory_order_seq_cst)));  // R2, R10
     }
     for (std::uint32_t i = 0; i < r.readers; ++i) {
       const ring::Word position = r.cells[i].position.load(std::memory_order_seq_cst);  // R2
@@ -89,7 +90,7 @@ class Recovery {
   /// was taken by a publisher that died before it could wake.
   void wake_readers(ring::Ring<P>& r) {
     r.clear_sleepers();
-    for (std::uint32_t i = 0; i < r.depth; ++i) world_.wake(r.slots[i]);
+    r.wake_sleepers([this](auto& word) { world_.wake(word); });
   }
 
   /// Frees what nobody needs any more: rings without readers, adopted blocks that no orphan ring
@@ -129,7 +130,8 @@ class Recovery {
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       if (ring::writer_state(w) != ring::State::Live) continue;
       ring::Ring<P> r = world_.ring(c);
-      for (std::uint32_t i = 0; i < r.depth; ++i) world_.wake(r.slots[i]);
+      if (r.arrived != nullptr) RobustCondition(*r.arrived).renew();
+      r.wake_sleepers([this](auto& word) { world_.wake(word); });
     }
   }
 
@@ -205,10 +207,10 @@ class Recovery {
       if (ring::writer_state(w) != ring::State::Orphan) continue;
       ring::Ring<P> r = world_.ring(c);
       for (std::uint32_t i = 0; i < r.depth; ++i) {
-        need(ring::block(r.slots[i].load(std::memory_order_relaxed)));
+        need(ring::block(r.slots[i].load(std::memory_order_seq_cst)));  // R2, R10
       }
       for (std::uint32_t i = 0; i < r.readers; ++i) {
-        const ring::Word position = r.cells[i].position.load(std::memory_order_acquire);  // R3
+        const ring::Word position = r.cells[i].position.load(std::memory_order_seq_cst);  // R2, R3
         if (position != ring::kIdle) need(ring::block(position));
       }
     }

@@ -111,8 +111,37 @@ void Registry::leave(std::uint32_t topic, std::uint32_t participant) noexcept {
       ~bit(participant), std::memory_order_release);
 }
 
+void Registry::add_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
+  // Relaxed: the lock carries it.
+  segment_.topics()[topic].pullers[participant].fetch_add(1, std::memory_order_relaxed);
+}
+void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
+  // Relaxed: nothing was done for its sake.
+  segment_.topics()[topic].pullers[participant].fetch_sub(1, std::memory_order_relaxed);
+}
+
+bool Registry::all_joined(std::uint32_t topic, const segment::Ring& ring,
+                          std::vector<std::uint32_t>& late) const {
+  std::vector<std::uint32_t> joined(segment_.capacity().participants, 0);
+  bool full = true;
+  for (std::uint32_t c = 0; c < ring.readers; ++c) {
+    const std::uint32_t who = ring.who[c].load(std::memory_order_relaxed);
+    full = full && who != 0;
+    if (who != 0 && who <= joined.size()) ++joined[who - 1];
+  }
+  if (full) return true;  // no other one can join
+  const auto& pullers = segment_.topics()[topic].pullers;
+  for (std::uint32_t p = 0; p < joined.size(); ++p) {
+    if (pullers[p].load(std::memory_order_relaxed) > joined[p]) late.push_back(p);
+  }
+  return late.empty();
+}
+
 void Registry::forget(std::uint32_t participant) noexcept {
   for (auto& topic : segment_.topics()) {
+    if (topic.pullers[participant].load(std::memory_order_relaxed) != 0) {
+      topic.pullers[participant].store(0, std::memory_order_relaxed);
+    }
     auto& users = topic.users[participant / Atomics::kBitsPerWord];
     if ((users.load(std::memory_order_relaxed) & bit(participant)) != 0) {
       users.fetch_and(~bit(participant), std::memory_order_release);
@@ -136,7 +165,9 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
     entry.topic = topic;
     entry.depth = options.depth;
     entry.readers = options.readers;
-    entry.blocking = options.blocking ? 1 : 0;
+    entry.policy = static_cast<std::uint32_t>(options.policy);
+    entry.engine = static_cast<std::uint32_t>(options.engine);
+    entry.taken = options.taken ? 1 : 0;
     entry.first = options.first != 0 ? options.first : options.depth;
     const std::uint64_t granules =
         (segment::Segment::ring_bytes(options.depth, options.readers) + segment::kGranule - 1) /
@@ -150,6 +181,7 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
           "lot: no room in the segment for another ring: raise LOT_SIZE, or lower the "
           "depth");
     }
+    if (options.engine == QueueEngine::Mutex) segment_.construct_queue_lock(c);
     entry.formed.store(1, std::memory_order_release);
     ring::Ring<Atomics> ring = segment_.ring(c);
     ring.roster->store(0, std::memory_order_relaxed);

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "lot/detail/control.hpp"
+#include "lot/options.hpp"
 
 #include "segment/segment.hpp"
 
@@ -15,7 +16,9 @@ namespace lot::registry {
 struct RingOptions {
   std::uint32_t depth = 0;
   std::uint32_t readers = 0;
-  bool blocking = false;
+  Policy policy = Policy::Overwrite;
+  QueueEngine engine = QueueEngine::Ring;
+  bool taken = false;       ///< each message is for one reader, which takes it
   std::uint64_t first = 0;  ///< sequence of the first message; 0: the depth
 };
 
@@ -58,6 +61,9 @@ class Registry {
   std::uint32_t enter(std::string_view name, const detail::MessageType& type,
                       std::uint32_t participant);
   void leave(std::uint32_t topic, std::uint32_t participant) noexcept;
+  /// Announces a puller, before it joins the rings that there are: who opens a ring after that
+  /// knows of it.
+  void add_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
 
   /// Makes a ring for the participant and announces it. Throws lot::Error or OutOfMemory.
   ChannelName open(std::uint32_t topic, std::uint32_t participant, const RingOptions& options);
@@ -68,6 +74,11 @@ class Registry {
 
   // Without the lock.
 
+  void remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
+  /// Calls late(participant) for each who has pullers on the topic that have not joined the ring.
+  /// False: there was one. Those may be dead.
+  bool all_joined(std::uint32_t topic, const segment::Ring& ring,
+                  std::vector<std::uint32_t>& late) const;
   /// No participant uses these any more: part of a reap.
   void forget(std::uint32_t participant) noexcept;
 

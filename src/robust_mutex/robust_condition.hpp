@@ -23,18 +23,21 @@ namespace lot {
 ///
 /// Threads: announce() and changed() under the mutex; all others at any time.
 /// Crash:   killed between changed() and wake_all() it leaves sleepers without a mark. Whoever
-///          repairs what the dead has left calls renew(), which wakes unconditionally; so does who
+///          repairs what the dead has left calls renew() and wakes unconditionally; so does who
 ///          gets the mutex with Outcome::OwnerDied.
 /// Source:  futex(2).
+///
+/// Edges
+///   C1  renew() (release) -> announce() (acquire)
+///       carries: what the caller of renew() stored before, without the mutex.
+template <class Word = std::atomic<std::uint32_t>>
 class RobustCondition {
  public:
-  using Word = std::atomic<std::uint32_t>;
-
   explicit RobustCondition(Word& word) noexcept : word_(word) {}
 
   /// Says that the caller is about to sleep. Returns the value to sleep on.
   std::uint32_t announce() noexcept {
-    return word_.fetch_or(kWaits, std::memory_order_relaxed) | kWaits;
+    return word_.fetch_or(kWaits, std::memory_order_acquire) | kWaits;  // C1
   }
 
   /// Sleeps until something has changed since announce(). False when the deadline has passed. The
@@ -51,11 +54,11 @@ class RobustCondition {
   }
   void wake_all() const noexcept { futex::wake_all(&word_); }
 
-  /// Wakes everybody, with the mutex or without it.
+  /// A change that is no change of what the mutex guards, or of which nobody was told: the caller
+  /// wakes everybody, whatever the mark says. With the mutex or without it.
   void renew() noexcept {
-    // Never takes a mark away without the mutex: by two.
-    word_.fetch_add(2 * kWaits, std::memory_order_relaxed);
-    wake_all();
+    // Takes no mark away, which needs the mutex: so by two.
+    word_.fetch_add(2 * kWaits, std::memory_order_release);  // C1
   }
 
  private:

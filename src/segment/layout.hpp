@@ -10,6 +10,7 @@
 
 #include "lockfree_ring/ring.hpp"
 #include "refcount/ownership.hpp"
+#include "robust_mutex/queue_lock.hpp"
 
 /// Every byte of a segment (docs/layout.md). All zero bytes are a valid empty table, so that only
 /// the header and the locks need to be written when a segment is made.
@@ -98,9 +99,12 @@ struct alignas(64) TopicEntry {
   std::uint64_t type_hash;
   char name[kTopicNameBytes];
   char type_name[kTypeNameBytes];
+  /// How many pullers participant p has on the topic: written by p and its reaper. A publisher that
+  /// loses nothing waits for them.
+  std::atomic<std::uint16_t> pullers[kMaxParticipants];
   char padding[16];
 };
-static_assert(sizeof(TopicEntry) == 512);
+static_assert(sizeof(TopicEntry) == 1152);
 
 /// One publisher's ring on a topic. Plain fields are written while the writer word is INIT.
 struct alignas(64) ChannelEntry {
@@ -109,10 +113,12 @@ struct alignas(64) ChannelEntry {
   std::uint32_t topic;
   std::uint32_t depth;
   std::uint32_t readers;
-  std::uint32_t blocking;
+  std::uint32_t policy;               ///< lot::Policy
   std::uint32_t granule;              ///< first granule of the ring's memory
   std::uint32_t order;                ///< log2 of its granules
-  std::atomic<std::uint32_t> formed;  ///< 1: the fields above are complete
+  std::atomic<std::uint32_t> formed;  ///< 1: the plain fields are complete
+  std::uint32_t engine;               ///< lot::QueueEngine
+  std::uint32_t taken;                ///< 1: each message is taken by one reader; 0: all get it
 };
 static_assert(sizeof(ChannelEntry) == 64);
 
@@ -120,6 +126,7 @@ static_assert(sizeof(ChannelEntry) == 64);
 struct RingHead {
   alignas(64) std::atomic<std::uint32_t> roster;
   alignas(64) std::atomic<std::uint32_t> space;
+  mutex_engine::Lock lock;  ///< of the mutex engine
 };
 
 /// Owner of one granule: 0 free, block + 1, or kRingTag | channel. Stale for nobody: the owner's

@@ -17,6 +17,7 @@
 #include <boost/interprocess/exceptions.hpp>
 
 #include "lot/error.hpp"
+#include "lot/options.hpp"
 
 #include "robust_mutex/robust_mutex.hpp"
 
@@ -354,10 +355,12 @@ Ring Segment::ring(std::uint32_t channel) const noexcept {
   const std::uint32_t readers = entry.readers;
   const std::uint32_t granule = entry.granule;
   const std::uint32_t order = entry.order;
+  const std::uint32_t engine = entry.engine;
   if (depth == 0 || depth > kDeepest || readers == 0 || readers > capacity_.readers ||
       order >= Granules<Atomics>::kOrders || granule >= geometry_.granules ||
       (std::uint64_t{1} << order) > geometry_.granules - granule ||
-      ring_bytes(depth, readers) > kGranule << order) {
+      ring_bytes(depth, readers) > kGranule << order ||
+      engine > static_cast<std::uint32_t>(QueueEngine::Mutex)) {
     return ring;
   }
   for (std::uint32_t i = 0; i < std::uint32_t{1} << order; ++i) {
@@ -365,6 +368,10 @@ Ring Segment::ring(std::uint32_t channel) const noexcept {
   }
   std::uint64_t place = granule_offset(granule);
   auto* head = at<RingHead>(place);
+  if (engine == static_cast<std::uint32_t>(QueueEngine::Mutex)) {
+    if (!is_robust(head->lock.mutex)) return ring;
+    ring.arrived = &head->lock.arrived;
+  }
   ring.roster = &head->roster;
   ring.space = &head->space;
   place += sizeof(RingHead);
@@ -375,9 +382,23 @@ Ring Segment::ring(std::uint32_t channel) const noexcept {
   ring.cells = at<Cell>(place);
   ring.depth = depth;
   ring.readers = readers;
-  ring.blocking = entry.blocking != 0;
+  ring.blocking = entry.policy != static_cast<std::uint32_t>(Policy::Overwrite);
+  ring.taken = entry.taken != 0;
   ring.first = entry.first;
   return ring;
+}
+
+void Segment::construct_queue_lock(std::uint32_t channel) {
+  auto* head = at<RingHead>(granule_offset(channels()[channel].granule));
+  head->lock.arrived.store(0, std::memory_order_relaxed);
+  RobustMutex::construct(head->lock.mutex);
+}
+
+mutex_engine::QueueLock Segment::queue_lock(std::uint32_t channel) const noexcept {
+  const ChannelEntry& entry = channels()[channel];
+  if (entry.engine != static_cast<std::uint32_t>(QueueEngine::Mutex)) return {};
+  auto* head = at<RingHead>(granule_offset(entry.granule));
+  return {head->lock, head->space, path_};
 }
 
 std::uint32_t Segment::claim_run(unsigned order, std::uint32_t tag) noexcept {

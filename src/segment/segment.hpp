@@ -71,6 +71,11 @@ class Segment {
   /// The ring of a channel; depth 0 when it was never finished, or its numbers make no sense, or
   /// its memory is not its own.
   Ring ring(std::uint32_t channel) const noexcept;
+  /// The lock of a channel's queue, if it has the mutex engine. REQUIRES: ring(channel) has found
+  /// it in order.
+  mutex_engine::QueueLock queue_lock(std::uint32_t channel) const noexcept;
+  /// Makes it. REQUIRES: the channel is INIT, its memory is claimed, and the caller owns it.
+  void construct_queue_lock(std::uint32_t channel);
   static constexpr std::uint32_t kDeepest = 65536;  ///< slots of a ring
   static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers) noexcept;
 

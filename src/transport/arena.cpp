@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "lot/detail/arena.hpp"
 
+#include <atomic>
 #include <bit>
 #include <cerrno>
 #include <cstdio>
@@ -45,7 +46,13 @@ void* Arena::grow(std::size_t bytes) {
   transport::Participant* p = nullptr;
   if (best == kMaxExtents) {
     p = transport::Participant::at(this);
-    if (p == nullptr) throw OutOfMemory("lot: a message of another process can not grow");
+    // The memory would be at home here, and the message there.
+    if (p == nullptr || (p->holder().cell(block).hold.load(std::memory_order_relaxed) &
+                         transport::hold::kHome) == 0) {
+      throw OutOfMemory(
+          "lot: a message that another process has made can not grow: copy it, or let its maker "
+          "reserve() what it will need");
+    }
     if (extents == kMaxExtents) drop_idle(*p);
     if (extents == kMaxExtents) out_of_memory(*p, bytes, 0);
     // Each at least twice the one before: kMaxExtents suffice for any message.
@@ -88,6 +95,11 @@ void Arena::drop_idle(transport::Participant& p) noexcept {
   }
   extents = kept;
   current = now;
+}
+
+void Arena::change_hands() noexcept {
+  // Relaxed: the holds of who writes it carry it.
+  std::atomic_ref(changed_hands).store(1, std::memory_order_relaxed);
 }
 
 void Arena::deallocate(void* piece, std::size_t bytes) noexcept {

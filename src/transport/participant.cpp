@@ -85,6 +85,22 @@ EngineOptions with_environment(EngineOptions options) {
 
 }  // namespace
 
+QueueEngine Participant::queue_engine(QueueEngine asked) {
+  const char* name = environment("LOT_QUEUE");
+  if (name == nullptr) return asked;
+  if (std::strcmp(name, "ring") == 0) return QueueEngine::Ring;
+  if (std::strcmp(name, "mutex") == 0) return QueueEngine::Mutex;
+  throw Error(EINVAL, std::string("LOT_QUEUE=") + name, "not a queue engine",
+              "write ring or mutex, or leave it away");
+}
+
+void check_depth(std::string_view topic, std::uint32_t depth) {
+  if (depth == 0 || depth > segment::Segment::kDeepest) {
+    throw Error(EINVAL, std::string(topic), "depth " + std::to_string(depth),
+                "use 1 to " + std::to_string(segment::Segment::kDeepest));
+  }
+}
+
 bool has_several_cores() noexcept {
   // Not our own affinity: processes that are pinned to a core each have the more reason to spin.
   static const bool several = sysconf(_SC_NPROCESSORS_ONLN) > 1;
@@ -209,7 +225,11 @@ void Participant::fill_hub() noexcept {
     Participant& p = of(c);
     if (p.inert_) return;
     p.enter();
-    p.pools_[c->pool]->give_back(c->block);
+    if (p.was_received(*c)) {
+      p.drop_pointer(*c);
+    } else {
+      p.pools_[c->pool]->give_back(c->block);
+    }
     p.exit();
   };
   hub_.acquire = [](detail::ControlCell* c) noexcept {

@@ -91,6 +91,14 @@ class Participant {
 
   /// True when the pointer belongs to this segment, whichever copy of the library made it.
   bool same_segment(const detail::ControlCell& cell) const noexcept;
+  /// True when the message of a unique pointer was taken from a queue: others may still look at its
+  /// block, though not at the message.
+  bool was_received(const detail::ControlCell& cell) const noexcept {
+    return (cell.hold.load(std::memory_order_relaxed) & hold::kHome) == 0 ||
+           segment_.block(cell.block).home_points.load(std::memory_order_relaxed) != 0;
+  }
+  /// What LOT_QUEUE in the environment says, else what the code says.
+  static QueueEngine queue_engine(QueueEngine asked);
   /// The participant that has mapped this address, or null.
   static Participant* at(const void* address) noexcept;
 
@@ -197,6 +205,9 @@ class Participant {
   static constexpr std::uint64_t kClosing = std::uint64_t{1} << 63;
   std::atomic<std::uint64_t> life_{kReference};
 };
+
+/// Throws lot::Error when no queue can be so deep.
+void check_depth(std::string_view topic, std::uint32_t depth);
 
 /// Whether spinning can help: with one core the other side cannot move meanwhile.
 bool has_several_cores() noexcept;

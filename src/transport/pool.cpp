@@ -117,6 +117,7 @@ void* Pool::lay_out(std::uint32_t b, const detail::MessageType& type) {
     root = arena.allocate(type.size, type.align);
   }
   arena.root = s.offset_of(root);
+  arena.changed_hands = 0;
   c.type = &type;
   return root;
 }
@@ -195,7 +196,7 @@ void Pool::bury(std::uint32_t b) noexcept {
   for (unsigned i = 0; i < arena.extents; ++i) {
     arena.extent[i].used = arena.extent[i].living != 0 ? 1 : 0;
   }
-  if (type->destroy != nullptr) {
+  if (type->destroy != nullptr && arena.changed_hands == 0) {
     type->destroy(holder_.segment->base() + arena.root);
   }
   holder_.release_references(b);

@@ -5,6 +5,7 @@
 #include "lot/detail/core.hpp"
 
 #include "lockfree_ring/sleep.hpp"
+#include "transport/notifier.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::transport {
@@ -33,47 +34,45 @@ constexpr auto kLongestSleep = 1s;
 class Puller final : public detail::PullerCore {
  public:
   Puller(std::shared_ptr<Participant> participant, std::string_view topic,
-         const detail::MessageType& type, const PullerOptions& options)
+         const detail::MessageType& type, const PullerOptions& options, detail::Delivery delivery)
       : participant_(std::move(participant)),
         directory_(participant_->segment().directory().version),
         topic_(participant_->enter_topic(topic, type)),
         type_(type),
+        taking_(delivery == detail::Delivery::ToOne),
         small_(type.size <= segment::kSmallBytes && type.align <= 64),
         wait_(options.wait == Wait::Adaptive && !has_several_cores() ? Wait::Park : options.wait) {
     try {
       const registry::Registry::Lock lock(participant_->registry());
-      find_rings(options.history, true);
+      participant_->registry().add_puller(topic_, participant_->index());
+      announced_ = true;
+      find_rings(taking_ ? Reader::kFromTheStart : options.history, true);
     } catch (...) {
-      leave_all();
-      participant_->leave_topic(topic_);
+      unsubscribe();
       throw;
     }
   }
 
   ~Puller() override {
-    if (participant_->inert()) return;
-    leave_all();
-    participant_->leave_topic(topic_);
+    if (participant_->inert()) {
+      (void)notifier_.release();  // the child has no such thread
+      return;
+    }
+    notifier_.reset();
+    unsubscribe();
   }
 
   Status borrow(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
                 bool forever) override {
-    if (look(borrowed)) {
-      ++burst_;
-      return Status::Ok;
-    }
-    if (!wait) {
-      if (!settle() && look(borrowed)) return Status::Ok;
-      return sources_.empty() ? Status::PublisherGone : Status::Empty;
-    }
-    return wait_and_look(borrowed, forever ? futex::Deadline() : futex::Deadline(deadline));
+    keeping_ = false;
+    return look_or_wait(borrowed, wait, deadline, forever);
   }
 
   void done() noexcept override {
     if (participant_->inert()) return;
-    Reader& reader = sources_[current_].reader;
-    if (reader.done()) ring_bell(reader);
-    borrowing_ = false;
+    Source& source = sources_[current_];
+    const mutex_engine::Alone alone(source.lock, std::nothrow);
+    end(source);
   }
 
   detail::ControlCell* keep() override {
@@ -85,13 +84,45 @@ class Puller final : public detail::PullerCore {
   Status pull(detail::Borrowed& kept, bool wait, detail::Clock::time_point deadline,
               bool forever) override {
     keeping_ = true;
-    const Status status = borrow(kept, wait, deadline, forever);
-    keeping_ = false;
-    if (status == Status::Ok) {
-      kept.cell = keep();
-      done();
+    return look_or_wait(kept, wait, deadline, forever);
+  }
+
+  std::size_t size() override {
+    participant_->check_usable();
+    if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
+    std::size_t n = 0;
+    for (const Source& s : sources_) n += s.reader.size();
+    return n;
+  }
+
+  bool ready() override {
+    return directory_.load(std::memory_order_relaxed) != version_ ||
+           std::any_of(sources_.begin(), sources_.end(),
+                       [](const Source& s) { return s.reader.ready() || s.reader.orphaned(); });
+  }
+
+  int fd() override {
+    participant_->check_usable();
+    if (!notifier_) {
+      notifier_ = std::make_unique<Notifier>();
+      notifier_->watch(*this);
     }
-    return status;
+    return notifier_->fd();
+  }
+
+  std::optional<detail::Clock::time_point> arm(detail::FutexWaits& waits) override {
+    participant_->check_usable();
+    if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
+    if (!settle()) return std::nullopt;
+    const ring::Rest rest =
+        ring::lie_down(sources_, directory_, version_, [&waits](const auto& word, auto value) {
+          waits.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
+        });
+    if (rest == ring::Rest::Look) return std::nullopt;
+    // Doze: somebody keeps the registry's lock, else we had found the new rings: not for long.
+    // Sleep: a slot's futex looks the same again after 1024 messages: who was held up for exactly
+    // so long before it sleeps looks once more after a while.
+    return futex::Clock::now() + (rest == ring::Rest::Sleep ? kLongestSleep : kBusyRegistry);
   }
 
   std::size_t publishers() override {
@@ -105,7 +136,31 @@ class Puller final : public detail::PullerCore {
   struct Source {
     registry::ChannelName name;
     Reader reader;
+    mutex_engine::QueueLock lock;
+    struct Turn : mutex_engine::Alone {
+      explicit Turn(const Source& source) : Alone(source.lock) {}
+    };
   };
+
+  Status look_or_wait(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
+                      bool forever) {
+    const Status status = try_or_wait(borrowed, wait, deadline, forever);
+    if (status != Status::Ok && notifier_) notifier_->watch(*this);
+    return status;
+  }
+
+  Status try_or_wait(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
+                     bool forever) {
+    if (look(borrowed)) {
+      ++burst_;
+      return Status::Ok;
+    }
+    if (!wait) {
+      if (!settle() && look(borrowed)) return Status::Ok;
+      return sources_.empty() ? Status::PublisherGone : Status::Empty;
+    }
+    return wait_and_look(borrowed, forever ? futex::Deadline() : futex::Deadline(deadline));
+  }
 
   /// One look at every ring, beginning behind the one that had the last message.
   bool look(detail::Borrowed& borrowed) {
@@ -116,15 +171,45 @@ class Puller final : public detail::PullerCore {
     const std::size_t n = sources_.size();
     for (std::size_t i = 0; i < n; ++i) {
       if (++current_ >= n) current_ = 0;
-      Reader& reader = sources_[current_].reader;
+      Source& source = sources_[current_];
+      const Reader& reader = source.reader;
+      // Nobody is kept from the lock for nothing.
+      if (reader.ring().arrived != nullptr && !reader.ready()) continue;
       prefetch(reader.peek(0));
       if (burst_ >= kBurst) prefetch(reader.peek(kPrefetchAhead));
-      const ring::Word b = reader.poll(missed_);
-      if (b == kNoBlock) continue;
-      found(borrowed, b);
-      return true;
+      if (look_into(source, borrowed)) return true;
     }
     return false;
+  }
+
+  bool look_into(Source& source, detail::Borrowed& borrowed) {
+    const Source::Turn turn(source);
+    for (;;) {
+      const ring::Word b = source.reader.poll(missed_);
+      if (b == kNoBlock) return false;
+      found(borrowed, b);
+      if (!keeping_) return true;
+      borrowed.cell = keep();
+      const bool ours = !taking_ || take(source);
+      end(source);
+      if (ours) return true;
+      borrowed.cell->drop_pointer();
+    }
+  }
+
+  /// Takes the message that we hold out of the queue. False: another reader was faster.
+  bool take(Source& source) {
+    detail::ControlCell& cell = participant_->holder().cell(block_);
+    if ((cell.hold.load(std::memory_order_relaxed) & hold::kHome) == 0) {
+      participant_->segment().arena(block_).change_hands();
+    }
+    return source.reader.take();
+  }
+
+  /// Ends the borrow.
+  void end(Source& source) noexcept {
+    if (source.reader.done()) ring_bell(source.reader);
+    borrowing_ = false;
   }
 
   void prefetch(ring::Word b) const {
@@ -192,27 +277,11 @@ class Puller final : public detail::PullerCore {
 
   /// Sleeps until something may have come. False when the deadline has passed.
   bool park(const futex::Deadline& deadline) {
-    if (!settle()) return true;
     waits_.clear();
-    const ring::Rest rest =
-        ring::lie_down(sources_, directory_, version_, [this](const auto& word, auto value) {
-          waits_.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
-        });
-    if (rest == ring::Rest::Look) return true;
-    if (rest == ring::Rest::Sleep) {
-      // A slot's futex looks the same again after 1024 messages: who was held up for exactly so
-      // long before it sleeps looks once more after a while.
-      const auto later = futex::Clock::now() + kLongestSleep;
-      const bool final = deadline && *deadline <= later;
-      return futex::wait_any(waits_.data(), static_cast<unsigned>(waits_.size()),
-                             final ? *deadline : later) ||
-             !final;
-    }
-    // Somebody keeps the registry's lock, else look() had found the new rings: not for long.
-    const auto soon = futex::Clock::now() + kBusyRegistry;
-    const bool last = deadline && *deadline <= soon;
-    futex::wait(waits_.back().word, waits_.back().value, last ? *deadline : soon);
-    return !last;
+    const auto again = arm(waits_);
+    if (!again) return true;
+    const bool final = deadline && *deadline <= *again;
+    return futex::wait_any(waits_, final ? *deadline : *again) || !final;
   }
 
   static const void* futex_of(const std::atomic<ring::Word>& word) { return futex::low_half(word); }
@@ -237,7 +306,7 @@ class Puller final : public detail::PullerCore {
       auto reader = Reader::join(ring, name.generation, participant_->index(), history, full);
       if (reader) {
         missed_ += reader->skipped();
-        sources_.push_back({name, *reader});
+        sources_.push_back({name, *reader, participant_->segment().queue_lock(name.channel)});
       } else if (full && complain) {
         throw Error(EUSERS, participant_->segment().path(),
                     "a publisher of the topic has all the readers that it can have",
@@ -267,6 +336,12 @@ class Puller final : public detail::PullerCore {
   void leave(Reader& reader) noexcept {
     reader.leave();
     futex::wake_all(reader.ring().space);
+  }
+
+  void unsubscribe() noexcept {
+    leave_all();
+    if (announced_) participant_->registry().remove_puller(topic_, participant_->index());
+    participant_->leave_topic(topic_);
   }
 
   void leave_all() noexcept {
@@ -299,17 +374,20 @@ class Puller final : public detail::PullerCore {
   std::atomic<std::uint32_t>& directory_;
   std::uint32_t topic_;
   const detail::MessageType& type_;
-  bool small_;  ///< the messages lie in their blocks' small payload
+  bool taking_;  ///< each message is for one reader, which takes it
+  bool small_;   ///< the messages lie in their blocks' small payload
   Wait wait_;
+  bool announced_ = false;  ///< the topic counts this puller
   bool borrowing_ = false;
-  bool keeping_ = false;
+  bool keeping_ = false;       ///< what is found is kept at once
   unsigned burst_ = 0;         ///< messages since the last wait
   std::uint32_t version_ = 0;  ///< of the directory, when sources_ was right
   std::uint32_t block_ = 0;
   std::size_t current_ = 0;
   std::uint64_t missed_ = 0;
   std::vector<Source> sources_;
-  std::vector<futex::Wait> waits_;
+  detail::FutexWaits waits_;
+  std::unique_ptr<Notifier> notifier_;  ///< once fd() was called
 };
 
 }  // namespace
@@ -319,9 +397,10 @@ namespace lot::detail {
 
 std::unique_ptr<PullerCore> make_puller(std::shared_ptr<transport::Participant> participant,
                                         std::string_view topic, const MessageType& type,
-                                        const PullerOptions& options) {
+                                        const PullerOptions& options, Delivery delivery) {
   participant->check_usable();
-  return std::make_unique<transport::Puller>(std::move(participant), topic, type, options);
+  return std::make_unique<transport::Puller>(std::move(participant), topic, type, options,
+                                             delivery);
 }
 
 }  // namespace lot::detail

@@ -34,28 +34,28 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       : participant_(std::move(participant)), pool_(participant_->open_pool()) {}
 
   Pusher(std::shared_ptr<Participant> participant, std::string_view topic,
-         const detail::MessageType& type, const PusherOptions& options)
+         const detail::MessageType& type, const PusherOptions& options, detail::Delivery delivery)
       : participant_(std::move(participant)), pool_(participant_->open_pool()) {
-    if (options.depth == 0 || options.depth > segment::Segment::kDeepest) {
-      close_without_ring();
-      throw Error(EINVAL, std::string(topic), "depth " + std::to_string(options.depth),
-                  "use 1 to " + std::to_string(segment::Segment::kDeepest));
-    }
     try {
+      check_depth(topic, options.depth);
+      const QueueEngine engine = Participant::queue_engine(options.engine);
       topic_ = participant_->enter_topic(topic, type);
       const registry::Registry::Lock lock(participant_->registry());
-      name_ =
-          participant_->registry().open(*topic_, participant_->index(),
-                                        {options.depth, participant_->segment().capacity().readers,
-                                         options.policy == Policy::Block, 0});
+      name_ = participant_->registry().open(
+          *topic_, participant_->index(),
+          {options.depth, participant_->segment().capacity().readers, options.policy, engine,
+           delivery == detail::Delivery::ToOne, 0});
     } catch (...) {
       if (topic_) participant_->leave_topic(*topic_);
       close_without_ring();
       throw;
     }
     writer_.emplace(participant_->segment().ring(name_.channel));
-    blocking_ = options.policy == Policy::Block;
-    if (!blocking_) participant_->add(*this);
+    queue_lock_ = participant_->segment().queue_lock(name_.channel);
+    waits_ = options.policy == Policy::Block;
+    evicts_ = writer_->ring().guarded();
+    all_joined_ = evicts_;  // it loses, or what it holds waits for everybody
+    if (evicts_) participant_->add(*this);
   }
 
   ~Pusher() override {
@@ -64,7 +64,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       close_without_ring();
       return;
     }
-    if (!blocking_) participant_->remove(*this);
+    if (evicts_) participant_->remove(*this);
     std::vector<std::uint32_t> blocks;
     std::vector<std::uint32_t> foreign;
     {
@@ -72,9 +72,15 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       blocks = pool_.take_retired();
       foreign = pool_.take_foreign();
       const auto& ring = writer_->ring();
-      for (std::uint32_t i = 0; i < ring.depth; ++i) {
-        const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
+      const auto give_up = [&](ring::Word b) {
         if (b < participant_->blocks()) blocks.push_back(static_cast<std::uint32_t>(b));
+      };
+      if (ring.taken) {
+        writer_->each_put(give_up);
+      } else {
+        for (std::uint32_t i = 0; i < ring.depth; ++i) {
+          give_up(ring::block(ring.slots[i].load(std::memory_order_relaxed)));
+        }
       }
     }
     for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
@@ -89,6 +95,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     {
       const std::lock_guard guard(pool_.lock());
       b = pool_.try_loan();
+      if (b == Pool::kNone) retire_taken();
       if (b == Pool::kNone && pool_.retired() >= batch()) {
         scan();
         b = pool_.try_loan();
@@ -120,7 +127,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
   Status push_unique(detail::ControlCell* cell, std::chrono::nanoseconds block_for) override {
     check(cell);
-    if (cell->hub != participant_->hub()) {  // made by another copy of the library
+    // Made by another copy of the library, or taken from a queue.
+    if (cell->hub != participant_->hub() || participant_->was_received(*cell)) {
       const Status status = push_shared(cell, block_for);
       if (status == Status::Ok) {
         cell->hub->shared_from_unique(cell);
@@ -129,12 +137,13 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       return status;
     }
     std::unique_lock lock(pool_.lock());
-    if (!writer_->room() && !wait_for_room(lock, block_for)) return Status::Full;
+    mutex_engine::Alone alone(queue_lock_);
+    if (!room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
     // Nobody else can have this block, not even a weak pointer: the tag keeps those of former
     // messages away. So the hold changes from ours to the ring's by a plain store.
     cell->hold.store(cell->hold.load(std::memory_order_relaxed) - hold::kPointer + hold::kRing,
                      std::memory_order_relaxed);
-    publish(lock, cell->block);
+    publish(lock, alone, cell->block);
     return Status::Ok;
   }
 
@@ -146,9 +155,10 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
                   "copy it into a loan()");
     }
     std::unique_lock lock(pool_.lock());
-    if (!writer_->room() && !wait_for_room(lock, block_for)) return Status::Full;
+    mutex_engine::Alone alone(queue_lock_);
+    if (!room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
     participant_->holder().acquire(cell->block, hold::kRing);
-    publish(lock, cell->block);
+    publish(lock, alone, cell->block);
     return Status::Ok;
   }
 
@@ -204,6 +214,17 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return writer_ ? std::max(kSmallestBatch, 2 * writer_->active_readers()) : 1;
   }
 
+  /// Messages that were taken are retired. True when there were some. Locked.
+  bool retire_taken() {
+    bool any = false;
+    if (!writer_ || !writer_->ring().taken) return any;
+    writer_->each_taken([&](ring::Word b) {
+      pool_.retire(static_cast<std::uint32_t>(b), true);
+      any = true;
+    });
+    return any;
+  }
+
   /// Retired blocks that no reader's hazard names become free. Locked.
   void scan() {
     if (!writer_ || pool_.retired() == 0) return;
@@ -216,28 +237,40 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   }
 
   /// Publishes, retires what was overwritten, unlocks, wakes.
-  void publish(std::unique_lock<BiasedLock>& lock, std::uint32_t b) {
+  void publish(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone, std::uint32_t b) {
     const auto published = writer_->publish(b);
+    alone.unlock();
+    const bool guarded = writer_->ring().guarded();
     std::vector<std::uint32_t> foreign;
     if (published.replaced == b) {
       foreign.push_back(b);  // the same message again: it is in the ring, so nobody needs this hold
     } else if (published.replaced < participant_->blocks()) {  // else none, or it is damaged
-      pool_.retire(static_cast<std::uint32_t>(published.replaced), !blocking_);
-      if (!blocking_) {
+      pool_.retire(static_cast<std::uint32_t>(published.replaced), guarded);
+      if (guarded) {
         big_ = is_big(b);
         // Small ones wait for the next loan to look at them, unless nothing is ever loaned here.
         if (big_ || pool_.retired() >= 2 * batch()) scan();
       }
       if (pool_.has_foreign()) foreign = pool_.take_foreign();
     }
+    if (writer_->ring().taken) {
+      big_ = is_big(b);
+      retire_taken();
+      if (big_) scan();
+    }
     if (!published.wake) {
       if (!pool_.has_free() && pool_.retired() >= batch()) scan();
       pool_.prepare();
-      if (blocking_) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // a lossless stream
+      if (!guarded) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // a lossless stream
     }
     lock.unlock();
-    if (published.wake) futex::wake_all(futex::low_half(*published.slot));
+    if (published.wake) wake_readers(*published.slot);
     for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
+  }
+
+  void wake_readers(const std::atomic<ring::Word>& slot) const {
+    const std::atomic<std::uint32_t>* arrived = writer_->ring().arrived;
+    futex::wake_all(arrived != nullptr ? arrived : futex::low_half(slot));
   }
 
   bool is_big(std::uint32_t b) const {
@@ -253,34 +286,54 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return bytes > kBatchedBytes;
   }
 
+  /// Besides the ring's own room: what is lossless waits for those who have subscribed and have not
+  /// looked since this ring has come. A joiner gets depth - 1 messages.
+  bool room() {
+    if (!writer_->room()) return false;
+    const ring::Ring<segment::Atomics>& ring = writer_->ring();
+    if (all_joined_ || ring::distance(writer_->next_sequence(), ring.first) < ring.depth - 1) {
+      return true;
+    }
+    late_.clear();
+    all_joined_ = participant_->registry().all_joined(*topic_, ring, late_);
+    return all_joined_;
+  }
+
   /// Waits until the slowest reader has read, or died: a reader that is at work makes room within
-  /// microseconds, so it spins first. Called and left with the lock held.
-  bool wait_for_room(std::unique_lock<BiasedLock>& lock, std::chrono::nanoseconds block_for) {
+  /// microseconds, so it spins first. Called and left with both locks held.
+  bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
+                     std::chrono::nanoseconds block_for) {
+    if (!waits_) return false;
     const auto start = futex::Clock::now();
     const auto until = detail::after(block_for);
     while (spins_ && futex::Clock::now() < std::min(until, start + kSpinTime)) {
+      alone.unlock();
       lock.unlock();
       // Seldom enough to leave the reader its cursor's line, and to find room for more than one.
       for (unsigned n = 0; n < kPausesPerLook; ++n) segment::Atomics::pause();
       lock.lock();
-      if (writer_->room()) return true;
+      alone.lock();
+      if (room()) return true;
     }
     for (unsigned look = 1;; ++look) {
-      const auto value = ring::wait_for_room(*writer_);
+      const auto value = ring::wait_for_room(*writer_, [this] { return room(); });
       if (!value) return true;
       const auto now = futex::Clock::now();
       if (now >= until) return false;
       std::vector<std::uint32_t> laggards;
       if (look % kLooksPerProbe == 0) {
+        laggards = late_;
         writer_->laggards([&](std::uint32_t c) {
           const std::uint32_t who = writer_->ring().who[c].load(std::memory_order_acquire);
           if (who != 0) laggards.push_back(who - 1);
         });
       }
+      alone.unlock();
       lock.unlock();
       for (const std::uint32_t k : laggards) participant_->reap_if_dead(k);
       futex::wait(writer_->ring().space, *value, std::min(until, now + kLookPeriod));
       lock.lock();
+      alone.lock();
     }
   }
 
@@ -308,10 +361,17 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
   bool evict() noexcept override {
     const std::lock_guard guard(pool_.lock());
-    const ring::Word b = writer_->evict_oldest();
-    if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
+    bool any;
+    if (writer_->ring().taken) {
+      any = retire_taken();
+    } else {
+      const mutex_engine::Alone alone(queue_lock_, std::nothrow);
+      const ring::Word b = writer_->evict_oldest();
+      if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
+      any = b != kNoBlock;
+    }
     scan();
-    return b != kNoBlock;
+    return any;
   }
 
   std::shared_ptr<Participant> participant_;
@@ -319,7 +379,11 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   std::optional<std::uint32_t> topic_;
   registry::ChannelName name_{};
   std::optional<ring::Writer<segment::Atomics>> writer_;
-  bool blocking_ = false;
+  mutex_engine::QueueLock queue_lock_;
+  bool waits_ = false;               ///< for room
+  bool all_joined_ = false;          ///< who had subscribed before has a cell here
+  std::vector<std::uint32_t> late_;  ///< participants who had not, the last time
+  bool evicts_ = false;              ///< gives its oldest messages up when memory runs out
   bool spins_ = has_several_cores();
   bool big_ = false;
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
@@ -333,9 +397,10 @@ namespace lot::detail {
 
 std::unique_ptr<PusherCore> make_pusher(std::shared_ptr<transport::Participant> participant,
                                         std::string_view topic, const MessageType& type,
-                                        const PusherOptions& options) {
+                                        const PusherOptions& options, Delivery delivery) {
   participant->check_usable();
-  return std::make_unique<transport::Pusher>(std::move(participant), topic, type, options);
+  return std::make_unique<transport::Pusher>(std::move(participant), topic, type, options,
+                                             delivery);
 }
 
 std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> participant) {

@@ -20,8 +20,8 @@
 namespace {
 
 using lot::RobustMutex;
+using lot::detail::FutexWaits;
 using lot::futex::Deadline;
-using lot::futex::Wait;
 using lot::liveness::LockFile;
 using lot::segment::Segment;
 
@@ -31,7 +31,7 @@ bool planted(std::string_view mistake) {
 }
 
 /// A deadline of the monotonic clock, taken for one of the real-time clock.
-bool wait_in_real_time(const Wait& wait, const Deadline& deadline) {
+bool wait_in_real_time(const lot::detail::FutexWait& wait, const Deadline& deadline) {
   const auto ns = deadline->time_since_epoch() / std::chrono::nanoseconds(1);
   const timespec until{ns / 1'000'000'000, ns % 1'000'000'000};
   return syscall(SYS_futex, wait.word, FUTEX_WAIT_BITSET | FUTEX_CLOCK_REALTIME, wait.value, &until,
@@ -80,13 +80,15 @@ Segment::Fit wrap_examine(const std::string& path, std::uint64_t size, std::stri
   return fit == Segment::Fit::Foreign && planted("rubbish-is-stale") ? Segment::Fit::Stale : fit;
 }
 
-bool real_wait_any(const Wait*, unsigned, const Deadline&) asm(
-    "__real__ZN3lot5futex8wait_anyEPKNS0_4WaitEjRKSt8optionalINSt6chrono10time_pointINS5_3_"
-    "V212steady_clockENS5_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
-bool wrap_wait_any(const Wait*, unsigned, const Deadline&) asm(
-    "__wrap__ZN3lot5futex8wait_anyEPKNS0_4WaitEjRKSt8optionalINSt6chrono10time_pointINS5_3_"
-    "V212steady_clockENS5_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
-bool wrap_wait_any(const Wait* waits, unsigned count, const Deadline& deadline) {
+bool real_wait_any(const FutexWaits&, const Deadline&) asm(
+    "__real__ZN3lot5futex8wait_anyERKSt6vectorINS_6detail9FutexWaitESaIS3_"
+    "EERKSt8optionalINSt6chrono10"
+    "time_pointINS9_3_V212steady_clockENS9_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+bool wrap_wait_any(const FutexWaits&, const Deadline&) asm(
+    "__wrap__ZN3lot5futex8wait_anyERKSt6vectorINS_6detail9FutexWaitESaIS3_"
+    "EERKSt8optionalINSt6chrono10"
+    "time_pointINS9_3_V212steady_clockENS9_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+bool wrap_wait_any(const FutexWaits& waits, const Deadline& deadline) {
   if (deadline && planted("deadline-in-real-time")) return wait_in_real_time(waits[0], deadline);
-  return real_wait_any(waits, count, deadline);
+  return real_wait_any(waits, deadline);
 }

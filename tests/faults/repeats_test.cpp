@@ -40,21 +40,22 @@ std::atomic<bool> released{false};
 }  // namespace
 
 // The linker (--wrap) sends the callers of futex::wait_any() to the second of these.
-bool really_wait(const lot::futex::Wait*, unsigned, const lot::futex::Deadline&) asm(
-    "__real__ZN3lot5futex8wait_anyEPKNS0_4WaitEjRKSt8optionalINSt6chrono10time_pointINS5_3_"
-    "V212steady_clockENS5_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
-bool wait_held_up(const lot::futex::Wait*, unsigned, const lot::futex::Deadline&) asm(
-    "__wrap__ZN3lot5futex8wait_anyEPKNS0_4WaitEjRKSt8optionalINSt6chrono10time_pointINS5_3_"
-    "V212steady_clockENS5_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+bool really_wait(const lot::detail::FutexWaits&, const lot::futex::Deadline&) asm(
+    "__real__ZN3lot5futex8wait_anyERKSt6vectorINS_6detail9FutexWaitESaIS3_"
+    "EERKSt8optionalINSt6chrono10"
+    "time_pointINS9_3_V212steady_clockENS9_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+bool wait_held_up(const lot::detail::FutexWaits&, const lot::futex::Deadline&) asm(
+    "__wrap__ZN3lot5futex8wait_anyERKSt6vectorINS_6detail9FutexWaitESaIS3_"
+    "EERKSt8optionalINSt6chrono10"
+    "time_pointINS9_3_V212steady_clockENS9_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
 
-bool wait_held_up(const lot::futex::Wait* waits, unsigned count,
-                  const lot::futex::Deadline& deadline) {
+bool wait_held_up(const lot::detail::FutexWaits& waits, const lot::futex::Deadline& deadline) {
   if (held_up) {
     held_up = false;
     arrived = true;
     while (!released) usleep(100);
   }
-  return really_wait(waits, count, deadline);
+  return really_wait(waits, deadline);
 }
 
 TEST_SUITE_BEGIN("repeats");

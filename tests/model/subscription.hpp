@@ -24,6 +24,9 @@ class Subscription {
     std::uint32_t channel;
     std::uint32_t generation;
     ring::Reader<Policy> reader;
+    struct Turn {
+      explicit Turn(const Source&) {}
+    };
   };
 
   /// REQUIRES: the registry's lock.

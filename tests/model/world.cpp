@@ -229,9 +229,11 @@ void Process::write(Word b, std::uint64_t message, std::source_location where) {
 ring::Ring<Policy> Process::ring(std::uint32_t c) {
   Channel& channel = segment_->channels[c];
   if (channel.formed.load(std::memory_order_acquire) == 0) return {};
-  return {&channel.writer,       channel.slots.data(),    channel.cells.data(),
-          channel.who.data(),    &channel.roster,         &channel.space,
-          segment_->shape.depth, segment_->shape.readers, channel.blocking.read(),
+  return {&channel.writer,         channel.slots.data(),
+          channel.cells.data(),    channel.who.data(),
+          &channel.roster,         &channel.space,
+          segment_->shape.depth,   segment_->shape.readers,
+          channel.blocking.read(), false,
           Segment::kFirst};
 }
 
@@ -338,7 +340,8 @@ void Publisher::send_and_wait() {
   RL_ASSERT(b != Process::kNone);
   process_->write(b, sent_);
   while (!writer_.room()) {
-    if (const auto odd = ring::wait_for_room(writer_)) writer_.ring().space->wait_while(*odd);
+    const auto odd = ring::wait_for_room(writer_, [this] { return writer_.room(); });
+    if (odd) writer_.ring().space->wait_while(*odd);
   }
   send_own(b);
 }
@@ -441,6 +444,9 @@ void Subscriber::ring_for_room() {
 void Subscriber::sleep() {
   struct Source {
     ring::Reader<Policy>& reader;
+    struct Turn {
+      explicit Turn(const Source&) {}
+    };
   };
   std::array<Source, 1> only{{{reader_}}};
   sleep_on(only, process_->segment(), 0);

@@ -15,14 +15,14 @@
 namespace {
 
 using namespace lot::testing;
-using lot::RobustCondition;
+using Condition = lot::RobustCondition<>;
 using lot::RobustMutex;
 using Outcome = RobustMutex::Outcome;
 
 /// A number that only grows, what guards it and what says that it has grown.
 struct Shared {
   pthread_mutex_t mutex;
-  RobustCondition::Word word{0};
+  std::atomic<std::uint32_t> word{0};
   long number = 0;
 };
 
@@ -41,7 +41,7 @@ class Fixture {
 
  protected:
   RobustMutex mutex() { return RobustMutex(shared->mutex); }
-  RobustCondition condition() { return RobustCondition(shared->word); }
+  Condition condition() { return Condition(shared->word); }
 
   /// Sleeps until the number is at least `least`; false when the lock was lost or time is up.
   bool wait_for(long least, std::chrono::nanoseconds patience = 30s) {
@@ -135,6 +135,7 @@ TEST_CASE_FIXTURE(Fixture, "killed between the change and the wake: the repair w
   CHECK(changer.wait() == 128 + SIGKILL);
   CHECK(!somebody_waits());
   condition().renew();
+  condition().wake_all();
   for (Child& waiter : waiters) CHECK(waiter.wait() == 0);
 }
 
@@ -150,6 +151,7 @@ TEST_CASE_FIXTURE(Fixture, "killed while it has the mutex: the next one is told,
   CHECK((mutex().lock() == Outcome::OwnerDied));
   mutex().unlock();
   condition().renew();
+  condition().wake_all();
   CHECK(waiter.wait() == 0);
 }
 

@@ -290,16 +290,49 @@ TEST_CASE("one subscription reads several publishers, which come and go in any o
 TEST_CASE("what a publisher sent after the subscription counts, even before the first look") {
   const Watchdog watchdog(60);
   Place place;
-  for (const auto policy : {Policy::Overwrite, Policy::Block}) {
+  auto puller = place.engine.subscribe<Number>("/t");
+  auto pusher = place.engine.advertise<Number>("/t", {Policy::Overwrite, 4, 1s});
+  for (std::uint64_t n = 0; n < 10; ++n) send(pusher, n);
+  std::uint64_t got = 0;
+  while (puller.try_pull()) ++got;
+  CHECK(got >= 3);
+  CHECK(got + puller.missed_total() == 10);
+}
+
+TEST_CASE("a lossless publisher waits for all who had subscribed, also before their first look") {
+  const Watchdog watchdog(60);
+  Place place;
+  for (const auto policy : {Policy::Block, Policy::Refuse}) {
     CAPTURE(static_cast<int>(policy));
-    auto puller = place.engine.subscribe<Number>("/t");
-    auto pusher = place.engine.advertise<Number>("/t", {policy, 4, 1s});
-    for (std::uint64_t n = 0; n < 10; ++n) send(pusher, n);
-    std::uint64_t got = 0;
-    while (puller.try_pull()) ++got;
-    CHECK(got >= 3);
-    CHECK(got + puller.missed_total() == 10);
+    auto first = place.engine.subscribe<Number>("/t");
+    auto second = place.engine.subscribe<Number>("/t");
+    auto pusher = place.engine.advertise<Number>("/t", {policy, 4, 1ms});
+    std::uint64_t n = 0;
+    const auto fill = [&] {
+      const std::uint64_t before = n;
+      while (send(pusher, n) == Status::Ok) ++n;
+      return n - before;
+    };
+    CHECK(fill() == 3);
+    for (std::uint64_t i = 0; i < 3; ++i) CHECK(first.try_pull()->value == i);
+    CHECK(fill() == 0);  // the second one has not looked
+    for (std::uint64_t i = 0; i < 3; ++i) CHECK(second.try_pull()->value == i);
+    CHECK(fill() == 4);
+    CHECK(first.missed_total() + second.missed_total() == 0);
   }
+  // Who dies before it has looked holds nobody up.
+  Steps steps;
+  Child dead([&] {
+    lot::ShmEngine engine(place.options);
+    auto puller = engine.subscribe<Number>("/u");
+    steps.tell();
+    pause();
+  });
+  REQUIRE(steps.next() != 0);
+  auto pusher = place.engine.advertise<Number>("/u", {Policy::Block, 4, 20s});
+  for (std::uint64_t n = 0; n < 3; ++n) CHECK(send(pusher, n) == Status::Ok);
+  dead.kill9();
+  CHECK(send(pusher, 3) == Status::Ok);
 }
 
 TEST_CASE("a late joiner gets the history it asks for") {

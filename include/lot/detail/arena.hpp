@@ -38,10 +38,10 @@ struct Arena {
   std::uint64_t cursor;  ///< next free byte, as an offset
   std::uint64_t limit;   ///< end of the region that cursor is in
   std::uint32_t block;
-  std::uint8_t extents;  ///< how many of `extent` are there
-  std::uint8_t current;  ///< index + 1 of the extent that cursor is in, 0: the small payload
-  std::uint16_t reserved;
-  std::uint64_t references;  ///< offset of the first ReferenceList, 0: none
+  std::uint8_t extents;         ///< how many of `extent` are there
+  std::uint8_t current;         ///< index + 1 of the extent that cursor is in, 0: the small payload
+  std::uint16_t changed_hands;  ///< 1: another process than the home may have changed the message
+  std::uint64_t references;     ///< offset of the first ReferenceList, 0: none
   Extent extent[kMaxExtents];
   std::uint64_t data;  ///< offset of granule 0
   std::uint64_t padding[3];
@@ -58,6 +58,10 @@ struct Arena {
     }
     return grow(bytes);
   }
+
+  /// Says that another process than the home owns the message alone from now on. It may change it,
+  /// and may be killed in the middle of that: the home runs no destructor then.
+  void change_hands() noexcept;
 
   /// Takes a piece back: at once if it is the newest, or the last one living in its extent.
   void deallocate(void* piece, std::size_t bytes) noexcept;

@@ -5,10 +5,12 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string_view>
 
 #include "lot/detail/arena.hpp"
 #include "lot/detail/control.hpp"
+#include "lot/detail/wait.hpp"
 #include "lot/error.hpp"
 #include "lot/options.hpp"
 
@@ -67,15 +69,48 @@ class PullerCore {
   /// borrow, keep and done in one.
   virtual Status pull(Borrowed& kept, bool wait, Clock::time_point deadline, bool forever) = 0;
   virtual std::size_t publishers() = 0;
+  /// Messages that are there to be read.
+  virtual std::size_t size() = 0;
+  /// True when a look may find something. Costs a load for each publisher.
+  virtual bool ready() = 0;
+  /// A descriptor that is readable from when a message may have come until a look finds none.
+  virtual int fd() = 0;
+  /// Appends the words to sleep on until a message comes. Returns when to look again in any case,
+  /// or nothing when there is something to look at now.
+  virtual std::optional<Clock::time_point> arm(FutexWaits& waits) = 0;
 };
 
 std::shared_ptr<transport::Participant> join(const EngineOptions& options);
+/// Who gets a message: each reader, or one of them, which takes it.
+enum class Delivery { ToAll, ToOne };
+
+/// The untyped half of a ShmQueue.
+///
+/// Threads: all members may be called at once.
+class QueueCore {
+ public:
+  virtual ~QueueCore() = default;
+  virtual Loan loan(const MessageType& type) = 0;
+  virtual Status put_unique(ControlCell* cell, Clock::time_point deadline) = 0;
+  virtual Status put_shared(const ControlCell* cell, Clock::time_point deadline) = 0;
+  enum class Wait { Never, Until, Forever };
+  /// An item with a pointer hold on it; false when there was none in time.
+  virtual bool pop(Borrowed& item, Wait wait, Clock::time_point deadline) = 0;
+  virtual void listen() = 0;
+  virtual std::size_t size() = 0;
+  virtual std::size_t capacity() const noexcept = 0;
+};
+std::unique_ptr<QueueCore> make_queue(std::shared_ptr<transport::Participant> participant,
+                                      std::string_view name, const MessageType& type,
+                                      const PusherOptions& putting, const PullerOptions& popping,
+                                      Delivery delivery);
+
 std::unique_ptr<PusherCore> make_pusher(std::shared_ptr<transport::Participant> participant,
                                         std::string_view topic, const MessageType& type,
-                                        const PusherOptions& options);
+                                        const PusherOptions& options, Delivery delivery);
 std::unique_ptr<PullerCore> make_puller(std::shared_ptr<transport::Participant> participant,
                                         std::string_view topic, const MessageType& type,
-                                        const PullerOptions& options);
+                                        const PullerOptions& options, Delivery delivery);
 /// A message that belongs to no topic.
 std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> participant);
 

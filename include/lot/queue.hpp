@@ -1,0 +1,201 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <utility>
+
+#include "lot/compliance.hpp"
+#include "lot/detail/core.hpp"
+#include "lot/options.hpp"
+#include "lot/pointers.hpp"
+#include "lot/pusher.hpp"
+#include "lot/type_identity.hpp"
+
+namespace lot {
+
+struct QueueOptions {
+  std::uint32_t depth = 64;  ///< items that one who puts has in the queue at most
+  Policy policy = Policy::Block;
+  QueueEngine engine = QueueEngine::Ring;  ///< LOT_QUEUE comes before it
+  Wait wait = Wait::Adaptive;
+};
+
+namespace detail {
+
+/// What lies in shared memory for an item of type T, and who gets it.
+template <class T>
+struct QueueItem {
+  using Element = T;
+  static constexpr Delivery kDelivery = Delivery::ToOne;
+  static T from(const Borrowed& borrowed) {
+    const auto* element = static_cast<const T*>(borrowed.root);
+    const struct LetGo {
+      ControlCell* cell;
+      ~LetGo() { cell->drop_pointer(); }
+    } let_go{borrowed.cell};
+    return *element;
+  }
+};
+template <class U>
+struct QueueItem<ShmUniquePtr<U>> {
+  using Element = U;
+  static constexpr Delivery kDelivery = Delivery::ToOne;
+  static ShmUniquePtr<U> from(const Borrowed& borrowed) {
+    return PointerAccess::unique(static_cast<U*>(const_cast<void*>(borrowed.root)), borrowed.cell);
+  }
+};
+template <class U>
+struct QueueItem<ShmSharedPtr<U>> {
+  static_assert(std::is_const_v<U>,
+                "lot: an item that several processes get cannot change: use "
+                "ShmQueue<ShmSharedPtr<const T>>, or ShmQueue<ShmUniquePtr<T>>");
+  using Element = std::remove_const_t<U>;
+  static constexpr Delivery kDelivery = Delivery::ToAll;
+  static ShmSharedPtr<U> from(const Borrowed& borrowed) {
+    return PointerAccess::shared(static_cast<U*>(borrowed.root), borrowed.cell);
+  }
+};
+
+/// The MessageType of a queue whose items are each taken by one reader: no topic's.
+template <class U>
+const MessageType& taken_type() {
+  static const std::string name = std::string("ShmQueue of ") + message_type<U>().name;
+  static const MessageType type = [] {
+    MessageType t = message_type<U>();
+    t.name = name.c_str();
+    if (t.hash != 0) t.hash = ~t.hash;
+    return t;
+  }();
+  return type;
+}
+
+}  // namespace detail
+
+/// A queue between threads of one process and of many.
+///
+///     auto queue = engine.queue<lot::ShmUniquePtr<Task>>("tasks");
+///     queue.put(queue.make(1, 2, 3));
+///     lot::ShmUniquePtr<Task> task = queue.wait_and_pop();
+///
+/// T says what an item is and who gets it:
+///   ShmSharedPtr<const U>  each reader gets every item and becomes one of its owners. Such a queue
+///                          is a topic: ShmPusher and ShmPuller of U work on it as well.
+///   ShmUniquePtr<U>        one of the readers takes it, and owns it alone. It may change the item,
+///                          but only its maker's process can make it grow.
+///   any other T            one of the readers takes it, by value. T is a message type.
+///
+/// Each handle that puts has a queue of its own (depth items, in their order); a handle that pops
+/// reads all of them. Threads that share a handle share its items, each of which one of them gets.
+/// A handle reads from its first look on (a pop, is_empty(), size(), listen()): of shared items it
+/// gets what is put after that; items for one wait in the queue until somebody takes them, as long
+/// as the handle that has put them lives or anybody reads.
+///
+/// Threads: all members may be called at once, on one handle or several.
+/// Crash:   what was put stays; an item for one that a killed process has not taken yet is taken by
+///          another, one that it has taken is freed.
+template <class T>
+class ShmQueue {
+  using Item = detail::QueueItem<T>;
+  using Clock = std::chrono::steady_clock;
+
+ public:
+  using value_type = T;
+  using Element = typename Item::Element;
+
+  explicit ShmQueue(std::unique_ptr<detail::QueueCore> core) : core_(std::move(core)) {}
+
+  /// A new item, built in shared memory from args, to be put later.
+  template <class... Args>
+  ShmUniquePtr<Element> make(Args&&... args) {
+    return detail::build<Element>(core_->loan(detail::message_type<Element>()),
+                                  std::forward<Args>(args)...);
+  }
+
+  // Putting. Status::Full when the queue was full (at once under Policy::Refuse, when the time is
+  // up under Policy::Block); the item then stays with the caller. Policy::Overwrite is never full.
+
+  Status put(const T& item) { return put_until(item, detail::after(kForever)); }
+  Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }
+  Status put_for(const T& item, std::chrono::nanoseconds timeout) {
+    return put_until(item, detail::after(timeout));
+  }
+  Status put_for(T&& item, std::chrono::nanoseconds timeout) {
+    return put_until(std::move(item), detail::after(timeout));
+  }
+  Status put_until(const T& item, Clock::time_point deadline) {
+    if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
+      return core_->put_shared(detail::PointerAccess::cell(item), deadline);
+    } else {
+      static_assert(std::is_same_v<T, Element>, "lot: a ShmUniquePtr can only be moved: std::move");
+      return put_made(make(item), deadline);
+    }
+  }
+  Status put_until(T&& item, Clock::time_point deadline) {
+    if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
+      const Status status = core_->put_shared(detail::PointerAccess::cell(item), deadline);
+      if (status == Status::Ok) item.reset();
+      return status;
+    } else if constexpr (std::is_same_v<T, Element>) {
+      return put_made(make(static_cast<const T&>(item)), deadline);
+    } else {
+      return put_made(std::move(item), deadline);
+    }
+  }
+  /// Never waits.
+  Status try_put(const T& item) { return put_until(item, Clock::time_point::min()); }
+  Status try_put(T&& item) { return put_until(std::move(item), Clock::time_point::min()); }
+  /// Builds the item in place, from args.
+  template <class... Args>
+  Status emplace(Args&&... args) {
+    return put_made(make(std::forward<Args>(args)...), detail::after(kForever));
+  }
+
+  // Popping. Nothing when there was none in time.
+
+  T wait_and_pop() {
+    detail::Borrowed item;
+    core_->pop(item, detail::QueueCore::Wait::Forever, {});
+    return Item::from(item);
+  }
+  std::optional<T> wait_and_pop_for(std::chrono::nanoseconds timeout) {
+    return wait_and_pop_until(detail::after(timeout));
+  }
+  std::optional<T> wait_and_pop_until(Clock::time_point deadline) {
+    detail::Borrowed item;
+    if (!core_->pop(item, detail::QueueCore::Wait::Until, deadline)) return std::nullopt;
+    return Item::from(item);
+  }
+  std::optional<T> try_pop() {
+    detail::Borrowed item;
+    if (!core_->pop(item, detail::QueueCore::Wait::Never, {})) return std::nullopt;
+    return Item::from(item);
+  }
+
+  /// Begins to read: of shared items this handle gets all that are put from now on.
+  void listen() { core_->listen(); }
+  /// Items that this handle could pop now: true a moment ago, when others pop or put meanwhile.
+  std::size_t size() { return core_->size(); }
+  bool is_empty() { return size() == 0; }
+  /// Items that one handle has in the queue at most.
+  std::size_t capacity() const noexcept { return core_->capacity(); }
+
+ private:
+  static constexpr std::chrono::nanoseconds kForever = std::chrono::nanoseconds::max();
+
+  template <class Made>
+  Status put_made(Made&& made, Clock::time_point deadline) {
+    const Status status = core_->put_unique(detail::PointerAccess::cell(made), deadline);
+    if (status == Status::Ok) detail::PointerAccess::take(made);
+    return status;
+  }
+
+  std::unique_ptr<detail::QueueCore> core_;
+};
+
+}  // namespace lot

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "lot/detail/core.hpp"
+#include "lot/options.hpp"
+#include "lot/puller.hpp"
+
+namespace lot {
+
+namespace detail {
+class WaitSetCore;
+}
+
+/// One thread for many pullers, timers and a stop request.
+///
+///     lot::WaitSet set;
+///     set.add(camera, [&] { while (auto frame = camera.try_pull()) show(*frame); });
+///     set.add(lidar, [&] { while (auto scan = lidar.try_pull()) show(*scan); });
+///     set.add_timer(100ms, [&] { report(); });
+///     set.run();                            // until another thread, or a signal, calls stop()
+///
+/// It sleeps on the queues of all its pullers at once (futex_waitv; of more than 128 queues, some
+/// threads of its own help). A handler that leaves messages unread is called again.
+///
+/// Threads: stop() at any time, also in a signal handler; all others by the thread that runs.
+///          Handlers run in it, and may add and remove.
+/// Errors:  what a handler throws leaves run() and run_once(), which can be called again.
+class WaitSet {
+ public:
+  using Handler = std::function<void()>;
+  /// Names a timer.
+  enum class Timer : std::uint64_t {};
+
+  /// With Wait::Adaptive it spins for some microseconds before it sleeps.
+  explicit WaitSet(Wait wait = Wait::Park);
+  ~WaitSet();
+  WaitSet(const WaitSet&) = delete;
+  WaitSet& operator=(const WaitSet&) = delete;
+
+  /// Calls `handler` when the puller may have something to read.
+  /// REQUIRES: the puller is removed before it is destroyed or moved from.
+  template <class T>
+  void add(ShmPuller<T>& puller, Handler handler) {
+    add(*puller.core_, std::move(handler));
+  }
+  template <class T>
+  void remove(ShmPuller<T>& puller) {
+    remove(*puller.core_);
+  }
+
+  /// Calls `handler` every `period`, or once. Periods that were slept through are left out.
+  Timer add_timer(std::chrono::nanoseconds period, Handler handler);
+  Timer add_timer_once(std::chrono::nanoseconds delay, Handler handler);
+  void remove(Timer timer);
+
+  /// Until stop().
+  void run();
+  /// Waits until something can be done, or the time is up, and does it: the number of handlers that
+  /// were called. 0 as well when stop() was called.
+  std::size_t run_once(std::chrono::nanoseconds timeout);
+
+  /// Ends run() after the handler that is at work, or the next run() at once.
+  void stop() noexcept;
+
+ private:
+  friend class ShmListener;
+  void add(detail::PullerCore& puller, Handler handler);
+  void remove(detail::PullerCore& puller);
+
+  std::unique_ptr<detail::WaitSetCore> core_;
+};
+
+/// A thread of the library's: how it is seen and scheduled.
+struct ThreadOptions {
+  std::string name = "lot-listen";  ///< 15 bytes, as ps and top show it
+  std::vector<unsigned> cpus;       ///< it runs on these only; none: on all
+  int policy = 0;                   ///< SCHED_OTHER, SCHED_FIFO, SCHED_RR ... (sched(7))
+  int priority = 0;                 ///< of SCHED_FIFO and SCHED_RR
+  /// Told what goes wrong (a damaged message); default: prints it to stderr.
+  std::function<void(const Error&)> on_error;
+};
+
+/// Calls back for each message of a topic, on a thread of its own; until it is destroyed. See
+/// ShmEngine::listen().
+///
+/// Threads: the callback runs on that thread alone. When the listener has been destroyed it is not
+///          running any more; it must not destroy its own listener.
+/// Errors:  what the callback throws ends the program, as in a std::thread; but lot::Error goes to
+///          ThreadOptions::on_error.
+class ShmListener {
+ public:
+  /// Errors: lot::Error when the thread cannot be had as `thread` wants it.
+  template <class T, class Callback>
+  ShmListener(ShmPuller<T>&& puller, Callback&& callback, Wait wait, const ThreadOptions& thread) {
+    auto mine = std::make_shared<ShmPuller<T>>(std::move(puller));
+    start(
+        *mine->core_,
+        [mine, callback = std::forward<Callback>(callback)]() mutable {
+          // So many at most, and then a look whether to stop.
+          for (unsigned n = 0; n < kAtOnce; ++n) {
+            const ShmSharedPtr<const T> message = mine->try_pull();
+            if (!message) return;
+            callback(message);
+          }
+        },
+        wait, thread);
+  }
+  ~ShmListener();
+  ShmListener(ShmListener&&) noexcept;
+  ShmListener& operator=(ShmListener&&) noexcept;
+
+ private:
+  static constexpr unsigned kAtOnce = 64;
+  void start(detail::PullerCore& puller, std::function<void()> on_ready, Wait wait,
+             const ThreadOptions& thread);
+
+  struct Impl;
+  std::shared_ptr<Impl> impl_;  // shared: the constructor is a template, and Impl the library's
+};
+
+}  // namespace lot

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cerrno>
+#include <condition_variable>
+#include <csignal>
+#include <cstdio>
+#include <mutex>
+#include <sched.h>
+#include <system_error>
+#include <thread>
+
+#include "lot/wait_set.hpp"
+
+namespace lot {
+namespace {
+
+/// Makes the calling thread what `options` wants. Throws lot::Error.
+void become(const ThreadOptions& options) {
+  pthread_setname_np(pthread_self(), options.name.substr(0, 15).c_str());
+  if (!options.cpus.empty()) {
+    cpu_set_t cpus;
+    CPU_ZERO(&cpus);
+    for (const unsigned cpu : options.cpus) {
+      if (cpu < CPU_SETSIZE) CPU_SET(cpu, &cpus);
+    }
+    if (const int error = pthread_setaffinity_np(pthread_self(), sizeof(cpus), &cpus)) {
+      throw Error(error, "ThreadOptions::cpus", "the listener's thread cannot run on these",
+                  "name cores that there are, and that the process may use (taskset -p)");
+    }
+  }
+  if (options.policy != SCHED_OTHER || options.priority != 0) {
+    sched_param parameters{};
+    parameters.sched_priority = options.priority;
+    if (const int error = pthread_setschedparam(pthread_self(), options.policy, &parameters)) {
+      throw Error(error, "ThreadOptions::policy",
+                  "the listener's thread cannot be scheduled like this",
+                  "use a priority of the policy (chrt -m); real-time ones need CAP_SYS_NICE or "
+                  "a limit (ulimit -r)");
+    }
+  }
+}
+
+}  // namespace
+
+struct ShmListener::Impl {
+  WaitSet set;
+  std::function<void()> on_ready;
+  ThreadOptions options;
+  std::mutex mutex;
+  std::condition_variable begun;
+  bool has_begun = false;
+  std::exception_ptr refused;
+  std::thread thread;
+
+  explicit Impl(Wait wait) : set(wait) {}
+  ~Impl() {
+    set.stop();
+    if (thread.joinable()) thread.join();
+  }
+
+  void run() {
+    sigset_t all;
+    sigfillset(&all);
+    pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
+    {
+      const std::lock_guard guard(mutex);
+      try {
+        become(options);
+      } catch (const Error&) {
+        refused = std::current_exception();
+      }
+      has_begun = true;
+      begun.notify_all();
+    }
+    if (!refused) set.run();
+  }
+
+  void ready() {
+    try {
+      on_ready();
+    } catch (const Error& error) {
+      if (options.on_error) {
+        options.on_error(error);
+      } else {
+        std::fprintf(stderr, "%s: %s\n", options.name.c_str(), error.what());
+      }
+    }
+  }
+};
+
+void ShmListener::start(detail::PullerCore& puller, std::function<void()> on_ready, Wait wait,
+                        const ThreadOptions& thread) {
+  impl_ = std::make_shared<Impl>(wait);
+  Impl& impl = *impl_;
+  impl.on_ready = std::move(on_ready);
+  impl.options = thread;
+  impl.set.add(puller, [&impl] { impl.ready(); });
+  try {
+    impl.thread = std::thread([&impl] { impl.run(); });
+  } catch (const std::system_error& e) {
+    throw Error(e.code().value(), "thread", "no thread for a listener",
+                "raise the limit of threads (ulimit -u)");
+  }
+  std::unique_lock lock(impl.mutex);
+  impl.begun.wait(lock, [&impl] { return impl.has_begun; });
+  if (impl.refused) {
+    lock.unlock();
+    std::rethrow_exception(impl.refused);
+  }
+}
+ShmListener::~ShmListener() = default;
+ShmListener::ShmListener(ShmListener&&) noexcept = default;
+ShmListener& ShmListener::operator=(ShmListener&&) noexcept = default;
+
+}  // namespace lot

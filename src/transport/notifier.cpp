@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/notifier.hpp"
+
+#include <cerrno>
+#include <csignal>
+#include <sys/eventfd.h>
+#include <system_error>
+#include <unistd.h>
+
+#include "futex/futex.hpp"
+
+namespace lot::transport {
+
+Notifier::Notifier() : fd_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  if (fd_ == -1) {
+    throw Error(errno, "eventfd", "no descriptor to wait for messages by",
+                "close descriptors, or raise the limit (ulimit -n)");
+  }
+  try {
+    thread_ = std::thread([this] { run(); });
+  } catch (const std::system_error& e) {
+    close(fd_);
+    throw Error(e.code().value(), "thread", "no thread to wait for messages",
+                "raise the limit of threads (ulimit -u)");
+  }
+}
+
+Notifier::~Notifier() {
+  {
+    const std::lock_guard guard(mutex_);
+    order_ = Order::Stop;
+    orders_.fetch_add(1, std::memory_order_relaxed);  // the mutex carries the order
+  }
+  futex::wake_all(&orders_);
+  thread_.join();
+  close(fd_);
+}
+
+void Notifier::watch(detail::PullerCore& puller) {
+  // First: what comes from now on makes it readable again.
+  eventfd_t count;
+  eventfd_read(fd_, &count);
+  detail::FutexWaits waits;
+  const auto again = puller.arm(waits);
+  if (!again) return ring();
+  {
+    const std::lock_guard guard(mutex_);
+    waits_ = std::move(waits);
+    again_ = *again;
+    order_ = Order::Watch;
+    orders_.fetch_add(1, std::memory_order_relaxed);  // the mutex carries the order
+  }
+  futex::wake_all(&orders_);
+}
+
+void Notifier::run() {
+  pthread_setname_np(pthread_self(), "lot-notify");
+  sigset_t all;
+  sigfillset(&all);
+  pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
+  detail::FutexWaits waits;
+  for (bool watching = false;;) {
+    futex::Deadline until;
+    std::uint32_t seen;
+    {
+      const std::lock_guard guard(mutex_);
+      if (order_ == Order::Stop) return;
+      if (order_ == Order::Watch) {
+        waits = waits_;
+        watching = true;
+        order_ = Order::Idle;
+      }
+      until = watching ? futex::Deadline(again_) : std::nullopt;
+      seen = orders_.load(std::memory_order_relaxed);  // all orders are given with the mutex
+    }
+    if (!watching) {
+      futex::wait(&orders_, seen, until);
+      continue;
+    }
+    waits.push_back({&orders_, seen});
+    futex::wait_any(waits, until);
+    waits.pop_back();
+    if (orders_.load(std::memory_order_relaxed) != seen) continue;
+    ring();
+    watching = false;  // until the puller's thread has looked
+  }
+}
+
+void Notifier::ring() noexcept { eventfd_write(fd_, 1); }
+
+}  // namespace lot::transport

@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <mutex>
+#include <thread>
+
+#include "lot/detail/core.hpp"
+
+namespace lot::transport {
+
+/// Makes a descriptor readable when a puller may have a message: for epoll, poll, Asio and GLib.
+///
+/// The puller's own thread looks and, when there is nothing, hands over the words to sleep on; a
+/// thread of the notifier's sleeps on them. So nobody but its user ever touches the puller.
+///
+/// Threads: watch() one at a time.
+/// Errors:  lot::Error when the system has no descriptor or no thread left.
+class Notifier {
+ public:
+  Notifier();
+  ~Notifier();
+  Notifier(const Notifier&) = delete;
+  Notifier& operator=(const Notifier&) = delete;
+
+  int fd() const noexcept { return fd_; }
+  /// The puller has nothing to read: from now on the descriptor is readable once it may have.
+  void watch(detail::PullerCore& puller);
+
+ private:
+  void run();
+  void ring() noexcept;
+
+  int fd_;
+  std::mutex mutex_;
+  detail::FutexWaits waits_;         ///< what to sleep on
+  detail::Clock::time_point again_;  ///< but not longer
+  enum class Order { Idle, Watch, Stop } order_ = Order::Idle;
+  std::atomic<std::uint32_t> orders_{0};  ///< futex: bumped with each order
+  std::thread thread_;
+};
+
+}  // namespace lot::transport

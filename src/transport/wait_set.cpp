@@ -1,0 +1,183 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "lot/wait_set.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <list>
+#include <optional>
+#include <utility>
+
+#include "lot/detail/atomics.hpp"
+#include "lot/error.hpp"
+
+#include "futex/futex.hpp"
+#include "transport/participant.hpp"
+
+namespace lot {
+
+namespace detail {
+
+using namespace std::chrono_literals;
+
+constexpr auto kSpinTime = 50us;
+constexpr unsigned kPollsPerClock = 64;
+
+class WaitSetCore {
+ public:
+  explicit WaitSetCore(Wait wait) : wait_(wait) {}
+
+  void add(PullerCore& puller, WaitSet::Handler handler) {
+    entries_.push_back({&puller, std::move(handler)});
+  }
+  void remove(const PullerCore& puller) {
+    for (Entry& e : entries_) {
+      if (e.puller == &puller) e.puller = nullptr;
+    }
+  }
+
+  WaitSet::Timer add(std::chrono::nanoseconds delay, std::chrono::nanoseconds period,
+                     WaitSet::Handler handler) {
+    timers_.push_back({WaitSet::Timer{++last_timer_}, after(delay), period, std::move(handler)});
+    return timers_.back().name;
+  }
+  void remove(WaitSet::Timer name) {
+    for (Timer& t : timers_) {
+      if (t.name == name) t.removed = true;
+    }
+  }
+
+  bool stopped() const noexcept { return stop_.load(std::memory_order_relaxed) != 0; }
+  /// True once for each stop.
+  bool take_stop() noexcept { return stop_.exchange(0, std::memory_order_relaxed) != 0; }
+  void stop() noexcept {
+    stop_.store(1, std::memory_order_relaxed);  // carries nothing
+    futex::wake_all(&stop_);
+  }
+
+  std::size_t run_once(const futex::Deadline& deadline) {
+    for (;;) {
+      if (stopped()) return 0;
+      std::size_t called = call_timers();
+      waits_.clear();
+      std::optional<Clock::time_point> until = call_ready(called);
+      if (called != 0) return called;
+      const auto now = Clock::now();
+      if (deadline && now >= *deadline) return 0;
+      if (deadline) until = std::min(until.value_or(*deadline), *deadline);
+      for (const Timer& t : timers_) until = std::min(until.value_or(t.next), t.next);
+      if (spin(until)) continue;
+      waits_.push_back({&stop_, 0});
+      futex::wait_any(waits_, until);
+    }
+  }
+
+ private:
+  struct Entry {
+    PullerCore* puller;  ///< null: removed
+    WaitSet::Handler handler;
+  };
+  struct Timer {
+    WaitSet::Timer name;
+    Clock::time_point next;
+    std::chrono::nanoseconds period;  ///< 0: once
+    WaitSet::Handler handler;
+    bool removed = false;
+  };
+
+  std::size_t call_timers() {
+    std::size_t called = 0;
+    const auto now = Clock::now();
+    for (auto t = timers_.begin(); t != timers_.end(); ++t) {  // handlers may add: a list stays
+      if (t->removed || t->next > now) continue;
+      if (t->period.count() == 0) {
+        t->removed = true;
+      } else {
+        t->next += t->period * ((now - t->next) / t->period + 1);
+      }
+      ++called;
+      t->handler();
+      if (stopped()) break;
+    }
+    timers_.remove_if([](const Timer& t) { return t.removed; });
+    return called;
+  }
+
+  /// Calls the handlers of those that have something to read, and collects what the others wait
+  /// for. Returns when to look again.
+  std::optional<Clock::time_point> call_ready(std::size_t& called) {
+    std::optional<Clock::time_point> until;
+    for (auto e = entries_.begin(); e != entries_.end() && !stopped(); ++e) {
+      if (e->puller == nullptr) continue;
+      const auto again = e->puller->arm(waits_);
+      if (again) {
+        until = std::min(until.value_or(*again), *again);
+      } else {
+        ++called;
+        e->handler();
+      }
+    }
+    entries_.remove_if([](const Entry& e) { return e.puller == nullptr; });
+    return until;
+  }
+
+  /// True when something has come while we spun.
+  bool spin(const std::optional<Clock::time_point>& until) {
+    if (wait_ == Wait::Park || (wait_ == Wait::Adaptive && !transport::has_several_cores())) {
+      return false;
+    }
+    const auto start = Clock::now();
+    for (unsigned n = 1;; ++n) {
+      HardwareAtomics::pause();
+      for (const Entry& e : entries_) {
+        if (e.puller->ready()) return true;
+      }
+      if (n % kPollsPerClock != 0) continue;
+      if (stopped()) return true;
+      const auto now = Clock::now();
+      if (until && now >= *until) return true;
+      if (wait_ == Wait::Adaptive && now - start >= kSpinTime) return false;
+    }
+  }
+
+  Wait wait_;
+  std::list<Entry> entries_;
+  std::list<Timer> timers_;
+  std::uint64_t last_timer_ = 0;
+  FutexWaits waits_;
+  std::atomic<std::uint32_t> stop_{0};  ///< futex: 1 = stop() was called
+};
+
+}  // namespace detail
+
+WaitSet::WaitSet(Wait wait) : core_(std::make_unique<detail::WaitSetCore>(wait)) {}
+WaitSet::~WaitSet() = default;
+
+void WaitSet::add(detail::PullerCore& puller, Handler handler) {
+  core_->add(puller, std::move(handler));
+}
+void WaitSet::remove(detail::PullerCore& puller) { core_->remove(puller); }
+
+WaitSet::Timer WaitSet::add_timer(std::chrono::nanoseconds period, Handler handler) {
+  if (period.count() <= 0) {
+    throw Error(EINVAL, "WaitSet::add_timer", "a period must be longer than nothing",
+                "use add_timer_once() for what is to be done once");
+  }
+  return core_->add(period, period, std::move(handler));
+}
+WaitSet::Timer WaitSet::add_timer_once(std::chrono::nanoseconds delay, Handler handler) {
+  return core_->add(delay, std::chrono::nanoseconds(0), std::move(handler));
+}
+void WaitSet::remove(Timer timer) { core_->remove(timer); }
+
+void WaitSet::run() {
+  while (!core_->take_stop()) core_->run_once({});
+}
+std::size_t WaitSet::run_once(std::chrono::nanoseconds timeout) {
+  const std::size_t called = core_->run_once(detail::after(timeout));
+  if (called == 0) core_->take_stop();
+  return called;
+}
+void WaitSet::stop() noexcept { core_->stop(); }
+
+}  // namespace lot

@@ -1,0 +1,448 @@
+// SPDX-License-Identifier: Apache-2.0
+// ShmQueue: each kind of item, each way to put and to pop, what is left behind. Both engines.
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include <lot/lot.hpp>
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::Policy;
+using lot::QueueEngine;
+using lot::QueueOptions;
+using lot::Status;
+using Clock = std::chrono::steady_clock;
+
+struct Task {
+  std::uint64_t number = 0;
+  lot::ShmVector<std::uint64_t> numbers;
+};
+struct Point {
+  double x = 0, y = 0;
+};
+struct Note {
+  lot::ShmString text;
+};
+
+using Tasks = lot::ShmQueue<lot::ShmUniquePtr<Task>>;
+using Views = lot::ShmQueue<lot::ShmSharedPtr<const Task>>;
+using Points = lot::ShmQueue<Point>;
+
+QueueOptions with(QueueEngine engine, std::uint32_t depth = 64, Policy policy = Policy::Block) {
+  QueueOptions options;
+  options.engine = engine;
+  options.depth = depth;
+  options.policy = policy;
+  return options;
+}
+
+constexpr QueueEngine kEngines[] = {QueueEngine::Ring, QueueEngine::Mutex};
+
+lot::ShmUniquePtr<Task> task(Tasks& queue, std::uint64_t number) {
+  auto made = queue.make();
+  made->number = number;
+  made->numbers.assign(100, number);
+  return made;
+}
+
+/// Each test case with an engine, and nothing left at its end.
+struct Fixture {
+  const Watchdog watchdog{60};
+  const lot::EngineOptions options = fresh();
+  const int both = unsetenv("LOT_QUEUE");  // each case is for both engines
+
+  template <class Test>
+  void with_each_engine(Test&& test) {
+    for (const QueueEngine engine : kEngines) {
+      CAPTURE(static_cast<int>(engine));
+      lot::ShmEngine keeper(options);  // so that the segment is there to be looked at
+      test(engine);
+      CHECK(leak_in(keeper.path()) == "");
+    }
+  }
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("queue");
+
+TEST_CASE_FIXTURE(Fixture, "items come out in the order in which they were put in") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto points = shm.queue<Point>("points", with(engine));
+    CHECK(points.is_empty());
+    CHECK(points.capacity() == 64);
+    for (int i = 0; i < 10; ++i) CHECK(points.put({1.0 * i, -1.0 * i}) == Status::Ok);
+    CHECK(points.size() == 10);
+    CHECK(!points.is_empty());
+    for (int i = 0; i < 10; ++i) {
+      const auto point = points.try_pop();
+      REQUIRE(point);
+      CHECK(point->x == i);
+      CHECK(point->y == -i);
+    }
+    CHECK(!points.try_pop());
+    CHECK(points.is_empty());
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "putting by copy, by move and in place; popping by every way to wait") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto points = shm.queue<Point>("points", with(engine));
+    const Point copied{1, 2};
+    CHECK(points.put(copied) == Status::Ok);
+    CHECK(points.put(Point{3, 4}) == Status::Ok);
+    CHECK(points.emplace(5.0, 6.0) == Status::Ok);
+    CHECK(points.put_for(copied, 1s) == Status::Ok);
+    CHECK(points.put_until(copied, Clock::now() + 1s) == Status::Ok);
+    CHECK(points.try_put(copied) == Status::Ok);
+    CHECK(points.wait_and_pop().x == 1);
+    CHECK(points.wait_and_pop_for(1s)->x == 3);
+    CHECK(points.wait_and_pop_until(Clock::now() + 1s)->x == 5);
+    CHECK(points.try_pop()->x == 1);
+    CHECK(points.wait_and_pop_for(0s)->x == 1);
+    CHECK(points.wait_and_pop_until(Clock::time_point::min())->x == 1);
+    CHECK(!points.wait_and_pop_for(5ms));
+    CHECK(!points.wait_and_pop_until(Clock::now() + 5ms));
+    CHECK(!points.wait_and_pop_until(Clock::time_point::min()));
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "an item with a string is popped by value") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto notes = shm.queue<Note>("notes", with(engine));
+    const std::string text(1000, 'x');
+    Note note;
+    note.text = text.c_str();
+    CHECK(notes.put(note) == Status::Ok);
+    CHECK(notes.wait_and_pop().text == text.c_str());
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a full queue: refuse says so at once, block when the time is up") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    for (const Policy policy : {Policy::Block, Policy::Refuse}) {
+      auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 3, policy));
+      for (std::uint64_t n = 0; n < 3; ++n) CHECK(tasks.put(task(tasks, n)) == Status::Ok);
+      auto kept = task(tasks, 3);
+      CHECK(tasks.try_put(std::move(kept)) == Status::Full);
+      REQUIRE(kept);  // it stays with the caller
+      CHECK(tasks.put_for(std::move(kept), 5ms) == Status::Full);
+      if (policy == Policy::Refuse) CHECK(tasks.put(std::move(kept)) == Status::Full);
+      CHECK(kept->number == 3);
+      CHECK(tasks.try_pop().value()->number == 0);
+      CHECK(tasks.put(std::move(kept)) == Status::Ok);
+      CHECK(!kept);
+      for (std::uint64_t n = 1; n < 4; ++n) CHECK(tasks.wait_and_pop()->number == n);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a full queue that overwrites keeps the newest") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 4, Policy::Overwrite));
+    for (std::uint64_t n = 0; n < 11; ++n) CHECK(tasks.put(task(tasks, n)) == Status::Ok);
+    CHECK(tasks.size() == 4);
+    for (std::uint64_t n = 7; n < 11; ++n) CHECK(tasks.wait_and_pop()->number == n);
+    CHECK(tasks.is_empty());
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "who puts into a full queue waits until somebody pops") {
+  with_each_engine([&](QueueEngine engine) {
+    Child popper([&] {
+      lot::ShmEngine shm(options);
+      auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 2));
+      for (std::uint64_t n = 0; n < 200; ++n) {
+        if (n % 20 == 0) std::this_thread::sleep_for(2ms);
+        must(tasks.wait_and_pop()->number == n, "the next one");
+      }
+    });
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 2));
+    for (std::uint64_t n = 0; n < 200; ++n) CHECK(tasks.put(task(tasks, n)) == Status::Ok);
+    CHECK(popper.wait() == 0);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "every reader gets a shared item, and owns it") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto one = shm.queue<lot::ShmSharedPtr<const Task>>("views", with(engine));
+    auto two = shm.queue<lot::ShmSharedPtr<const Task>>("views", with(engine));
+    one.listen();
+    two.listen();
+    auto made = one.make();
+    made->number = 7;
+    const lot::ShmSharedPtr<const Task> put = std::move(made);
+    CHECK(one.put(put) == Status::Ok);
+    const auto first = one.wait_and_pop();
+    const auto second = two.wait_and_pop();
+    CHECK(first == put);
+    CHECK(second == put);
+    CHECK(second->number == 7);
+    CHECK(first.use_count() == 3);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a queue of shared items is a topic") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto queue = shm.queue<lot::ShmSharedPtr<const Task>>("/t", with(engine));
+    auto puller = shm.subscribe<Task>("/t");
+    queue.listen();
+    auto pusher = shm.advertise<Task>("/t", {Policy::Overwrite, 8, 1s, engine});
+    auto pushed = pusher.loan();
+    pushed->number = 1;
+    pusher.push(std::move(pushed));
+    CHECK(queue.wait_and_pop()->number == 1);
+    CHECK(puller.pull(1s)->number == 1);
+    auto made = queue.make();
+    made->number = 2;
+    CHECK(queue.put(lot::ShmSharedPtr<const Task>(std::move(made))) == Status::Ok);
+    CHECK(puller.pull(1s)->number == 2);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a topic and a queue of items for one do not mix") {
+  lot::ShmEngine shm(options);
+  auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("/t");
+  CHECK_THROWS_WITH_AS(shm.subscribe<Task>("/t"), doctest::Contains("ShmQueue of"), lot::Error);
+}
+
+TEST_CASE_FIXTURE(Fixture, "an item that was taken can be changed, and put again") {
+  with_each_engine([&](QueueEngine engine) {
+    Child worker([&] {
+      lot::ShmEngine shm(options);
+      auto in = shm.queue<lot::ShmUniquePtr<Task>>("in", with(engine));
+      auto out = shm.queue<lot::ShmUniquePtr<Task>>("out", with(engine));
+      for (std::uint64_t n = 0; n < 50; ++n) {
+        auto item = in.wait_and_pop();
+        must(item->number == n && item->numbers.at(99) == n, "the item");
+        item->number += 1000;
+        item->numbers[0] = 2000 + n;
+        must(out.put(std::move(item)) == Status::Ok, "put again");
+      }
+      // All are read before the one that has put them leaves.
+      must(eventually([&] { return in.try_pop().has_value(); }), "the end");
+    });
+    lot::ShmEngine shm(options);
+    auto in = shm.queue<lot::ShmUniquePtr<Task>>("in", with(engine));
+    auto out = shm.queue<lot::ShmUniquePtr<Task>>("out", with(engine));
+    for (std::uint64_t n = 0; n < 50; ++n) {
+      CHECK(in.put(task(in, n)) == Status::Ok);
+      const auto back = out.wait_and_pop();
+      CHECK(back->number == 1000 + n);
+      CHECK(back->numbers[0] == 2000 + n);
+      CHECK(back->numbers[1] == n);
+    }
+    CHECK(in.put(task(in, 0)) == Status::Ok);
+    CHECK(worker.wait() == 0);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "an item that was taken from another process can not grow there") {
+  Steps steps;
+  Child maker([&] {
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks");
+    must(tasks.put(task(tasks, 1)) == Status::Ok, "put");
+    steps.next();
+  });
+  lot::ShmEngine shm(options);
+  auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks");
+  auto item = tasks.wait_and_pop();
+  CHECK_THROWS_AS(item->numbers.resize(100'000), lot::OutOfMemory);
+  CHECK(item->numbers.size() == 100);
+  steps.tell();
+  CHECK(maker.wait() == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "an item becomes shared after it was taken") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 2));
+    std::vector<lot::ShmSharedPtr<const Task>> kept;
+    for (std::uint64_t n = 0; n < 20; ++n) {
+      CHECK(tasks.put(task(tasks, n)) == Status::Ok);
+      kept.emplace_back(tasks.wait_and_pop());
+      kept.push_back(kept.back());
+    }
+    for (std::uint64_t n = 0; n < 20; ++n) {
+      CHECK(kept[2 * n]->number == n);
+      CHECK(kept[2 * n]->numbers.back() == n);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "the memory of items that were taken is used again") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);  // 64 MiB
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 64));
+    for (std::uint64_t n = 0; n < 200; ++n) {
+      auto big = tasks.make();
+      big->numbers.resize(1 << 20);  // 8 MiB
+      CHECK(tasks.put(std::move(big)) == Status::Ok);
+      CHECK(tasks.wait_and_pop()->numbers.size() == 1 << 20);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "items wait in the queue for the reader that comes later") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 8));
+    for (std::uint64_t n = 0; n < 5; ++n) CHECK(tasks.put(task(tasks, n)) == Status::Ok);
+    CHECK(tasks.wait_and_pop()->number == 0);
+    Child late([&] {
+      lot::ShmEngine other(options);
+      auto mine = other.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 8));
+      must(mine.size() == 4, "what is there");
+      for (std::uint64_t n = 1; n < 5; ++n) must(mine.wait_and_pop()->number == n, "the next");
+    });
+    CHECK(late.wait() == 0);
+    CHECK(tasks.is_empty());
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "what a killed one has put is still taken") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine));
+    tasks.listen();
+    Steps steps;
+    Child maker([&] {
+      lot::ShmEngine other(options);
+      auto mine = other.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine));
+      for (std::uint64_t n = 0; n < 5; ++n) must(mine.put(task(mine, n)) == Status::Ok, "put");
+      steps.tell();
+      pause();
+    });
+    REQUIRE(steps.next() != 0);
+    maker.kill9();
+    for (std::uint64_t n = 0; n < 5; ++n) {
+      const auto item = tasks.wait_and_pop();
+      CHECK(item->number == n);
+      CHECK(item->numbers.back() == n);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "each item is taken by exactly one, also when some of them are killed") {
+  std::mt19937_64 random(seed());
+  with_each_engine([&](QueueEngine engine) {
+    constexpr std::uint64_t kItems = 3000;
+    // Who has taken an item says so in memory of the test's own.
+    auto* taken = static_cast<std::atomic<std::uint32_t>*>(
+        mmap(nullptr, kItems * 4, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+    REQUIRE(taken != MAP_FAILED);
+    const auto work = [&] {
+      lot::ShmEngine shm(options);
+      auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 16));
+      for (;;) {
+        const auto item = tasks.wait_and_pop();
+        if (item->number >= kItems) return;
+        must(item->numbers.back() == item->number, "whole");
+        ++taken[item->number];
+      }
+    };
+    constexpr std::size_t kWorkers = 4;
+    std::vector<Child> workers;
+    for (std::size_t i = 0; i < kWorkers; ++i) workers.emplace_back(work);
+    std::uint64_t kills = 0;
+    {
+      lot::ShmEngine shm(options);
+      auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 16));
+      for (std::uint64_t n = 0; n < kItems; ++n) {
+        REQUIRE(tasks.put(task(tasks, n)) == Status::Ok);
+        if (n % 100 != 0) continue;
+        const std::size_t i = random() % kWorkers;
+        workers[i].kill9();
+        workers[i] = Child(work);
+        ++kills;
+      }
+      for (std::size_t i = 0; i < kWorkers; ++i) {
+        REQUIRE(tasks.put(task(tasks, kItems)) == Status::Ok);
+      }
+      for (Child& worker : workers) CHECK(worker.wait() == 0);
+    }
+    std::uint64_t lost = 0;
+    for (std::uint64_t n = 0; n < kItems; ++n) {
+      CHECK(taken[n] <= 1);
+      lost += taken[n] == 0;
+    }
+    CHECK(lost <= kills);  // what a killed one had taken died with it
+    munmap(taken, kItems * 4);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "who sleeps on an empty queue hears of one that comes later") {
+  with_each_engine([&](QueueEngine engine) {
+    Child late([&] {
+      std::this_thread::sleep_for(20ms);
+      lot::ShmEngine other(options);
+      auto mine = other.queue<Point>("points", with(engine));
+      must(mine.put({1, 2}) == Status::Ok, "put");
+      std::this_thread::sleep_for(20ms);
+    });
+    lot::ShmEngine shm(options);
+    auto points = shm.queue<Point>("points", with(engine));
+    CHECK(points.wait_and_pop().y == 2);
+    CHECK(late.wait() == 0);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "LOT_QUEUE in the environment comes before the code") {
+  lot::ShmEngine shm(options);
+  const lot::segment::Segment segment(shm.path());
+  const auto engine_of_the_only_ring = [&] {
+    for (const auto& channel : segment.channels()) {
+      if (lot::ring::writer_state(channel.writer) == lot::ring::State::Live) {
+        return static_cast<QueueEngine>(channel.engine);
+      }
+    }
+    throw std::runtime_error("there is none");
+  };
+  const char* before = std::getenv("LOT_QUEUE");
+  const std::string saved = before != nullptr ? before : "";
+  setenv("LOT_QUEUE", "mutex", 1);
+  {
+    auto pusher = shm.advertise<Point>("/t", {Policy::Overwrite, 4, 1s, QueueEngine::Ring});
+    CHECK((engine_of_the_only_ring() == QueueEngine::Mutex));
+  }
+  REQUIRE(eventually([&] { return Audit(const_cast<lot::segment::Segment&>(segment)).nothing(); }));
+  setenv("LOT_QUEUE", "ring", 1);
+  {
+    auto pusher = shm.advertise<Point>("/t", {Policy::Overwrite, 4, 1s, QueueEngine::Mutex});
+    CHECK((engine_of_the_only_ring() == QueueEngine::Ring));
+  }
+  setenv("LOT_QUEUE", "fast", 1);
+  CHECK_THROWS_WITH_AS(shm.advertise<Point>("/t"), doctest::Contains("LOT_QUEUE=fast"), lot::Error);
+  if (before != nullptr) {
+    setenv("LOT_QUEUE", saved.c_str(), 1);
+  } else {
+    unsetenv("LOT_QUEUE");
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a bad depth and another type are said when the queue is made") {
+  lot::ShmEngine shm(options);
+  QueueOptions none;
+  none.depth = 0;
+  CHECK_THROWS_WITH_AS(shm.queue<Point>("q", none), doctest::Contains("depth 0"), lot::Error);
+  auto points = shm.queue<Point>("q");
+  CHECK_THROWS_AS(shm.queue<Task>("q"), lot::Error);
+}
+
+TEST_SUITE_END();

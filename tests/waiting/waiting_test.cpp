@@ -1,0 +1,381 @@
+// SPDX-License-Identifier: Apache-2.0
+// Every way to wait: spinning, parked, WaitSet, listeners and descriptors. Both engines.
+#include <csignal>
+#include <memory>
+#include <poll.h>
+#include <sched.h>
+#include <sys/epoll.h>
+#include <thread>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include <lot/lot.hpp>
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::Policy;
+using lot::PullerOptions;
+using lot::QueueEngine;
+using lot::Status;
+using lot::Wait;
+using lot::WaitSet;
+
+struct Number {
+  std::uint64_t value = 0;
+};
+
+void publish(lot::ShmPusher<Number>& pusher, std::uint64_t value) {
+  CHECK(pusher.push(pusher.loan(Number{value})) == Status::Ok);
+}
+
+struct Fixture {
+  const Watchdog watchdog{60};
+  const lot::EngineOptions options = fresh();
+  const int both = unsetenv("LOT_QUEUE");  // each case is for both engines
+
+  template <class Test>
+  void with_each_engine(Test&& test) {
+    for (const QueueEngine engine : {QueueEngine::Ring, QueueEngine::Mutex}) {
+      CAPTURE(static_cast<int>(engine));
+      lot::ShmEngine keeper(options);
+      test(engine);
+      CHECK(leak_in(keeper.path()) == "");
+    }
+  }
+  static lot::PusherOptions with(QueueEngine engine, std::uint32_t depth = 64) {
+    return {Policy::Block, depth, 1s, engine};
+  }
+};
+
+bool readable(int fd, int timeout_ms) {
+  pollfd p{fd, POLLIN, 0};
+  return poll(&p, 1, timeout_ms) == 1;
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("waiting");
+
+TEST_CASE_FIXTURE(Fixture, "each way to wait sees each message, from processes that come and go") {
+  with_each_engine([&](QueueEngine engine) {
+    for (const Wait wait : {Wait::Spin, Wait::Adaptive, Wait::Park}) {
+      lot::ShmEngine shm(options);
+      auto puller = shm.subscribe<Number>("/t", {wait, 0});
+      for (std::uint64_t p = 0; p < 3; ++p) {
+        Child publisher([&] {
+          lot::ShmEngine mine(options);
+          auto pusher = mine.advertise<Number>("/t", with(engine, 4));
+          must(pusher.wait_for_readers(1, 10s), "a reader");
+          for (std::uint64_t n = 0; n < 100; ++n) {
+            if (n % 25 == 0) std::this_thread::sleep_for(1ms);
+            must(pusher.push(pusher.loan(Number{n}), 10s) == Status::Ok, "push");
+          }
+        });
+        for (std::uint64_t n = 0; n < 100; ++n) {
+          const auto message = puller.pull(20s);
+          REQUIRE(message);
+          CHECK(message->value == n);
+        }
+        CHECK(publisher.wait() == 0);
+      }
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a reader with history gets the newest messages from before it came") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    for (const Policy policy : {Policy::Overwrite, Policy::Refuse}) {
+      auto pusher = shm.advertise<Number>("/t", {policy, 8, 1s, engine});
+      for (std::uint64_t n = 0; n < 20; ++n) publish(pusher, n);
+      for (const std::uint64_t history : {0UL, 1UL, 3UL}) {  // latched: 1
+        auto puller = shm.subscribe<Number>("/t", {Wait::Park, history});
+        CHECK(puller.size() == history);
+        for (std::uint64_t n = 20 - history; n < 20; ++n) {
+          const auto message = puller.try_pull();
+          REQUIRE(message);
+          CHECK(message->value == n);
+        }
+        CHECK(!puller.try_pull());
+        CHECK(puller.missed_total() == 0);
+      }
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a publisher that refuses never waits") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto pusher = shm.advertise<Number>("/t", {Policy::Refuse, 2, 1h, engine});
+    auto puller = shm.subscribe<Number>("/t");
+    publish(pusher, 1);
+    publish(pusher, 2);
+    auto third = pusher.loan(Number{3});
+    CHECK(pusher.push(std::move(third)) == Status::Full);
+    CHECK(pusher.push(std::move(third), 1h) == Status::Full);
+    REQUIRE(third);
+    CHECK(puller.pull(1s)->value == 1);
+    CHECK(pusher.push(std::move(third)) == Status::Ok);
+    CHECK(puller.pull(1s)->value == 2);
+    CHECK(puller.pull(1s)->value == 3);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "one thread serves many pullers, timers and a stop request") {
+  with_each_engine([&](QueueEngine engine) {
+    for (const Wait wait : {Wait::Park, Wait::Adaptive, Wait::Spin}) {
+      lot::ShmEngine shm(options);
+      constexpr std::size_t kTopics = 5;
+      constexpr std::uint64_t kMessages = 200;
+      WaitSet set(wait);
+      std::vector<std::unique_ptr<lot::ShmPuller<Number>>> pullers;
+      std::vector<std::uint64_t> next(kTopics, 0);
+      std::uint64_t ticks = 0, once = 0;
+      std::size_t done = 0;
+      for (std::size_t t = 0; t < kTopics; ++t) {
+        pullers.push_back(std::make_unique<lot::ShmPuller<Number>>(
+            shm.subscribe<Number>("/t" + std::to_string(t))));
+        set.add(*pullers[t], [&, t] {
+          const auto message = pullers[t]->try_pull();  // one at a time: it is called again
+          if (!message) return;
+          CHECK(message->value == next[t]++);
+          if (next[t] == kMessages && ++done == kTopics) set.stop();
+        });
+      }
+      set.add_timer(1ms, [&] { ++ticks; });
+      set.add_timer_once(1ms, [&] { ++once; });
+      const Steps finished;
+      Child publisher([&] {
+        lot::ShmEngine mine(options);
+        std::vector<lot::ShmPusher<Number>> pushers;
+        for (std::size_t t = 0; t < kTopics; ++t) {
+          pushers.push_back(mine.advertise<Number>("/t" + std::to_string(t), with(engine, 8)));
+        }
+        for (std::uint64_t n = 0; n < kMessages; ++n) {
+          for (auto& pusher : pushers) {
+            must(pusher.push(pusher.loan(Number{n}), 10s) == Status::Ok, "push");
+          }
+          if (n % 20 == 0) std::this_thread::sleep_for(1ms);
+        }
+        must(finished.next(30s) != 0, "all is read");
+      });
+      set.run();
+      finished.tell();
+      for (const std::uint64_t n : next) CHECK(n == kMessages);
+      CHECK(ticks > 0);
+      CHECK(once == 1);
+      for (auto& puller : pullers) set.remove(*puller);
+      pullers.clear();
+      CHECK(publisher.wait() == 0);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a WaitSet of more queues than the kernel waits for at once") {
+  lot::ShmEngine shm(options);
+  constexpr std::size_t kPullers = 300;
+  WaitSet set;
+  std::vector<std::unique_ptr<lot::ShmPuller<Number>>> pullers;
+  std::vector<lot::ShmPusher<Number>> pushers;
+  std::vector<std::uint64_t> got(kPullers, 0);
+  for (std::size_t t = 0; t < kPullers; ++t) {
+    const std::string topic = "/t" + std::to_string(t);
+    pushers.push_back(shm.advertise<Number>(topic, {Policy::Overwrite, 2, 1s}));
+    pullers.push_back(std::make_unique<lot::ShmPuller<Number>>(shm.subscribe<Number>(topic)));
+    set.add(*pullers[t], [&, t] {
+      while (const auto message = pullers[t]->try_pull()) got[t] = message->value;
+    });
+  }
+  CHECK(set.run_once(1ms) == 0);
+  for (const std::size_t t : {std::size_t{0}, kPullers / 2, kPullers - 1}) {
+    std::thread publisher([&] {
+      std::this_thread::sleep_for(20ms);  // most likely asleep by now
+      pushers[t].push(pushers[t].loan(Number{7}));
+    });
+    CHECK(set.run_once(20s) == 1);
+    CHECK(got[t] == 7);
+    publisher.join();
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a WaitSet is stopped from another thread and from a signal handler") {
+  lot::ShmEngine shm(options);
+  auto puller = shm.subscribe<Number>("/t");
+  static WaitSet* set;
+  WaitSet mine;
+  set = &mine;
+  mine.add(puller, [] {});
+  std::thread other([] {
+    std::this_thread::sleep_for(10ms);
+    set->stop();
+  });
+  mine.run();
+  other.join();
+  mine.stop();
+  mine.run();  // a stop that came before ends the next run at once
+  struct sigaction action {};
+  struct sigaction before {};
+  action.sa_handler = [](int) { set->stop(); };
+  sigaction(SIGUSR1, &action, &before);
+  const pthread_t self = pthread_self();
+  std::thread signaller([self] {
+    std::this_thread::sleep_for(10ms);
+    pthread_kill(self, SIGUSR1);
+  });
+  mine.run();
+  signaller.join();
+  sigaction(SIGUSR1, &before, nullptr);
+}
+
+TEST_CASE_FIXTURE(Fixture, "handlers may add and remove, also themselves, and may throw") {
+  lot::ShmEngine shm(options);
+  auto pusher = shm.advertise<Number>("/t");
+  auto one = shm.subscribe<Number>("/t");
+  auto two = shm.subscribe<Number>("/t");
+  WaitSet set;
+  int first = 0, second = 0;
+  set.add(one, [&] {
+    ++first;
+    set.remove(one);
+    set.add(two, [&] {
+      ++second;
+      while (two.try_pull()) {
+      }
+    });
+  });
+  publish(pusher, 1);
+  CHECK(set.run_once(1s) >= 1);
+  while (set.run_once(10ms) != 0) {
+  }
+  CHECK(first == 1);
+  CHECK(second == 1);
+  const WaitSet::Timer timer = set.add_timer(1ms, [] { throw std::runtime_error("as it likes"); });
+  CHECK_THROWS_AS(set.run(), std::runtime_error);
+  set.remove(timer);
+  CHECK(set.run_once(5ms) == 0);
+  CHECK_THROWS_AS(set.add_timer(0s, [] {}), lot::Error);
+}
+
+TEST_CASE_FIXTURE(Fixture,
+                  "a listener calls back for each message, on a thread as it was asked for") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    std::atomic<std::uint64_t> next{0};
+    std::atomic<bool> as_asked{true};
+    lot::ThreadOptions thread;
+    thread.name = "camera-in";
+    thread.cpus = {0};
+    thread.policy = SCHED_BATCH;
+    {
+      const auto listener = shm.listen<Number>(
+          "/t",
+          [&](const lot::ShmSharedPtr<const Number>& message) {
+            char name[16] = {};
+            pthread_getname_np(pthread_self(), name, sizeof(name));
+            int policy = -1;
+            sched_param parameters{};
+            pthread_getschedparam(pthread_self(), &policy, &parameters);
+            cpu_set_t cpus;
+            pthread_getaffinity_np(pthread_self(), sizeof(cpus), &cpus);
+            if (std::string(name) != "camera-in" || policy != SCHED_BATCH ||
+                CPU_COUNT(&cpus) != 1 || !CPU_ISSET(0, &cpus) || message->value != next) {
+              as_asked = false;
+            }
+            ++next;
+          },
+          {}, thread);
+      const Steps finished;
+      Child publisher([&] {
+        lot::ShmEngine mine(options);
+        auto pusher = mine.advertise<Number>("/t", with(engine));
+        for (std::uint64_t n = 0; n < 500; ++n) {
+          must(pusher.push(pusher.loan(Number{n}), 10s) == Status::Ok, "push");
+        }
+        must(finished.next(30s) != 0, "all is read");
+      });
+      CHECK(eventually([&] { return next == 500; }, 20s));
+      finished.tell();
+      CHECK(as_asked);
+    }
+    const std::uint64_t last = next;
+    auto pusher = shm.advertise<Number>("/t", {Policy::Overwrite, 8, 1s, engine});
+    publish(pusher, 1);
+    std::this_thread::sleep_for(5ms);
+    CHECK(next == last);  // it has ended
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a listener whose thread cannot be had says why") {
+  lot::ShmEngine shm(options);
+  const auto ignore = [](const lot::ShmSharedPtr<const Number>&) {};
+  lot::ThreadOptions thread;
+  thread.cpus = {1023};
+  CHECK_THROWS_WITH_AS(shm.listen<Number>("/t", ignore, {}, thread),
+                       doctest::Contains("ThreadOptions::cpus"), lot::Error);
+  thread = {};
+  thread.policy = SCHED_FIFO;
+  thread.priority = 1000;
+  CHECK_THROWS_WITH_AS(shm.listen<Number>("/t", ignore, {}, thread),
+                       doctest::Contains("ThreadOptions::policy"), lot::Error);
+}
+
+TEST_CASE_FIXTURE(Fixture,
+                  "a descriptor is readable while there are messages, for poll and epoll") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto pusher = shm.advertise<Number>("/t", with(engine));
+    auto puller = shm.subscribe<Number>("/t");
+    const int fd = puller.fd();
+    CHECK(puller.fd() == fd);
+    CHECK(!readable(fd, 0));
+    const int loop = epoll_create1(EPOLL_CLOEXEC);
+    epoll_event wanted{EPOLLIN, {}};
+    REQUIRE(epoll_ctl(loop, EPOLL_CTL_ADD, fd, &wanted) == 0);
+    for (std::uint64_t n = 0; n < 200; ++n) {
+      publish(pusher, 2 * n);
+      publish(pusher, 2 * n + 1);
+      epoll_event event{};
+      REQUIRE(epoll_wait(loop, &event, 1, 20'000) == 1);
+      for (std::uint64_t i = 0; i < 2; ++i) {
+        REQUIRE(readable(fd, 20'000));  // level-triggered: until all are read
+        const auto message = puller.try_pull();
+        REQUIRE(message);
+        CHECK(message->value == 2 * n + i);
+      }
+      CHECK(!puller.try_pull());
+      CHECK(!readable(fd, 0));
+    }
+    close(loop);
+    // From another process, and from a publisher that was not there before.
+    const Steps finished;
+    Child publisher([&] {
+      lot::ShmEngine mine(options);
+      auto late = mine.advertise<Number>("/t", with(engine));
+      must(late.push(late.loan(Number{77}), 1s) == Status::Ok, "push");
+      must(finished.next(30s) != 0, "all is read");
+    });
+    for (bool got = false; !got;) {
+      REQUIRE(readable(fd, 20'000));
+      const auto message = puller.try_pull();
+      got = message && message->value == 77;
+    }
+    finished.tell();
+    CHECK(publisher.wait() == 0);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a forked child of a process with a descriptor and a listener ends") {
+  lot::ShmEngine shm(options);
+  auto puller = std::make_unique<lot::ShmPuller<Number>>(shm.subscribe<Number>("/t"));
+  puller->fd();
+  Child child([&] {
+    puller.reset();  // its thread is not there
+  });
+  CHECK(child.wait() == 0);
+}
+
+TEST_SUITE_END();
