@@ -353,10 +353,15 @@ class Queue {
     const Channel& channel = channels_[publisher.channel];
     if (!channel.blocking) return false;
     for (const auto& subscriber : subscribers_) {
+      if (subscriber->topic != channel.topic) continue;
+      bool joined = false;
       for (const Source& s : subscriber->sources) {
-        if (s.channel == publisher.channel && channel.log.size() - s.next >= channel.depth)
-          return true;
+        if (s.channel != publisher.channel) continue;
+        joined = true;
+        if (channel.log.size() - s.next >= channel.depth) return true;
       }
+      // Who has subscribed before and has not looked since.
+      if (!joined && channel.log.size() >= channel.depth - 1) return true;
     }
     return false;
   }
