@@ -29,6 +29,8 @@ constexpr unsigned kPausesAfterBurst = 200;
 /// In a stream, the lines of this message are fetched while those before it are read.
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
+/// A ring without a free cell is asked again so often.
+constexpr auto kFullRing = 100ms;
 constexpr auto kLongestSleep = 1s;
 
 class Puller final : public detail::PullerCore {
@@ -96,7 +98,7 @@ class Puller final : public detail::PullerCore {
   }
 
   bool ready() override {
-    return directory_.load(std::memory_order_relaxed) != version_ ||
+    return (directory_.load(std::memory_order_relaxed) != version_ && !not_before_) ||
            std::any_of(sources_.begin(), sources_.end(),
                        [](const Source& s) { return s.reader.ready() || s.reader.orphaned(); });
   }
@@ -290,6 +292,7 @@ class Puller final : public detail::PullerCore {
   /// Joins the rings of the topic that we do not read yet.
   void find_rings(std::uint64_t history, bool complain) {
     const std::uint32_t version = directory_.load(std::memory_order_acquire);
+    bool all = true;
     for (const auto& name : participant_->registry().live(topic_)) {
       if (std::any_of(sources_.begin(), sources_.end(),
                       [&](const Source& s) { return s.name == name; })) {
@@ -311,14 +314,19 @@ class Puller final : public detail::PullerCore {
         throw Error(EUSERS, participant_->segment().path(),
                     "a publisher of the topic has all the readers that it can have",
                     "make the segment with a larger EngineOptions::readers");
+      } else {
+        all = all && !full;
       }
     }
-    version_ = version;
+    version_ = all ? version : version - 1;
+    if (!all) not_before_ = futex::Clock::now() + kFullRing;
   }
 
   /// Rings that have come since the subscription: read from their first message. On the data path,
   /// so it never waits for the registry's lock; the next look tries again.
   void find_new_rings() {
+    if (not_before_ && futex::Clock::now() < *not_before_) return;
+    not_before_.reset();
     registry::Registry& registry = participant_->registry();
     if (!registry.try_lock()) return;
     const struct Unlock {
@@ -379,9 +387,10 @@ class Puller final : public detail::PullerCore {
   Wait wait_;
   bool announced_ = false;  ///< the topic counts this puller
   bool borrowing_ = false;
-  bool keeping_ = false;       ///< what is found is kept at once
-  unsigned burst_ = 0;         ///< messages since the last wait
-  std::uint32_t version_ = 0;  ///< of the directory, when sources_ was right
+  bool keeping_ = false;        ///< what is found is kept at once
+  unsigned burst_ = 0;          ///< messages since the last wait
+  std::uint32_t version_ = 0;   ///< of the directory, when sources_ was right
+  futex::Deadline not_before_;  ///< there is no use in looking for rings
   std::uint32_t block_ = 0;
   std::size_t current_ = 0;
   std::uint64_t missed_ = 0;

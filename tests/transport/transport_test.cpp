@@ -335,6 +335,28 @@ TEST_CASE("a lossless publisher waits for all who had subscribed, also before th
   CHECK(send(pusher, 3) == Status::Ok);
 }
 
+TEST_CASE("a reader that found a queue without a free place comes in once there is one") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  options.readers = 1;
+  lot::ShmEngine engine(options);
+  auto first = std::make_unique<lot::ShmPuller<Number>>(engine.subscribe<Number>("/t"));
+  auto second = engine.subscribe<Number>("/t");
+  auto pusher = engine.advertise<Number>("/t", {Policy::Block, 8, 1ms});
+  CHECK(send(pusher, 1) == Status::Ok);
+  CHECK(first->try_pull()->value == 1);
+  CHECK(!second.try_pull());
+  for (std::uint64_t n = 0; n < 20; ++n) {  // nobody waits for who has no place
+    CHECK(send(pusher, 2) == Status::Ok);
+    CHECK(first->try_pull()->value == 2);
+  }
+  first.reset();
+  CHECK(eventually([&] {
+    send(pusher, 3);
+    return static_cast<bool>(second.pull(1ms));
+  }));
+}
+
 TEST_CASE("a late joiner gets the history it asks for") {
   const Watchdog watchdog(60);
   Place place;
