@@ -158,6 +158,7 @@ TEST_CASE("what another version or a crash left is replaced when nobody uses it"
 }
 
 TEST_CASE("a segment in use of another version or size is an error that says so") {
+  constexpr std::uint32_t kVersion = lot::segment::kLayoutVersion;
   const Watchdog watchdog(60);
   const auto options = fresh();
   const lot::ShmEngine engine(options);
@@ -175,11 +176,13 @@ TEST_CASE("a segment in use of another version or size is an error that says so"
   overwrite(engine.path(), 8, 999);
   Child newer([&] {
     const std::string text = refusal(options);
-    must(says(text, "layout version 999") && says(text, "this library has 1"), "both versions");
+    must(says(text, "layout version 999") &&
+             says(text, "this library has " + std::to_string(kVersion)),
+         "both versions");
     must(says(text, "in use"), "why it can not be replaced");
   });
   CHECK(newer.wait() == 0);
-  overwrite(engine.path(), 8, 1);
+  overwrite(engine.path(), 8, kVersion);
   CHECK(files_of(options) == 2);
 }
 
