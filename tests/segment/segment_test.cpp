@@ -41,7 +41,7 @@ std::string refusal(const lot::EngineOptions& options) {
   }
   return "";
 }
-bool says(const std::string& text, const char* what) {
+bool says(const std::string& text, const std::string& what) {
   return text.find(what) != std::string::npos;
 }
 
