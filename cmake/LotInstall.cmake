@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # cmake --install: the library, its headers, the CMake package `lot` and lot.pc. Both descriptions
 # find their prefix from where they lie, so that the installed tree may be moved.
 include(CMakePackageConfigHelpers)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Applies LOT_SANITIZE to every target that is defined after this file is included.
 if(LOT_SANITIZE)
   if("thread" IN_LIST LOT_SANITIZE AND "address" IN_LIST LOT_SANITIZE)

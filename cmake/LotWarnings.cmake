@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # lot_warnings: what every target of this project is compiled with. Never exported to users.
 option(LOT_WERROR "Treat warnings as errors" ${PROJECT_IS_TOP_LEVEL})
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Lets a target make mistakes that it must find: a check that cannot fail proves nothing.
 # Usage: cmake -D REPLAY=program -D CORPUS=directory -D PLANTS=mistake,... -P can_fail.cmake
 string(REPLACE "," ";" PLANTS "${PLANTS}")

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Any sequence of ring operations against a model that is too simple to be wrong: a deque of the
 // messages that are left, and for each reader the index of the message that it reads next. Where a
 // ring has room for one reader, under back-pressure, boost::lockfree::spsc_queue is asked as well.

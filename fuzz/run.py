@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Runs the libFuzzer targets for a while, two at a time, and prints what they found.
 
     fuzz/run.py [--seconds 60] [--build build/fuzz] [TARGET...]

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Checks who includes whom, against the table in src/README.md.
 
     arrows.py [ROOT]       check the tree at ROOT (default: the tree this file lies in)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Plants mistakes that the chaos must find: a check that cannot fail proves nothing.
 # Usage: cmake -D CHAOS=path/to/lot_chaos -P can_fail.cmake
 foreach(planted IN ITEMS

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Plants mistakes that the tests must find: a test that cannot fail proves nothing.
 # Usage: cmake -D TESTS=directory/of/the/executables -P can_fail.cmake
 function(must_find test mistake case)

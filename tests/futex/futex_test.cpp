@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Sleeping on words that another process changes. A lost wake is an endless sleep: the watchdog of
 // Fixture ends it.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Plants mistakes that the model must find: a model that cannot fail proves nothing.
 # Usage: cmake -D MODEL=path/to/lot_model -P can_fail.cmake
 foreach(mistake IN ITEMS

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The mutants that are made at run time: weaker orders and re-checks that are left out."""
 
 import dataclasses

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Spoils the protocol on purpose and shows which check notices.
 
     mutate.py [options] --build BUILD

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mistakes in the steps of recovery, sleep and death, each planted in a copy of the headers."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds every atomic step of a header, and every memory_order argument of it.
 
 A site has two names: its place (line and column, as the compiler reports them to the model), and a

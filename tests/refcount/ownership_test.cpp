@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Ownership in one thread: who holds a block, when its message dies, and who gets its memory then.
 // What threads do to it is in tests/stress/threads_test.cpp.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The condition between real processes, some of which are killed.
 
 #include "robust_mutex/robust_condition.hpp"

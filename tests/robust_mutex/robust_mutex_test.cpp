@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The robust mutex between real processes, one of which is killed.
 
 #include "robust_mutex/robust_mutex.hpp"

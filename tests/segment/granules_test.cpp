@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Runs of granules: aligned, disjoint, found again.
 
 #include "segment/granules.hpp"

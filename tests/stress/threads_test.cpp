@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The ring and the ownership of blocks under real threads. Payloads are plain memory: where the
 // protection fails, ThreadSanitizer sees a race, and without it a checksum is wrong.
 //
