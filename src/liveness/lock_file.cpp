@@ -22,6 +22,13 @@ struct flock byte_range(short type, std::uint32_t first, std::uint32_t count) {
   return range;
 }
 
+/// True when another open file description holds a byte of it. On failure too: nobody is ever
+/// reaped because a system call went wrong.
+bool held_by_another(int fd, struct flock range) {
+  if (fcntl(fd, F_OFD_GETLK, &range) == -1) return true;
+  return range.l_type != F_UNLCK;
+}
+
 }  // namespace
 
 LockFile::LockFile(std::string path, mode_t mode)
@@ -59,11 +66,7 @@ void LockFile::unlock(std::uint32_t byte) noexcept {
 }
 
 bool LockFile::held_by_other(std::uint32_t first, std::uint32_t count) const noexcept {
-  if (!intact()) return true;
-  struct flock range = byte_range(F_WRLCK, first, count);
-  // On failure say "held": nobody is ever reaped because a system call went wrong.
-  if (fcntl(fd_, F_OFD_GETLK, &range) == -1) return true;
-  return range.l_type != F_UNLCK;
+  return !intact() || held_by_another(fd_, byte_range(F_WRLCK, first, count));
 }
 
 bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
@@ -111,6 +114,25 @@ bool LockFile::reopen() noexcept {
 void LockFile::abandon() noexcept {
   if (intact()) ::close(fd_);
   fd_ = -1;
+}
+
+LockProbe::LockProbe(const std::string& path) noexcept
+    : fd_(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK)) {
+  struct stat status {};
+  if (fd_ == -1 ||
+      (fstat(fd_, &status) == 0 && S_ISREG(status.st_mode) && status.st_size == 0)) {
+    return;
+  }
+  ::close(fd_);
+  fd_ = -1;
+}
+
+LockProbe::~LockProbe() {
+  if (fd_ != -1) ::close(fd_);
+}
+
+bool LockProbe::is_held(std::uint32_t first, std::uint32_t count) const noexcept {
+  return fd_ != -1 && held_by_another(fd_, byte_range(F_WRLCK, first, count));
 }
 
 }  // namespace lot::liveness

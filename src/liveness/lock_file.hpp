@@ -62,4 +62,21 @@ class LockFile {
   ino_t inode_ = 0;
 };
 
+/// Asks the locks of a lock file, and takes none: for who looks from outside.
+class LockProbe {
+ public:
+  /// A file that is not there, or is no lock file, holds no locks.
+  explicit LockProbe(const std::string& path) noexcept;
+  ~LockProbe();
+  LockProbe(const LockProbe&) = delete;
+  LockProbe& operator=(const LockProbe&) = delete;
+
+  bool is_lock_file() const noexcept { return fd_ != -1; }
+  /// True when somebody holds a byte of [first, first + count).
+  bool is_held(std::uint32_t first, std::uint32_t count = 1) const noexcept;
+
+ private:
+  int fd_;
+};
+
 }  // namespace lot::liveness

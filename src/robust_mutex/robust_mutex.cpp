@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <ctime>
+#include <linux/futex.h>
 #include <system_error>
 
 namespace lot {
@@ -33,6 +34,13 @@ RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noe
 
 RobustMutex::Outcome RobustMutex::try_lock() noexcept {
   return outcome(pthread_mutex_trylock(&mutex_));
+}
+
+bool RobustMutex::looks_held() const noexcept {
+  // The futex word of glibc's mutex, as the kernel knows it: the owner's thread id and a bit that
+  // says that it has died (get_robust_list(2)).
+  const auto word = static_cast<unsigned>(__atomic_load_n(&mutex_.__data.__lock, __ATOMIC_ACQUIRE));
+  return (word & FUTEX_TID_MASK) != 0 && (word & FUTEX_OWNER_DIED) == 0;
 }
 
 void RobustMutex::unlock() noexcept { pthread_mutex_unlock(&mutex_); }

@@ -33,6 +33,8 @@ class RobustMutex {
   /// Locks, waiting until `timeout` has passed (steady clock): Busy then.
   Outcome lock_for(std::chrono::nanoseconds timeout) noexcept;
   Outcome try_lock() noexcept;
+  /// True while a living thread holds it, as far as its word says: reads, and changes nothing.
+  bool looks_held() const noexcept;
   void unlock() noexcept;
 
  private:

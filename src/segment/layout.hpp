@@ -61,7 +61,7 @@ struct Capacity {
 /// Offsets of the tables, computed alike by everybody from the capacity.
 struct Geometry {
   std::uint64_t participants, witnesses, directory, topics, channels, blocks, arenas, small, tags,
-      reserved, data;
+      reserved, sightings, data;
   std::uint64_t granules;  ///< in the data area
   static Geometry of(const Capacity& capacity);
 };
@@ -84,6 +84,24 @@ static_assert(sizeof(ParticipantEntry) == 64);
 struct alignas(64) LockWord {
   pthread_mutex_t mutex;
 };
+
+/// One message that a participant has been seen to hold. Written by its warden alone: emptied
+/// first, named last (release), so that who reads the name, the time and the name again (acquire)
+/// knows whether they belong together.
+struct Sighting {
+  std::atomic<std::uint64_t> what;      ///< {block + 1 : 32 | generation : 32}, 0: none
+  std::atomic<std::uint64_t> since_ns;  ///< steady clock, when it was first seen
+};
+
+/// Since when a participant holds its oldest messages: for people, nothing depends on it
+/// (docs/tool.md). What a dead one has left is overwritten by who gets its index.
+struct alignas(64) Sightings {
+  static constexpr std::uint32_t kMost = 15;
+  std::atomic<std::uint64_t> looked_ns;  ///< steady clock, when the warden last looked; 0: not yet
+  std::uint64_t reserved;
+  Sighting seen[kMost];
+};
+static_assert(sizeof(Sightings) == 256);
 
 /// What all processes look at to find each other.
 struct alignas(64) Directory {

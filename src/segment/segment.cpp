@@ -63,14 +63,16 @@ std::string mib(std::uint64_t bytes) { return std::to_string(bytes >> 20) + " Mi
 
 struct Descriptor {  // also what Boost's mapped_region maps
   int fd;
-  explicit Descriptor(int f) : fd(f) {}
+  boost::interprocess::mode_t mode;
+  explicit Descriptor(int f, boost::interprocess::mode_t m = boost::interprocess::read_write)
+      : fd(f), mode(m) {}
   ~Descriptor() {
     if (fd != -1) ::close(fd);
   }
   Descriptor(const Descriptor&) = delete;
   Descriptor& operator=(const Descriptor&) = delete;
   boost::interprocess::mapping_handle_t get_mapping_handle() const { return {fd, false}; }
-  boost::interprocess::mode_t get_mode() const { return boost::interprocess::read_write; }
+  boost::interprocess::mode_t get_mode() const { return mode; }
 };
 
 Capacity choose_size(const std::string& path, Capacity capacity) {
@@ -146,6 +148,22 @@ Header read_header(int fd, std::uint64_t& size) {
   return header;
 }
 
+Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
+  std::uint64_t file_size = 0;
+  const Header header = read_header(fd, file_size);
+  reason = objection(header, file_size);
+  if (!reason.empty()) {
+    return std::memcmp(header.identity.magic, kMagic, sizeof(kMagic)) == 0 ? Segment::Fit::Stale
+                                                                           : Segment::Fit::Foreign;
+  }
+  if (header.identity.boot != 0 && boot() != 0 && header.identity.boot != boot()) {
+    reason = "it was left by another boot of the system";
+  } else if (wanted != 0 && wanted / kReserveUnit * kReserveUnit != file_size) {
+    reason = "it has " + mib(file_size) + ", " + mib(wanted) + " were asked for";
+  }
+  return reason.empty() ? Segment::Fit::Fits : Segment::Fit::Stale;
+}
+
 }  // namespace
 
 int open_private(const std::string& path, mode_t mode, int flags) {
@@ -184,6 +202,8 @@ std::string path_of(const std::string& directory, const std::string& name) {
   return directory + "/" + name;
 }
 
+std::uint64_t topic_key(std::string_view name) { return hash(name.data(), name.size()) | 1; }
+
 Geometry Geometry::of(const Capacity& c) {
   Geometry g{};
   std::uint64_t at = kGranule;
@@ -201,6 +221,7 @@ Geometry Geometry::of(const Capacity& c) {
   table(g.arenas, c.blocks * sizeof(detail::Arena));
   table(g.tags, all_granules * sizeof(Tag));
   table(g.reserved, (c.size / kReserveUnit + 1) * sizeof(Tag));
+  table(g.sightings, c.participants * sizeof(Sightings));
   at = round_up(at, kGranule);  // payload begins on a page of its own
   table(g.small, c.blocks * kSmallBytes);
   g.data = round_up(at, kGranule);
@@ -234,7 +255,7 @@ void Segment::create(const std::string& path, Capacity capacity, mode_t mode) {
   header.capacity = capacity;
   if (pwrite(file.fd, &header, sizeof(header), 0) != sizeof(header)) fail(errno, "cannot write it");
   {
-    Segment segment(unfinished, false);
+    Segment segment(unfinished, Access::ReadWrite, false);
     for (LockWord& w : segment.witnesses()) RobustMutex::construct(w.mutex);
     RobustMutex::construct(segment.directory().lock.mutex);
   }
@@ -251,19 +272,17 @@ Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, std::
         "it belongs to another user? share it by LOT_PERMISSIONS=0660 and a common group, or "
         "set LOT_SEGMENT");
   }
-  std::uint64_t file_size = 0;
-  const Header header = read_header(file.fd, file_size);
-  reason = objection(header, file_size);
-  if (!reason.empty()) {
-    return std::memcmp(header.identity.magic, kMagic, sizeof(kMagic)) == 0 ? Fit::Stale
-                                                                           : Fit::Foreign;
+  return fit_of(file.fd, size, reason);
+}
+
+Segment::Fit Segment::inspect(const std::string& path, std::string& reason) {
+  reason.clear();
+  Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
+  if (file.fd == -1) {
+    if (errno == ENOENT) return Fit::Absent;
+    throw Error(errno, path, "cannot open it for reading", "it belongs to another user");
   }
-  if (header.identity.boot != 0 && boot() != 0 && header.identity.boot != boot()) {
-    reason = "it was left by another boot of the system";
-  } else if (size != 0 && size / kReserveUnit * kReserveUnit != file_size) {
-    reason = "it has " + mib(file_size) + ", " + mib(size) + " were asked for";
-  }
-  return reason.empty() ? Fit::Fits : Fit::Stale;
+  return fit_of(file.fd, 0, reason);
 }
 
 void Segment::remove(const std::string& path) noexcept {
@@ -278,10 +297,12 @@ bool Segment::is_at_its_path() const noexcept {
          read_header(file.fd, ignored).identity.instance == header().identity.instance;
 }
 
-Segment::Segment(const std::string& path) : Segment(path, true) {}
+Segment::Segment(const std::string& path, Access access) : Segment(path, access, true) {}
 
-Segment::Segment(const std::string& path, bool finished) : path_(path) {
-  Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
+Segment::Segment(const std::string& path, Access access, bool finished) : path_(path) {
+  const bool writable = access == Access::ReadWrite;
+  Descriptor file(::open(path.c_str(), (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW),
+                  writable ? boost::interprocess::read_write : boost::interprocess::read_only);
   if (file.fd == -1) throw Error(errno, path, "cannot open it", "may you read and write it?");
   std::uint64_t size = 0;
   const Header header = read_header(file.fd, size);
@@ -293,7 +314,7 @@ Segment::Segment(const std::string& path, bool finished) : path_(path) {
   capacity_ = header.capacity;
   geometry_ = Geometry::of(capacity_);
   try {
-    region_ = boost::interprocess::mapped_region(file, boost::interprocess::read_write, 0, size);
+    region_ = boost::interprocess::mapped_region(file, file.mode, 0, size);
   } catch (const boost::interprocess::interprocess_exception& e) {
     throw Error(e.get_native_error(), path, "cannot map it", "is there enough address space?");
   }
@@ -315,6 +336,9 @@ std::span<ParticipantEntry> Segment::participants() const noexcept {
 }
 std::span<LockWord> Segment::witnesses() const noexcept {
   return {at<LockWord>(geometry_.witnesses), capacity_.participants};
+}
+std::span<Sightings> Segment::sightings() const noexcept {
+  return {at<Sightings>(geometry_.sightings), capacity_.participants};
 }
 Directory& Segment::directory() const noexcept { return *at<Directory>(geometry_.directory); }
 std::span<TopicEntry> Segment::topics() const noexcept {

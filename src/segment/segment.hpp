@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <span>
 #include <string>
+#include <string_view>
 #include <sys/types.h>
 
 #include <boost/interprocess/mapped_region.hpp>
@@ -19,6 +20,9 @@ int open_private(const std::string& path, mode_t mode, int flags = 0);
 
 /// "<directory>/<name>", after a check that the name is one. Throws lot::Error.
 std::string path_of(const std::string& directory, const std::string& name);
+
+/// What arenas say of the topic that their messages were made for; never 0.
+std::uint64_t topic_key(std::string_view name);
 
 /// One segment, mapped. All tables are reached through it; nothing here is shared state of its own.
 ///
@@ -36,12 +40,18 @@ class Segment {
   };
   /// What is at path; `size` 0 means any. Says why it does not fit in `reason`.
   static Fit examine(const std::string& path, std::uint64_t size, std::string& reason);
+  /// The same for who only looks: opens it for reading.
+  static Fit inspect(const std::string& path, std::string& reason);
   static void remove(const std::string& path) noexcept;
   /// False when the path names another file by now, or none.
   bool is_at_its_path() const noexcept;
 
+  enum class Access {
+    ReadWrite,
+    ReadOnly  ///< REQUIRES: nothing is written through it
+  };
   /// Maps the segment at path. Throws lot::Error when it is not one, with the reason.
-  explicit Segment(const std::string& path);
+  explicit Segment(const std::string& path, Access access = Access::ReadWrite);
 
   const std::string& path() const noexcept { return path_; }
   const Header& header() const noexcept { return *reinterpret_cast<const Header*>(base_); }
@@ -51,6 +61,7 @@ class Segment {
 
   std::span<ParticipantEntry> participants() const noexcept;
   std::span<LockWord> witnesses() const noexcept;
+  std::span<Sightings> sightings() const noexcept;
   Directory& directory() const noexcept;
   std::span<TopicEntry> topics() const noexcept;
   std::span<ChannelEntry> channels() const noexcept;
@@ -88,7 +99,7 @@ class Segment {
   std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
 
  private:
-  Segment(const std::string& path, bool finished);
+  Segment(const std::string& path, Access access, bool finished);
   template <class T>
   T* at(std::uint64_t offset) const noexcept {
     return reinterpret_cast<T*>(base_ + offset);

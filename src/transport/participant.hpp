@@ -47,9 +47,9 @@ class Participant {
   void check_usable() const;
   bool inert() const noexcept { return inert_; }
 
-  /// A pool for a new publisher (or for an engine's own messages). It belongs to the participant
-  /// and is used again after its publisher has gone and its last message has died.
-  Pool& open_pool();
+  /// A pool for a new publisher (or, without a topic, for an engine's own messages). It belongs to
+  /// the participant and is used again after its publisher has gone and its last message has died.
+  Pool& open_pool(std::string_view topic = {});
   /// Its publisher has gone. `blocks` are held by the publisher's ring, or were retired from it:
   /// those holds go once the ring is closed.
   void close_pool(Pool& pool, const registry::ChannelName& ring,
@@ -145,6 +145,8 @@ class Participant {
   void start_warden();
   void warden();
   void keep_own_lock() noexcept;
+  void forget_sightings() noexcept;
+  void note_sightings() noexcept;
   bool enter_orphanage() noexcept;
   void leave_orphanage() noexcept;
   bool finish_closing() noexcept;
@@ -194,6 +196,8 @@ class Participant {
   std::atomic<bool> left_{false};
   std::mutex leave_mutex_;
   bool lock_lost_ = false;  ///< our byte must be locked again; the warden's
+  /// What we were seen to hold at the last look, and since when; the warden's.
+  std::unordered_map<std::uint64_t, std::uint64_t> held_since_;
 
   /// {closing : 1 | references : 31 | inside : 32}. Closing: all handles have gone. References: the
   /// membership is one, each weak pointer and each thread inside is one; at none the object

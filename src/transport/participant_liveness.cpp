@@ -98,7 +98,10 @@ void Participant::warden() {
     witness.unlock();
     held = false;
   }
-  if (held) part(index()).store(1, std::memory_order_release);
+  if (held) {
+    forget_sightings();
+    part(index()).store(1, std::memory_order_release);
+  }
   std::unique_lock lock(warden_mutex_);
   witness_ = held ? Witness::Held : Witness::Refused;
   warden_signal_.notify_all();
@@ -111,6 +114,7 @@ void Participant::warden() {
     const bool look_at_blocks = ++round % kWardenRoundsPerSearch == 0;
     if (reap_dead() || look_at_blocks || has_orphan_rings()) collect();
     finish_closing();
+    if (look_at_blocks) note_sightings();
     lock.lock();
   }
   lock.unlock();

@@ -67,11 +67,13 @@ bool Participant::finish_closing() noexcept {
   return true;
 }
 
-Pool& Participant::open_pool() {
+Pool& Participant::open_pool(std::string_view topic) {
+  const std::uint64_t key = topic.empty() ? 0 : segment::topic_key(topic);
   const std::lock_guard guard(pools_mutex_);
   if (!idle_.empty()) {
     Pool* pool = idle_.back();
     idle_.pop_back();
+    pool->serve(key);
     return *pool;
   }
   if (pools_.size() == pools_.capacity()) {
@@ -79,6 +81,7 @@ Pool& Participant::open_pool() {
                 "make the segment with a larger EngineOptions::channels");
   }
   pools_.push_back(std::make_unique<Pool>(holder_, static_cast<std::uint32_t>(pools_.size())));
+  pools_.back()->serve(key);
   return *pools_.back();
 }
 

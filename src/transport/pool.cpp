@@ -94,6 +94,7 @@ std::uint32_t Pool::claim() {
     arena.data = holder_.segment->granule_offset(0);
     arena.extents = 0;
     arena.references = 0;
+    arena.topic = topic_;
     return b;
   }
   return kNone;

@@ -63,6 +63,8 @@ class Pool {
       : holder_(holder), index_(index), is_kept_(holder.segment->capacity().blocks, false) {}
 
   BiasedLock& lock() noexcept { return lock_; }
+  /// For whom it will claim blocks: the key of a topic, or 0. REQUIRES: the pool is not in use.
+  void serve(std::uint64_t topic) noexcept { topic_ = topic; }
 
   /// An exclusively owned block for a message of this type, or kNone. Locked.
   static constexpr std::uint32_t kNone = ~std::uint32_t{0};
@@ -116,6 +118,7 @@ class Pool {
 
   Holder& holder_;
   std::uint32_t index_;
+  std::uint64_t topic_ = 0;
   BiasedLock lock_;
   std::vector<std::uint32_t> ready_;
   std::deque<std::uint32_t> free_;  ///< retired and unprotected, still with the ring's hold

@@ -35,7 +35,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
   Pusher(std::shared_ptr<Participant> participant, std::string_view topic,
          const detail::MessageType& type, const PusherOptions& options, detail::Delivery delivery)
-      : participant_(std::move(participant)), pool_(participant_->open_pool()) {
+      : participant_(std::move(participant)), pool_(participant_->open_pool(topic)) {
     try {
       check_depth(topic, options.depth);
       const QueueEngine engine = Participant::queue_engine(options.engine);

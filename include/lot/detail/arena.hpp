@@ -44,7 +44,8 @@ struct Arena {
   std::uint64_t references;     ///< offset of the first ReferenceList, 0: none
   Extent extent[kMaxExtents];
   std::uint64_t data;  ///< offset of granule 0
-  std::uint64_t padding[3];
+  std::uint64_t topic;  ///< key of the topic that the block is loaned for, 0: none; for people
+  std::uint64_t padding[2];
 
   unsigned char* base() { return reinterpret_cast<unsigned char*>(this) - self; }
 

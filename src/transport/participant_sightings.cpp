@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+/// Since when a participant holds what it holds: a table for people, which the warden writes after
+/// its search, so that it costs a loan, a pull and a release nothing.
+#include <algorithm>
+#include <array>
+#include <new>
+
+#include "transport/participant.hpp"
+
+namespace lot::transport {
+namespace {
+
+using segment::Sighting;
+using segment::Sightings;
+
+std::uint64_t now_ns() {
+  return static_cast<std::uint64_t>(futex::Clock::now().time_since_epoch() /
+                                    std::chrono::nanoseconds(1));
+}
+
+void write(Sighting& place, std::uint64_t what, std::uint64_t since_ns) {
+  if (place.what.load(std::memory_order_relaxed) == what) return;
+  place.what.store(0, std::memory_order_relaxed);
+  place.since_ns.store(since_ns, std::memory_order_release);  // who sees it sees the name gone
+  place.what.store(what, std::memory_order_release);          // carries the time
+}
+
+}  // namespace
+
+/// What the one before us at this index has left. Before we are in the segment, so that nobody
+/// takes it for ours.
+void Participant::forget_sightings() noexcept {
+  Sightings& table = segment_.sightings()[index()];
+  for (Sighting& place : table.seen) place.what.store(0, std::memory_order_relaxed);
+  table.looked_ns.store(0, std::memory_order_relaxed);
+}
+
+/// Crash: killed anywhere in here, a place is empty or true.
+void Participant::note_sightings() noexcept {
+  const std::uint64_t now = now_ns();
+  std::unordered_map<std::uint64_t, std::uint64_t> held;
+  const auto add = [&](std::uint32_t b) {
+    const std::uint64_t what =
+        std::uint64_t{b + 1} << 32 |
+        refcount::generation_of(block(b).life.load(std::memory_order_relaxed));
+    const auto before = held_since_.find(what);
+    held.emplace(what, before != held_since_.end() ? before->second : now);
+  };
+  try {
+    for (std::uint32_t b = 0; b < blocks(); ++b) {
+      auto& words = block(b);
+      const std::uint64_t own =
+          HardwareOwnership::word(words, index()).load(std::memory_order_relaxed);
+      if ((own & HardwareOwnership::bit(index())) == 0) continue;
+      const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);
+      // At home a lone pointer may be the pool's, on a block that waits for a loan.
+      const bool spare =
+          (v & hold::kHome) != 0 && words.home_points.load(std::memory_order_relaxed) == 0;
+      if (hold::pointers(v) != 0 && !spare) add(b);
+    }
+    for (std::uint32_t c = 0; c < channels(); ++c) {
+      const auto state = ring::writer_state(channel_writer(c).load(std::memory_order_acquire));
+      if (state != ring::State::Live && state != ring::State::Orphan) continue;
+      const segment::Ring r = ring(c);
+      for (std::uint32_t i = 0; i < r.readers; ++i) {
+        // A ring that is recycled meanwhile may say anything: no harm comes of that.
+        if (r.who[i].load(std::memory_order_relaxed) != index() + 1) continue;
+        const ring::Word position = r.cells[i].position.load(std::memory_order_relaxed);
+        if (position != ring::kIdle && ring::block(position) < blocks()) {
+          add(static_cast<std::uint32_t>(ring::block(position)));
+        }
+      }
+    }
+  } catch (const std::bad_alloc&) {
+    return;  // people will have to wait
+  }
+
+  // The oldest first, so that those which stay mostly keep their places.
+  std::array<std::pair<std::uint64_t, std::uint64_t>, Sightings::kMost> oldest{};
+  const auto end = std::partial_sort_copy(
+      held.begin(), held.end(), oldest.begin(), oldest.end(),
+      [](const auto& a, const auto& b) {
+        return a.second != b.second ? a.second < b.second : a.first < b.first;
+      });
+  Sightings& table = segment_.sightings()[index()];
+  for (auto place = oldest.begin(); place != end; ++place) {
+    write(table.seen[place - oldest.begin()], place->first, place->second);
+  }
+  for (auto place = end; place != oldest.end(); ++place) {
+    table.seen[place - oldest.begin()].what.store(0, std::memory_order_relaxed);
+  }
+  table.looked_ns.store(now, std::memory_order_release);
+  held_since_ = std::move(held);
+}
+
+}  // namespace lot::transport
