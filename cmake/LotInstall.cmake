@@ -6,6 +6,9 @@ include(CMakePackageConfigHelpers)
 set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
 
 install(TARGETS lot EXPORT lotTargets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
+if(TARGET lot_cli)
+  install(TARGETS lot_cli DESTINATION ${CMAKE_INSTALL_BINDIR})
+endif()
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot
   DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
   FILES_MATCHING PATTERN "*.hpp")

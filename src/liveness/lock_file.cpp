@@ -119,8 +119,7 @@ void LockFile::abandon() noexcept {
 LockProbe::LockProbe(const std::string& path) noexcept
     : fd_(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK)) {
   struct stat status {};
-  if (fd_ == -1 ||
-      (fstat(fd_, &status) == 0 && S_ISREG(status.st_mode) && status.st_size == 0)) {
+  if (fd_ == -1 || (fstat(fd_, &status) == 0 && S_ISREG(status.st_mode) && status.st_size == 0)) {
     return;
   }
   ::close(fd_);

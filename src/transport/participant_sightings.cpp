@@ -78,8 +78,7 @@ void Participant::note_sightings() noexcept {
   // The oldest first, so that those which stay mostly keep their places.
   std::array<std::pair<std::uint64_t, std::uint64_t>, Sightings::kMost> oldest{};
   const auto end = std::partial_sort_copy(
-      held.begin(), held.end(), oldest.begin(), oldest.end(),
-      [](const auto& a, const auto& b) {
+      held.begin(), held.end(), oldest.begin(), oldest.end(), [](const auto& a, const auto& b) {
         return a.second != b.second ? a.second < b.second : a.first < b.first;
       });
   Sightings& table = segment_.sightings()[index()];

@@ -43,7 +43,7 @@ struct Arena {
   std::uint16_t changed_hands;  ///< 1: another process than the home may have changed the message
   std::uint64_t references;     ///< offset of the first ReferenceList, 0: none
   Extent extent[kMaxExtents];
-  std::uint64_t data;  ///< offset of granule 0
+  std::uint64_t data;   ///< offset of granule 0
   std::uint64_t topic;  ///< key of the topic that the block is loaned for, 0: none; for people
   std::uint64_t padding[2];
 

@@ -1,0 +1,196 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cerrno>
+#include <memory>
+#include <sys/stat.h>
+#include <thread>
+#include <unistd.h>
+
+#include "lot/error.hpp"
+
+#include "liveness/lock_file.hpp"
+#include "tool/report.hpp"
+#include "tool/text.hpp"
+#include "transport/participant.hpp"
+
+namespace lot::tool {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::chrono::milliseconds kGatePatience = 2s;
+/// A reaper may be at it just now.
+constexpr auto kReapPatience = 2s;
+
+/// Byte locks of living processes, whatever the version of their segment.
+constexpr std::uint32_t kAnybody = segment::kMaxParticipants;
+
+mode_t mode_of(const std::string& path, const std::string& or_of) {
+  struct stat status {};
+  if (stat(path.c_str(), &status) != 0 && stat(or_of.c_str(), &status) != 0) return 0600;
+  return (status.st_mode & 0666) | 0600;
+}
+
+/// Those in the segment who live by their witnesses: they may have lost their locks. Only of a
+/// segment that this build can read, and of this boot.
+bool has_witnesses(const Sight& s) { return s.window != nullptr && !living(*s.window).empty(); }
+
+class Cleaner {
+ public:
+  Cleaner(const Settings& settings, bool dry_run, Report& report)
+      : where_(settings.where), dry_(dry_run), report_(report) {
+    for (const char* list : {"removed", "reaped", "left_alone"}) {
+      report_.document()[list] = Json::array();
+    }
+    report_.document()["dry_run"] = dry_run;
+  }
+
+  void clean(Sight s) {
+    if (s.condition == Sight::Condition::Unreadable) return leave_alone(s.path, s.reason, kWrong);
+    const liveness::LockProbe locks(s.path + ".lock");
+    if (!locks.is_held(0, kAnybody) && !has_witnesses(s)) {
+      s.window.reset();
+      return remove(s.name, s.path, "nobody lives in it");
+    }
+    if (s.window == nullptr) return leave_alone(s.path, s.reason + ", and it is in use", kDamaged);
+    reap(s);
+  }
+
+  void remove(const std::string& name, const std::string& path, const std::string& why) {
+    if (dry_) return removed(path, why);
+    try {
+      if (try_remove(name)) {
+        removed(path, why);
+      } else if (exists(path)) {
+        leave_alone(path, "somebody has come meanwhile", kWell);
+      }
+    } catch (const Error& e) {
+      leave_alone(path, e.what(), kWrong);
+    }
+  }
+
+  void leave_alone(const std::string& path, const std::string& why, Exit exit) {
+    report_.document()["left_alone"].push_back({{"path", path}, {"why", why}});
+    report_.print("left alone  " + printable(path, 200) + ": " + printable(why, 300) + "\n");
+    report_.ends(exit);
+  }
+
+ private:
+  void removed(const std::string& path, const std::string& why) {
+    report_.document()["removed"].push_back({{"path", path}, {"why", why}});
+    report_.print((dry_ ? "would remove  " : "removed  ") + printable(path, 200) + ": " + why +
+                  "\n");
+  }
+
+  /// Under the gate nobody can come; so whoever is not there now will find nothing, and make it
+  /// anew. False: somebody is there.
+  bool try_remove(const std::string& name) {
+    const std::string path = path_of(where_, name);
+    const std::string lock_path = path + ".lock";
+    const mode_t mode = mode_of(lock_path, path);
+    for (;;) {
+      const bool made = !exists(lock_path);
+      liveness::LockFile lock(lock_path, mode);
+      if (!lock.enter_gate(kGatePatience)) continue;  // removed meanwhile: once more
+      struct Gate {
+        liveness::LockFile& lock;
+        ~Gate() { lock.leave_gate(); }
+      } gate{lock};
+      const bool in_use = lock.held_by_other(0, kAnybody) ||
+                          (exists(path) && has_witnesses(sight(where_.directory, name)));
+      if (in_use) {
+        if (made) ::unlink(lock_path.c_str());
+        return false;
+      }
+      segment::Segment::remove(path);
+      ::unlink(lock_path.c_str());
+      for (const auto& left : {path, path + ".new", lock_path}) {
+        if (exists(left)) throw Error(EACCES, left, "cannot remove it", "its owner can");
+      }
+      return true;
+    }
+  }
+
+  /// Some live, some may be dead: joins as any process does, which is how the dead are reaped.
+  void reap(Sight& s) {
+    const auto the_dead = dead(*s.window);
+    std::vector<std::string> names;
+    const Observation seen = observe(*s.window);
+    for (const std::uint32_t k : the_dead) names.push_back(seen.who(k));
+    if (!seen.damage.empty()) {
+      return leave_alone(s.path, "it is damaged (" + seen.damage.front() + "), and it is in use",
+                         kDamaged);
+    }
+    std::vector<std::uint32_t> left = the_dead;
+    if (!dry_ && !the_dead.empty()) {
+      try {
+        EngineOptions options;
+        options.directory = where_.directory;
+        options.segment = s.name;
+        options.permissions = mode_of(s.path + ".lock", s.path);
+        options.name = "lot clean";
+        const auto participant = transport::Participant::join(options);
+        const auto until = std::chrono::steady_clock::now() + kReapPatience;
+        while (!(left = still_dead(s, the_dead)).empty() &&
+               std::chrono::steady_clock::now() < until) {
+          participant->reap_dead();
+          participant->collect();
+          std::this_thread::sleep_for(1ms);
+        }
+      } catch (const Error& e) {
+        return leave_alone(s.path, e.what(), kWrong);
+      }
+    }
+    for (std::size_t i = 0; i < the_dead.size(); ++i) {
+      const bool gone = dry_ || std::count(left.begin(), left.end(), the_dead[i]) == 0;
+      if (!gone) {
+        leave_alone(s.path,
+                    names[i] +
+                        " is dead and could not be reaped: look for a stopped "
+                        "process (state T in ps)",
+                    kWrong);
+        continue;
+      }
+      report_.document()["reaped"].push_back({{"path", s.path}, {"process", the_dead[i]}});
+      report_.print((dry_ ? "would reap  " : "reaped  ") + printable(names[i]) + " in " +
+                    printable(s.path, 200) + "\n");
+    }
+  }
+
+  static std::vector<std::uint32_t> still_dead(Sight& s, const std::vector<std::uint32_t>& were) {
+    auto now = dead(*s.window);
+    std::erase_if(now,
+                  [&](std::uint32_t k) { return std::count(were.begin(), were.end(), k) == 0; });
+    return now;
+  }
+
+  Where where_;
+  bool dry_;
+  Report& report_;
+};
+
+}  // namespace
+
+Exit clean(const Settings& settings, bool dry_run) {
+  // What the library would take for itself when it joins.
+  for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS"}) unsetenv(name);
+  Report report(settings);
+  Cleaner cleaner(settings, dry_run, report);
+  const Places places = find_places(settings.where);
+  for (auto& s : sights(settings.where)) cleaner.clean(std::move(s));
+  for (const auto& name : places.unfinished) {
+    const std::string path = path_of(settings.where, name);
+    if (!exists(path)) cleaner.remove(name, path + ".new", "its maker has died");
+  }
+  for (const auto& name : places.locks) {
+    cleaner.remove(name, path_of(settings.where, name) + ".lock", "it has no segment");
+  }
+  for (const auto& name : places.doubtful) {
+    cleaner.leave_alone(path_of(settings.where, name) + ".lock",
+                        "it may be anybody's; `lot clean --segment " + name + "` removes it",
+                        kWell);
+  }
+  return report.finish();
+}
+
+}  // namespace lot::tool

@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <thread>
+
+#include "tool/report.hpp"
+#include "tool/text.hpp"
+
+namespace lot::tool {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+struct Rates {
+  Heads before;
+  Clock::time_point when;
+};
+
+/// Messages a second, or nothing when the queue is younger than the first look.
+Json rate_of(const Channel& c, const Rates& rates, Clock::time_point now) {
+  const auto before = rates.before.find({c.channel, c.generation});
+  const double seconds = std::chrono::duration<double>(now - rates.when).count();
+  if (before == rates.before.end() || seconds <= 0) return nullptr;
+  const auto n = ring::distance(c.next, before->second);
+  return static_cast<double>(n > 0 ? n : 0) / seconds;
+}
+
+const char* engine_of(const Channel&) { return "ring"; }
+const char* policy_of(const Channel& c) { return c.blocking ? "block" : "overwrite"; }
+
+double age_of(const Process& p) {
+  const auto now =
+      std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1);
+  const auto since = static_cast<std::int64_t>(p.since_ns);
+  return now > since ? static_cast<double>(now - since) * 1e-9 : 0.0;
+}
+
+void list_processes(const Observation& seen, Report& report, Json& entry) {
+  Table table({"PROCESS", "PID", "SINCE", "MEMORY", ""});
+  entry["processes"] = Json::array();
+  for (const auto& p : seen.processes) {
+    table.add({printable(seen.who(p.index)), std::to_string(p.pid), age_text(age_of(p)),
+               bytes_text(p.bytes), p.alive ? "" : "dead"});
+    entry["processes"].push_back({{"index", p.index},
+                                  {"name", p.name},
+                                  {"pid", p.pid},
+                                  {"since_unix", static_cast<double>(p.since_ns) * 1e-9},
+                                  {"alive", p.alive},
+                                  {"bytes", p.bytes}});
+  }
+  if (!table.empty()) report.print(table.text() + "\n");
+}
+
+std::string lag_text(const Reader& r) {
+  return r.joining ? "joining" : std::to_string(r.lag) + (r.holds_back ? " !" : "");
+}
+
+class TopicList {
+ public:
+  TopicList(const Observation& seen, const Rates& rates, Clock::time_point now)
+      : seen_(seen), rates_(rates), now_(now) {}
+
+  void list(Report& report, Json& entry) {
+    entry["topics"] = Json::array();
+    for (const auto& topic : seen_.topics) entry["topics"].push_back(list(topic));
+    // Readers of a queue that nobody writes to any more, of a topic that nobody is on any more.
+    if (!table_.empty()) report.print(table_.text());
+  }
+
+ private:
+  Json list(const Topic& topic) {
+    Json out = {{"name", topic.name},
+                {"type", topic.type},
+                {"type_bytes", topic.type_size},
+                {"publishers", Json::array()},
+                {"subscribers", Json::array()}};
+    first_ = {printable(topic.name, 40), printable(topic.type, 32)};
+    for (const auto& c : seen_.channels) {
+      if (c.topic == topic.index) list(c, out);
+    }
+    for (const std::uint32_t k : topic.users) {
+      if (!is_in_a_queue(topic, k)) list_waiting(k, out);
+    }
+    return out;
+  }
+
+  void list(const Channel& c, Json& out) {
+    const Json rate = rate_of(c, rates_, now_);
+    out["publishers"].push_back({{"process", c.publisher},
+                                 {"channel", c.channel},
+                                 {"gone", c.orphan},
+                                 {"engine", engine_of(c)},
+                                 {"policy", policy_of(c)},
+                                 {"depth", c.depth},
+                                 {"held", c.queue.size()},
+                                 {"published", c.published},
+                                 {"per_second", rate},
+                                 {"waits_for_room", c.waits}});
+    row({c.orphan ? "publisher (gone)" : "publisher", printable(seen_.who(c.publisher), 24),
+         engine_of(c), policy_of(c),
+         std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
+         rate.is_null() ? "" : rate_text(rate.get<double>()), c.waits ? "waits" : ""});
+    for (const auto& r : c.readers) {
+      out["subscribers"].push_back({{"process", r.process},
+                                    {"channel", c.channel},
+                                    {"joining", r.joining},
+                                    {"lag", r.lag},
+                                    {"lost", r.lost},
+                                    {"holds_back", r.holds_back}});
+      row({"subscriber", printable(seen_.who(r.process), 24), "", "", "", "", lag_text(r),
+           r.lost != 0 ? count_text(r.lost) : ""});
+    }
+  }
+
+  void list_waiting(std::uint32_t k, Json& out) {
+    out["subscribers"].push_back({{"process", k},
+                                  {"channel", nullptr},
+                                  {"joining", false},
+                                  {"lag", 0},
+                                  {"lost", 0},
+                                  {"holds_back", false}});
+    row({"subscriber", printable(seen_.who(k), 24), "", "", "", "", "no publisher"});
+  }
+
+  bool is_in_a_queue(const Topic& topic, std::uint32_t k) const {
+    return std::any_of(seen_.channels.begin(), seen_.channels.end(), [&](const Channel& c) {
+      return c.topic == topic.index &&
+             (c.publisher == k || std::any_of(c.readers.begin(), c.readers.end(),
+                                              [k](const Reader& r) { return r.process == k; }));
+    });
+  }
+
+  void row(std::vector<std::string> cells) {
+    cells.insert(cells.begin(), first_.begin(), first_.end());
+    table_.add(std::move(cells));
+    first_ = {"", ""};
+  }
+
+  const Observation& seen_;
+  const Rates& rates_;
+  Clock::time_point now_;
+  std::vector<std::string> first_;
+  Table table_{
+      {"TOPIC", "TYPE", "ROLE", "PROCESS", "ENGINE", "POLICY", "HELD", "RATE", "LAG", "LOST"}};
+};
+
+void list(const Sight& sight, const Rates& rates, Report& report) {
+  Json entry;
+  if (introduce(sight, report, entry)) {
+    const Observation seen = observe(*sight.window);
+    const auto now = Clock::now();
+    entry["instance"] = seen.instance;
+    entry["memory"] = {{"used_bytes", seen.memory.used}, {"total_bytes", seen.memory.total}};
+    entry["blocks"] = {{"used", seen.blocks.used}, {"total", seen.blocks.total}};
+    report.print(": " + bytes_text(seen.memory.used) + " of " + bytes_text(seen.memory.total) +
+                 ", " + std::to_string(seen.blocks.used) + " of " +
+                 std::to_string(seen.blocks.total) + " messages\n\n");
+    list_processes(seen, report, entry);
+    TopicList(seen, rates, now).list(report, entry);
+    judge(sight, seen, report, entry);
+    for (const auto& c : seen.channels) {
+      if (!c.waits) continue;
+      report.hint("publisher " + printable(seen.who(c.publisher)) +
+                  " waits for room: `lot who` says for whom");
+    }
+  }
+  report.document()["segments"].push_back(std::move(entry));
+}
+
+}  // namespace
+
+Exit ls(const Settings& settings, std::chrono::milliseconds interval) {
+  Report report(settings);
+  report.document()["segments"] = Json::array();
+  const auto found = sights(settings.where);
+  if (found.empty()) nothing_found(settings, report);
+  std::vector<Rates> rates;
+  for (const auto& sight : found) {
+    rates.push_back({sight.window != nullptr ? heads(*sight.window) : Heads(), Clock::now()});
+  }
+  if (std::any_of(rates.begin(), rates.end(), [](const Rates& r) { return !r.before.empty(); })) {
+    std::this_thread::sleep_for(interval);
+  }
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    if (i != 0) report.print("\n");
+    list(found[i], rates[i], report);
+  }
+  return report.finish();
+}
+
+}  // namespace lot::tool

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cstdio>
+#include <string>
+
+#include <CLI/CLI.hpp>
+
+#include "lot/error.hpp"
+#include "lot/options.hpp"
+
+#include "segment/layout.hpp"
+#include "tool/commands.hpp"
+
+namespace {
+
+constexpr const char* kFooter =
+    "Exit status:\n"
+    "  0  all is well\n"
+    "  1  nothing was found, or something is wrong: the last lines say what to do\n"
+    "  2  wrong usage\n"
+    "  3  a segment is damaged, or of another version\n"
+    "\n"
+    "`ls` and `who` only read. docs/tool.md says what the words mean.";
+
+int run(int argc, char** argv) {
+  using namespace lot::tool;
+  CLI::App app{"Looks at LOT segments, and cleans up what the dead have left", "lot"};
+  Settings settings;
+  settings.where.directory = lot::EngineOptions().directory;
+  app.set_version_flag("--version", std::string("lot " LOT_VERSION ", layout ") +
+                                        std::to_string(lot::segment::kLayoutVersion));
+  app.footer(kFooter);
+  app.require_subcommand(1);
+  app.fallthrough();
+  app.add_option("-s,--segment", settings.where.name, "only this segment")->envname("LOT_SEGMENT");
+  app.add_option("-d,--dir", settings.where.directory, "where segments lie")
+      ->envname("LOT_DIR")
+      ->capture_default_str();
+  app.add_flag("--json", settings.json, "for programs");
+
+  auto* const list =
+      app.add_subcommand("ls", "Segments, processes, topics, publishers and subscribers, memory");
+  unsigned interval_ms = 300;
+  list->add_option("--interval", interval_ms, "milliseconds over which rates are measured")
+      ->check(CLI::Range(1, 600000))
+      ->capture_default_str();
+  auto* const holders =
+      app.add_subcommand("who", "Who holds which message since when, and who is behind");
+  bool all = false;
+  holders->add_flag("--all", all, "queued messages too, and those that are loaned or spare");
+  auto* const cleaner =
+      app.add_subcommand("clean", "Reaps the dead, and removes what nobody lives in");
+  bool dry_run = false;
+  cleaner->add_flag("--dry-run", dry_run, "only says what would be done");
+
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? kWell : kUsage;
+  }
+  if (*list) return ls(settings, std::chrono::milliseconds(interval_ms));
+  if (*holders) return who(settings, all);
+  return clean(settings, dry_run);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    return run(argc, argv);
+  } catch (const lot::Error& e) {
+    std::fprintf(stderr, "%s\n", e.what());
+    return lot::tool::kWrong;
+  } catch (const std::bad_alloc&) {
+    std::fprintf(stderr, "lot: out of memory\n");
+    return lot::tool::kWrong;
+  }
+}

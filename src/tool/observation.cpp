@@ -1,0 +1,447 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tool/observation.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <set>
+
+#include "liveness/lock_file.hpp"
+#include "robust_mutex/robust_mutex.hpp"
+#include "transport/pool.hpp"
+
+namespace lot::tool {
+namespace {
+
+using ring::Word;
+using segment::Segment;
+using Own = transport::HardwareOwnership;
+
+constexpr std::size_t kMostComplaints = 20;
+
+std::string text_of(const char* bytes, std::size_t room) { return {bytes, strnlen(bytes, room)}; }
+
+double seconds_between(std::uint64_t earlier_ns, std::uint64_t later_ns) {
+  return later_ns > earlier_ns ? static_cast<double>(later_ns - earlier_ns) * 1e-9 : 0.0;
+}
+
+/// What one participant's warden has noted.
+struct Noted {
+  std::map<std::uint64_t, std::uint64_t> since_ns;  ///< by Sighting::what
+  std::uint64_t looked_ns = 0;
+  std::uint64_t youngest_ns = 0;
+};
+
+class Observer {
+ public:
+  explicit Observer(Window& window) : s_(window.segment()), capacity_(s_.capacity()) {}
+
+  Observation look() {
+    seen_.instance = s_.header().identity.instance;
+    find_processes();
+    find_topics();
+    for (std::uint32_t c = 0; c < capacity_.channels; ++c) find_channel(c);
+    count_memory();
+    find_references();
+    note_queues();
+    const auto now = std::chrono::steady_clock::now().time_since_epoch();
+    now_ns_ = static_cast<std::uint64_t>(now / std::chrono::nanoseconds(1));
+    for (std::uint32_t b = 0; b < capacity_.blocks; ++b) find_message(b);
+    return std::move(seen_);
+  }
+
+ private:
+  void complain(const std::string& what) {
+    if (seen_.damage.size() < kMostComplaints) seen_.damage.push_back(what);
+  }
+
+  bool taken(std::uint32_t k) const { return k < taken_.size() && taken_[k]; }
+
+  void find_processes() {
+    const liveness::LockProbe locks(s_.path() + ".lock");
+    taken_.assign(capacity_.participants, false);
+    noted_.resize(capacity_.participants);
+    for (std::uint32_t k = 1; k < capacity_.participants; ++k) {
+      auto& entry = s_.participants()[k];
+      const std::uint32_t state = entry.state.load(std::memory_order_acquire);
+      if (state == 0) continue;
+      if (state != 1)
+        complain("process " + std::to_string(k) + ": its state is " + std::to_string(state));
+      taken_[k] = true;
+      const bool alive = locks.is_held(k) || RobustMutex(s_.witnesses()[k].mutex).looks_held();
+      seen_.processes.push_back(
+          {k, text_of(entry.name, sizeof(entry.name)), entry.pid, entry.since_ns, alive, 0});
+      read_notes(k);
+    }
+  }
+
+  void read_notes(std::uint32_t k) {
+    const segment::Sightings& table = s_.sightings()[k];
+    Noted& noted = noted_[k];
+    noted.looked_ns = table.looked_ns.load(std::memory_order_acquire);
+    for (const auto& place : table.seen) {
+      const std::uint64_t what = place.what.load(std::memory_order_acquire);
+      const std::uint64_t since = place.since_ns.load(std::memory_order_acquire);
+      if (what == 0 || place.what.load(std::memory_order_relaxed) != what) continue;
+      noted.since_ns[what] = since;
+      noted.youngest_ns = std::max(noted.youngest_ns, since);
+    }
+  }
+
+  void find_topics() {
+    const auto topics = s_.topics();
+    for (std::uint32_t t = 0; t < topics.size(); ++t) {
+      const auto& entry = topics[t];
+      Topic topic{t,
+                  text_of(entry.name, sizeof(entry.name)),
+                  text_of(entry.type_name, sizeof(entry.type_name)),
+                  entry.type_size,
+                  {}};
+      if (!topic.name.empty()) name_of_key_[segment::topic_key(topic.name)] = topic.name;
+      for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
+        const auto users =
+            entry.users[k / segment::Atomics::kBitsPerWord].load(std::memory_order_acquire);
+        if ((users & Own::bit(k)) == 0) continue;
+        if (k == 0 || k >= capacity_.participants) {
+          complain("topic " + std::to_string(t) + ": a user " + std::to_string(k) + " can not be");
+        } else {
+          topic.users.push_back(k);
+        }
+      }
+      if (!topic.users.empty()) seen_.topics.push_back(std::move(topic));
+    }
+  }
+
+  void find_channel(std::uint32_t c) {
+    auto& entry = s_.channels()[c];
+    const Word w = entry.writer.load(std::memory_order_acquire);
+    const auto state = ring::writer_state(w);
+    if (state == ring::State::Free || state == ring::State::Init) return;
+    const auto wrong = [&](const std::string& what) {
+      // What was recycled meanwhile may look like anything.
+      if (entry.writer.load(std::memory_order_acquire) == w) {
+        complain("queue " + std::to_string(c) + ": " + what);
+      }
+    };
+    Channel channel{c,
+                    ring::writer_generation(w),
+                    state == ring::State::Orphan,
+                    ring::writer_owner(w),
+                    entry.topic,
+                    0,
+                    false,
+                    false,
+                    0,
+                    0,
+                    {},
+                    {}};
+    if (state != ring::State::Live && state != ring::State::Orphan) {
+      return wrong("its state is " + std::to_string(static_cast<unsigned>(state)));
+    }
+    if (channel.publisher >= capacity_.participants) return wrong("its publisher can not be");
+    if (channel.topic >= capacity_.topics) return wrong("its topic can not be");
+    const segment::Ring r = s_.ring(c);
+    if (r.depth == 0) return wrong("its numbers make no sense");
+    channel.depth = r.depth;
+    channel.blocking = r.blocking;
+    // Cursors before slots: a reader is never ahead of what is read later.
+    struct Cursor {
+      std::uint32_t who;
+      Word position;
+    };
+    std::vector<Cursor> cursors;
+    for (std::uint32_t i = 0; i < r.readers; ++i) {
+      const std::uint32_t who = r.who[i].load(std::memory_order_acquire);
+      if (who == 0) continue;
+      if (who > capacity_.participants) {
+        wrong("a reader of it can not be");
+        continue;
+      }
+      const Word position = r.cells[i].position.load(std::memory_order_acquire);
+      cursors.push_back({who - 1, position});
+    }
+    const bool marked = (r.space->load(std::memory_order_acquire) & 1) != 0;
+    bool bad_slot = false;
+    std::uint32_t newest = 0;
+    std::vector<Word> slots(r.depth);
+    for (std::uint32_t i = 0; i < r.depth; ++i) {
+      slots[i] = r.slots[i].load(std::memory_order_acquire);
+      if (ring::distance(ring::sequence(slots[i]), ring::sequence(slots[newest])) > 0) newest = i;
+    }
+    channel.next = ring::next(ring::sequence(slots[newest]));
+    channel.published = static_cast<std::uint64_t>(
+        std::max<std::int64_t>(0, ring::distance(channel.next, r.first & ring::kSequenceMask)));
+    for (std::uint32_t n = 1; n <= r.depth; ++n) {  // from the oldest
+      const Word slot = slots[(std::uint64_t{newest} + n) % r.depth];
+      const Word b = ring::block(slot);
+      if (b == ring::kNoBlock) continue;
+      if (b >= capacity_.blocks) {
+        bad_slot = true;
+        continue;
+      }
+      channel.queue.push_back({ring::sequence(slot), static_cast<std::uint32_t>(b)});
+    }
+    if (bad_slot) wrong("a slot of it names a message that can not be");
+    for (const Cursor& cursor : cursors) {
+      Reader reader{cursor.who};
+      if (cursor.position == ring::kIdle || cursor.position == ring::kPinAll) {
+        reader.joining = true;
+        reader.holds_back = cursor.position == ring::kPinAll;
+      } else {
+        const auto lag = ring::distance(channel.next, ring::sequence(cursor.position));
+        reader.lag = lag > 0 ? static_cast<std::uint64_t>(lag) : 0;
+        reader.lost = !r.blocking && reader.lag > r.depth ? reader.lag - r.depth : 0;
+        reader.holds_back = r.blocking && lag >= r.depth;
+        const Word b = ring::block(cursor.position);
+        if (b != ring::kNoBlock && b < capacity_.blocks) {
+          borrows_.insert({{static_cast<std::uint32_t>(b), cursor.who}, channel.topic});
+        } else if (b != ring::kNoBlock) {
+          wrong("a reader of it borrows a message that can not be");
+        }
+      }
+      channel.readers.push_back(reader);
+    }
+    channel.waits = marked && !channel.orphan &&
+                    std::any_of(channel.readers.begin(), channel.readers.end(),
+                                [](const Reader& x) { return x.holds_back; });
+    seen_.channels.push_back(std::move(channel));
+  }
+
+  void count_memory() {
+    granules_.assign(capacity_.blocks, 0);
+    auto& granules = s_.granules();
+    std::uint64_t used = 0;
+    std::uint64_t strange = 0;
+    for (std::uint32_t i = 0; i < granules.count(); ++i) {
+      const std::uint32_t tag = granules.tag(i);
+      if (tag == 0) continue;
+      ++used;
+      if ((tag & segment::kRingTag) != 0) {
+        strange += (tag & ~segment::kRingTag) >= capacity_.channels;
+      } else if (tag - 1 < capacity_.blocks) {
+        ++granules_[tag - 1];
+      } else {
+        ++strange;
+      }
+    }
+    if (strange != 0) {
+      complain(std::to_string(strange) + " pieces of memory belong to what can not be");
+    }
+    seen_.memory = {used * segment::kGranule, std::uint64_t{granules.count()} * segment::kGranule};
+    seen_.blocks.total = capacity_.blocks;
+  }
+
+  void find_references() {
+    transport::Holder reader;
+    reader.segment = &s_;
+    for (std::uint32_t b = 0; b < capacity_.blocks; ++b) {
+      const std::uint32_t home = s_.block(b).home.load(std::memory_order_acquire);
+      if (home == refcount::kHomeFree || home > capacity_.participants) continue;
+      reader.each_reference(b, [&](std::uint32_t target) { refers_.insert({target, home - 1}); });
+    }
+  }
+
+  void note_queues() {
+    for (const Channel& channel : seen_.channels) {
+      // An orphaned queue is the orphanage's, from the moment that its publisher's name is gone.
+      for (const Queued& q : channel.queue) {
+        queues_.insert({q.block, {channel.publisher, q.sequence, channel.topic}});
+      }
+    }
+  }
+
+  Age age_of(std::uint32_t k, std::uint32_t b, std::uint32_t generation) const {
+    const Noted& noted = noted_[k];
+    const auto found = noted.since_ns.find(std::uint64_t{b + 1} << 32 | generation);
+    if (found != noted.since_ns.end()) return {seconds_between(found->second, now_ns_), {}};
+    if (noted.looked_ns == 0) return {};
+    const bool full = noted.since_ns.size() == segment::Sightings::kMost;
+    return {{}, seconds_between(full ? noted.youngest_ns : noted.looked_ns, now_ns_)};
+  }
+
+  void find_message(std::uint32_t b) {
+    auto& words = s_.block(b);
+    std::uint64_t own[segment::Atomics::kOwnWords];
+    std::uint64_t life = 0;
+    std::uint32_t home = 0;
+    std::uint32_t home_points = 0;
+    // A message that dies while it is read is read once more.
+    for (int tries = 0; tries < 3; ++tries) {
+      life = words.life.load(std::memory_order_acquire);
+      home = words.home.load(std::memory_order_acquire);
+      home_points = words.home_points.load(std::memory_order_acquire);
+      for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
+        own[w] = words.own[w].load(std::memory_order_acquire);
+      }
+      if (words.life.load(std::memory_order_acquire) == life) break;
+    }
+    if (home == refcount::kHomeFree) return;
+    ++seen_.blocks.used;
+    if (home > capacity_.participants) {
+      return complain("message " + std::to_string(b) + ": who made it can not be");
+    }
+    const std::uint32_t maker = home - 1;
+    const std::uint32_t generation = refcount::generation_of(life);
+    const auto key = name_of_key_.find(s_.arena(b).topic);
+    Message message{b,
+                    generation,
+                    maker,
+                    key != name_of_key_.end() ? key->second : "",
+                    granules_[b] != 0 ? granules_[b] * segment::kGranule : segment::kSmallBytes,
+                    {}};
+    for (auto& process : seen_.processes) {
+      if (process.index == maker) process.bytes += message.bytes;
+    }
+    const auto add = [&](std::uint32_t k, Holder::How how) -> Holder& {
+      return message.holders.emplace_back(Holder{k, how, {}, {}, {}});
+    };
+    const auto queues = queues_.equal_range(b);
+    for (auto q = queues.first; q != queues.second; ++q) {
+      Holder& holder = add(q->second.publisher, Holder::How::Queues);
+      holder.sequence = q->second.sequence;
+      holder.topic = q->second.topic;
+    }
+    const auto first = borrows_.lower_bound({{b, 0}, 0});
+    for (auto i = first; i != borrows_.end() && i->first.first == b; ++i) {
+      Holder& holder = add(i->first.second, Holder::How::Borrows);
+      holder.topic = i->second;
+      holder.age = age_of(i->first.second, b, generation);
+    }
+    for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
+      if ((own[k / segment::Atomics::kBitsPerWord] & Own::bit(k)) == 0) continue;
+      if (k >= capacity_.participants || (k != 0 && !taken(k))) {
+        // Who has left or come meanwhile may be among them; nobody holds beyond the table.
+        if (k >= capacity_.participants) {
+          complain("message " + std::to_string(b) + ": a holder " + std::to_string(k) +
+                   " can not be");
+        }
+        continue;
+      }
+      find_hold(message, k, home_points != 0);
+    }
+    if (message.holders.empty()) add(maker, Holder::How::Spare);
+    seen_.messages.push_back(std::move(message));
+  }
+
+  /// Process k has its bit on the message: why?
+  void find_hold(Message& message, std::uint32_t k, bool home_points) {
+    const auto has = [&](Holder::How how) {
+      return std::any_of(message.holders.begin(), message.holders.end(),
+                         [&](const Holder& h) { return h.process == k && h.how == how; });
+    };
+    const Age age = age_of(k, message.block, message.generation);
+    const bool refers = refers_.contains({message.block, k});
+    bool keeps;
+    if (k == message.home && k != 0) {
+      keeps = home_points;
+    } else if (has(Holder::How::Queues) || refers) {
+      // The bit may stand for these alone; only its warden knows of pointers.
+      keeps = age.seconds.has_value() && !has(Holder::How::Borrows);
+    } else {
+      keeps = true;
+    }
+    if (refers) message.holders.push_back({k, Holder::How::Refers, {}, {}, {}});
+    if (keeps) message.holders.push_back({k, Holder::How::Keeps, age, {}, {}});
+  }
+
+  struct QueuedAt {
+    std::uint32_t publisher;
+    std::uint64_t sequence;
+    std::uint32_t topic;
+  };
+
+  Segment& s_;
+  const segment::Capacity& capacity_;
+  Observation seen_;
+  std::uint64_t now_ns_ = 0;
+  std::vector<bool> taken_;
+  std::vector<Noted> noted_;
+  std::vector<std::uint64_t> granules_;  ///< by block
+  std::map<std::uint64_t, std::string> name_of_key_;
+  std::set<std::pair<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t>>
+      borrows_;                                               ///< {{block, process}, topic}
+  std::set<std::pair<std::uint32_t, std::uint32_t>> refers_;  ///< {block, process}
+  std::multimap<std::uint32_t, QueuedAt> queues_;             ///< by block
+};
+
+}  // namespace
+
+const char* to_string(Holder::How how) {
+  switch (how) {
+    case Holder::How::Keeps:
+      return "keeps";
+    case Holder::How::Borrows:
+      return "borrows";
+    case Holder::How::Queues:
+      return "queues";
+    case Holder::How::Refers:
+      return "refers";
+    case Holder::How::Spare:
+      return "spare";
+  }
+  return "?";
+}
+
+const Process* Observation::process(std::uint32_t index) const {
+  for (const auto& p : processes) {
+    if (p.index == index) return &p;
+  }
+  return nullptr;
+}
+
+const Topic* Observation::topic(std::uint32_t index) const {
+  for (const auto& t : topics) {
+    if (t.index == index) return &t;
+  }
+  return nullptr;
+}
+
+std::string Observation::who(std::uint32_t index) const {
+  if (index == refcount::kOrphanage) return "(gone)";
+  const Process* p = process(index);
+  return std::to_string(index) + (p != nullptr && !p->name.empty() ? " " + p->name : "");
+}
+
+Observation observe(Window& window) {
+  Observation seen = Observer(window).look();
+  if (window.torn()) seen.damage.push_back("it is shorter than it was when we began to look");
+  return seen;
+}
+
+namespace {
+
+std::vector<std::uint32_t> taken_by(Window& window, bool wanted_alive) {
+  Segment& s = window.segment();
+  const liveness::LockProbe locks(s.path() + ".lock");
+  std::vector<std::uint32_t> found;
+  for (std::uint32_t k = 1; k < s.capacity().participants; ++k) {
+    const bool alive = locks.is_held(k) || RobustMutex(s.witnesses()[k].mutex).looks_held();
+    const bool counts = alive || s.participants()[k].state.load(std::memory_order_acquire) != 0;
+    if (counts && alive == wanted_alive) found.push_back(k);
+  }
+  return found;
+}
+
+}  // namespace
+
+std::vector<std::uint32_t> living(Window& window) { return taken_by(window, true); }
+std::vector<std::uint32_t> dead(Window& window) { return taken_by(window, false); }
+
+Heads heads(Window& window) {
+  Segment& s = window.segment();
+  Heads found;
+  for (std::uint32_t c = 0; c < s.capacity().channels; ++c) {
+    const Word w = s.channels()[c].writer.load(std::memory_order_acquire);
+    if (ring::writer_state(w) != ring::State::Live) continue;
+    const segment::Ring r = s.ring(c);
+    if (r.depth == 0) continue;
+    Word newest = ring::sequence(r.slots[0].load(std::memory_order_acquire));
+    for (std::uint32_t i = 1; i < r.depth; ++i) {
+      const Word here = ring::sequence(r.slots[i].load(std::memory_order_acquire));
+      if (ring::distance(here, newest) > 0) newest = here;
+    }
+    found[{c, ring::writer_generation(w)}] = ring::next(newest);
+  }
+  return found;
+}
+
+}  // namespace lot::tool

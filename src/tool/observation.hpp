@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "tool/window.hpp"
+
+/// What can be seen of a segment from outside, in plain values: everything is read once, checked,
+/// and never trusted. While processes work, what was read first is older than what was read last.
+namespace lot::tool {
+
+struct Process {
+  std::uint32_t index;
+  std::string name;
+  std::int32_t pid;        ///< as it says, in its own namespace
+  std::uint64_t since_ns;  ///< wall clock
+  bool alive;
+  std::uint64_t bytes = 0;  ///< of the messages that it has made
+};
+
+struct Reader {
+  std::uint32_t process;
+  bool joining = false;     ///< lag and lost are not known yet
+  std::uint64_t lag = 0;    ///< published and not read yet; the one in hand counts
+  std::uint64_t lost = 0;   ///< of these, overwritten already
+  bool holds_back = false;  ///< the publisher has no room because of it
+};
+
+struct Queued {
+  std::uint64_t sequence;
+  std::uint32_t block;
+};
+
+/// One publisher's queue.
+struct Channel {
+  std::uint32_t channel;
+  std::uint32_t generation;
+  bool orphan;  ///< its publisher has gone, its readers have not
+  std::uint32_t publisher;
+  std::uint32_t topic;
+  std::uint32_t depth;
+  bool blocking;
+  bool waits = false;      ///< the publisher has found no room, and nobody made any
+  std::uint64_t next = 0;  ///< sequence of the next message
+  std::uint64_t published = 0;
+  std::vector<Queued> queue;  ///< oldest first
+  std::vector<Reader> readers;
+};
+
+struct Topic {
+  std::uint32_t index;
+  std::string name;
+  std::string type;
+  std::uint64_t type_size;
+  std::vector<std::uint32_t> users;
+};
+
+/// Since when, as far as the holder's warden has noted it.
+struct Age {
+  std::optional<double> seconds;
+  std::optional<double> at_most;  ///< when it was not noted
+};
+
+struct Holder {
+  enum class How {
+    Keeps,  ///< by pointers
+    Borrows,
+    Queues,  ///< in the queue of a publisher of its
+    Refers,  ///< another message of its refers to it
+    Spare    ///< loaned and not published, or waiting for a loan
+  };
+  std::uint32_t process;  ///< 0: the orphanage
+  How how;
+  Age age;                                ///< of Keeps and Borrows
+  std::optional<std::uint64_t> sequence;  ///< of Queues
+  std::optional<std::uint32_t> topic;     ///< of Queues and Borrows: where
+};
+const char* to_string(Holder::How how);
+
+struct Message {
+  std::uint32_t block;
+  std::uint32_t generation;
+  std::uint32_t home;  ///< who made it; 0: it has gone
+  std::string topic;   ///< that it was made for; empty: none, or one that has gone
+  std::uint64_t bytes;
+  std::vector<Holder> holders;
+};
+
+struct Fill {
+  std::uint64_t used = 0;
+  std::uint64_t total = 0;
+};
+
+struct Observation {
+  std::uint64_t instance = 0;
+  Fill memory;  ///< bytes
+  Fill blocks;
+  std::vector<Process> processes;
+  std::vector<Topic> topics;
+  std::vector<Channel> channels;
+  std::vector<Message> messages;
+  std::vector<std::string> damage;  ///< what can not be right
+
+  const Process* process(std::uint32_t index) const;
+  const Topic* topic(std::uint32_t index) const;
+  /// "3 camera", for people.
+  std::string who(std::uint32_t index) const;
+};
+
+/// Throws nothing but bad_alloc, whatever the segment's bytes are.
+Observation observe(Window& window);
+
+/// Which of the participants 1 .. are alive: taken, and not dead by both witnesses of the library.
+std::vector<std::uint32_t> living(Window& window);
+std::vector<std::uint32_t> dead(Window& window);
+
+/// {channel, generation} -> sequence of the next message, to see what was published in between.
+using Heads = std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint64_t>;
+Heads heads(Window& window);
+
+}  // namespace lot::tool

@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tool/places.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <fcntl.h>
+#include <filesystem>
+#include <set>
+#include <string_view>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "lot/error.hpp"
+
+#include "liveness/lock_file.hpp"
+#include "segment/layout.hpp"
+
+namespace lot::tool {
+namespace {
+
+constexpr std::string_view kUnfinished = ".new";
+constexpr std::string_view kLock = ".lock";
+
+bool is_regular(const std::string& path) {
+  struct stat status {};
+  return lstat(path.c_str(), &status) == 0 && S_ISREG(status.st_mode);
+}
+
+/// True also when it may not be read: then nobody can say that it is not one, and its lock file
+/// does.
+bool begins_as_a_segment(const std::string& path) {
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  if (fd == -1) return errno == EACCES && exists(path + std::string(kLock));
+  char magic[sizeof(segment::kMagic)] = {};
+  const bool read = pread(fd, magic, sizeof(magic), 0) == sizeof(magic);
+  ::close(fd);
+  return read && std::memcmp(magic, segment::kMagic, sizeof(magic)) == 0;
+}
+
+std::vector<std::string> files_in(const std::string& directory) {
+  std::error_code error;
+  std::vector<std::string> names;
+  for (std::filesystem::directory_iterator i(directory, error), end; !error && i != end;
+       i.increment(error)) {
+    names.push_back(i->path().filename());
+  }
+  if (error) {
+    throw Error(error.value(), directory, "cannot read the segment directory",
+                "name another with --dir or LOT_DIR");
+  }
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+}  // namespace
+
+std::string path_of(const Where& where, const std::string& name) {
+  return where.directory + "/" + name;
+}
+
+bool exists(const std::string& path) {
+  struct stat status {};
+  return lstat(path.c_str(), &status) == 0;
+}
+
+Places find_places(const Where& where) {
+  Places places;
+  std::set<std::string> segments;
+  const auto names = files_in(where.directory);
+  const auto stem_of = [](const std::string& name, std::string_view suffix) -> std::string {
+    return name.size() > suffix.size() && name.ends_with(suffix)
+               ? name.substr(0, name.size() - suffix.size())
+               : "";
+  };
+  const auto wanted = [&where](const std::string& name) {
+    return !name.empty() && (where.name.empty() || where.name == name);
+  };
+  for (const auto& name : names) {
+    const std::string path = path_of(where, name);
+    if (!is_regular(path)) continue;
+    const std::string unfinished = stem_of(name, kUnfinished);
+    const bool has_lock = exists(path + std::string(kLock));
+    if (!unfinished.empty() && !has_lock) {
+      const bool ours =
+          begins_as_a_segment(path) ||
+          liveness::LockProbe(path_of(where, unfinished) + std::string(kLock)).is_lock_file();
+      if (ours && wanted(unfinished)) places.unfinished.push_back(unfinished);
+    } else if (begins_as_a_segment(path)) {
+      segments.insert(name);
+      if (wanted(name)) places.segments.push_back(name);
+    }
+  }
+  for (const auto& name : names) {
+    const std::string stem = stem_of(name, kLock);
+    if (!wanted(stem) || exists(path_of(where, stem)) || segments.contains(name) ||
+        std::count(places.unfinished.begin(), places.unfinished.end(), stem) != 0 ||
+        !liveness::LockProbe(path_of(where, name)).is_lock_file()) {
+      continue;
+    }
+    (where.name.empty() ? places.doubtful : places.locks).push_back(stem);
+  }
+  return places;
+}
+
+}  // namespace lot::tool

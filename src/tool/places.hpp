@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace lot::tool {
+
+/// Where to look: a directory, and one name in it or all.
+struct Where {
+  std::string directory;
+  std::string name;  ///< empty: all
+};
+
+/// What lies in the directory. Files of others are told from ours by their first bytes; a file that
+/// could be anybody's is only ours when its name was asked for.
+struct Places {
+  std::vector<std::string> segments;    ///< names of files that begin as a segment does
+  std::vector<std::string> unfinished;  ///< names X where a file X.new was left by a dead creator
+  std::vector<std::string> locks;       ///< names X where there is nothing but X.lock
+  std::vector<std::string> doubtful;    ///< the same, but the empty file may be anybody's
+};
+
+/// Throws lot::Error when the directory can not be read.
+Places find_places(const Where& where);
+
+std::string path_of(const Where& where, const std::string& name);
+bool exists(const std::string& path);
+
+}  // namespace lot::tool

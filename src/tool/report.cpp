@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tool/report.hpp"
+
+#include <cstdio>
+
+#include "tool/text.hpp"
+
+namespace lot::tool {
+
+Exit Report::finish() {
+  if (json_) {
+    document_["hints"] = hints_;
+    document_["exit"] = static_cast<int>(exit_);
+    // Names may be anything, JSON is UTF-8.
+    text_ = document_.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+  } else if (!hints_.empty()) {
+    text_ += "\n";
+    for (const auto& hint : hints_) text_ += "* " + hint + "\n";
+  }
+  std::fwrite(text_.data(), 1, text_.size(), stdout);
+  return exit_;
+}
+
+bool introduce(const Sight& sight, Report& report, Json& entry) {
+  entry["name"] = sight.name;
+  entry["path"] = sight.path;
+  entry["condition"] = to_string(sight.condition);
+  entry["reason"] = sight.reason;
+  report.print(printable(sight.name) + "  " + printable(sight.path, 200));
+  if (sight.window != nullptr) {
+    entry["bytes"] = sight.window->segment().size();
+    return true;
+  }
+  report.print("\n  " + std::string(to_string(sight.condition)) + ": " +
+               printable(sight.reason, 200) + "\n");
+  const std::string name = printable(sight.name);
+  switch (sight.condition) {
+    case Sight::Condition::OtherBoot:
+      report.ends(kWrong);
+      report.hint(name + " is of another boot: run `lot clean`");
+      break;
+    case Sight::Condition::Unreadable:
+      report.ends(kWrong);
+      report.hint(name + " can not be read: ask its owner, or become root");
+      break;
+    default:
+      report.ends(kDamaged);
+      report.hint(name +
+                  " is damaged, or of another version: stop what uses it and run `lot clean`");
+  }
+  return false;
+}
+
+void judge(const Sight& sight, const Observation& seen, Report& report, Json& entry) {
+  entry["damage"] = seen.damage;
+  const std::string name = printable(sight.name);
+  for (const auto& what : seen.damage) report.print("  damaged: " + what + "\n");
+  if (!seen.damage.empty()) {
+    report.ends(kDamaged);
+    report.hint(name +
+                " is damaged: a process has written behind the end of its messages; stop "
+                "all that use it and run `lot clean`");
+  }
+  bool any_alive = false;
+  for (const auto& p : seen.processes) any_alive |= p.alive;
+  if (!any_alive) {
+    report.ends(kWrong);
+    report.hint("nobody lives in " + name + ": run `lot clean`");
+    return;
+  }
+  for (const auto& p : seen.processes) {
+    if (p.alive) continue;
+    report.ends(kWrong);
+    report.hint("process " + std::to_string(p.index) + " (" + printable(p.name) + ") in " + name +
+                " is dead: run `lot clean`");
+  }
+}
+
+void nothing_found(const Settings& settings, Report& report) {
+  report.ends(kWrong);
+  report.print(settings.where.name.empty()
+                   ? "no segments in " + printable(settings.where.directory, 200) + "\n"
+                   : "no segment " + printable(path_of(settings.where, settings.where.name), 200) +
+                         "\n");
+}
+
+}  // namespace lot::tool

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "tool/text.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+namespace lot::tool {
+namespace {
+
+std::string with(const char* format, double value, const char* unit) {
+  char text[64];
+  std::snprintf(text, sizeof(text), format, value, unit);
+  return text;
+}
+
+}  // namespace
+
+std::string Table::text(const std::string& indent) const {
+  std::vector<std::size_t> width;
+  for (const auto& row : rows_) {
+    width.resize(std::max(width.size(), row.size()));
+    for (std::size_t i = 0; i < row.size(); ++i) width[i] = std::max(width[i], row[i].size());
+  }
+  std::string out;
+  for (const auto& row : rows_) {
+    std::string line = indent;
+    for (std::size_t i = 0; i < row.size(); ++i) {
+      line += row[i] + std::string(width[i] - row[i].size() + 2, ' ');
+    }
+    line.erase(line.find_last_not_of(' ') + 1);
+    out += line + "\n";
+  }
+  return out;
+}
+
+std::string bytes_text(std::uint64_t bytes) {
+  static constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
+  auto value = static_cast<double>(bytes);
+  std::size_t unit = 0;
+  for (; value >= 1024 && unit + 1 < std::size(kUnits); ++unit) value /= 1024;
+  return with(unit == 0 || value >= 10 || value == std::floor(value) ? "%.0f %s" : "%.1f %s", value,
+              kUnits[unit]);
+}
+
+std::string count_text(std::uint64_t count) {
+  const auto value = static_cast<double>(count);
+  if (count < 100000) return std::to_string(count);
+  if (count < 1000000) return with("%.0f%s", value / 1e3, "k");
+  if (count < 1000000000) return with("%.1f%s", value / 1e6, "M");
+  return with("%.1f%s", value / 1e9, "G");
+}
+
+std::string rate_text(double per_second) {
+  if (per_second < 1000) return with("%.1f%s", per_second, "/s");
+  if (per_second < 1e6) return with("%.1f%s", per_second / 1e3, "k/s");
+  return with("%.1f%s", per_second / 1e6, "M/s");
+}
+
+std::string age_text(double seconds) {
+  if (seconds < 120) return with("%.0f %s", std::floor(seconds), "s");
+  if (seconds < 2 * 3600) return with("%.0f %s", std::floor(seconds / 60), "min");
+  if (seconds < 48 * 3600) return with("%.0f %s", std::floor(seconds / 3600), "h");
+  return with("%.0f %s", std::floor(seconds / 86400), "days");
+}
+
+std::string printable(const std::string& text, std::size_t most) {
+  std::string out = text;
+  for (char& c : out) {
+    if (c < ' ' || c > '~') c = '?';
+  }
+  if (out.size() > most) {  // both ends say most
+    const std::size_t half = (most - 2) / 2;
+    out = out.substr(0, half) + ".." + out.substr(out.size() - half);
+  }
+  return out;
+}
+
+std::string plural(std::uint64_t n, const std::string& one, const std::string& many) {
+  return std::to_string(n) + " " + (n == 1 ? one : many);
+}
+
+}  // namespace lot::tool

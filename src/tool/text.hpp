@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+/// What people read: aligned columns and human units.
+namespace lot::tool {
+
+/// Columns as wide as their widest cell. Cells of the last columns may be left out.
+class Table {
+ public:
+  explicit Table(std::vector<std::string> head) : rows_{std::move(head)} {}
+  void add(std::vector<std::string> row) { rows_.push_back(std::move(row)); }
+  bool empty() const { return rows_.size() == 1; }
+  std::string text(const std::string& indent = "  ") const;
+
+ private:
+  std::vector<std::vector<std::string>> rows_;
+};
+
+/// "312 MiB"
+std::string bytes_text(std::uint64_t bytes);
+/// "1.2 million"
+std::string count_text(std::uint64_t count);
+/// "30.0/s"
+std::string rate_text(double per_second);
+/// "12 s", "3 min"
+std::string age_text(double seconds);
+/// Names come from other processes: nothing in them may steer a terminal. Long ones are cut.
+std::string printable(const std::string& text, std::size_t most = 60);
+/// "1 process", "2 processes"
+std::string plural(std::uint64_t n, const std::string& one, const std::string& many);
+
+}  // namespace lot::tool
