@@ -331,7 +331,9 @@ class Observer {
     const Age age = age_of(k, message.block, message.generation);
     const bool refers = refers_.contains({message.block, k});
     bool keeps;
-    if (k == message.home && k != 0) {
+    if (k == refcount::kOrphanage) {
+      keeps = false;  // what is in its queues, or about to be freed
+    } else if (k == message.home) {
       keeps = home_points;
     } else if (has(Holder::How::Queues) || refers) {
       // The bit may stand for these alone; only its warden knows of pointers.
