@@ -103,6 +103,8 @@ class Play {
     if (what == "subscribe" && truth.at("subscribed")) what = "pull";
     last_ = what + " by " + std::to_string(actor.index()) + " on " + topic;
     if (what == "subscribe") begin_reading(actor, topic);
+    const bool looks = what == "borrow" || (what == "pull" && truth.at("borrowed").is_null());
+    if (looks && truth.at("subscribed")) find_publishers(actor, topic);
     actor.act(topic, what, what == "advertise" ? ++publishers_ : random_() % 100);
   }
 
@@ -159,6 +161,19 @@ class Play {
     for (const auto& a : actors_) {
       const Json& t = a->truth().at(topic);
       if (!t.at("publisher").is_null()) begun[t.at("publisher")] = t.at("pushed").size();
+    }
+  }
+
+  /// A subscriber that looks finds the publishers that have come since: it begins with their first
+  /// messages, as far as those are there. (Where a publisher may wait, one slot may be taken anew.)
+  void find_publishers(const Actor& reader, const std::string& topic) {
+    auto& begun = begun_[{reader.index(), topic}];
+    for (const auto& a : actors_) {
+      const Json& t = a->truth().at(topic);
+      if (t.at("publisher").is_null()) continue;
+      const std::uint64_t pushed = t.at("pushed").size();
+      const bool blocks = topic == kParcels && pushed >= kDepth;
+      begun.insert({t.at("publisher"), blocks ? pushed - (kDepth - 1) : 0});
     }
   }
 
