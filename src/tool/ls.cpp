@@ -175,7 +175,8 @@ Exit ls(const Settings& settings, std::chrono::milliseconds interval) {
   if (found.empty()) nothing_found(settings, report);
   std::vector<Rates> rates;
   for (const auto& sight : found) {
-    rates.push_back({sight.window != nullptr ? heads(*sight.window) : Heads(), Clock::now()});
+    const auto when = Clock::now();
+    rates.push_back({sight.window != nullptr ? heads(*sight.window) : Heads(), when});
   }
   if (std::any_of(rates.begin(), rates.end(), [](const Rates& r) { return !r.before.empty(); })) {
     std::this_thread::sleep_for(interval);

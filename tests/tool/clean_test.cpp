@@ -1,0 +1,302 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// `lot clean` removes what nobody lives in, reaps the dead, and never touches the living.
+
+#include <memory>
+#include <random>
+#include <string>
+#include <sys/stat.h>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "actor.hpp"
+#include "command.hpp"
+#include "faults/janitor.hpp"
+
+namespace {
+
+using namespace lot::testing;
+namespace fs = std::filesystem;
+
+[[maybe_unused]] const bool has_janitor = start_janitor();
+
+std::string path_of(const lot::EngineOptions& options) {
+  return options.directory + "/" + options.segment;
+}
+
+void leave_a_dead_segment(const lot::EngineOptions& options) {
+  Actor actor(options, "actor");
+  actor.act(kParcels, "advertise", 1);
+  actor.act(kParcels, "loan");
+  actor.act(kParcels, "push");
+  actor.kill9();
+  REQUIRE(fs::exists(path_of(options)));
+  REQUIRE(fs::exists(path_of(options) + ".lock"));
+}
+
+/// The two go on talking: they are in one segment, and it is whole.
+void check_they_talk(Actor& publisher, Actor& reader) {
+  publisher.act(kLetters, "loan");
+  publisher.act(kLetters, "push");
+  const std::size_t kept = reader.truth().at(kLetters).at("kept").size();
+  reader.act(kLetters, "pull");
+  CHECK(reader.truth().at(kLetters).at("kept").size() == kept + 1);
+  reader.act(kLetters, "release");
+}
+
+void overwrite(const std::string& path, std::uint64_t offset, std::uint64_t value) {
+  const int file = open(path.c_str(), O_RDWR | O_CLOEXEC);
+  REQUIRE(file != -1);
+  REQUIRE(pwrite(file, &value, sizeof(value), static_cast<off_t>(offset)) == sizeof(value));
+  close(file);
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("clean");
+
+TEST_CASE("a segment whose last process was killed is removed with its lock file") {
+  const Watchdog watchdog(60);
+  const Room room;
+  leave_a_dead_segment(room.options());
+  const Ran dry = run_lot(on(room.options(), {"clean", "--dry-run", "--json"}));
+  CHECK(dry.exit == 0);
+  CHECK(dry.json().at("removed").size() == 1);
+  CHECK(room.files() == 2);
+  const Ran ran = run_lot(on(room.options(), {"clean", "--json"}));
+  CHECK(ran.exit == 0);
+  CHECK(ran.json().at("removed") == dry.json().at("removed"));
+  CHECK(room.files() == 0);
+}
+
+TEST_CASE(
+    "what is of another boot, another version or damaged is removed when nobody lives in it") {
+  const Watchdog watchdog(60);
+  for (const std::uint64_t offset : {40, 8, 72, 16}) {
+    CAPTURE(offset);
+    const Room room;
+    leave_a_dead_segment(room.options());
+    overwrite(path_of(room.options()), offset, 12345);
+    CHECK(run_lot({"clean", "--dir", room.path()}).exit == 0);
+    CHECK(room.files() == 0);
+  }
+  const Room room;
+  leave_a_dead_segment(room.options());
+  fs::resize_file(path_of(room.options()), 100);
+  CHECK(run_lot({"clean", "--dir", room.path()}).exit == 0);
+  CHECK(room.files() == 0);
+}
+
+TEST_CASE("a damaged segment that somebody lives in is left alone") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const Actor actor(room.options(), "actor");
+  overwrite(path_of(room.options()), 8, 12345);
+  const Ran ran = run_lot(on(room.options(), {"clean"}));
+  CHECK(ran.exit == 3);
+  CHECK(room.files() == 2);
+}
+
+TEST_CASE("a living process is left alone when its lock file is gone, or its lock") {
+  const Watchdog watchdog(60);
+  for (const bool stopped : {false, true}) {
+    CAPTURE(stopped);
+    const Room room;
+    Actor publisher(room.options(), "publisher");
+    Actor reader(room.options(), "reader");
+    publisher.act(kLetters, "advertise", 1);
+    reader.act(kLetters, "subscribe");
+    fs::remove(path_of(room.options()) + ".lock");
+    if (stopped) {
+      stop(publisher.child());
+      stop(reader.child());
+    }
+    for (int n = 0; n < 3; ++n) {
+      const Ran ran = run_lot(on(room.options(), {"clean", "--json"}));
+      CHECK(ran.exit == 0);
+      CHECK(ran.json().at("removed").empty());
+      CHECK(ran.json().at("reaped").empty());
+    }
+    CHECK(fs::exists(path_of(room.options())));
+    publisher.child().send(SIGCONT);
+    reader.child().send(SIGCONT);
+    check_they_talk(publisher, reader);
+  }
+}
+
+TEST_CASE("living processes whose segment was removed keep their lock file") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const Actor actor(room.options(), "actor");
+  fs::remove(path_of(room.options()));
+  CHECK(run_lot(on(room.options(), {"clean"})).exit == 0);
+  CHECK(fs::exists(path_of(room.options()) + ".lock"));
+}
+
+TEST_CASE("the dead among stopped processes are reaped, and the stopped go on afterwards") {
+  const Watchdog watchdog(60);
+  const Room room;
+  Actor publisher(room.options(), "publisher");
+  Actor reader(room.options(), "reader");
+  Actor dead(room.options(), "victim");
+  publisher.act(kLetters, "advertise", 1);
+  reader.act(kLetters, "subscribe");
+  dead.act(kParcels, "advertise", 2);
+  dead.act(kParcels, "loan");
+  const std::uint32_t index = dead.index();
+  stop(publisher.child());  // nobody reaps
+  stop(reader.child());
+  dead.kill9();
+  CHECK(run_lot(on(room.options(), {"ls"})).exit == 1);
+  const Ran dry = run_lot(on(room.options(), {"clean", "--dry-run", "--json"}));
+  CHECK(dry.json().at("reaped").size() == 1);
+  CHECK(run_lot(on(room.options(), {"ls"})).exit == 1);
+  const Ran ran = run_lot(on(room.options(), {"clean", "--json"}));
+  CHECK(ran.exit == 0);
+  REQUIRE(ran.json().at("reaped").size() == 1);
+  CHECK(ran.json().at("reaped").at(0).at("process") == index);
+  CHECK(run_lot(on(room.options(), {"ls"})).exit == 0);
+  publisher.child().send(SIGCONT);
+  reader.child().send(SIGCONT);
+  check_they_talk(publisher, reader);
+}
+
+TEST_CASE("leftovers of killed makers go; files that may be anybody's stay") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto touch = [&](const std::string& name, const std::string& text = "") {
+    std::ofstream(room.path() + "/" + name) << text;
+  };
+  // Ours: a half-made segment beside its lock file, and one that has its header already.
+  touch("early.lock");
+  touch("early.new");
+  leave_a_dead_segment(room.options("late"));
+  fs::rename(room.path() + "/late", room.path() + "/late.new");
+  fs::remove(room.path() + "/late.lock");
+  // Anybody's.
+  touch("alone.new");
+  touch("note.new", "a text of mine");
+  touch("note.lock", "a text of mine");
+  touch("empty.lock");
+  const Ran ran = run_lot({"clean", "--json", "--dir", room.path()});
+  CHECK(ran.exit == 0);
+  CHECK(ran.json().at("removed").size() == 2);
+  REQUIRE(ran.json().at("left_alone").size() == 1);
+  CHECK(ran.json().at("left_alone").at(0).at("path") == room.path() + "/empty.lock");
+  for (const char* gone : {"early.lock", "early.new", "late.new", "late.lock"}) {
+    CAPTURE(gone);
+    CHECK(!fs::exists(room.path() + "/" + gone));
+  }
+  for (const char* stays : {"alone.new", "note.new", "note.lock", "empty.lock"}) {
+    CAPTURE(stays);
+    CHECK(fs::exists(room.path() + "/" + stays));
+  }
+  // Who names it, means it.
+  CHECK(run_lot({"clean", "--dir", room.path(), "--segment", "empty"}).exit == 0);
+  CHECK(!fs::exists(room.path() + "/empty.lock"));
+  CHECK(run_lot({"clean", "--dir", room.path(), "--segment", "note"}).exit == 0);
+  CHECK(bytes_of(room.path() + "/note.lock") == "a text of mine");
+}
+
+TEST_CASE("a maker at work is left alone") {
+  const Watchdog watchdog(60);
+  const Room room;
+  std::ofstream(room.path() + "/s.new") << "half of it";
+  lot::liveness::LockFile lock(room.path() + "/s.lock", 0600);
+  REQUIRE(lock.enter_gate(10s));
+  const Ran ran = run_lot(on(room.options(), {"clean"}));
+  CHECK(ran.exit == 1);
+  CHECK(room.files() == 2);
+}
+
+TEST_CASE("the permissions of a shared segment's lock file are not changed") {
+  const Watchdog watchdog(60);
+  const Room room;
+  auto options = room.options();
+  options.permissions = 0666;
+  const Actor actor(options, "actor");
+  Actor dead(options, "victim");
+  stop(actor.child());
+  dead.kill9();
+  CHECK(run_lot(on(options, {"clean"})).exit == 0);
+  struct stat status {};
+  REQUIRE(stat((path_of(options) + ".lock").c_str(), &status) == 0);
+  CHECK((status.st_mode & 07777) == 0666);
+}
+
+TEST_CASE("clean in a loop beside processes that come, talk, die and leave harms none of them") {
+  const Watchdog watchdog(120);
+  const Room room;
+  const auto options = room.options();
+  std::mt19937_64 random(seed());
+  Actor publisher(options, "publisher");
+  Actor reader(options, "reader");
+  publisher.act(kLetters, "advertise", 1);
+  reader.act(kLetters, "subscribe");
+  struct stat before {
+  }, after{};
+  REQUIRE(stat(path_of(options).c_str(), &before) == 0);
+  Steps halt;
+  Child cleaner([&] {
+    while (halt.next(0ms) == '\0') {
+      const int exit = run_lot(on(options, {"clean"})).exit;
+      must(exit == 0 || exit == 1, "clean does not break");
+    }
+  });
+  std::vector<std::unique_ptr<Actor>> others;
+  for (unsigned n = 0; n < 150; ++n) {
+    check_they_talk(publisher, reader);
+    if (others.size() < 3) {
+      others.push_back(std::make_unique<Actor>(options, "other"));
+      others.back()->act(kLetters, "subscribe");
+      others.back()->act(kParcels, "advertise", n + 2);
+      others.back()->act(kParcels, "loan");
+    } else {
+      const std::size_t which = random() % others.size();
+      if (random() % 2 == 0) {
+        others[which]->kill9();
+      } else {
+        CHECK(others[which]->leave() == 0);
+      }
+      others.erase(others.begin() + static_cast<std::ptrdiff_t>(which));
+    }
+  }
+  halt.tell();
+  CHECK(cleaner.wait() == 0);
+  REQUIRE(stat(path_of(options).c_str(), &after) == 0);
+  CHECK(after.st_ino == before.st_ino);
+}
+
+TEST_CASE("clean in a loop beside processes that make the segment and leave it hinders none") {
+  const Watchdog watchdog(120);
+  const Room room;
+  const auto options = room.options();
+  Steps halt;
+  Child cleaner([&] {
+    while (halt.next(0ms) == '\0') {
+      const int exit = run_lot({"clean", "--dir", options.directory}).exit;
+      must(exit == 0 || exit == 1, "clean does not break");
+    }
+  });
+  for (unsigned n = 0; n < 60; ++n) {
+    Actor publisher(options, "publisher");
+    Actor reader(options, "reader");
+    publisher.act(kLetters, "advertise", 1);
+    reader.act(kLetters, "subscribe");
+    check_they_talk(publisher, reader);
+    if (n % 3 == 0) {
+      publisher.kill9();
+      reader.kill9();
+    } else {
+      CHECK(publisher.leave() == 0);
+      CHECK(reader.leave() == 0);
+    }
+  }
+  halt.tell();
+  CHECK(cleaner.wait() == 0);
+  CHECK(run_lot(on(options, {"clean"})).exit == 0);
+  CHECK(room.files() == 0);
+}
+
+TEST_SUITE_END();

@@ -1,0 +1,319 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// What the tool's documents look like, how it ends, and that looking changes nothing.
+
+#include <set>
+#include <string>
+#include <sys/stat.h>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "actor.hpp"
+#include "command.hpp"
+#include "faults/janitor.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+[[maybe_unused]] const bool has_janitor = start_janitor();
+
+bool says(const std::string& text, const std::string& part) {
+  return text.find(part) != std::string::npos;
+}
+
+/// All paths to values in a document; "[]" stands for each element of a list.
+void collect_keys(const Json& value, const std::string& path, std::set<std::string>& keys) {
+  if (value.is_object()) {
+    for (const auto& [key, inner] : value.items()) collect_keys(inner, path + "." + key, keys);
+  } else if (value.is_array() && !value.empty()) {
+    for (const auto& inner : value) collect_keys(inner, path + "[]", keys);
+  } else {
+    keys.insert(path);
+  }
+}
+std::set<std::string> keys_of(const Json& document) {
+  std::set<std::string> keys;
+  collect_keys(document, "", keys);
+  return keys;
+}
+
+/// Two processes with all that there is to see: queues of both kinds, messages that are kept,
+/// borrowed, loaned, and a publisher without room.
+struct Scene {
+  Scene() : publisher(options, "publisher"), reader(options, "reader") {
+    for (const char* topic : {kLetters, kParcels}) {
+      publisher.act(topic, "advertise", topic == kLetters ? 1 : 2);
+      reader.act(topic, "subscribe");
+      for (int n = 0; n < 6; ++n) {
+        publisher.act(topic, "loan");
+        publisher.act(topic, "push");
+        if (n == 0) reader.act(topic, "pull");
+        if (n == 1) reader.act(topic, "borrow");
+      }
+    }
+  }
+  void stop_all() const {
+    stop(publisher.child());
+    stop(reader.child());
+  }
+
+  Room room;
+  lot::EngineOptions options = room.options();
+  Actor publisher;
+  Actor reader;
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("look");
+
+TEST_CASE("ls as a document has these keys") {
+  const Watchdog watchdog(60);
+  const Scene scene;
+  const Json document = run_lot(on(scene.options, {"ls", "--json"})).json();
+  CHECK(keys_of(document) == std::set<std::string>{
+                                 ".exit",
+                                 ".hints[]",
+                                 ".segments[].blocks.total",
+                                 ".segments[].blocks.used",
+                                 ".segments[].bytes",
+                                 ".segments[].condition",
+                                 ".segments[].damage",
+                                 ".segments[].instance",
+                                 ".segments[].memory.total_bytes",
+                                 ".segments[].memory.used_bytes",
+                                 ".segments[].name",
+                                 ".segments[].path",
+                                 ".segments[].processes[].alive",
+                                 ".segments[].processes[].bytes",
+                                 ".segments[].processes[].index",
+                                 ".segments[].processes[].name",
+                                 ".segments[].processes[].pid",
+                                 ".segments[].processes[].since_unix",
+                                 ".segments[].reason",
+                                 ".segments[].topics[].name",
+                                 ".segments[].topics[].publishers[].channel",
+                                 ".segments[].topics[].publishers[].depth",
+                                 ".segments[].topics[].publishers[].engine",
+                                 ".segments[].topics[].publishers[].gone",
+                                 ".segments[].topics[].publishers[].held",
+                                 ".segments[].topics[].publishers[].per_second",
+                                 ".segments[].topics[].publishers[].policy",
+                                 ".segments[].topics[].publishers[].process",
+                                 ".segments[].topics[].publishers[].published",
+                                 ".segments[].topics[].publishers[].waits_for_room",
+                                 ".segments[].topics[].subscribers[].channel",
+                                 ".segments[].topics[].subscribers[].holds_back",
+                                 ".segments[].topics[].subscribers[].joining",
+                                 ".segments[].topics[].subscribers[].lag",
+                                 ".segments[].topics[].subscribers[].lost",
+                                 ".segments[].topics[].subscribers[].process",
+                                 ".segments[].topics[].type",
+                                 ".segments[].topics[].type_bytes",
+                             });
+}
+
+TEST_CASE("who as a document has these keys") {
+  const Watchdog watchdog(60);
+  const Scene scene;
+  const Json document = run_lot(on(scene.options, {"who", "--json"})).json();
+  CHECK(keys_of(document) == std::set<std::string>{
+                                 ".exit",
+                                 ".hints[]",
+                                 ".segments[].behind[].channel",
+                                 ".segments[].behind[].depth",
+                                 ".segments[].behind[].holds_back",
+                                 ".segments[].behind[].joining",
+                                 ".segments[].behind[].lag",
+                                 ".segments[].behind[].lost",
+                                 ".segments[].behind[].process",
+                                 ".segments[].behind[].publisher",
+                                 ".segments[].behind[].topic",
+                                 ".segments[].bytes",
+                                 ".segments[].condition",
+                                 ".segments[].damage",
+                                 ".segments[].messages[].block",
+                                 ".segments[].messages[].bytes",
+                                 ".segments[].messages[].generation",
+                                 ".segments[].messages[].holders[].at_most_seconds",
+                                 ".segments[].messages[].holders[].how",
+                                 ".segments[].messages[].holders[].process",
+                                 ".segments[].messages[].holders[].seconds",
+                                 ".segments[].messages[].holders[].sequence",
+                                 ".segments[].messages[].holders[].topic",
+                                 ".segments[].messages[].made_by",
+                                 ".segments[].messages[].topic",
+                                 ".segments[].name",
+                                 ".segments[].path",
+                                 ".segments[].processes[].alive",
+                                 ".segments[].processes[].index",
+                                 ".segments[].processes[].name",
+                                 ".segments[].processes[].pid",
+                                 ".segments[].reason",
+                                 ".segments[].waiting[].channel",
+                                 ".segments[].waiting[].process",
+                                 ".segments[].waiting[].topic",
+                                 ".segments[].waiting[].waits_for[]",
+                             });
+}
+
+TEST_CASE("clean as a document has these keys") {
+  const Watchdog watchdog(60);
+  const Room room;
+  {
+    Actor actor(room.options(), "actor");
+    actor.kill9();
+  }
+  const Json document = run_lot(on(room.options(), {"clean", "--json"})).json();
+  CHECK(keys_of(document) == std::set<std::string>{".dry_run", ".exit", ".hints", ".left_alone",
+                                                   ".reaped", ".removed[].path", ".removed[].why"});
+}
+
+TEST_CASE("ls and who change no byte of a segment, and take no memory for what nobody has used") {
+  const Watchdog watchdog(60);
+  const Scene scene;
+  scene.stop_all();  // their wardens write
+  const std::string path = scene.options.directory + "/" + scene.options.segment;
+  struct stat before {
+  }, after{};
+  REQUIRE(stat(path.c_str(), &before) == 0);
+  const auto bytes = bytes_of(path);
+  const auto lock_bytes = bytes_of(path + ".lock");
+  CHECK(run_lot(on(scene.options, {"ls"})).exit == 0);
+  CHECK(run_lot(on(scene.options, {"who", "--all"})).exit == 0);
+  CHECK(run_lot(on(scene.options, {"clean", "--dry-run"})).exit == 0);
+  CHECK(bytes == bytes_of(path));
+  CHECK(lock_bytes == bytes_of(path + ".lock"));
+  REQUIRE(stat(path.c_str(), &after) == 0);
+  CHECK(after.st_blocks == before.st_blocks);
+  CHECK(after.st_mtim.tv_nsec == before.st_mtim.tv_nsec);
+  CHECK(scene.room.files() == 2);
+}
+
+TEST_CASE("what people read names who waits for whom, and since when who keeps what") {
+  const Watchdog watchdog(60);
+  const Scene scene;
+  const std::string ls = run_lot(on(scene.options, {"ls"})).out;
+  CHECK(says(ls, "1 publisher"));
+  CHECK(says(ls, "/parcels"));
+  CHECK(says(ls, "block"));
+  CHECK(says(ls, "4 of 4"));
+  CHECK(says(ls, "publisher 1 publisher waits for room"));
+  const std::string who = run_lot(on(scene.options, {"who"})).out;
+  CHECK(says(who, "keeps"));
+  CHECK(says(who, "borrows"));
+  CHECK(says(who, "publisher 1 publisher on /parcels waits for room until 2 reader has read"));
+}
+
+TEST_CASE("the exit status: 0 well, 1 nothing or something wrong, 2 usage, 3 damaged") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  const auto exit_of = [&](std::vector<std::string> words) {
+    return run_lot(on(options, std::move(words))).exit;
+  };
+  CHECK(exit_of({"ls"}) == 1);  // nothing there
+  CHECK(exit_of({"who"}) == 1);
+  CHECK(exit_of({"clean"}) == 0);
+  CHECK(run_lot({"ls", "--dir", room.path() + "/none"}).exit == 1);
+  CHECK(run_lot({}).exit == 2);
+  CHECK(run_lot({"fly"}).exit == 2);
+  CHECK(run_lot({"ls", "--interval", "soon"}).exit == 2);
+  CHECK(run_lot({"--help"}).exit == 0);
+  CHECK(run_lot({"--version"}).exit == 0);
+  CHECK(says(run_lot({"--version"}).out, "layout " + std::to_string(lot::segment::kLayoutVersion)));
+  {
+    Actor actor(options, "actor");
+    CHECK(exit_of({"ls"}) == 0);
+    CHECK(exit_of({"who"}) == 0);
+    CHECK(exit_of({"clean"}) == 0);
+    actor.kill9();
+  }
+  CHECK(exit_of({"ls"}) == 1);
+  CHECK(exit_of({"who"}) == 1);
+  const int file = open((options.directory + "/" + options.segment).c_str(), O_RDWR);
+  REQUIRE(file != -1);
+  const std::uint32_t other = 999;
+  REQUIRE(pwrite(file, &other, sizeof(other), 8) == sizeof(other));
+  close(file);
+  CHECK(exit_of({"ls"}) == 3);
+  CHECK(says(run_lot(on(options, {"ls"})).out, "layout version 999"));
+  CHECK(exit_of({"clean"}) == 0);
+  CHECK(room.files() == 0);
+}
+
+TEST_CASE("all segments of a directory are listed, and nothing else") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const Actor one(room.options("one"), "first");
+  const Actor two(room.options("two"), "second");
+  std::ofstream(room.path() + "/text") << "LOTSHM is not how this begins";
+  std::filesystem::create_directory(room.path() + "/directory");
+  REQUIRE(mkfifo((room.path() + "/fifo").c_str(), 0600) == 0);
+  std::filesystem::create_symlink("one", room.path() + "/link");
+  const Json document = run_lot({"ls", "--json", "--dir", room.path()}).json();
+  REQUIRE(document.at("segments").size() == 2);
+  CHECK(document.at("segments").at(0).at("name") == "one");
+  CHECK(document.at("segments").at(1).at("name") == "two");
+  CHECK(document.at("exit") == 0);
+}
+
+TEST_CASE("names that would steer a terminal are printed harmless, and whole as a document") {
+  const Watchdog watchdog(60);
+  const Room room;
+  auto options = room.options();
+  options.name = "a\033[2Jb\xff";
+  const std::string topic = "/t\n\033]0;x\a";
+  Steps ready;
+  Child child([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Letter>(topic);
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() == '.');
+  const Ran text = run_lot(on(options, {"ls"}));
+  CHECK(text.exit == 0);
+  CHECK(!says(text.out, "\033"));
+  CHECK(!says(text.out, "\a"));
+  CHECK(says(text.out, "a?[2Jb?"));
+  const Json document = run_lot(on(options, {"ls", "--json"})).json();
+  CHECK(document.at("segments").at(0).at("topics").at(0).at("name") == topic);
+}
+
+TEST_CASE("a rate is what was published in between") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  Steps ready;
+  Steps halt;
+  Child child([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Letter>(kLetters);
+    ready.tell();
+    while (halt.next(1ms) == '\0') pusher.push(pusher.loan());
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() == '.');
+  const auto rate = [&] {
+    const Json document = run_lot(on(options, {"ls", "--json", "--interval", "100"})).json();
+    return document.at("segments")
+        .at(0)
+        .at("topics")
+        .at(0)
+        .at("publishers")
+        .at(0)
+        .at("per_second")
+        .get<double>();
+  };
+  CHECK(eventually([&] { return rate() > 0; }));
+  CHECK(rate() < 1100);
+  halt.tell();
+  REQUIRE(ready.next() == '.');
+  CHECK(rate() == 0);
+}
+
+TEST_SUITE_END();
