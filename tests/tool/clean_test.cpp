@@ -83,7 +83,7 @@ TEST_CASE(
   }
   const Room room;
   leave_a_dead_segment(room.options());
-  fs::resize_file(path_of(room.options()), 100);
+  fs::resize_file(path_of(room.options()), 80);
   CHECK(run_lot({"clean", "--dir", room.path()}).exit == 0);
   CHECK(room.files() == 0);
 }
