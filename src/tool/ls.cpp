@@ -50,10 +50,6 @@ void list_processes(const Observation& seen, Report& report, Json& entry) {
   if (!table.empty()) report.print(table.text() + "\n");
 }
 
-std::string lag_text(const Reader& r) {
-  return r.joining ? "joining" : std::to_string(r.lag) + (r.holds_back ? " !" : "");
-}
-
 class TopicList {
  public:
   TopicList(const Observation& seen, const Rates& rates, Clock::time_point now)
@@ -62,7 +58,6 @@ class TopicList {
   void list(Report& report, Json& entry) {
     entry["topics"] = Json::array();
     for (const auto& topic : seen_.topics) entry["topics"].push_back(list(topic));
-    // Readers of a queue that nobody writes to any more, of a topic that nobody is on any more.
     if (!table_.empty()) report.print(table_.text());
   }
 
@@ -95,10 +90,10 @@ class TopicList {
                                  {"published", c.published},
                                  {"per_second", rate},
                                  {"waits_for_room", c.waits}});
-    row({c.orphan ? "publisher (gone)" : "publisher", printable(seen_.who(c.publisher), 24),
-         engine_of(c), policy_of(c),
+    row({"publisher", printable(seen_.who(c.publisher), 24), engine_of(c), policy_of(c),
          std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
-         rate.is_null() ? "" : rate_text(rate.get<double>()), c.waits ? "waits" : ""});
+         rate.is_null() ? "" : rate_text(rate.get<double>()), "", "",
+         c.waits ? "waits for room" : ""});
     for (const auto& r : c.readers) {
       out["subscribers"].push_back({{"process", r.process},
                                     {"channel", c.channel},
@@ -106,8 +101,11 @@ class TopicList {
                                     {"lag", r.lag},
                                     {"lost", r.lost},
                                     {"holds_back", r.holds_back}});
-      row({"subscriber", printable(seen_.who(r.process), 24), "", "", "", "", lag_text(r),
-           r.lost != 0 ? count_text(r.lost) : ""});
+      row({"subscriber", printable(seen_.who(r.process), 24), "", "", "", "",
+           r.joining ? "" : std::to_string(r.lag), r.lost != 0 ? count_text(r.lost) : "",
+           r.joining      ? "joining"
+           : r.holds_back ? "holds the publisher back"
+                          : ""});
     }
   }
 
@@ -118,7 +116,7 @@ class TopicList {
                                   {"lag", 0},
                                   {"lost", 0},
                                   {"holds_back", false}});
-    row({"subscriber", printable(seen_.who(k), 24), "", "", "", "", "no publisher"});
+    row({"subscriber", printable(seen_.who(k), 24), "", "", "", "", "", "", "sees no publisher"});
   }
 
   bool is_in_a_queue(const Topic& topic, std::uint32_t k) const {
@@ -140,7 +138,7 @@ class TopicList {
   Clock::time_point now_;
   std::vector<std::string> first_;
   Table table_{
-      {"TOPIC", "TYPE", "ROLE", "PROCESS", "ENGINE", "POLICY", "HELD", "RATE", "LAG", "LOST"}};
+      {"TOPIC", "TYPE", "ROLE", "PROCESS", "ENGINE", "POLICY", "HELD", "RATE", "LAG", "LOST", ""}};
 };
 
 void list(const Sight& sight, const Rates& rates, Report& report) {

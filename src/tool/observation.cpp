@@ -54,6 +54,10 @@ class Observer {
     if (seen_.damage.size() < kMostComplaints) seen_.damage.push_back(what);
   }
 
+  bool is_alive(std::uint32_t k) const {
+    const Process* p = seen_.process(k);
+    return p != nullptr && p->alive;
+  }
   bool taken(std::uint32_t k) const { return k < taken_.size() && taken_[k]; }
 
   void find_processes() {
@@ -200,7 +204,7 @@ class Observer {
       }
       channel.readers.push_back(reader);
     }
-    channel.waits = marked && !channel.orphan &&
+    channel.waits = marked && !channel.orphan && is_alive(channel.publisher) &&
                     std::any_of(channel.readers.begin(), channel.readers.end(),
                                 [](const Reader& x) { return x.holds_back; });
     seen_.channels.push_back(std::move(channel));

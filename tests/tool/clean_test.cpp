@@ -73,7 +73,7 @@ TEST_CASE("a segment whose last process was killed is removed with its lock file
 TEST_CASE(
     "what is of another boot, another version or damaged is removed when nobody lives in it") {
   const Watchdog watchdog(60);
-  for (const std::uint64_t offset : {40, 8, 72, 16}) {
+  for (const unsigned offset : {40U, 8U, 72U, 16U}) {
     CAPTURE(offset);
     const Room room;
     leave_a_dead_segment(room.options());
