@@ -154,13 +154,19 @@ void write_to(const std::string& path, const std::string& bytes) {
   REQUIRE(file.good());
 }
 
+/// Made once, before the window is there: that is not for segments of several processes.
+const std::string& image() {
+  static const std::string made = make_image();
+  return made;
+}
+
 }  // namespace
 
 TEST_SUITE_BEGIN("damage");
 
 TEST_CASE("a segment with changed words is looked at without a step outside of it") {
   const Watchdog watchdog(120);
-  Damager damager(make_image(), seed());
+  Damager damager(image(), seed());
   lot::fuzz::window::install();
   const Room room;
   const std::string path = room.path() + "/s";
@@ -191,7 +197,7 @@ TEST_CASE("a segment with changed words is looked at without a step outside of i
 
 TEST_CASE("the command ends with 0, 1 or 3 and a whole document, whatever the segment is") {
   const Watchdog watchdog(300);
-  Damager damager(make_image(), seed() + 1);
+  Damager damager(image(), seed() + 1);
   const Room room;
   for (unsigned n = 0; n < 100; ++n) {
     CAPTURE(n);
@@ -215,13 +221,13 @@ TEST_CASE("the command ends with 0, 1 or 3 and a whole document, whatever the se
 
 TEST_CASE("each kind of damage is named") {
   const Watchdog watchdog(120);
-  const std::string image = make_image();
   const Room room;
   lot::segment::Capacity capacity;
-  std::memcpy(&capacity, image.data() + offsetof(lot::segment::Header, capacity), sizeof(capacity));
+  std::memcpy(&capacity, image().data() + offsetof(lot::segment::Header, capacity),
+              sizeof(capacity));
   const auto geometry = Geometry::of(capacity);
   const auto said = [&](std::uint64_t at, std::uint32_t value) {
-    std::string bytes = image;
+    std::string bytes = image();
     std::memcpy(bytes.data() + at, &value, sizeof(value));
     write_to(room.path() + "/s", bytes);
     const Ran ran = run_lot({"ls", "--interval", "1", "--dir", room.path()});
@@ -242,20 +248,19 @@ TEST_CASE("each kind of damage is named") {
              "its numbers make no sense"));
   CHECK(says(said(geometry.tags, 0x7ffffff0), "pieces of memory belong to what can not be"));
   CHECK(says(said(geometry.blocks + 48, 999), "who made it can not be"));
-  write_to(room.path() + "/s", image.substr(0, image.size() / 2));
+  write_to(room.path() + "/s", image().substr(0, image().size() / 2));
   CHECK(says(run_lot({"ls", "--dir", room.path()}).out, "its header says"));
-  write_to(room.path() + "/s", image.substr(0, 80));
+  write_to(room.path() + "/s", image().substr(0, 80));
   CHECK(says(run_lot({"ls", "--dir", room.path()}).out, "it is too short"));
 }
 
 TEST_CASE("a segment that is cut short while it is looked at is said to be so") {
   const Watchdog watchdog(60);
-  const std::string image = make_image();
   const Room room;
   const std::string path = room.path() + "/s";
   for (const std::size_t left : {0UL, 4096UL, 100000UL}) {
     CAPTURE(left);
-    write_to(path, image);
+    write_to(path, image());
     lot::tool::Window window(path);
     REQUIRE(truncate(path.c_str(), static_cast<off_t>(left)) == 0);
     const auto seen = lot::tool::observe(window);

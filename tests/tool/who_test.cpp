@@ -66,7 +66,7 @@ class Play {
       default:
         act(*actors_[which]);
     }
-    for (const auto& a : actors_) note_kept(*a, before);
+    for (const auto& a : actors_) note_held(*a, before);
     INFO("after: " << last_);
     compare();
   }
@@ -141,7 +141,7 @@ class Play {
   void remove(std::size_t which) {
     const std::uint32_t index = actors_[which]->index();
     actors_.erase(actors_.begin() + static_cast<std::ptrdiff_t>(which));
-    std::erase_if(kept_since_, [index](const auto& k) { return k.first.first == index; });
+    std::erase_if(held_since_, [index](const auto& k) { return k.first.first == index; });
     std::erase_if(begun_, [index](const auto& b) { return b.first.first == index; });
     // Until it has been reaped it is still among the processes.
     REQUIRE(eventually([&] {
@@ -185,13 +185,18 @@ class Play {
     return kept;
   }
 
-  void note_kept(const Actor& actor, Clock::time_point before) {
-    const Blocks kept = kept_by(actor);
+  /// A borrow that becomes a pointer is one hold.
+  void note_held(const Actor& actor, Clock::time_point before) {
+    Blocks held = kept_by(actor);
+    for (const char* topic : kTopics) {
+      const Json& borrowed = actor.truth().at(topic).at("borrowed");
+      if (!borrowed.is_null()) held.insert(borrowed.get<std::uint32_t>());
+    }
     const std::uint32_t index = actor.index();
-    std::erase_if(kept_since_, [&](const auto& k) {
-      return k.first.first == index && !kept.contains(k.first.second);
+    std::erase_if(held_since_, [&](const auto& k) {
+      return k.first.first == index && !held.contains(k.first.second);
     });
-    for (const std::uint32_t b : kept) kept_since_.insert({{index, b}, before});
+    for (const std::uint32_t b : held) held_since_.insert({{index, b}, before});
   }
 
   // ---- what is printed, and what is true
@@ -281,8 +286,8 @@ class Play {
 
   /// It may be unknown, but it is never longer than the truth.
   void check_age(const Json& holder, std::uint32_t k, std::uint32_t b) {
-    const auto since = kept_since_.find({k, b});
-    if (holder.at("seconds").is_null() || since == kept_since_.end()) return;
+    const auto since = held_since_.find({k, b});
+    if (holder.at("seconds").is_null() || since == held_since_.end()) return;
     ++ages_;
     CHECK(holder.at("seconds").get<double>() <= seconds_since(since->second));
   }
@@ -395,7 +400,7 @@ class Play {
   std::string last_;
   /// {reader, topic} -> publisher -> number
   std::map<std::pair<std::uint32_t, std::string>, std::map<std::uint64_t, std::uint64_t>> begun_;
-  std::map<std::pair<std::uint32_t, std::uint32_t>, Clock::time_point> kept_since_;
+  std::map<std::pair<std::uint32_t, std::uint32_t>, Clock::time_point> held_since_;
   unsigned kills_ = 0;
   unsigned ages_ = 0;
   unsigned deaths_seen_ = 0;
