@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <cstdio>
 #include <thread>
 
 #include "tool/report.hpp"
@@ -146,7 +147,10 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
   if (introduce(sight, report, entry)) {
     const Observation seen = observe(*sight.window);
     const auto now = Clock::now();
-    entry["instance"] = seen.instance;
+    char instance[17];  // a name, not a number: those end at 2^53 for many
+    std::snprintf(instance, sizeof(instance), "%016llx",
+                  static_cast<unsigned long long>(seen.instance));
+    entry["instance"] = instance;
     entry["memory"] = {{"used_bytes", seen.memory.used}, {"total_bytes", seen.memory.total}};
     entry["blocks"] = {{"used", seen.blocks.used}, {"total", seen.blocks.total}};
     report.print(": " + bytes_text(seen.memory.used) + " of " + bytes_text(seen.memory.total) +

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cstring>
 #include <set>
+#include <thread>
+#include <utility>
 
 #include "liveness/lock_file.hpp"
 #include "robust_mutex/robust_mutex.hpp"
@@ -17,6 +19,7 @@ using segment::Segment;
 using Own = transport::HardwareOwnership;
 
 constexpr std::size_t kMostComplaints = 20;
+constexpr std::chrono::milliseconds kRecycling{10};
 
 std::string text_of(const char* bytes, std::size_t room) { return {bytes, strnlen(bytes, room)}; }
 
@@ -121,7 +124,8 @@ class Observer {
     const auto state = ring::writer_state(w);
     if (state == ring::State::Free || state == ring::State::Init) return;
     const auto wrong = [&](const std::string& what) {
-      // What was recycled meanwhile may look like anything.
+      // What is recycled meanwhile may look like anything, until its writer word says so.
+      if (!std::exchange(has_waited_, true)) std::this_thread::sleep_for(kRecycling);
       if (entry.writer.load(std::memory_order_acquire) == w) {
         complain("queue " + std::to_string(c) + ": " + what);
       }
@@ -359,6 +363,7 @@ class Observer {
   const segment::Capacity& capacity_;
   Observation seen_;
   std::uint64_t now_ns_ = 0;
+  bool has_waited_ = false;
   std::vector<bool> taken_;
   std::vector<Noted> noted_;
   std::vector<std::uint64_t> granules_;  ///< by block

@@ -316,4 +316,38 @@ TEST_CASE("a rate is what was published in between") {
   CHECK(rate() == 0);
 }
 
+TEST_CASE("a segment at full speed, with queues that come and go, is never called damaged") {
+  const Watchdog watchdog(120);
+  const Room room;
+  const auto options = room.options();
+  Steps ready;
+  const auto work = [&](unsigned which) {
+    lot::ShmEngine engine(options);
+    ready.tell();
+    for (unsigned round = 0;; ++round) {
+      const bool blocks = (round + which) % 2 != 0;
+      auto pusher = engine.advertise<Parcel>(
+          kParcels, {blocks ? lot::Policy::Block : lot::Policy::Overwrite, kDepth, 1ms});
+      auto puller = engine.subscribe<Parcel>(kParcels);
+      std::vector<lot::ShmSharedPtr<const Parcel>> kept;
+      for (unsigned n = 0; n < 200; ++n) {
+        pusher.push(pusher.loan());
+        if (n % 3 == 0) kept.push_back(puller.try_pull());
+        if (n % 50 == 0) kept.clear();
+      }
+    }
+  };
+  std::vector<Child> children;
+  for (unsigned n = 0; n < 3; ++n) children.emplace_back([&, n] { work(n); });
+  for (unsigned n = 0; n < 3; ++n) REQUIRE(ready.next() == '.');
+  for (unsigned n = 0; n < 60; ++n) {
+    for (const auto& words : {std::vector<std::string>{"ls", "--json", "--interval", "1"},
+                              std::vector<std::string>{"who", "--all", "--json"}}) {
+      const Ran ran = run_lot(on(options, words));
+      CHECK(ran.exit == 0);
+      CHECK(ran.json().at("segments").at(0).at("damage").empty());
+    }
+  }
+}
+
 TEST_SUITE_END();
