@@ -62,7 +62,7 @@ class Cleaner {
       if (try_remove(name)) {
         removed(path, why);
       } else if (exists(path)) {
-        leave_alone(path, "somebody has come meanwhile", kWell);
+        leave_alone(path, "it has been taken meanwhile", kWell);
       }
     } catch (const Error& e) {
       leave_alone(path, e.what(), kWrong);
@@ -83,7 +83,7 @@ class Cleaner {
   }
 
   /// Under the gate nobody can come; so whoever is not there now will find nothing, and make it
-  /// anew. False: somebody is there.
+  /// anew. False: somebody is there, or has put something else in its place.
   bool try_remove(const std::string& name) {
     const std::string path = path_of(where_, name);
     const std::string lock_path = path + ".lock";
@@ -96,9 +96,9 @@ class Cleaner {
         liveness::LockFile& lock;
         ~Gate() { lock.leave_gate(); }
       } gate{lock};
-      const bool in_use = lock.held_by_other(0, kAnybody) ||
-                          (exists(path) && has_witnesses(sight(where_.directory, name)));
-      if (in_use) {
+      const bool is_ours = !exists(path) || begins_as_a_segment(path);
+      if (!is_ours || lock.held_by_other(0, kAnybody) ||
+          (exists(path) && has_witnesses(sight(where_.directory, name)))) {
         if (made) ::unlink(lock_path.c_str());
         return false;
       }

@@ -27,17 +27,6 @@ bool is_regular(const std::string& path) {
   return lstat(path.c_str(), &status) == 0 && S_ISREG(status.st_mode);
 }
 
-/// True also when it may not be read: then nobody can say that it is not one, and its lock file
-/// does.
-bool begins_as_a_segment(const std::string& path) {
-  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
-  if (fd == -1) return errno == EACCES && exists(path + std::string(kLock));
-  char magic[sizeof(segment::kMagic)] = {};
-  const bool read = pread(fd, magic, sizeof(magic), 0) == sizeof(magic);
-  ::close(fd);
-  return read && std::memcmp(magic, segment::kMagic, sizeof(magic)) == 0;
-}
-
 std::vector<std::string> files_in(const std::string& directory) {
   std::error_code error;
   std::vector<std::string> names;
@@ -62,6 +51,15 @@ std::string path_of(const Where& where, const std::string& name) {
 bool exists(const std::string& path) {
   struct stat status {};
   return lstat(path.c_str(), &status) == 0;
+}
+
+bool begins_as_a_segment(const std::string& path) {
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  if (fd == -1) return errno == EACCES && exists(path + std::string(kLock));
+  char magic[sizeof(segment::kMagic)] = {};
+  const bool read = pread(fd, magic, sizeof(magic), 0) == sizeof(magic);
+  ::close(fd);
+  return read && std::memcmp(magic, segment::kMagic, sizeof(magic)) == 0;
 }
 
 Places find_places(const Where& where) {

@@ -26,5 +26,7 @@ Places find_places(const Where& where);
 
 std::string path_of(const Where& where, const std::string& name);
 bool exists(const std::string& path);
+/// True also of a file that may not be read and has a lock file: nobody can say that it is none.
+bool begins_as_a_segment(const std::string& path);
 
 }  // namespace lot::tool

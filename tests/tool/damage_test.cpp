@@ -234,6 +234,14 @@ TEST_CASE("each kind of damage is named") {
     CHECK(ran.exit == 3);
     return ran.out;
   };
+  const auto place_of_ring = [&](std::uint32_t channel) {
+    std::uint32_t granule = 0;
+    std::memcpy(&granule,
+                image().data() + geometry.channels + channel * sizeof(lot::segment::ChannelEntry) +
+                    offsetof(lot::segment::ChannelEntry, granule),
+                sizeof(granule));
+    return geometry.data + granule * lot::segment::kGranule;
+  };
   const auto says = [](const std::string& text, const char* part) {
     return text.find(part) != text.npos;
   };
@@ -246,6 +254,17 @@ TEST_CASE("each kind of damage is named") {
   CHECK(says(said(geometry.channels + offsetof(ChannelEntry, topic), 999), "its topic can not be"));
   CHECK(says(said(geometry.channels + offsetof(ChannelEntry, depth), 1 << 30),
              "its numbers make no sense"));
+  CHECK(says(said(geometry.channels, 5000 | 2 << 24), "its publisher can not be"));
+  CHECK(says(said(geometry.channels + 3, 77), "its state is 77"));
+  const auto ring = place_of_ring(0);
+  CHECK(says(said(ring + 128, 999), "a reader of it can not be"));
+  CHECK(says(said(ring + 128 + 64, 0x7fff0), "a slot of it names a message that can not be"));
+  CHECK(says(said(ring + 128 + 64 + 64, 0x7fff0), "borrows a message that can not be"));
+  CHECK(says(said(geometry.topics + 32, 1), "a user 256 can not be"));
+  using lot::segment::BlockWords;
+  std::uint64_t block = geometry.blocks;
+  while (image()[block + offsetof(BlockWords, home)] == 0) block += sizeof(BlockWords);
+  CHECK(says(said(block + 32, 1), "a holder 256 can not be"));
   CHECK(says(said(geometry.tags, 0x7ffffff0), "pieces of memory belong to what can not be"));
   CHECK(says(said(geometry.blocks + 48, 999), "who made it can not be"));
   write_to(room.path() + "/s", image().substr(0, image().size() / 2));
