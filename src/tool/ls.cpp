@@ -25,8 +25,20 @@ Json rate_of(const Channel& c, const Rates& rates, Clock::time_point now) {
   return static_cast<double>(n > 0 ? n : 0) / seconds;
 }
 
-const char* engine_of(const Channel&) { return "ring"; }
-const char* policy_of(const Channel& c) { return c.blocking ? "block" : "overwrite"; }
+const char* engine_of(const Channel& c) {
+  return c.engine == QueueEngine::Mutex ? "mutex" : "ring";
+}
+const char* policy_of(const Channel& c) {
+  switch (c.policy) {
+    case Policy::Overwrite:
+      return "overwrite";
+    case Policy::Block:
+      return "block";
+    case Policy::Refuse:
+      return "refuse";
+  }
+  return "?";
+}
 
 double age_of(const Process& p) {
   const auto now =
@@ -73,8 +85,8 @@ class TopicList {
     for (const auto& c : seen_.channels) {
       if (c.topic == topic.index) list(c, out);
     }
-    for (const std::uint32_t k : topic.users) {
-      if (!is_in_a_queue(topic, k)) list_waiting(k, out);
+    for (const std::uint32_t k : topic.subscribers) {
+      if (!reads_a_queue(topic, k)) list_waiting(topic, k, out);
     }
     return out;
   }
@@ -86,12 +98,13 @@ class TopicList {
                                  {"gone", c.orphan},
                                  {"engine", engine_of(c)},
                                  {"policy", policy_of(c)},
+                                 {"to", c.taken ? "one" : "all"},
                                  {"depth", c.depth},
                                  {"held", c.queue.size()},
                                  {"published", c.published},
                                  {"per_second", rate},
                                  {"waits_for_room", c.waits}});
-    row({"publisher", printable(seen_.who(c.publisher), 24), engine_of(c), policy_of(c),
+    row({"publisher", printable(seen_.who(c.publisher), 24), engine_of(c), policy_of(c) + std::string(c.taken ? ", to one" : ""),
          std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
          rate.is_null() ? "" : rate_text(rate.get<double>()), "", "",
          c.waits ? "waits for room" : ""});
@@ -110,21 +123,25 @@ class TopicList {
     }
   }
 
-  void list_waiting(std::uint32_t k, Json& out) {
+  void list_waiting(const Topic& topic, std::uint32_t k, Json& out) {
     out["subscribers"].push_back({{"process", k},
                                   {"channel", nullptr},
                                   {"joining", false},
                                   {"lag", 0},
                                   {"lost", 0},
                                   {"holds_back", false}});
-    row({"subscriber", printable(seen_.who(k), 24), "", "", "", "", "", "", "sees no publisher"});
+    const bool published =
+        std::any_of(seen_.channels.begin(), seen_.channels.end(),
+                    [&](const Channel& c) { return c.topic == topic.index && !c.orphan; });
+    row({"subscriber", printable(seen_.who(k), 24), "", "", "", "", "", "",
+         published ? "has not looked yet" : "sees no publisher"});
   }
 
-  bool is_in_a_queue(const Topic& topic, std::uint32_t k) const {
+  bool reads_a_queue(const Topic& topic, std::uint32_t k) const {
     return std::any_of(seen_.channels.begin(), seen_.channels.end(), [&](const Channel& c) {
       return c.topic == topic.index &&
-             (c.publisher == k || std::any_of(c.readers.begin(), c.readers.end(),
-                                              [k](const Reader& r) { return r.process == k; }));
+             std::any_of(c.readers.begin(), c.readers.end(),
+                         [k](const Reader& r) { return r.process == k; });
     });
   }
 

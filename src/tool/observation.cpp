@@ -102,7 +102,8 @@ class Observer {
                   text_of(entry.name, sizeof(entry.name)),
                   text_of(entry.type_name, sizeof(entry.type_name)),
                   entry.type_size,
-                  {}};
+                  {},
+                  false};
       if (!topic.name.empty()) name_of_key_[segment::topic_key(topic.name)] = topic.name;
       for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
         const auto users =
@@ -110,11 +111,14 @@ class Observer {
         if ((users & Own::bit(k)) == 0) continue;
         if (k == 0 || k >= capacity_.participants) {
           complain("topic " + std::to_string(t) + ": a user " + std::to_string(k) + " can not be");
-        } else {
-          topic.users.push_back(k);
+          continue;
         }
+        topic.used = true;
+        const unsigned pullers = entry.pullers[k].load(std::memory_order_acquire);
+        if (pullers != 0) topic.subscribers.push_back(k);
+        pullers_[{t, k}] = pullers;
       }
-      if (!topic.users.empty()) seen_.topics.push_back(std::move(topic));
+      if (topic.used) seen_.topics.push_back(std::move(topic));
     }
   }
 
@@ -130,18 +134,14 @@ class Observer {
         complain("queue " + std::to_string(c) + ": " + what);
       }
     };
-    Channel channel{c,
-                    ring::writer_generation(w),
-                    state == ring::State::Orphan,
-                    ring::writer_owner(w),
-                    entry.topic,
-                    0,
-                    false,
-                    false,
-                    0,
-                    0,
-                    {},
-                    {}};
+    Channel channel;
+    channel.channel = c;
+    channel.generation = ring::writer_generation(w);
+    channel.orphan = state == ring::State::Orphan;
+    channel.publisher = ring::writer_owner(w);
+    channel.topic = entry.topic;
+    channel.policy = static_cast<Policy>(entry.policy);
+    channel.engine = static_cast<QueueEngine>(entry.engine);
     if (state != ring::State::Live && state != ring::State::Orphan) {
       return wrong("its state is " + std::to_string(static_cast<unsigned>(state)));
     }
@@ -150,7 +150,7 @@ class Observer {
     const segment::Ring r = s_.ring(c);
     if (r.depth == 0) return wrong("its numbers make no sense");
     channel.depth = r.depth;
-    channel.blocking = r.blocking;
+    channel.taken = r.taken;
     // Cursors before slots: a reader is never ahead of what is read later.
     struct Cursor {
       std::uint32_t who;
@@ -195,10 +195,16 @@ class Observer {
         reader.joining = true;
         reader.holds_back = cursor.position == ring::kPinAll;
       } else {
-        const auto lag = ring::distance(channel.next, ring::sequence(cursor.position));
+        const Word at = ring::sequence(cursor.position);
+        const auto lag = ring::distance(channel.next, at);
         reader.lag = lag > 0 ? static_cast<std::uint64_t>(lag) : 0;
-        reader.lost = !r.blocking && reader.lag > r.depth ? reader.lag - r.depth : 0;
-        reader.holds_back = r.blocking && lag >= r.depth;
+        if (r.taken) {
+          reader.lag = static_cast<std::uint64_t>(
+              std::count_if(channel.queue.begin(), channel.queue.end(),
+                            [at](const Queued& q) { return ring::distance(q.sequence, at) >= 0; }));
+        }
+        reader.lost = !r.blocking && !r.taken && reader.lag > r.depth ? reader.lag - r.depth : 0;
+        reader.holds_back = r.blocking && !r.taken && lag >= r.depth;
         const Word b = ring::block(cursor.position);
         if (b != ring::kNoBlock && b < capacity_.blocks) {
           borrows_.insert({{static_cast<std::uint32_t>(b), cursor.who}, channel.topic});
@@ -208,10 +214,26 @@ class Observer {
       }
       channel.readers.push_back(reader);
     }
+    if (r.blocking && cursors.size() < r.readers &&
+        ring::distance(channel.next, r.first & ring::kSequenceMask) >= r.depth - 1) {
+      find_late(channel);
+    }
+    const bool full = r.taken ? channel.queue.size() == r.depth
+                              : std::any_of(channel.readers.begin(), channel.readers.end(),
+                                            [](const Reader& x) { return x.holds_back; });
     channel.waits = marked && !channel.orphan && is_alive(channel.publisher) &&
-                    std::any_of(channel.readers.begin(), channel.readers.end(),
-                                [](const Reader& x) { return x.holds_back; });
+                    (full || !channel.late.empty());
     seen_.channels.push_back(std::move(channel));
+  }
+
+  /// A publisher that loses nothing waits for all who have subscribed.
+  void find_late(Channel& channel) const {
+    for (auto i = pullers_.lower_bound({channel.topic, 0});
+         i != pullers_.end() && i->first.first == channel.topic; ++i) {
+      const auto joined = std::count_if(channel.readers.begin(), channel.readers.end(),
+                                        [i](const Reader& r) { return r.process == i->first.second; });
+      if (static_cast<unsigned>(joined) < i->second) channel.late.push_back(i->first.second);
+    }
   }
 
   void count_memory() {
@@ -368,6 +390,7 @@ class Observer {
   std::vector<Noted> noted_;
   std::vector<std::uint64_t> granules_;  ///< by block
   std::map<std::uint64_t, std::string> name_of_key_;
+  std::map<std::pair<std::uint32_t, std::uint32_t>, unsigned> pullers_;  ///< {topic, process}
   std::set<std::pair<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t>>
       borrows_;                                               ///< {{block, process}, topic}
   std::set<std::pair<std::uint32_t, std::uint32_t>> refers_;  ///< {block, process}

@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "lot/options.hpp"
+
 #include "tool/window.hpp"
 
 /// What can be seen of a segment from outside, in plain values: everything is read once, checked,
@@ -38,15 +40,18 @@ struct Queued {
 
 /// One publisher's queue.
 struct Channel {
-  std::uint32_t channel;
-  std::uint32_t generation;
-  bool orphan;  ///< its publisher has gone, its readers have not
-  std::uint32_t publisher;
-  std::uint32_t topic;
-  std::uint32_t depth;
-  bool blocking;
-  bool waits = false;      ///< the publisher has found no room, and nobody made any
-  std::uint64_t next = 0;  ///< sequence of the next message
+  std::uint32_t channel = 0;
+  std::uint32_t generation = 0;
+  bool orphan = false;  ///< its publisher has gone, its readers have not
+  std::uint32_t publisher = 0;
+  std::uint32_t topic = 0;
+  std::uint32_t depth = 0;
+  Policy policy = Policy::Overwrite;
+  QueueEngine engine = QueueEngine::Ring;
+  bool taken = false;                       ///< each message is for one reader, which takes it
+  bool waits = false;               ///< the publisher has found no room, and nobody has made any
+  std::vector<std::uint32_t> late;  ///< who has subscribed and not looked since it is there
+  std::uint64_t next = 0;           ///< sequence of the next message
   std::uint64_t published = 0;
   std::vector<Queued> queue;  ///< oldest first
   std::vector<Reader> readers;
@@ -57,7 +62,8 @@ struct Topic {
   std::string name;
   std::string type;
   std::uint64_t type_size;
-  std::vector<std::uint32_t> users;
+  std::vector<std::uint32_t> subscribers;
+  bool used;
 };
 
 /// Since when, as far as the holder's warden has noted it.

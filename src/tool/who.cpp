@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <set>
 
 #include "tool/report.hpp"
 #include "tool/text.hpp"
@@ -98,22 +99,24 @@ void list_waiting(const Observation& seen, Report& report, Json& entry) {
   entry["waiting"] = Json::array();
   for (const auto& c : seen.channels) {
     if (!c.waits) continue;
-    Json whom = Json::array();
-    std::string names;
+    std::set<std::uint32_t> whom(c.late.begin(), c.late.end());
     for (const auto& r : c.readers) {
-      if (!r.holds_back) continue;
-      whom.push_back(r.process);
-      if (!names.empty()) names += ", ";
-      names += printable(seen.who(r.process));
+      if (r.holds_back || c.taken) whom.insert(r.process);
     }
+    std::string names;
+    for (const std::uint32_t k : whom) {
+      if (!names.empty()) names += c.taken ? " or " : ", ";
+      names += printable(seen.who(k));
+    }
+    if (names.empty()) names = "somebody";
     const Topic* topic = seen.topic(c.topic);
     const std::string name = topic != nullptr ? topic->name : "";
     report.hint("publisher " + printable(seen.who(c.publisher)) + " on " + printable(name) +
-                " waits for room until " + names + " has read");
+                " waits for room until " + names + (c.late.empty() ? " has read" : " has looked"));
     entry["waiting"].push_back({{"process", c.publisher},
                                 {"topic", name},
                                 {"channel", c.channel},
-                                {"waits_for", std::move(whom)}});
+                                {"waits_for", whom}});
   }
 }
 

@@ -35,6 +35,10 @@ inline Letter& letter_of(Parcel& p) { return p.letter; }
 constexpr const char* kLetters = "/letters";  ///< overwrites
 constexpr const char* kParcels = "/parcels";  ///< blocks
 constexpr std::uint32_t kDepth = 4;
+/// Every second publisher has the other engine.
+inline QueueEngine engine_of(std::uint64_t publisher) {
+  return publisher % 2 == 0 ? QueueEngine::Mutex : QueueEngine::Ring;
+}
 
 /// What one process does on one topic, and what it then truly holds there.
 template <class T>
@@ -46,7 +50,11 @@ class Desk {
   void act(const std::string& what, std::uint64_t number) {
     full_ = false;
     if (what == "advertise") {
-      pusher_.emplace(engine_.advertise<T>(topic_, {policy_, kDepth}));
+      PusherOptions how;
+      how.policy = policy_;
+      how.depth = kDepth;
+      how.engine = engine_of(number);
+      pusher_.emplace(engine_.advertise<T>(topic_, how));
       id_ = number;
       pushed_.clear();
     } else if (what == "unadvertise") {

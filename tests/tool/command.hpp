@@ -109,9 +109,9 @@ class Room {
     options.segment = name;
     options.size_bytes = 12 << 20;
     options.processes = 7;
-    options.blocks = 256;
+    options.blocks = 512;
     options.topics = 6;
-    options.channels = 16;
+    options.channels = 64;
     options.readers = 8;
     return options;
   }

@@ -103,6 +103,7 @@ TEST_CASE("ls as a document has these keys") {
                                  ".segments[].topics[].publishers[].policy",
                                  ".segments[].topics[].publishers[].process",
                                  ".segments[].topics[].publishers[].published",
+                                 ".segments[].topics[].publishers[].to",
                                  ".segments[].topics[].publishers[].waits_for_room",
                                  ".segments[].topics[].subscribers[].channel",
                                  ".segments[].topics[].subscribers[].holds_back",
@@ -281,6 +282,58 @@ TEST_CASE("names that would steer a terminal are printed harmless, and whole as 
   CHECK(says(text.out, "a?[2Jb?"));
   const Json document = run_lot(on(options, {"ls", "--json"})).json();
   CHECK(document.at("segments").at(0).at("topics").at(0).at("name") == topic);
+}
+
+TEST_CASE("a queue whose items are taken: who has taken one, and who waits for a taker") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  Steps ready;
+  Steps go;
+  Child child([&] {
+    lot::ShmEngine engine(options);
+    lot::QueueOptions how;
+    how.depth = 3;
+    auto queue = engine.queue<lot::ShmUniquePtr<Parcel>>("/queue", how);
+    for (int n = 0; n < 3; ++n) must(queue.try_put(queue.make()) == lot::Status::Ok, "put");
+    must(queue.try_put(queue.make()) == lot::Status::Full, "full");
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() == '.');
+  Child taker([&] {
+    lot::ShmEngine engine(options);
+    lot::QueueOptions how;
+    how.depth = 3;
+    auto queue = engine.queue<lot::ShmUniquePtr<Parcel>>("/queue", how);
+    queue.listen();
+    ready.tell();
+    must(go.next() != 0, "go");
+    const auto item = queue.try_pop();
+    must(item.has_value(), "an item");
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() == '.');
+  const auto publisher = [&] {
+    const Json document = run_lot(on(options, {"ls", "--json", "--interval", "1"})).json();
+    return document.at("segments").at(0).at("topics").at(0).at("publishers").at(0);
+  };
+  const auto who = [&] {
+    return run_lot(on(options, {"who", "--json"})).json().at("segments").at(0);
+  };
+  CHECK(publisher().at("to") == "one");
+  CHECK(publisher().at("held") == 3);
+  CHECK(who().at("messages").empty());
+  go.tell();
+  REQUIRE(ready.next() == '.');
+  CHECK(publisher().at("held") == 2);
+  const Json seen = who();
+  REQUIRE(seen.at("messages").size() == 1);
+  CHECK(seen.at("messages").at(0).at("made_by") == 1);
+  CHECK(seen.at("messages").at(0).at("holders").size() == 1);
+  CHECK(seen.at("messages").at(0).at("holders").at(0).at("process") == 2);
+  CHECK(seen.at("messages").at(0).at("holders").at(0).at("how") == "keeps");
 }
 
 TEST_CASE("a rate is what was published in between") {

@@ -352,6 +352,7 @@ class Play {
     CHECK(entry->at("held") == queue.size());
     CHECK(entry->at("published") == pushed.size());
     CHECK(entry->at("depth") == kDepth);
+    CHECK(entry->at("engine") == (engine_of(id) == lot::QueueEngine::Ring ? "ring" : "mutex"));
     CHECK(entry->at("policy") == (topic == kLetters ? "overwrite" : "block"));
 
     std::set<std::uint32_t> slow;
@@ -368,6 +369,10 @@ class Play {
       losses_seen_ += topic == kLetters && lag > kDepth;
       CHECK(s.at("lost") == (topic == kLetters && lag > kDepth ? lag - kDepth : 0));
       if (lag >= kDepth && topic == kParcels) slow.insert(r);
+    }
+    for (const auto& a : actors_) {  // who has not looked yet is waited for before the last slot
+      const bool late = a->truth().at(topic).at("subscribed") && !readers.contains(a->index());
+      if (late && topic == kParcels && pushed.size() >= kDepth - 1) slow.insert(a->index());
     }
     for (const auto& a : actors_) {
       const bool reads =
