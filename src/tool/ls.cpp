@@ -104,7 +104,8 @@ class TopicList {
                                  {"published", c.published},
                                  {"per_second", rate},
                                  {"waits_for_room", c.waits}});
-    row({"publisher", printable(seen_.who(c.publisher), 24), engine_of(c), policy_of(c) + std::string(c.taken ? ", to one" : ""),
+    row({"publisher", printable(seen_.who(c.publisher), 24), engine_of(c),
+         policy_of(c) + std::string(c.taken ? ", to one" : ""),
          std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
          rate.is_null() ? "" : rate_text(rate.get<double>()), "", "",
          c.waits ? "waits for room" : ""});
@@ -139,9 +140,8 @@ class TopicList {
 
   bool reads_a_queue(const Topic& topic, std::uint32_t k) const {
     return std::any_of(seen_.channels.begin(), seen_.channels.end(), [&](const Channel& c) {
-      return c.topic == topic.index &&
-             std::any_of(c.readers.begin(), c.readers.end(),
-                         [k](const Reader& r) { return r.process == k; });
+      return c.topic == topic.index && std::any_of(c.readers.begin(), c.readers.end(),
+                                                   [k](const Reader& r) { return r.process == k; });
     });
   }
 

@@ -221,8 +221,8 @@ class Observer {
     const bool full = r.taken ? channel.queue.size() == r.depth
                               : std::any_of(channel.readers.begin(), channel.readers.end(),
                                             [](const Reader& x) { return x.holds_back; });
-    channel.waits = marked && !channel.orphan && is_alive(channel.publisher) &&
-                    (full || !channel.late.empty());
+    channel.waits =
+        marked && !channel.orphan && is_alive(channel.publisher) && (full || !channel.late.empty());
     seen_.channels.push_back(std::move(channel));
   }
 
@@ -230,8 +230,9 @@ class Observer {
   void find_late(Channel& channel) const {
     for (auto i = pullers_.lower_bound({channel.topic, 0});
          i != pullers_.end() && i->first.first == channel.topic; ++i) {
-      const auto joined = std::count_if(channel.readers.begin(), channel.readers.end(),
-                                        [i](const Reader& r) { return r.process == i->first.second; });
+      const auto joined =
+          std::count_if(channel.readers.begin(), channel.readers.end(),
+                        [i](const Reader& r) { return r.process == i->first.second; });
       if (static_cast<unsigned>(joined) < i->second) channel.late.push_back(i->first.second);
     }
   }

@@ -48,7 +48,7 @@ struct Channel {
   std::uint32_t depth = 0;
   Policy policy = Policy::Overwrite;
   QueueEngine engine = QueueEngine::Ring;
-  bool taken = false;                       ///< each message is for one reader, which takes it
+  bool taken = false;               ///< each message is for one reader, which takes it
   bool waits = false;               ///< the publisher has found no room, and nobody has made any
   std::vector<std::uint32_t> late;  ///< who has subscribed and not looked since it is there
   std::uint64_t next = 0;           ///< sequence of the next message

@@ -113,10 +113,8 @@ void list_waiting(const Observation& seen, Report& report, Json& entry) {
     const std::string name = topic != nullptr ? topic->name : "";
     report.hint("publisher " + printable(seen.who(c.publisher)) + " on " + printable(name) +
                 " waits for room until " + names + (c.late.empty() ? " has read" : " has looked"));
-    entry["waiting"].push_back({{"process", c.publisher},
-                                {"topic", name},
-                                {"channel", c.channel},
-                                {"waits_for", whom}});
+    entry["waiting"].push_back(
+        {{"process", c.publisher}, {"topic", name}, {"channel", c.channel}, {"waits_for", whom}});
   }
 }
 
