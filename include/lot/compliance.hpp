@@ -160,6 +160,39 @@ struct Container<T, std::void_t<typename T::allocator_type, typename T::value_ty
   static constexpr bool shared = known && is_shm_allocator<typename T::allocator_type>::value;
 };
 
+/// What a container holds of the function that it orders, hashes or compares its keys by: a
+/// stateless one has nothing in the message.
+template <typename F>
+using StateOf = std::conditional_t<std::is_empty_v<F>, Types<>, Types<F>>;
+template <typename T>
+constexpr StateOf<typename T::key_compare> order_of(int) {
+  return {};
+}
+template <typename T>
+constexpr Types<> order_of(...) {
+  return {};
+}
+template <typename T>
+constexpr StateOf<typename T::hasher> hash_of(int) {
+  return {};
+}
+template <typename T>
+constexpr Types<> hash_of(...) {
+  return {};
+}
+template <typename T>
+constexpr StateOf<typename T::key_equal> equality_of(int) {
+  return {};
+}
+template <typename T>
+constexpr Types<> equality_of(...) {
+  return {};
+}
+template <typename... A, typename... B, typename... C>
+constexpr Types<A..., B..., C...> together(Types<A...>, Types<B...>, Types<C...>) {
+  return {};
+}
+
 /// Whether T is a standard container that links its nodes.
 ///
 /// libstdc++ links them by raw pointers even if the allocator's pointers are
@@ -297,7 +330,8 @@ constexpr auto parts_of() {
   } else if constexpr (StdParts<T>::known) {
     return typename StdParts<T>::type{};
   } else if constexpr (Container<T>::shared) {
-    return Types<typename T::value_type>{};
+    return together(Types<typename T::value_type>{}, order_of<T>(0),
+                    together(hash_of<T>(0), equality_of<T>(0), Types<>{}));
   } else {
     return field_types<T>{};
   }
@@ -383,7 +417,8 @@ struct Refused<Fault<Why, Culprit, Holders...>> {
                 "process (std::allocator); use lot::ShmString / lot::ShmVector");
   static_assert(Why != Reason::kNodeContainer,
                 "lot: this message has a standard container that links its nodes by raw pointers "
-                "whatever its allocator; use lot::ShmVector, sorted if need be");
+                "whatever its allocator; use lot::ShmVector, sorted if need be, or Boost's, as in "
+                "lot/boost_containers.hpp");
   static_assert(Why != Reason::kVectorBool,
                 "lot: this message has a std::vector<bool>, which has no bools to read in place; "
                 "use lot::ShmVector<std::uint8_t>");

@@ -22,14 +22,13 @@ class OffsetPtr {
   using value_type = std::remove_cv_t<T>;
   using difference_type = std::ptrdiff_t;
   using pointer = OffsetPtr;
-  using reference = std::add_lvalue_reference_t<T>;
+  using reference = Bytes&;  // Boost declares functions of it for pointers to void as well
   using iterator_category = std::random_access_iterator_tag;
   template <class U>
   using rebind = OffsetPtr<U>;
 
   OffsetPtr() noexcept = default;
-  OffsetPtr(std::nullptr_t) noexcept {}
-  OffsetPtr(T* target) noexcept { set(target); }
+  OffsetPtr(T* target) noexcept { set(target); }  // nullptr and 0 too
   OffsetPtr(const OffsetPtr& other) noexcept { set(other.get()); }
   template <class U, std::enable_if_t<std::is_convertible_v<U*, T*>, int> = 0>
   OffsetPtr(const OffsetPtr<U>& other) noexcept {
@@ -40,6 +39,11 @@ class OffsetPtr {
     set(static_cast<T*>(other.get()));
   }
   OffsetPtr& operator=(const OffsetPtr& other) noexcept {
+    set(other.get());
+    return *this;
+  }
+  template <class U, std::enable_if_t<std::is_convertible_v<U*, T*>, int> = 0>
+  OffsetPtr& operator=(const OffsetPtr<U>& other) noexcept {
     set(other.get());
     return *this;
   }
