@@ -2,9 +2,11 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <limits>
 #include <new>
 #include <string>
+#include <string_view>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -226,3 +228,11 @@ template <class U>
 struct is_trusted_message<ShmRef<U>> : std::true_type {};
 
 }  // namespace lot
+
+/// As std::string's: std has it for its own allocator only.
+template <>
+struct std::hash<lot::ShmString> {
+  std::size_t operator()(const lot::ShmString& text) const noexcept {
+    return std::hash<std::string_view>()(text);
+  }
+};

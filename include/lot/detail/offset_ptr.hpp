@@ -24,6 +24,9 @@ class OffsetPtr {
   using pointer = OffsetPtr;
   using reference = Bytes&;  // Boost declares functions of it for pointers to void as well
   using iterator_category = std::random_access_iterator_tag;
+#if __cplusplus > 201703L
+  using iterator_concept = std::contiguous_iterator_tag;  // for std::span of a ShmVector
+#endif
   template <class U>
   using rebind = OffsetPtr<U>;
 
@@ -105,6 +108,10 @@ class OffsetPtr {
 template <class T, class N, std::enable_if_t<std::is_integral_v<N>, int> = 0>
 OffsetPtr<T> operator+(const OffsetPtr<T>& p, N n) noexcept {
   return OffsetPtr<T>(p.get() + n);
+}
+template <class T, class N, std::enable_if_t<std::is_integral_v<N>, int> = 0>
+OffsetPtr<T> operator+(N n, const OffsetPtr<T>& p) noexcept {
+  return p + n;
 }
 template <class T, class N, std::enable_if_t<std::is_integral_v<N>, int> = 0>
 OffsetPtr<T> operator-(const OffsetPtr<T>& p, N n) noexcept {
