@@ -8,6 +8,7 @@
 #include <typeinfo>
 
 #include "lot/detail/control.hpp"
+#include "lot/detail/quiet_death.hpp"
 
 namespace lot {
 
@@ -36,7 +37,7 @@ const MessageType& message_type() {
       alignof(T),
       TypeIdentity<T>::hash(),
       TypeIdentity<T>::name(),
-      std::is_trivially_destructible_v<T> ? nullptr : &destroy_message<T>,
+      dies_quietly<T>() ? nullptr : &destroy_message<T>,
       std::is_trivially_copyable_v<T> && std::is_trivially_destructible_v<T>};
   return type;
 }

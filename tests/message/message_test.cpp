@@ -72,6 +72,20 @@ struct Detections {
   lot::ShmVector<lot::ShmRef<const Target>> refs;
 };
 
+struct Tree {
+  std::uint32_t number;
+  lot::ShmVector<Tree> children;
+};
+/// An aggregate that declares a destructor.
+struct Counting {
+  lot::ShmString text;
+  ~Counting() { ++destroyed; }
+  static inline int destroyed = 0;
+};
+struct HoldsCounting {
+  lot::ShmVector<Counting> members;
+};
+
 struct Place {
   explicit Place(std::uint64_t size = 64 << 20) : options(fresh(size)), engine(options) {
     lot::segment::Segment s(engine.path());
@@ -303,6 +317,27 @@ TEST_CASE("a message keeps what it refers to alive, and lets it go when it dies"
   CHECK(!again.frame);
   for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
   CHECK(watch.expired());
+}
+
+TEST_CASE("a message of strings and vectors is freed as a whole; any other destructor runs once") {
+  using lot::detail::dies_quietly;
+  static_assert(dies_quietly<Target>() && dies_quietly<Cloud>() && dies_quietly<Names>());
+  static_assert(dies_quietly<std::array<lot::ShmString, 2>>() && dies_quietly<Tree>());
+  static_assert(!dies_quietly<Failing>() && !dies_quietly<Detections>());
+  static_assert(!dies_quietly<Counting>() && !dies_quietly<HoldsCounting>());
+  Place place;
+  auto pusher = place.engine.advertise<HoldsCounting>("/t", {lot::Policy::Overwrite, 1, 1s});
+  const int before = Counting::destroyed;
+  for (int n = 0; n < 100; ++n) {
+    auto message = pusher.loan();
+    message->members.resize(3);
+    message->members[1].text = kLong;
+    pusher.push(std::move(message));
+  }
+  // All but those that wait for the next loan to look at them.
+  CHECK(Counting::destroyed > before);
+  CHECK(Counting::destroyed % 3 == 0);
+  CHECK(Counting::destroyed <= before + 300);
 }
 
 TEST_CASE("many references in vectors, also of messages that refer to others") {
