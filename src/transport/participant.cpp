@@ -366,9 +366,11 @@ void Participant::leave_if_unused() noexcept {
 }
 
 /// Only asked when all handles have gone. Blocks that are ready for loan carry a pointer hold of
-/// their pool, so the pools give those back first.
+/// their pool, so the pools give those back first; with each goes what its message referred to,
+/// which then is ready itself.
 bool Participant::holds_pointers() noexcept {
-  trim();
+  while (trim()) {
+  }
   for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) {
     if (hold::pointers(holder_.cells[b].hold.load(std::memory_order_seq_cst)) != 0) return true;
   }

@@ -10,6 +10,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <stdexcept>
@@ -22,6 +23,7 @@
 
 #include "lot/lot.hpp"
 
+#include "liveness/lock_file.hpp"
 #include "support/processes.hpp"
 
 /// A message whose constructor fails after it has taken memory.
@@ -478,6 +480,33 @@ TEST_CASE("a reference to a reference keeps the whole chain") {
   seen.reset();
   for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
   CHECK(watch.expired());
+}
+
+TEST_CASE("a process leaves though its last messages let others go only then") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  std::atomic<bool> held{false};
+  std::thread neighbour;
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Detection>("/d", {lot::Policy::Overwrite, 1, 1s});
+    for (int n = 0; n < 3; ++n) {
+      auto detection = pusher.loan();
+      detection->frame = lot::ShmSharedPtr<const Target>(engine.make<Target>());
+      pusher.push(std::move(detection));
+    }
+    // Somebody acts for the orphanage just now, so that the ring can not be closed at once.
+    neighbour = std::thread(
+        [lock = std::make_unique<lot::liveness::LockFile>(engine.path() + ".lock", 0600),
+         &held]() mutable {
+          held = lock->try_lock(lot::refcount::kOrphanage);
+          std::this_thread::sleep_for(500ms);
+          lock.reset();
+        });
+    REQUIRE(eventually([&] { return held.load(); }));
+  }
+  neighbour.join();
+  CHECK(eventually([&] { return files_of(options) == 0; }));
 }
 
 TEST_SUITE_END();
