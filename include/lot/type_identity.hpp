@@ -46,8 +46,9 @@ const MessageType& message_type() {
 
 template <class T>
 const char* TypeIdentity<T>::name() {
-  static const std::string name = detail::demangle(typeid(T).name());
-  return name.c_str();
+  // Never destroyed: static objects may publish in their destructors.
+  static const auto* const name = new std::string(detail::demangle(typeid(T).name()));
+  return name->c_str();
 }
 
 }  // namespace lot

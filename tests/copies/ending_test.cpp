@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// What a process leaves that ends with everything alive: exit, exec, static objects.
+
+#include <csignal>
+#include <string>
+#include <unistd.h>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+struct Number {
+  std::uint64_t value;
+};
+
+Child start(const char* how, const lot::EngineOptions& options) {
+  return Child([&] {
+    execl(LOT_ENDING, LOT_ENDING, how, options.directory.c_str(), options.segment.c_str(), nullptr);
+    must(false, LOT_ENDING);
+  });
+}
+
+/// Nothing is left of the others in the engine's segment, and it works.
+void check_works(lot::ShmEngine& engine) {
+  lot::segment::Segment segment(engine.path());
+  CHECK(eventually([&] { return Audit(segment).participants == 1; }));
+  CHECK(eventually([&] { return Audit(segment).nothing(); }));
+  auto pusher = engine.advertise<Number>("/u");
+  auto puller = engine.subscribe<Number>("/u");
+  pusher.push(pusher.loan(std::uint64_t{7}));
+  const auto seen = puller.pull(10s);
+  REQUIRE(seen);
+  CHECK(seen->value == 7);
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("copies");
+
+TEST_CASE("a process may end in any way with everything alive") {
+  const Watchdog watchdog(120);
+  const struct {
+    const char* how;
+    int status;
+  } ends[] = {{"statics, pointers last", 0},
+              {"statics, handles last", 0},
+              {"return", 0},
+              {"exit", 0},
+              {"_exit", 0},
+              {"quick_exit", 0},
+              {"abort", 128 + SIGABRT},
+              {"exit in a thread", 0},
+              {"exit while threads publish", 0},
+              {"publish in a static destructor", 0},
+              {"start another program", 0}};
+  for (const auto& end : ends) {
+    CAPTURE(end.how);
+    const auto options = fresh();
+    {
+      lot::ShmEngine engine(options);
+      CHECK(start(end.how, options).wait() == end.status);
+      check_works(engine);
+    }
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("static objects leave the segment, whichever goes last, and remove it") {
+  const Watchdog watchdog(60);
+  for (const char* how : {"statics, pointers last", "statics, handles last"}) {
+    CAPTURE(how);
+    const auto options = fresh();
+    CHECK(start(how, options).wait() == 0);
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("exec is death: what the process had is free while the new program runs") {
+  const Watchdog watchdog(120);
+  for (const char* how : {"exec", "exec in a thread", "exec while threads publish"}) {
+    CAPTURE(how);
+    const auto options = fresh();
+    {
+      lot::ShmEngine engine(options);
+      int out[2];
+      REQUIRE(pipe(out) == 0);
+      Child child([&] {
+        dup2(out[1], STDOUT_FILENO);
+        execl(LOT_ENDING, LOT_ENDING, how, options.directory.c_str(), options.segment.c_str(),
+              nullptr);
+      });
+      close(out[1]);
+      char text[7] = {};
+      CHECK(read(out[0], text, 6) == 6);
+      close(out[0]);
+      CHECK(std::string(text) == "asleep");
+      check_works(engine);
+      int status = 0;
+      CHECK(!child.ended(status));
+    }
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_SUITE_END();
