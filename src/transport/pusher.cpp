@@ -38,6 +38,15 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       : participant_(std::move(participant)), pool_(participant_->open_pool(topic)) {
     try {
       check_depth(topic, options.depth);
+      // To all without loss, a message stays in its slot until the next lap, read or not.
+      if (options.policy != Policy::Overwrite && delivery != detail::Delivery::ToOne &&
+          options.depth >= participant_->blocks()) {
+        throw Error(EINVAL, std::string(topic),
+                    "PusherOptions::depth: " + std::to_string(options.depth) +
+                        " without loss, and the segment has " +
+                        std::to_string(participant_->blocks()) + " blocks",
+                    "use less, or make the segment with a larger EngineOptions::blocks");
+      }
       const QueueEngine engine = Participant::queue_engine(options.engine);
       topic_ = participant_->enter_topic(topic, type);
       const registry::Registry::Lock lock(participant_->registry());

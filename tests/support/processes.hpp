@@ -109,6 +109,8 @@ class Steps {
   Steps& operator=(const Steps&) = delete;
 
   void tell(char step = '.') const { must(write(fd_[1], &step, 1) == 1, "a step was told"); }
+  /// Makes an end (0: to read, 1: to write) descriptor `as` of this process, for another program.
+  void become(int end, int as) const { must(dup2(fd_[end], as) == as, "dup2"); }
   /// The next step; 0 when none came in time.
   char next(std::chrono::milliseconds most = 20s) const {
     pollfd p{fd_[0], POLLIN, 0};
