@@ -96,9 +96,9 @@ QueueEngine Participant::queue_engine(QueueEngine asked) {
 
 void check_depth(std::string_view topic, std::uint32_t depth) {
   if (depth == 0 || depth > segment::Segment::kDeepest) {
-    throw Error(EINVAL, std::string(topic),
-                "PusherOptions::depth: " + std::to_string(depth) + " is out of range",
-                "use 1 to " + std::to_string(segment::Segment::kDeepest));
+    throw Error(EINVAL, std::string(topic), "depth " + std::to_string(depth) + " is out of range",
+                "set PusherOptions::depth (QueueOptions::depth) to 1 to " +
+                    std::to_string(segment::Segment::kDeepest));
   }
 }
 

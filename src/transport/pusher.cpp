@@ -42,7 +42,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       if (options.policy != Policy::Overwrite && delivery != detail::Delivery::ToOne &&
           options.depth >= participant_->blocks()) {
         throw Error(EINVAL, std::string(topic),
-                    "PusherOptions::depth: " + std::to_string(options.depth) +
+                    "PusherOptions::depth " + std::to_string(options.depth) +
                         " without loss, and the segment has " +
                         std::to_string(participant_->blocks()) + " blocks",
                     "use less, or make the segment with a larger EngineOptions::blocks");
