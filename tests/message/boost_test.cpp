@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <random>
 #include <set>
@@ -108,10 +109,10 @@ struct Zoo {
   lot::ShmFlatMultimap<int, int> flat_multimap;
   lot::ShmFlatSet<int> flat_set;
   lot::ShmFlatMultiset<int> flat_multiset;
-  boost::unordered_map<int, lot::ShmString, boost::hash<int>, std::equal_to<int>,
+  boost::unordered_map<int, lot::ShmString, std::hash<int>, std::equal_to<int>,
                        Allocator<std::pair<const int, lot::ShmString>>>
       hashed;
-  boost::unordered_set<lot::ShmString, boost::hash<lot::ShmString>, std::equal_to<lot::ShmString>,
+  boost::unordered_set<lot::ShmString, std::hash<lot::ShmString>, std::equal_to<lot::ShmString>,
                        Allocator<lot::ShmString>>
       hashed_names;
   lot::ShmMap<int, lot::ShmVector<lot::ShmMap<int, lot::ShmString>>> nested;

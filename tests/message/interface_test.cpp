@@ -168,6 +168,7 @@ template <class Place>
 void assign_strings(Place& place, Record& see) {
   using S = typename Place::type;
   S& s = place.make();
+  S& itself = s;
   S& other = place.make(kLong);
   const std::string_view view = "a view";
   see(s = other)(s = S("moved"))(s = "text")(s = 'c')(s = {'i', 'l'})(s = view);
@@ -180,7 +181,7 @@ void assign_strings(Place& place, Record& see) {
   see.thrown_by([&] { s.assign(other, 1000, 1); });
   s = other;
   s = s.c_str() + 3;  // of itself
-  see(s)(s = s)(s.assign(s, 2, 20))(s.assign(s.data() + 4, 6));
+  see(s)(s = itself)(s.assign(s, 2, 20))(s.assign(s.data() + 4, 6));
 }
 
 template <class Place>
@@ -400,10 +401,11 @@ void assign_vectors(Place& place, Record& see) {
   const std::initializer_list<T> list = {value_of<T>(3), value_of<T>(4), value_of<T>(5)};
   const std::list<T> nodes(list);
   V& v = place.make();
+  V& itself = v;
   V& other = place.make(list);
   see(v = other)(v = V(7, value_of<T>(7)))(v = list)(v = std::move(other));
   other = {value_of<T>(9)};
-  see(v = other)(v = v);
+  see(v = other)(v = itself);
   v.assign(20, value_of<T>(2));
   see(v);
   v.assign(nodes.begin(), nodes.end());
