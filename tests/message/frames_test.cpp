@@ -166,6 +166,7 @@ TEST_CASE("frames of 1 byte to 64 MiB in random order keep the memory that they 
     MESSAGE(mean << " MiB in " << quarter.most_blocks << " blocks at most; at most " << most
                  << " MiB");
     CHECK(quarter.most_blocks <= 4 * kLive);
+    CHECK(quarter.mean() * 8 < std::uint64_t{segment.granules().count()} * 5);
   }
   if (kLoans >= 1000000) CHECK(quarters[3].mean() * 4 < quarters[0].mean() * 5);
   CHECK(eventually([&] { return Audit(segment).nothing(); }));
