@@ -3,6 +3,7 @@
 // Several engines in one process: on several segments, and by several copies of the library.
 
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <dlfcn.h>
 #include <memory>
@@ -138,6 +139,40 @@ void messages_and_pointers(const lot::EngineOptions& options, int scope) {
   LOT_MUST(good(*one->pull(), 9));
 }
 
+/// Several threads push on one pusher: unique and shared messages of their own copy and of another.
+void push_from_threads(const lot::EngineOptions& options) {
+  constexpr std::uint64_t kThreads = 4;
+  constexpr std::uint64_t kMessages = 100;
+  lot::ShmEngine engine(options);
+  Loaded one(LOT_PLUGIN_ONE, RTLD_LOCAL);
+  one->join(options, "one");
+  auto pusher = engine.advertise<Frame>("/t", {lot::Policy::Block, 4, 50s});
+  auto puller = engine.subscribe<Frame>("/t");
+  std::vector<std::thread> threads;
+  std::atomic<std::uint64_t> pushed{0};
+  for (std::uint64_t t = 0; t < kThreads; ++t) {
+    threads.emplace_back([&, t] {
+      for (std::uint64_t n = 0; n < kMessages; ++n) {
+        const std::uint64_t number = 1000 * t + n;
+        auto frame = n % 2 == 0 ? pusher.loan() : one->loan(number);
+        if (n % 2 == 0) fill(*frame, number);
+        const auto status =
+            n % 4 < 2 ? pusher.push(std::move(frame)) : pusher.push(Shared(std::move(frame)));
+        pushed += status == lot::Status::Ok;
+      }
+    });
+  }
+  std::array<std::uint64_t, kThreads> next{};
+  for (std::uint64_t n = 0; n < kThreads * kMessages; ++n) {
+    const auto seen = puller.pull(50s);
+    LOT_MUST(seen);
+    const std::uint64_t thread = seen->number / 1000;
+    LOT_MUST(thread < kThreads && good(*seen, 1000 * thread + next[thread]++));
+  }
+  for (auto& thread : threads) thread.join();
+  LOT_MUST(pushed == kThreads * kMessages);
+}
+
 void unload_what_is_in_use(const lot::EngineOptions& options) {
   lot::ShmEngine engine(options);
   auto pusher = engine.advertise<Frame>("/two");
@@ -271,6 +306,10 @@ TEST_CASE("shared objects with copies of their own exchange pointers and message
 
 TEST_CASE("so they do when the names of one are visible to the other") {
   in_a_process([](const auto& options) { messages_and_pointers(options, RTLD_GLOBAL); });
+}
+
+TEST_CASE("threads push on one pusher what their copy and another have made") {
+  in_a_process([](const auto& options) { push_from_threads(options); });
 }
 
 TEST_CASE("a shared object that is unloaded while it is used stays, and so do its messages") {
