@@ -172,9 +172,12 @@ class Writer {
     const Word old = slot.exchange(make(next_, block), std::memory_order_seq_cst);  // R1, R2, R4
     Published published{ring::block(old), (old & kSleeper) != 0, &slot};
     if (ring_.arrived != nullptr) published.wake = RobustCondition(*ring_.arrived).changed();
-    if (ring_.taken) published.replaced = std::exchange(put_[index_], block);
+    if (ring_.taken) {
+      published.replaced = std::exchange(put_[index_], block);
+      if (published.replaced != kNoBlock && oldest_ == index_) oldest_ = after(index_);
+    }
     next_ = next(next_);
-    if (++index_ == ring_.depth) index_ = 0;
+    index_ = after(index_);
     P::prefetch_write(&ring_.slots[index_]);
     return published;
   }
@@ -191,7 +194,7 @@ class Writer {
       } else if (oldest_ == index_) {
         return;
       }
-      if (++oldest_ == ring_.depth) oldest_ = 0;
+      oldest_ = after(oldest_);
     }
   }
   /// Calls hold(block) for each message whose hold is still the ring's. REQUIRES: as each_taken().
@@ -217,14 +220,15 @@ class Writer {
 
   /// Takes the oldest message back out of the ring, when memory has run out; readers that have not
   /// read it count it as missed. Returns its block, or kNoBlock when the ring holds none.
-  /// REQUIRES: not blocking (a borrow has no hazard there), and that all get each message.
+  /// REQUIRES: not blocking (a borrow has no hazard there).
   Word evict_oldest() {
     std::uint32_t i = index_;
     for (std::uint32_t n = 0; n < ring_.depth; ++n) {
       // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
       const Word old = ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
-      if (block(old) != kNoBlock) return block(old);
-      if (++i == ring_.depth) i = 0;
+      const Word held = ring_.taken ? std::exchange(put_[i], kNoBlock) : block(old);
+      if (held != kNoBlock) return held;
+      i = after(i);
     }
     return kNoBlock;
   }
@@ -273,6 +277,8 @@ class Writer {
   }
 
  private:
+  std::uint32_t after(std::uint32_t i) const { return i + 1 == ring_.depth ? 0 : i + 1; }
+
   void refresh_roster() {
     const std::uint32_t now = ring_.roster->load(std::memory_order_seq_cst);  // R4
     if (roster_known_ && now == roster_) return;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "registry/registry.hpp"
 
+#include <array>
 #include <bit>
 #include <cerrno>
 #include <cstring>
@@ -116,23 +117,29 @@ void Registry::add_puller(std::uint32_t topic, std::uint32_t participant) noexce
   segment_.topics()[topic].pullers[participant].fetch_add(1, std::memory_order_relaxed);
 }
 void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
-  // Relaxed: nothing was done for its sake.
-  segment_.topics()[topic].pullers[participant].fetch_sub(1, std::memory_order_relaxed);
+  segment_.topics()[topic].pullers[participant].fetch_sub(1, std::memory_order_release);  // D2
 }
 
 bool Registry::all_joined(std::uint32_t topic, const segment::Ring& ring,
-                          std::vector<std::uint32_t>& late) const {
-  std::vector<std::uint32_t> joined(segment_.capacity().participants, 0);
+                          std::vector<std::uint32_t>& late) noexcept {
+  late.clear();
+  // Joining takes it too: so a newcomer is not taken for one who was here before.
+  if (!try_lock()) return false;
+  std::array<std::uint32_t, segment::kMaxParticipants> pullers;
+  for (std::uint32_t p = 0; p < pullers.size(); ++p) {
+    pullers[p] = segment_.topics()[topic].pullers[p].load(std::memory_order_acquire);  // D2
+  }
+  std::array<std::uint32_t, segment::kMaxParticipants> joined{};
   bool full = true;
   for (std::uint32_t c = 0; c < ring.readers; ++c) {
     const std::uint32_t who = ring.who[c].load(std::memory_order_relaxed);
     full = full && who != 0;
     if (who != 0 && who <= joined.size()) ++joined[who - 1];
   }
-  if (full) return true;  // no other one can join
-  const auto& pullers = segment_.topics()[topic].pullers;
+  unlock();
+  if (full) return true;
   for (std::uint32_t p = 0; p < joined.size(); ++p) {
-    if (pullers[p].load(std::memory_order_relaxed) > joined[p]) late.push_back(p);
+    if (pullers[p] > joined[p]) late.push_back(p);
   }
   return late.empty();
 }

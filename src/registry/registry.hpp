@@ -35,6 +35,8 @@ struct ChannelName {
 /// Edges
 ///   D1  directory version bump after LIVE -> version load of a puller
 ///       carries nothing: who finds it changed takes the lock, which carries the new ring.
+///   D2  one puller less (release), after it has left -> pullers load in all_joined (acquire)
+///       carries: its free cell. Else its cell would stand for another puller of the process.
 class Registry {
  public:
   explicit Registry(segment::Segment& segment) : segment_(segment) {}
@@ -75,10 +77,10 @@ class Registry {
   // Without the lock.
 
   void remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// Calls late(participant) for each who has pullers on the topic that have not joined the ring.
-  /// False: there was one. Those may be dead.
+  /// Whether all pullers of the topic have joined the ring, or no other one can. Else `late` is who
+  /// has not, and may be dead; nobody when the lock was not to be had just now.
   bool all_joined(std::uint32_t topic, const segment::Ring& ring,
-                  std::vector<std::uint32_t>& late) const;
+                  std::vector<std::uint32_t>& late) noexcept;
   /// No participant uses these any more: part of a reap.
   void forget(std::uint32_t participant) noexcept;
 

@@ -47,8 +47,7 @@ void* Arena::grow(std::size_t bytes) {
   if (best == kMaxExtents) {
     p = transport::Participant::at(this);
     // The memory would be at home here, and the message there.
-    if (p == nullptr || (p->holder().cell(block).hold.load(std::memory_order_relaxed) &
-                         transport::hold::kHome) == 0) {
+    if (p == nullptr || !p->holder().is_home(block)) {
       throw OutOfMemory(
           "lot: a message that another process has made can not grow: copy it, or let its maker "
           "reserve() what it will need");

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cerrno>
+#include <chrono>
 #include <condition_variable>
 #include <csignal>
 #include <cstdio>
@@ -12,6 +13,9 @@
 
 namespace lot {
 namespace {
+
+/// What cannot be waited for is not tried again at once.
+constexpr std::chrono::milliseconds kAfterError{10};
 
 /// Makes the calling thread what `options` wants. Throws lot::Error.
 void become(const ThreadOptions& options) {
@@ -43,7 +47,6 @@ void become(const ThreadOptions& options) {
 
 struct ShmListener::Impl {
   WaitSet set;
-  std::function<void()> on_ready;
   ThreadOptions options;
   std::mutex mutex;
   std::condition_variable begun;
@@ -71,18 +74,24 @@ struct ShmListener::Impl {
       has_begun = true;
       begun.notify_all();
     }
-    if (!refused) set.run();
+    if (refused) return;
+    for (bool again = true; again;) {
+      again = false;
+      try {
+        set.run();
+      } catch (const Error& error) {
+        again = true;
+        report(error);
+        std::this_thread::sleep_for(kAfterError);
+      }
+    }
   }
 
-  void ready() {
-    try {
-      on_ready();
-    } catch (const Error& error) {
-      if (options.on_error) {
-        options.on_error(error);
-      } else {
-        std::fprintf(stderr, "%s: %s\n", options.name.c_str(), error.what());
-      }
+  void report(const Error& error) {
+    if (options.on_error) {
+      options.on_error(error);
+    } else {
+      std::fprintf(stderr, "%s: %s\n", options.name.c_str(), error.what());
     }
   }
 };
@@ -91,9 +100,8 @@ void ShmListener::start(detail::PullerCore& puller, std::function<void()> on_rea
                         const ThreadOptions& thread) {
   impl_ = std::make_shared<Impl>(wait);
   Impl& impl = *impl_;
-  impl.on_ready = std::move(on_ready);
   impl.options = thread;
-  impl.set.add(puller, [&impl] { impl.ready(); });
+  impl.set.add(puller, std::move(on_ready));
   try {
     impl.thread = std::thread([&impl] { impl.run(); });
   } catch (const std::system_error& e) {

@@ -3,6 +3,7 @@
 
 #include <cerrno>
 #include <csignal>
+#include <optional>
 #include <sys/eventfd.h>
 #include <system_error>
 #include <unistd.h>
@@ -41,7 +42,13 @@ void Notifier::watch(detail::PullerCore& puller) {
   eventfd_t count;
   eventfd_read(fd_, &count);
   detail::FutexWaits waits;
-  const auto again = puller.arm(waits);
+  std::optional<detail::Clock::time_point> again;
+  try {
+    again = puller.arm(waits);
+  } catch (...) {
+    ring();  // nobody watches: look again
+    throw;
+  }
   if (!again) return ring();
   {
     const std::lock_guard guard(mutex_);

@@ -199,6 +199,7 @@ Participant::Participant(const EngineOptions& options,
     cell->block = b;
   }
   holder_.segment = &segment_;
+  holder_.in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
   holder_.pools = &pools_;
   pools_.reserve(segment_.capacity().channels + 64);
   try {
@@ -284,7 +285,10 @@ void Participant::fill_hub() noexcept {
     }
   };
   hub_.shared_from_unique = [](detail::ControlCell* c) noexcept {
-    of(c).segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
+    Participant& p = of(c);
+    if (p.holder_.is_home(c->block)) {
+      p.segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
+    }
   };
 }
 

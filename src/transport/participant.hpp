@@ -94,8 +94,9 @@ class Participant {
   /// True when the message of a unique pointer was taken from a queue: others may still look at its
   /// block, though not at the message.
   bool was_received(const detail::ControlCell& cell) const noexcept {
-    return (cell.hold.load(std::memory_order_relaxed) & hold::kHome) == 0 ||
-           segment_.block(cell.block).home_points.load(std::memory_order_relaxed) != 0;
+    // Relaxed: the slot that it was taken from carries it.
+    return !holder_.is_home(cell.block) ||
+           holder_.in_queue[cell.block].load(std::memory_order_relaxed) != 0;
   }
   /// What LOT_QUEUE in the environment says, else what the code says.
   static QueueEngine queue_engine(QueueEngine asked);

@@ -63,6 +63,12 @@ ControlCell* refer(Arena& arena, ControlCell* target) {
         "a message can not refer to one that another copy of the library has pulled or made",
         "pull it by the copy that makes the message");
   }
+  // The hold would be ours, and its entry the home's.
+  if (!p.holder().is_home(arena.block)) {
+    throw Error(EPERM, p.segment().path(),
+                "a message that was received can not refer to others than it does",
+                "make one of your own that refers to both");
+  }
   ControlCell* cell = &p.holder().cell(target->block);
   bool known = false;
   p.holder().each_reference(arena.block, [&](std::uint32_t b) { known |= b == cell->block; });

@@ -68,7 +68,13 @@ void Pool::prefetch(std::uint64_t b) const noexcept {
 /// came_home() will see to it.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
   ControlCell& c = holder_.cell(b);
-  if (holder_.own.reclaim(holder_.words(b), c.hold, expected)) return true;
+  if (holder_.own.reclaim(holder_.words(b), c.hold, expected)) {
+    // Relaxed: exclusively ours.
+    if (holder_.queued(b).load(std::memory_order_relaxed) != 0) {
+      holder_.queued(b).store(0, std::memory_order_relaxed);
+    }
+    return true;
+  }
   const std::uint64_t v = c.hold.load(std::memory_order_relaxed);
   if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0 && !is_kept_[b]) {
     is_kept_[b] = true;
@@ -88,6 +94,7 @@ std::uint32_t Pool::claim() {
     holder_.words(b).home_points.store(0, std::memory_order_relaxed);
     c.pool = index_;
     c.type = nullptr;
+    holder_.queued(b).store(0, std::memory_order_relaxed);
     Arena& arena = holder_.segment->arena(b);
     arena.self = holder_.segment->offset_of(&arena);
     arena.block = b;

@@ -28,10 +28,18 @@ struct Holder {
   HardwareOwnership own;
   detail::ControlCell* cells = nullptr;  ///< [blocks]
   const std::vector<std::unique_ptr<Pool>>* pools = nullptr;
+  /// [blocks] 1: the message was put into a queue from which one reader takes it. A unique pointer
+  /// to it was taken from there: others may still look at its block.
+  std::vector<std::atomic<std::uint8_t>> in_queue;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
 
   segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }
   detail::ControlCell& cell(std::uint32_t b) const noexcept { return cells[b]; }
+  std::atomic<std::uint8_t>& queued(std::uint32_t b) noexcept { return in_queue[b]; }
+  /// True while the block is at home here.
+  bool is_home(std::uint32_t b) const noexcept {
+    return (cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
+  }
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
   void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;

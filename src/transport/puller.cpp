@@ -114,6 +114,7 @@ class Puller final : public detail::PullerCore {
 
   std::optional<detail::Clock::time_point> arm(detail::FutexWaits& waits) override {
     participant_->check_usable();
+    if (borrowing_) return std::nullopt;  // the next look says what is wrong
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
     if (!settle()) return std::nullopt;
     const ring::Rest rest =
@@ -201,8 +202,7 @@ class Puller final : public detail::PullerCore {
 
   /// Takes the message that we hold out of the queue. False: another reader was faster.
   bool take(Source& source) {
-    detail::ControlCell& cell = participant_->holder().cell(block_);
-    if ((cell.hold.load(std::memory_order_relaxed) & hold::kHome) == 0) {
+    if (!participant_->holder().is_home(block_)) {
       participant_->segment().arena(block_).change_hands();
     }
     return source.reader.take();
@@ -328,7 +328,10 @@ class Puller final : public detail::PullerCore {
     if (not_before_ && futex::Clock::now() < *not_before_) return;
     not_before_.reset();
     registry::Registry& registry = participant_->registry();
-    if (!registry.try_lock()) return;
+    if (!registry.try_lock()) {
+      not_before_ = futex::Clock::now() + kBusyRegistry;
+      return;
+    }
     const struct Unlock {
       registry::Registry& registry;
       ~Unlock() { registry.unlock(); }

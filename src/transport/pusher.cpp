@@ -22,6 +22,8 @@ constexpr std::size_t kSmallestBatch = 32;
 /// A sender that waits for room looks by itself this often: a reader's ring may have been missed.
 constexpr auto kLookPeriod = 1ms;
 constexpr auto kSpinTime = 50us;
+/// A queue that loses nothing stays so long for readers that have not found it yet.
+constexpr auto kFarewell = 100ms;
 constexpr unsigned kPausesPerLook = 16;
 /// The lines of the block that is replaced so many publishes from now are fetched back in time.
 constexpr std::uint32_t kPrefetchAhead = 6;
@@ -73,6 +75,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       close_without_ring();
       return;
     }
+    wait_for_late_ones();
     if (evicts_) participant_->remove(*this);
     std::vector<std::uint32_t> blocks;
     std::vector<std::uint32_t> foreign;
@@ -247,30 +250,29 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
   /// Publishes, retires what was overwritten, unlocks, wakes.
   void publish(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone, std::uint32_t b) {
+    const bool guarded = writer_->ring().guarded();
+    if (guarded) big_ = is_big(b);  // before: who takes it may change it
+    if (writer_->ring().taken) participant_->holder().queued(b).store(1, std::memory_order_relaxed);
     const auto published = writer_->publish(b);
     alone.unlock();
-    const bool guarded = writer_->ring().guarded();
     std::vector<std::uint32_t> foreign;
     if (published.replaced == b) {
       foreign.push_back(b);  // the same message again: it is in the ring, so nobody needs this hold
     } else if (published.replaced < participant_->blocks()) {  // else none, or it is damaged
       pool_.retire(static_cast<std::uint32_t>(published.replaced), guarded);
       if (guarded) {
-        big_ = is_big(b);
         // Small ones wait for the next loan to look at them, unless nothing is ever loaned here.
         if (big_ || pool_.retired() >= 2 * batch()) scan();
       }
-      if (pool_.has_foreign()) foreign = pool_.take_foreign();
     }
-    if (writer_->ring().taken) {
-      big_ = is_big(b);
-      retire_taken();
-      if (big_) scan();
-    }
+    if (retire_taken() && big_) scan();
     if (!published.wake) {
       if (!pool_.has_free() && pool_.retired() >= batch()) scan();
       pool_.prepare();
       if (!guarded) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // a lossless stream
+    }
+    if (pool_.has_foreign()) {
+      for (const std::uint32_t f : pool_.take_foreign()) foreign.push_back(f);
     }
     lock.unlock();
     if (published.wake) wake_readers(*published.slot);
@@ -303,9 +305,21 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     if (all_joined_ || ring::distance(writer_->next_sequence(), ring.first) < ring.depth - 1) {
       return true;
     }
-    late_.clear();
     all_joined_ = participant_->registry().all_joined(*topic_, ring, late_);
     return all_joined_;
+  }
+
+  /// What is for everybody, or for one of them, is not gone before those who wait for it have come:
+  /// they have been woken, and join in a moment. Who does not look now comes too late.
+  void wait_for_late_ones() noexcept {
+    const ring::Ring<segment::Atomics>& ring = writer_->ring();
+    if ((!ring.blocking && !ring.taken) || writer_->next_sequence() == ring.first) return;
+    const auto until = futex::Clock::now() + kFarewell;
+    std::vector<std::uint32_t> late;
+    while (!participant_->registry().all_joined(*topic_, ring, late) &&
+           futex::Clock::now() < until) {
+      std::this_thread::sleep_for(kLookPeriod);
+    }
   }
 
   /// Waits until the slowest reader has read, or died: a reader that is at work makes room within
@@ -369,17 +383,21 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   }
 
   bool evict() noexcept override {
-    const std::lock_guard guard(pool_.lock());
-    bool any;
-    if (writer_->ring().taken) {
+    bool any = false;
+    std::vector<std::uint32_t> foreign;
+    {
+      const std::lock_guard guard(pool_.lock());
       any = retire_taken();
-    } else {
-      const mutex_engine::Alone alone(queue_lock_, std::nothrow);
-      const ring::Word b = writer_->evict_oldest();
-      if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
-      any = b != kNoBlock;
+      if (!any && !writer_->ring().blocking) {
+        const mutex_engine::Alone alone(queue_lock_, std::nothrow);
+        const ring::Word b = writer_->evict_oldest();
+        if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
+        any = b != kNoBlock;
+      }
+      scan();
+      foreign = pool_.take_foreign();
     }
-    scan();
+    for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
     return any;
   }
 

@@ -44,6 +44,7 @@ class Queue final : public detail::QueueCore {
   }
 
   bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline) override {
+    participant_->check_usable();  // before the lock: a child may have inherited it
     detail::FutexWaits waits;
     Clock::time_point spin_until{};
     for (bool first = true;; first = false) {
@@ -72,10 +73,12 @@ class Queue final : public detail::QueueCore {
   }
 
   void listen() override {
+    participant_->check_usable();  // before the lock: a child may have inherited it
     const std::lock_guard guard(mutex_);
     puller();
   }
   std::size_t size() override {
+    participant_->check_usable();  // before the lock: a child may have inherited it
     const std::lock_guard guard(mutex_);
     return puller().size();
   }
@@ -88,6 +91,7 @@ class Queue final : public detail::QueueCore {
   }
 
   detail::PusherCore& pusher() {
+    participant_->check_usable();
     std::call_once(pusher_made_, [this] {
       pusher_ = detail::make_pusher(participant_, name_, type_, putting_, delivery_);
     });

@@ -55,9 +55,10 @@ class WaitSetCore {
     futex::wake_all(&stop_);
   }
 
-  std::size_t run_once(const futex::Deadline& deadline) {
+  /// How many handlers were called; nothing when it was stopped.
+  std::optional<std::size_t> run_once(const futex::Deadline& deadline) {
     for (;;) {
-      if (stopped()) return 0;
+      if (take_stop()) return std::nullopt;
       std::size_t called = call_timers();
       waits_.clear();
       std::optional<Clock::time_point> until = call_ready(called);
@@ -171,12 +172,11 @@ WaitSet::Timer WaitSet::add_timer_once(std::chrono::nanoseconds delay, Handler h
 void WaitSet::remove(Timer timer) { core_->remove(timer); }
 
 void WaitSet::run() {
-  while (!core_->take_stop()) core_->run_once({});
+  while (core_->run_once({})) {
+  }
 }
 std::size_t WaitSet::run_once(std::chrono::nanoseconds timeout) {
-  const std::size_t called = core_->run_once(detail::after(timeout));
-  if (called == 0) core_->take_stop();
-  return called;
+  return core_->run_once(detail::after(timeout)).value_or(0);
 }
 void WaitSet::stop() noexcept { core_->stop(); }
 

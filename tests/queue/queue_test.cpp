@@ -269,6 +269,165 @@ TEST_CASE_FIXTURE(Fixture, "an item that was taken from another process can not 
   CHECK(maker.wait() == 0);
 }
 
+TEST_CASE_FIXTURE(Fixture, "an item that was taken from another process can not refer to others") {
+  struct Referring {
+    lot::ShmRef<const Task> task;
+  };
+  Steps steps;
+  Child maker([&] {
+    lot::ShmEngine shm(options);
+    auto queue = shm.queue<lot::ShmUniquePtr<Referring>>("q");
+    must(queue.put(queue.make()) == Status::Ok, "put");
+    steps.next();
+  });
+  lot::ShmEngine shm(options);
+  auto queue = shm.queue<lot::ShmUniquePtr<Referring>>("q");
+  auto item = queue.wait_and_pop();
+  const lot::ShmSharedPtr<const Task> target = shm.make<Task>();
+  CHECK_THROWS_WITH_AS(item->task = target, doctest::Contains("can not refer"), lot::Error);
+  item.reset();
+  steps.tell();
+  CHECK(maker.wait() == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "items that are handed on for ever give their memory back") {
+  auto small = options;
+  small.segment += "_small";
+  small.blocks = 256;
+  for (const QueueEngine engine : kEngines) {
+    lot::ShmEngine shm(small);
+    auto one = shm.queue<lot::ShmUniquePtr<Task>>("one", with(engine));
+    auto two = shm.queue<lot::ShmUniquePtr<Task>>("two", with(engine));
+    for (std::uint64_t n = 0; n < 5000; ++n) {
+      REQUIRE(one.put(task(one, n)) == Status::Ok);
+      REQUIRE(two.put(one.wait_and_pop()) == Status::Ok);
+      CHECK(two.wait_and_pop()->number == n);
+    }
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "items that many threads hand round keep what they are, and all die") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto one = shm.queue<lot::ShmUniquePtr<Task>>("one", with(engine));
+    auto two = shm.queue<lot::ShmUniquePtr<Task>>("two", with(engine));
+    for (std::uint64_t n = 0; n < 30; ++n) REQUIRE(one.put(task(one, n)) == Status::Ok);
+    std::atomic<bool> whole{true};
+    std::vector<std::thread> threads;
+    for (int t = 0; t < 4; ++t) {
+      threads.emplace_back([&, t] {
+        auto& from = t % 2 == 0 ? one : two;
+        auto& to = t % 2 == 0 ? two : one;
+        for (int n = 0; n < 3000; ++n) {
+          auto item = from.wait_and_pop_for(1ms);
+          if (!item) continue;
+          if ((*item)->numbers.back() != (*item)->number) whole = false;
+          if (to.put(std::move(*item)) != Status::Ok) whole = false;
+        }
+      });
+    }
+    for (auto& thread : threads) thread.join();
+    CHECK(whole);
+    CHECK(one.size() + two.size() == 30);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "items of a handle that goes at once reach who waits for them") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine));
+    auto views = shm.queue<lot::ShmSharedPtr<const Task>>("views", with(engine));
+    views.listen();
+    for (std::uint64_t round = 0; round < 20; ++round) {
+      Child brief([&] {
+        lot::ShmEngine mine(options);
+        auto queue = mine.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine));
+        auto shared = mine.queue<lot::ShmSharedPtr<const Task>>("views", with(engine));
+        for (std::uint64_t n = 0; n < 3; ++n) {
+          must(queue.put(task(queue, n)) == Status::Ok, "put");
+          auto made = shared.make();
+          made->number = n;
+          must(shared.put(lot::ShmSharedPtr<const Task>(std::move(made))) == Status::Ok, "put");
+        }
+      });
+      std::thread viewer([&] {
+        for (std::uint64_t n = 0; n < 3; ++n) CHECK(views.wait_and_pop()->number == n);
+      });
+      for (std::uint64_t n = 0; n < 3; ++n) CHECK(tasks.wait_and_pop()->number == n);
+      viewer.join();
+      CHECK(brief.wait() == 0);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture,
+                  "a queue that overwrites gives its oldest items up when memory runs out") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);  // 64 MiB
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 64, Policy::Overwrite));
+    for (std::uint64_t n = 0; n < 200; ++n) {
+      auto big = tasks.make();
+      big->number = n;
+      big->numbers.resize(1 << 17);  // 1 MiB
+      REQUIRE(tasks.put(std::move(big)) == Status::Ok);
+      if (n % 7 == 0) {
+        CHECK(tasks.try_pop().has_value());
+      }
+    }
+    std::uint64_t last = 0;
+    while (const auto item = tasks.try_pop()) {
+      CHECK((*item)->number > last);
+      last = (*item)->number;
+    }
+    CHECK(last == 199);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "the only pointer to an item that was taken counts as one") {
+  Steps steps;
+  Child maker([&] {
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks");
+    must(tasks.put(task(tasks, 1)) == Status::Ok, "put");
+    steps.next();
+  });
+  lot::ShmEngine shm(options);
+  auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks");
+  const lot::ShmSharedPtr<const Task> shared = tasks.wait_and_pop();
+  CHECK(shared.use_count() == 1);
+  steps.tell();
+  CHECK(maker.wait() == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a queue in a forked child is an error, whatever its threads were at") {
+  lot::ShmEngine shm(options);
+  auto points = shm.queue<Point>("points");
+  std::atomic<bool> stop{false};
+  std::thread popper([&] {
+    while (!stop) (void)points.try_pop();
+  });
+  for (int n = 0; n < 20; ++n) {
+    Child child([&] {
+      int refused = 0;
+      const auto refuses = [&](auto&& use) {
+        try {
+          use();
+        } catch (const lot::Error&) {
+          ++refused;
+        }
+      };
+      refuses([&] { (void)points.try_pop(); });
+      refuses([&] { (void)points.size(); });
+      refuses([&] { points.listen(); });
+      refuses([&] { (void)points.put({1, 2}); });
+      must(refused == 4, "refused");
+    });
+    CHECK(child.wait() == 0);
+  }
+  stop = true;
+  popper.join();
+}
+
 TEST_CASE_FIXTURE(Fixture, "an item becomes shared after it was taken") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);

@@ -217,6 +217,9 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet is stopped from another thread and from a 
   other.join();
   mine.stop();
   mine.run();  // a stop that came before ends the next run at once
+  CHECK(mine.run_once(1ms) == 0);
+  mine.stop();
+  CHECK(mine.run_once(1h) == 0);
   struct sigaction action {};
   struct sigaction before {};
   action.sa_handler = [](int) { set->stop(); };
@@ -366,6 +369,60 @@ TEST_CASE_FIXTURE(Fixture,
     finished.tell();
     CHECK(publisher.wait() == 0);
   });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a WaitSet beside a borrow leaves the borrow alone") {
+  lot::ShmEngine shm(options);
+  auto first = std::make_unique<lot::ShmPusher<Number>>(shm.advertise<Number>("/t"));
+  auto second = shm.advertise<Number>("/t");
+  auto puller = shm.subscribe<Number>("/t");
+  publish(second, 100);
+  auto borrow = puller.borrow(1s);
+  REQUIRE(borrow);
+  first.reset();
+  WaitSet set;
+  set.add(puller, [] {});
+  set.run_once(1ms);
+  borrow.end();
+  publish(second, 101);
+  CHECK(puller.pull(1s)->value == 101);
+  set.remove(puller);
+}
+
+TEST_CASE_FIXTURE(Fixture, "who waits while a stopped process keeps the lock goes on afterwards") {
+  lot::ShmEngine shm(options);
+  auto pusher = shm.advertise<Number>("/t", with(QueueEngine::Mutex));
+  auto puller = shm.subscribe<Number>("/t");
+  const int fd = puller.fd();
+  std::atomic<int> errors{0};
+  std::atomic<std::uint64_t> heard{0};
+  lot::ThreadOptions thread;
+  thread.on_error = [&](const lot::Error&) { ++errors; };
+  const auto listener = shm.listen<Number>(
+      "/t", [&](const lot::ShmSharedPtr<const Number>& message) { heard = message->value; }, {},
+      thread);
+  publish(pusher, 1);
+  REQUIRE(eventually([&] { return heard == 1; }));
+  Steps steps;
+  Child owner([&] {
+    lot::segment::Segment segment(shm.path());
+    for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
+      if (segment.ring(c).arrived == nullptr) continue;
+      segment.queue_lock(c).lock();
+      steps.tell();
+      pause();
+    }
+  });
+  REQUIRE(steps.next() != 0);
+  CHECK(puller.size() == 1);
+  CHECK_THROWS_WITH_AS(puller.try_pull(), doctest::Contains("lock of a queue"), lot::Error);
+  owner.kill9();
+  CHECK(readable(fd, 20'000));
+  CHECK(puller.pull(20s)->value == 1);
+  publish(pusher, 2);
+  CHECK(eventually([&] { return heard == 2; }));
+  CHECK(readable(fd, 20'000));
+  CHECK(puller.pull(20s)->value == 2);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a forked child of a process with a descriptor and a listener ends") {
