@@ -38,6 +38,7 @@ void parse(CLI::App& app, Settings& s) {
   internal("--segment", s.segment);
   app.add_flag("--until-told", s.until_told)->group("");
   app.add_flag("--hash", s.hash)->group("");
+  app.add_flag("--mutex", s.mutex)->group("");
 }
 
 int play(const Settings& s) {

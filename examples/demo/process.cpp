@@ -50,6 +50,7 @@ std::vector<std::string> arguments(const Settings& s) {
   if (!s.input.empty()) words.push_back("--input=" + s.input);
   if (s.until_told) words.emplace_back("--until-told");
   if (s.hash) words.emplace_back("--hash");
+  if (s.mutex) words.emplace_back("--mutex");
   return words;
 }
 

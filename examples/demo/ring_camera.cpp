@@ -12,6 +12,7 @@ int ring_camera(const Settings& settings) {
   lot::ShmEngine engine(settings.engine());
   lot::PusherOptions options;
   options.depth = settings.depth;
+  options.engine = settings.mutex ? lot::QueueEngine::Mutex : lot::QueueEngine::Ring;
   auto pusher = engine.advertise<Frame>(kTopic, options);
   // As many as can exist at once, so that memory is warm from the first frame on.
   pusher.reserve(settings.depth + kConsumers * (kHeld + 1), settings.bytes);

@@ -30,6 +30,7 @@ struct Settings {
   std::uint32_t report_every = 15;
   bool until_told = false;  ///< the camera goes on until it is told to stop
   bool hash = false;        ///< the consumer hashes every frame
+  bool mutex = false;       ///< the camera's queue is the other engine
 
   std::chrono::nanoseconds period() const {
     return std::chrono::nanoseconds(static_cast<std::int64_t>(1e9 / hz));

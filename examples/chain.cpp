@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+/// Camera -> detector -> logger, three processes and not one copy: a detection refers to the frame
+/// that it was made from, and each process finds the pixels at the same place of the segment.
+#include <algorithm>
+#include <chrono>
+#include <cinttypes>
+#include <cstdint>
+#include <cstdio>
+#include <fstream>
+#include <string>
+
+#include <lot/lot.hpp>
+
+#include "example.hpp"
+
+namespace {
+
+using namespace std::chrono_literals;
+
+struct Frame {
+  std::uint64_t place;  ///< where the camera has drawn the pixels
+  lot::ShmVector<std::uint8_t> pixels;
+};
+struct Detection {
+  lot::ShmRef<const Frame> frame;  ///< as long as the detection lives, the frame does
+  std::uint64_t brightest;         ///< pixel
+  std::uint64_t place;             ///< where the detector has seen the pixels
+};
+
+constexpr std::uint64_t kFrames = 5;
+constexpr std::uint64_t kPixels = 4 << 20;
+
+/// Offset in the segment's file, which all processes share; addresses differ between them.
+std::uint64_t place_of(const lot::ShmEngine& engine, const void* address) {
+  std::ifstream maps("/proc/self/maps");
+  for (std::string line; std::getline(maps, line);) {
+    std::uintptr_t begin = 0, end = 0, offset = 0;
+    std::sscanf(line.c_str(), "%" SCNxPTR "-%" SCNxPTR " %*s %" SCNxPTR, &begin, &end, &offset);
+    const auto at = reinterpret_cast<std::uintptr_t>(address);
+    if (begin <= at && at < end && line.find(engine.path()) != std::string::npos) {
+      return at - begin + offset;
+    }
+  }
+  return 0;  // not in shared memory
+}
+
+bool camera() {
+  lot::ShmEngine engine;
+  auto frames = engine.advertise<Frame>("/frames");
+  while (!frames.wait_for_readers(1, 100ms) && !example::interrupted()) continue;
+  for (std::uint64_t n = 1; n <= kFrames; ++n) {
+    auto frame = frames.loan();
+    frame->pixels.assign(kPixels, 0);
+    frame->pixels[n * 1000] = 255;
+    frame->place = place_of(engine, frame->pixels.data());
+    frames.push(std::move(frame));
+  }
+  return true;
+}
+
+bool detector() {
+  lot::ShmEngine engine;
+  auto detections = engine.advertise<Detection>("/detections");
+  while (!detections.wait_for_readers(1, 100ms) && !example::interrupted()) continue;
+  auto frames = engine.subscribe<Frame>("/frames");
+  for (std::uint64_t n = 1; n <= kFrames && !example::interrupted();) {
+    const auto frame = frames.pull(100ms);
+    if (!frame) continue;
+    const auto& pixels = frame->pixels;
+    auto detection = detections.loan();
+    detection->frame = frame;
+    detection->brightest =
+        static_cast<std::uint64_t>(std::max_element(pixels.begin(), pixels.end()) - pixels.begin());
+    detection->place = place_of(engine, pixels.data());
+    detections.push(std::move(detection));
+    ++n;
+  }
+  return true;
+}
+
+bool logger() {
+  lot::ShmEngine engine;
+  auto detections = engine.subscribe<Detection>("/detections");
+  bool good = true;
+  for (std::uint64_t n = 1; n <= kFrames && !example::interrupted();) {
+    const auto detection = detections.pull(100ms);
+    if (!detection) continue;
+    const Frame& frame = *detection->frame;
+    const std::uint64_t place = place_of(engine, frame.pixels.data());
+    std::printf("frame %" PRIu64 ": %zu bytes; camera, detector and logger have them at %#" PRIx64
+                ", %#" PRIx64 ", %#" PRIx64 "; pixel %" PRIu64 " is the brightest\n",
+                n, frame.pixels.size(), frame.place, detection->place, place, detection->brightest);
+    good &= place != 0 && place == frame.place && place == detection->place;
+    good &= detection->brightest == n++ * 1000 && frame.pixels[detection->brightest] == 255;
+  }
+  return good;
+}
+
+}  // namespace
+
+int main() {
+  return example::run("chain", [] {
+    const pid_t first = example::start("camera", camera);
+    const pid_t second = example::start("detector", detector);
+    const bool good = logger();
+    return example::finish(first) & example::finish(second) & good;
+  });
+}

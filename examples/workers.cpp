@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+/// One queue of tasks, shared by worker processes; one of them is killed in the midst of its work.
+/// The others go on. A task that it had taken is gone with it: who must have all done asks again.
+#include <chrono>
+#include <csignal>
+#include <cstdint>
+#include <cstdio>
+#include <set>
+#include <thread>
+#include <vector>
+
+#include <lot/lot.hpp>
+
+#include "example.hpp"
+
+namespace {
+
+using namespace std::chrono_literals;
+
+struct Task {
+  std::uint32_t number = 0;
+  lot::ShmVector<std::uint32_t> numbers;  ///< to be added up
+};
+struct Result {
+  std::uint32_t number;
+  std::uint64_t sum;
+};
+
+constexpr std::uint32_t kTasks = 400;
+constexpr std::uint32_t kNumbers = 1000;
+
+using Tasks = lot::ShmQueue<lot::ShmUniquePtr<Task>>;  // a worker takes a task and owns it alone
+using Results = lot::ShmQueue<Result>;                 // by value
+
+void put(Tasks& tasks, std::uint32_t number) {
+  auto task = tasks.make();
+  task->number = number;
+  task->numbers.assign(kNumbers, number);
+  tasks.put(std::move(task));
+}
+
+lot::QueueOptions room_for_all() {
+  lot::QueueOptions options;
+  options.depth = kTasks;  // nobody waits for room
+  return options;
+}
+
+bool worker() {
+  lot::ShmEngine engine;
+  auto tasks = engine.queue<lot::ShmUniquePtr<Task>>("tasks");
+  auto results = engine.queue<Result>("results", room_for_all());
+  while (!example::interrupted()) {  // until main() says SIGTERM
+    const auto task = tasks.wait_and_pop_for(100ms);
+    if (!task) continue;
+    std::this_thread::sleep_for(1ms);  // hard work
+    Result result{(*task)->number, 0};
+    for (const std::uint32_t n : (*task)->numbers) result.sum += n;
+    results.put(result);
+  }
+  return true;
+}
+
+bool supervisor(pid_t victim) {
+  lot::ShmEngine engine;
+  auto tasks = engine.queue<lot::ShmUniquePtr<Task>>("tasks", room_for_all());
+  auto results = engine.queue<Result>("results");
+  results.listen();
+  for (std::uint32_t n = 1; n <= kTasks; ++n) put(tasks, n);
+
+  std::set<std::uint32_t> done;
+  bool right = true;
+  const auto wait_for = [&](std::size_t count) {  // false: Ctrl-C
+    while (done.size() < count && !example::interrupted()) {
+      const auto result = results.wait_and_pop_for(100ms);
+      if (!result) continue;
+      right &= result->sum == std::uint64_t{kNumbers} * result->number;
+      done.insert(result->number);
+    }
+    return done.size() >= count;
+  };
+  if (!wait_for(kTasks / 4)) return false;
+  kill(victim, SIGKILL);
+  std::printf("%zu tasks were done when a worker was killed\n", done.size());
+
+  if (!wait_for(kTasks - 1)) return false;  // it had one task at most
+  std::printf("the others have done %zu of %u\n", done.size(), kTasks);
+  for (std::uint32_t n = 1; n <= kTasks; ++n) {
+    if (done.count(n) == 0) put(tasks, n);  // or it is on its way: then it is done twice
+  }
+  if (!wait_for(kTasks)) return false;
+  std::printf("all %zu are done, and all sums are %s\n", done.size(), right ? "right" : "WRONG");
+  return right;
+}
+
+}  // namespace
+
+int main() {
+  return example::run("workers", [] {
+    std::vector<pid_t> workers;
+    while (workers.size() < 3) workers.push_back(example::start("worker", worker));
+    const bool good = supervisor(workers.front());
+    for (const pid_t worker : workers) kill(worker, SIGTERM);
+    for (const pid_t worker : workers) example::finish(worker);
+    return good;
+  });
+}
