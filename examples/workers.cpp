@@ -60,7 +60,7 @@ bool worker() {
   return true;
 }
 
-bool supervisor(pid_t victim) {
+bool supervisor(std::vector<pid_t>& workers) {
   lot::ShmEngine engine;
   auto tasks = engine.queue<lot::ShmUniquePtr<Task>>("tasks", room_for_all());
   auto results = engine.queue<Result>("results");
@@ -79,7 +79,9 @@ bool supervisor(pid_t victim) {
     return done.size() >= count;
   };
   if (!wait_for(kTasks / 4)) return false;
-  kill(victim, SIGKILL);
+  kill(workers.back(), SIGKILL);
+  example::finish(workers.back());
+  workers.pop_back();
   std::printf("%zu tasks were done when a worker was killed\n", done.size());
 
   if (!wait_for(kTasks - 1)) return false;  // it had one task at most
@@ -98,7 +100,7 @@ int main() {
   return example::run("workers", [] {
     std::vector<pid_t> workers;
     while (workers.size() < 3) workers.push_back(example::start("worker", worker));
-    const bool good = supervisor(workers.front());
+    const bool good = supervisor(workers);
     for (const pid_t worker : workers) kill(worker, SIGTERM);
     for (const pid_t worker : workers) example::finish(worker);
     return good;

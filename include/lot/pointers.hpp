@@ -393,9 +393,11 @@ std::ostream& operator<<(std::ostream& out, const ShmSharedPtr<T>& p) {
 
 }  // namespace lot
 
+namespace std {  // open, since doxygen does not follow the short form
 template <class T>
-struct std::hash<lot::ShmSharedPtr<T>> {
+struct hash<lot::ShmSharedPtr<T>> {
   std::size_t operator()(const lot::ShmSharedPtr<T>& p) const noexcept {
     return std::hash<T*>()(p.get());
   }
 };
+}  // namespace std

@@ -84,11 +84,12 @@ const MessageType& taken_type() {
 ///     lot::ShmUniquePtr<Task> task = queue.wait_and_pop();
 ///
 /// T says what an item is and who gets it:
-///   ShmSharedPtr<const U>  each reader gets every item and becomes one of its owners. Such a queue
-///                          is a topic: ShmPusher and ShmPuller of U work on it as well.
-///   ShmUniquePtr<U>        one of the readers takes it, and owns it alone. It may change the item,
-///                          but only its maker's process can make it grow.
-///   any other T            one of the readers takes it, by value. T is a message type.
+/// - `ShmSharedPtr<const U>`: each reader gets every item and becomes one of its owners. Such a
+/// queue
+///   is a topic: ShmPusher and ShmPuller of U work on it as well.
+/// - `ShmUniquePtr<U>`: one of the readers takes it, and owns it alone. It may change the item, but
+///   only its maker's process can make it grow.
+/// - any other T: one of the readers takes it, by value. T is a message type.
 ///
 /// Each handle that puts has a queue of its own (depth items, in their order); a handle that pops
 /// reads all of them. Threads that share a handle share its items, each of which one of them gets.

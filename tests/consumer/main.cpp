@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// The README's program, compiled as C++17 against the installed package: what a user writes.
+// The README's programs, compiled as C++17: what a user writes.
 
 #include <chrono>
 #include <cstdint>
@@ -14,11 +14,13 @@ struct Frame {
   lot::ShmString encoding;
   lot::ShmVector<std::uint8_t> data;
 };
+struct Task {
+  std::uint32_t number;
+};
 
-int main() {
-  using namespace std::chrono_literals;
+using namespace std::chrono_literals;
 
-  lot::ShmEngine engine;
+static int publish_and_receive(lot::ShmEngine& engine) {
   auto pusher = engine.advertise<Frame>("/camera/front");
   auto puller = engine.subscribe<Frame>("/camera/front");
 
@@ -36,6 +38,41 @@ int main() {
       auto look = puller.borrow(100ms);
       if (!look || look->data[4711] != round) return 2;
     }
+  }
+  return 0;
+}
+
+static int put_and_pop(lot::ShmEngine& engine) {
+  auto tasks = engine.queue<lot::ShmUniquePtr<Task>>("tasks");
+  if (tasks.put(tasks.make(Task{1})) != lot::Status::Ok) return 3;
+  if (tasks.emplace(Task{2}) != lot::Status::Ok || tasks.size() != 2) return 4;
+  if (tasks.wait_and_pop()->number != 1) return 5;
+  const auto second = tasks.try_pop();
+  if (!second || (*second)->number != 2 || !tasks.is_empty()) return 6;
+
+  auto values = engine.queue<Task>("values");
+  if (values.try_put(Task{3}) != lot::Status::Ok || values.wait_and_pop().number != 3) return 7;
+  return 0;
+}
+
+static int wait_for_several(lot::ShmEngine& engine) {
+  auto pusher = engine.advertise<Task>("/numbers");
+  auto puller = engine.subscribe<Task>("/numbers");
+  std::uint32_t sum = 0;
+  lot::WaitSet set;
+  set.add(puller, [&] {
+    while (auto number = puller.try_pull()) sum += number->number;
+    set.stop();
+  });
+  set.add_timer_once(1ms, [&] { pusher.push(pusher.loan(Task{5})); });
+  set.run();
+  return sum == 5 ? 0 : 8;
+}
+
+int main() {
+  lot::ShmEngine engine;
+  for (const auto part : {publish_and_receive, put_and_pop, wait_for_several}) {
+    if (const int wrong = part(engine)) return wrong;
   }
   std::puts("ok");
 }
