@@ -31,6 +31,11 @@ namespace detail {
 /// What lies in shared memory for an item of type T, and who gets it.
 template <class T>
 struct QueueItem {
+  static_assert(std::is_object_v<T> && !std::is_array_v<T>,
+                "lot: an item is a value or a pointer; use std::array, or a struct, for several");
+  static_assert(std::is_copy_constructible_v<T>,
+                "lot: an item that is popped by value must be copyable: use "
+                "ShmQueue<ShmUniquePtr<T>>");
   using Element = T;
   static constexpr Delivery kDelivery = Delivery::ToOne;
   static T from(const Borrowed& borrowed) {
@@ -119,7 +124,8 @@ class ShmQueue {
   }
 
   // Putting. Status::Full when the queue was full (at once under Policy::Refuse, when the time is
-  // up under Policy::Block); the item then stays with the caller. Policy::Overwrite is never full.
+  // up under Policy::Block: put() and emplace() wait for ever); the item then stays with the
+  // caller. Policy::Overwrite is never full. A unique pointer is moved: put(std::move(item)).
 
   Status put(const T& item) { return put_until(item, detail::after(kForever)); }
   Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }
@@ -157,7 +163,7 @@ class ShmQueue {
     return put_made(make(std::forward<Args>(args)...), detail::after(kForever));
   }
 
-  // Popping. Nothing when there was none in time.
+  // Popping. Nothing when there was none in time. A pointer comes in an optional: (*item)->member.
 
   T wait_and_pop() {
     detail::Borrowed item;

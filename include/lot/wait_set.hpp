@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -32,7 +33,7 @@ class WaitSetCore;
 /// threads of its own help). A handler that leaves messages unread is called again.
 ///
 /// Threads: stop() at any time, also in a signal handler; all others by the thread that runs.
-///          Handlers run in it, and may add and remove.
+///          Handlers run in it, and may add, remove and stop, but not run.
 /// Errors:  what a handler throws leaves run() and run_once(), which can be called again.
 class WaitSet {
  public:
@@ -40,7 +41,8 @@ class WaitSet {
   /// Names a timer.
   enum class Timer : std::uint64_t {};
 
-  /// With Wait::Adaptive it spins for some microseconds before it sleeps.
+  /// With Wait::Adaptive it spins for some microseconds before it sleeps; its pullers' own
+  /// PullerOptions::wait does not count here.
   explicit WaitSet(Wait wait = Wait::Park);
   ~WaitSet();
   WaitSet(const WaitSet&) = delete;
@@ -62,7 +64,7 @@ class WaitSet {
   Timer add_timer_once(std::chrono::nanoseconds delay, Handler handler);
   void remove(Timer timer);
 
-  /// Until stop().
+  /// Calls handlers until stop().
   void run();
   /// Waits until something can be done, or the time is up, and does it: the number of handlers that
   /// were called. 0 as well when stop() was called.
@@ -101,6 +103,8 @@ class ShmListener {
   /// Errors: lot::Error when the thread cannot be had as `thread` wants it.
   template <class T, class Callback>
   ShmListener(ShmPuller<T>&& puller, Callback&& callback, Wait wait, const ThreadOptions& thread) {
+    static_assert(std::is_invocable_v<std::decay_t<Callback>&, const ShmSharedPtr<const T>&>,
+                  "lot: a listener calls callback(const lot::ShmSharedPtr<const T>& message)");
     auto mine = std::make_shared<ShmPuller<T>>(std::move(puller));
     start(
         *mine->core_,

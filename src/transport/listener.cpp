@@ -4,10 +4,12 @@
 #include <condition_variable>
 #include <csignal>
 #include <cstdio>
+#include <memory>
 #include <mutex>
 #include <sched.h>
 #include <system_error>
 #include <thread>
+#include <unistd.h>
 
 #include "lot/wait_set.hpp"
 
@@ -52,12 +54,17 @@ struct ShmListener::Impl {
   std::condition_variable begun;
   bool has_begun = false;
   std::exception_ptr refused;
-  std::thread thread;
+  const pid_t process = getpid();
+  std::unique_ptr<std::thread> thread;
 
   explicit Impl(Wait wait) : set(wait) {}
   ~Impl() {
+    if (getpid() != process) {
+      (void)thread.release();  // the child has no such thread
+      return;
+    }
     set.stop();
-    if (thread.joinable()) thread.join();
+    if (thread) thread->join();
   }
 
   void run() {
@@ -103,7 +110,7 @@ void ShmListener::start(detail::PullerCore& puller, std::function<void()> on_rea
   impl.options = thread;
   impl.set.add(puller, std::move(on_ready));
   try {
-    impl.thread = std::thread([&impl] { impl.run(); });
+    impl.thread = std::make_unique<std::thread>([&impl] { impl.run(); });
   } catch (const std::system_error& e) {
     throw Error(e.code().value(), "thread", "no thread for a listener",
                 "raise the limit of threads (ulimit -u)");

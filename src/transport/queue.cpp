@@ -87,7 +87,8 @@ class Queue final : public detail::QueueCore {
  private:
   static std::chrono::nanoseconds until(Clock::time_point deadline) {
     if (deadline == Clock::time_point::min()) return 0ns;
-    return std::max<std::chrono::nanoseconds>(deadline - Clock::now(), 0ns);
+    const auto now = Clock::now();
+    return deadline > now ? deadline - now : 0ns;
   }
 
   detail::PusherCore& pusher() {

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Every way to wait: spinning, parked, WaitSet, listeners and descriptors. Both engines.
+#include <atomic>
 #include <csignal>
 #include <memory>
+#include <optional>
 #include <poll.h>
 #include <sched.h>
 #include <sys/epoll.h>
@@ -429,8 +431,21 @@ TEST_CASE_FIXTURE(Fixture, "a forked child of a process with a descriptor and a 
   lot::ShmEngine shm(options);
   auto puller = std::make_unique<lot::ShmPuller<Number>>(shm.subscribe<Number>("/t"));
   puller->fd();
+  std::optional<lot::ShmListener> listener =
+      shm.listen<Number>("/t", [](const lot::ShmSharedPtr<const Number>&) {});
   Child child([&] {
-    puller.reset();  // its thread is not there
+    // Threads of the child's own, where those that it has not inherited were.
+    std::atomic<bool> done{false};
+    std::vector<std::thread> others;
+    for (int n = 0; n < 4; ++n) {
+      others.emplace_back([&] {
+        while (!done) std::this_thread::sleep_for(1ms);
+      });
+    }
+    puller.reset();
+    listener.reset();
+    done = true;
+    for (std::thread& other : others) other.join();
   });
   CHECK(child.wait() == 0);
 }
