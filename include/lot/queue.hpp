@@ -32,9 +32,9 @@ namespace detail {
 template <class T>
 struct QueueItem {
   static_assert(std::is_object_v<T> && !std::is_array_v<T>,
-                "lot: an item is a value or a pointer; use std::array, or a struct, for several");
+                "lot: this item is an array, a reference or nothing; use std::array, or a struct");
   static_assert(std::is_copy_constructible_v<T>,
-                "lot: an item that is popped by value must be copyable: use "
+                "lot: this item is popped by value and cannot be copied; use "
                 "ShmQueue<ShmUniquePtr<T>>");
   using Element = T;
   static constexpr Delivery kDelivery = Delivery::ToOne;
@@ -58,7 +58,7 @@ struct QueueItem<ShmUniquePtr<U>> {
 template <class U>
 struct QueueItem<ShmSharedPtr<U>> {
   static_assert(std::is_const_v<U>,
-                "lot: an item that several processes get cannot change: use "
+                "lot: this item goes to several processes, so it cannot change; use "
                 "ShmQueue<ShmSharedPtr<const T>>, or ShmQueue<ShmUniquePtr<T>>");
   using Element = std::remove_const_t<U>;
   static constexpr Delivery kDelivery = Delivery::ToAll;
@@ -139,7 +139,8 @@ class ShmQueue {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
       return core_->put_shared(detail::PointerAccess::cell(item), deadline);
     } else {
-      static_assert(std::is_same_v<T, Element>, "lot: a ShmUniquePtr can only be moved: std::move");
+      static_assert(std::is_same_v<T, Element>,
+                    "lot: this item has one owner and can only be moved; use std::move()");
       return put_made(make(item), deadline);
     }
   }

@@ -103,8 +103,9 @@ class ShmListener {
   /// Errors: lot::Error when the thread cannot be had as `thread` wants it.
   template <class T, class Callback>
   ShmListener(ShmPuller<T>&& puller, Callback&& callback, Wait wait, const ThreadOptions& thread) {
-    static_assert(std::is_invocable_v<std::decay_t<Callback>&, const ShmSharedPtr<const T>&>,
-                  "lot: a listener calls callback(const lot::ShmSharedPtr<const T>& message)");
+    static_assert(
+        std::is_invocable_v<std::decay_t<Callback>&, const ShmSharedPtr<const T>&>,
+        "lot: this callback does not take a message: (const lot::ShmSharedPtr<const T>&)");
     auto mine = std::make_shared<ShmPuller<T>>(std::move(puller));
     start(
         *mine->core_,

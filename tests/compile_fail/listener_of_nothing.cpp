@@ -1,0 +1,11 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <lot/lot.hpp>
+
+struct Item {
+  int number;
+};
+
+void wrong(lot::ShmEngine& engine) {
+  engine.listen<Item>("/t", [] {});
+}
