@@ -102,7 +102,8 @@ int main() {
   return example::run("chain", [] {
     const pid_t first = example::start("camera", camera);
     const pid_t second = example::start("detector", detector);
-    const bool good = logger();
-    return example::finish(first) & example::finish(second) & good;
+    bool good = logger();
+    for (const pid_t child : {first, second}) good = example::finish(child) && good;
+    return good;
   });
 }
