@@ -94,7 +94,8 @@ const MessageType& taken_type() {
 ///   is a topic: ShmPusher and ShmPuller of U work on it as well.
 /// - `ShmUniquePtr<U>`: one of the readers takes it, and owns it alone. It may change the item, but
 ///   only its maker's process can make it grow.
-/// - any other T: one of the readers takes it, by value. T is a message type.
+/// - any other T: one of the readers takes it, by value. T is a message type. Such a queue and one
+///   of `ShmUniquePtr<T>` are the same: one process may put values and another pop pointers.
 ///
 /// Each handle that puts has a queue of its own (depth items, in their order); a handle that pops
 /// reads all of them. Threads that share a handle share its items, each of which one of them gets.
@@ -125,7 +126,8 @@ class ShmQueue {
 
   // Putting. Status::Full when the queue was full (at once under Policy::Refuse, when the time is
   // up under Policy::Block: put() and emplace() wait for ever); the item then stays with the
-  // caller. Policy::Overwrite is never full. A unique pointer is moved: put(std::move(item)).
+  // caller. Under Policy::Overwrite it is never full: the oldest item that nobody has popped is
+  // dropped. A unique pointer is moved: put(std::move(item)).
 
   Status put(const T& item) { return put_until(item, detail::after(kForever)); }
   Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }

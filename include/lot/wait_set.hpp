@@ -35,6 +35,8 @@ class WaitSetCore;
 /// Threads: stop() at any time, also in a signal handler; all others by the thread that runs.
 ///          Handlers run in it, and may add, remove and stop, but not run.
 /// Errors:  what a handler throws leaves run() and run_once(), which can be called again.
+/// lot::Error
+///          for an empty handler and for a period of nothing.
 class WaitSet {
  public:
   using Handler = std::function<void()>;

@@ -151,10 +151,20 @@ class WaitSetCore {
 
 }  // namespace detail
 
+namespace {
+
+void check(const WaitSet::Handler& handler) {
+  if (handler) return;
+  throw Error(EINVAL, "WaitSet", "a handler is empty", "give a function to be called");
+}
+
+}  // namespace
+
 WaitSet::WaitSet(Wait wait) : core_(std::make_unique<detail::WaitSetCore>(wait)) {}
 WaitSet::~WaitSet() = default;
 
 void WaitSet::add(detail::PullerCore& puller, Handler handler) {
+  check(handler);
   core_->add(puller, std::move(handler));
 }
 void WaitSet::remove(detail::PullerCore& puller) { core_->remove(puller); }
@@ -164,9 +174,11 @@ WaitSet::Timer WaitSet::add_timer(std::chrono::nanoseconds period, Handler handl
     throw Error(EINVAL, "WaitSet::add_timer", "a period must be longer than nothing",
                 "use add_timer_once() for what is to be done once");
   }
+  check(handler);
   return core_->add(period, period, std::move(handler));
 }
 WaitSet::Timer WaitSet::add_timer_once(std::chrono::nanoseconds delay, Handler handler) {
+  check(handler);
   return core_->add(delay, std::chrono::nanoseconds(0), std::move(handler));
 }
 void WaitSet::remove(Timer timer) { core_->remove(timer); }

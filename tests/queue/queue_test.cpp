@@ -221,6 +221,35 @@ TEST_CASE_FIXTURE(Fixture, "a topic and a queue of items for one do not mix") {
   CHECK_THROWS_WITH_AS(shm.subscribe<Task>("/t"), doctest::Contains("ShmQueue of"), lot::Error);
 }
 
+TEST_CASE_FIXTURE(Fixture, "values and unique pointers are put into the same queue") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto values = shm.queue<Point>("points", with(engine));
+    auto pointers = shm.queue<lot::ShmUniquePtr<Point>>("points", with(engine));
+    CHECK(values.put({1, 2}) == Status::Ok);
+    CHECK(pointers.wait_and_pop()->y == 2);
+    CHECK(pointers.put(pointers.make(3.0, 4.0)) == Status::Ok);
+    CHECK(values.wait_and_pop().y == 4);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "an empty pointer is refused, and any deadline is one") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 1));
+    auto views = shm.queue<lot::ShmSharedPtr<const Task>>("views", with(engine));
+    CHECK_THROWS_WITH_AS(tasks.put(nullptr), doctest::Contains("an empty pointer"), lot::Error);
+    CHECK_THROWS_WITH_AS(views.put(nullptr), doctest::Contains("an empty pointer"), lot::Error);
+    const auto long_ago = Clock::time_point::min() + 1ns;
+    CHECK(tasks.put_until(tasks.make(), long_ago) == Status::Ok);
+    CHECK(tasks.put_until(tasks.make(), long_ago) == Status::Full);
+    CHECK(tasks.put_for(tasks.make(), -1h) == Status::Full);
+    CHECK(tasks.wait_and_pop_until(Clock::time_point::max()));
+    CHECK(!tasks.wait_and_pop_until(long_ago));
+    CHECK(!tasks.wait_and_pop_for(std::chrono::nanoseconds::min()));
+  });
+}
+
 TEST_CASE_FIXTURE(Fixture, "an item that was taken can be changed, and put again") {
   with_each_engine([&](QueueEngine engine) {
     Child worker([&] {

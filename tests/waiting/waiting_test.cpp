@@ -236,6 +236,20 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet is stopped from another thread and from a 
   sigaction(SIGUSR1, &before, nullptr);
 }
 
+TEST_CASE_FIXTURE(Fixture, "an empty handler and a period of nothing are refused at once") {
+  lot::ShmEngine shm(options);
+  auto puller = shm.subscribe<Number>("/t");
+  WaitSet set;
+  const auto refused = [](auto&& add, const char* why) {
+    CHECK_THROWS_WITH_AS(add(), doctest::Contains(why), lot::Error);
+  };
+  refused([&] { set.add(puller, nullptr); }, "a handler is empty");
+  refused([&] { set.add_timer(1s, nullptr); }, "a handler is empty");
+  refused([&] { set.add_timer_once(0s, nullptr); }, "a handler is empty");
+  refused([&] { set.add_timer(0s, [] {}); }, "longer than nothing");
+  CHECK(set.run_once(1ms) == 0);
+}
+
 TEST_CASE_FIXTURE(Fixture, "handlers may add and remove, also themselves, and may throw") {
   lot::ShmEngine shm(options);
   auto pusher = shm.advertise<Number>("/t");
