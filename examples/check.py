@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 
-PATIENCE = 100  # seconds; a watchdog, not a measure
+PATIENCE = 250  # seconds; a watchdog, not a measure
 
 
 def files():

@@ -26,7 +26,7 @@ struct Ball {
 };
 using Pushers = std::vector<lot::ShmPusher<Ball>>;
 
-constexpr std::uint32_t kBlocks = 41, kTrips = 100;  // of each arm
+constexpr std::uint32_t kBlocks = 25, kTrips = 100;  // of each arm
 
 Pushers both_arms(lot::ShmEngine& engine, const char* topic) {
   Pushers pushers;
