@@ -134,6 +134,7 @@ class Participant {
     Pool* pool;
     registry::ChannelName ring;
     std::vector<std::uint32_t> blocks;
+    bool releasing;  ///< a thread gives up what the ring held: blocks may still come home
   };
   using Recovery = recovery::Recovery<detail::HardwareAtomics, Participant>;
   class GateGuard;

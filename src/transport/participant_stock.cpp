@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// What a participant owns: rings, pools, memory, topics.
+#include <algorithm>
 #include <cerrno>
 
 #include "lot/error.hpp"
@@ -45,19 +46,26 @@ bool Participant::finish_closing() noexcept {
   }
   // What the closed rings held is the orphanage's now: our own holds may go.
   std::vector<std::uint32_t> blocks;
+  std::vector<const Pool*> pools;
   {
     const std::lock_guard guard(pools_mutex_);
     for (auto& d : draining_) {
       if (!d.blocks.empty() && ring_closed(d.ring)) {
         blocks.insert(blocks.end(), d.blocks.begin(), d.blocks.end());
+        pools.push_back(d.pool);
         d.blocks.clear();
+        d.releasing = true;
       }
     }
   }
   for (const std::uint32_t b : blocks) holder_.release_ring_hold(b);
   const std::lock_guard guard(pools_mutex_);
+  for (auto& d : draining_) {
+    if (std::find(pools.begin(), pools.end(), d.pool) != pools.end()) d.releasing = false;
+  }
   for (std::size_t i = 0; i < draining_.size();) {
-    if (draining_[i].blocks.empty() && draining_[i].pool->drain()) {
+    const auto& d = draining_[i];
+    if (d.blocks.empty() && !d.releasing && d.pool->drain()) {
       idle_.push_back(draining_[i].pool);
       draining_.erase(draining_.begin() + static_cast<std::ptrdiff_t>(i));
     } else {
@@ -88,7 +96,7 @@ Pool& Participant::open_pool(std::string_view topic) {
 void Participant::close_pool(Pool& pool, const registry::ChannelName& ring,
                              std::vector<std::uint32_t> blocks) noexcept {
   const std::lock_guard guard(pools_mutex_);
-  draining_.push_back({&pool, ring, std::move(blocks)});
+  draining_.push_back({&pool, ring, std::move(blocks), false});
 }
 
 bool Participant::trim() noexcept {
