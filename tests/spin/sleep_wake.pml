@@ -201,7 +201,7 @@ inline wake_slots(c) {
       :: else
       fi;
 #else
-      kernel_wake(SLOT(c, i)); /* @ src/recovery/recovery.hpp wake_readers: world_.wake(r.slots[i]) */
+      kernel_wake(SLOT(c, i)); /* @ src/recovery/recovery.hpp wake_readers: r.wake_sleepers([this](auto& word) { world_.wake(word); }) */
 #endif
       i++ }
   :: atomic { i == DEPTH -> i = 0; marked = 0; break }
@@ -380,7 +380,7 @@ inline publish(mine) {
 #endif
   atomic {
     if
-    :: old & MARK -> kernel_wake(SLOT(mine, next)) /* @ src/transport/pusher.cpp publish: if (published.wake) futex::wake_all(futex::low_half(*published.slot)) */
+    :: old & MARK -> kernel_wake(SLOT(mine, next)) /* @ src/transport/pusher.cpp publish: if (published.wake) wake_readers(*published.slot) */
     :: else
     fi;
     old = 0;
@@ -417,7 +417,7 @@ inline look_for_room() {
 }
 
 inline wait_for_room(me) {
-  look_for_room(); /* @ src/transport/pusher.cpp push_unique: !writer_->room() && !wait_for_room(lock, block_for) */
+  look_for_room(); /* @ src/transport/pusher.cpp push_unique: !room() && !wait_for_room(lock, alone, block_for) */
   if
   :: !crowded -> goto room
   :: else
@@ -429,7 +429,7 @@ mark:
     value = space /* @ src/lockfree_ring/ring.hpp mark_waiting: ring_.space->compare_exchange_strong(v, v + 1 */
   };
 #ifndef NO_ROOM_RECHECK
-  look_for_room(); /* @ src/lockfree_ring/sleep.hpp wait_for_room: if (writer.room()) return std::nullopt */
+  look_for_room(); /* @ src/lockfree_ring/sleep.hpp wait_for_room: if (room()) return std::nullopt */
   if
   :: !crowded -> goto room
   :: else -> w = 0
@@ -474,7 +474,7 @@ proctype publisher(byte mine) {
     do
     :: next < FIRST + MESSAGES ->
 #ifdef ROOM
-      wait_for_room(me); /* @ src/transport/pusher.cpp push_unique: wait_for_room(lock, block_for) */
+      wait_for_room(me); /* @ src/transport/pusher.cpp push_unique: wait_for_room(lock, alone, block_for) */
 #endif
       publish(mine) /* @ src/transport/pusher.cpp publish: writer_->publish(b) */
     :: else -> break
@@ -608,7 +608,7 @@ poll:
 #ifdef ROOM
     position[r] = cursor[s]; /* @ src/lockfree_ring/ring.hpp done: ring_.cells[cell_].position.store(make(cursor_, kNoBlock) */
 #ifndef NO_LOOK_AT_SPACE
-    ring_bell(); /* @ src/transport/puller.cpp done: if (reader.done()) ring_bell(reader) */
+    ring_bell(); /* @ src/transport/puller.cpp end: if (source.reader.done()) ring_bell(source.reader) */
 #endif
     if
     :: r == READERS - 1 -> leave(r, 0); goto finished /* @ src/transport/puller.cpp leave_all: leave(s.reader) */
@@ -718,7 +718,7 @@ settle:
         fi;
 #endif
         if
-        :: slot[SLOT(s, cursor[s])] == w -> queued[me] = queued[me] | 1 << SLOT(s, cursor[s]) /* @ src/lockfree_ring/sleep.hpp lie_down: sleep_on(source.reader.slot(), *marked) */
+        :: slot[SLOT(s, cursor[s])] == w -> queued[me] = queued[me] | 1 << SLOT(s, cursor[s]) /* @ src/lockfree_ring/sleep.hpp leave_mark: sleep_on(source.reader.slot(), *marked) */
         :: else -> GIVE_UP(look)
         fi;
         w = 0; s++; next_ring(s) }
@@ -738,7 +738,7 @@ settle:
         break }
     od;
     if
-    :: atomic { woken[me] -> woken[me] = 0; queued[me] = 0; goto look } /* @ src/transport/puller.cpp park: futex::wait_any(waits_.data() */
+    :: atomic { woken[me] -> woken[me] = 0; queued[me] = 0; goto look } /* @ src/transport/puller.cpp park: futex::wait_any(waits_ */
     :: NOTHING_CAN_COME
     fi;
 finished:
