@@ -24,8 +24,9 @@ import sys
 import tempfile
 
 ROOMS = ('src/lockfree_ring/*.hpp', 'src/refcount/*.hpp', 'src/recovery/*.hpp',
-         'src/segment/granules.hpp')
-CLASSES = ('Ring', 'Writer', 'Reader', 'Cell', 'Ownership', 'BlockWords', 'Recovery', 'Granules')
+         'src/robust_mutex/robust_condition.hpp', 'src/segment/granules.hpp')
+CLASSES = ('Ring', 'Writer', 'Reader', 'Cell', 'Ownership', 'BlockWords', 'Recovery', 'Granules',
+           'RobustCondition')
 TARGETS = ('lot', 'lot_model')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.hh', '.cxx', '.hxx', '.ipp', '.inc', '.in'}
 

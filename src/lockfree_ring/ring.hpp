@@ -427,8 +427,14 @@ class Reader {
   /// Takes the sender's mark away; true when the caller must wake `space`.
   static bool ring_bell(typename P::template Atomic<std::uint32_t>& space) {
     std::uint32_t v = space.load(std::memory_order_relaxed);
-    return (v & 1) != 0 && space.compare_exchange_strong(v, v + 1, std::memory_order_relaxed,
-                                                         std::memory_order_relaxed);
+    // Again: who leaves or is reaped adds 2, and the sender sleeps on.
+    while ((v & 1) != 0) {
+      if (space.compare_exchange_weak(v, v + 1, std::memory_order_relaxed,
+                                      std::memory_order_relaxed)) {
+        return true;
+      }
+    }
+    return false;
   }
 
   /// Leaves a sleeper's mark in the slot that the next publish will exchange. Returns the slot word

@@ -36,7 +36,7 @@ class RobustCondition {
   explicit RobustCondition(Word& word) noexcept : word_(word) {}
 
   /// Says that the caller is about to sleep. Returns the value to sleep on.
-  std::uint32_t announce() noexcept {
+  std::uint32_t announce() {
     return word_.fetch_or(kWaits, std::memory_order_acquire) | kWaits;  // C1
   }
 
@@ -47,7 +47,7 @@ class RobustCondition {
   }
 
   /// Says that something has changed. True when somebody may sleep: the caller then wakes.
-  [[nodiscard]] bool changed() noexcept {
+  [[nodiscard]] bool changed() {
     if ((word_.load(std::memory_order_relaxed) & kWaits) == 0) return false;
     word_.fetch_add(kWaits, std::memory_order_relaxed);  // takes the mark away, and is a change
     return true;
@@ -56,7 +56,7 @@ class RobustCondition {
 
   /// A change that is no change of what the mutex guards, or of which nobody was told: the caller
   /// wakes everybody, whatever the mark says. With the mutex or without it.
-  void renew() noexcept {
+  void renew() {
     // Takes no mark away, which needs the mutex: so by two.
     word_.fetch_add(2 * kWaits, std::memory_order_release);  // C1
   }

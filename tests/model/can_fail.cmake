@@ -13,7 +13,9 @@ foreach(mistake IN ITEMS
     no-wake
     no-ring-for-room
     no-look-at-hazards
-    no-lock-for-joiners)
+    no-lock-for-joiners
+    taken-without-a-look
+    no-repair-after-a-death)
   execute_process(
     COMMAND ${MODEL} --stop --random 20000 --plant ${mistake}
     RESULT_VARIABLE status

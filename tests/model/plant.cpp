@@ -46,6 +46,8 @@ const NamedPlant kPlants[] = {
      {"ownership.hpp", 0, 0, "::adopt(", Operation::Fetch, kRelease, {.drop = true}}},
     {"joiner-not-announced",  // R4
      {"ring.hpp", 0, 0, "::join", Operation::Fetch, kSeqCst, {.drop = true}}},
+    {"taken-without-a-look",  // R10: two readers may take the same message
+     {"ring.hpp", 0, 0, "::take", Operation::CompareExchange, kSeqCst, {.drop = true}}},
     {"marks-not-cleared",  // R5: a late sleeper does not see the end
      {"ring.hpp", 0, 0, "clear_sleeper(", Operation::CompareExchange, kRelease, {.drop = true}}},
 };
@@ -55,6 +57,7 @@ const std::pair<const char*, bool Omissions::*> kOmissions[] = {
     {"no-ring-for-room", &Omissions::ring_for_room},
     {"no-look-at-hazards", &Omissions::hazards},
     {"no-lock-for-joiners", &Omissions::rings_lock},
+    {"no-repair-after-a-death", &Omissions::repair},
 };
 
 }  // namespace

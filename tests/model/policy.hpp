@@ -22,16 +22,27 @@ struct Killed {};
 class Killer {
  public:
   /// 0: not at all.
-  void aim(unsigned step) { remaining_[rl::thread_index()] = step; }
-  void aim_at_nobody() { remaining_ = {}; }
+  void aim(unsigned step) {
+    remaining_[rl::thread_index()] = step;
+    dead_[rl::thread_index()] = false;
+  }
+  void aim_at_nobody() {
+    remaining_ = {};
+    dead_ = {};
+  }
 
   void step() {
     unsigned& remaining = remaining_[rl::thread_index()];
-    if (remaining != 0 && --remaining == 0) throw Killed{};
+    if (remaining == 0 || --remaining != 0) return;
+    dead_[rl::thread_index()] = true;
+    throw Killed{};
   }
+  /// It was hit: what is left of it must touch nothing.
+  bool has_hit() const { return dead_[rl::thread_index()]; }
 
  private:
   std::array<unsigned, 8> remaining_{};
+  std::array<bool, 8> dead_{};
 };
 
 inline Killer killer;

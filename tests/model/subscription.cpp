@@ -27,7 +27,7 @@ void Subscription::find_rings() {
     RL_ASSERT(!full);
     if (!reader) continue;
     process_->move_in(c, reader->cell());
-    sources_.push_back({c, generation, *reader});
+    sources_.push_back({c, generation, *reader, process_});
   }
   version_ = version;
 }
@@ -39,6 +39,9 @@ bool Subscription::receive() {
     process_->unlock_rings();
   }
   for (Source& source : sources_) {
+    // Nobody is kept from the lock for nothing.
+    if (source.reader.ring().arrived != nullptr && !source.reader.ready()) continue;
+    const Source::Turn turn(source);
     std::uint64_t missed = 0;
     const Word b = source.reader.poll(missed);
     if (b == kNoBlock) continue;

@@ -24,8 +24,9 @@ class Subscription {
     std::uint32_t channel;
     std::uint32_t generation;
     ring::Reader<Policy> reader;
-    struct Turn {
-      explicit Turn(const Source&) {}
+    Process* process;
+    struct Turn : model::Turn {
+      explicit Turn(const Source& s) : model::Turn(*s.process, s.channel) {}
     };
   };
 

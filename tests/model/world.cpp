@@ -6,6 +6,10 @@ namespace lot::model {
 // ---- Channel and Segment
 // --------------------------------------------------------------------------
 
+namespace {
+constexpr std::uint32_t kOwnerDied = ~std::uint32_t{0};
+}
+
 Channel::Channel(const Shape& shape)
     : slots(shape.depth), cells(shape.readers), who(shape.readers), tenants(shape.readers) {
   blocking.write(false);
@@ -45,7 +49,29 @@ bool Segment::try_lock(std::uint32_t lock, std::uint32_t holder) {
 
 void Segment::unlock(std::uint32_t lock) { locks_[lock].store(0, std::memory_order_release); }
 
+bool Segment::lock_queue(std::uint32_t channel, std::uint32_t holder) {
+  auto& lock = channels[channel].lock;
+  for (;;) {
+    std::uint32_t before = 0;
+    if (lock.compare_exchange_strong(before, holder + 1, std::memory_order_acquire,
+                                     std::memory_order_relaxed)) {
+      return true;
+    }
+    if (before == kOwnerDied &&
+        lock.compare_exchange_strong(before, holder + 1, std::memory_order_acquire,
+                                     std::memory_order_relaxed)) {
+      return false;
+    }
+    Policy::pause();
+  }
+}
+
 void Segment::bury(std::uint32_t participant) {
+  for (auto& channel : channels) {
+    if (channel.lock.load(std::memory_order_relaxed) == participant + 1) {
+      channel.lock.store(kOwnerDied, std::memory_order_release);
+    }
+  }
   for (auto& lock : locks_) {
     if (lock.load(std::memory_order_relaxed) == participant + 1) {
       lock.store(0, std::memory_order_release);
@@ -59,6 +85,31 @@ void Segment::await_end_of(std::uint32_t participant) {
   while (ended_[participant].load(std::memory_order_acquire) == 0) {
     ended_[participant].wait_while(0);
   }
+}
+
+// ---- Turn
+// ----------------------------------------------------------------------------------------
+
+Turn::Turn(Process& process, std::uint32_t channel) : process_(process), channel_(channel) {
+  lock();
+}
+
+void Turn::lock() {
+  Segment& segment = process_.segment();
+  if (!segment.shape.locked) return;
+  const bool clean = segment.lock_queue(channel_, process_.index());
+  held_ = true;
+  if (clean || garden.omitted.repair) return;
+  for (auto* word : {&segment.channels[channel_].arrived, &segment.channels[channel_].space}) {
+    RobustCondition(*word).renew();
+    word->wake_all();
+  }
+}
+
+void Turn::unlock() {
+  if (!held_ || killer.has_hit()) return;
+  process_.segment().channels[channel_].lock.store(0, std::memory_order_release);
+  held_ = false;
 }
 
 // ---- Process
@@ -233,8 +284,8 @@ ring::Ring<Policy> Process::ring(std::uint32_t c) {
           channel.cells.data(),    channel.who.data(),
           &channel.roster,         &channel.space,
           segment_->shape.depth,   segment_->shape.readers,
-          channel.blocking.read(), false,
-          Segment::kFirst};
+          channel.blocking.read(), segment_->shape.taken,
+          Segment::kFirst,         segment_->shape.locked ? &channel.arrived : nullptr};
 }
 
 void Process::close_ring(std::uint32_t c) {
@@ -308,7 +359,7 @@ bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
   channel.writer.store(ring::make_writer(generation, ring::State::Live, process.index()),
                        std::memory_order_seq_cst);
   process_ = &process;
-  blocking_ = blocking;
+  channel_ = c;
   writer_ = ring::Writer<Policy>(ring);
   process.enter(*this);
   return true;
@@ -327,11 +378,14 @@ bool Publisher::send() {
   const Word b = process_->loan();
   if (b == Process::kNone) return false;
   process_->write(b, sent_);
+  Turn turn(*process_, channel_);
   if (!writer_.room()) {
+    turn.unlock();
     process_->unloan(b);
     return false;
   }
-  send_own(b);
+  process_->hand_own_to_ring(b);
+  publish(b, turn);
   return true;
 }
 
@@ -339,46 +393,72 @@ void Publisher::send_and_wait() {
   const Word b = process_->loan();
   RL_ASSERT(b != Process::kNone);
   process_->write(b, sent_);
+  Turn turn(*process_, channel_);
   while (!writer_.room()) {
     const auto odd = ring::wait_for_room(writer_, [this] { return writer_.room(); });
-    if (odd) writer_.ring().space->wait_while(*odd);
+    if (!odd) break;
+    turn.unlock();
+    writer_.ring().space->wait_while(*odd);
+    turn.lock();
   }
-  send_own(b);
+  process_->hand_own_to_ring(b);
+  publish(b, turn);
 }
 
 void Publisher::send_own(Word b) {
+  Turn turn(*process_, channel_);
   process_->hand_own_to_ring(b);
-  publish(b);
+  publish(b, turn);
 }
 
 void Publisher::forward(Word b) {
+  Turn turn(*process_, channel_);
   process_->hand_to_ring(b);
-  publish(b);
+  publish(b, turn);
 }
 
 bool Publisher::evict() {
+  Turn turn(*process_, channel_);
   const Word b = writer_.evict_oldest();
+  turn.unlock();
   if (b == kNoBlock) return false;
   retire(b);
   return true;
 }
 
-void Publisher::publish(Word b) {
+void Publisher::close() {
+  std::vector<Word> put;
+  writer_.each_put([&](Word b) { put.push_back(b); });
+  process_->close_ring(channel_);
+  for (const Word b : put) process_->take_from_ring(b);
+}
+
+void Publisher::publish(Word b, Turn& turn) {
   const auto published = writer_.publish(b);
+  turn.unlock();
   ++sent_;
-  if (published.wake && !garden.omitted.wake_readers) published.slot->wake_all();
+  if (published.wake && !garden.omitted.wake_readers) {
+    auto* arrived = writer_.ring().arrived;
+    arrived != nullptr ? arrived->wake_all() : published.slot->wake_all();
+  }
   if (published.replaced != kNoBlock) retire(published.replaced);
+  retire_taken();
 }
 
 void Publisher::retire(Word b) {
-  if (blocking_ || garden.omitted.hazards) {
+  if (!writer_.ring().guarded() || garden.omitted.hazards) {
     process_->take_from_ring(b);
   } else {
     retired_.push_back(b);
   }
 }
 
+void Publisher::retire_taken() {
+  if (writer_.ring().taken) writer_.each_taken([this](Word b) { retire(b); });
+}
+
 void Publisher::scan() {
+  retire_taken();
   if (retired_.empty()) return;
   std::vector<Word> hazards;
   writer_.hazards([&](Word b) { hazards.push_back(b); });
@@ -426,12 +506,15 @@ void Subscriber::leave() {
 }
 
 Word Subscriber::borrow() {
+  Turn turn(*process_, channel_);
   const Word b = reader_.poll(missed_);
+  turn.unlock();
   if (b == kNoBlock && reader_.sender_waits()) ring_for_room();
   return b;
 }
 
 void Subscriber::done() {
+  const Turn turn(*process_, channel_);
   if (reader_.done()) ring_for_room();
 }
 
@@ -444,11 +527,13 @@ void Subscriber::ring_for_room() {
 void Subscriber::sleep() {
   struct Source {
     ring::Reader<Policy>& reader;
-    struct Turn {
-      explicit Turn(const Source&) {}
+    Process& process;
+    std::uint32_t channel;
+    struct Turn : model::Turn {
+      explicit Turn(const Source& s) : model::Turn(s.process, s.channel) {}
     };
   };
-  std::array<Source, 1> only{{{reader_}}};
+  std::array<Source, 1> only{{{reader_, *process_, channel_}}};
   sleep_on(only, process_->segment(), 0);
 }
 
@@ -471,6 +556,24 @@ bool Subscriber::receive_and_keep() {
   process_->drop(b);
   ++received_;
   return true;
+}
+
+Word Subscriber::take_one(std::uint64_t& taken) {
+  Turn turn(*process_, channel_);
+  for (;;) {
+    const Word b = reader_.poll(missed_);
+    if (b == kNoBlock) {
+      turn.unlock();
+      if (reader_.sender_waits()) ring_for_room();
+      return b;
+    }
+    process_->keep(b);
+    taken = number();
+    const bool ours = reader_.take();
+    if (reader_.done()) ring_for_room();
+    if (ours) return b;
+    process_->drop(b);
+  }
 }
 
 std::uint64_t Subscriber::number() const {

@@ -33,6 +33,8 @@ struct Shape {
   std::uint32_t depth = 2;
   std::uint32_t readers = 1;
   std::uint32_t channels = 1;
+  bool taken = false;   ///< each message is for one reader, which takes it
+  bool locked = false;  ///< the mutex engine
 };
 
 /// One channel's words, and the plain ones that the publisher writes before it goes LIVE.
@@ -50,6 +52,8 @@ struct Channel {
   Atomic<std::uint32_t> formed;  ///< 1: `blocking` is written
   Plain<bool> blocking;
   Plain<bool> used;  ///< written by who makes a ring and who frees it: one after the other
+  Atomic<std::uint32_t> arrived;  ///< the mutex engine's condition
+  Atomic<std::uint32_t> lock;     ///< its lock: 0, its holder + 1, or kOwnerDied
   /// Written by who takes and who leaves a cell: a cell has one reader after the other.
   std::vector<Plain<std::uint32_t>> tenants;
 };
@@ -64,6 +68,9 @@ class Segment {
 
   bool try_lock(std::uint32_t lock, std::uint32_t holder);
   void unlock(std::uint32_t lock);
+
+  /// What pthread_mutex_lock does: false when the last owner has died with the lock.
+  bool lock_queue(std::uint32_t channel, std::uint32_t holder);
 
   /// What the kernel does for a process that has ended, in whatever way.
   void bury(std::uint32_t participant);
@@ -86,7 +93,25 @@ class Segment {
   std::vector<Atomic<std::uint32_t>> ended_;
 };
 
+class Process;
 class Publisher;
+
+/// Alone with a ring of the mutex engine, while this lives. Who has it from a dead one wakes all.
+class Turn {
+ public:
+  Turn(Process& process, std::uint32_t channel);
+  ~Turn() noexcept(false) { unlock(); }  // its owner may be killed there
+  Turn(const Turn&) = delete;
+  Turn& operator=(const Turn&) = delete;
+
+  void lock();
+  void unlock();
+
+ private:
+  Process& process_;
+  std::uint32_t channel_;
+  bool held_ = false;
+};
 
 /// One process: its hold words, its blocks, and the World that Recovery sees through its eyes.
 class Process {
@@ -216,6 +241,8 @@ class Publisher {
   void send_own(Word b);
   /// Takes the oldest message back. False: the ring is empty.
   bool evict();
+  /// Ends the ring, and gives up what is the orphanage's then.
+  void close();
   /// Gives up the retired blocks that no reader looks at.
   void scan();
 
@@ -223,11 +250,12 @@ class Publisher {
 
  private:
   bool make_ring(Process& process, std::uint32_t channel, bool blocking);
-  void publish(Word b);
+  void publish(Word b, Turn& turn);
   void retire(Word b);
+  void retire_taken();
 
   Process* process_ = nullptr;
-  bool blocking_ = false;
+  std::uint32_t channel_ = 0;
   ring::Writer<Policy> writer_;
   std::vector<Word> retired_;
   std::uint64_t sent_ = 0;
@@ -264,13 +292,19 @@ class Subscriber {
   bool receive();
   /// Borrows, keeps, lets the borrow go, reads and checks, drops. False: there is none.
   bool receive_and_keep();
-  /// What receive() and receive_and_keep() saw.
+  /// Takes the next message, checks it and changes it, as its only owner. False: there is none.
+  /// `mine(number)` is called as soon as it is ours.
+  template <class Mine>
+  bool take(Mine&& mine);
+  /// What receive(), receive_and_keep() and take() saw.
   std::uint64_t received() const { return received_; }
   std::uint64_t missed() const { return missed_; }
   /// Number of the message at the cursor: 0 for the first one of the ring.
   std::uint64_t number() const;
 
  private:
+  /// Takes the next message, and holds it: its block, or kNone.
+  Word take_one(std::uint64_t& number);
   void ring_for_room();
 
   Process* process_ = nullptr;
@@ -279,6 +313,19 @@ class Subscriber {
   std::uint64_t missed_ = 0;
   std::uint64_t received_ = 0;
 };
+
+template <class Mine>
+bool Subscriber::take(Mine&& mine) {
+  std::uint64_t number = 0;
+  const Word b = take_one(number);
+  if (b == kNoBlock) return false;
+  mine(number);
+  RL_ASSERT(process_->read(b) == number);
+  process_->write(b, ~number);
+  process_->drop(b);
+  ++received_;
+  return true;
+}
 
 /// First in every scene, before anything allocates.
 struct SceneBegins {

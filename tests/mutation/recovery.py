@@ -23,7 +23,7 @@ class Planted:
 MISTAKES = (
     Planted('a conditional wake in the reaper', RECOVERY, 'crash', ((
         '''    r.clear_sleepers();
-    for (std::uint32_t i = 0; i < r.depth; ++i) world_.wake(r.slots[i]);''',
+    r.wake_sleepers([this](auto& word) { world_.wake(word); });''',
         '''    for (std::uint32_t i = 0; i < r.depth; ++i) {
       if (ring::clear_sleeper(r.slots[i])) world_.wake(r.slots[i]);
     }'''),)),
@@ -86,7 +86,7 @@ MISTAKES = (
       if (state != ring::State::Orphan) continue;
 '''),)),
     Planted('re-check: room, after the mark', SLEEP, 'ring', ((
-        '  if (writer.room()) return std::nullopt;', '  if (false) return std::nullopt;'),)),
+        '  if (room()) return std::nullopt;', '  if (false) return std::nullopt;'),)),
     Planted('re-check: the end, after the mark', SLEEP, 'sleep', ((
         '    if (source.reader.orphaned()) return Rest::Look;\n', ''),)),
     Planted('a mark is taken away and begins no new round', 'src/lockfree_ring/ring.hpp', 'sleep', ((
@@ -95,6 +95,22 @@ MISTAKES = (
         '      if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);\n',
         '      if ((ring.slots[i].load(std::memory_order_relaxed) & kSleeper) != 0) {\n'
         '        clear_sleeper(ring.slots[i]);\n      }\n'),)),
+    Planted('a message is taken twice', 'src/lockfree_ring/ring.hpp', 'taken', ((
+        '    while (sequence(seen) == cursor_ && block(seen) != kNoBlock) {',
+        '    while (sequence(seen) == cursor_) {'),)),
+    Planted('what was taken is given up before what is older', 'src/lockfree_ring/ring.hpp', 'taken', ((
+        '        if (block(ring_.slots[oldest_].load(std::memory_order_seq_cst)) != kNoBlock) return;  // R10\n',
+        ''),)),
+    Planted('nobody is told on the condition of a ring', 'src/lockfree_ring/ring.hpp', 'mutex', ((
+        '    if (arrived != nullptr) return RobustCondition(*arrived).renew();\n', ''),)),
+    Planted('a mark on the condition is kept', 'src/robust_mutex/robust_condition.hpp', 'mutex', ((
+        '    word_.fetch_add(kWaits, std::memory_order_relaxed);  // takes',
+        '    word_.fetch_add(0, std::memory_order_relaxed);  // takes'),)),
+    Planted('whom a dead publisher announced itself to sleeps on, on its condition', RECOVERY, 'mutex', ((
+        '      if (r.arrived != nullptr) RobustCondition(*r.arrived).renew();\n', ''),)),
+    Planted('a bell is lost when somebody leaves meanwhile', 'src/lockfree_ring/ring.hpp', 'taken', ((
+        '    while ((v & 1) != 0) {\n      if (space.compare_exchange_weak(v, v + 1',
+        '    if ((v & 1) != 0) {\n      if (space.compare_exchange_weak(v, v + 1'),)),
     Planted('re-check: at home, before a reclaim', OWNERSHIP, 'ownership', ((
         '      if ((v & hold::kHome) == 0) return false;\n', ''),)),
     Planted('re-check: the version, at the death', OWNERSHIP, 'ownership', ((
@@ -109,7 +125,7 @@ MISTAKES = (
 class Builds:
     """Builds the model against copies of the headers; each is gone when it has been tried out."""
 
-    COPIED = ('lockfree_ring', 'refcount', 'recovery')
+    COPIED = ('lockfree_ring', 'refcount', 'recovery', 'robust_mutex')
 
     def __init__(self, root, compiler, relacy):
         self.root = root

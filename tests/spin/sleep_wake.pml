@@ -526,7 +526,7 @@ inline ring_bell() {
 #ifndef BELL_KEEPS_MARK
   atomic {
     if
-    :: space == old -> space = (old + 1) % SPACE_VALUES; old = 0 /* @ src/lockfree_ring/ring.hpp ring_bell: space.compare_exchange_strong(v, v + 1 */
+    :: space == old -> space = (old + 1) % SPACE_VALUES; old = 0 /* @ src/lockfree_ring/ring.hpp ring_bell: space.compare_exchange_weak(v, v + 1 */
     :: else -> old = 0; goto rung
     fi
   };

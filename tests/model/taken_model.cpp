@@ -1,0 +1,332 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scenario.hpp"
+
+/// Rings whose messages are each taken by one reader.
+namespace lot::model {
+namespace {
+
+/// Who has got which message: a message is one reader's.
+class Ledger {
+ public:
+  auto entry() {
+    return [this](std::uint64_t number) { RL_ASSERT(++times_[number] == 1); };
+  }
+  std::uint64_t total() const { return times_.size(); }
+
+ private:
+  std::map<std::uint64_t, unsigned> times_;
+};
+
+/// A publisher, and two readers that take what it publishes.
+template <class Derived, unsigned kThreads, bool kBlocking, std::uint32_t kDepth>
+struct TwoTakers : Scene<Derived, kThreads> {
+  explicit TwoTakers(std::uint32_t blocks)
+      : Scene<Derived, kThreads>({.blocks = blocks, .depth = kDepth, .readers = 2, .taken = true}) {
+  }
+  void open() {
+    RL_ASSERT(publisher.open(this->start(4), 0, kBlocking));
+    for (unsigned i : {0U, 1U}) RL_ASSERT(takers[i].join(this->start(2 + i), 0, 1, 1));
+  }
+  bool take(unsigned i) { return takers[i].take(ledger.entry()); }
+  void take_until_the_end(unsigned i) {
+    while (!takers[i].ended()) {
+      if (!take(i)) takers[i].sleep();
+    }
+    takers[i].leave();
+  }
+  void take_the_rest() {
+    while (take(0)) {
+    }
+  }
+  Publisher publisher;
+  Subscriber takers[2];
+  Ledger ledger;
+};
+
+/// Two take while the publisher laps the ring. The memory of what was taken is used again.
+template <class Derived, bool kBlocking, std::uint32_t kDepth>
+struct TakeWhilePublished : TwoTakers<Derived, 3, kBlocking, kDepth> {
+  TakeWhilePublished() : TwoTakers<Derived, 3, kBlocking, kDepth>(kDepth + 1) {}
+  void prepare() {
+    this->open();
+    for (std::uint32_t i = 0; i < kDepth; ++i) RL_ASSERT(this->publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (std::uint32_t i = 0; i <= kDepth; ++i) this->publisher.send();
+    } else {
+      for (std::uint32_t i = 0; i < 2; ++i) this->take(t - 1);
+    }
+  }
+  void check() {
+    this->take_the_rest();
+    if (kBlocking) RL_ASSERT(this->ledger.total() == this->publisher.sent());
+    RL_ASSERT(this->takers[0].missed() == 0 && this->takers[1].missed() == 0);
+  }
+};
+struct TakenOverOneSlot : TakeWhilePublished<TakenOverOneSlot, true, 1> {};
+struct TakenOverTwoSlots : TakeWhilePublished<TakenOverTwoSlots, true, 2> {};
+struct TakenOrOverwrittenOneSlot : TakeWhilePublished<TakenOrOverwrittenOneSlot, false, 1> {};
+struct TakenOrOverwrittenTwoSlots : TakeWhilePublished<TakenOrOverwrittenTwoSlots, false, 2> {};
+
+/// The same in small: one message that both want, and its block is wanted by the publisher.
+struct BothWantOne : TwoTakers<BothWantOne, 3, true, 1> {
+  BothWantOne() : TwoTakers(1) {}
+  void prepare() {
+    open();
+    RL_ASSERT(publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.send();
+    } else {
+      take(t - 1);
+    }
+  }
+  void check() {
+    take_the_rest();
+    RL_ASSERT(ledger.total() == publisher.sent());
+  }
+};
+
+/// Two sleep for messages, the publisher for room; it leaves when all are out.
+template <class Derived, std::uint32_t kDepth>
+struct TakersSleep : TwoTakers<Derived, 3, true, kDepth> {
+  static constexpr unsigned kMessages = 3;
+  TakersSleep() : TwoTakers<Derived, 3, true, kDepth>(kDepth + 2) {}
+  void prepare() { this->open(); }
+  void thread(unsigned t) {
+    if (t != 0) return this->take_until_the_end(t - 1);
+    for (unsigned i = 0; i < kMessages; ++i) this->publisher.send_and_wait();
+    this->process(4).leave();
+  }
+  void check() { RL_ASSERT(this->ledger.total() == kMessages); }
+};
+struct TakersSleepOverOneSlot : TakersSleep<TakersSleepOverOneSlot, 1> {};
+struct TakersSleepOverTwoSlots : TakersSleep<TakersSleepOverTwoSlots, 2> {};
+
+/// One takes, the publisher sleeps for room.
+struct TakerMakesRoom : Scene<TakerMakesRoom, 2> {
+  static constexpr unsigned kMessages = 3;
+  TakerMakesRoom() : Scene({.blocks = 3, .depth = 1, .readers = 1, .taken = true}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(taker.join(start(2), 0, 1, 0));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (unsigned i = 0; i < kMessages; ++i) publisher.send_and_wait();
+      return;
+    }
+    while (taker.received() < kMessages) {
+      if (!taker.take(ledger.entry())) taker.sleep();
+    }
+  }
+  Publisher publisher;
+  Subscriber taker;
+  Ledger ledger;
+};
+
+/// One taker is killed anywhere and reaped: the other one gets all but what the dead had taken, and
+/// the publisher all its blocks.
+template <class Derived, bool kBlocking>
+struct TakerKilledScene : TwoTakers<Derived, 2, kBlocking, 2> {
+  TakerKilledScene() : TwoTakers<Derived, 2, kBlocking, 2>(3) {}
+  void prepare() {
+    this->open();
+    this->start(1);
+    for (int i = 0; i < 2; ++i) RL_ASSERT(this->publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      this->die_within(3, 30, [this] { this->take(1); });
+      this->process(1).see_reaped(3);
+    } else {
+      for (int i = 0; i < 2; ++i) this->take(0);
+    }
+  }
+  void check() {
+    this->take_the_rest();
+    const std::uint64_t lost = this->publisher.sent() - this->ledger.total();
+    RL_ASSERT(lost <= 1);  // taken, and its taker killed before it could say so
+    for (int i = 0; i < 3; ++i) {
+      RL_ASSERT(this->publisher.send());
+      RL_ASSERT(this->take(0));
+    }
+  }
+};
+struct TakerKilled : TakerKilledScene<TakerKilled, true> {};
+struct TakerKilledOverwrite : TakerKilledScene<TakerKilledOverwrite, false> {};
+
+/// The publisher sleeps for room that a taker makes which is killed anywhere.
+struct TakerKilledForRoom : Scene<TakerKilledForRoom, 3> {
+  TakerKilledForRoom() : Scene({.blocks = 3, .depth = 1, .readers = 2, .taken = true}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(killed.join(start(2), 0, 1, 0));
+    RL_ASSERT(taker.join(start(3), 0, 1, 0));
+    start(1);
+    RL_ASSERT(publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.send_and_wait();
+    } else if (t == 1) {
+      die_within(2, 25, [this] { killed.take(ledger.entry()); });
+      process(1).see_reaped(2);
+    } else {
+      segment.await_end_of(2);
+      while (process(3).part(2).load(std::memory_order_acquire) != 0) Policy::pause();
+      while (taker.take(ledger.entry())) {
+      }
+    }
+  }
+  Publisher publisher;
+  Subscriber killed, taker;
+  Ledger ledger;
+};
+
+/// The publisher is killed anywhere while two take: they get what was published, then the end.
+template <class Derived, bool kBlocking>
+struct PublisherOfTakersKilled : TwoTakers<Derived, 4, kBlocking, 2> {
+  PublisherOfTakersKilled() : TwoTakers<Derived, 4, kBlocking, 2>(3) {}
+  void prepare() {
+    this->open();
+    this->start(1);
+    RL_ASSERT(this->publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      this->die_within(4, 60, [this] {
+        for (int i = 0; i < 2; ++i) this->publisher.send();
+      });
+    } else if (t == 3) {
+      this->segment.await_end_of(4);
+      this->process(1).see_reaped(4);
+      this->process(1).collect();
+    } else {
+      this->take_until_the_end(t - 1);
+    }
+  }
+  void check() {
+    const std::uint64_t sent = this->publisher.sent();
+    const std::uint64_t total = this->ledger.total();
+    RL_ASSERT(total <= sent + 1);  // the message in flight may have come out
+    if (kBlocking) RL_ASSERT(total >= sent);
+  }
+};
+struct PublisherKilledWhileTaken : PublisherOfTakersKilled<PublisherKilledWhileTaken, true> {};
+struct PublisherKilledWhileTakenOverwrite
+    : PublisherOfTakersKilled<PublisherKilledWhileTakenOverwrite, false> {};
+
+/// The publisher has died; what is in its ring is taken while it is reaped, collected and, as far
+/// as it is free, written.
+struct TakenFromAnOrphan : TwoTakers<TakenFromAnOrphan, 3, true, 2> {
+  TakenFromAnOrphan() : TwoTakers(2) {}
+  void prepare() {
+    open();
+    start(1);
+    for (int i = 0; i < 2; ++i) RL_ASSERT(publisher.send());
+    segment.bury(4);
+  }
+  void thread(unsigned t) {
+    if (t != 0) {
+      take(t - 1);
+      return;
+    }
+    process(1).see_reaped(4);
+    write_what_is_free();
+    process(1).collect();
+    write_what_is_free();
+  }
+  void write_what_is_free() {
+    const Word b = process(1).loan();
+    if (b != Process::kNone) process(1).write(b, 99);
+  }
+  void check() {
+    take_the_rest();
+    RL_ASSERT(ledger.total() == 2);
+  }
+};
+
+/// The same in small: one message, one taker.
+struct OneTakenFromAnOrphan : Scene<OneTakenFromAnOrphan, 2> {
+  OneTakenFromAnOrphan() : Scene({.blocks = 1, .depth = 1, .readers = 1, .taken = true}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(taker.join(start(2), 0, 1, 1));
+    start(1);
+    RL_ASSERT(publisher.send());
+    segment.bury(4);
+  }
+  void thread(unsigned t) {
+    if (t != 0) {
+      RL_ASSERT(taker.take(ledger.entry()));
+      return;
+    }
+    process(1).see_reaped(4);
+    const Word b = process(1).loan();
+    if (b != Process::kNone) process(1).write(b, 99);
+  }
+  Publisher publisher;
+  Subscriber taker;
+  Ledger ledger;
+};
+
+/// A publisher closes its ring while two take from it: what is left is theirs.
+struct TakenRingIsClosed : TwoTakers<TakenRingIsClosed, 3, true, 2> {
+  TakenRingIsClosed() : TwoTakers(2) {}
+  void prepare() {
+    open();
+    for (int i = 0; i < 2; ++i) RL_ASSERT(publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t != 0) {
+      take(t - 1);
+      return;
+    }
+    publisher.close();
+    const Word b = process(4).loan();
+    if (b != Process::kNone) process(4).write(b, 99);
+  }
+  void check() {
+    take_the_rest();
+    RL_ASSERT(ledger.total() == 2);
+  }
+};
+
+const Entered entered{
+    {"both_want_one", "one of two gets a message, and then it may be overwritten",
+     rl::simulate<BothWantOne>, 2},
+    {"taken_over_one_slot", "each message is taken once, and is its taker's alone",
+     rl::simulate<TakenOverOneSlot>, 1},
+    {"taken_over_two_slots", "the same over two slots", rl::simulate<TakenOverTwoSlots>, 1},
+    {"taken_or_overwritten_one_slot", "the same where what nobody takes in time is lost",
+     rl::simulate<TakenOrOverwrittenOneSlot>, 1},
+    {"taken_or_overwritten_two_slots", "the same over two slots",
+     rl::simulate<TakenOrOverwrittenTwoSlots>, 1},
+    {"takers_sleep_over_one_slot", "takers and sender never all sleep",
+     rl::simulate<TakersSleepOverOneSlot>, 1},
+    {"takers_sleep_over_two_slots", "the same over two slots",
+     rl::simulate<TakersSleepOverTwoSlots>},
+    {"taker_makes_room", "a taker rings the sender that sleeps", rl::simulate<TakerMakesRoom>, 2},
+    {"taker_killed", "what the dead has not taken is its neighbour's", rl::simulate<TakerKilled>,
+     1},
+    {"taker_killed_overwrite", "the same where the sender overwrites",
+     rl::simulate<TakerKilledOverwrite>, 1},
+    {"taker_killed_for_room", "a sender hears of the room that a dead taker has made",
+     rl::simulate<TakerKilledForRoom>, 1},
+    {"publisher_killed_while_taken", "takers get what was published, each once, then the end",
+     rl::simulate<PublisherKilledWhileTaken>},
+    {"publisher_killed_while_taken_overwrite", "the same, or it is overwritten",
+     rl::simulate<PublisherKilledWhileTakenOverwrite>},
+    {"taken_from_an_orphan", "what is taken from an orphan is not freed",
+     rl::simulate<TakenFromAnOrphan>, 1},
+    {"one_taken_from_an_orphan", "the same with one message", rl::simulate<OneTakenFromAnOrphan>,
+     2},
+    {"taken_ring_is_closed", "what is left in a closed ring is taken, each once",
+     rl::simulate<TakenRingIsClosed>, 1},
+};
+
+}  // namespace
+}  // namespace lot::model
