@@ -149,7 +149,7 @@ def protocol(root):
     for header in headers:
         for namespace, name, line, _ in definitions(header.read_text()):
             known = names.setdefault((namespace, name), header)
-            if known != header or not namespace.startswith('lot::'):
+            if known != header or not f'{namespace}::'.startswith('lot::'):
                 complaints.append(f'{header.relative_to(root)}:{line}: {namespace}::{name} is '
                                   f'defined in {known.relative_to(root)} already')
     for name in CLASSES:
@@ -288,8 +288,12 @@ template <class P> struct BlockWords {}; template <class P> struct Ownership {};
 } }
 ''',
     'src/recovery/recovery.hpp': '''#include "refcount/ownership.hpp"
+#include "robust_mutex/robust_condition.hpp"
 #include "segment/granules.hpp"
 namespace lot::recovery { template <class P, class World> class Recovery {}; }
+''',
+    'src/robust_mutex/robust_condition.hpp': '''
+namespace lot { template <class W = int> class RobustCondition {}; }
 ''',
     'src/segment/granules.hpp': '''
 namespace lot::segment { template <class P> class Granules {}; }
