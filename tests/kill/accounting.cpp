@@ -83,6 +83,11 @@ class Books {
       if (state == ring::State::Live && owner == refcount::kOrphanage)
         wrong(channel + " is nobody's");
       const segment::Ring ring = segment_.ring(c);
+      if (const auto lock = segment_.queue_lock(c); !lock.lock_if_possible()) {
+        wrong(channel + " is locked");
+      } else {
+        lock.unlock();
+      }
       for (std::uint32_t i = 0; i < ring.readers; ++i) {
         const std::uint32_t who = ring.who[i].load();
         if (who != 0 && !lives(who - 1)) wrong(channel + " has a dead reader");

@@ -18,6 +18,10 @@ bool intact(const Number& message) {
   return message.check == numbered(message.source, message.number).check;
 }
 
+namespace {
+constexpr std::uint64_t kProbeItems = 7;  ///< the source of items that are not in the books
+}
+
 void Account::complain(const std::string& what) {
   if (complaint_.empty()) complaint_ = what;
 }
@@ -46,8 +50,12 @@ void Node::join() { engine.emplace(options); }
 
 void Node::drop_all() {
   borrow.end();
+  over = true;
   if (sleeper.joinable()) sleeper.join();
   drop_probes();
+  probe_queue.reset();
+  tasks.reset();
+  queue.reset();
   probe_frames.reset();
   probe_block_puller.reset();
   probe_puller.reset();
@@ -134,6 +142,7 @@ void Node::sleep_for_room() {
 
 void Node::await_sleeper() {
   await([](const segment::Ring& ring) {
+    if (ring.arrived != nullptr) return (ring.arrived->load() & 1) != 0;
     for (std::uint32_t i = 0; i < ring.depth; ++i) {
       if ((ring.slots[i].load() & ring::kSleeper) != 0) return true;
     }
@@ -151,6 +160,53 @@ void Node::await(const std::function<bool(const segment::Ring&)>& mark) const {
     return false;
   });
   testing::must(stands, "somebody fell asleep");
+}
+
+void Node::open_queue(const QueueOptions& opts) {
+  queue.emplace(engine->queue<Number>(kItems, opts));
+  locked = opts.engine == QueueEngine::Mutex;
+}
+
+void Node::put(unsigned count) {
+  for (unsigned i = 0; i < count; ++i) {
+    if (queue->put_for(numbered(source, put_items), 20s) == Status::Ok) ++put_items;
+  }
+}
+
+void Node::enter_item(const Number& item) {
+  if (!intact(item)) return account.complain("a torn item");
+  const std::uint64_t bit = std::uint64_t{1} << item.number;
+  if ((items.fetch_or(bit) & bit) != 0) {
+    account.complain("item " + std::to_string(item.number) + " came twice");
+  }
+}
+
+bool Node::pop() {
+  const auto item = queue->try_pop();
+  if (item) enter_item(*item);
+  return item.has_value();
+}
+
+void Node::sleep_on_queue() {
+  sleeper = std::thread([this] {
+    while (!over) {
+      if (const auto item = queue->wait_and_pop_for(100ms)) {
+        enter_item(*item);
+      } else if (pop()) {
+        account.complain("an item that did not wake its reader");
+      }
+    }
+  });
+  await_sleeper();
+}
+
+void Node::sleep_to_put() {
+  sleeper = std::thread([this] {
+    const std::uint64_t before = put_items;
+    put();
+    if (put_items == before) account.complain("somebody who puts and whom nobody lets go on");
+  });
+  await([](const segment::Ring& ring) { return (ring.space->load() & 1) != 0; });
 }
 
 void Node::hold(bool borrowing) {
@@ -180,6 +236,9 @@ void Node::arm() {
   probe_puller->try_borrow();
   probe_block.emplace(engine->advertise<Number>("/probe-block", {Policy::Block, 1, 1s}));
   probe_block_puller.emplace(engine->subscribe<Number>("/probe-block"));
+  probe_queue.emplace(engine->queue<Number>("/probe-items", {2, Policy::Overwrite}));
+  probe_queue->put(numbered(7, 0));
+  probe_queue->try_pop();
 }
 
 void Node::inspect() {
@@ -191,7 +250,9 @@ void Node::inspect() {
     must(intact(*there) && there->number == held->number, "a held message did not change");
     borrow.end();
   }
-  if (sleeper.joinable()) {
+  if (queue) {
+    inspect_queue();
+  } else if (sleeper.joinable()) {
     sleeper.join();  // it ends when it has been woken and has found the end
   } else if (puller) {
     const bool ended = testing::eventually([&] {
@@ -215,6 +276,24 @@ void Node::inspect() {
     reap();  // it was the orphanage's: the warden would come by later
   }
   must(account.complaint().empty(), account.complaint().c_str());
+}
+
+/// All items that nobody has taken are ours, and there is room for more.
+void Node::inspect_queue() {
+  over = true;
+  do {
+    while (pop()) {  // so that who puts goes on
+    }
+  } while (sleeper.joinable() && (sleeper.join(), true));
+  if (put_items == 0) return;
+  std::uint64_t popped = 0;
+  for (int i = 0; i < 6; ++i) {
+    testing::must(queue->put_for(numbered(kProbeItems, 0), 20s) == Status::Ok,
+                  "nobody holds up who puts");
+    const auto item = queue->try_pop();
+    popped += item && item->source == kProbeItems;
+  }
+  testing::must(popped == 6, "one's own items came");
 }
 
 /// All frames that came; the last one stays.

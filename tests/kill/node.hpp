@@ -74,10 +74,17 @@ struct Node {
   void hold(bool borrow);  ///< the next message stays borrowed, or is kept
   void reap();             ///< repairs what the dead left, now
   bool reads_now() const;  ///< the puller is free for a read
-  void await_sleeper();    ///< until a mark stands in some slot
-  void arm();              ///< makes what the probes use
+  void await_sleeper();    ///< until a mark stands in some slot, or on some condition
+  void open_queue(const QueueOptions& options);
+  void put(unsigned count = 1);  ///< items into the queue
+  bool pop();                    ///< the next item, if there is one, goes into `items`
+  void sleep_on_queue();         ///< a thread of its own pops until it is told that all is over
+  void sleep_to_put();           ///< a thread of its own puts one more, for which there is no room
+  void arm();                    ///< makes what the probes use
 
   // After a death.
+  void inspect_queue();
+  void enter_item(const Number& item);
   void inspect();  ///< repairs, reads and publishes all it can, looks at what it holds
   ShmSharedPtr<const Frame> inspect_frames();
   void live_again();  ///< what a node does that was started again
@@ -95,6 +102,11 @@ struct Node {
   std::optional<ShmPuller<Number>> puller;
   std::optional<ShmPusher<Frame>> frames;
   std::optional<ShmPuller<Frame>> frame_puller;
+  std::optional<ShmQueue<Number>> queue;
+  std::optional<ShmQueue<ShmUniquePtr<Number>>> tasks;  ///< the same queue, without a copy
+  std::atomic<std::uint64_t> items{0};  ///< a bit for each item of the queue that was popped
+  std::uint64_t put_items = 0;
+  std::atomic<bool> over{false};  ///< for who sleeps on the queue
   ShmBorrow<Number> borrow;
   std::vector<ShmUniquePtr<Number>> loans;
   std::vector<ShmUniquePtr<Frame>> frame_loans;
@@ -103,6 +115,7 @@ struct Node {
   ShmWeakPtr<const Number> weak;
   bool reads_topic = false;  ///< the puller is the topic's
   bool blocking = false;     ///< the pusher's policy is Block
+  bool locked = false;       ///< the scene's queue has the mutex engine
   std::uint64_t frames_seen = 0;
   std::optional<Number> held;  ///< what was borrowed or kept first must stay like this
   std::thread sleeper;
@@ -110,6 +123,7 @@ struct Node {
   // What the probes use.
   std::optional<ShmPusher<Number>> probe_pusher, probe_again, probe_block;
   std::optional<ShmPuller<Number>> probe_puller, probe_block_puller;
+  std::optional<ShmQueue<Number>> probe_queue;
   std::optional<ShmPusher<Frame>> probe_frames;
   ShmBorrow<Number> probe_borrow;
   ShmUniquePtr<Number> probe_loan;
@@ -185,6 +199,7 @@ std::vector<Operation> planted_pledges();
 inline constexpr const char* kTopic = "/numbers";  ///< the victim publishes here
 inline constexpr const char* kOther = "/others";   ///< the witness publishes here
 inline constexpr const char* kFrames = "/frames";
+inline constexpr const char* kItems = "/items";  ///< each is taken by one
 inline constexpr std::uint64_t kVictim = 1, kWitness = 2, kDead = 3, kSecondLife = 4;
 
 }  // namespace lot::kill

@@ -13,8 +13,12 @@ namespace {
 
 using namespace std::chrono_literals;
 
-PusherOptions overwrite(std::uint32_t depth) { return {Policy::Overwrite, depth, 10s}; }
-PusherOptions block(std::uint32_t depth) { return {Policy::Block, depth, 10s}; }
+PusherOptions overwrite(std::uint32_t depth, QueueEngine engine = QueueEngine::Ring) {
+  return {Policy::Overwrite, depth, 10s, engine};
+}
+PusherOptions block(std::uint32_t depth, QueueEngine engine = QueueEngine::Ring) {
+  return {Policy::Block, depth, 10s, engine};
+}
 PullerOptions parked(std::uint64_t history = 0) { return {Wait::Park, history}; }
 
 // ---- acts ---------------------------------------------------------------------------------------
@@ -31,6 +35,7 @@ Act publisher(Act (*who)(std::function<void(Node&)>), const PusherOptions& optio
   return who([=](Node& n) {
     n.pusher.emplace(n.engine->advertise<Number>(topic, options));
     n.blocking = options.policy == Policy::Block;
+    n.locked = options.engine == QueueEngine::Mutex;
   });
 }
 Act reader(Act (*who)(std::function<void(Node&)>), const char* topic, std::uint64_t history = 0) {
@@ -52,7 +57,11 @@ Acts operator+(Acts a, const Acts& b) {
 
 /// The victim publishes, the witness reads.
 Acts victim_publishes(const PusherOptions& options, unsigned count) {
-  return {witness(join), victim(join), publisher(victim, options, kTopic), reader(witness, kTopic),
+  return {witness(join),
+          victim(join),
+          publisher(victim, options, kTopic),
+          reader(witness, kTopic),
+          witness([=](Node& n) { n.locked = options.engine == QueueEngine::Mutex; }),
           publishes(victim, count)};
 }
 /// The witness publishes, the victim reads.
@@ -65,6 +74,14 @@ void loan_one(Node& n) { n.loans.push_back(n.pusher->loan(numbered(n.source, n.p
 void push_loan(Node& n) {
   if (n.pusher->push(std::move(n.loans.back()), 10s) == Status::Ok) ++n.published;
   n.loans.pop_back();
+}
+
+/// What promises not to wait does so with the ring; the mutex engine's steps wait for a lock.
+Pledge under(QueueEngine engine, const Pledge& pledge) {
+  return engine == QueueEngine::Ring ? pledge : Pledge(Promise::Blocking);
+}
+std::string named(const std::string& name, QueueEngine engine) {
+  return engine == QueueEngine::Ring ? name : "mutex: " + name;
 }
 
 // ---- the tables ---------------------------------------------------------------------------------
@@ -200,113 +217,246 @@ void loans(std::vector<Operation>& all) {
                  [](Node& n) { n.frame_loans.clear(); }});
 }
 
-void pushes(std::vector<Operation>& all) {
+void pushes(std::vector<Operation>& all, QueueEngine engine) {
   const auto loaned = [](Acts acts) { return std::move(acts) + Acts{victim(loan_one)}; };
   const auto add = [&](const char* name, const Pledge& pledge, const Acts& before) {
-    all.push_back({name, pledge, before, push_loan});
+    all.push_back({named(name, engine), pledge, before, push_loan});
   };
-  const Pledge shown{Promise::WaitFree, "push, overwrite"};
-  add("push, overwrite, an empty ring", shown, loaned(victim_publishes(overwrite(2), 0)));
-  add("push, overwrite, a full ring wraps", shown, loaned(victim_publishes(overwrite(2), 4)));
-  add("push, overwrite, one slot", shown, loaned(victim_publishes(overwrite(1), 1)));
+  const Pledge shown = under(engine, {Promise::WaitFree, "push, overwrite"});
+  add("push, overwrite, an empty ring", shown, loaned(victim_publishes(overwrite(2, engine), 0)));
+  add("push, overwrite, a full ring wraps", shown,
+      loaned(victim_publishes(overwrite(2, engine), 4)));
+  add("push, overwrite, one slot", shown, loaned(victim_publishes(overwrite(1, engine), 1)));
   add("push, overwrite, a reader sleeps", shown,
-      loaned(victim_publishes(overwrite(2), 1)) +
+      loaned(victim_publishes(overwrite(2, engine), 1)) +
           Acts{witness([](Node& n) { n.receive_all(); }),
                witness([](Node& n) { n.sleep_on_topic(); })});
   add("push, overwrite, a reader borrows", shown,
-      loaned(victim_publishes(overwrite(1), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
+      loaned(victim_publishes(overwrite(1, engine), 1) +
+             Acts{witness([](Node& n) { n.hold(true); })}));
   add("push, overwrite, a reader keeps", shown,
-      loaned(victim_publishes(overwrite(1), 1) + Acts{witness([](Node& n) { n.hold(false); })}));
-  all.push_back({"loan and push, a batch is scanned",
-                 {Promise::LockFree, "loan and push, overwrite"},
-                 victim_publishes(overwrite(1), 33) + Acts{witness([](Node& n) { n.hold(true); })},
-                 [](Node& n) { n.publish(2); }});
-  add("push, block, room", Promise::Blocking, loaned(victim_publishes(block(2), 1)));
+      loaned(victim_publishes(overwrite(1, engine), 1) +
+             Acts{witness([](Node& n) { n.hold(false); })}));
+  all.push_back(
+      {named("loan and push, a batch is scanned", engine),
+       under(engine, {Promise::LockFree, "loan and push, overwrite"}),
+       victim_publishes(overwrite(1, engine), 33) + Acts{witness([](Node& n) { n.hold(true); })},
+       [](Node& n) { n.publish(2); }});
+  add("push, block, room", Promise::Blocking, loaned(victim_publishes(block(2, engine), 1)));
   add("push, block, wraps", Promise::Blocking,
-      loaned(victim_publishes(block(2), 2) + Acts{witness([](Node& n) { n.receive_all(); })}));
+      loaned(victim_publishes(block(2, engine), 2) +
+             Acts{witness([](Node& n) { n.receive_all(); })}));
   add("push, block, a reader sleeps", Promise::Blocking,
-      loaned(victim_publishes(block(2), 1)) + Acts{witness([](Node& n) { n.receive_all(); }),
-                                                   witness([](Node& n) { n.sleep_on_topic(); })});
+      loaned(victim_publishes(block(2, engine), 1)) +
+          Acts{witness([](Node& n) { n.receive_all(); }),
+               witness([](Node& n) { n.sleep_on_topic(); })});
   add("push, block, a reader borrows", Promise::Blocking,
-      loaned(victim_publishes(block(2), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
-  all.push_back({"push, block, full: refused",
-                 {Promise::LockFree, "push, block, full: refused"},
-                 loaned(victim_publishes(block(1), 1)),
-                 [](Node& n) {
+      loaned(victim_publishes(block(2, engine), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
+  all.push_back({named("push, block, full: refused", engine),
+                 under(engine, {Promise::LockFree, "push, block, full: refused"}),
+                 loaned(victim_publishes(block(1, engine), 1)), [](Node& n) {
                    if (n.pusher->try_push(std::move(n.loans.back())) == Status::Ok) std::abort();
                  }});
-  all.push_back({"push, block, full: waits for room", Promise::Blocking,
-                 loaned(victim_publishes(block(1), 1)), push_loan,
+  all.push_back({named("push, block, full: waits for room", engine), Promise::Blocking,
+                 loaned(victim_publishes(block(1, engine), 1)), push_loan,
                  [](Node& n) { n.receive_all(); }});
 }
 
-void pulls(std::vector<Operation>& all) {
+void pulls(std::vector<Operation>& all, QueueEngine engine) {
   for (const bool blocking : {false, true}) {
     const std::string policy = blocking ? ", block" : ", overwrite";
-    const PusherOptions options = blocking ? block(2) : overwrite(2);
-    all.push_back({"try, nothing there" + policy,
-                   {Promise::LockFree, "borrow"},
-                   victim_reads(options, 0),
+    const PusherOptions options = blocking ? block(2, engine) : overwrite(2, engine);
+    all.push_back({named("try, nothing there" + policy, engine),
+                   under(engine, {Promise::LockFree, "borrow"}), victim_reads(options, 0),
                    [](Node& n) { n.puller->try_borrow(); }});
-    all.push_back({"borrow and end" + policy,
-                   {Promise::LockFree, "borrow"},
-                   victim_reads(options, 2),
+    all.push_back({named("borrow and end" + policy, engine),
+                   under(engine, {Promise::LockFree, "borrow"}), victim_reads(options, 2),
                    [](Node& n) { n.receive(); }});
-    all.push_back({"pull and let go" + policy,
-                   {Promise::LockFree, "pull, copy, weak lock, drop"},
-                   victim_reads(options, 2),
-                   [](Node& n) { n.puller->try_pull(); }});
-    all.push_back({"pull sleeps and is woken" + policy, Promise::Blocking, victim_reads(options, 0),
-                   [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
+    all.push_back({named("pull and let go" + policy, engine),
+                   under(engine, {Promise::LockFree, "pull, copy, weak lock, drop"}),
+                   victim_reads(options, 2), [](Node& n) { n.puller->try_pull(); }});
+    all.push_back({named("pull sleeps and is woken" + policy, engine), Promise::Blocking,
+                   victim_reads(options, 0), [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                    [](Node& n) { n.publish(1); }});
   }
-  all.push_back({"borrow and end, the sender sleeps for room",
-                 {Promise::LockFree, "read what the victim published"},
-                 victim_reads(block(1), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
-                 [](Node& n) {
-                   n.receive();
-                   n.puller->try_borrow();
-                 }});
-  all.push_back({"unsubscribe, the sender sleeps for room", Promise::Blocking,
-                 victim_reads(block(1), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
-                 [](Node& n) { n.puller.reset(); }});
-  all.push_back({"pull sleeps on two publishers", Promise::Blocking,
-                 victim_reads(overwrite(2), 0) + Acts{witness([](Node& n) {
-                   n.second.emplace(n.engine->advertise<Number>(kOther, overwrite(2)));
+  all.push_back(
+      {named("borrow and end, the sender sleeps for room", engine),
+       under(engine, {Promise::LockFree, "read what the victim published"}),
+       victim_reads(block(1, engine), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
+       [](Node& n) {
+         n.receive();
+         n.puller->try_borrow();
+       }});
+  all.push_back(
+      {named("unsubscribe, the sender sleeps for room", engine), Promise::Blocking,
+       victim_reads(block(1, engine), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
+       [](Node& n) { n.puller.reset(); }});
+  all.push_back({named("pull sleeps on two publishers", engine), Promise::Blocking,
+                 victim_reads(overwrite(2, engine), 0) + Acts{witness([=](Node& n) {
+                   n.second.emplace(n.engine->advertise<Number>(kOther, overwrite(2, engine)));
                  })},
                  [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                  [](Node& n) { n.publish(1); }});
-  all.push_back({"pull sleeps until a publisher comes", Promise::Blocking,
+  all.push_back({named("pull sleeps until a publisher comes", engine), Promise::Blocking,
                  Acts{witness(join), victim(join), reader(victim, kOther)},
                  [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
-                 [](Node& n) {
-                   n.pusher.emplace(n.engine->advertise<Number>(kOther, overwrite(2)));
+                 [=](Node& n) {
+                   n.pusher.emplace(n.engine->advertise<Number>(kOther, overwrite(2, engine)));
                    n.publish(1);
                  }});
-  all.push_back({"borrow spins, sleeps and is woken", Promise::Blocking,
-                 Acts{witness(join), victim(join), publisher(witness, overwrite(2), kOther),
+  all.push_back({named("borrow spins, sleeps and is woken", engine), Promise::Blocking,
+                 Acts{witness(join), victim(join), publisher(witness, overwrite(2, engine), kOther),
                       victim([](Node& n) {
                         n.puller.emplace(n.engine->subscribe<Number>(kOther, {Wait::Adaptive, 0}));
                       })},
                  [](Node& n) { n.borrow = n.puller->borrow(10s); }, [](Node& n) { n.publish(1); }});
-  all.push_back({"timed pull, too late", Promise::Blocking, victim_reads(overwrite(2), 0),
-                 [](Node& n) { n.puller->pull(2ms); }});
-  all.push_back({"borrow, lapped",
-                 {Promise::LockFree, "read what the victim published"},
-                 victim_reads(overwrite(2), 7),
-                 [](Node& n) { n.receive_all(); }});
-  all.push_back({"try, a new publisher has come",
-                 {Promise::LockFree, "read what the victim published"},
+  all.push_back({named("timed pull, too late", engine), Promise::Blocking,
+                 victim_reads(overwrite(2, engine), 0), [](Node& n) { n.puller->pull(2ms); }});
+  all.push_back({named("borrow, lapped", engine),
+                 under(engine, {Promise::LockFree, "read what the victim published"}),
+                 victim_reads(overwrite(2, engine), 7), [](Node& n) { n.receive_all(); }});
+  all.push_back({named("try, a new publisher has come", engine),
+                 under(engine, {Promise::LockFree, "read what the victim published"}),
                  Acts{witness(join), victim(join), reader(victim, kOther),
-                      publisher(witness, overwrite(2), kOther), publishes(witness, 1)},
+                      publisher(witness, overwrite(2, engine), kOther), publishes(witness, 1)},
                  [](Node& n) { n.receive(); }});
-  all.push_back({"try, the publisher has gone",
-                 {Promise::LockFree, "read what the victim published"},
-                 victim_reads(overwrite(2), 1) + Acts{witness([](Node& n) { n.pusher.reset(); })},
+  all.push_back(
+      {named("try, the publisher has gone", engine),
+       under(engine, {Promise::LockFree, "read what the victim published"}),
+       victim_reads(overwrite(2, engine), 1) + Acts{witness([](Node& n) { n.pusher.reset(); })},
+       [](Node& n) {
+         n.receive_all();
+         n.puller->try_borrow();
+       }});
+}
+
+/// A queue whose items are each taken by one. The witness pops what is left.
+void queues(std::vector<Operation>& all, QueueEngine engine) {
+  const auto options = [engine](std::uint32_t depth, Policy policy = Policy::Block) {
+    return QueueOptions{depth, policy, engine, Wait::Park};
+  };
+  const auto both = [](const QueueOptions& o) {
+    const auto open = [o](Node& n) {
+      n.open_queue(o);
+      n.queue->listen();
+    };
+    return Acts{witness(join), victim(join), witness(open), victim(open)};
+  };
+  const auto puts = [](Act (*who)(std::function<void(Node&)>), unsigned count) {
+    return Acts{who([=](Node& n) { n.put(count); })};
+  };
+  // A reader has a ring from its next look on.
+  const auto victim_puts = [&](const QueueOptions& o) {
+    return both(o) + puts(victim, 1) + Acts{witness([](Node& n) { n.pop(); })};
+  };
+  const auto add = [&](const char* name, const Pledge& pledge, const Acts& before,
+                       std::function<void(Node&)> run,
+                       std::function<void(Node&)> when_asleep = {}) {
+    all.push_back({named(name, engine), pledge, before, std::move(run), std::move(when_asleep)});
+  };
+  const Pledge shown = under(engine, {Promise::LockFree, "put and pop, overwrite"});
+  const auto put = [](Node& n) { n.put(); };
+  const auto pop = [](Node& n) { n.pop(); };
+  const auto sleeps = witness([](Node& n) { n.sleep_on_queue(); });
+
+  add("put, an empty queue", Promise::Blocking, victim_puts(options(2)), put);
+  add("put, a reader sleeps", Promise::Blocking, victim_puts(options(2)) + Acts{sleeps}, put);
+  add("put, what was taken is used again", Promise::Blocking,
+      victim_puts(options(2)) + puts(victim, 2) + Acts{witness(pop), witness(pop)},
+      [](Node& n) { n.put(2); });
+  add("put, full: refused", shown, victim_puts(options(1, Policy::Refuse)) + puts(victim, 1),
+      [](Node& n) {
+        if (n.queue->try_put(numbered(n.source, n.put_items)) == Status::Ok) std::abort();
+      });
+  add("put, full: waits for room", Promise::Blocking, victim_puts(options(1)) + puts(victim, 1),
+      put, pop);
+  add("put, overwrite", shown, victim_puts(options(2, Policy::Overwrite)) + puts(victim, 3), put);
+  add("pop, nothing there", shown, both(options(2)), pop);
+  add("pop", shown, both(options(2)) + puts(witness, 2), pop);
+  add("pop, others have taken what was first", shown,
+      both(options(3)) + puts(witness, 3) + Acts{witness(pop)}, pop);
+  add("pop, overwritten", shown, both(options(2, Policy::Overwrite)) + puts(witness, 5), pop);
+  add(
+      "pop sleeps and is woken", Promise::Blocking, both(options(2)),
+      [](Node& n) { n.queue->wait_and_pop_for(10s); }, put);
+  add("pop, who puts sleeps for room", shown,
+      both(options(1)) + puts(witness, 1) + Acts{witness([](Node& n) { n.sleep_to_put(); })},
+      [](Node& n) {
+        n.pop();
+        n.pop();
+      });
+  add("pop without a copy, and put it again", Promise::Blocking,
+      both(options(2)) + puts(witness, 1) + Acts{victim([=](Node& n) {
+        n.tasks.emplace(n.engine->queue<ShmUniquePtr<Number>>("/tasks", options(2)));
+        n.tasks->put(n.tasks->make(numbered(n.source, 0)));
+      })},
+      [](Node& n) {
+        auto task = n.tasks->try_pop();
+        n.tasks->put(std::move(*task));
+        task = n.tasks->try_pop();
+      });
+  add("open a queue, and listen", Promise::Blocking,
+      Acts{witness(join), victim(join), witness([=](Node& n) { n.open_queue(options(2)); })} +
+          puts(witness, 1),
+      [=](Node& n) {
+        n.open_queue(options(2));
+        n.queue->listen();
+      });
+  add("close a queue with items", Promise::Blocking, victim_puts(options(2)) + puts(victim, 2),
+      [](Node& n) { n.queue.reset(); });
+  add("close a queue, who puts sleeps for room", Promise::Blocking,
+      both(options(1)) + puts(witness, 1) + Acts{witness([](Node& n) { n.sleep_to_put(); })},
+      [](Node& n) {
+        n.pop();
+        n.queue.reset();
+      });
+  const auto listens = [=](Act (*who)(std::function<void(Node&)>)) {
+    return Acts{who(join), who([=](Node& n) {
+                  n.open_queue(options(2));
+                  n.queue->listen();
+                })};
+  };
+  add("reap, a dead one who puts, items left",
+      under(engine, {Promise::LockFree, "look for the dead"}),
+      listens(witness) + listens(dead) + puts(dead, 1) + Acts{witness(pop), victim(join)} +
+          puts(dead, 2),
+      [](Node& n) { n.reap(); });
+  add("reap, a dead one who puts, a reader sleeps",
+      under(engine, {Promise::LockFree, "look for the dead"}),
+      listens(witness) + listens(dead) + Acts{victim(join)} + puts(dead, 1) +
+          Acts{witness(pop), sleeps},
+      [](Node& n) { n.reap(); });
+  add("reap, a dead taker", under(engine, {Promise::LockFree, "look for the dead"}),
+      listens(witness) + listens(dead) + Acts{victim(join)} + puts(witness, 2) + Acts{dead(pop)},
+      [](Node& n) { n.reap(); });
+}
+
+/// What else the mutex engine does in its own way.
+void locked_queues(std::vector<Operation>& all) {
+  constexpr auto kMutex = QueueEngine::Mutex;
+  const auto sleeps =
+      Acts{witness([](Node& n) { n.receive_all(); }), witness([](Node& n) { n.sleep_on_topic(); })};
+  all.push_back(
+      {named("advertise, a reader waits", kMutex), Promise::Blocking,
+       Acts{witness(join), victim(join), reader(witness, kTopic),
+            witness([](Node& n) { n.locked = true; })},
+       [](Node& n) { n.pusher.emplace(n.engine->advertise<Number>(kTopic, block(2, kMutex))); }});
+  all.push_back({named("unadvertise, a reader sleeps", kMutex), Promise::Blocking,
+                 victim_publishes(overwrite(2, kMutex), 1) + sleeps,
+                 [](Node& n) { n.pusher.reset(); }});
+  all.push_back({named("subscribe, unsubscribe", kMutex), Promise::Blocking,
+                 Acts{witness(join), victim(join), publisher(witness, block(2, kMutex), kOther),
+                      publishes(witness, 1)},
                  [](Node& n) {
-                   n.receive_all();
-                   n.puller->try_borrow();
+                   n.puller.emplace(n.engine->subscribe<Number>(kOther, parked(2)));
+                   n.puller.reset();
                  }});
+  all.push_back({named("reap, a dead publisher, a reader sleeps", kMutex), Promise::Blocking,
+                 Acts{witness(join), victim(join), dead(join),
+                      publisher(dead, overwrite(2, kMutex), kTopic), reader(witness, kTopic),
+                      witness([](Node& n) { n.locked = true; }), publishes(dead, 1)} +
+                     sleeps,
+                 [](Node& n) { n.reap(); }});
 }
 
 void pointers(std::vector<Operation>& all) {
@@ -457,8 +607,12 @@ std::vector<Operation> all_operations() {
   membership(all);
   topics(all);
   loans(all);
-  pushes(all);
-  pulls(all);
+  for (const auto engine : {QueueEngine::Ring, QueueEngine::Mutex}) {
+    pushes(all, engine);
+    pulls(all, engine);
+    queues(all, engine);
+  }
+  locked_queues(all);
   pointers(all);
   reaps(all);
   return all;

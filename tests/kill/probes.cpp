@@ -17,11 +17,29 @@ void read_own(Node& n) {
   }
 }
 void publish_own(Node& n) { n.probe_pusher->push(n.probe_pusher->loan(numbered(7, 0))); }
+void put_and_pop(Node& n) {
+  n.probe_queue->put(numbered(7, 0));
+  n.probe_queue->try_pop();
+}
+void pop_item(Node& n) {
+  if (n.queue && !n.sleeper.joinable()) n.pop();
+}
+/// The lock of its queues is nobody's who stands still.
+bool unlocked(Node& n) { return !n.locked; }
+bool locked(Node& n) { return n.locked && !n.sleeper.joinable(); }
 /// To the victim, if it reads here.
 void publish_other(Node& n) {
   if (!n.pusher) return;
   auto message = n.pusher->loan(numbered(n.source, n.published));
   if (n.pusher->try_push(std::move(message)) == Status::Ok) ++n.published;
+}
+void read_or_pop(Node& n) {
+  if (n.queue) {
+    n.pop();
+  } else {
+    read_all(n);
+    publish_other(n);
+  }
 }
 void keep_and_drop(Node& n) {
   auto kept = n.probe_puller->try_pull();
@@ -59,6 +77,7 @@ void loan_and_give_back(Node& n) { const auto loan = n.probe_pusher->loan(number
 void reserve(Node& n) { n.probe_pusher->reserve(1, 1000); }
 
 bool take_all_blocks(Node& n) {
+  if (n.locked) return false;  // its own queues give their oldest up, under their locks
   const auto participant = transport::Participant::join(n.options);
   const auto free = [&] {
     for (std::uint32_t b = 0; b < participant->blocks(); ++b) {
@@ -93,7 +112,7 @@ bool loan_own(Node& n) {
 void push_own(Node& n) { n.probe_pusher->push(std::move(n.probe_loan)); }
 
 bool loan_other(Node& n) {
-  if (!n.pusher || n.blocking) return false;
+  if (!n.pusher || n.blocking || n.locked) return false;
   n.probe_loan = n.pusher->loan(numbered(n.source, n.published));
   return true;
 }
@@ -129,7 +148,7 @@ bool copied(Node& n) {
 void drop_copy(Node& n) { n.probe_copy.reset(); }
 /// Of a message of the victim, so that our bit goes and not the message.
 bool hold_last(Node& n) {
-  if (!n.reads_now()) return false;
+  if (!n.reads_now() || n.locked) return false;
   n.probe_kept = n.puller->try_pull();
   if (n.probe_kept) n.account.enter(*n.probe_kept, n.puller->missed());
   return bool(n.probe_kept);
@@ -176,11 +195,13 @@ const std::vector<Probe>& all_probes() {
       {"drop the last one at home", kWaitFree, drop_last, make_one},
       {"weak lock, alive", kWaitFree, lock_weak, look_after},
       {"weak lock, dead", kWaitFree, lock_dead, look_after_a_dead_one},
-      {"read what the victim published", kLockFree, read_all},
+      {"read what the victim published", kLockFree, read_all, unlocked},
+      {"pop what the victim put", kLockFree, pop_item, unlocked},
+      {"put and pop, overwrite", kLockFree, put_and_pop},
       {"loan, give back", kLockFree, loan_and_give_back},
       {"loan and push, overwrite", kLockFree, publish_own},
       {"push, block, full: refused", kLockFree, push_refused, fill_block},
-      {"publish to the victim", kLockFree, publish_other},
+      {"publish to the victim", kLockFree, publish_other, unlocked},
       {"pull, copy, weak lock, drop", kLockFree, keep_and_drop},
       {"borrow", kLockFree, read_own},
       {"grow a message", kLockFree, grow},
@@ -193,6 +214,7 @@ const std::vector<Probe>& all_probes() {
       {"loan, blocks have run out", kLockFree, loan_without_blocks, take_all_blocks},
       {"subscribe, unsubscribe", kBlocking, subscribe},
       {"advertise, unadvertise", kBlocking, advertise},
+      {"mutex: the victim's queue", kBlocking, read_or_pop, locked},
       {"a lock-free one that takes the registry's lock", kLockFree, advertise, {}, "waits for"},
       {"a wait-free one that sleeps", kWaitFree, doze, {}, ": sleeps"},
       {"a wait-free one that takes long", kWaitFree, grow_often, {}, "more than 5000 instructions"},

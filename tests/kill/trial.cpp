@@ -58,6 +58,20 @@ bool read_all(int fd, void* bytes, std::size_t n) {
 
 constexpr const char* kVictimName = "the victim";
 
+/// Calls f(ring) for each ring of the topic.
+template <class F>
+void each_ring(segment::Segment& segment, const char* topic, F&& f) {
+  for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
+    const auto& entry = segment.channels()[c];
+    const ring::State state = ring::writer_state(entry.writer.load());
+    if (state == ring::State::Free || state == ring::State::Init || entry.formed.load() == 0 ||
+        std::strcmp(segment.topics()[entry.topic].name, topic) != 0) {
+      continue;
+    }
+    f(segment.ring(c));
+  }
+}
+
 struct Told {
   Actor::Order order;
   std::uint32_t number;
@@ -153,6 +167,9 @@ void Actor::serve(const Operation& operation, Node& node) {
     reply.reads_topic = node.reads_topic;
     reply.reads_frames = node.frame_puller.has_value();
     reply.frames = node.frames_seen;
+    reply.reads_items = node.queue.has_value();
+    reply.items = node.items;
+    reply.put = node.put_items;
     reply.probe_ready = node.probe_ready;
     write_all(replies_[1], &reply, sizeof(reply));
   }
@@ -249,6 +266,10 @@ Actor::Reply Trial::must_answer(Actor& actor, const char* what) {
   const auto reply = actor.answer();
   if (!reply) throw std::runtime_error(std::string(what) + ": no answer, " + actor.whereabouts());
   if (!reply->ok) throw std::runtime_error(std::string(what) + ": " + reply->complaint);
+  if (witness_ && &actor == &*witness_) {
+    popped_ = reply->items;
+    put_ = reply->put;
+  }
   return *reply;
 }
 
@@ -454,34 +475,49 @@ void Trial::note_published() {
   if (!witness_) return;
   published_ = std::max(published_, published_on(kTopic));
   frames_ = std::max(frames_, published_on(kFrames));
+  untaken_ = untaken();
+}
+
+/// The items of the queue that nobody has taken, of the only one who puts: a bit each.
+std::uint64_t Trial::untaken() const {
+  segment::Segment segment(options_.directory + "/" + options_.segment);
+  std::uint64_t items = 0;
+  each_ring(segment, kItems, [&](const segment::Ring& ring) {
+    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+      const ring::Word w = ring.slots[i].load();
+      if (ring::block(w) == ring::kNoBlock) continue;
+      items |= std::uint64_t{1} << ring::distance(ring::sequence(w), ring.first);
+    }
+  });
+  return items;
 }
 
 /// How many messages the only publisher of a topic got out: the ring itself says so.
 std::uint64_t Trial::published_on(const char* topic) const {
   segment::Segment segment(options_.directory + "/" + options_.segment);
   std::uint64_t most = 0;
-  for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
-    const auto& entry = segment.channels()[c];
-    const ring::State state = ring::writer_state(entry.writer.load());
-    if (state == ring::State::Free || state == ring::State::Init || entry.formed.load() == 0 ||
-        std::strcmp(segment.topics()[entry.topic].name, topic) != 0) {
-      continue;
-    }
-    const segment::Ring ring = segment.ring(c);
+  each_ring(segment, topic, [&](const segment::Ring& ring) {
     for (std::uint32_t i = 0; i < ring.depth; ++i) {
       const ring::Word w = ring.slots[i].load();
       if (ring::block(w) == ring::kNoBlock) continue;
       most = std::max(
           most, static_cast<std::uint64_t>(ring::distance(ring::sequence(w), ring.first) + 1));
     }
-  }
+  });
   return most;
 }
 
 void Trial::inspect_with_witness() {
   const std::string path = options_.directory + "/" + options_.segment;
+  const std::uint64_t before = put_;
+  std::uint64_t expected = popped_ | untaken_;
   witness_->tell(Actor::Order::Inspect);
   const Actor::Reply seen = must_answer(*witness_, "the witness");
+  for (std::uint64_t i = before; i < seen.put; ++i) expected |= std::uint64_t{1} << i;
+  if (seen.reads_items && seen.items != expected) {
+    violation("items that nobody had taken, or the witness: " + std::to_string(expected) +
+              ", that it got: " + std::to_string(seen.items) + " (a bit each)");
+  }
   const std::uint64_t read = seen.last[kVictim] + seen.last[kDead];
   if (seen.reads_topic && read != published_) {
     violation("published " + std::to_string(published_) + ", seen " + std::to_string(read));

@@ -44,7 +44,10 @@ class Actor {
     bool reads_topic;
     bool reads_frames;
     std::uint64_t frames;
-    bool probe_ready;  ///< the scene has what the probe needs
+    bool reads_items;
+    std::uint64_t items;  ///< bits of those that it has popped
+    std::uint64_t put;    ///< how many it has put
+    bool probe_ready;     ///< the scene has what the probe needs
     char complaint[200];
   };
   void tell(Order order, std::uint32_t number = 0);
@@ -119,6 +122,7 @@ class Trial {
   void inspect();
   Actor::Reply must_answer(Actor& actor, const char* what);
   std::uint64_t published_on(const char* topic) const;
+  std::uint64_t untaken() const;
   void note_published();
   void inspect_with_witness();
   void inspect_alone();
@@ -135,6 +139,9 @@ class Trial {
   std::vector<std::string> violations_;
   /// What the rings said while they stood still: those that are closed may be gone later.
   std::uint64_t published_ = 0, frames_ = 0;
+  std::uint64_t untaken_ = 0;  ///< items that were in the queue at the end: the witness's
+  std::uint64_t popped_ = 0;   ///< items that the witness had got before
+  std::uint64_t put_ = 0;      ///< how many it had put before
 };
 
 }  // namespace lot::kill
