@@ -295,6 +295,7 @@ struct Hints : Scene<Hints, 2> {
       const Word soon = subscriber.reader().peek(0);
       RL_ASSERT(soon == kNoBlock || soon < segment.shape.blocks);
       subscriber.reader().peek(1);
+      RL_ASSERT(subscriber.reader().size() <= 2);
       RL_ASSERT(subscriber.receive());
     }
   }
