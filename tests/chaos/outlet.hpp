@@ -18,7 +18,7 @@ class Outlet {
   Outlet(Life& life, ShmEngine& engine, std::uint32_t topic)
       : life_(life), topic_(topic), plan_(publishing(life.random, topic)) {
     life_.doing(Doing::Advertising, topic);
-    incarnation_ = life_.new_incarnation(topic, plan_.depth, plan_.policy == Policy::Block);
+    incarnation_ = life_.new_incarnation(topic, plan_.depth, plan_.is_lossless());
     Publishing real = plan_;
     if (life_.has(Plant::Overrun) && real.depth > 1) {
       real.policy = Policy::Overwrite;
@@ -82,13 +82,12 @@ class Outlet {
  private:
   Incarnation& record() { return life_.board.incarnations[incarnation_]; }
   Status push_now(ShmUniquePtr<T>&& message) {
-    return plan_.refuses ? pusher_->try_push(std::move(message))
-                         : pusher_->push(std::move(message));
+    return tries() ? pusher_->try_push(std::move(message)) : pusher_->push(std::move(message));
   }
   Status push_now(const ShmSharedPtr<const T>& message) {
-    return plan_.refuses ? pusher_->push(message, std::chrono::nanoseconds(0))
-                         : pusher_->push(message);
+    return tries() ? pusher_->push(message, std::chrono::nanoseconds(0)) : pusher_->push(message);
   }
+  bool tries() const { return plan_.refuses && plan_.policy != Policy::Refuse; }
 
   Life& life_;
   std::uint32_t topic_;

@@ -136,22 +136,19 @@ EpochPlan epoch_plan(const Settings& settings, std::uint64_t epoch) {
 Publishing publishing(Random& random, std::uint32_t topic) {
   const Topic& t = kTopic[topic];
   Publishing plan{};
-  plan.engine = kEngines[random.below(std::size(kEngines))];
+  plan.engine = random.chance(50) ? QueueEngine::Ring : QueueEngine::Mutex;
   plan.depth = t.depths[random.below(t.depths.size())];
   const bool block =
       t.queueing == Queueing::Block || (t.queueing == Queueing::Either && random.chance(50));
   plan.policy = block ? Policy::Block : Policy::Overwrite;
   plan.block_for = random.chance(10) ? 500ms : random.between(1ms, 30ms);
   plan.refuses = topic == kRefuse;
+  if (plan.refuses && random.chance(50)) plan.policy = Policy::Refuse;
   return plan;
 }
 
 PusherOptions pusher_options(const Publishing& plan) {
-  switch (plan.engine) {
-    case Engine::LockFreeRing:
-      break;
-  }
-  return {plan.policy, plan.depth, plan.block_for};
+  return {plan.policy, plan.depth, plan.block_for, plan.engine};
 }
 
 Reading reading(Random& random, Role role) {

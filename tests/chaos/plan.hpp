@@ -63,17 +63,14 @@ struct EpochPlan {
 };
 EpochPlan epoch_plan(const Settings& settings, std::uint64_t epoch);
 
-/// The engines of queues. Another engine is another entry here and a line in pusher_options().
-enum class Engine : std::uint8_t { LockFreeRing };
-inline constexpr Engine kEngines[] = {Engine::LockFreeRing};
-
 /// How a publisher of a topic behaves in this life.
 struct Publishing {
-  Engine engine;
+  QueueEngine engine;
   Policy policy;
   std::uint32_t depth;
   std::chrono::nanoseconds block_for;
-  bool refuses;  ///< try_push: never waits
+  bool refuses;  ///< never waits, whether its policy is Refuse or it tries
+  bool is_lossless() const { return policy != Policy::Overwrite; }
 };
 Publishing publishing(Random& random, std::uint32_t topic);
 PusherOptions pusher_options(const Publishing& plan);

@@ -298,7 +298,8 @@ void pulls(std::vector<Operation>& all, QueueEngine engine) {
                  [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                  [](Node& n) { n.publish(1); }});
   all.push_back({named("pull sleeps until a publisher comes", engine), Promise::Blocking,
-                 Acts{witness(join), victim(join), reader(victim, kOther)},
+                 Acts{witness(join), victim(join), reader(victim, kOther),
+                      witness([=](Node& n) { n.locked = engine == QueueEngine::Mutex; })},
                  [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                  [=](Node& n) {
                    n.pusher.emplace(n.engine->advertise<Number>(kOther, overwrite(2, engine)));
@@ -396,7 +397,10 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
         task = n.tasks->try_pop();
       });
   add("open a queue, and listen", Promise::Blocking,
-      Acts{witness(join), victim(join), witness([=](Node& n) { n.open_queue(options(2)); })} +
+      Acts{witness(join), victim(join), witness([=](Node& n) {
+             n.open_queue(options(2));
+             n.queue->listen();
+           })} +
           puts(witness, 1),
       [=](Node& n) {
         n.open_queue(options(2));
