@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Any sequence of ring operations against a model that is too simple to be wrong: a deque of the
-// messages that are left, and for each reader the index of the message that it reads next. Where a
-// ring has room for one reader, under back-pressure, boost::lockfree::spsc_queue is asked as well.
+// messages that are left, and for each reader the index of the message that it reads next. In half
+// of the rings each message is taken by one reader; a reader then takes what it has done with.
+// Where a ring has room for one reader, under back-pressure, boost::lockfree::spsc_queue is asked
+// as well.
 //
 // Input: depth - 1 | policy and readers | first sequence | operations, a byte each:
 //     7     5 4      3 2         0
@@ -68,7 +70,7 @@ constexpr std::uint64_t kHistory[] = {0, 1, 2, 3, 5, 9, 100, Reader::kFromTheSta
 
 class Fuzz {
  public:
-  Fuzz(std::uint32_t depth, bool blocking, std::uint32_t readers, Word first)
+  Fuzz(std::uint32_t depth, bool blocking, bool taken, std::uint32_t readers, Word first)
       : slots_(depth), cells_(readers), who_(readers), readers_(readers) {
     ring_.writer = &writer_word_;
     ring_.slots = slots_.data();
@@ -79,6 +81,7 @@ class Fuzz {
     ring_.depth = depth;
     ring_.readers = readers;
     ring_.blocking = blocking;
+    ring_.taken = taken;
     ring_.first = first;
     ring_.format();
     writer_word_ = lot::ring::make_writer(1, State::Live, 1);
@@ -159,6 +162,7 @@ class Fuzz {
   /// True if nobody still needs the message that the next publish overwrites.
   bool room() const {
     if (!ring_.blocking) return true;
+    if (ring_.taken) return kept_.size() < ring_.depth || !kept_.front();
     return std::all_of(readers_.begin(), readers_.end(),
                        [this](auto& r) { return !r || published_ - r->next < ring_.depth; });
   }
@@ -177,6 +181,11 @@ class Fuzz {
       replaced = kept_.front().value_or(kNoBlock);
       kept_.pop_front();
     }
+    if (ring_.taken) {
+      replaced = held_.size() == ring_.depth ? held_.front().value_or(kNoBlock) : kNoBlock;
+      if (held_.size() == ring_.depth) held_.pop_front();
+      held_.emplace_back(block_of(published_));
+    }
     const auto result = writer_.publish(block_of(published_));
     require(result.replaced == replaced, "replaced");
     require(result.wake == marked_, "wake");
@@ -186,7 +195,29 @@ class Fuzz {
     kept_.emplace_back(block_of(published_++));
   }
 
+  /// Each message that was taken is given up once, and none before that.
+  void give_up() {
+    writer_.each_taken([this](Word block) {
+      const auto held = std::find(held_.begin(), held_.end(), std::optional<Word>(block));
+      require(held != held_.end(), "a message is given up that the ring does not hold");
+      require(!kept_[static_cast<std::size_t>(held - held_.begin())], "who gives up a message");
+      held->reset();
+    });
+    std::vector<Word> expected;
+    for (const auto& block : held_) {
+      if (block) expected.push_back(*block);
+    }
+    std::vector<Word> put;
+    writer_.each_put([&](Word block) { put.push_back(block); });
+    std::sort(put.begin(), put.end());
+    std::sort(expected.begin(), expected.end());
+    require(put == expected, "what the ring holds");
+    const bool all = std::none_of(kept_.begin(), kept_.end(), [](auto& m) { return bool(m); });
+    require(!all || put.empty(), "what was taken is given up");
+  }
+
   void evict() {
+    if (ring_.taken) return give_up();
     if (ring_.blocking) return;  // back-pressure loses nothing, and borrows without hazards
     Word expected = kNoBlock;
     for (auto& message : kept_) {
@@ -212,11 +243,17 @@ class Fuzz {
       require((any ? oracle_->front() : kNoBlock) == reader.borrowed.value_or(kNoBlock),
               "poll, as boost has it");
     }
-    require(missed == 7 + (reader.next - before), "missed");
+    require(missed == 7 + (ring_.taken ? 0 : reader.next - before), "missed");
     if (!reader.borrowed) ring_bell(reader.real.sender_waits());
   }
 
   void done(Model& reader) {
+    if (ring_.taken) {
+      const bool lapped = reader.next < oldest();
+      const bool there = !lapped && kept_[reader.next - oldest()].has_value();
+      require(reader.real.take() == there, "who takes a message");
+      if (there) kept_[reader.next - oldest()].reset();
+    }
     reader.borrowed.reset();
     ++reader.next;
     if (oracle_) oracle_->pop();
@@ -237,12 +274,12 @@ class Fuzz {
     auto real = Reader::join(ring_, 1, 1, history, full);
     require(full == (seat == readers_.end()) && full == !real, "join");
     if (!real) return;
-    Word back = ring_.blocking ? ring_.depth - 1 : ring_.depth;
-    if (!ring_.blocking && history == Reader::kFromTheStart) back = published_;
+    Word back = ring_.guarded() ? ring_.depth : ring_.depth - 1;
+    if (!ring_.blocking && !ring_.taken && history == Reader::kFromTheStart) back = published_;
     back = std::min({back, Word{history}, published_});
     require(real->cell() == static_cast<std::size_t>(seat - readers_.begin()), "cell");
     *seat = Model{*real, published_ - back, std::nullopt};
-    if (!ring_.blocking || readers_.size() != 1) return;
+    if (ring_.guarded() || readers_.size() != 1) return;
     oracle_ = std::make_unique<boost::lockfree::spsc_queue<Word>>(ring_.depth);
     for (Word m = published_ - back; m < published_; ++m) oracle_->push(block_of(m));
   }
@@ -283,11 +320,12 @@ class Fuzz {
         next = kept_[reader.next - oldest()].value_or(kNoBlock);
       }
       require(reader.real.peek(0) == next, "peek");
-      if (reader.borrowed && !ring_.blocking) expected.push_back(*reader.borrowed);
-      if (ring_.blocking && published_ - reader.next >= ring_.depth) late.push_back(i);
+      if (reader.borrowed && ring_.guarded()) expected.push_back(*reader.borrowed);
+      if (!ring_.guarded() && published_ - reader.next >= ring_.depth) late.push_back(i);
     }
     writer_.hazards([&](Word block) { hazards.push_back(block); });
     require(hazards == expected, "hazards");
+    if (ring_.taken && steps_ % 2 == 0) give_up();
     if (!ring_.blocking) return;  // under overwrite a lapped reader's place is known only to itself
     writer_.laggards([&](std::uint32_t cell) { laggards.push_back(cell); });
     require(laggards == late, "laggards");
@@ -305,6 +343,8 @@ class Fuzz {
   /// What the one reader has not read; none while there may be several.
   std::unique_ptr<boost::lockfree::spsc_queue<Word>> oracle_;
   std::deque<std::optional<Word>> kept_;  ///< the newest messages, oldest first; empty: evicted
+  /// By place in kept_: the blocks whose hold is the ring's, if messages are taken.
+  std::deque<std::optional<Word>> held_;
   std::vector<std::optional<Model>> readers_;
   Word published_ = 0;
   bool marked_ = false;   ///< somebody sleeps on the slot of the next message
@@ -316,7 +356,7 @@ class Fuzz {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   if (size < 3) return 0;
-  Fuzz fuzz(1 + data[0] % 9, (data[1] & 1) != 0, 1 + (data[1] >> 1) % 3U,
+  Fuzz fuzz(1 + data[0] % 9, (data[1] & 1) != 0, data[1] >= 128, 1 + (data[1] >> 1) % 3U,
             kFirst[data[2] % std::size(kFirst)]);
   for (std::size_t i = 3; i < size; ++i) fuzz.run(data[i]);
   fuzz.end();

@@ -247,12 +247,14 @@ class Queue {
     const std::size_t side = bytes_.below(2);
     const std::size_t topic = bytes_.below(kTopics);
     PusherOptions options;
-    options.policy = bytes_.below(2) == 0 ? Policy::Overwrite : Policy::Block;
+    const std::size_t how = bytes_.below(8);
+    options.policy = how % 2 == 0 ? Policy::Overwrite : how < 4 ? Policy::Block : Policy::Refuse;
+    options.engine = how / 2 % 2 == 0 ? QueueEngine::Ring : QueueEngine::Mutex;
     options.depth = static_cast<std::uint32_t>(1 + bytes_.below(8));
     if (publishers_.size() == kMost) return;
     publishers_.push_back({channels_.size(), side,
                            place_.engine(side).template advertise<Mail>(name(topic), options)});
-    channels_.push_back({topic, options.depth, options.policy == Policy::Block});
+    channels_.push_back({topic, options.depth, options.policy != Policy::Overwrite});
   }
 
   void close(Publisher& publisher) {

@@ -952,6 +952,32 @@ TEST_CASE("random operations agree with a deque") {
   }
 }
 
+TEST_CASE("a ring that was lapped gives up all that is taken of it") {
+  Channel channel(3, Policy::Overwrite);
+  channel.ring.taken = true;
+  channel.writer = lot::ring::Writer<HardwareAtomics>(channel.ring);
+  Reader reader = channel.join();
+  std::uint64_t missed = 0;
+  const auto take_all = [&] {
+    while (reader.poll(missed) != kNoBlock) {
+      CHECK(reader.take());
+      reader.done();
+    }
+  };
+  const auto given_up = [&] {
+    std::vector<Word> blocks;
+    channel.writer.each_taken([&](Word block) { blocks.push_back(block); });
+    return blocks;
+  };
+  channel.publish(0, 5);  // laps the first two
+  take_all();
+  CHECK(given_up() == std::vector<Word>{2, 3, 4});
+  channel.publish(5, 6);
+  take_all();
+  CHECK(given_up() == std::vector<Word>{5});
+  CHECK(missed == 0);
+}
+
 TEST_CASE("one reader under back-pressure behaves like boost's queue") {
   const std::uint32_t seed = std::random_device{}();
   MESSAGE("seed " << seed);
