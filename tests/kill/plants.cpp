@@ -134,6 +134,27 @@ std::vector<Plant> planted_operations() {
                  "refers to what its sender gave it"});
   frames.push_back({Who::Victim, [](Node& n) { n.frames->push(n.frames->loan()); }});
   frames.push_back({Who::Witness, [](Node& n) { n.frame_puller->try_pull(); }});
+  const auto opens = [](Node& n) {
+    n.join();
+    n.open_queue({4, Policy::Block, QueueEngine::Ring, Wait::Park});
+    n.queue->listen();
+  };
+  const std::vector<Act> items{{Who::Witness, opens},
+                               {Who::Victim, opens},
+                               {Who::Victim, [](Node& n) { n.put(); }},
+                               {Who::Witness, [](Node& n) { n.pop(); }}};
+  all.push_back({{"an item is another's", Promise::Blocking, items,
+                  [](Node& n) {
+                    ++n.put_items;
+                    n.put();
+                  }},
+                 "items that nobody had taken"});
+  all.push_back({{"an item comes twice", Promise::Blocking, items,
+                  [](Node& n) {
+                    --n.put_items;
+                    n.put();
+                  }},
+                 "item 0 came twice"});
   all.push_back(
       {{"a frame is lost", Promise::Blocking, frames, [](Node&) {}}, "published 1 frames, seen 0"});
   return all;

@@ -106,8 +106,6 @@ MISTAKES = (
     Planted('a mark on the condition is kept', 'src/robust_mutex/robust_condition.hpp', 'mutex', ((
         '    word_.fetch_add(kWaits, std::memory_order_relaxed);  // takes',
         '    word_.fetch_add(0, std::memory_order_relaxed);  // takes'),)),
-    Planted('whom a dead publisher announced itself to sleeps on, on its condition', RECOVERY, 'mutex', ((
-        '      if (r.arrived != nullptr) RobustCondition(*r.arrived).renew();\n', ''),)),
     Planted('a bell is lost when somebody leaves meanwhile', 'src/lockfree_ring/ring.hpp', 'taken', ((
         '    while ((v & 1) != 0) {\n      if (space.compare_exchange_weak(v, v + 1',
         '    if ((v & 1) != 0) {\n      if (space.compare_exchange_weak(v, v + 1'),)),

@@ -164,7 +164,7 @@ again:
   :: else
   fi;
   atomic {
-    mapped[p] = segment_name; /* @ src/segment/segment.cpp Segment: Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW)) */
+    mapped[p] = segment_name; /* @ src/segment/segment.cpp Segment: (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW */
     assert(mapped[p] != NONE);
     assert(complete[mapped[p]])
   };

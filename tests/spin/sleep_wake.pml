@@ -572,7 +572,7 @@ look:
     };
     atomic {
       if
-      :: registry == 0 -> registry = me /* @ src/transport/puller.cpp find_new_rings: if (!registry.try_lock()) return */
+      :: registry == 0 -> registry = me /* @ src/transport/puller.cpp find_new_rings: if (!registry.try_lock()) */
       :: else -> goto poll
       fi
     };
