@@ -15,7 +15,7 @@
 
 #include <lot/lot.hpp>
 
-#include "support/processes.hpp"
+#include "support/both_engines.hpp"
 
 namespace {
 
@@ -80,10 +80,7 @@ class Board {
   Counts* counts_;
 };
 
-struct Fixture {
-  const Watchdog watchdog{100};
-  const lot::EngineOptions options = fresh();
-  const int both = unsetenv("LOT_QUEUE");  // the suite is for both engines
+struct Fixture : BothEngines {
   Board board;
 
   QueueOptions with(QueueEngine engine, std::uint32_t depth = 32) const {
@@ -91,15 +88,6 @@ struct Fixture {
     o.engine = engine;
     o.depth = depth;
     return o;
-  }
-  template <class Test>
-  void with_each_engine(Test&& test) {
-    for (const QueueEngine engine : {QueueEngine::Ring, QueueEngine::Mutex}) {
-      CAPTURE(static_cast<int>(engine));
-      lot::ShmEngine keeper(options);
-      test(engine);
-      CHECK(leak_in(keeper.path()) == "");
-    }
   }
   /// Two threads in a process of their own. On one queue, or each on its own handle of it.
   template <class Queue, class Work>

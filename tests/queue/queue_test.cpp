@@ -9,7 +9,7 @@
 
 #include <lot/lot.hpp>
 
-#include "support/processes.hpp"
+#include "support/both_engines.hpp"
 
 namespace {
 
@@ -43,8 +43,6 @@ QueueOptions with(QueueEngine engine, std::uint32_t depth = 64, Policy policy = 
   return options;
 }
 
-constexpr QueueEngine kEngines[] = {QueueEngine::Ring, QueueEngine::Mutex};
-
 lot::ShmUniquePtr<Task> task(Tasks& queue, std::uint64_t number) {
   auto made = queue.make();
   made->number = number;
@@ -52,22 +50,7 @@ lot::ShmUniquePtr<Task> task(Tasks& queue, std::uint64_t number) {
   return made;
 }
 
-/// Each test case with an engine, and nothing left at its end.
-struct Fixture {
-  const Watchdog watchdog{60};
-  const lot::EngineOptions options = fresh();
-  const int both = unsetenv("LOT_QUEUE");  // each case is for both engines
-
-  template <class Test>
-  void with_each_engine(Test&& test) {
-    for (const QueueEngine engine : kEngines) {
-      CAPTURE(static_cast<int>(engine));
-      lot::ShmEngine keeper(options);  // so that the segment is there to be looked at
-      test(engine);
-      CHECK(leak_in(keeper.path()) == "");
-    }
-  }
-};
+using Fixture = BothEngines;
 
 }  // namespace
 

@@ -14,7 +14,7 @@
 
 #include <lot/lot.hpp>
 
-#include "support/processes.hpp"
+#include "support/both_engines.hpp"
 
 namespace {
 
@@ -34,20 +34,7 @@ void publish(lot::ShmPusher<Number>& pusher, std::uint64_t value) {
   CHECK(pusher.push(pusher.loan(Number{value})) == Status::Ok);
 }
 
-struct Fixture {
-  const Watchdog watchdog{60};
-  const lot::EngineOptions options = fresh();
-  const int both = unsetenv("LOT_QUEUE");  // each case is for both engines
-
-  template <class Test>
-  void with_each_engine(Test&& test) {
-    for (const QueueEngine engine : {QueueEngine::Ring, QueueEngine::Mutex}) {
-      CAPTURE(static_cast<int>(engine));
-      lot::ShmEngine keeper(options);
-      test(engine);
-      CHECK(leak_in(keeper.path()) == "");
-    }
-  }
+struct Fixture : BothEngines {
   static lot::PusherOptions with(QueueEngine engine, std::uint32_t depth = 64) {
     return {Policy::Block, depth, 1s, engine};
   }
