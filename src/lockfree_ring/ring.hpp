@@ -227,6 +227,7 @@ class Writer {
       // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
       const Word old = ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
       const Word held = ring_.taken ? std::exchange(put_[i], kNoBlock) : block(old);
+      if (oldest_ == i) oldest_ = after(i);
       if (held != kNoBlock) return held;
       i = after(i);
     }

@@ -130,7 +130,6 @@ class Recovery {
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       if (ring::writer_state(w) != ring::State::Live) continue;
       ring::Ring<P> r = world_.ring(c);
-      if (r.arrived != nullptr) RobustCondition(*r.arrived).renew();
       r.wake_sleepers([this](auto& word) { world_.wake(word); });
     }
   }
