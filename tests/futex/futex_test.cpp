@@ -5,12 +5,18 @@
 #include "futex/futex.hpp"
 
 #include <atomic>
+#include <cerrno>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <linux/filter.h>
+#include <linux/seccomp.h>
 #include <new>
 #include <optional>
 #include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 #include <vector>
@@ -67,6 +73,21 @@ class Fixture {
 
   Shared* shared = nullptr;
 };
+
+/// From now on this process has a kernel without futex_waitv, as before Linux 5.16.
+bool forget_futex_waitv() {
+  constexpr std::uint32_t kFutexWaitv = 449;
+  sock_filter filter[] = {
+      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(seccomp_data, nr)),
+      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, kFutexWaitv, 0, 1),
+      BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | ENOSYS),
+      BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW),
+  };
+  const sock_fprog program{4, filter};
+  return prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 &&
+         prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &program) == 0 &&
+         syscall(kFutexWaitv, nullptr, 0, 0, nullptr, 0) == -1 && errno == ENOSYS;
+}
 
 void wait_until(Word& word, std::uint32_t value) {
   for (std::uint32_t seen; (seen = word) != value;) futex::wait(&word, seen, std::nullopt);
@@ -201,6 +222,29 @@ TEST_CASE_FIXTURE(Fixture, "of more words than the kernel takes, each one ends t
       while (shared->words[2] == 0) futex::wait_any(waits, std::nullopt);
       CHECK(status_of(child) == 0);
     }
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "where the kernel has no futex_waitv, each word ends the sleep too") {
+  for (const std::size_t count : {std::size_t{2}, futex::kMaxWords, 3 * futex::kMaxWords}) {
+    CAPTURE(count);
+    set(shared->words[2], 0);
+    set(shared->words[3], 0);
+    const pid_t child = in_child([&] {
+      if (!forget_futex_waitv()) _exit(1);
+      FutexWaits waits(count, {&shared->words[0], 0});
+      const auto deadline = futex::Clock::now() + 20ms;
+      while (futex::wait_any(waits, deadline)) {  // looks again now and then
+      }
+      if (futex::Clock::now() < deadline) _exit(2);
+      waits.back() = {&shared->words[2], 0};
+      set(shared->words[3], 1);
+      while (shared->words[2] == 0) futex::wait_any(waits, std::nullopt);
+    });
+    wait_until(shared->words[3], 1);
+    usleep(5'000);  // most likely asleep by now; right in any case
+    set(shared->words[2], 1);
+    CHECK(status_of(child) == 0);
   }
 }
 
