@@ -10,6 +10,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <exception>
+#include <functional>
 #include <new>
 #include <sched.h>
 #include <string>
@@ -301,7 +302,7 @@ class Run {
       done.walk = trial.walk(point);
       done.reached = point == Trial::kMost || done.walk.points >= point;
       if (options_.stop) {
-        const auto which = probes_.empty() ? probes_beside(point) : probes_;
+        const auto which = probes_.empty() ? probes_beside(operation, point) : probes_;
         const auto probed = trial.probe(which);
         for (const std::uint32_t i : which) count(probed[i], totals_.neighbours[i]);
       }
@@ -318,15 +319,16 @@ class Run {
   }
 
   /// All that promise not to wait, and one of the blocking ones.
-  static std::vector<std::uint32_t> probes_beside(std::uint64_t point) {
+  static std::vector<std::uint32_t> probes_beside(const Operation& operation, std::uint64_t point) {
     std::vector<std::uint32_t> which;
     std::vector<std::uint32_t> blocking;
     for (std::uint32_t i = 0; i < all_probes().size(); ++i) {
       const Probe& p = all_probes()[i];
       if (p.found_as == nullptr) (p.promise == Promise::Blocking ? blocking : which).push_back(i);
     }
-    // By turns, whatever --every says.
-    which.push_back(blocking[(point * 0x9e3779b97f4a7c15U >> 32) % blocking.size()]);
+    // Another one at each point of each operation, whatever --every says.
+    const std::uint64_t turn = point + std::hash<std::string>()(operation.name);
+    which.push_back(blocking[(turn * 0x9e3779b97f4a7c15U >> 32) % blocking.size()]);
     return which;
   }
 

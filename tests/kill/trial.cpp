@@ -239,7 +239,7 @@ Trial::Trial(const Operation& operation, std::string segment, bool probes) : ope
   options_.segment = std::move(segment);
   options_.size_bytes = 6 << 20;
   options_.processes = 7;
-  options_.blocks = 48;
+  options_.blocks = 64;
   options_.topics = 8;
   options_.channels = 12;
   options_.readers = 4;
