@@ -64,7 +64,8 @@ class Outlet {
       record().done.store(++number_, std::memory_order_release);
       life_.count(Count::Published);
     } else {
-      record().begun.store(number_, std::memory_order_release);
+      record().begun.store(record().done.load(std::memory_order_relaxed),
+                           std::memory_order_release);
       life_.count(Count::Refused);
     }
     return status;
@@ -76,7 +77,7 @@ class Outlet {
     record().done.store(number_);
   }
   void use_number_again() {
-    if (number_ != 0) --number_;
+    if (number_ != 0 && number_ == record().done.load()) --number_;  // else it looks like a loss
   }
 
  private:
