@@ -54,8 +54,10 @@ class Publisher final : public Job {
   bool goes_on() const { return !life_.stopping() && life_.stage() == Stage::Run; }
 
   void publish() {
-    if (life_.has(Plant::Skip, 2)) outlet_.skip_number();
-    if (life_.has(Plant::Twice, 2)) outlet_.use_number_again();
+    if (!waiting_) {  // it bears its number already
+      if (life_.has(Plant::Skip, 2)) outlet_.skip_number();
+      if (life_.has(Plant::Twice, 2)) outlet_.use_number_again();
+    }
     if (smeared_ != nullptr) tear(*std::exchange(smeared_, nullptr));
     // A refused message is kept for the next time.
     if (!waiting_ && !(waiting_ = make())) return;
