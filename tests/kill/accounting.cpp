@@ -106,6 +106,7 @@ class Books {
       for (std::uint32_t k = 0; k < segment_.capacity().participants; ++k) {
         const auto& users = topic.users[k / segment::Atomics::kBitsPerWord];
         if ((users.load() & Own::bit(k)) != 0 && !lives(k)) wrong("a topic is used by the dead");
+        if (topic.pullers[k].load() != 0 && !lives(k)) wrong("a topic counts pullers of the dead");
       }
     }
   }

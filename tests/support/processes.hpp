@@ -233,6 +233,7 @@ struct Audit {
     for (auto& topic : s.topics()) {
       bool used = false;
       for (auto& word : topic.users) used |= word.load() != 0;
+      for (auto& pullers : topic.pullers) used |= pullers.load() != 0;
       topics += used;
     }
     for (auto& entry : s.participants()) participants += entry.state.load() != 0;
