@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <iterator>
+#include <utility>
+
+#include "transport.hpp"
+
+namespace ab {
+namespace {
+
+std::vector<Transport> all() {
+  std::vector<Transport> every;
+  for (auto* const of_file : {
+           lot_transports,
+#ifdef LOT_AB_ICEORYX
+           iceoryx_transports,
+#endif
+#ifdef LOT_AB_FASTDDS
+           fastdds_transports,
+#endif
+           floor_transports,
+       }) {
+    std::vector<Transport> some = of_file();
+    every.insert(every.end(), std::make_move_iterator(some.begin()),
+                 std::make_move_iterator(some.end()));
+  }
+  return every;
+}
+
+}  // namespace
+
+const std::vector<Transport>& transports() {
+  static const std::vector<Transport> every = all();
+  return every;
+}
+
+const std::vector<Missing>& missing_transports() {
+  static const std::vector<Missing> missing{
+#ifndef LOT_AB_ICEORYX
+      {"iceoryx", "was not found when this was built; install libiceoryx-posh-dev"},
+#endif
+#ifndef LOT_AB_FASTDDS
+      {"fastdds", "was not found when this was built; install libfastrtps-dev"},
+#endif
+  };
+  return missing;
+}
+
+}  // namespace ab

@@ -1,0 +1,181 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cstring>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <sys/mman.h>
+#include <thread>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "support/processes.hpp"
+#include "transport.hpp"
+
+/// Every transport, without the harness: real processes, every byte looked at.
+/// LOT_AB_TRANSPORT=NAME in the environment: that one only.
+namespace {
+
+using namespace ab;
+using namespace lot::testing;
+
+constexpr unsigned kMessages = 60;  // of each publisher: more than a pool, less than time allows
+constexpr std::uint64_t kLast = std::uint64_t{1} << 63;
+
+struct Head {
+  std::uint64_t number;  // with kLast
+  std::uint32_t publisher;
+  std::uint32_t size;
+};
+
+std::byte pattern(const Head& head, std::size_t i) {
+  return static_cast<std::byte>(head.number * 31 + head.publisher * 7 + i / 64);
+}
+
+void fill(std::byte* at, const Head& head) {
+  std::memcpy(at, &head, sizeof head);
+  for (std::size_t i = sizeof head; i < head.size; i += 64) at[i] = pattern(head, i);
+  at[head.size - 1] = pattern(head, head.size - 1);
+}
+bool is_whole(std::span<const std::byte> message, const Head& head) {
+  for (std::size_t i = sizeof head; i < head.size; i += 64) {
+    if (message[i] != pattern(head, i)) return false;
+  }
+  return message[head.size - 1] == pattern(head, head.size - 1);
+}
+
+void publish(const Transport& transport, const Stream& stream, unsigned publisher) {
+  const auto sender = transport.sender(stream, publisher);
+  must(sender->wait_for_subscribers(stream.subscribers, 20s), "all subscribers have come");
+  for (std::uint64_t n = 0; n < kMessages; ++n) {
+    const bool last = n + 1 == kMessages;
+    fill(sender->loan(),
+         {n | (last ? kLast : 0), publisher, static_cast<std::uint32_t>(stream.size)});
+    must(sender->push(), "a message was published");
+    // Losses of who cannot wait for readers are few, and the last one arrives.
+    if (!stream.lossless) std::this_thread::sleep_for(n + 2 >= kMessages ? 100ms : 1ms);
+  }
+  std::this_thread::sleep_for(300ms);  // who goes takes nothing away
+}
+
+void subscribe(const Transport& transport, const Stream& stream, unsigned subscriber) {
+  const auto receiver = transport.receiver(stream, subscriber);
+  std::vector<std::uint64_t> next(stream.publishers, 0);
+  std::uint64_t received = 0;
+  unsigned ended = 0;
+  const auto until = std::chrono::steady_clock::now() + 40s;
+  while (ended < stream.publishers && std::chrono::steady_clock::now() < until) {
+    receiver->receive(
+        [&](std::span<const std::byte> message) {
+          Head head{};
+          must(message.size() >= sizeof head, "a message has a head");
+          std::memcpy(&head, message.data(), sizeof head);
+          must(head.publisher < stream.publishers, "it is of a publisher");
+          must(head.size == stream.size, "it says its size");
+          const std::uint64_t number = head.number & ~kLast;
+          must(number >= next[head.publisher], "in order, and once");
+          next[head.publisher] = number + 1;
+          ++received;
+          if ((head.number & kLast) != 0) ++ended;
+          if (transport.is_floor) return;  // a line is all that comes
+          must(message.size() == stream.size, "it has its size");
+          must(is_whole(message, head), "it is whole");
+        },
+        100ms);
+  }
+  if (ended < stream.publishers && !transport.waits && transport.is_network)
+    return;  // lost the last
+  must(ended == stream.publishers, "the last one of each came");
+  if (stream.lossless && transport.waits) {
+    must(received == std::uint64_t{kMessages} * stream.publishers, "none is lost");
+  }
+}
+
+void run(const Transport& transport, Stream stream) {
+  const std::string directory = "/dev/shm/" + unique_name();
+  std::filesystem::create_directory(directory);
+  stream.name = std::filesystem::path(directory).filename();
+  stream.directory = directory;
+  stream.address.assign(stream.publishers,
+                        std::vector<std::string>(stream.subscribers, "127.0.0.1"));
+  CAPTURE(transport.name);
+  CAPTURE(stream.size);
+  const std::string refused = transport.refuses(stream);
+  if (!refused.empty()) {
+    MESSAGE(transport.name << ": " << refused);
+  } else {
+    const auto service = transport.serve ? transport.serve(stream) : nullptr;
+    if (transport.threads) {
+      std::vector<std::thread> nodes;
+      for (unsigned s = 0; s < stream.subscribers; ++s)
+        nodes.emplace_back([&, s] { subscribe(transport, stream, s); });
+      for (unsigned p = 0; p < stream.publishers; ++p)
+        nodes.emplace_back([&, p] { publish(transport, stream, p); });
+      for (std::thread& node : nodes) node.join();
+    } else {
+      std::vector<std::unique_ptr<Child>> nodes;
+      for (unsigned s = 0; s < stream.subscribers; ++s)
+        nodes.push_back(std::make_unique<Child>([&, s] { subscribe(transport, stream, s); }));
+      for (unsigned p = 0; p < stream.publishers; ++p)
+        nodes.push_back(std::make_unique<Child>([&, p] { publish(transport, stream, p); }));
+      for (auto& node : nodes) CHECK(node->wait() == 0);
+    }
+  }
+  std::filesystem::remove_all(directory);
+  for (const auto& entry : std::filesystem::directory_iterator("/dev/shm")) {
+    const std::string name = entry.path().filename();
+    CHECK_MESSAGE(name.find(stream.name) == std::string::npos, "left behind: " << name);
+    if (name.find(stream.name) != std::string::npos) std::filesystem::remove_all(entry.path());
+  }
+}
+
+template <class F>
+void each_transport(F&& f) {
+  const char* only = std::getenv("LOT_AB_TRANSPORT");
+  for (const Transport& transport : transports()) {
+    if (!transport.delivers || (only != nullptr && transport.name != only)) continue;
+    f(transport);
+  }
+}
+
+}  // namespace
+
+TEST_CASE("every transport delivers whole messages in order, at every size") {
+  const Watchdog watchdog{600};
+  for (const std::size_t size : {std::size_t{128}, std::size_t{5000}, std::size_t{1} << 20}) {
+    each_transport([size](const Transport& t) {
+      Stream stream;
+      stream.size = size;
+      stream.subscribers = 2;
+      run(t, stream);
+    });
+  }
+}
+
+TEST_CASE("every transport serves several publishers, and every way to wait") {
+  const Watchdog watchdog{600};
+  for (const Wait wait : {Wait::Spin, Wait::Adaptive, Wait::Park}) {
+    each_transport([wait](const Transport& t) {
+      Stream stream;
+      stream.size = 4096;
+      stream.publishers = 3;
+      stream.wait = wait;
+      run(t, stream);
+    });
+  }
+}
+
+TEST_CASE("who can wait for slow subscribers loses nothing") {
+  const Watchdog watchdog{600};
+  for (const unsigned pool : {0U, 8U}) {
+    each_transport([pool](const Transport& t) {
+      Stream stream;
+      stream.size = 64 << 10;
+      stream.pool = pool;
+      stream.depth = 8;
+      stream.lossless = true;
+      run(t, stream);
+    });
+  }
+}
