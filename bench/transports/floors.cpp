@@ -80,16 +80,28 @@ long futex(std::atomic<std::uint32_t>& word, int op, std::uint32_t value, const 
   return syscall(SYS_futex, &word, op, value, limit, nullptr, 0);
 }
 
-class Private {  // where a floor's message is filled
+/// Where a floor's messages are filled: as many and of the same kind of memory as a queue's, so
+/// that filling costs the same.
+class Buffers {
  public:
-  explicit Private(std::size_t size) : memory_(size + kLine) {}
-  std::byte* get() {
-    auto at = reinterpret_cast<std::uintptr_t>(memory_.data());
-    return memory_.data() + (kLine - at % kLine) % kLine;
+  explicit Buffers(const Stream& stream)
+      : each_((stream.size + kPage - 1) / kPage * kPage), count_(stream.depth + 1) {
+    at_ = mmap(nullptr, each_ * count_, PROT_READ | PROT_WRITE,
+               MAP_SHARED | MAP_ANONYMOUS | MAP_POPULATE, -1, 0);
+    if (at_ == MAP_FAILED) throw std::system_error(errno, std::generic_category(), "mmap");
   }
+  ~Buffers() { munmap(at_, each_ * count_); }
+  Buffers(const Buffers&) = delete;
+  Buffers& operator=(const Buffers&) = delete;
+  std::byte* get() const { return static_cast<std::byte*>(at_) + next_ * each_; }
+  void turn() { next_ = (next_ + 1) % count_; }
 
  private:
-  std::vector<std::byte> memory_;
+  static constexpr std::size_t kPage = 4096;
+  void* at_ = nullptr;
+  std::size_t each_;
+  std::size_t count_;
+  std::size_t next_ = 0;
 };
 
 class FloorSender final : public Sender {
@@ -99,7 +111,7 @@ class FloorSender final : public Sender {
         sleeps_(sleeps),
         page_(path_of(stream)),
         lane_(page_->lanes[publisher]),
-        message_(stream.size) {}
+        messages_(stream) {}
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
     const auto until = std::chrono::steady_clock::now() + patience;
@@ -109,14 +121,15 @@ class FloorSender final : public Sender {
     }
     return true;
   }
-  std::byte* loan() override { return message_.get(); }
+  std::byte* loan() override { return messages_.get(); }
   bool push() override {
     if (stream_.lossless) wait_for_room();
     Slot& slot = lane_.slots[next_ % kSlots];
     slot.sequence.store(0, std::memory_order_relaxed);
     std::atomic_thread_fence(std::memory_order_release);
     std::uint64_t words[kHead / 8];
-    std::memcpy(words, message_.get(), kHead);
+    std::memcpy(words, messages_.get(), kHead);
+    messages_.turn();
     for (std::size_t i = 0; i < kHead / 8; ++i) {
       slot.words[i].store(words[i], std::memory_order_relaxed);
     }
@@ -146,7 +159,7 @@ class FloorSender final : public Sender {
   const bool sleeps_;
   Mapping page_;
   Lane& lane_;
-  Private message_;
+  Buffers messages_;
   std::uint64_t next_ = 0;   ///< messages so far
   std::uint64_t known_ = 0;  ///< what every subscriber has read
 };
@@ -211,13 +224,16 @@ class FloorReceiver final : public Receiver {
 /// Fills, and sends nothing.
 class PaceSender final : public Sender {
  public:
-  explicit PaceSender(std::size_t size) : message_(size) {}
+  explicit PaceSender(const Stream& stream) : messages_(stream) {}
   bool wait_for_subscribers(unsigned, std::chrono::nanoseconds) override { return true; }
-  std::byte* loan() override { return message_.get(); }
-  bool push() override { return true; }
+  std::byte* loan() override { return messages_.get(); }
+  bool push() override {
+    messages_.turn();
+    return true;
+  }
 
  private:
-  Private message_;
+  Buffers messages_;
 };
 
 class PaceReceiver final : public Receiver {
@@ -261,7 +277,7 @@ std::vector<Transport> floor_transports() {
   pace.is_floor = true;
   pace.delivers = false;
   pace.refuses = [](const Stream&) { return std::string(); };
-  pace.sender = [](const Stream& s, unsigned) { return std::make_unique<PaceSender>(s.size); };
+  pace.sender = [](const Stream& s, unsigned) { return std::make_unique<PaceSender>(s); };
   pace.receiver = [](const Stream&, unsigned) { return std::make_unique<PaceReceiver>(); };
   return {floor("floor-spin", "a cache line, both ends spinning", Wait::Spin, false),
           floor("floor-futex", "a cache line and a futex, both ends asleep", Wait::Park, true),

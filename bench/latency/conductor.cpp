@@ -1,0 +1,662 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "conductor.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <charconv>
+#include <chrono>
+#include <cstdint>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <memory>
+#include <random>
+#include <sched.h>
+#include <set>
+#include <stdexcept>
+#include <thread>
+#include <utility>
+
+#include "board.hpp"
+#include "crew.hpp"
+#include "machine.hpp"
+#include "plan.hpp"
+
+namespace ab {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::uint64_t kMostSamples = 200'000;  ///< of one subscriber; beyond, each n-th is kept
+constexpr auto kStartsWithin = 60s;
+constexpr std::uint64_t kWarmUp = 20;  ///< messages; of ping-pong and throughput more
+
+Wait wait_of(const std::string& text) {
+  return text == "spin" ? Wait::Spin : text == "adaptive" ? Wait::Adaptive : Wait::Park;
+}
+Place place_of(const std::string& text) {
+  return text == "host" ? Place::Host : text == "container" ? Place::Container : Place::Containers;
+}
+
+/// NpMs.
+bool parse_graph(const std::string& text, unsigned& publishers, unsigned& subscribers) {
+  const char* const end = text.data() + text.size();
+  const auto [p, error] = std::from_chars(text.data(), end, publishers);
+  if (error != std::errc() || p == end || *p != 'p') return false;
+  const auto [s, error2] = std::from_chars(p + 1, end, subscribers);
+  return error2 == std::errc() && s + 1 == end && *s == 's' && publishers > 0 && subscribers > 0;
+}
+
+/// The cores on which a node may run; empty: all.
+std::vector<int> cores_for(const std::string& pin, Role role, unsigned index) {
+  const std::vector<int> all = usable_cores();
+  const auto of_socket = [&](unsigned wanted) {
+    std::vector<int> some;
+    std::copy_if(all.begin(), all.end(), std::back_inserter(some),
+                 [&](int core) { return socket_of(core) == wanted; });
+    return some;
+  };
+  if (pin == "same-core") return {all.front()};
+  if (pin == "other-core") {
+    if (role == Role::Publish) return {all.front()};
+    return {all[1 + index % (all.size() - 1)]};
+  }
+  const unsigned first = socket_of(all.front());
+  if (pin == "socket") return of_socket(first);
+  if (pin == "other-socket") {
+    if (role == Role::Publish) return of_socket(first);
+    for (const int core : all) {
+      if (socket_of(core) != first) return of_socket(socket_of(core));
+    }
+  }
+  return {};
+}
+
+/// Reads the scheduler's statistics of nodes each 100 ms.
+class Watcher {
+ public:
+  Watcher(const Board& board, std::vector<std::pair<std::string, unsigned>> nodes)
+      : thread_([this, &board, nodes = std::move(nodes)] {
+          std::map<unsigned, std::pair<std::int64_t, double>> before;
+          while (!stops_) {
+            for (const auto& [name, node] : nodes) {
+              const std::int64_t now = now_ns();
+              const double ran = ran_ns(board.node(node).pid);
+              if (const auto at = before.find(node); at != before.end()) {
+                const double cores =
+                    (ran - at->second.second) / static_cast<double>(now - at->second.first);
+                readings.push_back({name, now, cores});
+              }
+              before[node] = {now, ran};
+            }
+            std::this_thread::sleep_for(100ms);
+          }
+        }) {}
+  ~Watcher() { stop(); }
+  Watcher(const Watcher&) = delete;
+  Watcher& operator=(const Watcher&) = delete;
+  void stop() {
+    stops_ = true;
+    if (thread_.joinable()) thread_.join();
+  }
+
+  std::vector<Utilisation> readings;  ///< after stop()
+
+ private:
+  static double ran_ns(int pid) {
+    double sum = 0;
+    std::error_code ignored;
+    const std::string tasks = "/proc/" + std::to_string(pid) + "/task";
+    for (const auto& task : std::filesystem::directory_iterator(tasks, ignored)) {
+      double ran = 0;
+      std::ifstream(task.path() / "schedstat") >> ran;
+      sum += ran;
+    }
+    return sum;
+  }
+
+  std::atomic<bool> stops_{false};
+  std::thread thread_;  // last: it uses the others
+};
+
+/// What a function is that copies or moves bytes, not one that waits.
+bool is_work(const std::string& symbol) {
+  for (const char* const work : {"memcpy", "memset", "send", "recv", "read", "write"}) {
+    if (symbol.find(work) != std::string::npos) return true;
+  }
+  return false;
+}
+
+class Conductor {
+ public:
+  Conductor(const CellOptions& options, const Workplace& workplace,
+            const std::function<void(const std::string&)>& progress,
+            const std::function<bool()>& interrupted)
+      : options_(options),
+        c_(options.conditions),
+        workplace_(workplace),
+        progress_(progress),
+        interrupted_(interrupted),
+        topics_(topics(c_)) {
+    cell_.conditions = c_;
+    choose_arms();
+    make_plan();
+  }
+
+  Cell run() {
+    try {
+      for (unsigned a = 0; a < plan_.arms.size(); ++a) start(a);
+      for (unsigned a = 0; a < plan_.arms.size(); ++a) take_turn(a, 0, warm_up());
+      take_turns();
+      finish();
+    } catch (const Interrupted&) {
+      board_->head().stop.set(1);
+      cell_.arms.clear();
+    }
+    return std::move(cell_);
+  }
+
+ private:
+  struct Interrupted {};
+
+  // ---- what is to be done
+  // ------------------------------------------------------------------------
+
+  void choose_arms() {
+    std::vector<std::string> names = options_.transports;
+    if (wait_of(c_.wait) != Wait::Park) names.emplace_back("floor-spin");
+    if (wait_of(c_.wait) != Wait::Spin) names.emplace_back("floor-futex");
+    if (c_.mode == "paced") names.emplace_back("floor-pace");
+    std::set<std::string> once;
+    for (const std::string& name : names) {
+      if (!once.insert(name).second) continue;
+      Arm arm;
+      arm.transport = name;
+      const auto& all = transports();
+      const auto at =
+          std::find_if(all.begin(), all.end(), [&](const Transport& t) { return t.name == name; });
+      if (at == all.end()) throw std::invalid_argument("no transport '" + name + "'");
+      arm.is_floor = at->is_floor;
+      arm.copies = at->copies;
+      arm.refused = Crew::unavailable(place_of(c_.place), at->is_network);
+      if (arm.refused.empty() && at->threads && place_of(c_.place) == Place::Containers) {
+        arm.refused = "its nodes share one process; set --place host or container";
+      }
+      for (const Topic& topic : topics_) {
+        if (arm.refused.empty())
+          arm.refused = at->refuses(stream_of(topic, "name", "/dev/shm", *at));
+      }
+      cell_.arms.push_back(arm);
+      if (!arm.refused.empty()) continue;
+      arm_of_.push_back(cell_.arms.size() - 1);
+      transports_.push_back(&*at);
+    }
+  }
+
+  Stream stream_of(const Topic& topic, const std::string& name, const std::string& directory,
+                   const Transport& transport) const {
+    Stream s;
+    s.name = name;
+    s.directory = directory;
+    s.size = topic.size;
+    s.publishers = topic.publishers;
+    s.subscribers = topic.subscribers;
+    s.wait = wait_of(c_.wait);
+    s.pool = c_.pool;
+    s.depth = c_.depth;
+    s.lossless = c_.lossless;
+    s.isolated = c_.place != "host";
+    if (transport.is_network) {
+      s.address.resize(topic.publishers);
+      for (unsigned p = 0; p < topic.publishers; ++p) {
+        for (unsigned r = 0; r < topic.subscribers; ++r) {
+          s.address[p].push_back(Crew::address(place_of(c_.place), p, r));
+        }
+      }
+    }
+    return s;
+  }
+
+  void make_plan() {
+    plan_.mode = c_.mode;
+    plan_.fill = c_.fill;
+    const Place place = place_of(c_.place);
+    std::uint64_t samples = 0;
+    static std::atomic<unsigned> cells{0};
+    const unsigned number = cells++;
+    for (unsigned a = 0; a < transports_.size(); ++a) {
+      const std::string name =
+          workplace_.name() + "_" + std::to_string(number) + "_" + std::to_string(a);
+      directories_.push_back(workplace_.directory(name));
+      ArmPlan arm;
+      arm.transport = transports_[a]->name;
+      for (unsigned t = 0; t < topics_.size(); ++t) {
+        // A container sees this directory as its /dev/shm.
+        Stream stream =
+            stream_of(topics_[t], name + "_" + std::to_string(t),
+                      place == Place::Host ? directories_.back() : "/dev/shm", *transports_[a]);
+        add_nodes(arm, a, t, stream, place);
+        arm.streams.push_back({stream, topics_[t].rate_hz});
+      }
+      if (c_.mode == "ping-pong") {
+        Stream back = arm.streams[0].stream;
+        back.name = name + "_1";
+        if (place == Place::Containers && !back.address.empty()) back.address = {{"10.1.1.2"}};
+        arm.streams.push_back({back, 0});
+      }
+      plan_.arms.push_back(std::move(arm));
+    }
+    for (const NodePlan& node : plan_.nodes) samples += most_samples(node);
+    const std::uint64_t total = c_.messages * topics_[0].publishers;
+    plan_.keep_every = (total + kMostSamples - 1) / kMostSamples;
+    const std::string text = nlohmann::json(plan_).dump();
+    board_ = std::make_unique<Board>(
+        plan_.arms.size(), plan_.nodes.size(),
+        text.size() + samples * sizeof(Sample) +
+            plan_.nodes.size() * (2 * 4096 + (options_.profile ? kProfileBytes : 0)) + 4096);
+    board_->set_plan(text);
+    for (unsigned n = 0; n < plan_.nodes.size(); ++n) {
+      NodeRecord& record = board_->node(n);
+      record.most_samples = most_samples(plan_.nodes[n]);
+      record.samples_at = board_->give(record.most_samples * sizeof(Sample));
+      if (plan_.nodes[n].profiled) record.profile_at = board_->give(kProfileBytes);
+    }
+  }
+
+  void add_nodes(ArmPlan& arm, unsigned a, unsigned t, const Stream& stream, Place place) {
+    const auto add = [&](Role role, unsigned index, double delay) {
+      NodePlan node;
+      node.arm = a;
+      node.stream = t;
+      node.role = role;
+      node.index = index;
+      node.cores = cores_for(c_.pin, role, index);
+      node.delay_s = c_.ordered ? delay : 0;
+      node.profiled = options_.profile && !transports_[a]->threads;
+      // Threads share a process, and nodes of one container their parent.
+      const bool apart = place == Place::Containers;
+      if (arm.groups.empty() || apart) arm.groups.emplace_back();
+      arm.groups.back().push_back(static_cast<unsigned>(plan_.nodes.size()));
+      plan_.nodes.push_back(std::move(node));
+    };
+    for (unsigned p = 0; p < stream.publishers; ++p) add(Role::Publish, p, 0);
+    for (unsigned r = 0; r < stream.subscribers; ++r) add(Role::Subscribe, r, 2.0 * (r + 1));
+  }
+
+  std::uint64_t messages_of(unsigned stream, std::uint64_t of_first) const {
+    if (topics_[stream].rate_hz == 0 || topics_[0].rate_hz == 0) return of_first;
+    return static_cast<std::uint64_t>(static_cast<double>(of_first) * topics_[stream].rate_hz /
+                                      topics_[0].rate_hz) +
+           1;
+  }
+  std::uint64_t most_samples(const NodePlan& node) const {
+    if (c_.mode == "ping-pong" && node.role == Role::Subscribe) return 0;
+    if (c_.mode != "ping-pong" && node.role == Role::Publish) return 0;
+    const std::uint64_t all =
+        messages_of(node.stream, c_.messages + blocks()) * topics_[node.stream].publishers;
+    return std::min(all, kMostSamples + 1000);
+  }
+  std::uint64_t blocks() const { return (c_.messages + c_.block - 1) / c_.block; }
+  std::uint64_t warm_up() const {
+    return c_.mode == "paced" ? kWarmUp : std::max<std::uint64_t>(kWarmUp, c_.block / 2);
+  }
+
+  // ---- starting
+  // ----------------------------------------------------------------------------------
+
+  void say(const std::string& text) const {
+    if (progress_) progress_(text);
+  }
+  void give_up(unsigned a, const std::string& why) {
+    Arm& arm = cell_.arms[arm_of_[a]];
+    if (!arm.refused.empty()) return;
+    arm.refused = "failed: " + why;
+    say(arm.transport + " failed: " + why);
+    crews_[a].reset();
+    services_[a].reset();
+  }
+  bool has_failed(unsigned a) const { return !cell_.arms[arm_of_[a]].refused.empty(); }
+
+  /// What its nodes said of their ends, or what is known of their parents.
+  std::string trouble(unsigned a) {
+    const std::string parents = crews_[a]->ended();
+    for (unsigned n = 0; n < plan_.nodes.size(); ++n) {
+      if (plan_.nodes[n].arm != a || board_->node(n).state.load() != NodeState::Failed) continue;
+      return name_of(plan_.nodes[n]) + ": " + board_->node(n).error;
+    }
+    return parents.empty() ? "" : "a group of nodes: " + parents;
+  }
+  std::string name_of(const NodePlan& node) const {
+    return (topics_[node.stream].name.empty() ? "" : topics_[node.stream].name + " ") +
+           (node.role == Role::Publish ? "publisher " : "subscriber ") + std::to_string(node.index);
+  }
+
+  void start(unsigned a) {
+    crews_.resize(plan_.arms.size());
+    services_.resize(plan_.arms.size());
+    const ArmPlan& arm = plan_.arms[a];
+    say("starting " + arm.transport);
+    try {
+      if (transports_[a]->serve) {
+        Stream of_service = arm.streams[0].stream;
+        of_service.directory = directories_[a];
+        services_[a] = transports_[a]->serve(of_service);
+      }
+      crews_[a] = std::make_unique<Crew>(*board_, plan_, a, place_of(c_.place), directories_[a]);
+    } catch (const std::exception& e) {
+      give_up(a, e.what());
+      return;
+    }
+    double delay = 0;
+    for (const NodePlan& node : plan_.nodes) delay = std::max(delay, node.delay_s);
+    const auto is_ready = [&] {
+      for (unsigned n = 0; n < plan_.nodes.size(); ++n) {
+        if (plan_.nodes[n].arm == a && board_->node(n).state.load() != NodeState::Ready)
+          return false;
+      }
+      return true;
+    };
+    if (const std::string why = wait_until(
+            a, is_ready,
+            kStartsWithin + std::chrono::nanoseconds(static_cast<std::int64_t>(delay * 1e9)));
+        !why.empty()) {
+      give_up(a, why);
+    }
+  }
+
+  /// Why it did not come to pass; empty: it did.
+  template <class Condition>
+  std::string wait_until(unsigned a, Condition&& condition, std::chrono::nanoseconds patience) {
+    const std::int64_t until = now_ns() + patience.count();
+    for (std::uint32_t seen = board_->head().arrivals.load(); !condition();) {
+      if (interrupted_()) throw Interrupted();
+      if (const std::string why = trouble(a); !why.empty()) return why;
+      if (now_ns() > until) return "hangs: " + who_is_missing(a);
+      seen = board_->head().arrivals.wait_while(seen, 50ms);
+    }
+    return "";
+  }
+  std::string who_is_missing(unsigned a) const {
+    const ArmRecord& arm = board_->arm(a);
+    std::string text = std::to_string(arm.listening.load()) + " listen, " +
+                       std::to_string(arm.sent_all.load()) + " have sent all, " +
+                       std::to_string(arm.finished.load()) + " have finished";
+    for (unsigned n = 0; n < plan_.nodes.size(); ++n) {
+      if (plan_.nodes[n].arm == a && board_->node(n).state.load() == NodeState::Starting) {
+        text += "; " + name_of(plan_.nodes[n]) + " is still starting";
+      }
+    }
+    return text;
+  }
+
+  // ---- turns
+  // -------------------------------------------------------------------------------------
+
+  void take_turns() {
+    std::mt19937_64 random(options_.seed);
+    std::vector<unsigned> order(plan_.arms.size());
+    for (unsigned a = 0; a < order.size(); ++a) order[a] = a;
+    std::uint64_t left = c_.messages;
+    for (std::uint32_t block = 1; left > 0; ++block) {
+      const std::uint64_t n = std::min(left, c_.block);
+      std::shuffle(order.begin(), order.end(), random);
+      for (const unsigned a : order) take_turn(a, block, n);
+      left -= n;
+      say(std::to_string(c_.messages - left) + " of " + std::to_string(c_.messages));
+    }
+  }
+
+  void take_turn(unsigned a, std::uint32_t block, std::uint64_t messages) {
+    if (has_failed(a)) return;
+    Head& head = board_->head();
+    ArmRecord& arm = board_->arm(a);
+    arm.listening.set(0);
+    arm.sent_all.set(0);
+    arm.finished.set(0);
+    arm.rested.set(0);
+    arm.start.store(0);
+    std::vector<std::uint64_t> received_before(topics_.size(), 0);
+    each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
+      received_before[node.stream] += record.received;
+    });
+    head.order = {a, block, messages, block != 0, false};
+    std::unique_ptr<Watcher> watcher;
+    if (options_.profile && block != 0 && c_.place == "host") watcher = watch(a);
+    head.turn.raise();
+    unsigned nodes = 0;
+    each_node(a, [&](const NodePlan&, const NodeRecord&) { ++nodes; });
+    const double expected =
+        topics_[0].rate_hz > 0 ? static_cast<double>(messages) / topics_[0].rate_hz : 0;
+    const std::string why = wait_until(
+        a, [&] { return arm.rested.load() >= nodes; },
+        std::chrono::nanoseconds(static_cast<std::int64_t>((120 + 4 * expected) * 1e9)));
+    if (watcher) {
+      watcher->stop();
+      Arm& result = cell_.arms[arm_of_[a]];
+      result.utilisation.insert(result.utilisation.end(), watcher->readings.begin(),
+                                watcher->readings.end());
+    }
+    if (!why.empty()) {
+      give_up(a, why);
+      return;
+    }
+    if (block != 0 && c_.mode != "paced") note_time(a, block, received_before);
+    std::this_thread::sleep_for(5ms);  // who has woken for nothing sleeps again
+  }
+
+  std::unique_ptr<Watcher> watch(unsigned a) {
+    std::vector<std::pair<std::string, unsigned>> nodes;
+    for (unsigned n = 0; n < plan_.nodes.size(); ++n) {
+      if (plan_.nodes[n].arm == a) nodes.emplace_back(name_of(plan_.nodes[n]), n);
+    }
+    return std::make_unique<Watcher>(*board_, std::move(nodes));
+  }
+
+  template <class F>
+  void each_node(unsigned a, F&& f) {
+    for (unsigned n = 0; n < plan_.nodes.size(); ++n) {
+      if (plan_.nodes[n].arm == a) f(plan_.nodes[n], board_->node(n));
+    }
+  }
+
+  void note_time(unsigned a, std::uint32_t block, const std::vector<std::uint64_t>& before) {
+    auto& times = times_[a];
+    times.resize(topics_.size());
+    std::vector<std::int64_t> began(topics_.size(), INT64_MAX);
+    std::vector<std::int64_t> ended(topics_.size(), 0);
+    std::vector<std::uint64_t> received(topics_.size(), 0);
+    each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
+      received[node.stream] += record.received;
+      if (node.role == Role::Publish)
+        began[node.stream] = std::min(began[node.stream], record.began);
+      const bool counts =
+          c_.mode == "ping-pong" ? node.role == Role::Publish : node.role == Role::Subscribe;
+      if (counts) ended[node.stream] = std::max(ended[node.stream], record.ended);
+    });
+    for (std::size_t t = 0; t < topics_.size(); ++t) {
+      times[t].push_back({block, received[t] - before[t], ended[t] - began[t]});
+    }
+  }
+
+  // ---- gathering
+  // ---------------------------------------------------------------------------------
+
+  void finish() {
+    board_->head().order = {0, 0, 0, false, true};
+    board_->head().turn.raise();
+    for (unsigned a = 0; a < plan_.arms.size(); ++a) {
+      if (has_failed(a)) continue;
+      crews_[a]->join();
+      gather(a);
+      services_[a].reset();
+      crews_[a].reset();
+    }
+  }
+
+  void gather(unsigned a) {
+    Arm& arm = cell_.arms[arm_of_[a]];
+    arm.streams.resize(topics_.size());
+    for (std::size_t t = 0; t < topics_.size(); ++t) {
+      StreamResult& s = arm.streams[t];
+      s.name = topics_[t].name;
+      s.size = topics_[t].size;
+      s.rate_hz = topics_[t].rate_hz;
+      if (!times_[a].empty()) s.blocks = times_[a][t];
+    }
+    std::map<std::string, std::uint64_t> hot;
+    each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
+      StreamResult& s = arm.streams[node.stream];
+      if (node.role == Role::Publish) {
+        s.publishers.push_back({node.index, record.sent, record.refused, record.usage});
+      }
+      if (node.role == Role::Subscribe || c_.mode == "ping-pong") gather(s, node, record);
+      if (node.profiled) gather_profile(arm.profile, hot, record);
+      if (record.spoilt != 0 && arm.refused.empty()) {
+        arm.refused = "failed: " + name_of(node) + " got " + std::to_string(record.spoilt) +
+                      " messages that were not what was sent";
+      }
+    });
+    for (StreamResult& s : arm.streams) {
+      std::uint64_t sent = 0;
+      for (const Publisher& p : s.publishers) sent += p.sent;
+      for (Subscriber& r : s.subscribers) {
+        // Ping-pong: each end gets what the other one sends.
+        const std::uint64_t got = r.received + r.missed;
+        r.lost = transports_[a]->delivers && sent > got ? sent - got : 0;
+      }
+    }
+    for (const auto& [symbol, n] : hot) {
+      arm.profile.hottest.push_back({symbol, static_cast<double>(n) / 1000});
+    }
+    auto& hottest = arm.profile.hottest;
+    std::sort(hottest.begin(), hottest.end(),
+              [](const HotSpot& x, const HotSpot& y) { return x.seconds > y.seconds; });
+    if (hottest.size() > 10) hottest.resize(10);
+  }
+
+  void gather(StreamResult& s, const NodePlan& node, const NodeRecord& record) {
+    Subscriber r;
+    r.index = c_.mode == "ping-pong" && node.role == Role::Publish ? 1 : node.index;
+    r.received = record.received;
+    r.missed = record.missed;
+    r.spoilt = record.spoilt;
+    r.usage = record.usage;
+    const Sample* const samples = board_->samples(record);
+    r.samples.assign(samples, samples + record.samples);
+    s.subscribers.push_back(std::move(r));
+  }
+
+  void gather_profile(Profile& profile, std::map<std::string, std::uint64_t>& hot,
+                      const NodeRecord& record) {
+    const std::string text(board_->profile(record), record.profile_size);
+    for (std::size_t at = 0; at < text.size();) {
+      const auto end = text.find('\n', at);
+      if (end == std::string::npos) break;
+      const auto first = text.find(' ', at);
+      const std::uint64_t n = std::stoull(text.substr(at, first - at));
+      const bool waiting = text[first + 1] == '1';
+      const std::string symbol = text.substr(first + 3, end - first - 3);
+      hot[symbol] += n;
+      profile.cpu_s += static_cast<double>(n) / 1000;
+      if (waiting && !is_work(symbol)) profile.spin_s += static_cast<double>(n) / 1000;
+      at = end + 1;
+    }
+  }
+
+  const CellOptions& options_;
+  const Conditions& c_;
+  const Workplace& workplace_;
+  const std::function<void(const std::string&)>& progress_;
+  const std::function<bool()>& interrupted_;
+  const std::vector<Topic> topics_;
+  Cell cell_;
+  // By arm that runs:
+  std::vector<std::size_t> arm_of_;  ///< its place in cell_.arms
+  std::vector<const Transport*> transports_;
+  std::vector<std::string> directories_;
+  std::map<unsigned, std::vector<std::vector<BlockTime>>> times_;
+  Plan plan_;
+  std::unique_ptr<Board> board_;
+  std::vector<std::unique_ptr<Service>> services_;
+  std::vector<std::unique_ptr<Crew>> crews_;  // go first: they use the services
+};
+
+}  // namespace
+
+std::vector<Topic> topics(const Conditions& c) {
+  const bool quiet = c.graph == "av-quiet";
+  if (quiet || c.graph == "av") {
+    // The paper's vehicle. The inertial sensor comes first: blocks are counted in its messages.
+    std::vector<Topic> all{
+        {"imu", 128, 400, 1, 3}, {"lidar", 1 << 20, 10, 1, 3}, {"gnss", 128, 20, 1, 3}};
+    for (unsigned i = 0; i < 4 && !quiet; ++i) {
+      all.push_back({"camera" + std::to_string(i), 8 << 20, 30, 1, 3});
+    }
+    return all;
+  }
+  Topic topic;
+  topic.size = c.size;
+  topic.rate_hz = c.mode == "paced" ? c.rate_hz : 0;
+  if (!parse_graph(c.graph, topic.publishers, topic.subscribers)) return {};
+  return {topic};
+}
+
+std::string refused(const Conditions& c) {
+  const auto is_one_of = [](const std::string& text, std::initializer_list<const char*> all) {
+    return std::any_of(all.begin(), all.end(), [&](const char* each) { return text == each; });
+  };
+  const bool scenario = c.graph == "av" || c.graph == "av-quiet";
+  unsigned publishers = 0;
+  unsigned subscribers = 0;
+  if (!is_one_of(c.mode, {"paced", "ping-pong", "throughput"})) {
+    return "--mode is paced, ping-pong or throughput";
+  }
+  if (!scenario && !parse_graph(c.graph, publishers, subscribers)) {
+    return "--graph is NpMs (1p5s), av or av-quiet";
+  }
+  if (publishers > 64 || subscribers > 64)
+    return "--graph: at most 64 publishers and 64 subscribers";
+  if (scenario && c.mode != "paced") return "--graph " + c.graph + " is paced; leave --mode out";
+  if (c.mode == "ping-pong" && (publishers != 1 || subscribers != 1)) {
+    return "--mode ping-pong is between two nodes: --graph 1p1s";
+  }
+  if (!scenario && (c.size < 128 || c.size % 8 != 0 || c.size > (std::size_t{1} << 30))) {
+    return "--size is a multiple of 8 from 128 to 1G";
+  }
+  if (c.mode == "paced" && !(c.rate_hz > 0 && c.rate_hz <= 100'000)) {
+    return "--rate is more than 0 and at most 100000";
+  }
+  if (c.messages == 0 || c.block == 0) return "--messages and --block are at least 1";
+  if (c.depth == 0 || c.depth > 4096) return "--depth is from 1 to 4096";
+  if (!is_one_of(c.wait, {"spin", "adaptive", "park"})) return "--wait is spin, adaptive or park";
+  if (!is_one_of(c.place, {"host", "container", "containers"})) {
+    return "--place is host, container or containers";
+  }
+  if (!is_one_of(c.pin, {"none", "same-core", "other-core", "socket", "other-socket"})) {
+    return "--pin is none, same-core, other-core, socket or other-socket";
+  }
+  if (c.pin == "same-core" && c.wait == "spin") {
+    return "on one core who spins keeps the other from running; set --wait park or adaptive";
+  }
+  const std::vector<int> cores = usable_cores();
+  if (c.pin == "other-core" && cores.size() < 2)
+    return "--pin other-core: this process has one core";
+  if (c.pin == "other-socket" && std::all_of(cores.begin(), cores.end(), [&](int core) {
+        return socket_of(core) == socket_of(cores.front());
+      })) {
+    return "--pin other-socket: this machine has one socket";
+  }
+  return "";
+}
+
+Cell run_cell(const CellOptions& options, const Workplace& workplace,
+              const std::function<void(const std::string&)>& progress,
+              const std::function<bool()>& interrupted) {
+  if (const std::string why = refused(options.conditions); !why.empty()) {
+    throw std::invalid_argument(why);
+  }
+  return Conductor(options, workplace, progress, interrupted).run();
+}
+
+}  // namespace ab

@@ -1,0 +1,310 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "crew.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <exception>
+#include <fcntl.h>
+#include <filesystem>
+#include <stdexcept>
+#include <sys/prctl.h>
+#include <sys/wait.h>
+#include <system_error>
+#include <thread>
+#include <unistd.h>
+
+#include "node.hpp"
+
+namespace ab {
+namespace {
+
+using namespace std::chrono_literals;
+
+[[noreturn]] void fail(const std::string& what) {
+  throw std::system_error(errno, std::generic_category(), what);
+}
+
+std::string self() { return std::filesystem::read_symlink("/proc/self/exe"); }
+
+/// Replaces this process; only after fork().
+[[noreturn]] void become(const std::vector<std::string>& command) {
+  std::vector<char*> arguments;
+  arguments.reserve(command.size() + 1);
+  for (const std::string& c : command) arguments.push_back(const_cast<char*>(c.c_str()));
+  arguments.push_back(nullptr);
+  execvp(arguments[0], arguments.data());
+  std::fprintf(stderr, "lot_ab: %s: %s\n", arguments[0], std::strerror(errno));
+  _exit(127);
+}
+
+std::string end_of(int status) {
+  return WIFSIGNALED(status) ? std::string("killed by signal ") + std::to_string(WTERMSIG(status))
+                             : "exit status " + std::to_string(WEXITSTATUS(status));
+}
+
+bool finds(const char* program) {
+  const char* const path = std::getenv("PATH");
+  for (std::string rest = path != nullptr ? path : "/usr/bin:/bin"; !rest.empty();) {
+    const auto colon = rest.find(':');
+    if (access((rest.substr(0, colon) + "/" + program).c_str(), X_OK) == 0) return true;
+    rest = colon == std::string::npos ? "" : rest.substr(colon + 1);
+  }
+  return false;
+}
+
+/// Each link between two containers has a network of its own; containers hide them from each other
+/// and from the system.
+std::string network_of(unsigned publisher, unsigned subscriber) {
+  return "10." + std::to_string(publisher + 1) + "." + std::to_string(subscriber + 1) + ".";
+}
+
+void run_threads(Board& board, const Plan& plan, const std::vector<unsigned>& nodes,
+                 std::atomic<int>& status) {
+  std::vector<std::thread> threads;
+  threads.reserve(nodes.size());
+  for (const unsigned node : nodes) {
+    threads.emplace_back([&, node] {
+      if (run_node(board, plan, node) != 0) status = 1;
+    });
+  }
+  for (std::thread& t : threads) t.join();
+}
+
+int run_processes(Board& board, const Plan& plan, const std::vector<unsigned>& nodes) {
+  const pid_t me = getpid();
+  std::vector<std::pair<pid_t, unsigned>> children;
+  for (const unsigned node : nodes) {
+    std::fflush(nullptr);
+    const pid_t pid = fork();
+    if (pid == -1) fail("fork");
+    if (pid == 0) {
+      prctl(PR_SET_PDEATHSIG, SIGKILL);
+      if (getppid() != me) _exit(1);
+      _exit(run_node(board, plan, node));
+    }
+    children.emplace_back(pid, node);
+  }
+  int result = 0;
+  for (std::size_t left = children.size(); left > 0;) {
+    int status = 0;
+    const pid_t pid = wait(&status);
+    if (pid == -1 && errno == EINTR) continue;
+    if (pid == -1) fail("wait");
+    const auto at = std::find_if(children.begin(), children.end(),
+                                 [pid](const auto& child) { return child.first == pid; });
+    if (at == children.end()) continue;  // somebody else's
+    --left;
+    if (status == 0) continue;
+    NodeRecord& record = board.node(at->second);
+    if (record.state.load() != NodeState::Failed) {
+      std::snprintf(record.error, sizeof record.error, "%s", end_of(status).c_str());
+      record.state.store(NodeState::Failed);
+    }
+    result = 1;
+    board.head().arrivals.raise();
+  }
+  return result;
+}
+
+}  // namespace
+
+int run_group(int fd, unsigned arm, unsigned group) {
+  Board board(fd);
+  const Plan plan = nlohmann::json::parse(board.plan()).get<Plan>();
+  const ArmPlan& mine = plan.arms.at(arm);
+  const auto goes_on = [&board] { return board.head().stop.load() == 0; };
+  if (!board.arm(arm).network.wait_for(1, goes_on)) return 0;
+  const auto& all = transports();
+  const auto transport = std::find_if(all.begin(), all.end(),
+                                      [&](const Transport& t) { return t.name == mine.transport; });
+  if (transport != all.end() && transport->threads) {
+    std::atomic<int> status{0};
+    run_threads(board, plan, mine.groups.at(group), status);
+    return status;
+  }
+  return run_processes(board, plan, mine.groups.at(group));
+}
+
+void must_run(const std::vector<std::string>& command) {
+  std::fflush(nullptr);
+  const pid_t pid = fork();
+  if (pid == -1) fail("fork");
+  if (pid == 0) become(command);
+  int status = 0;
+  while (waitpid(pid, &status, 0) == -1 && errno == EINTR) {
+  }
+  if (status == 0) return;
+  std::string text;
+  for (const std::string& c : command) text += c + " ";
+  throw std::runtime_error(text + ": " + end_of(status));
+}
+
+Crew::Crew(const Board& board, const Plan& plan, unsigned arm, Place place,
+           const std::string& directory)
+    : board_(board), arm_(arm) {
+  try {
+    const ArmPlan& mine = plan.arms[arm];
+    for (unsigned g = 0; g < mine.groups.size(); ++g) start(g, place, directory);
+    if (place == Place::Containers && !mine.streams[0].stream.address.empty()) connect(plan);
+    board.arm(arm).network.set(1);
+  } catch (...) {
+    for (const Member& m : members_) kill(-m.pid, SIGKILL);
+    throw;
+  }
+}
+
+Crew::~Crew() {
+  for (Member& m : members_) {
+    if (m.pid == -1) continue;
+    kill(-m.pid, SIGKILL);
+    while (waitpid(m.pid, nullptr, 0) == -1 && errno == EINTR) {
+    }
+  }
+}
+
+void Crew::start(unsigned group, Place place, const std::string& directory) {
+  const std::vector<std::string> inner{self(), "group", std::to_string(board_.fd()),
+                                       std::to_string(arm_), std::to_string(group)};
+  std::vector<std::string> command;
+  int told[2] = {-1, -1};
+  if (place != Place::Host) {
+    if (pipe(told) != 0) fail("pipe");
+    fcntl(told[0], F_SETFD, FD_CLOEXEC);
+    command = {"bwrap",
+               "--ro-bind",
+               "/",
+               "/",
+               "--dev",
+               "/dev",
+               "--bind",
+               directory,
+               "/dev/shm",
+               "--tmpfs",
+               "/tmp",
+               "--proc",
+               "/proc",
+               "--unshare-pid",
+               "--unshare-ipc",
+               "--unshare-uts",
+               "--unshare-net",
+               "--die-with-parent",
+               "--info-fd",
+               std::to_string(told[1])};
+  }
+  command.insert(command.end(), inner.begin(), inner.end());
+  std::fflush(nullptr);
+  const pid_t me = getpid();
+  const pid_t pid = fork();
+  if (pid == -1) fail("fork");
+  if (pid == 0) {
+    setpgid(0, 0);
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    if (getppid() != me) _exit(1);
+    // What is asked of the library is said in code, for every node alike.
+    for (const char* name :
+         {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_QUEUE"}) {
+      unsetenv(name);
+    }
+    become(command);
+  }
+  setpgid(pid, pid);
+  members_.push_back({pid, -1});
+  if (place == Place::Host) return;
+  close(told[1]);
+  std::string text;
+  char c = 0;
+  while (read(told[0], &c, 1) == 1) text += c;
+  close(told[0]);
+  const auto info = nlohmann::json::parse(text, nullptr, false);
+  if (info.is_discarded() || !info.contains("child-pid")) {
+    throw std::runtime_error("bubblewrap could not make a container (see above)");
+  }
+  members_.back().inside = info["child-pid"].get<pid_t>();
+}
+
+void Crew::connect(const Plan& plan) {
+  const ArmPlan& mine = plan.arms[arm_];
+  // A group is one node here.
+  const auto inside = [&](Role role, unsigned stream, unsigned index) {
+    for (std::size_t g = 0; g < mine.groups.size(); ++g) {
+      const NodePlan& n = plan.nodes[mine.groups[g][0]];
+      if (n.role == role && n.stream == stream && n.index == index) return members_[g].inside;
+    }
+    throw std::logic_error("a node is in no group");
+  };
+  const auto in = [](pid_t pid, std::vector<std::string> command) {
+    std::vector<std::string> whole{"nsenter", "-t", std::to_string(pid), "-n"};
+    whole.insert(whole.end(), command.begin(), command.end());
+    must_run(whole);
+  };
+  // Ping-pong goes back over the link on which it came.
+  const std::size_t streams = plan.mode == "ping-pong" ? 1 : mine.streams.size();
+  for (unsigned s = 0; s < streams; ++s) {
+    const Stream& stream = mine.streams[s].stream;
+    for (unsigned p = 0; p < stream.publishers; ++p) {
+      for (unsigned r = 0; r < stream.subscribers; ++r) {
+        const pid_t from = inside(Role::Publish, s, p);
+        const pid_t to = inside(Role::Subscribe, s, r);
+        const std::string here = "to" + std::to_string(r);
+        const std::string there = "from" + std::to_string(p);
+        must_run({"ip", "link", "add", here, "netns", std::to_string(from), "type", "veth", "peer",
+                  "name", there, "netns", std::to_string(to)});
+        const std::string network = network_of(p, r);
+        in(from, {"ip", "addr", "add", network + "1/24", "dev", here});
+        in(to, {"ip", "addr", "add", network + "2/24", "dev", there});
+        in(from, {"ip", "link", "set", here, "up"});
+        in(to, {"ip", "link", "set", there, "up"});
+      }
+    }
+  }
+}
+
+std::string Crew::address(Place place, unsigned publisher, unsigned subscriber) {
+  return place == Place::Containers ? network_of(publisher, subscriber) + "1" : "127.0.0.1";
+}
+
+std::string Crew::unavailable(Place place, bool network) {
+  if (place == Place::Host) return "";
+  if (!finds("bwrap")) return "containers need bubblewrap (Debian: bubblewrap)";
+  if (place == Place::Containers && network) {
+    if (geteuid() != 0) return "a network between containers needs root";
+    if (!finds("ip") || !finds("nsenter")) {
+      return "a network between containers needs ip and nsenter (Debian: iproute2, util-linux)";
+    }
+  }
+  return "";
+}
+
+std::string Crew::ended() {
+  for (Member& m : members_) {
+    if (m.pid == -1) return "has ended";
+    int status = 0;
+    if (waitpid(m.pid, &status, WNOHANG) != m.pid) continue;
+    kill(-m.pid, SIGKILL);  // what it started
+    m.pid = -1;
+    return end_of(status);
+  }
+  return "";
+}
+
+void Crew::join() {
+  const auto until = std::chrono::steady_clock::now() + 20s;
+  for (Member& m : members_) {
+    while (m.pid != -1) {
+      if (waitpid(m.pid, nullptr, WNOHANG) == m.pid) {
+        m.pid = -1;
+      } else if (std::chrono::steady_clock::now() > until) {
+        break;  // the destructor kills it
+      } else {
+        std::this_thread::sleep_for(2ms);
+      }
+    }
+  }
+}
+
+}  // namespace ab
