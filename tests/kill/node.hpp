@@ -138,7 +138,8 @@ struct Node {
 enum class Who : std::uint8_t {
   Victim,
   Witness,  ///< lives on and sees to it that nothing is lost
-  Dead      ///< is killed before the operation
+  Dead,     ///< is killed before the operation
+  Rival     ///< wants the same item as the victim
 };
 struct Act {
   Who who;
@@ -160,6 +161,14 @@ struct Pledge {
   const char* shown_by;
 };
 
+/// A process that is in the middle of a pop when the victim operates: it holds an item, and has not
+/// taken it out of the queue.
+enum class Rival : std::uint8_t {
+  None,
+  Stopped,  ///< it goes on when the victim is dead
+  Killed
+};
+
 /// One operation of the public interface in one situation.
 struct Operation {
   std::string name;
@@ -168,6 +177,7 @@ struct Operation {
   std::function<void(Node&)> run;            ///< the operation itself
   std::function<void(Node&)> when_asleep{};  ///< the witness does this when the victim sleeps in it
   bool alone = false;                        ///< there is no witness while it runs
+  Rival rival = Rival::None;
 };
 
 std::vector<Operation> all_operations();
@@ -200,6 +210,6 @@ inline constexpr const char* kTopic = "/numbers";  ///< the victim publishes her
 inline constexpr const char* kOther = "/others";   ///< the witness publishes here
 inline constexpr const char* kFrames = "/frames";
 inline constexpr const char* kItems = "/items";  ///< each is taken by one
-inline constexpr std::uint64_t kVictim = 1, kWitness = 2, kDead = 3, kSecondLife = 4;
+inline constexpr std::uint64_t kVictim = 1, kWitness = 2, kDead = 3, kSecondLife = 4, kRival = 5;
 
 }  // namespace lot::kill

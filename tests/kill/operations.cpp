@@ -26,6 +26,7 @@ PullerOptions parked(std::uint64_t history = 0) { return {Wait::Park, history}; 
 Act victim(std::function<void(Node&)> act) { return {Who::Victim, std::move(act)}; }
 Act witness(std::function<void(Node&)> act) { return {Who::Witness, std::move(act)}; }
 Act dead(std::function<void(Node&)> act) { return {Who::Dead, std::move(act)}; }
+Act rival(std::function<void(Node&)> act) { return {Who::Rival, std::move(act)}; }
 
 void join(Node& n) { n.join(); }
 
@@ -435,6 +436,60 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
       [](Node& n) { n.reap(); });
 }
 
+/// Another one is in the middle of a pop: it holds the item that comes first. A lock lets nobody in
+/// beside it; so with the mutex engine it has died there.
+void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
+  const auto options = [engine](std::uint32_t depth, Policy policy) {
+    return QueueOptions{depth, policy, engine, Wait::Park};
+  };
+  const auto three = [](const QueueOptions& o) {
+    const auto open = [o](Node& n) {
+      n.open_queue(o);
+      n.queue->listen();
+    };
+    return Acts{witness(join), victim(join), rival(join), witness(open), victim(open), rival(open)};
+  };
+  const auto add = [&](const std::string& name, const Pledge& pledge, const Acts& before,
+                       std::function<void(Node&)> run) {
+    const char* beside = how == Rival::Stopped ? ", a rival holds it" : ", a dead rival holds it";
+    all.push_back({named(name + beside, engine),
+                   under(engine, pledge),
+                   before,
+                   std::move(run),
+                   {},
+                   false,
+                   how});
+  };
+  const Pledge shown{Promise::LockFree, "put and pop, overwrite"};
+  const Acts two_items =
+      three(options(2, Policy::Block)) + Acts{witness([](Node& n) { n.put(2); })};
+  add("pop", shown, two_items, [](Node& n) { n.pop(); });
+  add("pop without a copy, and drop", shown,
+      two_items + Acts{victim([=](Node& n) {
+        n.tasks.emplace(n.engine->queue<ShmUniquePtr<Number>>(kItems, options(2, Policy::Block)));
+        n.tasks->listen();
+      })},
+      [](Node& n) {
+        if (auto item = n.tasks->try_pop()) (*item)->check ^= 1;  // it is the victim's alone
+      });
+  // A reader has a ring from its next look on.
+  const auto four_items = [&](std::uint32_t depth) {
+    return three(options(depth, Policy::Overwrite)) + Acts{victim([](Node& n) { n.put(); }),
+                                                           witness([](Node& n) { n.pop(); }),
+                                                           victim([](Node& n) { n.put(4); })};
+  };
+  add("put, overwrite", shown, four_items(2), [](Node& n) { n.put(2); });
+  // Of all blocks, those in the queue are left, and two.
+  add("loan and evict", {Promise::LockFree, "loan, blocks have run out"},
+      four_items(4) + Acts{victim([](Node& n) {
+        n.pusher.emplace(n.engine->advertise<Number>(kTopic, overwrite(2)));
+        while (n.loans.size() < n.options.blocks - 6) loan_one(n);
+      })},
+      [](Node& n) {
+        for (int i = 0; i < 4; ++i) loan_one(n);
+      });
+}
+
 /// What else the mutex engine does in its own way.
 void locked_queues(std::vector<Operation>& all) {
   constexpr auto kMutex = QueueEngine::Mutex;
@@ -615,7 +670,9 @@ std::vector<Operation> all_operations() {
     pushes(all, engine);
     pulls(all, engine);
     queues(all, engine);
+    rivals(all, engine, Rival::Killed);
   }
+  rivals(all, QueueEngine::Ring, Rival::Stopped);
   locked_queues(all);
   pointers(all);
   reaps(all);

@@ -155,6 +155,23 @@ std::vector<Plant> planted_operations() {
                     n.put();
                   }},
                  "item 0 came twice"});
+  auto contended = items;
+  contended.push_back({Who::Rival, opens});
+  contended.push_back({Who::Victim, [](Node& n) { n.put(); }});
+  all.push_back({{"a rival's item is written",
+                  Promise::Blocking,
+                  contended,
+                  [](Node& n) {
+                    const auto p = participant(n);
+                    const ring::Word b = ring::block(p->ring(0).slots[1].load());
+                    const Number other = numbered(kVictim, 40);
+                    std::memcpy(p->segment().small(static_cast<std::uint32_t>(b)), &other,
+                                sizeof(other));
+                  },
+                  {},
+                  false,
+                  Rival::Stopped},
+                 "the rival got an item that was not in the queue"});
   all.push_back(
       {{"a frame is lost", Promise::Blocking, frames, [](Node&) {}}, "published 1 frames, seen 0"});
   return all;

@@ -186,6 +186,11 @@ void Actor::obey(Order order, std::uint32_t number, const Operation& operation, 
       operation.run(node);
       lot_kill_ends();
       break;
+    case Order::Contend:
+      lot_kill_begins();
+      node.pop();
+      testing::must(node.account.complaint().empty(), node.account.complaint().c_str());
+      break;
     case Order::WhenAsleep:
       operation.when_asleep(node);
       break;
@@ -255,7 +260,11 @@ Trial::~Trial() {
     traced_->kill();
     victim_->was_killed();
   }
-  for (auto* actor : {&victim_, &dead_, &witness_}) actor->reset();
+  if (stopped_) {
+    stopped_->kill();
+    rival_->was_killed();
+  }
+  for (auto* actor : {&victim_, &rival_, &dead_, &witness_}) actor->reset();
   const std::string path = options_.directory + "/" + options_.segment;
   for (const char* suffix : {"", ".lock", ".new", ".left"}) unlink((path + suffix).c_str());
 }
@@ -279,14 +288,64 @@ void Trial::set_up() {
   const bool dies =
       std::any_of(acts.begin(), acts.end(), [](const Act& a) { return a.who == Who::Dead; });
   if (dies) dead_.emplace(operation_, options_, kDead, "another dead one");
+  if (operation_.rival != Rival::None) rival_.emplace(operation_, options_, kRival, "the rival");
   victim_.emplace(operation_, options_, kVictim, kVictimName);
   for (std::uint32_t i = 0; i < acts.size(); ++i) {
     Actor& actor = acts[i].who == Who::Victim    ? *victim_
                    : acts[i].who == Who::Witness ? *witness_
+                   : acts[i].who == Who::Rival   ? *rival_
                                                  : *dead_;
     actor.tell(Actor::Order::Act, i);
-    must_answer(actor, "before");
+    const Actor::Reply reply = must_answer(actor, "before");
+    if (acts[i].who == Who::Rival) rival_index_ = reply.index;
   }
+  if (rival_) stop_rival();
+}
+
+/// Brings the rival to where it holds an item that it has not taken yet.
+void Trial::stop_rival() {
+  segment::Segment segment(options_.directory + "/" + options_.segment);
+  const std::uint64_t before = untaken();
+  std::vector<std::uint64_t> lives;
+  for (std::uint32_t b = 0; b < segment.capacity().blocks; ++b) {
+    lives.push_back(segment.block(b).life.load());
+  }
+  stopped_.emplace(rival_->pid());
+  rival_->tell(Actor::Order::Contend);
+  bool begun = false;
+  for (std::uint64_t instructions = 0; !begun || !rival_holds(segment, lives);) {
+    if (stopped_->step(kPatienceMs).event == Tracee::Event::Ended || ++instructions > kRunaway) {
+      throw std::runtime_error("the rival never held an item");
+    }
+    begun = begun || stopped_->place() == address_of(&lot_kill_begins);
+  }
+  if (untaken() != before) throw std::runtime_error("the rival was too fast");
+}
+
+/// True when the rival's bit stands in the block of an item that is in the queue, and its home can
+/// see that.
+bool Trial::rival_holds(segment::Segment& segment, const std::vector<std::uint64_t>& lives) const {
+  using Own = refcount::Ownership<segment::Atomics>;
+  bool holds = false;
+  each_ring(segment, kItems, [&](const segment::Ring& ring) {
+    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+      const ring::Word b = ring::block(ring.slots[i].load());
+      if (b == ring::kNoBlock) continue;
+      auto& words = segment.block(static_cast<std::uint32_t>(b));
+      holds = holds || ((Own::word(words, rival_index_).load() & Own::bit(rival_index_)) != 0 &&
+                        words.life.load() != lives[static_cast<std::size_t>(b)]);
+    }
+  });
+  return holds;
+}
+
+/// It takes what the victim has left of the queue, or nothing, and leaves.
+void Trial::let_rival_go_on() {
+  stopped_.reset();
+  rivals_ = must_answer(*rival_, "the rival").items;
+  rival_->tell(Actor::Order::Leave);
+  must_answer(*rival_, "the rival leaves");
+  rival_.reset();
 }
 
 /// Brings the victim to the first instruction of its operation.
@@ -294,6 +353,12 @@ void Trial::begin() {
   if (witness_) witness_->send(SIGSTOP);  // its warden must not do the victim's work
   if (dead_) dead_->kill();
   traced_.emplace(victim_->pid());
+  if (operation_.rival == Rival::Killed) {
+    stopped_->kill();
+    stopped_.reset();
+    rival_->was_killed();
+    rival_.reset();
+  }
   victim_->tell(Actor::Order::Operate);
   while (traced_->place() != address_of(&lot_kill_begins)) {
     if (traced_->step(kPatienceMs).event == Tracee::Event::Ended) {
@@ -510,7 +575,9 @@ std::uint64_t Trial::published_on(const char* topic) const {
 void Trial::inspect_with_witness() {
   const std::string path = options_.directory + "/" + options_.segment;
   const std::uint64_t before = put_;
-  std::uint64_t expected = popped_ | untaken_;
+  if (rival_) let_rival_go_on();
+  if ((rivals_ & ~untaken_) != 0) violation("the rival got an item that was not in the queue");
+  std::uint64_t expected = popped_ | (untaken_ & ~rivals_);
   witness_->tell(Actor::Order::Inspect);
   const Actor::Reply seen = must_answer(*witness_, "the witness");
   for (std::uint64_t i = before; i < seen.put; ++i) expected |= std::uint64_t{1} << i;

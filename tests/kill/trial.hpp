@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "node.hpp"
+#include "segment/segment.hpp"
 #include "shadow.hpp"
 #include "tracee.hpp"
 
@@ -26,6 +27,7 @@ class Actor {
   enum class Order : std::uint32_t {
     Act,      ///< the scene's act of that number
     Operate,  ///< the operation itself, between the marks
+    Contend,  ///< a pop, behind the first mark
     WhenAsleep,
     Arm,      ///< prepares what the probes need
     Ready,    ///< prepares what the probe of that number needs
@@ -117,6 +119,9 @@ class Trial {
 
  private:
   void set_up();
+  void stop_rival();
+  bool rival_holds(segment::Segment& segment, const std::vector<std::uint64_t>& lives) const;
+  void let_rival_go_on();
   void begin();
   void help_sleeper();
   void inspect();
@@ -133,8 +138,10 @@ class Trial {
   EngineOptions options_;
   std::optional<Actor> witness_;
   std::optional<Actor> dead_;
+  std::optional<Actor> rival_;
   std::optional<Actor> victim_;
   std::optional<Tracee> traced_;
+  std::optional<Tracee> stopped_;  ///< the rival
   std::optional<Shadow> shadow_;
   std::vector<std::string> violations_;
   /// What the rings said while they stood still: those that are closed may be gone later.
@@ -142,6 +149,8 @@ class Trial {
   std::uint64_t untaken_ = 0;  ///< items that were in the queue at the end: the witness's
   std::uint64_t popped_ = 0;   ///< items that the witness had got before
   std::uint64_t put_ = 0;      ///< how many it had put before
+  std::uint32_t rival_index_ = 0;
+  std::uint64_t rivals_ = 0;  ///< items that the rival has got
 };
 
 }  // namespace lot::kill
