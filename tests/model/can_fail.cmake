@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # Plants mistakes that the model must find: a model that cannot fail proves nothing.
 # Usage: cmake -D MODEL=path/to/lot_model -P can_fail.cmake
+# A mistake, or a mistake and the scenario that must find it by itself, perhaps by bounded search.
 foreach(mistake IN ITEMS
     publish-release-only
     second-look-relaxed
@@ -15,9 +16,13 @@ foreach(mistake IN ITEMS
     no-look-at-hazards
     no-lock-for-joiners
     taken-without-a-look
+    "evicted-and-left-there evicted_while_taken_two_slots"
+    "evicted-and-left-there taker_killed_while_evicted"
+    "no-look-at-hazards --bounded evicted_block_changes_hands"
     no-repair-after-a-death)
+  separate_arguments(words UNIX_COMMAND "${mistake}")
   execute_process(
-    COMMAND ${MODEL} --stop --random 20000 --plant ${mistake}
+    COMMAND ${MODEL} --stop --random 20000 --plant ${words}
     RESULT_VARIABLE status
     OUTPUT_VARIABLE output)
   if(NOT status EQUAL 1)  # 0: not found; 2: the step is no longer there

@@ -48,6 +48,8 @@ const NamedPlant kPlants[] = {
      {"ring.hpp", 0, 0, "::join", Operation::Fetch, kSeqCst, {.drop = true}}},
     {"taken-without-a-look",  // R10: two readers may take the same message
      {"ring.hpp", 0, 0, "::take", Operation::CompareExchange, kSeqCst, {.drop = true}}},
+    {"evicted-and-left-there",  // R2: its block is used again while the slot still names it
+     {"ring.hpp", 0, 0, "::evict_oldest", Operation::Fetch, kSeqCst, {.drop = true}}},
     {"marks-not-cleared",  // R5: a late sleeper does not see the end
      {"ring.hpp", 0, 0, "clear_sleeper(", Operation::CompareExchange, kRelease, {.drop = true}}},
 };

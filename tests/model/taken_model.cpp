@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <set>
+
 #include "scenario.hpp"
 
 /// Rings whose messages are each taken by one reader.
@@ -12,6 +14,7 @@ class Ledger {
     return [this](std::uint64_t number) { RL_ASSERT(++times_[number] == 1); };
   }
   std::uint64_t total() const { return times_.size(); }
+  bool has(std::uint64_t number) const { return times_.count(number) != 0; }
 
  private:
   std::map<std::uint64_t, unsigned> times_;
@@ -87,6 +90,121 @@ struct BothWantOne : TwoTakers<BothWantOne, 3, true, 1> {
     take_the_rest();
     RL_ASSERT(ledger.total() == publisher.sent());
   }
+};
+
+/// The publisher overwrites, and has as many blocks as slots: before it can publish, it takes its
+/// oldest message back. So none is overwritten: each is taken, evicted, or was both.
+template <class Derived, unsigned kThreads, std::uint32_t kDepth>
+struct Evicting : TwoTakers<Derived, kThreads, false, kDepth> {
+  Evicting() : TwoTakers<Derived, kThreads, false, kDepth>(kDepth) {}
+  void fill() {
+    this->open();
+    for (std::uint32_t i = 0; i < kDepth; ++i) RL_ASSERT(send());
+  }
+  bool send() {
+    const Word b = this->process(4).loan();
+    if (b == Process::kNone) return false;
+    in_block[b] = this->publisher.sent();
+    this->process(4).write(b, this->publisher.sent());
+    this->publisher.send_own(b);
+    return true;
+  }
+  /// As the pool does that is dry.
+  bool send_or_evict() {
+    while (!send()) {
+      const auto b = this->publisher.evict();
+      if (!b) return false;  // its takers still look at them
+      RL_ASSERT(evicted.insert(in_block[*b]).second);
+    }
+    return true;
+  }
+  /// Those that nobody has got and that were not evicted.
+  std::uint64_t lost() const {
+    std::uint64_t n = 0;
+    for (std::uint64_t m = 0; m < this->publisher.sent(); ++m) {
+      n += !this->ledger.has(m) && evicted.count(m) == 0;
+    }
+    return n;
+  }
+  std::map<Word, std::uint64_t> in_block;
+  std::set<std::uint64_t> evicted;
+};
+
+template <class Derived, std::uint32_t kDepth>
+struct EvictedWhileTaken : Evicting<Derived, 3, kDepth> {
+  void prepare() { this->fill(); }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (std::uint32_t i = 0; i < kDepth; ++i) this->send_or_evict();
+    } else {
+      for (std::uint32_t i = 0; i < kDepth; ++i) this->take(t - 1);
+    }
+  }
+  void check() {
+    this->take_the_rest();
+    RL_ASSERT(this->lost() == 0);
+    RL_ASSERT(this->takers[0].missed() == 0 && this->takers[1].missed() == 0);
+    for (int i = 0; i < 3; ++i) RL_ASSERT(this->send_or_evict());
+  }
+};
+struct EvictedWhileTakenOneSlot : EvictedWhileTaken<EvictedWhileTakenOneSlot, 1> {};
+struct EvictedWhileTakenTwoSlots : EvictedWhileTaken<EvictedWhileTakenTwoSlots, 2> {};
+
+/// The same, and one taker is killed anywhere and reaped: it costs nobody more than what it took.
+struct TakerKilledWhileEvicted : Evicting<TakerKilledWhileEvicted, 3, 2> {
+  void prepare() {
+    fill();
+    start(1);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      send_or_evict();
+    } else if (t == 1) {
+      take(0);
+    } else {
+      die_within(3, 30, [this] { take(1); });
+      process(1).see_reaped(3);
+    }
+  }
+  void check() {
+    take_the_rest();
+    RL_ASSERT(lost() <= 1);  // taken, and its taker killed before it could say so
+    for (int i = 0; i < 3; ++i) {
+      RL_ASSERT(send_or_evict());
+      RL_ASSERT(take(0));
+    }
+    RL_ASSERT(lost() <= 1);
+  }
+};
+
+/// An evicted block comes to the process of a taker that has looked at it: not before that looks
+/// away, or two threads there would have the block in two ways.
+struct EvictedBlockChangesHands : Scene<EvictedBlockChangesHands, 2> {
+  EvictedBlockChangesHands() : Scene({.blocks = 1, .depth = 1, .readers = 1, .taken = true}) {}
+  void prepare() {
+    RL_ASSERT(publisher.open(start(4), 0, false));
+    RL_ASSERT(taker.join(start(2), 0, 1, 1));
+    RL_ASSERT(publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      taker.take(ledger.entry());
+    } else {
+      publisher.evict();
+      loan_and_give_back(4);
+      loan_and_give_back(2);  // as another thread of the taker's process
+    }
+  }
+  void loan_and_give_back(std::uint32_t who) {
+    const Word b = process(who).loan();
+    if (b == Process::kNone) return;
+    process(who).write(b, 99);
+    process(who).give_back(b);
+  }
+  void check() { loan_and_give_back(2); }  // for ever, if a hold is left over in there
+  Publisher publisher;
+  Subscriber taker;
+  Ledger ledger;
 };
 
 /// Two sleep for messages, the publisher for room; it leaves when all are out.
@@ -305,6 +423,14 @@ const Entered entered{
      rl::simulate<TakenOrOverwrittenOneSlot>, 1},
     {"taken_or_overwritten_two_slots", "the same over two slots",
      rl::simulate<TakenOrOverwrittenTwoSlots>, 1},
+    {"evicted_while_taken_one_slot", "a message is taken or evicted, and its block is one's alone",
+     rl::simulate<EvictedWhileTakenOneSlot>, 1},
+    {"evicted_while_taken_two_slots", "the same over two slots",
+     rl::simulate<EvictedWhileTakenTwoSlots>, 1},
+    {"taker_killed_while_evicted", "what the dead has not taken is taken or evicted",
+     rl::simulate<TakerKilledWhileEvicted>, 1},
+    {"evicted_block_changes_hands", "nobody gets an evicted block while a taker looks at it",
+     rl::simulate<EvictedBlockChangesHands>, 4},
     {"takers_sleep_over_one_slot", "takers and sender never all sleep",
      rl::simulate<TakersSleepOverOneSlot>},
     {"takers_sleep_over_two_slots", "the same over two slots",

@@ -417,13 +417,13 @@ void Publisher::forward(Word b) {
   publish(b, turn);
 }
 
-bool Publisher::evict() {
+std::optional<Word> Publisher::evict() {
   Turn turn(*process_, channel_);
   const Word b = writer_.evict_oldest();
   turn.unlock();
-  if (b == kNoBlock) return false;
+  if (b == kNoBlock) return std::nullopt;
   retire(b);
-  return true;
+  return b;
 }
 
 void Publisher::close() {

@@ -239,8 +239,8 @@ class Publisher {
   void forward(Word b);
   /// Publishes a loaned block. REQUIRES: room.
   void send_own(Word b);
-  /// Takes the oldest message back. False: the ring is empty.
-  bool evict();
+  /// Takes the oldest message back: its block, or nothing when the ring is empty.
+  std::optional<Word> evict();
   /// Ends the ring, and gives up what is the orphanage's then.
   void close();
   /// Gives up the retired blocks that no reader looks at.
