@@ -217,16 +217,22 @@ class Fuzz {
   }
 
   void evict() {
-    if (ring_.taken) return give_up();
-    if (ring_.blocking) return;  // back-pressure loses nothing, and borrows without hazards
-    Word expected = kNoBlock;
-    for (auto& message : kept_) {
-      if (!message) continue;
-      expected = *message;
-      message.reset();
-      break;
+    if (ring_.blocking) {  // back-pressure loses nothing, and borrows without hazards
+      if (ring_.taken) give_up();
+      return;
     }
+    // Of messages that are taken, one may be out already: then only its hold is left to give up.
+    auto& held = ring_.taken ? held_ : kept_;
+    const auto oldest = std::find_if(held.begin(), held.end(), [](auto& m) { return bool(m); });
+    const Word expected = oldest == held.end() ? kNoBlock : **oldest;
+    const std::vector<Word> before(slots_.begin(), slots_.end());
     require(writer_.evict_oldest() == expected, "evict_oldest");
+    if (oldest == held.end()) return;
+    if (planted("undone_eviction") && ring_.taken) {
+      std::copy(before.begin(), before.end(), slots_.begin());
+    }
+    kept_[static_cast<std::size_t>(oldest - held.begin())].reset();
+    oldest->reset();
   }
 
   void poll(Model& reader) {
