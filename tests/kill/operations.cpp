@@ -461,8 +461,13 @@ void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
                    how});
   };
   const Pledge shown{Promise::LockFree, "put and pop, overwrite"};
-  const Acts two_items =
-      three(options(2, Policy::Block)) + Acts{witness([](Node& n) { n.put(2); })};
+  // A reader has a ring from its next look on.
+  const auto items = [&](Act (*who)(std::function<void(Node&)>), unsigned count,
+                         const QueueOptions& o) {
+    return three(o) + Acts{who([](Node& n) { n.put(); }), witness([](Node& n) { n.pop(); }),
+                           who([=](Node& n) { n.put(count); })};
+  };
+  const Acts two_items = items(witness, 2, options(2, Policy::Block));
   add("pop", shown, two_items, [](Node& n) { n.pop(); });
   add("pop without a copy, and drop", shown,
       two_items + Acts{victim([=](Node& n) {
@@ -472,16 +477,12 @@ void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
       [](Node& n) {
         if (auto item = n.tasks->try_pop()) (*item)->check ^= 1;  // it is the victim's alone
       });
-  // A reader has a ring from its next look on.
-  const auto four_items = [&](std::uint32_t depth) {
-    return three(options(depth, Policy::Overwrite)) + Acts{victim([](Node& n) { n.put(); }),
-                                                           witness([](Node& n) { n.pop(); }),
-                                                           victim([](Node& n) { n.put(4); })};
-  };
-  add("put, overwrite", shown, four_items(2), [](Node& n) { n.put(2); });
+  add("put, overwrite", shown, items(victim, 4, options(2, Policy::Overwrite)),
+      [](Node& n) { n.put(2); });
+  if (how == Rival::Killed) return;  // it is reaped before anything is evicted
   // Of all blocks, those in the queue are left, and two.
   add("loan and evict", {Promise::LockFree, "loan, blocks have run out"},
-      four_items(4) + Acts{victim([](Node& n) {
+      items(victim, 4, options(4, Policy::Overwrite)) + Acts{victim([](Node& n) {
         n.pusher.emplace(n.engine->advertise<Number>(kTopic, overwrite(2)));
         while (n.loans.size() < n.options.blocks - 6) loan_one(n);
       })},
