@@ -281,8 +281,14 @@ void Node::inspect() {
 /// All items that nobody has taken are ours, and there is room for more.
 void Node::inspect_queue() {
   over = true;
+  // Not try_pop(): who has found the registry busy does not look for queues for a while.
+  const auto pop_or_wait = [this] {
+    const auto item = queue->wait_and_pop_for(20ms);
+    if (item) enter_item(*item);
+    return item.has_value();
+  };
   do {
-    while (pop()) {  // so that who puts goes on
+    while (pop_or_wait()) {  // so that who puts goes on
     }
   } while (sleeper.joinable() && (sleeper.join(), true));
   if (put_items == 0) return;
