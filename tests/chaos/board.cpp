@@ -31,6 +31,15 @@ void Board::report(Finding finding, std::uint32_t slot, std::string_view text) {
   r.written.store(1, std::memory_order_release);
 }
 
+void Board::forget_publishers() {
+  for (auto& n : newest) n.store(0);
+  // Zeroes again.
+  if (madvise(items.data(), sizeof(items), MADV_REMOVE) == -1) {
+    throw std::system_error(errno, std::generic_category(), "madvise");
+  }
+  putters_begun.store(0);
+}
+
 std::uint64_t Board::total(Count count) const {
   std::uint64_t sum = 0;
   for (const NodeRecord& node : nodes) sum += node.counts[static_cast<std::size_t>(count)].load();

@@ -15,6 +15,9 @@ namespace lot::chaos {
 
 inline constexpr unsigned kMostNodes = 64;
 inline constexpr std::uint32_t kIncarnations = 1 << 19;
+/// Who puts items for one: so many, while a segment lives, and so many items each.
+inline constexpr std::uint32_t kPutters = 1 << 15;
+inline constexpr std::uint32_t kItems = 1 << 10;
 
 /// What a node is about to do, for the table of kills and for who is stuck.
 enum class Doing : std::uint32_t {
@@ -51,6 +54,7 @@ enum class Count : std::uint32_t {
   WeakDead,
   NoMemory,
   Closed,
+  Taken,
   kCounts
 };
 inline constexpr std::array kCountNames{
@@ -69,6 +73,7 @@ inline constexpr std::array kCountNames{
     "weak, expired",
     "out of memory",
     "books closed: nothing more to read, all accounted for",
+    "items taken by one of their readers",
 };
 static_assert(kCountNames.size() == static_cast<std::size_t>(Count::kCounts));
 
@@ -93,6 +98,7 @@ struct alignas(64) NodeRecord {
   std::atomic<std::uint32_t> doing;    ///< Doing << 16 | topic
   std::atomic<std::uint32_t> reached;  ///< step_of() the last checkpoint that it has reached
   std::atomic<std::uint64_t> serial;   ///< messages made under this name, in all lives
+  std::atomic<std::int64_t> taking;    ///< since when it takes an item that has no mark yet, or 0
   std::array<std::atomic<std::uint16_t>, kTopics> pushers;  ///< that it has now
   std::array<std::atomic<std::uint16_t>, kTopics> pullers;
   std::array<std::atomic<std::uint64_t>, static_cast<std::size_t>(Count::kCounts)> counts;
@@ -111,8 +117,18 @@ struct alignas(64) Incarnation {
   std::uint32_t life;    ///< of the node
   std::uint32_t depth;
   std::uint32_t blocking;
+  std::uint32_t putter;  ///< where its items' records are
   std::atomic<std::uint64_t> begun;
   std::atomic<std::uint64_t> done;
+  /// Items before this one were looked for by a reader of its ring, and are not there.
+  std::atomic<std::uint64_t> cleared;
+};
+
+/// An item that is for one of its readers.
+struct Item {
+  static constexpr std::uint32_t kWrittenOff = ~std::uint32_t{0};
+  std::atomic<std::int64_t> put_at;     ///< just before its put began
+  std::atomic<std::uint32_t> taken_by;  ///< {life : 24 | slot + 1 : 8}, kWrittenOff, or 0
 };
 
 /// Under which number a relay publishes a message again: the message itself cannot say it.
@@ -148,8 +164,10 @@ struct Board {
   std::array<std::atomic<std::uint32_t>, kFindings> found;
   std::array<NodeRecord, kMostNodes> nodes;
   std::array<Incarnation, kIncarnations> incarnations;
-  std::array<std::array<std::array<Relayed, kRelayedBack>, kMostNodes>, kTopics - kFirstRelay>
+  std::array<std::array<std::array<Relayed, kRelayedBack>, kMostNodes>, kFirstTaken - kFirstRelay>
       relayed;
+  std::atomic<std::uint32_t> putters_begun;
+  alignas(1 << 16) std::array<std::array<Item, kItems>, kPutters> items;
   std::array<Report, kReports> reports;
 
   /// A board that forked processes share.
@@ -159,6 +177,15 @@ struct Board {
   Relayed& relayed_as(std::uint32_t topic, std::uint64_t serial) {
     return relayed[topic - kFirstRelay][serial >> 56][serial % kRelayedBack];
   }
+  Item& item(const Incarnation& r, std::uint64_t number) { return items[r.putter][number]; }
+  /// True when this publisher has not been killed and has not closed, up to this moment.
+  bool lives(const Incarnation& r) const {
+    return r.state.load(std::memory_order_acquire) == Incarnation::Live &&
+           nodes[r.slot].life.load(std::memory_order_acquire) == r.life &&
+           nodes[r.slot].doomed.load(std::memory_order_acquire) == 0;
+  }
+  /// A new segment: no publisher of before is in it.
+  void forget_publishers();
   std::uint64_t total(Count count) const;
   std::uint32_t findings() const;
 };

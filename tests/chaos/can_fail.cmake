@@ -4,7 +4,8 @@
 foreach(planted IN ITEMS
     tear=torn smear=torn refer=torn weak=torn
     skip=lost miss=lost more=lost ghost=lost overrun=lost deaf=lost
-    twice=twice
+    drop=lost spill=lost
+    twice=twice take-twice=twice
     leak=leaked leak-at-end=leaked hoard=leaked
     file=files
     wedge=wedged doze=wedged stay=wedged

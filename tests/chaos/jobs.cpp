@@ -6,6 +6,7 @@
 #include "juggler.hpp"
 #include "publisher.hpp"
 #include "relay.hpp"
+#include "worker.hpp"
 
 namespace lot::chaos {
 namespace {
@@ -15,6 +16,21 @@ std::unique_ptr<Job> make_publisher(Life& life, ShmEngine& engine, std::uint32_t
     return std::make_unique<Publisher<Plain>>(life, engine, topic);
   }
   return std::make_unique<Publisher<Frame>>(life, engine, topic);
+}
+
+std::unique_ptr<Job> make_putter(Life& life, ShmEngine& engine, const Part& part) {
+  if (part.from != part.to) return std::make_unique<Worker>(life, engine, part.from, part.to);
+  if (kTopic[part.to].kind == Kind::Plain) {
+    return std::make_unique<Putter<Plain>>(life, engine, part.to);
+  }
+  return std::make_unique<Putter<Frame>>(life, engine, part.to);
+}
+
+std::unique_ptr<Job> make_taker(Life& life, ShmEngine& engine, std::uint32_t topic) {
+  if (kTopic[topic].kind == Kind::Plain) {
+    return std::make_unique<Taker<Plain>>(life, engine, topic);
+  }
+  return std::make_unique<Taker<Frame>>(life, engine, topic);
 }
 
 std::unique_ptr<Job> make_relay(Life& life, ShmEngine& engine, const Part& part) {
@@ -27,6 +43,7 @@ std::unique_ptr<Job> make_relay(Life& life, ShmEngine& engine, const Part& part)
 }  // namespace
 
 std::unique_ptr<Job> make_inlet(Life& life, ShmEngine& engine, std::uint32_t topic, Role role) {
+  if (is_taken(topic)) return make_taker(life, engine, topic);
   switch (kTopic[topic].kind) {
     case Kind::Plain:
       return std::make_unique<Inlet<Plain>>(life, engine, topic, role);
@@ -56,6 +73,14 @@ Jobs make_jobs(Life& life, std::optional<ShmEngine>& engine) {
       jobs.push_back(make_inlet(
           life, *engine,
           std::array{kLossless, kMixed, kRefuse, kPoints, kSeen}[life.random.below(5)], part.role));
+      break;
+    case Role::Put:
+      jobs.push_back(make_putter(life, *engine, part));
+      break;
+    case Role::Take:
+      for (std::uint32_t t = kFirstTaken; t < kTopics; ++t) {
+        jobs.push_back(make_taker(life, *engine, t));
+      }
       break;
     case Role::Relay:
       jobs.push_back(make_relay(life, *engine, part));

@@ -81,6 +81,8 @@ class Life {
     r.life = number;
     r.depth = depth;
     r.blocking = blocking ? 1 : 0;
+    if (is_taken(topic)) r.putter = board.putters_begun.fetch_add(1);
+    if (r.putter >= kPutters) fail(Finding::Crashed, "the harness: too many putters");
     auto& newest = board.newest[topic];
     r.before = newest.load();
     while (!newest.compare_exchange_weak(r.before, id)) {
@@ -88,13 +90,7 @@ class Life {
     r.state.store(Incarnation::Advertising, std::memory_order_release);
     return id;
   }
-  /// True when this publisher has not been killed and has not closed, up to this moment.
-  bool lives(const Incarnation& r) const {
-    const NodeRecord& node = board.nodes[r.slot];
-    return r.state.load(std::memory_order_acquire) == Incarnation::Live &&
-           node.life.load(std::memory_order_acquire) == r.life &&
-           node.doomed.load(std::memory_order_acquire) == 0;
-  }
+  bool lives(const Incarnation& r) const { return board.lives(r); }
 };
 
 }  // namespace lot::chaos

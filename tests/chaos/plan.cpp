@@ -12,7 +12,7 @@ using namespace std::chrono_literals;
 Part part_of(unsigned slot) {
   // Relays and their sources first, so that a small run has them too. One relay for each relayed
   // topic: then a message is never in two rings of it.
-  static constexpr std::array<Part, 32> parts{{
+  static constexpr std::array<Part, 38> parts{{
       {Role::Publish, 0, kCount},
       {Role::Read, 0, 0},
       {Role::Publish, 0, kCamera},
@@ -23,14 +23,19 @@ Part part_of(unsigned slot) {
       {Role::Publish, 0, kPoints},
       {Role::Annotate, kCamera, kSeen},
       {Role::Read, 0, 0},
+      {Role::Put, kJobs, kJobs},
+      {Role::Take, 0, 0},
       {Role::Publish, 0, kRefuse},
       {Role::Juggle, 0, kMixed},
       {Role::Sleep, 0, 0},
+      {Role::Put, kJobs, kDone},
       {Role::Relay, kPoints, kPointsRelay},
       {Role::Publish, 0, kMixed},
       {Role::Read, 0, 0},
       {Role::Relay, kSeen, kSeenRelay},
       {Role::Relay, kCameraRelay, kSecondRelay},
+      {Role::Take, 0, 0},
+      {Role::Put, kParcels, kParcels},
       {Role::Publish, 0, kLossless},
       {Role::Read, 0, 0},
       {Role::Juggle, 0, kLossless},
@@ -40,6 +45,7 @@ Part part_of(unsigned slot) {
       {Role::Sleep, 0, 0},
       {Role::Publish, 0, kCamera},
       {Role::Annotate, kPoints, kSeen},
+      {Role::Put, kJobs, kDone},
       {Role::Read, 0, 0},
       {Role::Publish, 0, kMixed},
       {Role::Juggle, 0, kRefuse},
@@ -59,8 +65,10 @@ Doing aim_at(Role role, Random& random) {
   using enum Doing;
   switch (role) {
     case Role::Publish:
+    case Role::Put:
       return one_of({Advertising, Loaning, Filling, Pushing, Pushing});
     case Role::Read:
+    case Role::Take:
     case Role::Sleep:
       return one_of({Subscribing, Looking, Reading, Reading, Closing});
     case Role::Juggle:
@@ -142,7 +150,7 @@ Publishing publishing(Random& random, std::uint32_t topic) {
       t.queueing == Queueing::Block || (t.queueing == Queueing::Either && random.chance(50));
   plan.policy = block ? Policy::Block : Policy::Overwrite;
   plan.block_for = random.chance(10) ? 500ms : random.between(1ms, 30ms);
-  plan.refuses = topic == kRefuse;
+  plan.refuses = topic == kRefuse || (is_taken(topic) && random.chance(30));
   if (plan.refuses && random.chance(50)) plan.policy = Policy::Refuse;
   return plan;
 }

@@ -22,6 +22,9 @@ enum class Plant : std::uint8_t {
   Overrun,
   Deaf,
   Twice,
+  TakeTwice,
+  Drop,
+  Spill,
   Leak,
   LeakAtEnd,
   Hoard,
@@ -39,7 +42,7 @@ struct Mistake {
   const char* says;
 };
 
-inline constexpr std::array<Mistake, 19> kMistakes{{
+inline constexpr std::array<Mistake, 22> kMistakes{{
     {Plant::Tear, "tear", Finding::Torn, "a publisher writes into what it pushes just now"},
     {Plant::Smear, "smear", Finding::Torn, "a publisher writes into what it has pushed before"},
     {Plant::Refer, "refer", Finding::Torn, "a message refers to another one than it says"},
@@ -51,6 +54,9 @@ inline constexpr std::array<Mistake, 19> kMistakes{{
     {Plant::Overrun, "overrun", Finding::Lost, "a publisher says Block and overwrites"},
     {Plant::Deaf, "deaf", Finding::Lost, "a reader never hears of publishers that come later"},
     {Plant::Twice, "twice", Finding::Twice, "a publisher uses a number again"},
+    {Plant::TakeTwice, "take-twice", Finding::Twice, "an item is handed to a second taker"},
+    {Plant::Drop, "drop", Finding::Lost, "an item is dropped before it reaches its taker"},
+    {Plant::Spill, "spill", Finding::Lost, "a putter says Block and overwrites items"},
     {Plant::Leak, "leak", Finding::Leaked, "a block is held by nobody, while others live"},
     {Plant::LeakAtEnd, "leak-at-end", Finding::Leaked,
      "a block is held by nobody, after all ended"},

@@ -46,6 +46,7 @@ Supervisor::Supervisor(const Settings& settings, Board& board, Namespaces& names
       board_(board),
       namespaces_(namespaces),
       canary_(board),
+      hands_(board),
       slots_(settings.processes) {
   epoch_.engine.segment = testing::unique_name();
   epoch_.engine.topics = 32;
@@ -92,7 +93,7 @@ void Supervisor::run_epoch(std::uint64_t number) {
   epoch_.engine.blocks = plan_.blocks;
   epoch_.engine.processes = plan_.processes;
   if (testing::files_of(epoch_.engine) == 0) {
-    for (auto& newest : board_.newest) newest.store(0);  // there is no ring of before
+    board_.forget_publishers();
   }
   const auto begin = Clock::now();
   const std::uint32_t kills = tally_.kills;
@@ -144,6 +145,7 @@ void Supervisor::calm() {
       return rest.empty();
     });
     if (!clean && !interrupted_) board_.report(Finding::Leaked, kMostNodes, "at rest: " + rest);
+    check_taken(living());
     ++tally_.audits;
   }
   board_.stage.store(static_cast<std::uint32_t>(Stage::Run), std::memory_order_release);
@@ -205,6 +207,7 @@ void Supervisor::finish(EpochPlan::End end) {
     }
   }
   if (over()) return;
+  check_taken({});
   if (end == EpochPlan::End::LeaveAll) {
     check_files("all had left");
   } else if (end != EpochPlan::End::KillAndGoOn) {
@@ -253,6 +256,21 @@ void Supervisor::check_files(const char* when) {
   board_.report(Finding::Files, kMostNodes, std::string("when ") + when + ":" + names);
   save_segment();
   remove_files();
+}
+
+/// Every item that was put for one is taken by somebody.
+void Supervisor::check_taken(const Living& living) {
+  if (over()) return;
+  std::string lost;
+  const auto none = [&] {
+    lost = hands_.unexplained(living);
+    return lost.empty();
+  };
+  if (!pump_until(none) && !interrupted_ && !lost.empty()) {
+    board_.report(Finding::Lost, kMostNodes, lost);
+  }
+  tally_.gone_with_takers += hands_.write_off(living);
+  tally_.killed_over_a_take = hands_.seen();
 }
 
 bool Supervisor::all_reached(Stage stage) const {

@@ -12,6 +12,7 @@
 #include "audit.hpp"
 #include "board.hpp"
 #include "canary.hpp"
+#include "hands.hpp"
 #include "namespaces.hpp"
 #include "plan.hpp"
 #include "settings.hpp"
@@ -55,6 +56,7 @@ class Supervisor {
   void start_last(bool alone);
   void end_with_last();
   void check_files(const char* when);
+  void check_taken(const Living& living);
 
   void start(unsigned slot);
   static void send(const Slot& s, int signal);
@@ -86,6 +88,7 @@ class Supervisor {
   Board& board_;
   Namespaces& namespaces_;
   Canary canary_;
+  Hands hands_;
   Epoch epoch_;
   EpochPlan plan_{};
   std::vector<Slot> slots_;

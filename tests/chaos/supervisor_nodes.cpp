@@ -158,6 +158,7 @@ void Supervisor::collect_ended() {
 void Supervisor::ended(unsigned slot, int status) {
   const Slot& s = slots_[slot];
   const std::uint32_t doing = board_.nodes[slot].doing.load();
+  hands_.ended(slot);
   if (s.killed && WIFSIGNALED(status) && WTERMSIG(status) == SIGKILL) {
     ++tally_.kills;
     Tally::Kills& k = tally_.kills_while[doing >> 16];

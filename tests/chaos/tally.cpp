@@ -30,6 +30,8 @@ void Tally::print(const Board& board, const Settings& settings) const {
   const double took = seconds(std::chrono::steady_clock::now() - begun);
   std::printf("  %12u  epochs, %u audits\n  %12u  lives, %u left cleanly, %u found no room\n",
               epochs, audits, lives, left, no_room);
+  std::printf("  %12u  takers killed over a take, %u items gone with them\n", killed_over_a_take,
+              gone_with_takers);
   if (stood_still.count() != 0) {
     std::printf(
         "  the machine stood still for %.0f s, which was not held against the nodes; %u gave up"

@@ -26,6 +26,8 @@ struct Tally {
   std::uint32_t left = 0;
   std::uint32_t no_room = 0;
   std::uint32_t gave_up = 0;  ///< while the machine stood still
+  std::uint32_t killed_over_a_take = 0;
+  std::uint32_t gone_with_takers = 0;  ///< items that these had in hand
   std::uint32_t epochs = 0;
   std::uint32_t audits = 0;
   std::chrono::steady_clock::duration stood_still{};

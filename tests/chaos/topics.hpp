@@ -25,8 +25,12 @@ enum TopicId : std::uint32_t {
   kPointsRelay,
   kSecondRelay,
   kSeenRelay,
+  kJobs,
+  kParcels,
+  kDone,
   kTopics,
-  kFirstRelay = kCameraRelay
+  kFirstRelay = kCameraRelay,
+  kFirstTaken = kJobs
 };
 
 struct Topic {
@@ -49,9 +53,16 @@ inline constexpr std::array<Topic, kTopics> kTopic{{
     {"/points/relay", Kind::Frame, Queueing::Block, {2, 4, 4}},
     {"/camera/relay/relay", Kind::Frame, Queueing::Overwrite, {1, 3, 3}},
     {"/seen/relay", Kind::Seen, Queueing::Overwrite, {2, 4, 4}},
+    {"/jobs", Kind::Plain, Queueing::Either, {1, 4, 32}},
+    {"/parcels", Kind::Frame, Queueing::Either, {2, 3, 8}},
+    {"/jobs/done", Kind::Plain, Queueing::Block, {1, 3, 9}},
 }};
 
 /// Topics on which messages of others are published again, each by one node.
-constexpr bool is_relayed(std::uint32_t topic) { return topic >= kFirstRelay; }
+constexpr bool is_relayed(std::uint32_t topic) {
+  return topic >= kFirstRelay && topic < kFirstTaken;
+}
+/// Queues whose items are each taken by one of their readers.
+constexpr bool is_taken(std::uint32_t topic) { return topic >= kFirstTaken; }
 
 }  // namespace lot::chaos

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "life.hpp"
+
+namespace lot::chaos {
+
+/// The books of one taker of items that are each for one of their readers.
+///
+/// An item that was taken gets a mark on the board: whoever finds one there already has got what
+/// another has got. What must not be there any more is known where it is certain that this taker
+/// reads a putter's ring (it was there before listen() began and after that had returned, or an
+/// item of it has come): when a look has found nothing, all that was put before the look is taken
+/// by somebody (Incarnation::cleared). Whether it has its marks is seen when nobody is between the
+/// two (hands.hpp). So it is with the items of a putter that was killed, as long as one certain
+/// reader outlives it; those that no such reader is left for may go with their putter.
+class Takings {
+ public:
+  Takings(Life& life, std::uint32_t topic) : life_(life), topic_(topic) {}
+
+  void before_listen();
+  void after_listen();
+
+  void before_look();
+  void took(const Stamp& stamp);
+  void found_nothing();
+
+ private:
+  struct Ring {
+    std::uint32_t incarnation;
+    std::uint64_t next;
+    std::uint64_t done;  ///< before the look
+    bool over;           ///< its putter had ended before the look
+  };
+  Incarnation& record(std::uint32_t i) const { return life_.board.incarnations[i]; }
+  void mark(const Stamp& stamp);
+  [[noreturn]] void fail(Finding finding, const std::string& what, const Stamp& stamp) const;
+
+  Life& life_;
+  std::uint32_t topic_;
+  std::vector<Ring> rings_;
+};
+
+}  // namespace lot::chaos
