@@ -25,8 +25,8 @@ class Putter final : public Job {
         engine_(engine),
         topic_(topic),
         most_(life.random.chance(20) ? 100 : 4),
-        pace_(life.random.between(most_ * std::chrono::microseconds(300),
-                                  most_ * std::chrono::microseconds(3000))) {
+        pace_(life.random.between(most_ * std::chrono::microseconds(120),
+                                  most_ * std::chrono::microseconds(1500))) {
     open();
   }
   ~Putter() override { close(); }

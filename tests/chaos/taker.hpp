@@ -109,6 +109,7 @@ class Taker final : public Job {
 
   /// A kill before the mark is the item's end: now and then there is time for one.
   void accept(const T& item) {
+    life_.doing(Doing::Reading, topic_);
     if (life_.has(Plant::Drop, 5)) return;
     if (life_.random.chance(plan_.linger_percent)) {
       std::this_thread::sleep_for(life_.random.between(50us, 3ms));
@@ -116,7 +117,6 @@ class Taker final : public Job {
     if (const std::string w = wrong(item.stamp); !w.empty()) torn(w, item.stamp);
     takings_.took(item.stamp);
     if (life_.has(Plant::TakeTwice, 5)) takings_.took(item.stamp);
-    life_.doing(Doing::Reading, topic_);
     life_.count(Count::Received);
     life_.count(Count::Taken);
   }
