@@ -4,6 +4,8 @@
 #include <chrono>
 #include <pthread.h>
 
+#include "futex/futex.hpp"
+
 namespace lot {
 
 /// A lock between processes that survives the death of its holder.
@@ -14,6 +16,14 @@ namespace lot {
 ///
 /// Only ever NORMAL + ROBUST + PROCESS_SHARED: recursive and error-checking kinds compare thread
 /// ids, which collide between PID namespaces.
+///
+/// Who waits for it is not in the C library meanwhile. There the kernel counts it among those who
+/// may have the lock: killed, it would set an owner free that has the same thread id in another PID
+/// namespace (the first process of a container is always 1). The next owner then puts the lock
+/// into its own list of robust locks, by pointers within the lock, and the first one's list ends
+/// there: of the locks that it has had for longer nobody would learn that it has died. So a waiter
+/// sleeps by itself and tries when the lock looks free. What is left is a kill between the two,
+/// when somebody else has taken it within these few instructions.
 ///
 /// Threads: lock and unlock by the same thread.
 /// Memory:  sizeof(pthread_mutex_t), address-free.
@@ -38,6 +48,7 @@ class RobustMutex {
   void unlock() noexcept;
 
  private:
+  void sleep_while_held(futex::Clock::time_point until) noexcept;
   Outcome outcome(int result) noexcept;
   pthread_mutex_t& mutex_;
 };

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cerrno>
 #include <chrono>
 #include <optional>
 #include <thread>
@@ -96,15 +97,27 @@ class Putter final : public Job {
     options.depth = plan_.depth;
     options.policy = life_.has(Plant::Spill) ? Policy::Overwrite : plan_.policy;
     options.engine = plan_.engine;
-    Queue queue = engine_.queue<ShmUniquePtr<T>>(kTopic[topic_].name, options);
-    queue.make();  // the first one makes the ring
-    queue_.emplace(std::move(queue));
+    queue_.emplace(engine_.queue<ShmUniquePtr<T>>(kTopic[topic_].name, options));
+    make_ring();
     record().state.store(Incarnation::Live, std::memory_order_release);
     life_.me.pushers[topic_].fetch_add(1);
+    is_open_ = true;
     life_.count(Count::Advertised);
   }
+  /// The first thing that is put makes the ring. There may be no block for an item; what is empty
+  /// needs none, and is refused behind that.
+  void make_ring() {
+    try {
+      queue_->put(ShmUniquePtr<T>());
+    } catch (const Error& e) {
+      if (e.error_number() == EINVAL) return;
+      throw;
+    }
+    life_.fail(Finding::Crashed, "an empty pointer was put");
+  }
   void close() {
-    if (!queue_) return;
+    if (!is_open_) return;
+    is_open_ = false;
     life_.doing(Doing::Closing, topic_);
     record().state.store(Incarnation::Closed, std::memory_order_release);
     life_.me.pushers[topic_].fetch_sub(1);
@@ -139,6 +152,7 @@ class Putter final : public Job {
   std::uint32_t incarnation_ = 0;
   std::uint64_t number_ = 0;
   std::optional<Queue> queue_;
+  bool is_open_ = false;
   ShmUniquePtr<T> waiting_;
 };
 

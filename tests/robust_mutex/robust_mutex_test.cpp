@@ -7,8 +7,10 @@
 #include <chrono>
 #include <new>
 #include <pthread.h>
+#include <sched.h>
 #include <signal.h>
 #include <sys/mman.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -56,6 +58,21 @@ class Fixture {
       _exit(body() ? 0 : 1);
     }
     return pid;
+  }
+
+  /// The same as the first process of a PID namespace, whose thread id is 1. Calls then(its pid).
+  template <class Body, class Then>
+  pid_t in_namespace(Body&& body, Then&& then) {
+    return in_child([&] {
+      if (unshare(CLONE_NEWPID) != 0 && unshare(CLONE_NEWUSER | CLONE_NEWPID) != 0) return false;
+      const pid_t pid = fork();
+      if (pid == 0) {
+        prctl(PR_SET_PDEATHSIG, SIGKILL);
+        _exit(body() ? 0 : 1);
+      }
+      then(pid);
+      return pid > 0 && status_of(pid) == 0;
+    });
   }
 
   static int status_of(pid_t pid) {
@@ -188,6 +205,41 @@ TEST_CASE_FIXTURE(Fixture, "one that was told and is killed itself leaves the sa
   mutex.unlock();
   CHECK((mutex.lock_for(30s) == Outcome::Locked));
   mutex.unlock();
+}
+
+TEST_CASE_FIXTURE(Fixture, "a waiter that is killed in another PID namespace frees no holder") {
+  const auto nothing = [](pid_t) {};
+  if (status_of(in_namespace([] { return getpid() == 1; }, nothing)) != 0) {
+    MESSAGE("no PID namespaces here");
+    return;
+  }
+  const pid_t holder = in_namespace(
+      [this] {
+        RobustMutex mutex(shared->memory);
+        if (mutex.lock_for(30s) != Outcome::Locked) return false;
+        shared->stage = 1;
+        wait_for_stage(3);
+        mutex.unlock();
+        return true;
+      },
+      nothing);
+  wait_for_stage(1);
+  const pid_t waiter = in_namespace(
+      [this] {
+        shared->stage = 2;
+        return RobustMutex(shared->memory).lock_for(30s) == Outcome::Locked;
+      },
+      [this](pid_t pid) {
+        wait_for_stage(2);
+        usleep(20'000);  // most likely asleep by now; right in any case
+        kill(pid, SIGKILL);
+      });
+  CHECK(status_of(waiter) != 0);
+  CHECK((RobustMutex(shared->memory).try_lock() == Outcome::Busy));
+  shared->stage = 3;
+  CHECK(status_of(holder) == 0);
+  CHECK((RobustMutex(shared->memory).lock_for(30s) == Outcome::Locked));
+  RobustMutex(shared->memory).unlock();
 }
 
 TEST_SUITE_END();
