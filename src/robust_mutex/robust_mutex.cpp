@@ -12,6 +12,7 @@ namespace {
 constexpr std::chrono::nanoseconds kLongest = std::chrono::hours(24 * 365);
 /// Who sleeps looks by itself this often: one that was woken may have been killed.
 constexpr std::chrono::milliseconds kLookPeriod{2};
+constexpr int kWaiters = static_cast<int>(FUTEX_WAITERS);
 
 /// The futex word of glibc's mutex, as the kernel knows it: the owner's thread id and a bit that
 /// says that it has died (get_robust_list(2)).
@@ -41,7 +42,7 @@ RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noe
     const Outcome result = try_lock();
     if (result != Outcome::Busy) {
       // Unlocking wakes one: there may be others who sleep.
-      if (has_waited) __atomic_fetch_or(&mutex_.__data.__lock, FUTEX_WAITERS, __ATOMIC_RELAXED);
+      if (has_waited) __atomic_fetch_or(&mutex_.__data.__lock, kWaiters, __ATOMIC_RELAXED);
       return result;
     }
     const auto now = futex::Clock::now();
@@ -58,7 +59,7 @@ RobustMutex::Outcome RobustMutex::try_lock() noexcept {
 void RobustMutex::sleep_while_held(futex::Clock::time_point until) noexcept {
   int word = __atomic_load_n(&mutex_.__data.__lock, __ATOMIC_RELAXED);
   if (!is_held(word)) return;
-  const int marked = word | static_cast<int>(FUTEX_WAITERS);
+  const int marked = word | kWaiters;
   // Relaxed: the futex looks at the word once more, and taking the lock orders what it guards.
   if (word != marked && !__atomic_compare_exchange_n(&mutex_.__data.__lock, &word, marked, false,
                                                      __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
