@@ -21,7 +21,7 @@ SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.inc', '.in'}
 BASES = ('src', 'include', 'tests', 'bench', 'fuzz', 'examples', '')
 # Who, outside a folder, may include it. Folders of src/ are the table's business.
 OUTER = {
-    'bench': {'bench'},
+    'bench': {'bench', 'tests'},  # tests of the harness
     'examples': {'examples'},
     'tests': {'tests', 'fuzz'},
     'fuzz': {'fuzz', 'tests'},
@@ -149,7 +149,7 @@ PLANTED = [  # file, its text, what must be complained about
     ('include/lot/bad.hpp', '#include "low/low.hpp"\n', 'include/ never includes src/'),
     ('include/lot/bad.hpp', '#include "../../src/gone/gone.hpp"\n', 'include/ never includes src/'),
     ('include/lot/bad.hpp', '#include "bench/micro/floor.hpp"\n', 'nobody includes bench/'),
-    ('tests/low/bad.cpp', '#include "bench/micro/floor.hpp"\n', 'nobody includes bench/'),
+    ('fuzz/low/bad.cpp', '#include "bench/micro/floor.hpp"\n', 'nobody includes bench/'),
     ('bench/micro/bad.cpp', '#include "support/help.hpp"\n', 'nobody includes tests/'),
     ('examples/bad.cpp', '#include "fuzz/fuzz.cpp"\n', 'nobody includes fuzz/'),
 ]

@@ -165,9 +165,11 @@ class Conductor {
 
   void choose_arms() {
     std::vector<std::string> names = options_.transports;
-    if (wait_of(c_.wait) != Wait::Park) names.emplace_back("floor-spin");
-    if (wait_of(c_.wait) != Wait::Spin) names.emplace_back("floor-futex");
-    if (c_.mode == "paced") names.emplace_back("floor-pace");
+    if (options_.floors) {
+      if (wait_of(c_.wait) != Wait::Park) names.emplace_back("floor-spin");
+      if (wait_of(c_.wait) != Wait::Spin) names.emplace_back("floor-futex");
+      if (c_.mode == "paced") names.emplace_back("floor-pace");
+    }
     std::set<std::string> once;
     for (const std::string& name : names) {
       if (!once.insert(name).second) continue;
@@ -584,9 +586,11 @@ class Conductor {
 
 }  // namespace
 
+bool is_scenario(const std::string& graph) { return graph == "av" || graph == "av-quiet"; }
+
 std::vector<Topic> topics(const Conditions& c) {
   const bool quiet = c.graph == "av-quiet";
-  if (quiet || c.graph == "av") {
+  if (is_scenario(c.graph)) {
     // The paper's vehicle. The inertial sensor comes first: blocks are counted in its messages.
     std::vector<Topic> all{
         {"imu", 128, 400, 1, 3}, {"lidar", 1 << 20, 10, 1, 3}, {"gnss", 128, 20, 1, 3}};
@@ -606,7 +610,7 @@ std::string refused(const Conditions& c) {
   const auto is_one_of = [](const std::string& text, std::initializer_list<const char*> all) {
     return std::any_of(all.begin(), all.end(), [&](const char* each) { return text == each; });
   };
-  const bool scenario = c.graph == "av" || c.graph == "av-quiet";
+  const bool scenario = is_scenario(c.graph);
   unsigned publishers = 0;
   unsigned subscribers = 0;
   if (!is_one_of(c.mode, {"paced", "ping-pong", "throughput"})) {

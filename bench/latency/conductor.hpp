@@ -21,7 +21,8 @@ struct Topic {
 
 struct CellOptions {
   Conditions conditions;
-  std::vector<std::string> transports;  ///< floors are added
+  std::vector<std::string> transports;
+  bool floors = true;         ///< adds those that these conditions have
   bool profile = false;                 ///< utilisation, and hot spots by SIGPROF
   std::uint64_t seed = 1;               ///< of the order of turns
 };
@@ -45,6 +46,8 @@ class Workplace {
 
 /// Why these conditions cannot be had: empty, or a sentence that names the option to change.
 std::string refused(const Conditions& conditions);
+
+bool is_scenario(const std::string& graph);
 
 /// The topics of a graph: NpMs, av, av-quiet.
 std::vector<Topic> topics(const Conditions& conditions);

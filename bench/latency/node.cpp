@@ -196,20 +196,20 @@ class Node {
 
   /// Makes a message and publishes it; the stamps where it is worth their time.
   bool send(bool is_last, bool stamped) {
-    Stamp stamp{};
-    if (stamped) stamp.loaned_at = now_ns();
+    MessageHead head{};
+    if (stamped) head.loaned_at = now_ns();
     std::byte* const message = sender_->loan();
-    stamp.number = number_++;
-    stamp.block = order_.block;
-    stamp.publisher = static_cast<std::uint16_t>(me_.index);
-    stamp.is_last = is_last;
-    stamp.word = word_of(stamp.number, me_.index);
-    fill(message, size_, stamp.word, plan_.fill);
+    head.number = number_++;
+    head.block = order_.block;
+    head.publisher = static_cast<std::uint16_t>(me_.index);
+    head.is_last = is_last;
+    head.word = payload_word(head.number, me_.index);
+    fill(message, size_, head.word, plan_.fill);
     if (stamped) {
-      stamp.filled_at = now_ns();
-      stamp.pushed_at = now_ns();
+      head.filled_at = now_ns();
+      head.pushed_at = now_ns();
     }
-    std::memcpy(message, &stamp, sizeof stamp);
+    std::memcpy(message, &head, sizeof head);
     return sender_->push();
   }
 
@@ -260,23 +260,23 @@ class Node {
   // -----------------------------------------------------------------------------------
 
   void accept(std::span<const std::byte> message, std::int64_t now) {
-    Stamp stamp;
-    std::memcpy(&stamp, message.data(), sizeof stamp);
+    MessageHead head;
+    std::memcpy(&head, message.data(), sizeof head);
     heard_at_ = now;
-    if (stamp.block == order_.block) {
+    if (head.block == order_.block) {
       ++received_;
-      ended_ += stamp.is_last;
-    } else if (stamp.block != 0) {
+      ended_ += head.is_last;
+    } else if (head.block != 0) {
       ++received_;  // late, of a block that was given up
     }
-    const bool whole = stamp.word == word_of(stamp.number, stamp.publisher) &&
+    const bool whole = head.word == payload_word(head.number, head.publisher) &&
                        (transport_.is_floor ||
-                        (message.size() == size_ && is_whole(message, stamp.word, plan_.fill)));
+                        (message.size() == size_ && is_whole(message, head.word, plan_.fill)));
     if (!whole) ++record_.spoilt;
-    number_heard_ = stamp.number;
+    number_heard_ = head.number;
     if (!is_ping_pong()) {
-      keep({stamp.number, stamp.publisher, stamp.block, stamp.loaned_at, stamp.filled_at,
-            stamp.pushed_at, now});
+      keep({head.number, head.publisher, head.block, head.loaned_at, head.filled_at,
+            head.pushed_at, now});
     }
   }
 

@@ -53,7 +53,7 @@ class LotSender final : public Sender {
   LotSender(const Stream& stream, lot::QueueEngine queue)
       : size_(stream.size), engine_(engine_options(stream)), pusher_(advertise(stream, queue)) {
     // First touch belongs to the start, not to the figures.
-    pusher_.reserve(stream.lossless ? stream.depth + 4 : 8, stream.size);
+    pusher_.reserve(stream.depth + 4, stream.size);
   }
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
