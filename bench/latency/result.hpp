@@ -15,7 +15,7 @@
 /// Times are nanoseconds of CLOCK_MONOTONIC here, and microseconds in tables and files.
 namespace ab {
 
-/// A message as its subscriber got it.
+/// A message as its subscriber got it. A stamp of 0 was not set.
 struct Sample {
   std::uint64_t number;  ///< the publisher's count, from 0, over all blocks
   std::uint32_t publisher;
@@ -24,6 +24,7 @@ struct Sample {
   std::int64_t filled_at;   ///< after it was filled (the paper's stamp)
   std::int64_t pushed_at;   ///< just before push()
   std::int64_t entered_at;  ///< when the callback was entered
+  bool operator==(const Sample&) const = default;
 };
 
 /// What a node did in its blocks, all its threads together.
@@ -34,6 +35,7 @@ struct Usage {
   std::uint64_t minor_faults = 0;
   std::uint64_t major_faults = 0;
   std::uint64_t copied_bytes = 0;
+  bool operator==(const Usage&) const = default;
 };
 
 struct Subscriber {
@@ -44,6 +46,7 @@ struct Subscriber {
   std::uint64_t spoilt = 0;  ///< payloads that were not what was sent: none, or the run fails
   Usage usage;
   std::vector<Sample> samples;  ///< in the order of arrival; all, or every n-th of very many
+  bool operator==(const Subscriber&) const = default;
 };
 
 struct Publisher {
@@ -51,6 +54,7 @@ struct Publisher {
   std::uint64_t sent = 0;
   std::uint64_t refused = 0;  ///< push() said that nobody had room
   Usage usage;
+  bool operator==(const Publisher&) const = default;
 };
 
 /// One block of ping-pong or throughput: how long it took as a whole.
@@ -58,6 +62,7 @@ struct BlockTime {
   std::uint32_t block = 0;
   std::uint64_t messages = 0;
   std::int64_t took = 0;
+  bool operator==(const BlockTime&) const = default;
 };
 
 /// One reading of the scheduler's statistics of a node.
@@ -65,17 +70,20 @@ struct Utilisation {
   std::string node;  ///< "publisher 0", "subscriber 3"
   std::int64_t at = 0;
   double cores = 0;  ///< since the reading before: 1.0 is one whole core
+  bool operator==(const Utilisation&) const = default;
 };
 
 /// A place in the program where a SIGPROF sample found it, symbolised.
 struct HotSpot {
   std::string symbol;
   double seconds = 0;
+  bool operator==(const HotSpot&) const = default;
 };
 struct Profile {
   double cpu_s = 0;   ///< of all nodes
   double spin_s = 0;  ///< of that in wait loops
   std::vector<HotSpot> hottest;
+  bool operator==(const Profile&) const = default;
 };
 
 struct StreamResult {
@@ -85,6 +93,7 @@ struct StreamResult {
   std::vector<Publisher> publishers;
   std::vector<Subscriber> subscribers;
   std::vector<BlockTime> blocks;  ///< ping-pong: a message is one way; throughput: one delivered
+  bool operator==(const StreamResult&) const = default;
 };
 
 struct Arm {
@@ -95,6 +104,7 @@ struct Arm {
   std::vector<StreamResult> streams;
   std::vector<Utilisation> utilisation;
   Profile profile;  ///< empty unless asked for
+  bool operator==(const Arm&) const = default;
 };
 
 /// The conditions of a cell, as they were asked for and as files say them.
@@ -113,11 +123,13 @@ struct Conditions {
   bool lossless = false;
   bool ordered = false;  ///< subscriber k comes k x 2 s later
   bool fill = true;      ///< the whole message is written before it is pushed
+  bool operator==(const Conditions&) const = default;
 };
 
 struct Cell {
   Conditions conditions;
   std::vector<Arm> arms;
+  bool operator==(const Cell&) const = default;
 };
 
 struct Machine {
@@ -131,6 +143,7 @@ struct Machine {
   std::string governor;     ///< of the cores' frequency; "unknown" where the system does not say
   std::string virtualised;  ///< "none", or by what
   std::string load_before;  ///< load averages when the run began
+  bool operator==(const Machine&) const = default;
 };
 
 struct Run {
@@ -141,6 +154,7 @@ struct Run {
   std::uint64_t seed = 0;
   bool complete = true;  ///< false: ended by a signal or an error; what it holds is whole cells
   std::vector<Cell> cells;
+  bool operator==(const Run&) const = default;
 };
 
 }  // namespace ab

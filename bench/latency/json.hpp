@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <filesystem>
+#include <vector>
+
+#include "result.hpp"
+
+/// Keeps runs: DIR/run.json with all but the samples, and what they come to (statistics in us,
+/// ratios); DIR/raw/ with the samples, one CSV file for each stream and subscriber.
+///
+/// A raw file begins with the line `publisher,number,block,loaned_ns,fill_ns,push_ns,entry_ns`:
+/// loaned_ns is CLOCK_MONOTONIC, the others are nanoseconds since it. Its name ends with a checksum
+/// of what it holds, so that no file is ever changed: run.json, which is renamed into place when
+/// all raw files are there, names those that belong to it, and others are removed after that. So
+/// who is killed here leaves what was there before, and at most some files too many.
+///
+/// Errors: std::runtime_error with the file's name, and std::filesystem::filesystem_error.
+/// Threads and processes: one writer to a directory at a time.
+namespace ab {
+
+/// Makes `dir` hold this run and nothing else.
+void save(const Run&, const std::filesystem::path& dir);
+
+/// Adds this run's cells to those in `dir` (which need not exist); a cell with equal conditions is
+/// replaced. All else (machine, command, started) is that of the newest run. Refuses a directory
+/// whose run is of a machine with another CPU, number of cores or kernel.
+void add(const Run&, const std::filesystem::path& dir);
+
+/// The conditions of the cells in `dir`: what a run that is taken up again need not measure. None
+/// if there is no run.
+std::vector<Conditions> saved_cells(const std::filesystem::path& dir);
+
+/// `path`: a run.json, or the directory with it.
+Run load(const std::filesystem::path& path);
+
+/// One word for a cell, unique to its conditions, fit for a file's name.
+std::string word_of(const Conditions&);
+
+}  // namespace ab

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <string_view>
+
+#include "result.hpp"
+#include "statistics.hpp"
+
+/// What a run's results are counted as: latencies, gaps and costs. Times are microseconds.
+namespace ab {
+
+/// From which stamp a latency counts; it ends when the callback is entered.
+enum class Stamp { Loan, Fill, Push };
+const char* name_of(Stamp);
+inline constexpr Stamp kStamps[] = {Stamp::Loan, Stamp::Fill, Stamp::Push};
+
+Blocks latencies(const Subscriber&, Stamp);
+Blocks latencies(const StreamResult&, Stamp);  ///< of all its subscribers together
+/// Time per message, one value a block: of ping-pong and throughput.
+Blocks times_per_message(const StreamResult&);
+/// What arms are compared by: time per message where blocks were timed as a whole (no clock is read
+/// between their messages), else the latency from Stamp::Fill.
+Blocks compared(const StreamResult&);
+/// Of each message that all subscribers got: last entry less first. None with one subscriber.
+Blocks fairness_gaps(const StreamResult&);
+
+/// CPU time, switches, faults and copies per message: of publishers per message sent, of
+/// subscribers per message due (sent, times subscribers).
+struct Cost {
+  double cpu_us = 0;
+  double voluntary_switches = 0;
+  double involuntary_switches = 0;
+  double faults = 0;  ///< minor and major
+  double copied_bytes = 0;
+};
+struct Costs {
+  Cost publisher;
+  Cost subscriber;
+};
+Costs costs(const StreamResult&);
+/// That less what pacing alone costs; `pace` null where it was not measured. Copies stay.
+Costs costs_net_of(const StreamResult&, const StreamResult* pace);
+
+std::uint64_t sent(const StreamResult&);  ///< by all publishers: what each subscriber is due
+double messages_per_second(const StreamResult&);  ///< the median block's; 0: none was timed
+
+/// The arm of this name in the cell if it ran there, and its stream of this name; else null.
+const Arm* find(const Cell&, std::string_view transport);
+const StreamResult* find(const Cell&, std::string_view transport, std::string_view stream);
+
+inline constexpr const char* kFloorSpin = "floor-spin";
+inline constexpr const char* kFloorFutex = "floor-futex";
+inline constexpr const char* kFloorPace = "floor-pace";
+
+}  // namespace ab

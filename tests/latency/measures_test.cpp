@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "measures.hpp"
+
+#include <doctest/doctest.h>
+
+#include "made_up.hpp"
+
+namespace {
+
+using namespace ab;
+using namespace ab::testing;
+using doctest::Approx;
+
+}  // namespace
+
+TEST_SUITE("lot_ab measures") {
+  TEST_CASE("latencies count from the stamp asked for, in microseconds, by block") {
+    const StreamResult stream = stream_of({1, 2, 3, 4}, always(50'000));
+    CHECK(latencies(stream, Stamp::Fill) == Blocks(3, std::vector<double>(8, 50)));
+    CHECK(latencies(stream, Stamp::Loan) == Blocks(3, std::vector<double>(8, 53)));
+    CHECK(latencies(stream.subscribers[1], Stamp::Push) == Blocks(3, std::vector<double>(4, 49)));
+  }
+
+  TEST_CASE("a message without a stamp has no latency from it") {
+    StreamResult stream = stream_of({1, 1, 1, 3}, always(50'000));
+    stream.subscribers[0].samples[1].filled_at = 0;
+    CHECK(latencies(stream, Stamp::Fill) == Blocks{{50, 50}});
+    CHECK(latencies(stream, Stamp::Loan) == Blocks{{53, 53, 53}});
+  }
+
+  TEST_CASE("arms are compared by whole blocks where these were timed") {
+    StreamResult stream = stream_of({1, 1, 2, 3}, always(50'000));
+    CHECK(compared(stream) == latencies(stream, Stamp::Fill));
+    stream.blocks = {{1, 1000, 200'000}, {0, 1000, 500'000}, {2, 0, 1}};
+    CHECK(compared(stream) == Blocks{{0.5}, {0.2}});
+    CHECK(messages_per_second(stream) == Approx(5e6));
+  }
+
+  TEST_CASE("the fairness gap is that of messages that all subscribers got") {
+    // Publishers have numbers of their own; subscriber k is k x (publisher + 1) x 10 us later.
+    StreamResult stream =
+        stream_of({2, 5, 2, 2}, [](unsigned, unsigned, unsigned publisher, unsigned to) {
+          return 1'000 + std::int64_t{to} * (publisher + 1) * 10'000;
+        });
+    CHECK(fairness_gaps(stream) == Blocks{{40, 40, 80, 80}, {40, 40, 80, 80}});
+    auto& samples = stream.subscribers[3].samples;
+    samples.erase(samples.begin());  // number 0 of publisher 0
+    CHECK(fairness_gaps(stream) == Blocks{{40, 80, 80}, {40, 40, 80, 80}});
+    samples.insert(samples.begin(), samples.front());  // another one twice: still not number 0
+    CHECK(fairness_gaps(stream) == Blocks{{40, 80, 80}, {40, 40, 80, 80}});
+    CHECK(fairness_gaps(stream_of({}, always(1))).empty());
+  }
+
+  TEST_CASE("costs are per message sent and per message due, net of pacing") {
+    StreamResult stream = stream_of({1, 2, 10, 10}, always(1));  // 100 messages, 200 due
+    stream.publishers[0].usage = {1000, 200, 100, 50, 10, 6400};
+    stream.subscribers[0].usage = {300, 100, 0, 0, 0, 12800};
+    stream.subscribers[1].usage = {100, 100, 0, 0, 0, 12800};
+    StreamResult pace = stream_of({1, 2, 10, 10}, always(1));
+    pace.publishers[0].usage = {400, 100, 0, 0, 0, 0};
+    const Costs gross = costs(stream);
+    CHECK(gross.publisher.cpu_us == Approx(10));
+    CHECK(gross.publisher.voluntary_switches == Approx(2));
+    CHECK(gross.publisher.involuntary_switches == Approx(1));
+    CHECK(gross.publisher.faults == Approx(0.6));
+    CHECK(gross.publisher.copied_bytes == Approx(64));
+    CHECK(gross.subscriber.cpu_us == Approx(2));
+    CHECK(gross.subscriber.copied_bytes == Approx(128));
+    const Costs net = costs_net_of(stream, &pace);
+    CHECK(net.publisher.cpu_us == Approx(6));
+    CHECK(net.publisher.voluntary_switches == Approx(1));
+    CHECK(net.publisher.copied_bytes == Approx(64));
+    CHECK(costs_net_of(stream, nullptr).publisher.cpu_us == Approx(10));
+    CHECK(costs(StreamResult{}).publisher.cpu_us == 0);
+  }
+
+  TEST_CASE("an arm that did not run is not found") {
+    Cell cell;
+    cell.arms = {arm_of("ring", stream_of({}, always(1))), arm_of("udp", {})};
+    cell.arms[1].refused = "no network";
+    CHECK(find(cell, "ring") == &cell.arms[0]);
+    CHECK(find(cell, "ring", "") == &cell.arms[0].streams[0]);
+    CHECK(find(cell, "ring", "imu") == nullptr);
+    CHECK(find(cell, "udp") == nullptr);
+    CHECK(find(cell, "tcp", "") == nullptr);
+  }
+}
