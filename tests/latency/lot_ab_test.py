@@ -1,0 +1,185 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Runs lot_ab as a user would: what it says, what it saves, what it leaves behind.
+
+    lot_ab_test.py PATH/TO/lot_ab
+
+Times are never asserted. A run that is too long is killed by the watchdog, and the test fails.
+"""
+
+import glob
+import json
+import os
+import pathlib
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+LOT_AB = sys.argv[1] if len(sys.argv) > 1 else 'build/release/bench/latency/lot_ab'
+WATCHDOG = 240
+failures = []
+
+
+def check(good, what):
+    print(('ok      ' if good else 'FAILED  ') + what, flush=True)
+    if not good:
+        failures.append(what)
+
+
+def lot_ab(*arguments):
+    return subprocess.run([LOT_AB, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                          timeout=WATCHDOG, check=False)
+
+
+def start(*arguments):
+    return subprocess.Popen([LOT_AB, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def children(pid):
+    """All that live below this process, with the command of each."""
+    found = []
+    for task in glob.glob(f'/proc/{pid}/task/*/children'):
+        try:
+            for child in pathlib.Path(task).read_text().split():
+                command = pathlib.Path(f'/proc/{child}/cmdline').read_text().replace('\0', ' ')
+                found += [(int(child), command), *children(int(child))]
+        except OSError:
+            pass  # it has just ended
+    return found
+
+
+def lives(pid):
+    try:
+        return pathlib.Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()[0] != 'Z'
+    except OSError:
+        return False
+
+
+def wait_until(condition, most=60):
+    end = time.monotonic() + most
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def workplaces():
+    return set(glob.glob('/dev/shm/lot_ab_*'))
+
+
+def workplace_of(process):
+    """The name under which a run keeps its files: it holds that lock file open."""
+    def found():
+        for fd in glob.glob(f'/proc/{process.pid}/fd/*'):
+            try:
+                path = os.readlink(fd)
+            except OSError:
+                continue
+            if re.fullmatch(r'/dev/shm/lot_ab_[0-9a-f]{8}\.lock', path):
+                return path[:-len('.lock')]
+        return None
+    wait_until(lambda: found() is not None)
+    return found()
+
+
+def is_running(process, nodes):
+    """All nodes have been started: their groups have children."""
+    return wait_until(lambda: sum(' group ' in c for _, c in children(process.pid)) >= nodes)
+
+
+def left_of(workplace):
+    return glob.glob(workplace + '*')
+
+
+def runs_and_saves():
+    with tempfile.TemporaryDirectory() as directory:
+        out = directory + '/out'
+        for mode, more in (('paced', ['-r', '200']), ('ping-pong', []), ('throughput', [])):
+            r = lot_ab('-t', 'ring,mutex,tcp', '-m', mode, '-s', '128,64K', '-n', '60', '--block', '20', '-o', out, *more)
+            check(r.returncode == 0, f'{mode}: exit status 0')
+            if r.returncode != 0:
+                print(r.stdout)
+        run = json.load(open(out + '/run.json', encoding='utf-8'))
+        check(len(run['cells']) == 6, 'cells of three runs are in one file')
+        arms = {a['transport'] for c in run['cells'] for a in c['arms'] if not a.get('refused')}
+        check({'ring', 'mutex', 'tcp', 'floor-futex'} <= arms, 'every transport ran, and a floor')
+        r = lot_ab('-t', 'ring,mutex,tcp', '-m', 'throughput', '-s', '128,64K', '-n', '60', '--block', '20', '-o', out,
+                   '--resume')
+        check(r.returncode == 0 and 'ring' not in r.stdout, 'what is saved is not run again')
+        r = lot_ab('compare', out, out)
+        check(r.returncode == 0, 'a run is not slower than itself')
+        r = lot_ab('plot', out)
+        check(r.returncode == 0, 'figures: what cannot be drawn is left out')
+
+
+def places():
+    for graph, place, transports in (('1p2s', 'container', 'ring,tcp'), ('2p2s', 'containers', 'ring,tcp'),
+                                     ('1p2s', 'host', 'ring,intra')):
+        r = lot_ab('-t', transports, '-g', graph, '-s', '4096', '--place', place, '-n', '20', '-r', '200', '--block', '10')
+        check(r.returncode == 0, f'{transports} {graph} {place}')
+        if r.returncode != 0:
+            print(r.stdout)
+
+
+def bad_use():
+    for arguments, sentence in ((['-t', 'pigeon'], 'pigeon'), (['-g', '0p1s'], '--graph'), (['-s', '100'], '--size'),
+                                (['-m', 'fast'], '--mode'), (['-w', 'nap'], '--wait'),
+                                (['--pin', 'same-core', '-w', 'spin'], '--wait'), (['--place', 'moon'], '--place'),
+                                (['-m', 'ping-pong', '-g', '1p2s'], '--graph'), (['-r', '0'], '--rate'),
+                                (['-n', '0'], '--messages'), (['--resume'], '--out'),
+                                (['compare', '/nowhere', '/nowhere'], '/nowhere')):
+        r = lot_ab(*arguments)
+        check(r.returncode == 2 and sentence in r.stdout, f'bad use is told: {" ".join(arguments)}')
+
+
+def interrupted():
+    for number in (signal.SIGINT, signal.SIGTERM):
+        p = start('-t', 'ring,tcp', '-s', '4096', '-n', '100000')
+        workplace = workplace_of(p)
+        check(is_running(p, 3), 'nodes live')
+        nodes = [c for c, _ in children(p.pid)]
+        p.send_signal(number)
+        output = p.communicate(timeout=WATCHDOG)[0]
+        check(p.returncode == 128 + number and 'signal' in output, f'{number.name}: it says so')
+        check(wait_until(lambda: not any(lives(n) for n in nodes)), f'{number.name}: no process is left')
+        check(not left_of(workplace), f'{number.name}: no file is left')
+
+
+def killed():
+    p = start('-t', 'ring,tcp', '-s', '4096', '-n', '100000')
+    workplace = workplace_of(p)
+    is_running(p, 3)
+    nodes = [c for c, _ in children(p.pid)]
+    p.kill()
+    p.communicate(timeout=WATCHDOG)
+    check(wait_until(lambda: not any(lives(n) for n in nodes)), 'SIGKILL: nodes die with their conductor')
+    check(left_of(workplace), 'SIGKILL: files are left')
+    lot_ab('-t', 'ring', '-s', '4096', '-n', '2', '-r', '1000', '--no-floors')
+    check(not left_of(workplace), 'SIGKILL: the next run removes them')
+
+
+def node_killed():
+    p = start('-t', 'ring,tcp', '-s', '4096', '-n', '60', '--block', '20')
+    is_running(p, 6)
+    time.sleep(1)
+    groups = [c for c, command in children(p.pid) if re.search(r' group \d+ 0 0', command)]
+    victim = max(groups)  # a node; its parent came before it
+    os.kill(victim, signal.SIGKILL)
+    output = p.communicate(timeout=WATCHDOG)[0]
+    check(p.returncode == 1 and re.search(r'ring.*killed by signal 9', output, re.S) is not None,
+          'a node that is killed is named, and the run has failed')
+    check(re.search(r'^ *tcp', output, re.M) is not None, 'the others go on')
+
+
+before = workplaces()
+for test in (bad_use, runs_and_saves, places, interrupted, killed, node_killed):
+    try:
+        test()
+    except Exception as e:  # pylint: disable=broad-except  # the others still say something
+        check(False, f'{test.__name__}: {e!r}')
+print(f'{len(failures)} failed')
+sys.exit(1 if failures else 0)
