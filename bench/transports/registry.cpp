@@ -11,6 +11,7 @@ std::vector<Transport> all() {
   std::vector<Transport> every;
   for (auto* const of_file : {
            lot_transports,
+           lot2021_transports,
 #ifdef LOT_AB_ICEORYX
            iceoryx_transports,
 #endif
