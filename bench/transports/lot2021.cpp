@@ -142,14 +142,17 @@ class Removal final : public Service {
   std::string name_;
 };
 
+enum class Puts { Engine, Caller };
+
 class Sender2021 final : public Sender {
  public:
-  Sender2021(const Stream& stream, unsigned publisher) : stream_(stream), segment_(stream) {
+  Sender2021(const Stream& stream, unsigned publisher, Puts who)
+      : stream_(stream), who_puts_(who), segment_(stream) {
     for (unsigned s = 0; s < stream.subscribers; ++s) {
       readers_.push_back({&segment_.inbox(s), &segment_.queue(stream, publisher, s)});
     }
     warm(segment_.extent(publisher));
-    engine_ = std::thread([this] { run(); });
+    if (who_puts_ == Puts::Engine) engine_ = std::thread([this] { run(); });
   }
   ~Sender2021() override {
     {
@@ -157,7 +160,7 @@ class Sender2021 final : public Sender {
       ended_ = true;
     }
     changed_.notify_all();
-    engine_.join();
+    if (engine_.joinable()) engine_.join();
   }
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
@@ -187,10 +190,11 @@ class Sender2021 final : public Sender {
       std::unique_lock lock(mutex_);
       // The engine waits for nobody: what is waited for here is a core for it.
       room_.wait(lock, [this] { return handed_.size() < stream_.depth; });
-      handed_.push_back(std::move(message_));
+      handed_.push_back(message_);
+      lock.unlock();
+      changed_.notify_one();
     }
     message_.reset();
-    changed_.notify_one();
     return true;
   }
 
@@ -262,6 +266,7 @@ class Sender2021 final : public Sender {
   }
 
   const Stream stream_;
+  const Puts who_puts_;
   Segment segment_;
   std::vector<Reader> readers_;
   std::vector<Pointer> pool_;
@@ -342,25 +347,36 @@ class Receiver2021 final : public Receiver {
   std::size_t turn_ = 0;
 };
 
-}  // namespace
-
-std::vector<Transport> lot2021_transports() {
+Transport transport_of(std::string name, std::string about, Puts who) {
   Transport t;
-  t.name = "lot2021";
-  t.about = "the stack of 2021: Boost.Interprocess, a mutex and a condition for each queue";
+  t.name = std::move(name);
+  t.about = std::move(about);
   t.waits = false;
   t.refuses = [](const Stream& stream) -> std::string {
     if (stream.wait == Wait::Spin) return "sleeps on a condition; set --wait park or adaptive";
     return "";
   };
   t.serve = [](const Stream& stream) { return std::make_unique<Removal>(name_of(stream)); };
-  t.sender = [](const Stream& stream, unsigned publisher) {
-    return std::make_unique<Sender2021>(stream, publisher);
+  t.sender = [who](const Stream& stream, unsigned publisher) {
+    return std::make_unique<Sender2021>(stream, publisher, who);
   };
   t.receiver = [](const Stream& stream, unsigned subscriber) {
     return std::make_unique<Receiver2021>(stream, subscriber);
   };
-  return {std::move(t)};
+  return t;
+}
+
+}  // namespace
+
+std::vector<Transport> lot2021_transports() {
+  return {
+      transport_of("lot2021",
+                   "the stack of 2021: Boost.Interprocess 1.74, shared pointers in queues under "
+                   "mutex and condition",
+                   Puts::Engine),
+      transport_of("lot2021-direct", "the same without its engine thread: push() puts",
+                   Puts::Caller),
+  };
 }
 
 }  // namespace ab
