@@ -181,12 +181,9 @@ class Sender2021 final : public Sender {
     return message_->data();
   }
   bool push() override {
-#ifdef LOT2021_DIRECT
-    put(message_);
-    message_.reset();
-    return true;
-#endif
-    {
+    if (who_puts_ == Puts::Caller) {
+      put(message_);
+    } else {
       std::unique_lock lock(mutex_);
       // The engine waits for nobody: what is waited for here is a core for it.
       room_.wait(lock, [this] { return handed_.size() < stream_.depth; });
