@@ -28,8 +28,8 @@ constexpr unsigned kPollsPerClock = 64;
 class Message {
  public:
   explicit Message(std::size_t size)
-      : bytes_(static_cast<std::byte*>(::operator new(size, std::align_val_t{kLine}))) {}
-  ~Message() { ::operator delete(bytes_, std::align_val_t{kLine}); }
+      : bytes_(static_cast<std::byte*>(::operator new (size, std::align_val_t{kLine}))) {}
+  ~Message() { ::operator delete (bytes_, std::align_val_t{kLine}); }
   Message(const Message&) = delete;
   Message& operator=(const Message&) = delete;
   std::byte* data() const { return bytes_; }

@@ -101,7 +101,9 @@ class Segment {
       memory_.emplace(bip::open_or_create, name_of(stream).c_str(), bytes_of(stream));
     }
   }
-  Manager* manager() { return file_ ? file_->get_segment_manager() : memory_->get_segment_manager(); }
+  Manager* manager() {
+    return file_ ? file_->get_segment_manager() : memory_->get_segment_manager();
+  }
   std::byte* base() {
     return static_cast<std::byte*>(file_ ? file_->get_address() : memory_->get_address());
   }

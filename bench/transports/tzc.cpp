@@ -1,0 +1,458 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <arpa/inet.h>
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <cstring>
+#include <fcntl.h>
+#include <fstream>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <pthread.h>
+#include <stdexcept>
+#include <stop_token>
+#include <sys/file.h>
+#include <sys/mman.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <system_error>
+#include <thread>
+#include <unistd.h>
+#include <utility>
+
+#include "transport.hpp"
+
+/// TZC's protocol, as published, written anew: partial serialisation.
+///
+/// The bytes of a message lie in shared memory, one segment a topic; its descriptor goes over TCP.
+/// Publishers take memory under the segment's mutex from a linked list of messages, the first one
+/// that nobody refers to. A subscriber that comes too late finds another generation there and drops
+/// the descriptor; nobody waits for it. References are taken by one compare-and-swap, only while
+/// there are some and the generation is right, so a message cannot go away in between.
+///
+/// All messages of a stream have one size, so the list holds all of the memory from the beginning
+/// on, as if it had just run out.
+///
+/// Crash: a publisher that is killed with the mutex leaves it locked for ever, a subscriber that is
+/// killed in its callback leaves a reference, and that memory is lost. All files lie in the
+/// stream's directory, which goes as a whole; so nobody counts the processes that are attached.
+namespace ab {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::size_t kLine = 64;
+constexpr std::size_t kPage = 4096;
+constexpr std::uint32_t kNone = UINT32_MAX;
+constexpr auto kSpinTime = 50us;  ///< of adaptive waiting: a little more than a wake-up costs
+constexpr auto kLookAgain = 1ms;  ///< for publishers that are not there yet
+constexpr unsigned kPollsPerClock = 16;
+
+[[noreturn]] void fail(const std::string& what) {
+  throw std::system_error(errno, std::generic_category(), "tzc: " + what);
+}
+
+class Descriptor {  // of a file or socket
+ public:
+  explicit Descriptor(int fd = -1) : fd_(fd) {}
+  Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  Descriptor& operator=(Descriptor&& other) noexcept {
+    std::swap(fd_, other.fd_);
+    return *this;
+  }
+  ~Descriptor() {
+    if (fd_ >= 0) close(fd_);
+  }
+  int get() const { return fd_; }
+  bool is_open() const { return fd_ >= 0; }
+  int release() { return std::exchange(fd_, -1); }
+
+ private:
+  int fd_;
+};
+
+/// What goes over TCP for a message.
+struct Notice {
+  std::uint64_t number;      ///< the publisher's count: gaps are what did not fit into the socket
+  std::uint64_t generation;  ///< the magic number
+  std::uint64_t length;
+  std::uint32_t handle;
+  std::uint32_t publisher;
+};
+static_assert(sizeof(Notice) == 32);
+
+/// A message's place in the segment.
+struct alignas(kLine) Node {
+  /// Generation << 16 | references, of which one is the list's own: 0 means that a publisher is
+  /// about to give it another generation. Publishers and subscribers change it by read-modify-write
+  /// alone, in acquire-release order: what is written for one generation is read under it, and what
+  /// was read is read before the next is written.
+  std::atomic<std::uint64_t> state;
+  std::uint32_t next;  ///< in the list; under the mutex
+  std::uint32_t previous;
+};
+constexpr unsigned kReferenceBits = 16;
+constexpr std::uint64_t kReferences = (std::uint64_t{1} << kReferenceBits) - 1;
+
+struct Head {
+  alignas(kLine) pthread_mutex_t mutex;
+  std::uint32_t first;  ///< the oldest; under the mutex
+  std::uint32_t last;
+};
+
+/// The topic's segment: a head, the nodes, and their bytes, each at a page.
+class Segment {
+ public:
+  explicit Segment(const Stream& stream)
+      // What waits for a slow subscriber, what each one reads, and what publishers fill.
+      : nodes_(stream.publishers * (stream.depth + stream.subscribers + 2)),
+        stride_((stream.size + kPage - 1) / kPage * kPage),
+        bytes_at_((sizeof(Head) + nodes_ * sizeof(Node) + kPage - 1) / kPage * kPage),
+        length_(bytes_at_ + nodes_ * stride_) {
+    const std::string path = stream.directory + "/" + stream.name + "-tzc";
+    const Descriptor file(open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
+    // Who comes first makes it; the kernel unlocks for the dead.
+    if (!file.is_open() || flock(file.get(), LOCK_EX) != 0) fail(path);
+    struct stat status {};
+    if (fstat(file.get(), &status) != 0) fail(path);
+    const bool is_new = static_cast<std::size_t>(status.st_size) != length_;
+    if (is_new && ftruncate(file.get(), static_cast<off_t>(length_)) != 0) fail(path);
+    void* const at =
+        mmap(nullptr, length_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file.get(), 0);
+    if (at == MAP_FAILED) fail(path);
+    base_ = static_cast<std::byte*>(at);
+    if (is_new) initialise();
+  }
+  ~Segment() { munmap(base_, length_); }
+  Segment(const Segment&) = delete;
+  Segment& operator=(const Segment&) = delete;
+
+  std::byte* bytes(std::uint32_t handle) const { return base_ + bytes_at_ + handle * stride_; }
+  Node& node(std::uint32_t handle) const {
+    return reinterpret_cast<Node*>(base_ + sizeof(Head))[handle];
+  }
+  std::uint32_t size() const { return nodes_; }
+
+  /// Frees the first message that nobody refers to and makes it the last one, of a new generation,
+  /// with a reference for the caller. kNone: subscribers have them all.
+  std::uint32_t allocate() {
+    pthread_mutex_lock(&head().mutex);
+    std::uint32_t handle = head().first;
+    while (handle != kNone && !end(node(handle))) handle = node(handle).next;
+    if (handle != kNone) {
+      unlink(handle);
+      append(handle);
+      Node& mine = node(handle);
+      const std::uint64_t generation =
+          (mine.state.load(std::memory_order_relaxed) >> kReferenceBits) + 1;
+      mine.state.store(generation << kReferenceBits | 2, std::memory_order_release);
+    }
+    pthread_mutex_unlock(&head().mutex);
+    return handle;
+  }
+  std::uint64_t generation(std::uint32_t handle) const {
+    return node(handle).state.load(std::memory_order_relaxed) >> kReferenceBits;
+  }
+  /// A reference, if this generation is still there.
+  bool acquire(std::uint32_t handle, std::uint64_t generation) const {
+    std::uint64_t state = node(handle).state.load(std::memory_order_relaxed);
+    do {
+      if (state >> kReferenceBits != generation || (state & kReferences) == 0) return false;
+    } while (!node(handle).state.compare_exchange_weak(state, state + 1, std::memory_order_acq_rel,
+                                                       std::memory_order_relaxed));
+    return true;
+  }
+  void release(std::uint32_t handle) const {
+    node(handle).state.fetch_sub(1, std::memory_order_acq_rel);
+  }
+
+ private:
+  Head& head() const { return *reinterpret_cast<Head*>(base_); }
+
+  void initialise() {
+    pthread_mutexattr_t attributes;
+    pthread_mutexattr_init(&attributes);
+    pthread_mutexattr_setpshared(&attributes, PTHREAD_PROCESS_SHARED);
+    pthread_mutex_init(&head().mutex, &attributes);
+    pthread_mutexattr_destroy(&attributes);
+    head().first = head().last = kNone;
+    for (std::uint32_t handle = 0; handle < nodes_; ++handle) {
+      node(handle).state.store(1, std::memory_order_relaxed);
+      append(handle);
+    }
+  }
+  static bool end(Node& node) {
+    std::uint64_t state = node.state.load(std::memory_order_relaxed);
+    return (state & kReferences) == 1 &&
+           node.state.compare_exchange_strong(state, state - 1, std::memory_order_acq_rel,
+                                              std::memory_order_relaxed);
+  }
+  void unlink(std::uint32_t handle) {
+    const Node& gone = node(handle);
+    (gone.previous == kNone ? head().first : node(gone.previous).next) = gone.next;
+    (gone.next == kNone ? head().last : node(gone.next).previous) = gone.previous;
+  }
+  void append(std::uint32_t handle) {
+    Node& last = node(handle);
+    last.next = kNone;
+    last.previous = head().last;
+    (head().last == kNone ? head().first : node(head().last).next) = handle;
+    head().last = handle;
+  }
+
+  const std::uint32_t nodes_;
+  const std::size_t stride_;
+  const std::size_t bytes_at_;
+  const std::size_t length_;
+  std::byte* base_ = nullptr;
+};
+
+std::string port_file(const Stream& stream, unsigned publisher) {
+  return stream.directory + "/" + stream.name + "-tzc-port-" + std::to_string(publisher);
+}
+
+void set_no_delay(int fd) {
+  const int on = 1;
+  if (setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on) != 0) fail("TCP_NODELAY");
+}
+
+class TzcSender final : public Sender {
+ public:
+  TzcSender(const Stream& stream, unsigned publisher)
+      : stream_(stream),
+        publisher_(publisher),
+        segment_(stream),
+        spare_(stream.size + kLine),
+        listener_(socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0)) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    socklen_t length = sizeof address;
+    auto* const any = reinterpret_cast<sockaddr*>(&address);
+    if (!listener_.is_open() || bind(listener_.get(), any, length) != 0 ||
+        listen(listener_.get(), SOMAXCONN) != 0 ||
+        getsockname(listener_.get(), any, &length) != 0) {
+      fail("cannot listen");
+    }
+    const std::string path = port_file(stream, publisher);
+    std::ofstream(path + ".new") << ntohs(address.sin_port) << std::flush;
+    if (rename((path + ".new").c_str(), path.c_str()) != 0) fail(path);
+  }
+
+  bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
+    const auto until = std::chrono::steady_clock::now() + patience;
+    for (;;) {
+      const int fd = accept4(listener_.get(), nullptr, nullptr, SOCK_CLOEXEC);
+      if (fd >= 0) {
+        subscribers_.emplace_back(fd);
+        set_no_delay(fd);
+        continue;
+      }
+      if (errno != EAGAIN && errno != EINTR && errno != ECONNABORTED) fail("accept");
+      if (subscribers_.size() >= subscribers) return true;
+      if (std::chrono::steady_clock::now() >= until) return false;
+      std::this_thread::sleep_for(1ms);
+    }
+  }
+  std::byte* loan() override {
+    if (handle_ == kNone) handle_ = segment_.allocate();
+    return handle_ == kNone ? spare() : segment_.bytes(handle_);
+  }
+  bool push() override {
+    const std::uint64_t number = number_++;  // also of what is dropped here
+    if (handle_ == kNone) return false;
+    const Notice notice{number, segment_.generation(handle_), stream_.size, handle_, publisher_};
+    std::erase_if(subscribers_, [&](const Descriptor& to) { return !send_to(to.get(), notice); });
+    segment_.release(std::exchange(handle_, kNone));
+    return true;
+  }
+
+ private:
+  /// Where a message is filled for which there is no memory.
+  std::byte* spare() {
+    const auto at = reinterpret_cast<std::uintptr_t>(spare_.data());
+    return spare_.data() + (kLine - at % kLine) % kLine;
+  }
+  /// One for whom there is no room in the socket is not waited for. False: the other end has gone.
+  static bool send_to(int fd, const Notice& notice) {
+    const auto* const bytes = reinterpret_cast<const std::byte*>(&notice);
+    std::size_t sent = 0;
+    do {
+      const ssize_t n = send(fd, bytes + sent, sizeof notice - sent,
+                             MSG_NOSIGNAL | (sent == 0 ? MSG_DONTWAIT : 0));
+      if (n >= 0) {
+        sent += static_cast<std::size_t>(n);
+      } else if (errno == EAGAIN) {
+        return true;
+      } else if (errno != EINTR) {
+        return false;
+      }
+    } while (sent < sizeof notice);
+    return true;
+  }
+
+  const Stream stream_;
+  const std::uint32_t publisher_;
+  Segment segment_;
+  std::vector<std::byte> spare_;
+  Descriptor listener_;
+  std::vector<Descriptor> subscribers_;
+  std::uint32_t handle_ = kNone;  ///< on loan
+  std::uint64_t number_ = 0;
+};
+
+/// A subscriber's end of a connection, and the notices that it has read and not yet handled.
+struct Connection {
+  Descriptor socket;
+  std::array<std::byte, 64 * sizeof(Notice)> bytes;
+  std::size_t begin = 0;
+  std::size_t end = 0;
+  std::uint64_t next = 0;  ///< number of the next notice
+
+  bool read() {
+    if (end - begin < sizeof(Notice)) {
+      std::memmove(bytes.data(), bytes.data() + begin, end - begin);
+      end -= std::exchange(begin, 0);
+      const ssize_t n = recv(socket.get(), bytes.data() + end, bytes.size() - end, MSG_DONTWAIT);
+      if (n > 0) end += static_cast<std::size_t>(n);
+      if (n == 0 || (n < 0 && errno != EAGAIN && errno != EINTR)) socket = Descriptor();
+    }
+    return end - begin >= sizeof(Notice);
+  }
+  Notice take() {
+    Notice notice;
+    std::memcpy(&notice, bytes.data() + begin, sizeof notice);
+    begin += sizeof notice;
+    return notice;
+  }
+};
+
+class TzcReceiver final : public Receiver {
+ public:
+  TzcReceiver(const Stream& stream, unsigned subscriber)
+      : stream_(stream),
+        subscriber_(subscriber),
+        segment_(stream),
+        connections_(stream.publishers),
+        found_(stream.publishers),
+        to_find_(stream.publishers) {
+    for (auto& fd : found_) fd.store(-1, std::memory_order_relaxed);
+    // Beside the node's own thread: two nodes may each wait for the other's subscription.
+    finder_ = std::jthread([this](const std::stop_token& stop) { find_publishers(stop); });
+  }
+  ~TzcReceiver() override {
+    finder_.request_stop();
+    finder_.join();
+    adopt();
+  }
+
+  bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
+    const auto begin = std::chrono::steady_clock::now();
+    for (unsigned polls = 1;; ++polls) {
+      if (to_find_ != 0) adopt();
+      for (std::size_t n = 0; n < connections_.size(); ++n) {
+        if (take(connections_[turn_++ % connections_.size()], handler)) return true;
+      }
+      if (stream_.wait != Wait::Park && polls % kPollsPerClock != 0) continue;
+      const auto waited = std::chrono::steady_clock::now() - begin;
+      if (patience >= 0ns && waited >= patience) return false;
+      if (stream_.wait == Wait::Spin || (stream_.wait == Wait::Adaptive && waited < kSpinTime)) {
+        continue;
+      }
+      sleep(patience < 0ns ? 1s : patience - waited);
+    }
+  }
+  std::uint64_t missed() const override { return missed_; }
+
+ private:
+  /// False: no notice was there. Calls the handler unless the message has gone.
+  bool take(Connection& from, const Handler& handler) {
+    while (from.socket.is_open() && from.read()) {
+      const Notice notice = from.take();
+      if (notice.handle >= segment_.size() || notice.length != stream_.size) {
+        throw std::runtime_error("tzc: what came is no notice of this stream");
+      }
+      missed_ += notice.number - from.next;
+      from.next = notice.number + 1;
+      if (!segment_.acquire(notice.handle, notice.generation)) {
+        ++missed_;
+        continue;
+      }
+      handler({segment_.bytes(notice.handle), notice.length});
+      segment_.release(notice.handle);
+      return true;
+    }
+    return false;
+  }
+  void sleep(std::chrono::nanoseconds most) {
+    if (to_find_ != 0) most = std::min<std::chrono::nanoseconds>(most, kLookAgain);
+    polled_.clear();
+    for (const Connection& c : connections_) {
+      if (c.socket.is_open()) polled_.push_back({c.socket.get(), POLLIN, 0});
+    }
+    const timespec limit{static_cast<time_t>(most / 1s), static_cast<long>((most % 1s).count())};
+    ppoll(polled_.data(), polled_.size(), &limit, nullptr);
+  }
+  /// Takes over what the finder has found.
+  void adopt() {
+    for (std::size_t p = 0; p < found_.size(); ++p) {
+      const int fd = found_[p].exchange(-1, std::memory_order_acquire);
+      if (fd < 0) continue;
+      connections_[p].socket = Descriptor(fd);
+      --to_find_;
+    }
+  }
+  void find_publishers(const std::stop_token& stop) {
+    for (unsigned p = 0; p < stream_.publishers; ++p) {
+      while (!stop.stop_requested() && !connect_to(p)) std::this_thread::sleep_for(kLookAgain);
+    }
+  }
+  bool connect_to(unsigned publisher) {
+    std::uint16_t port = 0;
+    if (!(std::ifstream(port_file(stream_, publisher)) >> port)) return false;
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(port);
+    inet_pton(AF_INET, stream_.address[publisher][subscriber_].c_str(), &address.sin_addr);
+    Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    if (!fd.is_open() ||
+        connect(fd.get(), reinterpret_cast<sockaddr*>(&address), sizeof address) != 0) {
+      return false;
+    }
+    found_[publisher].store(fd.release(), std::memory_order_release);
+    return true;
+  }
+
+  const Stream stream_;
+  const unsigned subscriber_;
+  Segment segment_;
+  std::vector<Connection> connections_;
+  std::vector<pollfd> polled_;
+  std::size_t turn_ = 0;
+  std::uint64_t missed_ = 0;
+  /// Sockets on their way from the finder (release) to receive() (acquire); -1: none.
+  std::vector<std::atomic<int>> found_;
+  std::size_t to_find_;
+  std::jthread finder_;
+};
+
+}  // namespace
+
+std::vector<Transport> tzc_transports() {
+  Transport t;
+  t.name = "tzc";
+  t.about = "TZC's protocol: bytes in shared memory, descriptors over TCP";
+  t.waits = false;
+  t.is_network = true;
+  t.refuses = [](const Stream&) { return std::string(); };
+  t.sender = [](const Stream& stream, unsigned publisher) {
+    return std::make_unique<TzcSender>(stream, publisher);
+  };
+  t.receiver = [](const Stream& stream, unsigned subscriber) {
+    return std::make_unique<TzcReceiver>(stream, subscriber);
+  };
+  return {std::move(t)};
+}
+
+}  // namespace ab
