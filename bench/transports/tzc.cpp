@@ -124,6 +124,7 @@ class Segment {
     if (at == MAP_FAILED) fail(path);
     base_ = static_cast<std::byte*>(at);
     if (is_new) initialise();
+    flock(file.get(), LOCK_UN);  // the mapping keeps the open file, and the lock with it
   }
   ~Segment() { munmap(base_, length_); }
   Segment(const Segment&) = delete;
