@@ -44,6 +44,7 @@ struct Inbox {
   std::mutex mutex;
   std::condition_variable filled;
   std::condition_variable room;
+  bool is_open = false;  ///< its subscriber is there; under the mutex
   std::deque<Pointer> messages;
   /// How many they are. Written under the mutex; whoever spins reads it without, and looks again
   /// under the mutex.
@@ -111,12 +112,13 @@ class IntraSender final : public Sender {
     Pointer oldest;  // dies after the lock is given back
     {
       std::unique_lock lock(inbox.mutex);
-      const auto has_room = [&] { return inbox.messages.size() < stream_.depth; };
+      const auto has_room = [&] { return !inbox.is_open || inbox.messages.size() < stream_.depth; };
       if (!has_room() && !(stream_.lossless && inbox.room.wait_for(lock, kBlockFor, has_room))) {
         oldest = std::move(inbox.messages.front());
         inbox.messages.pop_front();
         ++inbox.displaced;
       }
+      if (!inbox.is_open) return;
       inbox.messages.push_back(message_);
       inbox.count.store(inbox.messages.size(), std::memory_order_release);
     }
@@ -134,7 +136,16 @@ class IntraReceiver final : public Receiver {
  public:
   IntraReceiver(const Stream& stream, unsigned subscriber)
       : stream_(stream), topic_(topic_of(stream)), inbox_(topic_->inboxes[subscriber]) {
+    const std::lock_guard lock(inbox_.mutex);
+    inbox_.is_open = true;
     topic_->joined.fetch_add(1, std::memory_order_release);
+  }
+  ~IntraReceiver() override {
+    const std::lock_guard lock(inbox_.mutex);
+    inbox_.is_open = false;
+    inbox_.messages.clear();
+    inbox_.room.notify_all();
+    topic_->joined.fetch_sub(1, std::memory_order_relaxed);
   }
 
   bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {

@@ -24,9 +24,11 @@
 ///
 /// One managed segment for all; for each publisher and subscriber a named circular queue of shared
 /// pointers, under an interprocess_mutex and an interprocess_condition; an engine thread that puts
-/// messages, queue after queue; and a puller, here the harness's own thread in receive(). Where a
-/// subscriber has several publishers its queues share the mutex and the condition, so that one
-/// thread can wait for all of them without a further hand-over.
+/// messages, queue after queue; and a puller, here the harness's own thread in receive().
+/// lot2021-direct does without the engine thread, and so without a hand-over: a better rival.
+///
+/// Where a subscriber has several publishers its queues share the mutex and the condition, so that
+/// one thread can wait for all of them.
 ///
 /// Crash: a node that is killed while it holds a mutex leaves it locked for ever, and what it held
 /// stays allocated; the segment is all that stays, and it bears the stream's name.
@@ -78,7 +80,7 @@ struct Queue {
 struct Inbox {
   bip::interprocess_mutex mutex;
   bip::interprocess_condition condition;
-  /// Set by the subscriber (release) when it has found its queues; until then nothing is put.
+  /// Set by the subscriber (release) while it has its queues; else nothing is put.
   std::atomic<bool> joined{false};
 };
 
@@ -292,6 +294,7 @@ class Receiver2021 final : public Receiver {
     touch();
     inbox_.joined.store(true, std::memory_order_release);
   }
+  ~Receiver2021() override { inbox_.joined.store(false, std::memory_order_relaxed); }
 
   bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
     const auto begin = std::chrono::steady_clock::now();
