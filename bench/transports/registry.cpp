@@ -14,6 +14,7 @@ std::vector<Transport> all() {
            lot2021_transports,
            tzc_transports,
            intra_transports,
+           socket_transports,
 #ifdef LOT_AB_ICEORYX
            iceoryx_transports,
 #endif
