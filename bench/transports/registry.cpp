@@ -15,6 +15,7 @@ std::vector<Transport> all() {
            tzc_transports,
            intra_transports,
            socket_transports,
+           udp_transports,
 #ifdef LOT_AB_ICEORYX
            iceoryx_transports,
 #endif

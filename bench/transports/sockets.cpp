@@ -2,7 +2,6 @@
 #include "sockets.hpp"
 
 #include <algorithm>
-#include <arpa/inet.h>
 #include <array>
 #include <atomic>
 #include <condition_variable>
@@ -11,7 +10,6 @@
 #include <fcntl.h>
 #include <mutex>
 #include <netinet/tcp.h>
-#include <stdexcept>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/un.h>
@@ -31,6 +29,15 @@
 /// So nobody waits for that thread where nobody has to, and nobody behind a slow subscriber.
 ///
 /// A publisher that was killed and started again is not found by subscribers of the former.
+#include <cstdlib>
+inline std::size_t ab2_low() {
+  const char* e = getenv("LOW");
+  return e ? atoll(e) : 131072;
+}
+inline int ab2_snd(const char* n) {
+  const char* e = getenv(n);
+  return e ? atoi(e) : 0;
+}
 namespace ab {
 namespace {
 
@@ -66,10 +73,6 @@ class UnixName {
   sockaddr_un name_{};
 };
 
-void set(int fd, int level, int option, int value) {
-  if (setsockopt(fd, level, option, &value, sizeof value) != 0) fail("setsockopt");
-}
-
 // ---- the publisher ------------------------------------------------------------------------------
 
 Descriptor listen_at(const Stream& stream, Kind kind, unsigned publisher) {
@@ -82,13 +85,7 @@ Descriptor listen_at(const Stream& stream, Kind kind, unsigned publisher) {
     std::filesystem::rename(path + ".new", path);  // so that who finds it can connect
     return fd;
   }
-  Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), "socket");
-  sockaddr_in any{};
-  any.sin_family = AF_INET;
-  if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&any), sizeof any) != 0) fail("bind");
-  if (listen(fd.get(), SOMAXCONN) != 0) fail("listen");
-  write_port(path, fd.get());
-  return fd;
+  return listen_tcp(path);
 }
 
 /// A message on its way to some subscribers.
@@ -298,6 +295,7 @@ class SocketSender final : public Sender {
     Descriptor fd(accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
     if (!fd) return;  // went again
     if (kind_ == Kind::Tcp) set(fd.get(), IPPROTO_TCP, TCP_NODELAY, 1);
+    if (int v = ab2_snd("SND")) set(fd.get(), SOL_SOCKET, SO_SNDBUF, v);
     const std::lock_guard lock(mutex_);
     Link& link = *links_.emplace_back(std::make_unique<Link>());
     link.fd = std::move(fd);
@@ -359,49 +357,27 @@ class SocketSender final : public Sender {
 // ---- the subscriber -----------------------------------------------------------------------------
 
 /// Empty: not there yet.
-Descriptor connect_to(const Stream& stream, Kind kind, unsigned publisher, unsigned subscriber) {
-  const std::string path = path_of(stream, word(kind), publisher);
-  if (kind == Kind::Unix) {
-    const UnixName name(stream, path);
-    Descriptor fd(socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), "socket");
-    return connect(fd.get(), name.get(), name.size()) == 0 ? std::move(fd) : Descriptor();
-  }
-  const auto port = read_port(path);
-  if (!port) return {};
-  sockaddr_in name{};
-  name.sin_family = AF_INET;
-  name.sin_port = htons(*port);
-  const std::string& address = stream.address.at(publisher).at(subscriber);
-  if (inet_pton(AF_INET, address.c_str(), &name.sin_addr) != 1) {
-    throw std::runtime_error("no IPv4 address: " + address);
-  }
-  Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), "socket");
-  if (connect(fd.get(), reinterpret_cast<const sockaddr*>(&name), sizeof name) != 0) {
-    pollfd one{fd.get(), POLLOUT, 0};
-    int error = errno;
-    socklen_t length = sizeof error;
-    if (error != EINPROGRESS || poll(&one, 1, 200) != 1 ||
-        getsockopt(fd.get(), SOL_SOCKET, SO_ERROR, &error, &length) != 0 || error != 0) {
-      return {};
-    }
-  }
-  if (kind == Kind::Tcp) set(fd.get(), IPPROTO_TCP, TCP_NODELAY, 1);
-  return fd;
+Descriptor connect_unix(const Stream& stream, const std::string& path) {
+  const UnixName name(stream, path);
+  Descriptor fd(socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), "socket");
+  return connect(fd.get(), name.get(), name.size()) == 0 ? std::move(fd) : Descriptor();
 }
 
 class SocketReceiver final : public Receiver {
  public:
   SocketReceiver(const Stream& stream, Kind kind, unsigned subscriber)
       : stream_(stream),
+        tcp_(kind != Kind::Unix),
         missing_(stream.publishers),
         came_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd") {
     for (unsigned p = 0; p < stream.publishers; ++p) {
+      if (kind != Kind::Unix) addresses_.push_back(ipv4(stream.address.at(p).at(subscriber)));
       sources_.push_back(std::make_unique<Source>(stream.size));
       inputs_.push_back({-1, POLLIN, 0});
     }
     inputs_.push_back({came_.get(), POLLIN, 0});
     // A node's own publisher may come after this, and wait for others: so nobody waits here.
-    thread_ = std::thread([this, kind, subscriber] { connect_all(kind, subscriber); });
+    thread_ = std::thread([this, kind] { connect_all(kind); });
   }
   ~SocketReceiver() override {
     stop_.store(true, std::memory_order_relaxed);
@@ -417,6 +393,7 @@ class SocketReceiver final : public Receiver {
       for (unsigned n = 0; n < stream_.publishers; ++n) {
         if (take((turn_ + n) % stream_.publishers, handler, waiting)) return true;
       }
+      if (tcp_ && stream_.wait != Wait::Spin) ask_for_enough();
     } while (waiting.wait(inputs_));
     return false;
   }
@@ -430,6 +407,7 @@ class SocketReceiver final : public Receiver {
     Descriptor fd;
     std::size_t got = 0;  ///< bytes of its next message, with the length
     std::uint32_t length = 0;
+    int enough = 1;  ///< bytes that wake who sleeps
     Pages pages;
   };
 
@@ -468,6 +446,18 @@ class SocketReceiver final : public Receiver {
     return true;
   }
 
+  /// Nobody is woken for a length alone, nor for each packet of a large message: only when the rest
+  /// is there, or as much as is worth a wake-up. (Unix sockets have no such choice.)
+  void ask_for_enough() {
+    for (const auto& source : sources_) {
+      if (!source->fd) continue;
+      const int enough = static_cast<int>(std::min(kLength + stream_.size - source->got, kEnough));
+      if (enough == source->enough) continue;
+      set(source->fd.get(), SOL_SOCKET, SO_RCVLOWAT, enough);
+      source->enough = enough;
+    }
+  }
+
   void adopt() {
     eventfd_t some = 0;
     eventfd_read(came_.get(), &some);  // before looking: what comes after it rings again
@@ -480,13 +470,16 @@ class SocketReceiver final : public Receiver {
     }
   }
 
-  void connect_all(Kind kind, unsigned subscriber) {
+  void connect_all(Kind kind) {
     std::vector<bool> done(stream_.publishers);
     for (unsigned connected = 0; !stop_.load(std::memory_order_relaxed);) {
       for (unsigned p = 0; p < stream_.publishers; ++p) {
         if (done[p]) continue;
-        Descriptor fd = connect_to(stream_, kind, p, subscriber);
+        const std::string path = path_of(stream_, word(kind), p);
+        Descriptor fd =
+            kind == Kind::Unix ? connect_unix(stream_, path) : connect_tcp(path, addresses_[p]);
         if (!fd) continue;
+        if (kind == Kind::Tcp) set(fd.get(), IPPROTO_TCP, TCP_NODELAY, 1);
         sources_[p]->connected.store(fd.release(), std::memory_order_release);
         eventfd_write(came_.get(), 1);
         done[p] = true;
@@ -497,7 +490,11 @@ class SocketReceiver final : public Receiver {
     }
   }
 
+  const std::size_t kEnough = ab2_low();
+
   const Stream stream_;
+  const bool tcp_;
+  std::vector<in_addr> addresses_;  ///< of the publishers
   std::vector<std::unique_ptr<Source>> sources_;
   std::vector<pollfd> inputs_;  ///< of the sources, and came_ while some are missing
   unsigned missing_;            ///< publishers that are not connected yet

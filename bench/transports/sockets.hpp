@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <arpa/inet.h>
 #include <cerrno>
 #include <chrono>
 #include <cstddef>
@@ -9,9 +10,9 @@
 #include <filesystem>
 #include <fstream>
 #include <netinet/in.h>
-#include <optional>
 #include <poll.h>
 #include <span>
+#include <stdexcept>
 #include <string>
 #include <sys/mman.h>
 #include <sys/socket.h>
@@ -21,7 +22,8 @@
 
 #include "transport.hpp"
 
-/// What transports over sockets share: descriptors, memory, ports in files, and how a reader waits.
+/// What transports over sockets share: descriptors, memory, ports in files,
+/// and how a reader waits.
 namespace ab {
 
 using Clock = std::chrono::steady_clock;
@@ -79,19 +81,52 @@ inline std::string path_of(const Stream& stream, const std::string& kind, unsign
   return stream.directory + "/" + stream.name + "-" + kind + "-" + std::to_string(publisher);
 }
 
-/// Says on which port this publisher is; whoever reads it reads all of it.
-inline void write_port(const std::string& path, int fd) {
-  sockaddr_in name{};
-  socklen_t length = sizeof name;
-  if (getsockname(fd, reinterpret_cast<sockaddr*>(&name), &length) != 0) fail("getsockname");
-  const std::string draft = path + ".new";
-  std::ofstream(draft) << ntohs(name.sin_port) << '\n';
-  std::filesystem::rename(draft, path);
+inline void set(int fd, int level, int option, int value) {
+  if (setsockopt(fd, level, option, &value, sizeof value) != 0) fail("setsockopt");
 }
-inline std::optional<std::uint16_t> read_port(const std::string& path) {
+
+/// Listens for TCP on all addresses, on a port that the kernel chooses and that the file of this
+/// path says: who reads it reads all of it, and finds somebody there.
+inline Descriptor listen_tcp(const std::string& path) {
+  Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), "socket");
+  sockaddr_in name{};
+  name.sin_family = AF_INET;
+  socklen_t length = sizeof name;
+  if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&name), length) != 0) fail("bind");
+  if (listen(fd.get(), SOMAXCONN) != 0) fail("listen");
+  if (getsockname(fd.get(), reinterpret_cast<sockaddr*>(&name), &length) != 0) fail("getsockname");
+  std::ofstream(path + ".new") << ntohs(name.sin_port) << '\n';
+  std::filesystem::rename(path + ".new", path);
+  return fd;
+}
+
+inline in_addr ipv4(const std::string& address) {
+  in_addr number{};
+  if (inet_pton(AF_INET, address.c_str(), &number) != 1) {
+    throw std::runtime_error("no IPv4 address: " + address);
+  }
+  return number;
+}
+
+/// Connects to who listens there. Empty: nobody yet.
+inline Descriptor connect_tcp(const std::string& path, in_addr address) {
   std::uint16_t port = 0;
-  if (std::ifstream(path) >> port) return port;
-  return std::nullopt;
+  if (!(std::ifstream(path) >> port)) return {};
+  sockaddr_in name{};
+  name.sin_family = AF_INET;
+  name.sin_port = htons(port);
+  name.sin_addr = address;
+  Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), "socket");
+  if (connect(fd.get(), reinterpret_cast<const sockaddr*>(&name), sizeof name) == 0) return fd;
+  if (errno != EINPROGRESS) return {};
+  pollfd one{fd.get(), POLLOUT, 0};
+  int error = 0;
+  socklen_t length = sizeof error;
+  if (poll(&one, 1, 200) != 1 || getsockopt(fd.get(), SOL_SOCKET, SO_ERROR, &error, &length) != 0 ||
+      error != 0) {
+    return {};
+  }
+  return fd;
 }
 
 /// How a reader that has found nothing goes on, as Stream::wait says. Made for one receive().
