@@ -18,7 +18,9 @@
 /// Streams of bytes: TCP as ROS uses it, and Unix sockets as well as they go.
 ///
 /// A message is a length of 4 bytes and a body. TCP: the publisher serialises, that is, it copies
-/// the message into a buffer, and sends length and body by a call each. Unix: the buffer is where
+/// the message into a buffer, and sends length and body by a call each. (With TCP_NODELAY the first
+/// call says that more follows: a packet of 4 bytes costs a message of 128 bytes 4 us. With Nagle's
+/// algorithm nothing is said: what that does is what one wants to see.) Unix: the buffer is where
 /// the message was written in the first place, and one call sends both. Each subscriber has a
 /// connection, and a copy of its own goes to the kernel. A subscriber reads into memory that it
 /// keeps, and hands over from there: it does not deserialise.
@@ -31,8 +33,6 @@
 /// A publisher that was killed and started again is not found by subscribers of the former.
 namespace ab {
 namespace {
-
-using namespace std::chrono_literals;
 
 enum class Kind { Tcp, TcpNagle, Unix };
 constexpr std::size_t kLength = 4;
@@ -226,7 +226,8 @@ class SocketSender final : public Sender {
       if (link.sent >= kLength) {
         n = send(link.fd.get(), body + (link.sent - kLength), whole - link.sent, kHow);
       } else if (kind_ != Kind::Unix) {
-        n = send(link.fd.get(), length_at(link.sent), kLength - link.sent, kHow);
+        n = send(link.fd.get(), length_at(link.sent), kLength - link.sent,
+                 kHow | (kind_ == Kind::Tcp ? MSG_MORE : 0));
       } else {
         std::array<iovec, 2> parts{iovec{length_at(link.sent), kLength - link.sent},
                                    iovec{body, stream_.size}};
@@ -385,10 +386,10 @@ class SocketReceiver final : public Receiver {
     Patience waiting(stream_.wait, patience);
     do {
       if (missing_ != 0) adopt();
+      const int how = may_sleep_in_recvmsg(patience) ? 0 : MSG_DONTWAIT;
       for (unsigned n = 0; n < stream_.publishers; ++n) {
-        if (take((turn_ + n) % stream_.publishers, handler, waiting)) return true;
+        if (take((turn_ + n) % stream_.publishers, handler, waiting, how)) return true;
       }
-      if (tcp_ && stream_.wait != Wait::Spin) ask_for_enough();
     } while (waiting.wait(inputs_));
     return false;
   }
@@ -406,7 +407,7 @@ class SocketReceiver final : public Receiver {
     Pages pages;
   };
 
-  bool take(unsigned publisher, const Handler& handler, Patience& waiting) {
+  bool take(unsigned publisher, const Handler& handler, Patience& waiting, int how) {
     Source& source = *sources_[publisher];
     if (!source.fd) return false;
     const std::size_t whole = kLength + stream_.size;
@@ -420,7 +421,8 @@ class SocketReceiver final : public Receiver {
       msghdr header{};
       header.msg_iov = parts.data();
       header.msg_iovlen = source.got < kLength ? 2 : 1;
-      const ssize_t n = recvmsg(source.fd.get(), &header, MSG_DONTWAIT);
+      if (tcp_ && stream_.wait != Wait::Spin) ask_for_enough(source);
+      const ssize_t n = recvmsg(source.fd.get(), &header, how);
       if (n < 0 && errno == EINTR) continue;
       if (n < 0 && errno == EAGAIN) return false;
       if (n <= 0) {  // gone; what it has not finished is never handed over
@@ -443,14 +445,21 @@ class SocketReceiver final : public Receiver {
 
   /// Nobody is woken for a length alone, nor for each packet of a large message: only when the rest
   /// is there, or as much as is worth a wake-up. (Unix sockets have no such choice.)
-  void ask_for_enough() {
-    for (const auto& source : sources_) {
-      if (!source->fd) continue;
-      const int enough = static_cast<int>(std::min(kLength + stream_.size - source->got, kEnough));
-      if (enough == source->enough) continue;
-      set(source->fd.get(), SOL_SOCKET, SO_RCVLOWAT, enough);
-      source->enough = enough;
+  void ask_for_enough(Source& source) {
+    const int enough = static_cast<int>(std::min(kLength + stream_.size - source.got, kEnough));
+    if (enough == source.enough) return;
+    set(source.fd.get(), SOL_SOCKET, SO_RCVLOWAT, enough);
+    source.enough = enough;
+  }
+
+  /// Who has one connection need not ask which one has something: it sleeps in its only call.
+  bool may_sleep_in_recvmsg(std::chrono::nanoseconds patience) {
+    if (stream_.wait != Wait::Park || stream_.publishers != 1 || missing_ != 0 ||
+        !sources_[0]->fd || !SleepLimit::can(patience)) {
+      return false;
     }
+    limit_.set(sources_[0]->fd.get(), patience);
+    return true;
   }
 
   void adopt() {
@@ -493,6 +502,7 @@ class SocketReceiver final : public Receiver {
   std::vector<std::unique_ptr<Source>> sources_;
   std::vector<pollfd> inputs_;  ///< of the sources, and came_ while some are missing
   unsigned missing_;            ///< publishers that are not connected yet
+  SleepLimit limit_;
   unsigned turn_ = 0;
   std::uint64_t copied_ = 0;
   Descriptor came_;  ///< a connection is there to be adopted

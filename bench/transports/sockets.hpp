@@ -26,6 +26,8 @@
 /// and how a reader waits.
 namespace ab {
 
+using namespace std::chrono_literals;
+
 using Clock = std::chrono::steady_clock;
 
 [[noreturn]] inline void fail(const std::string& what) {
@@ -129,6 +131,26 @@ inline Descriptor connect_tcp(const std::string& path, in_addr address) {
   return fd;
 }
 
+/// How long a call that reads from this socket sleeps. Said to the kernel only when it changes.
+class SleepLimit {
+ public:
+  static bool can(std::chrono::nanoseconds patience) {  // zeros would mean for ever
+    return patience.count() < 0 || patience >= 1us;
+  }
+  void set(int fd, std::chrono::nanoseconds patience) {
+    if (patience == patience_) return;
+    const auto us = patience.count() < 0
+                        ? 0us
+                        : std::chrono::duration_cast<std::chrono::microseconds>(patience);
+    const timeval limit{static_cast<time_t>(us / 1s), static_cast<long>((us % 1s).count())};
+    if (setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit) != 0) fail("setsockopt");
+    patience_ = patience;
+  }
+
+ private:
+  std::chrono::nanoseconds patience_{-1};
+};
+
 /// How a reader that has found nothing goes on, as Stream::wait says. Made for one receive().
 class Patience {
  public:
@@ -148,8 +170,7 @@ class Patience {
     if (patience_.count() >= 0 && now - begin_ >= patience_) return false;
     if (wait_ == Wait::Adaptive && now - progress_ < kSpin) return true;
     const auto left = patience_ - (now - begin_);
-    const timespec limit{static_cast<time_t>(left / std::chrono::seconds(1)),
-                         static_cast<long>((left % std::chrono::seconds(1)).count())};
+    const timespec limit{static_cast<time_t>(left / 1s), static_cast<long>((left % 1s).count())};
     if (ppoll(inputs.data(), inputs.size(), patience_.count() < 0 ? nullptr : &limit, nullptr) <
             0 &&
         errno != EINTR) {
@@ -159,7 +180,7 @@ class Patience {
   }
 
  private:
-  static constexpr auto kSpin = std::chrono::microseconds(50);
+  static constexpr auto kSpin = 50us;
 
   const Wait wait_;
   const std::chrono::nanoseconds patience_;

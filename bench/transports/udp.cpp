@@ -27,8 +27,6 @@
 namespace ab {
 namespace {
 
-using namespace std::chrono_literals;
-
 constexpr std::size_t kPart = 24;  ///< bytes of a Part
 struct Part {
   std::uint32_t stream;  ///< whose datagram it is: strangers' are ignored
@@ -50,7 +48,7 @@ struct Cut {
   Cut(const Stream& stream, std::size_t datagram)
       : body(datagram - kPart),
         parts((stream.size + body - 1) / body),
-        run(std::max<std::size_t>(1, std::min<std::size_t>(65507 / datagram, 64))) {}
+        run(parts == 1 ? 1 : 65507 / datagram) {}
   std::size_t body;   ///< bytes of the message in each, but the last
   std::size_t parts;  ///< of a message
   std::size_t run;    ///< datagrams of one call
@@ -86,7 +84,6 @@ class UdpSender final : public Sender {
   }
   std::byte* loan() override { return message_.get(); }
   bool push() override {
-    accept_all();  // who comes late
     std::size_t sent = 0;
     for (std::size_t part = 0; part < cut_.parts; part += cut_.run) {
       const std::size_t bytes = prepare(part);
@@ -98,12 +95,16 @@ class UdpSender final : public Sender {
       }
     }
     ++head_.number;
+    accept_all();  // who comes late
     return true;
   }
   std::uint64_t copied() const override { return copied_; }
 
  private:
-  static constexpr auto kPause = 100us;
+  // 16 MiB at 30 Hz, 30 messages: all arrive with 4 MiB of rmem_max, in 3.7 ms, as against half of
+  // them without pauses; 24 to 28 with 208 KiB, in 17 ms, as against 1 to 17. Longer pauses and
+  // shorter bursts lose fewer of those, but take longer than a period.
+  static constexpr auto kPause = 50us;
 
   /// The datagrams of one call, from this part on; returns their bytes.
   std::size_t prepare(std::size_t part) {
@@ -158,7 +159,7 @@ class UdpSender final : public Sender {
       }
       links_.push_back(std::move(fd));
       // The kernel counts its own memory, up to twice the bytes; and others send there, too.
-      burst_ = std::min<std::size_t>(burst_, hello.room / 4 / publishers_);
+      burst_ = std::min<std::size_t>(burst_, hello.room / 6 / publishers_);
     }
   }
 
@@ -221,6 +222,8 @@ class UdpReceiver final : public Receiver {
   bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
     Patience waiting(stream_.wait, patience);
     pollfd input{fd_.get(), POLLIN, 0};
+    const bool sleeps = stream_.wait == Wait::Park && SleepLimit::can(patience);
+    if (sleeps) limit_.set(fd_.get(), patience);
     do {
       do {
         while (next_ < came_) {
@@ -230,7 +233,7 @@ class UdpReceiver final : public Receiver {
           return true;
         }
         waiting.progress();
-      } while (fetch());
+      } while (fetch(sleeps ? 0 : MSG_DONTWAIT));
     } while (waiting.wait({&input, 1}));
     return false;
   }
@@ -252,7 +255,7 @@ class UdpReceiver final : public Receiver {
 
   /// Receives one run, each part to the place where it belongs if it is what most likely comes:
   /// the next of the publisher that was last heard.
-  bool fetch() {
+  bool fetch(int how) {
     Source& source = *sources_[guess_];
     const std::size_t first = source.open ? source.next : 0;
     for (std::size_t n = 0; n < cut_.run; ++n) {
@@ -264,7 +267,7 @@ class UdpReceiver final : public Receiver {
     msghdr header{};
     header.msg_iov = pieces_.data();
     header.msg_iovlen = pieces_.size();
-    const ssize_t got = recvmsg(fd_.get(), &header, MSG_DONTWAIT);
+    const ssize_t got = recvmsg(fd_.get(), &header, how);
     next_ = came_ = 0;
     if (got < 0) return errno == EINTR;
     const auto bytes = static_cast<std::size_t>(got);
@@ -352,6 +355,7 @@ class UdpReceiver final : public Receiver {
   std::uint64_t missed_ = 0;
   std::uint64_t copied_ = 0;
   Descriptor fd_;
+  SleepLimit limit_;
   std::atomic<bool> stop_{false};
   std::thread thread_;
 };
