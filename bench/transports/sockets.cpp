@@ -364,11 +364,13 @@ class SocketReceiver final : public Receiver {
   SocketReceiver(const Stream& stream, Kind kind, unsigned subscriber)
       : stream_(stream),
         tcp_(kind != Kind::Unix),
+        whole_(kLength + stream.size),
+        room_(std::max<std::size_t>(1, kAtOnce / whole_) * whole_),
         missing_(stream.publishers),
         came_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK), "eventfd") {
     for (unsigned p = 0; p < stream.publishers; ++p) {
       if (kind != Kind::Unix) addresses_.push_back(ipv4(stream.address.at(p).at(subscriber)));
-      sources_.push_back(std::make_unique<Source>(stream.size));
+      sources_.push_back(std::make_unique<Source>(room_));
       inputs_.push_back({-1, POLLIN, 0});
     }
     inputs_.push_back({came_.get(), POLLIN, 0});
@@ -378,6 +380,7 @@ class SocketReceiver final : public Receiver {
   ~SocketReceiver() override {
     stop_.store(true, std::memory_order_relaxed);
     thread_.join();
+    if (missing_ != 0) adopt();  // and closes
   }
   SocketReceiver(const SocketReceiver&) = delete;
   SocketReceiver& operator=(const SocketReceiver&) = delete;
@@ -386,7 +389,7 @@ class SocketReceiver final : public Receiver {
     Patience waiting(stream_.wait, patience);
     do {
       if (missing_ != 0) adopt();
-      const int how = may_sleep_in_recvmsg(patience) ? 0 : MSG_DONTWAIT;
+      const int how = may_sleep_in_recv(patience) ? 0 : MSG_DONTWAIT;
       for (unsigned n = 0; n < stream_.publishers; ++n) {
         if (take((turn_ + n) % stream_.publishers, handler, waiting, how)) return true;
       }
@@ -397,32 +400,25 @@ class SocketReceiver final : public Receiver {
 
  private:
   struct Source {
-    explicit Source(std::size_t size) : pages(size) {}
+    explicit Source(std::size_t room) : pages(kLine + room) {}
+    /// Where the first length goes: its body is aligned then.
+    std::byte* memory() const { return pages.get() + kLine - kLength; }
     // Released by the thread that connected it, acquired by who reads from it.
     std::atomic<int> connected{-1};
     Descriptor fd;
-    std::size_t got = 0;  ///< bytes of its next message, with the length
-    std::uint32_t length = 0;
-    int enough = 1;  ///< bytes that wake who sleeps
+    std::size_t got = 0;   ///< bytes in its memory
+    std::size_t done = 0;  ///< of them, what has been handed over
+    int enough = 1;        ///< bytes that wake who sleeps
     Pages pages;
   };
 
   bool take(unsigned publisher, const Handler& handler, Patience& waiting, int how) {
     Source& source = *sources_[publisher];
     if (!source.fd) return false;
-    const std::size_t whole = kLength + stream_.size;
-    while (source.got < whole) {
-      std::array<iovec, 2> parts{
-          iovec{reinterpret_cast<char*>(&source.length) + source.got, kLength - source.got},
-          iovec{source.pages.get(), stream_.size}};
-      if (source.got >= kLength) {
-        parts[0] = {source.pages.get() + (source.got - kLength), whole - source.got};
-      }
-      msghdr header{};
-      header.msg_iov = parts.data();
-      header.msg_iovlen = source.got < kLength ? 2 : 1;
+    while (source.got - source.done < whole_) {
       if (tcp_ && stream_.wait != Wait::Spin) ask_for_enough(source);
-      const ssize_t n = recvmsg(source.fd.get(), &header, how);
+      const ssize_t n =
+          recv(source.fd.get(), source.memory() + source.got, room_ - source.got, how);
       if (n < 0 && errno == EINTR) continue;
       if (n < 0 && errno == EAGAIN) return false;
       if (n <= 0) {  // gone; what it has not finished is never handed over
@@ -432,28 +428,30 @@ class SocketReceiver final : public Receiver {
       }
       source.got += static_cast<std::size_t>(n);
       copied_ += static_cast<std::size_t>(n);
-      if (source.got >= kLength && source.length != stream_.size) {
-        throw std::runtime_error("a message of another size");
-      }
       waiting.progress();
     }
-    source.got = 0;
+    const std::byte* const message = source.memory() + source.done;
+    std::uint32_t length = 0;
+    std::memcpy(&length, message, kLength);
+    if (length != stream_.size) throw std::runtime_error("a message of another size");
+    source.done += whole_;
+    if (source.done == source.got) source.done = source.got = 0;
     turn_ = publisher + 1;
-    handler({source.pages.get(), stream_.size});
+    handler({message + kLength, stream_.size});
     return true;
   }
 
   /// Nobody is woken for a length alone, nor for each packet of a large message: only when the rest
   /// is there, or as much as is worth a wake-up. (Unix sockets have no such choice.)
   void ask_for_enough(Source& source) {
-    const int enough = static_cast<int>(std::min(kLength + stream_.size - source.got, kEnough));
+    const int enough = static_cast<int>(std::min(whole_ - (source.got - source.done), kEnough));
     if (enough == source.enough) return;
     set(source.fd.get(), SOL_SOCKET, SO_RCVLOWAT, enough);
     source.enough = enough;
   }
 
   /// Who has one connection need not ask which one has something: it sleeps in its only call.
-  bool may_sleep_in_recvmsg(std::chrono::nanoseconds patience) {
+  bool may_sleep_in_recv(std::chrono::nanoseconds patience) {
     if (stream_.wait != Wait::Park || stream_.publishers != 1 || missing_ != 0 ||
         !sources_[0]->fd || !SleepLimit::can(patience)) {
       return false;
@@ -495,9 +493,13 @@ class SocketReceiver final : public Receiver {
   }
 
   static constexpr std::size_t kEnough = 128 << 10;
+  static constexpr std::size_t kAtOnce = 64 << 10;  ///< small messages are fetched together
+  static constexpr std::size_t kLine = 64;
 
   const Stream stream_;
   const bool tcp_;
+  const std::size_t whole_;         ///< bytes of a message with its length
+  const std::size_t room_;          ///< bytes of some of them
   std::vector<in_addr> addresses_;  ///< of the publishers
   std::vector<std::unique_ptr<Source>> sources_;
   std::vector<pollfd> inputs_;  ///< of the sources, and came_ while some are missing

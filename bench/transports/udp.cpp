@@ -16,8 +16,8 @@
 /// ends an older one that is not whole, and the older one counts as missed.
 ///
 /// Datagrams of 1500 bytes (with IP and UDP heads) are cut and put together by the kernel in runs
-/// of up to 64 KiB where it can (UDP_SEGMENT, UDP_GRO): a call for each of them is several times
-/// slower, and loses more. Datagrams of 65507 bytes are one call each.
+/// of up to 64 KiB (UDP_SEGMENT, UDP_GRO: Linux 5.0): a call for each of them takes seven times as
+/// long at 16 MiB. Datagrams of 65507 bytes are one call each.
 ///
 /// Nothing says that a subscriber is behind: what its socket has no room for is lost. So the socket
 /// asks for 64 MiB: as root it gets them, otherwise what net.core.rmem_max allows (212992 bytes
@@ -146,7 +146,7 @@ class UdpSender final : public Sender {
       if (!control) return;
       pollfd one{control.get(), POLLIN, 0};
       Hello hello{};
-      if (poll(&one, 1, 200) != 1 ||
+      if (poll(&one, 1, 2000) != 1 ||
           recv(control.get(), &hello, sizeof hello, MSG_DONTWAIT) != sizeof hello ||
           hello.stream != head_.stream) {
         continue;
