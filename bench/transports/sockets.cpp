@@ -180,9 +180,10 @@ class SocketSender final : public Sender {
  private:
   enum class Written { Whole, Part, Broken };
   static constexpr unsigned kWarm = 4;  ///< more are made when a subscriber falls behind
-  /// What is copied into the kernel is best read while it is in the caches. At 16 MiB, against what
-  /// the system gives (TCP: it grows to net.ipv4.tcp_wmem, here 4 MiB; Unix: 208 KiB): 0.8 and 0.85
-  /// of the time; 1 MiB and 4 MiB take longer than both.
+  /// What was copied into the kernel is best read while it is in the caches: 16 MiB take at least
+  /// a tenth less than with what the system gives (TCP: what grows to net.ipv4.tcp_wmem, 4 MiB;
+  /// Unix: 208 KiB); buffers of 1 MiB and 4 MiB take longer than that. 1 MiB takes as long with
+  /// each.
   static constexpr int kSendBuffer = 256 << 10;
   static constexpr std::uint32_t kQuiet = EPOLLRDHUP;
   static constexpr std::uint32_t kRoom = EPOLLRDHUP | EPOLLOUT;
