@@ -11,8 +11,8 @@
 #include <mutex>
 #include <optional>
 #include <sched.h>
-#include <set>
 #include <stdexcept>
+#include <string>
 #include <sys/file.h>
 #include <sys/statvfs.h>
 #include <system_error>
@@ -59,6 +59,11 @@ enum class Way { Copy, Share };
 
 constexpr const char* kShm = "/dev/shm/";
 constexpr const char* kPrefix = "/dev/shm/fastrtps_";
+/// Larger messages travel in parts. Smaller parts cost more each, larger ones leave the caches.
+constexpr std::uint32_t kFragment = 1 << 20;
+constexpr std::size_t kLargest = 256 << 20;
+constexpr std::int32_t kSpare = 4;  // samples, beside those in the history
+constexpr const char* kNotes = "-fastdds-";
 constexpr int kBlockFor = 30;  // seconds
 
 // ---- the message
@@ -115,10 +120,11 @@ std::uint32_t domain_of(const Stream& stream) {
   return hash % 201;
 }
 
-std::uint32_t segment_bytes(const Stream& stream) {
-  constexpr std::uint64_t kMost = std::uint64_t{1} << 30;
-  return static_cast<std::uint32_t>(
-      std::min<std::uint64_t>(kMost, (4 << 20) + 6 * (std::uint64_t{stream.size} + (64 << 10))));
+/// Of each node. Some messages, so that one can be written while others are read.
+std::uint32_t segment_bytes(const Stream& stream, Way way) {
+  constexpr std::uint64_t kLeast = 4 << 20;
+  if (way == Way::Share) return kLeast;
+  return static_cast<std::uint32_t>(kLeast + 6 * (std::uint64_t{stream.size} + (64 << 10)));
 }
 
 /// Of what waits for a subscriber that is slow, over all publishers.
@@ -140,14 +146,14 @@ T* made(T* thing, const char* what) {
 class Node {
  public:
   Node(const Stream& stream, Way way, const std::string& role)
-      : notes_(stream.directory + "/" + stream.name + "-" + role + "-" + std::to_string(getpid())) {
+      : notes_(stream.directory + "/" + stream.name + kNotes + role) {
     dds::Log::SetVerbosity(dds::Log::Kind::Error);
     dds::DomainParticipantQos qos;
     qos.name(stream.name);
     const auto transport =
         std::make_shared<eprosima::fastdds::rtps::SharedMemTransportDescriptor>();
-    transport->segment_size(way == Way::Copy ? segment_bytes(stream) : 4 << 20);
-    if (const char* v = getenv("AB_MAX")) transport->max_message_size(atoi(v));
+    transport->segment_size(segment_bytes(stream, way));
+    transport->max_message_size(kFragment);
     qos.transport().use_builtin_transports = false;
     qos.transport().user_transports.push_back(transport);
     auto& discovery = qos.wire_protocol().builtin.discovery_config;
@@ -174,12 +180,14 @@ class Node {
   dds::Topic* topic() { return topic_; }
 
   void note() {
+    const std::lock_guard lock(mutex_);
     std::ofstream file(notes_);
     for (const Mapped& mapped : mappings_of(kPrefix)) file << mapped.path << '\n';
   }
 
  private:
   std::string notes_;
+  std::mutex mutex_;  // the library's threads call note(), too
   dds::DomainParticipant* participant_;
   dds::Topic* topic_ = nullptr;
 };
@@ -197,7 +205,7 @@ void set_common(Qos& qos, const Stream& stream, Way way, unsigned publishers) {
   qos.resource_limits().max_samples = depth;
   qos.resource_limits().max_samples_per_instance = depth;
   qos.resource_limits().allocated_samples = depth;
-  qos.resource_limits().extra_samples = 4;
+  qos.resource_limits().extra_samples = kSpare;
   qos.endpoint().history_memory_policy = rtps::PREALLOCATED_MEMORY_MODE;
   if (way == Way::Share) {
     qos.data_sharing().on(stream.directory);
@@ -206,20 +214,75 @@ void set_common(Qos& qos, const Stream& stream, Way way, unsigned publishers) {
   }
 }
 
+/// Removes what killed nodes have left in /dev/shm.
+class Cleaner final : public Service {
+ public:
+  explicit Cleaner(const Stream& stream) : directory_(stream.directory), name_(stream.name) {}
+  ~Cleaner() override {
+    std::error_code ignored;
+    for (const auto& entry : fs::directory_iterator(directory_, ignored)) {
+      if (entry.path().filename().string().rfind(name_ + kNotes, 0) != 0) continue;
+      std::ifstream file(entry.path());
+      for (std::string path; std::getline(file, path);) remove(path);
+    }
+  }
+
+ private:
+  static bool is_locked(const std::string& path) {
+    const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
+    if (fd < 0) return false;
+    const bool locked = flock(fd, LOCK_EX | LOCK_NB) != 0;
+    close(fd);
+    return locked;
+  }
+  static void remove(const std::string& path) {
+    // A port is also that of others when their domain has the same number.
+    if (is_locked(path + "_el") || is_locked(path + "_sl")) return;
+    std::error_code ignored;
+    const std::string semaphore =
+        std::string(kShm) + "sem." + fs::path(path).filename().string() + "_mutex";
+    for (const std::string& file : {path, path + "_el", path + "_sl", semaphore})
+      fs::remove(file, ignored);
+  }
+
+  std::string directory_;
+  std::string name_;
+};
+
+std::string refuses(const Stream& stream, Way way) {
+  if (stream.isolated)
+    return "its nodes find each other in /dev/shm, which they do not share; place them on the host "
+           "or in one container";
+  if (stream.size > kLargest)
+    return "its messages are at most " + std::to_string(kLargest >> 20) +
+           " MiB; set a smaller size";
+  std::uint64_t need =
+      (stream.publishers + stream.subscribers) * std::uint64_t{segment_bytes(stream, way)};
+  if (way == Way::Share)
+    need += std::uint64_t{stream.publishers} * (stream.depth + kSpare) * (stream.size + 4096);
+  struct statvfs disk {};
+  if (statvfs(kShm, &disk) == 0 && std::uint64_t{disk.f_bavail} * disk.f_frsize < need)
+    return "needs " + std::to_string(need >> 20) + " MiB in /dev/shm; set a smaller size or depth";
+  return "";
+}
+
 class FastddsSender final : public Sender {
  public:
   FastddsSender(const Stream& stream, Way way, unsigned publisher)
       : size_(stream.size),
         copies_(way == Way::Copy),
+        lossless_(stream.lossless),
         node_(stream, way, std::to_string(publisher) + "-publisher") {
     dds::Publisher* const publishing =
         made(node_.participant().create_publisher(dds::PUBLISHER_QOS_DEFAULT), "publisher");
     dds::DataWriterQos qos;
     set_common(qos, stream, way, 1);
     qos.publish_mode().kind = dds::SYNCHRONOUS_PUBLISH_MODE;
-    qos.reliable_writer_qos().times.heartbeatPeriod = {0, 5'000'000};
+    // Acknowledgements answer these; a history that nobody acknowledges is full.
+    qos.reliable_writer_qos().times.heartbeatPeriod = {0, 1'000'000};
+    qos.reliable_writer_qos().times.nackResponseDelay = {0, 0};
     writer_ = made(publishing->create_datawriter(node_.topic(), qos), "data writer");
-    touch_all_loans(depth_of(stream, 1) + 4);
+    touch_all_loans(depth_of(stream, 1) + kSpare);
     warm(kPrefix);
     warm(stream.directory);
   }
@@ -249,7 +312,11 @@ class FastddsSender final : public Sender {
     return static_cast<std::byte*>(loaned_);
   }
   bool push() override {
-    if (!writer_->write(loaned_)) return false;  // keeps the loan
+    // A full history is let go of one by one, and write() may find it full again.
+    const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(kBlockFor);
+    while (!writer_->write(loaned_)) {  // which keeps the loan
+      if (!lossless_ || std::chrono::steady_clock::now() >= until) return false;
+    }
     loaned_ = nullptr;
     if (copies_) copied_ += size_;
     return true;
@@ -267,6 +334,7 @@ class FastddsSender final : public Sender {
 
   std::size_t size_;
   bool copies_;
+  bool lossless_;
   Node node_;
   dds::DataWriter* writer_ = nullptr;
   void* loaned_ = nullptr;
@@ -286,8 +354,9 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
         made(node_.participant().create_subscriber(dds::SUBSCRIBER_QOS_DEFAULT), "subscriber");
     dds::DataReaderQos qos;
     set_common(qos, stream, way, stream.publishers);
-    dds::StatusMask mask = dds::StatusMask::subscription_matched();
-    if (wait_ != Wait::Spin) mask |= dds::StatusMask::data_available();
+    qos.reliable_reader_qos().times.heartbeatResponseDelay = {0, 0};
+    const dds::StatusMask mask = dds::StatusMask::subscription_matched()
+                                 << dds::StatusMask::data_available();
     reader_ = made(subscribing->create_datareader(node_.topic(), qos, this, mask), "data reader");
   }
   ~FastddsReceiver() override { reader_->set_listener(nullptr); }
@@ -295,10 +364,10 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
   bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
     const auto start = std::chrono::steady_clock::now();
     for (;;) {
+      const std::uint32_t announced = announced_.load(std::memory_order_acquire);
       if (take(handler)) return true;
-      const auto waited = std::chrono::steady_clock::now() - start;
-      if (patience >= 0ns && waited >= patience) return false;
-      if (wait_ == Wait::Spin || (wait_ == Wait::Adaptive && waited < kSpinTime)) continue;
+      if (wait_ != Wait::Park && spin(announced, start, patience)) continue;
+      if (patience >= 0ns && std::chrono::steady_clock::now() - start >= patience) return false;
       const Outcome outcome = leave_it_to_the_listener(
           handler,
           patience < 0ns ? std::chrono::steady_clock::time_point::max() : start + patience);
@@ -313,6 +382,7 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
   enum class Outcome { Taken, NothingThere, TimedOut };
   /// A little more than what a wake-up across cores costs.
   static constexpr auto kSpinTime = 50us;
+  static constexpr unsigned kPollsPerClock = 64;
 
   static Wait wait_of(const Stream& stream) {
     cpu_set_t cores;
@@ -320,6 +390,20 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
         CPU_COUNT(&cores) == 1)
       return Wait::Park;
     return stream.wait;
+  }
+
+  /// Waits here for the listener's word: asking the reader would keep its lock from the thread that
+  /// brings the message. False: it is time to sleep, or to give up.
+  bool spin(std::uint32_t announced, std::chrono::steady_clock::time_point start,
+            std::chrono::nanoseconds patience) const {
+    for (;;) {
+      for (unsigned n = 0; n < kPollsPerClock; ++n) {
+        if (announced_.load(std::memory_order_acquire) != announced) return true;
+      }
+      const auto waited = std::chrono::steady_clock::now() - start;
+      if (patience >= 0ns && waited >= patience) return false;
+      if (wait_ == Wait::Adaptive && waited >= kSpinTime) return false;
+    }
   }
 
   Outcome leave_it_to_the_listener(const Handler& handler,
@@ -344,6 +428,7 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
   }
 
   void on_data_available(dds::DataReader*) override {
+    announced_.fetch_add(1, std::memory_order_release);
     const Handler* const handler = waiting_.exchange(nullptr, std::memory_order_seq_cst);
     if (handler == nullptr) return;
     Outcome outcome = Outcome::Taken;
@@ -404,6 +489,7 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
   std::uint64_t missed_ = 0;
   std::uint64_t copied_ = 0;
 
+  std::atomic<std::uint32_t> announced_{0};       // by the listener, after they can be taken
   std::atomic<const Handler*> waiting_{nullptr};  // who takes it away calls it
   std::mutex mutex_;
   std::condition_variable done_;
@@ -419,10 +505,8 @@ Transport fastdds_transport(std::string name, std::string about, Way way) {
   t.name = std::move(name);
   t.about = std::move(about);
   t.copies = way == Way::Copy;
-  t.refuses = [](const Stream& stream) -> std::string {
-    if (stream.isolated) return "no";
-    return "";
-  };
+  t.refuses = [way](const Stream& stream) { return refuses(stream, way); };
+  t.serve = [](const Stream& stream) { return std::make_unique<Cleaner>(stream); };
   t.sender = [way](const Stream& stream, unsigned publisher) {
     return std::make_unique<FastddsSender>(stream, way, publisher);
   };
