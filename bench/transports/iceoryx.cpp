@@ -10,7 +10,6 @@
 #include <mutex>
 #include <optional>
 #include <poll.h>
-#include <sched.h>
 #include <stdexcept>
 #include <sys/file.h>
 #include <sys/statvfs.h>
@@ -384,10 +383,8 @@ class IceoryxReceiver final : public Receiver {
   static constexpr auto kSpinTime = 50us;
 
   static Wait wait_of(const Stream& stream) {
-    cpu_set_t cores;
-    if (stream.wait == Wait::Adaptive && sched_getaffinity(0, sizeof cores, &cores) == 0 &&
-        CPU_COUNT(&cores) == 1)
-      return Wait::Park;
+    // Not our own affinity: who is pinned to a core each has the more reason to spin.
+    if (stream.wait == Wait::Adaptive && sysconf(_SC_NPROCESSORS_ONLN) == 1) return Wait::Park;
     return stream.wait;
   }
 
