@@ -65,8 +65,7 @@ constexpr std::int32_t kSpare = 4;  // samples, beside those in the history
 constexpr const char* kNotes = "-fastdds-";
 constexpr int kBlockFor = 30;  // seconds
 
-// ---- the message
-// ----------------------------------------------------------------------------------
+// ---- the message --------------------------------------------------------------------------------
 
 struct Bytes {
   std::byte first;  // of Stream::size
@@ -110,8 +109,7 @@ class MessageType final : public dds::TopicDataType {
   std::uint32_t size_;
 };
 
-// ---- a node's part
-// --------------------------------------------------------------------------------
+// ---- a node's part ------------------------------------------------------------------------------
 
 std::uint32_t domain_of(const Stream& stream) {
   std::uint32_t hash = 2166136261;

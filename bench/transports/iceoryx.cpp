@@ -20,21 +20,20 @@
 #include <utility>
 
 #include <iceoryx_hoofs/log/logmanager.hpp>
-#include <iceoryx_hoofs/posix_wrapper/posix_access_rights.hpp>
 #include <iceoryx_posh/internal/popo/ports/publisher_port_user.hpp>
 #include <iceoryx_posh/popo/untyped_subscriber.hpp>
 #include <iceoryx_posh/popo/wait_set.hpp>
 #include <iceoryx_posh/runtime/posh_runtime.hpp>
 #include <spawn.h>
 
+#include "roudi.hpp"
 #include "transport.hpp"
 #include "warm.hpp"
 
 /// iceoryx 2.0.3: loans in shared memory, lock-free queues, and a daemon, RouDi.
 ///
-/// What is named: the nodes' sockets /tmp/<Stream::name>-iox-<pid>; and for RouDi the one set that
-/// a machine can have: /tmp/roudi, /tmp/iox-unique-roudi.lock, /dev/shm/iceoryx_mgmt and
-/// /dev/shm/<group>.
+/// What is named: the nodes' sockets, /tmp/<Stream::name>-iox-<pid>; and the one set of files that
+/// a machine's RouDi has (roudi.hpp).
 ///
 /// Crash:  RouDi ends with the harness and removes its files. A harness that is killed leaves the
 ///         sockets of its nodes in /tmp. A killed subscriber's full queue blocks a lossless
@@ -46,25 +45,14 @@ using namespace std::chrono_literals;
 namespace fs = std::filesystem;
 
 constexpr std::uint32_t kAlignment = 64;
-constexpr const char* kLock = "/tmp/iox-unique-roudi.lock";
-constexpr const char* kSocket = "/tmp/roudi";
-constexpr const char* kManagement = "/dev/shm/iceoryx_mgmt";
 constexpr std::uint64_t kManagementBytes = 80 << 20;
-
-constexpr int kReadyFd = 3;  // of lot_ab_roudi
-
-std::string group_segment() {
-  return "/dev/shm/" +
-         std::string(iox::posix::PosixGroup::getGroupOfCurrentProcess().getName().c_str());
-}
 
 std::uint64_t queue_capacity(const Stream& stream) {
   return std::clamp<std::uint64_t>(std::uint64_t{stream.depth} * stream.publishers, 1,
                                    iox::MAX_SUBSCRIBER_QUEUE_CAPACITY);
 }
 
-// ---- RouDi
-// ----------------------------------------------------------------------------------------
+// ---- RouDi --------------------------------------------------------------------------------------
 
 using Pools = std::map<std::uint64_t, std::uint64_t>;  // bytes of a chunk: how many
 
@@ -88,7 +76,7 @@ std::string said(const std::string& log) {
 }
 
 bool somebody_has_the_lock() {
-  const int fd = open(kLock, O_RDONLY | O_CLOEXEC);
+  const int fd = open(kRoudiLock, O_RDONLY | O_CLOEXEC);
   if (fd < 0) return errno != ENOENT;
   const bool is_free = flock(fd, LOCK_SH | LOCK_NB) == 0;
   close(fd);
@@ -124,8 +112,8 @@ class Daemon {
     for (const Stream& other : streams_) {
       if (has_nodes(other.name))
         throw std::runtime_error(
-            "iceoryx: RouDi has one set of memory pools: all streams must be "
-            "served before the first node joins");
+            "iceoryx: a RouDi has one set of memory pools: all streams must be served before the "
+            "first node joins");
     }
     streams_.push_back(stream);
     stop();
@@ -166,7 +154,7 @@ class Daemon {
       throw std::system_error(errno, std::generic_category(), "pipe");
     posix_spawn_file_actions_t actions;
     posix_spawn_file_actions_init(&actions);
-    posix_spawn_file_actions_adddup2(&actions, answer[1], kReadyFd);
+    posix_spawn_file_actions_adddup2(&actions, answer[1], kRoudiReadyFd);
     // It tells how it gets on: read when it does not.
     const std::string log = streams_.back().directory + "/" + streams_.back().name + "-roudi";
     posix_spawn_file_actions_addopen(&actions, STDOUT_FILENO, log.c_str(),
@@ -208,12 +196,10 @@ class Daemon {
       waitpid(pid_, &status, 0);
     }
     pid_ = 0;
-    // It had the machine's lock: unless it said that it did not, what is there is its own.
+    // Unless it was refused the machine's lock, what is there is its own.
     if (WIFEXITED(status) || somebody_has_the_lock()) return;
     std::error_code ignored;
-    for (const std::string& path :
-         {std::string(kManagement), group_segment(), std::string(kSocket)})
-      fs::remove(path, ignored);
+    for (const std::string& file : roudi_files()) fs::remove(file, ignored);
   }
 
   std::mutex mutex_;
@@ -239,15 +225,14 @@ class RouDi final : public Service {
 std::string refuses(const Stream& stream) {
   if (stream.isolated)
     return "its nodes and its daemon meet under fixed names in /tmp and /dev/shm; place them on "
-           "the "
-           "host or in one container";
+           "the host or in one container";
   Pools pools;
   add_pool(pools, stream);
   if (bytes_of(pools) > std::uint64_t{UINT32_MAX} * 64 || stream.size > UINT32_MAX / 2)
     return "its chunks are smaller than 2 GiB";
   if (daemon().runs()) return "";
   if (somebody_has_the_lock())
-    return "another RouDi runs on this machine (" + std::string(kLock) +
+    return "another RouDi runs on this machine (" + std::string(kRoudiLock) +
            " is locked), and there can be one only: end it, or wait for the other lot_ab";
   struct statvfs disk {};
   const std::uint64_t need = bytes_of(pools);
@@ -256,13 +241,12 @@ std::string refuses(const Stream& stream) {
   return "";
 }
 
-// ---- nodes
-// ----------------------------------------------------------------------------------------
+// ---- nodes --------------------------------------------------------------------------------------
 
 /// A process joins once, whatever it has ends of. The daemon forgets it with the machine's lock.
 void join(const Stream& stream) {
   static const bool joined = [&] {
-    if (!fs::exists(kSocket)) throw std::runtime_error("iceoryx: no RouDi runs");
+    if (!fs::exists(kRoudiSocket)) throw std::runtime_error("iceoryx: no RouDi runs");
     iox::log::LogManager::GetLogManager().SetDefaultLogLevel(
         iox::log::LogLevel::kError, iox::log::LogLevelOutput::kHideLogLevel);
     const std::string name = stream.name + "-iox-" + std::to_string(getpid());
@@ -273,8 +257,8 @@ void join(const Stream& stream) {
 }
 
 void warm_segments() {
-  warm(kManagement);
-  warm(group_segment());
+  warm(kRoudiManagement);
+  warm(roudi_segment());
 }
 
 iox::capro::ServiceDescription topic_of(const Stream& stream) {

@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "roudi.hpp"
+
 #include <csignal>
 #include <cstdint>
 #include <cstdlib>
@@ -9,7 +11,6 @@
 #include <unistd.h>
 
 #include <iceoryx_hoofs/log/logmanager.hpp>
-#include <iceoryx_hoofs/posix_wrapper/posix_access_rights.hpp>
 #include <iceoryx_posh/internal/roudi/roudi.hpp>
 #include <iceoryx_posh/mepoo/mepoo_config.hpp>
 #include <iceoryx_posh/mepoo/segment_config.hpp>
@@ -17,13 +18,11 @@
 
 namespace {
 
-constexpr int kReadyFd = 3;
-
 /// Its socket is bound by a thread of its own, and a file of an earlier one may lie there.
 void wait_until_it_answers() {
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
-  std::strcpy(address.sun_path, "/tmp/roudi");
+  std::strcpy(address.sun_path, ab::kRoudiSocket);
   for (;;) {
     const int fd = socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0);
     const int error = connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address);
@@ -70,9 +69,12 @@ int main(int argc, char** argv) {
       parts.rouDiMemoryManager, parts.portManager,
       iox::roudi::RouDi::RoudiStartupParameters(iox::roudi::MonitoringMode::OFF, false));
   wait_until_it_answers();
-  if (write(kReadyFd, "+", 1) != 1) return 1;
+  if (write(ab::kRoudiReadyFd, "+", 1) != 1) return 1;
 
   int signal_number = 0;
   sigwait(&end, &signal_number);
-  return 0;
+  // Not by its destructors: they abort, and leave files, when a node was killed while it had a
+  // lock.
+  for (const std::string& file : ab::roudi_files()) unlink(file.c_str());
+  _exit(0);
 }
