@@ -44,7 +44,8 @@
 /// mapped, and the harness removes those that nobody has locked any more.
 ///
 /// Crash:  a node that is killed before it has noted them leaves files, and so does a killed
-///         harness; `fastdds shm clean` or the next node with the same number removes them.
+///         harness; `fastdds shm clean` removes them. A killed subscriber stops a lossless
+///         publisher until its lease ends, for 20 s.
 namespace ab {
 namespace {
 
@@ -281,7 +282,11 @@ class FastddsSender final : public Sender {
     writer_ = made(publishing->create_datawriter(node_.topic(), qos), "data writer");
     touch_all_loans(depth_of(stream, 1) + kSpare);
     warm(kPrefix);
-    warm(stream.directory);
+    warm(stream.directory + "/");
+  }
+
+  ~FastddsSender() override {
+    if (loaned_ != nullptr) writer_->discard_loan(loaned_);
   }
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
@@ -315,7 +320,7 @@ class FastddsSender final : public Sender {
       if (!lossless_ || std::chrono::steady_clock::now() >= until) return false;
     }
     loaned_ = nullptr;
-    if (copies_) copied_ += size_;
+    if (copies_) copied_ += 2 * size_;  // into packets, and those into the transport's segment
     return true;
   }
   std::uint64_t copied() const override { return copied_; }
@@ -416,7 +421,7 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
   void on_subscription_matched(dds::DataReader*, const dds::SubscriptionMatchedStatus&) override {
     node_.note();
     warm(kPrefix);
-    warm(directory_);
+    warm(directory_ + "/");
   }
 
   /// By the caller of receive(), or by the listener while that one waits.
