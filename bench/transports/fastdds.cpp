@@ -249,8 +249,7 @@ class Cleaner final : public Service {
 
 std::string refuses(const Stream& stream, Way way) {
   if (stream.isolated)
-    return "its nodes find each other in /dev/shm, which they do not share; place them on the host "
-           "or in one container";
+    return "its nodes find each other in /dev/shm, which containers do not share; set --place host";
   if (stream.size > kLargest)
     return "its messages are at most " + std::to_string(kLargest >> 20) +
            " MiB; set a smaller size";

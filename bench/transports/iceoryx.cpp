@@ -224,8 +224,7 @@ class RouDi final : public Service {
 
 std::string refuses(const Stream& stream) {
   if (stream.isolated)
-    return "its nodes and its daemon meet under fixed names in /tmp and /dev/shm; place them on "
-           "the host or in one container";
+    return "its nodes and its daemon meet under fixed names in /tmp and /dev/shm; set --place host";
   Pools pools;
   add_pool(pools, stream);
   if (bytes_of(pools) > std::uint64_t{UINT32_MAX} * 64 || stream.size > UINT32_MAX / 2)
