@@ -316,7 +316,7 @@ class Conductor {
     arm.refused = "failed: " + why;
     say(arm.transport + " failed: " + why);
     crews_[a].reset();
-    services_[a].reset();
+    services_[a].clear();
   }
   bool has_failed(unsigned a) const { return !cell_.arms[arm_of_[a]].refused.empty(); }
 
@@ -341,9 +341,11 @@ class Conductor {
     say("starting " + arm.transport);
     try {
       if (transports_[a]->serve) {
-        Stream of_service = arm.streams[0].stream;
-        of_service.directory = directories_[a];
-        services_[a] = transports_[a]->serve(of_service);
+        for (const StreamPlan& each : arm.streams) {
+          Stream of_service = each.stream;
+          of_service.directory = directories_[a];
+          services_[a].push_back(transports_[a]->serve(of_service));
+        }
       }
       crews_[a] = std::make_unique<Crew>(*board_, plan_, a, place_of(c_.place), directories_[a]);
     } catch (const std::exception& e) {
@@ -491,7 +493,7 @@ class Conductor {
       if (has_failed(a)) continue;
       crews_[a]->join();
       gather(a);
-      services_[a].reset();
+      services_[a].clear();
       crews_[a].reset();
     }
   }
@@ -580,8 +582,8 @@ class Conductor {
   std::map<unsigned, std::vector<std::vector<BlockTime>>> times_;
   Plan plan_;
   std::unique_ptr<Board> board_;
-  std::vector<std::unique_ptr<Service>> services_;
-  std::vector<std::unique_ptr<Crew>> crews_;  // go first: they use the services
+  std::vector<std::vector<std::unique_ptr<Service>>> services_;  // of each stream
+  std::vector<std::unique_ptr<Crew>> crews_;                     // go first: they use the services
 };
 
 }  // namespace
