@@ -118,11 +118,15 @@ std::uint32_t domain_of(const Stream& stream) {
   return hash % 201;
 }
 
-/// Of each node. Some messages, so that one can be written while others are read.
+constexpr std::uint32_t kSmallSegment = 4 << 20;  // of who has no messages to send in it
+
+/// Of each publisher. A packet that finds no room is sent again much later, so this is generous.
 std::uint32_t segment_bytes(const Stream& stream, Way way) {
-  constexpr std::uint64_t kLeast = 4 << 20;
-  if (way == Way::Share) return kLeast;
-  return static_cast<std::uint32_t>(kLeast + 6 * (std::uint64_t{stream.size} + (64 << 10)));
+  constexpr std::uint64_t kMessages = 24;
+  constexpr std::uint64_t kMost = 1 << 30;
+  if (way == Way::Share) return kSmallSegment;
+  return static_cast<std::uint32_t>(
+      std::min(kMost, kSmallSegment + kMessages * (stream.size + (64 << 10))));
 }
 
 /// Of what waits for a subscriber that is slow, over all publishers.
@@ -143,14 +147,14 @@ T* made(T* thing, const char* what) {
 /// A participant and its topic; notes its files.
 class Node {
  public:
-  Node(const Stream& stream, Way way, const std::string& role)
+  Node(const Stream& stream, std::uint32_t segment, const std::string& role)
       : notes_(stream.directory + "/" + stream.name + kNotes + role) {
     dds::Log::SetVerbosity(dds::Log::Kind::Error);
     dds::DomainParticipantQos qos;
     qos.name(stream.name);
     const auto transport =
         std::make_shared<eprosima::fastdds::rtps::SharedMemTransportDescriptor>();
-    transport->segment_size(segment_bytes(stream, way));
+    transport->segment_size(segment);
     transport->max_message_size(kFragment);
     qos.transport().use_builtin_transports = false;
     qos.transport().user_transports.push_back(transport);
@@ -253,8 +257,8 @@ std::string refuses(const Stream& stream, Way way) {
   if (stream.size > kLargest)
     return "its messages are at most " + std::to_string(kLargest >> 20) +
            " MiB; set a smaller size";
-  std::uint64_t need =
-      (stream.publishers + stream.subscribers) * std::uint64_t{segment_bytes(stream, way)};
+  std::uint64_t need = stream.publishers * std::uint64_t{segment_bytes(stream, way)} +
+                       stream.subscribers * std::uint64_t{kSmallSegment};
   if (way == Way::Share)
     need += std::uint64_t{stream.publishers} * (stream.depth + kSpare) * (stream.size + 4096);
   struct statvfs disk {};
@@ -269,7 +273,7 @@ class FastddsSender final : public Sender {
       : size_(stream.size),
         copies_(way == Way::Copy),
         lossless_(stream.lossless),
-        node_(stream, way, std::to_string(publisher) + "-publisher") {
+        node_(stream, segment_bytes(stream, way), std::to_string(publisher) + "-publisher") {
     dds::Publisher* const publishing =
         made(node_.participant().create_publisher(dds::PUBLISHER_QOS_DEFAULT), "publisher");
     dds::DataWriterQos qos;
@@ -351,7 +355,7 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
       : size_(stream.size),
         copies_(way == Way::Copy),
         directory_(stream.directory),
-        node_(stream, way, std::to_string(subscriber) + "-subscriber") {
+        node_(stream, kSmallSegment, std::to_string(subscriber) + "-subscriber") {
     dds::Subscriber* const subscribing =
         made(node_.participant().create_subscriber(dds::SUBSCRIBER_QOS_DEFAULT), "subscriber");
     dds::DataReaderQos qos;
