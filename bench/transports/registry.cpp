@@ -12,10 +12,10 @@ std::vector<Transport> all() {
   for (auto* const of_file : {
            lot_transports,
            lot2021_transports,
-           tzc_transports,
-           intra_transports,
            socket_transports,
            udp_transports,
+           tzc_transports,
+           intra_transports,
 #ifdef LOT_AB_ICEORYX
            iceoryx_transports,
 #endif
