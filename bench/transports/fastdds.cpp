@@ -10,6 +10,7 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <sys/file.h>
@@ -267,12 +268,21 @@ std::string refuses(const Stream& stream, Way way) {
   return "";
 }
 
+/// Files by which subscribers say that they have met a writer: it meets them before, and what it
+/// sends in between is lost.
+std::string met_prefix(const std::string& directory, const rtps::GUID_t& writer) {
+  std::ostringstream text;
+  text << directory << "/met-" << writer << '-';
+  return text.str();
+}
+
 class FastddsSender final : public Sender {
  public:
   FastddsSender(const Stream& stream, Way way, unsigned publisher)
       : size_(stream.size),
         copies_(way == Way::Copy),
         lossless_(stream.lossless),
+        directory_(stream.directory),
         node_(stream, segment_bytes(stream, way), std::to_string(publisher) + "-publisher") {
     dds::Publisher* const publishing =
         made(node_.participant().create_publisher(dds::PUBLISHER_QOS_DEFAULT), "publisher");
@@ -297,7 +307,9 @@ class FastddsSender final : public Sender {
     for (;;) {
       dds::PublicationMatchedStatus status;
       check(writer_->get_publication_matched_status(status), "get_publication_matched_status");
-      if (status.current_count >= static_cast<std::int32_t>(subscribers)) break;
+      if (status.current_count >= static_cast<std::int32_t>(subscribers) &&
+          have_met_us() >= subscribers)
+        break;
       if (std::chrono::steady_clock::now() >= until) return false;
       std::this_thread::sleep_for(1ms);
     }
@@ -329,6 +341,15 @@ class FastddsSender final : public Sender {
   std::uint64_t copied() const override { return copied_; }
 
  private:
+  std::size_t have_met_us() const {
+    const std::string prefix = met_prefix(directory_, writer_->guid());
+    const fs::directory_iterator files(directory_);
+    return static_cast<std::size_t>(
+        std::count_if(begin(files), end(files), [&](const fs::directory_entry& entry) {
+          return entry.path().string().rfind(prefix, 0) == 0;
+        }));
+  }
+
   void touch_all_loans(std::int32_t most) {
     std::vector<void*> loans;
     for (void* loan = nullptr; static_cast<std::int32_t>(loans.size()) < most &&
@@ -340,6 +361,7 @@ class FastddsSender final : public Sender {
   std::size_t size_;
   bool copies_;
   bool lossless_;
+  std::string directory_;
   Node node_;
   dds::DataWriter* writer_ = nullptr;
   void* loaned_ = nullptr;
@@ -355,6 +377,7 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
       : size_(stream.size),
         copies_(way == Way::Copy),
         directory_(stream.directory),
+        subscriber_(subscriber),
         node_(stream, kSmallSegment, std::to_string(subscriber) + "-subscriber") {
     dds::Subscriber* const subscribing =
         made(node_.participant().create_subscriber(dds::SUBSCRIBER_QOS_DEFAULT), "subscriber");
@@ -421,10 +444,14 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
     done_.notify_one();
   }
 
-  void on_subscription_matched(dds::DataReader*, const dds::SubscriptionMatchedStatus&) override {
+  void on_subscription_matched(dds::DataReader*,
+                               const dds::SubscriptionMatchedStatus& status) override {
     node_.note();
     warm(kPrefix);
     warm(directory_ + "/");
+    rtps::GUID_t writer;
+    rtps::iHandle2GUID(writer, status.last_publication_handle);
+    std::ofstream(met_prefix(directory_, writer) + std::to_string(subscriber_));
   }
 
   /// By the caller of receive(), or by the listener while that one waits.
@@ -461,6 +488,7 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
   std::size_t size_;
   bool copies_;
   std::string directory_;
+  unsigned subscriber_;
   std::map<rtps::GUID_t, std::uint64_t> next_;
   std::uint64_t missed_ = 0;
   std::uint64_t copied_ = 0;
