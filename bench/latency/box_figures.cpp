@@ -190,9 +190,13 @@ std::optional<Boxes> collect(const Run& run, const BoxFigure& figure, std::strin
       }
     }
   }
-  if ((figure.series == Series::Place || figure.series == Series::Pin) && series.size() < 2) {
-    why_not = "needs " + needs + " with " + names + " in two " +
-              (figure.series == Series::Place ? "placements" : "ways to pin") + " or more";
+  if (series.size() < 2) {
+    const char* const kind = figure.series == Series::Place       ? "two placements"
+                             : figure.series == Series::Pin       ? "two ways to pin"
+                             : figure.series == Series::Transport ? "two of these transports"
+                             : figure.series == Series::Publisher ? "two publishers"
+                                                                  : "two subscribers";
+    why_not = "needs " + needs + " with " + names + ": " + kind + " or more";
     return std::nullopt;
   }
   std::size_t k = 0;
@@ -292,7 +296,11 @@ std::string draw_boxes(const BoxFigure& figure, const Boxes& boxes, Range range,
   write_file(dir / (figure.name + ".tsv"), data.str());
   write_file(dir / (figure.name + ".gp"), script_of(figure.name, 1120, 640, body.str()));
   std::string line = drawn_line(dir, figure.name, figure.title);
-  for (const std::string& name : boxes.absent) line += "; without " + name;
+  const char* before = "; without ";
+  for (const std::string& name : boxes.absent) {
+    line += before + name;
+    before = ", ";
+  }
   return line;
 }
 

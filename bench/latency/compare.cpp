@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "compare.hpp"
 
+#include <algorithm>
 #include <cstdio>
 #include <ostream>
 #include <string>
@@ -53,6 +54,9 @@ Verdict judge(const std::optional<Change>& change, double margin, bool same_mach
   if (!change || !change->raw.known || !change->relative.known) return Verdict::Same;
   const bool more = !same_machine || change->raw.low > 1;
   const bool less = !same_machine || change->raw.high < 1;
+  // A floor that drifted does not say exactly how far others drift.
+  const double drift = std::max(change->floor.ratio, 1 / change->floor.ratio);
+  if (same_machine) margin = std::max(margin, drift);
   if (change->relative.low > margin && more) return Verdict::Slower;
   if (change->relative.high < 1 / margin && less) return Verdict::Faster;
   return Verdict::Same;
@@ -90,6 +94,12 @@ class Comparison {
   }
 
  private:
+  /// A block's time says nothing of its slowest message; in ping-pong these have latencies, too.
+  Blocks tails(const StreamResult& stream) const {
+    return a_.conditions.mode == "ping-pong" ? latencies(stream, Stamp::Fill) : compared(stream);
+  }
+  static std::size_t count(const Blocks& blocks) { return summarise(blocks).count; }
+
   Verdict one(const Arm& arm, const StreamResult& before, const StreamResult& after) {
     const Blocks a = compared(before);
     const Blocks b = compared(after);
@@ -102,7 +112,9 @@ class Comparison {
     const Blocks below_a = has_floor ? compared(*floor_a) : constant_a;
     const Blocks below_b = has_floor ? compared(*floor_b) : constant_b;
     const auto median = change_of_quantiles(a, below_a, b, below_b, 0.5);
-    const auto p99 = change_of_quantiles(a, below_a, b, below_b, 0.99);
+    const Blocks tail_a = tails(before);
+    const Blocks tail_b = tails(after);
+    const auto p99 = change_of_quantiles(tail_a, below_a, tail_b, below_b, 0.99);
     const Summary of_a = summarise(a);
     const Summary of_b = summarise(b);
 
@@ -112,7 +124,7 @@ class Comparison {
       word = "floor";
     } else {
       const Verdict middle = judge(median, kMedianMargin, same_machine_);
-      const Verdict tail = std::min(of_a.count, of_b.count) < kFewestForP99
+      const Verdict tail = std::min(count(tail_a), count(tail_b)) < kFewestForP99
                                ? Verdict::Same
                                : judge(p99, kP99Margin, same_machine_);
       const bool by_tail = middle == Verdict::Same || tail == Verdict::Slower;

@@ -78,6 +78,30 @@ TEST_SUITE("lot_ab compare") {
     CHECK(says("0 slower, 0 faster"));
   }
 
+  TEST_CASE("what is no more than the floor's own drift is noise, what is more is not") {
+    CHECK(status_of(measured({}, 1), measured({.ring = 72'000, .floor = 45'000}, 5)) == 0);
+    CHECK(says("0 slower, 0 faster"));  // 1.2 relative to a drift of 1.5
+    CHECK(status_of(measured({}, 1), measured({.ring = 120'000, .floor = 45'000}, 5)) == 1);
+    CHECK(says("1 slower"));
+  }
+
+  TEST_CASE("in ping-pong the tail is that of messages, not of blocks") {
+    const auto timed = [](std::uint64_t seed) {
+      Run run = measured({}, seed);
+      run.cells[0].conditions.mode = "ping-pong";
+      for (Arm& arm : run.cells[0].arms) {
+        for (std::uint32_t b = 0; b < 20; ++b) arm.streams[0].blocks.push_back({b, 50, 2'000'000});
+      }
+      return run;
+    };
+    Run after = timed(5);
+    CHECK(status_of(timed(1), after) == 0);
+    auto& samples = after.cells[0].arms[0].streams[0].subscribers[0].samples;
+    for (std::size_t i = 0; i < samples.size(); i += 25) samples[i].entered_at += 200'000;
+    CHECK(status_of(timed(1), after) == 1);
+    CHECK(says("SLOWER (p99)"));
+  }
+
   TEST_CASE("a longer tail alone is slower by its p99") {
     const Run before = measured({}, 1);
     Run after = measured({}, 5);

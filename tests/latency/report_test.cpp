@@ -138,6 +138,18 @@ TEST_SUITE("lot_ab report") {
     CHECK(std::find(costs.begin(), costs.end(), "4.00") != costs.end());
   }
 
+  TEST_CASE("ping-pong has its median from blocks and its tail from messages") {
+    Cell cell = fan_out();
+    cell.conditions.mode = "ping-pong";
+    for (std::uint32_t b = 0; b < 8; ++b) {
+      cell.arms[0].streams[0].blocks.push_back({b, 1'000, 30'000'000});
+    }
+    const auto row = row_of(report_of(cell), "ring");
+    CHECK(row[6] == "30.0");
+    CHECK(row[7] == "49.0");
+    CHECK(row[8] == "49.0");
+  }
+
   TEST_CASE("counts that do not add up are said loudly") {
     Cell cell = fan_out();
     CHECK(counts_add_up(cell));
