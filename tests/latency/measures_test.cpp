@@ -58,6 +58,7 @@ TEST_SUITE("lot_ab measures") {
     stream.subscribers[1].usage = {100, 100, 0, 0, 0, 12800};
     StreamResult pace = stream_of({1, 2, 10, 10}, always(1));
     pace.publishers[0].usage = {400, 100, 0, 0, 0, 0};
+    pace.subscribers[1].usage = {100, 0, 0, 0, 0, 0};
     const Costs gross = costs(stream);
     CHECK(gross.publisher.cpu_us == Approx(10));
     CHECK(gross.publisher.voluntary_switches == Approx(2));
@@ -68,6 +69,7 @@ TEST_SUITE("lot_ab measures") {
     CHECK(gross.subscriber.copied_bytes == Approx(128));
     const Costs net = costs_net_of(stream, &pace);
     CHECK(net.publisher.cpu_us == Approx(6));
+    CHECK(net.subscriber.cpu_us == Approx(1.5));
     CHECK(net.publisher.voluntary_switches == Approx(1));
     CHECK(net.publisher.copied_bytes == Approx(64));
     CHECK(costs_net_of(stream, nullptr).publisher.cpu_us == Approx(10));
