@@ -39,7 +39,7 @@ constexpr unsigned kPatienceMs = 5'000;
 /// counts.
 constexpr std::chrono::milliseconds kOthersGetOn{1000};
 constexpr unsigned kWaitsMs = 20;  ///< a neighbour that sleeps so long waits for somebody
-constexpr unsigned kAsks = 100;  ///< and so does one that sleeps so often: it asks again and again
+constexpr unsigned kAsks = 25;  ///< and so does one that sleeps so often: it asks again and again
 
 void write_all(int fd, const void* bytes, std::size_t n) {
   if (write(fd, bytes, n) != static_cast<ssize_t>(n)) throw std::runtime_error("pipe");
