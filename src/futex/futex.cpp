@@ -116,6 +116,10 @@ bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcep
   return !(deadline && Clock::now() >= *deadline);
 }
 
+void wake_one(const void* word) noexcept {
+  syscall(SYS_futex, word, FUTEX_WAKE, 1, nullptr, nullptr, 0);
+}
+
 void wake_all(const void* word) noexcept {
   syscall(SYS_futex, word, FUTEX_WAKE, INT_MAX, nullptr, nullptr, 0);
 }

@@ -36,6 +36,7 @@ bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexc
 inline constexpr std::size_t kMaxWords = 128;
 bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcept;
 
+void wake_one(const void* word) noexcept;
 void wake_all(const void* word) noexcept;
 
 }  // namespace lot::futex

@@ -18,8 +18,8 @@
 /// killed, and the reaper, which takes no lock, repairs both engines alike. One thing is left to
 /// the next owner: nobody may have been told of the last change. It wakes all.
 ///
-/// Also if two got in at once nothing would be lost but time: a thread that is killed while it
-/// waits for a robust mutex sets the owner free if they have the same id in two PID namespaces.
+/// Also if two got in at once (robust_mutex.hpp says how) no message would be lost: each step is
+/// made for that.
 namespace lot::mutex_engine {
 
 using Word = std::atomic<std::uint32_t>;

@@ -17,13 +17,15 @@ namespace lot {
 /// Only ever NORMAL + ROBUST + PROCESS_SHARED: recursive and error-checking kinds compare thread
 /// ids, which collide between PID namespaces.
 ///
-/// Who waits for it is not in the C library meanwhile. There the kernel counts it among those who
-/// may have the lock: killed, it would set an owner free that has the same thread id in another PID
-/// namespace (the first process of a container is always 1). The next owner then puts the lock
-/// into its own list of robust locks, by pointers within the lock, and the first one's list ends
-/// there: of the locks that it has had for longer nobody would learn that it has died. So a waiter
-/// sleeps by itself and tries when the lock looks free. What is left is a kill between the two,
-/// when somebody else has taken it within these few instructions.
+/// Who waits for it, or wakes a waiter, is not in the C library meanwhile. There the kernel counts
+/// it among those who may have the lock: killed, it would set an owner free that has the same
+/// thread id in another PID namespace (the first process of a container is always 1). The next
+/// owner then puts the lock into its own list of robust locks, by pointers within the lock, and the
+/// first one's list ends there: of the locks that it has had for longer nobody would learn that it
+/// has died, and if it lives it unlinks the lock through pointers of the other process. So a waiter
+/// sleeps by itself and tries when the lock looks free, and wakes are sent when it is unlocked.
+/// What is left is a kill within the few instructions of a try or an unlock, when one with the same
+/// thread id takes the lock just then.
 ///
 /// Threads: lock and unlock by the same thread.
 /// Memory:  sizeof(pthread_mutex_t), address-free.
@@ -48,6 +50,8 @@ class RobustMutex {
   void unlock() noexcept;
 
  private:
+  int attempt() noexcept;
+  void mark() noexcept;
   void sleep_while_held(futex::Clock::time_point until) noexcept;
   Outcome outcome(int result) noexcept;
   pthread_mutex_t& mutex_;

@@ -5,12 +5,18 @@
 
 #include <atomic>
 #include <chrono>
+#include <elf.h>
+#include <linux/futex.h>
 #include <new>
 #include <pthread.h>
 #include <sched.h>
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
+#include <sys/ptrace.h>
+#include <sys/syscall.h>
+#include <sys/uio.h>
+#include <sys/user.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -240,6 +246,75 @@ TEST_CASE_FIXTURE(Fixture, "a waiter that is killed in another PID namespace fre
   CHECK(status_of(holder) == 0);
   CHECK((RobustMutex(shared->memory).lock_for(30s) == Outcome::Locked));
   RobustMutex(shared->memory).unlock();
+}
+
+TEST_CASE_FIXTURE(Fixture,
+                  "who unlocks wakes others when the kernel no longer counts it as owner") {
+  const pid_t holder = in_child([this] {
+    ptrace(PTRACE_TRACEME, 0, nullptr, nullptr);
+    raise(SIGSTOP);
+    RobustMutex mutex(shared->memory);
+    if (mutex.lock_for(30s) != Outcome::Locked) return false;
+    shared->stage = 1;
+    wait_for_stage(2);
+    mutex.unlock();
+    return true;
+  });
+  const pid_t waiter = in_child([this] {
+    wait_for_stage(1);
+    RobustMutex mutex(shared->memory);
+    if (mutex.lock_for(30s) != Outcome::Locked) return false;
+    mutex.unlock();
+    return true;
+  });
+  int status = 0;
+  REQUIRE(waitpid(holder, &status, 0) == holder);
+  robust_list_head* list = nullptr;
+  std::size_t size = 0;
+  REQUIRE(syscall(SYS_get_robust_list, holder, &list, &size) == 0);
+  const auto* const pending = &list->list_op_pending;  // in the holder's memory
+  unsigned wakes = 0;
+  while (ptrace(PTRACE_SYSCALL, holder, nullptr, nullptr) == 0 &&
+         waitpid(holder, &status, 0) == holder && WIFSTOPPED(status)) {
+    CHECK(ptrace(PTRACE_PEEKDATA, holder, pending, nullptr) == 0);
+    user_regs_struct registers{};
+    iovec where{&registers, sizeof registers};
+    REQUIRE(ptrace(PTRACE_GETREGSET, holder, NT_PRSTATUS, &where) == 0);
+#if defined(__x86_64__)
+    wakes += registers.orig_rax == SYS_futex;
+#elif defined(__aarch64__)
+    wakes += registers.regs[8] == SYS_futex;
+#endif
+    if (shared->stage == 1 &&
+        (shared->memory.__data.__lock & static_cast<int>(FUTEX_WAITERS)) != 0) {
+      shared->stage = 2;
+    }
+  }
+  CHECK(WIFEXITED(status));
+  CHECK(WEXITSTATUS(status) == 0);
+  CHECK(wakes > 0);  // its entry and its exit
+  CHECK(status_of(waiter) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "three that sleep are let in one after the other") {
+  RobustMutex mutex(shared->memory);
+  CHECK((mutex.lock_for(30s) == Outcome::Locked));
+  pid_t waiters[3];
+  for (pid_t& waiter : waiters) {
+    waiter = in_child([this] {
+      ++shared->stage;
+      RobustMutex mine(shared->memory);
+      if (mine.lock_for(30s) != Outcome::Locked) return false;
+      usleep(1'000);
+      mine.unlock();
+      return true;
+    });
+  }
+  wait_for_stage(3);
+  usleep(20'000);  // most likely asleep by now; right in any case
+  mutex.unlock();
+  for (const pid_t waiter : waiters) CHECK(status_of(waiter) == 0);
+  CHECK(shared->memory.__data.__lock == 0);
 }
 
 TEST_SUITE_END();
