@@ -50,7 +50,6 @@ class Gate {
 };
 
 struct Order {
-  std::uint32_t arm;
   std::uint32_t block;
   std::uint64_t messages;  ///< of each publisher of the arm's first stream; of others by their rate
   bool recorded;           ///< false: to warm up
@@ -77,8 +76,10 @@ struct NodeRecord {
   char error[1024];
 };
 
-/// What the nodes of one arm tell each other during its turn.
+/// What the nodes of one arm are told, and tell each other during its turn.
 struct ArmRecord {
+  Gate turn;
+  Order order;
   Gate listening;                   ///< subscribers that wait for messages now
   Gate sent_all;                    ///< publishers that have pushed all of their block
   Gate finished;                    ///< subscribers that have got all that will come
@@ -88,8 +89,6 @@ struct ArmRecord {
 };
 
 struct Head {
-  Gate turn;
-  Order order;
   Gate arrivals;  ///< raised when any node becomes ready, fails, or rests
   Gate stop;      ///< not 0: leave at once
   std::uint32_t arms;

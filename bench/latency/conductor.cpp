@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <map>
@@ -120,12 +121,17 @@ class Watcher {
   std::thread thread_;  // last: it uses the others
 };
 
-/// What a function is that copies or moves bytes, not one that waits.
-bool is_work(const std::string& symbol) {
-  for (const char* const work : {"memcpy", "memset", "send", "recv", "read", "write"}) {
-    if (symbol.find(work) != std::string::npos) return true;
+/// A function that moves bytes, not one that waits.
+bool moves_bytes(const std::string& symbol) {
+  static const std::set<std::string> kMovers{
+      "memcpy",   "memset",  "send",     "sendto", "sendmsg", "sendmmsg", "recv",
+      "recvfrom", "recvmsg", "recvmmsg", "read",   "readv",   "write",    "writev"};
+  // __libc_recv, __send, __GI___writev are the same functions.
+  std::size_t begin = 0;
+  for (const char* const prefix : {"__libc_", "__GI_", "__"}) {
+    if (symbol.compare(begin, std::strlen(prefix), prefix) == 0) begin += std::strlen(prefix);
   }
-  return false;
+  return kMovers.count(symbol.substr(begin)) != 0;
 }
 
 class Conductor {
@@ -160,14 +166,16 @@ class Conductor {
  private:
   struct Interrupted {};
 
-  // ---- what is to be done
-  // ------------------------------------------------------------------------
+  // ---- what is to be done ----
 
   void choose_arms() {
     std::vector<std::string> names = options_.transports;
     if (options_.floors) {
-      if (wait_of(c_.wait) != Wait::Park) names.emplace_back("floor-spin");
-      if (wait_of(c_.wait) != Wait::Spin) names.emplace_back("floor-futex");
+      // Who spins needs a core of its own.
+      unsigned nodes = 0;
+      for (const Topic& topic : topics_) nodes += topic.publishers + topic.subscribers;
+      if (nodes <= usable_cores().size() && c_.pin != "same-core") names.emplace_back("floor-spin");
+      names.emplace_back("floor-futex");
       if (c_.mode == "paced") names.emplace_back("floor-pace");
     }
     std::set<std::string> once;
@@ -194,6 +202,29 @@ class Conductor {
       arm_of_.push_back(cell_.arms.size() - 1);
       transports_.push_back(&*at);
     }
+    check_memory();
+  }
+
+  /// All arms are there at once. What each may need is estimated: messages that wait, those that
+  /// are prepared, and some that are on their way.
+  void check_memory() const {
+    constexpr std::uint64_t kOnTheirWay = 40;
+    std::uint64_t all = 0;
+    for (const Transport* const transport : transports_) {
+      for (const Topic& topic : topics_) {
+        const std::uint64_t messages =
+            c_.depth + (transport->is_floor ? 1 : std::max<std::uint64_t>(c_.pool, kOnTheirWay));
+        all += topic.publishers * topic.size * messages;
+      }
+    }
+    const std::uint64_t there = free_memory();
+    if (all <= there) return;
+    const auto gib = [](std::uint64_t bytes) {
+      return std::to_string(static_cast<double>(bytes >> 27) / 8).substr(0, 5);
+    };
+    throw std::invalid_argument(
+        "these transports may need " + gib(all) + " GiB at once, and " + gib(there) +
+        " are free; set fewer --transports, or a smaller --depth or --pool");
   }
 
   Stream stream_of(const Topic& topic, const std::string& name, const std::string& directory,
@@ -207,6 +238,7 @@ class Conductor {
     s.wait = wait_of(c_.wait);
     s.pool = c_.pool;
     s.depth = c_.depth;
+    s.filled = c_.fill;
     s.lossless = c_.lossless;
     s.isolated = c_.place != "host";
     if (transport.is_network) {
@@ -286,26 +318,20 @@ class Conductor {
     for (unsigned r = 0; r < stream.subscribers; ++r) add(Role::Subscribe, r, 2.0 * (r + 1));
   }
 
-  std::uint64_t messages_of(unsigned stream, std::uint64_t of_first) const {
-    if (topics_[stream].rate_hz == 0 || topics_[0].rate_hz == 0) return of_first;
-    return static_cast<std::uint64_t>(static_cast<double>(of_first) * topics_[stream].rate_hz /
-                                      topics_[0].rate_hz) +
-           1;
-  }
   std::uint64_t most_samples(const NodePlan& node) const {
     if (c_.mode == "ping-pong" && node.role == Role::Subscribe) return 0;
     if (c_.mode != "ping-pong" && node.role == Role::Publish) return 0;
+    const Topic& topic = topics_[node.stream];
+    const std::uint64_t blocks = (c_.messages + c_.block - 1) / c_.block;
     const std::uint64_t all =
-        messages_of(node.stream, c_.messages + blocks()) * topics_[node.stream].publishers;
+        blocks * topic.publishers * messages_in_block(topics_[0].rate_hz, topic.rate_hz, c_.block);
     return std::min(all, kMostSamples + 1000);
   }
-  std::uint64_t blocks() const { return (c_.messages + c_.block - 1) / c_.block; }
   std::uint64_t warm_up() const {
     return c_.mode == "paced" ? kWarmUp : std::max<std::uint64_t>(kWarmUp, c_.block / 2);
   }
 
-  // ---- starting
-  // ----------------------------------------------------------------------------------
+  // ---- starting ----
 
   void say(const std::string& text) const {
     if (progress_) progress_(text);
@@ -328,6 +354,16 @@ class Conductor {
       return name_of(plan_.nodes[n]) + ": " + board_->node(n).error;
     }
     return parents.empty() ? "" : "a group of nodes: " + parents;
+  }
+  /// Of nodes that were told to leave.
+  std::string how_it_ended(unsigned a) const {
+    for (unsigned n = 0; n < plan_.nodes.size(); ++n) {
+      const NodeRecord& record = board_->node(n);
+      if (plan_.nodes[n].arm != a || record.state.load() == NodeState::Ended) continue;
+      return name_of(plan_.nodes[n]) + ": " +
+             (record.error[0] != 0 ? record.error : "did not leave");
+    }
+    return "";
   }
   std::string name_of(const NodePlan& node) const {
     return (topics_[node.stream].name.empty() ? "" : topics_[node.stream].name + " ") +
@@ -394,8 +430,7 @@ class Conductor {
     return text;
   }
 
-  // ---- turns
-  // -------------------------------------------------------------------------------------
+  // ---- turns ----
 
   void take_turns() {
     std::mt19937_64 random(options_.seed);
@@ -413,7 +448,6 @@ class Conductor {
 
   void take_turn(unsigned a, std::uint32_t block, std::uint64_t messages) {
     if (has_failed(a)) return;
-    Head& head = board_->head();
     ArmRecord& arm = board_->arm(a);
     arm.listening.set(0);
     arm.sent_all.set(0);
@@ -424,10 +458,10 @@ class Conductor {
     each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
       received_before[node.stream] += record.received;
     });
-    head.order = {a, block, messages, block != 0, false};
+    arm.order = {block, messages, block != 0, false};
     std::unique_ptr<Watcher> watcher;
     if (options_.profile && block != 0 && c_.place == "host") watcher = watch(a);
-    head.turn.raise();
+    arm.turn.raise();
     unsigned nodes = 0;
     each_node(a, [&](const NodePlan&, const NodeRecord&) { ++nodes; });
     const double expected =
@@ -446,7 +480,6 @@ class Conductor {
       return;
     }
     if (block != 0 && c_.mode != "paced") note_time(a, block, received_before);
-    std::this_thread::sleep_for(5ms);  // who has woken for nothing sleeps again
   }
 
   std::unique_ptr<Watcher> watch(unsigned a) {
@@ -483,16 +516,16 @@ class Conductor {
     }
   }
 
-  // ---- gathering
-  // ---------------------------------------------------------------------------------
+  // ---- gathering ----
 
   void finish() {
-    board_->head().order = {0, 0, 0, false, true};
-    board_->head().turn.raise();
     for (unsigned a = 0; a < plan_.arms.size(); ++a) {
       if (has_failed(a)) continue;
+      board_->arm(a).order = {0, 0, false, true};
+      board_->arm(a).turn.raise();
       crews_[a]->join();
       gather(a);
+      if (const std::string why = how_it_ended(a); !why.empty()) give_up(a, "at its end: " + why);
       services_[a].clear();
       crews_[a].reset();
     }
@@ -545,7 +578,8 @@ class Conductor {
     r.received = record.received;
     r.missed = record.missed;
     r.spoilt = record.spoilt;
-    r.usage = record.usage;
+    // The publisher of ping-pong receives as well; what it has used is its own.
+    if (node.role == Role::Subscribe) r.usage = record.usage;
     const Sample* const samples = board_->samples(record);
     r.samples.assign(samples, samples + record.samples);
     s.subscribers.push_back(std::move(r));
@@ -563,7 +597,7 @@ class Conductor {
       const std::string symbol = text.substr(first + 3, end - first - 3);
       hot[symbol] += n;
       profile.cpu_s += static_cast<double>(n) / 1000;
-      if (waiting && !is_work(symbol)) profile.spin_s += static_cast<double>(n) / 1000;
+      if (waiting && !moves_bytes(symbol)) profile.spin_s += static_cast<double>(n) / 1000;
       at = end + 1;
     }
   }

@@ -22,9 +22,9 @@ struct Topic {
 struct CellOptions {
   Conditions conditions;
   std::vector<std::string> transports;
-  bool floors = true;         ///< adds those that these conditions have
-  bool profile = false;                 ///< utilisation, and hot spots by SIGPROF
-  std::uint64_t seed = 1;               ///< of the order of turns
+  bool floors = true;      ///< adds those that these conditions have
+  bool profile = false;    ///< utilisation, and hot spots by SIGPROF
+  std::uint64_t seed = 1;  ///< of the order of turns
 };
 
 /// Everything that this run leaves in file systems lies under its name, and goes with it. What a

@@ -11,6 +11,7 @@
 #include <exception>
 #include <fcntl.h>
 #include <filesystem>
+#include <poll.h>
 #include <stdexcept>
 #include <sys/prctl.h>
 #include <sys/wait.h>
@@ -134,7 +135,10 @@ void must_run(const std::vector<std::string>& command) {
   std::fflush(nullptr);
   const pid_t pid = fork();
   if (pid == -1) fail("fork");
-  if (pid == 0) become(command);
+  if (pid == 0) {
+    setpgid(0, 0);  // Ctrl-C is ours to deal with
+    become(command);
+  }
   int status = 0;
   while (waitpid(pid, &status, 0) == -1 && errno == EINTR) {
   }
@@ -153,17 +157,20 @@ Crew::Crew(const Board& board, const Plan& plan, unsigned arm, Place place,
     if (place == Place::Containers && !mine.streams[0].stream.address.empty()) connect(plan);
     board.arm(arm).network.set(1);
   } catch (...) {
-    for (const Member& m : members_) kill(-m.pid, SIGKILL);
+    kill_all();
     throw;
   }
 }
 
-Crew::~Crew() {
+Crew::~Crew() { kill_all(); }
+
+void Crew::kill_all() {
   for (Member& m : members_) {
     if (m.pid == -1) continue;
     kill(-m.pid, SIGKILL);
     while (waitpid(m.pid, nullptr, 0) == -1 && errno == EINTR) {
     }
+    m.pid = -1;
   }
 }
 
@@ -218,7 +225,8 @@ void Crew::start(unsigned group, Place place, const std::string& directory) {
   close(told[1]);
   std::string text;
   char c = 0;
-  while (read(told[0], &c, 1) == 1) text += c;
+  pollfd ready{told[0], POLLIN, 0};
+  while (poll(&ready, 1, 10'000) > 0 && read(told[0], &c, 1) == 1) text += c;
   close(told[0]);
   const auto info = nlohmann::json::parse(text, nullptr, false);
   if (info.is_discarded() || !info.contains("child-pid")) {

@@ -50,6 +50,7 @@ class Crew {
   };
   void start(unsigned group, Place place, const std::string& directory);
   void connect(const Plan& plan);
+  void kill_all();
 
   const Board& board_;
   unsigned arm_;

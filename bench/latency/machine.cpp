@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "machine.hpp"
 
+#include <algorithm>
 #include <cstdlib>
 #include <ctime>
+#include <filesystem>
 #include <fstream>
 #include <sched.h>
 #include <set>
@@ -50,6 +52,14 @@ unsigned socket_of(int core) {
   const std::string text = first_line("/sys/devices/system/cpu/cpu" + std::to_string(core) +
                                       "/topology/physical_package_id");
   return static_cast<unsigned>(std::strtoul(text.c_str(), nullptr, 10));
+}
+
+std::uint64_t free_memory() {
+  const std::uint64_t available =
+      std::strtoull(value_in("/proc/meminfo", "MemAvailable", ':').c_str(), nullptr, 10) * 1024;
+  std::error_code ignored;
+  const auto space = std::filesystem::space("/dev/shm", ignored);
+  return ignored ? available : std::min<std::uint64_t>(available, space.available);
 }
 
 std::string utc_now() {

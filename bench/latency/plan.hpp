@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -35,6 +37,13 @@ struct ArmPlan {
   std::vector<std::vector<unsigned>> groups;
 };
 
+/// How many messages of a stream are as long as a block of the first one.
+inline std::uint64_t messages_in_block(double first_hz, double rate_hz, std::uint64_t of_first) {
+  if (first_hz == 0 || rate_hz == 0) return of_first;
+  const double n = static_cast<double>(of_first) * rate_hz / first_hz;
+  return std::max<std::uint64_t>(1, static_cast<std::uint64_t>(n + 0.5));
+}
+
 struct Plan {
   std::string mode;
   bool fill = true;
@@ -48,7 +57,7 @@ NLOHMANN_JSON_SERIALIZE_ENUM(Wait, {{Wait::Spin, "spin"},
                                     {Wait::Adaptive, "adaptive"},
                                     {Wait::Park, "park"}})
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Stream, name, directory, size, publishers, subscribers, wait,
-                                   pool, depth, lossless, isolated, address)
+                                   pool, depth, filled, lossless, isolated, address)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(NodePlan, arm, stream, role, index, cores, delay_s, profiled)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(StreamPlan, stream, rate_hz)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(ArmPlan, transport, streams, groups)

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cerrno>
+#include <cstdio>
 #include <fcntl.h>
 #include <filesystem>
 #include <random>
@@ -49,8 +50,11 @@ Workplace::Workplace() {
   constexpr const char* kDigits = "0123456789abcdef";
   name_ = kPrefix;
   for (unsigned i = 0; i < 8; ++i) name_ += kDigits[random() % 16];
-  lock_ = open(lock_of(name_).c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
-  if (lock_ < 0 || flock(lock_, LOCK_EX | LOCK_NB) != 0) {
+  // Locked before it has its name: nobody can take it for one that was left behind.
+  const std::string unnamed = lock_of(name_).string() + ".new";
+  lock_ = open(unnamed.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
+  if (lock_ < 0 || flock(lock_, LOCK_EX | LOCK_NB) != 0 ||
+      rename(unnamed.c_str(), lock_of(name_).c_str()) != 0) {
     throw std::system_error(errno, std::generic_category(), lock_of(name_));
   }
 }

@@ -46,6 +46,7 @@ struct Lane {  // of a publisher
 struct Page {  // zeros are its first state
   alignas(2 * kLine) std::atomic<std::uint32_t> changes;
   alignas(2 * kLine) std::atomic<std::uint32_t> subscribers;
+  alignas(2 * kLine) std::atomic<std::uint32_t> asleep;
   Lane lanes[kMostPublishers];
 };
 
@@ -85,7 +86,8 @@ long futex(std::atomic<std::uint32_t>& word, int op, std::uint32_t value, const 
 class Buffers {
  public:
   explicit Buffers(const Stream& stream)
-      : each_((stream.size + kPage - 1) / kPage * kPage), count_(stream.depth + 1) {
+      : each_((stream.size + kPage - 1) / kPage * kPage),
+        count_(stream.filled ? stream.depth + 1 : 1) {
     at_ = mmap(nullptr, each_ * count_, PROT_READ | PROT_WRITE,
                MAP_SHARED | MAP_ANONYMOUS | MAP_POPULATE, -1, 0);
     if (at_ == MAP_FAILED) throw std::system_error(errno, std::generic_category(), "mmap");
@@ -135,8 +137,9 @@ class FloorSender final : public Sender {
     }
     slot.sequence.store(++next_, std::memory_order_release);
     if (sleeps_) {
-      page_->changes.fetch_add(1, std::memory_order_release);
-      futex(page_->changes, FUTEX_WAKE, INT_MAX, nullptr);
+      // Sequentially consistent, here and there: either we see the sleeper, or it sees the change.
+      page_->changes.fetch_add(1);
+      if (page_->asleep.load() != 0) futex(page_->changes, FUTEX_WAKE, INT_MAX, nullptr);
     }
     return true;
   }
@@ -187,7 +190,9 @@ class FloorReceiver final : public Receiver {
       if (!sleeps_) continue;
       const auto ns = patience < 0ns ? 1s : patience;
       const timespec limit{static_cast<time_t>(ns / 1s), static_cast<long>((ns % 1s).count())};
-      futex(page_->changes, FUTEX_WAIT, seen, &limit);
+      page_->asleep.fetch_add(1);
+      if (page_->changes.load() == seen) futex(page_->changes, FUTEX_WAIT, seen, &limit);
+      page_->asleep.fetch_sub(1);
     }
   }
   std::uint64_t missed() const override { return missed_; }
@@ -244,19 +249,15 @@ class PaceReceiver final : public Receiver {
   }
 };
 
-Transport floor(std::string name, std::string about, Wait wait, bool sleeps) {
+Transport floor(std::string name, std::string about, bool sleeps) {
   Transport t;
   t.name = std::move(name);
   t.about = std::move(about);
   t.is_floor = true;
-  t.refuses = [wait](const Stream& stream) -> std::string {
+  t.refuses = [](const Stream& stream) -> std::string {
     if (stream.publishers > kMostPublishers || stream.subscribers > kMostSubscribers) {
       return "knows 64 publishers and 64 subscribers at most";
     }
-    if (wait == Wait::Spin && stream.wait == Wait::Park)
-      return "spins; set --wait spin or adaptive";
-    if (wait == Wait::Park && stream.wait == Wait::Spin)
-      return "sleeps; set --wait park or adaptive";
     return "";
   };
   t.sender = [sleeps](const Stream& s, unsigned publisher) {
@@ -279,8 +280,8 @@ std::vector<Transport> floor_transports() {
   pace.refuses = [](const Stream&) { return std::string(); };
   pace.sender = [](const Stream& s, unsigned) { return std::make_unique<PaceSender>(s); };
   pace.receiver = [](const Stream&, unsigned) { return std::make_unique<PaceReceiver>(); };
-  return {floor("floor-spin", "a cache line, both ends spinning", Wait::Spin, false),
-          floor("floor-futex", "a cache line and a futex, both ends asleep", Wait::Park, true),
+  return {floor("floor-spin", "a cache line, both ends spinning", false),
+          floor("floor-futex", "a cache line and a futex, both ends asleep", true),
           std::move(pace)};
 }
 

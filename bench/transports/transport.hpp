@@ -40,6 +40,7 @@ struct Stream {
   /// that have no such choice (they copy, or recycle by themselves) ignore it.
   unsigned pool = 0;
   unsigned depth = 30;    ///< messages that wait for a slow subscriber
+  bool filled = true;     ///< the whole message is written each time, not its ends alone
   bool lossless = false;  ///< push() waits for slow subscribers, where Transport::waits
   bool isolated = false;  ///< the nodes have namespaces of their own (PID, IPC, mount, network)
   /// The publisher's network address as the subscriber sees it. Ports are the transport's affair

@@ -261,8 +261,8 @@ class TzcSender final : public Sender {
     return handle_ == kNone ? spare() : segment_.bytes(handle_);
   }
   bool push() override {
-    const std::uint64_t number = number_++;  // also of what is dropped here
     if (handle_ == kNone) return false;
+    const std::uint64_t number = number_++;
     const Notice notice{number, segment_.generation(handle_), stream_.size, handle_, publisher_};
     std::erase_if(subscribers_, [&](const Descriptor& to) { return !send_to(to.get(), notice); });
     segment_.release(std::exchange(handle_, kNone));

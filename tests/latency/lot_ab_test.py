@@ -67,10 +67,6 @@ def wait_until(condition, most=60):
     return False
 
 
-def workplaces():
-    return set(glob.glob('/dev/shm/lot_ab_*'))
-
-
 def workplace_of(process):
     """The name under which a run keeps its files: it holds that lock file open."""
     def found():
@@ -120,8 +116,9 @@ def places():
     for graph, place, transports in (('1p2s', 'container', 'ring,tcp'), ('2p2s', 'containers', 'ring,tcp'),
                                      ('1p2s', 'host', 'ring,intra')):
         r = lot_ab('-t', transports, '-g', graph, '-s', '4096', '--place', place, '-n', '20', '-r', '200', '--block', '10')
-        check(r.returncode == 0, f'{transports} {graph} {place}')
-        if r.returncode != 0:
+        ran = all(re.search(rf'^ {name} +\d', r.stdout, re.M) for name in transports.split(','))
+        check(r.returncode == 0 and ran, f'{transports} {graph} {place}')
+        if r.returncode != 0 or not ran:
             print(r.stdout)
 
 
@@ -134,6 +131,19 @@ def bad_use():
                                 (['compare', '/nowhere', '/nowhere'], '/nowhere')):
         r = lot_ab(*arguments)
         check(r.returncode == 2 and sentence in r.stdout, f'bad use is told: {" ".join(arguments)}')
+
+
+def interrupted_while_starting():
+    for wait in (0.05, 0.2, 0.5):
+        p = start('-t', 'ring,tcp,uds', '-g', '2p2s', '-s', '4096', '--place', 'containers', '-n', '100000')
+        workplace = workplace_of(p)
+        time.sleep(wait)
+        nodes = [c for c, _ in children(p.pid)]
+        p.send_signal(signal.SIGINT)
+        p.communicate(timeout=WATCHDOG)
+        check(p.returncode == 128 + signal.SIGINT, 'interrupted while it starts containers')
+        check(wait_until(lambda: not any(lives(n) for n in nodes)), 'no process is left')
+        check(not left_of(workplace), 'no file is left')
 
 
 def interrupted():
@@ -175,8 +185,7 @@ def node_killed():
     check(re.search(r'^ *tcp', output, re.M) is not None, 'the others go on')
 
 
-before = workplaces()
-for test in (bad_use, runs_and_saves, places, interrupted, killed, node_killed):
+for test in (bad_use, runs_and_saves, places, interrupted, interrupted_while_starting, killed, node_killed):
     try:
         test()
     except Exception as e:  # pylint: disable=broad-except  # the others still say something
