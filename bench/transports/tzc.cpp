@@ -1,12 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
-#include <arpa/inet.h>
 #include <array>
 #include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <fcntl.h>
-#include <fstream>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
@@ -22,6 +20,7 @@
 #include <unistd.h>
 #include <utility>
 
+#include "sockets.hpp"
 #include "transport.hpp"
 
 /// TZC's protocol, as published, written anew: partial serialisation.
@@ -41,37 +40,12 @@
 namespace ab {
 namespace {
 
-using namespace std::chrono_literals;
-
 constexpr std::size_t kLine = 64;
 constexpr std::size_t kPage = 4096;
 constexpr std::uint32_t kNone = UINT32_MAX;
 constexpr auto kSpinTime = 50us;  ///< of adaptive waiting: a little more than a wake-up costs
 constexpr auto kLookAgain = 1ms;  ///< for publishers that are not there yet
 constexpr unsigned kPollsPerClock = 16;
-
-[[noreturn]] void fail(const std::string& what) {
-  throw std::system_error(errno, std::generic_category(), "tzc: " + what);
-}
-
-class Descriptor {  // of a file or socket
- public:
-  explicit Descriptor(int fd = -1) : fd_(fd) {}
-  Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  Descriptor& operator=(Descriptor&& other) noexcept {
-    std::swap(fd_, other.fd_);
-    return *this;
-  }
-  ~Descriptor() {
-    if (fd_ >= 0) close(fd_);
-  }
-  int get() const { return fd_; }
-  bool is_open() const { return fd_ >= 0; }
-  int release() { return std::exchange(fd_, -1); }
-
- private:
-  int fd_;
-};
 
 /// What goes over TCP for a message.
 struct Notice {
@@ -114,7 +88,7 @@ class Segment {
     const std::string path = stream.directory + "/" + stream.name + "-tzc";
     const Descriptor file(open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
     // Who comes first makes it; the kernel unlocks for the dead.
-    if (!file.is_open() || flock(file.get(), LOCK_EX) != 0) fail(path);
+    if (!file || flock(file.get(), LOCK_EX) != 0) fail(path);
     struct stat status {};
     if (fstat(file.get(), &status) != 0) fail(path);
     const bool is_new = static_cast<std::size_t>(status.st_size) != length_;
@@ -210,15 +184,6 @@ class Segment {
   std::byte* base_ = nullptr;
 };
 
-std::string port_file(const Stream& stream, unsigned publisher) {
-  return stream.directory + "/" + stream.name + "-tzc-port-" + std::to_string(publisher);
-}
-
-void set_no_delay(int fd) {
-  const int on = 1;
-  if (setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on) != 0) fail("TCP_NODELAY");
-}
-
 class TzcSender final : public Sender {
  public:
   TzcSender(const Stream& stream, unsigned publisher)
@@ -226,20 +191,7 @@ class TzcSender final : public Sender {
         publisher_(publisher),
         segment_(stream),
         spare_(stream.size + kLine),
-        listener_(socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0)) {
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    socklen_t length = sizeof address;
-    auto* const any = reinterpret_cast<sockaddr*>(&address);
-    if (!listener_.is_open() || bind(listener_.get(), any, length) != 0 ||
-        listen(listener_.get(), SOMAXCONN) != 0 ||
-        getsockname(listener_.get(), any, &length) != 0) {
-      fail("cannot listen");
-    }
-    const std::string path = port_file(stream, publisher);
-    std::ofstream(path + ".new") << ntohs(address.sin_port) << std::flush;
-    if (rename((path + ".new").c_str(), path.c_str()) != 0) fail(path);
-  }
+        listener_(listen_tcp(path_of(stream, "tzc", publisher))) {}
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
     const auto until = std::chrono::steady_clock::now() + patience;
@@ -247,7 +199,7 @@ class TzcSender final : public Sender {
       const int fd = accept4(listener_.get(), nullptr, nullptr, SOCK_CLOEXEC);
       if (fd >= 0) {
         subscribers_.emplace_back(fd);
-        set_no_delay(fd);
+        set(fd, IPPROTO_TCP, TCP_NODELAY, 1);
         continue;
       }
       if (errno != EAGAIN && errno != EINTR && errno != ECONNABORTED) fail("accept");
@@ -369,7 +321,7 @@ class TzcReceiver final : public Receiver {
  private:
   /// False: no notice was there. Calls the handler unless the message has gone.
   bool take(Connection& from, const Handler& handler) {
-    while (from.socket.is_open() && from.read()) {
+    while (from.socket && from.read()) {
       const Notice notice = from.take();
       if (notice.handle >= segment_.size() || notice.length != stream_.size) {
         throw std::runtime_error("tzc: what came is no notice of this stream");
@@ -390,7 +342,7 @@ class TzcReceiver final : public Receiver {
     if (to_find_ != 0) most = std::min<std::chrono::nanoseconds>(most, kLookAgain);
     polled_.clear();
     for (const Connection& c : connections_) {
-      if (c.socket.is_open()) polled_.push_back({c.socket.get(), POLLIN, 0});
+      if (c.socket) polled_.push_back({c.socket.get(), POLLIN, 0});
     }
     const timespec limit{static_cast<time_t>(most / 1s), static_cast<long>((most % 1s).count())};
     ppoll(polled_.data(), polled_.size(), &limit, nullptr);
@@ -410,17 +362,9 @@ class TzcReceiver final : public Receiver {
     }
   }
   bool connect_to(unsigned publisher) {
-    std::uint16_t port = 0;
-    if (!(std::ifstream(port_file(stream_, publisher)) >> port)) return false;
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_port = htons(port);
-    inet_pton(AF_INET, stream_.address[publisher][subscriber_].c_str(), &address.sin_addr);
-    Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
-    if (!fd.is_open() ||
-        connect(fd.get(), reinterpret_cast<sockaddr*>(&address), sizeof address) != 0) {
-      return false;
-    }
+    Descriptor fd = connect_tcp(path_of(stream_, "tzc", publisher),
+                                ipv4(stream_.address[publisher][subscriber_]));
+    if (!fd) return false;
     found_[publisher].store(fd.release(), std::memory_order_release);
     return true;
   }
