@@ -13,21 +13,17 @@
 namespace ab {
 
 const char* const kCompareRule =
-    "Ratios are B/A, of the time per message (ping-pong, throughput) or of the latency from fill "
-    "to\n"
-    "callback (paced), with 95 % intervals from a bootstrap of whole blocks. A machine's own drift "
-    "is\n"
-    "that of a floor in the same cells: floor-spin when waiting by spinning, else floor-futex.\n"
-    "Beyond noise, so slower, is a median whose ratio relative to the floor's own lies above 1.05 "
-    "with\n"
-    "its whole interval and whose plain ratio lies above 1 with its whole interval; or a p99 (from "
-    "1000\n"
-    "messages on) of which the same holds with 1.25 in place of 1.05. Faster is the converse. "
-    "Without\n"
-    "a floor the plain ratio must pass both, between two machines the relative one alone; with "
-    "fewer\n"
-    "than 4 blocks nothing is beyond noise.\n"
-    "Exit status: 0 same or faster, 1 something is slower, 2 nothing could be compared.\n";
+    "Ratios are B/A, of the time per message (ping-pong, throughput) or of the latency from fill\n"
+    "to callback (paced), with 95 % intervals from a bootstrap of whole blocks. A machine's own\n"
+    "drift is that of a floor in the same cells: floor-spin when waiting by spinning, else\n"
+    "floor-futex.\n"
+    "Beyond noise, so slower, is a median whose ratio relative to the floor's own lies above 1.05\n"
+    "with its whole interval and whose plain ratio lies above 1 with its whole interval; or a p99\n"
+    "(from 1000 messages on) of which the same holds with 1.25 in place of 1.05. Faster is the\n"
+    "converse. Without a floor the plain ratio must pass both, between two machines the relative\n"
+    "one alone; with fewer than 4 blocks nothing is beyond noise.\n"
+    "Exit status: 0 same or faster, 1 something is slower, 2 bad use, 3 nothing in common that\n"
+    "could be compared, 4 something went wrong (a run that cannot be read).\n";
 
 namespace {
 
@@ -184,7 +180,7 @@ int compare(std::ostream& out, const Run& a, const Run& b) {
   }
   if (arms == 0) {
     out << "\nThe runs have nothing in common that could be compared.\n";
-    return 2;
+    return kNothingInCommon;
   }
   out << "\n" << arms << " compared: " << slower << " slower, " << faster << " faster.\n";
   return slower == 0 ? 0 : 1;

@@ -441,12 +441,19 @@ void add(const Run& run, const fs::path& dir) {
   save_with(std::move(old.at("cells")), run, dir);
 }
 
-std::vector<Conditions> saved_cells(const fs::path& dir) {
-  std::vector<Conditions> cells;
+std::vector<CellArms> saved_cells(const fs::path& dir) {
+  std::vector<CellArms> cells;
   const fs::path file = dir / "run.json";
   if (!fs::exists(file)) return cells;
   const Json json = read_run(file);
-  for (const Json& cell : json.at("cells")) cells.push_back(conditions_of(cell.at("conditions")));
+  for (const Json& cell : json.at("cells")) {
+    CellArms saved{conditions_of(cell.at("conditions")), {}};
+    for (const Json& arm : cell.at("arms")) {
+      if (!has_failed(arm.at("refused").get<std::string>()))
+        saved.arms.push_back(arm.at("transport"));
+    }
+    cells.push_back(std::move(saved));
+  }
   return cells;
 }
 

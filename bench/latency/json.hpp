@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "result.hpp"
+#include "resume.hpp"
 
 /// Keeps runs: DIR/run.json with all but the samples, and what they come to (statistics in us,
 /// ratios); DIR/raw/ with the samples, one CSV file for each stream and subscriber.
@@ -27,9 +28,9 @@ void save(const Run&, const std::filesystem::path& dir);
 /// whose run is of a machine with another CPU, number of cores or kernel.
 void add(const Run&, const std::filesystem::path& dir);
 
-/// The conditions of the cells in `dir`: what a run that is taken up again need not measure. None
-/// if there is no run.
-std::vector<Conditions> saved_cells(const std::filesystem::path& dir);
+/// The cells in `dir`, with the names of those of their arms that did not fail (what was refused
+/// did not: it would be again). None if there is no run.
+std::vector<CellArms> saved_cells(const std::filesystem::path& dir);
 
 /// `path`: a run.json, or the directory with it.
 Run load(const std::filesystem::path& path);

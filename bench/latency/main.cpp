@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <csignal>
 #include <cstdio>
 #include <exception>
 #include <filesystem>
 #include <iostream>
-#include <optional>
 #include <stdexcept>
 #include <string>
 #include <unistd.h>
@@ -21,6 +21,7 @@
 #include "json.hpp"
 #include "machine.hpp"
 #include "report.hpp"
+#include "resume.hpp"
 #include "transport.hpp"
 
 #ifndef LOT_AB_REVISION
@@ -31,7 +32,10 @@ namespace {
 
 using namespace ab;
 
-constexpr int kBadUse = 2;
+// Exit statuses besides 0 and 128 + a signal. compare has kNothingInCommon, too (compare.hpp).
+constexpr int kFailed = 1;   ///< of what was measured something is wrong
+constexpr int kBadUse = 2;   ///< std::invalid_argument, and what CLI11 refuses
+constexpr int kTrouble = 4;  ///< a file, the system, or a mistake of this program
 
 std::atomic<int> signalled{0};
 
@@ -50,7 +54,8 @@ struct Choice {
   bool profile = false;
   std::uint64_t seed = 1;
   std::string out;
-  bool resume = false;
+  SavedPolicy saved;
+  bool dry_run = false;
   bool per_subscriber = false;
   std::string stamp = "fill";
 };
@@ -130,51 +135,122 @@ Run header(int argc, char** argv, std::uint64_t seed) {
   return run;
 }
 
-int run(const Choice& choice, const Run& about) {
+/// The cells that a run of this choice measures, with all arms that each wants.
+std::vector<CellArms> plan(const Choice& choice) {
   const std::vector<std::string> names =
       choice.transports.empty() ? every_transport() : choice.transports;
   check(names);
-  std::vector<Conditions> wanted = cells(choice);
-  for (const Conditions& c : wanted) {
+  std::vector<CellArms> wanted;
+  for (const Conditions& c : cells(choice)) {
     if (const std::string why = refused(c); !why.empty()) throw std::invalid_argument(why);
-  }
-  if (choice.resume) {
-    const std::vector<Conditions> saved = saved_cells(choice.out);
-    const auto is_saved = [&](const Conditions& c) {
-      return std::find(saved.begin(), saved.end(), c) != saved.end();
+    CellArms cell{c, {}};
+    const auto add = [&](const std::vector<std::string>& some) {
+      for (const std::string& name : some) {
+        const bool is_there =
+            std::find(cell.arms.begin(), cell.arms.end(), name) != cell.arms.end();
+        if (!is_there) cell.arms.push_back(name);
+      }
     };
-    wanted.erase(std::remove_if(wanted.begin(), wanted.end(), is_saved), wanted.end());
+    add(names);
+    if (!choice.no_floors) add(floors_of(c));
+    wanted.push_back(std::move(cell));
+  }
+  if (choice.out.empty()) return wanted;
+  return to_measure(wanted, saved_cells(choice.out), choice.saved);
+}
+
+/// What is known of it before it runs: its pace. Starting and ending come on top.
+std::string time_word(const std::vector<CellArms>& cells) {
+  double seconds = 0;
+  std::size_t unpaced = 0;
+  for (const CellArms& cell : cells) {
+    const Conditions& c = cell.conditions;
+    if (c.mode != "paced") {
+      ++unpaced;
+      continue;
+    }
+    const Topic first = topics(c).front();
+    double each = static_cast<double>(c.messages) / first.rate_hz;
+    if (c.ordered) each += 2.0 * first.subscribers;
+    seconds += each * static_cast<double>(cell.arms.size());
+  }
+  std::string word = std::to_string(cells.size()) + (cells.size() == 1 ? " cell" : " cells");
+  if (unpaced < cells.size()) {
+    const auto whole = static_cast<std::uint64_t>(std::ceil(seconds));
+    word +=
+        ", at least " + std::to_string(whole / 60) + " min " + std::to_string(whole % 60) + " s";
+  }
+  if (unpaced > 0) {
+    word += "; of " + std::to_string(unpaced) + " that " + (unpaced == 1 ? "is" : "are") +
+            " not paced nobody knows how long";
+  }
+  return word;
+}
+
+void print_plan(const std::vector<CellArms>& cells) {
+  for (const CellArms& cell : cells) {
+    std::cout << title_of(cell.conditions) << "\n ";
+    for (const std::string& name : cell.arms) std::cout << " " << name;
+    std::cout << "\n";
+  }
+  std::cout << time_word(cells) << "\n";
+}
+
+/// One line that changes on a terminal; elsewhere a line for each cell.
+class Progress {
+ public:
+  explicit Progress(std::size_t cells) : cells_(cells) {}
+  void begin(std::size_t cell, const Conditions& conditions) {
+    where_ = "[" + std::to_string(cell + 1) + "/" + std::to_string(cells_) + "] ";
+    if (!lively_) std::cerr << where_ << title_of(conditions) << std::endl;
+  }
+  void say(const std::string& text) const {
+    if (lively_) std::cerr << "\r\033[K" << where_ << text << std::flush;
+  }
+  void end() const {
+    if (lively_) std::cerr << "\r\033[K";
+  }
+
+ private:
+  std::size_t cells_;
+  std::string where_;
+  bool lively_ = isatty(STDERR_FILENO) != 0;
+};
+
+int run(const Choice& choice, const Run& about) {
+  const std::vector<CellArms> wanted = plan(choice);
+  if (choice.dry_run) {
+    print_plan(wanted);
+    return 0;
   }
   for (const Missing& missing : missing_transports()) {
     if (choice.transports.empty()) std::cout << missing.name << " " << missing.why << "\n";
   }
+  std::cerr << time_word(wanted) << std::endl;
   const Workplace workplace;
   for (const int s : {SIGINT, SIGTERM, SIGHUP}) std::signal(s, [](int n) { signalled = n; });
   std::signal(SIGPIPE, SIG_IGN);
-  const bool lively = isatty(STDERR_FILENO) != 0;
+  Progress progress(wanted.size());
   int status = 0;
   for (std::size_t i = 0; i < wanted.size(); ++i) {
     CellOptions options;
-    options.conditions = wanted[i];
-    options.transports = names;
-    options.floors = !choice.no_floors;
+    options.conditions = wanted[i].conditions;
+    options.transports = wanted[i].arms;
+    options.floors = false;  // they are among the arms
     options.profile = choice.profile;
     options.seed = choice.seed + i;
-    const std::string where = "[" + std::to_string(i + 1) + "/" + std::to_string(wanted.size()) + "] ";
+    progress.begin(i, options.conditions);
     const Cell cell = run_cell(
-        options, workplace,
-        [&](const std::string& text) {
-          if (lively) std::cerr << "\r\033[K" << where << text << std::flush;
-        },
+        options, workplace, [&](const std::string& text) { progress.say(text); },
         [] { return signalled != 0; });
-    if (lively) std::cerr << "\r\033[K";
+    progress.end();
     if (signalled != 0) break;
     print(std::cout, cell, report_options(choice));
     std::cout << std::endl;
     for (const Arm& arm : cell.arms) {
-      if (arm.refused.rfind("failed: ", 0) == 0) status = 1;
+      if (has_failed(arm.refused)) status = kFailed;
     }
-    if (!counts_add_up(cell)) status = 1;
+    if (!counts_add_up(cell)) status = kFailed;
     if (choice.out.empty()) continue;
     Run one = about;
     one.complete = i + 1 == wanted.size();
@@ -188,72 +264,120 @@ int run(const Choice& choice, const Run& about) {
   return status;
 }
 
+int show(const Choice& choice, const std::string& dir) {
+  const Run saved = load(dir);
+  print(std::cout, saved, report_options(choice));
+  return std::all_of(saved.cells.begin(), saved.cells.end(), counts_add_up) ? 0 : kFailed;
+}
+
 void list() {
-  for (const Transport& t : transports()) std::printf("%-12s  %s\n", t.name.c_str(), t.about.c_str());
+  for (const Transport& t : transports())
+    std::printf("%-12s  %s\n", t.name.c_str(), t.about.c_str());
   for (const Missing& m : missing_transports()) {
     std::printf("%-12s  (%s)\n", m.name.c_str(), m.why.c_str());
   }
+}
+
+void add_report_options(CLI::App& app, Choice& choice, const char* group) {
+  app.add_flag("--per-subscriber", choice.per_subscriber, "a row for each subscriber")
+      ->group(group);
+  app.add_option("--stamp", choice.stamp,
+                 "latency of the tables counts from: loan (before its memory is asked for), fill "
+                 "(after it is filled, as the paper), push; files have all three")
+      ->check(CLI::IsMember({"loan", "fill", "push"}))
+      ->group(group)
+      ->capture_default_str();
 }
 
 void add_options(CLI::App& app, Choice& choice) {
   const char* const what = "What is measured";
   app.add_option("-t,--transports", choice.transports,
                  "names, with commas (lot_ab list); default: all. Floors are added")
-      ->delimiter(',')->group(what);
+      ->delimiter(',')
+      ->group(what);
   app.add_option("-m,--mode", choice.modes, "paced, ping-pong, throughput")
-      ->delimiter(',')->group(what)->capture_default_str();
+      ->delimiter(',')
+      ->group(what)
+      ->capture_default_str();
   app.add_option("-g,--graph", choice.graphs,
                  "NpMs: N publishers and M subscribers of one topic; av: the paper's vehicle; "
                  "av-quiet: the same without its cameras")
-      ->delimiter(',')->group(what)->capture_default_str();
+      ->delimiter(',')
+      ->group(what)
+      ->capture_default_str();
   app.add_option("-s,--size", choice.sizes, "bytes of a message: 128, 64K, 16M")
-      ->delimiter(',')->group(what)->transform(CLI::AsSizeValue(false));
+      ->delimiter(',')
+      ->group(what)
+      ->transform(CLI::AsSizeValue(false));
   app.add_option("-n,--messages", choice.rest.messages, "of each publisher")
-      ->group(what)->capture_default_str();
+      ->group(what)
+      ->capture_default_str();
   app.add_option("-r,--rate", choice.rest.rate_hz, "of each publisher when paced, in Hz")
-      ->group(what)->capture_default_str();
-  app.add_option("--block", choice.rest.block, "messages after which the next transport has its turn")
-      ->group(what)->capture_default_str();
+      ->group(what)
+      ->capture_default_str();
+  app.add_option("--block", choice.rest.block,
+                 "messages after which the next transport has its turn")
+      ->group(what)
+      ->capture_default_str();
 
   const char* const conditions = "Under which conditions";
   app.add_option("-w,--wait", choice.waits, "spin, adaptive, park")
-      ->delimiter(',')->group(conditions)->capture_default_str();
+      ->delimiter(',')
+      ->group(conditions)
+      ->capture_default_str();
   app.add_option("--pin", choice.pins, "none, same-core, other-core, socket, other-socket")
-      ->delimiter(',')->group(conditions)->capture_default_str();
-  app.add_option("--place", choice.places,
-                 "host; container: all nodes in one; containers: each in one of its own (bubblewrap; "
-                 "TCP and UDP over veth, which needs root)")
-      ->delimiter(',')->group(conditions)->capture_default_str();
+      ->delimiter(',')
+      ->group(conditions)
+      ->capture_default_str();
+  app.add_option(
+         "--place", choice.places,
+         "host; container: all nodes in one; containers: each in one of its own (bubblewrap; "
+         "TCP and UDP over veth, which needs root)")
+      ->delimiter(',')
+      ->group(conditions)
+      ->capture_default_str();
   app.add_option("--pool", choice.rest.pool,
                  "messages that a publisher prepares and uses again; 0: makes each anew")
-      ->group(conditions)->capture_default_str();
+      ->group(conditions)
+      ->capture_default_str();
   app.add_option("--depth", choice.rest.depth, "messages that wait for a slow subscriber")
-      ->group(conditions)->capture_default_str();
+      ->group(conditions)
+      ->capture_default_str();
   app.add_option("--lossless", choice.lossless,
                  "publishers wait for slow subscribers: yes, no; auto: for throughput")
-      ->check(CLI::IsMember({"auto", "yes", "no"}))->group(conditions)->capture_default_str();
-  app.add_option("--fill", choice.fill,
-                 "every byte of a message is written before it is pushed: yes, no; auto: when paced")
-      ->check(CLI::IsMember({"auto", "yes", "no"}))->group(conditions)->capture_default_str();
+      ->check(CLI::IsMember({"auto", "yes", "no"}))
+      ->group(conditions)
+      ->capture_default_str();
+  app.add_option(
+         "--fill", choice.fill,
+         "every byte of a message is written before it is pushed: yes, no; auto: when paced")
+      ->check(CLI::IsMember({"auto", "yes", "no"}))
+      ->group(conditions)
+      ->capture_default_str();
   app.add_flag("--ordered", choice.rest.ordered, "subscriber k comes k x 2 s after the publishers")
       ->group(conditions);
   app.add_flag("--no-floors", choice.no_floors, "adds no floors")->group(conditions);
   app.add_flag("--profile", choice.profile, "processor time over time, and where it goes (SIGPROF)")
       ->group(conditions);
   app.add_option("--seed", choice.seed, "of the order of turns")
-      ->group(conditions)->capture_default_str();
+      ->group(conditions)
+      ->capture_default_str();
 
   const char* const output = "What comes out";
-  auto* const out =
-      app.add_option("-o,--out", choice.out, "directory for run.json and raw/; cells are added to it")
-          ->group(output);
-  app.add_flag("--resume", choice.resume, "leaves out the cells that --out has already")
-      ->needs(out)->group(output);
-  app.add_flag("--per-subscriber", choice.per_subscriber, "a row for each subscriber")->group(output);
-  app.add_option("--stamp", choice.stamp,
-                 "latency of the tables counts from: loan (before its memory is asked for), fill (after "
-                 "it is filled, as the paper), push; files have all three")
-      ->check(CLI::IsMember({"loan", "fill", "push"}))->group(output)->capture_default_str();
+  auto* const out = app.add_option("-o,--out", choice.out,
+                                   "directory for run.json and raw/; cells are added to it")
+                        ->group(output);
+  app.add_flag("--resume", choice.saved.resume,
+               "leaves out the cells of which --out has all that is wanted")
+      ->needs(out)
+      ->group(output);
+  app.add_flag("--replace", choice.saved.replace,
+               "replaces cells that --out has already; else a run that would do so is refused")
+      ->needs(out)
+      ->group(output);
+  app.add_flag("--dry-run", choice.dry_run, "says what would be measured, and how long it takes")
+      ->group(output);
+  add_report_options(app, choice, output);
 }
 
 }  // namespace
@@ -270,24 +394,31 @@ int main(int argc, char** argv) {
   }
 
   CLI::App app(
-      "Compares ways to move messages between processes, under equal conditions: all transports are "
+      "Compares ways to move messages between processes, under equal conditions: all transports "
+      "are "
       "started, then take turns, together with the floors that nobody can beat.\n"
-      "Exit status: 0; 1 if a transport failed or messages do not add up; 2 for bad use.");
-  app.footer("Every combination of the lists is a cell. Example:\n"
-             "  lot_ab -t ring,tcp -s 128,1M,16M -g 1p1s,1p5s -n 500 -o results\n"
-             "  lot_ab plot results");
+      "Exit status: 0; 1 if a transport failed or messages do not add up; 2 for bad use; 4 for "
+      "what "
+      "else went wrong (a file that cannot be read or written); 128 and a signal's number.");
+  app.footer(
+      "Every combination of the lists is a cell. Example:\n"
+      "  lot_ab -t ring,tcp -s 128,1M,16M -g 1p1s,1p5s -n 500 -o results\n"
+      "  lot_ab plot results");
   app.require_subcommand(0, 1);
   Choice choice;
   add_options(app, choice);
   auto* const listing = app.add_subcommand("list", "says which transports there are");
-  auto* const plot = app.add_subcommand("plot", "draws the paper's figures from saved cells");
-  std::string dir;
-  plot->add_option("DIR", dir, "what --out named")->required();
-  auto* const comparing = app.add_subcommand("compare", kCompareRule);
+  const std::string a_run = "a run.json, or its directory";
   std::string a;
   std::string b;
-  comparing->add_option("A", a, "a run.json, or its directory")->required();
-  comparing->add_option("B", b, "the other one")->required();
+  auto* const showing = app.add_subcommand("show", "prints the tables of saved cells");
+  showing->add_option("DIR", a, a_run)->required()->check(CLI::ExistingPath);
+  add_report_options(*showing, choice, "Options");
+  auto* const plot = app.add_subcommand("plot", "draws the paper's figures from saved cells");
+  plot->add_option("DIR", a, "what --out named")->required()->check(CLI::ExistingDirectory);
+  auto* const comparing = app.add_subcommand("compare", kCompareRule);
+  comparing->add_option("A", a, a_run)->required()->check(CLI::ExistingPath);
+  comparing->add_option("B", b, "the other one")->required()->check(CLI::ExistingPath);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
@@ -298,14 +429,18 @@ int main(int argc, char** argv) {
       list();
       return 0;
     }
+    if (*showing) return show(choice, a);
     if (*plot) {
-      for (const std::string& line : draw(load(dir), dir)) std::cout << line << "\n";
+      for (const std::string& line : draw(load(a), a)) std::cout << line << "\n";
       return 0;
     }
     if (*comparing) return compare(std::cout, load(a), load(b));
     return run(choice, header(argc, argv, choice.seed));
-  } catch (const std::exception& e) {
+  } catch (const std::invalid_argument& e) {
     std::cerr << "lot_ab: " << e.what() << "\n";
     return kBadUse;
+  } catch (const std::exception& e) {
+    std::cerr << "lot_ab: " << e.what() << "\n";
+    return kTrouble;
   }
 }

@@ -2,7 +2,9 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <string_view>
+#include <vector>
 
 #include "result.hpp"
 #include "statistics.hpp"
@@ -49,8 +51,13 @@ double messages_per_second(const StreamResult&);  ///< the median block's; 0: no
 const Arm* find(const Cell&, std::string_view transport);
 const StreamResult* find(const Cell&, std::string_view transport, std::string_view stream);
 
+/// Of Arm::refused: it ran, and failed; conditions that it cannot have are no failure.
+bool has_failed(std::string_view refused);
+
 inline constexpr const char* kFloorSpin = "floor-spin";
 inline constexpr const char* kFloorFutex = "floor-futex";
 inline constexpr const char* kFloorPace = "floor-pace";
+/// The floors that a cell of these conditions has, unless it is to have none.
+std::vector<std::string> floors_of(const Conditions&);
 
 }  // namespace ab

@@ -105,7 +105,6 @@ TEST_SUITE("lot_ab json") {
 
   TEST_CASE("adding replaces the cell of equal conditions and keeps the others") {
     const TemporaryDirectory dir;
-    CHECK(saved_cells(dir.path()).empty());
     const Cell small = cell_of(128, 10'000);
     const Cell large = cell_of(4096, 40'000);
     const Cell again = cell_of(128, 20'000);
@@ -119,9 +118,20 @@ TEST_SUITE("lot_ab json") {
     const Run all = load(dir.path());
     CHECK(all.cells == std::vector<Cell>{again, large});
     CHECK(all.revision == "new");
-    CHECK(saved_cells(dir.path()) == std::vector<Conditions>{again.conditions, large.conditions});
     CHECK(files_in(dir.path() / "raw") == files);  // what no cell names any more is gone
     CHECK(files_in(dir.path()) == 2);
+  }
+
+  TEST_CASE("a saved cell has the arms that did not fail") {
+    const TemporaryDirectory dir;
+    CHECK(saved_cells(dir.path()).empty());
+    Cell cell = cell_of(128, 10'000);
+    cell.arms.resize(3);
+    cell.arms[0].refused = "failed: publisher 0: ended";
+    cell.arms[1].refused = "cannot be had here";
+    add(run_of({cell}), dir.path());
+    CHECK(saved_cells(dir.path()) ==
+          std::vector<CellArms>{{cell.conditions, {"tcp", "floor-spin"}}});
   }
 
   TEST_CASE("another machine's run is not added to") {

@@ -76,6 +76,20 @@ TEST_SUITE("lot_ab measures") {
     CHECK(costs(StreamResult{}).publisher.cpu_us == 0);
   }
 
+  TEST_CASE("a cell has the floors that wait as its arms do, and pacing where it is paced") {
+    using Names = std::vector<std::string>;
+    Conditions conditions;
+    CHECK(floors_of(conditions) == Names{kFloorFutex, kFloorPace});
+    conditions.wait = "spin";
+    CHECK(floors_of(conditions) == Names{kFloorSpin, kFloorPace});
+    conditions.wait = "adaptive";
+    conditions.mode = "throughput";
+    CHECK(floors_of(conditions) == Names{kFloorSpin, kFloorFutex});
+    CHECK(has_failed("failed: hangs"));
+    CHECK_FALSE(has_failed(""));
+    CHECK_FALSE(has_failed("its nodes share one process"));
+  }
+
   TEST_CASE("an arm that did not run is not found") {
     Cell cell;
     cell.arms = {arm_of("ring", stream_of({}, always(1))), arm_of("udp", {})};

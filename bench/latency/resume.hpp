@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "result.hpp"
+
+/// What a run need not measure again, and what it must not replace unasked.
+namespace ab {
+
+/// A cell by what it is: its conditions, and the names of its arms.
+struct CellArms {
+  Conditions conditions;
+  std::vector<std::string> arms;
+  bool operator==(const CellArms&) const = default;
+};
+
+/// What becomes of cells that are wanted and saved already.
+struct SavedPolicy {
+  bool resume = false;   ///< those that have all wanted arms are left out
+  bool replace = false;  ///< what a cell has may go
+};
+
+/// The cells of `wanted` that are to be measured, in their order. Throws std::invalid_argument,
+/// with the ways out, if one of them would take the place of a saved cell that loses something by
+/// it: with `resume` arms that are not wanted, else anything.
+std::vector<CellArms> to_measure(const std::vector<CellArms>& wanted,
+                                 const std::vector<CellArms>& saved, const SavedPolicy& policy);
+
+}  // namespace ab
