@@ -90,26 +90,22 @@ class Comparison {
   }
 
  private:
-  /// A block's time says nothing of its slowest message; in ping-pong these have latencies, too.
-  Blocks tails(const StreamResult& stream) const {
-    return a_.conditions.mode == "ping-pong" ? latencies(stream, Stamp::Fill) : compared(stream);
-  }
   static std::size_t count(const Blocks& blocks) { return summarise(blocks).count; }
 
   Verdict one(const Arm& arm, const StreamResult& before, const StreamResult& after) {
-    const Blocks a = compared(before);
-    const Blocks b = compared(after);
+    const Blocks a = compared(before, Stamp::Fill);
+    const Blocks b = compared(after, Stamp::Fill);
     const StreamResult* floor_a = find(a_, floor_, before.name);
     const StreamResult* floor_b = find(b_, floor_, after.name);
     const bool has_floor = floor_a != nullptr && floor_b != nullptr;
     // Without a floor: as if it were always the same.
     const Blocks constant_a(a.size(), {1.0});
     const Blocks constant_b(b.size(), {1.0});
-    const Blocks below_a = has_floor ? compared(*floor_a) : constant_a;
-    const Blocks below_b = has_floor ? compared(*floor_b) : constant_b;
+    const Blocks below_a = has_floor ? compared(*floor_a, Stamp::Fill) : constant_a;
+    const Blocks below_b = has_floor ? compared(*floor_b, Stamp::Fill) : constant_b;
     const auto median = change_of_quantiles(a, below_a, b, below_b, 0.5);
-    const Blocks tail_a = tails(before);
-    const Blocks tail_b = tails(after);
+    const Blocks tail_a = compared_tails(a_.conditions, before, Stamp::Fill);
+    const Blocks tail_b = compared_tails(b_.conditions, after, Stamp::Fill);
     const auto p99 = change_of_quantiles(tail_a, below_a, tail_b, below_b, 0.99);
     const Summary of_a = summarise(a);
     const Summary of_b = summarise(b);

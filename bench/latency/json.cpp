@@ -235,24 +235,52 @@ Json to_json(const Costs& costs) {
   return {{"publisher", to_json(costs.publisher)}, {"subscriber", to_json(costs.subscriber)}};
 }
 
-Json derived(const Cell& cell, const StreamResult& stream) {
+Json to_json(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
+
+/// The names of what arms are compared by, each with a stamp.
+std::vector<std::pair<std::string, Stamp>> measures_of(bool timed) {
+  if (timed) return {{"us_per_message", Stamp::Fill}};  // the same from each stamp
+  std::vector<std::pair<std::string, Stamp>> names;
+  for (const Stamp stamp : kStamps)
+    names.emplace_back(std::string("from_") + name_of(stamp), stamp);
+  return names;
+}
+
+/// Ratios to another arm's stream, and how likely none of them means anything.
+Json beside(const Conditions& conditions, const StreamResult& own, const StreamResult& other) {
+  Json json{{"median", Json::object()}, {"p99", Json::object()}, {"rank_p", Json::object()}};
+  for (const auto& [name, stamp] : measures_of(!own.blocks.empty())) {
+    const Blocks a = compared(own, stamp);
+    const Blocks b = compared(other, stamp);
+    json["median"][name] = to_json(ratio_of_quantiles(a, b, 0.5));
+    json["rank_p"][name] = to_json(p_of_block_medians(a, b));
+  }
+  const bool by_blocks = !own.blocks.empty() && conditions.mode != "ping-pong";
+  for (const auto& [name, stamp] : measures_of(by_blocks)) {
+    json["p99"][name] = to_json(ratio_of_quantiles(compared_tails(conditions, own, stamp),
+                                                   compared_tails(conditions, other, stamp), 0.99));
+  }
+  const Blocks gaps = fairness_gaps(own);
+  if (!gaps.empty()) {
+    json["fairness_gap"] = to_json(ratio_of_quantiles(gaps, fairness_gaps(other), 0.5));
+  }
+  return json;
+}
+
+Json derived(const Cell& cell, const Arm& arm, const StreamResult& stream) {
   Json json{{"latency_us", latencies_of(stream)}};
   if (!stream.blocks.empty()) {
     json["us_per_message"] = to_json(summarise(times_per_message(stream)));
     json["messages_per_second"] = messages_per_second(stream);
   }
-  const Blocks own = compared(stream);
-  const Blocks gaps = fairness_gaps(stream);
-  for (const char* floor : {kFloorSpin, kFloorFutex}) {
-    const StreamResult* bound = find(cell, floor, stream.name);
-    if (bound == nullptr) continue;
-    const std::string name = std::string("to_") + floor;
-    json[name] = to_json(ratio_of_quantiles(own, compared(*bound), 0.5));
-    json[name + "_p99"] = to_json(ratio_of_quantiles(own, compared(*bound), 0.99));
-    if (!gaps.empty()) {
-      json["gap_" + name] = to_json(ratio_of_quantiles(gaps, fairness_gaps(*bound), 0.5));
+  if (arm.transport != kFloorPace) {  // it has nothing to compare
+    for (const char* other : {kRing, kFloorSpin, kFloorFutex}) {
+      const StreamResult* result = find(cell, other, stream.name);
+      if (result == nullptr || arm.transport == other) continue;
+      json["to_" + std::string(other)] = beside(cell.conditions, stream, *result);
     }
   }
+  const Blocks gaps = fairness_gaps(stream);
   if (!gaps.empty()) json["fairness_gap_us"] = to_json(summarise(gaps));
   json["per_message"] = to_json(costs(stream));
   if (const StreamResult* pace = find(cell, kFloorPace, stream.name)) {
@@ -298,7 +326,7 @@ Json to_json(const Cell& cell, const fs::path& dir) {
         one["blocks"].push_back(
             {{"block", block.block}, {"messages", block.messages}, {"took_ns", block.took}});
       }
-      one["all"] = derived(cell, stream);
+      one["all"] = derived(cell, arm, stream);
       streams.push_back(std::move(one));
     }
     Json utilisation = Json::array();

@@ -16,6 +16,10 @@
 /// all raw files are there, names those that belong to it, and others are removed after that. So
 /// who is killed here leaves what was there before, and at most some files too many.
 ///
+/// Of each stream "all" has what its subscribers come to together: to_ring, to_floor-spin and
+/// to_floor-futex are ratios (median, p99, fairness_gap: the gap's median) with their 95 %
+/// intervals, from each stamp or by whole blocks, and rank_p, the rank test's p of block medians.
+///
 /// Errors: std::runtime_error with the file's name, and std::filesystem::filesystem_error.
 /// Threads and processes: one writer to a directory at a time.
 namespace ab {

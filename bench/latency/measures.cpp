@@ -73,9 +73,14 @@ Blocks times_per_message(const StreamResult& stream) {
   return in_order(std::move(by_block));
 }
 
-Blocks compared(const StreamResult& stream) {
+Blocks compared(const StreamResult& stream, Stamp stamp) {
   Blocks times = times_per_message(stream);
-  return times.empty() ? latencies(stream, Stamp::Fill) : times;
+  return times.empty() ? latencies(stream, stamp) : times;
+}
+
+Blocks compared_tails(const Conditions& conditions, const StreamResult& stream, Stamp stamp) {
+  if (conditions.mode == "ping-pong") return latencies(stream, stamp);
+  return compared(stream, stamp);
 }
 
 Blocks fairness_gaps(const StreamResult& stream) {

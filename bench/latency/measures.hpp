@@ -22,8 +22,11 @@ Blocks latencies(const StreamResult&, Stamp);  ///< of all its subscribers toget
 /// Time per message, one value a block: of ping-pong and throughput.
 Blocks times_per_message(const StreamResult&);
 /// What arms are compared by: time per message where blocks were timed as a whole (no clock is read
-/// between their messages), else the latency from Stamp::Fill.
-Blocks compared(const StreamResult&);
+/// between their messages), else the latency from that stamp.
+Blocks compared(const StreamResult&, Stamp);
+/// What their tails are compared by. A block's time says nothing of its slowest message; in
+/// ping-pong messages have latencies, too, and these are it.
+Blocks compared_tails(const Conditions&, const StreamResult&, Stamp);
 /// Of each message that all subscribers got: last entry less first. None with one subscriber.
 Blocks fairness_gaps(const StreamResult&);
 
@@ -54,6 +57,7 @@ const StreamResult* find(const Cell&, std::string_view transport, std::string_vi
 /// Of Arm::refused: it ran, and failed; conditions that it cannot have are no failure.
 bool has_failed(std::string_view refused);
 
+inline constexpr const char* kRing = "ring";  ///< what others are beside
 inline constexpr const char* kFloorSpin = "floor-spin";
 inline constexpr const char* kFloorFutex = "floor-futex";
 inline constexpr const char* kFloorPace = "floor-pace";

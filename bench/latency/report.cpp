@@ -85,7 +85,7 @@ void complain(std::ostream& out, const Cell& cell) {
   }
 }
 
-// ---- the two tables of a cell -------------------------------------------------------------------
+// ---- the tables of a cell -----------------------------------------------------------------------
 
 std::string row_name(const Arm& arm, const StreamResult& stream) {
   return stream.name.empty() ? arm.transport : arm.transport + " " + stream.name;
@@ -97,35 +97,39 @@ struct Counts {
   std::uint64_t lost = 0;
 };
 
-void add_arrival(Table& table, const std::string& name, const std::string& due,
-                 const Counts& counts, const Blocks& middle, const Blocks& tail,
-                 const Blocks& ratio_of, const Cell& cell, const std::string& stream) {
-  std::vector<std::string> row{name, due, std::to_string(counts.received),
-                               std::to_string(counts.missed), std::to_string(counts.lost)};
-  const Summary typical = summarise(middle);
-  const Summary worst = summarise(tail);
-  row.push_back(typical.count == 0 ? "-" : number(typical.median));
-  row.push_back(worst.count == 0 ? "-" : number(worst.p99));
-  row.push_back(worst.count == 0 ? "-" : number(worst.max));
-  for (const char* floor : {kFloorSpin, kFloorFutex}) {
-    const StreamResult* bound = find(cell, floor, stream);
-    row.push_back(
-        bound == nullptr ? "-" : ratio_word(ratio_of_quantiles(ratio_of, compared(*bound), 0.5)));
-  }
-  table.add(std::move(row));
-}
+/// What a row of arrivals is made of.
+struct Arrival {
+  std::string name;
+  std::string due;
+  Counts counts;
+  Blocks middle;  ///< for the median, and ratios of it
+  Blocks tail;
+};
 
 void print_arrivals(std::ostream& out, const Cell& cell, const ReportOptions& options) {
-  // A block's time says nothing of its slowest message; in ping-pong these have latencies, too.
-  const bool is_ping_pong = cell.conditions.mode == "ping-pong";
   Table table(
       {"us", "sent", "received", "missed", "lost", "median", "p99", "max", "x spin", "x futex"});
+  const auto add = [&](const Arrival& arrival, const std::string& stream) {
+    std::vector<std::string> row{arrival.name, arrival.due, std::to_string(arrival.counts.received),
+                                 std::to_string(arrival.counts.missed),
+                                 std::to_string(arrival.counts.lost)};
+    const Summary typical = summarise(arrival.middle);
+    const Summary worst = summarise(arrival.tail);
+    row.push_back(typical.count == 0 ? "-" : number(typical.median));
+    row.push_back(worst.count == 0 ? "-" : number(worst.p99));
+    row.push_back(worst.count == 0 ? "-" : number(worst.max));
+    for (const char* floor : {kFloorSpin, kFloorFutex}) {
+      const StreamResult* bound = find(cell, floor, stream);
+      row.push_back(bound == nullptr ? "-"
+                                     : ratio_word(ratio_of_quantiles(
+                                           arrival.middle, compared(*bound, options.stamp), 0.5)));
+    }
+    table.add(std::move(row));
+  };
   for (const Arm& arm : cell.arms) {
     if (hears_nothing(arm)) continue;
     for (const StreamResult& stream : arm.streams) {
       const std::string due = std::to_string(sent(stream));
-      // Blocks that were timed as a whole are what counts; their clock is no subscriber's.
-      const Blocks times = times_per_message(stream);
       if (!options.per_subscriber) {
         Counts all;
         for (const Subscriber& subscriber : stream.subscribers) {
@@ -133,51 +137,63 @@ void print_arrivals(std::ostream& out, const Cell& cell, const ReportOptions& op
           all.missed += subscriber.missed;
           all.lost += subscriber.lost;
         }
-        const Blocks latency = latencies(stream, options.stamp);
-        const Blocks& middle = times.empty() ? latency : times;
         const std::size_t readers = stream.subscribers.size();
-        const std::string to_all = readers == 1 ? due : due + " x" + std::to_string(readers);
-        add_arrival(table, row_name(arm, stream), to_all, all, middle,
-                    is_ping_pong ? latency : middle, compared(stream), cell, stream.name);
+        add({row_name(arm, stream), readers == 1 ? due : due + " x" + std::to_string(readers), all,
+             compared(stream, options.stamp),
+             compared_tails(cell.conditions, stream, options.stamp)},
+            stream.name);
         continue;
       }
       for (const Subscriber& subscriber : stream.subscribers) {
-        const Blocks latency = latencies(subscriber, options.stamp);
-        const Blocks& middle = times.empty() ? latency : times;
-        const Blocks ratio_of = times.empty() ? latencies(subscriber, Stamp::Fill) : times;
-        add_arrival(table, row_name(arm, stream) + " s" + std::to_string(subscriber.index), due,
-                    {subscriber.received, subscriber.missed, subscriber.lost}, middle,
-                    is_ping_pong ? latency : middle, ratio_of, cell, stream.name);
+        // As if it were alone; the clock of whole blocks is no subscriber's.
+        StreamResult alone;
+        alone.subscribers = {subscriber};
+        alone.blocks = stream.blocks;
+        add({row_name(arm, stream) + " s" + std::to_string(subscriber.index),
+             due,
+             {subscriber.received, subscriber.missed, subscriber.lost},
+             compared(alone, options.stamp),
+             compared_tails(cell.conditions, alone, options.stamp)},
+            stream.name);
       }
     }
   }
   table.print(out);
 }
 
+std::string p_word(const std::optional<double>& p) {
+  if (!p) return "-";
+  return *p < 0.001 ? "<0.001" : with_digits(*p, 3);
+}
+
+void print_beside_ring(std::ostream& out, const Cell& cell, const ReportOptions& options) {
+  Table table({"x ring", "median", "p99", "rank p"});
+  bool any = false;
+  for (const Arm& arm : cell.arms) {
+    if (arm.transport == kRing || hears_nothing(arm)) continue;
+    for (const StreamResult& stream : arm.streams) {
+      const StreamResult* ring = find(cell, kRing, stream.name);
+      if (ring == nullptr) continue;
+      any = true;
+      const Blocks own = compared(stream, options.stamp);
+      const Blocks of_ring = compared(*ring, options.stamp);
+      const Blocks tail = compared_tails(cell.conditions, stream, options.stamp);
+      const Blocks tail_of_ring = compared_tails(cell.conditions, *ring, options.stamp);
+      table.add({row_name(arm, stream), ratio_word(ratio_of_quantiles(own, of_ring, 0.5)),
+                 ratio_word(ratio_of_quantiles(tail, tail_of_ring, 0.99)),
+                 p_word(p_of_block_medians(own, of_ring))});
+    }
+  }
+  if (!any) return;
+  out << "   beside ring; p is that of block medians\n";
+  table.print(out);
+}
+
 void print_costs(std::ostream& out, const Cell& cell) {
-  Table table(
-      {"a message", "x ring", "rank p", "cpu us pub / sub", "switches", "faults", "copied", "M/s"});
+  Table table({"a message", "cpu us pub / sub", "switches", "faults", "copied", "M/s"});
   for (const Arm& arm : cell.arms) {
     for (const StreamResult& stream : arm.streams) {
       std::vector<std::string> row{row_name(arm, stream)};
-      const StreamResult* ring = find(cell, "ring", stream.name);
-      if (ring == nullptr || arm.transport == "ring" || hears_nothing(arm)) {
-        row.insert(row.end(), {"-", "-"});
-      } else {
-        const Blocks own = compared(stream);
-        const Blocks of_ring = compared(*ring);
-        row.push_back(ratio_word(ratio_of_quantiles(own, of_ring, 0.5)));
-        std::vector<double> a;
-        std::vector<double> b;
-        for (const auto& block : own) a.insert(a.end(), block.begin(), block.end());
-        for (const auto& block : of_ring) b.insert(b.end(), block.begin(), block.end());
-        if (a.empty() || b.empty()) {
-          row.push_back("-");
-        } else {
-          const double p = rank_test(std::move(a), std::move(b)).p_value;
-          row.push_back(p < 0.001 ? "<0.001" : with_digits(p, 3));
-        }
-      }
       const StreamResult* pace = hears_nothing(arm) ? nullptr : find(cell, kFloorPace, stream.name);
       const Costs cost = costs_net_of(stream, pace);
       const auto switches = [](const Cost& of) {
@@ -202,7 +218,7 @@ void print_costs(std::ostream& out, const Cell& cell) {
 
 /// Of messages that all subscribers got, from the first one's entry to the last one's.
 void print_fairness(std::ostream& out, const Cell& cell) {
-  Table table({"gap us", "messages", "median", "p99", "max", "x futex"});
+  Table table({"gap us", "messages", "median", "p99", "max", "x ring", "x futex"});
   bool any = false;
   for (const Arm& arm : cell.arms) {
     for (const StreamResult& stream : arm.streams) {
@@ -210,12 +226,16 @@ void print_fairness(std::ostream& out, const Cell& cell) {
       const Summary summary = summarise(gaps);
       if (summary.count == 0) continue;
       any = true;
-      const StreamResult* bound = find(cell, kFloorFutex, stream.name);
-      table.add({row_name(arm, stream), std::to_string(summary.count), number(summary.median),
-                 number(summary.p99), number(summary.max),
-                 bound == nullptr
-                     ? "-"
-                     : ratio_word(ratio_of_quantiles(gaps, fairness_gaps(*bound), 0.5))});
+      std::vector<std::string> row{row_name(arm, stream), std::to_string(summary.count),
+                                   number(summary.median), number(summary.p99),
+                                   number(summary.max)};
+      for (const char* other : {kRing, kFloorFutex}) {
+        const StreamResult* result = find(cell, other, stream.name);
+        row.push_back(result == nullptr || arm.transport == other
+                          ? "-"
+                          : ratio_word(ratio_of_quantiles(gaps, fairness_gaps(*result), 0.5)));
+      }
+      table.add(std::move(row));
     }
   }
   if (!any) return;
@@ -252,6 +272,7 @@ void print_measured(std::ostream& out, const Cell& cell, const ReportOptions& op
     out << "   from " << name_of(options.stamp) << " to the callback's entry\n";
   }
   print_arrivals(out, cell, options);
+  print_beside_ring(out, cell, options);
   out << (find(cell, kFloorPace) != nullptr ? "   net of what pacing alone costs (floor-pace)\n"
                                             : "   pacing included\n");
   print_costs(out, cell);

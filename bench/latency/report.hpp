@@ -11,12 +11,12 @@ namespace ab {
 
 struct ReportOptions {
   bool per_subscriber = false;  ///< a row for each; else one for all subscribers of a stream
-  Stamp stamp = Stamp::Fill;    ///< from which latencies count
+  Stamp stamp = Stamp::Fill;    ///< from which latencies count, and what is made of them
 };
 
-/// Tables for a terminal of 120 columns: of each cell what arrived when, then what it cost; what
-/// was refused and why at the end. Says it loudly where sent = received + missed + lost does not
-/// hold or a payload was spoilt.
+/// Tables for a terminal of 120 columns: of each cell what arrived when, what that is beside ring,
+/// then what it cost; what was refused and why at the end. Says it loudly where sent = received +
+/// missed + lost does not hold or a payload was spoilt.
 void print(std::ostream&, const Run&, const ReportOptions& = {});
 
 /// One cell of it: for a harness that prints what it has as it goes.

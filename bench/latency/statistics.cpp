@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <random>
 #include <utility>
 
@@ -201,31 +200,20 @@ RankTest rank_test(std::vector<double> a, std::vector<double> b) {
   return result;
 }
 
-std::optional<double> shift_ratio(const Blocks& a, const Blocks& b) {
-  std::vector<double> x = flat(a);
-  std::vector<double> y = flat(b);
-  if (x.empty() || y.empty()) return std::nullopt;
-  std::sort(x.begin(), x.end());
-  std::sort(y.begin(), y.end());
-  if (x.front() <= 0 || y.front() <= 0) return std::nullopt;
-  for (double& value : x) value = std::log(value);
-  for (double& value : y) value = std::log(value);
-  // The median of n * m differences without making them: halve the range, and count by one pass
-  // over both sorted lists how many lie below.
-  const std::uint64_t half = (std::uint64_t{x.size()} * y.size() + 1) / 2;
-  double low = x.front() - y.back();
-  double high = x.back() - y.front();
-  for (int i = 0; i < 60 && high - low > 1e-12; ++i) {
-    const double middle = std::midpoint(low, high);
-    std::uint64_t below = 0;  // pairs with x - y <= middle: for each x a tail of y
-    std::size_t tail = 0;
-    for (const double value : x) {
-      while (tail < y.size() && value - y[tail] > middle) ++tail;
-      below += y.size() - tail;
+std::optional<double> p_of_block_medians(const Blocks& a, const Blocks& b) {
+  const auto medians = [](const Blocks& blocks) {
+    std::vector<double> values;
+    for (std::vector<double> block : blocks) {
+      if (block.empty()) continue;
+      std::sort(block.begin(), block.end());
+      values.push_back(quantile(block, 0.5));
     }
-    (below >= half ? high : low) = middle;
-  }
-  return std::exp(high);
+    return values;
+  };
+  std::vector<double> of_a = medians(a);
+  std::vector<double> of_b = medians(b);
+  if (std::min(of_a.size(), of_b.size()) < kFewestBlocks) return std::nullopt;
+  return rank_test(std::move(of_a), std::move(of_b)).p_value;
 }
 
 }  // namespace ab

@@ -56,8 +56,7 @@ std::optional<Change> change_of_quantiles(const Blocks& a, const Blocks& floor_a
                                           std::uint64_t seed = kSeed);
 
 /// Mann and Whitney's rank test, by the normal approximation with ties and a continuity correction.
-/// Values of one block depend on each other, so a small p of many values is a hint, the interval
-/// above the proof.
+/// Values must not depend on each other: not messages of one block.
 struct RankTest {
   double u = 0;        ///< pairs in which a's value is greater; ties count a half
   double z = 0;        ///< positive: a is greater
@@ -65,8 +64,7 @@ struct RankTest {
 };
 RankTest rank_test(std::vector<double> a, std::vector<double> b);
 
-/// The median of all ratios of a value of `a` to one of `b` (Hodges and Lehmann's shift, of
-/// logarithms): how much a differs if it differs by a factor. Nothing unless all are positive.
-std::optional<double> shift_ratio(const Blocks& a, const Blocks& b);
+/// The rank test's p of the medians of blocks. Nothing if one side has fewer than kFewestBlocks.
+std::optional<double> p_of_block_medians(const Blocks& a, const Blocks& b);
 
 }  // namespace ab

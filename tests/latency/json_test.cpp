@@ -83,11 +83,62 @@ TEST_SUITE("lot_ab json") {
     CHECK(ring["subscribers"][1]["latency_us"]["from_loan"]["p1"] == 43);
     CHECK(ring["subscribers"][1]["sent"] == 100);
     CHECK(ring["all"]["latency_us"]["from_push"]["max"] == 39);
-    CHECK(ring["all"]["to_floor-spin"]["ratio"] == 4);
-    CHECK(ring["all"]["to_floor-futex"]["interval_95"] == std::vector<double>{2, 2});
+    const auto& to_spin = ring["all"]["to_floor-spin"];
+    CHECK(to_spin["median"]["from_fill"]["ratio"] == 4);
+    CHECK(to_spin["median"]["from_loan"]["ratio"] == 43.0 / 13);
+    CHECK(to_spin["p99"]["from_push"]["ratio"] == 39.0 / 9);
+    CHECK(ring["all"]["to_floor-futex"]["median"]["from_fill"]["interval_95"] ==
+          std::vector<double>{2, 2});
+    CHECK_FALSE(ring["all"].contains("to_ring"));
+    const auto& arms = json["cells"][0]["arms"];
+    const auto& tcp = arms[1]["streams"][0]["all"]["to_ring"];
+    CHECK(tcp["median"]["from_push"]["ratio"] > 5);
+    CHECK(tcp["p99"]["from_loan"]["interval_95"].size() == 2);
+    CHECK(tcp["rank_p"]["from_fill"] < 0.05);
+    CHECK_FALSE(arms[4]["streams"][0]["all"].contains("to_ring"));  // pacing sends nothing
     CHECK(ring["all"]["fairness_gap_us"]["median"] == 0);
     CHECK_FALSE(ring["all"]["latency_us"]["from_fill"].contains("p99.9"));
     CHECK(json["machine"]["kernel"] == "6.1.0");
+  }
+
+  TEST_CASE("the gap between subscribers is beside ring's and the floor's") {
+    const TemporaryDirectory dir;
+    const auto apart = [](std::int64_t gap) {
+      return stream_of({1, 2, 5, 20}, [=](unsigned, unsigned, unsigned, unsigned to) {
+        return std::int64_t{10'000} + to * gap;
+      });
+    };
+    Cell cell;
+    cell.arms = {arm_of("ring", apart(2'000)), arm_of("tcp", apart(9'000)),
+                 arm_of("floor-futex", apart(1'000))};
+    save(run_of({cell}), dir.path());
+    const auto json = nlohmann::json::parse(std::ifstream(dir.path() / "run.json"));
+    const auto& tcp = json["cells"][0]["arms"][1]["streams"][0]["all"];
+    CHECK(tcp["to_ring"]["fairness_gap"]["ratio"] == 4.5);
+    CHECK(tcp["to_ring"]["fairness_gap"]["interval_95"] == std::vector<double>{4.5, 4.5});
+    CHECK(tcp["to_floor-futex"]["fairness_gap"]["ratio"] == 9);
+  }
+
+  TEST_CASE("in ping-pong ratios of tails are those of messages, in throughput of blocks") {
+    const TemporaryDirectory dir;
+    Cell cell;
+    cell.arms = {arm_of("ring", stream_of({1, 1, 5, 20}, always(10'000))),
+                 arm_of("tcp", stream_of({1, 1, 5, 20}, always(30'000)))};
+    for (std::uint32_t b = 0; b < 5; ++b) {
+      cell.arms[0].streams[0].blocks.push_back({b, 20, 200'000});
+      cell.arms[1].streams[0].blocks.push_back({b, 20, 800'000});
+    }
+    cell.conditions.mode = "ping-pong";
+    Cell fast = cell;
+    fast.conditions.mode = "throughput";
+    save(run_of({cell, fast}), dir.path());
+    const auto json = nlohmann::json::parse(std::ifstream(dir.path() / "run.json"));
+    const auto to_ring = [&](int which) {
+      return json["cells"][which]["arms"][1]["streams"][0]["all"]["to_ring"];
+    };
+    CHECK(to_ring(0)["median"]["us_per_message"]["ratio"] == 4);
+    CHECK(to_ring(0)["p99"]["from_fill"]["ratio"] == 3);
+    CHECK(to_ring(1)["p99"]["us_per_message"]["ratio"] == 4);
   }
 
   TEST_CASE("raw files begin with a line that names their columns") {

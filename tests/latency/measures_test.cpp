@@ -30,10 +30,21 @@ TEST_SUITE("lot_ab measures") {
 
   TEST_CASE("arms are compared by whole blocks where these were timed") {
     StreamResult stream = stream_of({1, 1, 2, 3}, always(50'000));
-    CHECK(compared(stream) == latencies(stream, Stamp::Fill));
+    CHECK(compared(stream, Stamp::Fill) == latencies(stream, Stamp::Fill));
+    CHECK(compared(stream, Stamp::Loan) == latencies(stream, Stamp::Loan));
     stream.blocks = {{1, 1000, 200'000}, {0, 1000, 500'000}, {2, 0, 1}};
-    CHECK(compared(stream) == Blocks{{0.5}, {0.2}});
+    CHECK(compared(stream, Stamp::Loan) == Blocks{{0.5}, {0.2}});
     CHECK(messages_per_second(stream) == Approx(5e6));
+  }
+
+  TEST_CASE("tails are those of messages in ping-pong, of blocks in throughput") {
+    StreamResult stream = stream_of({1, 1, 2, 3}, always(50'000));
+    stream.blocks = {{0, 1000, 500'000}, {1, 1000, 200'000}};
+    Conditions conditions;
+    conditions.mode = "ping-pong";
+    CHECK(compared_tails(conditions, stream, Stamp::Push) == latencies(stream, Stamp::Push));
+    conditions.mode = "throughput";
+    CHECK(compared_tails(conditions, stream, Stamp::Push) == Blocks{{0.5}, {0.2}});
   }
 
   TEST_CASE("the fairness gap is that of messages that all subscribers got") {

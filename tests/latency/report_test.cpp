@@ -95,21 +95,23 @@ TEST_SUITE("lot_ab report") {
   TEST_CASE("costs are net of pacing, and other arms are beside ring") {
     const std::string text = report_of(fan_out());
     CAPTURE(text);
-    CHECK(row_of(text, "ring", 1)[3] == "5.00");  // of 105, less 100
-    const auto tcp = row_of(text, "tcp", 1);
-    REQUIRE(tcp.size() > 6);
-    CHECK(tcp[1] == "200");
-    CHECK(tcp[3] == "<0.001");
+    CHECK(row_of(text, "ring", 1)[1] == "5.00");  // of 105, less 100
+    CHECK(row_of(text, "tcp", 1) ==               // medians of 8000 and 40, p99 of 8600 and 49
+          std::vector<std::string>{"tcp", "200", "(200-200)", "176", "(176-176)", "<0.001"});
+    const auto tcp = row_of(text, "tcp", 2);
     CHECK(std::find(tcp.begin(), tcp.end(), "48.0") != tcp.end());
-    CHECK(row_of(text, "floor-pace")[3] == "100");
+    CHECK(row_of(text, "floor-pace")[1] == "100");
     CHECK(text.find("net of what pacing alone costs") != std::string::npos);
   }
 
   TEST_CASE("fairness is beside that of the floor, where there is more than one subscriber") {
     const std::string text = report_of(fan_out());
     CAPTURE(text);
-    CHECK(row_of(text, "ring", 2) ==
-          std::vector<std::string>{"ring", "200", "9.00", "9.00", "9.00", "3.00", "(3.00-3.00)"});
+    CHECK(row_of(text, "ring", 2) == std::vector<std::string>{"ring", "200", "9.00", "9.00", "9.00",
+                                                              "-", "3.00", "(3.00-3.00)"});
+    CHECK(row_of(text, "tcp", 3) == std::vector<std::string>{"tcp", "200", "600", "600", "600",
+                                                             "66.7", "(66.7-66.7)", "200",
+                                                             "(200-200)"});
     Cell one;
     one.arms = {arm_of("ring", stream_of({}, always(1)))};
     CHECK(report_of(one).find("gap") == std::string::npos);
@@ -121,6 +123,41 @@ TEST_SUITE("lot_ab report") {
     CHECK(row_of(text, "ring s0")[6] == "39.0");
     CHECK(row_of(text, "ring s1")[6] == "48.0");
     CHECK(text.find("from push to") != std::string::npos);
+  }
+
+  TEST_CASE("ratios count from the stamp that latencies count from") {
+    const auto slow_to_fill = [](std::int64_t filling) {
+      StreamResult stream = stream_of({1, 1, 10, 20}, always(20'000));
+      for (Sample& sample : stream.subscribers[0].samples) sample.loaned_at -= filling;
+      return stream;
+    };
+    Cell cell;  // loan to fill takes 3 us more or less in each
+    cell.arms = {arm_of("ring", slow_to_fill(7'000)), arm_of("tcp", slow_to_fill(67'000)),
+                 arm_of("floor-futex", slow_to_fill(-8'000))};
+    for (Sample& sample : cell.arms[2].streams[0].subscribers[0].samples) {
+      sample.filled_at -= 10'000;  // 30 us from fill, 25 from loan
+      sample.loaned_at -= 10'000;
+    }
+    const std::string by_fill = report_of(cell);
+    const std::string by_loan = report_of(cell, {false, Stamp::Loan});
+    CAPTURE(by_fill);
+    CAPTURE(by_loan);
+    CHECK(row_of(by_fill, "ring")[9] == "0.67");
+    CHECK(row_of(by_loan, "ring")[9] == "1.20");
+    CHECK(row_of(by_fill, "tcp", 1)[1] == "1.00");
+    CHECK(row_of(by_loan, "tcp", 1)[1] == "3.00");
+    CHECK(row_of(by_loan, "tcp", 1)[3] == "3.00");
+    CHECK(row_of(by_fill, "tcp", 1)[5] == "1.000");
+    CHECK(row_of(by_loan, "tcp", 1)[5] == "<0.001");
+  }
+
+  TEST_CASE("of few blocks there is no p") {
+    Cell cell;
+    cell.arms = {arm_of("ring", stream_of({1, 1, 3, 400}, noisy(4e4, 0.1, 1))),
+                 arm_of("tcp", stream_of({1, 1, 3, 400}, noisy(4e5, 0.1, 2)))};
+    const auto row = row_of(report_of(cell), "tcp", 1);
+    REQUIRE(row.size() > 3);
+    CHECK(row[3] == "-");
   }
 
   TEST_CASE("throughput is in millions a second and by whole blocks") {

@@ -194,22 +194,44 @@ TEST_SUITE("lot_ab statistics") {
     CHECK(found < 40);
   }
 
-  TEST_CASE("the shift is the median of all pairs' ratios") {
-    std::mt19937_64 random(7);
-    for (int round = 0; round < 100; ++round) {
-      const auto a = some_values(random, 1 + random() % 25, 50);
-      const auto b = some_values(random, 1 + random() % 25, 50);
-      std::vector<double> ratios;
-      for (const double x : a) {
-        for (const double y : b) ratios.push_back(x / y);
-      }
-      std::sort(ratios.begin(), ratios.end());
-      const auto shift = shift_ratio({a}, {b});
-      REQUIRE(shift);
-      CAPTURE(round);
-      CHECK(*shift == Approx(quantile(ratios, 0.5)).epsilon(1e-9));
+  TEST_CASE("blocks are ranked by their medians: as many values, however many messages") {
+    // The middle ones are all that counts; 8 of one against 8 of the other, all of a above.
+    Blocks a;
+    Blocks b;
+    for (unsigned block = 0; block < 8; ++block) {
+      a.push_back({0, 100.0 + block, 1e6});
+      b.push_back({0, 10.0 + block, 1e6});
     }
-    CHECK_FALSE(shift_ratio({{0.0, 1}}, {{1.0}}));
-    CHECK_FALSE(shift_ratio({}, {{1.0}}));
+    std::vector<double> of_a;
+    std::vector<double> of_b;
+    for (unsigned block = 0; block < 8; ++block) {
+      of_a.push_back(100.0 + block);
+      of_b.push_back(10.0 + block);
+    }
+    const auto p = p_of_block_medians(a, b);
+    REQUIRE(p);
+    CHECK(*p == Approx(rank_test(of_a, of_b).p_value));
+    a.resize(3);
+    CHECK_FALSE(p_of_block_medians(a, b));
+    a.resize(8);  // empty blocks are none
+    CHECK_FALSE(p_of_block_medians(a, b));
+    CHECK_FALSE(p_of_block_medians({}, b));
+  }
+
+  TEST_CASE("slow phases of blocks are no difference, however many messages they held for") {
+    // Both arms have one distribution of blocks; within a block all messages are alike.
+    std::mt19937_64 random(7);
+    int found = 0;
+    for (int round = 0; round < 200; ++round) {
+      Blocks a;
+      Blocks b;
+      for (int block = 0; block < 10; ++block) {
+        a.push_back(std::vector<double>(100, static_cast<double>(1 + random() % 1000)));
+        b.push_back(std::vector<double>(100, static_cast<double>(1 + random() % 1000)));
+      }
+      found += p_of_block_medians(a, b).value_or(0) < 0.05;
+    }
+    MESSAGE("found something in " << found << " of 200");
+    CHECK(found < 30);
   }
 }
