@@ -24,7 +24,11 @@ struct BoxFigure {
   bool ordered;
   Series series;
   std::vector<std::string> transports;
+  std::string wait = {};  ///< empty: whichever there is
 };
+
+const std::vector<std::string> kPeers{"lot2021", "lot2021-direct", "mutex",        "ring",
+                                      "iceoryx", "fastdds",        "fastdds-loan", "udp-65507"};
 
 const std::vector<BoxFigure>& box_figures() {
   static const std::vector<BoxFigure> figures{
@@ -58,13 +62,10 @@ const std::vector<BoxFigure>& box_figures() {
        {"tcp"}},
       {"fig7c", "7", "LOT, 1p5s, by subscriber", "1p5s", false, Series::Subscriber, {"ring"}},
       {"fig7d", "7", "TZC, 1p5s, by subscriber", "1p5s", false, Series::Subscriber, {"tzc"}},
-      {"peers",
-       "peers",
-       "1p1s, LOT, its predecessor and its peers over size",
-       "1p1s",
-       false,
-       Series::Transport,
-       {"lot2021", "mutex", "ring", "iceoryx", "fastdds"}},
+      {"peers", "peers", "1p1s, LOT, its predecessor and its peers over size", "1p1s", false,
+       Series::Transport, kPeers, "park"},
+      {"peers-spin", "peers-spin", "1p1s, LOT and its peers over size, spinning", "1p1s", false,
+       Series::Transport, kPeers, "spin"},
   };
   return figures;
 }
@@ -146,12 +147,16 @@ std::optional<Boxes> collect(const Run& run, const BoxFigure& figure, std::strin
   for (const Cell& cell : run.cells) {
     const Conditions& conditions = cell.conditions;
     if (conditions.mode != "paced" || conditions.graph != figure.graph || conditions.size == 0 ||
-        conditions.ordered != figure.ordered || boxes_of(cell, figure).empty()) {
+        conditions.ordered != figure.ordered ||
+        (!figure.wait.empty() && conditions.wait != figure.wait) ||
+        boxes_of(cell, figure).empty()) {
       continue;
     }
     candidates.push_back(&cell);
   }
-  const std::string needs = "paced cells of " + figure.graph + (figure.ordered ? ", ordered," : "");
+  const std::string needs = "paced cells of " + figure.graph +
+                            (figure.wait.empty() ? "" : ", --wait " + figure.wait + ",") +
+                            (figure.ordered ? ", ordered," : "");
   std::string names;
   for (const std::string& name : figure.transports) names += (names.empty() ? "" : ", ") + name;
   if (candidates.empty()) {
@@ -284,7 +289,8 @@ std::string draw_boxes(const BoxFigure& figure, const Boxes& boxes, Range range,
        << "set ylabel 'latency, fill to callback'\n"
        << "set xlabel 'message size'\n"
        << "set lmargin at screen 0.095\nset rmargin at screen 0.985\n"
-       << "set bmargin at screen 0.19\nset tmargin at screen 0.86\n"
+       << "set bmargin at screen " << (boxes.series.size() > 6 ? 0.22 : 0.19)  // rows of the key
+       << "\nset tmargin at screen 0.86\n"
        << "set xrange [-0.6:" << static_cast<double>(sizes.size()) - 0.4 << "]\n"
        << "set boxwidth " << box << "\nset xtics scale 0 font ',14' (";
   std::size_t i = 0;

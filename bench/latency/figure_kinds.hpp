@@ -11,7 +11,7 @@
 /// go; each line says what was drawn or why not, as of draw().
 namespace ab {
 
-/// Box plots over the message's size: 3, 5, 6 a-c, 7, peers (box_figures.cpp).
+/// Box plots over the message's size: 3, 5, 6 a-c, 7, peers, peers-spin (box_figures.cpp).
 std::vector<std::string> draw_box_figures(const Run&, const std::string& machine,
                                           const std::filesystem::path& dir);
 /// Figure 6 d: message by message (time_figures.cpp, as the others).

@@ -24,10 +24,19 @@ namespace fs = std::filesystem;
 
 /// Colours of Okabe and Ito: told apart also by who does not see red and green.
 unsigned colour(const std::string& transport) {
-  static const std::map<std::string, unsigned> colours{
-      {"ring", 0x0072b2},    {"mutex", 0x56b4e9},  {"lot2021", 0x999999},   {"tcp", 0xd55e00},
-      {"udp", 0xcc79a7},     {"uds", 0xe69f00},    {"tcp-nagle", 0xe69f00}, {"tzc", 0x009e73},
-      {"iceoryx", 0x009e73}, {"fastdds", 0xcc79a7}};
+  static const std::map<std::string, unsigned> colours{{"ring", 0x0072b2},
+                                                       {"mutex", 0x56b4e9},
+                                                       {"lot2021", 0x999999},
+                                                       {"tcp", 0xd55e00},
+                                                       {"udp", 0xcc79a7},
+                                                       {"uds", 0xe69f00},
+                                                       {"tcp-nagle", 0xe69f00},
+                                                       {"tzc", 0x009e73},
+                                                       {"iceoryx", 0x009e73},
+                                                       {"fastdds", 0xcc79a7},
+                                                       {"lot2021-direct", 0x4d4d4d},
+                                                       {"fastdds-loan", 0xe69f00},
+                                                       {"udp-65507", 0xf0e442}};
   const auto known = colours.find(transport);
   return known == colours.end() ? 0x666666 : known->second;
 }
@@ -91,6 +100,9 @@ std::string label_of(const std::string& transport) {
   static const std::map<std::string, std::string> names{{"ring", "LOT"},
                                                         {"mutex", "LOT, mutex"},
                                                         {"lot2021", "LOT of 2021"},
+                                                        {"lot2021-direct", "LOT of 2021, direct"},
+                                                        {"udp-65507", "UDP, 65507 B"},
+                                                        {"fastdds-loan", "Fast DDS, loans"},
                                                         {"tcp", "TCP"},
                                                         {"tcp-nagle", "TCP with Nagle"},
                                                         {"udp", "UDP"},

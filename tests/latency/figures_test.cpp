@@ -57,8 +57,19 @@ Cell paced(const std::string& graph, const Shape& shape, std::size_t size,
 
 Run everything() {
   Run run = run_of({});
-  const std::vector<std::string> all{"ring", "mutex", "lot2021", "tcp",     "udp",
-                                     "uds",  "tzc",   "iceoryx", "fastdds", "floor-futex"};
+  const std::vector<std::string> all{"ring",
+                                     "mutex",
+                                     "lot2021",
+                                     "tcp",
+                                     "udp",
+                                     "uds",
+                                     "tzc",
+                                     "iceoryx",
+                                     "fastdds",
+                                     "floor-futex",
+                                     "lot2021-direct",
+                                     "fastdds-loan",
+                                     "udp-65507"};
   for (const std::size_t size : kSizes) {
     double factor = 1;
     for (const char* place : {"host", "container", "containers"}) {
@@ -66,6 +77,9 @@ Run everything() {
       run.cells.back().conditions.place = place;
       factor *= 1.12;
     }
+    run.cells.push_back(
+        paced("1p1s", {}, size, {"ring", "mutex", "iceoryx", "floor-spin"}, 0.1, 0));
+    run.cells.back().conditions.wait = "spin";
     factor = 0.3;
     for (const char* pin : {"same-core", "other-core"}) {
       run.cells.push_back(paced("1p1s", {}, size, {"ring", "tcp", "floor-futex"}, factor, 0));
@@ -121,9 +135,9 @@ std::string line_of(const std::vector<std::string>& lines, const std::string& na
 
 bool has_gnuplot() { return std::system("command -v gnuplot >/dev/null") == 0; }
 
-constexpr const char* kFigures[] = {"fig3a", "fig3b", "fig5a", "fig5b", "fig5c",
-                                    "fig6a", "fig6b", "fig6c", "fig6d", "fig7a",
-                                    "fig7b", "fig7c", "fig7d", "fig8",  "peers"};
+constexpr const char* kFigures[] = {"fig3a", "fig3b", "fig5a", "fig5b",     "fig5c", "fig6a",
+                                    "fig6b", "fig6c", "fig6d", "fig7a",     "fig7b", "fig7c",
+                                    "fig7d", "fig8",  "peers", "peers-spin"};
 
 }  // namespace
 
@@ -183,6 +197,24 @@ TEST_SUITE("lot_ab figures") {
     const Run run = run_of({paced("1p1s", {}, 128, {"ring", "floor-futex"}, 1, 0)});
     CHECK(line_of(draw(run, dir.path()), "fig6a").find("two of these transports") !=
           std::string::npos);
+  }
+
+  TEST_CASE("peers are shown parked and spinning, each from its own cells") {
+    const TemporaryDirectory dir;
+    Run run = run_of({paced("1p1s", {}, 128, {"ring", "lot2021-direct", "udp-65507"}, 1, 0),
+                      paced("1p1s", {}, 4096, {"ring", "fastdds-loan", "iceoryx"}, 1, 0)});
+    auto lines = draw(run, dir.path());
+    CHECK(line_of(lines, "peers").ends_with("; without lot2021, mutex, fastdds"));
+    CHECK(line_of(lines, "peers-spin").find("--wait spin") != std::string::npos);
+    run.cells.push_back(paced("1p1s", {}, 1024, {"ring", "iceoryx", "mutex"}, 0.1, 0));
+    run.cells.back().conditions.wait = "spin";
+    lines = draw(run, dir.path());
+    const std::string parked = text_of(dir.path() / "figures" / "peers.tsv");
+    const std::string spinning = text_of(dir.path() / "figures" / "peers-spin.tsv");
+    CHECK(parked.find("\t1024\t") == std::string::npos);
+    CHECK(parked.find("LOT of 2021, direct") != std::string::npos);
+    CHECK(spinning.find("\t1024\t") != std::string::npos);
+    CHECK(spinning.find("\t4096\t") == std::string::npos);
   }
 
   TEST_CASE("a transport that was not measured is named") {
