@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <cstdio>
 #include <map>
 #include <optional>
@@ -141,6 +142,12 @@ std::vector<CellBox> boxes_of(const Cell& cell, const BoxFigure& figure) {
   return boxes;
 }
 
+/// Its latencies are those of nodes that were interrupted for samples.
+bool is_profiled(const Cell& cell) {
+  return std::any_of(cell.arms.begin(), cell.arms.end(),
+                     [](const Arm& arm) { return !arm.utilisation.empty(); });
+}
+
 /// The figure's boxes, or why there are none.
 std::optional<Boxes> collect(const Run& run, const BoxFigure& figure, std::string& why_not) {
   CellPointers candidates;
@@ -148,7 +155,7 @@ std::optional<Boxes> collect(const Run& run, const BoxFigure& figure, std::strin
     const Conditions& conditions = cell.conditions;
     if (conditions.mode != "paced" || conditions.graph != figure.graph || conditions.size == 0 ||
         conditions.ordered != figure.ordered ||
-        (!figure.wait.empty() && conditions.wait != figure.wait) ||
+        (!figure.wait.empty() && conditions.wait != figure.wait) || is_profiled(cell) ||
         boxes_of(cell, figure).empty()) {
       continue;
     }

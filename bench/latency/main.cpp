@@ -156,7 +156,9 @@ std::vector<CellArms> plan(const Choice& choice) {
     wanted.push_back(std::move(cell));
   }
   if (choice.out.empty()) return wanted;
-  return to_measure(wanted, saved_cells(choice.out), choice.saved);
+  std::vector<CellArms> rest = to_measure(wanted, saved_cells(choice.out), choice.saved);
+  for (const CellArms& cell : rest) check(cell.arms);  // what was saved may be missing here
+  return rest;
 }
 
 /// What is known of it before it runs: its pace. Starting and ending come on top.
@@ -367,12 +369,14 @@ void add_options(CLI::App& app, Choice& choice) {
   auto* const out = app.add_option("-o,--out", choice.out,
                                    "directory for run.json and raw/; cells are added to it")
                         ->group(output);
-  app.add_flag("--resume", choice.saved.resume,
-               "leaves out the cells of which --out has all that is wanted")
+  app.add_flag(
+         "--resume", choice.saved.resume,
+         "leaves out cells that --out has with all wanted arms; measures others with what they had")
       ->needs(out)
       ->group(output);
   app.add_flag("--replace", choice.saved.replace,
-               "replaces cells that --out has already; else a run that would do so is refused")
+               "deletes what --out has of the cells that are measured; without it or --resume such "
+               "a run is refused")
       ->needs(out)
       ->group(output);
   app.add_flag("--dry-run", choice.dry_run, "says what would be measured, and how long it takes")

@@ -4,12 +4,13 @@
 #
 #     bench/latency/paper.sh [--quick | --full] [--out DIR]     (default DIR: build/paper)
 #
-#   (none)    8 sizes, 500 messages: under 90 minutes
-#   --quick   3 sizes, 40 messages: under 10 minutes, to see that all of it works
-#   --full    14 sizes, 2000 messages, every transport, with and without a pool: a day
+#   (none)    8 sizes, 300 messages: under 90 minutes
+#   --quick   3 sizes, 20 messages: under 10 minutes, to see that all of it works
+#   --full    14 sizes, 2000 messages, every transport, with and without a pool: days
 #
 # Cells that DIR has already are left out: a run that was broken off goes on where it stopped. Some
-# cells need root (TCP and UDP between containers); without it the output says what was left out.
+# cells need root (TCP and UDP between containers); without it the output says what was left out, as
+# it does of transports that lot_ab was built without.
 # LOT_AB names another program than build/release/bench/latency/lot_ab.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
@@ -39,59 +40,90 @@ if [ ! -x "$lot_ab" ]; then
   exit 2
 fi
 
+# How long that is: messages / 30 Hz for each arm (floors are arms) of each cell.
+#   figures 3, 5, 6, 7 at 8 sizes: (6 + 2 + 7 + 2 + 4 + 5 + 2) x 8 + 6 (Nagle)   230 arms
+#   every transport at 3 sizes, peers that spin at 3 sizes: (17 + 8) x 3           75 arms
+#                                                             305 x 300 / 30 Hz = 51 min
+#   load: (3 + 1) x 5 arms of 40 s                                                13 min
+#   the vehicle: 2 x 7 arms of 30 s                                                7 min
+# 71 minutes, and some more for starting nodes, for ping-pong and for throughput.
 sizes=256,2K,8K,32K,128K,1M,4M,16M
-messages=500 block=25 load_s=60 av_s=30
+messages=300 block=20 load_s=40 av_s=30 balls=20000 most=100000 pools=100
 case $size in
-  quick) sizes=256,1M,16M messages=40 block=10 load_s=4 av_s=4 ;;
+  quick) sizes=256,1M,16M messages=20 block=5 load_s=2 av_s=2 balls=2000 most=20000 ;;
   full)
     sizes=256,512,1K,2K,4K,8K,32K,128K,512K,1M,2M,4M,8M,16M
-    messages=2000 block=50 av_s=60
+    messages=2000 block=50 load_s=60 av_s=60 pools="100 0"
     ;;
 esac
 
-# What the paper compares, or with --full whatever there is: others NAME,... -> the option for lot_ab.
-these() { if [ "$size" = full ]; then echo "--block=$block"; else echo "--transports=$1"; fi; }
+# Of NAME,... those that lot_ab has, and a line about the others.
+here=$("$lot_ab" list | awk '$2 !~ /^\(/ { print $1 }')
+every=$(grep -v '^floor-' <<<"$here" | paste -sd,)
+those_here() {
+  local name some=()
+  for name in ${1//,/ }; do
+    if grep -qx -e "$name" <<<"$here"; then
+      some+=("$name")
+    else
+      echo "left out: $name, which this lot_ab was built without" >&2
+    fi
+  done
+  (
+    IFS=,
+    echo "${some[*]}"
+  )
+}
+
 failed=0
-measure() {
+# TITLE NAME,... OPTION...: cells of these transports.
+only() {
+  local transports status=0
   echo "== $1"
-  shift
-  local status=0
-  "$lot_ab" --out "$out" --resume "$@" || status=$?
+  transports=$(those_here "$2")
+  shift 2
+  "$lot_ab" --out "$out" --resume --pool "$pool" --transports "$transports" "$@" || status=$?
   if [ $status -ge 2 ]; then exit $status; fi
   if [ $status -ne 0 ]; then failed=1; fi
 }
+# The same, but with --full of every other transport, too.
+measure() {
+  if [ "$size" = full ]; then only "$1" "$every,$2" "${@:3}"; else only "$@"; fi
+}
 
-paced=(--messages $messages --block $block --pool 100)
-measure "figures 6 a, 3: one publisher, one subscriber, in separate containers" \
-  "${paced[@]}" --size $sizes --place containers "$(these ring,tcp,udp,uds,tzc,floor-futex)" --no-floors
-measure "figure 3: in one container" \
-  "${paced[@]}" --size $sizes --place container "$(these ring,tcp)" --no-floors
-measure "figure 3: on the host; and the stack of the paper" \
-  "${paced[@]}" --size $sizes "$(these ring,mutex,tcp,lot2021)"
-measure "figures 6 b, c: on cores of their own" \
-  "${paced[@]}" --size $sizes --pin other-core "$(these ring,tcp)" --no-floors
-measure "figure 6 d: Nagle's algorithm" \
-  "${paced[@]}" --size 512,1K "$(these tcp-nagle,tcp,ring)" --no-floors
-measure "figure 5: five publishers" \
-  "${paced[@]}" --size $sizes --graph 5p1s --place containers "$(these ring,tcp,tzc)" --no-floors
-measure "figure 7: five subscribers" \
-  "${paced[@]}" --size $sizes --graph 1p5s --place containers "$(these ring,tcp,uds,tzc,floor-futex)" --no-floors
-measure "figure 7 b: five subscribers, one after the other" \
-  "${paced[@]}" --size $sizes --graph 1p5s --place containers --ordered "$(these tcp,ring)" --no-floors
-measure "figure 8, table 1: load at 16 MiB" \
-  --size 16M --graph 1p1s,1p5s,5p1s --messages $((30 * load_s)) --block $((30 * load_s)) --pool 100 --profile \
-  --transports ring,mutex,tcp,lot2021 --no-floors
-measure "the vehicle, with and without its cameras" \
-  --graph av,av-quiet --messages $((400 * av_s)) --block $((400 * av_s / 4)) --pool 100 "$(these ring,mutex,tcp,lot2021)"
-measure "spinning: ping-pong" \
-  --mode ping-pong --wait spin --pin other-core --size 128,1M --messages 20000 --block 1000 \
-  "$(these ring,ring-borrow,mutex,tcp,uds,iceoryx,fastdds)"
-measure "parked: ping-pong on one core" \
-  --mode ping-pong --wait park --pin same-core --size 128 --messages 20000 --block 1000 --pool 100 \
-  "$(these ring,ring-borrow,mutex,lot2021,tcp,uds)"
-measure "throughput" \
-  --mode throughput --wait adaptive --size 128,64K --messages 100000 --block 10000 --pool 100 \
-  "$(these ring,ring-borrow,mutex,lot2021,tcp,uds,iceoryx)"
+paced=(--messages "$messages" --block "$block")
+ball=(--mode ping-pong --messages "$balls" --block $((balls / 20)))
+for pool in $pools; do
+  measure "every transport beside every other, parked" "$every" "${paced[@]}" --size 128,64K,1M
+  measure "peers that spin" ring,ring-borrow,mutex,iceoryx,fastdds,fastdds-loan \
+    "${paced[@]}" --size 128,64K,1M --wait spin --pin other-core
+  measure "figures 6 a, 3: one publisher, one subscriber, in separate containers" ring,tcp,udp,uds,tzc,floor-futex \
+    "${paced[@]}" --size $sizes --place containers --no-floors
+  measure "figure 3: in one container" ring,tcp "${paced[@]}" --size $sizes --place container --no-floors
+  measure "figure 3: on the host; and the stack of the paper" ring,mutex,tcp,lot2021,lot2021-direct \
+    "${paced[@]}" --size $sizes
+  measure "figures 6 b, c: on cores of their own" ring,tcp "${paced[@]}" --size $sizes --pin other-core --no-floors
+  measure "figure 6 d: Nagle's algorithm" tcp-nagle,tcp,ring "${paced[@]}" --size 512,1K --no-floors
+  measure "figure 5: five publishers" ring,tcp,tzc,floor-futex \
+    "${paced[@]}" --size $sizes --graph 5p1s --place containers --no-floors
+  measure "figure 7: five subscribers" ring,tcp,uds,tzc,floor-futex \
+    "${paced[@]}" --size $sizes --graph 1p5s --place containers --no-floors
+  measure "figure 7 b: five subscribers, one after the other" tcp,ring \
+    "${paced[@]}" --size $sizes --graph 1p5s --place containers --ordered --no-floors
+  load=(--size 16M --messages $((30 * load_s)) --no-floors)
+  only "figure 8, table 1: load at 16 MiB" ring,mutex,tcp,lot2021,lot2021-direct \
+    "${load[@]}" --block $((30 * load_s)) --graph 1p1s,1p5s,5p1s --profile
+  only "what a message of 16 MiB costs that is not filled" ring,mutex,tcp,lot2021,lot2021-direct \
+    "${load[@]}" --block $((30 * load_s / 4)) --fill no
+  measure "the vehicle, with and without its cameras" ring,mutex,tcp,lot2021,lot2021-direct \
+    --graph av,av-quiet --messages $((400 * av_s)) --block $((400 * av_s / 4))
+  measure "spinning: ping-pong" ring,ring-borrow,mutex,tcp,uds,iceoryx,fastdds \
+    "${ball[@]}" --wait spin --pin other-core --size 128,1M
+  measure "parked: ping-pong on one core" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds \
+    "${ball[@]}" --wait park --pin same-core --size 128
+  measure "throughput" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx \
+    --mode throughput --wait adaptive --size 128,64K --messages $most --block $((most / 10))
+done
 
 "$lot_ab" plot "$out"
 exit $failed

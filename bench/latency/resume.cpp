@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <iterator>
 #include <stdexcept>
+#include <utility>
 
 #include "report.hpp"
 
@@ -20,13 +21,13 @@ std::vector<std::string> lacking(const std::vector<std::string>& a,
   return some;
 }
 
-[[noreturn]] void refuse(const CellArms& cell, const std::vector<std::string>& lost,
-                         const char* ways_out) {
+[[noreturn]] void refuse(const CellArms& saved) {
   std::string names;
-  for (const std::string& name : lost) names += (names.empty() ? "" : ", ") + name;
-  throw std::invalid_argument("--out has a cell of these conditions already (" +
-                              title_of(cell.conditions) + "), and this run would delete its " +
-                              (names.empty() ? "failed arms" : names) + ": " + ways_out);
+  for (const std::string& name : saved.arms) names += (names.empty() ? "" : ", ") + name;
+  throw std::invalid_argument(
+      "--out has a cell of these conditions already (" + title_of(saved.conditions) +
+      "), and this run would delete its " + (names.empty() ? "failed arms" : names) +
+      ": choose another --out, --resume to measure only what is not there, or --replace");
 }
 
 }  // namespace
@@ -38,17 +39,17 @@ std::vector<CellArms> to_measure(const std::vector<CellArms>& wanted,
     const auto before = std::find_if(saved.begin(), saved.end(), [&](const CellArms& one) {
       return one.conditions == cell.conditions;
     });
-    if (before != saved.end()) {
-      if (policy.resume && lacking(cell.arms, before->arms).empty()) continue;
-      const auto lost = policy.resume ? lacking(before->arms, cell.arms) : before->arms;
-      if (!policy.replace && !policy.resume) {
-        refuse(cell, lost, "choose another --out, --resume to leave out what it has, or --replace");
-      }
-      if (!policy.replace && !lost.empty()) {
-        refuse(cell, lost, "name them, too (--transports), choose another --out, or --replace");
-      }
+    if (before == saved.end()) {
+      cells.push_back(cell);
+      continue;
     }
+    if (!policy.resume && !policy.replace) refuse(*before);
+    if (policy.resume && lacking(cell.arms, before->arms).empty()) continue;
     cells.push_back(cell);
+    if (policy.replace) continue;
+    for (std::string& name : lacking(before->arms, cell.arms)) {
+      cells.back().arms.push_back(std::move(name));
+    }
   }
   return cells;
 }

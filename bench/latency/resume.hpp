@@ -18,13 +18,14 @@ struct CellArms {
 
 /// What becomes of cells that are wanted and saved already.
 struct SavedPolicy {
-  bool resume = false;   ///< those that have all wanted arms are left out
+  bool resume = false;   ///< those that have all wanted arms are left out, others completed
   bool replace = false;  ///< what a cell has may go
 };
 
-/// The cells of `wanted` that are to be measured, in their order. Throws std::invalid_argument,
-/// with the ways out, if one of them would take the place of a saved cell that loses something by
-/// it: with `resume` arms that are not wanted, else anything.
+/// The cells of `wanted` that are to be measured, in their order. Arms of a cell are measured
+/// together or not at all, so one that is resumed has those that were saved once more, after those
+/// that are wanted; unless they may go. With neither policy a saved cell that is wanted throws
+/// std::invalid_argument, with the ways out.
 std::vector<CellArms> to_measure(const std::vector<CellArms>& wanted,
                                  const std::vector<CellArms>& saved, const SavedPolicy& policy);
 

@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 constexpr std::size_t kNagleSizes[] = {512, 1024};
 const std::vector<std::string> kNagleTransports{"tcp-nagle", "tcp", "ring"};
 const std::vector<std::string> kLoadGraphs{"1p1s", "1p5s", "5p1s"};
-const std::vector<std::string> kLoadTransports{"tcp", "ring", "mutex", "lot2021"};
+const std::vector<std::string> kLoadTransports{"tcp", "ring", "mutex", "lot2021", "lot2021-direct"};
 
 /// Cells of the CPU experiment: for each graph the one with the largest messages in which `has`
 /// holds for some arm.

@@ -199,6 +199,14 @@ TEST_SUITE("lot_ab figures") {
           std::string::npos);
   }
 
+  TEST_CASE("a profiled cell gives no boxes") {
+    const TemporaryDirectory dir;
+    Run run = run_of({paced("1p5s", {1, 5, 5, 4}, 128, {"ring"}, 1, 0)});
+    CHECK(line_of(draw(run, dir.path()), "fig7c").find("left out") == std::string::npos);
+    run.cells[0].arms[0].utilisation = {{"publisher 0", 0, 0.1}};
+    CHECK(line_of(draw(run, dir.path()), "fig7c").find("left out") != std::string::npos);
+  }
+
   TEST_CASE("peers are shown parked and spinning, each from its own cells") {
     const TemporaryDirectory dir;
     Run run = run_of({paced("1p1s", {}, 128, {"ring", "lot2021-direct", "udp-65507"}, 1, 0),
