@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <numeric>
 #include <random>
 #include <utility>
 
@@ -27,6 +29,12 @@ class Drawable {
       for (const double value : blocks[b]) values_.push_back({value, b});
     }
     std::sort(values_.begin(), values_.end());
+    step_ = std::max<std::size_t>(256, blocks.size());
+    std::vector<std::size_t> before(blocks.size());
+    for (std::size_t i = 0; i < values_.size(); ++i) {
+      if (i % step_ == 0) marks_.push_back(before);
+      ++before[values_[i].second];
+    }
   }
   std::size_t blocks() const { return sizes_.size(); }
   bool empty() const { return values_.empty(); }
@@ -37,10 +45,17 @@ class Drawable {
     for (std::size_t b = 0; b < blocks(); ++b) all += times[b] * sizes_[b];
     if (all == 0) return 0;  // only empty blocks were drawn
     const auto rank = rank_of(q, all);
-    std::size_t seen = 0;
-    for (const auto& [value, block] : values_) {
-      seen += times[block];
-      if (seen > rank) return value;
+    const auto drawn_before = [&](const std::vector<std::size_t>& mark) {
+      return std::inner_product(mark.begin(), mark.end(), times.begin(), std::size_t{0});
+    };
+    // The last mark that the value does not lie before; the first one has nothing before it.
+    const auto mark = std::prev(std::partition_point(
+        marks_.begin(), marks_.end(), [&](const auto& one) { return drawn_before(one) <= rank; }));
+    std::size_t seen = drawn_before(*mark);
+    for (auto i = static_cast<std::size_t>(mark - marks_.begin()) * step_; i < values_.size();
+         ++i) {
+      seen += times[values_[i].second];
+      if (seen > rank) return values_[i].first;
     }
     return values_.back().first;
   }
@@ -53,6 +68,9 @@ class Drawable {
  private:
   std::vector<std::pair<double, std::size_t>> values_;
   std::vector<std::size_t> sizes_;
+  // Of each step_-th value: how many of each block lie before it.
+  std::vector<std::vector<std::size_t>> marks_;
+  std::size_t step_ = 0;
 };
 
 /// Draws whole blocks with replacement, the same ones for all arms of a run.

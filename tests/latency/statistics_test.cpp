@@ -111,6 +111,41 @@ TEST_SUITE("lot_ab statistics") {
     CHECK_FALSE(ratio_of_quantiles(b, Blocks(12, {0.0}), 0.5));
   }
 
+  TEST_CASE("the interval is that of whole blocks drawn and sorted one draw after the other") {
+    std::mt19937_64 random(8);
+    for (const std::size_t size : {1u, 30u, 700u}) {
+      Blocks a;
+      Blocks b;
+      for (int block = 0; block < 7; ++block) {
+        a.push_back(some_values(random, size + random() % 5, 1000));
+        b.push_back(some_values(random, size, 300));
+      }
+      for (const double q : {0.5, 0.99}) {
+        std::mt19937_64 draws(9);
+        std::vector<double> ratios;
+        for (int i = 0; i < 1000; ++i) {
+          std::vector<double> of_a;
+          std::vector<double> of_b;
+          for (std::size_t k = 0; k < a.size(); ++k) {
+            const std::size_t drawn = draws() % a.size();
+            of_a.insert(of_a.end(), a[drawn].begin(), a[drawn].end());
+            of_b.insert(of_b.end(), b[drawn].begin(), b[drawn].end());
+          }
+          std::sort(of_a.begin(), of_a.end());
+          std::sort(of_b.begin(), of_b.end());
+          ratios.push_back(quantile(of_a, q) / quantile(of_b, q));
+        }
+        std::sort(ratios.begin(), ratios.end());
+        const auto ratio = ratio_of_quantiles(a, b, q, 9);
+        REQUIRE(ratio);
+        CAPTURE(size);
+        CAPTURE(q);
+        CHECK(ratio->low == Approx(quantile(ratios, 0.025)));
+        CHECK(ratio->high == Approx(quantile(ratios, 0.975)));
+      }
+    }
+  }
+
   TEST_CASE("the interval holds the true ratio about as often as it says") {
     constexpr int kRounds = 200;
     std::mt19937_64 random(4);
