@@ -418,6 +418,14 @@ Json read_run(const fs::path& file) {
   return json;
 }
 
+void check_machine(const Json& json, const Machine& now, const fs::path& file) {
+  const Machine before = machine_of(json.at("machine"));
+  if (before.cpu == now.cpu && before.cores == now.cores && before.kernel == now.kernel) return;
+  throw std::invalid_argument(file.string() + ": was measured on another machine (" + before.cpu +
+                              ", " + std::to_string(before.cores) + " cores, " + before.kernel +
+                              "): choose another directory");
+}
+
 void save_with(Json cells, const Run& run, const fs::path& dir) {
   fs::create_directories(dir / "raw");
   for (const Cell& cell : run.cells) {
@@ -459,21 +467,16 @@ void add(const Run& run, const fs::path& dir) {
   const fs::path file = dir / "run.json";
   if (!fs::exists(file)) return save(run, dir);
   Json old = read_run(file);
-  const Machine before = machine_of(old.at("machine"));
-  if (before.cpu != run.machine.cpu || before.cores != run.machine.cores ||
-      before.kernel != run.machine.kernel) {
-    fail(file, "was measured on another machine (" + before.cpu + ", " +
-                   std::to_string(before.cores) + " cores, " + before.kernel +
-                   "): choose another directory");
-  }
+  check_machine(old, run.machine, file);
   save_with(std::move(old.at("cells")), run, dir);
 }
 
-std::vector<CellArms> saved_cells(const fs::path& dir) {
+std::vector<CellArms> saved_cells(const fs::path& dir, const Machine& machine) {
   std::vector<CellArms> cells;
   const fs::path file = dir / "run.json";
   if (!fs::exists(file)) return cells;
   const Json json = read_run(file);
+  check_machine(json, machine, file);
   for (const Json& cell : json.at("cells")) {
     CellArms saved{conditions_of(cell.at("conditions")), {}};
     for (const Json& arm : cell.at("arms")) {

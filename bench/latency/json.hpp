@@ -28,13 +28,14 @@ namespace ab {
 void save(const Run&, const std::filesystem::path& dir);
 
 /// Adds this run's cells to those in `dir` (which need not exist); a cell with equal conditions is
-/// replaced. All else (machine, command, started) is that of the newest run. Refuses a directory
-/// whose run is of a machine with another CPU, number of cores or kernel.
+/// replaced. All else (machine, command, started) is that of the newest run. A directory whose run
+/// is of a machine with another CPU, number of cores or kernel is refused: std::invalid_argument.
 void add(const Run&, const std::filesystem::path& dir);
 
 /// The cells in `dir`, with the names of those of their arms that did not fail (what was refused
-/// did not: it would be again). None if there is no run.
-std::vector<CellArms> saved_cells(const std::filesystem::path& dir);
+/// did not: it would be again). None if there is no run. Refuses what add() would refuse to a run
+/// of this machine.
+std::vector<CellArms> saved_cells(const std::filesystem::path& dir, const Machine& machine);
 
 /// `path`: a run.json, or the directory with it.
 Run load(const std::filesystem::path& path);

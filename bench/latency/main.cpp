@@ -136,7 +136,7 @@ Run header(int argc, char** argv, std::uint64_t seed) {
 }
 
 /// The cells that a run of this choice measures, with all arms that each wants.
-std::vector<CellArms> plan(const Choice& choice) {
+std::vector<CellArms> plan(const Choice& choice, const Machine& machine) {
   const std::vector<std::string> names =
       choice.transports.empty() ? every_transport() : choice.transports;
   check(names);
@@ -156,7 +156,7 @@ std::vector<CellArms> plan(const Choice& choice) {
     wanted.push_back(std::move(cell));
   }
   if (choice.out.empty()) return wanted;
-  std::vector<CellArms> rest = to_measure(wanted, saved_cells(choice.out), choice.saved);
+  std::vector<CellArms> rest = to_measure(wanted, saved_cells(choice.out, machine), choice.saved);
   for (const CellArms& cell : rest) check(cell.arms);  // what was saved may be missing here
   return rest;
 }
@@ -220,7 +220,7 @@ class Progress {
 };
 
 int run(const Choice& choice, const Run& about) {
-  const std::vector<CellArms> wanted = plan(choice);
+  const std::vector<CellArms> wanted = plan(choice, about.machine);
   if (choice.dry_run) {
     print_plan(wanted);
     return 0;

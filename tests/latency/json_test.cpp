@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <fstream>
 #include <iterator>
+#include <stdexcept>
 
 #include <doctest/doctest.h>
 #include <nlohmann/json.hpp>
@@ -175,13 +176,13 @@ TEST_SUITE("lot_ab json") {
 
   TEST_CASE("a saved cell has the arms that did not fail") {
     const TemporaryDirectory dir;
-    CHECK(saved_cells(dir.path()).empty());
+    CHECK(saved_cells(dir.path(), run_of({}).machine).empty());
     Cell cell = cell_of(128, 10'000);
     cell.arms.resize(3);
     cell.arms[0].refused = "failed: publisher 0: ended";
     cell.arms[1].refused = "cannot be had here";
     add(run_of({cell}), dir.path());
-    CHECK(saved_cells(dir.path()) ==
+    CHECK(saved_cells(dir.path(), run_of({}).machine) ==
           std::vector<CellArms>{{cell.conditions, {"tcp", "floor-spin"}}});
   }
 
@@ -191,6 +192,7 @@ TEST_SUITE("lot_ab json") {
     add(run, dir.path());
     run.machine.cores = 96;
     CHECK_THROWS_WITH(add(run, dir.path()), doctest::Contains("another machine"));
+    CHECK_THROWS_AS(saved_cells(dir.path(), run.machine), std::invalid_argument);
     CHECK(load(dir.path()).machine.cores == 2);
   }
 

@@ -95,6 +95,10 @@ def shows_and_compares(directory):
     json.dump(run, open(out + '/run.json', 'w', encoding='utf-8'))
     r = lot_ab('show', out)
     check(r.returncode == 1 and 'WRONG' in r.stdout, 'counts that do not add up: 1')
+    run['machine']['kernel'] = 'made up'
+    json.dump(run, open(out + '/run.json', 'w', encoding='utf-8'))
+    r = lot_ab('-t', 'ring', '-n', '1000000', '-o', out, '--resume')
+    check(r.returncode == 2 and 'another machine' in r.stderr, 'what another machine measured is refused at once')
     open(out + '/run.json', 'w', encoding='utf-8').write('{')
     for command in (['compare', out, other], ['show', out], ['plot', out], ['-t', 'ring', '--resume', '-o', out]):
         r = lot_ab(*command)
