@@ -169,17 +169,8 @@ class Conductor {
   // ---- what is to be done ----
 
   void choose_arms() {
-    std::vector<std::string> names = options_.transports;
-    if (options_.floors) {
-      // Who spins needs a core of its own.
-      unsigned nodes = 0;
-      for (const Topic& topic : topics_) nodes += topic.publishers + topic.subscribers;
-      if (nodes <= usable_cores().size() && c_.pin != "same-core") names.emplace_back("floor-spin");
-      names.emplace_back("floor-futex");
-      if (c_.mode == "paced") names.emplace_back("floor-pace");
-    }
     std::set<std::string> once;
-    for (const std::string& name : names) {
+    for (const std::string& name : options_.transports) {
       if (!once.insert(name).second) continue;
       Arm arm;
       arm.transport = name;
@@ -640,6 +631,17 @@ std::vector<Topic> topics(const Conditions& c) {
   topic.rate_hz = c.mode == "paced" ? c.rate_hz : 0;
   if (!parse_graph(c.graph, topic.publishers, topic.subscribers)) return {};
   return {topic};
+}
+
+std::vector<std::string> floors_of(const Conditions& c) {
+  std::vector<std::string> floors;
+  // Who spins needs a core of its own.
+  unsigned nodes = 0;
+  for (const Topic& topic : topics(c)) nodes += topic.publishers + topic.subscribers;
+  if (nodes <= usable_cores().size() && c.pin != "same-core") floors.emplace_back("floor-spin");
+  floors.emplace_back("floor-futex");
+  if (c.mode == "paced") floors.emplace_back("floor-pace");
+  return floors;
 }
 
 std::string refused(const Conditions& c) {

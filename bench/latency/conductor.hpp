@@ -22,7 +22,6 @@ struct Topic {
 struct CellOptions {
   Conditions conditions;
   std::vector<std::string> transports;
-  bool floors = true;      ///< adds those that these conditions have
   bool profile = false;    ///< utilisation, and hot spots by SIGPROF
   std::uint64_t seed = 1;  ///< of the order of turns
 };
@@ -51,6 +50,9 @@ bool is_scenario(const std::string& graph);
 
 /// The topics of a graph: NpMs, av, av-quiet.
 std::vector<Topic> topics(const Conditions& conditions);
+
+/// The floors that a cell of these conditions has here, unless it is to have none.
+std::vector<std::string> floors_of(const Conditions& conditions);
 
 /// `progress` hears a line now and then. `interrupted` is asked often; when it says yes, everything
 /// is stopped, and the cell comes back without arms.

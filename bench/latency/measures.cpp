@@ -176,12 +176,4 @@ const StreamResult* find(const Cell& cell, std::string_view transport, std::stri
 
 bool has_failed(std::string_view refused) { return refused.starts_with("failed: "); }
 
-std::vector<std::string> floors_of(const Conditions& conditions) {
-  std::vector<std::string> floors;
-  if (conditions.wait != "park") floors.emplace_back(kFloorSpin);
-  if (conditions.wait != "spin") floors.emplace_back(kFloorFutex);
-  if (conditions.mode == "paced") floors.emplace_back(kFloorPace);
-  return floors;
-}
-
 }  // namespace ab

@@ -2,9 +2,7 @@
 #pragma once
 
 #include <cstdint>
-#include <string>
 #include <string_view>
-#include <vector>
 
 #include "result.hpp"
 #include "statistics.hpp"
@@ -61,7 +59,5 @@ inline constexpr const char* kRing = "ring";  ///< what others are beside
 inline constexpr const char* kFloorSpin = "floor-spin";
 inline constexpr const char* kFloorFutex = "floor-futex";
 inline constexpr const char* kFloorPace = "floor-pace";
-/// The floors that a cell of these conditions has, unless it is to have none.
-std::vector<std::string> floors_of(const Conditions&);
 
 }  // namespace ab
