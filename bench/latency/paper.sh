@@ -40,13 +40,16 @@ if [ ! -x "$lot_ab" ]; then
   exit 2
 fi
 
-# How long that is: messages / 30 Hz for each arm (floors are arms) of each cell.
-#   figures 3, 5, 6, 7 at 8 sizes: (6 + 2 + 7 + 2 + 4 + 5 + 2) x 8 + 6 (Nagle)   230 arms
-#   every transport at 3 sizes, peers that spin at 3 sizes: (17 + 8) x 3           75 arms
-#                                                             305 x 300 / 30 Hz = 51 min
+# How long that is: messages / 30 Hz for each arm (floors are arms) of each cell, with 2 cores.
+#   figures 3, 5, 6, 7 at 8 sizes: (6 + 2 + 8 + 2 + 4 + 5 + 2) x 8 + 6 (Nagle)   238 arms
+#   every transport at 3 sizes, peers that spin at 3 sizes: (18 + 9) x 3           81 arms
+#                                                             319 x 300 / 30 Hz = 53 min
 #   load: (3 + 1) x 5 arms of 40 s                                                13 min
 #   the vehicle: 2 x 7 arms of 30 s                                                7 min
-# 71 minutes, and some more for starting nodes, for ping-pong and for throughput.
+# 73 minutes, and some more for starting nodes, for ping-pong and for throughput.
+#
+# How much memory: size x publishers x (depth + pool) for each arm of a cell, together 12 GiB with
+# 16 MiB and a pool of 100. Where publishers or topics are many, the pool is 10, and 4 may wait.
 sizes=256,2K,8K,32K,128K,1M,4M,16M
 messages=300 block=20 load_s=40 av_s=30 balls=20000 most=100000 pools=100
 case $size in
@@ -82,7 +85,7 @@ only() {
   echo "== $1"
   transports=$(those_here "$2")
   shift 2
-  "$lot_ab" --out "$out" --resume --pool "$pool" --transports "$transports" "$@" || status=$?
+  "$lot_ab" --out "$out" --resume --transports "$transports" "$@" || status=$?
   if [ $status -ge 2 ]; then exit $status; fi
   if [ $status -ne 0 ]; then failed=1; fi
 }
@@ -91,9 +94,11 @@ measure() {
   if [ "$size" = full ]; then only "$1" "$every,$2" "${@:3}"; else only "$@"; fi
 }
 
-paced=(--messages "$messages" --block "$block")
-ball=(--mode ping-pong --messages "$balls" --block $((balls / 20)))
-for pool in $pools; do
+for prepared in $pools; do
+  pool=(--pool "$prepared")
+  few=(--pool $((prepared < 10 ? prepared : 10)) --depth 4)
+  paced=(--messages "$messages" --block "$block" "${pool[@]}")
+  ball=(--mode ping-pong --messages "$balls" --block $((balls / 20)) "${pool[@]}")
   measure "every transport beside every other, parked" "$every" "${paced[@]}" --size 128,64K,1M
   measure "peers that spin" ring,ring-borrow,mutex,iceoryx,fastdds,fastdds-loan \
     "${paced[@]}" --size 128,64K,1M --wait spin --pin other-core
@@ -105,24 +110,24 @@ for pool in $pools; do
   measure "figures 6 b, c: on cores of their own" ring,tcp "${paced[@]}" --size $sizes --pin other-core --no-floors
   measure "figure 6 d: Nagle's algorithm" tcp-nagle,tcp,ring "${paced[@]}" --size 512,1K --no-floors
   measure "figure 5: five publishers" ring,tcp,tzc,floor-futex \
-    "${paced[@]}" --size $sizes --graph 5p1s --place containers --no-floors
+    --messages "$messages" --block "$block" "${few[@]}" --size $sizes --graph 5p1s --place containers --no-floors
   measure "figure 7: five subscribers" ring,tcp,uds,tzc,floor-futex \
     "${paced[@]}" --size $sizes --graph 1p5s --place containers --no-floors
   measure "figure 7 b: five subscribers, one after the other" tcp,ring \
     "${paced[@]}" --size $sizes --graph 1p5s --place containers --ordered --no-floors
-  load=(--size 16M --messages $((30 * load_s)) --no-floors)
+  load=(--size 16M --messages $((30 * load_s)) --no-floors "${few[@]}")
   only "figure 8, table 1: load at 16 MiB" ring,mutex,tcp,lot2021,lot2021-direct \
     "${load[@]}" --block $((30 * load_s)) --graph 1p1s,1p5s,5p1s --profile
   only "what a message of 16 MiB costs that is not filled" ring,mutex,tcp,lot2021,lot2021-direct \
     "${load[@]}" --block $((30 * load_s / 4)) --fill no
   measure "the vehicle, with and without its cameras" ring,mutex,tcp,lot2021,lot2021-direct \
-    --graph av,av-quiet --messages $((400 * av_s)) --block $((400 * av_s / 4))
+    "${few[@]}" --graph av,av-quiet --messages $((400 * av_s)) --block $((400 * av_s / 4))
   measure "spinning: ping-pong" ring,ring-borrow,mutex,tcp,uds,iceoryx,fastdds \
     "${ball[@]}" --wait spin --pin other-core --size 128,1M
   measure "parked: ping-pong on one core" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds \
     "${ball[@]}" --wait park --pin same-core --size 128
   measure "throughput" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx \
-    --mode throughput --wait adaptive --size 128,64K --messages $most --block $((most / 10))
+    "${pool[@]}" --mode throughput --wait adaptive --size 128,64K --messages $most --block $((most / 10))
 done
 
 "$lot_ab" plot "$out"

@@ -85,7 +85,9 @@ def is_understood():
             check(0 < paper.seconds() < most, f'{word}: in time, with some to spare for what is not paced')
         else:
             pools = [value(command, '--pool') for command in paper.asked]
-            check(pools == ['100'] * (len(pools) // 2) + ['0'] * (len(pools) // 2), 'full: with and without a pool')
+            half = len(pools) // 2
+            check('0' not in pools[:half] and set(pools[half:]) == {'0'} and '100' in pools,
+                  'full: with and without a pool')
             broad = [command for command in paper.asked if every <= names(command)]
             check(len(broad) == len(pools) - 4, 'full: every transport, but for load')
         check(any(every <= names(command) for command in paper.asked), f'{word}: every transport somewhere')
