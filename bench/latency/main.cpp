@@ -408,10 +408,9 @@ int main(int argc, char** argv) {
   CLI::App app(
       "Compares ways to move messages between processes, under equal conditions: all transports\n"
       "are started, then take turns, together with the floors that nobody can beat.\n"
-      "Exit status: 0; 1 if a transport failed, a cell needs more memory than there is, or "
-      "messages\n"
-      "do not add up; 2 for bad use; 4 for what else went wrong (a file that cannot be read or\n"
-      "written); 128 and a signal's number.");
+      "Exit status: 0; 1 if a transport failed, a cell needs more memory than there is, or\n"
+      "messages do not add up; 2 for bad use; 4 for what else went wrong (a file that cannot be\n"
+      "read or written); 128 and a signal's number.");
   app.footer(
       "Every combination of the lists is a cell. Example:\n"
       "  lot_ab -t ring,tcp -s 128,1M,16M -g 1p1s,1p5s -n 500 -o results\n"
