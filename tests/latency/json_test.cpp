@@ -134,7 +134,7 @@ TEST_SUITE("lot_ab json") {
     fast.conditions.mode = "throughput";
     save(run_of({cell, fast}), dir.path());
     const auto json = nlohmann::json::parse(std::ifstream(dir.path() / "run.json"));
-    const auto to_ring = [&](int which) {
+    const auto to_ring = [&](std::size_t which) {
       return json["cells"][which]["arms"][1]["streams"][0]["all"]["to_ring"];
     };
     CHECK(to_ring(0)["median"]["us_per_message"]["ratio"] == 4);
