@@ -310,12 +310,13 @@ void operate(Document<In>& d, Document<In>& other, Bytes& bytes, bool& strong) {
       return change_inside(d.lines, bytes, strong);
     case 9:
       return change_inside(d.rows, bytes, strong);
-    case 10:
+    case 10: {
       if (d.parts.empty()) return;
-      change(d.parts.back().name, bytes, strong);
-      change(d.parts.front().numbers, bytes, strong);
-      strong = false;
+      bool each = false;  // of two changes the first stays when the second runs out of memory
+      change(d.parts.back().name, bytes, each);
+      change(d.parts.front().numbers, bytes, each);
       return;
+    }
     case 11:
       return change(d.notes[bytes.below(2)], bytes, strong);
     case 12:
