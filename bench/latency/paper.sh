@@ -4,7 +4,7 @@
 #
 #     bench/latency/paper.sh [--quick | --full] [--out DIR]     (default DIR: build/paper)
 #
-#   (none)    8 sizes, 300 messages: under 90 minutes
+#   (none)    8 sizes, 500 messages: under 90 minutes
 #   --quick   3 sizes, 20 messages: under 10 minutes, to see that all of it works
 #   --full    14 sizes, 2000 messages, every transport, with and without a pool: days
 #
@@ -41,22 +41,22 @@ if [ ! -x "$lot_ab" ]; then
 fi
 
 # How long that is: messages / 30 Hz for each arm (floors are arms) of each cell, with 2 cores.
-#   figures 3, 5, 6, 7 at 8 sizes: (6 + 2 + 8 + 2 + 4 + 5 + 2) x 8 + 6 (Nagle)   238 arms
-#   every transport at 3 sizes, peers that spin at 3 sizes: (18 + 9) x 3           81 arms
-#                                                             319 x 300 / 30 Hz = 53 min
-#   load: (3 + 1) x 5 arms of 40 s                                                13 min
-#   the vehicle: 2 x 7 arms of 30 s                                                7 min
-# 73 minutes, and some more for starting nodes, for ping-pong and for throughput.
+#   figures 3, 5, 6, 7 at 8 sizes, 500 messages: (6 + 2 + 5 + 2 + 3 + 5 + 1) x 8 + 6 (Nagle), 198 arms: 55 min
+#   every transport at 3 sizes, 150 messages: 18 x 3 arms                                               5 min
+#   peers that spin, and frames that are made anew, 100 messages: 9 x 3 + 6 arms                        2 min
+#   load: 4 x 3 arms of 60 s, 5 of 20 s                                                                14 min
+#   the vehicle: 2 x 7 arms of 20 s                                                                     5 min
+# 81 minutes, and some more for starting nodes, for ping-pong and for throughput.
 #
 # How much memory: size x publishers x (depth + pool) for each arm of a cell, together 12 GiB with
 # 16 MiB and a pool of 100. Where publishers or topics are many, the pool is 10, and 4 may wait.
 sizes=256,2K,8K,32K,128K,1M,4M,16M
-messages=300 block=20 load_s=40 av_s=30 balls=20000 most=100000 pools=100
+messages=500 block=25 others=150 some=100 load_s=60 av_s=20 balls=20000 most=100000 pools=100
 case $size in
-  quick) sizes=256,1M,16M messages=20 block=5 load_s=2 av_s=2 balls=2000 most=20000 ;;
+  quick) sizes=256,1M,16M messages=20 block=5 others=20 some=20 load_s=2 av_s=2 balls=2000 most=20000 ;;
   full)
     sizes=256,512,1K,2K,4K,8K,32K,128K,512K,1M,2M,4M,8M,16M
-    messages=2000 block=50 load_s=60 av_s=60 pools="100 0"
+    messages=2000 block=50 others=2000 some=2000 av_s=60 pools="100 0"
     ;;
 esac
 
@@ -99,29 +99,33 @@ for prepared in $pools; do
   few=(--pool $((prepared < 10 ? prepared : 10)) --depth 4)
   paced=(--messages "$messages" --block "$block" "${pool[@]}")
   ball=(--mode ping-pong --messages "$balls" --block $((balls / 20)) "${pool[@]}")
-  measure "every transport beside every other, parked" "$every" "${paced[@]}" --size 128,64K,1M
+  measure "every transport beside every other, parked" "$every" \
+    --messages "$others" --block $((others / 6 + 1)) "${pool[@]}" --size 128,64K,1M
   measure "peers that spin" ring,ring-borrow,mutex,iceoryx,fastdds,fastdds-loan \
-    "${paced[@]}" --size 128,64K,1M --wait spin --pin other-core
+    --messages "$some" --block $((some / 5)) "${pool[@]}" --size 128,64K,1M --wait spin --pin other-core
+  [ "$size" = full ] || only "frames that are made anew" ring,lot2021,lot2021-direct \
+    --messages "$some" --block $((some / 5)) --pool 0 --size 16M
   measure "figures 6 a, 3: one publisher, one subscriber, in separate containers" ring,tcp,udp,uds,tzc,floor-futex \
     "${paced[@]}" --size $sizes --place containers --no-floors
   measure "figure 3: in one container" ring,tcp "${paced[@]}" --size $sizes --place container --no-floors
-  measure "figure 3: on the host; and the stack of the paper" ring,mutex,tcp,lot2021,lot2021-direct \
-    "${paced[@]}" --size $sizes
+  measure "figure 3: on the host" ring,mutex,tcp,floor-futex,floor-pace "${paced[@]}" --size $sizes --no-floors
   measure "figures 6 b, c: on cores of their own" ring,tcp "${paced[@]}" --size $sizes --pin other-core --no-floors
   measure "figure 6 d: Nagle's algorithm" tcp-nagle,tcp,ring "${paced[@]}" --size 512,1K --no-floors
-  measure "figure 5: five publishers" ring,tcp,tzc,floor-futex \
+  measure "figure 5: five publishers" ring,tcp,tzc \
     --messages "$messages" --block "$block" "${few[@]}" --size $sizes --graph 5p1s --place containers --no-floors
   measure "figure 7: five subscribers" ring,tcp,uds,tzc,floor-futex \
     "${paced[@]}" --size $sizes --graph 1p5s --place containers --no-floors
-  measure "figure 7 b: five subscribers, one after the other" tcp,ring \
+  measure "figure 7 b: five subscribers, one after the other" tcp \
     "${paced[@]}" --size $sizes --graph 1p5s --place containers --ordered --no-floors
-  load=(--size 16M --messages $((30 * load_s)) --no-floors "${few[@]}")
-  only "figure 8, table 1: load at 16 MiB" ring,mutex,tcp,lot2021,lot2021-direct \
-    "${load[@]}" --block $((30 * load_s)) --graph 1p1s,1p5s,5p1s --profile
+  load=(--size 16M --no-floors "${few[@]}")
+  only "figure 8, table 1: load at 16 MiB" ring,mutex,tcp,lot2021 \
+    "${load[@]}" --messages $((30 * load_s)) --block $((30 * load_s)) --graph 1p1s,1p5s,5p1s --profile
   only "what a message of 16 MiB costs that is not filled" ring,mutex,tcp,lot2021,lot2021-direct \
-    "${load[@]}" --block $((30 * load_s / 4)) --fill no
+    "${load[@]}" --messages $((10 * load_s)) --block $((10 * load_s / 4)) --fill no
   measure "the vehicle, with and without its cameras" ring,mutex,tcp,lot2021,lot2021-direct \
     "${few[@]}" --graph av,av-quiet --messages $((400 * av_s)) --block $((400 * av_s / 4))
+  measure "five publishers beside the floor" ring,tcp \
+    --messages "$some" --block $((some / 5)) "${few[@]}" --size 128,1M --graph 5p1s
   measure "spinning: ping-pong" ring,ring-borrow,mutex,tcp,uds,iceoryx,fastdds \
     "${ball[@]}" --wait spin --pin other-core --size 128,1M
   measure "parked: ping-pong on one core" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds \
