@@ -48,9 +48,14 @@ Tracee::Tracee(pid_t pid) : pid_(pid) {
   try {
     for (const pid_t id : ids) {
       if (trace(PTRACE_SEIZE, id, 0, kOptions) == -1 || trace(PTRACE_INTERRUPT, id) == -1) {
+        // A thread that has ended since we listed it is not there to be stepped.
+        if (errno == ESRCH && id != pid) {
+          waitpid(id, nullptr, __WALL | WNOHANG);
+          continue;
+        }
         throw std::runtime_error(std::string("ptrace: ") + std::strerror(errno));
       }
-      adopt(id);
+      adopt(id, id != pid);
     }
   } catch (...) {
     detach();  // a thread that stays traced can only be buried by us
@@ -62,9 +67,10 @@ Tracee::~Tracee() {
   if (!dead_) detach();
 }
 
-void Tracee::adopt(pid_t thread) {
+void Tracee::adopt(pid_t thread, bool may_have_ended) {
   int status = 0;
   if (waitpid(thread, &status, __WALL) != thread || !WIFSTOPPED(status)) {
+    if (may_have_ended && (WIFEXITED(status) || WIFSIGNALED(status))) return;
     throw std::runtime_error("a traced thread did not stop");
   }
   threads_.push_back({thread, true});
@@ -126,7 +132,7 @@ bool Tracee::note(std::size_t index, int status) {
   if (is_clone_event(status)) {
     unsigned long id = 0;
     trace(PTRACE_GETEVENTMSG, thread.id, 0, reinterpret_cast<std::uintptr_t>(&id));
-    adopt(static_cast<pid_t>(id));
+    adopt(static_cast<pid_t>(id), false);
   } else if (!is_stop_event(status) && WSTOPSIG(status) != SIGTRAP) {
     thread.signal = WSTOPSIG(status);
   }

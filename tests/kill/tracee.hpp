@@ -76,7 +76,7 @@ class Tracee {
   /// Takes note of a stop or an end that waitpid reported. False: the thread has ended.
   bool note(std::size_t index, int status);
   bool poll(std::size_t index);
-  void adopt(pid_t thread);
+  void adopt(pid_t thread, bool may_have_ended);
 
   pid_t pid_;
   std::vector<Thread> threads_;
