@@ -10,15 +10,6 @@
 /// Runs a cell: starts the nodes of every arm, lets the arms take turns, and gathers what came out.
 namespace ab {
 
-/// A stream of a cell, before transports give it names.
-struct Topic {
-  std::string name;  ///< "" in a cell of one
-  std::size_t size = 0;
-  double rate_hz = 0;
-  unsigned publishers = 1;
-  unsigned subscribers = 1;
-};
-
 struct CellOptions {
   Conditions conditions;
   std::vector<std::string> transports;
@@ -42,17 +33,6 @@ class Workplace {
   std::string name_;
   int lock_ = -1;
 };
-
-/// Why these conditions cannot be had: empty, or a sentence that names the option to change.
-std::string refused(const Conditions& conditions);
-
-bool is_scenario(const std::string& graph);
-
-/// The topics of a graph: NpMs, av, av-quiet.
-std::vector<Topic> topics(const Conditions& conditions);
-
-/// The floors that a cell of these conditions has here, unless it is to have none.
-std::vector<std::string> floors_of(const Conditions& conditions);
 
 /// `progress` hears a line now and then. `interrupted` is asked often; when it says yes, everything
 /// is stopped, and the cell comes back without arms.

@@ -120,10 +120,8 @@ int run_group(int fd, unsigned arm, unsigned group) {
   const ArmPlan& mine = plan.arms.at(arm);
   const auto goes_on = [&board] { return board.head().stop.load() == 0; };
   if (!board.arm(arm).network.wait_for(1, goes_on)) return 0;
-  const auto& all = transports();
-  const auto transport = std::find_if(all.begin(), all.end(),
-                                      [&](const Transport& t) { return t.name == mine.transport; });
-  if (transport != all.end() && transport->threads) {
+  const Transport* const transport = find_transport(mine.transport);
+  if (transport != nullptr && transport->threads) {
     std::atomic<int> status{0};
     run_threads(board, plan, mine.groups.at(group), status);
     return status;

@@ -15,6 +15,7 @@
 #include <CLI/CLI.hpp>
 
 #include "compare.hpp"
+#include "conditions.hpp"
 #include "conductor.hpp"
 #include "crew.hpp"
 #include "figures.hpp"
@@ -104,10 +105,7 @@ std::vector<std::string> every_transport() {
 
 void check(const std::vector<std::string>& names) {
   for (const std::string& name : names) {
-    const auto& all = transports();
-    if (std::any_of(all.begin(), all.end(), [&](const Transport& t) { return t.name == name; })) {
-      continue;
-    }
+    if (find_transport(name) != nullptr) continue;
     for (const Missing& missing : missing_transports()) {
       if (missing.name == name) throw std::invalid_argument(name + " " + missing.why);
     }

@@ -34,10 +34,8 @@ void sleep_until(std::int64_t at) {
 }
 
 const Transport& transport_named(const std::string& name) {
-  const auto& all = transports();
-  const auto at =
-      std::find_if(all.begin(), all.end(), [&](const Transport& t) { return t.name == name; });
-  if (at == all.end()) throw std::runtime_error("no transport '" + name + "'");
+  const Transport* const at = find_transport(name);
+  if (at == nullptr) throw std::runtime_error("no transport '" + name + "'");
   return *at;
 }
 

@@ -38,6 +38,13 @@ const std::vector<Transport>& transports() {
   return every;
 }
 
+const Transport* find_transport(const std::string& name) {
+  for (const Transport& each : transports()) {
+    if (each.name == name) return &each;
+  }
+  return nullptr;
+}
+
 const std::vector<Missing>& missing_transports() {
   static const std::vector<Missing> missing{
 #ifndef LOT_AB_ICEORYX

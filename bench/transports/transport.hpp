@@ -107,6 +107,8 @@ struct Transport {
 
 /// All that this program was built with, in the order in which tables show them.
 const std::vector<Transport>& transports();
+/// The one of this name; null: this program was built without it.
+const Transport* find_transport(const std::string& name);
 
 /// Transports that were not found when this program was configured: name, and the package to
 /// install.
