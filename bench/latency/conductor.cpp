@@ -256,7 +256,7 @@ class Conductor {
       if (c_.mode == "ping-pong") {
         Stream back = arm.streams[0].stream;
         back.name = name + "_1";
-        if (place == Place::Containers && !back.address.empty()) back.address = {{"10.1.1.2"}};
+        if (!back.address.empty()) back.address = {{Crew::address(place, 0, 0, true)}};
         arm.streams.push_back({back, 0});
       }
       plan_.arms.push_back(std::move(arm));

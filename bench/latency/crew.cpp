@@ -270,8 +270,9 @@ void Crew::connect(const Plan& plan) {
   }
 }
 
-std::string Crew::address(Place place, unsigned publisher, unsigned subscriber) {
-  return place == Place::Containers ? network_of(publisher, subscriber) + "1" : "127.0.0.1";
+std::string Crew::address(Place place, unsigned publisher, unsigned subscriber, bool back) {
+  if (place != Place::Containers) return "127.0.0.1";
+  return network_of(publisher, subscriber) + (back ? "2" : "1");
 }
 
 std::string Crew::unavailable(Place place, bool network) {

@@ -40,8 +40,10 @@ class Crew {
 
   /// Empty when containers can be had here; else why not.
   static std::string unavailable(Place place, bool network);
-  /// A publisher's address as a subscriber sees it.
-  static std::string address(Place place, unsigned publisher, unsigned subscriber);
+  /// Of the two ends of a link, the publisher's address as the subscriber sees it; or, when
+  /// messages go back over it, the subscriber's as the publisher sees it.
+  static std::string address(Place place, unsigned publisher, unsigned subscriber,
+                             bool back = false);
 
  private:
   struct Member {

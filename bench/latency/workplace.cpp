@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "workplace.hpp"
+
 #include <cerrno>
 #include <cstdio>
 #include <fcntl.h>
@@ -7,8 +9,6 @@
 #include <sys/file.h>
 #include <system_error>
 #include <unistd.h>
-
-#include "conductor.hpp"
 
 namespace ab {
 namespace {
