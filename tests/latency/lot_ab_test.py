@@ -18,15 +18,10 @@ import sys
 import tempfile
 import time
 
+from checks import check, run
+
 LOT_AB = sys.argv[1] if len(sys.argv) > 1 else 'build/release/bench/latency/lot_ab'
 WATCHDOG = 240
-failures = []
-
-
-def check(good, what):
-    print(('ok      ' if good else 'FAILED  ') + what, flush=True)
-    if not good:
-        failures.append(what)
 
 
 def lot_ab(*arguments):
@@ -185,10 +180,4 @@ def node_killed():
     check(re.search(r'^ *tcp', output, re.M) is not None, 'the others go on')
 
 
-for test in (bad_use, runs_and_saves, places, interrupted, interrupted_while_starting, killed, node_killed):
-    try:
-        test()
-    except Exception as e:  # pylint: disable=broad-except  # the others still say something
-        check(False, f'{test.__name__}: {e!r}')
-print(f'{len(failures)} failed')
-sys.exit(1 if failures else 0)
+run((bad_use, runs_and_saves, places, interrupted, interrupted_while_starting, killed, node_killed))

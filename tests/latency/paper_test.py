@@ -12,10 +12,11 @@ import subprocess
 import sys
 import tempfile
 
+from checks import check, run
+
 LOT_AB = os.path.abspath(sys.argv[1] if len(sys.argv) > 1 else 'build/release/bench/latency/lot_ab')
 PAPER = pathlib.Path(__file__).resolve().parents[2] / 'bench/latency/paper.sh'
 WATCHDOG = 120
-failures = []
 
 # Says what it was asked for, and lets lot_ab judge it. $MISSING is shown as missing.
 STUB = f'''#!/usr/bin/env bash
@@ -28,12 +29,6 @@ case $1 in
     exit "${{STATUS:-0}}" ;;
 esac
 '''
-
-
-def check(good, what):
-    print(('ok      ' if good else 'FAILED  ') + what, flush=True)
-    if not good:
-        failures.append(what)
 
 
 class Paper:
@@ -113,10 +108,4 @@ def ends_well():
     check(Paper('--fast').status == 2, 'an unknown option')
 
 
-for test in (is_understood, leaves_out_what_is_missing, ends_well):
-    try:
-        test()
-    except Exception as e:  # pylint: disable=broad-except  # the others still say something
-        check(False, f'{test.__name__}: {e!r}')
-print(f'{len(failures)} failed')
-sys.exit(1 if failures else 0)
+run((is_understood, leaves_out_what_is_missing, ends_well))

@@ -11,16 +11,11 @@ import subprocess
 import sys
 import tempfile
 
+from checks import check, run
+
 LOT_AB = sys.argv[1] if len(sys.argv) > 1 else 'build/release/bench/latency/lot_ab'
 WATCHDOG = 120
 CELL = ('-s', '128', '-n', '20', '--block', '5', '-r', '1000')
-failures = []
-
-
-def check(good, what):
-    print(('ok      ' if good else 'FAILED  ') + what, flush=True)
-    if not good:
-        failures.append(what)
 
 
 def lot_ab(*arguments):
@@ -110,10 +105,4 @@ def shows_and_compares(directory):
 
 
 with tempfile.TemporaryDirectory() as temporary:
-    for test in (keeps_what_is_saved, says_what_it_will_do, shows_and_compares):
-        try:
-            test(temporary)
-        except Exception as e:  # pylint: disable=broad-except  # the others still say something
-            check(False, f'{test.__name__}: {e!r}')
-print(f'{len(failures)} failed')
-sys.exit(1 if failures else 0)
+    run((keeps_what_is_saved, says_what_it_will_do, shows_and_compares), temporary)
