@@ -155,6 +155,7 @@ class Fuzz {
     Reader real;
     Word next;                     ///< index of the message that it reads next
     std::optional<Word> borrowed;  ///< block between poll and done
+    std::uint32_t unrung = 0;      ///< messages since it told the sender of room
   };
 
   Word oldest() const { return published_ - kept_.size(); }
@@ -263,11 +264,13 @@ class Fuzz {
     reader.borrowed.reset();
     ++reader.next;
     if (oracle_) oracle_->pop();
-    ring_bell(reader.real.done());
+    const bool enough = ++reader.unrung >= ring_.depth / Reader::kBellsPerLap;
+    if (enough && waiting_) reader.unrung = 0;
+    ring_bell(reader.real.done(), enough);
   }
 
-  void ring_bell(bool told) {
-    require(told == (ring_.blocking && waiting_), "the sender waits");
+  void ring_bell(bool told, bool enough = true) {
+    require(told == (ring_.blocking && waiting_ && enough), "the sender waits");
     if (!told) return;
     require(Reader::ring_bell(space_) && !Reader::ring_bell(space_), "ring_bell");
     waiting_ = false;
@@ -284,7 +287,7 @@ class Fuzz {
     if (!ring_.blocking && !ring_.taken && history == Reader::kFromTheStart) back = published_;
     back = std::min({back, Word{history}, published_});
     require(real->cell() == static_cast<std::size_t>(seat - readers_.begin()), "cell");
-    *seat = Model{*real, published_ - back, std::nullopt};
+    *seat = Model{*real, published_ - back, std::nullopt, 0};
     if (ring_.guarded() || readers_.size() != 1) return;
     oracle_ = std::make_unique<boost::lockfree::spsc_queue<Word>>(ring_.depth);
     for (Word m = published_ - back; m < published_; ++m) oracle_->push(block_of(m));

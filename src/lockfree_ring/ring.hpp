@@ -311,6 +311,8 @@ class Reader {
  public:
   /// History that asks for everything since the ring was made.
   static constexpr std::uint64_t kFromTheStart = ~std::uint64_t{0};
+  /// A sender that sleeps for room is told so often in one lap of the ring.
+  static constexpr std::uint32_t kBellsPerLap = 4;
 
   Reader() = default;
 
@@ -411,13 +413,18 @@ class Reader {
     return sequence(seen) == advance(cursor_, ahead) ? block(seen) : kNoBlock;
   }
 
-  /// Ends a borrow. Returns true when the sender sleeps for room: the caller then calls ring_bell()
+  /// Ends a borrow. Returns true when the sender sleeps and there is room for some messages, since
+  /// to wake for each one costs both sides more than the message: the caller then calls ring_bell()
   /// and, if that says so, wakes `space`.
   bool done() {
     step(1);
     ring_.cells[cell_].position.store(make(cursor_, kNoBlock), std::memory_order_release);  // R3
-    // A stale "even" here is mended by the next empty poll, or by the sender's own timed look.
-    return ring_.blocking && (ring_.space->load(std::memory_order_relaxed) & 1) != 0;
+    // A stale "even" here, as room that is not told at once, is mended by the next empty poll, or
+    // by the sender's own timed look.
+    if (!ring_.blocking || ++unrung_ < ring_.depth / kBellsPerLap) return false;
+    if ((ring_.space->load(std::memory_order_relaxed) & 1) == 0) return false;
+    unrung_ = 0;
+    return true;
   }
 
   /// After an empty poll under back-pressure: true when the sender sleeps for room.
@@ -579,6 +586,7 @@ class Reader {
   std::uint64_t skipped_ = 0;
   std::uint32_t index_ = 0;
   std::uint32_t cell_ = 0;
+  std::uint32_t unrung_ = 0;  ///< messages since the sender was last told of room
   bool drained_ = false;
 };
 

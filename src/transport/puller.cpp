@@ -7,6 +7,7 @@
 #include "lockfree_ring/sleep.hpp"
 #include "transport/notifier.hpp"
 #include "transport/participant.hpp"
+#include "transport/spin_habit.hpp"
 
 namespace lot::transport {
 namespace {
@@ -17,8 +18,6 @@ using ring::kNoBlock;
 using Policy = segment::Atomics;
 using Reader = ring::Reader<Policy>;
 
-/// Adaptive waiting spins this long: a little more than what a wake-up across cores costs.
-constexpr auto kSpinTime = 50us;
 constexpr unsigned kPollsPerClock = 64;
 /// The first polls of a wait follow each other at once: a pause would add to the latency.
 constexpr unsigned kEagerPolls = 4096;
@@ -43,7 +42,7 @@ class Puller final : public detail::PullerCore {
         type_(type),
         taking_(delivery == detail::Delivery::ToOne),
         small_(type.size <= segment::kSmallBytes && type.align <= 64),
-        wait_(options.wait == Wait::Adaptive && !has_several_cores() ? Wait::Park : options.wait) {
+        habit_(options.wait) {
     try {
       const registry::Registry::Lock lock(participant_->registry());
       participant_->registry().add_puller(topic_, participant_->index());
@@ -251,29 +250,44 @@ class Puller final : public detail::PullerCore {
   }
 
   Status wait_and_look(detail::Borrowed& borrowed, const futex::Deadline& deadline) {
-    // At the heels of a streaming publisher every message would cost both sides the slot's line:
-    // let it get ahead.
-    if (std::exchange(burst_, 0) >= kBurst && wait_ != Wait::Park) {
-      for (unsigned n = 0; n < kPausesAfterBurst; ++n) Policy::pause();
-      if (look(borrowed)) return Status::Ok;
+    const bool streaming = std::exchange(burst_, 0) >= kBurst;
+    if (habit_.worthwhile()) {
+      const auto status = spin(borrowed, deadline, streaming);
+      if (status) return *status;
     }
     for (;;) {
-      if (wait_ != Wait::Park) {
-        const auto start = futex::Clock::now();
-        for (unsigned n = 1;; ++n) {
-          if (n > kEagerPolls) Policy::pause();
-          if (look(borrowed)) return Status::Ok;
-          if (n % kPollsPerClock != 0) continue;
-          settle();
-          const auto now = futex::Clock::now();
-          // Once more: we may have been held up since the last look.
-          if (deadline && now >= *deadline) return look(borrowed) ? Status::Ok : Status::Timeout;
-          if (wait_ == Wait::Adaptive && now - start >= kSpinTime) break;
-        }
-      }
       const bool in_time = park(deadline);
       if (look(borrowed)) return Status::Ok;
       if (!in_time) return Status::Timeout;
+    }
+  }
+
+  /// Nothing: it is time to sleep.
+  std::optional<Status> spin(detail::Borrowed& borrowed, const futex::Deadline& deadline,
+                             bool streaming) {
+    // At the heels of a streaming publisher every message would cost both sides the slot's line:
+    // let it get ahead.
+    if (streaming) {
+      for (unsigned n = 0; n < kPausesAfterBurst; ++n) Policy::pause();
+      if (look(borrowed)) return Status::Ok;
+    }
+    const auto start = futex::Clock::now();
+    for (unsigned n = 1;; ++n) {
+      const bool eager = n <= kEagerPolls;
+      if (!eager) Policy::pause();
+      if (look(borrowed)) {
+        habit_.spun(eager ? 0ns : futex::Clock::now() - start);  // no clock where latency counts
+        return Status::Ok;
+      }
+      if (n % kPollsPerClock != 0) continue;
+      settle();
+      const auto now = futex::Clock::now();
+      // Once more: we may have been held up since the last look.
+      if (deadline && now >= *deadline) return look(borrowed) ? Status::Ok : Status::Timeout;
+      if (habit_.enough(now - start)) {
+        habit_.spun(now - start);
+        return std::nullopt;
+      }
     }
   }
 
@@ -387,7 +401,7 @@ class Puller final : public detail::PullerCore {
   const detail::MessageType& type_;
   bool taking_;  ///< each message is for one reader, which takes it
   bool small_;   ///< the messages lie in their blocks' small payload
-  Wait wait_;
+  SpinHabit habit_;
   bool announced_ = false;  ///< the topic counts this puller
   bool borrowing_ = false;
   bool keeping_ = false;        ///< what is found is kept at once

@@ -8,6 +8,7 @@
 
 #include "lockfree_ring/sleep.hpp"
 #include "transport/participant.hpp"
+#include "transport/spin_habit.hpp"
 
 namespace lot::transport {
 namespace {
@@ -21,7 +22,6 @@ constexpr std::uint64_t kBatchedBytes = 64 << 10;
 constexpr std::size_t kSmallestBatch = 32;
 /// A sender that waits for room looks by itself this often: a reader's ring may have been missed.
 constexpr auto kLookPeriod = 1ms;
-constexpr auto kSpinTime = 50us;
 /// A queue that loses nothing stays so long for readers that have not found it yet.
 constexpr auto kFarewell = 100ms;
 constexpr unsigned kPausesPerLook = 16;
@@ -327,17 +327,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
                      std::chrono::nanoseconds block_for) {
     if (!waits_) return false;
-    const auto start = futex::Clock::now();
     const auto until = detail::after(block_for);
-    while (spins_ && futex::Clock::now() < std::min(until, start + kSpinTime)) {
-      alone.unlock();
-      lock.unlock();
-      // Seldom enough to leave the reader its cursor's line, and to find room for more than one.
-      for (unsigned n = 0; n < kPausesPerLook; ++n) segment::Atomics::pause();
-      lock.lock();
-      alone.lock();
-      if (room()) return true;
-    }
+    if (habit_.worthwhile() && spin_for_room(lock, alone, until)) return true;
     for (unsigned look = 1;; ++look) {
       const auto value = ring::wait_for_room(*writer_, [this] { return room(); });
       if (!value) return true;
@@ -358,6 +349,28 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       lock.lock();
       alone.lock();
     }
+  }
+
+  bool spin_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
+                     futex::Clock::time_point until) {
+    const auto start = futex::Clock::now();
+    for (auto now = start; now < until; now = futex::Clock::now()) {
+      if (habit_.enough(now - start)) {
+        habit_.spun(now - start);
+        return false;
+      }
+      alone.unlock();
+      lock.unlock();
+      // Seldom enough to leave the reader its cursor's line, and to find room for more than one.
+      for (unsigned n = 0; n < kPausesPerLook; ++n) segment::Atomics::pause();
+      lock.lock();
+      alone.lock();
+      if (room()) {
+        habit_.spun(futex::Clock::now() - start);
+        return true;
+      }
+    }
+    return false;
   }
 
   /// The pool is dry and all blocks are taken: looks everywhere.
@@ -411,7 +424,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   bool all_joined_ = false;          ///< who had subscribed before has a cell here
   std::vector<std::uint32_t> late_;  ///< participants who had not, the last time
   bool evicts_ = false;              ///< gives its oldest messages up when memory runs out
-  bool spins_ = has_several_cores();
+  SpinHabit habit_{Wait::Adaptive};
   bool big_ = false;
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;

@@ -7,14 +7,13 @@
 
 #include "futex/futex.hpp"
 #include "transport/participant.hpp"
+#include "transport/spin_habit.hpp"
 
 namespace lot::transport {
 namespace {
 
 using detail::Clock;
 using namespace std::chrono_literals;
-
-constexpr auto kSpinTime = 50us;
 
 class Queue final : public detail::QueueCore {
  public:
@@ -26,7 +25,8 @@ class Queue final : public detail::QueueCore {
         type_(type),
         putting_(putting),
         popping_(popping),
-        delivery_(delivery) {
+        delivery_(delivery),
+        habit_(popping.wait) {
     check_depth(name, putting.depth);
     topic_ = participant_->enter_topic(name, type);
   }
@@ -46,17 +46,27 @@ class Queue final : public detail::QueueCore {
   bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline) override {
     participant_->check_usable();  // before the lock: a child may have inherited it
     detail::FutexWaits waits;
-    Clock::time_point spin_until{};
-    for (bool first = true;; first = false) {
+    std::optional<Clock::time_point> start;
+    bool spinning = false;
+    for (;;) {
       std::optional<Clock::time_point> again;
       {
         const std::lock_guard guard(mutex_);
-        if (puller().pull(item, false, {}, false) == Status::Ok) return true;
-        if (wait == Wait::Never) return false;
+        const bool found = puller().pull(item, false, {}, false) == Status::Ok;
+        if (found && !start) return true;
+        if (!found && wait == Wait::Never) return false;
         const auto now = Clock::now();
+        if (!start) {
+          start = now;
+          spinning = habit_.worthwhile();
+        }
+        if (spinning && (found || habit_.enough(now - *start))) {
+          spinning = false;
+          habit_.spun(now - *start);
+        }
+        if (found) return true;
         if (wait == Wait::Until && now >= deadline) return false;
-        if (first) spin_until = spins() ? now + kSpinTime : now;
-        if (popping_.wait != lot::Wait::Spin && now >= spin_until) {
+        if (!spinning) {
           waits.clear();
           again = puller().arm(waits);
           if (!again) continue;
@@ -103,7 +113,6 @@ class Queue final : public detail::QueueCore {
     if (!puller_) puller_ = detail::make_puller(participant_, name_, type_, popping_, delivery_);
     return *puller_;
   }
-  bool spins() const { return popping_.wait == lot::Wait::Adaptive && has_several_cores(); }
 
   std::shared_ptr<Participant> participant_;
   std::string name_;
@@ -114,7 +123,8 @@ class Queue final : public detail::QueueCore {
   std::uint32_t topic_;
   std::once_flag pusher_made_;
   std::unique_ptr<detail::PusherCore> pusher_;
-  std::mutex mutex_;  ///< the puller's; nobody sleeps with it
+  std::mutex mutex_;  ///< the puller's and the habit's; nobody sleeps with it
+  SpinHabit habit_;
   std::unique_ptr<detail::PullerCore> puller_;
 };
 

@@ -12,7 +12,7 @@
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
-#include "transport/participant.hpp"
+#include "transport/spin_habit.hpp"
 
 namespace lot {
 
@@ -20,12 +20,11 @@ namespace detail {
 
 using namespace std::chrono_literals;
 
-constexpr auto kSpinTime = 50us;
 constexpr unsigned kPollsPerClock = 64;
 
 class WaitSetCore {
  public:
-  explicit WaitSetCore(Wait wait) : wait_(wait) {}
+  explicit WaitSetCore(Wait wait) : habit_(wait) {}
 
   void add(PullerCore& puller, WaitSet::Handler handler) {
     entries_.push_back({&puller, std::move(handler)});
@@ -124,24 +123,27 @@ class WaitSetCore {
 
   /// True when something has come while we spun.
   bool spin(const std::optional<Clock::time_point>& until) {
-    if (wait_ == Wait::Park || (wait_ == Wait::Adaptive && !transport::has_several_cores())) {
-      return false;
-    }
+    if (!habit_.worthwhile()) return false;
     const auto start = Clock::now();
     for (unsigned n = 1;; ++n) {
       HardwareAtomics::pause();
       for (const Entry& e : entries_) {
-        if (e.puller->ready()) return true;
+        if (!e.puller->ready()) continue;
+        habit_.spun(Clock::now() - start);
+        return true;
       }
       if (n % kPollsPerClock != 0) continue;
       if (stopped()) return true;
       const auto now = Clock::now();
       if (until && now >= *until) return true;
-      if (wait_ == Wait::Adaptive && now - start >= kSpinTime) return false;
+      if (habit_.enough(now - start)) {
+        habit_.spun(now - start);
+        return false;
+      }
     }
   }
 
-  Wait wait_;
+  transport::SpinHabit habit_;
   std::list<Entry> entries_;
   std::list<Timer> timers_;
   std::uint64_t last_timer_ = 0;
