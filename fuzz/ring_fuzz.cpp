@@ -155,7 +155,7 @@ class Fuzz {
     Reader real;
     Word next;                     ///< index of the message that it reads next
     std::optional<Word> borrowed;  ///< block between poll and done
-    std::uint32_t unrung = 0;      ///< messages since it told the sender of room
+    Word asked;                    ///< next, when done() last asked whether the sender waits
   };
 
   Word oldest() const { return published_ - kept_.size(); }
@@ -264,8 +264,8 @@ class Fuzz {
     reader.borrowed.reset();
     ++reader.next;
     if (oracle_) oracle_->pop();
-    const bool enough = ++reader.unrung >= ring_.depth / Reader::kBellsPerLap;
-    if (enough && waiting_) reader.unrung = 0;
+    const bool enough = reader.next - reader.asked >= ring_.depth / Reader::kBellsPerLap;
+    if (enough) reader.asked = reader.next;
     ring_bell(reader.real.done(), enough);
   }
 
@@ -287,7 +287,7 @@ class Fuzz {
     if (!ring_.blocking && !ring_.taken && history == Reader::kFromTheStart) back = published_;
     back = std::min({back, Word{history}, published_});
     require(real->cell() == static_cast<std::size_t>(seat - readers_.begin()), "cell");
-    *seat = Model{*real, published_ - back, std::nullopt, 0};
+    *seat = Model{*real, published_ - back, std::nullopt, published_ - back};
     if (ring_.guarded() || readers_.size() != 1) return;
     oracle_ = std::make_unique<boost::lockfree::spsc_queue<Word>>(ring_.depth);
     for (Word m = published_ - back; m < published_; ++m) oracle_->push(block_of(m));

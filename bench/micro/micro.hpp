@@ -40,8 +40,6 @@ void expect(bool good, const char* what);
 lot::EngineOptions segment();
 
 /// How many cores this process may use, and how it is tied to one of them.
-///
-/// An adaptive puller looks at its affinity when it is made: make it first, pin then.
 unsigned cores();
 void pin(unsigned which);
 void unpin();

@@ -51,7 +51,7 @@ struct PusherOptions {
 /// How a puller passes the time until a message comes.
 enum class Wait {
   Spin,      ///< lowest latency, a whole core
-  Adaptive,  ///< spins for some microseconds, then parks
+  Adaptive,  ///< spins for some microseconds where that has helped lately, then parks
   Park       ///< sleeps at once
 };
 

@@ -43,8 +43,8 @@ class WaitSet {
   /// Names a timer.
   enum class Timer : std::uint64_t {};
 
-  /// With Wait::Adaptive it spins for some microseconds before it sleeps; its pullers' own
-  /// PullerOptions::wait does not count here.
+  /// With Wait::Adaptive it spins for some microseconds before it sleeps, where that has helped
+  /// lately; its pullers' own PullerOptions::wait does not count here.
   explicit WaitSet(Wait wait = Wait::Park);
   ~WaitSet();
   WaitSet(const WaitSet&) = delete;

@@ -311,7 +311,7 @@ class Reader {
  public:
   /// History that asks for everything since the ring was made.
   static constexpr std::uint64_t kFromTheStart = ~std::uint64_t{0};
-  /// A sender that sleeps for room is told so often in one lap of the ring.
+  /// Whether the sender sleeps for room is asked so often in one lap of the ring.
   static constexpr std::uint32_t kBellsPerLap = 4;
 
   Reader() = default;
@@ -347,6 +347,7 @@ class Reader {
     reader.ring_ = ring;
     reader.cell_ = c;
     reader.start_at_newest(history);
+    reader.asked_ = reader.cursor_;
     // Until here the sender was pinned; from here the cursor holds it. Who has had the cell before
     // may have borrowed, so this lets its hazard go (R3).
     position.store(make(reader.cursor_, kNoBlock), std::memory_order_release);
@@ -413,18 +414,17 @@ class Reader {
     return sequence(seen) == advance(cursor_, ahead) ? block(seen) : kNoBlock;
   }
 
-  /// Ends a borrow. Returns true when the sender sleeps and there is room for some messages, since
-  /// to wake for each one costs both sides more than the message: the caller then calls ring_bell()
-  /// and, if that says so, wakes `space`.
+  /// Ends a borrow. Returns true when the sender sleeps for room: the caller then calls ring_bell()
+  /// and, if that says so, wakes `space`. It is asked a few times a lap only: to wake for each
+  /// message would cost both sides more than the message.
   bool done() {
     step(1);
     ring_.cells[cell_].position.store(make(cursor_, kNoBlock), std::memory_order_release);  // R3
-    // A stale "even" here, as room that is not told at once, is mended by the next empty poll, or
-    // by the sender's own timed look.
-    if (!ring_.blocking || ++unrung_ < ring_.depth / kBellsPerLap) return false;
-    if ((ring_.space->load(std::memory_order_relaxed) & 1) == 0) return false;
-    unrung_ = 0;
-    return true;
+    if (!ring_.blocking || distance(cursor_, asked_) < ring_.depth / kBellsPerLap) return false;
+    asked_ = cursor_;
+    // A stale "even" here, as room of which nobody tells, is mended by the next empty poll, or by
+    // the sender's own timed look.
+    return (ring_.space->load(std::memory_order_relaxed) & 1) != 0;
   }
 
   /// After an empty poll under back-pressure: true when the sender sleeps for room.
@@ -586,7 +586,7 @@ class Reader {
   std::uint64_t skipped_ = 0;
   std::uint32_t index_ = 0;
   std::uint32_t cell_ = 0;
-  std::uint32_t unrung_ = 0;  ///< messages since the sender was last told of room
+  Word asked_ = 0;  ///< cursor when done() last asked whether the sender waits
   bool drained_ = false;
 };
 

@@ -115,6 +115,8 @@ class Puller final : public detail::PullerCore {
     participant_->check_usable();
     if (borrowing_) return std::nullopt;  // the next look says what is wrong
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
+    const auto has_more = [](const Source& s) { return s.reader.ready(); };
+    if (std::any_of(sources_.begin(), sources_.end(), has_more)) return std::nullopt;
     if (!settle()) return std::nullopt;
     const ring::Rest rest =
         ring::lie_down(sources_, directory_, version_, [&waits](const auto& word, auto value) {
@@ -269,7 +271,10 @@ class Puller final : public detail::PullerCore {
     // let it get ahead.
     if (streaming) {
       for (unsigned n = 0; n < kPausesAfterBurst; ++n) Policy::pause();
-      if (look(borrowed)) return Status::Ok;
+      if (look(borrowed)) {
+        habit_.spun(0ns);
+        return Status::Ok;
+      }
     }
     const auto start = futex::Clock::now();
     for (unsigned n = 1;; ++n) {

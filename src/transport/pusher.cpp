@@ -20,7 +20,8 @@ using ring::kNoBlock;
 /// at every reader's hazard costs more than they do.
 constexpr std::uint64_t kBatchedBytes = 64 << 10;
 constexpr std::size_t kSmallestBatch = 32;
-/// A sender that waits for room looks by itself this often: a reader's ring may have been missed.
+/// A sender that waits for room looks by itself this often: readers tell of it a few times a lap
+/// only, and what they tell may be missed.
 constexpr auto kLookPeriod = 1ms;
 /// A queue that loses nothing stays so long for readers that have not found it yet.
 constexpr auto kFarewell = 100ms;
@@ -322,13 +323,15 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     }
   }
 
-  /// Waits until the slowest reader has read, or died: a reader that is at work makes room within
-  /// microseconds, so it spins first. Called and left with both locks held.
+  /// Waits until the slowest reader has read, or died. A reader that is at work makes room within
+  /// microseconds: where that has been so, it spins first. Called and left with both locks held.
   bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
                      std::chrono::nanoseconds block_for) {
     if (!waits_) return false;
     const auto until = detail::after(block_for);
-    if (habit_.worthwhile() && spin_for_room(lock, alone, until)) return true;
+    if (futex::Clock::now() < until && habit_.worthwhile() && spin_for_room(lock, alone, until)) {
+      return true;
+    }
     for (unsigned look = 1;; ++look) {
       const auto value = ring::wait_for_room(*writer_, [this] { return room(); });
       if (!value) return true;

@@ -53,7 +53,7 @@ class Queue final : public detail::QueueCore {
       {
         const std::lock_guard guard(mutex_);
         const bool found = puller().pull(item, false, {}, false) == Status::Ok;
-        if (found && !start) return true;
+        if (found && !spinning) return true;
         if (!found && wait == Wait::Never) return false;
         const auto now = Clock::now();
         if (!start) {

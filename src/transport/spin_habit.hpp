@@ -2,6 +2,8 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
+#include <random>
 
 #include "lot/options.hpp"
 
@@ -15,7 +17,8 @@ namespace lot::transport {
 /// Adaptive spins a little longer than what a wake-up across cores costs, and only where that has
 /// been of use lately: who waits for the next frame of a camera, or for somebody who needs this
 /// very core to go on, would spin in vain each time. Such a one spins in a few waits only, to find
-/// out when things have changed. One thread at a time.
+/// out when things have changed; by chance, since waits may come in a rhythm, and both ends of a
+/// ping-pong must try in the same round. One thread at a time.
 class SpinHabit {
  public:
   explicit SpinHabit(Wait wait)
@@ -24,7 +27,7 @@ class SpinHabit {
   /// Asked once in each wait.
   bool worthwhile() noexcept {
     if (wait_ != Wait::Adaptive) return wait_ == Wait::Spin;
-    return in_vain_ < kPatience || ++unspun_ % kWaitsPerTrial == 0;
+    return in_vain_ < kPatience || random_() % kWaitsPerTrial == 0;
   }
 
   /// True when it is time to sleep.
@@ -49,7 +52,8 @@ class SpinHabit {
 
   Wait wait_;
   unsigned in_vain_ = 0;  ///< spins in succession
-  unsigned unspun_ = 0;   ///< waits since they were too many
+  std::minstd_rand random_{static_cast<std::uint32_t>(reinterpret_cast<std::uintptr_t>(this) ^
+                                                      futex::Clock::now().time_since_epoch().count())};
 };
 
 }  // namespace lot::transport

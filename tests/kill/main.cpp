@@ -78,8 +78,8 @@ void end_at_once(int signal) {
   _exit(128 + signal);
 }
 
-/// Tracer and traced hand over to each other at each step: on one core that costs least.
-void stay_on_one_core(unsigned job) {
+/// Those that the program may use when it starts.
+std::vector<std::size_t> usable_cores() {
   cpu_set_t allowed;
   CPU_ZERO(&allowed);
   sched_getaffinity(0, sizeof(allowed), &allowed);
@@ -87,6 +87,12 @@ void stay_on_one_core(unsigned job) {
   for (std::size_t c = 0; c < CPU_SETSIZE; ++c) {
     if (CPU_ISSET(c, &allowed)) cores.push_back(c);
   }
+  return cores;
+}
+
+/// Tracer and traced hand over to each other at each step: on one core that costs least.
+void stay_on_one_core(unsigned job) {
+  static const std::vector<std::size_t> cores = usable_cores();  // before anybody has pinned us
   if (cores.empty()) return;
   cpu_set_t one;
   CPU_ZERO(&one);

@@ -505,6 +505,30 @@ TEST_CASE("a sender that waits for room is rung once by the reader that makes so
   CHECK_FALSE(reader.done());
 }
 
+TEST_CASE("readers ask a quarter of the ring at a time, and when they find nothing") {
+  Channel channel(8, Policy::Blocking);
+  Reader reader = channel.join();
+  std::uint64_t missed = 0;
+  for (lot::ring::Word m = 0; m < 8; ++m) channel.publish(m, m + 1);
+  channel.writer.mark_waiting();
+  const auto read = [&] {
+    REQUIRE(reader.poll(missed) != lot::ring::kNoBlock);
+    return reader.done();
+  };
+  CHECK_FALSE(read());
+  CHECK(read());  // a quarter of it
+  CHECK_FALSE(read());
+  CHECK(read());  // nobody has rung
+  CHECK(Reader::ring_bell(channel.space));
+  CHECK_FALSE(read());
+  CHECK_FALSE(read());  // the sender does not wait any more
+  CHECK_FALSE(read());
+  channel.writer.mark_waiting();
+  CHECK(read());
+  CHECK(reader.poll(missed) == lot::ring::kNoBlock);
+  CHECK(reader.sender_waits());  // whoever finds nothing sees a mark that still stands
+}
+
 TEST_CASE("a reader that leaves changes what a sender sleeps on and keeps its mark") {
   Channel channel(1, Policy::Blocking);
   Reader reader = channel.join();

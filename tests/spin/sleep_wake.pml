@@ -608,7 +608,10 @@ poll:
 #ifdef ROOM
     position[r] = cursor[s]; /* @ src/lockfree_ring/ring.hpp done: ring_.cells[cell_].position.store(make(cursor_, kNoBlock) */
 #ifndef NO_LOOK_AT_SPACE
-    ring_bell(); /* @ src/transport/puller.cpp end: if (source.reader.done()) ring_bell(source.reader) */
+    if
+    :: ring_bell() /* @ src/transport/puller.cpp end: if (source.reader.done()) ring_bell(source.reader) */
+    :: true /* @ src/lockfree_ring/ring.hpp done: distance(cursor_, asked_) < ring_.depth / kBellsPerLap */
+    fi;
 #endif
     if
     :: r == READERS - 1 -> leave(r, 0); goto finished /* @ src/transport/puller.cpp leave_all: leave(s.reader) */
