@@ -80,7 +80,7 @@ class Comparison {
     for (const Arm& arm : b_.arms) {
       for (const StreamResult& stream : arm.streams) {
         const StreamResult* before = find(a_, arm.transport, stream.name);
-        if (before == nullptr || arm.transport == kFloorPace) continue;
+        if (before == nullptr || transport_of(arm.transport) == kFloorPace) continue;
         const Verdict verdict = one(arm, *before, stream);
         compared_arms += arm.is_floor ? 0 : 1;
         slower += verdict == Verdict::Slower;
@@ -95,8 +95,8 @@ class Comparison {
   Verdict one(const Arm& arm, const StreamResult& before, const StreamResult& after) {
     const Blocks a = compared(before, Stamp::Fill);
     const Blocks b = compared(after, Stamp::Fill);
-    const StreamResult* floor_a = find(a_, floor_, before.name);
-    const StreamResult* floor_b = find(b_, floor_, after.name);
+    const StreamResult* floor_a = find(a_, beside(arm.transport, floor_), before.name);
+    const StreamResult* floor_b = find(b_, beside(arm.transport, floor_), after.name);
     const bool has_floor = floor_a != nullptr && floor_b != nullptr;
     // Without a floor: as if it were always the same.
     const Blocks constant_a(a.size(), {1.0});

@@ -6,6 +6,7 @@
 #include <initializer_list>
 
 #include "machine.hpp"
+#include "measures.hpp"
 
 namespace ab {
 namespace {
@@ -21,15 +22,14 @@ bool parse_graph(const std::string& text, unsigned& publishers, unsigned& subscr
 
 }  // namespace
 
-bool is_scenario(const std::string& graph) { return graph == "av" || graph == "av-quiet"; }
+bool is_scenario(const std::string& graph) { return graph == "av"; }
 
 std::vector<Topic> topics(const Conditions& c) {
-  const bool quiet = c.graph == "av-quiet";
   if (is_scenario(c.graph)) {
     // The paper's vehicle. The inertial sensor comes first: blocks are counted in its messages.
     std::vector<Topic> all{
         {"imu", 128, 400, 1, 3}, {"lidar", 1 << 20, 10, 1, 3}, {"gnss", 128, 20, 1, 3}};
-    for (unsigned i = 0; i < 4 && !quiet; ++i) {
+    for (unsigned i = 0; i < 4; ++i) {
       all.push_back({"camera" + std::to_string(i), 8 << 20, 30, 1, 3});
     }
     return all;
@@ -39,6 +39,26 @@ std::vector<Topic> topics(const Conditions& c) {
   topic.rate_hz = c.mode == "paced" ? c.rate_hz : 0;
   if (!parse_graph(c.graph, topic.publishers, topic.subscribers)) return {};
   return {topic};
+}
+
+std::vector<std::string> arms_of(const Conditions& c, const std::vector<std::string>& transports) {
+  if (!is_scenario(c.graph)) return transports;
+  std::vector<std::string> arms;
+  for (const std::string& name : transports) {
+    arms.push_back(name);
+    arms.push_back(quiet(name));
+  }
+  return arms;
+}
+
+std::vector<Topic> topics_of(const Conditions& c, const std::string& arm) {
+  std::vector<Topic> some = topics(c);
+  if (is_quiet(arm)) {
+    some.erase(std::remove_if(some.begin(), some.end(),
+                              [](const Topic& topic) { return topic.name.rfind("camera", 0) == 0; }),
+               some.end());
+  }
+  return some;
 }
 
 std::vector<std::string> floors_of(const Conditions& c) {
@@ -63,7 +83,7 @@ std::string refused(const Conditions& c) {
     return "--mode is paced, ping-pong or throughput";
   }
   if (!scenario && !parse_graph(c.graph, publishers, subscribers)) {
-    return "--graph is NpMs (1p5s), av or av-quiet";
+    return "--graph is NpMs (1p5s) or av";
   }
   if (publishers > 64 || subscribers > 64)
     return "--graph: at most 64 publishers and 64 subscribers";

@@ -24,8 +24,14 @@ std::string refused(const Conditions& conditions);
 
 bool is_scenario(const std::string& graph);
 
-/// The topics of a graph: NpMs, av, av-quiet.
+/// The topics of a graph: NpMs, av. Those that a quiet arm has come first.
 std::vector<Topic> topics(const Conditions& conditions);
+
+/// A scenario has each transport twice, taking turns: "ring", and beside it "ring quiet", which has
+/// not got the topics that are there to disturb the others (the cameras).
+std::vector<std::string> arms_of(const Conditions& conditions,
+                                 const std::vector<std::string>& transports);
+std::vector<Topic> topics_of(const Conditions& conditions, const std::string& arm);
 
 /// The floors that a cell of these conditions has here, unless it is to have none.
 std::vector<std::string> floors_of(const Conditions& conditions);

@@ -22,6 +22,7 @@
 #include "conditions.hpp"
 #include "crew.hpp"
 #include "machine.hpp"
+#include "measures.hpp"
 #include "plan.hpp"
 
 namespace ab {
@@ -65,6 +66,19 @@ std::vector<int> cores_for(const std::string& pin, Role role, unsigned index) {
   return {};
 }
 
+/// How long the threads of a process have run.
+double ran_ns(int pid) {
+  double sum = 0;
+  std::error_code ignored;
+  const std::string tasks = "/proc/" + std::to_string(pid) + "/task";
+  for (const auto& task : std::filesystem::directory_iterator(tasks, ignored)) {
+    double ran = 0;
+    std::ifstream(task.path() / "schedstat") >> ran;
+    sum += ran;
+  }
+  return sum;
+}
+
 /// Reads the scheduler's statistics of nodes each 100 ms.
 class Watcher {
  public:
@@ -96,18 +110,6 @@ class Watcher {
   std::vector<Utilisation> readings;  ///< after stop()
 
  private:
-  static double ran_ns(int pid) {
-    double sum = 0;
-    std::error_code ignored;
-    const std::string tasks = "/proc/" + std::to_string(pid) + "/task";
-    for (const auto& task : std::filesystem::directory_iterator(tasks, ignored)) {
-      double ran = 0;
-      std::ifstream(task.path() / "schedstat") >> ran;
-      sum += ran;
-    }
-    return sum;
-  }
-
   std::atomic<bool> stops_{false};
   std::thread thread_;  // last: it uses the others
 };
@@ -135,7 +137,7 @@ class Conductor {
         workplace_(workplace),
         progress_(progress),
         interrupted_(interrupted),
-        topics_(topics(c_)) {
+        first_(topics(c_).front()) {
     cell_.conditions = c_;
     choose_arms();
     make_plan();
@@ -143,6 +145,9 @@ class Conductor {
 
   Cell run() {
     try {
+      crews_.resize(plan_.arms.size());
+      services_.resize(plan_.arms.size());
+      for (unsigned a = 0; a < plan_.arms.size(); ++a) serve(a);  // before any node of any arm
       for (unsigned a = 0; a < plan_.arms.size(); ++a) start(a);
       for (unsigned a = 0; a < plan_.arms.size(); ++a) take_turn(a, 0, warm_up());
       take_turns();
@@ -165,7 +170,7 @@ class Conductor {
       if (!once.insert(name).second) continue;
       Arm arm;
       arm.transport = name;
-      const Transport* const at = find_transport(name);
+      const Transport* const at = find_transport(transport_of(name));
       if (at == nullptr) throw std::invalid_argument("no transport '" + name + "'");
       arm.is_floor = at->is_floor;
       arm.copies = at->copies;
@@ -173,7 +178,7 @@ class Conductor {
       if (arm.refused.empty() && at->threads && place_of(c_.place) == Place::Containers) {
         arm.refused = "its nodes share one process; set --place host or container";
       }
-      for (const Topic& topic : topics_) {
+      for (const Topic& topic : topics_of(c_, name)) {
         if (arm.refused.empty())
           arm.refused = at->refuses(stream_of(topic, "name", "/dev/shm", *at));
       }
@@ -181,6 +186,7 @@ class Conductor {
       if (!arm.refused.empty()) continue;
       arm_of_.push_back(cell_.arms.size() - 1);
       transports_.push_back(at);
+      topics_.push_back(topics_of(c_, name));
     }
     check_memory();
   }
@@ -190,10 +196,10 @@ class Conductor {
   void check_memory() const {
     constexpr std::uint64_t kOnTheirWay = 40;
     std::uint64_t all = 0;
-    for (const Transport* const transport : transports_) {
-      for (const Topic& topic : topics_) {
+    for (unsigned a = 0; a < transports_.size(); ++a) {
+      for (const Topic& topic : topics_[a]) {
         const std::uint64_t messages =
-            c_.depth + (transport->is_floor ? 1 : std::max<std::uint64_t>(c_.pool, kOnTheirWay));
+            c_.depth + (transports_[a]->is_floor ? 1 : std::max<std::uint64_t>(c_.pool, kOnTheirWay));
         all += topic.publishers * topic.size * messages;
       }
     }
@@ -245,13 +251,13 @@ class Conductor {
       directories_.push_back(workplace_.directory(name));
       ArmPlan arm;
       arm.transport = transports_[a]->name;
-      for (unsigned t = 0; t < topics_.size(); ++t) {
+      for (unsigned t = 0; t < topics_[a].size(); ++t) {
         // A container sees this directory as its /dev/shm.
         Stream stream =
-            stream_of(topics_[t], name + "_" + std::to_string(t),
+            stream_of(topics_[a][t], name + "_" + std::to_string(t),
                       place == Place::Host ? directories_.back() : "/dev/shm", *transports_[a]);
         add_nodes(arm, a, t, stream, place);
-        arm.streams.push_back({stream, topics_[t].rate_hz});
+        arm.streams.push_back({stream, topics_[a][t].rate_hz});
       }
       if (c_.mode == "ping-pong") {
         Stream back = arm.streams[0].stream;
@@ -262,7 +268,7 @@ class Conductor {
       plan_.arms.push_back(std::move(arm));
     }
     for (const NodePlan& node : plan_.nodes) samples += most_samples(node);
-    const std::uint64_t total = c_.messages * topics_[0].publishers;
+    const std::uint64_t total = c_.messages * first_.publishers;
     plan_.keep_every = (total + kMostSamples - 1) / kMostSamples;
     const std::string text = nlohmann::json(plan_).dump();
     board_ = std::make_unique<Board>(
@@ -301,12 +307,13 @@ class Conductor {
   std::uint64_t most_samples(const NodePlan& node) const {
     if (c_.mode == "ping-pong" && node.role == Role::Subscribe) return 0;
     if (c_.mode != "ping-pong" && node.role == Role::Publish) return 0;
-    const Topic& topic = topics_[node.stream];
+    const Topic& topic = topic_of(node);
     const std::uint64_t blocks = (c_.messages + c_.block - 1) / c_.block;
     const std::uint64_t all =
-        blocks * topic.publishers * messages_in_block(topics_[0].rate_hz, topic.rate_hz, c_.block);
+        blocks * topic.publishers * messages_in_block(first_.rate_hz, topic.rate_hz, c_.block);
     return std::min(all, kMostSamples + 1000);
   }
+  const Topic& topic_of(const NodePlan& node) const { return topics_[node.arm][node.stream]; }
   std::uint64_t warm_up() const {
     return c_.mode == "paced" ? kWarmUp : std::max<std::uint64_t>(kWarmUp, c_.block / 2);
   }
@@ -346,23 +353,27 @@ class Conductor {
     return "";
   }
   std::string name_of(const NodePlan& node) const {
-    return (topics_[node.stream].name.empty() ? "" : topics_[node.stream].name + " ") +
+    return (topic_of(node).name.empty() ? "" : topic_of(node).name + " ") +
            (node.role == Role::Publish ? "publisher " : "subscriber ") + std::to_string(node.index);
   }
 
-  void start(unsigned a) {
-    crews_.resize(plan_.arms.size());
-    services_.resize(plan_.arms.size());
-    const ArmPlan& arm = plan_.arms[a];
-    say("starting " + arm.transport);
+  void serve(unsigned a) {
+    if (!transports_[a]->serve) return;
     try {
-      if (transports_[a]->serve) {
-        for (const StreamPlan& each : arm.streams) {
-          Stream of_service = each.stream;
-          of_service.directory = directories_[a];
-          services_[a].push_back(transports_[a]->serve(of_service));
-        }
+      for (const StreamPlan& each : plan_.arms[a].streams) {
+        Stream of_service = each.stream;
+        of_service.directory = directories_[a];
+        services_[a].push_back(transports_[a]->serve(of_service));
       }
+    } catch (const std::exception& e) {
+      give_up(a, e.what());
+    }
+  }
+
+  void start(unsigned a) {
+    if (has_failed(a)) return;
+    say("starting " + cell_.arms[arm_of_[a]].transport);
+    try {
       crews_[a] = std::make_unique<Crew>(*board_, plan_, a, place_of(c_.place), directories_[a]);
     } catch (const std::exception& e) {
       give_up(a, e.what());
@@ -434,10 +445,8 @@ class Conductor {
     arm.finished.set(0);
     arm.rested.set(0);
     arm.start.store(0);
-    std::vector<std::uint64_t> received_before(topics_.size(), 0);
-    each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
-      received_before[node.stream] += record.received;
-    });
+    const std::vector<Totals> before = totals(a);
+    const double daemon_before = daemon_cpu_us(a);
     arm.order = {block, messages, block != 0, false};
     std::unique_ptr<Watcher> watcher;
     if (options_.profile && block != 0 && c_.place == "host") watcher = watch(a);
@@ -445,7 +454,7 @@ class Conductor {
     unsigned nodes = 0;
     each_node(a, [&](const NodePlan&, const NodeRecord&) { ++nodes; });
     const double expected =
-        topics_[0].rate_hz > 0 ? static_cast<double>(messages) / topics_[0].rate_hz : 0;
+        first_.rate_hz > 0 ? static_cast<double>(messages) / first_.rate_hz : 0;
     const std::string why = wait_until(
         a, [&] { return arm.rested.load() >= nodes; },
         std::chrono::nanoseconds(static_cast<std::int64_t>((120 + 4 * expected) * 1e9)));
@@ -459,7 +468,9 @@ class Conductor {
       give_up(a, why);
       return;
     }
-    if (block != 0 && c_.mode != "paced") note_time(a, block, received_before);
+    if (block == 0) return;
+    cell_.arms[arm_of_[a]].daemon_cpu_us += daemon_cpu_us(a) - daemon_before;
+    note_block(a, block, before);
   }
 
   std::unique_ptr<Watcher> watch(unsigned a) {
@@ -477,23 +488,51 @@ class Conductor {
     }
   }
 
-  void note_time(unsigned a, std::uint32_t block, const std::vector<std::uint64_t>& before) {
-    auto& times = times_[a];
-    times.resize(topics_.size());
-    std::vector<std::int64_t> began(topics_.size(), INT64_MAX);
-    std::vector<std::int64_t> ended(topics_.size(), 0);
-    std::vector<std::uint64_t> received(topics_.size(), 0);
+  /// What the nodes of a topic have done so far, and when they did their last block.
+  struct Totals {
+    std::uint64_t sent = 0;
+    std::uint64_t received = 0;
+    double publishers_us = 0;
+    double subscribers_us = 0;
+    std::int64_t began = INT64_MAX;
+    std::int64_t ended = 0;
+  };
+  std::vector<Totals> totals(unsigned a) {
+    std::vector<Totals> topics(topics_[a].size());
     each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
-      received[node.stream] += record.received;
-      if (node.role == Role::Publish)
-        began[node.stream] = std::min(began[node.stream], record.began);
-      const bool counts =
-          c_.mode == "ping-pong" ? node.role == Role::Publish : node.role == Role::Subscribe;
-      if (counts) ended[node.stream] = std::max(ended[node.stream], record.ended);
+      Totals& topic = topics[node.stream];
+      const bool publishes = node.role == Role::Publish;
+      topic.sent += record.sent;
+      topic.received += record.received;
+      (publishes ? topic.publishers_us : topic.subscribers_us) += record.usage.cpu_us;
+      if (publishes) topic.began = std::min(topic.began, record.began);
+      if (publishes == (c_.mode == "ping-pong")) topic.ended = std::max(topic.ended, record.ended);
     });
-    for (std::size_t t = 0; t < topics_.size(); ++t) {
-      times[t].push_back({block, received[t] - before[t], ended[t] - began[t]});
+    return topics;
+  }
+
+  void note_block(unsigned a, std::uint32_t block, const std::vector<Totals>& before) {
+    const std::vector<Totals> now = totals(a);
+    noted_[a].resize(now.size());
+    for (std::size_t t = 0; t < now.size(); ++t) {
+      StreamResult& topic = noted_[a][t];
+      topic.block_costs.push_back({block, now[t].sent - before[t].sent,
+                                   now[t].publishers_us - before[t].publishers_us,
+                                   now[t].subscribers_us - before[t].subscribers_us});
+      if (c_.mode == "paced") continue;
+      topic.blocks.push_back(
+          {block, now[t].received - before[t].received, now[t].ended - now[t].began});
     }
+  }
+
+  double daemon_cpu_us(unsigned a) const {
+    std::set<int> processes;  // several streams may share one
+    for (const auto& service : services_[a]) {
+      if (service->pid() > 0) processes.insert(service->pid());
+    }
+    double us = 0;
+    for (const int process : processes) us += ran_ns(process) / 1000;
+    return us;
   }
 
   // ---- gathering ----
@@ -513,13 +552,13 @@ class Conductor {
 
   void gather(unsigned a) {
     Arm& arm = cell_.arms[arm_of_[a]];
-    arm.streams.resize(topics_.size());
-    for (std::size_t t = 0; t < topics_.size(); ++t) {
+    arm.streams = noted_[a];
+    arm.streams.resize(topics_[a].size());
+    for (std::size_t t = 0; t < topics_[a].size(); ++t) {
       StreamResult& s = arm.streams[t];
-      s.name = topics_[t].name;
-      s.size = topics_[t].size;
-      s.rate_hz = topics_[t].rate_hz;
-      if (!times_[a].empty()) s.blocks = times_[a][t];
+      s.name = topics_[a][t].name;
+      s.size = topics_[a][t].size;
+      s.rate_hz = topics_[a][t].rate_hz;
     }
     std::map<std::string, std::uint64_t> hot;
     each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
@@ -587,13 +626,14 @@ class Conductor {
   const Workplace& workplace_;
   const std::function<void(const std::string&)>& progress_;
   const std::function<bool()>& interrupted_;
-  const std::vector<Topic> topics_;
+  const Topic first_;  ///< of each arm: blocks are counted in its messages
   Cell cell_;
   // By arm that runs:
   std::vector<std::size_t> arm_of_;  ///< its place in cell_.arms
   std::vector<const Transport*> transports_;
+  std::vector<std::vector<Topic>> topics_;
   std::vector<std::string> directories_;
-  std::map<unsigned, std::vector<std::vector<BlockTime>>> times_;
+  std::map<unsigned, std::vector<StreamResult>> noted_;  ///< block by block; of each topic
   Plan plan_;
   std::unique_ptr<Board> board_;
   std::vector<std::vector<std::unique_ptr<Service>>> services_;  // of each stream

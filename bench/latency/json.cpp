@@ -25,7 +25,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr int kVersion = 1;
+constexpr int kVersion = 2;
 constexpr std::string_view kHeader = "publisher,number,block,loaned_ns,fill_ns,push_ns,entry_ns\n";
 
 // ---- files --------------------------------------------------------------------------------------
@@ -247,7 +247,8 @@ std::vector<std::pair<std::string, Stamp>> measures_of(bool timed) {
 }
 
 /// Ratios to another arm's stream, and how likely none of them means anything.
-Json beside(const Conditions& conditions, const StreamResult& own, const StreamResult& other) {
+Json ratios(const Conditions& conditions, const StreamResult& own, const StreamResult& other,
+            const StreamResult* pace) {
   Json json{{"median", Json::object()}, {"p99", Json::object()}, {"rank_p", Json::object()}};
   for (const auto& [name, stamp] : measures_of(!own.blocks.empty())) {
     const Blocks a = compared(own, stamp);
@@ -259,6 +260,10 @@ Json beside(const Conditions& conditions, const StreamResult& own, const StreamR
   for (const auto& [name, stamp] : measures_of(by_blocks)) {
     json["p99"][name] = to_json(ratio_of_quantiles(compared_tails(conditions, own, stamp),
                                                    compared_tails(conditions, other, stamp), 0.99));
+  }
+  if (!own.block_costs.empty()) {
+    json["cpu_net_of_pacing"] =
+        to_json(ratio_of_quantiles(cpu_per_message(own, pace), cpu_per_message(other, pace), 0.5));
   }
   const Blocks gaps = fairness_gaps(own);
   if (!gaps.empty()) {
@@ -273,17 +278,22 @@ Json derived(const Cell& cell, const Arm& arm, const StreamResult& stream) {
     json["us_per_message"] = to_json(summarise(times_per_message(stream)));
     json["messages_per_second"] = messages_per_second(stream);
   }
-  if (arm.transport != kFloorPace) {  // it has nothing to compare
-    for (const char* other : {kRing, kFloorSpin, kFloorFutex}) {
+  const StreamResult* pace = find(cell, beside(arm.transport, kFloorPace), stream.name);
+  if (transport_of(arm.transport) != kFloorPace) {  // it has nothing to compare
+    const auto compare_with = [&](const std::string& other, const std::string& key) {
       const StreamResult* result = find(cell, other, stream.name);
-      if (result == nullptr || arm.transport == other) continue;
-      json["to_" + std::string(other)] = beside(cell.conditions, stream, *result);
+      if (result == nullptr || arm.transport == other) return;
+      json[key] = ratios(cell.conditions, stream, *result, pace);
+    };
+    for (const std::string other : {kRing, kFloorSpin, kFloorFutex}) {
+      compare_with(beside(arm.transport, other), "to_" + other);
     }
+    compare_with(quiet(arm.transport), "to_quiet");
   }
   const Blocks gaps = fairness_gaps(stream);
   if (!gaps.empty()) json["fairness_gap_us"] = to_json(summarise(gaps));
   json["per_message"] = to_json(costs(stream));
-  if (const StreamResult* pace = find(cell, kFloorPace, stream.name)) {
+  if (pace != nullptr) {
     json["per_message_net_of_pacing"] = to_json(costs_net_of(stream, pace));
   }
   return json;
@@ -326,6 +336,13 @@ Json to_json(const Cell& cell, const fs::path& dir) {
         one["blocks"].push_back(
             {{"block", block.block}, {"messages", block.messages}, {"took_ns", block.took}});
       }
+      one["block_costs"] = Json::array();
+      for (const BlockCost& block : stream.block_costs) {
+        one["block_costs"].push_back({{"block", block.block},
+                                      {"sent", block.sent},
+                                      {"publishers_cpu_us", block.publishers_us},
+                                      {"subscribers_cpu_us", block.subscribers_us}});
+      }
       one["all"] = derived(cell, arm, stream);
       streams.push_back(std::move(one));
     }
@@ -339,6 +356,7 @@ Json to_json(const Cell& cell, const fs::path& dir) {
                     {"copies", arm.copies},
                     {"refused", arm.refused},
                     {"streams", std::move(streams)},
+                    {"daemon_cpu_us", arm.daemon_cpu_us},
                     {"utilisation", std::move(utilisation)},
                     {"profile", to_json(arm.profile)}});
   }
@@ -371,8 +389,14 @@ Cell cell_of(const Json& json, const fs::path& dir) {
       for (const Json& block : one.at("blocks")) {
         stream.blocks.push_back({block.at("block"), block.at("messages"), block.at("took_ns")});
       }
+      for (const Json& block : one.at("block_costs")) {
+        stream.block_costs.push_back({block.at("block"), block.at("sent"),
+                                      block.at("publishers_cpu_us"),
+                                      block.at("subscribers_cpu_us")});
+      }
       arm.streams.push_back(std::move(stream));
     }
+    arm.daemon_cpu_us = from.at("daemon_cpu_us");
     for (const Json& reading : from.at("utilisation")) {
       arm.utilisation.push_back({reading.at("node"), reading.at("at_ns"), reading.at("cores")});
     }

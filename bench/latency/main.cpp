@@ -105,7 +105,7 @@ std::vector<std::string> every_transport() {
 
 void check(const std::vector<std::string>& names) {
   for (const std::string& name : names) {
-    if (find_transport(name) != nullptr) continue;
+    if (find_transport(transport_of(name)) != nullptr) continue;
     for (const Missing& missing : missing_transports()) {
       if (missing.name == name) throw std::invalid_argument(name + " " + missing.why);
     }
@@ -149,8 +149,8 @@ std::vector<CellArms> plan(const Choice& choice, const Machine& machine) {
         if (!is_there) cell.arms.push_back(name);
       }
     };
-    add(names);
-    if (!choice.no_floors) add(floors_of(c));
+    add(arms_of(c, names));
+    if (!choice.no_floors) add(arms_of(c, floors_of(c)));
     wanted.push_back(std::move(cell));
   }
   if (choice.out.empty()) return wanted;
@@ -308,8 +308,8 @@ void add_options(CLI::App& app, Choice& choice) {
       ->group(what)
       ->capture_default_str();
   app.add_option("-g,--graph", choice.graphs,
-                 "NpMs: N publishers and M subscribers of one topic; av: the paper's vehicle; "
-                 "av-quiet: the same without its cameras")
+                 "NpMs: N publishers and M subscribers of one topic; av: the paper's vehicle, with "
+                 "its cameras and (quiet) without them")
       ->delimiter(',')
       ->group(what)
       ->capture_default_str();

@@ -9,6 +9,8 @@
 namespace ab {
 namespace {
 
+constexpr std::string_view kQuiet = " quiet";
+
 double us(std::int64_t ns) { return static_cast<double>(ns) / 1000; }
 
 std::int64_t stamp_of(const Sample& sample, Stamp stamp) {
@@ -153,6 +155,28 @@ Costs costs_net_of(const StreamResult& stream, const StreamResult* pace) {
   return net;
 }
 
+Blocks cpu_per_message(const StreamResult& stream, const StreamResult* pace) {
+  const auto by_block = [](const StreamResult& of) {
+    std::map<std::uint32_t, double> costs;
+    for (const BlockCost& block : of.block_costs) {
+      if (block.sent == 0) continue;
+      costs[block.block] =
+          (block.publishers_us + block.subscribers_us) / static_cast<double>(block.sent);
+    }
+    return costs;
+  };
+  std::map<std::uint32_t, double> costs = by_block(stream);
+  if (pace != nullptr) {
+    const std::map<std::uint32_t, double> idle = by_block(*pace);
+    for (auto& [block, cost] : costs) {
+      if (const auto at = idle.find(block); at != idle.end()) cost -= at->second;
+    }
+  }
+  Blocks blocks;
+  for (const auto& [block, cost] : costs) blocks.push_back({cost});
+  return blocks;
+}
+
 double messages_per_second(const StreamResult& stream) {
   const Summary times = summarise(times_per_message(stream));
   return times.count == 0 || times.median <= 0 ? 0 : 1e6 / times.median;
@@ -172,6 +196,18 @@ const StreamResult* find(const Cell& cell, std::string_view transport, std::stri
     if (candidate.name == stream) return &candidate;
   }
   return nullptr;
+}
+
+std::string quiet(const std::string& transport) { return transport + std::string(kQuiet); }
+
+bool is_quiet(std::string_view arm) { return arm.ends_with(kQuiet); }
+
+std::string transport_of(const std::string& arm) {
+  return is_quiet(arm) ? arm.substr(0, arm.size() - kQuiet.size()) : arm;
+}
+
+std::string beside(const std::string& arm, const std::string& transport) {
+  return is_quiet(arm) ? quiet(transport) : transport;
 }
 
 bool has_failed(std::string_view refused) { return refused.starts_with("failed: "); }

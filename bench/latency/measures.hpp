@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <string_view>
 
 #include "result.hpp"
@@ -45,12 +46,24 @@ Costs costs(const StreamResult&);
 /// That less what pacing alone costs; `pace` null where it was not measured. Copies stay.
 Costs costs_net_of(const StreamResult&, const StreamResult* pace);
 
+/// Processor time of all ends together per message sent, one value a block; net of what pacing
+/// costs in the same block if `pace` is not null.
+Blocks cpu_per_message(const StreamResult&, const StreamResult* pace);
+
 std::uint64_t sent(const StreamResult&);  ///< by all publishers: what each subscriber is due
 double messages_per_second(const StreamResult&);  ///< the median block's; 0: none was timed
 
 /// The arm of this name in the cell if it ran there, and its stream of this name; else null.
 const Arm* find(const Cell&, std::string_view transport);
 const StreamResult* find(const Cell&, std::string_view transport, std::string_view stream);
+
+/// A quiet twin's name is its transport's, and one word more.
+std::string quiet(const std::string& transport);
+bool is_quiet(std::string_view arm);
+std::string transport_of(const std::string& arm);
+
+/// The arm of `transport` that `arm` is to be compared with: of quiet ones the quiet one.
+std::string beside(const std::string& arm, const std::string& transport);
 
 /// Of Arm::refused: it ran, and failed; conditions that it cannot have are no failure.
 bool has_failed(std::string_view refused);

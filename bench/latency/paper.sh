@@ -42,7 +42,8 @@ fi
 
 # How long that is: messages / 30 Hz for each arm (floors are arms) of each cell, with 2 cores.
 #   figures 3, 5, 6, 7 at 8 sizes, 500 messages: (6 + 2 + 5 + 2 + 3 + 5 + 1) x 8 + 6 (Nagle), 198 arms: 55 min
-#   every transport at 3 sizes, 150 messages: 18 x 3 arms                                               5 min
+#   every transport at 3 sizes, 120 messages: 18 x 3 arms                                               4 min
+#   small differences, 10,000 messages at 1 kHz: 8 arms                                                 1 min
 #   peers that spin, and frames that are made anew, 100 messages: 9 x 3 + 6 arms                        2 min
 #   load: 4 x 3 arms of 60 s, 5 of 20 s                                                                14 min
 #   the vehicle: 2 x 7 arms of 20 s                                                                     5 min
@@ -51,12 +52,12 @@ fi
 # How much memory: size x publishers x (depth + pool) for each arm of a cell, together 12 GiB with
 # 16 MiB and a pool of 100. Where publishers or topics are many, the pool is 10, and 4 may wait.
 sizes=256,2K,8K,32K,128K,1M,4M,16M
-messages=500 block=25 others=150 some=100 load_s=60 av_s=20 balls=20000 most=100000 pools=100
+messages=500 block=25 others=120 many=10000 some=100 load_s=60 av_s=20 balls=20000 most=100000 pools=100
 case $size in
-  quick) sizes=256,1M,16M messages=20 block=5 others=20 some=20 load_s=2 av_s=2 balls=2000 most=20000 ;;
+  quick) sizes=256,1M,16M messages=20 block=5 others=20 many=200 some=20 load_s=2 av_s=2 balls=2000 most=20000 ;;
   full)
     sizes=256,512,1K,2K,4K,8K,32K,128K,512K,1M,2M,4M,8M,16M
-    messages=2000 block=50 others=2000 some=2000 av_s=60 pools="100 0"
+    messages=2000 block=50 others=2000 many=20000 some=2000 av_s=60 pools="100 0"
     ;;
 esac
 
@@ -101,6 +102,8 @@ for prepared in $pools; do
   ball=(--mode ping-pong --messages "$balls" --block $((balls / 20)) "${pool[@]}")
   measure "every transport beside every other, parked" "$every" \
     --messages "$others" --block $((others / 6 + 1)) "${pool[@]}" --size 128,64K,1M
+  measure "small differences" ring,ring-borrow,mutex,lot2021-direct,iceoryx \
+    --messages "$many" --block $((many / 20)) --rate 1000 "${pool[@]}" --size 128
   measure "peers that spin" ring,ring-borrow,mutex,iceoryx,fastdds,fastdds-loan \
     --messages "$some" --block $((some / 5)) "${pool[@]}" --size 128,64K,1M --wait spin --pin other-core
   [ "$size" = full ] || only "frames that are made anew" ring,lot2021,lot2021-direct \
@@ -123,7 +126,7 @@ for prepared in $pools; do
   only "what a message of 16 MiB costs that is not filled" ring,mutex,tcp,lot2021,lot2021-direct \
     "${load[@]}" --messages $((10 * load_s)) --block $((10 * load_s / 4)) --fill no
   measure "the vehicle, with and without its cameras" ring,mutex,tcp,lot2021,lot2021-direct \
-    "${few[@]}" --graph av,av-quiet --messages $((400 * av_s)) --block $((400 * av_s / 4))
+    "${few[@]}" --graph av --messages $((400 * av_s)) --block $((400 * av_s / 4))
   measure "five publishers beside the floor" ring,tcp \
     --messages "$some" --block $((some / 5)) "${few[@]}" --size 128,1M --graph 5p1s
   measure "spinning: ping-pong" ring,ring-borrow,mutex,tcp,uds,iceoryx,fastdds \

@@ -7,6 +7,8 @@
 #include <ostream>
 #include <vector>
 
+#include "rivals.hpp"
+
 namespace ab {
 namespace {
 
@@ -61,7 +63,7 @@ std::string ratio_word(const std::optional<Ratio>& ratio) {
 
 // ---- counts -------------------------------------------------------------------------------------
 
-bool hears_nothing(const Arm& arm) { return arm.transport == kFloorPace; }
+bool hears_nothing(const Arm& arm) { return transport_of(arm.transport) == kFloorPace; }
 
 bool adds_up(const Arm& arm, const StreamResult& stream, const Subscriber& subscriber) {
   if (subscriber.spoilt != 0) return false;
@@ -109,7 +111,7 @@ struct Arrival {
 void print_arrivals(std::ostream& out, const Cell& cell, const ReportOptions& options) {
   Table table(
       {"us", "sent", "received", "missed", "lost", "median", "p99", "max", "x spin", "x futex"});
-  const auto add = [&](const Arrival& arrival, const std::string& stream) {
+  const auto add = [&](const Arrival& arrival, const Arm& arm, const std::string& stream) {
     std::vector<std::string> row{arrival.name, arrival.due, std::to_string(arrival.counts.received),
                                  std::to_string(arrival.counts.missed),
                                  std::to_string(arrival.counts.lost)};
@@ -119,7 +121,7 @@ void print_arrivals(std::ostream& out, const Cell& cell, const ReportOptions& op
     row.push_back(worst.count == 0 ? "-" : number(worst.p99));
     row.push_back(worst.count == 0 ? "-" : number(worst.max));
     for (const char* floor : {kFloorSpin, kFloorFutex}) {
-      const StreamResult* bound = find(cell, floor, stream);
+      const StreamResult* bound = find(cell, beside(arm.transport, floor), stream);
       row.push_back(bound == nullptr ? "-"
                                      : ratio_word(ratio_of_quantiles(
                                            arrival.middle, compared(*bound, options.stamp), 0.5)));
@@ -141,7 +143,7 @@ void print_arrivals(std::ostream& out, const Cell& cell, const ReportOptions& op
         add({row_name(arm, stream), readers == 1 ? due : due + " x" + std::to_string(readers), all,
              compared(stream, options.stamp),
              compared_tails(cell.conditions, stream, options.stamp)},
-            stream.name);
+            arm, stream.name);
         continue;
       }
       for (const Subscriber& subscriber : stream.subscribers) {
@@ -154,7 +156,7 @@ void print_arrivals(std::ostream& out, const Cell& cell, const ReportOptions& op
              {subscriber.received, subscriber.missed, subscriber.lost},
              compared(alone, options.stamp),
              compared_tails(cell.conditions, alone, options.stamp)},
-            stream.name);
+            arm, stream.name);
       }
     }
   }
@@ -170,9 +172,9 @@ void print_beside_ring(std::ostream& out, const Cell& cell, const ReportOptions&
   Table table({"x ring", "median", "p99", "rank p"});
   bool any = false;
   for (const Arm& arm : cell.arms) {
-    if (arm.transport == kRing || hears_nothing(arm)) continue;
+    if (transport_of(arm.transport) == kRing || hears_nothing(arm)) continue;
     for (const StreamResult& stream : arm.streams) {
-      const StreamResult* ring = find(cell, kRing, stream.name);
+      const StreamResult* ring = find(cell, beside(arm.transport, kRing), stream.name);
       if (ring == nullptr) continue;
       any = true;
       const Blocks own = compared(stream, options.stamp);
@@ -190,11 +192,14 @@ void print_beside_ring(std::ostream& out, const Cell& cell, const ReportOptions&
 }
 
 void print_costs(std::ostream& out, const Cell& cell) {
-  Table table({"a message", "cpu us pub / sub", "switches", "faults", "copied", "M/s"});
+  Table table(
+      {"a message", "cpu us pub / sub", "cpu x ring", "switches", "faults", "copied", "M/s"});
   for (const Arm& arm : cell.arms) {
     for (const StreamResult& stream : arm.streams) {
       std::vector<std::string> row{row_name(arm, stream)};
-      const StreamResult* pace = hears_nothing(arm) ? nullptr : find(cell, kFloorPace, stream.name);
+      const StreamResult* pace =
+          hears_nothing(arm) ? nullptr
+                             : find(cell, beside(arm.transport, kFloorPace), stream.name);
       const Costs cost = costs_net_of(stream, pace);
       const auto switches = [](const Cost& of) {
         return of.voluntary_switches + of.involuntary_switches;
@@ -203,6 +208,11 @@ void print_costs(std::ostream& out, const Cell& cell) {
         row.push_back(per_message(publisher) + " / " + per_message(subscriber));
       };
       both(cost.publisher.cpu_us, cost.subscriber.cpu_us);
+      const StreamResult* ring = find(cell, beside(arm.transport, kRing), stream.name);
+      row.push_back(ring == nullptr || ring == &stream || hears_nothing(arm)
+                        ? "-"
+                        : ratio_word(ratio_of_quantiles(cpu_per_message(stream, pace),
+                                                        cpu_per_message(*ring, pace), 0.5)));
       both(switches(cost.publisher), switches(cost.subscriber));
       both(cost.publisher.faults, cost.subscriber.faults);
       const auto readers = static_cast<double>(stream.subscribers.size());
@@ -213,6 +223,37 @@ void print_costs(std::ostream& out, const Cell& cell) {
       table.add(std::move(row));
     }
   }
+  table.print(out);
+  for (const Arm& arm : cell.arms) {
+    if (arm.daemon_cpu_us == 0 || arm.streams.empty()) continue;
+    std::uint64_t messages = 0;
+    for (const StreamResult& stream : arm.streams) messages += sent(stream);
+    out << "  beside it, the daemon of " << arm.transport << " used "
+        << number(arm.daemon_cpu_us / static_cast<double>(std::max<std::uint64_t>(messages, 1)))
+        << " us of processor time a message\n";
+  }
+}
+
+/// What others on the machine do to a transport: its streams with all topics, and without those
+/// that are there to disturb.
+void print_disturbance(std::ostream& out, const Cell& cell, const ReportOptions& options) {
+  Table table({"x quiet", "median", "p99", "rank p"});
+  bool any = false;
+  for (const Arm& arm : cell.arms) {
+    if (hears_nothing(arm) || is_quiet(arm.transport)) continue;
+    for (const StreamResult& stream : arm.streams) {
+      const StreamResult* quiet_one = find(cell, quiet(arm.transport), stream.name);
+      if (quiet_one == nullptr) continue;
+      any = true;
+      const Blocks own = compared(stream, options.stamp);
+      const Blocks undisturbed = compared(*quiet_one, options.stamp);
+      table.add({row_name(arm, stream), ratio_word(ratio_of_quantiles(own, undisturbed, 0.5)),
+                 ratio_word(ratio_of_quantiles(own, undisturbed, 0.99)),
+                 p_word(p_of_block_medians(own, undisturbed))});
+    }
+  }
+  if (!any) return;
+  out << "   with the cameras, beside the same without them (quiet)\n";
   table.print(out);
 }
 
@@ -230,8 +271,8 @@ void print_fairness(std::ostream& out, const Cell& cell) {
                                    number(summary.median), number(summary.p99),
                                    number(summary.max)};
       for (const char* other : {kRing, kFloorFutex}) {
-        const StreamResult* result = find(cell, other, stream.name);
-        row.push_back(result == nullptr || arm.transport == other
+        const StreamResult* result = find(cell, beside(arm.transport, other), stream.name);
+        row.push_back(result == nullptr || transport_of(arm.transport) == other
                           ? "-"
                           : ratio_word(ratio_of_quantiles(gaps, fairness_gaps(*result), 0.5)));
       }
@@ -273,11 +314,22 @@ void print_measured(std::ostream& out, const Cell& cell, const ReportOptions& op
   }
   print_arrivals(out, cell, options);
   print_beside_ring(out, cell, options);
+  print_disturbance(out, cell, options);
   out << (find(cell, kFloorPace) != nullptr ? "   net of what pacing alone costs (floor-pace)\n"
                                             : "   pacing included\n");
   print_costs(out, cell);
   print_fairness(out, cell);
   complain(out, cell);
+}
+
+void print_rivals(std::ostream& out, const Run& run) {
+  const std::vector<RivalCheck> checks = check_rivals(run);
+  if (checks.empty()) return;
+  out << "\n== Rivals: do they reach here what they are known to reach?\n";
+  for (const RivalCheck& check : checks) {
+    out << " " << check.rival << ": " << check.reached << ", at most " << check.limit << ": "
+        << (check.good ? "yes" : "NO") << "\n   " << check.where << "\n";
+  }
 }
 
 }  // namespace
@@ -362,6 +414,7 @@ void print(std::ostream& out, const Run& run, const ReportOptions& options) {
     out << " " << title_of(cell.conditions) << '\n';
     print_refused(out, cell);
   }
+  print_rivals(out, run);
   const bool sound = std::all_of(run.cells.begin(), run.cells.end(), counts_add_up);
   if (!sound) out << "\n*** WRONG: counts do not add up or payloads were spoilt; see above ***\n";
   if (!run.complete) out << "\nThe run was ended before it was complete.\n";

@@ -65,6 +65,15 @@ struct BlockTime {
   bool operator==(const BlockTime&) const = default;
 };
 
+/// What one block cost: processor time of all its publishers, and of all its subscribers.
+struct BlockCost {
+  std::uint32_t block = 0;
+  std::uint64_t sent = 0;
+  double publishers_us = 0;
+  double subscribers_us = 0;
+  bool operator==(const BlockCost&) const = default;
+};
+
 /// One reading of the scheduler's statistics of a node.
 struct Utilisation {
   std::string node;  ///< "publisher 0", "subscriber 3"
@@ -93,15 +102,17 @@ struct StreamResult {
   std::vector<Publisher> publishers;
   std::vector<Subscriber> subscribers;
   std::vector<BlockTime> blocks;  ///< ping-pong: a message is one way; throughput: one delivered
+  std::vector<BlockCost> block_costs;
   bool operator==(const StreamResult&) const = default;
 };
 
 struct Arm {
-  std::string transport;
+  std::string transport;  ///< its name; of a scenario's quiet twin "ring quiet"
   bool is_floor = false;
   bool copies = false;
   std::string refused;  ///< why it did not run here; empty: it did
   std::vector<StreamResult> streams;
+  double daemon_cpu_us = 0;  ///< of a process that serves the nodes, while they had their turns
   std::vector<Utilisation> utilisation;
   Profile profile;  ///< empty unless asked for
   bool operator==(const Arm&) const = default;
@@ -110,7 +121,7 @@ struct Arm {
 /// The conditions of a cell, as they were asked for and as files say them.
 struct Conditions {
   std::string mode = "paced";  ///< paced, ping-pong, throughput
-  std::string graph = "1p1s";  ///< NpMs, or the name of a scenario: av, av-quiet
+  std::string graph = "1p1s";  ///< NpMs, or the name of a scenario: av
   std::size_t size = 128;      ///< of a scenario: 0
   double rate_hz = 30;
   std::uint64_t messages = 2000;  ///< of each publisher

@@ -133,9 +133,10 @@ class Daemon {
     remove_sockets(name);
   }
 
-  bool runs() {
+  /// 0: it does not run.
+  pid_t pid() {
     const std::lock_guard lock(mutex_);
-    return pid_ > 0;
+    return pid_;
   }
 
  private:
@@ -217,6 +218,7 @@ class RouDi final : public Service {
  public:
   explicit RouDi(const Stream& stream) : name_(stream.name) { daemon().add(stream); }
   ~RouDi() override { daemon().remove(name_); }
+  int pid() const override { return daemon().pid(); }
 
  private:
   std::string name_;
@@ -229,7 +231,7 @@ std::string refuses(const Stream& stream) {
   add_pool(pools, stream);
   if (bytes_of(pools) > std::uint64_t{UINT32_MAX} * 64 || stream.size > UINT32_MAX / 2)
     return "its chunks are smaller than 2 GiB";
-  if (daemon().runs()) return "";
+  if (daemon().pid() > 0) return "";
   if (somebody_has_the_lock())
     return "another RouDi runs on this machine (" + std::string(kRoudiLock) +
            " is locked), and there can be one only: end it, or wait for the other lot_ab";

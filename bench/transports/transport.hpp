@@ -86,6 +86,8 @@ class Receiver {
 class Service {
  public:
   virtual ~Service() = default;
+  /// Its process, whose processor time is told apart; 0: it has none of its own.
+  virtual int pid() const { return 0; }
 };
 
 struct Transport {

@@ -36,12 +36,14 @@ Run full_run() {
                      "same-core",  "container", 3,    7,    true, true, false};
   Arm& arm = cell.arms.front();
   arm.copies = true;
+  arm.daemon_cpu_us = 0.3;
   arm.utilisation = {{"publisher 0", 123456789012345, 0.1}, {"subscriber 1", -5, 1.0 / 3}};
   arm.profile = {1.5, 0.25, {{"memcpy \"quoted\" <T>", 0.7}, {"send", 0.1}}};
   StreamResult& stream = arm.streams.front();
   stream.name = "camera/0";
   stream.rate_hz = 29.97;
   stream.blocks = {{0, 100, 1'000'000}, {1, 100, 1'100'000}};
+  stream.block_costs = {{0, 100, 1.5, 0.1}, {1, 99, 1.0 / 3, 7}};
   stream.publishers[0].refused = 4;
   stream.publishers[0].usage = {0.1, 2, 3, 4, 5, 18'446'744'073'709'551'615u};
   stream.subscribers[1].missed = 1;
@@ -222,7 +224,7 @@ TEST_SUITE("lot_ab json") {
     CHECK_THROWS_WITH(load(contents("[]")), doctest::Contains("not a run"));
     CHECK_THROWS_WITH(load(contents("{\"format\":\"lot_ab\",\"version\":99}")),
                       doctest::Contains("version 99"));
-    CHECK_THROWS_WITH(load(contents("{\"format\":\"lot_ab\",\"version\":1}")),
+    CHECK_THROWS_WITH(load(contents("{\"format\":\"lot_ab\",\"version\":2}")),
                       doctest::Contains("run.json"));
   }
 

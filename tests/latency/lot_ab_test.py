@@ -86,6 +86,26 @@ def left_of(workplace):
     return glob.glob(workplace + '*')
 
 
+def namespaces(pids):
+    """Of these processes, or those that have just ended: none."""
+    found = set()
+    for pid in pids:
+        for kind in ('net', 'mnt', 'pid', 'ipc', 'uts'):
+            try:
+                found.add(os.readlink(f'/proc/{pid}/ns/{kind}'))
+            except OSError:
+                pass
+    return found
+
+
+def all_namespaces():
+    return namespaces(name for name in os.listdir('/proc') if name.isdigit())
+
+
+def network_links():
+    return sorted(os.listdir('/sys/class/net'))
+
+
 def runs_and_saves():
     with tempfile.TemporaryDirectory() as directory:
         out = directory + '/out'
@@ -129,16 +149,20 @@ def bad_use():
 
 
 def interrupted_while_starting():
-    for wait in (0.05, 0.2, 0.5):
+    for wait in (0.05, 0.2, 0.5, 2):
+        links = network_links()
         p = start('-t', 'ring,tcp,uds', '-g', '2p2s', '-s', '4096', '--place', 'containers', '-n', '100000')
         workplace = workplace_of(p)
         time.sleep(wait)
         nodes = [c for c, _ in children(p.pid)]
+        theirs = namespaces(nodes) - namespaces([os.getpid()])
         p.send_signal(signal.SIGINT)
         p.communicate(timeout=WATCHDOG)
         check(p.returncode == 128 + signal.SIGINT, 'interrupted while it starts containers')
         check(wait_until(lambda: not any(lives(n) for n in nodes)), 'no process is left')
         check(not left_of(workplace), 'no file is left')
+        check(wait_until(lambda: not theirs & all_namespaces() and network_links() == links),
+              f'none of {len(theirs)} namespaces is left, and no network link')
 
 
 def interrupted():
@@ -180,4 +204,15 @@ def node_killed():
     check(re.search(r'^ *tcp', output, re.M) is not None, 'the others go on')
 
 
-run((bad_use, runs_and_saves, places, interrupted, interrupted_while_starting, killed, node_killed))
+def vehicle():
+    r = lot_ab('-t', 'ring', '-g', 'av', '-n', '40', '--block', '10', '--depth', '4', '--no-floors')
+    check(r.returncode == 0 and re.search(r'^ ring camera0 ', r.stdout, re.M) is not None,
+          'the vehicle has cameras')
+    check(re.search(r'^ ring quiet imu ', r.stdout, re.M) is not None and 'ring quiet camera' not in r.stdout,
+          'its quiet twin has none')
+    check('beside the same without them' in r.stdout, 'and they are compared')
+    if r.returncode != 0:
+        print(r.stdout)
+
+
+run((bad_use, runs_and_saves, places, vehicle, interrupted, interrupted_while_starting, killed, node_killed))

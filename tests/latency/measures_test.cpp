@@ -87,6 +87,25 @@ TEST_SUITE("lot_ab measures") {
     CHECK(costs(StreamResult{}).publisher.cpu_us == 0);
   }
 
+  TEST_CASE("processor time per message has a value a block, net of the same block's pacing") {
+    StreamResult stream;
+    stream.block_costs = {{2, 10, 60, 40}, {1, 10, 20, 10}, {3, 0, 5, 5}};
+    CHECK(cpu_per_message(stream, nullptr) == Blocks{{3}, {10}});
+    StreamResult pace;
+    pace.block_costs = {{1, 10, 10, 0}, {2, 20, 10, 10}};
+    CHECK(cpu_per_message(stream, &pace) == Blocks{{2}, {9}});
+  }
+
+  TEST_CASE("a quiet arm is compared with quiet ones") {
+    CHECK(quiet("ring") == "ring quiet");
+    CHECK(is_quiet("ring quiet"));
+    CHECK_FALSE(is_quiet("ring"));
+    CHECK(transport_of("ring quiet") == "ring");
+    CHECK(transport_of("ring") == "ring");
+    CHECK(beside("tcp quiet", "ring") == "ring quiet");
+    CHECK(beside("tcp", "ring") == "ring");
+  }
+
   TEST_CASE("what failed is told from what cannot be had") {
     CHECK(has_failed("failed: hangs"));
     CHECK_FALSE(has_failed(""));

@@ -104,6 +104,43 @@ TEST_SUITE("lot_ab report") {
     CHECK(text.find("net of what pacing alone costs") != std::string::npos);
   }
 
+  TEST_CASE("processor time is beside ring's, net of pacing, and a daemon's is told apart") {
+    Cell cell = fan_out();
+    for (std::size_t a : {0, 1, 3}) {
+      for (std::uint32_t block = 0; block < 10; ++block) {
+        cell.arms[a].streams[0].block_costs.push_back(
+            {block, 20, a == 1 ? 20 * 400.0 : a == 0 ? 20 * 101.0 : 20 * 100.0, 0});
+      }
+    }
+    cell.arms[1].daemon_cpu_us = 200 * 3.0;
+    const std::string text = report_of(cell);
+    CAPTURE(text);
+    const auto tcp = row_of(text, "tcp", 2);
+    CHECK(std::find(tcp.begin(), tcp.end(), "(300-300)") != tcp.end());
+    CHECK(text.find("the daemon of tcp used 3.00 us") != std::string::npos);
+    CHECK(text.find("the daemon of ring") == std::string::npos);
+  }
+
+  TEST_CASE("a scenario's arms are beside their quiet twins") {
+    Cell cell;
+    cell.conditions.graph = "av";
+    for (const auto& [name, ns] : {std::pair{"ring", 24'000}, {"ring quiet", 20'000},
+                                   {"tcp", 90'000}, {"tcp quiet", 60'000},
+                                   {"floor-futex quiet", 10'000}}) {
+      cell.arms.push_back(arm_of(name, stream_of({}, always(ns))));
+      cell.arms.back().streams[0].name = "imu";
+    }
+    const std::string text = report_of(cell);
+    CAPTURE(text);
+    CHECK(text.find(" ring imu  1.20 (1.20-1.20)  1.20 (1.20-1.20)") != std::string::npos);
+    CHECK(text.find(" tcp imu   1.50 (1.50-1.50)") != std::string::npos);
+    // Beside ring: the quiet beside the quiet.
+    CHECK(row_of(text, "tcp quiet imu", 1)[4] == "(3.00-3.00)");
+    // And only the quiet floor is there.
+    CHECK(row_of(text, "ring quiet imu").back() == "(2.00-2.00)");
+    CHECK(row_of(text, "ring imu").back() == "-");
+  }
+
   TEST_CASE("fairness is beside that of the floor, where there is more than one subscriber") {
     const std::string text = report_of(fan_out());
     CAPTURE(text);
@@ -247,7 +284,7 @@ TEST_SUITE("lot_ab report") {
   TEST_CASE("the longest numbers of a scenario fit into 120 columns") {
     const Shape shape{1, 1, 6, 10};
     Cell cell;
-    cell.conditions.graph = "av-quiet";
+    cell.conditions.graph = "av";
     cell.conditions.size = 0;
     cell.conditions.pool = 100;
     for (const char* name : {"ring", "floor-futex", "floor-spin", "fastdds-loan"}) {
