@@ -46,14 +46,19 @@ class SpinHabit {
   }
 
  private:
+  /// Not the same in two habits, nor in two processes.
+  std::uint32_t seed() const noexcept {
+    const auto now = static_cast<std::uintptr_t>(futex::Clock::now().time_since_epoch().count());
+    return static_cast<std::uint32_t>(reinterpret_cast<std::uintptr_t>(this) ^ now);
+  }
+
   static constexpr auto kSpinTime = std::chrono::microseconds(50);
   static constexpr unsigned kPatience = 4;
   static constexpr unsigned kWaitsPerTrial = 16;
 
   Wait wait_;
   unsigned in_vain_ = 0;  ///< spins in succession
-  std::minstd_rand random_{static_cast<std::uint32_t>(reinterpret_cast<std::uintptr_t>(this) ^
-                                                      futex::Clock::now().time_since_epoch().count())};
+  std::minstd_rand random_{seed()};
 };
 
 }  // namespace lot::transport

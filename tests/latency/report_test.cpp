@@ -108,8 +108,11 @@ TEST_SUITE("lot_ab report") {
     Cell cell = fan_out();
     for (std::size_t a : {0, 1, 3}) {
       for (std::uint32_t block = 0; block < 10; ++block) {
-        cell.arms[a].streams[0].block_costs.push_back(
-            {block, 20, a == 1 ? 20 * 400.0 : a == 0 ? 20 * 101.0 : 20 * 100.0, 0});
+        cell.arms[a].streams[0].block_costs.push_back({block, 20,
+                                                       a == 1   ? 20 * 400.0
+                                                       : a == 0 ? 20 * 101.0
+                                                                : 20 * 100.0,
+                                                       0});
       }
     }
     cell.arms[1].daemon_cpu_us = 200 * 3.0;
@@ -124,8 +127,10 @@ TEST_SUITE("lot_ab report") {
   TEST_CASE("a scenario's arms are beside their quiet twins") {
     Cell cell;
     cell.conditions.graph = "av";
-    for (const auto& [name, ns] : {std::pair{"ring", 24'000}, {"ring quiet", 20'000},
-                                   {"tcp", 90'000}, {"tcp quiet", 60'000},
+    for (const auto& [name, ns] : {std::pair{"ring", 24'000},
+                                   {"ring quiet", 20'000},
+                                   {"tcp", 90'000},
+                                   {"tcp quiet", 60'000},
                                    {"floor-futex quiet", 10'000}}) {
       cell.arms.push_back(arm_of(name, stream_of({}, always(ns))));
       cell.arms.back().streams[0].name = "imu";
