@@ -63,7 +63,7 @@ void put(std::ostream& out, const std::string& name, const std::string& a, const
          const std::string& median, const std::string& p99, const std::string& floor,
          const std::string& verdict) {
   char line[256];
-  std::snprintf(line, sizeof line, "  %-24s %8s %8s  %18s  %18s  %18s  %s", name.c_str(), a.c_str(),
+  std::snprintf(line, sizeof line, "  %-26s %8s %8s  %18s  %18s  %18s  %s", name.c_str(), a.c_str(),
                 b.c_str(), median.c_str(), p99.c_str(), floor.c_str(), verdict.c_str());
   out << line << '\n';
 }

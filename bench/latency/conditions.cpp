@@ -54,9 +54,10 @@ std::vector<std::string> arms_of(const Conditions& c, const std::vector<std::str
 std::vector<Topic> topics_of(const Conditions& c, const std::string& arm) {
   std::vector<Topic> some = topics(c);
   if (is_quiet(arm)) {
-    some.erase(std::remove_if(some.begin(), some.end(),
-                              [](const Topic& topic) { return topic.name.rfind("camera", 0) == 0; }),
-               some.end());
+    some.erase(
+        std::remove_if(some.begin(), some.end(),
+                       [](const Topic& topic) { return topic.name.rfind("camera", 0) == 0; }),
+        some.end());
   }
   return some;
 }

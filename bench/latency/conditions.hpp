@@ -24,7 +24,8 @@ std::string refused(const Conditions& conditions);
 
 bool is_scenario(const std::string& graph);
 
-/// The topics of a graph: NpMs, av. Those that a quiet arm has come first.
+/// The topics of a graph: NpMs, av. Blocks are counted in messages of the first, which every arm
+/// has.
 std::vector<Topic> topics(const Conditions& conditions);
 
 /// A scenario has each transport twice, taking turns: "ring", and beside it "ring quiet", which has

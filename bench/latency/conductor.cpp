@@ -199,7 +199,8 @@ class Conductor {
     for (unsigned a = 0; a < transports_.size(); ++a) {
       for (const Topic& topic : topics_[a]) {
         const std::uint64_t messages =
-            c_.depth + (transports_[a]->is_floor ? 1 : std::max<std::uint64_t>(c_.pool, kOnTheirWay));
+            c_.depth +
+            (transports_[a]->is_floor ? 1 : std::max<std::uint64_t>(c_.pool, kOnTheirWay));
         all += topic.publishers * topic.size * messages;
       }
     }
@@ -430,10 +431,26 @@ class Conductor {
     std::uint64_t left = c_.messages;
     for (std::uint32_t block = 1; left > 0; ++block) {
       const std::uint64_t n = std::min(left, c_.block);
-      std::shuffle(order.begin(), order.end(), random);
+      shuffle(order, random);
       for (const unsigned a : order) take_turn(a, block, n);
       left -= n;
       say(std::to_string(c_.messages - left) + " of " + std::to_string(c_.messages));
+    }
+  }
+
+  /// By chance; but a quiet twin stays beside its arm, before or behind it, since they are compared.
+  void shuffle(std::vector<unsigned>& order, std::mt19937_64& random) const {
+    std::map<std::string, std::vector<unsigned>> twins;
+    std::vector<std::string> transports;
+    std::shuffle(order.begin(), order.end(), random);
+    for (const unsigned a : order) {
+      const std::string name = transport_of(cell_.arms[arm_of_[a]].transport);
+      if (twins[name].empty()) transports.push_back(name);
+      twins[name].push_back(a);
+    }
+    order.clear();
+    for (const std::string& name : transports) {
+      order.insert(order.end(), twins[name].begin(), twins[name].end());
     }
   }
 
@@ -453,8 +470,7 @@ class Conductor {
     arm.turn.raise();
     unsigned nodes = 0;
     each_node(a, [&](const NodePlan&, const NodeRecord&) { ++nodes; });
-    const double expected =
-        first_.rate_hz > 0 ? static_cast<double>(messages) / first_.rate_hz : 0;
+    const double expected = first_.rate_hz > 0 ? static_cast<double>(messages) / first_.rate_hz : 0;
     const std::string why = wait_until(
         a, [&] { return arm.rested.load() >= nodes; },
         std::chrono::nanoseconds(static_cast<std::int64_t>((120 + 4 * expected) * 1e9)));
@@ -469,7 +485,7 @@ class Conductor {
       return;
     }
     if (block == 0) return;
-    cell_.arms[arm_of_[a]].daemon_cpu_us += daemon_cpu_us(a) - daemon_before;
+    cell_.arms[arm_of_[a]].daemon_cpu_us += std::max(0.0, daemon_cpu_us(a) - daemon_before);
     note_block(a, block, before);
   }
 
@@ -502,7 +518,7 @@ class Conductor {
     each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
       Totals& topic = topics[node.stream];
       const bool publishes = node.role == Role::Publish;
-      topic.sent += record.sent;
+      if (publishes) topic.sent += record.sent;  // ping-pong: of round trips
       topic.received += record.received;
       (publishes ? topic.publishers_us : topic.subscribers_us) += record.usage.cpu_us;
       if (publishes) topic.began = std::min(topic.began, record.began);

@@ -247,8 +247,7 @@ std::vector<std::pair<std::string, Stamp>> measures_of(bool timed) {
 }
 
 /// Ratios to another arm's stream, and how likely none of them means anything.
-Json ratios(const Conditions& conditions, const StreamResult& own, const StreamResult& other,
-            const StreamResult* pace) {
+Json ratios(const Conditions& conditions, const StreamResult& own, const StreamResult& other) {
   Json json{{"median", Json::object()}, {"p99", Json::object()}, {"rank_p", Json::object()}};
   for (const auto& [name, stamp] : measures_of(!own.blocks.empty())) {
     const Blocks a = compared(own, stamp);
@@ -260,10 +259,6 @@ Json ratios(const Conditions& conditions, const StreamResult& own, const StreamR
   for (const auto& [name, stamp] : measures_of(by_blocks)) {
     json["p99"][name] = to_json(ratio_of_quantiles(compared_tails(conditions, own, stamp),
                                                    compared_tails(conditions, other, stamp), 0.99));
-  }
-  if (!own.block_costs.empty()) {
-    json["cpu_net_of_pacing"] =
-        to_json(ratio_of_quantiles(cpu_per_message(own, pace), cpu_per_message(other, pace), 0.5));
   }
   const Blocks gaps = fairness_gaps(own);
   if (!gaps.empty()) {
@@ -283,7 +278,12 @@ Json derived(const Cell& cell, const Arm& arm, const StreamResult& stream) {
     const auto compare_with = [&](const std::string& other, const std::string& key) {
       const StreamResult* result = find(cell, other, stream.name);
       if (result == nullptr || arm.transport == other) return;
-      json[key] = ratios(cell.conditions, stream, *result, pace);
+      json[key] = ratios(cell.conditions, stream, *result);
+      const StreamResult* pace_of_other = find(cell, beside(other, kFloorPace), stream.name);
+      const bool net = pace != nullptr && pace_of_other != nullptr;
+      json[key][net ? "cpu_net_of_pacing" : "cpu"] =
+          to_json(net ? ratio_of_cpu(stream, pace, *result, pace_of_other)
+                      : ratio_of_cpu(stream, nullptr, *result, nullptr));
     };
     for (const std::string other : {kRing, kFloorSpin, kFloorFutex}) {
       compare_with(beside(arm.transport, other), "to_" + other);
@@ -434,7 +434,7 @@ Json read_run(const fs::path& file) {
     if (json.at("format") != "lot_ab") fail(file, "is not a run of lot_ab");
     if (json.at("version") != kVersion) {
       fail(file, "is of version " + json.at("version").dump() + " and this program reads version " +
-                     std::to_string(kVersion));
+                     std::to_string(kVersion) + ": choose another directory, or delete this one");
     }
   } catch (const Json::exception& error) {
     fail(file, std::string("is not a run of lot_ab: ") + error.what());

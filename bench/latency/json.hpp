@@ -18,7 +18,11 @@
 ///
 /// Of each stream "all" has what its subscribers come to together: to_ring, to_floor-spin and
 /// to_floor-futex are ratios (median, p99, fairness_gap: the gap's median) with their 95 %
-/// intervals, from each stamp or by whole blocks, and rank_p, the rank test's p of block medians.
+/// intervals, from each stamp or by whole blocks, and rank_p, the rank test's p of block medians;
+/// cpu_net_of_pacing (or cpu, where there was no floor-pace): the ratio of processor time per
+/// message. Those of a quiet arm are to other quiet ones; to_quiet is to its own quiet twin.
+/// block_costs are what each block cost all publishers and all subscribers; daemon_cpu_us what a
+/// process that serves the nodes used during the arm's turns.
 ///
 /// Errors: std::runtime_error with the file's name, and std::filesystem::filesystem_error.
 /// Threads and processes: one writer to a directory at a time.

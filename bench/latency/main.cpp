@@ -103,9 +103,11 @@ std::vector<std::string> every_transport() {
   return names;
 }
 
+/// Transports, or arms.
 void check(const std::vector<std::string>& names) {
-  for (const std::string& name : names) {
-    if (find_transport(transport_of(name)) != nullptr) continue;
+  for (const std::string& arm : names) {
+    const std::string name = transport_of(arm);
+    if (find_transport(name) != nullptr) continue;
     for (const Missing& missing : missing_transports()) {
       if (missing.name == name) throw std::invalid_argument(name + " " + missing.why);
     }
@@ -138,6 +140,9 @@ std::vector<CellArms> plan(const Choice& choice, const Machine& machine) {
   const std::vector<std::string> names =
       choice.transports.empty() ? every_transport() : choice.transports;
   check(names);
+  if (const auto twin = std::find_if(names.begin(), names.end(), is_quiet); twin != names.end()) {
+    throw std::invalid_argument("no transport '" + *twin + "'; --graph av has quiet twins by itself");
+  }
   std::vector<CellArms> wanted;
   for (const Conditions& c : cells(choice)) {
     if (const std::string why = refused(c); !why.empty()) throw std::invalid_argument(why);

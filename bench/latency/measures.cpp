@@ -25,6 +25,8 @@ std::int64_t stamp_of(const Sample& sample, Stamp stamp) {
   return 0;
 }
 
+constexpr std::uint32_t kFirstBlock = 1;  ///< of a cell; 0 warms up, and is not recorded
+
 using ByBlock = std::map<std::uint32_t, std::vector<double>>;
 
 void collect(ByBlock& into, const Subscriber& subscriber, Stamp stamp) {
@@ -34,9 +36,13 @@ void collect(ByBlock& into, const Subscriber& subscriber, Stamp stamp) {
   }
 }
 
+/// Each at its place, since blocks of several arms are paired.
 Blocks in_order(ByBlock&& by_block) {
   Blocks blocks;
-  for (auto& [block, values] : by_block) blocks.push_back(std::move(values));
+  if (by_block.empty()) return blocks;
+  const std::uint32_t first = std::min(by_block.begin()->first, kFirstBlock);
+  blocks.resize(by_block.rbegin()->first - first + 1);
+  for (auto& [block, values] : by_block) blocks[block - first] = std::move(values);
   return blocks;
 }
 
@@ -157,24 +163,30 @@ Costs costs_net_of(const StreamResult& stream, const StreamResult* pace) {
 
 Blocks cpu_per_message(const StreamResult& stream, const StreamResult* pace) {
   const auto by_block = [](const StreamResult& of) {
-    std::map<std::uint32_t, double> costs;
+    ByBlock costs;
     for (const BlockCost& block : of.block_costs) {
       if (block.sent == 0) continue;
-      costs[block.block] =
-          (block.publishers_us + block.subscribers_us) / static_cast<double>(block.sent);
+      costs[block.block] = {(block.publishers_us + block.subscribers_us) /
+                            static_cast<double>(block.sent)};
     }
     return costs;
   };
-  std::map<std::uint32_t, double> costs = by_block(stream);
+  ByBlock costs = by_block(stream);
   if (pace != nullptr) {
-    const std::map<std::uint32_t, double> idle = by_block(*pace);
+    const ByBlock idle = by_block(*pace);
     for (auto& [block, cost] : costs) {
-      if (const auto at = idle.find(block); at != idle.end()) cost -= at->second;
+      if (const auto at = idle.find(block); at != idle.end()) cost[0] -= at->second[0];
     }
   }
-  Blocks blocks;
-  for (const auto& [block, cost] : costs) blocks.push_back({cost});
-  return blocks;
+  return in_order(std::move(costs));
+}
+
+std::optional<Ratio> ratio_of_cpu(const StreamResult& of, const StreamResult* pace,
+                                  const StreamResult& to, const StreamResult* pace_of_to) {
+  const Blocks above = cpu_per_message(of, pace);
+  const Blocks below = cpu_per_message(to, pace_of_to);
+  if (summarise(above).median <= 0) return std::nullopt;
+  return ratio_of_quantiles(above, below, 0.5);
 }
 
 double messages_per_second(const StreamResult& stream) {

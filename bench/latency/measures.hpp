@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -16,6 +17,7 @@ enum class Stamp { Loan, Fill, Push };
 const char* name_of(Stamp);
 inline constexpr Stamp kStamps[] = {Stamp::Loan, Stamp::Fill, Stamp::Push};
 
+/// The k-th of these blocks is block k of the cell; one in which nothing came is empty.
 Blocks latencies(const Subscriber&, Stamp);
 Blocks latencies(const StreamResult&, Stamp);  ///< of all its subscribers together
 /// Time per message, one value a block: of ping-pong and throughput.
@@ -49,6 +51,9 @@ Costs costs_net_of(const StreamResult&, const StreamResult* pace);
 /// Processor time of all ends together per message sent, one value a block; net of what pacing
 /// costs in the same block if `pace` is not null.
 Blocks cpu_per_message(const StreamResult&, const StreamResult* pace);
+/// Of medians of that: nothing where one of them is lost in what pacing costs.
+std::optional<Ratio> ratio_of_cpu(const StreamResult& of, const StreamResult* pace,
+                                  const StreamResult& to, const StreamResult* pace_of_to);
 
 std::uint64_t sent(const StreamResult&);  ///< by all publishers: what each subscriber is due
 double messages_per_second(const StreamResult&);  ///< the median block's; 0: none was timed

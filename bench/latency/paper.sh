@@ -43,7 +43,7 @@ fi
 # How long that is: messages / 30 Hz for each arm (floors are arms) of each cell, with 2 cores.
 #   figures 3, 5, 6, 7 at 8 sizes, 500 messages: (6 + 2 + 5 + 2 + 3 + 5 + 1) x 8 + 6 (Nagle), 198 arms: 55 min
 #   every transport at 3 sizes, 120 messages: 18 x 3 arms                                               4 min
-#   small differences, 10,000 messages at 1 kHz: 8 arms                                                 1 min
+#   small differences, 10,000 messages at 1 kHz: 9 arms                                                 2 min
 #   peers that spin, and frames that are made anew, 100 messages: 9 x 3 + 6 arms                        2 min
 #   load: 4 x 3 arms of 60 s, 5 of 20 s                                                                14 min
 #   the vehicle: 2 x 7 arms of 20 s                                                                     5 min
@@ -100,14 +100,29 @@ for prepared in $pools; do
   few=(--pool $((prepared < 10 ? prepared : 10)) --depth 4)
   paced=(--messages "$messages" --block "$block" "${pool[@]}")
   ball=(--mode ping-pong --messages "$balls" --block $((balls / 20)) "${pool[@]}")
-  measure "every transport beside every other, parked" "$every" \
-    --messages "$others" --block $((others / 6 + 1)) "${pool[@]}" --size 128,64K,1M
-  measure "small differences" ring,ring-borrow,mutex,lot2021-direct,iceoryx \
-    --messages "$many" --block $((many / 20)) --rate 1000 "${pool[@]}" --size 128
+  load=(--size 16M --no-floors "${few[@]}")
+  measure "spinning: ping-pong" ring,ring-borrow,mutex,tcp,uds,iceoryx,fastdds \
+    "${ball[@]}" --wait spin --pin other-core --size 128,1M
+  measure "parked: ping-pong on one core" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds \
+    "${ball[@]}" --wait park --pin same-core --size 128
+  flood=(--mode throughput "${pool[@]}" --size 128,64K --messages "$most" --block $((most / 10)))
+  measure "throughput, on cores of their own" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx \
+    "${flood[@]}" --wait adaptive --pin other-core
+  measure "throughput, parked" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx "${flood[@]}"
   measure "peers that spin" ring,ring-borrow,mutex,iceoryx,fastdds,fastdds-loan \
     --messages "$some" --block $((some / 5)) "${pool[@]}" --size 128,64K,1M --wait spin --pin other-core
+  measure "small differences" ring,ring-borrow,mutex,lot2021,lot2021-direct,iceoryx \
+    --messages "$many" --block $((many / 20)) --rate 1000 "${pool[@]}" --size 128
+  measure "every transport beside every other, parked" "$every" \
+    --messages "$others" --block $((others / 6 + 1)) "${pool[@]}" --size 128,64K,1M
   [ "$size" = full ] || only "frames that are made anew" ring,lot2021,lot2021-direct \
     --messages "$some" --block $((some / 5)) --pool 0 --size 16M
+  measure "five publishers beside the floor" ring,tcp \
+    --messages "$some" --block $((some / 5)) "${few[@]}" --size 128,1M --graph 5p1s
+  measure "the vehicle, with and without its cameras" ring,mutex,tcp,lot2021,lot2021-direct \
+    "${few[@]}" --graph av --messages $((400 * av_s)) --block 400
+  only "what a message of 16 MiB costs that is not filled" ring,mutex,tcp,lot2021,lot2021-direct \
+    "${load[@]}" --messages $((10 * load_s)) --block $((10 * load_s / 4)) --fill no
   measure "figures 6 a, 3: one publisher, one subscriber, in separate containers" ring,tcp,udp,uds,tzc,floor-futex \
     "${paced[@]}" --size $sizes --place containers --no-floors
   measure "figure 3: in one container" ring,tcp "${paced[@]}" --size $sizes --place container --no-floors
@@ -120,21 +135,8 @@ for prepared in $pools; do
     "${paced[@]}" --size $sizes --graph 1p5s --place containers --no-floors
   measure "figure 7 b: five subscribers, one after the other" tcp \
     "${paced[@]}" --size $sizes --graph 1p5s --place containers --ordered --no-floors
-  load=(--size 16M --no-floors "${few[@]}")
   only "figure 8, table 1: load at 16 MiB" ring,mutex,tcp,lot2021 \
     "${load[@]}" --messages $((30 * load_s)) --block $((30 * load_s)) --graph 1p1s,1p5s,5p1s --profile
-  only "what a message of 16 MiB costs that is not filled" ring,mutex,tcp,lot2021,lot2021-direct \
-    "${load[@]}" --messages $((10 * load_s)) --block $((10 * load_s / 4)) --fill no
-  measure "the vehicle, with and without its cameras" ring,mutex,tcp,lot2021,lot2021-direct \
-    "${few[@]}" --graph av --messages $((400 * av_s)) --block $((400 * av_s / 4))
-  measure "five publishers beside the floor" ring,tcp \
-    --messages "$some" --block $((some / 5)) "${few[@]}" --size 128,1M --graph 5p1s
-  measure "spinning: ping-pong" ring,ring-borrow,mutex,tcp,uds,iceoryx,fastdds \
-    "${ball[@]}" --wait spin --pin other-core --size 128,1M
-  measure "parked: ping-pong on one core" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds \
-    "${ball[@]}" --wait park --pin same-core --size 128
-  measure "throughput" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx \
-    "${pool[@]}" --mode throughput --wait adaptive --size 128,64K --messages $most --block $((most / 10))
 done
 
 "$lot_ab" plot "$out"

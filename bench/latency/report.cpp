@@ -198,8 +198,7 @@ void print_costs(std::ostream& out, const Cell& cell) {
     for (const StreamResult& stream : arm.streams) {
       std::vector<std::string> row{row_name(arm, stream)};
       const StreamResult* pace =
-          hears_nothing(arm) ? nullptr
-                             : find(cell, beside(arm.transport, kFloorPace), stream.name);
+          hears_nothing(arm) ? nullptr : find(cell, beside(arm.transport, kFloorPace), stream.name);
       const Costs cost = costs_net_of(stream, pace);
       const auto switches = [](const Cost& of) {
         return of.voluntary_switches + of.involuntary_switches;
@@ -211,8 +210,7 @@ void print_costs(std::ostream& out, const Cell& cell) {
       const StreamResult* ring = find(cell, beside(arm.transport, kRing), stream.name);
       row.push_back(ring == nullptr || ring == &stream || hears_nothing(arm)
                         ? "-"
-                        : ratio_word(ratio_of_quantiles(cpu_per_message(stream, pace),
-                                                        cpu_per_message(*ring, pace), 0.5)));
+                        : ratio_word(ratio_of_cpu(stream, pace, *ring, pace)));
       both(switches(cost.publisher), switches(cost.subscriber));
       both(cost.publisher.faults, cost.subscriber.faults);
       const auto readers = static_cast<double>(stream.subscribers.size());
@@ -328,7 +326,7 @@ void print_rivals(std::ostream& out, const Run& run) {
   out << "\n== Rivals: do they reach here what they are known to reach?\n";
   for (const RivalCheck& check : checks) {
     out << " " << check.rival << ": " << check.reached << ", at most " << check.limit << ": "
-        << (check.good ? "yes" : "NO") << "\n   " << check.where << "\n";
+        << check.verdict << "\n   " << check.where << "\n";
   }
 }
 

@@ -89,13 +89,14 @@ class Draw {
   std::vector<unsigned> times_;
 };
 
-struct Drawn {  // ratios of all draws
+struct Drawn {  // ratios of all draws; those that are none are beyond every bound
   std::vector<double> ratios;
   void add(double above, double below) {
     if (below > 0) ratios.push_back(above / below);
   }
   Ratio interval(double ratio) {
-    Ratio result{ratio, ratio, ratio, ratios.size() > kDraws / 2};
+    const std::size_t unbounded = kDraws - ratios.size();
+    Ratio result{ratio, ratio, ratio, unbounded < kDraws / 40};  // else a bound is unknown
     if (!result.known) return result;
     std::sort(ratios.begin(), ratios.end());
     result.low = quantile(ratios, 0.025);

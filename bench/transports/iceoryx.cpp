@@ -121,6 +121,7 @@ class Daemon {
       start();
     } catch (...) {
       streams_.pop_back();
+      if (!streams_.empty()) start();  // the others go on
       throw;
     }
   }

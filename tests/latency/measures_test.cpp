@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "measures.hpp"
 
+#include <algorithm>
+
 #include <doctest/doctest.h>
 
 #include "made_up.hpp"
@@ -91,9 +93,25 @@ TEST_SUITE("lot_ab measures") {
     StreamResult stream;
     stream.block_costs = {{2, 10, 60, 40}, {1, 10, 20, 10}, {3, 0, 5, 5}};
     CHECK(cpu_per_message(stream, nullptr) == Blocks{{3}, {10}});
+    stream.block_costs[1].block = 4;  // each at its place, since other arms' are paired with them
+    CHECK(cpu_per_message(stream, nullptr) == Blocks{{}, {10}, {}, {3}});
+    stream.block_costs[1].block = 1;
     StreamResult pace;
     pace.block_costs = {{1, 10, 10, 0}, {2, 20, 10, 10}};
     CHECK(cpu_per_message(stream, &pace) == Blocks{{2}, {9}});
+    CHECK(ratio_of_cpu(stream, &pace, stream, &pace)->ratio == 1);
+    CHECK(ratio_of_cpu(stream, nullptr, pace, nullptr)->ratio == 3);
+    CHECK_FALSE(ratio_of_cpu(pace, &stream, stream, nullptr));  // less than pacing alone
+    CHECK_FALSE(ratio_of_cpu(stream, nullptr, pace, &stream));
+  }
+
+  TEST_CASE("a block in which nothing came keeps its place") {
+    StreamResult stream = stream_of({1, 1, 4, 2}, always(50'000));
+    auto& samples = stream.subscribers[0].samples;
+    samples.erase(std::remove_if(samples.begin(), samples.end(),
+                                 [](const Sample& s) { return s.block == 2; }),
+                  samples.end());
+    CHECK(latencies(stream, Stamp::Fill) == Blocks{{50, 50}, {50, 50}, {}, {50, 50}});
   }
 
   TEST_CASE("a quiet arm is compared with quiet ones") {

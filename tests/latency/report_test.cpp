@@ -106,7 +106,7 @@ TEST_SUITE("lot_ab report") {
 
   TEST_CASE("processor time is beside ring's, net of pacing, and a daemon's is told apart") {
     Cell cell = fan_out();
-    for (std::size_t a : {0, 1, 3}) {
+    for (const std::size_t a : {0U, 1U, 3U}) {
       for (std::uint32_t block = 0; block < 10; ++block) {
         cell.arms[a].streams[0].block_costs.push_back({block, 20,
                                                        a == 1   ? 20 * 400.0
@@ -122,6 +122,12 @@ TEST_SUITE("lot_ab report") {
     CHECK(std::find(tcp.begin(), tcp.end(), "(300-300)") != tcp.end());
     CHECK(text.find("the daemon of tcp used 3.00 us") != std::string::npos);
     CHECK(text.find("the daemon of ring") == std::string::npos);
+    // What is lost in pacing is no ratio.
+    for (BlockCost& block : cell.arms[0].streams[0].block_costs) {
+      block.publishers_us = 20 * (block.block % 2 == 0 ? 99.0 : 100.5);
+    }
+    const auto lost = row_of(report_of(cell), "tcp", 2);
+    CHECK(std::find(lost.begin(), lost.end(), "-") != lost.end());
   }
 
   TEST_CASE("a scenario's arms are beside their quiet twins") {
