@@ -438,7 +438,8 @@ class Conductor {
     }
   }
 
-  /// By chance; but a quiet twin stays beside its arm, before or behind it, since they are compared.
+  /// By chance; but a quiet twin stays beside its arm, before or behind it, since they are
+  /// compared.
   void shuffle(std::vector<unsigned>& order, std::mt19937_64& random) const {
     std::map<std::string, std::vector<unsigned>> twins;
     std::vector<std::string> transports;

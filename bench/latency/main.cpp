@@ -141,7 +141,8 @@ std::vector<CellArms> plan(const Choice& choice, const Machine& machine) {
       choice.transports.empty() ? every_transport() : choice.transports;
   check(names);
   if (const auto twin = std::find_if(names.begin(), names.end(), is_quiet); twin != names.end()) {
-    throw std::invalid_argument("no transport '" + *twin + "'; --graph av has quiet twins by itself");
+    throw std::invalid_argument("no transport '" + *twin +
+                                "'; --graph av has quiet twins by itself");
   }
   std::vector<CellArms> wanted;
   for (const Conditions& c : cells(choice)) {

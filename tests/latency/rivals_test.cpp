@@ -58,7 +58,9 @@ TEST_SUITE("lot_ab rivals") {
     CHECK(under([](Cell& cell) { cell.conditions.graph = "1p5s"; }) == 0);
     CHECK(under([](Cell& cell) { cell.conditions.pin = "same-core"; }) == 0);
     CHECK(under([](Cell& cell) { cell.conditions.fill = false; }) == 0);
-    CHECK(under([](Cell& cell) { cell.arms[0].utilisation.push_back({"publisher 0", 1, 1}); }) == 0);
+    CHECK(under([](Cell& cell) {
+            cell.arms[0].utilisation.push_back({"publisher 0", 1, 1});
+          }) == 0);
     CHECK(under([](Cell& cell) { cell.arms[1].refused = "failed"; }) == 2);  // its better shape
   }
 

@@ -66,7 +66,10 @@ def says_what_it_will_do(directory):
     seconds = 2 * len(lines[1].split()) * 90 // 30
     check(lines[-1].startswith(f'4 cells, at least 0 min {seconds} s; of 2'), '2 cells x arms x 90 / 30 Hz')
     r = lot_ab('-t', 'ring', '-g', 'av', '-n', '800', '--no-floors', '--dry-run')
-    check(r.stdout.endswith('1 cell, at least 0 min 2 s\n'), 'a scenario is paced by its first sensor')
+    check(r.stdout.endswith('ring ring quiet\n1 cell, at least 0 min 4 s\n'),
+          'a scenario is paced by its first sensor, and has quiet twins')
+    r = lot_ab('-t', 'ring quiet', '-g', 'av', '-n', '800', '--dry-run')
+    check(r.returncode == 2 and '--graph av' in r.stderr, 'which nobody asks for by name')
     r = lot_ab('-t', 'ring', '--no-floors', '-n', '20', '-r', '1000', '-s', '1G,128', '--depth', '4096')
     check(r.returncode == 1 and 'not measured: 1p1s, 1024 MiB' in r.stderr and '== 1p1s, 128 B' in r.stdout,
           'a cell that needs too much memory is left out, the others are measured')
