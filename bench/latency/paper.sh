@@ -44,10 +44,10 @@ fi
 #   figures 3, 5, 6, 7 at 8 sizes, 500 messages: (6 + 2 + 5 + 2 + 3 + 5 + 1) x 8 + 6 (Nagle), 198 arms: 55 min
 #   every transport at 3 sizes, 120 messages: 18 x 3 arms                                               4 min
 #   small differences, 10,000 messages at 1 kHz: 9 arms                                                 2 min
-#   peers that spin, and frames that are made anew, 100 messages: 9 x 3 + 6 arms                        2 min
+#   peers that spin, and frames that are made anew, 100 messages: 9 x 3 + 2 x 6 arms                    3 min
 #   load: 4 x 3 arms of 60 s, 5 of 20 s                                                                14 min
 #   the vehicle: 2 x 7 arms of 20 s                                                                     5 min
-# 81 minutes, and some more for starting nodes, for ping-pong and for throughput.
+# 82 minutes, and some more for starting nodes, for ping-pong and for throughput.
 #
 # How much memory: size x publishers x (depth + pool) for each arm of a cell, together 12 GiB with
 # 16 MiB and a pool of 100. Where publishers or topics are many, the pool is 10, and 4 may wait.
@@ -108,15 +108,18 @@ for prepared in $pools; do
   flood=(--mode throughput "${pool[@]}" --size 128,64K --messages "$most" --block $((most / 10)))
   measure "throughput, on cores of their own" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx \
     "${flood[@]}" --wait adaptive --pin other-core
-  measure "throughput, parked" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx "${flood[@]}"
+  measure "throughput, parked on one core" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx,intra \
+    "${flood[@]}" --pin same-core
   measure "peers that spin" ring,ring-borrow,mutex,iceoryx,fastdds,fastdds-loan \
     --messages "$some" --block $((some / 5)) "${pool[@]}" --size 128,64K,1M --wait spin --pin other-core
   measure "small differences" ring,ring-borrow,mutex,lot2021,lot2021-direct,iceoryx \
     --messages "$many" --block $((many / 20)) --rate 1000 "${pool[@]}" --size 128
   measure "every transport beside every other, parked" "$every" \
     --messages "$others" --block $((others / 6 + 1)) "${pool[@]}" --size 128,64K,1M
-  [ "$size" = full ] || only "frames that are made anew" ring,lot2021,lot2021-direct \
-    --messages "$some" --block $((some / 5)) --pool 0 --size 16M
+  for filled in yes no; do
+    [ "$size" = full ] || only "frames that are made anew, filled: $filled" ring,lot2021,lot2021-direct \
+      --messages "$some" --block $((some / 5)) --pool 0 --size 16M --fill $filled
+  done
   measure "five publishers beside the floor" ring,tcp \
     --messages "$some" --block $((some / 5)) "${few[@]}" --size 128,1M --graph 5p1s
   measure "the vehicle, with and without its cameras" ring,mutex,tcp,lot2021,lot2021-direct \

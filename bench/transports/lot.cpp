@@ -23,6 +23,9 @@ struct Frame {
   lot::ShmVector<std::byte> bytes;
 };
 constexpr std::size_t kLargestPlain = 4096;
+/// Messages up to this size come back to the publisher in batches, so that more are on their way.
+constexpr std::size_t kBatched = 64 << 10;
+constexpr std::size_t kOnTheirWay = 96;
 
 /// Calls f with the message type of this size.
 template <class F>
@@ -53,7 +56,7 @@ class LotSender final : public Sender {
   LotSender(const Stream& stream, lot::QueueEngine queue)
       : size_(stream.size), engine_(engine_options(stream)), pusher_(advertise(stream, queue)) {
     // First touch belongs to the start, not to the figures.
-    pusher_.reserve(stream.depth + 4, stream.size);
+    pusher_.reserve(stream.depth + 4 + (stream.size <= kBatched ? kOnTheirWay : 0), stream.size);
   }
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
