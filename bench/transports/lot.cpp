@@ -38,13 +38,18 @@ auto with_message_of(std::size_t size, F&& f) {
 
 enum class Read { Keep, Borrow };
 
+/// Messages that one publisher has in memory: in the queue, at hand, and on their way home.
+std::size_t prepared(const Stream& stream) {
+  return stream.depth + 4 + (stream.size <= kBatched ? kOnTheirWay : 0);
+}
+
 lot::EngineOptions engine_options(const Stream& stream) {
   lot::EngineOptions options;
   options.segment = stream.name;
   options.directory = stream.directory;
   // What waits in the queues, what subscribers hold, and batches of blocks that are on their way
   // home.
-  const std::size_t messages = stream.depth * stream.publishers + stream.subscribers + 160;
+  const std::size_t messages = prepared(stream) * stream.publishers + stream.subscribers + 160;
   options.size_bytes = (64 << 20) + 2 * stream.publishers * messages * 512 +
                        messages * ((stream.size + 4095) / 4096 * 4096 + 4096);
   return options;
@@ -56,7 +61,7 @@ class LotSender final : public Sender {
   LotSender(const Stream& stream, lot::QueueEngine queue)
       : size_(stream.size), engine_(engine_options(stream)), pusher_(advertise(stream, queue)) {
     // First touch belongs to the start, not to the figures.
-    pusher_.reserve(stream.depth + 4 + (stream.size <= kBatched ? kOnTheirWay : 0), stream.size);
+    pusher_.reserve(prepared(stream), stream.size);
   }
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
