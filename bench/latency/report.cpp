@@ -168,6 +168,18 @@ std::string p_word(const std::optional<double>& p) {
   return *p < 0.001 ? "<0.001" : with_digits(*p, 3);
 }
 
+/// Ratios of median and p99 to another stream of the cell, and the rank test's p.
+void add_ratios(std::vector<std::string>& row, const Cell& cell, const ReportOptions& options,
+                const StreamResult& own, const StreamResult& other) {
+  const Blocks a = compared(own, options.stamp);
+  const Blocks b = compared(other, options.stamp);
+  row.push_back(ratio_word(ratio_of_quantiles(a, b, 0.5)));
+  row.push_back(
+      ratio_word(ratio_of_quantiles(compared_tails(cell.conditions, own, options.stamp),
+                                    compared_tails(cell.conditions, other, options.stamp), 0.99)));
+  row.push_back(p_word(p_of_block_medians(a, b)));
+}
+
 void print_beside_ring(std::ostream& out, const Cell& cell, const ReportOptions& options) {
   Table table({"x ring", "median", "p99", "rank p"});
   bool any = false;
@@ -177,13 +189,9 @@ void print_beside_ring(std::ostream& out, const Cell& cell, const ReportOptions&
       const StreamResult* ring = find(cell, beside(arm.transport, kRing), stream.name);
       if (ring == nullptr) continue;
       any = true;
-      const Blocks own = compared(stream, options.stamp);
-      const Blocks of_ring = compared(*ring, options.stamp);
-      const Blocks tail = compared_tails(cell.conditions, stream, options.stamp);
-      const Blocks tail_of_ring = compared_tails(cell.conditions, *ring, options.stamp);
-      table.add({row_name(arm, stream), ratio_word(ratio_of_quantiles(own, of_ring, 0.5)),
-                 ratio_word(ratio_of_quantiles(tail, tail_of_ring, 0.99)),
-                 p_word(p_of_block_medians(own, of_ring))});
+      std::vector<std::string> row{row_name(arm, stream)};
+      add_ratios(row, cell, options, stream, *ring);
+      table.add(std::move(row));
     }
   }
   if (!any) return;
@@ -243,11 +251,9 @@ void print_disturbance(std::ostream& out, const Cell& cell, const ReportOptions&
       const StreamResult* quiet_one = find(cell, quiet(arm.transport), stream.name);
       if (quiet_one == nullptr) continue;
       any = true;
-      const Blocks own = compared(stream, options.stamp);
-      const Blocks undisturbed = compared(*quiet_one, options.stamp);
-      table.add({row_name(arm, stream), ratio_word(ratio_of_quantiles(own, undisturbed, 0.5)),
-                 ratio_word(ratio_of_quantiles(own, undisturbed, 0.99)),
-                 p_word(p_of_block_medians(own, undisturbed))});
+      std::vector<std::string> row{row_name(arm, stream)};
+      add_ratios(row, cell, options, stream, *quiet_one);
+      table.add(std::move(row));
     }
   }
   if (!any) return;
