@@ -102,12 +102,6 @@ void check_depth(std::string_view topic, std::uint32_t depth) {
   }
 }
 
-bool has_several_cores() noexcept {
-  // Not our own affinity: processes that are pinned to a core each have the more reason to spin.
-  static const bool several = sysconf(_SC_NPROCESSORS_ONLN) > 1;
-  return several;
-}
-
 /// Opening, making and removing the segment happens between these.
 class Participant::GateGuard {
  public:

@@ -215,7 +215,4 @@ class Participant {
 /// Throws lot::Error when no queue can be so deep.
 void check_depth(std::string_view topic, std::uint32_t depth);
 
-/// Whether spinning can help: with one core the other side cannot move meanwhile.
-bool has_several_cores() noexcept;
-
 }  // namespace lot::transport

@@ -4,13 +4,20 @@
 #include <chrono>
 #include <cstdint>
 #include <random>
+#include <unistd.h>
 
 #include "lot/options.hpp"
 
 #include "futex/futex.hpp"
-#include "transport/participant.hpp"
 
 namespace lot::transport {
+
+/// Whether spinning can help: with one core the other side cannot move meanwhile.
+inline bool has_several_cores() noexcept {
+  // Not our own affinity: processes that are pinned to a core each have the more reason to spin.
+  static const bool several = sysconf(_SC_NPROCESSORS_ONLN) > 1;
+  return several;
+}
 
 /// Whether one who has to wait spins before it sleeps, and for how long: what `Wait` means.
 ///
