@@ -139,6 +139,14 @@ def places():
             print(r.stdout)
 
 
+def many_publishers():
+    r = lot_ab('-t', 'ring', '-g', '20p1s', '-s', '64K', '-n', '5', '--block', '5', '--no-floors')
+    check(r.returncode == 0 and re.search(r'^ ring +100 +100 ', r.stdout, re.M) is not None,
+          'the segment holds what twenty publishers have prepared')
+    if r.returncode != 0:
+        print(r.stdout)
+
+
 def bad_use():
     for arguments, sentence in ((['-t', 'pigeon'], 'pigeon'), (['-g', '0p1s'], '--graph'), (['-s', '100'], '--size'),
                                 (['-m', 'fast'], '--mode'), (['-w', 'nap'], '--wait'),
@@ -220,4 +228,4 @@ def vehicle():
         print(r.stdout)
 
 
-run((bad_use, runs_and_saves, places, vehicle, interrupted, interrupted_while_starting, killed, node_killed))
+run((bad_use, runs_and_saves, places, many_publishers, vehicle, interrupted, interrupted_while_starting, killed, node_killed))
