@@ -115,16 +115,36 @@ class Watcher {
 };
 
 /// A function that moves bytes, not one that waits.
-bool moves_bytes(const std::string& symbol) {
-  static const std::set<std::string> kMovers{
-      "memcpy",   "memset",  "send",     "sendto", "sendmsg", "sendmmsg", "recv",
-      "recvfrom", "recvmsg", "recvmmsg", "read",   "readv",   "write",    "writev"};
+/// Copying, or a system call that moves bytes or sleeps.
+bool is_no_spinning(const std::string& symbol) {
+  static const std::set<std::string> kOthers{"memcpy",
+                                             "memset",
+                                             "send",
+                                             "sendto",
+                                             "sendmsg",
+                                             "sendmmsg",
+                                             "recv",
+                                             "recvfrom",
+                                             "recvmsg",
+                                             "recvmmsg",
+                                             "read",
+                                             "readv",
+                                             "write",
+                                             "writev",
+                                             "poll",
+                                             "ppoll",
+                                             "epoll_wait",
+                                             "select",
+                                             "syscall",
+                                             "clock_nanosleep",
+                                             "futex_abstimed_wait_common",
+                                             "futex_abstimed_wait_cancelable64"};
   // __libc_recv, __send, __GI___writev are the same functions.
   std::size_t begin = 0;
   for (const char* const prefix : {"__libc_", "__GI_", "__"}) {
     if (symbol.compare(begin, std::strlen(prefix), prefix) == 0) begin += std::strlen(prefix);
   }
-  return kMovers.count(symbol.substr(begin)) != 0;
+  return kOthers.count(symbol.substr(begin)) != 0;
 }
 
 class Conductor {
@@ -577,7 +597,7 @@ class Conductor {
       s.size = topics_[a][t].size;
       s.rate_hz = topics_[a][t].rate_hz;
     }
-    std::map<std::string, std::uint64_t> hot;
+    std::map<std::string, double> hot;  // us
     each_node(a, [&](const NodePlan& node, const NodeRecord& record) {
       StreamResult& s = arm.streams[node.stream];
       if (node.role == Role::Publish) {
@@ -599,9 +619,7 @@ class Conductor {
         r.lost = transports_[a]->delivers && sent > got ? sent - got : 0;
       }
     }
-    for (const auto& [symbol, n] : hot) {
-      arm.profile.hottest.push_back({symbol, static_cast<double>(n) / 1000});
-    }
+    for (const auto& [symbol, us] : hot) arm.profile.hottest.push_back({symbol, us / 1e6});
     auto& hottest = arm.profile.hottest;
     std::sort(hottest.begin(), hottest.end(),
               [](const HotSpot& x, const HotSpot& y) { return x.seconds > y.seconds; });
@@ -621,21 +639,33 @@ class Conductor {
     s.subscribers.push_back(std::move(r));
   }
 
-  void gather_profile(Profile& profile, std::map<std::string, std::uint64_t>& hot,
+  /// The samples say how a node's processor time is divided; how much it is the kernel knows.
+  void gather_profile(Profile& profile, std::map<std::string, double>& hot,
                       const NodeRecord& record) {
+    struct Part {
+      double samples;
+      bool waiting;
+      std::string symbol;
+    };
+    std::vector<Part> parts;
+    double samples = 0;
     const std::string text(board_->profile(record), record.profile_size);
     for (std::size_t at = 0; at < text.size();) {
       const auto end = text.find('\n', at);
       if (end == std::string::npos) break;
       const auto first = text.find(' ', at);
-      const std::uint64_t n = std::stoull(text.substr(at, first - at));
-      const bool waiting = text[first + 1] == '1';
-      const std::string symbol = text.substr(first + 3, end - first - 3);
-      hot[symbol] += n;
-      profile.cpu_s += static_cast<double>(n) / 1000;
-      if (waiting && !moves_bytes(symbol)) profile.spin_s += static_cast<double>(n) / 1000;
+      parts.push_back({std::stod(text.substr(at, first - at)), text[first + 1] == '1',
+                       text.substr(first + 3, end - first - 3)});
+      samples += parts.back().samples;
       at = end + 1;
     }
+    for (const Part& part : parts) {
+      const double us = record.usage.cpu_us * part.samples / samples;
+      hot[part.symbol] += us;
+      if (part.waiting && !is_no_spinning(part.symbol)) profile.spin_s += us / 1e6;
+    }
+    profile.cpu_s += record.usage.cpu_us / 1e6;
+    profile.samples += static_cast<std::uint64_t>(samples);
   }
 
   const CellOptions& options_;

@@ -183,14 +183,17 @@ Machine machine_of(const Json& json) {
 }
 
 Json to_json(const Profile& profile) {
-  Json json{{"cpu_s", profile.cpu_s}, {"spin_s", profile.spin_s}, {"hottest", Json::array()}};
+  Json json{{"cpu_s", profile.cpu_s},
+            {"spin_s", profile.spin_s},
+            {"samples", profile.samples},
+            {"hottest", Json::array()}};
   for (const HotSpot& spot : profile.hottest) {
     json["hottest"].push_back({{"symbol", spot.symbol}, {"seconds", spot.seconds}});
   }
   return json;
 }
 Profile profile_of(const Json& json) {
-  Profile profile{json.at("cpu_s"), json.at("spin_s"), {}};
+  Profile profile{json.at("cpu_s"), json.at("spin_s"), json.value("samples", std::uint64_t{0}), {}};
   for (const Json& spot : json.at("hottest")) {
     profile.hottest.push_back({spot.at("symbol"), spot.at("seconds")});
   }

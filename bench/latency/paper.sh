@@ -45,7 +45,7 @@ fi
 #   every transport at 3 sizes, 120 messages: 18 x 3 arms                                               4 min
 #   small differences, 10,000 messages at 1 kHz: 9 arms                                                 2 min
 #   peers that spin, and frames that are made anew, 100 messages: 9 x 3 + 2 x 6 arms                    3 min
-#   load: 4 x 3 arms of 60 s, 5 of 20 s                                                                14 min
+#   load: 4 x 3 arms of 60 s, 6 of 20 s                                                                14 min
 #   the vehicle: 2 x 7 arms of 20 s                                                                     5 min
 # 82 minutes, and some more for starting nodes, for ping-pong and for throughput.
 #
@@ -124,7 +124,7 @@ for prepared in $pools; do
     --messages "$some" --block $((some / 5)) "${few[@]}" --size 128,1M --graph 5p1s
   measure "the vehicle, with and without its cameras" ring,mutex,tcp,lot2021,lot2021-direct \
     "${few[@]}" --graph av --messages $((400 * av_s)) --block 400
-  only "what a message of 16 MiB costs that is not filled" ring,mutex,tcp,lot2021,lot2021-direct \
+  only "what a message of 16 MiB costs that is not filled" ring,mutex,tcp,lot2021,lot2021-direct,floor-pace \
     "${load[@]}" --messages $((10 * load_s)) --block $((10 * load_s / 4)) --fill no
   measure "figures 6 a, 3: one publisher, one subscriber, in separate containers" ring,tcp,udp,uds,tzc,floor-futex \
     "${paced[@]}" --size $sizes --place containers --no-floors

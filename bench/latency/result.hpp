@@ -91,6 +91,7 @@ struct HotSpot {
 struct Profile {
   double cpu_s = 0;   ///< of all nodes
   double spin_s = 0;  ///< of that in wait loops
+  std::uint64_t samples = 0;
   std::vector<HotSpot> hottest;
   bool operator==(const Profile&) const = default;
 };

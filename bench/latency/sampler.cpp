@@ -8,8 +8,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <fcntl.h>
+#include <filesystem>
+#include <linux/perf_event.h>
 #include <map>
 #include <memory>
+#include <string>
+#include <sys/syscall.h>
 #include <sys/time.h>
 #include <system_error>
 #include <ucontext.h>
@@ -44,6 +49,8 @@ void take(int, siginfo_t*, void* context) {
   counters[n] = at | (waiting.load(std::memory_order_relaxed) ? kWaiting : 0);
 }
 
+constexpr int kPeriodUs = 1000;
+
 void set_timer(long microseconds) {
   itimerval timer{};
   timer.it_interval.tv_usec = microseconds;
@@ -51,11 +58,51 @@ void set_timer(long microseconds) {
   setitimer(ITIMER_PROF, &timer, nullptr);
 }
 
+/// Clocks of the processor time of each thread that there is, which send it SIGPROF.
+std::vector<int> clocks;
+
+/// -1: this system does not let us.
+int try_start_clock(pid_t thread) {
+  perf_event_attr clock{};
+  clock.size = sizeof clock;
+  clock.type = PERF_TYPE_SOFTWARE;
+  clock.config = PERF_COUNT_SW_TASK_CLOCK;
+  clock.sample_period = kPeriodUs * 1000;
+  clock.wakeup_events = 1;
+  const long opened = syscall(SYS_perf_event_open, &clock, thread, -1, -1, PERF_FLAG_FD_CLOEXEC);
+  const int fd = static_cast<int>(opened);
+  const f_owner_ex owner{F_OWNER_TID, thread};
+  if (fd == -1 || (fcntl(fd, F_SETSIG, SIGPROF) == 0 && fcntl(fd, F_SETOWN_EX, &owner) == 0 &&
+                   fcntl(fd, F_SETFL, O_ASYNC | O_NONBLOCK) == 0)) {
+    return fd;
+  }
+  close(fd);
+  return -1;
+}
+
+void stop_clocks() {
+  for (const int fd : clocks) close(fd);
+  clocks.clear();
+}
+
+bool try_start_clocks() {
+  for (const auto& entry : std::filesystem::directory_iterator("/proc/self/task")) {
+    const int fd = try_start_clock(std::stoi(entry.path().filename()));
+    if (fd == -1) {
+      stop_clocks();
+      return false;
+    }
+    clocks.push_back(fd);
+  }
+  return true;
+}
+
 std::string demangled(const char* name) {
   int status = 0;
   const std::unique_ptr<char, void (*)(void*)> text(
       abi::__cxa_demangle(name, nullptr, nullptr, &status), std::free);
   std::string whole = status == 0 ? text.get() : name;
+  if (status != 0) whole.resize(std::min(whole.size(), whole.find('@')));  // send@@GLIBC_2.2.5
   if (const auto arguments = whole.find('(');
       arguments != std::string::npos && arguments > 0 && whole.rfind("(anonymous", 0) != 0) {
     // Up to the argument list; "(anonymous namespace)" is no argument list.
@@ -127,10 +174,15 @@ void start_sampler() {
       throw std::system_error(errno, std::generic_category(), "SIGPROF");
     }
   }
-  set_timer(1000);
+  // The interval timer is asked only when the kernel's clock ticks: few samples of who runs
+  // shortly.
+  if (!try_start_clocks()) set_timer(kPeriodUs);
 }
 
-void stop_sampler() { set_timer(0); }
+void stop_sampler() {
+  stop_clocks();
+  set_timer(0);
+}
 
 std::string sampled() {
   const Symbols symbols;

@@ -172,8 +172,8 @@ std::string draw_load(const Run& run, const std::string& machine, const fs::path
 std::string write_load_table(const Run& run, const fs::path& dir) {
   const auto profiled = [](const Arm& arm) { return arm.profile.cpu_s > 0; };
   const auto cells = load_cells(run, profiled);
-  std::vector<std::array<std::string, 5>> rows{
-      {"", "size", "CPU s", "spin s", "hottest functions (s)"}};
+  std::vector<std::array<std::string, 6>> rows{
+      {"", "size", "CPU s", "spin s", "samples", "hottest functions (s)"}};
   for (const std::string& transport : kLoadTransports) {
     for (const std::string& graph : kLoadGraphs) {
       const auto found = cells.find(graph);
@@ -190,27 +190,28 @@ std::string write_load_table(const Run& run, const fs::path& dir) {
       std::string bars;  // a bar would end the table's cell
       for (const char c : hottest) bars += c == '|' ? std::string("\\|") : std::string(1, c);
       rows.push_back({label_of(transport) + " " + graph, size_word(found->second->conditions.size),
-                      seconds_word(arm->profile.cpu_s), seconds_word(arm->profile.spin_s), bars});
+                      seconds_word(arm->profile.cpu_s), seconds_word(arm->profile.spin_s),
+                      std::to_string(arm->profile.samples), bars});
     }
   }
   if (rows.size() == 1) {
     return left_out(dir, "table1", "needs cells of 1p1s, 1p5s or 5p1s that were profiled");
   }
-  std::array<std::size_t, 5> widths{};
+  std::array<std::size_t, 6> widths{};
   for (const auto& row : rows) {
     for (std::size_t i = 0; i < row.size(); ++i) widths[i] = std::max(widths[i], row[i].size());
   }
   std::ostringstream text;
   for (std::size_t r = 0; r < rows.size(); ++r) {
-    for (std::size_t i = 0; i < 5; ++i) {
+    for (std::size_t i = 0; i < widths.size(); ++i) {
       const std::string gap(widths[i] - rows[r][i].size(), ' ');
-      const bool left = i == 0 || i == 4;
+      const bool left = i == 0 || i + 1 == widths.size();
       text << (i == 0 ? "| " : " | ") << (left ? rows[r][i] + gap : gap + rows[r][i]);
     }
     text << " |\n";
     if (r != 0) continue;
-    for (std::size_t i = 0; i < 5; ++i) {
-      const bool left = i == 0 || i == 4;
+    for (std::size_t i = 0; i < widths.size(); ++i) {
+      const bool left = i == 0 || i + 1 == widths.size();
       text << '|' << std::string(widths[i] + (left ? 2 : 1), '-') << (left ? "" : ":");
     }
     text << "|\n";

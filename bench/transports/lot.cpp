@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "lot/lot.hpp"
 
+#include <algorithm>
 #include <array>
 #include <optional>
 #include <type_traits>
@@ -23,9 +24,9 @@ struct Frame {
   lot::ShmVector<std::byte> bytes;
 };
 constexpr std::size_t kLargestPlain = 4096;
-/// Messages up to this size come back to the publisher in batches, so that more are on their way.
-constexpr std::size_t kBatched = 64 << 10;
-constexpr std::size_t kOnTheirWay = 96;
+/// Messages come back to the publisher in batches of so many, or of so many bytes.
+constexpr std::size_t kBatch = 32;
+constexpr std::size_t kBatchedBytes = 256 << 10;
 
 /// Calls f with the message type of this size.
 template <class F>
@@ -40,7 +41,8 @@ enum class Read { Keep, Borrow };
 
 /// Messages that one publisher has in memory: in the queue, at hand, and on their way home.
 std::size_t prepared(const Stream& stream) {
-  return stream.depth + 4 + (stream.size <= kBatched ? kOnTheirWay : 0);
+  const std::size_t batch = std::min(kBatch, kBatchedBytes / std::max<std::size_t>(stream.size, 1));
+  return stream.depth + 4 + 3 * batch;
 }
 
 lot::EngineOptions engine_options(const Stream& stream) {

@@ -113,7 +113,8 @@ Run everything() {
         arm.utilisation.push_back({"publisher 0", at, busy * (1 + 0.1 * std::sin(i * 0.7))});
         arm.utilisation.push_back({"subscriber 0", at + 10'000'000, busy});
       }
-      arm.profile = {busy * 60, busy * 10, {{"memcpy", busy}, {"a|b", 3 * busy}, {"x", 2 * busy}}};
+      arm.profile = {
+          busy * 60, busy * 10, 700, {{"memcpy", busy}, {"a|b", 3 * busy}, {"x", 2 * busy}}};
     }
     run.cells.push_back(std::move(cell));
     nodes += 1;
@@ -283,7 +284,8 @@ TEST_SUITE("lot_ab figures") {
     const std::string table = text_of(dir.path() / "figures" / "table1.md");
     CAPTURE(table);
     CHECK(table.find("| TCP 1p1s ") != std::string::npos);
-    CHECK(table.find("36.00 |   6.00 | a\\|b 1.80, x 1.20, memcpy 0.60") != std::string::npos);
+    CHECK(table.find("36.00 |   6.00 |     700 | a\\|b 1.80, x 1.20, memcpy 0.60") !=
+          std::string::npos);
     CHECK(std::count(table.begin(), table.end(), '\n') == 2 + 4 * 3);
   }
 

@@ -38,7 +38,7 @@ Run full_run() {
   arm.copies = true;
   arm.daemon_cpu_us = 0.3;
   arm.utilisation = {{"publisher 0", 123456789012345, 0.1}, {"subscriber 1", -5, 1.0 / 3}};
-  arm.profile = {1.5, 0.25, {{"memcpy \"quoted\" <T>", 0.7}, {"send", 0.1}}};
+  arm.profile = {1.5, 0.25, 1498, {{"memcpy \"quoted\" <T>", 0.7}, {"send", 0.1}}};
   StreamResult& stream = arm.streams.front();
   stream.name = "camera/0";
   stream.rate_hz = 29.97;

@@ -7,13 +7,16 @@
 Times are never asserted. A run that is too long is killed by the watchdog, and the test fails.
 """
 
+import ctypes
 import glob
 import json
 import os
 import pathlib
+import platform
 import re
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -147,6 +150,37 @@ def many_publishers():
         print(r.stdout)
 
 
+def perf_events_are_allowed():
+    if platform.machine() != 'x86_64':
+        return False
+    clock = struct.pack('IIQQ', 1, 64, 1, 1_000_000) + bytes(40)  # software, of 64 bytes, the task's clock, 1 ms
+    fd = ctypes.CDLL(None).syscall(298, clock, 0, -1, -1, 0)  # perf_event_open
+    if fd != -1:
+        os.close(fd)
+    return fd != -1
+
+
+def profile():
+    with tempfile.TemporaryDirectory() as out:
+        r = lot_ab('-t', 'ring,tcp', '-s', '4M', '-n', '90', '--block', '90', '--pool', '4', '--depth', '4',
+                   '--no-floors', '--profile', '-o', out)
+        check(r.returncode == 0, 'a profile ends well')
+        cells = json.load(open(out + '/run.json', encoding='utf-8'))['cells']
+    for arm in cells[0]['arms']:
+        p = arm['profile']
+        used = sum(end['usage']['cpu_us'] for s in arm['streams'] for ends in ('publishers', 'subscribers')
+                   for end in s[ends]) / 1e6
+        name = arm['transport']
+        check(abs(p['cpu_s'] - used) < 1e-6, f'{name}: processor time is what getrusage counts')
+        shown = sum(spot['seconds'] for spot in p['hottest'])
+        check(0 < shown <= p['cpu_s'] * 1.001, f'{name}: its hot spots are parts of it')
+        check(0 <= p['spin_s'] <= p['cpu_s'], f'{name}: and so is what is spun')
+        if perf_events_are_allowed():  # then a sample is taken in each millisecond of a thread
+            check(p['samples'] > used * 500, f'{name}: at least half of its {used * 1000:.0f} ms are seen: {p["samples"]}')
+    spots = {spot['symbol'] for arm in cells[0]['arms'] if arm['transport'] == 'tcp' for spot in arm['profile']['hottest']}
+    check('memcpy' in spots and any('send' in s for s in spots), f'tcp copies and sends: {sorted(spots)}')
+
+
 def bad_use():
     for arguments, sentence in ((['-t', 'pigeon'], 'pigeon'), (['-g', '0p1s'], '--graph'), (['-s', '100'], '--size'),
                                 (['-m', 'fast'], '--mode'), (['-w', 'nap'], '--wait'),
@@ -228,4 +262,5 @@ def vehicle():
         print(r.stdout)
 
 
-run((bad_use, runs_and_saves, places, many_publishers, vehicle, interrupted, interrupted_while_starting, killed, node_killed))
+run((bad_use, runs_and_saves, places, many_publishers, vehicle, profile, interrupted, interrupted_while_starting, killed,
+     node_killed))
