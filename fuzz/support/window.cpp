@@ -71,9 +71,9 @@ void each_part(F&& f) {
   };
   f(mapped.base, geometry.data, false);
   for (std::uint64_t i = 0, end = 0; i < geometry.granules; i = end) {
-    while (end < geometry.granules && is_free(end) == is_free(i)) ++end;
-    f(mapped.base + geometry.data + i * segment::kGranule, (end - i) * segment::kGranule,
-      is_free(i));
+    const bool free = is_free(i);  // asked once: a warden gives granules back meanwhile
+    for (end = i + 1; end < geometry.granules && is_free(end) == free;) ++end;
+    f(mapped.base + geometry.data + i * segment::kGranule, (end - i) * segment::kGranule, free);
   }
 }
 

@@ -419,12 +419,9 @@ class Queue {
   template <class Take>
   auto look(Subscriber& subscriber, Take&& take) {
     meet(subscriber, kEverything);
+    // A background thread may have the registry's lock when a new publisher is to be found.
+    for (unsigned n = 0; !knows_all(subscriber) && n < 1000; ++n) ::usleep(1000);
     auto taken = take();
-    // A background thread may have had the registry's lock when a new publisher was to be found.
-    for (unsigned n = 0; !taken && has_mail(subscriber) && n < 1000; ++n) {
-      ::usleep(1000);
-      taken = take();
-    }
     require(static_cast<bool>(taken) == has_mail(subscriber), "whether there is a message");
     if (!taken) {
       auto& sources = subscriber.sources;
@@ -435,6 +432,14 @@ class Queue {
           "the status when there is no message");
     }
     return taken;
+  }
+
+  /// Looks for new publishers; true when none is left to be found.
+  bool knows_all(Subscriber& subscriber) const {
+    const auto& sources = subscriber.sources;
+    const auto is_open = [this](const Source& s) { return channels_[s.channel].open; };
+    return subscriber.puller.publishers() >=
+           static_cast<std::size_t>(std::count_if(sources.begin(), sources.end(), is_open));
   }
 
   bool has_mail(const Subscriber& subscriber) const {

@@ -75,11 +75,11 @@ class WaitSet {
   /// Ends run() after the handler that is at work, or the next run() at once.
   void stop() noexcept;
 
- private:
-  friend class ShmListener;
+  // The untyped halves of pullers: the library's own business.
   void add(detail::PullerCore& puller, Handler handler);
   void remove(detail::PullerCore& puller);
 
+ private:
   std::unique_ptr<detail::WaitSetCore> core_;
 };
 

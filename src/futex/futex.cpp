@@ -116,6 +116,11 @@ bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcep
   return !(deadline && Clock::now() >= *deadline);
 }
 
+bool waits_for_many() noexcept {
+  // To sleep on nothing is refused for what it asks, or because there is no such call.
+  return syscall(kFutexWaitv, nullptr, 0, 0, nullptr, CLOCK_MONOTONIC) == -1 && errno == EINVAL;
+}
+
 void wake_one(const void* word) noexcept {
   syscall(SYS_futex, word, FUTEX_WAKE, 1, nullptr, nullptr, 0);
 }

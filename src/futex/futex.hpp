@@ -36,6 +36,9 @@ bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexc
 inline constexpr std::size_t kMaxWords = 128;
 bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcept;
 
+/// True where the kernel lets a thread sleep on many words for as long as it likes.
+bool waits_for_many() noexcept;
+
 void wake_one(const void* word) noexcept;
 void wake_all(const void* word) noexcept;
 

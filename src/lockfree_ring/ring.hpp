@@ -40,16 +40,26 @@
 ///   R10 slot compare-and-swap in Reader::take -> slot load in Writer::room, Writer::each_taken
 ///       carries: the taker's hold on the block. Both are seq_cst, as R2: the writer sees the
 ///       hazard of whoever has seen the message before.
+///   R11 `to` by compare-and-swap in Writer::serve (release) -> `to` in Reader::to (acquire)
+///       carries: `from`, which was set before: who sees that the old end is taken back sees the
+///       new beginning. Whom a message is for is carried by its slot (R1).
+///   R12 `from` in Reader::join (release) -> `from` in Writer::serve (acquire)
+///       carries: whose cell it is: who sees the round sees the name.
 ///
 /// A queue whose messages are each taken by one reader (`taken`) is a ring as well: who has read a
 /// message takes it out of its slot, and who finds none there goes on.
 namespace lot::ring {
 
-/// One reader's shared word, on a line of its own: {cursor, hazard}. Written by that reader, and
-/// when it has died by its reaper; read by the writer.
+/// One reader's shared words, on a line of their own.
 template <class P>
 struct alignas(P::kLine) Cell {
+  /// {cursor, hazard}. Written by that reader, and when it has died by its reaper; read by the
+  /// writer.
   typename P::template Atomic<Word> position;
+  /// For writers that serve some of their readers only: the messages from `from` on, before `to`,
+  /// are for this one. A joiner takes both back; then the writer sets them.
+  typename P::template Atomic<Word> from;
+  typename P::template Atomic<Word> to;
 };
 
 /// Takes a sleeper's mark away. True when there was one: the caller may have to wake.
@@ -97,6 +107,8 @@ struct Ring {
     }
     for (std::uint32_t c = 0; c < readers; ++c) {
       cells[c].position.store(kIdle, std::memory_order_relaxed);
+      cells[c].from.store(make_unbound(0), std::memory_order_relaxed);
+      cells[c].to.store(make_unbound(0), std::memory_order_relaxed);
       who[c].store(0, std::memory_order_relaxed);
     }
   }
@@ -255,6 +267,79 @@ class Writer {
     }
   }
 
+  /// Calls f(participant) for each reader.
+  template <class F>
+  void each_reader(F&& f) {
+    refresh_roster();
+    for (const std::uint32_t c : active_) {
+      const std::uint32_t who = ring_.who[c].load(std::memory_order_relaxed);
+      if (who != 0) f(who - 1);
+    }
+  }
+
+  /// A reader that is served, as the writer knows it.
+  struct Served {
+    std::uint32_t cell = 0;
+    Word round = 0;
+  };
+  /// Says to the only reader that this participant has here that the messages from `first` on are
+  /// for it. Nothing when it has none, or several, or has not yet read all that was for it before.
+  /// `still()` is asked after the reader was looked at, and says whether the participant is meant.
+  template <class Still>
+  std::optional<Served> serve(std::uint32_t participant, Word first, Still&& still) {
+    refresh_roster();
+    std::optional<std::uint32_t> cell;
+    for (const std::uint32_t c : active_) {
+      if (ring_.who[c].load(std::memory_order_relaxed) != participant + 1) continue;
+      if (cell) return std::nullopt;
+      cell = c;
+    }
+    if (!cell) return std::nullopt;
+    auto& [position, from, to] = ring_.cells[*cell];
+    Word begin = from.load(std::memory_order_acquire);  // R12
+    Word end = to.load(std::memory_order_relaxed);
+    const Word round = bound_round(begin);
+    if (bound_round(end) != round || is_set(begin) != is_set(end)) return std::nullopt;
+    if (is_set(end)) {
+      const Word read = position.load(std::memory_order_acquire);  // R3
+      if (read == kIdle || distance(sequence(read), bound_sequence(end)) < 0) return std::nullopt;
+    }
+    if (!still() || ring_.who[*cell].load(std::memory_order_relaxed) != participant + 1) {
+      return std::nullopt;
+    }
+    // If the cell has another reader by now, its round is another one.
+    if (!from.compare_exchange_strong(begin, make_bound(round, first), std::memory_order_relaxed,
+                                      std::memory_order_relaxed)) {
+      return std::nullopt;
+    }
+    if (is_set(end) &&
+        !to.compare_exchange_strong(end, make_unbound(round), std::memory_order_release,
+                                    std::memory_order_relaxed)) {  // R11
+      return std::nullopt;
+    }
+    return Served{*cell, round};
+  }
+  /// False when the last message was evicted, or there was none.
+  bool has_last() const {
+    if (next_ == ring_.first) return false;
+    const std::uint32_t i = (index_ == 0 ? ring_.depth : index_) - 1;
+    return block(ring_.slots[i].load(std::memory_order_relaxed)) != kNoBlock;
+  }
+
+  /// False when the cell has lost that reader.
+  bool serves(const Served& served) const {
+    return bound_round(ring_.cells[served.cell].from.load(std::memory_order_relaxed)) ==
+               served.round &&
+           ring_.who[served.cell].load(std::memory_order_relaxed) != 0;
+  }
+  /// Nothing more is for that reader, nor are the last `back` messages, if it has not read them.
+  void stop(const Served& served, Word back) {
+    Word open = make_unbound(served.round);
+    const Word end = advance(next_, kSequenceMask + 1 - back);
+    ring_.cells[served.cell].to.compare_exchange_strong(
+        open, make_bound(served.round, end), std::memory_order_relaxed, std::memory_order_relaxed);
+  }
+
   /// Announces on `space` that the sender is about to sleep; returns the value to sleep on. The
   /// caller looks at room() once more, and sleeps only if there is still none.
   std::uint32_t mark_waiting() {
@@ -340,7 +425,11 @@ class Reader {
       ring.who[c].store(0, std::memory_order_relaxed);  // nothing was done with the cell
       return std::nullopt;
     }
-    auto& position = ring.cells[c].position;
+    auto& [position, from, to] = ring.cells[c];
+    // Whoever sees us (R4) sees that nothing is for us yet.
+    const Word unbound = make_unbound(bound_round(from.load(std::memory_order_relaxed)) + 1);
+    from.store(unbound, std::memory_order_release);  // R12
+    to.store(unbound, std::memory_order_relaxed);
     if (!ring.guarded()) position.store(kPinAll, std::memory_order_relaxed);  // R4 carries it
     ring.roster->fetch_add(1, std::memory_order_seq_cst);                     // R4
     Reader reader;
@@ -492,6 +581,11 @@ class Reader {
     ring_.space->fetch_add(2, std::memory_order_release);                 // R6
     ring_.who[cell_].store(0, std::memory_order_release);                 // R3, R8
   }
+
+  /// What the writer has said is for us: the messages from `from` on, before `to`; each may not be
+  /// said yet. Of a message that was read, both count, when `to` is asked first.
+  Word to() const { return ring_.cells[cell_].to.load(std::memory_order_acquire); }  // R11
+  Word from() const { return ring_.cells[cell_].from.load(std::memory_order_relaxed); }
 
   /// Of a reader that joined from the start: messages that were overwritten before it came.
   std::uint64_t skipped() const { return skipped_; }

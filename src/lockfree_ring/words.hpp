@@ -52,6 +52,21 @@ constexpr std::int64_t distance(Word a, Word b) {
 constexpr Word next(Word sequence) { return (sequence + 1) & kSequenceMask; }
 constexpr Word advance(Word sequence, Word by) { return (sequence + by) & kSequenceMask; }
 
+/// Where what is for one reader begins or ends: {set : 1 | round : 21 | sequence : 42}. Each reader
+/// of a cell begins a round of its own, so that a writer that is late says nothing to the next one.
+inline constexpr Word kSet = Word{1} << 63;
+inline constexpr unsigned kBoundBits = 64 - kSequenceShift;
+inline constexpr Word kBoundRounds = Word{1} << (63 - kBoundBits);
+
+constexpr Word make_bound(Word round, Word sequence) {
+  return kSet | (round % kBoundRounds) << kBoundBits | sequence;
+}
+/// A bound that is not set yet.
+constexpr Word make_unbound(Word round) { return (round % kBoundRounds) << kBoundBits; }
+constexpr bool is_set(Word bound) { return (bound & kSet) != 0; }
+constexpr Word bound_round(Word bound) { return (bound & ~kSet) >> kBoundBits; }
+constexpr Word bound_sequence(Word bound) { return bound & kSequenceMask; }
+
 /// The writer word of a ring: {generation : 32 | state : 8 | owner : 24}.
 enum class State : std::uint8_t { Free = 0, Init = 1, Live = 2, Orphan = 3 };
 

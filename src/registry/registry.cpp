@@ -21,6 +21,14 @@ using segment::Atomics;
 
 constexpr std::chrono::seconds kPatience{5};
 
+/// Beside the number of a participant's pullers: it does not want to be served by rings, or it has
+/// found that this is all that it needs.
+constexpr std::uint16_t kDeclined = 0x8000;
+constexpr std::uint16_t kContent = 0x4000;
+constexpr std::uint16_t count_of(std::uint16_t pullers) {
+  return pullers & static_cast<std::uint16_t>(~(kDeclined | kContent));
+}
+
 bool in_use(const segment::TopicEntry& topic) {
   for (const auto& users : topic.users) {
     if (users.load(std::memory_order_acquire) != 0) return true;
@@ -117,7 +125,34 @@ void Registry::add_puller(std::uint32_t topic, std::uint32_t participant) noexce
   segment_.topics()[topic].pullers[participant].fetch_add(1, std::memory_order_relaxed);
 }
 void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
-  segment_.topics()[topic].pullers[participant].fetch_sub(1, std::memory_order_release);  // D2
+  auto& pullers = segment_.topics()[topic].pullers[participant];
+  std::uint16_t seen = pullers.load(std::memory_order_relaxed);
+  // What else it has said goes with its last puller.
+  while (!pullers.compare_exchange_weak(
+      seen, count_of(seen) == 1 ? 0 : static_cast<std::uint16_t>(seen - 1),
+      std::memory_order_release, std::memory_order_relaxed)) {  // D2
+  }
+}
+
+bool Registry::wants(std::uint32_t topic, std::uint32_t participant) const noexcept {
+  const std::uint16_t seen =
+      segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed);
+  return seen != 0 && (seen & kDeclined) == 0;
+}
+bool Registry::is_content(std::uint32_t topic, std::uint32_t participant) const noexcept {
+  return (segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed) &
+          kContent) != 0;
+}
+void Registry::decline(std::uint32_t topic, std::uint32_t participant) noexcept {
+  segment_.topics()[topic].pullers[participant].fetch_or(kDeclined, std::memory_order_relaxed);
+}
+void Registry::content(std::uint32_t topic, std::uint32_t participant) noexcept {
+  segment_.topics()[topic].pullers[participant].fetch_or(kContent, std::memory_order_relaxed);
+}
+
+void Registry::ask(std::uint32_t topic, std::uint32_t participant) noexcept {
+  segment_.topics()[topic].pullers[participant].fetch_and(static_cast<std::uint16_t>(~kContent),
+                                                          std::memory_order_relaxed);
 }
 
 bool Registry::all_joined(std::uint32_t topic, const segment::Ring& ring,
@@ -127,7 +162,8 @@ bool Registry::all_joined(std::uint32_t topic, const segment::Ring& ring,
   if (!try_lock()) return false;
   std::array<std::uint32_t, segment::kMaxParticipants> pullers;
   for (std::uint32_t p = 0; p < pullers.size(); ++p) {
-    pullers[p] = segment_.topics()[topic].pullers[p].load(std::memory_order_acquire);  // D2
+    pullers[p] =
+        count_of(segment_.topics()[topic].pullers[p].load(std::memory_order_acquire));  // D2
   }
   std::array<std::uint32_t, segment::kMaxParticipants> joined{};
   bool full = true;

@@ -76,6 +76,15 @@ class Registry {
 
   // Without the lock.
 
+  /// Participant p has pullers on the topic, and does not want its messages another way.
+  bool wants(std::uint32_t topic, std::uint32_t participant) const noexcept;
+  /// And has said that it needs them no other way.
+  bool is_content(std::uint32_t topic, std::uint32_t participant) const noexcept;
+  /// Says so, for as long as it has pullers there.
+  void decline(std::uint32_t topic, std::uint32_t participant) noexcept;
+  void content(std::uint32_t topic, std::uint32_t participant) noexcept;
+  /// Takes `content` back, since it is asked anew.
+  void ask(std::uint32_t topic, std::uint32_t participant) noexcept;
   void remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
   /// Whether all pullers of the topic have joined the ring, or no other one can. Else `late` is who
   /// has not, and may be dead; nobody when the lock was not to be had just now.

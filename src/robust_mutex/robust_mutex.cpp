@@ -82,6 +82,13 @@ bool RobustMutex::looks_held() const noexcept {
   return is_held(__atomic_load_n(&mutex_.__data.__lock, __ATOMIC_ACQUIRE));
 }
 
+std::optional<detail::FutexWait> RobustMutex::watch() noexcept {
+  mark();
+  const int word = __atomic_load_n(&mutex_.__data.__lock, __ATOMIC_ACQUIRE);
+  if (!is_held(word) || (word & kWaiters) == 0) return std::nullopt;
+  return detail::FutexWait{&mutex_.__data.__lock, static_cast<std::uint32_t>(word)};
+}
+
 void RobustMutex::unlock() noexcept {
   // The C library would wake while the kernel still counts us among those who may have the lock: so
   // the mark goes first. One that is set just now is woken by the C library.

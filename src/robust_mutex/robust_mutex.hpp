@@ -2,6 +2,7 @@
 #pragma once
 
 #include <chrono>
+#include <optional>
 #include <pthread.h>
 
 #include "futex/futex.hpp"
@@ -24,8 +25,9 @@ namespace lot {
 /// first one's list ends there: of the locks that it has had for longer nobody would learn that it
 /// has died, and if it lives it unlinks the lock through pointers of the other process. So a waiter
 /// sleeps by itself and tries when the lock looks free, and wakes are sent when it is unlocked.
-/// What is left is a kill within the few instructions of a try or an unlock, when one with the same
-/// thread id takes the lock just then.
+/// What is left is a kill within the few instructions of a try or an unlock (or the C library's
+/// wake, when somebody has begun to sleep within them), when one with the same thread id takes the
+/// lock just then.
 ///
 /// Threads: lock and unlock by the same thread.
 /// Memory:  sizeof(pthread_mutex_t), address-free.
@@ -47,6 +49,9 @@ class RobustMutex {
   Outcome try_lock() noexcept;
   /// True while a living thread holds it, as far as its word says: reads, and changes nothing.
   bool looks_held() const noexcept;
+  /// What to sleep on until its holder dies or unlocks it, which wakes one of those who sleep (but
+  /// not when it is killed while it unlocks). Nothing when nobody holds it.
+  std::optional<detail::FutexWait> watch() noexcept;
   void unlock() noexcept;
 
  private:

@@ -22,7 +22,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 2;
+inline constexpr std::uint32_t kLayoutVersion = 4;
 
 inline constexpr std::uint32_t kMaxParticipants =
     Atomics::kOwnWords * Atomics::kBitsPerWord;  // index 0, the orphanage, included
@@ -106,7 +106,11 @@ static_assert(sizeof(Sightings) == 256);
 /// What all processes look at to find each other.
 struct alignas(64) Directory {
   std::atomic<std::uint32_t> version;  ///< futex; bumped by each advertise
-  alignas(64) LockWord lock;           ///< registry: topics, joining, recycling
+  /// Bumped by who reaps, when the orphanage has got what the dead one had: till it changes, nobody
+  /// need search. Edge D3: bumped (release) before the dead one's name goes -> load by a warden
+  /// before it searches (acquire); carries the homes that are the orphanage's now.
+  std::atomic<std::uint32_t> bequests;
+  alignas(64) LockWord lock;  ///< registry: topics, joining, recycling
 };
 
 /// A topic exists while any `users` bit stands: bit p is written by participant p and its reaper.
@@ -117,8 +121,10 @@ struct alignas(64) TopicEntry {
   std::uint64_t type_hash;
   char name[kTopicNameBytes];
   char type_name[kTypeNameBytes];
-  /// How many pullers participant p has on the topic: written by p and its reaper. A publisher that
-  /// loses nothing waits for them.
+  /// {declines : 1 | content : 1 | how many pullers participant p has on the topic : 14}: written
+  /// by p and its reaper; `content` is p's answer to a question, and who asks takes it back. A
+  /// publisher that loses nothing waits for them; one that chooses its readers does not choose
+  /// those who decline, and need send nothing another way to those who are content.
   std::atomic<std::uint16_t> pullers[kMaxParticipants];
   char padding[16];
 };

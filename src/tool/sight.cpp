@@ -2,6 +2,8 @@
 #include "tool/sight.hpp"
 
 #include <cerrno>
+#include <optional>
+#include <utility>
 
 #include "lot/error.hpp"
 
@@ -21,15 +23,18 @@ const char* to_string(Sight::Condition condition) {
   return "?";
 }
 
-Sight sight(const std::string& directory, const std::string& name) {
+namespace {
+
+/// Nothing: it was not there, or went meanwhile.
+std::optional<Sight> try_sight(const std::string& directory, const std::string& name) {
   using segment::Segment;
   Sight s;
   s.name = name;
   s.path = directory + "/" + name;
   try {
     const auto fit = Segment::inspect(s.path, s.reason);
-    if (fit == Segment::Fit::Absent) s.reason = "it has just gone";
-    if (fit == Segment::Fit::Absent || fit == Segment::Fit::Foreign) {
+    if (fit == Segment::Fit::Absent) return std::nullopt;
+    if (fit == Segment::Fit::Foreign) {
       s.condition = Sight::Condition::Damaged;
       return s;
     }
@@ -39,12 +44,24 @@ Sight sight(const std::string& directory, const std::string& name) {
     s.window.reset();
     s.condition = Sight::Condition::OtherBoot;
   } catch (const Error& e) {
+    if (e.error_number() == ENOENT) return std::nullopt;
     s.condition = e.error_number() == EACCES || e.error_number() == EPERM
                       ? Sight::Condition::Unreadable
                       : Sight::Condition::Damaged;
     if (s.reason.empty()) s.reason = e.what();
   }
   return s;
+}
+
+}  // namespace
+
+Sight sight(const std::string& directory, const std::string& name) {
+  for (;;) {
+    auto s = try_sight(directory, name);
+    if (s) return std::move(*s);
+    if (exists(directory + "/" + name)) continue;  // another has been made meanwhile
+    return {name, directory + "/" + name, Sight::Condition::Damaged, "it has just gone", nullptr};
+  }
 }
 
 std::vector<Sight> sights(const Where& where) {

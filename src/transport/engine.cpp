@@ -11,6 +11,12 @@ std::shared_ptr<transport::Participant> join(const EngineOptions& options) {
   return transport::Participant::join(options);
 }
 
+static_assert(sizeof(segment::ParticipantEntry::name) == kProcessNameBytes);
+static_assert(segment::kTopicNameBytes == kTopicNameBytes);
+void rename(transport::Participant& participant, std::string_view name) noexcept {
+  participant.rename(name);
+}
+
 }  // namespace detail
 
 ShmEngine::ShmEngine(const EngineOptions& options)

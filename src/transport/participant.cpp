@@ -196,6 +196,7 @@ Participant::Participant(const EngineOptions& options,
   holder_.in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
   holder_.pools = &pools_;
   pools_.reserve(segment_.capacity().channels + 64);
+  watched_.reserve(futex::kMaxWords);
   try {
     holder_.own.self = take_index(options);
     holder_.next_free = (blocks / segment_.capacity().participants) * holder_.own.self;
@@ -300,6 +301,16 @@ std::atomic<ring::Word>& Participant::channel_writer(std::uint32_t c) noexcept {
   return segment_.channels()[c].writer;
 }
 
+std::string_view Participant::name_of(std::uint32_t k) const noexcept {
+  const auto& entry = segment_.participants()[k];
+  return {entry.name, strnlen(entry.name, sizeof(entry.name))};
+}
+void Participant::rename(std::string_view name) noexcept {
+  auto& entry = segment_.participants()[index()];
+  std::memset(entry.name, 0, sizeof(entry.name));
+  std::memcpy(entry.name, name.data(), std::min(name.size(), sizeof(entry.name) - 1));
+}
+
 void Participant::check_usable() const {
   if (inert_) {
     throw Error(ECHILD, segment_.path(), "this object was inherited through fork() and is inert",
@@ -368,7 +379,8 @@ void Participant::leave_if_unused() noexcept {
 /// their pool, so the pools give those back first; with each goes what its message referred to,
 /// which then is ready itself.
 bool Participant::holds_pointers() noexcept {
-  while (trim()) {
+  const std::lock_guard guard(pools_mutex_);  // the warden has some for a moment while it drains
+  while (trim_pools()) {
   }
   for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) {
     if (hold::pointers(holder_.cells[b].hold.load(std::memory_order_seq_cst)) != 0) return true;
@@ -379,17 +391,20 @@ bool Participant::holds_pointers() noexcept {
 void Participant::handle_gone(Participant* p) noexcept {
   if (p->inert_) return;  // a forked child touches nothing, and has no thread to stop
   p->enter();
-  p->finish_closing();
+  // To the end: when the warden brings the last block home, nobody looks whether we may leave. Not
+  // for ever: somebody may have been stopped who acts for the orphanage.
+  const auto until = futex::Clock::now() + kOrphanagePatience;
+  while (p->finish_closing(),
+         !p->rings_closed() && (futex::Clock::now() < until || p->is_releasing())) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
   p->life_.fetch_or(kClosing, std::memory_order_seq_cst);
   p->exit();
 }
 
 void Participant::leave() noexcept {
-  {
-    const std::lock_guard guard(warden_mutex_);
-    warden_stop_ = true;
-    warden_signal_.notify_all();
-  }
+  warden_stop_.store(true, std::memory_order_relaxed);
+  ring_warden();
   warden_.join();
   {
     // Not before: a child that is forked meanwhile must close the lock file.

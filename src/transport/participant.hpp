@@ -23,8 +23,9 @@ namespace lot::transport {
 /// The membership of one process (and one copy of the library) in one segment. Engines, pushers and
 /// pullers share it; it leaves when the last of them and the last pointer has gone.
 ///
-/// It runs one thread, the warden: it holds the witness lock that dies with the process, reaps the
-/// dead, and finishes what a moment's lock contention made others put off.
+/// It runs one thread, the warden: it holds the witness lock that dies with the process, sleeps on
+/// the witness locks of the others and reaps the dead, and finishes what a moment's lock contention
+/// made others put off.
 ///
 /// Threads: all members may be called at once.
 /// Crash:   whatever a participant leaves is found by its index and repaired by reap().
@@ -42,6 +43,11 @@ class Participant {
   registry::Registry& registry() noexcept { return registry_; }
   Holder& holder() noexcept { return holder_; }
   const detail::Hub* hub() const noexcept { return &hub_; }
+
+  /// What participant k is called: at most kNameBytes - 1 bytes of what it has said.
+  std::string_view name_of(std::uint32_t k) const noexcept;
+  /// From now on this process is called so.
+  void rename(std::string_view name) noexcept;
 
   /// Throws lot::Error in a forked child, where every inherited object is inert.
   void check_usable() const;
@@ -61,6 +67,8 @@ class Participant {
 
   /// Ends a ring of ours: its readers get what is in it and then the end.
   void close_ring(const registry::ChannelName& name) noexcept;
+  /// Finishes what closing has left to do, or leaves it to the warden.
+  void settle_closing() noexcept;
   /// True when the ring's blocks are the orphanage's, so that our own holds on them may go.
   bool ring_closed(const registry::ChannelName& name) const noexcept;
 
@@ -68,8 +76,9 @@ class Participant {
   bool reap_if_dead(std::uint32_t k) noexcept;
   /// Reaps all the dead and collects what nobody needs. True when something was done.
   bool reap_dead() noexcept;
-  /// Frees orphan rings that have lost their last reader.
-  void collect() noexcept;
+  /// Frees what the orphanage has and nobody needs any more: rings without readers, dead messages.
+  /// False when it had nothing.
+  bool collect() noexcept;
   /// A run of memory for a block: from the segment, or, when it is full, after freeing what can be
   /// freed.
   std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
@@ -119,13 +128,15 @@ class Participant {
   void unlock_rings() noexcept { registry_.unlock(); }
   void recycle_ring(std::uint32_t c) noexcept { registry_.recycle(c); }
   void release_extents(const std::vector<bool>& dead) noexcept;
-  void forget(std::uint32_t k) noexcept { registry_.forget(k); }
+  void forget(std::uint32_t k) noexcept;
   void wake(std::atomic<ring::Word>& word) noexcept { futex::wake_all(futex::low_half(word)); }
   void wake(std::atomic<std::uint32_t>& word) noexcept { futex::wake_all(&word); }
 
  private:
   /// How long opening and leaving wait for others who do the same.
   static constexpr std::chrono::seconds kGatePatience{5};
+  /// And for who acts for the orphanage.
+  static constexpr std::chrono::seconds kOrphanagePatience{2};
 
   struct OwnedHub : detail::Hub {
     Participant* owner = nullptr;
@@ -151,7 +162,19 @@ class Participant {
   void note_sightings() noexcept;
   bool enter_orphanage() noexcept;
   void leave_orphanage() noexcept;
+  /// False when something is left, for now, or because others hold messages.
   bool finish_closing() noexcept;
+  bool is_closing(std::uint32_t channel) noexcept;
+  /// True when no hold of a ring is left that a thread of ours has still to give up.
+  bool rings_closed() noexcept;
+  bool is_releasing() noexcept;
+  /// REQUIRES: pools_mutex_, with which destructors of messages run.
+  bool trim_pools() noexcept;
+  void stand_guard() noexcept;
+  void ring_warden() noexcept;
+  bool look_around() noexcept;
+  bool watch_others() noexcept;
+  std::uint32_t used_channels() noexcept;
 
   void drop_pointer(detail::ControlCell& cell) noexcept;
   void enter() noexcept;
@@ -160,6 +183,7 @@ class Participant {
   void leave_if_unused() noexcept;
   bool holds_pointers() noexcept;
   bool has_orphan_rings() noexcept;
+  bool has_deserted_ring() noexcept;
   /// Called when the last handle has gone: leaves now, or when the last pointer goes.
   static void handle_gone(Participant* p) noexcept;
   void leave() noexcept;
@@ -192,7 +216,15 @@ class Participant {
   std::mutex warden_mutex_;
   std::condition_variable warden_signal_;
   enum class Witness { Awaited, Held, Refused } witness_ = Witness::Awaited;
-  bool warden_stop_ = false;
+  std::atomic<bool> warden_stop_{false};
+  std::atomic<std::uint32_t> warden_bell_{0};  ///< futex: there is something to look at
+  // The warden's alone, from here...
+  detail::FutexWaits watched_;       ///< what it sleeps on
+  futex::Clock::time_point looked_;  ///< when it last looked for what nobody tells it
+  bool orphans_ = true;              ///< the last search found some, or there was none yet
+  std::uint32_t bequests_ = 0;       ///< of the directory, before the last search
+  // ... to here.
+  std::atomic<std::uint32_t> used_channels_{0};
 
   std::atomic<bool> inert_{false};
   std::atomic<bool> left_{false};

@@ -16,10 +16,12 @@ namespace lot::transport {
 namespace {
 
 using namespace std::chrono_literals;
-constexpr auto kOrphanagePatience = 2s;
-constexpr auto kWardenPeriod = 100ms;
-/// A search through all blocks costs cache lines that publishers want: only now and then.
-constexpr unsigned kWardenRoundsPerSearch = 10;
+/// How often the warden looks while there is something to finish: first soon, then ever more
+/// seldom.
+constexpr std::chrono::milliseconds kFirstLook{1};
+constexpr std::chrono::milliseconds kLastLook{100};
+/// And when there is nothing: somebody may have died whose death it was not told of.
+constexpr auto kIdleLook = 1s;
 constexpr auto kWitnessPatience = 1s;
 /// Who joins when all indexes are taken asks again so long: somebody may be reaping just now.
 constexpr auto kFullPatience = 200ms;
@@ -105,19 +107,9 @@ void Participant::warden() {
   std::unique_lock lock(warden_mutex_);
   witness_ = held ? Witness::Held : Witness::Refused;
   warden_signal_.notify_all();
-  if (!held) return;
-  for (unsigned round = 0; !warden_stop_;) {
-    warden_signal_.wait_for(lock, kWardenPeriod);
-    if (warden_stop_) break;
-    lock.unlock();
-    keep_own_lock();
-    const bool look_at_blocks = ++round % kWardenRoundsPerSearch == 0;
-    if (reap_dead() || look_at_blocks || has_orphan_rings()) collect();
-    finish_closing();
-    if (look_at_blocks) note_sightings();
-    lock.lock();
-  }
   lock.unlock();
+  if (!held) return;
+  stand_guard();
   keep_own_lock();
 
   // Leaving is exactly a reap of oneself, and then: the last one out removes the files.
@@ -161,6 +153,73 @@ void Participant::warden() {
     lock_file_->unlock(index());
     lock_file_->leave_gate();
   }
+}
+
+/// The warden sleeps on what tells it that there is something to do: its bell, and the witness of
+/// each other participant, which the kernel changes when that one dies. One of those who sleep on a
+/// witness is woken; should it be stopped or killed, the others find out when they look by
+/// themselves.
+void Participant::stand_guard() noexcept {
+  auto soon = kFirstLook;
+  looked_ = futex::Clock::now();
+  for (;;) {
+    const std::uint32_t bell = warden_bell_.load(std::memory_order_acquire);
+    if (warden_stop_.load(std::memory_order_relaxed)) return;  // the bell carries it
+    const bool finished = look_around();
+    watched_.assign(1, {&warden_bell_, bell});
+    const bool all_stand = watch_others();
+    const auto at_last = looked_ + kIdleLook;
+    if (finished && all_stand) {
+      futex::wait_any(watched_, at_last);
+      soon = kFirstLook;
+    } else {
+      futex::wait_any(watched_, std::min(futex::Clock::now() + soon, at_last));
+      const bool rung = warden_bell_.load(std::memory_order_relaxed) != bell;
+      soon = rung ? kFirstLook : std::min(2 * soon, kLastLook);
+    }
+  }
+}
+
+void Participant::ring_warden() noexcept {
+  warden_bell_.fetch_add(1, std::memory_order_release);
+  futex::wake_all(&warden_bell_);
+}
+
+/// False when something is left that another look may finish.
+bool Participant::look_around() noexcept {
+  keep_own_lock();
+  const auto now = futex::Clock::now();
+  const bool due = now - looked_ >= kIdleLook;
+  const std::uint32_t bequests =
+      segment_.directory().bequests.load(std::memory_order_acquire);  // D3
+  if (reap_dead() || (due && (orphans_ || bequests != bequests_)) || has_deserted_ring()) {
+    orphans_ = collect();
+    bequests_ = bequests;
+  }
+  const bool closed = finish_closing();
+  if (due) {
+    note_sightings();
+    looked_ = now;
+  }
+  return closed && !lock_lost_ && !has_orphan_rings();
+}
+
+/// Adds the others' witnesses to what is slept on, the next ones first. False when one of them has
+/// died and is not reaped yet (it was not quite dead), or when this kernel cannot watch.
+bool Participant::watch_others() noexcept {
+  if (!futex::waits_for_many()) return false;  // each time: a sandbox may have come
+  bool all_stand = true;
+  for (std::uint32_t n = 1; n < participants(); ++n) {
+    const std::uint32_t k = (index() + n) % participants();
+    if (k == refcount::kOrphanage || part(k).load(std::memory_order_acquire) == 0) continue;
+    const auto witness = RobustMutex(segment_.witnesses()[k].mutex).watch();
+    if (!witness) {
+      all_stand = false;
+    } else if (watched_.size() < futex::kMaxWords) {
+      watched_.push_back(*witness);
+    }
+  }
+  return all_stand;
 }
 
 /// closefrom() and the like in the application drop our lock. Nobody reaps us then, because the
@@ -214,31 +273,62 @@ bool Participant::reap_dead() noexcept {
   bool done = false;
   for (std::uint32_t k = 1; k < participants(); ++k) {
     if (k != index() && part(k).load(std::memory_order_acquire) != 0 &&
-        !lock_file_->held_by_other(k)) {
+        !RobustMutex(segment_.witnesses()[k].mutex).looks_held() && !lock_file_->held_by_other(k)) {
       done |= reap_if_dead(k);
     }
   }
   return done;
 }
 
+/// Channels are taken lowest first, and who has seen one of a higher number has seen those below
+/// it: so the first that never was taken ends a search. (After 2^31 times a channel looks new; then
+/// a search may be short until it is taken once more.)
+std::uint32_t Participant::used_channels() noexcept {
+  std::uint32_t used = used_channels_.load(std::memory_order_relaxed);
+  while (used < channels() && channel_writer(used).load(std::memory_order_acquire) != 0) ++used;
+  used_channels_.store(used, std::memory_order_relaxed);
+  return used;
+}
+
 bool Participant::has_orphan_rings() noexcept {
-  for (std::uint32_t c = 0; c < channels(); ++c) {
+  const std::uint32_t used = used_channels();
+  for (std::uint32_t c = 0; c < used; ++c) {
     const auto w = channel_writer(c).load(std::memory_order_acquire);
     if (ring::writer_state(w) == ring::State::Orphan) return true;
   }
   return false;
 }
 
-void Participant::collect() noexcept {
+/// A ring that is recycled meanwhile may say anything: no harm comes of that.
+bool Participant::has_deserted_ring() noexcept {
+  const std::uint32_t used = used_channels();
+  for (std::uint32_t c = 0; c < used; ++c) {
+    const auto w = channel_writer(c).load(std::memory_order_acquire);
+    if (ring::writer_state(w) == ring::State::Orphan &&
+        ring::writer_owner(w) == refcount::kOrphanage && ring(c).deserted()) {
+      return true;
+    }
+  }
+  return false;
+}
+
+bool Participant::collect() noexcept {
   bool orphans = has_orphan_rings();
   for (std::uint32_t b = 0; b < blocks() && !orphans; ++b) {
     orphans = block(b).home.load(std::memory_order_relaxed) == refcount::kHomeOrphanage;
   }
-  if (!orphans) return;
+  if (!orphans) return false;
   const std::unique_lock guard(reap_mutex_, std::try_to_lock);
-  if (!guard || !enter_orphanage()) return;
+  if (!guard || !enter_orphanage()) return true;
   Recovery(*this).collect();
   leave_orphanage();
+  return true;
+}
+
+/// Crash: killed after this, before the dead one's name goes: the next reaper does it all again.
+void Participant::forget(std::uint32_t k) noexcept {
+  registry_.forget(k);
+  segment_.directory().bequests.fetch_add(1, std::memory_order_release);  // D3
 }
 
 void Participant::release_extents(const std::vector<bool>& dead) noexcept {

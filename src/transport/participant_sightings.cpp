@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// Since when a participant holds what it holds: a table for people, which the warden writes after
-/// its search, so that it costs a loan, a pull and a release nothing.
+/// Since when a participant holds what it holds: a table for people, which the warden writes
+/// each second, so that it costs a loan, a pull and a release nothing.
 #include <algorithm>
 #include <array>
 #include <new>
@@ -47,7 +47,8 @@ void Participant::note_sightings() noexcept {
     held.emplace(what, before != held_since_.end() ? before->second : now);
   };
   try {
-    for (std::uint32_t b = 0; b < blocks(); ++b) {
+    const std::uint32_t known = holder_.known.load(std::memory_order_relaxed);
+    for (std::uint32_t b = 0; b < known; ++b) {
       auto& words = block(b);
       const std::uint64_t own =
           HardwareOwnership::word(words, index()).load(std::memory_order_relaxed);
@@ -58,7 +59,8 @@ void Participant::note_sightings() noexcept {
           (v & hold::kHome) != 0 && words.home_points.load(std::memory_order_relaxed) == 0;
       if (hold::pointers(v) != 0 && !spare) add(b);
     }
-    for (std::uint32_t c = 0; c < channels(); ++c) {
+    const std::uint32_t used = used_channels();
+    for (std::uint32_t c = 0; c < used; ++c) {
       const auto state = ring::writer_state(channel_writer(c).load(std::memory_order_acquire));
       if (state != ring::State::Live && state != ring::State::Orphan) continue;
       const segment::Ring r = ring(c);

@@ -19,7 +19,11 @@ void Participant::close_ring(const registry::ChannelName& name) noexcept {
     segment::Ring r = ring(name.channel);
     Recovery(*this).wake_readers(r);
   }
-  finish_closing();
+  settle_closing();
+}
+
+void Participant::settle_closing() noexcept {
+  if (!finish_closing() || has_orphan_rings()) ring_warden();
 }
 
 bool Participant::ring_closed(const registry::ChannelName& name) const noexcept {
@@ -27,19 +31,37 @@ bool Participant::ring_closed(const registry::ChannelName& name) const noexcept 
   return ring::writer_generation(w) != name.generation || ring::writer_owner(w) != index();
 }
 
+bool Participant::is_closing(std::uint32_t channel) noexcept {
+  const auto w = channel_writer(channel).load(std::memory_order_acquire);
+  return ring::writer_state(w) == ring::State::Orphan && ring::writer_owner(w) == index();
+}
+
+bool Participant::rings_closed() noexcept {
+  const std::uint32_t used = used_channels();
+  for (std::uint32_t c = 0; c < used; ++c) {
+    if (is_closing(c)) return false;
+  }
+  const std::lock_guard guard(pools_mutex_);
+  return std::all_of(draining_.begin(), draining_.end(),
+                     [](const Draining& d) { return d.blocks.empty() && !d.releasing; });
+}
+
+bool Participant::is_releasing() noexcept {
+  const std::lock_guard guard(pools_mutex_);
+  return std::any_of(draining_.begin(), draining_.end(),
+                     [](const Draining& d) { return d.releasing; });
+}
+
 bool Participant::finish_closing() noexcept {
-  const auto is_ours = [this](std::uint32_t c) {
-    const auto w = channel_writer(c).load(std::memory_order_acquire);
-    return ring::writer_state(w) == ring::State::Orphan && ring::writer_owner(w) == index();
-  };
   bool any = false;
-  for (std::uint32_t c = 0; c < channels() && !any; ++c) any = is_ours(c);
+  const std::uint32_t used = used_channels();
+  for (std::uint32_t c = 0; c < used && !any; ++c) any = is_closing(c);
   if (any) {
     const std::lock_guard guard(reap_mutex_);
     if (!enter_orphanage()) return false;
     Recovery recovery(*this);
-    for (std::uint32_t c = 0; c < channels(); ++c) {
-      if (is_ours(c)) recovery.orphan_ring(c, index());
+    for (std::uint32_t c = 0; c < used; ++c) {
+      if (is_closing(c)) recovery.orphan_ring(c, index());
     }
     recovery.collect();
     leave_orphanage();
@@ -72,7 +94,7 @@ bool Participant::finish_closing() noexcept {
       ++i;
     }
   }
-  return true;
+  return draining_.empty();
 }
 
 Pool& Participant::open_pool(std::string_view topic) {
@@ -101,6 +123,10 @@ void Participant::close_pool(Pool& pool, const registry::ChannelName& ring,
 
 bool Participant::trim() noexcept {
   const std::lock_guard guard(pools_mutex_);
+  return trim_pools();
+}
+
+bool Participant::trim_pools() noexcept {
   bool any = false;
   for (auto& pool : pools_) any |= pool->trim();
   return any;

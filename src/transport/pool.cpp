@@ -10,9 +10,16 @@ using detail::ControlCell;
 
 void Holder::acquire(std::uint32_t b, std::uint64_t amount) const noexcept {
   ControlCell& c = cell(b);
+  know(b);
   own.acquire(words(b), c.hold, amount);
   if (amount == hold::kPointer && (c.hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
     words(b).home_points.store(1, std::memory_order_relaxed);
+  }
+}
+
+void Holder::know(std::uint32_t b) const noexcept {
+  std::uint32_t above = known.load(std::memory_order_relaxed);
+  while (above <= b && !known.compare_exchange_weak(above, b + 1, std::memory_order_relaxed)) {
   }
 }
 
@@ -91,6 +98,7 @@ std::uint32_t Pool::claim() {
     ControlCell& c = holder_.cell(b);
     if (!holder_.own.claim(holder_.words(b), c.hold)) continue;
     holder_.next_free.store(b + 1, std::memory_order_relaxed);
+    holder_.know(b);
     holder_.words(b).home_points.store(0, std::memory_order_relaxed);
     c.pool = index_;
     c.type = nullptr;

@@ -32,6 +32,8 @@ struct Holder {
   /// to it was taken from there: others may still look at its block.
   std::vector<std::atomic<std::uint8_t>> in_queue;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
+  /// Above all blocks that this process ever held, so that who looks for them need not go further.
+  alignas(64) mutable std::atomic<std::uint32_t> known{0};
 
   segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }
   detail::ControlCell& cell(std::uint32_t b) const noexcept { return cells[b]; }
@@ -43,6 +45,8 @@ struct Holder {
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
   void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
+  /// The block is, or was, held here.
+  void know(std::uint32_t b) const noexcept;
   /// Lets go of a ring's or a message's hold.
   void release_ring_hold(std::uint32_t b) const noexcept;
   /// Lets go of what a dead message referred to.

@@ -4,6 +4,7 @@
 
 #include "lot/detail/core.hpp"
 
+#include "lockfree_ring/chosen.hpp"
 #include "lockfree_ring/sleep.hpp"
 #include "transport/notifier.hpp"
 #include "transport/participant.hpp"
@@ -102,6 +103,39 @@ class Puller final : public detail::PullerCore {
                        [](const Source& s) { return s.reader.ready() || s.reader.orphaned(); });
   }
 
+  detail::Origin origin() override {
+    const Source& s = sources_[current_];
+    return {s.name.channel, s.name.generation, s.reader.cursor()};
+  }
+
+  std::optional<bool> is_ours(const detail::Origin& origin) override {
+    Source* const s = source_of(origin);
+    if (s == nullptr) return false;
+    return s->chosen.is_ours(s->reader, origin.sequence);
+  }
+
+  std::string_view publisher(const detail::Origin& origin) override {
+    const Source* const s = source_of(origin);
+    return s != nullptr ? std::string_view(s->publisher) : std::string_view();
+  }
+
+  bool has_last_ones(std::string_view publisher) override {
+    return std::any_of(sources_.begin(), sources_.end(), [&](const Source& s) {
+      return s.publisher == publisher && s.chosen.has_last_ones(s.reader);
+    });
+  }
+
+  std::size_t taken_back(std::string_view publisher) override {
+    std::size_t n = 0;
+    for (Source& s : sources_) {
+      if (s.publisher == publisher) n += s.chosen.taken_back(s.reader);
+    }
+    return n;
+  }
+
+  void decline() override { participant_->registry().decline(topic_, participant_->index()); }
+  void content() override { participant_->registry().content(topic_, participant_->index()); }
+
   int fd() override {
     participant_->check_usable();
     if (!notifier_) {
@@ -141,10 +175,19 @@ class Puller final : public detail::PullerCore {
     registry::ChannelName name;
     Reader reader;
     mutex_engine::QueueLock lock;
+    std::string publisher;  ///< name of its process
+    ring::Chosen<Policy> chosen{};
     struct Turn : mutex_engine::Alone {
       explicit Turn(const Source& source) : Alone(source.lock) {}
     };
   };
+
+  Source* source_of(const detail::Origin& origin) {
+    for (Source& s : sources_) {
+      if (s.name.channel == origin.channel && s.name.generation == origin.generation) return &s;
+    }
+    return nullptr;
+  }
 
   Status look_or_wait(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
                       bool forever) {
@@ -328,7 +371,9 @@ class Puller final : public detail::PullerCore {
       auto reader = Reader::join(ring, name.generation, participant_->index(), history, full);
       if (reader) {
         missed_ += reader->skipped();
-        sources_.push_back({name, *reader, participant_->segment().queue_lock(name.channel)});
+        const auto owner = ring::writer_owner(ring.writer->load(std::memory_order_acquire));
+        sources_.push_back({name, *reader, participant_->segment().queue_lock(name.channel),
+                            std::string(participant_->name_of(owner))});
       } else if (full && complain) {
         throw Error(EUSERS, participant_->segment().path(),
                     "a publisher of the topic has all the readers that it can have",

@@ -16,10 +16,11 @@ namespace {
 using namespace std::chrono_literals;
 using ring::kNoBlock;
 
-/// A retired message of more than this is reclaimed at once; smaller ones in batches, since looking
-/// at every reader's hazard costs more than they do.
-constexpr std::uint64_t kBatchedBytes = 64 << 10;
-constexpr std::size_t kSmallestBatch = 32;
+/// Retired messages are reclaimed in batches, since looking at every reader's hazard costs more
+/// than a small message does. Of messages of one size, a batch holds no more memory back than this;
+/// what is larger is reclaimed at once.
+constexpr std::uint64_t kBatchedBytes = 256 << 10;
+constexpr std::size_t kUsualBatch = 32;
 /// A sender that waits for room looks by itself this often: readers tell of it a few times a lap
 /// only, and what they tell may be missed.
 constexpr auto kLookPeriod = 1ms;
@@ -195,6 +196,53 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return true;
   }
 
+  std::optional<detail::Served> serve(std::string_view node, bool from_last) override {
+    participant_->check_usable();
+    if (!writer_) return std::nullopt;
+    const std::lock_guard guard(pool_.lock());
+    const ring::Word next = writer_->next_sequence();
+    if (from_last && !writer_->has_last()) return std::nullopt;
+    const ring::Word first = from_last ? ring::advance(next, ring::kSequenceMask) : next;
+    const auto is_meant = [&](std::uint32_t k) {
+      return participant_->part(k).load(std::memory_order_acquire) != 0 &&
+             participant_->name_of(k) == node;
+    };
+    std::optional<std::uint32_t> reader;
+    bool several = false;  // one of them is dead, perhaps
+    writer_->each_reader([&](std::uint32_t k) {
+      if (k >= participant_->participants() || !is_meant(k)) return;
+      several = reader.has_value();
+      reader = k;
+    });
+    if (!reader || several || !participant_->registry().wants(*topic_, *reader)) {
+      return std::nullopt;
+    }
+    const auto served = writer_->serve(*reader, first, [&] { return is_meant(*reader); });
+    if (!served) return std::nullopt;
+    return detail::Served{*reader, served->cell, served->round};
+  }
+
+  void stop(const detail::Served& served, std::size_t back) override {
+    const std::lock_guard guard(pool_.lock());
+    writer_->stop({served.cell, served.round}, back);
+  }
+
+  bool wants(const detail::Served& served) override {
+    return participant_->registry().wants(*topic_, served.participant) &&
+           writer_->serves({served.cell, served.round});
+  }
+
+  bool has(const detail::ControlCell& cell) const override {
+    return participant_->same_segment(cell);
+  }
+
+  bool is_content(const detail::Served& served) override {
+    return participant_->registry().is_content(*topic_, served.participant);
+  }
+  void ask(const detail::Served& served) override {
+    participant_->registry().ask(*topic_, served.participant);
+  }
+
   void reserve(std::size_t count, std::size_t bytes) override {
     static const detail::MessageType nothing{1, 1, 0, "", nullptr, false};
     std::vector<std::uint32_t> blocks;
@@ -220,11 +268,14 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     }
   }
 
-  void close_without_ring() noexcept { participant_->close_pool(pool_, {}, {}); }
+  void close_without_ring() noexcept {
+    participant_->close_pool(pool_, {}, {});
+    participant_->settle_closing();
+  }
 
   std::size_t batch() {
-    if (big_) return 1;
-    return writer_ ? std::max(kSmallestBatch, 2 * writer_->active_readers()) : 1;
+    if (!writer_ || fit_ == 1) return 1;
+    return std::min(fit_, std::max(kUsualBatch, 2 * writer_->active_readers()));
   }
 
   /// Messages that were taken are retired. True when there were some. Locked.
@@ -252,7 +303,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   /// Publishes, retires what was overwritten, unlocks, wakes.
   void publish(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone, std::uint32_t b) {
     const bool guarded = writer_->ring().guarded();
-    if (guarded) big_ = is_big(b);  // before: who takes it may change it
+    if (guarded) fit_ = fit(b);  // before: who takes it may change it
     if (writer_->ring().taken) participant_->holder().queued(b).store(1, std::memory_order_relaxed);
     const auto published = writer_->publish(b);
     alone.unlock();
@@ -263,10 +314,11 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       pool_.retire(static_cast<std::uint32_t>(published.replaced), guarded);
       if (guarded) {
         // Small ones wait for the next loan to look at them, unless nothing is ever loaned here.
-        if (big_ || pool_.retired() >= 2 * batch()) scan();
+        const std::size_t enough = batch();
+        if (enough == 1 || pool_.retired() >= 2 * enough) scan();
       }
     }
-    if (retire_taken() && big_) scan();
+    if (retire_taken() && batch() == 1) scan();
     if (!published.wake) {
       if (!pool_.has_free() && pool_.retired() >= batch()) scan();
       pool_.prepare();
@@ -285,17 +337,18 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     futex::wake_all(arrived != nullptr ? arrived : futex::low_half(slot));
   }
 
-  bool is_big(std::uint32_t b) const {
+  /// How many messages like this one a batch may hold, at least one.
+  std::size_t fit(std::uint32_t b) const {
     const detail::MessageType* type = participant_->holder().cell(b).type;
-    if (type != nullptr && type->plain && type->size <= segment::kSmallBytes) return false;
+    if (type != nullptr && type->plain && type->size <= segment::kSmallBytes) return kBatchedBytes;
     const detail::Arena& arena = participant_->segment().arena(b);
-    if (arena.references != 0) return true;  // what it refers to may be big
+    if (arena.references != 0) return 1;  // what it refers to may be big
     std::uint64_t bytes = 0;
     for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
       bytes +=
           segment::kGranule << arena.extent[i].order % segment::Granules<segment::Atomics>::kOrders;
     }
-    return bytes > kBatchedBytes;
+    return std::max<std::size_t>(kBatchedBytes / std::max<std::uint64_t>(bytes, 1), 1);
   }
 
   /// Besides the ring's own room: what is lossless waits for those who have subscribed and have not
@@ -428,7 +481,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   std::vector<std::uint32_t> late_;  ///< participants who had not, the last time
   bool evicts_ = false;              ///< gives its oldest messages up when memory runs out
   SpinHabit habit_{Wait::Adaptive};
-  bool big_ = false;
+  std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the last one
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
 };

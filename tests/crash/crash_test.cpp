@@ -6,8 +6,11 @@
 #include <array>
 #include <csignal>
 #include <cstdint>
+#include <filesystem>
+#include <fstream>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <thread>
@@ -17,6 +20,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/no_waitv.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -68,6 +72,21 @@ struct Keeper {
   Steps ready, done;
   Child child;
 };
+
+/// How often the warden of this process has gone to sleep.
+long sleeps_of_warden() {
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::ifstream comm(task.path() / "comm"), status(task.path() / "status");
+    std::string name, word;
+    if (!std::getline(comm, name) || name != "lot-warden") continue;
+    long sleeps = 0;
+    while (status >> word) {
+      if (word == "voluntary_ctxt_switches:" && status >> sleeps) return sleeps;
+    }
+  }
+  FAIL("there is no warden");
+  return 0;
+}
 
 }  // namespace
 
@@ -224,6 +243,104 @@ TEST_CASE("a reader that only polls learns that the publisher is gone, and its r
   CHECK(eventually([&] { return Audit(s).channels == 0; }, 5s));
 }
 
+TEST_CASE(
+    "a message that outlives its process is freed when the last one drops it, by who was not "
+    "told") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps leave;
+  Child publisher([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Frame>("/t");
+    must(pusher.wait_for_readers(1, 10s), "reader joined");
+    auto frame = numbered(pusher, 7);
+    frame->data.assign(1 << 17, 42);
+    pusher.push(std::move(frame));
+    must(leave.next() == '.', "the end");
+  });
+  lot::ShmEngine engine(options);
+  lot::ShmSharedPtr<const Frame> kept = engine.subscribe<Frame>("/t").pull(20s);
+  REQUIRE(kept);
+  std::this_thread::sleep_for(2200ms);  // our warden has found nothing to collect, and goes idle
+  leave.tell();
+  CHECK(publisher.wait() == 0);  // it repairs itself: nobody else has reaped
+  std::this_thread::sleep_for(1200ms);
+  CHECK(kept->data.back() == 42);
+  lot::segment::Segment s(engine.path());
+  CHECK(Audit(s).granules != 0);
+  kept.reset();
+  CHECK(eventually([&] { return Audit(s).granules == 0; }));
+}
+
+TEST_CASE("a warden sleeps while there is nothing to do, beside others and alone") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Number>("/t");
+  std::optional<Keeper> other(options);
+  for (int round = 0; round < 2; ++round) {
+    std::this_thread::sleep_for(500ms);  // it has seen who has come or gone
+    const long before = sleeps_of_warden();
+    std::this_thread::sleep_for(2s);
+    // It looks once a second; ten looks a second were too many.
+    const long sleeps = sleeps_of_warden() - before;
+    CHECK(sleeps >= 1);
+    CHECK(sleeps <= 8);
+    if (other) CHECK(other->leave() == 0);
+    other.reset();
+  }
+}
+
+TEST_CASE("where the kernel cannot tell of a death, the warden finds it by itself") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps joined, done;
+  Child survivor([&] {
+    must(forget_futex_waitv(), "no futex_waitv");
+    lot::ShmEngine engine(node_options(options, "survivor"));
+    joined.tell();
+    done.next(60s);
+  });
+  REQUIRE(joined.next() == '.');
+  Child victim([&] {
+    lot::ShmEngine engine(node_options(options, "victim"));
+    joined.tell();
+    for (;;) pause();
+  });
+  REQUIRE(joined.next() == '.');
+  {
+    lot::segment::Segment s(options.directory + "/" + options.segment);
+    CHECK(Audit(s).participants == 2);
+    victim.kill9();
+    CHECK(eventually([&] { return Audit(s).participants == 1; }));
+  }
+  done.tell();
+  CHECK(survivor.wait() == 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a process leaves when its last handle goes, whatever its warden is at") {
+  const Watchdog watchdog(60);
+  for (int round = 0; round < 300; ++round) {
+    CAPTURE(round);
+    const auto options = fresh(16 << 20);
+    {
+      lot::ShmSharedPtr<const Number> kept;
+      lot::ShmEngine engine(options);
+      auto pusher = std::make_unique<lot::ShmPusher<Number>>(engine.advertise<Number>("/t"));
+      auto puller = engine.subscribe<Number>("/t");
+      for (std::uint64_t n = 0; n < 200; ++n) {
+        pusher->push(pusher->loan(n));
+        if (n % 50 == 0) kept = puller.try_pull();
+      }
+      pusher.reset();  // the warden waits for the message that is kept
+      if (round % 3 != 0) kept.reset();
+      if (round % 2 != 0) usleep(static_cast<useconds_t>(round % 7) * 300);
+    }
+    REQUIRE(files_of(options) == 0);
+  }
+}
+
 TEST_CASE("a killed publisher's last message stays readable for whom it was sent to") {
   const Watchdog watchdog(60);
   const auto options = fresh();
@@ -246,7 +363,7 @@ TEST_CASE("a killed publisher's last message stays readable for whom it was sent
   CHECK(publisher.wait() == 128 + SIGKILL);
   lot::segment::Segment s(engine.path());
   CHECK(eventually([&] { return Audit(s).participants == 1; }));
-  std::this_thread::sleep_for(1200ms);  // several rounds of the warden
+  std::this_thread::sleep_for(1200ms);  // the warden looks
   CHECK(look->data.size() == 1 << 17);
   CHECK(std::all_of(look->data.begin(), look->data.end(), [](auto v) { return v == 42; }));
   auto kept = look.keep();

@@ -219,18 +219,20 @@ TEST_CASE("a warden goes on looking for the dead when the clock was set back by 
     CAPTURE(years);
     const Ground options;
     Steps joined, done;
-    const auto node = [&](const char* name) {
-      return Child([&options, &joined, &done, name] {
-        const lot::ShmEngine engine(named(options, name));
-        joined.tell();
-        done.next(30s);
-      });
-    };
     WallClock::set(0);
-    Child living = node("living"), dying = node("dying");
+    Child living = member(options, "living", joined, done);
+    Child dying = member(options, "dying", joined, done);
     for (int i = 0; i < 2; ++i) REQUIRE(joined.next() == '.');
     WallClock::set(years);
-    usleep(150000);  // its warden has slept once on the new clock
+    {
+      lot::segment::Segment s(file_of(options));
+      // A death would wake it: it looks by itself, too.
+      const auto& looked = s.sightings()[index_of(s, "living")].looked_ns;
+      const auto before = looked.load();
+      CHECK(eventually([&] { return looked.load() != before; }));
+      const auto once = looked.load();
+      CHECK(eventually([&] { return looked.load() != once; }));
+    }
     dying.kill9();
     {
       lot::segment::Segment s(file_of(options));

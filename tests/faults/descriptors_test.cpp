@@ -255,12 +255,12 @@ TEST_CASE("closefrom() in any state: no neighbour reaps it, it goes on, joins to
         read_out();
         return closed.next(0ms) == '.';
       }));
-      eventually(  // the wardens look each tenth of a second, the neighbour all the time
+      eventually(  // the wardens look each second, the neighbour all the time
           [&] {
             read_out();
             return false;
           },
-          250ms);
+          1250ms);
       may_read = true;
       CHECK(s.participants()[index].state.load() == 1);
       looked.tell();
@@ -387,7 +387,7 @@ TEST_CASE("who has lost its lock and is stopped keeps its index, its segment and
     Child passing([&] {
       lot::ShmEngine engine(named(options, "passing"));
       must(index_of(s, "passing") != index && index_of(s, "passing") != 0, "another index");
-      std::this_thread::sleep_for(150ms);  // its warden looks
+      std::this_thread::sleep_for(150ms);  // its warden has looked when it joined
     });
     CHECK(passing.wait() == 0);
     CHECK(files_of(options) == 2);

@@ -107,8 +107,8 @@ struct Newcomers {
   Puppet c, d;
 };
 
-/// Time for a few looks of every warden.
-void let_wardens_look() { usleep(250000); }
+/// Time for a look of every warden, which may be one that was not woken.
+void let_wardens_look() { usleep(1250000); }
 
 void remove_segment(const lot::EngineOptions& options) { fs::remove(file_of(options)); }
 void remove_lock_file(const lot::EngineOptions& options) { fs::remove(lock_of(options)); }

@@ -26,7 +26,7 @@ struct Ground : EngineOptions {
   Ground& operator=(const Ground&) = delete;
 };
 
-/// A process that looks for the dead all the time, where a warden looks ten times a second: what
+/// A process that looks for the dead all the time, where a warden sleeps until it is told: what
 /// seems dead for a moment is reaped.
 class Neighbour {
  public:
@@ -76,6 +76,16 @@ inline std::uint32_t index_of(segment::Segment& s, std::string_view name) {
 inline EngineOptions named(EngineOptions options, const char* name) {
   options.name = name;
   return options;
+}
+
+/// A process that is in the segment under that name until it is told the end.
+inline Child member(const EngineOptions& options, const char* name, const Steps& joined,
+                    const Steps& end) {
+  return Child([&options, &joined, &end, name] {
+    const ShmEngine engine(named(options, name));
+    joined.tell();
+    end.next(60s);
+  });
 }
 
 inline std::string file_of(const EngineOptions& options) {

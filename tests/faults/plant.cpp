@@ -69,6 +69,12 @@ RobustMutex::Outcome wrap_try_lock(RobustMutex* mutex) {
   return planted("no-witness") ? RobustMutex::Outcome::OwnerDied : outcome;
 }
 
+bool real_looks_held(const RobustMutex*) asm("__real__ZNK3lot11RobustMutex10looks_heldEv");
+bool wrap_looks_held(const RobustMutex*) asm("__wrap__ZNK3lot11RobustMutex10looks_heldEv");
+bool wrap_looks_held(const RobustMutex* mutex) {
+  return !planted("no-witness") && real_looks_held(mutex);
+}
+
 Segment::Fit real_examine(const std::string&, std::uint64_t, std::string&) asm(
     "__real__ZN3lot7segment7Segment7examineERKNSt7__cxx1112basic_stringIcSt11char_traitsIcESaIcEEE"
     "mRS7_");

@@ -87,6 +87,31 @@ TEST_CASE("a reader that is held up between its last look and the clock gets wha
   }
 }
 
+TEST_CASE("the dead are found although the one that the kernel wakes is stopped") {
+  const Watchdog watchdog(120);
+  const Ground options;
+  Steps joined, done;
+  Child stopped = member(options, "stopped", joined, done);
+  REQUIRE(joined.next() == '.');
+  Child living = member(options, "living", joined, done);
+  REQUIRE(joined.next() == '.');
+  for (int death = 0; death < 3; ++death) {
+    CAPTURE(death);
+    Child dying = member(options, "dying", joined, done);
+    REQUIRE(joined.next() == '.');
+    lot::segment::Segment s(file_of(options));
+    usleep(1200000);  // both watch it by now
+    stop(stopped);
+    dying.kill9();
+    CHECK(eventually([&] { return index_of(s, "dying") == 0; }));
+    stopped.send(SIGCONT);
+  }
+  for (int i = 0; i < 2; ++i) done.tell();
+  CHECK(stopped.wait() == 0);
+  CHECK(living.wait() == 0);
+  CHECK(files_of(options) == 0);
+}
+
 TEST_CASE("a reader that is stopped past its deadline gets the message that came, or Timeout") {
   const Watchdog watchdog(60);
   const Ground options;

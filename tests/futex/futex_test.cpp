@@ -10,18 +10,16 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <linux/filter.h>
-#include <linux/seccomp.h>
 #include <new>
 #include <optional>
 #include <sys/mman.h>
-#include <sys/prctl.h>
-#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 #include <vector>
 
 #include <doctest/doctest.h>
+
+#include "support/no_waitv.hpp"
 
 namespace {
 
@@ -73,21 +71,6 @@ class Fixture {
 
   Shared* shared = nullptr;
 };
-
-/// From now on this process has a kernel without futex_waitv, as before Linux 5.16.
-bool forget_futex_waitv() {
-  constexpr std::uint32_t kFutexWaitv = 449;
-  sock_filter filter[] = {
-      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(seccomp_data, nr)),
-      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, kFutexWaitv, 0, 1),
-      BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | ENOSYS),
-      BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW),
-  };
-  const sock_fprog program{4, filter};
-  return prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 &&
-         prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &program) == 0 &&
-         syscall(kFutexWaitv, nullptr, 0, 0, nullptr, 0) == -1 && errno == ENOSYS;
-}
 
 void wait_until(Word& word, std::uint32_t value) {
   for (std::uint32_t seen; (seen = word) != value;) futex::wait(&word, seen, std::nullopt);
@@ -231,7 +214,8 @@ TEST_CASE_FIXTURE(Fixture, "where the kernel has no futex_waitv, each word ends 
     set(shared->words[2], 0);
     set(shared->words[3], 0);
     const pid_t child = in_child([&] {
-      if (!forget_futex_waitv()) _exit(1);
+      if (!futex::waits_for_many() || !lot::testing::forget_futex_waitv()) _exit(1);
+      if (futex::waits_for_many()) _exit(3);
       FutexWaits waits(count, {&shared->words[0], 0});
       const auto deadline = futex::Clock::now() + 20ms;
       while (futex::wait_any(waits, deadline)) {  // looks again now and then

@@ -174,9 +174,9 @@ void lock_dead(Node& n) {
   if (n.probe_weak.lock()) n.account.complain("a weak pointer to a dead message was locked");
 }
 
-/// Again and again: who traces it may be held up for as long as one sleep lasts.
+/// Long, and again and again: who traces it may be held up for as long as one sleep lasts.
 void doze(Node&) {
-  for (int i = 0; i < 10; ++i) std::this_thread::sleep_for(2ms);
+  for (int i = 0; i < 10; ++i) std::this_thread::sleep_for(10ms);
 }
 void grow_often(Node& n) {
   for (int i = 0; i < 20; ++i) grow(n);

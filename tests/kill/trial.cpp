@@ -115,6 +115,17 @@ void Actor::send(int signal) const {
   if (pid_ > 0) ::kill(pid_, signal);
 }
 
+void Actor::stop() {
+  if (pid_ <= 0) return;
+  send(SIGSTOP);
+  int status = 0;
+  while (waitpid(pid_, &status, WUNTRACED) == -1 && errno == EINTR) {
+  }
+  if (WIFSTOPPED(status)) return;
+  pid_ = -1;
+  throw std::runtime_error("it did not stop, but ended");
+}
+
 void Actor::tell(Order order, std::uint32_t number) {
   const Told told{order, number};
   write_all(orders_[1], &told, sizeof(told));
@@ -350,9 +361,10 @@ void Trial::let_rival_go_on() {
 
 /// Brings the victim to the first instruction of its operation.
 void Trial::begin() {
-  if (witness_) witness_->send(SIGSTOP);  // its warden must not do the victim's work
-  if (dead_) dead_->kill();
+  // A death wakes wardens: the witness's must not do the victim's work, nor the victim's own begin.
+  if (witness_) witness_->stop();
   traced_.emplace(victim_->pid());
+  if (dead_) dead_->kill();
   if (operation_.rival == Rival::Killed) {
     stopped_->kill();
     stopped_.reset();

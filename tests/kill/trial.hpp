@@ -58,6 +58,8 @@ class Actor {
 
   pid_t pid() const { return pid_; }
   void send(int signal) const;
+  /// Stops it; from then on it stands still.
+  void stop();
   /// The tracer has killed it and waited for it.
   void was_killed() { pid_ = -1; }
   void kill();

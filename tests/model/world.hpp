@@ -226,7 +226,7 @@ class Publisher {
       if (who != 0) f(who - 1);
     });
   }
-  const ring::Writer<Policy>& writer() const { return writer_; }
+  ring::Writer<Policy>& writer() { return writer_; }
 
   /// Only tells. REQUIRES: the registry's lock.
   void announce();

@@ -195,6 +195,37 @@ TEST_CASE_FIXTURE(Fixture, "a waiter that sleeps already is told when the holder
   RobustMutex(shared->memory).unlock();
 }
 
+TEST_CASE_FIXTURE(Fixture, "who watches is woken when the holder is killed, and when it unlocks") {
+  RobustMutex mutex(shared->memory);
+  CHECK_FALSE(mutex.watch());  // nobody holds it
+  for (const bool killed : {true, false}) {
+    CAPTURE(killed);
+    shared->stage = 0;
+    const pid_t holder = in_child([this, killed] {
+      RobustMutex mine(shared->memory);
+      if (mine.lock_for(30s) == Outcome::Busy) return false;
+      shared->stage = 1;
+      wait_for_stage(2);
+      usleep(20'000);  // the other one is most likely asleep by now; right in any case
+      if (killed) kill(getpid(), SIGKILL);
+      mine.unlock();
+      return true;
+    });
+    wait_for_stage(1);
+    const auto watched = mutex.watch();
+    REQUIRE(watched);
+    shared->stage = 2;
+    const auto until = lot::futex::Clock::now() + 10s;
+    while (mutex.looks_held() && lot::futex::wait(watched->word, watched->value, until)) {
+    }
+    REQUIRE_FALSE(mutex.looks_held());
+    CHECK_FALSE(mutex.watch());
+    CHECK(WIFSIGNALED(status_of(holder)) == killed);
+  }
+  CHECK((mutex.try_lock() == Outcome::Locked));  // the one after the dead one has made it good
+  mutex.unlock();
+}
+
 TEST_CASE_FIXTURE(Fixture, "one that was told and is killed itself leaves the same to the next") {
   auto die_holding = [this](Outcome expected) {
     return in_child([this, expected] {

@@ -283,7 +283,8 @@ inline reap(k) {
 #define WITNESS_IS_GONE(k) (witness[k] == NONE)
 #endif
 #define CAN_BE_REAPED(k) (part[k] && lock[k] == NONE && WITNESS_IS_GONE(k))
-/* When a warden looks, and when that would change anything. */
+/* When a warden looks, and when that would change anything. What makes it look (it is woken by a death,
+ * and searches blocks when a reaper has bumped `bequests`) is left out: it looks when there is something. */
 #define HAS_ORPHANS (STATE(writer) == ORPHAN || home == HOME_ORPHANAGE)
 #define CAN_BE_COLLECTED (HAS_ORPHANS && (IS_DESERTED_ORPHAN && registry == NONE || own & 1 && !IS_NEEDED || home == HOME_ORPHANAGE && own == 0))
 #define ALL_HAVE_GONE (ended[PUBLISHER] && ended[READER] && ended[NEWCOMER] && ended[MORTAL_WARDEN])
@@ -296,7 +297,7 @@ end_idle:
     do
     :: atomic { CAN_BE_REAPED(1) -> k = 1; break } /* @ src/transport/participant_liveness.cpp reap_dead: !lock_file_->held_by_other(k) */
     :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/participant_liveness.cpp reap_dead: !lock_file_->held_by_other(k) */
-    :: CAN_BE_COLLECTED -> /* @ src/transport/participant_liveness.cpp warden: reap_dead() || look_at_blocks || has_orphan_rings() */
+    :: CAN_BE_COLLECTED -> /* @ src/transport/participant_liveness.cpp look_around: reap_dead() || (due && (orphans_ || bequests != bequests_)) || has_deserted_ring() */
       if
       :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp collect: enter_orphanage() */
         collect(); /* @ src/transport/participant_liveness.cpp collect: Recovery(*this).collect() */

@@ -43,6 +43,20 @@ struct Borrowed {
   std::uint64_t missed = 0;  ///< messages lost to this reader just before this one
 };
 
+/// What a publisher knows of a subscriber that it serves by its ring, where it serves some only.
+struct Served {
+  std::uint32_t participant = 0;
+  std::uint32_t cell = 0;
+  std::uint64_t round = 0;
+};
+
+/// A message's place in one publisher's queue.
+struct Origin {
+  std::uint32_t channel = 0;
+  std::uint32_t generation = 0;
+  std::uint64_t sequence = 0;
+};
+
 class PusherCore {
  public:
   virtual ~PusherCore() = default;
@@ -55,6 +69,23 @@ class PusherCore {
   virtual bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) = 0;
   /// Makes `count` blocks with `bytes` of touched memory each.
   virtual void reserve(std::size_t count, std::size_t bytes) = 0;
+
+  // For those who tell each reader which messages are for it.
+
+  /// Serves the one reader of the node of that name that wants it, from the next message on, or
+  /// from the last one. Nothing: there is none, it is not clear which, or the last message is not
+  /// there.
+  virtual std::optional<Served> serve(std::string_view node, bool from_last) = 0;
+  /// Nothing more; and not the last `back` messages, if it has not read them yet.
+  virtual void stop(const Served& served, std::size_t back) = 0;
+  /// False when it wants to be served another way, or is gone.
+  virtual bool wants(const Served& served) = 0;
+  /// False when the message lies in another segment, and cannot be pushed.
+  virtual bool has(const ControlCell& cell) const = 0;
+  /// True when it has said that it does not need to be served another way, too; and that is to be
+  /// said anew.
+  virtual bool is_content(const Served& served) = 0;
+  virtual void ask(const Served& served) = 0;
 };
 
 class PullerCore {
@@ -73,6 +104,25 @@ class PullerCore {
   virtual std::size_t size() = 0;
   /// True when a look may find something. Costs a load for each publisher.
   virtual bool ready() = 0;
+
+  // For those whose publishers tell each reader which messages are for it.
+
+  /// Where the message that is borrowed comes from.
+  virtual Origin origin() = 0;
+  /// Whether it is for us; who is told so delivers it. Nothing: that may be said yet, also when the
+  /// borrow has ended.
+  virtual std::optional<bool> is_ours(const Origin& origin) = 0;
+  /// The name of the process that publishes there; empty when that has been forgotten.
+  virtual std::string_view publisher(const Origin& origin) = 0;
+  /// True when a publisher of that name has nothing more for us than what is not read yet.
+  virtual bool has_last_ones(std::string_view publisher) = 0;
+  /// How many messages that have been delivered the publishers of that name take back, since they
+  /// send them another way; told once.
+  virtual std::size_t taken_back(std::string_view publisher) = 0;
+  /// Wants no message of those who choose their readers; or says that it needs them no other way.
+  virtual void decline() = 0;
+  virtual void content() = 0;
+
   /// A descriptor that is readable from when a message may have come until a look finds none.
   virtual int fd() = 0;
   /// Appends the words to sleep on until a message comes. Returns when to look again in any case,
@@ -81,6 +131,11 @@ class PullerCore {
 };
 
 std::shared_ptr<transport::Participant> join(const EngineOptions& options);
+/// Names of processes, and of topics, are shorter than this.
+inline constexpr std::size_t kProcessNameBytes = 48;
+inline constexpr std::size_t kTopicNameBytes = 200;
+/// What the others call this process from now on.
+void rename(transport::Participant& participant, std::string_view name) noexcept;
 /// Who gets a message: each reader, or one of them, which takes it.
 enum class Delivery { ToAll, ToOne };
 

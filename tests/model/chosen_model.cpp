@@ -1,0 +1,229 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "lockfree_ring/chosen.hpp"
+#include "scenario.hpp"
+
+/// A publisher that says to each reader which messages are for it, and sends it the others another
+/// way: lot::ros (docs/ros.md).
+namespace lot::model {
+namespace {
+
+constexpr unsigned kMost = 6;
+
+/// The other way: nothing is lost, and all comes in order.
+struct Link {
+  void send(std::uint64_t number) {
+    frames[sent].write(number);
+    written.store(++sent, std::memory_order_release);
+  }
+  template <class F>
+  void each_new(F&& f) {
+    for (const unsigned n = written.load(std::memory_order_acquire); heard < n; ++heard) {
+      if (!f(frames[heard].read())) return;
+    }
+  }
+  Plain<std::uint64_t> frames[kMost];
+  Atomic<std::uint32_t> written;
+  unsigned sent = 0;
+  unsigned heard = 0;
+};
+
+/// What an outlet does for one peer.
+class Chooser {
+ public:
+  void open(Process& process) { publisher_.open(process, 0, false); }
+  void send(Link& link, std::uint32_t participant, Atomic<std::uint32_t>& declines) {
+    if (!served_ && !linked_) try_serve(participant);
+    if (served_) RL_ASSERT(publisher_.writer().serves(*served_));
+    if (served_ && declines.load(std::memory_order_acquire) != 0) go_back(link);
+    const std::uint64_t number = publisher_.sent();
+    if (served_) unsure_.push_back(number);
+    RL_ASSERT(publisher_.send());
+    if (!served_) link.send(number);
+  }
+  void try_serve(std::uint32_t participant) {
+    bool reads = false;
+    publisher_.writer().each_reader([&](std::uint32_t k) { reads = reads || k == participant; });
+    if (reads) serve(participant);
+    linked_ = !served_;
+  }
+  void serve(std::uint32_t participant) {
+    served_ = publisher_.writer().serve(participant, publisher_.writer().next_sequence(),
+                                        [] { return true; });
+  }
+  /// All that somebody beside the reader may have missed goes by the link, too.
+  void go_back(Link& link) {
+    publisher_.writer().stop(*served_, unsure_.size());
+    for (const std::uint64_t number : unsure_) link.send(number);
+    unsure_.clear();
+    served_.reset();
+    linked_ = true;
+  }
+  void stop() {
+    if (served_) publisher_.writer().stop(*served_, 0);
+    served_.reset();
+    unsure_.clear();
+  }
+  bool is_served() const { return served_.has_value(); }
+  std::uint64_t sent() const { return publisher_.sent(); }
+  void push() {
+    RL_ASSERT(publisher_.send());
+    RL_ASSERT(publisher_.writer().has_last());
+  }
+
+ private:
+  Publisher publisher_;
+  std::optional<ring::Writer<Policy>::Served> served_;
+  bool linked_ = false;
+  std::vector<std::uint64_t> unsure_;
+};
+
+/// What an inlet does: reads both, and delivers each message once.
+class Chooses {
+ public:
+  void join(Process& process) { RL_ASSERT(subscriber_.join(process, 0, 1, 0)); }
+  void leave() { subscriber_.leave(); }
+  /// The next message of the ring. False: there is none.
+  bool read() {
+    if (subscriber_.borrow() == kNoBlock) return false;
+    const Word sequence = subscriber_.reader().cursor();
+    if (chosen_.is_ours(subscriber_.reader(), sequence).value_or(false)) {
+      delivered.push_back(subscriber_.number());
+    }
+    subscriber_.done();
+    return true;
+  }
+  void hear(Link& link) {
+    link.each_new([this](std::uint64_t number) {
+      had_ += chosen_.taken_back(subscriber_.reader());
+      if (had_ != 0) {
+        --had_;
+        return true;
+      }
+      if (chosen_.has_last_ones(subscriber_.reader())) return false;  // it waits
+      delivered.push_back(number);
+      return true;
+    });
+  }
+  std::vector<std::uint64_t> delivered;
+
+ private:
+  Subscriber subscriber_;
+  ring::Chosen<Policy> chosen_;
+  std::size_t had_ = 0;
+};
+
+/// The reader finds out, at any time, that somebody beside it needs the link.
+struct ChosenReader : Scene<ChosenReader, 2> {
+  ChosenReader() : Scene({.blocks = 4, .depth = 3, .readers = 1}) {}
+  void prepare() {
+    declines.store(0, std::memory_order_relaxed);
+    link.written.store(0, std::memory_order_relaxed);
+    chooser.open(start(4));
+    reader.join(start(2));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) chooser.send(link, 2, declines);
+      if (chooser.is_served() && declines.load(std::memory_order_acquire) != 0) {
+        chooser.go_back(link);
+      }
+      return;
+    }
+    reader.read();
+    declines.fetch_or(1, std::memory_order_release);
+    reader.hear(link);
+    reader.read();
+    reader.hear(link);
+  }
+  void check() {
+    while (reader.read()) {
+    }
+    reader.hear(link);
+    RL_ASSERT(reader.delivered.size() == chooser.sent());
+    for (std::size_t i = 0; i < reader.delivered.size(); ++i) RL_ASSERT(reader.delivered[i] == i);
+    // Who needs the link has got all of them there.
+    if (chooser.is_served()) return;
+    RL_ASSERT(link.sent == chooser.sent());
+    for (unsigned i = 0; i < link.sent; ++i) RL_ASSERT(link.frames[i].read() == i);
+  }
+  Link link;
+  Atomic<std::uint32_t> declines;
+  Chooser chooser;
+  Chooses reader;
+};
+
+/// Served, not served, and served again when it has read what was for it.
+struct ChosenAgain : Scene<ChosenAgain, 2> {
+  ChosenAgain() : Scene({.blocks = 4, .depth = 3, .readers = 1}) {}
+  void prepare() {
+    chooser.open(start(4));
+    reader.join(start(2));
+    chooser.try_serve(2);
+    RL_ASSERT(chooser.is_served());
+    chooser.push();
+    chooser.stop();
+    ours = {0};
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) {
+        if (i == 1) chooser.try_serve(2);
+        if (chooser.is_served()) ours.push_back(chooser.sent());
+        chooser.push();
+      }
+    } else {
+      for (int i = 0; i < 3; ++i) reader.read();
+    }
+  }
+  void check() {
+    while (reader.read()) {
+    }
+    RL_ASSERT(reader.delivered == ours);
+  }
+  Chooser chooser;
+  Chooses reader;
+  std::vector<std::uint64_t> ours;
+};
+
+/// What is said to a reader is not said to the one that has its cell after it.
+struct ChosenCellChangesHands : Scene<ChosenCellChangesHands, 3> {
+  ChosenCellChangesHands() : Scene({.blocks = 4, .depth = 3, .readers = 1}) {}
+  void prepare() {
+    chooser.open(start(4));
+    reader.join(start(2));
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      chooser.try_serve(2);
+      chooser.push();
+    } else if (t == 1) {
+      reader.leave();
+    } else {
+      joined = next.join(process(3), 0, 1, 2);
+    }
+  }
+  void check() {
+    if (!joined) return;
+    for (Word sequence = next.reader().cursor(); next.receive();
+         sequence = next.reader().cursor()) {
+      RL_ASSERT(!chosen.is_ours(next.reader(), sequence).value_or(false));
+    }
+  }
+  Chooser chooser;
+  Chooses reader;
+  Subscriber next;
+  ring::Chosen<Policy> chosen;
+  bool joined = false;
+};
+
+const Entered entered{
+    {"chosen_reader", "each message comes once, by the ring or another way",
+     rl::simulate<ChosenReader>, 2},
+    {"chosen_again", "who is served again gets what is for it", rl::simulate<ChosenAgain>, 3},
+    {"chosen_cell_changes_hands", "what is said to a reader is not said to the next one",
+     rl::simulate<ChosenCellChangesHands>, 2},
+};
+
+}  // namespace
+}  // namespace lot::model
