@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-# cmake --install: the library, its headers, the CMake package `lot` and lot.pc. Both descriptions
-# find their prefix from where they lie, so that the installed tree may be moved.
+# cmake --install: the library, its headers, the CMake package `lot` (component `ros`: lot::ros)
+# and lot.pc. Both descriptions find their prefix from where they lie, so that the installed tree may be
+# moved.
 include(CMakePackageConfigHelpers)
 
 set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
@@ -8,6 +9,14 @@ set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
 install(TARGETS lot EXPORT lotTargets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
 if(TARGET lot_cli)
   install(TARGETS lot_cli DESTINATION ${CMAKE_INSTALL_BINDIR})
+endif()
+if(TARGET lot_ros)
+  install(TARGETS lot_ros EXPORT lotRosTargets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
+  install(EXPORT lotRosTargets NAMESPACE lot:: DESTINATION ${lot_package_dir})
+  install(FILES ${PROJECT_SOURCE_DIR}/package.xml DESTINATION ${CMAKE_INSTALL_DATADIR}/lot)
+endif()
+if(TARGET lot_relay)
+  install(TARGETS lot_relay DESTINATION ${CMAKE_INSTALL_BINDIR})
 endif()
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot
   DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}

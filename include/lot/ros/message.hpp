@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <vector>
+
+#include <boost/array.hpp>
+#include <ros/message_traits.h>
+#include <ros/serialization.h>
+
+#include "lot/compliance.hpp"
+#include "lot/message.hpp"
+#include "lot/type_identity.hpp"
+
+/// Generated ROS messages in shared memory.
+///
+/// What ROS generates from a .msg file is a template on an allocator. With LOT's it is a message
+/// that other processes read in place, with the same fields, md5, printer and serialised bytes:
+///
+///     using Image = lot::ros::Message<sensor_msgs::Image_>;
+///     image->data.resize(16 << 20);                          // in the message, not zeroed
+///     sensor_msgs::Image mine;
+///     lot::ros::assign(mine, *image);                         // and back: assign(*image, mine)
+///
+/// A Message that nobody has loaned (`Image copy = *image;`) is an ordinary object on the heap.
+namespace lot::ros {
+
+template <template <class> class Generated>
+using Message = Generated<ShmAllocator<void>>;
+
+namespace detail {
+
+/// The type of a field in the standard message, and in the one in shared memory.
+template <class T>
+struct Kin {
+  using Standard = T;
+  using Shared = T;
+};
+template <template <class> class Generated>
+struct Kin<Generated<ShmAllocator<void>>> {
+  using Standard = Generated<std::allocator<void>>;
+  using Shared = Generated<ShmAllocator<void>>;
+};
+template <template <class> class Generated>
+struct Kin<Generated<std::allocator<void>>> : Kin<Generated<ShmAllocator<void>>> {};
+template <class A>
+struct Kin<std::basic_string<char, std::char_traits<char>, A>> {
+  using Standard = std::string;
+  using Shared = ShmString;
+};
+template <class T, class A>
+struct Kin<std::vector<T, A>> {
+  using Standard = std::vector<typename Kin<T>::Standard>;
+  using Shared = ShmVector<typename Kin<T>::Shared>;
+};
+template <class T, std::size_t N>
+struct Kin<boost::array<T, N>> {
+  using Standard = boost::array<typename Kin<T>::Standard, N>;
+  using Shared = boost::array<typename Kin<T>::Shared, N>;
+};
+
+/// T's counterpart: the standard type's is the shared one, and the other way round.
+template <class T>
+using Counterpart = std::conditional_t<std::is_same_v<T, typename Kin<T>::Standard>,
+                                       typename Kin<T>::Shared, typename Kin<T>::Standard>;
+
+template <class To>
+void copy(To& to, const Counterpart<To>& from);
+
+/// A stream for ROS's serialisers that notes where the fields of a message lie, in their order.
+class Fields {
+ public:
+  template <class T>
+  void next(const T& field) {
+    places_.push_back(&field);
+  }
+  const void* place(std::size_t i) const { return places_[i]; }
+
+ private:
+  std::vector<const void*> places_;
+};
+
+/// A stream that copies the fields of another message into those that the serialiser names.
+class Copier {
+ public:
+  explicit Copier(const Fields& from) : from_(from) {}
+  template <class T>
+  void next(T& field) {
+    copy(field, *static_cast<const Counterpart<T>*>(from_.place(next_++)));
+  }
+
+ private:
+  const Fields& from_;
+  std::size_t next_ = 0;
+};
+
+template <class T>
+inline constexpr bool is_vector = false;
+template <class T, class A>
+inline constexpr bool is_vector<std::vector<T, A>> = true;
+template <class T>
+inline constexpr bool is_array = false;
+template <class T, std::size_t N>
+inline constexpr bool is_array<boost::array<T, N>> = true;
+template <class T>
+inline constexpr bool is_string = false;
+template <class A>
+inline constexpr bool is_string<std::basic_string<char, std::char_traits<char>, A>> = true;
+
+template <class To>
+void copy(To& to, const Counterpart<To>& from) {
+  if constexpr (std::is_same_v<To, Counterpart<To>>) {
+    to = from;
+  } else if constexpr (is_string<To>) {
+    to.assign(from.data(), from.size());
+  } else if constexpr (is_vector<To>) {
+    using Element = typename To::value_type;
+    to.resize(from.size());
+    if constexpr (std::is_same_v<Element, Counterpart<Element>> &&
+                  std::is_trivially_copyable_v<Element>) {
+      if (!from.empty()) std::memcpy(to.data(), from.data(), from.size() * sizeof(Element));
+    } else {
+      for (std::size_t i = 0; i < from.size(); ++i) copy(to[i], from[i]);
+    }
+  } else if constexpr (is_array<To>) {
+    for (std::size_t i = 0; i < from.size(); ++i) copy(to[i], from[i]);
+  } else {
+    Fields fields;
+    ::ros::serialization::Serializer<Counterpart<To>>::write(fields, from);
+    Copier copier(fields);
+    ::ros::serialization::Serializer<To>::read(copier, to);
+  }
+}
+
+}  // namespace detail
+
+/// Makes `to` what `from` is: one copy of each field. Either may be the standard message.
+template <class To>
+void assign(To& to, const detail::Counterpart<To>& from) {
+  detail::copy(to, from);
+}
+
+/// The standard message of a Message, sensor_msgs::Image of Message<sensor_msgs::Image_>.
+template <class T>
+using Standard = typename detail::Kin<T>::Standard;
+
+}  // namespace lot::ros
+
+namespace lot {
+
+template <template <class> class Generated>
+struct is_trusted_message<Generated<ShmAllocator<void>>>
+    : std::bool_constant<::ros::message_traits::IsMessage<Generated<ShmAllocator<void>>>::value> {};
+
+/// The ROS name, and the md5 of its definition.
+template <template <class> class Generated>
+struct TypeIdentity<Generated<ShmAllocator<void>>> {
+  using Type = Generated<ShmAllocator<void>>;
+  static const char* name() { return ::ros::message_traits::DataType<Type>::value(); }
+  static constexpr std::uint64_t hash() {
+    return ::ros::message_traits::MD5Sum<Type>::static_value1 ^
+           ::ros::message_traits::MD5Sum<Type>::static_value2;
+  }
+};
+
+}  // namespace lot

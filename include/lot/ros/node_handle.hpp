@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <exception>
+#include <string>
+#include <type_traits>
+#include <utility>
+
+#include <boost/bind/bind.hpp>
+#include <boost/function.hpp>
+#include <boost/shared_ptr.hpp>
+#include <ros/console.h>
+#include <ros/node_handle.h>
+
+#include "lot/ros/core.hpp"
+#include "lot/ros/publisher.hpp"
+#include "lot/ros/subscriber.hpp"
+
+namespace lot::ros {
+
+/// roscpp's NodeHandle, which carries messages in shared memory where it can.
+///
+///     lot::ros::NodeHandle nh;
+///     using Image = lot::ros::Message<sensor_msgs::Image_>;
+///     auto pub = nh.advertise<Image>("/camera/image", 10);
+///     auto img = pub.loan();
+///     img->data.resize(16 << 20);
+///     pub.publish(std::move(img));
+///     auto sub = nh.subscribe<Image>("/camera/image", 10, &callback);
+///
+/// A callback takes const M&, M, boost::shared_ptr<M const>, boost::shared_ptr<M>,
+/// ros::MessageEvent<M const>, ros::MessageEvent<M> (each also by const&), or
+/// lot::ShmSharedPtr<const M>; who takes a message to change it gets a copy.
+///
+/// Everything else is roscpp's own: it is a ros::NodeHandle, and messages that are no
+/// lot::ros::Message are advertised and subscribed to as ever.
+///
+/// Threads: as ros::NodeHandle.
+class NodeHandle : public ::ros::NodeHandle {
+ public:
+  using ::ros::NodeHandle::advertise;
+  using ::ros::NodeHandle::NodeHandle;
+  using ::ros::NodeHandle::subscribe;
+
+  template <class M>
+  auto advertise(const std::string& topic, std::uint32_t queue_size, bool latch = false) {
+    return advertise<M>(topic, queue_size, ::ros::SubscriberStatusCallback(),
+                        ::ros::SubscriberStatusCallback(), ::ros::VoidConstPtr(), latch);
+  }
+  template <class M>
+  auto advertise(
+      const std::string& topic, std::uint32_t queue_size,
+      const ::ros::SubscriberStatusCallback& connect,
+      const ::ros::SubscriberStatusCallback& disconnect = ::ros::SubscriberStatusCallback(),
+      const ::ros::VoidConstPtr& tracked_object = ::ros::VoidConstPtr(), bool latch = false) {
+    ::ros::AdvertiseOptions options;
+    options.template init<M>(topic, queue_size, connect, disconnect);
+    options.tracked_object = tracked_object;
+    options.latch = latch;
+    if constexpr (detail::is_lot_message<M>) {
+      return Publisher<M>(detail::advertise(*this, options, detail::kind_of<M>()));
+    } else {
+      return ::ros::NodeHandle::advertise(options);
+    }
+  }
+
+  /// A function, or anything that can be called with a message.
+  template <class M, class Callback,
+            std::enable_if_t<!std::is_member_function_pointer_v<Callback>, int> = 0>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size, Callback&& callback,
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    using P = detail::ParameterFor<M, Callback>;
+    return subscribe_to<P>(topic, queue_size,
+                           boost::function<void(P)>(std::forward<Callback>(callback)),
+                           ::ros::VoidConstPtr(), hints);
+  }
+  template <class P>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (*callback)(P),
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe_to<P>(topic, queue_size, boost::function<void(P)>(callback),
+                           ::ros::VoidConstPtr(), hints);
+  }
+  /// A member function of an object that outlives the subscriber.
+  template <class P, class T>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P),
+                 T* object, const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe_to<P>(topic, queue_size, on<P>(object, callback), ::ros::VoidConstPtr(),
+                           hints);
+  }
+  template <class P, class T>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P) const,
+                 T* object, const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe_to<P>(topic, queue_size, on<P>(object, callback), ::ros::VoidConstPtr(),
+                           hints);
+  }
+  /// A member function of an object that is not called any more when it has gone.
+  template <class P, class T>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P),
+                 const boost::shared_ptr<T>& object,
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe_to<P>(topic, queue_size, on<P>(object.get(), callback), object, hints);
+  }
+  template <class P, class T>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P) const,
+                 const boost::shared_ptr<T>& object,
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe_to<P>(topic, queue_size, on<P>(object.get(), callback), object, hints);
+  }
+  /// All of roscpp's options. REQUIRES: `options.helper` takes messages M.
+  template <class M>
+  Subscriber subscribe(const ::ros::SubscribeOptions& options) {
+    static_assert(detail::is_lot_message<M>, "use ros::NodeHandle for other messages");
+    return Subscriber(detail::subscribe(*this, options, detail::kind_of<M>()));
+  }
+
+ private:
+  template <class P, class T, class Member>
+  static boost::function<void(P)> on(T* object, Member member) {
+    return [object, member](P message) { (object->*member)(std::forward<P>(message)); };
+  }
+
+  template <class P>
+  auto subscribe_to(const std::string& topic, std::uint32_t queue_size,
+                    const boost::function<void(P)>& callback,
+                    const ::ros::VoidConstPtr& tracked_object, const ::ros::TransportHints& hints) {
+    using M = detail::MessageOf<P>;
+    if constexpr (std::is_same_v<std::decay_t<P>, ShmSharedPtr<const M>>) {
+      // What comes over a link is copied into shared memory; where that cannot be, nobody is told
+      // of the message, but the node.
+      using Plain = const boost::shared_ptr<M const>&;
+      return subscribe_to<Plain>(topic, queue_size,
+                                 boost::function<void(Plain)>([callback](Plain message) {
+                                   ShmSharedPtr<const M> shared;
+                                   try {
+                                     shared = detail::shared_from<M>(message);
+                                   } catch (const std::exception& e) {
+                                     ROS_ERROR_THROTTLE(1, "a message is dropped: %s", e.what());
+                                     return;
+                                   }
+                                   callback(shared);
+                                 }),
+                                 tracked_object, hints);
+    }
+    ::ros::SubscribeOptions options;
+    options.template initByFullCallbackType<P>(topic, queue_size, callback);
+    options.tracked_object = tracked_object;
+    options.transport_hints = hints;
+    if constexpr (detail::is_lot_message<M>) {
+      return Subscriber(detail::subscribe(*this, options, detail::kind_of<M>()));
+    } else {
+      return ::ros::NodeHandle::subscribe(options);
+    }
+  }
+};
+
+}  // namespace lot::ros

@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include <boost/get_pointer.hpp>
+#include <boost/make_shared.hpp>
+#include <ros/publisher.h>
+
+#include "lot/ros/core.hpp"
+
+namespace lot::ros {
+
+/// A message that is being built, in shared memory, or on the heap where LOT is off: the same code
+/// then works over TCPROS alone.
+///
+/// Shape:   like std::unique_ptr<M>.
+/// Threads: one at a time.
+/// Crash:   what a dead process was building is freed by the others.
+template <class M>
+class Loan {
+ public:
+  Loan() = default;
+  explicit Loan(ShmUniquePtr<M> message) : shared_(std::move(message)), place_(shared_.get()) {}
+  explicit Loan(boost::shared_ptr<M> message) : heap_(std::move(message)), place_(heap_.get()) {}
+  Loan(Loan&& other) noexcept
+      : shared_(std::move(other.shared_)),
+        heap_(std::move(other.heap_)),
+        place_(std::exchange(other.place_, nullptr)) {}
+  Loan& operator=(Loan&& other) noexcept {
+    shared_ = std::move(other.shared_);
+    heap_ = std::move(other.heap_);
+    place_ = std::exchange(other.place_, nullptr);
+    return *this;
+  }
+
+  M* get() const noexcept { return place_; }
+  M& operator*() const noexcept { return *place_; }
+  M* operator->() const noexcept { return place_; }
+  explicit operator bool() const noexcept { return place_ != nullptr; }
+  /// True when others can read it where it is.
+  bool is_shared() const noexcept { return bool(shared_); }
+
+  /// As a parcel; the loan is empty then.
+  detail::Parcel release() {
+    place_ = nullptr;
+    if (!shared_) return {std::exchange(heap_, nullptr), nullptr};
+    return detail::parcel_of(ShmSharedPtr<const M>(std::move(shared_)));
+  }
+
+ private:
+  ShmUniquePtr<M> shared_;
+  boost::shared_ptr<M> heap_;
+  M* place_ = nullptr;
+};
+
+/// Publishes one topic: ros::Publisher's counterpart.
+///
+/// Shape:   a handle, copied as one likes; unadvertised when the last copy has gone.
+/// Threads: all members may be called at once; what one thread publishes arrives in its order.
+/// Errors:  as roscpp; what LOT cannot do is said by ROS_WARN once, and goes over TCPROS.
+template <class M>
+class Publisher {
+ public:
+  Publisher() = default;
+  explicit Publisher(std::shared_ptr<detail::Advertisement> end) : end_(std::move(end)) {}
+
+  /// A message to fill and to publish. It is empty when the publisher is.
+  Loan<M> loan() const {
+    const auto outlet = end_ ? end_->outlet() : nullptr;
+    if (!outlet) return {};
+    const lot::detail::Loan loan = outlet->loan();
+    if (loan.cell == nullptr) return Loan<M>(boost::make_shared<M>());
+    return Loan<M>(lot::detail::build<M>(loan));
+  }
+
+  void publish(Loan<M>&& message) const {
+    if (end_ && message) send(message.release(), true);
+  }
+  /// Copies it once.
+  void publish(const M& message) const {
+    auto copy = loan();
+    if (!copy) return;
+    *copy = message;
+    publish(std::move(copy));
+  }
+  /// The standard message, sensor_msgs::Image. Copies it once.
+  template <class S, std::enable_if_t<std::is_same_v<S, Standard<M>>, int> = 0>
+  void publish(const S& message) const {
+    auto copy = loan();
+    if (!copy) return;
+    assign(*copy, message);
+    publish(std::move(copy));
+  }
+  /// A message that was received, or published already: without a copy.
+  void publish(const ShmSharedPtr<const M>& message) const {
+    if (end_ && message) send(detail::parcel_of(message), false);
+  }
+  /// The same when it lies in shared memory; else it is copied once.
+  void publish(const boost::shared_ptr<M const>& message) const {
+    if (!end_ || !message) return;
+    if (const auto* keeper = boost::get_deleter<detail::Keeper<const M>>(message)) {
+      send({message, lot::detail::PointerAccess::cell(keeper->message)}, false);
+    } else {
+      publish(*message);
+    }
+  }
+  void publish(const boost::shared_ptr<M>& message) const {
+    publish(boost::shared_ptr<M const>(message));
+  }
+
+  std::string getTopic() const { return plain().getTopic(); }
+  std::uint32_t getNumSubscribers() const { return plain().getNumSubscribers(); }
+  bool isLatched() const {
+    const auto plain = this->plain();
+    return plain && plain.isLatched();
+  }
+  /// How many messages had to be serialised so far, because somebody does not read the ring.
+  std::uint64_t serialised() const {
+    const auto outlet = end_ ? end_->outlet() : nullptr;
+    return outlet ? outlet->serialised() : 0;
+  }
+  /// Unadvertises, whoever has copies.
+  void shutdown() {
+    if (end_) end_->shutdown();
+    end_.reset();
+  }
+  explicit operator bool() const { return bool(plain()); }
+  friend bool operator==(const Publisher& a, const Publisher& b) { return a.end_ == b.end_; }
+  friend bool operator!=(const Publisher& a, const Publisher& b) { return a.end_ != b.end_; }
+  friend bool operator<(const Publisher& a, const Publisher& b) { return a.end_ < b.end_; }
+
+ private:
+  ::ros::Publisher plain() const { return end_ ? end_->plain() : ::ros::Publisher(); }
+  void send(const detail::Parcel& parcel, bool fresh) const {
+    if (const auto outlet = end_->outlet()) outlet->publish(parcel, fresh, end_->id());
+  }
+
+  std::shared_ptr<detail::Advertisement> end_;
+};
+
+}  // namespace lot::ros

@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <utility>
+
+#include <boost/function.hpp>
+#include <boost/get_pointer.hpp>
+#include <ros/parameter_adapter.h>
+
+#include "lot/ros/core.hpp"
+
+namespace lot::ros {
+
+/// ros::Subscriber's counterpart.
+///
+/// Shape:   a handle, copied as one likes; unsubscribed when the last copy has gone.
+/// Threads: all members may be called at once.
+class Subscriber {
+ public:
+  Subscriber() = default;
+  explicit Subscriber(std::shared_ptr<detail::Subscription> end) : end_(std::move(end)) {}
+
+  std::string getTopic() const { return end_ ? end_->topic() : std::string(); }
+  std::uint32_t getNumPublishers() const { return end_ ? end_->publishers() : 0; }
+  /// Unsubscribes, whoever has copies.
+  void shutdown() {
+    if (end_) end_->shutdown();
+    end_.reset();
+  }
+  explicit operator bool() const { return end_ != nullptr; }
+  friend bool operator==(const Subscriber& a, const Subscriber& b) { return a.end_ == b.end_; }
+  friend bool operator!=(const Subscriber& a, const Subscriber& b) { return a.end_ != b.end_; }
+  friend bool operator<(const Subscriber& a, const Subscriber& b) { return a.end_ < b.end_; }
+
+ private:
+  std::shared_ptr<detail::Subscription> end_;
+};
+
+namespace detail {
+
+template <class T>
+inline constexpr bool is_lot_message = false;
+template <template <class> class Generated>
+inline constexpr bool is_lot_message<Generated<ShmAllocator<void>>> =
+    ::ros::message_traits::IsMessage<Generated<ShmAllocator<void>>>::value;
+
+/// What a callback takes: the one parameter of a function, a member function, or an object that has
+/// one operator(). void: several, or a template.
+template <class F, class = void>
+struct Parameter {
+  using Type = void;
+};
+template <class R, class P>
+struct Parameter<R (*)(P)> {
+  using Type = P;
+};
+template <class R, class C, class P>
+struct Parameter<R (C::*)(P)> {
+  using Type = P;
+};
+template <class R, class C, class P>
+struct Parameter<R (C::*)(P) const> {
+  using Type = P;
+};
+template <class F>
+struct Parameter<F, std::void_t<decltype(&F::operator())>> : Parameter<decltype(&F::operator())> {};
+template <class R, class P>
+struct Parameter<boost::function<R(P)>> {
+  using Type = P;
+};
+
+/// The same of a callback for messages M, which may be a template: then it gets what costs least.
+template <class M, class F>
+using ParameterFor =
+    std::conditional_t<std::is_void_v<typename Parameter<std::decay_t<F>>::Type>,
+                       const ShmSharedPtr<const M>&, typename Parameter<std::decay_t<F>>::Type>;
+
+/// The message of a parameter in any of its shapes.
+template <class P>
+using MessageOf = typename ::ros::ParameterAdapter<P>::Message;
+
+/// LOT's pointer to a message that is called back; a copy in shared memory of one that is not
+/// there. Throws lot::Error when LOT is off in this process, lot::OutOfMemory.
+template <class M>
+ShmSharedPtr<const M> shared_from(const boost::shared_ptr<M const>& message) {
+  if (const auto* keeper = boost::get_deleter<Keeper<const M>>(message)) return keeper->message;
+  const auto place = maker();
+  if (!place) {
+    throw Error(ENODEV, "ShmSharedPtr", "LOT is off in this process, so nothing is shared",
+                "take the message by const reference or boost::shared_ptr");
+  }
+  auto copy = lot::detail::build<M>(place->loan(lot::detail::message_type<M>(), true));
+  *copy = *message;
+  return ShmSharedPtr<const M>(std::move(copy));
+}
+
+}  // namespace detail
+}  // namespace lot::ros
+
+namespace ros {
+
+/// Callbacks that take LOT's pointer.
+template <class M>
+struct ParameterAdapter<lot::ShmSharedPtr<M const>> {
+  using Message = M;
+  using Event = ros::MessageEvent<M const>;
+  using Parameter = lot::ShmSharedPtr<M const>;
+  static const bool is_const = true;
+  static Parameter getParameter(const Event& event) {
+    return lot::ros::detail::shared_from<M>(event.getConstMessage());
+  }
+};
+template <class M>
+struct ParameterAdapter<const lot::ShmSharedPtr<M const>&>
+    : ParameterAdapter<lot::ShmSharedPtr<M const>> {};
+
+}  // namespace ros

@@ -1,0 +1,224 @@
+// SPDX-License-Identifier: Apache-2.0
+/// The user's ends of topics: what lot::ros::Publisher and Subscriber hold.
+#include <map>
+#include <mutex>
+#include <utility>
+
+#include <ros/callback_queue.h>
+#include <ros/node_handle.h>
+
+#include "lot_ros/inlet.hpp"
+#include "lot_ros/outlet.hpp"
+
+namespace lot::ros::detail {
+namespace {
+
+/// What this process has of each topic; never destroyed, for it is asked from static destructors.
+struct Topics {
+  std::mutex opening;  ///< held while one opens, which may ask the master
+  std::map<std::string, std::weak_ptr<TopicOutlet>> outlets;
+  std::map<std::string, std::weak_ptr<Inlet>> inlets;
+  static Topics& all() {
+    static auto* const topics = new Topics;
+    return *topics;
+  }
+};
+
+/// roscpp's unadvertise of a topic's last end looks for its place and erases it later: no other one
+/// may come or go meanwhile. No user code runs under it.
+std::mutex& advertising() {
+  static auto* const mutex = new std::mutex;
+  return *mutex;
+}
+
+/// Takes a topic out of the map if this is what it leads to.
+template <class Map, class End>
+void erase(Map& map, const std::string& topic, const std::shared_ptr<End>& end) {
+  const auto at = map.find(topic);
+  if (at != map.end() && at->second.lock() == end) map.erase(at);
+}
+
+class TopicAdvertisement final : public Advertisement {
+ public:
+  TopicAdvertisement(std::shared_ptr<TopicOutlet> outlet, std::uint64_t id, ::ros::Publisher plain)
+      : id_(id), outlet_(std::move(outlet)), plain_(std::move(plain)) {}
+  ~TopicAdvertisement() override { shutdown(); }
+
+  std::uint64_t id() const override { return id_; }
+  std::shared_ptr<Outlet> outlet() const override {
+    const std::lock_guard guard(mutex_);
+    return outlet_;
+  }
+  ::ros::Publisher plain() const override {
+    const std::lock_guard guard(mutex_);
+    return plain_;
+  }
+  void shutdown() override {
+    std::shared_ptr<TopicOutlet> outlet;
+    ::ros::Publisher plain;
+    {
+      const std::lock_guard guard(mutex_);
+      outlet.swap(outlet_);
+      std::swap(plain, plain_);
+    }
+    if (!outlet) return;
+    plain.shutdown();  // the outlet's own end keeps the topic, so that only callbacks go here
+    bool is_last = false;
+    {
+      const std::lock_guard guard(Topics::all().opening);
+      is_last = outlet->remove(id_);
+      if (is_last) erase(Topics::all().outlets, outlet->topic(), outlet);
+    }
+    if (!is_last) return;
+    {
+      const std::lock_guard guard(advertising());
+      outlet->withdraw();
+    }
+    outlet->close();
+  }
+
+ private:
+  const std::uint64_t id_;
+  mutable std::mutex mutex_;
+  std::shared_ptr<TopicOutlet> outlet_;
+  ::ros::Publisher plain_;
+};
+
+class TopicSubscription final : public Subscription {
+ public:
+  TopicSubscription(std::shared_ptr<Inlet> inlet, std::string topic, std::uint64_t user)
+      : topic_(std::move(topic)), user_(user), inlet_(std::move(inlet)) {}
+  ~TopicSubscription() override { shutdown(); }
+
+  std::uint32_t publishers() const override {
+    const std::lock_guard guard(mutex_);
+    return inlet_ ? inlet_->publishers() : 0;
+  }
+  std::string topic() const override { return topic_; }
+  void shutdown() override {
+    std::shared_ptr<Inlet> inlet;
+    {
+      const std::lock_guard guard(mutex_);
+      inlet.swap(inlet_);
+    }
+    if (!inlet) return;
+    bool is_last = false;
+    Inlet::User user;  // with what its callback holds: no lock is held when that goes
+    {
+      const std::lock_guard guard(Topics::all().opening);
+      user = inlet->remove(user_, is_last);
+      if (is_last) erase(Topics::all().inlets, topic_, inlet);
+    }
+    user.dismiss();
+    if (is_last) inlet->close();
+  }
+
+ private:
+  const std::string topic_;
+  const std::uint64_t user_;
+  mutable std::mutex mutex_;
+  std::shared_ptr<Inlet> inlet_;
+};
+
+bool is_same(const Kind& a, const Kind& b) { return *a.type == *b.type; }
+
+}  // namespace
+
+std::shared_ptr<Advertisement> advertise(::ros::NodeHandle& node,
+                                         const ::ros::AdvertiseOptions& asked, const Kind& kind) {
+  ::ros::AdvertiseOptions resolved = asked;
+  resolved.topic = node.resolveName(asked.topic);
+  std::shared_ptr<TopicOutlet> outlet;
+  std::uint64_t end = 0;
+  {
+    const std::lock_guard guard(Topics::all().opening);
+    outlet = Topics::all().outlets[resolved.topic].lock();
+    if (outlet && !is_same(outlet->kind(), kind)) {
+      ROS_ERROR(
+          "Tried to advertise on topic [%s] with type [%s], but the topic is already advertised as "
+          "[%s]",
+          resolved.topic.c_str(), kind.datatype, outlet->kind().datatype);
+      return nullptr;
+    }
+    const bool is_new = outlet == nullptr;
+    if (is_new) {
+      ::ros::AdvertiseOptions bare = resolved;
+      bare.connect_cb = {};
+      bare.disconnect_cb = {};
+      outlet = std::make_shared<TopicOutlet>(Session::get(), bare, kind);
+    }
+    end = outlet->add(asked.latch, bool(asked.connect_cb));
+    if (is_new) {
+      bool opened = false;
+      {
+        const std::lock_guard one(advertising());
+        opened = outlet->open();
+      }
+      if (!opened) {
+        outlet->close();
+        return nullptr;
+      }
+      Topics::all().outlets[resolved.topic] = outlet;
+    }
+  }
+  // The user's own, which latches by name only: what is latched the outlet sends. By the name that
+  // the user has said: roscpp remaps it once.
+  ::ros::Publisher plain;
+  try {
+    const std::lock_guard one(advertising());
+    plain = node.::ros::NodeHandle::advertise(const_cast<::ros::AdvertiseOptions&>(asked));
+  } catch (...) {
+    TopicAdvertisement(outlet, end, plain).shutdown();
+    throw;
+  }
+  return std::make_shared<TopicAdvertisement>(std::move(outlet), end, std::move(plain));
+}
+
+std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
+                                        const ::ros::SubscribeOptions& given, const Kind& kind) {
+  ::ros::SubscribeOptions asked = given;
+  ::ros::SubscribeOptions options = given;
+  options.topic = node.resolveName(given.topic);
+  if (options.callback_queue == nullptr) {
+    options.callback_queue = node.getCallbackQueue() != nullptr ? node.getCallbackQueue()
+                                                                : ::ros::getGlobalCallbackQueue();
+  }
+  std::shared_ptr<Inlet> inlet;
+  std::uint64_t user = 0;
+  {
+    const std::lock_guard guard(Topics::all().opening);
+    auto& place = Topics::all().inlets[options.topic];
+    inlet = place.lock();
+    if (inlet && !is_same(inlet->kind(), kind)) {
+      throw ::ros::ConflictingSubscriptionException(
+          "Tried to subscribe to a topic with the same name but different type: " + options.topic);
+    }
+    const bool is_new = inlet == nullptr;
+    if (is_new) inlet = std::make_shared<Inlet>(Session::get(), options, kind);
+    user = inlet->add(options);
+    if (is_new) {
+      bool opened = false;
+      try {
+        opened = inlet->open(node, asked);
+      } catch (...) {
+        inlet->close();
+        throw;
+      }
+      if (!opened) {
+        inlet->close();
+        return nullptr;
+      }
+      place = inlet;
+    }
+  }
+  return std::make_shared<TopicSubscription>(std::move(inlet), options.topic, user);
+}
+
+std::shared_ptr<lot::detail::PusherCore> maker() {
+  auto session = Session::get();
+  lot::detail::PusherCore* const place = session->maker();
+  if (place == nullptr) return nullptr;
+  return {std::move(session), place};
+}
+
+}  // namespace lot::ros::detail

@@ -1,0 +1,351 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "lot_ros/inlet.hpp"
+
+#include <algorithm>
+#include <condition_variable>
+#include <csignal>
+#include <thread>
+#include <utility>
+
+#include <boost/make_shared.hpp>
+#include <ros/console.h>
+#include <ros/message_deserializer.h>
+#include <ros/param.h>
+#include <ros/this_node.h>
+#include <ros/topic_manager.h>
+
+namespace lot::ros {
+namespace {
+
+/// Frames that wait to be deserialised, of one topic: as many as its users would let wait.
+constexpr std::uint32_t kShortestIntake = 16;
+/// So many messages are read before other topics have their turn.
+constexpr unsigned kAtOnce = 64;
+
+/// The thread that deserialises what comes over links. roscpp may hold on to its queue for longer
+/// than anybody subscribes, so it is never destroyed.
+class Intake final : public ::ros::CallbackQueueInterface {
+ public:
+  static Intake& the() {
+    static auto* const intake = new Intake;
+    return *intake;
+  }
+
+  void addCallback(const ::ros::CallbackInterfacePtr& callback, std::uint64_t owner) override {
+    const std::lock_guard guard(mutex_);
+    if (!begun_) {
+      begun_ = true;
+      std::thread([this] { run(); }).detach();
+    }
+    work_.push_back({callback, owner});
+    more_.notify_one();
+  }
+  /// Nothing of that owner is called any more when this returns, unless it is called from there.
+  void removeByID(std::uint64_t owner) override {
+    std::unique_lock lock(mutex_);
+    work_.erase(std::remove_if(work_.begin(), work_.end(),
+                               [owner](const Work& w) { return w.owner == owner; }),
+                work_.end());
+    if (std::this_thread::get_id() != thread_) {
+      idle_.wait(lock, [&] { return at_work_for_ != owner; });
+    }
+  }
+
+ private:
+  struct Work {
+    ::ros::CallbackInterfacePtr callback;
+    std::uint64_t owner;
+  };
+
+  void run() {
+    pthread_setname_np(pthread_self(), "lot-ros-intake");
+    sigset_t all;
+    sigfillset(&all);
+    pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
+    std::unique_lock lock(mutex_);
+    thread_ = std::this_thread::get_id();
+    for (;;) {
+      more_.wait(lock, [&] { return !work_.empty(); });
+      const Work work = std::move(work_.front());
+      work_.pop_front();
+      at_work_for_ = work.owner;
+      lock.unlock();
+      try {
+        work.callback->call();
+      } catch (const std::exception& e) {
+        ROS_ERROR("LOT: a message over TCPROS: %s", e.what());
+      }
+      lock.lock();
+      at_work_for_ = 0;
+      idle_.notify_all();
+    }
+  }
+
+  std::mutex mutex_;
+  std::condition_variable more_, idle_;
+  bool begun_ = false;
+  std::thread::id thread_;
+  std::deque<Work> work_;
+  std::uint64_t at_work_for_ = 0;
+};
+
+/// What a probe is deserialised to.
+const boost::shared_ptr<void const>& probe() {
+  static const auto* const token = new boost::shared_ptr<void const>(boost::make_shared<int>(0));
+  return *token;
+}
+
+bool is_latching(const boost::shared_ptr<::ros::M_string>& header) {
+  const auto at = header->find("latching");
+  return at != header->end() && at->second == "1";
+}
+
+/// Nobody else's callbacks are of this type, so that nobody shares our deserialiser.
+struct OurMessages {};
+
+}  // namespace
+
+/// What roscpp calls for a frame of the topic's links.
+class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
+ public:
+  Helper(std::weak_ptr<Inlet> inlet, std::shared_ptr<Loop> loop, const detail::Kind& kind)
+      : inlet_(std::move(inlet)), loop_(std::move(loop)), kind_(kind) {}
+
+  ::ros::VoidConstPtr deserialize(
+      const ::ros::SubscriptionCallbackHelperDeserializeParams& frame) override {
+    if (frame.length < kind_.least_bytes) return probe();
+    return kind_.deserialise(frame.buffer, frame.length);
+  }
+
+  void call(::ros::SubscriptionCallbackHelperCallParams& params) override {
+    const auto& event = params.event;
+    const bool is_shared = event.nonConstWillCopy();  // with somebody who is no subscriber of LOT's
+    const bool is_probe = event.getMessage() == probe();
+    Frame frame{is_probe ? nullptr : event.getMessage(), event.getConnectionHeaderPtr(),
+                participant_name(event.getPublisherName())};
+    loop_->soon([weak = inlet_, is_shared, frame = std::move(frame)]() mutable {
+      const auto inlet = weak.lock();
+      if (!inlet) return;
+      try {
+        inlet->heard(frame.publisher, frame.header, is_shared);
+      } catch (const std::exception& e) {  // of a ring; the frame is another's, perhaps
+        ROS_ERROR("LOT: %s", e.what());
+      }
+      if (frame.message) inlet->arrived(std::move(frame));
+    });
+  }
+
+  const std::type_info& getTypeInfo() override { return typeid(OurMessages); }
+  bool isConst() override { return true; }
+  bool hasHeader() override { return kind_.has_header; }
+
+ private:
+  const std::weak_ptr<Inlet> inlet_;
+  const std::shared_ptr<Loop> loop_;
+  const detail::Kind& kind_;
+};
+
+Inlet::Inlet(std::shared_ptr<Session> session, const ::ros::SubscribeOptions& options,
+             const detail::Kind& kind)
+    : loop_(session->loop()), topic_(options.topic), kind_(kind), session_(std::move(session)) {}
+
+bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) {
+  const auto has_plain_ones = [this] {
+    ::ros::V_string topics;
+    ::ros::TopicManager::instance()->getSubscribedTopics(topics);
+    return std::find(topics.begin(), topics.end(), topic_) != topics.end();
+  };
+  bool statistics = false;
+  ::ros::param::get("/enable_statistics", statistics);
+  if (statistics) {
+    ROS_INFO("LOT: %s comes over TCPROS: /enable_statistics counts what links carry",
+             topic_.c_str());
+  } else if (session_->is_on()) {
+    try {
+      PullerOptions from_the_start;
+      from_the_start.history = ~std::uint64_t{0};
+      rings_ =
+          lot::detail::make_puller(session_->participant(), session_->name_of(topic_),
+                                   *kind_.layout, from_the_start, lot::detail::Delivery::ToAll);
+      if (has_plain_ones()) rings_->decline();
+      loop_->call([this] { loop_->arrivals().add(*rings_, [this] { read(); }); });
+    } catch (const std::exception& e) {
+      ROS_WARN("LOT: %s comes over TCPROS: %s", topic_.c_str(), e.what());
+    }
+  }
+
+  // By the name that the user has said: roscpp remaps it once.
+  ::ros::SubscribeOptions ours(asked.topic, std::max(asked.queue_size, kShortestIntake),
+                               asked.md5sum, asked.datatype);
+  if (asked.queue_size == 0) ours.queue_size = 0;  // as many as come
+  ours.helper = boost::make_shared<Helper>(weak_from_this(), loop_, kind_);
+  ours.callback_queue = &Intake::the();
+  ours.transport_hints = asked.transport_hints;
+  ::ros::NodeHandle own(node);  // the user's may be shut down, and other users stay
+  subscriber_ = own.subscribe(ours);
+  return bool(subscriber_);
+}
+
+void Inlet::close() {
+  // First, so that nobody serves these rings any more when the link is another one's.
+  loop_->call([this] {
+    if (rings_) loop_->arrivals().remove(*rings_);
+    rings_.reset();
+    unclaimed_.clear();
+    held_.clear();
+  });
+  subscriber_.shutdown();
+  session_.reset();
+}
+
+// ---- LOT's thread -------------------------------------------------------------------------------
+
+void Inlet::read() {
+  if (!rings_) return;
+  // Then others have their turn: the loop comes back as long as something is there.
+  for (unsigned n = 0; n < kAtOnce; ++n) {
+    lot::detail::Borrowed borrowed;
+    if (rings_->borrow(borrowed, false, {}, false) != Status::Ok) break;
+    const struct End {
+      lot::detail::PullerCore& rings;
+      ~End() { rings.done(); }
+    } end{*rings_};
+    borrowed.cell = rings_->keep();
+    claim({kind_.adopt(borrowed), rings_->origin()});
+  }
+  for (auto& [ring, pulled] : std::exchange(unclaimed_, {})) claim(std::move(pulled));
+  deliver_held();
+}
+
+/// Delivers what is for us. What may yet be said to be for us is kept: one message of each ring.
+void Inlet::claim(Pulled pulled) {
+  const auto ring = std::pair(pulled.origin.channel, pulled.origin.generation);
+  const auto is_ours = rings_->is_ours(pulled.origin);
+  if (!is_ours) {
+    unclaimed_[ring] = std::move(pulled);
+    return;
+  }
+  if (const auto older = unclaimed_.extract(ring)) claim(older.mapped());
+  if (*is_ours) {
+    const std::string publisher(rings_->publisher(pulled.origin));
+    deliver(pulled.message, publisher, header_of(publisher));
+  }
+}
+
+/// A frame says whether somebody beside LOT's subscribers gets what the link brings, and what the
+/// link knows of its publisher.
+void Inlet::heard(const std::string& publisher, const Header& header, bool is_shared) {
+  Link& link = links_[publisher];
+  if (link.header != header) {
+    link = {header, 0};
+    const std::lock_guard guard(mutex_);
+    if (const auto last = latched_.find(publisher); last != latched_.end()) {
+      is_latching(header) ? void(last->second.header = header) : void(latched_.erase(last));
+    }
+  }
+  if (!rings_) return;
+  is_shared ? rings_->decline() : rings_->content();
+  read();
+}
+
+void Inlet::arrived(Frame frame) {
+  Link& link = links_[frame.publisher];
+  if (rings_) link.had += rings_->taken_back(frame.publisher);
+  if (link.had != 0) {
+    --link.had;
+    return;
+  }
+  const bool waits = rings_ && (rings_->has_last_ones(frame.publisher) ||
+                                std::any_of(held_.begin(), held_.end(), [&](const Frame& f) {
+                                  return f.publisher == frame.publisher;
+                                }));
+  if (waits) {
+    held_.push_back(std::move(frame));
+    read();
+  } else {
+    deliver(frame.message, frame.publisher, frame.header);
+  }
+}
+
+void Inlet::deliver_held() {
+  if (!rings_) return;
+  for (auto frame = held_.begin(); frame != held_.end();) {
+    if (rings_->has_last_ones(frame->publisher)) {
+      ++frame;
+      continue;
+    }
+    deliver(frame->message, frame->publisher, frame->header);
+    frame = held_.erase(frame);
+  }
+}
+
+/// What a link of that publisher's says of it; or what is known without one.
+Inlet::Header Inlet::header_of(const std::string& publisher) const {
+  if (const auto at = links_.find(publisher); at != links_.end()) return at->second.header;
+  auto header = boost::make_shared<::ros::M_string>();
+  (*header)["callerid"] = publisher;
+  (*header)["topic"] = topic_;
+  (*header)["type"] = kind_.datatype;
+  (*header)["md5sum"] = kind_.md5sum;
+  (*header)["message_definition"] = kind_.definition;
+  return header;
+}
+
+/// To all users' queues.
+void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
+                    const Header& header) {
+  Last old;  // let go when the lock has been left
+  const std::lock_guard guard(mutex_);
+  if (links_.count(publisher) == 0 || is_latching(header)) {
+    old = std::exchange(latched_[publisher], {message, header});
+  }
+  for (const auto& [name, user] : users_) give(user, message, header);
+}
+
+void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
+                 const Header& header) {
+  ::ros::SerializedMessage made;
+  made.message = message;
+  made.type_info = kind_.type;
+  const auto deserializer =
+      boost::make_shared<::ros::MessageDeserializer>(user.helper, made, header);
+  bool was_full = false;
+  // Others may have it: who wants to change it gets a copy.
+  user.queue->push(user.helper, deserializer, user.has_tracked_object, user.tracked_object, true,
+                   ::ros::Time::now(), &was_full);
+  if (!was_full) user.callbacks->addCallback(user.queue, user.id());
+}
+
+// ---- users --------------------------------------------------------------------------------------
+
+std::uint64_t Inlet::add(const ::ros::SubscribeOptions& options) {
+  User user;
+  user.helper = options.helper;
+  user.callbacks = options.callback_queue;
+  user.queue = boost::make_shared<::ros::SubscriptionQueue>(topic_, options.queue_size,
+                                                            options.allow_concurrent_callbacks);
+  user.has_tracked_object = options.tracked_object != nullptr;
+  user.tracked_object = options.tracked_object;
+  const std::lock_guard guard(mutex_);
+  for (const auto& [publisher, last] : latched_) {
+    if (is_latching(last.header)) give(user, last.message, last.header);
+  }
+  users_[++last_user_] = std::move(user);
+  return last_user_;
+}
+
+Inlet::User Inlet::remove(std::uint64_t name, bool& is_last) {
+  const std::lock_guard guard(mutex_);
+  const auto at = users_.find(name);
+  User user = std::move(at->second);
+  users_.erase(at);
+  is_last = users_.empty();
+  return user;
+}
+
+void Inlet::User::dismiss() {
+  queue->clear();
+  callbacks->removeByID(id());
+}
+
+}  // namespace lot::ros

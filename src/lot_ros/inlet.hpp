@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+
+#include <ros/message_event.h>
+#include <ros/subscriber.h>
+#include <ros/subscription_callback_helper.h>
+#include <ros/subscription_queue.h>
+
+#include "lot/ros/core.hpp"
+
+#include "lot_ros/session.hpp"
+
+namespace lot::ros {
+
+/// One topic that this process reads: one ordinary ROS subscription for all of the user's
+/// subscribers, and the rings of its publishers (docs/ros.md).
+///
+/// Threads: all members may be called at once. Rings are read, and everything is delivered, on
+///          LOT's thread; frames of links are deserialised on Intake's.
+/// Crash:   of a publisher: its ring is read to the end, then forgotten.
+class Inlet final : public std::enable_shared_from_this<Inlet> {
+ public:
+  Inlet(std::shared_ptr<Session> session, const ::ros::SubscribeOptions& options,
+        const detail::Kind& kind);
+  /// Joins the rings, then subscribes at ROS; once, with the first user there already. `asked` has
+  /// the topic's name as that one has said it to `node`. False: ROS refuses it.
+  bool open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked);
+  /// Unsubscribes, when it has no user any more. What roscpp's threads still have of this does
+  /// nothing then.
+  void close();
+
+  struct User {
+    ::ros::SubscriptionCallbackHelperPtr helper;
+    ::ros::CallbackQueueInterface* callbacks;
+    boost::shared_ptr<::ros::SubscriptionQueue> queue;
+    bool has_tracked_object;
+    ::ros::VoidConstWPtr tracked_object;
+
+    std::uint64_t id() const noexcept { return reinterpret_cast<std::uint64_t>(queue.get()); }
+    /// None of its callbacks begins any more, and none is at work but in this thread.
+    void dismiss();
+  };
+  /// A subscriber of the user's; the name that it has here. What is latched it gets at once.
+  std::uint64_t add(const ::ros::SubscribeOptions& options);
+  /// Takes it out; to be dismissed, and destroyed, where no lock is held. `is_last`: no other is
+  /// left.
+  User remove(std::uint64_t user, bool& is_last);
+
+  const detail::Kind& kind() const noexcept { return kind_; }
+
+  std::uint32_t publishers() const { return subscriber_.getNumPublishers(); }
+
+ private:
+  class Helper;
+  using Header = boost::shared_ptr<::ros::M_string>;  ///< of a connection
+  struct Frame {
+    boost::shared_ptr<void const> message;
+    Header header;
+    std::string publisher;  ///< as a participant would be called
+  };
+  struct Pulled {
+    boost::shared_ptr<void const> message;
+    lot::detail::Origin origin;
+  };
+
+  // LOT's thread.
+  void read();
+  void claim(Pulled pulled);
+  void heard(const std::string& publisher, const Header& header, bool is_shared);
+  void arrived(Frame frame);
+  void deliver_held();
+  void deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
+               const Header& header);
+  Header header_of(const std::string& publisher) const;
+  // REQUIRES mutex_.
+  void give(const User& user, const boost::shared_ptr<void const>& message, const Header& header);
+
+  const std::shared_ptr<Loop> loop_;
+  const std::string topic_;
+  const detail::Kind& kind_;
+  ::ros::Subscriber subscriber_;
+  std::shared_ptr<Session> session_;                ///< null: closed
+  std::unique_ptr<lot::detail::PullerCore> rings_;  ///< null: LOT is off
+  /// The last message of each ring whose publisher has not said yet whom it is for: it may be
+  /// latched. By {channel, generation}.
+  std::map<std::pair<std::uint32_t, std::uint32_t>, Pulled> unclaimed_;
+  std::deque<Frame> held_;  ///< frames that came before the ring was read
+  /// What links say of publishers, and how many of a link's next frames a ring has brought already.
+  struct Link {
+    Header header;
+    std::size_t had = 0;
+  };
+  std::map<std::string, Link> links_;
+
+  std::mutex mutex_;
+  std::map<std::uint64_t, User> users_;
+  /// The last message of each publisher that latches, or of which that is not known yet.
+  struct Last {
+    boost::shared_ptr<void const> message;
+    Header header;
+  };
+  std::map<std::string, Last> latched_;
+  std::uint64_t last_user_ = 0;
+};
+
+}  // namespace lot::ros

@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <thread>
+#include <utility>
+
+#include "lot/wait_set.hpp"
+
+namespace lot::ros {
+
+/// LOT's thread of a process: rings are read, messages are delivered and links are looked after
+/// there. What roscpp's threads reach of LOT has this, and may outlive the session.
+///
+/// Threads: all members may be called at once, but arrivals().
+class Loop {
+ public:
+  Loop() = default;
+  Loop(const Loop&) = delete;
+  Loop& operator=(const Loop&) = delete;
+
+  using Clock = std::chrono::steady_clock;
+
+  /// Calls it on LOT's thread, soon or then; never, when that ends first.
+  void soon(std::function<void()> work) { at(Clock::time_point(), std::move(work)); }
+  void at(Clock::time_point time, std::function<void()> work);
+  /// Calls it there, and returns when that is done; at once if this is LOT's thread, or there is
+  /// none any more.
+  void call(const std::function<void()>& work);
+
+  /// What LOT's thread waits for besides. REQUIRES: this is that thread.
+  WaitSet& arrivals() noexcept { return arrivals_; }
+
+  /// What LOT's thread does.
+  void run();
+  /// It ends soon.
+  void end() noexcept;
+
+ private:
+  bool is_here() const noexcept { return thread_.load() == std::this_thread::get_id(); }
+
+  std::mutex mutex_;
+  std::multimap<Clock::time_point, std::function<void()>> work_;  ///< by when it is to be done
+  bool ended_ = false;                                            ///< nobody does any work any more
+  std::atomic<bool> ends_{false};
+  std::atomic<std::thread::id> thread_{};
+  WaitSet arrivals_;
+};
+
+}  // namespace lot::ros

@@ -1,0 +1,488 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "lot_ros/outlet.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include <boost/make_shared.hpp>
+#include <ros/console.h>
+#include <ros/init.h>
+#include <ros/single_subscriber_publisher.h>
+
+namespace lot::ros {
+namespace {
+
+/// What an outlet sends on a link: bytes that were serialised already, for all links together.
+struct Serialised {
+  ::ros::SerializedMessage bytes;
+};
+
+}  // namespace
+}  // namespace lot::ros
+
+namespace ros::serialization {
+
+/// A link takes a message by serialising it: these bytes are it already.
+template <>
+inline ::ros::SerializedMessage serializeMessage(const lot::ros::Serialised& message) {
+  return message.bytes;
+}
+
+}  // namespace ros::serialization
+
+namespace lot::ros {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kProbePeriod = 100ms;
+/// So many messages wait for the answer to the first probe, which takes about a millisecond.
+constexpr std::size_t kMostUnsure = 16;
+constexpr std::chrono::milliseconds kFirstLook{10};
+constexpr std::chrono::milliseconds kLastLook{100};
+/// LOT's thread comes again, when somebody publishes just now.
+constexpr std::chrono::milliseconds kBusy{1};
+constexpr std::uint32_t kDeepest = 1024;
+constexpr std::uint32_t kUsualDepth = 16;
+/// A link's own queue: roscpp throws the oldest away when it is full.
+constexpr std::uint32_t kShortestLinkQueue = 16;
+
+/// Not null while this thread sends it to a peer.
+thread_local const ::ros::SerializedMessage* outgoing = nullptr;
+/// Not null while this thread asks a callback of roscpp's what it is about.
+thread_local TopicOutlet::News* asked = nullptr;
+
+void on_peer(const ::ros::SingleSubscriberPublisher& peer, bool came) {
+  if (asked != nullptr) {
+    asked->came = came;
+    asked->name = peer.getSubscriberName();
+  } else if (outgoing != nullptr && came) {
+    peer.publish(Serialised{*outgoing});
+  }
+}
+
+XmlRpc::XmlRpcValue links_of(::ros::Publication& publication) {
+  XmlRpc::XmlRpcValue links;
+  links.setSize(0);  // getInfo() appends
+  publication.getInfo(links);
+  return links;
+}
+
+/// Where roscpp brings what it has to say of peers: at once, on its own threads. It may hold on to
+/// this for longer than an outlet lives, so it is never destroyed.
+class Door final : public ::ros::CallbackQueueInterface {
+ public:
+  static Door& the() {
+    static auto* const door = new Door;
+    return *door;
+  }
+
+  void add(const ::ros::SubscriberCallbacksPtr& callbacks, std::weak_ptr<TopicOutlet> outlet) {
+    const std::lock_guard guard(mutex_);
+    outlets_[reinterpret_cast<std::uint64_t>(callbacks.get())] = {std::move(outlet), nullptr, true};
+  }
+  /// From now on roscpp does not hold the lock of the links while it calls.
+  void opened(const ::ros::SubscriberCallbacksPtr& callbacks, ::ros::PublicationPtr publication) {
+    const std::lock_guard guard(mutex_);
+    auto& entry = outlets_[reinterpret_cast<std::uint64_t>(callbacks.get())];
+    entry.publication = std::move(publication);
+    entry.opening = false;
+  }
+  void remove(const ::ros::SubscriberCallbacksPtr& callbacks) {
+    const std::lock_guard guard(mutex_);
+    outlets_.erase(reinterpret_cast<std::uint64_t>(callbacks.get()));
+  }
+
+  void addCallback(const ::ros::CallbackInterfacePtr& callback, std::uint64_t owner) override {
+    Entry entry;
+    {
+      const std::lock_guard guard(mutex_);
+      const auto at = outlets_.find(owner);
+      if (at == outlets_.end()) return;
+      entry = at->second;
+    }
+    TopicOutlet::News news{false, "", callback, {}};
+    asked = &news;
+    callback->call();
+    asked = nullptr;
+    if (entry.publication) news.links = links_of(*entry.publication);
+    if (auto outlet = entry.outlet.lock()) outlet->note(std::move(news));
+  }
+  void removeByID(std::uint64_t) override {}
+
+ private:
+  struct Entry {
+    std::weak_ptr<TopicOutlet> outlet;
+    ::ros::PublicationPtr publication;
+    bool opening = true;
+  };
+  std::mutex mutex_;
+  std::map<std::uint64_t, Entry> outlets_;
+};
+
+/// A frame that no message is: one byte.
+const ::ros::SerializedMessage& probe_frame() {
+  static const auto* const frame = [] {
+    boost::shared_array<std::uint8_t> bytes(new std::uint8_t[5]{1, 0, 0, 0, 0});
+    auto* const message = new ::ros::SerializedMessage(bytes, 5);
+    message->message_start = bytes.get() + 4;
+    return message;
+  }();
+  return *frame;
+}
+
+}  // namespace
+
+TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::AdvertiseOptions& options,
+                         const detail::Kind& kind)
+    : loop_(session->loop()), options_(options), kind_(kind), session_(std::move(session)) {
+  if (!session_->is_on() || kind.least_bytes < 2) return;
+  PusherOptions ring;
+  ring.depth = options.queue_size == 0
+                   ? kDeepest  // as many as come
+                   : std::clamp<std::uint32_t>(options.queue_size, kUsualDepth, kDeepest);
+  ring.engine = session_->queue_engine();
+  try {
+    ring_ = lot::detail::make_pusher(session_->participant(), session_->name_of(options.topic),
+                                     *kind.layout, ring, lot::detail::Delivery::ToAll);
+  } catch (const std::exception& e) {
+    ROS_WARN("LOT: %s goes over TCPROS: %s", options.topic.c_str(), e.what());
+  }
+}
+
+bool TopicOutlet::open() {
+  ::ros::AdvertiseOptions options = options_;
+  options.queue_size = std::max(options.queue_size, kShortestLinkQueue);
+  if (options_.queue_size == 0) options.queue_size = 0;  // as many as come
+  options.latch = false;
+  callbacks_ = boost::make_shared<::ros::SubscriberCallbacks>(
+      [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, true); },
+      [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, false); },
+      ::ros::VoidConstPtr(), &Door::the());
+  // So that links say from the first one on that the topic latches; what is latched, we send.
+  if (options_.latch) callbacks_->push_latched_message_ = [](const ::ros::SubscriberLinkPtr&) {};
+  Door::the().add(callbacks_, weak_from_this());
+  const bool accepted = ::ros::TopicManager::instance()->advertise(options, callbacks_);
+  if (accepted) {
+    publication_ = ::ros::TopicManager::instance()->lookupPublication(options.topic);
+  }
+  if (!publication_) {
+    Door::the().remove(callbacks_);
+    return false;
+  }
+  Door::the().opened(callbacks_, publication_);
+  // Who came meanwhile came without its links.
+  const XmlRpc::XmlRpcValue links = links_of(*publication_);
+  const std::lock_guard guard(news_mutex_);
+  for (News& news : news_) {
+    if (!news.links.valid()) news.links = links;
+  }
+  is_open_ = true;
+  return true;
+}
+
+void TopicOutlet::withdraw() {
+  Door::the().remove(callbacks_);
+  ::ros::TopicManager::instance()->unadvertise(options_.topic, callbacks_);
+}
+
+void TopicOutlet::close() {
+  Peers gone;
+  std::shared_ptr<lot::detail::PusherCore> ring;
+  std::shared_ptr<Session> session;
+  const std::scoped_lock guard(mutex_, ring_mutex_);  // let go first
+  gone.swap(peers_);
+  ring.swap(ring_);
+  session.swap(session_);
+}
+
+// ---- who is there -------------------------------------------------------------------------------
+
+void TopicOutlet::note(News news) {
+  {
+    const std::lock_guard guard(news_mutex_);
+    news_.push_back(std::move(news));
+  }
+  tend({});
+}
+
+/// LOT's thread waits for no publisher that is at work: that one takes note itself.
+void TopicOutlet::tend(Loop::Clock::time_point when) {
+  loop_->at(when, [weak = weak_from_this()] {
+    const auto self = weak.lock();
+    if (!self) return;
+    Peers gone;
+    const std::unique_lock lock(self->mutex_, std::try_to_lock);
+    if (!lock) return self->tend(Loop::Clock::now() + kBusy);
+    if (!self->session_) return;
+    self->take_note(gone);
+    for (Peer& peer : self->peers_) {
+      if (peer.state == State::Open) self->welcome(peer);
+    }
+  });
+}
+
+void TopicOutlet::take_note(Peers& gone) {
+  std::vector<News> all;
+  {
+    const std::lock_guard guard(news_mutex_);
+    if (!is_open_) return;
+    all.swap(news_);
+  }
+  for (News& news : all) {
+    std::map<int, std::pair<std::string, std::string>> links;  // number: callerid, transport
+    const bool known =
+        news.links.getType() == XmlRpc::XmlRpcValue::TypeArray;  // else there is none
+    for (int i = 0; known && i < news.links.size(); ++i) {
+      XmlRpc::XmlRpcValue& link = news.links[i];
+      links[int(link[0])] = {std::string(link[1]), std::string(link[3])};
+    }
+    if (news.came) {
+      const auto is_new = [&](const auto& link) {
+        return link.second.first == news.name &&
+               std::none_of(peers_.begin(), peers_.end(),
+                            [&](const Peer& p) { return p.link == link.first; });
+      };
+      const auto at = std::find_if(links.begin(), links.end(), is_new);
+      Peer peer;
+      peer.name = news.name;
+      peer.callback = news.callback;
+      if (at != links.end()) {
+        peer.link = at->first;
+        peer.may_read = at->second.second == "TCPROS" || at->second.second == "INTRAPROCESS";
+      } else {
+        peer.state = State::Link;  // it was there before us: what it is we do not know
+      }
+      peers_.push_back(std::move(peer));
+    } else {
+      for (auto peer = peers_.begin(); peer != peers_.end();) {
+        if (peer->name != news.name || links.count(peer->link) != 0) {
+          ++peer;
+          continue;
+        }
+        leave_ring(*peer);
+        gone.push_back(std::move(*peer));
+        peer = peers_.erase(peer);
+      }
+    }
+  }
+}
+
+/// A peer that nothing was sent to. What is latched it gets now.
+void TopicOutlet::welcome(Peer& peer) {
+  std::vector<const Message*> latched;
+  bool greeted = false;
+  for (const auto& [name, end] : ends_) {
+    if (end.latches && end.latched) latched.push_back(&*end.latched);
+    greeted = greeted || end.greets;
+  }
+  const bool from_last = latched.size() == 1 && last_is_latched_;
+  if (!greeted && (latched.empty() || from_last) && try_ring(peer, from_last)) {
+    if (from_last) {
+      peer.unsure.push_back(*latched.front());
+      look_after(kFirstLook);
+    }
+    // Soon it is known whether that is enough; and it looks at what is latched.
+    if (ask_if_due(peer)) send(peer, probe_frame());
+    return;
+  }
+  if (latched.empty()) return;  // it may still come to read our ring before the first message
+  peer.state = State::Link;
+  for (const Message* message : latched) send(peer, serialise(*message));
+}
+
+bool TopicOutlet::try_ring(Peer& peer, bool from_last) {
+  const bool alone = std::count_if(peers_.begin(), peers_.end(),
+                                   [&](const Peer& p) { return p.name == peer.name; }) == 1;
+  if (!ring_ || !peer.may_read || !alone) return false;
+  const auto served = ring_->serve(participant_name(peer.name), from_last);
+  if (!served) return false;
+  peer.served = *served;
+  peer.state = State::Ring;
+  return true;
+}
+
+void TopicOutlet::leave_ring(Peer& peer) {
+  if (peer.state != State::Ring) return;
+  ring_->stop(peer.served, 0);
+  peer.state = State::Link;
+}
+
+/// Its messages go by the link from now on, and those that somebody beside its LOT subscribers may
+/// have missed, too; they themselves know by `to` what they have had.
+void TopicOutlet::return_to_link(Peer& peer) {
+  ring_->stop(peer.served, peer.unsure.size());
+  peer.state = State::Link;
+  for (const Message& message : std::exchange(peer.unsure, {})) send(peer, serialise(message));
+}
+
+// ---- messages -----------------------------------------------------------------------------------
+
+lot::detail::Loan TopicOutlet::loan() {
+  std::shared_ptr<lot::detail::PusherCore> ring;  // it may be closed meanwhile
+  {
+    const std::lock_guard guard(ring_mutex_);
+    ring = ring_;
+  }
+  if (!ring) return {};
+  return ring->loan(*kind_.layout, false);
+}
+
+void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t end) {
+  Peers gone;  // destroyed when the lock has been left
+  const std::lock_guard guard(mutex_);
+  if (!session_ || !::ros::ok() || publication_->isDropped()) {
+    gone.swap(peers_);
+    return;
+  }
+  take_note(gone);
+  for (Peer& peer : peers_) {
+    if (peer.state == State::Open) welcome(peer);
+  }
+  const std::uint32_t number = publication_->incrementSequence();
+  Message message{given, number, fresh};
+  detail::Parcel& parcel = message.parcel;
+  if (fresh) kind_.set_sequence(const_cast<void*>(parcel.message.get()), number);
+
+  const auto from = ends_.find(end);
+  const bool latches = from != ends_.end() && from->second.latches;
+  const bool greets =
+      std::any_of(ends_.begin(), ends_.end(), [](const auto& each) { return each.second.greets; });
+  for (Peer& peer : peers_) {
+    if (peer.state == State::Open && (greets || !try_ring(peer, false))) peer.state = State::Link;
+  }
+  const auto in = [&](State state) {
+    return std::any_of(peers_.begin(), peers_.end(),
+                       [state](const Peer& p) { return p.state == state; });
+  };
+  bool to_ring = ring_ != nullptr && (latches || in(State::Ring));
+  if (to_ring && (parcel.cell == nullptr || !ring_->has(*parcel.cell))) {
+    const detail::Parcel copy = into_ring(parcel);
+    to_ring = copy.cell != nullptr;
+    if (to_ring) parcel = copy;
+  }
+  for (Peer& peer : peers_) {
+    if (peer.state != State::Ring) continue;
+    if (!to_ring || !ring_->wants(peer.served)) {
+      return_to_link(peer);
+    } else if (ring_->is_content(peer.served)) {
+      peer.unsure.clear();
+    }
+  }
+
+  std::optional<::ros::SerializedMessage> bytes;
+  if (in(State::Link)) bytes = serialise(message);
+  std::vector<const Peer*> probed;
+  for (Peer& peer : peers_) {
+    if (peer.state != State::Ring) continue;
+    if (ask_if_due(peer)) probed.push_back(&peer);
+    if (ring_->is_content(peer.served)) {
+      peer.unsure.clear();
+      continue;
+    }
+    peer.unsure.push_back(message);
+    if (peer.unsure.size() > kMostUnsure) peer.unsure.pop_front();
+    look_after(kFirstLook);
+  }
+  if (to_ring) ring_->push_shared(parcel.cell, 0ns);
+  last_is_latched_ = to_ring && latches;
+  if (latches) from->second.latched = message;
+  for (const Peer& peer : peers_) {
+    if (peer.state == State::Link) send(peer, *bytes);
+  }
+  for (const Peer* peer : probed) send(*peer, probe_frame());
+}
+
+/// A copy of a message that others cannot read where it is; none when there is no room.
+detail::Parcel TopicOutlet::into_ring(const detail::Parcel& parcel) {
+  try {
+    const lot::detail::Loan loan = ring_->loan(*kind_.layout, false);
+    if (loan.cell == nullptr) return {};
+    return kind_.copy_into(loan, parcel.message.get());
+  } catch (const OutOfMemory&) {
+    return {};
+  }
+}
+
+::ros::SerializedMessage TopicOutlet::serialise(const Message& message) {
+  ++serialised_;
+  ::ros::SerializedMessage bytes = kind_.serialise(message.parcel.message.get());
+  if (kind_.has_header && !message.fresh) {
+    // Others may be reading the message: its number is set in the bytes alone.
+    for (int i = 0; i < 4; ++i) {
+      bytes.message_start[i] = static_cast<std::uint8_t>(message.number >> 8 * i);
+    }
+  }
+  return bytes;
+}
+
+/// The answer to a probe may be that somebody missed messages, and no other one may follow them.
+void TopicOutlet::look_after(std::chrono::milliseconds patience) {
+  if (watching_ && patience == kFirstLook) return;
+  watching_ = true;
+  look_after(Loop::Clock::now() + patience, patience);
+}
+void TopicOutlet::look_after(Loop::Clock::time_point when, std::chrono::milliseconds patience) {
+  loop_->at(when, [weak = weak_from_this(), patience] {
+    const auto self = weak.lock();
+    if (!self) return;
+    const std::unique_lock lock(self->mutex_, std::try_to_lock);
+    if (!lock) return self->look_after(Loop::Clock::now() + kBusy, patience);
+    self->watching_ = false;
+    if (!self->session_) return;
+    bool all_answered = true;
+    for (Peer& peer : self->peers_) {
+      if (peer.state != State::Ring || peer.unsure.empty()) continue;
+      if (!self->ring_->wants(peer.served)) {
+        self->return_to_link(peer);
+      } else if (self->ring_->is_content(peer.served)) {
+        peer.unsure.clear();
+      } else {
+        all_answered = false;
+      }
+    }
+    if (!all_answered) self->look_after(std::min(2 * patience, kLastLook));
+  });
+}
+
+void TopicOutlet::send(const Peer& peer, const ::ros::SerializedMessage& message) {
+  const auto* const before = std::exchange(outgoing, &message);
+  peer.callback->call();
+  outgoing = before;
+}
+
+/// True when it is to be sent a probe: it has to say anew whether it is content.
+bool TopicOutlet::ask_if_due(Peer& peer) {
+  const auto now = std::chrono::steady_clock::now();
+  if (now - peer.asked < kProbePeriod) return false;
+  peer.asked = now;
+  ring_->ask(peer.served);
+  return true;
+}
+
+// ---- the user's ends ----------------------------------------------------------------------------
+
+std::uint64_t TopicOutlet::add(bool latches, bool greets) {
+  const std::lock_guard guard(mutex_);
+  ends_[++last_end_] = {latches, greets, std::nullopt};
+  return last_end_;
+}
+
+bool TopicOutlet::remove(std::uint64_t name) {
+  End end;  // let go when the lock has been left
+  const std::lock_guard guard(mutex_);
+  const auto at = ends_.find(name);
+  if (at != ends_.end()) {
+    end = std::move(at->second);
+    if (end.latched) last_is_latched_ = false;
+    ends_.erase(at);
+  }
+  return ends_.empty();
+}
+
+std::uint64_t TopicOutlet::serialised() const {
+  const std::lock_guard guard(mutex_);
+  return serialised_;
+}
+
+}  // namespace lot::ros

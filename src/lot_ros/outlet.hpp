@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <ros/callback_queue_interface.h>
+#include <ros/publication.h>
+#include <ros/subscriber_link.h>
+#include <ros/topic_manager.h>
+
+#include "lot/ros/core.hpp"
+
+#include "lot_ros/session.hpp"
+
+namespace lot::ros {
+
+/// One topic that this process publishes: LOT's ring for those peers that read it, an ordinary ROS
+/// link for all others (docs/ros.md).
+///
+///     Open ---- it reads our ring and wants it ----> Ring ---- it wants its link, no room ---->
+///     Link
+///        \---- not so, when the first message comes
+///        ----------------------------------------------^
+///
+/// Threads: all members may be called at once. note() is called by roscpp with its locks held.
+/// Crash:   of a peer: its link ends, and it is forgotten; its cell in the ring is the reaper's.
+class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_this<TopicOutlet> {
+ public:
+  TopicOutlet(std::shared_ptr<Session> session, const ::ros::AdvertiseOptions& options,
+              const detail::Kind& kind);
+
+  /// Announces it to ROS; once, with the first end there already. False: ROS refuses it.
+  bool open();
+  /// When nobody publishes any more: takes that back; and then lets go of all. What roscpp's
+  /// threads still have of this does nothing then.
+  void withdraw();
+  void close();
+  const std::string& topic() const noexcept { return options_.topic; }
+
+  lot::detail::Loan loan() override;
+  void publish(const detail::Parcel& parcel, bool fresh, std::uint64_t end) override;
+
+  /// A user's end of the topic: whether it latches, and whether it wants to know of peers.
+  std::uint64_t add(bool latches, bool greets);
+  /// True when there is no other one.
+  bool remove(std::uint64_t end);
+
+  const detail::Kind& kind() const noexcept { return kind_; }
+
+  std::uint64_t serialised() const override;
+
+  /// What roscpp says of a peer. `callback` sends to it what `outgoing` points to, when called.
+  struct News {
+    bool came;
+    std::string name;
+    ::ros::CallbackInterfacePtr callback;
+    XmlRpc::XmlRpcValue links;  ///< Publication::getInfo, then
+  };
+  void note(News news);
+
+ private:
+  enum class State { Open, Ring, Link };
+  struct Message {
+    detail::Parcel parcel;
+    std::uint32_t number;
+    bool fresh;  ///< its header says the number
+  };
+  struct Peer {
+    int link = 0;  ///< roscpp's number of the connection
+    std::string name;
+    bool may_read = false;  ///< TCPROS, or of this process
+    State state = State::Open;
+    ::ros::CallbackInterfacePtr callback;
+    lot::detail::Served served;
+    std::chrono::steady_clock::time_point asked;  ///< when it was last sent a probe
+    /// What has gone into its ring before it said whether somebody beside LOT needs it, too.
+    std::deque<Message> unsure;
+  };
+  using Peers = std::vector<Peer>;
+  struct End {
+    bool latches = false;
+    bool greets = false;
+    std::optional<Message> latched{};
+  };
+
+  /// On LOT's thread: takes note of who has come.
+  void tend(Loop::Clock::time_point when);
+
+  // All of these REQUIRE mutex_. What they take out of peers_ goes to `gone`, and is destroyed
+  // when the lock has been left.
+  void take_note(Peers& gone);
+  void welcome(Peer& peer);
+  bool try_ring(Peer& peer, bool from_last);
+  void leave_ring(Peer& peer);
+  void return_to_link(Peer& peer);
+  void look_after(std::chrono::milliseconds patience);
+  void look_after(Loop::Clock::time_point when, std::chrono::milliseconds patience);
+  bool ask_if_due(Peer& peer);
+  ::ros::SerializedMessage serialise(const Message& message);
+  void send(const Peer& peer, const ::ros::SerializedMessage& message);
+  detail::Parcel into_ring(const detail::Parcel& parcel);
+
+  const std::shared_ptr<Loop> loop_;
+  const ::ros::AdvertiseOptions options_;
+  const detail::Kind& kind_;
+  /// Null: LOT is off, cannot have this topic, or it is closed. Changed with both mutexes held.
+  std::shared_ptr<lot::detail::PusherCore> ring_;
+  std::mutex ring_mutex_;  ///< a leaf
+  ::ros::SubscriberCallbacksPtr callbacks_;
+  ::ros::PublicationPtr publication_;
+
+  mutable std::mutex mutex_;
+  std::shared_ptr<Session> session_;  ///< null: closed
+  Peers peers_;
+  std::map<std::uint64_t, End> ends_;
+  std::uint64_t last_end_ = 0;
+  bool watching_ = false;         ///< LOT's thread will look after those who are unsure
+  bool last_is_latched_ = false;  ///< the last message of the ring is the one that is latched
+  std::uint64_t serialised_ = 0;
+
+  std::mutex news_mutex_;  ///< a leaf: roscpp's locks are held by who takes it
+  std::vector<News> news_;
+  bool is_open_ = false;  ///< all news have their links
+};
+
+}  // namespace lot::ros

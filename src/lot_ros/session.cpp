@@ -1,0 +1,161 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "lot_ros/session.hpp"
+
+#include <cerrno>
+#include <chrono>
+#include <cstdio>
+#include <mutex>
+#include <random>
+#include <utility>
+
+#include <ros/console.h>
+#include <ros/master.h>
+#include <ros/names.h>
+#include <ros/param.h>
+#include <ros/this_node.h>
+#include <xmlrpcpp/XmlRpcException.h>
+
+namespace lot::ros {
+namespace {
+
+using namespace std::chrono_literals;
+
+/// Of one run of a ROS master that has no /run_id of its own (roslaunch sets one).
+constexpr const char* kGraphParameter = "/lot_graph";
+constexpr auto kGraphSettles = 50ms;
+
+std::string random_text() {
+  std::random_device random;
+  char text[33];
+  std::snprintf(text, sizeof(text), "%08x%08x%08x%08x", random(), random(), random(), random());
+  return text;
+}
+
+std::string asked_of_master(const char* method) {
+  XmlRpc::XmlRpcValue request, response, payload;
+  request[0] = ::ros::this_node::getName();
+  if (!::ros::master::execute(method, request, response, payload, false)) return "";
+  return payload.toXml();
+}
+
+/// ~lot/NAME, if it is there and of this type.
+template <class T>
+bool read_parameter(const char* name, T& value) {
+  return ::ros::param::get(::ros::names::resolve(std::string("~lot/") + name), value);
+}
+
+std::uint64_t bytes_of(const std::string& text) {
+  char* end = nullptr;
+  const double number = std::strtod(text.c_str(), &end);
+  const std::string unit = end;
+  const double factor = unit.empty() || unit == "B" ? 1
+                        : unit == "K"               ? 1024.
+                        : unit == "M"               ? 1024. * 1024
+                        : unit == "G"               ? 1024. * 1024 * 1024
+                                                    : 0;
+  if (end == text.c_str() || factor == 0 || number <= 0) {
+    throw Error(EINVAL, "~lot/size: " + text, "not a size",
+                "write bytes, or a number with K, M or G");
+  }
+  return static_cast<std::uint64_t>(number * factor);
+}
+
+}  // namespace
+
+std::string hash_of(std::string_view text) {
+  std::uint64_t h = 0xcbf29ce484222325;
+  for (const char c : text) h = (h ^ static_cast<unsigned char>(c)) * 0x100000001b3;
+  char digits[17];
+  std::snprintf(digits, sizeof(digits), "%016llx", static_cast<unsigned long long>(h));
+  return digits;
+}
+
+std::string participant_name(std::string_view node) {
+  constexpr std::size_t kMost = lot::detail::kProcessNameBytes - 1;
+  if (node.size() <= kMost) return std::string(node);
+  const std::string hash = hash_of(node);
+  return std::string(node.substr(0, kMost - 1 - hash.size())) + '#' + hash;
+}
+
+std::shared_ptr<Session> Session::get() {
+  static auto* const mutex = new std::mutex;  // asked from static destructors
+  static auto* const the_one = new std::weak_ptr<Session>;
+  const std::lock_guard guard(*mutex);
+  auto session = the_one->lock();
+  if (!session) {
+    session.reset(new Session);
+    *the_one = session;
+  }
+  return session;
+}
+
+Session::Session() : loop_(std::make_shared<Loop>()) {
+  bool enable = true;
+  read_parameter("enable", enable);
+  try {
+    if (enable) open();
+  } catch (const std::exception& e) {
+    ROS_WARN("LOT is off in this node, messages go over TCPROS: %s", e.what());
+    maker_.reset();
+    participant_.reset();
+  }
+  // Without a segment, too: what comes over links is delivered there.
+  thread_ = std::thread([loop = loop_] { loop->run(); });
+}
+
+void Session::open() {
+  EngineOptions options;
+  options.name = participant_name(::ros::this_node::getName());
+  read_parameter("segment", options.segment);
+  std::string size;
+  int bytes = 0;
+  if (read_parameter("size", size)) {
+    options.size_bytes = bytes_of(size);
+  } else if (read_parameter("size", bytes)) {
+    options.size_bytes = bytes_of(std::to_string(bytes));
+  }
+  std::string queue = "ring";
+  read_parameter("queue", queue);
+  if (queue != "ring" && queue != "mutex") {
+    throw Error(EINVAL, "~lot/queue: " + queue, "not a queue", "write ring or mutex");
+  }
+  queue_engine_ = queue == "ring" ? QueueEngine::Ring : QueueEngine::Mutex;
+  run_ = graph();
+  participant_ = lot::detail::join(options);
+  // An engine of the application's may have given this process another name.
+  lot::detail::rename(*participant_, options.name);
+  maker_ = lot::detail::make_maker(participant_);
+}
+
+/// What tells this ROS graph from others that use the segment.
+std::string Session::graph() {
+  std::string id;
+  if (!::ros::param::get("/run_id", id)) {
+    // Several nodes may find none at once: the last one's word stands.
+    while (!::ros::param::get(kGraphParameter, id)) {
+      if (!::ros::ok()) throw Error(ESHUTDOWN, kGraphParameter, "ROS ends", "start anew");
+      ::ros::param::set(kGraphParameter, random_text());
+      std::this_thread::sleep_for(kGraphSettles);
+    }
+  }
+  return hash_of(id + asked_of_master("getUri") + asked_of_master("getPid")).substr(0, 8);
+}
+
+Session::~Session() {
+  loop_->end();
+  if (thread_.get_id() == std::this_thread::get_id()) {
+    thread_.detach();  // a callback that LOT's thread was given has dropped the last handle
+  } else {
+    thread_.join();
+  }
+}
+
+std::string Session::name_of(const std::string& topic) const {
+  std::string name = run_ + ' ' + topic;
+  if (name.size() < lot::detail::kTopicNameBytes) return name;
+  const std::string hash = hash_of(topic);
+  name.resize(lot::detail::kTopicNameBytes - 2 - hash.size());
+  return name + '#' + hash;
+}
+
+}  // namespace lot::ros

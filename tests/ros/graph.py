@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ROS graph for one test: a real rosmaster on a port of its own, nodes, and what they leave behind."""
+
+import json
+import os
+import pathlib
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import xmlrpc.client
+
+NODE = os.environ.get('LOT_ROS_NODE', 'ros_node')
+PATIENCE_S = 25
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(('127.0.0.1', 0))
+        return s.getsockname()[1]
+
+
+class Graph:
+    """Used by `with`: everything that was started in it is gone afterwards, and its files are."""
+
+    def __init__(self, shm='/dev/shm', inside=(), host='127.0.0.1'):
+        """`inside`: what the master's command begins with; `host`: where it is."""
+        self.inside = inside
+        self.port = free_port()
+        self.shm = pathlib.Path(shm)
+        self.segment = f'lottest_ros_{os.getpid()}_{secrets.token_hex(3)}'
+        self.home = pathlib.Path(tempfile.mkdtemp(prefix='lot_ros_'))
+        self.uri = f'http://{host}:{self.port}/'
+        self.env = {
+            **os.environ,
+            'ROS_MASTER_URI': self.uri,
+            'ROS_IP': host,
+            'ROS_HOME': str(self.home),
+            'ROS_LOG_DIR': str(self.home / 'log'),
+            'LOT_SEGMENT': self.segment,
+            'LOT_DIR': str(self.shm),
+            'PYTHONUNBUFFERED': '1',
+        }
+        self.started = []
+
+    def __enter__(self):
+        self.master = self.run([*self.inside, 'rosmaster', '--core', '-p', str(self.port), '-w', '3'])
+        if self.inside:
+            self.wait_for(self.answers, 'the master')
+        else:
+            self.wait_for(lambda: self.ask('getPid') is not None, 'the master')
+        return self
+
+    def answers(self):
+        """Asked from inside, since the master is not to be reached from here."""
+        program = f'import xmlrpc.client; xmlrpc.client.ServerProxy({self.uri!r}).getPid("/test")'
+        return subprocess.run([*self.inside, '/usr/bin/python3', '-c', program], env=self.env,
+                              stderr=subprocess.DEVNULL, timeout=60, check=False).returncode == 0
+
+    def __exit__(self, *_):
+        for process in reversed(self.started):
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+            process.out.close()
+            process.err.close()
+        shutil.rmtree(self.home, ignore_errors=True)
+        for path in self.files():
+            path.unlink()
+
+    def files(self):
+        """What lies in the segment's directory of this graph."""
+        return list(self.shm.glob(self.segment + '*'))
+
+    def ask(self, method, *arguments):
+        """The master's answer; None when it has none."""
+        try:
+            with xmlrpc.client.ServerProxy(self.uri) as master:
+                code, _, value = getattr(master, method)('/test', *arguments)
+            return value if code == 1 else None
+        except OSError:
+            return None
+
+    def set_parameter(self, name, value):
+        assert self.ask('setParam', name, value) is not None
+
+    def run(self, command, **env):
+        """Starts a program in the graph; its output is kept."""
+        number = len(self.started)
+        out = open(self.home / f'{number}.out', 'w+', encoding='utf-8', errors='replace')
+        err = open(self.home / f'{number}.err', 'w+', encoding='utf-8', errors='replace')
+        process = subprocess.Popen(command, stdout=out, stderr=err, env={**self.env, **env},
+                                   stdin=subprocess.DEVNULL, start_new_session=True)
+        process.out, process.err, process.name = out, err, ' '.join(map(str, command))
+        self.started.append(process)
+        return process
+
+    def node(self, name, *ends, **env):
+        return self.run([NODE, *ends, f'__name:={name}'], **env)
+
+    @staticmethod
+    def said(process):
+        process.err.flush()
+        return pathlib.Path(process.err.name).read_text(errors='replace')
+
+    def output(self, process):
+        return pathlib.Path(process.out.name).read_text(errors='replace')
+
+    def report(self, process, patience_s=PATIENCE_S):
+        """What a node says of its ends when it has ended by itself."""
+        try:
+            status = process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f'{process.name} does not end:\n{self.said(process)}') from None
+        text = self.output(process)
+        assert status == 0 and text, f'{process.name} ended with {status}:\n{self.said(process)}'
+        return json.loads(text.splitlines()[-1])
+
+    def stop(self, process, how=signal.SIGINT):
+        process.send_signal(how)
+        return self.report(process) if how == signal.SIGINT else process.wait(PATIENCE_S)
+
+    def stop_recording(self, record, path):
+        """`rosbag record` is a script that may end before the recorder, which renames the bag at last."""
+        record.send_signal(signal.SIGINT)
+        record.wait(60)
+        self.wait_for(path.exists, 'the bag')
+
+    def wait_for(self, condition, what, patience_s=PATIENCE_S):
+        until = time.monotonic() + patience_s
+        while not condition():
+            if time.monotonic() > until:
+                for process in self.started:
+                    print(f'--- {process.name}\n{self.said(process)}', file=sys.stderr)
+                raise AssertionError(f'in vain: waiting for {what}')
+            time.sleep(0.01)
+
+    def peers(self, topic):
+        """(publishers, subscribers) of a topic, as the master knows them."""
+        state = self.ask('getSystemState')
+        return tuple(next((nodes for name, nodes in part if name == topic), []) for part in state[:2])

@@ -1,0 +1,250 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Handles of lot::ros in one node, with a real master: run by ros_test.py.
+
+#define DOCTEST_CONFIG_IMPLEMENT
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <boost/make_shared.hpp>
+#include <doctest/doctest.h>
+#include <ros/callback_queue.h>
+#include <ros/ros.h>
+#include <sensor_msgs/Image.h>
+#include <std_msgs/String.h>
+
+#include "lot/ros.hpp"
+
+namespace {
+
+using namespace std::chrono_literals;
+using Image = lot::ros::Message<sensor_msgs::Image_>;
+using String = lot::ros::Message<std_msgs::String_>;
+
+/// A topic of its own for each case.
+std::string fresh_topic() {
+  static int n = 0;
+  return "/handles" + std::to_string(++n);
+}
+
+/// Spins until it holds. False: in vain for 20 s.
+bool comes(const std::function<bool()>& condition) {
+  const auto until = std::chrono::steady_clock::now() + 20s;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > until) return false;
+    ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.01));
+  }
+  return true;
+}
+
+void say(const lot::ros::Publisher<String>& publisher, const char* text) {
+  auto message = publisher.loan();
+  message->data = text;
+  publisher.publish(std::move(message));
+}
+
+/// What a subscriber has heard.
+struct Ear {
+  std::vector<std::string> heard;
+  auto callback() {
+    return [this](const String& s) { heard.emplace_back(s.data.data(), s.data.size()); };
+  }
+};
+using Words = std::vector<std::string>;
+
+}  // namespace
+
+TEST_CASE("one topic has one type in a process") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  auto strings = node.advertise<String>(topic, 1);
+  CHECK(strings);
+  auto images = node.advertise<Image>(topic, 1);
+  CHECK_FALSE(images);
+  CHECK_FALSE(images.loan());
+  auto heard = node.subscribe<String>(topic, 1, [](const String&) {});
+  CHECK_THROWS_AS(node.subscribe<Image>(topic, 1, [](const Image&) {}),
+                  ros::ConflictingSubscriptionException);
+}
+
+TEST_CASE("a callback may own other handles, and go with the last one of its subscriber") {
+  lot::ros::NodeHandle node;
+  const auto in = fresh_topic();
+  const auto out = fresh_topic();
+  Ear ear;
+  auto listener = node.subscribe<String>(out, 10, ear.callback());
+  auto talker = node.advertise<String>(in, 10);
+  auto relay = node.subscribe<String>(
+      in, 10,
+      [publisher = node.advertise<String>(out, 10)](const boost::shared_ptr<String const>& s) {
+        publisher.publish(s);
+      });
+  REQUIRE(
+      comes([&] { return talker.getNumSubscribers() == 1 && listener.getNumPublishers() == 1; }));
+  say(talker, "through");
+  CHECK(comes([&] { return ear.heard == Words{"through"}; }));
+  relay = {};  // hangs where a lock is held that the other handle's end needs, too
+  CHECK(comes([&] { return listener.getNumPublishers() == 0; }));
+}
+
+TEST_CASE("a subscriber is shut down by two threads, while its callback makes others") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  auto talker = node.advertise<String>(topic, 100);
+  for (int round = 0; round < 20; ++round) {
+    auto subscriber = std::make_shared<lot::ros::Subscriber>();
+    std::atomic<int> called{0};
+    *subscriber = node.subscribe<String>(topic, 100, [&](const String&) {
+      ++called;
+      auto another = node.advertise<String>(topic + "/other", 1);
+      auto other = node.subscribe<String>(topic + "/other", 1, [](const String&) {});
+    });
+    REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+    for (int i = 0; i < 5; ++i) say(talker, "x");
+    std::thread spinner([&] {
+      for (int i = 0; i < 20; ++i) {
+        ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.001));
+      }
+    });
+    auto copy = *subscriber;
+    std::thread one([&] { subscriber->shutdown(); });
+    std::thread two([&] { copy.shutdown(); });
+    one.join();
+    two.join();
+    const int so_far = called;
+    spinner.join();
+    CHECK(called <= so_far + 1);
+    CHECK(comes([&] { return talker.getNumSubscribers() == 0; }));
+  }
+}
+
+TEST_CASE("a publisher that is shut down publishes no more, whoever has copies") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  Ear ear;
+  auto listener = node.subscribe<String>(topic, 10, ear.callback());
+  auto talker = node.advertise<String>(topic, 10);
+  auto copy = talker;
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  say(talker, "first");
+  CHECK(comes([&] { return ear.heard.size() == 1; }));
+  talker.shutdown();
+  CHECK_FALSE(talker);
+  CHECK_FALSE(copy);
+  CHECK(copy.getTopic().empty());
+  copy.publish(String());
+  CHECK(comes([&] { return listener.getNumPublishers() == 0; }));
+  CHECK(ear.heard == Words{"first"});
+}
+
+TEST_CASE(
+    "who comes late gets what each publisher has latched, and so does a second one beside it") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  auto a = node.advertise<String>(topic, 10, true);
+  say(a, "a0");
+  say(a, "a1");
+  Ear first, second, plain;
+  auto early = node.subscribe<String>(topic, 10, first.callback());
+  CHECK(comes([&] { return first.heard == Words{"a1"}; }));
+  auto late = node.subscribe<String>(topic, 10, second.callback());
+  CHECK(comes([&] { return second.heard == Words{"a1"}; }));
+  CHECK(first.heard == Words{"a1"});
+  say(a, "a2");
+  CHECK(comes([&] {
+    return first.heard == Words{"a1", "a2"} && second.heard == Words{"a1", "a2"};
+  }));
+}
+
+TEST_CASE("two latching publishers of one topic: the late one gets both") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  auto a = node.advertise<String>(topic, 10, true);
+  auto b = node.advertise<String>(topic, 10, true);
+  say(a, "a");
+  say(b, "b");
+  Ear ear;
+  auto late = node.subscribe<String>(topic, 10, ear.callback());
+  say(b, "b again");
+  CHECK(comes([&] { return ear.heard.size() >= 2 && ear.heard.back() == "b again"; }));
+  CHECK(std::set<std::string>(ear.heard.begin(), ear.heard.end()).count("a") == 1);
+}
+
+TEST_CASE("LOT's pointer for those who subscribe by roscpp's own NodeHandle") {
+  const auto topic = fresh_topic();
+  ros::NodeHandle plain;
+  std::string heard;
+  auto subscriber = plain.subscribe<String, const lot::ShmSharedPtr<const String>&>(
+      topic, 1,
+      boost::function<void(const lot::ShmSharedPtr<const String>&)>(
+          [&](const lot::ShmSharedPtr<const String>& s) {
+            heard.assign(s->data.data(), s->data.size());
+          }));
+  auto publisher = plain.advertise<std_msgs::String>(topic, 1);
+  REQUIRE(comes([&] { return publisher.getNumSubscribers() == 1; }));
+  std_msgs::String message;
+  message.data = "copied into shared memory";
+  publisher.publish(message);
+  CHECK(comes([&] { return heard == message.data; }));
+}
+
+TEST_CASE(
+    "members of an object are called back, const or not, with or without a pointer that owns it") {
+  struct Listener {
+    void hears(const String&) { ++heard; }
+    void looks(const boost::shared_ptr<String const>&) const { ++*looked; }
+    int heard = 0;
+    std::shared_ptr<int> looked = std::make_shared<int>(0);
+  };
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  Listener plain;
+  const auto owned = boost::make_shared<Listener>();
+  auto a = node.subscribe<const String&>(topic, 10, &Listener::hears, &plain);
+  auto b =
+      node.subscribe<const boost::shared_ptr<String const>&>(topic, 10, &Listener::looks, &plain);
+  auto c = node.subscribe<const String&>(topic, 10, &Listener::hears, owned);
+  auto d =
+      node.subscribe<const boost::shared_ptr<String const>&>(topic, 10, &Listener::looks, owned);
+  auto talker = node.advertise<String>(topic, 10);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  say(talker, "to all of them");
+  CHECK(comes([&] {
+    return plain.heard == 1 && *plain.looked == 1 && owned->heard == 1 && *owned->looked == 1;
+  }));
+}
+
+TEST_CASE("a connect callback's own message comes first, and the others follow it") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  std::atomic<bool> greeted{false};
+  auto talker = node.advertise<String>(topic, 10, [&](const ros::SingleSubscriberPublisher& peer) {
+    String hello;
+    hello.data = "hello";
+    peer.publish(hello);
+    greeted = true;
+  });
+  Ear ear;
+  auto listener = node.subscribe<String>(topic, 10, ear.callback());
+  REQUIRE(comes([&] { return greeted.load(); }));
+  say(talker, "1");
+  say(talker, "2");
+  CHECK(comes([&] { return ear.heard.size() == 3; }));
+  CHECK(ear.heard == Words{"hello", "1", "2"});
+}
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "handles");
+  ros::NodeHandle keeps_ros;
+  doctest::Context context(argc, argv);
+  const int result = context.run();
+  ros::shutdown();
+  return result;
+}

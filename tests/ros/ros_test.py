@@ -1,0 +1,427 @@
+#!/usr/bin/python3
+# SPDX-License-Identifier: Apache-2.0
+"""lot::ros against the real thing: rosmaster, roscpp, rospy, rostopic, rosbag."""
+
+import itertools
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+import unittest
+
+from graph import NODE, Graph
+
+COUNT = 200
+RELAY = os.environ.get('LOT_RELAY', 'lot_relay')
+HANDLES = os.environ.get('LOT_ROS_HANDLES', 'ros_handles_test')
+CAMERA = os.environ.get('LOT_ROS_CAMERA')
+
+
+class Case(unittest.TestCase):
+    def assert_all(self, report, end, publishers, count=COUNT, relayed=False):
+        """That end has got every message of each publisher once and in order."""
+        seen = report[end]['from']
+        self.assertEqual(sorted(seen), sorted(publishers))
+        for name in publishers:
+            s = seen[name]
+            for wrong in ('twice', 'disorder', 'torn', 'gaps', *(() if relayed else ('misnamed',))):
+                self.assertEqual(s[wrong], 0, f'{name}: {wrong}: {s}')
+            self.assertEqual(s['last'], count - 1, s)
+            self.assertEqual(s['received'], count, s)
+
+
+class Pairs(Case):
+    def test_two_lot_nodes_serialise_nothing(self):
+        with Graph() as graph:
+            listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:500:100000:wait=1')
+            self.assert_all(graph.report(listener), 0, ['/talker'])
+            self.assertEqual(graph.report(talker)[0]['serialised'], 0)
+            self.assertEqual(graph.files(), [])
+
+    def test_every_pair_of_kinds_in_either_order(self):
+        for publisher, subscriber, first in itertools.product(
+                ('lot', 'std', 'plain'), ('lot', 'lotptr', 'event', 'plain'), ('talker', 'listener')):
+            with self.subTest(publisher=publisher, subscriber=subscriber, first=first), Graph() as graph:
+                nodes = {}
+                for name in (first, 'listener' if first == 'talker' else 'talker'):
+                    nodes[name] = graph.node(name, f'sub:{subscriber}:/t:{COUNT}' if name == 'listener' else
+                                             f'pub:{publisher}:/t:{COUNT}:500:1000:wait=1')
+                    time.sleep(0.3)
+                self.assert_all(graph.report(nodes['listener']), 0, ['/talker'])
+                report = graph.report(nodes['talker'])[0]
+                self.assertEqual(report['serialised'],
+                                 0 if subscriber != 'plain' or publisher == 'plain' else COUNT)
+                self.assertEqual(graph.files(), [])
+
+    def test_lot_and_plain_subscribers_of_one_publisher(self):
+        with Graph() as graph:
+            nodes = [graph.node(f's{i}', f'sub:{how}:/t:{COUNT}')
+                     for i, how in enumerate(('lot', 'plain', 'lotptr', 'plain'))]
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:5000:wait=4')
+            for node in nodes:
+                self.assert_all(graph.report(node), 0, ['/talker'])
+            self.assertEqual(graph.report(talker)[0]['serialised'], COUNT)
+
+    def test_one_node_is_everything(self):
+        with Graph() as graph:
+            node = graph.node('self', f'sub:lot:/t:{COUNT}', f'sub:event:/t:{COUNT}',
+                              f'pub:lot:/t:{COUNT}:500:1000:wait=1')
+            report = graph.report(node)
+            for end in (0, 1):
+                self.assert_all(report, end, ['/self'])
+
+    def test_lot_and_plain_subscribers_in_one_node(self):
+        for ends in itertools.permutations((f'sub:lot:/t:{COUNT}', f'sub:plain:/t:{COUNT}')):
+            with self.subTest(ends=ends), Graph() as graph:
+                node = graph.node('both', *ends)
+                talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1')
+                report = graph.report(node)
+                for end in (0, 1):
+                    self.assert_all(report, end, ['/talker'])
+                graph.report(talker)
+
+    def test_a_plain_subscriber_comes_late_to_a_lot_one(self):
+        # With a message each 200 ms each one is asked about, so none is missed.
+        with Graph() as graph:
+            node = graph.node('both', 'sub:lot:/t:20', 'sub:plain:/t:1:after=1.5')
+            talker = graph.node('talker', 'pub:lot:/t:20:5:1000:wait=1')
+            lot, plain = graph.report(node)
+            self.assert_all([lot], 0, ['/talker'], 20)
+            seen = plain['from']['/talker']
+            for wrong in ('twice', 'disorder', 'torn', 'gaps'):
+                self.assertEqual(seen[wrong], 0, seen)
+            self.assertGreaterEqual(plain['base'], 0)
+            self.assertEqual(seen['first'], plain['base'] + 1)
+            self.assertEqual(seen['last'], 19)
+            graph.report(talker)
+
+    def test_several_publishers_and_subscribers(self):
+        with Graph() as graph:
+            talkers = [f'/talker{i}' for i in range(3)]
+            listeners = [graph.node(f'listener{i}', f'sub:lot:/t:{3 * COUNT}') for i in range(3)]
+            for name in talkers:
+                graph.node(name[1:], f'pub:lot:/t:{COUNT}:200:2000:wait=3')
+            for listener in listeners:
+                self.assert_all(graph.report(listener), 0, talkers)
+
+
+class Handles(Case):
+    def test_handles_in_one_node(self):
+        with Graph() as graph:
+            node = graph.run([HANDLES])
+            status = node.wait(200)
+            self.assertEqual(status, 0, graph.output(node) + graph.said(node))
+            self.assertEqual(graph.files(), [])
+
+
+class Tools(Case):
+    def test_rostopic_and_rosnode_see_what_is(self):
+        with Graph() as graph:
+            listener = graph.node('listener', 'sub:lot:/t')
+            talker = graph.node('talker', 'pub:lot:/t:100000:50:1000:wait=1')
+            graph.wait_for(lambda: all(graph.peers('/t')), 'both')
+            info = subprocess.run(['rostopic', 'info', '/t'], env=graph.env, capture_output=True,
+                                  text=True, timeout=60, check=True).stdout
+            self.assertIn('Type: sensor_msgs/Image', info)
+            self.assertIn('/talker', info.split('Subscribers:')[0])
+            self.assertIn('/listener', info.split('Subscribers:')[1])
+            echo = subprocess.run(['rostopic', 'echo', '-n', '3', '--noarr', '/t'], env=graph.env,
+                                  capture_output=True, text=True, timeout=60, check=True).stdout
+            self.assertEqual(echo.count('encoding: "/talker"'), 3)
+            hz = graph.run(['rostopic', 'hz', '-w', '50', '/t'])
+            graph.wait_for(lambda: 'average rate' in graph.output(hz), 'a rate')
+            ping = subprocess.run(['rosnode', 'ping', '-c', '1', '/talker'], env=graph.env,
+                                  capture_output=True, text=True, timeout=60, check=True).stdout
+            self.assertIn('xmlrpc reply', ping)
+            graph.stop(talker)
+            graph.stop(listener)
+            self.assertEqual(graph.files(), [])
+
+    def test_a_bag_is_an_ordinary_bag(self):
+        import rosbag
+        with Graph() as graph:
+            path = graph.home / 'x.bag'
+            record = graph.run(['rosbag', 'record', '-O', str(path), '/t'])
+            listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:200:3000:wait=2')
+            self.assert_all(graph.report(listener), 0, ['/talker'])
+            graph.report(talker)
+            graph.stop_recording(record, path)
+            with rosbag.Bag(str(path)) as bag:
+                messages = [m for _, m, _ in bag.read_messages(topics=['/t'])]
+            self.assertEqual([m.width for m in messages], list(range(COUNT)))
+            self.assertTrue(all(len(m.data) == 3000 for m in messages))
+
+    def test_a_bag_is_played_to_lot(self):
+        with Graph() as graph:
+            path = graph.home / 'x.bag'
+            record = graph.run(['rosbag', 'record', '-O', str(path), '/t'])
+            talker = graph.node('talker', f'pub:plain:/t:{COUNT}:200:3000:wait=1')
+            graph.report(talker)
+            graph.stop_recording(record, path)
+            listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+            graph.wait_for(lambda: graph.peers('/t')[1], 'the listener')
+            play = graph.run(['rosbag', 'play', '-d', '1', '-r', '2', str(path)])
+            self.assert_all(graph.report(listener), 0, ['/talker'])
+            play.wait(60)
+
+    def test_rospy_reads_lot(self):
+        program = '''
+import rospy, sensor_msgs.msg, sys
+seen = []
+rospy.init_node('py', disable_signals=True)
+rospy.Subscriber('/t', sensor_msgs.msg.Image, lambda m: seen.append(m.width), queue_size=1000)
+end = __import__('time').time() + 50
+while len(seen) < int(sys.argv[1]) and __import__('time').time() < end:
+    rospy.rostime.wallsleep(0.01)
+print(seen == list(range(int(sys.argv[1]))))
+'''
+        with Graph() as graph:
+            py = graph.run(['/usr/bin/python3', '-c', program, str(COUNT)])
+            listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:200:3000:wait=2')
+            self.assert_all(graph.report(listener), 0, ['/talker'])
+            graph.report(talker)
+            self.assertEqual(py.wait(60), 0)
+            self.assertEqual(graph.output(py).strip(), 'True')
+
+
+class Relay(Case):
+    def test_a_bag_is_played_through_the_relay(self):
+        with Graph() as graph:
+            path = graph.home / 'x.bag'
+            record = graph.run(['rosbag', 'record', '-O', str(path), '/t'])
+            graph.report(graph.node('talker', f'pub:plain:/t:{COUNT}:200:300000:wait=1'))
+            graph.stop_recording(record, path)
+            relay = graph.run([RELAY, '/t', '/shared', '__name:=relay'])
+            listeners = [graph.node(f'listener{i}', f'sub:lot:/shared:{COUNT}') for i in range(2)]
+            plain = graph.node('plain', f'sub:plain:/shared:{COUNT}')
+            graph.wait_for(lambda: len(graph.peers('/shared')[1]) == 3, 'the listeners')
+            play = graph.run(['rosbag', 'play', '-d', '2', str(path)])
+            graph.wait_for(lambda: graph.peers('/shared')[0], 'the relay')
+            for listener in (*listeners, plain):
+                self.assert_all(graph.report(listener), 0, ['/talker'], relayed=True)
+            play.wait(60)
+            relay.send_signal(signal.SIGINT)
+            self.assertEqual(relay.wait(20), 0, graph.said(relay))
+            self.assertEqual(graph.files(), [])
+
+    def test_a_type_that_it_does_not_know(self):
+        with Graph() as graph:
+            relay = graph.run([RELAY, '/rosout', '/shared'])
+            self.assertEqual(relay.wait(20), 1)
+            self.assertIn('rosgraph_msgs/Log, which this relay does not know', graph.said(relay))
+
+
+@unittest.skipUnless(CAMERA, 'the examples are not built')
+class Launch(Case):
+    def test_the_example_is_launched(self):
+        with Graph() as graph:
+            package = graph.home / 'lot'
+            package.mkdir()
+            source = pathlib.Path(__file__).resolve().parents[2]
+            for name in ('package.xml', 'examples/ros/launch/camera.launch'):
+                shutil.copy(source / name, package)
+            (package / 'ros_camera').symlink_to(CAMERA)
+            launch = graph.run(['roslaunch', str(package / 'camera.launch')], ROS_PACKAGE_PATH=str(graph.home))
+            graph.wait_for(lambda: graph.output(launch).count('16777216 bytes') > 20, 'images')
+            launch.send_signal(signal.SIGINT)
+            launch.wait(60)
+            self.assertEqual(graph.files(), [])
+
+
+@unittest.skipUnless(os.geteuid() == 0, 'containers with networks of their own need root')
+class Containers(Case):
+    """Two containers with PIDs, IPC, host names, mounts and networks of their own."""
+
+    def setUp(self):
+        # Each network lives as long as a process in it, which dies with this one.
+        self.networks = [subprocess.Popen(['setpriv', '--pdeathsig', 'KILL', 'unshare', '--net', 'sleep', 'infinity'])
+                         for _ in 'ab']
+        for network in self.networks:
+            self.addCleanup(network.wait)
+            self.addCleanup(network.kill)
+        own = os.readlink('/proc/self/ns/net')
+        while any(self.network_of(n) in (own, None) for n in self.networks):
+            time.sleep(0.01)
+        self.addresses = [f'10.{os.getpid() % 199 + 1}.{os.getpid() // 199 % 250}.{i}' for i in (1, 2)]
+        a, b = (str(n.pid) for n in self.networks)
+        run('ip', 'link', 'add', 'lot', 'netns', a, 'type', 'veth', 'peer', 'name', 'lot', 'netns', b)
+        for side, address in enumerate(self.addresses):
+            run(*self.in_network(side), 'ip', 'address', 'add', f'{address}/24', 'dev', 'lot')
+            run(*self.in_network(side), 'ip', 'link', 'set', 'lot', 'up')
+            run(*self.in_network(side), 'ip', 'link', 'set', 'lo', 'up')
+
+    @staticmethod
+    def network_of(process):
+        try:
+            is_there = b'sleep' in pathlib.Path(f'/proc/{process.pid}/cmdline').read_bytes().split(b'\0')[0]
+            return os.readlink(f'/proc/{process.pid}/ns/net') if is_there else None
+        except OSError:
+            return None
+
+    def in_network(self, side):
+        return ['nsenter', f'--net=/proc/{self.networks[side].pid}/ns/net']
+
+    def inside(self, side, shared):
+        """What a command in that container begins with."""
+        return [*self.in_network(side), 'bwrap', '--dev-bind', '/', '/', '--tmpfs', '/dev/shm',
+                '--bind', str(shared), '/mnt', '--unshare-pid', '--unshare-ipc', '--unshare-uts',
+                '--die-with-parent', '--proc', '/proc', '--hostname', f'robot-{side}',
+                '--setenv', 'ROS_IP', self.addresses[side], '--setenv', 'LOT_DIR', '/mnt']
+
+    def talk(self, other):
+        with tempfile.TemporaryDirectory(dir='/dev/shm', prefix='lot_ros_shared_') as shared, \
+                Graph(shm=shared, inside=self.inside(0, shared), host=self.addresses[0]) as graph:
+            other = graph.home / 'elsewhere' if other else shared
+            os.makedirs(other, exist_ok=True)
+            listener = graph.run([*self.inside(1, other), *graph_node(), f'sub:lot:/t:{COUNT}', '__name:=listener'])
+            near = graph.run([*self.inside(0, shared), *graph_node(), f'sub:lot:/t:{COUNT}', '__name:=near'])
+            talker = graph.run([*self.inside(0, shared), *graph_node(), f'pub:lot:/t:{COUNT}:300:100000:wait=2',
+                                '__name:=talker'])
+            for node in (listener, near):
+                self.assert_all(graph.report(node), 0, ['/talker'])
+            serialised = graph.report(talker)[0]['serialised']
+            self.assertEqual(graph.files(), [])
+            return serialised
+
+    def test_they_share_the_segments_directory(self):
+        self.assertEqual(self.talk(other=False), 0)
+
+    def test_who_has_another_directory_gets_all_over_tcpros(self):
+        self.assertEqual(self.talk(other=True), COUNT)
+
+
+class Deaths(Case):
+    def test_a_listener_is_killed_and_comes_again_under_its_name(self):
+        with Graph() as graph:
+            stays = graph.node('stays', 'sub:lot:/t:3000')
+            talker = graph.node('talker', 'pub:lot:/t:3000:300:1000:wait=2')
+            for _ in range(4):
+                victim = graph.node('victim', 'sub:lot:/t')
+                time.sleep(1.5)
+                victim.kill()
+                victim.wait()
+            again = graph.node('victim', 'sub:lot:/t')
+            self.assert_all(graph.report(stays), 0, ['/talker'], 3000)
+            graph.report(talker)
+            last = graph.stop(again)[0]['from']['/talker']
+            for wrong in ('twice', 'disorder', 'torn', 'gaps'):
+                self.assertEqual(last[wrong], 0, last)
+            self.assertEqual(last['last'], 2999)
+            self.assertEqual(graph.files(), [])
+
+    def test_a_talker_is_killed_and_comes_again_under_its_name(self):
+        with Graph() as graph:
+            listener = graph.node('listener', 'sub:lot:/t')
+            for _ in range(4):
+                talker = graph.node('talker', 'pub:lot:/t:100000:300:1000:wait=1')
+                time.sleep(1.5)
+                talker.kill()
+                talker.wait()
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1')
+            graph.report(talker)
+            seen = graph.stop(listener)[0]['from']['/talker']
+            self.assertEqual((seen['twice'], seen['torn'], seen['gaps']), (0, 0, 0), seen)
+            self.assertEqual(seen['disorder'], 4, 'each life begins at 0 again')
+            self.assertEqual(seen['last'], COUNT - 1)
+            self.assertEqual(graph.files(), [])
+
+    def test_a_graph_that_is_interrupted_in_any_order_leaves_nothing(self):
+        for order in itertools.permutations(range(3)):
+            with self.subTest(order=order), Graph() as graph:
+                nodes = [graph.node('listener', 'sub:lot:/t'),
+                         graph.node('talker', 'pub:lot:/t:100000:100:1000:wait=2'),
+                         graph.node('both', 'sub:lot:/t', 'pub:lot:/u:100000:100:1000')]
+                graph.wait_for(lambda: len(graph.peers('/t')[1]) == 2 and graph.peers('/u')[0], 'all')
+                time.sleep(0.3)
+                for i in order:
+                    nodes[i].send_signal(signal.SIGINT)
+                for node in nodes:
+                    graph.report(node)
+                self.assertEqual(graph.files(), [])
+
+
+class Latching(Case):
+    def test_who_comes_late_gets_the_last_one(self):
+        for how in ('lot', 'lotptr', 'plain'):
+            with self.subTest(how=how), Graph() as graph:
+                talker = graph.node('talker', 'pub:lot:/t:5:100:1000:latch:keep')
+                time.sleep(1)
+                report = graph.report(graph.node('late', f'sub:{how}:/t:1'))
+                seen = report[0]['from']['/talker']
+                self.assertEqual((seen['received'], seen['last']), (1, 4))
+                again = graph.report(graph.node('later', f'sub:{how}:/t:1', f'sub:{how}:/t:1'))
+                for end in again:
+                    self.assertEqual(end['from']['/talker']['received'], 1)
+                sent = graph.stop(talker)[0]
+                if how != 'plain':
+                    self.assertEqual(sent['serialised'], 0)
+
+
+class Settings(Case):
+    def test_lot_is_off(self):
+        with Graph() as graph:
+            graph.set_parameter('/talker/lot/enable', False)
+            listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1')
+            self.assert_all(graph.report(listener), 0, ['/talker'])
+            self.assertEqual(graph.report(talker)[0]['serialised'], COUNT)
+
+    def test_a_wrong_setting_is_said_and_messages_go_over_tcpros(self):
+        for name, value, words in (('queue', 'heap', 'write ring or mutex'),
+                                   ('size', '12 potatoes', 'not a size'),
+                                   ('segment', 'no/such', 'LOT is off')):
+            with self.subTest(name=name), Graph() as graph:
+                graph.env.pop('LOT_SEGMENT')
+                graph.set_parameter(f'/talker/lot/{name}', value)
+                graph.set_parameter('/listener/lot/segment', graph.segment)
+                listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+                talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1')
+                self.assert_all(graph.report(listener), 0, ['/talker'])
+                graph.report(talker)
+                self.assertIn(words, graph.said(talker))
+
+    def test_the_mutex_queue(self):
+        with Graph() as graph:
+            graph.set_parameter('/talker/lot/queue', 'mutex')
+            listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1')
+            self.assert_all(graph.report(listener), 0, ['/talker'])
+            self.assertEqual(graph.report(talker)[0]['serialised'], 0)
+
+    def test_two_graphs_in_one_segment(self):
+        with Graph() as one, Graph() as two:
+            two.env['LOT_SEGMENT'] = one.segment
+            nodes = [(graph, graph.node('listener', f'sub:lot:/t:{COUNT}'),
+                      graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1'))
+                     for graph in (one, two)]
+            for graph, listener, talker in nodes:
+                self.assert_all(graph.report(listener), 0, ['/talker'])
+                self.assertEqual(graph.report(talker)[0]['serialised'], 0)
+            self.assertEqual(one.files(), [])
+
+    def test_names_are_remapped_and_in_namespaces(self):
+        with Graph() as graph:
+            listener = graph.run([*graph_node(), f'sub:lot:image:{COUNT}', '__name:=listener', '__ns:=robot',
+                                  'image:=camera/image'])
+            talker = graph.run([*graph_node(), f'pub:lot:/robot/camera/image:{COUNT}:300:1000:wait=1',
+                                '__name:=talker'])
+            self.assert_all(graph.report(listener), 0, ['/talker'])
+            self.assertEqual(graph.report(talker)[0]['serialised'], 0)
+
+
+def graph_node():
+    return [NODE]
+
+
+def run(*words):
+    subprocess.run(words, check=True, timeout=20)
+
+
+if __name__ == '__main__':
+    unittest.main()
