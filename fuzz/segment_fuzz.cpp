@@ -354,9 +354,14 @@ bool is_readable(const Element* data, std::size_t count) {
          reinterpret_cast<std::uintptr_t>(data) % alignof(Element) == 0 &&
          window::is_usable(data, count * sizeof(Element));
 }
-template <class Container>
-bool is_readable(const Container& container) {
-  return is_readable<typename Container::value_type>(container.data(), container.size());
+/// Calls use(element) for what was looked at, and no more: a damaged vector's end may lie between
+/// two elements, and a loop from its begin to its end would run past it.
+template <class Container, class Use>
+void each_readable(const Container& container, Use use) {
+  const auto* const data = container.data();
+  const std::size_t count = container.size();
+  if (!is_readable(data, count)) return;
+  for (std::size_t i = 0; i < count; ++i) use(data[i]);
 }
 
 void read(const Small& small) {
@@ -367,8 +372,7 @@ void read(const Large& large) {
 }
 template <class Container>
 void read_all(const Container& container) {
-  if (!is_readable(container)) return;
-  for (const auto& element : container) sink = sink + static_cast<unsigned>(element);
+  each_readable(container, [](auto element) { sink = sink + static_cast<unsigned>(element); });
 }
 template <class T>
 void read_message(const T* message) {
@@ -388,13 +392,9 @@ void read_reference(const lot::ShmRef<const T>& reference) {
 void read(const Document& document) {
   read_all(document.title);
   read_all(document.numbers);
-  if (is_readable(document.lines)) {
-    for (const auto& line : document.lines) read_all(line);
-  }
+  each_readable(document.lines, [](const auto& line) { read_all(line); });
   read_reference(document.small);
-  if (is_readable(document.larges)) {
-    for (const auto& large : document.larges) read_reference(large);
-  }
+  each_readable(document.larges, [](const auto& large) { read_reference(large); });
 }
 
 /// All that one process does with the messages of one type.
