@@ -21,8 +21,8 @@
 ///   R2  slot exchange, then position load in Writer::hazards (both seq_cst)
 ///       <-> position store, then second slot load in Reader::poll (both seq_cst)
 ///       either the reader sees that the slot has moved on, or the writer sees the hazard.
-///   R3  position store in Reader::done     -> position load in Writer::room, Writer::hazards
-///       carries: "the payload has been read".
+///   R3  position store in Reader::done, join -> position load in Writer::room, hazards, serve
+///       carries: "the payload has been read"; to serve(): that the reader's round has begun.
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
 ///       in Writer::room (seq_cst): a joiner is either on the writer's list or starts behind it.
@@ -296,14 +296,14 @@ class Writer {
     }
     if (!cell) return std::nullopt;
     auto& [position, from, to] = ring_.cells[*cell];
+    // Who has not joined to the end has yet to begin its round.
+    const Word read = position.load(std::memory_order_acquire);  // R3
+    if (read == kIdle || read == kPinAll) return std::nullopt;
     Word begin = from.load(std::memory_order_acquire);  // R12
     Word end = to.load(std::memory_order_relaxed);
     const Word round = bound_round(begin);
     if (bound_round(end) != round || is_set(begin) != is_set(end)) return std::nullopt;
-    if (is_set(end)) {
-      const Word read = position.load(std::memory_order_acquire);  // R3
-      if (read == kIdle || distance(sequence(read), bound_sequence(end)) < 0) return std::nullopt;
-    }
+    if (is_set(end) && distance(sequence(read), bound_sequence(end)) < 0) return std::nullopt;
     if (!still() || ring_.who[*cell].load(std::memory_order_relaxed) != participant + 1) {
       return std::nullopt;
     }
@@ -319,11 +319,14 @@ class Writer {
     }
     return Served{*cell, round};
   }
-  /// False when the last message was evicted, or there was none.
-  bool has_last() const {
-    if (next_ == ring_.first) return false;
-    const std::uint32_t i = (index_ == 0 ? ring_.depth : index_) - 1;
-    return block(ring_.slots[i].load(std::memory_order_relaxed)) != kNoBlock;
+  /// False when one of the last n messages was evicted or overwritten, or there were not so many.
+  bool has_last(Word n) const {
+    if (n > ring_.depth || static_cast<Word>(distance(next_, ring_.first)) < n) return false;
+    for (Word i = 1; i <= n; ++i) {
+      const Word place = (index_ + ring_.depth - i) % ring_.depth;
+      if (block(ring_.slots[place].load(std::memory_order_relaxed)) == kNoBlock) return false;
+    }
+    return true;
   }
 
   /// False when the cell has lost that reader.

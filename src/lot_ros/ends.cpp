@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /// The user's ends of topics: what lot::ros::Publisher and Subscriber hold.
+#include <condition_variable>
 #include <map>
 #include <mutex>
+#include <set>
 #include <utility>
 
 #include <ros/callback_queue.h>
@@ -18,6 +20,9 @@ struct Topics {
   std::mutex opening;  ///< held while one opens, which may ask the master
   std::map<std::string, std::weak_ptr<TopicOutlet>> outlets;
   std::map<std::string, std::weak_ptr<Inlet>> inlets;
+  /// Whose end is not over yet: nobody subscribes to these meanwhile.
+  std::set<std::string> closing;
+  std::condition_variable closed;
   static Topics& all() {
     static auto* const topics = new Topics;
     return *topics;
@@ -31,11 +36,13 @@ std::mutex& advertising() {
   return *mutex;
 }
 
-/// Takes a topic out of the map if this is what it leads to.
+/// Takes a topic out of the map if this is what it leads to; else false.
 template <class Map, class End>
-void erase(Map& map, const std::string& topic, const std::shared_ptr<End>& end) {
+bool erase(Map& map, const std::string& topic, const std::shared_ptr<End>& end) {
   const auto at = map.find(topic);
-  if (at != map.end() && at->second.lock() == end) map.erase(at);
+  if (at == map.end() || at->second.lock() != end) return false;
+  map.erase(at);
+  return true;
 }
 
 class TopicAdvertisement final : public Advertisement {
@@ -102,15 +109,16 @@ class TopicSubscription final : public Subscription {
       inlet.swap(inlet_);
     }
     if (!inlet) return;
-    bool is_last = false;
-    Inlet::User user;  // with what its callback holds: no lock is held when that goes
+    inlet->remove(user_).dismiss();  // no lock is held when what its callback holds goes
     {
       const std::lock_guard guard(Topics::all().opening);
-      user = inlet->remove(user_, is_last);
-      if (is_last) erase(Topics::all().inlets, topic_, inlet);
+      if (inlet->has_users() || !erase(Topics::all().inlets, topic_, inlet)) return;
+      Topics::all().closing.insert(topic_);
     }
-    user.dismiss();
-    if (is_last) inlet->close();
+    inlet->close();
+    const std::lock_guard guard(Topics::all().opening);
+    Topics::all().closing.erase(topic_);
+    Topics::all().closed.notify_all();
   }
 
  private:
@@ -186,7 +194,9 @@ std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
   std::shared_ptr<Inlet> inlet;
   std::uint64_t user = 0;
   {
-    const std::lock_guard guard(Topics::all().opening);
+    std::unique_lock lock(Topics::all().opening);
+    Topics::all().closed.wait(
+        lock, [&options] { return Topics::all().closing.count(options.topic) == 0; });
     auto& place = Topics::all().inlets[options.topic];
     inlet = place.lock();
     if (inlet && !is_same(inlet->kind(), kind)) {

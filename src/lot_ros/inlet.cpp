@@ -19,6 +19,8 @@ namespace {
 
 /// Frames that wait to be deserialised, of one topic: as many as its users would let wait.
 constexpr std::uint32_t kShortestIntake = 16;
+/// So often is it looked at whether those who latch are still there.
+constexpr auto kForgetPeriod = std::chrono::seconds(1);
 /// So many messages are read before other topics have their turn.
 constexpr unsigned kAtOnce = 64;
 
@@ -213,34 +215,54 @@ void Inlet::read() {
     borrowed.cell = rings_->keep();
     claim({kind_.adopt(borrowed), rings_->origin()});
   }
-  for (auto& [ring, pulled] : std::exchange(unclaimed_, {})) claim(std::move(pulled));
+  for (auto ring = unclaimed_.begin(); ring != unclaimed_.end();) {
+    auto& waiting = ring->second;
+    while (!waiting.empty() && deliver_if_ours(waiting.front())) waiting.pop_front();
+    ring = waiting.empty() ? unclaimed_.erase(ring) : std::next(ring);
+  }
   deliver_held();
 }
 
-/// Delivers what is for us. What may yet be said to be for us is kept: one message of each ring.
+/// Delivers what is for us, behind what came before it. What may yet be said to be for us is kept.
 void Inlet::claim(Pulled pulled) {
-  const auto ring = std::pair(pulled.origin.channel, pulled.origin.generation);
-  const auto is_ours = rings_->is_ours(pulled.origin);
-  if (!is_ours) {
-    unclaimed_[ring] = std::move(pulled);
+  const RingName name(pulled.origin.channel, pulled.origin.generation);
+  const auto ring = unclaimed_.find(name);
+  if (ring == unclaimed_.end()) {
+    if (!deliver_if_ours(pulled)) unclaimed_[name].push_back(std::move(pulled));
     return;
   }
-  if (const auto older = unclaimed_.extract(ring)) claim(older.mapped());
+  auto& waiting = ring->second;
+  waiting.push_back(std::move(pulled));
+  while (!waiting.empty() && deliver_if_ours(waiting.front())) waiting.pop_front();
+  if (waiting.size() > kMostUndecided) waiting.pop_front();
+}
+
+/// False: whether it is ours may be said yet.
+bool Inlet::deliver_if_ours(const Pulled& pulled) {
+  const auto is_ours = rings_->is_ours(pulled.origin);
+  if (!is_ours) return false;
   if (*is_ours) {
     const std::string publisher(rings_->publisher(pulled.origin));
     deliver(pulled.message, publisher, header_of(publisher));
   }
+  return true;
 }
 
 /// A frame says whether somebody beside LOT's subscribers gets what the link brings, and what the
 /// link knows of its publisher.
 void Inlet::heard(const std::string& publisher, const Header& header, bool is_shared) {
   Link& link = links_[publisher];
-  if (link.header != header) {
-    link = {header, 0};
+  if (link.alive.lock() != header) {
+    link = {boost::make_shared<::ros::M_string>(*header), header, 0};
+    Last old;  // let go when the lock has been left
     const std::lock_guard guard(mutex_);
     if (const auto last = latched_.find(publisher); last != latched_.end()) {
-      is_latching(header) ? void(last->second.header = header) : void(latched_.erase(last));
+      last->second.header = link.header;
+      last->second.alive = link.alive;
+      if (!is_latching(header)) {
+        old = std::move(last->second);
+        latched_.erase(last);
+      }
     }
   }
   if (!rings_) return;
@@ -263,7 +285,7 @@ void Inlet::arrived(Frame frame) {
     held_.push_back(std::move(frame));
     read();
   } else {
-    deliver(frame.message, frame.publisher, frame.header);
+    deliver(frame.message, frame.publisher, link.header);
   }
 }
 
@@ -274,9 +296,38 @@ void Inlet::deliver_held() {
       ++frame;
       continue;
     }
-    deliver(frame->message, frame->publisher, frame->header);
+    deliver(frame->message, frame->publisher, header_of(frame->publisher));
     frame = held_.erase(frame);
   }
+}
+
+/// A publisher whose link is gone, and whose ring is read, latches nothing any more.
+void Inlet::forget_those_gone() {
+  const auto is_gone = [this](const std::string& publisher) {
+    const auto link = links_.find(publisher);
+    return (link == links_.end() || link->second.alive.expired()) &&
+           !(rings_ && rings_->has_publisher(publisher));
+  };
+  std::vector<Last> gone;  // let go when the lock has been left
+  const std::lock_guard guard(mutex_);
+  for (auto last = latched_.begin(); last != latched_.end();) {
+    if (!is_gone(last->first)) {
+      ++last;
+      continue;
+    }
+    gone.push_back(std::move(last->second));
+    last = latched_.erase(last);
+  }
+  for (auto link = links_.begin(); link != links_.end();) {
+    link = is_gone(link->first) ? links_.erase(link) : std::next(link);
+  }
+  forgetting_ = !latched_.empty();
+  if (forgetting_) forget_later();
+}
+void Inlet::forget_later() {
+  loop_->at(Loop::Clock::now() + kForgetPeriod, [weak = weak_from_this()] {
+    if (const auto inlet = weak.lock()) inlet->forget_those_gone();
+  });
 }
 
 /// What a link of that publisher's says of it; or what is known without one.
@@ -294,10 +345,13 @@ Inlet::Header Inlet::header_of(const std::string& publisher) const {
 /// To all users' queues.
 void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
                     const Header& header) {
-  Last old;  // let go when the lock has been left
+  Last last;  // let go when the lock has been left
+  const auto link = links_.find(publisher);
   const std::lock_guard guard(mutex_);
-  if (links_.count(publisher) == 0 || is_latching(header)) {
-    old = std::exchange(latched_[publisher], {message, header});
+  if (link == links_.end() || is_latching(header)) {
+    last = {message, header, link == links_.end() ? decltype(Last::alive)() : link->second.alive};
+    std::swap(last, latched_[publisher]);
+    if (!std::exchange(forgetting_, true)) forget_later();
   }
   for (const auto& [name, user] : users_) give(user, message, header);
 }
@@ -328,19 +382,23 @@ std::uint64_t Inlet::add(const ::ros::SubscribeOptions& options) {
   user.tracked_object = options.tracked_object;
   const std::lock_guard guard(mutex_);
   for (const auto& [publisher, last] : latched_) {
-    if (is_latching(last.header)) give(user, last.message, last.header);
+    if (is_latching(last.header) && !last.alive.expired()) give(user, last.message, last.header);
   }
   users_[++last_user_] = std::move(user);
   return last_user_;
 }
 
-Inlet::User Inlet::remove(std::uint64_t name, bool& is_last) {
+Inlet::User Inlet::remove(std::uint64_t name) {
   const std::lock_guard guard(mutex_);
   const auto at = users_.find(name);
   User user = std::move(at->second);
   users_.erase(at);
-  is_last = users_.empty();
   return user;
+}
+
+bool Inlet::has_users() {
+  const std::lock_guard guard(mutex_);
+  return !users_.empty();
 }
 
 void Inlet::User::dismiss() {

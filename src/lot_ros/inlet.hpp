@@ -50,9 +50,9 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   };
   /// A subscriber of the user's; the name that it has here. What is latched it gets at once.
   std::uint64_t add(const ::ros::SubscribeOptions& options);
-  /// Takes it out; to be dismissed, and destroyed, where no lock is held. `is_last`: no other is
-  /// left.
-  User remove(std::uint64_t user, bool& is_last);
+  /// Takes it out; to be dismissed, and destroyed, where no lock is held.
+  User remove(std::uint64_t user);
+  bool has_users();
 
   const detail::Kind& kind() const noexcept { return kind_; }
 
@@ -71,10 +71,16 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     lot::detail::Origin origin;
   };
 
+  /// {channel, generation}.
+  using RingName = std::pair<std::uint32_t, std::uint32_t>;
+
   // LOT's thread.
   void read();
   void claim(Pulled pulled);
+  bool deliver_if_ours(const Pulled& pulled);
   void heard(const std::string& publisher, const Header& header, bool is_shared);
+  void forget_those_gone();
+  void forget_later();
   void arrived(Frame frame);
   void deliver_held();
   void deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
@@ -89,13 +95,13 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   ::ros::Subscriber subscriber_;
   std::shared_ptr<Session> session_;                ///< null: closed
   std::unique_ptr<lot::detail::PullerCore> rings_;  ///< null: LOT is off
-  /// The last message of each ring whose publisher has not said yet whom it is for: it may be
-  /// latched. By {channel, generation}.
-  std::map<std::pair<std::uint32_t, std::uint32_t>, Pulled> unclaimed_;
+  /// The last messages of each ring whose publisher has not said yet whom they are for.
+  std::map<RingName, std::deque<Pulled>> unclaimed_;
   std::deque<Frame> held_;  ///< frames that came before the ring was read
   /// What links say of publishers, and how many of a link's next frames a ring has brought already.
   struct Link {
-    Header header;
+    Header header;  ///< a copy, since a link is gone when nobody has its own any more
+    boost::weak_ptr<::ros::M_string> alive;
     std::size_t had = 0;
   };
   std::map<std::string, Link> links_;
@@ -106,8 +112,10 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   struct Last {
     boost::shared_ptr<void const> message;
     Header header;
+    boost::weak_ptr<::ros::M_string> alive;
   };
   std::map<std::string, Last> latched_;
+  bool forgetting_ = false;  ///< LOT's thread will look whether they are still there; its own
   std::uint64_t last_user_ = 0;
 };
 

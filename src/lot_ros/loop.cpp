@@ -6,6 +6,7 @@
 #include <future>
 #include <memory>
 #include <pthread.h>
+#include <unistd.h>
 
 #include <ros/console.h>
 #include <xmlrpcpp/XmlRpcException.h>
@@ -19,7 +20,12 @@ constexpr auto kLookPeriod = 1s;
 
 }  // namespace
 
+Loop::Loop() noexcept : process_(getpid()) {}
+
+bool Loop::is_inherited() const noexcept { return getpid() != process_; }
+
 void Loop::at(Clock::time_point time, std::function<void()> work) {
+  if (is_inherited()) return;
   {
     const std::lock_guard guard(mutex_);
     if (ended_) return;
@@ -29,6 +35,7 @@ void Loop::at(Clock::time_point time, std::function<void()> work) {
 }
 
 void Loop::call(const std::function<void()>& work) {
+  if (is_inherited()) return;
   if (is_here()) return work();
   const auto task = std::make_shared<std::packaged_task<void()>>(work);
   auto done = task->get_future();

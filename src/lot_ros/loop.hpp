@@ -19,7 +19,7 @@ namespace lot::ros {
 /// Threads: all members may be called at once, but arrivals().
 class Loop {
  public:
-  Loop() = default;
+  Loop() noexcept;
   Loop(const Loop&) = delete;
   Loop& operator=(const Loop&) = delete;
 
@@ -28,8 +28,8 @@ class Loop {
   /// Calls it on LOT's thread, soon or then; never, when that ends first.
   void soon(std::function<void()> work) { at(Clock::time_point(), std::move(work)); }
   void at(Clock::time_point time, std::function<void()> work);
-  /// Calls it there, and returns when that is done; at once if this is LOT's thread, or there is
-  /// none any more.
+  /// Calls it there, and returns when that is done; at once if this is LOT's thread, or it has
+  /// ended.
   void call(const std::function<void()>& work);
 
   /// What LOT's thread waits for besides. REQUIRES: this is that thread.
@@ -39,10 +39,13 @@ class Loop {
   void run();
   /// It ends soon.
   void end() noexcept;
+  /// True in a forked child, which has no such thread: nothing is done there any more.
+  bool is_inherited() const noexcept;
 
  private:
   bool is_here() const noexcept { return thread_.load() == std::this_thread::get_id(); }
 
+  const int process_;
   std::mutex mutex_;
   std::multimap<Clock::time_point, std::function<void()>> work_;  ///< by when it is to be done
   bool ended_ = false;                                            ///< nobody does any work any more

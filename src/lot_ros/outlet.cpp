@@ -36,16 +36,15 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr auto kProbePeriod = 100ms;
-/// So many messages wait for the answer to the first probe, which takes about a millisecond.
-constexpr std::size_t kMostUnsure = 16;
+/// So long a LOT subscriber may take until it reads the ring: its node is just starting.
+constexpr auto kPatience = 1s;
 constexpr std::chrono::milliseconds kFirstLook{10};
 constexpr std::chrono::milliseconds kLastLook{100};
 /// LOT's thread comes again, when somebody publishes just now.
 constexpr std::chrono::milliseconds kBusy{1};
 constexpr std::uint32_t kDeepest = 1024;
 constexpr std::uint32_t kUsualDepth = 16;
-/// A link's own queue: roscpp throws the oldest away when it is full.
-constexpr std::uint32_t kShortestLinkQueue = 16;
+static_assert(kUsualDepth >= kMostUndecided, "what is not decided is still in the ring");
 
 /// Not null while this thread sends it to a peer.
 thread_local const ::ros::SerializedMessage* outgoing = nullptr;
@@ -79,14 +78,12 @@ class Door final : public ::ros::CallbackQueueInterface {
 
   void add(const ::ros::SubscriberCallbacksPtr& callbacks, std::weak_ptr<TopicOutlet> outlet) {
     const std::lock_guard guard(mutex_);
-    outlets_[reinterpret_cast<std::uint64_t>(callbacks.get())] = {std::move(outlet), nullptr, true};
+    outlets_[reinterpret_cast<std::uint64_t>(callbacks.get())] = {std::move(outlet), nullptr};
   }
   /// From now on roscpp does not hold the lock of the links while it calls.
   void opened(const ::ros::SubscriberCallbacksPtr& callbacks, ::ros::PublicationPtr publication) {
     const std::lock_guard guard(mutex_);
-    auto& entry = outlets_[reinterpret_cast<std::uint64_t>(callbacks.get())];
-    entry.publication = std::move(publication);
-    entry.opening = false;
+    outlets_[reinterpret_cast<std::uint64_t>(callbacks.get())].publication = std::move(publication);
   }
   void remove(const ::ros::SubscriberCallbacksPtr& callbacks) {
     const std::lock_guard guard(mutex_);
@@ -114,7 +111,6 @@ class Door final : public ::ros::CallbackQueueInterface {
   struct Entry {
     std::weak_ptr<TopicOutlet> outlet;
     ::ros::PublicationPtr publication;
-    bool opening = true;
   };
   std::mutex mutex_;
   std::map<std::uint64_t, Entry> outlets_;
@@ -152,8 +148,6 @@ TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::Advertis
 
 bool TopicOutlet::open() {
   ::ros::AdvertiseOptions options = options_;
-  options.queue_size = std::max(options.queue_size, kShortestLinkQueue);
-  if (options_.queue_size == 0) options.queue_size = 0;  // as many as come
   options.latch = false;
   callbacks_ = boost::make_shared<::ros::SubscriberCallbacks>(
       [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, true); },
@@ -217,7 +211,9 @@ void TopicOutlet::tend(Loop::Clock::time_point when) {
     if (!self->session_) return;
     self->take_note(gone);
     for (Peer& peer : self->peers_) {
-      if (peer.state == State::Open) self->welcome(peer);
+      if (peer.state != State::Open) continue;
+      self->welcome(peer);
+      if (peer.state == State::Open && !self->greets()) self->try_ring(peer);
     }
   });
 }
@@ -270,36 +266,66 @@ void TopicOutlet::take_note(Peers& gone) {
 
 /// A peer that nothing was sent to. What is latched it gets now.
 void TopicOutlet::welcome(Peer& peer) {
+  if (std::exchange(peer.is_welcome, true)) return;
   std::vector<const Message*> latched;
-  bool greeted = false;
   for (const auto& [name, end] : ends_) {
     if (end.latches && end.latched) latched.push_back(&*end.latched);
-    greeted = greeted || end.greets;
   }
   const bool from_last = latched.size() == 1 && last_is_latched_;
-  if (!greeted && (latched.empty() || from_last) && try_ring(peer, from_last)) {
-    if (from_last) {
-      peer.unsure.push_back(*latched.front());
-      look_after(kFirstLook);
-    }
-    // Soon it is known whether that is enough; and it looks at what is latched.
-    if (ask_if_due(peer)) send(peer, probe_frame());
-    return;
+  if (greets() || (!latched.empty() && !from_last) || !may_come(peer)) {
+    if (!latched.empty()) peer.state = State::Link;
+    for (const Message* message : latched) send(peer, serialise(*message));
+  } else if (from_last) {
+    wait_for(peer, *latched.front());
   }
-  if (latched.empty()) return;  // it may still come to read our ring before the first message
-  peer.state = State::Link;
-  for (const Message* message : latched) send(peer, serialise(*message));
 }
 
-bool TopicOutlet::try_ring(Peer& peer, bool from_last) {
-  const bool alone = std::count_if(peers_.begin(), peers_.end(),
-                                   [&](const Peer& p) { return p.name == peer.name; }) == 1;
-  if (!ring_ || !peer.may_read || !alone) return false;
-  const auto served = ring_->serve(participant_name(peer.name), from_last);
+/// What is unsure is for it, then. Soon it is known whether that is enough.
+bool TopicOutlet::try_ring(Peer& peer) {
+  if (!ring_ || !peer.may_read || !is_alone(peer)) return false;
+  const auto served = ring_->serve(participant_name(peer.name), peer.unsure.size());
   if (!served) return false;
   peer.served = *served;
   peer.state = State::Ring;
+  while (peer.unsure.size() > most_unsure()) peer.unsure.pop_front();
+  if (ask_if_due(peer)) send(peer, probe_frame());
   return true;
+}
+
+/// True when it is a LOT subscriber's, so that it is about to read our ring.
+bool TopicOutlet::may_come(const Peer& peer) const {
+  const bool in_time =
+      peer.unsure.empty() || std::chrono::steady_clock::now() - peer.since < kPatience;
+  return in_time && peer.unsure.size() < kMostUndecided && ring_ && peer.may_read &&
+         is_alone(peer) && ring_->expects(participant_name(peer.name));
+}
+
+void TopicOutlet::wait_for(Peer& peer, const Message& message) {
+  if (peer.unsure.empty()) peer.since = std::chrono::steady_clock::now();
+  peer.unsure.push_back(message);
+  look_after(kFirstLook);
+}
+
+void TopicOutlet::go_to_link(Peer& peer) {
+  peer.state = State::Link;
+  for (const Message& message : std::exchange(peer.unsure, {})) send(peer, serialise(message));
+}
+
+bool TopicOutlet::is_alone(const Peer& peer) const {
+  return std::count_if(peers_.begin(), peers_.end(),
+                       [&](const Peer& p) { return p.name == peer.name; }) == 1;
+}
+
+/// True when a connect callback of the user's may send something on each link.
+bool TopicOutlet::greets() const {
+  return std::any_of(ends_.begin(), ends_.end(),
+                     [](const auto& each) { return each.second.greets; });
+}
+
+/// As many as its link takes at once: roscpp throws the oldest away when its queue is full.
+std::size_t TopicOutlet::most_unsure() const {
+  return options_.queue_size == 0 ? kMostUndecided
+                                  : std::min<std::size_t>(options_.queue_size, kMostUndecided);
 }
 
 void TopicOutlet::leave_ring(Peer& peer) {
@@ -312,8 +338,7 @@ void TopicOutlet::leave_ring(Peer& peer) {
 /// have missed, too; they themselves know by `to` what they have had.
 void TopicOutlet::return_to_link(Peer& peer) {
   ring_->stop(peer.served, peer.unsure.size());
-  peer.state = State::Link;
-  for (const Message& message : std::exchange(peer.unsure, {})) send(peer, serialise(message));
+  go_to_link(peer);
 }
 
 // ---- messages -----------------------------------------------------------------------------------
@@ -346,27 +371,29 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
 
   const auto from = ends_.find(end);
   const bool latches = from != ends_.end() && from->second.latches;
-  const bool greets =
-      std::any_of(ends_.begin(), ends_.end(), [](const auto& each) { return each.second.greets; });
   for (Peer& peer : peers_) {
-    if (peer.state == State::Open && (greets || !try_ring(peer, false))) peer.state = State::Link;
+    if (peer.state != State::Open) continue;
+    if (greets() || (!try_ring(peer) && !may_come(peer))) go_to_link(peer);
   }
   const auto in = [&](State state) {
     return std::any_of(peers_.begin(), peers_.end(),
                        [state](const Peer& p) { return p.state == state; });
   };
-  bool to_ring = ring_ != nullptr && (latches || in(State::Ring));
+  bool to_ring = ring_ != nullptr && (latches || in(State::Ring) || in(State::Open));
   if (to_ring && (parcel.cell == nullptr || !ring_->has(*parcel.cell))) {
     const detail::Parcel copy = into_ring(parcel);
     to_ring = copy.cell != nullptr;
     if (to_ring) parcel = copy;
   }
   for (Peer& peer : peers_) {
-    if (peer.state != State::Ring) continue;
-    if (!to_ring || !ring_->wants(peer.served)) {
-      return_to_link(peer);
-    } else if (ring_->is_content(peer.served)) {
-      peer.unsure.clear();
+    if (peer.state == State::Open && !to_ring) {
+      go_to_link(peer);
+    } else if (peer.state == State::Ring) {
+      if (!to_ring || !ring_->wants(peer.served)) {
+        return_to_link(peer);
+      } else if (ring_->is_content(peer.served)) {
+        peer.unsure.clear();
+      }
     }
   }
 
@@ -374,6 +401,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   if (in(State::Link)) bytes = serialise(message);
   std::vector<const Peer*> probed;
   for (Peer& peer : peers_) {
+    if (peer.state == State::Open) wait_for(peer, message);
     if (peer.state != State::Ring) continue;
     if (ask_if_due(peer)) probed.push_back(&peer);
     if (ring_->is_content(peer.served)) {
@@ -381,7 +409,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
       continue;
     }
     peer.unsure.push_back(message);
-    if (peer.unsure.size() > kMostUnsure) peer.unsure.pop_front();
+    if (peer.unsure.size() > most_unsure()) peer.unsure.pop_front();
     look_after(kFirstLook);
   }
   if (to_ring) ring_->push_shared(parcel.cell, 0ns);
@@ -432,8 +460,11 @@ void TopicOutlet::look_after(Loop::Clock::time_point when, std::chrono::millisec
     if (!self->session_) return;
     bool all_answered = true;
     for (Peer& peer : self->peers_) {
-      if (peer.state != State::Ring || peer.unsure.empty()) continue;
-      if (!self->ring_->wants(peer.served)) {
+      if (peer.unsure.empty()) continue;
+      if (peer.state == State::Open) {
+        if (!self->try_ring(peer) && !self->may_come(peer)) self->go_to_link(peer);
+        all_answered = all_answered && peer.unsure.empty();
+      } else if (!self->ring_->wants(peer.served)) {
         self->return_to_link(peer);
       } else if (self->ring_->is_content(peer.served)) {
         peer.unsure.clear();

@@ -26,10 +26,9 @@ namespace lot::ros {
 /// One topic that this process publishes: LOT's ring for those peers that read it, an ordinary ROS
 /// link for all others (docs/ros.md).
 ///
-///     Open ---- it reads our ring and wants it ----> Ring ---- it wants its link, no room ---->
-///     Link
-///        \---- not so, when the first message comes
-///        ----------------------------------------------^
+///     Open ------ it reads our ring ------> Ring ------ it wants its link, no room ------> Link
+///        |                                                                                  ^
+///        `------ it is no LOT subscriber's, or it has not come to read for too long --------'
 ///
 /// Threads: all members may be called at once. note() is called by roscpp with its locks held.
 /// Crash:   of a peer: its link ends, and it is forgotten; its cell in the ring is the reaper's.
@@ -82,8 +81,11 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     ::ros::CallbackInterfacePtr callback;
     lot::detail::Served served;
     std::chrono::steady_clock::time_point asked;  ///< when it was last sent a probe
-    /// What has gone into its ring before it said whether somebody beside LOT needs it, too.
+    bool is_welcome = false;                      ///< it has got what is latched
+    /// Open: what is in the ring, and is for it when it comes to read; since when the first is
+    /// there. Ring: what has gone there before it said whether somebody beside LOT needs it, too.
     std::deque<Message> unsure;
+    std::chrono::steady_clock::time_point since;
   };
   using Peers = std::vector<Peer>;
   struct End {
@@ -99,9 +101,15 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   // when the lock has been left.
   void take_note(Peers& gone);
   void welcome(Peer& peer);
-  bool try_ring(Peer& peer, bool from_last);
+  bool try_ring(Peer& peer);
+  bool may_come(const Peer& peer) const;
+  void wait_for(Peer& peer, const Message& message);
+  void go_to_link(Peer& peer);
   void leave_ring(Peer& peer);
   void return_to_link(Peer& peer);
+  bool is_alone(const Peer& peer) const;
+  bool greets() const;
+  std::size_t most_unsure() const;
   void look_after(std::chrono::milliseconds patience);
   void look_after(Loop::Clock::time_point when, std::chrono::milliseconds patience);
   bool ask_if_due(Peer& peer);

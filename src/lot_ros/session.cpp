@@ -142,6 +142,10 @@ std::string Session::graph() {
 }
 
 Session::~Session() {
+  if (loop_->is_inherited()) {
+    thread_.detach();
+    return;
+  }
   loop_->end();
   if (thread_.get_id() == std::this_thread::get_id()) {
     thread_.detach();  // a callback that LOT's thread was given has dropped the last handle

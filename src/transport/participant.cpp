@@ -302,6 +302,7 @@ std::atomic<ring::Word>& Participant::channel_writer(std::uint32_t c) noexcept {
 }
 
 std::string_view Participant::name_of(std::uint32_t k) const noexcept {
+  if (k >= participants()) return {};  // a damaged word said so
   const auto& entry = segment_.participants()[k];
   return {entry.name, strnlen(entry.name, sizeof(entry.name))};
 }

@@ -119,6 +119,11 @@ class Puller final : public detail::PullerCore {
     return s != nullptr ? std::string_view(s->publisher) : std::string_view();
   }
 
+  bool has_publisher(std::string_view publisher) override {
+    return std::any_of(sources_.begin(), sources_.end(),
+                       [&](const Source& s) { return s.publisher == publisher; });
+  }
+
   bool has_last_ones(std::string_view publisher) override {
     return std::any_of(sources_.begin(), sources_.end(), [&](const Source& s) {
       return s.publisher == publisher && s.chosen.has_last_ones(s.reader);

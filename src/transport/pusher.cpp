@@ -196,17 +196,14 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return true;
   }
 
-  std::optional<detail::Served> serve(std::string_view node, bool from_last) override {
+  std::optional<detail::Served> serve(std::string_view node, std::size_t back) override {
     participant_->check_usable();
     if (!writer_) return std::nullopt;
     const std::lock_guard guard(pool_.lock());
-    const ring::Word next = writer_->next_sequence();
-    if (from_last && !writer_->has_last()) return std::nullopt;
-    const ring::Word first = from_last ? ring::advance(next, ring::kSequenceMask) : next;
-    const auto is_meant = [&](std::uint32_t k) {
-      return participant_->part(k).load(std::memory_order_acquire) != 0 &&
-             participant_->name_of(k) == node;
-    };
+    if (!writer_->has_last(back)) return std::nullopt;
+    const ring::Word first =
+        ring::advance(writer_->next_sequence(), ring::kSequenceMask + 1 - back);
+    const auto is_meant = [&](std::uint32_t k) { return is_called(k, node); };
     std::optional<std::uint32_t> reader;
     bool several = false;  // one of them is dead, perhaps
     writer_->each_reader([&](std::uint32_t k) {
@@ -220,6 +217,14 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     const auto served = writer_->serve(*reader, first, [&] { return is_meant(*reader); });
     if (!served) return std::nullopt;
     return detail::Served{*reader, served->cell, served->round};
+  }
+
+  bool expects(std::string_view node) override {
+    if (!writer_) return false;
+    for (std::uint32_t k = 0; k < participant_->participants(); ++k) {
+      if (participant_->registry().wants(*topic_, k) && is_called(k, node)) return true;
+    }
+    return false;
   }
 
   void stop(const detail::Served& served, std::size_t back) override {
@@ -260,6 +265,11 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   }
 
  private:
+  bool is_called(std::uint32_t k, std::string_view node) const {
+    return participant_->part(k).load(std::memory_order_acquire) != 0 &&
+           participant_->name_of(k) == node;
+  }
+
   void check(const detail::ControlCell* cell) const {
     participant_->check_usable();
     if (cell == nullptr) {

@@ -89,7 +89,7 @@ TEST_CASE("only what was said to be for a reader is its own") {
   Fixture f;
   const auto puller = f.puller(f.reader);
   f.push(0);
-  const auto served = f.pusher->serve("reader", false);
+  const auto served = f.pusher->serve("reader", 0);
   REQUIRE(served);
   f.push(1);
   f.push(2);
@@ -102,11 +102,11 @@ TEST_CASE("only what was said to be for a reader is its own") {
 
 TEST_CASE("nothing is said to those that have no cell, another name, or that decline") {
   Fixture f;
-  CHECK_FALSE(f.pusher->serve("reader", false));
+  CHECK_FALSE(f.pusher->serve("reader", 0));
   const auto puller = f.puller(f.reader);
   CHECK(puller->size() == 0);  // it has looked for rings
-  CHECK_FALSE(f.pusher->serve("somebody", false));
-  auto served = f.pusher->serve("reader", false);
+  CHECK_FALSE(f.pusher->serve("somebody", 0));
+  auto served = f.pusher->serve("reader", 0);
   REQUIRE(served);
   CHECK(f.pusher->wants(*served));
   CHECK_FALSE(f.pusher->is_content(*served));
@@ -118,7 +118,7 @@ TEST_CASE("nothing is said to those that have no cell, another name, or that dec
   puller->decline();
   CHECK_FALSE(f.pusher->wants(*served));
   f.pusher->stop(*served, 0);
-  CHECK_FALSE(f.pusher->serve("reader", false));
+  CHECK_FALSE(f.pusher->serve("reader", 0));
 }
 
 TEST_CASE("what a reader has said of itself goes with its last puller") {
@@ -129,7 +129,7 @@ TEST_CASE("what a reader has said of itself goes with its last puller") {
     first->decline();
   }
   const auto puller = f.puller(f.reader);
-  const auto served = f.pusher->serve("reader", false);
+  const auto served = f.pusher->serve("reader", 0);
   REQUIRE(served);
   CHECK(f.pusher->wants(*served));
   CHECK_FALSE(f.pusher->is_content(*served));
@@ -141,30 +141,66 @@ TEST_CASE("two readers of one name are not told apart, so neither is served") {
   Member twin(f.options, "reader", "/./.");
   {
     const auto second = f.puller(twin);
-    CHECK_FALSE(f.pusher->serve("reader", false));
+    CHECK_FALSE(f.pusher->serve("reader", 0));
   }
-  CHECK(f.pusher->serve("reader", false));  // a cell in this ring counts, not the name alone
+  CHECK(f.pusher->serve("reader", 0));  // a cell in this ring counts, not the name alone
 }
 
 TEST_CASE("the last message is for who comes late, if it is said so, though he has read it") {
   Fixture f;
   const auto puller = f.puller(f.reader);
-  CHECK_FALSE(f.pusher->serve("reader", true));  // there is no last one
+  CHECK_FALSE(f.pusher->serve("reader", 1));  // there is no last one
   f.push(0);
   f.push(1);
   const auto first = pull(*puller);
   const auto last = pull(*puller);
   REQUIRE((first && last));
   CHECK_FALSE(last->ours.has_value());  // it may be said yet
-  REQUIRE(f.pusher->serve("reader", true));
+  REQUIRE(f.pusher->serve("reader", 1));
   CHECK(puller->is_ours(first->origin) == std::optional(false));
   CHECK(puller->is_ours(last->origin) == std::optional(true));
+}
+
+TEST_CASE("who is expected and comes late gets what was kept for it, once it is said so") {
+  Fixture f;
+  CHECK_FALSE(f.pusher->expects("reader"));
+  const auto puller = f.puller(f.reader);
+  CHECK(f.pusher->expects("reader"));  // it has said that it reads the topic, before it has a cell
+  CHECK_FALSE(f.pusher->expects("somebody"));
+  CHECK_FALSE(f.pusher->serve("reader", 3));  // there are not so many
+  for (std::uint64_t n = 0; n < 5; ++n) f.push(n);
+  std::vector<Got> kept;
+  while (const auto got = pull(*puller)) kept.push_back(*got);
+  REQUIRE(kept.size() == 5);
+  CHECK_FALSE(f.pusher->serve("reader", 9));  // the ring has eight places
+  REQUIRE(f.pusher->serve("reader", 3));
+  f.push(5);
+  for (const Got& got : kept) {
+    CHECK(puller->is_ours(got.origin) == std::optional(got.number >= 2));
+  }
+  CHECK(ours(*puller) == Numbers{5});
+  puller->decline();
+  CHECK_FALSE(f.pusher->expects("reader"));
+}
+
+TEST_CASE("a publisher is there until its ring is read") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  CHECK(puller->size() == 0);
+  CHECK(puller->has_publisher("writer"));
+  CHECK_FALSE(puller->has_publisher("reader"));
+  f.push(0);
+  f.pusher.reset();
+  CHECK(puller->has_publisher("writer"));
+  while (pull(*puller)) {
+  }
+  CHECK_FALSE(puller->has_publisher("writer"));
 }
 
 TEST_CASE("what is taken back is counted once, and what is not read yet is not its own") {
   Fixture f;
   const auto puller = f.puller(f.reader);
-  const auto served = f.pusher->serve("reader", false);
+  const auto served = f.pusher->serve("reader", 0);
   REQUIRE(served);
   for (std::uint64_t n = 0; n < 3; ++n) f.push(n);
   CHECK(ours(*puller) == Numbers{0, 1, 2});
@@ -178,7 +214,7 @@ TEST_CASE("what is taken back is counted once, and what is not read yet is not i
 TEST_CASE("who has not read all that is its own is not served again, and the rest is known") {
   Fixture f;
   const auto puller = f.puller(f.reader);
-  const auto served = f.pusher->serve("reader", false);
+  const auto served = f.pusher->serve("reader", 0);
   REQUIRE(served);
   f.push(0);
   f.push(1);
@@ -186,11 +222,11 @@ TEST_CASE("who has not read all that is its own is not served again, and the res
   CHECK(puller->size() == 2);
   CHECK(puller->has_last_ones("writer"));
   CHECK_FALSE(puller->has_last_ones("somebody"));
-  CHECK_FALSE(f.pusher->serve("reader", false));
+  CHECK_FALSE(f.pusher->serve("reader", 0));
   CHECK(ours(*puller) == Numbers{0, 1});
   CHECK_FALSE(puller->has_last_ones("writer"));
   f.push(2);
-  REQUIRE(f.pusher->serve("reader", false));
+  REQUIRE(f.pusher->serve("reader", 0));
   f.push(3);
   CHECK(ours(*puller) == Numbers{3});
 }
@@ -200,7 +236,7 @@ TEST_CASE("a reader that takes the cell of another one is told nothing that was 
   std::optional<lot::detail::Served> served;
   {
     const auto puller = f.puller(f.reader);
-    served = f.pusher->serve("reader", false);
+    served = f.pusher->serve("reader", 0);
     REQUIRE(served);
   }
   const auto next = f.puller(f.reader);

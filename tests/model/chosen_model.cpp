@@ -1,4 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <deque>
+#include <utility>
+
 #include "lockfree_ring/chosen.hpp"
 #include "scenario.hpp"
 
@@ -41,14 +44,32 @@ class Chooser {
     if (!served_) link.send(number);
   }
   void try_serve(std::uint32_t participant) {
-    bool reads = false;
-    publisher_.writer().each_reader([&](std::uint32_t k) { reads = reads || k == participant; });
-    if (reads) serve(participant);
+    serve(participant);
     linked_ = !served_;
   }
+  /// To one that is expected, and may not read yet: it gets what is unsure when it does.
+  void send_to_expected(std::uint32_t participant) {
+    if (!served_) serve(participant);
+    const std::uint64_t number = publisher_.sent();
+    if (!served_) unsure_.push_back(number);
+    RL_ASSERT(publisher_.send());
+  }
+  /// It was expected for long enough.
+  void give_up(Link& link, std::uint32_t participant) {
+    if (!served_) serve(participant);
+    if (served_) return;
+    for (const std::uint64_t number : unsure_) link.send(number);
+    linked_ = true;
+  }
   void serve(std::uint32_t participant) {
-    served_ = publisher_.writer().serve(participant, publisher_.writer().next_sequence(),
-                                        [] { return true; });
+    auto& writer = publisher_.writer();
+    bool reads = false;
+    writer.each_reader([&](std::uint32_t k) { reads = reads || k == participant; });
+    if (!reads) return;
+    RL_ASSERT(writer.has_last(unsure_.size()));
+    const Word back = ring::kSequenceMask + 1 - unsure_.size();
+    served_ =
+        writer.serve(participant, ring::advance(writer.next_sequence(), back), [] { return true; });
   }
   /// All that somebody beside the reader may have missed goes by the link, too.
   void go_back(Link& link) {
@@ -67,7 +88,7 @@ class Chooser {
   std::uint64_t sent() const { return publisher_.sent(); }
   void push() {
     RL_ASSERT(publisher_.send());
-    RL_ASSERT(publisher_.writer().has_last());
+    RL_ASSERT(publisher_.writer().has_last(1));
   }
 
  private:
@@ -80,17 +101,27 @@ class Chooser {
 /// What an inlet does: reads both, and delivers each message once.
 class Chooses {
  public:
-  void join(Process& process) { RL_ASSERT(subscriber_.join(process, 0, 1, 0)); }
+  bool join(Process& process, std::uint64_t history) {
+    return subscriber_.join(process, 0, 1, history);
+  }
   void leave() { subscriber_.leave(); }
   /// The next message of the ring. False: there is none.
   bool read() {
     if (subscriber_.borrow() == kNoBlock) return false;
-    const Word sequence = subscriber_.reader().cursor();
-    if (chosen_.is_ours(subscriber_.reader(), sequence).value_or(false)) {
-      delivered.push_back(subscriber_.number());
-    }
+    unclaimed_.push_back({subscriber_.reader().cursor(), subscriber_.number()});
+    claim();
     subscriber_.done();
     return true;
+  }
+  /// Delivers what is known to be for it.
+  void claim() {
+    while (!unclaimed_.empty()) {
+      const auto [sequence, number] = unclaimed_.front();
+      const auto is_ours = chosen_.is_ours(subscriber_.reader(), sequence);
+      if (!is_ours) return;
+      if (*is_ours) delivered.push_back(number);
+      unclaimed_.pop_front();
+    }
   }
   void hear(Link& link) {
     link.each_new([this](std::uint64_t number) {
@@ -109,6 +140,7 @@ class Chooses {
  private:
   Subscriber subscriber_;
   ring::Chosen<Policy> chosen_;
+  std::deque<std::pair<Word, std::uint64_t>> unclaimed_;
   std::size_t had_ = 0;
 };
 
@@ -119,7 +151,7 @@ struct ChosenReader : Scene<ChosenReader, 2> {
     declines.store(0, std::memory_order_relaxed);
     link.written.store(0, std::memory_order_relaxed);
     chooser.open(start(4));
-    reader.join(start(2));
+    RL_ASSERT(reader.join(start(2), 0));
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -157,7 +189,7 @@ struct ChosenAgain : Scene<ChosenAgain, 2> {
   ChosenAgain() : Scene({.blocks = 4, .depth = 3, .readers = 1}) {}
   void prepare() {
     chooser.open(start(4));
-    reader.join(start(2));
+    RL_ASSERT(reader.join(start(2), 0));
     chooser.try_serve(2);
     RL_ASSERT(chooser.is_served());
     chooser.push();
@@ -185,12 +217,47 @@ struct ChosenAgain : Scene<ChosenAgain, 2> {
   std::vector<std::uint64_t> ours;
 };
 
+/// It is expected, and comes to read when the first messages are there; or too late.
+struct ChosenLate : Scene<ChosenLate, 2> {
+  ChosenLate() : Scene({.blocks = 4, .depth = 3, .readers = 1}) {}
+  void prepare() {
+    link.written.store(0, std::memory_order_relaxed);
+    chooser.open(start(4));
+    start(2);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      chooser.send_to_expected(2);
+      chooser.send_to_expected(2);
+      chooser.give_up(link, 2);
+    } else {
+      joined = reader.join(process(2), 3);
+      if (!joined) return;
+      reader.read();
+      reader.read();
+      reader.claim();
+    }
+  }
+  void check() {
+    if (!joined) return;
+    while (reader.read()) {
+    }
+    reader.claim();
+    reader.hear(link);
+    RL_ASSERT(reader.delivered == (std::vector<std::uint64_t>{0, 1}));
+  }
+  Link link;
+  Chooser chooser;
+  Chooses reader;
+  bool joined = false;
+};
+
 /// What is said to a reader is not said to the one that has its cell after it.
 struct ChosenCellChangesHands : Scene<ChosenCellChangesHands, 3> {
   ChosenCellChangesHands() : Scene({.blocks = 4, .depth = 3, .readers = 1}) {}
   void prepare() {
     chooser.open(start(4));
-    reader.join(start(2));
+    RL_ASSERT(reader.join(start(2), 0));
     start(3);
   }
   void thread(unsigned t) {
@@ -221,6 +288,7 @@ const Entered entered{
     {"chosen_reader", "each message comes once, by the ring or another way",
      rl::simulate<ChosenReader>, 2},
     {"chosen_again", "who is served again gets what is for it", rl::simulate<ChosenAgain>, 3},
+    {"chosen_late", "who is expected gets what was kept for it", rl::simulate<ChosenLate>, 2},
     {"chosen_cell_changes_hands", "what is said to a reader is not said to the next one",
      rl::simulate<ChosenCellChangesHands>, 2},
 };

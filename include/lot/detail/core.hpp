@@ -73,9 +73,11 @@ class PusherCore {
   // For those who tell each reader which messages are for it.
 
   /// Serves the one reader of the node of that name that wants it, from the next message on, or
-  /// from the last one. Nothing: there is none, it is not clear which, or the last message is not
-  /// there.
-  virtual std::optional<Served> serve(std::string_view node, bool from_last) = 0;
+  /// from the last `back` ones. Nothing: there is none, it is not clear which, or these messages
+  /// are not there.
+  virtual std::optional<Served> serve(std::string_view node, std::size_t back) = 0;
+  /// True when a process of that name wants the topic's messages, whether it reads here yet or not.
+  virtual bool expects(std::string_view node) = 0;
   /// Nothing more; and not the last `back` messages, if it has not read them yet.
   virtual void stop(const Served& served, std::size_t back) = 0;
   /// False when it wants to be served another way, or is gone.
@@ -114,6 +116,8 @@ class PullerCore {
   virtual std::optional<bool> is_ours(const Origin& origin) = 0;
   /// The name of the process that publishes there; empty when that has been forgotten.
   virtual std::string_view publisher(const Origin& origin) = 0;
+  /// True when a publisher of that name is there, or something of it is not read yet.
+  virtual bool has_publisher(std::string_view publisher) = 0;
   /// True when a publisher of that name has nothing more for us than what is not read yet.
   virtual bool has_last_ones(std::string_view publisher) = 0;
   /// How many messages that have been delivered the publishers of that name take back, since they
