@@ -36,7 +36,13 @@ unsigned colour(const std::string& transport) {
                                                        {"fastdds", 0xcc79a7},
                                                        {"lot2021-direct", 0x4d4d4d},
                                                        {"fastdds-loan", 0xe69f00},
-                                                       {"udp-65507", 0xf0e442}};
+                                                       {"udp-65507", 0xf0e442},
+                                                       {"ros-lot", 0x0072b2},
+                                                       {"ros-lot-mutex", 0x56b4e9},
+                                                       {"ros-tcp", 0xd55e00},
+                                                       {"ros-udp", 0xcc79a7},
+                                                       {"ros-tzc", 0x009e73},
+                                                       {"ros-intra", 0x999999}};
   const auto known = colours.find(transport);
   return known == colours.end() ? 0x666666 : known->second;
 }
@@ -109,7 +115,13 @@ std::string label_of(const std::string& transport) {
                                                         {"uds", "UDS"},
                                                         {"tzc", "TZC"},
                                                         {"iceoryx", "iceoryx"},
-                                                        {"fastdds", "Fast DDS"}};
+                                                        {"fastdds", "Fast DDS"},
+                                                        {"ros-lot", "LOT in ROS"},
+                                                        {"ros-lot-mutex", "LOT in ROS, mutex"},
+                                                        {"ros-tcp", "TCPROS"},
+                                                        {"ros-udp", "UDPROS"},
+                                                        {"ros-tzc", "TZC in ROS"},
+                                                        {"ros-intra", "one ROS process"}};
   const auto known = names.find(transport);
   return known == names.end() ? transport : known->second;
 }

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 # Runs the experiments of the LOT paper, and draws its figures anew.
 #
-#     bench/latency/paper.sh [--quick | --full] [--out DIR]     (default DIR: build/paper)
+#     bench/latency/paper.sh [--quick | --full] [--ros] [--out DIR]     (default DIR: build/paper)
 #
 #   (none)    8 sizes, 500 messages: under 90 minutes
 #   --quick   3 sizes, 20 messages: under 10 minutes, to see that all of it works
 #   --full    14 sizes, 2000 messages, every transport, with and without a pool: days
+#   --ros     with nodes of ROS, instead (default DIR: build/paper-ros): 8 sizes, 150 messages: 30 minutes
 #
 # Cells that DIR has already are left out: a run that was broken off goes on where it stopped. Some
 # cells need root (TCP and UDP between containers); without it the output says what was left out, as
@@ -15,11 +16,13 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 
-out=build/paper
+out=
 size=normal
+ros=no
 while [ $# -gt 0 ]; do
   case $1 in
     --quick | --full) size=${1#--} ;;
+    --ros) ros=yes ;;
     --out)
       out=${2:?"--out needs a directory"}
       shift
@@ -33,6 +36,10 @@ while [ $# -gt 0 ]; do
   esac
   shift
 done
+
+if [ -z "$out" ]; then
+  if [ $ros = yes ]; then out=build/paper-ros; else out=build/paper; fi
+fi
 
 lot_ab=${LOT_AB:-build/release/bench/latency/lot_ab}
 if [ ! -x "$lot_ab" ]; then
@@ -63,7 +70,7 @@ esac
 
 # Of NAME,... those that lot_ab has, and a line about the others.
 here=$("$lot_ab" list | awk '$2 !~ /^\(/ { print $1 }')
-every=$(grep -v '^floor-' <<<"$here" | paste -sd,)
+every=$(grep -v -e '^floor-' -e '^ros-' <<<"$here" | paste -sd,)
 those_here() {
   local name some=()
   for name in ${1//,/ }; do
@@ -94,6 +101,24 @@ only() {
 measure() {
   if [ "$size" = full ]; then only "$1" "$every,$2" "${@:3}"; else only "$@"; fi
 }
+
+if [ $ros = yes ]; then
+  nodes=ros-lot,ros-lot-mutex,ros-tcp,ros-tzc,ros-intra
+  [ "$size" = normal ] && messages=150
+  few=(--messages "$messages" --block "$block" --pool 4)
+  only "in ROS: one publisher, one subscriber" $nodes,ros-udp,ring,tcp "${few[@]}" --size 128,$sizes
+  only "in ROS: spinning" $nodes,ring "${few[@]}" --size 128,16M --wait spin
+  only "in ROS: frames that are not filled" ros-lot,ros-intra,ring \
+    --messages $((messages * 8)) --block $((messages * 8 / 20)) --rate 100 --pool 4 --size 128,16M --fill no
+  only "in ROS: what a message of 16 MiB costs" ros-lot,ros-tcp,ring,floor-pace \
+    --messages $((messages * 4)) --block "$messages" --pool 4 --size 16M --fill no --no-floors
+  only "in ROS: five publishers" ros-lot,ros-tcp,ros-tzc \
+    "${few[@]}" --depth 4 --size $sizes --graph 5p1s --no-floors
+  only "in ROS: five subscribers" ros-lot,ros-tcp,ros-tzc,floor-futex \
+    "${few[@]}" --size $sizes --graph 1p5s --no-floors
+  "$lot_ab" plot "$out"
+  exit $failed
+fi
 
 for prepared in $pools; do
   pool=(--pool "$prepared")

@@ -7,6 +7,11 @@
 namespace ab {
 namespace {
 
+#ifndef LOT_AB_ROS
+constexpr const char* kNoRos =
+    "was not found when this was built; install libroscpp-dev and libsensor-msgs-dev";
+#endif
+
 std::vector<Transport> all() {
   std::vector<Transport> every;
   for (auto* const of_file : {
@@ -21,6 +26,9 @@ std::vector<Transport> all() {
 #endif
 #ifdef LOT_AB_FASTDDS
            fastdds_transports,
+#endif
+#ifdef LOT_AB_ROS
+           ros_transports,
 #endif
            floor_transports,
        }) {
@@ -52,6 +60,14 @@ const std::vector<Missing>& missing_transports() {
 #endif
 #ifndef LOT_AB_FASTDDS
       {"fastdds", "was not found when this was built; install libfastrtps-dev"},
+#endif
+#ifndef LOT_AB_ROS
+      {"ros-lot", kNoRos},
+      {"ros-lot-mutex", kNoRos},
+      {"ros-tcp", kNoRos},
+      {"ros-udp", kNoRos},
+      {"ros-intra", kNoRos},
+      {"ros-tzc", kNoRos},
 #endif
   };
   return missing;

@@ -128,6 +128,7 @@ std::vector<Transport> floor_transports();    ///< floor-spin, floor-futex, floo
 std::vector<Transport> lot2021_transports();  ///< lot2021
 std::vector<Transport> tzc_transports();      ///< tzc
 std::vector<Transport> intra_transports();    ///< intra
+std::vector<Transport> ros_transports();      ///< ros-tcp, ros-udp, ros-intra, ros-lot, ...
 std::vector<Transport> socket_transports();   ///< tcp, tcp-nagle, uds
 std::vector<Transport> udp_transports();      ///< udp, udp-65507
 std::vector<Transport> iceoryx_transports();  ///< iceoryx

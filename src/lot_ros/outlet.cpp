@@ -35,7 +35,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto kProbePeriod = 100ms;
+constexpr auto kProbePeriod = 1s;
 /// So long a LOT subscriber may take until it reads the ring: its node is just starting.
 constexpr auto kPatience = 1s;
 constexpr std::chrono::milliseconds kFirstLook{10};
@@ -343,14 +343,19 @@ void TopicOutlet::return_to_link(Peer& peer) {
 
 // ---- messages -----------------------------------------------------------------------------------
 
+/// The ring may be closed meanwhile.
+std::shared_ptr<lot::detail::PusherCore> TopicOutlet::ring() {
+  const std::lock_guard guard(ring_mutex_);
+  return ring_;
+}
+
 lot::detail::Loan TopicOutlet::loan() {
-  std::shared_ptr<lot::detail::PusherCore> ring;  // it may be closed meanwhile
-  {
-    const std::lock_guard guard(ring_mutex_);
-    ring = ring_;
-  }
-  if (!ring) return {};
-  return ring->loan(*kind_.layout, false);
+  const auto ring = this->ring();
+  return ring ? ring->loan(*kind_.layout, false) : lot::detail::Loan{};
+}
+
+void TopicOutlet::reserve(std::size_t count, std::size_t bytes) {
+  if (const auto ring = this->ring()) ring->reserve(count, bytes);
 }
 
 void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t end) {

@@ -46,6 +46,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   const std::string& topic() const noexcept { return options_.topic; }
 
   lot::detail::Loan loan() override;
+  void reserve(std::size_t count, std::size_t bytes) override;
   void publish(const detail::Parcel& parcel, bool fresh, std::uint64_t end) override;
 
   /// A user's end of the topic: whether it latches, and whether it wants to know of peers.
@@ -114,6 +115,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void look_after(Loop::Clock::time_point when, std::chrono::milliseconds patience);
   bool ask_if_due(Peer& peer);
   ::ros::SerializedMessage serialise(const Message& message);
+  std::shared_ptr<lot::detail::PusherCore> ring();
   void send(const Peer& peer, const ::ros::SerializedMessage& message);
   detail::Parcel into_ring(const detail::Parcel& parcel);
 

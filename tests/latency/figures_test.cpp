@@ -69,7 +69,15 @@ Run everything() {
                                      "floor-futex",
                                      "lot2021-direct",
                                      "fastdds-loan",
-                                     "udp-65507"};
+                                     "udp-65507",
+                                     "ros-lot",
+                                     "ros-lot-mutex",
+                                     "ros-tcp",
+                                     "ros-udp",
+                                     "ros-tzc",
+                                     "ros-intra"};
+  const std::vector<std::string> several{"ring",    "tcp",     "tzc",    "floor-futex",
+                                         "ros-lot", "ros-tcp", "ros-tzc"};
   for (const std::size_t size : kSizes) {
     double factor = 1;
     for (const char* place : {"host", "container", "containers"}) {
@@ -86,13 +94,11 @@ Run everything() {
       run.cells.back().conditions.pin = pin;
       factor = 0.95;
     }
-    run.cells.push_back(
-        paced("1p5s", {1, 5, 10, 10}, size, {"ring", "tcp", "tzc", "floor-futex"}, 1.1, 0.3));
+    run.cells.push_back(paced("1p5s", {1, 5, 10, 10}, size, several, 1.1, 0.3));
     run.cells.push_back(
         paced("1p5s", {1, 5, 10, 10}, size, {"ring", "tcp", "tzc", "floor-futex"}, 1.1, 0.25));
     run.cells.back().conditions.ordered = true;
-    run.cells.push_back(
-        paced("5p1s", {5, 1, 10, 10}, size, {"ring", "tcp", "tzc", "floor-futex"}, 1.3, 0));
+    run.cells.push_back(paced("5p1s", {5, 1, 10, 10}, size, several, 1.3, 0));
   }
   for (const std::size_t size : {512u, 1024u}) {
     run.cells.push_back(paced("1p1s", {1, 1, 10, 50}, size, {"ring", "tcp", "tcp-nagle"}, 1, 0));
@@ -136,9 +142,10 @@ std::string line_of(const std::vector<std::string>& lines, const std::string& na
 
 bool has_gnuplot() { return std::system("command -v gnuplot >/dev/null") == 0; }
 
-constexpr const char* kFigures[] = {"fig3a", "fig3b", "fig5a", "fig5b",     "fig5c", "fig6a",
-                                    "fig6b", "fig6c", "fig6d", "fig7a",     "fig7b", "fig7c",
-                                    "fig7d", "fig8",  "peers", "peers-spin"};
+constexpr const char* kFigures[] = {"fig3a", "fig3b", "fig5a", "fig5b",      "fig5c", "fig6a",
+                                    "fig6b", "fig6c", "fig6d", "fig7a",      "fig7b", "fig7c",
+                                    "fig7d", "fig8",  "peers", "peers-spin", "ros5a", "ros5b",
+                                    "ros5c", "ros6a", "ros7a", "ros7c",      "ros7d"};
 
 }  // namespace
 

@@ -60,7 +60,8 @@ def names(command):
 
 def is_understood():
     have = subprocess.run([LOT_AB, 'list'], capture_output=True, text=True, check=True).stdout.splitlines()
-    every = {line.split()[0] for line in have if not line.split()[1].startswith('(') and not line.startswith('floor-')}
+    every = {line.split()[0] for line in have if not line.split()[1].startswith('(') and
+             not line.startswith(('floor-', 'ros-'))}
     for option, most in ((None, 86 * 60), ('--quick', 8 * 60), ('--full', None)):
         paper = Paper(*([option] if option else []))
         word = option or 'normal'
@@ -108,4 +109,15 @@ def ends_well():
     check(Paper('--fast').status == 2, 'an unknown option')
 
 
-run((is_understood, leaves_out_what_is_missing, ends_well))
+def has_ros():
+    for option, most in ((None, 32 * 60), ('--quick', 6 * 60)):
+        paper = Paper(*([option] if option else []), '--ros')
+        word = f'{option or "normal"} --ros'
+        check(paper.status == 0 and paper.asked and not paper.wrote, f'{word}: every command is understood')
+        check(f'drawn: {paper.out}' in paper.said, f'{word}: figures are drawn at the end')
+        print(f'{word}: {paper.seconds()} s of pacing')
+        check(0 < paper.seconds() < most, f'{word}: in time')
+        check(all('ros-lot' in names(command) for command in paper.asked), f'{word}: nodes of ROS')
+
+
+run((has_ros, is_understood, leaves_out_what_is_missing, ends_well))

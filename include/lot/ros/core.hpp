@@ -112,6 +112,8 @@ class Outlet {
   virtual ~Outlet() = default;
   /// cell null: LOT is off in this process, or out of memory: messages lie on the heap.
   virtual lot::detail::Loan loan() = 0;
+  /// Makes memory for so many messages ready, `bytes` each; nothing where LOT is off.
+  virtual void reserve(std::size_t count, std::size_t bytes) = 0;
   /// `fresh`: nobody else has the message yet, so that its header's number is ours to set. `end`:
   /// the user's end that it comes from.
   virtual void publish(const Parcel& parcel, bool fresh, std::uint64_t end) = 0;

@@ -77,6 +77,13 @@ class Publisher {
     return Loan<M>(lot::detail::build<M>(loan));
   }
 
+  /// Makes memory for `count` messages with `bytes` of contents each ready: touched for the first
+  /// time now (milliseconds for each frame of 16 MB) and not when they are filled. Throws
+  /// lot::OutOfMemory; does nothing where LOT is off.
+  void reserve(std::size_t count, std::size_t bytes) const {
+    if (const auto outlet = end_ ? end_->outlet() : nullptr) outlet->reserve(count, bytes);
+  }
+
   void publish(Loan<M>&& message) const {
     if (end_ && message) send(message.release(), true);
   }

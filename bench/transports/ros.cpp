@@ -1,0 +1,366 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <csignal>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <netinet/in.h>
+#include <optional>
+#include <stdexcept>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <system_error>
+#include <thread>
+#include <unistd.h>
+#include <utility>
+
+#include <spawn.h>
+
+#include "ros_ends.hpp"
+#include "sockets.hpp"
+#include "transport.hpp"
+#include "tzc.hpp"
+
+/// Nodes of stock ROS, with a rosmaster of their own, that publish and subscribe as any do: roscpp
+/// over TCPROS and UDPROS and within one process, lot::ros, and TZC's protocol with its descriptors
+/// in ROS messages.
+///
+/// roscpp reads sockets in a thread of its own, which sleeps whatever Stream::wait says: that is
+/// about the thread that calls callbacks.
+namespace ab {
+namespace {
+
+using namespace std::chrono_literals;
+using ros_ends::Terms;
+using ros_ends::Way;
+
+constexpr auto kStarts = 60s;  ///< a master
+constexpr auto kEnds = 5s;
+
+std::string uri_file(const Stream& stream) { return stream.directory + "/rosmaster"; }
+
+// ---- the master
+// -----------------------------------------------------------------------------------
+
+/// A port that nobody listens on. Somebody may take it until the master does: then it says so.
+int free_port() {
+  const Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0), "socket");
+  sockaddr_in name{};
+  name.sin_family = AF_INET;
+  name.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t length = sizeof name;
+  if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&name), length) != 0) fail("bind");
+  if (getsockname(fd.get(), reinterpret_cast<sockaddr*>(&name), &length) != 0) fail("getsockname");
+  return ntohs(name.sin_port);
+}
+bool listens(int port) {
+  const Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0), "socket");
+  sockaddr_in name{};
+  name.sin_family = AF_INET;
+  name.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  name.sin_port = htons(static_cast<std::uint16_t>(port));
+  return connect(fd.get(), reinterpret_cast<const sockaddr*>(&name), sizeof name) == 0;
+}
+
+/// The master of all streams that share a directory: the first of them starts it.
+class Master final : public Service {
+ public:
+  explicit Master(const Stream& stream) {
+    if (std::filesystem::exists(uri_file(stream))) return;
+    const int port = free_port();
+    const std::string log = stream.directory + "/rosmaster.log";
+    start(port, stream.directory, log);
+    const auto until = std::chrono::steady_clock::now() + kStarts;
+    while (!listens(port)) {
+      if (std::chrono::steady_clock::now() < until && waitpid(pid_, nullptr, WNOHANG) == 0) {
+        std::this_thread::sleep_for(10ms);
+        continue;
+      }
+      stop();
+      std::ifstream said(log);
+      throw std::runtime_error("rosmaster did not start; it said: " +
+                               std::string(std::istreambuf_iterator<char>(said), {}));
+    }
+    std::ofstream(uri_file(stream)) << "http://127.0.0.1:" << port << "/\n";
+  }
+  ~Master() override { stop(); }
+  int pid() const override { return pid_; }
+
+ private:
+  void start(int port, const std::string& directory, const std::string& log) {
+    std::vector<std::string> words{LOT_AB_ROSMASTER,     "--core", "-p",
+                                   std::to_string(port), "-w",     "3"};
+    std::vector<char*> arguments;
+    for (std::string& word : words) arguments.push_back(word.data());
+    arguments.push_back(nullptr);
+    std::vector<std::string> settings{"ROS_HOME=" + directory, "ROS_IP=127.0.0.1"};
+    std::vector<char*> environment;
+    for (std::string& setting : settings) environment.push_back(setting.data());
+    for (char** e = environ; *e != nullptr; ++e) {
+      if (std::strncmp(*e, "ROS_", 4) != 0) environment.push_back(*e);
+    }
+    environment.push_back(nullptr);
+    posix_spawn_file_actions_t actions;
+    posix_spawn_file_actions_init(&actions);
+    posix_spawn_file_actions_addopen(&actions, STDOUT_FILENO, log.c_str(),
+                                     O_WRONLY | O_CREAT | O_TRUNC, 0600);
+    posix_spawn_file_actions_adddup2(&actions, STDOUT_FILENO, STDERR_FILENO);
+    const int error = posix_spawn(&pid_, LOT_AB_ROSMASTER, &actions, nullptr, arguments.data(),
+                                  environment.data());
+    posix_spawn_file_actions_destroy(&actions);
+    if (error != 0) {
+      pid_ = 0;
+      throw std::system_error(error, std::generic_category(), LOT_AB_ROSMASTER);
+    }
+  }
+  void stop() {
+    if (pid_ <= 0) return;
+    kill(pid_, SIGINT);
+    const auto until = std::chrono::steady_clock::now() + kEnds;
+    pid_t ended = 0;
+    while ((ended = waitpid(pid_, nullptr, WNOHANG)) == 0 &&
+           std::chrono::steady_clock::now() < until) {
+      std::this_thread::sleep_for(5ms);
+    }
+    if (ended == 0) {
+      kill(pid_, SIGKILL);
+      waitpid(pid_, nullptr, 0);
+    }
+    pid_ = 0;
+  }
+
+  pid_t pid_ = 0;
+};
+
+// ---- ends
+// -----------------------------------------------------------------------------------------
+
+/// Messages that a publisher of LOT's has in memory: in its ring, at hand, and on their way home.
+unsigned prepared(const Stream& stream) { return std::max(stream.depth, 16U) + 8; }
+
+/// A name that ROS takes.
+std::string ros_name(std::string name) {
+  for (char& c : name) {
+    if (c == '-') c = '_';
+  }
+  return "n" + name;
+}
+
+Terms terms_of(const Stream& stream, Way way, char role, unsigned index) {
+  Terms terms;
+  terms.way = way;
+  terms.waiting = stream.wait == Wait::Spin       ? ros_ends::Waiting::Spin
+                  : stream.wait == Wait::Adaptive ? ros_ends::Waiting::Adaptive
+                                                  : ros_ends::Waiting::Park;
+  std::ifstream(uri_file(stream)) >> terms.master;
+  terms.topic = "/" + ros_name(stream.name);
+  terms.node = ros_name(stream.name) + "_" + role + std::to_string(index);
+  terms.directory = stream.directory;
+  terms.segment = stream.name;
+  terms.size = stream.size;
+  terms.depth = stream.depth;
+  terms.pool = stream.pool;
+  terms.prepared = prepared(stream);
+  // And what subscribers hold, or keep until they are told that it is theirs; in ping-pong the
+  // other way, too, since a process has one segment.
+  const std::uint64_t messages =
+      std::uint64_t{prepared(stream)} * stream.publishers + stream.subscribers * (stream.depth + 4);
+  terms.segment_bytes = (64 << 20) + 2 * messages * (stream.size + 8192);
+  return terms;
+}
+
+class RosSender final : public Sender {
+ public:
+  RosSender(const Stream& stream, Way way, unsigned publisher)
+      : stream_(stream), topic_(advertise(terms_of(stream, way, 'p', publisher))) {}
+
+  bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
+    const auto until = std::chrono::steady_clock::now() + patience;
+    while (topic_->subscribers() < subscribers) {
+      if (std::chrono::steady_clock::now() >= until) return false;
+      std::this_thread::sleep_for(1ms);
+    }
+    return true;
+  }
+  std::byte* loan() override { return topic_->loan(); }
+  bool push() override {
+    topic_->publish();
+    return true;
+  }
+  /// Once when it is serialised, and once into each socket.
+  std::uint64_t copied() const override {
+    return topic_->serialised() * stream_.size * (1 + stream_.subscribers);
+  }
+
+ private:
+  const Stream stream_;
+  const std::unique_ptr<ros_ends::Publisher> topic_;
+};
+
+class RosReceiver final : public Receiver {
+ public:
+  RosReceiver(const Stream& stream, Way way, unsigned subscriber)
+      : copies_(way == Way::Tcp || way == Way::Udp),
+        topic_(subscribe(terms_of(stream, way, 's', subscriber))) {}
+
+  bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
+    return topic_->receive(
+        [&](const std::byte* bytes, std::size_t size) {
+          if (copies_) copied_ += 2 * size;  // out of the socket, and when it is deserialised
+          handler({bytes, size});
+        },
+        patience);
+  }
+  std::uint64_t copied() const override { return copied_; }
+
+ private:
+  const bool copies_;
+  const std::unique_ptr<ros_ends::Subscriber> topic_;
+  std::uint64_t copied_ = 0;
+};
+
+/// TZC's notices in ROS messages.
+Terms notices_of(const Stream& stream, char role, unsigned index) {
+  Terms terms = terms_of(stream, Way::Tcp, role, index);
+  terms.size = sizeof(tzc::Notice);
+  terms.pool = 2;
+  return terms;
+}
+
+class RosTzcSender final : public Sender {
+ public:
+  RosTzcSender(const Stream& stream, unsigned publisher)
+      : size_(stream.size),
+        publisher_(publisher),
+        segment_(stream),
+        spare_(stream.size),
+        topic_(advertise(notices_of(stream, 'p', publisher))) {}
+
+  bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
+    const auto until = std::chrono::steady_clock::now() + patience;
+    while (topic_->subscribers() < subscribers) {
+      if (std::chrono::steady_clock::now() >= until) return false;
+      std::this_thread::sleep_for(1ms);
+    }
+    return true;
+  }
+  std::byte* loan() override {
+    if (handle_ == tzc::kNone) handle_ = segment_.allocate();
+    return handle_ == tzc::kNone ? spare_.get() : segment_.bytes(handle_);
+  }
+  bool push() override {
+    if (handle_ == tzc::kNone) return false;
+    const tzc::Notice notice{number_++, segment_.generation(handle_), size_, handle_, publisher_};
+    std::memcpy(topic_->loan(), &notice, sizeof notice);
+    topic_->publish();
+    segment_.release(std::exchange(handle_, tzc::kNone));
+    return true;
+  }
+
+ private:
+  const std::size_t size_;
+  const std::uint32_t publisher_;
+  tzc::Segment segment_;
+  const Pages spare_;  ///< where a message is filled for which there is no memory
+  const std::unique_ptr<ros_ends::Publisher> topic_;
+  std::uint32_t handle_ = tzc::kNone;  ///< on loan
+  std::uint64_t number_ = 0;
+};
+
+class RosTzcReceiver final : public Receiver {
+ public:
+  RosTzcReceiver(const Stream& stream, unsigned subscriber)
+      : size_(stream.size),
+        segment_(stream),
+        next_(stream.publishers),
+        topic_(subscribe(notices_of(stream, 's', subscriber))) {}
+
+  bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
+    bool came = false;
+    const auto read = [&](const std::byte* bytes, std::size_t size) {
+      tzc::Notice notice{};
+      if (size == sizeof notice) std::memcpy(&notice, bytes, sizeof notice);
+      if (notice.length != size_ || notice.handle >= segment_.size() ||
+          notice.publisher >= next_.size()) {
+        throw std::runtime_error("ros-tzc: what came is no notice of this stream");
+      }
+      missed_ += notice.number - next_[notice.publisher];
+      next_[notice.publisher] = notice.number + 1;
+      if (!segment_.acquire(notice.handle, notice.generation)) {
+        ++missed_;
+        return;
+      }
+      handler({segment_.bytes(notice.handle), size_});
+      segment_.release(notice.handle);
+      came = true;
+    };
+    const auto begin = std::chrono::steady_clock::now();
+    for (;;) {
+      const auto left = patience - (std::chrono::steady_clock::now() - begin);
+      if (!topic_->receive(read, patience < 0ns ? patience : std::max(left, left.zero()))) {
+        return false;
+      }
+      if (came) return true;
+    }
+  }
+  std::uint64_t missed() const override { return missed_; }
+
+ private:
+  const std::size_t size_;
+  tzc::Segment segment_;
+  std::vector<std::uint64_t> next_;  ///< of each publisher
+  std::uint64_t missed_ = 0;
+  const std::unique_ptr<ros_ends::Subscriber> topic_;
+};
+
+Transport base(std::string name, std::string about) {
+  Transport t;
+  t.name = std::move(name);
+  t.about = std::move(about);
+  t.waits = false;
+  t.refuses = [](const Stream& stream) -> std::string {
+    if (stream.isolated) return "its nodes and their master meet on the loopback; set --place host";
+    return "";
+  };
+  t.serve = [](const Stream& stream) { return std::make_unique<Master>(stream); };
+  return t;
+}
+
+Transport ros_transport(std::string name, std::string about, Way way) {
+  Transport t = base(std::move(name), std::move(about));
+  t.threads = way == Way::Intra;
+  t.copies = way == Way::Tcp || way == Way::Udp;
+  t.sender = [way](const Stream& stream, unsigned publisher) {
+    return std::make_unique<RosSender>(stream, way, publisher);
+  };
+  t.receiver = [way](const Stream& stream, unsigned subscriber) {
+    return std::make_unique<RosReceiver>(stream, way, subscriber);
+  };
+  return t;
+}
+
+}  // namespace
+
+std::vector<Transport> ros_transports() {
+  std::vector<Transport> all{
+      ros_transport("ros-lot", "roscpp with lot::ros: frames in the lock-free ring", Way::Lot),
+      ros_transport("ros-lot-mutex", "roscpp with lot::ros: the queue under a robust mutex",
+                    Way::LotMutex),
+      ros_transport("ros-tcp", "roscpp: TCPROS", Way::Tcp),
+      ros_transport("ros-udp", "roscpp: UDPROS, datagrams of 1500 bytes", Way::Udp),
+      ros_transport("ros-intra", "roscpp: pointers within one process", Way::Intra)};
+  Transport tzc =
+      base("ros-tzc", "TZC's protocol: bytes in shared memory, descriptors over TCPROS");
+  tzc.sender = [](const Stream& stream, unsigned publisher) {
+    return std::make_unique<RosTzcSender>(stream, publisher);
+  };
+  tzc.receiver = [](const Stream& stream, unsigned subscriber) {
+    return std::make_unique<RosTzcReceiver>(stream, subscriber);
+  };
+  all.push_back(std::move(tzc));
+  return all;
+}
+
+}  // namespace ab

@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "ros_ends.hpp"
+
+#include <atomic>
+#include <cstdlib>
+#include <cstring>
+#include <mutex>
+#include <stdexcept>
+#include <utility>
+#include <vector>
+
+#include <boost/make_shared.hpp>
+#include <ros/callback_queue.h>
+#include <ros/ros.h>
+#include <sensor_msgs/Image.h>
+
+#include "lot/ros.hpp"
+
+namespace ab::ros_ends {
+namespace {
+
+using namespace std::chrono_literals;
+using Plain = sensor_msgs::Image;
+using Shared = lot::ros::Message<sensor_msgs::Image_>;
+
+constexpr auto kSpinTime = 50us;  ///< of adaptive waiting: a little more than a wake-up costs
+
+/// ROS in this process, as long as it has ends. roscpp begins once, and does not begin again.
+class Node {
+ public:
+  static std::shared_ptr<Node> of(const Terms& terms) {
+    static std::mutex mutex;
+    static std::weak_ptr<Node> known;
+    const std::lock_guard lock(mutex);
+    auto node = known.lock();
+    if (!node) known = node = std::shared_ptr<Node>(new Node(terms));
+    return node;
+  }
+  ~Node() {
+    handle_.reset();
+    ros::shutdown();
+  }
+  lot::ros::NodeHandle& handle() { return *handle_; }
+  /// Held while an end is opened: two threads that publish and subscribe at once may be connected
+  /// twice by roscpp.
+  std::mutex& opening() { return opening_; }
+
+ private:
+  explicit Node(const Terms& terms) {
+    if (ros::isInitialized()) throw std::runtime_error("ROS has ended in this process");
+    setenv("ROS_HOME", terms.directory.c_str(), 1);
+    setenv("ROS_IP", "127.0.0.1", 1);
+    setenv("LOT_DIR", terms.directory.c_str(), 1);
+    const ros::M_string settings{
+        {"__master", terms.master},
+        {"_lot/segment", terms.segment},
+        {"_lot/size", std::to_string((terms.segment_bytes >> 20) + 1) + "M"},
+        {"_lot/queue", terms.way == Way::LotMutex ? "mutex" : "ring"},
+        {"_lot/enable", is_lot(terms) ? "true" : "false"},
+    };
+    ros::init(settings, terms.node,
+              ros::init_options::NoSigintHandler | ros::init_options::NoRosout);
+    handle_ = std::make_unique<lot::ros::NodeHandle>();
+  }
+  static bool is_lot(const Terms& terms) {
+    return terms.way == Way::Lot || terms.way == Way::LotMutex;
+  }
+
+  std::mutex opening_;
+  std::unique_ptr<lot::ros::NodeHandle> handle_;
+};
+
+class PlainPublisher final : public Publisher {
+ public:
+  explicit PlainPublisher(const Terms& terms) : terms_(terms), node_(Node::of(terms)) {
+    const std::lock_guard lock(node_->opening());
+    publisher_ = node_->handle().advertise<Plain>(terms.topic, terms.depth);
+    for (unsigned i = 0; i < terms.pool; ++i) pool_.push_back(make());
+  }
+  unsigned subscribers() const override { return publisher_.getNumSubscribers(); }
+  std::byte* loan() override {
+    if (!message_) message_ = next();
+    return reinterpret_cast<std::byte*>(message_->data.data());
+  }
+  void publish() override {
+    publisher_.publish(message_);
+    message_.reset();
+    ++published_;
+  }
+  std::uint64_t serialised() const override { return terms_.way == Way::Intra ? 0 : published_; }
+
+ private:
+  boost::shared_ptr<Plain> make() const {
+    auto message = boost::make_shared<Plain>();
+    message->data.resize(terms_.size);
+    return message;
+  }
+  /// One of the pool that nobody else has; a new one where there is no pool, or it is all in use.
+  boost::shared_ptr<Plain> next() {
+    for (std::size_t i = 0; i < pool_.size(); ++i) {
+      const auto& message = pool_[turn_++ % pool_.size()];
+      if (message.use_count() != 1) continue;
+      std::atomic_thread_fence(std::memory_order_acquire);  // readers have done
+      return message;
+    }
+    return make();
+  }
+
+  const Terms terms_;
+  const std::shared_ptr<Node> node_;
+  ros::Publisher publisher_;
+  std::vector<boost::shared_ptr<Plain>> pool_;
+  std::size_t turn_ = 0;
+  boost::shared_ptr<Plain> message_;
+  std::uint64_t published_ = 0;
+};
+
+class LotPublisher final : public Publisher {
+ public:
+  explicit LotPublisher(const Terms& terms)
+      : size_(terms.size),
+        node_(Node::of(terms)),
+        publisher_(node_->handle().advertise<Shared>(terms.topic, terms.depth)) {
+    publisher_.reserve(terms.prepared, terms.size);
+  }
+  unsigned subscribers() const override { return publisher_.getNumSubscribers(); }
+  std::byte* loan() override {
+    if (!message_) {
+      message_ = publisher_.loan();
+      message_->data.resize(size_);
+    }
+    return reinterpret_cast<std::byte*>(message_->data.data());
+  }
+  void publish() override { publisher_.publish(std::move(message_)); }
+  std::uint64_t serialised() const override { return publisher_.serialised(); }
+
+ private:
+  const std::size_t size_;
+  const std::shared_ptr<Node> node_;
+  lot::ros::Publisher<Shared> publisher_;
+  lot::ros::Loan<Shared> message_;
+};
+
+/// Callbacks are called as ros::spin() calls them, by the node's own thread, from a queue of this
+/// end's.
+template <class Message>
+class TopicSubscriber final : public Subscriber {
+ public:
+  explicit TopicSubscriber(const Terms& terms) : terms_(terms), node_(Node::of(terms)) {
+    lot::ros::NodeHandle handle(node_->handle());
+    handle.setCallbackQueue(&queue_);
+    ros::TransportHints hints;
+    const std::lock_guard lock(node_->opening());
+    if (terms.way == Way::Udp) hints.unreliable();
+    subscriber_ = handle.subscribe<Message>(
+        terms.topic, terms.depth,
+        boost::function<void(const boost::shared_ptr<Message const>&)>(
+            [this](const boost::shared_ptr<Message const>& message) {
+              (*handler_)(reinterpret_cast<const std::byte*>(message->data.data()),
+                          message->data.size());
+            }),
+        hints);
+  }
+  ~TopicSubscriber() override { subscriber_.shutdown(); }
+
+  bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
+    handler_ = &handler;
+    const auto begin = std::chrono::steady_clock::now();
+    if (terms_.waiting != Waiting::Park) {
+      for (;;) {
+        if (call_one(0ns)) return true;
+        const auto waited = std::chrono::steady_clock::now() - begin;
+        if (patience >= 0ns && waited >= patience) return false;
+        if (terms_.waiting == Waiting::Adaptive && waited >= kSpinTime) break;
+      }
+    }
+    for (;;) {
+      const auto waited = std::chrono::steady_clock::now() - begin;
+      if (patience >= 0ns && waited >= patience) return call_one(0ns);
+      if (call_one(patience < 0ns ? 1s : patience - waited)) return true;
+    }
+  }
+
+ private:
+  bool call_one(std::chrono::nanoseconds patience) {
+    return queue_.callOne(ros::WallDuration().fromNSec(patience.count())) ==
+           ros::CallbackQueue::Called;
+  }
+
+  const Terms terms_;
+  const std::shared_ptr<Node> node_;
+  ros::CallbackQueue queue_;
+  const Handler* handler_ = nullptr;
+  std::conditional_t<std::is_same_v<Message, Shared>, lot::ros::Subscriber, ros::Subscriber>
+      subscriber_;
+};
+
+}  // namespace
+
+std::unique_ptr<Publisher> advertise(const Terms& terms) {
+  if (terms.way == Way::Lot || terms.way == Way::LotMutex) {
+    return std::make_unique<LotPublisher>(terms);
+  }
+  return std::make_unique<PlainPublisher>(terms);
+}
+
+std::unique_ptr<Subscriber> subscribe(const Terms& terms) {
+  if (terms.way == Way::Lot || terms.way == Way::LotMutex) {
+    return std::make_unique<TopicSubscriber<Shared>>(terms);
+  }
+  return std::make_unique<TopicSubscriber<Plain>>(terms);
+}
+
+}  // namespace ab::ros_ends
