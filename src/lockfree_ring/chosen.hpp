@@ -9,6 +9,16 @@
 
 namespace lot::ring {
 
+inline bool precedes(Word sequence, Word bound) {
+  return distance(sequence, bound_sequence(bound)) < 0;
+}
+/// Whether a message lies between a cell's words. Nothing: that may be said yet.
+inline std::optional<bool> lies_between(Word sequence, Word from, Word to) {
+  if (is_set(to) && !precedes(sequence, to)) return std::nullopt;
+  if (!is_set(from)) return std::nullopt;
+  return !precedes(sequence, from);
+}
+
 /// A reader that is served by its ring from one message to another, and another way before and
 /// after that (docs/ros.md): which messages are for it. The writer says it in the reader's cell
 /// before it pushes the message; so who has read a message knows.
@@ -21,19 +31,16 @@ class Chosen {
   /// last message, which the writer may keep for those who come late. REQUIRES: it is borrowed, or
   /// it was answered by nothing then: else the writer may have begun anew meanwhile.
   std::optional<bool> is_ours(const Reader<P>& reader, Word sequence) {
-    const Word to = reader.to();
-    if (is_set(to) && !is_before(sequence, to)) return std::nullopt;
-    const Word from = reader.from();
-    if (!is_set(from)) return std::nullopt;
-    if (is_before(sequence, from)) return false;
-    end_ = next(sequence);
-    return true;
+    const Word to = reader.to();  // first: it carries `from` (R11)
+    const auto is_ours = lies_between(sequence, reader.from(), to);
+    if (is_ours == true) end_ = next(sequence);
+    return is_ours;
   }
 
   /// True when nothing more will be for us, and some of what is is not read yet.
   bool has_last_ones(const Reader<P>& reader) const {
     const Word to = reader.to();
-    return is_set(to) && is_before(reader.cursor(), to) && reader.ready();
+    return is_set(to) && precedes(reader.cursor(), to) && reader.ready();
   }
 
   /// How many messages that were ours the writer has sent another way as well, when it stopped
@@ -46,10 +53,6 @@ class Chosen {
   }
 
  private:
-  static bool is_before(Word sequence, Word bound) {
-    return distance(sequence, bound_sequence(bound)) < 0;
-  }
-
   std::optional<Word> end_;  ///< behind the last one that was ours
   Word seen_to_ = 0;
 };

@@ -115,10 +115,15 @@ class TopicSubscription final : public Subscription {
       if (inlet->has_users() || !erase(Topics::all().inlets, topic_, inlet)) return;
       Topics::all().closing.insert(topic_);
     }
+    const struct Closed {  // whatever close() throws
+      const std::string& topic;
+      ~Closed() {
+        const std::lock_guard guard(Topics::all().opening);
+        Topics::all().closing.erase(topic);
+        Topics::all().closed.notify_all();
+      }
+    } closed{topic_};
     inlet->close();
-    const std::lock_guard guard(Topics::all().opening);
-    Topics::all().closing.erase(topic_);
-    Topics::all().closed.notify_all();
   }
 
  private:

@@ -19,8 +19,8 @@ namespace {
 
 /// Frames that wait to be deserialised, of one topic: as many as its users would let wait.
 constexpr std::uint32_t kShortestIntake = 16;
-/// So often is it looked at whether those who latch are still there.
-constexpr auto kForgetPeriod = std::chrono::seconds(1);
+/// So often is it looked at whether publishers are still there.
+constexpr auto kForgetPeriod = std::chrono::seconds(5);
 /// So many messages are read before other topics have their turn.
 constexpr unsigned kAtOnce = 64;
 
@@ -218,7 +218,8 @@ void Inlet::read() {
   for (auto ring = unclaimed_.begin(); ring != unclaimed_.end();) {
     auto& waiting = ring->second;
     while (!waiting.empty() && deliver_if_ours(waiting.front())) waiting.pop_front();
-    ring = waiting.empty() ? unclaimed_.erase(ring) : std::next(ring);
+    const bool is_over = waiting.empty() || !may_be_ours_yet(waiting.front());
+    ring = is_over ? unclaimed_.erase(ring) : std::next(ring);
   }
   deliver_held();
 }
@@ -228,13 +229,21 @@ void Inlet::claim(Pulled pulled) {
   const RingName name(pulled.origin.channel, pulled.origin.generation);
   const auto ring = unclaimed_.find(name);
   if (ring == unclaimed_.end()) {
-    if (!deliver_if_ours(pulled)) unclaimed_[name].push_back(std::move(pulled));
+    if (!deliver_if_ours(pulled) && may_be_ours_yet(pulled)) {
+      unclaimed_[name].push_back(std::move(pulled));
+    }
     return;
   }
   auto& waiting = ring->second;
   waiting.push_back(std::move(pulled));
   while (!waiting.empty() && deliver_if_ours(waiting.front())) waiting.pop_front();
   if (waiting.size() > kMostUndecided) waiting.pop_front();
+}
+
+/// False when the publisher's link has brought messages: it will bring all others, too.
+bool Inlet::may_be_ours_yet(const Pulled& pulled) const {
+  const auto link = links_.find(std::string(rings_->publisher(pulled.origin)));
+  return link == links_.end() || link->second.alive.expired() || !link->second.carries;
 }
 
 /// False: whether it is ours may be said yet.
@@ -253,7 +262,8 @@ bool Inlet::deliver_if_ours(const Pulled& pulled) {
 void Inlet::heard(const std::string& publisher, const Header& header, bool is_shared) {
   Link& link = links_[publisher];
   if (link.alive.lock() != header) {
-    link = {boost::make_shared<::ros::M_string>(*header), header, 0};
+    link = {boost::make_shared<::ros::M_string>(*header), header};
+    if (!std::exchange(forgetting_, true)) forget_later();
     Last old;  // let go when the lock has been left
     const std::lock_guard guard(mutex_);
     if (const auto last = latched_.find(publisher); last != latched_.end()) {
@@ -272,6 +282,7 @@ void Inlet::heard(const std::string& publisher, const Header& header, bool is_sh
 
 void Inlet::arrived(Frame frame) {
   Link& link = links_[frame.publisher];
+  link.carries = true;
   if (rings_) link.had += rings_->taken_back(frame.publisher);
   if (link.had != 0) {
     --link.had;
@@ -321,7 +332,7 @@ void Inlet::forget_those_gone() {
   for (auto link = links_.begin(); link != links_.end();) {
     link = is_gone(link->first) ? links_.erase(link) : std::next(link);
   }
-  forgetting_ = !latched_.empty();
+  forgetting_ = !latched_.empty() || !links_.empty();
   if (forgetting_) forget_later();
 }
 void Inlet::forget_later() {
@@ -348,7 +359,7 @@ void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::str
   Last last;  // let go when the lock has been left
   const auto link = links_.find(publisher);
   const std::lock_guard guard(mutex_);
-  if (link == links_.end() || is_latching(header)) {
+  if (link == links_.end() || link->second.alive.expired() || is_latching(header)) {
     last = {message, header, link == links_.end() ? decltype(Last::alive)() : link->second.alive};
     std::swap(last, latched_[publisher]);
     if (!std::exchange(forgetting_, true)) forget_later();

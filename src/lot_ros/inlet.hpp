@@ -78,6 +78,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   void read();
   void claim(Pulled pulled);
   bool deliver_if_ours(const Pulled& pulled);
+  bool may_be_ours_yet(const Pulled& pulled) const;
   void heard(const std::string& publisher, const Header& header, bool is_shared);
   void forget_those_gone();
   void forget_later();
@@ -103,6 +104,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     Header header;  ///< a copy, since a link is gone when nobody has its own any more
     boost::weak_ptr<::ros::M_string> alive;
     std::size_t had = 0;
+    bool carries = false;  ///< messages: so rings have nothing more for us
   };
   std::map<std::string, Link> links_;
 

@@ -35,7 +35,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto kProbePeriod = 1s;
+constexpr auto kProbePeriod = 250ms;
 /// So long a LOT subscriber may take until it reads the ring: its node is just starting.
 constexpr auto kPatience = 1s;
 constexpr std::chrono::milliseconds kFirstLook{10};
@@ -44,7 +44,7 @@ constexpr std::chrono::milliseconds kLastLook{100};
 constexpr std::chrono::milliseconds kBusy{1};
 constexpr std::uint32_t kDeepest = 1024;
 constexpr std::uint32_t kUsualDepth = 16;
-static_assert(kUsualDepth >= kMostUndecided, "what is not decided is still in the ring");
+static_assert(kUsualDepth > kMostUndecided, "what is not decided is in the ring, beside a new one");
 
 /// Not null while this thread sends it to a peer.
 thread_local const ::ros::SerializedMessage* outgoing = nullptr;
@@ -176,6 +176,14 @@ bool TopicOutlet::open() {
 }
 
 void TopicOutlet::withdraw() {
+  {
+    Peers gone;  // destroyed when the lock has been left
+    const std::lock_guard guard(mutex_);
+    take_note(gone);
+    for (Peer& peer : peers_) {
+      if (peer.state == State::Open && !try_ring(peer)) go_to_link(peer);
+    }
+  }
   Door::the().remove(callbacks_);
   ::ros::TopicManager::instance()->unadvertise(options_.topic, callbacks_);
 }
@@ -276,7 +284,7 @@ void TopicOutlet::welcome(Peer& peer) {
     if (!latched.empty()) peer.state = State::Link;
     for (const Message* message : latched) send(peer, serialise(*message));
   } else if (from_last) {
-    wait_for(peer, *latched.front());
+    keep_for(peer, *latched.front());
   }
 }
 
@@ -288,7 +296,7 @@ bool TopicOutlet::try_ring(Peer& peer) {
   peer.served = *served;
   peer.state = State::Ring;
   while (peer.unsure.size() > most_unsure()) peer.unsure.pop_front();
-  if (ask_if_due(peer)) send(peer, probe_frame());
+  probe(peer);
   return true;
 }
 
@@ -296,14 +304,15 @@ bool TopicOutlet::try_ring(Peer& peer) {
 bool TopicOutlet::may_come(const Peer& peer) const {
   const bool in_time =
       peer.unsure.empty() || std::chrono::steady_clock::now() - peer.since < kPatience;
-  return in_time && peer.unsure.size() < kMostUndecided && ring_ && peer.may_read &&
+  return in_time && peer.unsure.size() < most_unsure() && ring_ && peer.may_read &&
          is_alone(peer) && ring_->expects(participant_name(peer.name));
 }
 
-void TopicOutlet::wait_for(Peer& peer, const Message& message) {
+void TopicOutlet::keep_for(Peer& peer, const Message& message) {
   if (peer.unsure.empty()) peer.since = std::chrono::steady_clock::now();
   peer.unsure.push_back(message);
-  look_after(kFirstLook);
+  if (peer.unsure.size() > most_unsure()) peer.unsure.pop_front();
+  watch(kFirstLook);
 }
 
 void TopicOutlet::go_to_link(Peer& peer) {
@@ -404,26 +413,25 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
 
   std::optional<::ros::SerializedMessage> bytes;
   if (in(State::Link)) bytes = serialise(message);
-  std::vector<const Peer*> probed;
+  std::vector<Peer*> undecided;
   for (Peer& peer : peers_) {
-    if (peer.state == State::Open) wait_for(peer, message);
-    if (peer.state != State::Ring) continue;
-    if (ask_if_due(peer)) probed.push_back(&peer);
-    if (ring_->is_content(peer.served)) {
-      peer.unsure.clear();
-      continue;
+    if (peer.state == State::Ring && !watching_) ring_->ask(peer.served);  // nobody has lately
+    if (peer.state == State::Open ||
+        (peer.state == State::Ring && !ring_->is_content(peer.served))) {
+      undecided.push_back(&peer);
     }
-    peer.unsure.push_back(message);
-    if (peer.unsure.size() > most_unsure()) peer.unsure.pop_front();
-    look_after(kFirstLook);
   }
   if (to_ring) ring_->push_shared(parcel.cell, 0ns);
+  for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
   if (latches) from->second.latched = message;
   for (const Peer& peer : peers_) {
     if (peer.state == State::Link) send(peer, *bytes);
   }
-  for (const Peer* peer : probed) send(*peer, probe_frame());
+  if (in(State::Ring)) {
+    published_ = true;
+    watch(kFirstLook);
+  }
 }
 
 /// A copy of a message that others cannot read where it is; none when there is no room.
@@ -449,36 +457,61 @@ detail::Parcel TopicOutlet::into_ring(const detail::Parcel& parcel) {
   return bytes;
 }
 
-/// The answer to a probe may be that somebody missed messages, and no other one may follow them.
-void TopicOutlet::look_after(std::chrono::milliseconds patience) {
-  if (watching_ && patience == kFirstLook) return;
-  watching_ = true;
-  look_after(Loop::Clock::now() + patience, patience);
+/// While there are messages LOT's thread asks every now and then whether anybody beside LOT needs
+/// the links, apart from the messages, which it would hold up; and it takes the answers, since no
+/// other message may follow.
+void TopicOutlet::watch(std::chrono::milliseconds patience) {
+  if (std::exchange(watching_, true)) return;
+  look_at(Loop::Clock::now() + patience, patience);
 }
-void TopicOutlet::look_after(Loop::Clock::time_point when, std::chrono::milliseconds patience) {
+
+void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::milliseconds patience) {
   loop_->at(when, [weak = weak_from_this(), patience] {
     const auto self = weak.lock();
     if (!self) return;
     const std::unique_lock lock(self->mutex_, std::try_to_lock);
-    if (!lock) return self->look_after(Loop::Clock::now() + kBusy, patience);
+    if (!lock) return self->look_at(Loop::Clock::now() + kBusy, patience);
     self->watching_ = false;
     if (!self->session_) return;
-    bool all_answered = true;
-    for (Peer& peer : self->peers_) {
-      if (peer.unsure.empty()) continue;
-      if (peer.state == State::Open) {
-        if (!self->try_ring(peer) && !self->may_come(peer)) self->go_to_link(peer);
-        all_answered = all_answered && peer.unsure.empty();
-      } else if (!self->ring_->wants(peer.served)) {
-        self->return_to_link(peer);
-      } else if (self->ring_->is_content(peer.served)) {
-        peer.unsure.clear();
-      } else {
-        all_answered = false;
+    const bool all_answered = self->take_answers();
+    const auto now = Loop::Clock::now();
+    bool goes_on = now < self->probe_at_;
+    if (!goes_on && std::exchange(self->published_, false)) {
+      goes_on = true;
+      self->probe_at_ = now + kProbePeriod;
+      for (Peer& peer : self->peers_) {
+        if (peer.state == State::Ring) self->probe(peer);
       }
     }
-    if (!all_answered) self->look_after(std::min(2 * patience, kLastLook));
+    if (!all_answered || goes_on) {
+      self->watching_ = true;
+      self->look_at(all_answered ? self->probe_at_ : now + patience,
+                    all_answered ? kFirstLook : std::min(2 * patience, kLastLook));
+    }
   });
+}
+
+/// False: somebody has yet to say something about messages that are kept for it.
+bool TopicOutlet::take_answers() {
+  bool all_answered = true;
+  for (Peer& peer : peers_) {
+    if (peer.unsure.empty()) continue;
+    if (peer.state == State::Open) {
+      if (greets() || (!try_ring(peer) && !may_come(peer))) go_to_link(peer);
+    } else if (!ring_->wants(peer.served)) {
+      return_to_link(peer);
+    } else if (ring_->is_content(peer.served)) {
+      peer.unsure.clear();
+    }
+    all_answered = all_answered && peer.unsure.empty();
+  }
+  return all_answered;
+}
+
+/// It has to say anew whether it is content.
+void TopicOutlet::probe(Peer& peer) {
+  ring_->ask(peer.served);
+  send(peer, probe_frame());
 }
 
 void TopicOutlet::send(const Peer& peer, const ::ros::SerializedMessage& message) {
@@ -487,20 +520,19 @@ void TopicOutlet::send(const Peer& peer, const ::ros::SerializedMessage& message
   outgoing = before;
 }
 
-/// True when it is to be sent a probe: it has to say anew whether it is content.
-bool TopicOutlet::ask_if_due(Peer& peer) {
-  const auto now = std::chrono::steady_clock::now();
-  if (now - peer.asked < kProbePeriod) return false;
-  peer.asked = now;
-  ring_->ask(peer.served);
-  return true;
-}
-
 // ---- the user's ends ----------------------------------------------------------------------------
 
 std::uint64_t TopicOutlet::add(bool latches, bool greets) {
+  Peers gone;  // destroyed when the lock has been left
   const std::lock_guard guard(mutex_);
   ends_[++last_end_] = {latches, greets, std::nullopt};
+  if (!greets) return last_end_;
+  // What its callback sends comes behind all that was published so far.
+  take_note(gone);
+  for (Peer& peer : peers_) {
+    if (peer.state == State::Open) go_to_link(peer);
+    if (peer.state == State::Ring) return_to_link(peer);
+  }
   return last_end_;
 }
 

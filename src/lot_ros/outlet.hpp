@@ -81,8 +81,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     State state = State::Open;
     ::ros::CallbackInterfacePtr callback;
     lot::detail::Served served;
-    std::chrono::steady_clock::time_point asked;  ///< when it was last sent a probe
-    bool is_welcome = false;                      ///< it has got what is latched
+    bool is_welcome = false;  ///< it has got what is latched
     /// Open: what is in the ring, and is for it when it comes to read; since when the first is
     /// there. Ring: what has gone there before it said whether somebody beside LOT needs it, too.
     std::deque<Message> unsure;
@@ -104,16 +103,17 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void welcome(Peer& peer);
   bool try_ring(Peer& peer);
   bool may_come(const Peer& peer) const;
-  void wait_for(Peer& peer, const Message& message);
+  void keep_for(Peer& peer, const Message& message);
   void go_to_link(Peer& peer);
   void leave_ring(Peer& peer);
   void return_to_link(Peer& peer);
   bool is_alone(const Peer& peer) const;
   bool greets() const;
   std::size_t most_unsure() const;
-  void look_after(std::chrono::milliseconds patience);
-  void look_after(Loop::Clock::time_point when, std::chrono::milliseconds patience);
-  bool ask_if_due(Peer& peer);
+  void watch(std::chrono::milliseconds patience);
+  void look_at(Loop::Clock::time_point when, std::chrono::milliseconds patience);
+  bool take_answers();
+  void probe(Peer& peer);
   ::ros::SerializedMessage serialise(const Message& message);
   std::shared_ptr<lot::detail::PusherCore> ring();
   void send(const Peer& peer, const ::ros::SerializedMessage& message);
@@ -133,8 +133,10 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   Peers peers_;
   std::map<std::uint64_t, End> ends_;
   std::uint64_t last_end_ = 0;
-  bool watching_ = false;         ///< LOT's thread will look after those who are unsure
-  bool last_is_latched_ = false;  ///< the last message of the ring is the one that is latched
+  bool watching_ = false;             ///< LOT's thread will look after the links
+  bool published_ = false;            ///< something, since it has last asked
+  Loop::Clock::time_point probe_at_;  ///< not before that it asks again
+  bool last_is_latched_ = false;      ///< the last message of the ring is the one that is latched
   std::uint64_t serialised_ = 0;
 
   std::mutex news_mutex_;  ///< a leaf: roscpp's locks are held by who takes it

@@ -16,7 +16,7 @@ namespace lot::ros {
 
 /// So many messages of a publisher may be in its ring before it has said to a reader that they are
 /// for it: that one is only just coming.
-inline constexpr std::size_t kMostUndecided = 16;
+inline constexpr std::size_t kMostUndecided = 15;
 
 /// What LOT is in this process while somebody publishes or subscribes: the segment, and LOT's
 /// thread. The user's handles own it, so that it ends in the user's threads, and with it the

@@ -109,14 +109,16 @@ class Puller final : public detail::PullerCore {
   }
 
   std::optional<bool> is_ours(const detail::Origin& origin) override {
-    Source* const s = source_of(origin);
-    if (s == nullptr) return false;
-    return s->chosen.is_ours(s->reader, origin.sequence);
+    chooses_ = true;
+    if (Source* const s = source_of(origin)) return s->chosen.is_ours(s->reader, origin.sequence);
+    const Left* const left = left_of(origin);
+    return left != nullptr && ring::lies_between(origin.sequence, left->from, left->to) == true;
   }
 
   std::string_view publisher(const detail::Origin& origin) override {
-    const Source* const s = source_of(origin);
-    return s != nullptr ? std::string_view(s->publisher) : std::string_view();
+    if (const Source* const s = source_of(origin)) return s->publisher;
+    const Left* const left = left_of(origin);
+    return left != nullptr ? std::string_view(left->publisher) : std::string_view();
   }
 
   bool has_publisher(std::string_view publisher) override {
@@ -156,7 +158,10 @@ class Puller final : public detail::PullerCore {
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
     const auto has_more = [](const Source& s) { return s.reader.ready(); };
     if (std::any_of(sources_.begin(), sources_.end(), has_more)) return std::nullopt;
+    const std::size_t rings = sources_.size();
     if (!settle()) return std::nullopt;
+    // Who has kept messages of that ring looks whose they are.
+    if (chooses_ && sources_.size() != rings) return std::nullopt;
     const ring::Rest rest =
         ring::lie_down(sources_, directory_, version_, [&waits](const auto& word, auto value) {
           waits.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
@@ -186,6 +191,22 @@ class Puller final : public detail::PullerCore {
       explicit Turn(const Source& source) : Alone(source.lock) {}
     };
   };
+
+  /// A ring that has ended, and what was for us there.
+  struct Left {
+    registry::ChannelName name;
+    ring::Word from;
+    ring::Word to;
+    std::string publisher;
+  };
+  static constexpr std::size_t kLeft = 8;
+
+  const Left* left_of(const detail::Origin& origin) const {
+    for (const Left& l : left_) {
+      if (l.name.channel == origin.channel && l.name.generation == origin.generation) return &l;
+    }
+    return nullptr;
+  }
 
   Source* source_of(const detail::Origin& origin) {
     for (Source& s : sources_) {
@@ -294,6 +315,7 @@ class Puller final : public detail::PullerCore {
     return ring::settle(
         sources_, [this](Reader& reader) { ring_bell(reader); },
         [this](Reader& reader) {
+          remember(reader);
           leave(reader);
           participant_->collect();
         });
@@ -413,6 +435,16 @@ class Puller final : public detail::PullerCore {
     if (Reader::ring_bell(space)) futex::wake_all(&space);
   }
 
+  /// For is_ours(), of messages that its caller has kept.
+  void remember(const Reader& reader) {
+    if (!chooses_) return;
+    const auto at = std::find_if(sources_.begin(), sources_.end(),
+                                 [&reader](const Source& s) { return &s.reader == &reader; });
+    const ring::Word to = reader.to();  // first: it carries `from` (R11)
+    if (left_.size() == kLeft) left_.erase(left_.begin());
+    left_.push_back({at->name, reader.from(), to, at->publisher});
+  }
+
   void leave(Reader& reader) noexcept {
     reader.leave();
     futex::wake_all(reader.ring().space);
@@ -467,6 +499,8 @@ class Puller final : public detail::PullerCore {
   std::size_t current_ = 0;
   std::uint64_t missed_ = 0;
   std::vector<Source> sources_;
+  bool chooses_ = false;    ///< somebody asks which messages are for us
+  std::vector<Left> left_;  ///< the last few
   detail::FutexWaits waits_;
   std::unique_ptr<Notifier> notifier_;  ///< once fd() was called
 };

@@ -3,6 +3,7 @@
 // Handles of lot::ros in one node, with a real master: run by ros_test.py.
 
 #define DOCTEST_CONFIG_IMPLEMENT
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <functional>
@@ -238,6 +239,95 @@ TEST_CASE("a connect callback's own message comes first, and the others follow i
   say(talker, "2");
   CHECK(comes([&] { return ear.heard.size() == 3; }));
   CHECK(ear.heard == Words{"hello", "1", "2"});
+}
+
+TEST_CASE(
+    "several threads publish; each NodeHandle has a callback queue, and spinners of its own") {
+  constexpr int kThreads = 4;
+  constexpr int kEach = 100;
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  ros::CallbackQueue first_queue;
+  ros::CallbackQueue second_queue;
+  lot::ros::NodeHandle first(node);
+  lot::ros::NodeHandle second(node, "elsewhere");
+  first.setCallbackQueue(&first_queue);
+  second.setCallbackQueue(&second_queue);
+  std::mutex mutex;
+  std::vector<std::vector<int>> in_order(kThreads);  // numbers of each publishing thread
+  std::multiset<std::string> all;
+  const auto one_at_a_time = first.subscribe<String>(topic, 1000, [&](const String& s) {
+    const std::string text(s.data.data(), s.data.size());
+    const std::lock_guard guard(mutex);
+    in_order.at(std::stoul(text)).push_back(std::stoi(text.substr(text.find(' '))));
+  });
+  ros::SubscribeOptions options = ros::SubscribeOptions::create<String>(
+      topic, 1000,
+      [&](const boost::shared_ptr<String const>& s) {
+        const std::lock_guard guard(mutex);
+        all.emplace(s->data.data(), s->data.size());
+      },
+      ros::VoidConstPtr(), nullptr);
+  options.allow_concurrent_callbacks = true;
+  const auto many_at_once = second.subscribe<String>(options);
+  CHECK(second.getNamespace() == "/elsewhere");
+  ros::AsyncSpinner first_spinner(1, &first_queue);
+  ros::AsyncSpinner second_spinner(3, &second_queue);
+  first_spinner.start();
+  second_spinner.start();
+  auto talker = node.advertise<String>(topic, 1000);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  std::vector<std::thread> threads;
+  for (int t = 0; t < kThreads; ++t) {
+    threads.emplace_back([&talker, t] {
+      for (int i = 0; i < kEach; ++i) {
+        say(talker, (std::to_string(t) + ' ' + std::to_string(i)).c_str());
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  CHECK(comes([&] {
+    const std::lock_guard guard(mutex);
+    std::size_t n = 0;
+    for (const auto& numbers : in_order) n += numbers.size();
+    return n == kThreads * kEach && all.size() == kThreads * kEach;
+  }));
+  const std::lock_guard guard(mutex);
+  for (const auto& numbers : in_order) {
+    REQUIRE(numbers.size() == kEach);
+    CHECK(std::is_sorted(numbers.begin(), numbers.end()));
+  }
+  CHECK(std::set<std::string>(all.begin(), all.end()).size() == all.size());
+  CHECK(talker.serialised() == 0);
+}
+
+TEST_CASE("a subscription that is made while the last one of its topic ends hears all the same") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  auto talker = node.advertise<String>(topic, 10);
+  for (int round = 0; round < 30; ++round) {
+    Ear ear;
+    auto old = node.subscribe<String>(topic, 10, [](const String&) {});
+    REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+    std::thread ends([&] { old.shutdown(); });
+    auto listener = node.subscribe<String>(topic, 10, ear.callback());
+    ends.join();
+    REQUIRE(
+        comes([&] { return talker.getNumSubscribers() == 1 && listener.getNumPublishers() == 1; }));
+    say(talker, "after all");
+    CHECK(comes([&] { return ear.heard == Words{"after all"}; }));
+  }
+  CHECK(talker.serialised() == 0);
+}
+
+TEST_CASE("memory that was reserved is used") {
+  lot::ros::NodeHandle node;
+  auto talker = node.advertise<Image>(fresh_topic(), 4);
+  talker.reserve(4, 1 << 20);
+  auto image = talker.loan();
+  image->data.resize(1 << 20);
+  CHECK(image.is_shared());
+  lot::ros::Publisher<Image>().reserve(1, 1);  // nobody's: nothing
 }
 
 int main(int argc, char** argv) {
