@@ -171,18 +171,24 @@ Terms terms_of(const Stream& stream, Way way, char role, unsigned index) {
   return terms;
 }
 
+/// True when it has so many subscribers within `patience`.
+bool reaches(const ros_ends::Publisher& topic, unsigned subscribers,
+             std::chrono::nanoseconds patience) {
+  const auto until = std::chrono::steady_clock::now() + patience;
+  while (topic.subscribers() < subscribers) {
+    if (std::chrono::steady_clock::now() >= until) return false;
+    std::this_thread::sleep_for(1ms);
+  }
+  return true;
+}
+
 class RosSender final : public Sender {
  public:
   RosSender(const Stream& stream, Way way, unsigned publisher)
       : stream_(stream), topic_(advertise(terms_of(stream, way, 'p', publisher))) {}
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
-    const auto until = std::chrono::steady_clock::now() + patience;
-    while (topic_->subscribers() < subscribers) {
-      if (std::chrono::steady_clock::now() >= until) return false;
-      std::this_thread::sleep_for(1ms);
-    }
-    return true;
+    return reaches(*topic_, subscribers, patience);
   }
   std::byte* loan() override { return topic_->loan(); }
   bool push() override {
@@ -239,12 +245,7 @@ class RosTzcSender final : public Sender {
         topic_(advertise(notices_of(stream, 'p', publisher))) {}
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
-    const auto until = std::chrono::steady_clock::now() + patience;
-    while (topic_->subscribers() < subscribers) {
-      if (std::chrono::steady_clock::now() >= until) return false;
-      std::this_thread::sleep_for(1ms);
-    }
-    return true;
+    return reaches(*topic_, subscribers, patience);
   }
   std::byte* loan() override {
     if (handle_ == tzc::kNone) handle_ = segment_.allocate();

@@ -19,6 +19,8 @@ namespace {
 
 /// Frames that wait to be deserialised, of one topic: as many as its users would let wait.
 constexpr std::uint32_t kShortestIntake = 16;
+/// A publisher that waits for us has decided by then.
+constexpr auto kDecided = std::chrono::seconds(2);
 /// So often is it looked at whether publishers are still there.
 constexpr auto kForgetPeriod = std::chrono::seconds(5);
 /// So many messages are read before other topics have their turn.
@@ -240,10 +242,13 @@ void Inlet::claim(Pulled pulled) {
   if (waiting.size() > kMostUndecided) waiting.pop_front();
 }
 
-/// False when the publisher's link has brought messages: it will bring all others, too.
+/// False when the publisher's link brings its messages.
 bool Inlet::may_be_ours_yet(const Pulled& pulled) const {
   const auto link = links_.find(std::string(rings_->publisher(pulled.origin)));
-  return link == links_.end() || link->second.alive.expired() || !link->second.carries;
+  if (link == links_.end() || !link->second.idle_rings) return true;
+  const auto& idle = *link->second.idle_rings;
+  const RingName ring(pulled.origin.channel, pulled.origin.generation);
+  return std::find(idle.begin(), idle.end(), ring) == idle.end();
 }
 
 /// False: whether it is ours may be said yet.
@@ -262,16 +267,18 @@ bool Inlet::deliver_if_ours(const Pulled& pulled) {
 void Inlet::heard(const std::string& publisher, const Header& header, bool is_shared) {
   Link& link = links_[publisher];
   if (link.alive.lock() != header) {
-    link = {boost::make_shared<::ros::M_string>(*header), header};
+    link = {boost::make_shared<::ros::M_string>(*header), header, 0, Loop::Clock::now()};
     if (!std::exchange(forgetting_, true)) forget_later();
     Last old;  // let go when the lock has been left
     const std::lock_guard guard(mutex_);
     if (const auto last = latched_.find(publisher); last != latched_.end()) {
-      last->second.header = link.header;
-      last->second.alive = link.alive;
-      if (!is_latching(header)) {
+      if (last->second.is_known || !is_latching(header)) {  // it is an earlier link's, or of none
         old = std::move(last->second);
         latched_.erase(last);
+      } else {
+        last->second.header = link.header;
+        last->second.alive = link.alive;
+        last->second.is_known = true;
       }
     }
   }
@@ -282,7 +289,12 @@ void Inlet::heard(const std::string& publisher, const Header& header, bool is_sh
 
 void Inlet::arrived(Frame frame) {
   Link& link = links_[frame.publisher];
-  link.carries = true;
+  if (rings_ && !link.idle_rings && Loop::Clock::now() - link.since > kDecided) {
+    link.idle_rings.emplace();
+    for (const auto& ring : rings_->rings_of(frame.publisher)) {
+      link.idle_rings->emplace_back(ring.channel, ring.generation);
+    }
+  }
   if (rings_) link.had += rings_->taken_back(frame.publisher);
   if (link.had != 0) {
     --link.had;
@@ -359,8 +371,9 @@ void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::str
   Last last;  // let go when the lock has been left
   const auto link = links_.find(publisher);
   const std::lock_guard guard(mutex_);
-  if (link == links_.end() || link->second.alive.expired() || is_latching(header)) {
-    last = {message, header, link == links_.end() ? decltype(Last::alive)() : link->second.alive};
+  const bool is_known = link != links_.end() && !link->second.alive.expired();
+  if (!is_known || is_latching(header)) {
+    last = {message, header, is_known ? link->second.alive : decltype(Last::alive)(), is_known};
     std::swap(last, latched_[publisher]);
     if (!std::exchange(forgetting_, true)) forget_later();
   }

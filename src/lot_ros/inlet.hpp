@@ -6,8 +6,10 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <ros/message_event.h>
 #include <ros/subscriber.h>
@@ -104,7 +106,10 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     Header header;  ///< a copy, since a link is gone when nobody has its own any more
     boost::weak_ptr<::ros::M_string> alive;
     std::size_t had = 0;
-    bool carries = false;  ///< messages: so rings have nothing more for us
+    Loop::Clock::time_point since{};
+    /// Once it has carried messages for so long that all is decided: rings that its publisher had
+    /// then. They have nothing more for us.
+    std::optional<std::vector<RingName>> idle_rings{};
   };
   std::map<std::string, Link> links_;
 
@@ -115,6 +120,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     boost::shared_ptr<void const> message;
     Header header;
     boost::weak_ptr<::ros::M_string> alive;
+    bool is_known = false;  ///< of which link it is
   };
   std::map<std::string, Last> latched_;
   bool forgetting_ = false;  ///< LOT's thread will look whether they are still there; its own

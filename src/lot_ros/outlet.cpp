@@ -2,6 +2,7 @@
 #include "lot_ros/outlet.hpp"
 
 #include <algorithm>
+#include <thread>
 #include <utility>
 
 #include <boost/make_shared.hpp>
@@ -40,6 +41,8 @@ constexpr auto kProbePeriod = 250ms;
 constexpr auto kPatience = 1s;
 constexpr std::chrono::milliseconds kFirstLook{10};
 constexpr std::chrono::milliseconds kLastLook{100};
+/// So long the end of a publisher may wait for answers.
+constexpr std::chrono::milliseconds kLastAnswers{100};
 /// LOT's thread comes again, when somebody publishes just now.
 constexpr std::chrono::milliseconds kBusy{1};
 constexpr std::uint32_t kDeepest = 1024;
@@ -175,15 +178,25 @@ bool TopicOutlet::open() {
   return true;
 }
 
-void TopicOutlet::withdraw() {
-  {
-    Peers gone;  // destroyed when the lock has been left
-    const std::lock_guard guard(mutex_);
-    take_note(gone);
-    for (Peer& peer : peers_) {
-      if (peer.state == State::Open && !try_ring(peer)) go_to_link(peer);
-    }
+/// Whoever has yet to come, or to say whether its link is needed, too, gets what was kept for it.
+void TopicOutlet::settle() {
+  Peers gone;  // destroyed when the lock has been left
+  const auto until = Loop::Clock::now() + kLastAnswers;
+  std::unique_lock lock(mutex_);
+  take_note(gone);
+  for (Peer& peer : peers_) {
+    if (peer.state == State::Open && (greets() || !try_ring(peer))) go_to_link(peer);
+    if (peer.state == State::Ring && !peer.unsure.empty()) probe(peer);
   }
+  while (!take_answers() && ::ros::ok() && Loop::Clock::now() < until) {
+    lock.unlock();
+    std::this_thread::sleep_for(kBusy);
+    lock.lock();
+  }
+}
+
+void TopicOutlet::withdraw() {
+  settle();
   Door::the().remove(callbacks_);
   ::ros::TopicManager::instance()->unadvertise(options_.topic, callbacks_);
 }
@@ -304,8 +317,8 @@ bool TopicOutlet::try_ring(Peer& peer) {
 bool TopicOutlet::may_come(const Peer& peer) const {
   const bool in_time =
       peer.unsure.empty() || std::chrono::steady_clock::now() - peer.since < kPatience;
-  return in_time && peer.unsure.size() < most_unsure() && ring_ && peer.may_read &&
-         is_alone(peer) && ring_->expects(participant_name(peer.name));
+  return in_time && ring_ && peer.may_read && is_alone(peer) &&
+         ring_->expects(participant_name(peer.name));
 }
 
 void TopicOutlet::keep_for(Peer& peer, const Message& message) {
@@ -387,7 +400,8 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   const bool latches = from != ends_.end() && from->second.latches;
   for (Peer& peer : peers_) {
     if (peer.state != State::Open) continue;
-    if (greets() || (!try_ring(peer) && !may_come(peer))) go_to_link(peer);
+    const bool has_room = peer.unsure.size() < most_unsure();
+    if (greets() || (!try_ring(peer) && !(has_room && may_come(peer)))) go_to_link(peer);
   }
   const auto in = [&](State state) {
     return std::any_of(peers_.begin(), peers_.end(),
@@ -413,11 +427,15 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
 
   std::optional<::ros::SerializedMessage> bytes;
   if (in(State::Link)) bytes = serialise(message);
+  const bool is_due = Loop::Clock::now() >= probe_at_;
   std::vector<Peer*> undecided;
   for (Peer& peer : peers_) {
-    if (peer.state == State::Ring && !watching_) ring_->ask(peer.served);  // nobody has lately
-    if (peer.state == State::Open ||
-        (peer.state == State::Ring && !ring_->is_content(peer.served))) {
+    if (peer.state == State::Open) undecided.push_back(&peer);
+    if (peer.state != State::Ring) continue;
+    if (is_due) ring_->ask(peer.served);  // nobody has lately
+    if (ring_->is_content(peer.served)) {
+      peer.unsure.clear();
+    } else {
       undecided.push_back(&peer);
     }
   }
@@ -476,7 +494,7 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
     const bool all_answered = self->take_answers();
     const auto now = Loop::Clock::now();
     bool goes_on = now < self->probe_at_;
-    if (!goes_on && std::exchange(self->published_, false)) {
+    if (!goes_on && (std::exchange(self->published_, false) || !all_answered)) {
       goes_on = true;
       self->probe_at_ = now + kProbePeriod;
       for (Peer& peer : self->peers_) {
@@ -530,6 +548,7 @@ std::uint64_t TopicOutlet::add(bool latches, bool greets) {
   // What its callback sends comes behind all that was published so far.
   take_note(gone);
   for (Peer& peer : peers_) {
+    if (peer.state == State::Open) welcome(peer);
     if (peer.state == State::Open) go_to_link(peer);
     if (peer.state == State::Ring) return_to_link(peer);
   }

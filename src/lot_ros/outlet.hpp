@@ -113,6 +113,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void watch(std::chrono::milliseconds patience);
   void look_at(Loop::Clock::time_point when, std::chrono::milliseconds patience);
   bool take_answers();
+  void settle();
   void probe(Peer& peer);
   ::ros::SerializedMessage serialise(const Message& message);
   std::shared_ptr<lot::detail::PusherCore> ring();

@@ -126,6 +126,14 @@ class Puller final : public detail::PullerCore {
                        [&](const Source& s) { return s.publisher == publisher; });
   }
 
+  std::vector<detail::Origin> rings_of(std::string_view publisher) override {
+    std::vector<detail::Origin> rings;
+    for (const Source& s : sources_) {
+      if (s.publisher == publisher) rings.push_back({s.name.channel, s.name.generation, 0});
+    }
+    return rings;
+  }
+
   bool has_last_ones(std::string_view publisher) override {
     return std::any_of(sources_.begin(), sources_.end(), [&](const Source& s) {
       return s.publisher == publisher && s.chosen.has_last_ones(s.reader);
@@ -136,6 +144,9 @@ class Puller final : public detail::PullerCore {
     std::size_t n = 0;
     for (Source& s : sources_) {
       if (s.publisher == publisher) n += s.chosen.taken_back(s.reader);
+    }
+    for (Left& l : left_) {
+      if (l.publisher == publisher) n += std::exchange(l.taken_back, 0);
     }
     return n;
   }
@@ -198,8 +209,9 @@ class Puller final : public detail::PullerCore {
     ring::Word from;
     ring::Word to;
     std::string publisher;
+    std::size_t taken_back;
   };
-  static constexpr std::size_t kLeft = 8;
+  static constexpr std::size_t kLeft = 64;
 
   const Left* left_of(const detail::Origin& origin) const {
     for (const Left& l : left_) {
@@ -442,7 +454,7 @@ class Puller final : public detail::PullerCore {
                                  [&reader](const Source& s) { return &s.reader == &reader; });
     const ring::Word to = reader.to();  // first: it carries `from` (R11)
     if (left_.size() == kLeft) left_.erase(left_.begin());
-    left_.push_back({at->name, reader.from(), to, at->publisher});
+    left_.push_back({at->name, reader.from(), to, at->publisher, at->chosen.taken_back(reader)});
   }
 
   void leave(Reader& reader) noexcept {

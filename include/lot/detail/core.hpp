@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 #include <string_view>
+#include <vector>
 
 #include "lot/detail/arena.hpp"
 #include "lot/detail/control.hpp"
@@ -118,6 +119,8 @@ class PullerCore {
   virtual std::string_view publisher(const Origin& origin) = 0;
   /// True when a publisher of that name is there, or something of it is not read yet.
   virtual bool has_publisher(std::string_view publisher) = 0;
+  /// The rings of publishers of that name; sequences are 0.
+  virtual std::vector<Origin> rings_of(std::string_view publisher) = 0;
   /// True when a publisher of that name has nothing more for us than what is not read yet.
   virtual bool has_last_ones(std::string_view publisher) = 0;
   /// How many messages that have been delivered the publishers of that name take back, since they
