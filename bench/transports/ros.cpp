@@ -333,6 +333,7 @@ Transport ros_transport(std::string name, std::string about, Way way) {
   Transport t = base(std::move(name), std::move(about));
   t.threads = way == Way::Intra;
   t.copies = way == Way::Tcp || way == Way::Udp;
+  t.is_network = way == Way::Udp;  // it may lose the last message, too
   t.sender = [way](const Stream& stream, unsigned publisher) {
     return std::make_unique<RosSender>(stream, way, publisher);
   };

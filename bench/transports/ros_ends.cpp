@@ -3,7 +3,7 @@
 
 #include <atomic>
 #include <cstdlib>
-#include <cstring>
+#include <map>
 #include <mutex>
 #include <stdexcept>
 #include <utility>
@@ -44,6 +44,11 @@ class Node {
   /// Held while an end is opened: two threads that publish and subscribe at once may be connected
   /// twice by roscpp.
   std::mutex& opening() { return opening_; }
+  /// Of a topic, in this process: roscpp has one link for all of them.
+  std::atomic<unsigned>& subscribers(const std::string& topic) {
+    const std::lock_guard lock(opening_);
+    return subscribers_[topic];
+  }
 
  private:
   explicit Node(const Terms& terms) {
@@ -67,6 +72,7 @@ class Node {
   }
 
   std::mutex opening_;
+  std::map<std::string, std::atomic<unsigned>> subscribers_;
   std::unique_ptr<lot::ros::NodeHandle> handle_;
 };
 
@@ -77,7 +83,10 @@ class PlainPublisher final : public Publisher {
     publisher_ = node_->handle().advertise<Plain>(terms.topic, terms.depth);
     for (unsigned i = 0; i < terms.pool; ++i) pool_.push_back(make());
   }
-  unsigned subscribers() const override { return publisher_.getNumSubscribers(); }
+  unsigned subscribers() const override {
+    const unsigned links = publisher_.getNumSubscribers();
+    return terms_.way == Way::Intra && links != 0 ? node_->subscribers(terms_.topic).load() : links;
+  }
   std::byte* loan() override {
     if (!message_) message_ = next();
     return reinterpret_cast<std::byte*>(message_->data.data());
@@ -146,7 +155,8 @@ class LotPublisher final : public Publisher {
 template <class Message>
 class TopicSubscriber final : public Subscriber {
  public:
-  explicit TopicSubscriber(const Terms& terms) : terms_(terms), node_(Node::of(terms)) {
+  explicit TopicSubscriber(const Terms& terms)
+      : terms_(terms), node_(Node::of(terms)), count_(node_->subscribers(terms.topic)) {
     lot::ros::NodeHandle handle(node_->handle());
     handle.setCallbackQueue(&queue_);
     ros::TransportHints hints;
@@ -160,8 +170,12 @@ class TopicSubscriber final : public Subscriber {
                           message->data.size());
             }),
         hints);
+    ++count_;
   }
-  ~TopicSubscriber() override { subscriber_.shutdown(); }
+  ~TopicSubscriber() override {
+    --count_;
+    subscriber_.shutdown();
+  }
 
   bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
     handler_ = &handler;
@@ -189,6 +203,7 @@ class TopicSubscriber final : public Subscriber {
 
   const Terms terms_;
   const std::shared_ptr<Node> node_;
+  std::atomic<unsigned>& count_;
   ros::CallbackQueue queue_;
   const Handler* handler_ = nullptr;
   std::conditional_t<std::is_same_v<Message, Shared>, lot::ros::Subscriber, ros::Subscriber>

@@ -107,12 +107,15 @@ void run(const Transport& transport, Stream stream) {
   } else {
     const auto service = transport.serve ? transport.serve(stream) : nullptr;
     if (transport.threads) {
-      std::vector<std::thread> nodes;
-      for (unsigned s = 0; s < stream.subscribers; ++s)
-        nodes.emplace_back([&, s] { subscribe(transport, stream, s); });
-      for (unsigned p = 0; p < stream.publishers; ++p)
-        nodes.emplace_back([&, p] { publish(transport, stream, p); });
-      for (std::thread& node : nodes) node.join();
+      Child process([&] {  // of their own: ROS begins once in a process
+        std::vector<std::thread> nodes;
+        for (unsigned s = 0; s < stream.subscribers; ++s)
+          nodes.emplace_back([&, s] { subscribe(transport, stream, s); });
+        for (unsigned p = 0; p < stream.publishers; ++p)
+          nodes.emplace_back([&, p] { publish(transport, stream, p); });
+        for (std::thread& node : nodes) node.join();
+      });
+      CHECK(process.wait() == 0);
     } else {
       std::vector<std::unique_ptr<Child>> nodes;
       for (unsigned s = 0; s < stream.subscribers; ++s)
