@@ -50,7 +50,7 @@ struct Shared {
   std::atomic<std::size_t> next{0};  ///< operation to be done next
   std::atomic<std::uint64_t> operations{0}, instructions{0}, points{0}, kills{0}, not_reached{0},
       spared{0}, violations{0};
-  Neighbour neighbours[32];
+  Neighbour neighbours[40];
 };
 
 using Violations = std::vector<std::string>;
@@ -78,7 +78,8 @@ void end_at_once(int signal) {
   _exit(128 + signal);
 }
 
-/// Those that the program may use when it starts.
+/// Those that the program may use when it starts; the first is where it was put, so that two of it
+/// that run at once do not share one.
 std::vector<std::size_t> usable_cores() {
   cpu_set_t allowed;
   CPU_ZERO(&allowed);
@@ -87,6 +88,8 @@ std::vector<std::size_t> usable_cores() {
   for (std::size_t c = 0; c < CPU_SETSIZE; ++c) {
     if (CPU_ISSET(c, &allowed)) cores.push_back(c);
   }
+  const auto here = std::find(cores.begin(), cores.end(), static_cast<std::size_t>(sched_getcpu()));
+  std::rotate(cores.begin(), here, cores.end());
   return cores;
 }
 

@@ -72,6 +72,8 @@ void Node::drop_all() {
   puller.reset();
   second.reset();
   pusher.reset();
+  chosen.reset();
+  chooser.reset();
 }
 
 void Node::drop_probes() {
@@ -95,6 +97,13 @@ void Node::leave() {
 
 void Node::publish(unsigned count) {
   for (unsigned i = 0; i < count; ++i) {
+    if (chooser) {
+      auto letter = detail::build<Number>(chooser->loan(detail::message_type<Number>(), true));
+      *letter = numbered(source, published);
+      const ShmSharedPtr<const Number> shared(std::move(letter));
+      if (chooser->push_shared(detail::PointerAccess::cell(shared), 10s) == Status::Ok) ++published;
+      continue;
+    }
     auto message = pusher->loan(numbered(source, published));
     if (pusher->push(std::move(message), 10s) == Status::Ok) ++published;
   }
@@ -209,6 +218,37 @@ void Node::sleep_to_put() {
   await([](const segment::Ring& ring) { return (ring.space->load() & 1) != 0; });
 }
 
+void Node::choose(const char* topic, const PusherOptions& opts) {
+  chooser = detail::make_pusher(transport::Participant::join(options), topic,
+                                detail::message_type<Number>(), opts, detail::Delivery::ToAll);
+}
+
+void Node::be_chosen(const char* topic) {
+  chosen = detail::make_puller(transport::Participant::join(options), topic,
+                               detail::message_type<Number>(), {Wait::Park, ~std::uint64_t{0}},
+                               detail::Delivery::ToAll);
+  chosen->size();  // it has looked for rings
+  reads_topic = std::string_view(topic) == kTopic;
+}
+
+void Node::serve(const char* name, std::size_t back) {
+  served = chooser->serve(name, back);
+  testing::must(served.has_value(), "there is a reader to be served");
+}
+
+void Node::read_chosen() {
+  for (;;) {
+    detail::Borrowed borrowed;
+    if (chosen->borrow(borrowed, false, {}, false) != Status::Ok) return;
+    const detail::Origin origin = chosen->origin();
+    const auto& number = *static_cast<const Number*>(borrowed.root);
+    account.enter(number, borrowed.missed);
+    letters.push_back({number, origin, chosen->is_ours(origin)});
+    chosen->done();
+    taken_back += chosen->taken_back("the victim");
+  }
+}
+
 void Node::hold(bool borrowing) {
   auto message = puller->borrow(10s);
   testing::must(bool(message), "there is a message to hold");
@@ -252,6 +292,8 @@ void Node::inspect() {
   }
   if (queue) {
     inspect_queue();
+  } else if (chosen) {
+    inspect_chosen();
   } else if (sleeper.joinable()) {
     sleeper.join();  // it ends when it has been woken and has found the end
   } else if (puller) {
@@ -270,12 +312,47 @@ void Node::inspect() {
       ++published;
     }
   }
+  if (chooser) {
+    must(!served || !chooser->wants(*served), "the dead want nothing");
+    must(!chooser->expects("the victim"), "the dead are not expected");
+    must(!chooser->serve("the victim", 0), "the dead are not served");
+    if (served) chooser->stop(*served, 1);
+    const std::uint64_t before = published;
+    publish(6);
+    must(published == before + 6, "nobody holds up who chooses its readers");
+  }
   if (frame) {
     must(intact(*frame->reference), "what a message refers to outlives new messages");
     frame.reset();
     reap();  // it was the orphanage's: the warden would come by later
   }
   must(account.complaint().empty(), account.complaint().c_str());
+}
+
+/// What was said to be a reader's own follows each other, is what it must be, and stays that.
+void Node::inspect_chosen() {
+  using testing::must;
+  const bool ended = testing::eventually([&] {
+    read_chosen();
+    return !chosen->has_publisher("the victim");
+  });
+  must(ended, "the reader learned that who chose it is gone");
+  taken_back += chosen->taken_back("the victim");
+  std::uint64_t count = 0;
+  std::uint64_t last = 0;
+  for (Letter& letter : letters) {
+    // Who has died says nothing more: what was not said is not its own.
+    if (!letter.ours) letter.ours = chosen->is_ours(letter.origin).value_or(false);
+    const std::uint64_t n = letter.number.number;
+    must(*letter.ours || n < due_from || n >= due_to, "what was said to be a reader's is its own");
+    if (!*letter.ours) continue;
+    must(n >= may_from && n < may_to, "what was not said to be a reader's is not its own");
+    must(count == 0 || n == last + 1, "what is a reader's own follows each other");
+    last = n;
+    ++count;
+  }
+  must(taken_back <= count, "only what was a reader's own is taken back");
+  must(!chosen->has_last_ones("the victim"), "nothing is left unread");
 }
 
 /// All items that nobody has taken are ours, and there is room for more.

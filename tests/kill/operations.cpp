@@ -519,6 +519,76 @@ void locked_queues(std::vector<Operation>& all) {
                  [](Node& n) { n.reap(); }});
 }
 
+/// Each reader is told which messages are for it.
+void chosen(std::vector<Operation>& all, QueueEngine engine) {
+  const PusherOptions options = overwrite(8, engine);
+  const auto add = [&](const char* name, const Pledge& pledge, const Acts& before,
+                       std::function<void(Node&)> run) {
+    all.push_back({named(name, engine), under(engine, pledge), before, std::move(run)});
+  };
+  const auto locks = [engine](Node& n) { n.locked = engine == QueueEngine::Mutex; };
+  const auto ours = [](std::uint64_t from, std::uint64_t to, std::uint64_t end = ~0ULL) {
+    return witness([=](Node& n) {
+      n.due_from = n.may_from = from;
+      n.due_to = to;
+      n.may_to = end;
+    });
+  };
+  // The witness reads; it has read nothing yet when the victim operates.
+  const Acts chooses{witness(join), victim(join), witness(locks),
+                     victim([=](Node& n) { n.choose(kTopic, options); }),
+                     witness([](Node& n) { n.be_chosen(kTopic); })};
+  const Acts three = chooses + Acts{publishes(victim, 3)};
+  const Acts serves =
+      chooses + Acts{victim([](Node& n) { n.serve("the witness"); }), publishes(victim, 3)};
+  const auto reads = witness([](Node& n) { n.read_chosen(); });
+  const Pledge choosing{Promise::LockFree, "serve and stop"};
+  const Pledge being{Promise::LockFree, "read what is one's own"};
+  add("serve, from now on", choosing, three + Acts{ours(3, 3)},
+      [](Node& n) { n.serve("the witness"); });
+  add("serve, from the last ones on", choosing, three + Acts{reads, ours(1, 1)},
+      [](Node& n) { n.serve("the witness", 2); });
+  add("serve, and publish", choosing, three + Acts{ours(3, 3)}, [](Node& n) {
+    n.serve("the witness");
+    n.publish();
+  });
+  add("serve, nobody of that name", choosing, three + Acts{ours(3, 3, 3)}, [](Node& n) {
+    if (n.chooser->serve("nobody", 0)) std::abort();
+  });
+  add("serve again", choosing,
+      serves + Acts{victim([](Node& n) { n.chooser->stop(*n.served, 0); }), reads,
+                    publishes(victim, 1), ours(0, 3, 3)},
+      [](Node& n) { n.serve("the witness"); });
+  add("stop", choosing, serves + Acts{ours(0, 3)}, [](Node& n) { n.chooser->stop(*n.served, 0); });
+  add("stop, the last ones go another way", choosing, serves + Acts{ours(0, 1)},
+      [](Node& n) { n.chooser->stop(*n.served, 2); });
+  add("stop, the last ones have been read", choosing, serves + Acts{reads, ours(0, 3, 3)},
+      [](Node& n) { n.chooser->stop(*n.served, 2); });
+  add("ask", choosing, serves + Acts{witness([](Node& n) { n.chosen->content(); }), ours(0, 3)},
+      [](Node& n) { n.chooser->ask(*n.served); });
+  add("unadvertise, a reader is served", Promise::Blocking, serves + Acts{ours(0, 3)},
+      [](Node& n) { n.chooser.reset(); });
+
+  // The victim reads.
+  const Acts is_chosen{witness(join), victim(join), witness(locks),
+                       witness([=](Node& n) { n.choose(kOther, options); }),
+                       victim([](Node& n) { n.be_chosen(kOther); })};
+  const Acts is_served =
+      is_chosen + Acts{witness([](Node& n) { n.serve("the victim"); }), publishes(witness, 2)};
+  add("read what is one's own", being, is_served, [](Node& n) { n.read_chosen(); });
+  add("decline", being, is_served, [](Node& n) { n.chosen->decline(); });
+  add("say that one is content", being, is_served, [](Node& n) { n.chosen->content(); });
+  add("say it again", being,
+      is_served + Acts{victim([](Node& n) { n.chosen->content(); }),
+                       witness([](Node& n) { n.chooser->ask(*n.served); })},
+      [](Node& n) { n.chosen->content(); });
+  add("subscribe to who chooses", Promise::Blocking,
+      Acts{witness(join), victim(join), witness(locks),
+           witness([=](Node& n) { n.choose(kOther, options); }), publishes(witness, 2)},
+      [](Node& n) { n.be_chosen(kOther); });
+  add("unsubscribe, served", Promise::Blocking, is_served, [](Node& n) { n.chosen.reset(); });
+}
+
 void pointers(std::vector<Operation>& all) {
   const Acts holding = victim_reads(overwrite(2), 1) + Acts{victim([](Node& n) { n.hold(false); })};
   all.push_back({"keep a borrowed message",
@@ -672,6 +742,7 @@ std::vector<Operation> all_operations() {
     pulls(all, engine);
     queues(all, engine);
     rivals(all, engine, Rival::Killed);
+    chosen(all, engine);
   }
   rivals(all, QueueEngine::Ring, Rival::Stopped);
   locked_queues(all);
