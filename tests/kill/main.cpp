@@ -215,6 +215,9 @@ class Run {
                        [&](const std::string& n) { return name.find(n) != std::string::npos; });
   }
 
+  /// Of a few stops none is spent on a process that has done its operation.
+  bool passes_at_rest() const { return options_.stop && options_.every > 1; }
+
   Violations one(const Operation& operation) {
     const auto start = std::chrono::steady_clock::now();
     std::uint64_t kills = 0;
@@ -223,15 +226,20 @@ class Run {
     Trial::Walk whole;
     const auto kill_at = [&](std::uint64_t point) {
       const At done = at(operation, point);
-      ++(done.reached ? kills : not_reached);
       all.insert(all.end(), done.violations.begin(), done.violations.end());
+      if (point == Trial::kMost && passes_at_rest()) return done.walk;
+      ++(done.reached ? kills : not_reached);
       return done.walk;
     };
     if (options_.only >= 0) {
       kill_at(static_cast<std::uint64_t>(options_.only));
     } else {
       whole = kill_at(Trial::kMost);
-      for (std::uint64_t point = 0; point < whole.points; point += options_.every) kill_at(point);
+      // Of a few, those in the middle of the operation.
+      const std::uint64_t first = std::min<std::uint64_t>(options_.every, whole.points) / 2;
+      for (std::uint64_t point = first; point < whole.points; point += options_.every) {
+        kill_at(point);
+      }
     }
     look_at_misses(operation, not_reached, kills, "points", all);
     const std::chrono::duration<double> took = std::chrono::steady_clock::now() - start;
@@ -311,7 +319,8 @@ class Run {
       done.walk = trial.walk(point);
       done.reached = point == Trial::kMost || done.walk.points >= point;
       if (options_.stop) {
-        const auto which = probes_.empty() ? probes_beside(operation, point) : probes_;
+        auto which = probes_.empty() ? probes_beside(operation, point) : probes_;
+        if (point == Trial::kMost && passes_at_rest()) which.clear();
         const auto probed = trial.probe(which);
         for (const std::uint32_t i : which) count(probed[i], totals_.neighbours[i]);
       }

@@ -25,7 +25,9 @@ namespace lot::kill {
 namespace {
 
 constexpr long kOptions = PTRACE_O_TRACECLONE | PTRACE_O_EXITKILL;
-constexpr unsigned kSpins = 64;
+/// A system call that takes longer may be asleep. By the clock: on a core that others want, too,
+/// each yield may take milliseconds.
+constexpr std::chrono::microseconds kYields{100};
 constexpr long kFutexWaitv = 449;
 
 long trace(__ptrace_request request, pid_t thread, std::uintptr_t address = 0,
@@ -170,14 +172,15 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
   const bool may_sleep = std::exchange(thread.may_resume_call, false) || call;
   thread.stopped = false;
   trace(PTRACE_SINGLESTEP, id, 0, static_cast<std::uintptr_t>(std::exchange(thread.signal, 0)));
+  const auto yields_until = std::chrono::steady_clock::now() + kYields;
   unsigned sleeps = 0;
-  for (unsigned spin = 0;; ++spin) {
+  for (;;) {
     int status = 0;
     if (waitpid(id, &status, __WALL | (may_sleep ? WNOHANG : 0)) == id) {
       note(turn, status);
       return {dead_ ? Event::Ended : Event::Stepped, call, waits, place, turn == 0};
     }
-    if (spin < kSpins) {
+    if (std::chrono::steady_clock::now() < yields_until) {
       sched_yield();
     } else {
       sleeps = asleep(thread) ? sleeps + 1 : 0;
