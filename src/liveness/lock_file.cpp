@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "liveness/lock_file.hpp"
 
+#include <algorithm>
 #include <cerrno>
 #include <fcntl.h>
 #include <thread>
 #include <unistd.h>
+#include <utility>
 
 #include "lot/error.hpp"
 
@@ -12,6 +14,9 @@
 
 namespace lot::liveness {
 namespace {
+
+/// Hundreds that wait at the gate must not keep who is in it from the processor.
+constexpr std::chrono::milliseconds kLongestPause{16};
 
 struct flock byte_range(short type, std::uint32_t first, std::uint32_t count) {
   struct flock range {};
@@ -59,9 +64,9 @@ bool LockFile::try_lock(std::uint32_t byte) noexcept {
   return result == 0;
 }
 
-void LockFile::unlock(std::uint32_t byte) noexcept {
+void LockFile::unlock(std::uint32_t byte, std::uint32_t count) noexcept {
   if (!intact()) return;
-  struct flock range = byte_range(F_UNLCK, byte, 1);
+  struct flock range = byte_range(F_UNLCK, byte, count);
   fcntl(fd_, F_OFD_SETLK, &range);
 }
 
@@ -70,7 +75,10 @@ bool LockFile::held_by_other(std::uint32_t first, std::uint32_t count) const noe
 }
 
 bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
-  const auto until = std::chrono::steady_clock::now() + timeout;
+  using Clock = std::chrono::steady_clock;
+  auto since = Clock::now();  // somebody has had this turn
+  std::uint32_t turn = 0;
+  auto pause = std::chrono::milliseconds(1);
   while (!try_lock(kGate)) {
     if (!intact()) {
       throw Error(EBADF, path_, "its descriptor was closed meanwhile",
@@ -79,19 +87,31 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
     if (errno != EAGAIN && errno != EACCES) {
       throw Error(errno, path_, "cannot lock it", "does its file system support fcntl locks?");
     }
-    if (std::chrono::steady_clock::now() >= until) {
+    if (turn != std::exchange(turn, this->turn())) since = Clock::now();
+    if (Clock::now() - since >= timeout) {
       throw Error(
           EBUSY, path_, "another process has been opening or closing the segment all the time",
           "look for a stopped process that uses it (state T in ps) and continue or kill it");
     }
-    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    std::this_thread::sleep_for(pause);
+    pause = std::min(2 * pause, kLongestPause);
   }
+  try_lock(kFirstTurn +
+           static_cast<std::uint32_t>(Clock::now().time_since_epoch().count()) % kTurns);
   struct stat named {};
   if (stat(path_.c_str(), &named) == 0 && named.st_dev == device_ && named.st_ino == inode_) {
     return true;
   }
   leave_gate();
   return false;
+}
+
+void LockFile::leave_gate() noexcept { unlock(kGate, 1 + kTurns); }
+
+std::uint32_t LockFile::turn() const noexcept {
+  struct flock held = byte_range(F_WRLCK, kFirstTurn, kTurns);
+  const bool is_held = fcntl(fd_, F_OFD_GETLK, &held) == 0 && held.l_type != F_UNLCK;
+  return is_held ? static_cast<std::uint32_t>(held.l_start) : kGate;
 }
 
 bool LockFile::intact() const noexcept {

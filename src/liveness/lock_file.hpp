@@ -19,7 +19,8 @@
 /// so each lock and unlock looks first whether it still is the lock file.
 ///
 /// Bytes: 1 .. N-1 are participants, 0 is the orphanage (who acts for it holds it), kGate guards
-/// creating, opening and removing the segment.
+/// creating, opening and removing the segment; who has it also holds one byte of the turns behind
+/// it, any one, by which others see that it has changed hands.
 ///
 /// Source: fcntl(2), "Open file description locks".
 namespace lot::liveness {
@@ -27,6 +28,8 @@ namespace lot::liveness {
 class LockFile {
  public:
   static constexpr std::uint32_t kGate = 1 << 20;
+  static constexpr std::uint32_t kFirstTurn = kGate + 1;
+  static constexpr std::uint32_t kTurns = 1 << 16;
 
   /// Opens the lock file, made if absent. Throws lot::Error, also when it is no lock file (not an
   /// empty regular one): that is left alone.
@@ -36,14 +39,15 @@ class LockFile {
   LockFile& operator=(const LockFile&) = delete;
 
   bool try_lock(std::uint32_t byte) noexcept;
-  void unlock(std::uint32_t byte) noexcept;
+  void unlock(std::uint32_t byte, std::uint32_t count = 1) noexcept;
   /// True when somebody else holds a byte of [first, first + count).
   bool held_by_other(std::uint32_t first, std::uint32_t count = 1) const noexcept;
 
-  /// Takes the gate, waiting up to `timeout`; throws lot::Error when it stays taken. Returns false
-  /// when the file was removed meanwhile: open it again.
+  /// Takes the gate; throws lot::Error when one process has it for longer than `timeout`: where
+  /// hundreds start at once, each waits for the others' turns. Returns false when the file was
+  /// removed meanwhile: open it again.
   bool enter_gate(std::chrono::milliseconds timeout);
-  void leave_gate() noexcept { unlock(kGate); }
+  void leave_gate() noexcept;
 
   /// False when the descriptor was closed behind our back (closefrom) and our locks are gone.
   bool intact() const noexcept;
@@ -56,6 +60,9 @@ class LockFile {
   const std::string& path() const noexcept { return path_; }
 
  private:
+  /// The turn of who has the gate; kGate when it has not taken one yet.
+  std::uint32_t turn() const noexcept;
+
   std::string path_;
   std::atomic<int> fd_;
   dev_t device_ = 0;

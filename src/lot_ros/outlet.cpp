@@ -313,12 +313,12 @@ bool TopicOutlet::try_ring(Peer& peer) {
   return true;
 }
 
-/// True when it is a LOT subscriber's, so that it is about to read our ring.
+/// True when it is a LOT subscriber's, so that it is about to read our ring. One of the same name
+/// that is there, too, has gone, and roscpp has yet to say so.
 bool TopicOutlet::may_come(const Peer& peer) const {
   const bool in_time =
       peer.unsure.empty() || std::chrono::steady_clock::now() - peer.since < kPatience;
-  return in_time && ring_ && peer.may_read && is_alone(peer) &&
-         ring_->expects(participant_name(peer.name));
+  return in_time && ring_ && peer.may_read && ring_->expects(participant_name(peer.name));
 }
 
 void TopicOutlet::keep_for(Peer& peer, const Message& message) {

@@ -133,7 +133,7 @@ class Participant {
   void wake(std::atomic<std::uint32_t>& word) noexcept { futex::wake_all(&word); }
 
  private:
-  /// How long opening and leaving wait for others who do the same.
+  /// How long opening and leaving wait for one that does the same.
   static constexpr std::chrono::seconds kGatePatience{5};
   /// And for who acts for the orphanage.
   static constexpr std::chrono::seconds kOrphanagePatience{2};

@@ -2,6 +2,7 @@
 
 // Who is alive, as the kernel's locks say it.
 
+#include <atomic>
 #include <cstdint>
 #include <string>
 #include <thread>
@@ -28,6 +29,29 @@ struct Number {
 }  // namespace
 
 TEST_SUITE_BEGIN("liveness");
+
+TEST_CASE("who waits at the gate waits for as long as it changes hands") {
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  LockFile others(path, 0600);
+  REQUIRE(others.try_lock(LockFile::kGate));
+  std::atomic<bool> is_in{false};
+  std::thread waiter([&] {
+    LockFile own(path, 0600);
+    CHECK(own.enter_gate(400ms));
+    is_in = true;
+    own.leave_gate();
+  });
+  for (std::uint32_t n = 0; n < 20; ++n) {  // one comes after the other, for a second
+    others.try_lock(LockFile::kFirstTurn + n);
+    std::this_thread::sleep_for(50ms);
+    others.unlock(LockFile::kFirstTurn + n);
+  }
+  CHECK(!is_in);
+  others.leave_gate();
+  waiter.join();
+  CHECK(is_in);
+  unlink(path.c_str());
+}
 
 TEST_CASE("a lock is seen by others, and goes with the process that holds it") {
   const Watchdog watchdog(60);
