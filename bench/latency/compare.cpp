@@ -80,7 +80,7 @@ class Comparison {
     for (const Arm& arm : b_.arms) {
       for (const StreamResult& stream : arm.streams) {
         const StreamResult* before = find(a_, arm.transport, stream.name);
-        if (before == nullptr || transport_of(arm.transport) == kFloorPace) continue;
+        if (before == nullptr || sends_nothing(arm.transport)) continue;
         const Verdict verdict = one(arm, *before, stream);
         compared_arms += arm.is_floor ? 0 : 1;
         slower += verdict == Verdict::Slower;

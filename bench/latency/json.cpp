@@ -276,16 +276,16 @@ Json derived(const Cell& cell, const Arm& arm, const StreamResult& stream) {
     json["us_per_message"] = to_json(summarise(times_per_message(stream)));
     json["messages_per_second"] = messages_per_second(stream);
   }
-  const StreamResult* pace = find(cell, beside(arm.transport, kFloorPace), stream.name);
-  if (transport_of(arm.transport) != kFloorPace) {  // it has nothing to compare
+  const StreamResult* pace = pace_of(cell, arm.transport, stream.name);
+  if (!sends_nothing(arm.transport)) {  // it has nothing to compare
     const auto compare_with = [&](const std::string& other, const std::string& key) {
       const StreamResult* result = find(cell, other, stream.name);
       if (result == nullptr || arm.transport == other) return;
       json[key] = ratios(cell.conditions, stream, *result);
-      const StreamResult* pace_of_other = find(cell, beside(other, kFloorPace), stream.name);
-      const bool net = pace != nullptr && pace_of_other != nullptr;
+      const StreamResult* pace_of_it = pace_of(cell, other, stream.name);
+      const bool net = pace != nullptr && pace_of_it != nullptr;
       json[key][net ? "cpu_net_of_pacing" : "cpu"] =
-          to_json(net ? ratio_of_cpu(stream, pace, *result, pace_of_other)
+          to_json(net ? ratio_of_cpu(stream, pace, *result, pace_of_it)
                       : ratio_of_cpu(stream, nullptr, *result, nullptr));
     };
     for (const std::string other : {kRing, kFloorSpin, kFloorFutex}) {

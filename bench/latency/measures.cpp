@@ -222,6 +222,19 @@ std::string beside(const std::string& arm, const std::string& transport) {
   return is_quiet(arm) ? quiet(transport) : transport;
 }
 
+bool sends_nothing(const std::string& arm) {
+  const std::string transport = transport_of(arm);
+  return transport == kFloorPace || transport == kFloorRos;
+}
+
+const StreamResult* pace_of(const Cell& cell, const std::string& arm, const std::string& stream) {
+  if (sends_nothing(arm)) return nullptr;
+  if (arm.starts_with("ros-")) {
+    if (const auto* nodes = find(cell, beside(arm, kFloorRos), stream)) return nodes;
+  }
+  return find(cell, beside(arm, kFloorPace), stream);
+}
+
 bool has_failed(std::string_view refused) { return refused.starts_with("failed: "); }
 
 }  // namespace ab

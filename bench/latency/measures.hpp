@@ -77,5 +77,12 @@ inline constexpr const char* kRing = "ring";  ///< what others are beside
 inline constexpr const char* kFloorSpin = "floor-spin";
 inline constexpr const char* kFloorFutex = "floor-futex";
 inline constexpr const char* kFloorPace = "floor-pace";
+inline constexpr const char* kFloorRos = "floor-ros";
+
+/// Its subscribers hear nothing: it is there for its cost.
+bool sends_nothing(const std::string& arm);
+/// What the processes of an arm cost when nothing is sent: for nodes of ROS, other nodes of ROS
+/// where they were measured. Null where nothing was.
+const StreamResult* pace_of(const Cell& cell, const std::string& arm, const std::string& stream);
 
 }  // namespace ab

@@ -110,7 +110,7 @@ if [ $ros = yes ]; then
   only "in ROS: spinning" $nodes,ring "${few[@]}" --size 128,16M --wait spin
   only "in ROS: frames that are not filled" ros-lot,ros-intra,ring \
     --messages $((messages * 8)) --block $((messages * 8 / 20)) --rate 100 --pool 4 --size 128,16M --fill no
-  only "in ROS: what a message of 16 MiB costs" ros-lot,ros-tcp,ring,floor-pace \
+  only "in ROS: what a message of 16 MiB costs" ros-lot,ros-tcp,ring,floor-pace,floor-ros \
     --messages $((messages * 4)) --block "$messages" --pool 4 --size 16M --fill no --no-floors
   only "in ROS: five publishers" ros-lot,ros-tcp,ros-tzc \
     "${few[@]}" --depth 4 --size $sizes --graph 5p1s --no-floors

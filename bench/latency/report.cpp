@@ -63,11 +63,9 @@ std::string ratio_word(const std::optional<Ratio>& ratio) {
 
 // ---- counts -------------------------------------------------------------------------------------
 
-bool hears_nothing(const Arm& arm) { return transport_of(arm.transport) == kFloorPace; }
-
 bool adds_up(const Arm& arm, const StreamResult& stream, const Subscriber& subscriber) {
   if (subscriber.spoilt != 0) return false;
-  if (hears_nothing(arm)) return true;
+  if (sends_nothing(arm.transport)) return true;
   return sent(stream) == subscriber.received + subscriber.missed + subscriber.lost;
 }
 
@@ -129,7 +127,7 @@ void print_arrivals(std::ostream& out, const Cell& cell, const ReportOptions& op
     table.add(std::move(row));
   };
   for (const Arm& arm : cell.arms) {
-    if (hears_nothing(arm)) continue;
+    if (sends_nothing(arm.transport)) continue;
     for (const StreamResult& stream : arm.streams) {
       const std::string due = std::to_string(sent(stream));
       if (!options.per_subscriber) {
@@ -184,7 +182,7 @@ void print_beside_ring(std::ostream& out, const Cell& cell, const ReportOptions&
   Table table({"x ring", "median", "p99", "rank p"});
   bool any = false;
   for (const Arm& arm : cell.arms) {
-    if (transport_of(arm.transport) == kRing || hears_nothing(arm)) continue;
+    if (transport_of(arm.transport) == kRing || sends_nothing(arm.transport)) continue;
     for (const StreamResult& stream : arm.streams) {
       const StreamResult* ring = find(cell, beside(arm.transport, kRing), stream.name);
       if (ring == nullptr) continue;
@@ -205,8 +203,7 @@ void print_costs(std::ostream& out, const Cell& cell) {
   for (const Arm& arm : cell.arms) {
     for (const StreamResult& stream : arm.streams) {
       std::vector<std::string> row{row_name(arm, stream)};
-      const StreamResult* pace =
-          hears_nothing(arm) ? nullptr : find(cell, beside(arm.transport, kFloorPace), stream.name);
+      const StreamResult* pace = pace_of(cell, arm.transport, stream.name);
       const Costs cost = costs_net_of(stream, pace);
       const auto switches = [](const Cost& of) {
         return of.voluntary_switches + of.involuntary_switches;
@@ -216,9 +213,11 @@ void print_costs(std::ostream& out, const Cell& cell) {
       };
       both(cost.publisher.cpu_us, cost.subscriber.cpu_us);
       const StreamResult* ring = find(cell, beside(arm.transport, kRing), stream.name);
-      row.push_back(ring == nullptr || ring == &stream || hears_nothing(arm)
-                        ? "-"
-                        : ratio_word(ratio_of_cpu(stream, pace, *ring, pace)));
+      row.push_back(
+          ring == nullptr || ring == &stream || sends_nothing(arm.transport)
+              ? "-"
+              : ratio_word(ratio_of_cpu(stream, pace, *ring,
+                                        pace_of(cell, beside(arm.transport, kRing), stream.name))));
       both(switches(cost.publisher), switches(cost.subscriber));
       both(cost.publisher.faults, cost.subscriber.faults);
       const auto readers = static_cast<double>(stream.subscribers.size());
@@ -246,7 +245,7 @@ void print_disturbance(std::ostream& out, const Cell& cell, const ReportOptions&
   Table table({"x quiet", "median", "p99", "rank p"});
   bool any = false;
   for (const Arm& arm : cell.arms) {
-    if (hears_nothing(arm) || is_quiet(arm.transport)) continue;
+    if (sends_nothing(arm.transport) || is_quiet(arm.transport)) continue;
     for (const StreamResult& stream : arm.streams) {
       const StreamResult* quiet_one = find(cell, quiet(arm.transport), stream.name);
       if (quiet_one == nullptr) continue;
@@ -319,8 +318,10 @@ void print_measured(std::ostream& out, const Cell& cell, const ReportOptions& op
   print_arrivals(out, cell, options);
   print_beside_ring(out, cell, options);
   print_disturbance(out, cell, options);
-  out << (find(cell, kFloorPace) != nullptr ? "   net of what pacing alone costs (floor-pace)\n"
-                                            : "   pacing included\n");
+  out << (find(cell, kFloorPace) == nullptr ? "   pacing included\n"
+          : find(cell, kFloorRos) == nullptr
+              ? "   net of what pacing alone costs (floor-pace)\n"
+              : "   net of what pacing alone costs (floor-pace, and floor-ros for nodes of ROS)\n");
   print_costs(out, cell);
   print_fairness(out, cell);
   complain(out, cell);

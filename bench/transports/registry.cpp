@@ -68,6 +68,7 @@ const std::vector<Missing>& missing_transports() {
       {"ros-udp", kNoRos},
       {"ros-intra", kNoRos},
       {"ros-tzc", kNoRos},
+      {"floor-ros", kNoRos},
 #endif
   };
   return missing;

@@ -362,6 +362,11 @@ std::vector<Transport> ros_transports() {
     return std::make_unique<RosTzcReceiver>(stream, subscriber);
   };
   all.push_back(std::move(tzc));
+  Transport pace = ros_transport(
+      "floor-ros", "what nodes of ROS cost that are connected, and send nothing", Way::Pace);
+  pace.is_floor = true;
+  pace.delivers = false;
+  all.push_back(std::move(pace));
   return all;
 }
 

@@ -92,8 +92,9 @@ class PlainPublisher final : public Publisher {
     return reinterpret_cast<std::byte*>(message_->data.data());
   }
   void publish() override {
-    publisher_.publish(message_);
-    message_.reset();
+    const auto message = std::move(message_);
+    if (terms_.way == Way::Pace) return;
+    publisher_.publish(message);
     ++published_;
   }
   std::uint64_t serialised() const override { return terms_.way == Way::Intra ? 0 : published_; }

@@ -18,6 +18,7 @@ enum class Way {
   Intra,  ///< roscpp, by pointer, within one process
   Lot,    ///< lot::ros
   LotMutex,
+  Pace,  ///< TCPROS's nodes, which publish nothing
 };
 enum class Waiting { Spin, Adaptive, Park };
 
