@@ -36,7 +36,6 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto kProbePeriod = 250ms;
 /// So long a LOT subscriber may take until it reads the ring: its node is just starting.
 constexpr auto kPatience = 1s;
 constexpr std::chrono::milliseconds kFirstLook{10};
@@ -447,7 +446,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
     if (peer.state == State::Link) send(peer, *bytes);
   }
   if (in(State::Ring)) {
-    published_ = true;
+    ++published_;
     watch(kFirstLook);
   }
 }
@@ -494,9 +493,11 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
     const bool all_answered = self->take_answers();
     const auto now = Loop::Clock::now();
     bool goes_on = now < self->probe_at_;
-    if (!goes_on && (std::exchange(self->published_, false) || !all_answered)) {
+    if (!goes_on && (self->published_ != 0 || !all_answered)) {
       goes_on = true;
-      self->probe_at_ = now + kProbePeriod;
+      const bool is_stream = std::exchange(self->published_, 0) > self->probe_period_ / kStream;
+      self->probe_period_ = is_stream ? kStreamProbePeriod : kProbePeriod;
+      self->probe_at_ = now + self->probe_period_;
       for (Peer& peer : self->peers_) {
         if (peer.state == State::Ring) self->probe(peer);
       }

@@ -88,6 +88,12 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     std::chrono::steady_clock::time_point since;
   };
   using Peers = std::vector<Peer>;
+
+  static constexpr std::chrono::milliseconds kProbePeriod{250};
+  /// A probe costs the processor as much as several messages: a stream is asked about less often.
+  static constexpr std::chrono::milliseconds kStreamProbePeriod{1000};
+  static constexpr std::chrono::milliseconds kStream{60};  ///< a message comes within that
+
   struct End {
     bool latches = false;
     bool greets = false;
@@ -134,8 +140,9 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   Peers peers_;
   std::map<std::uint64_t, End> ends_;
   std::uint64_t last_end_ = 0;
-  bool watching_ = false;             ///< LOT's thread will look after the links
-  bool published_ = false;            ///< something, since it has last asked
+  bool watching_ = false;        ///< LOT's thread will look after the links
+  std::uint32_t published_ = 0;  ///< messages, since it has last asked
+  std::chrono::milliseconds probe_period_ = kProbePeriod;
   Loop::Clock::time_point probe_at_;  ///< not before that it asks again
   bool last_is_latched_ = false;      ///< the last message of the ring is the one that is latched
   std::uint64_t serialised_ = 0;
