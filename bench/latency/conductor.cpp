@@ -246,6 +246,7 @@ class Conductor {
     s.pool = c_.pool;
     s.depth = c_.depth;
     s.filled = c_.fill;
+    s.one_by_one = c_.mode == "ping-pong";
     s.lossless = c_.lossless;
     s.isolated = c_.place != "host";
     if (transport.is_network) {

@@ -57,7 +57,7 @@ NLOHMANN_JSON_SERIALIZE_ENUM(Wait, {{Wait::Spin, "spin"},
                                     {Wait::Adaptive, "adaptive"},
                                     {Wait::Park, "park"}})
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Stream, name, directory, size, publishers, subscribers, wait,
-                                   pool, depth, filled, lossless, isolated, address)
+                                   pool, depth, filled, one_by_one, lossless, isolated, address)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(NodePlan, arm, stream, role, index, cores, delay_s, profiled)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(StreamPlan, stream, rate_hz)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(ArmPlan, transport, streams, groups)

@@ -63,6 +63,7 @@ const std::vector<Missing>& missing_transports() {
 #endif
 #ifndef LOT_AB_ROS
       {"ros-lot", kNoRos},
+      {"ros-lot-immediate", kNoRos},
       {"ros-lot-mutex", kNoRos},
       {"ros-tcp", kNoRos},
       {"ros-udp", kNoRos},

@@ -163,6 +163,7 @@ Terms terms_of(const Stream& stream, Way way, char role, unsigned index) {
   terms.depth = stream.depth;
   terms.pool = stream.pool;
   terms.prepared = prepared(stream);
+  terms.one_by_one = stream.one_by_one;
   // And what subscribers hold, or keep until they are told that it is theirs; in ping-pong the
   // other way, too, since a process has one segment.
   const std::uint64_t messages =
@@ -348,6 +349,8 @@ Transport ros_transport(std::string name, std::string about, Way way) {
 std::vector<Transport> ros_transports() {
   std::vector<Transport> all{
       ros_transport("ros-lot", "roscpp with lot::ros: frames in the lock-free ring", Way::Lot),
+      ros_transport("ros-lot-immediate", "the same, callbacks called by LOT's thread",
+                    Way::LotImmediate),
       ros_transport("ros-lot-mutex", "roscpp with lot::ros: the queue under a robust mutex",
                     Way::LotMutex),
       ros_transport("ros-tcp", "roscpp: TCPROS", Way::Tcp),

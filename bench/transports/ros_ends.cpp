@@ -2,6 +2,7 @@
 #include "ros_ends.hpp"
 
 #include <atomic>
+#include <condition_variable>
 #include <cstdlib>
 #include <map>
 #include <mutex>
@@ -24,6 +25,10 @@ using Plain = sensor_msgs::Image;
 using Shared = lot::ros::Message<sensor_msgs::Image_>;
 
 constexpr auto kSpinTime = 50us;  ///< of adaptive waiting: a little more than a wake-up costs
+
+bool is_lot(const Terms& terms) {
+  return terms.way == Way::Lot || terms.way == Way::LotImmediate || terms.way == Way::LotMutex;
+}
 
 /// ROS in this process, as long as it has ends. roscpp begins once, and does not begin again.
 class Node {
@@ -66,9 +71,6 @@ class Node {
     ros::init(settings, terms.node,
               ros::init_options::NoSigintHandler | ros::init_options::NoRosout);
     handle_ = std::make_unique<lot::ros::NodeHandle>();
-  }
-  static bool is_lot(const Terms& terms) {
-    return terms.way == Way::Lot || terms.way == Way::LotMutex;
   }
 
   std::mutex opening_;
@@ -211,19 +213,78 @@ class TopicSubscriber final : public Subscriber {
       subscriber_;
 };
 
+/// Callbacks are called on LOT's thread. Nobody need be woken for that, unless who receives has to
+/// do something about each message.
+class ImmediateSubscriber final : public Subscriber {
+ public:
+  explicit ImmediateSubscriber(const Terms& terms) : terms_(terms), node_(Node::of(terms)) {
+    lot::ros::NodeHandle handle(node_->handle());
+    handle.setCallbackQueue(lot::ros::immediate_queue());
+    const std::lock_guard guard(node_->opening());
+    subscriber_ = handle.subscribe<Shared>(
+        terms.topic, terms.depth,
+        [this](const boost::shared_ptr<Shared const>& message) { hear(*message); });
+  }
+  ~ImmediateSubscriber() override {
+    {
+      const std::lock_guard guard(mutex_);
+      over_ = true;
+    }
+    listening_.notify_all();
+    subscriber_.shutdown();
+  }
+
+  bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
+    std::unique_lock lock(mutex_);
+    const std::uint64_t before = heard_;
+    handler_ = &handler;
+    listening_.notify_one();
+    wakes_ = terms_.one_by_one || patience < 0ns;
+    const auto has_come = [&] { return wakes_ && heard_ != before; };
+    if (patience < 0ns) {
+      come_.wait(lock, has_come);
+    } else {
+      come_.wait_for(lock, patience, has_come);
+    }
+    handler_ = nullptr;
+    return heard_ != before;
+  }
+
+ private:
+  void hear(const Shared& message) {
+    std::unique_lock lock(mutex_);
+    listening_.wait(lock, [this] { return handler_ != nullptr || over_; });
+    if (over_) return;
+    (*handler_)(reinterpret_cast<const std::byte*>(message.data.data()), message.data.size());
+    ++heard_;
+    if (!wakes_) return;
+    handler_ = nullptr;  // until it is asked for the next one
+    come_.notify_one();
+  }
+
+  const Terms terms_;
+  const std::shared_ptr<Node> node_;
+  std::mutex mutex_;
+  std::condition_variable listening_, come_;
+  const Handler* handler_ = nullptr;
+  bool wakes_ = true;  ///< whoever receives, for each message
+  std::uint64_t heard_ = 0;
+  bool over_ = false;
+  lot::ros::Subscriber subscriber_;
+};
+
 }  // namespace
 
 std::unique_ptr<Publisher> advertise(const Terms& terms) {
-  if (terms.way == Way::Lot || terms.way == Way::LotMutex) {
+  if (is_lot(terms)) {
     return std::make_unique<LotPublisher>(terms);
   }
   return std::make_unique<PlainPublisher>(terms);
 }
 
 std::unique_ptr<Subscriber> subscribe(const Terms& terms) {
-  if (terms.way == Way::Lot || terms.way == Way::LotMutex) {
-    return std::make_unique<TopicSubscriber<Shared>>(terms);
-  }
+  if (terms.way == Way::LotImmediate) return std::make_unique<ImmediateSubscriber>(terms);
+  if (is_lot(terms)) return std::make_unique<TopicSubscriber<Shared>>(terms);
   return std::make_unique<TopicSubscriber<Plain>>(terms);
 }
 

@@ -13,10 +13,11 @@
 namespace ab::ros_ends {
 
 enum class Way {
-  Tcp,    ///< roscpp's TCPROS
-  Udp,    ///< roscpp's UDPROS
-  Intra,  ///< roscpp, by pointer, within one process
-  Lot,    ///< lot::ros
+  Tcp,           ///< roscpp's TCPROS
+  Udp,           ///< roscpp's UDPROS
+  Intra,         ///< roscpp, by pointer, within one process
+  Lot,           ///< lot::ros
+  LotImmediate,  ///< and callbacks on LOT's thread
   LotMutex,
   Pace,  ///< TCPROS's nodes, which publish nothing
 };
@@ -33,8 +34,9 @@ struct Terms {
   std::uint64_t segment_bytes = 0;
   std::size_t size = 0;  ///< of a message
   unsigned depth = 1;
-  unsigned pool = 0;      ///< messages that are used again; 0: each is made anew. Not for LOT
-  unsigned prepared = 0;  ///< messages of LOT's that are touched at the start
+  unsigned pool = 0;       ///< messages that are used again; 0: each is made anew. Not for LOT
+  bool one_by_one = true;  ///< see Stream
+  unsigned prepared = 0;   ///< messages of LOT's that are touched at the start
 };
 
 /// Threads: one.

@@ -39,8 +39,10 @@ struct Stream {
   /// Messages that a publisher prepares and uses again and again; 0: makes each anew. Transports
   /// that have no such choice (they copy, or recycle by themselves) ignore it.
   unsigned pool = 0;
-  unsigned depth = 30;    ///< messages that wait for a slow subscriber
-  bool filled = true;     ///< the whole message is written each time, not its ends alone
+  unsigned depth = 30;  ///< messages that wait for a slow subscriber
+  bool filled = true;   ///< the whole message is written each time, not its ends alone
+  /// receive() returns after each message; false: it may hand over several before it does.
+  bool one_by_one = true;
   bool lossless = false;  ///< push() waits for slow subscribers, where Transport::waits
   bool isolated = false;  ///< the nodes have namespaces of their own (PID, IPC, mount, network)
   /// The publisher's network address as the subscriber sees it. Ports are the transport's affair
@@ -73,7 +75,8 @@ class Receiver {
 
   virtual ~Receiver() = default;
   /// Waits at most `patience` (negative: for ever) for a message, in the way that Stream::wait
-  /// says, and calls handler for it; takes one message at most. False: none came. An unfinished or
+  /// says, and calls handler for it; one message at most (but see Stream::one_by_one), and from no
+  /// other thread when this has returned. False: none came. An unfinished or
   /// torn message is never handed over: it counts as missed.
   virtual bool receive(const Handler& handler, std::chrono::nanoseconds patience) = 0;
   /// Messages of which this end knows that they went past it.

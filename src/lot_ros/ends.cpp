@@ -91,6 +91,21 @@ class TopicAdvertisement final : public Advertisement {
   ::ros::Publisher plain_;
 };
 
+/// Without the lock, since LOT's thread is waited for, where a callback may want it.
+void close(Inlet& inlet, const std::string& topic, std::unique_lock<std::mutex>& opening) {
+  Topics::all().closing.insert(topic);
+  opening.unlock();
+  const struct Closed {  // whatever close() throws
+    const std::string& topic;
+    ~Closed() {
+      const std::lock_guard guard(Topics::all().opening);
+      Topics::all().closing.erase(topic);
+      Topics::all().closed.notify_all();
+    }
+  } closed{topic};
+  inlet.close();
+}
+
 class TopicSubscription final : public Subscription {
  public:
   TopicSubscription(std::shared_ptr<Inlet> inlet, std::string topic, std::uint64_t user)
@@ -110,20 +125,9 @@ class TopicSubscription final : public Subscription {
     }
     if (!inlet) return;
     inlet->remove(user_).dismiss();  // no lock is held when what its callback holds goes
-    {
-      const std::lock_guard guard(Topics::all().opening);
-      if (inlet->has_users() || !erase(Topics::all().inlets, topic_, inlet)) return;
-      Topics::all().closing.insert(topic_);
-    }
-    const struct Closed {  // whatever close() throws
-      const std::string& topic;
-      ~Closed() {
-        const std::lock_guard guard(Topics::all().opening);
-        Topics::all().closing.erase(topic);
-        Topics::all().closed.notify_all();
-      }
-    } closed{topic_};
-    inlet->close();
+    std::unique_lock lock(Topics::all().opening);
+    if (inlet->has_users() || !erase(Topics::all().inlets, topic_, inlet)) return;
+    close(*inlet, topic_, lock);
   }
 
  private:
@@ -199,9 +203,14 @@ std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
   std::shared_ptr<Inlet> inlet;
   std::uint64_t user = 0;
   {
+    const auto session = Session::get();
     std::unique_lock lock(Topics::all().opening);
-    Topics::all().closed.wait(
-        lock, [&options] { return Topics::all().closing.count(options.topic) == 0; });
+    const auto is_closed = [&options] { return Topics::all().closing.count(options.topic) == 0; };
+    if (session->loop()->is_here() && !is_closed()) {
+      throw Error(EDEADLK, options.topic, "its last subscriber is just being shut down",
+                  "subscribe again later, or in another thread than LOT's");
+    }
+    Topics::all().closed.wait(lock, is_closed);
     auto& place = Topics::all().inlets[options.topic];
     inlet = place.lock();
     if (inlet && !is_same(inlet->kind(), kind)) {
@@ -209,18 +218,18 @@ std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
           "Tried to subscribe to a topic with the same name but different type: " + options.topic);
     }
     const bool is_new = inlet == nullptr;
-    if (is_new) inlet = std::make_shared<Inlet>(Session::get(), options, kind);
+    if (is_new) inlet = std::make_shared<Inlet>(session, options, kind);
     user = inlet->add(options);
     if (is_new) {
       bool opened = false;
       try {
         opened = inlet->open(node, asked);
       } catch (...) {
-        inlet->close();
+        close(*inlet, options.topic, lock);
         throw;
       }
       if (!opened) {
-        inlet->close();
+        close(*inlet, options.topic, lock);
         return nullptr;
       }
       place = inlet;

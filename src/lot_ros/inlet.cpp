@@ -14,6 +14,8 @@
 #include <ros/this_node.h>
 #include <ros/topic_manager.h>
 
+#include "lot_ros/immediate_queue.hpp"
+
 namespace lot::ros {
 namespace {
 
@@ -172,7 +174,13 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
           lot::detail::make_puller(session_->participant(), session_->name_of(topic_),
                                    *kind_.layout, from_the_start, lot::detail::Delivery::ToAll);
       if (has_plain_ones()) rings_->decline();
-      loop_->call([this] { loop_->arrivals().add(*rings_, [this] { read(); }); });
+      rings_->size();  // joins those that are there, before a link says that we are here
+      // Nobody waits for LOT's thread here: it may be in a callback, which opens another topic.
+      loop_->soon([weak = weak_from_this()] {
+        const auto self = weak.lock();
+        if (!self || !self->rings_) return;
+        self->loop_->arrivals().add(*self->rings_, [inlet = self.get()] { inlet->read(); });
+      });
     } catch (const std::exception& e) {
       ROS_WARN("LOT: %s comes over TCPROS: %s", topic_.c_str(), e.what());
     }
@@ -239,7 +247,8 @@ void Inlet::claim(Pulled pulled) {
   auto& waiting = ring->second;
   waiting.push_back(std::move(pulled));
   while (!waiting.empty() && deliver_if_ours(waiting.front())) waiting.pop_front();
-  if (waiting.size() > kMostUndecided) waiting.pop_front();
+  const std::size_t depth = rings_->depth({name.first, name.second, 0});
+  if (depth != 0 && waiting.size() > most_undecided(depth)) waiting.pop_front();
 }
 
 /// False when the publisher's link brings its messages.
@@ -391,7 +400,13 @@ void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
   // Others may have it: who wants to change it gets a copy.
   user.queue->push(user.helper, deserializer, user.has_tracked_object, user.tracked_object, true,
                    ::ros::Time::now(), &was_full);
-  if (!was_full) user.callbacks->addCallback(user.queue, user.id());
+  if (was_full) return;
+  if (user.callbacks == immediate_queue()) {
+    loop_->afterwards(
+        [queue = user.queue, id = user.id()] { ImmediateQueue::the().call(queue, id); });
+  } else {
+    user.callbacks->addCallback(user.queue, user.id());
+  }
 }
 
 // ---- users --------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@
 #include <memory>
 #include <pthread.h>
 #include <unistd.h>
+#include <utility>
 
 #include <ros/console.h>
 #include <xmlrpcpp/XmlRpcException.h>
@@ -53,6 +54,27 @@ void Loop::call(const std::function<void()>& work) {
   done.get();
 }
 
+void Loop::afterwards(std::function<void()> work) {
+  if (is_here()) {
+    afterwards_.push_back(std::move(work));
+  } else {
+    soon(std::move(work));
+  }
+}
+
+/// One's error does not keep the next one from its turn.
+void Loop::guarded(const std::function<void()>& work) {
+  try {
+    work();
+  } catch (const std::exception& e) {
+    ROS_ERROR("LOT: %s", e.what());
+  } catch (const XmlRpc::XmlRpcException& e) {
+    ROS_ERROR("LOT: %s", e.getMessage().c_str());
+  } catch (...) {  // the user's callbacks may throw anything
+    ROS_ERROR("LOT: a callback has thrown something that is no std::exception");
+  }
+}
+
 void Loop::run() {
   thread_ = std::this_thread::get_id();
   pthread_setname_np(pthread_self(), "lot-ros");
@@ -76,16 +98,15 @@ void Loop::run() {
         most = std::min(most, first->first - now);
       }
     }
-    try {
+    guarded([&] {
       if (work) {
-        work();
         most = {};  // rings have their turn, however much there is to do
+        work();
       }
       arrivals_.run_once(most);
-    } catch (const std::exception& e) {
-      ROS_ERROR("LOT: %s", e.what());
-    } catch (const XmlRpc::XmlRpcException& e) {
-      ROS_ERROR("LOT: %s", e.getMessage().c_str());
+    });
+    while (!afterwards_.empty()) {
+      for (const auto& each : std::exchange(afterwards_, {})) guarded(each);
     }
   }
 }

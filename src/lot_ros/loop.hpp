@@ -8,6 +8,7 @@
 #include <mutex>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include "lot/wait_set.hpp"
 
@@ -32,6 +33,10 @@ class Loop {
   /// ended.
   void call(const std::function<void()>& work);
 
+  /// Calls it on LOT's thread when that has done what it does now, so that it finds nothing half
+  /// done.
+  void afterwards(std::function<void()> work);
+
   /// What LOT's thread waits for besides. REQUIRES: this is that thread.
   WaitSet& arrivals() noexcept { return arrivals_; }
 
@@ -39,11 +44,13 @@ class Loop {
   void run();
   /// It ends soon.
   void end() noexcept;
+  /// True on LOT's thread.
+  bool is_here() const noexcept { return thread_.load() == std::this_thread::get_id(); }
   /// True in a forked child, which has no such thread: nothing is done there any more.
   bool is_inherited() const noexcept;
 
  private:
-  bool is_here() const noexcept { return thread_.load() == std::this_thread::get_id(); }
+  void guarded(const std::function<void()>& work);
 
   const int process_;
   std::mutex mutex_;
@@ -52,6 +59,7 @@ class Loop {
   std::atomic<bool> ends_{false};
   std::atomic<std::thread::id> thread_{};
   WaitSet arrivals_;
+  std::vector<std::function<void()>> afterwards_;  ///< LOT's thread's own
 };
 
 }  // namespace lot::ros

@@ -46,7 +46,12 @@ constexpr std::chrono::milliseconds kLastAnswers{100};
 constexpr std::chrono::milliseconds kBusy{1};
 constexpr std::uint32_t kDeepest = 1024;
 constexpr std::uint32_t kUsualDepth = 16;
-static_assert(kUsualDepth > kMostUndecided, "what is not decided is in the ring, beside a new one");
+
+/// Of the ring.
+std::uint32_t depth_of(const ::ros::AdvertiseOptions& options) {
+  if (options.queue_size == 0) return kDeepest;  // as many as come
+  return std::clamp<std::uint32_t>(options.queue_size, kUsualDepth, kDeepest);
+}
 
 /// Not null while this thread sends it to a peer.
 thread_local const ::ros::SerializedMessage* outgoing = nullptr;
@@ -136,9 +141,7 @@ TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::Advertis
     : loop_(session->loop()), options_(options), kind_(kind), session_(std::move(session)) {
   if (!session_->is_on() || kind.least_bytes < 2) return;
   PusherOptions ring;
-  ring.depth = options.queue_size == 0
-                   ? kDeepest  // as many as come
-                   : std::clamp<std::uint32_t>(options.queue_size, kUsualDepth, kDeepest);
+  ring.depth = depth_of(options);
   ring.engine = session_->queue_engine();
   try {
     ring_ = lot::detail::make_pusher(session_->participant(), session_->name_of(options.topic),
@@ -345,8 +348,9 @@ bool TopicOutlet::greets() const {
 
 /// As many as its link takes at once: roscpp throws the oldest away when its queue is full.
 std::size_t TopicOutlet::most_unsure() const {
-  return options_.queue_size == 0 ? kMostUndecided
-                                  : std::min<std::size_t>(options_.queue_size, kMostUndecided);
+  const std::size_t undecided = most_undecided(depth_of(options_));
+  return options_.queue_size == 0 ? undecided
+                                  : std::min<std::size_t>(options_.queue_size, undecided);
 }
 
 void TopicOutlet::leave_ring(Peer& peer) {

@@ -15,8 +15,8 @@
 namespace lot::ros {
 
 /// So many messages of a publisher may be in its ring before it has said to a reader that they are
-/// for it: that one is only just coming.
-inline constexpr std::size_t kMostUndecided = 15;
+/// for it, since that one is only just coming: all but the one that makes room for the next.
+constexpr std::size_t most_undecided(std::size_t depth) { return depth - 1; }
 
 /// What LOT is in this process while somebody publishes or subscribes: the segment, and LOT's
 /// thread. The user's handles own it, so that it ends in the user's threads, and with it the

@@ -121,6 +121,11 @@ class Puller final : public detail::PullerCore {
     return left != nullptr ? std::string_view(left->publisher) : std::string_view();
   }
 
+  std::size_t depth(const detail::Origin& origin) override {
+    const Source* const s = source_of(origin);
+    return s != nullptr ? s->reader.ring().depth : 0;
+  }
+
   bool has_publisher(std::string_view publisher) override {
     return std::any_of(sources_.begin(), sources_.end(),
                        [&](const Source& s) { return s.publisher == publisher; });

@@ -5,11 +5,13 @@
 #define DOCTEST_CONFIG_IMPLEMENT
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <functional>
 #include <memory>
 #include <mutex>
 #include <set>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -49,6 +51,23 @@ void say(const lot::ros::Publisher<String>& publisher, const char* text) {
   auto message = publisher.loan();
   message->data = text;
   publisher.publish(std::move(message));
+}
+
+/// Waits until it holds, and spins nothing. False: in vain for 20 s.
+bool comes_unspun(const std::function<bool()>& condition) {
+  const auto until = std::chrono::steady_clock::now() + 20s;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > until) return false;
+    std::this_thread::sleep_for(1ms);
+  }
+  return true;
+}
+
+/// Whose callbacks LOT's thread calls.
+lot::ros::NodeHandle immediate() {
+  lot::ros::NodeHandle node;
+  node.setCallbackQueue(lot::ros::immediate_queue());
+  return node;
 }
 
 /// What a subscriber has heard.
@@ -331,6 +350,166 @@ TEST_CASE("memory that was reserved is used") {
   image->data.resize(1 << 20);
   CHECK(image.is_shared());
   lot::ros::Publisher<Image>().reserve(1, 1);  // nobody's: nothing
+}
+
+// ---- callbacks on LOT's thread ------------------------------------------------------------------
+
+TEST_CASE("LOT's thread calls callbacks at once, one after the other") {
+  auto node = immediate();
+  const auto topic = fresh_topic();
+  auto talker = node.advertise<String>(topic, 1000);
+  std::mutex mutex;
+  std::set<std::thread::id> threads;
+  Words heard;
+  std::set<const void*> places;
+  auto listener =
+      node.subscribe<String>(topic, 1000, [&](const boost::shared_ptr<String const>& message) {
+        const std::lock_guard guard(mutex);
+        threads.insert(std::this_thread::get_id());
+        heard.emplace_back(message->data.data(), message->data.size());
+        places.insert(message.get());
+      });
+  REQUIRE(comes_unspun([&] { return talker.getNumSubscribers() == 1; }));
+  Words said;
+  std::set<const void*> sent;
+  for (int n = 0; n < 500; ++n) {
+    said.push_back(std::to_string(n));
+    auto message = talker.loan();
+    message->data = said.back().c_str();
+    sent.insert(message.get());
+    talker.publish(std::move(message));
+  }
+  CHECK(comes_unspun([&] {
+    const std::lock_guard guard(mutex);
+    return heard.size() == said.size();
+  }));
+  const std::lock_guard guard(mutex);
+  CHECK(heard == said);
+  CHECK(threads.size() == 1);
+  CHECK(threads.count(std::this_thread::get_id()) == 0);
+  CHECK(places == sent);
+}
+
+TEST_CASE("what comes by a link, and what is latched, is called at once, too") {
+  auto node = immediate();
+  const auto topic = fresh_topic();
+  std::atomic<int> heard{0};
+  std::atomic<bool> elsewhere{true};
+  const auto here = std::this_thread::get_id();
+  const auto callback = [&](const String&) {
+    ++heard;
+    if (std::this_thread::get_id() == here) elsewhere = false;
+  };
+  auto latching = node.advertise<String>(topic, 10, true);
+  say(latching, "latched");
+  auto first = node.subscribe<String>(topic, 10, callback);
+  CHECK(comes_unspun([&] { return heard == 1; }));
+  auto second = node.subscribe<String>(topic, 10, callback);  // of a topic that is read already
+  CHECK(comes_unspun([&] { return heard == 2; }));
+
+  const auto other = fresh_topic();
+  ros::NodeHandle plain;
+  auto talker = plain.advertise<std_msgs::String>(other, 10);
+  auto third = node.subscribe<String>(other, 10, callback);
+  REQUIRE(comes_unspun([&] { return talker.getNumSubscribers() == 1; }));
+  talker.publish(std_msgs::String());
+  CHECK(comes_unspun([&] { return heard == 3; }));
+  CHECK(elsewhere);
+}
+
+TEST_CASE("a callback on LOT's thread opens and ends handles, while others do, and may throw") {
+  auto node = immediate();
+  const auto topic = fresh_topic();
+  auto talker = node.advertise<String>(topic, 1000);
+  std::atomic<int> called{0};
+  std::atomic<int> inner{0};
+  std::atomic<int> refused{0};
+  lot::ros::Subscriber own;
+  own = node.subscribe<String>(topic, 1000, [&](const String& message) {
+    const int n = ++called;
+    if (n % 10 == 3) throw std::runtime_error("a mistake of the callback's");
+    if (n % 10 == 4) throw 4;
+    auto lot = immediate();
+    auto another = lot.advertise<String>(topic + "/inner", 10);
+    lot::ros::Subscriber ear;
+    try {
+      ear = lot.subscribe<String>(topic + "/outer", 10, [&](const String&) { ++inner; });
+    } catch (const lot::Error& e) {
+      CHECK(e.error_number() == EDEADLK);  // just being shut down by the other thread
+      ++refused;
+    }
+    another.publish(message);
+    if (n == 200) own.shutdown();
+  });
+  REQUIRE(comes_unspun([&] { return talker.getNumSubscribers() == 1; }));
+  std::atomic<bool> over{false};
+  std::thread others([&] {
+    auto lot = immediate();
+    while (!over) {
+      auto ear = lot.subscribe<String>(topic + "/inner", 10, [&](const String&) { ++inner; });
+      auto outer = lot.subscribe<String>(topic + "/outer", 10, [](const String&) {});
+      auto voice = lot.advertise<String>(topic + "/outer", 10);
+      say(voice, "outer");
+    }
+  });
+  for (int n = 0; n < 300 && called < 200; ++n) {
+    say(talker, "go on");
+    std::this_thread::sleep_for(2ms);
+  }
+  CHECK(comes_unspun([&] { return called == 200; }));
+  over = true;
+  others.join();
+  say(talker, "nobody hears that");
+  std::this_thread::sleep_for(20ms);
+  CHECK(called == 200);
+}
+
+TEST_CASE(
+    "no callback is at work on LOT's thread, or begins, when its subscriber has been shut down") {
+  auto node = immediate();
+  for (int round = 0; round < 20; ++round) {
+    const auto topic = fresh_topic();
+    auto talker = node.advertise<String>(topic, 10);
+    std::atomic<int> begun{0};
+    std::atomic<int> ended{0};
+    auto listener = node.subscribe<String>(topic, 10, [&](const String&) {
+      ++begun;
+      std::this_thread::sleep_for(5ms);
+      ++ended;
+    });
+    REQUIRE(comes_unspun([&] { return talker.getNumSubscribers() == 1; }));
+    for (int n = 0; n < 5; ++n) say(talker, "again");
+    REQUIRE(comes_unspun([&] { return begun > 0; }));
+    listener.shutdown();
+    const int then = begun;
+    CHECK(ended == then);
+    std::this_thread::sleep_for(5ms);
+    CHECK(begun == then);
+  }
+}
+
+TEST_CASE("what is not LOT's goes to roscpp's queue, where LOT's thread calls callbacks") {
+  auto node = immediate();
+  const auto here = std::this_thread::get_id();
+  int ticks = 0;
+  bool is_here = true;
+  ros::Timer timer;
+  timer = node.createTimer(ros::Duration(0.002), [&](const ros::TimerEvent&) {
+    ++ticks;
+    is_here = is_here && std::this_thread::get_id() == here;
+    if (ticks == 5) timer.stop();  // needs the lock under which it was added
+  });
+  const auto topic = fresh_topic();
+  auto talker = node.advertise<std_msgs::String>(topic, 10);
+  int heard = 0;
+  auto listener = node.subscribe<std_msgs::String>(topic, 10, [&](const std_msgs::String&) {
+    ++heard;
+    is_here = is_here && std::this_thread::get_id() == here;
+  });
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  talker.publish(std_msgs::String());
+  CHECK(comes([&] { return ticks == 5 && heard == 1; }));
+  CHECK(is_here);
 }
 
 int main(int argc, char** argv) {

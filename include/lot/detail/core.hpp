@@ -117,6 +117,8 @@ class PullerCore {
   virtual std::optional<bool> is_ours(const Origin& origin) = 0;
   /// The name of the process that publishes there; empty when that has been forgotten.
   virtual std::string_view publisher(const Origin& origin) = 0;
+  /// How many messages that publisher's queue has; 0 when that has been forgotten.
+  virtual std::size_t depth(const Origin& origin) = 0;
   /// True when a publisher of that name is there, or something of it is not read yet.
   virtual bool has_publisher(std::string_view publisher) = 0;
   /// The rings of publishers of that name; sequences are 0.
