@@ -103,18 +103,18 @@ measure() {
 }
 
 if [ $ros = yes ]; then
-  nodes=ros-lot,ros-lot-mutex,ros-tcp,ros-tzc,ros-intra
+  nodes=ros-lot,ros-lot-immediate,ros-lot-mutex,ros-tcp,ros-tzc,ros-intra
   [ "$size" = normal ] && messages=150
   few=(--messages "$messages" --block "$block" --pool 4)
   only "in ROS: one publisher, one subscriber" $nodes,ros-udp,ring,tcp "${few[@]}" --size 128,$sizes
   only "in ROS: spinning" $nodes,ring "${few[@]}" --size 128,16M --wait spin
-  only "in ROS: frames that are not filled" ros-lot,ros-intra,ring \
+  only "in ROS: frames that are not filled" ros-lot,ros-lot-immediate,ros-intra,ring \
     --messages $((messages * 8)) --block $((messages * 8 / 20)) --rate 100 --pool 4 --size 128,16M --fill no
-  only "in ROS: what a message of 16 MiB costs" ros-lot,ros-tcp,ring,floor-pace,floor-ros \
+  only "in ROS: what a message of 16 MiB costs" ros-lot,ros-lot-immediate,ros-tcp,ring,floor-pace,floor-ros \
     --messages $((messages * 4)) --block "$messages" --pool 4 --size 16M --fill no --no-floors
   only "in ROS: five publishers" ros-lot,ros-tcp,ros-tzc \
     "${few[@]}" --depth 4 --size $sizes --graph 5p1s --no-floors
-  only "in ROS: five subscribers" ros-lot,ros-tcp,ros-tzc,floor-futex \
+  only "in ROS: five subscribers" ros-lot,ros-lot-immediate,ros-tcp,ros-tzc,floor-futex \
     "${few[@]}" --size $sizes --graph 1p5s --no-floors
   "$lot_ab" plot "$out"
   exit $failed
