@@ -6,7 +6,6 @@
 #include <fcntl.h>
 #include <thread>
 #include <unistd.h>
-#include <utility>
 
 #include "lot/error.hpp"
 
@@ -87,7 +86,10 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
     if (errno != EAGAIN && errno != EACCES) {
       throw Error(errno, path_, "cannot lock it", "does its file system support fcntl locks?");
     }
-    if (turn != std::exchange(turn, this->turn())) since = Clock::now();
+    if (const std::uint32_t now = this->turn(); now != turn) {
+      turn = now;
+      since = Clock::now();
+    }
     if (Clock::now() - since >= timeout) {
       throw Error(
           EBUSY, path_, "another process has been opening or closing the segment all the time",

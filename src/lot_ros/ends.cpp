@@ -148,7 +148,7 @@ std::shared_ptr<Advertisement> advertise(::ros::NodeHandle& node,
   std::shared_ptr<TopicOutlet> outlet;
   std::uint64_t end = 0;
   {
-    const std::lock_guard guard(Topics::all().opening);
+    std::unique_lock lock(Topics::all().opening);
     outlet = Topics::all().outlets[resolved.topic].lock();
     if (outlet && !is_same(outlet->kind(), kind)) {
       ROS_ERROR(
@@ -172,6 +172,7 @@ std::shared_ptr<Advertisement> advertise(::ros::NodeHandle& node,
         opened = outlet->open();
       }
       if (!opened) {
+        lock.unlock();  // it may be LOT's last here: its thread is waited for
         outlet->close();
         return nullptr;
       }

@@ -19,14 +19,14 @@
 namespace lot::ros {
 namespace {
 
-/// Frames that wait to be deserialised, of one topic: as many as its users would let wait.
-constexpr std::uint32_t kShortestIntake = 16;
+/// Frames that wait to be deserialised, of one topic: as many as its users would let wait, and as a
+/// publisher sends at once that goes from the ring to the link, with its probes. Of these none may
+/// be lost, for they are counted.
+constexpr std::uint32_t kShortestIntake = kDeepest + 16;
 /// A publisher that waits for us has decided by then.
 constexpr auto kDecided = std::chrono::seconds(2);
 /// So often is it looked at whether publishers are still there.
 constexpr auto kForgetPeriod = std::chrono::seconds(5);
-/// So many messages are read before other topics have their turn.
-constexpr unsigned kAtOnce = 64;
 
 /// The thread that deserialises what comes over links. roscpp may hold on to its queue for longer
 /// than anybody subscribes, so it is never destroyed.
@@ -182,6 +182,7 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
         self->loop_->arrivals().add(*self->rings_, [inlet = self.get()] { inlet->read(); });
       });
     } catch (const std::exception& e) {
+      rings_.reset();
       ROS_WARN("LOT: %s comes over TCPROS: %s", topic_.c_str(), e.what());
     }
   }
@@ -215,7 +216,9 @@ void Inlet::close() {
 void Inlet::read() {
   if (!rings_) return;
   // Then others have their turn: the loop comes back as long as something is there.
-  for (unsigned n = 0; n < kAtOnce; ++n) {
+  if (std::exchange(turn_, loop_->turn()) != loop_->turn()) may_deliver_ = at_once_;
+  deliver_claimed();
+  for (; may_deliver_ > 0; --may_deliver_) {
     lot::detail::Borrowed borrowed;
     if (rings_->borrow(borrowed, false, {}, false) != Status::Ok) break;
     const struct End {
@@ -225,30 +228,49 @@ void Inlet::read() {
     borrowed.cell = rings_->keep();
     claim({kind_.adopt(borrowed), rings_->origin()});
   }
-  for (auto ring = unclaimed_.begin(); ring != unclaimed_.end();) {
-    auto& waiting = ring->second;
-    while (!waiting.empty() && deliver_if_ours(waiting.front())) waiting.pop_front();
-    const bool is_over = waiting.empty() || !may_be_ours_yet(waiting.front());
-    ring = is_over ? unclaimed_.erase(ring) : std::next(ring);
+  if (!deliver_claimed()) {
+    loop_->soon([weak = weak_from_this()] {
+      if (const auto self = weak.lock()) self->read();
+    });
   }
   deliver_held();
 }
 
-/// Delivers what is for us, behind what came before it. What may yet be said to be for us is kept.
+/// Those that were kept, and have been said to be for us, so many at most. False: there are more.
+bool Inlet::deliver_claimed() {
+  bool all = true;
+  for (auto ring = unclaimed_.begin(); ring != unclaimed_.end();) {
+    auto& waiting = ring->second.messages;
+    while (may_deliver_ > 0 && !waiting.empty() && deliver_if_ours(waiting.front())) {
+      waiting.pop_front();
+      --may_deliver_;
+    }
+    if (may_deliver_ == 0 && !waiting.empty() && rings_->is_ours(waiting.front().origin))
+      all = false;
+    const bool is_over = waiting.empty() || (all && !may_be_ours_yet(waiting.front()));
+    ring = is_over ? unclaimed_.erase(ring) : std::next(ring);
+  }
+  return all;
+}
+
+/// Delivers what is for us, or keeps it behind what came before it, and what may yet be said to be.
 void Inlet::claim(Pulled pulled) {
   const RingName name(pulled.origin.channel, pulled.origin.generation);
   const auto ring = unclaimed_.find(name);
   if (ring == unclaimed_.end()) {
     if (!deliver_if_ours(pulled) && may_be_ours_yet(pulled)) {
-      unclaimed_[name].push_back(std::move(pulled));
+      unclaimed_[name] = {{std::move(pulled)}, Loop::Clock::now()};
     }
     return;
   }
-  auto& waiting = ring->second;
+  auto& waiting = ring->second.messages;
   waiting.push_back(std::move(pulled));
-  while (!waiting.empty() && deliver_if_ours(waiting.front())) waiting.pop_front();
   const std::size_t depth = rings_->depth({name.first, name.second, 0});
-  if (depth != 0 && waiting.size() > most_undecided(depth)) waiting.pop_front();
+  const bool takes_long = Loop::Clock::now() - ring->second.since > kDecided;
+  const std::size_t most = takes_long ? kMostUndecidedLater : most_undecided(depth);
+  while (depth != 0 && waiting.size() > most && !rings_->is_ours(waiting.front().origin)) {
+    waiting.pop_front();
+  }
 }
 
 /// False when the publisher's link brings its messages.
@@ -288,6 +310,10 @@ void Inlet::heard(const std::string& publisher, const Header& header, bool is_sh
         last->second.header = link.header;
         last->second.alive = link.alive;
         last->second.is_known = true;
+        for (const std::uint64_t name : std::exchange(last->second.late, {})) {
+          const auto user = users_.find(name);
+          if (user != users_.end()) give(user->second, last->second.message, link.header);
+        }
       }
     }
   }
@@ -419,12 +445,29 @@ std::uint64_t Inlet::add(const ::ros::SubscribeOptions& options) {
                                                             options.allow_concurrent_callbacks);
   user.has_tracked_object = options.tracked_object != nullptr;
   user.tracked_object = options.tracked_object;
+  user.queue_size = options.queue_size;
   const std::lock_guard guard(mutex_);
-  for (const auto& [publisher, last] : latched_) {
-    if (is_latching(last.header) && !last.alive.expired()) give(user, last.message, last.header);
+  ++last_user_;
+  for (auto& [publisher, last] : latched_) {
+    if (!last.is_known) {
+      last.late.push_back(last_user_);
+    } else if (is_latching(last.header) && !last.alive.expired()) {
+      give(user, last.message, last.header);
+    }
   }
-  users_[++last_user_] = std::move(user);
+  users_[last_user_] = std::move(user);
+  count_at_once();
   return last_user_;
+}
+
+void Inlet::count_at_once() {
+  std::uint32_t n = kAtOnce;
+  for (const auto& [name, user] : users_) {
+    if (user.callbacks == immediate_queue() && user.queue_size != 0) {
+      n = std::min(n, user.queue_size);
+    }
+  }
+  at_once_ = n;
 }
 
 Inlet::User Inlet::remove(std::uint64_t name) {
@@ -432,6 +475,7 @@ Inlet::User Inlet::remove(std::uint64_t name) {
   const auto at = users_.find(name);
   User user = std::move(at->second);
   users_.erase(at);
+  count_at_once();
   return user;
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <deque>
 #include <map>
@@ -45,6 +46,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     boost::shared_ptr<::ros::SubscriptionQueue> queue;
     bool has_tracked_object;
     ::ros::VoidConstWPtr tracked_object;
+    std::uint32_t queue_size;  ///< 0: any number
 
     std::uint64_t id() const noexcept { return reinterpret_cast<std::uint64_t>(queue.get()); }
     /// None of its callbacks begins any more, and none is at work but in this thread.
@@ -55,6 +57,10 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   /// Takes it out; to be dismissed, and destroyed, where no lock is held.
   User remove(std::uint64_t user);
   bool has_users();
+
+  /// So many messages are read before other topics have their turn, and callbacks, if LOT's thread
+  /// calls them: no queue of a user's is to be filled before.
+  static constexpr std::uint32_t kAtOnce = 64;
 
   const detail::Kind& kind() const noexcept { return kind_; }
 
@@ -78,6 +84,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
 
   // LOT's thread.
   void read();
+  bool deliver_claimed();
   void claim(Pulled pulled);
   bool deliver_if_ours(const Pulled& pulled);
   bool may_be_ours_yet(const Pulled& pulled) const;
@@ -90,6 +97,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
                const Header& header);
   Header header_of(const std::string& publisher) const;
   // REQUIRES mutex_.
+  void count_at_once();
   void give(const User& user, const boost::shared_ptr<void const>& message, const Header& header);
 
   const std::shared_ptr<Loop> loop_;
@@ -98,8 +106,14 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   ::ros::Subscriber subscriber_;
   std::shared_ptr<Session> session_;                ///< null: closed
   std::unique_ptr<lot::detail::PullerCore> rings_;  ///< null: LOT is off
+  std::uint64_t turn_ = ~std::uint64_t{0};          ///< of the loop's
+  std::uint32_t may_deliver_ = 0;                   ///< from rings, in this turn
   /// The last messages of each ring whose publisher has not said yet whom they are for.
-  std::map<RingName, std::deque<Pulled>> unclaimed_;
+  struct Unclaimed {
+    std::deque<Pulled> messages;
+    Loop::Clock::time_point since;
+  };
+  std::map<RingName, Unclaimed> unclaimed_;
   std::deque<Frame> held_;  ///< frames that came before the ring was read
   /// What links say of publishers, and how many of a link's next frames a ring has brought already.
   struct Link {
@@ -115,12 +129,14 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
 
   std::mutex mutex_;
   std::map<std::uint64_t, User> users_;
+  std::atomic<std::uint32_t> at_once_{kAtOnce};
   /// The last message of each publisher that latches, or of which that is not known yet.
   struct Last {
     boost::shared_ptr<void const> message;
     Header header;
     boost::weak_ptr<::ros::M_string> alive;
-    bool is_known = false;  ///< of which link it is
+    bool is_known = false;              ///< of which link it is
+    std::vector<std::uint64_t> late{};  ///< users that came before that was known
   };
   std::map<std::string, Last> latched_;
   bool forgetting_ = false;  ///< LOT's thread will look whether they are still there; its own

@@ -81,33 +81,30 @@ void Loop::run() {
   sigset_t all;
   sigfillset(&all);
   pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
-  for (;;) {
-    std::function<void()> work;
+  while (!is_inherited()) {                   // a callback may have forked
+    std::vector<std::function<void()>> due;
     auto most = std::chrono::duration_cast<Clock::duration>(kLookPeriod);
     {
       const std::lock_guard guard(mutex_);
-      const auto first = work_.begin();
       const auto now = Clock::now();
-      if (first != work_.end() && first->first <= now) {
-        work = std::move(first->second);
-        work_.erase(first);
+      const auto later = work_.upper_bound(now);
+      for (auto work = work_.begin(); work != later; ++work) due.push_back(std::move(work->second));
+      work_.erase(work_.begin(), later);
+      if (!due.empty()) {
+        most = {};
       } else if (ends_) {
         ended_ = true;
         return;
-      } else if (first != work_.end()) {
-        most = std::min(most, first->first - now);
+      } else if (later != work_.end()) {
+        most = std::min(most, later->first - now);
       }
     }
-    guarded([&] {
-      if (work) {
-        most = {};  // rings have their turn, however much there is to do
-        work();
-      }
-      arrivals_.run_once(most);
-    });
+    for (const auto& work : due) guarded(work);
+    guarded([&] { arrivals_.run_once(most); });
     while (!afterwards_.empty()) {
       for (const auto& each : std::exchange(afterwards_, {})) guarded(each);
     }
+    ++turn_;
   }
 }
 

@@ -3,6 +3,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <mutex>
@@ -44,6 +45,9 @@ class Loop {
   void run();
   /// It ends soon.
   void end() noexcept;
+  /// Counts the turns of LOT's thread: each does what is due, reads rings, and then does what was
+  /// to be done afterwards. REQUIRES: this is that thread.
+  std::uint64_t turn() const noexcept { return turn_; }
   /// True on LOT's thread.
   bool is_here() const noexcept { return thread_.load() == std::this_thread::get_id(); }
   /// True in a forked child, which has no such thread: nothing is done there any more.
@@ -60,6 +64,7 @@ class Loop {
   std::atomic<std::thread::id> thread_{};
   WaitSet arrivals_;
   std::vector<std::function<void()>> afterwards_;  ///< LOT's thread's own
+  std::uint64_t turn_ = 0;
 };
 
 }  // namespace lot::ros

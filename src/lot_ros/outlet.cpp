@@ -38,13 +38,15 @@ using namespace std::chrono_literals;
 
 /// So long a LOT subscriber may take until it reads the ring: its node is just starting.
 constexpr auto kPatience = 1s;
+/// And so long until it answers for the first time: else the cell is that of one whose name it has
+/// taken over, and who has not ended yet.
+constexpr auto kAnswers = 5s;
 constexpr std::chrono::milliseconds kFirstLook{10};
 constexpr std::chrono::milliseconds kLastLook{100};
 /// So long the end of a publisher may wait for answers.
 constexpr std::chrono::milliseconds kLastAnswers{100};
 /// LOT's thread comes again, when somebody publishes just now.
 constexpr std::chrono::milliseconds kBusy{1};
-constexpr std::uint32_t kDeepest = 1024;
 constexpr std::uint32_t kUsualDepth = 16;
 
 /// Of the ring.
@@ -190,7 +192,8 @@ void TopicOutlet::settle() {
     if (peer.state == State::Open && (greets() || !try_ring(peer))) go_to_link(peer);
     if (peer.state == State::Ring && !peer.unsure.empty()) probe(peer);
   }
-  while (!take_answers() && ::ros::ok() && Loop::Clock::now() < until) {
+  // LOT's thread itself would give those of this process.
+  while (!take_answers() && !loop_->is_here() && ::ros::ok() && Loop::Clock::now() < until) {
     lock.unlock();
     std::this_thread::sleep_for(kBusy);
     lock.lock();
@@ -324,10 +327,18 @@ bool TopicOutlet::may_come(const Peer& peer) const {
 }
 
 void TopicOutlet::keep_for(Peer& peer, const Message& message) {
-  if (peer.unsure.empty()) peer.since = std::chrono::steady_clock::now();
+  const auto now = std::chrono::steady_clock::now();
+  if (peer.unsure.empty()) peer.since = now;
   peer.unsure.push_back(message);
-  if (peer.unsure.size() > most_unsure()) peer.unsure.pop_front();
+  const bool hangs = now - peer.since > kPatience;
+  const std::size_t most = hangs ? std::min(kMostUndecidedLater, most_unsure()) : most_unsure();
+  while (peer.unsure.size() > most) peer.unsure.pop_front();
   watch(kFirstLook);
+}
+
+void TopicOutlet::has_answered(Peer& peer) {
+  peer.has_answered = true;
+  peer.unsure.clear();
 }
 
 void TopicOutlet::go_to_link(Peer& peer) {
@@ -423,7 +434,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
       if (!to_ring || !ring_->wants(peer.served)) {
         return_to_link(peer);
       } else if (ring_->is_content(peer.served)) {
-        peer.unsure.clear();
+        has_answered(peer);
       }
     }
   }
@@ -437,7 +448,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
     if (peer.state != State::Ring) continue;
     if (is_due) ring_->ask(peer.served);  // nobody has lately
     if (ring_->is_content(peer.served)) {
-      peer.unsure.clear();
+      has_answered(peer);
     } else {
       undecided.push_back(&peer);
     }
@@ -524,7 +535,9 @@ bool TopicOutlet::take_answers() {
     } else if (!ring_->wants(peer.served)) {
       return_to_link(peer);
     } else if (ring_->is_content(peer.served)) {
-      peer.unsure.clear();
+      has_answered(peer);
+    } else if (!peer.has_answered && std::chrono::steady_clock::now() - peer.since > kAnswers) {
+      return_to_link(peer);
     }
     all_answered = all_answered && peer.unsure.empty();
   }

@@ -81,7 +81,8 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     State state = State::Open;
     ::ros::CallbackInterfacePtr callback;
     lot::detail::Served served;
-    bool is_welcome = false;  ///< it has got what is latched
+    bool is_welcome = false;    ///< it has got what is latched
+    bool has_answered = false;  ///< it is the one whose cell is served
     /// Open: what is in the ring, and is for it when it comes to read; since when the first is
     /// there. Ring: what has gone there before it said whether somebody beside LOT needs it, too.
     std::deque<Message> unsure;
@@ -110,6 +111,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   bool try_ring(Peer& peer);
   bool may_come(const Peer& peer) const;
   void keep_for(Peer& peer, const Message& message);
+  void has_answered(Peer& peer);
   void go_to_link(Peer& peer);
   void leave_ring(Peer& peer);
   void return_to_link(Peer& peer);

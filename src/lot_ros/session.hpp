@@ -14,9 +14,14 @@
 
 namespace lot::ros {
 
+/// No publisher's ring has more places.
+inline constexpr std::uint32_t kDeepest = 1024;
+
 /// So many messages of a publisher may be in its ring before it has said to a reader that they are
 /// for it, since that one is only just coming: all but the one that makes room for the next.
 constexpr std::size_t most_undecided(std::size_t depth) { return depth - 1; }
+/// And so many when that takes long: somebody hangs, and memory is not to be his.
+inline constexpr std::size_t kMostUndecidedLater = 15;
 
 /// What LOT is in this process while somebody publishes or subscribes: the segment, and LOT's
 /// thread. The user's handles own it, so that it ends in the user's threads, and with it the

@@ -352,6 +352,40 @@ TEST_CASE("memory that was reserved is used") {
   lot::ros::Publisher<Image>().reserve(1, 1);  // nobody's: nothing
 }
 
+TEST_CASE(
+    "a burst is heard once, and what follows, where a plain subscriber is found beside LOT's") {
+  lot::ros::NodeHandle node;
+  constexpr std::size_t kBurst = 99;
+  constexpr std::size_t kMore = 200;
+  for (int round = 0; round < 5; ++round) {
+    const auto topic = fresh_topic();
+    Words heard;
+    Words plain_heard;
+    auto listener = node.subscribe<String>(
+        topic, 1000, [&](const String& s) { heard.emplace_back(s.data.data(), s.data.size()); });
+    auto plain = node.subscribe<std_msgs::String>(
+        topic, 1000, [&](const std_msgs::String& s) { plain_heard.push_back(s.data); });
+    auto talker = node.advertise<String>(topic, 100);
+    REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+    Words said;
+    const auto tell = [&](std::size_t count) {
+      for (std::size_t n = 0; n < count; ++n) {
+        said.push_back(std::to_string(said.size()));
+        say(talker, said.back().c_str());
+      }
+    };
+    tell(kBurst);
+    CHECK(comes([&] { return heard.size() >= kBurst && plain_heard.size() >= kBurst; }));
+    for (std::size_t n = 0; n < kMore; n += 20) {
+      tell(20);
+      CHECK(comes([&] { return heard.size() >= said.size(); }));
+    }
+    CHECK(comes([&] { return plain_heard.size() >= said.size(); }));
+    CHECK(heard == said);
+    CHECK(plain_heard == said);
+  }
+}
+
 // ---- callbacks on LOT's thread ------------------------------------------------------------------
 
 TEST_CASE("LOT's thread calls callbacks at once, one after the other") {
@@ -486,6 +520,36 @@ TEST_CASE(
     std::this_thread::sleep_for(5ms);
     CHECK(begun == then);
   }
+}
+
+TEST_CASE(
+    "a short queue loses nothing to LOT's thread that calls, and is a bound where it is slow") {
+  auto node = immediate();
+  const auto topic = fresh_topic();
+  auto talker = node.advertise<String>(topic, 100);
+  std::atomic<int> heard{0};
+  auto listener = node.subscribe<String>(topic, 2, [&](const String&) { ++heard; });
+  REQUIRE(comes_unspun([&] { return talker.getNumSubscribers() == 1; }));
+  for (int n = 0; n < 90; ++n) say(talker, "burst");
+  CHECK(comes_unspun([&] { return heard == 90; }));
+
+  const auto other = fresh_topic();
+  ros::NodeHandle plain;
+  auto voice = plain.advertise<std_msgs::String>(other, 1000);
+  std::atomic<int> called{0};
+  std::atomic<bool> last{false};
+  auto slow = node.subscribe<String>(other, 1, [&](const String& message) {
+    std::this_thread::sleep_for(5ms);
+    ++called;
+    last = message.data == "last";
+  });
+  REQUIRE(comes_unspun([&] { return voice.getNumSubscribers() == 1; }));
+  std_msgs::String message;
+  for (int n = 0; n < 500; ++n) voice.publish(message);
+  message.data = "last";
+  voice.publish(message);
+  CHECK(comes_unspun([&] { return last.load(); }));
+  CHECK(called < 400);
 }
 
 TEST_CASE("what is not LOT's goes to roscpp's queue, where LOT's thread calls callbacks") {

@@ -17,6 +17,8 @@ namespace lot::ros {
 /// Threads: these callbacks come one after the other, on LOT's thread, which brings all messages of
 ///          the process: what takes long holds up the other topics. All else that has this queue
 ///          (timers, services, ordinary subscribers) goes to ros::getGlobalCallbackQueue().
+///          Signals are blocked there. Who ends a topic's last subscriber, elsewhere, waits for the
+///          callback that is at work: hold no lock meanwhile that a callback takes.
 /// Errors:  what a callback throws is logged, and goes no further.
 /// In a callback: publish, advertise, subscribe and shut down at will; but subscribe throws
 /// lot::Error (EDEADLK) just while the topic's last subscriber is being shut down elsewhere.
