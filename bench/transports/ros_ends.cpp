@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <map>
 #include <mutex>
+#include <shared_mutex>
 #include <stdexcept>
 #include <utility>
 #include <vector>
@@ -49,6 +50,9 @@ class Node {
   /// Held while an end is opened: two threads that publish and subscribe at once may be connected
   /// twice by roscpp.
   std::mutex& opening() { return opening_; }
+  /// Shared by who publishes within this process, alone for a subscriber that ends: roscpp's link
+  /// between the two takes the subscriber away from under a publish() that is at work.
+  std::shared_mutex& intra() { return intra_; }
   /// Of a topic, in this process: roscpp has one link for all of them.
   std::atomic<unsigned>& subscribers(const std::string& topic) {
     const std::lock_guard lock(opening_);
@@ -74,6 +78,7 @@ class Node {
   }
 
   std::mutex opening_;
+  std::shared_mutex intra_;
   std::map<std::string, std::atomic<unsigned>> subscribers_;
   std::unique_ptr<lot::ros::NodeHandle> handle_;
 };
@@ -96,6 +101,8 @@ class PlainPublisher final : public Publisher {
   void publish() override {
     const auto message = std::move(message_);
     if (terms_.way == Way::Pace) return;
+    std::shared_lock<std::shared_mutex> intra;
+    if (terms_.way == Way::Intra) intra = std::shared_lock(node_->intra());
     publisher_.publish(message);
     ++published_;
   }
@@ -177,6 +184,7 @@ class TopicSubscriber final : public Subscriber {
   }
   ~TopicSubscriber() override {
     --count_;
+    const std::lock_guard guard(node_->intra());
     subscriber_.shutdown();
   }
 
