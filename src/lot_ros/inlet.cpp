@@ -228,30 +228,32 @@ void Inlet::read() {
     borrowed.cell = rings_->keep();
     claim({kind_.adopt(borrowed), rings_->origin()});
   }
-  if (!deliver_claimed()) {
+  deliver_claimed();
+  if (has_claimed()) {
     loop_->soon([weak = weak_from_this()] {
       if (const auto self = weak.lock()) self->read();
     });
+  } else {
+    deliver_held();
   }
-  deliver_held();
 }
 
-/// Those that were kept, and have been said to be for us, so many at most. False: there are more.
-bool Inlet::deliver_claimed() {
-  bool all = true;
+/// Those that were kept, and have been said to be for us, as many as may be in this turn.
+void Inlet::deliver_claimed() {
   for (auto ring = unclaimed_.begin(); ring != unclaimed_.end();) {
     auto& waiting = ring->second.messages;
     while (may_deliver_ > 0 && !waiting.empty() && deliver_if_ours(waiting.front())) {
       waiting.pop_front();
       --may_deliver_;
     }
-    if (may_deliver_ == 0 && !waiting.empty() && rings_->is_ours(waiting.front().origin))
-      all = false;
-    const bool is_over = waiting.empty() || (all && !may_be_ours_yet(waiting.front()));
+    const bool is_over = waiting.empty() || (may_deliver_ > 0 && !may_be_ours_yet(waiting.front()));
     ring = is_over ? unclaimed_.erase(ring) : std::next(ring);
   }
-  return all;
 }
+
+/// True when some may be left for the next turn. Nobody is asked whose they are: who is told so
+/// delivers them.
+bool Inlet::has_claimed() const { return may_deliver_ == 0 && !unclaimed_.empty(); }
 
 /// Delivers what is for us, or keeps it behind what came before it, and what may yet be said to be.
 void Inlet::claim(Pulled pulled) {
@@ -268,7 +270,8 @@ void Inlet::claim(Pulled pulled) {
   const std::size_t depth = rings_->depth({name.first, name.second, 0});
   const bool takes_long = Loop::Clock::now() - ring->second.since > kDecided;
   const std::size_t most = takes_long ? kMostUndecidedLater : most_undecided(depth);
-  while (depth != 0 && waiting.size() > most && !rings_->is_ours(waiting.front().origin)) {
+  while (depth != 0 && waiting.size() > most) {
+    deliver_if_ours(waiting.front());
     waiting.pop_front();
   }
 }
@@ -335,7 +338,7 @@ void Inlet::arrived(Frame frame) {
     --link.had;
     return;
   }
-  const bool waits = rings_ && (rings_->has_last_ones(frame.publisher) ||
+  const bool waits = rings_ && (rings_->has_last_ones(frame.publisher) || has_claimed() ||
                                 std::any_of(held_.begin(), held_.end(), [&](const Frame& f) {
                                   return f.publisher == frame.publisher;
                                 }));

@@ -84,7 +84,8 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
 
   // LOT's thread.
   void read();
-  bool deliver_claimed();
+  void deliver_claimed();
+  bool has_claimed() const;
   void claim(Pulled pulled);
   bool deliver_if_ours(const Pulled& pulled);
   bool may_be_ours_yet(const Pulled& pulled) const;
