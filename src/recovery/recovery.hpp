@@ -110,6 +110,14 @@ class Recovery {
     return all;
   }
 
+  /// True when collect() would recycle a ring. REQUIRES: byte lock 0.
+  bool has_deserted_ring() {
+    for (std::uint32_t c = 0; c < world_.channels(); ++c) {
+      if (is_deserted_orphan(c)) return true;
+    }
+    return false;
+  }
+
  private:
   using Own = refcount::Ownership<P>;
 
@@ -172,9 +180,7 @@ class Recovery {
   }
 
   bool recycle_rings() {
-    bool wanted = false;
-    for (std::uint32_t c = 0; c < world_.channels() && !wanted; ++c) wanted = is_deserted_orphan(c);
-    if (!wanted) return true;
+    if (!has_deserted_ring()) return true;
     if (!world_.lock_rings()) return false;
     for (std::uint32_t c = 0; c < world_.channels(); ++c) {
       if (!is_deserted_orphan(c)) continue;

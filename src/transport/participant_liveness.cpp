@@ -299,17 +299,15 @@ bool Participant::has_orphan_rings() noexcept {
   return false;
 }
 
-/// A ring that is recycled meanwhile may say anything: no harm comes of that.
+/// Asked by who acts for the orphanage: the memory of a ring that another one recycles may be
+/// anybody's. While somebody else acts for it the answer is no, and the next look asks again.
 bool Participant::has_deserted_ring() noexcept {
-  const std::uint32_t used = used_channels();
-  for (std::uint32_t c = 0; c < used; ++c) {
-    const auto w = channel_writer(c).load(std::memory_order_acquire);
-    if (ring::writer_state(w) == ring::State::Orphan &&
-        ring::writer_owner(w) == refcount::kOrphanage && ring(c).deserted()) {
-      return true;
-    }
-  }
-  return false;
+  if (!has_orphan_rings()) return false;
+  const std::unique_lock guard(reap_mutex_, std::try_to_lock);
+  if (!guard || !enter_orphanage()) return false;
+  const bool found = Recovery(*this).has_deserted_ring();
+  leave_orphanage();
+  return found;
 }
 
 bool Participant::collect() noexcept {
