@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cerrno>
+#include <thread>
 
 #include "lot/detail/core.hpp"
 
@@ -343,6 +344,11 @@ class Puller final : public detail::PullerCore {
     if (habit_.worthwhile()) {
       const auto status = spin(borrowed, deadline, streaming);
       if (status) return *status;
+    }
+    // A publisher that shares our core gets ahead instead of waking us for each message.
+    if (streaming) {
+      std::this_thread::yield();
+      if (look(borrowed)) return Status::Ok;
     }
     for (;;) {
       const bool in_time = park(deadline);

@@ -3,6 +3,7 @@
 #include <cerrno>
 #include <cstring>
 #include <optional>
+#include <thread>
 
 #include "lot/detail/core.hpp"
 
@@ -395,6 +396,13 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     if (futex::Clock::now() < until && habit_.worthwhile() && spin_for_room(lock, alone, until)) {
       return true;
     }
+    // A reader that shares our core makes room without having to wake us.
+    alone.unlock();
+    lock.unlock();
+    std::this_thread::yield();
+    lock.lock();
+    alone.lock();
+    if (room()) return true;
     for (unsigned look = 1;; ++look) {
       const auto value = ring::wait_for_room(*writer_, [this] { return room(); });
       if (!value) return true;
