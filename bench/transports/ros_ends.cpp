@@ -31,6 +31,13 @@ bool is_lot(const Terms& terms) {
   return terms.way == Way::Lot || terms.way == Way::LotImmediate || terms.way == Way::LotMutex;
 }
 
+/// How LOT's thread waits: as the subscriber, if it is the subscriber; else that one spins by
+/// itself, and two would not fit on two cores with a publisher.
+const char* lots_waiting(const Terms& terms) {
+  if (terms.way != Way::LotImmediate || terms.waiting == Waiting::Park) return "park";
+  return terms.waiting == Waiting::Spin ? "spin" : "adaptive";
+}
+
 /// ROS in this process, as long as it has ends. roscpp begins once, and does not begin again.
 class Node {
  public:
@@ -70,6 +77,7 @@ class Node {
         {"_lot/segment", terms.segment},
         {"_lot/size", std::to_string((terms.segment_bytes >> 20) + 1) + "M"},
         {"_lot/queue", terms.way == Way::LotMutex ? "mutex" : "ring"},
+        {"_lot/wait", lots_waiting(terms)},
         {"_lot/enable", is_lot(terms) ? "true" : "false"},
     };
     ros::init(settings, terms.node,

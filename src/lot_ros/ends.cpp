@@ -91,11 +91,12 @@ class TopicAdvertisement final : public Advertisement {
   ::ros::Publisher plain_;
 };
 
-/// Without the lock, since LOT's thread is waited for, where a callback may want it.
+/// Without the lock, which a user's queue may want to which LOT's thread gives messages just now.
 void close(Inlet& inlet, const std::string& topic, std::unique_lock<std::mutex>& opening) {
   Topics::all().closing.insert(topic);
   opening.unlock();
-  const struct Closed {  // whatever close() throws
+  std::shared_ptr<Session> session;  // goes last
+  const struct Closed {              // whatever close() throws
     const std::string& topic;
     ~Closed() {
       const std::lock_guard guard(Topics::all().opening);
@@ -103,7 +104,7 @@ void close(Inlet& inlet, const std::string& topic, std::unique_lock<std::mutex>&
       Topics::all().closed.notify_all();
     }
   } closed{topic};
-  inlet.close();
+  session = inlet.close();
 }
 
 class TopicSubscription final : public Subscription {
@@ -207,9 +208,9 @@ std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
     const auto session = Session::get();
     std::unique_lock lock(Topics::all().opening);
     const auto is_closed = [&options] { return Topics::all().closing.count(options.topic) == 0; };
-    if (session->loop()->is_here() && !is_closed()) {
+    if (session->loop()->has_turn() && !is_closed()) {  // in a queue of the user's own
       throw Error(EDEADLK, options.topic, "its last subscriber is just being shut down",
-                  "subscribe again later, or in another thread than LOT's");
+                  "subscribe in a callback, not while a callback is added to a queue");
     }
     Topics::all().closed.wait(lock, is_closed);
     auto& place = Topics::all().inlets[options.topic];

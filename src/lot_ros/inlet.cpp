@@ -175,7 +175,8 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
                                    *kind_.layout, from_the_start, lot::detail::Delivery::ToAll);
       if (has_plain_ones()) rings_->decline();
       rings_->size();  // joins those that are there, before a link says that we are here
-      // Nobody waits for LOT's thread here: it may be in a callback, which opens another topic.
+      // Nobody waits for LOT's thread here: a user's queue, which it gives a message just now, may
+      // want to open another topic.
       loop_->soon([weak = weak_from_this()] {
         const auto self = weak.lock();
         if (!self || !self->rings_) return;
@@ -199,16 +200,21 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
   return bool(subscriber_);
 }
 
-void Inlet::close() {
+std::shared_ptr<Session> Inlet::close() {
   // First, so that nobody serves these rings any more when the link is another one's.
-  loop_->call([this] {
-    if (rings_) loop_->arrivals().remove(*rings_);
-    rings_.reset();
-    unclaimed_.clear();
-    held_.clear();
-  });
+  {
+    decltype(rings_) rings;  // all let go when LOT's thread may go on
+    decltype(unclaimed_) unclaimed;
+    decltype(held_) held;
+    loop_->call([&] {
+      if (rings_) loop_->arrivals().remove(*rings_);
+      rings.swap(rings_);
+      unclaimed.swap(unclaimed_);
+      held.swap(held_);
+    });
+  }
   subscriber_.shutdown();
-  session_.reset();
+  return std::move(session_);
 }
 
 // ---- LOT's thread -------------------------------------------------------------------------------

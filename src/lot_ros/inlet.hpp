@@ -38,7 +38,8 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   bool open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked);
   /// Unsubscribes, when it has no user any more. What roscpp's threads still have of this does
   /// nothing then.
-  void close();
+  /// Returns what it had, so that the last one goes where nothing waits for this.
+  std::shared_ptr<Session> close();
 
   struct User {
     ::ros::SubscriptionCallbackHelperPtr helper;

@@ -3,8 +3,6 @@
 
 #include <algorithm>
 #include <csignal>
-#include <future>
-#include <memory>
 #include <pthread.h>
 #include <unistd.h>
 #include <utility>
@@ -21,7 +19,7 @@ constexpr auto kLookPeriod = 1s;
 
 }  // namespace
 
-Loop::Loop() noexcept : process_(getpid()) {}
+Loop::Loop(Wait wait) : process_(getpid()), arrivals_(wait) {}
 
 bool Loop::is_inherited() const noexcept { return getpid() != process_; }
 
@@ -35,30 +33,53 @@ void Loop::at(Clock::time_point time, std::function<void()> work) {
   if (!is_here()) arrivals_.stop();
 }
 
+/// While there is one, this thread has what is LOT's thread's.
+class Loop::Turn {
+ public:
+  /// A caller is any thread in call(), LOT's in a callback as well.
+  Turn(Loop& loop, bool is_caller) : loop_(loop), is_caller_(is_caller) {
+    std::unique_lock lock(loop.mutex_);
+    if (is_caller) {
+      ++loop.callers_;
+      if (loop.owner_.load() == loop.thread_.load()) loop.arrivals_.stop();  // it may be asleep
+    }
+    // LOT's thread lets callers go first: it would take the next turn at once, again and again.
+    loop.changed_.wait(lock, [&] {
+      return loop.owner_.load() == std::thread::id() && (is_caller || loop.callers_ == 0);
+    });
+    if (is_caller) {
+      --loop.callers_;
+    } else {
+      loop.calls_back_ = false;
+    }
+    loop.owner_ = std::this_thread::get_id();
+  }
+  Turn(const Turn&) = delete;
+  Turn& operator=(const Turn&) = delete;
+  ~Turn() {
+    const std::lock_guard guard(loop_.mutex_);
+    if (!is_caller_) loop_.calls_back_ = !loop_.afterwards_.empty();
+    loop_.owner_ = std::thread::id();
+    loop_.changed_.notify_all();
+  }
+
+ private:
+  Loop& loop_;
+  const bool is_caller_;
+};
+
 void Loop::call(const std::function<void()>& work) {
   if (is_inherited()) return;
-  if (is_here()) return work();
-  const auto task = std::make_shared<std::packaged_task<void()>>(work);
-  auto done = task->get_future();
-  bool ended = false;
-  {
-    const std::lock_guard guard(mutex_);
-    ended = ended_;
-    if (!ended) work_.emplace(Clock::time_point(), [task] { (*task)(); });
-  }
-  if (ended) {
-    (*task)();
-  } else {
-    arrivals_.stop();
-  }
-  done.get();
+  if (has_turn()) return work();
+  const Turn turn(*this, true);
+  work();
 }
 
 void Loop::afterwards(std::function<void()> work) {
   if (is_here()) {
     afterwards_.push_back(std::move(work));
   } else {
-    soon(std::move(work));
+    soon([this, work = std::move(work)]() mutable { afterwards_.push_back(std::move(work)); });
   }
 }
 
@@ -80,27 +101,8 @@ void Loop::run() {
   pthread_setname_np(pthread_self(), "lot-ros");
   sigset_t all;
   sigfillset(&all);
-  pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
-  while (!is_inherited()) {                   // a callback may have forked
-    std::vector<std::function<void()>> due;
-    auto most = std::chrono::duration_cast<Clock::duration>(kLookPeriod);
-    {
-      const std::lock_guard guard(mutex_);
-      const auto now = Clock::now();
-      const auto later = work_.upper_bound(now);
-      for (auto work = work_.begin(); work != later; ++work) due.push_back(std::move(work->second));
-      work_.erase(work_.begin(), later);
-      if (!due.empty()) {
-        most = {};
-      } else if (ends_) {
-        ended_ = true;
-        return;
-      } else if (later != work_.end()) {
-        most = std::min(most, later->first - now);
-      }
-    }
-    for (const auto& work : due) guarded(work);
-    guarded([&] { arrivals_.run_once(most); });
+  pthread_sigmask(SIG_BLOCK, &all, nullptr);     // signals are the application's
+  while (!is_inherited() && do_what_is_due()) {  // a callback may have forked
     while (!afterwards_.empty()) {
       for (const auto& each : std::exchange(afterwards_, {})) guarded(each);
     }
@@ -108,9 +110,40 @@ void Loop::run() {
   }
 }
 
-void Loop::end() noexcept {
+/// Or what comes next. False when this is the end.
+bool Loop::do_what_is_due() {
+  const Turn turn(*this, false);
+  std::vector<std::function<void()>> due;
+  auto most = std::chrono::duration_cast<Clock::duration>(kLookPeriod);
+  {
+    const std::lock_guard guard(mutex_);
+    const auto now = Clock::now();
+    const auto later = work_.upper_bound(now);
+    for (auto work = work_.begin(); work != later; ++work) due.push_back(std::move(work->second));
+    work_.erase(work_.begin(), later);
+    if (!due.empty()) {
+      most = {};
+    } else if (ends_) {
+      ended_ = true;
+      return false;
+    } else if (later != work_.end()) {
+      most = std::min(most, later->first - now);
+    }
+  }
+  for (const auto& work : due) guarded(work);
+  // Once more where something was due: of that it was told by stop(), and then it reads no ring.
+  if (!due.empty()) guarded([&] { arrivals_.run_once(most); });
+  guarded([&] { arrivals_.run_once(most); });
+  return true;
+}
+
+bool Loop::end() noexcept {
   ends_ = true;
   arrivals_.stop();
+  if (is_here()) return false;
+  std::unique_lock lock(mutex_);
+  changed_.wait(lock, [this] { return ended_ || calls_back_; });
+  return ended_;
 }
 
 }  // namespace lot::ros

@@ -60,6 +60,19 @@ std::uint64_t bytes_of(const std::string& text) {
   return static_cast<std::uint64_t>(number * factor);
 }
 
+/// How LOT's thread waits.
+Wait waiting() {
+  std::string word = "park";
+  read_parameter("wait", word);
+  if (word == "spin") return Wait::Spin;
+  if (word == "adaptive") return Wait::Adaptive;
+  if (word != "park") {
+    ROS_WARN("LOT: ~lot/wait: %s is no way to wait: it parks; write park, adaptive or spin",
+             word.c_str());
+  }
+  return Wait::Park;
+}
+
 }  // namespace
 
 std::string hash_of(std::string_view text) {
@@ -89,7 +102,7 @@ std::shared_ptr<Session> Session::get() {
   return session;
 }
 
-Session::Session() : loop_(std::make_shared<Loop>()) {
+Session::Session() : loop_(std::make_shared<Loop>(waiting())) {
   bool enable = true;
   read_parameter("enable", enable);
   try {
@@ -146,12 +159,8 @@ Session::~Session() {
     thread_.detach();
     return;
   }
-  loop_->end();
-  if (thread_.get_id() == std::this_thread::get_id()) {
-    thread_.detach();  // a callback that LOT's thread was given has dropped the last handle
-  } else {
-    thread_.join();
-  }
+  // Nobody waits for a callback of somebody else's.
+  loop_->end() ? thread_.join() : thread_.detach();
 }
 
 std::string Session::name_of(const std::string& topic) const {

@@ -123,7 +123,7 @@ class WaitSetCore {
 
   /// True when something has come while we spun.
   bool spin(const std::optional<Clock::time_point>& until) {
-    if (!habit_.worthwhile()) return false;
+    if (entries_.empty() || !habit_.worthwhile()) return false;
     const auto start = Clock::now();
     for (unsigned n = 1;; ++n) {
       HardwareAtomics::pause();

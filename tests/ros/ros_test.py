@@ -474,6 +474,17 @@ class Settings(Case):
             self.assert_all(graph.report(listener), 0, ['/talker'])
             self.assertEqual(graph.report(talker)[0]['serialised'], 0)
 
+    def test_how_lots_thread_waits(self):
+        for word in 'adaptive', 'spin', 'idle':
+            with self.subTest(word), Graph() as graph:
+                graph.set_parameter('/listener/lot/wait', word)
+                listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+                talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1')
+                self.assert_all(graph.report(listener), 0, ['/talker'])
+                self.assertEqual(graph.report(talker)[0]['serialised'], 0)
+                said = '~lot/wait: idle is no way to wait' in graph.said(listener)
+                self.assertEqual(said, word == 'idle')
+
     def test_two_graphs_in_one_segment(self):
         with Graph() as one, Graph() as two:
             two.env['LOT_SEGMENT'] = one.segment

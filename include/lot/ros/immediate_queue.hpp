@@ -17,11 +17,11 @@ namespace lot::ros {
 /// Threads: these callbacks come one after the other, on LOT's thread, which brings all messages of
 ///          the process: what takes long holds up the other topics. All else that has this queue
 ///          (timers, services, ordinary subscribers) goes to ros::getGlobalCallbackQueue().
-///          Signals are blocked there. Who ends a topic's last subscriber, elsewhere, waits for the
-///          callback that is at work: hold no lock meanwhile that a callback takes.
+///          Signals are blocked there. Elsewhere the end of a subscriber waits for its own callback
+///          while that is at work, as with any queue; the end of a publisher waits at most 0.1 s
+///          for subscribers that have just come.
 /// Errors:  what a callback throws is logged, and goes no further.
-/// In a callback: publish, advertise, subscribe and shut down at will; but subscribe throws
-/// lot::Error (EDEADLK) just while the topic's last subscriber is being shut down elsewhere.
+/// In a callback: publish, advertise, subscribe and shut down at will.
 ::ros::CallbackQueueInterface* immediate_queue();
 
 }  // namespace lot::ros
