@@ -23,11 +23,8 @@
 #include "machine.hpp"
 #include "report.hpp"
 #include "resume.hpp"
+#include "revision.hpp"
 #include "transport.hpp"
-
-#ifndef LOT_AB_REVISION
-#define LOT_AB_REVISION "unknown"
-#endif
 
 namespace {
 
@@ -130,7 +127,7 @@ Run header(int argc, char** argv, std::uint64_t seed) {
   run.machine = this_machine();
   for (int i = 0; i < argc; ++i) run.command += (i == 0 ? "" : " ") + std::string(argv[i]);
   run.started = utc_now();
-  run.revision = LOT_AB_REVISION;
+  run.revision = ab::revision();
   run.seed = seed;
   return run;
 }
