@@ -3,6 +3,8 @@
 // Handles of lot::ros in one node, with a real master: run by ros_test.py.
 
 #define DOCTEST_CONFIG_IMPLEMENT
+#include "handles.hpp"
+
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
@@ -21,37 +23,15 @@
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <sensor_msgs/Image.h>
-#include <std_msgs/String.h>
-
-#include "lot/ros.hpp"
 
 namespace {
 
 using namespace std::chrono_literals;
+using lot::ros::test::comes;
+using lot::ros::test::fresh_topic;
+using lot::ros::test::say;
+using lot::ros::test::String;
 using Image = lot::ros::Message<sensor_msgs::Image_>;
-using String = lot::ros::Message<std_msgs::String_>;
-
-/// A topic of its own for each case.
-std::string fresh_topic() {
-  static int n = 0;
-  return "/handles" + std::to_string(++n);
-}
-
-/// Spins until it holds. False: in vain for 20 s.
-bool comes(const std::function<bool()>& condition) {
-  const auto until = std::chrono::steady_clock::now() + 20s;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > until) return false;
-    ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.01));
-  }
-  return true;
-}
-
-void say(const lot::ros::Publisher<String>& publisher, const char* text) {
-  auto message = publisher.loan();
-  message->data = text;
-  publisher.publish(std::move(message));
-}
 
 /// Waits until it holds, and spins nothing. False: in vain for so long.
 bool comes_unspun(const std::function<bool()>& condition, std::chrono::milliseconds most = 20s) {

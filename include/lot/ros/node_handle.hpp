@@ -29,9 +29,10 @@ namespace lot::ros {
 ///     pub.publish(std::move(img));
 ///     auto sub = nh.subscribe<Image>("/camera/image", 10, &callback);
 ///
-/// A callback takes const M&, M, boost::shared_ptr<M const>, boost::shared_ptr<M>,
-/// ros::MessageEvent<M const>, ros::MessageEvent<M> (each also by const&), or
-/// lot::ShmSharedPtr<const M>; who takes a message to change it gets a copy.
+/// A callback is a function, a member function, boost::function, or anything that can be called; it
+/// takes const M&, M, boost::shared_ptr<M const>, boost::shared_ptr<M>, lot::ShmSharedPtr<const M>
+/// (each also by const&), const ros::MessageEvent<M const>& or const ros::MessageEvent<M>&. Who
+/// takes a message to change it gets a copy.
 ///
 /// Everything else is roscpp's own: it is a ros::NodeHandle, and messages that are no
 /// lot::ros::Message are advertised and subscribed to as ever.
@@ -39,6 +40,9 @@ namespace lot::ros {
 /// Threads: as ros::NodeHandle.
 class NodeHandle : public ::ros::NodeHandle {
  public:
+  template <class M>
+  using ToPointer = const boost::shared_ptr<M const>&;
+
   using ::ros::NodeHandle::advertise;
   using ::ros::NodeHandle::NodeHandle;
   using ::ros::NodeHandle::subscribe;
@@ -81,6 +85,14 @@ class NodeHandle : public ::ros::NodeHandle {
     return subscribe_to<P>(topic, queue_size, boost::function<void(P)>(callback),
                            ::ros::VoidConstPtr(), hints);
   }
+  /// It is not called any more when the tracked object has gone.
+  template <class M, class P>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                 const boost::function<void(P)>& callback,
+                 const ::ros::VoidConstPtr& tracked_object = ::ros::VoidConstPtr(),
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe_to<P>(topic, queue_size, callback, tracked_object, hints);
+  }
   /// A member function of an object that outlives the subscriber.
   template <class P, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P),
@@ -106,6 +118,43 @@ class NodeHandle : public ::ros::NodeHandle {
                  const boost::shared_ptr<T>& object,
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, on<P>(object.get(), callback), object, hints);
+  }
+  // roscpp has these beside those above, which would be chosen there: each of them hides one.
+  template <class M>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (*callback)(ToPointer<M>),
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe<ToPointer<M>>(topic, queue_size, callback, hints);
+  }
+  template <class M>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                 const boost::function<void(ToPointer<M>)>& callback,
+                 const ::ros::VoidConstPtr& tracked_object = ::ros::VoidConstPtr(),
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe_to<ToPointer<M>>(topic, queue_size, callback, tracked_object, hints);
+  }
+  template <class M, class T>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                 void (T::*callback)(ToPointer<M>), T* object,
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
+  }
+  template <class M, class T>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                 void (T::*callback)(ToPointer<M>) const, T* object,
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
+  }
+  template <class M, class T>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                 void (T::*callback)(ToPointer<M>), const boost::shared_ptr<T>& object,
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
+  }
+  template <class M, class T>
+  auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                 void (T::*callback)(ToPointer<M>) const, const boost::shared_ptr<T>& object,
+                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+    return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
   /// All of roscpp's options. REQUIRES: `options.helper` takes messages M.
   template <class M>

@@ -73,11 +73,12 @@ struct Parameter<boost::function<R(P)>> {
   using Type = P;
 };
 
-/// The same of a callback for messages M, which may be a template: then it gets what costs least.
+/// The same of a callback for messages M, which may be a template (boost::bind, a lambda of auto):
+/// then it gets a pointer, as in roscpp.
 template <class M, class F>
-using ParameterFor =
-    std::conditional_t<std::is_void_v<typename Parameter<std::decay_t<F>>::Type>,
-                       const ShmSharedPtr<const M>&, typename Parameter<std::decay_t<F>>::Type>;
+using ParameterFor = std::conditional_t<std::is_void_v<typename Parameter<std::decay_t<F>>::Type>,
+                                        const boost::shared_ptr<M const>&,
+                                        typename Parameter<std::decay_t<F>>::Type>;
 
 /// The message of a parameter in any of its shapes.
 template <class P>
