@@ -236,8 +236,12 @@ void Inlet::read() {
   }
   deliver_claimed();
   if (has_claimed()) {
+    if (std::exchange(reads_again_, true)) return;
     loop_->soon([weak = weak_from_this()] {
-      if (const auto self = weak.lock()) self->read();
+      const auto self = weak.lock();
+      if (!self) return;
+      self->reads_again_ = false;
+      self->read();
     });
   } else {
     deliver_held();

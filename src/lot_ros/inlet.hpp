@@ -110,6 +110,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   std::unique_ptr<lot::detail::PullerCore> rings_;  ///< null: LOT is off
   std::uint64_t turn_ = ~std::uint64_t{0};          ///< of the loop's
   std::uint32_t may_deliver_ = 0;                   ///< from rings, in this turn
+  bool reads_again_ = false;                        ///< in the next turn; LOT's thread's own
   /// The last messages of each ring whose publisher has not said yet whom they are for.
   struct Unclaimed {
     std::deque<Pulled> messages;

@@ -16,6 +16,8 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr auto kLookPeriod = 1s;
+/// So long its end waits for a callback that is at work: it may need what the one who waits has.
+constexpr auto kLastCallback = 100ms;
 
 }  // namespace
 
@@ -37,7 +39,7 @@ void Loop::at(Clock::time_point time, std::function<void()> work) {
 class Loop::Turn {
  public:
   /// A caller is any thread in call(), LOT's in a callback as well.
-  Turn(Loop& loop, bool is_caller) : loop_(loop), is_caller_(is_caller) {
+  Turn(Loop& loop, bool is_caller) : loop_(loop) {
     std::unique_lock lock(loop.mutex_);
     if (is_caller) {
       ++loop.callers_;
@@ -47,25 +49,19 @@ class Loop::Turn {
     loop.changed_.wait(lock, [&] {
       return loop.owner_.load() == std::thread::id() && (is_caller || loop.callers_ == 0);
     });
-    if (is_caller) {
-      --loop.callers_;
-    } else {
-      loop.calls_back_ = false;
-    }
+    if (is_caller) --loop.callers_;
     loop.owner_ = std::this_thread::get_id();
   }
   Turn(const Turn&) = delete;
   Turn& operator=(const Turn&) = delete;
   ~Turn() {
     const std::lock_guard guard(loop_.mutex_);
-    if (!is_caller_) loop_.calls_back_ = !loop_.afterwards_.empty();
     loop_.owner_ = std::thread::id();
     loop_.changed_.notify_all();
   }
 
  private:
   Loop& loop_;
-  const bool is_caller_;
 };
 
 void Loop::call(const std::function<void()>& work) {
@@ -104,7 +100,9 @@ void Loop::run() {
   pthread_sigmask(SIG_BLOCK, &all, nullptr);     // signals are the application's
   while (!is_inherited() && do_what_is_due()) {  // a callback may have forked
     while (!afterwards_.empty()) {
-      for (const auto& each : std::exchange(afterwards_, {})) guarded(each);
+      for (const auto& each : std::exchange(afterwards_, {})) {
+        if (!is_inherited()) guarded(each);
+      }
     }
     ++turn_;
   }
@@ -138,12 +136,10 @@ bool Loop::do_what_is_due() {
 }
 
 bool Loop::end() noexcept {
+  std::unique_lock lock(mutex_);
   ends_ = true;
   arrivals_.stop();
-  if (is_here()) return false;
-  std::unique_lock lock(mutex_);
-  changed_.wait(lock, [this] { return ended_ || calls_back_; });
-  return ended_;
+  return !is_here() && changed_.wait_for(lock, kLastCallback, [this] { return ended_; });
 }
 
 }  // namespace lot::ros

@@ -47,8 +47,8 @@ class Loop {
 
   /// What LOT's thread does.
   void run();
-  /// It ends soon. False when LOT's thread may be long about that: it is at a callback of the
-  /// application's, or this is that thread.
+  /// It ends soon. False when LOT's thread is long about that, in a callback of the application's,
+  /// or is this thread.
   bool end() noexcept;
   /// Counts the turns of LOT's thread: each does what is due, reads rings, and then does what was
   /// to be done afterwards. REQUIRES: this is that thread.
@@ -69,11 +69,10 @@ class Loop {
   std::mutex mutex_;
   std::multimap<Clock::time_point, std::function<void()>> work_;  ///< by when it is to be done
   bool ended_ = false;                                            ///< nobody does any work any more
-  std::atomic<bool> ends_{false};
+  bool ends_ = false;
   std::atomic<std::thread::id> thread_{};
   std::atomic<std::thread::id> owner_{};  ///< who has what is LOT's thread's; changes under mutex_
   unsigned callers_ = 0;                  ///< that wait in call()
-  bool calls_back_ = false;               ///< LOT's thread does what was to be done afterwards
   std::condition_variable changed_;       ///< one of these, or ended_
   WaitSet arrivals_;
   std::vector<std::function<void()>> afterwards_;  ///< LOT's thread's own

@@ -159,7 +159,7 @@ Session::~Session() {
     thread_.detach();
     return;
   }
-  // Nobody waits for a callback of somebody else's.
+  // Nobody waits for somebody else's callback for long.
   loop_->end() ? thread_.join() : thread_.detach();
 }
 

@@ -110,9 +110,9 @@ class Recovery {
     return all;
   }
 
-  /// True when collect() would recycle a ring. REQUIRES: byte lock 0.
-  bool has_deserted_ring() {
-    for (std::uint32_t c = 0; c < world_.channels(); ++c) {
+  /// True when collect() would recycle one of the first so many rings. REQUIRES: byte lock 0.
+  bool has_deserted_ring(std::uint32_t channels) {
+    for (std::uint32_t c = 0; c < channels; ++c) {
       if (is_deserted_orphan(c)) return true;
     }
     return false;
@@ -180,7 +180,7 @@ class Recovery {
   }
 
   bool recycle_rings() {
-    if (!has_deserted_ring()) return true;
+    if (!has_deserted_ring(world_.channels())) return true;
     if (!world_.lock_rings()) return false;
     for (std::uint32_t c = 0; c < world_.channels(); ++c) {
       if (!is_deserted_orphan(c)) continue;

@@ -305,7 +305,7 @@ bool Participant::has_deserted_ring() noexcept {
   if (!has_orphan_rings()) return false;
   const std::unique_lock guard(reap_mutex_, std::try_to_lock);
   if (!guard || !enter_orphanage()) return false;
-  const bool found = Recovery(*this).has_deserted_ring();
+  const bool found = Recovery(*this).has_deserted_ring(used_channels());
   leave_orphanage();
   return found;
 }

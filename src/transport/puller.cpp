@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cerrno>
-#include <thread>
 
 #include "lot/detail/core.hpp"
 
@@ -346,9 +345,10 @@ class Puller final : public detail::PullerCore {
       if (status) return *status;
     }
     // A publisher that shares our core gets ahead instead of waking us for each message.
-    if (streaming) {
-      std::this_thread::yield();
-      if (look(borrowed)) return Status::Ok;
+    if (streaming && (!deadline || futex::Clock::now() < *deadline) && yield_.worthwhile()) {
+      settle();  // else a publisher may sleep that waits for room
+      yield_.yield();
+      if (yield_.found(look(borrowed))) return Status::Ok;
     }
     for (;;) {
       const bool in_time = park(deadline);
@@ -512,6 +512,7 @@ class Puller final : public detail::PullerCore {
   bool taking_;  ///< each message is for one reader, which takes it
   bool small_;   ///< the messages lie in their blocks' small payload
   SpinHabit habit_;
+  YieldHabit yield_;
   bool announced_ = false;  ///< the topic counts this puller
   bool borrowing_ = false;
   bool keeping_ = false;        ///< what is found is kept at once

@@ -397,12 +397,14 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       return true;
     }
     // A reader that shares our core makes room without having to wake us.
-    alone.unlock();
-    lock.unlock();
-    std::this_thread::yield();
-    lock.lock();
-    alone.lock();
-    if (room()) return true;
+    if (futex::Clock::now() < until && yield_.worthwhile()) {
+      alone.unlock();
+      lock.unlock();
+      yield_.yield();
+      lock.lock();
+      alone.lock();
+      if (yield_.found(room())) return true;
+    }
     for (unsigned look = 1;; ++look) {
       const auto value = ring::wait_for_room(*writer_, [this] { return room(); });
       if (!value) return true;
@@ -499,6 +501,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   std::vector<std::uint32_t> late_;  ///< participants who had not, the last time
   bool evicts_ = false;              ///< gives its oldest messages up when memory runs out
   SpinHabit habit_{Wait::Adaptive};
+  YieldHabit yield_;
   std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the last one
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdint>
 #include <random>
+#include <thread>
 #include <unistd.h>
 
 #include "lot/options.hpp"
@@ -19,33 +20,18 @@ inline bool has_several_cores() noexcept {
   return several;
 }
 
-/// Whether one who has to wait spins before it sleeps, and for how long: what `Wait` means.
-///
-/// Adaptive spins a little longer than what a wake-up across cores costs, and only where that has
-/// been of use lately: who waits for the next frame of a camera, or for somebody who needs this
-/// very core to go on, would spin in vain each time. Such a one spins in a few waits only, to find
-/// out when things have changed; by chance, since waits may come in a rhythm, and both ends of a
-/// ping-pong must try in the same round. One thread at a time.
-class SpinHabit {
+/// Whether something that helps in some waits only is tried: where that has been of use lately.
+/// Where it has not, it is tried in a few waits, to find out when things have changed; by chance,
+/// since waits may come in a rhythm, and both ends of a ping-pong must try in the same round. One
+/// thread at a time.
+class Habit {
  public:
-  explicit SpinHabit(Wait wait)
-      : wait_(wait == Wait::Adaptive && !has_several_cores() ? Wait::Park : wait) {}
-
   /// Asked once in each wait.
-  bool worthwhile() noexcept {
-    if (wait_ != Wait::Adaptive) return wait_ == Wait::Spin;
-    return in_vain_ < kPatience || random_() % kWaitsPerTrial == 0;
-  }
+  bool worthwhile() noexcept { return in_vain_ < kPatience || random_() % kWaitsPerTrial == 0; }
 
-  /// True when it is time to sleep.
-  bool enough(futex::Clock::duration spun) const noexcept {
-    return wait_ == Wait::Adaptive && spun >= kSpinTime;
-  }
-
-  /// How long one has spun until it came to something, or enough. (Held up for longer, somebody
-  /// else may have needed the core.)
-  void spun(futex::Clock::duration time) noexcept {
-    if (!enough(time)) {
+  /// What came of it.
+  void tried(bool was_of_use) noexcept {
+    if (was_of_use) {
       in_vain_ = 0;
     } else if (in_vain_ < kPatience) {
       ++in_vain_;
@@ -59,13 +45,68 @@ class SpinHabit {
     return static_cast<std::uint32_t>(reinterpret_cast<std::uintptr_t>(this) ^ now);
   }
 
-  static constexpr auto kSpinTime = std::chrono::microseconds(50);
   static constexpr unsigned kPatience = 4;
   static constexpr unsigned kWaitsPerTrial = 16;
 
-  Wait wait_;
-  unsigned in_vain_ = 0;  ///< spins in succession
+  unsigned in_vain_ = 0;  ///< in succession
   std::minstd_rand random_{seed()};
+};
+
+/// Whether one who has to wait spins before it sleeps, and for how long: what `Wait` means.
+///
+/// Adaptive spins a little longer than what a wake-up across cores costs, and only where that has
+/// been of use lately: who waits for the next frame of a camera, or for somebody who needs this
+/// very core to go on, would spin in vain each time.
+class SpinHabit {
+ public:
+  explicit SpinHabit(Wait wait)
+      : wait_(wait == Wait::Adaptive && !has_several_cores() ? Wait::Park : wait) {}
+
+  /// Asked once in each wait.
+  bool worthwhile() noexcept {
+    return wait_ == Wait::Adaptive ? habit_.worthwhile() : wait_ == Wait::Spin;
+  }
+
+  /// True when it is time to sleep.
+  bool enough(futex::Clock::duration spun) const noexcept {
+    return wait_ == Wait::Adaptive && spun >= kSpinTime;
+  }
+
+  /// How long one has spun until it came to something, or enough. (Held up for longer, somebody
+  /// else may have needed the core.)
+  void spun(futex::Clock::duration time) noexcept { habit_.tried(!enough(time)); }
+
+ private:
+  static constexpr auto kSpinTime = std::chrono::microseconds(50);
+
+  Wait wait_;
+  Habit habit_;
+};
+
+/// Letting others have the core, before one sleeps: where the other end of a stream needs this very
+/// core, that gets on with many messages, and nobody has to be woken for each few. Where somebody
+/// else has the core then, for long, it is in vain, as where nobody wants it.
+class YieldHabit {
+ public:
+  /// Asked once in each wait.
+  bool worthwhile() noexcept { return habit_.worthwhile(); }
+
+  void yield() noexcept {
+    const auto start = futex::Clock::now();
+    std::this_thread::yield();
+    was_long_ = futex::Clock::now() - start >= kLong;
+  }
+  /// Whether there was then what is waited for; hands that back.
+  bool found(bool is_there) noexcept {
+    habit_.tried(is_there && !was_long_);
+    return is_there;
+  }
+
+ private:
+  static constexpr auto kLong = std::chrono::microseconds(500);  ///< others' slices are longer
+
+  Habit habit_;
+  bool was_long_ = false;
 };
 
 }  // namespace lot::transport

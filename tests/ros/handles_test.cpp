@@ -195,32 +195,6 @@ TEST_CASE("LOT's pointer for those who subscribe by roscpp's own NodeHandle") {
   CHECK(comes([&] { return heard == message.data; }));
 }
 
-TEST_CASE(
-    "members of an object are called back, const or not, with or without a pointer that owns it") {
-  struct Listener {
-    void hears(const String&) { ++heard; }
-    void looks(const boost::shared_ptr<String const>&) const { ++*looked; }
-    int heard = 0;
-    std::shared_ptr<int> looked = std::make_shared<int>(0);
-  };
-  lot::ros::NodeHandle node;
-  const auto topic = fresh_topic();
-  Listener plain;
-  const auto owned = boost::make_shared<Listener>();
-  auto a = node.subscribe<const String&>(topic, 10, &Listener::hears, &plain);
-  auto b =
-      node.subscribe<const boost::shared_ptr<String const>&>(topic, 10, &Listener::looks, &plain);
-  auto c = node.subscribe<const String&>(topic, 10, &Listener::hears, owned);
-  auto d =
-      node.subscribe<const boost::shared_ptr<String const>&>(topic, 10, &Listener::looks, owned);
-  auto talker = node.advertise<String>(topic, 10);
-  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
-  say(talker, "to all of them");
-  CHECK(comes([&] {
-    return plain.heard == 1 && *plain.looked == 1 && owned->heard == 1 && *owned->looked == 1;
-  }));
-}
-
 TEST_CASE("a connect callback's own message comes first, and the others follow it") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
@@ -238,6 +212,39 @@ TEST_CASE("a connect callback's own message comes first, and the others follow i
   say(talker, "2");
   CHECK(comes([&] { return ear.heard.size() == 3; }));
   CHECK(ear.heard == Words{"hello", "1", "2"});
+}
+
+TEST_CASE("publishers are told who comes and who goes, and spinOnce() calls back") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  std::vector<std::string> came;
+  std::vector<std::string> went;
+  auto talker = node.advertise<String>(
+      topic, 10,
+      [&](const ros::SingleSubscriberPublisher& peer) { came.push_back(peer.getSubscriberName()); },
+      [&](const ros::SingleSubscriberPublisher& peer) {
+        went.push_back(peer.getSubscriberName());
+      });
+  const auto spun = [](const std::function<bool()>& condition) {
+    return comes_unspun([&] {
+      ros::spinOnce();
+      return condition();
+    });
+  };
+  const Words here{ros::this_node::getName()};
+  for (int round = 0; round < 2; ++round) {
+    came.clear();
+    went.clear();
+    Ear ear;
+    auto listener = node.subscribe<String>(topic, 10, ear.callback());
+    CHECK(spun([&] { return came == here; }));
+    say(talker, "heard");
+    CHECK(spun([&] { return ear.heard == Words{"heard"}; }));
+    CHECK(went.empty());
+    listener.shutdown();
+    CHECK(spun([&] { return went == here; }));
+    CHECK(came == here);
+  }
 }
 
 TEST_CASE(

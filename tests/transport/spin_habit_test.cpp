@@ -10,6 +10,7 @@ namespace {
 using namespace std::chrono_literals;
 using lot::Wait;
 using lot::transport::SpinHabit;
+using lot::transport::YieldHabit;
 
 constexpr auto kShort = 10us;
 constexpr auto kLong = 100us;
@@ -83,4 +84,21 @@ TEST_CASE("habits do not fall into one rhythm") {
   CHECK(together > 100);  // of 250 on average
   CHECK(even > 1'000);    // of 2000
   CHECK(odd > 1'000);
+}
+
+TEST_CASE("the core is let go where that has been of use, and seldom where not") {
+  YieldHabit habit;
+  const auto yields = [&habit](unsigned waits, bool is_there) {
+    unsigned n = 0;
+    for (unsigned i = 0; i < waits; ++i) {
+      if (!habit.worthwhile()) continue;
+      habit.yield();
+      CHECK(habit.found(is_there) == is_there);
+      ++n;
+    }
+    return n;
+  };
+  const unsigned tried_in_vain = yields(1000, false);
+  CHECK(tried_in_vain >= 4);
+  CHECK(tried_in_vain < 300);
 }
