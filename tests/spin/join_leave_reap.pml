@@ -166,7 +166,7 @@ inline recycle() {
 
 inline collect() {
   if
-  :: IS_DESERTED_ORPHAN -> /* @ src/recovery/recovery.hpp recycle_rings: wanted = is_deserted_orphan(c) */
+  :: IS_DESERTED_ORPHAN -> /* @ src/recovery/recovery.hpp recycle_rings: if (!has_deserted_ring(world_.channels())) return true */
 #ifndef NO_REGISTRY_LOCK
     if
     :: atomic { registry == NONE -> registry = me } /* @ src/recovery/recovery.hpp recycle_rings: if (!world_.lock_rings()) return false */
