@@ -9,6 +9,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using lot::Wait;
+using lot::transport::Habit;
 using lot::transport::SpinHabit;
 using lot::transport::YieldHabit;
 
@@ -86,19 +87,33 @@ TEST_CASE("habits do not fall into one rhythm") {
   CHECK(odd > 1'000);
 }
 
-TEST_CASE("the core is let go where that has been of use, and seldom where not") {
-  YieldHabit habit;
-  const auto yields = [&habit](unsigned waits, bool is_there) {
+TEST_CASE("what was in vain four times is tried now and then, until it is of use again") {
+  Habit habit;
+  const auto tries = [&habit] {
     unsigned n = 0;
-    for (unsigned i = 0; i < waits; ++i) {
-      if (!habit.worthwhile()) continue;
-      habit.yield();
-      CHECK(habit.found(is_there) == is_there);
-      ++n;
-    }
+    for (unsigned i = 0; i < 1000; ++i) n += habit.worthwhile() ? 1 : 0;
     return n;
   };
-  const unsigned tried_in_vain = yields(1000, false);
-  CHECK(tried_in_vain >= 4);
-  CHECK(tried_in_vain < 300);
+  for (int i = 0; i < 4; ++i) {
+    CHECK(tries() == 1000);
+    habit.tried(false);
+  }
+  const unsigned seldom = tries();
+  CHECK(seldom > 0);
+  CHECK(seldom < 300);
+  habit.tried(true);
+  CHECK(tries() == 1000);
+}
+
+TEST_CASE("the core is let go seldom where nothing is found afterwards") {
+  YieldHabit habit;
+  unsigned yields = 0;
+  for (int i = 0; i < 1000; ++i) {
+    if (!habit.worthwhile()) continue;
+    habit.yield();
+    CHECK_FALSE(habit.found(false));
+    ++yields;
+  }
+  CHECK(yields >= 4);
+  CHECK(yields < 300);
 }
