@@ -6,4 +6,5 @@
 #include "lot/ros/message.hpp"
 #include "lot/ros/node_handle.hpp"
 #include "lot/ros/publisher.hpp"
+#include "lot/ros/relay.hpp"
 #include "lot/ros/subscriber.hpp"

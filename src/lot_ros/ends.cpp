@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 /// The user's ends of topics: what lot::ros::Publisher and Subscriber hold.
 #include <condition_variable>
+#include <exception>
 #include <map>
 #include <mutex>
 #include <set>
 #include <utility>
 
 #include <ros/callback_queue.h>
+#include <ros/console.h>
 #include <ros/node_handle.h>
+#include <ros/single_subscriber_publisher.h>
 
 #include "lot_ros/inlet.hpp"
 #include "lot_ros/outlet.hpp"
@@ -117,6 +120,10 @@ class TopicSubscription final : public Subscription {
     const std::lock_guard guard(mutex_);
     return inlet_ ? inlet_->publishers() : 0;
   }
+  std::optional<bool> latches(const std::string& publisher) const override {
+    const std::lock_guard guard(mutex_);
+    return inlet_ ? inlet_->latches(publisher) : false;
+  }
   std::string topic() const override { return topic_; }
   void shutdown() override {
     std::shared_ptr<Inlet> inlet;
@@ -182,10 +189,32 @@ std::shared_ptr<Advertisement> advertise(::ros::NodeHandle& node,
   }
   // The user's own, which latches by name only: what is latched the outlet sends. By the name that
   // the user has said: roscpp remaps it once.
+  ::ros::AdvertiseOptions own = asked;
+  if (asked.connect_cb) {
+    own.connect_cb = [weak = std::weak_ptr(outlet), end,
+                      connect = asked.connect_cb](const ::ros::SingleSubscriberPublisher& peer) {
+      const struct Greeted {  // whatever it throws
+        const std::weak_ptr<TopicOutlet>& outlet;
+        std::uint64_t end;
+        std::string name;
+        ~Greeted() {
+          const auto self = outlet.lock();
+          if (!self) return;
+          try {
+            self->greeted(end, name);
+          } catch (const std::exception& e) {
+            ROS_ERROR("LOT: %s stays on TCPROS for %s: %s", self->topic().c_str(), name.c_str(),
+                      e.what());
+          }
+        }
+      } greeted{weak, end, peer.getSubscriberName()};
+      connect(peer);
+    };
+  }
   ::ros::Publisher plain;
   try {
     const std::lock_guard one(advertising());
-    plain = node.::ros::NodeHandle::advertise(const_cast<::ros::AdvertiseOptions&>(asked));
+    plain = node.::ros::NodeHandle::advertise(own);
   } catch (...) {
     TopicAdvertisement(outlet, end, plain).shutdown();
     throw;

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <condition_variable>
 #include <csignal>
+#include <functional>
+#include <iterator>
 #include <thread>
 #include <utility>
 
@@ -95,10 +97,18 @@ class Intake final : public ::ros::CallbackQueueInterface {
   std::uint64_t at_work_for_ = 0;
 };
 
-/// What a probe is deserialised to.
-const boost::shared_ptr<void const>& probe() {
-  static const auto* const token = new boost::shared_ptr<void const>(boost::make_shared<int>(0));
-  return *token;
+/// What frames are deserialised to that no message are: the place of their byte.
+constexpr std::uint8_t kSigns[256]{};
+boost::shared_ptr<void const> sign(std::uint8_t byte) {
+  return {&kSigns[byte], [](const void*) {}};
+}
+/// Nothing: it is a message.
+std::optional<std::uint8_t> sign_of(const void* message) {
+  const auto* const place = static_cast<const std::uint8_t*>(message);
+  const bool is_sign =
+      !std::less<>()(place, std::begin(kSigns)) && std::less<>()(place, std::end(kSigns));
+  if (!is_sign) return std::nullopt;
+  return static_cast<std::uint8_t>(place - kSigns);
 }
 
 bool is_latching(const boost::shared_ptr<::ros::M_string>& header) {
@@ -119,17 +129,20 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
 
   ::ros::VoidConstPtr deserialize(
       const ::ros::SubscriptionCallbackHelperDeserializeParams& frame) override {
-    if (frame.length < kind_.least_bytes) return probe();
+    if (frame.length < kind_.least_bytes) {
+      return sign(frame.length == 1 ? *frame.buffer : kProbe);
+    }
     return kind_.deserialise(frame.buffer, frame.length);
   }
 
   void call(::ros::SubscriptionCallbackHelperCallParams& params) override {
     const auto& event = params.event;
     const bool is_shared = event.nonConstWillCopy();  // with somebody who is no subscriber of LOT's
-    const bool is_probe = event.getMessage() == probe();
-    Frame frame{is_probe ? nullptr : event.getMessage(), event.getConnectionHeaderPtr(),
-                participant_name(event.getPublisherName())};
-    loop_->soon([weak = inlet_, is_shared, frame = std::move(frame)]() mutable {
+    const auto sign = sign_of(event.getMessage().get());
+    const bool is_probe = sign == kProbe;
+    Frame frame{sign ? nullptr : event.getMessage(), event.getConnectionHeaderPtr(),
+                participant_name(event.getPublisherName()), sign.value_or(kProbe)};
+    loop_->soon([weak = inlet_, is_shared, is_probe, frame = std::move(frame)]() mutable {
       const auto inlet = weak.lock();
       if (!inlet) return;
       try {
@@ -137,7 +150,7 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
       } catch (const std::exception& e) {  // of a ring; the frame is another's, perhaps
         ROS_ERROR("LOT: %s", e.what());
       }
-      if (frame.message) inlet->arrived(std::move(frame));
+      if (!is_probe) inlet->arrived(std::move(frame));
     });
   }
 
@@ -344,6 +357,7 @@ void Inlet::arrived(Frame frame) {
     }
   }
   if (rings_) link.had += rings_->taken_back(frame.publisher);
+  if (!frame.message) link.had = 0;  // they came before it, or were lost
   if (link.had != 0) {
     --link.had;
     return;
@@ -356,7 +370,19 @@ void Inlet::arrived(Frame frame) {
     held_.push_back(std::move(frame));
     read();
   } else {
-    deliver(frame.message, frame.publisher, link.header);
+    handle(frame);
+  }
+}
+
+/// Everything that its publisher has sent before it has been delivered.
+void Inlet::handle(const Frame& frame) {
+  if (frame.message) return deliver(frame.message, frame.publisher, header_of(frame.publisher));
+  if (!rings_) return;
+  Link& link = links_[frame.publisher];
+  link.idle_rings.reset();
+  link.since = Loop::Clock::now();
+  for (const auto& ring : rings_->rejoin(frame.publisher, frame.invitation)) {
+    unclaimed_.erase(RingName(ring.channel, ring.generation));  // it is read again
   }
 }
 
@@ -367,7 +393,7 @@ void Inlet::deliver_held() {
       ++frame;
       continue;
     }
-    deliver(frame->message, frame->publisher, header_of(frame->publisher));
+    handle(*frame);
     frame = held_.erase(frame);
   }
 }
@@ -411,6 +437,14 @@ Inlet::Header Inlet::header_of(const std::string& publisher) const {
   (*header)["md5sum"] = kind_.md5sum;
   (*header)["message_definition"] = kind_.definition;
   return header;
+}
+
+std::optional<bool> Inlet::latches(const std::string& publisher) const {
+  const std::lock_guard guard(mutex_);
+  const auto last = latched_.find(participant_name(publisher));
+  if (last == latched_.end()) return false;
+  if (!last->second.is_known) return std::nullopt;
+  return is_latching(last->second.header);
 }
 
 /// To all users' queues.

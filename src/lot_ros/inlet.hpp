@@ -66,14 +66,17 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   const detail::Kind& kind() const noexcept { return kind_; }
 
   std::uint32_t publishers() const { return subscriber_.getNumPublishers(); }
+  /// Whether a node that messages came from latches; nothing: it has yet to say so.
+  std::optional<bool> latches(const std::string& publisher) const;
 
  private:
   class Helper;
   using Header = boost::shared_ptr<::ros::M_string>;  ///< of a connection
   struct Frame {
-    boost::shared_ptr<void const> message;
+    boost::shared_ptr<void const> message;  ///< null: an invitation of this number
     Header header;
     std::string publisher;  ///< as a participant would be called
+    std::uint8_t invitation = 0;
   };
   struct Pulled {
     boost::shared_ptr<void const> message;
@@ -94,6 +97,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   void forget_those_gone();
   void forget_later();
   void arrived(Frame frame);
+  void handle(const Frame& frame);
   void deliver_held();
   void deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
                const Header& header);
@@ -125,12 +129,12 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     std::size_t had = 0;
     Loop::Clock::time_point since{};
     /// Once it has carried messages for so long that all is decided: rings that its publisher had
-    /// then. They have nothing more for us.
+    /// then. They have nothing more for us, unless it invites us.
     std::optional<std::vector<RingName>> idle_rings{};
   };
   std::map<std::string, Link> links_;
 
-  std::mutex mutex_;
+  mutable std::mutex mutex_;
   std::map<std::uint64_t, User> users_;
   std::atomic<std::uint32_t> at_once_{kAtOnce};
   /// The last message of each publisher that latches, or of which that is not known yet.

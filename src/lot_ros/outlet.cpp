@@ -45,9 +45,13 @@ constexpr std::chrono::milliseconds kFirstLook{10};
 constexpr std::chrono::milliseconds kLastLook{100};
 /// So long the end of a publisher may wait for answers.
 constexpr std::chrono::milliseconds kLastAnswers{100};
+/// And so long roscpp's thread has to write what its links have got last.
+constexpr std::chrono::milliseconds kLastFrames{10};
 /// LOT's thread comes again, when somebody publishes just now.
 constexpr std::chrono::milliseconds kBusy{1};
 constexpr std::uint32_t kUsualDepth = 16;
+/// Frames of ours that may be in a link's queue, which throws the oldest one away when it is full.
+constexpr std::uint32_t kOurFrames = 2;
 
 /// Of the ring.
 std::uint32_t depth_of(const ::ros::AdvertiseOptions& options) {
@@ -69,10 +73,14 @@ void on_peer(const ::ros::SingleSubscriberPublisher& peer, bool came) {
   }
 }
 
-XmlRpc::XmlRpcValue links_of(::ros::Publication& publication) {
-  XmlRpc::XmlRpcValue links;
-  links.setSize(0);  // getInfo() appends
-  publication.getInfo(links);
+TopicOutlet::Links links_of(::ros::Publication& publication) {
+  XmlRpc::XmlRpcValue all;
+  all.setSize(0);  // getInfo() appends
+  publication.getInfo(all);
+  TopicOutlet::Links links;
+  for (int i = 0; i < all.size(); ++i) {
+    links[int(all[i][0])] = {std::string(all[i][1]), std::string(all[i][3])};
+  }
   return links;
 }
 
@@ -126,13 +134,14 @@ class Door final : public ::ros::CallbackQueueInterface {
 };
 
 /// A frame that no message is: one byte.
+::ros::SerializedMessage frame_of(std::uint8_t sign) {
+  boost::shared_array<std::uint8_t> bytes(new std::uint8_t[5]{1, 0, 0, 0, sign});
+  ::ros::SerializedMessage message(bytes, 5);
+  message.message_start = bytes.get() + 4;
+  return message;
+}
 const ::ros::SerializedMessage& probe_frame() {
-  static const auto* const frame = [] {
-    boost::shared_array<std::uint8_t> bytes(new std::uint8_t[5]{1, 0, 0, 0, 0});
-    auto* const message = new ::ros::SerializedMessage(bytes, 5);
-    message->message_start = bytes.get() + 4;
-    return message;
-  }();
+  static const auto* const frame = new ::ros::SerializedMessage(frame_of(kProbe));
   return *frame;
 }
 
@@ -156,6 +165,7 @@ TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::Advertis
 bool TopicOutlet::open() {
   ::ros::AdvertiseOptions options = options_;
   options.latch = false;
+  if (options.queue_size != 0) options.queue_size += kOurFrames;
   callbacks_ = boost::make_shared<::ros::SubscriberCallbacks>(
       [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, true); },
       [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, false); },
@@ -173,10 +183,12 @@ bool TopicOutlet::open() {
   }
   Door::the().opened(callbacks_, publication_);
   // Who came meanwhile came without its links.
-  const XmlRpc::XmlRpcValue links = links_of(*publication_);
+  const Links links = links_of(*publication_);
   const std::lock_guard guard(news_mutex_);
   for (News& news : news_) {
-    if (!news.links.valid()) news.links = links;
+    if (news.links) continue;
+    news.links = links;
+    announce(news);
   }
   is_open_ = true;
   return true;
@@ -187,9 +199,13 @@ void TopicOutlet::settle() {
   Peers gone;  // destroyed when the lock has been left
   const auto until = Loop::Clock::now() + kLastAnswers;
   std::unique_lock lock(mutex_);
+  const std::uint64_t on_links = serialised_;
   take_note(gone);
   for (Peer& peer : peers_) {
-    if (peer.state == State::Open && (greets() || !try_ring(peer))) go_to_link(peer);
+    const bool may_answer = peer.invited && !peer.unsure.empty();
+    if (peer.state == State::Open && !may_answer && (needs_link(peer) || !try_ring(peer))) {
+      go_to_link(peer);
+    }
     if (peer.state == State::Ring && !peer.unsure.empty()) probe(peer);
   }
   // LOT's thread itself would give those of this process.
@@ -198,6 +214,13 @@ void TopicOutlet::settle() {
     std::this_thread::sleep_for(kBusy);
     lock.lock();
   }
+  for (Peer& peer : peers_) {
+    if (peer.state == State::Open) go_to_link(peer);
+  }
+  const bool is_sending = serialised_ != on_links;
+  lock.unlock();
+  // roscpp drops what it has not written when the topic ends.
+  if (is_sending) std::this_thread::sleep_for(kLastFrames);
 }
 
 void TopicOutlet::withdraw() {
@@ -221,9 +244,18 @@ void TopicOutlet::close() {
 void TopicOutlet::note(News news) {
   {
     const std::lock_guard guard(news_mutex_);
+    if (news.links) announce(news);
     news_.push_back(std::move(news));
   }
   tend({});
+}
+
+/// A link of which roscpp has told: a new one of that name.
+void TopicOutlet::announce(const News& news) {
+  if (!news.came) return;
+  for (const auto& [number, link] : *news.links) {
+    if (link.callerid == news.name && announced_.insert(number).second) return;
+  }
 }
 
 /// LOT's thread waits for no publisher that is at work: that one takes note itself.
@@ -239,7 +271,7 @@ void TopicOutlet::tend(Loop::Clock::time_point when) {
     for (Peer& peer : self->peers_) {
       if (peer.state != State::Open) continue;
       self->welcome(peer);
-      if (peer.state == State::Open && !self->greets()) self->try_ring(peer);
+      if (peer.state == State::Open && !self->needs_link(peer)) self->try_ring(peer);
     }
   });
 }
@@ -252,16 +284,13 @@ void TopicOutlet::take_note(Peers& gone) {
     all.swap(news_);
   }
   for (News& news : all) {
-    std::map<int, std::pair<std::string, std::string>> links;  // number: callerid, transport
-    const bool known =
-        news.links.getType() == XmlRpc::XmlRpcValue::TypeArray;  // else there is none
-    for (int i = 0; known && i < news.links.size(); ++i) {
-      XmlRpc::XmlRpcValue& link = news.links[i];
-      links[int(link[0])] = {std::string(link[1]), std::string(link[3])};
-    }
+    const Links& links = *news.links;
     if (news.came) {
+      for (auto& [name, end] : ends_) {
+        if (end.greets) ++end.ungreeted[news.name];
+      }
       const auto is_new = [&](const auto& link) {
-        return link.second.first == news.name &&
+        return link.second.callerid == news.name &&
                std::none_of(peers_.begin(), peers_.end(),
                             [&](const Peer& p) { return p.link == link.first; });
       };
@@ -271,7 +300,7 @@ void TopicOutlet::take_note(Peers& gone) {
       peer.callback = news.callback;
       if (at != links.end()) {
         peer.link = at->first;
-        peer.may_read = at->second.second == "TCPROS" || at->second.second == "INTRAPROCESS";
+        peer.may_read = at->second.transport == "TCPROS" || at->second.transport == "INTRAPROCESS";
       } else {
         peer.state = State::Link;  // it was there before us: what it is we do not know
       }
@@ -283,6 +312,10 @@ void TopicOutlet::take_note(Peers& gone) {
           continue;
         }
         leave_ring(*peer);
+        {
+          const std::lock_guard guard(news_mutex_);
+          announced_.erase(peer->link);
+        }
         gone.push_back(std::move(*peer));
         peer = peers_.erase(peer);
       }
@@ -290,29 +323,43 @@ void TopicOutlet::take_note(Peers& gone) {
   }
 }
 
-/// A peer that nothing was sent to. What is latched it gets now.
+/// A peer that has just come. What is latched it gets now.
 void TopicOutlet::welcome(Peer& peer) {
   if (std::exchange(peer.is_welcome, true)) return;
+  const auto latched = this->latched();
+  const Message* const last = latched_last(latched);
+  if (needs_link(peer) || (!latched.empty() && last == nullptr) || !may_come(peer)) {
+    if (!latched.empty()) go_to_link(peer);
+    for (const Message* message : latched) send(peer, serialise(*message));
+  } else if (last != nullptr) {
+    keep_for(peer, *last);
+  }
+}
+
+std::vector<const TopicOutlet::Message*> TopicOutlet::latched() const {
   std::vector<const Message*> latched;
   for (const auto& [name, end] : ends_) {
     if (end.latches && end.latched) latched.push_back(&*end.latched);
   }
-  const bool from_last = latched.size() == 1 && last_is_latched_;
-  if (greets() || (!latched.empty() && !from_last) || !may_come(peer)) {
-    if (!latched.empty()) peer.state = State::Link;
-    for (const Message* message : latched) send(peer, serialise(*message));
-  } else if (from_last) {
-    keep_for(peer, *latched.front());
-  }
+  return latched;
+}
+
+/// The one that is latched, if it is the ring's last; null: it is not, or several are.
+const TopicOutlet::Message* TopicOutlet::latched_last(
+    const std::vector<const Message*>& latched) const {
+  return latched.size() == 1 && last_is_latched_ ? latched.front() : nullptr;
 }
 
 /// What is unsure is for it, then. Soon it is known whether that is enough.
 bool TopicOutlet::try_ring(Peer& peer) {
   if (!ring_ || !peer.may_read || !is_alone(peer)) return false;
-  const auto served = ring_->serve(participant_name(peer.name), peer.unsure.size());
+  const auto served = ring_->serve(participant_name(peer.name), peer.unsure.size(), peer.invited);
   if (!served) return false;
   peer.served = *served;
+  peer.served_since = std::chrono::steady_clock::now();
   peer.state = State::Ring;
+  peer.has_last = !peer.unsure.empty();
+  peer.invited.reset();
   while (peer.unsure.size() > most_unsure()) peer.unsure.pop_front();
   probe(peer);
   return true;
@@ -330,7 +377,7 @@ void TopicOutlet::keep_for(Peer& peer, const Message& message) {
   const auto now = std::chrono::steady_clock::now();
   if (peer.unsure.empty()) peer.since = now;
   peer.unsure.push_back(message);
-  const bool hangs = now - peer.since > kPatience;
+  const bool hangs = peer.state == State::Ring && now - peer.since > kPatience;
   const std::size_t most = hangs ? std::min(kMostUndecidedLater, most_unsure()) : most_unsure();
   while (peer.unsure.size() > most) peer.unsure.pop_front();
   watch(kFirstLook);
@@ -338,12 +385,42 @@ void TopicOutlet::keep_for(Peer& peer, const Message& message) {
 
 void TopicOutlet::has_answered(Peer& peer) {
   peer.has_answered = true;
+  if (peer.invite_again != kFirstInvitation &&
+      std::chrono::steady_clock::now() - peer.served_since > kSettled) {
+    peer.invite_again = kFirstInvitation;
+  }
   peer.unsure.clear();
 }
 
 void TopicOutlet::go_to_link(Peer& peer) {
   peer.state = State::Link;
+  if (peer.invited) invite_later(peer);
+  peer.invited.reset();
   for (const Message& message : std::exchange(peer.unsure, {})) send(peer, serialise(message));
+}
+
+/// Its link has carried all that was for it so far. If it can read the ring, it is told so behind
+/// that, and what comes is kept for it until it does. What is latched must stay the link's last
+/// frame: roscpp keeps that for those who come beside it.
+void TopicOutlet::invite(Peer& peer) {
+  if (!ring_ || !peer.may_read || !is_alone(peer) || !is_greeted(peer)) return;
+  if (!latched().empty()) return;
+  if (std::chrono::steady_clock::now() < peer.invite_at) return;
+  if (!ring_->is_read_by(participant_name(peer.name))) {
+    peer.invite_at = std::chrono::steady_clock::now() + kFirstLook;
+    return;
+  }
+  peer.invitation = peer.invitation == kLastInvitation ? 1 : peer.invitation + 1;
+  peer.invited = peer.invitation;
+  peer.since = std::chrono::steady_clock::now();
+  peer.state = State::Open;
+  peer.has_answered = false;
+  send(peer, frame_of(peer.invitation));
+  watch(kFirstLook);
+}
+void TopicOutlet::invite_later(Peer& peer) {
+  peer.invite_at = std::chrono::steady_clock::now() + peer.invite_again;
+  peer.invite_again = std::min(2 * peer.invite_again, kRarestInvitation);
 }
 
 bool TopicOutlet::is_alone(const Peer& peer) const {
@@ -356,6 +433,15 @@ bool TopicOutlet::greets() const {
   return std::any_of(ends_.begin(), ends_.end(),
                      [](const auto& each) { return each.second.greets; });
 }
+
+bool TopicOutlet::is_greeted(const Peer& peer) const {
+  return std::none_of(ends_.begin(), ends_.end(), [&peer](const auto& each) {
+    return each.second.ungreeted.count(peer.name) != 0;
+  });
+}
+
+/// What it is greeted by comes before what is in the ring, if it is told so.
+bool TopicOutlet::needs_link(const Peer& peer) const { return greets() && !peer.invited; }
 
 /// As many as its link takes at once: roscpp throws the oldest away when its queue is full.
 std::size_t TopicOutlet::most_unsure() const {
@@ -371,9 +457,12 @@ void TopicOutlet::leave_ring(Peer& peer) {
 }
 
 /// Its messages go by the link from now on, and those that somebody beside its LOT subscribers may
-/// have missed, too; they themselves know by `to` what they have had.
+/// have missed, too, and what is latched; they themselves know by `to` what they have had.
 void TopicOutlet::return_to_link(Peer& peer) {
+  const Message* const last = latched_last(latched());
+  if (last != nullptr && peer.has_last && peer.unsure.empty()) peer.unsure.push_back(*last);
   ring_->stop(peer.served, peer.unsure.size());
+  invite_later(peer);
   go_to_link(peer);
 }
 
@@ -415,7 +504,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   for (Peer& peer : peers_) {
     if (peer.state != State::Open) continue;
     const bool has_room = peer.unsure.size() < most_unsure();
-    if (greets() || (!try_ring(peer) && !(has_room && may_come(peer)))) go_to_link(peer);
+    if (needs_link(peer) || (!try_ring(peer) && !(has_room && may_come(peer)))) go_to_link(peer);
   }
   const auto in = [&](State state) {
     return std::any_of(peers_.begin(), peers_.end(),
@@ -446,6 +535,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   for (Peer& peer : peers_) {
     if (peer.state == State::Open) undecided.push_back(&peer);
     if (peer.state != State::Ring) continue;
+    peer.has_last = true;
     if (is_due) ring_->ask(peer.served);  // nobody has lately
     if (ring_->is_content(peer.served)) {
       has_answered(peer);
@@ -457,8 +547,10 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
   if (latches) from->second.latched = message;
-  for (const Peer& peer : peers_) {
-    if (peer.state == State::Link) send(peer, *bytes);
+  for (Peer& peer : peers_) {
+    if (peer.state != State::Link) continue;
+    send(peer, *bytes);
+    invite(peer);
   }
   if (in(State::Ring)) {
     ++published_;
@@ -507,11 +599,15 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
     if (!self->session_) return;
     const bool all_answered = self->take_answers();
     const auto now = Loop::Clock::now();
-    bool goes_on = now < self->probe_at_;
-    if (!goes_on && (self->published_ != 0 || !all_answered)) {
+    const bool is_early = now < self->probe_at_;
+    bool goes_on = is_early;
+    // Who comes beside a peer in the ring is to get what is latched, too.
+    const bool asks_anyway = self->latched_last(self->latched()) != nullptr && self->is_read();
+    if (!goes_on && (self->published_ != 0 || !all_answered || asks_anyway)) {
       goes_on = true;
-      const bool is_stream = std::exchange(self->published_, 0) > self->probe_period_ / kStream;
-      self->probe_period_ = is_stream ? kStreamProbePeriod : kProbePeriod;
+      const std::uint32_t published = std::exchange(self->published_, 0);
+      const bool is_stream = published > self->probe_period_ / kStream;
+      self->probe_period_ = is_stream || published == 0 ? kStreamProbePeriod : kProbePeriod;
       self->probe_at_ = now + self->probe_period_;
       for (Peer& peer : self->peers_) {
         if (peer.state == State::Ring) self->probe(peer);
@@ -519,21 +615,34 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
     }
     if (!all_answered || goes_on) {
       self->watching_ = true;
-      self->look_at(all_answered ? self->probe_at_ : now + patience,
-                    all_answered ? kFirstLook : std::min(2 * patience, kLastLook));
+      auto next = all_answered ? self->probe_at_ : now + patience;
+      if (asks_anyway && !is_early) next = std::min(next, now + kLastLook);  // for the answers
+      self->look_at(next, all_answered ? kFirstLook : std::min(2 * patience, kLastLook));
     }
   });
+}
+
+/// True when somebody has its messages from the ring.
+bool TopicOutlet::is_read() const {
+  return std::any_of(peers_.begin(), peers_.end(),
+                     [](const Peer& peer) { return peer.state == State::Ring; });
 }
 
 /// False: somebody has yet to say something about messages that are kept for it.
 bool TopicOutlet::take_answers() {
   bool all_answered = true;
   for (Peer& peer : peers_) {
+    if (peer.state == State::Ring && !ring_->wants(peer.served)) return_to_link(peer);
+    if (peer.state == State::Open && peer.invited && peer.unsure.empty() && !try_ring(peer)) {
+      if (std::chrono::steady_clock::now() - peer.since > kPatience) {
+        go_to_link(peer);
+      } else {
+        all_answered = false;
+      }
+    }
     if (peer.unsure.empty()) continue;
     if (peer.state == State::Open) {
-      if (greets() || (!try_ring(peer) && !may_come(peer))) go_to_link(peer);
-    } else if (!ring_->wants(peer.served)) {
-      return_to_link(peer);
+      if (needs_link(peer) || (!try_ring(peer) && !may_come(peer))) go_to_link(peer);
     } else if (ring_->is_content(peer.served)) {
       has_answered(peer);
     } else if (!peer.has_answered && std::chrono::steady_clock::now() - peer.since > kAnswers) {
@@ -564,13 +673,36 @@ std::uint64_t TopicOutlet::add(bool latches, bool greets) {
   ends_[++last_end_] = {latches, greets, std::nullopt};
   if (!greets) return last_end_;
   // What its callback sends comes behind all that was published so far.
+  End& end = ends_[last_end_];
+  end.greets = false;  // of those who come from now on it hears, and of these
   take_note(gone);
+  end.greets = true;
   for (Peer& peer : peers_) {
     if (peer.state == State::Open) welcome(peer);
     if (peer.state == State::Open) go_to_link(peer);
     if (peer.state == State::Ring) return_to_link(peer);
+    ++end.ungreeted[peer.name];
   }
   return last_end_;
+}
+
+void TopicOutlet::greeted(std::uint64_t name, const std::string& peer_name) {
+  Peers gone;  // destroyed when the lock has been left
+  const std::lock_guard guard(mutex_);
+  const auto at = ends_.find(name);
+  if (!session_ || at == ends_.end()) return;
+  take_note(gone);
+  // Those that were there before the callback was may be greeted twice.
+  auto& ungreeted = at->second.ungreeted;
+  if (const auto link = ungreeted.find(peer_name); link != ungreeted.end()) {
+    if (--link->second == 0) ungreeted.erase(link);
+  }
+  for (Peer& peer : peers_) {
+    if (peer.name != peer_name || !is_greeted(peer)) continue;
+    if (peer.state == State::Open) welcome(peer);
+    if (peer.state == State::Open && needs_link(peer)) go_to_link(peer);
+    if (peer.state == State::Link) invite(peer);
+  }
 }
 
 bool TopicOutlet::remove(std::uint64_t name) {
@@ -588,6 +720,15 @@ bool TopicOutlet::remove(std::uint64_t name) {
 std::uint64_t TopicOutlet::serialised() const {
   const std::lock_guard guard(mutex_);
   return serialised_;
+}
+
+/// Links that are there and that roscpp has told us of, which it does a little later.
+std::uint32_t TopicOutlet::subscribers() const {
+  const Links links = links_of(*publication_);
+  const std::lock_guard guard(news_mutex_);
+  return static_cast<std::uint32_t>(
+      std::count_if(links.begin(), links.end(),
+                    [this](const auto& link) { return announced_.count(link.first) != 0; }));
 }
 
 }  // namespace lot::ros

@@ -8,6 +8,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <random>
 #include <set>
 #include <string>
 #include <vector>
@@ -27,8 +28,9 @@ namespace lot::ros {
 /// link for all others (docs/ros.md).
 ///
 ///     Open ------ it reads our ring ------> Ring ------ it wants its link, no room ------> Link
-///        |                                                                                  ^
-///        `------ it is no LOT subscriber's, or it has not come to read for too long --------'
+///      | ^                                                                               ^ |
+///      | `------ it could read the ring: it is invited, by the last frame on its link ---|-'
+///      `-------- it is no LOT subscriber's, or it has not come to read for too long -----'
 ///
 /// Threads: all members may be called at once. note() is called by roscpp with its locks held.
 /// Crash:   of a peer: its link ends, and it is forgotten; its cell in the ring is the reaper's.
@@ -49,26 +51,40 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void reserve(std::size_t count, std::size_t bytes) override;
   void publish(const detail::Parcel& parcel, bool fresh, std::uint64_t end) override;
 
-  /// A user's end of the topic: whether it latches, and whether it wants to know of peers.
+  /// A user's end of the topic: whether it latches, and whether it greets peers.
   std::uint64_t add(bool latches, bool greets);
+  /// The connect callback of that end has been called for a peer.
+  void greeted(std::uint64_t end, const std::string& name);
   /// True when there is no other one.
   bool remove(std::uint64_t end);
 
   const detail::Kind& kind() const noexcept { return kind_; }
 
   std::uint64_t serialised() const override;
+  std::uint32_t subscribers() const override;
+
+  struct Link {
+    std::string callerid;
+    std::string transport;
+  };
+  using Links = std::map<int, Link>;  ///< by roscpp's number of the connection
 
   /// What roscpp says of a peer. `callback` sends to it what `outgoing` points to, when called.
   struct News {
     bool came;
     std::string name;
     ::ros::CallbackInterfacePtr callback;
-    XmlRpc::XmlRpcValue links;  ///< Publication::getInfo, then
+    std::optional<Links> links;  ///< then; null: until open() has them
   };
   void note(News news);
 
  private:
   enum class State { Open, Ring, Link };
+  /// So long after a peer has been invited in vain it is invited again; then twice as long.
+  static constexpr std::chrono::milliseconds kFirstInvitation{250};
+  static constexpr std::chrono::milliseconds kRarestInvitation{60'000};
+  /// So long it is in the ring until the next invitation may come as soon as the first.
+  static constexpr std::chrono::seconds kSettled{10};
   struct Message {
     detail::Parcel parcel;
     std::uint32_t number;
@@ -81,12 +97,22 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     State state = State::Open;
     ::ros::CallbackInterfacePtr callback;
     lot::detail::Served served;
+    std::chrono::steady_clock::time_point served_since{};
     bool is_welcome = false;    ///< it has got what is latched
+    bool has_last = false;      ///< Ring: the last message of the ring is for it
     bool has_answered = false;  ///< it is the one whose cell is served
     /// Open: what is in the ring, and is for it when it comes to read; since when the first is
-    /// there. Ring: what has gone there before it said whether somebody beside LOT needs it, too.
+    /// there, or it has been invited. Ring: what has gone there before it said whether somebody
+    /// beside LOT needs it, too.
     std::deque<Message> unsure;
     std::chrono::steady_clock::time_point since;
+    /// Open, after its link has carried messages: the invitation that it has got behind these. When
+    /// it answers by that, it has them all.
+    std::optional<std::uint8_t> invited{};
+    /// The last one. They begin anywhere: a late answer to an earlier link's is none to this one's.
+    std::uint8_t invitation = static_cast<std::uint8_t>(std::random_device()());
+    std::chrono::steady_clock::time_point invite_at{};  ///< not before that
+    std::chrono::milliseconds invite_again = kFirstInvitation;
   };
   using Peers = std::vector<Peer>;
 
@@ -99,10 +125,14 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     bool latches = false;
     bool greets = false;
     std::optional<Message> latched{};
+    /// By name: links that have come and are to be greeted yet, since when its callback was there.
+    std::map<std::string, int> ungreeted{};
   };
 
   /// On LOT's thread: takes note of who has come.
   void tend(Loop::Clock::time_point when);
+
+  void announce(const News& news);  // REQUIRES news_mutex_
 
   // All of these REQUIRE mutex_. What they take out of peers_ goes to `gone`, and is destroyed
   // when the lock has been left.
@@ -115,8 +145,15 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void go_to_link(Peer& peer);
   void leave_ring(Peer& peer);
   void return_to_link(Peer& peer);
+  void invite(Peer& peer);
+  void invite_later(Peer& peer);
   bool is_alone(const Peer& peer) const;
+  bool is_read() const;
+  std::vector<const Message*> latched() const;
+  const Message* latched_last(const std::vector<const Message*>& latched) const;
   bool greets() const;
+  bool is_greeted(const Peer& peer) const;
+  bool needs_link(const Peer& peer) const;
   std::size_t most_unsure() const;
   void watch(std::chrono::milliseconds patience);
   void look_at(Loop::Clock::time_point when, std::chrono::milliseconds patience);
@@ -149,9 +186,10 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   bool last_is_latched_ = false;      ///< the last message of the ring is the one that is latched
   std::uint64_t serialised_ = 0;
 
-  std::mutex news_mutex_;  ///< a leaf: roscpp's locks are held by who takes it
+  mutable std::mutex news_mutex_;  ///< a leaf: roscpp's locks are held by who takes it
   std::vector<News> news_;
-  bool is_open_ = false;  ///< all news have their links
+  std::set<int> announced_;  ///< roscpp's numbers of the links that it has told of
+  bool is_open_ = false;     ///< all news have their links
 };
 
 }  // namespace lot::ros

@@ -1,153 +1,175 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "lot/ros/relay.hpp"
 
-// lot_relay IN OUT: publishes what comes on one topic on another one, in shared memory. What plain
-// nodes publish is so brought into LOT once, for all that read it there; plain nodes get OUT, too.
-//
-// It knows the messages of std_msgs, geometry_msgs and sensor_msgs; for others a node of three
-// lines does the same (docs/porting.md).
-
+#include <algorithm>
+#include <chrono>
 #include <cstdio>
-#include <functional>
+#include <deque>
+#include <iterator>
 #include <map>
 #include <string>
 
-#include <geometry_msgs/PointStamped.h>
-#include <geometry_msgs/PoseArray.h>
-#include <geometry_msgs/PoseStamped.h>
-#include <geometry_msgs/PoseWithCovarianceStamped.h>
-#include <geometry_msgs/TransformStamped.h>
-#include <geometry_msgs/Twist.h>
-#include <geometry_msgs/TwistStamped.h>
-#include <geometry_msgs/WrenchStamped.h>
-#include <ros/ros.h>
-#include <sensor_msgs/BatteryState.h>
-#include <sensor_msgs/CameraInfo.h>
-#include <sensor_msgs/CompressedImage.h>
-#include <sensor_msgs/FluidPressure.h>
-#include <sensor_msgs/Image.h>
-#include <sensor_msgs/Imu.h>
-#include <sensor_msgs/JointState.h>
-#include <sensor_msgs/Joy.h>
-#include <sensor_msgs/LaserScan.h>
-#include <sensor_msgs/MagneticField.h>
-#include <sensor_msgs/MultiEchoLaserScan.h>
-#include <sensor_msgs/NavSatFix.h>
-#include <sensor_msgs/PointCloud.h>
-#include <sensor_msgs/PointCloud2.h>
-#include <sensor_msgs/Range.h>
-#include <sensor_msgs/Temperature.h>
-#include <std_msgs/ByteMultiArray.h>
-#include <std_msgs/ColorRGBA.h>
-#include <std_msgs/Float32.h>
-#include <std_msgs/Float32MultiArray.h>
-#include <std_msgs/Float64.h>
-#include <std_msgs/Float64MultiArray.h>
-#include <std_msgs/Header.h>
-#include <std_msgs/Int32.h>
-#include <std_msgs/Int32MultiArray.h>
-#include <std_msgs/Int64.h>
-#include <std_msgs/String.h>
-#include <std_msgs/UInt8MultiArray.h>
+#include <boost/make_shared.hpp>
+#include <ros/init.h>
+#include <ros/master.h>
+#include <ros/names.h>
+#include <ros/param.h>
 
-#include "lot/ros.hpp"
-
+namespace lot::ros {
 namespace {
 
-constexpr std::uint32_t kQueue = 100;
+constexpr int kQueue = 100;  ///< as ~queue_size says, else
+/// A message in shared memory may be there before its publisher's link, which says whether it
+/// latches: so long it is waited for that, and so often it is looked.
+using Clock = std::chrono::steady_clock;
+constexpr std::chrono::seconds kPatience{1};
+constexpr double kLook_s = 0.01;
 
-using Run = std::function<void(lot::ros::NodeHandle&, const std::string&, const std::string&)>;
-
-template <template <class> class Generated>
-void relay(lot::ros::NodeHandle& node, const std::string& in, const std::string& out) {
-  using M = lot::ros::Message<Generated>;
-  auto publisher = node.advertise<M>(out, kQueue);
-  auto subscriber = node.subscribe<M>(
-      in, kQueue,
-      [publisher](const boost::shared_ptr<M const>& message) { publisher.publish(message); });
-  ros::spin();
-}
-
-template <template <class> class Generated>
-std::pair<const std::string, Run> entry() {
-  return {ros::message_traits::DataType<Generated<std::allocator<void>>>::value(),
-          relay<Generated>};
-}
-
-const std::map<std::string, Run>& known() {
-  static const std::map<std::string, Run> types{entry<geometry_msgs::PointStamped_>(),
-                                                entry<geometry_msgs::PoseArray_>(),
-                                                entry<geometry_msgs::PoseStamped_>(),
-                                                entry<geometry_msgs::PoseWithCovarianceStamped_>(),
-                                                entry<geometry_msgs::TransformStamped_>(),
-                                                entry<geometry_msgs::Twist_>(),
-                                                entry<geometry_msgs::TwistStamped_>(),
-                                                entry<geometry_msgs::WrenchStamped_>(),
-                                                entry<sensor_msgs::BatteryState_>(),
-                                                entry<sensor_msgs::CameraInfo_>(),
-                                                entry<sensor_msgs::CompressedImage_>(),
-                                                entry<sensor_msgs::FluidPressure_>(),
-                                                entry<sensor_msgs::Image_>(),
-                                                entry<sensor_msgs::Imu_>(),
-                                                entry<sensor_msgs::JointState_>(),
-                                                entry<sensor_msgs::Joy_>(),
-                                                entry<sensor_msgs::LaserScan_>(),
-                                                entry<sensor_msgs::MagneticField_>(),
-                                                entry<sensor_msgs::MultiEchoLaserScan_>(),
-                                                entry<sensor_msgs::NavSatFix_>(),
-                                                entry<sensor_msgs::PointCloud_>(),
-                                                entry<sensor_msgs::PointCloud2_>(),
-                                                entry<sensor_msgs::Range_>(),
-                                                entry<sensor_msgs::Temperature_>(),
-                                                entry<std_msgs::ByteMultiArray_>(),
-                                                entry<std_msgs::ColorRGBA_>(),
-                                                entry<std_msgs::Float32_>(),
-                                                entry<std_msgs::Float32MultiArray_>(),
-                                                entry<std_msgs::Float64_>(),
-                                                entry<std_msgs::Float64MultiArray_>(),
-                                                entry<std_msgs::Header_>(),
-                                                entry<std_msgs::Int32_>(),
-                                                entry<std_msgs::Int32MultiArray_>(),
-                                                entry<std_msgs::Int64_>(),
-                                                entry<std_msgs::String_>(),
-                                                entry<std_msgs::UInt8MultiArray_>()};
-  return types;
-}
-
-/// The type of a topic that somebody publishes; waits for one.
+/// The type of a topic that somebody publishes; waits for one. Empty: the node is to end.
 std::string type_of(const std::string& topic) {
-  for (bool said = false; ros::ok(); said = true) {
-    ros::master::V_TopicInfo topics;
-    ros::master::getTopics(topics);
+  for (bool said = false; ::ros::ok(); said = true) {
+    ::ros::master::V_TopicInfo topics;
+    ::ros::master::getTopics(topics);
     for (const auto& info : topics) {
       if (info.name == topic) return info.datatype;
     }
     if (!said) ROS_INFO("waiting for a publisher of %s", topic.c_str());
-    ros::WallDuration(0.2).sleep();
+    ::ros::WallDuration(0.2).sleep();
   }
   return "";
 }
 
+/// What a topic of any type is published again by.
+class Forward final : public ::ros::SubscriptionCallbackHelper {
+ public:
+  Forward(::ros::NodeHandle& node, const std::string& out, std::uint32_t queue_size,
+          const detail::Kind& kind)
+      : node_(node), out_(out), queue_size_(queue_size), kind_(kind), end_(advertise(false)) {}
+
+  bool is_open() const { return end_ != nullptr; }
+  /// `in` calls this until it ends.
+  void is_fed_by(const detail::Subscription& in) {
+    in_ = &in;
+    looks_ = node_.createWallTimer(
+        ::ros::WallDuration(kLook_s), [this](const ::ros::WallTimerEvent&) { look(); }, false,
+        false);
+  }
+
+  ::ros::VoidConstPtr deserialize(
+      const ::ros::SubscriptionCallbackHelperDeserializeParams& frame) override {
+    return kind_.deserialise(frame.buffer, frame.length);
+  }
+  void call(::ros::SubscriptionCallbackHelperCallParams& params) override {
+    waiting_.push_back(
+        {params.event.getConstMessage(), params.event.getPublisherName(), Clock::now()});
+    look();
+  }
+  const std::type_info& getTypeInfo() override { return *kind_.type; }
+  bool isConst() override { return true; }
+  bool hasHeader() override { return kind_.has_header; }
+
+ private:
+  using Message = boost::shared_ptr<void const>;
+  struct Waiting {
+    Message message;
+    std::string publisher;
+    Clock::time_point since;
+  };
+
+  void look() {
+    while (!waiting_.empty()) {
+      const auto& [message, publisher, since] = waiting_.front();
+      const auto latches = in_->latches(publisher);
+      if (!latches) {
+        const bool is_doubtful = doubtful_.count(publisher) != 0;
+        const bool has_time = Clock::now() - since < kPatience && waiting_.size() < queue_size_;
+        if (has_time && !is_doubtful) break;
+        doubtful_[publisher] = message;
+      } else {
+        doubtful_.erase(publisher);
+      }
+      send(message, latches.value_or(false));
+      waiting_.pop_front();
+    }
+    for (auto doubtful = doubtful_.begin(); doubtful != doubtful_.end();) {
+      const auto latches = in_->latches(doubtful->first);
+      if (latches.value_or(false)) send(doubtful->second, true);  // again, so that it is latched
+      doubtful = latches ? doubtful_.erase(doubtful) : std::next(doubtful);
+    }
+    if (waiting_.empty() && doubtful_.empty()) {
+      looks_.stop();
+    } else {
+      looks_.start();
+    }
+  }
+  void send(const Message& message, bool latches) {
+    if (latches && !latching_end_) latching_end_ = advertise(true);
+    const auto& end = latches && latching_end_ ? latching_end_ : end_;
+    if (const auto outlet = end->outlet()) {
+      outlet->publish({message, kind_.cell_of(message)}, false, end->id());
+    }
+  }
+
+  std::shared_ptr<detail::Advertisement> advertise(bool latch) {
+    ::ros::AdvertiseOptions options(out_, queue_size_, kind_.md5sum, kind_.datatype,
+                                    kind_.definition);
+    options.has_header = kind_.has_header;
+    options.latch = latch;
+    return detail::advertise(node_, options, kind_);
+  }
+
+  ::ros::NodeHandle& node_;
+  const std::string out_;
+  const std::uint32_t queue_size_;
+  const detail::Kind& kind_;
+  std::shared_ptr<detail::Advertisement> end_;
+  std::shared_ptr<detail::Advertisement> latching_end_;  ///< null: nobody latches yet
+  const detail::Subscription* in_ = nullptr;
+  std::deque<Waiting> waiting_;  ///< until it is known whether their publishers latch
+  /// The last message of a publisher that has not said so in time: it was not latched.
+  std::map<std::string, Message> doubtful_;
+  ::ros::WallTimer looks_;
+};
+
 }  // namespace
 
-int main(int argc, char** argv) {
-  ros::init(argc, argv, "lot_relay", ros::init_options::AnonymousName);
-  ros::V_string arguments;
-  ros::removeROSArgs(argc, argv, arguments);
+int relay(int argc, char** argv, const std::vector<Relayed>& types) {
+  ::ros::init(argc, argv, "lot_relay", ::ros::init_options::AnonymousName);
+  ::ros::V_string arguments;
+  ::ros::removeROSArgs(argc, argv, arguments);
   if (arguments.size() != 3) {
     std::fprintf(stderr, "usage: lot_relay IN OUT\n");
     return 2;
   }
-  lot::ros::NodeHandle node;
+  ::ros::NodeHandle node;
   const std::string in = node.resolveName(arguments[1]);
+  if (in == node.resolveName(arguments[2])) {
+    std::fprintf(stderr, "lot_relay: %s cannot be relayed to itself\n", in.c_str());
+    return 2;
+  }
   const std::string type = type_of(in);
-  if (type.empty()) return 0;  // it was asked to end
-  const auto at = known().find(type);
-  if (at == known().end()) {
+  if (type.empty()) return 0;
+  const auto known = std::find_if(types.begin(), types.end(),
+                                  [&](const Relayed& each) { return each.datatype == type; });
+  if (known == types.end()) {
     std::fprintf(stderr,
                  "lot_relay: %s carries %s, which this relay does not know; docs/porting.md shows "
-                 "the node of three lines that relays it\n",
+                 "the program of three lines that does\n",
                  in.c_str(), type.c_str());
     return 1;
   }
-  at->second(node, in, arguments[2]);
+  const detail::Kind& kind = known->kind();
+  const auto queue_size = static_cast<std::uint32_t>(
+      std::max(::ros::param::param(::ros::names::resolve("~queue_size"), kQueue), 1));
+  const auto forward = boost::make_shared<Forward>(node, arguments[2], queue_size, kind);
+  if (!forward->is_open()) return 1;
+  ::ros::SubscribeOptions options(arguments[1], queue_size, kind.md5sum, kind.datatype);
+  options.helper = forward;
+  const auto subscription = detail::subscribe(node, options, kind);
+  if (!subscription) return 1;
+  forward->is_fed_by(*subscription);
+  ::ros::spin();
+  return 0;
 }
+
+}  // namespace lot::ros

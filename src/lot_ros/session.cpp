@@ -60,6 +60,17 @@ std::uint64_t bytes_of(const std::string& text) {
   return static_cast<std::uint64_t>(number * factor);
 }
 
+/// ~lot/size is for who makes the segment: one that others use is as large as it is.
+std::shared_ptr<transport::Participant> join(EngineOptions options) {
+  try {
+    return lot::detail::join(options);
+  } catch (const Error& e) {
+    if (e.error_number() != EBUSY || options.size_bytes == 0) throw;
+    options.size_bytes = 0;
+    return lot::detail::join(options);
+  }
+}
+
 /// How LOT's thread waits.
 Wait waiting() {
   std::string word = "park";
@@ -134,7 +145,7 @@ void Session::open() {
   }
   queue_engine_ = queue == "ring" ? QueueEngine::Ring : QueueEngine::Mutex;
   run_ = graph();
-  participant_ = lot::detail::join(options);
+  participant_ = join(options);
   // An engine of the application's may have given this process another name.
   lot::detail::rename(*participant_, options.name);
   maker_ = lot::detail::make_maker(participant_);

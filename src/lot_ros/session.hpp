@@ -62,6 +62,12 @@ class Session {
   std::thread thread_;
 };
 
+/// What a frame of one byte says, which no message is: is anybody beside LOT's subscribers there?
+constexpr std::uint8_t kProbe = 0;
+/// The others are numbers of invitations: join my ring anew with this answer, when you have what
+/// came before it.
+constexpr std::uint8_t kLastInvitation = 255;
+
 /// A node's name as a participant bears it: names that are too long end in a hash.
 std::string participant_name(std::string_view node);
 

@@ -121,6 +121,44 @@ TEST_CASE("nothing is said to those that have no cell, another name, or that dec
   CHECK_FALSE(f.pusher->serve("reader", 0));
 }
 
+TEST_CASE("who is asked to join anew is served when it has, by that answer alone") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  CHECK(puller->size() == 0);  // it has looked for rings
+  CHECK(f.pusher->is_read_by("reader"));
+  CHECK_FALSE(f.pusher->is_read_by("somebody"));
+  f.push(0);
+  f.push(1);
+  CHECK_FALSE(f.pusher->serve("reader", 1, 7));
+  CHECK(puller->rejoin("somebody", 7).empty());
+  CHECK_FALSE(f.pusher->serve("reader", 1, 7));
+  CHECK(puller->rejoin("writer", 6).size() == 1);
+  CHECK_FALSE(f.pusher->serve("reader", 1, 7));
+  CHECK(puller->rejoin("writer", 7).size() == 1);
+  const auto served = f.pusher->serve("reader", 1, 7);
+  REQUIRE(served);
+  f.push(2);
+  CHECK(ours(*puller) == Numbers{1, 2});
+  // Who is served has not been asked.
+  CHECK(puller->rejoin("writer", 8).empty());
+  f.pusher->stop(*served, 0);
+  CHECK(puller->rejoin("writer", 8).size() == 1);
+  CHECK(ours(*puller).empty());
+  CHECK(f.pusher->serve("reader", 0, 8));
+}
+
+TEST_CASE("who does not decline any more is served again") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  CHECK(puller->size() == 0);
+  puller->decline();
+  CHECK_FALSE(f.pusher->is_read_by("reader"));
+  CHECK_FALSE(f.pusher->serve("reader", 0));
+  puller->content();
+  CHECK(f.pusher->is_read_by("reader"));
+  CHECK(f.pusher->serve("reader", 0));
+}
+
 TEST_CASE("what a reader has said of itself goes with its last puller") {
   Fixture f;
   {

@@ -10,7 +10,9 @@
 namespace lot::model {
 namespace {
 
-constexpr unsigned kMost = 6;
+constexpr unsigned kMost = 8;
+/// Frames from this number on say: join my ring anew, and answer by that.
+constexpr std::uint64_t kInvitation = 1000;
 
 /// The other way: nothing is lost, and all comes in order.
 struct Link {
@@ -58,8 +60,14 @@ class Chooser {
   void give_up(Link& link, std::uint32_t participant) {
     if (!served_) serve(participant);
     if (served_) return;
-    for (const std::uint64_t number : unsure_) link.send(number);
+    for (const std::uint64_t number : std::exchange(unsure_, {})) link.send(number);
     linked_ = true;
+  }
+  /// The link has carried all so far; the ring will, when it has joined that anew.
+  void invite(Link& link) {
+    invited_ = invited_.value_or(kInvitation) + 1;
+    link.send(*invited_);
+    linked_ = false;
   }
   void serve(std::uint32_t participant) {
     auto& writer = publisher_.writer();
@@ -68,8 +76,9 @@ class Chooser {
     if (!reads) return;
     RL_ASSERT(writer.has_last(unsure_.size()));
     const Word back = ring::kSequenceMask + 1 - unsure_.size();
-    served_ =
-        writer.serve(participant, ring::advance(writer.next_sequence(), back), [] { return true; });
+    served_ = writer.serve(
+        participant, ring::advance(writer.next_sequence(), back), [] { return true; },
+        garden.omitted.answer ? std::nullopt : invited_);
   }
   /// All that somebody beside the reader may have missed goes by the link, too.
   void go_back(Link& link) {
@@ -94,6 +103,7 @@ class Chooser {
  private:
   Publisher publisher_;
   std::optional<ring::Writer<Policy>::Served> served_;
+  std::optional<std::uint64_t> invited_;
   bool linked_ = false;
   std::vector<std::uint64_t> unsure_;
 };
@@ -125,6 +135,10 @@ class Chooses {
   }
   void hear(Link& link) {
     link.each_new([this](std::uint64_t number) {
+      if (number >= kInvitation) {
+        rejoin(number);
+        return true;
+      }
       had_ += chosen_.taken_back(subscriber_.reader());
       if (had_ != 0) {
         --had_;
@@ -138,6 +152,14 @@ class Chooses {
   std::vector<std::uint64_t> delivered;
 
  private:
+  /// What was kept is read again.
+  void rejoin(std::uint64_t answer) {
+    const auto& reader = subscriber_.reader();
+    if (ring::is_set(reader.from()) && !ring::is_set(reader.to())) return;
+    unclaimed_.clear();
+    chosen_ = {};
+    RL_ASSERT(subscriber_.rejoin(answer));
+  }
   Subscriber subscriber_;
   ring::Chosen<Policy> chosen_;
   std::deque<std::pair<Word, std::uint64_t>> unclaimed_;
@@ -252,6 +274,55 @@ struct ChosenLate : Scene<ChosenLate, 2> {
   bool joined = false;
 };
 
+/// Its link has carried a message; then the ring is to do so again, or the link when that takes
+/// long, and it is invited once more.
+template <int kInvitations>
+struct ChosenInvited : Scene<ChosenInvited<kInvitations>, 2> {
+  ChosenInvited()
+      : Scene<ChosenInvited<kInvitations>, 2>({.blocks = 5, .depth = 4, .readers = 2}) {}
+  void prepare() {
+    link.written.store(0, std::memory_order_relaxed);
+    chooser.open(this->start(4));
+    RL_ASSERT(reader.join(this->start(2), 0));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      link.send(chooser.sent());
+      chooser.push();
+      for (int i = 0; i < kInvitations; ++i) {
+        chooser.invite(link);
+        chooser.send_to_expected(2);
+        if (i + 1 < kInvitations) chooser.give_up(link, 2);
+        if (chooser.is_served()) break;
+      }
+      chooser.send_to_expected(2);
+      chooser.give_up(link, 2);
+    } else {
+      reader.read();
+      reader.hear(link);
+      reader.read();
+      reader.hear(link);
+      reader.read();
+    }
+  }
+  void check() {
+    for (int i = 0; i < 2; ++i) {
+      reader.claim();
+      while (reader.read()) {
+      }
+      reader.hear(link);
+    }
+    while (reader.read()) {
+    }
+    reader.claim();
+    RL_ASSERT(reader.delivered.size() == chooser.sent());
+    for (std::size_t i = 0; i < reader.delivered.size(); ++i) RL_ASSERT(reader.delivered[i] == i);
+  }
+  Link link;
+  Chooser chooser;
+  Chooses reader;
+};
+
 /// What is said to a reader is not said to the one that has its cell after it.
 struct ChosenCellChangesHands : Scene<ChosenCellChangesHands, 3> {
   ChosenCellChangesHands() : Scene({.blocks = 4, .depth = 3, .readers = 1}) {}
@@ -289,6 +360,10 @@ const Entered entered{
      rl::simulate<ChosenReader>, 2},
     {"chosen_again", "who is served again gets what is for it", rl::simulate<ChosenAgain>, 3},
     {"chosen_late", "who is expected gets what was kept for it", rl::simulate<ChosenLate>, 2},
+    {"chosen_invited", "who has got all by its link gets the rest by the ring, behind it",
+     rl::simulate<ChosenInvited<1>>, 2},
+    {"chosen_invited_twice", "an answer is one to the invitation that it answers",
+     rl::simulate<ChosenInvited<2>>, 2},
     {"chosen_cell_changes_hands", "what is said to a reader is not said to the next one",
      rl::simulate<ChosenCellChangesHands>, 2},
 };

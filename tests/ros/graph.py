@@ -15,6 +15,7 @@ import time
 import xmlrpc.client
 
 NODE = os.environ.get('LOT_ROS_NODE', 'ros_node')
+TOOL = os.environ.get('LOT_TOOL', 'lot')
 PATIENCE_S = 25
 
 
@@ -99,8 +100,25 @@ class Graph:
         self.started.append(process)
         return process
 
+    def start(self, command, **env):
+        """A node that has all its ends. (roscpp may cut a link when a publisher comes while a
+        subscription is being registered: the master's answer is older than its news of the publisher.)"""
+        node = self.run(command, **env)
+        self.wait_for(lambda: 'ready' in self.output(node).splitlines() or node.poll() is not None,
+                      f'{node.name} to be ready')
+        return node
+
     def node(self, name, *ends, **env):
-        return self.run([NODE, *ends, f'__name:={name}'], **env)
+        return self.start([NODE, *ends, f'__name:={name}'], **env)
+
+    def seen(self):
+        return subprocess.run([TOOL, '--json', '-s', self.segment, 'ls'], env=self.env, text=True,
+                              capture_output=True, timeout=60, check=False).stdout
+
+    def look(self):
+        """What `lot ls` sees of the graph's segment."""
+        segments = json.loads(self.seen())['segments']
+        return segments[0] if segments else {'processes': [], 'blocks': {'used': 0}}
 
     @staticmethod
     def said(process):
@@ -115,10 +133,20 @@ class Graph:
         try:
             status = process.wait(patience_s)
         except subprocess.TimeoutExpired:
-            raise AssertionError(f'{process.name} does not end:\n{self.said(process)}') from None
+            raise AssertionError(f'{process.name} does not end:\n{self.has_got(process)}\n'
+                                 f'{self.said(process)}') from None
         text = self.output(process)
         assert status == 0 and text, f'{process.name} ended with {status}:\n{self.said(process)}'
         return json.loads(text.splitlines()[-1])
+
+    def has_got(self, process):
+        """What a node says of its ends when it is asked to end before it would."""
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(5)
+        except subprocess.TimeoutExpired:
+            return 'nor when it is asked to'
+        return self.output(process)
 
     def stop(self, process, how=signal.SIGINT):
         process.send_signal(how)
@@ -136,6 +164,7 @@ class Graph:
             if time.monotonic() > until:
                 for process in self.started:
                     print(f'--- {process.name}\n{self.said(process)}', file=sys.stderr)
+                print(f'--- the segment\n{self.seen()}', file=sys.stderr)
                 raise AssertionError(f'in vain: waiting for {what}')
             time.sleep(0.01)
 

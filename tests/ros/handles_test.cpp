@@ -23,6 +23,8 @@
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <sensor_msgs/Image.h>
+#include <std_msgs/Bool.h>
+#include <std_msgs/Empty.h>
 
 namespace {
 
@@ -58,6 +60,18 @@ struct Ear {
   }
 };
 using Words = std::vector<std::string>;
+
+/// Counts on from `next` until some in a row were not sent on links. Returns what comes then.
+std::size_t says_by_ring(const lot::ros::Publisher<String>& talker, std::size_t next) {
+  int in_a_row = 0;
+  CHECK(comes([&] {
+    const auto before = talker.serialised();
+    say(talker, std::to_string(next++).c_str());
+    in_a_row = talker.serialised() == before ? in_a_row + 1 : 0;
+    return in_a_row == 20;
+  }));
+  return next;
+}
 
 }  // namespace
 
@@ -123,6 +137,54 @@ TEST_CASE("a subscriber is shut down by two threads, while its callback makes ot
     CHECK(called <= so_far + 1);
     CHECK(comes([&] { return talker.getNumSubscribers() == 0; }));
   }
+}
+
+TEST_CASE("who is counted as a subscriber gets what is published next") {
+  ros::NodeHandle plain;
+  lot::ros::NodeHandle node;
+  for (int round = 0; round < 300; ++round) {
+    const auto topic = fresh_topic();
+    auto talker = node.advertise<String>(topic, 10);
+    auto message = talker.loan();
+    message->data = "at once";
+    const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+    std::thread waits([&] {
+      while (talker.getNumSubscribers() == 0 && std::chrono::steady_clock::now() < until) {
+      }
+      talker.publish(std::move(message));
+    });
+    Words heard;
+    auto listener = plain.subscribe<std_msgs::String>(
+        topic, 10, [&](const std_msgs::StringConstPtr& s) { heard.push_back(s->data); });
+    waits.join();
+    REQUIRE(comes([&] { return heard == Words{"at once"}; }));
+  }
+}
+
+TEST_CASE("a copy for which shared memory has no room goes over TCPROS") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  std::size_t got = 0;
+  auto listener = node.subscribe<String>(topic, 10, [&](const String& s) { got = s.data.size(); });
+  auto talker = node.advertise<String>(topic, 10);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  says_by_ring(talker, 0);
+  const auto before = talker.serialised();
+  auto large = boost::make_shared<std_msgs::String>();
+  large->data.assign(50 << 20, 'x');
+  {
+    std::vector<lot::ros::Loan<String>> all;
+    CHECK_THROWS_AS(
+        for (;;) {
+          all.push_back(talker.loan());
+          all.back()->data.resize(32 << 20);
+        },
+        lot::OutOfMemory);
+    talker.publish(large);
+    CHECK(talker.serialised() == before + 1);
+    CHECK(comes([&] { return got == large->data.size(); }));
+  }
+  says_by_ring(talker, 0);
 }
 
 TEST_CASE("a publisher that is shut down publishes no more, whoever has copies") {
@@ -195,23 +257,110 @@ TEST_CASE("LOT's pointer for those who subscribe by roscpp's own NodeHandle") {
   CHECK(comes([&] { return heard == message.data; }));
 }
 
+TEST_CASE("messages of no byte, and of one, come by links") {
+  using Empty = lot::ros::Message<std_msgs::Empty_>;
+  using Bool = lot::ros::Message<std_msgs::Bool_>;
+  lot::ros::NodeHandle node;
+  int nothings = 0;
+  std::vector<bool> words;
+  const auto of_nothing = fresh_topic();
+  const auto of_words = fresh_topic();
+  auto nothing = node.advertise<Empty>(of_nothing, 10);
+  auto word = node.advertise<Bool>(of_words, 10, true);
+  auto hears_nothing = node.subscribe<Empty>(of_nothing, 10, [&](const Empty&) { ++nothings; });
+  auto hears_words = node.subscribe<Bool>(
+      of_words, 10, [&](const Bool& message) { words.push_back(message.data); });
+  REQUIRE(comes([&] { return nothing.getNumSubscribers() == 1 && word.getNumSubscribers() == 1; }));
+  for (int i = 0; i < 4; ++i) {
+    nothing.publish(Empty());
+    auto message = word.loan();
+    message->data = i % 2 != 0;
+    word.publish(std::move(message));
+  }
+  CHECK(comes([&] { return nothings == 4 && words.size() == 4; }));
+  CHECK(words == std::vector<bool>{false, true, false, true});
+  CHECK(word.serialised() == 4);
+}
+
 TEST_CASE("a connect callback's own message comes first, and the others follow it") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   std::atomic<bool> greeted{false};
-  auto talker = node.advertise<String>(topic, 10, [&](const ros::SingleSubscriberPublisher& peer) {
+  auto talker = node.advertise<String>(topic, 100, [&](const ros::SingleSubscriberPublisher& peer) {
     String hello;
     hello.data = "hello";
     peer.publish(hello);
     greeted = true;
   });
   Ear ear;
-  auto listener = node.subscribe<String>(topic, 10, ear.callback());
+  auto listener = node.subscribe<String>(topic, 100, ear.callback());
   REQUIRE(comes([&] { return greeted.load(); }));
   say(talker, "1");
   say(talker, "2");
   CHECK(comes([&] { return ear.heard.size() == 3; }));
   CHECK(ear.heard == Words{"hello", "1", "2"});
+  // Soon they come by the ring.
+  const auto said = says_by_ring(talker, 3);
+  CHECK(comes([&] { return ear.heard.size() == said; }));
+  for (std::size_t i = 1; i < said; ++i) CHECK(ear.heard[i] == std::to_string(i));
+}
+
+TEST_CASE("two publishers of a topic greet, at any time, and what they say comes in its order") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  const auto greeter = [](const char* word) {
+    return [word](const ros::SingleSubscriberPublisher& peer) {
+      String hello;
+      hello.data = word;
+      peer.publish(hello);
+    };
+  };
+  Ear ear;
+  auto listener = node.subscribe<String>(topic, 100, ear.callback());
+  auto first = node.advertise<String>(topic, 100, greeter("first"));
+  REQUIRE(comes([&] { return ear.heard == Words{"first"}; }));
+  for (int i = 1; i < 10; ++i) say(first, std::to_string(i).c_str());
+  CHECK(comes([&] { return ear.heard.size() == 10; }));
+  auto second = node.advertise<String>(topic, 100, greeter("second"));
+  REQUIRE(comes([&] { return ear.heard.size() == 11; }));
+  CHECK(ear.heard.back() == "second");
+  for (int i = 11; i < 20; ++i) say(second, std::to_string(i).c_str());
+  CHECK(comes([&] { return ear.heard.size() == 20; }));
+  for (int i = 1; i < 20; ++i) {
+    if (i != 10) CHECK(ear.heard[std::size_t(i)] == std::to_string(i));
+  }
+  const auto said = says_by_ring(first, 20);
+  CHECK(comes([&] { return ear.heard.size() == said; }));
+  for (std::size_t i = 20; i < said; ++i) CHECK(ear.heard[i] == std::to_string(i));
+}
+
+TEST_CASE("who comes to read too late is served by its link, and then by the ring") {
+  lot::ros::NodeHandle node;
+  auto at_once = immediate();
+  const auto slow = fresh_topic();
+  const auto topic = fresh_topic();
+  std::atomic<bool> is_held_up{false};
+  auto holds_up = at_once.subscribe<String>(slow, 10, [&](const String&) {
+    is_held_up = true;
+    std::this_thread::sleep_for(1500ms);  // LOT's thread
+    is_held_up = false;
+  });
+  auto alarm = node.advertise<String>(slow, 10);
+  Ear ear;
+  auto listener = node.subscribe<String>(topic, 1000, ear.callback());
+  REQUIRE(comes([&] { return alarm.getNumSubscribers() == 1; }));
+  say(alarm, "");
+  REQUIRE(comes([&] { return is_held_up.load(); }));
+  auto talker = node.advertise<String>(topic, 1000);
+  CHECK(comes([&] { return talker.getNumSubscribers() == 1; }));
+  std::size_t next = 0;
+  for (; is_held_up; std::this_thread::sleep_for(10ms)) {
+    say(talker, std::to_string(next++).c_str());
+  }
+  CHECK(talker.serialised() > 0);
+  const auto said = says_by_ring(talker, next);
+  CHECK(comes([&] { return ear.heard.size() == said; }));
+  for (std::size_t i = 0; i < said; ++i) CHECK(ear.heard[i] == std::to_string(i));
 }
 
 TEST_CASE("publishers are told who comes and who goes, and spinOnce() calls back") {

@@ -2,20 +2,28 @@
 
 // A ROS node for tests: publishes numbered images and takes account of those that it receives.
 //
-//     ros_node END... [--for SECONDS] [ROS remappings]
+//     ros_node END... [--for SECONDS] [--spin single|multi|async] [ROS remappings]
 //
-//     END   pub:HOW:TOPIC:COUNT:HZ:BYTES[:latch][:wait=N][:keep]
-//               HOW: lot, plain, std (lot, given standard messages)
-//           sub:HOW:TOPIC[:COUNT[:after=SECONDS]]
+//     END   pub:HOW:TOPIC:COUNT:HZ:BYTES[:latch][:wait=N][:keep][:queue=N]
+//               HOW: lot, plain, std (lot, given standard messages), other (lot, messages of
+//               another definition under the same name)
+//           sub:HOW:TOPIC[:COUNT[:after=SECONDS[:quietly]][:queue=N][:leave]]
 //               HOW: lot, plain, lotptr, event
+//               after: it begins then, when a message has just come, but quietly
+//               leave: it ends when it has got COUNT
+//           TOPIC may be ~private.
 //
 // Ends when all publishers have sent all and all subscribers have got COUNT, or by SIGINT, SIGTERM
-// or after SECONDS. Prints one line of JSON: what each end has seen.
+// or after SECONDS. Prints "ready" when it has all ends, and when it ends one line of JSON: what
+// each end has seen, and where in the segment the payload of each message was (-1: not there).
 
 #include <atomic>
 #include <chrono>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -31,11 +39,14 @@
 
 #include "lot/ros.hpp"
 
+#include "changed.hpp"
+
 namespace {
 
 using Json = nlohmann::json;
 using Shared = lot::ros::Message<sensor_msgs::Image_>;
 using Plain = sensor_msgs::Image;
+using Changed = lot::ros::Message<lot_test::Changed_>;
 
 std::vector<std::string> split(const std::string& text) {
   std::vector<std::string> parts(1);
@@ -68,7 +79,41 @@ bool is_whole(const M& message) {
   return true;
 }
 
+/// The segment as this process has mapped it.
+class Map {
+ public:
+  /// Where something lies in the segment; -1: nowhere.
+  std::int64_t place(const void* at) {
+    const std::lock_guard guard(mutex_);
+    const auto address = reinterpret_cast<std::uintptr_t>(at);
+    if (!has(address)) look();
+    return has(address) ? static_cast<std::int64_t>(address - begin_ + offset_) : -1;
+  }
+
+ private:
+  bool has(std::uintptr_t address) const { return begin_ <= address && address < end_; }
+  void look() {
+    const char* const name = std::getenv("LOT_SEGMENT");
+    if (begin_ != 0 || name == nullptr) return;
+    std::ifstream maps("/proc/self/maps");
+    for (std::string line; std::getline(maps, line);) {
+      if (line.size() < std::strlen(name) + 1) continue;
+      const std::size_t end = line.size() - std::strlen(name);
+      if (line[end - 1] != '/' || line.substr(end) != name) continue;
+      std::uintptr_t begin = 0, last = 0;
+      unsigned long offset = 0;
+      std::sscanf(line.c_str(), "%lx-%lx %*s %lx", &begin, &last, &offset);
+      if (last - begin <= end_ - begin_) continue;  // there are small ones beside it
+      begin_ = begin, end_ = last, offset_ = offset;
+    }
+  }
+  std::mutex mutex_;
+  std::uintptr_t begin_ = 0, end_ = 0, offset_ = 0;
+} segment;
+
 std::atomic<std::int64_t> latest{-1};  ///< number that any subscriber here has seen
+
+constexpr std::size_t kMostPlaces = 1000;
 
 /// What a subscriber has seen of each publisher.
 class Account {
@@ -87,8 +132,10 @@ class Account {
       seen.gaps += n - seen.last - 1;
     }
     seen.last = n;
+    if (seen.places.size() < kMostPlaces) seen.places.push_back(segment.place(message.data.data()));
     ++seen.received;
     seen.torn += !is_whole(message);
+    seen.stamp = message.header.stamp.toSec();
     seen.misnamed += !callerid.empty() &&
                      callerid != std::string(message.encoding.data(), message.encoding.size());
     ++all_;
@@ -100,7 +147,8 @@ class Account {
     for (const auto& [name, s] : seen_) {
       publishers[name] = {{"received", s.received}, {"first", s.first},       {"last", s.last},
                           {"twice", s.twice},       {"disorder", s.disorder}, {"gaps", s.gaps},
-                          {"torn", s.torn},         {"misnamed", s.misnamed}};
+                          {"torn", s.torn},         {"misnamed", s.misnamed}, {"places", s.places},
+                          {"stamp", s.stamp}};
     }
     return publishers;
   }
@@ -109,11 +157,18 @@ class Account {
   struct Seen {
     std::int64_t received = 0, first = 0, last = 0, twice = 0, disorder = 0, gaps = 0, torn = 0,
                  misnamed = 0;
+    std::vector<std::int64_t> places;  ///< of the first ones
+    double stamp = 0;                  ///< of the last one
   };
   mutable std::mutex mutex_;
   std::map<std::string, Seen> seen_;
   std::atomic<std::size_t> all_{0};
 };
+
+constexpr std::uint32_t kQueue = 1000;
+std::uint32_t queue_of(const std::string& word) {  // queue=N
+  return static_cast<std::uint32_t>(std::stoul(word.substr(6)));
+}
 
 struct End {
   virtual ~End() = default;
@@ -129,16 +184,24 @@ class Subscription final : public End {
         topic_(words.at(2)),
         wanted_(words.size() > 3 ? std::stoul(words[3]) : 0),
         node_(node) {
-    if (words.size() > 4 && words[4].rfind("after=", 0) == 0) {
-      after_ = std::chrono::duration<double>(std::stod(words[4].substr(6)));
-    } else {
-      begin();
+    for (std::size_t i = 4; i < words.size(); ++i) {
+      if (words[i].rfind("after=", 0) == 0) {
+        after_ = std::chrono::duration<double>(std::stod(words[i].substr(6)));
+      }
+      if (words[i].rfind("queue=", 0) == 0) queue_ = queue_of(words[i]);
+      if (words[i] == "quietly") quietly_ = true;
+      if (words[i] == "leave") leaves_ = true;
     }
+    if (!after_) begin();
   }
   void look(std::chrono::steady_clock::duration now) override {
     // Just after a message, so that none is on its way.
     const std::int64_t seen = std::exchange(looked_, latest);
-    if (after_ && now >= *after_ && seen != looked_) begin();
+    if (after_ && now >= *after_ && (quietly_ || seen != looked_)) begin();
+    if (leaves_ && done()) {
+      plain_.shutdown();
+      lot_.shutdown();
+    }
   }
   bool done() const override { return !after_ && wanted_ != 0 && account_.all() >= wanted_; }
   Json json() const override {
@@ -154,25 +217,24 @@ class Subscription final : public End {
     after_.reset();
     base_ = latest;
     lot::ros::NodeHandle& node = node_;
-    constexpr std::uint32_t kQueue = 1000;
     if (how_ == "plain") {
       using Event = ros::MessageEvent<Plain const>;
       plain_ = static_cast<ros::NodeHandle&>(node).subscribe<Plain, const Event&>(
-          topic_, kQueue, boost::function<void(const Event&)>([this](const Event& event) {
+          topic_, queue_, boost::function<void(const Event&)>([this](const Event& event) {
             account_.note(*event.getConstMessage(), event.getPublisherName());
           }));
     } else if (how_ == "lotptr") {
       lot_ = node.subscribe<Shared>(
-          topic_, kQueue,
+          topic_, queue_,
           [this](const lot::ShmSharedPtr<const Shared>& message) { account_.note(*message, ""); });
     } else if (how_ == "event") {
       lot_ = node.subscribe<Shared>(
-          topic_, kQueue, [this](const ros::MessageEvent<Shared const>& event) {
+          topic_, queue_, [this](const ros::MessageEvent<Shared const>& event) {
             account_.note(*event.getConstMessage(), event.getPublisherName());
           });
     } else {
       lot_ = node.subscribe<Shared>(
-          topic_, kQueue,
+          topic_, queue_,
           [this](const boost::shared_ptr<Shared const>& m) { account_.note(*m, ""); });
     }
   }
@@ -182,6 +244,9 @@ class Subscription final : public End {
   std::optional<std::chrono::duration<double>> after_;
   std::int64_t looked_ = -1;
   std::int64_t base_ = -1;  ///< of the messages when it subscribed
+  std::uint32_t queue_ = kQueue;
+  bool leaves_ = false;
+  bool quietly_ = false;
   Account account_;
   ros::Subscriber plain_;
   lot::ros::Subscriber lot_;
@@ -196,37 +261,49 @@ class Publication final : public End {
         hz_(std::stod(words.at(4))),
         bytes_(std::stoul(words.at(5))) {
     bool latch = false;
+    std::uint32_t queue = kQueue;
     for (std::size_t i = 6; i < words.size(); ++i) {
       if (words[i] == "latch") latch = true;
       if (words[i] == "keep") keep_ = true;
       if (words[i].rfind("wait=", 0) == 0) wait_ = std::stoul(words[i].substr(5));
+      if (words[i].rfind("queue=", 0) == 0) queue = queue_of(words[i]);
     }
-    constexpr std::uint32_t kQueue = 1000;
     if (how_ == "plain") {
-      plain_ = static_cast<ros::NodeHandle&>(node).advertise<Plain>(topic_, kQueue, latch);
+      plain_ = static_cast<ros::NodeHandle&>(node).advertise<Plain>(topic_, queue, latch);
+    } else if (how_ == "other") {
+      other_ = node.advertise<Changed>(topic_, queue, latch);
     } else {
-      lot_ = node.advertise<Shared>(topic_, kQueue, latch);
+      lot_ = node.advertise<Shared>(topic_, queue, latch);
     }
     thread_ = std::thread([this] { run(); });
   }
   ~Publication() override { thread_.join(); }
   bool done() const override { return sent_ == count_ && !keep_; }
   Json json() const override {
-    return {
-        {"end", "pub"},
-        {"how", how_},
-        {"topic", topic_},
-        {"sent", sent_.load()},
-        {"subscribers", how_ == "plain" ? plain_.getNumSubscribers() : lot_.getNumSubscribers()},
-        {"serialised", how_ == "plain" ? 0 : lot_.serialised()}};
+    const std::lock_guard guard(mutex_);
+    return {{"end", "pub"},
+            {"how", how_},
+            {"topic", topic_},
+            {"sent", sent_.load()},
+            {"subscribers", subscribers()},
+            {"serialised", lot_.serialised()},
+            {"last_serialised", last_serialised_.load()},
+            {"places", places_}};
   }
 
  private:
+  std::size_t subscribers() const {
+    return plain_.getNumSubscribers() + lot_.getNumSubscribers() + other_.getNumSubscribers();
+  }
+  void note_place(const void* payload) {
+    const std::lock_guard guard(mutex_);
+    if (places_.size() < kMostPlaces) places_.push_back(segment.place(payload));
+  }
   void run() {
-    while (ros::ok() &&
-           (how_ == "plain" ? plain_.getNumSubscribers() : lot_.getNumSubscribers()) < wait_) {
+    while (ros::ok() && subscribers() < wait_) {
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
+    std::uint64_t serialised = 0;
     auto next = std::chrono::steady_clock::now();
     for (std::uint32_t n = 0; n < count_ && ros::ok(); ++n) {
       if (how_ == "plain" || how_ == "std") {
@@ -237,12 +314,21 @@ class Publication final : public End {
         } else {
           lot_.publish(*message);
         }
+      } else if (how_ == "other") {
+        auto message = other_.loan();
+        message->data = n;
+        other_.publish(std::move(message));
       } else {
         auto message = lot_.loan();
         fill(*message, n, bytes_);
+        note_place(message->data.data());
         lot_.publish(std::move(message));
       }
       ++sent_;
+      if (lot_.serialised() != serialised) {
+        serialised = lot_.serialised();
+        last_serialised_ = sent_.load();
+      }
       if (hz_ > 0) {
         next += std::chrono::nanoseconds(static_cast<std::int64_t>(1e9 / hz_));
         std::this_thread::sleep_until(next);
@@ -257,8 +343,12 @@ class Publication final : public End {
   std::size_t wait_ = 0;
   bool keep_ = false;
   std::atomic<std::size_t> sent_{0};
+  std::atomic<std::size_t> last_serialised_{0};  ///< so many had been sent then
   ros::Publisher plain_;
   lot::ros::Publisher<Shared> lot_;
+  lot::ros::Publisher<Changed> other_;
+  mutable std::mutex mutex_;
+  std::vector<std::int64_t> places_;
   std::thread thread_;
 };
 
@@ -267,7 +357,9 @@ class Publication final : public End {
 int main(int argc, char** argv) {
   ros::init(argc, argv, "node");
   double most_s = 60;
+  std::string spins = "async";
   lot::ros::NodeHandle node;
+  lot::ros::NodeHandle own("~");
   std::vector<std::unique_ptr<End>> ends;
   for (int i = 1; i < argc; ++i) {
     const std::string word = argv[i];
@@ -275,15 +367,36 @@ int main(int argc, char** argv) {
       most_s = std::stod(argv[++i]);
       continue;
     }
-    const auto words = split(word);
+    if (word == "--spin") {
+      spins = argv[++i];
+      continue;
+    }
+    auto words = split(word);
+    const bool is_private = words.at(2)[0] == '~';
+    if (is_private) words[2].erase(0, 1);
+    lot::ros::NodeHandle& handle = is_private ? own : node;
     if (words[0] == "pub") {
-      ends.push_back(std::make_unique<Publication>(words, node));
+      ends.push_back(std::make_unique<Publication>(words, handle));
     } else {
-      ends.push_back(std::make_unique<Subscription>(words, node));
+      ends.push_back(std::make_unique<Subscription>(words, handle));
     }
   }
-  ros::AsyncSpinner spinner(1);
-  spinner.start();
+  std::puts("ready");
+  std::fflush(stdout);
+  std::optional<ros::AsyncSpinner> spinner;
+  std::thread spinning;
+  if (spins == "async") {
+    spinner.emplace(1);
+    spinner->start();
+  } else {
+    spinning = std::thread([&spins] {
+      if (spins == "multi") {
+        ros::MultiThreadedSpinner(2).spin();
+      } else {
+        ros::spin();
+      }
+    });
+  }
   const auto until = std::chrono::steady_clock::now() + std::chrono::duration<double>(most_s);
   const auto all_done = [&] {
     for (const auto& end : ends) {
@@ -303,4 +416,5 @@ int main(int argc, char** argv) {
   std::printf("%s\n", report.dump().c_str());
   std::fflush(stdout);
   ros::shutdown();
+  if (spinning.joinable()) spinning.join();
 }

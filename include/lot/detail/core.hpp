@@ -76,7 +76,11 @@ class PusherCore {
   /// Serves the one reader of the node of that name that wants it, from the next message on, or
   /// from the last `back` ones. Nothing: there is none, it is not clear which, or these messages
   /// are not there.
-  virtual std::optional<Served> serve(std::string_view node, std::size_t back) = 0;
+  /// `answer`: only one that has joined anew with that (PullerCore::rejoin).
+  virtual std::optional<Served> serve(std::string_view node, std::size_t back,
+                                      std::optional<std::uint64_t> answer = {}) = 0;
+  /// True when there is such a reader, served or not.
+  virtual bool is_read_by(std::string_view node) = 0;
   /// True when a process of that name wants the topic's messages, whether it reads here yet or not.
   virtual bool expects(std::string_view node) = 0;
   /// Nothing more; and not the last `back` messages, if it has not read them yet.
@@ -128,6 +132,9 @@ class PullerCore {
   /// How many messages that have been delivered the publishers of that name take back, since they
   /// send them another way; told once.
   virtual std::size_t taken_back(std::string_view publisher) = 0;
+  /// Joins the queues of publishers of that name anew that do not serve us, and so tells them this
+  /// answer. Returns those; their messages are read once more. REQUIRES: no message is borrowed.
+  virtual std::vector<Origin> rejoin(std::string_view publisher, std::uint64_t answer) = 0;
   /// Wants no message of those who choose their readers; or says that it needs them no other way.
   virtual void decline() = 0;
   virtual void content() = 0;

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <typeinfo>
 #include <utility>
@@ -60,6 +61,8 @@ struct Kind {
   boost::shared_ptr<void> (*deserialise)(std::uint8_t* bytes, std::uint32_t length);
   /// A copy of it in a loan. Throws lot::OutOfMemory.
   Parcel (*copy_into)(const lot::detail::Loan& loan, const void* message);
+  /// Where a message lies in the segment; null: it is on the heap.
+  lot::detail::ControlCell* (*cell_of)(const boost::shared_ptr<void const>& message);
 };
 
 template <class M>
@@ -100,6 +103,10 @@ const Kind& kind_of() {
         auto copy = lot::detail::build<M>(loan);
         *copy = *static_cast<const M*>(message);
         return parcel_of(ShmSharedPtr<const M>(std::move(copy)));
+      },
+      [](const boost::shared_ptr<void const>& message) -> lot::detail::ControlCell* {
+        const auto* keeper = boost::get_deleter<Keeper<const M>>(message);
+        return keeper == nullptr ? nullptr : lot::detail::PointerAccess::cell(keeper->message);
       }};
   return kind;
 }
@@ -118,6 +125,8 @@ class Outlet {
   /// the user's end that it comes from.
   virtual void publish(const Parcel& parcel, bool fresh, std::uint64_t end) = 0;
   virtual std::uint64_t serialised() const = 0;  ///< messages so far
+  /// Links whose subscribers get what is published from now on.
+  virtual std::uint32_t subscribers() const = 0;
 };
 
 /// An end of a topic that the user has: advertised until it is shut down or destroyed.
@@ -140,6 +149,8 @@ class Subscription {
  public:
   virtual ~Subscription() = default;
   virtual std::uint32_t publishers() const = 0;
+  /// Whether a node that messages came from latches; nothing: it has yet to say so.
+  virtual std::optional<bool> latches(const std::string& publisher) const = 0;
   virtual std::string topic() const = 0;
   /// No callback begins after this, and none is at work when it returns, but in its own thread.
   virtual void shutdown() = 0;

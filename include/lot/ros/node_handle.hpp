@@ -43,6 +43,9 @@ class NodeHandle : public ::ros::NodeHandle {
   template <class M>
   using ToPointer = const boost::shared_ptr<M const>&;
 
+  NodeHandle() = default;
+  explicit NodeHandle(const ::ros::NodeHandle& plain) : ::ros::NodeHandle(plain) {}
+
   using ::ros::NodeHandle::advertise;
   using ::ros::NodeHandle::NodeHandle;
   using ::ros::NodeHandle::subscribe;

@@ -89,18 +89,15 @@ class Publisher {
   }
   /// Copies it once.
   void publish(const M& message) const {
-    auto copy = loan();
-    if (!copy) return;
-    *copy = message;
-    publish(std::move(copy));
+    publish_copy([&message](M& copy) { copy = message; });
   }
   /// The standard message, sensor_msgs::Image. Copies it once.
   template <class S, std::enable_if_t<std::is_same_v<S, Standard<M>>, int> = 0>
   void publish(const S& message) const {
-    auto copy = loan();
-    if (!copy) return;
-    assign(*copy, message);
-    publish(std::move(copy));
+    publish_copy([&message](M& copy) { assign(copy, message); });
+  }
+  void publish(const boost::shared_ptr<Standard<M> const>& message) const {
+    if (message) publish(*message);
   }
   /// A message that was received, or published already: without a copy.
   void publish(const ShmSharedPtr<const M>& message) const {
@@ -120,7 +117,10 @@ class Publisher {
   }
 
   std::string getTopic() const { return plain().getTopic(); }
-  std::uint32_t getNumSubscribers() const { return plain().getNumSubscribers(); }
+  std::uint32_t getNumSubscribers() const {
+    const auto outlet = end_ ? end_->outlet() : nullptr;
+    return outlet ? outlet->subscribers() : 0;
+  }
   bool isLatched() const {
     const auto plain = this->plain();
     return plain && plain.isLatched();
@@ -142,6 +142,19 @@ class Publisher {
 
  private:
   ::ros::Publisher plain() const { return end_ ? end_->plain() : ::ros::Publisher(); }
+  /// Where shared memory has no room the copy lies on the heap, and goes over TCPROS.
+  template <class Fill>
+  void publish_copy(Fill&& fill) const {
+    auto copy = loan();
+    if (!copy) return;
+    try {
+      fill(*copy);
+    } catch (const OutOfMemory&) {
+      copy = Loan<M>(boost::make_shared<M>());
+      fill(*copy);
+    }
+    publish(std::move(copy));
+  }
   void send(const detail::Parcel& parcel, bool fresh) const {
     if (const auto outlet = end_->outlet()) outlet->publish(parcel, fresh, end_->id());
   }
