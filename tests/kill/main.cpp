@@ -11,6 +11,7 @@
 #include <cstring>
 #include <exception>
 #include <functional>
+#include <memory>
 #include <new>
 #include <sched.h>
 #include <string>
@@ -42,14 +43,14 @@ struct Options {
 
 /// What the neighbours of a stopped process needed.
 struct Neighbour {
-  std::atomic<std::uint64_t> most{0}, runs{0}, waits{0};
+  std::atomic<std::uint64_t> most{0}, runs{0}, counted{0}, waits{0};
 };
 
 /// What the workers have in common.
 struct Shared {
   std::atomic<std::size_t> next{0};  ///< operation to be done next
   std::atomic<std::uint64_t> operations{0}, instructions{0}, points{0}, kills{0}, not_reached{0},
-      spared{0}, violations{0};
+      spared{0}, strayed{0}, violations{0};
   Neighbour neighbours[40];
 };
 
@@ -64,6 +65,8 @@ struct At {
 
 /// Of so many points one may be missed.
 constexpr std::uint64_t kMissesPer = 20;
+/// Of so many neighbours' operations the instructions of one are counted: that takes the time.
+constexpr std::uint64_t kStepped = 4;
 
 std::string current_segment;
 
@@ -134,6 +137,18 @@ class Run {
     judge(failure.operation.name, fail(failure.operation), failure.found_as);
     const Plant shrinking = planted_shrinking();
     judge(shrinking.operation.name, one(shrinking.operation), shrinking.found_as);
+    options_.every = 12;  // one, in the middle
+    std::uint64_t strayed = totals_.strayed;
+    const Plant on_the_way = planted_on_the_way();
+    auto found = one(on_the_way.operation);
+    if (totals_.strayed != strayed) found = {"it strayed"};
+    judge(on_the_way.operation.name, found, on_the_way.found_as);
+    for (const Operation& operation : planted_changes()) {
+      strayed = totals_.strayed;
+      one(operation);
+      judge(operation.name, {totals_.strayed == strayed ? "it did not stray" : "it strayed"},
+            "it strayed");
+    }
     for (const Operation& operation : planted_pledges()) {
       judge(operation.name, unshown({operation}), operation.name);
     }
@@ -145,7 +160,7 @@ class Run {
     for (std::uint32_t i = 0; i < all_probes().size(); ++i) {
       const Probe& p = all_probes()[i];
       if (p.found_as == nullptr) continue;
-      probes_ = {i};
+      probes_ = {{i, true}};
       judge(p.name, at(*locked, 8).violations, p.found_as);
     }
     std::printf("summary: %u planted mistakes, %u not found\n", planted, missed);
@@ -185,16 +200,16 @@ class Run {
     if (options_.fail) {
       std::printf(
           "summary: %llu operations, %llu failed system calls, %llu spared, %llu not reached, "
-          "%llu violations\n",
+          "%llu strayed and stepped again, %llu violations\n",
           ull(totals_.operations), ull(totals_.kills), ull(totals_.spared),
-          ull(totals_.not_reached), ull(totals_.violations));
+          ull(totals_.not_reached), ull(totals_.strayed), ull(totals_.violations));
     } else {
       std::printf(
           "summary: %llu operations, %llu instructions, %llu points, %llu %s, %llu points not "
-          "reached, %llu violations\n",
+          "reached, %llu strayed and stepped again, %llu violations\n",
           ull(totals_.operations), ull(totals_.instructions), ull(totals_.points),
           ull(totals_.kills), options_.stop ? "stops" : "kills", ull(totals_.not_reached),
-          ull(totals_.violations));
+          ull(totals_.strayed), ull(totals_.violations));
     }
     return totals_.violations == 0 && totals_.kills > 0 ? 0 : 1;
   }
@@ -224,12 +239,12 @@ class Run {
     std::uint64_t not_reached = 0;
     Violations all;
     Trial::Walk whole;
-    const auto kill_at = [&](std::uint64_t point) {
-      const At done = at(operation, point);
+    const auto kill_at = [&](std::uint64_t point, const Trial::Path* path = nullptr) {
+      At done = at(operation, point, path);
       all.insert(all.end(), done.violations.begin(), done.violations.end());
       if (point == Trial::kMost && passes_at_rest()) return done.walk;
       ++(done.reached ? kills : not_reached);
-      return done.walk;
+      return std::move(done.walk);
     };
     if (options_.only >= 0) {
       kill_at(static_cast<std::uint64_t>(options_.only));
@@ -238,7 +253,7 @@ class Run {
       // Of a few, those in the middle of the operation.
       const std::uint64_t first = std::min<std::uint64_t>(options_.every, whole.points) / 2;
       for (std::uint64_t point = first; point < whole.points; point += options_.every) {
-        kill_at(point);
+        kill_at(point, &whole.path);
       }
     }
     look_at_misses(operation, not_reached, kills, "points", all);
@@ -273,14 +288,13 @@ class Run {
     Violations all;
     try {
       current_segment = fresh_name();
-      calls = Trial(operation, current_segment, false).walk(Trial::kMost).calls;
+      const Trial::Walk whole = Trial(operation, current_segment, false).walk(Trial::kMost);
+      calls = whole.calls;
       std::uint64_t turn = 0;
       for (std::uint64_t i = 0; i < calls * std::size(kErrors); i += options_.every) {
         const std::uint64_t nth = i / std::size(kErrors);
         const int error = kErrors[turn++ % std::size(kErrors)];
-        current_segment = fresh_name();
-        Trial trial(operation, current_segment, false);
-        const Trial::Failure f = trial.fail_call(nth, error);
+        const Trial::Failure f = failure(operation, nth, error, whole.path);
         failures += f.call.has_value();
         thrown += f.call && !f.error.empty();
         spared += f.spared;
@@ -310,21 +324,44 @@ class Run {
     return all;
   }
 
+  /// Runs the operation with one system call failing: on the path that another run has gone up to
+  /// there, or step by step.
+  Trial::Failure failure(const Operation& operation, std::uint64_t nth, int error,
+                         const Trial::Path& path) {
+    for (const Trial::Path* way = &path;; way = nullptr) {
+      current_segment = fresh_name();
+      Trial::Failure f = Trial(operation, current_segment, false).fail_call(nth, error, way);
+      if (!f.strayed) return f;
+      ++totals_.strayed;
+    }
+  }
+
+  /// A run that stands behind a point. Where the path that another run has gone does not lead
+  /// there, it was stepped.
+  std::unique_ptr<Trial> come_to(std::uint64_t point, const Operation& operation,
+                                 const Trial::Path* path, Trial::Walk& walk) {
+    for (;; path = nullptr) {
+      current_segment = fresh_name();
+      auto trial = std::make_unique<Trial>(operation, current_segment, options_.stop);
+      walk = trial->walk(point, path);
+      if (!walk.strayed) return trial;
+      ++totals_.strayed;
+    }
+  }
+
   /// Runs the operation up to a point, and kills.
-  At at(const Operation& operation, std::uint64_t point) {
+  At at(const Operation& operation, std::uint64_t point, const Trial::Path* path = nullptr) {
     At done;
     try {
-      current_segment = fresh_name();
-      Trial trial(operation, current_segment, options_.stop);
-      done.walk = trial.walk(point);
+      const auto trial = come_to(point, operation, path, done.walk);
       done.reached = point == Trial::kMost || done.walk.points >= point;
       if (options_.stop) {
         auto which = probes_.empty() ? probes_beside(operation, point) : probes_;
         if (point == Trial::kMost && passes_at_rest()) which.clear();
-        const auto probed = trial.probe(which);
-        for (const std::uint32_t i : which) count(probed[i], totals_.neighbours[i]);
+        const auto probed = trial->probe(which);
+        for (const auto& [i, stepped] : which) count(probed[i], totals_.neighbours[i]);
       }
-      done.violations = trial.kill_and_inspect();
+      done.violations = trial->kill_and_inspect();
     } catch (const std::exception& e) {
       done.violations.emplace_back(e.what());
     }
@@ -336,25 +373,33 @@ class Run {
     return done;
   }
 
-  /// All that promise not to wait, and one of the blocking ones.
-  static std::vector<std::uint32_t> probes_beside(const Operation& operation, std::uint64_t point) {
-    std::vector<std::uint32_t> which;
+  /// All that promise not to wait, and one of the blocking ones. With --every, only of some
+  /// are the instructions counted.
+  std::vector<Trial::Asked> probes_beside(const Operation& operation, std::uint64_t point) const {
+    // Others at each point of each operation, whatever --every says.
+    const std::uint64_t turn =
+        (point + std::hash<std::string>()(operation.name)) * 0x9e3779b97f4a7c15U >> 32;
+    std::vector<Trial::Asked> which;
     std::vector<std::uint32_t> blocking;
     for (std::uint32_t i = 0; i < all_probes().size(); ++i) {
       const Probe& p = all_probes()[i];
-      if (p.found_as == nullptr) (p.promise == Promise::Blocking ? blocking : which).push_back(i);
+      if (p.found_as != nullptr) continue;
+      if (p.promise == Promise::Blocking) {
+        blocking.push_back(i);
+      } else {
+        which.push_back({i, options_.every == 1 || (turn + i) % kStepped == 0});
+      }
     }
-    // Another one at each point of each operation, whatever --every says.
-    const std::uint64_t turn = point + std::hash<std::string>()(operation.name);
-    which.push_back(blocking[(turn * 0x9e3779b97f4a7c15U >> 32) % blocking.size()]);
+    which.push_back({blocking[turn % blocking.size()], true});
     return which;
   }
 
   static void count(const Trial::Probed& probed, Neighbour& n) {
-    if (probed.instructions == 0 && !probed.waited) return;
+    if (!probed.ran) return;
     ++n.runs;
     n.waits += probed.waited;
-    if (probed.waited) return;
+    if (probed.waited || probed.instructions == 0) return;
+    ++n.counted;
     std::uint64_t most = n.most;
     while (most < probed.instructions && !n.most.compare_exchange_weak(most, probed.instructions)) {
     }
@@ -378,16 +423,16 @@ class Run {
   }
 
   void table_of_neighbours() {
-    std::printf("\n%-36s %-10s %8s %18s %8s %8s\n", "beside a stopped process", "promise", "runs",
-                "most instructions", "bound", "waited");
+    std::printf("\n%-36s %-10s %8s %8s %18s %8s %8s\n", "beside a stopped process", "promise",
+                "runs", "counted", "most instructions", "bound", "waited");
     for (std::size_t i = 0; i < all_probes().size(); ++i) {
       const Probe& p = all_probes()[i];
       if (p.found_as != nullptr) continue;
       const Neighbour& n = totals_.neighbours[i];
       const std::string bound =
           p.promise == Promise::Blocking ? "-" : std::to_string(Trial::bound_of(p.promise));
-      std::printf("%-36s %-10s %8llu %18llu %8s %8llu\n", p.name, name_of(p.promise), ull(n.runs),
-                  ull(n.most), bound.c_str(), ull(n.waits));
+      std::printf("%-36s %-10s %8llu %8llu %18llu %8s %8llu\n", p.name, name_of(p.promise),
+                  ull(n.runs), ull(n.counted), ull(n.most), bound.c_str(), ull(n.waits));
       if (n.runs == 0 && options_.names.empty()) {
         std::printf("  VIOLATION %s: it never ran\n", p.name);
         ++totals_.violations;
@@ -396,7 +441,7 @@ class Run {
   }
 
   Options options_;
-  std::vector<std::uint32_t> probes_;  ///< these only
+  std::vector<Trial::Asked> probes_;  ///< these only
   Shared& totals_;
 };
 

@@ -224,6 +224,10 @@ std::vector<Plant> planted_operations();
 Plant planted_failure();
 /// Its calls are fewer from its second run on: most of its points are never reached.
 Plant planted_shrinking();
+/// Harm that is undone before the operation ends: only a kill on the way finds it.
+Plant planted_on_the_way();
+/// They change something in the first run only, or in all others only: those must have strayed.
+std::vector<Operation> planted_changes();
 /// What names no probe, or one that promises less.
 std::vector<Operation> planted_pledges();
 

@@ -577,6 +577,9 @@ void chosen(std::vector<Operation>& all, QueueEngine engine) {
       is_chosen + Acts{witness([](Node& n) { n.serve("the victim"); }), publishes(witness, 2)};
   add("read what is one's own", being, is_served, [](Node& n) { n.read_chosen(); });
   add("decline", being, is_served, [](Node& n) { n.chosen->decline(); });
+  add("join anew", being, is_chosen, [](Node& n) {
+    if (n.chosen->rejoin("the witness", 7).size() != 1) std::abort();
+  });
   add("say that one is content", being, is_served, [](Node& n) { n.chosen->content(); });
   add("say it again", being,
       is_served + Acts{victim([](Node& n) { n.chosen->content(); }),

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 // Operations that break a promise each: the inspection must find every one of them.
+#include <atomic>
 #include <cstring>
 #include <fcntl.h>
 #include <fstream>
@@ -38,6 +39,13 @@ std::vector<Act> scene(std::function<void(Node&)> last, unsigned published = 2) 
           {Who::Witness, subscribe},
           {Who::Victim, [=](Node& n) { n.publish(published); }},
           {Who::Witness, std::move(last)}};
+}
+
+/// The runs are forks: what they count together lies in shared memory.
+std::atomic<unsigned>* counter_of_runs() {
+  return static_cast<std::atomic<unsigned>*>(mmap(nullptr, sizeof(std::atomic<unsigned>),
+                                                  PROT_READ | PROT_WRITE,
+                                                  MAP_SHARED | MAP_ANONYMOUS, -1, 0));
 }
 
 void holds_both_ways(Node& n) {
@@ -191,16 +199,39 @@ Plant planted_failure() {
 }
 
 Plant planted_shrinking() {
-  // The runs are forks: what they count together lies in shared memory.
-  auto* const runs = static_cast<std::atomic<unsigned>*>(
-      mmap(nullptr, sizeof(std::atomic<unsigned>), PROT_READ | PROT_WRITE,
-           MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+  auto* const runs = counter_of_runs();
   return {{"points that are not reached", Promise::Blocking, scene([](Node&) {}),
            [=](Node&) {
              const unsigned calls = runs->fetch_add(1) == 0 ? 40 : 4;
              for (unsigned i = 0; i < calls; ++i) syscall(SYS_getppid);
            }},
           "points were not reached"};
+}
+
+Plant planted_on_the_way() {
+  return {{"harm that does not last", Promise::Blocking, scene([](Node&) {}),
+           [](Node& n) {
+             auto& bits = participant(n)->block(kFreeBlock).own[0];
+             bits.fetch_or(std::uint64_t{1} << kNobody);
+             n.publish(1);
+             bits.fetch_and(~(std::uint64_t{1} << kNobody));
+           }},
+          "is free and held"};
+}
+
+std::vector<Operation> planted_changes() {
+  const auto changes = [](const char* name, bool in_the_first) {
+    auto* const runs = counter_of_runs();
+    return Operation{name, Promise::Blocking, scene([](Node&) {}), [=](Node& n) {
+                       auto* const byte = const_cast<volatile unsigned char*>(
+                           participant(n)->segment().small(kFreeBlock));
+                       const unsigned char mask = (runs->fetch_add(1) == 0) == in_the_first;
+                       *byte = *byte ^ mask;
+                       n.publish(1);
+                     }};
+  };
+  return {changes("a change that only the first run does", true),
+          changes("a change that the first run does not do", false)};
 }
 
 std::vector<Operation> planted_pledges() {

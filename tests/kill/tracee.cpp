@@ -29,6 +29,8 @@ constexpr long kOptions = PTRACE_O_TRACECLONE | PTRACE_O_EXITKILL;
 /// each yield may take milliseconds.
 constexpr std::chrono::microseconds kYields{100};
 constexpr long kFutexWaitv = 449;
+/// Who has not come to its next station by then has gone another way.
+constexpr std::chrono::milliseconds kStrays{5000};
 
 long trace(__ptrace_request request, pid_t thread, std::uintptr_t address = 0,
            std::uintptr_t data = 0) {
@@ -75,7 +77,7 @@ void Tracee::adopt(pid_t thread, bool may_have_ended) {
     if (may_have_ended && (WIFEXITED(status) || WIFSIGNALED(status))) return;
     throw std::runtime_error("a traced thread did not stop");
   }
-  threads_.push_back({thread, true});
+  threads_.push_back({thread, came_++, true});
 }
 
 std::uint64_t Tracee::place_of(const Thread& thread) {
@@ -132,6 +134,7 @@ bool Tracee::note(std::size_t index, int status) {
   }
   thread.stopped = true;
   if (is_clone_event(status)) {
+    thread.in_clone = true;
     unsigned long id = 0;
     trace(PTRACE_GETEVENTMSG, thread.id, 0, reinterpret_cast<std::uintptr_t>(&id));
     adopt(static_cast<pid_t>(id), false);
@@ -148,28 +151,34 @@ bool Tracee::poll(std::size_t index) {
          note(index, status) && threads_[index].stopped;
 }
 
-Tracee::Step Tracee::step(unsigned patience_ms) {
+Tracee::Step Tracee::step(unsigned patience_ms, std::optional<unsigned> number) {
   const auto until = std::chrono::steady_clock::now() + std::chrono::milliseconds(patience_ms);
   std::size_t turn = threads_.size();
   for (;;) {
     for (std::size_t i = 0; i < threads_.size() && turn == threads_.size(); ++i) {
+      if (number && threads_[i].number != *number) continue;
       if (threads_[i].stopped || poll(i)) turn = i;
-      if (dead_) return {Event::Ended, false, false, 0};
+      if (dead_) return {Event::Ended};
     }
     if (turn < threads_.size()) break;
     turn = threads_.size();
-    if (std::chrono::steady_clock::now() >= until) return {Event::AllAsleep, false, false, 0};
+    if (std::chrono::steady_clock::now() >= until) return {Event::AllAsleep};
     std::this_thread::sleep_for(std::chrono::microseconds(50));
   }
 
   Thread& thread = threads_[turn];
   const pid_t id = thread.id;
-  const std::uint64_t place = place_of(thread);
-  const bool call = is_system_call(thread, place);
-  const long number = call ? trace(PTRACE_PEEKUSER, id, offsetof(user_regs_struct, rax)) : -1;
-  const bool waits = number == SYS_futex || number == kFutexWaitv || number == SYS_clock_nanosleep;
-  if (call && fail_if_due(thread)) return {Event::Stepped, true, waits, place, turn == 0};
-  const bool may_sleep = std::exchange(thread.may_resume_call, false) || call;
+  Step done{Event::Stepped};
+  done.place = place_of(thread);
+  done.thread = thread.number;
+  done.system_call = is_system_call(thread, done.place);
+  done.resumed = std::exchange(thread.may_resume_call, false);
+  thread.in_clone = false;
+  const long call =
+      done.system_call ? trace(PTRACE_PEEKUSER, id, offsetof(user_regs_struct, rax)) : -1;
+  done.waits = call == SYS_futex || call == kFutexWaitv || call == SYS_clock_nanosleep;
+  if (done.system_call && fail_if_due(thread)) return done;
+  const bool may_sleep = done.resumed || done.system_call;
   thread.stopped = false;
   trace(PTRACE_SINGLESTEP, id, 0, static_cast<std::uintptr_t>(std::exchange(thread.signal, 0)));
   const auto yields_until = std::chrono::steady_clock::now() + kYields;
@@ -178,15 +187,101 @@ Tracee::Step Tracee::step(unsigned patience_ms) {
     int status = 0;
     if (waitpid(id, &status, __WALL | (may_sleep ? WNOHANG : 0)) == id) {
       note(turn, status);
-      return {dead_ ? Event::Ended : Event::Stepped, call, waits, place, turn == 0};
+      if (dead_) done.event = Event::Ended;
+      return done;
     }
     if (std::chrono::steady_clock::now() < yields_until) {
       sched_yield();
     } else {
       sleeps = asleep(thread) ? sleeps + 1 : 0;
-      if (sleeps == 3) return {Event::Asleep, call, waits, place, turn == 0};
+      if (sleeps == 3) {
+        done.event = Event::Asleep;
+        return done;
+      }
       std::this_thread::sleep_for(std::chrono::microseconds(20));
     }
+  }
+}
+
+bool Tracee::run_to(const Station& station) {
+  if (station.event == Event::AllAsleep) return true;
+  const auto until = std::chrono::steady_clock::now() + kStrays;
+  std::size_t index = 0;
+  for (;;) {
+    for (index = 0; index < threads_.size() && threads_[index].number != station.thread;) ++index;
+    if (index == threads_.size()) return false;
+    if (threads_[index].stopped || poll(index)) break;
+    if (dead_ || std::chrono::steady_clock::now() > until) return false;
+    std::this_thread::sleep_for(std::chrono::microseconds(20));
+  }
+  for (std::uint64_t times = 1;; ++times) {
+    if (place_of(threads_[index]) != station.place &&
+        !run(index, PTRACE_SYSCALL, station.place, kStrays)) {
+      return false;
+    }
+    if (times == station.times) return true;
+    if (is_system_call(threads_[index], station.place)) return false;  // each is a station
+    threads_[index].stopped = false;
+    trace(PTRACE_SINGLESTEP, threads_[index].id);
+    if (!stops(index, kStrays)) return false;
+  }
+}
+
+bool Tracee::run_first_to(std::uint64_t place, unsigned patience_ms) {
+  if (place_of(threads_.front()) == place) return true;
+  const bool there = run(0, PTRACE_CONT, place, std::chrono::milliseconds(patience_ms));
+  if (dead_ || !threads_.front().stopped) throw std::runtime_error("a traced thread does not stop");
+  return there;
+}
+
+bool Tracee::run(std::size_t index, int how, std::uint64_t place,
+                 std::chrono::milliseconds patience) {
+  constexpr std::uint64_t kBreakpoint = 0xcc;  // int3
+  const pid_t id = threads_[index].id;
+  const auto go = [&](int request) {
+    threads_[index].stopped = false;
+    trace(static_cast<__ptrace_request>(request), id, 0,
+          static_cast<std::uintptr_t>(std::exchange(threads_[index].signal, 0)));
+  };
+  if (std::exchange(threads_[index].in_clone, false)) {
+    go(PTRACE_SINGLESTEP);  // to the end of the call
+    if (!stops(index, kStrays)) return false;
+    if (place_of(threads_[index]) == place) return true;
+  }
+  const auto text = static_cast<std::uint64_t>(trace(PTRACE_PEEKTEXT, id, place));
+  trace(PTRACE_POKETEXT, id, place, (text & ~std::uint64_t{0xff}) | kBreakpoint);
+  threads_[index].may_resume_call = false;
+  go(how);
+  if (!stops(index, patience)) {
+    if (dead_ || index >= threads_.size() || threads_[index].id != id) return false;
+    trace(PTRACE_INTERRUPT, id);
+    if (!stops(index, kStrays)) return false;
+    threads_[index].may_resume_call = true;
+    if (trap_is_pending(threads_[index])) {  // it is at the breakpoint just now
+      go(PTRACE_CONT);
+      if (!stops(index, kStrays)) return false;
+    }
+  }
+  trace(PTRACE_POKETEXT, id, place, text);
+  if (place_of(threads_[index]) != place + 1) return false;
+  trace(PTRACE_POKEUSER, id, offsetof(user_regs_struct, rip), place);
+  return true;
+}
+
+std::uint64_t Tracee::switches() const {
+  return std::stoull(status_of(threads_.front(), "voluntary_ctxt_switches:"));
+}
+
+bool Tracee::stops(std::size_t index, std::chrono::milliseconds patience) {
+  const auto until = std::chrono::steady_clock::now() + patience;
+  for (;;) {
+    int status = 0;
+    if (waitpid(threads_[index].id, &status, __WALL | WNOHANG) == threads_[index].id) {
+      return note(index, status);
+    }
+    const auto now = std::chrono::steady_clock::now();
+    if (now > until) return false;
+    sched_yield();
   }
 }
 
@@ -236,15 +331,18 @@ void Tracee::detach() {
   dead_ = true;
 }
 
-bool Tracee::trap_is_pending(const Thread& thread) const {
+/// What the kernel says of a thread under that title.
+std::string Tracee::status_of(const Thread& thread, const std::string& title) const {
   std::ifstream file("/proc/" + std::to_string(pid_) + "/task/" + std::to_string(thread.id) +
                      "/status");
   for (std::string line; std::getline(file, line);) {
-    if (line.rfind("SigPnd:", 0) == 0) {
-      return (std::stoull(line.substr(7), nullptr, 16) >> (SIGTRAP - 1) & 1) != 0;
-    }
+    if (line.rfind(title, 0) == 0) return line.substr(title.size());
   }
-  return false;
+  return "0";
+}
+
+bool Tracee::trap_is_pending(const Thread& thread) const {
+  return (std::stoull(status_of(thread, "SigPnd:"), nullptr, 16) >> (SIGTRAP - 1) & 1) != 0;
 }
 
 }  // namespace lot::kill

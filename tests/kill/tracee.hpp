@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -9,13 +10,14 @@
 
 namespace lot::kill {
 
-/// A process that is run one instruction at a time.
+/// A process that is run one instruction at a time, or up to a place.
 ///
 /// All its threads stand still but the one that steps. The first thread goes first; when it sleeps
 /// in a system call, the next one steps, so that what several threads do together has one order.
 ///
 /// Threads: one tracer thread, the parent of the process.
-/// Source:  ptrace(2): PTRACE_SEIZE, PTRACE_INTERRUPT, PTRACE_SINGLESTEP.
+/// Source:  ptrace(2): PTRACE_SEIZE, PTRACE_INTERRUPT, PTRACE_SINGLESTEP; PTRACE_SYSCALL and
+///          PTRACE_CONT up to a breakpoint.
 class Tracee {
  public:
   /// Stops all threads of a child. Throws std::runtime_error.
@@ -33,13 +35,36 @@ class Tracee {
   };
   struct Step {
     Event event;
-    bool system_call;     ///< the instruction was one
-    bool waits;           ///< a futex call or a sleep: others may be waited for, or are woken
-    std::uint64_t place;  ///< address of the instruction
-    bool first = false;   ///< by the process's first thread
+    bool system_call = false;  ///< the instruction was one
+    bool waits = false;        ///< a futex call or a sleep: others may be waited for, or are woken
+    bool resumed = false;      ///< perhaps a call in which it was when it was stopped
+    std::uint64_t place = 0;   ///< address of the instruction
+    unsigned thread = 0;       ///< 0: the first, which was there when the process was stopped
   };
-  /// One instruction of the thread whose turn it is. Waits up to `patience_ms` when all sleep.
-  Step step(unsigned patience_ms = 0);
+  /// One instruction of the thread whose turn it is, or of `thread`. Waits up to `patience_ms` when
+  /// all sleep.
+  Step step(unsigned patience_ms = 0, std::optional<unsigned> thread = std::nullopt);
+
+  /// A step that can be found again in another run of the same code.
+  struct Station {
+    Event event;
+    unsigned thread;
+    std::uint64_t place;
+    /// That instruction was begun so often by its thread since the thread's last station.
+    std::uint64_t times;
+  };
+  /// Lets a thread run from its last station to this one, which it then stands before. That takes a
+  /// few stops where stepping takes one for each instruction.
+  ///
+  /// False: it has gone another way; then the process can only be killed (a breakpoint may be
+  /// left).
+  bool run_to(const Station& station);
+  /// Lets the first thread run up to a place, through system calls. False: it did not come there in
+  /// that time; it stands still where it is. Throws std::runtime_error when it has died.
+  bool run_first_to(std::uint64_t place, unsigned patience_ms);
+
+  /// How often the first thread has given its core away: at its stops, and when it slept.
+  std::uint64_t switches() const;
 
   /// Where the first thread stands.
   std::uint64_t place() const { return place_of(threads_.front()); }
@@ -62,8 +87,10 @@ class Tracee {
  private:
   struct Thread {
     pid_t id;
+    unsigned number;  ///< in the order of their coming
     bool stopped;
     bool may_resume_call = true;  ///< it was stopped inside a system call, perhaps
+    bool in_clone = false;        ///< stopped there; the next stop is at the end of that call
     int signal = 0;               ///< to be delivered with the next step
   };
 
@@ -71,7 +98,14 @@ class Tracee {
   bool fail_if_due(const Thread& thread);
   static std::uint64_t place_of(const Thread& thread);
   static bool is_system_call(const Thread& thread, std::uint64_t place);
+  /// Lets a thread run until it stands before `place`: by PTRACE_SYSCALL up to the next system call
+  /// at most, or by PTRACE_CONT through system calls. False: it stands elsewhere, or has ended, or
+  /// does not stop.
+  bool run(std::size_t index, int how, std::uint64_t place, std::chrono::milliseconds patience);
+  /// Waits for a stop of a thread that runs.
+  bool stops(std::size_t index, std::chrono::milliseconds patience);
   bool asleep(const Thread& thread) const;
+  std::string status_of(const Thread& thread, const std::string& title) const;
   bool trap_is_pending(const Thread& thread) const;
   /// Takes note of a stop or an end that waitpid reported. False: the thread has ended.
   bool note(std::size_t index, int status);
@@ -80,6 +114,7 @@ class Tracee {
 
   pid_t pid_;
   std::vector<Thread> threads_;
+  unsigned came_ = 0;  ///< threads so far
   bool dead_ = false;
   std::uint64_t calls_left_ = 0;
   int error_ = 0;

@@ -9,11 +9,13 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <poll.h>
 #include <stdexcept>
 #include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
+#include <unordered_map>
 
 #include "accounting.hpp"
 #include "support/processes.hpp"
@@ -75,6 +77,28 @@ void each_ring(segment::Segment& segment, const char* topic, F&& f) {
 struct Told {
   Actor::Order order;
   std::uint32_t number;
+};
+
+/// Finds out what of a walk is a station.
+class Surveyor {
+ public:
+  void note(const Tracee::Step& step, bool changed, Trial::Path& path) {
+    if (step.event == Tracee::Event::AllAsleep) {
+      path.push_back({{step.event, 0, 0, 0}, false});
+      return;
+    }
+    auto& times = times_[step.thread];
+    ++times[step.place];
+    if (!changed && !step.system_call && !step.resumed && step.event == Tracee::Event::Stepped) {
+      return;
+    }
+    path.push_back({{step.event, step.thread, step.place, times[step.place]}, changed});
+    times.clear();
+  }
+
+ private:
+  /// By thread and place: how often it has been there since its last station.
+  std::map<unsigned, std::unordered_map<std::uint64_t, std::uint64_t>> times_;
 };
 
 }  // namespace
@@ -323,12 +347,13 @@ void Trial::stop_rival() {
   }
   stopped_.emplace(rival_->pid());
   rival_->tell(Actor::Order::Contend);
-  bool begun = false;
-  for (std::uint64_t instructions = 0; !begun || !rival_holds(segment, lives);) {
+  if (!stopped_->run_first_to(address_of(&lot_kill_begins), kPatienceMs)) {
+    throw std::runtime_error("the rival does not begin");
+  }
+  for (std::uint64_t instructions = 0; !rival_holds(segment, lives);) {
     if (stopped_->step(kPatienceMs).event == Tracee::Event::Ended || ++instructions > kRunaway) {
       throw std::runtime_error("the rival never held an item");
     }
-    begun = begun || stopped_->place() == address_of(&lot_kill_begins);
   }
   if (untaken() != before) throw std::runtime_error("the rival was too fast");
 }
@@ -372,10 +397,8 @@ void Trial::begin() {
     rival_.reset();
   }
   victim_->tell(Actor::Order::Operate);
-  while (traced_->place() != address_of(&lot_kill_begins)) {
-    if (traced_->step(kPatienceMs).event == Tracee::Event::Ended) {
-      throw std::runtime_error("the victim died before its operation");
-    }
+  if (!traced_->run_first_to(address_of(&lot_kill_begins), kPatienceMs)) {
+    throw std::runtime_error("the victim does not begin");
   }
   note_published();
 }
@@ -390,28 +413,60 @@ void Trial::help_sleeper() {
   }
 }
 
-Trial::Walk Trial::walk(std::uint64_t points) {
+/// One instruction, or with a path all up to its next station and that one. Nothing: it has
+/// strayed.
+std::optional<Tracee::Step> Trial::next(const Path* path, std::size_t done, bool helped) {
+  const unsigned patience_ms = helped ? kPatienceMs : 2;
+  if (path == nullptr) {
+    const Tracee::Step step = traced_->step(patience_ms);
+    if (step.event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
+    if (step.event == Tracee::Event::AllAsleep && helped) {
+      throw std::runtime_error("the victim hangs in its operation");
+    }
+    return step;
+  }
+  if (done == path->size()) return std::nullopt;
+  const Tracee::Station& at = (*path)[done].at;
+  if (!traced_->run_to(at) || (shadow_ && shadow_->changed())) return std::nullopt;
+  const bool waits = at.event == Tracee::Event::AllAsleep;
+  const Tracee::Step step =
+      traced_->step(patience_ms, waits ? std::nullopt : std::optional(at.thread));
+  const bool same = step.event == at.event && step.thread == at.thread && step.place == at.place;
+  return same ? std::optional(step) : std::nullopt;
+}
+
+Trial::Walk Trial::walk(std::uint64_t points, const Path* path) {
   begin();
   shadow_.emplace(options_);
   Walk walk;
+  Surveyor surveyor;
   bool helped = false;
-  while (walk.points < points) {
-    const Tracee::Step step = traced_->step(helped ? kPatienceMs : 2);
-    if (step.event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
-    const bool sleeps = step.event == Tracee::Event::AllAsleep;
-    if (sleeps && helped) throw std::runtime_error("the victim hangs in its operation");
+  for (std::size_t done = 0; walk.points < points; ++done) {
+    const auto step = next(path, done, helped);
+    if (!step) {
+      walk.strayed = true;
+      return walk;
+    }
+    const bool sleeps = step->event == Tracee::Event::AllAsleep;
+    bool changed = false;
     if (!sleeps) {
       if (++walk.instructions > kRunaway) throw std::runtime_error("the operation does not end");
-      walk.calls += step.system_call;
-      if (step.system_call) shadow_->look_for_file();
-      const bool changed = shadow_->changed();
-      if (changed || step.system_call) ++walk.points;
-      if (traced_->place() == address_of(&lot_kill_ends)) {
-        walk.finished = true;
-        break;
-      }
+      walk.calls += step->system_call;
+      if (step->system_call) shadow_->look_for_file();
+      changed = shadow_->changed();
+      if (changed || step->system_call) ++walk.points;
     }
-    if (!helped && walk.points < points && (sleeps || (step.waits && operation_.when_asleep))) {
+    if (path == nullptr) {
+      surveyor.note(*step, changed, walk.path);
+    } else if ((*path)[done].changes != changed) {
+      walk.strayed = true;
+      return walk;
+    }
+    if (!sleeps && traced_->place() == address_of(&lot_kill_ends)) {
+      walk.finished = true;
+      break;
+    }
+    if (!helped && walk.points < points && (sleeps || (step->waits && operation_.when_asleep))) {
       helped = true;
       help_sleeper();
       shadow_->changed();  // by the witness, not by the victim
@@ -423,19 +478,21 @@ Trial::Walk Trial::walk(std::uint64_t points) {
   return walk;
 }
 
-Trial::Failure Trial::fail_call(std::uint64_t nth, int error) {
+Trial::Failure Trial::fail_call(std::uint64_t nth, int error, const Path* path) {
   Failure failure;
   try {
     begin();
     traced_->fail_call(nth, error);
     bool helped = false;
-    while (!traced_->failed_call() && !traced_->spared_call() &&
-           traced_->place() != address_of(&lot_kill_ends)) {
-      const Tracee::Step step = traced_->step(helped ? kPatienceMs : 2);
-      if (step.event == Tracee::Event::Ended) throw std::runtime_error("the victim died by itself");
-      const bool sleeps = step.event == Tracee::Event::AllAsleep;
-      if (sleeps && helped) throw std::runtime_error("the victim hangs in its operation");
-      if (!helped && (sleeps || (step.waits && operation_.when_asleep))) {
+    for (std::size_t done = 0; traced_->place() != address_of(&lot_kill_ends); ++done) {
+      const auto step = next(path, done, helped);
+      if (traced_->failed_call() || traced_->spared_call()) break;
+      if (!step) {
+        failure.strayed = true;
+        return failure;
+      }
+      const bool sleeps = step->event == Tracee::Event::AllAsleep;
+      if (!helped && (sleeps || (step->waits && operation_.when_asleep))) {
         helped = true;
         help_sleeper();
       }
@@ -464,52 +521,34 @@ std::uint64_t Trial::bound_of(Promise promise) {
   return promise == Promise::WaitFree ? kWaitFreeBound : kLockFreeBound;
 }
 
-std::vector<Trial::Probed> Trial::probe(const std::vector<std::uint32_t>& which) {
+std::vector<Trial::Probed> Trial::probe(const std::vector<Asked>& which) {
   std::vector<Probed> results(all_probes().size());
-  if (!witness_) return results;
+  if (!witness_ || which.empty()) return results;
   note_published();
   witness_->send(SIGCONT);
-  for (const std::uint32_t i : which) {
+  for (const auto& [i, stepped] : which) {
     const Probe& p = all_probes()[i];
     witness_->tell(Actor::Order::Ready, i);
     if (!must_answer(*witness_, p.name).probe_ready) continue;
     {
       Tracee neighbour(witness_->pid());
       witness_->tell(Actor::Order::Probe, i);
-      bool counting = false;
-      unsigned sleeps = 0;
-      auto awake = std::chrono::steady_clock::now();
-      for (;;) {
-        const Tracee::Step step = neighbour.step(kWaitsMs);
-        const auto now = std::chrono::steady_clock::now();
-        if (step.first && step.event == Tracee::Event::Stepped) awake = now;
-        if (step.event == Tracee::Event::Ended) throw std::runtime_error("the neighbour died");
-        if (counting && step.first && step.event == Tracee::Event::Asleep) ++sleeps;
-        if (step.event == Tracee::Event::AllAsleep || now - awake > kOthersGetOn ||
-            sleeps > kAsks) {
-          if (!counting) continue;  // it has not read the order yet
-          results[i].waited = true;
-          if (p.promise != Promise::Blocking) {
-            violation(std::string(p.name) + ": waits for a process that stands still");
-          }
-          break;
-        }
-        if (counting && step.first && step.event == Tracee::Event::Asleep &&
-            p.promise == Promise::WaitFree) {
+      if (!neighbour.run_first_to(address_of(&lot_kill_begins), kPatienceMs)) {
+        throw std::runtime_error(std::string(p.name) + ": does not begin");
+      }
+      const std::uint64_t before = neighbour.switches();
+      if (stepped) {
+        results[i] = step(neighbour, p);
+      } else if (neighbour.run_first_to(address_of(&lot_kill_ends), kWaitsMs)) {
+        // One is its stop.
+        if (p.promise == Promise::WaitFree && neighbour.switches() > before + 1) {
           violation(std::string(p.name) + ": sleeps");
         }
-        if (counting && step.first) ++results[i].instructions;
-        if (neighbour.place() == address_of(&lot_kill_begins)) counting = true;
-        if (neighbour.place() == address_of(&lot_kill_ends)) break;
-        if (results[i].instructions > bound_of(p.promise)) {
-          results[i].waited = true;
-          if (p.promise != Promise::Blocking) {
-            violation(std::string(p.name) + ": more than " + std::to_string(bound_of(p.promise)) +
-                      " instructions beside a process that stands still");
-          }
-          break;
-        }
+      } else {
+        results[i] = step(neighbour, p);
+        results[i].instructions = 0;  // of all but the beginning
       }
+      results[i].ran = true;
     }
     if (results[i].waited) {  // now the one that stood still dies
       note_published();
@@ -520,6 +559,40 @@ std::vector<Trial::Probed> Trial::probe(const std::vector<std::uint32_t>& which)
     if (results[i].waited) break;
   }
   return results;
+}
+
+/// Steps a probe to its end, unless it waits.
+Trial::Probed Trial::step(Tracee& neighbour, const Probe& probe) {
+  const std::string name = probe.name;
+  const bool blocking = probe.promise == Promise::Blocking;
+  Probed probed;
+  unsigned sleeps = 0;
+  auto awake = std::chrono::steady_clock::now();
+  for (;;) {
+    const Tracee::Step step = neighbour.step(kWaitsMs);
+    const auto now = std::chrono::steady_clock::now();
+    if (step.event == Tracee::Event::Ended) throw std::runtime_error("the neighbour died");
+    const bool first = step.event != Tracee::Event::AllAsleep && step.thread == 0;
+    const bool sleeps_now = first && step.event == Tracee::Event::Asleep;
+    sleeps += sleeps_now;
+    if (first && !sleeps_now) awake = now;
+    if (step.event == Tracee::Event::AllAsleep || now - awake > kOthersGetOn || sleeps > kAsks) {
+      if (!blocking) violation(name + ": waits for a process that stands still");
+      probed.waited = true;
+      return probed;
+    }
+    if (sleeps_now && probe.promise == Promise::WaitFree) violation(name + ": sleeps");
+    probed.instructions += first;
+    if (neighbour.place() == address_of(&lot_kill_ends)) return probed;
+    if (probed.instructions > bound_of(probe.promise)) {
+      if (!blocking) {
+        violation(name + ": more than " + std::to_string(bound_of(probe.promise)) +
+                  " instructions beside a process that stands still");
+      }
+      probed.waited = true;
+      return probed;
+    }
+  }
 }
 
 std::vector<std::string> Trial::kill_and_inspect() {

@@ -84,23 +84,38 @@ class Trial {
   Trial(const Trial&) = delete;
   Trial& operator=(const Trial&) = delete;
 
-  struct Walk {
-    std::uint64_t instructions = 0;
-    std::uint64_t points = 0;  ///< instructions after which something had changed
-    std::uint64_t calls = 0;   ///< system calls
-    bool finished = false;     ///< the operation came to its end
+  /// A step that other processes may see. The steps between two stations are seen by none.
+  struct Station {
+    Tracee::Station at;
+    bool changes;  ///< a byte of the segment
   };
-  /// Steps the victim until `points` changes were seen, or to the end of its operation.
-  Walk walk(std::uint64_t points);
+  using Path = std::vector<Station>;
 
+  struct Walk {
+    std::uint64_t instructions = 0;  ///< on a path: of its stations only
+    std::uint64_t points = 0;        ///< instructions after which something had changed
+    std::uint64_t calls = 0;         ///< system calls
+    bool finished = false;           ///< the operation came to its end
+    bool strayed = false;  ///< from the path: nothing can be said, another trial must step
+    Path path;             ///< that it went
+  };
+  /// Steps the victim until `points` changes were seen, or to the end of its operation. Where there
+  /// is a path it runs from station to station, and steps over those only.
+  Walk walk(std::uint64_t points, const Path* path = nullptr);
+
+  struct Asked {
+    std::uint32_t probe;
+    bool stepped;  ///< and its instructions are counted
+  };
   /// What one probe took while the victim stood still.
   struct Probed {
-    std::uint64_t instructions = 0;
+    bool ran = false;
     bool waited = false;
+    std::uint64_t instructions = 0;  ///< 0: not counted
   };
   /// Operations of the neighbour while the victim stands still. None that is called wait-free or
   /// lock-free may wait, or take more instructions than its bound.
-  std::vector<Probed> probe(const std::vector<std::uint32_t>& which);
+  std::vector<Probed> probe(const std::vector<Asked>& which);
   static std::uint64_t bound_of(Promise promise);
 
   /// Kills the victim and looks whether all promises hold. Returns the violations.
@@ -110,12 +125,13 @@ class Trial {
   struct Failure {
     std::optional<long> call;  ///< its number
     bool spared = false;       ///< it was not one that can fail so
+    bool strayed = false;      ///< from the path: nothing can be said, another trial must step
     std::string error;         ///< what the operation threw; empty: it got through
     std::vector<std::string> violations;
   };
   /// Runs the operation with one system call failing, lets the victim leave, and looks whether all
   /// promises hold.
-  Failure fail_call(std::uint64_t nth, int error);
+  Failure fail_call(std::uint64_t nth, int error, const Path* path = nullptr);
 
   static constexpr std::uint64_t kMost = ~std::uint64_t{0};
 
@@ -125,7 +141,9 @@ class Trial {
   bool rival_holds(segment::Segment& segment, const std::vector<std::uint64_t>& lives) const;
   void let_rival_go_on();
   void begin();
+  std::optional<Tracee::Step> next(const Path* path, std::size_t done, bool helped);
   void help_sleeper();
+  Probed step(Tracee& neighbour, const Probe& probe);
   void inspect();
   Actor::Reply must_answer(Actor& actor, const char* what);
   std::uint64_t published_on(const char* topic) const;

@@ -19,6 +19,7 @@ foreach(mistake IN ITEMS
     "evicted-and-left-there evicted_while_taken_two_slots"
     "evicted-and-left-there taker_killed_while_evicted"
     "no-look-at-hazards --bounded evicted_block_changes_hands"
+    "no-look-at-the-answer chosen_invited_twice"
     no-repair-after-a-death)
   separate_arguments(words UNIX_COMMAND "${mistake}")
   execute_process(

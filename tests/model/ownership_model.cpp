@@ -339,6 +339,34 @@ struct LateReclaim : SceneBegins, rl::test_suite<LateReclaim, 3> {
   std::uint32_t generation = 0;
 };
 
+/// A wild write, or a home that was told wrong, frees a block that a process still holds. That one
+/// leaves it alone when it looks for a free block, and does not wait for its own hold to go.
+struct HeldAndFree : SceneBegins, rl::test_suite<HeldAndFree, 3> {
+  using Own = refcount::Ownership<Policy>;
+  void before() {
+    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    Policy::does_damage = true;
+    RL_ASSERT(home.claim(block, home_hold));
+    keeper.acquire(block, keeper_hold, hold::kPointer);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      payload.write(1);
+      home.give_back(block, home_hold);
+    } else if (t == 1) {
+      RL_ASSERT(!keeper.claim(block, keeper_hold));
+    } else if (other.claim(block, other_hold) || other.claim(block, other_hold)) {
+      payload.write(2);
+    }
+  }
+  Own home{2};
+  Own keeper{5};
+  Own other{7};
+  refcount::BlockWords<Policy> block;
+  Own::Hold home_hold, keeper_hold, other_hold;
+  Plain<int> payload;
+};
+
 const Entered entered{
     {"forwarder_chain", "a forwarded block lives as long as the last ring that has it",
      rl::simulate<ForwarderChain>, 1},
@@ -355,6 +383,8 @@ const Entered entered{
      rl::simulate<HomeHasThreads>, 3},
     {"late_reclaim", "who comes late does not touch a block that was given back",
      rl::simulate<LateReclaim>, 2},
+    {"held_and_free", "who holds a block that is said to be free does not claim it",
+     rl::simulate<HeldAndFree>, 3},
     {"threads_of_one_process", "threads share one ownership bit", rl::simulate<ThreadsOfOneProcess>,
      1},
     {"message_refers_to_message", "a referred message lives as long as the referring one",

@@ -55,11 +55,9 @@ const NamedPlant kPlants[] = {
 };
 
 const std::pair<const char*, bool Omissions::*> kOmissions[] = {
-    {"no-wake", &Omissions::wake_readers},
-    {"no-ring-for-room", &Omissions::ring_for_room},
-    {"no-look-at-hazards", &Omissions::hazards},
-    {"no-lock-for-joiners", &Omissions::rings_lock},
-    {"no-repair-after-a-death", &Omissions::repair},
+    {"no-wake", &Omissions::wake_readers},         {"no-ring-for-room", &Omissions::ring_for_room},
+    {"no-look-at-hazards", &Omissions::hazards},   {"no-lock-for-joiners", &Omissions::rings_lock},
+    {"no-look-at-the-answer", &Omissions::answer}, {"no-repair-after-a-death", &Omissions::repair},
 };
 
 }  // namespace

@@ -292,6 +292,9 @@ struct Policy {
   static constexpr unsigned kBitsPerWord = 2;
 
   static void pause() { rl::yield(1, RL_INFO); }
+  /// Set by scenarios that do damage. All others must never see any.
+  static inline bool does_damage = false;
+  static void damage_seen() { RL_ASSERT(does_damage); }
   static void prefetch_read(const void*) {}
   static void prefetch_write(const void*) {}
 };

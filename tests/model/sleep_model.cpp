@@ -130,7 +130,7 @@ struct AnnouncerKilled : Scene<AnnouncerKilled, 2> {
   }
   void thread(unsigned t) {
     if (t == 0) {
-      die_within(5, 25, [this] { killed.advertise(process(5), 1, false); });
+      die_within(5, 60, [this] { killed.advertise(process(5), 1, false); });
       process(3).see_reaped(5);
       RL_ASSERT(old.send());
       return;

@@ -495,8 +495,19 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
   process.move_in(c, reader->cell());
   process_ = &process;
   channel_ = c;
+  generation_ = generation;
   reader_ = *reader;
   return true;
+}
+
+bool Subscriber::rejoin(Word answer) {
+  bool full = false;
+  const auto reader = ring::Reader<Policy>::join(reader_.ring(), generation_, process_->index(),
+                                                 ring::Reader<Policy>::kFromTheStart, full, answer);
+  if (reader) process_->move_in(channel_, reader->cell());
+  leave();
+  if (reader) reader_ = *reader;
+  return reader.has_value();
 }
 
 void Subscriber::leave() {

@@ -279,6 +279,8 @@ class Subscriber {
   bool join(Process& process, std::uint32_t channel, std::uint32_t generation,
             std::uint64_t history);
   void leave();
+  /// Joins it once more, with an answer, and leaves then. Without the lock: it was there all along.
+  bool rejoin(Word answer);
 
   /// The next message's block, or kNone; protected until done().
   Word borrow();
@@ -309,6 +311,7 @@ class Subscriber {
 
   Process* process_ = nullptr;
   std::uint32_t channel_ = 0;
+  std::uint32_t generation_ = 0;
   ring::Reader<Policy> reader_;
   std::uint64_t missed_ = 0;
   std::uint64_t received_ = 0;
@@ -333,6 +336,7 @@ struct SceneBegins {
     OrdinaryHeap::use();
     killer.aim_at_nobody();
     garden.forget();
+    Policy::does_damage = false;
   }
 };
 

@@ -104,13 +104,15 @@ def functions(text):
         if c == '{':
             head = FUNCTION.search(text[since:i].split(' : ')[0].rstrip())
             name = head.group(1) if head and head.group(1) not in NOT_FUNCTIONS else None
-            stack.append((i, name))
+            # Between parentheses it is a lambda or a default value: the statement goes on behind it.
+            inside = text.count('(', since, i) > text.count(')', since, i)
+            stack.append((i, name, since if inside else None))
             since = i + 1
         elif c == '}':
-            begin, name = stack.pop()
+            begin, name, statement = stack.pop()
             if name:
                 found.append((begin, i, name))
-            since = i + 1
+            since = i + 1 if statement is None else statement
         elif c == ';':
             since = i + 1
     return found
@@ -164,6 +166,12 @@ struct Ring {
     }
     return slots[0].load(std::memory_order_acquire) != slots[0].load(std::memory_order_relaxed);
   }
+  bool serve(std::optional<int> answer = {}) {
+    return each([&](int i) {
+      if (i) { return slots[i].load(std::memory_order_acquire); }
+      return 0;
+    }) || head_.load(std::memory_order_relaxed);
+  }
 };
 """
 EXPECTED = [
@@ -176,6 +184,8 @@ EXPECTED = [
     ('poll b.load#1', ('relaxed',), (13, 63)),
     ('poll slots[0].load#1', ('acquire',), (16, 12)),
     ('poll slots[0].load#2', ('relaxed',), (16, 56)),
+    ('serve slots[i].load#1', ('acquire',), (20, 23)),
+    ('serve head_.load#1', ('relaxed',), (22, 11)),
 ]
 
 
