@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <cerrno>
 #include <climits>
 #include <csignal>
@@ -39,11 +38,6 @@ struct WaitvEntry {  // struct futex_waitv of newer kernel headers
 constexpr std::uint32_t kSize32 = 2;  // FUTEX_32, shared
 
 }  // namespace
-
-const void* low_half(const std::atomic<std::uint64_t>& word) noexcept {
-  const auto* bytes = reinterpret_cast<const char*>(&word);
-  return std::endian::native == std::endian::little ? bytes : bytes + 4;
-}
 
 bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexcept {
   timespec until{};

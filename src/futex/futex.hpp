@@ -2,6 +2,7 @@
 #pragma once
 
 #include <atomic>
+#include <bit>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -23,10 +24,13 @@ using Clock = std::chrono::steady_clock;
 using Deadline = std::optional<Clock::time_point>;  ///< none: for ever
 
 /// The futex of a 64-bit slot: its low half.
-const void* low_half(const std::atomic<std::uint64_t>& word) noexcept;
+inline const void* low_half(const std::atomic<std::uint64_t>& word) noexcept {
+  const auto* bytes = reinterpret_cast<const char*>(&word);
+  return std::endian::native == std::endian::little ? bytes : bytes + 4;
+}
 
 /// Sleeps while *word == value. False when the deadline has passed.
-bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexcept;
+[[gnu::hot]] bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexcept;
 
 /// Sleeps while all the words have their values. False when the deadline has passed.
 ///
@@ -34,12 +38,12 @@ bool wait(const void* word, std::uint32_t value, const Deadline& deadline) noexc
 /// rest. Where the kernel has no futex_waitv (Linux before 5.16, some sandboxes) it is a sleep of a
 /// few milliseconds at most.
 inline constexpr std::size_t kMaxWords = 128;
-bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcept;
+[[gnu::hot]] bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcept;
 
 /// True where the kernel lets a thread sleep on many words for as long as it likes.
 bool waits_for_many() noexcept;
 
 void wake_one(const void* word) noexcept;
-void wake_all(const void* word) noexcept;
+[[gnu::hot]] void wake_all(const void* word) noexcept;
 
 }  // namespace lot::futex

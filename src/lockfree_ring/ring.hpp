@@ -190,9 +190,11 @@ class Writer {
     }
     next_ = next(next_);
     index_ = after(index_);
-    P::prefetch_write(&ring_.slots[index_]);
+    prefetch();
     return published;
   }
+  /// Fetches the slot of the next message: its reader has had a look at it, or will have one.
+  void prefetch() const { P::prefetch_write(&ring_.slots[index_]); }
 
   /// Calls gone(block) for messages that were taken, as far as all before them were: the holds on
   /// them are the caller's to retire. REQUIRES: the messages of the ring are taken.
@@ -285,8 +287,10 @@ class Writer {
   /// Says to the only reader that this participant has here that the messages from `first` on are
   /// for it. Nothing when it has none, or several, or has not yet read all that was for it before.
   /// `still()` is asked after the reader was looked at, and says whether the participant is meant.
+  /// `answer`: only one that has joined with that.
   template <class Still>
-  std::optional<Served> serve(std::uint32_t participant, Word first, Still&& still) {
+  std::optional<Served> serve(std::uint32_t participant, Word first, Still&& still,
+                              std::optional<Word> answer = {}) {
     refresh_roster();
     std::optional<std::uint32_t> cell;
     for (const std::uint32_t c : active_) {
@@ -302,6 +306,7 @@ class Writer {
     Word begin = from.load(std::memory_order_acquire);  // R12
     Word end = to.load(std::memory_order_relaxed);
     const Word round = bound_round(begin);
+    if (answer && begin != make_unbound(round, *answer)) return std::nullopt;
     if (bound_round(end) != round || is_set(begin) != is_set(end)) return std::nullopt;
     if (is_set(end) && distance(sequence(read), bound_sequence(end)) < 0) return std::nullopt;
     if (!still() || ring_.who[*cell].load(std::memory_order_relaxed) != participant + 1) {
@@ -409,7 +414,8 @@ class Reader {
   ///
   /// Crash: killed after the claim of who[c], the reaper makes the cell idle and frees it.
   static std::optional<Reader> join(const Ring<P>& ring, std::uint32_t generation,
-                                    std::uint32_t participant, std::uint64_t history, bool& full) {
+                                    std::uint32_t participant, std::uint64_t history, bool& full,
+                                    Word answer = 0) {
     full = false;
     std::uint32_t c = 0;
     for (; c < ring.readers; ++c) {
@@ -430,9 +436,9 @@ class Reader {
     }
     auto& [position, from, to] = ring.cells[c];
     // Whoever sees us (R4) sees that nothing is for us yet.
-    const Word unbound = make_unbound(bound_round(from.load(std::memory_order_relaxed)) + 1);
-    from.store(unbound, std::memory_order_release);  // R12
-    to.store(unbound, std::memory_order_relaxed);
+    const Word round = bound_round(from.load(std::memory_order_relaxed)) + 1;
+    from.store(make_unbound(round, answer), std::memory_order_release);  // R12
+    to.store(make_unbound(round), std::memory_order_relaxed);
     if (!ring.guarded()) position.store(kPinAll, std::memory_order_relaxed);  // R4 carries it
     ring.roster->fetch_add(1, std::memory_order_seq_cst);                     // R4
     Reader reader;
@@ -450,7 +456,7 @@ class Reader {
   /// are protected until done(). `missed` is increased by the messages that were overwritten before
   /// they could be read. kDamaged: somebody else has written into the ring; done() goes on behind
   /// it.
-  Word poll(std::uint64_t& missed) {
+  [[gnu::hot]] Word poll(std::uint64_t& missed) {
     for (Word lapped = 0;;) {
       auto& slot = ring_.slots[index_];
       const Word seen = place(slot.load(std::memory_order_acquire));  // R1

@@ -28,7 +28,7 @@ enum class Rest {
 /// Rings that have ended are left, senders that wait for room are rung. False: there is something
 /// to look at after all.
 template <class Sources, class RingBell, class Leave>
-bool settle(Sources& sources, RingBell&& ring_bell, Leave&& leave) {
+[[gnu::hot]] bool settle(Sources& sources, RingBell&& ring_bell, Leave&& leave) {
   for (auto s = sources.begin(); s != sources.end();) {
     if (s->reader.sender_waits()) ring_bell(s->reader);
     if (!s->reader.orphaned()) {

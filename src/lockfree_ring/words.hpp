@@ -61,8 +61,10 @@ inline constexpr Word kBoundRounds = Word{1} << (63 - kBoundBits);
 constexpr Word make_bound(Word round, Word sequence) {
   return kSet | (round % kBoundRounds) << kBoundBits | sequence;
 }
-/// A bound that is not set yet.
-constexpr Word make_unbound(Word round) { return (round % kBoundRounds) << kBoundBits; }
+/// A bound that is not set yet; what its reader answers to who asked it to join anew (0: nothing).
+constexpr Word make_unbound(Word round, Word answer = 0) {
+  return (round % kBoundRounds) << kBoundBits | answer;
+}
 constexpr bool is_set(Word bound) { return (bound & kSet) != 0; }
 constexpr Word bound_round(Word bound) { return (bound & ~kSet) >> kBoundBits; }
 constexpr Word bound_sequence(Word bound) { return bound & kSequenceMask; }

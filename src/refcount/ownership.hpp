@@ -232,9 +232,14 @@ struct Ownership {
     const std::uint64_t mine = hold::kHome | hold::kHeld | hold::kPointer |
                                hold::tag_of(static_cast<std::uint32_t>(generation));
     std::uint64_t none = 0;
-    // A weak lock of ours may have the edge for a moment, or a last release may not be through yet.
+    // A weak lock or a last release of ours may have the edge for a moment.
     while (!h.compare_exchange_weak(none, mine, std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4
+      if (none != 0 && (none & hold::kEdge) == 0) {  // held here: somebody has overwritten `home`
+        P::damage_seen();
+        b.home.store(kHomeFree, std::memory_order_release);  // O3
+        return false;
+      }
       none = 0;
       P::pause();
     }

@@ -147,7 +147,10 @@ void Registry::decline(std::uint32_t topic, std::uint32_t participant) noexcept 
   segment_.topics()[topic].pullers[participant].fetch_or(kDeclined, std::memory_order_relaxed);
 }
 void Registry::content(std::uint32_t topic, std::uint32_t participant) noexcept {
-  segment_.topics()[topic].pullers[participant].fetch_or(kContent, std::memory_order_relaxed);
+  auto& word = segment_.topics()[topic].pullers[participant];
+  word.fetch_or(kContent, std::memory_order_relaxed);
+  // In this order: who sees it not declined may ask.
+  word.fetch_and(static_cast<std::uint16_t>(~kDeclined), std::memory_order_relaxed);
 }
 
 void Registry::ask(std::uint32_t topic, std::uint32_t participant) noexcept {
@@ -174,8 +177,12 @@ bool Registry::all_joined(std::uint32_t topic, const segment::Ring& ring,
   }
   unlock();
   if (full) return true;
-  for (std::uint32_t p = 0; p < joined.size(); ++p) {
-    if (pullers[p] > joined[p]) late.push_back(p);
+  for (std::uint32_t p = 1; p < segment_.capacity().participants; ++p) {
+    // An index that nobody has subscribes to nothing, whatever somebody has written over it.
+    if (pullers[p] > joined[p] &&
+        segment_.participants()[p].state.load(std::memory_order_relaxed) != 0) {
+      late.push_back(p);
+    }
   }
   return late.empty();
 }

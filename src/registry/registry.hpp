@@ -80,7 +80,7 @@ class Registry {
   bool wants(std::uint32_t topic, std::uint32_t participant) const noexcept;
   /// And has said that it needs them no other way.
   bool is_content(std::uint32_t topic, std::uint32_t participant) const noexcept;
-  /// Says so, for as long as it has pullers there.
+  /// The participant itself says the one or the other.
   void decline(std::uint32_t topic, std::uint32_t participant) noexcept;
   void content(std::uint32_t topic, std::uint32_t participant) noexcept;
   /// Takes `content` back, since it is asked anew.

@@ -107,14 +107,15 @@ class Segment {
   bool reserve(std::uint64_t offset, std::uint64_t bytes) noexcept;
   bool populate(std::uint64_t begin, std::uint64_t bytes) noexcept;
 
-  std::string path_;
-  boost::interprocess::mapped_region region_;
+  // Looked at for each message, so close to each other.
   unsigned char* base_ = nullptr;
-  Capacity capacity_;
-  Geometry geometry_{};
   BlockWords* blocks_ = nullptr;
   detail::Arena* arenas_ = nullptr;
   unsigned char* small_ = nullptr;
+  Capacity capacity_;
+  Geometry geometry_{};
+  std::string path_;
+  boost::interprocess::mapped_region region_;
   Granules<Atomics> granules_;
 };
 

@@ -35,6 +35,23 @@ bool can_revoke() noexcept {
 #endif
 }
 
+/// What one does who finds the lock taken: its holder may share our core.
+class Patience {
+ public:
+  void wait() {
+    if (++looks_ < 64) {
+      detail::HardwareAtomics::pause();
+    } else if (looks_ < 128) {
+      std::this_thread::yield();
+    } else {  // a real-time thread must not starve the holder
+      std::this_thread::sleep_for(std::chrono::microseconds(50));
+    }
+  }
+
+ private:
+  unsigned looks_ = 0;
+};
+
 }  // namespace
 
 BiasedLock::BiasedLock() noexcept {
@@ -45,16 +62,9 @@ BiasedLock::BiasedLock() noexcept {
 }
 
 void BiasedLock::lock_shared() noexcept {
-  for (unsigned n = 0; taken_.exchange(true, std::memory_order_acquire);) {  // L2
-    while (taken_.load(std::memory_order_relaxed)) {
-      if (++n < 64) {
-        detail::HardwareAtomics::pause();
-      } else if (n < 128) {
-        std::this_thread::yield();
-      } else {  // a real-time thread must not starve the holder
-        std::this_thread::sleep_for(std::chrono::microseconds(50));
-      }
-    }
+  Patience patience;
+  while (taken_.exchange(true, std::memory_order_acquire)) {  // L2
+    while (taken_.load(std::memory_order_relaxed)) patience.wait();
   }
   if (shared_.load(std::memory_order_relaxed)) {
     // Whoever revoked the bias waited for its owner; since then the owner stays out.
@@ -69,7 +79,7 @@ void BiasedLock::lock_shared() noexcept {
     std::fputs("lot: membarrier was registered and fails now\n", stderr);
     std::abort();
   }
-  while (busy_.load(std::memory_order_acquire)) detail::HardwareAtomics::pause();  // L1, L2
+  while (busy_.load(std::memory_order_acquire)) patience.wait();  // L1, L2
   owner_.store(kNobody, std::memory_order_relaxed);
 }
 

@@ -312,11 +312,9 @@ void Participant::rename(std::string_view name) noexcept {
   std::memcpy(entry.name, name.data(), std::min(name.size(), sizeof(entry.name) - 1));
 }
 
-void Participant::check_usable() const {
-  if (inert_) {
-    throw Error(ECHILD, segment_.path(), "this object was inherited through fork() and is inert",
-                "make a new lot::ShmEngine in the child, or exec");
-  }
+void Participant::refuse() const {
+  throw Error(ECHILD, segment_.path(), "this object was inherited through fork() and is inert",
+              "make a new lot::ShmEngine in the child, or exec");
 }
 
 void Participant::drop_pointer(detail::ControlCell& cell) noexcept {

@@ -50,8 +50,12 @@ class Participant {
   void rename(std::string_view name) noexcept;
 
   /// Throws lot::Error in a forked child, where every inherited object is inert.
-  void check_usable() const;
+  void check_usable() const {
+    if (inert_.load(std::memory_order_relaxed)) [[unlikely]]
+      refuse();
+  }
   bool inert() const noexcept { return inert_; }
+  [[noreturn]] void refuse() const;
 
   /// A pool for a new publisher (or, without a topic, for an engine's own messages). It belongs to
   /// the participant and is used again after its publisher has gone and its last message has died.
@@ -196,9 +200,10 @@ class Participant {
 
   OwnedHub hub_;
   std::shared_ptr<liveness::LockFile> lock_file_;
+  std::atomic<bool> inert_{false};
   segment::Segment segment_;
+  alignas(64) Holder holder_;
   registry::Registry registry_;
-  Holder holder_;
   EngineOptions options_;
   std::size_t cells_bytes_ = 0;
 
@@ -226,7 +231,6 @@ class Participant {
   // ... to here.
   std::atomic<std::uint32_t> used_channels_{0};
 
-  std::atomic<bool> inert_{false};
   std::atomic<bool> left_{false};
   std::mutex leave_mutex_;
   bool lock_lost_ = false;  ///< our byte must be locked again; the warden's

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "transport/pool.hpp"
 
+#include <utility>
+
 #include "lot/error.hpp"
 
 namespace lot::transport {
@@ -31,8 +33,28 @@ void Holder::release_ring_hold(std::uint32_t b) const noexcept {
 void Holder::release_references(std::uint32_t b) const noexcept {
   Arena& arena = segment->arena(b);
   if (arena.references == 0) return;
-  each_reference(b, [this](std::uint32_t target) { release_ring_hold(target); });
+  // What comes home may let others come home while it is buried, and so on. That is done by who is
+  // first, one after the other: such a chain may be longer than a stack is deep.
+  struct Released {
+    const Holder* holder;
+    std::vector<std::uint32_t> home;
+  };
+  static thread_local Released* first = nullptr;
+  const bool nested = first != nullptr && first->holder == this;
+  Released mine{this, {}};
+  auto& home = nested ? first->home : mine.home;
+  each_reference(b, [&](std::uint32_t target) {
+    if (own.release(words(target), cell(target).hold, hold::kRing)) home.push_back(target);
+  });
   arena.references = 0;
+  if (nested) return;
+  Released* const outer = std::exchange(first, &mine);
+  while (!home.empty()) {
+    const std::uint32_t target = home.back();
+    home.pop_back();
+    (*pools)[cell(target).pool]->came_home(target);
+  }
+  first = outer;
 }
 
 std::uint32_t Pool::try_loan() {
@@ -150,9 +172,7 @@ void Pool::came_home(std::uint32_t b) noexcept {
     if (is_kept_[b]) return;  // somebody else held it before: the next loan looks
     if (!reclaim(b, 0)) return;
   }
-  bury(b);
-  const std::lock_guard guard(lock_);
-  ready_.push_back(b);
+  give_back(b);
 }
 
 void Pool::retire(std::uint32_t b, bool borrowed) {
@@ -237,13 +257,18 @@ void Pool::recycle_extents(std::uint32_t b) noexcept {
 }
 
 void Pool::release_block(std::uint32_t b) noexcept {
+  ControlCell& c = holder_.cell(b);
+  // A ring or a reference that somebody has written over has led here, too.
+  if ((c.hold.load(std::memory_order_relaxed) & hold::kHolds) != hold::kPointer) {
+    holder_.own.release(holder_.words(b), c.hold, hold::kPointer);
+    return;
+  }
   bury(b);
   Arena& arena = holder_.segment->arena(b);
   for (unsigned i = 0; i < arena.extents; ++i) {
     holder_.segment->granules().release(arena.extent[i].granule, arena.extent[i].order);
   }
   arena.extents = 0;
-  ControlCell& c = holder_.cell(b);
   c.type = nullptr;
   holder_.own.give_back(holder_.words(b), c.hold);
 }

@@ -33,7 +33,7 @@ struct Holder {
   std::vector<std::atomic<std::uint8_t>> in_queue;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
   /// Above all blocks that this process ever held, so that who looks for them need not go further.
-  alignas(64) mutable std::atomic<std::uint32_t> known{0};
+  mutable std::atomic<std::uint32_t> known{0};
 
   segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }
   detail::ControlCell& cell(std::uint32_t b) const noexcept { return cells[b]; }
@@ -44,7 +44,7 @@ struct Holder {
   }
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
-  void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
+  [[gnu::hot]] void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
   /// The block is, or was, held here.
   void know(std::uint32_t b) const noexcept;
   /// Lets go of a ring's or a message's hold.
@@ -92,7 +92,7 @@ class Pool {
   /// Lays the arena of an exclusively owned block out for a message. Throws OutOfMemory.
   void* lay_out(std::uint32_t b, const detail::MessageType& type);
 
-  /// An exclusively owned block whose message was never shared comes back.
+  /// An exclusively owned block comes back: its message was never shared, or has died.
   void give_back(std::uint32_t b) noexcept;
   /// The last hold of this process on a message of ours has gone.
   void came_home(std::uint32_t b) noexcept;

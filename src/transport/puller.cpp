@@ -25,7 +25,7 @@ constexpr unsigned kEagerPolls = 4096;
 /// So many messages without a wait are a stream; its reader then waits so long before it looks
 /// again.
 constexpr unsigned kBurst = 4;
-constexpr unsigned kPausesAfterBurst = 200;
+constexpr unsigned kPausesAfterBurst = 50;
 /// In a stream, the lines of this message are fetched while those before it are read.
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
@@ -39,10 +39,10 @@ class Puller final : public detail::PullerCore {
          const detail::MessageType& type, const PullerOptions& options, detail::Delivery delivery)
       : participant_(std::move(participant)),
         directory_(participant_->segment().directory().version),
-        topic_(participant_->enter_topic(topic, type)),
-        type_(type),
         taking_(delivery == detail::Delivery::ToOne),
         small_(type.size <= segment::kSmallBytes && type.align <= 64),
+        type_(type),
+        topic_(participant_->enter_topic(topic, type)),
         habit_(options.wait) {
     try {
       const registry::Registry::Lock lock(participant_->registry());
@@ -64,27 +64,27 @@ class Puller final : public detail::PullerCore {
     unsubscribe();
   }
 
-  Status borrow(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
-                bool forever) override {
+  [[gnu::hot]] Status borrow(detail::Borrowed& borrowed, bool wait,
+                             detail::Clock::time_point deadline, bool forever) override {
     keeping_ = false;
     return look_or_wait(borrowed, wait, deadline, forever);
   }
 
-  void done() noexcept override {
+  [[gnu::hot]] void done() noexcept override {
     if (participant_->inert()) return;
     Source& source = sources_[current_];
     const mutex_engine::Alone alone(source.lock, std::nothrow);
     end(source);
   }
 
-  detail::ControlCell* keep() override {
+  [[gnu::hot]] detail::ControlCell* keep() override {
     participant_->check_usable();
     participant_->holder().acquire(block_, hold::kPointer);
     return &participant_->holder().cell(block_);
   }
 
-  Status pull(detail::Borrowed& kept, bool wait, detail::Clock::time_point deadline,
-              bool forever) override {
+  [[gnu::hot]] Status pull(detail::Borrowed& kept, bool wait, detail::Clock::time_point deadline,
+                           bool forever) override {
     keeping_ = true;
     return look_or_wait(kept, wait, deadline, forever);
   }
@@ -156,6 +156,32 @@ class Puller final : public detail::PullerCore {
     return n;
   }
 
+  std::vector<detail::Origin> rejoin(std::string_view publisher, std::uint64_t answer) override {
+    std::vector<detail::Origin> rejoined;
+    for (auto s = sources_.begin(); s != sources_.end();) {
+      // Who serves us asks for nothing, and who has ended has no use for it.
+      const bool is_served = ring::is_set(s->reader.from()) && !ring::is_set(s->reader.to());
+      if (s->publisher != publisher || is_served || s->reader.orphaned()) {
+        ++s;
+        continue;
+      }
+      // First, so that the ring is never without us: nobody may take its memory for other things.
+      bool full = false;
+      const auto again = Reader::join(s->reader.ring(), s->name.generation, participant_->index(),
+                                      Reader::kFromTheStart, full, answer);
+      if (!again) {  // there is no room, or it has ended just now
+        ++s;
+        continue;
+      }
+      rejoined.push_back({s->name.channel, s->name.generation, 0});
+      leave(s->reader);
+      s->reader = *again;
+      s->chosen = {};
+      ++s;
+    }
+    return rejoined;
+  }
+
   void decline() override { participant_->registry().decline(topic_, participant_->index()); }
   void content() override { participant_->registry().content(topic_, participant_->index()); }
 
@@ -168,7 +194,7 @@ class Puller final : public detail::PullerCore {
     return notifier_->fd();
   }
 
-  std::optional<detail::Clock::time_point> arm(detail::FutexWaits& waits) override {
+  [[gnu::hot]] std::optional<detail::Clock::time_point> arm(detail::FutexWaits& waits) override {
     participant_->check_usable();
     if (borrowing_) return std::nullopt;  // the next look says what is wrong
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
@@ -197,9 +223,9 @@ class Puller final : public detail::PullerCore {
   }
 
  private:
-  struct Source {
-    registry::ChannelName name;
+  struct alignas(64) Source {
     Reader reader;
+    registry::ChannelName name;
     mutex_engine::QueueLock lock;
     std::string publisher;  ///< name of its process
     ring::Chosen<Policy> chosen{};
@@ -253,7 +279,7 @@ class Puller final : public detail::PullerCore {
   }
 
   /// One look at every ring, beginning behind the one that had the last message.
-  bool look(detail::Borrowed& borrowed) {
+  [[gnu::hot]] bool look(detail::Borrowed& borrowed) {
     if (participant_->inert() || borrowing_) [[unlikely]]
       refuse();
     if (directory_.load(std::memory_order_acquire) != version_) [[unlikely]]
@@ -272,7 +298,7 @@ class Puller final : public detail::PullerCore {
     return false;
   }
 
-  bool look_into(Source& source, detail::Borrowed& borrowed) {
+  [[gnu::hot]] bool look_into(Source& source, detail::Borrowed& borrowed) {
     const Source::Turn turn(source);
     for (;;) {
       const ring::Word b = source.reader.poll(missed_);
@@ -328,7 +354,7 @@ class Puller final : public detail::PullerCore {
   }
 
   /// After a look that found nothing. False: there is something to look at after all.
-  bool settle() {
+  [[gnu::hot]] bool settle() {
     return ring::settle(
         sources_, [this](Reader& reader) { ring_bell(reader); },
         [this](Reader& reader) {
@@ -338,7 +364,7 @@ class Puller final : public detail::PullerCore {
         });
   }
 
-  Status wait_and_look(detail::Borrowed& borrowed, const futex::Deadline& deadline) {
+  [[gnu::hot]] Status wait_and_look(detail::Borrowed& borrowed, const futex::Deadline& deadline) {
     const bool streaming = std::exchange(burst_, 0) >= kBurst;
     if (habit_.worthwhile()) {
       const auto status = spin(borrowed, deadline, streaming);
@@ -390,7 +416,7 @@ class Puller final : public detail::PullerCore {
   }
 
   /// Sleeps until something may have come. False when the deadline has passed.
-  bool park(const futex::Deadline& deadline) {
+  [[gnu::hot]] bool park(const futex::Deadline& deadline) {
     waits_.clear();
     const auto again = arm(waits_);
     if (!again) return true;
@@ -422,7 +448,7 @@ class Puller final : public detail::PullerCore {
       if (reader) {
         missed_ += reader->skipped();
         const auto owner = ring::writer_owner(ring.writer->load(std::memory_order_acquire));
-        sources_.push_back({name, *reader, participant_->segment().queue_lock(name.channel),
+        sources_.push_back({*reader, name, participant_->segment().queue_lock(name.channel),
                             std::string(participant_->name_of(owner))});
       } else if (full && complain) {
         throw Error(EUSERS, participant_->segment().path(),
@@ -505,28 +531,30 @@ class Puller final : public detail::PullerCore {
                 "writes behind the end of its messages");
   }
 
+  // Looked at for each message, so close to each other.
   std::shared_ptr<Participant> participant_;
   std::atomic<std::uint32_t>& directory_;
-  std::uint32_t topic_;
-  const detail::MessageType& type_;
-  bool taking_;  ///< each message is for one reader, which takes it
-  bool small_;   ///< the messages lie in their blocks' small payload
-  SpinHabit habit_;
-  YieldHabit yield_;
-  bool announced_ = false;  ///< the topic counts this puller
-  bool borrowing_ = false;
-  bool keeping_ = false;        ///< what is found is kept at once
-  unsigned burst_ = 0;          ///< messages since the last wait
-  std::uint32_t version_ = 0;   ///< of the directory, when sources_ was right
-  futex::Deadline not_before_;  ///< there is no use in looking for rings
-  std::uint32_t block_ = 0;
+  std::vector<Source> sources_;
   std::size_t current_ = 0;
   std::uint64_t missed_ = 0;
-  std::vector<Source> sources_;
+  std::uint32_t version_ = 0;  ///< of the directory, when sources_ was right
+  std::uint32_t block_ = 0;
+  unsigned burst_ = 0;  ///< messages since the last wait
+  bool borrowing_ = false;
+  bool keeping_ = false;  ///< what is found is kept at once
+  bool taking_;           ///< each message is for one reader, which takes it
+  bool small_;            ///< the messages lie in their blocks' small payload
+  const detail::MessageType& type_;
+  std::unique_ptr<Notifier> notifier_;  ///< once fd() was called
+
+  std::uint32_t topic_;
+  SpinHabit habit_;
+  YieldHabit yield_;
+  bool announced_ = false;      ///< the topic counts this puller
+  futex::Deadline not_before_;  ///< there is no use in looking for rings
+  detail::FutexWaits waits_;
   bool chooses_ = false;    ///< somebody asks which messages are for us
   std::vector<Left> left_;  ///< the last few
-  detail::FutexWaits waits_;
-  std::unique_ptr<Notifier> notifier_;  ///< once fd() was called
 };
 
 }  // namespace

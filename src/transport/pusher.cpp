@@ -104,11 +104,12 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     participant_->leave_topic(*topic_);
   }
 
-  detail::Loan loan(const detail::MessageType& type, bool or_throw) override {
+  [[gnu::hot]] detail::Loan loan(const detail::MessageType& type, bool or_throw) override {
     participant_->check_usable();
     std::uint32_t b;
     {
       const std::lock_guard guard(pool_.lock());
+      if (writer_) writer_->prefetch();
       b = pool_.try_loan();
       if (b == Pool::kNone) retire_taken();
       if (b == Pool::kNone && pool_.retired() >= batch()) {
@@ -140,7 +141,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return loan;
   }
 
-  Status push_unique(detail::ControlCell* cell, std::chrono::nanoseconds block_for) override {
+  [[gnu::hot]] Status push_unique(detail::ControlCell* cell,
+                                  std::chrono::nanoseconds block_for) override {
     check(cell);
     // Made by another copy of the library, or taken from a queue.
     if (cell->hub != participant_->hub() || participant_->was_received(*cell)) {
@@ -162,7 +164,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return Status::Ok;
   }
 
-  Status push_shared(const detail::ControlCell* cell, std::chrono::nanoseconds block_for) override {
+  [[gnu::hot]] Status push_shared(const detail::ControlCell* cell,
+                                  std::chrono::nanoseconds block_for) override {
     check(cell);
     if (!participant_->same_segment(*cell)) {
       throw Error(EINVAL, participant_->segment().path(),
@@ -197,25 +200,24 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return true;
   }
 
-  std::optional<detail::Served> serve(std::string_view node, std::size_t back) override {
+  bool is_read_by(std::string_view node) override {
+    if (!writer_) return false;
+    const std::lock_guard guard(pool_.lock());
+    return only_reader(node).has_value();
+  }
+
+  std::optional<detail::Served> serve(std::string_view node, std::size_t back,
+                                      std::optional<std::uint64_t> answer) override {
     participant_->check_usable();
     if (!writer_) return std::nullopt;
     const std::lock_guard guard(pool_.lock());
     if (!writer_->has_last(back)) return std::nullopt;
     const ring::Word first =
         ring::advance(writer_->next_sequence(), ring::kSequenceMask + 1 - back);
-    const auto is_meant = [&](std::uint32_t k) { return is_called(k, node); };
-    std::optional<std::uint32_t> reader;
-    bool several = false;  // one of them is dead, perhaps
-    writer_->each_reader([&](std::uint32_t k) {
-      if (k >= participant_->participants() || !is_meant(k)) return;
-      several = reader.has_value();
-      reader = k;
-    });
-    if (!reader || several || !participant_->registry().wants(*topic_, *reader)) {
-      return std::nullopt;
-    }
-    const auto served = writer_->serve(*reader, first, [&] { return is_meant(*reader); });
+    const auto reader = only_reader(node);
+    if (!reader) return std::nullopt;
+    const auto served = writer_->serve(
+        *reader, first, [&] { return is_called(*reader, node); }, answer);
     if (!served) return std::nullopt;
     return detail::Served{*reader, served->cell, served->round};
   }
@@ -271,6 +273,19 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
            participant_->name_of(k) == node;
   }
 
+  /// Of those who read here and want to be served; several: one of them is dead, perhaps.
+  std::optional<std::uint32_t> only_reader(std::string_view node) {
+    std::optional<std::uint32_t> reader;
+    bool several = false;
+    writer_->each_reader([&](std::uint32_t k) {
+      if (k >= participant_->participants() || !is_called(k, node)) return;
+      several = reader.has_value();
+      reader = k;
+    });
+    const bool is_wanted = reader && !several && participant_->registry().wants(*topic_, *reader);
+    return is_wanted ? reader : std::nullopt;
+  }
+
   void check(const detail::ControlCell* cell) const {
     participant_->check_usable();
     if (cell == nullptr) {
@@ -311,13 +326,20 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     pool_.scan([this](std::uint32_t b) { return seen_[b] == scan_; });
   }
 
-  /// Publishes, retires what was overwritten, unlocks, wakes.
-  void publish(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone, std::uint32_t b) {
+  /// Publishes, wakes, retires what was overwritten. Called with both locks held, left without.
+  [[gnu::hot]] void publish(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
+                            std::uint32_t b) {
     const bool guarded = writer_->ring().guarded();
     if (guarded) fit_ = fit(b);  // before: who takes it may change it
     if (writer_->ring().taken) participant_->holder().queued(b).store(1, std::memory_order_relaxed);
     const auto published = writer_->publish(b);
     alone.unlock();
+    // First: after a pause all that is looked at here is cold, and who sleeps would wait for it.
+    if (published.wake) {
+      lock.unlock();  // who is woken may want it, on our core
+      wake_readers(*published.slot);
+      lock.lock();
+    }
     std::vector<std::uint32_t> foreign;
     if (published.replaced == b) {
       foreign.push_back(b);  // the same message again: it is in the ring, so nobody needs this hold
@@ -339,7 +361,6 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       for (const std::uint32_t f : pool_.take_foreign()) foreign.push_back(f);
     }
     lock.unlock();
-    if (published.wake) wake_readers(*published.slot);
     for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
   }
 
@@ -364,7 +385,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
   /// Besides the ring's own room: what is lossless waits for those who have subscribed and have not
   /// looked since this ring has come. A joiner gets depth - 1 messages.
-  bool room() {
+  [[gnu::hot]] bool room() {
     if (!writer_->room()) return false;
     const ring::Ring<segment::Atomics>& ring = writer_->ring();
     if (all_joined_ || ring::distance(writer_->next_sequence(), ring.first) < ring.depth - 1) {

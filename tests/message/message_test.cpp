@@ -13,6 +13,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <pthread.h>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -480,6 +481,36 @@ TEST_CASE("a reference to a reference keeps the whole chain") {
   seen.reset();
   for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
   CHECK(watch.expired());
+}
+
+TEST_CASE("a chain of references dies on a small stack, however long it is") {
+  const Watchdog watchdog(60);
+  struct Link {
+    lot::ShmRef<const Link> before;
+  };
+  Place place(128 << 20);
+  constexpr unsigned kLinks = 12000;
+  lot::ShmSharedPtr<const Link> last;
+  lot::ShmWeakPtr<const Link> first;
+  for (unsigned n = 0; n < kLinks; ++n) {
+    auto link = place.engine.make<Link>();
+    if (last) link->before = last;
+    last = std::move(link);
+    if (n == 0) first = last;
+  }
+  pthread_attr_t small;
+  REQUIRE(pthread_attr_init(&small) == 0);
+  REQUIRE(pthread_attr_setstacksize(&small, 128 << 10) == 0);
+  pthread_t thread{};
+  const auto drop = [](void* link) -> void* {
+    static_cast<lot::ShmSharedPtr<const Link>*>(link)->reset();
+    return nullptr;
+  };
+  REQUIRE(pthread_create(&thread, &small, drop, &last) == 0);
+  REQUIRE(pthread_join(thread, nullptr) == 0);
+  CHECK(first.expired());
+  for (unsigned n = 0; n < kLinks; ++n)
+    CHECK(place.engine.make<Link>());  // all of it is there again
 }
 
 TEST_CASE("a process leaves though its last messages let others go only then") {

@@ -380,7 +380,7 @@ inline publish(mine) {
 #endif
   atomic {
     if
-    :: old & MARK -> kernel_wake(SLOT(mine, next)) /* @ src/transport/pusher.cpp publish: if (published.wake) wake_readers(*published.slot) */
+    :: old & MARK -> kernel_wake(SLOT(mine, next)) /* @ src/transport/pusher.cpp publish: if (published.wake) { lock.unlock(); wake_readers(*published.slot) */
     :: else
     fi;
     old = 0;

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <deque>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <thread>
@@ -16,6 +17,7 @@
 #include "lot/lot.hpp"
 
 #include "support/processes.hpp"
+#include "transport/participant.hpp"
 
 namespace {
 
@@ -333,6 +335,63 @@ TEST_CASE("a lossless publisher waits for all who had subscribed, also before th
   for (std::uint64_t n = 0; n < 3; ++n) CHECK(send(pusher, n) == Status::Ok);
   dead.kill9();
   CHECK(send(pusher, 3) == Status::Ok);
+}
+
+TEST_CASE("a lossless publisher does not wait for an index that nobody has") {
+  const Watchdog watchdog(60);
+  Place place;
+  auto pusher = place.engine.advertise<Number>("/t", {Policy::Block, 4, 1ms});
+  {
+    lot::segment::Segment segment(place.engine.path());
+    for (auto& topic : segment.topics()) {
+      topic.pullers[0].store(1);  // as a wild write would do
+      topic.pullers[5].store(3);
+    }
+  }
+  for (std::uint64_t n = 0; n < 20; ++n) CHECK(send(pusher, n) == Status::Ok);
+}
+
+TEST_CASE("a block that a damaged queue leads to is not given back under a pointer") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps done;
+  Steps go;
+  Child other([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Number>("/t");
+    done.tell();
+    must(go.next() != 0, "somebody reads");
+    must(send(pusher, 7) == Status::Ok, "it is sent");
+    done.tell();
+    pause();
+  });
+  REQUIRE(done.next() != 0);
+  {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<Number>("/t");
+    std::optional pusher(engine.advertise<Number>("/u"));
+    pusher->loan(8u).reset();  // kept for the next loan
+    go.tell();
+    REQUIRE(done.next() != 0);
+    lot::segment::Segment segment(engine.path());
+    const std::uint32_t home = lot::transport::Participant::join(options)->index() + 1;
+    std::uint32_t ours = 0;
+    while (ours < segment.capacity().blocks && segment.block(ours).home.load() != home) ++ours;
+    REQUIRE(ours < segment.capacity().blocks);
+    for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
+      const auto ring = segment.ring(c);
+      if (ring.depth == 0) continue;
+      auto& slot = ring.slots[0];
+      if (lot::ring::block(slot.load()) == lot::ring::kNoBlock) continue;
+      slot.store(lot::ring::make(lot::ring::sequence(slot.load()), ours));
+    }
+    auto wrong = puller.pull(10s);
+    REQUIRE(wrong);
+    pusher.reset();
+    CHECK(segment.block(ours).home.load() == home);
+    other.kill9();
+  }
+  CHECK(eventually([&] { return files_of(options) == 0; }, 10s));
 }
 
 TEST_CASE("a reader that found a queue without a free place comes in once there is one") {

@@ -29,6 +29,9 @@ struct HardwareAtomics {
 #endif
   }
 
+  /// A step that only somebody else's write into the words can lead to.
+  static void damage_seen() noexcept {}
+
   static void prefetch_read(const void* address) noexcept { __builtin_prefetch(address, 0); }
   static void prefetch_write(const void* address) noexcept { __builtin_prefetch(address, 1); }
 };
