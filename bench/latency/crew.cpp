@@ -265,6 +265,14 @@ void Crew::connect(const Plan& plan) {
         in(to, {"ip", "addr", "add", network + "2/24", "dev", there});
         in(from, {"ip", "link", "set", here, "up"});
         in(to, {"ip", "link", "set", there, "up"});
+        // Every node reaches every other one of its stream, through publisher 0 or subscriber 0.
+        if (p == 0) in(to, {"ip", "route", "add", "default", "via", network + "1"});
+        if (r == 0) in(from, {"ip", "route", "add", "default", "via", network + "2"});
+        if (r == 0 && p == 0) {
+          for (const pid_t hub : {from, to}) {
+            in(hub, {"sh", "-c", "echo 1 > /proc/sys/net/ipv4/ip_forward"});
+          }
+        }
       }
     }
   }

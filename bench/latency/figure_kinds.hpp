@@ -14,8 +14,9 @@ namespace ab {
 /// Box plots over the message's size: 3, 5, 6 a-c, 7, peers, peers-spin (box_figures.cpp).
 std::vector<std::string> draw_box_figures(const Run&, const std::string& machine,
                                           const std::filesystem::path& dir);
-/// Figure 6 d: message by message (time_figures.cpp, as the others).
-std::string draw_nagle(const Run&, const std::string& machine, const std::filesystem::path& dir);
+/// Figures 6 d and ros6d: message by message (time_figures.cpp, as the others).
+std::vector<std::string> draw_nagle(const Run&, const std::string& machine,
+                                    const std::filesystem::path& dir);
 /// Figure 8: CPU use over time.
 std::string draw_load(const Run&, const std::string& machine, const std::filesystem::path& dir);
 /// Table 1: CPU seconds and hot spots.

@@ -40,6 +40,7 @@ unsigned colour(const std::string& transport) {
                                                        {"ros-lot", 0x0072b2},
                                                        {"ros-lot-mutex", 0x56b4e9},
                                                        {"ros-tcp", 0xd55e00},
+                                                       {"ros-tcp-nodelay", 0xe69f00},
                                                        {"ros-udp", 0xcc79a7},
                                                        {"ros-tzc", 0x009e73},
                                                        {"ros-intra", 0x999999}};
@@ -119,6 +120,7 @@ std::string label_of(const std::string& transport) {
                                                         {"ros-lot", "LOT in ROS"},
                                                         {"ros-lot-mutex", "LOT in ROS, mutex"},
                                                         {"ros-tcp", "TCPROS"},
+                                                        {"ros-tcp-nodelay", "TCPROS, no delay"},
                                                         {"ros-udp", "UDPROS"},
                                                         {"ros-tzc", "TZC in ROS"},
                                                         {"ros-intra", "one ROS process"}};

@@ -518,6 +518,12 @@ std::vector<CellArms> saved_cells(const fs::path& dir, const Machine& machine) {
 Run load(const fs::path& path) {
   const fs::path file = fs::is_directory(path) ? path / "run.json" : path;
   const Json json = read_run(file);
+  if (!json.value("cells", Json::array()).empty() && !fs::exists(file.parent_path() / "raw")) {
+    fail(
+        file,
+        "the single samples beside it (raw/), from which tables, figures and comparisons are made, "
+        "were not kept; what was made of them may lie there, as tables.txt and figures/");
+  }
   try {
     Run run;
     run.command = json.at("command");

@@ -63,6 +63,11 @@ class Node {
     }
     if (is_ping_pong() && !publishes()) {  // no clock between two hops
       handler_ = [this](std::span<const std::byte> message) { accept(message, 0); };
+    } else if (is_throughput()) {
+      handler_ = [this](std::span<const std::byte> message) {
+        if (me_.profiled) sampler_waiting(false);
+        accept(message, is_clocked(message) ? now_ns() : 0);
+      };
     } else {
       handler_ = [this](std::span<const std::byte> message) {
         const std::int64_t now = now_ns();
@@ -102,6 +107,7 @@ class Node {
  private:
   bool goes_on() const { return board_.head().stop.load() == 0; }
   bool is_ping_pong() const { return plan_.mode == "ping-pong"; }
+  bool is_throughput() const { return plan_.mode == "throughput"; }
   bool publishes() const { return me_.role == Role::Publish; }
 
   void settle_down() {
@@ -194,8 +200,16 @@ class Node {
     u.copied_bytes += after.copied_bytes - before_.copied_bytes;
   }
 
+  bool is_kept(std::uint64_t number) const { return number % plan_.keep_every == 0; }
+  /// Of the messages of a throughput only those that are kept, and the last ones, are worth a
+  /// clock.
+  bool is_clocked(std::span<const std::byte> message) const {
+    MessageHead head;
+    std::memcpy(&head, message.data(), sizeof head);
+    return head.is_last != 0 || is_kept(head.number);
+  }
   void keep(const Sample& sample) {
-    if (!order_.recorded || sample.number % plan_.keep_every != 0) return;
+    if (!order_.recorded || !is_kept(sample.number)) return;
     if (record_.samples < record_.most_samples) samples_[record_.samples++] = sample;
   }
 
@@ -247,7 +261,7 @@ class Node {
         at = std::max(at + period, now_ns() - period);  // who is late does not hurry for ever
         sleep_until(at);
       }
-      ++(send(i + 1 == n, true) ? sent : refused);
+      ++(send(i + 1 == n, !is_throughput() || is_kept(number_)) ? sent : refused);
     }
     record_.ended = now_ns();
     if (order_.recorded) {
@@ -264,7 +278,7 @@ class Node {
   void accept(std::span<const std::byte> message, std::int64_t now) {
     MessageHead head;
     std::memcpy(&head, message.data(), sizeof head);
-    heard_at_ = now;
+    if (now != 0) heard_at_ = now;
     if (head.block == order_.block) {
       ++received_;
       ended_ += head.is_last;
@@ -276,7 +290,7 @@ class Node {
                         (message.size() == size_ && is_whole(message, head.word, plan_.fill)));
     if (!whole) ++record_.spoilt;
     number_heard_ = head.number;
-    if (!is_ping_pong()) {
+    if (!is_ping_pong() && now != 0) {
       keep({head.number, head.publisher, head.block, head.loaned_at, head.filled_at, head.pushed_at,
             now});
     }
@@ -301,11 +315,13 @@ class Node {
       }
     }
     heard_at_ = now_ns();
+    std::int64_t quiet_since = 0;  // 0: it is not quiet
     while (transport_.delivers && ended_ < stream_.publishers && goes_on()) {
-      if (receive()) continue;
-      if (arm_.sent_all.load() < publishers_) {
-        heard_at_ = now_ns();
-      } else if (now_ns() - heard_at_ > kQuiet) {
+      if (receive() || arm_.sent_all.load() < publishers_) {
+        quiet_since = 0;
+      } else if (quiet_since == 0) {
+        quiet_since = now_ns();
+      } else if (now_ns() - quiet_since > kQuiet) {
         break;  // the last ones are lost
       }
     }
@@ -393,8 +409,8 @@ class Node {
   std::uint64_t number_heard_ = 0;  ///< of the last one
   std::uint64_t received_ = 0;      ///< in this block
   unsigned ended_ = 0;              ///< publishers whose last message of this block has come
-  std::int64_t heard_at_ = 0;
-  unsigned silent_ = 0;  ///< slices without the ball
+  std::int64_t heard_at_ = 0;       ///< when the last one came that was clocked
+  unsigned silent_ = 0;             ///< slices without the ball
   Usage before_;
   std::uint64_t missed_before_ = 0;
   std::uint64_t untold_ = 0;  ///< lost, and not told as missed so far

@@ -7,7 +7,7 @@
 #   (none)    8 sizes, 500 messages: under 90 minutes
 #   --quick   3 sizes, 20 messages: under 10 minutes, to see that all of it works
 #   --full    14 sizes, 2000 messages, every transport, with and without a pool: days
-#   --ros     with nodes of ROS, instead (default DIR: build/paper-ros): 8 sizes, 150 messages: 30 minutes
+#   --ros     with nodes of ROS, instead (default DIR: build/paper-ros): 8 sizes, 150 messages: an hour
 #
 # Cells that DIR has already are left out: a run that was broken off goes on where it stopped. Some
 # cells need root (TCP and UDP between containers); without it the output says what was left out, as
@@ -48,13 +48,13 @@ if [ ! -x "$lot_ab" ]; then
 fi
 
 # How long that is: messages / 30 Hz for each arm (floors are arms) of each cell, with 2 cores.
-#   figures 3, 5, 6, 7 at 8 sizes, 500 messages: (6 + 2 + 5 + 2 + 3 + 5 + 1) x 8 + 6 (Nagle), 198 arms: 55 min
+#   figures 3, 5, 6, 7 at 8 sizes, 500 messages: (6 + 2 + 5 + 2 + 4 + 5 + 1) x 8 + 6 (Nagle), 206 arms: 57 min
 #   every transport at 3 sizes, 120 messages: 18 x 3 arms                                               4 min
 #   small differences, 10,000 messages at 1 kHz: 9 arms                                                 2 min
 #   peers that spin, and frames that are made anew, 100 messages: 9 x 3 + 2 x 6 arms                    3 min
 #   load: 4 x 3 arms of 60 s, 6 of 20 s                                                                14 min
 #   the vehicle: 2 x 7 arms of 20 s                                                                     5 min
-# 82 minutes, and some more for starting nodes, for ping-pong and for throughput.
+# 84 minutes, and some more for starting nodes, for ping-pong and for throughput.
 #
 # How much memory: size x publishers x (depth + pool) for each arm of a cell, together 12 GiB with
 # 16 MiB and a pool of 100. Where publishers or topics are many, the pool is 10, and 4 may wait.
@@ -107,6 +107,13 @@ if [ $ros = yes ]; then
   [ "$size" = normal ] && messages=150
   few=(--messages "$messages" --block "$block" --pool 4)
   only "in ROS: one publisher, one subscriber" $nodes,ros-udp,ring,tcp "${few[@]}" --size 128,$sizes
+  for place in container containers; do
+    only "in ROS: placement, $place" ros-lot,ros-tcp "${few[@]}" --size $sizes --place $place --no-floors
+  done
+  only "in ROS: on cores of their own" ros-lot,ros-tcp "${few[@]}" --size $sizes --pin other-core --no-floors
+  only "in ROS: the vehicle, with and without its cameras" ros-lot,ros-lot-immediate,ros-tcp \
+    --pool 10 --depth 4 --graph av --messages $((400 * av_s)) --block 400
+  only "in ROS: Nagle's algorithm" ros-tcp,ros-tcp-nodelay,ros-lot "${few[@]}" --size 512,1K --no-floors
   only "in ROS: spinning" $nodes,ring "${few[@]}" --size 128,16M --wait spin
   only "in ROS: frames that are not filled" ros-lot,ros-lot-immediate,ros-intra,ring \
     --messages $((messages * 8)) --block $((messages * 8 / 20)) --rate 100 --pool 4 --size 128,16M --fill no
@@ -116,6 +123,10 @@ if [ $ros = yes ]; then
     "${few[@]}" --depth 4 --size $sizes --graph 5p1s --no-floors
   only "in ROS: five subscribers" ros-lot,ros-lot-immediate,ros-tcp,ros-tzc,floor-futex \
     "${few[@]}" --size $sizes --graph 1p5s --no-floors
+  only "in ROS: five subscribers, one after the other" ros-tcp \
+    "${few[@]}" --size $sizes --graph 1p5s --ordered --no-floors
+  only "in ROS: load at 16 MiB" ros-lot,ros-lot-immediate,ros-tcp --size 16M --no-floors --pool 10 --depth 4 \
+    --messages $((15 * load_s)) --block $((15 * load_s)) --graph 1p1s,1p5s,5p1s --profile
   "$lot_ab" plot "$out"
   exit $failed
 fi
@@ -155,9 +166,11 @@ for prepared in $pools; do
     "${paced[@]}" --size $sizes --place containers --no-floors
   measure "figure 3: in one container" ring,tcp "${paced[@]}" --size $sizes --place container --no-floors
   measure "figure 3: on the host" ring,mutex,tcp,floor-futex,floor-pace "${paced[@]}" --size $sizes --no-floors
+  measure "a rival at 16 MiB" ring,uds,floor-futex \
+    --messages "$others" --block $((others / 6 + 1)) "${pool[@]}" --size 16M --no-floors
   measure "figures 6 b, c: on cores of their own" ring,tcp "${paced[@]}" --size $sizes --pin other-core --no-floors
   measure "figure 6 d: Nagle's algorithm" tcp-nagle,tcp,ring "${paced[@]}" --size 512,1K --no-floors
-  measure "figure 5: five publishers" ring,tcp,tzc \
+  measure "figure 5: five publishers" ring,tcp,tzc,floor-futex \
     --messages "$messages" --block "$block" "${few[@]}" --size $sizes --graph 5p1s --place containers --no-floors
   measure "figure 7: five subscribers" ring,tcp,uds,tzc,floor-futex \
     "${paced[@]}" --size $sizes --graph 1p5s --place containers --no-floors

@@ -47,7 +47,7 @@ inline std::uint64_t messages_in_block(double first_hz, double rate_hz, std::uin
 struct Plan {
   std::string mode;
   bool fill = true;
-  std::uint64_t keep_every = 1;  ///< of so many samples, one is kept
+  std::uint64_t keep_every = 1;  ///< of so many messages, one is a sample
   std::vector<ArmPlan> arms;
   std::vector<NodePlan> nodes;
 };

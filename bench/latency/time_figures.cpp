@@ -19,9 +19,18 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::size_t kNagleSizes[] = {512, 1024};
-const std::vector<std::string> kNagleTransports{"tcp-nagle", "tcp", "ring"};
+/// Message by message: with Nagle's algorithm, without, and LOT.
+struct NagleFigure {
+  std::string name;
+  std::string needed;  ///< cells without this transport are not about it
+  std::vector<std::string> transports;
+};
+const std::vector<NagleFigure> kNagleFigures{
+    {"fig6d", "tcp-nagle", {"tcp-nagle", "tcp", "ring"}},
+    {"ros6d", "ros-tcp-nodelay", {"ros-tcp", "ros-tcp-nodelay", "ros-lot"}}};
 const std::vector<std::string> kLoadGraphs{"1p1s", "1p5s", "5p1s"};
-const std::vector<std::string> kLoadTransports{"tcp", "ring", "mutex", "lot2021", "lot2021-direct"};
+const std::vector<std::string> kLoadTransports{
+    "tcp", "ring", "mutex", "lot2021", "lot2021-direct", "ros-tcp", "ros-lot", "ros-lot-immediate"};
 
 /// Cells of the CPU experiment: for each graph the one with the largest messages in which `has`
 /// holds for some arm.
@@ -87,10 +96,9 @@ std::string seconds_word(double seconds) {
   return text;
 }
 
-}  // namespace
-
-std::string draw_nagle(const Run& run, const std::string& machine, const fs::path& dir) {
-  const std::string name = "fig6d";
+std::string draw_nagle_figure(const NagleFigure& figure, const Run& run, const std::string& machine,
+                              const fs::path& dir) {
+  const std::string& name = figure.name;
   const std::string title = "Nagle's algorithm, message by message";
   CellPointers candidates;
   for (const Cell& cell : run.cells) {
@@ -98,12 +106,12 @@ std::string draw_nagle(const Run& run, const std::string& machine, const fs::pat
     const bool small = std::find(std::begin(kNagleSizes), std::end(kNagleSizes), conditions.size) !=
                        std::end(kNagleSizes);
     if (small && conditions.mode == "paced" && conditions.graph == "1p1s" && !conditions.ordered &&
-        find(cell, kNagleTransports.front(), "") != nullptr) {
+        find(cell, figure.needed, "") != nullptr) {
       candidates.push_back(&cell);
     }
   }
   if (candidates.empty()) {
-    return left_out(dir, name, "needs paced cells of 1p1s, 512 B or 1 KiB, with tcp-nagle");
+    return left_out(dir, name, "needs paced cells of 1p1s, 512 B or 1 KiB, with " + figure.needed);
   }
   const CellPointers cells = best_setting(candidates, Series::Transport,
                                           [](const CellPointers& part) { return part.size(); });
@@ -114,7 +122,7 @@ std::string draw_nagle(const Run& run, const std::string& machine, const fs::pat
   Range range;
   for (const auto& [size, cell] : by_size) {
     panels.add_panel(size_word(size));
-    for (const std::string& transport : kNagleTransports) {
+    for (const std::string& transport : figure.transports) {
       const StreamResult* stream = find(*cell, transport, "");
       if (stream == nullptr || stream->subscribers.empty()) continue;
       std::ostringstream rows;
@@ -135,6 +143,17 @@ std::string draw_nagle(const Run& run, const std::string& machine, const fs::pat
     if (!by_size.contains(size)) line += "; without " + size_word(size);
   }
   return line;
+}
+
+}  // namespace
+
+std::vector<std::string> draw_nagle(const Run& run, const std::string& machine,
+                                    const fs::path& dir) {
+  std::vector<std::string> lines;
+  for (const NagleFigure& figure : kNagleFigures) {
+    lines.push_back(draw_nagle_figure(figure, run, machine, dir));
+  }
+  return lines;
 }
 
 std::string draw_load(const Run& run, const std::string& machine, const fs::path& dir) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <arpa/inet.h>
 #include <array>
 #include <cerrno>
 #include <csignal>
@@ -8,11 +9,13 @@
 #include <fstream>
 #include <netinet/in.h>
 #include <optional>
+#include <poll.h>
 #include <stdexcept>
 #include <sys/socket.h>
 #include <sys/wait.h>
 #include <system_error>
 #include <thread>
+#include <tuple>
 #include <unistd.h>
 #include <utility>
 
@@ -38,30 +41,56 @@ using ros_ends::Way;
 
 constexpr auto kStarts = 60s;  ///< a master
 constexpr auto kEnds = 5s;
+constexpr int kReachesMs = 5000;
 
 std::string uri_file(const Stream& stream) { return stream.directory + "/rosmaster"; }
 
-// ---- the master
-// -----------------------------------------------------------------------------------
+bool copies(Way way) { return way == Way::Tcp || way == Way::TcpNoDelay || way == Way::Udp; }
 
-/// A port that nobody listens on. Somebody may take it until the master does: then it says so.
-int free_port() {
-  const Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0), "socket");
+// ---- the master ---------------------------------------------------------------------------------
+
+sockaddr_in name_of(const std::string& host, int port) {
   sockaddr_in name{};
   name.sin_family = AF_INET;
-  name.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  name.sin_port = htons(static_cast<std::uint16_t>(port));
+  if (inet_pton(AF_INET, host.c_str(), &name.sin_addr) != 1) {
+    throw std::runtime_error(host + " is no address");
+  }
+  return name;
+}
+/// A port that nobody listens on. Somebody may take it until the master does: then it says so.
+int free_port(const std::string& host) {
+  const Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0), "socket");
+  sockaddr_in name = name_of(host, 0);
+  if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&name), sizeof name) != 0) fail("bind");
   socklen_t length = sizeof name;
-  if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&name), length) != 0) fail("bind");
   if (getsockname(fd.get(), reinterpret_cast<sockaddr*>(&name), &length) != 0) fail("getsockname");
   return ntohs(name.sin_port);
 }
-bool listens(int port) {
-  const Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0), "socket");
-  sockaddr_in name{};
-  name.sin_family = AF_INET;
-  name.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  name.sin_port = htons(static_cast<std::uint16_t>(port));
-  return connect(fd.get(), reinterpret_cast<const sockaddr*>(&name), sizeof name) == 0;
+/// The address by which who listens there reaches this process. Nothing: nobody does.
+std::optional<std::string> seen_by(const std::string& host, int port) {
+  const Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0), "socket");
+  const sockaddr_in there = name_of(host, port);
+  if (connect(fd.get(), reinterpret_cast<const sockaddr*>(&there), sizeof there) != 0) {
+    if (errno != EINPROGRESS) return std::nullopt;
+    pollfd ready{fd.get(), POLLOUT, 0};
+    if (poll(&ready, 1, kReachesMs) != 1) return std::nullopt;
+    int error = 0;
+    socklen_t length = sizeof error;
+    if (getsockopt(fd.get(), SOL_SOCKET, SO_ERROR, &error, &length) != 0) fail("getsockopt");
+    if (error != 0) return std::nullopt;
+  }
+  sockaddr_in here{};
+  socklen_t length = sizeof here;
+  if (getsockname(fd.get(), reinterpret_cast<sockaddr*>(&here), &length) != 0) fail("getsockname");
+  char text[INET_ADDRSTRLEN];
+  if (inet_ntop(AF_INET, &here.sin_addr, text, sizeof text) == nullptr) fail("inet_ntop");
+  return text;
+}
+
+/// Where the master of an arm is: nodes in containers meet on the first publisher's network.
+std::string host_of(const Stream& stream) {
+  return stream.address.empty() ? "127.0.0.1" : stream.address[0][0];
 }
 
 /// The master of all streams that share a directory: the first of them starts it.
@@ -69,11 +98,12 @@ class Master final : public Service {
  public:
   explicit Master(const Stream& stream) {
     if (std::filesystem::exists(uri_file(stream))) return;
-    const int port = free_port();
+    const std::string host = host_of(stream);
+    const int port = free_port(host);
     const std::string log = stream.directory + "/rosmaster.log";
-    start(port, stream.directory, log);
+    start(host, port, stream.directory, log);
     const auto until = std::chrono::steady_clock::now() + kStarts;
-    while (!listens(port)) {
+    while (!seen_by(host, port)) {
       if (std::chrono::steady_clock::now() < until && waitpid(pid_, nullptr, WNOHANG) == 0) {
         std::this_thread::sleep_for(10ms);
         continue;
@@ -83,19 +113,22 @@ class Master final : public Service {
       throw std::runtime_error("rosmaster did not start; it said: " +
                                std::string(std::istreambuf_iterator<char>(said), {}));
     }
-    std::ofstream(uri_file(stream)) << "http://127.0.0.1:" << port << "/\n";
+    // Whole, or not there.
+    std::ofstream(uri_file(stream) + ".new") << host << ' ' << port << '\n';
+    std::filesystem::rename(uri_file(stream) + ".new", uri_file(stream));
   }
   ~Master() override { stop(); }
   int pid() const override { return pid_; }
 
  private:
-  void start(int port, const std::string& directory, const std::string& log) {
+  void start(const std::string& host, int port, const std::string& directory,
+             const std::string& log) {
     std::vector<std::string> words{LOT_AB_ROSMASTER,     "--core", "-p",
                                    std::to_string(port), "-w",     "3"};
     std::vector<char*> arguments;
     for (std::string& word : words) arguments.push_back(word.data());
     arguments.push_back(nullptr);
-    std::vector<std::string> settings{"ROS_HOME=" + directory, "ROS_IP=127.0.0.1"};
+    std::vector<std::string> settings{"ROS_HOME=" + directory, "ROS_IP=" + host};
     std::vector<char*> environment;
     for (std::string& setting : settings) environment.push_back(setting.data());
     for (char** e = environ; *e != nullptr; ++e) {
@@ -134,6 +167,12 @@ class Master final : public Service {
   pid_t pid_ = 0;
 };
 
+/// Containers have one of their own, which their first publisher starts.
+std::unique_ptr<Master> own_master(const Stream& stream, unsigned publisher) {
+  const bool is_first = publisher == 0 && stream.name.ends_with("_0");
+  return stream.isolated && is_first ? std::make_unique<Master>(stream) : nullptr;
+}
+
 // ---- ends
 // -----------------------------------------------------------------------------------------
 
@@ -148,13 +187,31 @@ std::string ros_name(std::string name) {
   return "n" + name;
 }
 
+/// {the master's URI, this node's address}, when there is a master.
+std::pair<std::string, std::string> meet(const Stream& stream) {
+  const auto until = std::chrono::steady_clock::now() + kStarts;
+  while (!std::filesystem::exists(uri_file(stream))) {
+    if (std::chrono::steady_clock::now() > until) throw std::runtime_error("no rosmaster came");
+    std::this_thread::sleep_for(10ms);
+  }
+  std::string host;
+  int port = 0;
+  std::ifstream(uri_file(stream)) >> host >> port;
+  const auto address = seen_by(host, port);
+  if (!address) {
+    throw std::runtime_error("no way leads to the rosmaster at " + host +
+                             ": containers of several topics do not meet; set --place host");
+  }
+  return {"http://" + host + ":" + std::to_string(port) + "/", *address};
+}
+
 Terms terms_of(const Stream& stream, Way way, char role, unsigned index) {
   Terms terms;
   terms.way = way;
   terms.waiting = stream.wait == Wait::Spin       ? ros_ends::Waiting::Spin
                   : stream.wait == Wait::Adaptive ? ros_ends::Waiting::Adaptive
                                                   : ros_ends::Waiting::Park;
-  std::ifstream(uri_file(stream)) >> terms.master;
+  std::tie(terms.master, terms.address) = meet(stream);
   terms.topic = "/" + ros_name(stream.name);
   terms.node = ros_name(stream.name) + "_" + role + std::to_string(index);
   terms.directory = stream.directory;
@@ -186,7 +243,9 @@ bool reaches(const ros_ends::Publisher& topic, unsigned subscribers,
 class RosSender final : public Sender {
  public:
   RosSender(const Stream& stream, Way way, unsigned publisher)
-      : stream_(stream), topic_(advertise(terms_of(stream, way, 'p', publisher))) {}
+      : stream_(stream),
+        master_(own_master(stream, publisher)),
+        topic_(advertise(terms_of(stream, way, 'p', publisher))) {}
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
     return reaches(*topic_, subscribers, patience);
@@ -203,14 +262,14 @@ class RosSender final : public Sender {
 
  private:
   const Stream stream_;
+  const std::unique_ptr<Master> master_;
   const std::unique_ptr<ros_ends::Publisher> topic_;
 };
 
 class RosReceiver final : public Receiver {
  public:
   RosReceiver(const Stream& stream, Way way, unsigned subscriber)
-      : copies_(way == Way::Tcp || way == Way::Udp),
-        topic_(subscribe(terms_of(stream, way, 's', subscriber))) {}
+      : copies_(copies(way)), topic_(subscribe(terms_of(stream, way, 's', subscriber))) {}
 
   bool receive(const Handler& handler, std::chrono::nanoseconds patience) override {
     return topic_->receive(
@@ -243,6 +302,7 @@ class RosTzcSender final : public Sender {
         publisher_(publisher),
         segment_(stream),
         spare_(stream.size),
+        master_(own_master(stream, publisher)),
         topic_(advertise(notices_of(stream, 'p', publisher))) {}
 
   bool wait_for_subscribers(unsigned subscribers, std::chrono::nanoseconds patience) override {
@@ -266,6 +326,7 @@ class RosTzcSender final : public Sender {
   const std::uint32_t publisher_;
   tzc::Segment segment_;
   const Pages spare_;  ///< where a message is filled for which there is no memory
+  const std::unique_ptr<Master> master_;
   const std::unique_ptr<ros_ends::Publisher> topic_;
   std::uint32_t handle_ = tzc::kNone;  ///< on loan
   std::uint64_t number_ = 0;
@@ -322,19 +383,20 @@ Transport base(std::string name, std::string about) {
   t.name = std::move(name);
   t.about = std::move(about);
   t.waits = false;
-  t.refuses = [](const Stream& stream) -> std::string {
-    if (stream.isolated) return "its nodes and their master meet on the loopback; set --place host";
-    return "";
+  t.is_network = true;
+  t.refuses = [](const Stream&) { return std::string(); };
+  t.serve = [](const Stream& stream) -> std::unique_ptr<Service> {
+    if (stream.isolated) return std::make_unique<Service>();  // see own_master()
+    return std::make_unique<Master>(stream);
   };
-  t.serve = [](const Stream& stream) { return std::make_unique<Master>(stream); };
   return t;
 }
 
 Transport ros_transport(std::string name, std::string about, Way way) {
   Transport t = base(std::move(name), std::move(about));
   t.threads = way == Way::Intra;
-  t.copies = way == Way::Tcp || way == Way::Udp;
-  t.is_network = way == Way::Udp;  // it may lose the last message, too
+  t.copies = copies(way);
+  t.may_lose = way == Way::Udp;
   t.sender = [way](const Stream& stream, unsigned publisher) {
     return std::make_unique<RosSender>(stream, way, publisher);
   };
@@ -354,6 +416,8 @@ std::vector<Transport> ros_transports() {
       ros_transport("ros-lot-mutex", "roscpp with lot::ros: the queue under a robust mutex",
                     Way::LotMutex),
       ros_transport("ros-tcp", "roscpp: TCPROS", Way::Tcp),
+      ros_transport("ros-tcp-nodelay", "the same with TransportHints().tcpNoDelay()",
+                    Way::TcpNoDelay),
       ros_transport("ros-udp", "roscpp: UDPROS, datagrams of 1500 bytes", Way::Udp),
       ros_transport("ros-intra", "roscpp: pointers within one process", Way::Intra)};
   Transport tzc =

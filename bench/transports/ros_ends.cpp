@@ -70,7 +70,7 @@ class Node {
   explicit Node(const Terms& terms) {
     if (ros::isInitialized()) throw std::runtime_error("ROS has ended in this process");
     setenv("ROS_HOME", terms.directory.c_str(), 1);
-    setenv("ROS_IP", "127.0.0.1", 1);
+    setenv("ROS_IP", terms.address.c_str(), 1);
     setenv("LOT_DIR", terms.directory.c_str(), 1);
     const ros::M_string settings{
         {"__master", terms.master},
@@ -180,6 +180,7 @@ class TopicSubscriber final : public Subscriber {
     ros::TransportHints hints;
     const std::lock_guard lock(node_->opening());
     if (terms.way == Way::Udp) hints.unreliable();
+    if (terms.way == Way::TcpNoDelay) hints.tcpNoDelay();
     subscriber_ = handle.subscribe<Message>(
         terms.topic, terms.depth,
         boost::function<void(const boost::shared_ptr<Message const>&)>(

@@ -14,6 +14,7 @@ namespace ab::ros_ends {
 
 enum class Way {
   Tcp,           ///< roscpp's TCPROS
+  TcpNoDelay,    ///< without Nagle's algorithm
   Udp,           ///< roscpp's UDPROS
   Intra,         ///< roscpp, by pointer, within one process
   Lot,           ///< lot::ros
@@ -26,8 +27,9 @@ enum class Waiting { Spin, Adaptive, Park };
 struct Terms {
   Way way = Way::Tcp;
   Waiting waiting = Waiting::Park;
-  std::string master;  ///< its URI
-  std::string node;    ///< what this process is called; the first end that it opens decides
+  std::string master;   ///< its URI
+  std::string address;  ///< of this node, as others reach it
+  std::string node;     ///< what this process is called; the first end that it opens decides
   std::string topic;
   std::string directory;  ///< for ROS's files and LOT's segment
   std::string segment;

@@ -101,6 +101,7 @@ struct Transport {
   bool delivers = true;     ///< false: its subscribers hear nothing (the cost of pacing alone)
   bool waits = true;        ///< push() can wait for slow subscribers: nothing need be lost
   bool is_network = false;  ///< needs Stream::address
+  bool may_lose = false;    ///< the last message, too
   bool copies = false;      ///< a message's bytes are copied on their way
   /// Why this stream cannot be had: empty, or a sentence that says what can be set instead.
   std::function<std::string(const Stream&)> refuses;

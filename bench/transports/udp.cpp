@@ -365,6 +365,7 @@ Transport udp_transport(std::string name, std::string about, std::size_t datagra
   t.name = std::move(name);
   t.about = std::move(about);
   t.is_network = true;
+  t.may_lose = true;
   t.waits = false;
   t.copies = true;
   t.refuses = [](const Stream&) { return std::string(); };

@@ -71,6 +71,7 @@ Run everything() {
                                      "fastdds-loan",
                                      "udp-65507",
                                      "ros-lot",
+                                     "ros-lot-immediate",
                                      "ros-lot-mutex",
                                      "ros-tcp",
                                      "ros-udp",
@@ -90,19 +91,22 @@ Run everything() {
     run.cells.back().conditions.wait = "spin";
     factor = 0.3;
     for (const char* pin : {"same-core", "other-core"}) {
-      run.cells.push_back(paced("1p1s", {}, size, {"ring", "tcp", "floor-futex"}, factor, 0));
+      run.cells.push_back(
+          paced("1p1s", {}, size, {"ring", "tcp", "floor-futex", "ros-lot", "ros-tcp"}, factor, 0));
       run.cells.back().conditions.pin = pin;
       factor = 0.95;
     }
     run.cells.push_back(paced("1p5s", {1, 5, 10, 10}, size, several, 1.1, 0.3));
-    run.cells.push_back(
-        paced("1p5s", {1, 5, 10, 10}, size, {"ring", "tcp", "tzc", "floor-futex"}, 1.1, 0.25));
+    run.cells.push_back(paced("1p5s", {1, 5, 10, 10}, size,
+                              {"ring", "tcp", "tzc", "floor-futex", "ros-tcp"}, 1.1, 0.25));
     run.cells.back().conditions.ordered = true;
     run.cells.push_back(paced("5p1s", {5, 1, 10, 10}, size, several, 1.3, 0));
   }
   for (const std::size_t size : {512u, 1024u}) {
     run.cells.push_back(paced("1p1s", {1, 1, 10, 50}, size, {"ring", "tcp", "tcp-nagle"}, 1, 0));
     run.cells.back().conditions.pool = 100;
+    run.cells.push_back(
+        paced("1p1s", {1, 1, 10, 50}, size, {"ros-lot", "ros-tcp", "ros-tcp-nodelay"}, 1, 0));
   }
   double nodes = 2;
   for (const char* graph : {"1p1s", "1p5s", "5p1s"}) {
@@ -142,10 +146,10 @@ std::string line_of(const std::vector<std::string>& lines, const std::string& na
 
 bool has_gnuplot() { return std::system("command -v gnuplot >/dev/null") == 0; }
 
-constexpr const char* kFigures[] = {"fig3a", "fig3b", "fig5a", "fig5b",      "fig5c", "fig6a",
-                                    "fig6b", "fig6c", "fig6d", "fig7a",      "fig7b", "fig7c",
-                                    "fig7d", "fig8",  "peers", "peers-spin", "ros5a", "ros5b",
-                                    "ros5c", "ros6a", "ros7a", "ros7c",      "ros7d"};
+constexpr const char* kFigures[] = {
+    "fig3a", "fig3b", "fig5a", "fig5b", "fig5c", "fig6a",      "fig6b", "fig6c", "fig6d", "fig7a",
+    "fig7b", "fig7c", "fig7d", "fig8",  "peers", "peers-spin", "ros3a", "ros3b", "ros5a", "ros5b",
+    "ros5c", "ros6a", "ros6b", "ros6c", "ros6d", "ros7a",      "ros7b", "ros7c", "ros7d"};
 
 }  // namespace
 

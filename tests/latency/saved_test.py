@@ -7,6 +7,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -97,6 +98,12 @@ def shows_and_compares(directory):
     json.dump(run, open(out + '/run.json', 'w', encoding='utf-8'))
     r = lot_ab('show', out)
     check(r.returncode == 1 and 'WRONG' in r.stdout, 'counts that do not add up: 1')
+    kept = directory + '/without-samples'
+    os.mkdir(kept)
+    shutil.copy(out + '/run.json', kept)
+    for command in ['show', kept], ['compare', out, kept]:
+        r = lot_ab(*command)
+        check(r.returncode == 4 and 'were not kept' in r.stderr, f'a run without its samples says so ({command[0]})')
     run['machine']['kernel'] = 'made up'
     json.dump(run, open(out + '/run.json', 'w', encoding='utf-8'))
     r = lot_ab('-t', 'ring', '-n', '1000000', '-o', out, '--resume')
