@@ -95,7 +95,8 @@ class ShmPuller {
   std::uint64_t missed() const noexcept { return missed_; }
   /// All that were lost to it.
   std::uint64_t missed_total() const noexcept { return missed_total_; }
-  /// Publishers of the topic that are there now.
+  /// Publishers of the topic that are there now. It may wait for other processes that advertise,
+  /// subscribe or leave, and throws lot::Error when a stopped one keeps it waiting.
   std::size_t publishers() { return core_->publishers(); }
   /// Messages that are there to be read.
   std::size_t size() { return core_->size(); }

@@ -217,7 +217,10 @@ class Puller final : public detail::PullerCore {
 
   std::size_t publishers() override {
     participant_->check_usable();
-    if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
+    if (directory_.load(std::memory_order_acquire) != version_) {
+      const registry::Registry::Lock lock(participant_->registry());
+      find_rings(Reader::kFromTheStart, false);
+    }
     return static_cast<std::size_t>(std::count_if(
         sources_.begin(), sources_.end(), [](const Source& s) { return !s.reader.orphaned(); }));
   }
@@ -459,6 +462,7 @@ class Puller final : public detail::PullerCore {
       }
     }
     version_ = all ? version : version - 1;
+    not_before_.reset();
     if (!all) not_before_ = futex::Clock::now() + kFullRing;
   }
 
@@ -466,7 +470,6 @@ class Puller final : public detail::PullerCore {
   /// so it never waits for the registry's lock; the next look tries again.
   void find_new_rings() {
     if (not_before_ && futex::Clock::now() < *not_before_) return;
-    not_before_.reset();
     registry::Registry& registry = participant_->registry();
     if (!registry.try_lock()) {
       not_before_ = futex::Clock::now() + kBusyRegistry;

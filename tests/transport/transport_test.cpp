@@ -16,6 +16,7 @@
 
 #include "lot/lot.hpp"
 
+#include "robust_mutex/robust_mutex.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -289,6 +290,25 @@ TEST_CASE("one subscription reads several publishers, which come and go in any o
   CHECK(all_got + puller.missed_total() == all_sent);  // received, or counted as missed
 }
 
+TEST_CASE("publishers are counted while somebody else is at the registry, too") {
+  const Watchdog watchdog(60);
+  Place place;
+  auto puller = place.engine.subscribe<Number>("/t");
+  auto pusher = place.engine.advertise<Number>("/t");
+  lot::segment::Segment segment(place.engine.path());
+  Steps held;
+  std::thread other([&] {
+    lot::RobustMutex mutex(segment.directory().lock.mutex);
+    mutex.lock();
+    held.tell();
+    std::this_thread::sleep_for(30ms);
+    mutex.unlock();
+  });
+  CHECK(held.next() != 0);
+  CHECK(puller.publishers() == 1);
+  other.join();
+}
+
 TEST_CASE("what a publisher sent after the subscription counts, even before the first look") {
   const Watchdog watchdog(60);
   Place place;
@@ -316,9 +336,9 @@ TEST_CASE("a lossless publisher waits for all who had subscribed, also before th
       return n - before;
     };
     CHECK(fill() == 3);
-    for (std::uint64_t i = 0; i < 3; ++i) CHECK(first.try_pull()->value == i);
+    for (std::uint64_t i = 0; i < 3; ++i) CHECK(first.pull(10s)->value == i);
     CHECK(fill() == 0);  // the second one has not looked
-    for (std::uint64_t i = 0; i < 3; ++i) CHECK(second.try_pull()->value == i);
+    for (std::uint64_t i = 0; i < 3; ++i) CHECK(second.pull(10s)->value == i);
     CHECK(fill() == 4);
     CHECK(first.missed_total() + second.missed_total() == 0);
   }
