@@ -117,7 +117,6 @@ class Watcher {
   std::thread thread_;  // last: it uses the others
 };
 
-/// A function that moves bytes, not one that waits.
 /// Copying, or a system call that moves bytes or sleeps.
 bool is_no_spinning(const std::string& symbol) {
   static const std::set<std::string> kOthers{"memcpy",

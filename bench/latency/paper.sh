@@ -141,9 +141,14 @@ for prepared in $pools; do
     "${ball[@]}" --wait spin --pin other-core --size 128,1M
   measure "parked: ping-pong on one core" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds \
     "${ball[@]}" --wait park --pin same-core --size 128
-  flood=(--mode throughput "${pool[@]}" --size 128,64K --messages "$most" --block $((most / 10)))
+  measure "parked: ping-pong across cores" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds \
+    "${ball[@]}" --wait park --pin other-core --size 128
+  stream=(--mode throughput --size 128,64K --messages "$most" --block $((most / 10)))
+  flood=("${stream[@]}" "${pool[@]}")
   measure "throughput, on cores of their own" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx \
     "${flood[@]}" --wait adaptive --pin other-core
+  [ "$size" = full ] || only "throughput, each message allocated" ring,lot2021,lot2021-direct \
+    "${stream[@]}" --pool 0 --wait adaptive --pin other-core
   measure "throughput, parked on one core" ring,ring-borrow,mutex,lot2021,lot2021-direct,tcp,uds,iceoryx,intra \
     "${flood[@]}" --pin same-core
   measure "peers that spin" ring,ring-borrow,mutex,iceoryx,fastdds,fastdds-loan \
