@@ -123,6 +123,13 @@ def runs_and_saves():
         check(len(run['cells']) == 6, 'cells of three runs are in one file')
         arms = {a['transport'] for c in run['cells'] for a in c['arms'] if not a.get('refused')}
         check({'ring', 'mutex', 'tcp', 'floor-futex'} <= arms, 'every transport ran, and a floor')
+        for mode, every in (('paced', 1), ('throughput', 16)):
+            ends = [u for c in run['cells'] if c['conditions']['mode'] == mode for a in c['arms']
+                    if a['transport'] in ('ring', 'mutex') for s in a['streams'] for u in s['subscribers']]
+            check(len(ends) == 4 and all(u['sent'] == 60 and u['received'] > 0 for u in ends), f'{mode}: messages have come')
+            stamped = [(u['latency_us']['from_fill']['count'], u['received']) for u in ends]
+            check(all(n // every <= count <= -(-n // every) for count, n in stamped),
+                  f'{mode}: one message of {every} is stamped: {stamped}')
         r = lot_ab('-t', 'ring,mutex,tcp', '-m', 'throughput', '-s', '128,64K', '-n', '60', '--block', '20', '-o', out,
                    '--resume')
         check(r.returncode == 0 and 'ring' not in r.stdout, 'what is saved is not run again')
