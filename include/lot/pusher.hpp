@@ -94,7 +94,7 @@ class ShmPusher {
     if (status == Status::Ok) detail::PointerAccess::take(message);
     return status;
   }
-  /// Never waits.
+  /// Never waits for a reader.
   Status try_push(ShmUniquePtr<T>&& message) {
     return push(std::move(message), std::chrono::nanoseconds(0));
   }

@@ -157,7 +157,7 @@ class ShmQueue {
       return put_made(std::move(item), deadline);
     }
   }
-  /// Never waits.
+  /// Never waits for a reader.
   Status try_put(const T& item) { return put_until(item, Clock::time_point::min()); }
   Status try_put(T&& item) { return put_until(std::move(item), Clock::time_point::min()); }
   /// Builds the item in place, from args.

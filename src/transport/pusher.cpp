@@ -25,6 +25,9 @@ constexpr std::size_t kUsualBatch = 32;
 /// A sender that waits for room looks by itself this often: readers tell of it a few times a lap
 /// only, and what they tell may be missed.
 constexpr auto kLookPeriod = 1ms;
+/// And so long, beyond what its caller has said, for who is at the registry: only a stopped process
+/// stays there.
+constexpr auto kRegistryPatience = 100ms;
 /// A queue that loses nothing stays so long for readers that have not found it yet.
 constexpr auto kFarewell = 100ms;
 constexpr unsigned kPausesPerLook = 16;
@@ -395,6 +398,10 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return all_joined_;
   }
 
+  /// After room() has said no: only because somebody else was at the registry. That alone does not
+  /// make a queue full.
+  bool is_unsure() { return late_.empty() && writer_->room(); }
+
   /// What is for everybody, or for one of them, is not gone before those who wait for it have come:
   /// they have been woken, and join in a moment. Who does not look now comes too late.
   void wait_for_late_ones() noexcept {
@@ -412,8 +419,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   /// microseconds: where that has been so, it spins first. Called and left with both locks held.
   bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
                      std::chrono::nanoseconds block_for) {
-    if (!waits_) return false;
-    const auto until = detail::after(block_for);
+    if (!waits_ && !is_unsure()) return false;
+    const auto until = detail::after(waits_ ? std::max(block_for, 0ns) : 0ns);
     if (futex::Clock::now() < until && habit_.worthwhile() && spin_for_room(lock, alone, until)) {
       return true;
     }
@@ -430,7 +437,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       const auto value = ring::wait_for_room(*writer_, [this] { return room(); });
       if (!value) return true;
       const auto now = futex::Clock::now();
-      if (now >= until) return false;
+      const bool late = now >= until;
+      if (late && (!is_unsure() || now - until >= kRegistryPatience)) return false;
       std::vector<std::uint32_t> laggards;
       if (look % kLooksPerProbe == 0) {
         laggards = late_;
@@ -442,7 +450,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       alone.unlock();
       lock.unlock();
       for (const std::uint32_t k : laggards) participant_->reap_if_dead(k);
-      futex::wait(writer_->ring().space, *value, std::min(until, now + kLookPeriod));
+      futex::wait(writer_->ring().space, *value,
+                  late ? now + kLookPeriod : std::min(until, now + kLookPeriod));
       lock.lock();
       alone.lock();
     }

@@ -357,6 +357,41 @@ TEST_CASE("a lossless publisher waits for all who had subscribed, also before th
   CHECK(send(pusher, 3) == Status::Ok);
 }
 
+TEST_CASE("a lossless queue is not full because somebody else is at the registry") {
+  const Watchdog watchdog(60);
+  Place place;
+  lot::segment::Segment segment(place.engine.path());
+  // Once more when the machine was busy and the other one has stayed there for longer.
+  for (auto stayed = 1000ms; stayed > 50ms;) {
+    auto puller = place.engine.subscribe<Number>("/t");
+    auto block = place.engine.advertise<Number>("/t", {Policy::Block, 1, 1s});
+    auto refuse = place.engine.advertise<Number>("/t", {Policy::Refuse, 1, 1s});
+    REQUIRE(puller.publishers() == 2);
+    Steps held;
+    std::thread other([&] {
+      lot::RobustMutex mutex(segment.directory().lock.mutex);
+      const auto since = std::chrono::steady_clock::now();
+      mutex.lock();
+      held.tell();
+      std::this_thread::sleep_for(5ms);
+      mutex.unlock();
+      stayed = std::chrono::duration_cast<std::chrono::milliseconds>(
+          std::chrono::steady_clock::now() - since);
+    });
+    CHECK(held.next() != 0);
+    auto message = block.loan();
+    const Status tried = block.try_push(std::move(message));
+    const Status pushed = send(refuse, 0);
+    // One that is full says so.
+    const Status full = send(refuse, 1);
+    other.join();
+    if (stayed > 50ms) continue;
+    CHECK(tried == Status::Ok);
+    CHECK(pushed == Status::Ok);
+    CHECK(full == Status::Full);
+  }
+}
+
 TEST_CASE("a lossless publisher does not wait for an index that nobody has") {
   const Watchdog watchdog(60);
   Place place;
