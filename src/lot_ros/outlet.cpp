@@ -514,7 +514,14 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   if (to_ring && (parcel.cell == nullptr || !ring_->has(*parcel.cell))) {
     const detail::Parcel copy = into_ring(parcel);
     to_ring = copy.cell != nullptr;
-    if (to_ring) parcel = copy;
+    if (to_ring) {
+      parcel = copy;
+    } else if (!std::exchange(has_lacked_room_, true)) {
+      ROS_WARN(
+          "LOT: %s goes over TCPROS for a message that the segment has no room for: set a larger "
+          "~lot/size at the node that makes it, or keep fewer messages (said once)",
+          options_.topic.c_str());
+    }
   }
   for (Peer& peer : peers_) {
     if (peer.state == State::Open && !to_ring) {

@@ -184,6 +184,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   std::chrono::milliseconds probe_period_ = kProbePeriod;
   Loop::Clock::time_point probe_at_;  ///< not before that it asks again
   bool last_is_latched_ = false;      ///< the last message of the ring is the one that is latched
+  bool has_lacked_room_ = false;      ///< a message found none, which was said
   std::uint64_t serialised_ = 0;
 
   mutable std::mutex news_mutex_;  ///< a leaf: roscpp's locks are held by who takes it

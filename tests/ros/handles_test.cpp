@@ -22,6 +22,7 @@
 #include <doctest/doctest.h>
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
+#include <rosgraph_msgs/Log.h>
 #include <sensor_msgs/Image.h>
 #include <std_msgs/Bool.h>
 #include <std_msgs/Empty.h>
@@ -161,9 +162,19 @@ TEST_CASE("who is counted as a subscriber gets what is published next") {
   }
 }
 
-TEST_CASE("a copy for which shared memory has no room goes over TCPROS") {
+TEST_CASE(
+    "a copy for which shared memory has no room goes over TCPROS, and a warning says so once") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
+  ::ros::NodeHandle plain;
+  std::size_t warnings = 0;
+  auto log = plain.subscribe<rosgraph_msgs::Log>(
+      "/rosout", 100, [&](const rosgraph_msgs::LogConstPtr& line) {
+        if (line->level == rosgraph_msgs::Log::WARN &&
+            line->msg.find("LOT: " + topic + " goes over TCPROS for a message") == 0) {
+          ++warnings;
+        }
+      });
   std::size_t got = 0;
   auto listener = node.subscribe<String>(topic, 10, [&](const String& s) { got = s.data.size(); });
   auto talker = node.advertise<String>(topic, 10);
@@ -181,10 +192,13 @@ TEST_CASE("a copy for which shared memory has no room goes over TCPROS") {
         },
         lot::OutOfMemory);
     talker.publish(large);
-    CHECK(talker.serialised() == before + 1);
+    talker.publish(large);
+    CHECK(talker.serialised() == before + 2);
     CHECK(comes([&] { return got == large->data.size(); }));
+    CHECK(comes([&] { return warnings != 0; }));
   }
   says_by_ring(talker, 0);
+  CHECK(warnings == 1);
 }
 
 TEST_CASE("a publisher that is shut down publishes no more, whoever has copies") {

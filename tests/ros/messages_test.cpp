@@ -128,6 +128,14 @@ void check() {
     lot::ros::assign(*shared, plain);
     CHECK(bytes_of(*shared) == bytes);
     CHECK(print_of(*shared) == print_of(plain));
+    if constexpr (traits::HasHeader<Plain>::value) {
+      CHECK(traits::FrameId<Shared>::value(*shared) == traits::FrameId<Plain>::value(plain));
+      CHECK(traits::FrameId<Shared>::pointer(*shared) == &shared->header.frame_id);
+      CHECK(traits::Header<Shared>::pointer(std::as_const(*shared)) == &shared->header);
+      CHECK(traits::TimeStamp<Shared>::value(*shared) == traits::TimeStamp<Plain>::value(plain));
+    } else {
+      CHECK(traits::FrameId<Shared>::pointer(*shared) == nullptr);
+    }
 
     Plain back;
     lot::ros::assign(back, *shared);

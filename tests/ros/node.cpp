@@ -4,9 +4,10 @@
 //
 //     ros_node END... [--for SECONDS] [--spin single|multi|async] [ROS remappings]
 //
-//     END   pub:HOW:TOPIC:COUNT:HZ:BYTES[:latch][:wait=N][:keep][:queue=N]
+//     END   pub:HOW:TOPIC:COUNT:HZ:BYTES[:latch][:wait=N][:keep][:queue=N][:greet]
 //               HOW: lot, plain, std (lot, given standard messages), other (lot, messages of
 //               another definition under the same name)
+//               greet: whoever comes gets message 0 of NAME/greeting for itself
 //           sub:HOW:TOPIC[:COUNT[:after=SECONDS[:quietly]][:queue=N][:leave]]
 //               HOW: lot, plain, lotptr, event
 //               after: it begins then, when a message has just come, but quietly
@@ -265,6 +266,7 @@ class Publication final : public End {
     for (std::size_t i = 6; i < words.size(); ++i) {
       if (words[i] == "latch") latch = true;
       if (words[i] == "keep") keep_ = true;
+      if (words[i] == "greet") greets_ = true;
       if (words[i].rfind("wait=", 0) == 0) wait_ = std::stoul(words[i].substr(5));
       if (words[i].rfind("queue=", 0) == 0) queue = queue_of(words[i]);
     }
@@ -272,6 +274,10 @@ class Publication final : public End {
       plain_ = static_cast<ros::NodeHandle&>(node).advertise<Plain>(topic_, queue, latch);
     } else if (how_ == "other") {
       other_ = node.advertise<Changed>(topic_, queue, latch);
+    } else if (greets_) {
+      lot_ = node.advertise<Shared>(
+          topic_, queue, [this](const ros::SingleSubscriberPublisher& to) { greet(to); },
+          [this](const ros::SingleSubscriberPublisher&) { ++left_; }, ros::VoidConstPtr(), latch);
     } else {
       lot_ = node.advertise<Shared>(topic_, queue, latch);
     }
@@ -288,12 +294,19 @@ class Publication final : public End {
             {"subscribers", subscribers()},
             {"serialised", lot_.serialised()},
             {"last_serialised", last_serialised_.load()},
+            {"left", left_.load()},
             {"places", places_}};
   }
 
  private:
   std::size_t subscribers() const {
     return plain_.getNumSubscribers() + lot_.getNumSubscribers() + other_.getNumSubscribers();
+  }
+  void greet(const ros::SingleSubscriberPublisher& to) const {
+    Plain greeting;
+    fill(greeting, 0, bytes_);
+    greeting.encoding += "/greeting";
+    to.publish(greeting);
   }
   void note_place(const void* payload) {
     const std::lock_guard guard(mutex_);
@@ -342,6 +355,8 @@ class Publication final : public End {
   const std::size_t bytes_;
   std::size_t wait_ = 0;
   bool keep_ = false;
+  bool greets_ = false;
+  std::atomic<std::size_t> left_{0};  ///< subscribers
   std::atomic<std::size_t> sent_{0};
   std::atomic<std::size_t> last_serialised_{0};  ///< so many had been sent then
   ros::Publisher plain_;

@@ -155,6 +155,22 @@ class Pairs(Case):
             self.assert_all(graph.report(listener), 0, ['/talker'], 1500)
             self.assertEqual(graph.report(talker)[0]['serialised'], 0)
 
+    def test_whoever_comes_is_greeted_and_reads_the_ring_then(self):
+        """The publisher has connect callbacks: a greeting goes over the link of each one, before all else."""
+        with Graph() as graph:
+            talker = graph.node('talker', 'pub:lot:/t:1500:300:20000:wait=2:keep:greet')
+            listeners = [graph.node(f'listener{i}', f'sub:{how}:/t:1501') for i, how in enumerate(('lot', 'lotptr'))]
+            for listener in listeners:
+                seen = graph.report(listener)[0]['from']
+                greeting = seen.pop('/talker/greeting')
+                self.assertEqual([greeting[what] for what in ('received', 'torn')], [1, 0])
+                self.assert_all([{'from': seen}], 0, ['/talker'], 1500)
+            graph.wait_for(lambda: graph.peers('/t')[1] == [], 'the ends of both')
+            time.sleep(0.5)
+            report = graph.stop(talker)[0]
+            self.assertEqual(report['left'], 2)
+            self.assertLess(report['last_serialised'], 1000)
+
     def test_several_publishers_and_subscribers(self):
         with Graph() as graph:
             talkers = [f'/talker{i}' for i in range(3)]
@@ -248,6 +264,8 @@ while True: rospy.rostime.wallsleep(1)
             self.assert_all(graph.report(listener), 0, ['/talker'])
             graph.report(talker)
             self.assertIn('datatype/md5sum', graph.said(relay))
+            self.assertRegex(graph.said(listener), 'LOT: /t comes over TCPROS: .*std_msgs/String')
+            self.assertRegex(graph.said(talker), 'LOT: /t goes over TCPROS: .*std_msgs/String')
             for process in words, relay:
                 process.send_signal(signal.SIGINT)
                 process.wait(20)
@@ -493,21 +511,22 @@ class Containers(Case):
                 Graph(shm=shared, inside=self.inside(0, shared), host=self.addresses[0]) as graph:
             other = graph.home / 'elsewhere' if other else shared
             os.makedirs(other, exist_ok=True)
-            listener = graph.start([*self.inside(1, other), NODE, f'sub:lot:/t:{COUNT}', '__name:=listener'])
-            near = graph.start([*self.inside(0, shared), NODE, f'sub:lot:/t:{COUNT}', '__name:=near'])
-            talker = graph.start([*self.inside(0, shared), NODE, f'pub:lot:/t:{COUNT}:300:100000:wait=2',
-                                  '__name:=talker'])
-            for node in (listener, near):
-                self.assert_all(graph.report(node), 0, ['/talker'])
-            serialised = graph.report(talker)[0]['serialised']
+            places = [shared, other]
+            listeners = [graph.start([*self.inside(i, place), NODE, f'sub:lot:/t:{2 * COUNT}', f'__name:=listener{i}'])
+                         for i, place in enumerate(places)]
+            talkers = [graph.start([*self.inside(i, place), NODE, f'pub:lot:/t:{COUNT}:300:100000:wait=2',
+                                    f'__name:=talker{i}']) for i, place in enumerate(places)]
+            for listener in listeners:
+                self.assert_all(graph.report(listener), 0, ['/talker0', '/talker1'])
+            serialised = [graph.report(talker)[0]['serialised'] for talker in talkers]
             self.assertEqual(graph.files(), [])
             return serialised
 
     def test_they_share_the_segments_directory(self):
-        self.assertEqual(self.talk(other=False), 0)
+        self.assertEqual(self.talk(other=False), [0, 0])
 
     def test_who_has_another_directory_gets_all_over_tcpros(self):
-        self.assertEqual(self.talk(other=True), COUNT)
+        self.assertEqual(self.talk(other=True), [COUNT, COUNT])
 
     def test_a_container_dies_and_comes_again(self):
         with tempfile.TemporaryDirectory(dir='/dev/shm', prefix='lot_ros_shared_') as shared, \
@@ -680,6 +699,16 @@ class Settings(Case):
             talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1')
             self.assert_all(graph.report(listener), 0, ['/talker'])
             self.assertEqual(graph.report(talker)[0]['serialised'], COUNT)
+
+    def test_a_pointer_into_shared_memory_where_lot_is_off(self):
+        """There is none to give: the node says so, and does not end."""
+        with Graph() as graph:
+            graph.set_parameter('/listener/lot/enable', False)
+            listener = graph.node('listener', 'sub:lotptr:/t')
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:300:1000:wait=1')
+            self.assertEqual(graph.report(talker)[0]['serialised'], COUNT)
+            self.assertEqual(graph.stop(listener)[0]['from'], {})
+            self.assertIn('a message is dropped: ', graph.said(listener))
 
     def test_a_wrong_setting_is_said_and_messages_go_over_tcpros(self):
         for name, value, words in (('queue', 'heap', 'write ring or mutex'),

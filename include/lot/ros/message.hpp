@@ -169,3 +169,27 @@ struct TypeIdentity<Generated<ShmAllocator<void>>> {
 };
 
 }  // namespace lot
+
+namespace ros::message_traits {
+
+/// As for the standard message, by the types that the message has. (The functions header() and
+/// frameId() of roscpp return pointers into the standard message: they are for that alone.)
+template <template <class> class Generated>
+struct FrameId<Generated<lot::ShmAllocator<void>>,
+               typename boost::enable_if<HasHeader<Generated<lot::ShmAllocator<void>>>>::type> {
+  using Type = Generated<lot::ShmAllocator<void>>;
+  static auto* pointer(Type& m) { return &m.header.frame_id; }
+  static const auto* pointer(const Type& m) { return &m.header.frame_id; }
+  static std::string value(const Type& m) {
+    return {m.header.frame_id.data(), m.header.frame_id.size()};
+  }
+};
+template <template <class> class Generated>
+struct Header<Generated<lot::ShmAllocator<void>>,
+              typename boost::enable_if<HasHeader<Generated<lot::ShmAllocator<void>>>>::type> {
+  using Type = Generated<lot::ShmAllocator<void>>;
+  static auto* pointer(Type& m) { return &m.header; }
+  static const auto* pointer(const Type& m) { return &m.header; }
+};
+
+}  // namespace ros::message_traits
