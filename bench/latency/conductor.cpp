@@ -325,8 +325,11 @@ class Conductor {
       arm.groups.back().push_back(static_cast<unsigned>(plan_.nodes.size()));
       plan_.nodes.push_back(std::move(node));
     };
-    for (unsigned p = 0; p < stream.publishers; ++p) add(Role::Publish, p, 0);
-    for (unsigned r = 0; r < stream.subscribers; ++r) add(Role::Subscribe, r, 2.0 * (r + 1));
+    const unsigned publishers = stream.publishers;
+    for (unsigned p = 0; p < publishers; ++p) add(Role::Publish, p, 2.0 * p);
+    for (unsigned r = 0; r < stream.subscribers; ++r) {
+      add(Role::Subscribe, r, 2.0 * (publishers + r));
+    }
   }
 
   std::uint64_t most_samples(const NodePlan& node) const {

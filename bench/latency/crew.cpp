@@ -76,6 +76,13 @@ void run_threads(Board& board, const Plan& plan, const std::vector<unsigned>& no
   for (std::thread& t : threads) t.join();
 }
 
+/// And waits for all of it: while a node dies it still has its files locked.
+void kill_group(pid_t group) {
+  kill(-group, SIGKILL);
+  while (waitpid(-group, nullptr, 0) != -1 || errno == EINTR) {
+  }
+}
+
 int run_processes(Board& board, const Plan& plan, const std::vector<unsigned>& nodes) {
   const pid_t me = getpid();
   std::vector<std::pair<pid_t, unsigned>> children;
@@ -149,6 +156,7 @@ void must_run(const std::vector<std::string>& command) {
 Crew::Crew(const Board& board, const Plan& plan, unsigned arm, Place place,
            const std::string& directory)
     : board_(board), arm_(arm) {
+  prctl(PR_SET_CHILD_SUBREAPER, 1);  // nodes whose group's leader is killed are ours to wait for
   try {
     const ArmPlan& mine = plan.arms[arm];
     for (unsigned g = 0; g < mine.groups.size(); ++g) start(g, place, directory);
@@ -165,9 +173,7 @@ Crew::~Crew() { kill_all(); }
 void Crew::kill_all() {
   for (Member& m : members_) {
     if (m.pid == -1) continue;
-    kill(-m.pid, SIGKILL);
-    while (waitpid(m.pid, nullptr, 0) == -1 && errno == EINTR) {
-    }
+    kill_group(m.pid);
     m.pid = -1;
   }
 }
@@ -300,7 +306,7 @@ std::string Crew::ended() {
     if (m.pid == -1) return "has ended";
     int status = 0;
     if (waitpid(m.pid, &status, WNOHANG) != m.pid) continue;
-    kill(-m.pid, SIGKILL);  // what it started
+    kill_group(m.pid);  // what it started
     m.pid = -1;
     return end_of(status);
   }

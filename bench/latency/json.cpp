@@ -363,11 +363,17 @@ Json to_json(const Cell& cell, const fs::path& dir) {
                     {"utilisation", std::move(utilisation)},
                     {"profile", to_json(arm.profile)}});
   }
-  return {{"conditions", to_json(cell.conditions)}, {"arms", std::move(arms)}};
+  return {{"conditions", to_json(cell.conditions)},
+          {"command", cell.command},
+          {"revision", cell.revision},
+          {"arms", std::move(arms)}};
 }
 
 Cell cell_of(const Json& json, const fs::path& dir) {
-  Cell cell{conditions_of(json.at("conditions")), {}};
+  Cell cell;
+  cell.conditions = conditions_of(json.at("conditions"));
+  cell.command = json.value("command", "");
+  cell.revision = json.value("revision", "");
   for (const Json& from : json.at("arms")) {
     Arm arm;
     arm.transport = from.at("transport");

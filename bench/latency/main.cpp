@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <cmath>
 #include <csignal>
 #include <cstdio>
@@ -9,6 +10,7 @@
 #include <iostream>
 #include <stdexcept>
 #include <string>
+#include <system_error>
 #include <unistd.h>
 #include <vector>
 
@@ -174,7 +176,7 @@ std::string time_word(const std::vector<CellArms>& cells) {
     }
     const Topic first = topics(c).front();
     double each = static_cast<double>(c.messages) / first.rate_hz;
-    if (c.ordered) each += 2.0 * first.subscribers;
+    if (c.ordered) each += 2.0 * (first.publishers + first.subscribers - 1);
     seconds += each * static_cast<double>(cell.arms.size());
   }
   std::string word = std::to_string(cells.size()) + (cells.size() == 1 ? " cell" : " cells");
@@ -220,12 +222,21 @@ class Progress {
   bool lively_ = isatty(STDERR_FILENO) != 0;
 };
 
+/// Before hours are spent on what cannot be kept.
+void must_be_writable(const std::string& dir) {
+  std::filesystem::create_directories(dir);
+  if (access(dir.c_str(), W_OK | X_OK) != 0) {
+    throw std::system_error(errno, std::generic_category(), "--out " + dir);
+  }
+}
+
 int run(const Choice& choice, const Run& about) {
   const std::vector<CellArms> wanted = plan(choice, about.machine);
   if (choice.dry_run) {
     print_plan(wanted);
     return 0;
   }
+  if (!choice.out.empty()) must_be_writable(choice.out);
   for (const Missing& missing : missing_transports()) {
     if (choice.transports.empty()) std::cout << missing.name << " " << missing.why << "\n";
   }
@@ -263,6 +274,8 @@ int run(const Choice& choice, const Run& about) {
     }
     if (!counts_add_up(cell)) status = kFailed;
     if (choice.out.empty()) continue;
+    cell.command = about.command;
+    cell.revision = about.revision;
     Run one = about;
     one.complete = i + 1 == wanted.size();
     one.cells.push_back(cell);
@@ -321,6 +334,7 @@ void add_options(CLI::App& app, Choice& choice) {
       ->group(what)
       ->transform(CLI::AsSizeValue(false));
   app.add_option("-n,--messages", choice.rest.messages, "of each publisher")
+      ->check(CLI::Range(1.0, 1e9))
       ->group(what)
       ->capture_default_str();
   app.add_option("-r,--rate", choice.rest.rate_hz, "of each publisher when paced, in Hz")
@@ -328,6 +342,7 @@ void add_options(CLI::App& app, Choice& choice) {
       ->capture_default_str();
   app.add_option("--block", choice.rest.block,
                  "messages after which the next transport has its turn")
+      ->check(CLI::Range(1.0, 1e9))
       ->group(what)
       ->capture_default_str();
 
@@ -365,12 +380,15 @@ void add_options(CLI::App& app, Choice& choice) {
       ->check(CLI::IsMember({"auto", "yes", "no"}))
       ->group(conditions)
       ->capture_default_str();
-  app.add_flag("--ordered", choice.rest.ordered, "subscriber k comes k x 2 s after the publishers")
+  app.add_flag("--ordered", choice.rest.ordered,
+               "nodes come one by one, 2 s apart, publishers first")
       ->group(conditions);
   app.add_flag("--no-floors", choice.no_floors, "adds no floors")->group(conditions);
-  app.add_flag("--profile", choice.profile, "processor time over time, and where it goes (SIGPROF)")
+  app.add_flag("--profile", choice.profile,
+               "where processor time goes (SIGPROF), and, with --place host, when")
       ->group(conditions);
   app.add_option("--seed", choice.seed, "of the order of turns")
+      ->check(CLI::Range(0.0, 1e18))
       ->group(conditions)
       ->capture_default_str();
 

@@ -410,6 +410,9 @@ void print(std::ostream& out, const Run& run, const ReportOptions& options) {
       << "\n";
   for (const Cell& cell : run.cells) {
     out << '\n';
+    if (cell.revision != run.revision && !cell.revision.empty()) {
+      out << "measured before, at " << cell.revision << ", by " << cell.command << '\n';
+    }
     print_measured(out, cell, options);
   }
   const bool refused = std::any_of(run.cells.begin(), run.cells.end(), any_refused);

@@ -133,7 +133,7 @@ struct Conditions {
   unsigned pool = 0;
   unsigned depth = 30;
   bool lossless = false;
-  bool ordered = false;  ///< subscriber k comes k x 2 s later
+  bool ordered = false;  ///< nodes come one by one, 2 s apart, publishers first
   bool fill = true;      ///< the whole message is written before it is pushed
   bool operator==(const Conditions&) const = default;
 };
@@ -141,6 +141,8 @@ struct Conditions {
 struct Cell {
   Conditions conditions;
   std::vector<Arm> arms;
+  std::string command{};  ///< that measured it: a run is added to by several
+  std::string revision{};
   bool operator==(const Cell&) const = default;
 };
 

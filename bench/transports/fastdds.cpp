@@ -3,10 +3,10 @@
 #include <atomic>
 #include <condition_variable>
 #include <cstring>
+#include <ctime>
 #include <exception>
 #include <fcntl.h>
 #include <filesystem>
-#include <fstream>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -14,11 +14,13 @@
 #include <stdexcept>
 #include <string>
 #include <sys/file.h>
+#include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <system_error>
 #include <thread>
 #include <unistd.h>
 #include <utility>
+#include <vector>
 
 #include <fastdds/dds/core/LoanableSequence.hpp>
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -41,12 +43,11 @@
 /// data-sharing with loans, which does not. No message goes through a socket, nor does discovery.
 ///
 /// What is named: files of data-sharing lie in Stream::directory. The transport's are
-/// /dev/shm/fastrtps_<number> and their semaphores: a node notes in Stream::directory which it has
-/// mapped, and the harness removes those that nobody has locked any more.
+/// /dev/shm/fastrtps_<number> and their semaphores: the harness removes those from its own time
+/// that no living process has locked, as `fastdds shm clean` does.
 ///
-/// Crash:  a node that is killed before it has noted them leaves files, and so does a killed
-///         harness; `fastdds shm clean` removes them. A killed subscriber stops a lossless
-///         publisher until its lease ends, for 20 s.
+/// Crash:  a killed harness leaves files; `fastdds shm clean` removes them. A killed subscriber
+///         stops a lossless publisher until its lease ends, for 20 s.
 namespace ab {
 namespace {
 
@@ -64,8 +65,7 @@ constexpr const char* kPrefix = "/dev/shm/fastrtps_";
 constexpr std::uint32_t kFragment = 1 << 20;
 constexpr std::size_t kLargest = 256 << 20;
 constexpr std::int32_t kSpare = 4;  // samples, beside those in the history
-constexpr const char* kNotes = "-fastdds-";
-constexpr int kBlockFor = 30;  // seconds
+constexpr int kBlockFor = 30;       // seconds
 
 // ---- the message --------------------------------------------------------------------------------
 
@@ -145,11 +145,10 @@ T* made(T* thing, const char* what) {
   return thing;
 }
 
-/// A participant and its topic; notes its files.
+/// A participant and its topic.
 class Node {
  public:
-  Node(const Stream& stream, std::uint32_t segment, const std::string& role)
-      : notes_(stream.directory + "/" + stream.name + kNotes + role) {
+  Node(const Stream& stream, std::uint32_t segment) {
     dds::Log::SetVerbosity(dds::Log::Kind::Error);
     dds::DomainParticipantQos qos;
     qos.name(stream.name);
@@ -165,7 +164,6 @@ class Node {
     participant_ = made(
         dds::DomainParticipantFactory::get_instance()->create_participant(domain_of(stream), qos),
         "participant");
-    note();
     const dds::TypeSupport type(new MessageType(stream.size));
     check(type.register_type(participant_), "register_type");
     topic_ =
@@ -182,15 +180,7 @@ class Node {
   dds::DomainParticipant& participant() { return *participant_; }
   dds::Topic* topic() { return topic_; }
 
-  void note() {
-    const std::lock_guard lock(mutex_);
-    std::ofstream file(notes_);
-    for (const Mapped& mapped : mappings_of(kPrefix)) file << mapped.path << '\n';
-  }
-
  private:
-  std::string notes_;
-  std::mutex mutex_;  // the library's threads call note(), too
   dds::DomainParticipant* participant_;
   dds::Topic* topic_ = nullptr;
 };
@@ -217,20 +207,44 @@ void set_common(Qos& qos, const Stream& stream, Way way, unsigned publishers) {
   }
 }
 
-/// Removes what killed nodes have left in /dev/shm.
+/// Removes what killed nodes have left in /dev/shm. When it ends no node lives.
 class Cleaner final : public Service {
  public:
-  explicit Cleaner(const Stream& stream) : directory_(stream.directory), name_(stream.name) {}
+  Cleaner() { clock_gettime(CLOCK_REALTIME_COARSE, &since_); }
   ~Cleaner() override {
-    std::error_code ignored;
-    for (const auto& entry : fs::directory_iterator(directory_, ignored)) {
-      if (entry.path().filename().string().rfind(name_ + kNotes, 0) != 0) continue;
-      std::ifstream file(entry.path());
-      for (std::string path; std::getline(file, path);) remove(path);
+    const std::vector<std::string> candidates = abandoned();
+    if (candidates.empty()) return;
+    // Others make a file and lock it then.
+    std::this_thread::sleep_for(100ms);
+    const std::vector<std::string> still = abandoned();
+    for (const std::string& path : candidates) {
+      if (std::find(still.begin(), still.end(), path) != still.end()) remove(path);
     }
   }
 
  private:
+  /// Files, without those beside them, which are of our time and which nobody has locked.
+  std::vector<std::string> abandoned() const {
+    std::vector<std::string> paths;
+    std::error_code ignored;
+    for (const auto& entry : fs::directory_iterator(kShm, ignored)) {
+      std::string path = entry.path();
+      if (path.rfind(kPrefix, 0) != 0 || !is_of_our_time(path)) continue;
+      for (const char* lock : {"_el", "_sl"}) {
+        if (path.ends_with(lock)) path.resize(path.size() - std::strlen(lock));
+      }
+      // A port is also that of others when their domain has the same number.
+      const bool is_new = std::find(paths.begin(), paths.end(), path) == paths.end();
+      if (is_new && !is_locked(path + "_el") && !is_locked(path + "_sl")) paths.push_back(path);
+    }
+    return paths;
+  }
+  bool is_of_our_time(const std::string& path) const {
+    struct stat about {};
+    if (lstat(path.c_str(), &about) != 0 || about.st_uid != geteuid()) return false;
+    const timespec& t = about.st_ctim;
+    return t.tv_sec > since_.tv_sec || (t.tv_sec == since_.tv_sec && t.tv_nsec >= since_.tv_nsec);
+  }
   static bool is_locked(const std::string& path) {
     const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
     if (fd < 0) return false;
@@ -239,8 +253,6 @@ class Cleaner final : public Service {
     return locked;
   }
   static void remove(const std::string& path) {
-    // A port is also that of others when their domain has the same number.
-    if (is_locked(path + "_el") || is_locked(path + "_sl")) return;
     std::error_code ignored;
     const std::string semaphore =
         std::string(kShm) + "sem." + fs::path(path).filename().string() + "_mutex";
@@ -248,8 +260,7 @@ class Cleaner final : public Service {
       fs::remove(file, ignored);
   }
 
-  std::string directory_;
-  std::string name_;
+  timespec since_{};
 };
 
 std::string refuses(const Stream& stream, Way way) {
@@ -278,12 +289,12 @@ std::string met_prefix(const std::string& directory, const rtps::GUID_t& writer)
 
 class FastddsSender final : public Sender {
  public:
-  FastddsSender(const Stream& stream, Way way, unsigned publisher)
+  FastddsSender(const Stream& stream, Way way)
       : size_(stream.size),
         copies_(way == Way::Copy),
         lossless_(stream.lossless),
         directory_(stream.directory),
-        node_(stream, segment_bytes(stream, way), std::to_string(publisher) + "-publisher") {
+        node_(stream, segment_bytes(stream, way)) {
     dds::Publisher* const publishing =
         made(node_.participant().create_publisher(dds::PUBLISHER_QOS_DEFAULT), "publisher");
     dds::DataWriterQos qos;
@@ -313,7 +324,6 @@ class FastddsSender final : public Sender {
       if (std::chrono::steady_clock::now() >= until) return false;
       std::this_thread::sleep_for(1ms);
     }
-    node_.note();
     return true;
   }
   std::byte* loan() override {
@@ -378,7 +388,7 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
         copies_(way == Way::Copy),
         directory_(stream.directory),
         subscriber_(subscriber),
-        node_(stream, kSmallSegment, std::to_string(subscriber) + "-subscriber") {
+        node_(stream, kSmallSegment) {
     dds::Subscriber* const subscribing =
         made(node_.participant().create_subscriber(dds::SUBSCRIBER_QOS_DEFAULT), "subscriber");
     dds::DataReaderQos qos;
@@ -446,7 +456,6 @@ class FastddsReceiver final : public Receiver, private dds::DataReaderListener {
 
   void on_subscription_matched(dds::DataReader*,
                                const dds::SubscriptionMatchedStatus& status) override {
-    node_.note();
     warm(kPrefix);
     warm(directory_ + "/");
     rtps::GUID_t writer;
@@ -509,9 +518,9 @@ Transport fastdds_transport(std::string name, std::string about, Way way) {
   t.about = std::move(about);
   t.copies = way == Way::Copy;
   t.refuses = [way](const Stream& stream) { return refuses(stream, way); };
-  t.serve = [](const Stream& stream) { return std::make_unique<Cleaner>(stream); };
-  t.sender = [way](const Stream& stream, unsigned publisher) {
-    return std::make_unique<FastddsSender>(stream, way, publisher);
+  t.serve = [](const Stream&) { return std::make_unique<Cleaner>(); };
+  t.sender = [way](const Stream& stream, unsigned) {
+    return std::make_unique<FastddsSender>(stream, way);
   };
   t.receiver = [way](const Stream& stream, unsigned subscriber) {
     return std::make_unique<FastddsReceiver>(stream, way, subscriber);

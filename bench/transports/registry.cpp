@@ -7,6 +7,9 @@
 namespace ab {
 namespace {
 
+#ifndef LOT_AB_FASTDDS
+constexpr const char* kNoFastdds = "was not found when this was built; install libfastrtps-dev";
+#endif
 #ifndef LOT_AB_ROS
 constexpr const char* kNoRos =
     "was not found when this was built; install libroscpp-dev and libsensor-msgs-dev";
@@ -59,13 +62,15 @@ const std::vector<Missing>& missing_transports() {
       {"iceoryx", "was not found when this was built; install libiceoryx-posh-dev"},
 #endif
 #ifndef LOT_AB_FASTDDS
-      {"fastdds", "was not found when this was built; install libfastrtps-dev"},
+      {"fastdds", kNoFastdds},
+      {"fastdds-loan", kNoFastdds},
 #endif
 #ifndef LOT_AB_ROS
       {"ros-lot", kNoRos},
       {"ros-lot-immediate", kNoRos},
       {"ros-lot-mutex", kNoRos},
       {"ros-tcp", kNoRos},
+      {"ros-tcp-nodelay", kNoRos},
       {"ros-udp", kNoRos},
       {"ros-intra", kNoRos},
       {"ros-tzc", kNoRos},

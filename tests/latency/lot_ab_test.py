@@ -193,7 +193,8 @@ def bad_use():
                                 (['-m', 'fast'], '--mode'), (['-w', 'nap'], '--wait'),
                                 (['--pin', 'same-core', '-w', 'spin'], '--wait'), (['--place', 'moon'], '--place'),
                                 (['-m', 'ping-pong', '-g', '1p2s'], '--graph'), (['-r', '0'], '--rate'),
-                                (['-n', '0'], '--messages'), (['--resume'], '--out'),
+                                (['-n', '0'], '--messages'), (['-n', '-5'], '--messages'), (['--block', '-1'], '--block'),
+                                (['--seed', '-3'], '--seed'), (['-s', '-128'], '--size'), (['--pool', '-1'], '--pool'), (['--resume'], '--out'),
                                 (['compare', '/nowhere', '/nowhere'], '/nowhere')):
         r = lot_ab(*arguments)
         check(r.returncode == 2 and sentence in r.stdout, f'bad use is told: {" ".join(arguments)}')
@@ -230,6 +231,35 @@ def interrupted():
         check(p.returncode == 128 + number and 'signal' in output, f'{number.name}: it says so')
         check(wait_until(lambda: not any(lives(n) for n in nodes)), f'{number.name}: no process is left')
         check(not left_of(workplace), f'{number.name}: no file is left')
+
+
+def files_of_peers():
+    """What iceoryx, Fast DDS and nodes of ROS make under names of their own."""
+    return {f for pattern in ('/dev/shm/*fastrtps_*', '/dev/shm/iceoryx*', '/tmp/roudi*', '/tmp/lot_ab_*')
+            for f in glob.glob(pattern)}
+
+
+def interrupted_with_peers():
+    wanted = ('iceoryx', 'fastdds', 'fastdds-loan', 'lot2021', 'tzc', 'udp', 'ros-lot', 'ros-tcp')
+    there = lot_ab('list').stdout
+    names = [n for n in wanted if re.search(rf'^{n} +[^ (]', there, re.M)]
+    before = files_of_peers()
+    for wait in (0.1, 0.3, 0.6, 1, 2, 4, None):
+        p = start('-t', ','.join(names), '-s', '4096', '-n', '100000', '--block', '20')
+        workplace = workplace_of(p)
+        if wait is None:
+            check(is_running(p, len(names)), 'nodes live')
+            time.sleep(6)
+        else:
+            time.sleep(wait)
+        nodes = [c for c, _ in children(p.pid)]
+        p.send_signal(signal.SIGINT)
+        p.communicate(timeout=WATCHDOG)
+        check(p.returncode == 128 + signal.SIGINT, f'interrupted after {wait} s with {names}')
+        check(wait_until(lambda: not any(lives(n) for n in nodes)), 'no process is left')
+        check(not left_of(workplace), 'no file is left')
+    # Others may run just now, and clean up when they end.
+    check(wait_until(lambda: not files_of_peers() - before), f'nor one of a peer: {files_of_peers() - before}')
 
 
 def killed():
@@ -269,5 +299,6 @@ def vehicle():
         print(r.stdout)
 
 
-run((bad_use, runs_and_saves, places, many_publishers, vehicle, profile, interrupted, interrupted_while_starting, killed,
+run((bad_use, runs_and_saves, places, many_publishers, vehicle, profile, interrupted, interrupted_while_starting,
+     interrupted_with_peers, killed,
      node_killed))
