@@ -149,6 +149,42 @@ def places():
             print(r.stdout)
 
 
+def nodes_of(process):
+    """Processes of nodes, in the order of their start; what has started them is not among them."""
+    return sorted(c for c, command in children(process.pid) if ' group ' in command and not children(c))
+
+
+def end(process):
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=WATCHDOG)
+
+
+def pins():
+    if len(os.sched_getaffinity(0)) < 2:
+        return
+    for pin, apart in (('same-core', False), ('other-core', True)):
+        p = start('-t', 'ring', '-s', '4096', '-n', '100000', '--no-floors', '--pin', pin)
+        found = []
+
+        def are_pinned():
+            found[:] = [os.sched_getaffinity(node) for node in nodes_of(p)]
+            return len(found) == 2 and all(len(cores) == 1 for cores in found)
+        check(wait_until(are_pinned), f'--pin {pin}: each node has one core')
+        check((found[0] != found[1]) == apart, f'--pin {pin}: {found}')
+        end(p)
+
+
+def containers():
+    if not shutil.which('bwrap'):
+        return
+    p = start('-t', 'ring', '-g', '1p2s', '-s', '4096', '-n', '100000', '--no-floors', '--place', 'containers')
+    check(wait_until(lambda: len(nodes_of(p)) == 3), 'three nodes in containers')
+    each = [namespaces([os.getpid()]), *(namespaces([node]) for node in nodes_of(p))]
+    check(all(len(those) == 5 for those in each), 'a node has five namespaces')
+    check(len(set.union(*each)) == 4 * 5, 'all of its own')
+    end(p)
+
+
 def many_publishers():
     r = lot_ab('-t', 'ring', '-g', '20p1s', '-s', '64K', '-n', '5', '--block', '5', '--no-floors')
     check(r.returncode == 0 and re.search(r'^ ring +100 +100 ', r.stdout, re.M) is not None,
@@ -299,6 +335,5 @@ def vehicle():
         print(r.stdout)
 
 
-run((bad_use, runs_and_saves, places, many_publishers, vehicle, profile, interrupted, interrupted_while_starting,
-     interrupted_with_peers, killed,
-     node_killed))
+run((bad_use, runs_and_saves, places, pins, containers, many_publishers, vehicle, profile, interrupted, interrupted_while_starting,
+     interrupted_with_peers, killed, node_killed))

@@ -84,6 +84,7 @@ void subscribe(const Transport& transport, const Stream& stream, unsigned subscr
         },
         100ms);
   }
+  must(received != 0, "something came");
   if (ended < stream.publishers && !transport.waits && transport.may_lose) return;  // lost the last
   must(ended == stream.publishers, "the last one of each came");
   if (stream.lossless && transport.waits) {
