@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
+#include <cstdio>
 #include <cstring>
 #include <ctime>
 #include <exception>
@@ -44,7 +45,7 @@
 ///
 /// What is named: files of data-sharing lie in Stream::directory. The transport's are
 /// /dev/shm/fastrtps_<number> and their semaphores: the harness removes those from its own time
-/// that no living process has locked, as `fastdds shm clean` does.
+/// that no living process has locked, as `fastdds shm clean` does, of ports only its domain's.
 ///
 /// Crash:  a killed harness leaves files; `fastdds shm clean` removes them. A killed subscriber
 ///         stops a lossless publisher until its lease ends, for 20 s.
@@ -119,6 +120,8 @@ std::uint32_t domain_of(const Stream& stream) {
   return hash % 201;
 }
 
+constexpr std::uint32_t kFirstPort = 7400;  // as RTPS numbers them
+constexpr std::uint32_t kPortsOfDomain = 250;
 constexpr std::uint32_t kSmallSegment = 4 << 20;  // of who has no messages to send in it
 
 /// Of each publisher. A packet that finds no room is sent again much later, so this is generous.
@@ -210,7 +213,9 @@ void set_common(Qos& qos, const Stream& stream, Way way, unsigned publishers) {
 /// Removes what killed nodes have left in /dev/shm. When it ends no node lives.
 class Cleaner final : public Service {
  public:
-  Cleaner() { clock_gettime(CLOCK_REALTIME_COARSE, &since_); }
+  explicit Cleaner(const Stream& stream) : domain_(domain_of(stream)) {
+    clock_gettime(CLOCK_REALTIME_COARSE, &since_);
+  }
   ~Cleaner() override {
     const std::vector<std::string> candidates = abandoned();
     if (candidates.empty()) return;
@@ -233,11 +238,18 @@ class Cleaner final : public Service {
       for (const char* lock : {"_el", "_sl"}) {
         if (path.ends_with(lock)) path.resize(path.size() - std::strlen(lock));
       }
-      // A port is also that of others when their domain has the same number.
+      if (is_port_of_another_domain(path)) continue;
       const bool is_new = std::find(paths.begin(), paths.end(), path) == paths.end();
       if (is_new && !is_locked(path + "_el") && !is_locked(path + "_sl")) paths.push_back(path);
     }
     return paths;
+  }
+  /// Those may be written to before anybody listens there and locks them.
+  bool is_port_of_another_domain(const std::string& path) const {
+    const std::string name = path.substr(std::strlen(kPrefix));
+    unsigned port = 0;
+    if (std::sscanf(name.c_str(), "port%u", &port) != 1) return false;
+    return port < kFirstPort || (port - kFirstPort) / kPortsOfDomain != domain_;
   }
   bool is_of_our_time(const std::string& path) const {
     struct stat about {};
@@ -260,6 +272,7 @@ class Cleaner final : public Service {
       fs::remove(file, ignored);
   }
 
+  std::uint32_t domain_;
   timespec since_{};
 };
 
@@ -518,7 +531,7 @@ Transport fastdds_transport(std::string name, std::string about, Way way) {
   t.about = std::move(about);
   t.copies = way == Way::Copy;
   t.refuses = [way](const Stream& stream) { return refuses(stream, way); };
-  t.serve = [](const Stream&) { return std::make_unique<Cleaner>(); };
+  t.serve = [](const Stream& stream) { return std::make_unique<Cleaner>(stream); };
   t.sender = [way](const Stream& stream, unsigned) {
     return std::make_unique<FastddsSender>(stream, way);
   };
