@@ -150,8 +150,16 @@ def places():
 
 
 def nodes_of(process):
-    """Processes of nodes, in the order of their start; what has started them is not among them."""
-    return sorted(c for c, command in children(process.pid) if ' group ' in command and not children(c))
+    """Processes of nodes, in the order of their start; what starts them (bwrap, too) is not among them."""
+    return sorted(c for c, command in children(process.pid)
+                  if re.match(r'\S*lot_ab group ', command) and not children(c))
+
+
+def cores_of(pid):
+    try:
+        return os.sched_getaffinity(pid)
+    except OSError:
+        return set()  # it has just ended
 
 
 def end(process):
@@ -167,7 +175,7 @@ def pins():
         found = []
 
         def are_pinned():
-            found[:] = [os.sched_getaffinity(node) for node in nodes_of(p)]
+            found[:] = [cores_of(node) for node in nodes_of(p)]
             return len(found) == 2 and all(len(cores) == 1 for cores in found)
         check(wait_until(are_pinned), f'--pin {pin}: each node has one core')
         check((found[0] != found[1]) == apart, f'--pin {pin}: {found}')

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <atomic>
+#include <chrono>
 #include <cstring>
 #include <filesystem>
-#include <map>
 #include <memory>
 #include <sys/mman.h>
 #include <thread>
@@ -21,7 +22,28 @@ using namespace ab;
 using namespace lot::testing;
 
 constexpr unsigned kMessages = 60;  // of each publisher: more than a pool, less than time allows
+constexpr auto kPatience = 20s;     // of who waits for others
 constexpr std::uint64_t kLast = std::uint64_t{1} << 63;
+
+/// How many subscribers have something, in memory that all nodes of a stream share. Who may lose a
+/// message may lose all of a burst: then its publishers go on until each subscriber has one.
+class Served {
+ public:
+  Served()
+      : count_(static_cast<std::atomic<unsigned>*>(mmap(
+            nullptr, sizeof(*count_), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0))) {
+    must(count_ != MAP_FAILED, "mmap");
+  }
+  ~Served() { munmap(count_, sizeof(*count_)); }
+  Served(const Served&) = delete;
+  Served& operator=(const Served&) = delete;
+
+  void add() { count_->fetch_add(1); }
+  unsigned count() const { return count_->load(); }
+
+ private:
+  std::atomic<unsigned>* count_;
+};
 
 struct Head {
   std::uint64_t number;  // with kLast
@@ -45,11 +67,15 @@ bool is_whole(std::span<const std::byte> message, const Head& head) {
   return message[head.size - 1] == pattern(head, head.size - 1);
 }
 
-void publish(const Transport& transport, const Stream& stream, unsigned publisher) {
+void publish(const Transport& transport, const Stream& stream, unsigned publisher,
+             const Served& served) {
   const auto sender = transport.sender(stream, publisher);
-  must(sender->wait_for_subscribers(stream.subscribers, 20s), "all subscribers have come");
-  for (std::uint64_t n = 0; n < kMessages; ++n) {
-    const bool last = n + 1 == kMessages;
+  must(sender->wait_for_subscribers(stream.subscribers, kPatience), "all subscribers have come");
+  const auto until = std::chrono::steady_clock::now() + kPatience;
+  bool last = false;
+  for (std::uint64_t n = 0; !last; ++n) {
+    last = n + 1 >= kMessages && (!transport.may_lose || served.count() == stream.subscribers ||
+                                  std::chrono::steady_clock::now() > until);
     fill(sender->loan(),
          {n | (last ? kLast : 0), publisher, static_cast<std::uint32_t>(stream.size)});
     must(sender->push(), "a message was published");
@@ -59,7 +85,8 @@ void publish(const Transport& transport, const Stream& stream, unsigned publishe
   std::this_thread::sleep_for(300ms);  // who goes takes nothing away
 }
 
-void subscribe(const Transport& transport, const Stream& stream, unsigned subscriber) {
+void subscribe(const Transport& transport, const Stream& stream, unsigned subscriber,
+               Served& served) {
   const auto receiver = transport.receiver(stream, subscriber);
   std::vector<std::uint64_t> next(stream.publishers, 0);
   std::uint64_t received = 0;
@@ -76,7 +103,7 @@ void subscribe(const Transport& transport, const Stream& stream, unsigned subscr
           const std::uint64_t number = head.number & ~kLast;
           must(number >= next[head.publisher], "in order, and once");
           next[head.publisher] = number + 1;
-          ++received;
+          if (received++ == 0) served.add();
           if ((head.number & kLast) != 0) ++ended;
           if (transport.is_floor) return;  // a line is all that comes
           must(message.size() == stream.size, "it has its size");
@@ -102,6 +129,7 @@ void run(const Transport& transport, Stream stream) {
   CAPTURE(transport.name);
   CAPTURE(stream.size);
   const std::string refused = transport.refuses(stream);
+  Served served;
   if (!refused.empty()) {
     MESSAGE(transport.name << ": " << refused);
   } else {
@@ -110,18 +138,19 @@ void run(const Transport& transport, Stream stream) {
       Child process([&] {  // of their own: ROS begins once in a process
         std::vector<std::thread> nodes;
         for (unsigned s = 0; s < stream.subscribers; ++s)
-          nodes.emplace_back([&, s] { subscribe(transport, stream, s); });
+          nodes.emplace_back([&, s] { subscribe(transport, stream, s, served); });
         for (unsigned p = 0; p < stream.publishers; ++p)
-          nodes.emplace_back([&, p] { publish(transport, stream, p); });
+          nodes.emplace_back([&, p] { publish(transport, stream, p, served); });
         for (std::thread& node : nodes) node.join();
       });
       CHECK(process.wait() == 0);
     } else {
       std::vector<std::unique_ptr<Child>> nodes;
       for (unsigned s = 0; s < stream.subscribers; ++s)
-        nodes.push_back(std::make_unique<Child>([&, s] { subscribe(transport, stream, s); }));
+        nodes.push_back(
+            std::make_unique<Child>([&, s] { subscribe(transport, stream, s, served); }));
       for (unsigned p = 0; p < stream.publishers; ++p)
-        nodes.push_back(std::make_unique<Child>([&, p] { publish(transport, stream, p); }));
+        nodes.push_back(std::make_unique<Child>([&, p] { publish(transport, stream, p, served); }));
       for (auto& node : nodes) CHECK(node->wait() == 0);
     }
   }
