@@ -187,6 +187,11 @@ std::string ros_name(std::string name) {
   return "n" + name;
 }
 
+/// Of a topic and a node together. xmlrpcpp spoils a header of UDPROS whose size is a multiple of
+/// 54 (its base64EncodedSize() forgets a line's end: ros_comm, pull request 2160, never merged),
+/// and then nothing comes: so that size must not hang on what a stream is called.
+constexpr std::size_t kNames = 128;
+
 /// {the master's URI, this node's address}, when there is a master.
 std::pair<std::string, std::string> meet(const Stream& stream) {
   const auto until = std::chrono::steady_clock::now() + kStarts;
@@ -214,6 +219,8 @@ Terms terms_of(const Stream& stream, Way way, char role, unsigned index) {
   std::tie(terms.master, terms.address) = meet(stream);
   terms.topic = "/" + ros_name(stream.name);
   terms.node = ros_name(stream.name) + "_" + role + std::to_string(index);
+  terms.node.resize(std::max(terms.node.size(), kNames - std::min(kNames, terms.topic.size())),
+                    '_');
   terms.directory = stream.directory;
   terms.segment = stream.name;
   terms.size = stream.size;
