@@ -10,6 +10,7 @@
 #include <netinet/in.h>
 #include <optional>
 #include <poll.h>
+#include <random>
 #include <stdexcept>
 #include <sys/socket.h>
 #include <sys/wait.h>
@@ -58,14 +59,17 @@ sockaddr_in name_of(const std::string& host, int port) {
   }
   return name;
 }
-/// A port that nobody listens on. Somebody may take it until the master does: then it says so.
+/// A port that nobody listens on, below those that the kernel gives to whoever asks for any: a node
+/// could have it before the master.
 int free_port(const std::string& host) {
-  const Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0), "socket");
-  sockaddr_in name = name_of(host, 0);
-  if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&name), sizeof name) != 0) fail("bind");
-  socklen_t length = sizeof name;
-  if (getsockname(fd.get(), reinterpret_cast<sockaddr*>(&name), &length) != 0) fail("getsockname");
-  return ntohs(name.sin_port);
+  std::random_device random;
+  for (;;) {
+    const Descriptor fd(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0), "socket");
+    const int port = std::uniform_int_distribution<int>(20000, 31999)(random);
+    const sockaddr_in name = name_of(host, port);
+    if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&name), sizeof name) == 0) return port;
+    if (errno != EADDRINUSE) fail("bind");
+  }
 }
 /// The address by which who listens there reaches this process. Nothing: nobody does.
 std::optional<std::string> seen_by(const std::string& host, int port) {

@@ -35,6 +35,10 @@ bool can_revoke() noexcept {
 #endif
 }
 
+/// While the process has one thread: later the kernel waits until every core has passed through it,
+/// which takes 10 ms, and seconds on a machine that is overloaded.
+[[maybe_unused]] const bool is_registered_at_start = can_revoke();
+
 /// What one does who finds the lock taken: its holder may share our core.
 class Patience {
  public:

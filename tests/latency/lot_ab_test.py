@@ -186,8 +186,13 @@ def containers():
     if not shutil.which('bwrap'):
         return
     p = start('-t', 'ring', '-g', '1p2s', '-s', '4096', '-n', '100000', '--no-floors', '--place', 'containers')
-    check(wait_until(lambda: len(nodes_of(p)) == 3), 'three nodes in containers')
-    each = [namespaces([os.getpid()]), *(namespaces([node]) for node in nodes_of(p))]
+    nodes = []
+
+    def are_there():
+        nodes[:] = nodes_of(p)
+        return len(nodes) == 3
+    check(wait_until(are_there), 'three nodes in containers')
+    each = [namespaces([os.getpid()]), *(namespaces([node]) for node in nodes)]
     check(all(len(those) == 5 for those in each), 'a node has five namespaces')
     check(len(set.union(*each)) == 4 * 5, 'all of its own')
     end(p)

@@ -25,24 +25,29 @@ constexpr unsigned kMessages = 60;  // of each publisher: more than a pool, less
 constexpr auto kPatience = 20s;     // of who waits for others
 constexpr std::uint64_t kLast = std::uint64_t{1} << 63;
 
-/// How many subscribers have something, in memory that all nodes of a stream share. Who may lose a
-/// message may lose all of a burst: then its publishers go on until each subscriber has one.
-class Served {
+/// How far the subscribers of a stream are, in memory that all its nodes share. Who may lose a
+/// message may lose all of a burst: its publishers go on until each subscriber has something. And
+/// who goes takes with it what it has not sent yet: the others stay until each subscriber has the
+/// last ones.
+class Progress {
  public:
-  Served()
-      : count_(static_cast<std::atomic<unsigned>*>(mmap(
-            nullptr, sizeof(*count_), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0))) {
-    must(count_ != MAP_FAILED, "mmap");
-  }
-  ~Served() { munmap(count_, sizeof(*count_)); }
-  Served(const Served&) = delete;
-  Served& operator=(const Served&) = delete;
+  struct Counts {
+    std::atomic<unsigned> begun;  // subscribers
+    std::atomic<unsigned> ended;
+  };
 
-  void add() { count_->fetch_add(1); }
-  unsigned count() const { return count_->load(); }
+  Progress()
+      : counts_(static_cast<Counts*>(mmap(nullptr, sizeof(Counts), PROT_READ | PROT_WRITE,
+                                          MAP_SHARED | MAP_ANONYMOUS, -1, 0))) {
+    must(counts_ != MAP_FAILED, "mmap");
+  }
+  ~Progress() { munmap(counts_, sizeof(Counts)); }
+  Progress(const Progress&) = delete;
+  Progress& operator=(const Progress&) = delete;
+  Counts* operator->() const { return counts_; }
 
  private:
-  std::atomic<unsigned>* count_;
+  Counts* counts_;
 };
 
 struct Head {
@@ -68,13 +73,13 @@ bool is_whole(std::span<const std::byte> message, const Head& head) {
 }
 
 void publish(const Transport& transport, const Stream& stream, unsigned publisher,
-             const Served& served) {
+             const Progress& progress) {
   const auto sender = transport.sender(stream, publisher);
   must(sender->wait_for_subscribers(stream.subscribers, kPatience), "all subscribers have come");
   const auto until = std::chrono::steady_clock::now() + kPatience;
   bool last = false;
   for (std::uint64_t n = 0; !last; ++n) {
-    last = n + 1 >= kMessages && (!transport.may_lose || served.count() == stream.subscribers ||
+    last = n + 1 >= kMessages && (!transport.may_lose || progress->begun == stream.subscribers ||
                                   std::chrono::steady_clock::now() > until);
     fill(sender->loan(),
          {n | (last ? kLast : 0), publisher, static_cast<std::uint32_t>(stream.size)});
@@ -82,11 +87,12 @@ void publish(const Transport& transport, const Stream& stream, unsigned publishe
     // Losses of who cannot wait for readers are few, and the last one arrives.
     if (!stream.lossless) std::this_thread::sleep_for(n + 2 >= kMessages ? 100ms : 1ms);
   }
-  std::this_thread::sleep_for(300ms);  // who goes takes nothing away
+  eventually([&] { return progress->ended == stream.subscribers; },
+             transport.may_lose ? 300ms : kPatience);
 }
 
 void subscribe(const Transport& transport, const Stream& stream, unsigned subscriber,
-               Served& served) {
+               const Progress& progress) {
   const auto receiver = transport.receiver(stream, subscriber);
   std::vector<std::uint64_t> next(stream.publishers, 0);
   std::uint64_t received = 0;
@@ -103,7 +109,7 @@ void subscribe(const Transport& transport, const Stream& stream, unsigned subscr
           const std::uint64_t number = head.number & ~kLast;
           must(number >= next[head.publisher], "in order, and once");
           next[head.publisher] = number + 1;
-          if (received++ == 0) served.add();
+          if (received++ == 0) ++progress->begun;
           if ((head.number & kLast) != 0) ++ended;
           if (transport.is_floor) return;  // a line is all that comes
           must(message.size() == stream.size, "it has its size");
@@ -114,6 +120,7 @@ void subscribe(const Transport& transport, const Stream& stream, unsigned subscr
   must(received != 0, "something came");
   if (ended < stream.publishers && !transport.waits && transport.may_lose) return;  // lost the last
   must(ended == stream.publishers, "the last one of each came");
+  ++progress->ended;
   if (stream.lossless && transport.waits) {
     must(received == std::uint64_t{kMessages} * stream.publishers, "none is lost");
   }
@@ -128,32 +135,39 @@ void run(const Transport& transport, Stream stream) {
                         std::vector<std::string>(stream.subscribers, "127.0.0.1"));
   CAPTURE(transport.name);
   CAPTURE(stream.size);
-  const std::string refused = transport.refuses(stream);
-  Served served;
-  if (!refused.empty()) {
-    MESSAGE(transport.name << ": " << refused);
-  } else {
-    const auto service = transport.serve ? transport.serve(stream) : nullptr;
-    if (transport.threads) {
-      Child process([&] {  // of their own: ROS begins once in a process
-        std::vector<std::thread> nodes;
-        for (unsigned s = 0; s < stream.subscribers; ++s)
-          nodes.emplace_back([&, s] { subscribe(transport, stream, s, served); });
-        for (unsigned p = 0; p < stream.publishers; ++p)
-          nodes.emplace_back([&, p] { publish(transport, stream, p, served); });
-        for (std::thread& node : nodes) node.join();
-      });
-      CHECK(process.wait() == 0);
-    } else {
-      std::vector<std::unique_ptr<Child>> nodes;
-      for (unsigned s = 0; s < stream.subscribers; ++s)
-        nodes.push_back(
-            std::make_unique<Child>([&, s] { subscribe(transport, stream, s, served); }));
-      for (unsigned p = 0; p < stream.publishers; ++p)
-        nodes.push_back(std::make_unique<Child>([&, p] { publish(transport, stream, p, served); }));
-      for (auto& node : nodes) CHECK(node->wait() == 0);
+  std::string refused = transport.refuses(stream);
+  const Progress progress;
+  std::unique_ptr<Service> service;
+  if (refused.empty() && transport.serve) {
+    try {
+      service = transport.serve(stream);
+    } catch (const std::exception&) {
+      refused = transport.refuses(stream);  // somebody else's daemon came just before ours
+      if (refused.empty()) throw;
     }
   }
+  if (!refused.empty()) {
+    MESSAGE(transport.name << ": " << refused);
+  } else if (transport.threads) {
+    Child process([&] {  // of their own: ROS begins once in a process
+      std::vector<std::thread> nodes;
+      for (unsigned s = 0; s < stream.subscribers; ++s)
+        nodes.emplace_back([&, s] { subscribe(transport, stream, s, progress); });
+      for (unsigned p = 0; p < stream.publishers; ++p)
+        nodes.emplace_back([&, p] { publish(transport, stream, p, progress); });
+      for (std::thread& node : nodes) node.join();
+    });
+    CHECK(process.wait() == 0);
+  } else {
+    std::vector<std::unique_ptr<Child>> nodes;
+    for (unsigned s = 0; s < stream.subscribers; ++s)
+      nodes.push_back(
+          std::make_unique<Child>([&, s] { subscribe(transport, stream, s, progress); }));
+    for (unsigned p = 0; p < stream.publishers; ++p)
+      nodes.push_back(std::make_unique<Child>([&, p] { publish(transport, stream, p, progress); }));
+    for (auto& node : nodes) CHECK(node->wait() == 0);
+  }
+  service.reset();
   std::filesystem::remove_all(directory);
   for (const auto& entry : std::filesystem::directory_iterator("/dev/shm")) {
     const std::string name = entry.path().filename();

@@ -37,11 +37,11 @@ TEST_CASE("who waits at the gate waits for as long as it changes hands") {
   std::atomic<bool> is_in{false};
   std::thread waiter([&] {
     LockFile own(path, 0600);
-    CHECK(own.enter_gate(400ms));
+    CHECK(own.enter_gate(2s));
     is_in = true;
     own.leave_gate();
   });
-  for (std::uint32_t n = 0; n < 20; ++n) {  // one comes after the other, for a second
+  for (std::uint32_t n = 0; n < 60; ++n) {  // one comes after the other, for three seconds
     others.try_lock(LockFile::kFirstTurn + n);
     std::this_thread::sleep_for(50ms);
     others.unlock(LockFile::kFirstTurn + n);

@@ -145,14 +145,13 @@ class Pairs(Case):
 
     def test_a_node_that_was_held_up_reads_the_ring_all_the_same(self):
         with Graph() as graph:
-            listener = graph.node('listener', 'sub:lot:/t:1500')
-            talker = graph.node('talker', 'pub:lot:/t:1500:100:5000:wait=1')
-            graph.wait_for(lambda: all(graph.peers('/t')), 'both')
-            time.sleep(1)
+            listener = graph.node('listener', 'sub:lot:/t:1700')
+            talker = graph.node('talker', 'pub:lot:/t:1700:100:5000:wait=1')
+            graph.wait_for(lambda: graph.published() >= 200, 'messages in the ring')
             listener.send_signal(signal.SIGSTOP)
             time.sleep(7)
             listener.send_signal(signal.SIGCONT)
-            self.assert_all(graph.report(listener), 0, ['/talker'], 1500)
+            self.assert_all(graph.report(listener), 0, ['/talker'], 1700)
             self.assertEqual(graph.report(talker)[0]['serialised'], 0)
 
     def test_whoever_comes_is_greeted_and_reads_the_ring_then(self):
@@ -225,16 +224,16 @@ class Tools(Case):
     def test_rosnode_cleans_up_after_the_dead(self):
         with Graph() as graph:
             victim = graph.node('victim', 'sub:lot:/t')
-            listener = graph.node('listener', 'sub:lot:/t:1000')
-            talker = graph.node('talker', 'pub:lot:/t:1000:300:1000:wait=1')
-            graph.wait_for(lambda: len(graph.peers('/t')[1]) == 2, 'both')
+            listener = graph.node('listener', 'sub:lot:/t:4000')
+            talker = graph.node('talker', 'pub:lot:/t:4000:300:1000:wait=2')
+            graph.wait_for(lambda: graph.published() != 0, 'both')
             victim.kill()
             victim.wait()
             cleanup = subprocess.run(['rosnode', 'cleanup'], input='y\n', env=graph.env, capture_output=True,
                                      text=True, timeout=60, check=True).stdout
             self.assertIn('/victim', cleanup)
             self.assertEqual(graph.peers('/t')[1], ['/listener'])
-            self.assert_all(graph.report(listener), 0, ['/talker'], 1000)
+            self.assert_all(graph.report(listener), 0, ['/talker'], 4000)
             self.assertEqual(graph.report(talker)[0]['serialised'], 0)
             self.assertEqual(graph.files(), [])
 
@@ -297,7 +296,7 @@ while True: rospy.rostime.wallsleep(1)
             graph.stop_recording(record, path)
             listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
             graph.wait_for(lambda: graph.peers('/t')[1], 'the listener')
-            play = graph.run(['rosbag', 'play', '-d', '1', '-r', '2', str(path)])
+            play = graph.run(['rosbag', 'play', '-d', '4', '-r', '2', str(path)])
             self.assert_all(graph.report(listener), 0, ['/talker'])
             play.wait(60)
 
@@ -355,7 +354,7 @@ class Relay(Case):
             listeners = [graph.node(f'listener{i}', f'sub:lot:/shared:{COUNT}') for i in range(2)]
             plain = graph.node('plain', f'sub:plain:/shared:{COUNT}')
             graph.wait_for(lambda: len(graph.peers('/shared')[1]) == 3, 'the listeners')
-            play = graph.run(['rosbag', 'play', '-d', '2', str(path)])
+            play = graph.run(['rosbag', 'play', '-d', '6', str(path)])
             graph.wait_for(lambda: graph.peers('/shared')[0], 'the relay')
             for listener in (*listeners, plain):
                 self.assert_all(graph.report(listener), 0, ['/talker'], relayed=True)
@@ -559,20 +558,20 @@ class Containers(Case):
 class Deaths(Case):
     def test_a_listener_is_killed_and_comes_again_under_its_name(self):
         with Graph() as graph:
-            stays = graph.node('stays', 'sub:lot:/t:3000')
-            talker = graph.node('talker', 'pub:lot:/t:3000:300:1000:wait=2')
+            stays = graph.node('stays', 'sub:lot:/t:6000')
+            talker = graph.node('talker', 'pub:lot:/t:6000:300:1000:wait=2')
             for _ in range(4):
                 victim = graph.node('victim', 'sub:lot:/t')
                 time.sleep(1.5)
                 victim.kill()
                 victim.wait()
             again = graph.node('victim', 'sub:lot:/t')
-            self.assert_all(graph.report(stays), 0, ['/talker'], 3000)
+            self.assert_all(graph.report(stays), 0, ['/talker'], 6000)
             graph.report(talker)
             last = graph.stop(again)[0]['from']['/talker']
             for wrong in ('twice', 'disorder', 'torn', 'gaps'):
                 self.assertEqual(last[wrong], 0, last)
-            self.assertEqual(last['last'], 2999)
+            self.assertEqual(last['last'], 5999)
             self.assertEqual(graph.files(), [])
 
     def test_a_talker_is_killed_and_comes_again_under_its_name(self):
