@@ -193,7 +193,7 @@ std::string ros_name(std::string name) {
 
 /// Of a topic and a node together. xmlrpcpp spoils a header of UDPROS whose size is a multiple of
 /// 54 (its base64EncodedSize() forgets a line's end: ros_comm, pull request 2160, never merged),
-/// and then nothing comes: so that size must not hang on what a stream is called.
+/// and then nothing comes: so that size must not depend on what a stream is called.
 constexpr std::size_t kNames = 128;
 
 /// {the master's URI, this node's address}, when there is a master.
