@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <optional>
@@ -21,7 +22,8 @@
 ///   R2  slot exchange, then position load in Writer::hazards (both seq_cst)
 ///       <-> position store, then second slot load in Reader::poll (both seq_cst)
 ///       either the reader sees that the slot has moved on, or the writer sees the hazard.
-///   R3  position store in Reader::done, join -> position load in Writer::room, hazards, serve
+///   R3  position store in Reader::done, join, adopt -> position load in Writer::room, hazards,
+///       serve
 ///       carries: "the payload has been read"; to serve(): that the reader's round has begun.
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
@@ -31,8 +33,8 @@
 ///   R6  space mark, then positions in Writer::room (seq_cst)
 ///       <-> position store, then space load on an empty poll (seq_cst)
 ///       a sender that sleeps for room is rung by the reader that made some.
-///   R7  LIVE (release)                     -> writer load in Reader::join (acquire)
-///       carries: what format() made.
+///   R7  LIVE (release)                     -> writer load in Reader::join, adopt (acquire)
+///       carries: what format() and await() made.
 ///   R8  who = 0 in Reader::leave, reaper (release) -> claim of who in Reader::join (acquire)
 ///       carries: the former reader's last stores to the cell.
 ///   R9  ORPHAN (release)                   -> writer load in Reader::orphaned (acquire)
@@ -45,6 +47,9 @@
 ///       new beginning. Whom a message is for is carried by its slot (R1).
 ///   R12 `from` in Reader::join (release) -> `from` in Writer::serve (acquire)
 ///       carries: whose cell it is: who sees the round sees the name.
+///   R13 formed = 1 and who store, then pullers load in Ring::await_pullers (all seq_cst)
+///       <-> pullers = 0 by the reaper, then formed and who loads in free_cells (all seq_cst):
+///       the maker or the reaper takes the cell of a dead subscriber away.
 ///
 /// A queue whose messages are each taken by one reader (`taken`) is a ring as well: who has read a
 /// message takes it out of its slot, and who finds none there goes on.
@@ -53,8 +58,8 @@ namespace lot::ring {
 /// One reader's shared words, on a line of their own.
 template <class P>
 struct alignas(P::kLine) Cell {
-  /// {cursor, hazard}. Written by that reader, and when it has died by its reaper; read by the
-  /// writer.
+  /// {cursor, hazard}, or what is not a reader at work (words.hpp). Written by that reader, and
+  /// when it has died by its reaper. The writer writes it once: it gives a joiner its place.
   typename P::template Atomic<Word> position;
   /// For writers that serve some of their readers only: the messages from `from` on, before `to`,
   /// are for this one. A joiner takes both back; then the writer sets them.
@@ -113,6 +118,78 @@ struct Ring {
     }
   }
 
+  /// Gives a cell to each reader that had subscribed before this ring came: the cell stands for it
+  /// until it looks (Reader::adopt), or unsubscribes. pullers(p, order) says how many readers
+  /// participant p has, by a load of that order. REQUIRES: INIT; the caller has called format();
+  /// subscribers that live are kept away.
+  ///
+  /// Crash: killed before LIVE, the ring was never there.
+  template <class Pullers>
+  void await_pullers(std::uint32_t participants, Pullers&& pullers) {
+    std::uint32_t c = 0;
+    for (std::uint32_t p = 1; p < participants; ++p) {
+      const std::uint32_t count = pullers(p, std::memory_order_relaxed);
+      for (std::uint32_t n = 0; n < count && c < readers; ++n, ++c) {
+        await(c, p);
+        if (pullers(p, std::memory_order_seq_cst) == 0) await_no_more(c);  // R13: it has died
+      }
+    }
+  }
+  void await(std::uint32_t c, std::uint32_t participant) {
+    cells[c].position.store(awaited(first), std::memory_order_relaxed);  // R7 carries it
+    who[c].store(participant + 1, std::memory_order_seq_cst);            // R13
+  }
+  void await_no_more(std::uint32_t c) {
+    cells[c].position.store(kIdle, std::memory_order_relaxed);  // R7 carries both
+    who[c].store(0, std::memory_order_relaxed);
+  }
+  /// A reader of the participant leaves without having looked. False: no cell awaits it. The
+  /// caller wakes `space` unconditionally. REQUIRES: nobody recycles the ring meanwhile.
+  ///
+  /// Crash: the reaper does the rest, as in Reader::leave.
+  bool unsubscribe(std::uint32_t participant) {
+    for (std::uint32_t c = 0; c < readers; ++c) {
+      if (who[c].load(std::memory_order_relaxed) != participant + 1) continue;
+      Word position = cells[c].position.load(std::memory_order_relaxed);
+      // Relaxed: no message was looked at.
+      if (!is_awaited(position) ||
+          !cells[c].position.compare_exchange_strong(position, kIdle, std::memory_order_relaxed,
+                                                     std::memory_order_relaxed)) {
+        continue;
+      }
+      free_cell(c);
+      return true;
+    }
+    return false;
+  }
+  /// The last steps of a reader that leaves. The caller wakes `space` unconditionally.
+  void free_cell(std::uint32_t c) {
+    space->fetch_add(2, std::memory_order_release);  // R6
+    who[c].store(0, std::memory_order_release);      // R3, R8
+  }
+
+  /// How many messages before `head` a joiner can begin, that wants `history` of them. For a sender
+  /// that must not overtake it, one less than the depth: the sender may be one message ahead of
+  /// what the joiner saw.
+  std::uint64_t reach(Word head, std::uint64_t history) const {
+    const std::uint64_t most = std::uint64_t{depth} - (guarded() ? 0 : 1);
+    return std::min({history, most, published(head)});
+  }
+  /// All messages that were ever published before `head`, unless that number has wrapped: then the
+  /// ring is full long since.
+  std::uint64_t published(Word head) const {
+    const std::int64_t since_first = distance(head, first);
+    if (since_first < 0 || (since_first < depth && slot_was_used(depth - 1))) return depth;
+    return static_cast<std::uint64_t>(since_first);
+  }
+  /// False while slot i is as format() made it.
+  bool slot_was_used(std::uint32_t i) const {
+    // Relaxed: a joiner loads the slots once more, and those loads count; the writer has written
+    // them.
+    const Word word = slots[i].load(std::memory_order_relaxed);
+    return block(word) != kNoBlock || sequence(word) != advance(first, Word{i} - depth);
+  }
+
   /// Takes the sleepers' marks away, so that a late sleeper sees what was stored before. The caller
   /// then wakes all sleepers, whatever the marks were.
   void clear_sleepers() {
@@ -164,12 +241,8 @@ class Writer {
     minimum_ = next_;
     minimum_known_ = true;
     for (const std::uint32_t c : active_) {
-      const Word position = ring_.cells[c].position.load(std::memory_order_seq_cst);  // R3, R6
+      const Word position = place_of(c);
       if (position == kIdle) continue;
-      if (position == kPinAll) {
-        minimum_known_ = false;
-        return false;
-      }
       if (distance(sequence(position), minimum_) < 0) minimum_ = sequence(position);
     }
     return distance(next_, minimum_) < ring_.depth;
@@ -265,7 +338,8 @@ class Writer {
     for (const std::uint32_t c : active_) {
       const Word position = ring_.cells[c].position.load(std::memory_order_relaxed);
       if (position == kIdle || ring_.taken) continue;
-      if (position == kPinAll || distance(next_, sequence(position)) >= ring_.depth) lag(c);
+      if (is_joining(position)) continue;  // room() gives it a place
+      if (distance(next_, sequence(position)) >= ring_.depth) lag(c);
     }
   }
 
@@ -302,7 +376,7 @@ class Writer {
     auto& [position, from, to] = ring_.cells[*cell];
     // Who has not joined to the end has yet to begin its round.
     const Word read = position.load(std::memory_order_acquire);  // R3
-    if (read == kIdle || read == kPinAll) return std::nullopt;
+    if (!is_place(read)) return std::nullopt;
     Word begin = from.load(std::memory_order_acquire);  // R12
     Word end = to.load(std::memory_order_relaxed);
     const Word round = bound_round(begin);
@@ -373,6 +447,23 @@ class Writer {
  private:
   std::uint32_t after(std::uint32_t i) const { return i + 1 == ring_.depth ? 0 : i + 1; }
 
+  /// Where the reader of a cell stands, or kIdle. A joiner that has no place yet gets one: a joiner
+  /// that is held up holds nothing up.
+  Word place_of(std::uint32_t c) {
+    auto& word = ring_.cells[c].position;
+    Word position = word.load(std::memory_order_seq_cst);  // R3, R6
+    while (is_joining(position)) {
+      const std::uint64_t back = ring_.reach(next_, sequence(position));
+      const Word place = make(advance(next_, Word{0} - back), kNoBlock);
+      // Relaxed: only the place is told. If the joiner was quicker, its place counts (R3).
+      if (word.compare_exchange_strong(position, place, std::memory_order_relaxed,
+                                       std::memory_order_acquire)) {
+        return place;
+      }
+    }
+    return position;
+  }
+
   void refresh_roster() {
     const std::uint32_t now = ring_.roster->load(std::memory_order_seq_cst);  // R4
     if (roster_known_ && now == roster_) return;
@@ -439,17 +530,48 @@ class Reader {
     const Word round = bound_round(from.load(std::memory_order_relaxed)) + 1;
     from.store(make_unbound(round, answer), std::memory_order_release);  // R12
     to.store(make_unbound(round), std::memory_order_relaxed);
-    if (!ring.guarded()) position.store(kPinAll, std::memory_order_relaxed);  // R4 carries it
-    ring.roster->fetch_add(1, std::memory_order_seq_cst);                     // R4
+    Word wish = joining(std::min<std::uint64_t>(history, ring.depth));
+    if (!ring.guarded()) position.store(wish, std::memory_order_relaxed);  // R4 carries it
+    ring.roster->fetch_add(1, std::memory_order_seq_cst);                  // R4
     Reader reader;
     reader.ring_ = ring;
     reader.cell_ = c;
     reader.start_at_newest(history);
+    // From here the cursor holds the sender. Who has had the cell before may have borrowed, so this
+    // lets its hazard go (R3).
+    const Word place = make(reader.cursor_, kNoBlock);
+    if (ring.guarded()) {
+      position.store(place, std::memory_order_release);
+    } else if (!position.compare_exchange_strong(wish, place, std::memory_order_release,
+                                                 std::memory_order_relaxed)) {
+      reader.start_at(sequence(wish));  // the sender was quicker
+      const std::int64_t before = distance(reader.cursor_, ring.first);
+      reader.skipped_ = history == kFromTheStart && before > 0 ? static_cast<Word>(before) : 0;
+    }
     reader.asked_ = reader.cursor_;
-    // Until here the sender was pinned; from here the cursor holds it. Who has had the cell before
-    // may have borrowed, so this lets its hazard go (R3).
-    position.store(make(reader.cursor_, kNoBlock), std::memory_order_release);
     return reader;
+  }
+
+  /// The reader that a cell awaits (Ring::await): it begins with the first message, however late.
+  /// Nothing: no cell awaits this participant. REQUIRES: nobody recycles the ring meanwhile.
+  static std::optional<Reader> adopt(const Ring<P>& ring, std::uint32_t participant) {
+    (void)ring.writer->load(std::memory_order_acquire);  // R7
+    for (std::uint32_t c = 0; c < ring.readers; ++c) {
+      if (ring.who[c].load(std::memory_order_relaxed) != participant + 1) continue;
+      auto& word = ring.cells[c].position;
+      Word position = word.load(std::memory_order_relaxed);
+      if (!is_awaited(position) ||
+          !word.compare_exchange_strong(position, position & ~kSleeper, std::memory_order_release,
+                                        std::memory_order_relaxed)) {  // R3
+        continue;
+      }
+      Reader reader;
+      reader.ring_ = ring;
+      reader.cell_ = c;
+      reader.cursor_ = reader.asked_ = sequence(position);  // in slot 0
+      return reader;
+    }
+    return std::nullopt;
   }
 
   /// Borrows the next message: its block, or kNoBlock when there is none. The block and its payload
@@ -587,8 +709,7 @@ class Reader {
   /// Frees the cell. The caller wakes `space` unconditionally. Crash: the reaper does the rest.
   void leave() {
     ring_.cells[cell_].position.store(kIdle, std::memory_order_release);  // R3
-    ring_.space->fetch_add(2, std::memory_order_release);                 // R6
-    ring_.who[cell_].store(0, std::memory_order_release);                 // R3, R8
+    ring_.free_cell(cell_);
   }
 
   /// What the writer has said is for us: the messages from `from` on, before `to`; each may not be
@@ -621,42 +742,31 @@ class Reader {
  private:
   /// Puts the cursor `history` messages before the newest one, as far as the ring goes back.
   void start_at_newest(std::uint64_t history) {
-    const bool went_round = slot_was_used(ring_.depth - 1);
-    std::uint32_t newest_index = 0;
-    Word newest = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
+    newest_index_ = 0;
+    newest_ = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
     for (std::uint32_t i = 1; i < ring_.depth; ++i) {
       const Word here = sequence(ring_.slots[i].load(std::memory_order_seq_cst));  // R4
-      if (distance(here, newest) > 0) {
-        newest = here;
-        newest_index = i;
+      if (distance(here, newest_) > 0) {
+        newest_ = here;
+        newest_index_ = i;
       }
     }
-    const Word head = next(newest);
-    // All that were ever published, unless that number has wrapped: then the ring is full long
-    // since.
-    const std::int64_t since_first = distance(head, ring_.first);
-    std::uint64_t published = static_cast<std::uint64_t>(since_first);
-    if (since_first < 0 || (since_first < ring_.depth && went_round)) {
-      published = ring_.depth;
-    }
-    // Under back-pressure the sender may be one message ahead of what the joiner saw.
-    std::uint64_t back = std::uint64_t{ring_.depth} - (ring_.guarded() ? 0 : 1);
+    const Word head = next(newest_);
+    std::uint64_t back = ring_.reach(head, history);
     if (history == kFromTheStart && !ring_.blocking && !ring_.taken) {
-      back = published;  // poll() counts the missed
+      back = ring_.published(head);  // poll() counts the missed
     }
-    if (back > history) back = history;
-    if (back > published) back = published;
-    if (history == kFromTheStart && !ring_.taken) skipped_ = published - back;
-    cursor_ = advance(head, Word{0} - back);
-    index_ = static_cast<std::uint32_t>(
-        (std::uint64_t{newest_index} + 1 + ring_.depth - back % ring_.depth) % ring_.depth);
+    start_at(advance(head, Word{0} - back));
+    if (history == kFromTheStart && !ring_.taken) skipped_ = ring_.published(head) - back;
   }
 
-  /// False while slot i is as format() made it.
-  bool slot_was_used(std::uint32_t i) const {
-    // Relaxed: start_at_newest() loads the slot once more, and that load counts.
-    const Word word = ring_.slots[i].load(std::memory_order_relaxed);
-    return block(word) != kNoBlock || sequence(word) != advance(ring_.first, Word{i} - ring_.depth);
+  /// Puts the cursor there. newest_ was once in the slot newest_index_.
+  void start_at(Word cursor) {
+    cursor_ = cursor;
+    // Sequences and indexes go on together, also where the sequences wrap.
+    const std::int64_t depth = ring_.depth;
+    const std::int64_t ahead = distance(cursor, newest_) % depth + depth;
+    index_ = static_cast<std::uint32_t>((newest_index_ + ahead) % depth);
   }
 
   void step(Word by) {
@@ -687,6 +797,8 @@ class Reader {
   Ring<P> ring_;
   Word cursor_ = 0;
   std::uint64_t skipped_ = 0;
+  Word newest_ = 0;                 ///< when it joined
+  std::uint32_t newest_index_ = 0;  ///< the slot of that
   std::uint32_t index_ = 0;
   std::uint32_t cell_ = 0;
   Word asked_ = 0;  ///< cursor when done() last asked whether the sender waits

@@ -15,8 +15,8 @@ namespace lot::ring {
 /// on it yet does not take the next reader's mark for its own.
 ///
 /// A reader's position uses the same format: {cursor | 0 | kNoBlock} is a place, {sequence | 0 |
-/// block} a place and a hazard. The sleeper bit is never part of a place, so words that carry it
-/// are free for kIdle and kPinAll.
+/// block} a place and a hazard. The sleeper bit is never part of a place. Words that carry it say
+/// what is not a reader at work: kIdle, awaited() and joining().
 using Word = std::uint64_t;
 
 inline constexpr unsigned kBlockBits = 19;
@@ -28,12 +28,25 @@ inline constexpr Word kRoundMask = kRound * ((Word{1} << kRoundBits) - 1);
 inline constexpr unsigned kSequenceShift = kBlockBits + 1 + kRoundBits;
 inline constexpr Word kSequenceMask = (Word{1} << (64 - kSequenceShift)) - 1;
 
-inline constexpr Word kIdle = ~Word{0};               ///< position: nobody reads here
-inline constexpr Word kPinAll = kSleeper | kNoBlock;  ///< position: a joiner stops the sender
+inline constexpr Word kIdle = ~Word{0};  ///< position: no reader
 
 constexpr Word make(Word sequence, Word block) { return sequence << kSequenceShift | block; }
 constexpr Word sequence(Word word) { return word >> kSequenceShift; }
 constexpr Word block(Word word) { return word & kNoBlock; }
+/// A position that the maker of the ring has made for a reader that had subscribed before: the
+/// reader has not looked yet, and will begin at this sequence.
+constexpr Word awaited(Word sequence) { return make(sequence, kNoBlock) | kSleeper; }
+constexpr bool is_awaited(Word position) {
+  return (position & (kSleeper | kRoundMask)) == kSleeper;
+}
+/// A position of a joiner that has no place yet, and wants this many messages of the past. A sender
+/// that must not overtake the joiner gives it a place.
+constexpr Word joining(Word back) { return make(back, kNoBlock) | kSleeper | kRound; }
+constexpr bool is_joining(Word position) {
+  return (position & (kSleeper | kRoundMask)) == (kSleeper | kRound);
+}
+/// True for the position of a reader that has looked.
+constexpr bool is_place(Word position) { return (position & kSleeper) == 0; }
 /// The slot's message: what a position that reads it says.
 constexpr Word place(Word slot) { return slot & ~(kSleeper | kRoundMask); }
 /// The slot without its mark, in a round of its own.

@@ -27,6 +27,7 @@
 ///   lock_rings(), unlock_rings() -> the registry's lock, tried, against joiners
 ///   recycle_ring(c)              -> releases the ring's memory and names
 ///   release_extents(dead)        -> releases the memory of the blocks named in vector<bool> dead
+///   unsubscribe(k)               -> participant k has no pullers any more (R13)
 ///   forget(k)                    -> what else names participant k (users of topics)
 ///   wake(word)                   -> wakes everybody who sleeps on it
 namespace lot::recovery {
@@ -42,6 +43,7 @@ class Recovery {
     if (world_.part(k).load(std::memory_order_relaxed) == 0) return false;
     wake_whom_it_announced_to(k);
     for (std::uint32_t c = 0; c < world_.channels(); ++c) orphan_ring(c, k);
+    world_.unsubscribe(k);  // before its cells go: no new ring awaits it (R13)
     for (std::uint32_t c = 0; c < world_.channels(); ++c) free_cells(c, k);
     adopt_references(k);
     // All homes before the first hold: else a reaper that is killed in between leaves a message of
@@ -143,12 +145,9 @@ class Recovery {
   }
 
   void free_cells(std::uint32_t c, std::uint32_t k) {
-    const auto state =
-        ring::writer_state(world_.channel_writer(c).load(std::memory_order_acquire));  // R7
-    if (state != ring::State::Live && state != ring::State::Orphan) return;
-    ring::Ring<P> r = world_.ring(c);
+    ring::Ring<P> r = world_.ring(c);  // also one that is being made, once its cells are there
     for (std::uint32_t i = 0; i < r.readers; ++i) {
-      if (r.who[i].load(std::memory_order_relaxed) != k + 1) continue;
+      if (r.who[i].load(std::memory_order_seq_cst) != k + 1) continue;    // R13
       r.cells[i].position.store(ring::kIdle, std::memory_order_release);  // R3
       r.space->fetch_add(2, std::memory_order_release);                   // R6
       world_.wake(*r.space);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "registry/registry.hpp"
 
-#include <array>
 #include <bit>
 #include <cerrno>
 #include <cstring>
@@ -127,10 +126,10 @@ void Registry::add_puller(std::uint32_t topic, std::uint32_t participant) noexce
 void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
   auto& pullers = segment_.topics()[topic].pullers[participant];
   std::uint16_t seen = pullers.load(std::memory_order_relaxed);
-  // What else it has said goes with its last puller.
+  // What else it has said goes with its last puller. Relaxed: the lock carries it.
   while (!pullers.compare_exchange_weak(
       seen, count_of(seen) == 1 ? 0 : static_cast<std::uint16_t>(seen - 1),
-      std::memory_order_release, std::memory_order_relaxed)) {  // D2
+      std::memory_order_relaxed, std::memory_order_relaxed)) {
   }
 }
 
@@ -158,40 +157,25 @@ void Registry::ask(std::uint32_t topic, std::uint32_t participant) noexcept {
                                                           std::memory_order_relaxed);
 }
 
-bool Registry::all_joined(std::uint32_t topic, const segment::Ring& ring,
-                          std::vector<std::uint32_t>& late) noexcept {
-  late.clear();
-  // Joining takes it too: so a newcomer is not taken for one who was here before.
-  if (!try_lock()) return false;
-  std::array<std::uint32_t, segment::kMaxParticipants> pullers;
-  for (std::uint32_t p = 0; p < pullers.size(); ++p) {
-    pullers[p] =
-        count_of(segment_.topics()[topic].pullers[p].load(std::memory_order_acquire));  // D2
-  }
-  std::array<std::uint32_t, segment::kMaxParticipants> joined{};
-  bool full = true;
-  for (std::uint32_t c = 0; c < ring.readers; ++c) {
-    const std::uint32_t who = ring.who[c].load(std::memory_order_relaxed);
-    full = full && who != 0;
-    if (who != 0 && who <= joined.size()) ++joined[who - 1];
-  }
-  unlock();
-  if (full) return true;
-  for (std::uint32_t p = 1; p < segment_.capacity().participants; ++p) {
-    // An index that nobody has subscribes to nothing, whatever somebody has written over it.
-    if (pullers[p] > joined[p] &&
-        segment_.participants()[p].state.load(std::memory_order_relaxed) != 0) {
-      late.push_back(p);
+std::uint32_t Registry::pullers(std::uint32_t topic, std::uint32_t participant,
+                                std::memory_order order) const noexcept {
+  // An index that no process has subscribes to nothing, whatever a wild write has made of it.
+  return segment_.participants()[participant].state.load(std::memory_order_relaxed) == 0
+             ? 0
+             : count_of(segment_.topics()[topic].pullers[participant].load(order));
+}
+
+void Registry::unsubscribe(std::uint32_t participant) noexcept {
+  for (auto& topic : segment_.topics()) {
+    auto& pullers = topic.pullers[participant];
+    if (pullers.load(std::memory_order_relaxed) != 0) {
+      pullers.store(0, std::memory_order_seq_cst);  // R13
     }
   }
-  return late.empty();
 }
 
 void Registry::forget(std::uint32_t participant) noexcept {
   for (auto& topic : segment_.topics()) {
-    if (topic.pullers[participant].load(std::memory_order_relaxed) != 0) {
-      topic.pullers[participant].store(0, std::memory_order_relaxed);
-    }
     auto& users = topic.users[participant / Atomics::kBitsPerWord];
     if ((users.load(std::memory_order_relaxed) & bit(participant)) != 0) {
       users.fetch_and(~bit(participant), std::memory_order_release);
@@ -199,8 +183,37 @@ void Registry::forget(std::uint32_t participant) noexcept {
   }
 }
 
+bool Registry::clear_awaited(std::uint32_t participant) noexcept {
+  bool any = false;
+  const auto channels = segment_.channels();
+  for (std::uint32_t c = 0; c < channels.size(); ++c) {
+    const auto state = ring::writer_state(channels[c].writer.load(std::memory_order_acquire));
+    const std::uint32_t topic = channels[c].topic;
+    if ((state != ring::State::Live && state != ring::State::Orphan) ||
+        topic >= segment_.capacity().topics || pullers(topic, participant) != 0) {
+      continue;
+    }
+    segment::Ring ring = segment_.ring(c);
+    while (ring.unsubscribe(participant)) {
+      futex::wake_all(ring.space);
+      any = true;
+    }
+  }
+  return any;
+}
+
 ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
                            const RingOptions& options) {
+  std::uint64_t awaited = 0;
+  for (std::uint32_t p = 1; p < segment_.capacity().participants; ++p) {
+    awaited += pullers(topic, p);
+  }
+  if (awaited > options.readers) {
+    throw Error(EUSERS, segment_.path(),
+                "the topic has " + std::to_string(awaited) + " subscribers, and a publisher has " +
+                    std::to_string(options.readers) + " readers at most",
+                "make the segment with a larger EngineOptions::readers");
+  }
   const auto channels = segment_.channels();
   for (std::uint32_t c = 0; c < channels.size(); ++c) {
     auto& entry = channels[c];
@@ -232,11 +245,15 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
           "depth");
     }
     if (options.engine == QueueEngine::Mutex) segment_.construct_queue_lock(c);
-    entry.formed.store(1, std::memory_order_release);
-    ring::Ring<Atomics> ring = segment_.ring(c);
+    segment::Ring ring = segment_.unformed_ring(c);
     ring.roster->store(0, std::memory_order_relaxed);
     ring.space->store(0, std::memory_order_relaxed);
     ring.format();
+    // From here a reaper looks at the cells.
+    entry.formed.store(1, std::memory_order_seq_cst);  // R13
+    ring.await_pullers(
+        segment_.capacity().participants,
+        [&](std::uint32_t p, std::memory_order order) { return pullers(topic, p, order); });
     entry.writer.store(ring::make_writer(generation, ring::State::Live, participant),
                        std::memory_order_seq_cst);
     announce(topic);
@@ -247,16 +264,24 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
               "make the segment with a larger EngineOptions::channels");
 }
 
-std::vector<ChannelName> Registry::live(std::uint32_t topic) const {
+std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {
   std::vector<ChannelName> found;
   const auto channels = segment_.channels();
   for (std::uint32_t c = 0; c < channels.size(); ++c) {
     const auto w = channels[c].writer.load(std::memory_order_seq_cst);
-    if (ring::writer_state(w) == ring::State::Live && channels[c].topic == topic) {
+    const auto state = ring::writer_state(w);
+    if ((state == ring::State::Live || state == ring::State::Orphan) &&
+        channels[c].topic == topic) {
       found.push_back({c, ring::writer_generation(w)});
     }
   }
   return found;
+}
+
+bool Registry::is_live(const ChannelName& name) const noexcept {
+  const auto w = segment_.channels()[name.channel].writer.load(std::memory_order_acquire);
+  return ring::writer_state(w) == ring::State::Live &&
+         ring::writer_generation(w) == name.generation;
 }
 
 void Registry::recycle(std::uint32_t channel) noexcept {
@@ -267,7 +292,8 @@ void Registry::recycle(std::uint32_t channel) noexcept {
 }
 
 void Registry::announce(std::uint32_t topic) noexcept {
-  const auto names = live(topic);
+  auto names = rings(topic);
+  std::erase_if(names, [this](const ChannelName& name) { return !is_live(name); });
   ring::announce(segment_.directory().version,
                  names | std::views::transform([this](const ChannelName& name) {
                    return segment_.ring(name.channel);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <string_view>
 #include <vector>
@@ -22,7 +23,7 @@ struct RingOptions {
   std::uint64_t first = 0;  ///< sequence of the first message; 0: the depth
 };
 
-/// One live ring of a topic.
+/// One ring of a topic.
 struct ChannelName {
   std::uint32_t channel;
   std::uint32_t generation;
@@ -35,8 +36,8 @@ struct ChannelName {
 /// Edges
 ///   D1  directory version bump after LIVE -> version load of a puller
 ///       carries nothing: who finds it changed takes the lock, which carries the new ring.
-///   D2  one puller less (release), after it has left -> pullers load in all_joined (acquire)
-///       carries: its free cell. Else its cell would stand for another puller of the process.
+///   R13 pullers = 0 in unsubscribe() (seq_cst), then the reaper's look at the cells <-> a cell
+///       made by open(), then its look at the pullers: see lockfree_ring/ring.hpp.
 class Registry {
  public:
   explicit Registry(segment::Segment& segment) : segment_(segment) {}
@@ -63,14 +64,20 @@ class Registry {
   std::uint32_t enter(std::string_view name, const detail::MessageType& type,
                       std::uint32_t participant);
   void leave(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// Announces a puller, before it joins the rings that there are: who opens a ring after that
-  /// knows of it.
+  /// Announces a puller, before it joins the rings that there are: each ring that is opened after
+  /// that has a cell for it from the start.
   void add_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
 
-  /// Makes a ring for the participant and announces it. Throws lot::Error or OutOfMemory.
+  /// Makes a ring for the participant, with a cell for each puller of the topic, and announces it.
+  /// So what is published there waits for each of them, however late it looks, also when the
+  /// publisher has died. Throws lot::Error or OutOfMemory.
   ChannelName open(std::uint32_t topic, std::uint32_t participant, const RingOptions& options);
-  /// The rings of a topic that are live now.
-  std::vector<ChannelName> live(std::uint32_t topic) const;
+  /// The rings of a topic: those that are live, and those that have ended and are still read.
+  std::vector<ChannelName> rings(std::uint32_t topic) const;
+  bool is_live(const ChannelName& name) const noexcept;
+  /// Takes the cells away that await pullers which this participant does not have any more.
+  /// Returns true when there was one. For a process whose puller could not have the lock in time.
+  bool clear_awaited(std::uint32_t participant) noexcept;
   /// Gives a ring's memory back. REQUIRES: nobody reads or writes it.
   void recycle(std::uint32_t channel) noexcept;
 
@@ -86,14 +93,14 @@ class Registry {
   /// Takes `content` back, since it is asked anew.
   void ask(std::uint32_t topic, std::uint32_t participant) noexcept;
   void remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// Whether all pullers of the topic have joined the ring, or no other one can. Else `late` is who
-  /// has not, and may be dead; nobody when the lock was not to be had just now.
-  bool all_joined(std::uint32_t topic, const segment::Ring& ring,
-                  std::vector<std::uint32_t>& late) noexcept;
-  /// No participant uses these any more: part of a reap.
+  /// Parts of a reap: the participant has no pullers any more, and then no topics.
+  void unsubscribe(std::uint32_t participant) noexcept;
   void forget(std::uint32_t participant) noexcept;
 
  private:
+  /// How many pullers the participant has on the topic. Relaxed: the lock carries it.
+  std::uint32_t pullers(std::uint32_t topic, std::uint32_t participant,
+                        std::memory_order order = std::memory_order_relaxed) const noexcept;
   /// Says that a ring has come, and wakes who waits for that. REQUIRES: the lock, so that no ring
   /// is recycled meanwhile.
   void announce(std::uint32_t topic) noexcept;

@@ -371,9 +371,16 @@ bool Segment::holds(std::uint32_t b, std::uint64_t offset, std::uint64_t bytes) 
 
 Ring Segment::ring(std::uint32_t channel) const noexcept {
   ChannelEntry& entry = channels()[channel];
+  if (entry.formed.load(std::memory_order_seq_cst) != 0) return unformed_ring(channel);  // R13
   Ring ring;
   ring.writer = &entry.writer;
-  if (entry.formed.load(std::memory_order_acquire) == 0) return ring;
+  return ring;
+}
+
+Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
+  ChannelEntry& entry = channels()[channel];
+  Ring ring;
+  ring.writer = &entry.writer;
   // Each once: whoever writes them meanwhile cannot get past the checks.
   const std::uint32_t depth = entry.depth;
   const std::uint32_t readers = entry.readers;

@@ -82,6 +82,8 @@ class Segment {
   /// The ring of a channel; depth 0 when it was never finished, or its numbers make no sense, or
   /// its memory is not its own.
   Ring ring(std::uint32_t channel) const noexcept;
+  /// The same while its maker makes it.
+  Ring unformed_ring(std::uint32_t channel) const noexcept;
   /// The lock of a channel's queue, if it has the mutex engine. REQUIRES: ring(channel) has found
   /// it in order.
   mutex_engine::QueueLock queue_lock(std::uint32_t channel) const noexcept;

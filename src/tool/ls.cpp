@@ -120,6 +120,7 @@ class TopicList {
            r.joining ? "" : std::to_string(r.lag), r.lost != 0 ? count_text(r.lost) : "",
            r.joining      ? "joining"
            : r.holds_back ? "holds the publisher back"
+           : r.awaited    ? "has not looked yet"
                           : ""});
     }
   }

@@ -191,9 +191,9 @@ class Observer {
     if (bad_slot) wrong("a slot of it names a message that can not be");
     for (const Cursor& cursor : cursors) {
       Reader reader{cursor.who};
-      if (cursor.position == ring::kIdle || cursor.position == ring::kPinAll) {
+      reader.awaited = ring::is_awaited(cursor.position);
+      if (cursor.position == ring::kIdle || ring::is_joining(cursor.position)) {
         reader.joining = true;
-        reader.holds_back = cursor.position == ring::kPinAll;
       } else {
         const Word at = ring::sequence(cursor.position);
         const auto lag = ring::distance(channel.next, at);
@@ -214,27 +214,11 @@ class Observer {
       }
       channel.readers.push_back(reader);
     }
-    if (r.blocking && cursors.size() < r.readers &&
-        ring::distance(channel.next, r.first & ring::kSequenceMask) >= r.depth - 1) {
-      find_late(channel);
-    }
     const bool full = r.taken ? channel.queue.size() == r.depth
                               : std::any_of(channel.readers.begin(), channel.readers.end(),
                                             [](const Reader& x) { return x.holds_back; });
-    channel.waits =
-        marked && !channel.orphan && is_alive(channel.publisher) && (full || !channel.late.empty());
+    channel.waits = marked && !channel.orphan && is_alive(channel.publisher) && full;
     seen_.channels.push_back(std::move(channel));
-  }
-
-  /// A publisher that loses nothing waits for all who have subscribed.
-  void find_late(Channel& channel) const {
-    for (auto i = pullers_.lower_bound({channel.topic, 0});
-         i != pullers_.end() && i->first.first == channel.topic; ++i) {
-      const auto joined =
-          std::count_if(channel.readers.begin(), channel.readers.end(),
-                        [i](const Reader& r) { return r.process == i->first.second; });
-      if (static_cast<unsigned>(joined) < i->second) channel.late.push_back(i->first.second);
-    }
   }
 
   void count_memory() {

@@ -28,6 +28,7 @@ struct Process {
 struct Reader {
   std::uint32_t process;
   bool joining = false;     ///< lag and lost are not known yet
+  bool awaited = false;     ///< it has not looked since the publisher is there
   std::uint64_t lag = 0;    ///< published and not read yet; the one in hand counts
   std::uint64_t lost = 0;   ///< of these, overwritten already
   bool holds_back = false;  ///< the publisher has no room because of it
@@ -48,10 +49,9 @@ struct Channel {
   std::uint32_t depth = 0;
   Policy policy = Policy::Overwrite;
   QueueEngine engine = QueueEngine::Ring;
-  bool taken = false;               ///< each message is for one reader, which takes it
-  bool waits = false;               ///< the publisher has found no room, and nobody has made any
-  std::vector<std::uint32_t> late;  ///< who has subscribed and not looked since it is there
-  std::uint64_t next = 0;           ///< sequence of the next message
+  bool taken = false;      ///< each message is for one reader, which takes it
+  bool waits = false;      ///< the publisher has found no room, and nobody has made any
+  std::uint64_t next = 0;  ///< sequence of the next message
   std::uint64_t published = 0;
   std::vector<Queued> queue;  ///< oldest first
   std::vector<Reader> readers;

@@ -99,9 +99,12 @@ void list_waiting(const Observation& seen, Report& report, Json& entry) {
   entry["waiting"] = Json::array();
   for (const auto& c : seen.channels) {
     if (!c.waits) continue;
-    std::set<std::uint32_t> whom(c.late.begin(), c.late.end());
+    std::set<std::uint32_t> whom;
+    bool has_looked = true;
     for (const auto& r : c.readers) {
-      if (r.holds_back || c.taken) whom.insert(r.process);
+      if (!r.holds_back && !c.taken) continue;
+      whom.insert(r.process);
+      has_looked = has_looked && !r.awaited;
     }
     std::string names;
     for (const std::uint32_t k : whom) {
@@ -112,7 +115,7 @@ void list_waiting(const Observation& seen, Report& report, Json& entry) {
     const Topic* topic = seen.topic(c.topic);
     const std::string name = topic != nullptr ? topic->name : "";
     report.hint("publisher " + printable(seen.who(c.publisher)) + " on " + printable(name) +
-                " waits for room until " + names + (c.late.empty() ? " has read" : " has looked"));
+                " waits for room until " + names + (has_looked ? " has read" : " has looked"));
     entry["waiting"].push_back(
         {{"process", c.publisher}, {"topic", name}, {"channel", c.channel}, {"waits_for", whom}});
   }

@@ -69,6 +69,10 @@ class Participant {
   std::uint32_t enter_topic(std::string_view name, const detail::MessageType& type);
   void leave_topic(std::uint32_t topic) noexcept;
 
+  /// A puller of ours has gone without having left the rings that it never looked at: the warden
+  /// does that as soon as the registry can be had.
+  void leave_awaited() noexcept;
+
   /// Ends a ring of ours: its readers get what is in it and then the end.
   void close_ring(const registry::ChannelName& name) noexcept;
   /// Finishes what closing has left to do, or leaves it to the warden.
@@ -132,6 +136,7 @@ class Participant {
   void unlock_rings() noexcept { registry_.unlock(); }
   void recycle_ring(std::uint32_t c) noexcept { registry_.recycle(c); }
   void release_extents(const std::vector<bool>& dead) noexcept;
+  void unsubscribe(std::uint32_t k) noexcept { registry_.unsubscribe(k); }
   void forget(std::uint32_t k) noexcept;
   void wake(std::atomic<ring::Word>& word) noexcept { futex::wake_all(futex::low_half(word)); }
   void wake(std::atomic<std::uint32_t>& word) noexcept { futex::wake_all(&word); }
@@ -223,6 +228,7 @@ class Participant {
   enum class Witness { Awaited, Held, Refused } witness_ = Witness::Awaited;
   std::atomic<bool> warden_stop_{false};
   std::atomic<std::uint32_t> warden_bell_{0};  ///< futex: there is something to look at
+  std::atomic<bool> awaited_{false};           ///< cells await pullers of ours that have gone
   // The warden's alone, from here...
   detail::FutexWaits watched_;       ///< what it sleeps on
   futex::Clock::time_point looked_;  ///< when it last looked for what nobody tells it

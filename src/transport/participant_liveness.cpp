@@ -201,7 +201,17 @@ bool Participant::look_around() noexcept {
     note_sightings();
     looked_ = now;
   }
-  return closed && !lock_lost_ && !has_orphan_rings();
+  if (awaited_.load(std::memory_order_acquire) && registry_.try_lock()) {  // the flag's setter
+    awaited_.store(false, std::memory_order_relaxed);
+    registry_.clear_awaited(index());
+    registry_.unlock();
+  }
+  return closed && !lock_lost_ && !has_orphan_rings() && !awaited_.load(std::memory_order_relaxed);
+}
+
+void Participant::leave_awaited() noexcept {
+  awaited_.store(true, std::memory_order_release);  // carries the puller's last steps
+  ring_warden();
 }
 
 /// Adds the others' witnesses to what is slept on, the next ones first. False when one of them has

@@ -29,8 +29,6 @@ constexpr unsigned kPausesAfterBurst = 50;
 /// In a stream, the lines of this message are fetched while those before it are read.
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
-/// A ring without a free cell is asked again so often.
-constexpr auto kFullRing = 100ms;
 constexpr auto kLongestSleep = 1s;
 
 class Puller final : public detail::PullerCore {
@@ -48,7 +46,7 @@ class Puller final : public detail::PullerCore {
       const registry::Registry::Lock lock(participant_->registry());
       participant_->registry().add_puller(topic_, participant_->index());
       announced_ = true;
-      find_rings(taking_ ? Reader::kFromTheStart : options.history, true);
+      join_what_is_there(taking_ ? Reader::kFromTheStart : options.history);
     } catch (...) {
       unsubscribe();
       throw;
@@ -219,7 +217,7 @@ class Puller final : public detail::PullerCore {
     participant_->check_usable();
     if (directory_.load(std::memory_order_acquire) != version_) {
       const registry::Registry::Lock lock(participant_->registry());
-      find_rings(Reader::kFromTheStart, false);
+      find_rings();
     }
     return static_cast<std::size_t>(std::count_if(
         sources_.begin(), sources_.end(), [](const Source& s) { return !s.reader.orphaned(); }));
@@ -362,6 +360,7 @@ class Puller final : public detail::PullerCore {
         sources_, [this](Reader& reader) { ring_bell(reader); },
         [this](Reader& reader) {
           remember(reader);
+          pass(reader);
           leave(reader);
           participant_->collect();
         });
@@ -430,44 +429,81 @@ class Puller final : public detail::PullerCore {
   static const void* futex_of(const std::atomic<ring::Word>& word) { return futex::low_half(word); }
   static const void* futex_of(const std::atomic<std::uint32_t>& word) { return &word; }
 
-  /// Joins the rings of the topic that we do not read yet.
-  void find_rings(std::uint64_t history, bool complain) {
+  bool knows(const registry::ChannelName& name) const {
+    return std::any_of(sources_.begin(), sources_.end(),
+                       [&](const Source& s) { return s.name == name; }) ||
+           std::find(passed_.begin(), passed_.end(), name) != passed_.end();
+  }
+
+  /// The rings of the topic as it is subscribed to: the live ones are joined.
+  void join_what_is_there(std::uint64_t history) {
     const std::uint32_t version = directory_.load(std::memory_order_acquire);
-    bool all = true;
-    for (const auto& name : participant_->registry().live(topic_)) {
-      if (std::any_of(sources_.begin(), sources_.end(),
-                      [&](const Source& s) { return s.name == name; })) {
+    for (const auto& name : participant_->registry().rings(topic_)) {
+      make_room_for_one();
+      if (!participant_->registry().is_live(name)) {
+        passed_.push_back(name);  // it has ended before
         continue;
       }
       const segment::Ring ring = participant_->segment().ring(name.channel);
       if (ring.depth == 0) {
-        if (!complain) continue;
         throw Error(EBADMSG, participant_->segment().path(),
                     "the queue of a publisher of the topic is damaged", "restart the publisher");
       }
       bool full = false;
-      sources_.reserve(sources_.size() + 1);  // else a joined cell may be lost
-      auto reader = Reader::join(ring, name.generation, participant_->index(), history, full);
-      if (reader) {
-        missed_ += reader->skipped();
-        const auto owner = ring::writer_owner(ring.writer->load(std::memory_order_acquire));
-        sources_.push_back({*reader, name, participant_->segment().queue_lock(name.channel),
-                            std::string(participant_->name_of(owner))});
-      } else if (full && complain) {
+      const auto reader = Reader::join(ring, name.generation, participant_->index(), history, full);
+      if (full) {
         throw Error(EUSERS, participant_->segment().path(),
                     "a publisher of the topic has all the readers that it can have",
                     "make the segment with a larger EngineOptions::readers");
-      } else {
-        all = all && !full;
       }
+      if (reader) begin(*reader, name);
     }
-    version_ = all ? version : version - 1;
-    not_before_.reset();
-    if (!all) not_before_ = futex::Clock::now() + kFullRing;
+    version_ = version;
   }
 
-  /// Rings that have come since the subscription: read from their first message. On the data path,
-  /// so it never waits for the registry's lock; the next look tries again.
+  /// Rings that have come since: each has a cell for us, and is read from its first message, also
+  /// when it has ended meanwhile. REQUIRES: the registry's lock.
+  void find_rings() {
+    const std::uint32_t version = directory_.load(std::memory_order_acquire);
+    const auto rings = participant_->registry().rings(topic_);
+    std::erase_if(passed_, [&rings](const auto& name) {
+      return std::find(rings.begin(), rings.end(), name) == rings.end();
+    });
+    for (const auto& name : rings) {
+      if (knows(name)) continue;
+      make_room_for_one();
+      const segment::Ring ring = participant_->segment().ring(name.channel);
+      const auto reader = Reader::adopt(ring, participant_->index());
+      if (reader) {
+        begin(*reader, name);
+      } else {  // somebody has written over its cell
+        passed_.push_back(name);
+      }
+    }
+    version_ = version;
+    not_before_.reset();
+  }
+
+  /// First, else a cell that was joined may be lost: a source that ends is passed.
+  void make_room_for_one() {
+    sources_.reserve(sources_.size() + 1);
+    passed_.reserve(passed_.size() + sources_.size() + 1);
+  }
+
+  void begin(const Reader& reader, const registry::ChannelName& name) {
+    missed_ += reader.skipped();
+    const auto owner = ring::writer_owner(reader.ring().writer->load(std::memory_order_acquire));
+    sources_.push_back({reader, name, participant_->segment().queue_lock(name.channel),
+                        std::string(participant_->name_of(owner))});
+  }
+
+  void pass(const Reader& reader) {
+    const auto at = std::find_if(sources_.begin(), sources_.end(),
+                                 [&reader](const Source& s) { return &s.reader == &reader; });
+    passed_.push_back(at->name);
+  }
+
+  /// On the data path, so it never waits for the registry's lock; the next look tries again.
   void find_new_rings() {
     if (not_before_ && futex::Clock::now() < *not_before_) return;
     registry::Registry& registry = participant_->registry();
@@ -479,7 +515,7 @@ class Puller final : public detail::PullerCore {
       registry::Registry& registry;
       ~Unlock() { registry.unlock(); }
     } unlock{registry};
-    find_rings(Reader::kFromTheStart, false);
+    find_rings();
   }
 
   void ring_bell(Reader& reader) noexcept {
@@ -503,17 +539,27 @@ class Puller final : public detail::PullerCore {
   }
 
   void unsubscribe() noexcept {
-    leave_all();
-    if (announced_) participant_->registry().remove_puller(topic_, participant_->index());
+    if (announced_) leave_awaited();
+    for (Source& s : sources_) leave(s.reader);
+    sources_.clear();
+    participant_->collect();  // of rings that have ended we may have been the last reader
     participant_->leave_topic(topic_);
   }
 
-  void leave_all() noexcept {
-    for (Source& s : sources_) leave(s.reader);
-    const bool orphans = std::any_of(sources_.begin(), sources_.end(),
-                                     [](const Source& s) { return s.reader.orphaned(); });
-    sources_.clear();
-    if (orphans) participant_->collect();
+  /// Leaves the rings that have a cell for us and that we never looked at.
+  void leave_awaited() noexcept {
+    registry::Registry& registry = participant_->registry();
+    try {
+      const registry::Registry::Lock lock(registry);
+      for (const auto& name : registry.rings(topic_)) {
+        segment::Ring ring = participant_->segment().ring(name.channel);
+        if (!knows(name) && ring.unsubscribe(participant_->index())) futex::wake_all(ring.space);
+      }
+      registry.remove_puller(topic_, participant_->index());
+    } catch (const std::exception&) {  // a stopped process keeps the lock, or there is no memory
+      registry.remove_puller(topic_, participant_->index());
+      participant_->leave_awaited();
+    }
   }
 
   [[noreturn]] void refuse() const {
@@ -556,6 +602,9 @@ class Puller final : public detail::PullerCore {
   bool announced_ = false;      ///< the topic counts this puller
   futex::Deadline not_before_;  ///< there is no use in looking for rings
   detail::FutexWaits waits_;
+  /// Rings that are not for this puller, or not any more, and still there: another puller of the
+  /// process may have a cell in them that nobody has looked at.
+  std::vector<registry::ChannelName> passed_;
   bool chooses_ = false;    ///< somebody asks which messages are for us
   std::vector<Left> left_;  ///< the last few
 };

@@ -25,11 +25,6 @@ constexpr std::size_t kUsualBatch = 32;
 /// A sender that waits for room looks by itself this often: readers tell of it a few times a lap
 /// only, and what they tell may be missed.
 constexpr auto kLookPeriod = 1ms;
-/// And so long, beyond what its caller has said, for who is at the registry: only a stopped process
-/// stays there.
-constexpr auto kRegistryPatience = 100ms;
-/// A queue that loses nothing stays so long for readers that have not found it yet.
-constexpr auto kFarewell = 100ms;
 constexpr unsigned kPausesPerLook = 16;
 /// The lines of the block that is replaced so many publishes from now are fetched back in time.
 constexpr std::uint32_t kPrefetchAhead = 6;
@@ -71,7 +66,6 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     queue_lock_ = participant_->segment().queue_lock(name_.channel);
     waits_ = options.policy == Policy::Block;
     evicts_ = writer_->ring().guarded();
-    all_joined_ = evicts_;  // it loses, or what it holds waits for everybody
     if (evicts_) participant_->add(*this);
   }
 
@@ -81,7 +75,6 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       close_without_ring();
       return;
     }
-    wait_for_late_ones();
     if (evicts_) participant_->remove(*this);
     std::vector<std::uint32_t> blocks;
     std::vector<std::uint32_t> foreign;
@@ -158,7 +151,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     }
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
-    if (!room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
+    if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
     // Nobody else can have this block, not even a weak pointer: the tag keeps those of former
     // messages away. So the hold changes from ours to the ring's by a plain store.
     cell->hold.store(cell->hold.load(std::memory_order_relaxed) - hold::kPointer + hold::kRing,
@@ -177,7 +170,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     }
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
-    if (!room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
+    if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
     participant_->holder().acquire(cell->block, hold::kRing);
     publish(lock, alone, cell->block);
     return Status::Ok;
@@ -386,41 +379,12 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return std::max<std::size_t>(kBatchedBytes / std::max<std::uint64_t>(bytes, 1), 1);
   }
 
-  /// Besides the ring's own room: what is lossless waits for those who have subscribed and have not
-  /// looked since this ring has come. A joiner gets depth - 1 messages.
-  [[gnu::hot]] bool room() {
-    if (!writer_->room()) return false;
-    const ring::Ring<segment::Atomics>& ring = writer_->ring();
-    if (all_joined_ || ring::distance(writer_->next_sequence(), ring.first) < ring.depth - 1) {
-      return true;
-    }
-    all_joined_ = participant_->registry().all_joined(*topic_, ring, late_);
-    return all_joined_;
-  }
-
-  /// After room() has said no: only because somebody else was at the registry. That alone does not
-  /// make a queue full.
-  bool is_unsure() { return late_.empty() && writer_->room(); }
-
-  /// What is for everybody, or for one of them, is not gone before those who wait for it have come:
-  /// they have been woken, and join in a moment. Who does not look now comes too late.
-  void wait_for_late_ones() noexcept {
-    const ring::Ring<segment::Atomics>& ring = writer_->ring();
-    if ((!ring.blocking && !ring.taken) || writer_->next_sequence() == ring.first) return;
-    const auto until = futex::Clock::now() + kFarewell;
-    std::vector<std::uint32_t> late;
-    while (!participant_->registry().all_joined(*topic_, ring, late) &&
-           futex::Clock::now() < until) {
-      std::this_thread::sleep_for(kLookPeriod);
-    }
-  }
-
   /// Waits until the slowest reader has read, or died. A reader that is at work makes room within
   /// microseconds: where that has been so, it spins first. Called and left with both locks held.
   bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
                      std::chrono::nanoseconds block_for) {
-    if (!waits_ && !is_unsure()) return false;
-    const auto until = detail::after(waits_ ? std::max(block_for, 0ns) : 0ns);
+    if (!waits_) return false;
+    const auto until = detail::after(std::max(block_for, 0ns));
     if (futex::Clock::now() < until && habit_.worthwhile() && spin_for_room(lock, alone, until)) {
       return true;
     }
@@ -431,17 +395,15 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       yield_.yield();
       lock.lock();
       alone.lock();
-      if (yield_.found(room())) return true;
+      if (yield_.found(writer_->room())) return true;
     }
     for (unsigned look = 1;; ++look) {
-      const auto value = ring::wait_for_room(*writer_, [this] { return room(); });
+      const auto value = ring::wait_for_room(*writer_, [this] { return writer_->room(); });
       if (!value) return true;
       const auto now = futex::Clock::now();
-      const bool late = now >= until;
-      if (late && (!is_unsure() || now - until >= kRegistryPatience)) return false;
+      if (now >= until) return false;
       std::vector<std::uint32_t> laggards;
       if (look % kLooksPerProbe == 0) {
-        laggards = late_;
         writer_->laggards([&](std::uint32_t c) {
           const std::uint32_t who = writer_->ring().who[c].load(std::memory_order_acquire);
           if (who != 0) laggards.push_back(who - 1);
@@ -450,8 +412,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       alone.unlock();
       lock.unlock();
       for (const std::uint32_t k : laggards) participant_->reap_if_dead(k);
-      futex::wait(writer_->ring().space, *value,
-                  late ? now + kLookPeriod : std::min(until, now + kLookPeriod));
+      futex::wait(writer_->ring().space, *value, std::min(until, now + kLookPeriod));
       lock.lock();
       alone.lock();
     }
@@ -471,7 +432,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       for (unsigned n = 0; n < kPausesPerLook; ++n) segment::Atomics::pause();
       lock.lock();
       alone.lock();
-      if (room()) {
+      if (writer_->room()) {
         habit_.spun(futex::Clock::now() - start);
         return true;
       }
@@ -526,10 +487,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   registry::ChannelName name_{};
   std::optional<ring::Writer<segment::Atomics>> writer_;
   mutex_engine::QueueLock queue_lock_;
-  bool waits_ = false;               ///< for room
-  bool all_joined_ = false;          ///< who had subscribed before has a cell here
-  std::vector<std::uint32_t> late_;  ///< participants who had not, the last time
-  bool evicts_ = false;              ///< gives its oldest messages up when memory runs out
+  bool waits_ = false;   ///< for room
+  bool evicts_ = false;  ///< gives its oldest messages up when memory runs out
   SpinHabit habit_{Wait::Adaptive};
   YieldHabit yield_;
   std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the last one

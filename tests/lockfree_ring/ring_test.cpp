@@ -71,6 +71,12 @@ struct BasicChannel {
     return *reader;
   }
 
+  /// A subscriber that has not looked. REQUIRES: nothing was published yet.
+  void await(std::uint32_t cell, std::uint32_t participant) {
+    ring.await(cell, participant);
+    writer = lot::ring::Writer<P>(ring);
+  }
+
   /// Publishes blocks from, from + 1, ... to - 1.
   void publish(Word from, Word to) {
     for (Word block = from; block < to; ++block) {
@@ -109,7 +115,8 @@ struct Drained {
   std::uint64_t missed = 0;
 };
 
-Drained drain(Reader& reader) {
+template <class AnyReader>
+Drained drain(AnyReader& reader) {
   Drained result;
   for (Word block; (block = reader.poll(result.missed)) != kNoBlock;) {
     result.blocks.push_back(block);
@@ -144,7 +151,17 @@ TEST_CASE("a slot word gives back the sequence and the block that it was made of
         CHECK(lot::ring::next_round(w) != (w & ~kSleeper));
       }
       CHECK(word != lot::ring::kIdle);
-      CHECK(word != lot::ring::kPinAll);
+      CHECK(lot::ring::is_place(word));
+      CHECK(lot::ring::is_awaited(lot::ring::awaited(sequence)));
+      CHECK_FALSE(lot::ring::is_joining(lot::ring::awaited(sequence)));
+      CHECK(lot::ring::is_joining(lot::ring::joining(sequence)));
+      CHECK_FALSE(lot::ring::is_awaited(lot::ring::joining(sequence)));
+      for (const Word other : {lot::ring::awaited(sequence), lot::ring::joining(sequence)}) {
+        CHECK_FALSE(lot::ring::is_place(other));
+        CHECK(other != lot::ring::kIdle);
+        CHECK(lot::ring::sequence(other) == sequence);
+        CHECK(lot::ring::block(other) == kNoBlock);
+      }
     }
   }
 }
@@ -456,22 +473,78 @@ TEST_CASE("a sender that knew of room looks again when somebody has joined furth
   CHECK(channel.writer.room());
 }
 
-TEST_CASE("a joiner that has not found its place yet stops the sender") {
+TEST_CASE("a joiner that has not found its place yet gets one from the sender") {
+  for (const Word history : {Word{0}, Word{1}, Word{9}}) {
+    Channel channel(4, Policy::Blocking);
+    Reader reader = channel.join();
+    channel.publish(0, 2);
+    drain(reader);
+    // What Reader::join() has done when it is stopped before it stores its cursor.
+    channel.who[1] = kParticipant + 1;
+    channel.cells[1].position = lot::ring::joining(history);
+    ++channel.roster;
+    CHECK(channel.laggards().empty());
+    CHECK(channel.hazards().empty());
+    CHECK(channel.writer.room());  // an empty queue is not full because of a joiner
+    const Word begin = 2 - std::min<Word>(history, 2);
+    CHECK(channel.cells[1].position == lot::ring::make(begin, kNoBlock));
+    channel.publish(2, begin + 4);
+    drain(reader);
+    CHECK_FALSE(channel.writer.room());
+    CHECK(channel.laggards() == std::vector<std::uint32_t>{1});
+  }
+}
+
+// ---- cells for those who have subscribed before -------------------------------------------------
+
+TEST_CASE("a subscriber that looks late gets every message of a lossless ring") {
   Channel channel(4, Policy::Blocking);
-  channel.publish(0, 2);
-  // What Reader::join() has done when it is stopped before it stores its cursor.
-  channel.who[1] = kParticipant + 1;
-  channel.cells[1].position = lot::ring::kPinAll;
-  ++channel.roster;
-  CHECK_FALSE(channel.writer.room());
+  channel.await(1, kParticipant);
+  channel.publish(0, 4);
   CHECK_FALSE(channel.writer.room());
   CHECK(channel.laggards() == std::vector<std::uint32_t>{1});
-  CHECK(channel.hazards().empty());
-  channel.cells[1].position = lot::ring::make(2, kNoBlock);
-  CHECK(channel.writer.room());
-  CHECK(channel.laggards().empty());
-  channel.publish(2, 6);
+  channel.become(State::Orphan);
+  CHECK_FALSE(channel.ring.deserted());
+  CHECK_FALSE(Reader::adopt(channel.ring, kParticipant + 1));
+  auto reader = Reader::adopt(channel.ring, kParticipant);
+  REQUIRE(reader);
+  CHECK_FALSE(Reader::adopt(channel.ring, kParticipant));  // one cell, one reader
+  CHECK(drain(*reader).blocks == blocks(0, 4));
+  CHECK(reader->ended());
+  reader->leave();
+  CHECK(channel.ring.deserted());
+}
+
+TEST_CASE("a subscriber that looks late counts what was overwritten") {
+  for (std::uint32_t sent = 0; sent < 14; ++sent) {
+    Channel channel(4, Policy::Overwrite, 3, kSequenceMask - 2);
+    channel.await(2, kParticipant);
+    channel.publish(0, sent);
+    CHECK(channel.writer.room());
+    auto reader = Reader::adopt(channel.ring, kParticipant);
+    REQUIRE(reader);
+    const auto seen = drain(*reader);
+    const std::uint32_t begin = sent > 4 ? sent - 4 : 0;
+    CHECK(seen.blocks == blocks(begin, sent));
+    CHECK(seen.missed == begin);
+  }
+}
+
+TEST_CASE("a subscriber that goes without having looked frees its cell") {
+  Channel channel(2, Policy::Blocking);
+  channel.await(0, kParticipant);
+  channel.await(1, kParticipant);
+  channel.publish(0, 2);
+  auto reader = Reader::adopt(channel.ring, kParticipant);
+  REQUIRE(reader);
+  drain(*reader);
   CHECK_FALSE(channel.writer.room());
+  CHECK_FALSE(channel.ring.unsubscribe(kParticipant + 1));
+  CHECK(channel.ring.unsubscribe(kParticipant));
+  CHECK_FALSE(channel.ring.unsubscribe(kParticipant));  // the other one has looked
+  CHECK(channel.writer.room());
+  CHECK(channel.cells[1].position == lot::ring::kIdle);
+  CHECK(channel.who[1] == 0);
 }
 
 TEST_CASE("overwriting always has room, but knows who is behind") {
@@ -853,18 +926,30 @@ TEST_CASE("a message that is evicted between a reader's look and its hazard is n
   CHECK(interruption.at == nullptr);
 }
 
-TEST_CASE("a sender that learns of a joiner waits until the joiner has found its place") {
-  InterruptedChannel channel(2, Policy::Blocking);
-  channel.publish(0, 2);
-  REQUIRE(channel.writer.room());
-  interruption = {&channel.roster, [&] { CHECK_FALSE(channel.writer.room()); }};
-  auto reader = channel.join(1);
-  CHECK(interruption.at == nullptr);
-  CHECK(channel.writer.room());
-  channel.publish(2, 3);
-  CHECK_FALSE(channel.writer.room());
-  std::uint64_t missed = 0;
-  CHECK(reader.poll(missed) == 1);
+TEST_CASE("a joiner that is overtaken begins where the sender has put it, and misses nothing") {
+  for (const Word first : {Word{0}, kSequenceMask - 5}) {
+    for (const std::uint32_t depth : {1U, 3U, 4U}) {
+      for (const std::uint64_t history : {std::uint64_t{0}, std::uint64_t{2}}) {
+        for (std::uint32_t before = 0; before < 2 * depth + 1; ++before) {
+          InterruptedChannel channel(depth, Policy::Blocking, 3, first);
+          channel.publish(0, before);
+          std::uint32_t sent = before;
+          interruption = {&channel.roster, [&] {
+                            while (channel.writer.room()) {
+                              channel.publish(sent, sent + 1);
+                              ++sent;
+                            }
+                          }};
+          auto reader = channel.join(history);
+          CHECK(interruption.at == nullptr);
+          const auto begin = static_cast<std::uint32_t>(
+              before - std::min<std::uint64_t>({history, depth - 1, before}));
+          CHECK(drain(reader).blocks == blocks(begin, sent));
+          CHECK(sent == begin + depth);
+        }
+      }
+    }
+  }
 }
 
 TEST_CASE("a message that comes while a reader marks its slot is not slept through") {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scenario.hpp"
+#include "subscription.hpp"
 
 /// Deaths anywhere, and what the reaper makes of them.
 namespace lot::model {
@@ -467,6 +468,67 @@ struct ReapedWhileARingIsMade : Scene<ReapedWhileARingIsMade, 2> {
   Subscriber subscriber;
 };
 
+/// A publisher that comes after the subscription is killed anywhere and reaped; the subscriber
+/// looks now and then, and once all is over.
+template <class Derived, bool kBlocking>
+struct SubscriberLooksLateScene : Scene<Derived, 3> {
+  SubscriberLooksLateScene() : Scene<Derived, 3>({.blocks = 3, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    subscription.join(this->start(2));
+    this->start(3);
+    this->start(4);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      this->die_within(4, 80, [this] {
+        publisher.open(this->process(4), 0, kBlocking);
+        for (int i = 0; i < 3; ++i) publisher.send();
+      });
+    } else if (t == 1) {
+      for (int i = 0; i < 2; ++i) subscription.receive();
+    } else {
+      this->segment.await_end_of(4);
+      this->process(3).see_reaped(4);
+    }
+  }
+  void check() {
+    this->segment.version.fetch_add(1, std::memory_order_relaxed);  // killed before it announced
+    while (subscription.receive()) {
+    }
+    // The message in flight may or may not have come out.
+    const std::uint64_t seen = subscription.received() + subscription.missed();
+    RL_ASSERT(seen == publisher.sent() || seen == publisher.sent() + 1);
+    if (kBlocking) RL_ASSERT(subscription.missed() == 0);
+  }
+  Publisher publisher;
+  Subscription subscription;
+};
+struct SubscriberLooksLate : SubscriberLooksLateScene<SubscriberLooksLate, false> {};
+struct SubscriberLooksLateBlocking : SubscriberLooksLateScene<SubscriberLooksLateBlocking, true> {};
+
+/// A subscriber that never looked is reaped while a ring is made for it. Its cell may not stay.
+struct SubscriberReapedWhileARingIsMade : Scene<SubscriberReapedWhileARingIsMade, 2> {
+  SubscriberReapedWhileARingIsMade() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    for (std::uint32_t k : {1U, 2U, 4U}) start(k);
+    subscription.join(process(2));
+    segment.bury(2);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.open(process(4), 0, true));
+    } else {
+      process(1).see_reaped(2);
+    }
+  }
+  void check() {
+    RL_ASSERT(process(4).ring(0).who[0].load(std::memory_order_relaxed) == 0);
+    RL_ASSERT(publisher.send());
+  }
+  Publisher publisher;
+  Subscription subscription;
+};
+
 const Entered entered{
     {"publisher_killed_overwrite", "readers get what was published, then the end",
      rl::simulate<PublisherKilledOverwrite>},
@@ -502,6 +564,12 @@ const Entered entered{
      rl::simulate<KeeperKilled>, 1},
     {"reaped_while_a_ring_is_made", "a reaper does not read what a ring's memory held before",
      rl::simulate<ReapedWhileARingIsMade>, 2},
+    {"subscriber_looks_late", "what a dead publisher sent waits for who had subscribed",
+     rl::simulate<SubscriberLooksLate>},
+    {"subscriber_looks_late_blocking", "the same under back-pressure, and misses nothing",
+     rl::simulate<SubscriberLooksLateBlocking>},
+    {"subscriber_reaped_while_a_ring_is_made", "no cell awaits a dead subscriber",
+     rl::simulate<SubscriberReapedWhileARingIsMade>, 2},
 };
 
 }  // namespace

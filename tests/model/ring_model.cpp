@@ -130,7 +130,7 @@ struct BothSleep : Scene<BothSleep, 2> {
   Subscriber subscriber;
 };
 
-/// A joiner pins a blocking sender, even one that goes to sleep on the pin, and then misses
+/// A joiner of a blocking ring finds its place, or gets it from the sender, and then misses
 /// nothing.
 struct LateJoinerBlocking : Scene<LateJoinerBlocking, 3> {
   LateJoinerBlocking() : Scene({.blocks = 4, .depth = 2, .readers = 2}) {}
@@ -398,7 +398,7 @@ const Entered entered{
     {"both_sleep", "sender and reader never both sleep for ever", rl::simulate<BothSleep>, 2},
     {"late_joiner_blocking", "a late joiner misses nothing from its start on",
      rl::simulate<LateJoinerBlocking>, 1},
-    {"joiner_while_sender_sleeps", "a joiner's pin does not put the sender to sleep for ever",
+    {"joiner_while_sender_sleeps", "a joiner does not put the sender to sleep for ever",
      rl::simulate<JoinerWhileSenderSleeps>, 2},
     {"only_joiner_blocking", "the same when the sender need not wait for others",
      rl::simulate<OnlyJoinerBlocking>, 3},

@@ -5,8 +5,20 @@ namespace lot::model {
 
 void Subscription::join(Process& process) {
   process_ = &process;
+  Segment& segment = process.segment();
   while (!process.lock_rings()) Policy::pause();
-  find_rings();
+  segment.pullers[process.index()].fetch_add(1, std::memory_order_relaxed);
+  version_ = segment.version.load(std::memory_order_acquire);
+  for (std::uint32_t c = 0; c < process.channels(); ++c) {
+    const Word writer = process.channel_writer(c).load(std::memory_order_seq_cst);
+    if (ring::writer_state(writer) != ring::State::Live) continue;
+    bool full = false;
+    const auto reader =
+        ring::Reader<Policy>::join(process.ring(c), ring::writer_generation(writer),
+                                   process.index(), ring::Reader<Policy>::kFromTheStart, full);
+    RL_ASSERT(!full);
+    if (reader) begin(c, ring::writer_generation(writer), *reader);
+  }
   process.unlock_rings();
 }
 
@@ -15,21 +27,22 @@ void Subscription::find_rings() {
   for (std::uint32_t c = 0; c < process_->channels(); ++c) {
     const Word writer = process_->channel_writer(c).load(std::memory_order_seq_cst);
     const std::uint32_t generation = ring::writer_generation(writer);
-    if (ring::writer_state(writer) != ring::State::Live ||
+    if (ring::writer_state(writer) < ring::State::Live ||
         std::any_of(sources_.begin(), sources_.end(), [&](const Source& s) {
           return s.channel == c && s.generation == generation;
         })) {
       continue;
     }
-    bool full = false;
-    auto reader = ring::Reader<Policy>::join(process_->ring(c), generation, process_->index(),
-                                             ring::Reader<Policy>::kFromTheStart, full);
-    RL_ASSERT(!full);
-    if (!reader) continue;
-    process_->move_in(c, reader->cell());
-    sources_.push_back({c, generation, *reader, process_});
+    const auto reader = ring::Reader<Policy>::adopt(process_->ring(c), process_->index());
+    if (reader) begin(c, generation, *reader);
   }
   version_ = version;
+}
+
+void Subscription::begin(std::uint32_t channel, std::uint32_t generation,
+                         const ring::Reader<Policy>& reader) {
+  process_->move_in(channel, reader.cell());
+  sources_.push_back({channel, generation, reader, process_});
 }
 
 bool Subscription::receive() {
@@ -42,8 +55,7 @@ bool Subscription::receive() {
     // Nobody is kept from the lock for nothing.
     if (source.reader.ring().arrived != nullptr && !source.reader.ready()) continue;
     const Source::Turn turn(source);
-    std::uint64_t missed = 0;
-    const Word b = source.reader.poll(missed);
+    const Word b = source.reader.poll(missed_);
     if (b == kNoBlock) continue;
     const std::int64_t number = ring::distance(source.reader.cursor(), Segment::kFirst);
     RL_ASSERT(process_->read(b) == static_cast<std::uint64_t>(number));

@@ -17,6 +17,7 @@ class Subscription {
   void await_change();
 
   std::uint64_t received() const { return received_; }
+  std::uint64_t missed() const { return missed_; }
   std::size_t rings() const { return sources_.size(); }
 
  private:
@@ -32,12 +33,14 @@ class Subscription {
 
   /// REQUIRES: the registry's lock.
   void find_rings();
+  void begin(std::uint32_t channel, std::uint32_t generation, const ring::Reader<Policy>& reader);
   void leave(ring::Reader<Policy>& reader);
 
   Process* process_ = nullptr;
   std::uint32_t version_ = 0;  ///< of the directory, when sources_ was right
   std::vector<Source> sources_;
   std::uint64_t received_ = 0;
+  std::uint64_t missed_ = 0;
 };
 
 }  // namespace lot::model

@@ -30,6 +30,7 @@ Segment::Segment(const Shape& s)
     : shape(s),
       parts(kParticipants),
       blocks(s.blocks),
+      pullers(kParticipants),
       payloads(s.blocks),
       references(s.blocks),
       locks_(kRegistryLock + 1),
@@ -279,7 +280,12 @@ void Process::write(Word b, std::uint64_t message, std::source_location where) {
 
 ring::Ring<Policy> Process::ring(std::uint32_t c) {
   Channel& channel = segment_->channels[c];
-  if (channel.formed.load(std::memory_order_acquire) == 0) return {};
+  if (channel.formed.load(std::memory_order_seq_cst) == 0) return {};  // R13
+  return unformed_ring(c);
+}
+
+ring::Ring<Policy> Process::unformed_ring(std::uint32_t c) {
+  Channel& channel = segment_->channels[c];
   return {&channel.writer,         channel.slots.data(),
           channel.cells.data(),    channel.who.data(),
           &channel.roster,         &channel.space,
@@ -351,11 +357,14 @@ bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
   channel.used.write(true);
   channel.soil();
   channel.blocking.write(blocking);
-  channel.formed.store(1, std::memory_order_release);
-  ring::Ring<Policy> ring = process.ring(c);
+  ring::Ring<Policy> ring = process.unformed_ring(c);
   ring.roster->store(0, std::memory_order_relaxed);
   ring.space->store(0, std::memory_order_relaxed);
   ring.format();
+  channel.formed.store(1, std::memory_order_seq_cst);  // R13
+  ring.await_pullers(kParticipants, [&](std::uint32_t p, std::memory_order order) {
+    return process.segment().pullers[p].load(order);
+  });
   channel.writer.store(ring::make_writer(generation, ring::State::Live, process.index()),
                        std::memory_order_seq_cst);
   process_ = &process;

@@ -83,6 +83,8 @@ class Segment {
   std::deque<Channel> channels;
   /// The directory's.
   Atomic<std::uint32_t> version;
+  /// By participant, of the one topic.
+  std::vector<Atomic<std::uint32_t>> pullers;
   /// The message of a block: its number. Any access that the protocol does not order is a race.
   std::vector<Plain<std::uint64_t>> payloads;
   /// A block that the message of a block refers to, or kNoBlock.
@@ -172,6 +174,7 @@ class Process {
   std::uint32_t channels() const { return segment_->shape.channels; }
   Atomic<Word>& channel_writer(std::uint32_t c) { return segment_->channels[c].writer; }
   ring::Ring<Policy> ring(std::uint32_t c);
+  ring::Ring<Policy> unformed_ring(std::uint32_t c);
   template <class F>
   void each_reference(std::uint32_t b, F&& f) {
     f(segment_->references[b].read());
@@ -183,6 +186,9 @@ class Process {
     segment_->channels[c].used.write(false);
   }
   void release_extents(const std::vector<bool>& dead);
+  void unsubscribe(std::uint32_t k) {
+    segment_->pullers[k].store(0, std::memory_order_seq_cst);  // R13
+  }
   void forget(std::uint32_t) {}
   template <class T>
   void wake(Atomic<T>& word) {
@@ -387,6 +393,7 @@ class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
     janitor.collect();
     constexpr auto kOrder = std::memory_order_seq_cst;
     for (auto& part : segment.parts) RL_ASSERT(part.load(kOrder) == 0);
+    for (auto& count : segment.pullers) RL_ASSERT(count.load(kOrder) == 0);
     for (auto& block : segment.blocks) {
       RL_ASSERT(block.home.load(kOrder) == refcount::kHomeFree);
       for (auto& word : block.own) RL_ASSERT(word.load(kOrder) == 0);

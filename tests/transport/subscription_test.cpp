@@ -1,0 +1,279 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// What is published after a subscription reaches the subscriber or counts as missed, however late
+// the subscriber looks, and whatever has become of the publisher.
+
+#include <algorithm>
+#include <csignal>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "robust_mutex/robust_mutex.hpp"
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::Policy;
+using lot::Status;
+
+struct Number {
+  std::uint64_t value;
+};
+using Owned = lot::ShmUniquePtr<Number>;
+using Shared = lot::ShmSharedPtr<const Number>;
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+constexpr std::uint64_t kItems = 5;
+
+/// Which rings there are, and in which state.
+struct Rings {
+  std::size_t live = 0;
+  std::size_t ended = 0;
+  explicit Rings(const std::string& path) {
+    lot::segment::Segment segment(path);
+    for (auto& channel : segment.channels()) {
+      const auto state = lot::ring::writer_state(channel.writer.load());
+      live += state == lot::ring::State::Live;
+      ended += state == lot::ring::State::Orphan;
+    }
+  }
+};
+
+/// Puts numbers on one queue of each kind and on a lossless topic. Returns how many said Ok.
+struct Sender {
+  explicit Sender(lot::ShmEngine& engine)
+      : one(engine.queue<Owned>("one")),
+        all(engine.queue<Shared>("all")),
+        topic(engine.advertise<Number>("topic", {Policy::Block, 64, 1s})) {}
+  std::uint64_t send() {
+    std::uint64_t ok = 0;
+    for (std::uint64_t n = 0; n < kItems; ++n) {
+      ok += one.put(one.make(n)) == Status::Ok;
+      ok += all.put(Shared(all.make(n))) == Status::Ok;
+      ok += topic.push(topic.loan(n)) == Status::Ok;
+    }
+    return ok;
+  }
+  lot::ShmQueue<Owned> one;
+  lot::ShmQueue<Shared> all;
+  lot::ShmPusher<Number> topic;
+};
+
+struct Receiver {
+  explicit Receiver(lot::ShmEngine& engine)
+      : one(engine.queue<Owned>("one")),
+        all(engine.queue<Shared>("all")),
+        topic(engine.subscribe<Number>("topic")) {
+    one.listen();
+    all.listen();
+  }
+  void check() {
+    for (std::uint64_t n = 0; n < kItems; ++n) {
+      const auto item = one.wait_and_pop_for(20s);
+      REQUIRE(item);
+      CHECK((*item)->value == n);
+      const auto view = all.wait_and_pop_for(20s);
+      REQUIRE(view);
+      CHECK((*view)->value == n);
+      const auto message = topic.pull(20s);
+      REQUIRE(message);
+      CHECK(message->value == n);
+    }
+    CHECK_FALSE(one.try_pop());
+    CHECK_FALSE(all.try_pop());
+    CHECK_FALSE(topic.try_pull());
+    CHECK(topic.missed_total() == 0);
+  }
+  lot::ShmQueue<Owned> one;
+  lot::ShmQueue<Shared> all;
+  lot::ShmPuller<Number> topic;
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("subscription");
+
+TEST_CASE(
+    "what a killed process has put reaches those who had subscribed, however late they look") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  Receiver receiver(engine);
+  Steps done;
+  Child sender([&] {
+    lot::ShmEngine other(options);
+    Sender mine(other);
+    must(mine.send() == 3 * kItems, "all is put");
+    done.tell();
+    pause();
+  });
+  REQUIRE(done.next() != 0);
+  sender.kill9();
+  // Until it is reaped, and its queues would be recycled if nobody read them.
+  REQUIRE(eventually([&] { return Rings(engine.path()).ended == 3; }, 20s));
+  std::this_thread::sleep_for(200ms);
+  CHECK(Rings(engine.path()).ended == 3);
+  receiver.check();
+  CHECK(eventually([&] {
+    return !receiver.topic.try_pull() && !receiver.one.try_pop() && !receiver.all.try_pop() &&
+           Rings(engine.path()).ended == 0;
+  }));
+}
+
+TEST_CASE("what a publisher has put that is gone reaches those who had subscribed") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  Receiver receiver(engine);
+  SUBCASE("its handles are gone") {
+    Sender sender(engine);
+    CHECK(sender.send() == 3 * kItems);
+  }
+  SUBCASE("its process is gone") {
+    Child child([&] {
+      lot::ShmEngine other(options);
+      Sender sender(other);
+      must(sender.send() == 3 * kItems, "all is put");
+    });
+    CHECK(child.wait() == 0);
+  }
+  std::this_thread::sleep_for(300ms);
+  receiver.check();
+}
+
+TEST_CASE("what an overwriting publisher has lost before it died counts as missed") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  auto puller = engine.subscribe<Number>("/t");
+  constexpr std::uint64_t kSent = 11;
+  constexpr std::uint32_t kDepth = 4;
+  Child publisher([&] {
+    lot::ShmEngine other(options);
+    auto pusher = other.advertise<Number>("/t", {Policy::Overwrite, kDepth, 1s});
+    for (std::uint64_t n = 0; n < kSent; ++n) must(pusher.push(pusher.loan(n)) == Status::Ok, "");
+    raise(SIGKILL);
+  });
+  CHECK(publisher.wait() == 128 + SIGKILL);
+  REQUIRE(eventually([&] { return Rings(engine.path()).ended == 1; }, 20s));
+  for (std::uint64_t n = kSent - kDepth; n < kSent; ++n) {
+    const auto message = puller.pull(20s);
+    REQUIRE(message);
+    CHECK(message->value == n);
+  }
+  CHECK(puller.missed_total() == kSent - kDepth);
+}
+
+TEST_CASE("each of several pullers of a process gets what came after its own subscription") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  const auto drain = [](lot::ShmPuller<Number>& puller) {
+    std::vector<std::uint64_t> got;
+    while (const auto message = puller.try_pull()) got.push_back(message->value);
+    std::sort(got.begin(), got.end());  // of two publishers, either may come first
+    return got;
+  };
+  using Values = std::vector<std::uint64_t>;
+  auto early = engine.subscribe<Number>("/t");
+  auto twin = engine.subscribe<Number>("/t");
+  std::optional first(engine.advertise<Number>("/t"));
+  first->push(first->loan(1u));
+  auto later = engine.subscribe<Number>("/t");
+  first->push(first->loan(2u));
+  first.reset();
+  auto last = engine.subscribe<Number>("/t");
+  CHECK(drain(later) == Values{2});
+  std::optional second(engine.advertise<Number>("/t"));
+  second->push(second->loan(3u));
+  second.reset();
+  // The cells of the others are not taken by who has read the ring, or came after it.
+  CHECK(drain(later) == Values{3});
+  CHECK(drain(last) == Values{3});
+  CHECK(drain(early) == Values{1, 2, 3});
+  CHECK(drain(twin) == Values{1, 2, 3});
+  for (auto* puller : {&early, &twin, &later, &last}) CHECK(drain(*puller).empty());
+  CHECK(eventually([&] { return Rings(engine.path()).ended == 0; }));
+}
+
+TEST_CASE("a subscriber that goes without having looked leaves no ring behind") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  auto stays = engine.subscribe<Number>("/t");
+  std::optional goes(engine.subscribe<Number>("/t"));
+  std::optional pusher(engine.advertise<Number>("/t", {Policy::Block, 2, 20s}));
+  CHECK(pusher->readers() == 2);
+  for (std::uint64_t n = 0; n < 2; ++n) CHECK(pusher->push(pusher->loan(n)) == Status::Ok);
+  for (std::uint64_t n = 0; n < 2; ++n) CHECK(stays.pull(20s)->value == n);
+  std::thread late([&] {
+    std::this_thread::sleep_for(20ms);
+    goes.reset();
+  });
+  CHECK(pusher->push(pusher->loan(2u)) == Status::Ok);  // which it held back
+  late.join();
+  CHECK(pusher->readers() == 1);
+  pusher.reset();
+  CHECK(stays.pull(20s)->value == 2);
+  CHECK_FALSE(stays.try_pull());
+  CHECK(eventually([&] { return Rings(engine.path()).ended == 0; }));
+  lot::segment::Segment segment(engine.path());
+  CHECK(Audit(segment).readers == 0);
+}
+
+TEST_CASE("a subscriber that dies without having looked leaves no ring behind") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  Steps done;
+  Child subscriber([&] {
+    lot::ShmEngine other(options);
+    auto puller = other.subscribe<Number>("/t");
+    done.tell();
+    pause();
+  });
+  REQUIRE(done.next() != 0);
+  std::optional pusher(engine.advertise<Number>("/t"));
+  CHECK(pusher->readers() == 1);
+  pusher->push(pusher->loan(1u));
+  pusher.reset();
+  CHECK(Rings(engine.path()).ended == 1);
+  subscriber.kill9();
+  CHECK(eventually([&] { return Rings(engine.path()).ended == 0; }, 20s));
+}
+
+TEST_CASE("a puller that goes while the registry is taken leaves its unread rings later") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  auto puller = std::make_unique<lot::ShmPuller<Number>>(engine.subscribe<Number>("/t"));
+  auto pusher = engine.advertise<Number>("/t");
+  lot::segment::Segment segment(engine.path());
+  Steps held;
+  Steps go;
+  std::thread other([&] {  // as a process does that is stopped there
+    lot::RobustMutex mutex(segment.directory().lock.mutex);
+    mutex.lock();
+    held.tell();
+    go.next(60s);
+    mutex.unlock();
+  });
+  CHECK(held.next() != 0);
+  puller.reset();
+  CHECK(pusher.readers() == 1);
+  go.tell();
+  other.join();
+  CHECK(eventually([&] { return pusher.readers() == 0; }, 20s));
+}
+
+TEST_SUITE_END();
