@@ -64,6 +64,7 @@ class LocalSegment {
     segment_.granules().release_if(
         [&dead](std::uint32_t tag) { return (tag & segment::kRingTag) == 0 && dead[tag - 1]; });
   }
+  void renew_directory() { segment_.directory().version.fetch_add(1); }
   void unsubscribe(std::uint32_t k) { registry_.unsubscribe(k); }
   void forget(std::uint32_t k) { registry_.forget(k); }
   template <class Word>

@@ -29,6 +29,7 @@
 ///   release_extents(dead)        -> releases the memory of the blocks named in vector<bool> dead
 ///   unsubscribe(k)               -> participant k has no pullers any more (R13)
 ///   forget(k)                    -> what else names participant k (users of topics)
+///   renew_directory()            -> readers look for rings of their topics again
 ///   wake(word)                   -> wakes everybody who sleeps on it
 namespace lot::recovery {
 
@@ -136,6 +137,8 @@ class Recovery {
       published = ring::writer_owner(w) == k && ring::writer_state(w) > ring::State::Init;
     }
     if (!published) return;
+    // A ring that it did not announce any more awaits readers, who look for it now.
+    world_.renew_directory();
     for (std::uint32_t c = 0; c < world_.channels(); ++c) {
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       if (ring::writer_state(w) != ring::State::Live) continue;

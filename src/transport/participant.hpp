@@ -136,6 +136,7 @@ class Participant {
   void unlock_rings() noexcept { registry_.unlock(); }
   void recycle_ring(std::uint32_t c) noexcept { registry_.recycle(c); }
   void release_extents(const std::vector<bool>& dead) noexcept;
+  void renew_directory() noexcept;
   void unsubscribe(std::uint32_t k) noexcept { registry_.unsubscribe(k); }
   void forget(std::uint32_t k) noexcept;
   void wake(std::atomic<ring::Word>& word) noexcept { futex::wake_all(futex::low_half(word)); }

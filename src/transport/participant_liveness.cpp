@@ -333,6 +333,12 @@ bool Participant::collect() noexcept {
   return true;
 }
 
+void Participant::renew_directory() noexcept {
+  auto& version = segment_.directory().version;
+  version.fetch_add(1, std::memory_order_relaxed);  // as ring::announce()
+  futex::wake_all(&version);
+}
+
 /// Crash: killed after this, before the dead one's name goes: the next reaper does it all again.
 void Participant::forget(std::uint32_t k) noexcept {
   registry_.forget(k);

@@ -186,6 +186,10 @@ class Process {
     segment_->channels[c].used.write(false);
   }
   void release_extents(const std::vector<bool>& dead);
+  void renew_directory() {
+    segment_->version.fetch_add(1, std::memory_order_relaxed);
+    segment_->version.wake_all();
+  }
   void unsubscribe(std::uint32_t k) {
     segment_->pullers[k].store(0, std::memory_order_seq_cst);  // R13
   }

@@ -16,6 +16,7 @@
  * run overlap -DREADER_COMES -DREADER_IS_SETTLED -DNEWCOMER_COMES -DANY_TIME -DMORTALS=2 : others come and leave while the publisher is reaped
  * run forwarded -DFORWARDED -DNEWCOMER_COMES -DMORTALS=10 : publishers of somebody else's message leave and are killed
  * run full_table -DNEWCOMER_COMES -DMORTALS=2 -DFULL_TABLE : a newcomer finds every index taken, one by somebody dead
+ * run subscribed -DSUBSCRIBED -DREADER_COMES -DANY_TIME -DMORTALS=6 : a subscriber that may die gets a cell in a ring that comes later
  * full everybody -DREADER_COMES -DNEWCOMER_COMES -DMORTALS=2 : all three, and the publisher may be killed
  * full reader_and_publisher -DREADER_COMES -DMORTALS=6 : both may be killed
  *
@@ -23,7 +24,6 @@
  *
  * plant NO_WITNESS lost_lock : a free byte alone counts as death
  * plant TAKEN_WITHOUT_REAP restart : the new owner of an index does not repair what the dead one left
- * plant INIT_IS_A_RING restart : what was never finished is taken for a ring
  * plant NO_REGISTRY_LOCK readers : the recycler does not keep joiners away
  * plant JOINER_TAKES_NO_LOCK readers : the joiner does not keep the recycler away
  * plant RECYCLED_UNDER_READERS readers : a ring is recycled while somebody has a cell
@@ -32,6 +32,7 @@
  * plant RING_NAME_FIRST reapers : the ring forgets its owner before its messages are adopted
  * plant HOLD_FIRST reapers : the dead one's hold goes before the orphanage has one
  * plant LOOKS_ONCE full_table : a dead one's index is refused while somebody reaps
+ * plant NO_SECOND_LOOK subscribed : the maker of a ring does not look whether the subscriber has died
  * plant NO_ORPHANAGE_LOCK overlap : two act for the orphanage at once
  */
 
@@ -84,6 +85,7 @@ byte writer;        /* of the one channel */
 bit formed;
 bit memory;         /* granules that carry the ring's tag */
 byte who;           /* of the one cell: 0, or index + 1 */
+byte pullers;       /* the index of a process that subscribes, or 0 */
 bit slot;           /* the block is in the ring */
 byte home = NOBODYS; /* of the one block */
 byte own;           /* its holders, a bit each */
@@ -222,11 +224,9 @@ inline orphan_ring(k) {
     fi
   };
   if
-#ifndef INIT_IS_A_RING
   :: STATE(w) == INIT ->
     recycle(); /* @ src/recovery/recovery.hpp orphan_ring: world_.recycle_ring(c) */
     writer = WRITER(GENERATION(w) + 1, FREE, 0) /* @ src/recovery/recovery.hpp orphan_ring: writer.store(ring::make_writer(generation + 1, ring::State::Free, 0) */
-#endif
   :: else ->
 #ifdef RING_NAME_FIRST
     writer = WRITER(GENERATION(w), ORPHAN, 0);
@@ -252,8 +252,14 @@ inline reap(k) {
   part[k] = 0;
 #endif
   orphan_ring(k); /* @ src/recovery/recovery.hpp reap: orphan_ring(c, k) */
+#ifdef SUBSCRIBED
   if
-  :: (STATE(writer) == LIVE || STATE(writer) == ORPHAN) && who == k + 1 -> /* @ src/recovery/recovery.hpp free_cells: if (r.who[i].load */
+  :: pullers == k -> pullers = 0 /* @ src/registry/registry.cpp unsubscribe: pullers.store(0 */
+  :: pullers != k /* @ src/registry/registry.cpp unsubscribe: pullers.load */
+  fi;
+#endif
+  if
+  :: formed && who == k + 1 -> /* @ src/recovery/recovery.hpp free_cells: if (r.who[i].load */
     who = 0 /* @ src/recovery/recovery.hpp free_cells: r.who[i].store(0 */
   :: else
   fi;
@@ -343,7 +349,7 @@ gone:
 }
 
 /* Anything that a reaper of k would find. */
-#define IS_NAMED(k) (OWNER(writer) == k && STATE(writer) != FREE || STATE(writer) >= LIVE && who == k + 1 || home == HOME(k) || own >> k & 1)
+#define IS_NAMED(k) (OWNER(writer) == k && STATE(writer) != FREE || formed && who == k + 1 || home == HOME(k) || own >> k & 1)
 
 /* ---- whoever comes ----------------------------------------------------------------------------- */
 
@@ -422,14 +428,34 @@ inline kernel_garbage() {
   fi
 }
 
+#ifdef SUBSCRIBED
+/* One that had subscribed has a cell from the start; one that has died loses it again. */
+inline await_puller() {
+  if
+  :: pullers -> /* @ src/lockfree_ring/ring.hpp await_pullers: const std::uint32_t count = pullers(p, std::memory_order_relaxed) */
+    who = pullers + 1; /* @ src/lockfree_ring/ring.hpp await: who[c].store(participant + 1 */
+#ifndef NO_SECOND_LOOK
+    if
+    :: !pullers -> who = 0 /* @ src/lockfree_ring/ring.hpp await_pullers: if (pullers(p, std::memory_order_seq_cst) == 0) await_no_more(c) */
+    :: pullers /* @ src/lockfree_ring/ring.hpp await_pullers: if (pullers(p, std::memory_order_seq_cst) == 0) await_no_more(c) */
+    fi
+#endif
+  :: !pullers /* @ src/lockfree_ring/ring.hpp await_pullers: const std::uint32_t count = pullers(p, std::memory_order_relaxed) */
+  fi
+}
+#endif
+
 inline open() {
   acquire(registry, me); /* @ src/transport/pusher.cpp Pusher: const registry::Registry::Lock lock(participant_->registry()) */
   if
   :: atomic { STATE(writer) == FREE -> writer = WRITER(GENERATION(writer) + 1, INIT, k) }; /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
     atomic { memory = 1; kernel_garbage() }; /* @ src/registry/registry.cpp open: entry.granule = segment_.claim_run(entry.order, segment::kRingTag | c) */
-    formed = 1; /* @ src/registry/registry.cpp open: entry.formed.store(1 */
     slot = 0; /* @ src/lockfree_ring/ring.hpp format: slots[i].store(make( */
     who = 0; /* @ src/lockfree_ring/ring.hpp format: who[c].store(0 */
+    formed = 1; /* @ src/registry/registry.cpp open: entry.formed.store(1 */
+#ifdef SUBSCRIBED
+    await_puller(); /* @ src/registry/registry.cpp open: ring.await_pullers(segment_.capacity().participants */
+#endif
     writer = WRITER(GENERATION(writer), LIVE, k); /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Live, participant) */
     opened = 1
   :: STATE(writer) != FREE /* @ src/registry/registry.cpp open: if (ring::writer_state(w) != ring::State::Free) continue */
@@ -503,8 +529,11 @@ proctype reader(byte me) {
 #ifndef JOINER_TAKES_NO_LOCK
     acquire(registry, me); /* @ src/transport/puller.cpp Puller: const registry::Registry::Lock lock(participant_->registry()) */
 #endif
+#ifdef SUBSCRIBED
+    pullers = k; /* @ src/registry/registry.cpp add_puller: pullers[participant].fetch_add(1 */
+#endif
     atomic {
-      w = writer; /* @ src/registry/registry.cpp live: const auto w = channels[c].writer.load */
+      w = writer; /* @ src/registry/registry.cpp rings: const auto w = channels[c].writer.load */
       if
       :: STATE(w) != LIVE -> w = 0; goto joined
       :: else
@@ -527,6 +556,15 @@ joined:
     registry = NONE; /* @ src/registry/registry.cpp ~Lock: registry_.unlock() */
 #endif
 #endif
+#ifdef SUBSCRIBED
+    /* It looks again later: at a ring that has come meanwhile, and may have ended. */
+    acquire(registry, me); /* @ src/transport/puller.cpp find_new_rings: if (!registry.try_lock()) */
+    if
+    :: STATE(writer) >= LIVE && !inside && formed && who == k + 1 -> inside = 1; assert(memory) /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
+    :: STATE(writer) < LIVE || inside || !formed || who != k + 1 /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
+    fi;
+    registry = NONE; /* @ src/transport/puller.cpp find_new_rings: registry.unlock() */
+#endif
     if
     :: inside && slot -> /* @ src/lockfree_ring/ring.hpp poll: place(slot.load */
       assert(message);
@@ -535,7 +573,7 @@ joined:
     :: else
     fi;
     if
-    :: atomic { inside -> assert(memory); who = 0; inside = 0 } /* @ src/lockfree_ring/ring.hpp leave: ring_.who[cell_].store(0 */
+    :: atomic { inside -> assert(memory); who = 0; inside = 0 } /* @ src/lockfree_ring/ring.hpp free_cell: who[c].store(0 */
     :: else
     fi;
     if

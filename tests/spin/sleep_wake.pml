@@ -221,6 +221,8 @@ inline wake_whom_it_announced_to(k) {
 #else
   if
   :: k < READER(0) && OWNER(writer[c]) == k && STATE(writer[c]) > INIT -> /* @ src/recovery/recovery.hpp wake_whom_it_announced_to: published = ring::writer_owner(w) == k && ring::writer_state(w) > ring::State::Init */
+    directory++; /* @ src/transport/participant_liveness.cpp renew_directory: version.fetch_add(1 */
+    kernel_wake(DIRECTORY); /* @ src/transport/participant_liveness.cpp renew_directory: futex::wake_all(&version) */
     if
     :: STATE(writer[0]) == LIVE -> wake_slots(0) /* @ src/recovery/recovery.hpp wake_whom_it_announced_to: if (ring::writer_state(w) != ring::State::Live) continue */
     :: else
@@ -330,7 +332,7 @@ inline announce() {
   directory++; /* @ src/lockfree_ring/sleep.hpp announce: directory.fetch_add(1 */
 #ifndef ANNOUNCE_WAKES_DIRECTORY_ONLY
   do
-  :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp live: ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
+  :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp announce: return !is_live(name) */
     do
     :: atomic { i < DEPTH ->
         old = slot[SLOT(c, i)]; /* @ src/lockfree_ring/ring.hpp clear_sleeper: const bool marked = (seen & kSleeper) != 0 */
@@ -345,7 +347,7 @@ inline announce() {
       }
     :: atomic { i == DEPTH -> i = 0; c++; break }
     od
-  :: atomic { c < RINGS && STATE(writer[c]) != LIVE -> c++ } /* @ src/registry/registry.cpp live: ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
+  :: atomic { c < RINGS && STATE(writer[c]) != LIVE -> c++ } /* @ src/registry/registry.cpp announce: return !is_live(name) */
   :: atomic { c == RINGS -> c = 0; break }
   od;
 #endif
@@ -359,6 +361,15 @@ inline announce() {
 inline open(me, mine) {
   acquire(registry, me); /* @ src/transport/pusher.cpp Pusher: const registry::Registry::Lock lock(participant_->registry()) */
   writer[mine] = WRITER(INIT, me); /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
+#if RINGS > 1
+  atomic {
+    r = 0;
+    do
+    :: r < READERS -> who[mine * READERS + r] = READER(r); r++ /* @ src/lockfree_ring/ring.hpp await: who[c].store(participant + 1 */
+    :: else -> r = 0; break
+    od
+  };
+#endif
   writer[mine] = WRITER(LIVE, me); /* @ src/registry/registry.cpp open: entry.writer.store(ring::make_writer(generation, ring::State::Live, participant) */
   announce(); /* @ src/registry/registry.cpp open: announce(topic) */
   registry = 0 /* @ src/registry/registry.cpp ~Lock: registry_.unlock() */
@@ -406,7 +417,7 @@ inline close_ring(me, mine) {
 inline look_for_room() {
   do
   :: atomic { r < READERS ->
-      w = position[r]; /* @ src/lockfree_ring/ring.hpp room: ring_.cells[c].position.load */
+      w = position[r]; /* @ src/lockfree_ring/ring.hpp place_of: word.load */
       if
       :: w == IDLE || next - w < DEPTH -> r++
       :: else -> r = 0; crowded = 1; break
@@ -417,7 +428,7 @@ inline look_for_room() {
 }
 
 inline wait_for_room(me) {
-  look_for_room(); /* @ src/transport/pusher.cpp push_unique: !room() && !wait_for_room(lock, alone, block_for) */
+  look_for_room(); /* @ src/transport/pusher.cpp push_unique: !writer_->room() && !wait_for_room(lock, alone, block_for) */
   if
   :: !crowded -> goto room
   :: else
@@ -467,8 +478,7 @@ proctype publisher(byte mine) {
     atomic { me = PUBLISHER(mine); next = FIRST };
     if
     :: mine == 1 ->
-      open(me, mine);
-      who[1 * READERS] != 0 && who[2 * READERS - 1] != 0 /* @ src/transport/pusher.cpp readers: ring.who[c].load */
+      open(me, mine)
     :: else
     fi;
     do
@@ -490,7 +500,7 @@ proctype publisher(byte mine) {
 
 /* Sleeping for ever is right only when all is read and nothing can come any more. */
 #define OVER(c) (ended[PUBLISHER(c)] || dead[PUBLISHER(c)] && STATE(writer[c]) != LIVE && STATE(writer[c]) != INIT)
-#define ALL_READ(c) (cursor[c] == 0 || STATE(writer[c]) == LIVE && cursor[c] == DEPTH + published[c])
+#define ALL_READ(c) (cursor[c] == 0 && (who[(c) * READERS + r] != me || !published[c]) || STATE(writer[c]) == LIVE && cursor[c] == DEPTH + published[c])
 #if RINGS == 1
 #define NOTHING_CAN_COME (OVER(0) && ALL_READ(0))
 #else
@@ -545,10 +555,10 @@ inline leave(r, s) {
 #endif
 #endif
   position[r] = IDLE; /* @ src/lockfree_ring/ring.hpp leave: ring_.cells[cell_].position.store(kIdle */
-  space = (space + 2) % SPACE_VALUES; /* @ src/lockfree_ring/ring.hpp leave: ring_.space->fetch_add(2 */
+  space = (space + 2) % SPACE_VALUES; /* @ src/lockfree_ring/ring.hpp free_cell: space->fetch_add(2 */
 #endif
   atomic {
-    who[s * READERS + r] = 0; /* @ src/lockfree_ring/ring.hpp leave: ring_.who[cell_].store(0 */
+    who[s * READERS + r] = 0; /* @ src/lockfree_ring/ring.hpp free_cell: who[c].store(0 */
     cursor[s] = 0
   }
 #ifdef ROOM
@@ -578,13 +588,9 @@ look:
     };
     old = directory; /* @ src/transport/puller.cpp find_rings: const std::uint32_t version = directory_.load */
     if
-    :: STATE(writer[RINGS - 1]) == LIVE && cursor[RINGS - 1] == 0 -> /* @ src/registry/registry.cpp live: ring::writer_state(w) == ring::State::Live */
-      who[(RINGS - 1) * READERS + r] = me; /* @ src/lockfree_ring/ring.hpp join: ring.who[c].compare_exchange_strong(nobody, participant + 1 */
-      if
-      :: atomic { STATE(writer[RINGS - 1]) == LIVE -> cursor[RINGS - 1] = DEPTH } /* @ src/lockfree_ring/ring.hpp join: if (writer_state(writer) != State::Live */
-      :: STATE(writer[RINGS - 1]) != LIVE -> who[(RINGS - 1) * READERS + r] = 0 /* @ src/lockfree_ring/ring.hpp join: ring.who[c].store(0 */
-      fi
-    :: STATE(writer[RINGS - 1]) != LIVE || cursor[RINGS - 1] != 0 /* @ src/registry/registry.cpp live: ring::writer_state(w) == ring::State::Live */
+    :: STATE(writer[RINGS - 1]) >= LIVE && cursor[RINGS - 1] == 0 && who[(RINGS - 1) * READERS + r] == me -> /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
+      cursor[RINGS - 1] = DEPTH
+    :: STATE(writer[RINGS - 1]) < LIVE || cursor[RINGS - 1] != 0 || who[(RINGS - 1) * READERS + r] != me /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
     fi;
     atomic {
       registry = 0; /* @ src/transport/puller.cpp find_new_rings: registry.unlock() */
@@ -614,7 +620,7 @@ poll:
     fi;
 #endif
     if
-    :: r == READERS - 1 -> leave(r, 0); goto finished /* @ src/transport/puller.cpp leave_all: leave(s.reader) */
+    :: r == READERS - 1 -> leave(r, 0); goto finished /* @ src/transport/puller.cpp unsubscribe: leave(s.reader) */
     :: true
     fi;
 #endif
