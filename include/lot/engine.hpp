@@ -44,7 +44,9 @@ class ShmEngine {
                                 detail::Delivery::ToAll),
             options.block_for};
   }
-  /// Messages that are published after this call are received, or counted as missed.
+  /// Messages that are published after this call are received, or counted as missed, however late
+  /// the puller looks, also when their publisher has left or was killed.
+  /// Errors: as advertise(); EUSERS when a publisher has all the readers that it can have.
   template <class T>
   ShmPuller<T> subscribe(std::string_view topic, const PullerOptions& options = PullerOptions()) {
     assert_message<T>();

@@ -109,7 +109,8 @@ class ShmPusher {
     return core_->push_shared(detail::PointerAccess::cell(message), block_for);
   }
 
-  /// Readers that have joined this publisher.
+  /// Subscribers that read this publisher: each gets what is pushed from now on, also one that has
+  /// not looked yet.
   std::size_t readers() const { return core_->readers(); }
   bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) {
     return core_->wait_for_readers(count, timeout);

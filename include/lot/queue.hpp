@@ -100,8 +100,9 @@ const MessageType& taken_type() {
 /// Each handle that puts has a queue of its own (depth items, in their order); a handle that pops
 /// reads all of them. Threads that share a handle share its items, each of which one of them gets.
 /// A handle reads from its first look on (a pop, is_empty(), size(), listen()): of shared items it
-/// gets what is put after that; items for one wait in the queue until somebody takes them, as long
-/// as the handle that has put them lives or anybody reads.
+/// gets what is put after that, however late it pops, also when the handle that put them has gone
+/// or its process was killed. Items for one wait in the queue until a handle takes them, as long
+/// as the handle that has put them lives or any handle reads.
 ///
 /// Threads: all members may be called at once, on one handle or several.
 /// Crash:   what was put stays; an item for one that a killed process has not taken yet is taken by
