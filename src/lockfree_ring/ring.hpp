@@ -119,19 +119,19 @@ struct Ring {
   }
 
   /// Gives a cell to each reader that had subscribed before this ring came: the cell stands for it
-  /// until it looks (Reader::adopt), or unsubscribes. pullers(p, order) says how many readers
-  /// participant p has, by a load of that order. REQUIRES: INIT; the caller has called format();
-  /// subscribers that live are kept away.
+  /// until it looks (Reader::adopt), or unsubscribes. pullers(p) says how many readers participant
+  /// p has, and subscribes(p), by a seq_cst load (R13), whether it still has some. REQUIRES: INIT;
+  /// the caller has called format(); subscribers that live are kept away.
   ///
   /// Crash: killed before LIVE, the ring was never there.
-  template <class Pullers>
-  void await_pullers(std::uint32_t participants, Pullers&& pullers) {
+  template <class Pullers, class Subscribes>
+  void await_pullers(std::uint32_t participants, Pullers&& pullers, Subscribes&& subscribes) {
     std::uint32_t c = 0;
     for (std::uint32_t p = 1; p < participants; ++p) {
-      const std::uint32_t count = pullers(p, std::memory_order_relaxed);
+      const std::uint32_t count = pullers(p);
       for (std::uint32_t n = 0; n < count && c < readers; ++n, ++c) {
         await(c, p);
-        if (pullers(p, std::memory_order_seq_cst) == 0) await_no_more(c);  // R13: it has died
+        if (!subscribes(p)) await_no_more(c);  // R13: it has died
       }
     }
   }

@@ -157,12 +157,12 @@ void Registry::ask(std::uint32_t topic, std::uint32_t participant) noexcept {
                                                           std::memory_order_relaxed);
 }
 
-std::uint32_t Registry::pullers(std::uint32_t topic, std::uint32_t participant,
-                                std::memory_order order) const noexcept {
+std::uint32_t Registry::pullers(std::uint32_t topic, std::uint32_t participant) const noexcept {
   // An index that no process has subscribes to nothing, whatever a wild write has made of it.
   return segment_.participants()[participant].state.load(std::memory_order_relaxed) == 0
              ? 0
-             : count_of(segment_.topics()[topic].pullers[participant].load(order));
+             : count_of(
+                   segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed));
 }
 
 void Registry::unsubscribe(std::uint32_t participant) noexcept {
@@ -252,8 +252,10 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
     // From here a reaper looks at the cells.
     entry.formed.store(1, std::memory_order_seq_cst);  // R13
     ring.await_pullers(
-        segment_.capacity().participants,
-        [&](std::uint32_t p, std::memory_order order) { return pullers(topic, p, order); });
+        segment_.capacity().participants, [&](std::uint32_t p) { return pullers(topic, p); },
+        [&pullers = segment_.topics()[topic].pullers](std::uint32_t p) {
+          return pullers[p].load(std::memory_order_seq_cst) != 0;  // R13
+        });
     entry.writer.store(ring::make_writer(generation, ring::State::Live, participant),
                        std::memory_order_seq_cst);
     announce(topic);

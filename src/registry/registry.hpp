@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <atomic>
 #include <cstdint>
 #include <string_view>
 #include <vector>
@@ -99,8 +98,7 @@ class Registry {
 
  private:
   /// How many pullers the participant has on the topic. Relaxed: the lock carries it.
-  std::uint32_t pullers(std::uint32_t topic, std::uint32_t participant,
-                        std::memory_order order = std::memory_order_relaxed) const noexcept;
+  std::uint32_t pullers(std::uint32_t topic, std::uint32_t participant) const noexcept;
   /// Says that a ring has come, and wakes who waits for that. REQUIRES: the lock, so that no ring
   /// is recycled meanwhile.
   void announce(std::uint32_t topic) noexcept;

@@ -174,7 +174,7 @@ struct LaggardKilled : Scene<LaggardKilled, 3> {
 
 /// The same, and the sender itself reaps whoever holds it back.
 struct SenderReapsLaggard : Scene<SenderReapsLaggard, 2> {
-  SenderReapsLaggard() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  SenderReapsLaggard() : Scene({.blocks = 3, .depth = 1, .readers = 1}) {}
   void prepare() {
     publisher.open(start(4), 0, true);
     start(2);
@@ -182,9 +182,11 @@ struct SenderReapsLaggard : Scene<SenderReapsLaggard, 2> {
   }
   void thread(unsigned t) {
     if (t == 0) {
-      while (!publisher.send()) {
-        publisher.laggards([this](std::uint32_t k) { process(4).reap(k); });
-        Policy::pause();
+      for (int i = 0; i < 2; ++i) {
+        while (!publisher.send()) {
+          publisher.laggards([this](std::uint32_t k) { process(4).reap(k); });
+          Policy::pause();
+        }
       }
     } else {
       die_within(2, 25, [this] {
@@ -528,6 +530,26 @@ struct SubscriberReapedWhileARingIsMade : Scene<SubscriberReapedWhileARingIsMade
   Subscription subscription;
 };
 
+/// A subscriber goes without having looked, while a sender sleeps for room because of it.
+struct SubscriberGoesUnseen : Scene<SubscriberGoesUnseen, 2> {
+  SubscriberGoesUnseen() : Scene({.blocks = 3, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    subscription.join(start(2));
+    start(4);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.open(process(4), 0, true));
+      for (int i = 0; i < 2; ++i) publisher.send_and_wait();
+    } else {
+      subscription.end();
+    }
+  }
+  void check() { RL_ASSERT(process(4).ring(0).deserted()); }
+  Publisher publisher;
+  Subscription subscription;
+};
+
 const Entered entered{
     {"publisher_killed_overwrite", "readers get what was published, then the end",
      rl::simulate<PublisherKilledOverwrite>},
@@ -567,6 +589,8 @@ const Entered entered{
      rl::simulate<SubscriberLooksLate>},
     {"subscriber_looks_late_blocking", "the same under back-pressure, and misses nothing",
      rl::simulate<SubscriberLooksLateBlocking>},
+    {"subscriber_goes_unseen", "who never looked and goes holds no sender back",
+     rl::simulate<SubscriberGoesUnseen>, 2},
     {"subscriber_reaped_while_a_ring_is_made", "no cell awaits a dead subscriber",
      rl::simulate<SubscriberReapedWhileARingIsMade>, 2},
 };

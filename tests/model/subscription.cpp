@@ -22,6 +22,18 @@ void Subscription::join(Process& process) {
   process.unlock_rings();
 }
 
+void Subscription::end() {
+  while (!process_->lock_rings()) Policy::pause();
+  for (std::uint32_t c = 0; c < process_->channels(); ++c) {
+    const Word writer = process_->channel_writer(c).load(std::memory_order_seq_cst);
+    if (ring::writer_state(writer) < ring::State::Live) continue;
+    ring::Ring<Policy> ring = process_->ring(c);
+    if (ring.unsubscribe(process_->index())) ring.space->wake_all();
+  }
+  process_->segment().pullers[process_->index()].fetch_sub(1, std::memory_order_relaxed);
+  process_->unlock_rings();
+}
+
 void Subscription::find_rings() {
   const std::uint32_t version = process_->segment().version.load(std::memory_order_acquire);
   for (std::uint32_t c = 0; c < process_->channels(); ++c) {

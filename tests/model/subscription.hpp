@@ -11,6 +11,8 @@ class Subscription {
  public:
   /// Joins what is there.
   void join(Process& process);
+  /// Goes, without having looked at anything.
+  void end();
   /// Borrows, reads and checks the next message of any ring. False: there is none.
   bool receive();
   /// The same, until something is there or a ring has ended; sleeps meanwhile.

@@ -362,9 +362,13 @@ bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
   ring.space->store(0, std::memory_order_relaxed);
   ring.format();
   channel.formed.store(1, std::memory_order_seq_cst);  // R13
-  ring.await_pullers(kParticipants, [&](std::uint32_t p, std::memory_order order) {
-    return process.segment().pullers[p].load(order);
-  });
+  auto& pullers = process.segment().pullers;
+  ring.await_pullers(
+      kParticipants,
+      [&pullers](std::uint32_t p) { return pullers[p].load(std::memory_order_relaxed); },
+      [&pullers](std::uint32_t p) {
+        return pullers[p].load(std::memory_order_seq_cst) != 0;  // R13
+      });
   channel.writer.store(ring::make_writer(generation, ring::State::Live, process.index()),
                        std::memory_order_seq_cst);
   process_ = &process;

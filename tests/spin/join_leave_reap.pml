@@ -432,15 +432,15 @@ inline kernel_garbage() {
 /* One that had subscribed has a cell from the start; one that has died loses it again. */
 inline await_puller() {
   if
-  :: pullers -> /* @ src/lockfree_ring/ring.hpp await_pullers: const std::uint32_t count = pullers(p, std::memory_order_relaxed) */
+  :: pullers -> /* @ src/lockfree_ring/ring.hpp await_pullers: const std::uint32_t count = pullers(p) */
     who = pullers + 1; /* @ src/lockfree_ring/ring.hpp await: who[c].store(participant + 1 */
 #ifndef NO_SECOND_LOOK
     if
-    :: !pullers -> who = 0 /* @ src/lockfree_ring/ring.hpp await_pullers: if (pullers(p, std::memory_order_seq_cst) == 0) await_no_more(c) */
-    :: pullers /* @ src/lockfree_ring/ring.hpp await_pullers: if (pullers(p, std::memory_order_seq_cst) == 0) await_no_more(c) */
+    :: !pullers -> who = 0 /* @ src/lockfree_ring/ring.hpp await_pullers: if (!subscribes(p)) await_no_more(c) */
+    :: pullers /* @ src/lockfree_ring/ring.hpp await_pullers: if (!subscribes(p)) await_no_more(c) */
     fi
 #endif
-  :: !pullers /* @ src/lockfree_ring/ring.hpp await_pullers: const std::uint32_t count = pullers(p, std::memory_order_relaxed) */
+  :: !pullers /* @ src/lockfree_ring/ring.hpp await_pullers: const std::uint32_t count = pullers(p) */
   fi
 }
 #endif
