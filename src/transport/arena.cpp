@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "lot/detail/arena.hpp"
 
+#include <algorithm>
 #include <atomic>
 #include <bit>
 #include <cerrno>
@@ -35,6 +36,7 @@ Arena*& arena_being_built() noexcept {
 }
 
 void* Arena::grow(std::size_t bytes) {
+  bytes = std::max<std::size_t>(bytes, 1);  // empty pieces, too, begin in an extent
   // An extent begins at a page, which suits every alignment that a message may have.
   unsigned best = kMaxExtents;
   for (unsigned i = 0; i < extents; ++i) {
@@ -103,15 +105,22 @@ void Arena::change_hands() noexcept {
 
 void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
   const std::uint64_t at = static_cast<std::uint64_t>(static_cast<unsigned char*>(piece) - base());
-  if (at + bytes == cursor) cursor = at;
+  const bool newest = at + bytes == cursor;
   for (unsigned i = 0; i < extents; ++i) {
     Extent& e = extent[i];
     const std::uint64_t begin = data + std::uint64_t{e.granule} * segment::kGranule;
     if (at < begin || at >= begin + bytes_of(e)) continue;
     if (e.living != 0 && e.living != 0xffff) --e.living;
-    if (e.living == 0 && current == i + 1) cursor = begin;
+    if (current != i + 1) return;  // A2
+    if (e.living == 0) {
+      cursor = begin;
+    } else if (newest) {
+      cursor = at;
+    }
     return;
   }
+  if (newest && current == 0 && at < limit && limit - at <= segment::kSmallBytes)
+    cursor = at;  // A2
 }
 
 }  // namespace lot::detail

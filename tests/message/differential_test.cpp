@@ -8,7 +8,10 @@
 #endif
 
 #include <algorithm>
+#include <array>
 #include <cstdint>
+#include <deque>
+#include <list>
 #include <random>
 #include <string>
 #include <string_view>
@@ -17,6 +20,7 @@
 
 #include <doctest/doctest.h>
 
+#include "lot/boost_containers.hpp"
 #include "lot/lot.hpp"
 
 #include "support/processes.hpp"
@@ -232,6 +236,88 @@ unsigned run_both(Shm& shm, Std& std, std::uint64_t seed, unsigned steps) {
   return same(shm, std) ? steps : steps - 1;
 }
 
+/// Containers that give their newest memory back, of sizes that fill a run of memory to its end:
+/// the one of another container begins there.
+struct ShmStacks {
+  ShmVector<unsigned char> bytes[6];
+  lot::ShmDeque<std::uint64_t> queue[2];
+  lot::ShmList<std::array<std::uint64_t, 6>> nodes[2];  // of 64 bytes with their links
+};
+struct StdStacks {
+  std::vector<unsigned char> bytes[6];
+  std::deque<std::uint64_t> queue[2];
+  std::list<std::array<std::uint64_t, 6>> nodes[2];
+};
+
+bool same(const ShmStacks& a, const StdStacks& b) {
+  const auto equal = [](const auto& x, const auto& y) {
+    return std::equal(x.begin(), x.end(), y.begin(), y.end());
+  };
+  bool good = true;
+  for (std::size_t i = 0; i < 6; ++i) good = good && equal(a.bytes[i], b.bytes[i]);
+  for (std::size_t i = 0; i < 2; ++i) {
+    good = good && equal(a.queue[i], b.queue[i]) && equal(a.nodes[i], b.nodes[i]);
+  }
+  return good;
+}
+
+std::size_t some_size(Random& random) {
+  constexpr std::size_t kPage = 4096;
+  switch (below(random, 3)) {
+    case 0:
+      return kPage << below(random, 4);
+    case 1:
+      return kPage * (1 + below(random, 6));
+    default:
+      return below(random, 6 * kPage);
+  }
+}
+
+/// Pushes and pops a number of elements.
+template <class C, class Make>
+void change(C& c, Random& random, Make make) {
+  for (std::size_t n = below(random, 2000); n > 0; --n) c.push_back(make(random()));
+  for (std::size_t n = below(random, 2000); n > 0 && !c.empty(); --n) c.pop_back();
+}
+
+template <class Stacks>
+void stack(Stacks& stacks, Random& random) {
+  const std::size_t kind = below(random, 8);
+  if (kind < 6) {
+    auto& bytes = stacks.bytes[below(random, 6)];
+    const std::size_t size = some_size(random);
+    const auto value = static_cast<unsigned char>(random());
+    switch (below(random, 6)) {
+      case 0:
+        bytes.assign(size, value);
+        break;
+      case 1:
+        bytes.resize(size, value);
+        break;
+      case 2:
+        bytes.clear();
+        bytes.shrink_to_fit();
+        break;
+      case 3:
+        bytes.resize(std::min(bytes.size(), size));
+        bytes.shrink_to_fit();
+        break;
+      case 4:
+        bytes.reserve(size);
+        break;
+      default:
+        for (std::size_t n = 0; n < size / 16; ++n) bytes.push_back(value);
+        break;
+    }
+  } else if (kind == 6) {
+    change(stacks.queue[below(random, 2)], random, [](std::uint64_t n) { return n; });
+  } else {
+    change(stacks.nodes[below(random, 2)], random, [](std::uint64_t n) {
+      return std::array<std::uint64_t, 6>{n, n + 1, n + 2, n + 3, n + 4, n + 5};
+    });
+  }
+}
+
 constexpr unsigned kRounds = 200;
 constexpr unsigned kSteps = 600;
 
@@ -283,6 +369,61 @@ TEST_CASE("random operations leave the same in a message, for the process that r
     CHECK(reader.wait() == 0);
   }
   CHECK(eventually([&] { return Audit(segment).nothing(); }));
+}
+
+TEST_CASE("what a container gives back is given to no other while something is in use there") {
+  const Watchdog watchdog(100);
+  const std::uint64_t first = seed();
+  for (std::uint64_t segments = 0; segments < 8; ++segments) {
+    lot::ShmEngine engine(fresh());  // fresh: what is claimed one after the other lies side by side
+    for (std::uint64_t round = 0; round < 25; ++round) {
+      const std::uint64_t seed = first + segments * 25 + round;
+      CAPTURE(seed);
+      auto message = engine.make<ShmStacks>();
+      StdStacks std;
+      Random for_shm(seed);
+      Random for_std(seed);
+      for (unsigned n = 0; n < 60; ++n) {
+        CAPTURE(n);
+        stack(*message, for_shm);
+        stack(std, for_std);
+        REQUIRE(same(*message, std));
+      }
+    }
+  }
+}
+
+TEST_CASE("a piece of no bytes lies in the memory that it is counted in") {
+  lot::ShmEngine engine(fresh());
+  auto message = engine.make<ShmStacks>();
+  auto& [full, behind, next, a, b, c] = message->bytes;
+  full.resize(4 * 4096);  // the whole of its run of memory, and the next begins behind it
+  auto allocator = full.get_allocator();
+  const auto piece = allocator.allocate(0);
+  behind.assign(4 * 4096, 'b');
+  allocator.deallocate(piece, 0);
+  next.assign(4 * 4096, 'n');
+  CHECK(std::count(behind.begin(), behind.end(), 'b') == 4 * 4096);
+  CHECK(a.size() + b.size() + c.size() == 0);
+}
+
+TEST_CASE("two buffers that are given back leave those that follow whole") {
+  lot::ShmEngine engine(fresh());
+  auto message = engine.make<ShmStacks>();
+  auto& [left, right, packed, index, tail, none] = message->bytes;
+  left.resize(4 * 4096);  // the whole of its run of memory, and the next begins behind it
+  right.resize(4 * 4096);
+  right.clear();
+  right.shrink_to_fit();
+  left.clear();
+  left.shrink_to_fit();
+  packed.assign(5000, 'p');
+  index.assign(20000, 'i');
+  tail.assign(9000, 't');
+  CHECK(std::count(packed.begin(), packed.end(), 'p') == 5000);
+  CHECK(std::count(index.begin(), index.end(), 'i') == 20000);
+  CHECK(std::count(tail.begin(), tail.end(), 't') == 9000);
+  CHECK(none.empty());
 }
 
 TEST_SUITE_END();

@@ -19,6 +19,12 @@ namespace lot::detail {
 /// piece; an extent in which nothing lives is reused or given back. The whole is released at once
 /// when the message dies.
 ///
+/// Invariants
+///   A1  The cursor lies in the current region: the extent `current` - 1, or the small payload.
+///   A2  No piece in use reaches behind the cursor in the current region. A piece moves the cursor
+///       back only if it lies in that region itself: the last piece of another extent may end where
+///       the current one begins.
+///
 /// Threads: one at a time (a message is built by one thread).
 /// Memory:  192 bytes, address-free: all places are offsets from the segment's begin.
 /// Crash:   the arena is a hint; the truth about memory is in the granules' tags, which name the
@@ -52,7 +58,8 @@ struct Arena {
   /// Memory for `bytes`, or throws OutOfMemory.
   void* allocate(std::size_t bytes, std::size_t align) {
     const std::uint64_t begin = (cursor + (align - 1)) & ~std::uint64_t{align - 1};
-    if (begin <= limit && bytes <= limit - begin) {
+    // Below the limit also when it is empty: each piece begins in the region that has it.
+    if (begin < limit && bytes <= limit - begin) {
       cursor = begin + bytes;
       if (current != 0) count(current - 1U);
       return base() + begin;
