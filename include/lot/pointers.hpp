@@ -85,6 +85,10 @@ class ShmUniquePtr {
 /// process has a pointer to it: after the callback, after unsubscribing, after its publisher's
 /// death.
 ///
+/// After a push of a ShmSharedPtr<T> the message can not grow: its containers throw lot::Error. Its
+/// elements can still be written through the pointer, while readers look at them: the library
+/// cannot prevent that, the program must not do it.
+///
 /// Threads: distinct objects freely, one object with synchronisation.
 /// Memory:  two words; get() is one load. The object itself belongs in private memory: in a message
 ///          use ShmRef.

@@ -99,7 +99,8 @@ class ShmPusher {
     return push(std::move(message), std::chrono::nanoseconds(0));
   }
 
-  /// Publishes a message that was received, or is kept: no copy.
+  /// Publishes a message that was received, or is kept: no copy. It can not grow from then on; its
+  /// elements must not be written any more either, since readers look at them.
   Status push(const ShmSharedPtr<const T>& message) { return push(message, block_for_); }
   Status push(const ShmSharedPtr<const T>& message, std::chrono::nanoseconds block_for) {
     return core_->push_shared(detail::PointerAccess::cell(message), block_for);

@@ -22,7 +22,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 4;
+inline constexpr std::uint32_t kLayoutVersion = 5;
 
 inline constexpr std::uint32_t kMaxParticipants =
     Atomics::kOwnWords * Atomics::kBitsPerWord;  // index 0, the orphanage, included

@@ -36,6 +36,12 @@ Arena*& arena_being_built() noexcept {
 }
 
 void* Arena::grow(std::size_t bytes) {
+  if (frozen == kPublished) {
+    transport::Participant* const p = transport::Participant::at(this);
+    throw Error(EPERM, p != nullptr ? p->segment().path() : "message",
+                "a message that was published can not grow or change any more",
+                "build it wholly before push(), or copy it into a new loan()");
+  }
   bytes = std::max<std::size_t>(bytes, 1);  // empty pieces, too, begin in an extent
   // An extent begins at a page, which suits every alignment that a message may have.
   unsigned best = kMaxExtents;
@@ -103,7 +109,36 @@ void Arena::change_hands() noexcept {
   std::atomic_ref(changed_hands).store(1, std::memory_order_relaxed);
 }
 
+// Relaxed: publishing carries it to other processes. Another thread of this one that changes the
+// message must be synchronised with the push, as with any change; another one that publishes it
+// stores the same.
+void Arena::freeze() noexcept {
+  std::atomic_ref(frozen).store(kPublished, std::memory_order_relaxed);
+  std::atomic_ref(cursor).store(limit, std::memory_order_relaxed);
+}
+
+bool Arena::freeze_first() noexcept {
+  std::atomic_ref flag(frozen);
+  if (flag.load(std::memory_order_relaxed) != 0 ||
+      flag.exchange(kPublished, std::memory_order_relaxed) != 0) {
+    return false;
+  }
+  freeze();
+  return true;
+}
+
+bool Arena::was_handed_over() const noexcept {
+  // Relaxed: as in change_hands().
+  return !is_frozen() && std::atomic_ref(const_cast<std::uint8_t&>(changed_hands))
+                                 .load(std::memory_order_relaxed) != 0;
+}
+
+bool Arena::is_frozen() const noexcept {
+  return std::atomic_ref(const_cast<std::uint8_t&>(frozen)).load(std::memory_order_relaxed) != 0;
+}
+
 void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
+  if (is_frozen()) return;
   const std::uint64_t at = static_cast<std::uint64_t>(static_cast<unsigned char*>(piece) - base());
   const bool newest = at + bytes == cursor;
   for (unsigned i = 0; i < extents; ++i) {

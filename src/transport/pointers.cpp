@@ -69,6 +69,11 @@ ControlCell* refer(Arena& arena, ControlCell* target) {
                 "a message that was received can not refer to others than it does",
                 "make one of your own that refers to both");
   }
+  if (arena.is_frozen()) {
+    throw Error(EPERM, p.segment().path(),
+                "a message that was published can not refer to others than it does",
+                "build it wholly before push(), or copy it into a new loan()");
+  }
   ControlCell* cell = &p.holder().cell(target->block);
   bool known = false;
   p.holder().each_reference(arena.block, [&](std::uint32_t b) { known |= b == cell->block; });

@@ -57,6 +57,27 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   first = outer;
 }
 
+bool Holder::may_grow(const ControlCell& c) const noexcept {
+  return is_home(c.block) || c.hub != cell(c.block).hub ||
+         segment->arena(c.block).was_handed_over();
+}
+
+void Holder::freeze_reachable(std::uint32_t b) const noexcept {
+  // Each arena is frozen once, by one thread, which links it into its list of those to look at.
+  const std::uint32_t end = segment->capacity().blocks;
+  std::uint32_t first = end;
+  for (std::uint32_t from = b; from < end;) {
+    each_reference(from, [&](std::uint32_t target) {
+      Arena& arena = segment->arena(target);
+      if (!may_grow(cell(target)) || !arena.freeze_first()) return;
+      arena.next_to_freeze = first;
+      first = target;
+    });
+    from = first;
+    if (first < end) first = segment->arena(first).next_to_freeze;
+  }
+}
+
 std::uint32_t Pool::try_loan() {
   if (!ready_.empty()) {
     const std::uint32_t b = ready_.back();
@@ -156,6 +177,7 @@ void* Pool::lay_out(std::uint32_t b, const detail::MessageType& type) {
   }
   arena.root = s.offset_of(root);
   arena.changed_hands = 0;
+  arena.frozen = 0;
   c.type = &type;
   return root;
 }
@@ -232,6 +254,7 @@ void Pool::bury(std::uint32_t b) noexcept {
   for (unsigned i = 0; i < arena.extents; ++i) {
     arena.extent[i].used = arena.extent[i].living != 0 ? 1 : 0;
   }
+  arena.frozen = Arena::kDying;  // what is destroyed now need not give its memory back
   if (type->destroy != nullptr && arena.changed_hands == 0) {
     type->destroy(holder_.segment->base() + arena.root);
   }

@@ -51,9 +51,27 @@ struct Holder {
   void release_ring_hold(std::uint32_t b) const noexcept;
   /// Lets go of what a dead message referred to.
   void release_references(std::uint32_t b) const noexcept;
+  /// Freezes a message that is published, where this process may have pointers that could make it
+  /// grow.
+  void freeze(const detail::ControlCell& c) const noexcept {
+    detail::Arena& arena = segment->arena(c.block);
+    // Relaxed: as in Arena::freeze().
+    if (std::atomic_ref(arena.frozen).load(std::memory_order_relaxed) == 0 &&
+        (is_home(c.block) || may_grow(c))) {
+      arena.freeze();
+    }
+  }
+  /// What a message refers to is published with it.
+  void freeze_references(std::uint32_t b) const noexcept {
+    if (segment->arena(b).references != 0) freeze_reachable(b);
+  }
   /// The blocks that the message in b refers to. Bounds are checked: it may be rubbish.
   template <class F>
   void each_reference(std::uint32_t b, F&& f) const;
+
+ private:
+  bool may_grow(const detail::ControlCell& c) const noexcept;
+  void freeze_reachable(std::uint32_t b) const noexcept;
 };
 
 /// The blocks of one publisher: loans them, and takes them back when their messages have died.

@@ -38,7 +38,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
   Pusher(std::shared_ptr<Participant> participant, std::string_view topic,
          const detail::MessageType& type, const PusherOptions& options, detail::Delivery delivery)
-      : participant_(std::move(participant)), pool_(participant_->open_pool(topic)) {
+      : participant_(std::move(participant)), pool_(participant_->open_pool(topic)), type_(&type) {
     try {
       check_depth(topic, options.depth);
       // To all without loss, a message stays in its slot until the next lap, read or not.
@@ -142,7 +142,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     check(cell);
     // Made by another copy of the library, or taken from a queue.
     if (cell->hub != participant_->hub() || participant_->was_received(*cell)) {
-      const Status status = push_shared(cell, block_for);
+      if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
+      const Status status = push_held(cell, block_for, false);
       if (status == Status::Ok) {
         cell->hub->shared_from_unique(cell);
         cell->drop_pointer();
@@ -156,6 +157,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     // messages away. So the hold changes from ours to the ring's by a plain store.
     cell->hold.store(cell->hold.load(std::memory_order_relaxed) - hold::kPointer + hold::kRing,
                      std::memory_order_relaxed);
+    if (!type_->plain) participant_->holder().freeze_references(cell->block);
     publish(lock, alone, cell->block);
     return Status::Ok;
   }
@@ -163,17 +165,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   [[gnu::hot]] Status push_shared(const detail::ControlCell* cell,
                                   std::chrono::nanoseconds block_for) override {
     check(cell);
-    if (!participant_->same_segment(*cell)) {
-      throw Error(EINVAL, participant_->segment().path(),
-                  std::string("the message lies in another segment, ") + cell->hub->path(cell),
-                  "copy it into a loan()");
-    }
-    std::unique_lock lock(pool_.lock());
-    mutex_engine::Alone alone(queue_lock_);
-    if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
-    participant_->holder().acquire(cell->block, hold::kRing);
-    publish(lock, alone, cell->block);
-    return Status::Ok;
+    if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
+    return push_held(cell, block_for, true);
   }
 
   std::size_t readers() override {
@@ -288,6 +281,28 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       throw Error(EINVAL, participant_->segment().path(), "an empty pointer was pushed",
                   "loan() a message, or look at the pointer before");
     }
+  }
+
+  /// Publishes a message that the caller keeps a pointer to. `shared`: others of this process may
+  /// have pointers, too, and could make it grow. REQUIRES: it lies in this segment.
+  [[gnu::hot]] Status push_held(const detail::ControlCell* cell, std::chrono::nanoseconds block_for,
+                                bool shared) {
+    std::unique_lock lock(pool_.lock());
+    mutex_engine::Alone alone(queue_lock_);
+    if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
+    participant_->holder().acquire(cell->block, hold::kRing);
+    if (!type_->plain) {
+      if (shared) participant_->holder().freeze(*cell);
+      participant_->holder().freeze_references(cell->block);
+    }
+    publish(lock, alone, cell->block);
+    return Status::Ok;
+  }
+
+  [[noreturn, gnu::cold]] void refuse_elsewhere(const detail::ControlCell& cell) const {
+    throw Error(EINVAL, participant_->segment().path(),
+                std::string("the message lies in another segment, ") + cell.hub->path(&cell),
+                "copy it into a loan()");
   }
 
   void close_without_ring() noexcept {
@@ -483,6 +498,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
 
   std::shared_ptr<Participant> participant_;
   Pool& pool_;
+  const detail::MessageType* type_ = nullptr;  ///< of the topic; null: there is none
   std::optional<std::uint32_t> topic_;
   registry::ChannelName name_{};
   std::optional<ring::Writer<segment::Atomics>> writer_;

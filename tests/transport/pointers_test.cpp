@@ -2,7 +2,11 @@
 
 // The whole interface of the pointers, in one process and across several.
 
+#include <array>
+#include <cerrno>
 #include <cstdint>
+#include <functional>
+#include <map>
 #include <memory>
 #include <sstream>
 #include <string>
@@ -30,6 +34,22 @@ struct Text {
   std::uint64_t number;
   lot::ShmString text;
 };
+struct Large {
+  Pair first;
+  char bytes[1000];
+  Pair last;
+};
+struct Derived : Pair {};
+struct Linked {
+  std::uint64_t number;
+  lot::ShmString text;
+  lot::ShmRef<const Linked> next;
+};
+/// With a table that a conversion to the base looks into.
+struct Base {
+  std::uint64_t number = 0;
+};
+struct Virtual : virtual Base {};
 
 [[maybe_unused]] const std::string& prefix_taken = prefix();
 
@@ -49,6 +69,28 @@ static_assert(std::is_constructible_v<Shared, Weak>);
 static_assert(std::is_same_v<Const::element_type, const Pair>);
 static_assert(std::is_same_v<Shared::weak_type, Weak>);
 
+/// errno of the lot::Error that `f` throws, 0: none.
+template <class F>
+int error_of(F&& f) {
+  try {
+    f();
+  } catch (const lot::Error& e) {
+    return e.error_number();
+  }
+  return 0;
+}
+
+struct OwnerLess {
+  template <class A, class B>
+  bool operator()(const A& a, const B& b) const {
+    return a.owner_before(b);
+  }
+};
+template <class A, class B>
+bool same_owner(const A& a, const B& b) {
+  return !a.owner_before(b) && !b.owner_before(a);
+}
+
 struct Place {
   Place() : options(fresh()), engine(std::make_unique<lot::ShmEngine>(options)) {}
   ~Place() {
@@ -65,6 +107,11 @@ struct Place {
 };
 
 }  // namespace
+
+template <>
+struct lot::is_trusted_message<Derived> : std::true_type {};
+template <>
+struct lot::is_trusted_message<Virtual> : std::true_type {};
 
 TEST_SUITE_BEGIN("pointers");
 
@@ -445,6 +492,76 @@ TEST_CASE("messages give back what they held when they come home") {
   target->text = "kept by nobody";
   target.reset();
   CHECK(watch.expired());
+}
+
+TEST_CASE("a message that a shared pointer has published can not grow any more") {
+  Place place;
+  auto pusher = place.engine->advertise<Text>("/t", {lot::Policy::Refuse, 2, 0s});
+  auto puller = place.engine->subscribe<Text>("/t");
+  lot::ShmSharedPtr<Text> kept[3];
+  for (auto& k : kept) {
+    k = pusher.loan();
+    k->text.assign(1000, 'a');
+  }
+  for (auto& k : kept) {  // the last one is refused: it stays as it was
+    const bool published = pusher.push(k) == lot::Status::Ok;
+    CHECK(published == (&k != &kept[2]));
+    const char* const text = k->text.data();
+    const auto grow = [&] { k->text.append(100000, 'b'); };
+    CHECK(error_of(grow) == (published ? EPERM : 0));
+    CHECK((k->text.data() == text) == published);
+  }
+  const auto seen = puller.try_pull();
+  REQUIRE(seen == kept[0]);
+  const char* const text = kept[0]->text.data();
+  kept[0]->text.clear();
+  CHECK(error_of([&] { kept[0]->text.reserve(100000); }) == EPERM);
+  kept[0]->text.shrink_to_fit();
+  CHECK(text[999] == 'a');  // its memory was not given to anything
+  // The next message in that memory grows as any other does.
+  for (auto& k : kept) k.reset();
+  for (int n = 0; n < 100; ++n) {
+    lot::ShmUniquePtr<Text> next = pusher.loan();
+    next->text.assign(100000, 'c');
+    (void)pusher.push(std::move(next));
+    puller.try_pull();
+  }
+}
+
+TEST_CASE("what a published message refers to can not grow any more, however far away") {
+  Place place;
+  auto pusher = place.engine->advertise<Linked>("/t");
+  lot::ShmSharedPtr<Linked> links[4];
+  for (auto& l : links) l = place.engine->make<Linked>();
+  links[0]->next = links[1];
+  links[1]->next = links[2];
+  links[2]->next = links[1];
+  auto message = pusher.loan();
+  message->next = links[0];
+  links[2]->text.assign(1000, 'a');  // the order of building is free
+  CHECK(pusher.push(std::move(message)) == lot::Status::Ok);
+  for (auto& l : links) {
+    const bool published = &l != &links[3];
+    CHECK(error_of([&] { l->text.assign(5000, 'b'); }) == (published ? EPERM : 0));
+    CHECK(error_of([&] { l->next = links[3]; }) == (published ? EPERM : 0));
+  }
+  links[1]->next = lot::ShmRef<const Linked>();
+  links[3].reset();
+}
+
+TEST_CASE("an item that one reader takes grows after it was put and taken") {
+  Place place;
+  auto first = place.engine->queue<lot::ShmUniquePtr<Text>>("first");
+  auto second = place.engine->queue<lot::ShmUniquePtr<Text>>("second");
+  first.listen();
+  second.listen();
+  first.put(first.make());
+  auto text = first.wait_and_pop();
+  text->text.assign(1000, 'a');
+  second.put(std::move(text));
+  text = second.wait_and_pop();
+  text->text.assign(100000, 'b');
+  CHECK(text->text.size() == 100000);
 }
 
 TEST_SUITE_END();

@@ -19,6 +19,10 @@ namespace lot::detail {
 /// piece; an extent in which nothing lives is reused or given back. The whole is released at once
 /// when the message dies.
 ///
+/// A frozen arena gives no memory any more and takes none back: its message is published while
+/// pointers that may change it are left. Its cursor stands at the limit, so that allocate() needs
+/// no look at the flag.
+///
 /// Invariants
 ///   A1  The cursor lies in the current region: the extent `current` - 1, or the small payload.
 ///   A2  No piece in use reaches behind the cursor in the current region. A piece moves the cursor
@@ -31,6 +35,8 @@ namespace lot::detail {
 ///          block, and the reaper frees by them. `references` is read by the reaper.
 struct Arena {
   static constexpr unsigned kMaxExtents = 14;
+  static constexpr std::uint8_t kPublished = 1;  ///< values of `frozen`
+  static constexpr std::uint8_t kDying = 2;
 
   struct Extent {
     std::uint32_t granule;
@@ -44,14 +50,19 @@ struct Arena {
   std::uint64_t cursor;  ///< next free byte, as an offset
   std::uint64_t limit;   ///< end of the region that cursor is in
   std::uint32_t block;
-  std::uint8_t extents;         ///< how many of `extent` are there
-  std::uint8_t current;         ///< index + 1 of the extent that cursor is in, 0: the small payload
-  std::uint16_t changed_hands;  ///< 1: another process than the home may have changed the message
-  std::uint64_t references;     ///< offset of the first ReferenceList, 0: none
+  std::uint8_t extents;        ///< how many of `extent` are there
+  std::uint8_t current;        ///< index + 1 of the extent that cursor is in, 0: the small payload
+  std::uint8_t changed_hands;  ///< 1: another process than the home may have changed the message
+  /// kPublished: nothing is allocated or given back. kDying: its destructor runs, so that nothing
+  /// need be given back. Written by a process that publishes the message, and by the home.
+  std::uint8_t frozen;
+  std::uint64_t references;  ///< offset of the first ReferenceList, 0: none
   Extent extent[kMaxExtents];
   std::uint64_t data;   ///< offset of granule 0
   std::uint64_t topic;  ///< key of the topic that the block is loaned for, 0: none; for people
-  std::uint64_t padding[2];
+  /// While the home freezes what a message refers to: the next block to look at. Private to that.
+  std::uint32_t next_to_freeze;
+  std::uint32_t padding[3];
 
   unsigned char* base() { return reinterpret_cast<unsigned char*>(this) - self; }
 
@@ -70,6 +81,17 @@ struct Arena {
   /// Says that another process than the home owns the message alone from now on. It may change it,
   /// and may be killed in the middle of that: the home runs no destructor then.
   void change_hands() noexcept;
+
+  /// The message is published, and its process may have pointers left that could make it grow. Any
+  /// thread that has a pointer may call it.
+  void freeze() noexcept;
+  /// The same. Of threads that do so at once, one hears that it was the first.
+  bool freeze_first() noexcept;
+  bool is_frozen() const noexcept;
+
+  /// True when the process that has taken the message from a queue has it for itself: neither its
+  /// home nor another process looks at it, nor was it pushed since as a shared one.
+  bool was_handed_over() const noexcept;
 
   /// Takes a piece back: at once if it is the newest, or the last one living in its extent.
   void deallocate(void* piece, std::size_t bytes) noexcept;

@@ -64,7 +64,8 @@ class PusherCore {
   virtual Loan loan(const MessageType& type, bool or_throw) = 0;
   /// Publishes a unique message; on Status::Full it stays with the caller.
   virtual Status push_unique(ControlCell* cell, std::chrono::nanoseconds block_for) = 0;
-  /// Publishes a message that is shared; the caller keeps its pointer.
+  /// Publishes a message that is shared; the caller keeps its pointer. The message can not grow from
+  /// then on.
   virtual Status push_shared(const ControlCell* cell, std::chrono::nanoseconds block_for) = 0;
   virtual std::size_t readers() = 0;
   virtual bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) = 0;
