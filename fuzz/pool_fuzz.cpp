@@ -415,12 +415,12 @@ class Fuzz {
       auto* fresh = static_cast<lot::detail::ReferenceList*>(
           arena.allocate(sizeof(lot::detail::ReferenceList), 8));
       fresh->next = 0;
-      fresh->count = 0;
+      for (auto& entry : fresh->entry) entry = {lot::detail::ReferenceList::kNone, 0};
       arena.references = local_.segment().offset_of(fresh);
     }
     auto& list = *reinterpret_cast<lot::detail::ReferenceList*>(base + arena.references);
     p.real->holder.acquire(block(*target), hold::kRing);
-    list.block[list.count++] = block(*target);
+    list.entry[to.size()] = {block(*target), 1};
     to.push_back(*target);
   }
 

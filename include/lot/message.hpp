@@ -145,7 +145,13 @@ using ShmVector = std::vector<T, ShmAllocator<T>>;
 /// A ShmSharedPtr that is stored in a message: the message keeps its target alive, also when the
 /// process that published it has died.
 ///
-/// Outside of messages it works as well, and then simply holds a ShmSharedPtr's share.
+/// It may refer to a part of a message (an aliasing pointer), but to nothing outside of it. What it
+/// referred to before is let go when it is assigned again, cleared or destroyed while the message
+/// is built, else when the message dies. Outside of messages it works as well, and then simply
+/// holds a ShmSharedPtr's share.
+///
+/// Errors: assignment throws lot::Error when the target is private memory, or in another segment,
+/// or when the message that it lies in was received or is published.
 ///
 ///     struct Detection { lot::ShmRef<const Frame> frame; float box[4]; };
 ///     detection->frame = seen;
@@ -195,27 +201,31 @@ class ShmRef {
   }
 
   void assign(U* target, detail::ControlCell* cell) {
-    if (target != nullptr && cell != nullptr) {
-      if (detail::Arena* arena = arena_.get()) {
-        block_ = detail::refer(*arena, cell)->block;  // released as a whole when the message dies
-      } else {
-        cell = detail::acquire_block(cell);
-        let_go();
-        private_cell_ = cell;
-      }
-    } else {
+    if (target == nullptr || cell == nullptr) {
       let_go();
-      target = nullptr;
+      return;
+    }
+    // The new target first: it may be kept alive by the old one alone.
+    if (detail::Arena* arena = arena_.get()) {
+      const std::uint32_t block = detail::refer(*arena, cell, target, sizeof(U));
+      let_go();
+      block_ = block;
+    } else {
+      cell = detail::acquire_block(cell);
+      let_go();
+      private_cell_ = cell;
     }
     target_ = target;
   }
 
   void let_go() noexcept {
-    if (arena_.get() == nullptr && target_.get() != nullptr && private_cell_ != nullptr) {
-      private_cell_->drop_pointer();
-    }
-    private_cell_ = nullptr;
+    if (target_.get() == nullptr) return;
     target_ = nullptr;
+    if (detail::Arena* arena = arena_.get()) {
+      detail::unrefer(*arena, block_);
+    } else if (private_cell_ != nullptr) {
+      std::exchange(private_cell_, nullptr)->drop_pointer();
+    }
   }
 
   detail::OffsetPtr<detail::Arena> arena_;

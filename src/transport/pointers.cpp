@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <atomic>
 #include <cerrno>
 #include <cstdlib>
 #include <memory>
@@ -49,7 +50,7 @@ ControlCell* acquire_block(ControlCell* cell) {
   return cell;
 }
 
-ControlCell* refer(Arena& arena, ControlCell* target) {
+std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::size_t bytes) {
   transport::Participant* const at = transport::Participant::at(&arena);
   if (at == nullptr) refuse_unknown();
   transport::Participant& p = *at;
@@ -63,6 +64,11 @@ ControlCell* refer(Arena& arena, ControlCell* target) {
         "a message can not refer to one that another copy of the library has pulled or made",
         "pull it by the copy that makes the message");
   }
+  if (!p.segment().holds(target->block, p.segment().offset_of(object), bytes)) {
+    throw Error(EINVAL, p.segment().path(),
+                "a message can not refer to what lies outside of the message that it would keep",
+                "refer to that message or a part of it, or copy the object into the message");
+  }
   // The hold would be ours, and its entry the home's.
   if (!p.holder().is_home(arena.block)) {
     throw Error(EPERM, p.segment().path(),
@@ -74,26 +80,50 @@ ControlCell* refer(Arena& arena, ControlCell* target) {
                 "a message that was published can not refer to others than it does",
                 "build it wholly before push(), or copy it into a new loan()");
   }
-  ControlCell* cell = &p.holder().cell(target->block);
-  bool known = false;
-  p.holder().each_reference(arena.block, [&](std::uint32_t b) { known |= b == cell->block; });
-  if (known) return cell;
-  ReferenceList* list = nullptr;
-  if (arena.references != 0)
-    list = reinterpret_cast<ReferenceList*>(arena.base() + arena.references);
-  if (list == nullptr || list->count == ReferenceList::kEntries) {
+  using Entry = ReferenceList::Entry;
+  const std::uint32_t block = target->block;
+  Entry* known = nullptr;
+  Entry* free = nullptr;
+  p.holder().each_entry(arena.block, [&](Entry& entry) {
+    if (entry.block == block) known = &entry;
+    if (entry.block == ReferenceList::kNone && free == nullptr) free = &entry;
+    return known == nullptr;
+  });
+  if (known != nullptr) {
+    ++known->refs;
+    return block;
+  }
+  if (free == nullptr) {
     auto* fresh = static_cast<ReferenceList*>(arena.allocate(sizeof(ReferenceList), 8));
     fresh->next = arena.references;
-    fresh->count = 0;
-    arena.references =
-        static_cast<std::uint64_t>(reinterpret_cast<unsigned char*>(fresh) - arena.base());
-    list = fresh;
+    for (Entry& entry : fresh->entry) entry = {ReferenceList::kNone, 0};
+    std::atomic_ref(arena.references)
+        .store(static_cast<std::uint64_t>(reinterpret_cast<unsigned char*>(fresh) - arena.base()),
+               std::memory_order_release);  // killed before: no list, after: a whole one
+    free = &fresh->entry[0];
   }
   // The hold first, then its entry: killed in between, the hold goes with our bit.
-  p.holder().acquire(cell->block, hold::kRing);
-  list->block[list->count] = cell->block;
-  ++list->count;
-  return cell;
+  p.holder().acquire(block, hold::kRing);
+  free->refs = 1;
+  std::atomic_ref(free->block).store(block, std::memory_order_relaxed);
+  return block;
+}
+
+void unrefer(Arena& arena, std::uint32_t block) noexcept {
+  if (arena.is_frozen()) return;
+  transport::Participant* const p = transport::Participant::at(&arena);
+  if (p == nullptr || !p->holder().is_home(arena.block)) return;  // the entry is the home's
+  using Entry = ReferenceList::Entry;
+  Entry* known = nullptr;
+  p->holder().each_entry(arena.block, [&](Entry& entry) {
+    if (entry.block == block) known = &entry;
+    return known == nullptr;
+  });
+  if (known == nullptr || --known->refs != 0) return;
+  // The entry first, then its hold, which is released: killed in between, the hold goes with our
+  // bit.
+  std::atomic_ref(known->block).store(ReferenceList::kNone, std::memory_order_relaxed);
+  p->holder().release_ring_hold(block);
 }
 
 }  // namespace lot::detail

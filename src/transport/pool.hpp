@@ -68,6 +68,9 @@ struct Holder {
   /// The blocks that the message in b refers to. Bounds are checked: it may be rubbish.
   template <class F>
   void each_reference(std::uint32_t b, F&& f) const;
+  /// Its entries, the free ones too, until f(entry) is false.
+  template <class F>
+  void each_entry(std::uint32_t b, F&& f) const;
 
  private:
   bool may_grow(const detail::ControlCell& c) const noexcept;
@@ -158,20 +161,32 @@ class Pool {
   std::vector<bool> is_kept_;
 };
 
+// Relaxed: the home writes the list; a reaper reads it under the dead home's byte lock, or after
+// the message's death; `lot who` takes what it sees for a hint.
 template <class F>
-void Holder::each_reference(std::uint32_t b, F&& f) const {
+void Holder::each_entry(std::uint32_t b, F&& f) const {
   using detail::ReferenceList;
-  std::uint64_t at = segment->arena(b).references;
-  // A message refers to each block once.
+  std::uint64_t at = std::atomic_ref(segment->arena(b).references).load(std::memory_order_relaxed);
+  // A message has one entry for each block, and no new list while an entry is free.
   const std::uint32_t most = segment->capacity().blocks / ReferenceList::kEntries + 1;
   for (std::uint32_t n = 0; n < most && at != 0; ++n) {
     if (at % alignof(ReferenceList) != 0 || !segment->holds(b, at, sizeof(ReferenceList))) return;
-    const auto* list = reinterpret_cast<const ReferenceList*>(segment->base() + at);
-    for (std::uint32_t i = 0; i < list->count && i < ReferenceList::kEntries; ++i) {
-      if (list->block[i] < segment->capacity().blocks) f(list->block[i]);
+    auto* list = reinterpret_cast<ReferenceList*>(segment->base() + at);
+    for (ReferenceList::Entry& entry : list->entry) {
+      if (!f(entry)) return;
     }
-    at = list->next;
+    at = std::atomic_ref(list->next).load(std::memory_order_relaxed);
   }
+}
+
+template <class F>
+void Holder::each_reference(std::uint32_t b, F&& f) const {
+  each_entry(b, [&](detail::ReferenceList::Entry& entry) {
+    // Once: whatever writes it meanwhile cannot get past the check.
+    const std::uint32_t target = std::atomic_ref(entry.block).load(std::memory_order_relaxed);
+    if (target < segment->capacity().blocks) f(target);
+    return true;
+  });
 }
 
 template <class Protected>

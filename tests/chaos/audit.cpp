@@ -154,8 +154,8 @@ class Auditor {
     for (unsigned n = 0;
          n < 64 && at != 0 && at % 8 == 0 && at <= s_.size() - sizeof(detail::ReferenceList); ++n) {
       const auto* list = reinterpret_cast<const detail::ReferenceList*>(s_.base() + at);
-      for (std::uint32_t i = 0; i < list->count && i < detail::ReferenceList::kEntries; ++i) {
-        if (list->block[i] < s_.capacity().blocks) f(list->block[i]);
+      for (const auto& entry : list->entry) {
+        if (entry.block < s_.capacity().blocks) f(entry.block);
       }
       at = list->next;
     }

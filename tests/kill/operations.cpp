@@ -678,6 +678,17 @@ void pointers(std::vector<Operation>& all) {
                    n.kept.clear();
                    n.frames->push(std::move(n.frame_loans.back()));
                  }});
+  all.push_back({"a reference is assigned again",
+                 {Promise::LockFree, "publish a message that refers"},
+                 referring + Acts{victim([](Node& n) {
+                   n.frame_loans.back()->reference =
+                       ShmSharedPtr<const Number>(n.engine->make<Number>(numbered(n.source, 0)));
+                 })},
+                 [](Node& n) {
+                   n.frame_loans.back()->reference = n.kept.front();
+                   n.kept.clear();
+                   n.frames->push(std::move(n.frame_loans.back()));
+                 }});
   all.push_back({"a message that refers dies",
                  {Promise::LockFree, "publish a message that refers"},
                  referring + Acts{victim([](Node& n) {

@@ -483,6 +483,104 @@ TEST_CASE("a reference to a reference keeps the whole chain") {
   CHECK(watch.expired());
 }
 
+TEST_CASE("a reference that is assigned again lets its former target go while it is built") {
+  Place place;
+  const auto make = [&](std::uint64_t number) {
+    auto target = place.engine.make<Target>();
+    target->number = number;
+    target->data.assign(100, number);
+    return lot::ShmSharedPtr<const Target>(std::move(target));
+  };
+  auto pusher = place.engine.advertise<Detections>("/d", {lot::Policy::Overwrite, 1, 1s});
+  auto message = pusher.loan();
+  lot::ShmSharedPtr<const Target> shared = make(1);
+  const lot::ShmWeakPtr<const Target> first = shared;
+  message->refs.push_back(shared);
+  message->refs.push_back(shared);
+  message->all.emplace_back();
+  message->all[0].frame = shared;
+  message->all[0].frame = shared;
+  for (int n = 0; n < 50; ++n) message->refs.push_back(message->refs.back());  // the vector moves
+  shared = make(2);
+  const lot::ShmWeakPtr<const Target> second = shared;
+  CHECK(!first.expired());
+  message->refs.erase(message->refs.begin(), message->refs.end() - 1);
+  message->all[0].frame = shared;
+  CHECK(!first.expired());  // the last one of the vector
+  CHECK(message->refs[0]->data[99] == 1);
+  message->refs[0] = shared;
+  CHECK(first.expired());
+  CHECK(message->refs[0]->data[99] == 2);
+  shared.reset();
+  message->refs.pop_back();
+  CHECK(!second.expired());
+  message->all[0].frame = message->all[0].frame;
+  CHECK(!second.expired());
+  message->all[0].frame = lot::ShmRef<const Target>();
+  CHECK(second.expired());
+  CHECK(!message->all[0].frame);
+
+  // What it refers to when it is published lives as long as it does.
+  shared = make(3);
+  const lot::ShmWeakPtr<const Target> third = shared;
+  message->all[0].frame = shared;
+  shared.reset();
+  lot::ShmSharedPtr<Detections> kept = std::move(message);
+  CHECK(pusher.push(kept) == lot::Status::Ok);
+  CHECK_THROWS_AS(kept->all[0].frame = make(4), lot::Error);
+  kept->all[0].frame = lot::ShmRef<const Target>();
+  CHECK(!third.expired());
+  kept.reset();
+  for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
+  CHECK(third.expired());
+}
+
+TEST_CASE("references in a message may change as often as they like") {
+  const Watchdog watchdog(60);
+  Place place;
+  auto message = place.engine.make<Detections>();
+  message->refs.resize(20);
+  lot::segment::Segment s(place.engine.path());
+  const std::size_t before = Audit(s).granules;
+  for (std::uint64_t n = 0; n < 20000; ++n) {
+    auto target = place.engine.make<Target>();
+    target->number = n;
+    message->refs[n % 20] = lot::ShmSharedPtr<const Target>(std::move(target));
+  }
+  for (std::uint64_t n = 0; n < 20; ++n) CHECK(message->refs[n]->number == 20000 - 20 + n);
+  const Audit after(s);
+  CHECK(after.homes < 100);
+  CHECK(after.granules < before + 10);
+}
+
+TEST_CASE("a reference to a part of a message is good, to anything else it is refused") {
+  Place place;
+  auto target = place.engine.make<Target>();
+  target->data.assign(1000, 7);
+  const lot::ShmSharedPtr<Target> shared = std::move(target);
+  const lot::ShmSharedPtr<Target> other = place.engine.make<Target>();
+  const Target mine{};
+  using Shared = lot::ShmSharedPtr<const Target>;
+  auto message = place.engine.make<Detection>();
+  message->frame = shared;
+  for (const Target* const part : {&mine, static_cast<const Target*>(other.get())}) {
+    CHECK_THROWS_AS(message->frame = Shared(shared, part), lot::Error);
+    CHECK(message->frame.get() == shared.get());
+  }
+  struct Parts {
+    lot::ShmRef<const std::uint64_t> member;
+    lot::ShmRef<const std::uint64_t> element;
+  };
+  auto parts = place.engine.make<Parts>();
+  parts->member = lot::ShmSharedPtr<const std::uint64_t>(shared, &shared->number);
+  parts->element = lot::ShmSharedPtr<const std::uint64_t>(shared, &shared->data[999]);
+  CHECK(*parts->element == 7);
+  CHECK(*parts->element.lock() == 7);
+  const lot::ShmSharedPtr<const std::uint64_t> none(shared, static_cast<std::uint64_t*>(nullptr));
+  parts->element = none;
+  CHECK(!parts->element);
+}
+
 TEST_CASE("a chain of references dies on a small stack, however long it is") {
   const Watchdog watchdog(60);
   struct Link {

@@ -107,11 +107,20 @@ static_assert(sizeof(Arena) == 192);
 
 /// Which blocks a message refers to (ShmRef): a list in the message's own memory, so that the
 /// message keeps them alive and a reaper can adopt them.
+///
+/// Crash: an entry is there only while the message's home has a hold on its block for it: the hold
+///        is taken before the entry is written, and given up after the entry is emptied. Killed in
+///        between, the home leaves a hold without an entry, which goes with its ownership bit.
 struct ReferenceList {
-  static constexpr std::uint32_t kEntries = 13;
+  static constexpr std::uint32_t kEntries = 7;
+  static constexpr std::uint32_t kNone = ~std::uint32_t{0};
+  /// Written by the home alone, while it builds the message; `block` is read by a reaper.
+  struct Entry {
+    std::uint32_t block;  ///< kNone: free
+    std::uint32_t refs;   ///< how many ShmRef of the message refer to it; the home's alone
+  };
   std::uint64_t next;  ///< offset of the next list, 0: none
-  std::uint32_t count;
-  std::uint32_t block[kEntries];
+  Entry entry[kEntries];
 };
 static_assert(sizeof(ReferenceList) == 64);
 

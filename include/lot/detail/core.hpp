@@ -186,10 +186,14 @@ std::unique_ptr<PullerCore> make_puller(std::shared_ptr<transport::Participant> 
 /// A message that belongs to no topic.
 std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> participant);
 
-/// Makes the message that is built in `arena` hold another one, for as long as it lives. Returns
-/// the cell of the target in the arena's own participant. Throws lot::Error when they are in
-/// different segments.
-ControlCell* refer(Arena& arena, ControlCell* target);
+/// Makes the message that is built in `arena` hold another one, of which `object` is a part, until
+/// unrefer() is called as often or the message dies. Returns the target's block. Throws lot::Error
+/// when they are in different segments, when `object` is no part of the target, and when the
+/// message that is built belongs to another process or is published.
+std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::size_t bytes);
+/// Takes one refer() back. Does nothing where the message is not built any more: what it refers to
+/// is let go when it dies.
+void unrefer(Arena& arena, std::uint32_t block) noexcept;
 /// The cell of what a reference refers to, in the participant that has mapped the reference; null
 /// when nobody has, since it lies in private memory. Throws lot::Error when nobody has mapped the
 /// message that it is in, and when it is damaged: the target must lie in the same segment.
