@@ -101,13 +101,17 @@ class ShmPusher {
 
   /// Publishes a message that was received, or is kept: no copy. It can not grow from then on; its
   /// elements must not be written any more either, since readers look at them.
+  ///
+  /// Errors: lot::Error (EINVAL) when the pointer is empty, or points to something else than its
+  /// whole message: to a part of it, to private memory, to nothing. In the process that made the
+  /// message its type is compared, too; in others, the place and that a T fits there.
   Status push(const ShmSharedPtr<const T>& message) { return push(message, block_for_); }
   Status push(const ShmSharedPtr<const T>& message, std::chrono::nanoseconds block_for) {
-    return core_->push_shared(detail::PointerAccess::cell(message), block_for);
+    return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
   }
   Status push(const ShmSharedPtr<T>& message) { return push(message, block_for_); }
   Status push(const ShmSharedPtr<T>& message, std::chrono::nanoseconds block_for) {
-    return core_->push_shared(detail::PointerAccess::cell(message), block_for);
+    return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
   }
 
   /// Subscribers that read this publisher: each gets what is pushed from now on, also one that has

@@ -127,8 +127,10 @@ class ShmQueue {
 
   // Putting. Status::Full when the queue was full (at once under Policy::Refuse, when the time is
   // up under Policy::Block: put() and emplace() wait for ever); the item then stays with the
-  // caller. Under Policy::Overwrite it is never full: the oldest item that nobody has popped is
-  // dropped. A unique pointer is moved: put(std::move(item)).
+  // caller. A shared item is a pointer to a whole message: lot::Error (EINVAL) for one to a part of
+  // it, to private memory, or to nothing; the message can not grow from then on. Under
+  // Policy::Overwrite it is never full: the oldest item that nobody has popped is dropped. A unique
+  // pointer is moved: put(std::move(item)).
 
   Status put(const T& item) { return put_until(item, detail::after(kForever)); }
   Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }
@@ -140,7 +142,7 @@ class ShmQueue {
   }
   Status put_until(const T& item, Clock::time_point deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
-      return core_->put_shared(detail::PointerAccess::cell(item), deadline);
+      return core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
     } else {
       static_assert(std::is_same_v<T, Element>,
                     "lot: this item has one owner and can only be moved; use std::move()");
@@ -149,7 +151,8 @@ class ShmQueue {
   }
   Status put_until(T&& item, Clock::time_point deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
-      const Status status = core_->put_shared(detail::PointerAccess::cell(item), deadline);
+      const Status status =
+          core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
       if (status == Status::Ok) item.reset();
       return status;
     } else if constexpr (std::is_same_v<T, Element>) {

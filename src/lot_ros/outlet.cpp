@@ -511,7 +511,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
                        [state](const Peer& p) { return p.state == state; });
   };
   bool to_ring = ring_ != nullptr && (latches || in(State::Ring) || in(State::Open));
-  if (to_ring && (parcel.cell == nullptr || !ring_->has(*parcel.cell))) {
+  if (to_ring && (parcel.cell == nullptr || !ring_->has(*parcel.cell, parcel.message.get()))) {
     const detail::Parcel copy = into_ring(parcel);
     to_ring = copy.cell != nullptr;
     if (to_ring) {
@@ -550,7 +550,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
       undecided.push_back(&peer);
     }
   }
-  if (to_ring) ring_->push_shared(parcel.cell, 0ns);
+  if (to_ring) ring_->push_shared(parcel.cell, parcel.message.get(), 0ns);
   for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
   if (latches) from->second.latched = message;

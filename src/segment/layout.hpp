@@ -7,6 +7,7 @@
 
 #include "lot/detail/arena.hpp"
 #include "lot/detail/atomics.hpp"
+#include "lot/detail/control.hpp"
 
 #include "lockfree_ring/ring.hpp"
 #include "refcount/ownership.hpp"
@@ -145,6 +146,11 @@ struct alignas(64) ChannelEntry {
   std::uint32_t taken;                ///< 1: each message is taken by one reader; 0: all get it
 };
 static_assert(sizeof(ChannelEntry) == 64);
+
+/// True when messages of the type lie in the payload that every block has.
+constexpr bool is_small(const detail::MessageType& type) {
+  return type.size <= kSmallBytes && type.align <= 64;
+}
 
 /// The first bytes of a ring's memory; behind it who[], slots[] and cells[].
 struct RingHead {

@@ -271,6 +271,9 @@ void Participant::fill_hub() noexcept {
     }
     return n;
   };
+  hub_.base = [](const detail::ControlCell* c) noexcept -> const unsigned char* {
+    return of(c).segment_.base();
+  };
   hub_.weak_count = [](detail::ControlCell* c, int change) noexcept {
     Participant& p = of(c);
     if (change > 0) {

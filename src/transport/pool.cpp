@@ -161,7 +161,7 @@ std::uint32_t Pool::claim() {
 void* Pool::lay_out(std::uint32_t b, const detail::MessageType& type) {
   segment::Segment& s = *holder_.segment;
   ControlCell& c = holder_.cell(b);
-  const bool fits = type.size <= segment::kSmallBytes && type.align <= 64;
+  const bool fits = segment::is_small(type);
   if (fits && type.plain && c.type == &type) return s.small(b);  // as it was the last time
   Arena& arena = s.arena(b);
   if (c.type != nullptr) bury(b);

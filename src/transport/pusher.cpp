@@ -162,10 +162,11 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return Status::Ok;
   }
 
-  [[gnu::hot]] Status push_shared(const detail::ControlCell* cell,
+  [[gnu::hot]] Status push_shared(const detail::ControlCell* cell, const void* object,
                                   std::chrono::nanoseconds block_for) override {
     check(cell);
     if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
+    if (!is_whole(*cell, object)) refuse_part(*cell, object);
     return push_held(cell, block_for, true);
   }
 
@@ -229,8 +230,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
            writer_->serves({served.cell, served.round});
   }
 
-  bool has(const detail::ControlCell& cell) const override {
-    return participant_->same_segment(cell);
+  bool has(const detail::ControlCell& cell, const void* object) const override {
+    return participant_->same_segment(cell) && is_whole(cell, object);
   }
 
   bool is_content(const detail::Served& served) override {
@@ -299,10 +300,49 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return Status::Ok;
   }
 
+  /// True when readers of the topic will find `object` where they look for the message, and it is
+  /// one of the topic's type. The type of a message is known where its home is in this process;
+  /// else a T fits where the message begins. REQUIRES: it lies in this segment.
+  bool is_whole(const detail::ControlCell& cell, const void* object) const {
+    segment::Segment& s = participant_->segment();
+    const bool is_small = segment::is_small(*type_);
+    const std::uint64_t root =
+        is_small ? s.offset_of(s.small(cell.block)) : s.arena(cell.block).root;
+    const bool ours = cell.hub == participant_->hub();
+    const unsigned char* const base = ours ? s.base() : cell.hub->base(&cell);
+    if (object != base + root) return false;
+    if ((cell.hold.load(std::memory_order_relaxed) & hold::kHome) != 0 && cell.type != nullptr) {
+      return cell.type == type_ || detail::is_same(*cell.type, *type_);
+    }
+    return is_small || s.holds(cell.block, root, type_->size);
+  }
+
   [[noreturn, gnu::cold]] void refuse_elsewhere(const detail::ControlCell& cell) const {
     throw Error(EINVAL, participant_->segment().path(),
                 std::string("the message lies in another segment, ") + cell.hub->path(&cell),
                 "copy it into a loan()");
+  }
+
+  [[noreturn, gnu::cold]] void refuse_part(const detail::ControlCell& cell,
+                                           const void* object) const {
+    const segment::Segment& s = participant_->segment();
+    const auto* base = cell.hub->base(&cell);
+    const auto offset =
+        static_cast<std::uint64_t>(static_cast<const unsigned char*>(object) - base);
+    const bool home = (cell.hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
+    std::string what = "the pointer that was pushed points to ";
+    if (object == nullptr) {
+      what += "nothing, though it holds a message";
+    } else if (!s.holds(cell.block, offset, 1)) {
+      what += "memory outside of the message that it holds";
+    } else if (offset != s.arena(cell.block).root) {
+      what += "a part of a message";
+    } else {
+      what += "the beginning of a message of another type";
+    }
+    if (home && cell.type != nullptr) what += std::string(" (of type ") + cell.type->name + ")";
+    throw Error(EINVAL, s.path(), what + "; readers get whole messages of type " + type_->name,
+                "push the pointer to the whole message, or copy the object into a loan()");
   }
 
   void close_without_ring() noexcept {

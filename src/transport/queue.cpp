@@ -39,8 +39,9 @@ class Queue final : public detail::QueueCore {
   Status put_unique(detail::ControlCell* cell, Clock::time_point deadline) override {
     return pusher().push_unique(cell, until(deadline));
   }
-  Status put_shared(const detail::ControlCell* cell, Clock::time_point deadline) override {
-    return pusher().push_shared(cell, until(deadline));
+  Status put_shared(const detail::ControlCell* cell, const void* object,
+                    Clock::time_point deadline) override {
+    return pusher().push_shared(cell, object, until(deadline));
   }
 
   bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline) override {

@@ -66,6 +66,17 @@ std::size_t participants(const lot::ShmEngine& engine) {
 
 #define LOT_MUST(what) must(static_cast<bool>(what), #what)
 
+/// Whether a pointer that holds a frame, but points to another one, is not pushed.
+bool refuses_part(Plugin& plugin, const Shared& frame) {
+  static const Frame mine{};
+  try {
+    plugin.push(Shared(frame, &mine));
+  } catch (const std::runtime_error&) {
+    return true;
+  }
+  return false;
+}
+
 /// Everything that two copies of the library do with each other's messages.
 void exchange(Plugin& one, Plugin& two) {
   for (std::uint64_t n = 0; n < 50; ++n) {
@@ -94,6 +105,8 @@ void exchange(Plugin& one, Plugin& two) {
       LOT_MUST(again);
       LOT_MUST(good(*again, n));
       LOT_MUST(again != first);  // another mapping
+      LOT_MUST(refuses_part(two, first));
+      LOT_MUST(refuses_part(two, one.make(n)));
       LOT_MUST(two.push(one.loan(n + 1)) == lot::Status::Ok);
       LOT_MUST(one.push(two.loan(n + 2)) == lot::Status::Ok);
       LOT_MUST(good(*two.pull(), n + 1));

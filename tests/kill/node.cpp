@@ -101,7 +101,8 @@ void Node::publish(unsigned count) {
       auto letter = detail::build<Number>(chooser->loan(detail::message_type<Number>(), true));
       *letter = numbered(source, published);
       const ShmSharedPtr<const Number> shared(std::move(letter));
-      if (chooser->push_shared(detail::PointerAccess::cell(shared), 10s) == Status::Ok) ++published;
+      const auto* cell = detail::PointerAccess::cell(shared);
+      if (chooser->push_shared(cell, shared.get(), 10s) == Status::Ok) ++published;
       continue;
     }
     auto message = pusher->loan(numbered(source, published));

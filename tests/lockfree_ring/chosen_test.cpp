@@ -54,7 +54,8 @@ struct Fixture {
     auto letter = lot::detail::build<Letter>(pusher->loan(type, true));
     letter->number = number;
     const lot::ShmSharedPtr<const Letter> shared(std::move(letter));
-    REQUIRE(pusher->push_shared(lot::detail::PointerAccess::cell(shared), 0ns) == lot::Status::Ok);
+    REQUIRE(pusher->push_shared(lot::detail::PointerAccess::cell(shared), shared.get(), 0ns) ==
+            lot::Status::Ok);
   }
 };
 

@@ -494,6 +494,87 @@ TEST_CASE("messages give back what they held when they come home") {
   CHECK(watch.expired());
 }
 
+TEST_CASE("a push of what is not the whole message is refused, on a topic and in a queue") {
+  Place place;
+  auto pusher = place.engine->advertise<Pair>("/t");
+  auto puller = place.engine->subscribe<Pair>("/t");
+  auto queue = place.engine->queue<Const>("q");
+  auto reader = place.engine->queue<Const>("q");
+  reader.listen();
+  const auto refused = [&](const Const& pointer) {
+    return error_of([&] { pusher.push(pointer); }) == EINVAL &&
+           error_of([&] { queue.put(pointer); }) == EINVAL &&
+           error_of([&] { queue.put(Const(pointer)); }) == EINVAL;
+  };
+  const lot::ShmSharedPtr<Large> large = place.engine->make<Large>();
+  const lot::ShmSharedPtr<std::array<Pair, 3>> small = place.engine->make<std::array<Pair, 3>>();
+  const Shared pair = place.make(1);
+  const Shared other = place.make(3);
+  const Pair mine{7, 8};
+  CHECK(refused(Const()));
+  CHECK(refused(Const(pair, static_cast<const Pair*>(nullptr))));
+  CHECK(refused(Const(pair, &mine)));
+  CHECK(refused(Const(pair, other.get())));
+  CHECK(refused(Const(large, &large->last)));
+  CHECK(refused(Const(large, &large->first)));
+  CHECK(refused(Const(small, &(*small)[1])));
+  CHECK(refused(Const(small, small->data())));  // of another type, though at the same place
+  CHECK(refused(Const(lot::ShmSharedPtr<Derived>(place.engine->make<Derived>()))));
+  CHECK(puller.try_pull() == nullptr);
+  CHECK(reader.try_pop() == std::nullopt);
+  // The message itself is published under any name that it has.
+  CHECK(pusher.push(pair) == lot::Status::Ok);
+  CHECK(pusher.push(lot::make_const(pair)) == lot::Status::Ok);
+  CHECK(pusher.push(Const(pair, pair.get())) == lot::Status::Ok);
+  CHECK(queue.put(pair) == lot::Status::Ok);
+  for (int n = 0; n < 3; ++n) CHECK(puller.try_pull() == pair);
+  CHECK(reader.try_pop().value() == pair);
+}
+
+TEST_CASE("what another process has made is published whole, not in parts") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps joined, done;
+  Child maker([&] {
+    lot::ShmEngine engine(options);
+    auto large = engine.advertise<Large>("/large");
+    auto pairs = engine.advertise<Pair>("/pairs");
+    auto items = engine.queue<Unique>("items");
+    must(joined.next() == '.', "a reader");
+    large.push(large.loan());
+    pairs.push(pairs.loan());
+    items.put(items.make());
+    done.next();
+  });
+  {
+    lot::ShmEngine engine(options);
+    auto large = engine.subscribe<Large>("/large");
+    auto pairs = engine.subscribe<Pair>("/pairs");
+    auto items = engine.queue<Unique>("items");
+    items.listen();
+    joined.tell();
+    const auto l = large.pull(20s);
+    const auto p = pairs.pull(20s);
+    const auto item = items.wait_and_pop_for(20s);
+    REQUIRE(l);
+    REQUIRE(p);
+    REQUIRE(item);
+    auto again = engine.advertise<Large>("/again/large");
+    auto again_pairs = engine.advertise<Pair>("/again/pairs");
+    CHECK(again.push(l) == lot::Status::Ok);
+    CHECK(again_pairs.push(p) == lot::Status::Ok);
+    CHECK(error_of([&] { again_pairs.push(Const(l, &l->first)); }) == EINVAL);
+    CHECK(error_of([&] { again_pairs.push(Const(l, &l->last)); }) == EINVAL);
+    CHECK(error_of([&] { again_pairs.push(Const(p, p.get() + 1)); }) == EINVAL);
+    CHECK(error_of([&] {
+            again.push(lot::ShmSharedPtr<const Large>(p, reinterpret_cast<const Large*>(p.get())));
+          }) == EINVAL);
+    done.tell();
+    CHECK(maker.wait() == 0);
+  }
+  CHECK(files_of(options) == 0);
+}
+
 TEST_CASE("a message that a shared pointer has published can not grow any more") {
   Place place;
   auto pusher = place.engine->advertise<Text>("/t", {lot::Policy::Refuse, 2, 0s});

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 #include "lot/detail/hold_word.hpp"
 
@@ -25,6 +26,7 @@ struct Hub {
   const char* (*path)(const ControlCell*) noexcept;  ///< of the segment
   std::uint64_t (*instance)(
       const ControlCell*) noexcept;  ///< of the segment: which one of its name
+  const unsigned char* (*base)(const ControlCell*) noexcept;  ///< where it has mapped the segment
 };
 
 /// How the library handles a message without knowing its type.
@@ -36,6 +38,12 @@ struct MessageType {
   void (*destroy)(void*) noexcept;  ///< null: nothing to do
   bool plain;                       ///< trivially copyable: has no memory beside its own bytes
 };
+
+/// True when a message of the one type may be taken for one of the other: what a topic compares.
+inline bool is_same(const MessageType& a, const MessageType& b) noexcept {
+  return a.size == b.size && a.align == b.align && a.hash == b.hash &&
+         std::strcmp(a.name, b.name) == 0;
+}
 
 /// What this process knows of one block: the private hold word, and who releases it.
 ///

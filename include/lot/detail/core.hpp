@@ -64,9 +64,10 @@ class PusherCore {
   virtual Loan loan(const MessageType& type, bool or_throw) = 0;
   /// Publishes a unique message; on Status::Full it stays with the caller.
   virtual Status push_unique(ControlCell* cell, std::chrono::nanoseconds block_for) = 0;
-  /// Publishes a message that is shared; the caller keeps its pointer. The message can not grow from
-  /// then on.
-  virtual Status push_shared(const ControlCell* cell, std::chrono::nanoseconds block_for) = 0;
+  /// Publishes a message that is shared; the caller keeps its pointer, which is to `object`. Throws
+  /// lot::Error when that is not the message itself. The message can not grow from then on.
+  virtual Status push_shared(const ControlCell* cell, const void* object,
+                             std::chrono::nanoseconds block_for) = 0;
   virtual std::size_t readers() = 0;
   virtual bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) = 0;
   /// Makes `count` blocks with `bytes` of touched memory each.
@@ -88,8 +89,9 @@ class PusherCore {
   virtual void stop(const Served& served, std::size_t back) = 0;
   /// False when it wants to be served another way, or is gone.
   virtual bool wants(const Served& served) = 0;
-  /// False when the message lies in another segment, and cannot be pushed.
-  virtual bool has(const ControlCell& cell) const = 0;
+  /// False when push_shared() would refuse it: the message lies in another segment, or `object` is
+  /// not the message itself.
+  virtual bool has(const ControlCell& cell, const void* object) const = 0;
   /// True when it has said that it does not need to be served another way, too; and that is to be
   /// said anew.
   virtual bool is_content(const Served& served) = 0;
@@ -164,7 +166,8 @@ class QueueCore {
   virtual ~QueueCore() = default;
   virtual Loan loan(const MessageType& type) = 0;
   virtual Status put_unique(ControlCell* cell, Clock::time_point deadline) = 0;
-  virtual Status put_shared(const ControlCell* cell, Clock::time_point deadline) = 0;
+  virtual Status put_shared(const ControlCell* cell, const void* object,
+                            Clock::time_point deadline) = 0;
   enum class Wait { Never, Until, Forever };
   /// An item with a pointer hold on it; false when there was none in time.
   virtual bool pop(Borrowed& item, Wait wait, Clock::time_point deadline) = 0;
