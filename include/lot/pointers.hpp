@@ -21,6 +21,13 @@ class ShmWeakPtr;
 namespace detail {
 struct PointerAccess;
 
+/// Whether the message of the first cell comes before the second's. A block has one message after
+/// another: its generation says which.
+inline bool owner_less(const ControlCell* a, std::uint32_t a_generation, const ControlCell* b,
+                       std::uint32_t b_generation) noexcept {
+  return a == b ? a_generation < b_generation : std::less<const ControlCell*>()(a, b);
+}
+
 template <class From, class To>
 using EnableIfConvertible = std::enable_if_t<std::is_convertible_v<From*, To*>, int>;
 }  // namespace detail
@@ -169,21 +176,28 @@ class ShmSharedPtr {
   }
 
   /// Pointers in this process, and one for each other process that has some (or forwards the
-  /// message). Neither the publisher's queue nor borrows count.
+  /// message). Neither the publisher's queue nor borrows count: for "may I change it?" ask
+  /// unique().
   long use_count() const noexcept {
     if (cell_ == nullptr) return 0;
     const auto here = detail::hold::pointers(cell_->hold.load(std::memory_order_acquire));
     return static_cast<long>(here + cell_->hub->others(cell_));
   }
-  bool unique() const noexcept { return use_count() == 1; }
+  /// True when nothing else can see the message: this is the only pointer, and no queue, reader,
+  /// other message or other process has it. While it may be seen the answer is false, also for some
+  /// time longer: until the publisher has taken the message back from its queue. A process that has
+  /// received the message hears false as long as the process that made it stays, which may publish
+  /// it again at any time.
+  bool unique() const noexcept { return cell_ != nullptr && cell_->hub->alone(cell_); }
 
+  /// Orders by message: pointers to parts of one message are equal.
   template <class U>
   bool owner_before(const ShmSharedPtr<U>& other) const noexcept {
-    return std::less<const void*>()(cell_, other.cell_);
+    return std::less<const void*>()(cell_, other.cell_);  // both live: one cell, one message
   }
   template <class U>
   bool owner_before(const ShmWeakPtr<U>& other) const noexcept {
-    return std::less<const void*>()(cell_, other.cell_);
+    return detail::owner_less(cell_, generation(), other.cell_, other.generation_);
   }
 
  private:
@@ -193,6 +207,9 @@ class ShmSharedPtr {
   friend class ShmWeakPtr;
   friend struct detail::PointerAccess;
   ShmSharedPtr(T* object, detail::ControlCell* cell) noexcept : object_(object), cell_(cell) {}
+  std::uint32_t generation() const noexcept {
+    return cell_ != nullptr ? cell_->hub->generation(cell_) : 0;
+  }
 
   T* object_ = nullptr;
   detail::ControlCell* cell_ = nullptr;
@@ -212,11 +229,10 @@ class ShmWeakPtr {
   ShmWeakPtr(ShmWeakPtr&& other) noexcept { swap(other); }
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmWeakPtr(const ShmWeakPtr<U>& other) noexcept
-      : ShmWeakPtr(other.object_, other.cell_, other.generation_) {}
+      : ShmWeakPtr(other.template object_as<T>(), other.cell_, other.generation_) {}
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmWeakPtr(const ShmSharedPtr<U>& shared) noexcept
-      : ShmWeakPtr(shared.object_, shared.cell_,
-                   shared.cell_ != nullptr ? shared.cell_->hub->generation(shared.cell_) : 0) {}
+      : ShmWeakPtr(shared.object_, shared.cell_, shared.generation()) {}
   ~ShmWeakPtr() {
     if (cell_ != nullptr) cell_->hub->weak_count(cell_, -1);
   }
@@ -243,9 +259,10 @@ class ShmWeakPtr {
     const ShmSharedPtr<T> shared = lock();
     return shared.cell_ != nullptr ? shared.use_count() - 1 : 0;
   }
-  /// True when the message has died. (A message that only the publisher's queue holds has not.)
+  /// True when the message has died, or when this process has left the segment: lock() is null
+  /// then. (A message that only the publisher's queue holds has not died.)
   bool expired() const noexcept {
-    return cell_ == nullptr || cell_->hub->generation(cell_) != generation_;
+    return cell_ == nullptr || cell_->hub->expired(cell_, generation_);
   }
   void reset() noexcept { ShmWeakPtr().swap(*this); }
   void swap(ShmWeakPtr& other) noexcept {
@@ -253,13 +270,14 @@ class ShmWeakPtr {
     std::swap(cell_, other.cell_);
     std::swap(generation_, other.generation_);
   }
+  /// Orders by message, dead or alive: the next message in the same memory is another one.
   template <class U>
   bool owner_before(const ShmWeakPtr<U>& other) const noexcept {
-    return std::less<const void*>()(cell_, other.cell_);
+    return detail::owner_less(cell_, generation_, other.cell_, other.generation_);
   }
   template <class U>
   bool owner_before(const ShmSharedPtr<U>& other) const noexcept {
-    return std::less<const void*>()(cell_, other.cell_);
+    return detail::owner_less(cell_, generation_, other.cell_, other.generation());
   }
 
  private:
@@ -270,6 +288,16 @@ class ShmWeakPtr {
   ShmWeakPtr(T* object, detail::ControlCell* cell, std::uint32_t generation) noexcept
       : object_(object), cell_(cell), generation_(generation) {
     if (cell_ != nullptr) cell_->hub->weak_count(cell_, 1);
+  }
+  /// A conversion to a virtual base reads the object, which must be alive for that: of a dead one
+  /// it is null.
+  template <class U>
+  U* object_as() const noexcept {
+    if constexpr (std::is_same_v<std::remove_cv_t<T>, std::remove_cv_t<U>>) {
+      return object_;
+    } else {
+      return lock().get();
+    }
   }
 
   T* object_ = nullptr;

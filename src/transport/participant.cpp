@@ -241,8 +241,7 @@ void Participant::fill_hub() noexcept {
     if (p.inert_) return false;
     p.enter();
     segment::BlockWords& words = p.segment_.block(c->block);
-    const bool alive = !p.left_.load(std::memory_order_seq_cst) &&
-                       p.holder_.own.acquire_weak(words, c->hold, generation);
+    const bool alive = !p.has_left() && p.holder_.own.acquire_weak(words, c->hold, generation);
     if (alive && (c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
       words.home_points.store(1, std::memory_order_relaxed);
     }
@@ -270,6 +269,14 @@ void Participant::fill_hub() noexcept {
       n += static_cast<std::size_t>(std::popcount(holders));
     }
     return n;
+  };
+  hub_.expired = [](const detail::ControlCell* c, std::uint32_t generation) noexcept {
+    Participant& p = of(c);
+    return p.inert_ || p.has_left() || p.hub_.generation(c) != generation;
+  };
+  hub_.alone = [](const detail::ControlCell* c) noexcept {
+    const Participant& p = of(c);
+    return !p.inert_ && p.is_alone(*c);
   };
   hub_.base = [](const detail::ControlCell* c) noexcept -> const unsigned char* {
     return of(c).segment_.base();
@@ -336,6 +343,33 @@ void Participant::drop_pointer(detail::ControlCell& cell) noexcept {
   }
 }
 
+/// What other threads and processes have read was read before this says yes: each hold that goes is
+/// released, and acquired here.
+bool Participant::is_alone(const detail::ControlCell& cell) const noexcept {
+  // A ring's hold stands while the ring has the message, and until no hazard names it (I1).
+  const std::uint64_t v = cell.hold.load(std::memory_order_acquire);  // O4
+  if ((v & hold::kHolds) != hold::kPointer) return false;
+  const segment::BlockWords& words = segment_.block(cell.block);
+  const std::uint64_t life = words.life.load(std::memory_order_acquire);  // O2
+  std::uint32_t maker = index();
+  // The home's bit stands as long as it has the memory, whether it looks at the message or not. It
+  // does not when the message was taken from a queue for one reader, and not pushed since.
+  if ((v & hold::kHome) == 0 && segment_.arena(cell.block).was_handed_over()) {
+    const std::uint32_t home = words.home.load(std::memory_order_relaxed);
+    if (home > refcount::kHomeOrphanage) maker = home - 1;
+  }
+  for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
+    std::uint64_t holders = words.own[w].load(std::memory_order_acquire);  // O1
+    for (const std::uint32_t k : {index(), maker}) {
+      if (k / segment::Atomics::kBitsPerWord == w) holders &= ~HardwareOwnership::bit(k);
+    }
+    if (holders != 0) return false;
+  }
+  // A hold that has moved behind the search has bumped the version (I3), which the bit that it has
+  // left behind carries: relaxed.
+  return words.life.load(std::memory_order_relaxed) == life;
+}
+
 /// Between enter() and exit() the participant neither leaves nor goes away. REQUIRES: the caller
 /// has a pointer or a weak pointer of it.
 void Participant::enter() noexcept {
@@ -359,6 +393,12 @@ void Participant::exit() noexcept {
 void Participant::drop_reference() noexcept {
   const std::uint64_t left = life_.fetch_sub(kReference, std::memory_order_acq_rel) - kReference;
   if ((left & kReferences) == 0) delete this;
+}
+
+bool Participant::has_left() noexcept {
+  if (!left_.load(std::memory_order_seq_cst)) return false;
+  const std::lock_guard guard(leave_mutex_);  // the thread that has set it may take it back
+  return left_.load(std::memory_order_relaxed);
 }
 
 void Participant::leave_if_unused() noexcept {

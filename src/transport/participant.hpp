@@ -191,6 +191,9 @@ class Participant {
   void exit() noexcept;
   void drop_reference() noexcept;
   void leave_if_unused() noexcept;
+  bool has_left() noexcept;
+  /// Whether this process's one pointer is all that can see the message.
+  bool is_alone(const detail::ControlCell& cell) const noexcept;
   bool holds_pointers() noexcept;
   bool has_orphan_rings() noexcept;
   bool has_deserted_ring() noexcept;

@@ -359,7 +359,8 @@ TEST_CASE("use_count says one for each other process that has pointers") {
     end.tell();
     CHECK(first.wait() == 0);
     CHECK(second.wait() == 0);
-    CHECK(s.unique());
+    CHECK(s.use_count() == 1);
+    CHECK_FALSE(s.unique());  // the queue has it
     s.reset();
     CHECK(!w.expired());  // the queue has it
   }
@@ -402,7 +403,7 @@ TEST_CASE("a kept message outlives its subscription, its publisher and its publi
       std::this_thread::sleep_for(1300ms);
       CHECK(kept->number == 7);
       CHECK(kept->text == lot::ShmString(100000, 'x'));
-      CHECK(kept.unique());
+      CHECK(eventually([&] { return kept.unique(); }));
       // It can still be sent.
       auto pusher = engine.advertise<Text>("/again");
       auto puller = engine.subscribe<Text>("/again");
@@ -492,6 +493,39 @@ TEST_CASE("messages give back what they held when they come home") {
   target->text = "kept by nobody";
   target.reset();
   CHECK(watch.expired());
+}
+
+TEST_CASE("the next message in a dead one's memory has another owner") {
+  Place place;
+  Shared first = place.make(1);
+  const Pair* const address = first.get();
+  const Weak dead = first;
+  const Weak same = dead;
+  first.reset();
+  std::vector<Shared> more;
+  while (more.empty() || more.back().get() != address) {
+    REQUIRE(more.size() < 1000);
+    more.push_back(place.make(2));
+  }
+  const Shared& living = more.back();
+  const Weak other = living;
+  CHECK(same_owner(dead, same));
+  CHECK(same_owner(living, other));
+  CHECK_FALSE(same_owner(dead, other));
+  CHECK_FALSE(same_owner(dead, living));
+  CHECK(dead.owner_before(other) == dead.owner_before(living));
+  CHECK(other.owner_before(dead) == living.owner_before(dead));
+  const Weak none;
+  CHECK(same_owner(none, Shared()));
+  CHECK_FALSE(same_owner(none, dead));
+
+  std::map<Weak, int, OwnerLess> by_owner;
+  by_owner[dead] = 1;
+  CHECK(by_owner.emplace(living, 2).second);
+  for (const Shared& s : more) by_owner.emplace(s, 3);
+  CHECK(by_owner.size() == more.size() + 1);
+  CHECK(by_owner.at(same) == 1);
+  CHECK(by_owner.at(other) == 2);
 }
 
 TEST_CASE("a push of what is not the whole message is refused, on a topic and in a queue") {
@@ -643,6 +677,146 @@ TEST_CASE("an item that one reader takes grows after it was put and taken") {
   text = second.wait_and_pop();
   text->text.assign(100000, 'b');
   CHECK(text->text.size() == 100000);
+}
+
+TEST_CASE("unique() is false while a queue, a reader or a message has the message") {
+  Place place;
+  auto pusher = place.engine->advertise<Pair>("/t", {lot::Policy::Overwrite, 1, 1s});
+  auto refers = place.engine->advertise<Linked>("/l", {lot::Policy::Overwrite, 1, 1s});
+  Shared s = place.make(1);
+  CHECK(s.unique());
+  {
+    auto puller = place.engine->subscribe<Pair>("/t");
+    pusher.push(s);
+    CHECK(s.use_count() == 1);
+    CHECK_FALSE(s.unique());
+    auto borrow = puller.try_borrow();
+    REQUIRE(borrow);
+    for (std::uint64_t n = 0; n < 200; ++n) pusher.push(pusher.loan(n, n));
+    CHECK(s.use_count() == 1);
+    CHECK_FALSE(s.unique());  // the borrow
+    CHECK(borrow->a == 1);
+  }
+  for (std::uint64_t n = 0; n < 200; ++n) pusher.push(pusher.loan(n, n));
+  CHECK(s.unique());
+  const Shared copy = s;
+  CHECK_FALSE(s.unique());
+
+  lot::ShmSharedPtr<Linked> target = place.engine->make<Linked>();
+  {
+    auto message = refers.loan();
+    message->next = target;
+    CHECK(target.use_count() == 1);
+    CHECK_FALSE(target.unique());
+  }
+  CHECK(target.unique());
+}
+
+TEST_CASE("unique() is false while another process has the message, and where it was received") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps joined, kept, go, dropped, end;
+  Child reader([&] {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<Pair>("/t");
+    auto items = engine.queue<Unique>("items");
+    items.listen();
+    joined.tell();
+    auto seen = puller.pull(20s);
+    must(bool(seen), "a message");
+    must(!seen.unique(), "its maker may look at it");
+    Shared item = items.wait_and_pop();
+    must(item.unique(), "it was taken, so it is ours alone");
+    {
+      const Shared second = item;
+      must(!item.unique(), "two pointers");
+    }
+    must(item.unique(), "one again");
+    auto pusher = engine.advertise<Pair>("/items");
+    pusher.push(item);
+    must(!item.unique(), "it is in a queue");
+    kept.tell();
+    must(go.next() == '.', "go on");
+    seen.reset();
+    dropped.tell();
+    must(end.next() == '.', "the end");
+  });
+  REQUIRE(joined.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Pair>("/t", {lot::Policy::Overwrite, 1, 1s});
+    auto items = engine.queue<Unique>("items");
+    REQUIRE(pusher.wait_for_readers(1, 10s));
+    const Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
+    pusher.push(s);
+    items.put(items.make());
+    REQUIRE(kept.next() == '.');
+    for (std::uint64_t n = 0; n < 200; ++n) pusher.push(pusher.loan(n, n));
+    CHECK_FALSE(s.unique());
+    go.tell();
+    REQUIRE(dropped.next() == '.');
+    CHECK(s.unique());
+    end.tell();
+    CHECK(reader.wait() == 0);
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a dead weak pointer converts to a virtual base without a look at the memory") {
+  Place place;
+  lot::ShmSharedPtr<Virtual> object = place.engine->make<Virtual>();
+  object->number = 7;
+  const lot::ShmWeakPtr<Virtual> weak = object;
+  const lot::ShmWeakPtr<Base> base = weak;
+  REQUIRE(base.lock());
+  CHECK(base.lock()->number == 7);
+  const void* const address = object.get();
+  object.reset();
+  std::vector<Shared> more;  // pointers into nowhere lie where the object's table was
+  while (more.empty() || more.back().get() != address) {
+    REQUIRE(more.size() < 1000);
+    more.push_back(place.make(0x4141414141414141));
+  }
+  const lot::ShmWeakPtr<Base> dead = weak;
+  CHECK(dead.expired());
+  CHECK(dead.lock() == nullptr);
+  CHECK(same_owner(dead, base));
+  CHECK(same_owner(dead, weak));
+  CHECK_FALSE(same_owner(dead, more.back()));
+}
+
+TEST_CASE("a weak pointer of a process that has left has expired, though the message lives") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps joined, end;
+  Child maker([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Pair>("/t");
+    const Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
+    must(pusher.wait_for_readers(1, 20s), "a reader");
+    pusher.push(s);
+    must(end.next() == '.', "the end");
+    must(s->a == 1, "the message lives");
+  });
+  lot::ShmWeakPtr<const Pair> seen;
+  {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<Pair>("/t");
+    const auto message = puller.pull(20s);
+    REQUIRE(message);
+    seen = message;
+    CHECK(!seen.expired());
+  }
+  CHECK(seen.expired());
+  CHECK(seen.lock() == nullptr);
+  CHECK(seen.use_count() == 0);
+  {
+    const lot::ShmEngine again(options);  // another membership
+    CHECK(seen.expired());
+    CHECK(seen.lock() == nullptr);
+  }
+  end.tell();
+  CHECK(maker.wait() == 0);
 }
 
 TEST_SUITE_END();

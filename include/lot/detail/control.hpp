@@ -26,6 +26,10 @@ struct Hub {
   const char* (*path)(const ControlCell*) noexcept;  ///< of the segment
   std::uint64_t (*instance)(
       const ControlCell*) noexcept;  ///< of the segment: which one of its name
+  /// True when the message of a weak pointer has died, or its process has left the segment.
+  bool (*expired)(const ControlCell*, std::uint32_t generation) noexcept;
+  /// True when there is one pointer to the message, and no queue, reader or other process has it.
+  bool (*alone)(const ControlCell*) noexcept;
   const unsigned char* (*base)(const ControlCell*) noexcept;  ///< where it has mapped the segment
 };
 
