@@ -375,8 +375,8 @@ class Puller final : public detail::PullerCore {
     // A publisher that shares our core gets ahead instead of waking us for each message.
     if (streaming && (!deadline || futex::Clock::now() < *deadline) && yield_.worthwhile()) {
       settle();  // else a publisher may sleep that waits for room
-      yield_.yield();
-      if (yield_.found(look(borrowed))) return Status::Ok;
+      const auto away = YieldHabit::yield();
+      if (yield_.found(look(borrowed), away)) return Status::Ok;
     }
     for (;;) {
       const bool in_time = park(deadline);

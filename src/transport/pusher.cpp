@@ -447,10 +447,10 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     if (futex::Clock::now() < until && yield_.worthwhile()) {
       alone.unlock();
       lock.unlock();
-      yield_.yield();
+      const auto away = YieldHabit::yield();
       lock.lock();
       alone.lock();
-      if (yield_.found(writer_->room())) return true;
+      if (yield_.found(writer_->room(), away)) return true;
     }
     for (unsigned look = 1;; ++look) {
       const auto value = ring::wait_for_room(*writer_, [this] { return writer_->room(); });

@@ -91,14 +91,16 @@ class YieldHabit {
   /// Asked once in each wait.
   bool worthwhile() noexcept { return habit_.worthwhile(); }
 
-  void yield() noexcept {
+  /// How long the core was away. Touches nothing of the habit: threads of one pusher do this at
+  /// once, without the lock that they have for all else.
+  static futex::Clock::duration yield() noexcept {
     const auto start = futex::Clock::now();
     std::this_thread::yield();
-    was_long_ = futex::Clock::now() - start >= kLong;
+    return futex::Clock::now() - start;
   }
-  /// Whether there was then what is waited for; hands that back.
-  bool found(bool is_there) noexcept {
-    habit_.tried(is_there && !was_long_);
+  /// Whether there was what is waited for, after a yield of so long; hands that back.
+  bool found(bool is_there, futex::Clock::duration away) noexcept {
+    habit_.tried(is_there && away < kLong);
     return is_there;
   }
 
@@ -106,7 +108,6 @@ class YieldHabit {
   static constexpr auto kLong = std::chrono::microseconds(500);  ///< others' slices are longer
 
   Habit habit_;
-  bool was_long_ = false;
 };
 
 }  // namespace lot::transport

@@ -22,6 +22,10 @@ using namespace std::chrono_literals;
 
 constexpr unsigned kPollsPerClock = 64;
 
+// Edges
+//   W1  stop_ = 1 (exchange, release) in stop() -> exchange (acquire) in take_stop()
+//       carries: what the thread, or the signal handler, wrote before stop() is there when run()
+//       has returned.
 class WaitSetCore {
  public:
   explicit WaitSetCore(Wait wait) : habit_(wait) {}
@@ -46,11 +50,16 @@ class WaitSetCore {
     }
   }
 
+  /// Relaxed: take_stop() follows, which acquires.
   bool stopped() const noexcept { return stop_.load(std::memory_order_relaxed) != 0; }
-  /// True once for each stop.
-  bool take_stop() noexcept { return stop_.exchange(0, std::memory_order_relaxed) != 0; }
+  /// True once for each stop, or once for several.
+  bool take_stop() noexcept {
+    return stopped() && stop_.exchange(0, std::memory_order_acquire) != 0;  // W1
+  }
+  /// Only what a signal handler may do.
   void stop() noexcept {
-    stop_.store(1, std::memory_order_relaxed);  // carries nothing
+    // W1. An exchange, so that it carries on what an earlier stop of another thread has released.
+    stop_.exchange(1, std::memory_order_release);
     futex::wake_all(&stop_);
   }
 
@@ -148,7 +157,9 @@ class WaitSetCore {
   std::list<Timer> timers_;
   std::uint64_t last_timer_ = 0;
   FutexWaits waits_;
-  std::atomic<std::uint32_t> stop_{0};  ///< futex: 1 = stop() was called
+  /// Futex: 1 = stop() was called. Any thread and signal handlers set it, the thread that runs
+  /// takes it back. Seen late, it costs another look.
+  std::atomic<std::uint32_t> stop_{0};
 };
 
 }  // namespace detail
