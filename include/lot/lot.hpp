@@ -3,6 +3,7 @@
 
 /// Everything of LOT's interface.
 #include "lot/compliance.hpp"     // IWYU pragma: export
+#include "lot/duration.hpp"       // IWYU pragma: export
 #include "lot/engine.hpp"         // IWYU pragma: export
 #include "lot/error.hpp"          // IWYU pragma: export
 #include "lot/message.hpp"        // IWYU pragma: export

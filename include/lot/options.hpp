@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <string>
 
+#include "lot/duration.hpp"
+
 namespace lot {
 
 /// Which segment an engine uses, and how it is made when it is absent. What the environment says
@@ -43,7 +45,7 @@ struct PusherOptions {
   /// Messages that the queue holds at most. Under Overwrite it may hold fewer while the segment is
   /// short of memory.
   std::uint32_t depth = 64;
-  std::chrono::nanoseconds block_for = std::chrono::seconds(1);
+  Duration block_for = std::chrono::seconds(1);
   /// LOT_QUEUE=ring or LOT_QUEUE=mutex in the environment comes before it, for every topic.
   QueueEngine engine = QueueEngine::Ring;
 };

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <chrono>
 #include <cstdint>
 #include <memory>
 #include <utility>
 
 #include "lot/detail/core.hpp"
+#include "lot/duration.hpp"
 #include "lot/pointers.hpp"
 
 namespace lot {
@@ -71,22 +71,16 @@ class ShmPuller {
 
   /// The next message, or null; status() says why, missed() how many were lost before it.
   ShmSharedPtr<const T> try_pull() { return pull_kept(false, {}, false); }
-  ShmSharedPtr<const T> pull(std::chrono::nanoseconds timeout) {
+  ShmSharedPtr<const T> pull(Duration timeout) {
     return pull_kept(true, detail::after(timeout), false);
   }
-  ShmSharedPtr<const T> pull_until(std::chrono::steady_clock::time_point deadline) {
-    return pull_kept(true, deadline, false);
-  }
+  ShmSharedPtr<const T> pull_until(Deadline deadline) { return pull_kept(true, deadline, false); }
   /// Waits for ever.
   ShmSharedPtr<const T> pull() { return pull_kept(true, {}, true); }
 
   ShmBorrow<T> try_borrow() { return look(false, {}, false); }
-  ShmBorrow<T> borrow(std::chrono::nanoseconds timeout) {
-    return look(true, detail::after(timeout), false);
-  }
-  ShmBorrow<T> borrow_until(std::chrono::steady_clock::time_point deadline) {
-    return look(true, deadline, false);
-  }
+  ShmBorrow<T> borrow(Duration timeout) { return look(true, detail::after(timeout), false); }
+  ShmBorrow<T> borrow_until(Deadline deadline) { return look(true, deadline, false); }
   ShmBorrow<T> borrow() { return look(true, {}, true); }
 
   /// How the last pull or borrow ended: Ok, Empty, Timeout or PublisherGone.

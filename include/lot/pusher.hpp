@@ -7,6 +7,7 @@
 
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
+#include "lot/duration.hpp"
 #include "lot/pointers.hpp"
 #include "lot/type_identity.hpp"
 
@@ -89,7 +90,7 @@ class ShmPusher {
   /// (or `block_for`); Status::Full then, and the message stays with the caller. Else always
   /// Status::Ok.
   Status push(ShmUniquePtr<T>&& message) { return push(std::move(message), block_for_); }
-  Status push(ShmUniquePtr<T>&& message, std::chrono::nanoseconds block_for) {
+  Status push(ShmUniquePtr<T>&& message, Duration block_for) {
     const Status status = core_->push_unique(detail::PointerAccess::cell(message), block_for);
     if (status == Status::Ok) detail::PointerAccess::take(message);
     return status;
@@ -106,18 +107,18 @@ class ShmPusher {
   /// whole message: to a part of it, to private memory, to nothing. In the process that made the
   /// message its type is compared, too; in others, the place and that a T fits there.
   Status push(const ShmSharedPtr<const T>& message) { return push(message, block_for_); }
-  Status push(const ShmSharedPtr<const T>& message, std::chrono::nanoseconds block_for) {
+  Status push(const ShmSharedPtr<const T>& message, Duration block_for) {
     return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
   }
   Status push(const ShmSharedPtr<T>& message) { return push(message, block_for_); }
-  Status push(const ShmSharedPtr<T>& message, std::chrono::nanoseconds block_for) {
+  Status push(const ShmSharedPtr<T>& message, Duration block_for) {
     return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
   }
 
   /// Subscribers that read this publisher: each gets what is pushed from now on, also one that has
   /// not looked yet.
   std::size_t readers() const { return core_->readers(); }
-  bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) {
+  bool wait_for_readers(std::size_t count, Duration timeout) {
     return core_->wait_for_readers(count, timeout);
   }
   /// Makes memory for `count` messages of `bytes` each and touches it, so that the first frames are

@@ -12,6 +12,7 @@
 
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
+#include "lot/duration.hpp"
 #include "lot/options.hpp"
 #include "lot/pointers.hpp"
 #include "lot/pusher.hpp"
@@ -134,13 +135,13 @@ class ShmQueue {
 
   Status put(const T& item) { return put_until(item, detail::after(kForever)); }
   Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }
-  Status put_for(const T& item, std::chrono::nanoseconds timeout) {
+  Status put_for(const T& item, Duration timeout) {
     return put_until(item, detail::after(timeout));
   }
-  Status put_for(T&& item, std::chrono::nanoseconds timeout) {
+  Status put_for(T&& item, Duration timeout) {
     return put_until(std::move(item), detail::after(timeout));
   }
-  Status put_until(const T& item, Clock::time_point deadline) {
+  Status put_until(const T& item, Deadline deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
       return core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
     } else {
@@ -149,7 +150,7 @@ class ShmQueue {
       return put_made(make(item), deadline);
     }
   }
-  Status put_until(T&& item, Clock::time_point deadline) {
+  Status put_until(T&& item, Deadline deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
       const Status status =
           core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
@@ -177,10 +178,10 @@ class ShmQueue {
     core_->pop(item, detail::QueueCore::Wait::Forever, {});
     return Item::from(item);
   }
-  std::optional<T> wait_and_pop_for(std::chrono::nanoseconds timeout) {
+  std::optional<T> wait_and_pop_for(Duration timeout) {
     return wait_and_pop_until(detail::after(timeout));
   }
-  std::optional<T> wait_and_pop_until(Clock::time_point deadline) {
+  std::optional<T> wait_and_pop_until(Deadline deadline) {
     detail::Borrowed item;
     if (!core_->pop(item, detail::QueueCore::Wait::Until, deadline)) return std::nullopt;
     return Item::from(item);

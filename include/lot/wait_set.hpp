@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -12,6 +11,7 @@
 #include <vector>
 
 #include "lot/detail/core.hpp"
+#include "lot/duration.hpp"
 #include "lot/options.hpp"
 #include "lot/puller.hpp"
 
@@ -61,18 +61,20 @@ class WaitSet {
     remove(*puller.core_);
   }
 
-  /// Calls `handler` every `period`, or once. Periods that were slept through are left out.
-  Timer add_timer(std::chrono::nanoseconds period, Handler handler);
-  Timer add_timer_once(std::chrono::nanoseconds delay, Handler handler);
+  /// Calls `handler` every `period`, or once. Periods that were slept through are left out. A timer
+  /// that a handler adds is called in the next round at the earliest, also after a negative delay.
+  Timer add_timer(Duration period, Handler handler);
+  Timer add_timer_once(Duration delay, Handler handler);
   void remove(Timer timer);
 
   /// Calls handlers until stop().
   void run();
   /// Waits until something can be done, or the time is up, and does it: the number of handlers that
   /// were called. 0 as well when stop() was called.
-  std::size_t run_once(std::chrono::nanoseconds timeout);
+  std::size_t run_once(Duration timeout);
 
-  /// Ends run() after the handler that is at work, or the next run() at once.
+  /// Ends run() after the handler that is at work, or the next run() at once. What was written
+  /// before it is seen after run().
   void stop() noexcept;
 
   // The untyped halves of pullers: the library's own business.

@@ -17,9 +17,11 @@
 namespace lot::futex {
 namespace {
 
+/// A time before the epoch has passed as surely as the epoch itself; of negative seconds the kernel
+/// says EINVAL, and the sleep would end as if by a wake, again and again.
 timespec to_timespec(Clock::time_point at) {
-  const auto ns =
-      std::chrono::duration_cast<std::chrono::nanoseconds>(at.time_since_epoch()).count();
+  const std::chrono::nanoseconds since = std::max(at, Clock::time_point()).time_since_epoch();
+  const auto ns = since.count();
   return {static_cast<time_t>(ns / 1'000'000'000), static_cast<long>(ns % 1'000'000'000)};
 }
 

@@ -13,7 +13,8 @@
 /// Sleeping on a word in shared memory until another process wakes it.
 ///
 /// Always shared futexes: a private one does not wake another process. Deadlines are on the steady
-/// clock. A sleep may end for nothing; the caller looks again.
+/// clock; every time_point is one, also those before the epoch, which have passed. A sleep may end
+/// for nothing; the caller looks again.
 ///
 /// Threads: all functions may be called at once.
 /// Crash:   a sleeper that is killed leaves nothing behind.

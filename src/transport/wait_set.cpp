@@ -97,8 +97,11 @@ class WaitSetCore {
   std::size_t call_timers() {
     std::size_t called = 0;
     const auto now = Clock::now();
+    const WaitSet::Timer last{last_timer_};
     for (auto t = timers_.begin(); t != timers_.end(); ++t) {  // handlers may add: a list stays
-      if (t->removed || t->next > now) continue;
+      // One that a handler adds meanwhile is not for now, be it overdue: else a handler that adds
+      // such a one each time would be all that is called.
+      if (t->removed || t->next > now || t->name > last) continue;
       if (t->period.count() == 0) {
         t->removed = true;
       } else {
@@ -182,7 +185,7 @@ void WaitSet::add(detail::PullerCore& puller, Handler handler) {
 }
 void WaitSet::remove(detail::PullerCore& puller) { core_->remove(puller); }
 
-WaitSet::Timer WaitSet::add_timer(std::chrono::nanoseconds period, Handler handler) {
+WaitSet::Timer WaitSet::add_timer(Duration period, Handler handler) {
   if (period.count() <= 0) {
     throw Error(EINVAL, "WaitSet::add_timer", "a period must be longer than nothing",
                 "use add_timer_once() for what is to be done once");
@@ -190,7 +193,7 @@ WaitSet::Timer WaitSet::add_timer(std::chrono::nanoseconds period, Handler handl
   check(handler);
   return core_->add(period, period, std::move(handler));
 }
-WaitSet::Timer WaitSet::add_timer_once(std::chrono::nanoseconds delay, Handler handler) {
+WaitSet::Timer WaitSet::add_timer_once(Duration delay, Handler handler) {
   check(handler);
   return core_->add(delay, std::chrono::nanoseconds(0), std::move(handler));
 }
@@ -200,7 +203,7 @@ void WaitSet::run() {
   while (core_->run_once({})) {
   }
 }
-std::size_t WaitSet::run_once(std::chrono::nanoseconds timeout) {
+std::size_t WaitSet::run_once(Duration timeout) {
   return core_->run_once(detail::after(timeout)).value_or(0);
 }
 void WaitSet::stop() noexcept { core_->stop(); }

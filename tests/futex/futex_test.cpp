@@ -145,6 +145,41 @@ TEST_CASE_FIXTURE(Fixture, "a deadline that lies in the past ends the sleep at o
   CHECK_FALSE(futex::wait_any(waits, deadline));
 }
 
+TEST_CASE_FIXTURE(Fixture, "a deadline before the epoch has passed, however many words there are") {
+  const futex::Clock::time_point epoch;
+  const auto all_say_no = [&] {
+    bool none = true;
+    for (const auto at : {futex::Clock::time_point::min(), epoch - 24h * 30, epoch - 1ns, epoch}) {
+      none = none && !futex::wait(&shared->words[0], 0, at);
+      for (const std::size_t count : {1UL, 2UL, futex::kMaxWords, 3 * futex::kMaxWords}) {
+        none = none && !futex::wait_any(FutexWaits(count, {&shared->words[0], 0}), at);
+      }
+    }
+    return none;
+  };
+  CHECK(all_say_no());
+  const pid_t child = in_child([&] {
+    if (!lot::testing::forget_futex_waitv()) _exit(1);
+    if (!all_say_no()) _exit(2);
+  });
+  CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "the last deadline that there is never passes") {
+  for (const std::size_t count : {1UL, 2UL, futex::kMaxWords, 3 * futex::kMaxWords}) {
+    CAPTURE(count);
+    set(shared->words[1], 0);
+    const pid_t child = in_child([this] {
+      usleep(5'000);
+      set(shared->words[1], 1);
+    });
+    FutexWaits waits(count, {&shared->words[0], 0});
+    waits.back() = {&shared->words[1], 0};
+    while (shared->words[1] == 0) CHECK(futex::wait_any(waits, futex::Clock::time_point::max()));
+    CHECK(status_of(child) == 0);
+  }
+}
+
 TEST_CASE_FIXTURE(Fixture, "a wake that comes in time beats the deadline") {
   const pid_t child = in_child([this] {
     usleep(5'000);

@@ -25,9 +25,11 @@ namespace lot::detail {
 
 using Clock = std::chrono::steady_clock;
 
-/// So much later, or a year, if that is sooner: nanoseconds::max() is a way to say "for ever".
+/// So much later; the last time_point, where that would be after it: nanoseconds::max() is a way to
+/// say "for ever".
 inline Clock::time_point after(std::chrono::nanoseconds timeout) {
-  return Clock::now() + std::min<std::chrono::nanoseconds>(timeout, std::chrono::hours(24 * 365));
+  const auto now = Clock::now();  // not before the epoch, so only the other end can be passed
+  return timeout < Clock::time_point::max() - now ? now + timeout : Clock::time_point::max();
 }
 
 /// Where a message is to be built.
