@@ -6,6 +6,7 @@
 #include <fcntl.h>
 #include <thread>
 #include <unistd.h>
+#include <utility>
 
 #include "lot/error.hpp"
 
@@ -16,6 +17,8 @@ namespace {
 
 /// Hundreds that wait at the gate must not keep who is in it from the processor.
 constexpr std::chrono::milliseconds kLongestPause{16};
+/// So much longer than meant a pause may be, and counts wholly.
+constexpr int kMostOversleep = 2;
 
 struct flock byte_range(short type, std::uint32_t first, std::uint32_t count) {
   struct flock range {};
@@ -75,7 +78,7 @@ bool LockFile::held_by_other(std::uint32_t first, std::uint32_t count) const noe
 
 bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
   using Clock = std::chrono::steady_clock;
-  auto since = Clock::now();  // somebody has had this turn
+  Clock::duration waited{};  // while somebody has had this turn
   std::uint32_t turn = 0;
   auto pause = std::chrono::milliseconds(1);
   while (!try_lock(kGate)) {
@@ -88,18 +91,19 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
     }
     if (const std::uint32_t now = this->turn(); now != turn) {
       turn = now;
-      since = Clock::now();
+      waited = {};
     }
-    if (Clock::now() - since >= timeout) {
+    if (waited >= timeout) {
       throw Error(
           EBUSY, path_, "another process has been opening or closing the segment all the time",
           "look for a stopped process that uses it (state T in ps) and continue or kill it");
     }
+    const auto before = Clock::now();
     std::this_thread::sleep_for(pause);
+    waited += std::min<Clock::duration>(Clock::now() - before, kMostOversleep * pause);
     pause = std::min(2 * pause, kLongestPause);
   }
-  try_lock(kFirstTurn +
-           static_cast<std::uint32_t>(Clock::now().time_since_epoch().count()) % kTurns);
+  take_turn();
   struct stat named {};
   if (stat(path_.c_str(), &named) == 0 && named.st_dev == device_ && named.st_ino == inode_) {
     return true;
@@ -108,7 +112,19 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
   return false;
 }
 
-void LockFile::leave_gate() noexcept { unlock(kGate, 1 + kTurns); }
+void LockFile::take_turn() noexcept {
+  const auto now = std::chrono::steady_clock::now().time_since_epoch().count();
+  const std::uint32_t before =
+      std::exchange(turn_, kFirstTurn + static_cast<std::uint32_t>(now) % kTurns);
+  if (before == turn_) return;  // once in 65536 times
+  if (before != 0) unlock(before);
+  try_lock(turn_);
+}
+
+void LockFile::leave_gate() noexcept {
+  turn_ = 0;
+  unlock(kGate, 1 + kTurns);
+}
 
 std::uint32_t LockFile::turn() const noexcept {
   struct flock held = byte_range(F_WRLCK, kFirstTurn, kTurns);

@@ -43,10 +43,16 @@ class LockFile {
   /// True when somebody else holds a byte of [first, first + count).
   bool held_by_other(std::uint32_t first, std::uint32_t count = 1) const noexcept;
 
-  /// Takes the gate; throws lot::Error when one process has it for longer than `timeout`: where
+  /// Takes the gate; throws lot::Error when one turn there takes longer than `timeout`: where
   /// hundreds start at once, each waits for the others' turns. Returns false when the file was
   /// removed meanwhile: open it again.
+  ///
+  /// Only time in which we look counts: where the machine is so busy that we come to look seldom,
+  /// who has the gate comes to its work as seldom.
   bool enter_gate(std::chrono::milliseconds timeout);
+  /// Another turn, said between two steps in the gate: who waits sees that we are at work, and not
+  /// stopped, and has its patience anew. REQUIRES: the gate.
+  void take_turn() noexcept;
   void leave_gate() noexcept;
 
   /// False when the descriptor was closed behind our back (closefrom) and our locks are gone.
@@ -65,6 +71,7 @@ class LockFile {
 
   std::string path_;
   std::atomic<int> fd_;
+  std::uint32_t turn_ = 0;  ///< ours, while we have the gate; 0: none
   dev_t device_ = 0;
   ino_t inode_ = 0;
 };

@@ -161,6 +161,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
                                  options.permissions);
       }
       ours = true;
+      lock_file.take_turn();
       auto* p = new Participant(options, file);
       std::shared_ptr<Participant> handle(p, &handle_gone);
       const std::lock_guard guard(process().mutex);
@@ -198,7 +199,9 @@ Participant::Participant(const EngineOptions& options,
   pools_.reserve(segment_.capacity().channels + 64);
   watched_.reserve(futex::kMaxWords);
   try {
+    lock_file_->take_turn();
     holder_.own.self = take_index(options);
+    lock_file_->take_turn();
     holder_.next_free = (blocks / segment_.capacity().participants) * holder_.own.self;
     start_warden();
   } catch (...) {

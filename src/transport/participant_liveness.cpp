@@ -65,6 +65,7 @@ std::optional<std::uint32_t> Participant::try_take_index() {
       if (!clean && enter_orphanage()) {  // a dead one is in there
         Recovery(*this).reap(k);
         leave_orphanage();
+        lock_file_->take_turn();
         clean = true;
       }
       witness.unlock();
@@ -125,8 +126,10 @@ void Participant::warden() {
     const auto until = futex::Clock::now() + kOrphanagePatience;
     while (!reaped && futex::Clock::now() < until) {
       if (enter_orphanage()) {
+        if (in_gate) lock_file_->take_turn();
         Recovery(*this).reap(index());
         leave_orphanage();
+        if (in_gate) lock_file_->take_turn();
         reaped = true;
       } else {
         std::this_thread::sleep_for(1ms);

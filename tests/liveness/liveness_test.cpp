@@ -53,6 +53,48 @@ TEST_CASE("who waits at the gate waits for as long as it changes hands") {
   unlink(path.c_str());
 }
 
+TEST_CASE("who waits at the gate has patience with one that is at work there, step by step") {
+  const Watchdog watchdog(60);
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  LockFile own(path, 0600);
+  REQUIRE(own.enter_gate(2s));
+  Child waiter([&] {
+    LockFile file(path, 0600);
+    must(file.enter_gate(1s), "the gate");
+    file.leave_gate();
+  });
+  for (int step = 0; step < 200; ++step) {
+    std::this_thread::sleep_for(10ms);
+    own.take_turn();
+  }
+  own.leave_gate();
+  CHECK(waiter.wait() == 0);
+  unlink(path.c_str());
+}
+
+TEST_CASE("who was stopped while it waited at the gate has not waited for that time") {
+  const Watchdog watchdog(60);
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  LockFile own(path, 0600);
+  REQUIRE(own.enter_gate(2s));
+  Steps begun;
+  Child waiter([&] {
+    LockFile file(path, 0600);
+    begun.tell();
+    must(file.enter_gate(1s), "the gate");
+    file.leave_gate();
+  });
+  REQUIRE(begun.next() == '.');
+  std::this_thread::sleep_for(50ms);  // most likely at the gate by now
+  waiter.send(SIGSTOP);
+  std::this_thread::sleep_for(1200ms);
+  waiter.send(SIGCONT);
+  std::this_thread::sleep_for(100ms);
+  own.leave_gate();
+  CHECK(waiter.wait() == 0);
+  unlink(path.c_str());
+}
+
 TEST_CASE("a lock is seen by others, and goes with the process that holds it") {
   const Watchdog watchdog(60);
   const std::string path = "/dev/shm/" + unique_name() + ".lock";
