@@ -83,18 +83,18 @@ struct Ownership {
     std::uint64_t v = h.load(std::memory_order_relaxed);
     for (;;) {
       if ((v & hold::kEdge) != 0) {
-        P::pause();
-        v = h.load(std::memory_order_relaxed);
+        v = await_edge(h, v);
       } else if ((v & hold::kHeld) != 0) {  // the bit stands and has stood all the time
         if (h.compare_exchange_weak(v, v + amount, std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4
           return;
         }
-      } else if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
+      } else if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
                                          std::memory_order_relaxed)) {  // O4
         word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
         b.life.fetch_add(kVersion, std::memory_order_release);     // O2
         h.store(hold::kHeld | amount, std::memory_order_release);  // O4
+        P::passed();
         return;
       }
     }
@@ -106,8 +106,7 @@ struct Ownership {
     std::uint64_t v = h.load(std::memory_order_relaxed);
     for (;;) {
       if ((v & hold::kEdge) != 0) {
-        P::pause();
-        v = h.load(std::memory_order_relaxed);
+        v = await_edge(h, v);
       } else if ((v & hold::kHome) != 0) {
         // The tag in the hold word makes the compare-and-swap fail if the message dies meanwhile.
         // Relaxed: who has a weak pointer has seen the message.
@@ -128,7 +127,7 @@ struct Ownership {
         if (generation_of(b.life.load(std::memory_order_relaxed)) == generation) return true;
         release(b, h, hold::kPointer);
         return false;
-      } else if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
+      } else if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
                                          std::memory_order_relaxed)) {  // O4
         word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
         const std::uint64_t old = b.life.fetch_add(kVersion, std::memory_order_release);  // O2
@@ -136,6 +135,7 @@ struct Ownership {
         // Relaxed: nothing was read.
         if (!alive) word(b, self).fetch_and(~bit(self), std::memory_order_relaxed);
         h.store(alive ? hold::kHeld | hold::kPointer : 0, std::memory_order_release);  // O4
+        P::passed();
         return alive;
       }
     }
@@ -155,13 +155,14 @@ struct Ownership {
     if ((v & hold::kHome) != 0) return true;
     for (;;) {
       if ((v & hold::kHolds) != 0 || (v & hold::kHeld) == 0 || (v & hold::kEdge) != 0) return false;
-      if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
+      if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
                                   std::memory_order_relaxed)) {  // O4
         break;
       }
     }
     word(b, self).fetch_and(~bit(self), std::memory_order_release);  // O1
     h.store(0, std::memory_order_release);                           // O4
+    P::passed();
     return false;
   }
 
@@ -187,8 +188,7 @@ struct Ownership {
     std::uint64_t v = h.load(std::memory_order_relaxed);
     for (;;) {
       if ((v & hold::kEdge) != 0) {
-        P::pause();
-        v = h.load(std::memory_order_relaxed);
+        v = await_edge(h, v);
         continue;
       }
       // Late: another thread took a hold, let it go and has given the block back meanwhile.
@@ -201,7 +201,7 @@ struct Ownership {
         }
         continue;
       }
-      if (h.compare_exchange_weak(v, v | hold::kEdge, std::memory_order_acquire,
+      if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
                                   std::memory_order_relaxed)) {  // O4
         break;
       }
@@ -215,6 +215,7 @@ struct Ownership {
     } else {
       h.store(base | (v & hold::kTagMask), std::memory_order_release);  // O4
     }
+    P::passed();
     return dead;
   }
 
@@ -232,16 +233,15 @@ struct Ownership {
     const std::uint64_t mine = hold::kHome | hold::kHeld | hold::kPointer |
                                hold::tag_of(static_cast<std::uint32_t>(generation));
     std::uint64_t none = 0;
-    // A weak lock or a last release of ours may have the edge for a moment.
+    // A weak lock or a last release of another thread may have the edge for a moment.
     while (!h.compare_exchange_weak(none, mine, std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4
-      if (none != 0 && (none & hold::kEdge) == 0) {  // held here: somebody has overwritten `home`
+      if ((none & hold::kEdge) != 0) none = await_edge(h, none);
+      if (none != 0) {  // held here: another process has overwritten `home`
         P::damage_seen();
         b.home.store(kHomeFree, std::memory_order_release);  // O3
         return false;
       }
-      none = 0;
-      P::pause();
     }
     word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
     return true;
@@ -258,6 +258,20 @@ struct Ownership {
   static void adopt(Words& b) {
     b.own[0].fetch_or(1, std::memory_order_relaxed);
     b.life.fetch_add(kVersion, std::memory_order_release);  // O2: adopting is a hand-over too
+  }
+
+ private:
+  static std::uint64_t edge(std::uint64_t v) { return hold::edge_of(v, P::this_thread()); }
+
+  /// Waits until no thread has the edge; returns the hold word. That takes the few instructions
+  /// that the other thread still has: P::Patience sees to it that this thread runs.
+  static std::uint64_t await_edge(Hold& h, std::uint64_t v) {
+    typename P::Patience patience;
+    do {
+      patience.wait(hold::edge_thread(v));
+      v = h.load(std::memory_order_relaxed);
+    } while ((v & hold::kEdge) != 0);
+    return v;
   }
 };
 

@@ -1,15 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "transport/biased_lock.hpp"
 
-#include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <linux/membarrier.h>
 #include <sys/syscall.h>
-#include <thread>
 #include <unistd.h>
 
-#include "lot/detail/atomics.hpp"
+#include "lot/detail/patience.hpp"
 
 namespace lot::transport {
 namespace {
@@ -39,23 +37,6 @@ bool can_revoke() noexcept {
 /// which takes 10 ms, and seconds on a machine that is overloaded.
 [[maybe_unused]] const bool is_registered_at_start = can_revoke();
 
-/// What one does who finds the lock taken: its holder may share our core.
-class Patience {
- public:
-  void wait() {
-    if (++looks_ < 64) {
-      detail::HardwareAtomics::pause();
-    } else if (looks_ < 128) {
-      std::this_thread::yield();
-    } else {  // a real-time thread must not starve the holder
-      std::this_thread::sleep_for(std::chrono::microseconds(50));
-    }
-  }
-
- private:
-  unsigned looks_ = 0;
-};
-
 }  // namespace
 
 BiasedLock::BiasedLock() noexcept {
@@ -66,9 +47,15 @@ BiasedLock::BiasedLock() noexcept {
 }
 
 void BiasedLock::lock_shared() noexcept {
-  Patience patience;
-  while (taken_.exchange(true, std::memory_order_acquire)) {  // L2
-    while (taken_.load(std::memory_order_relaxed)) patience.wait();
+  const std::uint32_t thread = detail::ThisThread::id();
+  detail::Patience patience;
+  std::uint32_t inside = 0;
+  while (!taken_.compare_exchange_weak(inside, thread, std::memory_order_acquire,
+                                       std::memory_order_relaxed)) {  // L2
+    while (inside != 0) {
+      patience.wait(inside);
+      inside = taken_.load(std::memory_order_relaxed);
+    }
   }
   if (shared_.load(std::memory_order_relaxed)) {
     // Whoever revoked the bias waited for its owner; since then the owner stays out.
@@ -83,7 +70,7 @@ void BiasedLock::lock_shared() noexcept {
     std::fputs("lot: membarrier was registered and fails now\n", stderr);
     std::abort();
   }
-  while (busy_.load(std::memory_order_acquire)) patience.wait();  // L1, L2
+  while (busy_.load(std::memory_order_acquire)) patience.wait(0);  // L1, L2
   owner_.store(kNobody, std::memory_order_relaxed);
 }
 

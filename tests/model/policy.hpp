@@ -292,6 +292,14 @@ struct Policy {
   static constexpr unsigned kBitsPerWord = 2;
 
   static void pause() { rl::yield(1, RL_INFO); }
+  struct Patience {
+    void wait(std::uint32_t thread) {
+      RL_ASSERT(thread != this_thread());
+      pause();
+    }
+  };
+  static std::uint32_t this_thread() { return rl::thread_index() + 1; }
+  static void passed() {}
   /// Set by scenarios that do damage. All others must never see any.
   static inline bool does_damage = false;
   static void damage_seen() { RL_ASSERT(does_damage); }

@@ -4,6 +4,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <unistd.h>
 
 #include <doctest/doctest.h>
 
@@ -12,6 +13,7 @@
 
 // The policy comes first: the algorithm takes its atomics and their memory orders from it.
 #include "refcount/ownership.hpp"
+#include "support/lent_priority.hpp"
 
 namespace {
 
@@ -321,6 +323,63 @@ TEST_CASE_FIXTURE(Block,
   CHECK(home.word == 0);
   CHECK_FALSE(home.holds(words));
   CHECK(generation() == 1);
+}
+
+// ---- threads of one process ---------------------------------------------------------------------
+
+TEST_CASE("the edge names its thread and leaves home and held readable") {
+  const std::uint64_t word = hold::kHome | hold::kHeld | hold::tag_of(0x1fff) | hold::kRing;
+  for (const std::uint32_t thread : {1U, 4711U, (1U << 22) - 1}) {
+    const std::uint64_t edge = hold::edge_of(word, thread);
+    CHECK(hold::edge_thread(edge) == thread);
+    CHECK((edge & (hold::kEdge | hold::kHome | hold::kHeld)) ==
+          (hold::kEdge | hold::kHome | hold::kHeld));
+    CHECK(hold::pointers(edge) == 0);
+  }
+}
+
+TEST_CASE_FIXTURE(Block,
+                  "a thread that waits for the edge lends its priority to the one that has it") {
+  if (const char* reason = lot::test::LentPriority::lacking()) {
+    MESSAGE("skipped: " << std::string(reason));
+    return;
+  }
+  alarm(100);
+  REQUIRE(home.claim(words));
+  std::uint64_t before = 0;
+  const auto enter = [&](Participant& p) {
+    before = p.word;
+    p.word = hold::edge_of(before, HardwareAtomics::this_thread());
+  };
+  const auto leave = [&](Participant& p) {
+    p.word.store(before, std::memory_order_release);
+    HardwareAtomics::passed();
+  };
+  const auto turns = [&](Participant& p, const std::function<void()>& want_in) {
+    return lot::test::LentPriority::turns_in_between([&] { enter(p); }, [&] { leave(p); }, want_in);
+  };
+  SUBCASE("to hold the block") {
+    CHECK(turns(other, [&] { other.acquire(words); }) == 0);
+    CHECK(hold::pointers(other.word) == 1);
+  }
+  SUBCASE("to lock a weak pointer") {
+    bool locked = false;
+    CHECK(turns(other, [&] { locked = other.lock(words, 0); }) == 0);
+    CHECK(locked);
+  }
+  SUBCASE("to reclaim the block") {
+    REQUIRE(home.release(words));
+    bool reclaimed = false;
+    CHECK(turns(home, [&] { reclaimed = home.reclaim(words, 0); }) == 0);
+    CHECK(reclaimed);
+  }
+  SUBCASE("to claim the block") {
+    home.give_back(words);
+    bool claimed = false;
+    CHECK(turns(other, [&] { claimed = other.claim(words); }) == 0);
+    CHECK(claimed);
+  }
+  alarm(0);
 }
 
 // ---- the orphanage ------------------------------------------------------------------------------

@@ -13,6 +13,8 @@
 
 #include <doctest/doctest.h>
 
+#include "support/lent_priority.hpp"
+
 using lot::transport::BiasedLock;
 using namespace std::chrono_literals;
 
@@ -95,6 +97,21 @@ TEST_SUITE("transport") {
     if (seconds < 0) MESSAGE("no real-time priority here: not tested");
     // Who only spins uses what the kernel leaves to such threads, 0.95 s of the first one.
     CHECK(seconds < 0.5);
+    alarm(0);
+  }
+
+  TEST_CASE("a thread that waits for the lock lends its priority to the one that has it") {
+    if (const char* reason = lot::test::LentPriority::lacking()) {
+      MESSAGE("skipped: " << std::string(reason));
+      return;
+    }
+    alarm(100);
+    BiasedLock lock;
+    const auto visit = [&] { const std::lock_guard guard(lock); };
+    visit();
+    std::thread(visit).join();  // without a bias from now on
+    CHECK(lot::test::LentPriority::turns_in_between([&] { lock.lock(); }, [&] { lock.unlock(); },
+                                                    visit) == 0);
     alarm(0);
   }
 }

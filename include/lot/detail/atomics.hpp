@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "lot/detail/patience.hpp"
+
 namespace lot::detail {
 
 /// The atomics policy of the library itself: real atomics of the machine.
@@ -28,6 +30,12 @@ struct HardwareAtomics {
     asm volatile("yield");
 #endif
   }
+
+  /// How a thread waits for another one of its process, and how that one is named.
+  using Patience = detail::Patience;
+  static std::uint32_t this_thread() noexcept { return ThisThread::id(); }
+  /// Behind a section in which this thread was named.
+  static void passed() noexcept { ThisThread::passed(); }
 
   /// A step that only somebody else's write into the words can lead to.
   static void damage_seen() noexcept {}

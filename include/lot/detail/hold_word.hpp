@@ -22,19 +22,42 @@ namespace lot::detail {
 ///              lock's compare-and-swap fail on a block that has died meanwhile
 ///  - home:     this process owns the block's memory
 ///  - held:     our ownership bit stands in the shared word
-///  - edge:     some thread is moving the ownership bit; the others spin
+///  - edge:     a thread is moving the ownership bit; the others wait for it
+///
+/// While a thread has the edge the word names it, so that a waiter can lend it its priority:
+///
+///     63                        25 24     3    2    1    0
+///    +----------------------------+--------+----+----+----+
+///    |             0              | thread |home|held|  1 |
+///    +----------------------------+--------+----+----+----+
+///
+/// The edge is taken when this process has no holds on the block, or only the one ring's hold that
+/// the thread itself gives up; and it ends by a plain store. So nothing may be added to the word
+/// or taken from it blindly meanwhile: only a thread with a hold of its own does that
+/// (add_pointer(), release(), drop_pointer()), and while it has that hold no edge can be taken.
+/// `home` and `held` stay readable at any time, and pointers() is 0.
 namespace hold {
 inline constexpr std::uint64_t kEdge = 1;
 inline constexpr std::uint64_t kHeld = 2;
 inline constexpr std::uint64_t kHome = 4;
 inline constexpr unsigned kTagShift = 3;
 inline constexpr std::uint64_t kTagMask = ((std::uint64_t{1} << 13) - 1) << kTagShift;
+inline constexpr unsigned kThreadShift = 3;
+inline constexpr std::uint64_t kThreadMask = ((std::uint64_t{1} << 22) - 1) << kThreadShift;
 inline constexpr std::uint64_t kRing = std::uint64_t{1} << 16;
 inline constexpr std::uint64_t kRingMask = ((std::uint64_t{1} << 20) - 1) << 16;
 inline constexpr std::uint64_t kPointer = std::uint64_t{1} << 36;
 inline constexpr std::uint64_t kHolds = ~((std::uint64_t{1} << 16) - 1);  ///< rings and pointers
 
 constexpr std::uint64_t pointers(std::uint64_t word) { return word >> 36; }
+/// The word while `thread` has the edge. The kernel's thread ids are below 2^22.
+constexpr std::uint64_t edge_of(std::uint64_t word, std::uint32_t thread) {
+  return (word & (kHome | kHeld)) | kEdge | ((std::uint64_t{thread} << kThreadShift) & kThreadMask);
+}
+/// The thread that has the edge. REQUIRES: the edge is taken.
+constexpr std::uint32_t edge_thread(std::uint64_t word) {
+  return static_cast<std::uint32_t>((word & kThreadMask) >> kThreadShift);
+}
 constexpr std::uint64_t tag_of(std::uint32_t generation) {
   return (std::uint64_t{generation} << kTagShift) & kTagMask;
 }

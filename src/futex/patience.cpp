@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "lot/detail/patience.hpp"
+
+#include <cerrno>
+#include <ctime>
+#include <linux/futex.h>
+#include <pthread.h>
+#include <sched.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include "lot/detail/atomics.hpp"
+
+namespace lot::detail {
+namespace {
+
+constexpr unsigned kPauses = 100;
+constexpr unsigned kYields = 16;
+constexpr long kNap = 50'000;            ///< ns, without a loan
+constexpr long kLoanPeriod = 1'000'000;  ///< ns; an owner that passes ends it at once
+
+#ifndef FUTEX_LOCK_PI2
+constexpr int kLockPi2 = 13;
+#else
+constexpr int kLockPi2 = FUTEX_LOCK_PI2;
+#endif
+
+/// Not by FUTEX_LOCK_PI, whose time ends by the wall clock: that may be set back.
+bool lock_pi(std::atomic<std::uint32_t>& loan) noexcept {
+  timespec until{};
+  clock_gettime(CLOCK_MONOTONIC, &until);
+  until.tv_nsec += kLoanPeriod;
+  if (until.tv_nsec >= 1'000'000'000) {
+    until.tv_nsec -= 1'000'000'000;
+    ++until.tv_sec;
+  }
+  return syscall(SYS_futex, &loan, kLockPi2 | FUTEX_PRIVATE_FLAG, 0, &until, nullptr, 0) == 0;
+}
+
+/// REQUIRES: the futex is the calling thread's, whose id this is.
+void unlock_pi(std::atomic<std::uint32_t>& loan, std::uint32_t thread) noexcept {
+  if (!loan.compare_exchange_strong(thread, 0, std::memory_order_relaxed,
+                                    std::memory_order_relaxed)) {  // the kernel knows of waiters
+    syscall(SYS_futex, &loan, FUTEX_UNLOCK_PI | FUTEX_PRIVATE_FLAG, 0, nullptr, nullptr, 0);
+  }
+}
+
+void nap() noexcept {
+  const timespec time{0, kNap};
+  nanosleep(&time, nullptr);
+}
+
+}  // namespace
+
+std::uint32_t ThisThread::ask() noexcept {
+  static const int forgets = pthread_atfork(nullptr, nullptr, &forget);
+  (void)forgets;
+  return id_ = static_cast<std::uint32_t>(gettid());
+}
+
+void ThisThread::give_back() noexcept {
+  Loan& loan = loan_to(id_);
+  if ((loan.load(std::memory_order_relaxed) & FUTEX_TID_MASK) == id_) unlock_pi(loan, id_);
+}
+
+/// In the child of a fork.
+void ThisThread::forget() noexcept {
+  id_ = 0;
+  for (Loan& loan : loans_) loan.store(0, std::memory_order_relaxed);
+}
+
+void Patience::wait(std::uint32_t thread) noexcept {
+  if (looks_ < kPauses) {
+    ++looks_;
+    HardwareAtomics::pause();
+    return;
+  }
+  if (looks_ < kPauses + kYields) {
+    ++looks_;
+    sched_yield();
+    return;
+  }
+  if (thread == 0) return nap();
+  auto& loan = ThisThread::loan_to(thread);
+  std::uint32_t owner = loan.load(std::memory_order_relaxed);
+  if (named_ != thread || (owner & FUTEX_TID_MASK) != thread) {
+    // First the name, then another look by the caller: if the other thread passes after that look,
+    // it finds the name.
+    if (named_ != 0) withdraw();
+    if (owner == 0 && loan.compare_exchange_strong(owner, thread, std::memory_order_relaxed,
+                                                   std::memory_order_relaxed)) {
+      owner = thread;
+    }
+    if ((owner & FUTEX_TID_MASK) != thread) return nap();  // another thread's by chance
+    named_ = thread;
+    return;
+  }
+  if (lock_pi(loan)) {
+    named_ = 0;
+    unlock_pi(loan, ThisThread::id());
+  } else if (errno != ETIMEDOUT) {
+    nap();
+  }
+}
+
+/// Takes the name away if no waiter sleeps on it: its owner may never come by again.
+void Patience::withdraw() noexcept {
+  std::uint32_t owner = named_;
+  ThisThread::loan_to(named_).compare_exchange_strong(owner, 0, std::memory_order_relaxed,
+                                                      std::memory_order_relaxed);
+  named_ = 0;
+}
+
+}  // namespace lot::detail
