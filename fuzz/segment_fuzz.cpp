@@ -256,7 +256,7 @@ class Editor {
       case 1:
         return entry(geometry_.participants, capacity_.participants, sizeof(ParticipantEntry));
       case 2:
-        return entry(geometry_.witnesses, capacity_.participants, sizeof(LockWord));
+        return entry(geometry_.witnesses, capacity_.participants, sizeof(Witness));
       case 3:
         return entry(geometry_.directory, 1, sizeof(Directory));
       case 4:

@@ -24,6 +24,9 @@
 ///       carries: the new own bit: whoever sees the bump sees the bit.
 ///   O3  home = 0 in give_back (release)       -> home claim in claim() (acquire)
 ///       carries: cleared bits and released extents.
+///   O5  wanted = 1 in reclaim(), then own scan in die() <-> own bit cleared in let_go() or
+///       acquire_weak(), then wanted load in is_wanted(): all seq_cst, so one of the two sees the
+///       other. Carries nothing: O1 does.
 ///   O4  hold word, edge released (release)    -> edge taken (acquire)
 ///       carries: the own bit, between threads of one process.
 namespace lot::refcount {
@@ -47,6 +50,10 @@ struct alignas(P::kLine) BlockWords {
   /// 1 while pointers in the home process hold the block. Written by home, for use_count() of
   /// others.
   Atomic<std::uint32_t> home_points;
+  /// 1: the home has looked in vain and wants to be told when a holder lets go. Set by home in
+  /// reclaim() and cleared with the message's death; read by each process that has cleared its bit.
+  /// Stale for a block that has got another home: that one is told for nothing.
+  Atomic<std::uint32_t> wanted;
 };
 
 inline constexpr std::uint64_t kVersion = std::uint64_t{1} << 32;
@@ -132,8 +139,8 @@ struct Ownership {
         word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
         const std::uint64_t old = b.life.fetch_add(kVersion, std::memory_order_release);  // O2
         const bool alive = generation_of(old) == generation;
-        // Relaxed: nothing was read.
-        if (!alive) word(b, self).fetch_and(~bit(self), std::memory_order_relaxed);
+        // Nothing was read, but a home that has looked meanwhile has seen a holder.
+        if (!alive) word(b, self).fetch_and(~bit(self), std::memory_order_seq_cst);    // O5
         h.store(alive ? hold::kHeld | hold::kPointer : 0, std::memory_order_release);  // O4
         P::passed();
         return alive;
@@ -160,7 +167,7 @@ struct Ownership {
         break;
       }
     }
-    word(b, self).fetch_and(~bit(self), std::memory_order_release);  // O1
+    word(b, self).fetch_and(~bit(self), std::memory_order_seq_cst);  // O1, O5
     h.store(0, std::memory_order_release);                           // O4
     P::passed();
     return false;
@@ -171,7 +178,7 @@ struct Ownership {
   static bool die(Words& b, std::uint32_t except, bool ignore_except) {
     std::uint64_t life = b.life.load(std::memory_order_acquire);  // O2
     for (std::uint32_t w = 0; w < P::kOwnWords; ++w) {
-      std::uint64_t holders = b.own[w].load(std::memory_order_acquire);  // O1
+      std::uint64_t holders = b.own[w].load(std::memory_order_seq_cst);  // O1, O5
       if (ignore_except && w == except / P::kBitsPerWord) holders &= ~bit(except);
       if (holders != 0) return false;
     }
@@ -179,6 +186,15 @@ struct Ownership {
     // Killed after it: an exclusively owned, unpublished block, which the reaper frees.
     return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
                                           std::memory_order_relaxed);
+  }
+
+  /// True when the home of a block waits for us to let go. Asked after release() or let_go() or a
+  /// weak lock has returned false elsewhere than at home: the caller then tells the home.
+  ///
+  /// Crash: killed before it tells the home, it leaves a message that nobody holds; the home looks
+  /// by itself, once a second.
+  static bool is_wanted(Words& b) {
+    return b.wanted.load(std::memory_order_seq_cst) != 0;  // O5
   }
 
   /// Home only: makes a block whose holds here equal `expected` (0, or the one ring hold that the
@@ -206,7 +222,16 @@ struct Ownership {
         break;
       }
     }
-    const bool dead = die(b, self, true);
+    bool dead = die(b, self, true);
+    if (!dead && b.wanted.load(std::memory_order_relaxed) == 0) {
+      // First said, then looked again: the holder that we have seen may let go just now.
+      b.wanted.store(1, std::memory_order_seq_cst);  // O5
+      dead = die(b, self, true);
+    }
+    // Relaxed: exclusively ours. Whether the next home finds a 1 does not matter.
+    if (dead && b.wanted.load(std::memory_order_relaxed) != 0) {
+      b.wanted.store(0, std::memory_order_relaxed);
+    }
     const std::uint64_t base = hold::kHome | hold::kHeld;
     if (dead) {
       const std::uint32_t generation = generation_of(b.life.load(std::memory_order_relaxed));

@@ -86,6 +86,27 @@ struct alignas(64) LockWord {
   pthread_mutex_t mutex;
 };
 
+/// What others ask of a participant's warden.
+namespace errand {
+inline constexpr std::uint32_t kLook = 1;  ///< a message that it waits for may be free
+inline constexpr std::uint32_t kTrim = 2;  ///< give idle memory back
+inline constexpr std::uint32_t kOwn = 4;   ///< its own process has something to do
+}  // namespace errand
+
+/// A participant's witness, a lock that its warden holds, and how others ask something of that.
+///
+/// `errands` is only a hint: an errand that is lost with the process that brought it is done when
+/// the warden looks by itself, once a second.
+struct alignas(64) Witness {
+  pthread_mutex_t mutex;
+  /// Futex; bits of errand::. Set by any participant (release), taken by the warden (acquire): edge
+  /// E1 carries the ownership bit that was cleared before.
+  std::atomic<std::uint32_t> errands;
+  /// Bumped by the warden (release) when it has given idle memory back, read by those who asked.
+  std::atomic<std::uint32_t> answers;
+};
+static_assert(sizeof(Witness) == 64);
+
 /// One message that a participant has been seen to hold. Written by its warden alone: emptied
 /// first, named last (release), so that who reads the name, the time and the name again (acquire)
 /// knows whether they belong together.

@@ -213,7 +213,7 @@ Geometry Geometry::of(const Capacity& c) {
   };
   const std::uint64_t all_granules = c.size / kGranule;
   table(g.participants, c.participants * sizeof(ParticipantEntry));
-  table(g.witnesses, c.participants * sizeof(LockWord));
+  table(g.witnesses, c.participants * sizeof(Witness));
   table(g.directory, sizeof(Directory));
   table(g.topics, c.topics * sizeof(TopicEntry));
   table(g.channels, c.channels * sizeof(ChannelEntry));
@@ -256,7 +256,7 @@ void Segment::create(const std::string& path, Capacity capacity, mode_t mode) {
   if (pwrite(file.fd, &header, sizeof(header), 0) != sizeof(header)) fail(errno, "cannot write it");
   {
     Segment segment(unfinished, Access::ReadWrite, false);
-    for (LockWord& w : segment.witnesses()) RobustMutex::construct(w.mutex);
+    for (Witness& w : segment.witnesses()) RobustMutex::construct(w.mutex);
     RobustMutex::construct(segment.directory().lock.mutex);
   }
   if (::rename(unfinished.c_str(), path.c_str()) == -1) fail(errno, "cannot name it");
@@ -326,7 +326,7 @@ Segment::Segment(const std::string& path, Access access, bool finished) : path_(
   const auto locks = witnesses();
   if (finished && !(is_robust(directory().lock.mutex) &&
                     std::all_of(locks.begin(), locks.end(),
-                                [](const LockWord& w) { return is_robust(w.mutex); }))) {
+                                [](const Witness& w) { return is_robust(w.mutex); }))) {
     refuse("its locks are damaged");
   }
 }
@@ -334,8 +334,8 @@ Segment::Segment(const std::string& path, Access access, bool finished) : path_(
 std::span<ParticipantEntry> Segment::participants() const noexcept {
   return {at<ParticipantEntry>(geometry_.participants), capacity_.participants};
 }
-std::span<LockWord> Segment::witnesses() const noexcept {
-  return {at<LockWord>(geometry_.witnesses), capacity_.participants};
+std::span<Witness> Segment::witnesses() const noexcept {
+  return {at<Witness>(geometry_.witnesses), capacity_.participants};
 }
 std::span<Sightings> Segment::sightings() const noexcept {
   return {at<Sightings>(geometry_.sightings), capacity_.participants};

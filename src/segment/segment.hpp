@@ -60,7 +60,7 @@ class Segment {
   std::uint64_t size() const noexcept { return capacity_.size; }
 
   std::span<ParticipantEntry> participants() const noexcept;
-  std::span<LockWord> witnesses() const noexcept;
+  std::span<Witness> witnesses() const noexcept;
   std::span<Sightings> sightings() const noexcept;
   Directory& directory() const noexcept;
   std::span<TopicEntry> topics() const noexcept;

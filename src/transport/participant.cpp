@@ -195,6 +195,7 @@ Participant::Participant(const EngineOptions& options,
   }
   holder_.segment = &segment_;
   holder_.in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
+  holder_.kept_links.resize(blocks);
   holder_.pools = &pools_;
   pools_.reserve(segment_.capacity().channels + 64);
   watched_.reserve(futex::kMaxWords);
@@ -228,7 +229,7 @@ void Participant::fill_hub() noexcept {
     if (p.was_received(*c)) {
       p.drop_pointer(*c);
     } else {
-      p.pools_[c->pool]->give_back(c->block);
+      p.holder_.pool_of(c->block).give_back(c->block);
     }
     p.exit();
   };
@@ -248,6 +249,7 @@ void Participant::fill_hub() noexcept {
     if (alive && (c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
       words.home_points.store(1, std::memory_order_relaxed);
     }
+    if (!alive && !p.holder_.is_home(c->block)) p.holder_.tell_home(c->block);
     p.exit();
     return alive;
   };
@@ -341,8 +343,11 @@ void Participant::drop_pointer(detail::ControlCell& cell) noexcept {
       words.home_points.store(1, std::memory_order_relaxed);  // another thread was quicker
     }
   }
-  if ((v & hold::kHolds) == 0 && holder_.own.let_go(words, cell.hold)) {
-    pools_[cell.pool]->came_home(cell.block);
+  if ((v & hold::kHolds) != 0) return;
+  if (holder_.own.let_go(words, cell.hold)) {
+    holder_.pool_of(cell.block).came_home(cell.block);
+  } else {
+    holder_.tell_home(cell.block);
   }
 }
 
@@ -424,7 +429,8 @@ void Participant::leave_if_unused() noexcept {
 /// their pool, so the pools give those back first; with each goes what its message referred to,
 /// which then is ready itself.
 bool Participant::holds_pointers() noexcept {
-  const std::lock_guard guard(pools_mutex_);  // the warden has some for a moment while it drains
+  // The warden has some for a moment while it settles or drains.
+  const std::scoped_lock guard(settle_mutex_, pools_mutex_);
   while (trim_pools()) {
   }
   for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) {

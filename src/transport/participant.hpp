@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
+#include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <memory>
 #include <mutex>
@@ -93,10 +96,31 @@ class Participant {
   /// Gives the idle memory of all our pools back. True when there was some.
   bool trim() noexcept;
 
+  /// Asks all others to give the idle memory of their pools back. Returns when enough() is true (it
+  /// is asked now and then), when all have answered, or after a few milliseconds: a stopped process
+  /// does not hold us up for longer. True when enough() was.
+  template <class Enough>
+  bool gather_from_others(Enough&& enough) noexcept {
+    Questions questions;
+    ask_others(questions);
+    const auto until = futex::Clock::now() + kAnswerPatience;
+    bool all = false;
+    while (!all) {
+      all = all_have_answered(questions) || futex::Clock::now() >= until;  // before the look
+      if (enough()) return true;
+      if (!all) std::this_thread::sleep_for(kAnswerLook);
+    }
+    return false;
+  }
+  /// True now and then: while our own messages can make room the others are asked that seldom.
+  bool may_gather() noexcept;
+
   /// Whoever can give messages up when memory runs out: publishers that may overwrite.
   class Evictor {
    public:
     virtual bool evict() noexcept = 0;
+    /// Lets go of messages that have left its ring and that no reader borrows any more.
+    virtual void tidy() noexcept = 0;
 
    protected:
     ~Evictor() = default;
@@ -148,6 +172,14 @@ class Participant {
   /// And for who acts for the orphanage.
   static constexpr std::chrono::seconds kOrphanagePatience{2};
 
+  static constexpr std::chrono::milliseconds kAnswerPatience{10};
+  static constexpr std::chrono::microseconds kAnswerLook{100};
+  /// Which participants were asked for memory, and how often they had answered before.
+  struct Questions {
+    std::array<bool, segment::kMaxParticipants> asked{};
+    std::array<std::uint32_t, segment::kMaxParticipants> answers;
+  };
+
   struct OwnedHub : detail::Hub {
     Participant* owner = nullptr;
   };
@@ -182,6 +214,11 @@ class Participant {
   bool trim_pools() noexcept;
   void stand_guard() noexcept;
   void ring_warden() noexcept;
+  void run_errands(std::uint32_t asked) noexcept;
+  void settle_kept() noexcept;
+  void tell_homes() noexcept;
+  void ask_others(Questions& questions) noexcept;
+  bool all_have_answered(const Questions& questions) noexcept;
   bool look_around() noexcept;
   bool watch_others() noexcept;
   std::uint32_t used_channels() noexcept;
@@ -217,6 +254,9 @@ class Participant {
   std::size_t cells_bytes_ = 0;
 
   std::mutex reap_mutex_;  ///< byte locks do not exclude our own threads
+  /// Held while kept messages die, and no other lock with it: their destructors are the
+  /// application's. Taken before pools_mutex_.
+  std::mutex settle_mutex_;
   std::mutex pools_mutex_;
   std::vector<std::unique_ptr<Pool>> pools_;
   std::vector<Draining> draining_;
@@ -231,8 +271,7 @@ class Participant {
   std::condition_variable warden_signal_;
   enum class Witness { Awaited, Held, Refused } witness_ = Witness::Awaited;
   std::atomic<bool> warden_stop_{false};
-  std::atomic<std::uint32_t> warden_bell_{0};  ///< futex: there is something to look at
-  std::atomic<bool> awaited_{false};           ///< cells await pullers of ours that have gone
+  std::atomic<bool> awaited_{false};  ///< cells await pullers of ours that have gone
   // The warden's alone, from here...
   detail::FutexWaits watched_;       ///< what it sleeps on
   futex::Clock::time_point looked_;  ///< when it last looked for what nobody tells it
@@ -240,6 +279,7 @@ class Participant {
   std::uint32_t bequests_ = 0;       ///< of the directory, before the last search
   // ... to here.
   std::atomic<std::uint32_t> used_channels_{0};
+  std::atomic<futex::Clock::rep> gathered_{0};  ///< when the others were asked last
 
   std::atomic<bool> left_{false};
   std::mutex leave_mutex_;

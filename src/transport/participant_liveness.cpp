@@ -16,12 +16,15 @@ namespace lot::transport {
 namespace {
 
 using namespace std::chrono_literals;
+namespace errand = segment::errand;
 /// How often the warden looks while there is something to finish: first soon, then ever more
 /// seldom.
 constexpr std::chrono::milliseconds kFirstLook{1};
 constexpr std::chrono::milliseconds kLastLook{100};
 /// And when there is nothing: somebody may have died whose death it was not told of.
 constexpr auto kIdleLook = 1s;
+/// Between two errands of other processes, however many they bring.
+constexpr auto kErrandRest = 1ms;
 constexpr auto kWitnessPatience = 1s;
 /// Who joins when all indexes are taken asks again so long: somebody may be reaping just now.
 constexpr auto kFullPatience = 200ms;
@@ -66,6 +69,7 @@ std::optional<std::uint32_t> Participant::try_take_index() {
         Recovery(*this).reap(k);
         leave_orphanage();
         lock_file_->take_turn();
+        tell_homes();
         clean = true;
       }
       witness.unlock();
@@ -103,6 +107,8 @@ void Participant::warden() {
   }
   if (held) {
     forget_sightings();
+    // Errands were for the one before us. Relaxed: what comes after the name is seen by the name.
+    segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
     part(index()).store(1, std::memory_order_release);
   }
   std::unique_lock lock(warden_mutex_);
@@ -130,6 +136,7 @@ void Participant::warden() {
         Recovery(*this).reap(index());
         leave_orphanage();
         if (in_gate) lock_file_->take_turn();
+        tell_homes();
         reaped = true;
       } else {
         std::this_thread::sleep_for(1ms);
@@ -158,34 +165,67 @@ void Participant::warden() {
   }
 }
 
-/// The warden sleeps on what tells it that there is something to do: its bell, and the witness of
-/// each other participant, which the kernel changes when that one dies. One of those who sleep on a
-/// witness is woken; should it be stopped or killed, the others find out when they look by
+/// The warden sleeps on what tells it that there is something to do: its errands, and the witness
+/// of each other participant, which the kernel changes when that one dies. One of those who sleep
+/// on a witness is woken; should it be stopped or killed, the others find out when they look by
 /// themselves.
 void Participant::stand_guard() noexcept {
+  auto& errands = segment_.witnesses()[index()].errands;
   auto soon = kFirstLook;
-  looked_ = futex::Clock::now();
+  auto rested = looked_ = futex::Clock::now();
   for (;;) {
-    const std::uint32_t bell = warden_bell_.load(std::memory_order_acquire);
-    if (warden_stop_.load(std::memory_order_relaxed)) return;  // the bell carries it
+    // What others ask waits, and stands there meanwhile, until we have rested.
+    const std::uint32_t mine = futex::Clock::now() >= rested ? ~std::uint32_t{0} : errand::kOwn;
+    const std::uint32_t before = errands.fetch_and(~mine, std::memory_order_acquire);  // E1
+    const std::uint32_t left = before & ~mine;
+    if (warden_stop_.load(std::memory_order_relaxed)) return;  // the errand carries it
+    if ((before & mine & ~errand::kOwn) != 0) {
+      run_errands(before & mine);
+      rested = futex::Clock::now() + kErrandRest;
+    }
     const bool finished = look_around();
-    watched_.assign(1, {&warden_bell_, bell});
+    watched_.assign(1, {&errands, left});
     const bool all_stand = watch_others();
-    const auto at_last = looked_ + kIdleLook;
+    auto until = looked_ + kIdleLook;
+    if (left != 0) until = std::min(until, rested);
     if (finished && all_stand) {
-      futex::wait_any(watched_, at_last);
+      futex::wait_any(watched_, until);
       soon = kFirstLook;
     } else {
-      futex::wait_any(watched_, std::min(futex::Clock::now() + soon, at_last));
-      const bool rung = warden_bell_.load(std::memory_order_relaxed) != bell;
-      soon = rung ? kFirstLook : std::min(2 * soon, kLastLook);
+      futex::wait_any(watched_, std::min(futex::Clock::now() + soon, until));
+      const bool asked = errands.load(std::memory_order_relaxed) != left;
+      soon = asked ? kFirstLook : std::min(2 * soon, kLastLook);
     }
   }
 }
 
-void Participant::ring_warden() noexcept {
-  warden_bell_.fetch_add(1, std::memory_order_release);
-  futex::wake_all(&warden_bell_);
+void Participant::ring_warden() noexcept { holder_.ask(index(), errand::kOwn); }
+
+void Participant::run_errands(std::uint32_t asked) noexcept {
+  settle_kept();
+  if ((asked & errand::kTrim) == 0) return;
+  {
+    const std::lock_guard guard(evictors_mutex_);
+    for (Evictor* e : evictors_) e->tidy();
+  }
+  trim();
+  segment_.witnesses()[index()].answers.fetch_add(1, std::memory_order_release);  // E2
+}
+
+/// Pools without kept messages are left alone, and so is the bias of their locks.
+void Participant::settle_kept() noexcept {
+  const std::lock_guard guard(settle_mutex_);
+  std::size_t n;
+  {
+    const std::lock_guard pools(pools_mutex_);
+    n = pools_.size();
+  }
+  for (std::size_t i = 0; i < n; ++i) pools_[i]->settle();  // pools stay, and where they are
+}
+
+/// After bits of a dead one, or of the orphanage, were cleared: whoever waits for them looks.
+void Participant::tell_homes() noexcept {
+  for (std::uint32_t b = 0; b < blocks(); ++b) holder_.tell_home(b);
 }
 
 /// False when something is left that another look may finish.
@@ -201,6 +241,7 @@ bool Participant::look_around() noexcept {
   }
   const bool closed = finish_closing();
   if (due) {
+    settle_kept();  // an errand may have been lost
     note_sightings();
     looked_ = now;
   }
@@ -275,6 +316,7 @@ bool Participant::reap_if_dead(std::uint32_t k) noexcept {
     if (enter_orphanage()) {
       done = Recovery(*this).reap(k);
       leave_orphanage();
+      if (done) tell_homes();
     }
     witness.unlock();
   }
@@ -333,6 +375,7 @@ bool Participant::collect() noexcept {
   if (!guard || !enter_orphanage()) return true;
   Recovery(*this).collect();
   leave_orphanage();
+  tell_homes();
   return true;
 }
 

@@ -139,8 +139,46 @@ std::uint32_t Participant::claim_run(unsigned order, std::uint32_t tag) noexcept
   reap_dead();
   collect();
   trim();
-  while ((run = segment_.claim_run(order, tag)) == kNone && evict()) trim();
+  const auto enough = [&] { return (run = segment_.claim_run(order, tag)) != kNone; };
+  if (enough()) return run;
+  const bool gathers = may_gather();
+  if (gathers && gather_from_others(enough)) return run;
+  while (evict()) {
+    trim();
+    if (enough()) return run;
+  }
+  if (!gathers) gather_from_others(enough);
   return run;
+}
+
+bool Participant::may_gather() noexcept {
+  constexpr auto kSeldom = std::chrono::milliseconds(100);
+  const auto now = futex::Clock::now().time_since_epoch();
+  // Relaxed: two threads may ask at once, which does no harm.
+  const futex::Clock::duration last(gathered_.load(std::memory_order_relaxed));
+  return now - last >= kSeldom;
+}
+
+void Participant::ask_others(Questions& questions) noexcept {
+  gathered_.store(futex::Clock::now().time_since_epoch().count(), std::memory_order_relaxed);
+  for (std::uint32_t k = 1; k < participants(); ++k) {
+    if (k == index() || part(k).load(std::memory_order_acquire) == 0) continue;
+    questions.asked[k] = true;
+    // Relaxed: an answer to an earlier question is as good as one to ours.
+    questions.answers[k] = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
+    holder_.ask(k, segment::errand::kTrim);
+  }
+}
+
+bool Participant::all_have_answered(const Questions& questions) noexcept {
+  for (std::uint32_t k = 1; k < participants(); ++k) {
+    // E2; the memory itself is carried by G1.
+    if (questions.asked[k] &&
+        segment_.witnesses()[k].answers.load(std::memory_order_acquire) == questions.answers[k]) {
+      return false;
+    }
+  }
+  return true;
 }
 
 void Participant::add(Evictor& evictor) {

@@ -5,6 +5,8 @@
 
 #include "lot/error.hpp"
 
+#include "futex/futex.hpp"
+
 namespace lot::transport {
 
 using detail::Arena;
@@ -26,8 +28,28 @@ void Holder::know(std::uint32_t b) const noexcept {
 }
 
 void Holder::release_ring_hold(std::uint32_t b) const noexcept {
-  ControlCell& c = cell(b);
-  if (own.release(words(b), c.hold, hold::kRing)) (*pools)[c.pool]->came_home(b);
+  if (own.release(words(b), cell(b).hold, hold::kRing)) {
+    pool_of(b).came_home(b);
+  } else {
+    tell_home(b);
+  }
+}
+
+void Holder::ask(std::uint32_t k, std::uint32_t errand) const noexcept {
+  auto& errands = segment->witnesses()[k].errands;
+  // Killed before the wake: the warden looks by itself once a second.
+  if ((errands.fetch_or(errand, std::memory_order_release) & errand) != errand) {  // E1
+    futex::wake_all(&errands);
+  }
+}
+
+void Holder::tell_home(std::uint32_t b) const noexcept {
+  segment::BlockWords& w = words(b);
+  if (!HardwareOwnership::is_wanted(w)) return;
+  // Relaxed: a home that has changed meanwhile does not wait for us.
+  const std::uint32_t home = w.home.load(std::memory_order_relaxed);
+  if (home <= refcount::kHomeOrphanage || home - 1 >= segment->capacity().participants) return;
+  ask(home - 1, segment::errand::kLook);
 }
 
 void Holder::release_references(std::uint32_t b) const noexcept {
@@ -44,7 +66,11 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   Released mine{this, {}};
   auto& home = nested ? first->home : mine.home;
   each_reference(b, [&](std::uint32_t target) {
-    if (own.release(words(target), cell(target).hold, hold::kRing)) home.push_back(target);
+    if (own.release(words(target), cell(target).hold, hold::kRing)) {
+      home.push_back(target);
+    } else {
+      tell_home(target);
+    }
   });
   arena.references = 0;
   if (nested) return;
@@ -52,7 +78,7 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   while (!home.empty()) {
     const std::uint32_t target = home.back();
     home.pop_back();
-    (*pools)[cell(target).pool]->came_home(target);
+    pool_of(target).came_home(target);
   }
   first = outer;
 }
@@ -91,8 +117,6 @@ std::uint32_t Pool::try_loan() {
   }
   for (unsigned n = 0; n < 4 && !kept_.empty(); ++n) {
     const std::uint32_t b = kept_.front();
-    kept_.pop_front();
-    is_kept_[b] = false;
     if (reclaim(b, 0)) return b;
   }
   return kNone;
@@ -114,11 +138,14 @@ void Pool::prefetch(std::uint64_t b) const noexcept {
   detail::HardwareAtomics::prefetch_write(&holder_.words(index));
 }
 
-/// On failure the block is entered among the kept ones, unless pointers here still hold it: then
-/// came_home() will see to it.
+/// On failure the block is the last of the kept ones, unless this process still holds it: then the
+/// last hold that goes calls came_home(). Ours again, it is not among them. REQUIRES: the lock, and
+/// that the block is at home in this pool.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
   ControlCell& c = holder_.cell(b);
-  if (holder_.own.reclaim(holder_.words(b), c.hold, expected)) {
+  const bool ours = holder_.own.reclaim(holder_.words(b), c.hold, expected);
+  kept_.remove(b);
+  if (ours) {
     // Relaxed: exclusively ours.
     if (holder_.queued(b).load(std::memory_order_relaxed) != 0) {
       holder_.queued(b).store(0, std::memory_order_relaxed);
@@ -126,10 +153,7 @@ bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
     return true;
   }
   const std::uint64_t v = c.hold.load(std::memory_order_relaxed);
-  if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0 && !is_kept_[b]) {
-    is_kept_[b] = true;
-    kept_.push_back(b);
-  }
+  if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0) kept_.push_back(b);
   return false;
 }
 
@@ -143,7 +167,7 @@ std::uint32_t Pool::claim() {
     holder_.next_free.store(b + 1, std::memory_order_relaxed);
     holder_.know(b);
     holder_.words(b).home_points.store(0, std::memory_order_relaxed);
-    c.pool = index_;
+    c.pool.store(index_, std::memory_order_relaxed);
     c.type = nullptr;
     holder_.queued(b).store(0, std::memory_order_relaxed);
     Arena& arena = holder_.segment->arena(b);
@@ -191,17 +215,29 @@ void Pool::give_back(std::uint32_t b) noexcept {
 void Pool::came_home(std::uint32_t b) noexcept {
   {
     const std::lock_guard guard(lock_);
-    if (is_kept_[b]) return;  // somebody else held it before: the next loan looks
-    if (!reclaim(b, 0)) return;
+    if (!is_at_rest_here(b) || !reclaim(b, 0)) return;
   }
   give_back(b);
+}
+
+/// False for a thread that comes late: others took a hold and let it go meanwhile, and the message
+/// has died; the block may even be another pool's now. Nothing is left to do then.
+///
+/// A block goes from this pool only with the lock (release_block). So one that is seen here with
+/// the lock, without holds, stays; and its pool is the one that is read: the acquire pairs with the
+/// release of its last hold, which came after the pool was written.
+bool Pool::is_at_rest_here(std::uint32_t b) const noexcept {
+  const ControlCell& c = holder_.cell(b);
+  const std::uint64_t v = c.hold.load(std::memory_order_acquire);  // O4
+  return (v & hold::kHome) != 0 && (v & hold::kHolds) == 0 &&
+         c.pool.load(std::memory_order_relaxed) == index_;
 }
 
 void Pool::retire(std::uint32_t b, bool borrowed) {
   if (borrowed) {
     retired_.push_back(b);
   } else if ((holder_.cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
-             holder_.cell(b).pool == index_) {
+             holder_.cell(b).pool.load(std::memory_order_relaxed) == index_) {
     if (!drop_if_held(b)) free_.push_back(b);
   } else {
     foreign_.push_back(b);
@@ -223,16 +259,31 @@ bool Pool::drop_if_held(std::uint32_t b) noexcept {
 }
 
 void Pool::poll_kept() {
-  for (std::size_t n = kept_.size(); n > 0; --n) {
+  for (std::size_t n = kept_.size(); n > 0 && !kept_.empty(); --n) {
     const std::uint32_t b = kept_.front();
-    kept_.pop_front();
-    is_kept_[b] = false;
     if (reclaim(b, 0)) ready_.push_back(b);
   }
+  poll_free();
+}
+
+void Pool::poll_free() {
   for (std::size_t n = free_.size(); n > 0; --n) {
     const std::uint32_t b = free_.front();
     free_.pop_front();
     if (reclaim(b, hold::kRing)) ready_.push_back(b);
+  }
+}
+
+void Pool::settle() noexcept {
+  for (std::size_t n = kept_.size(); n > 0; --n) {
+    std::uint32_t b;
+    {
+      const std::lock_guard guard(lock_);
+      if (kept_.empty()) return;
+      b = kept_.front();
+      if (!reclaim(b, 0)) continue;
+    }
+    give_back(b);
   }
 }
 
@@ -283,7 +334,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
   ControlCell& c = holder_.cell(b);
   // A ring or a reference that somebody has written over has led here, too.
   if ((c.hold.load(std::memory_order_relaxed) & hold::kHolds) != hold::kPointer) {
-    holder_.own.release(holder_.words(b), c.hold, hold::kPointer);
+    if (!holder_.own.release(holder_.words(b), c.hold, hold::kPointer)) holder_.tell_home(b);
     return;
   }
   bury(b);
@@ -293,6 +344,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
   }
   arena.extents = 0;
   c.type = nullptr;
+  const std::lock_guard guard(lock_);  // is_at_rest_here()
   holder_.own.give_back(holder_.words(b), c.hold);
 }
 

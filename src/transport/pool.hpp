@@ -14,6 +14,7 @@
 #include "refcount/ownership.hpp"
 #include "segment/segment.hpp"
 #include "transport/biased_lock.hpp"
+#include "transport/kept_list.hpp"
 
 namespace lot::transport {
 
@@ -31,6 +32,7 @@ struct Holder {
   /// [blocks] 1: the message was put into a queue from which one reader takes it. A unique pointer
   /// to it was taken from there: others may still look at its block.
   std::vector<std::atomic<std::uint8_t>> in_queue;
+  std::vector<KeptList::Link> kept_links;   ///< [blocks]
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
   /// Above all blocks that this process ever held, so that who looks for them need not go further.
   mutable std::atomic<std::uint32_t> known{0};
@@ -42,6 +44,15 @@ struct Holder {
   bool is_home(std::uint32_t b) const noexcept {
     return (cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
   }
+
+  Pool& pool_of(std::uint32_t b) const noexcept {
+    return *(*pools)[cell(b).pool.load(std::memory_order_relaxed)];
+  }
+
+  /// Asks something of participant k's warden.
+  void ask(std::uint32_t k, std::uint32_t errand) const noexcept;
+  /// After a hold of ours on another's block has gone: tells its home if that waits for it.
+  void tell_home(std::uint32_t b) const noexcept;
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
   [[gnu::hot]] void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
@@ -93,7 +104,7 @@ struct Holder {
 class Pool {
  public:
   Pool(Holder& holder, std::uint32_t index)
-      : holder_(holder), index_(index), is_kept_(holder.segment->capacity().blocks, false) {}
+      : holder_(holder), index_(index), kept_(holder.kept_links.data()) {}
 
   BiasedLock& lock() noexcept { return lock_; }
   /// For whom it will claim blocks: the key of a topic, or 0. REQUIRES: the pool is not in use.
@@ -132,8 +143,12 @@ class Pool {
   /// Retired blocks that is_protected(block) denies become free. Locked.
   template <class Protected>
   void scan(Protected&& is_protected);
-  /// Looks at all blocks that others hold. Locked.
+  /// Looks at all blocks that others hold, and at those that are free. Locked.
   void poll_kept();
+  /// The same for those that are free alone. Locked.
+  void poll_free();
+  /// Messages that only others held, and hold no more, die now.
+  void settle() noexcept;
 
   /// Frees what it can; true when nothing is left. For a pool whose publisher has gone.
   bool drain() noexcept;
@@ -145,6 +160,7 @@ class Pool {
   /// are let go, its memory is kept for the next one.
   void bury(std::uint32_t b) noexcept;
   void recycle_extents(std::uint32_t b) noexcept;
+  bool is_at_rest_here(std::uint32_t b) const noexcept;
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
   bool drop_if_held(std::uint32_t b) noexcept;
   void release_block(std::uint32_t b) noexcept;
@@ -157,8 +173,7 @@ class Pool {
   std::deque<std::uint32_t> free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;
   std::vector<std::uint32_t> foreign_;  ///< left our ring, but is not ours
-  std::deque<std::uint32_t> kept_;
-  std::vector<bool> is_kept_;
+  KeptList kept_;
 };
 
 // Relaxed: the home writes the list; a reaper reads it under the dead home's byte lock, or after

@@ -381,7 +381,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   [[gnu::hot]] void publish(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
                             std::uint32_t b) {
     const bool guarded = writer_->ring().guarded();
-    if (guarded) fit_ = fit(b);  // before: who takes it may change it
+    if (guarded) note_fit(fit(b));  // before: a reader that takes it may change it
     if (writer_->ring().taken) participant_->holder().queued(b).store(1, std::memory_order_relaxed);
     const auto published = writer_->publish(b);
     alone.unlock();
@@ -403,6 +403,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       }
     }
     if (retire_taken() && batch() == 1) scan();
+    if (guarded && fit_ == 1) pool_.poll_free();  // what is large waits for no loan
     if (!published.wake) {
       if (!pool_.has_free() && pool_.retired() >= batch()) scan();
       pool_.prepare();
@@ -432,6 +433,16 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
           segment::kGranule << arena.extent[i].order % segment::Granules<segment::Atomics>::kOrders;
     }
     return std::max<std::size_t>(kBatchedBytes / std::max<std::uint64_t>(bytes, 1), 1);
+  }
+
+  /// A batch is no larger than the largest message in the ring allows.
+  void note_fit(std::size_t fit) noexcept {
+    if (fit > fit_ && since_fit_ < writer_->ring().depth) {
+      ++since_fit_;
+    } else {
+      fit_ = fit;
+      since_fit_ = 0;
+    }
   }
 
   /// Waits until the slowest reader has read, or died. A reader that is at work makes room within
@@ -510,11 +521,25 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     participant_->reap_dead();
     participant_->collect();
     participant_->trim();
-    while (!look()) {
-      if (!participant_->evict()) return Pool::kNone;
+    if (look()) return b;
+    const bool gathers = participant_->may_gather();
+    if (gathers && participant_->gather_from_others(look)) return b;
+    while (participant_->evict()) {
       participant_->trim();
+      if (look()) return b;
     }
+    if (!gathers) participant_->gather_from_others(look);
     return b;
+  }
+
+  void tidy() noexcept override {
+    std::vector<std::uint32_t> foreign;
+    {
+      const std::lock_guard guard(pool_.lock());
+      scan();
+      foreign = pool_.take_foreign();
+    }
+    for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
   }
 
   bool evict() noexcept override {
@@ -547,7 +572,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   bool evicts_ = false;  ///< gives its oldest messages up when memory runs out
   SpinHabit habit_{Wait::Adaptive};
   YieldHabit yield_;
-  std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the last one
+  std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the largest in the ring
+  std::uint32_t since_fit_ = 0;      ///< messages since the last of that size
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
 };

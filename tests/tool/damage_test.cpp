@@ -86,7 +86,7 @@ class Damager {
       case 1:
         return entry(geometry_.participants, capacity_.participants, sizeof(ParticipantEntry));
       case 2:
-        return entry(geometry_.witnesses, capacity_.participants, sizeof(LockWord));
+        return entry(geometry_.witnesses, capacity_.participants, sizeof(Witness));
       case 3:
         return entry(geometry_.topics, capacity_.topics, sizeof(TopicEntry));
       case 4:

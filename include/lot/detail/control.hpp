@@ -57,7 +57,9 @@ struct alignas(32) ControlCell {
   const Hub* hub;
   const MessageType* type;  ///< set while the block is at home here
   std::uint32_t block;
-  std::uint32_t pool;  ///< index of the pool that has it, while at home here
+  /// Index of the pool that has it, while at home here. Written by the thread that claims it; one
+  /// that comes late with an older message may read it (Pool::came_home).
+  std::atomic<std::uint32_t> pool;
 
   /// Another pointer of this process. REQUIRES: one exists.
   void add_pointer() noexcept { hold.fetch_add(hold::kPointer, std::memory_order_relaxed); }
