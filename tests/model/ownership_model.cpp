@@ -367,6 +367,42 @@ struct HeldAndFree : SceneBegins, rl::test_suite<HeldAndFree, 3> {
   Plain<int> payload;
 };
 
+/// The home looks for the last time while another process lets go, and a third one tries a weak
+/// pointer to a message that has died: then either the home has got the block, or it is told.
+struct HomeIsTold : SceneBegins, rl::test_suite<HomeIsTold, 3> {
+  using Own = refcount::Ownership<Policy>;
+  void before() {
+    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    RL_ASSERT(home.claim(block, home_hold));
+    RL_ASSERT(home.release(block, home_hold, hold::kPointer));
+    RL_ASSERT(home.reclaim(block, home_hold, 0));  // so that there is one that has died
+    other.acquire(block, other_hold, hold::kPointer);
+    ours = told = false;
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      ours = home.release(block, home_hold, hold::kPointer) && home.reclaim(block, home_hold, 0);
+    } else if (t == 1) {
+      RL_ASSERT(!other.release(block, other_hold, hold::kPointer));
+      tell_if_wanted();
+    } else {
+      RL_ASSERT(!third.acquire_weak(block, third_hold, 0));
+      tell_if_wanted();
+    }
+  }
+  void after() { RL_ASSERT(ours || told); }
+  void tell_if_wanted() {
+    if (Own::is_wanted(block)) told = true;
+  }
+  Own home{2};
+  Own other{5};
+  Own third{4};
+  refcount::BlockWords<Policy> block;
+  Own::Hold home_hold, other_hold, third_hold;
+  bool ours = false;  ///< both are looked at when all is over
+  bool told = false;
+};
+
 const Entered entered{
     {"forwarder_chain", "a forwarded block lives as long as the last ring that has it",
      rl::simulate<ForwarderChain>, 1},
@@ -383,6 +419,8 @@ const Entered entered{
      rl::simulate<HomeHasThreads>, 3},
     {"late_reclaim", "who comes late does not touch a block that was given back",
      rl::simulate<LateReclaim>, 2},
+    {"home_is_told", "a home that has looked in vain is told when the last holder goes",
+     rl::simulate<HomeIsTold>, 2},
     {"held_and_free", "who holds a block that is said to be free does not claim it",
      rl::simulate<HeldAndFree>, 3},
     {"threads_of_one_process", "threads share one ownership bit", rl::simulate<ThreadsOfOneProcess>,

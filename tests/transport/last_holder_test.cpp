@@ -1,0 +1,197 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// When messages die whose last holder is another process, and who gets the memory then.
+
+#include <csignal>
+#include <cstddef>
+#include <optional>
+#include <thread>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+struct Frame {
+  int number = 0;
+  lot::ShmVector<char> data;
+};
+
+int destroyed = 0;
+struct Counted {
+  int number = 0;
+  ~Counted() { ++destroyed; }
+};
+
+lot::PusherOptions newest_only() {
+  lot::PusherOptions options;
+  options.depth = 1;
+  return options;
+}
+
+}  // namespace
+
+template <>
+struct lot::is_trusted_message<Counted> : std::true_type {};
+
+TEST_SUITE_BEGIN("transport");
+
+TEST_CASE("a message dies when its last holder goes, which is another process") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(256 << 20);
+  Steps has, go, gone;
+  bool dies = false;
+  bool killed = false;
+  SUBCASE("it drops its pointer") {}
+  SUBCASE("it drops a weak pointer's lock") { dies = true; }
+  SUBCASE("it is killed") { killed = true; }
+  Child holder([&] {
+    lot::ShmEngine engine(options);
+    auto in = engine.subscribe<Frame>("frames");
+    has.tell();
+    auto message = in.pull(60s);
+    if (dies) {
+      const lot::ShmWeakPtr<const Frame> weak = message;
+      message = weak.lock();
+    }
+    has.tell();
+    go.next();
+    if (killed) raise(SIGKILL);
+    message.reset();
+    gone.tell();
+    go.next();
+  });
+  REQUIRE(has.next() == '.');
+  lot::ShmEngine engine(options);
+  auto out = engine.advertise<Frame>("frames", newest_only());
+  REQUIRE(out.wait_for_readers(1, 60s));
+  lot::ShmWeakPtr<Frame> weak;
+  {
+    const lot::ShmSharedPtr<Frame> message = out.loan();
+    message->data.resize(60 << 20);
+    weak = message;
+    REQUIRE(out.push(message) == lot::Status::Ok);
+  }
+  REQUIRE(has.next() == '.');
+  for (int i = 0; i < 3; ++i) REQUIRE(out.push(out.loan()) == lot::Status::Ok);
+  CHECK(!weak.expired());
+  go.tell();
+  // The home does nothing more: no loan, no push.
+  while (!weak.expired()) std::this_thread::sleep_for(1ms);
+  CHECK(weak.lock() == nullptr);
+  go.tell();
+  holder.wait();
+}
+
+TEST_CASE("memory that lies idle in one process is had by another one that is short of it") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(64 << 20);
+  Steps ready, done;
+  Child idle([&] {
+    lot::ShmEngine engine(options);
+    for (int i = 0; i < 2; ++i) {
+      std::vector<lot::ShmUniquePtr<Frame>> some;
+      for (int n = 0; n < 5; ++n) {
+        some.push_back(engine.make<Frame>());
+        some.back()->data.resize(8 << 20);
+      }
+    }
+    ready.tell();  // its pool has 40 MiB that wait for the next loan
+    done.next();
+  });
+  REQUIRE(ready.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    std::vector<lot::ShmUniquePtr<Frame>> some;
+    for (int n = 0; n < 5; ++n) {
+      some.push_back(engine.make<Frame>());
+      CHECK_NOTHROW(some.back()->data.resize(8 << 20));
+    }
+  }
+  done.tell();
+  CHECK(idle.wait() == 0);
+}
+
+TEST_CASE("a stopped process is not waited for when memory is short") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(64 << 20);
+  Steps ready, done;
+  Child stopped([&] {
+    lot::ShmEngine engine(options);
+    ready.tell();
+    done.next();
+  });
+  REQUIRE(ready.next() == '.');
+  REQUIRE(kill(stopped.pid(), SIGSTOP) == 0);
+  {
+    lot::ShmEngine engine(options);
+    auto message = engine.make<Frame>();
+    CHECK_THROWS_AS(message->data.resize(100 << 20), lot::OutOfMemory);
+  }
+  REQUIRE(kill(stopped.pid(), SIGCONT) == 0);
+  done.tell();
+  CHECK(stopped.wait() == 0);
+}
+
+TEST_CASE("a message that was kept by others and pushed again dies with its last pointer") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps has, go;
+  Child holder([&] {
+    lot::ShmEngine engine(options);
+    auto in = engine.subscribe<Counted>("counted");
+    has.tell();
+    auto message = in.pull(60s);
+    has.tell();
+    go.next();
+    message.reset();
+    has.tell();
+    go.next();
+  });
+  REQUIRE(has.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto out = engine.advertise<Counted>("counted", newest_only());
+    REQUIRE(out.wait_for_readers(1, 60s));
+    {  // a pool with blocks to spare: its next loans look at nothing
+      std::vector<lot::ShmUniquePtr<Counted>> spare;
+      for (int i = 0; i < 400; ++i) spare.push_back(out.loan());
+    }
+    lot::ShmSharedPtr<Counted> message = out.loan();
+    const lot::ShmWeakPtr<Counted> weak = message;
+    REQUIRE(out.push(message) == lot::Status::Ok);
+    REQUIRE(has.next() == '.');
+    REQUIRE(out.push(out.loan()) == lot::Status::Ok);
+    message.reset();
+    for (int i = 0; i < 1000; ++i) REQUIRE(out.push(out.loan()) == lot::Status::Ok);
+    message = weak.lock();  // the block is among those that others hold
+    REQUIRE(message != nullptr);
+    REQUIRE(out.push(message) == lot::Status::Ok);
+    message.reset();
+    go.tell();
+    REQUIRE(has.next() == '.');
+    for (int i = 0; i < 200; ++i) REQUIRE(out.push(out.loan()) == lot::Status::Ok);
+    // From here on messages that no other process ever sees.
+    for (int round = 0; round < 3; ++round) {
+      std::vector<lot::ShmSharedPtr<Counted>> messages;
+      for (int i = 0; i < 200; ++i) messages.push_back(out.loan());
+      for (auto& m : messages) {
+        const lot::ShmWeakPtr<Counted> last = m;
+        const int before = destroyed;
+        m.reset();
+        REQUIRE(last.expired());
+        REQUIRE(destroyed == before + 1);
+      }
+    }
+  }
+  go.tell();
+  CHECK(holder.wait() == 0);
+}
+
+TEST_SUITE_END();
