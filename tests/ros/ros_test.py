@@ -296,8 +296,9 @@ while True: rospy.rostime.wallsleep(1)
             graph.stop_recording(record, path)
             listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
             graph.wait_for(lambda: graph.peers('/t')[1], 'the listener')
-            play = graph.run(['rosbag', 'play', '-d', '4', '-r', '2', str(path)])
+            play = graph.run(['rosbag', 'play', '-d', '4', '-r', '2', '--queue=1000', '--keep-alive', str(path)])
             self.assert_all(graph.report(listener), 0, ['/talker'])
+            play.send_signal(signal.SIGINT)
             play.wait(60)
 
     def test_rospy_reads_lot(self):
@@ -345,19 +346,28 @@ rospy.rostime.wallsleep(1)
 
 class Relay(Case):
     def test_a_bag_is_played_through_the_relay(self):
+        """Every queue on the way is deeper than the bag, and the player stays until all is read: else who stands
+        still for half a second, as on a busy machine, loses messages. Here two of them do stand still."""
         with Graph() as graph:
             path = graph.home / 'x.bag'
             record = graph.run(['rosbag', 'record', '-O', str(path), '/t'])
             graph.report(graph.node('talker', f'pub:plain:/t:{COUNT}:200:300000:wait=1'))
             graph.stop_recording(record, path)
-            relay = graph.run([RELAY, '/t', '/shared', '__name:=relay'])
+            relay = graph.run([RELAY, '/t', '/shared', '__name:=relay', '_queue_size:=1000'])
             listeners = [graph.node(f'listener{i}', f'sub:lot:/shared:{COUNT}') for i in range(2)]
             plain = graph.node('plain', f'sub:plain:/shared:{COUNT}')
             graph.wait_for(lambda: len(graph.peers('/shared')[1]) == 3, 'the listeners')
-            play = graph.run(['rosbag', 'play', '-d', '6', str(path)])
+            play = graph.run(['rosbag', 'play', '-d', '6', '--queue=1000', '--keep-alive', str(path)])
             graph.wait_for(lambda: graph.peers('/shared')[0], 'the relay')
+            graph.wait_for(lambda: graph.published() > 20, 'the first messages')
+            for slow in (relay, listeners[0]):
+                slow.send_signal(signal.SIGSTOP)
+            for slow in (relay, listeners[0]):
+                time.sleep(0.8)
+                slow.send_signal(signal.SIGCONT)
             for listener in (*listeners, plain):
                 self.assert_all(graph.report(listener), 0, ['/talker'], relayed=True)
+            play.send_signal(signal.SIGINT)
             play.wait(60)
             relay.send_signal(signal.SIGINT)
             self.assertEqual(relay.wait(20), 0, graph.said(relay))
