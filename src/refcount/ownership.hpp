@@ -226,7 +226,9 @@ struct Ownership {
     if (!dead && b.wanted.load(std::memory_order_relaxed) == 0) {
       // First said, then looked again: the holder that we have seen may let go just now.
       b.wanted.store(1, std::memory_order_seq_cst);  // O5
-      dead = die(b, self, true);
+      // Twice: the first one may fail by the version alone, of a holder that went before we said
+      // so. Its scan has seen that one's bit go, and with it the version: the second one knows it.
+      dead = die(b, self, true) || die(b, self, true);
     }
     // Relaxed: exclusively ours. Whether the next home finds a 1 does not matter.
     if (dead && b.wanted.load(std::memory_order_relaxed) != 0) {
