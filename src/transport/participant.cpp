@@ -196,6 +196,8 @@ Participant::Participant(const EngineOptions& options,
   holder_.segment = &segment_;
   holder_.in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
   holder_.kept_links.resize(blocks);
+  holder_.reserved = std::vector<std::atomic<std::uint8_t>>(blocks);
+  eviction_.prepare(blocks, segment_.capacity().channels);
   holder_.pools = &pools_;
   pools_.reserve(segment_.capacity().channels + 64);
   watched_.reserve(futex::kMaxWords);

@@ -19,6 +19,7 @@
 #include "liveness/lock_file.hpp"
 #include "recovery/recovery.hpp"
 #include "registry/registry.hpp"
+#include "transport/eviction.hpp"
 #include "transport/pool.hpp"
 
 namespace lot::transport {
@@ -90,11 +91,16 @@ class Participant {
   /// Frees what the orphanage has and nobody needs any more: rings without readers, dead messages.
   /// False when it had nothing.
   bool collect() noexcept;
-  /// A run of memory for a block: from the segment, or, when it is full, after freeing what can be
-  /// freed.
+  /// A run of memory for a block of ours, whose tag it gets: from the segment, or, when it is full,
+  /// after freeing what can be freed. The publisher that has the block asks.
   std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
-  /// Gives the idle memory of all our pools back. True when there was some.
-  bool trim() noexcept;
+  /// Frees what can be freed without giving a message up, for the publisher with this pool.
+  void tidy(std::uint32_t asker) noexcept;
+  /// Gives the idle memory of our pools back, for the need of the publisher with this pool, or of
+  /// another process (kNobody): others keep what reserve() made. True when there was some.
+  static constexpr std::uint32_t kNobody = ~std::uint32_t{0};
+  bool trim(std::uint32_t asker) noexcept;
+  Eviction& eviction() noexcept { return eviction_; }
 
   /// Asks all others to give the idle memory of their pools back. Returns when enough() is true (it
   /// is asked now and then), when all have answered, or after a few milliseconds: a stopped process
@@ -114,21 +120,6 @@ class Participant {
   }
   /// True now and then: while our own messages can make room the others are asked that seldom.
   bool may_gather() noexcept;
-
-  /// Whoever can give messages up when memory runs out: publishers that may overwrite.
-  class Evictor {
-   public:
-    virtual bool evict() noexcept = 0;
-    /// Lets go of messages that have left its ring and that no reader borrows any more.
-    virtual void tidy() noexcept = 0;
-
-   protected:
-    ~Evictor() = default;
-  };
-  void add(Evictor& evictor);
-  void remove(Evictor& evictor) noexcept;
-  /// Lets each of them give one message up. False: there is none left.
-  bool evict() noexcept;
 
   /// True when the pointer belongs to this segment, whichever copy of the library made it.
   bool same_segment(const detail::ControlCell& cell) const noexcept;
@@ -261,8 +252,7 @@ class Participant {
   std::vector<std::unique_ptr<Pool>> pools_;
   std::vector<Draining> draining_;
   std::vector<Pool*> idle_;
-  std::mutex evictors_mutex_;
-  std::vector<Evictor*> evictors_;
+  Eviction eviction_{holder_};
   std::mutex topics_mutex_;
   std::unordered_map<std::uint32_t, unsigned> topic_uses_;
 

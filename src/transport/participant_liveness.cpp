@@ -204,11 +204,8 @@ void Participant::ring_warden() noexcept { holder_.ask(index(), errand::kOwn); }
 void Participant::run_errands(std::uint32_t asked) noexcept {
   settle_kept();
   if ((asked & errand::kTrim) == 0) return;
-  {
-    const std::lock_guard guard(evictors_mutex_);
-    for (Evictor* e : evictors_) e->tidy();
-  }
-  trim();
+  eviction_.settle();
+  trim(kNobody);
   segment_.witnesses()[index()].answers.fetch_add(1, std::memory_order_release);  // E2
 }
 

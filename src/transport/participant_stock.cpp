@@ -121,31 +121,45 @@ void Participant::close_pool(Pool& pool, const registry::ChannelName& ring,
   draining_.push_back({&pool, ring, std::move(blocks), false});
 }
 
-bool Participant::trim() noexcept {
+bool Participant::trim(std::uint32_t asker) noexcept {
   const std::lock_guard guard(pools_mutex_);
-  return trim_pools();
+  bool any = false;
+  for (std::uint32_t i = 0; i < pools_.size(); ++i) any |= pools_[i]->trim(i == asker);
+  return any;
 }
 
 bool Participant::trim_pools() noexcept {
   bool any = false;
-  for (auto& pool : pools_) any |= pool->trim();
+  for (auto& pool : pools_) any |= pool->trim(true);
   return any;
+}
+
+void Participant::tidy(std::uint32_t asker) noexcept {
+  reap_dead();
+  collect();
+  eviction_.settle();
+  trim(asker);
 }
 
 std::uint32_t Participant::claim_run(unsigned order, std::uint32_t tag) noexcept {
   constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
   std::uint32_t run = segment_.claim_run(order, tag);
   if (run != kNone) return run;
-  reap_dead();
-  collect();
-  trim();
+  if (order >= segment::Granules<segment::Atomics>::kOrders ||
+      (std::uint64_t{1} << order) > segment_.granules().count()) {
+    return kNone;  // nothing that goes makes room for it
+  }
+  const std::uint32_t asker = holder_.cell(tag - 1).pool.load(std::memory_order_relaxed);
   const auto enough = [&] { return (run = segment_.claim_run(order, tag)) != kNone; };
+  tidy(asker);
   if (enough()) return run;
   const bool gathers = may_gather();
   if (gathers && gather_from_others(enough)) return run;
-  while (evict()) {
-    trim();
-    if (enough()) return run;
+  if (eviction_.can_free_run(asker, order)) {
+    while (eviction_.evict(asker, segment::kGranule << order, Shortage::Memory)) {
+      trim(asker);
+      if (enough()) return run;
+    }
   }
   if (!gathers) gather_from_others(enough);
   return run;
@@ -179,23 +193,6 @@ bool Participant::all_have_answered(const Questions& questions) noexcept {
     }
   }
   return true;
-}
-
-void Participant::add(Evictor& evictor) {
-  const std::lock_guard guard(evictors_mutex_);
-  evictors_.push_back(&evictor);
-}
-
-void Participant::remove(Evictor& evictor) noexcept {
-  const std::lock_guard guard(evictors_mutex_);
-  std::erase(evictors_, &evictor);
-}
-
-bool Participant::evict() noexcept {
-  const std::lock_guard guard(evictors_mutex_);
-  bool any = false;
-  for (Evictor* e : evictors_) any |= e->evict();
-  return any;
 }
 
 std::uint32_t Participant::enter_topic(std::string_view name, const detail::MessageType& type) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "transport/pool.hpp"
 
+#include <array>
 #include <utility>
 
 #include "lot/error.hpp"
@@ -170,6 +171,7 @@ std::uint32_t Pool::claim() {
     c.pool.store(index_, std::memory_order_relaxed);
     c.type = nullptr;
     holder_.queued(b).store(0, std::memory_order_relaxed);
+    holder_.reserved[b].store(0, std::memory_order_relaxed);
     Arena& arena = holder_.segment->arena(b);
     arena.self = holder_.segment->offset_of(&arena);
     arena.block = b;
@@ -348,19 +350,47 @@ void Pool::release_block(std::uint32_t b) noexcept {
   holder_.own.give_back(holder_.words(b), c.hold);
 }
 
-bool Pool::trim() noexcept {
-  std::vector<std::uint32_t> idle;
-  {
-    const std::lock_guard guard(lock_);
-    poll_kept();
-    idle.swap(ready_);
+void Pool::keep_reserved(std::uint32_t b) noexcept {
+  // Relaxed: a hint for the threads of this process.
+  holder_.reserved[b].store(1, std::memory_order_relaxed);
+}
+
+std::size_t Pool::take_foreign(std::span<std::uint32_t> into) noexcept {
+  std::size_t n = 0;
+  for (; n < into.size() && !foreign_.empty(); ++n) {
+    into[n] = foreign_.back();
+    foreign_.pop_back();
   }
-  for (const std::uint32_t b : idle) release_block(b);
-  return !idle.empty();
+  return n;
+}
+
+bool Pool::trim(bool with_reserved) noexcept {
+  // Released without the lock, since destructors of messages may run. Piece by piece, into a room
+  // that is there: memory of another kind may be short as well.
+  bool any = false;
+  std::array<std::uint32_t, 64> idle;
+  for (std::size_t n = idle.size(); n == idle.size();) {
+    n = 0;
+    {
+      const std::lock_guard guard(lock_);
+      if (!any) poll_kept();
+      std::size_t stays = 0;
+      for (const std::uint32_t b : ready_) {
+        const bool goes =
+            n < idle.size() &&
+            (with_reserved || holder_.reserved[b].load(std::memory_order_relaxed) == 0);
+        (goes ? idle[n++] : ready_[stays++]) = b;
+      }
+      ready_.resize(stays);
+    }
+    for (std::size_t i = 0; i < n; ++i) release_block(idle[i]);
+    any |= n != 0;
+  }
+  return any;
 }
 
 bool Pool::drain() noexcept {
-  trim();
+  trim(true);
   const std::lock_guard guard(lock_);
   return kept_.empty() && free_.empty() && retired_.empty() && ready_.empty();
 }

@@ -6,6 +6,7 @@
 #include <deque>
 #include <memory>
 #include <mutex>
+#include <span>
 #include <utility>
 #include <vector>
 
@@ -33,6 +34,9 @@ struct Holder {
   /// to it was taken from there: others may still look at its block.
   std::vector<std::atomic<std::uint8_t>> in_queue;
   std::vector<KeptList::Link> kept_links;   ///< [blocks]
+  /// [blocks] 1: reserve() made its memory, and other topics have no claim on it. Written by the
+  /// thread that has the block alone; read, perhaps stale, by a thread that looks for memory.
+  std::vector<std::atomic<std::uint8_t>> reserved;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
   /// Above all blocks that this process ever held, so that who looks for them need not go further.
   mutable std::atomic<std::uint32_t> known{0};
@@ -136,6 +140,11 @@ class Pool {
   /// Ring holds on blocks that are not this pool's. The caller releases them once it has unlocked
   /// (their own pools' locks are taken then). Locked.
   std::vector<std::uint32_t> take_foreign() noexcept { return std::exchange(foreign_, {}); }
+  /// The same, piece by piece into a room that is there: returns how many.
+  std::size_t take_foreign(std::span<std::uint32_t> into) noexcept;
+  /// A message that is not this pool's business has left the ring: the same again replaced it.
+  /// Locked.
+  void retire_foreign(std::uint32_t b) { foreign_.push_back(b); }
   bool has_free() const noexcept { return !ready_.empty() || !free_.empty(); }
   bool has_foreign() const noexcept { return !foreign_.empty(); }
   /// The retired blocks, for who closes the ring. Locked.
@@ -150,10 +159,17 @@ class Pool {
   /// Messages that only others held, and hold no more, die now.
   void settle() noexcept;
 
+  /// This block's memory stays with this publisher, whatever other topics need. REQUIRES: it is
+  /// exclusively owned.
+  void keep_reserved(std::uint32_t b) noexcept;
+
+  std::uint32_t index() const noexcept { return index_; }
+
   /// Frees what it can; true when nothing is left. For a pool whose publisher has gone.
   bool drain() noexcept;
-  /// Gives the memory of idle blocks back to everybody. True when there was some.
-  bool trim() noexcept;
+  /// Gives the memory of idle blocks back to everybody; what reserve() made only if told to. True
+  /// when there was some.
+  bool trim(bool with_reserved) noexcept;
 
  private:
   /// The message has died and the block is exclusively ours: its destructor runs, its references

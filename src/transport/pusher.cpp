@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <cstring>
 #include <optional>
@@ -8,6 +9,7 @@
 #include "lot/detail/core.hpp"
 
 #include "lockfree_ring/sleep.hpp"
+#include "transport/eviction.hpp"
 #include "transport/participant.hpp"
 #include "transport/spin_habit.hpp"
 
@@ -25,12 +27,17 @@ constexpr std::size_t kUsualBatch = 32;
 /// A sender that waits for room looks by itself this often: readers tell of it a few times a lap
 /// only, and what they tell may be missed.
 constexpr auto kLookPeriod = 1ms;
+/// A publisher that had to give its own oldest message up does so at once for each of its loans, as
+/// long as this. Then it looks again whether there is more for it.
+constexpr auto kBoundFor = 1s;
+/// Of the messages of a publisher, other topics never get so many of the newest.
+constexpr std::uint32_t kNewest = 2;
 constexpr unsigned kPausesPerLook = 16;
 /// The lines of the block that is replaced so many publishes from now are fetched back in time.
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr unsigned kLooksPerProbe = 4;  ///< and asks whether the laggards live
 
-class Pusher final : public detail::PusherCore, private Participant::Evictor {
+class Pusher final : public detail::PusherCore, private Evictor {
  public:
   /// A maker of messages without a topic.
   explicit Pusher(std::shared_ptr<Participant> participant)
@@ -66,7 +73,10 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     queue_lock_ = participant_->segment().queue_lock(name_.channel);
     waits_ = options.policy == Policy::Block;
     evicts_ = writer_->ring().guarded();
-    if (evicts_) participant_->add(*this);
+    if (evicts_) {
+      seen_.resize(participant_->blocks());
+      participant_->eviction().add(*this);
+    }
   }
 
   ~Pusher() override {
@@ -75,7 +85,7 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       close_without_ring();
       return;
     }
-    if (evicts_) participant_->remove(*this);
+    if (evicts_) participant_->eviction().remove(*this);
     std::vector<std::uint32_t> blocks;
     std::vector<std::uint32_t> foreign;
     {
@@ -104,15 +114,11 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     participant_->check_usable();
     std::uint32_t b;
     {
-      const std::lock_guard guard(pool_.lock());
+      std::unique_lock lock(pool_.lock());
       if (writer_) writer_->prefetch();
       b = pool_.try_loan();
-      if (b == Pool::kNone) retire_taken();
-      if (b == Pool::kNone && pool_.retired() >= batch()) {
-        scan();
-        b = pool_.try_loan();
-      }
-      if (b == Pool::kNone) b = pool_.claim();
+      if (b == Pool::kNone) b = replenish();
+      if (pool_.has_foreign()) release_foreign(lock);
     }
     if (b == Pool::kNone) b = scrape_together();
     if (b == Pool::kNone) {
@@ -245,9 +251,11 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     static const detail::MessageType nothing{1, 1, 0, "", nullptr, false};
     std::vector<std::uint32_t> blocks;
     try {
+      blocks.reserve(count);
       for (std::size_t i = 0; i < count; ++i) {
         const detail::Loan loan = this->loan(nothing, true);
         blocks.push_back(loan.cell->block);
+        pool_.keep_reserved(loan.cell->block);
         std::memset(loan.arena->allocate(bytes, 64), 0, bytes);
       }
     } catch (...) {
@@ -366,15 +374,56 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     return any;
   }
 
+  /// The pool has no block at hand: from those that were overwritten, or that nobody has. Locked.
+  std::uint32_t replenish() {
+    retire_taken();
+    const bool was_short = is_short();
+    if (pool_.retired() >= (was_short ? 1 : batch())) {
+      scan();
+      const std::uint32_t b = pool_.try_loan();
+      if (b != Pool::kNone) return b;
+    }
+    if (was_short && is_bound_ && evict_own()) {
+      const std::uint32_t b = pool_.try_loan();
+      if (b != Pool::kNone) return b;
+    }
+    const std::uint32_t b = pool_.claim();
+    if (b == Pool::kNone) short_until_ = futex::Clock::now() + kBoundFor;
+    return b;
+  }
+
+  /// True for a while after memory or blocks were short. Locked.
+  bool is_short() {
+    if (short_until_ == futex::Clock::time_point{}) return false;
+    if (futex::Clock::now() < short_until_) return true;
+    short_until_ = {};
+    is_bound_ = false;
+    return false;
+  }
+
+  /// The oldest message leaves the ring. Its block keeps its memory, for the next loan. Locked.
+  bool evict_own() noexcept {
+    if (!evicts_ || writer_->ring().blocking) return false;
+    const mutex_engine::Alone alone(queue_lock_, std::nothrow);
+    const ring::Word b = writer_->evict_oldest();
+    if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
+    scan();
+    return b != kNoBlock;
+  }
+
   /// Retired blocks that no reader's hazard names become free. Locked.
   void scan() {
     if (!writer_ || pool_.retired() == 0) return;
+    see_hazards();
+    pool_.scan([this](std::uint32_t b) { return seen_[b] == scan_; });
+  }
+
+  /// Notes which blocks readers may be looking at right now. Locked.
+  void see_hazards() {
     ++scan_;
-    if (seen_.empty()) seen_.resize(participant_->blocks());
     writer_->hazards([this](ring::Word b) {
       if (b < seen_.size()) seen_[static_cast<std::size_t>(b)] = scan_;
     });
-    pool_.scan([this](std::uint32_t b) { return seen_[b] == scan_; });
   }
 
   /// Publishes, wakes, retires what was overwritten. Called with both locks held, left without.
@@ -391,9 +440,9 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       wake_readers(*published.slot);
       lock.lock();
     }
-    std::vector<std::uint32_t> foreign;
     if (published.replaced == b) {
-      foreign.push_back(b);  // the same message again: it is in the ring, so nobody needs this hold
+      pool_.retire_foreign(
+          b);  // the same message again: it is in the ring, so nobody needs this hold
     } else if (published.replaced < participant_->blocks()) {  // else none, or it is damaged
       pool_.retire(static_cast<std::uint32_t>(published.replaced), guarded);
       if (guarded) {
@@ -409,11 +458,20 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       pool_.prepare();
       if (!guarded) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // a lossless stream
     }
-    if (pool_.has_foreign()) {
-      for (const std::uint32_t f : pool_.take_foreign()) foreign.push_back(f);
+    if (pool_.has_foreign()) release_foreign(lock);
+  }
+
+  /// Lets go of what has left our ring and is not our pool's. It takes the locks of other pools: so
+  /// called with the lock, left without.
+  void release_foreign(std::unique_lock<BiasedLock>& lock) noexcept {
+    std::array<std::uint32_t, 16> foreign;
+    for (;;) {
+      const std::size_t n = pool_.take_foreign(foreign);
+      lock.unlock();
+      for (std::size_t i = 0; i < n; ++i) participant_->holder().release_ring_hold(foreign[i]);
+      if (n < foreign.size()) return;
+      lock.lock();
     }
-    lock.unlock();
-    for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
   }
 
   void wake_readers(const std::atomic<ring::Word>& slot) const {
@@ -427,12 +485,18 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
     if (type != nullptr && type->plain && type->size <= segment::kSmallBytes) return kBatchedBytes;
     const detail::Arena& arena = participant_->segment().arena(b);
     if (arena.references != 0) return 1;  // what it refers to may be big
+    return std::max<std::size_t>(kBatchedBytes / std::max<std::uint64_t>(own_bytes(b), 1), 1);
+  }
+
+  /// The memory of a message beside its small payload.
+  std::uint64_t own_bytes(std::uint32_t b) const noexcept {
+    const detail::Arena& arena = participant_->segment().arena(b);
     std::uint64_t bytes = 0;
     for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
       bytes +=
           segment::kGranule << arena.extent[i].order % segment::Granules<segment::Atomics>::kOrders;
     }
-    return std::max<std::size_t>(kBatchedBytes / std::max<std::uint64_t>(bytes, 1), 1);
+    return bytes;
   }
 
   /// A batch is no larger than the largest message in the ring allows.
@@ -518,47 +582,128 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
       return b != Pool::kNone;
     };
     if (look()) return b;
-    participant_->reap_dead();
-    participant_->collect();
-    participant_->trim();
+    participant_->tidy(pool_.index());
     if (look()) return b;
     const bool gathers = participant_->may_gather();
     if (gathers && participant_->gather_from_others(look)) return b;
-    while (participant_->evict()) {
-      participant_->trim();
+    while (participant_->eviction().evict(pool_.index(), 1, Shortage::Blocks)) {
+      participant_->trim(pool_.index());
       if (look()) return b;
     }
     if (!gathers) participant_->gather_from_others(look);
     return b;
   }
 
-  void tidy() noexcept override {
-    std::vector<std::uint32_t> foreign;
-    {
-      const std::lock_guard guard(pool_.lock());
-      scan();
-      foreign = pool_.take_foreign();
-    }
-    for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
+  std::uint32_t pool() const noexcept override { return pool_.index(); }
+
+  bool settle() noexcept override {
+    std::unique_lock lock(pool_.lock());
+    const std::size_t before = pool_.retired();
+    const bool any = retire_taken();
+    scan();
+    const bool fewer = any || pool_.retired() < before;
+    if (pool_.has_foreign()) release_foreign(lock);
+    return fewer;
   }
 
-  bool evict() noexcept override {
-    bool any = false;
-    std::vector<std::uint32_t> foreign;
-    {
-      const std::lock_guard guard(pool_.lock());
-      any = retire_taken();
-      if (!any && !writer_->ring().blocking) {
-        const mutex_engine::Alone alone(queue_lock_, std::nothrow);
-        const ring::Word b = writer_->evict_oldest();
-        if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
-        any = b != kNoBlock;
-      }
-      scan();
-      foreign = pool_.take_foreign();
+  bool give_up(bool own) noexcept override {
+    std::unique_lock lock(pool_.lock());
+    if (own) {
+      short_until_ = futex::Clock::now() + kBoundFor;
+      is_bound_ = true;
     }
-    for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
+    const bool any = evict_own();
+    if (pool_.has_foreign()) release_foreign(lock);
     return any;
+  }
+
+  Stock stock(Shortage shortage) noexcept override {
+    const std::lock_guard guard(pool_.lock());
+    Stock stock;
+    if (writer_->ring().blocking) return stock;  // it loses nothing
+    see_hazards();
+    each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool is_oldest) {
+      if (!is_in_ring_only(b)) return true;
+      const std::uint64_t weight = shortage == Shortage::Blocks ? 1 : bytes(b);
+      stock.held += weight;
+      if (is_oldest && newer >= kNewest && !is_for_us(b)) stock.oldest = weight;
+      return true;
+    });
+    return stock;
+  }
+
+  void mark(bool own, std::uint64_t keep, std::vector<bool>& blocks) noexcept override {
+    std::uint64_t held = own ? 0 : stock(Shortage::Memory).held;
+    const std::lock_guard guard(pool_.lock());
+    if (writer_->ring().blocking) return;
+    see_hazards();
+    each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool) {
+      if (own) {
+        if (is_in_ring_only(b)) mark_block(b, blocks);
+        return true;
+      }
+      const std::uint64_t weight = bytes(b);
+      if (newer < kNewest || !is_in_ring_only(b) || is_for_us(b) || held < keep + weight) {
+        return false;
+      }
+      held -= weight;
+      mark_block(b, blocks);
+      return true;
+    });
+  }
+
+  /// Calls f(block, newer ones in the ring, is the oldest) from the oldest on, until it says false.
+  /// Locked.
+  template <class F>
+  void each_of_ring(F&& f) const {
+    const std::uint32_t depth = writer_->ring().depth;
+    std::uint32_t left = 0;
+    for (std::uint32_t i = 0; i < depth; ++i) left += writer_->upcoming(i) < participant_->blocks();
+    bool is_oldest = true;
+    for (std::uint32_t i = 0; i < depth && left != 0; ++i) {
+      const ring::Word b = writer_->upcoming(i);
+      if (b >= participant_->blocks()) continue;
+      if (!f(static_cast<std::uint32_t>(b), --left, is_oldest)) return;
+      is_oldest = false;
+    }
+  }
+
+  /// The message dies when it leaves the ring: no pointer, no reader, no other process has it. So
+  /// far as can be seen. REQUIRES: see_hazards().
+  bool is_in_ring_only(std::uint32_t b) const noexcept {
+    const Holder& holder = participant_->holder();
+    const std::uint64_t word = holder.cell(b).hold.load(std::memory_order_relaxed);
+    if ((word & hold::kHome) == 0 || hold::pointers(word) != 0 || seen_[b] == scan_) return false;
+    for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
+      const std::uint64_t owners = holder.words(b).own[w].load(std::memory_order_relaxed);
+      const std::uint32_t self = holder.own.self;
+      const std::uint64_t mine =
+          w == self / segment::Atomics::kBitsPerWord ? HardwareOwnership::bit(self) : 0;
+      if ((owners & ~mine) != 0) return false;
+    }
+    return true;
+  }
+
+  /// True when other topics have no claim on it: reserve() made its memory, or it has several
+  /// places in rings, so that one less frees nothing.
+  bool is_for_us(std::uint32_t b) const noexcept {
+    const Holder& holder = participant_->holder();
+    return holder.reserved[b].load(std::memory_order_relaxed) != 0 ||
+           (holder.cell(b).hold.load(std::memory_order_relaxed) & hold::kRingMask) != hold::kRing;
+  }
+
+  /// The memory of a message, with what it refers to.
+  std::uint64_t bytes(std::uint32_t b) const noexcept {
+    std::uint64_t sum = own_bytes(b);
+    participant_->holder().each_reference(b, [&](std::uint32_t t) { sum += own_bytes(t); });
+    return sum;
+  }
+
+  void mark_block(std::uint32_t b, std::vector<bool>& blocks) const noexcept {
+    blocks[b] = true;
+    participant_->holder().each_reference(b, [&](std::uint32_t t) {
+      if (is_in_ring_only(t)) blocks[t] = true;
+    });
   }
 
   std::shared_ptr<Participant> participant_;
@@ -576,6 +721,8 @@ class Pusher final : public detail::PusherCore, private Participant::Evictor {
   std::uint32_t since_fit_ = 0;      ///< messages since the last of that size
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
+  futex::Clock::time_point short_until_{};  ///< blocks or memory were short; none: they were not
+  bool is_bound_ = false;  ///< and an own message had to go: the next loan takes the oldest's place
 };
 
 }  // namespace

@@ -1,0 +1,255 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Memory and blocks run out: whose messages go, and what a publisher that is bound by them does.
+
+#include <cstdint>
+#include <cstdlib>
+#include <new>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+#include "transport/participant.hpp"
+
+namespace {
+
+thread_local bool counts_news = false;
+thread_local long news = 0;
+
+void* get(std::size_t bytes) {
+  if (counts_news) ++news;
+  void* const p = std::malloc(bytes != 0 ? bytes : 1);
+  if (p == nullptr) throw std::bad_alloc();
+  return p;
+}
+
+}  // namespace
+
+void* operator new(std::size_t bytes) { return get(bytes); }
+void operator delete(void* p) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t) noexcept { std::free(p); }
+
+namespace {
+
+using namespace lot::testing;
+using lot::Policy;
+using lot::Status;
+
+constexpr std::size_t kMiB = std::size_t{1} << 20;
+
+struct Map {
+  int id;
+};
+struct Frame {
+  int number;
+  lot::ShmVector<char> data;
+};
+
+struct Place {
+  explicit Place(std::size_t bytes, std::uint32_t blocks = 0) : engine(options(bytes, blocks)) {}
+  static lot::EngineOptions options(std::size_t bytes, std::uint32_t blocks) {
+    lot::EngineOptions o = fresh(bytes);
+    if (blocks != 0) o.blocks = blocks;
+    return o;
+  }
+  lot::ShmEngine engine;
+};
+
+lot::PullerOptions latched(std::uint32_t history) {
+  lot::PullerOptions options;
+  options.history = history;
+  return options;
+}
+
+void push_frames(lot::ShmPusher<Frame>& pusher, int count, std::size_t bytes) {
+  for (int i = 0; i < count; ++i) {
+    auto frame = pusher.loan();
+    frame->number = i;
+    frame->data.resize(bytes);
+    REQUIRE(pusher.push(std::move(frame)) == Status::Ok);
+  }
+}
+
+std::uint32_t block_of(lot::transport::Participant& p, const void* message) {
+  const auto at = static_cast<const unsigned char*>(message);
+  const auto begin = static_cast<const unsigned char*>(static_cast<void*>(p.segment().small(0)));
+  return static_cast<std::uint32_t>(static_cast<std::size_t>(at - begin) /
+                                    lot::segment::kSmallBytes);
+}
+
+TEST_SUITE_BEGIN("transport");
+
+TEST_CASE("a latched message stays while another topic of its process runs out of memory") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  lot::PusherOptions one;
+  one.depth = 1;
+  auto maps = place.engine.advertise<Map>("map", one);
+  maps.push(maps.loan(Map{7}));
+  auto camera = place.engine.advertise<Frame>("camera");
+  push_frames(camera, 100, kMiB);
+  auto late = place.engine.subscribe<Map>("map", latched(1));
+  const auto got = late.try_pull();
+  REQUIRE(got);
+  CHECK(got->id == 7);
+}
+
+TEST_CASE("a request that can never be met gives no message up") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto maps = place.engine.advertise<Map>("map");
+  auto camera = place.engine.advertise<Frame>("camera");
+  for (int i = 0; i < 10; ++i) maps.push(maps.loan(Map{i}));
+  push_frames(camera, 10, kMiB);
+  auto reader = place.engine.subscribe<Frame>("camera", latched(10));
+  auto frame = camera.loan();
+  std::size_t before = reader.size();
+  SUBCASE("more than the segment has") {
+    CHECK_THROWS_AS(frame->data.resize(64 * kMiB), lot::OutOfMemory);
+  }
+  SUBCASE("more than what is kept leaves, in one piece") {
+    // A loan lies in each run of half the segment.
+    auto keeper = place.engine.advertise<Frame>("kept");
+    std::vector<lot::ShmUniquePtr<Frame>> kept;
+    for (int i = 0; i < 6; ++i) {
+      kept.push_back(keeper.loan());
+      kept.back()->data.resize(2 * kMiB);
+    }
+    before = reader.size();
+    REQUIRE(before != 0);
+    CHECK_THROWS_AS(frame->data.resize(16 * kMiB), lot::OutOfMemory);
+  }
+  CHECK(reader.size() == before);
+  auto late = place.engine.subscribe<Map>("map", latched(10));
+  CHECK(late.size() == 10);
+}
+
+TEST_CASE("a topic that comes later gets its share from the one that has all the memory") {
+  const Watchdog watchdog(60);
+  Place place(64 * kMiB);
+  auto front = place.engine.advertise<Frame>("front");
+  auto rear = place.engine.advertise<Frame>("rear");
+  push_frames(front, 100, kMiB);
+  for (int round = 0; round < 100; ++round) {
+    push_frames(rear, 1, kMiB);
+    push_frames(front, 1, kMiB);
+  }
+  const auto a = place.engine.subscribe<Frame>("front", latched(64)).size();
+  const auto b = place.engine.subscribe<Frame>("rear", latched(64)).size();
+  CHECK(a >= 16);
+  CHECK(b >= 16);
+}
+
+TEST_CASE("another topic's need leaves a publisher its newest two messages") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto front = place.engine.advertise<Frame>("front");
+  push_frames(front, 100, kMiB);
+  auto rear = place.engine.advertise<Frame>("rear");
+  std::vector<lot::ShmUniquePtr<Frame>> kept;
+  try {
+    for (;;) {
+      kept.push_back(rear.loan());
+      kept.back()->data.resize(kMiB);
+    }
+  } catch (const lot::OutOfMemory&) {
+  }
+  auto reader = place.engine.subscribe<Frame>("front", latched(64));
+  CHECK(reader.size() == 2);
+}
+
+TEST_CASE("memory that a publisher has reserved is there whatever other topics need") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto front = place.engine.advertise<Frame>("front");
+  front.reserve(2, 4 * kMiB);
+  auto rear = place.engine.advertise<Frame>("rear");
+  std::vector<lot::ShmUniquePtr<Frame>> kept;
+  try {
+    for (;;) {
+      kept.push_back(rear.loan());
+      kept.back()->data.resize(kMiB);
+    }
+  } catch (const lot::OutOfMemory&) {
+  }
+  SUBCASE("idle") {}
+  SUBCASE("in its queue") {
+    push_frames(front, 2, 4 * kMiB);
+    CHECK_THROWS_AS(rear.loan()->data.resize(kMiB), lot::OutOfMemory);
+    auto reader = place.engine.subscribe<Frame>("front", latched(2));
+    CHECK(reader.size() == 2);
+  }
+  CHECK_NOTHROW(push_frames(front, 4, 4 * kMiB));
+}
+
+TEST_CASE("a publisher that is bound by memory has the next message in its oldest one's memory") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto camera = place.engine.advertise<Frame>("camera");
+  push_frames(camera, 100, kMiB);
+  int warm = 0;
+  for (int i = 0; i < 100; ++i) {
+    auto frame = camera.loan();
+    lot::transport::Participant& p = *lot::transport::Participant::at(frame.get());
+    warm += p.segment().arena(block_of(p, frame.get())).extents != 0;
+    frame->data.resize(kMiB);
+    camera.push(std::move(frame));
+  }
+  CHECK(warm >= 50);  // but when it looks whether there is more for it
+}
+
+TEST_CASE("a publisher as deep as there are blocks claims none in its steady state") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB, 256);
+  lot::PusherOptions deep;
+  deep.depth = 256;
+  auto pusher = place.engine.advertise<Map>("t", deep);
+  for (int i = 0; i < 1000; ++i) pusher.push(pusher.loan(Map{i}));
+  int claims = 0;
+  for (int i = 0; i < 1000; ++i) {
+    auto map = pusher.loan(Map{i});
+    lot::transport::Holder& holder = lot::transport::Participant::at(map.get())->holder();
+    claims += holder.next_free.exchange(0) != 0;
+    pusher.push(std::move(map));
+  }
+  CHECK(claims <= 100);
+}
+
+TEST_CASE("a bound publisher has its whole depth again when memory is free again") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto camera = place.engine.advertise<Frame>("camera", {Policy::Overwrite, 16, {}});
+  {
+    auto other = place.engine.advertise<Frame>("other");
+    std::vector<lot::ShmUniquePtr<Frame>> kept;
+    for (int i = 0; i < 20; ++i) {
+      kept.push_back(other.loan());
+      kept.back()->data.resize(kMiB);
+    }
+    push_frames(camera, 100, kMiB);
+  }
+  auto reader = place.engine.subscribe<Frame>("camera", latched(16));
+  while (reader.size() < 14) push_frames(camera, 1, kMiB);  // else the watchdog
+}
+
+TEST_CASE("a push of the same message again allocates nothing") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto pusher = place.engine.advertise<Map>("t");
+  const lot::ShmSharedPtr<Map> same(pusher.loan(Map{1}));
+  for (int i = 0; i < 1000; ++i) pusher.push(same);
+  news = 0;
+  counts_news = true;
+  for (int i = 0; i < 1000; ++i) pusher.push(same);
+  counts_news = false;
+  CHECK(news == 0);
+}
+
+TEST_SUITE_END();
+
+}  // namespace
