@@ -294,12 +294,16 @@ void Registry::recycle(std::uint32_t channel) noexcept {
 }
 
 void Registry::announce(std::uint32_t topic) noexcept {
-  auto names = rings(topic);
-  std::erase_if(names, [this](const ChannelName& name) { return !is_live(name); });
+  // Found one by one, without a list: this may not fail.
+  const auto channels = segment_.channels();
+  const auto is_of_topic = [&](std::uint32_t c) {
+    const auto w = channels[c].writer.load(std::memory_order_seq_cst);
+    return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic;
+  };
   ring::announce(segment_.directory().version,
-                 names | std::views::transform([this](const ChannelName& name) {
-                   return segment_.ring(name.channel);
-                 }),
+                 std::views::iota(std::uint32_t{0}, static_cast<std::uint32_t>(channels.size())) |
+                     std::views::filter(is_of_topic) |
+                     std::views::transform([this](std::uint32_t c) { return segment_.ring(c); }),
                  [](const auto& word) {
                    if constexpr (sizeof(word) == sizeof(ring::Word)) {
                      futex::wake_all(futex::low_half(word));

@@ -200,6 +200,8 @@ Participant::Participant(const EngineOptions& options,
   eviction_.prepare(blocks, segment_.capacity().channels);
   holder_.pools = &pools_;
   pools_.reserve(segment_.capacity().channels + 64);
+  draining_.reserve(pools_.capacity());  // so that closing needs no memory
+  idle_.reserve(pools_.capacity());
   watched_.reserve(futex::kMaxWords);
   try {
     lock_file_->take_turn();

@@ -133,11 +133,14 @@ void Participant::warden() {
     while (!reaped && futex::Clock::now() < until) {
       if (enter_orphanage()) {
         if (in_gate) lock_file_->take_turn();
-        Recovery(*this).reap(index());
+        try {
+          Recovery(*this).reap(index());
+          reaped = true;
+        } catch (const std::bad_alloc&) {  // as if killed here: it is done all again
+        }
         leave_orphanage();
         if (in_gate) lock_file_->take_turn();
-        tell_homes();
-        reaped = true;
+        if (reaped) tell_homes();
       } else {
         std::this_thread::sleep_for(1ms);
       }
@@ -311,7 +314,10 @@ bool Participant::reap_if_dead(std::uint32_t k) noexcept {
   if (part(k).load(std::memory_order_acquire) != 0 &&
       witness.try_lock() != RobustMutex::Outcome::Busy) {
     if (enter_orphanage()) {
-      done = Recovery(*this).reap(k);
+      try {
+        done = Recovery(*this).reap(k);
+      } catch (const std::bad_alloc&) {  // as if killed here: the next look does it all again
+      }
       leave_orphanage();
       if (done) tell_homes();
     }
@@ -370,7 +376,10 @@ bool Participant::collect() noexcept {
   if (!orphans) return false;
   const std::unique_lock guard(reap_mutex_, std::try_to_lock);
   if (!guard || !enter_orphanage()) return true;
-  Recovery(*this).collect();
+  try {
+    Recovery(*this).collect();
+  } catch (const std::bad_alloc&) {  // as if killed here: the next look does it all again
+  }
   leave_orphanage();
   tell_homes();
   return true;

@@ -2,6 +2,8 @@
 /// What a participant owns: rings, pools, memory, topics.
 #include <algorithm>
 #include <cerrno>
+#include <new>
+#include <utility>
 
 #include "lot/error.hpp"
 
@@ -59,31 +61,34 @@ bool Participant::finish_closing() noexcept {
   if (any) {
     const std::lock_guard guard(reap_mutex_);
     if (!enter_orphanage()) return false;
-    Recovery recovery(*this);
-    for (std::uint32_t c = 0; c < used; ++c) {
-      if (is_closing(c)) recovery.orphan_ring(c, index());
+    bool all = true;
+    try {
+      Recovery recovery(*this);
+      for (std::uint32_t c = 0; c < used; ++c) {
+        if (is_closing(c)) recovery.orphan_ring(c, index());
+      }
+      recovery.collect();
+    } catch (const std::bad_alloc&) {
+      all = false;  // as if killed here: the warden's next look does it again
     }
-    recovery.collect();
     leave_orphanage();
+    if (!all) return false;
   }
   // What the closed rings held is the orphanage's now: our own holds may go.
-  std::vector<std::uint32_t> blocks;
-  std::vector<const Pool*> pools;
-  {
-    const std::lock_guard guard(pools_mutex_);
-    for (auto& d : draining_) {
-      if (!d.blocks.empty() && ring_closed(d.ring)) {
-        blocks.insert(blocks.end(), d.blocks.begin(), d.blocks.end());
-        pools.push_back(d.pool);
-        d.blocks.clear();
-        d.releasing = true;
-      }
-    }
-  }
-  for (const std::uint32_t b : blocks) holder_.release_ring_hold(b);
-  const std::lock_guard guard(pools_mutex_);
-  for (auto& d : draining_) {
-    if (std::find(pools.begin(), pools.end(), d.pool) != pools.end()) d.releasing = false;
+  const auto is_due = [this](const Draining& d) {
+    return !d.blocks.empty() && !d.releasing && ring_closed(d.ring);
+  };
+  std::unique_lock lock(pools_mutex_);
+  for (auto d = draining_.begin();
+       (d = std::find_if(draining_.begin(), draining_.end(), is_due)) != draining_.end();) {
+    const std::vector<std::uint32_t> blocks = std::exchange(d->blocks, {});
+    const Pool* const pool = d->pool;
+    d->releasing = true;
+    lock.unlock();
+    for (const std::uint32_t b : blocks) holder_.release_ring_hold(b);
+    lock.lock();
+    const auto of_pool = [pool](const Draining& e) { return e.pool == pool; };
+    std::find_if(draining_.begin(), draining_.end(), of_pool)->releasing = false;
   }
   for (std::size_t i = 0; i < draining_.size();) {
     const auto& d = draining_[i];
@@ -199,7 +204,12 @@ std::uint32_t Participant::enter_topic(std::string_view name, const detail::Mess
   const std::lock_guard guard(topics_mutex_);
   const registry::Registry::Lock lock(registry_);
   const std::uint32_t topic = registry_.enter(name, type, index());
-  ++topic_uses_[topic];
+  try {
+    ++topic_uses_[topic];
+  } catch (...) {  // it was not there
+    registry_.leave(topic, index());
+    throw;
+  }
   return topic;
 }
 

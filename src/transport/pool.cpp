@@ -355,6 +355,15 @@ void Pool::keep_reserved(std::uint32_t b) noexcept {
   holder_.reserved[b].store(1, std::memory_order_relaxed);
 }
 
+void Pool::make_room(std::size_t more) {
+  // Each retired one may turn out to be foreign, and the same block may be there several times.
+  const auto grow = [](std::vector<std::uint32_t>& v, std::size_t n) {
+    if (v.capacity() < n) v.reserve(2 * n);
+  };
+  grow(retired_, retired_.size() + more);
+  grow(foreign_, foreign_.size() + retired_.size() + more);
+}
+
 std::size_t Pool::take_foreign(std::span<std::uint32_t> into) noexcept {
   std::size_t n = 0;
   for (; n < into.size() && !foreign_.empty(); ++n) {

@@ -3,7 +3,6 @@
 
 #include <atomic>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <mutex>
 #include <span>
@@ -92,6 +91,34 @@ struct Holder {
   void freeze_reachable(std::uint32_t b) const noexcept;
 };
 
+/// Blocks, first come, first served. It has room for each block of the segment, so that a push
+/// needs no memory. Threads: the owner sees to that one uses it at a time.
+class BlockQueue {
+ public:
+  explicit BlockQueue(std::uint32_t blocks)
+      : blocks_(std::make_unique_for_overwrite<std::uint32_t[]>(blocks)), room_(blocks) {}
+
+  bool empty() const noexcept { return count_ == 0; }
+  std::size_t size() const noexcept { return count_; }
+  std::uint32_t front() const noexcept { return blocks_[first_]; }
+  void pop_front() noexcept {
+    if (++first_ == room_) first_ = 0;
+    if (--count_ == 0) first_ = 0;  // so it stays small in the caches
+  }
+  /// A block that is in it already may be lost, when rubbish in the segment has led to it.
+  void push_back(std::uint32_t b) noexcept {
+    if (count_ == room_) return;
+    const std::uint32_t at = first_ + count_++;
+    blocks_[at < room_ ? at : at - room_] = b;
+  }
+
+ private:
+  std::unique_ptr<std::uint32_t[]> blocks_;
+  std::uint32_t room_;
+  std::uint32_t first_ = 0;
+  std::uint32_t count_ = 0;
+};
+
 /// The blocks of one publisher: loans them, and takes them back when their messages have died.
 ///
 /// A block stays at home from loan to loan, with its extents: so a loan of a warm block touches no
@@ -108,7 +135,12 @@ struct Holder {
 class Pool {
  public:
   Pool(Holder& holder, std::uint32_t index)
-      : holder_(holder), index_(index), kept_(holder.kept_links.data()) {}
+      : holder_(holder),
+        index_(index),
+        free_(holder.segment->capacity().blocks),
+        kept_(holder.kept_links.data()) {
+    ready_.reserve(holder.segment->capacity().blocks);
+  }
 
   BiasedLock& lock() noexcept { return lock_; }
   /// For whom it will claim blocks: the key of a topic, or 0. REQUIRES: the pool is not in use.
@@ -136,6 +168,9 @@ class Pool {
   /// A block has left the ring; its hold is still the ring's. Locked. `borrowed` says whether a
   /// reader may still look at it.
   void retire(std::uint32_t b, bool borrowed);
+  /// Makes room for so many more that retire(). Throws std::bad_alloc, and then all is as before.
+  /// Locked.
+  void make_room(std::size_t more);
   std::size_t retired() const noexcept { return retired_.size(); }
   /// Ring holds on blocks that are not this pool's. The caller releases them once it has unlocked
   /// (their own pools' locks are taken then). Locked.
@@ -186,7 +221,7 @@ class Pool {
   std::uint64_t topic_ = 0;
   BiasedLock lock_;
   std::vector<std::uint32_t> ready_;
-  std::deque<std::uint32_t> free_;  ///< retired and unprotected, still with the ring's hold
+  BlockQueue free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;
   std::vector<std::uint32_t> foreign_;  ///< left our ring, but is not ours
   KeptList kept_;

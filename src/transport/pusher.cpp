@@ -69,14 +69,20 @@ class Pusher final : public detail::PusherCore, private Evictor {
       close_without_ring();
       throw;
     }
-    writer_.emplace(participant_->segment().ring(name_.channel));
+    try {
+      writer_.emplace(participant_->segment().ring(name_.channel));
+      pool_.make_room(room_to_retire());
+      seen_.resize(participant_->blocks());
+    } catch (...) {
+      participant_->close_pool(pool_, name_, {});
+      participant_->close_ring(name_);
+      participant_->leave_topic(*topic_);
+      throw;
+    }
     queue_lock_ = participant_->segment().queue_lock(name_.channel);
     waits_ = options.policy == Policy::Block;
     evicts_ = writer_->ring().guarded();
-    if (evicts_) {
-      seen_.resize(participant_->blocks());
-      participant_->eviction().add(*this);
-    }
+    if (evicts_) participant_->eviction().add(*this);
   }
 
   ~Pusher() override {
@@ -87,14 +93,11 @@ class Pusher final : public detail::PusherCore, private Evictor {
     }
     if (evicts_) participant_->eviction().remove(*this);
     std::vector<std::uint32_t> blocks;
-    std::vector<std::uint32_t> foreign;
     {
-      const std::lock_guard guard(pool_.lock());
-      blocks = pool_.take_retired();
-      foreign = pool_.take_foreign();
+      std::unique_lock lock(pool_.lock());
       const auto& ring = writer_->ring();
-      const auto give_up = [&](ring::Word b) {
-        if (b < participant_->blocks()) blocks.push_back(static_cast<std::uint32_t>(b));
+      const auto give_up = [&](ring::Word b) {  // there is room: room_to_retire()
+        if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
       };
       if (ring.taken) {
         writer_->each_put(give_up);
@@ -103,8 +106,9 @@ class Pusher final : public detail::PusherCore, private Evictor {
           give_up(ring::block(ring.slots[i].load(std::memory_order_relaxed)));
         }
       }
+      blocks = pool_.take_retired();
+      if (pool_.has_foreign()) release_foreign(lock);
     }
-    for (const std::uint32_t f : foreign) participant_->holder().release_ring_hold(f);
     participant_->close_pool(pool_, name_, std::move(blocks));
     participant_->close_ring(name_);
     participant_->leave_topic(*topic_);
@@ -159,6 +163,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
+    pool_.make_room(room_to_retire());
     // Nobody else can have this block, not even a weak pointer: the tag keeps those of former
     // messages away. So the hold changes from ours to the ring's by a plain store.
     cell->hold.store(cell->hold.load(std::memory_order_relaxed) - hold::kPointer + hold::kRing,
@@ -299,6 +304,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
+    pool_.make_room(room_to_retire());
     participant_->holder().acquire(cell->block, hold::kRing);
     if (!type_->plain) {
       if (shared) participant_->holder().freeze(*cell);
@@ -357,6 +363,10 @@ class Pusher final : public detail::PusherCore, private Evictor {
     participant_->close_pool(pool_, {}, {});
     participant_->settle_closing();
   }
+
+  /// Besides what is retired: the whole ring, when it closes or its messages are taken, the one
+  /// that a publish replaces, and what other threads have replaced and not retired yet.
+  std::size_t room_to_retire() const { return writer_->ring().depth + std::size_t{1} + owed_; }
 
   std::size_t batch() {
     if (!writer_ || fit_ == 1) return 1;
@@ -436,9 +446,11 @@ class Pusher final : public detail::PusherCore, private Evictor {
     alone.unlock();
     // First: after a pause all that is looked at here is cold, and who sleeps would wait for it.
     if (published.wake) {
+      ++owed_;
       lock.unlock();  // who is woken may want it, on our core
       wake_readers(*published.slot);
       lock.lock();
+      --owed_;
     }
     if (published.replaced == b) {
       pool_.retire_foreign(
@@ -721,6 +733,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   std::uint32_t since_fit_ = 0;      ///< messages since the last of that size
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
+  std::size_t owed_ = 0;  ///< threads that have published, and wake before they retire
   futex::Clock::time_point short_until_{};  ///< blocks or memory were short; none: they were not
   bool is_bound_ = false;  ///< and an own message had to go: the next loan takes the oldest's place
 };
