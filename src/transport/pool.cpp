@@ -355,13 +355,10 @@ void Pool::keep_reserved(std::uint32_t b) noexcept {
   holder_.reserved[b].store(1, std::memory_order_relaxed);
 }
 
-void Pool::make_room(std::size_t more) {
-  // Each retired one may turn out to be foreign, and the same block may be there several times.
-  const auto grow = [](std::vector<std::uint32_t>& v, std::size_t n) {
-    if (v.capacity() < n) v.reserve(2 * n);
-  };
-  grow(retired_, retired_.size() + more);
-  grow(foreign_, foreign_.size() + retired_.size() + more);
+void Pool::grow(std::size_t room) {
+  retired_.reserve(room);
+  foreign_.reserve(room);
+  room_ = room;
 }
 
 std::size_t Pool::take_foreign(std::span<std::uint32_t> into) noexcept {

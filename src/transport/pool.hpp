@@ -170,12 +170,15 @@ class Pool {
   void retire(std::uint32_t b, bool borrowed);
   /// Makes room for so many more that retire(). Throws std::bad_alloc, and then all is as before.
   /// Locked.
-  void make_room(std::size_t more);
+  void make_room(std::size_t more) {
+    // Each retired one may turn out to be foreign, and the same block may be there several times.
+    if (const std::size_t n = retired_.size() + foreign_.size() + more; n > room_) [[unlikely]]
+      grow(2 * n);
+  }
   std::size_t retired() const noexcept { return retired_.size(); }
   /// Ring holds on blocks that are not this pool's. The caller releases them once it has unlocked
-  /// (their own pools' locks are taken then). Locked.
-  std::vector<std::uint32_t> take_foreign() noexcept { return std::exchange(foreign_, {}); }
-  /// The same, piece by piece into a room that is there: returns how many.
+  /// (their own pools' locks are taken then): as many as there is room for. Returns how many.
+  /// Locked.
   std::size_t take_foreign(std::span<std::uint32_t> into) noexcept;
   /// A message that is not this pool's business has left the ring: the same again replaced it.
   /// Locked.
@@ -183,7 +186,10 @@ class Pool {
   bool has_free() const noexcept { return !ready_.empty() || !free_.empty(); }
   bool has_foreign() const noexcept { return !foreign_.empty(); }
   /// The retired blocks, for who closes the ring. Locked.
-  std::vector<std::uint32_t> take_retired() noexcept { return std::exchange(retired_, {}); }
+  std::vector<std::uint32_t> take_retired() noexcept {
+    room_ = 0;
+    return std::exchange(retired_, {});
+  }
   /// Retired blocks that is_protected(block) denies become free. Locked.
   template <class Protected>
   void scan(Protected&& is_protected);
@@ -213,6 +219,7 @@ class Pool {
   void recycle_extents(std::uint32_t b) noexcept;
   bool is_at_rest_here(std::uint32_t b) const noexcept;
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
+  void grow(std::size_t room);
   bool drop_if_held(std::uint32_t b) noexcept;
   void release_block(std::uint32_t b) noexcept;
 
@@ -224,6 +231,7 @@ class Pool {
   BlockQueue free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;
   std::vector<std::uint32_t> foreign_;  ///< left our ring, but is not ours
+  std::size_t room_ = 0;                ///< of retired_, and of foreign_
   KeptList kept_;
 };
 
