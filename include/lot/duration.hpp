@@ -37,6 +37,7 @@ constexpr std::chrono::nanoseconds to_nanoseconds(std::chrono::duration<Rep, Per
 /// which means for ever. Nothing and less than nothing mean: do not wait.
 class Duration : public std::chrono::nanoseconds {
  public:
+  constexpr Duration() noexcept : std::chrono::nanoseconds(0) {}
   template <class Rep, class Period>
   constexpr Duration(std::chrono::duration<Rep, Period> time)  // NOLINT: implicit
       : std::chrono::nanoseconds(detail::to_nanoseconds(time)) {}
