@@ -32,7 +32,7 @@ struct Holder {
   /// [blocks] 1: the message was put into a queue from which one reader takes it. A unique pointer
   /// to it was taken from there: others may still look at its block.
   std::vector<std::atomic<std::uint8_t>> in_queue;
-  std::vector<KeptList::Link> kept_links;   ///< [blocks]
+  std::vector<KeptList::Link> kept_links;  ///< [blocks]
   /// [blocks] 1: reserve() made its memory, and other topics have no claim on it. Written by the
   /// thread that has the block alone; read, perhaps stale, by a thread that looks for memory.
   std::vector<std::atomic<std::uint8_t>> reserved;
