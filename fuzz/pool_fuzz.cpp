@@ -85,6 +85,8 @@ struct Private {
     holder.own.self = self;
     holder.cells = cells.data();
     holder.in_queue = std::vector<std::atomic<std::uint8_t>>(kBlocks);
+    holder.kept_links.resize(kBlocks);
+    holder.reserved = std::vector<std::atomic<std::uint8_t>>(kBlocks);
     holder.pools = &pools;
     for (std::uint32_t b = 0; b < kBlocks; ++b) cells[b].block = b;
     for (std::uint32_t i = 0; i < kPools; ++i) pools.push_back(std::make_unique<Pool>(holder, i));
@@ -202,7 +204,7 @@ class Fuzz {
       case 22:
         return evict(p);
       case 23:
-        p.real->pools[bytes_.below(kPools)]->trim();
+        p.real->pools[bytes_.below(kPools)]->trim(true);
         return;
       case 24:
         p.real->pools[0]->prepare();
@@ -298,8 +300,10 @@ class Fuzz {
   }
 
   void let_foreign_go(Process& p) {
-    for (const std::uint32_t b : p.real->pools[0]->take_foreign())
-      p.real->holder.release_ring_hold(b);
+    std::array<std::uint32_t, 4> some;
+    while (const std::size_t n = p.real->pools[0]->take_foreign(some)) {
+      for (std::size_t i = 0; i < n; ++i) p.real->holder.release_ring_hold(some[i]);
+    }
   }
 
   void share(Process& p) {
@@ -665,7 +669,7 @@ class Fuzz {
     for (Process& p : processes_) {
       if (!p.real) continue;
       scan(p);
-      for (auto& pool : p.real->pools) pool->trim();
+      for (auto& pool : p.real->pools) pool->trim(true);
     }
     check();
     for (std::uint64_t m = 0; m < messages_.size(); ++m) {

@@ -19,7 +19,7 @@ void require_nothing_left(const Participants& participants) {
   const auto patience = std::chrono::seconds(plant().empty() ? 30 : 1);
   std::string left;
   const auto nothing = [&] {
-    for (transport::Participant* p : participants) p->trim();
+    for (transport::Participant* p : participants) p->trim(transport::Participant::kNobody);
     for (transport::Participant* p : participants) p->collect();
     const testing::Audit audit((*participants.begin())->segment());
     left = audit.text();

@@ -449,6 +449,7 @@ class Puller final : public detail::PullerCore {
         throw Error(EBADMSG, participant_->segment().path(),
                     "the queue of a publisher of the topic is damaged", "restart the publisher");
       }
+      std::string publisher = publisher_of(ring);
       bool full = false;
       const auto reader = Reader::join(ring, name.generation, participant_->index(), history, full);
       if (full) {
@@ -456,7 +457,7 @@ class Puller final : public detail::PullerCore {
                     "a publisher of the topic has all the readers that it can have",
                     "make the segment with a larger EngineOptions::readers");
       }
-      if (reader) begin(*reader, name);
+      if (reader) begin(*reader, name, std::move(publisher));
     }
     version_ = version;
   }
@@ -473,9 +474,10 @@ class Puller final : public detail::PullerCore {
       if (knows(name)) continue;
       make_room_for_one();
       const segment::Ring ring = participant_->segment().ring(name.channel);
+      std::string publisher = publisher_of(ring);
       const auto reader = Reader::adopt(ring, participant_->index());
       if (reader) {
-        begin(*reader, name);
+        begin(*reader, name, std::move(publisher));
       } else {  // somebody has written over its cell
         passed_.push_back(name);
       }
@@ -484,17 +486,23 @@ class Puller final : public detail::PullerCore {
     not_before_.reset();
   }
 
-  /// First, else a cell that was joined may be lost: a source that ends is passed.
+  /// First, as the publisher's name: where there is no memory no cell is lost. A source that ends
+  /// is passed.
   void make_room_for_one() {
     sources_.reserve(sources_.size() + 1);
     passed_.reserve(passed_.size() + sources_.size() + 1);
   }
 
-  void begin(const Reader& reader, const registry::ChannelName& name) {
+  std::string publisher_of(const segment::Ring& ring) const {
+    const auto owner = ring::writer_owner(ring.writer->load(std::memory_order_acquire));
+    return std::string(participant_->name_of(owner));
+  }
+
+  void begin(const Reader& reader, const registry::ChannelName& name,
+             std::string publisher) noexcept {
     missed_ += reader.skipped();
-    const auto owner = ring::writer_owner(reader.ring().writer->load(std::memory_order_acquire));
-    sources_.push_back({reader, name, participant_->segment().queue_lock(name.channel),
-                        std::string(participant_->name_of(owner))});
+    sources_.push_back(
+        {reader, name, participant_->segment().queue_lock(name.channel), std::move(publisher)});
   }
 
   void pass(const Reader& reader) {

@@ -81,7 +81,8 @@ void Node::drop_probes() {
   probe_loan.reset();
   if (!probe_loans.empty()) {
     probe_loans.clear();
-    transport::Participant::join(options)->trim();  // its pools would keep all blocks
+    transport::Participant::join(options)->trim(
+        transport::Participant::kNobody);  // its pools would keep all blocks
   }
   probe_kept.reset();
   probe_copy.reset();

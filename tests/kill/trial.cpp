@@ -265,7 +265,8 @@ void Actor::obey(Order order, std::uint32_t number, const Operation& operation, 
     case Order::Drop:
       node.drop_all();
       node.reap();
-      transport::Participant::join(node.options)->trim();  // what the engine's maker has ready
+      transport::Participant::join(node.options)
+          ->trim(transport::Participant::kNobody);  // what the engine's maker has ready
       break;
     case Order::Leave:
       node.leave();

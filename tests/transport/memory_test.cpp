@@ -7,6 +7,7 @@
 #include <new>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -270,6 +271,11 @@ void fail_each_allocation(Step&& step) {
     auto again = place.engine.advertise<Frame>("again");
     push_frames(again, 3, 100);
   }
+  lot::segment::Segment segment(place.engine.path());
+  CHECK(eventually([&] {
+    const Audit audit(segment);
+    return audit.readers == 0 && audit.channels == 0 && audit.topics == 0;
+  }));
   auto all = place.engine.advertise<Map>("all");
   std::vector<lot::ShmUniquePtr<Map>> loans;
   loans.reserve(kBlocks);
@@ -311,6 +317,117 @@ TEST_CASE("whichever allocation of a publisher's end fails, nothing is lost") {
     push_frames(pusher, 32, 5000);
     const auto kept = pusher.loan();
     until_failure = n;
+  });
+}
+
+TEST_CASE("whichever allocation of subscribe, pull and their end fails, nothing is lost") {
+  const Watchdog watchdog(100);
+  fail_each_allocation([](lot::ShmEngine& engine, long n) {
+    auto pusher = engine.advertise<Frame>("t");
+    push_frames(pusher, 3, 100);
+    until_failure = n;
+    auto puller = engine.subscribe<Frame>("t", latched(3));
+    const auto first = puller.try_pull();
+    REQUIRE(first);
+    const lot::ShmWeakPtr<const Frame> weak = first;
+    const auto again = weak.lock();
+    const auto look = puller.try_borrow();
+    const auto kept = look.keep();
+    CHECK(kept->number == 1);
+  });
+}
+
+TEST_CASE("whichever allocation of a look at a new publisher fails, its messages are not lost") {
+  const Watchdog watchdog(100);
+  fail_each_allocation([](lot::ShmEngine& engine, long n) {
+    auto puller = engine.subscribe<Frame>("t");
+    {
+      auto pusher = engine.advertise<Frame>("t");
+      push_frames(pusher, 3, 100);
+    }
+    until_failure = n;
+    int number = 0;
+    bool failed = false;
+    const auto drain = [&] {
+      while (const auto frame = puller.try_pull()) CHECK(frame->number == number++);
+    };
+    try {
+      drain();
+    } catch (const std::bad_alloc&) {
+      failed = true;
+    }
+    if (failed) CHECK(eventually([&] { return drain(), number == 3; }));
+    CHECK(number == 3);
+  });
+}
+
+TEST_CASE("whichever allocation of put and pop fails, no item is lost") {
+  const Watchdog watchdog(100);
+  fail_each_allocation([](lot::ShmEngine& engine, long n) {
+    using Owned = lot::ShmUniquePtr<Map>;
+    using Shared = lot::ShmSharedPtr<const Map>;
+    auto one = engine.queue<Owned>("one");
+    auto all = engine.queue<Shared>("all");
+    all.listen();
+    int put_to_one = 0;
+    int put_to_all = 0;
+    int from_one = 0;
+    int from_all = 0;
+    const auto pop = [&] {
+      while (const auto item = one.try_pop()) CHECK((*item)->id == from_one++);
+      while (const auto view = all.try_pop()) CHECK((*view)->id == from_all++);
+    };
+    until_failure = n;
+    try {
+      for (int i = 0; i < 3; ++i) {
+        put_to_one += one.put(one.make(Map{i})) == Status::Ok;
+        put_to_all += all.put(Shared(all.make(Map{i}))) == Status::Ok;
+        pop();
+      }
+    } catch (const std::bad_alloc&) {
+    }
+    const long left = std::exchange(until_failure, 0);
+    CHECK(eventually([&] { return pop(), from_one == put_to_one && from_all == put_to_all; }));
+    until_failure = left;
+  });
+}
+
+TEST_CASE("whichever allocation of listen, fd and a wait set fails, nothing is lost") {
+  const Watchdog watchdog(100);
+  fail_each_allocation([](lot::ShmEngine& engine, long n) {
+    auto pusher = engine.advertise<Frame>("t");
+    auto puller = engine.subscribe<Frame>("t");
+    until_failure = n;
+    const auto listener =
+        engine.listen<Frame>("t", [](const lot::ShmSharedPtr<const Frame>& frame) {
+          if (frame->number < 0) std::abort();
+        });
+    CHECK(puller.fd() >= 0);
+    lot::WaitSet set;
+    set.add(puller, [&] { puller.try_pull(); });
+    set.add_timer(1ms, [] {});
+    push_frames(pusher, 1, 100);
+    set.run_once(1s);
+  });
+}
+
+TEST_CASE("whichever allocation of a message that refers to another fails, nothing is lost") {
+  const Watchdog watchdog(100);
+  struct Box {
+    lot::ShmRef<const Map> map;
+  };
+  fail_each_allocation([](lot::ShmEngine& engine, long n) {
+    until_failure = n;
+    const lot::ShmSharedPtr<const Map> map = engine.make<Map>(Map{7});
+    auto box = engine.make<Box>();
+    box->map = map;
+    const lot::ShmRef<const Map> outside = map;
+    auto pusher = engine.advertise<Box>("boxes");
+    auto puller = engine.subscribe<Box>("boxes");
+    pusher.push(std::move(box));
+    const auto seen = puller.try_pull();
+    REQUIRE(seen);
+    CHECK(seen->map.lock()->id == 7);
   });
 }
 
