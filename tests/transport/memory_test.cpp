@@ -402,7 +402,8 @@ TEST_CASE("whichever allocation of listen, fd and a wait set fails, nothing is l
         engine.listen<Frame>("t", [](const lot::ShmSharedPtr<const Frame>& frame) {
           if (frame->number < 0) std::abort();
         });
-    CHECK(puller.fd() >= 0);
+    const int fd = puller.fd();
+    CHECK(fd >= 0);
     lot::WaitSet set;
     set.add(puller, [&] { puller.try_pull(); });
     set.add_timer(1ms, [] {});
