@@ -254,6 +254,10 @@ class Queue {
     if (publishers_.size() == kMost) return;
     publishers_.push_back({channels_.size(), side,
                            place_.engine(side).template advertise<Mail>(name(topic), options)});
+    // All of it is for each that has subscribed, however late it looks.
+    for (const auto& s : subscribers_) {
+      if (s->topic == topic) s->sources.push_back({channels_.size(), 0});
+    }
     channels_.push_back({topic, options.depth, options.policy != Policy::Overwrite});
   }
 
@@ -274,15 +278,11 @@ class Queue {
     meet(*subscribers_.back(), options.history);
   }
 
-  /// A subscriber finds the publishers that it does not know yet.
+  /// A new subscriber finds the publishers that there are.
   void meet(Subscriber& subscriber, std::uint64_t history) {
     for (std::size_t c = 0; c < channels_.size(); ++c) {
       const Channel& channel = channels_[c];
-      const auto known = [c](const Source& s) { return s.channel == c; };
-      if (!channel.open || channel.topic != subscriber.topic ||
-          std::any_of(subscriber.sources.begin(), subscriber.sources.end(), known)) {
-        continue;
-      }
+      if (!channel.open || channel.topic != subscriber.topic) continue;
       const std::uint64_t published = channel.log.size();
       std::uint64_t back = channel.blocking ? channel.depth - 1 : channel.depth;
       if (!channel.blocking && history == kEverything) back = published;
@@ -356,14 +356,11 @@ class Queue {
     if (!channel.blocking) return false;
     for (const auto& subscriber : subscribers_) {
       if (subscriber->topic != channel.topic) continue;
-      bool joined = false;
       for (const Source& s : subscriber->sources) {
-        if (s.channel != publisher.channel) continue;
-        joined = true;
-        if (channel.log.size() - s.next >= channel.depth) return true;
+        if (s.channel == publisher.channel && channel.log.size() - s.next >= channel.depth) {
+          return true;
+        }
       }
-      // Who has subscribed before and has not looked since.
-      if (!joined && channel.log.size() >= channel.depth - 1) return true;
     }
     return false;
   }
@@ -418,7 +415,6 @@ class Queue {
   /// Takes the next message by `take`; empty only when the model has nothing to read.
   template <class Take>
   auto look(Subscriber& subscriber, Take&& take) {
-    meet(subscriber, kEverything);
     // A background thread may have the registry's lock when a new publisher is to be found.
     for (unsigned n = 0; !knows_all(subscriber) && n < 1000; ++n) ::usleep(1000);
     auto taken = take();

@@ -193,15 +193,12 @@ class Play {
   }
 
   /// A subscriber that looks finds the publishers that have come since: it begins with their first
-  /// messages, as far as those are there. (Where a publisher may wait, one slot may be taken anew.)
+  /// messages.
   void find_publishers(const Actor& reader, const std::string& topic) {
     auto& begun = begun_[{reader.index(), topic}];
     for (const auto& a : actors_) {
       const Json& t = a->truth().at(topic);
-      if (t.at("publisher").is_null()) continue;
-      const std::uint64_t pushed = t.at("pushed").size();
-      const bool blocks = topic == kParcels && pushed >= kDepth;
-      begun.insert({t.at("publisher"), blocks ? pushed - (kDepth - 1) : 0});
+      if (!t.at("publisher").is_null()) begun.insert({t.at("publisher"), 0});
     }
   }
 
