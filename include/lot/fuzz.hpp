@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <deque>
 #include <memory>
 #include <optional>
 #include <string>
@@ -172,9 +173,9 @@ class Queue {
     std::size_t side;
     ShmPuller<Mail> puller;
     ShmBorrow<Mail> borrow{};
-    Source* borrowed = nullptr;  ///< where the borrow is from
-    std::uint64_t skipped = 0;   ///< missed, and not told yet
-    std::vector<Source> sources{};
+    Source* borrowed = nullptr;    ///< where the borrow is from
+    std::uint64_t skipped = 0;     ///< missed, and not told yet
+    std::deque<Source> sources{};  ///< its elements stay: `borrowed` points to one
   };
   template <class Pointer>
   struct Known {
