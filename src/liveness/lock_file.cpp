@@ -82,10 +82,7 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
   std::uint32_t turn = 0;
   auto pause = std::chrono::milliseconds(1);
   while (!try_lock(kGate)) {
-    if (!intact()) {
-      throw Error(EBADF, path_, "its descriptor was closed meanwhile",
-                  "try again; in a process with other threads do not close descriptors of others");
-    }
+    require_intact();
     if (errno != EAGAIN && errno != EACCES) {
       throw Error(errno, path_, "cannot lock it", "does its file system support fcntl locks?");
     }
@@ -135,6 +132,12 @@ std::uint32_t LockFile::turn() const noexcept {
 bool LockFile::intact() const noexcept {
   struct stat status {};
   return fstat(fd_, &status) == 0 && status.st_dev == device_ && status.st_ino == inode_;
+}
+
+void LockFile::require_intact() const {
+  if (intact()) return;
+  throw Error(EBADF, path_, "its descriptor was closed meanwhile",
+              "try again; in a process with other threads do not close descriptors of others");
 }
 
 bool LockFile::reopen() noexcept {

@@ -57,6 +57,9 @@ class LockFile {
 
   /// False when the descriptor was closed behind our back (closefrom) and our locks are gone.
   bool intact() const noexcept;
+  /// Throws lot::Error (EBADF) when it is not intact(): with our locks the gate is gone, too, and
+  /// held_by_other() knows nothing.
+  void require_intact() const;
   /// Opens the file again after that. False when it is another file by now.
   bool reopen() noexcept;
 

@@ -140,11 +140,14 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
       if (fit == segment::Segment::Fit::Foreign) {
         throw Error(EINVAL, path, reason, "remove it if it is yours, or set LOT_SEGMENT");
       }
-      if (fit == segment::Segment::Fit::Stale && in_use()) {
+      const bool used = fit != segment::Segment::Fit::Fits && in_use();
+      // Without our locks we are not in the gate, and `used` says nothing.
+      lock_file.require_intact();
+      if (fit == segment::Segment::Fit::Stale && used) {
         throw Error(EBUSY, path, reason + ", and it is in use",
                     "leave LOT_SIZE as those have it who use it, stop them, or set LOT_SEGMENT");
       }
-      if (fit == segment::Segment::Fit::Absent && in_use()) {
+      if (fit == segment::Segment::Fit::Absent && used) {
         // Somebody has removed the segment of living processes: the lock file is theirs.
         if (::unlink((path + ".lock").c_str()) == -1 && errno != ENOENT) {
           throw Error(errno, path + ".lock", "it is used with a segment that was removed",

@@ -35,10 +35,7 @@ std::uint32_t Participant::take_index(const EngineOptions& options) {
   const auto until = futex::Clock::now() + kFullPatience;
   std::optional<std::uint32_t> k;
   while (!(k = try_take_index())) {
-    if (!lock_file_->intact()) {
-      throw Error(EBADF, lock_file_->path(), "its descriptor was closed while the process joined",
-                  "try again; in a process with other threads do not close descriptors of others");
-    }
+    lock_file_->require_intact();
     if (futex::Clock::now() >= until) {
       throw Error(
           EUSERS, segment_.path(),
