@@ -607,6 +607,7 @@ TEST_CASE("a callback on LOT's thread opens and ends handles, while others do, a
   auto talker = node.advertise<String>(topic, 1000);
   std::atomic<int> called{0};
   std::atomic<int> inner{0};
+  std::atomic<bool> ended{false};
   lot::ros::Subscriber own;
   own = node.subscribe<String>(topic, 1000, [&](const String& message) {
     const int n = ++called;
@@ -616,7 +617,10 @@ TEST_CASE("a callback on LOT's thread opens and ends handles, while others do, a
     auto another = lot.advertise<String>(topic + "/inner", 10);
     auto ear = lot.subscribe<String>(topic + "/outer", 10, [&](const String&) { ++inner; });
     another.publish(message);
-    if (n == 200) own.shutdown();
+    if (n == 200) {
+      own.shutdown();
+      ended = true;  // then only may this case destroy `own`
+    }
   });
   REQUIRE(comes_unspun([&] { return talker.getNumSubscribers() == 1; }));
   std::atomic<bool> over{false};
@@ -633,7 +637,7 @@ TEST_CASE("a callback on LOT's thread opens and ends handles, while others do, a
     say(talker, "go on");
     std::this_thread::sleep_for(2ms);
   }
-  CHECK(comes_unspun([&] { return called == 200; }));
+  CHECK(comes_unspun([&] { return ended.load(); }));
   over = true;
   others.join();
   say(talker, "nobody hears that");
@@ -719,9 +723,11 @@ TEST_CASE("the last subscriber of a process ends while another one's callback is
     once.shutdown();
     begun = true;
     comes_unspun([] { return false; }, 100ms);
-    const std::lock_guard guard(mutex);
-    auto again = node.subscribe<String>(topic + "/other", 10, [](const String&) {});
-    done = true;
+    {
+      const std::lock_guard guard(mutex);
+      auto again = node.subscribe<String>(topic + "/other", 10, [](const String&) {});
+    }
+    done = true;  // last: no thread waits for a callback that has ended itself; the mutex goes then
   });
   auto other = node.subscribe<String>(topic + "/other", 10, [](const String&) {});
   REQUIRE(comes_unspun([&] { return talker.getNumSubscribers() == 1; }));
