@@ -332,7 +332,7 @@ inline announce() {
   directory++; /* @ src/lockfree_ring/sleep.hpp announce: directory.fetch_add(1 */
 #ifndef ANNOUNCE_WAKES_DIRECTORY_ONLY
   do
-  :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp announce: return !is_live(name) */
+  :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp announce: return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
     do
     :: atomic { i < DEPTH ->
         old = slot[SLOT(c, i)]; /* @ src/lockfree_ring/ring.hpp clear_sleeper: const bool marked = (seen & kSleeper) != 0 */
@@ -347,7 +347,7 @@ inline announce() {
       }
     :: atomic { i == DEPTH -> i = 0; c++; break }
     od
-  :: atomic { c < RINGS && STATE(writer[c]) != LIVE -> c++ } /* @ src/registry/registry.cpp announce: return !is_live(name) */
+  :: atomic { c < RINGS && STATE(writer[c]) != LIVE -> c++ } /* @ src/registry/registry.cpp announce: return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
   :: atomic { c == RINGS -> c = 0; break }
   od;
 #endif
@@ -391,7 +391,7 @@ inline publish(mine) {
 #endif
   atomic {
     if
-    :: old & MARK -> kernel_wake(SLOT(mine, next)) /* @ src/transport/pusher.cpp publish: if (published.wake) { lock.unlock(); wake_readers(*published.slot) */
+    :: old & MARK -> kernel_wake(SLOT(mine, next)) /* @ src/transport/pusher.cpp publish: if (published.wake) { ++owed_; lock.unlock(); wake_readers(*published.slot) */
     :: else
     fi;
     old = 0;
