@@ -187,6 +187,18 @@ void loans(std::vector<Operation>& all) {
                  [](Node& n) {
                    for (int i = 0; i < 3; ++i) n.loans.push_back(n.pusher->loan(numbered(9, 0)));
                  }});
+  // One is left. Then the oldest of the other topic go: there are six, and the newest two stay.
+  all.push_back({"loan, blocks have run out: evict another topic's",
+                 {Promise::LockFree, "loan, blocks have run out"},
+                 victim_publishes(overwrite(8), 6) + Acts{victim([](Node& n) {
+                   n.second.emplace(n.engine->advertise<Number>(kOther, overwrite(2)));
+                   while (n.loans.size() < n.options.blocks - 7) {
+                     n.loans.push_back(n.second->loan(numbered(9, 0)));
+                   }
+                 })},
+                 [](Node& n) {
+                   for (int i = 0; i < 4; ++i) n.loans.push_back(n.second->loan(numbered(9, 0)));
+                 }});
   all.push_back({"reserve memory", {Promise::LockFree, "reserve memory"}, fresh, [](Node& n) {
                    n.pusher->reserve(2, 8000);
                  }});
@@ -480,15 +492,14 @@ void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
   add("put, overwrite", shown, items(victim, 4, options(2, Policy::Overwrite)),
       [](Node& n) { n.put(2); });
   if (how == Rival::Killed) return;  // it is reaped before anything is evicted
-  // Of all blocks, those in the queue are left, and two.
-  add("loan and evict", {Promise::LockFree, "loan, blocks have run out"},
-      items(victim, 4, options(4, Policy::Overwrite)) + Acts{victim([](Node& n) {
+  // Of all blocks, those in the queue are left, and two. So the third evicts: first what the rival
+  // holds, which frees nothing yet, and then the next one.
+  add("put and evict", {Promise::LockFree, "loan, blocks have run out"},
+      items(victim, 4, options(8, Policy::Overwrite)) + Acts{victim([](Node& n) {
         n.pusher.emplace(n.engine->advertise<Number>(kTopic, overwrite(2)));
         while (n.loans.size() < n.options.blocks - 6) loan_one(n);
       })},
-      [](Node& n) {
-        for (int i = 0; i < 4; ++i) loan_one(n);
-      });
+      [](Node& n) { n.put(4); });
 }
 
 /// What else the mutex engine does in its own way.

@@ -28,6 +28,8 @@ namespace {
 extern "C" {
 [[gnu::noinline]] void lot_kill_begins() { asm volatile(""); }
 [[gnu::noinline]] void lot_kill_ends() { asm volatile("nop"); }
+/// The operation has thrown.
+[[gnu::noinline]] void lot_kill_throws() { asm volatile("nop; nop"); }
 }
 std::uint64_t address_of(void (*f)()) { return reinterpret_cast<std::uintptr_t>(f); }
 
@@ -218,7 +220,12 @@ void Actor::obey(Order order, std::uint32_t number, const Operation& operation, 
       break;
     case Order::Operate:
       lot_kill_begins();
-      operation.run(node);
+      try {
+        operation.run(node);
+      } catch (...) {
+        lot_kill_throws();
+        throw;
+      }
       lot_kill_ends();
       break;
     case Order::Contend:
@@ -436,6 +443,19 @@ std::optional<Tracee::Step> Trial::next(const Path* path, std::size_t done, bool
   return same ? std::optional(step) : std::nullopt;
 }
 
+/// Is the victim behind the last instruction of its operation? An operation whose system calls all
+/// go well must not throw. One that does would never come there, while its warden gets on.
+bool Trial::has_ended() {
+  const std::uint64_t place = traced_->place();
+  if (place == address_of(&lot_kill_throws)) {
+    traced_.reset();
+    const auto reply = victim_->answer();
+    throw std::runtime_error(std::string("the operation throws: ") +
+                             (reply ? reply->complaint : "no answer"));
+  }
+  return place == address_of(&lot_kill_ends);
+}
+
 Trial::Walk Trial::walk(std::uint64_t points, const Path* path) {
   begin();
   shadow_.emplace(options_);
@@ -463,7 +483,7 @@ Trial::Walk Trial::walk(std::uint64_t points, const Path* path) {
       walk.strayed = true;
       return walk;
     }
-    if (!sleeps && traced_->place() == address_of(&lot_kill_ends)) {
+    if (!sleeps && has_ended()) {
       walk.finished = true;
       break;
     }
@@ -485,7 +505,7 @@ Trial::Failure Trial::fail_call(std::uint64_t nth, int error, const Path* path) 
     begin();
     traced_->fail_call(nth, error);
     bool helped = false;
-    for (std::size_t done = 0; traced_->place() != address_of(&lot_kill_ends); ++done) {
+    for (std::size_t done = 0; !has_ended(); ++done) {
       const auto step = next(path, done, helped);
       if (traced_->failed_call() || traced_->spared_call()) break;
       if (!step) {

@@ -143,6 +143,7 @@ class Trial {
   void begin();
   std::optional<Tracee::Step> next(const Path* path, std::size_t done, bool helped);
   void help_sleeper();
+  bool has_ended();
   Probed step(Tracee& neighbour, const Probe& probe);
   void inspect();
   Actor::Reply must_answer(Actor& actor, const char* what);
