@@ -176,23 +176,24 @@ void loans(std::vector<Operation>& all) {
                  {Promise::LockFree, "loan and push, overwrite"},
                  victim_publishes(overwrite(1), 40),
                  loan_one});
+  // Two are left, which the probes of a neighbour may take: another process gives none up for them.
   all.push_back({"loan, blocks have run out: evict",
                  {Promise::LockFree, "loan, blocks have run out"},
                  victim_publishes(overwrite(8), 8) + Acts{victim([](Node& n) {
                    while (auto loan = n.pusher->try_loan(Number{})) {
                      n.loans.push_back(std::move(loan));
-                     if (n.loans.size() == n.options.blocks - 9) break;
+                     if (n.loans.size() == n.options.blocks - 10) break;
                    }
                  })},
                  [](Node& n) {
-                   for (int i = 0; i < 3; ++i) n.loans.push_back(n.pusher->loan(numbered(9, 0)));
+                   for (int i = 0; i < 4; ++i) n.loans.push_back(n.pusher->loan(numbered(9, 0)));
                  }});
-  // One is left. Then the oldest of the other topic go: there are six, and the newest two stay.
+  // Here, too. Then the oldest of the other topic go: there are six, and the newest two stay.
   all.push_back({"loan, blocks have run out: evict another topic's",
                  {Promise::LockFree, "loan, blocks have run out"},
                  victim_publishes(overwrite(8), 6) + Acts{victim([](Node& n) {
                    n.second.emplace(n.engine->advertise<Number>(kOther, overwrite(2)));
-                   while (n.loans.size() < n.options.blocks - 7) {
+                   while (n.loans.size() < n.options.blocks - 8) {
                      n.loans.push_back(n.second->loan(numbered(9, 0)));
                    }
                  })},

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <fcntl.h>
 #include <fstream>
+#include <stdexcept>
 #include <sys/mman.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -67,6 +68,8 @@ std::vector<Plant> planted_operations() {
   });
   plant("a block at home with nobody", "is at home with the dead",
         [](Node& n) { participant(n)->block(kFreeBlock).home.store(kNobody + 1); });
+  plant("an operation that throws", "the operation throws: all is lost",
+        [](Node&) { throw std::runtime_error("all is lost"); });
   plant("memory of a message that is not there", "belongs to no message",
         [](Node& n) { participant(n)->segment().granules().claim(0, kFreeBlock + 1); });
   plant("a reader's cell of nobody", "has a dead reader", [](Node& n) {
