@@ -291,14 +291,22 @@ Trial::Trial(const Operation& operation, std::string segment, bool probes) : ope
   options_.topics = 8;
   options_.channels = 12;
   options_.readers = 4;
-  set_up();
-  if (probes && witness_) {
-    witness_->tell(Actor::Order::Arm);
-    must_answer(*witness_, "the probes are made ready");
+  try {
+    set_up();
+    if (probes && witness_) {
+      witness_->tell(Actor::Order::Arm);
+      must_answer(*witness_, "the probes are made ready");
+    }
+  } catch (...) {
+    clean_up();
+    throw;
   }
 }
 
-Trial::~Trial() {
+Trial::~Trial() { clean_up(); }
+
+/// The processes and the files go.
+void Trial::clean_up() {
   if (traced_) {
     traced_->kill();
     victim_->was_killed();

@@ -137,6 +137,7 @@ class Trial {
 
  private:
   void set_up();
+  void clean_up();
   void stop_rival();
   bool rival_holds(segment::Segment& segment, const std::vector<std::uint64_t>& lives) const;
   void let_rival_go_on();
