@@ -87,7 +87,7 @@ class ShmPuller {
   Status status() const noexcept { return status_; }
   /// Messages lost to this reader just before the last one that it got.
   std::uint64_t missed() const noexcept { return missed_; }
-  /// All that were lost to it.
+  /// All that were lost to it, also those after the last message that it got.
   std::uint64_t missed_total() const noexcept { return missed_total_; }
   /// Publishers of the topic that are there now. It may wait for other processes that advertise,
   /// subscribe or leave, and throws lot::Error when a stopped one keeps it waiting.
@@ -108,26 +108,30 @@ class ShmPuller {
   ShmSharedPtr<const T> pull_kept(bool wait, detail::Clock::time_point deadline, bool forever) {
     detail::Borrowed kept;
     status_ = core_->pull(kept, wait, deadline, forever);
-    if (status_ != Status::Ok) return {};
     count(kept);
+    if (status_ != Status::Ok) return {};
     return detail::PointerAccess::shared(static_cast<const T*>(kept.root), kept.cell);
   }
   ShmBorrow<T> look(bool wait, detail::Clock::time_point deadline, bool forever) {
     detail::Borrowed borrowed;
     status_ = core_->borrow(borrowed, wait, deadline, forever);
-    if (status_ != Status::Ok) return {};
     count(borrowed);
+    if (status_ != Status::Ok) return {};
     return {core_.get(), borrowed};
   }
-  void count(const detail::Borrowed& borrowed) noexcept {
-    missed_ = borrowed.missed;
+  /// A look that found no message may have found that some were lost: those count at once in the
+  /// total, and in missed() with the next message.
+  void count(detail::Borrowed& borrowed) noexcept {
     missed_total_ += borrowed.missed;
+    borrowed.missed += std::exchange(untold_, 0);
+    (status_ == Status::Ok ? missed_ : untold_) = borrowed.missed;
   }
 
   std::unique_ptr<detail::PullerCore> core_;
   Status status_ = Status::Empty;
   std::uint64_t missed_ = 0;
   std::uint64_t missed_total_ = 0;
+  std::uint64_t untold_ = 0;  ///< lost since the last message
 };
 
 }  // namespace lot

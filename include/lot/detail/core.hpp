@@ -43,7 +43,8 @@ struct Loan {
 struct Borrowed {
   ControlCell* cell = nullptr;  ///< null: none
   const void* root = nullptr;
-  std::uint64_t missed = 0;  ///< messages lost to this reader just before this one
+  /// Messages lost to this reader just before this one; without a message, since the last look.
+  std::uint64_t missed = 0;
 };
 
 /// What a publisher knows of a subscriber that it serves by its ring, where it serves some only.
