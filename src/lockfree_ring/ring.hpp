@@ -203,12 +203,28 @@ struct Ring {
     for (std::uint32_t i = 0; i < depth; ++i) wake(slots[i]);
   }
 
-  /// True when no reader has a cell here. REQUIRES: nobody can join meanwhile.
+  /// True when no reader needs this ring any more: none is at work in it, and where it has nothing
+  /// to tell, the readers that it awaits do not count. They then never learn that it was there.
+  /// REQUIRES: the ring has ended; no reader joins, adopts or leaves a cell that awaits it
+  /// meanwhile.
   bool deserted() const {
+    bool awaits = false;
     for (std::uint32_t c = 0; c < readers; ++c) {
-      if (who[c].load(std::memory_order_acquire) != 0) return false;  // R3: leave()
+      if (who[c].load(std::memory_order_acquire) == 0) continue;  // R3: leave()
+      // Relaxed: what makes and ends `awaited` is carried by the lock against joiners.
+      if (!is_awaited(cells[c].position.load(std::memory_order_relaxed))) return false;
+      awaits = true;
     }
-    return true;
+    return !awaits || !has_news();
+  }
+  /// True when a reader that has not looked yet gets a message here, or one to count as missed.
+  bool has_news() const {
+    if (!taken) return slot_was_used(0);
+    for (std::uint32_t i = 0; i < depth; ++i) {
+      // Relaxed: carried by the lock for ended rings, under which they were written or taken.
+      if (block(slots[i].load(std::memory_order_relaxed)) != kNoBlock) return true;
+    }
+    return false;
   }
 };
 
