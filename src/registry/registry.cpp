@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "registry/registry.hpp"
 
+#include <algorithm>
 #include <bit>
 #include <cerrno>
 #include <cstring>
@@ -183,23 +184,22 @@ void Registry::forget(std::uint32_t participant) noexcept {
   }
 }
 
-bool Registry::clear_awaited(std::uint32_t participant) noexcept {
-  bool any = false;
+void Registry::remove(const Departure& departure, std::uint32_t participant) noexcept {
   const auto channels = segment_.channels();
-  for (std::uint32_t c = 0; c < channels.size(); ++c) {
-    const auto state = ring::writer_state(channels[c].writer.load(std::memory_order_acquire));
-    const std::uint32_t topic = channels[c].topic;
+  for (std::uint32_t c = 0; c < channels.size(); ++c) {  // without a list: this may not fail
+    const auto w = channels[c].writer.load(std::memory_order_acquire);
+    const auto state = ring::writer_state(w);
+    const ChannelName name{c, ring::writer_generation(w)};
+    const auto& known = departure.known;
     if ((state != ring::State::Live && state != ring::State::Orphan) ||
-        topic >= segment_.capacity().topics || pullers(topic, participant) != 0) {
+        channels[c].topic != departure.topic ||
+        std::find(known.begin(), known.end(), name) != known.end()) {
       continue;
     }
     segment::Ring ring = segment_.ring(c);
-    while (ring.unsubscribe(participant)) {
-      futex::wake_all(ring.space);
-      any = true;
-    }
+    if (ring.unsubscribe(participant)) futex::wake_all(ring.space);
   }
-  return any;
+  remove_puller(departure.topic, participant);
 }
 
 ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,

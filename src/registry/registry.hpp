@@ -29,6 +29,12 @@ struct ChannelName {
   friend bool operator==(const ChannelName&, const ChannelName&) = default;
 };
 
+/// A puller that has gone, and the rings in which no cell awaits it.
+struct Departure {
+  std::uint32_t topic = 0;
+  std::vector<ChannelName> known;
+};
+
 /// Who talks where: topics and their rings. All of it is slow path, under one robust lock; a holder
 /// that dies leaves words that are each true by themselves, so there is nothing to repair.
 ///
@@ -74,9 +80,10 @@ class Registry {
   /// The rings of a topic: those that are live, and those that have ended and are still read.
   std::vector<ChannelName> rings(std::uint32_t topic) const;
   bool is_live(const ChannelName& name) const noexcept;
-  /// Takes the cells away that await pullers which this participant does not have any more.
-  /// Returns true when there was one. For a process whose puller could not have the lock in time.
-  bool clear_awaited(std::uint32_t participant) noexcept;
+  /// Takes the cells away that await a puller of the participant, and its announcement.
+  void remove(const Departure& departure, std::uint32_t participant) noexcept;
+  /// Takes the announcement of a puller away that no cell awaits.
+  void remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
   /// Gives a ring's memory back. REQUIRES: nobody reads or writes it.
   void recycle(std::uint32_t channel) noexcept;
 
@@ -91,7 +98,6 @@ class Registry {
   void content(std::uint32_t topic, std::uint32_t participant) noexcept;
   /// Takes `content` back, since it is asked anew.
   void ask(std::uint32_t topic, std::uint32_t participant) noexcept;
-  void remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
   /// Parts of a reap: the participant has no pullers any more, and then no topics.
   void unsubscribe(std::uint32_t participant) noexcept;
   void forget(std::uint32_t participant) noexcept;

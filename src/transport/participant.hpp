@@ -3,8 +3,10 @@
 
 #include <array>
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <condition_variable>
+#include <list>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -13,6 +15,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include "lot/error.hpp"
 #include "lot/options.hpp"
 
 #include "futex/futex.hpp"
@@ -73,9 +76,9 @@ class Participant {
   std::uint32_t enter_topic(std::string_view name, const detail::MessageType& type);
   void leave_topic(std::uint32_t topic) noexcept;
 
-  /// A puller of ours has gone without having left the rings that it never looked at: the warden
-  /// does that as soon as the registry can be had.
-  void leave_awaited() noexcept;
+  /// The last step of a puller that goes: it leaves the rings that it never looked at, and the
+  /// topic. Where a stopped process keeps the registry's lock, the warden does that later.
+  void depart(std::list<registry::Departure> departure) noexcept;
 
   /// Ends a ring of ours: its readers get what is in it and then the end.
   void close_ring(const registry::ChannelName& name) noexcept;
@@ -205,6 +208,10 @@ class Participant {
   bool trim_pools() noexcept;
   void stand_guard() noexcept;
   void ring_warden() noexcept;
+  /// False when some are left.
+  bool finish_departures() noexcept;
+  /// One handle less. REQUIRES: topics_mutex_.
+  void count_out(std::uint32_t topic) noexcept;
   void run_errands(std::uint32_t asked) noexcept;
   void settle_kept() noexcept;
   void tell_homes() noexcept;
@@ -261,7 +268,8 @@ class Participant {
   std::condition_variable warden_signal_;
   enum class Witness { Awaited, Held, Refused } witness_ = Witness::Awaited;
   std::atomic<bool> warden_stop_{false};
-  std::atomic<bool> awaited_{false};  ///< cells await pullers of ours that have gone
+  std::mutex departures_mutex_;
+  std::list<registry::Departure> departures_;  ///< that the warden has to finish
   // The warden's alone, from here...
   detail::FutexWaits watched_;       ///< what it sleeps on
   futex::Clock::time_point looked_;  ///< when it last looked for what nobody tells it
@@ -287,6 +295,24 @@ class Participant {
   static constexpr std::uint64_t kClosing = std::uint64_t{1} << 63;
   std::atomic<std::uint64_t> life_{kReference};
 };
+
+/// Calls f. Where f finds all places taken it is called again, when the dead have lost theirs: for
+/// so long another process may be at it.
+template <class F>
+void after_reaping(Participant& participant, F&& f) {
+  constexpr std::chrono::milliseconds kAnotherReaper{20};
+  const auto until = futex::Clock::now() + kAnotherReaper;
+  for (;;) {
+    try {
+      f();
+      return;
+    } catch (const Error& e) {
+      const bool full = e.error_number() == EUSERS || e.error_number() == ENOSPC;
+      if (!full || futex::Clock::now() >= until) throw;
+    }
+    if (!participant.reap_dead()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+}
 
 /// Throws lot::Error when no queue can be so deep.
 void check_depth(std::string_view topic, std::uint32_t depth);

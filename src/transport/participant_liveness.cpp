@@ -242,17 +242,38 @@ bool Participant::look_around() noexcept {
     note_sightings();
     looked_ = now;
   }
-  if (awaited_.load(std::memory_order_acquire) && registry_.try_lock()) {  // the flag's setter
-    awaited_.store(false, std::memory_order_relaxed);
-    registry_.clear_awaited(index());
-    registry_.unlock();
-  }
-  return closed && !lock_lost_ && !has_orphan_rings() && !awaited_.load(std::memory_order_relaxed);
+  const bool departed = finish_departures();
+  return closed && departed && !lock_lost_ && !has_orphan_rings();
 }
 
-void Participant::leave_awaited() noexcept {
-  awaited_.store(true, std::memory_order_release);  // carries the puller's last steps
-  ring_warden();
+void Participant::depart(std::list<registry::Departure> departure) noexcept {
+  try {
+    const registry::Registry::Lock lock(registry_);
+    registry_.remove(departure.front(), index());
+  } catch (const std::exception&) {  // a stopped process keeps it
+    {
+      const std::lock_guard guard(departures_mutex_);
+      departures_.splice(departures_.end(), departure);
+    }
+    ring_warden();
+    return;
+  }
+  leave_topic(departure.front().topic);
+}
+
+bool Participant::finish_departures() noexcept {
+  const std::lock_guard guard(departures_mutex_);
+  if (departures_.empty()) return true;
+  // The warden waits for nobody.
+  const std::unique_lock topics(topics_mutex_, std::try_to_lock);
+  if (!topics || !registry_.try_lock()) return false;
+  for (const auto& departure : departures_) {
+    registry_.remove(departure, index());
+    count_out(departure.topic);
+  }
+  registry_.unlock();
+  departures_.clear();
+  return true;
 }
 
 /// Adds the others' witnesses to what is slept on, the next ones first. False when one of them has

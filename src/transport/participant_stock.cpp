@@ -201,20 +201,27 @@ bool Participant::all_have_answered(const Questions& questions) noexcept {
 }
 
 std::uint32_t Participant::enter_topic(std::string_view name, const detail::MessageType& type) {
-  const std::lock_guard guard(topics_mutex_);
-  const registry::Registry::Lock lock(registry_);
-  const std::uint32_t topic = registry_.enter(name, type, index());
-  try {
-    ++topic_uses_[topic];
-  } catch (...) {  // it was not there
-    registry_.leave(topic, index());
-    throw;
-  }
+  std::uint32_t topic = 0;
+  after_reaping(*this, [&] {
+    const std::lock_guard guard(topics_mutex_);
+    const registry::Registry::Lock lock(registry_);
+    topic = registry_.enter(name, type, index());
+    try {
+      ++topic_uses_[topic];
+    } catch (...) {  // it was not there
+      registry_.leave(topic, index());
+      throw;
+    }
+  });
   return topic;
 }
 
 void Participant::leave_topic(std::uint32_t topic) noexcept {
   const std::lock_guard guard(topics_mutex_);
+  count_out(topic);
+}
+
+void Participant::count_out(std::uint32_t topic) noexcept {
   if (--topic_uses_[topic] == 0) {
     topic_uses_.erase(topic);
     registry_.leave(topic, index());

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cerrno>
+#include <list>
 
 #include "lot/detail/core.hpp"
 
@@ -43,12 +44,10 @@ class Puller final : public detail::PullerCore {
         topic_(participant_->enter_topic(topic, type)),
         habit_(options.wait) {
     try {
-      const registry::Registry::Lock lock(participant_->registry());
-      participant_->registry().add_puller(topic_, participant_->index());
-      announced_ = true;
-      join_what_is_there(taking_ ? Reader::kFromTheStart : options.history);
+      departure_.emplace_back();
+      after_reaping(*participant_, [&] { subscribe(options); });
     } catch (...) {
-      unsubscribe();
+      participant_->leave_topic(topic_);
       throw;
     }
   }
@@ -59,7 +58,10 @@ class Puller final : public detail::PullerCore {
       return;
     }
     notifier_.reset();
-    unsubscribe();
+    note_known();
+    leave_sources();
+    departure_.front() = {topic_, std::move(passed_)};
+    participant_->depart(std::move(departure_));
   }
 
   [[gnu::hot]] Status borrow(detail::Borrowed& borrowed, bool wait,
@@ -262,7 +264,9 @@ class Puller final : public detail::PullerCore {
   Status look_or_wait(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
                       bool forever) {
     const Status status = try_or_wait(borrowed, wait, deadline, forever);
-    if (status != Status::Ok && notifier_) notifier_->watch(*this);
+    if (status == Status::Ok) return status;
+    borrowed.missed = std::exchange(missed_, 0);
+    if (notifier_) notifier_->watch(*this);
     return status;
   }
 
@@ -435,15 +439,35 @@ class Puller final : public detail::PullerCore {
            std::find(passed_.begin(), passed_.end(), name) != passed_.end();
   }
 
+  void subscribe(const PullerOptions& options) {
+    try {
+      const registry::Registry::Lock lock(participant_->registry());
+      announce_and_join(taking_ ? Reader::kFromTheStart : options.history);
+    } catch (...) {
+      leave_sources();
+      passed_.clear();
+      throw;
+    }
+  }
+
+  /// Where it fails, no cell awaits this puller: a new ring needs the lock, too. The cells that
+  /// await other pullers of this process stay theirs. REQUIRES: the registry's lock.
+  void announce_and_join(std::uint64_t history) {
+    registry::Registry& registry = participant_->registry();
+    registry.add_puller(topic_, participant_->index());
+    try {
+      join_what_is_there(history);
+    } catch (...) {
+      registry.remove_puller(topic_, participant_->index());
+      throw;
+    }
+  }
+
   /// The rings of the topic as it is subscribed to: the live ones are joined.
   void join_what_is_there(std::uint64_t history) {
     const std::uint32_t version = directory_.load(std::memory_order_acquire);
     for (const auto& name : participant_->registry().rings(topic_)) {
       make_room_for_one();
-      if (!participant_->registry().is_live(name)) {
-        passed_.push_back(name);  // it has ended before
-        continue;
-      }
       const segment::Ring ring = participant_->segment().ring(name.channel);
       if (ring.depth == 0) {
         throw Error(EBADMSG, participant_->segment().path(),
@@ -451,13 +475,20 @@ class Puller final : public detail::PullerCore {
       }
       std::string publisher = publisher_of(ring);
       bool full = false;
-      const auto reader = Reader::join(ring, name.generation, participant_->index(), history, full);
+      std::optional<Reader> reader;
+      if (participant_->registry().is_live(name)) {
+        reader = Reader::join(ring, name.generation, participant_->index(), history, full);
+      }
       if (full) {
         throw Error(EUSERS, participant_->segment().path(),
                     "a publisher of the topic has all the readers that it can have",
                     "make the segment with a larger EngineOptions::readers");
       }
-      if (reader) begin(*reader, name, std::move(publisher));
+      if (reader) {
+        begin(*reader, name, std::move(publisher));
+      } else {  // it has ended before
+        passed_.push_back(name);
+      }
     }
     version_ = version;
   }
@@ -546,28 +577,15 @@ class Puller final : public detail::PullerCore {
     futex::wake_all(reader.ring().space);
   }
 
-  void unsubscribe() noexcept {
-    if (announced_) leave_awaited();
+  void leave_sources() noexcept {
     for (Source& s : sources_) leave(s.reader);
     sources_.clear();
     participant_->collect();  // of rings that have ended we may have been the last reader
-    participant_->leave_topic(topic_);
   }
 
-  /// Leaves the rings that have a cell for us and that we never looked at.
-  void leave_awaited() noexcept {
-    registry::Registry& registry = participant_->registry();
-    try {
-      const registry::Registry::Lock lock(registry);
-      for (const auto& name : registry.rings(topic_)) {
-        segment::Ring ring = participant_->segment().ring(name.channel);
-        if (!knows(name) && ring.unsubscribe(participant_->index())) futex::wake_all(ring.space);
-      }
-      registry.remove_puller(topic_, participant_->index());
-    } catch (const std::exception&) {  // a stopped process keeps the lock, or there is no memory
-      registry.remove_puller(topic_, participant_->index());
-      participant_->leave_awaited();
-    }
+  /// The rings that need no leaving, or are left: in all others a cell awaits this puller.
+  void note_known() noexcept {
+    for (const Source& s : sources_) passed_.push_back(s.name);  // there is room
   }
 
   [[noreturn]] void refuse() const {
@@ -607,14 +625,14 @@ class Puller final : public detail::PullerCore {
   std::uint32_t topic_;
   SpinHabit habit_;
   YieldHabit yield_;
-  bool announced_ = false;      ///< the topic counts this puller
   futex::Deadline not_before_;  ///< there is no use in looking for rings
   detail::FutexWaits waits_;
   /// Rings that are not for this puller, or not any more, and still there: another puller of the
   /// process may have a cell in them that nobody has looked at.
   std::vector<registry::ChannelName> passed_;
-  bool chooses_ = false;    ///< somebody asks which messages are for us
-  std::vector<Left> left_;  ///< the last few
+  std::list<registry::Departure> departure_;  ///< one, made before it is needed
+  bool chooses_ = false;                      ///< somebody asks which messages are for us
+  std::vector<Left> left_;                    ///< the last few
 };
 
 }  // namespace

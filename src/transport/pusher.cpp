@@ -59,11 +59,13 @@ class Pusher final : public detail::PusherCore, private Evictor {
       }
       const QueueEngine engine = Participant::queue_engine(options.engine);
       topic_ = participant_->enter_topic(topic, type);
-      const registry::Registry::Lock lock(participant_->registry());
-      name_ = participant_->registry().open(
-          *topic_, participant_->index(),
-          {options.depth, participant_->segment().capacity().readers, options.policy, engine,
-           delivery == detail::Delivery::ToOne, 0});
+      after_reaping(*participant_, [&] {
+        const registry::Registry::Lock lock(participant_->registry());
+        name_ = participant_->registry().open(
+            *topic_, participant_->index(),
+            {options.depth, participant_->segment().capacity().readers, options.policy, engine,
+             delivery == detail::Delivery::ToOne, 0});
+      });
     } catch (...) {
       if (topic_) participant_->leave_topic(*topic_);
       close_without_ring();

@@ -256,8 +256,14 @@ TEST_CASE("a puller that goes while the registry is taken leaves its unread ring
   const Watchdog watchdog(100);
   const auto options = fresh();
   lot::ShmEngine engine(options);
+  std::optional<lot::ShmPuller<Number>> stays;
+  SUBCASE("it is the only one of its process") {}
+  SUBCASE("another one stays, and only its own cell is left to it") {
+    stays.emplace(engine.subscribe<Number>("/t"));
+  }
   auto puller = std::make_unique<lot::ShmPuller<Number>>(engine.subscribe<Number>("/t"));
-  auto pusher = engine.advertise<Number>("/t");
+  auto pusher = engine.advertise<Number>("/t", {Policy::Block, 2, 20s});
+  const std::size_t others = stays ? 1 : 0;
   lot::segment::Segment segment(engine.path());
   Steps held;
   Steps go;
@@ -270,10 +276,135 @@ TEST_CASE("a puller that goes while the registry is taken leaves its unread ring
   });
   CHECK(held.next() != 0);
   puller.reset();
-  CHECK(pusher.readers() == 1);
+  CHECK(pusher.readers() == others + 1);
   go.tell();
   other.join();
-  CHECK(eventually([&] { return pusher.readers() == 0; }, 20s));
+  CHECK(eventually([&] { return pusher.readers() == others; }, 20s));
+  for (std::uint64_t n = 0; n < 5; ++n) {
+    CHECK(pusher.push(pusher.loan(n)) == Status::Ok);
+    if (stays) CHECK(stays->pull(20s)->value == n);
+  }
+  // The topic counts the puller no more: a new ring awaits the others alone.
+  CHECK(engine.advertise<Number>("/t").readers() == others);
+}
+
+TEST_CASE("a subscribe that fails takes nothing from the other pullers of its process") {
+  const Watchdog watchdog(100);
+  auto options = fresh();
+  options.readers = 2;
+  lot::ShmEngine engine(options);
+  auto one = engine.subscribe<Number>("/t");
+  auto two = engine.subscribe<Number>("/t");
+  auto pusher = engine.advertise<Number>("/t", {Policy::Block, 8, 20s});
+  for (std::uint64_t n = 0; n < kItems; ++n) CHECK(pusher.push(pusher.loan(n)) == Status::Ok);
+  CHECK_THROWS_AS(engine.subscribe<Number>("/t"), lot::Error);
+  CHECK(pusher.readers() == 2);
+  for (auto* puller : {&one, &two}) {
+    for (std::uint64_t n = 0; n < kItems; ++n) {
+      const auto message = puller->try_pull();
+      REQUIRE(message);
+      CHECK(message->value == n);
+    }
+  }
+}
+
+TEST_CASE("what memory pressure took before the publisher died is missed, also without a message") {
+  const Watchdog watchdog(100);
+  auto options = fresh();
+  options.size_bytes = 32 << 20;
+  lot::ShmEngine engine(options);
+  struct Frame {
+    lot::ShmVector<unsigned char> data;
+  };
+  auto puller = engine.subscribe<Frame>("/t");
+  std::uint64_t sent = 3;
+  Child publisher([&] {
+    lot::ShmEngine other(options);
+    auto pusher = other.advertise<Frame>("/t");
+    const auto make = [&] {
+      auto frame = pusher.loan();
+      frame->data.resize(4 << 20);
+      return frame;
+    };
+    for (std::uint64_t n = 0; n < sent; ++n) must(pusher.push(make()) == Status::Ok, "pushed");
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    try {
+      for (;;) loans.push_back(make());
+    } catch (const std::bad_alloc&) {  // all that was pushed has gone
+      raise(SIGKILL);
+    }
+  });
+  CHECK(publisher.wait() == 128 + SIGKILL);
+  REQUIRE(eventually([&] { return Rings(engine.path()).ended == 1; }, 20s));
+  CHECK_FALSE(puller.try_pull());
+  CHECK(puller.missed_total() == sent);
+  auto next = engine.advertise<Frame>("/t");
+  CHECK(next.push(next.loan()) == Status::Ok);
+  CHECK(puller.pull(20s));
+  CHECK(puller.missed() == sent);  // before this one
+  CHECK(puller.missed_total() == sent);
+}
+
+TEST_CASE("the places of the dead are not counted as taken") {
+  const Watchdog watchdog(100);
+  auto options = fresh();
+  options.readers = 2;
+  lot::ShmEngine engine(options);
+  std::optional<lot::ShmPusher<Number>> pusher;
+  bool anew = true;
+  SUBCASE("when a publisher comes") {}
+  SUBCASE("when a subscriber comes") {
+    pusher.emplace(engine.advertise<Number>("/t"));
+    anew = false;
+  }
+  for (int round = 0; round < 10; ++round) {
+    Steps done;
+    std::vector<std::unique_ptr<Child>> dead;
+    for (int i = 0; i < 2; ++i) {
+      dead.push_back(std::make_unique<Child>([&] {
+        lot::ShmEngine other(options);
+        auto puller = other.subscribe<Number>("/t");
+        done.tell();
+        pause();
+      }));
+      REQUIRE(done.next() != 0);
+    }
+    for (auto& child : dead) child->kill9();
+    auto puller = engine.subscribe<Number>("/t");
+    if (anew) pusher.emplace(engine.advertise<Number>("/t"));
+    CHECK(pusher->push(pusher->loan(7u)) == Status::Ok);
+    CHECK(puller.pull(20s)->value == 7);
+  }
+}
+
+TEST_CASE("a ring that has ended and has nothing to tell awaits no subscriber") {
+  const Watchdog watchdog(100);
+  auto options = fresh();
+  options.channels = 4;
+  lot::ShmEngine engine(options);
+  auto puller = engine.subscribe<Number>("/t");  // it never looks
+  auto idle = engine.queue<Owned>("tasks");      // nor does this one
+  idle.listen();
+  auto tasks = engine.queue<Owned>("tasks");
+  tasks.listen();
+  const auto gone = [&] { return Rings(engine.path()).ended == 0; };
+  for (int n = 0; n < 20; ++n) {
+    engine.advertise<Number>("/t");
+    CHECK(eventually(gone, 20s));
+  }
+  std::optional other(engine.queue<Owned>("tasks"));
+  CHECK(other->put(other->make(1u)) == Status::Ok);
+  CHECK(tasks.wait_and_pop_for(20s));
+  other.reset();  // all that was in it was taken
+  CHECK(eventually([&] { return !tasks.try_pop() && gone(); }, 20s));
+  std::optional last(engine.advertise<Number>("/t"));
+  CHECK(last->push(last->loan(1u)) == Status::Ok);
+  last.reset();
+  std::this_thread::sleep_for(300ms);
+  CHECK(Rings(engine.path()).ended == 1);  // this one has something
+  CHECK(puller.pull(20s)->value == 1);
+  CHECK(puller.missed_total() == 0);
+  CHECK(eventually([&] { return !puller.try_pull() && gone(); }, 20s));
 }
 
 TEST_SUITE_END();
