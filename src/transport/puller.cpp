@@ -278,7 +278,9 @@ class Puller final : public detail::PullerCore {
     }
     if (!wait) {
       if (!settle() && look(borrowed)) return Status::Ok;
-      return sources_.empty() ? Status::PublisherGone : Status::Empty;
+      // A ring that has not been looked at may hold what was published: the registry was taken.
+      const bool all_seen = directory_.load(std::memory_order_acquire) == version_;
+      return sources_.empty() && all_seen ? Status::PublisherGone : Status::Empty;
     }
     return wait_and_look(borrowed, forever ? futex::Deadline() : futex::Deadline(deadline));
   }

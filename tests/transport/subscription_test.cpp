@@ -407,4 +407,33 @@ TEST_CASE("a ring that has ended and has nothing to tell awaits no subscriber") 
   CHECK(eventually([&] { return !puller.try_pull() && gone(); }, 20s));
 }
 
+TEST_CASE("a publisher is not said to be gone while the registry is taken") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  auto puller = engine.subscribe<Number>("/t");
+  std::optional pusher(engine.advertise<Number>("/t"));
+  pusher->push(pusher->loan(1u));
+  SUBCASE("it is there") {}
+  SUBCASE("it has gone, and its messages are unread") { pusher.reset(); }
+  lot::segment::Segment segment(engine.path());
+  Steps held;
+  Steps go;
+  std::thread other([&] {
+    lot::RobustMutex mutex(segment.directory().lock.mutex);
+    mutex.lock();
+    held.tell();
+    go.next(60s);
+    mutex.unlock();
+  });
+  CHECK(held.next() != 0);
+  CHECK_FALSE(puller.try_pull());
+  CHECK(puller.status() == Status::Empty);
+  go.tell();
+  other.join();
+  const auto message = puller.pull(20s);
+  REQUIRE(message);
+  CHECK(message->value == 1);
+}
+
 TEST_SUITE_END();
