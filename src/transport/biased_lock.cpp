@@ -14,6 +14,8 @@ namespace {
 
 bool membarrier(int command) noexcept { return syscall(SYS_membarrier, command, 0, 0) == 0; }
 
+constexpr unsigned kTries = 1000;  ///< of the barrier, 50 us apart
+
 /// True when this process (a forked child is another one) may use the barrier.
 bool can_revoke() noexcept {
 #if defined(__SANITIZE_THREAD__)
@@ -66,7 +68,9 @@ void BiasedLock::lock_shared() noexcept {
     return;
   }
   shared_.store(true, std::memory_order_seq_cst);  // L1
-  if (!membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED)) {
+  // The kernel may be short of memory for a moment. Who is refused for good may not go on.
+  for (unsigned tries = 0; !membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED); patience.wait(0)) {
+    if (++tries < kTries) continue;
     std::fputs("lot: membarrier was registered and fails now\n", stderr);
     std::abort();
   }
