@@ -91,8 +91,12 @@ class Books {
       for (std::uint32_t i = 0; i < ring.readers; ++i) {
         const std::uint32_t who = ring.who[i].load();
         if (who != 0 && !lives(who - 1)) wrong(channel + " has a dead reader");
-        if (who == 0 && ring.cells[i].position.load() != ring::kIdle) {
+        const ring::Word position = ring.cells[i].position.load();
+        if (who == 0 && position != ring::kIdle)
           wrong(channel + " has a position without a reader");
+        // Who lives has looked since: it was told of the ring, or of its end.
+        if (who != 0 && state == ring::State::Orphan && ring::is_awaited(position)) {
+          wrong(channel + " has ended and awaits a reader");
         }
       }
       if (state == ring::State::Orphan && owner == refcount::kOrphanage && ring.deserted()) {

@@ -91,6 +91,23 @@ void Node::drop_probes() {
 
 bool Node::reads_now() const { return puller && !sleeper.joinable() && !borrow; }
 
+bool Node::waits_at_home() const {
+  const auto participant = transport::Participant::join(options);
+  bool any = false;
+  for (std::uint32_t b = 0; b < participant->blocks(); ++b) {
+    const auto& words = participant->block(b);
+    any |= words.wanted.load() != 0 && words.home.load() == participant->index() + 1;
+  }
+  return any;
+}
+
+bool Node::home_waits() const {
+  if (kept.empty()) return false;
+  const auto participant = transport::Participant::join(options);
+  const auto& words = participant->block(detail::PointerAccess::cell(kept.front())->block);
+  return words.wanted.load() != 0 && words.home.load() != participant->index() + 1;
+}
+
 void Node::leave() {
   drop_all();
   engine.reset();
@@ -109,6 +126,13 @@ void Node::publish(unsigned count) {
     auto message = pusher->loan(numbered(source, published));
     if (pusher->push(std::move(message), 10s) == Status::Ok) ++published;
   }
+}
+
+void Node::publish_watched() {
+  const ShmSharedPtr<const Number> message(pusher->loan(numbered(source, published)));
+  weak = message;
+  watched = true;
+  if (pusher->push(message, 10s) == Status::Ok) ++published;
 }
 
 bool Node::receive() {
@@ -291,6 +315,10 @@ void Node::inspect() {
     const Number* there = borrow ? borrow.get() : kept.front().get();
     must(intact(*there) && there->number == held->number, "a held message did not change");
     borrow.end();
+  }
+  if (watched) {  // its home's warden looks once a second
+    must(testing::eventually([&] { return weak.expired(); }, 3s),
+         "a message dies that nobody holds any more");
   }
   if (queue) {
     inspect_queue();

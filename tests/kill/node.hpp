@@ -69,6 +69,7 @@ struct Node {
 
   // Steps that scenes are made of.
   void publish(unsigned count = 1);
+  void publish_watched();  ///< one that `weak` points to; it must die before inspect() ends
   bool receive();          ///< the next message, if there is one, goes into the account
   void receive_all();      ///< those that are there
   void sleep_on_topic();   ///< a thread of its own sleeps for the topic's messages until the end
@@ -76,7 +77,9 @@ struct Node {
   void hold(bool borrow);  ///< the next message stays borrowed, or is kept
   void reap();             ///< repairs what the dead left, now
   bool reads_now() const;  ///< the puller is free for a read
-  void await_sleeper();    ///< until a mark stands in some slot, or on some condition
+  bool waits_at_home() const;  ///< for others to let go of a message
+  bool home_waits() const;     ///< for us to let go of what we keep first, and that is elsewhere
+  void await_sleeper();        ///< until a mark stands in some slot, or on some condition
   void open_queue(const QueueOptions& options);
   void put(unsigned count = 1);  ///< items into the queue
   bool pop();                    ///< the next item, if there is one, goes into `items`
@@ -134,6 +137,7 @@ struct Node {
   std::vector<ShmSharedPtr<const Number>> kept;
   ShmSharedPtr<Number> own;
   ShmWeakPtr<const Number> weak;
+  bool watched = false;      ///< it points to a message that nobody holds in the end
   bool reads_topic = false;  ///< the puller is the topic's
   bool blocking = false;     ///< the pusher's policy is Block
   bool locked = false;       ///< the scene's queue has the mutex engine
@@ -158,9 +162,10 @@ struct Node {
 /// What a scene does before its operation, and who does it.
 enum class Who : std::uint8_t {
   Victim,
-  Witness,  ///< lives on and sees to it that nothing is lost
-  Dead,     ///< is killed before the operation
-  Rival     ///< wants the same item as the victim
+  Witness,    ///< lives on and sees to it that nothing is lost
+  Bystander,  ///< lives on as well, and reads what it had subscribed to
+  Dead,       ///< is killed before the operation
+  Rival       ///< wants the same item as the victim
 };
 struct Act {
   Who who;
@@ -235,6 +240,7 @@ inline constexpr const char* kTopic = "/numbers";  ///< the victim publishes her
 inline constexpr const char* kOther = "/others";   ///< the witness publishes here
 inline constexpr const char* kFrames = "/frames";
 inline constexpr const char* kItems = "/items";  ///< each is taken by one
-inline constexpr std::uint64_t kVictim = 1, kWitness = 2, kDead = 3, kSecondLife = 4, kRival = 5;
+inline constexpr std::uint64_t kVictim = 1, kWitness = 2, kDead = 3, kSecondLife = 4, kRival = 5,
+                               kBystander = 6;
 
 }  // namespace lot::kill

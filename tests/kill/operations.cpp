@@ -4,9 +4,11 @@
 // difference to it.
 #include <fstream>
 #include <string_view>
+#include <thread>
 #include <utility>
 
 #include "node.hpp"
+#include "support/processes.hpp"
 
 namespace lot::kill {
 namespace {
@@ -25,6 +27,7 @@ PullerOptions parked(std::uint64_t history = 0) { return {Wait::Park, history}; 
 
 Act victim(std::function<void(Node&)> act) { return {Who::Victim, std::move(act)}; }
 Act witness(std::function<void(Node&)> act) { return {Who::Witness, std::move(act)}; }
+Act bystander(std::function<void(Node&)> act) { return {Who::Bystander, std::move(act)}; }
 Act dead(std::function<void(Node&)> act) { return {Who::Dead, std::move(act)}; }
 Act rival(std::function<void(Node&)> act) { return {Who::Rival, std::move(act)}; }
 
@@ -68,6 +71,12 @@ Acts victim_publishes(const PusherOptions& options, unsigned count) {
 /// The witness publishes, the victim reads.
 Acts victim_reads(const PusherOptions& options, unsigned count) {
   return {witness(join), victim(join), publisher(witness, options, kOther), reader(victim, kOther),
+          publishes(witness, count)};
+}
+
+/// The same, but the victim had subscribed before, and has not looked since.
+Acts victim_is_awaited(const PusherOptions& options, unsigned count) {
+  return {witness(join), victim(join), reader(victim, kOther), publisher(witness, options, kOther),
           publishes(witness, count)};
 }
 
@@ -330,11 +339,6 @@ void pulls(std::vector<Operation>& all, QueueEngine engine) {
   all.push_back({named("borrow, lapped", engine),
                  under(engine, {Promise::LockFree, "read what the victim published"}),
                  victim_reads(overwrite(2, engine), 7), [](Node& n) { n.receive_all(); }});
-  all.push_back({named("try, a new publisher has come", engine),
-                 under(engine, {Promise::LockFree, "read what the victim published"}),
-                 Acts{witness(join), victim(join), reader(victim, kOther),
-                      publisher(witness, overwrite(2, engine), kOther), publishes(witness, 1)},
-                 [](Node& n) { n.receive(); }});
   all.push_back(
       {named("try, the publisher has gone", engine),
        under(engine, {Promise::LockFree, "read what the victim published"}),
@@ -343,6 +347,78 @@ void pulls(std::vector<Operation>& all, QueueEngine engine) {
          n.receive_all();
          n.puller->try_borrow();
        }});
+}
+
+/// Subscribers for which a new ring has a cell, since they had subscribed before it came.
+void subscribers(std::vector<Operation>& all, QueueEngine engine) {
+  const auto add = [&](const std::string& name, const Pledge& pledge, const Acts& before,
+                       std::function<void(Node&)> run,
+                       std::function<void(Node&)> when_asleep = {}) {
+    all.push_back({named(name, engine), under(engine, pledge), before, std::move(run),
+                   std::move(when_asleep)});
+  };
+  const Acts locks{witness([engine](Node& n) { n.locked = engine == QueueEngine::Mutex; })};
+  const Acts both = Acts{witness(join), victim(join)} + locks;
+  const Pledge reads{Promise::LockFree, "read what the victim published"};
+  const auto look = [](Node& n) { n.receive(); };
+  const auto read = [](Node& n) {
+    n.receive_all();
+    n.puller->try_borrow();
+  };
+  const auto unsubscribe = [](Node& n) { n.puller.reset(); };
+  const Acts gone{witness([](Node& n) { n.pusher.reset(); })};
+  for (const bool blocking : {false, true}) {
+    const std::string policy = blocking ? ", block" : ", overwrite";
+    const PusherOptions options = blocking ? block(2, engine) : overwrite(2, engine);
+    add("try, a new publisher has come" + policy, reads, victim_is_awaited(options, 1), look);
+    add("try, a new publisher has come and gone" + policy, reads,
+        victim_is_awaited(options, 2) + gone, read);
+    add("unsubscribe unseen" + policy, Promise::Blocking, victim_is_awaited(options, 1),
+        unsubscribe);
+    add("unsubscribe unseen, it has ended" + policy, Promise::Blocking,
+        victim_is_awaited(options, 2) + gone, unsubscribe);
+    // The victim awaits itself, too.
+    add("advertise and push, nobody has looked" + policy, Promise::Blocking,
+        both + Acts{bystander(join), reader(witness, kTopic), reader(bystander, kTopic),
+                    reader(victim, kTopic)},
+        [=](Node& n) {
+          n.pusher.emplace(n.engine->advertise<Number>(kTopic, options));
+          n.publish(2);
+        });
+  }
+  const Acts for_room =
+      victim_is_awaited(block(1, engine), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })};
+  add("try, a new publisher sleeps for room", reads, for_room, read);
+  add("unsubscribe unseen, the sender sleeps for room", Promise::Blocking, for_room, unsubscribe);
+  // The witness has not looked either: all is there for it.
+  add("try, a new publisher has come and died", reads,
+      both + Acts{dead(join), reader(witness, kTopic), reader(victim, kTopic),
+                  publisher(dead, overwrite(2, engine), kTopic), publishes(dead, 2)},
+      [=](Node& n) {
+        n.reap();
+        read(n);
+      });
+  add("advertise and push, a subscriber has died", Promise::Blocking,
+      both + Acts{dead(join), reader(dead, kTopic), reader(witness, kTopic)}, [=](Node& n) {
+        n.pusher.emplace(n.engine->advertise<Number>(kTopic, block(2, engine)));
+        n.publish(2);
+      });
+
+  const Acts full =
+      both + Acts{reader(witness, kTopic), publisher(victim, block(1, engine), kTopic),
+                  publishes(victim, 1), victim(loan_one)};
+  add("push, block, waits for who has not looked", Promise::Blocking, full, push_loan,
+      [](Node& n) { n.receive_all(); });
+  add("push, block, who has not looked unsubscribes", Promise::Blocking, full, push_loan,
+      [](Node& n) {
+        n.puller.reset();
+        n.reads_topic = false;
+      });
+  add("push, block, who has not looked has died", Promise::Blocking,
+      both + Acts{dead(join), reader(dead, kTopic), publisher(victim, block(1, engine), kTopic),
+                  reader(witness, kTopic), publishes(victim, 1),
+                  witness([](Node& n) { n.receive_all(); }), victim(loan_one)},
+      push_loan);
 }
 
 /// A queue whose items are each taken by one. The witness pops what is left.
@@ -360,7 +436,7 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
   const auto puts = [](Act (*who)(std::function<void(Node&)>), unsigned count) {
     return Acts{who([=](Node& n) { n.put(count); })};
   };
-  // A reader has a ring from its next look on.
+  // The victim has a ring, and the witness has looked there.
   const auto victim_puts = [&](const QueueOptions& o) {
     return both(o) + puts(victim, 1) + Acts{witness([](Node& n) { n.pop(); })};
   };
@@ -374,6 +450,7 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
   const auto pop = [](Node& n) { n.pop(); };
   const auto sleeps = witness([](Node& n) { n.sleep_on_queue(); });
 
+  add("put, the first item", Promise::Blocking, both(options(2)), put);
   add("put, an empty queue", Promise::Blocking, victim_puts(options(2)), put);
   add("put, a reader sleeps", Promise::Blocking, victim_puts(options(2)) + Acts{sleeps}, put);
   add("put, what was taken is used again", Promise::Blocking,
@@ -422,6 +499,8 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
       });
   add("close a queue with items", Promise::Blocking, victim_puts(options(2)) + puts(victim, 2),
       [](Node& n) { n.queue.reset(); });
+  add("close a queue unseen", Promise::Blocking, both(options(2)) + puts(witness, 2),
+      [](Node& n) { n.queue.reset(); });
   add("close a queue, who puts sleeps for room", Promise::Blocking,
       both(options(1)) + puts(witness, 1) + Acts{witness([](Node& n) { n.sleep_to_put(); })},
       [](Node& n) {
@@ -434,6 +513,12 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
                   n.queue->listen();
                 })};
   };
+  add("pop, who put the first items has died",
+      under(engine, {Promise::LockFree, "pop what the victim put"}),
+      listens(witness) + listens(victim) + listens(dead) + puts(dead, 2), [](Node& n) {
+        n.reap();
+        n.pop();
+      });
   add("reap, a dead one who puts, items left",
       under(engine, {Promise::LockFree, "look for the dead"}),
       listens(witness) + listens(dead) + puts(dead, 1) + Acts{witness(pop), victim(join)} +
@@ -474,7 +559,7 @@ void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
                    how});
   };
   const Pledge shown{Promise::LockFree, "put and pop, overwrite"};
-  // A reader has a ring from its next look on.
+  // There is a ring, and the witness has looked there.
   const auto items = [&](Act (*who)(std::function<void(Node&)>), unsigned count,
                          const QueueOptions& o) {
     return three(o) + Acts{who([](Node& n) { n.put(); }), witness([](Node& n) { n.pop(); }),
@@ -564,6 +649,15 @@ void chosen(std::vector<Operation>& all, QueueEngine engine) {
     n.serve("the witness");
     n.publish();
   });
+  add("serve, who has not looked", choosing,
+      Acts{witness(join), victim(join), witness(locks),
+           witness([](Node& n) { n.be_chosen(kTopic); }),
+           victim([=](Node& n) { n.choose(kTopic, options); }), publishes(victim, 3),
+           ours(4, 4, 4)},
+      [](Node& n) {
+        if (n.chooser->serve("the witness", 0)) std::abort();
+        n.publish();
+      });
   add("serve, nobody of that name", choosing, three + Acts{ours(3, 3, 3)}, [](Node& n) {
     if (n.chooser->serve("nobody", 0)) std::abort();
   });
@@ -588,6 +682,11 @@ void chosen(std::vector<Operation>& all, QueueEngine engine) {
   const Acts is_served =
       is_chosen + Acts{witness([](Node& n) { n.serve("the victim"); }), publishes(witness, 2)};
   add("read what is one's own", being, is_served, [](Node& n) { n.read_chosen(); });
+  add("read, who chooses has come", being,
+      Acts{witness(join), victim(join), witness(locks),
+           victim([](Node& n) { n.be_chosen(kOther); }),
+           witness([=](Node& n) { n.choose(kOther, options); }), publishes(witness, 2)},
+      [](Node& n) { n.read_chosen(); });
   add("decline", being, is_served, [](Node& n) { n.chosen->decline(); });
   add("join anew", being, is_chosen, [](Node& n) {
     if (n.chosen->rejoin("the witness", 7).size() != 1) std::abort();
@@ -602,6 +701,60 @@ void chosen(std::vector<Operation>& all, QueueEngine engine) {
            witness([=](Node& n) { n.choose(kOther, options); }), publishes(witness, 2)},
       [](Node& n) { n.be_chosen(kOther); });
   add("unsubscribe, served", Promise::Blocking, is_served, [](Node& n) { n.chosen.reset(); });
+}
+
+/// A message whose last holder is another process than its home, which would have it back.
+void last_holders(std::vector<Operation>& all) {
+  constexpr unsigned kBatch = 70;  // the home looks at what was overwritten so many messages later
+  const auto waits = [](Node& n) {
+    testing::must(n.home_waits(), "the home waits for its message");
+  };
+  const auto let_go = [](Node& n) {
+    n.kept.clear();
+    n.held.reset();
+  };
+  const auto watched = [](Act (*who)(std::function<void(Node&)>)) {
+    return who([](Node& n) { n.publish_watched(); });
+  };
+  const auto holds = [](Act (*who)(std::function<void(Node&)>)) {
+    return who([](Node& n) { n.hold(false); });
+  };
+  const auto holding =
+      victim_reads(overwrite(1), 0) +
+      Acts{watched(witness), holds(victim), publishes(witness, kBatch), victim(waits)};
+  all.push_back({"last pointer anywhere, the home waits",
+                 {Promise::WaitFree, "drop the last one, its home waits"},
+                 holding,
+                 [](Node& n) { n.kept.clear(); }});
+  all.push_back({"close, the home of a kept message waits", Promise::Blocking, holding,
+                 [](Node& n) { n.leave(); }});
+  all.push_back({"reap, a dead last holder",
+                 {Promise::LockFree, "look for the dead"},
+                 Acts{witness(join), victim(join), dead(join),
+                      publisher(witness, overwrite(1), kOther), reader(dead, kOther),
+                      watched(witness), holds(dead), publishes(witness, kBatch), dead(waits)},
+                 [](Node& n) { n.reap(); }});
+
+  // The victim is the home.
+  const auto held = victim_publishes(overwrite(1), 0) + Acts{watched(victim), holds(witness)};
+  const auto waiting = held + Acts{publishes(victim, kBatch), witness(waits)};
+  all.push_back({"loan and push, another process keeps a message",
+                 {Promise::LockFree, "loan and push, overwrite"},
+                 held + Acts{publishes(victim, 60)},
+                 [](Node& n) {
+                   n.publish(10);
+                   if (!n.waits_at_home()) std::abort();
+                 }});
+  all.push_back({"loan and push, the home waits for a message",
+                 {Promise::LockFree, "loan and push, overwrite"},
+                 waiting,
+                 [](Node& n) { n.publish(2); }});
+  // The first thread sleeps so long that the warden can do its errand meanwhile.
+  all.push_back({"the warden buries what another process has let go", Promise::Blocking, waiting,
+                 [](Node& n) {
+                   while (!n.weak.expired()) std::this_thread::sleep_for(300ms);
+                 },
+                 let_go});
 }
 
 void pointers(std::vector<Operation>& all) {
@@ -766,6 +919,7 @@ std::vector<Operation> all_operations() {
   for (const auto engine : {QueueEngine::Ring, QueueEngine::Mutex}) {
     pushes(all, engine);
     pulls(all, engine);
+    subscribers(all, engine);
     queues(all, engine);
     rivals(all, engine, Rival::Killed);
     chosen(all, engine);
@@ -773,6 +927,7 @@ std::vector<Operation> all_operations() {
   rivals(all, QueueEngine::Ring, Rival::Stopped);
   locked_queues(all);
   pointers(all);
+  last_holders(all);
   reaps(all);
   return all;
 }

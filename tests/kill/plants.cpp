@@ -79,6 +79,12 @@ std::vector<Plant> planted_operations() {
       if (ring.depth != 0) ring.who[ring.readers - 1].store(kNobody + 1);
     }
   });
+  plant("a cell in a ring that has ended", "has ended and awaits a reader", [](Node& n) {
+    const auto ring = participant(n)->ring(0);
+    ring.cells[ring.readers - 1].position.store(ring::awaited(ring.first));
+    ring.who[ring.readers - 1].store(ring.who[0].load());  // the witness has joined with another
+    n.pusher.reset();
+  });
   plant("a topic of nobody", "a topic is used by the dead", [](Node& n) {
     participant(n)->segment().topics()[3].users[0].fetch_or(std::uint64_t{1} << kNobody);
   });
@@ -113,10 +119,16 @@ std::vector<Plant> planted_operations() {
     auto& segment = participant(n)->segment();
     segment.base()[segment.size() - 1] ^= 1;
   });
-  plant("a lock that nobody will open", "locked", [](Node& n) {
-    auto& mutex = participant(n)->segment().directory().lock.mutex;
-    mutex.__data.__lock = 1;  // the first process of the system
-  });
+  // Without a reader, which would look in vain for the end of its publisher's ring.
+  all.push_back(
+      {{"a lock that nobody will open",
+        Promise::Blocking,
+        {{Who::Witness, [](Node& n) { n.join(); }}, {Who::Victim, [](Node& n) { n.join(); }}},
+        [](Node& n) {
+          auto& mutex = participant(n)->segment().directory().lock.mutex;
+          mutex.__data.__lock = 1;  // the first process of the system
+        }},
+       "locked"});
   plant("a file is left", "files are left", [](Node& n) {
     std::ofstream(n.options.directory + "/" + n.options.segment + ".left") << "x";
   });

@@ -166,6 +166,14 @@ bool hold_last(Node& n) {
   if (n.probe_kept) n.account.enter(*n.probe_kept, n.puller->missed());
   return bool(n.probe_kept);
 }
+/// The same of a message that the victim would have back.
+bool hold_wanted(Node& n) {
+  if (n.kept.size() != 1 || !n.home_waits()) return false;
+  n.probe_kept = std::move(n.kept.front());
+  n.kept.clear();
+  n.held.reset();
+  return true;
+}
 bool make_one(Node& n) {
   n.probe_kept = ShmSharedPtr<const Number>(n.engine->make<Number>(numbered(7, 0)));
   return true;
@@ -208,6 +216,7 @@ const std::vector<Probe>& all_probes() {
       {"copy", kWaitFree, copy, hold_one},
       {"drop a copy", kWaitFree, drop_copy, copied},
       {"drop the last one here", kWaitFree, drop_last, hold_last},
+      {"drop the last one, its home waits", kWaitFree, drop_last, hold_wanted},
       {"drop the last one at home", kWaitFree, drop_last, make_one},
       {"weak lock, alive", kWaitFree, lock_weak, look_after},
       {"weak lock, dead", kWaitFree, lock_dead, look_after_a_dead_one},

@@ -315,7 +315,7 @@ void Trial::clean_up() {
     stopped_->kill();
     rival_->was_killed();
   }
-  for (auto* actor : {&victim_, &rival_, &dead_, &witness_}) actor->reset();
+  for (auto* actor : {&victim_, &rival_, &dead_, &bystander_, &witness_}) actor->reset();
   const std::string path = options_.directory + "/" + options_.segment;
   for (const char* suffix : {"", ".lock", ".new", ".left"}) unlink((path + suffix).c_str());
 }
@@ -336,16 +336,21 @@ Actor::Reply Trial::must_answer(Actor& actor, const char* what) {
 void Trial::set_up() {
   const auto& acts = operation_.before;
   if (!operation_.alone) witness_.emplace(operation_, options_, kWitness, "the witness");
-  const bool dies =
-      std::any_of(acts.begin(), acts.end(), [](const Act& a) { return a.who == Who::Dead; });
-  if (dies) dead_.emplace(operation_, options_, kDead, "another dead one");
+  const auto acts_in_it = [&acts](Who who) {
+    return std::any_of(acts.begin(), acts.end(), [who](const Act& a) { return a.who == who; });
+  };
+  if (acts_in_it(Who::Bystander)) {
+    bystander_.emplace(operation_, options_, kBystander, "the bystander");
+  }
+  if (acts_in_it(Who::Dead)) dead_.emplace(operation_, options_, kDead, "another dead one");
   if (operation_.rival != Rival::None) rival_.emplace(operation_, options_, kRival, "the rival");
   victim_.emplace(operation_, options_, kVictim, kVictimName);
   for (std::uint32_t i = 0; i < acts.size(); ++i) {
-    Actor& actor = acts[i].who == Who::Victim    ? *victim_
-                   : acts[i].who == Who::Witness ? *witness_
-                   : acts[i].who == Who::Rival   ? *rival_
-                                                 : *dead_;
+    Actor& actor = acts[i].who == Who::Victim      ? *victim_
+                   : acts[i].who == Who::Witness   ? *witness_
+                   : acts[i].who == Who::Bystander ? *bystander_
+                   : acts[i].who == Who::Rival     ? *rival_
+                                                   : *dead_;
     actor.tell(Actor::Order::Act, i);
     const Actor::Reply reply = must_answer(actor, "before");
     if (acts[i].who == Who::Rival) rival_index_ = reply.index;
@@ -402,8 +407,9 @@ void Trial::let_rival_go_on() {
 
 /// Brings the victim to the first instruction of its operation.
 void Trial::begin() {
-  // A death wakes wardens: the witness's must not do the victim's work, nor the victim's own begin.
+  // A death wakes wardens: the others' must not do the victim's work, nor the victim's own begin.
   if (witness_) witness_->stop();
+  if (bystander_) bystander_->stop();
   traced_.emplace(victim_->pid());
   if (dead_) dead_->kill();
   if (operation_.rival == Rival::Killed) {
@@ -419,10 +425,15 @@ void Trial::begin() {
   note_published();
 }
 
+void Trial::let_go_on() const {
+  witness_->send(SIGCONT);
+  if (bystander_) bystander_->send(SIGCONT);
+}
+
 /// The victim waits for others: now they may go on.
 void Trial::help_sleeper() {
   if (!witness_) return;
-  witness_->send(SIGCONT);
+  let_go_on();
   if (operation_.when_asleep) {
     witness_->tell(Actor::Order::WhenAsleep);
     must_answer(*witness_, "when the victim sleeps");
@@ -554,7 +565,7 @@ std::vector<Trial::Probed> Trial::probe(const std::vector<Asked>& which) {
   std::vector<Probed> results(all_probes().size());
   if (!witness_ || which.empty()) return results;
   note_published();
-  witness_->send(SIGCONT);
+  let_go_on();
   for (const auto& [i, stepped] : which) {
     const Probe& p = all_probes()[i];
     witness_->tell(Actor::Order::Ready, i);
@@ -639,7 +650,7 @@ std::vector<std::string> Trial::kill_and_inspect() {
 
 void Trial::inspect() {
   if (witness_) {
-    witness_->send(SIGCONT);
+    let_go_on();
     inspect_with_witness();
   } else {
     inspect_alone();
@@ -686,10 +697,25 @@ std::uint64_t Trial::published_on(const char* topic) const {
   return most;
 }
 
+/// It has got all that was published, and leaves.
+void Trial::inspect_with_bystander() {
+  bystander_->tell(Actor::Order::Inspect);
+  const Actor::Reply seen = must_answer(*bystander_, "the bystander");
+  const std::uint64_t read = seen.last[kVictim] + seen.last[kDead];
+  if (seen.reads_topic && read != published_) {
+    violation("published " + std::to_string(published_) + ", seen by a bystander " +
+              std::to_string(read));
+  }
+  bystander_->tell(Actor::Order::Leave);
+  must_answer(*bystander_, "the bystander leaves");
+  bystander_.reset();
+}
+
 void Trial::inspect_with_witness() {
   const std::string path = options_.directory + "/" + options_.segment;
   const std::uint64_t before = put_;
   if (rival_) let_rival_go_on();
+  if (bystander_) inspect_with_bystander();
   if ((rivals_ & ~untaken_) != 0) violation("the rival got an item that was not in the queue");
   std::uint64_t expected = popped_ | (untaken_ & ~rivals_);
   witness_->tell(Actor::Order::Inspect);

@@ -143,6 +143,7 @@ class Trial {
   void let_rival_go_on();
   void begin();
   std::optional<Tracee::Step> next(const Path* path, std::size_t done, bool helped);
+  void let_go_on() const;
   void help_sleeper();
   bool has_ended();
   Probed step(Tracee& neighbour, const Probe& probe);
@@ -152,6 +153,7 @@ class Trial {
   std::uint64_t untaken() const;
   void note_published();
   void inspect_with_witness();
+  void inspect_with_bystander();
   void inspect_alone();
   void violation(const std::string& what);
   std::size_t files() const;
@@ -159,6 +161,7 @@ class Trial {
   const Operation& operation_;
   EngineOptions options_;
   std::optional<Actor> witness_;
+  std::optional<Actor> bystander_;
   std::optional<Actor> dead_;
   std::optional<Actor> rival_;
   std::optional<Actor> victim_;
