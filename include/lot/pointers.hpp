@@ -187,7 +187,7 @@ class ShmSharedPtr {
   /// other message or other process has it. While it may be seen the answer is false, also for some
   /// time longer: until the publisher has taken the message back from its queue. A process that has
   /// received the message hears false as long as the process that made it stays, which may publish
-  /// it again at any time.
+  /// it again at any time; but for an item that it has taken from a queue and not published since.
   bool unique() const noexcept { return cell_ != nullptr && cell_->hub->alone(cell_); }
 
   /// Orders by message: pointers to parts of one message are equal.

@@ -106,7 +106,16 @@ void Arena::drop_idle(transport::Participant& p) noexcept {
 
 void Arena::change_hands() noexcept {
   // Relaxed: the holds of who writes it carry it.
-  std::atomic_ref(changed_hands).store(1, std::memory_order_relaxed);
+  std::atomic_ref(changed_hands).store(kTaken, std::memory_order_relaxed);
+}
+
+void Arena::show() noexcept {
+  // Relaxed: publishing carries it. Only the process that has taken the message comes here with
+  // kTaken, and no reader takes the message from a queue any more.
+  std::atomic_ref flag(changed_hands);
+  if (flag.load(std::memory_order_relaxed) == kTaken) {
+    flag.store(kShown, std::memory_order_relaxed);
+  }
 }
 
 // Relaxed: publishing carries it to other processes. Another thread of this one that changes the
@@ -130,7 +139,7 @@ bool Arena::freeze_first() noexcept {
 bool Arena::was_handed_over() const noexcept {
   // Relaxed: as in change_hands().
   return !is_frozen() && std::atomic_ref(const_cast<std::uint8_t&>(changed_hands))
-                                 .load(std::memory_order_relaxed) != 0;
+                                 .load(std::memory_order_relaxed) == kTaken;
 }
 
 bool Arena::is_frozen() const noexcept {

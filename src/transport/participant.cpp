@@ -368,7 +368,7 @@ bool Participant::is_alone(const detail::ControlCell& cell) const noexcept {
   const std::uint64_t life = words.life.load(std::memory_order_acquire);  // O2
   std::uint32_t maker = index();
   // The home's bit stands as long as it has the memory, whether it looks at the message or not. It
-  // does not when the message was taken from a queue for one reader, and not pushed since.
+  // does not when this process took the message from a queue, and has not published it since.
   if ((v & hold::kHome) == 0 && segment_.arena(cell.block).was_handed_over()) {
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     if (home > refcount::kHomeOrphanage) maker = home - 1;

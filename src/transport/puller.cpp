@@ -321,11 +321,15 @@ class Puller final : public detail::PullerCore {
   }
 
   /// Takes the message that we hold out of the queue. False: another reader was faster.
+  ///
+  /// Crash: killed before the item says that it has changed hands, this process has not changed it.
   bool take(Source& source) {
+    if (!source.reader.take()) return false;
+    // Not before: the home may be the reader that was faster.
     if (!participant_->holder().is_home(block_)) {
       participant_->segment().arena(block_).change_hands();
     }
-    return source.reader.take();
+    return true;
   }
 
   /// Ends the borrow.

@@ -303,6 +303,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   /// have pointers, too, and could make it grow. REQUIRES: it lies in this segment.
   [[gnu::hot]] Status push_held(const detail::ControlCell* cell, std::chrono::nanoseconds block_for,
                                 bool shared) {
+    const bool was_received = participant_->was_received(*cell);  // before the locked operations
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
@@ -311,6 +312,10 @@ class Pusher final : public detail::PusherCore, private Evictor {
     if (!type_->plain) {
       if (shared) participant_->holder().freeze(*cell);
       participant_->holder().freeze_references(cell->block);
+    }
+    // After freeze(), which asks whose it was.
+    if (was_received && !writer_->ring().taken) {
+      participant_->segment().arena(cell->block).show();
     }
     publish(lock, alone, cell->block);
     return Status::Ok;

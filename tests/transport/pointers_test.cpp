@@ -8,6 +8,8 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
+#include <sched.h>
 #include <sstream>
 #include <string>
 #include <thread>
@@ -44,6 +46,12 @@ struct Linked {
   std::uint64_t number;
   lot::ShmString text;
   lot::ShmRef<const Linked> next;
+};
+/// Says how many its process has destroyed.
+struct Mortal {
+  std::uint64_t number = 0;
+  ~Mortal() { ++destroyed; }
+  static inline std::uint64_t destroyed = 0;
 };
 /// With a table that a conversion to the base looks into.
 struct Base {
@@ -110,6 +118,8 @@ struct Place {
 
 template <>
 struct lot::is_trusted_message<Derived> : std::true_type {};
+template <>
+struct lot::is_trusted_message<Mortal> : std::true_type {};
 template <>
 struct lot::is_trusted_message<Virtual> : std::true_type {};
 
@@ -759,6 +769,182 @@ TEST_CASE("unique() is false while another process has the message, and where it
     end.tell();
     CHECK(reader.wait() == 0);
   }
+  CHECK(files_of(options) == 0);
+}
+
+/// The maker of an item pulls it, after another process has taken it from a queue and published it.
+/// `shared`: as a shared pointer. `first_back`: the maker has taken it back before, and publishes
+/// it itself.
+template <class T>
+void check_published_item(bool shared, bool first_back) {
+  const auto options = fresh();
+  Steps joined, pulled, go, end;
+  const auto publish = [&](lot::ShmEngine& engine, lot::ShmUniquePtr<T> item) {
+    auto pusher = engine.advertise<T>("/t", {lot::Policy::Overwrite, 1, 1s});
+    must(pusher.wait_for_readers(2, 20s), "two readers");
+    if (shared) {
+      pusher.push(lot::ShmSharedPtr<T>(std::move(item)));
+    } else {
+      pusher.push(std::move(item));
+    }
+    return pusher;
+  };
+  const auto flush = [](lot::ShmPusher<T>& pusher) {  // so that no queue has the item
+    for (int n = 0; n < 200; ++n) pusher.push(pusher.loan());
+  };
+  Child reader([&] {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<T>("/t");
+    auto items = engine.queue<lot::ShmUniquePtr<T>>("items");
+    auto back = engine.queue<lot::ShmUniquePtr<T>>("back");
+    joined.tell();
+    auto item = items.wait_and_pop();
+    std::optional<lot::ShmPusher<T>> pusher;
+    if (first_back) {
+      must(back.put(std::move(item)) == lot::Status::Ok, "put back");
+    } else {
+      pusher.emplace(publish(engine, std::move(item)));
+    }
+    const auto seen = puller.pull(20s);
+    must(bool(seen), "it is published");
+    pulled.tell();
+    must(go.next() == '.', "the maker has it and no queue has it any more");
+    if (pusher) flush(*pusher);
+    for (int n = 0; n < 200; ++n) {
+      must(back.put(back.make()) == lot::Status::Ok && back.try_pop(), "put and popped");
+    }
+    must(seen.use_count() == 2, "the maker has a pointer");
+    must(!seen.unique(), "and may look at it");
+    must(end.next() == '.', "the end");
+  });
+  REQUIRE(joined.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<T>("/t");
+    auto items = engine.queue<lot::ShmUniquePtr<T>>("items");
+    auto back = engine.queue<lot::ShmUniquePtr<T>>("back");
+    items.put(items.make());
+    std::optional<lot::ShmPusher<T>> pusher;
+    if (first_back) pusher.emplace(publish(engine, back.wait_and_pop()));
+    const auto seen = puller.pull(20s);
+    REQUIRE(seen);
+    REQUIRE(pulled.next() == '.');
+    if (pusher) flush(*pusher);
+    go.tell();
+    CHECK_FALSE(seen.unique());
+    end.tell();
+    CHECK(reader.wait() == 0);
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("unique() is false for an item that was taken and published, which its maker has too") {
+  const Watchdog watchdog(100);
+  for (const bool shared : {false, true}) {
+    for (const bool first_back : {false, true}) {
+      CAPTURE(shared);
+      CAPTURE(first_back);
+      check_published_item<Pair>(shared, first_back);
+      check_published_item<Large>(shared, first_back);
+      check_published_item<Text>(shared, first_back);
+    }
+  }
+}
+
+TEST_CASE("a message in memory that was once taken from a queue is its maker's, too") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  constexpr int kItems = 80;
+  Steps joined, taken, pushed, seen;
+  Child reader([&] {
+    lot::ShmEngine engine(options);
+    auto items = engine.queue<Unique>("items");
+    auto puller = engine.subscribe<Pair>("/t");
+    joined.tell();
+    for (int n = 0; n < kItems; ++n) items.wait_and_pop().reset();
+    taken.tell();
+    must(pushed.next() == '.', "published");
+    int alone = 0;
+    int all = 0;
+    while (const Const message = puller.try_pull()) {
+      ++all;
+      alone += message.unique();
+    }
+    must(all != 0 && alone == 0, "none is ours alone");
+    seen.tell();
+  });
+  REQUIRE(joined.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto items = engine.queue<Unique>("items");
+    auto pusher = engine.advertise<Pair>("/t");
+    for (int n = 0; n < kItems; ++n) items.put(items.make());
+    REQUIRE(taken.next() == '.');
+    std::vector<Shared> kept;
+    for (int n = 0; n < kItems; ++n) {  // in the memory of those that were taken
+      kept.emplace_back(items.make());
+      pusher.push(kept.back());
+    }
+    pushed.tell();
+    CHECK(seen.next() == '.');
+    CHECK(reader.wait() == 0);
+  }
+  CHECK(files_of(options) == 0);
+}
+
+/// While it is there, this thread stays on the first or the last of its cores: two processes then
+/// run at once, where there are two cores.
+class OnCore {
+ public:
+  explicit OnCore(bool last) {
+    sched_getaffinity(0, sizeof before_, &before_);
+    cpu_set_t one;
+    CPU_ZERO(&one);
+    int chosen = -1;
+    for (int k = 0; k < CPU_SETSIZE; ++k) {
+      if (CPU_ISSET(k, &before_) && (last || chosen == -1)) chosen = k;
+    }
+    CPU_SET(chosen, &one);
+    sched_setaffinity(0, sizeof one, &one);
+  }
+  ~OnCore() { sched_setaffinity(0, sizeof before_, &before_); }
+  OnCore(const OnCore&) = delete;
+  OnCore& operator=(const OnCore&) = delete;
+
+ private:
+  cpu_set_t before_;
+};
+
+TEST_CASE("an item that its maker takes back is destroyed, though others try for it") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  constexpr int kRounds = 20'000;
+  Steps joined, end;
+  Child other([&] {
+    lot::ShmEngine engine(options);
+    auto items = engine.queue<lot::ShmUniquePtr<Mortal>>("items");
+    items.listen();
+    const OnCore last(true);
+    joined.tell();
+    while (end.next(0ms) == 0) {
+      for (int n = 0; n < 1000; ++n) (void)items.try_pop();
+    }
+  });
+  REQUIRE(joined.next() == '.');
+  std::uint64_t taken_back = 0;
+  Mortal::destroyed = 0;
+  {
+    lot::ShmEngine engine(options);
+    auto items = engine.queue<lot::ShmUniquePtr<Mortal>>("items");
+    const OnCore first(false);
+    for (int round = 0; round < kRounds; ++round) {
+      for (int n = 0; n < 32; ++n) items.put(items.make());
+      while (items.try_pop()) ++taken_back;
+    }
+    end.tell();
+    CHECK(other.wait() == 0);
+  }
+  CHECK(Mortal::destroyed == taken_back);
   CHECK(files_of(options) == 0);
 }
 

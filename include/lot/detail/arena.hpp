@@ -37,6 +37,8 @@ struct Arena {
   static constexpr unsigned kMaxExtents = 14;
   static constexpr std::uint8_t kPublished = 1;  ///< values of `frozen`
   static constexpr std::uint8_t kDying = 2;
+  static constexpr std::uint8_t kTaken = 1;  ///< values of `changed_hands`
+  static constexpr std::uint8_t kShown = 2;
 
   struct Extent {
     std::uint32_t granule;
@@ -50,9 +52,11 @@ struct Arena {
   std::uint64_t cursor;  ///< next free byte, as an offset
   std::uint64_t limit;   ///< end of the region that cursor is in
   std::uint32_t block;
-  std::uint8_t extents;        ///< how many of `extent` are there
-  std::uint8_t current;        ///< index + 1 of the extent that cursor is in, 0: the small payload
-  std::uint8_t changed_hands;  ///< 1: another process than the home may have changed the message
+  std::uint8_t extents;  ///< how many of `extent` are there
+  std::uint8_t current;  ///< index + 1 of the extent that cursor is in, 0: the small payload
+  /// kTaken: another process than the home has taken the message from a queue, alone, and may have
+  /// changed it. kShown: and has published it since.
+  std::uint8_t changed_hands;
   /// kPublished: nothing is allocated or given back. kDying: its destructor runs, so that nothing
   /// need be given back. Written by a process that publishes the message, and by the home.
   std::uint8_t frozen;
@@ -81,6 +85,9 @@ struct Arena {
   /// Says that another process than the home owns the message alone from now on. It may change it,
   /// and may be killed in the middle of that: the home runs no destructor then.
   void change_hands() noexcept;
+  /// Says that every reader of a topic may look at the message from now on, its home too. Whoever
+  /// publishes a message calls it that was taken from a queue.
+  void show() noexcept;
 
   /// The message is published, and its process may have pointers left that could make it grow. Any
   /// thread that has a pointer may call it.
@@ -90,7 +97,8 @@ struct Arena {
   bool is_frozen() const noexcept;
 
   /// True when the process that has taken the message from a queue has it for itself: neither its
-  /// home nor another process looks at it, nor was it pushed since as a shared one.
+  /// home nor another process looks at it, since it was published neither by itself nor by a
+  /// message that refers to it.
   bool was_handed_over() const noexcept;
 
   /// Takes a piece back: at once if it is the newest, or the last one living in its extent.
