@@ -39,21 +39,53 @@ struct QueueItem {
                 "ShmQueue<ShmUniquePtr<T>>");
   using Element = T;
   static constexpr Delivery kDelivery = Delivery::ToOne;
-  static T from(const Borrowed& borrowed) {
-    const auto* element = static_cast<const T*>(borrowed.root);
-    const struct LetGo {
-      ControlCell* cell;
-      ~LetGo() { cell->drop_pointer(); }
-    } let_go{borrowed.cell};
-    return *element;
+  static constexpr bool kMayComeBack = !std::is_nothrow_copy_constructible_v<T>;
+  /// Result: T, or std::optional<T>. Built in place: a move might throw, when the item is gone.
+  template <class Result, class... How>
+  static Result from(QueueCore& queue, const Borrowed& borrowed, How... how) {
+    const auto& element = *static_cast<const T*>(borrowed.root);
+    if constexpr (kMayComeBack) {
+      End end{queue, borrowed};
+      try {
+        return Result(how..., element);
+      } catch (...) {
+        end.copied = false;
+        throw;
+      }
+    } else {
+      const LetGo let_go{borrowed.cell};
+      return Result(how..., element);
+    }
   }
+
+ private:
+  struct LetGo {
+    ControlCell* cell;
+    ~LetGo() { cell->drop_pointer(); }
+  };
+  struct End {
+    QueueCore& queue;
+    const Borrowed& item;
+    bool copied = true;
+    ~End() {
+      if (copied) {
+        item.cell->drop_pointer();
+        queue.copied();
+      } else {
+        queue.hand_back(item);
+      }
+    }
+  };
 };
 template <class U>
 struct QueueItem<ShmUniquePtr<U>> {
   using Element = U;
   static constexpr Delivery kDelivery = Delivery::ToOne;
-  static ShmUniquePtr<U> from(const Borrowed& borrowed) {
-    return PointerAccess::unique(static_cast<U*>(const_cast<void*>(borrowed.root)), borrowed.cell);
+  static constexpr bool kMayComeBack = false;
+  template <class Result, class... How>
+  static Result from(QueueCore&, const Borrowed& borrowed, How... how) {
+    return Result(how..., PointerAccess::unique(static_cast<U*>(const_cast<void*>(borrowed.root)),
+                                                borrowed.cell));
   }
 };
 template <class U>
@@ -63,8 +95,10 @@ struct QueueItem<ShmSharedPtr<U>> {
                 "ShmQueue<ShmSharedPtr<const T>>, or ShmQueue<ShmUniquePtr<T>>");
   using Element = std::remove_const_t<U>;
   static constexpr Delivery kDelivery = Delivery::ToAll;
-  static ShmSharedPtr<U> from(const Borrowed& borrowed) {
-    return PointerAccess::shared(static_cast<U*>(borrowed.root), borrowed.cell);
+  static constexpr bool kMayComeBack = false;
+  template <class Result, class... How>
+  static Result from(QueueCore&, const Borrowed& borrowed, How... how) {
+    return Result(how..., PointerAccess::shared(static_cast<U*>(borrowed.root), borrowed.cell));
   }
 };
 
@@ -106,8 +140,12 @@ const MessageType& taken_type() {
 /// as the handle that has put them lives or any handle reads.
 ///
 /// Threads: all members may be called at once, on one handle or several.
+/// Errors:  where a value cannot be copied out (its copy constructor throws: no memory), the pop
+///          throws that, and the handle has the item for its next pop. It puts it back into the
+///          queue, behind the others, when it goes; if there is no room or no memory for that, it
+///          drops the item.
 /// Crash:   what was put stays; an item for one that a killed process has not taken yet is taken by
-///          another, one that it has taken is freed.
+///          another, one that it has taken is freed, also one that it could not copy.
 template <class T>
 class ShmQueue {
   using Item = detail::QueueItem<T>;
@@ -175,22 +213,16 @@ class ShmQueue {
 
   T wait_and_pop() {
     detail::Borrowed item;
-    core_->pop(item, detail::QueueCore::Wait::Forever, {});
-    return Item::from(item);
+    core_->pop(item, detail::QueueCore::Wait::Forever, {}, Item::kMayComeBack);
+    return Item::template from<T>(*core_, item);
   }
   std::optional<T> wait_and_pop_for(Duration timeout) {
     return wait_and_pop_until(detail::after(timeout));
   }
   std::optional<T> wait_and_pop_until(Deadline deadline) {
-    detail::Borrowed item;
-    if (!core_->pop(item, detail::QueueCore::Wait::Until, deadline)) return std::nullopt;
-    return Item::from(item);
+    return pop(detail::QueueCore::Wait::Until, deadline);
   }
-  std::optional<T> try_pop() {
-    detail::Borrowed item;
-    if (!core_->pop(item, detail::QueueCore::Wait::Never, {})) return std::nullopt;
-    return Item::from(item);
-  }
+  std::optional<T> try_pop() { return pop(detail::QueueCore::Wait::Never, {}); }
 
   /// Begins to read: of shared items this handle gets all that are put from now on.
   void listen() { core_->listen(); }
@@ -202,6 +234,12 @@ class ShmQueue {
 
  private:
   static constexpr std::chrono::nanoseconds kForever = std::chrono::nanoseconds::max();
+
+  std::optional<T> pop(detail::QueueCore::Wait wait, Clock::time_point deadline) {
+    detail::Borrowed item;
+    if (!core_->pop(item, wait, deadline, Item::kMayComeBack)) return std::nullopt;
+    return Item::template from<std::optional<T>>(*core_, item, std::in_place);
+  }
 
   template <class Made>
   Status put_made(Made&& made, Clock::time_point deadline) {

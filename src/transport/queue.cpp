@@ -31,7 +31,9 @@ class Queue final : public detail::QueueCore {
     topic_ = participant_->enter_topic(name, type);
   }
   ~Queue() override {
-    if (!participant_->inert()) participant_->leave_topic(topic_);
+    if (participant_->inert()) return;
+    for (const detail::Borrowed& item : returned_) put_back(item);
+    participant_->leave_topic(topic_);
   }
 
   detail::Loan loan(const detail::MessageType& type) override { return pusher().loan(type, true); }
@@ -44,8 +46,67 @@ class Queue final : public detail::QueueCore {
     return pusher().push_shared(cell, object, until(deadline));
   }
 
-  bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline) override {
+  bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline,
+           bool may_come_back) override {
     participant_->check_usable();  // before the lock: a child may have inherited it
+    Place place(*this, may_come_back);
+    if (!look_or_wait(item, wait, deadline, place)) return false;
+    place.keep();
+    return true;
+  }
+
+  void copied() noexcept override { in_hand_.fetch_sub(1, std::memory_order_relaxed); }
+
+  void hand_back(const detail::Borrowed& item) noexcept override {
+    if (participant_->inert()) return;
+    const std::lock_guard guard(mutex_);
+    returned_.push_back(item);  // into the place that its pop has
+    copied();
+    wake_waiters();
+  }
+
+  void listen() override {
+    participant_->check_usable();  // before the lock: a child may have inherited it
+    const std::lock_guard guard(mutex_);
+    puller();
+  }
+  std::size_t size() override {
+    participant_->check_usable();  // before the lock: a child may have inherited it
+    const std::lock_guard guard(mutex_);
+    return returned_.size() + puller().size();
+  }
+  std::size_t capacity() const noexcept override { return putting_.depth; }
+
+ private:
+  /// Room in returned_ for the item of one pop, from before it looks until its item is copied.
+  class Place {
+   public:
+    Place(Queue& queue, bool is_needed) : queue_(queue), is_needed_(is_needed) {}
+    ~Place() {
+      if (has_) queue_.copied();
+    }
+    Place(const Place&) = delete;
+    Place& operator=(const Place&) = delete;
+    /// REQUIRES: the queue's mutex.
+    void reserve() {
+      if (!is_needed_ || has_) return;
+      // Relaxed, here and elsewhere: it grows under the mutex, and if it is less by now there is
+      // room to spare.
+      const std::size_t in_hand = queue_.in_hand_.load(std::memory_order_relaxed);
+      queue_.returned_.reserve(queue_.returned_.size() + in_hand + 1);
+      queue_.in_hand_.fetch_add(1, std::memory_order_relaxed);
+      has_ = true;
+    }
+    /// copied() or hand_back() gives it up.
+    void keep() noexcept { has_ = false; }
+
+   private:
+    Queue& queue_;
+    bool is_needed_;
+    bool has_ = false;
+  };
+
+  bool look_or_wait(detail::Borrowed& item, Wait wait, Clock::time_point deadline, Place& place) {
     detail::FutexWaits waits;
     std::optional<Clock::time_point> start;
     bool spinning = false;
@@ -53,7 +114,8 @@ class Queue final : public detail::QueueCore {
       std::optional<Clock::time_point> again;
       {
         const std::lock_guard guard(mutex_);
-        const bool found = puller().pull(item, false, {}, false) == Status::Ok;
+        place.reserve();
+        const bool found = look(item);
         if (found && !spinning) return true;
         if (!found && wait == Wait::Never) return false;
         const auto now = Clock::now();
@@ -83,19 +145,34 @@ class Queue final : public detail::QueueCore {
     }
   }
 
-  void listen() override {
-    participant_->check_usable();  // before the lock: a child may have inherited it
-    const std::lock_guard guard(mutex_);
-    puller();
+  /// First what came back: it is older than what lies in the queue. REQUIRES: mutex_.
+  bool look(detail::Borrowed& item) {
+    if (returned_.empty()) return puller().pull(item, false, {}, false) == Status::Ok;
+    item = returned_.front();
+    returned_.erase(returned_.begin());
+    return true;
   }
-  std::size_t size() override {
-    participant_->check_usable();  // before the lock: a child may have inherited it
-    const std::lock_guard guard(mutex_);
-    return puller().size();
-  }
-  std::size_t capacity() const noexcept override { return putting_.depth; }
 
- private:
+  /// Threads of this handle that wait sleep on the puller's words. One that has not begun to sleep
+  /// on them sleeps on for the second after which it looks in any case. REQUIRES: mutex_.
+  void wake_waiters() noexcept {
+    try {
+      detail::FutexWaits waits;
+      puller().arm(waits);
+      for (const auto& wait : waits) futex::wake_all(wait.word);
+    } catch (const std::exception&) {  // there is no memory: after that second
+    }
+  }
+
+  /// The handle goes: another one can have what came back to it.
+  void put_back(const detail::Borrowed& item) noexcept {
+    try {
+      if (pusher().push_unique(item.cell, 0ns) == Status::Ok) return;
+    } catch (const std::exception&) {  // no memory, or no place for another queue
+    }
+    item.cell->drop_pointer();
+  }
+
   static std::chrono::nanoseconds until(Clock::time_point deadline) {
     if (deadline == Clock::time_point::min()) return 0ns;
     const auto now = Clock::now();
@@ -124,9 +201,12 @@ class Queue final : public detail::QueueCore {
   std::uint32_t topic_;
   std::once_flag pusher_made_;
   std::unique_ptr<detail::PusherCore> pusher_;
-  std::mutex mutex_;  ///< the puller's and the habit's; nobody sleeps with it
+  std::mutex mutex_;  ///< of what follows; nobody sleeps with it
   SpinHabit habit_;
   std::unique_ptr<detail::PullerCore> puller_;
+  /// Items that this handle has taken and could not copy. There is room for those in_hand_ as well.
+  std::vector<detail::Borrowed> returned_;
+  std::atomic<std::size_t> in_hand_{0};  ///< pops that may hand an item back, or look for one
 };
 
 }  // namespace

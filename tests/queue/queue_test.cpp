@@ -1,6 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // ShmQueue: each kind of item, each way to put and to pop, what is left behind. Both engines.
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <optional>
 #include <set>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -31,6 +36,25 @@ struct Note {
   lot::ShmString text;
 };
 
+/// A value whose copy fails when it is told to. It has no move that does not.
+struct Fragile {
+  int number = 0;
+  explicit Fragile(int n) : number(n) {}
+  Fragile(const Fragile& other) : number(other.number) {
+    if (on_copy) on_copy();
+  }
+  Fragile(Fragile&&) { throw std::runtime_error("moved"); }
+  static inline std::function<void()> on_copy;
+};
+
+/// While it is there, copies of Fragile fail.
+struct Breaks {
+  Breaks() {
+    Fragile::on_copy = [] { throw std::runtime_error("copied"); };
+  }
+  ~Breaks() { Fragile::on_copy = nullptr; }
+};
+
 using Tasks = lot::ShmQueue<lot::ShmUniquePtr<Task>>;
 using Views = lot::ShmQueue<lot::ShmSharedPtr<const Task>>;
 using Points = lot::ShmQueue<Point>;
@@ -51,8 +75,12 @@ lot::ShmUniquePtr<Task> task(Tasks& queue, std::uint64_t number) {
 }
 
 using Fixture = BothEngines;
+using Fragiles = lot::ShmQueue<Fragile>;
 
 }  // namespace
+
+template <>
+struct lot::is_trusted_message<Fragile> : std::true_type {};
 
 TEST_SUITE_BEGIN("queue");
 
@@ -108,6 +136,97 @@ TEST_CASE_FIXTURE(Fixture, "an item with a string is popped by value") {
     note.text = text.c_str();
     CHECK(notes.put(note) == Status::Ok);
     CHECK(notes.wait_and_pop().text == text.c_str());
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "an item that could not be copied out is the next one to be popped") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto queue = shm.queue<Fragile>("fragile", with(engine, 4));
+    for (int round = 0; round < 20; ++round) {
+      for (int n = 0; n < 3; ++n) REQUIRE(queue.emplace(3 * round + n) == Status::Ok);
+      {
+        const Breaks breaks;
+        CHECK_THROWS_WITH(queue.try_pop(), "copied");
+        CHECK_THROWS_WITH(queue.wait_and_pop_for(1s), "copied");
+        CHECK_THROWS_WITH(queue.wait_and_pop(), "copied");
+      }
+      CHECK(queue.size() == 3);
+      const auto first = queue.try_pop();
+      REQUIRE(first);
+      CHECK(first->number == 3 * round);
+      const auto second = queue.wait_and_pop_for(1s);
+      REQUIRE(second);
+      CHECK(second->number == 3 * round + 1);
+      CHECK(queue.wait_and_pop().number == 3 * round + 2);
+      CHECK(queue.is_empty());
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "an item that one thread could not copy reaches another that waits") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto queue = shm.queue<Fragile>("fragile", with(engine));
+    for (int round = 0; round < 20; ++round) {
+      REQUIRE(queue.emplace(round) == Status::Ok);
+      std::atomic<bool> is_copying{false};
+      std::atomic<bool> is_waiting{false};
+      Fragile::on_copy = [&, first = std::this_thread::get_id()] {
+        if (std::this_thread::get_id() != first) return;
+        is_copying = true;
+        while (!is_waiting) std::this_thread::yield();
+        std::this_thread::sleep_for(2ms);  // most likely it sleeps by now; right in any case
+        throw std::runtime_error("copied");
+      };
+      std::optional<int> popped;
+      std::thread waiter([&] {
+        while (!is_copying) std::this_thread::yield();
+        is_waiting = true;
+        popped = queue.wait_and_pop().number;
+      });
+      CHECK_THROWS_WITH(queue.try_pop(), "copied");
+      waiter.join();
+      Fragile::on_copy = nullptr;
+      CHECK(popped == round);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a handle that goes puts back what it could not copy out") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto puts = shm.queue<Fragile>("fragile", with(engine));
+    auto other = shm.queue<Fragile>("fragile", with(engine));
+    other.listen();
+    for (const bool also_puts : {false, true}) {
+      auto goes = std::make_unique<Fragiles>(shm.queue<Fragile>("fragile", with(engine)));
+      if (also_puts) REQUIRE(goes->emplace(8) == Status::Ok);
+      REQUIRE(puts.emplace(9) == Status::Ok);
+      {
+        const Breaks breaks;
+        CHECK_THROWS_WITH(goes->try_pop(), "copied");
+      }
+      CHECK(goes->size() == (also_puts ? 2 : 1));
+      CHECK(other.size() == (also_puts ? 1 : 0));
+      goes.reset();
+      std::multiset<int> numbers;
+      while (const auto item = other.try_pop()) numbers.insert(item->number);
+      CHECK(numbers == (also_puts ? std::multiset<int>{8, 9} : std::multiset<int>{9}));
+    }
+    // There is no room: the item goes with the handle.
+    auto goes = std::make_unique<Fragiles>(shm.queue<Fragile>("fragile", with(engine, 1)));
+    REQUIRE(goes->emplace(1) == Status::Ok);
+    {
+      const Breaks breaks;
+      CHECK_THROWS_WITH(goes->try_pop(), "copied");
+    }
+    REQUIRE(goes->emplace(2) == Status::Ok);
+    goes.reset();
+    const auto item = other.try_pop();
+    REQUIRE(item);
+    CHECK(item->number == 2);
+    CHECK(!other.try_pop());
   });
 }
 

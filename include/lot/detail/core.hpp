@@ -172,8 +172,12 @@ class QueueCore {
   virtual Status put_shared(const ControlCell* cell, const void* object,
                             Clock::time_point deadline) = 0;
   enum class Wait { Never, Until, Forever };
-  /// An item with a pointer hold on it; false when there was none in time.
-  virtual bool pop(Borrowed& item, Wait wait, Clock::time_point deadline) = 0;
+  /// An item with a pointer hold on it; false when there was none in time. `may_come_back`: the
+  /// caller says by copied() or hand_back() how it ends, once for each item.
+  virtual bool pop(Borrowed& item, Wait wait, Clock::time_point deadline, bool may_come_back) = 0;
+  virtual void copied() noexcept = 0;
+  /// The item, with its hold, is there for the next pop. Needs no memory.
+  virtual void hand_back(const Borrowed& item) noexcept = 0;
   virtual void listen() = 0;
   virtual std::size_t size() = 0;
   virtual std::size_t capacity() const noexcept = 0;
