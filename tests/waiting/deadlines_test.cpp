@@ -153,10 +153,37 @@ TEST_CASE("a length of time that nanoseconds cannot tell is the nearest that the
   CHECK((lot::Duration(123'456'789us) == 123'456'789us));
   CHECK((lot::Duration(-1ms) == -1ms));
   CHECK((lot::Duration(duration<double>(0.25)) == 250ms));
-  CHECK((lot::Duration(duration<std::int64_t, std::pico>(-7999)) == -7ns));
+  CHECK((lot::Duration(duration<std::int64_t, std::pico>(-7999)) == -8ns));
+  CHECK((lot::Duration(duration<std::int64_t, std::pico>(-7499)) == -7ns));
   CHECK((lot::Deadline(At<std::chrono::hours>::max()) == Clock::time_point::max()));
   CHECK((lot::Deadline(At<std::chrono::seconds>(5s)) == Clock::time_point(5s)));
   static_assert(lot::Duration(20ms) == 20ms);
+}
+
+TEST_CASE("a length of time that falls between two nanoseconds is the nearer one") {
+  using Third = duration<int, std::ratio<1, 3>>;
+  CHECK((lot::Duration(duration<std::int64_t, std::pico>(1000)) == 1ns));
+  CHECK((lot::Duration(duration<std::int64_t, std::pico>(1499)) == 1ns));
+  CHECK((lot::Duration(duration<std::int64_t, std::pico>(1500)) == 2ns));
+  CHECK((lot::Duration(duration<std::int64_t, std::pico>(-1000)) == -1ns));
+  CHECK((lot::Duration(duration<double>(0.3)) == 300ms));
+  CHECK((lot::Duration(duration<double>(-0.3)) == -300ms));
+  CHECK((lot::Duration(duration<double, std::milli>(0.7)) == 700us));
+  CHECK((lot::Duration(duration<long double, std::nano>(0.25L)) == 0ns));
+  CHECK((lot::Duration(Third(3)) == 1s));
+  CHECK((lot::Duration(Third(1)) == 333'333'333ns));
+  CHECK((lot::Duration(Third(2)) == 666'666'667ns));
+  CHECK((lot::Duration(duration<int, std::ratio<1, 60>>(60)) == 1s));
+  // The last ones that nanoseconds can tell, of units without a fraction.
+  constexpr std::int64_t kMost = std::chrono::nanoseconds::max().count();
+  CHECK((lot::Duration(std::chrono::microseconds(kMost / 1000)).count() == kMost / 1000 * 1000));
+  CHECK((lot::Duration(std::chrono::microseconds(-kMost / 1000)).count() == -kMost / 1000 * 1000));
+  CHECK((lot::Duration(std::chrono::microseconds(kMost / 1000 + 1)).count() == kMost));
+  CHECK((lot::Duration(duration<unsigned long long, std::nano>(kMost)).count() == kMost));
+  CHECK((lot::Duration(duration<unsigned char>(255)) == 255s));
+  CHECK((lot::Duration(duration<int, std::exa>(1)).count() == kMost));
+  CHECK((lot::Duration(duration<int, std::exa>(0)) == 0ns));
+  static_assert(lot::Duration(duration<double>(0.25)) == 250ms);
 }
 
 TEST_CASE("so much later than now is never earlier than now") {
