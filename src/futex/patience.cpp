@@ -2,6 +2,7 @@
 #include "lot/detail/patience.hpp"
 
 #include <cerrno>
+#include <csignal>
 #include <ctime>
 #include <linux/futex.h>
 #include <pthread.h>
@@ -43,6 +44,20 @@ void unlock_pi(std::atomic<std::uint32_t>& loan, std::uint32_t thread) noexcept 
                                     std::memory_order_relaxed)) {  // the kernel knows of waiters
     syscall(SYS_futex, &loan, FUTEX_UNLOCK_PI | FUTEX_PRIVATE_FLAG, 0, nullptr, nullptr, 0);
   }
+}
+
+/// The kernel marks a loan when a waiter sleeps on it, and leaves the mark when the waiter's time
+/// is over. The owner takes it away when it passes; one that has ended never does: then its waiters
+/// clear the loan, and the next thread that has this place can be lent to. (If they meet a new
+/// thread of the same id, its waiters sleep until their time is over.)
+bool clear(std::atomic<std::uint32_t>& loan, std::uint32_t owner) noexcept {
+  return loan.compare_exchange_strong(owner, 0, std::memory_order_relaxed,
+                                      std::memory_order_relaxed);
+}
+
+bool has_ended(std::uint32_t owner) noexcept {
+  const auto thread = static_cast<pid_t>(owner & FUTEX_TID_MASK);
+  return tgkill(getpid(), thread, 0) == -1 && errno == ESRCH;
 }
 
 void nap() noexcept {
@@ -87,6 +102,8 @@ void Patience::wait(std::uint32_t thread) noexcept {
     // First the name, then another look by the caller: if the other thread passes after that look,
     // it finds the name.
     if (named_ != 0) withdraw();
+    const bool is_others = owner != 0 && (owner & FUTEX_TID_MASK) != thread;
+    if (is_others && has_ended(owner) && clear(loan, owner)) owner = 0;
     if (owner == 0 && loan.compare_exchange_strong(owner, thread, std::memory_order_relaxed,
                                                    std::memory_order_relaxed)) {
       owner = thread;
@@ -99,6 +116,11 @@ void Patience::wait(std::uint32_t thread) noexcept {
     named_ = 0;
     unlock_pi(loan, ThisThread::id());
   } else if (errno != ETIMEDOUT) {
+    if (errno == ESRCH) {  // it has ended
+      owner = loan.load(std::memory_order_relaxed);
+      if ((owner & FUTEX_TID_MASK) == thread) clear(loan, owner);
+      named_ = 0;
+    }
     nap();
   }
 }

@@ -13,11 +13,15 @@
 #include <new>
 #include <optional>
 #include <sys/mman.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
+#include <thread>
 #include <unistd.h>
 #include <vector>
 
 #include <doctest/doctest.h>
+
+#include "lot/detail/patience.hpp"
 
 #include "support/no_waitv.hpp"
 
@@ -74,6 +78,30 @@ class Fixture {
 
 void wait_until(Word& word, std::uint32_t value) {
   for (std::uint32_t seen; (seen = word) != value;) futex::wait(&word, seen, std::nullopt);
+}
+
+/// A thread that does nothing, as long as this object is there.
+struct Idle {
+  Idle() {
+    while ((id = asked.load()) == 0) std::this_thread::yield();
+  }
+  ~Idle() {
+    ends = true;
+    thread.join();
+  }
+  std::atomic<std::uint32_t> asked{0};
+  std::atomic<bool> ends{false};
+  std::uint32_t id = 0;
+  std::thread thread{[this] {
+    asked = static_cast<std::uint32_t>(gettid());
+    while (!ends) usleep(100);
+  }};
+};
+
+/// Until it spins and yields no more, and so often again.
+void wait_out(lot::detail::Patience& patience, std::uint32_t thread, int times) {
+  for (int n = 0; n < 200; ++n) patience.wait(thread);
+  for (int n = 0; n < times; ++n) patience.wait(thread);
 }
 
 void set(Word& word, std::uint32_t value) {
@@ -282,6 +310,40 @@ TEST_CASE_FIXTURE(Fixture, "the low half of a slot is the half that small number
     futex::wait(futex::low_half(shared->slot), 0x55667788, std::nullopt);
   }
   CHECK(status_of(child) == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a thread can be lent to, though one before it in its place has ended") {
+  // A loan that nobody gives back takes a millisecond, a nap much less.
+  constexpr int kWaits = 20;
+  std::uint32_t probe = 0;
+  if (syscall(SYS_futex, &probe, 13 /* FUTEX_LOCK_PI2 */, 0, nullptr, nullptr, 0) != 0) {
+    MESSAGE("skipped: no FUTEX_LOCK_PI2 here");
+    return;
+  }
+  bool waits_for_the_ended = false;
+  SUBCASE("and is not waited for any more") {}
+  SUBCASE("and is waited for once more") { waits_for_the_ended = true; }
+  std::uint32_t ended = 0;
+  {
+    const Idle idle;
+    ended = idle.id;
+    lot::detail::Patience patience;
+    wait_out(patience, ended, kWaits);
+  }
+  if (waits_for_the_ended) {
+    lot::detail::Patience patience;
+    wait_out(patience, ended, kWaits);
+  }
+  for (;;) {
+    const Idle idle;
+    if ((idle.id - ended) % 256 != 0 || idle.id == ended) continue;
+    lot::detail::Patience patience;
+    wait_out(patience, idle.id, 1);
+    const auto begin = futex::Clock::now();
+    for (int n = 0; n < kWaits; ++n) patience.wait(idle.id);
+    CHECK((futex::Clock::now() - begin >= kWaits * 1ms));
+    break;
+  }
 }
 
 TEST_CASE_FIXTURE(Fixture, "a wake that nobody waits for does nothing") {
