@@ -194,6 +194,9 @@ void* Pool::lay_out(std::uint32_t b, const detail::MessageType& type) {
   Arena& arena = s.arena(b);
   if (c.type != nullptr) bury(b);
   const std::uint64_t small = s.offset_of(s.small(b));
+  // Before the allocation: what was published in this block must not freeze the next message.
+  arena.changed_hands = 0;
+  arena.frozen = 0;
   arena.current = 0;
   arena.cursor = small;
   arena.limit = small + segment::kSmallBytes;
@@ -204,8 +207,6 @@ void* Pool::lay_out(std::uint32_t b, const detail::MessageType& type) {
     root = arena.allocate(type.size, type.align);
   }
   arena.root = s.offset_of(root);
-  arena.changed_hands = 0;
-  arena.frozen = 0;
   c.type = &type;
   return root;
 }

@@ -141,10 +141,12 @@ class Pusher final : public detail::PusherCore, private Evictor {
     try {
       loan.root = pool_.lay_out(b, type);
     } catch (const OutOfMemory&) {
-      loan.cell->type = nullptr;  // nothing was built
-      pool_.give_back(b);
+      take_back(b);
       if (or_throw) throw;
       return {};
+    } catch (...) {
+      take_back(b);
+      throw;
     }
     return loan;
   }
@@ -273,6 +275,12 @@ class Pusher final : public detail::PusherCore, private Evictor {
   }
 
  private:
+  /// A block in which nothing could be built.
+  void take_back(std::uint32_t b) noexcept {
+    participant_->holder().cell(b).type = nullptr;
+    pool_.give_back(b);
+  }
+
   bool is_called(std::uint32_t k, std::string_view node) const {
     return participant_->part(k).load(std::memory_order_acquire) != 0 &&
            participant_->name_of(k) == node;

@@ -253,6 +253,63 @@ TEST_CASE("a push of the same message again allocates nothing") {
   CHECK(news == 0);
 }
 
+/// Large enough for an extent of its own, and plain.
+struct Big {
+  char bytes[5000];
+};
+struct ToBig {
+  int number;
+  lot::ShmRef<const Big> big;
+};
+/// The same, and it grows.
+struct Growing {
+  char bytes[5000];
+  lot::ShmVector<char> data;
+};
+
+TEST_CASE("a block whose message another one referred to is loaned for large messages again") {
+  const Watchdog watchdog(60);
+  Place place(64 * kMiB, 64);
+  auto bigs = place.engine.advertise<Big>("bigs", {Policy::Overwrite, 1, {}});
+  auto boxes = place.engine.advertise<ToBig>("boxes", {Policy::Overwrite, 1, {}});
+  for (int i = 0; i < 200; ++i) {
+    lot::ShmSharedPtr<Big> big;
+    REQUIRE_NOTHROW(big = bigs.loan());
+    auto box = boxes.loan();
+    box->big = lot::ShmSharedPtr<const Big>(big);
+    REQUIRE(boxes.push(std::move(box)) == Status::Ok);
+  }
+}
+
+TEST_CASE("a block whose maker was killed is loaned for large messages again") {
+  const Watchdog watchdog(60);
+  constexpr std::uint32_t kBlocks = 8;
+  lot::EngineOptions options = fresh();
+  options.blocks = kBlocks;
+  Steps made, joined;
+  Child maker([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Growing>("t", {Policy::Overwrite, kBlocks, {}});
+    for (std::uint32_t i = 0; i < kBlocks; ++i) {
+      const lot::ShmSharedPtr<Growing> message(pusher.loan());
+      message->data.resize(100);
+      must(pusher.push(message) == Status::Ok, "it was pushed");
+    }
+    made.tell();
+    joined.next();
+  });
+  REQUIRE(made.next() == '.');
+  lot::ShmEngine engine(options);
+  maker.kill9();
+  auto pusher = engine.advertise<Growing>("other");
+  std::vector<lot::ShmUniquePtr<Growing>> all;
+  while (all.size() < kBlocks) {  // once its maker is reaped: else the watchdog
+    lot::ShmUniquePtr<Growing> one;
+    REQUIRE_NOTHROW(one = pusher.try_loan());
+    if (one) all.push_back(std::move(one));
+  }
+}
+
 /// Does step(engine) with its first allocation failing, then its second, and so on, until it needs
 /// no more than that. Afterwards each block can be had again.
 template <class Step>
