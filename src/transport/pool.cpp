@@ -150,8 +150,12 @@ bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
     // Relaxed: exclusively ours.
     if (holder_.queued(b).load(std::memory_order_relaxed) != 0) {
       holder_.queued(b).store(0, std::memory_order_relaxed);
-      // A plain message may be laid out without a look at the arena. Of others bury() asks it.
-      if (c.type != nullptr && c.type->plain) holder_.segment->arena(b).changed_hands = 0;
+      // A small plain message is laid out once for all: what its taker said does not outlive it.
+      if (c.type != nullptr && c.type->plain) {
+        Arena& arena = holder_.segment->arena(b);
+        arena.changed_hands = 0;
+        arena.frozen = 0;
+      }
     }
     return true;
   }

@@ -1005,4 +1005,41 @@ TEST_CASE("a weak pointer of a process that has left has expired, though the mes
   CHECK(maker.wait() == 0);
 }
 
+TEST_CASE("a message is not alone because the one before it in its block was handed over") {
+  const Watchdog watchdog(60);
+  lot::EngineOptions options = fresh();
+  options.blocks = 16;
+  Steps has, go;
+  Child reader([&] {
+    lot::ShmEngine engine(options);
+    auto pairs = engine.subscribe<Pair>("pairs");
+    auto tasks = engine.queue<Unique>("tasks");
+    has.tell();
+    tasks.wait_and_pop().reset();
+    has.tell();
+    const Const pair = pairs.pull(60s);
+    has.tell(pair.unique() ? 'u' : 's');
+    go.next();
+  });
+  REQUIRE(has.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto tasks = engine.queue<Unique>("tasks");
+    auto out = engine.advertise<Pair>("pairs");
+    Unique task = tasks.make(Pair{1, 2});
+    const Pair* const place = task.get();
+    REQUIRE(tasks.put(std::move(task)) == lot::Status::Ok);
+    REQUIRE(has.next() == '.');
+    std::vector<Unique> others;
+    for (task = tasks.make(Pair{3, 4}); task.get() != place; task = tasks.make(Pair{3, 4})) {
+      others.push_back(std::move(task));
+    }
+    const Shared pair(std::move(task));
+    REQUIRE(out.push(pair) == lot::Status::Ok);
+    CHECK(has.next() == 's');
+  }
+  go.tell();
+  CHECK(reader.wait() == 0);
+}
+
 TEST_SUITE_END();
