@@ -58,30 +58,47 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   if (arena.references == 0) return;
   // What comes home may let others come home while it is buried, and so on. That is done by who is
   // first, one after the other: such a chain may be longer than a stack is deep.
-  struct Released {
-    const Holder* holder;
-    std::vector<std::uint32_t> home;
-  };
-  static thread_local Released* first = nullptr;
-  const bool nested = first != nullptr && first->holder == this;
-  Released mine{this, {}};
-  auto& home = nested ? first->home : mine.home;
+  static thread_local HomeList* first = nullptr;
+  const bool nested = first != nullptr && first->is_of(*this);
+  HomeList mine(*this);
+  HomeList& home = nested ? *first : mine;
   each_reference(b, [&](std::uint32_t target) {
     if (own.release(words(target), cell(target).hold, hold::kRing)) {
-      home.push_back(target);
+      home.push(target);
     } else {
       tell_home(target);
     }
   });
   arena.references = 0;
   if (nested) return;
-  Released* const outer = std::exchange(first, &mine);
+  HomeList* const outer = std::exchange(first, &mine);
   while (!home.empty()) {
-    const std::uint32_t target = home.back();
-    home.pop_back();
+    const std::uint32_t target = home.pop();
     pool_of(target).came_home(target);
   }
   first = outer;
+}
+
+/// A weak pointer may have revived the message, and the last hold may have gone once more: then
+/// another thread has the block on its list, and what we have read is handed to that one. It takes
+/// the block off its list before it looks.
+void Holder::HomeList::push(std::uint32_t b) noexcept {
+  auto& link = holder_.home_links[b];
+  for (;;) {
+    std::uint32_t none = 0;
+    if (link.compare_exchange_strong(none, first_, std::memory_order_acq_rel,
+                                     std::memory_order_relaxed)) {
+      first_ = b + 2;
+      return;
+    }
+    if (link.fetch_or(0, std::memory_order_acq_rel) != 0) return;
+  }
+}
+
+std::uint32_t Holder::HomeList::pop() noexcept {
+  const std::uint32_t b = first_ - 2;
+  first_ = holder_.home_links[b].exchange(0, std::memory_order_acq_rel);
+  return b;
 }
 
 bool Holder::may_grow(const ControlCell& c) const noexcept {

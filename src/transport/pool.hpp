@@ -36,6 +36,9 @@ struct Holder {
   /// [blocks] 1: reserve() made its memory, and other topics have no claim on it. Written by the
   /// thread that has the block alone; read, perhaps stale, by a thread that looks for memory.
   std::vector<std::atomic<std::uint8_t>> reserved;
+  /// [blocks] What a dead message let go of and who buries it has still to bring home: the next one
+  /// on its list, plus 2; 1: the last; 0: on no list.
+  mutable std::vector<std::atomic<std::uint32_t>> home_links;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
   /// Above all blocks that this process ever held, so that who looks for them need not go further.
   mutable std::atomic<std::uint32_t> known{0};
@@ -87,6 +90,22 @@ struct Holder {
   void each_entry(std::uint32_t b, F&& f) const;
 
  private:
+  /// Blocks to be brought home by the thread that has the list; the last one that came, first.
+  class HomeList {
+   public:
+    explicit HomeList(const Holder& holder) noexcept : holder_(holder) {}
+    bool is_of(const Holder& holder) const noexcept { return &holder_ == &holder; }
+    bool empty() const noexcept { return first_ == kEnd; }
+    void push(std::uint32_t b) noexcept;
+    /// REQUIRES: not empty.
+    std::uint32_t pop() noexcept;
+
+   private:
+    static constexpr std::uint32_t kEnd = 1;
+    const Holder& holder_;
+    std::uint32_t first_ = kEnd;
+  };
+
   bool may_grow(const detail::ControlCell& c) const noexcept;
   void freeze_reachable(std::uint32_t b) const noexcept;
 };

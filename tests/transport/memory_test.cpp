@@ -310,6 +310,30 @@ TEST_CASE("a block whose maker was killed is loaned for large messages again") {
   }
 }
 
+TEST_CASE("a dead message lets go of what it referred to without any allocation") {
+  const Watchdog watchdog(60);
+  struct Box {
+    lot::ShmRef<const Map> map;
+  };
+  Place place(32 * kMiB);
+  auto pusher = place.engine.advertise<Box>("boxes", {Policy::Overwrite, 1, {}});
+  std::vector<lot::ShmWeakPtr<const Map>> maps;
+  for (int i = 0; i < 100; ++i) {
+    lot::ShmSharedPtr<const Map> map = place.engine.make<Map>(Map{i});
+    maps.emplace_back(map);
+    news = 0;
+    counts_news = true;
+    auto box = pusher.loan();  // in the block of a dead one, which goes now
+    counts_news = false;
+    REQUIRE(news == 0);
+    box->map = std::move(map);
+    REQUIRE(pusher.push(std::move(box)) == Status::Ok);
+  }
+  CHECK(maps[0].expired());
+  CHECK(maps[90].expired());
+  CHECK(!maps[99].expired());
+}
+
 /// Does step(engine) with its first allocation failing, then its second, and so on, until it needs
 /// no more than that. Afterwards each block can be had again.
 template <class Step>
