@@ -264,14 +264,16 @@ class Pusher final : public detail::PusherCore, private Evictor {
       for (std::size_t i = 0; i < count; ++i) {
         const detail::Loan loan = this->loan(nothing, true);
         blocks.push_back(loan.cell->block);
-        pool_.keep_reserved(loan.cell->block);
         std::memset(loan.arena->allocate(bytes, 64), 0, bytes);
       }
     } catch (...) {
       for (const std::uint32_t b : blocks) pool_.give_back(b);
       throw;
     }
-    for (const std::uint32_t b : blocks) pool_.give_back(b);
+    for (const std::uint32_t b : blocks) {
+      pool_.keep_reserved(b);  // not before all are made: what is made in vain is anybody's
+      pool_.give_back(b);
+    }
   }
 
  private:

@@ -190,6 +190,26 @@ TEST_CASE("memory that a publisher has reserved is there whatever other topics n
   CHECK_NOTHROW(push_frames(front, 4, 4 * kMiB));
 }
 
+TEST_CASE(
+    "a reservation that fails leaves its memory to others, and what was reserved before stays") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto front = place.engine.advertise<Frame>("front");
+  front.reserve(2, 4 * kMiB);
+  CHECK_THROWS_AS(front.reserve(100, kMiB), lot::OutOfMemory);
+  auto rear = place.engine.advertise<Frame>("rear");
+  std::vector<lot::ShmUniquePtr<Frame>> kept;
+  try {
+    for (;;) {
+      kept.push_back(rear.loan());
+      kept.back()->data.resize(kMiB);
+    }
+  } catch (const lot::OutOfMemory&) {
+  }
+  CHECK(kept.size() > 10);
+  CHECK_NOTHROW(push_frames(front, 4, 4 * kMiB));
+}
+
 TEST_CASE("a publisher that is bound by memory has the next message in its oldest one's memory") {
   const Watchdog watchdog(60);
   Place place(32 * kMiB);
