@@ -53,18 +53,22 @@ bool Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage shortage)
     own = e;
     own_held = e->stock(shortage).held;
   }
-  Evictor* richest = nullptr;
-  std::uint64_t most = 0;
-  for (Evictor* e : evictors_) {
-    if (e == own) continue;
-    const Evictor::Stock stock = e->stock(shortage);
-    if (stock.oldest == 0 || stock.held <= most) continue;
-    if (stock.held - stock.oldest < own_held + need) continue;
-    richest = e;
-    most = stock.held;
+  const std::uint64_t keep = own_held + need;
+  // Who says no after all has changed meanwhile: chosen anew, each of them may do so once.
+  for (std::size_t n = 0; n < evictors_.size(); ++n) {
+    Evictor* richest = nullptr;
+    std::uint64_t most = 0;
+    for (Evictor* e : evictors_) {
+      if (e == own) continue;
+      const Evictor::Stock stock = e->stock(shortage);
+      if (stock.oldest == 0 || stock.held <= most || stock.held - stock.oldest < keep) continue;
+      richest = e;
+      most = stock.held;
+    }
+    if (richest == nullptr) break;
+    if (richest->give_up_to_other(shortage, keep)) return true;
   }
-  if (richest != nullptr) return richest->give_up(false);
-  return own_held != 0 && own->give_up(true);
+  return own_held != 0 && own->give_up();
 }
 
 }  // namespace lot::transport

@@ -29,8 +29,11 @@ class Evictor {
   virtual Stock stock(Shortage shortage) noexcept = 0;
   /// Marks the blocks that the rule can free: all, or the oldest, while `keep` bytes remain.
   virtual void mark(bool own, std::uint64_t keep, std::vector<bool>& blocks) noexcept = 0;
-  /// Gives its oldest message up. False: there is none.
-  virtual bool give_up(bool own) noexcept = 0;
+  /// Gives its oldest message up, whatever it is, for its own need. False: there is none.
+  virtual bool give_up() noexcept = 0;
+  /// Gives its oldest message up to another topic, if that one may have it still and `keep` remain:
+  /// since stock() said so a message may have come, or the oldest may have been kept. False: not.
+  virtual bool give_up_to_other(Shortage shortage, std::uint64_t keep) noexcept = 0;
 
  protected:
   ~Evictor() = default;

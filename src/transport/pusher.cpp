@@ -635,19 +635,30 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return fewer;
   }
 
-  bool give_up(bool own) noexcept override {
+  bool give_up() noexcept override {
     std::unique_lock lock(pool_.lock());
-    if (own) {
-      short_until_ = futex::Clock::now() + kBoundFor;
-      is_bound_ = true;
-    }
+    short_until_ = futex::Clock::now() + kBoundFor;
+    is_bound_ = true;
     const bool any = evict_own();
+    if (pool_.has_foreign()) release_foreign(lock);
+    return any;
+  }
+
+  bool give_up_to_other(Shortage shortage, std::uint64_t keep) noexcept override {
+    std::unique_lock lock(pool_.lock());
+    const Stock now = weigh(shortage);
+    const bool any = now.oldest != 0 && now.held - now.oldest >= keep && evict_own();
     if (pool_.has_foreign()) release_foreign(lock);
     return any;
   }
 
   Stock stock(Shortage shortage) noexcept override {
     const std::lock_guard guard(pool_.lock());
+    return weigh(shortage);
+  }
+
+  /// REQUIRES: the lock.
+  Stock weigh(Shortage shortage) noexcept {
     Stock stock;
     if (writer_->ring().blocking) return stock;  // it loses nothing
     see_hazards();

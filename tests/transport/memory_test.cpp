@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <cstdlib>
+#include <functional>
 #include <new>
 #include <optional>
 #include <string>
@@ -164,6 +165,50 @@ TEST_CASE("another topic's need leaves a publisher its newest two messages") {
   }
   auto reader = place.engine.subscribe<Frame>("front", latched(64));
   CHECK(reader.size() == 2);
+}
+
+/// One that has nothing, and does something while the others are looked at.
+class Meddler final : public lot::transport::Evictor {
+ public:
+  std::function<void()> meddle;
+  std::uint32_t pool() const noexcept override { return ~std::uint32_t{0}; }
+  bool settle() noexcept override { return false; }
+  Stock stock(lot::transport::Shortage) noexcept override {
+    if (const auto once = std::exchange(meddle, nullptr)) once();
+    return {};
+  }
+  void mark(bool, std::uint64_t, std::vector<bool>&) noexcept override {}
+  bool give_up() noexcept override { return false; }
+  bool give_up_to_other(lot::transport::Shortage, std::uint64_t) noexcept override { return false; }
+};
+
+TEST_CASE("a message that is kept while the others are weighed is not given up to another topic") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto front = place.engine.advertise<Frame>("front", {Policy::Overwrite, 8, {}});
+  push_frames(front, 8, kMiB);
+  auto rear = place.engine.advertise<Frame>("rear", {Policy::Overwrite, 2, {}});
+  const auto probe = rear.loan();
+  lot::transport::Participant& p = *lot::transport::Participant::at(probe.get());
+  lot::transport::Holder& holder = p.holder();
+  const std::uint32_t asker = holder.cell(block_of(p, probe.get())).pool.load();
+  Meddler meddler;
+  p.eviction().add(meddler);
+  auto reader = place.engine.subscribe<Frame>("front", latched(8));
+  lot::ShmSharedPtr<const Frame> oldest;
+  const auto evict = [&] {
+    return p.eviction().evict(asker, kMiB, lot::transport::Shortage::Memory);
+  };
+  SUBCASE("it is kept") {
+    meddler.meddle = [&] { oldest = reader.try_pull(); };
+    CHECK_FALSE(evict());
+    CHECK(place.engine.subscribe<Frame>("front", latched(8)).size() == 8);
+  }
+  SUBCASE("nothing happens") {
+    CHECK(evict());
+    CHECK(place.engine.subscribe<Frame>("front", latched(8)).size() == 7);
+  }
+  p.eviction().remove(meddler);
 }
 
 TEST_CASE("memory that a publisher has reserved is there whatever other topics need") {
