@@ -15,8 +15,9 @@ enum class Shortage { Memory, Blocks };
 /// A publisher that can give messages up.
 class Evictor {
  public:
-  /// What the messages in its ring weigh: bytes, or, where blocks are short, one each. Only those
-  /// count whose death frees something: a kept message does not.
+  /// What the messages in its ring weigh: bytes, or, where blocks are short, one a block. Only what
+  /// dies counts: no kept message does, and what a message refers to does with the last one that
+  /// refers to it, if nothing else has it.
   struct Stock {
     std::uint64_t held = 0;    ///< all of them
     std::uint64_t oldest = 0;  ///< the oldest, if another topic may have it; else 0
@@ -50,9 +51,9 @@ class Evictor {
 ///      much as the asker will have. So publishers end with equal shares.
 ///   3. Where no other can give, the asker's own oldest goes, whatever it is.
 ///   4. For another topic these never go: the newest two messages of a publisher (a latched one is
-///      among them), a message in a block that reserve() made, one that is kept or borrowed. When
-///      it is the oldest, those behind it stay, too. Memory that reserve() made and that is idle
-///      stays as well (Pool::trim).
+///      among them), a message in a block that reserve() made, one that is kept or borrowed, or
+///      whose going frees nothing. When it is the oldest, those behind it stay, too. Memory that
+///      reserve() made and that is idle stays as well (Pool::trim).
 ///
 /// Weights are counted when there is need, by a walk over the rings. So no push counts anything.
 ///

@@ -199,6 +199,7 @@ Participant::Participant(const EngineOptions& options,
   holder_.segment = &segment_;
   holder_.in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
   holder_.kept_links.resize(blocks);
+  holder_.leaving.resize(blocks);
   holder_.home_links = std::vector<std::atomic<std::uint32_t>>(blocks);
   holder_.reserved = std::vector<std::atomic<std::uint8_t>>(blocks);
   eviction_.prepare(blocks, segment_.capacity().channels);

@@ -36,6 +36,10 @@ struct Holder {
   /// [blocks] 1: reserve() made its memory, and other topics have no claim on it. Written by the
   /// thread that has the block alone; read, perhaps stale, by a thread that looks for memory.
   std::vector<std::atomic<std::uint8_t>> reserved;
+  /// [blocks] While a publisher's messages are weighed (Eviction): of the places in its ring, and of
+  /// the messages in it that refer to the block, so many would have gone. Guarded by Eviction's
+  /// mutex.
+  std::vector<std::uint32_t> leaving;
   /// [blocks] What a dead message let go of and who buries it has still to bring home: the next one
   /// on its list, plus 2; 1: the last; 0: on no list.
   mutable std::vector<std::atomic<std::uint32_t>> home_links;

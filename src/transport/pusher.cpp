@@ -657,16 +657,16 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return weigh(shortage);
   }
 
-  /// REQUIRES: the lock.
+  /// REQUIRES: the lock, and Eviction's.
   Stock weigh(Shortage shortage) noexcept {
     Stock stock;
     if (writer_->ring().blocking) return stock;  // it loses nothing
-    see_hazards();
+    begin_to_weigh();
     each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool is_oldest) {
-      if (!is_in_ring_only(b)) return true;
-      const std::uint64_t weight = shortage == Shortage::Blocks ? 1 : bytes(b);
+      leave(b);
+      const std::uint64_t weight = weight_of(b, shortage);
       stock.held += weight;
-      if (is_oldest && newer >= kNewest && !is_for_us(b)) stock.oldest = weight;
+      if (is_oldest && newer >= kNewest && !is_reserved(b)) stock.oldest = weight;
       return true;
     });
     return stock;
@@ -676,18 +676,15 @@ class Pusher final : public detail::PusherCore, private Evictor {
     std::uint64_t held = own ? 0 : stock(Shortage::Memory).held;
     const std::lock_guard guard(pool_.lock());
     if (writer_->ring().blocking) return;
-    see_hazards();
+    begin_to_weigh();
     each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool) {
-      if (own) {
-        if (is_in_ring_only(b)) mark_block(b, blocks);
-        return true;
+      leave(b);
+      if (!own) {
+        const std::uint64_t weight = weight_of(b, Shortage::Memory);
+        if (newer < kNewest || is_reserved(b) || weight == 0 || held < keep + weight) return false;
+        held -= weight;
       }
-      const std::uint64_t weight = bytes(b);
-      if (newer < kNewest || !is_in_ring_only(b) || is_for_us(b) || held < keep + weight) {
-        return false;
-      }
-      held -= weight;
-      mark_block(b, blocks);
+      each_that_dies(b, [&](std::uint32_t t) { blocks[t] = true; });
       return true;
     });
   }
@@ -724,26 +721,54 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return true;
   }
 
-  /// True when other topics have no claim on it: reserve() made its memory, or it has several
-  /// places in rings, so that one less frees nothing.
-  bool is_for_us(std::uint32_t b) const noexcept {
-    const Holder& holder = participant_->holder();
-    return holder.reserved[b].load(std::memory_order_relaxed) != 0 ||
-           (holder.cell(b).hold.load(std::memory_order_relaxed) & hold::kRingMask) != hold::kRing;
+  /// reserve() made its memory: other topics have no claim on it.
+  bool is_reserved(std::uint32_t b) const noexcept {
+    return participant_->holder().reserved[b].load(std::memory_order_relaxed) != 0;
   }
 
-  /// The memory of a message, with what it refers to.
-  std::uint64_t bytes(std::uint32_t b) const noexcept {
-    std::uint64_t sum = own_bytes(b);
-    participant_->holder().each_reference(b, [&](std::uint32_t t) { sum += own_bytes(t); });
-    return sum;
-  }
-
-  void mark_block(std::uint32_t b, std::vector<bool>& blocks) const noexcept {
-    blocks[b] = true;
-    participant_->holder().each_reference(b, [&](std::uint32_t t) {
-      if (is_in_ring_only(t)) blocks[t] = true;
+  /// Looks at the hazards, and forgets what was weighed before.
+  void begin_to_weigh() noexcept {
+    see_hazards();
+    Holder& holder = participant_->holder();
+    each_of_ring([&](std::uint32_t b, std::uint32_t, bool) {
+      holder.leaving[b] = 0;
+      holder.each_reference(b, [&](std::uint32_t t) { holder.leaving[t] = 0; });
+      return true;
     });
+  }
+
+  /// One more place of the message has left its ring, from the oldest on.
+  void leave(std::uint32_t b) noexcept {
+    Holder& holder = participant_->holder();
+    ++holder.leaving[b];
+    if (!has_left(b)) return;
+    holder.each_reference(b, [&](std::uint32_t t) { ++holder.leaving[t]; });
+  }
+
+  /// Nothing has it any more, as far as can be seen: it dies.
+  bool has_left(std::uint32_t b) const noexcept {
+    const Holder& holder = participant_->holder();
+    const std::uint64_t places =
+        holder.cell(b).hold.load(std::memory_order_relaxed) & hold::kRingMask;
+    return is_in_ring_only(b) && places == holder.leaving[b] * hold::kRing;
+  }
+
+  /// Calls f(block) for the message that has just left, if that was its last place, and for what it
+  /// was the last to refer to.
+  template <class F>
+  void each_that_dies(std::uint32_t b, F&& f) const noexcept {
+    if (!has_left(b)) return;
+    f(b);
+    participant_->holder().each_reference(b, [&](std::uint32_t t) {
+      if (has_left(t)) f(t);
+    });
+  }
+
+  std::uint64_t weight_of(std::uint32_t b, Shortage shortage) const noexcept {
+    std::uint64_t sum = 0;
+    each_that_dies(
+        b, [&](std::uint32_t t) { sum += shortage == Shortage::Blocks ? 1 : own_bytes(t); });
+    return sum;
   }
 
   std::shared_ptr<Participant> participant_;

@@ -211,6 +211,76 @@ TEST_CASE("a message that is kept while the others are weighed is not given up t
   p.eviction().remove(meddler);
 }
 
+/// Refers to a frame.
+struct Detection {
+  int number;
+  lot::ShmRef<const Frame> frame;
+  lot::ShmVector<char> data;
+};
+
+lot::ShmSharedPtr<const Frame> make_frame(lot::ShmEngine& engine, std::size_t bytes) {
+  auto frame = engine.make<Frame>();
+  frame->data.resize(bytes);
+  return lot::ShmSharedPtr<const Frame>(std::move(frame));
+}
+
+void push_detections(lot::ShmPusher<Detection>& pusher, int count,
+                     const lot::ShmSharedPtr<const Frame>& frame) {
+  for (int i = 0; i < count; ++i) {
+    auto detection = pusher.loan();
+    detection->number = i;
+    detection->frame = frame;
+    REQUIRE(pusher.push(std::move(detection)) == Status::Ok);
+  }
+}
+
+TEST_CASE("messages do not go for what they refer to when others keep that alive") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto detections = place.engine.advertise<Detection>("detections", {Policy::Overwrite, 16, {}});
+  auto frames = place.engine.advertise<Frame>("frames", {Policy::Overwrite, 4, {}});
+  auto camera = place.engine.advertise<Frame>("camera");
+  lot::ShmSharedPtr<const Frame> frame = make_frame(place.engine, 8 * kMiB);
+  SUBCASE("a pointer") { push_detections(detections, 16, frame); }
+  SUBCASE("another queue") {
+    push_detections(detections, 16, frame);
+    REQUIRE(frames.push(frame) == Status::Ok);
+    frame.reset();
+  }
+  SUBCASE("each other") {
+    push_detections(detections, 16, frame);
+    frame.reset();
+  }
+  push_frames(camera, 40, kMiB);
+  CHECK(place.engine.subscribe<Detection>("detections", latched(16)).size() == 16);
+}
+
+TEST_CASE("messages go that alone have what they refer to") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto detections = place.engine.advertise<Detection>("detections", {Policy::Overwrite, 16, {}});
+  SUBCASE("one after the other, for another topic") {
+    for (int i = 0; i < 16; ++i) {
+      push_detections(detections, 1, make_frame(place.engine, kMiB));
+    }
+    auto camera = place.engine.advertise<Frame>("camera");
+    push_frames(camera, 40, kMiB);
+    CHECK(place.engine.subscribe<Frame>("camera", latched(40)).size() > 8);
+    CHECK(place.engine.subscribe<Detection>("detections", latched(16)).size() < 16);
+  }
+  SUBCASE("together, for their own one") {
+    push_detections(detections, 16, make_frame(place.engine, 8 * kMiB));
+    std::vector<lot::ShmSharedPtr<const Frame>> others;
+    try {
+      for (;;) others.push_back(make_frame(place.engine, kMiB));
+    } catch (const lot::OutOfMemory&) {
+    }
+    auto next = detections.loan();
+    CHECK_NOTHROW(next->data.resize(4 * kMiB));
+    CHECK(place.engine.subscribe<Detection>("detections", latched(16)).size() == 0);
+  }
+}
+
 TEST_CASE("memory that a publisher has reserved is there whatever other topics need") {
   const Watchdog watchdog(60);
   Place place(32 * kMiB);
