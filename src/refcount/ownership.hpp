@@ -26,7 +26,7 @@
 ///       carries: cleared bits and released extents.
 ///   O5  wanted = 1 in reclaim(), then own scan in die() <-> own bit cleared in let_go() or
 ///       acquire_weak(), then wanted load in is_wanted(): all seq_cst, so one of the two sees the
-///       other. Carries nothing: O1 does.
+///       other. Carries, with E1, what note_waiting() noted, back to the home; all else O1 does.
 ///   O4  hold word, edge released (release)    -> edge taken (acquire)
 ///       carries: the own bit, between threads of one process.
 namespace lot::refcount {
@@ -200,7 +200,12 @@ struct Ownership {
   /// Home only: makes a block whose holds here equal `expected` (0, or the one ring hold that the
   /// caller gives up) exclusively ours again, with one pointer hold. False: others still hold it,
   /// and `expected` is given up all the same.
-  bool reclaim(Words& b, Hold& h, std::uint64_t expected) const {
+  ///
+  /// `note_waiting()` is called before others can see that the home waits, and after the home has
+  /// seen that it must; it notes where who is told will find the block. It says false when that
+  /// had been noted before.
+  template <class Note>
+  bool reclaim(Words& b, Hold& h, std::uint64_t expected, Note&& note_waiting) const {
     std::uint64_t v = h.load(std::memory_order_relaxed);
     for (;;) {
       if ((v & hold::kEdge) != 0) {
@@ -223,7 +228,9 @@ struct Ownership {
       }
     }
     bool dead = die(b, self, true);
-    if (!dead && b.wanted.load(std::memory_order_relaxed) == 0) {
+    // A note that comes after a `wanted` of old is said anew: who was told by that one alone may
+    // have looked for the block already.
+    if (!dead && (note_waiting() || b.wanted.load(std::memory_order_relaxed) == 0)) {
       // First said, then looked again: the holder that we have seen may let go just now.
       b.wanted.store(1, std::memory_order_seq_cst);  // O5
       // Twice: the first one may fail by the version alone, of a holder that went before we said
@@ -244,6 +251,9 @@ struct Ownership {
     }
     P::passed();
     return dead;
+  }
+  bool reclaim(Words& b, Hold& h, std::uint64_t expected) const {
+    return reclaim(b, h, expected, [] { return false; });
   }
 
   /// Claims a free block for this process: exclusively ours, one pointer hold. False: not free.

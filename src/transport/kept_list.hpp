@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 
 namespace lot::transport {
 
@@ -31,7 +32,29 @@ class KeptList {
   /// REQUIRES: not empty.
   std::uint32_t front() const noexcept { return first_ - 1; }
 
-  void push_back(std::uint32_t block) noexcept {
+  /// Puts the block at the end. False: it is on the list already.
+  bool enter(std::uint32_t block) noexcept {
+    if (links_[block].next != 0) return false;
+    link_last(block);
+    count(1);
+    return true;
+  }
+  /// Puts the block at the end, whether it is on the list or not. size() never says less meanwhile.
+  void move_to_end(std::uint32_t block) noexcept {
+    if (enter(block)) return;
+    unlink(block);
+    link_last(block);
+  }
+
+  /// Takes the block off, if it is on the list.
+  void remove(std::uint32_t block) noexcept {
+    if (links_[block].next == 0) return;
+    unlink(block);
+    count(-1);
+  }
+
+ private:
+  void link_last(std::uint32_t block) noexcept {
     const std::uint32_t place = block + 1;
     if (first_ == 0) {
       links_[block] = {place, place};
@@ -42,14 +65,9 @@ class KeptList {
       at(last).next = place;
       at(first_).previous = place;
     }
-    count(1);
   }
-
-  /// Takes the block off, if it is on the list.
-  void remove(std::uint32_t block) noexcept {
-    const Link link = links_[block];
-    if (link.next == 0) return;
-    links_[block] = {};
+  void unlink(std::uint32_t block) noexcept {
+    const Link link = std::exchange(links_[block], {});
     const std::uint32_t place = block + 1;
     if (link.next == place) {
       first_ = 0;
@@ -58,10 +76,7 @@ class KeptList {
       at(link.next).previous = link.previous;
       if (first_ == place) first_ = link.next;
     }
-    count(-1);
   }
-
- private:
   Link& at(std::uint32_t place) noexcept { return links_[place - 1]; }
   /// Written under the lock alone.
   void count(int change) noexcept {

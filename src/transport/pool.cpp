@@ -161,9 +161,12 @@ void Pool::prefetch(std::uint64_t b) const noexcept {
 /// that the block is at home in this pool.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
   ControlCell& c = holder_.cell(b);
-  const bool ours = holder_.own.reclaim(holder_.words(b), c.hold, expected);
-  kept_.remove(b);
+  // Among the kept ones before `wanted` can be seen: the warden whom a holder tells, perhaps before
+  // we come back, looks at pools that have some.
+  const bool ours = holder_.own.reclaim(holder_.words(b), c.hold, expected,
+                                        [&] { return kept_.enter(b); });  // E1
   if (ours) {
+    kept_.remove(b);
     // Relaxed: exclusively ours.
     if (holder_.queued(b).load(std::memory_order_relaxed) != 0) {
       holder_.queued(b).store(0, std::memory_order_relaxed);
@@ -177,7 +180,11 @@ bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
     return true;
   }
   const std::uint64_t v = c.hold.load(std::memory_order_relaxed);
-  if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0) kept_.push_back(b);
+  if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0) {
+    kept_.move_to_end(b);
+  } else {
+    kept_.remove(b);
+  }
   return false;
 }
 

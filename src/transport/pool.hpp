@@ -36,8 +36,8 @@ struct Holder {
   /// [blocks] 1: reserve() made its memory, and other topics have no claim on it. Written by the
   /// thread that has the block alone; read, perhaps stale, by a thread that looks for memory.
   std::vector<std::atomic<std::uint8_t>> reserved;
-  /// [blocks] While a publisher's messages are weighed (Eviction): of the places in its ring, and of
-  /// the messages in it that refer to the block, so many would have gone. Guarded by Eviction's
+  /// [blocks] While a publisher's messages are weighed (Eviction): of the places in its ring, and
+  /// of the messages in it that refer to the block, so many would have gone. Guarded by Eviction's
   /// mutex.
   std::vector<std::uint32_t> leaving;
   /// [blocks] What a dead message let go of and who buries it has still to bring home: the next one
@@ -206,6 +206,8 @@ class Pool {
   /// A message that is not this pool's business has left the ring: the same again replaced it.
   /// Locked.
   void retire_foreign(std::uint32_t b) { foreign_.push_back(b); }
+  /// How many blocks only others hold. At any time, without the lock.
+  std::size_t kept() const noexcept { return kept_.size(); }
   bool has_free() const noexcept { return !ready_.empty() || !free_.empty(); }
   bool has_foreign() const noexcept { return !foreign_.empty(); }
   /// The retired blocks, for who closes the ring. Locked.

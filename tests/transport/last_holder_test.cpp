@@ -2,10 +2,12 @@
 
 // When messages die whose last holder is another process, and who gets the memory then.
 
+#include <atomic>
 #include <csignal>
 #include <cstddef>
 #include <optional>
 #include <thread>
+#include <ucontext.h>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -13,6 +15,7 @@
 #include "lot/lot.hpp"
 
 #include "support/processes.hpp"
+#include "transport/participant.hpp"
 
 namespace {
 
@@ -34,6 +37,45 @@ lot::PusherOptions newest_only() {
   options.depth = 1;
   return options;
 }
+
+#ifdef __x86_64__
+
+/// Lets this thread run instruction by instruction, with a look after each.
+class Stepping {
+ public:
+  using Look = void (*)();
+  explicit Stepping(Look look) {
+    look_ = look;
+    struct sigaction action {};
+    action.sa_sigaction = &stepped;
+    action.sa_flags = SA_SIGINFO;
+    sigaction(SIGTRAP, &action, &before_);
+    raise(SIGTRAP);
+  }
+  ~Stepping() {
+    look_ = nullptr;  // seen after this instruction
+    sigaction(SIGTRAP, &before_, nullptr);
+  }
+
+ private:
+  static void stepped(int, siginfo_t*, void* context) {
+    auto& flags = static_cast<ucontext_t*>(context)->uc_mcontext.gregs[REG_EFL];
+    constexpr greg_t kTrap = 0x100;
+    const Look look = look_;
+    flags = look != nullptr ? flags | kTrap : flags & ~kTrap;
+    if (look != nullptr) look();
+  }
+
+  static inline std::atomic<Look> look_{nullptr};
+  struct sigaction before_ {};
+};
+
+std::atomic<const lot::segment::BlockWords*> looked_at{nullptr};
+std::atomic<const lot::transport::Pool*> pool_of_it{nullptr};
+std::atomic<int> waits{0};
+std::atomic<int> waits_unfound{0};
+
+#endif
 
 }  // namespace
 
@@ -193,5 +235,52 @@ TEST_CASE("a message that was kept by others and pushed again dies with its last
   go.tell();
   CHECK(holder.wait() == 0);
 }
+
+#ifdef __x86_64__
+
+TEST_CASE("a home says that it waits for a holder when its warden can find the block") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh());
+  auto out = engine.advertise<Frame>("frames", newest_only());
+  const auto loan = [&] {
+    auto frame = out.loan();
+    frame->data.resize(1 << 20);  // so large that no publish leaves it to the next
+    return frame;
+  };
+  auto frame = loan();
+  auto& p = *lot::transport::Participant::at(frame.get());
+  const auto at = p.segment().offset_of(frame.get()) - p.segment().offset_of(p.segment().small(0));
+  const auto b = static_cast<std::uint32_t>(at / lot::segment::kSmallBytes);
+  lot::ShmSharedPtr<Frame> shared = std::move(frame);
+  const lot::ShmWeakPtr<Frame> weak = shared;
+  REQUIRE(out.push(shared) == lot::Status::Ok);
+  shared.reset();
+  // What another process does that keeps it.
+  auto& words = p.segment().block(b);
+  const std::uint32_t other = p.participants() - 1;
+  auto& own = lot::transport::HardwareOwnership::word(words, other);
+  own.fetch_or(lot::transport::HardwareOwnership::bit(other));
+  words.life.fetch_add(lot::refcount::kVersion);
+
+  looked_at = &words;
+  pool_of_it = &p.holder().pool_of(b);
+  frame = loan();
+  {
+    const Stepping stepping([] {
+      if (looked_at.load()->wanted.load() == 0) return;
+      ++waits;
+      if (pool_of_it.load()->kept() == 0) ++waits_unfound;
+    });
+    out.push(std::move(frame));
+  }
+  CHECK(waits > 0);
+  CHECK(waits_unfound == 0);
+  CHECK(!weak.expired());
+  own.fetch_and(~lot::transport::HardwareOwnership::bit(other));
+  p.holder().tell_home(b);
+  while (!weak.expired()) std::this_thread::sleep_for(1ms);
+}
+
+#endif
 
 TEST_SUITE_END();
