@@ -22,6 +22,14 @@ bool Eviction::settle() noexcept {
   return any;
 }
 
+std::size_t Eviction::look(std::uint32_t pool, std::span<std::uint32_t> foreign) noexcept {
+  const std::lock_guard guard(mutex_);
+  for (Evictor* e : evictors_) {
+    if (e->pool() == pool) return e->look(foreign);
+  }
+  return 0;
+}
+
 bool Eviction::can_free_run(std::uint32_t asker, unsigned order) noexcept {
   const std::lock_guard guard(mutex_);
   std::fill(marked_.begin(), marked_.end(), false);

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <mutex>
+#include <span>
 #include <vector>
 
 #include "transport/pool.hpp"
@@ -27,6 +29,10 @@ class Evictor {
   virtual std::uint32_t pool() const noexcept = 0;
   /// Frees what needs no giving up: messages that were taken, or overwritten. True: some.
   virtual bool settle() noexcept = 0;
+  /// Looks which of the messages that have left its ring are free of readers. What is not its
+  /// pool's comes out: the caller lets go of it. Returns how many; as many as there is room for:
+  /// again.
+  virtual std::size_t look(std::span<std::uint32_t> foreign) noexcept = 0;
   virtual Stock stock(Shortage shortage) noexcept = 0;
   /// Marks the blocks that the rule can free: all, or the oldest, while `keep` bytes remain.
   virtual void mark(bool own, std::uint64_t keep, std::vector<bool>& blocks) noexcept = 0;
@@ -73,6 +79,8 @@ class Eviction {
 
   /// Each publisher frees what needs no giving up. True: some had something.
   bool settle() noexcept;
+  /// Evictor::look() of the publisher with this pool, if it is one that can give messages up.
+  std::size_t look(std::uint32_t pool, std::span<std::uint32_t> foreign) noexcept;
   /// Rule 1, for a run of 2^order granules.
   bool can_free_run(std::uint32_t asker, unsigned order) noexcept;
   /// Rules 2 to 4: one message goes. `need`: what the asker will have more. False: none may go.

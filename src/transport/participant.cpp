@@ -200,11 +200,16 @@ Participant::Participant(const EngineOptions& options,
   holder_.in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
   holder_.kept_links.resize(blocks);
   holder_.leaving.resize(blocks);
+  lives_.resize(blocks);
+  was_held_.resize(blocks);
   holder_.home_links = std::vector<std::atomic<std::uint32_t>>(blocks);
   holder_.reserved = std::vector<std::atomic<std::uint8_t>>(blocks);
   eviction_.prepare(blocks, segment_.capacity().channels);
   holder_.pools = &pools_;
   pools_.reserve(segment_.capacity().channels + 64);
+  prints_.resize(pools_.capacity());
+  new_prints_.resize(pools_.capacity());
+  to_settle_.resize(pools_.capacity());
   draining_.reserve(pools_.capacity());  // so that closing needs no memory
   idle_.reserve(pools_.capacity());
   watched_.reserve(futex::kMaxWords);

@@ -214,6 +214,7 @@ class Participant {
   void count_out(std::uint32_t topic) noexcept;
   void run_errands(std::uint32_t asked) noexcept;
   void settle_kept() noexcept;
+  void settle_idle() noexcept;
   void tell_homes() noexcept;
   void ask_others(Questions& questions) noexcept;
   bool all_have_answered(const Questions& questions) noexcept;
@@ -271,10 +272,15 @@ class Participant {
   std::mutex departures_mutex_;
   std::list<registry::Departure> departures_;  ///< that the warden has to finish
   // The warden's alone, from here...
-  detail::FutexWaits watched_;       ///< what it sleeps on
-  futex::Clock::time_point looked_;  ///< when it last looked for what nobody tells it
-  bool orphans_ = true;              ///< the last search found some, or there was none yet
-  std::uint32_t bequests_ = 0;       ///< of the directory, before the last search
+  detail::FutexWaits watched_;         ///< what it sleeps on
+  futex::Clock::time_point looked_;    ///< when it last looked for what nobody tells it
+  bool orphans_ = true;                ///< the last search found some, or there was none yet
+  std::uint32_t bequests_ = 0;         ///< of the directory, before the last search
+  std::vector<std::uint64_t> lives_;   ///< [blocks] `life` when it last looked
+  std::vector<bool> was_held_;         ///< [blocks] this message by others, as far as can be seen
+  std::vector<std::uint64_t> prints_;  ///< [pools] of the blocks, when it last looked
+  std::vector<std::uint64_t> new_prints_;  ///< [pools] while it looks
+  std::vector<bool> to_settle_;            ///< [pools] while it looks
   // ... to here.
   std::atomic<std::uint32_t> used_channels_{0};
   std::atomic<futex::Clock::rep> gathered_{0};  ///< when the others were asked last

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 /// Who is alive: taking an index, the warden, reaping, collecting, and leaving the segment.
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <csignal>
 #include <cstring>
 #include <optional>
 #include <unistd.h>
+#include <utility>
 
 #include "lot/error.hpp"
 
@@ -220,6 +222,49 @@ void Participant::settle_kept() noexcept {
   for (std::size_t i = 0; i < n; ++i) pools_[i]->settle();  // pools stay, and where they are
 }
 
+/// Messages that others have kept, and that have left the ring of a publisher that does nothing
+/// more: nobody else looks whether they are held still. A publisher that had a turn since the last
+/// look does so by itself; and the pools of those whose messages nobody ever kept are left alone,
+/// as is the bias of their locks.
+void Participant::settle_idle() noexcept {
+  std::size_t pools;
+  {
+    const std::lock_guard guard(pools_mutex_);
+    pools = pools_.size();
+  }
+  std::fill(to_settle_.begin(), to_settle_.end(), false);
+  std::fill(new_prints_.begin(), new_prints_.end(), 0);
+  const std::uint32_t known = holder_.known.load(std::memory_order_relaxed);
+  for (std::uint32_t b = 0; b < known; ++b) {
+    if (!holder_.is_home(b)) continue;
+    // Each hold of another one bumps the version (I3). Relaxed: a hint. The version of another
+    // message's last look says too much rather than too little.
+    const std::uint64_t life = block(b).life.load(std::memory_order_relaxed);
+    const std::uint64_t before = std::exchange(lives_[b], life);
+    const bool same = refcount::generation_of(life) == refcount::generation_of(before);
+    was_held_[b] =
+        life / refcount::kVersion != before / refcount::kVersion || (same && was_held_[b]);
+    const std::uint32_t pool = holder_.cell(b).pool.load(std::memory_order_relaxed);
+    const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);
+    if (pool >= pools) continue;
+    constexpr std::uint64_t kSpread = 0x9e3779b97f4a7c15;
+    new_prints_[pool] += ((v + refcount::generation_of(life)) * kSpread) ^ b * kSpread;
+    if (was_held_[b] && hold::pointers(v) == 0) to_settle_[pool] = true;
+  }
+  for (std::uint32_t i = 0; i < pools; ++i) {  // pools stay, and where they are
+    const bool is_idle = std::exchange(prints_[i], new_prints_[i]) == new_prints_[i];
+    if (!is_idle || !to_settle_[i] || !pools_[i]->may_wait()) continue;
+    std::array<std::uint32_t, 16> foreign;
+    for (std::size_t n = foreign.size(); n == foreign.size();) {
+      n = eviction_.look(i, foreign);  // before settle_mutex_, with which destructors run
+      const std::lock_guard guard(settle_mutex_);
+      for (std::size_t k = 0; k < n; ++k) holder_.release_ring_hold(foreign[k]);
+    }
+    const std::lock_guard guard(settle_mutex_);
+    pools_[i]->settle_free();
+  }
+}
+
 /// After bits of a dead one, or of the orphanage, were cleared: whoever waits for them looks.
 void Participant::tell_homes() noexcept {
   for (std::uint32_t b = 0; b < blocks(); ++b) holder_.tell_home(b);
@@ -239,6 +284,7 @@ bool Participant::look_around() noexcept {
   const bool closed = finish_closing();
   if (due) {
     settle_kept();  // an errand may have been lost
+    settle_idle();
     note_sightings();
     looked_ = now;
   }

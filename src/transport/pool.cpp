@@ -320,6 +320,20 @@ void Pool::settle() noexcept {
   }
 }
 
+void Pool::settle_free() noexcept {
+  for (;;) {
+    std::uint32_t b;
+    {
+      const std::lock_guard guard(lock_);
+      if (free_.empty()) return;
+      b = free_.front();
+      free_.pop_front();
+      if (!reclaim(b, hold::kRing)) continue;
+    }
+    give_back(b);
+  }
+}
+
 void Pool::bury(std::uint32_t b) noexcept {
   ControlCell& c = holder_.cell(b);
   const detail::MessageType* type = c.type;

@@ -167,7 +167,10 @@ class Pool {
 
   BiasedLock& lock() noexcept { return lock_; }
   /// For whom it will claim blocks: the key of a topic, or 0. REQUIRES: the pool is not in use.
-  void serve(std::uint64_t topic) noexcept { topic_ = topic; }
+  void serve(std::uint64_t topic) noexcept {
+    topic_ = topic;
+    may_wait_.store(topic != 0, std::memory_order_relaxed);  // a maker has no ring
+  }
 
   /// An exclusively owned block for a message of this type, or kNone. Locked.
   static constexpr std::uint32_t kNone = ~std::uint32_t{0};
@@ -222,8 +225,19 @@ class Pool {
   void poll_kept();
   /// The same for those that are free alone. Locked.
   void poll_free();
+  /// Says to the warden whether blocks wait for the publisher's next turn, retired or free. Where
+  /// that is not said turn by turn they may. Locked.
+  void note_waiting() noexcept {
+    may_wait_.store(!retired_.empty() || !free_.empty(), std::memory_order_relaxed);
+  }
+  void note_batches() noexcept { may_wait_.store(true, std::memory_order_relaxed); }
+  bool may_wait() const noexcept { return may_wait_.load(std::memory_order_relaxed); }
+
   /// Messages that only others held, and hold no more, die now.
   void settle() noexcept;
+  /// The same, and those that have left the ring and wait for the publisher's next turn: they die,
+  /// or are kept.
+  void settle_free() noexcept;
 
   /// This block's memory stays with this publisher, whatever other topics need. REQUIRES: it is
   /// exclusively owned.
@@ -253,6 +267,7 @@ class Pool {
   std::uint64_t topic_ = 0;
   BiasedLock lock_;
   std::vector<std::uint32_t> ready_;
+  std::atomic<bool> may_wait_{false};
   BlockQueue free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;
   std::vector<std::uint32_t> foreign_;  ///< left our ring, but is not ours

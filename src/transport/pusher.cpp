@@ -435,6 +435,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const ring::Word b = writer_->evict_oldest();
     if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
     scan();
+    pool_.note_batches();  // a reader may look at it
     return b != kNoBlock;
   }
 
@@ -481,7 +482,10 @@ class Pusher final : public detail::PusherCore, private Evictor {
       }
     }
     if (retire_taken() && batch() == 1) scan();
-    if (guarded && fit_ == 1) pool_.poll_free();  // what is large waits for no loan
+    if (guarded && fit_ == 1) {  // what is large waits for no loan
+      pool_.poll_free();
+      if (!writer_->ring().taken) pool_.note_waiting();  // else they wait in the ring as well
+    }
     if (!published.wake) {
       if (!pool_.has_free() && pool_.retired() >= batch()) scan();
       pool_.prepare();
@@ -533,6 +537,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     if (fit > fit_ && since_fit_ < writer_->ring().depth) {
       ++since_fit_;
     } else {
+      if (fit_ == 1 && fit != 1) pool_.note_batches();
       fit_ = fit;
       since_fit_ = 0;
     }
@@ -633,6 +638,13 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const bool fewer = any || pool_.retired() < before;
     if (pool_.has_foreign()) release_foreign(lock);
     return fewer;
+  }
+
+  std::size_t look(std::span<std::uint32_t> foreign) noexcept override {
+    const std::lock_guard guard(pool_.lock());
+    retire_taken();
+    scan();
+    return pool_.take_foreign(foreign);
   }
 
   bool give_up() noexcept override {

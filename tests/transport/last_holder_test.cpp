@@ -131,6 +131,67 @@ TEST_CASE("a message dies when its last holder goes, which is another process") 
   holder.wait();
 }
 
+TEST_CASE("a message dies with its last holder though its publisher does nothing more") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Steps has, go;
+  bool borrows = false;
+  std::size_t bytes = 100;
+  lot::PusherOptions sending = newest_only();
+  SUBCASE("small: it waits for others like it") {}
+  SUBCASE("large, and borrowed when it left the queue") {
+    borrows = true;
+    bytes = 1 << 20;
+  }
+  SUBCASE("of a queue without loss") { sending.policy = lot::Policy::Block; }
+  Child holder([&] {
+    lot::ShmEngine engine(options);
+    auto in = engine.subscribe<Frame>("frames");
+    has.tell();
+    lot::ShmSharedPtr<const Frame> message;
+    if (borrows) {
+      auto look = in.borrow(60s);
+      has.tell();
+      go.next();
+      message = look.keep();
+    } else {
+      message = in.pull(60s);
+      has.tell();
+      go.next();
+    }
+    message.reset();
+    has.tell();
+    go.next();
+  });
+  REQUIRE(has.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto out = engine.advertise<Frame>("frames", sending);
+    REQUIRE(out.wait_for_readers(1, 60s));
+    {  // blocks to spare: its loans look at nothing
+      std::vector<lot::ShmUniquePtr<Frame>> spare;
+      for (int i = 0; i < 40; ++i) spare.push_back(out.loan());
+    }
+    lot::ShmWeakPtr<Frame> weak;
+    {
+      const lot::ShmSharedPtr<Frame> message = out.loan();
+      message->data.resize(bytes);
+      weak = message;
+      REQUIRE(out.push(message) == lot::Status::Ok);
+    }
+    REQUIRE(has.next() == '.');
+    auto next = out.loan();
+    next->data.resize(bytes);
+    REQUIRE(out.push(std::move(next)) == lot::Status::Ok);
+    CHECK(!weak.expired());
+    go.tell();
+    REQUIRE(has.next() == '.');
+    while (!weak.expired()) std::this_thread::sleep_for(1ms);  // else the watchdog
+  }
+  go.tell();
+  CHECK(holder.wait() == 0);
+}
+
 TEST_CASE("memory that lies idle in one process is had by another one that is short of it") {
   const Watchdog watchdog(60);
   const auto options = fresh(64 << 20);

@@ -7,6 +7,7 @@
 #include <functional>
 #include <new>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -178,6 +179,7 @@ class Meddler final : public lot::transport::Evictor {
     return {};
   }
   void mark(bool, std::uint64_t, std::vector<bool>&) noexcept override {}
+  std::size_t look(std::span<std::uint32_t>) noexcept override { return 0; }
   bool give_up() noexcept override { return false; }
   bool give_up_to_other(lot::transport::Shortage, std::uint64_t) noexcept override { return false; }
 };
