@@ -38,6 +38,11 @@ class Granules {
   /// A run of 2^order granules that carries `tag` now, or kNone. Small runs are sought from the low
   /// end and large ones from the high end, which keeps them apart.
   std::uint32_t claim(unsigned order, std::uint32_t tag) {
+    return claim(order, tag, [](std::uint32_t) { return true; });
+  }
+  /// The same, of the runs that may(first) allows.
+  template <class May>
+  std::uint32_t claim(unsigned order, std::uint32_t tag, May&& may) {
     if (order >= kOrders || (std::uint64_t{1} << order) > count_) return kNone;
     const std::uint32_t run = std::uint32_t{1} << order;
     const std::uint32_t places = count_ >> order;
@@ -45,7 +50,7 @@ class Granules {
     for (std::uint32_t n = 0; n < places; ++n, ++place) {
       if (place >= places) place = 0;
       const std::uint32_t first = (order >= kLarge ? places - 1 - place : place) << order;
-      if (take(first, run, tag)) {
+      if (may(first) && take(first, run, tag)) {
         hint_[order].store(place, std::memory_order_relaxed);
         return first;
       }

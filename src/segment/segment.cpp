@@ -434,14 +434,22 @@ mutex_engine::QueueLock Segment::queue_lock(std::uint32_t channel) const noexcep
 
 std::uint32_t Segment::claim_run(unsigned order, std::uint32_t tag) noexcept {
   errno = 0;
-  const std::uint32_t run = granules_.claim(order, tag);
-  if (run == Granules<Atomics>::kNone) return run;
-  if (!reserve(granule_offset(run), kGranule << order)) {
-    granules_.release(run, order);
-    errno = ENOSPC;
-    return Granules<Atomics>::kNone;
-  }
+  std::uint32_t run = granules_.claim(order, tag);
+  if (run == Granules<Atomics>::kNone || back_run(run, order)) return run;
+  granules_.release(run, order);
+  run = granules_.claim(order, tag, [&](std::uint32_t first) { return is_backed(first, order); });
+  if (run == Granules<Atomics>::kNone) errno = ENOSPC;
   return run;
+}
+
+bool Segment::is_backed(std::uint32_t first, unsigned order) const noexcept {
+  const auto* done = at<Tag>(geometry_.reserved);
+  const std::uint64_t begin = granule_offset(first);
+  const std::uint64_t last = begin + (kGranule << order) - 1;
+  for (std::uint64_t unit = begin / kReserveUnit; unit <= last / kReserveUnit; ++unit) {
+    if (done[unit].load(std::memory_order_acquire) == 0) return false;
+  }
+  return true;
 }
 
 /// Takes the memory from the system before it is used, so that a full file system is an error here

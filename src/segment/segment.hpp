@@ -96,9 +96,16 @@ class Segment {
   std::uint64_t granule_offset(std::uint32_t granule) const noexcept {
     return geometry_.data + granule * kGranule;
   }
-  /// Claims a run for `tag` and makes sure that the system really has the memory. kNone: there is
-  /// no run; errno is ENOSPC when it was the system that had none.
+  /// Claims a run for `tag` and makes sure that the system really has the memory. Where the system
+  /// has no more, one that has been used before. kNone: there is no run; errno is ENOSPC when it
+  /// was the system that had none.
   std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
+  /// True when the system has given the memory of a run, or gives it now.
+  bool back_run(std::uint32_t first, unsigned order) noexcept {
+    return reserve(granule_offset(first), kGranule << order);
+  }
+  /// True when the system has given it.
+  bool is_backed(std::uint32_t first, unsigned order) const noexcept;
 
  private:
   Segment(const std::string& path, Access access, bool finished);

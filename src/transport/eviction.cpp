@@ -39,15 +39,20 @@ bool Eviction::can_free_run(std::uint32_t asker, unsigned order) noexcept {
 }
 
 bool Eviction::has_run(unsigned order) const noexcept {
-  const auto& granules = holder_.segment->granules();
+  segment::Segment& s = *holder_.segment;
+  const auto& granules = s.granules();
   const std::uint32_t run = std::uint32_t{1} << order;
+  bool more = true;  // the system gives memory that nothing has been in yet
   for (std::uint32_t first = 0; granules.count() - first >= run; first += run) {
     std::uint32_t i = 0;
     for (; i < run; ++i) {
       const std::uint32_t tag = granules.tag(first + i);
       if (tag != 0 && (tag > marked_.size() || !marked_[tag - 1])) break;
     }
-    if (i == run) return true;
+    if (i != run) continue;
+    if (s.is_backed(first, order)) return true;
+    if (more && s.back_run(first, order)) return true;
+    more = false;
   }
   return false;
 }

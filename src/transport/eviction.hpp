@@ -52,7 +52,8 @@ class Evictor {
 /// which has no messages to give.
 ///
 ///   1. What can never be met evicts nothing. So first a look over the tags: is there an aligned
-///      run of granules that are free, or belong to messages that rules 2 to 4 can free?
+///      run of granules that are free, or belong to messages that rules 2 to 4 can free? Free ones
+///      that were never used count while the file system has room for them.
 ///   2. The oldest message goes of the publisher that holds most, while that one keeps at least as
 ///      much as the asker will have. So publishers end with equal shares.
 ///   3. Where no other can give, the asker's own oldest goes, whatever it is.

@@ -10,7 +10,6 @@
 #include <functional>
 #include <optional>
 #include <string>
-#include <sys/mount.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #include <vector>
@@ -20,6 +19,7 @@
 #include "lot/lot.hpp"
 
 #include "support/processes.hpp"
+#include "support/small_disk.hpp"
 
 namespace {
 
@@ -44,27 +44,6 @@ std::string refusal(const lot::EngineOptions& options) {
 bool says(const std::string& text, const std::string& what) {
   return text.find(what) != std::string::npos;
 }
-
-/// A tmpfs of its own; empty path when it can not be mounted.
-struct SmallDisk {
-  explicit SmallDisk(const std::string& mount_options) {
-    char pattern[] = "/tmp/lot_disk_XXXXXX";
-    if (mkdtemp(pattern) == nullptr) return;
-    path = pattern;
-    if (mount("lot", pattern, "tmpfs", 0, mount_options.c_str()) != 0) {
-      rmdir(pattern);
-      path.clear();
-    }
-  }
-  ~SmallDisk() {
-    if (path.empty()) return;
-    umount(path.c_str());
-    rmdir(path.c_str());
-  }
-  SmallDisk(const SmallDisk&) = delete;
-  SmallDisk& operator=(const SmallDisk&) = delete;
-  std::string path;
-};
 
 /// An environment variable for the time of a test.
 struct Environment {

@@ -3,6 +3,7 @@
 // Memory and blocks run out: whose messages go, and what a publisher that is bound by them does.
 
 #include <cstdint>
+#include <cstdio>
 #include <cstdlib>
 #include <functional>
 #include <new>
@@ -17,6 +18,7 @@
 #include "lot/lot.hpp"
 
 #include "support/processes.hpp"
+#include "support/small_disk.hpp"
 #include "transport/participant.hpp"
 
 namespace {
@@ -132,6 +134,62 @@ TEST_CASE("a request that can never be met gives no message up") {
   CHECK(reader.size() == before);
   auto late = place.engine.subscribe<Map>("map", latched(10));
   CHECK(late.size() == 10);
+}
+
+/// Takes all that the file system has left.
+class Filling {
+ public:
+  explicit Filling(const std::string& directory) : path_(directory + "/filling") {
+    std::FILE* const file = std::fopen(path_.c_str(), "w");
+    std::setbuf(file, nullptr);
+    const std::vector<char> piece(4096);
+    while (std::fwrite(piece.data(), piece.size(), 1, file) == 1) {
+    }
+    std::fclose(file);
+  }
+  ~Filling() { std::remove(path_.c_str()); }
+  Filling(const Filling&) = delete;
+  Filling& operator=(const Filling&) = delete;
+
+ private:
+  std::string path_;
+};
+
+TEST_CASE("where the file system is full the memory that was used before serves again") {
+  const Watchdog watchdog(60);
+  const SmallDisk disk("size=40m");
+  if (disk.path.empty()) {
+    MESSAGE("no tmpfs can be mounted here");
+    return;
+  }
+  lot::EngineOptions options = fresh(32 * kMiB);
+  options.directory = disk.path;
+  {
+    lot::ShmEngine engine(options);
+    auto front = engine.advertise<Frame>("front", {Policy::Overwrite, 8, {}});
+    push_frames(front, 8, kMiB);
+    auto rear = engine.advertise<Frame>("rear", {Policy::Overwrite, 2, {}});
+    auto frame = rear.loan();
+    const Filling filling(disk.path);
+    const auto left = [&] { return engine.subscribe<Frame>("front", latched(8)).size(); };
+    SUBCASE("of messages that go") {
+      CHECK_NOTHROW(frame->data.resize(2 * kMiB));
+      CHECK(left() >= 2);
+      CHECK(left() < 8);
+    }
+    SUBCASE("of messages that have gone") {
+      { const auto gone = std::move(front); }
+      std::vector<lot::ShmUniquePtr<Frame>> frames;
+      for (int i = 0; i < 6; ++i) {
+        frames.push_back(rear.loan());
+        CHECK_NOTHROW(frames.back()->data.resize(kMiB));
+      }
+    }
+    SUBCASE("nothing goes for what the file system has no room for") {
+      CHECK_THROWS_AS(frame->data.resize(4 * kMiB), lot::OutOfMemory);
+      CHECK(left() == 8);
+    }
+  }
 }
 
 TEST_CASE("a topic that comes later gets its share from the one that has all the memory") {
