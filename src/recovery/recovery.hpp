@@ -143,7 +143,8 @@ class Recovery {
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       if (ring::writer_state(w) != ring::State::Live) continue;
       ring::Ring<P> r = world_.ring(c);
-      r.wake_sleepers([this](auto& word) { world_.wake(word); });
+      // Who left a mark before the version was bumped, and is not asleep yet, must not fall asleep.
+      wake_readers(r);
     }
   }
 

@@ -189,6 +189,31 @@ struct TwoSleepersHearOfARing : Scene<TwoSleepersHearOfARing, 3> {
   Subscription subscriptions[2];
 };
 
+/// A publisher has died before it announced its ring. The reader of another one falls asleep while
+/// the dead one is reaped: it still gets what was published there.
+struct AnnouncedByTheReaper : Scene<AnnouncedByTheReaper, 2> {
+  AnnouncedByTheReaper() : Scene({.blocks = 1, .depth = 1, .readers = 1, .channels = 2}) {}
+  void prepare() {
+    silent.open(start(4), 0, false);
+    subscription.join(start(2));
+    dead.open(start(5), 1, false);
+    RL_ASSERT(dead.send());
+    segment.bury(5);
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      process(3).see_reaped(5);
+      return;
+    }
+    while (subscription.received() == 0) {
+      if (!subscription.receive()) subscription.await_change();
+    }
+  }
+  Publisher silent, dead;
+  Subscription subscription;
+};
+
 const Entered entered{
     {"two_rings", "a reader of two rings gets the messages of both", rl::simulate<TwoRings>, 2},
     {"announced_while_falling_asleep", "a reader that falls asleep hears of a new ring",
@@ -201,6 +226,8 @@ const Entered entered{
      rl::simulate<SuccessionWithThreeReaders>},
     {"announcer_killed", "an announcer's death takes nobody's wake-up",
      rl::simulate<AnnouncerKilled>, 1},
+    {"announced_by_the_reaper", "a ring whose publisher died before it told of it is found",
+     rl::simulate<AnnouncedByTheReaper>, 2},
     {"two_sleepers_find_the_end", "two that sleep on one mark both find the end",
      rl::simulate<TwoSleepersFindTheEnd>, 2},
     {"two_sleepers_hear_of_a_ring", "two that sleep on one mark both hear of a new ring",

@@ -65,6 +65,9 @@ MISTAKES = (
         '    b.life.fetch_add(kVersion, std::memory_order_release);  // O2: adopting is a hand-over too\n',
         ''),)),
     Planted('a counter for the orphanage\'s bit', OWNERSHIP, 'crash', ((
+    Planted('who is just falling asleep does not hear of a dead one\'s ring', RECOVERY, 'sleep', ((
+        '      wake_readers(r);\n    }\n  }\n',
+        '      r.wake_sleepers([this](auto& word) { world_.wake(word); });\n    }\n  }\n'),)),
         'b.own[0].fetch_or(1, std::memory_order_relaxed);',
         'b.own[0].fetch_add(1, std::memory_order_relaxed);'),)),
     Planted('a block is free before its memory', RECOVERY, 'crash', (
