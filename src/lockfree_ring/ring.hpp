@@ -49,7 +49,10 @@
 ///       carries: whose cell it is: who sees the round sees the name.
 ///   R13 formed = 1 and who store, then pullers load in Ring::await_pullers (all seq_cst)
 ///       <-> pullers = 0 by the reaper, then formed and who loads in free_cells (all seq_cst):
-///       the maker or the reaper takes the cell of a dead subscriber away.
+///       the maker or the reaper takes the cell of a dead subscriber away, or both do.
+///   R14 position store in Reader::join -> position load, then second look at who, in make_idle
+///       carries: the maker's who = 0, which let the joiner in: the reaper does not take the place
+///       of a living joiner for that of a dead subscriber.
 ///
 /// A queue whose messages are each taken by one reader (`taken`) is a ring as well: who has read a
 /// message takes it out of its slot, and who finds none there goes on.
@@ -547,7 +550,7 @@ class Reader {
     from.store(make_unbound(round, answer), std::memory_order_release);  // R12
     to.store(make_unbound(round), std::memory_order_relaxed);
     Word wish = joining(std::min<std::uint64_t>(history, ring.depth));
-    if (!ring.guarded()) position.store(wish, std::memory_order_relaxed);  // R4 carries it
+    if (!ring.guarded()) position.store(wish, std::memory_order_release);  // R14; to others R4
     ring.roster->fetch_add(1, std::memory_order_seq_cst);                  // R4
     Reader reader;
     reader.ring_ = ring;

@@ -151,11 +151,37 @@ class Recovery {
   void free_cells(std::uint32_t c, std::uint32_t k) {
     ring::Ring<P> r = world_.ring(c);  // also one that is being made, once its cells are there
     for (std::uint32_t i = 0; i < r.readers; ++i) {
-      if (r.who[i].load(std::memory_order_seq_cst) != k + 1) continue;    // R13
-      r.cells[i].position.store(ring::kIdle, std::memory_order_release);  // R3
-      r.space->fetch_add(2, std::memory_order_release);                   // R6
+      if (r.who[i].load(std::memory_order_seq_cst) != k + 1) continue;  // R13
+      if (!make_idle(r, i, k)) continue;
+      r.space->fetch_add(2, std::memory_order_release);  // R6
       world_.wake(*r.space);
-      r.who[i].store(0, std::memory_order_release);  // R3, R8
+      std::uint32_t dead = k + 1;
+      r.who[i].compare_exchange_strong(dead, 0, std::memory_order_release,
+                                       std::memory_order_relaxed);  // R3, R8
+    }
+  }
+
+  /// Takes the place of the dead k out of its cell. False: the cell is not k's any more.
+  ///
+  /// The maker of a ring may free the same cell (R13), and a living joiner may have it at once. No
+  /// cell becomes k's again while byte lock k is held and the ring stays (byte lock 0), so the
+  /// position belongs to k if the cell is k's afterwards; and what the joiner has stored there
+  /// brings the maker's who = 0 (R14). If the maker frees the cell behind the second look, the
+  /// position is
+  ///   awaited()         which no joiner writes: nothing but k's place is taken away by it;
+  ///   kIdle             nothing to be done;
+  ///   another           only k itself has joined with that, so that no maker can be at the cell.
+  /// The writer may give k a place instead of its wish, meanwhile: that one goes as well.
+  bool make_idle(ring::Ring<P>& r, std::uint32_t i, std::uint32_t k) {
+    auto& word = r.cells[i].position;
+    for (;;) {
+      ring::Word position = word.load(std::memory_order_acquire);           // R14
+      if (r.who[i].load(std::memory_order_relaxed) != k + 1) return false;  // R14
+      if (position == ring::kIdle) return true;
+      if (word.compare_exchange_strong(position, ring::kIdle, std::memory_order_release,
+                                       std::memory_order_relaxed)) {  // R3
+        return true;
+      }
     }
   }
 

@@ -172,7 +172,27 @@ struct LaggardKilled : Scene<LaggardKilled, 3> {
   Subscriber subscriber;
 };
 
-/// The same, and the sender itself reaps whoever holds it back.
+/// A reader is killed while it joins, and reaped while the sender gives it a place.
+struct JoinerKilledBesideSender : Scene<JoinerKilledBesideSender, 2> {
+  JoinerKilledBesideSender() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    start(2);
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) publisher.send_and_wait();
+    } else {
+      die_within(2, 12, [this] { subscriber.join(process(2), 0, 1, 1); });
+      process(3).see_reaped(2);
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// The sender itself reaps whoever holds it back.
 struct SenderReapsLaggard : Scene<SenderReapsLaggard, 2> {
   SenderReapsLaggard() : Scene({.blocks = 3, .depth = 1, .readers = 1}) {}
   void prepare() {
@@ -530,6 +550,51 @@ struct SubscriberReapedWhileARingIsMade : Scene<SubscriberReapedWhileARingIsMade
   Subscription subscription;
 };
 
+/// The same, and a living reader has the cell as soon as the maker of the ring has freed it: it
+/// keeps the cell, and holds the sender back. Its view of the ring is older: else the look at
+/// `formed`, which Relacy takes for a fence, would tell the reaper of what was before.
+struct SubscriberReapedAndFollowed : Scene<SubscriberReapedAndFollowed, 3> {
+  SubscriberReapedAndFollowed() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    for (std::uint32_t k : {1U, 2U, 3U, 4U}) start(k);
+    subscription.join(process(2));
+    segment.bury(2);
+    view = process(3).unformed_ring(0);
+    view.blocking = true;
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.open(process(4), 0, view.blocking));
+    } else if (t == 1) {
+      RL_ASSERT(process(1).reap(2));
+    } else {
+      while (!join()) Policy::pause();
+    }
+  }
+  bool join() {
+    if (!process(3).lock_rings()) return false;
+    bool full = false;
+    const Word writer = view.writer->load(std::memory_order_relaxed);
+    if (ring::writer_state(writer) == ring::State::Live) {
+      next = ring::Reader<Policy>::join(view, ring::writer_generation(writer), 3, 1, full);
+    }
+    process(3).unlock_rings();
+    return next.has_value();
+  }
+  void check() {
+    RL_ASSERT(view.who[0].load(std::memory_order_relaxed) == 3 + 1);
+    RL_ASSERT(publisher.send() && !publisher.writer().room());
+    std::uint64_t missed = 0;
+    RL_ASSERT(next->poll(missed) != kNoBlock && missed == 0);
+    next->done();
+    RL_ASSERT(publisher.writer().room());
+  }
+  Publisher publisher;
+  Subscription subscription;
+  ring::Ring<Policy> view;
+  std::optional<ring::Reader<Policy>> next;
+};
+
 /// A subscriber goes without having looked, while a sender sleeps for room because of it.
 struct SubscriberGoesUnseen : Scene<SubscriberGoesUnseen, 2> {
   SubscriberGoesUnseen() : Scene({.blocks = 3, .depth = 1, .readers = 1}) {}
@@ -568,6 +633,8 @@ const Entered entered{
      rl::simulate<ReaderKilledAndFollowed>, 2},
     {"laggard_killed", "a dead reader does not hold the sender back", rl::simulate<LaggardKilled>,
      1},
+    {"joiner_killed_beside_sender", "a dead joiner does not, even if it gets a place meanwhile",
+     rl::simulate<JoinerKilledBesideSender>, 2},
     {"sender_reaps_laggard", "a sender gets rid of whoever holds it back",
      rl::simulate<SenderReapsLaggard>, 1},
     {"reaper_killed", "a killed reaper is followed by another", rl::simulate<ReaperKilled>},
@@ -593,6 +660,8 @@ const Entered entered{
      rl::simulate<SubscriberGoesUnseen>, 2},
     {"subscriber_reaped_while_a_ring_is_made", "no cell awaits a dead subscriber",
      rl::simulate<SubscriberReapedWhileARingIsMade>, 2},
+    {"subscriber_reaped_and_followed", "the cell of a dead subscriber is not taken from the next",
+     rl::simulate<SubscriberReapedAndFollowed>, 2},
 };
 
 }  // namespace

@@ -40,15 +40,34 @@ MISTAKES = (
     Planted('an unfinished ring is left as an orphan', RECOVERY, 'crash', ((
         '    if (ring::writer_state(w) == ring::State::Init) {', '    if (false) {'),)),
     Planted('a cell loses its name before its cursor', RECOVERY, 'crash', ((
-        '      r.cells[i].position.store(ring::kIdle, std::memory_order_release);  // R3\n',
+        '      if (!make_idle(r, i, k)) continue;\n',
         '      r.who[i].store(0, std::memory_order_release);\n'
-        '      r.cells[i].position.store(ring::kIdle, std::memory_order_release);  // R3\n'),)),
+        '      r.cells[i].position.store(ring::kIdle, std::memory_order_release);\n'),)),
+    Planted('a living joiner\'s place is taken out of the cell', RECOVERY, 'crash', ((
+        '      if (r.who[i].load(std::memory_order_relaxed) != k + 1) return false;  // R14\n', ''),)),
+    Planted('a place is taken out of the cell, whosever it is by now', RECOVERY, 'crash', ((
+        '      if (word.compare_exchange_strong(position, ring::kIdle, std::memory_order_release,\n'
+        '                                       std::memory_order_relaxed)) {  // R3\n'
+        '        return true;\n      }\n',
+        '      word.store(ring::kIdle, std::memory_order_release);\n      return true;\n'),)),
+    Planted('a place that the sender gives a dead joiner meanwhile stays in the cell', RECOVERY, 'crash', ((
+        '                                       std::memory_order_relaxed)) {  // R3\n'
+        '        return true;\n      }\n',
+        '                                       std::memory_order_relaxed)) {  // R3\n'
+        '      }\n      return true;\n'),)),
+    Planted('a living joiner\'s cell is set free', RECOVERY, 'crash', ((
+        '      r.who[i].compare_exchange_strong(dead, 0, std::memory_order_release,\n'
+        '                                       std::memory_order_relaxed);  // R3, R8\n',
+        '      r.who[i].store(dead - dead, std::memory_order_release);\n'),)),
     Planted('a dead reader does not make the sender look', RECOVERY, 'crash', ((
-        '      r.space->fetch_add(2, std::memory_order_release);                   // R6\n', ''),)),
+        '      r.space->fetch_add(2, std::memory_order_release);  // R6\n', ''),)),
     Planted('the sender is not woken for a dead reader', RECOVERY, 'crash', ((
         '      world_.wake(*r.space);\n', ''),)),
     Planted('whom a dead publisher announced itself to sleeps on', RECOVERY, 'sleep', ((
         '    wake_whom_it_announced_to(k);\n    for', '    for'),)),
+    Planted('who is just falling asleep does not hear of a dead one\'s ring', RECOVERY, 'sleep', ((
+        '      wake_readers(r);\n    }\n  }\n',
+        '      r.wake_sleepers([this](auto& word) { world_.wake(word); });\n    }\n  }\n'),)),
     Planted('no look at the readers\' places when adopting', RECOVERY, 'orphan', ((
         '      if (position != ring::kIdle) adopt(ring::block(position));\n', ''),)),
     Planted('references are not adopted', RECOVERY, 'orphan', ((
@@ -65,9 +84,6 @@ MISTAKES = (
         '    b.life.fetch_add(kVersion, std::memory_order_release);  // O2: adopting is a hand-over too\n',
         ''),)),
     Planted('a counter for the orphanage\'s bit', OWNERSHIP, 'crash', ((
-    Planted('who is just falling asleep does not hear of a dead one\'s ring', RECOVERY, 'sleep', ((
-        '      wake_readers(r);\n    }\n  }\n',
-        '      r.wake_sleepers([this](auto& word) { world_.wake(word); });\n    }\n  }\n'),)),
         'b.own[0].fetch_or(1, std::memory_order_relaxed);',
         'b.own[0].fetch_add(1, std::memory_order_relaxed);'),)),
     Planted('a block is free before its memory', RECOVERY, 'crash', (

@@ -33,6 +33,7 @@
  * plant HOLD_FIRST reapers : the dead one's hold goes before the orphanage has one
  * plant LOOKS_ONCE full_table : a dead one's index is refused while somebody reaps
  * plant NO_SECOND_LOOK subscribed : the maker of a ring does not look whether the subscriber has died
+ * plant BLIND_STORE subscribed : the reaper frees a cell that has gone to a living joiner meanwhile
  * plant NO_ORPHANAGE_LOCK overlap : two act for the orphanage at once
  */
 
@@ -260,7 +261,14 @@ inline reap(k) {
 #endif
   if
   :: formed && who == k + 1 -> /* @ src/recovery/recovery.hpp free_cells: if (r.who[i].load */
-    who = 0 /* @ src/recovery/recovery.hpp free_cells: r.who[i].store(0 */
+#ifdef BLIND_STORE
+    who = 0
+#else
+    if
+    :: atomic { who == k + 1 -> who = 0 } /* @ src/recovery/recovery.hpp free_cells: r.who[i].compare_exchange_strong(dead, 0 */
+    :: who != k + 1 /* @ src/recovery/recovery.hpp make_idle: if (r.who[i].load */
+    fi
+#endif
   :: else
   fi;
   if
@@ -503,6 +511,14 @@ proctype publisher(byte me) {
       lock[k] = NONE; /* kernel: closefrom() in the application */
       acquire(lock[k], me) /* @ src/transport/participant_liveness.cpp keep_own_lock: if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index()) */
     :: else
+    fi;
+#endif
+#ifdef SUBSCRIBED
+    /* It reads its own ring as well, if there is a cell: that one is its own until it leaves. */
+    if
+    :: atomic { opened && who == 0 -> who = k + 1 }; /* @ src/lockfree_ring/ring.hpp join: ring.who[c].compare_exchange_strong(nobody, participant + 1 */
+      atomic { assert(who == k + 1); who = 0 } /* @ src/lockfree_ring/ring.hpp free_cell: who[c].store(0 */
+    :: !opened || who != 0 /* @ src/lockfree_ring/ring.hpp join: ring.who[c].compare_exchange_strong(nobody, participant + 1 */
     fi;
 #endif
     leave(); /* @ src/transport/participant.cpp leave: warden_.join() */

@@ -276,13 +276,13 @@ inline free_cell(c, r, k) {
   if
   :: who[c * READERS + r] == k -> /* @ src/recovery/recovery.hpp free_cells: if (r.who[i].load */
 #ifdef ROOM
-    position[r] = IDLE; /* @ src/recovery/recovery.hpp free_cells: r.cells[i].position.store(ring::kIdle */
+    position[r] = IDLE; /* @ src/recovery/recovery.hpp make_idle: word.compare_exchange_strong(position, ring::kIdle */
 #ifndef REAPER_KEEPS_SPACE
     space = (space + 2) % SPACE_VALUES; /* @ src/recovery/recovery.hpp free_cells: r.space->fetch_add(2 */
 #endif
     kernel_wake(SPACE); /* @ src/recovery/recovery.hpp free_cells: world_.wake(*r.space) */
 #endif
-    who[c * READERS + r] = 0 /* @ src/recovery/recovery.hpp free_cells: r.who[i].store(0 */
+    who[c * READERS + r] = 0 /* @ src/recovery/recovery.hpp free_cells: r.who[i].compare_exchange_strong(dead, 0 */
   :: else
   fi
 }
