@@ -324,6 +324,29 @@ struct JoinsWhatIsLive : Scene<JoinsWhatIsLive, 2> {
   Publisher publisher;
 };
 
+/// A puller that was counted before finds its cell as soon as it sees the ring. Its view of the
+/// ring is older, and it takes no lock: only the writer word tells it what was made (R7).
+struct AdoptsWhatIsLive : Scene<AdoptsWhatIsLive, 2> {
+  AdoptsWhatIsLive() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    start(4);
+    view = start(2).unformed_ring(0);
+    segment.pullers[2].fetch_add(1, std::memory_order_relaxed);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.open(process(4), 0, false);
+      return;
+    }
+    const Word writer = view.writer->load(std::memory_order_relaxed);
+    if (ring::writer_state(writer) != ring::State::Live) return;
+    const auto reader = ring::Reader<Policy>::adopt(view, 2);
+    RL_ASSERT(reader && reader->cursor() == Segment::kFirst);
+  }
+  Publisher publisher;
+  ring::Ring<Policy> view;
+};
+
 /// A cell has one reader after the other, and the second one is not taken for the first.
 struct CellChangesHands : Scene<CellChangesHands, 3> {
   CellChangesHands() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
@@ -410,6 +433,8 @@ const Entered entered{
      rl::simulate<LeavesInABorrow>, 2},
     {"hints", "a hint that is wrong does no harm", rl::simulate<Hints>, 2},
     {"joins_what_is_live", "a live ring is a complete ring", rl::simulate<JoinsWhatIsLive>, 3},
+    {"adopts_what_is_live", "a cell that awaits its reader is there as soon as the ring is live",
+     rl::simulate<AdoptsWhatIsLive>, 3},
     {"cell_changes_hands", "a cell has one reader after the other", rl::simulate<CellChangesHands>,
      2},
     {"both_sleep_over_one_slot", "sender and reader take turns", rl::simulate<BothSleepOverOneSlot>,
