@@ -30,6 +30,7 @@ constexpr auto kLookPeriod = 1ms;
 /// A publisher that had to give its own oldest message up does so at once for each of its loans, as
 /// long as this. Then it looks again whether there is more for it.
 constexpr auto kBoundFor = 1s;
+constexpr std::size_t kRoomAhead = 64;  ///< publishes, for which there is room to retire
 /// Of the messages of a publisher, other topics never get so many of the newest.
 constexpr std::uint32_t kNewest = 2;
 constexpr unsigned kPausesPerLook = 16;
@@ -167,7 +168,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
-    pool_.make_room(room_to_retire());
+    make_room();
     // Nobody else can have this block, not even a weak pointer: the tag keeps those of former
     // messages away. So the hold changes from ours to the ring's by a plain store.
     cell->hold.store(cell->hold.load(std::memory_order_relaxed) - hold::kPointer + hold::kRing,
@@ -317,7 +318,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
-    pool_.make_room(room_to_retire());
+    make_room();
     participant_->holder().acquire(cell->block, hold::kRing);
     if (!type_->plain) {
       if (shared) participant_->holder().freeze(*cell);
@@ -384,6 +385,14 @@ class Pusher final : public detail::PusherCore, private Evictor {
   /// Besides what is retired: the whole ring, when it closes or its messages are taken, the one
   /// that a publish replaces, and what other threads have replaced and not retired yet.
   std::size_t room_to_retire() const { return writer_->ring().depth + std::size_t{1} + owed_; }
+  /// Each publish retires one at most, so room for several is made at once. Locked.
+  void make_room() {
+    if (room_ahead_ == 0) [[unlikely]] {
+      pool_.make_room(room_to_retire() + kRoomAhead);
+      room_ahead_ = kRoomAhead;
+    }
+    --room_ahead_;
+  }
 
   std::size_t batch() {
     if (!writer_ || fit_ == 1) return 1;
@@ -534,6 +543,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
 
   /// A batch is no larger than the largest message in the ring allows.
   void note_fit(std::size_t fit) noexcept {
+    if (fit == fit_ && since_fit_ == 0) return;
     if (fit > fit_ && since_fit_ < writer_->ring().depth) {
       ++since_fit_;
     } else {
@@ -798,6 +808,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   std::uint32_t since_fit_ = 0;      ///< messages since the last of that size
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
+  std::size_t room_ahead_ = 0;
   std::size_t owed_ = 0;  ///< threads that have published, and wake before they retire
   futex::Clock::time_point short_until_{};  ///< blocks or memory were short; none: they were not
   bool is_bound_ = false;  ///< and an own message had to go: the next loan takes the oldest's place
