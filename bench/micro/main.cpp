@@ -38,6 +38,8 @@ constexpr Figure kFigures[] = {
     {"latency/parked/across", "  across cores, upper end", "hi", true, 1.1},
     {"publish/vs_exchange", "publish / locked exchange", "ratio", true, 4},
     {"publish/readers_250_vs_1", "publish, 250 readers / 1 reader", "ratio", true, 1.1},
+    {"publish/deep_vs_shallow", "loan + push, depth = blocks / depth 64", "ratio", true, 4},
+    {"publish/full_vs_roomy", "  16 MiB, full segment / depth 8", "ratio", true, 2},
     {"loan/128B", "loan + reset, 128 B / make_shared", "ratio", true, 4},
     {"loan/16MiB", "loan + reset, 16 MiB / make_shared", "ratio", true, 8},
     {"loan/128B/two_processes", "  128 B, two processes / one", "ratio", true, 1.25},

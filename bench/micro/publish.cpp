@@ -111,9 +111,80 @@ void readers_250_vs_1(benchmark::State& state) {
   rounds.report(state);
 }
 
+/// Loan and push where the ring has as many slots as the segment has blocks, so that each loan
+/// needs the block of the oldest message, beside a ring of 64.
+void deep_vs_shallow(benchmark::State& state) {
+  constexpr std::uint32_t kBlocks = 16384;
+  lot::EngineOptions options = segment();
+  options.blocks = kBlocks;
+  options.size_bytes = 64 << 20;
+  lot::ShmEngine engine(options);
+  lot::PusherOptions all;
+  all.depth = kBlocks;
+  lot::PusherOptions few;
+  few.depth = 64;
+  const auto arm = [](lot::ShmPusher<Ball>& out) {
+    return time_ns(kBlock, [&] {
+      for (std::uint64_t i = 0; i < kBlock; ++i) {
+        auto ball = out.loan();
+        ball->fill(i);
+        expect(out.push(std::move(ball)) == lot::Status::Ok, "push");
+      }
+    });
+  };
+  pin(0);
+  {
+    auto shallow = engine.advertise<Ball>("/shallow", few);
+    arm(shallow);
+    auto deep = engine.advertise<Ball>("/deep", all);
+    for (std::uint32_t n = 0; n < 2 * kBlocks; n += kBlock) arm(deep);
+    Rounds rounds;
+    for ([[maybe_unused]] auto _ : state) {
+      rounds.run([&] { return arm(deep); }, [&] { return arm(shallow); });
+    }
+    rounds.report(state);
+  }
+  unpin();
+}
+
+/// The same with frames of 16 MiB at the default depth, which is more than the segment holds,
+/// beside a depth of 8. The frames are not written: what counts is how their memory is found.
+void full_vs_roomy(benchmark::State& state) {
+  constexpr std::uint64_t kFrames = 16;
+  lot::EngineOptions options = segment();
+  options.size_bytes = 1 << 30;
+  const auto arm = [](lot::ShmPusher<Frame>& out) {
+    return time_ns(kFrames, [&] {
+      for (std::uint64_t i = 0; i < kFrames; ++i) {
+        auto frame = out.loan();
+        frame->data.resize(16 << 20);
+        expect(out.push(std::move(frame)) == lot::Status::Ok, "push");
+      }
+    });
+  };
+  pin(0);
+  {
+    lot::PusherOptions few;
+    few.depth = 8;
+    lot::ShmEngine engine(options);
+    auto shallow = engine.advertise<Frame>("/roomy", few);
+    arm(shallow);
+    auto deep = engine.advertise<Frame>("/full");
+    for (int n = 0; n < 8; ++n) arm(deep);
+    Rounds rounds;
+    for ([[maybe_unused]] auto _ : state) {
+      rounds.run([&] { return arm(deep); }, [&] { return arm(shallow); });
+    }
+    rounds.report(state);
+  }
+  unpin();
+}
+
 }  // namespace
 
 BENCHMARK(vs_exchange)->Name("publish/vs_exchange")->UseRealTime();
 BENCHMARK(readers_250_vs_1)->Name("publish/readers_250_vs_1")->UseRealTime();
+BENCHMARK(deep_vs_shallow)->Name("publish/deep_vs_shallow")->UseRealTime();
+BENCHMARK(full_vs_roomy)->Name("publish/full_vs_roomy")->UseRealTime();
 
 }  // namespace bench
