@@ -422,7 +422,7 @@ const Entered entered{
     {"referrers_reaper_killed", "the same when the reaper is killed and others collect",
      rl::simulate<ReferrersReaperKilled>, 1},
     {"killed_while_handing_on", "what was handed on is held until it was read",
-     rl::simulate<KilledWhileHandingOn>, 1},
+     rl::simulate<KilledWhileHandingOn>, 2},
     {"killed_while_referring", "a reference is whole, or its message is not published",
      rl::simulate<KilledWhileReferring>, 1},
     {"forwarder_killed", "adopting a block is a hand-over", rl::simulate<ForwarderKilled>},
