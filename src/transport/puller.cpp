@@ -475,14 +475,14 @@ class Puller final : public detail::PullerCore {
     for (const auto& name : participant_->registry().rings(topic_)) {
       make_room_for_one();
       const segment::Ring ring = participant_->segment().ring(name.channel);
-      if (ring.depth == 0) {
-        throw Error(EBADMSG, participant_->segment().path(),
-                    "the queue of a publisher of the topic is damaged", "restart the publisher");
-      }
       std::string publisher = publisher_of(ring);
       bool full = false;
       std::optional<Reader> reader;
       if (participant_->registry().is_live(name)) {
+        if (ring.depth == 0) {
+          throw Error(EBADMSG, participant_->segment().path(),
+                      "the queue of a publisher of the topic is damaged", "restart the publisher");
+        }
         reader = Reader::join(ring, name.generation, participant_->index(), history, full);
       }
       if (full) {
