@@ -168,7 +168,7 @@ bool hold_last(Node& n) {
 }
 /// The same of a message that the victim would have back.
 bool hold_wanted(Node& n) {
-  if (n.kept.size() != 1 || !n.home_waits()) return false;
+  if (n.borrow || n.kept.size() != 1 || !n.home_waits()) return false;  // inspect() needs `held`
   n.probe_kept = std::move(n.kept.front());
   n.kept.clear();
   n.held.reset();
