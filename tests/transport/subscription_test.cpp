@@ -99,6 +99,30 @@ struct Receiver {
   lot::ShmPuller<Number> topic;
 };
 
+/// Holds the registry's lock, as a process does that is stopped there.
+class TakenRegistry {
+ public:
+  explicit TakenRegistry(const lot::ShmEngine& engine) : segment_(engine.path()) {
+    REQUIRE(held_.next() != 0);
+  }
+  ~TakenRegistry() {
+    go_.tell();
+    other_.join();
+  }
+
+ private:
+  lot::segment::Segment segment_;
+  Steps held_;
+  Steps go_;
+  std::thread other_{[this] {
+    lot::RobustMutex mutex(segment_.directory().lock.mutex);
+    mutex.lock();
+    held_.tell();
+    go_.next(60s);
+    mutex.unlock();
+  }};
+};
+
 }  // namespace
 
 TEST_SUITE_BEGIN("subscription");
@@ -264,21 +288,10 @@ TEST_CASE("a puller that goes while the registry is taken leaves its unread ring
   auto puller = std::make_unique<lot::ShmPuller<Number>>(engine.subscribe<Number>("/t"));
   auto pusher = engine.advertise<Number>("/t", {Policy::Block, 2, 20s});
   const std::size_t others = stays ? 1 : 0;
-  lot::segment::Segment segment(engine.path());
-  Steps held;
-  Steps go;
-  std::thread other([&] {  // as a process does that is stopped there
-    lot::RobustMutex mutex(segment.directory().lock.mutex);
-    mutex.lock();
-    held.tell();
-    go.next(60s);
-    mutex.unlock();
-  });
-  CHECK(held.next() != 0);
+  std::optional<TakenRegistry> taken(std::in_place, engine);
   puller.reset();
   CHECK(pusher.readers() == others + 1);
-  go.tell();
-  other.join();
+  taken.reset();
   CHECK(eventually([&] { return pusher.readers() == others; }, 20s));
   for (std::uint64_t n = 0; n < 5; ++n) {
     CHECK(pusher.push(pusher.loan(n)) == Status::Ok);
@@ -416,21 +429,10 @@ TEST_CASE("a publisher is not said to be gone while the registry is taken") {
   pusher->push(pusher->loan(1u));
   SUBCASE("it is there") {}
   SUBCASE("it has gone, and its messages are unread") { pusher.reset(); }
-  lot::segment::Segment segment(engine.path());
-  Steps held;
-  Steps go;
-  std::thread other([&] {
-    lot::RobustMutex mutex(segment.directory().lock.mutex);
-    mutex.lock();
-    held.tell();
-    go.next(60s);
-    mutex.unlock();
-  });
-  CHECK(held.next() != 0);
+  std::optional<TakenRegistry> taken(std::in_place, engine);
   CHECK_FALSE(puller.try_pull());
   CHECK(puller.status() == Status::Empty);
-  go.tell();
-  other.join();
+  taken.reset();
   const auto message = puller.pull(20s);
   REQUIRE(message);
   CHECK(message->value == 1);
