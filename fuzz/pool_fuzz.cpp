@@ -84,9 +84,7 @@ struct Private {
     holder.segment = &local.segment();
     holder.own.self = self;
     holder.cells = cells.data();
-    holder.in_queue = std::vector<std::atomic<std::uint8_t>>(kBlocks);
-    holder.kept_links.resize(kBlocks);
-    holder.reserved = std::vector<std::atomic<std::uint8_t>>(kBlocks);
+    holder.make_tables(kBlocks);
     holder.pools = &pools;
     for (std::uint32_t b = 0; b < kBlocks; ++b) cells[b].block = b;
     for (std::uint32_t i = 0; i < kPools; ++i) pools.push_back(std::make_unique<Pool>(holder, i));

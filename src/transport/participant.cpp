@@ -197,13 +197,9 @@ Participant::Participant(const EngineOptions& options,
     cell->block = b;
   }
   holder_.segment = &segment_;
-  holder_.in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
-  holder_.kept_links.resize(blocks);
-  holder_.leaving.resize(blocks);
+  holder_.make_tables(blocks);
   lives_.resize(blocks);
   was_held_.resize(blocks);
-  holder_.home_links = std::vector<std::atomic<std::uint32_t>>(blocks);
-  holder_.reserved = std::vector<std::atomic<std::uint8_t>>(blocks);
   eviction_.prepare(blocks, segment_.capacity().channels);
   holder_.pools = &pools_;
   pools_.reserve(segment_.capacity().channels + 64);

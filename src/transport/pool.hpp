@@ -47,6 +47,15 @@ struct Holder {
   /// Above all blocks that this process ever held, so that who looks for them need not go further.
   mutable std::atomic<std::uint32_t> known{0};
 
+  /// Makes what there is one of for each block. REQUIRES: before the first use.
+  void make_tables(std::size_t blocks) {
+    in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
+    kept_links.resize(blocks);
+    reserved = std::vector<std::atomic<std::uint8_t>>(blocks);
+    leaving.resize(blocks);
+    home_links = std::vector<std::atomic<std::uint32_t>>(blocks);
+  }
+
   segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }
   detail::ControlCell& cell(std::uint32_t b) const noexcept { return cells[b]; }
   std::atomic<std::uint8_t>& queued(std::uint32_t b) noexcept { return in_queue[b]; }
