@@ -22,7 +22,7 @@
 ///   R2  slot exchange, then position load in Writer::hazards (both seq_cst)
 ///       <-> position store, then second slot load in Reader::poll (both seq_cst)
 ///       either the reader sees that the slot has moved on, or the writer sees the hazard.
-///   R3  position store in Reader::done, join, adopt -> position load in Writer::room, hazards,
+///   R3  position store in Reader::done, join -> position load in Writer::room, hazards,
 ///       serve
 ///       carries: "the payload has been read"; to serve(): that the reader's round has begun.
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
@@ -50,7 +50,9 @@
 ///   R13 formed = 1 and who store, then pullers load in Ring::await_pullers (all seq_cst)
 ///       <-> pullers = 0 by the reaper, then formed and who loads in free_cells (all seq_cst):
 ///       the maker or the reaper takes the cell of a dead subscriber away, or both do.
-///   R14 position store in Reader::join -> position load, then second look at who, in make_idle
+///   R14 position store in Reader::join, of the wish or, in a guarded ring, of the place; the place
+///       that follows a wish is in its release sequence
+///       -> position load, then second look at who, in make_idle
 ///       carries: the maker's who = 0, which let the joiner in: the reaper does not take the place
 ///       of a living joiner for that of a dead subscriber.
 ///
@@ -550,18 +552,19 @@ class Reader {
     from.store(make_unbound(round, answer), std::memory_order_release);  // R12
     to.store(make_unbound(round), std::memory_order_relaxed);
     Word wish = joining(std::min<std::uint64_t>(history, ring.depth));
-    if (!ring.guarded()) position.store(wish, std::memory_order_release);  // R14; to others R4
+    if (!ring.guarded()) position.store(wish, std::memory_order_release);  // R3, R14
     ring.roster->fetch_add(1, std::memory_order_seq_cst);                  // R4
     Reader reader;
     reader.ring_ = ring;
     reader.cell_ = c;
     reader.start_at_newest(history);
-    // From here the cursor holds the sender. Who has had the cell before may have borrowed, so this
-    // lets its hazard go (R3).
+    // From here the cursor holds the sender. The former reader of the cell may have borrowed, so
+    // this lets its hazard go (R3).
     const Word place = make(reader.cursor_, kNoBlock);
     if (ring.guarded()) {
       position.store(place, std::memory_order_release);
-    } else if (!position.compare_exchange_strong(wish, place, std::memory_order_release,
+      // Relaxed: the place belongs to the release sequence of the wish, which carries R3 and R14.
+    } else if (!position.compare_exchange_strong(wish, place, std::memory_order_relaxed,
                                                  std::memory_order_relaxed)) {
       reader.start_at(sequence(wish));  // the sender was quicker
       const std::int64_t before = distance(reader.cursor_, ring.first);
@@ -579,9 +582,10 @@ class Reader {
       if (ring.who[c].load(std::memory_order_relaxed) != participant + 1) continue;
       auto& word = ring.cells[c].position;
       Word position = word.load(std::memory_order_relaxed);
+      // Relaxed: the reader has done nothing in this ring before, so only its place is told.
       if (!is_awaited(position) ||
-          !word.compare_exchange_strong(position, position & ~kSleeper, std::memory_order_release,
-                                        std::memory_order_relaxed)) {  // R3
+          !word.compare_exchange_strong(position, position & ~kSleeper, std::memory_order_relaxed,
+                                        std::memory_order_relaxed)) {
         continue;
       }
       Reader reader;

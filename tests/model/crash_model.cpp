@@ -252,7 +252,34 @@ struct ReaperKilled : Scene<ReaperKilled, 3> {
   Subscriber subscriber;
 };
 
-/// The same in small: the next reaper follows at once, and the reader has read.
+/// The same in small, for a reader that the reaper has woken and that falls asleep again: it knows
+/// the directory's new version.
+struct ReaperKilledBesideSleeper : Scene<ReaperKilledBesideSleeper, 2> {
+  ReaperKilledBesideSleeper() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    for (std::uint32_t k : {1U, 3U}) start(k);
+    segment.bury(4);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      die_within(3, 25, [this] { process(3).reap(4); });
+      process(1).see_reaped(4);
+      return;
+    }
+    for (;;) {
+      const std::uint32_t version = segment.version.load(std::memory_order_acquire);
+      if (subscriber.ended()) break;
+      subscriber.sleep(version);
+    }
+    subscriber.leave();
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
+/// In small, too: the next reaper follows at once, and the reader has read.
 struct NextReaper : Scene<NextReaper, 2> {
   NextReaper() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
   void prepare() {
@@ -638,6 +665,8 @@ const Entered entered{
     {"sender_reaps_laggard", "a sender gets rid of whoever holds it back",
      rl::simulate<SenderReapsLaggard>, 1},
     {"reaper_killed", "a killed reaper is followed by another", rl::simulate<ReaperKilled>},
+    {"reaper_killed_beside_sleeper", "a reader that sleeps again is woken by the next reaper",
+     rl::simulate<ReaperKilledBesideSleeper>, 1},
     {"next_reaper", "the next reaper finds what the killed one has left", rl::simulate<NextReaper>,
      1},
     {"reap_frees_all", "one reap leaves nothing of the dead", rl::simulate<ReapFreesAll>, 1},

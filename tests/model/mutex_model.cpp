@@ -80,6 +80,31 @@ struct AnnouncedToACondition : Scene<AnnouncedToACondition, 2> {
   Subscription subscription;
 };
 
+/// A publisher sends its last message and leaves: the reader finds the message before the end. On a
+/// condition no mark is taken from the slots meanwhile: Relacy remembers three values of each only.
+struct LastBeforeTheEnd : Scene<LastBeforeTheEnd, 2> {
+  LastBeforeTheEnd() : Scene(locked(1, 1, 1)) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.send());
+      process(4).leave();
+      return;
+    }
+    while (!subscriber.ended()) {
+      if (!subscriber.receive()) Policy::pause();
+    }
+    RL_ASSERT(subscriber.received() == 1);
+    subscriber.leave();
+    process(2).leave();
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
 /// Two readers of one ring fall asleep while its publisher is reaped: both find the end.
 struct EndOnACondition : Scene<EndOnACondition, 3> {
   EndOnACondition() : Scene(locked(1, 1, 2)) {}
@@ -227,6 +252,8 @@ const Entered entered{
      rl::simulate<BothSleepUnderALock>, 2},
     {"announced_to_a_condition", "who sleeps on a condition hears of a new ring",
      rl::simulate<AnnouncedToACondition>, 2},
+    {"last_before_the_end", "a reader finds the last message before the end",
+     rl::simulate<LastBeforeTheEnd>, 2},
     {"end_on_a_condition", "two that sleep on a condition both find the end",
      rl::simulate<EndOnACondition>, 2},
     {"announcer_to_a_condition_killed", "an announcer's death takes nobody's wake-up",

@@ -2,6 +2,7 @@
 #include <set>
 
 #include "scenario.hpp"
+#include "subscription.hpp"
 
 /// Rings whose messages are each taken by one reader.
 namespace lot::model {
@@ -413,7 +414,41 @@ struct TakenRingIsClosed : TwoTakers<TakenRingIsClosed, 3, true, 2> {
   }
 };
 
+/// A queue ends from which all was taken: it goes, although one of its subscribers, which lives,
+/// has not looked.
+struct EndedWithNothingToTake : Scene<EndedWithNothingToTake, 2> {
+  EndedWithNothingToTake() : Scene({.blocks = 2, .depth = 1, .readers = 2, .taken = true}) {}
+  void prepare() {
+    idle.join(start(3));
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(taker.join(start(2), 0, 1, 1));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.send());
+      process(4).leave();
+      return;
+    }
+    while (taker.received() == 0) {
+      if (!taker.take([](std::uint64_t) {})) Policy::pause();
+    }
+    taker.leave();
+    process(2).leave();
+  }
+  void check() {
+    RL_ASSERT(process(3).segment().channels[0].who[0].load(std::memory_order_seq_cst) == 3 + 1);
+    process(3).collect();
+    const Word writer = segment.channels[0].writer.load(std::memory_order_seq_cst);
+    RL_ASSERT(ring::writer_state(writer) == ring::State::Free);
+  }
+  Publisher publisher;
+  Subscription idle;
+  Subscriber taker;
+};
+
 const Entered entered{
+    {"ended_with_nothing_to_take", "an empty queue that has ended awaits no subscriber",
+     rl::simulate<EndedWithNothingToTake>, 1},
     {"both_want_one", "one of two gets a message, and then it may be overwritten",
      rl::simulate<BothWantOne>, 2},
     {"taken_over_one_slot", "each message is taken once, and is its taker's alone",

@@ -548,7 +548,7 @@ void Subscriber::ring_for_room() {
   if (ring::Reader<Policy>::ring_bell(space)) space.wake_all();
 }
 
-void Subscriber::sleep() {
+void Subscriber::sleep(std::uint32_t version) {
   struct Source {
     ring::Reader<Policy>& reader;
     Process& process;
@@ -558,7 +558,7 @@ void Subscriber::sleep() {
     };
   };
   std::array<Source, 1> only{{{reader_, *process_, channel_}}};
-  sleep_on(only, process_->segment(), 0);
+  sleep_on(only, process_->segment(), version);
 }
 
 bool Subscriber::receive() {

@@ -191,7 +191,11 @@ class Process {
     segment_->version.wake_all();
   }
   void unsubscribe(std::uint32_t k) {
-    segment_->pullers[k].store(0, std::memory_order_seq_cst);  // R13
+    // Only then, as the registry: Relacy takes the store for a fence.
+    auto& pullers = segment_->pullers[k];
+    if (pullers.load(std::memory_order_relaxed) != 0) {
+      pullers.store(0, std::memory_order_seq_cst);  // R13
+    }
   }
   void forget(std::uint32_t) {}
   template <class T>
@@ -297,8 +301,8 @@ class Subscriber {
   void done();
   bool ended() const { return reader_.ended(); }
   const ring::Reader<Policy>& reader() const { return reader_; }
-  /// Sleeps until there may be something to look at.
-  void sleep();
+  /// Sleeps until there may be something to look at; it knows of the directory's `version`.
+  void sleep(std::uint32_t version = 0);
 
   /// Borrows, reads, and checks that it is the message of this place. False: there is none.
   bool receive();
