@@ -543,7 +543,7 @@ proctype reader(byte me) {
     :: else
     fi;
 #ifndef JOINER_TAKES_NO_LOCK
-    acquire(registry, me); /* @ src/transport/puller.cpp Puller: const registry::Registry::Lock lock(participant_->registry()) */
+    acquire(registry, me); /* @ src/transport/puller.cpp subscribe: const registry::Registry::Lock lock(participant_->registry()) */
 #endif
 #ifdef SUBSCRIBED
     pullers = k; /* @ src/registry/registry.cpp add_puller: pullers[participant].fetch_add(1 */

@@ -622,7 +622,7 @@ poll:
     fi;
 #endif
     if
-    :: r == READERS - 1 -> leave(r, 0); goto finished /* @ src/transport/puller.cpp unsubscribe: leave(s.reader) */
+    :: r == READERS - 1 -> leave(r, 0); goto finished /* @ src/transport/puller.cpp leave_sources: leave(s.reader) */
     :: true
     fi;
 #endif
