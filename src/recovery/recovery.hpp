@@ -143,7 +143,7 @@ class Recovery {
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       if (ring::writer_state(w) != ring::State::Live) continue;
       ring::Ring<P> r = world_.ring(c);
-      // Who left a mark before the version was bumped, and is not asleep yet, must not fall asleep.
+      // A reader that left its mark before the new version, and is not asleep yet, must look again.
       wake_readers(r);
     }
   }

@@ -201,9 +201,9 @@ struct Ownership {
   /// caller gives up) exclusively ours again, with one pointer hold. False: others still hold it,
   /// and `expected` is given up all the same.
   ///
-  /// `note_waiting()` is called before others can see that the home waits, and after the home has
-  /// seen that it must; it notes where who is told will find the block. It says false when that
-  /// had been noted before.
+  /// `note_waiting()` is called after the home has seen that it must wait, and before other
+  /// processes can see that it does. It notes the block where the home's warden will find it. It
+  /// returns false when the block was noted before.
   template <class Note>
   bool reclaim(Words& b, Hold& h, std::uint64_t expected, Note&& note_waiting) const {
     std::uint64_t v = h.load(std::memory_order_relaxed);
@@ -228,8 +228,8 @@ struct Ownership {
       }
     }
     bool dead = die(b, self, true);
-    // A note that comes after a `wanted` of old is said anew: who was told by that one alone may
-    // have looked for the block already.
+    // An old `wanted` is not enough for a new note: the warden that it called may have looked for
+    // the block already. So a new note says `wanted` again.
     if (!dead && (note_waiting() || b.wanted.load(std::memory_order_relaxed) == 0)) {
       // First said, then looked again: the holder that we have seen may let go just now.
       b.wanted.store(1, std::memory_order_seq_cst);  // O5

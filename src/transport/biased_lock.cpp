@@ -68,7 +68,8 @@ void BiasedLock::lock_shared() noexcept {
     return;
   }
   shared_.store(true, std::memory_order_seq_cst);  // L1
-  // The kernel may be short of memory for a moment. Who is refused for good may not go on.
+  // The kernel may be short of memory for a moment. A process that is refused for good cannot go
+  // on.
   for (unsigned tries = 0; !membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED); patience.wait(0)) {
     if (++tries < kTries) continue;
     std::fputs("lot: membarrier was registered and fails now\n", stderr);

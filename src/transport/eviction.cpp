@@ -67,7 +67,7 @@ bool Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage shortage)
     own_held = e->stock(shortage).held;
   }
   const std::uint64_t keep = own_held + need;
-  // Who says no after all has changed meanwhile: chosen anew, each of them may do so once.
+  // A publisher that refuses has changed meanwhile. Then another is chosen, once for each of them.
   for (std::size_t n = 0; n < evictors_.size(); ++n) {
     Evictor* richest = nullptr;
     std::uint64_t most = 0;

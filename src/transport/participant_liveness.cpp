@@ -222,10 +222,10 @@ void Participant::settle_kept() noexcept {
   for (std::size_t i = 0; i < n; ++i) pools_[i]->settle();  // pools stay, and where they are
 }
 
-/// Messages that others have kept, and that have left the ring of a publisher that does nothing
-/// more: nobody else looks whether they are held still. A publisher that had a turn since the last
-/// look does so by itself; and the pools of those whose messages nobody ever kept are left alone,
-/// as is the bias of their locks.
+/// Looks at messages that other processes have kept and that have left the ring of an idle
+/// publisher: without a turn of its own, the publisher does not see that they are free. A publisher
+/// that had a turn since the last look has seen it. Pools whose messages no other process ever kept
+/// are left alone, and so is the bias of their locks.
 void Participant::settle_idle() noexcept {
   std::size_t pools;
   {
@@ -310,7 +310,7 @@ void Participant::depart(std::list<registry::Departure> departure) noexcept {
 bool Participant::finish_departures() noexcept {
   const std::lock_guard guard(departures_mutex_);
   if (departures_.empty()) return true;
-  // The warden waits for nobody.
+  // The warden must not wait: it watches over the other processes.
   const std::unique_lock topics(topics_mutex_, std::try_to_lock);
   if (!topics || !registry_.try_lock()) return false;
   for (const auto& departure : departures_) {

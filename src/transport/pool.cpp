@@ -161,8 +161,8 @@ void Pool::prefetch(std::uint64_t b) const noexcept {
 /// that the block is at home in this pool.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
   ControlCell& c = holder_.cell(b);
-  // Among the kept ones before `wanted` can be seen: the warden whom a holder tells, perhaps before
-  // we come back, looks at pools that have some.
+  // The block is on the list before a holder can see `wanted`: the holder calls the warden, perhaps
+  // before this thread goes on, and the warden looks only at pools that have kept blocks.
   const bool ours = holder_.own.reclaim(holder_.words(b), c.hold, expected,
                                         [&] { return kept_.enter(b); });  // E1
   if (ours) {

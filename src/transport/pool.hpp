@@ -40,8 +40,8 @@ struct Holder {
   /// of the messages in it that refer to the block, so many would have gone. Guarded by Eviction's
   /// mutex.
   std::vector<std::uint32_t> leaving;
-  /// [blocks] What a dead message let go of and who buries it has still to bring home: the next one
-  /// on its list, plus 2; 1: the last; 0: on no list.
+  /// [blocks] Links a thread's list of blocks that dead messages let go of, and that the thread has
+  /// still to bring home: the next block plus 2; 1: the last one; 0: the block is on no list.
   mutable std::vector<std::atomic<std::uint32_t>> home_links;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
   /// Above all blocks that this process ever held, so that who looks for them need not go further.

@@ -272,7 +272,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       throw;
     }
     for (const std::uint32_t b : blocks) {
-      pool_.keep_reserved(b);  // not before all are made: what is made in vain is anybody's
+      pool_.keep_reserved(b);  // only now: blocks of a reserve() that fails serve all
       pool_.give_back(b);
     }
   }

@@ -201,7 +201,7 @@ class Queue final : public detail::QueueCore {
   std::uint32_t topic_;
   std::once_flag pusher_made_;
   std::unique_ptr<detail::PusherCore> pusher_;
-  std::mutex mutex_;  ///< of what follows; nobody sleeps with it
+  std::mutex mutex_;  ///< of what follows; no thread sleeps with it
   SpinHabit habit_;
   std::unique_ptr<detail::PullerCore> puller_;
   /// Items that this handle has taken and could not copy. There is room for those in_hand_ as well.

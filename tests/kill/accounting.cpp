@@ -94,7 +94,7 @@ class Books {
         const ring::Word position = ring.cells[i].position.load();
         if (who == 0 && position != ring::kIdle)
           wrong(channel + " has a position without a reader");
-        // Who lives has looked since: it was told of the ring, or of its end.
+        // A living reader has looked since: it was told of the ring, or of its end.
         if (who != 0 && state == ring::State::Orphan && ring::is_awaited(position)) {
           wrong(channel + " has ended and awaits a reader");
         }
