@@ -73,6 +73,19 @@ lot::PullerOptions latched(std::uint32_t history) {
   return options;
 }
 
+/// Loans frames of 1 MiB until memory has run out.
+std::vector<lot::ShmUniquePtr<Frame>> take_all(lot::ShmPusher<Frame>& publisher) {
+  std::vector<lot::ShmUniquePtr<Frame>> taken;
+  try {
+    for (;;) {
+      taken.push_back(publisher.loan());
+      taken.back()->data.resize(kMiB);
+    }
+  } catch (const lot::OutOfMemory&) {
+  }
+  return taken;
+}
+
 void push_frames(lot::ShmPusher<Frame>& pusher, int count, std::size_t bytes) {
   for (int i = 0; i < count; ++i) {
     auto frame = pusher.loan();
@@ -214,14 +227,7 @@ TEST_CASE("another topic's need leaves a publisher its newest two messages") {
   auto front = place.engine.advertise<Frame>("front");
   push_frames(front, 100, kMiB);
   auto rear = place.engine.advertise<Frame>("rear");
-  std::vector<lot::ShmUniquePtr<Frame>> kept;
-  try {
-    for (;;) {
-      kept.push_back(rear.loan());
-      kept.back()->data.resize(kMiB);
-    }
-  } catch (const lot::OutOfMemory&) {
-  }
+  const auto kept = take_all(rear);
   auto reader = place.engine.subscribe<Frame>("front", latched(64));
   CHECK(reader.size() == 2);
 }
@@ -347,14 +353,7 @@ TEST_CASE("memory that a publisher has reserved is there whatever other topics n
   auto front = place.engine.advertise<Frame>("front");
   front.reserve(2, 4 * kMiB);
   auto rear = place.engine.advertise<Frame>("rear");
-  std::vector<lot::ShmUniquePtr<Frame>> kept;
-  try {
-    for (;;) {
-      kept.push_back(rear.loan());
-      kept.back()->data.resize(kMiB);
-    }
-  } catch (const lot::OutOfMemory&) {
-  }
+  const auto kept = take_all(rear);
   SUBCASE("idle") {}
   SUBCASE("in its queue") {
     push_frames(front, 2, 4 * kMiB);
@@ -373,14 +372,7 @@ TEST_CASE(
   front.reserve(2, 4 * kMiB);
   CHECK_THROWS_AS(front.reserve(100, kMiB), lot::OutOfMemory);
   auto rear = place.engine.advertise<Frame>("rear");
-  std::vector<lot::ShmUniquePtr<Frame>> kept;
-  try {
-    for (;;) {
-      kept.push_back(rear.loan());
-      kept.back()->data.resize(kMiB);
-    }
-  } catch (const lot::OutOfMemory&) {
-  }
+  const auto kept = take_all(rear);
   CHECK(kept.size() > 10);
   CHECK_NOTHROW(push_frames(front, 4, 4 * kMiB));
 }
