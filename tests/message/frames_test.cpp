@@ -29,6 +29,9 @@ constexpr std::size_t kPublishers = 3;
 constexpr std::uint32_t kDepth = 4;
 constexpr std::size_t kInHand = 3;  ///< of each publisher, at most
 constexpr std::size_t kKept = 3;    ///< by each reader, at most
+/// One loan in four million finds no aligned run of 64 MiB in 1 GiB: what others hold lies
+/// scattered. In half as much again that does not happen.
+constexpr std::uint64_t kSegment = std::uint64_t{3} << 29;
 /// Frames that somebody has: in a queue, in hand, kept by one of two readers.
 constexpr std::size_t kLive = kPublishers * (kDepth + kInHand) + 2 * kKept;
 
@@ -133,7 +136,7 @@ TEST_SUITE_BEGIN("message");
 TEST_CASE("frames of 1 byte to 64 MiB in random order keep the memory that they take bounded") {
   const Watchdog watchdog(300);
   Random random(seed());
-  const auto options = fresh(std::uint64_t{1} << 30);
+  const auto options = fresh(kSegment);
   Steps ready;
   Child reader([&] {
     alarm(300);
@@ -166,7 +169,7 @@ TEST_CASE("frames of 1 byte to 64 MiB in random order keep the memory that they 
     MESSAGE(mean << " MiB in " << quarter.most_blocks << " blocks at most; at most " << most
                  << " MiB");
     CHECK(quarter.most_blocks <= 4 * kLive);
-    CHECK(quarter.mean() * 8 < std::uint64_t{segment.granules().count()} * 5);
+    CHECK(quarter.mean() * 2 < segment.granules().count());
   }
   if (kLoans >= 1000000) CHECK(quarters[3].mean() * 4 < quarters[0].mean() * 5);
   CHECK(eventually([&] { return Audit(segment).nothing(); }));
