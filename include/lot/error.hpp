@@ -41,7 +41,7 @@ class OutOfMemory : public std::bad_alloc {
   const char* what() const noexcept override { return what_; }
 
  private:
-  char what_[256];
+  char what_[512];
 };
 
 }  // namespace lot

@@ -5,10 +5,10 @@
 #include <atomic>
 #include <bit>
 #include <cerrno>
-#include <cstdio>
 
 #include "lot/error.hpp"
 
+#include "transport/fill.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::detail {
@@ -17,15 +17,7 @@ namespace {
 std::uint64_t bytes_of(const Arena::Extent& extent) { return segment::kGranule << extent.order; }
 
 [[noreturn]] void out_of_memory(transport::Participant& p, std::size_t bytes, int error) {
-  char text[256];
-  auto& granules = p.segment().granules();
-  std::snprintf(
-      text, sizeof(text),
-      "lot: %s: no room for %zu bytes (%u of %u MiB are in use%s); raise LOT_SIZE, keep fewer "
-      "messages, or publish with a smaller depth",
-      p.segment().path().c_str(), bytes, granules.used() / 256, granules.count() / 256,
-      error == ENOSPC ? ", and the file system is full" : "");
-  throw OutOfMemory(text);
+  throw OutOfMemory(transport::describe_shortage(p, bytes, error).c_str());
 }
 
 }  // namespace

@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <string>
+
+namespace lot::transport {
+
+class Participant;
+
+/// Why a segment has no room for so many bytes, for people: what would have fitted, who holds most,
+/// and what helps. `error`: ENOSPC, when it was the file system that had none.
+std::string describe_shortage(Participant& participant, std::size_t bytes, int error);
+
+}  // namespace lot::transport
