@@ -195,6 +195,15 @@ struct Ring {
     return block(word) != kNoBlock || sequence(word) != advance(first, Word{i} - depth);
   }
 
+  /// True when a reader's position names the block: a hint.
+  bool is_looked_at(Word b) const {
+    for (std::uint32_t c = 0; c < readers; ++c) {
+      const Word position = cells[c].position.load(std::memory_order_relaxed);
+      if (position != kIdle && block(position) == b) return true;
+    }
+    return false;
+  }
+
   /// Takes the sleepers' marks away, so that a late sleeper sees what was stored before. The caller
   /// then wakes all sleepers, whatever the marks were.
   void clear_sleepers() {
@@ -326,20 +335,26 @@ class Writer {
         ring_.slots[i < ring_.depth ? i : i - ring_.depth].load(std::memory_order_relaxed));
   }
 
-  /// Takes the oldest message back out of the ring, when memory has run out; readers that have not
-  /// read it count it as missed. Returns its block, or kNoBlock when the ring holds none.
-  /// REQUIRES: not blocking (a borrow has no hazard there).
-  Word evict_oldest() {
-    std::uint32_t i = index_;
-    for (std::uint32_t n = 0; n < ring_.depth; ++n) {
+  /// Takes the oldest message back out of the ring that may(block) lets go, when memory has run
+  /// out; readers that have not read it count it as missed. Returns its block, or kNoBlock when
+  /// the ring holds none. REQUIRES: not blocking (a borrow has no hazard there).
+  template <class May>
+  Word evict_oldest(May&& may) {
+    for (std::uint32_t n = 0, i = index_; n < ring_.depth; ++n, i = after(i)) {
+      // Relaxed: only the writer puts a block into a slot.
+      const Word held =
+          ring_.taken ? put_[i] : block(ring_.slots[i].load(std::memory_order_relaxed));
+      if (held == kNoBlock || !may(held)) continue;
       // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
-      const Word old = ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
-      const Word held = ring_.taken ? std::exchange(put_[i], kNoBlock) : block(old);
+      ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
+      if (ring_.taken) put_[i] = kNoBlock;
       if (oldest_ == i) oldest_ = after(i);
-      if (held != kNoBlock) return held;
-      i = after(i);
+      return held;
     }
     return kNoBlock;
+  }
+  Word evict_oldest() {
+    return evict_oldest([](Word) { return true; });
   }
 
   /// Calls seen(block) for each block that some reader may be looking at right now.

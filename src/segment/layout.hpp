@@ -23,7 +23,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 5;
+inline constexpr std::uint32_t kLayoutVersion = 6;
 
 inline constexpr std::uint32_t kMaxParticipants =
     Atomics::kOwnWords * Atomics::kBitsPerWord;  // index 0, the orphanage, included
@@ -91,6 +91,7 @@ namespace errand {
 inline constexpr std::uint32_t kLook = 1;  ///< a message that it waits for may be free
 inline constexpr std::uint32_t kTrim = 2;  ///< give idle memory back
 inline constexpr std::uint32_t kOwn = 4;   ///< its own process has something to do
+inline constexpr std::uint32_t kGive = 8;  ///< give messages up: `request` says how much
 }  // namespace errand
 
 /// A participant's witness, a lock that its warden holds, and how others ask something of that.
@@ -102,8 +103,11 @@ struct alignas(64) Witness {
   /// Futex; bits of errand::. Set by any participant (release), taken by the warden (acquire): edge
   /// E1 carries the ownership bit that was cleared before.
   std::atomic<std::uint32_t> errands;
-  /// Bumped by the warden (release) when it has given idle memory back, read by those who asked.
+  /// Bumped by the warden (release) when it has done kTrim or kGive, read by those who asked.
   std::atomic<std::uint32_t> answers;
+  /// What kGive asks for, and then the answer (transport/survey.hpp). Written by the asker, of
+  /// several the last one counts, and by the warden. E1 carries the question, G1 what was given.
+  std::atomic<std::uint64_t> request;
 };
 static_assert(sizeof(Witness) == 64);
 
@@ -171,6 +175,14 @@ static_assert(sizeof(ChannelEntry) == 64);
 /// True when messages of the type lie in the payload that every block has.
 constexpr bool is_small(const detail::MessageType& type) {
   return type.size <= kSmallBytes && type.align <= 64;
+}
+
+/// reserve() made the block's memory. Relaxed: a hint for those who look for memory.
+inline void set_reserved(detail::Arena& arena, bool yes) {
+  std::atomic_ref(arena.reserved).store(yes ? 1 : 0, std::memory_order_relaxed);
+}
+inline bool is_reserved(detail::Arena& arena) {
+  return std::atomic_ref(arena.reserved).load(std::memory_order_relaxed) != 0;
 }
 
 /// The first bytes of a ring's memory; behind it who[], slots[] and cells[].

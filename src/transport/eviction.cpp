@@ -2,8 +2,19 @@
 #include "transport/eviction.hpp"
 
 #include <algorithm>
+#include <chrono>
+
+#include "futex/futex.hpp"
 
 namespace lot::transport {
+namespace {
+
+constexpr std::uint32_t kNoAsker = ~std::uint32_t{0};  ///< of ours: another process asks
+/// A warden gives no more at once: it has to answer, and to watch over the others.
+constexpr unsigned kMostAtOnce = 64;
+constexpr std::chrono::milliseconds kLongestGift{20};
+
+}  // namespace
 
 void Eviction::add(Evictor& evictor) {
   const std::lock_guard guard(mutex_);
@@ -30,11 +41,24 @@ std::size_t Eviction::look(std::uint32_t pool, std::span<std::uint32_t> foreign)
   return 0;
 }
 
-bool Eviction::can_free_run(std::uint32_t asker, unsigned order) noexcept {
+void Eviction::look_at_others(Shortage shortage) noexcept {
+  const std::lock_guard guard(mutex_);
+  survey_.look(holder_.own.self, shortage);
+}
+
+Survey& Eviction::survey(Shortage shortage) noexcept {
+  if (survey_.shortage() != shortage) survey_.look(holder_.own.self, shortage);
+  return survey_;
+}
+
+bool Eviction::can_free_run(std::uint32_t asker, unsigned order, const Givers& givers) noexcept {
   const std::lock_guard guard(mutex_);
   std::fill(marked_.begin(), marked_.end(), false);
   // At the end of what the rules allow, the asker has given all that it had.
   for (Evictor* e : evictors_) e->mark(e->pool() == asker, segment::kGranule << order, marked_);
+  survey(Shortage::Memory).mark(std::uint64_t{1} << order, marked_, [&](std::uint32_t k) {
+    return givers[k];
+  });
   return has_run(order);
 }
 
@@ -57,31 +81,73 @@ bool Eviction::has_run(unsigned order) const noexcept {
   return false;
 }
 
-bool Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage shortage) noexcept {
+Evictor* Eviction::richest(std::uint32_t asker, std::uint64_t keep, Shortage shortage,
+                           Evictor::Stock& stock) noexcept {
+  Evictor* richest = nullptr;
+  stock = {};
+  for (Evictor* e : evictors_) {
+    if (e->pool() == asker) continue;
+    const Evictor::Stock its = e->stock(shortage);
+    if (its.oldest == 0 || its.held <= stock.held || its.held - its.oldest < keep) continue;
+    richest = e;
+    stock = its;
+  }
+  return richest;
+}
+
+Eviction::Turn Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage shortage,
+                               const Givers& givers) noexcept {
+  using What = Turn::What;
   const std::lock_guard guard(mutex_);
+  const Survey& others = survey(shortage);
+  const auto take_out = [&](bool all) -> Turn {
+    const Survey::Publisher* const p = givers[refcount::kOrphanage] ? others.ended(all) : nullptr;
+    if (p == nullptr) return {};
+    return {What::TakeOut, p->channel, {}, p->first};
+  };
+  if (const Turn turn = take_out(false); turn.what != What::Nothing) return turn;
   Evictor* own = nullptr;
   std::uint64_t own_held = 0;
+  bool can_give = false;
   for (Evictor* e : evictors_) {
     if (e->pool() != asker) continue;
     own = e;
-    own_held = e->stock(shortage).held;
+    const Evictor::Stock stock = e->stock(shortage);
+    own_held = stock.held;
+    can_give = stock.held + stock.reserved != 0;
   }
+  const std::uint64_t unit = shortage == Shortage::Memory ? segment::kGranule : 1;
   const std::uint64_t keep = own_held + need;
+  const Request request{shortage, (keep + unit - 1) / unit, (need + unit - 1) / unit};
+  const Survey::Publisher* const other =
+      others.richest(request.keep, [&](std::uint32_t k) { return givers[k]; });
   // A publisher that refuses has changed meanwhile. Then another is chosen, once for each of them.
   for (std::size_t n = 0; n < evictors_.size(); ++n) {
-    Evictor* richest = nullptr;
-    std::uint64_t most = 0;
-    for (Evictor* e : evictors_) {
-      if (e == own) continue;
-      const Evictor::Stock stock = e->stock(shortage);
-      if (stock.oldest == 0 || stock.held <= most || stock.held - stock.oldest < keep) continue;
-      richest = e;
-      most = stock.held;
-    }
-    if (richest == nullptr) break;
-    if (richest->give_up_to_other(shortage, keep)) return true;
+    Evictor::Stock stock;
+    Evictor* const ours = richest(asker, keep, shortage, stock);
+    if (ours == nullptr || (other != nullptr && other->held * unit > stock.held)) break;
+    if (ours->give_up_to_other(shortage, keep)) return {What::Given, 0, {}, 0};
   }
-  return own_held != 0 && own->give_up();
+  if (other != nullptr) return {What::Ask, other->owner, request, 0};
+  if (can_give && own->give_up()) return {What::Given, 0, {}, 0};
+  return take_out(true);
+}
+
+bool Eviction::give(const Request& request) noexcept {
+  const std::lock_guard guard(mutex_);
+  const std::uint64_t unit = request.shortage == Shortage::Memory ? segment::kGranule : 1;
+  const auto until = futex::Clock::now() + kLongestGift;
+  bool any = false;
+  std::uint64_t given = 0;
+  for (unsigned n = 0; n < kMostAtOnce && given < request.need * unit; ++n) {
+    if (futex::Clock::now() >= until) break;
+    Evictor::Stock stock;
+    Evictor* const giver = richest(kNoAsker, request.keep * unit, request.shortage, stock);
+    if (giver == nullptr || !giver->give_up_to_other(request.shortage, request.keep * unit)) break;
+    given += stock.oldest;
+    any = true;
+  }
+  return any;
 }
 
 }  // namespace lot::transport

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <mutex>
@@ -8,21 +9,22 @@
 #include <vector>
 
 #include "transport/pool.hpp"
+#include "transport/survey.hpp"
 
 namespace lot::transport {
-
-/// What has run out.
-enum class Shortage { Memory, Blocks };
 
 /// A publisher that can give messages up.
 class Evictor {
  public:
   /// What the messages in its ring weigh: bytes, or, where blocks are short, one a block. Only what
   /// dies counts: no kept message does, and what a message refers to does with the last one that
-  /// refers to it, if nothing else has it.
+  /// refers to it, if nothing else has it. What is
+  /// reserved counts apart.
   struct Stock {
-    std::uint64_t held = 0;    ///< all of them
-    std::uint64_t oldest = 0;  ///< the oldest, if another topic may have it; else 0
+    std::uint64_t held = 0;      ///< all of them
+    std::uint64_t oldest = 0;    ///< the oldest of them, if another topic may have it; else 0
+    std::uint64_t reserved = 0;  ///< beside them, what only the publisher itself may give up
+    std::uint32_t block = 0;     ///< that `oldest` is in
   };
 
   /// The index of its pool: it names the publisher.
@@ -38,15 +40,16 @@ class Evictor {
   virtual void mark(bool own, std::uint64_t keep, std::vector<bool>& blocks) noexcept = 0;
   /// Gives its oldest message up, whatever it is, for its own need. False: there is none.
   virtual bool give_up() noexcept = 0;
-  /// Gives its oldest message up to another topic, if that one may have it still and `keep` remain:
-  /// since stock() said so a message may have come, or the oldest may have been kept. False: not.
+  /// Gives the oldest of its messages that count up to another topic, if that one may have it still
+  /// and `keep` remain: since stock() said so a message may have come, or that one may have been
+  /// kept. False: not.
   virtual bool give_up_to_other(Shortage shortage, std::uint64_t keep) noexcept = 0;
 
  protected:
   ~Evictor() = default;
 };
 
-/// Says whose messages go when memory or blocks run out. It speaks for one process.
+/// Says whose messages go when memory or blocks run out.
 ///
 /// The asker is the publisher whose loan or whose message grows. It may be a maker without a topic,
 /// which has no messages to give.
@@ -54,25 +57,31 @@ class Evictor {
 ///   1. What can never be met evicts nothing. So first a look over the tags: is there an aligned
 ///      run of granules that are free, or belong to messages that rules 2 to 4 can free? Free ones
 ///      that were never used count while the file system has room for them.
-///   2. The oldest message goes of the publisher that holds most, while that one keeps at least as
-///      much as the asker will have. So publishers end with equal shares.
-///   3. Where no other can give, the asker's own oldest goes, whatever it is.
+///   2. What publishers have left that have gone goes first, but for the newest two of each:
+///   readers
+///      that had subscribed have not read it. Then the oldest message of the publisher that holds
+///      most, in whatever process, while that one keeps at least as much as the asker will have. So
+///      publishers end with equal shares. Another process is asked: a ring is changed by its own
+///      publisher only, or, when that has gone, by whoever acts for the orphanage.
+///   3. Where no other can give, the asker's own oldest goes, whatever it is. Where it has none,
+///      the rest of what publishers have left that have gone.
 ///   4. For another topic these never go: the newest two messages of a publisher (a latched one is
-///      among them), a message in a block that reserve() made, one that is kept or borrowed, or
-///      whose going frees nothing. When it is the oldest, those behind it stay, too. Memory that
-///      reserve() made and that is idle stays as well (Pool::trim).
+///      among them), a message in a block that reserve() made, one that is kept or borrowed. Those
+///      behind it do. A message whose going frees nothing stays, and so do those behind it. Memory
+///      that reserve() made and that is idle stays as well (Pool::trim).
 ///
 /// Weights are counted when there is need, by a walk over the rings. So no push counts anything.
 ///
 /// Threads: all members may be called at once.
-/// Memory:  one bit for each block, private to the process.
+/// Memory:  one bit for each block, private to the process; and the survey's.
 class Eviction {
  public:
-  explicit Eviction(Holder& holder) : holder_(holder) {}
+  Eviction(Holder& holder, segment::Segment& segment) : holder_(holder), survey_(segment) {}
   /// REQUIRES: before the first call of the others. `publishers` may come at most.
   void prepare(std::uint32_t blocks, std::uint32_t publishers) {
     marked_.resize(blocks);
     evictors_.reserve(publishers);
+    survey_.prepare();
   }
 
   void add(Evictor& evictor);
@@ -82,18 +91,42 @@ class Eviction {
   bool settle() noexcept;
   /// Evictor::look() of the publisher with this pool, if it is one that can give messages up.
   std::size_t look(std::uint32_t pool, std::span<std::uint32_t> foreign) noexcept;
+  /// Looks what the publishers of other processes hold.
+  void look_at_others(Shortage shortage) noexcept;
+  /// Which other processes give, by participant: those that are stopped do not. Of kOrphanage:
+  /// whether ended rings do.
+  using Givers = std::array<bool, segment::kMaxParticipants>;
   /// Rule 1, for a run of 2^order granules.
-  bool can_free_run(std::uint32_t asker, unsigned order) noexcept;
-  /// Rules 2 to 4: one message goes. `need`: what the asker will have more. False: none may go.
-  bool evict(std::uint32_t asker, std::uint64_t need, Shortage shortage) noexcept;
+  bool can_free_run(std::uint32_t asker, unsigned order, const Givers& givers) noexcept;
+
+  /// What became of rules 2 to 4.
+  struct Turn {
+    enum class What { Nothing, Given, Ask, TakeOut } what = What::Nothing;
+    std::uint32_t from = 0;   ///< Ask: the participant; TakeOut: the channel of an ended ring
+    Request request{};        ///< Ask: for what
+    std::uint32_t block = 0;  ///< TakeOut: of the message
+  };
+  /// One message goes, if it is one of ours. `need`: what the asker will have more, in bytes or
+  /// blocks.
+  Turn evict(std::uint32_t asker, std::uint64_t need, Shortage shortage,
+             const Givers& givers) noexcept;
+  /// What another process asks for, or a part of it: that one asks again. True: something was
+  /// given.
+  bool give(const Request& request) noexcept;
 
  private:
   bool has_run(unsigned order) const noexcept;
+  /// Of our publishers but `asker`, the one that rule 2 chooses; its stock. REQUIRES: mutex_.
+  Evictor* richest(std::uint32_t asker, std::uint64_t keep, Shortage shortage,
+                   Evictor::Stock& stock) noexcept;
+  /// The survey, which another thread may have made for another shortage. REQUIRES: mutex_.
+  Survey& survey(Shortage shortage) noexcept;
 
   Holder& holder_;
   std::mutex mutex_;
   std::vector<Evictor*> evictors_;
   std::vector<bool> marked_;  ///< by block
+  Survey survey_;
 };
 
 }  // namespace lot::transport

@@ -104,6 +104,41 @@ class Participant {
   static constexpr std::uint32_t kNobody = ~std::uint32_t{0};
   bool trim(std::uint32_t asker) noexcept;
   Eviction& eviction() noexcept { return eviction_; }
+  /// Messages go, one after the other, as Eviction says whose, until enough() is true. Of another
+  /// process they are asked for: a stopped one is waited for once, and then passed over until it
+  /// answers. True when enough() was. `need`: what the asker will have more, in bytes or blocks.
+  /// `possible`: says whether these givers can make it true; asked again when one has refused.
+  template <class Enough, class Possible>
+  bool evict_until(Enough&& enough, std::uint32_t asker, std::uint64_t need, Shortage shortage,
+                   Possible&& possible) noexcept {
+    using What = Eviction::Turn::What;
+    Eviction::Givers givers = likely_givers();
+    const auto until = futex::Clock::now() + kGivePatience;
+    eviction_.look_at_others(shortage);
+    if (!possible(givers)) return false;
+    for (;;) {
+      const Eviction::Turn turn = eviction_.evict(asker, need, shortage, givers);
+      bool given = true;
+      switch (turn.what) {
+        case What::Nothing:
+          return false;
+        case What::Given:
+          trim(asker);
+          break;
+        case What::Ask:
+          given = givers[turn.from] = ask_to_give(turn.from, turn.request);
+          break;
+        case What::TakeOut:
+          given = givers[refcount::kOrphanage] = take_out(turn.from, turn.block);
+          break;
+      }
+      if (enough()) return true;
+      if (turn.what == What::Given) continue;
+      if (futex::Clock::now() >= until) givers = {};  // what is ours may still do
+      eviction_.look_at_others(shortage);
+      if (!given && !possible(givers)) return false;
+    }
+  }
 
   /// Asks all others to give the idle memory of their pools back. Returns when enough() is true (it
   /// is asked now and then), when all have answered, or after a few milliseconds: a stopped process
@@ -168,6 +203,10 @@ class Participant {
 
   static constexpr std::chrono::milliseconds kAnswerPatience{10};
   static constexpr std::chrono::microseconds kAnswerLook{100};
+  /// For one that gives a message up. A busy machine runs its warden late.
+  static constexpr std::chrono::milliseconds kGiverPatience{200};
+  /// For all of them: others may be faster to take what was given.
+  static constexpr std::chrono::seconds kGivePatience{1};
   /// Which participants were asked for memory, and how often they had answered before.
   struct Questions {
     std::array<bool, segment::kMaxParticipants> asked{};
@@ -217,6 +256,19 @@ class Participant {
   void settle_idle() noexcept;
   void tell_homes() noexcept;
   void ask_others(Questions& questions) noexcept;
+  /// False: it has given nothing, or has not answered.
+  bool ask_to_give(std::uint32_t k, const Request& request) noexcept;
+  /// Brings participant k's warden an errand and waits until done() is true. False: not in time,
+  /// and then it is not asked again until it has answered something.
+  template <class Done>
+  bool ask_and_wait(std::uint32_t k, std::uint32_t errand, Done&& done) noexcept;
+  /// All others but those that were waited for in vain and have not answered since. The warden has
+  /// none: it must not wait.
+  Eviction::Givers likely_givers() const noexcept;
+  bool is_silent(std::uint32_t k) const noexcept;
+  /// Takes a message out of the ended ring of a channel, and frees it. False: it has not become
+  /// free.
+  bool take_out(std::uint32_t channel, std::uint32_t block) noexcept;
   bool all_have_answered(const Questions& questions) noexcept;
   bool look_around() noexcept;
   bool watch_others() noexcept;
@@ -260,7 +312,7 @@ class Participant {
   std::vector<std::unique_ptr<Pool>> pools_;
   std::vector<Draining> draining_;
   std::vector<Pool*> idle_;
-  Eviction eviction_{holder_};
+  Eviction eviction_{holder_, segment_};
   std::mutex topics_mutex_;
   std::unordered_map<std::uint32_t, unsigned> topic_uses_;
 
@@ -284,6 +336,9 @@ class Participant {
   // ... to here.
   std::atomic<std::uint32_t> used_channels_{0};
   std::atomic<futex::Clock::rep> gathered_{0};  ///< when the others were asked last
+  /// By participant: one more than how often it had answered when it was waited for in vain; 0: it
+  /// never was. Private to the process.
+  std::array<std::atomic<std::uint64_t>, segment::kMaxParticipants> silent_{};
 
   std::atomic<bool> left_{false};
   std::mutex leave_mutex_;

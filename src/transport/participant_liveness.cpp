@@ -205,10 +205,21 @@ void Participant::ring_warden() noexcept { holder_.ask(index(), errand::kOwn); }
 
 void Participant::run_errands(std::uint32_t asked) noexcept {
   settle_kept();
-  if ((asked & errand::kTrim) == 0) return;
+  if ((asked & (errand::kTrim | errand::kGive)) == 0) return;
+  segment::Witness& ours = segment_.witnesses()[index()];
   eviction_.settle();
-  trim(kNobody);
-  segment_.witnesses()[index()].answers.fetch_add(1, std::memory_order_release);  // E2
+  if ((asked & errand::kGive) != 0) {
+    std::uint64_t word = ours.request.load(std::memory_order_relaxed);  // E1 carries it
+    const bool given = eviction_.give(Request::of(word));
+    trim(kNobody);
+    // Of several that have asked, the last one counts. It may have come just now: then it has
+    // another answer. Relaxed: the memory is carried by G1.
+    ours.request.compare_exchange_strong(word, given ? Request::kGiven : Request::kRefused,
+                                         std::memory_order_relaxed);
+  } else {
+    trim(kNobody);
+  }
+  ours.answers.fetch_add(1, std::memory_order_release);  // E2
 }
 
 /// Pools without kept messages are left alone, and so is the bias of their locks.

@@ -160,11 +160,11 @@ std::uint32_t Participant::claim_run(unsigned order, std::uint32_t tag) noexcept
   if (enough()) return run;
   const bool gathers = may_gather();
   if (gathers && gather_from_others(enough)) return run;
-  if (eviction_.can_free_run(asker, order)) {
-    while (eviction_.evict(asker, segment::kGranule << order, Shortage::Memory)) {
-      trim(asker);
-      if (enough()) return run;
-    }
+  const auto possible = [&](const Eviction::Givers& givers) {
+    return eviction_.can_free_run(asker, order, givers);
+  };
+  if (evict_until(enough, asker, segment::kGranule << order, Shortage::Memory, possible)) {
+    return run;
   }
   if (!gathers) gather_from_others(enough);
   return run;
@@ -198,6 +198,91 @@ bool Participant::all_have_answered(const Questions& questions) noexcept {
     }
   }
   return true;
+}
+
+/// Crash: killed after the errand, the other one gives something up for nobody.
+bool Participant::ask_to_give(std::uint32_t k, const Request& request) noexcept {
+  auto& word = segment_.witnesses()[k].request;
+  word.store(request.word(), std::memory_order_relaxed);  // E1 carries it
+  std::uint64_t answer = request.word();
+  // Relaxed: the memory is carried by G1. Where another process has asked meanwhile, something may
+  // have been given.
+  return ask_and_wait(k, segment::errand::kGive,
+                      [&] {
+                        answer = word.load(std::memory_order_relaxed);
+                        return answer != request.word();
+                      }) &&
+         answer != Request::kRefused;
+}
+
+template <class Done>
+bool Participant::ask_and_wait(std::uint32_t k, std::uint32_t errand, Done&& done) noexcept {
+  const auto& answers = segment_.witnesses()[k].answers;
+  const std::uint32_t before = answers.load(std::memory_order_relaxed);
+  holder_.ask(k, errand);
+  const auto until = futex::Clock::now() + kGiverPatience;
+  while (!done()) {
+    if (futex::Clock::now() >= until) {
+      // Relaxed: it only says how long to wait.
+      silent_[k].store(std::uint64_t{before} + 1, std::memory_order_relaxed);
+      return false;
+    }
+    std::this_thread::sleep_for(kAnswerLook);
+  }
+  return true;
+}
+
+bool Participant::is_silent(std::uint32_t k) const noexcept {
+  const std::uint64_t answers = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
+  return silent_[k].load(std::memory_order_relaxed) == answers + 1;
+}
+
+Eviction::Givers Participant::likely_givers() const noexcept {
+  Eviction::Givers givers{};
+  if (std::this_thread::get_id() == warden_.get_id()) return givers;
+  for (std::uint32_t k = 0; k < participants(); ++k) {
+    givers[k] = k == refcount::kOrphanage || !is_silent(k);
+  }
+  return givers;
+}
+
+bool Participant::take_out(std::uint32_t channel, std::uint32_t b) noexcept {
+  const std::uint32_t home = block(b).home.load(std::memory_order_relaxed);
+  const bool is_elsewhere = home > refcount::kHomeOrphanage && home <= participants();
+  if (is_elsewhere && is_silent(home - 1)) return false;  // it would not free it
+  const auto generation = [&] {
+    return refcount::generation_of(block(b).life.load(std::memory_order_acquire));
+  };
+  const std::uint32_t before = generation();
+  {
+    std::unique_lock guard(reap_mutex_, std::defer_lock);
+    const auto enter = [&] {
+      if (!guard.try_lock()) return false;
+      if (enter_orphanage()) return true;
+      guard.unlock();
+      return false;
+    };
+    const auto until = futex::Clock::now() + kAnswerPatience;
+    while (!enter()) {
+      if (futex::Clock::now() >= until) return false;
+      std::this_thread::sleep_for(kAnswerLook);
+    }
+    bool is_out = false;
+    try {
+      Recovery recovery(*this);
+      is_out = recovery.take_out(channel, b);
+      if (is_out) recovery.collect();
+    } catch (const std::bad_alloc&) {  // as if killed here: the next look does it all again
+    }
+    leave_orphanage();
+    if (!is_out) return false;
+    tell_homes();
+  }
+  // Its publisher has gone, but not its process, which has the memory. That may be ours.
+  return !is_elsewhere ? generation() != before
+                       : ask_and_wait(home - 1, segment::errand::kTrim, [&] {
+                           return block(b).home.load(std::memory_order_relaxed) != home;
+                         });
 }
 
 std::uint32_t Participant::enter_topic(std::string_view name, const detail::MessageType& type) {

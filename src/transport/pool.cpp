@@ -201,7 +201,6 @@ std::uint32_t Pool::claim() {
     c.pool.store(index_, std::memory_order_relaxed);
     c.type = nullptr;
     holder_.queued(b).store(0, std::memory_order_relaxed);
-    holder_.reserved[b].store(0, std::memory_order_relaxed);
     Arena& arena = holder_.segment->arena(b);
     arena.self = holder_.segment->offset_of(&arena);
     arena.block = b;
@@ -209,6 +208,7 @@ std::uint32_t Pool::claim() {
     arena.extents = 0;
     arena.references = 0;
     arena.topic = topic_;
+    segment::set_reserved(arena, false);
     return b;
   }
   return kNone;
@@ -396,8 +396,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
 }
 
 void Pool::keep_reserved(std::uint32_t b) noexcept {
-  // Relaxed: a hint for the threads of this process.
-  holder_.reserved[b].store(1, std::memory_order_relaxed);
+  segment::set_reserved(holder_.segment->arena(b), true);
 }
 
 void Pool::grow(std::size_t room) {
@@ -428,8 +427,7 @@ bool Pool::trim(bool with_reserved) noexcept {
       std::size_t stays = 0;
       for (const std::uint32_t b : ready_) {
         const bool goes =
-            n < idle.size() &&
-            (with_reserved || holder_.reserved[b].load(std::memory_order_relaxed) == 0);
+            n < idle.size() && (with_reserved || !segment::is_reserved(holder_.segment->arena(b)));
         (goes ? idle[n++] : ready_[stays++]) = b;
       }
       ready_.resize(stays);

@@ -33,9 +33,6 @@ struct Holder {
   /// to it was taken from there: others may still look at its block.
   std::vector<std::atomic<std::uint8_t>> in_queue;
   std::vector<KeptList::Link> kept_links;  ///< [blocks]
-  /// [blocks] 1: reserve() made its memory, and other topics have no claim on it. Written by the
-  /// thread that has the block alone; read, perhaps stale, by a thread that looks for memory.
-  std::vector<std::atomic<std::uint8_t>> reserved;
   /// [blocks] While a publisher's messages are weighed (Eviction): of the places in its ring, and
   /// of the messages in it that refer to the block, so many would have gone. Guarded by Eviction's
   /// mutex.
@@ -51,7 +48,6 @@ struct Holder {
   void make_tables(std::size_t blocks) {
     in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
     kept_links.resize(blocks);
-    reserved = std::vector<std::atomic<std::uint8_t>>(blocks);
     leaving.resize(blocks);
     home_links = std::vector<std::atomic<std::uint32_t>>(blocks);
   }

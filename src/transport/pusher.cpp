@@ -31,8 +31,6 @@ constexpr auto kLookPeriod = 1ms;
 /// long as this. Then it looks again whether there is more for it.
 constexpr auto kBoundFor = 1s;
 constexpr std::size_t kRoomAhead = 64;  ///< publishes, for which there is room to retire
-/// Of the messages of a publisher, other topics never get so many of the newest.
-constexpr std::uint32_t kNewest = 2;
 constexpr unsigned kPausesPerLook = 16;
 /// The lines of the block that is replaced so many publishes from now are fetched back in time.
 constexpr std::uint32_t kPrefetchAhead = 6;
@@ -439,9 +437,14 @@ class Pusher final : public detail::PusherCore, private Evictor {
 
   /// The oldest message leaves the ring. Its block keeps its memory, for the next loan. Locked.
   bool evict_own() noexcept {
+    return evict_own([](ring::Word) { return true; });
+  }
+  /// The same, of those that may(block) lets go.
+  template <class May>
+  bool evict_own(May&& may) noexcept {
     if (!evicts_ || writer_->ring().blocking) return false;
     const mutex_engine::Alone alone(queue_lock_, std::nothrow);
-    const ring::Word b = writer_->evict_oldest();
+    const ring::Word b = writer_->evict_oldest(may);
     if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
     scan();
     pool_.note_batches();  // a reader may look at it
@@ -630,9 +633,9 @@ class Pusher final : public detail::PusherCore, private Evictor {
     if (look()) return b;
     const bool gathers = participant_->may_gather();
     if (gathers && participant_->gather_from_others(look)) return b;
-    while (participant_->eviction().evict(pool_.index(), 1, Shortage::Blocks)) {
-      participant_->trim(pool_.index());
-      if (look()) return b;
+    if (participant_->evict_until(look, pool_.index(), 1, Shortage::Blocks,
+                                  [](const Eviction::Givers&) { return true; })) {
+      return b;
     }
     if (!gathers) participant_->gather_from_others(look);
     return b;
@@ -669,7 +672,10 @@ class Pusher final : public detail::PusherCore, private Evictor {
   bool give_up_to_other(Shortage shortage, std::uint64_t keep) noexcept override {
     std::unique_lock lock(pool_.lock());
     const Stock now = weigh(shortage);
-    const bool any = now.oldest != 0 && now.held - now.oldest >= keep && evict_own();
+    // That one, unless it has been kept since.
+    const bool any = now.oldest != 0 && now.held - now.oldest >= keep &&
+                     is_in_ring_only(now.block) &&
+                     evict_own([&](ring::Word b) { return b == now.block; });
     if (pool_.has_foreign()) release_foreign(lock);
     return any;
   }
@@ -684,11 +690,21 @@ class Pusher final : public detail::PusherCore, private Evictor {
     Stock stock;
     if (writer_->ring().blocking) return stock;  // it loses nothing
     begin_to_weigh();
-    each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool is_oldest) {
+    bool is_oldest = true;
+    each_of_ring([&](std::uint32_t b, std::uint32_t newer) {
+      if (!is_in_ring_only(b)) return true;
+      if (is_reserved(b)) {
+        stock.reserved += shortage == Shortage::Blocks ? 1 : own_bytes(b);
+        return true;
+      }
+      if (stays(b, shortage)) return true;
       leave(b);
       const std::uint64_t weight = weight_of(b, shortage);
       stock.held += weight;
-      if (is_oldest && newer >= kNewest && !is_reserved(b)) stock.oldest = weight;
+      if (std::exchange(is_oldest, false) && newer >= kNewest) {
+        stock.oldest = weight;
+        stock.block = b;
+      }
       return true;
     });
     return stock;
@@ -699,11 +715,12 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const std::lock_guard guard(pool_.lock());
     if (writer_->ring().blocking) return;
     begin_to_weigh();
-    each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool) {
+    each_of_ring([&](std::uint32_t b, std::uint32_t newer) {
+      if (!own && stays(b, Shortage::Memory)) return true;
       leave(b);
       if (!own) {
         const std::uint64_t weight = weight_of(b, Shortage::Memory);
-        if (newer < kNewest || is_reserved(b) || weight == 0 || held < keep + weight) return false;
+        if (newer < kNewest || weight == 0 || held < keep + weight) return false;
         held -= weight;
       }
       each_that_dies(b, [&](std::uint32_t t) { blocks[t] = true; });
@@ -711,19 +728,16 @@ class Pusher final : public detail::PusherCore, private Evictor {
     });
   }
 
-  /// Calls f(block, newer ones in the ring, is the oldest) from the oldest on, until it says false.
-  /// Locked.
+  /// Calls f(block, newer ones in the ring) from the oldest on, until it says false. Locked.
   template <class F>
   void each_of_ring(F&& f) const {
     const std::uint32_t depth = writer_->ring().depth;
     std::uint32_t left = 0;
     for (std::uint32_t i = 0; i < depth; ++i) left += writer_->upcoming(i) < participant_->blocks();
-    bool is_oldest = true;
     for (std::uint32_t i = 0; i < depth && left != 0; ++i) {
       const ring::Word b = writer_->upcoming(i);
       if (b >= participant_->blocks()) continue;
-      if (!f(static_cast<std::uint32_t>(b), --left, is_oldest)) return;
-      is_oldest = false;
+      if (!f(static_cast<std::uint32_t>(b), --left)) return;
     }
   }
 
@@ -745,14 +759,20 @@ class Pusher final : public detail::PusherCore, private Evictor {
 
   /// reserve() made its memory: other topics have no claim on it.
   bool is_reserved(std::uint32_t b) const noexcept {
-    return participant_->holder().reserved[b].load(std::memory_order_relaxed) != 0;
+    return segment::is_reserved(participant_->segment().arena(b));
+  }
+  /// Another topic's need passes it over. REQUIRES: see_hazards().
+  bool stays(std::uint32_t b, Shortage shortage) const noexcept {
+    return !is_in_ring_only(b) || is_reserved(b) ||
+           (shortage == Shortage::Memory && own_bytes(b) == 0 &&
+            participant_->segment().arena(b).references == 0);
   }
 
   /// Looks at the hazards, and forgets what was weighed before.
   void begin_to_weigh() noexcept {
     see_hazards();
     Holder& holder = participant_->holder();
-    each_of_ring([&](std::uint32_t b, std::uint32_t, bool) {
+    each_of_ring([&](std::uint32_t b, std::uint32_t) {
       holder.leaving[b] = 0;
       holder.each_reference(b, [&](std::uint32_t t) { holder.leaving[t] = 0; });
       return true;

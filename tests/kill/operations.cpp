@@ -9,6 +9,7 @@
 
 #include "node.hpp"
 #include "support/processes.hpp"
+#include "transport/participant.hpp"
 
 namespace lot::kill {
 namespace {
@@ -209,6 +210,42 @@ void loans(std::vector<Operation>& all) {
                  [](Node& n) {
                    for (int i = 0; i < 4; ++i) n.loans.push_back(n.second->loan(numbered(9, 0)));
                  }});
+  // The other processes stand still.
+  const auto takes_all_but = [](std::size_t left) {
+    return victim([left](Node& n) {
+      n.second.emplace(n.engine->advertise<Number>(kFrames, overwrite(2)));
+      while (n.loans.size() < n.options.blocks - left) {
+        n.loans.push_back(n.second->loan(numbered(9, 0)));
+      }
+    });
+  };
+  const auto takes_four = [](Node& n) {
+    for (int i = 0; i < 4; ++i) n.loans.push_back(n.second->loan(numbered(9, 0)));
+  };
+  // The witness could give four up, and stands still.
+  all.push_back({"loan, blocks have run out: another process is asked", Promise::Blocking,
+                 Acts{witness(join), victim(join), publisher(witness, overwrite(8), kOther),
+                      publishes(witness, 6), takes_all_but(8)},
+                 [](Node& n) {
+                   while (auto loan = n.second->try_loan(numbered(9, 0))) {
+                     n.loans.push_back(std::move(loan));
+                   }
+                 }});
+  all.push_back({"give up for another process",
+                 {Promise::LockFree, "loan, blocks have run out"},
+                 victim_publishes(overwrite(8), 6),
+                 [](Node& n) {
+                   const auto participant = transport::Participant::join(n.options);
+                   for (int i = 0; i < 3; ++i) {
+                     participant->eviction().give({transport::Shortage::Blocks, 1, 1});
+                   }
+                   participant->trim(transport::Participant::kNobody);
+                 }});
+  // The witness has not looked yet, and is told of what it missed.
+  all.push_back({"loan, blocks have run out: from an ended ring", Promise::Blocking,
+                 Acts{witness(join), victim(join), reader(witness, kTopic), dead(join),
+                      publisher(dead, overwrite(8), kTopic), publishes(dead, 6), takes_all_but(10)},
+                 takes_four});
   all.push_back({"reserve memory", {Promise::LockFree, "reserve memory"}, fresh, [](Node& n) {
                    n.pusher->reserve(2, 8000);
                  }});

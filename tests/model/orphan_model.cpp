@@ -35,6 +35,34 @@ struct BorrowOutlivesPublisher : Scene<BorrowOutlivesPublisher, 2> {
   Subscriber subscriber;
 };
 
+/// The oldest message of an ended ring goes for memory, while a reader looks at it; what was freed
+/// is written.
+struct TakenOutOfEndedRing : Scene<TakenOutOfEndedRing, 2> {
+  TakenOutOfEndedRing() : Scene({.blocks = 2, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 2));
+    for (int i = 0; i < 2; ++i) publisher.send();
+    segment.bury(4);
+    RL_ASSERT(start(3).reap(4));
+    first = ring::block(segment.channels[0].slots[0].load(std::memory_order_relaxed));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      process(3).take_out(0, first);
+      const Word b = process(3).loan();
+      if (b != Process::kNone) process(3).write(b, 9);
+    } else {
+      while (subscriber.receive()) {
+      }
+      RL_ASSERT(subscriber.received() + subscriber.missed() == 2);
+    }
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+  Word first = kNoBlock;
+};
+
 /// A reader borrows a living process's block from the ring of a dead forwarder.
 struct BorrowFromDeadForwarder : Scene<BorrowFromDeadForwarder, 2> {
   BorrowFromDeadForwarder() : Scene({.blocks = 2, .depth = 1, .readers = 1, .channels = 2}) {}
@@ -407,6 +435,8 @@ struct KilledWhileReferring : Scene<KilledWhileReferring, 2> {
 const Entered entered{
     {"borrow_outlives_publisher", "what is borrowed is not freed with its publisher",
      rl::simulate<BorrowOutlivesPublisher>, 2},
+    {"taken_out_of_ended_ring", "what is borrowed from an ended ring is not freed for memory",
+     rl::simulate<TakenOutOfEndedRing>, 2},
     {"borrow_from_dead_forwarder", "the orphanage holds a foreign block until it was read",
      rl::simulate<BorrowFromDeadForwarder>, 2},
     {"adopted_while_home_looks", "what is adopted is not taken for free by its home",

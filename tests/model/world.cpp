@@ -157,6 +157,14 @@ void Process::collect() {
   segment_->unlock(refcount::kOrphanage);
 }
 
+void Process::take_out(std::uint32_t channel, Word block) {
+  if (!segment_->try_lock(refcount::kOrphanage, index())) return;
+  Recovery recovery(*this);
+  recovery.take_out(channel, block);
+  recovery.collect();
+  segment_->unlock(refcount::kOrphanage);
+}
+
 Word Process::loan() {
   if (const Word b = try_loan(); b != kNone) return b;
   for (std::uint32_t b = 0; b < blocks(); ++b) {

@@ -131,6 +131,8 @@ class Process {
   /// The same, until it is done, by whomever.
   void see_reaped(std::uint32_t k);
   void collect();
+  /// The oldest message of an ended ring goes, for memory.
+  void take_out(std::uint32_t channel, Word block);
 
   // Blocks. All words are block numbers or kNone.
   Word loan();

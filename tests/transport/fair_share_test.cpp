@@ -26,10 +26,15 @@ using namespace lot::testing;
 /// As the README's camera on the default segment: 64 frames do not fit.
 constexpr std::size_t kFrame = std::size_t{LOT_FRAME_MIB} << 20;
 constexpr std::size_t kSegment = 64 * kFrame;
+constexpr std::size_t kFits = 60;
+constexpr std::chrono::milliseconds kPeriod{LOT_PERIOD_MS};
 
 struct Frame {
   std::uint64_t number = 0;
   lot::ShmVector<unsigned char> data;
+};
+struct Note {
+  lot::ShmString text;
 };
 
 std::string topic(std::size_t n) { return "/camera" + std::to_string(n); }
@@ -42,9 +47,246 @@ void push(lot::ShmPusher<Frame>& pusher, std::uint64_t number, std::size_t bytes
   must(pusher.push(std::move(frame)) == lot::Status::Ok, "pushed");
 }
 
+/// A process that publishes frames with default options until it is told to end. What it throws
+/// ends it with 2.
+class Camera {
+ public:
+  /// `burst`: frames at once, before it says that it is ready. Then one each `period`; none: zero.
+  Camera(const lot::EngineOptions& options, std::string name, std::uint64_t burst,
+         std::chrono::milliseconds period)
+      : child_([&options, &name, burst, period, this] {
+          lot::ShmEngine engine(options);
+          auto pusher = engine.advertise<Frame>(name);
+          std::uint64_t n = 0;
+          while (n < burst) push(pusher, n++);
+          ready_.tell();
+          const auto wait = period == 0ms ? std::chrono::milliseconds(60000) : period;
+          while (end_.next(wait) == 0) push(pusher, n++);
+        }) {}
+  bool is_ready() const { return ready_.next() == '.'; }
+  void stop() const {
+    child_.send(SIGSTOP);
+    int status = 0;
+    must(waitpid(child_.pid(), &status, WUNTRACED) == child_.pid() && WIFSTOPPED(status),
+         "it has stopped");
+  }
+  void go_on() const { child_.send(SIGCONT); }
+  void kill() { child_.kill9(); }
+  int end() {
+    end_.tell();
+    return child_.wait();
+  }
+
+ private:
+  Steps ready_, end_;
+  Child child_;
+};
+
+/// How many frames its ring has, for one that asks for all.
+std::size_t held(lot::ShmEngine& engine, const std::string& name) {
+  lot::PullerOptions all;
+  all.history = 64;
+  return engine.subscribe<Frame>(name, all).size();
+}
+
 }  // namespace
 
 TEST_SUITE_BEGIN("transport");
+
+TEST_CASE("a camera that comes later gets its share from one in another process") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  {
+    Camera front(options, topic(0), 200, kPeriod);
+    REQUIRE(front.is_ready());
+    Camera rear(options, topic(1), 1, kPeriod);
+    REQUIRE(rear.is_ready());
+    lot::ShmEngine engine(options);
+    // At least 60 % of an equal share each, and it stays so.
+    CHECK(eventually([&] { return held(engine, topic(1)) >= kFits * 3 / 10; }));
+    CHECK(held(engine, topic(0)) >= kFits * 3 / 10);
+    CHECK(rear.end() == 0);
+    CHECK(front.end() == 0);
+  }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a camera that has memory and does nothing more gives way to one that comes") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  Camera idle(options, topic(0), 200, 0ms);
+  REQUIRE(idle.is_ready());
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Frame>(topic(1));
+    for (std::uint64_t n = 0; n < 60; ++n) push(pusher, n);
+    CHECK(held(engine, topic(1)) >= kFits * 3 / 10);
+    CHECK(held(engine, topic(0)) >= kFits * 3 / 10);
+  }
+  CHECK(idle.end() == 0);
+}
+
+TEST_CASE("eight cameras come and go in any order, with readers and without, and none throws") {
+  const Watchdog watchdog(60);
+  std::mt19937_64 random(seed());
+  const auto options = fresh(kSegment);
+  constexpr std::size_t kCameras = 8;
+  lot::ShmEngine engine(options);
+  std::deque<std::optional<Camera>> cameras(kCameras);
+  std::vector<std::optional<lot::ShmPuller<Frame>>> readers(kCameras);
+  for (int step = 0; step < 40; ++step) {
+    const std::size_t n = random() % kCameras;
+    if (cameras[n]) {
+      CHECK(cameras[n]->end() == 0);
+      cameras[n].reset();
+    } else {
+      cameras[n].emplace(options, topic(n), random() % 100 + 1, kPeriod);
+      REQUIRE(cameras[n]->is_ready());
+    }
+    const std::size_t r = random() % kCameras;
+    readers[r] ? readers[r].reset() : (void)readers[r].emplace(engine.subscribe<Frame>(topic(r)));
+    for (auto& reader : readers) {
+      if (reader) (void)reader->try_pull();
+    }
+  }
+  for (std::size_t n = 0; n < kCameras; ++n) {
+    if (!cameras[n]) cameras[n].emplace(options, topic(n), 1, kPeriod);
+  }
+  for (std::size_t n = 0; n < kCameras; ++n) {
+    CAPTURE(n);
+    CHECK(eventually([&] { return held(engine, topic(n)) >= kFits * 6 / 10 / kCameras; }));
+    if (!readers[n]) readers[n].emplace(engine.subscribe<Frame>(topic(n)));
+    CHECK(readers[n]->pull(10s) != nullptr);
+  }
+  for (auto& camera : cameras) CHECK(camera->end() == 0);
+}
+
+TEST_CASE("what a reader keeps of a camera does not keep that one from giving way") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  Camera front(options, topic(0), 200, 0ms);
+  REQUIRE(front.is_ready());
+  {
+    lot::ShmEngine engine(options);
+    lot::PullerOptions all;
+    all.history = 64;
+    auto reader = engine.subscribe<Frame>(topic(0), all);
+    std::vector<lot::ShmSharedPtr<const Frame>> kept;
+    while (kept.size() < 15) kept.push_back(reader.pull(10s));
+    auto pusher = engine.advertise<Frame>(topic(1));
+    for (std::uint64_t n = 0; n < 60; ++n) push(pusher, n);
+    CHECK(held(engine, topic(1)) >= (kFits - 15) * 3 / 10);
+    // The ring has them still.
+    auto late = engine.subscribe<Frame>(topic(0), all);
+    for (const auto& frame : kept) {
+      const auto again = late.try_pull();
+      REQUIRE(again);
+      CHECK(again->number == frame->number);
+    }
+  }
+  CHECK(front.end() == 0);
+}
+
+TEST_CASE("what a camera has left that was killed gives way, before that of the living") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  lot::ShmEngine engine(options);
+  auto late = engine.subscribe<Frame>(topic(0));
+  {
+    Camera killed(options, topic(0), 200, 0ms);
+    REQUIRE(killed.is_ready());
+    killed.kill();
+  }
+  auto pusher = engine.advertise<Frame>(topic(1));
+  for (std::uint64_t n = 0; n < 60; ++n) push(pusher, n);
+  CHECK(held(engine, topic(1)) >= kFits * 8 / 10);
+  // The newest two are there, and what is not counts as missed.
+  std::uint64_t got = 0;
+  while (const auto frame = late.pull(10s)) {
+    ++got;
+    CHECK(frame->number >= 198);
+  }
+  CHECK(got == 2);
+  CHECK(late.missed_total() == 198);
+}
+
+TEST_CASE("what a camera has left does not go in vain while its process is stopped") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  lot::ShmEngine engine(options);
+  auto late = engine.subscribe<Frame>(topic(0));
+  Steps ready, end;
+  Child other([&] {
+    lot::ShmEngine mine(options);
+    {
+      auto pusher = mine.advertise<Frame>(topic(0));
+      for (std::uint64_t n = 0; n < 20; ++n) push(pusher, n);
+    }
+    ready.tell();
+    end.next(60s);
+  });
+  REQUIRE(ready.next() == '.');
+  other.send(SIGSTOP);
+  int status = 0;
+  REQUIRE(waitpid(other.pid(), &status, WUNTRACED) == other.pid());
+  auto pusher = engine.advertise<Frame>(topic(1));
+  for (std::uint64_t n = 0; n < 100; ++n) push(pusher, n);
+  std::uint64_t got = 0;
+  while (late.try_pull()) ++got;
+  CHECK(got >= 19);  // with the first of them it showed
+  other.send(SIGCONT);
+  end.tell();
+  CHECK(other.wait() == 0);
+}
+
+TEST_CASE("a small topic has room beside big ones of other processes") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  Camera front(options, topic(0), 200, kPeriod);
+  Camera rear(options, topic(1), 200, kPeriod);
+  REQUIRE(front.is_ready());
+  REQUIRE(rear.is_ready());
+  {
+    lot::ShmEngine engine(options);
+    auto notes = engine.advertise<Note>("/notes");
+    for (int n = 0; n < 500; ++n) {
+      auto note = notes.loan();
+      note->text.assign(10000, 'x');
+      REQUIRE(notes.push(std::move(note)) == lot::Status::Ok);
+    }
+    lot::PullerOptions all;
+    all.history = 64;
+    CHECK(engine.subscribe<Note>("/notes", all).size() == 64);
+  }
+  CHECK(front.end() == 0);
+  CHECK(rear.end() == 0);
+}
+
+TEST_CASE("blocks that the messages of another process have are given up, too") {
+  const Watchdog watchdog(60);
+  auto options = fresh(kSegment);
+  options.blocks = 64;
+  Steps ready, end;
+  Child other([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Note>("/notes");
+    for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
+    ready.tell();
+    end.next();
+  });
+  REQUIRE(ready.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Note>("/others");
+    std::vector<lot::ShmUniquePtr<Note>> loans;
+    for (int n = 0; n < 60; ++n) loans.push_back(pusher.loan());
+    CHECK_THROWS_AS((loans.push_back(pusher.loan()), loans.push_back(pusher.loan()),
+                     loans.push_back(pusher.loan())),
+                    lot::OutOfMemory);  // the newest two stay
+  }
+  end.tell();
+  CHECK(other.wait() == 0);
+}
 
 TEST_CASE("the error of a full segment says what would have fitted, who holds most, what helps") {
   const Watchdog watchdog(60);
@@ -86,6 +328,29 @@ TEST_CASE("the error of a full segment says what would have fitted, who holds mo
   }
   end.tell();
   CHECK(keeper.wait() == 0);
+}
+
+TEST_CASE("a stopped camera cannot give way, others do, and it does when it goes on") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  Camera stopped(options, topic(0), 200, 0ms);
+  REQUIRE(stopped.is_ready());
+  Camera other(options, topic(1), 60, 0ms);
+  REQUIRE(other.is_ready());
+  lot::ShmEngine engine(options);
+  stopped.stop();
+  const std::size_t before = held(engine, topic(0));
+  auto pusher = engine.advertise<Frame>(topic(2));
+  for (std::uint64_t n = 0; n < 60; ++n) push(pusher, n);
+  CHECK(held(engine, topic(0)) == before);
+  CHECK(held(engine, topic(2)) >= held(engine, topic(1)) - 1);
+  stopped.go_on();
+  CHECK(eventually([&] {
+    push(pusher, 0);
+    return held(engine, topic(0)) < before && held(engine, topic(2)) >= kFits * 2 / 10;
+  }));
+  CHECK(stopped.end() == 0);
+  CHECK(other.end() == 0);
 }
 
 TEST_SUITE_END();

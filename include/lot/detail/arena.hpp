@@ -66,7 +66,10 @@ struct Arena {
   std::uint64_t topic;  ///< key of the topic that the block is loaned for, 0: none; for people
   /// While the home freezes what a message refers to: the next block to look at. Private to that.
   std::uint32_t next_to_freeze;
-  std::uint32_t padding[3];
+  /// 1: PusherCore::reserve() made the memory, and other topics have no claim on it. Written by the
+  /// home while it has the block alone; read, perhaps stale, by processes that look for memory.
+  std::uint32_t reserved;
+  std::uint32_t padding[2];
 
   unsigned char* base() { return reinterpret_cast<unsigned char*>(this) - self; }
 

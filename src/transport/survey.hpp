@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+#include "refcount/ownership.hpp"
+#include "segment/segment.hpp"
+
+namespace lot::transport {
+
+/// What has run out.
+enum class Shortage { Memory, Blocks };
+
+/// Of the messages of a publisher, other topics never get so many of the newest.
+inline constexpr std::uint32_t kNewest = 2;
+
+/// What a process that is short asks another one for, in one word, so that no half of it is old.
+///
+///     {blocks : 1 | keep : 31 | need : 32}
+///
+/// Both count granules, or blocks. The one that is asked gives its oldest messages until `need` is
+/// free, while the publisher that gives keeps at least `keep`.
+struct Request {
+  Shortage shortage = Shortage::Memory;
+  std::uint64_t keep = 0;
+  std::uint64_t need = 0;
+
+  /// What the warden puts in its place.
+  static constexpr std::uint64_t kGiven = 0;
+  static constexpr std::uint64_t kRefused = ~std::uint64_t{0};
+
+  /// Never one of these: it needs something, and does not keep so much.
+  std::uint64_t word() const noexcept {
+    const std::uint64_t blocks = shortage == Shortage::Blocks ? 1 : 0;
+    return blocks << 63 | std::min(keep, kMostKept - 1) << 32 |
+           std::clamp(need, std::uint64_t{1}, kMostNeeded);
+  }
+  static Request of(std::uint64_t word) noexcept {
+    return {(word >> 63) != 0 ? Shortage::Blocks : Shortage::Memory, word >> 32 & kMostKept,
+            word & kMostNeeded};
+  }
+
+ private:
+  static constexpr std::uint64_t kMostKept = 0x7fffffff;
+  static constexpr std::uint64_t kMostNeeded = 0xffffffff;
+};
+
+/// What the publishers of other processes, and those that have gone, could give, as far as the
+/// shared words say.
+///
+/// It counts by the granules' tags, since a counter could drift when a process is killed. All that
+/// it finds are hints: words change meanwhile, and only the publisher itself knows whether a reader
+/// looks at a message just now. So it chooses whom to ask; the one that is asked decides. What
+/// messages refer to does not count.
+///
+/// Threads: one at a time.
+/// Memory:  private to the process, made once: memory of another kind may be short as well.
+class Survey {
+ public:
+  explicit Survey(segment::Segment& segment) : segment_(segment) {}
+  /// REQUIRES: before the first look().
+  void prepare();
+
+  struct Publisher {
+    std::uint32_t owner = 0;    ///< participant; kOrphanage: it has gone
+    std::uint32_t channel = 0;  ///< of its ring
+    std::uint64_t held = 0;     ///< weight of the messages that would die if they left the ring
+    std::uint64_t oldest = 0;   ///< of the oldest of those, if another topic may have it; else 0
+    std::uint32_t first = 0;    ///< the block of the oldest of those
+  };
+
+  /// Weighs the messages of all publishers but those of `self`, in granules or blocks.
+  void look(std::uint32_t self, Shortage shortage) noexcept;
+  Shortage shortage() const noexcept { return shortage_; }
+  /// The one that holds most, of those that can give and keep `keep`, in processes that may(owner)
+  /// allows. Null: there is none.
+  template <class May>
+  const Publisher* richest(std::uint64_t keep, May&& may) const noexcept {
+    return best([&](const Publisher& p) {
+      return p.owner != refcount::kOrphanage && p.oldest != 0 && p.held - p.oldest >= keep &&
+             may(p.owner);
+    });
+  }
+  /// The one that holds most of those that have gone. `all`: also if that are the newest messages.
+  const Publisher* ended(bool all) const noexcept {
+    return best([all](const Publisher& p) {
+      return p.owner == refcount::kOrphanage && (all || p.oldest != 0);
+    });
+  }
+  /// Marks the blocks of messages that these publishers may give while each keeps `keep`; of
+  /// processes that may(owner) allows, and of ended rings if may(kOrphanage) does.
+  template <class May>
+  void mark(std::uint64_t keep, std::vector<bool>& blocks, May&& may) const noexcept {
+    for (const Publisher& p : publishers_) {
+      if (may(p.owner)) mark_of(p, keep, blocks);
+    }
+  }
+
+ private:
+  template <class Can>
+  const Publisher* best(Can&& can) const noexcept {
+    const Publisher* most = nullptr;
+    for (const Publisher& p : publishers_) {
+      if (can(p) && (most == nullptr || p.held > most->held)) most = &p;
+    }
+    return most;
+  }
+  void mark_of(const Publisher& p, std::uint64_t keep, std::vector<bool>& blocks) const noexcept;
+  /// Calls f(block, its weight, how many newer ones are in the ring) for those that count, from the
+  /// oldest on, until it says false.
+  template <class F>
+  void each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f) const;
+  /// Its weight if it dies when it leaves the ring, and is not reserved; else 0.
+  std::uint64_t weight_of(std::uint32_t block, std::uint32_t owner) const noexcept;
+
+  segment::Segment& segment_;
+  Shortage shortage_ = Shortage::Memory;
+  std::vector<std::uint32_t> granules_;  ///< by block: how many carry its tag
+  std::vector<bool> is_in_live_ring_;    ///< by block
+  std::vector<Publisher> publishers_;
+};
+
+}  // namespace lot::transport
