@@ -16,7 +16,15 @@ namespace {
 
 std::uint64_t bytes_of(const Arena::Extent& extent) { return segment::kGranule << extent.order; }
 
-[[noreturn]] void out_of_memory(transport::Participant& p, std::size_t bytes, int error) {
+[[noreturn, gnu::cold]] void refuse_to_grow(const Arena& arena) {
+  transport::Participant* const p = transport::Participant::at(&arena);
+  throw Error(EPERM, p != nullptr ? p->segment().path() : "message",
+              "a message that was published can not grow or change any more",
+              "build it wholly before push(), or copy it into a new loan()");
+}
+
+[[noreturn, gnu::cold]] void out_of_memory(transport::Participant& p, std::size_t bytes,
+                                           int error) {
   throw OutOfMemory(transport::describe_shortage(p, bytes, error).c_str());
 }
 
@@ -28,12 +36,7 @@ Arena*& arena_being_built() noexcept {
 }
 
 void* Arena::grow(std::size_t bytes) {
-  if (frozen == kPublished) {
-    transport::Participant* const p = transport::Participant::at(this);
-    throw Error(EPERM, p != nullptr ? p->segment().path() : "message",
-                "a message that was published can not grow or change any more",
-                "build it wholly before push(), or copy it into a new loan()");
-  }
+  if (frozen == kPublished) refuse_to_grow(*this);
   bytes = std::max<std::size_t>(bytes, 1);  // empty pieces, too, begin in an extent
   // An extent begins at a page, which suits every alignment that a message may have.
   unsigned best = kMaxExtents;

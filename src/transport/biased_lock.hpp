@@ -37,10 +37,10 @@ class BiasedLock {
   BiasedLock() noexcept;
 
   void lock() noexcept {
-    if (owner_.load(std::memory_order_relaxed) == self()) {
+    if (owner_.load(std::memory_order_relaxed) == self()) [[likely]] {
       busy_.store(true, std::memory_order_relaxed);  // L1
       std::atomic_signal_fence(std::memory_order_seq_cst);
-      if (!shared_.load(std::memory_order_relaxed)) {  // L1
+      if (!shared_.load(std::memory_order_relaxed)) [[likely]] {  // L1
         biased_ = true;
         return;
       }
@@ -50,7 +50,7 @@ class BiasedLock {
   }
 
   void unlock() noexcept {
-    if (biased_) {
+    if (biased_) [[likely]] {
       biased_ = false;
       busy_.store(false, std::memory_order_release);  // L2
     } else {

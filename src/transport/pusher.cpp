@@ -119,22 +119,16 @@ class Pusher final : public detail::PusherCore, private Evictor {
     participant_->check_usable();
     std::uint32_t b;
     {
-      std::unique_lock lock(pool_.lock());
+      const std::lock_guard guard(pool_.lock());
       if (writer_) writer_->prefetch();
       b = pool_.try_loan();
-      if (b == Pool::kNone) b = replenish();
-      if (pool_.has_foreign()) release_foreign(lock);
     }
-    if (b == Pool::kNone) b = scrape_together();
-    if (b == Pool::kNone) {
-      if (!or_throw) return {};
-      char text[256];
-      std::snprintf(
-          text, sizeof(text),
-          "lot: %s: all %u blocks are in use; keep fewer messages, publish with a smaller "
-          "depth, or make the segment with a larger EngineOptions::blocks",
-          participant_->segment().path().c_str(), participant_->blocks());
-      throw OutOfMemory(text);
+    if (b == Pool::kNone) [[unlikely]] {
+      b = find_block();
+      if (b == Pool::kNone) {
+        if (!or_throw) return {};
+        refuse_without_blocks();
+      }
     }
     detail::Loan loan{&participant_->holder().cell(b), nullptr, &participant_->segment().arena(b)};
     try {
@@ -276,6 +270,25 @@ class Pusher final : public detail::PusherCore, private Evictor {
   }
 
  private:
+  /// The pool has no block at hand: looks where there are some.
+  [[gnu::noinline]] std::uint32_t find_block() {
+    std::uint32_t b;
+    {
+      std::unique_lock lock(pool_.lock());
+      b = replenish();
+      if (pool_.has_foreign()) release_foreign(lock);
+    }
+    return b != Pool::kNone ? b : scrape_together();
+  }
+  [[noreturn, gnu::cold]] void refuse_without_blocks() const {
+    char text[256];
+    std::snprintf(text, sizeof(text),
+                  "lot: %s: all %u blocks are in use; keep fewer messages, publish with a smaller "
+                  "depth, or make the segment with a larger EngineOptions::blocks",
+                  participant_->segment().path().c_str(), participant_->blocks());
+    throw OutOfMemory(text);
+  }
+
   /// A block in which nothing could be built.
   void take_back(std::uint32_t b) noexcept {
     participant_->holder().cell(b).type = nullptr;
