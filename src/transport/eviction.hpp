@@ -62,7 +62,7 @@ class Evictor {
 ///      that had subscribed have not read it. Then the oldest message of the publisher that holds
 ///      most, in whatever process, while that one keeps at least as much as the asker will have. So
 ///      publishers end with equal shares. Another process is asked: a ring is changed by its own
-///      publisher only, or, when that has gone, by whoever acts for the orphanage.
+///      publisher only; when that has gone, by the process that acts for the orphanage.
 ///   3. Where no other can give, the asker's own oldest goes, whatever it is. Where it has none,
 ///      the rest of what publishers have left that have gone.
 ///   4. For another topic these never go: the newest two messages of a publisher (a latched one is

@@ -200,7 +200,7 @@ bool Participant::all_have_answered(const Questions& questions) noexcept {
   return true;
 }
 
-/// Crash: killed after the errand, the other one gives something up for nobody.
+/// Crash: killed after the errand, the other one gives something up in vain.
 bool Participant::ask_to_give(std::uint32_t k, const Request& request) noexcept {
   auto& word = segment_.witnesses()[k].request;
   word.store(request.word(), std::memory_order_relaxed);  // E1 carries it
