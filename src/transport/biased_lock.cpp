@@ -59,14 +59,18 @@ void BiasedLock::lock_shared() noexcept {
       inside = taken_.load(std::memory_order_relaxed);
     }
   }
-  if (shared_.load(std::memory_order_relaxed)) {
-    // Whoever revoked the bias waited for its owner; since then the owner stays out.
-    return;
-  }
-  if (owner_.load(std::memory_order_relaxed) == kUnowned) {
+  const std::uintptr_t owner = owner_.load(std::memory_order_relaxed);
+  if (owner == kUnowned) {
     owner_.store(self(), std::memory_order_relaxed);
-    return;
+  } else if (owner != self()) {
+    if (!shared_.load(std::memory_order_relaxed)) revoke(patience);
+    alone_ = 0;
+  } else if (++alone_ == kReturn) {
+    shared_.store(false, std::memory_order_relaxed);  // the next thread that has taken_ sees it
   }
+}
+
+void BiasedLock::revoke(detail::Patience& patience) noexcept {
   shared_.store(true, std::memory_order_seq_cst);  // L1
   // The kernel may be short of memory for a moment. A process that is refused for good cannot go
   // on.
@@ -76,7 +80,6 @@ void BiasedLock::lock_shared() noexcept {
     std::abort();
   }
   while (busy_.load(std::memory_order_acquire)) patience.wait(0);  // L1, L2
-  owner_.store(kNobody, std::memory_order_relaxed);
 }
 
 }  // namespace lot::transport

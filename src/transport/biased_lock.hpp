@@ -12,13 +12,13 @@ namespace lot::transport {
 /// alone uses it, it costs no locked operation.
 ///
 /// The first thread that takes it becomes its owner and says by a plain store that it is inside. A
-/// second thread revokes that for good: it raises shared_, makes every core of the process pass a
-/// barrier (membarrier), and waits until the owner is out. From then on all take an ordinary spin
-/// lock.
+/// second thread revokes that: it raises shared_, makes every core of the process pass a barrier
+/// (membarrier), and waits until the owner is out. From then on all take an ordinary spin lock,
+/// until the owner has taken it kReturn times and no other thread has: then it has its way again.
 ///
 /// A thread that waits lends its priority to the thread that is inside (detail::Patience), so that
 /// a real-time thread waits for the section and not for the scheduler. Only while it revokes the
-/// bias, once for each lock, it sleeps 50 us at a time instead.
+/// bias it sleeps 50 us at a time instead.
 ///
 /// Edges
 ///   L1  busy_ = true, then shared_ load by the owner <-> shared_ = true, membarrier, then busy_
@@ -59,6 +59,11 @@ class BiasedLock {
     }
   }
 
+  /// A barrier costs some microseconds, once for so many sections.
+  static constexpr std::uint32_t kReturn = 1000;
+  /// Whether the owner need no locked operation. It may change at any time.
+  bool is_biased() const noexcept { return !shared_.load(std::memory_order_relaxed); }
+
  private:
   static constexpr std::uintptr_t kUnowned = 0;
   static constexpr std::uintptr_t kNobody = 1;
@@ -69,12 +74,14 @@ class BiasedLock {
     return reinterpret_cast<std::uintptr_t>(&here);
   }
   void lock_shared() noexcept;
+  void revoke(detail::Patience& patience) noexcept;
 
-  std::atomic<std::uintptr_t> owner_{kUnowned};
-  std::atomic<bool> busy_{false};        ///< the owner is inside, without taken_
-  std::atomic<bool> shared_{false};      ///< the bias was revoked
+  std::atomic<std::uintptr_t> owner_{kUnowned};  ///< for ever: it alone writes busy_
+  std::atomic<bool> busy_{false};                ///< the owner is inside, without taken_
+  std::atomic<bool> shared_{false};              ///< the bias was revoked; written with taken_
   std::atomic<std::uint32_t> taken_{0};  ///< the thread that is inside, for waiters; 0: none
-  bool biased_ = false;  ///< how the one who is inside came in; guarded by the lock itself
+  bool biased_ = false;      ///< how the thread that is inside came in; guarded by the lock itself
+  std::uint32_t alone_ = 0;  ///< how often the owner has come since another thread did; the same
 };
 
 }  // namespace lot::transport

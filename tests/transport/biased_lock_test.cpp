@@ -49,6 +49,58 @@ TEST_SUITE("transport") {
     alarm(0);
   }
 
+  TEST_CASE("an owner that has the lock to itself again needs no locked operation again") {
+    BiasedLock lock;
+    const auto visit = [&] { const std::lock_guard guard(lock); };
+    visit();
+    if (!lock.is_biased()) {
+      MESSAGE("skipped: the process may not use membarrier");
+      return;
+    }
+    for (int round = 0; round < 3; ++round) {
+      CAPTURE(round);
+      std::thread(visit).join();
+      CHECK_FALSE(lock.is_biased());
+      for (std::uint32_t n = 1; n < BiasedLock::kReturn; ++n) visit();
+      std::thread(visit).join();  // one that comes in between begins it anew
+      for (std::uint32_t n = 1; n < BiasedLock::kReturn; ++n) visit();
+      CHECK_FALSE(lock.is_biased());
+      visit();
+      CHECK(lock.is_biased());
+    }
+    for (std::uint32_t n = 0; n < 2 * BiasedLock::kReturn; ++n) std::thread(visit).join();
+    CHECK_FALSE(lock.is_biased());  // the others never become the owner
+  }
+
+  TEST_CASE("a lock whose owner has it to itself now and then excludes those who come") {
+    alarm(100);
+    constexpr long kVisits = 300;
+    BiasedLock lock;
+    long plain = 0;  // as above
+    long owners = 0;
+    std::atomic<int> at_work{2};
+    std::vector<std::thread> others;
+    { const std::lock_guard guard(lock); }
+    for (int t = 0; t < 2; ++t) {
+      others.emplace_back([&] {
+        for (long i = 0; i < kVisits; ++i) {
+          std::this_thread::sleep_for(200us);  // the owner gets its way meanwhile
+          const std::lock_guard guard(lock);
+          plain = plain + 1;
+        }
+        --at_work;
+      });
+    }
+    while (at_work != 0) {
+      const std::lock_guard guard(lock);
+      plain = plain + 1;
+      ++owners;
+    }
+    for (auto& t : others) t.join();
+    CHECK(plain == owners + 2 * kVisits);
+    alarm(0);
+  }
+
   TEST_CASE("the owner may be gone when others take the lock") {
     BiasedLock lock;
     int inside = 0;
