@@ -82,7 +82,7 @@ using Numbers = std::vector<std::uint64_t>;
 struct Private {
   explicit Private(LocalSegment& local, std::uint32_t self) {
     holder.segment = &local.segment();
-    holder.own.self = self;
+    holder.own = lot::transport::HardwareOwnership(self);
     holder.cells = cells.data();
     holder.make_tables(kBlocks);
     holder.pools = &pools;
@@ -289,7 +289,7 @@ class Fuzz {
     ring.slots.emplace_back(m);
     require(published.replaced == (replaced ? block(*replaced) : kNoBlock), "what a push replaces");
     if (published.replaced == block(m)) {
-      p.real->holder.release_ring_hold(block(m));
+      p.real->holder.release(block(m), hold::kRing);
     } else if (replaced) {
       pool.retire(block(*replaced), !p.blocking);
       if (!p.blocking) p.retired.push_back(*replaced);
@@ -300,7 +300,7 @@ class Fuzz {
   void let_foreign_go(Process& p) {
     std::array<std::uint32_t, 4> some;
     while (const std::size_t n = p.real->pools[0]->take_foreign(some)) {
-      for (std::size_t i = 0; i < n; ++i) p.real->holder.release_ring_hold(some[i]);
+      for (std::size_t i = 0; i < n; ++i) p.real->holder.release(some[i], hold::kRing);
     }
   }
 
@@ -331,12 +331,11 @@ class Fuzz {
     const std::uint64_t m = p.pointers[index];
     p.pointers.erase(p.pointers.begin() + static_cast<std::ptrdiff_t>(index));
     ControlCell& c = cell(p, m);
+    if (!p.real->holder.is_home(block(m))) return p.real->holder.release(block(m), hold::kPointer);
     const std::uint64_t left = c.hold.fetch_sub(hold::kPointer) - hold::kPointer;
     if (hold::pointers(left) != 0) return;
-    if ((left & hold::kHome) != 0) local_.block(block(m)).home_points = 0;
-    if ((left & hold::kHolds) == 0 && p.real->holder.own.let_go(local_.block(block(m)), c.hold)) {
-      p.real->pools[c.pool]->came_home(block(m));
-    }
+    local_.block(block(m)).home_points = 0;
+    if ((left & hold::kHolds) == 0) p.real->pools[c.pool]->came_home(block(m));
   }
 
   void join(Process& p) {
@@ -396,7 +395,8 @@ class Fuzz {
     const Message& message = messages_[*m];
     auto& words = local_.block(message.block);
     const bool locked =
-        p.real->holder.own.acquire_weak(words, cell(p, *m).hold, message.generation);
+        p.real->holder.own.acquire_weak(words, cell(p, *m).hold, message.generation) ==
+        lot::refcount::Left::Held;
     require(locked || !held(*m), "a weak pointer to a message that is held");
     require(!locked || !message.dead, "a weak pointer to a message that has died");
     if (!locked) return;
@@ -436,7 +436,7 @@ class Fuzz {
     const std::uint32_t run = local_.segment().claim_run(order, block(*m) + 1);
     require(run != lot::segment::Granules<lot::segment::Atomics>::kNone,
             "there are granules enough");
-    arena.extent[arena.extents++] = {run, static_cast<std::uint8_t>(order), 1, 1};
+    arena.extent[arena.extents++] = {run, static_cast<std::uint8_t>(order), 1};
   }
 
   void scan(Process& p) {

@@ -285,7 +285,7 @@ class Recovery {
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
       auto& words = world_.block(b);
       if (words.home.load(std::memory_order_relaxed) != refcount::kHomeOrphanage ||
-          !Own::die(words, 0, false)) {
+          !Own::die_in_orphanage(words)) {
         continue;
       }
       dead[b] = any = true;

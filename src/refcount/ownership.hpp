@@ -24,9 +24,10 @@
 ///       carries: the new own bit: whoever sees the bump sees the bit.
 ///   O3  home = 0 in give_back (release)       -> home claim in claim() (acquire)
 ///       carries: cleared bits and released extents.
-///   O5  wanted = 1 in reclaim(), then own scan in die() <-> own bit cleared in let_go() or
-///       acquire_weak(), then wanted load in is_wanted(): all seq_cst, so one of the two sees the
-///       other. Carries, with E1, what note_waiting() noted, back to the home; all else O1 does.
+///   O5  kWanted set in reclaim() (release)    -> own bit cleared in the same word by let_go() or
+///       acquire_weak() (acquire)
+///       carries: with E1, back to the home, what note_waiting() noted. Of two changes of one word
+///       one is the later: the holder finds kWanted, or the home does not find the holder.
 ///   O4  hold word, edge released (release)    -> edge taken (acquire)
 ///       carries: the own bit, between threads of one process.
 namespace lot::refcount {
@@ -39,8 +40,8 @@ struct alignas(P::kLine) BlockWords {
   template <class T>
   using Atomic = typename P::template Atomic<T>;
 
-  /// Bit p: participant p holds the block. Bit 0: the orphanage does. Written by p, by p's reaper,
-  /// and bit 0 by whoever has byte lock 0.
+  /// P::kBitsPerWord bits a word. Bit p: participant p holds the block. Bit 0: the orphanage does.
+  /// Written by p, by p's reaper, and bit 0 by whoever has byte lock 0. Beside them kWanted.
   Atomic<std::uint64_t> own[P::kOwnWords];
   /// {version : 32 | generation : 32}. The version is bumped by each hand-over; the generation ends
   /// a message: its death is one compare-and-swap on this word.
@@ -50,10 +51,20 @@ struct alignas(P::kLine) BlockWords {
   /// 1 while pointers in the home process hold the block. Written by home, for use_count() of
   /// others.
   Atomic<std::uint32_t> home_points;
-  /// 1: the home has looked in vain and wants to be told when a holder lets go. Set by home in
-  /// reclaim() and cleared with the message's death; read by each process that has cleared its bit.
-  /// Stale for a block that has got another home: that one is told for nothing.
-  Atomic<std::uint32_t> wanted;
+};
+
+/// A bit of each ownership word: the home has looked in vain and wants to be told when a holder of
+/// that word lets go. Set by home in reclaim() and cleared with the message's death; each process
+/// that clears its own bit hears of it. Stale for a block that has got another home: that one is
+/// told for nothing.
+inline constexpr std::uint64_t kWanted = std::uint64_t{1} << 63;
+
+/// What became of a hold that was let go.
+enum class Left {
+  Held,   ///< this process has more
+  Home,   ///< it was the last one, and the block is at home here: the caller tries reclaim()
+  Gone,   ///< it was the last one, elsewhere
+  Wanted  ///< the same, and the home waits for it: the caller tells the home
 };
 
 inline constexpr std::uint64_t kVersion = std::uint64_t{1} << 32;
@@ -76,11 +87,20 @@ template <class P>
 struct Ownership {
   using Hold = typename P::template Atomic<std::uint64_t>;
   using Words = BlockWords<P>;
+  static_assert(P::kBitsPerWord < 64, "the last bit is kWanted");
+
+  Ownership() = default;
+  explicit Ownership(std::uint32_t participant)
+      : self(participant), own_word_(participant / P::kBitsPerWord), own_bit_(bit(participant)) {}
 
   std::uint32_t self = 0;
 
   static std::uint64_t bit(std::uint32_t p) { return std::uint64_t{1} << (p % P::kBitsPerWord); }
   static auto& word(Words& b, std::uint32_t p) { return b.own[p / P::kBitsPerWord]; }
+  /// Who holds the block, of ownership word `w`, but for participant `except`.
+  static std::uint64_t holders(std::uint64_t own, std::uint32_t w, std::uint32_t except) {
+    return own & ~kWanted & ~(w == except / P::kBitsPerWord ? bit(except) : 0);
+  }
 
   /// Adds `amount` (hold::kPointer or hold::kRing) to our holds. REQUIRES: the caller protects the
   /// block by a hazard, a cursor or another hold.
@@ -98,7 +118,7 @@ struct Ownership {
         }
       } else if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
                                          std::memory_order_relaxed)) {  // O4
-        word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
+        own(b).fetch_or(own_bit_, std::memory_order_relaxed);
         b.life.fetch_add(kVersion, std::memory_order_release);     // O2
         h.store(hold::kHeld | amount, std::memory_order_release);  // O4
         P::passed();
@@ -107,9 +127,9 @@ struct Ownership {
     }
   }
 
-  /// Adds a pointer hold if the block still carries that generation; false: the message has died.
-  /// The caller protects nothing.
-  bool acquire_weak(Words& b, Hold& h, std::uint32_t generation) const {
+  /// Adds a pointer hold if the block still carries that generation: Held. Else the message has
+  /// died: Gone, or Wanted. The caller protects nothing.
+  Left acquire_weak(Words& b, Hold& h, std::uint32_t generation) const {
     std::uint64_t v = h.load(std::memory_order_relaxed);
     for (;;) {
       if ((v & hold::kEdge) != 0) {
@@ -119,11 +139,11 @@ struct Ownership {
         // Relaxed: who has a weak pointer has seen the message.
         if ((v & hold::kTagMask) != hold::tag_of(generation) ||
             generation_of(b.life.load(std::memory_order_relaxed)) != generation) {
-          return false;
+          return Left::Gone;
         }
         if (h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_relaxed,
                                     std::memory_order_relaxed)) {
-          return true;
+          return Left::Held;
         }
       } else if ((v & hold::kHeld) != 0) {
         if (!h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_acquire,
@@ -131,70 +151,51 @@ struct Ownership {
           continue;
         }
         // Relaxed: at least as new as when our bit was set (O4), and it has not died since.
-        if (generation_of(b.life.load(std::memory_order_relaxed)) == generation) return true;
-        release(b, h, hold::kPointer);
-        return false;
+        if (generation_of(b.life.load(std::memory_order_relaxed)) == generation) return Left::Held;
+        return release(b, h, hold::kPointer) == Left::Wanted ? Left::Wanted : Left::Gone;
       } else if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
                                          std::memory_order_relaxed)) {  // O4
-        word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
+        own(b).fetch_or(own_bit_, std::memory_order_relaxed);
         const std::uint64_t old = b.life.fetch_add(kVersion, std::memory_order_release);  // O2
-        const bool alive = generation_of(old) == generation;
-        // Nothing was read, but a home that has looked meanwhile has seen a holder.
-        if (!alive) word(b, self).fetch_and(~bit(self), std::memory_order_seq_cst);    // O5
-        h.store(alive ? hold::kHeld | hold::kPointer : 0, std::memory_order_release);  // O4
+        if (generation_of(old) != generation) return let_go(b, h);
+        h.store(hold::kHeld | hold::kPointer, std::memory_order_release);  // O4
         P::passed();
-        return alive;
+        return Left::Held;
       }
     }
   }
 
-  /// Takes `amount` from our holds. Returns true when that was the last one and the block is ours
-  /// (at home): the caller then tries reclaim(). Elsewhere the last release clears our bit.
-  bool release(Words& b, Hold& h, std::uint64_t amount) const {
-    // Only release: whoever goes on takes the edge, and with it acquires.
-    const std::uint64_t left = h.fetch_sub(amount, std::memory_order_release) - amount;  // O4
-    return (left & hold::kHolds) == 0 && let_go(b, h);
-  }
-
-  /// The second half of release(): no holds were left. Another thread may have taken one since.
-  bool let_go(Words& b, Hold& h) const {
-    std::uint64_t v = h.load(std::memory_order_relaxed);
-    if ((v & hold::kHome) != 0) return true;
-    for (;;) {
-      if ((v & hold::kHolds) != 0 || (v & hold::kHeld) == 0 || (v & hold::kEdge) != 0) return false;
-      if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
-                                  std::memory_order_relaxed)) {  // O4
-        break;
-      }
-    }
-    word(b, self).fetch_and(~bit(self), std::memory_order_seq_cst);  // O1, O5
-    h.store(0, std::memory_order_release);                           // O4
-    P::passed();
-    return false;
-  }
-
-  /// The death of a message: nobody but `except` (our own bit, or none) holds the block, and nobody
-  /// can have taken a hold meanwhile. REQUIRES: at home under the edge, or byte lock 0.
-  static bool die(Words& b, std::uint32_t except, bool ignore_except) {
-    std::uint64_t life = b.life.load(std::memory_order_acquire);  // O2
-    for (std::uint32_t w = 0; w < P::kOwnWords; ++w) {
-      std::uint64_t holders = b.own[w].load(std::memory_order_seq_cst);  // O1, O5
-      if (ignore_except && w == except / P::kBitsPerWord) holders &= ~bit(except);
-      if (holders != 0) return false;
-    }
-    // Fails if anybody bumped the version since it was read; so the load has acquired all there is.
-    // Killed after it: an exclusively owned, unpublished block, which the reaper frees.
-    return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
-                                          std::memory_order_relaxed);
-  }
-
-  /// True when the home of a block waits for us to let go. Asked after release() or let_go() or a
-  /// weak lock has returned false elsewhere than at home: the caller then tells the home.
+  /// Takes `amount` from our holds. Elsewhere than at home the last release clears our bit.
   ///
-  /// Crash: killed before it tells the home, it leaves a message that nobody holds; the home looks
-  /// by itself, once a second.
-  static bool is_wanted(Words& b) {
-    return b.wanted.load(std::memory_order_seq_cst) != 0;  // O5
+  /// Crash: killed before the caller tells the home, it leaves a message that nobody holds; the
+  /// home looks by itself, once a second.
+  Left release(Words& b, Hold& h, std::uint64_t amount) const {
+    std::uint64_t v = h.load(std::memory_order_relaxed);
+    for (;;) {
+      const bool last = (v & hold::kHolds) == amount;
+      if (last && (v & (hold::kHome | hold::kEdge)) == 0) {
+        // The last hold becomes the edge in one step, so that no other thread comes in between.
+        if (h.compare_exchange_weak(v, edge(v), std::memory_order_acq_rel,
+                                    std::memory_order_relaxed)) {  // O4
+          return let_go(b, h);
+        }
+      } else if (h.compare_exchange_weak(v, v - amount, std::memory_order_release,
+                                         std::memory_order_relaxed)) {  // O4
+        // Only release: whoever goes on takes the edge, and with it acquires.
+        return last && (v & hold::kHome) != 0 ? Left::Home : Left::Held;
+      }
+    }
+  }
+
+  /// The death of a message: only the home holds the block (of the orphanage not even that one),
+  /// and nobody can have taken a hold meanwhile. `seen`: all bits of the words that were looked at.
+  /// REQUIRES: at home under the edge, or byte lock 0.
+  bool die(Words& b, std::uint64_t& seen) const { return die(b, own_word_, own_bit_, seen); }
+  static bool die_in_orphanage(Words& b) {
+    std::uint64_t seen = 0;
+    if (!die(b, 0, 0, seen)) return false;
+    if ((seen & kWanted) != 0) ask_nobody(b);
+    return true;
   }
 
   /// Home only: makes a block whose holds here equal `expected` (0, or the one ring hold that the
@@ -227,20 +228,15 @@ struct Ownership {
         break;
       }
     }
-    bool dead = die(b, self, true);
-    // An old `wanted` is not enough for a new note: the warden that it called may have looked for
-    // the block already. So a new note says `wanted` again.
-    if (!dead && (note_waiting() || b.wanted.load(std::memory_order_relaxed) == 0)) {
-      // First said, then looked again: the holder that we have seen may let go just now.
-      b.wanted.store(1, std::memory_order_seq_cst);  // O5
-      // Twice: the first one may fail by the version alone, of a holder that went before we said
-      // so. Its scan has seen that one's bit go, and with it the version: the second one knows it.
-      dead = die(b, self, true) || die(b, self, true);
+    std::uint64_t seen = 0;
+    bool dead = die(b, seen);
+    if (!dead && !ask_holders(b, note_waiting())) {
+      // A holder may have let go before it was asked. Twice: the first one may fail by the version
+      // alone, of such a holder. Its scan has seen that one's bit go, and with it the version: the
+      // second one knows it.
+      dead = die(b, seen) || die(b, seen);
     }
-    // Relaxed: exclusively ours. Whether the next home finds a 1 does not matter.
-    if (dead && b.wanted.load(std::memory_order_relaxed) != 0) {
-      b.wanted.store(0, std::memory_order_relaxed);
-    }
+    if (dead && (seen & kWanted) != 0) ask_nobody(b);
     const std::uint64_t base = hold::kHome | hold::kHeld;
     if (dead) {
       const std::uint32_t generation = generation_of(b.life.load(std::memory_order_relaxed));
@@ -280,15 +276,15 @@ struct Ownership {
         return false;
       }
     }
-    word(b, self).fetch_or(bit(self), std::memory_order_relaxed);
+    own(b).fetch_or(own_bit_, std::memory_order_relaxed);
     return true;
   }
 
   /// Gives an exclusively owned block back to everybody. The name goes last.
   void give_back(Words& b, Hold& h) const {
-    word(b, self).fetch_and(~bit(self), std::memory_order_relaxed);  // O3 carries it
-    h.store(0, std::memory_order_release);                           // O4
-    b.home.store(kHomeFree, std::memory_order_release);              // O3
+    own(b).fetch_and(~own_bit_, std::memory_order_relaxed);  // O3 carries it
+    h.store(0, std::memory_order_release);                   // O4
+    b.home.store(kHomeFree, std::memory_order_release);      // O3
   }
 
   /// Makes the orphanage a holder. REQUIRES: byte lock 0; somebody still holds the block.
@@ -298,6 +294,58 @@ struct Ownership {
   }
 
  private:
+  auto& own(Words& b) const { return b.own[own_word_]; }
+
+  static bool die(Words& b, std::uint32_t except_word, std::uint64_t except, std::uint64_t& seen) {
+    std::uint64_t life = b.life.load(std::memory_order_acquire);  // O2
+    std::uint64_t others = 0;
+    for (std::uint32_t w = 0; w < P::kOwnWords; ++w) {
+      const std::uint64_t own = b.own[w].load(std::memory_order_acquire);  // O1
+      seen |= own;
+      others |= w == except_word ? own & ~except : own;
+    }
+    // The second fails if anybody bumped the version since it was read; so the load has acquired
+    // all there is. Killed after it: an exclusively owned, unpublished block, which the reaper
+    // frees.
+    return (others & ~kWanted) == 0 &&
+           b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
+                                          std::memory_order_relaxed);
+  }
+
+  /// Clears our bit. REQUIRES: the edge, and not at home.
+  Left let_go(Words& b, Hold& h) const {
+    own(b).fetch_and(~own_bit_, std::memory_order_release);  // O1
+    // A second look is cheaper than the answer of the first one, for which x86 has no instruction.
+    // It sees kWanted if that came before our change, unless the home has cleared it since.
+    const bool wanted = (own(b).load(std::memory_order_acquire) & kWanted) != 0;  // O5
+    h.store(0, std::memory_order_release);                                        // O4
+    P::passed();
+    return wanted ? Left::Wanted : Left::Gone;
+  }
+
+  /// Asks all holders, those to come too, to tell the home when they let go. True when they were
+  /// asked before, and will do so. `anew`: that is not enough, since the warden that they tell may
+  /// have looked before the block was noted.
+  ///
+  /// Each word is changed, and not only read: so no look behind it finds a bit that went before.
+  static bool ask_holders(Words& b, bool anew) {
+    bool asked = true;
+    for (auto& own : b.own) {
+      if (!anew && (own.load(std::memory_order_relaxed) & kWanted) != 0) continue;
+      own.fetch_or(kWanted, std::memory_order_release);  // O5
+      asked = false;
+    }
+    return asked;
+  }
+  /// Relaxed: the block is exclusively ours. Whether the next home finds a bit does not matter.
+  static void ask_nobody(Words& b) {
+    for (auto& own : b.own) {
+      if ((own.load(std::memory_order_relaxed) & kWanted) != 0) {
+        own.fetch_and(~kWanted, std::memory_order_relaxed);
+      }
+    }
+  }
+
   static std::uint64_t edge(std::uint64_t v) { return hold::edge_of(v, P::this_thread()); }
 
   /// Waits until no thread has the edge; returns the hold word. That takes the few instructions
@@ -310,6 +358,9 @@ struct Ownership {
     } while ((v & hold::kEdge) != 0);
     return v;
   }
+
+  std::uint32_t own_word_ = 0;      ///< of self; both are ready, since each step between two locked
+  std::uint64_t own_bit_ = bit(0);  ///< operations costs
 };
 
 }  // namespace lot::refcount

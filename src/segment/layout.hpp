@@ -23,10 +23,10 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 6;
+inline constexpr std::uint32_t kLayoutVersion = 7;
 
-inline constexpr std::uint32_t kMaxParticipants =
-    Atomics::kOwnWords * Atomics::kBitsPerWord;  // index 0, the orphanage, included
+inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
+static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
 inline constexpr std::uint64_t kGranule = 4096;  ///< unit of message memory
 inline constexpr std::uint64_t kSmallBytes =
     256;  ///< payload that every block has without an extent
@@ -152,7 +152,7 @@ struct alignas(64) TopicEntry {
   /// publisher that loses nothing waits for them; one that chooses its readers does not choose
   /// those who decline, and need send nothing another way to those who are content.
   std::atomic<std::uint16_t> pullers[kMaxParticipants];
-  char padding[16];
+  char padding[8];
 };
 static_assert(sizeof(TopicEntry) == 1152);
 

@@ -71,10 +71,9 @@ void* Arena::grow(std::size_t bytes) {
     }
     if (run == segment::Granules<HardwareAtomics>::kNone) out_of_memory(*p, bytes, errno);
     best = extents++;
-    extent[best] = {run, static_cast<std::uint8_t>(claimed), 0, 0};
+    extent[best] = {run, static_cast<std::uint8_t>(claimed), 0};
   }
   Extent& chosen = extent[best];
-  chosen.used = 1;
   current = static_cast<std::uint8_t>(best + 1);
   const std::uint64_t begin = data + std::uint64_t{chosen.granule} * segment::kGranule;
   cursor = begin + bytes;

@@ -211,7 +211,7 @@ Participant::Participant(const EngineOptions& options,
   watched_.reserve(futex::kMaxWords);
   try {
     lock_file_->take_turn();
-    holder_.own.self = take_index(options);
+    holder_.own = HardwareOwnership(take_index(options));
     lock_file_->take_turn();
     holder_.next_free = (blocks / segment_.capacity().participants) * holder_.own.self;
     start_warden();
@@ -255,11 +255,13 @@ void Participant::fill_hub() noexcept {
     if (p.inert_) return false;
     p.enter();
     segment::BlockWords& words = p.segment_.block(c->block);
-    const bool alive = !p.has_left() && p.holder_.own.acquire_weak(words, c->hold, generation);
+    const Left left =
+        p.has_left() ? Left::Gone : p.holder_.own.acquire_weak(words, c->hold, generation);
+    const bool alive = left == Left::Held;
     if (alive && (c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
       words.home_points.store(1, std::memory_order_relaxed);
     }
-    if (!alive && !p.holder_.is_home(c->block)) p.holder_.tell_home(c->block);
+    if (left == Left::Wanted) p.holder_.tell_home(c->block);
     p.exit();
     return alive;
   };
@@ -276,7 +278,7 @@ void Participant::fill_hub() noexcept {
     for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
       std::uint64_t holders = words.own[w].load(std::memory_order_acquire);
       const auto without = [&](std::uint32_t k) {
-        if (k / segment::Atomics::kBitsPerWord == w) holders &= ~HardwareOwnership::bit(k);
+        holders = HardwareOwnership::holders(holders, w, k);
       };
       without(refcount::kOrphanage);
       without(self);
@@ -343,22 +345,16 @@ void Participant::refuse() const {
 }
 
 void Participant::drop_pointer(detail::ControlCell& cell) noexcept {
+  if (!holder_.is_home(cell.block)) return holder_.release(cell.block, hold::kPointer);
   segment::BlockWords& words = segment_.block(cell.block);
   const std::uint64_t v =
       cell.hold.fetch_sub(hold::kPointer, std::memory_order_acq_rel) - hold::kPointer;
   if (hold::pointers(v) != 0) return;
-  if ((v & hold::kHome) != 0) {
-    words.home_points.store(0, std::memory_order_relaxed);
-    if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
-      words.home_points.store(1, std::memory_order_relaxed);  // another thread was quicker
-    }
+  words.home_points.store(0, std::memory_order_relaxed);
+  if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
+    words.home_points.store(1, std::memory_order_relaxed);  // another thread was quicker
   }
-  if ((v & hold::kHolds) != 0) return;
-  if (holder_.own.let_go(words, cell.hold)) {
-    holder_.pool_of(cell.block).came_home(cell.block);
-  } else {
-    holder_.tell_home(cell.block);
-  }
+  if ((v & hold::kHolds) == 0) holder_.pool_of(cell.block).came_home(cell.block);
 }
 
 /// What other threads and processes have read was read before this says yes: each hold that goes is
@@ -379,7 +375,7 @@ bool Participant::is_alone(const detail::ControlCell& cell) const noexcept {
   for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
     std::uint64_t holders = words.own[w].load(std::memory_order_acquire);  // O1
     for (const std::uint32_t k : {index(), maker}) {
-      if (k / segment::Atomics::kBitsPerWord == w) holders &= ~HardwareOwnership::bit(k);
+      holders = HardwareOwnership::holders(holders, w, k);
     }
     if (holders != 0) return false;
   }

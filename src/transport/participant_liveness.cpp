@@ -269,7 +269,7 @@ void Participant::settle_idle() noexcept {
     for (std::size_t n = foreign.size(); n == foreign.size();) {
       n = eviction_.look(i, foreign);  // before settle_mutex_, with which destructors run
       const std::lock_guard guard(settle_mutex_);
-      for (std::size_t k = 0; k < n; ++k) holder_.release_ring_hold(foreign[k]);
+      for (std::size_t k = 0; k < n; ++k) holder_.release(foreign[k], hold::kRing);
     }
     const std::lock_guard guard(settle_mutex_);
     pools_[i]->settle_free();

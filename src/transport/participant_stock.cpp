@@ -85,7 +85,7 @@ bool Participant::finish_closing() noexcept {
     const Pool* const pool = d->pool;
     d->releasing = true;
     lock.unlock();
-    for (const std::uint32_t b : blocks) holder_.release_ring_hold(b);
+    for (const std::uint32_t b : blocks) holder_.release(b, hold::kRing);
     lock.lock();
     const auto of_pool = [pool](const Draining& e) { return e.pool == pool; };
     std::find_if(draining_.begin(), draining_.end(), of_pool)->releasing = false;

@@ -123,7 +123,7 @@ void unrefer(Arena& arena, std::uint32_t block) noexcept {
   // The entry first, then its hold, which is released: killed in between, the hold goes with our
   // bit.
   std::atomic_ref(known->block).store(ReferenceList::kNone, std::memory_order_relaxed);
-  p->holder().release_ring_hold(block);
+  p->holder().release(block, hold::kRing);
 }
 
 }  // namespace lot::detail

@@ -28,12 +28,10 @@ void Holder::know(std::uint32_t b) const noexcept {
   }
 }
 
-void Holder::release_ring_hold(std::uint32_t b) const noexcept {
-  if (own.release(words(b), cell(b).hold, hold::kRing)) {
-    pool_of(b).came_home(b);
-  } else {
-    tell_home(b);
-  }
+void Holder::release(std::uint32_t b, std::uint64_t amount) const noexcept {
+  const Left left = own.release(words(b), cell(b).hold, amount);
+  if (left == Left::Home) pool_of(b).came_home(b);
+  if (left == Left::Wanted) tell_home(b);
 }
 
 void Holder::ask(std::uint32_t k, std::uint32_t errand) const noexcept {
@@ -45,10 +43,8 @@ void Holder::ask(std::uint32_t k, std::uint32_t errand) const noexcept {
 }
 
 void Holder::tell_home(std::uint32_t b) const noexcept {
-  segment::BlockWords& w = words(b);
-  if (!HardwareOwnership::is_wanted(w)) return;
   // Relaxed: a home that has changed meanwhile does not wait for us.
-  const std::uint32_t home = w.home.load(std::memory_order_relaxed);
+  const std::uint32_t home = words(b).home.load(std::memory_order_relaxed);
   if (home <= refcount::kHomeOrphanage || home - 1 >= segment->capacity().participants) return;
   ask(home - 1, segment::errand::kLook);
 }
@@ -63,11 +59,9 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   HomeList mine(*this);
   HomeList& home = nested ? *first : mine;
   each_reference(b, [&](std::uint32_t target) {
-    if (own.release(words(target), cell(target).hold, hold::kRing)) {
-      home.push(target);
-    } else {
-      tell_home(target);
-    }
+    const Left left = own.release(words(target), cell(target).hold, hold::kRing);
+    if (left == Left::Home) home.push(target);
+    if (left == Left::Wanted) tell_home(target);
   });
   arena.references = 0;
   if (nested) return;
@@ -122,12 +116,7 @@ void Holder::freeze_reachable(std::uint32_t b) const noexcept {
   }
 }
 
-std::uint32_t Pool::try_loan() {
-  if (!ready_.empty()) {
-    const std::uint32_t b = ready_.back();
-    ready_.pop_back();
-    return b;
-  }
+std::uint32_t Pool::try_reclaim() {
   while (!free_.empty()) {
     const std::uint32_t b = free_.front();
     free_.pop_front();
@@ -161,7 +150,7 @@ void Pool::prefetch(std::uint64_t b) const noexcept {
 /// that the block is at home in this pool.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
   ControlCell& c = holder_.cell(b);
-  // The block is on the list before a holder can see `wanted`: the holder calls the warden, perhaps
+  // The block is on the list before a holder can see kWanted: the holder calls the warden, perhaps
   // before this thread goes on, and the warden looks only at pools that have kept blocks.
   const bool ours = holder_.own.reclaim(holder_.words(b), c.hold, expected,
                                         [&] { return kept_.enter(b); });  // E1
@@ -214,11 +203,10 @@ std::uint32_t Pool::claim() {
   return kNone;
 }
 
-void* Pool::lay_out(std::uint32_t b, const detail::MessageType& type) {
+void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type) {
   segment::Segment& s = *holder_.segment;
   ControlCell& c = holder_.cell(b);
   const bool fits = segment::is_small(type);
-  if (fits && type.plain && c.type == &type) return s.small(b);  // as it was the last time
   Arena& arena = s.arena(b);
   if (c.type != nullptr) bury(b);
   const std::uint64_t small = s.offset_of(s.small(b));
@@ -334,45 +322,38 @@ void Pool::settle_free() noexcept {
   }
 }
 
-void Pool::bury(std::uint32_t b) noexcept {
-  ControlCell& c = holder_.cell(b);
-  const detail::MessageType* type = c.type;
+void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept {
   if (type == nullptr) {  // nothing was built, or its constructor threw
     holder_.release_references(b);
     return;
   }
+  holder_.cell(b).type = nullptr;
   if (type->plain) {
-    c.type = type->size <= segment::kSmallBytes ? type : nullptr;
-    if (c.type == nullptr) recycle_extents(b);
+    recycle_extents(holder_.segment->arena(b));
     return;
   }
-  c.type = nullptr;
-  // What lives now is what the next message will want; what a growing vector left behind is not.
   Arena& arena = holder_.segment->arena(b);
-  for (unsigned i = 0; i < arena.extents; ++i) {
-    arena.extent[i].used = arena.extent[i].living != 0 ? 1 : 0;
-  }
   arena.frozen = Arena::kDying;  // what is destroyed now need not give its memory back
   if (type->destroy != nullptr && arena.changed_hands == 0) {
     type->destroy(holder_.segment->base() + arena.root);
   }
-  holder_.release_references(b);
-  recycle_extents(b);
+  if (arena.references != 0) [[unlikely]]
+    holder_.release_references(b);
+  recycle_extents(arena);
 }
 
-/// Keeps the extents that the message used, gives the others back.
-void Pool::recycle_extents(std::uint32_t b) noexcept {
-  Arena& arena = holder_.segment->arena(b);
+/// Keeps the extents in which the message lived when it died, for they are what the next one will
+/// want; gives back what a growing vector has left behind.
+void Pool::recycle_extents(Arena& arena) noexcept {
   std::uint8_t kept = 0;
   for (unsigned i = 0; i < arena.extents; ++i) {
-    Arena::Extent extent = arena.extent[i];
-    if (extent.used == 0) {
+    const Arena::Extent& extent = arena.extent[i];
+    if (extent.living == 0) [[unlikely]] {
       holder_.segment->granules().release(extent.granule, extent.order);
       continue;
     }
-    extent.used = 0;
-    extent.living = 0;
-    arena.extent[kept++] = extent;
+    if (kept != i) arena.extent[kept] = extent;
+    arena.extent[kept++].living = 0;
   }
   arena.extents = kept;
 }
@@ -381,7 +362,9 @@ void Pool::release_block(std::uint32_t b) noexcept {
   ControlCell& c = holder_.cell(b);
   // A ring or a reference that somebody has written over has led here, too.
   if ((c.hold.load(std::memory_order_relaxed) & hold::kHolds) != hold::kPointer) {
-    if (!holder_.own.release(holder_.words(b), c.hold, hold::kPointer)) holder_.tell_home(b);
+    if (holder_.own.release(holder_.words(b), c.hold, hold::kPointer) == Left::Wanted) {
+      holder_.tell_home(b);
+    }
     return;
   }
   bury(b);
@@ -424,13 +407,12 @@ bool Pool::trim(bool with_reserved) noexcept {
     {
       const std::lock_guard guard(lock_);
       if (!any) poll_kept();
-      std::size_t stays = 0;
-      for (const std::uint32_t b : ready_) {
+      ready_.take_if([&](std::uint32_t b) {
         const bool goes =
             n < idle.size() && (with_reserved || !segment::is_reserved(holder_.segment->arena(b)));
-        (goes ? idle[n++] : ready_[stays++]) = b;
-      }
-      ready_.resize(stays);
+        if (goes) idle[n++] = b;
+        return goes;
+      });
     }
     for (std::size_t i = 0; i < n; ++i) release_block(idle[i]);
     any |= n != 0;

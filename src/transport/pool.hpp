@@ -19,6 +19,7 @@
 namespace lot::transport {
 
 namespace hold = detail::hold;
+using refcount::Left;
 using HardwareOwnership = refcount::Ownership<detail::HardwareAtomics>;
 
 class Pool;
@@ -66,15 +67,15 @@ struct Holder {
 
   /// Asks something of participant k's warden.
   void ask(std::uint32_t k, std::uint32_t errand) const noexcept;
-  /// After a hold of ours on another's block has gone: tells its home if that waits for it.
+  /// Tells the home of another's block, which waits for it, that our last hold has gone.
   void tell_home(std::uint32_t b) const noexcept;
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
   [[gnu::hot]] void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
   /// The block is, or was, held here.
   void know(std::uint32_t b) const noexcept;
-  /// Lets go of a ring's or a message's hold.
-  void release_ring_hold(std::uint32_t b) const noexcept;
+  /// Lets go of a hold of the given kind.
+  void release(std::uint32_t b, std::uint64_t amount) const noexcept;
   /// Lets go of what a dead message referred to.
   void release_references(std::uint32_t b) const noexcept;
   /// Freezes a message that is published, where this process may have pointers that could make it
@@ -147,6 +148,38 @@ class BlockQueue {
   std::uint32_t count_ = 0;
 };
 
+/// Blocks, last come, first served. It has room for each block of the segment, so that a push needs
+/// no memory. Threads: the owner sees to that one uses it at a time.
+class BlockStack {
+ public:
+  explicit BlockStack(std::uint32_t blocks)
+      : blocks_(std::make_unique_for_overwrite<std::uint32_t[]>(blocks)), room_(blocks) {}
+
+  bool empty() const noexcept { return count_ == 0; }
+  /// REQUIRES, as pop_back(): not empty.
+  std::uint32_t back() const noexcept { return blocks_[count_ - 1]; }
+  std::uint32_t pop_back() noexcept { return blocks_[--count_]; }
+  /// A block that is in it already may be lost, when rubbish in the segment has led to it.
+  void push_back(std::uint32_t b) noexcept {
+    if (count_ != room_) [[likely]]
+      blocks_[count_++] = b;
+  }
+  /// Takes out each block for which f(block) is true.
+  template <class F>
+  void take_if(F&& f) noexcept {
+    std::uint32_t stays = 0;
+    for (std::uint32_t i = 0; i < count_; ++i) {
+      if (!f(blocks_[i])) blocks_[stays++] = blocks_[i];
+    }
+    count_ = stays;
+  }
+
+ private:
+  std::unique_ptr<std::uint32_t[]> blocks_;
+  std::uint32_t room_;
+  std::uint32_t count_ = 0;
+};
+
 /// The blocks of one publisher: loans them, and takes them back when their messages have died.
 ///
 /// A block stays at home from loan to loan, with its extents: so a loan of a warm block touches no
@@ -165,10 +198,9 @@ class Pool {
   Pool(Holder& holder, std::uint32_t index)
       : holder_(holder),
         index_(index),
+        ready_(holder.segment->capacity().blocks),
         free_(holder.segment->capacity().blocks),
-        kept_(holder.kept_links.data()) {
-    ready_.reserve(holder.segment->capacity().blocks);
-  }
+        kept_(holder.kept_links.data()) {}
 
   BiasedLock& lock() noexcept { return lock_; }
   /// For whom it will claim blocks: the key of a topic, or 0. REQUIRES: the pool is not in use.
@@ -179,7 +211,7 @@ class Pool {
 
   /// An exclusively owned block for a message of this type, or kNone. Locked.
   static constexpr std::uint32_t kNone = ~std::uint32_t{0};
-  std::uint32_t try_loan();
+  std::uint32_t try_loan() { return ready_.empty() ? try_reclaim() : ready_.pop_back(); }
   /// Does what it can of the next loan's work now, after a publish, when nobody waits for it.
   /// Locked.
   void prepare() noexcept;
@@ -189,7 +221,12 @@ class Pool {
   std::uint32_t claim();
 
   /// Lays the arena of an exclusively owned block out for a message. Throws OutOfMemory.
-  void* lay_out(std::uint32_t b, const detail::MessageType& type);
+  void* lay_out(std::uint32_t b, const detail::MessageType& type) {
+    // A small plain message lies where one of its type lay the last time.
+    if (holder_.cell(b).type == &type && is_laid_out_for_ever(type))
+      return holder_.segment->small(b);
+    return lay_out_anew(b, type);
+  }
 
   /// An exclusively owned block comes back: its message was never shared, or has died.
   void give_back(std::uint32_t b) noexcept;
@@ -257,10 +294,20 @@ class Pool {
   bool trim(bool with_reserved) noexcept;
 
  private:
+  std::uint32_t try_reclaim();
+  /// True where nothing of a message's layout depends on the message.
+  static bool is_laid_out_for_ever(const detail::MessageType& type) noexcept {
+    return type.plain && segment::is_small(type);
+  }
+  void* lay_out_anew(std::uint32_t b, const detail::MessageType& type);
   /// The message has died and the block is exclusively ours: its destructor runs, its references
   /// are let go, its memory is kept for the next one.
-  void bury(std::uint32_t b) noexcept;
-  void recycle_extents(std::uint32_t b) noexcept;
+  void bury(std::uint32_t b) noexcept {
+    const detail::MessageType* const type = holder_.cell(b).type;
+    if (type == nullptr || !is_laid_out_for_ever(*type)) bury_whole(b, type);
+  }
+  void bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept;
+  void recycle_extents(detail::Arena& arena) noexcept;
   bool is_at_rest_here(std::uint32_t b) const noexcept;
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
   void grow(std::size_t room);
@@ -271,7 +318,7 @@ class Pool {
   std::uint32_t index_;
   std::uint64_t topic_ = 0;
   BiasedLock lock_;
-  std::vector<std::uint32_t> ready_;
+  BlockStack ready_;
   std::atomic<bool> may_wait_{false};
   BlockQueue free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;

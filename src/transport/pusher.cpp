@@ -526,7 +526,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     for (;;) {
       const std::size_t n = pool_.take_foreign(foreign);
       lock.unlock();
-      for (std::size_t i = 0; i < n; ++i) participant_->holder().release_ring_hold(foreign[i]);
+      for (std::size_t i = 0; i < n; ++i) participant_->holder().release(foreign[i], hold::kRing);
       if (n < foreign.size()) return;
       lock.lock();
     }
@@ -761,11 +761,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const std::uint64_t word = holder.cell(b).hold.load(std::memory_order_relaxed);
     if ((word & hold::kHome) == 0 || hold::pointers(word) != 0 || seen_[b] == scan_) return false;
     for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
-      const std::uint64_t owners = holder.words(b).own[w].load(std::memory_order_relaxed);
-      const std::uint32_t self = holder.own.self;
-      const std::uint64_t mine =
-          w == self / segment::Atomics::kBitsPerWord ? HardwareOwnership::bit(self) : 0;
-      if ((owners & ~mine) != 0) return false;
+      const std::uint64_t own = holder.words(b).own[w].load(std::memory_order_relaxed);
+      if (HardwareOwnership::holders(own, w, holder.own.self) != 0) return false;
     }
     return true;
   }

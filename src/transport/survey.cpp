@@ -115,9 +115,7 @@ std::uint64_t Survey::weight_of(std::uint32_t b, std::uint32_t owner) const noex
   }
   for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
     std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);
-    for (const std::uint32_t k : {owner, home - 1}) {
-      if (w == k / segment::Atomics::kBitsPerWord) holders &= ~Ownership::bit(k);
-    }
+    for (const std::uint32_t k : {owner, home - 1}) holders = Ownership::holders(holders, w, k);
     if (holders != 0) return 0;
   }
   return shortage_ == Shortage::Blocks ? 1 : granules_[b];

@@ -119,8 +119,7 @@ TEST_CASE("a weak lock that is held up while its block lives through up to 8191 
     CAPTURE(messages);
     lot::refcount::BlockWords<InterruptedAtomics> block{};
     Interrupted<std::uint64_t> word{};
-    lot::refcount::Ownership<InterruptedAtomics> home;
-    home.self = 5;
+    const lot::refcount::Ownership<InterruptedAtomics> home(5);
     REQUIRE(home.claim(block, word));
     const std::uint32_t generation =
         lot::refcount::generation_of(block.life.load(std::memory_order_relaxed));
@@ -130,7 +129,7 @@ TEST_CASE("a weak lock that is held up while its block lives through up to 8191 
         REQUIRE(home.reclaim(block, word, 0));
       }
     };
-    CHECK(!home.acquire_weak(block, word, generation));
+    CHECK(home.acquire_weak(block, word, generation) == lot::refcount::Left::Gone);
     // The new message is exclusively its maker's.
     CHECK(hold::pointers(word.load(std::memory_order_relaxed)) == 1);
   }

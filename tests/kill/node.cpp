@@ -3,6 +3,7 @@
 
 #include <chrono>
 
+#include "support/block_words.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -96,7 +97,7 @@ bool Node::waits_at_home() const {
   bool any = false;
   for (std::uint32_t b = 0; b < participant->blocks(); ++b) {
     const auto& words = participant->block(b);
-    any |= words.wanted.load() != 0 && words.home.load() == participant->index() + 1;
+    any |= test::home_waits(words) && words.home.load() == participant->index() + 1;
   }
   return any;
 }
@@ -105,7 +106,7 @@ bool Node::home_waits() const {
   if (kept.empty()) return false;
   const auto participant = transport::Participant::join(options);
   const auto& words = participant->block(detail::PointerAccess::cell(kept.front())->block);
-  return words.wanted.load() != 0 && words.home.load() != participant->index() + 1;
+  return test::home_waits(words) && words.home.load() != participant->index() + 1;
 }
 
 void Node::leave() {

@@ -9,9 +9,7 @@ foreach(mistake IN ITEMS
     life-bump-relaxed
     life-bump-dropped
     adopt-without-bump
-    wanted-relaxed
     wanted-not-said
-    wanted-looked-at-relaxed
     joiner-not-announced
     marks-not-cleared
     no-wake

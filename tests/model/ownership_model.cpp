@@ -5,6 +5,8 @@
 namespace lot::model {
 namespace {
 
+using refcount::Left;
+
 /// A message goes through three processes whose bits lie in three words. A forwarder's ring is
 /// invisible to the block's home.
 struct ForwarderChain : Scene<ForwarderChain, 3> {
@@ -292,7 +294,8 @@ struct HomeHasThreads : SceneBegins, rl::test_suite<HomeHasThreads, 3> {
     if (t == 0) {
       ours = home.reclaim(block, home_hold, hold::kRing);
     } else if (t == 1) {
-      ours = home.release(block, home_hold, hold::kPointer) && home.reclaim(block, home_hold, 0);
+      ours = home.release(block, home_hold, hold::kPointer) == Left::Home &&
+             home.reclaim(block, home_hold, 0);
     } else {
       other.release(block, other_hold, hold::kPointer);
       ours = home.reclaim(block, home_hold, 0);  // a thread of the home's comes by again
@@ -319,15 +322,17 @@ struct LateReclaim : SceneBegins, rl::test_suite<LateReclaim, 3> {
     if (t == 0) {
       let_go();
     } else if (t == 1) {
-      if (home.acquire_weak(block, home_hold, generation)) let_go();
+      if (home.acquire_weak(block, home_hold, generation) == Left::Held) let_go();
     } else if (other.claim(block, other_hold)) {
       payload.write(1);
       RL_ASSERT(payload.read() == 1);
     }
   }
   void let_go() {
-    if (!home.release(block, home_hold, hold::kPointer) || !home.reclaim(block, home_hold, 0))
+    if (home.release(block, home_hold, hold::kPointer) != Left::Home ||
+        !home.reclaim(block, home_hold, 0)) {
       return;
+    }
     payload.write(2);
     home.give_back(block, home_hold);
   }
@@ -374,31 +379,38 @@ struct HomeIsTold : SceneBegins, rl::test_suite<HomeIsTold, 3> {
   void before() {
     for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
     RL_ASSERT(home.claim(block, home_hold));
-    RL_ASSERT(home.release(block, home_hold, hold::kPointer));
+    RL_ASSERT(home.release(block, home_hold, hold::kPointer) == Left::Home);
     RL_ASSERT(home.reclaim(block, home_hold, 0));  // so that there is one that has died
     other.acquire(block, other_hold, hold::kPointer);
+    note.write(0);
     ours = told = false;
   }
   void thread(unsigned t) {
     if (t == 0) {
-      ours = home.release(block, home_hold, hold::kPointer) && home.reclaim(block, home_hold, 0);
+      ours = home.release(block, home_hold, hold::kPointer) == Left::Home &&
+             home.reclaim(block, home_hold, 0, [this] {
+               note.write(1);
+               return true;
+             });
     } else if (t == 1) {
-      RL_ASSERT(!other.release(block, other_hold, hold::kPointer));
-      tell_if_wanted();
+      tell_if_wanted(other.release(block, other_hold, hold::kPointer));
     } else {
-      RL_ASSERT(!third.acquire_weak(block, third_hold, 0));
-      tell_if_wanted();
+      tell_if_wanted(third.acquire_weak(block, third_hold, 0));
     }
   }
   void after() { RL_ASSERT(ours || told); }
-  void tell_if_wanted() {
-    if (Own::is_wanted(block)) told = true;
+  void tell_if_wanted(Left left) {
+    RL_ASSERT(left == Left::Gone || left == Left::Wanted);
+    if (left != Left::Wanted) return;
+    told = true;
+    RL_ASSERT(note.read() == 1);  // the warden that is told finds it
   }
   Own home{2};
   Own other{5};
   Own third{4};
   refcount::BlockWords<Policy> block;
   Own::Hold home_hold, other_hold, third_hold;
+  Plain<int> note;
   bool ours = false;  ///< both are looked at when all is over
   bool told = false;
 };

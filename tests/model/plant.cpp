@@ -44,12 +44,8 @@ const NamedPlant kPlants[] = {
      {"ownership.hpp", 0, 0, "::acquire(", Operation::Fetch, kRelease, {.drop = true}}},
     {"adopt-without-bump",  // adopting for a dead owner is a hand-over too
      {"ownership.hpp", 0, 0, "::adopt(", Operation::Fetch, kRelease, {.drop = true}}},
-    {"wanted-relaxed",  // O5: home looks before others can see that it waits
-     {"ownership.hpp", 0, 0, "::reclaim(", Operation::Store, kSeqCst, {.order = kRelaxed}}},
-    {"wanted-not-said",  // the same step, left out
-     {"ownership.hpp", 0, 0, "::reclaim(", Operation::Store, kSeqCst, {.drop = true}}},
-    {"wanted-looked-at-relaxed",  // O5: the holder's half
-     {"ownership.hpp", 0, 0, "::is_wanted(", Operation::Load, kSeqCst, {.order = kRelaxed}}},
+    {"wanted-not-said",  // O5: the home waits, and nobody knows
+     {"ownership.hpp", 0, 0, "::ask_holders(", Operation::Fetch, kRelease, {.drop = true}}},
     {"joiner-not-announced",  // R4
      {"ring.hpp", 0, 0, "::join", Operation::Fetch, kSeqCst, {.drop = true}}},
     {"taken-without-a-look",  // R10: two readers may take the same message

@@ -232,11 +232,11 @@ void Process::unloan(Word b) {
 void Process::keep(Word b) { own_.acquire(words(b), hold(b), hold::kPointer); }
 
 bool Process::lock_weak(Word b, std::uint32_t generation) {
-  return own_.acquire_weak(words(b), hold(b), generation);
+  return own_.acquire_weak(words(b), hold(b), generation) == refcount::Left::Held;
 }
 
 void Process::drop(Word b) {
-  if (own_.release(words(b), hold(b), hold::kPointer)) come_home(b, 0);
+  if (own_.release(words(b), hold(b), hold::kPointer) == refcount::Left::Home) come_home(b, 0);
 }
 
 void Process::hand_to_ring(Word b) {

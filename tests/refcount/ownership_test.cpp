@@ -21,6 +21,7 @@ using lot::detail::HardwareAtomics;
 using Ownership = lot::refcount::Ownership<HardwareAtomics>;
 using Words = lot::refcount::BlockWords<HardwareAtomics>;
 using lot::refcount::generation_of;
+using lot::refcount::Left;
 namespace hold = lot::detail::hold;
 
 /// One process: its index, and its private hold word for the one block of a case.
@@ -31,9 +32,11 @@ struct Participant {
   void give_back(Words& b) { own.give_back(b, word); }
   void acquire(Words& b, std::uint64_t amount = hold::kPointer) { own.acquire(b, word, amount); }
   bool release(Words& b, std::uint64_t amount = hold::kPointer) {
-    return own.release(b, word, amount);
+    return own.release(b, word, amount) == Left::Home;
   }
-  bool lock(Words& b, std::uint32_t generation) { return own.acquire_weak(b, word, generation); }
+  bool lock(Words& b, std::uint32_t generation) {
+    return own.acquire_weak(b, word, generation) == Left::Held;
+  }
   bool reclaim(Words& b, std::uint64_t expected) { return own.reclaim(b, word, expected); }
 
   /// True when the shared word says that this process holds the block.
@@ -49,6 +52,10 @@ struct Participant {
 struct Block {
   std::uint32_t generation() const { return generation_of(words.life); }
   std::uint64_t version() const { return words.life >> 32; }
+  bool die(const Participant& p) {
+    std::uint64_t seen = 0;
+    return p.own.die(words, seen);
+  }
   bool unheld() const {
     for (const auto& bits : words.own) {
       if (bits != 0) return false;
@@ -141,27 +148,27 @@ TEST_CASE_FIXTURE(Block, "elsewhere the first hold sets the bit and the last one
 
 TEST_CASE_FIXTURE(Block, "a message dies only when nobody holds it") {
   REQUIRE(home.claim(words));
-  CHECK_FALSE(Ownership::die(words, 0, false));  // home's own bit counts unless it is excepted
+  CHECK_FALSE(Ownership::die_in_orphanage(words));  // home's own bit counts unless it is excepted
   far.acquire(words);
-  CHECK_FALSE(Ownership::die(words, home.own.self, true));
+  CHECK_FALSE(die(home));
   far.release(words);
   other.acquire(words);
-  CHECK_FALSE(Ownership::die(words, home.own.self, true));
+  CHECK_FALSE(die(home));
   CHECK(generation() == 0);
   other.release(words);
   const std::uint64_t before = version();
-  CHECK(Ownership::die(words, home.own.self, true));
+  CHECK(die(home));
   CHECK(generation() == 1);
   CHECK(version() == before);
 }
 
 TEST_CASE_FIXTURE(Block, "the excepted bit excepts that participant and not its namesake") {
-  Participant namesake{6};  // the same bit as 70, in another word
+  Participant namesake{70 - HardwareAtomics::kBitsPerWord};  // the same bit, in another word
   REQUIRE(far.claim(words));
   namesake.acquire(words);
-  CHECK_FALSE(Ownership::die(words, far.own.self, true));
+  CHECK_FALSE(die(far));
   namesake.release(words);
-  CHECK(Ownership::die(words, far.own.self, true));
+  CHECK(die(far));
 }
 
 // ---- reclaim ------------------------------------------------------------------------------------
@@ -191,6 +198,35 @@ TEST_CASE_FIXTURE(Block, "a block that others still hold is reclaimed once they 
   far.release(words);
   CHECK(home.reclaim(words, 0));
   CHECK(generation() == 1);
+}
+
+TEST_CASE_FIXTURE(Block, "a holder is told that the home waits, whenever it let the message go") {
+  REQUIRE(home.claim(words));
+  other.acquire(words);
+  far.acquire(words);
+  CHECK(other.own.release(words, other.word, hold::kPointer) == Left::Gone);
+  REQUIRE(home.release(words));
+  CHECK_FALSE(home.reclaim(words, 0));
+  CHECK(other.lock(words, 0));  // it comes after the home has looked, in another word than far's
+  CHECK(far.own.release(words, far.word, hold::kPointer) == Left::Wanted);
+  CHECK_FALSE(home.reclaim(words, 0));
+  CHECK(other.own.release(words, other.word, hold::kPointer) == Left::Wanted);
+  CHECK(home.reclaim(words, 0));
+  // The next message has nothing of it.
+  other.acquire(words);
+  far.acquire(words);
+  CHECK(other.own.release(words, other.word, hold::kPointer) == Left::Gone);
+  CHECK(far.own.acquire_weak(words, far.word, 0) == Left::Gone);
+  CHECK(far.own.release(words, far.word, hold::kPointer) == Left::Gone);
+}
+
+TEST_CASE_FIXTURE(Block, "who fails to lock a dead message tells the home that has seen its bit") {
+  REQUIRE(home.claim(words));
+  REQUIRE(home.release(words));
+  REQUIRE(home.reclaim(words, 0));
+  Ownership::word(words, other.own.self).fetch_or(lot::refcount::kWanted);
+  CHECK(other.own.acquire_weak(words, other.word, 0) == Left::Wanted);
+  CHECK(other.word == 0);
 }
 
 TEST_CASE_FIXTURE(Block, "a block that we hold ourselves is not reclaimed") {
@@ -401,13 +437,13 @@ TEST_CASE_FIXTURE(Block, "the orphanage buries a message only when nobody holds 
   // Home has died: its reaper clears its bit and takes the block over.
   words.own[0].fetch_and(~Ownership::bit(home.own.self));
   words.home = lot::refcount::kHomeOrphanage;
-  CHECK_FALSE(Ownership::die(words, 0, false));
+  CHECK_FALSE(Ownership::die_in_orphanage(words));
   Ownership::adopt(words);
   other.release(words);
-  CHECK_FALSE(Ownership::die(words, 0, false));
+  CHECK_FALSE(Ownership::die_in_orphanage(words));
   CHECK_FALSE(far.claim(words));
   words.own[0].fetch_and(~std::uint64_t{1});
-  CHECK(Ownership::die(words, 0, false));
+  CHECK(Ownership::die_in_orphanage(words));
   CHECK_FALSE(other.lock(words, 0));
   words.home = lot::refcount::kHomeFree;
   CHECK(far.claim(words));

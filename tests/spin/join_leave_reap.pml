@@ -200,7 +200,7 @@ unrecycled:
   atomic {
     needed = 0;
     if
-    :: home == HOME_ORPHANAGE && own == 0 -> /* @ src/recovery/recovery.hpp bury: !Own::die(words, 0, false) */
+    :: home == HOME_ORPHANAGE && own == 0 -> /* @ src/recovery/recovery.hpp bury: !Own::die_in_orphanage(words) */
       message = 0;
       dies = 1
     :: else
@@ -474,11 +474,11 @@ inline open() {
 inline publish() {
   if
 #ifdef FORWARDED
-  :: own = own | 1 << k; /* @ src/refcount/ownership.hpp acquire: word(b, self).fetch_or(bit(self) */
+  :: own = own | 1 << k; /* @ src/refcount/ownership.hpp acquire: own(b).fetch_or(own_bit_ */
     atomic { slot = 1; message = 1 } /* @ src/lockfree_ring/ring.hpp publish: slot.exchange(make(next_, block) */
 #else
   :: atomic { home == HOME_FREE -> home = HOME(k) }; /* @ src/refcount/ownership.hpp claim: b.home.compare_exchange_strong(free, self + 1 */
-    own = own | 1 << k; /* @ src/refcount/ownership.hpp claim: word(b, self).fetch_or(bit(self) */
+    own = own | 1 << k; /* @ src/refcount/ownership.hpp claim: own(b).fetch_or(own_bit_ */
     atomic { slot = 1; message = 1 } /* @ src/lockfree_ring/ring.hpp publish: slot.exchange(make(next_, block) */
   :: home != HOME_FREE /* @ src/refcount/ownership.hpp claim: b.home.load */
 #endif
@@ -495,7 +495,7 @@ proctype publisher(byte me) {
 #endif
     :: else
     fi;
-    take_index(); /* @ src/transport/participant.cpp Participant: holder_.own.self = take_index(options) */
+    take_index(); /* @ src/transport/participant.cpp Participant: HardwareOwnership(take_index(options)) */
     if
     :: k > LAST -> goto gone
     :: else
@@ -537,7 +537,7 @@ proctype reader(byte me) {
     :: ended[PUBLISHER] -> goto gone
     fi;
 #else
-    take_index(); /* @ src/transport/participant.cpp Participant: holder_.own.self = take_index(options) */
+    take_index(); /* @ src/transport/participant.cpp Participant: HardwareOwnership(take_index(options)) */
     if
     :: k > LAST -> goto gone
     :: else
@@ -584,7 +584,7 @@ joined:
     if
     :: inside && slot -> /* @ src/lockfree_ring/ring.hpp poll: place(slot.load */
       assert(message);
-      own = own | 1 << k; /* @ src/refcount/ownership.hpp acquire: word(b, self).fetch_or(bit(self) */
+      own = own | 1 << k; /* @ src/refcount/ownership.hpp acquire: own(b).fetch_or(own_bit_ */
       assert(message)
     :: else
     fi;
@@ -593,9 +593,9 @@ joined:
     :: else
     fi;
     if
-    :: own & 1 << k -> /* @ src/refcount/ownership.hpp let_go: word(b, self).fetch_and(~bit(self) */
+    :: own & 1 << k -> /* @ src/refcount/ownership.hpp let_go: own(b).fetch_and(~own_bit_ */
       assert(message);
-      own = own & ~(1 << k) /* @ src/refcount/ownership.hpp let_go: word(b, self).fetch_and(~bit(self) */
+      own = own & ~(1 << k) /* @ src/refcount/ownership.hpp let_go: own(b).fetch_and(~own_bit_ */
     :: else
     fi;
 #ifndef READER_IS_SETTLED

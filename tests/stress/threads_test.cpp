@@ -35,6 +35,7 @@ using Ring = lot::ring::Ring<HardwareAtomics>;
 using Cell = lot::ring::Cell<HardwareAtomics>;
 using Writer = lot::ring::Writer<HardwareAtomics>;
 using Reader = lot::ring::Reader<HardwareAtomics>;
+using lot::refcount::Left;
 using Ownership = lot::refcount::Ownership<HardwareAtomics>;
 
 struct Watchdog {  // beside others that compute, each yield() costs a slice of theirs
@@ -303,7 +304,7 @@ class Family {
       }
       const std::uint64_t ticket = ticket_.load(std::memory_order_acquire);
       const auto generation = static_cast<std::uint32_t>(ticket);
-      if (ticket != kNothing && me.own.acquire_weak(words_, me.word, generation)) {
+      if (ticket != kNothing && me.own.acquire_weak(words_, me.word, generation) == Left::Held) {
         if (!payload_.is(generation)) ++wrong_;
         if (random() % 2 == 0) {  // a copy; we hold the block, so this needs no protection
           me.own.acquire(words_, me.word, hold::kPointer);
@@ -340,7 +341,7 @@ class Family {
 
   /// Lets go of one pointer; if that was the last, the block is written anew or given back.
   void release(Process& me, std::mt19937& random) {
-    while (me.own.release(words_, me.word, hold::kPointer) && died_ < deaths_) {
+    while (me.own.release(words_, me.word, hold::kPointer) == Left::Home && died_ < deaths_) {
       if (random() % 8 == 0) std::this_thread::yield();  // others may lock it before we reclaim
       if (!me.own.reclaim(words_, me.word, 0)) return;
       ++died_;

@@ -262,13 +262,13 @@ TEST_CASE("each kind of damage is named") {
              "a slot of it names a message that can not be"));
   CHECK(says(said(ring + sizeof(lot::segment::RingHead) + 64 + 64, 0x7fff0),
              "borrows a message that can not be"));
-  CHECK(says(said(geometry.topics + 32, 1), "a user 256 can not be"));
+  CHECK(says(said(geometry.topics + 32, 1 << 4), "a user 256 can not be"));
   using lot::segment::BlockWords;
   std::uint64_t block = geometry.blocks;
   while (image()[block + offsetof(BlockWords, home)] == 0) block += sizeof(BlockWords);
-  CHECK(says(said(block + 32, 1), "a holder 256 can not be"));
+  CHECK(says(said(block + 32, 1 << 4), "a holder 256 can not be"));
   CHECK(says(said(geometry.tags, 0x7ffffff0), "pieces of memory belong to what can not be"));
-  CHECK(says(said(geometry.blocks + 48, 999), "who made it can not be"));
+  CHECK(says(said(geometry.blocks + offsetof(BlockWords, home), 999), "who made it can not be"));
   write_to(room.path() + "/s", image().substr(0, image().size() / 2));
   CHECK(says(run_lot({"ls", "--dir", room.path()}).out, "its header says"));
   write_to(room.path() + "/s", image().substr(0, 80));

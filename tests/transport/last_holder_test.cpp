@@ -14,6 +14,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/block_words.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -328,7 +329,7 @@ TEST_CASE("a home says that it waits for a holder when its warden can find the b
   frame = loan();
   {
     const Stepping stepping([] {
-      if (looked_at.load()->wanted.load() == 0) return;
+      if (!lot::test::home_waits(*looked_at.load())) return;
       ++waits;
       if (pool_of_it.load()->kept() == 0) ++waits_unfound;
     });

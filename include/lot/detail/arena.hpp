@@ -43,7 +43,6 @@ struct Arena {
   struct Extent {
     std::uint32_t granule;
     std::uint8_t order;    ///< log2 of its granules
-    std::uint8_t used;     ///< 1 when this message has allocated from it
     std::uint16_t living;  ///< allocations in it that were not given back (saturates)
   };
 

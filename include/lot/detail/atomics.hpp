@@ -19,8 +19,8 @@ struct HardwareAtomics {
   using Atomic = std::atomic<T>;
 
   static constexpr std::size_t kLine = 64;  ///< bytes that travel together between cores
-  static constexpr unsigned kOwnWords = 5;  ///< words of ownership bits of a block
-  static constexpr unsigned kBitsPerWord = 64;
+  static constexpr unsigned kOwnWords = 6;  ///< words of ownership bits of a block
+  static constexpr unsigned kBitsPerWord = 63;
 
   /// Tells the core that the caller spins.
   static void pause() noexcept {
