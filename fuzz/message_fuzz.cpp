@@ -419,7 +419,7 @@ class Fuzz {
     if (planted("changed_letter") && !d.text.empty()) ++d.text[0];
     if (planted("changed_number") && !d.numbers.empty()) ++d.numbers[0];
     if (planted("lost_line") && !d.lines.empty()) d.lines.pop_back();
-    if (planted("leaked_granule")) participant_.segment().claim_run(0, 1);
+    if (planted("leaked_granule")) participant_.segment().claim_run(1, 1);
   }
 
   lot::transport::Participant& participant_;

@@ -431,12 +431,12 @@ class Fuzz {
     const auto m = pick(p.loans);
     if (!m) return;
     auto& arena = local_.segment().arena(block(*m));
-    const auto order = static_cast<unsigned>(bytes_.below(3));
+    const auto granules = static_cast<std::uint32_t>(1 + bytes_.below(4));
     if (arena.extents == lot::detail::Arena::kMaxExtents) return;
-    const std::uint32_t run = local_.segment().claim_run(order, block(*m) + 1);
+    const std::uint32_t run = local_.segment().claim_run(granules, block(*m) + 1);
     require(run != lot::segment::Granules<lot::segment::Atomics>::kNone,
             "there are granules enough");
-    arena.extent[arena.extents++] = {run, static_cast<std::uint8_t>(order), 1};
+    arena.extent[arena.extents++] = {run, granules, 1, 0};
   }
 
   void scan(Process& p) {
@@ -700,8 +700,8 @@ class Fuzz {
       if (planted("changed_payload")) ++*local_.segment().small(block(m));
       if (planted("lost_references")) local_.segment().arena(block(m)).references = 0;
     }
-    if (planted("leaked_granule")) local_.segment().claim_run(0, kBlocks + 1);
-    if (planted("lost_ring")) local_.segment().claim_run(0, lot::segment::kRingTag | 7);
+    if (planted("leaked_granule")) local_.segment().claim_run(1, kBlocks + 1);
+    if (planted("lost_ring")) local_.segment().claim_run(1, lot::segment::kRingTag | 7);
   }
 
   // ---- small things

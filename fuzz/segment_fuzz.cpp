@@ -275,7 +275,7 @@ class Editor {
         const ChannelEntry& channel = at<ChannelEntry>(
             geometry_.channels + index % capacity_.channels * sizeof(ChannelEntry));
         return geometry_.data + channel.granule * kGranule +
-               offset % (kGranule << (channel.order % 4));
+               offset % (kGranule * (1 + channel.granules % 16));
       }
       case 12:
         return entry(geometry_.small, capacity_.blocks, kSmallBytes);

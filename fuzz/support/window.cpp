@@ -122,6 +122,8 @@ void* __real_mmap(void*, std::size_t, int, int, int, off_t);
 int __real_munmap(void*, std::size_t);
 std::uint32_t __real__ZN3lot7segment7Segment9claim_runEjj(lot::segment::Segment*, unsigned,
                                                           std::uint32_t);
+bool __real__ZN3lot7segment7Segment10extend_runEjjj(lot::segment::Segment*, std::uint32_t,
+                                                    std::uint32_t, std::uint32_t);
 
 void* __wrap_mmap(void* at, std::size_t bytes, int protection, int flags, int fd, off_t offset) {
   if (!window::installed || (flags & MAP_SHARED) == 0 || window::mapped.base != nullptr ||
@@ -142,13 +144,23 @@ int __wrap_munmap(void* at, std::size_t bytes) {
 }
 
 std::uint32_t __wrap__ZN3lot7segment7Segment9claim_runEjj(lot::segment::Segment* segment,
-                                                          unsigned order, std::uint32_t tag) {
-  const std::uint32_t run = __real__ZN3lot7segment7Segment9claim_runEjj(segment, order, tag);
+                                                          std::uint32_t granules,
+                                                          std::uint32_t tag) {
+  const std::uint32_t run = __real__ZN3lot7segment7Segment9claim_runEjj(segment, granules, tag);
   if (run != lot::segment::Granules<lot::segment::Atomics>::kNone) {
     ASAN_UNPOISON_MEMORY_REGION(segment->base() + segment->granule_offset(run),
-                                lot::segment::kGranule << order);
+                                lot::segment::kGranule * granules);
   }
   return run;
+}
+
+bool __wrap__ZN3lot7segment7Segment10extend_runEjjj(lot::segment::Segment* segment,
+                                                    std::uint32_t end, std::uint32_t granules,
+                                                    std::uint32_t tag) {
+  if (!__real__ZN3lot7segment7Segment10extend_runEjjj(segment, end, granules, tag)) return false;
+  ASAN_UNPOISON_MEMORY_REGION(segment->base() + segment->granule_offset(end),
+                              lot::segment::kGranule * granules);
+  return true;
 }
 }  // extern "C"
 

@@ -235,8 +235,8 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
     const std::uint64_t granules =
         (segment::Segment::ring_bytes(options.depth, options.readers) + segment::kGranule - 1) /
         segment::kGranule;
-    entry.order = static_cast<std::uint32_t>(std::bit_width(granules - 1));
-    entry.granule = segment_.claim_run(entry.order, segment::kRingTag | c);
+    entry.granules = static_cast<std::uint32_t>(granules);
+    entry.granule = segment_.claim_run(entry.granules, segment::kRingTag | c);
     if (entry.granule == segment::Granules<Atomics>::kNone) {
       entry.writer.store(ring::make_writer(generation, ring::State::Free, 0),
                          std::memory_order_release);

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <atomic>
+#include <bit>
 #include <cstdint>
 
-/// The pool of message memory: granules of 4 KiB, handed out in runs of a power of two at places
-/// aligned to their size (so that large runs fit again after many small ones).
+/// The pool of message memory: granules of 4 KiB, handed out in runs of any number, first fit.
 ///
 /// One fact, one word: each granule's tag names its owner. There are no free lists and no tree to
 /// split and join; a run is free when its tags are 0, and what the dead owned is found by name.
@@ -25,7 +26,6 @@ class Granules {
  public:
   using Tag = typename P::template Atomic<std::uint32_t>;
   static constexpr std::uint32_t kNone = ~std::uint32_t{0};
-  static constexpr unsigned kOrders = 24;
 
   Granules() = default;
   Granules(Tag* tags, std::uint32_t count) { reset(tags, count); }
@@ -35,37 +35,51 @@ class Granules {
     count_ = count;
   }
 
-  /// A run of 2^order granules that carries `tag` now, or kNone. Small runs are sought from the low
-  /// end and large ones from the high end, which keeps them apart.
-  std::uint32_t claim(unsigned order, std::uint32_t tag) {
-    return claim(order, tag, [](std::uint32_t) { return true; });
+  /// A run of `run` granules that carries `tag` now, or kNone. Small runs are sought from the low
+  /// end and large ones from the high end, which keeps them apart. REQUIRES: run is not 0.
+  std::uint32_t claim(std::uint32_t run, std::uint32_t tag) {
+    return claim(run, tag, [](std::uint32_t) { return true; });
   }
   /// The same, of the runs that may(first) allows.
   template <class May>
-  std::uint32_t claim(unsigned order, std::uint32_t tag, May&& may) {
-    if (order >= kOrders || (std::uint64_t{1} << order) > count_) return kNone;
-    const std::uint32_t run = std::uint32_t{1} << order;
-    const std::uint32_t places = count_ >> order;
-    std::uint32_t place = hint_[order].load(std::memory_order_relaxed);
-    for (std::uint32_t n = 0; n < places; ++n, ++place) {
-      if (place >= places) place = 0;
-      const std::uint32_t first = (order >= kLarge ? places - 1 - place : place) << order;
-      if (may(first) && take(first, run, tag)) {
-        hint_[order].store(place, std::memory_order_relaxed);
-        return first;
-      }
+  std::uint32_t claim(std::uint32_t run, std::uint32_t tag, May&& may) {
+    if (run > count_) return kNone;
+    const std::uint32_t places = count_ - run + 1;
+    Tag& hint = hint_[size_class(run)];
+    const std::uint32_t begin = hint.load(std::memory_order_relaxed);
+    std::uint32_t first = kNone;
+    if (run < kLarge) {
+      const std::uint32_t from = std::min(begin, places - 1);
+      first = seek_up(from, places, run, tag, may);
+      if (first == kNone) first = seek_up(0, from, run, tag, may);
+      if (first != kNone) hint.store(first, std::memory_order_relaxed);
+    } else {
+      const std::uint32_t from = std::min(~begin, places - 1);
+      first = seek_down(0, from + 1, run, tag, may);
+      if (first == kNone) first = seek_down(from + 1, places, run, tag, may);
+      if (first != kNone) hint.store(~first, std::memory_order_relaxed);
     }
-    return kNone;
+    return first;
   }
 
-  void release(std::uint32_t first, unsigned order) {
-    for (std::uint32_t i = 0; i < std::uint32_t{1} << order; ++i) {
+  /// The granules behind a run that we have, `run` of them: they carry `tag` now. False: one is in
+  /// use.
+  bool extend(std::uint32_t end, std::uint32_t run, std::uint32_t tag) {
+    return end <= count_ && run <= count_ - end && take(end, run, tag);
+  }
+
+  /// Rubbish that somebody has written where the run was noted releases nothing.
+  void release(std::uint32_t first, std::uint32_t run) {
+    if (run == 0 || first >= count_ || run > count_ - first) return;
+    for (std::uint32_t i = 0; i < run; ++i) {
       tags_[first + i].store(0, std::memory_order_release);  // G1
     }
-    // Look here first the next time: it is warm.
-    const std::uint32_t place = first >> order;
-    hint_[order].store(order >= kLarge ? (count_ >> order) - 1 - place : place,
-                       std::memory_order_relaxed);
+    for (unsigned c = 0; c < static_cast<unsigned>(std::bit_width(count_)); ++c) {
+      const std::uint32_t place = (1U << c) < kLarge ? first : ~(first + run - 1);
+      if (hint_[c].load(std::memory_order_relaxed) > place) {
+        hint_[c].store(place, std::memory_order_relaxed);
+      }
+    }
   }
 
   /// Releases every granule whose tag dead(tag) says so.
@@ -86,7 +100,60 @@ class Granules {
   }
 
  private:
-  static constexpr unsigned kLarge = 8;
+  static constexpr std::uint32_t kLarge = 256;
+
+  /// Runs of about one size share a hint.
+  static unsigned size_class(std::uint32_t run) {
+    return static_cast<unsigned>(std::bit_width(run | 1)) - 1;
+  }
+
+  /// The first run in places begin to end - 1, upwards, or kNone.
+  template <class May>
+  std::uint32_t seek_up(std::uint32_t begin, std::uint32_t end, std::uint32_t run,
+                        std::uint32_t tag, May&& may) {
+    for (std::uint32_t first = begin; first < end;) {
+      const std::uint32_t used = last_used(first, run);
+      if (used != kNone) {
+        first = used + 1;  // no run that has this one is free
+      } else if (may(first) && take(first, run, tag)) {
+        return first;
+      } else {
+        ++first;
+      }
+    }
+    return kNone;
+  }
+  /// The same, downwards.
+  template <class May>
+  std::uint32_t seek_down(std::uint32_t begin, std::uint32_t end, std::uint32_t run,
+                          std::uint32_t tag, May&& may) {
+    for (std::uint32_t last = end; last > begin;) {
+      const std::uint32_t first = last - 1;
+      const std::uint32_t used = first_used(first, run);
+      if (used != kNone) {
+        if (used < run) return kNone;
+        last = used - run + 1;
+      } else if (may(first) && take(first, run, tag)) {
+        return first;
+      } else {
+        last = first;
+      }
+    }
+    return kNone;
+  }
+
+  std::uint32_t last_used(std::uint32_t first, std::uint32_t run) const {
+    for (std::uint32_t i = first + run; i-- > first;) {
+      if (tag(i) != 0) return i;
+    }
+    return kNone;
+  }
+  std::uint32_t first_used(std::uint32_t first, std::uint32_t run) const {
+    for (std::uint32_t i = first; i < first + run; ++i) {
+      if (tag(i) != 0) return i;
+    }
+    return kNone;
+  }
 
   bool take(std::uint32_t first, std::uint32_t run, std::uint32_t tag) {
     for (std::uint32_t i = 0; i < run; ++i) {
@@ -104,7 +171,9 @@ class Granules {
 
   Tag* tags_ = nullptr;
   std::uint32_t count_ = 0;
-  std::array<Tag, kOrders> hint_{};  ///< private: where to look first
+  /// Private, by size class: before that place, seen from the end that the class begins at, this
+  /// process knows of no free run. Those of large runs are complements, and so begin at 0, too.
+  std::array<Tag, 32> hint_{};
 };
 
 }  // namespace lot::segment

@@ -165,7 +165,7 @@ struct alignas(64) ChannelEntry {
   std::uint32_t readers;
   std::uint32_t policy;               ///< lot::Policy
   std::uint32_t granule;              ///< first granule of the ring's memory
-  std::uint32_t order;                ///< log2 of its granules
+  std::uint32_t granules;             ///< how many
   std::atomic<std::uint32_t> formed;  ///< 1: the plain fields are complete
   std::uint32_t engine;               ///< lot::QueueEngine
   std::uint32_t taken;                ///< 1: each message is taken by one reader; 0: all get it

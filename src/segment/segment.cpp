@@ -385,16 +385,15 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   const std::uint32_t depth = entry.depth;
   const std::uint32_t readers = entry.readers;
   const std::uint32_t granule = entry.granule;
-  const std::uint32_t order = entry.order;
+  const std::uint32_t granules = entry.granules;
   const std::uint32_t engine = entry.engine;
   if (depth == 0 || depth > kDeepest || readers == 0 || readers > capacity_.readers ||
-      order >= Granules<Atomics>::kOrders || granule >= geometry_.granules ||
-      (std::uint64_t{1} << order) > geometry_.granules - granule ||
-      ring_bytes(depth, readers) > kGranule << order ||
+      granule >= geometry_.granules || granules > geometry_.granules - granule ||
+      ring_bytes(depth, readers) > kGranule * granules ||
       engine > static_cast<std::uint32_t>(QueueEngine::Mutex)) {
     return ring;
   }
-  for (std::uint32_t i = 0; i < std::uint32_t{1} << order; ++i) {
+  for (std::uint32_t i = 0; i < granules; ++i) {
     if (granules_.tag(granule + i) != (kRingTag | channel)) return ring;
   }
   std::uint64_t place = granule_offset(granule);
@@ -432,20 +431,28 @@ mutex_engine::QueueLock Segment::queue_lock(std::uint32_t channel) const noexcep
   return {head->lock, head->space, path_};
 }
 
-std::uint32_t Segment::claim_run(unsigned order, std::uint32_t tag) noexcept {
+std::uint32_t Segment::claim_run(std::uint32_t granules, std::uint32_t tag) noexcept {
   errno = 0;
-  std::uint32_t run = granules_.claim(order, tag);
-  if (run == Granules<Atomics>::kNone || back_run(run, order)) return run;
-  granules_.release(run, order);
-  run = granules_.claim(order, tag, [&](std::uint32_t first) { return is_backed(first, order); });
+  std::uint32_t run = granules_.claim(granules, tag);
+  if (run == Granules<Atomics>::kNone || back_run(run, granules)) return run;
+  granules_.release(run, granules);
+  run = granules_.claim(granules, tag,
+                        [&](std::uint32_t first) { return is_backed(first, granules); });
   if (run == Granules<Atomics>::kNone) errno = ENOSPC;
   return run;
 }
 
-bool Segment::is_backed(std::uint32_t first, unsigned order) const noexcept {
+bool Segment::extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept {
+  if (!granules_.extend(end, granules, tag)) return false;
+  if (back_run(end, granules)) return true;
+  granules_.release(end, granules);
+  return false;
+}
+
+bool Segment::is_backed(std::uint32_t first, std::uint32_t granules) const noexcept {
   const auto* done = at<Tag>(geometry_.reserved);
   const std::uint64_t begin = granule_offset(first);
-  const std::uint64_t last = begin + (kGranule << order) - 1;
+  const std::uint64_t last = begin + kGranule * granules - 1;
   for (std::uint64_t unit = begin / kReserveUnit; unit <= last / kReserveUnit; ++unit) {
     if (done[unit].load(std::memory_order_acquire) == 0) return false;
   }

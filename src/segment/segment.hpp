@@ -99,13 +99,16 @@ class Segment {
   /// Claims a run for `tag` and makes sure that the system really has the memory. Where the system
   /// has no more, one that has been used before. kNone: there is no run; errno is ENOSPC when it
   /// was the system that had none.
-  std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
+  std::uint32_t claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
+  /// The same for the granules behind a run that carries `tag`, which then is longer. False: they
+  /// are not all free, or the system has none.
+  bool extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept;
   /// True when the system has given the memory of a run, or gives it now.
-  bool back_run(std::uint32_t first, unsigned order) noexcept {
-    return reserve(granule_offset(first), kGranule << order);
+  bool back_run(std::uint32_t first, std::uint32_t granules) noexcept {
+    return reserve(granule_offset(first), kGranule * granules);
   }
   /// True when the system has given it.
-  bool is_backed(std::uint32_t first, unsigned order) const noexcept;
+  bool is_backed(std::uint32_t first, std::uint32_t granules) const noexcept;
 
  private:
   Segment(const std::string& path, Access access, bool finished);

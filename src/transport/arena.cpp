@@ -14,7 +14,26 @@
 namespace lot::detail {
 namespace {
 
-std::uint64_t bytes_of(const Arena::Extent& extent) { return segment::kGranule << extent.order; }
+using segment::kGranule;
+
+constexpr std::uint32_t kNoRun = segment::Granules<HardwareAtomics>::kNone;
+/// A run of so many granules is kept, whatever a smaller message needs of it.
+constexpr std::uint32_t kSmallRun = 16;
+/// From so many extents on the next ones are as large as all before them.
+constexpr unsigned kManyExtents = 6;
+
+std::uint64_t bytes_of(const Arena::Extent& extent) { return kGranule * extent.granules; }
+
+std::uint64_t granules_in(std::uint64_t bytes) { return (bytes + kGranule - 1) / kGranule; }
+
+/// The granules of an extent for a piece of that size. Sizes that differ little share one, so that
+/// the next message fits; it is at most 1/16 more, beside the last granule.
+std::uint64_t fit(std::uint64_t bytes) {
+  const std::uint64_t granules = granules_in(bytes);
+  if (granules < kSmallRun) return granules;
+  const std::uint64_t step = std::bit_floor(granules) / 16;
+  return (granules + step - 1) & ~(step - 1);
+}
 
 [[noreturn, gnu::cold]] void refuse_to_grow(const Arena& arena) {
   transport::Participant* const p = transport::Participant::at(&arena);
@@ -35,67 +54,201 @@ Arena*& arena_being_built() noexcept {
   return arena;
 }
 
-void* Arena::grow(std::size_t bytes) {
+void* Arena::grow(std::size_t bytes, std::size_t align) {
   if (frozen == kPublished) refuse_to_grow(*this);
-  bytes = std::max<std::size_t>(bytes, 1);  // empty pieces, too, begin in an extent
-  // An extent begins at a page, which suits every alignment that a message may have.
-  unsigned best = kMaxExtents;
+  const std::uint64_t granules = fit(bytes);
+  // First what is most likely: a large piece, as the last message here had one.
   for (unsigned i = 0; i < extents; ++i) {
-    if (extent[i].living == 0 && current != i + 1 && bytes_of(extent[i]) >= bytes &&
-        (best == kMaxExtents || extent[i].order < extent[best].order)) {
-      best = i;
+    if (extent[i].granules == granules && extent[i].living == 0 && extent[i].shared == 0) {
+      extent[i].living = 1;
+      return base() + data + std::uint64_t{extent[i].granule} * kGranule;
     }
   }
-  transport::Participant* p = nullptr;
-  if (best == kMaxExtents) {
-    p = transport::Participant::at(this);
-    // The memory would be at home here, and the message there.
-    if (p == nullptr || !p->holder().is_home(block)) {
-      throw OutOfMemory(
-          "lot: a message that another process has made can not grow: copy it, or let its maker "
-          "reserve() what it will need");
-    }
-    if (extents == kMaxExtents) drop_idle(*p);
-    if (extents == kMaxExtents) out_of_memory(*p, bytes, 0);
-    // Each at least twice the one before: kMaxExtents suffice for any message.
-    const std::uint64_t granules =
-        (static_cast<std::uint64_t>(bytes) + segment::kGranule - 1) / segment::kGranule;
-    const unsigned order =
-        std::max(static_cast<unsigned>(std::bit_width(granules - 1)), unsigned{extents});
-    unsigned claimed = order;
-    std::uint32_t run = p->claim_run(order, block + 1);
-    if (run == segment::Granules<HardwareAtomics>::kNone) {
-      drop_idle(*p);
-      claimed = static_cast<unsigned>(std::bit_width(granules - 1));
-      run = p->claim_run(claimed, block + 1);
-    }
-    if (run == segment::Granules<HardwareAtomics>::kNone) out_of_memory(*p, bytes, errno);
-    best = extents++;
-    extent[best] = {run, static_cast<std::uint8_t>(claimed), 0};
+  // Empty pieces, too, begin in an extent.
+  return find_extent(
+      std::max<std::size_t>(bytes, 1), align,
+      static_cast<std::uint32_t>(std::clamp(granules, std::uint64_t{1}, std::uint64_t{kNoRun})));
+}
+
+void* Arena::find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules) {
+  // What reserve() made serves pieces of every size, side by side.
+  const bool is_reserved = segment::is_reserved(*this);
+  const bool alone = bytes >= kLargePiece && extents < kManyExtents && !is_reserved;
+  if (!alone && bytes >= kLargePiece) {
+    if (void* const piece = place_in_current(bytes, align); piece != nullptr) return piece;
   }
-  Extent& chosen = extent[best];
-  current = static_cast<std::uint8_t>(best + 1);
-  const std::uint64_t begin = data + std::uint64_t{chosen.granule} * segment::kGranule;
+  const unsigned idle = idle_extent(granules, !alone, is_reserved);
+  if (idle != extents && extent[idle].granules >= granules && !alone) return begin_in(idle, bytes);
+  transport::Participant* const p = transport::Participant::at(this);
+  // The memory would be at home here, and the message there.
+  if (p == nullptr || !p->holder().is_home(block)) {
+    if (idle != extents && extent[idle].granules >= granules_in(bytes)) {
+      return begin_in(idle, bytes);
+    }
+    throw OutOfMemory(
+        "lot: a message that another process has made can not grow: copy it, or let its maker "
+        "reserve() what it will need");
+  }
+  if (idle != extents) {
+    resize(*p, idle, granules);
+    if (extent[idle].granules >= granules_in(bytes)) return begin_in(idle, bytes);
+    // Too small, and it would lie beside the larger one.
+    if (!is_reserved) drop(*p, idle);
+  }
+  if (!alone && grow_current(*p, bytes, align)) return place_in_current(bytes, align);
+  return begin_in(claim(*p, bytes, granules, alone), bytes);
+}
+
+/// Null: it does not fit.
+void* Arena::place_in_current(std::size_t bytes, std::size_t align) noexcept {
+  const std::uint64_t begin = (cursor + (align - 1)) & ~std::uint64_t{align - 1};
+  if (current == 0 || begin >= limit || bytes > limit - begin) return nullptr;
   cursor = begin + bytes;
-  limit = begin + bytes_of(chosen);
-  count(best);
+  count(current - 1U);
   return base() + begin;
 }
 
-/// Gives extents back in which nothing lives.
-void Arena::drop_idle(transport::Participant& p) noexcept {
-  std::uint8_t kept = 0;
-  std::uint8_t now = 0;
+/// A new extent.
+unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules,
+                      bool alone) {
+  // The last message here had no small pieces, so this one is of another kind.
+  if (!alone && current == 0) drop_idle(p);
+  if (extents == kMaxExtents) drop_idle(p);
+  if (extents == kMaxExtents) out_of_memory(p, bytes, 0);
+  const std::uint64_t shared = std::max<std::uint64_t>(granules, granules_held());
+  std::uint32_t claimed =
+      alone ? granules : static_cast<std::uint32_t>(std::min<std::uint64_t>(shared, kNoRun));
+  if (!alone) trim_current();
+  std::uint32_t run = p.claim_run(claimed, block + 1);
+  if (run == kNoRun) {
+    drop_idle(p);
+    claimed = static_cast<std::uint32_t>(std::min<std::uint64_t>(granules_in(bytes), kNoRun));
+    run = p.claim_run(claimed, block + 1);
+  }
+  if (run == kNoRun) out_of_memory(p, bytes, errno);
+  extent[extents] = {run, claimed, 0, alone ? std::uint16_t{0} : std::uint16_t{1}};
+  return extents++;
+}
+
+/// An extent in which nothing lives begins with a piece of that size. It begins at a page, which
+/// suits every alignment that a message may have.
+void* Arena::begin_in(unsigned index, std::size_t bytes) {
+  const Extent& chosen = extent[index];
+  const std::uint64_t begin = data + std::uint64_t{chosen.granule} * kGranule;
+  if (chosen.shared != 0) {
+    trim_current();
+    current = static_cast<std::uint8_t>(index + 1);
+    cursor = begin + bytes;
+    limit = begin + bytes_of(chosen);
+  }
+  count(index);
+  return base() + begin;
+}
+
+/// Of the extents of a kind in which nothing lives, the smallest one that has so many granules;
+/// where none has, the largest. `any`: one of the other kind becomes one of this. `extents`: there
+/// is none.
+unsigned Arena::idle_extent(std::uint32_t granules, bool shared, bool any) noexcept {
+  unsigned best = extents;
   for (unsigned i = 0; i < extents; ++i) {
-    if (extent[i].living == 0 && current != i + 1) {
-      p.segment().granules().release(extent[i].granule, extent[i].order);
+    if (extent[i].living != 0 || current == i + 1) continue;
+    if (!any && (extent[i].shared != 0) != shared) continue;
+    if (best == extents) {
+      best = i;
       continue;
     }
-    extent[kept++] = extent[i];
-    if (current == i + 1) now = kept;
+    const std::uint32_t has = extent[i].granules;
+    const std::uint32_t best_has = extent[best].granules;
+    const bool fits = has >= granules;
+    if (fits != (best_has >= granules) ? fits : fits ? has < best_has : has > best_has) best = i;
   }
-  extents = kept;
-  current = now;
+  if (best != extents) extent[best].shared = shared ? 1 : 0;
+  return best;
+}
+
+std::uint64_t Arena::granules_held() const noexcept {
+  std::uint64_t sum = 0;
+  for (unsigned i = 0; i < extents; ++i) sum += extent[i].granules;
+  return sum;
+}
+
+/// Makes an idle extent as large as a piece needs: gives back what is too much, and takes the
+/// granules behind it if they are free. What reserve() made is not made smaller.
+///
+/// Crash: killed anywhere in it, the granules carry this block's tag or none.
+void Arena::resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept {
+  Extent& e = extent[index];
+  if (e.granules < granules) {
+    const std::uint32_t end = e.granule + e.granules;
+    if (p.segment().extend_run(end, granules - e.granules, block + 1)) e.granules = granules;
+  } else if (!segment::is_reserved(*this)) {
+    shorten(p, index, granules);
+  }
+}
+
+void Arena::shorten(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept {
+  Extent& e = extent[index];
+  const std::uint32_t more = e.granules - granules;
+  if (more == 0) return;
+  e.granules = granules;
+  p.segment().granules().release(e.granule + granules, more);
+}
+
+/// Doubles the extent that the small pieces are in, where the granules behind it are free.
+bool Arena::grow_current(transport::Participant& p, std::size_t bytes, std::size_t align) {
+  if (current == 0) return false;
+  Extent& e = extent[current - 1];
+  const std::uint64_t begin = (cursor + (align - 1)) & ~std::uint64_t{align - 1};
+  const std::uint64_t least = granules_in(begin + bytes - limit);
+  const std::uint32_t end = e.granule + e.granules;
+  for (const std::uint64_t more : {std::max<std::uint64_t>(least, e.granules), least}) {
+    if (more < kNoRun && p.segment().extend_run(end, static_cast<std::uint32_t>(more), block + 1)) {
+      e.granules += static_cast<std::uint32_t>(more);
+      limit += more * kGranule;
+      return true;
+    }
+  }
+  return false;
+}
+
+void Arena::trim_whole() noexcept {
+  if (segment::is_reserved(*this)) return;
+  trim_current();
+  for (unsigned i = extents; i-- > 0;) {
+    if (extent[i].living != 0 || current == i + 1 || extent[i].granules <= kSmallRun) continue;
+    transport::Participant* const p = transport::Participant::at(this);
+    if (p == nullptr || !p->holder().is_home(block)) return;
+    drop(*p, i);
+  }
+}
+
+/// Gives the end of the current extent back, if it is much and nothing has been in it.
+void Arena::trim_current() noexcept {
+  if (current == 0 || segment::is_reserved(*this)) return;
+  const Extent& e = extent[current - 1];
+  const std::uint64_t begin = data + std::uint64_t{e.granule} * kGranule;
+  const std::uint64_t used = std::max<std::uint64_t>(fit(cursor - begin), kSmallRun);
+  if (e.granules <= used) return;
+  transport::Participant* const p = transport::Participant::at(this);
+  if (p == nullptr || !p->holder().is_home(block)) return;
+  shorten(*p, current - 1U, static_cast<std::uint32_t>(used));
+  limit = begin + bytes_of(e);
+}
+
+/// Gives extents back in which nothing lives, but for those that reserve() made.
+void Arena::drop_idle(transport::Participant& p) noexcept {
+  if (segment::is_reserved(*this)) return;
+  for (unsigned i = extents; i-- > 0;) {
+    if (extent[i].living == 0 && current != i + 1) drop(p, i);
+  }
+}
+
+/// Gives an extent back that is not the current one.
+void Arena::drop(transport::Participant& p, unsigned index) noexcept {
+  const Extent gone = extent[index];
+  extent[index] = extent[--extents];
+  if (current == extents + 1) current = static_cast<std::uint8_t>(index + 1);
+  p.segment().granules().release(gone.granule, gone.granules);
 }
 
 void Arena::change_hands() noexcept {
@@ -146,16 +299,21 @@ void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
   const bool newest = at + bytes == cursor;
   for (unsigned i = 0; i < extents; ++i) {
     Extent& e = extent[i];
-    const std::uint64_t begin = data + std::uint64_t{e.granule} * segment::kGranule;
+    const std::uint64_t begin = data + std::uint64_t{e.granule} * kGranule;
     if (at < begin || at >= begin + bytes_of(e)) continue;
     if (e.living != 0 && e.living != 0xffff) --e.living;
-    if (current != i + 1) return;  // A2
-    if (e.living == 0) {
-      cursor = begin;
-    } else if (newest) {
-      cursor = at;
+    if (current == i + 1) {
+      if (e.living == 0) {
+        cursor = begin;
+      } else if (newest) {
+        cursor = at;
+      }
+    } else if (e.living == 0 && e.shared == 0 && !segment::is_reserved(*this)) {
+      // A vector that grows has left it, and will need more the next time.
+      transport::Participant* const p = transport::Participant::at(this);
+      if (p != nullptr && p->holder().is_home(block)) drop(*p, i);
     }
-    return;
+    return;  // A2
   }
   if (newest && current == 0 && at < limit && limit - at <= segment::kSmallBytes)
     cursor = at;  // A2

@@ -51,32 +51,37 @@ Survey& Eviction::survey(Shortage shortage) noexcept {
   return survey_;
 }
 
-bool Eviction::can_free_run(std::uint32_t asker, unsigned order, const Givers& givers) noexcept {
+bool Eviction::can_free_run(std::uint32_t asker, std::uint32_t granules,
+                            const Givers& givers) noexcept {
   const std::lock_guard guard(mutex_);
   std::fill(marked_.begin(), marked_.end(), false);
   // At the end of what the rules allow, the asker has given all that it had.
-  for (Evictor* e : evictors_) e->mark(e->pool() == asker, segment::kGranule << order, marked_);
-  survey(Shortage::Memory).mark(std::uint64_t{1} << order, marked_, [&](std::uint32_t k) {
-    return givers[k];
-  });
-  return has_run(order);
+  for (Evictor* e : evictors_) e->mark(e->pool() == asker, segment::kGranule * granules, marked_);
+  survey(Shortage::Memory).mark(granules, marked_, [&](std::uint32_t k) { return givers[k]; });
+  return has_run(granules);
 }
 
-bool Eviction::has_run(unsigned order) const noexcept {
+bool Eviction::has_run(std::uint32_t run) const noexcept {
   segment::Segment& s = *holder_.segment;
   const auto& granules = s.granules();
-  const std::uint32_t run = std::uint32_t{1} << order;
-  bool more = true;  // the system gives memory that nothing has been in yet
-  for (std::uint32_t first = 0; granules.count() - first >= run; first += run) {
-    std::uint32_t i = 0;
-    for (; i < run; ++i) {
-      const std::uint32_t tag = granules.tag(first + i);
-      if (tag != 0 && (tag > marked_.size() || !marked_[tag - 1])) break;
+  constexpr std::uint64_t kUnit = segment::kReserveUnit;
+  bool more = true;          // the system gives memory that nothing has been in yet
+  std::uint32_t length = 0;  // of the run that ends here
+  for (std::uint32_t i = 0; i < granules.count(); ++i) {
+    const std::uint32_t tag = granules.tag(i);
+    if (tag != 0 && (tag > marked_.size() || !marked_[tag - 1])) {
+      length = 0;
+      continue;
     }
-    if (i != run) continue;
-    if (s.is_backed(first, order)) return true;
-    if (more && s.back_run(first, order)) return true;
+    if (++length < run) continue;
+    const std::uint32_t first = i + 1 - run;
+    if (s.is_backed(first, run)) return true;
+    if (more && s.back_run(first, run)) return true;
     more = false;
+    // The next run that may be backed begins in another unit.
+    const std::uint64_t at = s.granule_offset(first);
+    const std::uint64_t step = (kUnit - at % kUnit) / segment::kGranule;
+    length = step < run ? run - static_cast<std::uint32_t>(step) : 0;
   }
   return false;
 }

@@ -54,7 +54,7 @@ class Evictor {
 /// The asker is the publisher whose loan or whose message grows. It may be a maker without a topic,
 /// which has no messages to give.
 ///
-///   1. What can never be met evicts nothing. So first a look over the tags: is there an aligned
+///   1. What can never be met evicts nothing. So first a look over the tags: is there a
 ///      run of granules that are free, or belong to messages that rules 2 to 4 can free? Free ones
 ///      that were never used count while the file system has room for them.
 ///   2. What publishers have left that have gone goes first, but for the newest two of each:
@@ -96,8 +96,8 @@ class Eviction {
   /// Which other processes give, by participant: those that are stopped do not. Of kOrphanage:
   /// whether ended rings do.
   using Givers = std::array<bool, segment::kMaxParticipants>;
-  /// Rule 1, for a run of 2^order granules.
-  bool can_free_run(std::uint32_t asker, unsigned order, const Givers& givers) noexcept;
+  /// Rule 1, for a run of so many granules.
+  bool can_free_run(std::uint32_t asker, std::uint32_t granules, const Givers& givers) noexcept;
 
   /// What became of rules 2 to 4.
   struct Turn {
@@ -115,7 +115,7 @@ class Eviction {
   bool give(const Request& request) noexcept;
 
  private:
-  bool has_run(unsigned order) const noexcept;
+  bool has_run(std::uint32_t granules) const noexcept;
   /// Of our publishers but `asker`, the one that rule 2 chooses; its stock. REQUIRES: mutex_.
   Evictor* richest(std::uint32_t asker, std::uint64_t keep, Shortage shortage,
                    Evictor::Stock& stock) noexcept;

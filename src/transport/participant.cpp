@@ -310,6 +310,7 @@ void Participant::fill_hub() noexcept {
     Participant& p = of(c);
     if (p.holder_.is_home(c->block)) {
       p.segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
+      p.segment_.arena(c->block).trim();  // while one thread has it
     }
   };
 }

@@ -96,7 +96,7 @@ class Participant {
   bool collect() noexcept;
   /// A run of memory for a block of ours, whose tag it gets: from the segment, or, when it is full,
   /// after freeing what can be freed. The publisher that has the block asks.
-  std::uint32_t claim_run(unsigned order, std::uint32_t tag) noexcept;
+  std::uint32_t claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
   /// Frees what can be freed without giving a message up, for the publisher with this pool.
   void tidy(std::uint32_t asker) noexcept;
   /// Gives the idle memory of our pools back, for the need of the publisher with this pool, or of

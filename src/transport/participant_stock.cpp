@@ -146,24 +146,21 @@ void Participant::tidy(std::uint32_t asker) noexcept {
   trim(asker);
 }
 
-std::uint32_t Participant::claim_run(unsigned order, std::uint32_t tag) noexcept {
+std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) noexcept {
   constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
-  std::uint32_t run = segment_.claim_run(order, tag);
+  std::uint32_t run = segment_.claim_run(granules, tag);
   if (run != kNone) return run;
-  if (order >= segment::Granules<segment::Atomics>::kOrders ||
-      (std::uint64_t{1} << order) > segment_.granules().count()) {
-    return kNone;  // nothing that goes makes room for it
-  }
+  if (granules > segment_.granules().count()) return kNone;  // nothing that goes makes room for it
   const std::uint32_t asker = holder_.cell(tag - 1).pool.load(std::memory_order_relaxed);
-  const auto enough = [&] { return (run = segment_.claim_run(order, tag)) != kNone; };
+  const auto enough = [&] { return (run = segment_.claim_run(granules, tag)) != kNone; };
   tidy(asker);
   if (enough()) return run;
   const bool gathers = may_gather();
   if (gathers && gather_from_others(enough)) return run;
   const auto possible = [&](const Eviction::Givers& givers) {
-    return eviction_.can_free_run(asker, order, givers);
+    return eviction_.can_free_run(asker, granules, givers);
   };
-  if (evict_until(enough, asker, segment::kGranule << order, Shortage::Memory, possible)) {
+  if (evict_until(enough, asker, segment::kGranule * granules, Shortage::Memory, possible)) {
     return run;
   }
   if (!gathers) gather_from_others(enough);

@@ -349,7 +349,7 @@ void Pool::recycle_extents(Arena& arena) noexcept {
   for (unsigned i = 0; i < arena.extents; ++i) {
     const Arena::Extent& extent = arena.extent[i];
     if (extent.living == 0) [[unlikely]] {
-      holder_.segment->granules().release(extent.granule, extent.order);
+      holder_.segment->granules().release(extent.granule, extent.granules);
       continue;
     }
     if (kept != i) arena.extent[kept] = extent;
@@ -370,7 +370,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
   bury(b);
   Arena& arena = holder_.segment->arena(b);
   for (unsigned i = 0; i < arena.extents; ++i) {
-    holder_.segment->granules().release(arena.extent[i].granule, arena.extent[i].order);
+    holder_.segment->granules().release(arena.extent[i].granule, arena.extent[i].granules);
   }
   arena.extents = 0;
   c.type = nullptr;

@@ -157,6 +157,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       }
       return status;
     }
+    if (!type_->plain) participant_->segment().arena(cell->block).trim();
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
@@ -551,8 +552,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const detail::Arena& arena = participant_->segment().arena(b);
     std::uint64_t bytes = 0;
     for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
-      bytes +=
-          segment::kGranule << arena.extent[i].order % segment::Granules<segment::Atomics>::kOrders;
+      bytes += segment::kGranule * arena.extent[i].granules;
     }
     return bytes;
   }

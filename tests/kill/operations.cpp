@@ -275,6 +275,33 @@ void loans(std::vector<Operation>& all) {
                                  n.frame_loans.back()->data.resize(2000);
                                })},
                  [](Node& n) { n.frame_loans.clear(); }});
+  // The memory of the last message is shortened, lengthened in place, and replaced.
+  all.push_back({"a used block, messages of other sizes",
+                 {Promise::LockFree, "grow a message"},
+                 frames + Acts{victim(frame), victim([](Node& n) {
+                                 n.frame_loans.back()->data.resize(12000);
+                                 n.frame_loans.clear();
+                               })},
+                 [](Node& n) {
+                   for (const std::size_t size : {9000U, 9600U, 11000U}) {
+                     n.frame_loans.push_back(n.frames->loan());
+                     n.frame_loans.back()->data.resize(size);
+                     n.frame_loans.clear();
+                   }
+                 }});
+  all.push_back({"a message complete, with memory unused",
+                 {Promise::LockFree, "grow a message"},
+                 frames + Acts{victim(frame), victim([](Node& n) {
+                                 for (const std::size_t size : {700U, 2000U, 6000U, 7500U, 100U}) {
+                                   auto& data = n.frame_loans.back()->data;
+                                   data.resize(size);
+                                   data.shrink_to_fit();
+                                 }
+                               })},
+                 [](Node& n) {
+                   ShmSharedPtr<Frame> complete = std::move(n.frame_loans.back());
+                   n.frame_loans.clear();
+                 }});
 }
 
 void pushes(std::vector<Operation>& all, QueueEngine engine) {

@@ -29,9 +29,7 @@ constexpr std::size_t kPublishers = 3;
 constexpr std::uint32_t kDepth = 4;
 constexpr std::size_t kInHand = 3;  ///< of each publisher, at most
 constexpr std::size_t kKept = 3;    ///< by each reader, at most
-/// One loan in four million finds no aligned run of 64 MiB in 1 GiB: what others hold lies
-/// scattered. In half as much again that does not happen.
-constexpr std::uint64_t kSegment = std::uint64_t{3} << 29;
+constexpr std::uint64_t kSegment = std::uint64_t{1} << 30;
 /// Frames that somebody has: in a queue, in hand, kept by one of two readers.
 constexpr std::size_t kLive = kPublishers * (kDepth + kInHand) + 2 * kKept;
 

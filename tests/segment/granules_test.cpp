@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs of granules: aligned, disjoint, found again.
+// Runs of granules: disjoint, found again, longer and shorter.
 
 #include "segment/granules.hpp"
 
+#include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <cstdint>
 #include <random>
 #include <thread>
@@ -22,11 +24,10 @@ using Granules = lot::segment::Granules<lot::detail::HardwareAtomics>;
 struct Pool {
   explicit Pool(std::uint32_t count) : tags(count), granules(tags.data(), count) {}
 
-  /// True when exactly the run [first, first + 2^order) has this tag.
-  bool is_run(std::uint32_t first, unsigned order, std::uint32_t tag) const {
-    const std::uint32_t end = first + (std::uint32_t{1} << order);
+  /// True when exactly the granules [first, first + run) have this tag.
+  bool is_run(std::uint32_t first, std::uint32_t run, std::uint32_t tag) const {
     for (std::uint32_t i = 0; i < granules.count(); ++i) {
-      if ((granules.tag(i) == tag) != (i >= first && i < end)) return false;
+      if ((granules.tag(i) == tag) != (i >= first && i < first + run)) return false;
     }
     return true;
   }
@@ -37,7 +38,7 @@ struct Pool {
 
 struct Run {
   std::uint32_t first;
-  unsigned order;
+  std::uint32_t length;
   std::uint32_t tag;
 };
 
@@ -45,50 +46,119 @@ struct Run {
 
 TEST_SUITE_BEGIN("segment");
 
-TEST_CASE("a run is aligned to its size and carries its tag in every granule") {
-  for (unsigned order = 0; order <= 10; ++order) {
-    CAPTURE(order);
-    Pool pool(1500);  // no power of two: what is left over at the end serves small runs
+TEST_CASE("runs of one length fill the pool, whatever the length, and carry their tags") {
+  for (const std::uint32_t run : {1U, 2U, 3U, 7U, 100U, 255U, 256U, 257U, 700U, 1499U, 1500U}) {
+    CAPTURE(run);
+    Pool pool(1500);
     for (std::uint32_t tag = 1;; ++tag) {
-      const std::uint32_t first = pool.granules.claim(order, tag);
+      const std::uint32_t first = pool.granules.claim(run, tag);
       if (first == Granules::kNone) {
-        CHECK(tag - 1 == 1500U >> order);
+        CHECK(tag - 1 == 1500U / run);
         break;
       }
-      REQUIRE(first % (1U << order) == 0);
-      REQUIRE(pool.is_run(first, order, tag));
+      REQUIRE(pool.is_run(first, run, tag));
     }
   }
 }
 
+TEST_CASE("small runs come from the low end, large ones from the high end") {
+  Pool pool(2000);
+  CHECK(pool.granules.claim(3, 1) == 0);
+  CHECK(pool.granules.claim(255, 2) == 3);
+  CHECK(pool.granules.claim(256, 3) == 2000 - 256);
+  CHECK(pool.granules.claim(300, 4) == 2000 - 256 - 300);
+  CHECK(pool.granules.claim(1, 5) == 258);
+}
+
+TEST_CASE("the first place that fits is taken, also one that was given back since") {
+  Pool pool(4000);
+  std::vector<Run> runs;
+  for (std::uint32_t tag = 1; tag <= 20; ++tag) {
+    const std::uint32_t length = tag % 2 != 0 ? 10 : 300;
+    runs.push_back({pool.granules.claim(length, tag), length, tag});
+  }
+  pool.granules.release(runs[4].first, 10);
+  pool.granules.release(runs[2].first, 10);
+  CHECK(pool.granules.claim(31, 30) == 100);  // too long for both
+  CHECK(pool.granules.claim(4, 31) == runs[2].first);
+  CHECK(pool.granules.claim(6, 32) == runs[2].first + 4);
+  CHECK(pool.granules.claim(10, 33) == runs[4].first);
+  pool.granules.release(runs[5].first, 300);
+  pool.granules.release(runs[3].first, 300);
+  CHECK(pool.granules.claim(290, 34) == runs[3].first + 10);  // from above, as near as it can
+  CHECK(pool.granules.claim(260, 35) == runs[5].first + 50);
+}
+
+TEST_CASE("what another process has given back is found as well") {
+  Pool pool(600);
+  Granules other(pool.tags.data(), 600);  // it knows nothing of our hints
+  REQUIRE(pool.granules.claim(10, 1) == 0);
+  REQUIRE(pool.granules.claim(300, 2) == 300);
+  for (std::uint32_t tag = 3; pool.granules.claim(10, tag) != Granules::kNone;) ++tag;
+  other.release(0, 10);
+  CHECK(pool.granules.claim(10, 40) == 0);
+  other.release(300, 300);
+  CHECK(pool.granules.claim(290, 41) == 300);
+}
+
 TEST_CASE("an exhausted pool says so, leaves no trace, and serves again after a release") {
   Pool pool(8);
-  REQUIRE(pool.granules.claim(3, 1) == 0);
-  CHECK(pool.granules.claim(0, 2) == Granules::kNone);
-  CHECK(pool.granules.claim(3, 2) == Granules::kNone);
-  CHECK(pool.is_run(0, 3, 1));
-  pool.granules.release(0, 3);
+  REQUIRE(pool.granules.claim(8, 1) == 0);
+  CHECK(pool.granules.claim(1, 2) == Granules::kNone);
+  CHECK(pool.granules.claim(8, 2) == Granules::kNone);
+  CHECK(pool.is_run(0, 8, 1));
+  pool.granules.release(0, 8);
   CHECK(pool.granules.used() == 0);
-  CHECK(pool.granules.claim(3, 2) == 0);
+  CHECK(pool.granules.claim(8, 2) == 0);
 }
 
 TEST_CASE("a claim that does not fit gives back what it had taken of the run") {
   Pool pool(8);
-  for (const std::uint32_t i : {3U, 6U}) pool.tags[i] = 9;  // two runs of four, each spoilt
-  CHECK(pool.granules.claim(2, 1) == Granules::kNone);
+  for (const std::uint32_t i : {3U, 6U}) pool.tags[i] = 9;
+  CHECK(pool.granules.claim(4, 1) == Granules::kNone);
   CHECK(pool.granules.used() == 2);
-  CHECK(pool.granules.claim(1, 1) == 0);
-  CHECK(pool.granules.claim(1, 2) == 4);
+  CHECK(pool.granules.claim(3, 1) == 0);
+  CHECK(pool.granules.claim(2, 2) == 4);
 }
 
-TEST_CASE("a run that is larger than the pool or than any order is refused") {
+TEST_CASE("a run that is longer than the pool is refused") {
   Pool pool(5);
-  CHECK(pool.granules.claim(3, 1) == Granules::kNone);
-  CHECK(pool.granules.claim(Granules::kOrders, 1) == Granules::kNone);
-  CHECK(pool.granules.claim(40, 1) == Granules::kNone);
-  CHECK(pool.granules.claim(2, 1) == 0);
+  CHECK(pool.granules.claim(6, 1) == Granules::kNone);
+  CHECK(pool.granules.claim(~std::uint32_t{0}, 1) == Granules::kNone);
+  CHECK(pool.granules.claim(5, 1) == 0);
   Pool nothing(0);
-  CHECK(nothing.granules.claim(0, 1) == Granules::kNone);
+  CHECK(nothing.granules.claim(1, 1) == Granules::kNone);
+}
+
+TEST_CASE("only a run that may be taken is taken") {
+  Pool pool(1000);
+  for (const std::uint32_t run : {10U, 300U}) {
+    CAPTURE(run);
+    const std::uint32_t first =
+        pool.granules.claim(run, run, [](std::uint32_t at) { return at % 128 == 77; });
+    CHECK(first % 128 == 77);
+    CHECK(pool.is_run(first, run, run));
+  }
+  CHECK(pool.granules.claim(10, 1, [](std::uint32_t) { return false; }) == Granules::kNone);
+}
+
+TEST_CASE("a run grows where the granules behind it are free, wholly or not at all") {
+  Pool pool(20);
+  REQUIRE(pool.granules.claim(4, 1) == 0);
+  CHECK(pool.granules.extend(4, 6, 1));
+  CHECK(pool.is_run(0, 10, 1));
+  pool.tags[13] = 9;
+  CHECK_FALSE(pool.granules.extend(10, 4, 1));
+  CHECK(pool.is_run(0, 10, 1));
+  CHECK(pool.granules.extend(10, 3, 1));
+  pool.tags[13] = 0;
+  CHECK_FALSE(pool.granules.extend(13, 8, 1));  // behind the end of the pool
+  CHECK_FALSE(pool.granules.extend(21, 1, 1));
+  CHECK(pool.granules.extend(13, 7, 1));
+  CHECK(pool.is_run(0, 20, 1));
+  pool.granules.release(7, 13);  // and shorter again
+  CHECK(pool.is_run(0, 7, 1));
+  CHECK(pool.granules.claim(13, 2) == 7);
 }
 
 TEST_CASE("runs of mixed sizes never overlap") {
@@ -100,65 +170,67 @@ TEST_CASE("runs of mixed sizes never overlap") {
   for (std::uint32_t tag = 1; tag < 3000; ++tag) {
     CAPTURE(seed);
     CAPTURE(tag);
-    const unsigned order = static_cast<unsigned>(random() % 10);
-    const std::uint32_t first = pool.granules.claim(order, tag);
-    if (first != Granules::kNone) runs.push_back({first, order, tag});
+    const auto length = static_cast<std::uint32_t>(1 + random() % (random() % 3 == 0 ? 500 : 20));
+    const std::uint32_t first = pool.granules.claim(length, tag);
+    if (first != Granules::kNone) runs.push_back({first, length, tag});
     if (first == Granules::kNone || random() % 2 == 0) {
       if (runs.empty()) continue;
       const std::size_t victim = random() % runs.size();
-      pool.granules.release(runs[victim].first, runs[victim].order);
+      pool.granules.release(runs[victim].first, runs[victim].length);
       runs.erase(runs.begin() + static_cast<std::ptrdiff_t>(victim));
     }
     std::uint32_t used = 0;
     for (const Run& run : runs) {
-      REQUIRE(pool.is_run(run.first, run.order, run.tag));
-      used += 1U << run.order;
+      REQUIRE(pool.is_run(run.first, run.length, run.tag));
+      used += run.length;
     }
     REQUIRE(pool.granules.used() == used);
   }
 }
 
-TEST_CASE("a large run fits again after many small ones") {
-  Pool pool(1024);
+TEST_CASE("after many runs of any length most of the pool serves before one is refused") {
+  // 1 GiB, messages of 1 byte to 64 MiB, sizes as likely as they are small: 21 rounds.
+  constexpr std::uint32_t kCount = 262144;
   const std::uint32_t seed = std::random_device{}();
   MESSAGE("seed " << seed);
-  std::mt19937 random(seed);
-  for (int round = 0; round < 5; ++round) {
-    CAPTURE(seed);
-    CAPTURE(round);
+  std::vector<double> fills;
+  for (std::uint32_t round = 0; round < 21; ++round) {
+    std::mt19937_64 random(seed + round);
+    Pool pool(kCount);
     std::vector<Run> runs;
+    std::uint32_t used = 0;
     for (std::uint32_t tag = 1;; ++tag) {
-      const unsigned order = static_cast<unsigned>(random() % 4);
-      const std::uint32_t first = pool.granules.claim(order, tag);
-      if (first == Granules::kNone) break;
-      runs.push_back({first, order, tag});
+      const double share = std::uniform_real_distribution<>(0, 1)(random);
+      const auto length = static_cast<std::uint32_t>(std::exp(share * std::log(16384.0)));
+      while (tag < 20000 && used + length > kCount / 2) {  // then nothing goes any more
+        const std::size_t victim = random() % runs.size();
+        pool.granules.release(runs[victim].first, runs[victim].length);
+        used -= runs[victim].length;
+        runs[victim] = runs.back();
+        runs.pop_back();
+      }
+      const std::uint32_t first = pool.granules.claim(length, tag);
+      if (first == Granules::kNone && tag >= 20000) break;
+      if (first == Granules::kNone) continue;
+      runs.push_back({first, length, tag});
+      used += length;
     }
-    CHECK(pool.granules.claim(10, 1) == Granules::kNone);
-    for (const Run& run : runs) pool.granules.release(run.first, run.order);
-    const std::uint32_t large = pool.granules.claim(10, 1);
-    REQUIRE(large == 0);
-    pool.granules.release(large, 10);
+    fills.push_back(static_cast<double>(used) / kCount);
   }
-}
-
-TEST_CASE("a few small runs leave room for a large one") {
-  Pool pool(1024);
-  for (std::uint32_t tag = 1; tag <= 200; ++tag) {
-    REQUIRE(pool.granules.claim(0, tag) != Granules::kNone);
-  }
-  CHECK(pool.granules.claim(9, 1000) == 512);
-  CHECK(pool.granules.claim(8, 1001) == 256);
+  std::sort(fills.begin(), fills.end());
+  MESSAGE("filled at the first refusal: " << fills.front() << ", median " << fills[10]);
+  CHECK(fills[10] >= 0.75);
 }
 
 TEST_CASE("the granules of the dead are found by their tag, even half a run") {
   Pool pool(64);
-  const std::uint32_t living = pool.granules.claim(2, 5);
-  REQUIRE(pool.granules.claim(3, 6) != Granules::kNone);
+  const std::uint32_t living = pool.granules.claim(4, 5);
+  REQUIRE(pool.granules.claim(8, 6) != Granules::kNone);
   pool.tags[40] = 6;  // killed while claiming
-  REQUIRE(pool.granules.claim(1, 7) != Granules::kNone);
+  REQUIRE(pool.granules.claim(2, 7) != Granules::kNone);
   pool.granules.release_if([](std::uint32_t tag) { return tag >= 6; });
   CHECK(pool.granules.used() == 4);
-  CHECK(pool.is_run(living, 2, 5));
+  CHECK(pool.is_run(living, 4, 5));
   pool.granules.release_if([](std::uint32_t tag) { return tag == 0; });  // a free one has no owner
   CHECK(pool.granules.used() == 4);
 }
@@ -175,17 +247,18 @@ TEST_CASE("claims of two threads never overlap") {
   auto work = [&](std::uint32_t id) {
     std::mt19937 random(seed + id);
     for (std::uint32_t n = 0; n < 20000; ++n) {
-      const unsigned order = static_cast<unsigned>(random() % 6);
+      const auto length = static_cast<std::uint32_t>(1 + random() % 32);
       const std::uint32_t tag = n * 2 + id + 1;
-      const std::uint32_t first = pool.granules.claim(order, tag);
+      const std::uint32_t first = pool.granules.claim(length, tag);
       if (first == Granules::kNone) continue;
-      const std::uint32_t end = first + (1U << order);
+      const std::uint32_t end =
+          first + length + (pool.granules.extend(first + length, 3, tag) ? 3 : 0);
       for (std::uint32_t i = first; i < end; ++i) contents[i] = tag;
       if (n % 16 == 0) std::this_thread::yield();
       for (std::uint32_t i = first; i < end; ++i) {
         if (contents[i] != tag || pool.granules.tag(i) != tag) ++overlaps;
       }
-      pool.granules.release(first, order);
+      pool.granules.release(first, end - first);
     }
   };
   std::thread one(work, 0);

@@ -200,7 +200,7 @@ TEST_CASE("where the file system is full the memory that was used before serves 
       }
     }
     SUBCASE("nothing goes for what the file system has no room for") {
-      CHECK_THROWS_AS(frame->data.resize(4 * kMiB), lot::OutOfMemory);
+      CHECK_THROWS_AS(frame->data.resize(8 * kMiB), lot::OutOfMemory);
       CHECK(left() == 8);
     }
   }

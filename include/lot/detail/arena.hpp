@@ -14,17 +14,21 @@ namespace lot::detail {
 ///
 /// An arena lives in the segment, one for each block, and is written only by the block's home while
 /// the message is exclusively held there. It hands out memory by bumping a cursor: first in the
-/// block's own small payload, then in extents of power-of-two size, each at least twice the one
-/// before, so that sixteen suffice for any message. Nothing is freed one by one, except the newest
-/// piece; an extent in which nothing lives is reused or given back. The whole is released at once
-/// when the message dies.
+/// block's own small payload, then in extents: runs of granules. A large piece has an extent of its
+/// own, which is at most 1/16 larger than the piece. Small pieces share the current one, which
+/// doubles, in place where the granules behind it are free; what they have not used goes back with
+/// push(). Where extents run out large pieces share as well, in extents as large as all before
+/// them, so that few suffice for any message. Nothing is freed one by one, except the newest piece;
+/// an extent in which nothing lives is reused, at its new size, or given back. The whole is
+/// released at once when the message dies.
 ///
 /// A frozen arena gives no memory any more and takes none back: its message is published while
 /// pointers that may change it are left. Its cursor stands at the limit, so that allocate() needs
 /// no look at the flag.
 ///
 /// Invariants
-///   A1  The cursor lies in the current region: the extent `current` - 1, or the small payload.
+///   A1  The cursor lies in the current region: the shared extent `current` - 1, or the small
+///       payload.
 ///   A2  No piece in use reaches behind the cursor in the current region. A piece moves the cursor
 ///       back only if it lies in that region itself: the last piece of another extent may end where
 ///       the current one begins.
@@ -34,16 +38,18 @@ namespace lot::detail {
 /// Crash:   the arena is a hint; the truth about memory is in the granules' tags, which name the
 ///          block, and the reaper frees by them. `references` is read by the reaper.
 struct Arena {
-  static constexpr unsigned kMaxExtents = 14;
+  static constexpr unsigned kMaxExtents = 10;
+  static constexpr std::uint64_t kLargePiece = 64 << 10;
   static constexpr std::uint8_t kPublished = 1;  ///< values of `frozen`
   static constexpr std::uint8_t kDying = 2;
   static constexpr std::uint8_t kTaken = 1;  ///< values of `changed_hands`
   static constexpr std::uint8_t kShown = 2;
 
   struct Extent {
-    std::uint32_t granule;
-    std::uint8_t order;    ///< log2 of its granules
-    std::uint16_t living;  ///< allocations in it that were not given back (saturates)
+    std::uint32_t granule;   ///< the first
+    std::uint32_t granules;  ///< how many
+    std::uint16_t living;    ///< allocations in it that were not given back (saturates)
+    std::uint16_t shared;    ///< 1: small pieces lie in it
   };
 
   std::uint64_t self;    ///< offset of this arena in the segment
@@ -68,7 +74,6 @@ struct Arena {
   /// 1: PusherCore::reserve() made the memory, and other topics have no claim on it. Written by the
   /// home while it has the block alone; read, perhaps stale, by processes that look for memory.
   std::uint32_t reserved;
-  std::uint32_t padding[2];
 
   unsigned char* base() { return reinterpret_cast<unsigned char*>(this) - self; }
 
@@ -76,12 +81,18 @@ struct Arena {
   void* allocate(std::size_t bytes, std::size_t align) {
     const std::uint64_t begin = (cursor + (align - 1)) & ~std::uint64_t{align - 1};
     // Below the limit also when it is empty: each piece begins in the region that has it.
-    if (begin < limit && bytes <= limit - begin) {
+    if (begin < limit && bytes <= limit - begin && bytes < kLargePiece) {
       cursor = begin + bytes;
       if (current != 0) count(current - 1U);
       return base() + begin;
     }
-    return grow(bytes);
+    return grow(bytes, align);
+  }
+
+  /// The message is complete: what it has not used goes back. Its home calls it when it publishes
+  /// the message.
+  void trim() noexcept {
+    if (extents != 0 && frozen == 0) trim_whole();
   }
 
   /// Says that another process than the home owns the message alone from now on. It may change it,
@@ -110,8 +121,20 @@ struct Arena {
   void count(unsigned index) {
     if (extent[index].living != 0xffff) ++extent[index].living;
   }
-  void* grow(std::size_t bytes);
+  void* grow(std::size_t bytes, std::size_t align);
+  void* find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules);
+  void* place_in_current(std::size_t bytes, std::size_t align) noexcept;
+  unsigned claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules, bool alone);
+  void* begin_in(unsigned index, std::size_t bytes);
+  bool grow_current(transport::Participant& p, std::size_t bytes, std::size_t align);
+  unsigned idle_extent(std::uint32_t granules, bool shared, bool any) noexcept;
+  std::uint64_t granules_held() const noexcept;
+  void resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept;
+  void shorten(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept;
+  void trim_whole() noexcept;
+  void trim_current() noexcept;
   void drop_idle(transport::Participant& p) noexcept;
+  void drop(transport::Participant& p, unsigned index) noexcept;
 };
 static_assert(sizeof(Arena) == 192);
 

@@ -1,0 +1,305 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// A message takes the memory that it needs, and little more, however it was built and whatever was
+// in its block before. LOT_LOANS says how many loans the last case makes (tests/CMakeLists.txt).
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <random>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+#include "transport/participant.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+constexpr std::uint64_t kMiB = 1 << 20;
+constexpr std::uint64_t kLoans = LOT_LOANS;
+
+struct Frame {
+  lot::ShmVector<std::uint8_t> data;
+  lot::ShmVector<std::uint8_t> more;
+  lot::ShmVector<lot::ShmString> words;
+};
+
+struct Pieces {
+  lot::ShmVector<lot::ShmVector<std::uint8_t>> pieces;
+};
+
+struct Segment {
+  explicit Segment(std::uint64_t bytes) : engine(fresh(bytes)), view(engine.path()) {}
+
+  /// Bytes of messages and rings.
+  std::uint64_t used() { return view.granules().used() * lot::segment::kGranule; }
+  std::uint64_t size() { return view.granules().count() * lot::segment::kGranule; }
+
+  lot::ShmEngine engine;
+  lot::segment::Segment view;
+};
+
+/// What a message of so many bytes may take.
+std::uint64_t most(std::uint64_t bytes) { return bytes + std::max(bytes / 16, 64 * 1024 / 16UL); }
+
+/// How many frames of this size fit now, beside those that are kept.
+std::size_t fitting(lot::ShmEngine& engine, std::size_t bytes) {
+  auto pusher = engine.advertise<Frame>("/fitting");
+  std::vector<lot::ShmUniquePtr<Frame>> frames;
+  try {
+    for (;;) {
+      auto frame = pusher.loan();
+      frame->data.resize(bytes);
+      frames.push_back(std::move(frame));
+    }
+  } catch (const lot::OutOfMemory&) {
+    return frames.size();
+  }
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("message");
+
+TEST_CASE("above 64 KiB a message takes at most 1/16 more than it is") {
+  Segment segment(256 * kMiB);
+  std::mt19937_64 random(seed());
+  std::vector<std::uint64_t> sizes;
+  for (unsigned bits = 16; bits <= 26; ++bits) {
+    for (const int difference : {-4097, -4096, -1, 0, 1, 4095, 4096, 4097}) {
+      sizes.push_back((std::uint64_t{1} << bits) + static_cast<std::uint64_t>(difference + 8192));
+    }
+  }
+  for (int n = 0; n < 200; ++n) {
+    sizes.push_back(static_cast<std::uint64_t>(
+        std::exp2(std::uniform_real_distribution<double>(16.1, 26)(random))));
+  }
+  SUBCASE("each in a block of its own") {
+    for (const std::uint64_t size : sizes) {
+      CAPTURE(size);
+      auto pusher = segment.engine.advertise<Frame>("/size");
+      const std::uint64_t before = segment.used();
+      auto frame = pusher.loan();
+      frame->data.resize(size);
+      REQUIRE(segment.used() - before <= most(size));
+    }
+  }
+  SUBCASE("in the block of another size") {
+    std::shuffle(sizes.begin(), sizes.end(), random);
+    auto pusher = segment.engine.advertise<Frame>("/size");
+    const std::uint64_t before = segment.used();
+    for (const std::uint64_t size : sizes) {
+      CAPTURE(size);
+      auto frame = pusher.loan();
+      frame->data.resize(size);
+      REQUIRE(segment.used() - before <= most(size));
+    }
+  }
+  SUBCASE("a small one after a large one") {
+    auto pusher = segment.engine.advertise<Frame>("/size");
+    const std::uint64_t before = segment.used();
+    pusher.loan()->data.resize(60 * kMiB);
+    auto frame = pusher.loan();
+    frame->data.resize(1000);
+    CHECK(segment.used() - before <= 64 * 1024);
+    frame->more.resize(30 * kMiB);
+    CHECK(segment.used() - before <= most(30 * kMiB) + 64 * 1024);
+    frame->more.clear();
+    frame->more.shrink_to_fit();
+    CHECK(segment.used() - before <= 64 * 1024);
+  }
+  SUBCASE("two pieces") {
+    auto pusher = segment.engine.advertise<Frame>("/size");
+    const std::uint64_t before = segment.used();
+    for (std::size_t n = 0; n + 1 < sizes.size(); ++n) {
+      CAPTURE(sizes[n]);
+      CAPTURE(sizes[n + 1]);
+      auto frame = pusher.loan();
+      frame->data.resize(sizes[n]);
+      frame->more.resize(sizes[n + 1]);
+      const lot::ShmSharedPtr<Frame> complete = std::move(frame);
+      REQUIRE(segment.used() - before <= most(sizes[n]) + most(sizes[n + 1]));
+    }
+  }
+}
+
+TEST_CASE("a published message has given back what its growing vectors have left") {
+  Segment segment(256 * kMiB);
+  auto pusher = segment.engine.advertise<Frame>("/grown", {lot::Policy::Overwrite, 2, {}});
+  const std::uint64_t before = segment.used();
+  for (int round = 0; round < 3; ++round) {
+    CAPTURE(round);
+    auto frame = pusher.loan();
+    for (int n = 0; n < 3'000'000; ++n) frame->data.push_back(static_cast<std::uint8_t>(n));
+    const std::uint64_t capacity = frame->data.capacity();
+    CHECK(segment.used() - before <= most(capacity) + 64 * 1024);
+    CHECK(frame->data[2'999'999] == static_cast<std::uint8_t>(2'999'999));
+  }
+  SUBCASE("pushed by the only pointer") {
+    auto frame = pusher.loan();
+    for (int n = 0; n < 20000; ++n) frame->words.emplace_back(100, 'x');
+    std::uint64_t bytes = frame->words.capacity() * sizeof(lot::ShmString);
+    for (const auto& word : frame->words) bytes += word.capacity() + 1;
+    pusher.push(std::move(frame));
+    CHECK(segment.used() - before <= most(bytes) + bytes / 16 + 128 * 1024);
+  }
+  SUBCASE("made a shared one, and then a little larger") {
+    lot::ShmUniquePtr<Frame> own = pusher.loan();
+    for (int n = 0; n < 20000; ++n) own->words.emplace_back(100, 'x');
+    std::uint64_t bytes = own->words.capacity() * sizeof(lot::ShmString);
+    for (const auto& word : own->words) bytes += word.capacity() + 1;
+    lot::ShmSharedPtr<Frame> shared = std::move(own);
+    CHECK(segment.used() - before <= most(bytes) + bytes / 16 + 128 * 1024);
+    shared->data.resize(100);
+    shared->words.back() = "another word, which is too long for a short string";
+    CHECK(shared->words.front().size() == 100);
+    pusher.push(shared);
+  }
+}
+
+TEST_CASE("a message may have many large pieces") {
+  Segment segment(512 * kMiB);
+  auto maker = segment.engine.advertise<Pieces>("/pieces");
+  for (const std::uint64_t size : {70 * 1024UL, 300 * 1024UL, kMiB, 12 * kMiB}) {
+    CAPTURE(size);
+    const std::uint64_t before = segment.used();
+    auto message = maker.loan();
+    message->pieces.resize(30);
+    for (auto& piece : message->pieces) {
+      piece.resize(size);
+      std::fill(piece.begin(), piece.end(),
+                static_cast<std::uint8_t>(&piece - &message->pieces[0]));
+    }
+    for (const auto& piece : message->pieces) {
+      REQUIRE(piece.back() == static_cast<std::uint8_t>(&piece - &message->pieces[0]));
+      REQUIRE(std::count(piece.begin(), piece.end(), piece.back()) ==
+              static_cast<std::ptrdiff_t>(size));
+    }
+    const lot::ShmSharedPtr<Pieces> complete = std::move(message);
+    CHECK(segment.used() - before <= most(30 * size) + 8 * most(size) - 8 * size + kMiB);
+  }
+}
+
+TEST_CASE("reserved memory serves pieces of any size") {
+  Segment segment(64 * kMiB);
+  auto pusher = segment.engine.advertise<Frame>("/reserved");
+  pusher.reserve(1, 4 * kMiB);
+  auto other = segment.engine.advertise<Frame>("/other");
+  std::vector<lot::ShmUniquePtr<Frame>> all;  // there is nothing beside it
+  for (std::size_t size : {kMiB, kMiB / 16, 4096UL, 300UL}) {
+    try {
+      for (;;) {
+        auto frame = other.loan();
+        frame->data.resize(size);
+        all.push_back(std::move(frame));
+      }
+    } catch (const lot::OutOfMemory&) {
+    }
+  }
+  for (int round = 0; round < 3; ++round) {
+    CAPTURE(round);
+    auto frame = pusher.loan();
+    frame->words.resize(100);
+    for (auto& word : frame->words) word.assign(1000, 'x');
+    CHECK_NOTHROW(frame->data.resize(3 * kMiB));
+    CHECK_NOTHROW(frame->more.resize(kMiB / 2));
+    CHECK_THROWS_AS(frame->more.resize(2 * kMiB), lot::OutOfMemory);
+    frame.reset();
+    frame = pusher.loan();
+    CHECK_NOTHROW(frame->data.resize(4 * kMiB));
+    frame.reset();
+    frame = pusher.loan();
+    for (int n = 0; n < 30000; ++n) frame->data.push_back('x');
+  }
+}
+
+TEST_CASE("frames that are no power of two fill the segment") {
+  Segment segment(64 * kMiB);
+  CHECK(fitting(segment.engine, 17 * kMiB) == 3);
+  CHECK(fitting(segment.engine, 40 * kMiB) == 1);
+  CHECK(fitting(segment.engine, 9 * kMiB) == 6);
+}
+
+TEST_CASE("one message of 90 % of the segment fits when all others are gone") {
+  Segment segment(128 * kMiB);
+  std::mt19937_64 random(seed());
+  auto pusher = segment.engine.advertise<Frame>("/any", {lot::Policy::Overwrite, 8, {}});
+  for (int n = 0; n < 2000; ++n) {
+    auto frame = pusher.loan();
+    frame->data.resize(random() % (4 * kMiB));
+    pusher.push(std::move(frame));
+  }
+  CHECK(fitting(segment.engine, segment.size() / 10 * 9) == 0);
+  { const auto gone = std::move(pusher); }
+  CHECK(fitting(segment.engine, segment.size() / 10 * 9) == 1);
+}
+
+TEST_CASE("a few messages that are kept do not lie in the way of large ones") {
+  Segment segment(1024 * kMiB);
+  std::mt19937_64 random(seed());
+  const std::size_t empty = fitting(segment.engine, 16 * kMiB);
+  auto pusher = segment.engine.advertise<Frame>("/small");
+  auto puller = segment.engine.subscribe<Frame>("/small");
+  std::vector<lot::ShmSharedPtr<const Frame>> kept;
+  std::uint64_t bytes = 0;
+  for (int n = 0; n < 1200; ++n) {
+    auto frame = pusher.loan();
+    frame->data.resize(64 * 1024 + random() % (4 * kMiB - 128 * 1024));
+    pusher.push(std::move(frame));
+    auto seen = puller.try_pull();
+    REQUIRE(seen);
+    if (n % 100 != 50) continue;
+    bytes += seen->data.size();
+    kept.push_back(std::move(seen));
+  }
+  const std::size_t now = fitting(segment.engine, 16 * kMiB);
+  MESSAGE(kept.size() << " messages are kept, " << bytes / kMiB << " MiB: " << now << " of "
+                      << empty << " frames of 16 MiB fit");
+  CHECK(now * 4 >= empty * 3);
+}
+
+TEST_CASE("after many loans of any size most of the segment serves before one is refused") {
+  const Watchdog watchdog(300);
+  constexpr std::uint64_t kRounds = 11;
+  std::mt19937_64 random(seed());
+  Segment segment(1024 * kMiB);
+  auto maker = segment.engine.advertise<Frame>("/maker");
+  std::vector<double> fills;
+  std::uint64_t refused = 0;
+  for (std::uint64_t round = 0; round < kRounds; ++round) {
+    std::vector<lot::ShmUniquePtr<Frame>> frames;
+    for (std::uint64_t n = 0;; ++n) {
+      const bool lasts = n >= kLoans / kRounds;  // then nothing goes any more
+      const auto size = static_cast<std::size_t>(
+          std::exp2(std::uniform_real_distribution<double>(0, 26)(random)));
+      while (!lasts && !frames.empty() && random() % 40 < frames.size() / 4) {
+        std::swap(frames[random() % frames.size()], frames.back());
+        frames.pop_back();
+      }
+      try {
+        auto frame = maker.loan();
+        frame->data.resize(size);
+        frames.push_back(std::move(frame));
+      } catch (const lot::OutOfMemory&) {
+        if (lasts) break;
+        ++refused;
+        frames.clear();
+      }
+    }
+    fills.push_back(static_cast<double>(segment.used()) / static_cast<double>(segment.size()));
+  }
+  std::sort(fills.begin(), fills.end());
+  MESSAGE("filled at the first refusal: " << fills.front() << ", median " << fills[kRounds / 2]
+                                          << "; refused before: " << refused);
+  CHECK(fills[kRounds / 2] >= 0.75);
+}
+
+TEST_SUITE_END();
