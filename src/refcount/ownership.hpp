@@ -175,7 +175,7 @@ struct Ownership {
       const bool last = (v & hold::kHolds) == amount;
       if (last && (v & (hold::kHome | hold::kEdge)) == 0) {
         // The last hold becomes the edge in one step, so that no other thread comes in between.
-        if (h.compare_exchange_weak(v, edge(v), std::memory_order_acq_rel,
+        if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4
           return let_go(b, h);
         }

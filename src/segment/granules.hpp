@@ -52,13 +52,12 @@ class Granules {
       const std::uint32_t from = std::min(begin, places - 1);
       first = seek_up(from, places, run, tag, may);
       if (first == kNone) first = seek_up(0, from, run, tag, may);
-      if (first != kNone) hint.store(first, std::memory_order_relaxed);
     } else {
       const std::uint32_t from = std::min(~begin, places - 1);
       first = seek_down(0, from + 1, run, tag, may);
       if (first == kNone) first = seek_down(from + 1, places, run, tag, may);
-      if (first != kNone) hint.store(~first, std::memory_order_relaxed);
     }
+    if (first != kNone) hint.store(run < kLarge ? first : ~first, std::memory_order_relaxed);
     return first;
   }
 
@@ -68,14 +67,18 @@ class Granules {
     return end <= count_ && run <= count_ - end && take(end, run, tag);
   }
 
-  /// Rubbish that somebody has written where the run was noted releases nothing.
+  /// A run that can not be, since somebody has written over the place where it was noted, releases
+  /// nothing.
   void release(std::uint32_t first, std::uint32_t run) {
     if (run == 0 || first >= count_ || run > count_ - first) return;
     for (std::uint32_t i = 0; i < run; ++i) {
       tags_[first + i].store(0, std::memory_order_release);  // G1
     }
     for (unsigned c = 0; c < static_cast<unsigned>(std::bit_width(count_)); ++c) {
-      const std::uint32_t place = (1U << c) < kLarge ? first : ~(first + run - 1);
+      // A run that begins before ours may be free now, as far as it ends in ours.
+      const std::uint32_t longest = (2U << c) - 1;
+      const std::uint32_t place = (1U << c) < kLarge ? first - std::min(first, longest - 1)  //
+                                                     : ~(first + run - 1);
       if (hint_[c].load(std::memory_order_relaxed) > place) {
         hint_[c].store(place, std::memory_order_relaxed);
       }
@@ -171,8 +174,10 @@ class Granules {
 
   Tag* tags_ = nullptr;
   std::uint32_t count_ = 0;
-  /// Private, by size class: before that place, seen from the end that the class begins at, this
-  /// process knows of no free run. Those of large runs are complements, and so begin at 0, too.
+  /// Private, by size class: where to begin. Before that place, seen from the end that the class
+  /// begins at, this process has found no run, nor released one: a hint, since others release, and
+  /// the runs of a class differ; the second half of a search finds the rest. Those of large runs
+  /// are complements, and so begin at 0, too.
   std::array<Tag, 32> hint_{};
 };
 

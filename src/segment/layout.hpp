@@ -23,7 +23,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 7;
+inline constexpr std::uint32_t kLayoutVersion = 8;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdio>
+#include <sys/stat.h>
 #include <thread>
 
 #include "tool/report.hpp"
@@ -160,6 +161,13 @@ class TopicList {
       {"TOPIC", "TYPE", "ROLE", "PROCESS", "ENGINE", "POLICY", "HELD", "RATE", "LAG", "LOST", ""}};
 };
 
+/// What the file system holds for the file, as du says it; 0 when it has gone.
+std::uint64_t bytes_on_disk(const std::string& path) {
+  struct stat status {};
+  if (::stat(path.c_str(), &status) == -1) return 0;
+  return static_cast<std::uint64_t>(status.st_blocks) * 512;
+}
+
 void list(const Sight& sight, const Rates& rates, Report& report) {
   Json entry;
   if (introduce(sight, report, entry)) {
@@ -169,11 +177,16 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
     std::snprintf(instance, sizeof(instance), "%016llx",
                   static_cast<unsigned long long>(seen.instance));
     entry["instance"] = instance;
-    entry["memory"] = {{"used_bytes", seen.memory.used}, {"total_bytes", seen.memory.total}};
+    const std::uint64_t taken = bytes_on_disk(sight.path);
+    entry["memory"] = {{"used_bytes", seen.memory.used},
+                       {"held_back_bytes", seen.held_back},
+                       {"total_bytes", seen.memory.total},
+                       {"taken_bytes", taken}};
     entry["blocks"] = {{"used", seen.blocks.used}, {"total", seen.blocks.total}};
     report.print(": " + bytes_text(seen.memory.used) + " of " + bytes_text(seen.memory.total) +
                  ", " + std::to_string(seen.blocks.used) + " of " +
-                 std::to_string(seen.blocks.total) + " messages\n\n");
+                 std::to_string(seen.blocks.total) + " messages; " + bytes_text(seen.held_back) +
+                 " held back, " + bytes_text(taken) + " taken from the system\n\n");
     list_processes(seen, report, entry);
     TopicList(seen, rates, now).list(report, entry);
     judge(sight, seen, report, entry);

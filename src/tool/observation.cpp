@@ -333,7 +333,10 @@ class Observer {
       }
       find_hold(message, k, home_points != 0);
     }
-    if (message.holders.empty()) add(maker, Holder::How::Spare);
+    if (message.holders.empty()) {
+      add(maker, Holder::How::Spare);
+      seen_.held_back += granules_[b] * segment::kGranule;
+    }
     seen_.messages.push_back(std::move(message));
   }
 

@@ -105,6 +105,9 @@ struct Fill {
 struct Observation {
   std::uint64_t instance = 0;
   Fill memory;  ///< bytes
+  /// Bytes of `memory.used` that no message is in that others can see: they wait for a loan, or are
+  /// loaned.
+  std::uint64_t held_back = 0;
   Fill blocks;
   std::vector<Process> processes;
   std::vector<Topic> topics;

@@ -19,8 +19,8 @@ using segment::kGranule;
 constexpr std::uint32_t kNoRun = segment::Granules<HardwareAtomics>::kNone;
 /// A run of so many granules is kept, whatever a smaller message needs of it.
 constexpr std::uint32_t kSmallRun = 16;
-/// From so many extents on the next ones are as large as all before them.
-constexpr unsigned kManyExtents = 6;
+/// From so many extents on large pieces share, in extents as large as all before them.
+constexpr unsigned kManyExtents = 8;
 
 std::uint64_t bytes_of(const Arena::Extent& extent) { return kGranule * extent.granules; }
 
@@ -59,7 +59,7 @@ void* Arena::grow(std::size_t bytes, std::size_t align) {
   const std::uint64_t granules = fit(bytes);
   // First what is most likely: a large piece, as the last message here had one.
   for (unsigned i = 0; i < extents; ++i) {
-    if (extent[i].granules == granules && extent[i].living == 0 && extent[i].shared == 0) {
+    if (extent[i].granules == granules && extent[i].living == 0 && extent[i].kind == 0) {
       extent[i].living = 1;
       return base() + data + std::uint64_t{extent[i].granule} * kGranule;
     }
@@ -71,20 +71,22 @@ void* Arena::grow(std::size_t bytes, std::size_t align) {
 }
 
 void* Arena::find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules) {
-  // What reserve() made serves pieces of every size, side by side.
-  const bool is_reserved = segment::is_reserved(*this);
-  const bool alone = bytes >= kLargePiece && extents < kManyExtents && !is_reserved;
-  if (!alone && bytes >= kLargePiece) {
+  const bool is_in_reserve = current != 0 && extent[current - 1].is_reserved();
+  const bool alone = bytes >= kLargePiece && extents < kManyExtents;
+  if (!alone || is_in_reserve) {
     if (void* const piece = place_in_current(bytes, align); piece != nullptr) return piece;
   }
-  const unsigned idle = idle_extent(granules, !alone, is_reserved);
-  if (idle != extents && extent[idle].granules >= granules && !alone) return begin_in(idle, bytes);
+  const unsigned idle = idle_extent(granules, !alone);
+  if (idle != extents && extent[idle].granules >= granules && extent[idle].kind != 0) {
+    return begin_in(idle, bytes);
+  }
   transport::Participant* const p = transport::Participant::at(this);
   // The memory would be at home here, and the message there.
   if (p == nullptr || !p->holder().is_home(block)) {
     if (idle != extents && extent[idle].granules >= granules_in(bytes)) {
       return begin_in(idle, bytes);
     }
+    if (void* const piece = place_in_current(bytes, align); piece != nullptr) return piece;
     throw OutOfMemory(
         "lot: a message that another process has made can not grow: copy it, or let its maker "
         "reserve() what it will need");
@@ -92,8 +94,8 @@ void* Arena::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
   if (idle != extents) {
     resize(*p, idle, granules);
     if (extent[idle].granules >= granules_in(bytes)) return begin_in(idle, bytes);
-    // Too small, and it would lie beside the larger one.
-    if (!is_reserved) drop(*p, idle);
+    // It is too small, and the piece will need another one.
+    if (!extent[idle].is_reserved()) drop(*p, idle);
   }
   if (!alone && grow_current(*p, bytes, align)) return place_in_current(bytes, align);
   return begin_in(claim(*p, bytes, granules, alone), bytes);
@@ -108,34 +110,41 @@ void* Arena::place_in_current(std::size_t bytes, std::size_t align) noexcept {
   return base() + begin;
 }
 
-/// A new extent.
+/// A new extent. For what is more than the piece needs, no message of another topic goes.
 unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules,
                       bool alone) {
-  // The last message here had no small pieces, so this one is of another kind.
+  // The last message here had no small pieces: this one is of another kind, and may have no large
+  // ones.
   if (!alone && current == 0) drop_idle(p);
-  if (extents == kMaxExtents) drop_idle(p);
-  if (extents == kMaxExtents) out_of_memory(p, bytes, 0);
-  const std::uint64_t shared = std::max<std::uint64_t>(granules, granules_held());
-  std::uint32_t claimed =
-      alone ? granules : static_cast<std::uint32_t>(std::min<std::uint64_t>(shared, kNoRun));
+  if (extents >= kMaxExtents) drop_idle(p);
+  if (extents >= kMaxExtents) out_of_memory(p, bytes, 0);
   if (!alone) trim_current();
-  std::uint32_t run = p.claim_run(claimed, block + 1);
+  const std::uint64_t doubled =
+      alone ? granules : std::max<std::uint64_t>(granules, granules_shared());
+  auto claimed = static_cast<std::uint32_t>(std::min<std::uint64_t>(doubled, kNoRun));
+  std::uint32_t run = p.segment().claim_run(claimed, block + 1);
   if (run == kNoRun) {
     drop_idle(p);
-    claimed = static_cast<std::uint32_t>(std::min<std::uint64_t>(granules_in(bytes), kNoRun));
+    claimed = granules;
+    run = p.claim_run(claimed, block + 1);
+  }
+  if (run == kNoRun) {  // what has gone meanwhile may be enough, the more so for a little less
+    claimed = static_cast<std::uint32_t>(granules_in(bytes));
     run = p.claim_run(claimed, block + 1);
   }
   if (run == kNoRun) out_of_memory(p, bytes, errno);
-  extent[extents] = {run, claimed, 0, alone ? std::uint16_t{0} : std::uint16_t{1}};
+  extent[extents] = {run, claimed, 0, alone ? std::uint16_t{0} : kShared};
   return extents++;
 }
 
 /// An extent in which nothing lives begins with a piece of that size. It begins at a page, which
-/// suits every alignment that a message may have.
+/// suits every alignment that a message may have. What reserve() made serves pieces of every size,
+/// side by side.
 void* Arena::begin_in(unsigned index, std::size_t bytes) {
-  const Extent& chosen = extent[index];
+  Extent& chosen = extent[index];
   const std::uint64_t begin = data + std::uint64_t{chosen.granule} * kGranule;
-  if (chosen.shared != 0) {
+  if (chosen.kind != 0) {
+    chosen.kind |= kShared;
     trim_current();
     current = static_cast<std::uint8_t>(index + 1);
     cursor = begin + bytes;
@@ -145,14 +154,13 @@ void* Arena::begin_in(unsigned index, std::size_t bytes) {
   return base() + begin;
 }
 
-/// Of the extents of a kind in which nothing lives, the smallest one that has so many granules;
-/// where none has, the largest. `any`: one of the other kind becomes one of this. `extents`: there
-/// is none.
-unsigned Arena::idle_extent(std::uint32_t granules, bool shared, bool any) noexcept {
+/// Of the extents of a kind in which nothing lives, those that are reserved among them, the
+/// smallest one that has so many granules; where none has, the largest. `extents`: there is none.
+unsigned Arena::idle_extent(std::uint32_t granules, bool shared) const noexcept {
   unsigned best = extents;
   for (unsigned i = 0; i < extents; ++i) {
     if (extent[i].living != 0 || current == i + 1) continue;
-    if (!any && (extent[i].shared != 0) != shared) continue;
+    if (!extent[i].is_reserved() && extent[i].is_shared() != shared) continue;
     if (best == extents) {
       best = i;
       continue;
@@ -162,13 +170,15 @@ unsigned Arena::idle_extent(std::uint32_t granules, bool shared, bool any) noexc
     const bool fits = has >= granules;
     if (fits != (best_has >= granules) ? fits : fits ? has < best_has : has > best_has) best = i;
   }
-  if (best != extents) extent[best].shared = shared ? 1 : 0;
   return best;
 }
 
-std::uint64_t Arena::granules_held() const noexcept {
+/// What small pieces share; where the next large one will share as well, all.
+std::uint64_t Arena::granules_shared() const noexcept {
   std::uint64_t sum = 0;
-  for (unsigned i = 0; i < extents; ++i) sum += extent[i].granules;
+  for (unsigned i = 0; i < extents; ++i) {
+    if (extent[i].is_shared() || extents >= kManyExtents) sum += extent[i].granules;
+  }
   return sum;
 }
 
@@ -181,7 +191,7 @@ void Arena::resize(transport::Participant& p, unsigned index, std::uint32_t gran
   if (e.granules < granules) {
     const std::uint32_t end = e.granule + e.granules;
     if (p.segment().extend_run(end, granules - e.granules, block + 1)) e.granules = granules;
-  } else if (!segment::is_reserved(*this)) {
+  } else if (!e.is_reserved()) {
     shorten(p, index, granules);
   }
 }
@@ -212,22 +222,25 @@ bool Arena::grow_current(transport::Participant& p, std::size_t bytes, std::size
 }
 
 void Arena::trim_whole() noexcept {
-  if (segment::is_reserved(*this)) return;
   trim_current();
   for (unsigned i = extents; i-- > 0;) {
-    if (extent[i].living != 0 || current == i + 1 || extent[i].granules <= kSmallRun) continue;
+    if (extent[i].living != 0 || current == i + 1 || extent[i].granules <= kSmallRun ||
+        extent[i].is_reserved()) {
+      continue;
+    }
     transport::Participant* const p = transport::Participant::at(this);
     if (p == nullptr || !p->holder().is_home(block)) return;
     drop(*p, i);
   }
 }
 
-/// Gives the end of the current extent back, if it is much and nothing has been in it.
+/// Gives the end of the current extent back that nothing has been in, above 64 KiB and 1/16 of the
+/// rest.
 void Arena::trim_current() noexcept {
-  if (current == 0 || segment::is_reserved(*this)) return;
+  if (current == 0 || extent[current - 1].is_reserved()) return;
   const Extent& e = extent[current - 1];
   const std::uint64_t begin = data + std::uint64_t{e.granule} * kGranule;
-  const std::uint64_t used = std::max<std::uint64_t>(fit(cursor - begin), kSmallRun);
+  const std::uint64_t used = std::max<std::uint64_t>(fit(cursor - begin + 1), kSmallRun);
   if (e.granules <= used) return;
   transport::Participant* const p = transport::Participant::at(this);
   if (p == nullptr || !p->holder().is_home(block)) return;
@@ -237,9 +250,8 @@ void Arena::trim_current() noexcept {
 
 /// Gives extents back in which nothing lives, but for those that reserve() made.
 void Arena::drop_idle(transport::Participant& p) noexcept {
-  if (segment::is_reserved(*this)) return;
   for (unsigned i = extents; i-- > 0;) {
-    if (extent[i].living == 0 && current != i + 1) drop(p, i);
+    if (extent[i].living == 0 && current != i + 1 && !extent[i].is_reserved()) drop(p, i);
   }
 }
 
@@ -308,7 +320,7 @@ void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
       } else if (newest) {
         cursor = at;
       }
-    } else if (e.living == 0 && e.shared == 0 && !segment::is_reserved(*this)) {
+    } else if (e.living == 0 && e.kind == 0) {
       // A vector that grows has left it, and will need more the next time.
       transport::Participant* const p = transport::Participant::at(this);
       if (p != nullptr && p->holder().is_home(block)) drop(*p, i);

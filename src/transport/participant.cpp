@@ -308,9 +308,13 @@ void Participant::fill_hub() noexcept {
   };
   hub_.shared_from_unique = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
+    if (p.holder_.is_home(c->block)) p.segment_.arena(c->block).trim();  // one thread has it
+    p.hub_.points(c);
+  };
+  hub_.points = [](detail::ControlCell* c) noexcept {
+    Participant& p = of(c);
     if (p.holder_.is_home(c->block)) {
       p.segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
-      p.segment_.arena(c->block).trim();  // while one thread has it
     }
   };
 }

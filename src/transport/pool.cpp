@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "transport/pool.hpp"
 
+#include <algorithm>
 #include <array>
 #include <utility>
 
@@ -107,6 +108,8 @@ void Holder::freeze_reachable(std::uint32_t b) const noexcept {
   for (std::uint32_t from = b; from < end;) {
     each_reference(from, [&](std::uint32_t target) {
       Arena& arena = segment->arena(target);
+      const detail::MessageType* const type = cell(target).type;
+      if (type != nullptr && type->plain) return;  // it can not grow
       if (!may_grow(cell(target)) || !arena.freeze_first()) return;
       arena.next_to_freeze = first;
       first = target;
@@ -324,6 +327,10 @@ void Pool::settle_free() noexcept {
 
 void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept {
   if (type == nullptr) {  // nothing was built, or its constructor threw
+    Arena& arena = holder_.segment->arena(b);
+    for (unsigned i = 0; i < std::min<unsigned>(arena.extents, Arena::kMaxExtents); ++i) {
+      arena.extent[i].living = 0;
+    }
     holder_.release_references(b);
     return;
   }
@@ -346,9 +353,10 @@ void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept
 /// want; gives back what a growing vector has left behind.
 void Pool::recycle_extents(Arena& arena) noexcept {
   std::uint8_t kept = 0;
-  for (unsigned i = 0; i < arena.extents; ++i) {
+  const unsigned extents = std::min<unsigned>(arena.extents, Arena::kMaxExtents);
+  for (unsigned i = 0; i < extents; ++i) {
     const Arena::Extent& extent = arena.extent[i];
-    if (extent.living == 0) [[unlikely]] {
+    if (extent.living == 0 && !extent.is_reserved()) [[unlikely]] {
       holder_.segment->granules().release(extent.granule, extent.granules);
       continue;
     }
@@ -369,7 +377,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
   }
   bury(b);
   Arena& arena = holder_.segment->arena(b);
-  for (unsigned i = 0; i < arena.extents; ++i) {
+  for (unsigned i = 0; i < std::min<unsigned>(arena.extents, Arena::kMaxExtents); ++i) {
     holder_.segment->granules().release(arena.extent[i].granule, arena.extent[i].granules);
   }
   arena.extents = 0;
@@ -379,7 +387,9 @@ void Pool::release_block(std::uint32_t b) noexcept {
 }
 
 void Pool::keep_reserved(std::uint32_t b) noexcept {
-  segment::set_reserved(holder_.segment->arena(b), true);
+  Arena& arena = holder_.segment->arena(b);
+  for (unsigned i = 0; i < arena.extents; ++i) arena.extent[i].kind |= Arena::kReserved;
+  segment::set_reserved(arena, true);
 }
 
 void Pool::grow(std::size_t room) {

@@ -152,7 +152,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
       const Status status = push_held(cell, block_for, false);
       if (status == Status::Ok) {
-        cell->hub->shared_from_unique(cell);
+        cell->hub->points(cell);
         cell->drop_pointer();
       }
       return status;

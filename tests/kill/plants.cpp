@@ -71,7 +71,7 @@ std::vector<Plant> planted_operations() {
   plant("an operation that throws", "the operation throws: all is lost",
         [](Node&) { throw std::runtime_error("all is lost"); });
   plant("memory of a message that is not there", "belongs to no message",
-        [](Node& n) { participant(n)->segment().granules().claim(0, kFreeBlock + 1); });
+        [](Node& n) { participant(n)->segment().granules().claim(1, kFreeBlock + 1); });
   plant("a reader's cell of nobody", "has a dead reader", [](Node& n) {
     const auto p = participant(n);
     for (std::uint32_t c = 0; c < p->channels(); ++c) {

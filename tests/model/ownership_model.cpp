@@ -279,10 +279,15 @@ struct WeakLockBehindADeath : Scene<WeakLockBehindADeath, 2> {
 
 /// Ownership without a pool, whose lock would order its threads: at home one thread gives up the
 /// ring's hold and another one a pointer, elsewhere a process lets go. Then the block is written.
-struct HomeHasThreads : SceneBegins, rl::test_suite<HomeHasThreads, 3> {
+/// `kAsked`: the holders were asked before, so that a look in vain changes no word of theirs.
+template <bool kAsked>
+struct HomeHasThreads : SceneBegins, rl::test_suite<HomeHasThreads<kAsked>, 3> {
   using Own = refcount::Ownership<Policy>;
   void before() {
-    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    for (auto& word : block.own) {
+      word.watch_bits(Policy::kBitsPerWord);
+      if (kAsked) word.fetch_or(refcount::kWanted, std::memory_order_relaxed);
+    }
     RL_ASSERT(home.claim(block, home_hold));
     payload.write(1);
     home_hold.fetch_add(hold::kRing, std::memory_order_relaxed);
@@ -428,7 +433,9 @@ const Entered entered{
     {"weak_lock_behind_a_death", "the same, and it has not seen the last one die",
      rl::simulate<WeakLockBehindADeath>, 2},
     {"home_has_threads", "threads at home give up their holds in any order",
-     rl::simulate<HomeHasThreads>, 3},
+     rl::simulate<HomeHasThreads<false>>, 3},
+    {"home_has_threads_and_has_asked", "the same, when it waits already",
+     rl::simulate<HomeHasThreads<true>>, 3},
     {"late_reclaim", "who comes late does not touch a block that was given back",
      rl::simulate<LateReclaim>, 2},
     {"home_is_told", "a home that has looked in vain is told when the last holder goes",

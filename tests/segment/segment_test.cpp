@@ -54,6 +54,21 @@ struct Environment {
   const char* name;
 };
 
+/// A directory that is not in shared memory.
+struct Directory {
+  Directory() { std::filesystem::create_directory(path); }
+  ~Directory() { std::filesystem::remove_all(path); }
+  Directory(const Directory&) = delete;
+  Directory& operator=(const Directory&) = delete;
+  const std::string path = std::filesystem::temp_directory_path() / unique_name();
+};
+
+lot::PullerOptions latched(std::uint64_t history) {
+  lot::PullerOptions options;
+  options.history = history;
+  return options;
+}
+
 std::string file_of(const lot::EngineOptions& options) {
   return options.directory + "/" + options.segment;
 }
@@ -133,6 +148,40 @@ TEST_CASE("what another version or a crash left is replaced when nobody uses it"
     if (how == 3) options.size_bytes = 32 << 20;
     CHECK(refusal(options) == "");
     CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("after a restart of the machine nothing is left of what lay on a disk") {
+  const Watchdog watchdog(60);
+  const Directory disk;
+  auto options = fresh();
+  options.directory = disk.path;
+  options.persist = true;
+  Child before([&] {
+    lot::ShmEngine engine(options);
+    auto out = engine.advertise<std::uint64_t>("/number");
+    for (std::uint64_t n = 0; n < 10; ++n) out.push(out.loan(n));
+    auto in = engine.subscribe<std::uint64_t>("/number", latched(10));
+    const auto kept = in.try_pull();
+    must(kept && in.publishers() == 1, "a message");
+    kill(getpid(), SIGKILL);  // and the machine with it: nothing is left to reap
+  });
+  before.wait();
+  REQUIRE(files_of(options) == 2);
+  overwrite(file_of(options), 40, 12345);  // the boot's number is another one
+  {
+    lot::ShmEngine engine(options);
+    auto in = engine.subscribe<std::uint64_t>("/number", latched(10));
+    CHECK(in.publishers() == 0);
+    CHECK_FALSE(in.try_pull());
+    auto out = engine.advertise<std::uint64_t>("/number");
+    out.push(out.loan(77U));
+    const auto seen = in.try_pull();
+    REQUIRE(seen);
+    CHECK(*seen == 77);
+    CHECK(in.missed_total() == 0);
+    lot::segment::Segment segment(engine.path());
+    CHECK(Audit(segment).participants == 1);
   }
 }
 

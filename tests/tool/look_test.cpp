@@ -2,6 +2,7 @@
 
 // What the tool's documents look like, how it ends, and that looking changes nothing.
 
+#include <cmath>
 #include <set>
 #include <string>
 #include <sys/stat.h>
@@ -82,6 +83,8 @@ TEST_CASE("ls as a document has these keys") {
                                  ".segments[].condition",
                                  ".segments[].damage",
                                  ".segments[].instance",
+                                 ".segments[].memory.held_back_bytes",
+                                 ".segments[].memory.taken_bytes",
                                  ".segments[].memory.total_bytes",
                                  ".segments[].memory.used_bytes",
                                  ".segments[].name",
@@ -114,6 +117,43 @@ TEST_CASE("ls as a document has these keys") {
                                  ".segments[].topics[].type",
                                  ".segments[].topics[].type_bytes",
                              });
+}
+
+TEST_CASE("ls says what is used, what is held back, and what was taken from the system") {
+  const Watchdog watchdog(60);
+  const Room room;
+  lot::ShmEngine engine(room.options());
+  const auto memory = [&] {
+    const Json document = run_lot(on(room.options(), {"ls", "--json"})).json();
+    return document.at("segments").at(0).at("memory");
+  };
+  const auto du = [&] {
+    struct stat status {};
+    REQUIRE(stat(engine.path().c_str(), &status) == 0);
+    return 512.0 * static_cast<double>(status.st_blocks);
+  };
+  const auto number = [](const Json& json, const char* key) { return json.at(key).get<double>(); };
+  constexpr double kMiB = 1 << 20;
+  const Json empty = memory();
+  CHECK(number(empty, "used_bytes") == 0);
+  CHECK(number(empty, "held_back_bytes") == 0);
+  struct Frame {
+    lot::ShmVector<std::uint8_t> data;
+  };
+  auto pusher = engine.advertise<Frame>("/frames", {lot::Policy::Overwrite, 2, {}});
+  for (int n = 0; n < 4; ++n) {
+    auto frame = pusher.loan();
+    frame->data.resize(4 << 20);
+    pusher.push(std::move(frame));
+  }
+  auto loaned = pusher.loan();
+  loaned->data.resize(4 << 20);
+  const Json busy = memory();
+  CHECK(number(busy, "used_bytes") >= 12 * kMiB);
+  CHECK(number(busy, "held_back_bytes") >= 4 * kMiB);
+  CHECK(number(busy, "held_back_bytes") <= number(busy, "used_bytes") - 8 * kMiB);
+  CHECK(number(busy, "taken_bytes") >= number(busy, "used_bytes"));
+  CHECK(std::abs(number(busy, "taken_bytes") - du()) <= du() / 100);
 }
 
 TEST_CASE("who as a document has these keys") {

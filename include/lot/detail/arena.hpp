@@ -13,14 +13,15 @@ namespace lot::detail {
 /// The memory of one message: where its containers allocate while it is built.
 ///
 /// An arena lives in the segment, one for each block, and is written only by the block's home while
-/// the message is exclusively held there. It hands out memory by bumping a cursor: first in the
-/// block's own small payload, then in extents: runs of granules. A large piece has an extent of its
-/// own, which is at most 1/16 larger than the piece. Small pieces share the current one, which
-/// doubles, in place where the granules behind it are free; what they have not used goes back with
-/// push(). Where extents run out large pieces share as well, in extents as large as all before
-/// them, so that few suffice for any message. Nothing is freed one by one, except the newest piece;
-/// an extent in which nothing lives is reused, at its new size, or given back. The whole is
-/// released at once when the message dies.
+/// the message is exclusively held there, or by the process that has taken the message from a
+/// queue. It hands out memory by bumping a cursor: first in the block's own small payload, then in
+/// extents: runs of granules. A large piece has an extent of its own, which is at most 1/16 larger
+/// than the piece. Small pieces share the current one, which doubles, in place where the granules
+/// behind it are free; what they have not used goes back with push(). From the eighth extent on
+/// large pieces share as well, in extents as large as all before them: so they suffice for 64 MiB
+/// of small pieces, and for 128 times what the first eight have. Nothing is freed one by one,
+/// except the newest piece; an extent in which nothing lives is reused, at its new size, or given
+/// back. The whole is released at once when the message dies.
 ///
 /// A frozen arena gives no memory any more and takes none back: its message is published while
 /// pointers that may change it are left. Its cursor stands at the limit, so that allocate() needs
@@ -34,22 +35,26 @@ namespace lot::detail {
 ///       the current one begins.
 ///
 /// Threads: one at a time (a message is built by one thread).
-/// Memory:  192 bytes, address-free: all places are offsets from the segment's begin.
+/// Memory:  256 bytes, address-free: all places are offsets from the segment's begin.
 /// Crash:   the arena is a hint; the truth about memory is in the granules' tags, which name the
 ///          block, and the reaper frees by them. `references` is read by the reaper.
 struct Arena {
-  static constexpr unsigned kMaxExtents = 10;
+  static constexpr unsigned kMaxExtents = 15;
   static constexpr std::uint64_t kLargePiece = 64 << 10;
   static constexpr std::uint8_t kPublished = 1;  ///< values of `frozen`
   static constexpr std::uint8_t kDying = 2;
   static constexpr std::uint8_t kTaken = 1;  ///< values of `changed_hands`
   static constexpr std::uint8_t kShown = 2;
 
+  static constexpr std::uint16_t kShared = 1;    ///< pieces lie side by side in it
+  static constexpr std::uint16_t kReserved = 2;  ///< reserve() made it: the block keeps it as it is
   struct Extent {
     std::uint32_t granule;   ///< the first
     std::uint32_t granules;  ///< how many
     std::uint16_t living;    ///< allocations in it that were not given back (saturates)
-    std::uint16_t shared;    ///< 1: small pieces lie in it
+    std::uint16_t kind;      ///< bits kShared and kReserved
+    bool is_shared() const noexcept { return (kind & kShared) != 0; }
+    bool is_reserved() const noexcept { return (kind & kReserved) != 0; }
   };
 
   std::uint64_t self;    ///< offset of this arena in the segment
@@ -127,8 +132,8 @@ struct Arena {
   unsigned claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules, bool alone);
   void* begin_in(unsigned index, std::size_t bytes);
   bool grow_current(transport::Participant& p, std::size_t bytes, std::size_t align);
-  unsigned idle_extent(std::uint32_t granules, bool shared, bool any) noexcept;
-  std::uint64_t granules_held() const noexcept;
+  unsigned idle_extent(std::uint32_t granules, bool shared) const noexcept;
+  std::uint64_t granules_shared() const noexcept;
   void resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept;
   void shorten(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept;
   void trim_whole() noexcept;
@@ -136,7 +141,7 @@ struct Arena {
   void drop_idle(transport::Participant& p) noexcept;
   void drop(transport::Participant& p, unsigned index) noexcept;
 };
-static_assert(sizeof(Arena) == 192);
+static_assert(sizeof(Arena) == 256);
 
 /// Which blocks a message refers to (ShmRef): a list in the message's own memory, so that the
 /// message keeps them alive and a reaper can adopt them.

@@ -22,7 +22,9 @@ struct Hub {
   std::uint32_t (*generation)(const ControlCell*) noexcept;
   std::size_t (*others)(const ControlCell*) noexcept;  ///< other processes that hold the block
   void (*weak_count)(ControlCell*, int change) noexcept;
+  /// A unique pointer, whose message no reader has, becomes a shared one.
   void (*shared_from_unique)(ControlCell*) noexcept;
+  void (*points)(ControlCell*) noexcept;             ///< pointers of this process have the message
   const char* (*path)(const ControlCell*) noexcept;  ///< of the segment
   std::uint64_t (*instance)(
       const ControlCell*) noexcept;  ///< of the segment: which one of its name
