@@ -156,7 +156,7 @@ TEST_CASE("a published message has given back what its growing vectors have left
   }
   SUBCASE("pushed by the only pointer") {
     auto frame = pusher.loan();
-    for (int n = 0; n < 20000; ++n) frame->words.emplace_back(100, 'x');
+    for (int n = 0; n < 20000; ++n) frame->words.emplace_back(std::size_t{100}, 'x');
     std::uint64_t bytes = frame->words.capacity() * sizeof(lot::ShmString);
     for (const auto& word : frame->words) bytes += word.capacity() + 1;
     pusher.push(std::move(frame));
@@ -164,7 +164,7 @@ TEST_CASE("a published message has given back what its growing vectors have left
   }
   SUBCASE("made a shared one, and then a little larger") {
     lot::ShmUniquePtr<Frame> own = pusher.loan();
-    for (int n = 0; n < 20000; ++n) own->words.emplace_back(100, 'x');
+    for (int n = 0; n < 20000; ++n) own->words.emplace_back(std::size_t{100}, 'x');
     std::uint64_t bytes = own->words.capacity() * sizeof(lot::ShmString);
     for (const auto& word : own->words) bytes += word.capacity() + 1;
     lot::ShmSharedPtr<Frame> shared = std::move(own);
@@ -238,8 +238,8 @@ TEST_CASE("two messages that grow by turns find room as one alone does") {
   auto a = pusher.loan();
   auto b = pusher.loan();
   for (int n = 0; n < 150000; ++n) {
-    a->words.emplace_back(100, 'a');
-    b->words.emplace_back(100, 'b');
+    a->words.emplace_back(std::size_t{100}, 'a');
+    b->words.emplace_back(std::size_t{100}, 'b');
   }
   CHECK(a->words.back() == lot::ShmString(100, 'a'));
   CHECK(b->words.front() == lot::ShmString(100, 'b'));
