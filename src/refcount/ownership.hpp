@@ -97,7 +97,7 @@ struct Ownership {
 
   static std::uint64_t bit(std::uint32_t p) { return std::uint64_t{1} << (p % P::kBitsPerWord); }
   static auto& word(Words& b, std::uint32_t p) { return b.own[p / P::kBitsPerWord]; }
-  /// Who holds the block, of ownership word `w`, but for participant `except`.
+  /// The holders of a block in its ownership word `w`, without participant `except`.
   static std::uint64_t holders(std::uint64_t own, std::uint32_t w, std::uint32_t except) {
     return own & ~kWanted & ~(w == except / P::kBitsPerWord ? bit(except) : 0);
   }
@@ -181,7 +181,7 @@ struct Ownership {
         }
       } else if (h.compare_exchange_weak(v, v - amount, std::memory_order_release,
                                          std::memory_order_relaxed)) {  // O4
-        // Only release: whoever goes on takes the edge, and with it acquires.
+        // Only release: the thread that goes on takes the edge, and with it acquires.
         return last && (v & hold::kHome) != 0 ? Left::Home : Left::Held;
       }
     }
@@ -304,7 +304,7 @@ struct Ownership {
       seen |= own;
       others |= w == except_word ? own & ~except : own;
     }
-    // The second fails if anybody bumped the version since it was read; so the load has acquired
+    // The second fails if a process bumped the version since it was read; so the load has acquired
     // all there is. Killed after it: an exclusively owned, unpublished block, which the reaper
     // frees.
     return (others & ~kWanted) == 0 &&

@@ -67,7 +67,7 @@ class Granules {
     return end <= count_ && run <= count_ - end && take(end, run, tag);
   }
 
-  /// A run that can not be, since somebody has written over the place where it was noted, releases
+  /// A run that can not be, since a wild write has hit the place where it was noted, releases
   /// nothing.
   void release(std::uint32_t first, std::uint32_t run) {
     if (run == 0 || first >= count_ || run > count_ - first) return;

@@ -44,7 +44,7 @@ const NamedPlant kPlants[] = {
      {"ownership.hpp", 0, 0, "::acquire(", Operation::Fetch, kRelease, {.drop = true}}},
     {"adopt-without-bump",  // adopting for a dead owner is a hand-over too
      {"ownership.hpp", 0, 0, "::adopt(", Operation::Fetch, kRelease, {.drop = true}}},
-    {"wanted-not-said",  // O5: the home waits, and nobody knows
+    {"wanted-not-said",  // O5: the home waits, and no holder knows
      {"ownership.hpp", 0, 0, "::ask_holders(", Operation::Fetch, kRelease, {.drop = true}}},
     {"joiner-not-announced",  // R4
      {"ring.hpp", 0, 0, "::join", Operation::Fetch, kSeqCst, {.drop = true}}},

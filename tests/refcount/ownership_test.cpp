@@ -220,7 +220,7 @@ TEST_CASE_FIXTURE(Block, "a holder is told that the home waits, whenever it let 
   CHECK(far.own.release(words, far.word, hold::kPointer) == Left::Gone);
 }
 
-TEST_CASE_FIXTURE(Block, "who fails to lock a dead message tells the home that has seen its bit") {
+TEST_CASE_FIXTURE(Block, "a weak lock that fails tells the home that has seen its bit") {
   REQUIRE(home.claim(words));
   REQUIRE(home.release(words));
   REQUIRE(home.reclaim(words, 0));
