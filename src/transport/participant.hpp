@@ -370,6 +370,9 @@ void after_reaping(Participant& participant, F&& f) {
     } catch (const Error& e) {
       const bool full = e.error_number() == EUSERS || e.error_number() == ENOSPC;
       if (!full || futex::Clock::now() >= until) throw;
+    } catch (const OutOfMemory&) {  // idle blocks of this process may have what a ring needs
+      if (!participant.trim(Participant::kNobody)) throw;
+      continue;
     }
     if (!participant.reap_dead()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }
