@@ -58,10 +58,9 @@ struct Segment {
 /// What a message of so many bytes may take.
 std::uint64_t most(std::uint64_t bytes) { return bytes + std::max(bytes / 16, 64 * 1024 / 16UL); }
 
-/// How many frames of this size fit now, beside those that are kept.
-std::size_t fitting(lot::ShmEngine& engine, std::size_t bytes) {
-  auto pusher = engine.advertise<Frame>("/fitting");
-  std::vector<lot::ShmUniquePtr<Frame>> frames;
+/// Adds frames of this size until there is no room for another.
+void take_all(lot::ShmPusher<Frame>& pusher, std::size_t bytes,
+              std::vector<lot::ShmUniquePtr<Frame>>& frames) {
   try {
     for (;;) {
       auto frame = pusher.loan();
@@ -69,8 +68,15 @@ std::size_t fitting(lot::ShmEngine& engine, std::size_t bytes) {
       frames.push_back(std::move(frame));
     }
   } catch (const lot::OutOfMemory&) {
-    return frames.size();
   }
+}
+
+/// How many frames of this size fit now, beside those that are kept.
+std::size_t fitting(lot::ShmEngine& engine, std::size_t bytes) {
+  auto pusher = engine.advertise<Frame>("/fitting");
+  std::vector<lot::ShmUniquePtr<Frame>> frames;
+  take_all(pusher, bytes, frames);
+  return frames.size();
 }
 
 }  // namespace
@@ -205,16 +211,7 @@ TEST_CASE("reserved memory serves pieces of any size") {
   pusher.reserve(1, 4 * kMiB);
   auto other = segment.engine.advertise<Frame>("/other");
   std::vector<lot::ShmUniquePtr<Frame>> all;  // there is nothing beside it
-  for (std::size_t size : {kMiB, kMiB / 16, 4096UL, 300UL}) {
-    try {
-      for (;;) {
-        auto frame = other.loan();
-        frame->data.resize(size);
-        all.push_back(std::move(frame));
-      }
-    } catch (const lot::OutOfMemory&) {
-    }
-  }
+  for (const std::size_t size : {kMiB, kMiB / 16, 4096UL, 300UL}) take_all(other, size, all);
   for (int round = 0; round < 3; ++round) {
     CAPTURE(round);
     auto frame = pusher.loan();
