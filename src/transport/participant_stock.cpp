@@ -152,7 +152,12 @@ std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) 
   if (run != kNone) return run;
   if (granules > segment_.granules().count()) return kNone;  // nothing that goes makes room for it
   const std::uint32_t asker = holder_.cell(tag - 1).pool.load(std::memory_order_relaxed);
-  const auto enough = [&] { return (run = segment_.claim_run(granules, tag)) != kNone; };
+  int error = 0;
+  const auto enough = [&] {
+    run = segment_.claim_run(granules, tag);
+    error = errno;
+    return run != kNone;
+  };
   tidy(asker);
   if (enough()) return run;
   const bool gathers = may_gather();
@@ -160,10 +165,11 @@ std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) 
   const auto possible = [&](const Eviction::Givers& givers) {
     return eviction_.can_free_run(asker, granules, givers);
   };
-  if (evict_until(enough, asker, segment::kGranule * granules, Shortage::Memory, possible)) {
-    return run;
+  if (!evict_until(enough, asker, segment::kGranule * granules, Shortage::Memory, possible) &&
+      !gathers) {
+    gather_from_others(enough);
   }
-  if (!gathers) gather_from_others(enough);
+  errno = error;  // why there was none: looks for what could go have changed it
   return run;
 }
 

@@ -373,6 +373,7 @@ TEST_CASE("a directory that is full, or becomes full later, is an error and neve
       frame->data.resize((16 << 20) / 8);
       FAIL("no exception");
     } catch (const lot::OutOfMemory& e) {
+      CAPTURE(std::string(e.what()));
       CHECK(says(e.what(), "the file system is full"));
     }
     std::filesystem::remove(disk.path + "/ballast");

@@ -198,7 +198,8 @@ TEST_CASE("what a camera has left that was killed gives way, before that of the 
     killed.kill();
   }
   auto pusher = engine.advertise<Frame>(topic(1));
-  for (std::uint64_t n = 0; n < 60; ++n) push(pusher, n);
+  // More than fit, wherever the others lie.
+  for (std::uint64_t n = 0; n < 70; ++n) push(pusher, n);
   CHECK(held(engine, topic(1)) >= kFits * 8 / 10);
   // The newest two are there, and what is not counts as missed.
   std::uint64_t got = 0;
