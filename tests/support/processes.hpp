@@ -91,7 +91,7 @@ bool eventually(Condition&& condition, std::chrono::nanoseconds most = 10s) {
 }
 
 /// The assertion of child processes, where doctest's would be lost.
-inline void must(bool condition, const char* what) {
+[[gnu::noinline]] inline void must(bool condition, const char* what) {
   if (!condition) throw std::runtime_error(std::string("child: not so: ") + what);
 }
 
