@@ -20,7 +20,8 @@ stronger order. Where a mutant was caught the last time is kept in caught.txt an
     --survivors       tries the justified survivors, too
     --update          writes caught.txt anew
     --jobs N          (default: 2)
-    --self-test       checks the parser against code in this file
+    --self-test       checks the parser against code in this file, and that the sources have a
+                      place for each mistake that is planted
 
 Exit status: 0 every mutant was caught or is justified, 1 not so, 2 wrong usage.
 """
@@ -112,10 +113,10 @@ def show(site, written, instead, verdict):
 
 def self_test():
     with tempfile.TemporaryDirectory(prefix='lot_mutant_') as scratch:
-        failures = sites.self_test(pathlib.Path(scratch))
+        failures = sites.self_test(pathlib.Path(scratch)) + recovery.misplaced(ROOT)
     for failure in failures:
         print(failure)
-    print(f'summary: parser self-test, {len(failures)} failed')
+    print(f'summary: self-test, {len(failures)} failed')
     return 1 if failures else 0
 
 

@@ -131,12 +131,30 @@ MISTAKES = (
     Planted('re-check: at home, before a reclaim', OWNERSHIP, 'ownership', ((
         '      if ((v & hold::kHome) == 0) return false;\n', ''),)),
     Planted('re-check: the version, at the death', OWNERSHIP, 'ownership', ((
-        '''    return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
-                                          std::memory_order_relaxed);''',
+        '    return (others & ~kWanted) == 0 &&\n',
         '''    life = b.life.load(std::memory_order_relaxed);
-    return b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
-                                          std::memory_order_relaxed);'''),)),
+    return (others & ~kWanted) == 0 &&\n'''),)),
 )
+
+
+def changed(mutant, text):
+    """The text of the mutant's file with the mistake in it."""
+    for old, new in mutant.pairs:
+        if text.count(old) != 1:
+            raise ValueError(f'{mutant.name}: not once in {mutant.file}: {old.strip()}')
+        text = text.replace(old, new)
+    return text
+
+
+def misplaced(root):
+    """The mistakes that the sources have no place for, with the reason."""
+    reasons = []
+    for mutant in MISTAKES:
+        try:
+            changed(mutant, (root / mutant.file).read_text())
+        except ValueError as reason:
+            reasons.append(str(reason))
+    return reasons
 
 
 class Builds:
@@ -155,12 +173,7 @@ class Builds:
             for room in self.COPIED:
                 shutil.copytree(self.root / 'src' / room, source / room)
             file = pathlib.Path(scratch) / mutant.file
-            text = file.read_text()
-            for old, new in mutant.pairs:
-                if text.count(old) != 1:
-                    raise ValueError(f'{mutant.name}: not once in {mutant.file}: {old.strip()}')
-                text = text.replace(old, new)
-            file.write_text(text)
+            file.write_text(changed(mutant, file.read_text()))
             return try_model(self.build(mutant, source), [], hint)
 
     def build(self, mutant, source):
