@@ -10,10 +10,11 @@ namespace lot {
 /// How an operation that may come to nothing in ordinary life ended. Not an error.
 enum class Status {
   Ok,
-  Empty,         ///< nothing to read now
-  Full,          ///< a slow reader holds the queue back, and the deadline has passed
-  Timeout,       ///< nothing came until the deadline
-  PublisherGone  ///< nothing to read, and nobody publishes on the topic now
+  Empty,          ///< nothing to read now
+  Full,           ///< a slow reader holds the queue back, and the deadline has passed
+  Timeout,        ///< nothing came until the deadline
+  PublisherGone,  ///< nothing to read, and nobody publishes on the topic now
+  HoldsTooMuch    ///< the subscription holds all the memory that it may: let messages go
 };
 
 const char* to_string(Status status) noexcept;

@@ -48,6 +48,10 @@ struct PusherOptions {
   Duration block_for = std::chrono::seconds(1);
   /// LOT_QUEUE=ring or LOT_QUEUE=mutex in the environment comes before it, for every topic.
   QueueEngine engine = QueueEngine::Ring;
+  /// Memory that all its messages take together at most, also those that others keep; what fits
+  /// into a block of its own does not count. Beyond it the publisher gives its own oldest up; where
+  /// none can go, a message does not grow (lot::OutOfMemory). 0: as much as the segment has.
+  std::uint64_t max_bytes = 0;
 };
 
 /// How a puller passes the time until a message comes.
@@ -61,6 +65,12 @@ struct PullerOptions {
   Wait wait = Wait::Adaptive;
   /// Messages published before this subscription that it gets first (latched: 1).
   std::uint64_t history = 0;
+  /// What is kept of this subscription's messages at once: memory, in bytes. Beyond it pulls say
+  /// Status::HoldsTooMuch, and messages wait in the queue, or are overwritten, until some are let
+  /// go. 0: a quarter of the segment. At most 7/16 of it; less while other subscriptions hold much,
+  /// since all together leave the half. One message is always allowed.
+  std::uint64_t max_held_bytes = 0;
+  static constexpr std::uint64_t kNoQuota = ~std::uint64_t{0};  ///< of max_held_bytes
 };
 
 }  // namespace lot

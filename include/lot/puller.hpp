@@ -42,7 +42,8 @@ class ShmBorrow {
   /// Messages that this reader missed just before this one.
   std::uint64_t missed() const noexcept { return borrowed_.missed; }
 
-  /// A pointer to the message that outlives the borrow.
+  /// A pointer to the message that outlives the borrow. Throws lot::Error (EDQUOT) when the
+  /// subscription holds all that it may (PullerOptions::max_held_bytes).
   ShmSharedPtr<const T> keep() const {
     if (core_ == nullptr) return {};
     return detail::PointerAccess::shared(get(), core_->keep());
@@ -83,7 +84,8 @@ class ShmPuller {
   ShmBorrow<T> borrow_until(Deadline deadline) { return look(true, deadline, false); }
   ShmBorrow<T> borrow() { return look(true, {}, true); }
 
-  /// How the last pull or borrow ended: Ok, Empty, Timeout or PublisherGone.
+  /// How the last pull or borrow ended: Ok, Empty, Timeout, PublisherGone; a pull also
+  /// HoldsTooMuch. One that waits then waits a second at most for the process to let something go.
   Status status() const noexcept { return status_; }
   /// Messages lost to this reader just before the last one that it got.
   std::uint64_t missed() const noexcept { return missed_; }

@@ -143,7 +143,8 @@ const MessageType& taken_type() {
 /// Errors:  where a value cannot be copied out (its copy constructor throws: no memory), the pop
 ///          throws that, and the handle has the item for its next pop. It puts it back into the
 ///          queue, behind the others, when it goes; if there is no room or no memory for that, it
-///          drops the item.
+///          drops the item. EDQUOT when a handle that pops shared items holds too many of them
+///          (PullerOptions::max_held_bytes, its default).
 /// Crash:   what was put stays; an item for one that a killed process has not taken yet is taken by
 ///          another, one that it has taken is freed, also one that it could not copy.
 template <class T>

@@ -91,7 +91,7 @@ struct ThreadOptions {
   std::vector<unsigned> cpus;       ///< it runs on these only; none: on all
   int policy = 0;                   ///< SCHED_OTHER, SCHED_FIFO, SCHED_RR ... (sched(7))
   int priority = 0;                 ///< of SCHED_FIFO and SCHED_RR
-  /// Told what goes wrong (a damaged message); default: prints it to stderr.
+  /// Told what goes wrong (a damaged message; too many are kept); default: prints it to stderr.
   std::function<void(const Error&)> on_error;
 };
 
@@ -117,7 +117,10 @@ class ShmListener {
           // So many at most, and then a look whether to stop.
           for (unsigned n = 0; n < kAtOnce; ++n) {
             const ShmSharedPtr<const T> message = mine->try_pull();
-            if (!message) return;
+            if (!message) {
+              if (mine->status() == Status::HoldsTooMuch) mine->core_->refuse_to_hold();
+              return;
+            }
             callback(message);
           }
         },

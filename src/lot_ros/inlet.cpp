@@ -183,6 +183,7 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
     try {
       PullerOptions from_the_start;
       from_the_start.history = ~std::uint64_t{0};
+      from_the_start.max_held_bytes = PullerOptions::kNoQuota;  // no callback says that it is full
       rings_ =
           lot::detail::make_puller(session_->participant(), session_->name_of(topic_),
                                    *kind_.layout, from_the_start, lot::detail::Delivery::ToAll);

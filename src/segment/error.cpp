@@ -28,6 +28,8 @@ const char* to_string(Status status) noexcept {
       return "timeout";
     case Status::PublisherGone:
       return "publisher gone";
+    case Status::HoldsTooMuch:
+      return "holds too much";
   }
   return "?";
 }

@@ -92,6 +92,9 @@ inline constexpr std::uint32_t kLook = 1;  ///< a message that it waits for may 
 inline constexpr std::uint32_t kTrim = 2;  ///< give idle memory back
 inline constexpr std::uint32_t kOwn = 4;   ///< its own process has something to do
 inline constexpr std::uint32_t kGive = 8;  ///< give messages up: `request` says how much
+/// No errand: its process says that a signal ends it, and that it counts no more for who removes
+/// the files. Written and read in the gate; stays until the next one with this index.
+inline constexpr std::uint32_t kEnding = 16;
 }  // namespace errand
 
 /// A participant's witness, a lock that its warden holds, and how others ask something of that.
@@ -175,6 +178,15 @@ static_assert(sizeof(ChannelEntry) == 64);
 /// True when messages of the type lie in the payload that every block has.
 constexpr bool is_small(const detail::MessageType& type) {
   return type.size <= kSmallBytes && type.align <= 64;
+}
+
+/// The memory of a message beside its block. No more than there is, whatever has hit the words.
+inline std::uint64_t granules_of(const detail::Arena& arena, std::uint64_t all) {
+  std::uint64_t sum = 0;
+  for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
+    sum += arena.extent[i].granules;
+  }
+  return sum < all ? sum : all;
 }
 
 /// reserve() made the block's memory. Relaxed: a hint for those who look for memory.

@@ -42,9 +42,11 @@ std::uint64_t fit(std::uint64_t bytes) {
               "build it wholly before push(), or copy it into a new loan()");
 }
 
-[[noreturn, gnu::cold]] void out_of_memory(transport::Participant& p, std::size_t bytes,
-                                           int error) {
-  throw OutOfMemory(transport::describe_shortage(p, bytes, error).c_str());
+[[noreturn, gnu::cold]] void out_of_memory(transport::Participant& p, const Arena& arena,
+                                           std::size_t bytes, int error) {
+  throw OutOfMemory((error == EDQUOT ? transport::describe_limit(p, bytes, arena.block)
+                                     : transport::describe_shortage(p, bytes, error))
+                        .c_str());
 }
 
 }  // namespace
@@ -117,12 +119,12 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   // ones.
   if (!alone && current == 0) drop_idle(p);
   if (extents >= kMaxExtents) drop_idle(p);
-  if (extents >= kMaxExtents) out_of_memory(p, bytes, 0);
+  if (extents >= kMaxExtents) out_of_memory(p, *this, bytes, 0);
   if (!alone) trim_current();
   const std::uint64_t doubled =
       alone ? granules : std::max<std::uint64_t>(granules, granules_shared());
   auto claimed = static_cast<std::uint32_t>(std::min<std::uint64_t>(doubled, kNoRun));
-  std::uint32_t run = p.segment().claim_run(claimed, block + 1);
+  std::uint32_t run = p.try_claim_run(claimed, block + 1);
   if (run == kNoRun) {
     drop_idle(p);
     claimed = granules;
@@ -132,7 +134,7 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
     claimed = static_cast<std::uint32_t>(granules_in(bytes));
     run = p.claim_run(claimed, block + 1);
   }
-  if (run == kNoRun) out_of_memory(p, bytes, errno);
+  if (run == kNoRun) out_of_memory(p, *this, bytes, errno);
   extent[extents] = {run, claimed, 0, alone ? std::uint16_t{0} : kShared};
   return extents++;
 }
@@ -190,7 +192,7 @@ void Arena::resize(transport::Participant& p, unsigned index, std::uint32_t gran
   Extent& e = extent[index];
   if (e.granules < granules) {
     const std::uint32_t end = e.granule + e.granules;
-    if (p.segment().extend_run(end, granules - e.granules, block + 1)) e.granules = granules;
+    if (p.extend_run(end, granules - e.granules, block + 1)) e.granules = granules;
   } else if (!e.is_reserved()) {
     shorten(p, index, granules);
   }
@@ -201,7 +203,7 @@ void Arena::shorten(transport::Participant& p, unsigned index, std::uint32_t gra
   const std::uint32_t more = e.granules - granules;
   if (more == 0) return;
   e.granules = granules;
-  p.segment().granules().release(e.granule + granules, more);
+  p.holder().pool_of(block).release_run(e.granule + granules, more);
 }
 
 /// Doubles the extent that the small pieces are in, where the granules behind it are free.
@@ -212,7 +214,7 @@ bool Arena::grow_current(transport::Participant& p, std::size_t bytes, std::size
   const std::uint64_t least = granules_in(begin + bytes - limit);
   const std::uint32_t end = e.granule + e.granules;
   for (const std::uint64_t more : {std::max<std::uint64_t>(least, e.granules), least}) {
-    if (more < kNoRun && p.segment().extend_run(end, static_cast<std::uint32_t>(more), block + 1)) {
+    if (more < kNoRun && p.extend_run(end, static_cast<std::uint32_t>(more), block + 1)) {
       e.granules += static_cast<std::uint32_t>(more);
       limit += more * kGranule;
       return true;
@@ -260,7 +262,7 @@ void Arena::drop(transport::Participant& p, unsigned index) noexcept {
   const Extent gone = extent[index];
   extent[index] = extent[--extents];
   if (current == extents + 1) current = static_cast<std::uint8_t>(index + 1);
-  p.segment().granules().release(gone.granule, gone.granules);
+  p.holder().pool_of(block).release_run(gone.granule, gone.granules);
 }
 
 void Arena::change_hands() noexcept {

@@ -41,6 +41,14 @@ std::size_t Eviction::look(std::uint32_t pool, std::span<std::uint32_t> foreign)
   return 0;
 }
 
+bool Eviction::give_up(std::uint32_t pool) noexcept {
+  const std::lock_guard guard(mutex_);
+  for (Evictor* e : evictors_) {
+    if (e->pool() == pool) return e->give_up();
+  }
+  return false;
+}
+
 void Eviction::look_at_others(Shortage shortage) noexcept {
   const std::lock_guard guard(mutex_);
   survey_.look(holder_.own.self, shortage);

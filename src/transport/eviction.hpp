@@ -91,6 +91,9 @@ class Eviction {
   bool settle() noexcept;
   /// Evictor::look() of the publisher with this pool, if it is one that can give messages up.
   std::size_t look(std::uint32_t pool, std::span<std::uint32_t> foreign) noexcept;
+  /// Rule 3 alone: the publisher with this pool gives its oldest message up. False: it has none, or
+  /// may lose none.
+  bool give_up(std::uint32_t pool) noexcept;
   /// Looks what the publishers of other processes hold.
   void look_at_others(Shortage shortage) noexcept;
   /// Which other processes give, by participant: those that are stopped do not. Of kOrphanage:

@@ -15,6 +15,15 @@
 namespace lot::transport {
 namespace {
 
+std::string topic_of(const segment::Segment& segment, std::uint64_t key) {
+  if (key == 0) return {};
+  for (const segment::TopicEntry& topic : segment.topics()) {
+    const std::string_view name(topic.name, strnlen(topic.name, sizeof(topic.name)));
+    if (segment::topic_key(name) == key) return std::string(name);
+  }
+  return "a topic that has gone";
+}
+
 /// Granules, by whom they belong to. All words are read once and bounds are checked: others change
 /// them meanwhile.
 class Fill {
@@ -65,7 +74,7 @@ class Fill {
     const std::uint64_t key =
         std::atomic_ref(segment_.arena(b).topic).load(std::memory_order_relaxed);
     if (home == refcount::kHomeFree) return;
-    made_[{home - 1, topic_of(key)}] += granules;
+    made_[{home - 1, topic_of(segment_, key)}] += granules;
     for (std::uint32_t k = 1; k < participant_.participants(); ++k) {
       const auto& own = HardwareOwnership::word(words, k);
       const bool holds =
@@ -74,14 +83,6 @@ class Fill {
     }
   }
 
-  std::string topic_of(std::uint64_t key) const {
-    if (key == 0) return {};
-    for (const segment::TopicEntry& topic : segment_.topics()) {
-      const std::string_view name(topic.name, strnlen(topic.name, sizeof(topic.name)));
-      if (segment::topic_key(name) == key) return std::string(name);
-    }
-    return "a topic that has gone";
-  }
   std::string name_of(std::uint32_t k) const {
     if (k == refcount::kOrphanage || k >= participant_.participants()) {
       return "a process that has gone";
@@ -119,6 +120,19 @@ std::string describe_shortage(Participant& participant, std::size_t bytes, int e
   return text + (fill.is_kept_mostly()
                      ? "; let that one keep fewer messages, or raise LOT_SIZE"
                      : "; raise LOT_SIZE, keep fewer messages, or publish with a smaller depth");
+}
+
+std::string describe_limit(Participant& participant, std::size_t bytes, std::uint32_t block) {
+  const segment::Segment& segment = participant.segment();
+  const std::uint64_t key =
+      std::atomic_ref(participant.segment().arena(block).topic).load(std::memory_order_relaxed);
+  const Pool& pool = participant.holder().pool_of(block);
+  return "lot: " + segment.path() + ": no room for " + std::to_string(bytes) +
+         " bytes: the publisher of " + topic_of(segment, key) + " has " +
+         std::to_string(pool.granules() * segment::kGranule) + " of the " +
+         std::to_string(pool.limit() * segment::kGranule) +
+         " bytes that PusherOptions::max_bytes gives it, and no message that can go; raise it, "
+         "keep fewer messages, or send smaller ones";
 }
 
 }  // namespace lot::transport

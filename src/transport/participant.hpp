@@ -96,7 +96,20 @@ class Participant {
   bool collect() noexcept;
   /// A run of memory for a block of ours, whose tag it gets: from the segment, or, when it is full,
   /// after freeing what can be freed. The publisher that has the block asks.
+  /// kNone: there is none, and errno says why: 0, ENOSPC (the file system), EDQUOT (the publisher
+  /// has all that PusherOptions::max_bytes gives it).
   std::uint32_t claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
+  /// The same, of what is free.
+  std::uint32_t try_claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
+  /// The granules behind a run that a block of ours has.
+  bool extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept;
+  /// What is kept, in the whole segment: messages of which processes have pointers that have got
+  /// them from others, and such that their own process has published and keeps.
+  struct Kept {
+    std::uint64_t granules = 0;
+    std::uint64_t blocks = 0;
+  };
+  Kept weigh_kept() noexcept;
   /// Frees what can be freed without giving a message up, for the publisher with this pool.
   void tidy(std::uint32_t asker) noexcept;
   /// Gives the idle memory of our pools back, for the need of the publisher with this pool, or of
@@ -170,6 +183,9 @@ class Participant {
   }
   /// What LOT_QUEUE in the environment says, else what the code says.
   static QueueEngine queue_engine(QueueEngine asked);
+  /// The process is about to end, in the midst of its work. Where it is the last one on a segment,
+  /// the segment's files go. Nothing else is touched: others reap it when it is dead.
+  static void remove_files() noexcept;
   /// The participant that has mapped this address, or null.
   static Participant* at(const void* address) noexcept;
 
@@ -224,6 +240,11 @@ class Participant {
   };
   using Recovery = recovery::Recovery<detail::HardwareAtomics, Participant>;
   class GateGuard;
+
+  void remove_files_if_last() noexcept;
+  void settle_files() noexcept;
+  bool make_room_in(Pool& pool, std::uint32_t granules) noexcept;
+  bool is_kept(std::uint32_t b) noexcept;
 
   Participant(const EngineOptions& options, std::shared_ptr<liveness::LockFile> lock_file);
   static Participant& of(const detail::ControlCell* cell) noexcept;
@@ -321,6 +342,9 @@ class Participant {
   std::condition_variable warden_signal_;
   enum class Witness { Awaited, Held, Refused } witness_ = Witness::Awaited;
   std::atomic<bool> warden_stop_{false};
+  // Relaxed: errands carry the first; what the second says is in the file system.
+  std::atomic<bool> is_ending_{false};      ///< a signal ends the process: the files are to go
+  std::atomic<bool> files_settled_{false};  ///< as far as that is this process's business
   std::mutex departures_mutex_;
   std::list<registry::Departure> departures_;  ///< that the warden has to finish
   // The warden's alone, from here...

@@ -146,15 +146,51 @@ void Participant::tidy(std::uint32_t asker) noexcept {
   trim(asker);
 }
 
+std::uint32_t Participant::try_claim_run(std::uint32_t granules, std::uint32_t tag) noexcept {
+  constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
+  Pool& pool = holder_.pool_of(tag - 1);
+  if (!pool.may_take(granules)) {
+    errno = EDQUOT;
+    return kNone;
+  }
+  const std::uint32_t run = segment_.claim_run(granules, tag);
+  if (run != kNone) pool.take(granules);
+  return run;
+}
+
+bool Participant::extend_run(std::uint32_t end, std::uint32_t granules,
+                             std::uint32_t tag) noexcept {
+  Pool& pool = holder_.pool_of(tag - 1);
+  if (!pool.may_take(granules) || !segment_.extend_run(end, granules, tag)) return false;
+  pool.take(granules);
+  return true;
+}
+
+/// What is idle goes first, then the publisher's oldest messages.
+bool Participant::make_room_in(Pool& pool, std::uint32_t granules) noexcept {
+  if (granules > pool.limit()) return false;
+  tidy(pool.index());
+  while (!pool.may_take(granules)) {
+    if (!eviction_.give_up(pool.index())) return false;
+    pool.trim(true);
+  }
+  return true;
+}
+
 std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) noexcept {
   constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
-  std::uint32_t run = segment_.claim_run(granules, tag);
+  if (Pool& pool = holder_.pool_of(tag - 1);
+      !pool.may_take(granules) && !make_room_in(pool, granules)) {
+    errno = EDQUOT;
+    return kNone;
+  }
+  std::uint32_t run = try_claim_run(granules, tag);
   if (run != kNone) return run;
   if (granules > segment_.granules().count()) return kNone;  // nothing that goes makes room for it
   const std::uint32_t asker = holder_.cell(tag - 1).pool.load(std::memory_order_relaxed);
   int error = 0;
   const auto enough = [&] {
-    run = segment_.claim_run(granules, tag);
+    run = try_claim_run(granules, tag);
     error = errno;
     return run != kNone;
   };
@@ -171,6 +207,39 @@ std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) 
   }
   errno = error;  // why there was none: looks for what could go have changed it
   return run;
+}
+
+/// Relaxed, as in Survey: what changes meanwhile is seen at the next look.
+Participant::Kept Participant::weigh_kept() noexcept {
+  Kept kept;
+  for (std::uint32_t b = 0; b < blocks(); ++b) kept.blocks += is_kept(b);
+  const auto& tags = segment_.granules();
+  std::uint32_t last = 0;
+  bool counts = false;
+  for (std::uint32_t i = 0; i < tags.count(); ++i) {
+    const std::uint32_t tag = tags.tag(i);
+    if (tag != last) {
+      last = tag;
+      counts = tag != 0 && tag <= blocks() && is_kept(tag - 1);
+    }
+    kept.granules += counts;
+  }
+  return kept;
+}
+
+bool Participant::is_kept(std::uint32_t b) noexcept {
+  const segment::BlockWords& words = segment_.block(b);
+  const std::uint32_t home = words.home.load(std::memory_order_relaxed);
+  if (home == refcount::kHomeFree) return false;
+  if (words.home_points.load(std::memory_order_relaxed) != 0) return true;
+  for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
+    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);
+    for (const std::uint32_t k : {refcount::kOrphanage, home - 1}) {
+      holders = HardwareOwnership::holders(holders, w, k);
+    }
+    if (holders != 0) return true;
+  }
+  return false;
 }
 
 bool Participant::may_gather() noexcept {

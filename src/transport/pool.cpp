@@ -357,7 +357,7 @@ void Pool::recycle_extents(Arena& arena) noexcept {
   for (unsigned i = 0; i < extents; ++i) {
     const Arena::Extent& extent = arena.extent[i];
     if (extent.living == 0 && !extent.is_reserved()) [[unlikely]] {
-      holder_.segment->granules().release(extent.granule, extent.granules);
+      release_run(extent.granule, extent.granules);
       continue;
     }
     if (kept != i) arena.extent[kept] = extent;
@@ -378,12 +378,23 @@ void Pool::release_block(std::uint32_t b) noexcept {
   bury(b);
   Arena& arena = holder_.segment->arena(b);
   for (unsigned i = 0; i < std::min<unsigned>(arena.extents, Arena::kMaxExtents); ++i) {
-    holder_.segment->granules().release(arena.extent[i].granule, arena.extent[i].granules);
+    release_run(arena.extent[i].granule, arena.extent[i].granules);
   }
   arena.extents = 0;
   c.type = nullptr;
   const std::lock_guard guard(lock_);  // is_at_rest_here()
   holder_.own.give_back(holder_.words(b), c.hold);
+}
+
+void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
+  if (limit_ != kNoLimit) {
+    // A number that a wild write has hit is no more than there is.
+    std::uint64_t has = granules_.load(std::memory_order_relaxed);
+    while (!granules_.compare_exchange_weak(has, has - std::min<std::uint64_t>(has, granules),
+                                            std::memory_order_relaxed)) {
+    }
+  }
+  holder_.segment->granules().release(first, granules);
 }
 
 void Pool::keep_reserved(std::uint32_t b) noexcept {

@@ -2,6 +2,8 @@
 #include <algorithm>
 #include <cerrno>
 #include <list>
+#include <string>
+#include <thread>
 
 #include "lot/detail/core.hpp"
 
@@ -9,6 +11,7 @@
 #include "lockfree_ring/sleep.hpp"
 #include "transport/notifier.hpp"
 #include "transport/participant.hpp"
+#include "transport/quota.hpp"
 #include "transport/spin_habit.hpp"
 
 namespace lot::transport {
@@ -31,6 +34,11 @@ constexpr unsigned kPausesAfterBurst = 50;
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
 constexpr auto kLongestSleep = 1s;
+/// A subscription that holds too much: so often is it looked whether messages have been let go, and
+/// so long does a pull wait for that at most. Who waits for messages by other means hears so often
+/// that some are there.
+constexpr auto kLookForRoom = 10ms;
+constexpr auto kWaitForRoom = 1s;
 
 class Puller final : public detail::PullerCore {
  public:
@@ -41,6 +49,9 @@ class Puller final : public detail::PullerCore {
         taking_(delivery == detail::Delivery::ToOne),
         small_(type.size <= segment::kSmallBytes && type.align <= 64),
         type_(type),
+        topic_name_(topic),
+        quota_(*participant_,
+               delivery == detail::Delivery::ToOne ? Quota::kNone : options.max_held_bytes),
         topic_(participant_->enter_topic(topic, type)),
         habit_(options.wait) {
     try {
@@ -79,13 +90,22 @@ class Puller final : public detail::PullerCore {
 
   [[gnu::hot]] detail::ControlCell* keep() override {
     participant_->check_usable();
-    participant_->holder().acquire(block_, hold::kPointer);
-    return &participant_->holder().cell(block_);
+    if (!quota_.allows_one_more()) refuse_to_hold();
+    return hold_it();
+  }
+
+  [[noreturn, gnu::cold]] void refuse_to_hold() const override {
+    throw Error(EDQUOT, topic_name_, "the subscription " + quota_.describe(),
+                "let messages go, or raise PullerOptions::max_held_bytes");
   }
 
   [[gnu::hot]] Status pull(detail::Borrowed& kept, bool wait, detail::Clock::time_point deadline,
                            bool forever) override {
     keeping_ = true;
+    if (!quota_.allows_one_more()) [[unlikely]] {
+      const futex::Deadline until = forever ? futex::Deadline() : futex::Deadline(deadline);
+      if (!wait || !wait_for_quota(until)) return found_none(kept, Status::HoldsTooMuch);
+    }
     return look_or_wait(kept, wait, deadline, forever);
   }
 
@@ -98,6 +118,7 @@ class Puller final : public detail::PullerCore {
   }
 
   bool ready() override {
+    if (quota_.is_full()) return false;  // arm() says when to look
     return (directory_.load(std::memory_order_relaxed) != version_ && !not_before_) ||
            std::any_of(sources_.begin(), sources_.end(),
                        [](const Source& s) { return s.reader.ready() || s.reader.orphaned(); });
@@ -199,7 +220,9 @@ class Puller final : public detail::PullerCore {
     if (borrowing_) return std::nullopt;  // the next look says what is wrong
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
     const auto has_more = [](const Source& s) { return s.reader.ready(); };
-    if (std::any_of(sources_.begin(), sources_.end(), has_more)) return std::nullopt;
+    if (std::any_of(sources_.begin(), sources_.end(), has_more)) {
+      return quota_.is_full() && !quota_.allows_one_more() ? when_to_tell() : std::nullopt;
+    }
     const std::size_t rings = sources_.size();
     if (!settle()) return std::nullopt;
     // Who has kept messages of that ring looks whose they are.
@@ -264,7 +287,10 @@ class Puller final : public detail::PullerCore {
   Status look_or_wait(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
                       bool forever) {
     const Status status = try_or_wait(borrowed, wait, deadline, forever);
-    if (status == Status::Ok) return status;
+    return status == Status::Ok ? status : found_none(borrowed, status);
+  }
+
+  Status found_none(detail::Borrowed& borrowed, Status status) {
     borrowed.missed = std::exchange(missed_, 0);
     if (notifier_) notifier_->watch(*this);
     return status;
@@ -312,12 +338,46 @@ class Puller final : public detail::PullerCore {
       if (b == kNoBlock) return false;
       found(borrowed, b);
       if (!keeping_) return true;
-      borrowed.cell = keep();
+      borrowed.cell = hold_it();
       const bool ours = !taking_ || take(source);
       end(source);
       if (ours) return true;
       borrowed.cell->drop_pointer();
     }
+  }
+
+  /// REQUIRES: the quota allows one more.
+  [[gnu::hot]] detail::ControlCell* hold_it() {
+    participant_->holder().acquire(block_, hold::kPointer);
+    quota_.note(block_, small_ && type_.plain ? 0 : granules());
+    return &participant_->holder().cell(block_);
+  }
+
+  std::uint64_t granules() const noexcept {
+    segment::Segment& s = participant_->segment();
+    return segment::granules_of(s.arena(block_), s.granules().count());
+  }
+
+  /// False: the time is up, and the process has let nothing go.
+  bool wait_for_quota(const futex::Deadline& deadline) {
+    auto until = futex::Clock::now() + kWaitForRoom;
+    if (deadline) until = std::min(until, *deadline);
+    while (!quota_.allows_one_more()) {
+      const auto now = futex::Clock::now();
+      if (now >= until) return false;
+      std::this_thread::sleep_until(std::min(until, now + kLookForRoom));
+    }
+    return true;
+  }
+  /// Messages are there, and the subscription holds too much for one of them. Nothing: it is time
+  /// to say so once more.
+  std::optional<detail::Clock::time_point> when_to_tell() {
+    const auto now = futex::Clock::now();
+    if (now >= tell_again_) {
+      tell_again_ = now + kWaitForRoom;
+      return std::nullopt;
+    }
+    return now + kLookForRoom;
   }
 
   /// Takes the message that we hold out of the queue. False: another reader was faster.
@@ -627,6 +687,9 @@ class Puller final : public detail::PullerCore {
   bool small_;            ///< the messages lie in their blocks' small payload
   const detail::MessageType& type_;
   std::unique_ptr<Notifier> notifier_;  ///< once fd() was called
+  const std::string topic_name_;
+  Quota quota_;
+  futex::Clock::time_point tell_again_{};
 
   std::uint32_t topic_;
   SpinHabit habit_;

@@ -71,6 +71,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       throw;
     }
     try {
+      pool_.limit(options.max_bytes);
       writer_.emplace(participant_->segment().ring(name_.channel));
       pool_.make_room(room_to_retire());
       seen_.resize(participant_->blocks());
@@ -549,12 +550,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
 
   /// The memory of a message beside its small payload.
   std::uint64_t own_bytes(std::uint32_t b) const noexcept {
-    const detail::Arena& arena = participant_->segment().arena(b);
-    std::uint64_t bytes = 0;
-    for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
-      bytes += segment::kGranule * arena.extent[i].granules;
-    }
-    return bytes;
+    segment::Segment& s = participant_->segment();
+    return segment::kGranule * segment::granules_of(s.arena(b), s.granules().count());
   }
 
   /// A batch is no larger than the largest message in the ring allows.

@@ -147,7 +147,11 @@ class Queue final : public detail::QueueCore {
 
   /// First what came back: it is older than what lies in the queue. REQUIRES: mutex_.
   bool look(detail::Borrowed& item) {
-    if (returned_.empty()) return puller().pull(item, false, {}, false) == Status::Ok;
+    if (returned_.empty()) {
+      const Status status = puller().pull(item, false, {}, false);
+      if (status == Status::HoldsTooMuch) puller().refuse_to_hold();
+      return status == Status::Ok;
+    }
     item = returned_.front();
     returned_.erase(returned_.begin());
     return true;

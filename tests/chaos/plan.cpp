@@ -166,6 +166,8 @@ Reading reading(Random& random, Role role) {
       std::array{Style::Borrow, Style::TryBorrow, Style::Pull, Style::TryPull}[random.below(4)];
   plan.options.wait =
       std::array{Wait::Park, Wait::Park, Wait::Adaptive, Wait::Spin}[random.below(4)];
+  // A look that finds nothing is to mean that nothing is there.
+  plan.options.max_held_bytes = PullerOptions::kNoQuota;
   plan.patience = plan.options.wait == Wait::Spin ? 200us : random.between(500us, 5ms);
   if (role != Role::Relay) {  // which reads what comes, so that it never relays a message twice
     plan.options.history = std::array<std::uint64_t, 5>{0, 0, 1, 3, 1000}[random.below(5)];

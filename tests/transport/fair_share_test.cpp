@@ -170,6 +170,7 @@ TEST_CASE("what a reader keeps of a camera does not keep that one from giving wa
     lot::ShmEngine engine(options);
     lot::PullerOptions all;
     all.history = 64;
+    all.max_held_bytes = lot::PullerOptions::kNoQuota;
     auto reader = engine.subscribe<Frame>(topic(0), all);
     std::vector<lot::ShmSharedPtr<const Frame>> kept;
     while (kept.size() < 15) kept.push_back(reader.pull(10s));
@@ -298,7 +299,9 @@ TEST_CASE("the error of a full segment says what would have fitted, who holds mo
     auto mine = options;
     mine.name = "the keeper";
     lot::ShmEngine engine(mine);
-    auto reader = engine.subscribe<Frame>(topic(0));
+    lot::PullerOptions greedy;
+    greedy.max_held_bytes = lot::PullerOptions::kNoQuota;
+    auto reader = engine.subscribe<Frame>(topic(0), greedy);
     ready.tell();
     std::vector<lot::ShmSharedPtr<const Frame>> kept;
     while (kept.size() < 40) kept.push_back(reader.pull(20s));

@@ -586,7 +586,9 @@ TEST_CASE("when memory runs out, the oldest messages give way and are counted as
   const Watchdog watchdog(60);
   Place place(16 << 20);
   auto pusher = place.engine.advertise<Frame>("/t", {Policy::Overwrite, 64, 1s});
-  auto puller = place.engine.subscribe<Frame>("/t");
+  lot::PullerOptions greedy;
+  greedy.max_held_bytes = lot::PullerOptions::kNoQuota;
+  auto puller = place.engine.subscribe<Frame>("/t", greedy);
   constexpr std::size_t kSize = (1 << 20) / 8;
   for (std::uint64_t n = 0; n < 100; ++n) pusher.push(frame_of(pusher, n, kSize));
   std::uint64_t next = 0;

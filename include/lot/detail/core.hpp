@@ -108,8 +108,10 @@ class PullerCore {
   virtual Status borrow(Borrowed& borrowed, bool wait, Clock::time_point deadline,
                         bool forever) = 0;
   virtual void done() noexcept = 0;
-  /// A pointer hold on the borrowed message.
+  /// A pointer hold on the borrowed message. Throws as refuse_to_hold() where the quota is full.
   virtual ControlCell* keep() = 0;
+  /// Says what a status of HoldsTooMuch means: lot::Error, EDQUOT.
+  [[noreturn]] virtual void refuse_to_hold() const = 0;
   /// borrow, keep and done in one.
   virtual Status pull(Borrowed& kept, bool wait, Clock::time_point deadline, bool forever) = 0;
   virtual std::size_t publishers() = 0;

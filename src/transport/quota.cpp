@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/quota.hpp"
+
+#include <algorithm>
+#include <chrono>
+
+#include "transport/participant.hpp"
+
+namespace lot::transport {
+namespace {
+
+/// So many notes at least lie between two looks.
+constexpr std::size_t kNotesAhead = 64;
+/// All that is kept is weighed again when this subscription may have taken such a part of what was
+/// left: of several that do so at once each stays within what is left.
+constexpr std::uint64_t kPartOfRest = 8;
+/// Where others hold too much, they are weighed again after so long.
+constexpr std::chrono::milliseconds kOthersLetGo{10};
+
+/// A limit that is not below the half would leave the half to nobody: the whole of it is 7/8.
+std::uint64_t limit_of(segment::Segment& segment, std::uint64_t bytes) {
+  const std::uint64_t all = segment.granules().count();
+  if (bytes == Quota::kNone) return Quota::kNone;
+  const std::uint64_t granules = bytes == 0 ? all / 4 : bytes / segment::kGranule;
+  return std::clamp(granules, std::uint64_t{1}, std::max<std::uint64_t>(all * 7 / 16, 1));
+}
+
+/// May a subscription that holds so much take more? Each gets a part of what the others leave of
+/// the half: the greater its limit, the greater the part. One that is alone reaches its limit.
+bool is_within(std::uint64_t own, std::uint64_t limit, std::uint64_t all_kept, std::uint64_t half) {
+  if (own >= limit || all_kept >= half) return false;
+  return own * (half - limit) < limit * (half - all_kept);
+}
+
+}  // namespace
+
+Quota::Quota(Participant& participant, std::uint64_t limit)
+    : participant_(participant),
+      limit_(limit_of(participant.segment(), limit)),
+      limit_notes_(std::max<std::size_t>(participant.blocks() / 4, 1)) {}
+
+void Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
+  if (limit_ == kNone) return;
+  // Relaxed: it is held, so it lives.
+  const std::uint32_t generation = refcount::generation_of(
+      participant_.segment().block(block).life.load(std::memory_order_relaxed));
+  notes_.push_back({block, generation, granules});  // there is room
+  granules_ += granules;
+}
+
+bool Quota::look() {
+  if (limit_ == kNone) return true;
+  forget_what_went();
+  // One message is always allowed: where others hold all that may be held, this one goes on.
+  is_full_ =
+      !notes_.empty() && (granules_ >= limit_ || notes_.size() >= limit_notes_ || !leaves_enough());
+  if (is_full_) {
+    look_at_notes_ = 0;  // each time from now on
+    return false;
+  }
+  plan_next_look();
+  return true;
+}
+
+/// Each message counts once, however often it has come.
+void Quota::forget_what_went() noexcept {
+  std::erase_if(notes_, [this](const Note& note) { return !is_held(note); });
+  const auto by_block = [](const Note& a, const Note& b) { return a.block < b.block; };
+  const auto same_block = [](const Note& a, const Note& b) { return a.block == b.block; };
+  std::sort(notes_.begin(), notes_.end(), by_block);
+  notes_.erase(std::unique(notes_.begin(), notes_.end(), same_block), notes_.end());
+  granules_ = 0;
+  for (const Note& note : notes_) granules_ += note.granules;
+}
+
+bool Quota::is_held(const Note& note) const noexcept {
+  const Holder& holder = participant_.holder();
+  const std::uint64_t word = holder.cell(note.block).hold.load(std::memory_order_relaxed);
+  // At the edge a thread takes the first hold or lets go of the last: that will be seen.
+  if ((word & hold::kEdge) == 0 && hold::pointers(word) == 0) return false;
+  return refcount::generation_of(holder.words(note.block).life.load(std::memory_order_relaxed)) ==
+         note.generation;
+}
+
+bool Quota::leaves_enough() {
+  const std::uint64_t half = participant_.segment().granules().count() / 2;
+  const std::uint64_t half_blocks = participant_.blocks() / 2;
+  const auto grown = [](std::uint64_t now, std::uint64_t then) {
+    return now > then ? now - then : 0;
+  };
+  const auto part_of_rest = [&](std::uint64_t all, std::uint64_t kept) {
+    return grown(all, kept) / kPartOfRest;
+  };
+  const auto now = futex::Clock::now();
+  const bool is_new =
+      is_shared_out_
+          ? now < weighed_.at + kOthersLetGo && notes_.size() >= weighed_.own_notes
+          : weighed_.own_notes != 0 &&
+                grown(granules_, weighed_.own_granules) < part_of_rest(half, weighed_.granules) &&
+                grown(notes_.size(), weighed_.own_notes) <
+                    part_of_rest(half_blocks, weighed_.blocks);
+  if (!is_new) {
+    const Participant::Kept kept = participant_.weigh_kept();
+    weighed_ = {kept.granules, kept.blocks, granules_, notes_.size(), now};
+  }
+  is_shared_out_ = !is_within(granules_, limit_, weighed_.granules, half) ||
+                   !is_within(notes_.size(), limit_notes_, weighed_.blocks, half_blocks);
+  return !is_shared_out_;
+}
+
+/// Makes room for the notes until then.
+void Quota::plan_next_look() {
+  const std::uint64_t half = participant_.segment().granules().count() / 2;
+  const std::uint64_t rest = half > weighed_.granules ? half - weighed_.granules : 0;
+  const std::size_t notes =
+      std::max(std::min(std::max(2 * notes_.size(), notes_.size() + kNotesAhead), limit_notes_),
+               notes_.size() + 1);
+  look_at_notes_ = 0;  // where there is no memory for them
+  notes_.reserve(notes);
+  look_at_notes_ = notes;
+  look_at_granules_ = std::min(limit_, granules_ + std::max<std::uint64_t>(rest / kPartOfRest, 1));
+}
+
+std::string Quota::describe() const {
+  std::string text = "holds " + std::to_string(granules_ * segment::kGranule >> 20) + " MiB in " +
+                     std::to_string(notes_.size()) + " messages, which is all that it may";
+  if (is_shared_out_) text += " while all subscriptions together hold so much";
+  return text;
+}
+
+}  // namespace lot::transport

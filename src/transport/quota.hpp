@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "futex/futex.hpp"
+
+namespace lot::transport {
+
+class Participant;
+
+/// What one subscription holds, and how much it may (PullerOptions::max_held_bytes,
+/// docs/memory.md).
+///
+/// What is kept is noted. What was let go is not: the notes are looked through when there are twice
+/// as many as after the last look, or when their sum reaches the limit. So a pointer that goes
+/// costs nothing more, and one that comes the note.
+///
+/// A note counts while this process holds the message, whoever in it does.
+///
+/// Threads: one at a time, that of the puller.
+/// Crash:   nothing of it is shared.
+class Quota {
+ public:
+  /// `limit` in bytes; 0: a quarter of the segment; kNone: all of it.
+  static constexpr std::uint64_t kNone = ~std::uint64_t{0};
+  Quota(Participant& participant, std::uint64_t limit);
+
+  /// May one more message be kept? True makes room for its note. Throws std::bad_alloc.
+  bool allows_one_more() {
+    if (notes_.size() < look_at_notes_ && granules_ < look_at_granules_) [[likely]]
+      return true;
+    return look();
+  }
+  /// A message that this process has a pointer hold on. `granules`: its memory beside its block.
+  /// REQUIRES: allows_one_more() was true since the last note.
+  void note(std::uint32_t block, std::uint64_t granules) noexcept;
+
+  bool is_full() const noexcept { return is_full_; }
+  /// "holds 256 MiB in 16 messages, ..."
+  std::string describe() const;
+
+ private:
+  struct Note {
+    std::uint32_t block;
+    std::uint32_t generation;
+    std::uint64_t granules;
+  };
+
+  bool look();
+  void forget_what_went() noexcept;
+  bool is_held(const Note& note) const noexcept;
+  bool leaves_enough();
+  void plan_next_look();
+
+  Participant& participant_;
+  std::vector<Note> notes_;
+  std::uint64_t granules_ = 0;  ///< of all notes
+  std::size_t look_at_notes_ = 0;
+  std::uint64_t look_at_granules_ = 0;
+  bool is_full_ = false;
+  bool is_shared_out_ = false;  ///< full since all subscriptions together hold too much
+
+  const std::uint64_t limit_;      ///< in granules
+  const std::size_t limit_notes_;  ///< a quarter of the blocks
+  /// All that is kept in the segment, when that was last weighed, and what was held here then.
+  struct Weighed {
+    std::uint64_t granules = 0;
+    std::uint64_t blocks = 0;
+    std::uint64_t own_granules = 0;
+    std::uint64_t own_notes = 0;
+    futex::Clock::time_point at{};
+  } weighed_;
+};
+
+}  // namespace lot::transport

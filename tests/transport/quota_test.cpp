@@ -1,0 +1,455 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// What one reader keeps, and one publisher takes, is bounded: no other one notices.
+
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <cstdint>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+constexpr std::size_t kFrame = 1 << 20;
+constexpr std::size_t kSegment = 64 << 20;
+
+struct Frame {
+  std::uint64_t number = 0;
+  lot::ShmVector<unsigned char> data;
+};
+struct Note {
+  std::uint64_t number = 0;
+};
+using Kept = std::vector<lot::ShmSharedPtr<const Frame>>;
+
+bool says(const std::string& text, const std::string& what) {
+  return text.find(what) != std::string::npos;
+}
+
+void push(lot::ShmPusher<Frame>& pusher, std::uint64_t number, std::size_t bytes = kFrame) {
+  auto frame = pusher.loan();
+  frame->number = number;
+  frame->data.resize(bytes);
+  frame->data.front() = frame->data.back() = static_cast<unsigned char>(number);
+  must(pusher.push(std::move(frame)) == lot::Status::Ok, "pushed");
+}
+
+lot::PullerOptions quota(std::uint64_t bytes) {
+  lot::PullerOptions options;
+  options.max_held_bytes = bytes;
+  return options;
+}
+
+/// Pulls and keeps until the subscription may not, or there is nothing more.
+lot::Status hoard(lot::ShmPuller<Frame>& puller, Kept& kept) {
+  while (auto frame = puller.try_pull()) kept.push_back(std::move(frame));
+  return puller.status();
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("transport");
+
+TEST_CASE("a subscription that keeps what it may hears so, and goes on when it lets some go") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  auto pusher = engine.advertise<Frame>("/frames");
+  auto keeper = engine.subscribe<Frame>("/frames", quota(4 * kFrame));
+  auto other = engine.subscribe<Frame>("/frames");
+  Kept kept;
+  for (std::uint64_t n = 0; n < 10; ++n) {
+    push(pusher, n);
+    REQUIRE(other.try_pull()->number == n);
+  }
+  CHECK(hoard(keeper, kept) == lot::Status::HoldsTooMuch);
+  CHECK(kept.size() == 4);
+  CHECK(to_string(keeper.status()) == std::string("holds too much"));
+  CHECK(keeper.pull(1ms) == nullptr);
+  CHECK(keeper.status() == lot::Status::HoldsTooMuch);
+  CHECK(keeper.missed_total() == 0);  // they wait
+
+  // A look in place keeps nothing.
+  {
+    const auto look = keeper.try_borrow();
+    REQUIRE(look);
+    CHECK(look->number == 4);
+    try {
+      (void)look.keep();
+      FAIL("kept");
+    } catch (const lot::Error& e) {
+      const std::string text = e.what();
+      CAPTURE(text);
+      CHECK(e.error_number() == EDQUOT);
+      CHECK(says(text, "/frames"));
+      CHECK(says(text, "4 MiB in 4 messages"));
+      CHECK(says(text, "max_held_bytes"));
+    }
+  }
+  kept.erase(kept.begin());
+  REQUIRE(keeper.try_pull()->number == 5);
+  kept.clear();
+  CHECK(hoard(keeper, kept) == lot::Status::HoldsTooMuch);
+  CHECK(kept.size() == 4);
+  CHECK(kept.back()->number == 9);
+  // What comes in the meantime is overwritten, and counts.
+  for (std::uint64_t n = 10; n < 200; ++n) push(pusher, n);
+  kept.clear();
+  const auto next = keeper.try_pull();
+  REQUIRE(next);
+  CHECK(next->number == 10 + keeper.missed());
+  CHECK(keeper.missed() > 100);
+}
+
+TEST_CASE("a message that was let go on another thread makes room for a pull that waits") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  auto pusher = engine.advertise<Frame>("/frames");
+  auto keeper = engine.subscribe<Frame>("/frames", quota(2 * kFrame));
+  Kept kept;
+  for (std::uint64_t n = 0; n < 4; ++n) push(pusher, n);
+  REQUIRE(hoard(keeper, kept) == lot::Status::HoldsTooMuch);
+  std::thread other([&] { kept.clear(); });
+  lot::ShmSharedPtr<const Frame> frame;
+  while (!frame) frame = keeper.pull(10s);
+  other.join();
+  CHECK(frame->number == 2);
+  // It does not wait for ever for what does not come.
+  kept.push_back(frame);
+  kept.push_back(keeper.try_pull());
+  CHECK(keeper.pull() == nullptr);
+  CHECK(keeper.status() == lot::Status::HoldsTooMuch);
+}
+
+TEST_CASE("the same message counts once, and what has died not at all") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  auto pusher = engine.advertise<Frame>("/map");
+  auto keeper = engine.subscribe<Frame>("/map", quota(4 * kFrame));
+  auto loan = pusher.loan();
+  loan->data.resize(kFrame);
+  const lot::ShmSharedPtr<Frame> map(std::move(loan));
+  Kept kept;
+  for (int n = 0; n < 300; ++n) {
+    REQUIRE(pusher.push(map) == lot::Status::Ok);
+    kept.push_back(keeper.try_pull());
+    REQUIRE(kept.back());
+  }
+  kept.clear();
+  for (std::uint64_t n = 0; n < 500; ++n) {
+    push(pusher, n);
+    REQUIRE(keeper.try_pull()->number == n);
+  }
+}
+
+TEST_CASE("by default a subscription keeps a quarter of the segment, in memory or in messages") {
+  const Watchdog watchdog(60);
+  auto options = fresh(kSegment);
+  options.blocks = 400;
+  lot::ShmEngine engine(options);
+  auto frames = engine.advertise<Frame>("/frames");
+  auto keeper = engine.subscribe<Frame>("/frames");
+  Kept kept;
+  for (std::uint64_t n = 0; n < 100 && keeper.status() != lot::Status::HoldsTooMuch; ++n) {
+    push(frames, n);
+    hoard(keeper, kept);
+  }
+  CHECK(kept.size() >= 13);
+  CHECK(kept.size() <= 16);
+  kept.clear();
+  auto notes = engine.advertise<Note>("/notes");
+  auto reader = engine.subscribe<Note>("/notes");
+  std::vector<lot::ShmSharedPtr<const Note>> all;
+  for (int n = 0; n < 400; ++n) {
+    REQUIRE(notes.push(notes.loan()) == lot::Status::Ok);
+    if (auto note = reader.try_pull()) all.push_back(std::move(note));
+  }
+  CHECK(reader.status() == lot::Status::HoldsTooMuch);
+  CHECK(all.size() == 100);
+  CHECK_THROWS_AS((void)reader.try_borrow().keep(), lot::Error);
+  // One that needs it says so.
+  auto whole = engine.subscribe<Note>("/notes", quota(lot::PullerOptions::kNoQuota));
+  for (int n = 0; n < 200; ++n) {
+    REQUIRE(notes.push(notes.loan()) == lot::Status::Ok);
+    all.push_back(whole.try_pull());
+    REQUIRE(all.back());
+  }
+}
+
+TEST_CASE("a reader that keeps everything it may holds up no other topic") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  Steps ready, end;
+  Child hoarder([&] {
+    lot::ShmEngine engine(options);
+    auto puller = engine.subscribe<Frame>("/a");
+    ready.tell();
+    Kept kept;
+    while (end.next(1ms) == 0) hoard(puller, kept);
+    must(puller.status() == lot::Status::HoldsTooMuch, "it is told");
+  });
+  REQUIRE(ready.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    auto a = engine.advertise<Frame>("/a");
+    auto b = engine.advertise<Frame>("/b");
+    auto small = engine.advertise<Note>("/c");
+    auto other_a = engine.subscribe<Frame>("/a");
+    auto other_b = engine.subscribe<Frame>("/b");
+    auto other_c = engine.subscribe<Note>("/c");
+    for (std::uint64_t n = 0; n < 510; ++n) {
+      push(a, n);
+      push(b, n);
+      REQUIRE(small.push(small.loan()) == lot::Status::Ok);
+      REQUIRE(other_a.try_pull()->number == n);
+      REQUIRE(other_b.try_pull()->number == n);
+      REQUIRE(other_c.try_pull());
+    }
+  }
+  end.tell();
+  CHECK(hoarder.wait() == 0);
+}
+
+TEST_CASE("all subscriptions together leave half of the segment to others") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  constexpr std::size_t kHoarders = 6;
+  Steps ready, full, end;
+  std::vector<Child> hoarders;
+  for (std::size_t h = 0; h < kHoarders; ++h) {
+    hoarders.emplace_back([&, h] {
+      lot::ShmEngine engine(options);
+      // Half of them ask for all there is.
+      auto puller = engine.subscribe<Frame>("/" + std::to_string(h), quota(h % 2 * kSegment));
+      ready.tell();
+      Kept kept;
+      while (hoard(puller, kept) != lot::Status::HoldsTooMuch) std::this_thread::sleep_for(1ms);
+      full.tell();
+      while (end.next(1ms) == 0) hoard(puller, kept);
+    });
+  }
+  for (std::size_t h = 0; h < kHoarders; ++h) REQUIRE(ready.next() == '.');
+  {
+    lot::ShmEngine engine(options);
+    std::vector<lot::ShmPusher<Frame>> pushers;
+    for (std::size_t h = 0; h < kHoarders; ++h) {
+      pushers.push_back(engine.advertise<Frame>("/" + std::to_string(h)));
+    }
+    std::atomic<bool> stop{false};
+    std::thread camera([&] {
+      for (std::uint64_t n = 0; !stop; ++n) {
+        for (auto& pusher : pushers) push(pusher, n);
+      }
+    });
+    for (std::size_t h = 0; h < kHoarders; ++h) CHECK(full.next() == '.');
+    stop = true;
+    camera.join();
+    pushers.clear();
+    // What is left: each of the six may have one message more than the half.
+    auto pusher = engine.advertise<Frame>("/left");
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    try {
+      for (;;) {
+        auto loan = pusher.loan();
+        loan->data.resize(kFrame);
+        loans.push_back(std::move(loan));
+      }
+    } catch (const lot::OutOfMemory&) {
+    }
+    CHECK(loans.size() >= kSegment / kFrame / 2 - kHoarders - 4);
+    // And a subscription that comes last goes on all the same.
+    loans.clear();
+    auto puller = engine.subscribe<Frame>("/left");
+    for (std::uint64_t n = 0; n < 100; ++n) {
+      push(pusher, n);
+      REQUIRE(puller.try_pull()->number == n);
+    }
+  }
+  for (std::size_t h = 0; h < kHoarders; ++h) end.tell();
+  for (auto& hoarder : hoarders) CHECK(hoarder.wait() == 0);
+}
+
+TEST_CASE("a wait set and a listener are told, now and then, and do not spin") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  auto pusher = engine.advertise<Frame>("/frames");
+  auto keeper = engine.subscribe<Frame>("/frames", quota(2 * kFrame));
+  Kept kept;
+  for (std::uint64_t n = 0; n < 4; ++n) push(pusher, n);
+  REQUIRE(hoard(keeper, kept) == lot::Status::HoldsTooMuch);
+  lot::WaitSet set;
+  int calls = 0;
+  set.add(keeper, [&] {
+    ++calls;
+    if (hoard(keeper, kept) != lot::Status::HoldsTooMuch) calls = -1000;
+  });
+  const auto begin = std::chrono::steady_clock::now();
+  while (calls < 2) set.run_once(1s);
+  CHECK(std::chrono::steady_clock::now() - begin >= 900ms);
+  // What it lets go it hears of.
+  kept.clear();
+  while (kept.empty()) set.run_once(1s);
+  CHECK(kept.front()->number == 2);
+
+  std::atomic<int> errors{0};
+  lot::ThreadOptions thread;
+  thread.on_error = [&](const lot::Error& e) { errors += e.error_number() == EDQUOT; };
+  Kept heard;
+  const auto listener = engine.listen<Frame>(
+      "/frames", [&](const lot::ShmSharedPtr<const Frame>& frame) { heard.push_back(frame); },
+      quota(kFrame), thread);
+  push(pusher, 4);
+  push(pusher, 5);
+  CHECK(eventually([&] { return errors > 0; }));
+}
+
+TEST_CASE("a queue of shared items says so too") {
+  const Watchdog watchdog(60);
+  auto options = fresh(kSegment);
+  options.blocks = 64;
+  lot::ShmEngine engine(options);
+  lot::QueueOptions shallow;
+  shallow.depth = 8;
+  auto queue = engine.queue<lot::ShmSharedPtr<const Note>>("notes", shallow);
+  queue.listen();
+  std::vector<lot::ShmSharedPtr<const Note>> kept;
+  const auto put_and_pop = [&] {
+    for (int n = 0; n < 64; ++n) {
+      queue.put(lot::ShmSharedPtr<const Note>(queue.make()));
+      kept.push_back(queue.wait_and_pop());
+    }
+  };
+  try {
+    put_and_pop();
+    FAIL("kept all");
+  } catch (const lot::Error& e) {
+    const std::string text = e.what();
+    CAPTURE(text);
+    CHECK(e.error_number() == EDQUOT);
+  }
+  CHECK(kept.size() == 16);
+  kept.clear();
+  CHECK((*queue.try_pop()).get() != nullptr);
+}
+
+TEST_CASE("a publisher takes no more than it may, and gives its own oldest up") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  lot::PusherOptions bounded;
+  bounded.max_bytes = 8 * kFrame + (64 << 10);
+  auto pusher = engine.advertise<Frame>("/frames", bounded);
+  auto early = engine.subscribe<Frame>("/frames");
+  for (std::uint64_t n = 0; n < 200; ++n) push(pusher, n, n % 2 == 0 ? kFrame : kFrame / 2);
+  lot::PullerOptions all;
+  all.history = 64;
+  std::size_t bytes = 0;
+  {
+    auto late = engine.subscribe<Frame>("/frames", all);
+    std::uint64_t last = 0;
+    while (const auto frame = late.try_pull()) {
+      bytes += frame->data.size();
+      last = frame->number;
+    }
+    CHECK(last == 199);
+  }
+  CHECK(bytes <= bounded.max_bytes);
+  CHECK(bytes >= 5 * kFrame);
+  std::uint64_t seen = 0;
+  while (early.try_pull()) ++seen;
+  CHECK(early.missed_total() + seen == 200);
+
+  // Others have the rest.
+  auto other = engine.advertise<Frame>("/others");
+  std::vector<lot::ShmUniquePtr<Frame>> loans;
+  for (std::size_t n = 0; n < 48; ++n) {
+    loans.push_back(other.loan());
+    loans.back()->data.resize(kFrame);
+  }
+  // What can never be is refused, and takes nothing.
+  auto frame = pusher.loan();
+  try {
+    frame->data.resize(9 * kFrame);
+    FAIL("it has grown");
+  } catch (const lot::OutOfMemory& e) {
+    const std::string text = e.what();
+    CAPTURE(text);
+    CHECK(says(text, "/frames"));
+    CHECK(says(text, "max_bytes"));
+  }
+  CHECK(engine.subscribe<Frame>("/frames", all).size() >= 5);
+}
+
+TEST_CASE(
+    "of a publisher with a limit: what others keep counts, and what is lost to nobody stays") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  lot::PusherOptions bounded;
+  bounded.max_bytes = 4 * kFrame;
+  {
+    auto pusher = engine.advertise<Frame>("/kept", bounded);
+    auto puller = engine.subscribe<Frame>("/kept", quota(lot::PullerOptions::kNoQuota));
+    Kept kept;
+    for (std::uint64_t n = 0; n < 4; ++n) {
+      push(pusher, n);
+      hoard(puller, kept);
+    }
+    CHECK_THROWS_AS(push(pusher, 4), lot::OutOfMemory);
+    kept.pop_back();
+    push(pusher, 5);
+    CHECK(puller.try_pull()->number == 5);
+  }
+  bounded.policy = lot::Policy::Refuse;
+  bounded.depth = 16;
+  auto pusher = engine.advertise<Frame>("/lossless", bounded);
+  auto puller = engine.subscribe<Frame>("/lossless");
+  for (std::uint64_t n = 0; n < 4; ++n) push(pusher, n);
+  CHECK_THROWS_AS(push(pusher, 4), lot::OutOfMemory);
+  CHECK(puller.size() == 4);
+}
+
+TEST_CASE("what a publisher has reserved counts for its limit, and stays its own") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  lot::ShmEngine engine(options);
+  lot::PusherOptions bounded;
+  bounded.max_bytes = 8 * kFrame;
+  auto pusher = engine.advertise<Frame>("/reserved", bounded);
+  CHECK_THROWS_AS(pusher.reserve(9, kFrame), lot::OutOfMemory);
+  pusher.reserve(7, kFrame);
+  Steps full, end;
+  Child greedy([&] {
+    lot::ShmEngine mine(options);
+    auto others = mine.advertise<Frame>("/greedy");
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    try {
+      for (;;) {
+        auto loan = others.loan();
+        loan->data.resize(kFrame / 4);
+        loans.push_back(std::move(loan));
+      }
+    } catch (const lot::OutOfMemory&) {
+    }
+    full.tell();
+    end.next();
+  });
+  REQUIRE(full.next() == '.');
+  std::vector<lot::ShmUniquePtr<Frame>> loans;
+  for (std::size_t n = 0; n < 7; ++n) {
+    loans.push_back(pusher.loan());
+    loans.back()->data.resize(kFrame);
+  }
+  end.tell();
+  CHECK(greedy.wait() == 0);
+}
