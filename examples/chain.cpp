@@ -47,7 +47,7 @@ std::uint64_t place_of(const lot::ShmEngine& engine, const void* address) {
 bool camera() {
   lot::ShmEngine engine;
   auto frames = engine.advertise<Frame>("/frames");
-  while (!frames.wait_for_readers(1, 100ms) && !example::interrupted()) continue;
+  while (!frames.wait_for_readers(1, 100ms)) continue;
   for (std::uint64_t n = 1; n <= kFrames; ++n) {
     auto frame = frames.loan();
     frame->pixels.assign(kPixels, 0);
@@ -61,9 +61,9 @@ bool camera() {
 bool detector() {
   lot::ShmEngine engine;
   auto detections = engine.advertise<Detection>("/detections");
-  while (!detections.wait_for_readers(1, 100ms) && !example::interrupted()) continue;
+  while (!detections.wait_for_readers(1, 100ms)) continue;
   auto frames = engine.subscribe<Frame>("/frames");
-  for (std::uint64_t n = 1; n <= kFrames && !example::interrupted();) {
+  for (std::uint64_t n = 1; n <= kFrames;) {
     const auto frame = frames.pull(100ms);
     if (!frame) continue;
     const auto& pixels = frame->pixels;
@@ -82,7 +82,7 @@ bool logger() {
   lot::ShmEngine engine;
   auto detections = engine.subscribe<Detection>("/detections");
   bool good = true;
-  for (std::uint64_t n = 1; n <= kFrames && !example::interrupted();) {
+  for (std::uint64_t n = 1; n <= kFrames;) {
     const auto detection = detections.pull(100ms);
     if (!detection) continue;
     const Frame& frame = *detection->frame;

@@ -59,7 +59,7 @@ def main():
         for _ in range(5):
             delay = chance.uniform(0, 0.3)
             code = run(program, delay)
-            if code not in (0, 130):
+            if code not in (0, -signal.SIGINT):
                 sys.exit(f"Ctrl-C after {delay:.3f} s (seed {seed}): exit code {code}")
     finally:
         for name in files():

@@ -42,7 +42,7 @@ bool echo() {
   lot::ShmEngine engine;
   Pushers back = both_arms(engine, "/back");
   auto there = engine.subscribe<Ball>("/there");
-  while (!example::interrupted()) {  // until main() says SIGTERM
+  for (;;) {  // until main() says SIGTERM
     const auto ball = there.pull(100ms);
     if (ball) back[ball->arm].push(back[ball->arm].loan(*ball));
   }
@@ -59,7 +59,7 @@ bool play() {
   Pushers there = both_arms(engine, "/there");
   auto back = engine.subscribe<Ball>("/back");
   for (auto& pusher : there) {
-    while (!pusher.wait_for_readers(1, 100ms) && !example::interrupted()) continue;
+    while (!pusher.wait_for_readers(1, 100ms)) continue;
   }
   std::vector<double> microseconds[2], ratio;
   for (std::uint32_t block = 0; block <= kBlocks; ++block) {  // the first is not counted
@@ -67,13 +67,12 @@ bool play() {
     for (const std::uint32_t turn : {0U, 1U}) {
       const std::uint32_t arm = (block + turn) % 2;
       std::vector<double> trips;
-      for (std::uint32_t n = 0; n < kTrips && !example::interrupted(); ++n) {
+      for (std::uint32_t n = 0; n < kTrips; ++n) {
         const auto begin = Clock::now();
         there[arm].push(there[arm].loan(Ball{arm}));
-        while (!back.pull(100ms) && !example::interrupted()) continue;
+        while (!back.pull(100ms)) continue;
         trips.push_back(std::chrono::duration<double, std::micro>(Clock::now() - begin).count());
       }
-      if (example::interrupted()) return false;
       median[arm] = quantile(trips, 0.5);
       if (block != 0) microseconds[arm].push_back(median[arm]);
     }

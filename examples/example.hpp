@@ -13,21 +13,17 @@
 #include <unistd.h>
 #include <utility>
 
-/// What the examples share: processes, Ctrl-C, and a segment of their own.
+#include <lot/lot.hpp>
+
+/// What the examples share: processes, and a segment of their own.
 namespace example {
-
-inline volatile std::sig_atomic_t signal_came = 0;
-
-/// After Ctrl-C: every loop ends, so that the last process can remove the segment.
-inline bool interrupted() { return signal_came != 0; }
 
 /// Calls `body`, which returns whether all went well. Returns the exit code.
 template <class Body>
 int guarded(const char* name, Body&& body) {
   try {
-    const bool good = body();
-    if (interrupted()) return 130;
-    return good ? 0 : 1;
+    lot::end_cleanly_on_signals();  // Ctrl-C leaves no file
+    return body() ? 0 : 1;
   } catch (const std::exception& e) {
     std::fprintf(stderr, "%s: %s\n", name, e.what());
     return 1;
@@ -38,9 +34,6 @@ int guarded(const char* name, Body&& body) {
 template <class Body>
 int run(const char* name, Body&& body) {
   setenv("LOT_SEGMENT", ("lot_" + std::string(name) + "_" + std::to_string(getpid())).c_str(), 0);
-  struct sigaction action {};
-  action.sa_handler = [](int) { signal_came = 1; };
-  for (const int number : {SIGINT, SIGTERM, SIGHUP}) sigaction(number, &action, nullptr);
   std::setvbuf(stdout, nullptr, _IOLBF, BUFSIZ);
   return guarded(name, std::forward<Body>(body));
 }

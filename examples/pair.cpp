@@ -25,7 +25,6 @@ bool camera() {
   lot::ShmEngine engine;
   auto pusher = engine.advertise<Frame>("/camera/front");
   while (!pusher.wait_for_readers(1, 100ms)) {
-    if (example::interrupted()) return false;
   }
   for (std::uint32_t n = 1; n <= kFrames; ++n) {
     lot::ShmUniquePtr<Frame> frame = pusher.loan();
@@ -42,7 +41,7 @@ bool camera() {
 bool reader() {
   lot::ShmEngine engine;
   auto puller = engine.subscribe<Frame>("/camera/front");
-  for (std::uint32_t n = 1; n <= kFrames && !example::interrupted();) {
+  for (std::uint32_t n = 1; n <= kFrames;) {
     lot::ShmSharedPtr<const Frame> seen = puller.pull(100ms);
     if (!seen) continue;
     std::printf("%u x %u %s, %zu bytes, the last of them %d\n", seen->width, seen->height,

@@ -49,7 +49,7 @@ bool worker() {
   lot::ShmEngine engine;
   auto tasks = engine.queue<lot::ShmUniquePtr<Task>>("tasks");
   auto results = engine.queue<Result>("results", room_for_all());
-  while (!example::interrupted()) {  // until main() says SIGTERM
+  for (;;) {  // until main() says SIGTERM
     const auto task = tasks.wait_and_pop_for(100ms);
     if (!task) continue;
     std::this_thread::sleep_for(1ms);  // hard work
@@ -70,7 +70,7 @@ bool supervisor(std::vector<pid_t>& workers) {
   std::set<std::uint32_t> done;
   bool right = true;
   const auto wait_for = [&](std::size_t count) {  // false: Ctrl-C
-    while (done.size() < count && !example::interrupted()) {
+    while (done.size() < count) {
       const auto result = results.wait_and_pop_for(100ms);
       if (!result) continue;
       right &= result->sum == std::uint64_t{kNumbers} * result->number;

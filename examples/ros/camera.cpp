@@ -13,10 +13,12 @@
 #include <sensor_msgs/Image.h>
 
 #include <lot/ros.hpp>
+#include <lot/signals.hpp>
 
 using Image = lot::ros::Message<sensor_msgs::Image_>;
 
 int main(int argc, char** argv) {
+  lot::end_cleanly_on_signals();  // SIGTERM; SIGINT is roscpp's
   ros::init(argc, argv, "ros_camera", ros::init_options::AnonymousName);
   lot::ros::NodeHandle node;
   const std::string role = argc > 1 ? argv[1] : "";

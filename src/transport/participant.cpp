@@ -490,6 +490,26 @@ Participant* Participant::at(const void* address) noexcept {
   return nullptr;
 }
 
+void Participant::remove_files() noexcept {
+  const auto until = futex::Clock::now() + kGatePatience;
+  // One that is joining just now has files, too.
+  std::unique_lock joining(process().joining, std::try_to_lock);
+  while (!joining && futex::Clock::now() < until) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    joining.try_lock();
+  }
+  const std::lock_guard guard(process().mutex);  // so none of them goes
+  for (Participant* p : process().all) {
+    p->is_ending_.store(true, std::memory_order_relaxed);  // the errand carries it
+    p->ring_warden();
+  }
+  for (Participant* p : process().all) {
+    while (!p->files_settled_.load(std::memory_order_relaxed) && futex::Clock::now() < until) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+  }
+}
+
 std::mutex& Participant::no_fork() noexcept { return process().mutex; }
 
 void Participant::prepare_fork() noexcept {

@@ -147,24 +147,49 @@ void Participant::warden() {
   }
   witness.unlock();
   if (in_gate) {
-    if (reaped && !options_.persist && lock_file_->intact() &&
-        !lock_file_->held_by_other(0, segment_.capacity().participants)) {
-      bool alone = true;  // a living process may have lost its lock to closefrom(): ask its witness
-      for (std::uint32_t k = 1; k < participants() && alone; ++k) {
-        if (part(k).load(std::memory_order_acquire) == 0) continue;
-        RobustMutex other(segment_.witnesses()[k].mutex);
-        alone = other.try_lock() != RobustMutex::Outcome::Busy;
-        if (alone) other.unlock();
-      }
-      if (alone) {
-        if (segment_.is_at_its_path()) segment::Segment::remove(segment_.path());
-        ::unlink(lock_file_->path().c_str());
-      }
-    }
+    if (reaped) remove_files_if_last();
     // Inside the gate: whoever leaves next must see that we are gone.
     lock_file_->unlock(index());
     lock_file_->leave_gate();
   }
+  files_settled_.store(true, std::memory_order_relaxed);  // for remove_files()
+}
+
+/// REQUIRES: the gate.
+void Participant::remove_files_if_last() noexcept {
+  if (options_.persist || !lock_file_->intact()) return;
+  const bool are_locks_held = lock_file_->held_by_other(0, participants());
+  if (are_locks_held && lock_file_->held_by_other(refcount::kOrphanage)) return;
+  for (std::uint32_t k = 1; k < participants(); ++k) {
+    // Relaxed: the gate carries it.
+    const std::uint32_t errands = segment_.witnesses()[k].errands.load(std::memory_order_relaxed);
+    if (k == index() || (errands & errand::kEnding) != 0) continue;
+    if (are_locks_held && lock_file_->held_by_other(k)) return;
+    if (part(k).load(std::memory_order_acquire) == 0) continue;
+    // A living process may have lost its lock to closefrom(): ask its witness.
+    RobustMutex other(segment_.witnesses()[k].mutex);
+    if (other.try_lock() == RobustMutex::Outcome::Busy) return;
+    other.unlock();
+  }
+  if (segment_.is_at_its_path()) segment::Segment::remove(segment_.path());
+  ::unlink(lock_file_->path().c_str());
+}
+
+/// The warden does it, as when it leaves: so the gate has one user at a time. It does nothing more:
+/// the process ends now.
+///
+/// Crash: killed in the gate, as when it leaves. Behind the mark: it was to die.
+void Participant::settle_files() noexcept {
+  try {
+    if (lock_file_->intact() && lock_file_->enter_gate(kGatePatience)) {
+      remove_files_if_last();
+      segment_.witnesses()[index()].errands.fetch_or(errand::kEnding, std::memory_order_relaxed);
+      lock_file_->leave_gate();
+    }
+  } catch (const Error&) {  // another one is stopped there
+  }
+  files_settled_.store(true, std::memory_order_relaxed);
+  while (!warden_stop_.load(std::memory_order_relaxed)) std::this_thread::sleep_for(1ms);
 }
 
 /// The warden sleeps on what tells it that there is something to do: its errands, and the witness
@@ -180,7 +205,9 @@ void Participant::stand_guard() noexcept {
     const std::uint32_t mine = futex::Clock::now() >= rested ? ~std::uint32_t{0} : errand::kOwn;
     const std::uint32_t before = errands.fetch_and(~mine, std::memory_order_acquire);  // E1
     const std::uint32_t left = before & ~mine;
-    if (warden_stop_.load(std::memory_order_relaxed)) return;  // the errand carries it
+    // The errand carries both.
+    if (is_ending_.load(std::memory_order_relaxed)) settle_files();
+    if (warden_stop_.load(std::memory_order_relaxed)) return;
     if ((before & mine & ~errand::kOwn) != 0) {
       run_errands(before & mine);
       rested = futex::Clock::now() + kErrandRest;

@@ -4,6 +4,7 @@
 //
 //     ending HOW DIRECTORY SEGMENT
 
+#include <csignal>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -132,6 +133,37 @@ int run(const char* program, const char* how, const lot::EngineOptions& options)
   return status;
 }
 
+/// Says "ready", and waits for a signal.
+int end_by_signal(const std::string& how, lot::EngineOptions options) {
+  if (how == "signals, ignored") std::signal(SIGINT, SIG_IGN);
+  lot::end_cleanly_on_signals();
+  lot::end_cleanly_on_signals();  // once more does no harm
+  options.persist = how == "signals, persist";
+  auto& handles = *new Handles;
+  fill(handles, *new Pointers, options);
+  if (how == "signals while threads publish") {
+    for (int i = 0; i < 3; ++i) std::thread([&] { publish_for_ever(handles); }).detach();
+  }
+  if (how == "signals, with a child") {
+    const pid_t child = fork();
+    if (child == 0) {
+      pause();
+      _exit(4);
+    }
+    kill(child, SIGTERM);
+    int status = 0;
+    require(
+        waitpid(child, &status, 0) == child && WIFSIGNALED(status) && WTERMSIG(status) == SIGTERM,
+        "in a child the signal acts as by default");
+    require(access((options.directory + "/" + options.segment).c_str(), F_OK) == 0,
+            "and leaves the parent's files");
+  }
+  if (how == "signals, ignored") raise(SIGINT);
+  std::puts("ready.");
+  std::fflush(stdout);
+  for (;;) pause();
+}
+
 int end(const std::string& how, const lot::EngineOptions& options, const char* program) {
   if (how == "sleep") {  // what exec() has made of the process
     require(files_of(options.segment) == 0, "nothing was inherited");
@@ -155,6 +187,8 @@ int end(const std::string& how, const lot::EngineOptions& options, const char* p
     late.publish();
     return 0;
   }
+  const bool signals = how.rfind("signals", 0) == 0;
+  if (signals) return end_by_signal(how, options);
   auto& handles = *new Handles;
   auto& pointers = *new Pointers;
   fill(handles, pointers, options);

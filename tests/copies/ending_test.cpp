@@ -3,6 +3,7 @@
 // What a process leaves that ends with everything alive: exit, exec, static objects.
 
 #include <csignal>
+#include <random>
 #include <string>
 #include <unistd.h>
 
@@ -21,6 +22,22 @@ using namespace lot::testing;
 struct Number {
   std::uint64_t value;
 };
+
+/// A process that has said that it waits for a signal.
+Child start_and_wait(const char* how, const lot::EngineOptions& options) {
+  int out[2];
+  must(pipe(out) == 0, "pipe");
+  Child child([&] {
+    dup2(out[1], STDOUT_FILENO);
+    execl(LOT_ENDING, LOT_ENDING, how, options.directory.c_str(), options.segment.c_str(), nullptr);
+    must(false, LOT_ENDING);
+  });
+  close(out[1]);
+  char text[7] = {};
+  must(read(out[0], text, 6) == 6 && std::string(text) == "ready.", "it is ready");
+  close(out[0]);
+  return child;
+}
 
 Child start(const char* how, const lot::EngineOptions& options) {
   return Child([&] {
@@ -80,6 +97,86 @@ TEST_CASE("static objects leave the segment, whichever goes last, and remove it"
     CAPTURE(how);
     const auto options = fresh();
     CHECK(start(how, options).wait() == 0);
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("a signal ends the last process of a segment, and leaves no file") {
+  const Watchdog watchdog(120);
+  const struct {
+    const char* how;
+    int signal;
+  } ends[] = {{"signals", SIGINT},
+              {"signals", SIGTERM},
+              {"signals", SIGHUP},
+              {"signals while threads publish", SIGTERM},
+              {"signals, with a child", SIGTERM},
+              {"signals, ignored", SIGTERM}};
+  for (const auto& end : ends) {
+    CAPTURE(end.how);
+    CAPTURE(end.signal);
+    const auto options = fresh();
+    Child child = start_and_wait(end.how, options);
+    CHECK(files_of(options) == 2);
+    child.send(end.signal);
+    CHECK(child.wait() == 128 + end.signal);
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("a signal leaves the files to others, and those that are to stay") {
+  const Watchdog watchdog(120);
+  for (const int signal : {SIGINT, SIGTERM}) {
+    const auto options = fresh();
+    {
+      lot::ShmEngine engine(options);
+      Child child = start_and_wait("signals while threads publish", options);
+      child.send(signal);
+      CHECK(child.wait() == 128 + signal);
+      check_works(engine);
+    }
+    CHECK(files_of(options) == 0);
+  }
+  const auto options = fresh();
+  Child child = start_and_wait("signals, persist", options);
+  child.send(SIGTERM);
+  CHECK(child.wait() == 128 + SIGTERM);
+  CHECK(files_of(options) == 2);
+  { const lot::ShmEngine engine(options); }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("two that are ended at once leave no file") {
+  const Watchdog watchdog(120);
+  for (int round = 0; round < 10; ++round) {
+    const auto options = fresh();
+    Child one = start_and_wait("signals", options);
+    Child two = start_and_wait("signals", options);
+    one.send(SIGINT);
+    two.send(SIGINT);
+    CHECK(one.wait() == 128 + SIGINT);
+    CHECK(two.wait() == 128 + SIGINT);
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("killed while a signal ends it, a process leaves what the next one repairs") {
+  const Watchdog watchdog(120);
+  std::mt19937_64 random(seed());
+  for (int round = 0; round < 40; ++round) {
+    const auto options = fresh();
+    Child child = start_and_wait("signals while threads publish", options);
+    child.send(SIGTERM);
+    usleep(static_cast<useconds_t>(random() % 4000));
+    child.kill9();
+    {
+      lot::ShmEngine engine(options);
+      check_works(engine);
+      // Of who has said that it ends the next one with its index is not taken for ending.
+      Child other = start_and_wait("signals", options);
+      CHECK(files_of(options) == 2);
+      other.kill9();
+    }
     CHECK(files_of(options) == 0);
   }
 }

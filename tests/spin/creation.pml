@@ -199,7 +199,7 @@ inline remove_files(p) {
     segment_name = NONE /* @ src/segment/segment.cpp remove: ::unlink(path.c_str()) */
   };
   unfinished = NONE; /* @ src/segment/segment.cpp remove: ::unlink((path + ".new").c_str()) */
-  lock_name = NONE /* @ src/transport/participant_liveness.cpp warden: ::unlink(lock_file_->path().c_str()) */
+  lock_name = NONE /* @ src/transport/participant_liveness.cpp remove_files_if_last: ::unlink(lock_file_->path().c_str()) */
 }
 
 inline leave(p) {
@@ -222,7 +222,7 @@ inline leave(p) {
 #ifdef UNLINK_WITHOUT_LOOK
     others = 0;
 #else
-    look_for_others(p, others); /* @ src/transport/participant_liveness.cpp warden: !lock_file_->held_by_other(0, segment_.capacity().participants) */
+    look_for_others(p, others); /* @ src/transport/participant_liveness.cpp remove_files_if_last: lock_file_->held_by_other(0, participants()) */
 #endif
     if
     :: !others -> remove_files(p)

@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+namespace lot {
+
+/// SIGINT, SIGTERM and SIGHUP end the process as they would without this, and leave no file: the
+/// last process of a segment removes it first. One line at the beginning of main(), for programs
+/// that do not catch these signals themselves; those that do, and then let their engines go, need
+/// it not.
+///
+/// A signal that is ignored or has a handler is left alone. A second one ends the process at once.
+/// Destructors do not run. Another copy of the library in the process (a plugin) calls it itself.
+///
+/// Threads: at any time; it starts one, which sleeps until a signal comes.
+/// Fork:    in a child they act as by default, until it calls this itself.
+/// Errors:  lot::Error when there is no descriptor or no thread for it.
+/// Crash:   killed by SIGKILL, the last one leaves its files to the next one, as always.
+void end_cleanly_on_signals();
+
+}  // namespace lot
