@@ -48,9 +48,10 @@ struct PusherOptions {
   Duration block_for = std::chrono::seconds(1);
   /// LOT_QUEUE=ring or LOT_QUEUE=mutex in the environment comes before it, for every topic.
   QueueEngine engine = QueueEngine::Ring;
-  /// Memory that all its messages take together at most, also those that others keep; what fits
-  /// into a block of its own does not count. Beyond it the publisher gives its own oldest up; where
-  /// none can go, a message does not grow (lot::OutOfMemory). 0: as much as the segment has.
+  /// Memory that all messages that it loans take together at most, also those that others keep;
+  /// what fits into a block of its own does not count. Beyond it the publisher gives its own oldest
+  /// up; where none can go, a message does not grow (lot::OutOfMemory). 0: as much as the segment
+  /// has.
   std::uint64_t max_bytes = 0;
 };
 

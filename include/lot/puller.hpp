@@ -99,8 +99,9 @@ class ShmPuller {
 
   /// A descriptor for epoll, poll, Asio or GLib: readable (level-triggered) from when a message may
   /// have come until try_pull() or try_borrow() has found none. It may say so for nothing, each
-  /// second at most. From the first call on, a thread of the library's watches the queue whenever a
-  /// look has found nothing. It belongs to the puller, which closes it.
+  /// second at most (each 10 ms while the subscription holds too much). From the first call on, a
+  /// thread of the library's watches the queue whenever a look has found nothing. It belongs to the
+  /// puller, which closes it.
   int fd() { return core_->fd(); }
 
  private:

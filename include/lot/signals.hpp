@@ -8,12 +8,13 @@ namespace lot {
 /// that do not catch these signals themselves; those that do, and then let their engines go, need
 /// it not.
 ///
-/// A signal that is ignored or has a handler is left alone. A second one ends the process at once.
-/// Destructors do not run. Another copy of the library in the process (a plugin) calls it itself.
+/// A signal that is ignored or has a handler is left alone. A second one, half a second after the
+/// first, ends the process at once. Destructors do not run. It knows of one copy of the library:
+/// the segment of another one in the process (a plugin) stays for the next one to come.
 ///
 /// Threads: at any time; it starts one, which sleeps until a signal comes.
 /// Fork:    in a child they act as by default, until it calls this itself.
-/// Errors:  lot::Error when there is no descriptor or no thread for it.
+/// Errors:  lot::Error when there is no thread for it.
 /// Crash:   killed by SIGKILL, the last one leaves its files to the next one, as always.
 void end_cleanly_on_signals();
 

@@ -49,6 +49,16 @@ bool Eviction::give_up(std::uint32_t pool) noexcept {
   return false;
 }
 
+std::uint64_t Eviction::could_give(std::uint32_t pool) noexcept {
+  const std::lock_guard guard(mutex_);
+  for (Evictor* e : evictors_) {
+    if (e->pool() != pool) continue;
+    const Evictor::Stock stock = e->stock(Shortage::Memory);
+    return stock.held + stock.reserved;
+  }
+  return 0;
+}
+
 void Eviction::look_at_others(Shortage shortage) noexcept {
   const std::lock_guard guard(mutex_);
   survey_.look(holder_.own.self, shortage);

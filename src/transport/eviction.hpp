@@ -94,6 +94,8 @@ class Eviction {
   /// Rule 3 alone: the publisher with this pool gives its oldest message up. False: it has none, or
   /// may lose none.
   bool give_up(std::uint32_t pool) noexcept;
+  /// How many bytes it would free if it gave all up.
+  std::uint64_t could_give(std::uint32_t pool) noexcept;
   /// Looks what the publishers of other processes hold.
   void look_at_others(Shortage shortage) noexcept;
   /// Which other processes give, by participant: those that are stopped do not. Of kOrphanage:

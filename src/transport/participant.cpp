@@ -498,7 +498,9 @@ void Participant::remove_files() noexcept {
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
     joining.try_lock();
   }
-  const std::lock_guard guard(process().mutex);  // so none of them goes
+  // For ever, both: none of them goes, and none comes.
+  joining.release();
+  process().mutex.lock();
   for (Participant* p : process().all) {
     p->is_ending_.store(true, std::memory_order_relaxed);  // the errand carries it
     p->ring_warden();

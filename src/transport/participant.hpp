@@ -184,7 +184,8 @@ class Participant {
   /// What LOT_QUEUE in the environment says, else what the code says.
   static QueueEngine queue_engine(QueueEngine asked);
   /// The process is about to end, in the midst of its work. Where it is the last one on a segment,
-  /// the segment's files go. Nothing else is touched: others reap it when it is dead.
+  /// the segment's files go. Nothing else is touched: others reap it when it is dead. No engine
+  /// comes or goes from then on.
   static void remove_files() noexcept;
   /// The participant that has mapped this address, or null.
   static Participant* at(const void* address) noexcept;

@@ -166,10 +166,13 @@ bool Participant::extend_run(std::uint32_t end, std::uint32_t granules,
   return true;
 }
 
-/// What is idle goes first, then the publisher's oldest messages.
+/// What is idle goes first, then the publisher's oldest messages; nothing for what can never be
+/// met.
 bool Participant::make_room_in(Pool& pool, std::uint32_t granules) noexcept {
   if (granules > pool.limit()) return false;
-  tidy(pool.index());
+  pool.trim(true);
+  const std::uint64_t could_go = eviction_.could_give(pool.index()) / segment::kGranule;
+  if (pool.granules() + granules > pool.limit() + could_go) return false;
   while (!pool.may_take(granules)) {
     if (!eviction_.give_up(pool.index())) return false;
     pool.trim(true);
@@ -192,7 +195,7 @@ std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) 
   const auto enough = [&] {
     run = try_claim_run(granules, tag);
     error = errno;
-    return run != kNone;
+    return run != kNone || error == EDQUOT;  // another thread has taken it: no message of others'
   };
   tidy(asker);
   if (enough()) return run;

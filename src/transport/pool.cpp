@@ -387,12 +387,10 @@ void Pool::release_block(std::uint32_t b) noexcept {
 }
 
 void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
-  if (limit_ != kNoLimit) {
-    // A number that a wild write has hit is no more than there is.
-    std::uint64_t has = granules_.load(std::memory_order_relaxed);
-    while (!granules_.compare_exchange_weak(has, has - std::min<std::uint64_t>(has, granules),
-                                            std::memory_order_relaxed)) {
-    }
+  // A number that a wild write has hit is no more than there is.
+  std::uint64_t has = granules_.load(std::memory_order_relaxed);
+  while (!granules_.compare_exchange_weak(has, has - std::min<std::uint64_t>(has, granules),
+                                          std::memory_order_relaxed)) {
   }
   holder_.segment->granules().release(first, granules);
 }

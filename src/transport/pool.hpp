@@ -208,8 +208,7 @@ class Pool {
   void serve(std::uint64_t topic) noexcept {
     topic_ = topic;
     may_wait_.store(topic != 0, std::memory_order_relaxed);  // a maker has no ring
-    limit_ = kNoLimit;
-    granules_.store(0, std::memory_order_relaxed);
+    limit(0);
   }
 
   /// An exclusively owned block for a message of this type, or kNone. Locked.
@@ -293,19 +292,22 @@ class Pool {
   // The memory of its blocks, idle ones too: what their publisher may have, and has. Counted, and
   // not looked for, since the counter is this process's own: no crash leaves it wrong.
 
-  /// PusherOptions::max_bytes; 0: no limit. REQUIRES: it has no memory yet.
+  /// PusherOptions::max_bytes; 0: no limit. What messages of an earlier publisher still have, whose
+  /// pointers have outlived it, counts as well.
   void limit(std::uint64_t bytes) noexcept {
-    limit_ = bytes == 0 ? kNoLimit : std::max<std::uint64_t>(bytes / segment::kGranule, 1);
+    limit_.store(bytes == 0 ? kNoLimit : std::max<std::uint64_t>(bytes / segment::kGranule, 1),
+                 std::memory_order_relaxed);
   }
-  std::uint64_t limit() const noexcept { return limit_; }
+  std::uint64_t limit() const noexcept { return limit_.load(std::memory_order_relaxed); }
   std::uint64_t granules() const noexcept { return granules_.load(std::memory_order_relaxed); }
   /// May it have so many granules more? Relaxed, as all of it: threads that ask at once may get a
   /// message too much.
   bool may_take(std::uint64_t granules) const noexcept {
-    return limit_ == kNoLimit || granules_.load(std::memory_order_relaxed) + granules <= limit_;
+    const std::uint64_t most = limit();
+    return most == kNoLimit || this->granules() + granules <= most;
   }
   void take(std::uint64_t granules) noexcept {
-    if (limit_ != kNoLimit) granules_.fetch_add(granules, std::memory_order_relaxed);
+    granules_.fetch_add(granules, std::memory_order_relaxed);
   }
   /// Gives a run of one of its blocks back to the segment.
   void release_run(std::uint32_t first, std::uint32_t granules) noexcept;
@@ -341,8 +343,8 @@ class Pool {
   std::uint32_t index_;
   std::uint64_t topic_ = 0;
   static constexpr std::uint64_t kNoLimit = ~std::uint64_t{0};
-  std::uint64_t limit_ = kNoLimit;          ///< in granules
-  std::atomic<std::uint64_t> granules_{0};  ///< where there is a limit
+  std::atomic<std::uint64_t> limit_{kNoLimit};  ///< in granules
+  std::atomic<std::uint64_t> granules_{0};
   BiasedLock lock_;
   BlockStack ready_;
   std::atomic<bool> may_wait_{false};

@@ -103,8 +103,9 @@ class Puller final : public detail::PullerCore {
                            bool forever) override {
     keeping_ = true;
     if (!quota_.allows_one_more()) [[unlikely]] {
-      const futex::Deadline until = forever ? futex::Deadline() : futex::Deadline(deadline);
-      if (!wait || !wait_for_quota(until)) return found_none(kept, Status::HoldsTooMuch);
+      const Status status =
+          pull_when_full(wait, forever ? futex::Deadline() : futex::Deadline(deadline));
+      if (status != Status::Ok) return found_none(kept, status);
     }
     return look_or_wait(kept, wait, deadline, forever);
   }
@@ -118,7 +119,7 @@ class Puller final : public detail::PullerCore {
   }
 
   bool ready() override {
-    if (quota_.is_full()) return false;  // arm() says when to look
+    if (keeping_ && quota_.is_full()) return false;  // arm() says when to look
     return (directory_.load(std::memory_order_relaxed) != version_ && !not_before_) ||
            std::any_of(sources_.begin(), sources_.end(),
                        [](const Source& s) { return s.reader.ready() || s.reader.orphaned(); });
@@ -219,9 +220,9 @@ class Puller final : public detail::PullerCore {
     participant_->check_usable();
     if (borrowing_) return std::nullopt;  // the next look says what is wrong
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
-    const auto has_more = [](const Source& s) { return s.reader.ready(); };
-    if (std::any_of(sources_.begin(), sources_.end(), has_more)) {
-      return quota_.is_full() && !quota_.allows_one_more() ? when_to_tell() : std::nullopt;
+    if (has_messages()) {
+      const bool is_full = keeping_ && quota_.is_full() && !quota_.allows_one_more();
+      return is_full ? when_to_tell() : std::nullopt;
     }
     const std::size_t rings = sources_.size();
     if (!settle()) return std::nullopt;
@@ -349,7 +350,7 @@ class Puller final : public detail::PullerCore {
   /// REQUIRES: the quota allows one more.
   [[gnu::hot]] detail::ControlCell* hold_it() {
     participant_->holder().acquire(block_, hold::kPointer);
-    quota_.note(block_, small_ && type_.plain ? 0 : granules());
+    if (quota_.counts()) quota_.note(block_, small_ && type_.plain ? 0 : granules());
     return &participant_->holder().cell(block_);
   }
 
@@ -358,6 +359,26 @@ class Puller final : public detail::PullerCore {
     return segment::granules_of(s.arena(block_), s.granules().count());
   }
 
+  bool has_messages() const noexcept {
+    return std::any_of(sources_.begin(), sources_.end(),
+                       [](const Source& s) { return s.reader.ready(); });
+  }
+
+  /// A pull while the quota is full. Ok: it may look. Where no message is there the pull ends, or
+  /// waits, as any other.
+  [[gnu::noinline]] Status pull_when_full(bool wait, const futex::Deadline& deadline) {
+    for (;;) {
+      if (participant_->inert() || borrowing_) refuse();
+      if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
+      if (has_messages() || !settle()) break;
+      if (!wait) {
+        const bool all_seen = directory_.load(std::memory_order_acquire) == version_;
+        return sources_.empty() && all_seen ? Status::PublisherGone : Status::Empty;
+      }
+      if (!park(deadline) && !has_messages()) return Status::Timeout;
+    }
+    return wait && wait_for_quota(deadline) ? Status::Ok : Status::HoldsTooMuch;
+  }
   /// False: the time is up, and the process has let nothing go.
   bool wait_for_quota(const futex::Deadline& deadline) {
     auto until = futex::Clock::now() + kWaitForRoom;

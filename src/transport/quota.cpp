@@ -11,11 +11,10 @@ namespace {
 
 /// So many notes at least lie between two looks.
 constexpr std::size_t kNotesAhead = 64;
-/// All that is kept is weighed again when this subscription may have taken such a part of what was
-/// left: of several that do so at once each stays within what is left.
-constexpr std::uint64_t kPartOfRest = 8;
-/// Where others hold too much, they are weighed again after so long.
-constexpr std::chrono::milliseconds kOthersLetGo{10};
+/// All that is kept is weighed again when this subscription has taken such a part of what was left,
+/// or has taken more after so long: of several that do so at once each stays within what is left.
+constexpr std::uint64_t kPartOfRest = 16;
+constexpr std::chrono::milliseconds kWeighedFor{10};
 
 /// A limit that is not below the half would leave the half to nobody: the whole of it is 7/8.
 std::uint64_t limit_of(segment::Segment& segment, std::uint64_t bytes) {
@@ -37,10 +36,13 @@ bool is_within(std::uint64_t own, std::uint64_t limit, std::uint64_t all_kept, s
 Quota::Quota(Participant& participant, std::uint64_t limit)
     : participant_(participant),
       limit_(limit_of(participant.segment(), limit)),
-      limit_notes_(std::max<std::size_t>(participant.blocks() / 4, 1)) {}
+      limit_notes_(std::max<std::size_t>(participant.blocks() / 4, 1)) {
+  if (counts()) return;
+  look_at_notes_ = ~std::size_t{0};
+  look_at_granules_ = kNone;
+}
 
 void Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
-  if (limit_ == kNone) return;
   // Relaxed: it is held, so it lives.
   const std::uint32_t generation = refcount::generation_of(
       participant_.segment().block(block).life.load(std::memory_order_relaxed));
@@ -49,7 +51,6 @@ void Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
 }
 
 bool Quota::look() {
-  if (limit_ == kNone) return true;
   forget_what_went();
   // One message is always allowed: where others hold all that may be held, this one goes on.
   is_full_ =
@@ -92,13 +93,14 @@ bool Quota::leaves_enough() {
     return grown(all, kept) / kPartOfRest;
   };
   const auto now = futex::Clock::now();
-  const bool is_new =
-      is_shared_out_
-          ? now < weighed_.at + kOthersLetGo && notes_.size() >= weighed_.own_notes
-          : weighed_.own_notes != 0 &&
-                grown(granules_, weighed_.own_granules) < part_of_rest(half, weighed_.granules) &&
-                grown(notes_.size(), weighed_.own_notes) <
-                    part_of_rest(half_blocks, weighed_.blocks);
+  const bool is_young = now < weighed_.at + kWeighedFor;
+  const std::uint64_t more = grown(granules_, weighed_.own_granules);
+  const std::uint64_t more_notes = grown(notes_.size(), weighed_.own_notes);
+  const bool is_new = is_shared_out_ ? is_young && notes_.size() >= weighed_.own_notes
+                                     : weighed_.own_notes != 0 &&
+                                           (is_young || (more == 0 && more_notes == 0)) &&
+                                           more < part_of_rest(half, weighed_.granules) &&
+                                           more_notes < part_of_rest(half_blocks, weighed_.blocks);
   if (!is_new) {
     const Participant::Kept kept = participant_.weigh_kept();
     weighed_ = {kept.granules, kept.blocks, granules_, notes_.size(), now};
@@ -111,7 +113,9 @@ bool Quota::leaves_enough() {
 /// Makes room for the notes until then.
 void Quota::plan_next_look() {
   const std::uint64_t half = participant_.segment().granules().count() / 2;
-  const std::uint64_t rest = half > weighed_.granules ? half - weighed_.granules : 0;
+  // Before it has weighed, it takes little: others may have taken all.
+  const std::uint64_t left = weighed_.own_notes == 0 ? half / 2 : half;
+  const std::uint64_t rest = left > weighed_.granules ? left - weighed_.granules : 0;
   const std::size_t notes =
       std::max(std::min(std::max(2 * notes_.size(), notes_.size() + kNotesAhead), limit_notes_),
                notes_.size() + 1);

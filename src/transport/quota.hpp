@@ -36,9 +36,11 @@ class Quota {
     return look();
   }
   /// A message that this process has a pointer hold on. `granules`: its memory beside its block.
-  /// REQUIRES: allows_one_more() was true since the last note.
+  /// REQUIRES: counts(), and allows_one_more() was true since the last note.
   void note(std::uint32_t block, std::uint64_t granules) noexcept;
 
+  /// False: there is no limit, and no need for notes.
+  bool counts() const noexcept { return limit_ != kNone; }
   bool is_full() const noexcept { return is_full_; }
   /// "holds 256 MiB in 16 messages, ..."
   std::string describe() const;

@@ -3,15 +3,18 @@
 
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <csignal>
+#include <cstdint>
 #include <mutex>
-#include <sys/eventfd.h>
+#include <optional>
 #include <system_error>
 #include <thread>
 #include <unistd.h>
 
 #include "lot/error.hpp"
 
+#include "futex/futex.hpp"
 #include "transport/participant.hpp"
 
 namespace lot {
@@ -19,22 +22,29 @@ namespace {
 
 constexpr int kSignals[] = {SIGINT, SIGTERM, SIGHUP};
 
+/// What comes so soon after the first signal is the same wish once more: a terminal, a shell and
+/// timeout(1) send it twice.
+constexpr std::chrono::milliseconds kTheSame{500};
+
 std::mutex mutex;
-// What the handler uses. Relaxed: they are written before it is installed.
-std::atomic<pid_t> process{0};  ///< that has the thread
-std::atomic<int> bell{-1};      ///< an eventfd on which the thread sleeps
-std::atomic<int> came{0};       ///< the first signal
+// What the handler uses, relaxed: nothing is handed over. No descriptor: closefrom() would take it.
+std::atomic<pid_t> process{0};         ///< that has the thread
+std::atomic<std::int64_t> came_at{0};  ///< when the first signal came; 0: none has
+std::atomic<std::uint32_t> came{0};    ///< which one; the thread sleeps on it
+
+std::int64_t now() { return futex::Clock::now().time_since_epoch().count(); }
 
 /// Only what a signal handler may do.
 void take(int number) {
   const int error = errno;
-  int none = 0;
-  if (getpid() == process.load(std::memory_order_relaxed) &&
-      came.compare_exchange_strong(none, number, std::memory_order_relaxed)) {
-    eventfd_write(bell.load(std::memory_order_relaxed), 1);
-  } else {  // a child, which has no such thread; or it takes too long
-    std::signal(number, SIG_DFL);
-    raise(number);  // it comes when this handler has returned
+  const bool is_child = getpid() != process.load(std::memory_order_relaxed);
+  std::int64_t first = 0;
+  if (!is_child && came_at.compare_exchange_strong(first, now(), std::memory_order_relaxed)) {
+    came.store(static_cast<std::uint32_t>(number), std::memory_order_relaxed);
+    futex::wake_all(&came);
+  } else if (is_child || now() - first > std::chrono::nanoseconds(kTheSame).count()) {
+    std::signal(number, SIG_DFL);  // a child has no such thread; or it takes too long
+    raise(number);                 // it comes when this handler has returned
   }
   errno = error;
 }
@@ -50,13 +60,11 @@ void take(int number) {
   _exit(128 + number);  // the first process of a container has no default
 }
 
-void wait_and_end(int ears) {
+void wait_and_end() {
   pthread_setname_np(pthread_self(), "lot-signals");
-  eventfd_t count;
-  while (eventfd_read(ears, &count) == -1 && errno == EINTR) {
-  }
+  while (came.load(std::memory_order_relaxed) == 0) futex::wait(&came, 0, std::nullopt);
   transport::Participant::remove_files();
-  end(came.load(std::memory_order_relaxed));
+  end(static_cast<int>(came.load(std::memory_order_relaxed)));
 }
 
 void install(int number) {
@@ -73,29 +81,19 @@ void install(int number) {
 void end_cleanly_on_signals() {
   const std::lock_guard guard(mutex);
   if (process.load(std::memory_order_relaxed) != getpid()) {
-    // In a child: the parent's descriptor.
-    if (const int theirs = bell.exchange(-1, std::memory_order_relaxed); theirs != -1) {
-      close(theirs);
-    }
-    const int mine = eventfd(0, EFD_CLOEXEC);
-    if (mine == -1) {
-      throw Error(errno, "eventfd", "no descriptor to hear of signals by",
-                  "close descriptors, or raise the limit (ulimit -n)");
-    }
+    came_at.store(0, std::memory_order_relaxed);  // the parent's
+    came.store(0, std::memory_order_relaxed);
     // The thread takes no signals: it inherits the mask.
     sigset_t all, before;
     sigfillset(&all);
     pthread_sigmask(SIG_SETMASK, &all, &before);
     try {
-      std::thread([mine] { wait_and_end(mine); }).detach();
+      std::thread(&wait_and_end).detach();
     } catch (const std::system_error& e) {
       pthread_sigmask(SIG_SETMASK, &before, nullptr);
-      close(mine);
       throw Error(e.code().value(), "thread", "no thread to hear of signals",
                   "raise the limit of threads (ulimit -u)");
     }
-    came.store(0, std::memory_order_relaxed);
-    bell.store(mine, std::memory_order_relaxed);
     process.store(getpid(), std::memory_order_relaxed);
     pthread_sigmask(SIG_SETMASK, &before, nullptr);
   }

@@ -159,6 +159,9 @@ int end_by_signal(const std::string& how, lot::EngineOptions options) {
             "and leaves the parent's files");
   }
   if (how == "signals, ignored") raise(SIGINT);
+  if (how == "signals after closefrom") {
+    for (int fd = 3; fd < 100; ++fd) close(fd);
+  }
   std::puts("ready.");
   std::fflush(stdout);
   for (;;) pause();

@@ -146,6 +146,24 @@ TEST_CASE("a signal leaves the files to others, and those that are to stay") {
   CHECK(files_of(options) == 0);
 }
 
+TEST_CASE("a signal that is sent several times leaves no file either, nor without descriptors") {
+  const Watchdog watchdog(120);
+  for (const char* how : {"signals", "signals while threads publish"}) {
+    const auto options = fresh();
+    Child child = start_and_wait(how, options);
+    for (int n = 0; n < 5; ++n) child.send(n % 2 == 0 ? SIGTERM : SIGHUP);
+    CHECK(child.wait() > 128);
+    CHECK(files_of(options) == 0);
+  }
+  const auto options = fresh();
+  Child child = start_and_wait("signals after closefrom", options);
+  child.send(SIGTERM);
+  CHECK(child.wait() == 128 + SIGTERM);
+  // Without its lock file it may leave the files; the next one removes them.
+  { const lot::ShmEngine engine(options); }
+  CHECK(files_of(options) == 0);
+}
+
 TEST_CASE("two that are ended at once leave no file") {
   const Watchdog watchdog(120);
   for (int round = 0; round < 10; ++round) {

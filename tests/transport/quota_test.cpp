@@ -101,7 +101,7 @@ TEST_CASE("a subscription that keeps what it may hears so, and goes on when it l
   kept.erase(kept.begin());
   REQUIRE(keeper.try_pull()->number == 5);
   kept.clear();
-  CHECK(hoard(keeper, kept) == lot::Status::HoldsTooMuch);
+  CHECK(hoard(keeper, kept) == lot::Status::Empty);
   CHECK(kept.size() == 4);
   CHECK(kept.back()->number == 9);
   // What comes in the meantime is overwritten, and counts.
@@ -119,7 +119,7 @@ TEST_CASE("a message that was let go on another thread makes room for a pull tha
   auto pusher = engine.advertise<Frame>("/frames");
   auto keeper = engine.subscribe<Frame>("/frames", quota(2 * kFrame));
   Kept kept;
-  for (std::uint64_t n = 0; n < 4; ++n) push(pusher, n);
+  for (std::uint64_t n = 0; n < 5; ++n) push(pusher, n);
   REQUIRE(hoard(keeper, kept) == lot::Status::HoldsTooMuch);
   std::thread other([&] { kept.clear(); });
   lot::ShmSharedPtr<const Frame> frame;
@@ -269,8 +269,24 @@ TEST_CASE("all subscriptions together leave half of the segment to others") {
     } catch (const lot::OutOfMemory&) {
     }
     CHECK(loans.size() >= kSegment / kFrame / 2 - kHoarders - 4);
-    // And a subscription that comes last goes on all the same.
     loans.clear();
+    // Those that come when the half is kept take little more.
+    std::vector<lot::ShmPuller<Frame>> late;
+    std::vector<Kept> theirs(8);
+    for (std::size_t n = 0; n < theirs.size(); ++n) {
+      late.push_back(engine.subscribe<Frame>("/left"));
+    }
+    for (std::uint64_t n = 0; n < 12; ++n) {
+      push(pusher, n);
+      for (std::size_t l = 0; l < late.size(); ++l) hoard(late[l], theirs[l]);
+    }
+    for (const Kept& kept : theirs) {
+      CHECK(kept.size() >= 1);
+      CHECK(kept.size() <= 3);
+    }
+    theirs.clear();
+    late.clear();
+    // And a subscription that comes last goes on all the same.
     auto puller = engine.subscribe<Frame>("/left");
     for (std::uint64_t n = 0; n < 100; ++n) {
       push(pusher, n);
@@ -417,6 +433,80 @@ TEST_CASE(
   for (std::uint64_t n = 0; n < 4; ++n) push(pusher, n);
   CHECK_THROWS_AS(push(pusher, 4), lot::OutOfMemory);
   CHECK(puller.size() == 4);
+}
+
+TEST_CASE("messages that outlive their publisher neither give nor take another one's limit") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  lot::PusherOptions bounded;
+  bounded.max_bytes = 8 * kFrame;
+  for (const bool dies_later : {false, true}) {
+    CAPTURE(dies_later);
+    lot::ShmUniquePtr<Frame> old;
+    {
+      auto first = engine.advertise<Frame>("/first", bounded);
+      old = first.loan();
+      old->data.resize(6 * kFrame);
+    }
+    if (!dies_later) old.reset();
+    auto second = engine.advertise<Frame>("/second", bounded);
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    const auto fill = [&] {
+      try {
+        for (;;) {
+          auto loan = second.loan();
+          loan->data.resize(kFrame);
+          loans.push_back(std::move(loan));
+        }
+      } catch (const lot::OutOfMemory&) {
+      }
+    };
+    fill();
+    CHECK(loans.size() <= 8);
+    old.reset();
+    fill();
+    CHECK(loans.size() == 8);
+  }
+}
+
+TEST_CASE("a full subscription without a message is empty, and what looks in place goes on") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  Kept kept;
+  auto keeper = engine.subscribe<Frame>("/frames", quota(2 * kFrame));
+  {
+    auto pusher = engine.advertise<Frame>("/frames");
+    for (std::uint64_t n = 0; n < 2; ++n) push(pusher, n);
+    CHECK(hoard(keeper, kept) == lot::Status::Empty);
+    REQUIRE(kept.size() == 2);
+    CHECK(keeper.pull(1ms) == nullptr);
+    CHECK(keeper.status() == lot::Status::Timeout);
+    push(pusher, 2);
+    CHECK(keeper.try_pull() == nullptr);
+    CHECK(keeper.status() == lot::Status::HoldsTooMuch);
+    const auto look = keeper.try_borrow();
+    REQUIRE(look);
+    CHECK(look->number == 2);
+    CHECK_THROWS_AS((void)look.keep(), lot::Error);
+    CHECK_THROWS_AS((void)keeper.try_pull(), lot::Error);  // a borrow has not ended
+  }
+  CHECK(keeper.try_pull() == nullptr);
+  CHECK(keeper.status() == lot::Status::PublisherGone);
+  // A refused keep() does not hold up who only looks.
+  auto pusher = engine.advertise<Frame>("/frames");
+  lot::WaitSet set;
+  std::uint64_t looks = 0;
+  set.add(keeper, [&] {
+    while (auto look = keeper.try_borrow()) {
+      ++looks;
+      CHECK_THROWS_AS((void)look.keep(), lot::Error);
+    }
+  });
+  for (std::uint64_t n = 0; n < 20; ++n) {
+    push(pusher, n);
+    while (looks <= n) set.run_once(20s);
+  }
+  CHECK(keeper.missed_total() == 0);
 }
 
 TEST_CASE("what a publisher has reserved counts for its limit, and stays its own") {
