@@ -46,8 +46,14 @@ void Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
   // Relaxed: it is held, so it lives.
   const std::uint32_t generation = refcount::generation_of(
       participant_.segment().block(block).life.load(std::memory_order_relaxed));
-  notes_.push_back({block, generation, granules});  // there is room
   granules_ += granules;
+  // A reader that lets one message go before the next one comes has one note, and no look.
+  if (!notes_.empty() && !has_pointers(notes_.back().block)) {
+    granules_ -= notes_.back().granules;
+    notes_.back() = {block, generation, granules};
+  } else {
+    notes_.push_back({block, generation, granules});  // there is room
+  }
 }
 
 bool Quota::look() {
@@ -75,12 +81,15 @@ void Quota::forget_what_went() noexcept {
 }
 
 bool Quota::is_held(const Note& note) const noexcept {
-  const Holder& holder = participant_.holder();
-  const std::uint64_t word = holder.cell(note.block).hold.load(std::memory_order_relaxed);
+  const auto& life = participant_.segment().block(note.block).life;
+  return has_pointers(note.block) &&
+         refcount::generation_of(life.load(std::memory_order_relaxed)) == note.generation;
+}
+
+bool Quota::has_pointers(std::uint32_t block) const noexcept {
+  const std::uint64_t word = participant_.holder().cell(block).hold.load(std::memory_order_relaxed);
   // At the edge a thread takes the first hold or lets go of the last: that will be seen.
-  if ((word & hold::kEdge) == 0 && hold::pointers(word) == 0) return false;
-  return refcount::generation_of(holder.words(note.block).life.load(std::memory_order_relaxed)) ==
-         note.generation;
+  return (word & hold::kEdge) != 0 || hold::pointers(word) != 0;
 }
 
 bool Quota::leaves_enough() {

@@ -55,6 +55,7 @@ class Quota {
   bool look();
   void forget_what_went() noexcept;
   bool is_held(const Note& note) const noexcept;
+  bool has_pointers(std::uint32_t block) const noexcept;
   bool leaves_enough();
   void plan_next_look();
 
