@@ -92,8 +92,8 @@ inline constexpr std::uint32_t kLook = 1;  ///< a message that it waits for may 
 inline constexpr std::uint32_t kTrim = 2;  ///< give idle memory back
 inline constexpr std::uint32_t kOwn = 4;   ///< its own process has something to do
 inline constexpr std::uint32_t kGive = 8;  ///< give messages up: `request` says how much
-/// No errand: its process says that a signal ends it, and that it counts no more for who removes
-/// the files. Written and read in the gate; stays until the next one with this index.
+/// No errand: its process says that a signal ends it, and that it counts no more for the one
+/// that removes the files. Written and read in the gate; stays until the next one with this index.
 inline constexpr std::uint32_t kEnding = 16;
 }  // namespace errand
 

@@ -35,7 +35,7 @@ constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
 constexpr auto kLongestSleep = 1s;
 /// A subscription that holds too much: so often is it looked whether messages have been let go, and
-/// so long does a pull wait for that at most. Who waits for messages by other means hears so often
+/// so long does a pull wait for that at most. A wait set or a descriptor says so often
 /// that some are there.
 constexpr auto kLookForRoom = 10ms;
 constexpr auto kWaitForRoom = 1s;

@@ -16,7 +16,7 @@ constexpr std::size_t kNotesAhead = 64;
 constexpr std::uint64_t kPartOfRest = 16;
 constexpr std::chrono::milliseconds kWeighedFor{10};
 
-/// A limit that is not below the half would leave the half to nobody: the whole of it is 7/8.
+/// Below the half: a subscription that is alone leaves others a part of it, too.
 std::uint64_t limit_of(segment::Segment& segment, std::uint64_t bytes) {
   const std::uint64_t all = segment.granules().count();
   if (bytes == Quota::kNone) return Quota::kNone;

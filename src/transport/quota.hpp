@@ -19,7 +19,7 @@ class Participant;
 /// as many as after the last look, or when their sum reaches the limit. So a pointer that goes
 /// costs nothing more, and one that comes the note.
 ///
-/// A note counts while this process holds the message, whoever in it does.
+/// A note counts while this process holds the message, for whatever part of it.
 ///
 /// Threads: one at a time, that of the puller.
 /// Crash:   nothing of it is shared.

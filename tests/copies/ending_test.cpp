@@ -190,7 +190,7 @@ TEST_CASE("killed while a signal ends it, a process leaves what the next one rep
     {
       lot::ShmEngine engine(options);
       check_works(engine);
-      // Of who has said that it ends the next one with its index is not taken for ending.
+      // The next process with the index of one that has said that it ends is not taken for ending.
       Child other = start_and_wait("signals", options);
       CHECK(files_of(options) == 2);
       other.kill9();

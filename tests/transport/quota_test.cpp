@@ -408,7 +408,7 @@ TEST_CASE("a publisher takes no more than it may, and gives its own oldest up") 
 }
 
 TEST_CASE(
-    "of a publisher with a limit: what others keep counts, and what is lost to nobody stays") {
+    "of a publisher with a limit: what others keep counts, and a lossless one loses nothing") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(kSegment));
   lot::PusherOptions bounded;
@@ -492,7 +492,7 @@ TEST_CASE("a full subscription without a message is empty, and what looks in pla
   }
   CHECK(keeper.try_pull() == nullptr);
   CHECK(keeper.status() == lot::Status::PublisherGone);
-  // A refused keep() does not hold up who only looks.
+  // A refused keep() does not hold up a reader that only looks.
   auto pusher = engine.advertise<Frame>("/frames");
   lot::WaitSet set;
   std::uint64_t looks = 0;
