@@ -6,6 +6,7 @@
 #include <chrono>
 #include <csignal>
 #include <cstdint>
+#include <cstdlib>
 #include <mutex>
 #include <optional>
 #include <system_error>
@@ -67,6 +68,15 @@ void wait_and_end() {
   end(static_cast<int>(came.load(std::memory_order_relaxed)));
 }
 
+/// main() goes on while a signal is on its way: what it returns of work that the signal has cut
+/// short is no exit code.
+void await_end() {
+  while (process.load(std::memory_order_relaxed) == getpid() &&
+         came_at.load(std::memory_order_relaxed) != 0) {
+    pause();
+  }
+}
+
 void install(int number) {
   struct sigaction action {};
   if (sigaction(number, nullptr, &action) != 0) return;
@@ -97,6 +107,8 @@ void end_cleanly_on_signals() {
     process.store(getpid(), std::memory_order_relaxed);
     pthread_sigmask(SIG_SETMASK, &before, nullptr);
   }
+  static const int registered = std::atexit(&await_end);
+  static_cast<void>(registered);  // without it the exit code is main()'s
   for (const int number : kSignals) install(number);
 }
 

@@ -162,8 +162,16 @@ int end_by_signal(const std::string& how, lot::EngineOptions options) {
   if (how == "signals after closefrom") {
     for (int fd = 3; fd < 100; ++fd) close(fd);
   }
+  sigset_t all, before;
+  sigfillset(&all);
+  sigemptyset(&before);
+  if (how == "signals, and main() returns") sigprocmask(SIG_SETMASK, &all, &before);
   std::puts("ready.");
   std::fflush(stdout);
+  if (how == "signals, and main() returns") {
+    sigsuspend(&before);
+    return 1;
+  }
   for (;;) pause();
 }
 

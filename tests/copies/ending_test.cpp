@@ -111,6 +111,7 @@ TEST_CASE("a signal ends the last process of a segment, and leaves no file") {
               {"signals", SIGHUP},
               {"signals while threads publish", SIGTERM},
               {"signals, with a child", SIGTERM},
+              {"signals, and main() returns", SIGTERM},
               {"signals, ignored", SIGTERM}};
   for (const auto& end : ends) {
     CAPTURE(end.how);
