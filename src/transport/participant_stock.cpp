@@ -122,6 +122,7 @@ Pool& Participant::open_pool(std::string_view topic) {
 
 void Participant::close_pool(Pool& pool, const registry::ChannelName& ring,
                              std::vector<std::uint32_t> blocks) noexcept {
+  pool.close();
   const std::lock_guard guard(pools_mutex_);
   draining_.push_back({&pool, ring, std::move(blocks), false});
 }

@@ -232,8 +232,14 @@ void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type) {
 
 void Pool::give_back(std::uint32_t b) noexcept {
   bury(b);
-  const std::lock_guard guard(lock_);
-  ready_.push_back(b);
+  {
+    const std::lock_guard guard(lock_);
+    if (is_in_use_) {
+      ready_.push_back(b);
+      return;
+    }
+  }
+  release_block(b);
 }
 
 void Pool::came_home(std::uint32_t b) noexcept {

@@ -206,9 +206,18 @@ class Pool {
   BiasedLock& lock() noexcept { return lock_; }
   /// For whom it will claim blocks: the key of a topic, or 0. REQUIRES: the pool is not in use.
   void serve(std::uint64_t topic) noexcept {
+    const std::lock_guard guard(lock_);
+    is_in_use_ = true;
     topic_ = topic;
     may_wait_.store(topic != 0, std::memory_order_relaxed);  // a maker has no ring
     limit(0);
+  }
+
+  /// Its publisher has gone: blocks that come home from now on, from pointers that outlive it, are
+  /// everybody's.
+  void close() noexcept {
+    const std::lock_guard guard(lock_);
+    is_in_use_ = false;
   }
 
   /// An exclusively owned block for a message of this type, or kNone. Locked.
@@ -346,6 +355,7 @@ class Pool {
   std::atomic<std::uint64_t> limit_{kNoLimit};  ///< in granules
   std::atomic<std::uint64_t> granules_{0};
   BiasedLock lock_;
+  bool is_in_use_ = false;  ///< by a publisher or a maker
   BlockStack ready_;
   std::atomic<bool> may_wait_{false};
   BlockQueue free_;  ///< retired and unprotected, still with the ring's hold

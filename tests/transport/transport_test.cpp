@@ -582,6 +582,27 @@ TEST_CASE("a pusher that only forwards gives the messages up again, also when it
   CHECK(files_of(options) == 0);
 }
 
+TEST_CASE("a pointer that outlives its publisher gives its memory back when it goes") {
+  const Watchdog watchdog(60);
+  Place place;
+  lot::ShmSharedPtr<const Frame> kept;
+  lot::ShmUniquePtr<Frame> loan;
+  {
+    auto pusher = place.engine.advertise<Frame>("/t");
+    kept = frame_of(pusher, 7, 10000);
+    REQUIRE(pusher.push(kept) == Status::Ok);
+    loan = frame_of(pusher, 8, 10000);
+  }
+  lot::segment::Segment s(place.engine.path());
+  REQUIRE(eventually([&] { return Audit(s).channels == 0; }));
+  place.engine.make<Number>(std::uint64_t{9}).reset();  // all that can be settled is, by now
+  CHECK(intact(*kept, 10000));
+  CHECK(Audit(s).granules != 0);
+  kept.reset();
+  loan.reset();
+  CHECK(Audit(s).granules == 0);
+}
+
 TEST_CASE("when memory runs out, the oldest messages give way and are counted as missed") {
   const Watchdog watchdog(60);
   Place place(16 << 20);
