@@ -5,6 +5,7 @@
 #include <condition_variable>
 #include <cstdlib>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <shared_mutex>
 #include <stdexcept>
@@ -13,6 +14,7 @@
 
 #include <boost/make_shared.hpp>
 #include <ros/callback_queue.h>
+#include <ros/poll_manager.h>
 #include <ros/ros.h>
 #include <sensor_msgs/Image.h>
 
@@ -50,6 +52,8 @@ class Node {
     return node;
   }
   ~Node() {
+    if (!ended_.empty()) ros::PollManager::instance()->shutdown();
+    ended_.clear();
     handle_.reset();
     ros::shutdown();
   }
@@ -60,6 +64,14 @@ class Node {
   /// Shared by who publishes within this process, alone for a subscriber that ends: roscpp's link
   /// between the two takes the subscriber away from under a publish() that is at work.
   std::shared_mutex& intra() { return intra_; }
+  /// An end over UDPROS, with the queue of its callbacks, which are not called any more. It goes
+  /// with the node, when the thread that reads sockets has ended: a datagram that comes for a link
+  /// while that one goes would abort the process (boost::lock_error, or an empty boost::function,
+  /// in ros::PollSet::update()).
+  void end_later(std::shared_ptr<ros::CallbackQueue> queue, ros::Subscriber subscriber) {
+    const std::lock_guard lock(opening_);
+    ended_.emplace_back(std::move(queue), std::move(subscriber));
+  }
   /// Of a topic, in this process: roscpp has one link for all of them.
   std::atomic<unsigned>& subscribers(const std::string& topic) {
     const std::lock_guard lock(opening_);
@@ -88,6 +100,7 @@ class Node {
   std::mutex opening_;
   std::shared_mutex intra_;
   std::map<std::string, std::atomic<unsigned>> subscribers_;
+  std::vector<std::pair<std::shared_ptr<ros::CallbackQueue>, ros::Subscriber>> ended_;
   std::unique_ptr<lot::ros::NodeHandle> handle_;
 };
 
@@ -176,7 +189,7 @@ class TopicSubscriber final : public Subscriber {
   explicit TopicSubscriber(const Terms& terms)
       : terms_(terms), node_(Node::of(terms)), count_(node_->subscribers(terms.topic)) {
     lot::ros::NodeHandle handle(node_->handle());
-    handle.setCallbackQueue(&queue_);
+    handle.setCallbackQueue(queue_.get());
     ros::TransportHints hints;
     const std::lock_guard lock(node_->opening());
     if (terms.way == Way::Udp) hints.unreliable();
@@ -193,6 +206,12 @@ class TopicSubscriber final : public Subscriber {
   }
   ~TopicSubscriber() override {
     --count_;
+    if constexpr (std::is_same_v<Message, Plain>) {
+      if (terms_.way == Way::Udp) {
+        node_->end_later(std::move(queue_), subscriber_);
+        return;
+      }
+    }
     const std::lock_guard guard(node_->intra());
     subscriber_.shutdown();
   }
@@ -217,14 +236,14 @@ class TopicSubscriber final : public Subscriber {
 
  private:
   bool call_one(std::chrono::nanoseconds patience) {
-    return queue_.callOne(ros::WallDuration().fromNSec(patience.count())) ==
+    return queue_->callOne(ros::WallDuration().fromNSec(patience.count())) ==
            ros::CallbackQueue::Called;
   }
 
   const Terms terms_;
   const std::shared_ptr<Node> node_;
   std::atomic<unsigned>& count_;
-  ros::CallbackQueue queue_;
+  std::shared_ptr<ros::CallbackQueue> queue_ = std::make_shared<ros::CallbackQueue>();
   const Handler* handler_ = nullptr;
   std::conditional_t<std::is_same_v<Message, Shared>, lot::ros::Subscriber, ros::Subscriber>
       subscriber_;
