@@ -24,8 +24,9 @@ import sys
 import tempfile
 
 ROOMS = ('src/lockfree_ring/*.hpp', 'src/refcount/*.hpp', 'src/recovery/*.hpp',
-         'src/robust_mutex/robust_condition.hpp', 'src/segment/granules.hpp')
-CLASSES = ('Ring', 'Writer', 'Reader', 'Cell', 'Ownership', 'BlockWords', 'Recovery', 'Granules',
+         'src/robust_mutex/robust_condition.hpp', 'src/segment/granules.hpp',
+         'src/segment/units.hpp')
+CLASSES = ('Ring', 'Writer', 'Reader', 'Cell', 'Ownership', 'BlockWords', 'Recovery', 'Granules', 'Units',
            'RobustCondition')
 TARGETS = ('lot', 'lot_model')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.hh', '.cxx', '.hxx', '.ipp', '.inc', '.in'}
@@ -289,7 +290,7 @@ template <class P> struct BlockWords {}; template <class P> struct Ownership {};
 ''',
     'src/recovery/recovery.hpp': '''#include "refcount/ownership.hpp"
 #include "robust_mutex/robust_condition.hpp"
-#include "segment/granules.hpp"
+#include "segment/units.hpp"
 namespace lot::recovery { template <class P, class World> class Recovery {}; }
 ''',
     'src/robust_mutex/robust_condition.hpp': '''
@@ -297,6 +298,9 @@ namespace lot { template <class W = int> class RobustCondition {}; }
 ''',
     'src/segment/granules.hpp': '''
 namespace lot::segment { template <class P> class Granules {}; }
+''',
+    'src/segment/units.hpp': '''#include "segment/granules.hpp"
+namespace lot::segment { template <class P> class Units {}; }
 ''',
     'src/lot.cpp': '''#include "recovery/recovery.hpp"
 namespace lot { template <class P> class Forward; }

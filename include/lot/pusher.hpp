@@ -122,7 +122,7 @@ class ShmPusher {
     return core_->wait_for_readers(count, timeout);
   }
   /// Makes memory for `count` messages of `bytes` each and touches it, so that the first frames are
-  /// as fast as the later ones.
+  /// as fast as the later ones. It stays this publisher's, however seldom it publishes.
   void reserve(std::size_t count, std::size_t bytes) { core_->reserve(count, bytes); }
 
  private:

@@ -244,6 +244,8 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
           "lot: no room in the segment for another ring: raise LOT_SIZE, or lower the "
           "depth");
     }
+    // Survey and others look at rings that may be recycled meanwhile.
+    segment_.keep_run(entry.granule, entry.granules);
     if (options.engine == QueueEngine::Mutex) segment_.construct_queue_lock(c);
     segment::Ring ring = segment_.unformed_ring(c);
     ring.roster->store(0, std::memory_order_relaxed);

@@ -71,9 +71,7 @@ class Granules {
   /// nothing.
   void release(std::uint32_t first, std::uint32_t run) {
     if (run == 0 || first >= count_ || run > count_ - first) return;
-    for (std::uint32_t i = 0; i < run; ++i) {
-      tags_[first + i].store(0, std::memory_order_release);  // G1
-    }
+    put_back(first, run);
     for (unsigned c = 0; c < static_cast<unsigned>(std::bit_width(count_)); ++c) {
       // A run that begins before ours may be free now, as far as it ends in ours.
       const std::uint32_t longest = (2U << c) - 1;
@@ -82,6 +80,14 @@ class Granules {
       if (hint_[c].load(std::memory_order_relaxed) > place) {
         hint_[c].store(place, std::memory_order_relaxed);
       }
+    }
+  }
+
+  /// The same for granules that were free just before: no search need begin with them. REQUIRES: it
+  /// is a run.
+  void put_back(std::uint32_t first, std::uint32_t run) {
+    for (std::uint32_t i = 0; i < run; ++i) {
+      tags_[first + i].store(0, std::memory_order_release);  // G1
     }
   }
 
@@ -96,6 +102,9 @@ class Granules {
 
   std::uint32_t count() const { return count_; }
   std::uint32_t tag(std::uint32_t i) const { return tags_[i].load(std::memory_order_relaxed); }
+  bool is_free(std::uint32_t first, std::uint32_t run) const {
+    return last_used(first, run) == kNone;
+  }
   std::uint32_t used() const {
     std::uint32_t n = 0;
     for (std::uint32_t i = 0; i < count_; ++i) n += tag(i) != 0;

@@ -23,15 +23,15 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 8;
+inline constexpr std::uint32_t kLayoutVersion = 9;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
 inline constexpr std::uint64_t kGranule = 4096;  ///< unit of message memory
-inline constexpr std::uint64_t kSmallBytes =
-    256;  ///< payload that every block has without an extent
-inline constexpr std::uint64_t kReserveUnit =
-    2 << 20;  ///< memory is reserved from the system in these
+/// Payload that every block has without an extent.
+inline constexpr std::uint64_t kSmallBytes = 256;
+/// The file system is asked for memory, and gets it back, in these.
+inline constexpr std::uint64_t kUnit = 2 << 20;
 inline constexpr std::size_t kTopicNameBytes = 200;
 inline constexpr std::size_t kTypeNameBytes = 232;
 
@@ -62,7 +62,7 @@ struct Capacity {
 /// Offsets of the tables, computed alike by everybody from the capacity.
 struct Geometry {
   std::uint64_t participants, witnesses, directory, topics, channels, blocks, arenas, small, tags,
-      reserved, sightings, data;
+      units, sightings, data;
   std::uint64_t granules;  ///< in the data area
   static Geometry of(const Capacity& capacity);
 };
@@ -139,6 +139,9 @@ struct alignas(64) Directory {
   /// need search. Edge D3: bumped (release) before the dead one's name goes -> load by a warden
   /// before it searches (acquire); carries the homes that are the orphanage's now.
   std::atomic<std::uint32_t> bequests;
+  /// Monotonic clock: when a warden last looked for memory that nobody uses. The one that changes
+  /// it looks. A SIGKILL then costs one look.
+  std::atomic<std::uint64_t> looked_ns;
   alignas(64) LockWord lock;  ///< registry: topics, joining, recycling
 };
 

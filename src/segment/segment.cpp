@@ -31,6 +31,10 @@ constexpr std::uint64_t round_up(std::uint64_t n, std::uint64_t to) {
   return (n + to - 1) / to * to;
 }
 
+std::uint32_t units_of(const Capacity& c) {
+  return static_cast<std::uint32_t>((c.size + kUnit - 1) / kUnit);
+}
+
 std::uint64_t hash(const char* bytes, std::size_t n, std::uint64_t h = 14695981039346656037U) {
   for (std::size_t i = 0; i < n; ++i) {
     h = (h ^ static_cast<unsigned char>(bytes[i])) * 1099511628211U;  // FNV-1a
@@ -85,11 +89,11 @@ Capacity choose_size(const std::string& path, Capacity capacity) {
   const std::uint64_t free = std::uint64_t{room.f_bavail} * room.f_frsize;
   const bool chosen = capacity.size != 0;
   if (!chosen) capacity.size = std::min(kDefaultSize, free / 4 * 3);
-  capacity.size = capacity.size / kReserveUnit * kReserveUnit;
+  capacity.size = capacity.size / kUnit * kUnit;
   const std::uint64_t least = Geometry::of(capacity).data + kSmallestData;
   if (capacity.size < least) {
     throw Error(chosen ? EINVAL : ENOSPC, path,
-                "a segment needs at least " + mib(least + kReserveUnit) + "; " +
+                "a segment needs at least " + mib(least + kUnit) + "; " +
                     (chosen ? mib(capacity.size) + " were asked for"
                             : mib(free) + " are free in " + directory),
                 chosen ? "raise LOT_SIZE"
@@ -158,7 +162,7 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
   }
   if (header.identity.boot != 0 && boot() != 0 && header.identity.boot != boot()) {
     reason = "it was left by another boot of the system";
-  } else if (wanted != 0 && wanted / kReserveUnit * kReserveUnit != file_size) {
+  } else if (wanted != 0 && wanted / kUnit * kUnit != file_size) {
     reason = "it has " + mib(file_size) + ", " + mib(wanted) + " were asked for";
   }
   return reason.empty() ? Segment::Fit::Fits : Segment::Fit::Stale;
@@ -220,7 +224,7 @@ Geometry Geometry::of(const Capacity& c) {
   table(g.blocks, c.blocks * sizeof(BlockWords));
   table(g.arenas, c.blocks * sizeof(detail::Arena));
   table(g.tags, all_granules * sizeof(Tag));
-  table(g.reserved, (c.size / kReserveUnit + 1) * sizeof(Tag));
+  table(g.units, units_of(c) * sizeof(Tag));
   table(g.sightings, c.participants * sizeof(Sightings));
   at = round_up(at, kGranule);  // payload begins on a page of its own
   table(g.small, c.blocks * kSmallBytes);
@@ -323,6 +327,7 @@ Segment::Segment(const std::string& path, Access access, bool finished) : path_(
   arenas_ = at<detail::Arena>(geometry_.arenas);
   small_ = at<unsigned char>(geometry_.small);
   granules_.reset(at<Tag>(geometry_.tags), static_cast<std::uint32_t>(geometry_.granules));
+  units_.reset(at<Tag>(geometry_.units), units_of(capacity_));
   const auto locks = witnesses();
   if (finished && !(is_robust(directory().lock.mutex) &&
                     std::all_of(locks.begin(), locks.end(),
@@ -436,10 +441,19 @@ std::uint32_t Segment::claim_run(std::uint32_t granules, std::uint32_t tag) noex
   std::uint32_t run = granules_.claim(granules, tag);
   if (run == Granules<Atomics>::kNone || back_run(run, granules)) return run;
   granules_.release(run, granules);
-  run = granules_.claim(granules, tag,
-                        [&](std::uint32_t first) { return is_backed(first, granules); });
-  if (run == Granules<Atomics>::kNone) errno = ENOSPC;
-  return run;
+  for (int tries = 0; tries < 2; ++tries) {
+    run = granules_.claim(granules, tag,
+                          [&](std::uint32_t first) { return is_backed(first, granules); });
+    if (run == Granules<Atomics>::kNone) break;
+    if (back_run(run, granules)) return run;
+    granules_.release(run, granules);  // it was given back meanwhile
+  }
+  errno = ENOSPC;
+  return Granules<Atomics>::kNone;
+}
+
+void Segment::keep_run(std::uint32_t first, std::uint32_t granules) noexcept {
+  units_.keep(unit_of(first), unit_of(first + granules - 1));
 }
 
 bool Segment::extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept {
@@ -449,32 +463,66 @@ bool Segment::extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_
   return false;
 }
 
+std::uint32_t Segment::unit_of(std::uint32_t granule) const noexcept {
+  return static_cast<std::uint32_t>(granule_offset(granule) / kUnit);
+}
+
+bool Segment::back_run(std::uint32_t first, std::uint32_t granules) noexcept {
+  return units_.get(unit_of(first), unit_of(first + granules - 1),
+                    [this](std::uint32_t unit) { return populate(unit); });
+}
+
+bool Segment::can_back_run(std::uint32_t first, std::uint32_t granules) noexcept {
+  return units_.try_get(unit_of(first), unit_of(first + granules - 1),
+                        [this](std::uint32_t unit) { return populate(unit); });
+}
+
 bool Segment::is_backed(std::uint32_t first, std::uint32_t granules) const noexcept {
-  const auto* done = at<Tag>(geometry_.reserved);
-  const std::uint64_t begin = granule_offset(first);
-  const std::uint64_t last = begin + kGranule * granules - 1;
-  for (std::uint64_t unit = begin / kReserveUnit; unit <= last / kReserveUnit; ++unit) {
-    if (done[unit].load(std::memory_order_acquire) == 0) return false;
+  return units_.has(unit_of(first), unit_of(first + granules - 1));
+}
+
+std::uint64_t Segment::bytes_of_unit(std::uint32_t unit) const noexcept {
+  return std::min(kUnit, size() - unit * kUnit);
+}
+
+Segment::Run Segment::run_of_unit(std::uint32_t unit) const noexcept {
+  return {static_cast<std::uint32_t>((unit * kUnit - geometry_.data) / kGranule),
+          static_cast<std::uint32_t>(bytes_of_unit(unit) / kGranule)};
+}
+
+void Segment::look_at_units() noexcept {
+  for (std::uint32_t unit = first_unit(); unit < units_.count(); ++unit) {
+    units_.look(unit, [this](std::uint32_t u) {
+      const Run run = run_of_unit(u);
+      return !granules_.is_free(run.first, run.granules);
+    });
   }
-  return true;
+}
+
+bool Segment::is_unused(std::uint32_t unit, std::uint32_t looks) const noexcept {
+  const Run run = run_of_unit(unit);
+  return units_.is_old(unit, looks) && granules_.is_free(run.first, run.granules);
+}
+
+std::uint64_t Segment::give_back(std::uint32_t unit, std::uint32_t looks,
+                                 std::uint32_t tag) noexcept {
+  const Run run = run_of_unit(unit);
+  const std::uint64_t bytes = kGranule * run.granules;
+  const auto punch = [&] {
+    const bool gone = madvise(base_ + unit * kUnit, bytes, MADV_REMOVE) == 0;
+    if (!gone) can_give_back_.store(false, std::memory_order_relaxed);
+    return gone;
+  };
+  const bool gone = units_.give_back(unit, looks, granules_, run.first, run.granules, tag, punch,
+                                     [this](std::uint32_t u) { return populate(u); });
+  return gone ? bytes : 0;
 }
 
 /// Takes the memory from the system before it is used, so that a full file system is an error here
-/// and not a SIGBUS later. Done once for each unit, by whoever comes first; done twice does no
-/// harm.
-bool Segment::reserve(std::uint64_t offset, std::uint64_t bytes) noexcept {
-  auto* done = at<Tag>(geometry_.reserved);
-  for (std::uint64_t unit = offset / kReserveUnit; unit <= (offset + bytes - 1) / kReserveUnit;
-       ++unit) {
-    if (done[unit].load(std::memory_order_acquire) != 0) continue;
-    const std::uint64_t begin = unit * kReserveUnit;
-    if (!populate(begin, std::min(kReserveUnit, size() - begin))) return false;
-    done[unit].store(1, std::memory_order_release);
-  }
-  return true;
-}
-
-bool Segment::populate(std::uint64_t begin, std::uint64_t bytes) noexcept {
+/// and not a SIGBUS later. Done twice does no harm.
+bool Segment::populate(std::uint32_t unit) noexcept {
+  const std::uint64_t begin = unit * kUnit;
+  const std::uint64_t bytes = bytes_of_unit(unit);
 #ifdef MADV_POPULATE_WRITE
   constexpr int kPopulateWrite = MADV_POPULATE_WRITE;
 #else

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <span>
 #include <string>
@@ -11,6 +12,7 @@
 
 #include "segment/granules.hpp"
 #include "segment/layout.hpp"
+#include "segment/units.hpp"
 
 namespace lot::segment {
 
@@ -103,12 +105,32 @@ class Segment {
   /// The same for the granules behind a run that carries `tag`, which then is longer. False: they
   /// are not all free, or the system has none.
   bool extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept;
-  /// True when the system has given the memory of a run, or gives it now.
-  bool back_run(std::uint32_t first, std::uint32_t granules) noexcept {
-    return reserve(granule_offset(first), kGranule * granules);
-  }
+  /// The memory of a run that the caller has stays the segment's for ever.
+  void keep_run(std::uint32_t first, std::uint32_t granules) noexcept;
+  /// True when the system has given the memory of a run, or would give it. At any time.
+  bool can_back_run(std::uint32_t first, std::uint32_t granules) noexcept;
   /// True when the system has given it.
   bool is_backed(std::uint32_t first, std::uint32_t granules) const noexcept;
+
+  // Memory that nobody uses goes back to the system, in the units (units.hpp) from first_unit() to
+  // units() - 1.
+
+  /// The first one that has granules alone; before it are the tables.
+  std::uint32_t first_unit() const noexcept {
+    return static_cast<std::uint32_t>((geometry_.data + kUnit - 1) / kUnit);
+  }
+  std::uint32_t units() const noexcept { return units_.count(); }
+  /// False when it has refused, for this process: memory is locked (mlock), or the file system can
+  /// not.
+  bool can_give_back() const noexcept { return can_give_back_.load(std::memory_order_relaxed); }
+  std::uint64_t bytes_of_unit(std::uint32_t unit) const noexcept;
+  /// One look at which of them are in use.
+  void look_at_units() noexcept;
+  /// So many looks in a row have found it unused, and it is now.
+  bool is_unused(std::uint32_t unit, std::uint32_t looks) const noexcept;
+  /// Gives the memory of a unit back, if it still is unused. Its granules carry `tag` meanwhile.
+  /// Returns the bytes: 0 when it is in use, or the file system can not.
+  std::uint64_t give_back(std::uint32_t unit, std::uint32_t looks, std::uint32_t tag) noexcept;
 
  private:
   Segment(const std::string& path, Access access, bool finished);
@@ -116,8 +138,15 @@ class Segment {
   T* at(std::uint64_t offset) const noexcept {
     return reinterpret_cast<T*>(base_ + offset);
   }
-  bool reserve(std::uint64_t offset, std::uint64_t bytes) noexcept;
-  bool populate(std::uint64_t begin, std::uint64_t bytes) noexcept;
+  struct Run {
+    std::uint32_t first, granules;
+  };
+  std::uint32_t unit_of(std::uint32_t granule) const noexcept;
+  /// REQUIRES: from first_unit() on.
+  Run run_of_unit(std::uint32_t unit) const noexcept;
+  /// REQUIRES, as all that gets memory: the caller has a granule of each of its units.
+  bool back_run(std::uint32_t first, std::uint32_t granules) noexcept;
+  bool populate(std::uint32_t unit) noexcept;
 
   // Looked at for each message, so close to each other.
   unsigned char* base_ = nullptr;
@@ -129,6 +158,8 @@ class Segment {
   std::string path_;
   boost::interprocess::mapped_region region_;
   Granules<Atomics> granules_;
+  Units<Atomics> units_;
+  std::atomic<bool> can_give_back_{true};  ///< the file system has not refused yet
 };
 
 }  // namespace lot::segment

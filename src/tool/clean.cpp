@@ -39,7 +39,7 @@ class Cleaner {
  public:
   Cleaner(const Settings& settings, bool dry_run, Report& report)
       : where_(settings.where), dry_(dry_run), report_(report) {
-    for (const char* list : {"removed", "reaped", "left_alone"}) {
+    for (const char* list : {"removed", "reaped", "given_back", "left_alone"}) {
       report_.document()[list] = Json::array();
     }
     report_.document()["dry_run"] = dry_run;
@@ -53,7 +53,7 @@ class Cleaner {
       return remove(s.name, s.path, "nobody lives in it");
     }
     if (s.window == nullptr) return leave_alone(s.path, s.reason + ", and it is in use", kDamaged);
-    reap(s);
+    tend(s);
   }
 
   void remove(const std::string& name, const std::string& path, const std::string& why) {
@@ -111,8 +111,9 @@ class Cleaner {
     }
   }
 
-  /// Some live, some may be dead: joins as any process does, which is how the dead are reaped.
-  void reap(Sight& s) {
+  /// Some live, some may be dead: joins as any process does, which is how the dead are reaped and
+  /// memory goes back.
+  void tend(Sight& s) {
     const auto the_dead = dead(*s.window);
     std::vector<std::string> names;
     const Observation seen = observe(*s.window);
@@ -122,14 +123,16 @@ class Cleaner {
                          kDamaged);
     }
     std::vector<std::uint32_t> left = the_dead;
-    if (!dry_ && !the_dead.empty()) {
+    std::uint64_t given_back = dry_ ? unused(s.window->segment()) : 0;
+    if (!dry_) {
       try {
         EngineOptions options;
         options.directory = where_.directory;
         options.segment = s.name;
         options.permissions = mode_of(s.path + ".lock", s.path);
         options.name = "lot clean";
-        const auto participant = transport::Participant::join(options);
+        using transport::Participant;
+        const auto participant = Participant::join(options, Participant::IfAbsent::Throw);
         const auto until = std::chrono::steady_clock::now() + kReapPatience;
         while (!(left = still_dead(s, the_dead)).empty() &&
                std::chrono::steady_clock::now() < until) {
@@ -137,8 +140,10 @@ class Cleaner {
           participant->collect();
           std::this_thread::sleep_for(1ms);
         }
+        given_back = participant->give_all_back_to_system();
       } catch (const Error& e) {
-        return leave_alone(s.path, e.what(), kWrong);
+        if (e.error_number() == ENOENT) return;  // its last process has removed it
+        return leave_alone(s.path, e.what(), the_dead.empty() ? kWell : kWrong);
       }
     }
     for (std::size_t i = 0; i < the_dead.size(); ++i) {
@@ -155,6 +160,18 @@ class Cleaner {
       report_.print((dry_ ? "would reap  " : "reaped  ") + printable(names[i]) + " in " +
                     printable(s.path, 200) + "\n");
     }
+    if (given_back == 0) return;
+    report_.document()["given_back"].push_back({{"path", s.path}, {"bytes", given_back}});
+    report_.print((dry_ ? "would give back  " : "gave back  ") + printable(s.path, 200) + ": " +
+                  bytes_text(given_back) + " that nobody uses\n");
+  }
+
+  static std::uint64_t unused(const segment::Segment& s) {
+    std::uint64_t bytes = 0;
+    for (std::uint32_t unit = s.first_unit(); unit < s.units(); ++unit) {
+      if (s.is_unused(unit, 0)) bytes += s.bytes_of_unit(unit);
+    }
+    return bytes;
   }
 
   static std::vector<std::uint32_t> still_dead(Sight& s, const std::vector<std::uint32_t>& were) {

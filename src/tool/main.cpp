@@ -47,8 +47,8 @@ int run(int argc, char** argv) {
       app.add_subcommand("who", "Who holds which message since when, and who is behind");
   bool all = false;
   holders->add_flag("--all", all, "queued messages too, and those that are loaned or spare");
-  auto* const cleaner =
-      app.add_subcommand("clean", "Reaps the dead, and removes what nobody lives in");
+  auto* const cleaner = app.add_subcommand(
+      "clean", "Reaps the dead, removes what nobody lives in, gives unused memory back");
   bool dry_run = false;
   cleaner->add_flag("--dry-run", dry_run, "only says what would be done");
 

@@ -82,7 +82,7 @@ bool Eviction::can_free_run(std::uint32_t asker, std::uint32_t granules,
 bool Eviction::has_run(std::uint32_t run) const noexcept {
   segment::Segment& s = *holder_.segment;
   const auto& granules = s.granules();
-  constexpr std::uint64_t kUnit = segment::kReserveUnit;
+  constexpr std::uint64_t kUnit = segment::kUnit;
   bool more = true;          // the system gives memory that nothing has been in yet
   std::uint32_t length = 0;  // of the run that ends here
   for (std::uint32_t i = 0; i < granules.count(); ++i) {
@@ -94,7 +94,7 @@ bool Eviction::has_run(std::uint32_t run) const noexcept {
     if (++length < run) continue;
     const std::uint32_t first = i + 1 - run;
     if (s.is_backed(first, run)) return true;
-    if (more && s.back_run(first, run)) return true;
+    if (more && s.can_back_run(first, run)) return true;
     more = false;
     // The next run that may be backed begins in another unit.
     const std::uint64_t at = s.granule_offset(first);

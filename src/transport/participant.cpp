@@ -114,7 +114,7 @@ class Participant::GateGuard {
   liveness::LockFile* file_;
 };
 
-std::shared_ptr<Participant> Participant::join(EngineOptions options) {
+std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent if_absent) {
   options = with_environment(std::move(options));
   const std::string path = segment::path_of(options.directory, options.segment);
   static const int registered =
@@ -154,6 +154,9 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options) {
                       "stop those who use it (its owner can also remove it), or set LOT_SEGMENT");
         }
         continue;
+      }
+      if (fit != segment::Segment::Fit::Fits && if_absent == IfAbsent::Throw) {
+        throw Error(ENOENT, path, "nobody uses it any more", "there is nothing to be done");
       }
       if (fit != segment::Segment::Fit::Fits) {
         segment::Segment::remove(path);
@@ -200,12 +203,14 @@ Participant::Participant(const EngineOptions& options,
   holder_.make_tables(blocks);
   lives_.resize(blocks);
   was_held_.resize(blocks);
+  idle_looks_.resize(blocks);
   eviction_.prepare(blocks, segment_.capacity().channels);
   holder_.pools = &pools_;
   pools_.reserve(segment_.capacity().channels + 64);
   prints_.resize(pools_.capacity());
   new_prints_.resize(pools_.capacity());
   to_settle_.resize(pools_.capacity());
+  to_trim_.resize(pools_.capacity());
   draining_.reserve(pools_.capacity());  // so that closing needs no memory
   idle_.reserve(pools_.capacity());
   watched_.reserve(futex::kMaxWords);

@@ -38,8 +38,11 @@ namespace lot::transport {
 /// Crash:   whatever a participant leaves is found by its index and repaired by reap().
 class Participant {
  public:
-  /// Joins the segment that the options name, made if absent. Throws lot::Error.
-  static std::shared_ptr<Participant> join(EngineOptions options);
+  /// Joins the segment that the options name. Where there is none it is made, or ENOENT is thrown.
+  /// Throws lot::Error.
+  enum class IfAbsent { Make, Throw };
+  static std::shared_ptr<Participant> join(EngineOptions options,
+                                           IfAbsent if_absent = IfAbsent::Make);
 
   ~Participant();
   Participant(const Participant&) = delete;
@@ -117,6 +120,20 @@ class Participant {
   static constexpr std::uint32_t kNobody = ~std::uint32_t{0};
   bool trim(std::uint32_t asker) noexcept;
   Eviction& eviction() noexcept { return eviction_; }
+  /// Gives memory of the segment that nobody uses, and that so many looks have found unused, back
+  /// to the system, unit by unit until enough() is true. Returns the bytes.
+  template <class Enough>
+  std::uint64_t give_back_to_system(std::uint32_t looks, Enough&& enough) noexcept {
+    std::uint64_t bytes = 0;
+    for (std::uint32_t unit = segment_.first_unit(); unit < segment_.units(); ++unit) {
+      if (!segment_.is_unused(unit, looks)) continue;
+      if (!segment_.can_give_back() || enough()) break;
+      bytes += give_back_unit(unit, looks);
+    }
+    return bytes;
+  }
+  /// All that nobody uses, at once, also what lies idle in pools of any process that answers.
+  std::uint64_t give_all_back_to_system() noexcept;
   /// Messages go, one after the other, as Eviction says whose, until enough() is true. Of another
   /// process they are asked for: a stopped one is waited for once, and then passed over until it
   /// answers. True when enough() was. `need`: what the asker will have more, in bytes or blocks.
@@ -154,13 +171,14 @@ class Participant {
   }
 
   /// Asks all others to give the idle memory of their pools back. Returns when enough() is true (it
-  /// is asked now and then), when all have answered, or after a few milliseconds: a stopped process
-  /// does not hold us up for longer. True when enough() was.
+  /// is asked now and then), when all have answered, or when the patience has ended: a stopped
+  /// process does not hold us up for longer. True when enough() was.
   template <class Enough>
-  bool gather_from_others(Enough&& enough) noexcept {
+  bool gather_from_others(Enough&& enough,
+                          std::chrono::milliseconds patience = kAnswerPatience) noexcept {
     Questions questions;
     ask_others(questions);
-    const auto until = futex::Clock::now() + kAnswerPatience;
+    const auto until = futex::Clock::now() + patience;
     bool all = false;
     while (!all) {
       all = all_have_answered(questions) || futex::Clock::now() >= until;  // before the look
@@ -244,6 +262,8 @@ class Participant {
 
   void remove_files_if_last() noexcept;
   void settle_files() noexcept;
+  std::optional<std::uint32_t> claim_spare_block() noexcept;
+  std::uint64_t give_back_unit(std::uint32_t unit, std::uint32_t looks) noexcept;
   bool make_room_in(Pool& pool, std::uint32_t granules) noexcept;
   bool is_kept(std::uint32_t b) noexcept;
 
@@ -276,6 +296,7 @@ class Participant {
   void run_errands(std::uint32_t asked) noexcept;
   void settle_kept() noexcept;
   void settle_idle() noexcept;
+  void give_unused_back() noexcept;
   void tell_homes() noexcept;
   void ask_others(Questions& questions) noexcept;
   /// False: it has given nothing, or has not answered.
@@ -358,6 +379,8 @@ class Participant {
   std::vector<std::uint64_t> prints_;  ///< [pools] of the blocks, when it last looked
   std::vector<std::uint64_t> new_prints_;  ///< [pools] while it looks
   std::vector<bool> to_settle_;            ///< [pools] while it looks
+  std::vector<std::uint8_t> idle_looks_;   ///< [blocks] so many in a row found it as it was
+  std::vector<bool> to_trim_;              ///< [pools] while it looks
   // ... to here.
   std::atomic<std::uint32_t> used_channels_{0};
   std::atomic<futex::Clock::rep> gathered_{0};  ///< when the others were asked last

@@ -25,6 +25,13 @@ constexpr std::chrono::milliseconds kFirstLook{1};
 constexpr std::chrono::milliseconds kLastLook{100};
 /// And when there is nothing: somebody may have died whose death it was not told of.
 constexpr auto kIdleLook = 1s;
+/// Idle memory of a publisher goes back to the segment after so many looks, and from the segment to
+/// the system after as many more.
+constexpr std::uint8_t kOldLooks = 5;
+/// What is more waits for the next look: the warden watches over the other processes.
+constexpr auto kGiveBackTime = 20ms;
+/// Looks for memory that nobody uses are so far apart, at the least.
+constexpr auto kTurn = kIdleLook * 9 / 10;
 /// Between two errands of other processes, however many they bring.
 constexpr auto kErrandRest = 1ms;
 constexpr auto kWitnessPatience = 1s;
@@ -272,9 +279,14 @@ void Participant::settle_idle() noexcept {
   }
   std::fill(to_settle_.begin(), to_settle_.end(), false);
   std::fill(new_prints_.begin(), new_prints_.end(), 0);
+  std::fill(to_trim_.begin(), to_trim_.end(), false);
   const std::uint32_t known = holder_.known.load(std::memory_order_relaxed);
   for (std::uint32_t b = 0; b < known; ++b) {
-    if (!holder_.is_home(b)) continue;
+    if (idle_looks_[b] > kOldLooks) idle_looks_[b] = 0;  // it was a loan
+    if (!holder_.is_home(b)) {
+      idle_looks_[b] = 0;
+      continue;
+    }
     // Each hold of another one bumps the version (I3). Relaxed: a hint. The version of another
     // message's last look says too much rather than too little.
     const std::uint64_t life = block(b).life.load(std::memory_order_relaxed);
@@ -284,12 +296,25 @@ void Participant::settle_idle() noexcept {
         life / refcount::kVersion != before / refcount::kVersion || (same && was_held_[b]);
     const std::uint32_t pool = holder_.cell(b).pool.load(std::memory_order_relaxed);
     const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);
+    // A loan that the application keeps looks the same, but its pool does not have it at hand.
+    const bool rests = life == before && (v & hold::kHolds) == hold::kPointer &&
+                       block(b).home_points.load(std::memory_order_relaxed) == 0;
+    if (!rests || segment::is_reserved(segment_.arena(b))) {
+      idle_looks_[b] = 0;
+    } else {
+      ++idle_looks_[b];
+    }
     if (pool >= pools) continue;
+    if (idle_looks_[b] > kOldLooks) to_trim_[pool] = true;
     constexpr std::uint64_t kSpread = 0x9e3779b97f4a7c15;
     new_prints_[pool] += ((v + refcount::generation_of(life)) * kSpread) ^ b * kSpread;
     if (was_held_[b] && hold::pointers(v) == 0) to_settle_[pool] = true;
   }
   for (std::uint32_t i = 0; i < pools; ++i) {  // pools stay, and where they are
+    if (to_trim_[i] && pools_[i]->granules() != 0) {
+      const std::lock_guard guard(settle_mutex_);
+      pools_[i]->trim_old([this](std::uint32_t b) { return idle_looks_[b] > kOldLooks; });
+    }
     const bool is_idle = std::exchange(prints_[i], new_prints_[i]) == new_prints_[i];
     if (!is_idle || !to_settle_[i] || !pools_[i]->may_wait()) continue;
     std::array<std::uint32_t, 16> foreign;
@@ -301,6 +326,27 @@ void Participant::settle_idle() noexcept {
     const std::lock_guard guard(settle_mutex_);
     pools_[i]->settle_free();
   }
+}
+
+/// Of all wardens one looks, once a second.
+void Participant::give_unused_back() noexcept {
+  if (!segment_.can_give_back()) return;  // another process can, perhaps
+  auto& looked = segment_.directory().looked_ns;
+  std::uint64_t before = looked.load(std::memory_order_relaxed);
+  const auto now = futex::Clock::now();
+  const auto ns = static_cast<std::uint64_t>(now.time_since_epoch() / 1ns);
+  // Signed: another warden may just have looked; in another time namespace it is any time.
+  const auto since = std::chrono::nanoseconds(static_cast<std::int64_t>(ns - before));
+  if ((since > -kTurn && since < kTurn) ||
+      !looked.compare_exchange_strong(before, ns, std::memory_order_relaxed)) {
+    return;
+  }
+  segment_.look_at_units();
+  const auto& errands = segment_.witnesses()[index()].errands;
+  give_back_to_system(kOldLooks, [&] {
+    return errands.load(std::memory_order_relaxed) != 0 ||
+           futex::Clock::now() >= now + kGiveBackTime;
+  });
 }
 
 /// After bits of a dead one, or of the orphanage, were cleared: whoever waits for them looks.
@@ -323,6 +369,7 @@ bool Participant::look_around() noexcept {
   if (due) {
     settle_kept();  // an errand may have been lost
     settle_idle();
+    give_unused_back();
     note_sightings();
     looked_ = now;
   }

@@ -213,6 +213,34 @@ std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) 
   return run;
 }
 
+/// The block names the owner of a unit's granules for a moment. Not the last one: a publisher that
+/// finds none gives messages up.
+std::optional<std::uint32_t> Participant::claim_spare_block() noexcept {
+  bool is_last = true;
+  for (std::uint32_t b = blocks(); b-- != 0;) {
+    if (block(b).home.load(std::memory_order_relaxed) != refcount::kHomeFree) continue;
+    if (!std::exchange(is_last, false) && holder_.claim(b, 0)) return b;
+  }
+  return std::nullopt;
+}
+
+std::uint64_t Participant::give_back_unit(std::uint32_t unit, std::uint32_t looks) noexcept {
+  // So holds_pointers() does not see the block, and a thread that is short of memory waits for this
+  // one unit (trim()).
+  const std::lock_guard guard(pools_mutex_);
+  const auto b = claim_spare_block();
+  if (!b) return 0;
+  const std::uint64_t bytes = segment_.give_back(unit, looks, *b + 1);
+  holder_.give_back(*b);
+  return bytes;
+}
+
+std::uint64_t Participant::give_all_back_to_system() noexcept {
+  gather_from_others([] { return false; }, kGiverPatience);
+  trim(kNobody);
+  return give_back_to_system(0, [] { return false; });
+}
+
 /// Relaxed, as in Survey: what changes meanwhile is seen at the next look.
 Participant::Kept Participant::weigh_kept() noexcept {
   Kept kept;

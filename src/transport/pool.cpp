@@ -29,6 +29,22 @@ void Holder::know(std::uint32_t b) const noexcept {
   }
 }
 
+bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
+  if (!own.claim(words(b), cell(b).hold)) return false;
+  words(b).home_points.store(0, std::memory_order_relaxed);
+  cell(b).type = nullptr;
+  queued(b).store(0, std::memory_order_relaxed);
+  Arena& arena = segment->arena(b);
+  arena.self = segment->offset_of(&arena);
+  arena.block = b;
+  arena.data = segment->granule_offset(0);
+  arena.extents = 0;
+  arena.references = 0;
+  arena.topic = topic;
+  segment::set_reserved(arena, false);
+  return true;
+}
+
 void Holder::release(std::uint32_t b, std::uint64_t amount) const noexcept {
   const Left left = own.release(words(b), cell(b).hold, amount);
   if (left == Left::Home) pool_of(b).came_home(b);
@@ -185,22 +201,10 @@ std::uint32_t Pool::claim() {
   std::uint32_t b = holder_.next_free.load(std::memory_order_relaxed);
   for (std::uint32_t n = 0; n < blocks; ++n, ++b) {
     if (b >= blocks) b = 0;
-    ControlCell& c = holder_.cell(b);
-    if (!holder_.own.claim(holder_.words(b), c.hold)) continue;
+    if (!holder_.claim(b, topic_)) continue;
     holder_.next_free.store(b + 1, std::memory_order_relaxed);
     holder_.know(b);
-    holder_.words(b).home_points.store(0, std::memory_order_relaxed);
-    c.pool.store(index_, std::memory_order_relaxed);
-    c.type = nullptr;
-    holder_.queued(b).store(0, std::memory_order_relaxed);
-    Arena& arena = holder_.segment->arena(b);
-    arena.self = holder_.segment->offset_of(&arena);
-    arena.block = b;
-    arena.data = holder_.segment->granule_offset(0);
-    arena.extents = 0;
-    arena.references = 0;
-    arena.topic = topic_;
-    segment::set_reserved(arena, false);
+    holder_.cell(b).pool.store(index_, std::memory_order_relaxed);
     return b;
   }
   return kNone;
@@ -389,7 +393,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
   arena.extents = 0;
   c.type = nullptr;
   const std::lock_guard guard(lock_);  // is_at_rest_here()
-  holder_.own.give_back(holder_.words(b), c.hold);
+  holder_.give_back(b);
 }
 
 void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
@@ -423,26 +427,13 @@ std::size_t Pool::take_foreign(std::span<std::uint32_t> into) noexcept {
 }
 
 bool Pool::trim(bool with_reserved) noexcept {
-  // Released without the lock, since destructors of messages may run. Piece by piece, into a room
-  // that is there: memory of another kind may be short as well.
-  bool any = false;
-  std::array<std::uint32_t, 64> idle;
-  for (std::size_t n = idle.size(); n == idle.size();) {
-    n = 0;
-    {
-      const std::lock_guard guard(lock_);
-      if (!any) poll_kept();
-      ready_.take_if([&](std::uint32_t b) {
-        const bool goes =
-            n < idle.size() && (with_reserved || !segment::is_reserved(holder_.segment->arena(b)));
-        if (goes) idle[n++] = b;
-        return goes;
-      });
-    }
-    for (std::size_t i = 0; i < n; ++i) release_block(idle[i]);
-    any |= n != 0;
+  {
+    const std::lock_guard guard(lock_);
+    poll_kept();
   }
-  return any;
+  return release_idle([&](std::uint32_t b) {
+    return with_reserved || !segment::is_reserved(holder_.segment->arena(b));
+  });
 }
 
 bool Pool::drain() noexcept {

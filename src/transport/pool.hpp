@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <memory>
@@ -70,6 +71,11 @@ struct Holder {
   void ask(std::uint32_t k, std::uint32_t errand) const noexcept;
   /// Tells the home of another's block, which waits for it, that our last hold has gone.
   void tell_home(std::uint32_t b) const noexcept;
+
+  /// Claims block b, for messages of that topic (its key, or 0). False: it is not free.
+  bool claim(std::uint32_t b, std::uint64_t topic) noexcept;
+  /// Gives a block back to everybody. REQUIRES: it is exclusively owned, and has no memory.
+  void give_back(std::uint32_t b) const noexcept { own.give_back(words(b), cell(b).hold); }
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
   [[gnu::hot]] void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
@@ -326,6 +332,14 @@ class Pool {
   /// Gives the memory of idle blocks back to everybody; what reserve() made only if told to. True
   /// when there was some.
   bool trim(bool with_reserved) noexcept;
+  /// The same for those that is_old(block) names, but for what reserve() made.
+  template <class Old>
+  void trim_old(Old&& is_old) noexcept {
+    release_idle([&](std::uint32_t b) {
+      detail::Arena& arena = holder_.segment->arena(b);
+      return is_old(b) && arena.extents != 0 && !segment::is_reserved(arena);
+    });
+  }
 
  private:
   std::uint32_t try_reclaim();
@@ -346,6 +360,8 @@ class Pool {
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
   void grow(std::size_t room);
   bool drop_if_held(std::uint32_t b) noexcept;
+  template <class May>
+  bool release_idle(May&& may) noexcept;
   void release_block(std::uint32_t b) noexcept;
 
   Holder& holder_;
@@ -391,6 +407,29 @@ void Holder::each_reference(std::uint32_t b, F&& f) const {
     if (target < segment->capacity().blocks) f(target);
     return true;
   });
+}
+
+/// Idle blocks that may(block) go are everybody's. True when there was one.
+template <class May>
+bool Pool::release_idle(May&& may) noexcept {
+  // Released without the lock, since destructors of messages may run. Piece by piece, into a room
+  // that is there: memory of another kind may be short as well.
+  bool any = false;
+  std::array<std::uint32_t, 64> idle;
+  for (std::size_t n = idle.size(); n == idle.size();) {
+    n = 0;
+    {
+      const std::lock_guard guard(lock_);
+      ready_.take_if([&](std::uint32_t b) {
+        const bool goes = n < idle.size() && may(b);
+        if (goes) idle[n++] = b;
+        return goes;
+      });
+    }
+    for (std::size_t i = 0; i < n; ++i) release_block(idle[i]);
+    any |= n != 0;
+  }
+  return any;
 }
 
 template <class Protected>

@@ -6,6 +6,7 @@
 #include "jobs.hpp"
 #include "node.hpp"
 #include "publisher.hpp"
+#include "transport/participant.hpp"
 
 namespace lot::chaos {
 
@@ -26,6 +27,11 @@ void Juggler::turn() {
   for (std::uint64_t n = random.below(8); n > 0 && life_.stage() == Stage::Run; --n) {
     if (publisher) publisher->turn();
     if (reader) reader->turn();
+    // What wardens do with what was long unused, at once.
+    if (random.chance(20)) {
+      const auto participant = transport::Participant::join(life_.epoch.engine);
+      participant->give_back_to_system(0, [] { return false; });
+    }
   }
   // Handles, and pointers that they hold, may outlive their engines.
   for (unsigned n = 0; n < 6; ++n) {

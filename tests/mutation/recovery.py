@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes in the steps of recovery, sleep and death, each planted in a copy of the headers."""
+"""Mistakes in the steps of recovery, sleep, death and memory that goes back, each planted in a copy
+of the headers."""
 
 import dataclasses
 import pathlib
@@ -10,6 +11,7 @@ import tempfile
 RECOVERY = 'src/recovery/recovery.hpp'
 OWNERSHIP = 'src/refcount/ownership.hpp'
 SLEEP = 'src/lockfree_ring/sleep.hpp'
+UNITS = 'src/segment/units.hpp'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,6 +136,16 @@ MISTAKES = (
         '    return (others & ~kWanted) == 0 &&\n',
         '''    life = b.life.load(std::memory_order_relaxed);
     return (others & ~kWanted) == 0 &&\n'''),)),
+    Planted('memory goes back without being claimed', UNITS, 'granules', (
+        ('    if (!granules.extend(first, run, tag)) return false;\n', '    (void)tag;\n'),
+        ('    granules.put_back(first, run);\n', ''))),
+    Planted('what an attempt has got is forgotten', UNITS, 'granules', ((
+        '    const bool given = ask(unit);\n    note_attempt(unit);\n',
+        '    const bool given = ask(unit);\n'),)),
+    Planted('a unit is none, whoever has asked for it meanwhile', UNITS, 'granules', ((
+        '        words_[unit].compare_exchange_strong(leaving, kNone, std::memory_order_relaxed,\n'
+        '                                             std::memory_order_relaxed);\n',
+        '        words_[unit].store(leaving - leaving, std::memory_order_relaxed);\n'),)),
 )
 
 
@@ -160,7 +172,7 @@ def misplaced(root):
 class Builds:
     """Builds the model against copies of the headers; each is gone when it has been tried out."""
 
-    COPIED = ('lockfree_ring', 'refcount', 'recovery', 'robust_mutex')
+    COPIED = ('lockfree_ring', 'refcount', 'recovery', 'robust_mutex', 'segment')
 
     def __init__(self, root, compiler, relacy):
         self.root = root

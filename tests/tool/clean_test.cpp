@@ -25,6 +25,10 @@ std::string path_of(const lot::EngineOptions& options) {
   return options.directory + "/" + options.segment;
 }
 
+struct Picture {
+  lot::ShmVector<char> data;
+};
+
 void leave_a_dead_segment(const lot::EngineOptions& options) {
   Actor actor(options, "actor");
   actor.act(kParcels, "advertise", 1);
@@ -93,6 +97,52 @@ TEST_CASE(
   fs::resize_file(path_of(room.options()), 80);
   CHECK(run_lot({"clean", "--dir", room.path()}).exit == 0);
   CHECK(room.files() == 0);
+}
+
+TEST_CASE("memory that nobody uses goes back at once") {
+  const Watchdog watchdog(60);
+  const Room room;
+  lot::EngineOptions options = room.options();
+  options.size_bytes = 64 << 20;
+  const Steps idle, go;
+  Child camera([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Picture>("/pictures");
+    {
+      std::vector<lot::ShmUniquePtr<Picture>> loans;
+      for (int i = 0; i < 8; ++i) {
+        loans.push_back(pusher.loan());
+        loans.back()->data.assign(4 << 20, 'x');
+      }
+    }
+    idle.tell();
+    go.next();
+    auto picture = pusher.loan();
+    picture->data.resize(4 << 20);
+    must(picture->data.back() == 0, "memory that went back is as new");
+  });
+  REQUIRE(idle.next() != 0);
+  const auto taken = [&] {
+    return run_lot(on(options, {"ls", "--json"}))
+        .json()
+        .at("segments")
+        .at(0)
+        .at("memory")
+        .at("taken_bytes")
+        .get<std::uint64_t>();
+  };
+  const std::uint64_t before = taken();
+  const Ran dry = run_lot(on(options, {"clean", "--dry-run"}));
+  CHECK(dry.exit == 0);
+  CHECK(taken() == before);
+  const Ran ran = run_lot(on(options, {"clean", "--json"}));
+  CHECK(ran.exit == 0);
+  const auto bytes = ran.json().at("given_back").at(0).at("bytes").get<std::uint64_t>();
+  CHECK(bytes >= 28 << 20);
+  CHECK(taken() + bytes == before);
+  CHECK(run_lot(on(options, {"clean", "--json"})).json().at("given_back").empty());
+  go.tell();
+  CHECK(camera.wait() == 0);
 }
 
 TEST_CASE("a damaged segment that somebody lives in is left alone") {

@@ -208,8 +208,9 @@ TEST_CASE("clean as a document has these keys") {
     actor.kill9();
   }
   const Json document = run_lot(on(room.options(), {"clean", "--json"})).json();
-  CHECK(keys_of(document) == std::set<std::string>{".dry_run", ".exit", ".hints", ".left_alone",
-                                                   ".reaped", ".removed[].path", ".removed[].why"});
+  CHECK(keys_of(document) == std::set<std::string>{".dry_run", ".exit", ".given_back", ".hints",
+                                                   ".left_alone", ".reaped", ".removed[].path",
+                                                   ".removed[].why"});
 }
 
 TEST_CASE("ls and who change no byte of a segment, and take no memory for what nobody has used") {

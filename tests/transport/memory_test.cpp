@@ -2,15 +2,19 @@
 
 // Memory and blocks run out: whose messages go, and what a publisher that is bound by them does.
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <functional>
 #include <new>
 #include <optional>
+#include <random>
 #include <span>
 #include <string>
+#include <sys/stat.h>
 #include <utility>
 #include <vector>
 
@@ -203,6 +207,112 @@ TEST_CASE("where the file system is full the memory that was used before serves 
       CHECK_THROWS_AS(frame->data.resize(8 * kMiB), lot::OutOfMemory);
       CHECK(left() == 8);
     }
+  }
+}
+
+/// What the file system holds for the segment.
+std::uint64_t taken(const lot::ShmEngine& engine) {
+  struct stat status {};
+  REQUIRE(stat(engine.path().c_str(), &status) == 0);
+  return static_cast<std::uint64_t>(status.st_blocks) * 512;
+}
+
+TEST_CASE("memory that nobody uses any more goes back to the system") {
+  const Watchdog watchdog(120);
+  Place place(256 * kMiB);
+  auto kept = place.engine.advertise<Frame>("kept", {Policy::Overwrite, 2, {}});
+  for (int i = 1; i <= 2; ++i) {
+    auto frame = kept.loan();
+    frame->number = i;
+    frame->data.assign(3 * kMiB, static_cast<char>(i));
+    REQUIRE(kept.push(std::move(frame)) == Status::Ok);
+  }
+  auto reserved = place.engine.advertise<Frame>("reserved", {Policy::Overwrite, 2, {}});
+  reserved.reserve(2, 8 * kMiB);
+  const std::uint64_t before = taken(place.engine);
+  std::optional<lot::ShmPusher<Frame>> burst = place.engine.advertise<Frame>("burst");
+  push_frames(*burst, 30, 4 * kMiB);
+  CHECK(taken(place.engine) >= before + 120 * kMiB);
+  SUBCASE("of a publisher that has gone") { burst.reset(); }
+  SUBCASE("of loans of a publisher that is there") {
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    burst.reset();
+    burst.emplace(place.engine.advertise<Frame>("burst"));
+    for (int i = 0; i < 30; ++i) {
+      loans.push_back(burst->loan());
+      loans.back()->data.resize(4 * kMiB);
+    }
+  }
+  CHECK(eventually([&] { return taken(place.engine) <= before + 4 * kMiB; }, 60s));
+  CHECK(taken(place.engine) >= before - 4 * kMiB);  // the rest is in use, or reserved
+  auto frames = place.engine.subscribe<Frame>("kept", latched(2));
+  for (int i = 1; i <= 2; ++i) {
+    const auto frame = frames.try_pull();
+    REQUIRE(frame);
+    CHECK(frame->number == i);
+    CHECK(std::count(frame->data.begin(), frame->data.end(), static_cast<char>(i)) == 3 * kMiB);
+  }
+}
+
+TEST_CASE("killed while it gives memory back, a process leaves what others repair") {
+  const Watchdog watchdog(120);
+  std::mt19937_64 random(seed());
+  Place place(32 * kMiB);
+  lot::segment::Segment segment(place.engine.path());
+  const lot::EngineOptions options = [&] {
+    lot::EngineOptions same;
+    same.segment = std::filesystem::path(place.engine.path()).filename();
+    return same;
+  }();
+  for (int round = 0; round < 12; ++round) {
+    const Steps begun;
+    Child child([&] {
+      lot::ShmEngine engine(options);
+      const auto participant = lot::transport::Participant::join(options);
+      for (bool first = true;; first = false) {
+        engine.advertise<Frame>("frames").reserve(2, 4 * kMiB);
+        participant->give_back_to_system(0, [] { return false; });
+        if (first) begun.tell();
+      }
+    });
+    REQUIRE(begun.next() != 0);
+    usleep(static_cast<useconds_t>(random() % 6000));
+    child.kill9();
+    CHECK(eventually([&] { return Audit(segment).participants == 1; }));
+    CHECK(leak_in(place.engine.path()) == "");
+  }
+  auto pusher = place.engine.advertise<Frame>("frames", {Policy::Overwrite, 4, {}});
+  push_frames(pusher, 8, 3 * kMiB);
+}
+
+TEST_CASE("memory that went back is asked for again before it is used") {
+  const Watchdog watchdog(60);
+  const SmallDisk disk("size=40m");
+  if (disk.path.empty()) {
+    MESSAGE("no tmpfs can be mounted here");
+    return;
+  }
+  lot::EngineOptions options = fresh(32 * kMiB);
+  options.directory = disk.path;
+  {
+    lot::ShmEngine engine(options);
+    {
+      auto first = engine.advertise<Frame>("first", {Policy::Overwrite, 8, {}});
+      push_frames(first, 8, 2 * kMiB);
+    }
+    const auto participant = lot::transport::Participant::join(options);
+    const std::uint64_t before = taken(engine);
+    CHECK(participant->give_all_back_to_system() >= 14 * kMiB);
+    CHECK(taken(engine) + 14 * kMiB <= before);
+    CHECK(participant->give_all_back_to_system() == 0);
+    auto second = engine.advertise<Frame>("second", {Policy::Overwrite, 8, {}});
+    {
+      const Filling filling(disk.path);
+      auto frame = second.loan();
+      CHECK_THROWS_AS(frame->data.resize(8 * kMiB), lot::OutOfMemory);
+    }
+    push_frames(second, 8, 2 * kMiB);
+    CHECK(taken(engine) + 4 * kMiB >= before);
   }
 }
 
