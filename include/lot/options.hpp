@@ -42,16 +42,19 @@ enum class QueueEngine : std::uint32_t {
 
 struct PusherOptions {
   Policy policy = Policy::Overwrite;
-  /// Messages that the queue holds at most. Under Overwrite it may hold fewer while the segment is
-  /// short of memory.
+  /// Messages that the queue holds at most. Under Overwrite it may hold fewer while the segment, or
+  /// max_bytes, is short of memory. Under Block and Refuse a message has its memory until `depth`
+  /// more have been pushed, also when all readers have read it: the segment must have room for
+  /// them.
   std::uint32_t depth = 64;
   Duration block_for = std::chrono::seconds(1);
   /// LOT_QUEUE=ring or LOT_QUEUE=mutex in the environment comes before it, for every topic.
   QueueEngine engine = QueueEngine::Ring;
-  /// Memory that all messages that it loans take together at most, also those that others keep;
-  /// what fits into a block of its own does not count. Beyond it the publisher gives its own oldest
-  /// up; where none can go, a message does not grow (lot::OutOfMemory). 0: as much as the segment
-  /// has.
+  /// The most memory that the messages which this publisher loans take together: in its queue,
+  /// loaned, idle, reserved, or kept by readers. Messages of up to 256 bytes, the queue itself and
+  /// messages of others do not count. Under Overwrite the publisher gives its own oldest up beyond
+  /// it; where none can go, a message does not grow (lot::OutOfMemory). Threads that grow messages
+  /// at once may exceed it by one each. 0: as much as the segment has.
   std::uint64_t max_bytes = 0;
 };
 
@@ -69,9 +72,11 @@ struct PullerOptions {
   /// What is kept of this subscription's messages at once: memory, in bytes. Beyond it pulls say
   /// Status::HoldsTooMuch, and messages wait in the queue, or are overwritten, until some are let
   /// go. 0: a quarter of the segment. At most 7/16 of it; less while other subscriptions hold much,
-  /// since all together leave the half. One message is always allowed.
+  /// since all together leave the half. One message is always allowed. Besides, a subscription
+  /// keeps at most a quarter of EngineOptions::blocks messages.
   std::uint64_t max_held_bytes = 0;
-  static constexpr std::uint64_t kNoQuota = ~std::uint64_t{0};  ///< of max_held_bytes
+  /// Of max_held_bytes: neither limit. Such a subscription can leave publishers without memory.
+  static constexpr std::uint64_t kNoQuota = ~std::uint64_t{0};
 };
 
 }  // namespace lot

@@ -76,7 +76,8 @@ class ShmPuller {
     return pull_kept(true, detail::after(timeout), false);
   }
   ShmSharedPtr<const T> pull_until(Deadline deadline) { return pull_kept(true, deadline, false); }
-  /// Waits for ever.
+  /// Waits for ever for a message. Null, and HoldsTooMuch, a second after one has come that may not
+  /// be kept. A signal handler does not end it, nor any other wait.
   ShmSharedPtr<const T> pull() { return pull_kept(true, {}, true); }
 
   ShmBorrow<T> try_borrow() { return look(false, {}, false); }
@@ -84,8 +85,9 @@ class ShmPuller {
   ShmBorrow<T> borrow_until(Deadline deadline) { return look(true, deadline, false); }
   ShmBorrow<T> borrow() { return look(true, {}, true); }
 
-  /// How the last pull or borrow ended: Ok, Empty, Timeout, PublisherGone; a pull also
-  /// HoldsTooMuch. One that waits then waits a second at most for the process to let something go.
+  /// How the last pull or borrow ended: Ok, Timeout; of a try_, Empty or PublisherGone (nobody
+  /// publishes now, or yet); of a pull also HoldsTooMuch. A pull that waits does so for a second at
+  /// most when the process may keep no more.
   Status status() const noexcept { return status_; }
   /// Messages lost to this reader just before the last one that it got.
   std::uint64_t missed() const noexcept { return missed_; }

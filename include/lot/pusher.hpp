@@ -78,7 +78,8 @@ class ShmPusher {
     return detail::build<T>(core_->loan(detail::message_type<T>(), true),
                             std::forward<Args>(args)...);
   }
-  /// The same, but null when the segment has no room.
+  /// The same, but null when the segment has no room for the struct. Vectors and strings in it ask
+  /// for memory when they grow, and throw lot::OutOfMemory.
   template <class... Args>
   ShmUniquePtr<T> try_loan(Args&&... args) {
     const detail::Loan loan = core_->loan(detail::message_type<T>(), false);
@@ -122,7 +123,11 @@ class ShmPusher {
     return core_->wait_for_readers(count, timeout);
   }
   /// Makes memory for `count` messages of `bytes` each and touches it, so that the first frames are
-  /// as fast as the later ones. It stays this publisher's, however seldom it publishes.
+  /// as fast as the later ones, and those of a publisher that seldom publishes.
+  ///
+  /// count: the depth, the loans at once, and the messages that readers keep. bytes: of all vectors
+  /// and strings of a message. No other publisher gets it; it counts for PusherOptions::max_bytes.
+  /// Errors: lot::OutOfMemory, and then nothing is reserved.
   void reserve(std::size_t count, std::size_t bytes) { core_->reserve(count, bytes); }
 
  private:

@@ -9,9 +9,10 @@ namespace lot {
 /// it not.
 ///
 /// A signal that is ignored or has a handler is left alone. A second one, half a second after the
-/// first, ends the process at once. Destructors need not run; a main() that returns meanwhile waits
-/// for the end, so that the exit code is the signal's. It knows of one copy of the library: the
-/// segment of another one in the process (a plugin) stays for the next one to come.
+/// first, ends the process at once. No destructor need run, and no buffer be written: a program
+/// that has to finish work catches the signal itself. A main() that returns meanwhile waits for the
+/// end, so that the exit code is the signal's. It knows of one copy of the library: the segment of
+/// another one in the process (a plugin) stays for the next one to come.
 ///
 /// Threads: at any time; it starts one, which sleeps until a signal comes.
 /// Fork:    in a child they act as by default, until it calls this itself.
