@@ -82,8 +82,8 @@ class Units {
     return true;
   }
 
-  /// One look: is_used(unit) says whether a granule of it is in use. Relaxed, as all looks: whoever
-  /// acts on it has the granules.
+  /// One look: is_used(unit) says whether a granule of it is in use. Relaxed, as all looks: the
+  /// process that acts on it has the granules.
   template <class Used>
   void look(std::uint32_t unit, Used&& is_used) {
     std::uint32_t said = words_[unit].load(std::memory_order_relaxed);
@@ -95,7 +95,7 @@ class Units {
                                            std::memory_order_relaxed);
     }
   }
-  /// So many looks have found it unused, or nobody can say what became of it.
+  /// So many looks have found it unused, or it is not known what became of it.
   bool is_old(std::uint32_t unit, std::uint32_t looks) const {
     const std::uint32_t said = words_[unit].load(std::memory_order_relaxed);
     if (said < kGiven) return said != kNone;
@@ -106,8 +106,7 @@ class Units {
   /// granules are `run` from `first` on; they carry `tag` meanwhile. False: it is in use, or the
   /// file system refuses; then ask(unit) sees to that it has what it had.
   ///
-  /// Crash: killed anywhere in it, the granules carry the tag or none, and the unit is leaving or
-  /// as
+  /// Crash: killed anywhere in it, the granules carry the tag or none; the unit is leaving, or as
   ///        before.
   template <class Punch, class Ask>
   bool give_back(std::uint32_t unit, std::uint32_t looks, Granules<P>& granules,

@@ -30,7 +30,7 @@ constexpr auto kIdleLook = 1s;
 constexpr std::uint8_t kOldLooks = 5;
 /// What is more waits for the next look: the warden watches over the other processes.
 constexpr auto kGiveBackTime = 20ms;
-/// Looks for memory that nobody uses are so far apart, at the least.
+/// Looks for unused memory are so far apart, at the least.
 constexpr auto kTurn = kIdleLook * 9 / 10;
 /// Between two errands of other processes, however many they bring.
 constexpr auto kErrandRest = 1ms;
@@ -282,7 +282,7 @@ void Participant::settle_idle() noexcept {
   std::fill(to_trim_.begin(), to_trim_.end(), false);
   const std::uint32_t known = holder_.known.load(std::memory_order_relaxed);
   for (std::uint32_t b = 0; b < known; ++b) {
-    if (idle_looks_[b] > kOldLooks) idle_looks_[b] = 0;  // it was a loan
+    if (idle_looks_[b] >= kOldLooks) idle_looks_[b] = 0;  // it was a loan
     if (!holder_.is_home(b)) {
       idle_looks_[b] = 0;
       continue;
@@ -305,7 +305,7 @@ void Participant::settle_idle() noexcept {
       ++idle_looks_[b];
     }
     if (pool >= pools) continue;
-    if (idle_looks_[b] > kOldLooks) to_trim_[pool] = true;
+    if (idle_looks_[b] >= kOldLooks) to_trim_[pool] = true;
     constexpr std::uint64_t kSpread = 0x9e3779b97f4a7c15;
     new_prints_[pool] += ((v + refcount::generation_of(life)) * kSpread) ^ b * kSpread;
     if (was_held_[b] && hold::pointers(v) == 0) to_settle_[pool] = true;
@@ -313,7 +313,7 @@ void Participant::settle_idle() noexcept {
   for (std::uint32_t i = 0; i < pools; ++i) {  // pools stay, and where they are
     if (to_trim_[i] && pools_[i]->granules() != 0) {
       const std::lock_guard guard(settle_mutex_);
-      pools_[i]->trim_old([this](std::uint32_t b) { return idle_looks_[b] > kOldLooks; });
+      pools_[i]->trim_old([this](std::uint32_t b) { return idle_looks_[b] >= kOldLooks; });
     }
     const bool is_idle = std::exchange(prints_[i], new_prints_[i]) == new_prints_[i];
     if (!is_idle || !to_settle_[i] || !pools_[i]->may_wait()) continue;

@@ -74,7 +74,7 @@ struct Holder {
 
   /// Claims block b, for messages of that topic (its key, or 0). False: it is not free.
   bool claim(std::uint32_t b, std::uint64_t topic) noexcept;
-  /// Gives a block back to everybody. REQUIRES: it is exclusively owned, and has no memory.
+  /// Gives a block back to the segment. REQUIRES: it is exclusively owned, and has no memory.
   void give_back(std::uint32_t b) const noexcept { own.give_back(words(b), cell(b).hold); }
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
@@ -219,8 +219,8 @@ class Pool {
     limit(0);
   }
 
-  /// Its publisher has gone: blocks that come home from now on, from pointers that outlive it, are
-  /// everybody's.
+  /// Its publisher has gone: blocks that come home from now on, from pointers that outlive it, go
+  /// back to the segment.
   void close() noexcept {
     const std::lock_guard guard(lock_);
     is_in_use_ = false;
@@ -409,7 +409,7 @@ void Holder::each_reference(std::uint32_t b, F&& f) const {
   });
 }
 
-/// Idle blocks that may(block) go are everybody's. True when there was one.
+/// Idle blocks that may(block) names go back to the segment. True when there was one.
 template <class May>
 bool Pool::release_idle(May&& may) noexcept {
   // Released without the lock, since destructors of messages may run. Piece by piece, into a room
