@@ -85,8 +85,8 @@ class ShmPuller {
   ShmBorrow<T> borrow_until(Deadline deadline) { return look(true, deadline, false); }
   ShmBorrow<T> borrow() { return look(true, {}, true); }
 
-  /// How the last pull or borrow ended: Ok, Timeout; of a try_, Empty or PublisherGone (nobody
-  /// publishes now, or yet); of a pull also HoldsTooMuch. A pull that waits does so for a second at
+  /// How the last pull or borrow ended: Ok, Timeout; of a try_, Empty or PublisherGone (no
+  /// publisher now, or yet); of a pull also HoldsTooMuch. A pull that waits does so for a second at
   /// most when the process may keep no more.
   Status status() const noexcept { return status_; }
   /// Messages lost to this reader just before the last one that it got.
