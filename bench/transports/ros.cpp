@@ -403,11 +403,22 @@ Transport base(std::string name, std::string about) {
   return t;
 }
 
+/// A datagram of 1500 bytes takes up to a page of the buffer that it waits in.
+constexpr std::size_t kBufferPerByte = 4;
+
+/// Bytes that wait in a socket which nobody has set, and roscpp sets none of UDPROS.
+std::size_t receive_buffer() {
+  std::size_t bytes = 0;
+  std::ifstream("/proc/sys/net/core/rmem_default") >> bytes;
+  return bytes;
+}
+
 Transport ros_transport(std::string name, std::string about, Way way) {
   Transport t = base(std::move(name), std::move(about));
   t.threads = way == Way::Intra;
   t.copies = copies(way);
   t.may_lose = way == Way::Udp;
+  if (way == Way::Udp) t.arrives = receive_buffer() / kBufferPerByte;
   t.sender = [way](const Stream& stream, unsigned publisher) {
     return std::make_unique<RosSender>(stream, way, publisher);
   };

@@ -102,7 +102,10 @@ struct Transport {
   bool waits = true;        ///< push() can wait for slow subscribers: nothing need be lost
   bool is_network = false;  ///< needs Stream::address
   bool may_lose = false;    ///< the last message, too
-  bool copies = false;      ///< a message's bytes are copied on their way
+  /// Bytes of a message that arrives whole, however busy the machine is, when nothing else is on
+  /// its way: more than this, and whoever sends can outrun whoever reads.
+  std::size_t arrives = SIZE_MAX;
+  bool copies = false;  ///< a message's bytes are copied on their way
   /// Why this stream cannot be had: empty, or a sentence that says what can be set instead.
   std::function<std::string(const Stream&)> refuses;
   /// Null where none is needed.
