@@ -73,11 +73,8 @@ class ShmEngine {
     putting.engine = options.engine;
     PullerOptions popping;
     popping.wait = options.wait;
-    return ShmQueue<T>(detail::make_queue(participant_, name,
-                                          Item::kDelivery == detail::Delivery::ToAll
-                                              ? detail::message_type<Element>()
-                                              : detail::taken_type<Element>(),
-                                          putting, popping, Item::kDelivery));
+    return ShmQueue<T>(detail::make_queue(participant_, name, detail::queue_type<T>(options),
+                                          putting, popping, detail::delivery_of<T>(options)));
   }
   /// A message that belongs to no topic: to be pushed on several, or referred to by others.
   template <class T, class... Args>

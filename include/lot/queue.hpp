@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cerrno>
 #include <chrono>
 #include <cstddef>
 #include <memory>
@@ -13,6 +14,7 @@
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
 #include "lot/duration.hpp"
+#include "lot/error.hpp"
 #include "lot/options.hpp"
 #include "lot/pointers.hpp"
 #include "lot/pusher.hpp"
@@ -25,6 +27,72 @@ struct QueueOptions {
   Policy policy = Policy::Block;
   QueueEngine engine = QueueEngine::Ring;  ///< LOT_QUEUE comes before it
   Wait wait = Wait::Adaptive;
+  /// Items are tasks: each is taken by a worker (ShmQueue::wait_and_take()) and stays in the queue
+  /// until that one has called ShmTask::finish(); if it dies or gives up before, another worker
+  /// gets it. All who use the queue must say the same. Not for items that everybody gets, nor with
+  /// Policy::Overwrite.
+  bool redeliver = false;
+};
+
+/// A task that this process works on, and has not finished: a read-only item of a queue that was
+/// made with QueueOptions::redeliver.
+///
+///     lot::ShmTask<Job> task = queue.wait_and_take();
+///     work(*task);    // if this throws, or the process is killed, another worker gets the task
+///     task.finish();
+///
+/// Until finish() the task has its place in the queue, so it counts for the depth. A task that is
+/// given back, or whose worker has died, is the next one to be taken of those that its handle has
+/// put. So a task is done at least once: a worker that is killed between its work and finish() has
+/// done it, and another one does it again.
+///
+/// Threads: as a std::unique_ptr: any thread may have it, one at a time.
+/// Memory:  the queue's core lives until its handle and all its tasks have gone.
+/// Crash:   the task comes back as soon as the death is seen (some milliseconds), in all processes.
+template <class T>
+class ShmTask {
+ public:
+  ShmTask() = default;
+  ShmTask(std::shared_ptr<detail::QueueCore> queue, const detail::Claim& claim)
+      : queue_(std::move(queue)), claim_(claim) {}
+  ShmTask(ShmTask&& other) noexcept : queue_(std::move(other.queue_)), claim_(other.claim_) {}
+  ShmTask& operator=(ShmTask&& other) noexcept {
+    if (this != &other) {
+      give_back();
+      queue_ = std::move(other.queue_);
+      claim_ = other.claim_;
+    }
+    return *this;
+  }
+  ~ShmTask() { give_back(); }
+
+  /// False: there was none in time, or it is finished, or given back.
+  explicit operator bool() const noexcept { return queue_ != nullptr; }
+  const T* get() const noexcept {
+    return queue_ ? static_cast<const T*>(claim_.item.root) : nullptr;
+  }
+  const T& operator*() const noexcept { return *get(); }
+  const T* operator->() const noexcept { return get(); }
+  /// How often workers have got this task, with this time: 1 at first. It counts up to 4095.
+  std::uint32_t deliveries() const noexcept { return queue_ ? claim_.deliveries : 0; }
+
+  /// The task is done: nobody gets it any more. Nothing where there is none. Throws lot::Error in a
+  /// forked child: the task is its parent's.
+  void finish() {
+    if (!queue_) return;
+    queue_->finish(claim_);
+    queue_.reset();
+  }
+  /// Another worker may do it, or this one later.
+  void give_back() noexcept {
+    if (!queue_) return;
+    queue_->give_back(claim_);
+    queue_.reset();
+  }
+
+ private:
+  std::shared_ptr<detail::QueueCore> queue_;  ///< null: no task
+  detail::Claim claim_;
 };
 
 namespace detail {
@@ -114,6 +182,44 @@ const MessageType& taken_type() {
   }();
   return type;
 }
+/// And of one whose items are tasks: those who redeliver and those who do not never meet.
+template <class U>
+const MessageType& task_type() {
+  static const std::string name =
+      std::string("ShmQueue with redelivery of ") + message_type<U>().name;
+  static const MessageType type = [] {
+    MessageType t = taken_type<U>();
+    t.name = name.c_str();
+    return t;
+  }();
+  return type;
+}
+
+/// How the items of a queue are delivered. Throws lot::Error (EINVAL) where items that everybody
+/// gets are to be redelivered.
+template <class T>
+Delivery delivery_of(const QueueOptions& options) {
+  if (!options.redeliver) return QueueItem<T>::kDelivery;
+  if (QueueItem<T>::kDelivery == Delivery::ToAll) {
+    throw Error(EINVAL, message_type<typename QueueItem<T>::Element>().name,
+                "items that each reader gets cannot be redelivered",
+                "use ShmQueue<ShmUniquePtr<T>>, or ShmQueue<T>, whose items one worker gets");
+  }
+  return Delivery::ToWorker;
+}
+template <class T>
+const MessageType& queue_type(const QueueOptions& options) {
+  using Element = typename QueueItem<T>::Element;
+  switch (delivery_of<T>(options)) {
+    case Delivery::ToOne:
+      return taken_type<Element>();
+    case Delivery::ToWorker:
+      return task_type<Element>();
+    case Delivery::ToAll:
+      break;
+  }
+  return message_type<Element>();
+}
 
 }  // namespace detail
 
@@ -136,8 +242,10 @@ const MessageType& taken_type() {
 /// reads all of them. Threads that share a handle share its items, each of which one of them gets.
 /// A handle reads from its first look on (a pop, is_empty(), size(), listen()): of shared items it
 /// gets what is put after that, however late it pops, also when the handle that put them has gone
-/// or its process was killed. Items for one wait in the queue until a handle takes them, as long
-/// as the handle that has put them lives or any handle reads.
+/// or its process was killed. Items for one wait in the queue until a handle takes them, also when
+/// everybody who has put some has gone; the last process of a segment removes it, with all that
+/// waits there, unless EngineOptions::persist says that it stays. A queue with
+/// QueueOptions::redeliver has tasks instead: see ShmTask.
 ///
 /// Threads: all members may be called at once, on one handle or several.
 /// Errors:  where a value cannot be copied out (its copy constructor throws: no memory), the pop
@@ -156,7 +264,7 @@ class ShmQueue {
   using value_type = T;
   using Element = typename Item::Element;
 
-  explicit ShmQueue(std::unique_ptr<detail::QueueCore> core) : core_(std::move(core)) {}
+  explicit ShmQueue(std::shared_ptr<detail::QueueCore> core) : core_(std::move(core)) {}
 
   /// A new item, built in shared memory from args, to be put later.
   template <class... Args>
@@ -225,6 +333,19 @@ class ShmQueue {
   }
   std::optional<T> try_pop() { return pop(detail::QueueCore::Wait::Never, {}); }
 
+  // Taking tasks, where the queue was made with QueueOptions::redeliver; popping is not for those.
+  // lot::Error (EINVAL) for the one where the other is meant. An empty task when there was none in
+  // time.
+
+  ShmTask<Element> wait_and_take() { return take(detail::QueueCore::Wait::Forever, {}); }
+  ShmTask<Element> wait_and_take_for(Duration timeout) {
+    return wait_and_take_until(detail::after(timeout));
+  }
+  ShmTask<Element> wait_and_take_until(Deadline deadline) {
+    return take(detail::QueueCore::Wait::Until, deadline);
+  }
+  ShmTask<Element> try_take() { return take(detail::QueueCore::Wait::Never, {}); }
+
   /// Begins to read: of shared items this handle gets all that are put from now on.
   void listen() { core_->listen(); }
   /// Items that this handle could pop now: true a moment ago, when others pop or put meanwhile.
@@ -242,6 +363,12 @@ class ShmQueue {
     return Item::template from<std::optional<T>>(*core_, item, std::in_place);
   }
 
+  ShmTask<Element> take(detail::QueueCore::Wait wait, Clock::time_point deadline) {
+    detail::Claim claim;
+    if (!core_->take(claim, wait, deadline)) return {};
+    return {core_, claim};
+  }
+
   template <class Made>
   Status put_made(Made&& made, Clock::time_point deadline) {
     const Status status = core_->put_unique(detail::PointerAccess::cell(made), deadline);
@@ -249,7 +376,7 @@ class ShmQueue {
     return status;
   }
 
-  std::unique_ptr<detail::QueueCore> core_;
+  std::shared_ptr<detail::QueueCore> core_;
 };
 
 }  // namespace lot

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "lockfree_ring/claims.hpp"
 #include "lockfree_ring/words.hpp"
 #include "robust_mutex/robust_condition.hpp"
 
@@ -29,7 +30,8 @@
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
 ///       in Writer::room (seq_cst): a joiner is either on the writer's list or starts behind it.
 ///   R5  clear_sleeper() (release)          -> sleeper's look at the slot (acquire)
-///       carries: the writer word ORPHAN, or the directory's change, that preceded the clearing.
+///       carries: the writer word ORPHAN, the directory's change, or `returned`, that preceded the
+///       clearing.
 ///   R6  space mark, then positions in Writer::room (seq_cst)
 ///       <-> position store, then space load on an empty poll (seq_cst)
 ///       a sender that sleeps for room is rung by the reader that made some.
@@ -39,7 +41,7 @@
 ///       carries: the former reader's last stores to the cell.
 ///   R9  ORPHAN (release)                   -> writer load in Reader::orphaned (acquire)
 ///       carries: the last messages.
-///   R10 slot compare-and-swap in Reader::take -> slot load in Writer::room, Writer::each_taken
+///   R10 slot compare-and-swap in empty() -> slot load in Writer::room, Writer::each_taken
 ///       carries: the taker's hold on the block. Both are seq_cst, as R2: the writer sees the
 ///       hazard of whoever has seen the message before.
 ///   R11 `to` by compare-and-swap in Writer::serve (release) -> `to` in Reader::to (acquire)
@@ -57,7 +59,8 @@
 ///       of a living joiner for that of a dead subscriber.
 ///
 /// A queue whose messages are each taken by one reader (`taken`) is a ring as well: who has read a
-/// message takes it out of its slot, and who finds none there goes on.
+/// message takes it out of its slot, and who finds none there goes on. Where messages are to be
+/// finished (`claims`), it is taken out only then (claims.hpp).
 namespace lot::ring {
 
 /// One reader's shared words, on a line of their own.
@@ -105,6 +108,9 @@ struct Ring {
   Word first = 0;         ///< sequence of the first message; slot 0 is the one that takes it
   /// The mutex engine's condition: readers sleep on it (else on the slots).
   Atomic<std::uint32_t>* arrived = nullptr;
+  /// [depth], where taken messages are to be finished; else null, as is `returned`.
+  Atomic<Word>* claims = nullptr;
+  Atomic<std::uint32_t>* returned = nullptr;  ///< bumped when messages have come back
 
   /// Readers protect by a hazard what they look at; else their cursor does.
   bool guarded() const { return taken || !blocking; }
@@ -113,7 +119,9 @@ struct Ring {
   void format() {
     // Relaxed: LIVE, which the caller stores then, carries them (R7).
     for (std::uint32_t i = 0; i < depth; ++i) {
-      slots[i].store(make(advance(first, Word{i} - depth), kNoBlock), std::memory_order_relaxed);
+      const Word before = advance(first, Word{i} - depth);
+      slots[i].store(make(before, kNoBlock), std::memory_order_relaxed);
+      if (claims != nullptr) claims[i].store(make_claim(before, 0, 0), std::memory_order_relaxed);
     }
     for (std::uint32_t c = 0; c < readers; ++c) {
       cells[c].position.store(kIdle, std::memory_order_relaxed);
@@ -217,10 +225,27 @@ struct Ring {
     for (std::uint32_t i = 0; i < depth; ++i) wake(slots[i]);
   }
 
-  /// True when no reader needs this ring any more: none is at work in it, and where it has nothing
-  /// to tell, the readers that it awaits do not count. They then never learn that it was there.
-  /// REQUIRES: the ring has ended; no reader joins, adopts or leaves a cell that awaits it
-  /// meanwhile.
+  /// The messages that a participant works on are anybody's again, and readers look for them once
+  /// they are woken, unconditionally, by the caller. REQUIRES: the participant is dead.
+  ///
+  /// Crash: may be repeated.
+  void take_claims_back(std::uint32_t participant) {
+    for (std::uint32_t i = 0; i < depth; ++i) {
+      const Word seen = claims[i].load(std::memory_order_relaxed);  // the dead one's own, or not
+      if (claim_worker(seen) == participant + 1) unclaim(claims[i], seen);
+    }
+    returned->fetch_add(1, std::memory_order_release);  // C2
+  }
+  /// A worker gives the message of a slot back: as take_claims_back().
+  void give_back(std::uint32_t i, Word claim) {
+    unclaim(claims[i], claim);
+    returned->fetch_add(1, std::memory_order_release);  // C2
+  }
+
+  /// True when nobody needs this ring any more: no reader is at work in it, and where it has
+  /// nothing to tell, the readers that it awaits do not count. They then never learn that it was
+  /// there. What is to be taken waits for readers to come. REQUIRES: the ring has ended; no reader
+  /// joins, adopts or leaves a cell that awaits it meanwhile.
   bool deserted() const {
     bool awaits = false;
     for (std::uint32_t c = 0; c < readers; ++c) {
@@ -229,7 +254,7 @@ struct Ring {
       if (!is_awaited(cells[c].position.load(std::memory_order_relaxed))) return false;
       awaits = true;
     }
-    return !awaits || !has_news();
+    return (!awaits && !taken) || !has_news();
   }
   /// True when a reader that has not looked yet gets a message here, or one to count as missed.
   bool has_news() const {
@@ -537,7 +562,9 @@ class Reader {
   Reader() = default;
 
   /// Joins a ring of the given generation, starting with the newest `history` messages. Returns
-  /// no reader when the ring is not live any more, or has no free cell (then `full` is set).
+  /// no reader when the ring has no free cell (then `full` is set), or has ended and is not one
+  /// whose messages are taken: what waits there is any reader's. REQUIRES: nobody recycles the ring
+  /// meanwhile.
   ///
   /// Crash: killed after the claim of who[c], the reaper makes the cell idle and frees it.
   static std::optional<Reader> join(const Ring<P>& ring, std::uint32_t generation,
@@ -557,7 +584,9 @@ class Reader {
       return std::nullopt;
     }
     const Word writer = ring.writer->load(std::memory_order_acquire);  // R7
-    if (writer_state(writer) != State::Live || writer_generation(writer) != generation) {
+    const bool is_open = writer_state(writer) == State::Live ||
+                         (ring.taken && writer_state(writer) == State::Orphan);
+    if (!is_open || writer_generation(writer) != generation) {
       ring.who[c].store(0, std::memory_order_relaxed);  // nothing was done with the cell
       return std::nullopt;
     }
@@ -650,17 +679,33 @@ class Reader {
   /// one was faster. REQUIRES: the messages of the ring are taken; the caller holds the block.
   ///
   /// Crash: killed before it, the message stays where it is; after it, it is gone with its taker.
-  bool take() {
-    auto& slot = ring_.slots[index_];
-    Word seen = slot.load(std::memory_order_relaxed);
-    while (sequence(seen) == cursor_ && block(seen) != kNoBlock) {
-      if (slot.compare_exchange_weak(seen, seen | kNoBlock, std::memory_order_seq_cst,
-                                     std::memory_order_relaxed)) {  // R6, R10
-        return true;
-      }
+  bool take() { return empty(ring_.slots[index_], cursor_); }
+
+  /// As poll(), where messages are to be finished: passes over those that somebody works on, and
+  /// begins again when some have come back.
+  Word poll_unclaimed(std::uint64_t& missed) {
+    look_back();
+    for (;;) {
+      const Word b = poll(missed);
+      if (b == kNoBlock || b == kDamaged || !is_claimed(ring_.claims[index_], cursor_)) return b;
+      step(1);
     }
-    return false;
   }
+  /// As take(), where messages are to be finished: the message stays in its slot(). Returns the
+  /// claim, or 0.
+  ///
+  /// Crash: killed after it, the message comes back.
+  Word claim(std::uint32_t participant) {
+    auto& word = ring_.claims[index_];
+    const Word mine = ring::claim(word, cursor_, participant);
+    if (mine == 0) return 0;
+    // The claim may have been a dead one's, which had finished. Relaxed: C1 carries that.
+    const Word seen = ring_.slots[index_].load(std::memory_order_relaxed);
+    if (sequence(seen) == cursor_ && block(seen) != kNoBlock) return mine;
+    unclaim(word, mine);
+    return 0;
+  }
+  std::uint32_t index() const { return index_; }
 
   /// The block of the message `ahead` of the next one, or kNoBlock. For prefetching only: may be
   /// wrong.
@@ -741,8 +786,19 @@ class Reader {
 
   /// True when poll() would find something.
   bool ready() const {
-    return distance(sequence(ring_.slots[index_].load(std::memory_order_relaxed)), cursor_) >= 0;
+    return distance(sequence(ring_.slots[index_].load(std::memory_order_relaxed)), cursor_) >= 0 ||
+           has_returns();
   }
+  /// True when messages have come back since poll_unclaimed() looked.
+  bool has_returns() const {
+    // Relaxed: a hint; a sleeper has acquired it (R5).
+    return ring_.returned != nullptr &&
+           ring_.returned->load(std::memory_order_relaxed) != returned_;
+  }
+  /// True while messages are in the ring that somebody works on, or that nobody has taken.
+  bool is_unfinished() const { return ring_.claims != nullptr && ring_.has_news(); }
+  /// True when the publisher has gone, and what it has left cannot come back.
+  bool is_closing() const { return orphaned() && !is_unfinished(); }
 
   /// Frees the cell. The caller wakes `space` unconditionally. Crash: the reaper does the rest.
   void leave() {
@@ -762,6 +818,7 @@ class Reader {
 
   /// Messages that are there to be read.
   std::uint32_t size() const {
+    if (ring_.claims != nullptr) return unclaimed();
     std::uint32_t n = 0;
     std::uint32_t i = index_;
     for (std::uint32_t ahead = 0; ahead < ring_.depth; ++ahead) {
@@ -796,6 +853,22 @@ class Reader {
     }
     start_at(advance(head, Word{0} - back));
     if (history == kFromTheStart && !ring_.taken) skipped_ = ring_.published(head) - back;
+  }
+
+  /// Messages that have come back lie behind the cursor.
+  void look_back() {
+    const std::uint32_t now = ring_.returned->load(std::memory_order_acquire);  // C2
+    if (now == returned_) return;
+    returned_ = now;
+    start_at_newest(kFromTheStart);
+  }
+  std::uint32_t unclaimed() const {
+    std::uint32_t n = 0;
+    for (std::uint32_t i = 0; i < ring_.depth; ++i) {
+      const Word seen = ring_.slots[i].load(std::memory_order_relaxed);
+      n += block(seen) != kNoBlock && !is_claimed(ring_.claims[i], sequence(seen));
+    }
+    return n;
   }
 
   /// Puts the cursor there. newest_ was once in the slot newest_index_.
@@ -839,7 +912,8 @@ class Reader {
   std::uint32_t newest_index_ = 0;  ///< the slot of that
   std::uint32_t index_ = 0;
   std::uint32_t cell_ = 0;
-  Word asked_ = 0;  ///< cursor when done() last asked whether the sender waits
+  Word asked_ = 0;              ///< cursor when done() last asked whether the sender waits
+  std::uint32_t returned_ = 0;  ///< of the ring, when look_back() last looked
   bool drained_ = false;
 };
 

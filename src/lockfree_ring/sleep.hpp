@@ -15,7 +15,8 @@
 ///
 /// Edges
 ///   R5  a mark taken away (release) -> sleeper's look at the slot (acquire)
-///       carries: the directory's new version, or the writer word ORPHAN.
+///       carries: the directory's new version, the writer word ORPHAN, or that messages have come
+///       back.
 namespace lot::ring {
 
 /// What a reader does that has looked everywhere and found nothing.
@@ -35,7 +36,11 @@ template <class Sources, class RingBell, class Leave>
       ++s;
       continue;
     }
-    if (!s->reader.ended()) return false;
+    if (!s->reader.ended() || s->reader.has_returns()) return false;
+    if (s->reader.is_unfinished()) {  // by others: it may come back
+      ++s;
+      continue;
+    }
     leave(s->reader);
     s = sources.erase(s);
   }
@@ -71,7 +76,7 @@ Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t versio
   // What changed before the marks stood. Whoever changes it later takes the marks away, which
   // begins a new round of the slot, and wakes.
   for (auto& source : sources) {
-    if (source.reader.orphaned()) return Rest::Look;
+    if (source.reader.is_closing() || source.reader.has_returns()) return Rest::Look;
   }
   const std::uint32_t now = directory.load(std::memory_order_relaxed);  // R5 has acquired it
   if (now != version || sources.empty()) sleep_on(directory, now);

@@ -82,6 +82,20 @@ constexpr bool is_set(Word bound) { return (bound & kSet) != 0; }
 constexpr Word bound_round(Word bound) { return (bound & ~kSet) >> kBoundBits; }
 constexpr Word bound_sequence(Word bound) { return bound & kSequenceMask; }
 
+/// Who works on the message of a slot: {sequence : 42 | deliveries : 12 | worker : 10}, the worker
+/// as participant + 1, or 0. Where the sequence is older than the slot's, the message was never
+/// delivered. Deliveries are counted up to kMostDeliveries.
+inline constexpr unsigned kWorkerBits = 10;
+inline constexpr Word kWorkerMask = (Word{1} << kWorkerBits) - 1;
+inline constexpr Word kMostDeliveries = (Word{1} << (kSequenceShift - kWorkerBits)) - 1;
+
+constexpr Word make_claim(Word sequence, Word deliveries, Word worker) {
+  return sequence << kSequenceShift | deliveries << kWorkerBits | worker;
+}
+constexpr Word claim_sequence(Word claim) { return claim >> kSequenceShift; }
+constexpr Word claim_deliveries(Word claim) { return claim >> kWorkerBits & kMostDeliveries; }
+constexpr Word claim_worker(Word claim) { return claim & kWorkerMask; }
+
 /// The writer word of a ring: {generation : 32 | state : 8 | owner : 24}.
 enum class State : std::uint8_t { Free = 0, Init = 1, Live = 2, Orphan = 3 };
 

@@ -45,6 +45,7 @@ class Recovery {
     wake_whom_it_announced_to(k);
     for (std::uint32_t c = 0; c < world_.channels(); ++c) orphan_ring(c, k);
     world_.unsubscribe(k);  // before its cells go: no new ring awaits it (R13)
+    for (std::uint32_t c = 0; c < world_.channels(); ++c) take_claims_back(c, k);
     for (std::uint32_t c = 0; c < world_.channels(); ++c) free_cells(c, k);
     adopt_references(k);
     // All homes before the first hold: else a reaper that is killed in between leaves a message of
@@ -167,6 +168,15 @@ class Recovery {
       // A reader that left its mark before the new version, and is not asleep yet, must look again.
       wake_readers(r);
     }
+  }
+
+  /// What k has taken and not finished comes back. Readers are told whatever is found: a reaper, or
+  /// k itself, may have been killed before it could tell them.
+  void take_claims_back(std::uint32_t c, std::uint32_t k) {
+    ring::Ring<P> r = world_.ring(c);
+    if (r.claims == nullptr) return;
+    r.take_claims_back(k);
+    wake_readers(r);
   }
 
   void free_cells(std::uint32_t c, std::uint32_t k) {

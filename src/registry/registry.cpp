@@ -76,10 +76,11 @@ std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& 
   const auto topics = segment_.topics();
   const std::string_view type_name =
       std::string_view(type.name).substr(0, segment::kTypeNameBytes - 1);
+  const std::vector<bool> has_rings = topics_with_rings();
   segment::TopicEntry* free = nullptr;
   segment::TopicEntry* found = nullptr;
   for (auto& topic : topics) {
-    if (!in_use(topic)) {
+    if (!in_use(topic) && !has_rings[static_cast<std::size_t>(&topic - topics.data())]) {
       if (free == nullptr) free = &topic;
     } else if (text(topic.name, sizeof(topic.name)) == name) {
       found = &topic;
@@ -96,7 +97,8 @@ std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& 
                   "build both sides with the same definition of the message, or use another topic");
     }
   } else if (free != nullptr) {
-    // Not found by anybody until a user's bit stands: killed in between, it is still free.
+    // Not found by anybody until a user's bit stands: killed in between, it is still free. Nobody
+    // makes a ring there before.
     found = free;
     found->type_size = type.size;
     found->type_align = type.align;
@@ -230,10 +232,12 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
     entry.readers = options.readers;
     entry.policy = static_cast<std::uint32_t>(options.policy);
     entry.engine = static_cast<std::uint32_t>(options.engine);
-    entry.taken = options.taken ? 1 : 0;
+    entry.taken = options.taken;
     entry.first = options.first != 0 ? options.first : options.depth;
     const std::uint64_t granules =
-        (segment::Segment::ring_bytes(options.depth, options.readers) + segment::kGranule - 1) /
+        (segment::Segment::ring_bytes(options.depth, options.readers,
+                                      options.taken == segment::kFinished) +
+         segment::kGranule - 1) /
         segment::kGranule;
     entry.granules = static_cast<std::uint32_t>(granules);
     entry.granule = segment_.claim_run(entry.granules, segment::kRingTag | c);
@@ -250,6 +254,7 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
     segment::Ring ring = segment_.unformed_ring(c);
     ring.roster->store(0, std::memory_order_relaxed);
     ring.space->store(0, std::memory_order_relaxed);
+    if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);
     ring.format();
     // From here a reaper looks at the cells.
     entry.formed.store(1, std::memory_order_seq_cst);  // R13
@@ -282,9 +287,22 @@ std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {
   return found;
 }
 
-bool Registry::is_live(const ChannelName& name) const noexcept {
-  const auto w = segment_.channels()[name.channel].writer.load(std::memory_order_acquire);
-  return ring::writer_state(w) == ring::State::Live &&
+std::vector<bool> Registry::topics_with_rings() const {
+  std::vector<bool> found(segment_.capacity().topics, false);
+  for (const auto& channel : segment_.channels()) {
+    const ring::Word w = channel.writer.load(std::memory_order_acquire);
+    if (w == 0) break;  // channels are taken lowest first: those behind it never were
+    if (ring::writer_state(w) == ring::State::Free || channel.topic >= found.size()) continue;
+    found[channel.topic] = true;
+  }
+  return found;
+}
+
+bool Registry::is_open(const ChannelName& name) const noexcept {
+  const auto& channel = segment_.channels()[name.channel];
+  const auto w = channel.writer.load(std::memory_order_acquire);
+  const auto state = ring::writer_state(w);
+  return (state == ring::State::Live || (state == ring::State::Orphan && channel.taken != 0)) &&
          ring::writer_generation(w) == name.generation;
 }
 

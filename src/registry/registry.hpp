@@ -18,7 +18,7 @@ struct RingOptions {
   std::uint32_t readers = 0;
   Policy policy = Policy::Overwrite;
   QueueEngine engine = QueueEngine::Ring;
-  bool taken = false;       ///< each message is for one reader, which takes it
+  std::uint32_t taken = 0;  ///< ChannelEntry::taken
   std::uint64_t first = 0;  ///< sequence of the first message; 0: the depth
 };
 
@@ -64,8 +64,9 @@ class Registry {
 
   // The following REQUIRE the lock.
 
-  /// Finds or makes a topic and enters the participant as one of its users. Throws lot::Error when
-  /// it has another type, or the table is full.
+  /// Finds or makes a topic and enters the participant as one of its users. A topic is there as
+  /// long as it has users, or rings: what waits there to be taken. Throws lot::Error when it has
+  /// another type, or the table is full.
   std::uint32_t enter(std::string_view name, const detail::MessageType& type,
                       std::uint32_t participant);
   void leave(std::uint32_t topic, std::uint32_t participant) noexcept;
@@ -79,7 +80,8 @@ class Registry {
   ChannelName open(std::uint32_t topic, std::uint32_t participant, const RingOptions& options);
   /// The rings of a topic: those that are live, and those that have ended and are still read.
   std::vector<ChannelName> rings(std::uint32_t topic) const;
-  bool is_live(const ChannelName& name) const noexcept;
+  /// What is to be read there can be joined: it is live, or its messages wait to be taken.
+  bool is_open(const ChannelName& name) const noexcept;
   /// Takes the cells away that await a puller of the participant, and its announcement.
   void remove(const Departure& departure, std::uint32_t participant) noexcept;
   /// Takes the announcement of a puller away that no cell awaits.
@@ -103,6 +105,8 @@ class Registry {
   void forget(std::uint32_t participant) noexcept;
 
  private:
+  /// By topic: whether it has rings.
+  std::vector<bool> topics_with_rings() const;
   /// How many pullers the participant has on the topic. Relaxed: the lock carries it.
   std::uint32_t pullers(std::uint32_t topic, std::uint32_t participant) const noexcept;
   /// Says that a ring has come, and wakes who waits for that. REQUIRES: the lock, so that no ring

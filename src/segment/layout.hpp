@@ -23,10 +23,11 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 9;
+inline constexpr std::uint32_t kLayoutVersion = 10;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
+static_assert(kMaxParticipants <= ring::kWorkerMask);
 inline constexpr std::uint64_t kGranule = 4096;  ///< unit of message memory
 /// Payload that every block has without an extent.
 inline constexpr std::uint64_t kSmallBytes = 256;
@@ -174,9 +175,13 @@ struct alignas(64) ChannelEntry {
   std::uint32_t granules;             ///< how many
   std::atomic<std::uint32_t> formed;  ///< 1: the plain fields are complete
   std::uint32_t engine;               ///< lot::QueueEngine
-  std::uint32_t taken;                ///< 1: each message is taken by one reader; 0: all get it
+  std::uint32_t taken;                ///< 0: all readers get a message; else kTaken, kFinished
 };
 static_assert(sizeof(ChannelEntry) == 64);
+
+/// ChannelEntry::taken.
+inline constexpr std::uint32_t kTaken = 1;     ///< one reader takes a message
+inline constexpr std::uint32_t kFinished = 2;  ///< and it stays in its slot until that one is done
 
 /// True when messages of the type lie in the payload that every block has.
 constexpr bool is_small(const detail::MessageType& type) {
@@ -200,9 +205,11 @@ inline bool is_reserved(detail::Arena& arena) {
   return std::atomic_ref(arena.reserved).load(std::memory_order_relaxed) != 0;
 }
 
-/// The first bytes of a ring's memory; behind it who[], slots[] and cells[].
+/// The first bytes of a ring's memory; behind it who[], slots[], cells[], and claims[] where
+/// messages are to be finished.
 struct RingHead {
   alignas(64) std::atomic<std::uint32_t> roster;
+  std::atomic<std::uint32_t> returned;
   alignas(64) std::atomic<std::uint32_t> space;
   mutex_engine::Lock lock;  ///< of the mutex engine
 };

@@ -358,8 +358,10 @@ constexpr std::uint64_t who_bytes(std::uint32_t readers) { return round_up(reade
 constexpr std::uint64_t slot_bytes(std::uint32_t depth) { return round_up(depth * 8ULL, 64); }
 }  // namespace
 
-std::uint64_t Segment::ring_bytes(std::uint32_t depth, std::uint32_t readers) noexcept {
-  return sizeof(RingHead) + who_bytes(readers) + slot_bytes(depth) + readers * sizeof(Cell);
+std::uint64_t Segment::ring_bytes(std::uint32_t depth, std::uint32_t readers,
+                                  bool finished) noexcept {
+  return sizeof(RingHead) + who_bytes(readers) + slot_bytes(depth) + readers * sizeof(Cell) +
+         (finished ? slot_bytes(depth) : 0);
 }
 
 bool Segment::holds(std::uint32_t b, std::uint64_t offset, std::uint64_t bytes) const noexcept {
@@ -392,9 +394,10 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   const std::uint32_t granule = entry.granule;
   const std::uint32_t granules = entry.granules;
   const std::uint32_t engine = entry.engine;
+  const std::uint32_t taken = entry.taken;
   if (depth == 0 || depth > kDeepest || readers == 0 || readers > capacity_.readers ||
       granule >= geometry_.granules || granules > geometry_.granules - granule ||
-      ring_bytes(depth, readers) > kGranule * granules ||
+      ring_bytes(depth, readers, taken == kFinished) > kGranule * granules || taken > kFinished ||
       engine > static_cast<std::uint32_t>(QueueEngine::Mutex)) {
     return ring;
   }
@@ -415,10 +418,14 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   ring.slots = at<std::atomic<ring::Word>>(place);
   place += slot_bytes(depth);
   ring.cells = at<Cell>(place);
+  if (taken == kFinished) {
+    ring.claims = at<std::atomic<ring::Word>>(place + readers * sizeof(Cell));
+    ring.returned = &head->returned;
+  }
   ring.depth = depth;
   ring.readers = readers;
   ring.blocking = entry.policy != static_cast<std::uint32_t>(Policy::Overwrite);
-  ring.taken = entry.taken != 0;
+  ring.taken = taken != 0;
   ring.first = entry.first;
   return ring;
 }

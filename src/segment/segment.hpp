@@ -92,7 +92,9 @@ class Segment {
   /// Makes it. REQUIRES: the channel is INIT, its memory is claimed, and the caller owns it.
   void construct_queue_lock(std::uint32_t channel);
   static constexpr std::uint32_t kDeepest = 65536;  ///< slots of a ring
-  static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers) noexcept;
+  /// `finished`: with a claim for each slot.
+  static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers,
+                                  bool finished) noexcept;
 
   Granules<Atomics>& granules() noexcept { return granules_; }
   std::uint64_t granule_offset(std::uint32_t granule) const noexcept {

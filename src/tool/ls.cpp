@@ -102,6 +102,7 @@ class TopicList {
                                  {"to", c.taken ? "one" : "all"},
                                  {"depth", c.depth},
                                  {"held", c.queue.size()},
+                                 {"unfinished", c.unfinished},
                                  {"published", c.published},
                                  {"per_second", rate},
                                  {"waits_for_room", c.waits}});
@@ -109,7 +110,9 @@ class TopicList {
          policy_of(c) + std::string(c.taken ? ", to one" : ""),
          std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
          rate.is_null() ? "" : rate_text(rate.get<double>()), "", "",
-         c.waits ? "waits for room" : ""});
+         c.waits             ? "waits for room"
+         : c.unfinished != 0 ? std::to_string(c.unfinished) + " unfinished"
+                             : ""});
     for (const auto& r : c.readers) {
       out["subscribers"].push_back({{"process", r.process},
                                     {"channel", c.channel},

@@ -96,6 +96,12 @@ class Observer {
 
   void find_topics() {
     const auto topics = s_.topics();
+    std::vector<bool> has_rings(topics.size(), false);  // what waits to be taken needs no user
+    for (const auto& channel : s_.channels()) {
+      const auto state = ring::writer_state(channel.writer.load(std::memory_order_acquire));
+      const bool is_there = state == ring::State::Live || state == ring::State::Orphan;
+      if (is_there && channel.topic < topics.size()) has_rings[channel.topic] = true;
+    }
     for (std::uint32_t t = 0; t < topics.size(); ++t) {
       const auto& entry = topics[t];
       Topic topic{t,
@@ -103,7 +109,7 @@ class Observer {
                   text_of(entry.type_name, sizeof(entry.type_name)),
                   entry.type_size,
                   {},
-                  false};
+                  has_rings[t]};
       if (!topic.name.empty()) name_of_key_[segment::topic_key(topic.name)] = topic.name;
       for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
         const auto users =
@@ -187,6 +193,10 @@ class Observer {
         continue;
       }
       channel.queue.push_back({ring::sequence(slot), static_cast<std::uint32_t>(b)});
+      const std::uint32_t i = static_cast<std::uint32_t>((std::uint64_t{newest} + n) % r.depth);
+      if (r.claims != nullptr) {
+        channel.unfinished += ring::is_claimed(r.claims[i], ring::sequence(slot));
+      }
     }
     if (bad_slot) wrong("a slot of it names a message that can not be");
     for (const Cursor& cursor : cursors) {

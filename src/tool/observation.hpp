@@ -49,9 +49,10 @@ struct Channel {
   std::uint32_t depth = 0;
   Policy policy = Policy::Overwrite;
   QueueEngine engine = QueueEngine::Ring;
-  bool taken = false;      ///< each message is for one reader, which takes it
-  bool waits = false;      ///< the publisher has found no room, and nobody has made any
-  std::uint64_t next = 0;  ///< sequence of the next message
+  bool taken = false;          ///< each message is for one reader, which takes it
+  std::size_t unfinished = 0;  ///< messages that somebody works on
+  bool waits = false;          ///< the publisher has found no room, and nobody has made any
+  std::uint64_t next = 0;      ///< sequence of the next message
   std::uint64_t published = 0;
   std::vector<Queued> queue;  ///< oldest first
   std::vector<Reader> readers;

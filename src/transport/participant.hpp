@@ -85,6 +85,8 @@ class Participant {
 
   /// Ends a ring of ours: its readers get what is in it and then the end.
   void close_ring(const registry::ChannelName& name) noexcept;
+  /// The readers of a ring look again, whatever they sleep on. REQUIRES: we read there.
+  void wake_readers(segment::Ring& ring) noexcept { Recovery(*this).wake_readers(ring); }
   /// Finishes what closing has left to do, or leaves it to the warden.
   void settle_closing() noexcept;
   /// True when the ring's blocks are the orphanage's, so that our own holds on them may go.
@@ -327,6 +329,7 @@ class Participant {
   bool is_alone(const detail::ControlCell& cell) const noexcept;
   bool holds_pointers() noexcept;
   bool has_orphan_rings() noexcept;
+  bool has_ending_rings() noexcept;
   bool has_deserted_ring() noexcept;
   /// Called when the last handle has gone: leaves now, or when the last pointer goes.
   static void handle_gone(Participant* p) noexcept;

@@ -374,7 +374,7 @@ bool Participant::look_around() noexcept {
     looked_ = now;
   }
   const bool departed = finish_departures();
-  return closed && departed && !lock_lost_ && !has_orphan_rings();
+  return closed && departed && !lock_lost_ && !has_ending_rings();
 }
 
 void Participant::depart(std::list<registry::Departure> departure) noexcept {
@@ -502,6 +502,19 @@ bool Participant::has_orphan_rings() noexcept {
   for (std::uint32_t c = 0; c < used; ++c) {
     const auto w = channel_writer(c).load(std::memory_order_acquire);
     if (ring::writer_state(w) == ring::State::Orphan) return true;
+  }
+  return false;
+}
+
+/// Of those whose readers are at their last messages. What waits to be taken may wait for long, and
+/// who takes the last one says so. A hint: a ring may be recycled meanwhile.
+bool Participant::has_ending_rings() noexcept {
+  const std::uint32_t used = used_channels();
+  for (std::uint32_t c = 0; c < used; ++c) {
+    const auto w = channel_writer(c).load(std::memory_order_acquire);
+    if (ring::writer_state(w) != ring::State::Orphan) continue;
+    const segment::Ring r = ring(c);
+    if (!r.taken || !r.has_news()) return true;
   }
   return false;
 }

@@ -46,12 +46,13 @@ class Puller final : public detail::PullerCore {
          const detail::MessageType& type, const PullerOptions& options, detail::Delivery delivery)
       : participant_(std::move(participant)),
         directory_(participant_->segment().directory().version),
-        taking_(delivery == detail::Delivery::ToOne),
+        taking_(delivery != detail::Delivery::ToAll),
+        working_(delivery == detail::Delivery::ToWorker),
         small_(type.size <= segment::kSmallBytes && type.align <= 64),
         type_(type),
         topic_name_(topic),
         quota_(*participant_,
-               delivery == detail::Delivery::ToOne ? Quota::kNone : options.max_held_bytes),
+               delivery == detail::Delivery::ToAll ? options.max_held_bytes : Quota::kNone),
         topic_(participant_->enter_topic(topic, type)),
         habit_(options.wait) {
     try {
@@ -110,6 +111,33 @@ class Puller final : public detail::PullerCore {
     return look_or_wait(kept, wait, deadline, forever);
   }
 
+  void describe(detail::Claim& claim) const override {
+    const Source& s = sources_[current_];
+    claim.origin = {s.name.channel, s.name.generation, ring::claim_sequence(claim_)};
+    claim.slot = claimed_slot_;
+    claim.word = claim_;
+    claim.deliveries = static_cast<std::uint32_t>(ring::claim_deliveries(claim_));
+  }
+
+  /// Crash: killed before the bell, the sender looks by itself; before the others hear of the end,
+  /// they do.
+  void finish(const detail::Claim& claim) noexcept override {
+    Source* const s = source_of(claim.origin);
+    if (s == nullptr) return;  // somebody else has written into the segment
+    segment::Ring ring = s->reader.ring();
+    ring::empty(ring.slots[claim.slot], claim.origin.sequence);
+    if (s->reader.sender_waits()) ring_bell(s->reader);
+    if (s->reader.is_closing()) participant_->wake_readers(ring);
+  }
+
+  void give_back(const detail::Claim& claim) noexcept override {
+    Source* const s = source_of(claim.origin);
+    if (s == nullptr) return;
+    segment::Ring ring = s->reader.ring();
+    ring.give_back(claim.slot, claim.word);
+    participant_->wake_readers(ring);
+  }
+
   std::size_t size() override {
     participant_->check_usable();
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
@@ -122,7 +150,7 @@ class Puller final : public detail::PullerCore {
     if (keeping_ && quota_.is_full()) return false;  // arm() says when to look
     return (directory_.load(std::memory_order_relaxed) != version_ && !not_before_) ||
            std::any_of(sources_.begin(), sources_.end(),
-                       [](const Source& s) { return s.reader.ready() || s.reader.orphaned(); });
+                       [](const Source& s) { return s.reader.ready() || s.reader.is_closing(); });
   }
 
   detail::Origin origin() override {
@@ -319,6 +347,8 @@ class Puller final : public detail::PullerCore {
     if (directory_.load(std::memory_order_acquire) != version_) [[unlikely]]
       find_new_rings();
     const std::size_t n = sources_.size();
+    if (working_) [[unlikely]]
+      begin_with_returns();
     for (std::size_t i = 0; i < n; ++i) {
       if (++current_ >= n) current_ = 0;
       Source& source = sources_[current_];
@@ -335,7 +365,8 @@ class Puller final : public detail::PullerCore {
   [[gnu::hot]] bool look_into(Source& source, detail::Borrowed& borrowed) {
     const Source::Turn turn(source);
     for (;;) {
-      const ring::Word b = source.reader.poll(missed_);
+      const ring::Word b =
+          working_ ? source.reader.poll_unclaimed(missed_) : source.reader.poll(missed_);
       if (b == kNoBlock) return false;
       found(borrowed, b);
       if (!keeping_) return true;
@@ -344,6 +375,15 @@ class Puller final : public detail::PullerCore {
       end(source);
       if (ours) return true;
       borrowed.cell->drop_pointer();
+    }
+  }
+
+  /// What has come back is the oldest there is: the next look begins there.
+  void begin_with_returns() {
+    for (std::size_t i = 0; i < sources_.size(); ++i) {
+      if (!sources_[i].reader.has_returns()) continue;
+      current_ = i == 0 ? sources_.size() - 1 : i - 1;
+      return;
     }
   }
 
@@ -401,10 +441,16 @@ class Puller final : public detail::PullerCore {
     return now + kLookForRoom;
   }
 
-  /// Takes the message that we hold out of the queue. False: another reader was faster.
+  /// Takes the message that we hold out of the queue, or claims it. False: another reader was
+  /// faster.
   ///
   /// Crash: killed before the item says that it has changed hands, this process has not changed it.
   bool take(Source& source) {
+    if (working_) {
+      claimed_slot_ = source.reader.index();
+      claim_ = source.reader.claim(participant_->index());
+      return claim_ != 0;
+    }
     if (!source.reader.take()) return false;
     // Not before: the home may be the reader that was faster.
     if (!participant_->holder().is_home(block_)) {
@@ -550,7 +596,7 @@ class Puller final : public detail::PullerCore {
     }
   }
 
-  /// The rings of the topic as it is subscribed to: the live ones are joined.
+  /// The rings of the topic as it is subscribed to: the open ones are joined.
   void join_what_is_there(std::uint64_t history) {
     const std::uint32_t version = directory_.load(std::memory_order_acquire);
     for (const auto& name : participant_->registry().rings(topic_)) {
@@ -559,7 +605,7 @@ class Puller final : public detail::PullerCore {
       std::string publisher = publisher_of(ring);
       bool full = false;
       std::optional<Reader> reader;
-      if (participant_->registry().is_live(name)) {
+      if (participant_->registry().is_open(name)) {
         if (ring.depth == 0) {
           throw Error(EBADMSG, participant_->segment().path(),
                       "the queue of a publisher of the topic is damaged", "restart the publisher");
@@ -705,6 +751,7 @@ class Puller final : public detail::PullerCore {
   bool borrowing_ = false;
   bool keeping_ = false;  ///< what is found is kept at once
   bool taking_;           ///< each message is for one reader, which takes it
+  bool working_;          ///< and it stays in the queue until that one has finished
   bool small_;            ///< the messages lie in their blocks' small payload
   const detail::MessageType& type_;
   std::unique_ptr<Notifier> notifier_;  ///< once fd() was called
@@ -721,8 +768,10 @@ class Puller final : public detail::PullerCore {
   /// process may have a cell in them that nobody has looked at.
   std::vector<registry::ChannelName> passed_;
   std::list<registry::Departure> departure_;  ///< one, made before it is needed
-  bool chooses_ = false;                      ///< somebody asks which messages are for us
-  std::vector<Left> left_;                    ///< the last few
+  std::uint32_t claimed_slot_ = 0;            ///< of the message that was claimed last
+  ring::Word claim_ = 0;
+  bool chooses_ = false;    ///< somebody asks which messages are for us
+  std::vector<Left> left_;  ///< the last few
 };
 
 }  // namespace

@@ -36,6 +36,18 @@ constexpr unsigned kPausesPerLook = 16;
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr unsigned kLooksPerProbe = 4;  ///< and asks whether the laggards live
 
+constexpr std::uint32_t taken_by(detail::Delivery delivery) {
+  switch (delivery) {
+    case detail::Delivery::ToOne:
+      return segment::kTaken;
+    case detail::Delivery::ToWorker:
+      return segment::kFinished;
+    case detail::Delivery::ToAll:
+      break;
+  }
+  return 0;
+}
+
 class Pusher final : public detail::PusherCore, private Evictor {
  public:
   /// A maker of messages without a topic.
@@ -48,7 +60,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     try {
       check_depth(topic, options.depth);
       // To all without loss, a message stays in its slot until the next lap, read or not.
-      if (options.policy != Policy::Overwrite && delivery != detail::Delivery::ToOne &&
+      if (options.policy != Policy::Overwrite && delivery == detail::Delivery::ToAll &&
           options.depth >= participant_->blocks()) {
         throw Error(EINVAL, std::string(topic),
                     "PusherOptions::depth " + std::to_string(options.depth) +
@@ -63,7 +75,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
         name_ = participant_->registry().open(
             *topic_, participant_->index(),
             {options.depth, participant_->segment().capacity().readers, options.policy, engine,
-             delivery == detail::Delivery::ToOne, 0});
+             taken_by(delivery), 0});
       });
     } catch (...) {
       if (topic_) participant_->leave_topic(*topic_);

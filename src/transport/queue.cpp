@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// The core of ShmQueue: a pusher and a puller, each made when it is first needed, for all threads.
 #include <algorithm>
+#include <cerrno>
 #include <mutex>
 
 #include "lot/detail/core.hpp"
@@ -28,6 +29,10 @@ class Queue final : public detail::QueueCore {
         delivery_(delivery),
         habit_(popping.wait) {
     check_depth(name, putting.depth);
+    if (has_workers() && putting.policy == Policy::Overwrite) {
+      throw Error(EINVAL, std::string(name), "a queue that redelivers cannot overwrite its items",
+                  "use Policy::Block or Policy::Refuse");
+    }
     topic_ = participant_->enter_topic(name, type);
   }
   ~Queue() override {
@@ -46,11 +51,41 @@ class Queue final : public detail::QueueCore {
     return pusher().push_shared(cell, object, until(deadline));
   }
 
+  bool take(detail::Claim& claim, Wait wait, Clock::time_point deadline) override {
+    participant_->check_usable();  // before the lock: a child may have inherited it
+    if (!has_workers()) {
+      throw Error(EINVAL, name_, "the queue was made without QueueOptions::redeliver",
+                  "pop its items, or set redeliver in each process that uses it");
+    }
+    Place place(*this, false);
+    return look_or_wait(claim.item, wait, deadline, place, &claim);
+  }
+  void finish(const detail::Claim& claim) override {
+    participant_->check_usable();
+    {
+      const std::lock_guard guard(mutex_);
+      puller_->finish(claim);
+    }
+    claim.item.cell->drop_pointer();
+  }
+  void give_back(const detail::Claim& claim) noexcept override {
+    if (participant_->inert()) return;
+    {
+      const std::lock_guard guard(mutex_);
+      puller_->give_back(claim);
+    }
+    claim.item.cell->drop_pointer();
+  }
+
   bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline,
            bool may_come_back) override {
     participant_->check_usable();  // before the lock: a child may have inherited it
+    if (has_workers()) {
+      throw Error(EINVAL, name_, "an item of a queue that redelivers cannot be popped",
+                  "take() it, and finish() it when it is done");
+    }
     Place place(*this, may_come_back);
-    if (!look_or_wait(item, wait, deadline, place)) return false;
+    if (!look_or_wait(item, wait, deadline, place, nullptr)) return false;
     place.keep();
     return true;
   }
@@ -106,7 +141,11 @@ class Queue final : public detail::QueueCore {
     bool has_ = false;
   };
 
-  bool look_or_wait(detail::Borrowed& item, Wait wait, Clock::time_point deadline, Place& place) {
+  bool has_workers() const { return delivery_ == detail::Delivery::ToWorker; }
+
+  /// With a claim: where the item lies, too.
+  bool look_or_wait(detail::Borrowed& item, Wait wait, Clock::time_point deadline, Place& place,
+                    detail::Claim* claim) {
     detail::FutexWaits waits;
     std::optional<Clock::time_point> start;
     bool spinning = false;
@@ -116,6 +155,7 @@ class Queue final : public detail::QueueCore {
         const std::lock_guard guard(mutex_);
         place.reserve();
         const bool found = look(item);
+        if (found && claim != nullptr) puller().describe(*claim);
         if (found && !spinning) return true;
         if (!found && wait == Wait::Never) return false;
         const auto now = Clock::now();

@@ -460,6 +460,10 @@ TEST_CASE_FIXTURE(Fixture, "items that many threads hand round keep what they ar
     for (auto& thread : threads) thread.join();
     CHECK(whole);
     CHECK(one.size() + two.size() == 30);
+    for (auto* queue : {&one, &two}) {
+      while (queue->try_pop()) {
+      }
+    }
   });
 }
 

@@ -107,6 +107,7 @@ TEST_CASE("ls as a document has these keys") {
                                  ".segments[].topics[].publishers[].process",
                                  ".segments[].topics[].publishers[].published",
                                  ".segments[].topics[].publishers[].to",
+                                 ".segments[].topics[].publishers[].unfinished",
                                  ".segments[].topics[].publishers[].waits_for_room",
                                  ".segments[].topics[].subscribers[].channel",
                                  ".segments[].topics[].subscribers[].holds_back",
@@ -375,6 +376,47 @@ TEST_CASE("a queue whose items are taken: who has taken one, and who waits for a
   CHECK(seen.at("messages").at(0).at("holders").size() == 1);
   CHECK(seen.at("messages").at(0).at("holders").at(0).at("process") == 2);
   CHECK(seen.at("messages").at(0).at("holders").at(0).at("how") == "keeps");
+}
+
+TEST_CASE("what waits in a queue is seen when its putter has gone, and what is unfinished") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  lot::ShmEngine engine(options);
+  lot::QueueOptions how;
+  how.redeliver = true;
+  for (unsigned n = 0; n < 3; ++n) {  // by handles that go at once
+    auto queue = engine.queue<std::uint64_t>("/tasks", how);
+    CHECK(queue.put(n) == lot::Status::Ok);
+  }
+  const auto queues = [&] {
+    const Json document = run_lot(on(options, {"ls", "--json", "--interval", "1"})).json();
+    const Json& topics = document.at("segments").at(0).at("topics");
+    return topics.empty() ? Json::array() : topics.at(0).at("publishers");
+  };
+  Json seen = queues();
+  REQUIRE(seen.size() == 3);
+  for (const Json& queue : seen) {
+    CHECK(queue.at("gone") == true);
+    CHECK(queue.at("held") == 1);
+    CHECK(queue.at("unfinished") == 0);
+  }
+  auto queue = engine.queue<std::uint64_t>("/tasks", how);
+  auto task = queue.try_take();
+  REQUIRE(task);
+  seen = queues();
+  REQUIRE(seen.size() == 3);
+  std::size_t unfinished = 0;
+  for (const Json& each : seen) {
+    CHECK(each.at("held") == 1);
+    unfinished += each.at("unfinished").get<std::size_t>();
+  }
+  CHECK(unfinished == 1);
+  CHECK(run_lot(on(options, {"ls", "--interval", "1"})).out.find("1 unfinished") !=
+        std::string::npos);
+  task.finish();
+  while (auto next = queue.try_take()) next.finish();
+  CHECK(eventually([&] { return queues().empty(); }));
 }
 
 TEST_CASE("a rate is what was published in between") {

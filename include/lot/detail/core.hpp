@@ -61,6 +61,15 @@ struct Origin {
   std::uint64_t sequence = 0;
 };
 
+/// A message that a worker has and has not finished yet.
+struct Claim {
+  Borrowed item;
+  Origin origin;
+  std::uint32_t slot = 0;
+  std::uint32_t deliveries = 0;  ///< with this one
+  std::uint64_t word = 0;
+};
+
 class PusherCore {
  public:
   virtual ~PusherCore() = default;
@@ -114,6 +123,14 @@ class PullerCore {
   [[noreturn]] virtual void refuse_to_hold() const = 0;
   /// borrow, keep and done in one.
   virtual Status pull(Borrowed& kept, bool wait, Clock::time_point deadline, bool forever) = 0;
+
+  // Where messages are to be finished. A puller stays where it has a claim.
+
+  /// Of the message that was pulled last.
+  virtual void describe(Claim& claim) const = 0;
+  /// Nobody gets the message any more; or the next one who looks does. The caller has the item.
+  virtual void finish(const Claim& claim) noexcept = 0;
+  virtual void give_back(const Claim& claim) noexcept = 0;
   virtual std::size_t publishers() = 0;
   /// Messages that are there to be read.
   virtual std::size_t size() = 0;
@@ -160,8 +177,9 @@ inline constexpr std::size_t kProcessNameBytes = 48;
 inline constexpr std::size_t kTopicNameBytes = 200;
 /// What the others call this process from now on.
 void rename(transport::Participant& participant, std::string_view name) noexcept;
-/// Who gets a message: each reader, or one of them, which takes it.
-enum class Delivery { ToAll, ToOne };
+/// Who gets a message: each reader, or one of them, which takes it; or works on it, and it comes
+/// back if that one does not finish.
+enum class Delivery { ToAll, ToOne, ToWorker };
 
 /// The untyped half of a ShmQueue.
 ///
@@ -174,6 +192,12 @@ class QueueCore {
   virtual Status put_shared(const ControlCell* cell, const void* object,
                             Clock::time_point deadline) = 0;
   enum class Wait { Never, Until, Forever };
+  /// An item to work on; false when there was none in time.
+  virtual bool take(Claim& claim, Wait wait, Clock::time_point deadline) = 0;
+  /// It is done: nobody gets it any more. Throws lot::Error in a forked child.
+  virtual void finish(const Claim& claim) = 0;
+  /// Somebody else may have it.
+  virtual void give_back(const Claim& claim) noexcept = 0;
   /// An item with a pointer hold on it; false when there was none in time. `may_come_back`: the
   /// caller says by copied() or hand_back() how it ends, once for each item.
   virtual bool pop(Borrowed& item, Wait wait, Clock::time_point deadline, bool may_come_back) = 0;
