@@ -11,7 +11,11 @@ constexpr std::uint32_t kOwnerDied = ~std::uint32_t{0};
 }
 
 Channel::Channel(const Shape& shape)
-    : slots(shape.depth), cells(shape.readers), who(shape.readers), tenants(shape.readers) {
+    : slots(shape.depth),
+      cells(shape.readers),
+      who(shape.readers),
+      claims(shape.depth),
+      tenants(shape.readers) {
   blocking.write(false);
   used.write(false);
   for (auto& tenant : tenants) tenant.write(0);
@@ -21,6 +25,8 @@ void Channel::soil() {
   constexpr auto kOrder = std::memory_order_relaxed;
   for (auto& slot : slots) slot.store(ring::make(7, 0), kOrder);
   for (auto& cell : cells) cell.position.store(ring::make(7, 0), kOrder);
+  for (auto& claim : claims) claim.store(ring::make_claim(7, 1, kSoiledBy + 1), kOrder);
+  returned.store(7, kOrder);
   for (auto& w : who) w.store(kSoiledBy + 1, kOrder);
   roster.store(7, kOrder);
   space.store(7, kOrder);
@@ -294,12 +300,20 @@ ring::Ring<Policy> Process::ring(std::uint32_t c) {
 
 ring::Ring<Policy> Process::unformed_ring(std::uint32_t c) {
   Channel& channel = segment_->channels[c];
-  return {&channel.writer,         channel.slots.data(),
-          channel.cells.data(),    channel.who.data(),
-          &channel.roster,         &channel.space,
-          segment_->shape.depth,   segment_->shape.readers,
-          channel.blocking.read(), segment_->shape.taken,
-          Segment::kFirst,         segment_->shape.locked ? &channel.arrived : nullptr};
+  return {&channel.writer,
+          channel.slots.data(),
+          channel.cells.data(),
+          channel.who.data(),
+          &channel.roster,
+          &channel.space,
+          segment_->shape.depth,
+          segment_->shape.readers,
+          channel.blocking.read(),
+          segment_->shape.taken,
+          Segment::kFirst,
+          segment_->shape.locked ? &channel.arrived : nullptr,
+          segment_->shape.finished ? channel.claims.data() : nullptr,
+          segment_->shape.finished ? &channel.returned : nullptr};
 }
 
 void Process::close_ring(std::uint32_t c) {
@@ -314,6 +328,11 @@ void Process::close_ring(std::uint32_t c) {
   recovery.orphan_ring(c, index());
   recovery.collect();
   segment_->unlock(refcount::kOrphanage);
+}
+
+void Process::wake_readers(std::uint32_t c) {
+  ring::Ring<Policy> r = ring(c);
+  Recovery(*this).wake_readers(r);
 }
 
 bool Process::ring_closed(std::uint32_t c) {
@@ -368,6 +387,7 @@ bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
   ring::Ring<Policy> ring = process.unformed_ring(c);
   ring.roster->store(0, std::memory_order_relaxed);
   ring.space->store(0, std::memory_order_relaxed);
+  if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);
   ring.format();
   channel.formed.store(1, std::memory_order_seq_cst);  // R13
   auto& pullers = process.segment().pullers;
@@ -506,7 +526,9 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
   while (locked && !process.lock_rings()) Policy::pause();
   std::optional<ring::Reader<Policy>> reader;
   const Word writer = process.channel_writer(c).load(std::memory_order_relaxed);
-  if (ring::writer_state(writer) == ring::State::Live) {
+  const auto state = ring::writer_state(writer);
+  if (state == ring::State::Live ||
+      (state == ring::State::Orphan && process.segment().shape.taken)) {
     bool full = false;
     reader =
         ring::Reader<Policy>::join(process.ring(c), generation, process.index(), history, full);
@@ -606,6 +628,43 @@ Word Subscriber::take_one(std::uint64_t& taken) {
     if (ours) return b;
     process_->drop(b);
   }
+}
+
+bool Subscriber::start_work() {
+  Turn turn(*process_, channel_);
+  for (;;) {
+    const Word b = reader_.poll_unclaimed(missed_);
+    if (b == kNoBlock) {
+      turn.unlock();
+      if (reader_.sender_waits()) ring_for_room();
+      return false;
+    }
+    process_->keep(b);
+    work_ = {b, number(), reader_.index(), 0};
+    work_.claim = reader_.claim(process_->index());
+    if (reader_.done()) ring_for_room();
+    if (work_.claim != 0) {
+      RL_ASSERT(process_->read(b) == work_.number);
+      return true;
+    }
+    process_->drop(b);
+  }
+}
+
+void Subscriber::finish_work() {
+  RL_ASSERT(process_->read(work_.block) == work_.number);
+  ring::empty(reader_.ring().slots[work_.slot], ring::claim_sequence(work_.claim));
+  if (reader_.sender_waits()) ring_for_room();
+  if (reader_.is_closing()) process_->wake_readers(channel_);
+  process_->drop(work_.block);
+  ++received_;
+}
+
+void Subscriber::give_work_back() {
+  ring::Ring<Policy> ring = reader_.ring();
+  ring.give_back(work_.slot, work_.claim);
+  process_->wake_readers(channel_);
+  process_->drop(work_.block);
 }
 
 std::uint64_t Subscriber::number() const {

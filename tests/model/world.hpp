@@ -33,8 +33,9 @@ struct Shape {
   std::uint32_t depth = 2;
   std::uint32_t readers = 1;
   std::uint32_t channels = 1;
-  bool taken = false;   ///< each message is for one reader, which takes it
-  bool locked = false;  ///< the mutex engine
+  bool taken = false;     ///< each message is for one reader, which takes it
+  bool locked = false;    ///< the mutex engine
+  bool finished = false;  ///< what is taken stays in its slot until it is finished
 };
 
 /// One channel's words, and the plain ones that the publisher writes before it goes LIVE.
@@ -49,6 +50,8 @@ struct Channel {
   std::vector<Atomic<std::uint32_t>> who;
   Atomic<std::uint32_t> roster;
   Atomic<std::uint32_t> space;
+  std::vector<Atomic<Word>> claims;
+  Atomic<std::uint32_t> returned;
   Atomic<std::uint32_t> formed;  ///< 1: `blocking` is written
   Plain<bool> blocking;
   Plain<bool> used;  ///< written by who makes a ring and who frees it: one after the other
@@ -158,6 +161,9 @@ class Process {
   void close_ring(std::uint32_t channel);
   /// True when the ring's blocks are the orphanage's.
   bool ring_closed(std::uint32_t channel);
+
+  /// The readers of a ring that we read look again.
+  void wake_readers(std::uint32_t channel);
 
   // A reader of ours takes and leaves a cell.
   void move_in(std::uint32_t channel, std::uint32_t cell);
@@ -314,6 +320,16 @@ class Subscriber {
   /// `mine(number)` is called as soon as it is ours.
   template <class Mine>
   bool take(Mine&& mine);
+  // Where messages are to be finished.
+
+  /// Claims the next message, and checks it. False: there is none.
+  bool start_work();
+  std::uint64_t work() const { return work_.number; }
+  void finish_work();
+  void give_work_back();
+  /// The publisher has gone, and nothing is left or comes back.
+  bool over() const { return reader_.ended() && !reader_.has_returns() && reader_.is_closing(); }
+
   /// What receive(), receive_and_keep() and take() saw.
   std::uint64_t received() const { return received_; }
   std::uint64_t missed() const { return missed_; }
@@ -321,6 +337,13 @@ class Subscriber {
   std::uint64_t number() const;
 
  private:
+  struct Work {
+    Word block = kNoBlock;
+    std::uint64_t number = 0;
+    std::uint32_t slot = 0;
+    Word claim = 0;
+  };
+
   /// Takes the next message, and holds it: its block, or kNone.
   Word take_one(std::uint64_t& number);
   void ring_for_room();
@@ -331,6 +354,7 @@ class Subscriber {
   ring::Reader<Policy> reader_;
   std::uint64_t missed_ = 0;
   std::uint64_t received_ = 0;
+  Work work_;
 };
 
 template <class Mine>
@@ -400,6 +424,9 @@ class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
     for (std::uint32_t k = 1; k < kParticipants; ++k) segment.bury(k);
     Process janitor(segment, kJanitor);
     for (std::uint32_t k = 1; k < kParticipants; ++k) janitor.reap(k);
+    if (segment.shape.taken) take_what_waits();
+    segment.bury(kTaker);
+    janitor.reap(kTaker);
     janitor.collect();
     constexpr auto kOrder = std::memory_order_seq_cst;
     for (auto& part : segment.parts) RL_ASSERT(part.load(kOrder) == 0);
@@ -413,6 +440,26 @@ class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
     }
   }
 
+  /// What is to be taken waits in rings that have ended, for who comes.
+  void take_what_waits() {
+    Process& taker = start(kTaker);
+    for (std::uint32_t c = 0; c < segment.shape.channels; ++c) {
+      const Word w = segment.channels[c].writer.load(std::memory_order_seq_cst);
+      if (ring::writer_state(w) != ring::State::Orphan) continue;
+      Subscriber last;
+      RL_ASSERT(
+          last.join(taker, c, ring::writer_generation(w), ring::Reader<Policy>::kFromTheStart));
+      if (segment.shape.finished) {
+        while (last.start_work()) last.finish_work();
+      } else {
+        while (last.take([](std::uint64_t) {})) {
+        }
+      }
+      last.leave();
+    }
+  }
+
+  static constexpr std::uint32_t kTaker = 1;
   std::array<std::optional<Process>, kParticipants> processes_;
 };
 

@@ -11,6 +11,7 @@ import tempfile
 RECOVERY = 'src/recovery/recovery.hpp'
 OWNERSHIP = 'src/refcount/ownership.hpp'
 SLEEP = 'src/lockfree_ring/sleep.hpp'
+CLAIMS = 'src/lockfree_ring/claims.hpp'
 UNITS = 'src/segment/units.hpp'
 
 
@@ -109,16 +110,41 @@ MISTAKES = (
     Planted('re-check: room, after the mark', SLEEP, 'ring', ((
         '  if (room()) return std::nullopt;', '  if (false) return std::nullopt;'),)),
     Planted('re-check: the end, after the mark', SLEEP, 'sleep', ((
-        '    if (source.reader.orphaned()) return Rest::Look;\n', ''),)),
+        'source.reader.is_closing() || source.reader.has_returns()', 'source.reader.has_returns()'),)),
     Planted('a mark is taken away and begins no new round', 'src/lockfree_ring/ring.hpp', 'sleep', ((
         'marked ? next_round(seen) : seen', 'seen & ~kSleeper'),)),
     Planted('a conditional wake in the announcement', SLEEP, 'sleep', ((
         '      if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);\n',
         '      if ((ring.slots[i].load(std::memory_order_relaxed) & kSleeper) != 0) {\n'
         '        clear_sleeper(ring.slots[i]);\n      }\n'),)),
-    Planted('a message is taken twice', 'src/lockfree_ring/ring.hpp', 'taken', ((
-        '    while (sequence(seen) == cursor_ && block(seen) != kNoBlock) {',
-        '    while (sequence(seen) == cursor_) {'),)),
+    Planted('a message is taken twice', CLAIMS, 'taken', ((
+        '  while (sequence(seen) == of_sequence && block(seen) != kNoBlock) {',
+        '  while (sequence(seen) == of_sequence) {'),)),
+    Planted('a dead worker\'s claims stay', RECOVERY, 'task', ((
+        '++c) take_claims_back(c, k);', '++c) (void)c;'),)),
+    Planted('who sleeps does not hear of a dead one\'s task', RECOVERY, 'task', ((
+        '    r.take_claims_back(k);\n    wake_readers(r);\n', '    r.take_claims_back(k);\n'),)),
+    Planted('readers that have passed a task do not look again', 'src/lockfree_ring/ring.hpp', 'task', ((
+        '    start_at_newest(kFromTheStart);\n  }\n  std::uint32_t unclaimed', '  }\n  std::uint32_t unclaimed'),)),
+    Planted('what was taken back is not told', 'src/lockfree_ring/ring.hpp', 'task', ((
+        '    unclaim(claims[i], claim);\n    returned->fetch_add(1, std::memory_order_release);  // C2\n',
+        '    unclaim(claims[i], claim);\n'),)),
+    Planted('re-check: returns, after the mark', SLEEP, 'task', ((
+        'source.reader.is_closing() || source.reader.has_returns()', 'source.reader.is_closing()'),)),
+    Planted('re-check: the message, after the claim', 'src/lockfree_ring/ring.hpp', 'task', ((
+        '    if (sequence(seen) == cursor_ && block(seen) != kNoBlock) return mine;\n    unclaim(word, mine);\n    return 0;\n',
+        '    (void)seen;\n    return mine;\n'),)),
+    Planted('a late worker claims what is newer', CLAIMS, 'task', ((
+        '    if (ahead > 0 || (ahead == 0 && claim_worker(seen) != 0)) return 0;',
+        '    if (ahead == 0 && claim_worker(seen) != 0) return 0;'),)),
+    Planted('what somebody works on is claimed', CLAIMS, 'task', ((
+        '    if (ahead > 0 || (ahead == 0 && claim_worker(seen) != 0)) return 0;',
+        '    if (ahead > 0) return 0;'),)),
+    Planted('a ring with items is deserted', 'src/lockfree_ring/ring.hpp', 'task', ((
+        '    return (!awaits && !taken) || !has_news();', '    return !awaits || !has_news();'),)),
+    Planted('who waits for a task leaves when the publisher goes', 'src/lockfree_ring/ring.hpp', 'task', ((
+        '  bool is_closing() const { return orphaned() && !is_unfinished(); }',
+        '  bool is_closing() const { return orphaned(); }'),)),
     Planted('what was taken is given up before what is older', 'src/lockfree_ring/ring.hpp', 'taken', ((
         '        if (block(ring_.slots[oldest_].load(std::memory_order_seq_cst)) != kNoBlock) return;  // R10\n',
         ''),)),
