@@ -201,6 +201,7 @@ void Node::await(const std::function<bool(const segment::Ring&)>& mark) const {
 void Node::open_queue(const QueueOptions& opts) {
   queue.emplace(engine->queue<Number>(kItems, opts));
   locked = opts.engine == QueueEngine::Mutex;
+  redelivers = opts.redeliver;
 }
 
 void Node::put(unsigned count) {
@@ -217,16 +218,30 @@ void Node::enter_item(const Number& item) {
   }
 }
 
+std::optional<Number> Node::next_item(std::chrono::milliseconds most) {
+  if (!redelivers) return queue->wait_and_pop_for(most);
+  auto task = queue->wait_and_take_for(most);
+  if (!task) return std::nullopt;
+  const Number item = *task;
+  task.finish();
+  return item;
+}
+
 bool Node::pop() {
-  const auto item = queue->try_pop();
+  const auto item = next_item(0ms);
   if (item) enter_item(*item);
   return item.has_value();
+}
+
+void Node::take_work() {
+  work = queue->try_take();
+  testing::must(static_cast<bool>(work), "there is a task");
 }
 
 void Node::sleep_on_queue() {
   sleeper = std::thread([this] {
     while (!over) {
-      if (const auto item = queue->wait_and_pop_for(100ms)) {
+      if (const auto item = next_item(100ms)) {
         enter_item(*item);
       } else if (pop()) {
         account.complain("an item that did not wake its reader");
@@ -389,9 +404,13 @@ void Node::inspect_chosen() {
 /// All items that nobody has taken are ours, and there is room for more.
 void Node::inspect_queue() {
   over = true;
+  if (work) {
+    enter_item(*work);
+    work.finish();
+  }
   // Not try_pop(): who has found the registry busy does not look for queues for a while.
   const auto pop_or_wait = [this] {
-    const auto item = queue->wait_and_pop_for(20ms);
+    const auto item = next_item(20ms);
     if (item) enter_item(*item);
     return item.has_value();
   };
@@ -399,12 +418,17 @@ void Node::inspect_queue() {
     while (pop_or_wait()) {  // so that who puts goes on
     }
   } while (sleeper.joinable() && (sleeper.join(), true));
+  // What the dead had put for itself waits for whoever comes.
+  auto left = engine->queue<ShmUniquePtr<Number>>(kLeft);
+  while (const auto item = left.try_pop()) {
+    if (!intact(**item)) account.complain("a torn item that waited");
+  }
   if (put_items == 0) return;
   std::uint64_t popped = 0;
   for (int i = 0; i < 6; ++i) {
     testing::must(queue->put_for(numbered(kProbeItems, 0), 20s) == Status::Ok,
                   "nobody holds up who puts");
-    const auto item = queue->try_pop();
+    const auto item = next_item(0ms);
     popped += item && item->source == kProbeItems;
   }
   testing::must(popped == 6, "one's own items came");

@@ -83,8 +83,11 @@ struct Node {
   void open_queue(const QueueOptions& options);
   void put(unsigned count = 1);  ///< items into the queue
   bool pop();                    ///< the next item, if there is one, goes into `items`
-  void sleep_on_queue();         ///< a thread of its own pops until it is told that all is over
-  void sleep_to_put();           ///< a thread of its own puts one more, for which there is no room
+  void take_work();              ///< the next task, which must be there, is ours until the end
+  /// The next item, which is finished where it is a task. Nothing: none came in time.
+  std::optional<Number> next_item(std::chrono::milliseconds most);
+  void sleep_on_queue();  ///< a thread of its own pops until it is told that all is over
+  void sleep_to_put();    ///< a thread of its own puts one more, for which there is no room
   void choose(const char* topic, const PusherOptions& options);  ///< advertises: see `chooser`
   void be_chosen(const char* topic);                             ///< subscribes: see `chosen`
   void serve(const char* name, std::size_t back = 0);            ///< there must be such a reader
@@ -113,6 +116,8 @@ struct Node {
   std::optional<ShmPusher<Frame>> frames;
   std::optional<ShmPuller<Frame>> frame_puller;
   std::optional<ShmQueue<Number>> queue;
+  ShmTask<Number> work;                                 ///< of the queue, where its items are tasks
+  bool redelivers = false;                              ///< they are
   std::optional<ShmQueue<ShmUniquePtr<Number>>> tasks;  ///< the same queue, without a copy
   std::atomic<std::uint64_t> items{0};  ///< a bit for each item of the queue that was popped
   std::uint64_t put_items = 0;
@@ -240,6 +245,7 @@ inline constexpr const char* kTopic = "/numbers";  ///< the victim publishes her
 inline constexpr const char* kOther = "/others";   ///< the witness publishes here
 inline constexpr const char* kFrames = "/frames";
 inline constexpr const char* kItems = "/items";  ///< each is taken by one
+inline constexpr const char* kLeft = "/left";    ///< the same, of the victim for itself
 inline constexpr std::uint64_t kVictim = 1, kWitness = 2, kDead = 3, kSecondLife = 4, kRival = 5,
                                kBystander = 6;
 

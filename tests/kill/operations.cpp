@@ -543,7 +543,7 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
       });
   add("pop without a copy, and put it again", Promise::Blocking,
       both(options(2)) + puts(witness, 1) + Acts{victim([=](Node& n) {
-        n.tasks.emplace(n.engine->queue<ShmUniquePtr<Number>>("/tasks", options(2)));
+        n.tasks.emplace(n.engine->queue<ShmUniquePtr<Number>>(kLeft, options(2)));
         n.tasks->put(n.tasks->make(numbered(n.source, 0)));
       })},
       [](Node& n) {
@@ -650,6 +650,71 @@ void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
         while (n.loans.size() < n.options.blocks - 6) loan_one(n);
       })},
       [](Node& n) { n.put(4); });
+}
+
+/// A queue of tasks: what the dead has not finished is the witness's.
+void tasks(std::vector<Operation>& all, QueueEngine engine) {
+  const auto options = [engine](std::uint32_t depth) {
+    return QueueOptions{depth, Policy::Block, engine, Wait::Park, true};
+  };
+  const auto listens = [](Act (*who)(std::function<void(Node&)>), const QueueOptions& o) {
+    return Acts{who(join), who([o](Node& n) {
+                  n.open_queue(o);
+                  n.queue->listen();
+                })};
+  };
+  const auto puts = [](Act (*who)(std::function<void(Node&)>), unsigned count) {
+    return Acts{who([=](Node& n) { n.put(count); })};
+  };
+  const auto takes = [](Node& n) { n.take_work(); };
+  const auto both = [&](std::uint32_t depth) {
+    return listens(witness, options(depth)) + listens(victim, options(depth));
+  };
+  const auto add = [&](const char* name, const Pledge& pledge, const Acts& before,
+                       std::function<void(Node&)> run) {
+    all.push_back({named(name, engine), pledge, before, std::move(run), {}});
+  };
+  const Pledge shown = under(engine, {Promise::LockFree, "put and pop, overwrite"});
+  const Pledge looks = under(engine, {Promise::LockFree, "look for the dead"});
+  add("take a task and finish it", shown, both(2) + puts(witness, 2), [](Node& n) { n.pop(); });
+  add("take a task and give it back", shown, both(2) + puts(witness, 2), [](Node& n) {
+    n.take_work();
+    n.work.give_back();
+  });
+  add("take a task, others work on the first", shown,
+      both(3) + puts(witness, 2) + Acts{witness(takes)}, [](Node& n) { n.pop(); });
+  add("finish a task, who puts sleeps for room", shown,
+      both(1) + puts(witness, 1) + Acts{victim(takes), witness([](Node& n) { n.sleep_to_put(); })},
+      [](Node& n) { n.work.finish(); });
+  add("give a task back, a reader sleeps", shown,
+      both(1) + puts(witness, 1) +
+          Acts{victim(takes), witness([](Node& n) { n.sleep_on_queue(); })},
+      [](Node& n) { n.work.give_back(); });
+  add("leave with a task", {Promise::Blocking}, both(2) + puts(witness, 2) + Acts{victim(takes)},
+      [](Node& n) {
+        n.queue.reset();
+        n.work = {};
+      });
+  add("put a task, and take it", {Promise::Blocking}, both(1), [](Node& n) {
+    n.put();
+    n.take_work();
+    n.work.finish();
+  });
+  add("open a queue of tasks, who put them has died", {Promise::Blocking},
+      listens(witness, options(2)) + listens(dead, options(2)) + Acts{victim(join)} + puts(dead, 2),
+      [=](Node& n) {
+        n.open_queue(options(2));
+        n.queue->listen();
+        n.pop();
+      });
+  add("reap, a dead worker", looks,
+      listens(witness, options(2)) + listens(dead, options(2)) + Acts{victim(join)} +
+          puts(witness, 2) + Acts{dead(takes)},
+      [](Node& n) { n.reap(); });
+  add("reap, a dead worker, a reader sleeps", looks,
+      listens(witness, options(1)) + listens(dead, options(1)) + Acts{victim(join)} +
+          puts(witness, 1) + Acts{dead(takes), witness([](Node& n) { n.sleep_on_queue(); })},
+      [](Node& n) { n.reap(); });
 }
 
 /// What else the mutex engine does in its own way.
@@ -985,6 +1050,7 @@ std::vector<Operation> all_operations() {
     pulls(all, engine);
     subscribers(all, engine);
     queues(all, engine);
+    tasks(all, engine);
     rivals(all, engine, Rival::Killed);
     chosen(all, engine);
   }
