@@ -42,19 +42,18 @@ enum class QueueEngine : std::uint32_t {
 
 struct PusherOptions {
   Policy policy = Policy::Overwrite;
-  /// Messages that the queue holds at most. Under Overwrite it may hold fewer while the segment, or
-  /// max_bytes, is short of memory. Under Block and Refuse a message has its memory until `depth`
-  /// more have been pushed, also when all readers have read it: the segment must have room for
-  /// them.
+  /// Messages that the queue holds at most. It may hold fewer while the segment, or max_bytes, is
+  /// short of memory. Under Block and Refuse only what all readers have read goes: there must be
+  /// room for what the slowest one has yet to read.
   std::uint32_t depth = 64;
   Duration block_for = std::chrono::seconds(1);
   /// LOT_QUEUE=ring or LOT_QUEUE=mutex in the environment comes before it, for every topic.
   QueueEngine engine = QueueEngine::Ring;
   /// The most memory that the messages which this publisher loans take together: in its queue,
   /// loaned, idle, reserved, or kept by readers. Messages of up to 256 bytes, the queue itself and
-  /// messages of others do not count. Under Overwrite the publisher gives its own oldest up beyond
-  /// it; where none can go, a message does not grow (lot::OutOfMemory). Threads that grow messages
-  /// at once may exceed it by one each. 0: as much as the segment has.
+  /// messages of others do not count. Beyond it the publisher gives its own oldest up, under Block
+  /// and Refuse what was read; where none can go, no message grows (lot::OutOfMemory). Threads that
+  /// grow messages at once may exceed it by one each. 0: as much as the segment has.
   std::uint64_t max_bytes = 0;
 };
 

@@ -57,6 +57,10 @@
 ///       -> position load, then second look at who, in make_idle
 ///       carries: the maker's who = 0, which let the joiner in: the reaper does not take the place
 ///       of a living joiner for that of a dead subscriber.
+///   R15 floor store, then roster load in Writer::close_off (seq_cst)
+///       <-> roster bump, then floor load in Reader::join (seq_cst)
+///       a joiner of a lossless ring begins behind what its writer takes back, or the writer sees
+///       it, and then its place (R3), and takes nothing back that is not before that.
 ///
 /// A queue whose messages are each taken by one reader (`taken`) is a ring as well: who has read a
 /// message takes it out of its slot, and who finds none there goes on. Where messages are to be
@@ -101,6 +105,8 @@ struct Ring {
   Atomic<std::uint32_t>* who = nullptr;     ///< [readers] 0, or participant + 1
   Atomic<std::uint32_t>* roster = nullptr;  ///< bumped by each joiner: "look at who[] again"
   Atomic<std::uint32_t>* space = nullptr;   ///< futex; odd = the sender sleeps for room
+  /// Of a lossless ring: joiners begin here at the earliest. Its writer takes older messages back.
+  Atomic<Word>* floor = nullptr;
   std::uint32_t depth = 0;
   std::uint32_t readers = 0;
   bool blocking = false;  ///< what was not read holds the writer back (else it is overwritten)
@@ -118,6 +124,7 @@ struct Ring {
   /// Makes the slots and cells of a new ring. REQUIRES: writer is INIT and the caller owns it.
   void format() {
     // Relaxed: LIVE, which the caller stores then, carries them (R7).
+    floor->store(first, std::memory_order_relaxed);
     for (std::uint32_t i = 0; i < depth; ++i) {
       const Word before = advance(first, Word{i} - depth);
       slots[i].store(make(before, kNoBlock), std::memory_order_relaxed);
@@ -183,10 +190,13 @@ struct Ring {
 
   /// How many messages before `head` a joiner can begin, that wants `history` of them. For a sender
   /// that must not overtake it, one less than the depth: the sender may be one message ahead of
-  /// what the joiner saw.
-  std::uint64_t reach(Word head, std::uint64_t history) const {
+  /// what the joiner saw. And not before the floor, unless that was left behind so long ago that
+  /// the sequences have wrapped.
+  std::uint64_t reach(Word head, std::uint64_t history, Word lowest) const {
     const std::uint64_t most = std::uint64_t{depth} - (guarded() ? 0 : 1);
-    return std::min({history, most, published(head)});
+    const std::uint64_t back = std::min({history, most, published(head)});
+    const std::int64_t since = distance(head, lowest);
+    return guarded() || since < 0 ? back : std::min(back, static_cast<std::uint64_t>(since));
   }
   /// All messages that were ever published before `head`, unless that number has wrapped: then the
   /// ring is full long since.
@@ -279,7 +289,7 @@ class Writer {
   };
 
   Writer() = default;
-  explicit Writer(const Ring<P>& ring) : ring_(ring), next_(ring.first) {
+  explicit Writer(const Ring<P>& ring) : ring_(ring), next_(ring.first), floor_(ring.first) {
     active_.reserve(ring.readers);
     if (ring.taken) put_.resize(ring.depth, kNoBlock);
   }
@@ -293,14 +303,19 @@ class Writer {
     }
     refresh_roster();
     if (minimum_known_ && distance(next_, minimum_) < ring_.depth) return true;
-    minimum_ = next_;
-    minimum_known_ = true;
-    for (const std::uint32_t c : active_) {
-      const Word position = place_of(c);
-      if (position == kIdle) continue;
-      if (distance(sequence(position), minimum_) < 0) minimum_ = sequence(position);
-    }
+    find_slowest();
     return distance(next_, minimum_) < ring_.depth;
+  }
+
+  /// In so many of the oldest slots, from the one that the next message will take, no reader has
+  /// anything to read yet: all where messages are overwritten, none where they are to be taken.
+  std::uint32_t read_slots() {
+    if (!ring_.blocking) return ring_.depth;
+    if (ring_.taken) return 0;
+    refresh_roster();
+    find_slowest();
+    const std::int64_t behind = distance(next_, minimum_);
+    return behind < ring_.depth ? ring_.depth - static_cast<std::uint32_t>(behind) : 0;
   }
 
   /// Publishes a block; the caller's hold on it becomes the ring's. REQUIRES: room().
@@ -355,21 +370,32 @@ class Writer {
         (!minimum_known_ || distance(advance(next_, Word{ahead} - ring_.depth), minimum_) >= 0)) {
       return kNoBlock;
     }
+    return held(ahead);
+  }
+  /// The block in the slot that the message `ahead` of the next one will take, or kNoBlock.
+  /// REQUIRES: ahead < depth.
+  Word held(std::uint32_t ahead) const {
     const std::uint32_t i = index_ + ahead;
     return block(
         ring_.slots[i < ring_.depth ? i : i - ring_.depth].load(std::memory_order_relaxed));
   }
 
   /// Takes the oldest message back out of the ring that may(block) lets go, when memory has run
-  /// out; readers that have not read it count it as missed. Returns its block, or kNoBlock when
-  /// the ring holds none. REQUIRES: not blocking (a borrow has no hazard there).
+  /// out. Returns its block, or kNoBlock when the ring holds none. Where messages are overwritten,
+  /// readers that have not read it count it as missed. From a lossless ring it goes only when all
+  /// have read it, and nobody looks at it then.
+  ///
+  /// Crash: killed behind the floor, joiners that are under way get less of the past. Behind the
+  /// fetch_or, the reaper finds a block that no ring names.
   template <class May>
   Word evict_oldest(May&& may) {
-    for (std::uint32_t n = 0, i = index_; n < ring_.depth; ++n, i = after(i)) {
+    const std::uint32_t slots = read_slots();
+    for (std::uint32_t n = 0, i = index_; n < slots; ++n, i = after(i)) {
       // Relaxed: only the writer puts a block into a slot.
-      const Word held =
-          ring_.taken ? put_[i] : block(ring_.slots[i].load(std::memory_order_relaxed));
+      const Word word = ring_.slots[i].load(std::memory_order_relaxed);
+      const Word held = ring_.taken ? put_[i] : block(word);
       if (held == kNoBlock || !may(held)) continue;
+      if (!ring_.guarded() && !close_off(sequence(word))) return kNoBlock;
       // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
       ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
       if (ring_.taken) put_[i] = kNoBlock;
@@ -508,13 +534,40 @@ class Writer {
  private:
   std::uint32_t after(std::uint32_t i) const { return i + 1 == ring_.depth ? 0 : i + 1; }
 
+  /// Looks where the slowest reader stands. REQUIRES: refresh_roster().
+  void find_slowest() {
+    minimum_ = next_;
+    minimum_known_ = true;
+    for (const std::uint32_t c : active_) {
+      const Word position = place_of(c);
+      if (position == kIdle) continue;
+      if (distance(sequence(position), minimum_) < 0) minimum_ = sequence(position);
+    }
+  }
+
+  /// True when all readers of a lossless ring are beyond this message, those that join just now
+  /// too. False: a joiner was quicker. REQUIRES: read_slots() said that all have read it.
+  bool close_off(Word message) {
+    const Word lowest = next(message);
+    // It never goes down. What looks as if it came behind the next message was there before the
+    // sequences wrapped.
+    const std::int64_t before = distance(next_, floor_);
+    if (before < 0 || before > distance(next_, lowest)) {
+      floor_ = lowest;
+      ring_.floor->store(lowest, std::memory_order_seq_cst);  // R15
+    }
+    refresh_roster();
+    if (!minimum_known_) find_slowest();
+    return distance(message, minimum_) < 0;
+  }
+
   /// Where the reader of a cell stands, or kIdle. A joiner that has no place yet gets one: a joiner
   /// that is held up holds nothing up.
   Word place_of(std::uint32_t c) {
     auto& word = ring_.cells[c].position;
     Word position = word.load(std::memory_order_seq_cst);  // R3, R6
     while (is_joining(position)) {
-      const std::uint64_t back = ring_.reach(next_, sequence(position));
+      const std::uint64_t back = ring_.reach(next_, sequence(position), floor_);
       const Word place = make(advance(next_, Word{0} - back), kNoBlock);
       // Relaxed: only the place is told. If the joiner was quicker, its place counts (R3).
       if (word.compare_exchange_strong(position, place, std::memory_order_relaxed,
@@ -526,7 +579,7 @@ class Writer {
   }
 
   void refresh_roster() {
-    const std::uint32_t now = ring_.roster->load(std::memory_order_seq_cst);  // R4
+    const std::uint32_t now = ring_.roster->load(std::memory_order_seq_cst);  // R4, R15
     if (roster_known_ && now == roster_) return;
     roster_ = now;
     roster_known_ = true;
@@ -541,6 +594,7 @@ class Writer {
   Ring<P> ring_;
   Word next_ = 0;
   Word minimum_ = 0;
+  Word floor_ = 0;           ///< what *ring_.floor says
   std::uint32_t index_ = 0;  ///< slot of next_; kept apart so that depth need not be a power of two
   std::uint32_t roster_ = 0;
   bool roster_known_ = false;
@@ -597,7 +651,7 @@ class Reader {
     to.store(make_unbound(round), std::memory_order_relaxed);
     Word wish = joining(std::min<std::uint64_t>(history, ring.depth));
     if (!ring.guarded()) position.store(wish, std::memory_order_release);  // R3, R14
-    ring.roster->fetch_add(1, std::memory_order_seq_cst);                  // R4
+    ring.roster->fetch_add(1, std::memory_order_seq_cst);                  // R4, R15
     Reader reader;
     reader.ring_ = ring;
     reader.cell_ = c;
@@ -837,6 +891,9 @@ class Reader {
  private:
   /// Puts the cursor `history` messages before the newest one, as far as the ring goes back.
   void start_at_newest(std::uint64_t history) {
+    // Before the slots: then the floor is not beyond the newest message that is found in them.
+    const Word lowest =
+        ring_.guarded() ? ring_.first : ring_.floor->load(std::memory_order_seq_cst);  // R15
     newest_index_ = 0;
     newest_ = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
     for (std::uint32_t i = 1; i < ring_.depth; ++i) {
@@ -847,7 +904,7 @@ class Reader {
       }
     }
     const Word head = next(newest_);
-    std::uint64_t back = ring_.reach(head, history);
+    std::uint64_t back = ring_.reach(head, history, lowest);
     if (history == kFromTheStart && !ring_.blocking && !ring_.taken) {
       back = ring_.published(head);  // poll() counts the missed
     }

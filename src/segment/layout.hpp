@@ -210,6 +210,7 @@ inline bool is_reserved(detail::Arena& arena) {
 struct RingHead {
   alignas(64) std::atomic<std::uint32_t> roster;
   std::atomic<std::uint32_t> returned;
+  std::atomic<ring::Word> floor;  ///< of a lossless ring: where joiners begin at the earliest
   alignas(64) std::atomic<std::uint32_t> space;
   mutex_engine::Lock lock;  ///< of the mutex engine
 };

@@ -412,6 +412,7 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   }
   ring.roster = &head->roster;
   ring.space = &head->space;
+  ring.floor = &head->floor;
   place += sizeof(RingHead);
   ring.who = at<std::atomic<std::uint32_t>>(place);
   place += who_bytes(readers);

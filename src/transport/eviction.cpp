@@ -54,7 +54,7 @@ std::uint64_t Eviction::could_give(std::uint32_t pool) noexcept {
   for (Evictor* e : evictors_) {
     if (e->pool() != pool) continue;
     const Evictor::Stock stock = e->stock(Shortage::Memory);
-    return stock.held + stock.reserved;
+    return stock.own();
   }
   return 0;
 }
@@ -137,7 +137,7 @@ Eviction::Turn Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage
     own = e;
     const Evictor::Stock stock = e->stock(shortage);
     own_held = stock.held;
-    can_give = stock.held + stock.reserved != 0;
+    can_give = stock.own() != 0;
   }
   const std::uint64_t unit = shortage == Shortage::Memory ? segment::kGranule : 1;
   const std::uint64_t keep = own_held + need;

@@ -22,9 +22,13 @@ class Evictor {
   /// reserved counts apart.
   struct Stock {
     std::uint64_t held = 0;      ///< all of them
+    std::uint64_t unread = 0;    ///< those of them that nobody gets: readers must not lose them
     std::uint64_t oldest = 0;    ///< the oldest of them, if another topic may have it; else 0
     std::uint64_t reserved = 0;  ///< beside them, what only the publisher itself may give up
     std::uint32_t block = 0;     ///< that `oldest` is in
+
+    /// What the publisher can free for itself.
+    std::uint64_t own() const noexcept { return held - unread + reserved; }
   };
 
   /// The index of its pool: it names the publisher.
@@ -69,6 +73,9 @@ class Evictor {
 ///      among them), a message in a block that reserve() made, one that is kept or borrowed. Those
 ///      behind it do. A message whose going frees nothing stays, and so do those behind it. Memory
 ///      that reserve() made and that is idle stays as well (Pool::trim).
+///   5. Of a publisher with Policy::Block or Refuse nothing ever goes that a reader has yet to
+///      read. It counts: who waits for slow readers has its share. Tasks that wait for a worker do
+///      not go, either.
 ///
 /// Weights are counted when there is need, by a walk over the rings. So no push counts anything.
 ///

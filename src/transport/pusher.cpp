@@ -59,7 +59,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       : participant_(std::move(participant)), pool_(participant_->open_pool(topic)), type_(&type) {
     try {
       check_depth(topic, options.depth);
-      // To all without loss, a message stays in its slot until the next lap, read or not.
+      // To all without loss, so many messages may be unread at once.
       if (options.policy != Policy::Overwrite && delivery == detail::Delivery::ToAll &&
           options.depth >= participant_->blocks()) {
         throw Error(EINVAL, std::string(topic),
@@ -95,8 +95,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     }
     queue_lock_ = participant_->segment().queue_lock(name_.channel);
     waits_ = options.policy == Policy::Block;
-    evicts_ = writer_->ring().guarded();
-    if (evicts_) participant_->eviction().add(*this);
+    participant_->eviction().add(*this);
   }
 
   ~Pusher() override {
@@ -105,7 +104,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       close_without_ring();
       return;
     }
-    if (evicts_) participant_->eviction().remove(*this);
+    participant_->eviction().remove(*this);
     std::vector<std::uint32_t> blocks;
     {
       std::unique_lock lock(pool_.lock());
@@ -462,14 +461,15 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return false;
   }
 
-  /// The oldest message leaves the ring. Its block keeps its memory, for the next loan. Locked.
+  /// The oldest message leaves the ring, if no reader needs it that must not lose it. Its block
+  /// keeps its memory, for the next loan. Locked.
   bool evict_own() noexcept {
     return evict_own([](ring::Word) { return true; });
   }
   /// The same, of those that may(block) lets go.
   template <class May>
   bool evict_own(May&& may) noexcept {
-    if (!evicts_ || writer_->ring().blocking) return false;
+    if (!writer_) return false;
     const mutex_engine::Alone alone(queue_lock_, std::nothrow);
     const ring::Word b = writer_->evict_oldest(may);
     if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
@@ -710,20 +710,20 @@ class Pusher final : public detail::PusherCore, private Evictor {
   /// REQUIRES: the lock, and Eviction's.
   Stock weigh(Shortage shortage) noexcept {
     Stock stock;
-    if (writer_->ring().blocking) return stock;  // it loses nothing
     begin_to_weigh();
     bool is_oldest = true;
-    each_of_ring([&](std::uint32_t b, std::uint32_t newer) {
+    each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool was_read) {
       if (!is_in_ring_only(b)) return true;
       if (is_reserved(b)) {
-        stock.reserved += shortage == Shortage::Blocks ? 1 : own_bytes(b);
+        if (was_read) stock.reserved += shortage == Shortage::Blocks ? 1 : own_bytes(b);
         return true;
       }
       if (stays(b, shortage)) return true;
       leave(b);
       const std::uint64_t weight = weight_of(b, shortage);
       stock.held += weight;
-      if (std::exchange(is_oldest, false) && newer >= kNewest) {
+      if (!was_read) stock.unread += weight;
+      if (std::exchange(is_oldest, false) && newer >= kNewest && was_read) {
         stock.oldest = weight;
         stock.block = b;
       }
@@ -735,9 +735,9 @@ class Pusher final : public detail::PusherCore, private Evictor {
   void mark(bool own, std::uint64_t keep, std::vector<bool>& blocks) noexcept override {
     std::uint64_t held = own ? 0 : stock(Shortage::Memory).held;
     const std::lock_guard guard(pool_.lock());
-    if (writer_->ring().blocking) return;
     begin_to_weigh();
-    each_of_ring([&](std::uint32_t b, std::uint32_t newer) {
+    each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool was_read) {
+      if (!was_read) return false;
       if (!own && stays(b, Shortage::Memory)) return true;
       leave(b);
       if (!own) {
@@ -750,16 +750,17 @@ class Pusher final : public detail::PusherCore, private Evictor {
     });
   }
 
-  /// Calls f(block, newer ones in the ring) from the oldest on, until it says false. Locked.
+  /// Calls f(block, newer ones in the ring, whether it may go: no reader needs it that must not
+  /// lose it) from the oldest on, until it says false. Locked. REQUIRES: begin_to_weigh().
   template <class F>
   void each_of_ring(F&& f) const {
     const std::uint32_t depth = writer_->ring().depth;
     std::uint32_t left = 0;
-    for (std::uint32_t i = 0; i < depth; ++i) left += writer_->upcoming(i) < participant_->blocks();
+    for (std::uint32_t i = 0; i < depth; ++i) left += writer_->held(i) < participant_->blocks();
     for (std::uint32_t i = 0; i < depth && left != 0; ++i) {
-      const ring::Word b = writer_->upcoming(i);
+      const ring::Word b = writer_->held(i);
       if (b >= participant_->blocks()) continue;
-      if (!f(static_cast<std::uint32_t>(b), --left)) return;
+      if (!f(static_cast<std::uint32_t>(b), --left, i < read_slots_)) return;
     }
   }
 
@@ -787,11 +788,12 @@ class Pusher final : public detail::PusherCore, private Evictor {
             participant_->segment().arena(b).references == 0);
   }
 
-  /// Looks at the hazards, and forgets what was weighed before.
+  /// Looks at the readers, and forgets what was weighed before.
   void begin_to_weigh() noexcept {
     see_hazards();
+    read_slots_ = writer_->read_slots();
     Holder& holder = participant_->holder();
-    each_of_ring([&](std::uint32_t b, std::uint32_t) {
+    each_of_ring([&](std::uint32_t b, std::uint32_t, bool) {
       holder.leaving[b] = 0;
       holder.each_reference(b, [&](std::uint32_t t) { holder.leaving[t] = 0; });
       return true;
@@ -839,14 +841,14 @@ class Pusher final : public detail::PusherCore, private Evictor {
   registry::ChannelName name_{};
   std::optional<ring::Writer<segment::Atomics>> writer_;
   mutex_engine::QueueLock queue_lock_;
-  bool waits_ = false;   ///< for room
-  bool evicts_ = false;  ///< gives its oldest messages up when memory runs out
+  bool waits_ = false;  ///< for room
   SpinHabit habit_{Wait::Adaptive};
   YieldHabit yield_;
   std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the largest in the ring
   std::uint32_t since_fit_ = 0;      ///< messages since the last of that size
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
+  std::uint32_t read_slots_ = 0;  ///< Writer::read_slots(), when the ring was last weighed
   std::size_t room_ahead_ = 0;
   std::size_t owed_ = 0;  ///< threads that have published, and wake before they retire
   futex::Clock::time_point short_until_{};  ///< blocks or memory were short; none: they were not

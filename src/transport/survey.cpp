@@ -9,8 +9,27 @@ using Ownership = refcount::Ownership<segment::Atomics>;
 
 namespace {
 
-bool may_lose(const segment::ChannelEntry& entry) {
-  return entry.policy == static_cast<std::uint32_t>(Policy::Overwrite);
+/// Tasks that a publisher waits for go to workers only. What it has left when it has gone, its
+/// readers get to the end.
+bool may_lose(const segment::ChannelEntry& entry, ring::State state) {
+  return entry.policy == static_cast<std::uint32_t>(Policy::Overwrite) ||
+         (state == ring::State::Live && entry.taken == 0);
+}
+
+/// Where the slowest reader of a lossless ring stands, whose next message is `head`. One that is
+/// joining may get any place.
+ring::Word slowest(const segment::Ring& ring, ring::Word head) {
+  ring::Word place = head;
+  for (std::uint32_t c = 0; c < ring.readers; ++c) {
+    // Relaxed: a hint.
+    const ring::Word position = ring.cells[c].position.load(std::memory_order_relaxed);
+    if (position == ring::kIdle || ring.who[c].load(std::memory_order_relaxed) == 0) continue;
+    const ring::Word its = ring::is_joining(position)
+                               ? ring::advance(head, ring::kSequenceMask + 1 - ring.depth)
+                               : ring::sequence(position);
+    if (ring::distance(its, place) < 0) place = its;
+  }
+  return place;
 }
 
 }  // namespace
@@ -49,16 +68,17 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
           if (b < granules_.size()) is_in_live_ring_[static_cast<std::size_t>(b)] = true;
         }
       }
-      if (owner == self || !may_lose(segment_.channels()[c])) continue;
+      if (owner == self || !may_lose(segment_.channels()[c], state)) continue;
       Publisher p{owner, c, 0, 0, 0};
-      each_that_counts(c, owner, [&](std::uint32_t b, std::uint64_t weight, std::uint32_t newer) {
-        if (p.held == 0) {
-          p.first = b;
-          if (newer >= kNewest) p.oldest = weight;
-        }
-        p.held += weight;
-        return true;
-      });
+      each_that_counts(
+          c, owner, [&](std::uint32_t b, std::uint64_t weight, std::uint32_t newer, bool was_read) {
+            if (p.held == 0) {
+              p.first = b;
+              if (newer >= kNewest && was_read) p.oldest = weight;
+            }
+            p.held += weight;
+            return true;
+          });
       if (p.held != 0) publishers_.push_back(p);
     }
   }
@@ -69,9 +89,9 @@ void Survey::mark_of(const Publisher& p, std::uint64_t keep,
   std::uint64_t held = p.held;
   const bool has_gone = p.owner == refcount::kOrphanage;
   each_that_counts(p.channel, p.owner,
-                   [&](std::uint32_t b, std::uint64_t weight, std::uint32_t newer) {
+                   [&](std::uint32_t b, std::uint64_t weight, std::uint32_t newer, bool was_read) {
                      if (!has_gone) {
-                       if (newer < kNewest || held < keep + weight) return false;
+                       if (!was_read || newer < kNewest || held < keep + weight) return false;
                        held -= weight;
                      }
                      blocks[b] = true;
@@ -92,15 +112,18 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
     left += ring::block(word(i)) < granules_.size();
     if (ring::distance(ring::sequence(word(i)), ring::sequence(word(newest))) > 0) newest = i;
   }
+  if (left == 0) return;
+  const bool loses = ring.guarded();
+  const ring::Word place = loses ? 0 : slowest(ring, ring::next(ring::sequence(word(newest))));
   for (std::uint32_t n = 1; n <= ring.depth && left != 0; ++n) {
     const std::uint32_t i = newest + n;
-    const ring::Word w = ring::block(word(i < ring.depth ? i : i - ring.depth));
-    if (w >= granules_.size()) continue;
+    const ring::Word slot = word(i < ring.depth ? i : i - ring.depth);
+    if (ring::block(slot) >= granules_.size()) continue;
     --left;
-    const auto b = static_cast<std::uint32_t>(w);
+    const auto b = static_cast<std::uint32_t>(ring::block(slot));
     const std::uint64_t weight = weight_of(b, owner);
     if (weight == 0 || (owner == refcount::kOrphanage && ring.is_looked_at(b))) continue;
-    if (!f(b, weight, left)) return;
+    if (!f(b, weight, left, loses || ring::distance(ring::sequence(slot), place) < 0)) return;
   }
 }
 

@@ -108,8 +108,8 @@ class Survey {
     return most;
   }
   void mark_of(const Publisher& p, std::uint64_t keep, std::vector<bool>& blocks) const noexcept;
-  /// Calls f(block, its weight, how many newer ones are in the ring) for those that count, from the
-  /// oldest on, until it says false.
+  /// Calls f(block, its weight, how many newer ones are in the ring, whether it may go: no reader
+  /// needs it that must not lose it) for those that count, from the oldest on, until it says false.
   template <class F>
   void each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f) const;
   /// Its weight if it dies when it leaves the ring, and is not reserved; else 0.

@@ -50,6 +50,7 @@ struct BasicChannel {
     ring.who = who.data();
     ring.roster = &roster;
     ring.space = &space;
+    ring.floor = &floor;
     ring.depth = depth;
     ring.readers = readers;
     ring.blocking = policy == Policy::Blocking;
@@ -102,6 +103,7 @@ struct BasicChannel {
   std::vector<lot::ring::Cell<P>> cells;
   std::vector<Atomic<std::uint32_t>> who;
   Atomic<std::uint32_t> roster{0};
+  Atomic<Word> floor{0};
   Atomic<std::uint32_t> space{0};
   lot::ring::Ring<P> ring;
   lot::ring::Writer<P> writer;
@@ -677,6 +679,98 @@ TEST_CASE("a sleeper's mark survives an eviction") {
   CHECK(drain(reader).blocks == Blocks{2});
 }
 
+TEST_CASE("of a lossless ring comes back what all have read, and nothing else") {
+  for (const Word first : {Word{0}, kSequenceMask - 2}) {
+    for (const std::uint32_t depth : {1U, 3U, 4U}) {
+      for (Word read = 0; read <= depth; ++read) {
+        CAPTURE(first);
+        CAPTURE(depth);
+        CAPTURE(read);
+        Channel channel(depth, Policy::Blocking, 4, first);
+        Reader ahead = channel.join();
+        Reader behind = channel.join();
+        channel.publish(0, depth);
+        CHECK(channel.writer.read_slots() == 0);
+        CHECK(channel.writer.evict_oldest() == kNoBlock);
+        drain(ahead);
+        std::uint64_t missed = 0;
+        for (Word block = 0; block < read; ++block) {
+          CHECK(behind.poll(missed) == block);
+          behind.done();
+        }
+        CHECK(channel.writer.read_slots() == read);
+        for (Word block = 0; block < read; ++block) CHECK(channel.writer.evict_oldest() == block);
+        CHECK(channel.writer.evict_oldest() == kNoBlock);
+
+        Reader late = channel.join(depth);
+        const Drained past = drain(late);
+        CHECK(past.blocks == blocks(std::max(read, Word{1}), depth));
+        CHECK(past.missed == 0);
+        const Drained rest = drain(behind);
+        CHECK(rest.blocks == blocks(read, depth));
+        CHECK(rest.missed == 0);
+
+        for (Word block = depth; block < 2 * depth; ++block) {
+          REQUIRE(channel.writer.room());
+          CHECK(channel.writer.publish(block).replaced ==
+                (block - depth < read ? kNoBlock : block - depth));
+        }
+        CHECK(drain(behind).blocks == blocks(depth, 2 * depth));
+      }
+    }
+  }
+}
+
+TEST_CASE("what a reader looks at, or one that has not looked yet, does not come back") {
+  Channel channel(3, Policy::Blocking);
+  channel.await(0, kParticipant);
+  channel.publish(0, 3);
+  CHECK(channel.writer.evict_oldest() == kNoBlock);
+  auto reader = Reader::adopt(channel.ring, kParticipant);
+  REQUIRE(reader);
+  std::uint64_t missed = 0;
+  CHECK(reader->poll(missed) == 0);
+  CHECK(channel.writer.evict_oldest() == kNoBlock);
+  reader->done();
+  CHECK(channel.writer.evict_oldest() == 0);
+  CHECK(channel.writer.evict_oldest() == kNoBlock);
+  reader->leave();
+  CHECK(channel.writer.evict_oldest() == 1);
+  CHECK(channel.writer.evict_oldest() == 2);
+  CHECK(channel.writer.evict_oldest() == kNoBlock);
+}
+
+TEST_CASE("who joins a lossless ring begins behind all that came back, and gets no gap") {
+  const auto only = [](Word wanted) { return [wanted](Word block) { return block == wanted; }; };
+  Channel channel(5, Policy::Blocking, 4, kSequenceMask - 2);
+  channel.publish(0, 5);
+  CHECK(channel.writer.evict_oldest(only(2)) == 2);
+  Reader one = channel.join(4);
+  CHECK(drain(one).blocks == Blocks{3, 4});
+  CHECK(channel.writer.evict_oldest(only(0)) == 0);  // before what came back first
+  Reader two = channel.join(Reader::kFromTheStart);
+  CHECK(two.skipped() == 3);
+  const Drained drained = drain(two);
+  CHECK(drained.blocks == Blocks{3, 4});
+  CHECK(drained.missed == 0);
+  CHECK(channel.writer.evict_oldest(only(4)) == 4);
+  Reader three = channel.join(4);
+  CHECK(drain(three).blocks.empty());
+  channel.publish(5, 6);
+  CHECK(drain(three).blocks == Blocks{5});
+  Reader four = channel.join(4);
+  CHECK(drain(four).blocks == Blocks{5});
+}
+
+TEST_CASE("a lossless ring whose messages are taken gives none of them up") {
+  Channel channel(3, Policy::Blocking);
+  channel.ring.taken = true;
+  channel.writer = lot::ring::Writer<HardwareAtomics>(channel.ring);
+  channel.publish(0, 2);
+  CHECK(channel.writer.read_slots() == 0);
+  CHECK(channel.writer.evict_oldest() == kNoBlock);
+}
+
 // ---- sleeping -----------------------------------------------------------------------------------
 
 TEST_CASE("a sleeper's mark is seen by the next publish and by no other") {
@@ -952,6 +1046,55 @@ TEST_CASE("a joiner that is overtaken begins where the sender has put it, and mi
   }
 }
 
+TEST_CASE("what comes back while somebody joins is not what the joiner gets, at each step") {
+  for (const Word first : {Word{0}, kSequenceMask - 5}) {
+    for (const std::uint64_t history : {std::uint64_t{0}, std::uint64_t{2}, std::uint64_t{9}}) {
+      for (int step = 0; step < 3; ++step) {
+        CAPTURE(history);
+        CAPTURE(step);
+        InterruptedChannel channel(4, Policy::Blocking, 3, first);
+        channel.publish(0, 4);
+        Blocks back;
+        const auto take_back = [&] {
+          for (Word block; (block = channel.writer.evict_oldest()) != kNoBlock;) {
+            back.push_back(block);
+          }
+        };
+        auto& position = channel.cells[0].position;
+        switch (step) {
+          case 0:  // it has told its wish, and nobody has seen it
+            interruption = {&position, take_back};
+            break;
+          case 1:  // it is on the roster, and gets a place
+            interruption = {&channel.roster, take_back};
+            break;
+          default:  // it has found one itself
+            interruption = {&position, [&] { interruption = {&position, take_back}; }};
+        }
+        auto reader = channel.join(history);
+        CHECK(interruption.at == nullptr);
+        take_back();
+        const Drained drained = drain(reader);
+        CHECK(drained.missed == 0);
+        Blocks all = back;
+        all.insert(all.end(), drained.blocks.begin(), drained.blocks.end());
+        CHECK(all == blocks(0, 4));
+        if (step != 0) CHECK(drained.blocks.size() == std::min<std::size_t>(history, 3));
+      }
+    }
+  }
+}
+
+TEST_CASE("who joins behind the floor's step does not keep a message from coming back") {
+  InterruptedChannel channel(4, Policy::Blocking);
+  channel.publish(0, 4);
+  std::optional<BasicChannel<InterruptedAtomics>::Reader> joiner;
+  interruption = {&channel.floor, [&] { joiner = channel.join(9); }};
+  CHECK(channel.writer.evict_oldest() == 0);
+  REQUIRE(joiner);
+  CHECK(drain(*joiner).blocks == Blocks{1, 2, 3});
+}
+
 TEST_CASE("a message that comes while a reader marks its slot is not slept through") {
   InterruptedChannel channel(2, Policy::Overwrite);
   auto reader = channel.join();
@@ -983,6 +1126,7 @@ TEST_CASE("random operations agree with a deque") {
 
     std::deque<std::optional<Word>> kept;  // the newest messages, oldest first; empty: evicted
     Word published = 0;
+    Word floor = 0;  // of a lossless ring: index behind what has come back
     struct Model {
       Reader reader;
       Word next;  // index of the message that it reads next
@@ -1029,11 +1173,16 @@ TEST_CASE("random operations agree with a deque") {
           break;
         }
         case 6: {
-          if (policy == Policy::Blocking) break;  // back-pressure does not lose messages
           Word expected = kNoBlock;
           for (auto& message : kept) {
             if (!message) continue;
+            bool goes = true;
+            for (const Model& m : readers) {
+              goes = goes && (policy == Policy::Overwrite || m.next > *message);
+            }
+            if (!goes) break;  // back-pressure does not lose messages
             expected = *message;
+            if (policy == Policy::Blocking) floor = expected + 1;
             message.reset();
             break;
           }
@@ -1050,7 +1199,7 @@ TEST_CASE("random operations agree with a deque") {
           const std::uint64_t history = below(4) == 0 ? Reader::kFromTheStart : below(depth + 3);
           Word back = policy == Policy::Blocking ? depth - 1 : depth;
           if (history == Reader::kFromTheStart && policy == Policy::Overwrite) back = published;
-          back = std::min({back, Word{history}, published});
+          back = std::min({back, Word{history}, published - floor});
           readers.push_back({channel.join(history), published - back});
           break;
         }

@@ -11,6 +11,8 @@ foreach(mistake IN ITEMS
     adopt-without-bump
     wanted-not-said
     joiner-not-announced
+    floor-not-told
+    floor-relaxed
     marks-not-cleared
     no-wake
     no-ring-for-room

@@ -46,6 +46,58 @@ struct PublisherKilledScene : Scene<Derived, 3> {
 struct PublisherKilledOverwrite : PublisherKilledScene<PublisherKilledOverwrite, false> {};
 struct PublisherKilledBlocking : PublisherKilledScene<PublisherKilledBlocking, true> {};
 
+/// A lossless publisher is killed while it takes back what was read, or a joiner is that wants the
+/// past. The others miss nothing.
+template <class Derived, std::uint32_t kVictim>
+struct KilledWhileTakenBack : Scene<Derived, 3> {
+  KilledWhileTakenBack() : Scene<Derived, 3>({.blocks = 2, .depth = 3, .readers = 2}) {}
+  void prepare() {
+    publisher.open(this->start(4), 0, true);
+    RL_ASSERT(subscriber.join(this->start(2), 0, 1, 1));
+    for (int i = 0; i < 2; ++i) RL_ASSERT(publisher.send());
+    RL_ASSERT(subscriber.receive());
+    this->start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      dies_if(4, 60, [this] {
+        for (int i = 0; i < 4; ++i) {
+          if (!publisher.send()) publisher.evict();
+        }
+      });
+    } else if (t == 1) {
+      subscriber.receive();
+      this->segment.await_end_of(kVictim);
+      this->process(2).see_reaped(kVictim);
+    } else {
+      dies_if(3, 40, [this] {
+        if (!joiner.join(this->process(3), 0, 1, 2)) return;
+        for (int i = 0; i < 2; ++i) joiner.receive();
+        has_joined = true;
+      });
+    }
+  }
+  void check() {
+    for (Subscriber* reader : {&subscriber, &joiner}) {
+      if (reader == &joiner && (!has_joined || kVictim == 3)) continue;
+      while (reader->receive()) {
+      }
+      RL_ASSERT(reader->missed() == 0);
+      // The message in flight may or may not have come out.
+      RL_ASSERT(reader->number() == publisher.sent() || reader->number() == publisher.sent() + 1);
+    }
+  }
+  template <class F>
+  void dies_if(std::uint32_t k, unsigned steps, F&& f) {
+    k == kVictim ? this->die_within(k, steps, f) : f();
+  }
+  Publisher publisher;
+  Subscriber subscriber, joiner;
+  bool has_joined = false;
+};
+struct KilledWhileItTakesBack : KilledWhileTakenBack<KilledWhileItTakesBack, 4> {};
+struct KilledWhileItJoins : KilledWhileTakenBack<KilledWhileItJoins, 3> {};
+
 /// The same in small: it is killed around the exchange, and reaped at once.
 template <class Derived, bool kBlocking>
 struct KilledAtTheExchangeScene : Scene<Derived, 2> {
@@ -647,6 +699,11 @@ const Entered entered{
      rl::simulate<PublisherKilledOverwrite>},
     {"publisher_killed_blocking", "the same under back-pressure, and miss nothing",
      rl::simulate<PublisherKilledBlocking>},
+    {"killed_while_it_takes_back",
+     "what a dead publisher has taken back is free, nothing is missed",
+     rl::simulate<KilledWhileItTakesBack>},
+    {"killed_while_it_joins", "a dead joiner does not keep what was read from coming back",
+     rl::simulate<KilledWhileItJoins>},
     {"killed_at_the_exchange", "published or not, and never half",
      rl::simulate<KilledAtTheExchange>, 2},
     {"killed_at_the_exchange_blocking", "the same under back-pressure",

@@ -252,6 +252,66 @@ struct EvictAgainstBorrow : Scene<EvictAgainstBorrow, 2> {
   Subscriber subscriber;
 };
 
+/// A lossless publisher that takes back what all have read takes it from under nobody, and nobody
+/// misses a message: neither a reader, nor one that joins meanwhile and wants the past.
+struct TakesBackWhatWasRead : Scene<TakesBackWhatWasRead, 3> {
+  TakesBackWhatWasRead() : Scene({.blocks = 2, .depth = 3, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(first.join(start(2), 0, 1, 1));
+    for (int i = 0; i < 2; ++i) RL_ASSERT(publisher.send());
+    RL_ASSERT(first.receive());
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 3; ++i) {
+        if (!publisher.send()) publisher.evict();
+      }
+    } else if (t == 1) {
+      for (int i = 0; i < 2; ++i) rl::rand(2) != 0 ? first.receive() : first.receive_and_keep();
+    } else {
+      RL_ASSERT(late.join(process(3), 0, 1, 2));
+      for (int i = 0; i < 2; ++i) rl::rand(2) != 0 ? late.receive() : late.receive_and_keep();
+    }
+  }
+  void check() {
+    for (Subscriber* subscriber : {&first, &late}) {
+      while (subscriber->receive()) {
+      }
+      RL_ASSERT(subscriber->missed() == 0 && subscriber->number() == publisher.sent());
+    }
+    RL_ASSERT(first.received() == publisher.sent());
+  }
+  Publisher publisher;
+  Subscriber first, late;
+};
+
+/// The same with nobody but the joiner. Small enough for the bounded search.
+struct TakesBackFromAJoiner : Scene<TakesBackFromAJoiner, 2> {
+  TakesBackFromAJoiner() : Scene({.blocks = 2, .depth = 3, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    for (int i = 0; i < 2; ++i) RL_ASSERT(publisher.send());
+    start(2);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      if (publisher.evict()) RL_ASSERT(publisher.send());
+    } else {
+      RL_ASSERT(subscriber.join(process(2), 0, 1, 2));
+      for (int i = 0; i < 2; ++i) subscriber.receive();
+    }
+  }
+  void check() {
+    while (subscriber.receive()) {
+    }
+    RL_ASSERT(subscriber.missed() == 0 && subscriber.number() == publisher.sent());
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
 /// A reader leaves in the middle of a borrow, and another one joins.
 struct LeavesInABorrow : Scene<LeavesInABorrow, 3> {
   LeavesInABorrow() : Scene({.blocks = 2, .depth = 1, .readers = 2}) {}
@@ -429,6 +489,10 @@ const Entered entered{
      rl::simulate<LateJoinerOverwrite>, 2},
     {"evict_against_borrow", "an evicted block is not taken from a borrower",
      rl::simulate<EvictAgainstBorrow>, 2},
+    {"takes_back_what_was_read", "a lossless ring gives up what was read, and readers miss nothing",
+     rl::simulate<TakesBackWhatWasRead>, 1},
+    {"takes_back_from_a_joiner", "the same while somebody joins who wants the past",
+     rl::simulate<TakesBackFromAJoiner>, 3},
     {"leaves_in_a_borrow", "what a leaver has borrowed is not written before it has read",
      rl::simulate<LeavesInABorrow>, 2},
     {"hints", "a hint that is wrong does no harm", rl::simulate<Hints>, 2},

@@ -30,6 +30,7 @@ void Channel::soil() {
   for (auto& w : who) w.store(kSoiledBy + 1, kOrder);
   roster.store(7, kOrder);
   space.store(7, kOrder);
+  floor.store(7, kOrder);
 }
 
 Segment::Segment(const Shape& s)
@@ -306,6 +307,7 @@ ring::Ring<Policy> Process::unformed_ring(std::uint32_t c) {
           channel.who.data(),
           &channel.roster,
           &channel.space,
+          &channel.floor,
           segment_->shape.depth,
           segment_->shape.readers,
           channel.blocking.read(),

@@ -52,6 +52,7 @@ struct Channel {
   Atomic<std::uint32_t> space;
   std::vector<Atomic<Word>> claims;
   Atomic<std::uint32_t> returned;
+  Atomic<Word> floor;
   Atomic<std::uint32_t> formed;  ///< 1: `blocking` is written
   Plain<bool> blocking;
   Plain<bool> used;  ///< written by who makes a ring and who frees it: one after the other

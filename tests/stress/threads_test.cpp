@@ -79,6 +79,7 @@ struct Channel {
     ring.who = who.data();
     ring.roster = &roster;
     ring.space = &space;
+    ring.floor = &floor;
     ring.depth = depth;
     ring.readers = kReaders;
     ring.blocking = blocking;
@@ -109,6 +110,7 @@ struct Channel {
   std::vector<std::atomic<std::uint32_t>> who;
   std::atomic<std::uint32_t> roster{0};
   std::atomic<std::uint32_t> space{0};
+  std::atomic<Word> floor{0};
   std::vector<Payload> blocks;
   Ring ring;
 };
