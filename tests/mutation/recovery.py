@@ -148,6 +148,12 @@ MISTAKES = (
     Planted('what was taken is given up before what is older', 'src/lockfree_ring/ring.hpp', 'taken', ((
         '        if (block(ring_.slots[oldest_].load(std::memory_order_seq_cst)) != kNoBlock) return;  // R10\n',
         ''),)),
+    Planted('re-check: the roster, behind the floor', 'src/lockfree_ring/ring.hpp', 'ring', ((
+        '    refresh_roster();\n    if (!minimum_known_) find_slowest();\n'
+        '    return distance(message, minimum_) < 0;\n', '    return true;\n'),)),
+    Planted('the sender gives a joiner a place before the floor', 'src/lockfree_ring/ring.hpp', 'ring', ((
+        'ring_.reach(next_, sequence(position), floor_);',
+        'ring_.reach(next_, sequence(position), ring_.first);'),)),
     Planted('nobody is told on the condition of a ring', 'src/lockfree_ring/ring.hpp', 'mutex', ((
         '    if (arrived != nullptr) return RobustCondition(*arrived).renew();\n', ''),)),
     Planted('a mark on the condition is kept', 'src/robust_mutex/robust_condition.hpp', 'mutex', ((
