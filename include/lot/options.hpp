@@ -46,6 +46,8 @@ struct PusherOptions {
   /// short of memory. Under Block and Refuse only what all readers have read goes: there must be
   /// room for what the slowest one has yet to read.
   std::uint32_t depth = 64;
+  /// Under Block: so long a push waits for room; so long a loan, and a message that grows, waits
+  /// for memory that goes when readers have read.
   Duration block_for = std::chrono::seconds(1);
   /// LOT_QUEUE=ring or LOT_QUEUE=mutex in the environment comes before it, for every topic.
   QueueEngine engine = QueueEngine::Ring;

@@ -72,14 +72,15 @@ class ShmPusher {
       : core_(std::move(core)), block_for_(block_for) {}
 
   /// A new message, built in shared memory from args. Plain types are not zeroed.
-  /// Errors: lot::OutOfMemory.
+  /// Errors: lot::OutOfMemory; under Policy::Block after PusherOptions::block_for, if readers have
+  /// yet to read what has the memory.
   template <class... Args>
   ShmUniquePtr<T> loan(Args&&... args) {
     return detail::build<T>(core_->loan(detail::message_type<T>(), true),
                             std::forward<Args>(args)...);
   }
-  /// The same, but null when the segment has no room for the struct. Vectors and strings in it ask
-  /// for memory when they grow, and throw lot::OutOfMemory.
+  /// The same, but null at once when the segment has no room for the struct. Vectors and strings in
+  /// it ask for memory when they grow, as those of a loan() do, and throw lot::OutOfMemory.
   template <class... Args>
   ShmUniquePtr<T> try_loan(Args&&... args) {
     const detail::Loan loan = core_->loan(detail::message_type<T>(), false);

@@ -132,7 +132,8 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   }
   if (run == kNoRun) {  // what has gone meanwhile may be enough, the more so for a little less
     claimed = static_cast<std::uint32_t>(granules_in(bytes));
-    run = p.claim_run(claimed, block + 1);
+    const bool waits = p.holder().cell(block).type != nullptr;  // try_loan() does not
+    run = waits ? p.await_run(claimed, block + 1) : p.claim_run(claimed, block + 1);
   }
   if (run == kNoRun) out_of_memory(p, *this, bytes, errno);
   extent[extents] = {run, claimed, 0, alone ? std::uint16_t{0} : kShared};

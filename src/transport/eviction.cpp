@@ -49,14 +49,27 @@ bool Eviction::give_up(std::uint32_t pool) noexcept {
   return false;
 }
 
-std::uint64_t Eviction::could_give(std::uint32_t pool) noexcept {
+std::uint64_t Eviction::could_give(std::uint32_t pool, Shortage shortage) noexcept {
   const std::lock_guard guard(mutex_);
   for (Evictor* e : evictors_) {
-    if (e->pool() != pool) continue;
-    const Evictor::Stock stock = e->stock(Shortage::Memory);
-    return stock.own();
+    if (e->pool() == pool) return e->stock(shortage).own();
   }
   return 0;
+}
+
+bool Eviction::has_unread(Shortage shortage) noexcept {
+  const std::lock_guard guard(mutex_);
+  return survey(shortage).has_unread() ||
+         std::any_of(evictors_.begin(), evictors_.end(),
+                     [shortage](Evictor* e) { return e->stock(shortage).unread != 0; });
+}
+
+std::chrono::nanoseconds Eviction::patience(std::uint32_t pool) noexcept {
+  const std::lock_guard guard(mutex_);
+  for (Evictor* e : evictors_) {
+    if (e->pool() == pool) return e->patience();
+  }
+  return {};
 }
 
 void Eviction::look_at_others(Shortage shortage) noexcept {
@@ -73,9 +86,15 @@ bool Eviction::can_free_run(std::uint32_t asker, std::uint32_t granules,
                             const Givers& givers) noexcept {
   const std::lock_guard guard(mutex_);
   std::fill(marked_.begin(), marked_.end(), false);
+  bool unread = false;
+  for (Evictor* e : evictors_) unread |= e->pool() == asker && e->patience().count() != 0;
   // At the end of what the rules allow, the asker has given all that it had.
-  for (Evictor* e : evictors_) e->mark(e->pool() == asker, segment::kGranule * granules, marked_);
-  survey(Shortage::Memory).mark(granules, marked_, [&](std::uint32_t k) { return givers[k]; });
+  for (Evictor* e : evictors_) {
+    e->mark(e->pool() == asker, segment::kGranule * granules, unread, marked_);
+  }
+  survey(Shortage::Memory).mark(granules, unread, marked_, [&](std::uint32_t k) {
+    return givers[k];
+  });
   return has_run(granules);
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <mutex>
@@ -41,13 +42,17 @@ class Evictor {
   virtual std::size_t look(std::span<std::uint32_t> foreign) noexcept = 0;
   virtual Stock stock(Shortage shortage) noexcept = 0;
   /// Marks the blocks that the rule can free: all, or the oldest, while `keep` bytes remain.
-  virtual void mark(bool own, std::uint64_t keep, std::vector<bool>& blocks) noexcept = 0;
+  /// `unread`: those too that readers have yet to read.
+  virtual void mark(bool own, std::uint64_t keep, bool unread,
+                    std::vector<bool>& blocks) noexcept = 0;
   /// Gives its oldest message up, whatever it is, for its own need. False: there is none.
   virtual bool give_up() noexcept = 0;
   /// Gives the oldest of its messages that count up to another topic, if that one may have it still
   /// and `keep` remain: since stock() said so a message may have come, or that one may have been
   /// kept. False: not.
   virtual bool give_up_to_other(Shortage shortage, std::uint64_t keep) noexcept = 0;
+  /// How long its own need waits for readers of what it must not lose.
+  virtual std::chrono::nanoseconds patience() const noexcept { return {}; }
 
  protected:
   ~Evictor() = default;
@@ -75,7 +80,7 @@ class Evictor {
 ///      that reserve() made and that is idle stays as well (Pool::trim).
 ///   5. Of a publisher with Policy::Block or Refuse nothing ever goes that a reader has yet to
 ///      read. It counts: who waits for slow readers has its share. Tasks that wait for a worker do
-///      not go, either.
+///      not go, either. One with Policy::Block waits for readers, its own and others', as for room.
 ///
 /// Weights are counted when there is need, by a walk over the rings. So no push counts anything.
 ///
@@ -101,14 +106,19 @@ class Eviction {
   /// Rule 3 alone: the publisher with this pool gives its oldest message up. False: it has none, or
   /// may lose none.
   bool give_up(std::uint32_t pool) noexcept;
-  /// How many bytes it would free if it gave all up.
-  std::uint64_t could_give(std::uint32_t pool) noexcept;
+  /// How much it would free if it gave up all that it may: bytes or blocks.
+  std::uint64_t could_give(std::uint32_t pool, Shortage shortage) noexcept;
+  /// True when readers have yet to read something that may go then.
+  bool has_unread(Shortage shortage) noexcept;
+  /// Evictor::patience() of the publisher with this pool.
+  std::chrono::nanoseconds patience(std::uint32_t pool) noexcept;
   /// Looks what the publishers of other processes hold.
   void look_at_others(Shortage shortage) noexcept;
   /// Which other processes give, by participant: those that are stopped do not. Of kOrphanage:
   /// whether ended rings do.
   using Givers = std::array<bool, segment::kMaxParticipants>;
-  /// Rule 1, for a run of so many granules.
+  /// Rule 1, for a run of so many granules. For an asker that waits for readers what they have yet
+  /// to read counts, too.
   bool can_free_run(std::uint32_t asker, std::uint32_t granules, const Givers& givers) noexcept;
 
   /// What became of rules 2 to 4.

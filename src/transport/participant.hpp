@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cerrno>
@@ -15,6 +16,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include "lot/detail/core.hpp"
 #include "lot/error.hpp"
 #include "lot/options.hpp"
 
@@ -104,6 +106,8 @@ class Participant {
   /// kNone: there is none, and errno says why: 0, ENOSPC (the file system), EDQUOT (the publisher
   /// has all that PusherOptions::max_bytes gives it).
   std::uint32_t claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
+  /// The same; a publisher that waits for readers does, if that can make room for it.
+  std::uint32_t await_run(std::uint32_t granules, std::uint32_t tag) noexcept;
   /// The same, of what is free.
   std::uint32_t try_claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
   /// The granules behind a run that a block of ours has.
@@ -170,6 +174,38 @@ class Participant {
       eviction_.look_at_others(shortage);
       if (!given && !possible(givers)) return false;
     }
+  }
+
+  /// A publisher that waits for room in its queue waits for memory and blocks, too, while readers
+  /// have yet to read what has them: until search() says that it is done, or the patience has
+  /// ended. look() is a small search, which asks no other process. True when one of them was.
+  /// REQUIRES: may_await_readers().
+  template <class Search, class Look>
+  bool await_readers(Search&& search, Look&& look, std::uint32_t asker,
+                     Shortage shortage) noexcept {
+    const auto until = detail::after(eviction_.patience(asker));
+    for (;;) {
+      // Before the search: what they read meanwhile counts.
+      eviction_.look_at_others(shortage);
+      const bool more = eviction_.has_unread(shortage);
+      if (search()) return true;
+      auto now = futex::Clock::now();
+      if (!more || now >= until) return false;
+      const auto again = std::min(until, now + kReaderSearch);
+      for (; now < again; now = futex::Clock::now()) {
+        std::this_thread::sleep_until(std::min(again, now + kReaderLook));
+        tidy(asker);
+        if (look()) return true;
+        while (eviction_.could_give(asker, shortage) != 0 && eviction_.give_up(asker)) {
+          trim(asker);
+          if (look()) return true;
+        }
+      }
+    }
+  }
+  /// False for the warden: it watches over the other processes.
+  bool may_await_readers(std::uint32_t asker) noexcept {
+    return std::this_thread::get_id() != warden_.get_id() && eviction_.patience(asker).count() != 0;
   }
 
   /// Asks all others to give the idle memory of their pools back. Returns when enough() is true (it
@@ -240,6 +276,8 @@ class Participant {
 
   static constexpr std::chrono::milliseconds kAnswerPatience{10};
   static constexpr std::chrono::microseconds kAnswerLook{100};
+  static constexpr std::chrono::milliseconds kReaderLook{1};
+  static constexpr std::chrono::milliseconds kReaderSearch{20};
   /// For one that gives a message up. A busy machine runs its warden late.
   static constexpr std::chrono::milliseconds kGiverPatience{200};
   /// For all of them: others may be faster to take what was given.

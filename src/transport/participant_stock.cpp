@@ -172,7 +172,8 @@ bool Participant::extend_run(std::uint32_t end, std::uint32_t granules,
 bool Participant::make_room_in(Pool& pool, std::uint32_t granules) noexcept {
   if (granules > pool.limit()) return false;
   pool.trim(true);
-  const std::uint64_t could_go = eviction_.could_give(pool.index()) / segment::kGranule;
+  const std::uint64_t could_go =
+      eviction_.could_give(pool.index(), Shortage::Memory) / segment::kGranule;
   if (pool.granules() + granules > pool.limit() + could_go) return false;
   while (!pool.may_take(granules)) {
     if (!eviction_.give_up(pool.index())) return false;
@@ -210,6 +211,32 @@ std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) 
     gather_from_others(enough);
   }
   errno = error;  // why there was none: looks for what could go have changed it
+  return run;
+}
+
+std::uint32_t Participant::await_run(std::uint32_t granules, std::uint32_t tag) noexcept {
+  constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
+  std::uint32_t run = claim_run(granules, tag);
+  const Pool& pool = holder_.pool_of(tag - 1);
+  if (run != kNone || granules > pool.limit() || granules > segment_.granules().count() ||
+      !may_await_readers(pool.index())) {
+    return run;
+  }
+  int error = errno;
+  const auto look = [&] {
+    run = try_claim_run(granules, tag);
+    error = errno;
+    return run != kNone;
+  };
+  const auto search = [&] {
+    const bool is_possible =
+        !pool.may_take(granules) || eviction_.can_free_run(pool.index(), granules, likely_givers());
+    run = claim_run(granules, tag);
+    error = errno;
+    return run != kNone || !is_possible;
+  };
+  await_readers(search, look, pool.index(), Shortage::Memory);
+  errno = error;
   return run;
 }
 

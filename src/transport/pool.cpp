@@ -210,7 +210,7 @@ std::uint32_t Pool::claim() {
   return kNone;
 }
 
-void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type) {
+void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type, bool waits) {
   segment::Segment& s = *holder_.segment;
   ControlCell& c = holder_.cell(b);
   const bool fits = segment::is_small(type);
@@ -227,6 +227,7 @@ void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type) {
   if (fits) {
     arena.cursor += type.size;
   } else {
+    c.type = waits ? &type : nullptr;  // Arena::claim() asks
     root = arena.allocate(type.size, type.align);
   }
   arena.root = s.offset_of(root);

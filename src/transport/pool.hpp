@@ -237,12 +237,13 @@ class Pool {
   /// A block as by try_loan(), from those that nobody has.
   std::uint32_t claim();
 
-  /// Lays the arena of an exclusively owned block out for a message. Throws OutOfMemory.
-  void* lay_out(std::uint32_t b, const detail::MessageType& type) {
+  /// Lays the arena of an exclusively owned block out for a message. Throws OutOfMemory; where it
+  /// waits, as late as a message that grows does.
+  void* lay_out(std::uint32_t b, const detail::MessageType& type, bool waits) {
     // A small plain message lies where one of its type lay the last time.
     if (holder_.cell(b).type == &type && is_laid_out_for_ever(type))
       return holder_.segment->small(b);
-    return lay_out_anew(b, type);
+    return lay_out_anew(b, type, waits);
   }
 
   /// An exclusively owned block comes back: its message was never shared, or has died.
@@ -347,7 +348,7 @@ class Pool {
   static bool is_laid_out_for_ever(const detail::MessageType& type) noexcept {
     return type.plain && segment::is_small(type);
   }
-  void* lay_out_anew(std::uint32_t b, const detail::MessageType& type);
+  void* lay_out_anew(std::uint32_t b, const detail::MessageType& type, bool waits);
   /// The message has died and the block is exclusively ours: its destructor runs, its references
   /// are let go, its memory is kept for the next one.
   void bury(std::uint32_t b) noexcept {

@@ -95,6 +95,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     }
     queue_lock_ = participant_->segment().queue_lock(name_.channel);
     waits_ = options.policy == Policy::Block;
+    block_for_ = std::max(std::chrono::nanoseconds(options.block_for), 0ns);
     participant_->eviction().add(*this);
   }
 
@@ -136,7 +137,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       b = pool_.try_loan();
     }
     if (b == Pool::kNone) [[unlikely]] {
-      b = find_block();
+      b = find_block(or_throw);
       if (b == Pool::kNone) {
         if (!or_throw) return {};
         refuse_without_blocks();
@@ -144,7 +145,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     }
     detail::Loan loan{&participant_->holder().cell(b), nullptr, &participant_->segment().arena(b)};
     try {
-      loan.root = pool_.lay_out(b, type);
+      loan.root = pool_.lay_out(b, type, or_throw);
     } catch (const OutOfMemory&) {
       take_back(b);
       if (or_throw) throw;
@@ -283,15 +284,15 @@ class Pusher final : public detail::PusherCore, private Evictor {
   }
 
  private:
-  /// The pool has no block at hand: looks where there are some.
-  [[gnu::noinline]] std::uint32_t find_block() {
+  /// The pool has no block at hand: looks where there are some, and waits for readers if told to.
+  [[gnu::noinline]] std::uint32_t find_block(bool waits) {
     std::uint32_t b;
     {
       std::unique_lock lock(pool_.lock());
       b = replenish();
       if (pool_.has_foreign()) release_foreign(lock);
     }
-    return b != Pool::kNone ? b : scrape_together();
+    return b != Pool::kNone ? b : scrape_together(waits);
   }
   [[noreturn, gnu::cold]] void refuse_without_blocks() const {
     char text[256];
@@ -640,7 +641,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   }
 
   /// The pool is dry and all blocks are taken: looks everywhere.
-  std::uint32_t scrape_together() {
+  std::uint32_t scrape_together(bool waits) {
     std::uint32_t b = Pool::kNone;
     const auto look = [&] {
       const std::lock_guard guard(pool_.lock());
@@ -651,19 +652,23 @@ class Pusher final : public detail::PusherCore, private Evictor {
       return b != Pool::kNone;
     };
     if (look()) return b;
-    participant_->tidy(pool_.index());
-    if (look()) return b;
-    const bool gathers = participant_->may_gather();
-    if (gathers && participant_->gather_from_others(look)) return b;
-    if (participant_->evict_until(look, pool_.index(), 1, Shortage::Blocks,
-                                  [](const Eviction::Givers&) { return true; })) {
-      return b;
+    const auto search = [&] {
+      participant_->tidy(pool_.index());
+      if (look()) return true;
+      const bool gathers = participant_->may_gather();
+      if (gathers && participant_->gather_from_others(look)) return true;
+      return participant_->evict_until(look, pool_.index(), 1, Shortage::Blocks,
+                                       [](const Eviction::Givers&) { return true; }) ||
+             (!gathers && participant_->gather_from_others(look));
+    };
+    if (!search() && waits && participant_->may_await_readers(pool_.index())) {
+      participant_->await_readers(search, look, pool_.index(), Shortage::Blocks);
     }
-    if (!gathers) participant_->gather_from_others(look);
     return b;
   }
 
   std::uint32_t pool() const noexcept override { return pool_.index(); }
+  std::chrono::nanoseconds patience() const noexcept override { return waits_ ? block_for_ : 0ns; }
 
   bool settle() noexcept override {
     std::unique_lock lock(pool_.lock());
@@ -732,12 +737,13 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return stock;
   }
 
-  void mark(bool own, std::uint64_t keep, std::vector<bool>& blocks) noexcept override {
+  void mark(bool own, std::uint64_t keep, bool unread,
+            std::vector<bool>& blocks) noexcept override {
     std::uint64_t held = own ? 0 : stock(Shortage::Memory).held;
     const std::lock_guard guard(pool_.lock());
     begin_to_weigh();
     each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool was_read) {
-      if (!was_read) return false;
+      if (!was_read && !unread) return false;
       if (!own && stays(b, Shortage::Memory)) return true;
       leave(b);
       if (!own) {
@@ -841,7 +847,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
   registry::ChannelName name_{};
   std::optional<ring::Writer<segment::Atomics>> writer_;
   mutex_engine::QueueLock queue_lock_;
-  bool waits_ = false;  ///< for room
+  bool waits_ = false;  ///< for room, and so long for memory:
+  std::chrono::nanoseconds block_for_{};
   SpinHabit habit_{Wait::Adaptive};
   YieldHabit yield_;
   std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the largest in the ring

@@ -69,7 +69,7 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
         }
       }
       if (owner == self || !may_lose(segment_.channels()[c], state)) continue;
-      Publisher p{owner, c, 0, 0, 0};
+      Publisher p{owner, c, 0, 0, 0, 0};
       each_that_counts(
           c, owner, [&](std::uint32_t b, std::uint64_t weight, std::uint32_t newer, bool was_read) {
             if (p.held == 0) {
@@ -77,6 +77,7 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
               if (newer >= kNewest && was_read) p.oldest = weight;
             }
             p.held += weight;
+            if (!was_read) p.unread += weight;
             return true;
           });
       if (p.held != 0) publishers_.push_back(p);
@@ -84,14 +85,16 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
   }
 }
 
-void Survey::mark_of(const Publisher& p, std::uint64_t keep,
+void Survey::mark_of(const Publisher& p, std::uint64_t keep, bool unread,
                      std::vector<bool>& blocks) const noexcept {
   std::uint64_t held = p.held;
   const bool has_gone = p.owner == refcount::kOrphanage;
   each_that_counts(p.channel, p.owner,
                    [&](std::uint32_t b, std::uint64_t weight, std::uint32_t newer, bool was_read) {
                      if (!has_gone) {
-                       if (!was_read || newer < kNewest || held < keep + weight) return false;
+                       if ((!was_read && !unread) || newer < kNewest || held < keep + weight) {
+                         return false;
+                       }
                        held -= weight;
                      }
                      blocks[b] = true;

@@ -67,6 +67,7 @@ class Survey {
     std::uint32_t owner = 0;    ///< participant; kOrphanage: it has gone
     std::uint32_t channel = 0;  ///< of its ring
     std::uint64_t held = 0;     ///< weight of the messages that would die if they left the ring
+    std::uint64_t unread = 0;   ///< of those that readers must not lose
     std::uint64_t oldest = 0;   ///< of the oldest of those, if another topic may have it; else 0
     std::uint32_t first = 0;    ///< the block of the oldest of those
   };
@@ -90,12 +91,17 @@ class Survey {
     });
   }
   /// Marks the blocks of messages that these publishers may give while each keeps `keep`; of
-  /// processes that may(owner) allows, and of ended rings if may(kOrphanage) does.
+  /// processes that may(owner) allows, and of ended rings if may(kOrphanage) does. `unread`: those
+  /// too that readers have yet to read.
   template <class May>
-  void mark(std::uint64_t keep, std::vector<bool>& blocks, May&& may) const noexcept {
+  void mark(std::uint64_t keep, bool unread, std::vector<bool>& blocks, May&& may) const noexcept {
     for (const Publisher& p : publishers_) {
-      if (may(p.owner)) mark_of(p, keep, blocks);
+      if (may(p.owner)) mark_of(p, keep, unread, blocks);
     }
+  }
+  bool has_unread() const noexcept {
+    return std::any_of(publishers_.begin(), publishers_.end(),
+                       [](const Publisher& p) { return p.unread != 0; });
   }
 
  private:
@@ -107,7 +113,8 @@ class Survey {
     }
     return most;
   }
-  void mark_of(const Publisher& p, std::uint64_t keep, std::vector<bool>& blocks) const noexcept;
+  void mark_of(const Publisher& p, std::uint64_t keep, bool unread,
+               std::vector<bool>& blocks) const noexcept;
   /// Calls f(block, its weight, how many newer ones are in the ring, whether it may go: no reader
   /// needs it that must not lose it) for those that count, from the oldest on, until it says false.
   template <class F>

@@ -149,10 +149,23 @@ TEST_CASE("two that lose nothing and one that overwrites share a segment, in thr
       auto pusher = mine.advertise<Frame>(topic, {policy, 64, 20s});
       ready.tell();
       for (std::uint64_t n = 0; n < kFrames; ++n) {
-        auto frame = pusher.loan();
-        frame->number = n;
-        frame->data.resize(kMiB);
-        frame->data.front() = frame->data.back() = mark(n);
+        // Under Refuse it says at once that the others' readers have yet to read.
+        const auto loaned = [&]() -> lot::ShmUniquePtr<Frame> {
+          auto frame = pusher.loan();
+          frame->number = n;
+          frame->data.resize(kMiB);
+          frame->data.front() = frame->data.back() = mark(n);
+          return frame;
+        };
+        lot::ShmUniquePtr<Frame> frame;
+        while (!frame) {
+          try {
+            frame = loaned();
+          } catch (const lot::OutOfMemory&) {
+            if (policy == Policy::Block) throw;
+            std::this_thread::sleep_for(1ms);
+          }
+        }
         while (pusher.push(std::move(frame)) != Status::Ok) std::this_thread::sleep_for(1ms);
         if (n % 4 == 0) std::this_thread::sleep_for(1ms);
       }
@@ -176,9 +189,8 @@ TEST_CASE("two that lose nothing and one that overwrites share a segment, in thr
   a.join();
   b.join();
   for (int n = 0; n < 6; ++n) CHECK(ready.next() == '.');
-  // All has been read: of 60 frames the one that goes on has its share and more, the others theirs.
-  CHECK(eventually(
-      [&] { return engine.subscribe<Frame>("/camera", past(64)).size() >= 60 * 3 / 10; }));
+  // All has been read: of some 54 frames each has a third. 60 % of that at least, and it stays so.
+  CHECK(eventually([&] { return engine.subscribe<Frame>("/camera", past(64)).size() >= 11; }));
   for (const char* topic : {"/first", "/second"}) {
     CHECK(engine.subscribe<Frame>(topic, past(64)).size() >= 2);
   }
@@ -278,7 +290,7 @@ TEST_CASE("who joins with history meanwhile gets the newest frames that are left
   lot::ShmEngine engine(options);
   auto pusher = engine.advertise<Frame>("/camera", {Policy::Block, 64, 20s});
   auto reader = engine.subscribe<Frame>("/camera");
-  std::uint64_t joins = 0;
+  std::atomic<std::uint64_t> joins{0};
   std::thread joiner([&] {
     lot::ShmEngine mine(options);
     for (std::uint64_t history = 1; !over; history = history % 70 + 1) {
@@ -296,7 +308,7 @@ TEST_CASE("who joins with history meanwhile gets the newest frames that are left
       ++joins;
     }
   });
-  for (std::uint64_t n = 0; n < 4 * kFrames; ++n) {
+  for (std::uint64_t n = 0; n < 4 * kFrames || joins < 70; ++n) {
     push(pusher, n);
     const auto frame = reader.pull(20s);
     REQUIRE(frame);
@@ -305,7 +317,6 @@ TEST_CASE("who joins with history meanwhile gets the newest frames that are left
   over = true;
   joiner.join();
   CHECK(reader.missed_total() == 0);
-  CHECK(joins > 0);
 }
 
 TEST_CASE("a lossless publisher with a limit of memory keeps to it and loses nothing") {
@@ -329,6 +340,131 @@ TEST_CASE("a lossless publisher with a limit of memory keeps to it and loses not
   auto frame = pusher.loan();
   CHECK_THROWS_AS(frame->data.resize(4 * kMiB), lot::OutOfMemory);
   CHECK(reader.size() == 7);
+}
+
+TEST_CASE("a loan waits for a slow reader as a push does, and for nothing else") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Frame>("/camera", {Policy::Block, 64, 20s});
+  Steps ready, go;
+  Child slow([&] {
+    lot::ShmEngine mine(options);
+    auto reader = mine.subscribe<Frame>("/camera");
+    ready.tell();
+    must(go.next() == '.', "memory is short");
+    for (std::uint64_t n = 0; n < kFrames; ++n) {
+      if (n < 100) std::this_thread::sleep_for(1ms);
+      const auto frame = reader.pull(20s);
+      must(frame && is_whole(*frame, n), "the next frame, whole");
+    }
+    must(reader.missed_total() == 0, "nothing was missed");
+  });
+  REQUIRE(ready.next() == '.');
+  std::uint64_t n = 0;
+  for (; n < 45; ++n) push(pusher, n);
+  SUBCASE("where the message grows") {
+    go.tell();
+    for (; n < kFrames; ++n) REQUIRE_NOTHROW(push(pusher, n));
+  }
+  SUBCASE("where another publisher needs what it reads") {
+    go.tell();
+    auto other = engine.advertise<Frame>("/other", {Policy::Block, 64, 20s});
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    for (int i = 0; i < 40; ++i) {
+      loans.push_back(other.loan());
+      REQUIRE_NOTHROW(loans.back()->data.resize(kMiB));
+    }
+    loans.clear();
+    for (; n < kFrames; ++n) REQUIRE_NOTHROW(push(pusher, n));
+  }
+  SUBCASE("a message that can never fit is refused at once") {
+    const auto start = std::chrono::steady_clock::now();
+    {
+      auto frame = pusher.loan();
+      CHECK_THROWS_AS(frame->data.resize(2 * kSegment), lot::OutOfMemory);
+    }
+    CHECK(std::chrono::steady_clock::now() - start < 20s);
+    go.tell();
+    for (; n < kFrames; ++n) REQUIRE_NOTHROW(push(pusher, n));
+  }
+  CHECK(slow.wait() == 0);
+}
+
+TEST_CASE("a loan that waits for a reader goes on when that one is killed") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Frame>("/camera", {Policy::Block, 64, 60s});
+  Steps ready;
+  Child victim([&] {
+    lot::ShmEngine mine(options);
+    auto reader = mine.subscribe<Frame>("/camera");
+    ready.tell();
+    std::this_thread::sleep_for(60s);
+  });
+  REQUIRE(ready.next() == '.');
+  std::uint64_t n = 0;
+  for (; n < 45; ++n) push(pusher, n);
+  std::thread killer([&] {
+    std::this_thread::sleep_for(50ms);
+    victim.kill9();
+  });
+  for (; n < kFrames; ++n) REQUIRE_NOTHROW(push(pusher, n));
+  killer.join();
+}
+
+TEST_CASE("a loan waits no longer than block_for, and under Refuse not at all") {
+  const Watchdog watchdog(60);
+  struct Picture {
+    std::uint64_t number;
+    unsigned char pixels[kMiB];
+  };
+  for (const Policy policy : {Policy::Block, Policy::Refuse}) {
+    lot::ShmEngine engine(fresh(kSegment));
+    auto pusher = engine.advertise<Picture>("/camera", {policy, 64, 100ms});
+    auto reader = engine.subscribe<Picture>("/camera");
+    const auto fill = [&] {
+      for (auto picture = pusher.try_loan(); picture; picture = pusher.try_loan()) {
+        picture->number = 0;
+        REQUIRE(pusher.push(std::move(picture)) == Status::Ok);
+      }
+    };
+    fill();
+    CHECK_FALSE(static_cast<bool>(pusher.try_loan()));
+    const auto full = std::chrono::steady_clock::now();
+    CHECK_THROWS_AS(pusher.loan(), lot::OutOfMemory);
+    if (policy == Policy::Block) CHECK(std::chrono::steady_clock::now() - full >= 100ms);
+    // What its reader reads meanwhile serves the loan.
+    std::thread reads([&] {
+      std::this_thread::sleep_for(10ms);
+      while (reader.try_pull()) {
+      }
+    });
+    if (policy == Policy::Block) CHECK(static_cast<bool>(pusher.loan()));
+    reads.join();
+    CHECK(static_cast<bool>(pusher.loan()));
+    CHECK(reader.missed_total() == 0);
+  }
+}
+
+TEST_CASE("a loan waits for blocks as for memory") {
+  const Watchdog watchdog(60);
+  auto options = fresh(kSegment);
+  options.blocks = 32;
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Note>("/notes", {Policy::Block, 31, 20s});
+  auto reader = engine.subscribe<Note>("/notes");
+  for (std::uint64_t n = 0; n < 20; ++n) REQUIRE(pusher.push(pusher.loan(n)) == Status::Ok);
+  std::vector<lot::ShmUniquePtr<Note>> loans;
+  while (auto note = pusher.try_loan()) loans.push_back(std::move(note));
+  std::thread reads([&] {
+    std::this_thread::sleep_for(20ms);
+    reader.try_pull();
+  });
+  CHECK(static_cast<bool>(pusher.loan()));
+  reads.join();
+  CHECK(reader.missed_total() == 0);
 }
 
 TEST_CASE("blocks that were read come back, too") {

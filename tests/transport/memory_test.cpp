@@ -353,7 +353,7 @@ class Meddler final : public lot::transport::Evictor {
     if (const auto once = std::exchange(meddle, nullptr)) once();
     return {};
   }
-  void mark(bool, std::uint64_t, std::vector<bool>&) noexcept override {}
+  void mark(bool, std::uint64_t, bool, std::vector<bool>&) noexcept override {}
   std::size_t look(std::span<std::uint32_t>) noexcept override { return 0; }
   bool give_up() noexcept override { return false; }
   bool give_up_to_other(lot::transport::Shortage, std::uint64_t) noexcept override { return false; }
