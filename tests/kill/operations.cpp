@@ -198,6 +198,19 @@ void loans(std::vector<Operation>& all) {
                  [](Node& n) {
                    for (int i = 0; i < 4; ++i) n.loans.push_back(n.pusher->loan(numbered(9, 0)));
                  }});
+  // Here, too. The witness has read six, and two are its to read.
+  all.push_back(
+      {"loan, blocks have run out: take back what was read",
+       {Promise::LockFree, "loan, blocks have run out"},
+       victim_publishes(block(8), 6) + Acts{witness([](Node& n) { n.receive_all(); }),
+                                            publishes(victim, 2), victim([](Node& n) {
+                                              while (n.loans.size() < n.options.blocks - 10) {
+                                                n.loans.push_back(n.pusher->loan(numbered(9, 0)));
+                                              }
+                                            })},
+       [](Node& n) {
+         for (int i = 0; i < 4; ++i) n.loans.push_back(n.pusher->loan(numbered(9, 0)));
+       }});
   // Here, too. Then the oldest of the other topic go: there are six, and the newest two stay.
   all.push_back({"loan, blocks have run out: evict another topic's",
                  {Promise::LockFree, "loan, blocks have run out"},
