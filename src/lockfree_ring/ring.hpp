@@ -315,7 +315,8 @@ class Writer {
     refresh_roster();
     find_slowest();
     const std::int64_t behind = distance(next_, minimum_);
-    return behind < ring_.depth ? ring_.depth - static_cast<std::uint32_t>(behind) : 0;
+    if (behind < 0 || behind >= ring_.depth) return 0;  // less than nothing: a word is damaged
+    return ring_.depth - static_cast<std::uint32_t>(behind);
   }
 
   /// Publishes a block; the caller's hold on it becomes the ring's. REQUIRES: room().
@@ -392,10 +393,10 @@ class Writer {
     const std::uint32_t slots = read_slots();
     for (std::uint32_t n = 0, i = index_; n < slots; ++n, i = after(i)) {
       // Relaxed: only the writer puts a block into a slot.
-      const Word word = ring_.slots[i].load(std::memory_order_relaxed);
-      const Word held = ring_.taken ? put_[i] : block(word);
+      const Word held =
+          ring_.taken ? put_[i] : block(ring_.slots[i].load(std::memory_order_relaxed));
       if (held == kNoBlock || !may(held)) continue;
-      if (!ring_.guarded() && !close_off(sequence(word))) return kNoBlock;
+      if (!ring_.guarded() && !close_off(advance(next_, Word{n} - ring_.depth))) return kNoBlock;
       // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
       ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
       if (ring_.taken) put_[i] = kNoBlock;
