@@ -10,6 +10,7 @@
 #include <fstream>
 #include <sys/mman.h>
 #include <sys/random.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
@@ -26,6 +27,8 @@ namespace {
 
 constexpr std::uint64_t kDefaultSize = std::uint64_t{1} << 30;
 constexpr std::uint64_t kSmallestData = std::uint64_t{4} << 20;
+/// A run of so many granules is mapped by whole units: their faults would take longer.
+constexpr std::uint32_t kMappedAtOnce = 128;
 
 constexpr std::uint64_t round_up(std::uint64_t n, std::uint64_t to) {
   return (n + to - 1) / to * to;
@@ -78,6 +81,30 @@ struct Descriptor {  // also what Boost's mapped_region maps
   boost::interprocess::mapping_handle_t get_mapping_handle() const { return {fd, false}; }
   boost::interprocess::mode_t get_mode() const { return mode; }
 };
+
+/// Maps the whole file at a multiple of a unit, as huge pages must lie, where the file system has
+/// them.
+boost::interprocess::mapped_region map_file(const Descriptor& file, std::uint64_t size) {
+  // The kernel finds a room, and the file takes its place in it: no other thread can come between.
+  const std::uint64_t room_size = size + kUnit;
+  void* const room =
+      mmap(nullptr, room_size, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  if (room == MAP_FAILED) throw boost::interprocess::interprocess_exception(errno);
+  const auto begin = reinterpret_cast<std::uintptr_t>(room);
+  const std::uint64_t before = round_up(begin, kUnit) - begin;
+  auto* const place = static_cast<unsigned char*>(room) + before;
+  try {
+    boost::interprocess::mapped_region region(file, file.mode, 0, size, place, MAP_FIXED);
+    if (before != 0) munmap(room, before);
+    munmap(place + size, kUnit - before);
+    // EINVAL: a kernel without huge pages.
+    madvise(place, size, MADV_HUGEPAGE);
+    return region;
+  } catch (...) {
+    munmap(room, room_size);
+    throw;
+  }
+}
 
 Capacity choose_size(const std::string& path, Capacity capacity) {
   const std::string directory = path.substr(0, path.rfind('/'));
@@ -318,7 +345,7 @@ Segment::Segment(const std::string& path, Access access, bool finished) : path_(
   capacity_ = header.capacity;
   geometry_ = Geometry::of(capacity_);
   try {
-    region_ = boost::interprocess::mapped_region(file, file.mode, 0, size);
+    region_ = map_file(file, size);
   } catch (const boost::interprocess::interprocess_exception& e) {
     throw Error(e.get_native_error(), path, "cannot map it", "is there enough address space?");
   }
@@ -328,6 +355,7 @@ Segment::Segment(const std::string& path, Access access, bool finished) : path_(
   small_ = at<unsigned char>(geometry_.small);
   granules_.reset(at<Tag>(geometry_.tags), static_cast<std::uint32_t>(geometry_.granules));
   units_.reset(at<Tag>(geometry_.units), units_of(capacity_));
+  mapped_ = std::vector<std::atomic<bool>>(units_.count());
   const auto locks = witnesses();
   if (finished && !(is_robust(directory().lock.mutex) &&
                     std::all_of(locks.begin(), locks.end(),
@@ -475,9 +503,32 @@ std::uint32_t Segment::unit_of(std::uint32_t granule) const noexcept {
   return static_cast<std::uint32_t>(granule_offset(granule) / kUnit);
 }
 
+std::uint32_t Segment::left_in_unit(std::uint32_t granule) const noexcept {
+  return static_cast<std::uint32_t>((kUnit - granule_offset(granule) % kUnit) / kGranule);
+}
+
 bool Segment::back_run(std::uint32_t first, std::uint32_t granules) noexcept {
-  return units_.get(unit_of(first), unit_of(first + granules - 1),
-                    [this](std::uint32_t unit) { return populate(unit); });
+  const std::uint32_t last = unit_of(first + granules - 1);
+  if (!units_.get(unit_of(first), last, [this](std::uint32_t unit) { return populate(unit); })) {
+    return false;
+  }
+  // What other processes have used is there, but not mapped here.
+  for (std::uint32_t unit = unit_of(first); granules >= kMappedAtOnce && unit <= last; ++unit) {
+    map_unit(unit);
+  }
+  return true;
+}
+
+void Segment::map_for_writing(std::uint32_t first, std::uint32_t granules) noexcept {
+  const std::uint32_t last = unit_of(first + granules - 1);
+  int error = 0;
+  for (std::uint32_t unit = unit_of(first); error == 0 && unit <= last; ++unit) {
+    error = map_unit(unit);
+  }
+  // Linux before 5.14: what is written is what is there.
+  for (std::uint32_t i = 0; error != 0 && i < granules; ++i) {
+    std::atomic_ref(base_[granule_offset(first + i)]).fetch_add(0, std::memory_order_relaxed);
+  }
 }
 
 bool Segment::can_back_run(std::uint32_t first, std::uint32_t granules) noexcept {
@@ -517,6 +568,7 @@ std::uint64_t Segment::give_back(std::uint32_t unit, std::uint32_t looks,
   const Run run = run_of_unit(unit);
   const std::uint64_t bytes = kGranule * run.granules;
   const auto punch = [&] {
+    mapped_[unit].store(false, std::memory_order_relaxed);
     const bool gone = madvise(base_ + unit * kUnit, bytes, MADV_REMOVE) == 0;
     if (!gone) can_give_back_.store(false, std::memory_order_relaxed);
     return gone;
@@ -531,6 +583,22 @@ std::uint64_t Segment::give_back(std::uint32_t unit, std::uint32_t looks,
 bool Segment::populate(std::uint32_t unit) noexcept {
   const std::uint64_t begin = unit * kUnit;
   const std::uint64_t bytes = bytes_of_unit(unit);
+  mapped_[unit].store(false, std::memory_order_relaxed);  // it went, perhaps by another process
+  const int error = map_unit(unit);
+  if (error == 0) return true;
+  errno = error;
+  if (error != EINVAL) return false;
+  // Linux before 5.14: by the file, if it still is ours.
+  Descriptor file(::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
+  std::uint64_t ignored = 0;
+  return file.fd != -1 &&
+         read_header(file.fd, ignored).identity.instance == header().identity.instance &&
+         posix_fallocate(file.fd, static_cast<off_t>(begin), static_cast<off_t>(bytes)) == 0;
+}
+
+/// Changes no byte, so it may be done to memory that others have: a page that is there is mapped.
+int Segment::map_unit(std::uint32_t unit) noexcept {
+  if (mapped_[unit].load(std::memory_order_relaxed)) return 0;
 #ifdef MADV_POPULATE_WRITE
   constexpr int kPopulateWrite = MADV_POPULATE_WRITE;
 #else
@@ -538,16 +606,27 @@ bool Segment::populate(std::uint32_t unit) noexcept {
 #endif
   int result;
   do {
-    result = madvise(base_ + begin, bytes, kPopulateWrite);
+    result = madvise(base_ + unit * kUnit, bytes_of_unit(unit), kPopulateWrite);
   } while (result == -1 && (errno == EINTR || errno == EAGAIN));
-  if (result == 0) return true;
-  if (errno != EINVAL) return false;
-  // Linux before 5.14: by the file, if it still is ours.
-  Descriptor file(::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
-  std::uint64_t ignored = 0;
-  return file.fd != -1 &&
-         read_header(file.fd, ignored).identity.instance == header().identity.instance &&
-         posix_fallocate(file.fd, static_cast<off_t>(begin), static_cast<off_t>(bytes)) == 0;
+  if (result == -1) return errno;
+  mapped_[unit].store(true, std::memory_order_relaxed);
+  return 0;
+}
+
+void Segment::lock_memory() {
+  if (mlock2(base_, size(), MLOCK_ONFAULT) == -1) {
+    const int error = errno;
+    rlimit limit{};
+    getrlimit(RLIMIT_MEMLOCK, &limit);
+    throw Error(error, path_,
+                "cannot lock its " + mib(size()) + ": RLIMIT_MEMLOCK is " +
+                    std::to_string(limit.rlim_cur >> 10) + " KiB",
+                "raise the limit (ulimit -l, LimitMEMLOCK=, docker run --ulimit memlock=-1), give "
+                "CAP_IPC_LOCK, make the segment smaller by LOT_SIZE, or leave LOT_MLOCK and "
+                "EngineOptions::lock_memory away");
+  }
+  is_locked_.store(true, std::memory_order_relaxed);
+  can_give_back_.store(false, std::memory_order_relaxed);  // MADV_REMOVE refuses locked memory
 }
 
 }  // namespace lot::segment

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <span>
 #include <string>
 #include <string_view>
 #include <sys/types.h>
+#include <vector>
 
 #include <boost/interprocess/mapped_region.hpp>
 
@@ -54,6 +56,10 @@ class Segment {
   };
   /// Maps the segment at path. Throws lot::Error when it is not one, with the reason.
   explicit Segment(const std::string& path, Access access = Access::ReadWrite);
+  /// From now on what this process has touched of it is not swapped out, and this process gives no
+  /// memory back. Nothing is touched for it. Throws lot::Error, which names the limit.
+  void lock_memory();
+  bool is_locked() const noexcept { return is_locked_.load(std::memory_order_relaxed); }
 
   const std::string& path() const noexcept { return path_; }
   const Header& header() const noexcept { return *reinterpret_cast<const Header*>(base_); }
@@ -104,6 +110,26 @@ class Segment {
   /// has no more, one that has been used before. kNone: there is no run; errno is ENOSPC when it
   /// was the system that had none.
   std::uint32_t claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
+  /// The same for one that nobody waits for: it is mapped for writing, and given up between two
+  /// units when go_on() says no, or the system has no more.
+  template <class GoOn>
+  std::uint32_t claim_run_while(std::uint32_t granules, std::uint32_t tag, GoOn&& go_on) noexcept {
+    const std::uint32_t run = granules_.claim(granules, tag);
+    if (run == Granules<Atomics>::kNone) return run;
+    for (std::uint32_t done = 0; done < granules;) {
+      const std::uint32_t piece = std::min(granules - done, left_in_unit(run + done));
+      if (!go_on() || !back_run(run + done, piece)) {
+        granules_.release(run, granules);
+        return Granules<Atomics>::kNone;
+      }
+      map_for_writing(run + done, piece);
+      done += piece;
+    }
+    return run;
+  }
+  /// Makes that writing there faults no page of this process. REQUIRES: the caller has the run, and
+  /// no other thread or process writes there meanwhile.
+  void map_for_writing(std::uint32_t first, std::uint32_t granules) noexcept;
   /// The same for the granules behind a run that carries `tag`, which then is longer. False: they
   /// are not all free, or the system has none.
   bool extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept;
@@ -144,11 +170,15 @@ class Segment {
     std::uint32_t first, granules;
   };
   std::uint32_t unit_of(std::uint32_t granule) const noexcept;
+  /// From this granule to the end of its unit.
+  std::uint32_t left_in_unit(std::uint32_t granule) const noexcept;
   /// REQUIRES: from first_unit() on.
   Run run_of_unit(std::uint32_t unit) const noexcept;
   /// REQUIRES, as all that gets memory: the caller has a granule of each of its units.
   bool back_run(std::uint32_t first, std::uint32_t granules) noexcept;
   bool populate(std::uint32_t unit) noexcept;
+  /// 0, or an error: EINVAL where the kernel does not know how.
+  int map_unit(std::uint32_t unit) noexcept;
 
   // Looked at for each message, so close to each other.
   unsigned char* base_ = nullptr;
@@ -162,6 +192,10 @@ class Segment {
   Granules<Atomics> granules_;
   Units<Atomics> units_;
   std::atomic<bool> can_give_back_{true};  ///< the file system has not refused yet
+  std::atomic<bool> is_locked_{false};
+  /// [units] This process has mapped all of it. Relaxed, a hint: it may have gone and come back by
+  /// others.
+  std::vector<std::atomic<bool>> mapped_;
 };
 
 }  // namespace lot::segment
