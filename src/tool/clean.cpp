@@ -190,7 +190,9 @@ class Cleaner {
 
 Exit clean(const Settings& settings, bool dry_run) {
   // What the library would take for itself when it joins.
-  for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS"}) unsetenv(name);
+  for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_MLOCK"}) {
+    unsetenv(name);
+  }
   Report report(settings);
   Cleaner cleaner(settings, dry_run, report);
   const Places places = find_places(settings.where);

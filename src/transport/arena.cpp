@@ -3,18 +3,20 @@
 
 #include <algorithm>
 #include <atomic>
-#include <bit>
 #include <cerrno>
 
 #include "lot/error.hpp"
 
 #include "transport/fill.hpp"
 #include "transport/participant.hpp"
+#include "transport/pieces.hpp"
 
 namespace lot::detail {
 namespace {
 
 using segment::kGranule;
+using transport::fit;
+using transport::granules_in;
 
 constexpr std::uint32_t kNoRun = segment::Granules<HardwareAtomics>::kNone;
 /// A run of so many granules is kept, whatever a smaller message needs of it.
@@ -24,15 +26,9 @@ constexpr unsigned kManyExtents = 8;
 
 std::uint64_t bytes_of(const Arena::Extent& extent) { return kGranule * extent.granules; }
 
-std::uint64_t granules_in(std::uint64_t bytes) { return (bytes + kGranule - 1) / kGranule; }
-
-/// The granules of an extent for a piece of that size. Sizes that differ little share one, so that
-/// the next message fits; it is at most 1/16 more, beside the last granule.
-std::uint64_t fit(std::uint64_t bytes) {
-  const std::uint64_t granules = granules_in(bytes);
-  if (granules < kSmallRun) return granules;
-  const std::uint64_t step = std::bit_floor(granules) / 16;
-  return (granules + step - 1) & ~(step - 1);
+/// The publisher will need another one like this: what it has now, and the newest extent.
+void expect_another(transport::Participant& p, const Arena& arena, unsigned newest) noexcept {
+  p.ahead().expect(p.holder().pool_of(arena.block), transport::Pieces::of(arena, newest));
 }
 
 [[noreturn, gnu::cold]] void refuse_to_grow(const Arena& arena) {
@@ -137,7 +133,9 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   }
   if (run == kNoRun) out_of_memory(p, *this, bytes, errno);
   extent[extents] = {run, claimed, 0, alone ? std::uint16_t{0} : kShared};
-  return extents++;
+  const unsigned newest = extents++;
+  if (alone) expect_another(p, *this, newest);
+  return newest;
 }
 
 /// An extent in which nothing lives begins with a piece of that size. It begins at a page, which
@@ -326,7 +324,10 @@ void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
     } else if (e.living == 0 && e.kind == 0) {
       // A vector that grows has left it, and will need more the next time.
       transport::Participant* const p = transport::Participant::at(this);
-      if (p != nullptr && p->holder().is_home(block)) drop(*p, i);
+      if (p != nullptr && p->holder().is_home(block)) {
+        drop(*p, i);
+        expect_another(*p, *this, kMaxExtents);
+      }
     }
     return;  // A2
   }

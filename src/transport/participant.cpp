@@ -63,11 +63,18 @@ unsigned parse_permissions(const char* text) {
   return static_cast<unsigned>(mode);
 }
 
+bool parse_switch(const char* name, const char* text) {
+  if (std::strcmp(text, "0") == 0 || std::strcmp(text, "1") == 0) return *text == '1';
+  throw Error(EINVAL, std::string(name) + "=" + text, "neither yes nor no",
+              "write 1 or 0, or leave it away");
+}
+
 EngineOptions with_environment(EngineOptions options) {
   if (const char* v = environment("LOT_SEGMENT")) options.segment = v;
   if (const char* v = environment("LOT_DIR")) options.directory = v;
   if (const char* v = environment("LOT_SIZE")) options.size_bytes = parse_size(v);
   if (const char* v = environment("LOT_PERMISSIONS")) options.permissions = parse_permissions(v);
+  if (const char* v = environment("LOT_MLOCK")) options.lock_memory = parse_switch("LOT_MLOCK", v);
   if (options.name.empty()) options.name = program_invocation_short_name;
   const auto check = [](const char* what, std::uint64_t value, std::uint64_t most) {
     if (value == 0 || value > most) {
@@ -123,7 +130,10 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
   const std::lock_guard joining(process().joining);
   {
     const std::lock_guard guard(process().mutex);
-    if (auto existing = process().by_path[path].lock()) return existing;
+    if (auto existing = process().by_path[path].lock()) {
+      if (options.lock_memory) existing->segment_.lock_memory();
+      return existing;
+    }
   }
 
   for (;;) {
@@ -132,6 +142,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
     liveness::LockFile& lock_file = *file;
     GateGuard gate(lock_file);
     bool ours = false;  // there is a segment that the lock file belongs to
+    bool made = false;  // by us, just now
     const auto in_use = [&] { return lock_file.held_by_other(0, segment::kMaxParticipants); };
     try {
       std::string reason;
@@ -165,6 +176,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
                                  {options.size_bytes, options.processes + 1, options.blocks,
                                   options.topics, options.channels, options.readers},
                                  options.permissions);
+        made = true;
       }
       ours = true;
       lock_file.take_turn();
@@ -175,6 +187,10 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
       process().all.push_back(p);
       return handle;
     } catch (...) {
+      if (made && !in_use()) {
+        segment::Segment::remove(path);
+        ours = false;
+      }
       if (!ours && !in_use()) ::unlink((path + ".lock").c_str());
       throw;
     }
@@ -187,6 +203,7 @@ Participant::Participant(const EngineOptions& options,
       segment_(segment::path_of(options.directory, options.segment)),
       registry_(segment_),
       options_(options) {
+  if (options.lock_memory) segment_.lock_memory();
   fill_hub();
   const std::uint32_t blocks = segment_.capacity().blocks;
   cells_bytes_ = blocks * sizeof(detail::ControlCell);
@@ -458,6 +475,7 @@ bool Participant::holds_pointers() noexcept {
 void Participant::handle_gone(Participant* p) noexcept {
   if (p->inert_) return;  // a forked child touches nothing, and has no thread to stop
   p->enter();
+  p->ahead_.stop();  // what it has in hand is a hold of ours
   // To the end: when the warden brings the last block home, nobody looks whether we may leave. Not
   // for ever: somebody may have been stopped who acts for the orphanage.
   const auto until = futex::Clock::now() + kOrphanagePatience;

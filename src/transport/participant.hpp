@@ -24,6 +24,7 @@
 #include "liveness/lock_file.hpp"
 #include "recovery/recovery.hpp"
 #include "registry/registry.hpp"
+#include "transport/ahead.hpp"
 #include "transport/eviction.hpp"
 #include "transport/pool.hpp"
 
@@ -110,6 +111,17 @@ class Participant {
   std::uint32_t await_run(std::uint32_t granules, std::uint32_t tag) noexcept;
   /// The same, of what is free.
   std::uint32_t try_claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
+  /// The same for Ahead, which leaves its publisher room for as many more. It is mapped, and given
+  /// up when go_on() says no.
+  template <class GoOn>
+  std::uint32_t claim_run_while(std::uint32_t granules, std::uint32_t tag, GoOn&& go_on) noexcept {
+    Pool& pool = holder_.pool_of(tag - 1);
+    if (!pool.may_take(2 * std::uint64_t{granules}))
+      return segment::Granules<segment::Atomics>::kNone;
+    const std::uint32_t run = segment_.claim_run_while(granules, tag, go_on);
+    if (run != segment::Granules<segment::Atomics>::kNone) pool.take(granules);
+    return run;
+  }
   /// The granules behind a run that a block of ours has.
   bool extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept;
   /// What is kept, in the whole segment: messages of which processes have pointers that have got
@@ -126,6 +138,10 @@ class Participant {
   static constexpr std::uint32_t kNobody = ~std::uint32_t{0};
   bool trim(std::uint32_t asker) noexcept;
   Eviction& eviction() noexcept { return eviction_; }
+  Ahead& ahead() noexcept { return ahead_; }
+  /// The calling thread may run where the warden may, as an ordinary thread: it was begun by one
+  /// that may have a core, and a priority, of its own.
+  void place_beside_warden() noexcept;
   /// Gives memory of the segment that nobody uses, and that so many looks have found unused, back
   /// to the system, unit by unit until enough() is true. Returns the bytes.
   template <class Enough>
@@ -397,6 +413,7 @@ class Participant {
   std::vector<Draining> draining_;
   std::vector<Pool*> idle_;
   Eviction eviction_{holder_, segment_};
+  Ahead ahead_{*this};
   std::mutex topics_mutex_;
   std::unordered_map<std::uint32_t, unsigned> topic_uses_;
 

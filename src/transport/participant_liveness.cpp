@@ -98,6 +98,15 @@ void Participant::start_warden() {
               "try again");
 }
 
+void Participant::place_beside_warden() noexcept {
+  cpu_set_t cores;
+  if (pthread_getaffinity_np(warden_.native_handle(), sizeof(cores), &cores) == 0) {
+    pthread_setaffinity_np(pthread_self(), sizeof(cores), &cores);
+  }
+  const sched_param ordinary{};
+  pthread_setschedparam(pthread_self(), SCHED_OTHER, &ordinary);
+}
+
 void Participant::warden() {
   pthread_setname_np(pthread_self(), "lot-warden");  // of another thread it would go through /proc
   sigset_t all;
@@ -299,7 +308,8 @@ void Participant::settle_idle() noexcept {
     // A loan that the application keeps looks the same, but its pool does not have it at hand.
     const bool rests = life == before && (v & hold::kHolds) == hold::kPointer &&
                        block(b).home_points.load(std::memory_order_relaxed) == 0;
-    if (!rests || segment::is_reserved(segment_.arena(b))) {
+    // Where memory is locked it stays, and so do the blocks that have it.
+    if (!rests || segment_.is_locked() || segment::is_reserved(segment_.arena(b))) {
       idle_looks_[b] = 0;
     } else {
       ++idle_looks_[b];

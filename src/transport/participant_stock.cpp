@@ -123,11 +123,13 @@ Pool& Participant::open_pool(std::string_view topic) {
 void Participant::close_pool(Pool& pool, const registry::ChannelName& ring,
                              std::vector<std::uint32_t> blocks) noexcept {
   pool.close();
+  ahead_.forget(pool);
   const std::lock_guard guard(pools_mutex_);
   draining_.push_back({&pool, ring, std::move(blocks), false});
 }
 
 bool Participant::trim(std::uint32_t asker) noexcept {
+  ahead_.leave_off();
   const std::lock_guard guard(pools_mutex_);
   bool any = false;
   for (std::uint32_t i = 0; i < pools_.size(); ++i) any |= pools_[i]->trim(i == asker);
@@ -171,6 +173,7 @@ bool Participant::extend_run(std::uint32_t end, std::uint32_t granules,
 /// met.
 bool Participant::make_room_in(Pool& pool, std::uint32_t granules) noexcept {
   if (granules > pool.limit()) return false;
+  ahead_.leave_off(pool);
   pool.trim(true);
   const std::uint64_t could_go =
       eviction_.could_give(pool.index(), Shortage::Memory) / segment::kGranule;

@@ -428,13 +428,15 @@ std::size_t Pool::take_foreign(std::span<std::uint32_t> into) noexcept {
 }
 
 bool Pool::trim(bool with_reserved) noexcept {
+  const bool any = trim_ahead();
   {
     const std::lock_guard guard(lock_);
     poll_kept();
   }
   return release_idle([&](std::uint32_t b) {
-    return with_reserved || !segment::is_reserved(holder_.segment->arena(b));
-  });
+           return with_reserved || !segment::is_reserved(holder_.segment->arena(b));
+         }) ||
+         any;
 }
 
 bool Pool::drain() noexcept {

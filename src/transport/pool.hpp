@@ -216,6 +216,7 @@ class Pool {
     is_in_use_ = true;
     topic_ = topic;
     may_wait_.store(topic != 0, std::memory_order_relaxed);  // a maker has no ring
+    has_publisher_.store(topic != 0, std::memory_order_relaxed);
     limit(0);
   }
 
@@ -224,6 +225,7 @@ class Pool {
   void close() noexcept {
     const std::lock_guard guard(lock_);
     is_in_use_ = false;
+    has_publisher_.store(false, std::memory_order_relaxed);
   }
 
   /// An exclusively owned block for a message of this type, or kNone. Locked.
@@ -305,6 +307,33 @@ class Pool {
 
   std::uint32_t index() const noexcept { return index_; }
 
+  // The block that was made ahead (ahead.hpp): one, in a word of its own, so that who makes it and
+  // who takes it need no lock, and the lock keeps its bias.
+
+  /// For Ahead: makers have no publisher, and one that has gone neither.
+  bool has_publisher() const noexcept { return has_publisher_.load(std::memory_order_relaxed); }
+  bool expects() const noexcept { return expects_.load(std::memory_order_relaxed); }
+  void expects(bool yes) noexcept { expects_.store(yes, std::memory_order_relaxed); }
+  /// An exclusively owned block with its memory, or kNone.
+  std::uint32_t take_ahead() noexcept {
+    return ahead_.load(std::memory_order_relaxed) == kNone
+               ? kNone
+               : ahead_.exchange(kNone, std::memory_order_acquire);
+  }
+  bool has_ahead() const noexcept { return ahead_.load(std::memory_order_relaxed) != kNone; }
+  /// False: there is one.
+  bool put_ahead(std::uint32_t b) noexcept {
+    std::uint32_t none = kNone;
+    return ahead_.compare_exchange_strong(none, b, std::memory_order_release,
+                                          std::memory_order_relaxed);
+  }
+  /// It goes back to the segment. True when there was one.
+  bool trim_ahead() noexcept {
+    return trim_ahead([](std::uint32_t) { return true; });
+  }
+  /// A block that nobody else has seen goes back to the segment.
+  void release(std::uint32_t b) noexcept { release_block(b); }
+
   // The memory of its blocks, idle ones too: what their publisher may have, and has. Counted, and
   // not looked for, since the counter is this process's own: no crash leaves it wrong.
 
@@ -336,6 +365,7 @@ class Pool {
   /// The same for those that is_old(block) names, but for what reserve() made.
   template <class Old>
   void trim_old(Old&& is_old) noexcept {
+    trim_ahead(is_old);
     release_idle([&](std::uint32_t b) {
       detail::Arena& arena = holder_.segment->arena(b);
       return is_old(b) && arena.extents != 0 && !segment::is_reserved(arena);
@@ -343,6 +373,17 @@ class Pool {
   }
 
  private:
+  template <class May>
+  bool trim_ahead(May&& may) noexcept {
+    std::uint32_t b = ahead_.load(std::memory_order_relaxed);
+    if (b == kNone || !may(b) ||
+        !ahead_.compare_exchange_strong(b, kNone, std::memory_order_acquire,
+                                        std::memory_order_relaxed)) {
+      return false;
+    }
+    release_block(b);
+    return true;
+  }
   std::uint32_t try_reclaim();
   /// True where nothing of a message's layout depends on the message.
   static bool is_laid_out_for_ever(const detail::MessageType& type) noexcept {
@@ -375,6 +416,9 @@ class Pool {
   bool is_in_use_ = false;  ///< by a publisher or a maker
   BlockStack ready_;
   std::atomic<bool> may_wait_{false};
+  std::atomic<bool> has_publisher_{false};
+  std::atomic<bool> expects_{false};  ///< Ahead knows what its messages are like
+  std::atomic<std::uint32_t> ahead_{kNone};
   BlockQueue free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;
   std::vector<std::uint32_t> foreign_;  ///< left our ring, but is not ours

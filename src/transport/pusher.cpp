@@ -11,6 +11,7 @@
 #include "lockfree_ring/sleep.hpp"
 #include "transport/eviction.hpp"
 #include "transport/participant.hpp"
+#include "transport/pieces.hpp"
 #include "transport/spin_habit.hpp"
 
 namespace lot::transport {
@@ -97,6 +98,9 @@ class Pusher final : public detail::PusherCore, private Evictor {
     waits_ = options.policy == Policy::Block;
     block_for_ = std::max(std::chrono::nanoseconds(options.block_for), 0ns);
     participant_->eviction().add(*this);
+    if (type.size >= detail::Arena::kLargePiece) {
+      participant_->ahead().expect(pool_, Pieces::one(type.size));
+    }
   }
 
   ~Pusher() override {
@@ -271,7 +275,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       for (std::size_t i = 0; i < count; ++i) {
         const detail::Loan loan = this->loan(nothing, true);
         blocks.push_back(loan.cell->block);
-        std::memset(loan.arena->allocate(bytes, 64), 0, bytes);
+        touch(loan.arena->allocate(bytes, 64), bytes);
       }
     } catch (...) {
       for (const std::uint32_t b : blocks) pool_.give_back(b);
@@ -281,17 +285,33 @@ class Pusher final : public detail::PusherCore, private Evictor {
       pool_.keep_reserved(b);  // only now: blocks of a reserve() that fails serve all
       pool_.give_back(b);
     }
+    // What it needs it has now.
+    participant_->ahead().forget(pool_);
+    pool_.trim_ahead();
   }
 
  private:
+  /// A piece of a message that is ours: its pages are mapped for writing.
+  void touch(const void* piece, std::size_t bytes) {
+    segment::Segment& s = participant_->segment();
+    const std::uint64_t begin = s.offset_of(piece) - s.granule_offset(0);
+    if (s.offset_of(piece) < s.granule_offset(0) || bytes == 0) return;  // in the small payload
+    const auto first = static_cast<std::uint32_t>(begin / segment::kGranule);
+    const auto last = static_cast<std::uint32_t>((begin + bytes - 1) / segment::kGranule);
+    s.map_for_writing(first, last - first + 1);
+  }
+
   /// The pool has no block at hand: looks where there are some, and waits for readers if told to.
   [[gnu::noinline]] std::uint32_t find_block(bool waits) {
     std::uint32_t b;
+    bool has_claimed;
     {
       std::unique_lock lock(pool_.lock());
       b = replenish();
+      has_claimed = std::exchange(has_claimed_, false);
       if (pool_.has_foreign()) release_foreign(lock);
     }
+    if (has_claimed) participant_->ahead().next(pool_);
     return b != Pool::kNone ? b : scrape_together(waits);
   }
   [[noreturn, gnu::cold]] void refuse_without_blocks() const {
@@ -448,9 +468,16 @@ class Pusher final : public detail::PusherCore, private Evictor {
       const std::uint32_t b = pool_.try_loan();
       if (b != Pool::kNone) return b;
     }
-    const std::uint32_t b = pool_.claim();
+    const std::uint32_t b = claim();
     if (b == Pool::kNone) short_until_ = futex::Clock::now() + kBoundFor;
     return b;
+  }
+
+  /// The block that was made ahead, or one that nobody has. Locked.
+  std::uint32_t claim() {
+    const std::uint32_t b = pool_.take_ahead();
+    has_claimed_ = true;
+    return b != Pool::kNone ? b : pool_.claim();
   }
 
   /// True for a while after memory or blocks were short. Locked.
@@ -859,6 +886,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   std::size_t room_ahead_ = 0;
   std::size_t owed_ = 0;  ///< threads that have published, and wake before they retire
   futex::Clock::time_point short_until_{};  ///< blocks or memory were short; none: they were not
+  bool has_claimed_ = false;  ///< a block from outside of the pool, since it was last looked at
   bool is_bound_ = false;  ///< and an own message had to go: the next loan takes the oldest's place
 };
 

@@ -39,7 +39,8 @@ inline const std::string& prefix() {
   static const std::string text = [] {
     const char* v = std::getenv("LOT_SEGMENT");
     std::string p = v != nullptr && *v != '\0' ? v : "lottest";
-    for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS"}) {
+    for (const char* name :
+         {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_MLOCK"}) {
       unsetenv(name);
     }
     return p + "_" + std::to_string(getpid());

@@ -188,6 +188,7 @@ TEST_CASE("where the file system is full the memory that was used before serves 
     push_frames(front, 8, kMiB);
     auto rear = engine.advertise<Frame>("rear", {Policy::Overwrite, 2, {}});
     auto frame = rear.loan();
+    lot::transport::Participant::at(frame.get())->give_all_back_to_system();  // what is ahead
     const Filling filling(disk.path);
     const auto left = [&] { return engine.subscribe<Frame>("front", latched(8)).size(); };
     SUBCASE("of messages that go") {
@@ -229,6 +230,7 @@ TEST_CASE("memory that nobody uses any more goes back to the system") {
   }
   auto reserved = place.engine.advertise<Frame>("reserved", {Policy::Overwrite, 2, {}});
   reserved.reserve(2, 8 * kMiB);
+  lot::transport::Participant::at(kept.loan().get())->give_all_back_to_system();  // what is ahead
   const std::uint64_t before = taken(place.engine);
   std::optional<lot::ShmPusher<Frame>> burst = place.engine.advertise<Frame>("burst");
   push_frames(*burst, 30, 4 * kMiB);

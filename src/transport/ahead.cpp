@@ -1,0 +1,182 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/ahead.hpp"
+
+#include <algorithm>
+#include <csignal>
+#include <exception>
+#include <pthread.h>
+#include <sched.h>
+
+#include "transport/participant.hpp"
+
+namespace lot::transport {
+namespace {
+
+/// What is made takes at most one part in so many of the granules that are free. One part in so
+/// many of the blocks is left to others.
+constexpr std::uint64_t kShare = 4;
+/// After memory was short, nothing is made so long: what has become free is for who asked.
+constexpr std::chrono::seconds kShortFor{1};
+
+}  // namespace
+
+std::vector<Ahead::Want>::iterator Ahead::find(const Pool& pool) noexcept {
+  return std::find_if(wants_.begin(), wants_.end(),
+                      [&](const Want& want) { return want.pool == &pool; });
+}
+
+void Ahead::expect(Pool& pool, const Pieces& pieces) noexcept {
+  try {
+    const std::lock_guard guard(mutex_);
+    // forget() comes after the pool is closed: what it has forgotten does not come back.
+    if (is_ending_ || !pool.has_publisher()) return;
+    start();
+    auto want = find(pool);
+    if (want == wants_.end()) want = wants_.insert(want, {&pool, {}, false});
+    want->pieces = pieces;
+    want->is_due = true;
+    pool.expects(true);
+  } catch (const std::exception&) {  // no memory of another kind: the frame is as slow as without
+    return;
+  }
+  signal_.notify_all();
+}
+
+void Ahead::next(Pool& pool) noexcept {
+  if (!pool.expects()) return;
+  {
+    const std::lock_guard guard(mutex_);
+    const auto want = find(pool);
+    if (want == wants_.end()) return;
+    want->is_due = true;
+  }
+  signal_.notify_all();
+}
+
+void Ahead::forget(Pool& pool) noexcept {
+  std::unique_lock lock(mutex_);
+  pool.expects(false);
+  const auto want = find(pool);
+  if (want == wants_.end()) return;
+  wants_.erase(want);
+  if (at_ == &pool) call_off(lock);
+}
+
+void Ahead::leave_off(Pool& pool) noexcept {
+  if (!pool.expects()) return;
+  std::unique_lock lock(mutex_);
+  const auto want = find(pool);
+  if (want != wants_.end()) want->is_due = false;
+  if (at_ == &pool) call_off(lock);
+}
+
+void Ahead::leave_off() noexcept {
+  std::unique_lock lock(mutex_);
+  if (wants_.empty()) return;
+  short_until_ = futex::Clock::now() + kShortFor;
+  call_off(lock);
+}
+
+void Ahead::call_off(std::unique_lock<std::mutex>& lock) noexcept {
+  is_called_off_.store(true, std::memory_order_relaxed);
+  const std::uint64_t turn = turn_;
+  signal_.wait(lock, [&] { return at_ == nullptr || turn_ != turn; });
+}
+
+void Ahead::stop() noexcept {
+  {
+    const std::lock_guard guard(mutex_);
+    is_ending_ = true;
+    is_called_off_.store(true, std::memory_order_relaxed);
+  }
+  signal_.notify_all();
+  if (thread_.joinable()) thread_.join();
+}
+
+/// REQUIRES: mutex_. Throws where the system has no thread.
+void Ahead::start() {
+  if (!thread_.joinable()) thread_ = std::thread([this] { run(); });
+}
+
+void Ahead::run() noexcept {
+  pthread_setname_np(pthread_self(), "lot-ahead");
+  sigset_t all;
+  sigfillset(&all);
+  pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
+  participant_.place_beside_warden();
+  std::unique_lock lock(mutex_);
+  for (;;) {
+    auto want = wants_.end();
+    signal_.wait(lock, [&] {
+      want = std::find_if(wants_.begin(), wants_.end(), [](const Want& w) { return w.is_due; });
+      return is_ending_ || want != wants_.end();
+    });
+    if (is_ending_) return;
+    Pool& pool = *want->pool;
+    const Pieces pieces = want->pieces;
+    want->is_due = false;
+    if (futex::Clock::now() < short_until_) continue;
+    at_ = &pool;
+    ++turn_;
+    is_called_off_.store(false, std::memory_order_relaxed);
+    lock.unlock();
+    make(pool, pieces);
+    lock.lock();
+    at_ = nullptr;
+    signal_.notify_all();
+  }
+}
+
+/// The block that is there is made larger, where it does not do.
+void Ahead::make(Pool& pool, const Pieces& pieces) noexcept {
+  std::uint32_t b = pool.take_ahead();
+  if (b == Pool::kNone && may_make(pool, pieces)) b = pool.claim();
+  if (b == Pool::kNone) return;
+  if (!furnish(pool, b, pieces) || !pool.put_ahead(b)) pool.release(b);
+}
+
+/// As much as is free now: what is claimed meanwhile is another's.
+bool Ahead::may_make(const Pool& pool, const Pieces& pieces) const noexcept {
+  const std::uint64_t needed = pieces.granules();
+  if (!pool.may_take(2 * needed)) return false;  // the publisher may have one in hand
+  const auto& tags = participant_.segment().granules();
+  std::uint64_t free = 0;
+  for (std::uint32_t i = 0; i < tags.count() && free < kShare * needed; ++i)
+    free += tags.tag(i) == 0;
+  if (free < kShare * needed) return false;
+  const std::uint64_t left = participant_.blocks() / kShare;
+  std::uint64_t idle = 0;
+  for (std::uint32_t b = participant_.blocks(); b-- != 0 && idle <= left;) {
+    idle += participant_.block(b).home.load(std::memory_order_relaxed) == refcount::kHomeFree;
+  }
+  return idle > left;
+}
+
+/// Gives a block that is ours alone extents for such pieces. False: there is no memory for it now.
+bool Ahead::furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept {
+  detail::Arena& arena = participant_.segment().arena(b);
+  unsigned i = 0;
+  for (const Pieces::Piece& piece : pieces) {
+    if (i < arena.extents) {
+      detail::Arena::Extent& extent = arena.extent[i];
+      if (extent.kind == piece.kind && extent.granules >= piece.granules) {
+        ++i;
+        continue;
+      }
+      pool.release_run(extent.granule, extent.granules);
+      extent = arena.extent[--arena.extents];
+    }
+    const std::uint32_t run = participant_.claim_run_while(
+        piece.granules, b + 1, [this] { return !is_called_off_.load(std::memory_order_relaxed); });
+    if (run == segment::Granules<segment::Atomics>::kNone) return false;
+    arena.extent[arena.extents++] = arena.extent[i];
+    arena.extent[i++] = {run, piece.granules, 0, piece.kind};
+  }
+  while (arena.extents > i) {
+    const detail::Arena::Extent gone = arena.extent[--arena.extents];
+    pool.release_run(gone.granule, gone.granules);
+  }
+  return true;
+}
+
+}  // namespace lot::transport

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "futex/futex.hpp"
+#include "transport/pieces.hpp"
+#include "transport/pool.hpp"
+
+namespace lot::transport {
+
+class Participant;
+
+/// Makes the block that a publisher will loan next, with its memory touched, so that no frame but
+/// the first waits for the kernel. docs/memory.md says how much, and for whom.
+///
+/// A thread of its own does it, since the warden answers others within milliseconds. It begins with
+/// the first request.
+///
+/// Threads: all members may be called at once, but those marked "no lock": the caller has no pool's
+///          lock, which is for sections that never block.
+/// Crash:   a block that is made carries the process's name, and its memory the block's: as a loan.
+class Ahead {
+ public:
+  explicit Ahead(Participant& participant) noexcept : participant_(participant) {}
+  ~Ahead() { stop(); }
+  Ahead(const Ahead&) = delete;
+  Ahead& operator=(const Ahead&) = delete;
+
+  /// The messages of the publisher with this pool have such pieces. No lock.
+  void expect(Pool& pool, const Pieces& pieces) noexcept;
+  /// It has claimed a block, perhaps the one that was made: it will need another. No lock.
+  void next(Pool& pool) noexcept;
+  /// Nothing is made for it any more when this returns, until it expects something again, which no
+  /// closed pool does. No lock.
+  void forget(Pool& pool) noexcept;
+  /// Memory is short: when this returns nothing is in hand, so that what is made lies in the pools,
+  /// and nothing is made for a while. No lock.
+  void leave_off() noexcept;
+  /// The same for one publisher, whose quota is short, until it claims a block again. No lock.
+  void leave_off(Pool& pool) noexcept;
+  /// Nothing is made any more, and nothing is in hand. No lock.
+  void stop() noexcept;
+
+ private:
+  struct Want {
+    Pool* pool;
+    Pieces pieces;
+    bool is_due;
+  };
+  std::vector<Want>::iterator find(const Pool& pool) noexcept;
+  void start();
+  void run() noexcept;
+  void make(Pool& pool, const Pieces& pieces) noexcept;
+  bool may_make(const Pool& pool, const Pieces& pieces) const noexcept;
+  bool furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept;
+  /// What is in hand goes back, as soon as the kernel has done with a unit. REQUIRES: the lock on
+  /// mutex_.
+  void call_off(std::unique_lock<std::mutex>& lock) noexcept;
+
+  Participant& participant_;
+  std::mutex mutex_;
+  std::condition_variable signal_;
+  std::vector<Want> wants_;   ///< a publisher each
+  const Pool* at_ = nullptr;  ///< whose block is in hand
+  std::uint64_t turn_ = 0;    ///< how many it has begun
+  bool is_ending_ = false;
+  futex::Clock::time_point short_until_{};
+  std::atomic<bool> is_called_off_{false};
+  std::thread thread_;
+};
+
+}  // namespace lot::transport

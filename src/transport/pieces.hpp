@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cstdint>
+
+#include "lot/detail/arena.hpp"
+
+#include "segment/layout.hpp"
+
+namespace lot::transport {
+
+constexpr std::uint64_t granules_in(std::uint64_t bytes) {
+  return (bytes + segment::kGranule - 1) / segment::kGranule;
+}
+
+/// The granules of an extent for a piece of that size. Sizes that differ little share one, so that
+/// the next message fits; it is at most 1/16 more, beside the last granule.
+constexpr std::uint64_t fit(std::uint64_t bytes) {
+  constexpr std::uint64_t kSmallRun = 16;
+  const std::uint64_t granules = granules_in(bytes);
+  if (granules < kSmallRun) return granules;
+  const std::uint64_t step = std::bit_floor(granules) / 16;
+  return (granules + step - 1) & ~(step - 1);
+}
+
+/// What a message has in extents: their kinds and sizes, the shared ones behind the others, large
+/// ones first.
+class Pieces {
+ public:
+  struct Piece {
+    std::uint32_t granules;
+    std::uint16_t kind;  ///< 0 or Arena::kShared
+  };
+
+  /// A message that is one piece.
+  static Pieces one(std::uint64_t bytes) {
+    Pieces p;
+    p.add({static_cast<std::uint32_t>(fit(bytes)), 0});
+    return p;
+  }
+  /// Those of a message that is being built: the extents in which something lives, and the newest.
+  static Pieces of(const detail::Arena& arena, unsigned newest) {
+    Pieces p;
+    for (unsigned i = 0; i < arena.extents; ++i) {
+      const detail::Arena::Extent& e = arena.extent[i];
+      if ((e.living != 0 || i == newest) && !e.is_reserved()) p.add({e.granules, e.kind});
+    }
+    return p;
+  }
+
+  const Piece* begin() const noexcept { return pieces_.data(); }
+  const Piece* end() const noexcept { return pieces_.data() + count_; }
+  std::uint64_t granules() const noexcept {
+    std::uint64_t sum = 0;
+    for (const Piece& piece : *this) sum += piece.granules;
+    return sum;
+  }
+
+ private:
+  void add(Piece piece) {
+    const auto is_before = [](const Piece& a, const Piece& b) {
+      return a.kind != b.kind ? a.kind < b.kind : a.granules > b.granules;
+    };
+    Piece* const last = pieces_.data() + count_++;
+    Piece* const at = std::upper_bound(pieces_.data(), last, piece, is_before);
+    std::move_backward(at, last, last + 1);
+    *at = piece;
+  }
+
+  std::array<Piece, detail::Arena::kMaxExtents> pieces_{};
+  unsigned count_ = 0;
+};
+
+}  // namespace lot::transport
