@@ -34,12 +34,9 @@ void Ahead::expect(Pool& pool, const Pieces& pieces) noexcept {
     auto want = find(pool);
     if (want == wants_.end()) want = wants_.insert(want, {&pool, {}, false});
     want->pieces = pieces;
-    want->is_due = true;
     pool.expects(true);
   } catch (const std::exception&) {  // no memory of another kind: the frame is as slow as without
-    return;
   }
-  signal_.notify_all();
 }
 
 void Ahead::next(Pool& pool) noexcept {

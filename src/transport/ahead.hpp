@@ -34,7 +34,8 @@ class Ahead {
 
   /// The messages of the publisher with this pool have such pieces. No lock.
   void expect(Pool& pool, const Pieces& pieces) noexcept;
-  /// It has claimed a block, perhaps the one that was made: it will need another. No lock.
+  /// It has claimed a block, perhaps the one that was made, and is done with it: it will need
+  /// another, and not its core. No lock.
   void next(Pool& pool) noexcept;
   /// Nothing is made for it any more when this returns, until it expects something again, which no
   /// closed pool does. No lock.

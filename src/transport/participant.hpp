@@ -139,8 +139,8 @@ class Participant {
   bool trim(std::uint32_t asker) noexcept;
   Eviction& eviction() noexcept { return eviction_; }
   Ahead& ahead() noexcept { return ahead_; }
-  /// The calling thread may run where the warden may, as an ordinary thread: it was begun by one
-  /// that may have a core, and a priority, of its own.
+  /// The calling thread may run where the warden may, and takes no core from a thread that runs: it
+  /// was begun by one that may have a core, and a priority, of its own.
   void place_beside_warden() noexcept;
   /// Gives memory of the segment that nobody uses, and that so many looks have found unused, back
   /// to the system, unit by unit until enough() is true. Returns the bytes.

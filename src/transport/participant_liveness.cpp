@@ -103,8 +103,8 @@ void Participant::place_beside_warden() noexcept {
   if (pthread_getaffinity_np(warden_.native_handle(), sizeof(cores), &cores) == 0) {
     pthread_setaffinity_np(pthread_self(), sizeof(cores), &cores);
   }
-  const sched_param ordinary{};
-  pthread_setschedparam(pthread_self(), SCHED_OTHER, &ordinary);
+  const sched_param none{};
+  pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
 }
 
 void Participant::warden() {

@@ -416,14 +416,15 @@ class Pool {
   bool is_in_use_ = false;  ///< by a publisher or a maker
   BlockStack ready_;
   std::atomic<bool> may_wait_{false};
-  std::atomic<bool> has_publisher_{false};
-  std::atomic<bool> expects_{false};  ///< Ahead knows what its messages are like
-  std::atomic<std::uint32_t> ahead_{kNone};
   BlockQueue free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;
   std::vector<std::uint32_t> foreign_;  ///< left our ring, but is not ours
   std::size_t room_ = 0;                ///< of retired_, and of foreign_
   KeptList kept_;
+  // Behind what each message looks at.
+  std::atomic<bool> has_publisher_{false};
+  std::atomic<bool> expects_{false};  ///< Ahead knows what its messages are like
+  std::atomic<std::uint32_t> ahead_{kNone};
 };
 
 // Relaxed: the home writes the list; a reaper reads it under the dead home's byte lock, or after

@@ -100,6 +100,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     participant_->eviction().add(*this);
     if (type.size >= detail::Arena::kLargePiece) {
       participant_->ahead().expect(pool_, Pieces::one(type.size));
+      participant_->ahead().next(pool_);
     }
   }
 
@@ -304,14 +305,11 @@ class Pusher final : public detail::PusherCore, private Evictor {
   /// The pool has no block at hand: looks where there are some, and waits for readers if told to.
   [[gnu::noinline]] std::uint32_t find_block(bool waits) {
     std::uint32_t b;
-    bool has_claimed;
     {
       std::unique_lock lock(pool_.lock());
       b = replenish();
-      has_claimed = std::exchange(has_claimed_, false);
       if (pool_.has_foreign()) release_foreign(lock);
     }
-    if (has_claimed) participant_->ahead().next(pool_);
     return b != Pool::kNone ? b : scrape_together(waits);
   }
   [[noreturn, gnu::cold]] void refuse_without_blocks() const {
@@ -476,7 +474,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   /// The block that was made ahead, or one that nobody has. Locked.
   std::uint32_t claim() {
     const std::uint32_t b = pool_.take_ahead();
-    has_claimed_ = true;
+    will_need_next_ = true;
     return b != Pool::kNone ? b : pool_.claim();
   }
 
@@ -558,7 +556,18 @@ class Pusher final : public detail::PusherCore, private Evictor {
       pool_.prepare();
       if (!guarded) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // a lossless stream
     }
+    const bool is_short_of_blocks = will_need_next_;
     if (pool_.has_foreign()) release_foreign(lock);
+    if (is_short_of_blocks) [[unlikely]]
+      ask_for_next(lock);
+  }
+
+  /// Now, when the frame is out: the publisher wants its core for filling it.
+  [[gnu::noinline]] void ask_for_next(std::unique_lock<BiasedLock>& lock) {
+    if (!lock.owns_lock()) lock.lock();
+    will_need_next_ = false;
+    lock.unlock();
+    participant_->ahead().next(pool_);
   }
 
   /// Lets go of what has left our ring and is not our pool's. It takes the locks of other pools: so
@@ -880,13 +889,13 @@ class Pusher final : public detail::PusherCore, private Evictor {
   YieldHabit yield_;
   std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the largest in the ring
   std::uint32_t since_fit_ = 0;      ///< messages since the last of that size
+  bool will_need_next_ = false;      ///< it has claimed a block since Ahead was told the last time
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
   std::uint32_t read_slots_ = 0;  ///< Writer::read_slots(), when the ring was last weighed
   std::size_t room_ahead_ = 0;
   std::size_t owed_ = 0;  ///< threads that have published, and wake before they retire
   futex::Clock::time_point short_until_{};  ///< blocks or memory were short; none: they were not
-  bool has_claimed_ = false;  ///< a block from outside of the pool, since it was last looked at
   bool is_bound_ = false;  ///< and an own message had to go: the next loan takes the oldest's place
 };
 

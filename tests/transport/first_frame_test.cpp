@@ -162,15 +162,19 @@ TEST_CASE("a struct that is large by itself has its memory from advertise() on")
   auto warm_up = engine.make<Frame>();  // the code
   auto& pool = *[&] {
     auto probe = pusher.loan();
-    return &pool_of(probe.get());
+    auto* const p = &pool_of(probe.get());
+    pusher.push(std::move(probe));
+    return p;
   }();
   REQUIRE(is_made(pool));
   std::vector<lot::ShmUniquePtr<Plain>> loans;
-  for (int i = 0; i < 2; ++i) {  // the probe's block, and the one ahead
+  for (int i = 0; i < 2; ++i) {
+    REQUIRE(is_made(pool));
     CHECK(faults([&] {
             loans.push_back(pusher.loan());
             std::memset(loans.back()->data, 1, sizeof(Plain));
           }) < kFew);
+    pusher.push(std::move(loans.back()));
   }
 }
 
