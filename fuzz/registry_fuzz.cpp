@@ -61,7 +61,7 @@ const std::string kNames[] = {"/a",
 constexpr std::size_t kGoodNames = 5;
 
 struct Topic {
-  std::size_t name = std::size(kNames);  ///< none: nobody has ever entered it
+  std::size_t name = 0;
   std::size_t type = 0;
   std::set<std::uint32_t> users{};
 };
@@ -161,17 +161,16 @@ class Fuzz {
       expected.reset();
     } else if (!expected && name < kGoodNames) {
       for (std::uint32_t t = kTopics; t-- > 0;) {
-        if (!is_in_use(t)) expected = t;
+        if (topics_[t].users.empty()) expected = t;
       }
     }
-    const bool is_new = expected && !is_in_use(*expected);
     const auto topic = attempt([&] {
       const Registry::Lock lock(local_.registry());
       return local_.registry().enter(kNames[name], kTypes[type], player.index);
     });
     require(topic == expected, "which topic is entered");
     if (!topic) return;
-    if (is_new) topics_[*topic] = {name, type};
+    if (topics_[*topic].users.empty()) topics_[*topic] = {name, type};
     topics_[*topic].users.insert(player.index);
     player.topics.push_back(*topic);
   }
@@ -322,16 +321,9 @@ class Fuzz {
     return nullptr;
   }
 
-  /// It has users, or rings.
-  bool is_in_use(std::uint32_t t) const {
-    return !topics_[t].users.empty() ||
-           std::any_of(channels_.begin(), channels_.end(),
-                       [t](const Channel& c) { return c.state != State::Free && c.topic == t; });
-  }
-
   std::optional<std::uint32_t> topic_named(std::size_t name) const {
     for (std::uint32_t t = 0; t < kTopics; ++t) {
-      if (is_in_use(t) && topics_[t].name == name) return t;
+      if (!topics_[t].users.empty() && topics_[t].name == name) return t;
     }
     return std::nullopt;
   }

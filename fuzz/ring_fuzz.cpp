@@ -78,6 +78,7 @@ class Fuzz {
     ring_.who = who_.data();
     ring_.roster = &roster_;
     ring_.space = &space_;
+    ring_.floor = &floor_;
     ring_.depth = depth;
     ring_.readers = readers;
     ring_.blocking = blocking;
@@ -345,6 +346,7 @@ class Fuzz {
   std::vector<Cell> cells_;
   std::vector<std::atomic<std::uint32_t>> who_;
   std::atomic<std::uint32_t> roster_{0};
+  std::atomic<Word> floor_{0};
   std::atomic<std::uint32_t> space_{0};
   Ring ring_;
   Writer writer_;

@@ -54,10 +54,13 @@ unsigned char* map(void* at, std::size_t bytes, int protection, int flags, int f
   return reinterpret_cast<unsigned char*>(address);
 }
 
+constexpr int kNothing = MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE;
+
+/// Where segments lie: at a multiple of a unit, so that the library need not move there.
 unsigned char* place() {
-  static unsigned char* const reserved =
-      map(nullptr, 2 * kGuard + kMost, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1);
-  return reserved + kGuard;
+  static unsigned char* const reserved = map(nullptr, 2 * kGuard + kMost, PROT_NONE, kNothing, -1);
+  const auto at = reinterpret_cast<std::uintptr_t>(reserved) + kGuard;
+  return reserved + kGuard + (segment::kUnit - at % segment::kUnit);
 }
 
 /// Calls f(address, bytes, free) for all of the segment: the tables, then runs of granules.
@@ -126,8 +129,14 @@ bool __real__ZN3lot7segment7Segment10extend_runEjjj(lot::segment::Segment*, std:
                                                     std::uint32_t, std::uint32_t);
 
 void* __wrap_mmap(void* at, std::size_t bytes, int protection, int flags, int fd, off_t offset) {
-  if (!window::installed || (flags & MAP_SHARED) == 0 || window::mapped.base != nullptr ||
-      bytes > window::kMost) {
+  if (!window::installed || window::mapped.base != nullptr || bytes > window::kMost) {
+    return __real_mmap(at, bytes, protection, flags, fd, offset);
+  }
+  // The room that the library asks for before it maps the file there.
+  if (at == nullptr && protection == PROT_NONE && flags == window::kNothing) {
+    return window::place();
+  }
+  if ((flags & MAP_SHARED) == 0 || (at != nullptr && at != window::place())) {
     return __real_mmap(at, bytes, protection, flags, fd, offset);
   }
   window::mapped = {window::map(window::place(), bytes, protection, flags | MAP_FIXED, fd), bytes};
@@ -136,7 +145,11 @@ void* __wrap_mmap(void* at, std::size_t bytes, int protection, int flags, int fd
 }
 
 int __wrap_munmap(void* at, std::size_t bytes) {
-  if (at == nullptr || at != window::mapped.base) return __real_munmap(at, bytes);
+  if (!window::installed || at == nullptr) return __real_munmap(at, bytes);
+  // The rest of the room, or all of it where the file could not be mapped, stays closed.
+  const bool is_rest = at == window::mapped.base + window::mapped.size;
+  if (at != window::mapped.base && (is_rest || at == window::place())) return 0;
+  if (at != window::mapped.base) return __real_munmap(at, bytes);
   ASAN_UNPOISON_MEMORY_REGION(window::mapped.base, window::mapped.size);
   window::mapped = {};
   window::map(at, bytes, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED, -1);

@@ -235,18 +235,26 @@ struct Ring {
     for (std::uint32_t i = 0; i < depth; ++i) wake(slots[i]);
   }
 
-  /// The messages that a participant works on are anybody's again, and readers look for them once
-  /// they are woken, unconditionally, by the caller. REQUIRES: the participant is dead.
+  /// The messages that a participant works on are anybody's again. True: the caller wakes all
+  /// readers, unconditionally, so that they look for them. REQUIRES: the participant is dead; where
+  /// it has a cell, that still names it.
   ///
-  /// Crash: may be repeated.
-  void take_claims_back(std::uint32_t participant) {
-    for (std::uint32_t i = 0; i < depth; ++i) {
-      const Word seen = claims[i].load(std::memory_order_relaxed);  // the dead one's own, or not
-      if (claim_worker(seen) == participant + 1) unclaim(claims[i], seen);
+  /// Crash: may be repeated. Whoever reads here may have been killed while it gave something back.
+  bool take_claims_back(std::uint32_t participant) {
+    bool reads = false;
+    for (std::uint32_t c = 0; c < readers && !reads; ++c) {
+      reads = who[c].load(std::memory_order_relaxed) == participant + 1;  // its own, or not
     }
-    returned->fetch_add(1, std::memory_order_release);  // C2
+    for (std::uint32_t i = 0; i < depth; ++i) {
+      const Word seen = claims[i].load(std::memory_order_relaxed);  // as above
+      if (claim_worker(seen) != participant + 1) continue;
+      unclaim(claims[i], seen);
+      reads = true;
+    }
+    if (reads) returned->fetch_add(1, std::memory_order_release);  // C2
+    return reads;
   }
-  /// A worker gives the message of a slot back: as take_claims_back().
+  /// A worker gives the message of a slot back. The caller wakes those who sleep.
   void give_back(std::uint32_t i, Word claim) {
     unclaim(claims[i], claim);
     returned->fetch_add(1, std::memory_order_release);  // C2
@@ -340,10 +348,12 @@ class Writer {
   /// Fetches the slot of the next message: its reader has had a look at it, or will have one.
   void prefetch() const { P::prefetch_write(&ring_.slots[index_]); }
 
-  /// Calls gone(block) for messages that were taken, as far as all before them were: the holds on
-  /// them are the caller's to retire. REQUIRES: the messages of the ring are taken.
+  /// Calls gone(block) for messages that were taken, as far as all before them were; for all that
+  /// were finished, which one that takes long must not hold up. The holds on them are the caller's
+  /// to retire. REQUIRES: the messages of the ring are taken.
   template <class Gone>
   void each_taken(Gone&& gone) {
+    if (ring_.claims != nullptr) return each_finished(gone);
     for (std::uint32_t n = 0; n < ring_.depth; ++n) {
       Word& put = put_[oldest_];
       if (put != kNoBlock) {
@@ -353,6 +363,14 @@ class Writer {
         return;
       }
       oldest_ = after(oldest_);
+    }
+  }
+  template <class Gone>
+  void each_finished(Gone& gone) {
+    for (std::uint32_t i = 0; i < ring_.depth; ++i) {
+      if (put_[i] == kNoBlock) continue;
+      if (block(ring_.slots[i].load(std::memory_order_seq_cst)) != kNoBlock) continue;  // R10
+      gone(std::exchange(put_[i], kNoBlock));
     }
   }
   /// Calls hold(block) for each message whose hold is still the ring's. REQUIRES: as each_taken().

@@ -75,34 +75,42 @@ Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t versio
   }
   // What changed before the marks stood. Whoever changes it later takes the marks away, which
   // begins a new round of the slot, and wakes.
+  bool any_live = false;
   for (auto& source : sources) {
     if (source.reader.is_closing() || source.reader.has_returns()) return Rest::Look;
+    any_live = any_live || !source.reader.orphaned();
   }
   const std::uint32_t now = directory.load(std::memory_order_relaxed);  // R5 has acquired it
-  if (now != version || sources.empty()) sleep_on(directory, now);
+  // Who comes tells the readers of live rings (announce), and who sleeps on the directory.
+  if (now != version || !any_live) sleep_on(directory, now);
   return now == version ? Rest::Sleep : Rest::Doze;
+}
+
+/// The readers of a ring look again: wakes those who sleep there.
+///
+/// Crash: killed between a mark and its wake, it leaves a reader asleep without a mark.
+template <class Ring, class Wake>
+void wake_sleepers(Ring& ring, Wake&& wake) {
+  if (ring.arrived != nullptr) {
+    ring.clear_sleepers();
+    wake(*ring.arrived);
+    return;
+  }
+  for (std::uint32_t i = 0; i < ring.depth; ++i) {
+    if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);
+  }
 }
 
 /// Says that a ring has come, and wakes who may want to read it: who has nothing to read sleeps on
 /// the directory's version, the others in the other rings of the topic.
 ///
-/// Crash: killed between a mark and its wake, it leaves a reader of somebody else's ring asleep
-/// without a mark. The reaper wakes all sleepers of all rings.
+/// Crash: as wake_sleepers(). The reaper wakes all sleepers of all rings.
 template <class Directory, class Rings, class Wake>
 void announce(Directory& directory, Rings&& rings, Wake&& wake) {
   // Relaxed: R5 carries it, and who finds it changed takes the registry's lock, which carries the
   // ring.
   directory.fetch_add(1, std::memory_order_relaxed);
-  for (auto&& ring : rings) {
-    if (ring.arrived != nullptr) {
-      ring.clear_sleepers();
-      wake(*ring.arrived);
-      continue;
-    }
-    for (std::uint32_t i = 0; i < ring.depth; ++i) {
-      if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);
-    }
-  }
+  for (auto&& ring : rings) wake_sleepers(ring, wake);
   wake(directory);
 }
 

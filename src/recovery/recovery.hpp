@@ -170,13 +170,11 @@ class Recovery {
     }
   }
 
-  /// What k has taken and not finished comes back. Readers are told whatever is found: a reaper, or
-  /// k itself, may have been killed before it could tell them.
+  /// What k has taken and not finished comes back. The readers of each ring that k reads are told,
+  /// whatever is found: a reaper, or k itself, may have been killed before it could tell them.
   void take_claims_back(std::uint32_t c, std::uint32_t k) {
     ring::Ring<P> r = world_.ring(c);
-    if (r.claims == nullptr) return;
-    r.take_claims_back(k);
-    wake_readers(r);
+    if (r.claims != nullptr && r.take_claims_back(k)) wake_readers(r);
   }
 
   void free_cells(std::uint32_t c, std::uint32_t k) {

@@ -76,11 +76,11 @@ std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& 
   const auto topics = segment_.topics();
   const std::string_view type_name =
       std::string_view(type.name).substr(0, segment::kTypeNameBytes - 1);
-  const std::vector<bool> has_rings = topics_with_rings();
+  const std::vector<bool> waits = topics_with_items();
   segment::TopicEntry* free = nullptr;
   segment::TopicEntry* found = nullptr;
   for (auto& topic : topics) {
-    if (!in_use(topic) && !has_rings[static_cast<std::size_t>(&topic - topics.data())]) {
+    if (!in_use(topic) && !waits[static_cast<std::size_t>(&topic - topics.data())]) {
       if (free == nullptr) free = &topic;
     } else if (text(topic.name, sizeof(topic.name)) == name) {
       found = &topic;
@@ -270,7 +270,8 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
   }
   throw Error(ENOSPC, segment_.path(),
               "all " + std::to_string(channels.size()) + " channels are in use",
-              "make the segment with a larger EngineOptions::channels");
+              "make the segment with a larger EngineOptions::channels; `lot ls` shows queues whose "
+              "items wait though their putters have gone");
 }
 
 std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {
@@ -287,13 +288,14 @@ std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {
   return found;
 }
 
-std::vector<bool> Registry::topics_with_rings() const {
+std::vector<bool> Registry::topics_with_items() const {
   std::vector<bool> found(segment_.capacity().topics, false);
   for (const auto& channel : segment_.channels()) {
     const ring::Word w = channel.writer.load(std::memory_order_acquire);
     if (w == 0) break;  // channels are taken lowest first: those behind it never were
-    if (ring::writer_state(w) == ring::State::Free || channel.topic >= found.size()) continue;
-    found[channel.topic] = true;
+    if (ring::writer_state(w) != ring::State::Orphan || channel.taken == 0) continue;
+    const auto c = static_cast<std::uint32_t>(&channel - segment_.channels().data());
+    if (channel.topic < found.size() && segment_.ring(c).has_news()) found[channel.topic] = true;
   }
   return found;
 }
@@ -302,8 +304,10 @@ bool Registry::is_open(const ChannelName& name) const noexcept {
   const auto& channel = segment_.channels()[name.channel];
   const auto w = channel.writer.load(std::memory_order_acquire);
   const auto state = ring::writer_state(w);
-  return (state == ring::State::Live || (state == ring::State::Orphan && channel.taken != 0)) &&
-         ring::writer_generation(w) == name.generation;
+  if (ring::writer_generation(w) != name.generation) return false;
+  // An ended ring without items may be of a topic that was there before.
+  return state == ring::State::Live || (state == ring::State::Orphan && channel.taken != 0 &&
+                                        segment_.ring(name.channel).has_news());
 }
 
 void Registry::recycle(std::uint32_t channel) noexcept {

@@ -65,7 +65,7 @@ class Registry {
   // The following REQUIRE the lock.
 
   /// Finds or makes a topic and enters the participant as one of its users. A topic is there as
-  /// long as it has users, or rings: what waits there to be taken. Throws lot::Error when it has
+  /// long as it has users, or items that wait to be taken. Throws lot::Error when it has
   /// another type, or the table is full.
   std::uint32_t enter(std::string_view name, const detail::MessageType& type,
                       std::uint32_t participant);
@@ -105,8 +105,8 @@ class Registry {
   void forget(std::uint32_t participant) noexcept;
 
  private:
-  /// By topic: whether it has rings.
-  std::vector<bool> topics_with_rings() const;
+  /// By topic: whether items wait there though their publishers have gone.
+  std::vector<bool> topics_with_items() const;
   /// How many pullers the participant has on the topic. Relaxed: the lock carries it.
   std::uint32_t pullers(std::uint32_t topic, std::uint32_t participant) const noexcept;
   /// Says that a ring has come, and wakes who waits for that. REQUIRES: the lock, so that no ring

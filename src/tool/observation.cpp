@@ -96,11 +96,11 @@ class Observer {
 
   void find_topics() {
     const auto topics = s_.topics();
-    std::vector<bool> has_rings(topics.size(), false);  // what waits to be taken needs no user
+    std::vector<bool> waits(topics.size(), false);  // what waits to be taken needs no user
     for (const auto& channel : s_.channels()) {
       const auto state = ring::writer_state(channel.writer.load(std::memory_order_acquire));
-      const bool is_there = state == ring::State::Live || state == ring::State::Orphan;
-      if (is_there && channel.topic < topics.size()) has_rings[channel.topic] = true;
+      const bool is_left = state == ring::State::Orphan && channel.taken != 0;
+      if (is_left && channel.topic < topics.size()) waits[channel.topic] = true;
     }
     for (std::uint32_t t = 0; t < topics.size(); ++t) {
       const auto& entry = topics[t];
@@ -109,7 +109,7 @@ class Observer {
                   text_of(entry.type_name, sizeof(entry.type_name)),
                   entry.type_size,
                   {},
-                  has_rings[t]};
+                  waits[t]};
       if (!topic.name.empty()) name_of_key_[segment::topic_key(topic.name)] = topic.name;
       for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
         const auto users =

@@ -88,8 +88,6 @@ class Participant {
 
   /// Ends a ring of ours: its readers get what is in it and then the end.
   void close_ring(const registry::ChannelName& name) noexcept;
-  /// The readers of a ring look again, whatever they sleep on. REQUIRES: we read there.
-  void wake_readers(segment::Ring& ring) noexcept { Recovery(*this).wake_readers(ring); }
   /// Finishes what closing has left to do, or leaves it to the warden.
   void settle_closing() noexcept;
   /// True when the ring's blocks are the orphanage's, so that our own holds on them may go.

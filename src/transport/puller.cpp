@@ -127,7 +127,7 @@ class Puller final : public detail::PullerCore {
     segment::Ring ring = s->reader.ring();
     ring::empty(ring.slots[claim.slot], claim.origin.sequence);
     if (s->reader.sender_waits()) ring_bell(s->reader);
-    if (s->reader.is_closing()) participant_->wake_readers(ring);
+    if (s->reader.is_closing()) wake_sleepers(ring);
   }
 
   void give_back(const detail::Claim& claim) noexcept override {
@@ -135,7 +135,7 @@ class Puller final : public detail::PullerCore {
     if (s == nullptr) return;
     segment::Ring ring = s->reader.ring();
     ring.give_back(claim.slot, claim.word);
-    participant_->wake_readers(ring);
+    wake_sleepers(ring);
   }
 
   std::size_t size() override {
@@ -563,6 +563,10 @@ class Puller final : public detail::PullerCore {
     return futex::wait_any(waits_, final ? *deadline : *again) || !final;
   }
 
+  static void wake_sleepers(segment::Ring& ring) noexcept {
+    ring::wake_sleepers(ring, [](const auto& word) { futex::wake_all(futex_of(word)); });
+  }
+
   static const void* futex_of(const std::atomic<ring::Word>& word) { return futex::low_half(word); }
   static const void* futex_of(const std::atomic<std::uint32_t>& word) { return &word; }
 
@@ -606,7 +610,7 @@ class Puller final : public detail::PullerCore {
       bool full = false;
       std::optional<Reader> reader;
       if (participant_->registry().is_open(name)) {
-        if (ring.depth == 0) {
+        if (!is_of_our_kind(ring)) {
           throw Error(EBADMSG, participant_->segment().path(),
                       "the queue of a publisher of the topic is damaged", "restart the publisher");
         }
@@ -639,7 +643,8 @@ class Puller final : public detail::PullerCore {
       make_room_for_one();
       const segment::Ring ring = participant_->segment().ring(name.channel);
       std::string publisher = publisher_of(ring);
-      const auto reader = Reader::adopt(ring, participant_->index());
+      std::optional<Reader> reader;
+      if (is_of_our_kind(ring)) reader = Reader::adopt(ring, participant_->index());
       if (reader) {
         begin(*reader, name, std::move(publisher));
       } else {  // somebody has written over its cell
@@ -648,6 +653,11 @@ class Puller final : public detail::PullerCore {
     }
     version_ = version;
     not_before_.reset();
+  }
+
+  /// As the type of the topic says, where nobody has written into the segment.
+  bool is_of_our_kind(const segment::Ring& ring) const {
+    return ring.depth != 0 && ring.taken == taking_ && (ring.claims != nullptr) == working_;
   }
 
   /// First, as the publisher's name: where there is no memory no cell is lost. A source that ends

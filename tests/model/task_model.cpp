@@ -236,6 +236,37 @@ struct WorkOutlivesPublisher : WorkOutlivesPublisherScene<WorkOutlivesPublisher,
 struct KilledWorkOutlivesPublisher : WorkOutlivesPublisherScene<KilledWorkOutlivesPublisher, true> {
 };
 
+/// A worker sleeps beside a task that somebody else works on, whose publisher has gone. It hears of
+/// a publisher that comes.
+struct AnnouncedBesideWork : Scene<AnnouncedBesideWork, 2> {
+  AnnouncedBesideWork()
+      : Scene({.blocks = 2,
+               .depth = 1,
+               .readers = 2,
+               .channels = 2,
+               .taken = true,
+               .finished = true}) {}
+  void prepare() {
+    RL_ASSERT(publisher.open(start(4), 0, true));
+    RL_ASSERT(busy.join(start(3), 0, 1, 1));
+    RL_ASSERT(idle.join(start(2), 0, 1, 1));
+    RL_ASSERT(publisher.send());
+    RL_ASSERT(busy.start_work());
+    process(4).leave();
+    start(5);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(next.advertise(process(5), 1, true));
+    } else {
+      while (segment.version.load(std::memory_order_acquire) == 0) idle.sleep(0);
+    }
+  }
+  void check() { busy.finish_work(); }
+  Publisher publisher, next;
+  Subscriber busy, idle;
+};
+
 /// The publisher goes, or is killed, before anybody reads: who comes later gets what waits there.
 template <class Derived, bool kFinished>
 struct WaitsForTakerScene : Scene<Derived, 3> {
@@ -289,6 +320,8 @@ const Entered entered{
      rl::simulate<WorkOutlivesPublisher>},
     {"killed_work_outlives_publisher", "the same where a worker dies",
      rl::simulate<KilledWorkOutlivesPublisher>},
+    {"announced_beside_work", "who sleeps beside another's task hears of a new queue",
+     rl::simulate<AnnouncedBesideWork>, 2},
     {"item_waits_for_taker", "an item waits when its publisher has gone",
      rl::simulate<ItemWaitsForTaker>, 2},
     {"task_waits_for_worker", "so does a task", rl::simulate<TaskWaitsForWorker>, 2},

@@ -332,9 +332,9 @@ void Process::close_ring(std::uint32_t c) {
   segment_->unlock(refcount::kOrphanage);
 }
 
-void Process::wake_readers(std::uint32_t c) {
+void Process::wake_sleepers(std::uint32_t c) {
   ring::Ring<Policy> r = ring(c);
-  Recovery(*this).wake_readers(r);
+  ring::wake_sleepers(r, [](const auto& word) { word.wake_all(); });
 }
 
 bool Process::ring_closed(std::uint32_t c) {
@@ -657,7 +657,7 @@ void Subscriber::finish_work() {
   RL_ASSERT(process_->read(work_.block) == work_.number);
   ring::empty(reader_.ring().slots[work_.slot], ring::claim_sequence(work_.claim));
   if (reader_.sender_waits()) ring_for_room();
-  if (reader_.is_closing()) process_->wake_readers(channel_);
+  if (reader_.is_closing()) process_->wake_sleepers(channel_);
   process_->drop(work_.block);
   ++received_;
 }
@@ -665,7 +665,7 @@ void Subscriber::finish_work() {
 void Subscriber::give_work_back() {
   ring::Ring<Policy> ring = reader_.ring();
   ring.give_back(work_.slot, work_.claim);
-  process_->wake_readers(channel_);
+  process_->wake_sleepers(channel_);
   process_->drop(work_.block);
 }
 

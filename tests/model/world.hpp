@@ -164,7 +164,7 @@ class Process {
   bool ring_closed(std::uint32_t channel);
 
   /// The readers of a ring that we read look again.
-  void wake_readers(std::uint32_t channel);
+  void wake_sleepers(std::uint32_t channel);
 
   // A reader of ours takes and leaves a cell.
   void move_in(std::uint32_t channel, std::uint32_t cell);

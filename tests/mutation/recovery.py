@@ -114,8 +114,8 @@ MISTAKES = (
     Planted('a mark is taken away and begins no new round', 'src/lockfree_ring/ring.hpp', 'sleep', ((
         'marked ? next_round(seen) : seen', 'seen & ~kSleeper'),)),
     Planted('a conditional wake in the announcement', SLEEP, 'sleep', ((
-        '      if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);\n',
-        '      if ((ring.slots[i].load(std::memory_order_relaxed) & kSleeper) != 0) {\n'
+        '    if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);\n',
+        '    if ((ring.slots[i].load(std::memory_order_relaxed) & kSleeper) != 0) {\n'
         '        clear_sleeper(ring.slots[i]);\n      }\n'),)),
     Planted('a message is taken twice', CLAIMS, 'taken', ((
         '  while (sequence(seen) == of_sequence && block(seen) != kNoBlock) {',
@@ -123,7 +123,7 @@ MISTAKES = (
     Planted('a dead worker\'s claims stay', RECOVERY, 'task', ((
         '++c) take_claims_back(c, k);', '++c) (void)c;'),)),
     Planted('who sleeps does not hear of a dead one\'s task', RECOVERY, 'task', ((
-        '    r.take_claims_back(k);\n    wake_readers(r);\n', '    r.take_claims_back(k);\n'),)),
+        'r.take_claims_back(k)) wake_readers(r);', 'r.take_claims_back(k)) return;'),)),
     Planted('readers that have passed a task do not look again', 'src/lockfree_ring/ring.hpp', 'task', ((
         '    start_at_newest(kFromTheStart);\n  }\n  std::uint32_t unclaimed', '  }\n  std::uint32_t unclaimed'),)),
     Planted('what was taken back is not told', 'src/lockfree_ring/ring.hpp', 'task', ((
@@ -140,6 +140,11 @@ MISTAKES = (
     Planted('what somebody works on is claimed', CLAIMS, 'task', ((
         '    if (ahead > 0 || (ahead == 0 && claim_worker(seen) != 0)) return 0;',
         '    if (ahead > 0) return 0;'),)),
+    Planted('who sleeps beside a task hears of no new ring', SLEEP, 'task', ((
+        '  if (now != version || !any_live) sleep_on(directory, now);',
+        '  if (now != version || sources.empty()) sleep_on(directory, now);'),)),
+    Planted('a reader of the ring is not told after the dead one', 'src/lockfree_ring/ring.hpp', 'task', ((
+        '    if (reads) returned->fetch_add(1, std::memory_order_release);  // C2\n', ''),)),
     Planted('a ring with items is deserted', 'src/lockfree_ring/ring.hpp', 'task', ((
         '    return (!awaits && !taken) || !has_news();', '    return !awaits || !has_news();'),)),
     Planted('who waits for a task leaves when the publisher goes', 'src/lockfree_ring/ring.hpp', 'task', ((

@@ -460,6 +460,52 @@ TEST_CASE_FIXTURE(Fixture, "a process that leaves gives its tasks back") {
   task.finish();
 }
 
+TEST_CASE_FIXTURE(Fixture, "one long task keeps nobody's memory") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::EngineOptions small = fresh(16 << 20);
+    small.blocks = 64;
+    lot::ShmEngine shm(small);
+    auto jobs = shm.queue<lot::ShmUniquePtr<Job>>("jobs", redelivering(engine, 1000));
+    const auto put_large = [&](std::uint64_t number) {
+      auto job = jobs.make();
+      job->number = number;
+      job->numbers.assign(1 << 17, number);  // 1 MiB
+      return jobs.put(std::move(job));
+    };
+    CHECK(put_large(0) == Status::Ok);
+    auto first = jobs.wait_and_take();
+    for (std::uint64_t n = 1; n < 200; ++n) {
+      REQUIRE(put_large(n) == Status::Ok);
+      auto task = jobs.wait_and_take();
+      REQUIRE(task->number == n);
+      CHECK(task->numbers.back() == n);
+      task.finish();
+    }
+    CHECK(first->numbers.back() == 0);
+    first.finish();
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "names are used again at once, by whatever queue comes") {
+  lot::ShmEngine shm(options);
+  std::vector<std::thread> threads;
+  for (int t = 0; t < 4; ++t) {
+    threads.emplace_back([&, t] {
+      const std::string name = "n" + std::to_string(t);
+      for (int n = 0; n < 200; ++n) {
+        { auto one = shm.advertise<Job>(name); }
+        { auto two = shm.advertise<Other>(name); }
+        auto tasks = shm.queue<std::uint64_t>(name, redelivering(QueueEngine::Ring, 2));
+        CHECK(tasks.put(7) == Status::Ok);
+        auto task = tasks.try_take();
+        REQUIRE(task);
+        task.finish();
+      }
+    });
+  }
+  for (auto& thread : threads) thread.join();
+}
+
 TEST_CASE_FIXTURE(Fixture, "popping and taking do not mix, and the error says which is meant") {
   lot::ShmEngine shm(options);
   auto tasks = shm.queue<lot::ShmUniquePtr<Job>>("tasks", redelivering(QueueEngine::Ring));

@@ -292,6 +292,8 @@ TEST_CASE_FIXTURE(Fixture, "a push and a put whose time is up say Full at once")
     });
     CHECK(message);
     CHECK(item);
+    while (items.try_pop()) {
+    }
   });
 }
 
@@ -351,6 +353,8 @@ TEST_CASE_FIXTURE(Fixture, "a push and a put with all the time there is wait for
       const InAMoment room(pop);
       CHECK(items.put_until(items.make(), deadline) == Status::Ok);
     });
+    while (items.try_pop()) {
+    }
   });
 }
 
