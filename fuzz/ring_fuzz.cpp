@@ -127,15 +127,25 @@ class Fuzz {
     check();
   }
 
-  /// The publisher goes; everybody reads what is left.
+  /// The publisher goes; everybody reads what is left. What is to be taken waits for who comes.
   void end() {
     writer_word_ = lot::ring::make_writer(1, State::Orphan, 1);
     ring_.clear_sleepers();
     marked_ = false;
     bool full = true;
-    if (std::any_of(readers_.begin(), readers_.end(), [](auto& r) { return !r; })) {
+    if (!ring_.taken && std::any_of(readers_.begin(), readers_.end(), [](auto& r) { return !r; })) {
       require(!Reader::join(ring_, 1, 1, 0, full) && !full, "nobody joins an orphan");
     }
+    read_to_the_end();
+    if (ring_.taken) {
+      join(Reader::kFromTheStart);
+      read_to_the_end();
+    }
+    require(ring_.deserted(), "deserted");
+  }
+
+ private:
+  void read_to_the_end() {
     for (auto& reader : readers_) {
       if (!reader) continue;
       do {
@@ -148,10 +158,8 @@ class Fuzz {
       reader->real.leave();
       reader.reset();
     }
-    require(ring_.deserted(), "deserted");
   }
 
- private:
   struct Model {
     Reader real;
     Word next;                     ///< index of the message that it reads next
@@ -219,8 +227,12 @@ class Fuzz {
   }
 
   void evict() {
-    if (ring_.blocking) {  // back-pressure loses nothing, and borrows without hazards
-      if (ring_.taken) give_up();
+    if (ring_.blocking) {
+      if (ring_.taken) {
+        give_up();
+      } else {
+        take_back();
+      }
       return;
     }
     // Of messages that are taken, one may be out already: then only its hold is left to give up.
@@ -235,6 +247,23 @@ class Fuzz {
     }
     kept_[static_cast<std::size_t>(oldest - held.begin())].reset();
     oldest->reset();
+  }
+
+  /// A lossless ring gives up what all have read. Who joins later begins behind it.
+  void take_back() {
+    Word expected = kNoBlock;
+    for (Word m = oldest(); m < published_ && expected == kNoBlock; ++m) {
+      if (std::any_of(readers_.begin(), readers_.end(),
+                      [m](auto& r) { return r && r->next <= m; })) {
+        break;
+      }
+      auto& kept = kept_[m - oldest()];
+      if (!kept) continue;
+      expected = *kept;
+      kept.reset();
+      closed_off_ = m + 1;
+    }
+    require(writer_.evict_oldest() == expected, "evict_oldest");
   }
 
   void poll(Model& reader) {
@@ -287,6 +316,7 @@ class Fuzz {
     Word back = ring_.guarded() ? ring_.depth : ring_.depth - 1;
     if (!ring_.blocking && !ring_.taken && history == Reader::kFromTheStart) back = published_;
     back = std::min({back, Word{history}, published_});
+    if (!ring_.guarded()) back = std::min(back, published_ - closed_off_);
     require(real->cell() == static_cast<std::size_t>(seat - readers_.begin()), "cell");
     *seat = Model{*real, published_ - back, std::nullopt, published_ - back};
     if (ring_.guarded() || readers_.size() != 1) return;
@@ -353,6 +383,7 @@ class Fuzz {
 
   /// What the one reader has not read; none while there may be several.
   std::unique_ptr<boost::lockfree::spsc_queue<Word>> oracle_;
+  Word closed_off_ = 0;                   ///< joiners of a lossless ring begin here at the earliest
   std::deque<std::optional<Word>> kept_;  ///< the newest messages, oldest first; empty: evicted
   /// By place in kept_: the blocks whose hold is the ring's, if messages are taken.
   std::deque<std::optional<Word>> held_;
