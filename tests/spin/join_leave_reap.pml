@@ -563,7 +563,7 @@ proctype reader(byte me) {
       fi
     };
     if
-    :: atomic { GENERATION(writer) == GENERATION(w) && STATE(writer) == LIVE -> inside = 1 } /* @ src/lockfree_ring/ring.hpp join: writer_state(writer) != State::Live || writer_generation(writer) != generation */
+    :: atomic { GENERATION(writer) == GENERATION(w) && STATE(writer) == LIVE -> inside = 1 } /* @ src/lockfree_ring/ring.hpp join: if (!is_open || writer_generation(writer) != generation) */
     :: else -> assert(memory); who = 0 /* @ src/lockfree_ring/ring.hpp join: ring.who[c].store(0 */
     fi;
     w = 0;

@@ -341,7 +341,7 @@ inline announce() {
         slot[SLOT(c, i)] = CLEARED(old) }; /* @ src/lockfree_ring/ring.hpp clear_sleeper: slot.compare_exchange_weak(seen, marked ? next_round(seen) : seen */
       atomic {
         if
-        :: old & MARK -> kernel_wake(SLOT(c, i)) /* @ src/lockfree_ring/sleep.hpp announce: if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]) */
+        :: old & MARK -> kernel_wake(SLOT(c, i)) /* @ src/lockfree_ring/sleep.hpp wake_sleepers: if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]) */
         :: else
         fi;
         old = 0;
@@ -688,7 +688,7 @@ settle:
     do
     :: atomic { s < RINGS ->
         if
-        :: STATE(writer[s]) == ORPHAN -> over = 1 /* @ src/lockfree_ring/sleep.hpp lie_down: if (source.reader.orphaned()) return Rest::Look */
+        :: STATE(writer[s]) == ORPHAN -> over = 1 /* @ src/lockfree_ring/sleep.hpp lie_down: if (source.reader.is_closing() || source.reader.has_returns()) return Rest::Look */
         :: else
         fi;
         s++; next_ring(s) }
@@ -740,7 +740,7 @@ settle:
         if
         :: ALONE ->
           if
-          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp lie_down: if (now != version || sources.empty()) sleep_on(directory, now) */
+          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp lie_down: if (now != version || !any_live) sleep_on(directory, now) */
           :: else -> GIVE_UP(look)
           fi
         :: else
