@@ -86,6 +86,7 @@ struct WorkedByTwo : TwoWorkers<Derived, 3, kDepth> {
   }
   void check() {
     this->do_the_rest();
+    RL_ASSERT(this->workers[0].reader().size() == 0);
     RL_ASSERT(this->done.each_once(this->publisher.sent()));
     RL_ASSERT(this->workers[0].missed() == 0 && this->workers[1].missed() == 0);
   }
@@ -118,6 +119,26 @@ struct GivenBackBehind : TwoWorkers<GivenBackBehind, 2, 2> {
     workers[1].give_work_back();
   }
   void check() { RL_ASSERT(done.each_once(2)); }
+};
+
+/// What a worker has done before it gives its work back is done for the next one.
+struct WorkedOnBefore : TwoWorkers<WorkedOnBefore, 2, 1> {
+  void prepare() {
+    open();
+    RL_ASSERT(publisher.send());
+    RL_ASSERT(workers[1].start_work());
+    half_done.write(0);
+  }
+  void thread(unsigned t) {
+    if (t == 1) {
+      half_done.write(1);
+      workers[1].give_work_back();
+    } else if (workers[0].start_work()) {
+      RL_ASSERT(half_done.read() == 1);
+      workers[0].finish_work();
+    }
+  }
+  Plain<std::uint32_t> half_done;
 };
 
 /// One dies with its work, the other one sleeps until there is some.
@@ -309,6 +330,8 @@ const Entered entered{
      rl::simulate<GivenBackToSleeper>},
     {"given_back_behind", "who has passed a task looks again when it has come back",
      rl::simulate<GivenBackBehind>},
+    {"worked_on_before", "what a worker has done is done for the next one",
+     rl::simulate<WorkedOnBefore>, 3},
     {"killed_beside_sleeper", "who sleeps hears of a dead one's task",
      rl::simulate<KilledBesideSleeper>},
     {"worker_killed", "what the dead has not done is done", rl::simulate<WorkerKilled>},
@@ -323,8 +346,8 @@ const Entered entered{
     {"announced_beside_work", "who sleeps beside another's task hears of a new queue",
      rl::simulate<AnnouncedBesideWork>, 2},
     {"item_waits_for_taker", "an item waits when its publisher has gone",
-     rl::simulate<ItemWaitsForTaker>, 2},
-    {"task_waits_for_worker", "so does a task", rl::simulate<TaskWaitsForWorker>, 2},
+     rl::simulate<ItemWaitsForTaker>, 1},
+    {"task_waits_for_worker", "so does a task", rl::simulate<TaskWaitsForWorker>, 1},
 };
 
 }  // namespace
