@@ -44,7 +44,8 @@ struct QueueOptions {
 /// Until finish() the task has its place in the queue, so it counts for the depth. A task that is
 /// given back, or whose worker has died, is the next one to be taken of those that its handle has
 /// put. So a task is done at least once: a worker that is killed between its work and finish() has
-/// done it, and another one does it again.
+/// done it, and another one does it again. One that nobody can do is the next one again and again:
+/// deliveries() says when it is time to finish it all the same.
 ///
 /// Threads: as a std::unique_ptr: any thread may have it, one at a time.
 /// Memory:  the queue's core lives until its handle and all its tasks have gone.
