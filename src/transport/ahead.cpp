@@ -152,6 +152,7 @@ bool Ahead::may_make(const Pool& pool, const Pieces& pieces) const noexcept {
 /// Gives a block that is ours alone extents for such pieces. False: there is no memory for it now.
 bool Ahead::furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept {
   detail::Arena& arena = participant_.segment().arena(b);
+  if (arena.extents > detail::Arena::kMaxExtents) return false;  // somebody has written there
   unsigned i = 0;
   for (const Pieces::Piece& piece : pieces) {
     if (i < arena.extents) {
