@@ -172,8 +172,11 @@ class Trial {
   /// What the rings said while they stood still: those that are closed may be gone later.
   std::uint64_t published_ = 0, frames_ = 0;
   std::uint64_t untaken_ = 0;  ///< items that were in the queue at the end: the witness's
-  std::uint64_t popped_ = 0;   ///< items that the witness had got before
-  std::uint64_t put_ = 0;      ///< how many it had put before
+  /// Where a call of the victim failed, others go on before it has answered: what they may have
+  /// got.
+  std::uint64_t may_come_early_ = 0;
+  std::uint64_t popped_ = 0;  ///< items that the witness had got before
+  std::uint64_t put_ = 0;     ///< how many it had put before
   std::uint32_t rival_index_ = 0;
   std::uint64_t rivals_ = 0;  ///< items that the rival has got
 };

@@ -315,6 +315,8 @@ TEST_CASE_FIXTURE(Fixture, "(d) who waits on a queue keeps nobody from anything 
       (void)queue.try_pop();
     }
     stopped.kill9();
+    while (queue.wait_and_pop_for(20ms)) {  // what it has left waits
+    }
   });
 }
 

@@ -140,7 +140,6 @@ TEST_CASE("two that lose nothing and one that overwrites share a segment, in thr
   const auto options = fresh(kSegment);
   lot::ShmEngine engine(options);
   Steps ready, end;
-  std::atomic<bool> done{false};
   auto first = engine.subscribe<Frame>("/first");
   auto second = engine.subscribe<Frame>("/second");
   const auto publisher = [&](const char* topic, Policy policy) {
