@@ -525,9 +525,11 @@ void Segment::map_for_writing(std::uint32_t first, std::uint32_t granules) noexc
   for (std::uint32_t unit = unit_of(first); error == 0 && unit <= last; ++unit) {
     error = map_unit(unit);
   }
-  // Linux before 5.14: what is written is what is there.
+  // Linux before 5.14: what is written is what is there. Volatile: a compiler may leave an atomic
+  // addition of 0 out.
   for (std::uint32_t i = 0; error != 0 && i < granules; ++i) {
-    std::atomic_ref(base_[granule_offset(first + i)]).fetch_add(0, std::memory_order_relaxed);
+    volatile unsigned char& byte = base_[granule_offset(first + i)];
+    byte = byte;
   }
 }
 
