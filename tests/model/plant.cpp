@@ -49,7 +49,7 @@ const NamedPlant kPlants[] = {
     {"joiner-not-announced",  // R4
      {"ring.hpp", 0, 0, "::join", Operation::Fetch, kSeqCst, {.drop = true}}},
     {"taken-without-a-look",  // R10: two readers may take the same message
-     {"ring.hpp", 0, 0, "::take", Operation::CompareExchange, kSeqCst, {.drop = true}}},
+     {"claims.hpp", 0, 0, "empty(", Operation::CompareExchange, kSeqCst, {.drop = true}}},
     {"evicted-and-left-there",  // R2: its block is used again while the slot still names it
      {"ring.hpp", 0, 0, "::evict_oldest", Operation::Fetch, kSeqCst, {.drop = true}}},
     {"floor-not-told",  // R15: a joiner begins with what is taken back
