@@ -29,8 +29,8 @@ struct QueueOptions {
   Wait wait = Wait::Adaptive;
   /// Items are tasks: each is taken by a worker (ShmQueue::wait_and_take()) and stays in the queue
   /// until that one has called ShmTask::finish(); if it dies or gives up before, another worker
-  /// gets it. All who use the queue must say the same. Not for items that everybody gets, nor with
-  /// Policy::Overwrite.
+  /// gets it. All handles of the queue must say the same. Not for items that each reader gets, nor
+  /// with Policy::Overwrite.
   bool redeliver = false;
 };
 
@@ -44,8 +44,8 @@ struct QueueOptions {
 /// Until finish() the task has its place in the queue, so it counts for the depth. A task that is
 /// given back, or whose worker has died, is the next one to be taken of those that its handle has
 /// put. So a task is done at least once: a worker that is killed between its work and finish() has
-/// done it, and another one does it again. One that nobody can do is the next one again and again:
-/// deliveries() says when it is time to finish it all the same.
+/// done it, and another one does it again. A task that no worker can do is the next one again and
+/// again: deliveries() says when it is time to finish it all the same.
 ///
 /// Threads: as a std::unique_ptr: any thread may have it, one at a time.
 /// Memory:  the queue's core lives until its handle and all its tasks have gone.
@@ -77,8 +77,8 @@ class ShmTask {
   /// How often workers have got this task, with this time: 1 at first. It counts up to 4095.
   std::uint32_t deliveries() const noexcept { return queue_ ? claim_.deliveries : 0; }
 
-  /// The task is done: nobody gets it any more. Nothing where there is none. Throws lot::Error in a
-  /// forked child: the task is its parent's.
+  /// The task is done: no worker gets it any more. Nothing where there is none. Throws lot::Error
+  /// in a forked child: the task is its parent's.
   void finish() {
     if (!queue_) return;
     queue_->finish(claim_);
@@ -183,7 +183,7 @@ const MessageType& taken_type() {
   }();
   return type;
 }
-/// And of one whose items are tasks: those who redeliver and those who do not never meet.
+/// And of one whose items are tasks: a handle that redelivers and one that does not never meet.
 template <class U>
 const MessageType& task_type() {
   static const std::string name =

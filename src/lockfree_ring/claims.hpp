@@ -8,13 +8,13 @@
 #include "lockfree_ring/words.hpp"
 
 /// Messages that stay in their slots until their reader has finished with them. Beside each slot is
-/// a claim: who works on its message. A worker that dies, or gives the message back, leaves a slot
-/// that is as it was, so that nothing has to be put anywhere again.
+/// a claim, which names the worker of its message. A worker that dies, or gives the message back,
+/// leaves a slot that is as it was, so that nothing has to be put anywhere again.
 ///
 /// The steps, and what a kill after each leaves (docs/queue.md):
 ///   claim()    the claim names the worker: its reaper takes the name away
 ///   empty()    the slot has no message: it is finished; the claim is out of date
-///   unclaim()  the message is anybody's; its readers were not told: the reaper tells them
+///   unclaim()  any worker may claim the message; the readers were not told: the reaper tells them
 ///
 /// Edges
 ///   C1  unclaim() (release) -> claim() (acquire)
@@ -24,7 +24,7 @@
 ///       carries: the claims that were taken back.
 namespace lot::ring {
 
-/// True while somebody works on the message of this sequence: true a moment ago.
+/// True while a worker has the message of this sequence: true a moment ago.
 template <class Claim>
 bool is_claimed(const Claim& claim, Word sequence) {
   const Word seen = claim.load(std::memory_order_relaxed);

@@ -81,7 +81,7 @@ Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t versio
     any_live = any_live || !source.reader.orphaned();
   }
   const std::uint32_t now = directory.load(std::memory_order_relaxed);  // R5 has acquired it
-  // Who comes tells the readers of live rings (announce), and who sleeps on the directory.
+  // A new publisher wakes the readers of live rings (announce), and sleepers on the directory.
   if (now != version || !any_live) sleep_on(directory, now);
   return now == version ? Rest::Sleep : Rest::Doze;
 }

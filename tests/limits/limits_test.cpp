@@ -15,8 +15,8 @@
 
 #include "lot/lot.hpp"
 
-#include "error_of.hpp"
 #include "message.hpp"
+#include "support/error_of.hpp"
 #include "support/processes.hpp"
 
 namespace {

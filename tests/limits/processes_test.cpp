@@ -16,8 +16,8 @@
 
 #include "lot/lot.hpp"
 
-#include "error_of.hpp"
 #include "message.hpp"
+#include "support/error_of.hpp"
 
 namespace {
 

@@ -16,6 +16,7 @@
 #include <lot/lot.hpp>
 
 #include "support/both_engines.hpp"
+#include "support/error_of.hpp"
 
 namespace {
 
@@ -56,17 +57,6 @@ Status put(Jobs& queue, std::uint64_t number) {
 bool is_whole(const Job& job) {
   return job.numbers.size() == 100 && job.numbers.front() == job.number &&
          job.numbers.back() == job.number;
-}
-
-/// Runs f, which throws lot::Error; returns its number.
-template <class F>
-int error_of(F&& f) {
-  try {
-    f();
-  } catch (const lot::Error& e) {
-    return e.error_number();
-  }
-  return 0;
 }
 
 /// Words that all processes of a test have.
@@ -136,7 +126,7 @@ TEST_CASE_FIXTURE(Fixture, "what waits in a queue keeps its topic, and readers c
     // The topics that come now do not get the place of that one.
     std::vector<lot::ShmPusher<Other>> others;
     for (int i = 0; i < 3; ++i) others.push_back(shm.advertise<Other>("t" + std::to_string(i)));
-    CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Other>>("jobs", plain(engine)); }) ==
+    CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Other>>("jobs", plain(engine)); }).first ==
           EPROTOTYPE);
     for (std::uint64_t n = 0; n < 4; ++n) {
       auto mine = shm.queue<lot::ShmUniquePtr<Job>>("jobs", plain(engine));
@@ -147,7 +137,8 @@ TEST_CASE_FIXTURE(Fixture, "what waits in a queue keeps its topic, and readers c
     }
     // Nothing waits any more: the name is anybody's.
     CHECK(eventually([&] {
-      return error_of([&] { shm.queue<lot::ShmUniquePtr<Other>>("jobs", plain(engine)); }) == 0;
+      return error_of([&] { shm.queue<lot::ShmUniquePtr<Other>>("jobs", plain(engine)); }).first ==
+             0;
     }));
   });
 }
@@ -510,18 +501,19 @@ TEST_CASE_FIXTURE(Fixture, "popping and taking do not mix, and the error says wh
   lot::ShmEngine shm(options);
   auto tasks = shm.queue<lot::ShmUniquePtr<Job>>("tasks", redelivering(QueueEngine::Ring));
   auto items = shm.queue<lot::ShmUniquePtr<Job>>("items");
-  CHECK(error_of([&] { tasks.try_pop(); }) == EINVAL);
-  CHECK(error_of([&] { items.try_take(); }) == EINVAL);
-  CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Job>>("tasks"); }) == EPROTOTYPE);
+  CHECK(error_of([&] { tasks.try_pop(); }).first == EINVAL);
+  CHECK(error_of([&] { items.try_take(); }).first == EINVAL);
+  CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Job>>("tasks"); }).first == EPROTOTYPE);
   CHECK(error_of([&] {
           shm.queue<lot::ShmUniquePtr<Job>>("items", redelivering(QueueEngine::Ring));
-        }) == EPROTOTYPE);
+        }).first == EPROTOTYPE);
   CHECK(error_of([&] {
           shm.queue<lot::ShmSharedPtr<const Job>>("all", redelivering(QueueEngine::Ring));
-        }) == EINVAL);
+        }).first == EINVAL);
   QueueOptions overwriting = redelivering(QueueEngine::Ring);
   overwriting.policy = Policy::Overwrite;
-  CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Job>>("newest", overwriting); }) == EINVAL);
+  CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Job>>("newest", overwriting); }).first ==
+        EINVAL);
 }
 
 TEST_SUITE_END();

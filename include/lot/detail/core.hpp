@@ -128,7 +128,8 @@ class PullerCore {
 
   /// Of the message that was pulled last.
   virtual void describe(Claim& claim) const = 0;
-  /// Nobody gets the message any more; or the next one who looks does. The caller has the item.
+  /// No worker gets the message any more; or the next worker that looks does. The caller has the
+  /// item.
   virtual void finish(const Claim& claim) noexcept = 0;
   virtual void give_back(const Claim& claim) noexcept = 0;
   virtual std::size_t publishers() = 0;
@@ -194,9 +195,9 @@ class QueueCore {
   enum class Wait { Never, Until, Forever };
   /// An item to work on; false when there was none in time.
   virtual bool take(Claim& claim, Wait wait, Clock::time_point deadline) = 0;
-  /// It is done: nobody gets it any more. Throws lot::Error in a forked child.
+  /// It is done: no worker gets it any more. Throws lot::Error in a forked child.
   virtual void finish(const Claim& claim) = 0;
-  /// Somebody else may have it.
+  /// Another worker may have it.
   virtual void give_back(const Claim& claim) noexcept = 0;
   /// An item with a pointer hold on it; false when there was none in time. `may_come_back`: the
   /// caller says by copied() or hand_back() how it ends, once for each item.
