@@ -106,6 +106,11 @@ void publish_for_ever(Handles& handles) {
   for (;;) handles.pusher->push(handles.pusher->loan());
 }
 
+/// Closes rings until the process ends: most of the time it acts for the orphanage.
+void close_for_ever(Handles& handles) {
+  for (;;) handles.engine->advertise<Number>("/closed");
+}
+
 /// Open files of this process that belong to the segment.
 int files_of(const std::string& segment) {
   int n = 0;
@@ -143,6 +148,9 @@ int end_by_signal(const std::string& how, lot::EngineOptions options) {
   fill(handles, *new Pointers, options);
   if (how == "signals while threads publish") {
     for (int i = 0; i < 3; ++i) std::thread([&] { publish_for_ever(handles); }).detach();
+  }
+  if (how == "signals while a thread closes rings") {
+    std::thread([&] { close_for_ever(handles); }).detach();
   }
   if (how == "signals, with a child") {
     const pid_t child = fork();

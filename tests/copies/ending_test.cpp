@@ -167,10 +167,12 @@ TEST_CASE("a signal that is sent several times leaves no file either, nor withou
 
 TEST_CASE("two that are ended at once leave no file") {
   const Watchdog watchdog(120);
-  for (int round = 0; round < 10; ++round) {
+  for (int round = 0; round < 20; ++round) {
     const auto options = fresh();
-    Child one = start_and_wait("signals", options);
-    Child two = start_and_wait("signals", options);
+    const char* how = round % 2 == 0 ? "signals" : "signals while a thread closes rings";
+    CAPTURE(how);
+    Child one = start_and_wait(how, options);
+    Child two = start_and_wait(how, options);
     one.send(SIGINT);
     two.send(SIGINT);
     CHECK(one.wait() == 128 + SIGINT);
