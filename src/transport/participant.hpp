@@ -41,6 +41,9 @@ namespace lot::transport {
 /// Crash:   whatever a participant leaves is found by its index and repaired by reap().
 class Participant {
  public:
+  /// How long opening, leaving and ending wait for one that does the same.
+  static constexpr std::chrono::seconds kGatePatience{5};
+
   /// Joins the segment that the options name. Where there is none it is made, or ENOENT is thrown.
   /// Throws lot::Error.
   enum class IfAbsent { Make, Throw };
@@ -283,8 +286,6 @@ class Participant {
   void wake(std::atomic<std::uint32_t>& word) noexcept { futex::wake_all(&word); }
 
  private:
-  /// How long opening and leaving wait for one that does the same.
-  static constexpr std::chrono::seconds kGatePatience{5};
   /// And for who acts for the orphanage.
   static constexpr std::chrono::seconds kOrphanagePatience{2};
 

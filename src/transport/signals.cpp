@@ -23,9 +23,9 @@ namespace {
 
 constexpr int kSignals[] = {SIGINT, SIGTERM, SIGHUP};
 
-/// What comes so soon after the first signal is the same wish once more: a terminal, a shell and
-/// timeout(1) send it twice.
-constexpr std::chrono::milliseconds kTheSame{500};
+/// remove_files() takes no longer. What comes meanwhile is the same wish once more: a terminal, a
+/// shell and timeout(1) send it twice, and a parent's death does with PR_SET_PDEATHSIG.
+constexpr std::chrono::milliseconds kTheSame = transport::Participant::kGatePatience;
 
 std::mutex mutex;
 // What the handler uses, relaxed: nothing is handed over. No descriptor: closefrom() would take it.

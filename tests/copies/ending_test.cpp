@@ -5,12 +5,14 @@
 #include <csignal>
 #include <random>
 #include <string>
+#include <thread>
 #include <unistd.h>
 
 #include <doctest/doctest.h>
 
 #include "lot/lot.hpp"
 
+#include "liveness/lock_file.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -162,6 +164,22 @@ TEST_CASE("a signal that is sent several times leaves no file either, nor withou
   CHECK(child.wait() == 128 + SIGTERM);
   // Without its lock file it may leave the files; the next one removes them.
   { const lot::ShmEngine engine(options); }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a signal that comes late, while another process is in the gate, leaves no file either") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Child child = start_and_wait("signals", options);
+  lot::liveness::LockFile gate(options.directory + "/" + options.segment + ".lock",
+                               options.permissions);
+  REQUIRE(gate.enter_gate(5s));
+  child.send(SIGINT);
+  std::this_thread::sleep_for(700ms);
+  child.send(SIGTERM);
+  std::this_thread::sleep_for(50ms);
+  gate.leave_gate();
+  CHECK(child.wait() == 128 + SIGINT);
   CHECK(files_of(options) == 0);
 }
 
