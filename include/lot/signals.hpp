@@ -9,11 +9,12 @@ namespace lot {
 /// it not.
 ///
 /// A signal that is ignored or has a handler is left alone. Removing takes some milliseconds, and
-/// five seconds at most, when another process is stopped in the midst of opening or leaving; another
-/// signal that comes meanwhile changes nothing, and behind it ends the process at once. No destructor need run, and no buffer be written: a program
-/// that has to finish work catches the signal itself. A main() that returns meanwhile waits for the
-/// end, so that the exit code is the signal's. It knows of one copy of the library: the segment of
-/// another one in the process (a plugin) stays for the next one to come.
+/// five seconds at most, when another process is stopped in the midst of opening or leaving;
+/// another signal that comes meanwhile changes nothing, and behind it ends the process at once. No
+/// destructor need run, and no buffer be written: a program that has to finish work catches the
+/// signal itself. A main() that returns meanwhile waits for the end, so that the exit code is the
+/// signal's. It knows of one copy of the library: the segment of another one in the process (a
+/// plugin) stays for the next one to come.
 ///
 /// Threads: at any time; it starts one, which sleeps until a signal comes.
 /// Fork:    in a child they act as by default, until it calls this itself.

@@ -171,8 +171,8 @@ void Participant::warden() {
   files_settled_.store(true, std::memory_order_relaxed);  // for remove_files()
 }
 
-/// The orphanage's lock says nothing here: the process that acts for it has an index of its own, and
-/// may do so to its end (a thread closes a ring), behind its *ending*.
+/// The orphanage's lock says nothing here: the process that acts for it has an index of its own,
+/// and may do so to its end (a thread closes a ring), behind its *ending*.
 ///
 /// REQUIRES: the gate.
 void Participant::remove_files_if_last() noexcept {

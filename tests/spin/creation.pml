@@ -222,7 +222,7 @@ inline leave(p) {
 #ifdef UNLINK_WITHOUT_LOOK
     others = 0;
 #else
-    look_for_others(p, others); /* @ src/transport/participant_liveness.cpp remove_files_if_last: lock_file_->held_by_other(0, participants()) */
+    look_for_others(p, others); /* @ src/transport/participant_liveness.cpp remove_files_if_last: lock_file_->held_by_other(1, participants() - 1) */
 #endif
     if
     :: !others -> remove_files(p)
