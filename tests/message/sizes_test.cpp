@@ -165,8 +165,14 @@ TEST_CASE("a published message has given back what its growing vectors have left
     for (int n = 0; n < 20000; ++n) frame->words.emplace_back(std::size_t{100}, 'x');
     std::uint64_t bytes = frame->words.capacity() * sizeof(lot::ShmString);
     for (const auto& word : frame->words) bytes += word.capacity() + 1;
+    auto puller = segment.engine.subscribe<Frame>("/grown");
     pusher.push(std::move(frame));
-    CHECK(segment.used() - before <= most(bytes) + bytes / 16 + 128 * 1024);
+    const auto kept = puller.pull(10s);
+    REQUIRE(kept);
+    { const auto gone = std::move(pusher); }  // and with it what it makes ahead of the next loan
+    CHECK(eventually(
+        [&] { return segment.used() - before <= most(bytes) + bytes / 16 + 128 * 1024; }));
+    CHECK(kept->words.size() == 20000);
   }
   SUBCASE("made a shared one, and then a little larger") {
     lot::ShmUniquePtr<Frame> own = pusher.loan();

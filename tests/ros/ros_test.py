@@ -7,6 +7,7 @@ import json
 import os
 import pathlib
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -200,10 +201,13 @@ class Tools(Case):
             self.assertIn('Type: sensor_msgs/Image', info)
             self.assertIn('/talker', info.split('Subscribers:')[0])
             self.assertIn('/listener', info.split('Subscribers:')[1])
-            about = subprocess.run(['rosnode', 'info', '/talker'], env=graph.env, capture_output=True,
-                                   text=True, timeout=60, check=True).stdout
-            self.assertIn(' * /t [sensor_msgs/Image]', about)
-            self.assertRegex(about, r'to: /listener\n +\* direction: outbound.*\n +\* transport: TCPROS')
+            def about():
+                return subprocess.run(['rosnode', 'info', '/talker'], env=graph.env, text=True,
+                                      capture_output=True, timeout=60, check=True).stdout
+            self.assertIn(' * /t [sensor_msgs/Image]', about())
+            # The master knows both before they have a connection.
+            connection = r'to: /listener\n +\* direction: outbound.*\n +\* transport: TCPROS'
+            graph.wait_for(lambda: re.search(connection, about()), 'the connection')
             echo = subprocess.run(['rostopic', 'echo', '-n', '20', '--noarr', '/t'], env=graph.env,
                                   capture_output=True, text=True, timeout=60, check=True).stdout
             self.assertEqual(echo.count('encoding: "/talker"'), 20)
