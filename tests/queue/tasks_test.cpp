@@ -333,6 +333,40 @@ TEST_CASE_FIXTURE(Fixture,
   });
 }
 
+TEST_CASE_FIXTURE(Fixture, "what a killed worker had is the next one, before what was put later") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto jobs = shm.queue<lot::ShmUniquePtr<Job>>("jobs", redelivering(engine));
+    for (std::uint64_t n = 1; n <= 4; ++n) CHECK(put(jobs, n) == Status::Ok);
+    Steps taken;
+    Child worker([&] {
+      lot::ShmEngine mine(options);
+      auto queue = mine.queue<lot::ShmUniquePtr<Job>>("jobs", redelivering(engine));
+      const auto first = queue.wait_and_take_for(10s);
+      const auto second = queue.wait_and_take_for(10s);
+      must(first && first->number == 1 && second && second->number == 2, "the tasks");
+      taken.tell();
+      pause();
+    });
+    REQUIRE(taken.next() != 0);
+    auto third = jobs.try_take();
+    REQUIRE(third);
+    CHECK(third->number == 3);
+    worker.kill9();
+    lot::segment::Segment segment(shm.path());
+    REQUIRE(eventually([&] { return Audit(segment).participants == 1; }));
+    for (const std::uint64_t n : {1, 2, 4}) {
+      auto task = jobs.try_take();
+      REQUIRE(task);
+      CHECK(task->number == n);
+      CHECK(task.deliveries() == (n == 4 ? 1 : 2));
+      task.finish();
+    }
+    third.finish();
+    CHECK(jobs.is_empty());
+  });
+}
+
 TEST_CASE_FIXTURE(Fixture, "400 tasks are done at least once, with workers killed at random") {
   constexpr std::size_t kTasks = 400;
   with_each_engine([&](QueueEngine engine) {
