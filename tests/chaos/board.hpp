@@ -178,11 +178,15 @@ struct Board {
     return relayed[topic - kFirstRelay][serial >> 56][serial % kRelayedBack];
   }
   Item& item(const Incarnation& r, std::uint64_t number) { return items[r.putter][number]; }
+  /// True when this life of a node has not been killed, up to this moment.
+  bool lives(std::uint32_t slot, std::uint32_t life) const {
+    // In this order: a start sets the life before it takes the doom away.
+    return nodes[slot].doomed.load(std::memory_order_acquire) == 0 &&
+           nodes[slot].life.load(std::memory_order_acquire) == life;
+  }
   /// True when this publisher has not been killed and has not closed, up to this moment.
   bool lives(const Incarnation& r) const {
-    return r.state.load(std::memory_order_acquire) == Incarnation::Live &&
-           nodes[r.slot].life.load(std::memory_order_acquire) == r.life &&
-           nodes[r.slot].doomed.load(std::memory_order_acquire) == 0;
+    return r.state.load(std::memory_order_acquire) == Incarnation::Live && lives(r.slot, r.life);
   }
   /// A new segment: no publisher of before is in it.
   void forget_publishers();

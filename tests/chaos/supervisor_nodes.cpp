@@ -31,8 +31,8 @@ void Supervisor::start(unsigned slot) {
   record.reached.store(0);
   for (auto& n : record.pushers) n.store(0);
   for (auto& n : record.pullers) n.store(0);
-  record.doomed.store(0);
-  record.life.store(life, std::memory_order_release);
+  record.life.store(life);
+  record.doomed.store(0, std::memory_order_release);
   const bool spared =
       std::find(plan_.spared.begin(), plan_.spared.end(), slot) != plan_.spared.end();
   s = Slot{};
