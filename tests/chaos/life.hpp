@@ -91,6 +91,8 @@ class Life {
     return id;
   }
   bool lives(const Incarnation& r) const { return board.lives(r); }
+  /// What this life writes beside what it has got.
+  std::uint32_t mark() const { return number << 8 | (slot + 1); }
 };
 
 }  // namespace lot::chaos

@@ -34,13 +34,7 @@ void Takings::before_look() {
 
 void Takings::took(const Stamp& stamp) {
   const std::uint32_t i = stamp.incarnation;
-  if (i == 0 || i >= life_.board.incarnations_begun.load()) {
-    fail(Finding::Torn, "an item of nobody", stamp);
-  }
-  if (record(i).topic != topic_) fail(Finding::Torn, "an item of another queue", stamp);
-  if (stamp.number >= record(i).begun.load(std::memory_order_acquire)) {
-    fail(Finding::Torn, "it was never put", stamp);
-  }
+  check_origin(stamp);
   mark(stamp);
   const auto at =
       std::find_if(rings_.begin(), rings_.end(), [i](const Ring& r) { return r.incarnation == i; });
@@ -56,15 +50,10 @@ void Takings::took(const Stamp& stamp) {
 
 void Takings::mark(const Stamp& stamp) {
   std::uint32_t before = 0;
-  const std::uint32_t mine = life_.number << 8 | (life_.slot + 1);
-  if (life_.board.item(record(stamp.incarnation), stamp.number)
-          .taken_by.compare_exchange_strong(before, mine)) {
-    return;
-  }
+  if (item(stamp).taken_by.compare_exchange_strong(before, life_.mark())) return;
   fail(Finding::Twice,
        before == Item::kWrittenOff ? "taken though it was gone with a killed taker"
-                                   : "taken by chaos" + std::to_string((before & 0xff) - 1) +
-                                         " life " + std::to_string(before >> 8) + " before",
+                                   : "taken by " + name_of(before) + " before",
        stamp);
 }
 
@@ -77,19 +66,6 @@ void Takings::found_nothing() {
   }
   life_.count(Count::Closed);
   while (rings_.size() > kMostRings && rings_.front().over) rings_.erase(rings_.begin());
-}
-
-void Takings::fail(Finding finding, const std::string& what, const Stamp& stamp) const {
-  std::string text = std::string(kTopic[topic_].name) + ": item " + std::to_string(stamp.number) +
-                     " of incarnation " + std::to_string(stamp.incarnation) + ": " + what;
-  if (stamp.incarnation < kIncarnations) {
-    const Incarnation& r = record(stamp.incarnation);
-    text += "; putter: chaos" + std::to_string(r.slot) + " life " + std::to_string(r.life) +
-            (life_.lives(r) ? " (lives)" : " (ended)") + ", " +
-            (r.blocking != 0 ? "lossless" : "Overwrite") + " depth " + std::to_string(r.depth) +
-            ", done " + std::to_string(r.done.load()) + ", begun " + std::to_string(r.begun.load());
-  }
-  life_.fail(finding, text);
 }
 
 }  // namespace lot::chaos

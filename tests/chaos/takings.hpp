@@ -2,10 +2,9 @@
 #pragma once
 
 #include <cstdint>
-#include <string>
 #include <vector>
 
-#include "life.hpp"
+#include "item_books.hpp"
 
 namespace lot::chaos {
 
@@ -18,9 +17,9 @@ namespace lot::chaos {
 /// by somebody (Incarnation::cleared). Whether it has its marks is seen when nobody is between the
 /// two (hands.hpp). So it is with the items of a putter that was killed, as long as one certain
 /// reader outlives it; those that no such reader is left for may go with their putter.
-class Takings {
+class Takings : private ItemBooks {
  public:
-  Takings(Life& life, std::uint32_t topic) : life_(life), topic_(topic) {}
+  Takings(Life& life, std::uint32_t topic) : ItemBooks(life, topic) {}
 
   void before_listen();
   void after_listen();
@@ -36,12 +35,8 @@ class Takings {
     std::uint64_t done;  ///< before the look
     bool over;           ///< its putter had ended before the look
   };
-  Incarnation& record(std::uint32_t i) const { return life_.board.incarnations[i]; }
   void mark(const Stamp& stamp);
-  [[noreturn]] void fail(Finding finding, const std::string& what, const Stamp& stamp) const;
 
-  Life& life_;
-  std::uint32_t topic_;
   std::vector<Ring> rings_;
 };
 
