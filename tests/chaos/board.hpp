@@ -31,12 +31,13 @@ enum class Doing : std::uint32_t {
   Pushing,
   Looking,
   Reading,
+  Finishing,
   Closing,
   Leaving,
 };
-inline constexpr std::array kDoingNames{"starting", "opening", "advertising", "subscribing",
-                                        "running",  "loaning", "filling",     "pushing",
-                                        "looking",  "reading", "closing",     "leaving"};
+inline constexpr std::array kDoingNames{
+    "starting", "opening", "advertising", "subscribing", "running", "loaning", "filling",
+    "pushing",  "looking", "reading",     "finishing",   "closing", "leaving"};
 
 enum class Count : std::uint32_t {
   Opened,
@@ -55,6 +56,9 @@ enum class Count : std::uint32_t {
   NoMemory,
   Closed,
   Taken,
+  Finished,
+  GivenBack,
+  Redelivered,
   kCounts
 };
 inline constexpr std::array kCountNames{
@@ -74,6 +78,9 @@ inline constexpr std::array kCountNames{
     "out of memory",
     "books closed: nothing more to read, all accounted for",
     "items taken by one of their readers",
+    "tasks finished",
+    "tasks given back",
+    "tasks delivered again",
 };
 static_assert(kCountNames.size() == static_cast<std::size_t>(Count::kCounts));
 
@@ -117,7 +124,8 @@ struct alignas(64) Incarnation {
   std::uint32_t life;    ///< of the node
   std::uint32_t depth;
   std::uint32_t blocking;
-  std::uint32_t putter;  ///< where its items' records are
+  std::uint32_t putter;   ///< where its items' records are
+  std::uint64_t segment;  ///< of one that puts items: the file that they are in
   std::atomic<std::uint64_t> begun;
   std::atomic<std::uint64_t> done;
   /// Items before this one were looked for by a reader of its ring, and are not there.
@@ -127,8 +135,14 @@ struct alignas(64) Incarnation {
 /// An item that is for one of its readers.
 struct Item {
   static constexpr std::uint32_t kWrittenOff = ~std::uint32_t{0};
-  std::atomic<std::int64_t> put_at;     ///< just before its put began
-  std::atomic<std::uint32_t> taken_by;  ///< {life : 24 | slot + 1 : 8}, kWrittenOff, or 0
+  /// Of a task, beside its worker: that one is about to call finish(). Alone: finish() has
+  /// returned.
+  static constexpr std::uint32_t kFinishing = std::uint32_t{1} << 31;
+  std::atomic<std::int64_t> put_at;  ///< just before its put began
+  /// {life : 24 | slot + 1 : 8}, kWrittenOff, or 0; of a task, who works on it
+  std::atomic<std::uint32_t> taken_by;
+  std::atomic<std::uint16_t> deliveries;  ///< of a task: as its last worker was told
+  std::atomic<std::uint16_t> noted;       ///< of a task: by how many workers
 };
 
 /// Under which number a relay publishes a message again: the message itself cannot say it.
@@ -162,7 +176,7 @@ struct Board {
   std::atomic<std::int64_t> stalled_at;  ///< when the machine stood still (canary.hpp)
   std::array<std::atomic<std::int64_t>, kProcessors> canary_seen;
   std::array<std::atomic<std::uint32_t>, kFindings> found;
-  std::array<NodeRecord, kMostNodes> nodes;
+  std::array<NodeRecord, kMostNodes + 1> nodes;  ///< the last: the one that sees what is left
   std::array<Incarnation, kIncarnations> incarnations;
   std::array<std::array<std::array<Relayed, kRelayedBack>, kMostNodes>, kFirstTaken - kFirstRelay>
       relayed;

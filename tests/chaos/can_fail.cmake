@@ -4,8 +4,8 @@
 foreach(planted IN ITEMS
     tear=torn smear=torn refer=torn weak=torn
     skip=lost miss=lost more=lost ghost=lost overrun=lost deaf=lost
-    drop=lost spill=lost
-    twice=twice take-twice=twice
+    drop=lost spill=lost forget=lost
+    twice=twice take-twice=twice share=twice recount=twice
     leak=leaked leak-at-end=leaked hoard=leaked
     file=files
     wedge=wedged doze=wedged stay=wedged

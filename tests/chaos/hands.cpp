@@ -14,11 +14,12 @@ void Hands::ended(unsigned slot) {
   if (since == 0) return;
   hands_.push_back({node.doing.load() & 0xffff, {since, Life::now()}});
   ++seen_;
+  ++seen_in_segment_[hands_.back().topic];
 }
 
 std::vector<Hands::Missing> Hands::missing(const Living& living) const {
   std::vector<Missing> all;
-  for (std::uint32_t topic = kFirstTaken; topic < kTopics; ++topic) {
+  for (std::uint32_t topic = kFirstTaken; topic < kFirstTask; ++topic) {
     for (std::uint32_t i = board_.newest[topic].load(); i != 0; i = board_.incarnations[i].before) {
       const Incarnation& r = board_.incarnations[i];
       if (r.blocking == 0) continue;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -30,6 +31,10 @@ class Hands {
   /// What is missing now stays missing; returns how many that are.
   std::uint32_t write_off(const Living& living);
   std::uint32_t seen() const { return seen_; }
+  /// Takers that were killed over a take of this queue, since its segment was made.
+  std::uint32_t seen_in_segment(std::uint32_t topic) const { return seen_in_segment_[topic]; }
+  /// A new segment.
+  void forget() { seen_in_segment_ = {}; }
 
  private:
   struct Time {
@@ -53,6 +58,7 @@ class Hands {
   Board& board_;
   std::vector<Hand> hands_;
   std::uint32_t seen_ = 0;
+  std::array<std::uint32_t, kTopics> seen_in_segment_{};
 };
 
 }  // namespace lot::chaos

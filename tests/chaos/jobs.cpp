@@ -3,6 +3,7 @@
 
 #include <array>
 
+#include "finisher.hpp"
 #include "juggler.hpp"
 #include "publisher.hpp"
 #include "relay.hpp"
@@ -33,6 +34,13 @@ std::unique_ptr<Job> make_taker(Life& life, ShmEngine& engine, std::uint32_t top
   return std::make_unique<Taker<Frame>>(life, engine, topic);
 }
 
+std::unique_ptr<Job> make_finisher(Life& life, ShmEngine& engine, std::uint32_t topic) {
+  if (kTopic[topic].kind == Kind::Plain) {
+    return std::make_unique<Finisher<Plain>>(life, engine, topic);
+  }
+  return std::make_unique<Finisher<Frame>>(life, engine, topic);
+}
+
 std::unique_ptr<Job> make_relay(Life& life, ShmEngine& engine, const Part& part) {
   if (kTopic[part.to].kind == Kind::Seen) {
     return std::make_unique<Relay<Seen>>(life, engine, part.from, part.to);
@@ -43,7 +51,8 @@ std::unique_ptr<Job> make_relay(Life& life, ShmEngine& engine, const Part& part)
 }  // namespace
 
 std::unique_ptr<Job> make_inlet(Life& life, ShmEngine& engine, std::uint32_t topic, Role role) {
-  if (is_taken(topic)) return make_taker(life, engine, topic);
+  if (has_tasks(topic)) return make_finisher(life, engine, topic);
+  if (is_put(topic)) return make_taker(life, engine, topic);
   switch (kTopic[topic].kind) {
     case Kind::Plain:
       return std::make_unique<Inlet<Plain>>(life, engine, topic, role);
@@ -78,8 +87,13 @@ Jobs make_jobs(Life& life, std::optional<ShmEngine>& engine) {
       jobs.push_back(make_putter(life, *engine, part));
       break;
     case Role::Take:
-      for (std::uint32_t t = kFirstTaken; t < kTopics; ++t) {
+      for (std::uint32_t t = kFirstTaken; t < kFirstTask; ++t) {
         jobs.push_back(make_taker(life, *engine, t));
+      }
+      break;
+    case Role::Finish:
+      for (std::uint32_t t = kFirstTask; t < kTopics; ++t) {
+        jobs.push_back(make_finisher(life, *engine, t));
       }
       break;
     case Role::Relay:

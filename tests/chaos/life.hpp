@@ -81,7 +81,7 @@ class Life {
     r.life = number;
     r.depth = depth;
     r.blocking = blocking ? 1 : 0;
-    if (is_taken(topic)) r.putter = board.putters_begun.fetch_add(1);
+    if (is_put(topic)) r.putter = board.putters_begun.fetch_add(1);
     if (r.putter >= kPutters) fail(Finding::Crashed, "the harness: too many putters");
     auto& newest = board.newest[topic];
     r.before = newest.load();

@@ -12,7 +12,7 @@ using namespace std::chrono_literals;
 Part part_of(unsigned slot) {
   // Relays and their sources first, so that a small run has them too. One relay for each relayed
   // topic: then a message is never in two rings of it.
-  static constexpr std::array<Part, 38> parts{{
+  static constexpr std::array<Part, 42> parts{{
       {Role::Publish, 0, kCount},
       {Role::Read, 0, 0},
       {Role::Publish, 0, kCamera},
@@ -51,6 +51,10 @@ Part part_of(unsigned slot) {
       {Role::Juggle, 0, kRefuse},
       {Role::Publish, 0, kPoints},
       {Role::Read, 0, 0},
+      {Role::Put, kTasks, kTasks},
+      {Role::Finish, 0, 0},
+      {Role::Put, kErrands, kErrands},
+      {Role::Finish, 0, 0},
   }};
   return slot < parts.size() ? parts[slot] : Part{Role::Read, 0, 0};
 }
@@ -71,6 +75,8 @@ Doing aim_at(Role role, Random& random) {
     case Role::Take:
     case Role::Sleep:
       return one_of({Subscribing, Looking, Reading, Reading, Closing});
+    case Role::Finish:
+      return one_of({Looking, Reading, Reading, Finishing, Finishing});
     case Role::Juggle:
       return one_of({Opening, Advertising, Subscribing, Loaning, Pushing, Closing, Closing});
     default:
@@ -150,7 +156,7 @@ Publishing publishing(Random& random, std::uint32_t topic) {
       t.queueing == Queueing::Block || (t.queueing == Queueing::Either && random.chance(50));
   plan.policy = block ? Policy::Block : Policy::Overwrite;
   plan.block_for = random.chance(10) ? 500ms : random.between(1ms, 30ms);
-  plan.refuses = topic == kRefuse || (is_taken(topic) && random.chance(30));
+  plan.refuses = topic == kRefuse || (is_put(topic) && random.chance(30));
   if (plan.refuses && random.chance(50)) plan.policy = Policy::Refuse;
   return plan;
 }

@@ -17,7 +17,7 @@
 namespace lot::chaos {
 
 /// What a name does, in all its lives. Parameters differ from life to life.
-enum class Role : std::uint8_t { Publish, Read, Sleep, Relay, Annotate, Juggle, Put, Take };
+enum class Role : std::uint8_t { Publish, Read, Sleep, Relay, Annotate, Juggle, Put, Take, Finish };
 
 struct Part {
   Role role;

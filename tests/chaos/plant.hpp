@@ -25,6 +25,9 @@ enum class Plant : std::uint8_t {
   TakeTwice,
   Drop,
   Spill,
+  Forget,
+  Share,
+  Recount,
   Leak,
   LeakAtEnd,
   Hoard,
@@ -42,7 +45,7 @@ struct Mistake {
   const char* says;
 };
 
-inline constexpr std::array<Mistake, 22> kMistakes{{
+inline constexpr std::array<Mistake, 25> kMistakes{{
     {Plant::Tear, "tear", Finding::Torn, "a publisher writes into what it pushes just now"},
     {Plant::Smear, "smear", Finding::Torn, "a publisher writes into what it has pushed before"},
     {Plant::Refer, "refer", Finding::Torn, "a message refers to another one than it says"},
@@ -57,6 +60,9 @@ inline constexpr std::array<Mistake, 22> kMistakes{{
     {Plant::TakeTwice, "take-twice", Finding::Twice, "an item is handed to a second taker"},
     {Plant::Drop, "drop", Finding::Lost, "an item is dropped before it reaches its taker"},
     {Plant::Spill, "spill", Finding::Lost, "a putter says Block and overwrites items"},
+    {Plant::Forget, "forget", Finding::Lost, "a task is gone before its worker has done it"},
+    {Plant::Share, "share", Finding::Twice, "a worker gives a task back and works on"},
+    {Plant::Recount, "recount", Finding::Twice, "a worker is told of too few deliveries"},
     {Plant::Leak, "leak", Finding::Leaked, "a block is held by nobody, while others live"},
     {Plant::LeakAtEnd, "leak-at-end", Finding::Leaked,
      "a block is held by nobody, after all ended"},

@@ -13,6 +13,7 @@
 #include "job.hpp"
 #include "life.hpp"
 #include "plan.hpp"
+#include "unfinished.hpp"
 
 namespace lot::chaos {
 
@@ -92,10 +93,13 @@ class Putter final : public Job {
     life_.doing(Doing::Advertising, topic_);
     plan_ = publishing(life_.random, topic_);
     incarnation_ = life_.new_incarnation(topic_, plan_.depth, plan_.is_lossless());
+    record().segment = segment_file(engine_.path());
     number_ = 0;
     QueueOptions options;
     options.depth = plan_.depth;
-    options.policy = life_.has(Plant::Spill) ? Policy::Overwrite : plan_.policy;
+    options.redeliver = has_tasks(topic_);
+    options.policy =
+        life_.has(Plant::Spill) && !options.redeliver ? Policy::Overwrite : plan_.policy;
     options.engine = plan_.engine;
     queue_.emplace(engine_.queue<ShmUniquePtr<T>>(kTopic[topic_].name, options));
     make_ring();

@@ -11,6 +11,7 @@
 #include "node.hpp"
 #include "stuck.hpp"
 #include "support/processes.hpp"
+#include "unfinished.hpp"
 
 namespace lot::chaos {
 
@@ -94,6 +95,7 @@ void Supervisor::run_epoch(std::uint64_t number) {
   epoch_.engine.processes = plan_.processes;
   if (testing::files_of(epoch_.engine) == 0) {
     board_.forget_publishers();
+    hands_.forget();
   }
   const auto begin = Clock::now();
   const std::uint32_t kills = tally_.kills;
@@ -146,6 +148,7 @@ void Supervisor::calm() {
     });
     if (!clean && !interrupted_) board_.report(Finding::Leaked, kMostNodes, "at rest: " + rest);
     check_taken(living());
+    check_finished(living(), segment_file(path()));
     ++tally_.audits;
   }
   board_.stage.store(static_cast<std::uint32_t>(Stage::Run), std::memory_order_release);
@@ -229,6 +232,7 @@ void Supervisor::start_last(bool alone) {
 
 /// It repairs, finds nothing besides itself, and removes the files.
 void Supervisor::end_with_last() {
+  const std::uint64_t segment = segment_file(path());
   if (last_.pid == -1) start_last(true);
   board_.last_alone.store(1);
   const auto has_ended = [this] { return last_.pid == -1; };
@@ -241,6 +245,9 @@ void Supervisor::end_with_last() {
     board_.report(Finding::Crashed, kMostNodes,
                   "the last one ended with status " + std::to_string(last_status_));
   }
+  Living last;
+  last.pullers.fill(1);
+  check_finished(last, segment);
   ++tally_.audits;
   check_files("the last one had left");
 }
@@ -271,6 +278,19 @@ void Supervisor::check_taken(const Living& living) {
   }
   tally_.gone_with_takers += hands_.write_off(living);
   tally_.killed_over_a_take = hands_.seen();
+}
+
+/// Every task that was put is finished.
+void Supervisor::check_finished(const Living& living, std::uint64_t segment) {
+  if (over()) return;
+  std::string left;
+  const auto none = [&] {
+    left = unfinished(board_, hands_, living, segment);
+    return left.empty();
+  };
+  if (!pump_until(none) && !interrupted_ && !left.empty()) {
+    board_.report(Finding::Lost, kMostNodes, left);
+  }
 }
 
 bool Supervisor::all_reached(Stage stage) const {

@@ -28,9 +28,12 @@ enum TopicId : std::uint32_t {
   kJobs,
   kParcels,
   kDone,
+  kTasks,
+  kErrands,
   kTopics,
   kFirstRelay = kCameraRelay,
-  kFirstTaken = kJobs
+  kFirstTaken = kJobs,
+  kFirstTask = kTasks
 };
 
 struct Topic {
@@ -56,13 +59,17 @@ inline constexpr std::array<Topic, kTopics> kTopic{{
     {"/jobs", Kind::Plain, Queueing::Either, {1, 4, 32}},
     {"/parcels", Kind::Frame, Queueing::Either, {2, 3, 8}},
     {"/jobs/done", Kind::Plain, Queueing::Block, {1, 3, 9}},
+    {"/tasks", Kind::Plain, Queueing::Block, {1, 4, 32}},
+    {"/errands", Kind::Frame, Queueing::Block, {2, 3, 8}},
 }};
 
 /// Topics on which messages of others are published again, each by one node.
 constexpr bool is_relayed(std::uint32_t topic) {
   return topic >= kFirstRelay && topic < kFirstTaken;
 }
-/// Queues whose items are each taken by one of their readers.
-constexpr bool is_taken(std::uint32_t topic) { return topic >= kFirstTaken; }
+/// Queues whose items are each for one of their readers.
+constexpr bool is_put(std::uint32_t topic) { return topic >= kFirstTaken; }
+/// Of these, those whose items are tasks: they come back until a worker has finished them.
+constexpr bool has_tasks(std::uint32_t topic) { return topic >= kFirstTask; }
 
 }  // namespace lot::chaos
