@@ -355,7 +355,7 @@ TEST_CASE_FIXTURE(Fixture, "what a killed worker had is the next one, before wha
     worker.kill9();
     lot::segment::Segment segment(shm.path());
     REQUIRE(eventually([&] { return Audit(segment).participants == 1; }));
-    for (const std::uint64_t n : {1, 2, 4}) {
+    for (const std::uint64_t n : {1UL, 2UL, 4UL}) {
       auto task = jobs.try_take();
       REQUIRE(task);
       CHECK(task->number == n);
