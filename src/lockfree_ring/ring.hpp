@@ -276,6 +276,7 @@ struct Ring {
   }
   /// True when a reader that has not looked yet gets a message here, or one to count as missed.
   bool has_news() const {
+    if (depth == 0) return false;  // killed in the midst of recycling, one leaves an ended ring so
     if (!taken) return slot_was_used(0);
     for (std::uint32_t i = 0; i < depth; ++i) {
       // Relaxed: carried by the lock for ended rings, under which they were written or taken.

@@ -2,6 +2,8 @@
 
 // Topics, their types, and the tables' limits.
 
+#include "registry/registry.hpp"
+
 #include <cstdint>
 #include <functional>
 #include <string>
@@ -44,6 +46,28 @@ bool says(const std::string& text, const char* what) {
 }  // namespace
 
 TEST_SUITE_BEGIN("registry");
+
+TEST_CASE("a ring of items that a dead process has recycled in part holds none, and is no harm") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  lot::segment::Segment segment(engine.path());
+  auto& channel = segment.channels()[0];
+  const auto generation = lot::ring::writer_generation(channel.writer.load());
+  channel.topic = 0;
+  channel.taken = 1;
+  channel.formed.store(0);  // and its memory has gone
+  channel.writer.store(lot::ring::make_writer(generation, lot::ring::State::Orphan, 0));
+  CHECK_FALSE(lot::registry::Registry(segment).is_open({0, generation}));
+  auto puller = engine.subscribe<Apple>("/p");
+  auto pusher = engine.advertise<Apple>("/p");
+  pusher.push(pusher.loan(std::uint64_t{7}));
+  const auto apple = puller.pull(10s);
+  REQUIRE(apple);
+  CHECK(apple->value == 7);
+  CHECK(eventually(
+      [&] { return lot::ring::writer_state(channel.writer.load()) != lot::ring::State::Orphan; }));
+}
 
 TEST_CASE("another type on a topic is an error at either end, which names both") {
   const Watchdog watchdog(60);
