@@ -183,7 +183,7 @@ TEST_CASE("memory that is in use never goes, whoever claims, looks and gives bac
   for (std::uint32_t w = 0; w < kWorkers; ++w) {
     threads.emplace_back([&, w] {
       std::mt19937_64 random(seed + w);
-      for (std::uint32_t n = 1; n <= 4000; ++n) {
+      for (std::uint32_t n = 1; n <= 4000 || given_back == 0; ++n) {
         const auto run = static_cast<std::uint32_t>(1 + random() % 12);
         const std::uint32_t first = memory.granules.claim(run, w + 1);
         if (first == Granules::kNone) {
@@ -192,7 +192,7 @@ TEST_CASE("memory that is in use never goes, whoever claims, looks and gives bac
         }
         const std::uint32_t last = first + run - 1;
         wrong += !memory.get(first / kInUnit, last / kInUnit);
-        const std::uint32_t text = w << 16 | n;
+        const std::uint32_t text = w << 28 | n;
         for (std::uint32_t i = first; i <= last; ++i) memory.bytes[i] = text;
         if (random() % 4 == 0) std::this_thread::yield();
         for (std::uint32_t i = first; i <= last; ++i) {
