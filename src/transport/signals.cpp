@@ -23,9 +23,9 @@ namespace {
 
 constexpr int kSignals[] = {SIGINT, SIGTERM, SIGHUP};
 
-/// remove_files() takes no longer. What comes meanwhile is the same wish once more: a terminal, a
-/// shell and timeout(1) send it twice, and a parent's death does with PR_SET_PDEATHSIG.
-constexpr std::chrono::milliseconds kTheSame = transport::Participant::kGatePatience;
+/// remove_files() takes no longer. A signal that comes meanwhile is the same wish once more: a
+/// terminal, a shell and timeout(1) send it twice, and so does a parent's death (PR_SET_PDEATHSIG).
+constexpr std::chrono::milliseconds kCleaning = transport::Participant::kGatePatience;
 
 std::mutex mutex;
 // What the handler uses, relaxed: nothing is handed over. No descriptor: closefrom() would take it.
@@ -43,7 +43,7 @@ void take(int number) {
   if (!is_child && came_at.compare_exchange_strong(first, now(), std::memory_order_relaxed)) {
     came.store(static_cast<std::uint32_t>(number), std::memory_order_relaxed);
     futex::wake_all(&came);
-  } else if (is_child || now() - first > std::chrono::nanoseconds(kTheSame).count()) {
+  } else if (is_child || now() - first > std::chrono::nanoseconds(kCleaning).count()) {
     std::signal(number, SIG_DFL);  // a child has no such thread; or it takes too long
     raise(number);                 // it comes when this handler has returned
   }

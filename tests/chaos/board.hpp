@@ -139,7 +139,7 @@ struct Item {
   /// returned.
   static constexpr std::uint32_t kFinishing = std::uint32_t{1} << 31;
   std::atomic<std::int64_t> put_at;  ///< just before its put began
-  /// {life : 24 | slot + 1 : 8}, kWrittenOff, or 0; of a task, who works on it
+  /// {life : 24 | slot + 1 : 8}, kWrittenOff, or 0; of a task, its worker
   std::atomic<std::uint32_t> taken_by;
   std::atomic<std::uint16_t> deliveries;  ///< of a task: as its last worker was told
   std::atomic<std::uint16_t> noted;       ///< of a task: by how many workers

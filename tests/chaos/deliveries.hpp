@@ -10,11 +10,12 @@ namespace lot::chaos {
 
 /// The books of one worker of tasks.
 ///
-/// Who gets a task writes its mark beside it on the board, takes the mark away before it gives the
-/// task back, and says there before and after finish() that it is at that. So whoever gets a task
-/// that is finished, or that a living one works on, sees it. The count of its deliveries rises each
-/// time. A worker that is killed between a take and its mark was not noted: Unfinished looks
-/// whether there were so many. Tasks of one putter are delivered for the first time in their order.
+/// A worker that gets a task writes its mark beside it on the board, takes the mark away before it
+/// gives the task back, and says there before and after finish() that it is at that. So a worker
+/// that gets a task that is finished, or that a living one works on, sees it. The count of its
+/// deliveries rises each time. A worker that is killed between a take and its mark was not noted:
+/// Unfinished looks whether there were so many. Tasks of one putter are delivered for the first
+/// time in their order.
 class Deliveries : private ItemBooks {
  public:
   Deliveries(Life& life, std::uint32_t topic) : ItemBooks(life, topic) {}

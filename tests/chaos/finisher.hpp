@@ -49,7 +49,7 @@ class Finisher final : public Job {
     for (unsigned n = 0; n < 16; ++n) {
       if (!take_one(n == 0)) break;
     }
-    // Who spins leaves the processor to others all the same.
+    // A finisher that spins leaves the processor to others all the same.
     if (plan_.options.wait != Wait::Park) std::this_thread::sleep_for(1ms);
   }
   void quiet() override { turn(); }
@@ -89,7 +89,7 @@ class Finisher final : public Job {
     if (task) got(task);
     life_.me.taking.store(0);
     if (!task) {
-      if (life_.random.chance(10)) let_go(0);  // who puts may have room for no more
+      if (life_.random.chance(10)) let_go(0);  // its putter may have room for no more
       return false;
     }
     life_.count(Count::Received);
@@ -120,7 +120,7 @@ class Finisher final : public Job {
     const Stamp stamp = task->stamp;
     work(*task);
     life_.doing(Doing::Finishing, topic_);
-    // When all come to rest, each task is done by somebody.
+    // When all come to rest, some finisher has done each task.
     if (life_.stage() != Stage::Settle && life_.random.chance(fail_percent_)) {
       deliveries_.before_give_back(stamp);
       throw CannotDo();
