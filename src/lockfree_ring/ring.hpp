@@ -105,7 +105,8 @@ struct Ring {
   Atomic<std::uint32_t>* who = nullptr;     ///< [readers] 0, or participant + 1
   Atomic<std::uint32_t>* roster = nullptr;  ///< bumped by each joiner: "look at who[] again"
   Atomic<std::uint32_t>* space = nullptr;   ///< futex; odd = the sender sleeps for room
-  /// Of a lossless ring: joiners begin here at the earliest. Its writer takes older messages back.
+  /// Joiners begin here at the earliest: the writer takes older messages back. Where messages are
+  /// overwritten, only a hint: a joiner that comes too late counts them as missed.
   Atomic<Word>* floor = nullptr;
   std::uint32_t depth = 0;
   std::uint32_t readers = 0;
@@ -196,7 +197,8 @@ struct Ring {
     const std::uint64_t most = std::uint64_t{depth} - (guarded() ? 0 : 1);
     const std::uint64_t back = std::min({history, most, published(head)});
     const std::int64_t since = distance(head, lowest);
-    return guarded() || since < 0 ? back : std::min(back, static_cast<std::uint64_t>(since));
+    const bool limits = lowest != first && since >= 0;
+    return limits ? std::min(back, static_cast<std::uint64_t>(since)) : back;
   }
   /// All messages that were ever published before `head`, unless that number has wrapped: then the
   /// ring is full long since.
@@ -318,15 +320,7 @@ class Writer {
 
   /// In so many of the oldest slots, from the one that the next message will take, no reader has
   /// anything to read yet: all where messages are overwritten, none where they are to be taken.
-  std::uint32_t read_slots() {
-    if (!ring_.blocking) return ring_.depth;
-    if (ring_.taken) return 0;
-    refresh_roster();
-    find_slowest();
-    const std::int64_t behind = distance(next_, minimum_);
-    if (behind < 0 || behind >= ring_.depth) return 0;  // less than nothing: a word is damaged
-    return ring_.depth - static_cast<std::uint32_t>(behind);
-  }
+  std::uint32_t read_slots() { return ring_.blocking ? slots_read_by_all() : ring_.depth; }
 
   /// Publishes a block; the caller's hold on it becomes the ring's. REQUIRES: room().
   ///
@@ -395,9 +389,7 @@ class Writer {
   /// The block in the slot that the message `ahead` of the next one will take, or kNoBlock.
   /// REQUIRES: ahead < depth.
   Word held(std::uint32_t ahead) const {
-    const std::uint32_t i = index_ + ahead;
-    return block(
-        ring_.slots[i < ring_.depth ? i : i - ring_.depth].load(std::memory_order_relaxed));
+    return block(ring_.slots[oldest_slot(ahead)].load(std::memory_order_relaxed));
   }
 
   /// Takes the oldest message back out of the ring that may(block) lets go, when memory has run
@@ -410,22 +402,39 @@ class Writer {
   template <class May>
   Word evict_oldest(May&& may) {
     const std::uint32_t slots = read_slots();
-    for (std::uint32_t n = 0, i = index_; n < slots; ++n, i = after(i)) {
+    for (std::uint32_t n = 0; n < slots; ++n) {
+      const std::uint32_t i = oldest_slot(n);
       // Relaxed: only the writer puts a block into a slot.
       const Word held =
           ring_.taken ? put_[i] : block(ring_.slots[i].load(std::memory_order_relaxed));
       if (held == kNoBlock || !may(held)) continue;
-      if (!ring_.guarded() && !close_off(advance(next_, Word{n} - ring_.depth))) return kNoBlock;
-      // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
-      ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
-      if (ring_.taken) put_[i] = kNoBlock;
-      if (oldest_ == i) oldest_ = after(i);
-      return held;
+      return take_out(n) ? held : kNoBlock;
     }
     return kNoBlock;
   }
   Word evict_oldest() {
     return evict_oldest([](Word) { return true; });
+  }
+
+  /// Takes the messages that all readers have read back out of the ring, but for the newest `keep`
+  /// of the ring, and calls gone(block) for each, the oldest first. Of what is to be taken by one
+  /// reader none goes. Whatever a reader's place says, gone blocks are as evicted ones: hazards()
+  /// says whether a reader looks at one.
+  ///
+  /// Crash: as in evict_oldest(), after each of them.
+  template <class Gone>
+  void take_back(std::uint32_t keep, Gone&& gone) {
+    std::uint32_t end = slots_read_by_all();
+    end = std::min(end, ring_.depth - std::min(keep, ring_.depth));
+    // What is older than one that has gone went before it.
+    std::uint32_t n = end;
+    while (n > 0 && held(n - 1) != kNoBlock) --n;
+    if (n < end && ring_.guarded()) raise_floor(advance(next_, Word{end} - ring_.depth));
+    for (; n < end; ++n) {
+      const Word b = held(n);
+      if (!take_out(n)) return;
+      gone(b);
+    }
   }
 
   /// Calls seen(block) for each block that some reader may be looking at right now.
@@ -553,6 +562,33 @@ class Writer {
 
  private:
   std::uint32_t after(std::uint32_t i) const { return i + 1 == ring_.depth ? 0 : i + 1; }
+  /// The slot of the n-th oldest message that the ring can hold. REQUIRES: n < depth.
+  std::uint32_t oldest_slot(std::uint32_t n) const {
+    const std::uint32_t i = index_ + n;
+    return i < ring_.depth ? i : i - ring_.depth;
+  }
+
+  /// In so many of the oldest slots no reader has anything to read yet. Where messages are
+  /// overwritten the places of readers are hints: what they tell hangs on nothing.
+  std::uint32_t slots_read_by_all() {
+    if (ring_.taken) return 0;
+    refresh_roster();
+    find_slowest();
+    const std::int64_t behind = distance(next_, minimum_);
+    if (behind < 0 || behind >= ring_.depth) return 0;  // less than nothing: a word is damaged
+    return ring_.depth - static_cast<std::uint32_t>(behind);
+  }
+
+  /// Empties the slot of the n-th oldest message. False: a joiner of a lossless ring was quicker.
+  bool take_out(std::uint32_t n) {
+    const std::uint32_t i = oldest_slot(n);
+    if (!ring_.guarded() && !close_off(advance(next_, Word{n} - ring_.depth))) return false;
+    // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
+    ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
+    if (ring_.taken) put_[i] = kNoBlock;
+    if (oldest_ == i) oldest_ = after(i);
+    return true;
+  }
 
   /// Looks where the slowest reader stands. REQUIRES: refresh_roster().
   void find_slowest() {
@@ -568,7 +604,13 @@ class Writer {
   /// True when all readers of a lossless ring are beyond this message, those that join just now
   /// too. False: a joiner was quicker. REQUIRES: read_slots() said that all have read it.
   bool close_off(Word message) {
-    const Word lowest = next(message);
+    raise_floor(next(message));
+    refresh_roster();
+    if (!minimum_known_) find_slowest();
+    return distance(message, minimum_) < 0;
+  }
+
+  void raise_floor(Word lowest) {
     // It never goes down. What looks as if it came behind the next message was there before the
     // sequences wrapped.
     const std::int64_t before = distance(next_, floor_);
@@ -576,9 +618,6 @@ class Writer {
       floor_ = lowest;
       ring_.floor->store(lowest, std::memory_order_seq_cst);  // R15
     }
-    refresh_roster();
-    if (!minimum_known_) find_slowest();
-    return distance(message, minimum_) < 0;
   }
 
   /// Where the reader of a cell stands, or kIdle. A joiner that has no place yet gets one: a joiner
@@ -912,8 +951,7 @@ class Reader {
   /// Puts the cursor `history` messages before the newest one, as far as the ring goes back.
   void start_at_newest(std::uint64_t history) {
     // Before the slots: then the floor is not beyond the newest message that is found in them.
-    const Word lowest =
-        ring_.guarded() ? ring_.first : ring_.floor->load(std::memory_order_seq_cst);  // R15
+    const Word lowest = ring_.floor->load(std::memory_order_seq_cst);  // R15
     newest_index_ = 0;
     newest_ = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
     for (std::uint32_t i = 1; i < ring_.depth; ++i) {

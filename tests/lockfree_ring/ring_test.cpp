@@ -92,6 +92,12 @@ struct BasicChannel {
     return found;
   }
 
+  std::vector<Word> take_back(std::uint32_t keep) {
+    std::vector<Word> gone;
+    writer.take_back(keep, [&](Word block) { gone.push_back(block); });
+    return gone;
+  }
+
   std::vector<std::uint32_t> laggards() {
     std::vector<std::uint32_t> found;
     writer.laggards([&](std::uint32_t cell) { found.push_back(cell); });
@@ -760,6 +766,101 @@ TEST_CASE("who joins a lossless ring begins behind all that came back, and gets 
   CHECK(drain(three).blocks == Blocks{5});
   Reader four = channel.join(4);
   CHECK(drain(four).blocks == Blocks{5});
+}
+
+TEST_CASE("what all have read is taken back, but for the newest, and readers miss nothing") {
+  for (const Policy policy : {Policy::Overwrite, Policy::Blocking}) {
+    for (const Word first : {Word{0}, kSequenceMask - 2}) {
+      for (const std::uint32_t depth : {1U, 3U, 4U}) {
+        for (Word read = 0; read <= depth; ++read) {
+          for (std::uint32_t keep = 0; keep <= depth + 1; ++keep) {
+            CAPTURE((policy == Policy::Blocking));
+            CAPTURE(first);
+            CAPTURE(depth);
+            CAPTURE(read);
+            CAPTURE(keep);
+            Channel channel(depth, policy, 4, first);
+            Reader ahead = channel.join();
+            Reader behind = channel.join();
+            channel.publish(0, depth);
+            drain(ahead);
+            std::uint64_t missed = 0;
+            for (Word block = 0; block < read; ++block) {
+              CHECK(behind.poll(missed) == block);
+              behind.done();
+            }
+            const Word left = depth - std::min<Word>(keep, depth);
+            const Word gone = std::min(read, left);
+            CHECK(channel.take_back(keep) == blocks(0, gone));
+            CHECK(channel.take_back(keep).empty());  // not a second time
+            CHECK(channel.hazards().empty());
+
+            Reader joiner = channel.join(depth);
+            const Drained past = drain(joiner);
+            const bool all = policy == Policy::Overwrite;  // else one less than the depth
+            CHECK(past.blocks == blocks(std::max(gone, Word{all ? 0U : 1U}), depth));
+            CHECK(past.missed == 0);
+            const Drained rest = drain(behind);
+            CHECK(rest.blocks == blocks(read, depth));
+            CHECK(rest.missed == 0);
+
+            // The next round goes on as ever.
+            for (Word block = depth; block < 2 * depth; ++block) {
+              REQUIRE(channel.writer.room());
+              CHECK(channel.writer.publish(block).replaced ==
+                    (block - depth < gone ? kNoBlock : block - depth));
+            }
+            const Drained next = drain(behind);
+            CHECK(next.blocks == blocks(depth, 2 * depth));
+            CHECK(next.missed == 0);
+          }
+        }
+      }
+    }
+  }
+}
+
+TEST_CASE("what is taken back stops at the first that a reader, or one to come, has to read") {
+  Channel channel(4, Policy::Overwrite);
+  channel.await(0, kParticipant);
+  Reader reader = channel.join();
+  channel.publish(0, 3);
+  drain(reader);
+  CHECK(channel.take_back(0).empty());  // one has subscribed that has not looked
+  auto late = Reader::adopt(channel.ring, kParticipant);
+  REQUIRE(late);
+  std::uint64_t missed = 0;
+  CHECK(late->poll(missed) == 0);
+  CHECK(channel.take_back(0).empty());  // it looks at the first
+  late->done();
+  CHECK(channel.take_back(0) == Blocks{0});
+  CHECK(late->poll(missed) == 1);
+  CHECK(channel.take_back(0).empty());
+  late->leave();
+  CHECK(channel.take_back(1) == Blocks{1});
+  CHECK(channel.take_back(0) == Blocks{2});
+  reader.leave();
+  channel.publish(3, 5);
+  CHECK(channel.take_back(0) == Blocks{3, 4});  // no reader is there
+  CHECK(missed == 0);
+}
+
+TEST_CASE("a reader that was lapped keeps all that the ring has for it") {
+  Channel channel(3, Policy::Overwrite);
+  Reader reader = channel.join();
+  channel.publish(0, 8);
+  CHECK(channel.take_back(0).empty());
+  const Drained drained = drain(reader);
+  CHECK(drained.blocks == Blocks{5, 6, 7});
+  CHECK(drained.missed == 5);
+}
+
+TEST_CASE("what is to be taken by one reader is not taken back") {
+  Channel channel(3, Policy::Overwrite);
+  channel.ring.taken = true;
+  channel.writer = lot::ring::Writer<HardwareAtomics>(channel.ring);
+  channel.publish(0, 2);
+  CHECK(channel.take_back(0).empty());
 }
 
 TEST_CASE("a lossless ring whose messages are taken gives none of them up") {

@@ -51,11 +51,11 @@ const NamedPlant kPlants[] = {
     {"taken-without-a-look",  // R10: two readers may take the same message
      {"claims.hpp", 0, 0, "empty(", Operation::CompareExchange, kSeqCst, {.drop = true}}},
     {"evicted-and-left-there",  // R2: its block is used again while the slot still names it
-     {"ring.hpp", 0, 0, "::evict_oldest", Operation::Fetch, kSeqCst, {.drop = true}}},
+     {"ring.hpp", 0, 0, "::take_out", Operation::Fetch, kSeqCst, {.drop = true}}},
     {"floor-not-told",  // R15: a joiner begins with what is taken back
-     {"ring.hpp", 0, 0, "::close_off", Operation::Store, kSeqCst, {.drop = true}}},
+     {"ring.hpp", 0, 0, "::raise_floor", Operation::Store, kSeqCst, {.drop = true}}},
     {"floor-relaxed",  // R15: the writer looks for joiners before they can see the floor
-     {"ring.hpp", 0, 0, "::close_off", Operation::Store, kSeqCst, {.order = kRelaxed}}},
+     {"ring.hpp", 0, 0, "::raise_floor", Operation::Store, kSeqCst, {.order = kRelaxed}}},
     {"marks-not-cleared",  // R5: a late sleeper does not see the end
      {"ring.hpp", 0, 0, "clear_sleeper(", Operation::CompareExchange, kRelease, {.drop = true}}},
 };

@@ -312,6 +312,68 @@ struct TakesBackFromAJoiner : Scene<TakesBackFromAJoiner, 2> {
   Subscriber subscriber;
 };
 
+/// Each message has room here, so nothing is overwritten: a publisher that takes back what all have
+/// read takes nothing that a reader has yet to read, and nothing from under a borrower or a joiner.
+template <bool kBlocking>
+struct ReadIsReused : Scene<ReadIsReused<kBlocking>, 3> {
+  ReadIsReused() : Scene<ReadIsReused, 3>({.blocks = 3, .depth = 4, .readers = 2}) {}
+  void prepare() {
+    publisher.open(this->start(4), 0, kBlocking);
+    RL_ASSERT(first.join(this->start(2), 0, 1, 1));
+    RL_ASSERT(publisher.send());
+    this->start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (std::uint32_t i = 0; i < 3; ++i) {
+        publisher.take_back(i % 2);
+        publisher.send();
+      }
+    } else if (t == 1) {
+      for (int i = 0; i < 2; ++i) rl::rand(2) != 0 ? first.receive() : first.receive_and_keep();
+    } else {
+      RL_ASSERT(late.join(this->process(3), 0, 1, 2));
+      for (int i = 0; i < 2; ++i) rl::rand(2) != 0 ? late.receive() : late.receive_and_keep();
+    }
+  }
+  void check() {
+    for (Subscriber* subscriber : {&first, &late}) {
+      while (subscriber->receive()) {
+      }
+    }
+    RL_ASSERT(first.missed() == 0 && first.received() == publisher.sent());
+    publisher.take_back(0);
+    RL_ASSERT(!publisher.evict());
+  }
+  Publisher publisher;
+  Subscriber first, late;
+};
+
+/// The same with one reader. Small enough for the bounded search.
+struct ReadIsReusedByOne : Scene<ReadIsReusedByOne, 2> {
+  ReadIsReusedByOne() : Scene({.blocks = 2, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 0));
+    RL_ASSERT(publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.take_back(0);
+      RL_ASSERT(publisher.send());
+    } else {
+      subscriber.receive();
+    }
+  }
+  void check() {
+    while (subscriber.receive()) {
+    }
+    RL_ASSERT(subscriber.missed() == 0 && subscriber.received() == publisher.sent());
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
 /// A reader leaves in the middle of a borrow, and another one joins.
 struct LeavesInABorrow : Scene<LeavesInABorrow, 3> {
   LeavesInABorrow() : Scene({.blocks = 2, .depth = 1, .readers = 2}) {}
@@ -493,6 +555,10 @@ const Entered entered{
      rl::simulate<TakesBackWhatWasRead>, 1},
     {"takes_back_from_a_joiner", "the same while somebody joins who wants the past",
      rl::simulate<TakesBackFromAJoiner>, 3},
+    {"read_is_reused", "what all have read is taken back, and no reader misses a message",
+     rl::simulate<ReadIsReused<false>>, 1},
+    {"read_is_reused_lossless", "the same without loss", rl::simulate<ReadIsReused<true>>, 1},
+    {"read_is_reused_by_one", "the same with one reader", rl::simulate<ReadIsReusedByOne>, 3},
     {"leaves_in_a_borrow", "what a leaver has borrowed is not written before it has read",
      rl::simulate<LeavesInABorrow>, 2},
     {"hints", "a hint that is wrong does no harm", rl::simulate<Hints>, 2},

@@ -469,6 +469,14 @@ std::optional<Word> Publisher::evict() {
   return b;
 }
 
+void Publisher::take_back(std::uint32_t keep) {
+  std::vector<Word> gone;
+  Turn turn(*process_, channel_);
+  writer_.take_back(keep, [&](Word b) { gone.push_back(b); });
+  turn.unlock();
+  for (const Word b : gone) retire(b);
+}
+
 void Publisher::close() {
   std::vector<Word> put;
   writer_.each_put([&](Word b) { put.push_back(b); });

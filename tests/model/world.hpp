@@ -264,6 +264,8 @@ class Publisher {
   void send_own(Word b);
   /// Takes the oldest message back: its block, or nothing when the ring is empty.
   std::optional<Word> evict();
+  /// Takes back what all readers have read, but for the newest `keep` messages.
+  void take_back(std::uint32_t keep);
   /// Ends the ring, and gives up what is the orphanage's then.
   void close();
   /// Gives up the retired blocks that no reader looks at.
