@@ -61,6 +61,13 @@ struct PusherOptions {
   /// and Refuse what was read; where none can go, no message grows (lot::OutOfMemory). Threads that
   /// grow messages at once may exceed it by one each. 0: as much as the segment has.
   std::uint64_t max_bytes = 0;
+  /// So many of the newest messages stay in the queue for readers that subscribe later, though all
+  /// readers have read them; the rest of depth is for readers that lag behind. With less than
+  /// depth, a loan takes what was read last, whose memory is still in the caches, and a publisher
+  /// has no more messages than its readers need. For that a loan looks at the place of each reader:
+  /// it is for large messages. 0: none stays; 1: what readers with PullerOptions::history = 1 want.
+  std::uint32_t history = kAll;
+  static constexpr std::uint32_t kAll = ~std::uint32_t{0};
 };
 
 /// How a puller passes the time until a message comes.

@@ -95,6 +95,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       throw;
     }
     queue_lock_ = participant_->segment().queue_lock(name_.channel);
+    history_ = options.history;
     waits_ = options.policy == Policy::Block;
     block_for_ = std::max(std::chrono::nanoseconds(options.block_for), 0ns);
     participant_->eviction().add(*this);
@@ -135,6 +136,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
 
   [[gnu::hot]] detail::Loan loan(const detail::MessageType& type, bool or_throw) override {
     participant_->check_usable();
+    if (history_ != PusherOptions::kAll) [[unlikely]]
+      take_back_read();
     std::uint32_t b;
     {
       const std::lock_guard guard(pool_.lock());
@@ -300,6 +303,25 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const auto first = static_cast<std::uint32_t>(begin / segment::kGranule);
     const auto last = static_cast<std::uint32_t>((begin + bytes - 1) / segment::kGranule);
     s.map_for_writing(first, last - first + 1);
+  }
+
+  /// What all readers have read leaves the ring, but for PusherOptions::history: what was read last
+  /// is at hand for the next loan then.
+  [[gnu::noinline]] void take_back_read() noexcept {
+    std::unique_lock lock(pool_.lock());
+    take_back_read_locked();
+    if (pool_.has_foreign()) release_foreign(lock);
+  }
+  void take_back_read_locked() noexcept {
+    {
+      const mutex_engine::Alone alone(queue_lock_, std::nothrow);
+      const bool guarded = writer_->ring().guarded();
+      writer_->take_back(history_, [&](ring::Word b) {  // there is room: room_to_retire()
+        if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), guarded);
+      });
+    }
+    scan();
+    pool_.poll_free();
   }
 
   /// The pool has no block at hand: looks where there are some, and waits for readers if told to.
@@ -549,7 +571,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
     if (retire_taken() && batch() == 1) scan();
     if (guarded && fit_ == 1) {  // what is large waits for no loan
       pool_.poll_free();
-      if (!writer_->ring().taken) pool_.note_waiting();  // else they wait in the ring as well
+      // Else they wait in the ring as well.
+      if (!writer_->ring().taken && history_ == PusherOptions::kAll) pool_.note_waiting();
     }
     if (!published.wake) {
       if (!pool_.has_free() && pool_.retired() >= batch()) scan();
@@ -719,7 +742,11 @@ class Pusher final : public detail::PusherCore, private Evictor {
   std::size_t look(std::span<std::uint32_t> foreign) noexcept override {
     const std::lock_guard guard(pool_.lock());
     retire_taken();
-    scan();
+    if (history_ != PusherOptions::kAll) {
+      take_back_read_locked();
+    } else {
+      scan();
+    }
     return pool_.take_foreign(foreign);
   }
 
@@ -883,7 +910,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
   registry::ChannelName name_{};
   std::optional<ring::Writer<segment::Atomics>> writer_;
   mutex_engine::QueueLock queue_lock_;
-  bool waits_ = false;  ///< for room, and so long for memory:
+  std::uint32_t history_ = PusherOptions::kAll;  ///< what all have read stays, so much of it
+  bool waits_ = false;                           ///< for room, and so long for memory:
   std::chrono::nanoseconds block_for_{};
   SpinHabit habit_{Wait::Adaptive};
   YieldHabit yield_;

@@ -186,6 +186,17 @@ void loans(std::vector<Operation>& all) {
                  {Promise::LockFree, "loan and push, overwrite"},
                  victim_publishes(overwrite(1), 40),
                  loan_one});
+  // The witness has read all of them but one, and the newest stays.
+  for (const bool blocking : {false, true}) {
+    PusherOptions options = blocking ? block(4) : overwrite(4);
+    options.history = 1;
+    const std::string policy = blocking ? ", block" : ", overwrite";
+    all.push_back({"loan, what was read is taken back" + policy,
+                   {Promise::LockFree, "loan and push, overwrite"},
+                   victim_publishes(options, 3) +
+                       Acts{witness([](Node& n) { n.receive_all(); }), publishes(victim, 1)},
+                   loan_one});
+  }
   // Two are left, which the probes of a neighbour may take: another process gives none up for them.
   all.push_back({"loan, blocks have run out: evict",
                  {Promise::LockFree, "loan, blocks have run out"},
