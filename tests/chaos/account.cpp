@@ -39,8 +39,8 @@ void Account::after_subscribe(std::uint64_t history) {
     e.joined = e.was_live && life_.lives(r);
     e.least = e.was_live ? back(e.least) : 0;
     e.most = r.begun.load(std::memory_order_acquire);
-    // Where memory runs out a lossless publisher takes the past back, and no more.
-    if (life_.epoch.roomy || r.blocking == 0) e.most = back(e.most);
+    // Where memory runs out a publisher may take the past back.
+    if (life_.epoch.roomy || r.takes_back == 0) e.most = back(e.most);
   }
   std::partition(early_.begin(), early_.end(), [](const Early& e) { return e.joined; });
 }

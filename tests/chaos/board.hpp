@@ -124,8 +124,9 @@ struct alignas(64) Incarnation {
   std::uint32_t life;    ///< of the node
   std::uint32_t depth;
   std::uint32_t blocking;
-  std::uint32_t putter;   ///< where its items' records are
-  std::uint64_t segment;  ///< of one that puts items: the file that they are in
+  std::uint32_t takes_back;  ///< what all have read, where memory runs out
+  std::uint32_t putter;      ///< where its items' records are
+  std::uint64_t segment;     ///< of one that puts items: the file that they are in
   std::atomic<std::uint64_t> begun;
   std::atomic<std::uint64_t> done;
   /// Items before this one were looked for by a reader of its ring, and are not there.

@@ -72,7 +72,8 @@ class Life {
   }
 
   std::uint64_t new_serial() { return std::uint64_t{slot} << 56 | me.serial.fetch_add(1); }
-  std::uint32_t new_incarnation(std::uint32_t topic, std::uint32_t depth, bool blocking) {
+  std::uint32_t new_incarnation(std::uint32_t topic, std::uint32_t depth, bool blocking,
+                                bool takes_back) {
     const std::uint32_t id = board.incarnations_begun.fetch_add(1);
     if (id >= kIncarnations) fail(Finding::Crashed, "the harness: too many incarnations");
     Incarnation& r = board.incarnations[id];
@@ -81,6 +82,7 @@ class Life {
     r.life = number;
     r.depth = depth;
     r.blocking = blocking ? 1 : 0;
+    r.takes_back = takes_back ? 1 : 0;
     if (is_put(topic)) r.putter = board.putters_begun.fetch_add(1);
     if (r.putter >= kPutters) fail(Finding::Crashed, "the harness: too many putters");
     auto& newest = board.newest[topic];

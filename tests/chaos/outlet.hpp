@@ -18,7 +18,10 @@ class Outlet {
   Outlet(Life& life, ShmEngine& engine, std::uint32_t topic)
       : life_(life), topic_(topic), plan_(publishing(life.random, topic)) {
     life_.doing(Doing::Advertising, topic);
-    incarnation_ = life_.new_incarnation(topic, plan_.depth, plan_.is_lossless());
+    // Else what a late reader gets is exact.
+    if (life_.epoch.roomy) plan_.history = PusherOptions::kAll;
+    const bool takes_back = plan_.is_lossless() || plan_.history != PusherOptions::kAll;
+    incarnation_ = life_.new_incarnation(topic, plan_.depth, plan_.is_lossless(), takes_back);
     Publishing real = plan_;
     if (life_.has(Plant::Overrun) && real.depth > 1) {
       real.policy = Policy::Overwrite;

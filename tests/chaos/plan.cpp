@@ -152,6 +152,8 @@ Publishing publishing(Random& random, std::uint32_t topic) {
   Publishing plan{};
   plan.engine = random.chance(50) ? QueueEngine::Ring : QueueEngine::Mutex;
   plan.depth = t.depths[random.below(t.depths.size())];
+  plan.history =
+      random.chance(50) ? PusherOptions::kAll : static_cast<std::uint32_t>(random.below(3));
   const bool block =
       t.queueing == Queueing::Block || (t.queueing == Queueing::Either && random.chance(50));
   plan.policy = block ? Policy::Block : Policy::Overwrite;
@@ -162,7 +164,7 @@ Publishing publishing(Random& random, std::uint32_t topic) {
 }
 
 PusherOptions pusher_options(const Publishing& plan) {
-  return {plan.policy, plan.depth, plan.block_for, plan.engine};
+  return {plan.policy, plan.depth, plan.block_for, plan.engine, 0, plan.history};
 }
 
 Reading reading(Random& random, Role role) {

@@ -68,6 +68,7 @@ struct Publishing {
   QueueEngine engine;
   Policy policy;
   std::uint32_t depth;
+  std::uint32_t history;  ///< where memory runs out
   std::chrono::nanoseconds block_for;
   bool refuses;  ///< never waits, whether its policy is Refuse or it tries
   bool is_lossless() const { return policy != Policy::Overwrite; }

@@ -92,7 +92,8 @@ class Putter final : public Job {
   void open() {
     life_.doing(Doing::Advertising, topic_);
     plan_ = publishing(life_.random, topic_);
-    incarnation_ = life_.new_incarnation(topic_, plan_.depth, plan_.is_lossless());
+    incarnation_ =
+        life_.new_incarnation(topic_, plan_.depth, plan_.is_lossless(), plan_.is_lossless());
     record().segment = segment_file(engine_.path());
     number_ = 0;
     QueueOptions options;
