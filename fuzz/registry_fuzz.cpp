@@ -196,9 +196,11 @@ class Fuzz {
     const std::uint32_t version = local_.segment().directory().version.load();
     const auto opened = attempt([&] {
       const Registry::Lock lock(local_.registry());
-      return local_.registry().open(
+      const auto made = local_.registry().open(
           topic, player.index,
           {depth, kReaders, blocking ? lot::Policy::Block : lot::Policy::Overwrite});
+      require(made.has_value(), "there is memory for each ring");
+      return *made;
     });
     const auto free = std::find_if(channels_.begin(), channels_.end(),
                                    [](const Channel& c) { return c.state == State::Free; });

@@ -204,8 +204,14 @@ void Registry::remove(const Departure& departure, std::uint32_t participant) noe
   remove_puller(departure.topic, participant);
 }
 
-ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
-                           const RingOptions& options) {
+std::uint32_t Registry::granules_of(const RingOptions& options) noexcept {
+  const std::uint64_t bytes = segment::Segment::ring_bytes(options.depth, options.readers,
+                                                           options.taken == segment::kFinished);
+  return static_cast<std::uint32_t>((bytes + segment::kGranule - 1) / segment::kGranule);
+}
+
+std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t participant,
+                                          const RingOptions& options) {
   std::uint64_t awaited = 0;
   for (std::uint32_t p = 1; p < segment_.capacity().participants; ++p) {
     awaited += pullers(topic, p);
@@ -234,19 +240,12 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
     entry.engine = static_cast<std::uint32_t>(options.engine);
     entry.taken = options.taken;
     entry.first = options.first != 0 ? options.first : options.depth;
-    const std::uint64_t granules =
-        (segment::Segment::ring_bytes(options.depth, options.readers,
-                                      options.taken == segment::kFinished) +
-         segment::kGranule - 1) /
-        segment::kGranule;
-    entry.granules = static_cast<std::uint32_t>(granules);
+    entry.granules = granules_of(options);
     entry.granule = segment_.claim_run(entry.granules, segment::kRingTag | c);
     if (entry.granule == segment::Granules<Atomics>::kNone) {
       entry.writer.store(ring::make_writer(generation, ring::State::Free, 0),
                          std::memory_order_release);
-      throw OutOfMemory(
-          "lot: no room in the segment for another ring: raise LOT_SIZE, or lower the "
-          "depth");
+      return std::nullopt;
     }
     // Survey and others look at rings that may be recycled meanwhile.
     segment_.keep_run(entry.granule, entry.granules);
@@ -266,7 +265,7 @@ ChannelName Registry::open(std::uint32_t topic, std::uint32_t participant,
     entry.writer.store(ring::make_writer(generation, ring::State::Live, participant),
                        std::memory_order_seq_cst);
     announce(topic);
-    return {c, generation};
+    return ChannelName{c, generation};
   }
   throw Error(ENOSPC, segment_.path(),
               "all " + std::to_string(channels.size()) + " channels are in use",

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string_view>
 #include <vector>
 
@@ -76,8 +77,10 @@ class Registry {
 
   /// Makes a ring for the participant, with a cell for each puller of the topic, and announces it.
   /// So what is published there waits for each of them, however late it looks, also when the
-  /// publisher has died. Throws lot::Error or OutOfMemory.
-  ChannelName open(std::uint32_t topic, std::uint32_t participant, const RingOptions& options);
+  /// publisher has died. Nothing: there is no memory for it, and errno says why, as
+  /// Segment::claim_run() does; then all is as before. Throws lot::Error.
+  std::optional<ChannelName> open(std::uint32_t topic, std::uint32_t participant,
+                                  const RingOptions& options);
   /// The rings of a topic: those that are live, and those that have ended and are still read.
   std::vector<ChannelName> rings(std::uint32_t topic) const;
   /// What is to be read there can be joined: it is live, or its messages wait to be taken.
@@ -91,6 +94,8 @@ class Registry {
 
   // Without the lock.
 
+  /// The memory of such a ring.
+  static std::uint32_t granules_of(const RingOptions& options) noexcept;
   /// Participant p has pullers on the topic, and does not want its messages another way.
   bool wants(std::uint32_t topic, std::uint32_t participant) const noexcept;
   /// And has said that it needs them no other way.

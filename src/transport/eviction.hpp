@@ -61,7 +61,7 @@ class Evictor {
 /// Says whose messages go when memory or blocks run out.
 ///
 /// The asker is the publisher whose loan or whose message grows. It may be a maker without a topic,
-/// which has no messages to give.
+/// or a new publisher whose ring needs memory: those have no messages to give.
 ///
 ///   1. What can never be met evicts nothing. So first a look over the tags: is there a
 ///      run of granules that are free, or belong to messages that rules 2 to 4 can free? Free ones

@@ -105,12 +105,11 @@ class Fill {
   std::map<std::uint32_t, std::uint32_t> kept_;                          ///< by who keeps them
 };
 
-}  // namespace
-
-std::string describe_shortage(Participant& participant, std::size_t bytes, int error) {
+/// `what` needs memory that is not there.
+std::string describe(Participant& participant, const std::string& what, int error) {
   const Fill fill(participant);
-  std::string text = "lot: " + participant.segment().path() + ": no room for " +
-                     std::to_string(bytes) + " bytes: " + Fill::mib(fill.used()) + " of " +
+  std::string text = "lot: " + participant.segment().path() + ": no room for " + what + ": " +
+                     Fill::mib(fill.used()) + " of " +
                      Fill::mib(participant.segment().granules().count()) +
                      " are in use, the largest free piece has " + Fill::mib(fill.largest());
   if (error == ENOSPC) text += ", and the file system is full";
@@ -120,6 +119,22 @@ std::string describe_shortage(Participant& participant, std::size_t bytes, int e
   return text + (fill.is_kept_mostly()
                      ? "; let that one keep fewer messages, or raise LOT_SIZE"
                      : "; raise LOT_SIZE, keep fewer messages, or publish with a smaller depth");
+}
+
+}  // namespace
+
+std::string describe_shortage(Participant& participant, std::size_t bytes, int error) {
+  return describe(participant, std::to_string(bytes) + " bytes", error);
+}
+
+std::string describe_ring_shortage(Participant& participant, std::uint32_t topic,
+                                   std::uint32_t granules, int error) {
+  const segment::TopicEntry& entry = participant.segment().topics()[topic];
+  const std::string name(entry.name, strnlen(entry.name, sizeof(entry.name)));
+  return describe(participant,
+                  "the queue of " + name + ", " +
+                      std::to_string(granules * std::uint64_t{segment::kGranule}) + " bytes",
+                  error);
 }
 
 std::string describe_limit(Participant& participant, std::size_t bytes, std::uint32_t block) {

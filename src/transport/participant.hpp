@@ -89,6 +89,10 @@ class Participant {
   /// topic. Where a stopped process keeps the registry's lock, the warden does that later.
   void depart(std::list<registry::Departure> departure) noexcept;
 
+  /// Makes a ring for the publisher with this pool. In a full segment others make room for it, as
+  /// for a message. Throws lot::Error or OutOfMemory.
+  registry::ChannelName open_ring(std::uint32_t topic, const registry::RingOptions& options,
+                                  std::uint32_t asker);
   /// Ends a ring of ours: its readers get what is in it and then the end.
   void close_ring(const registry::ChannelName& name) noexcept;
   /// Finishes what closing has left to do, or leaves it to the warden.
@@ -191,6 +195,23 @@ class Participant {
       eviction_.look_at_others(shortage);
       if (!given && !possible(givers)) return false;
     }
+  }
+
+  /// Frees what can be freed, and then lets messages go, until enough() is true, which tries to
+  /// claim a run of so many granules for the publisher with this pool. True when enough() was. No
+  /// message goes for what can never be met. REQUIRES: no lock is held that a warden takes.
+  template <class Enough>
+  bool make_room_for_run(std::uint32_t granules, std::uint32_t asker, Enough&& enough) noexcept {
+    if (granules > segment_.granules().count()) return false;
+    tidy(asker);
+    if (enough()) return true;
+    const bool gathers = may_gather();
+    if (gathers && gather_from_others(enough)) return true;
+    const auto possible = [&](const Eviction::Givers& givers) {
+      return eviction_.can_free_run(asker, granules, givers);
+    };
+    return evict_until(enough, asker, segment::kGranule * granules, Shortage::Memory, possible) ||
+           (!gathers && gather_from_others(enough));
   }
 
   /// A publisher that waits for room in its queue waits for memory and blocks, too, while readers
@@ -475,9 +496,6 @@ void after_reaping(Participant& participant, F&& f) {
     } catch (const Error& e) {
       const bool full = e.error_number() == EUSERS || e.error_number() == ENOSPC;
       if (!full || futex::Clock::now() >= until) throw;
-    } catch (const OutOfMemory&) {  // idle blocks of this process may have what a ring needs
-      if (!participant.trim(Participant::kNobody)) throw;
-      continue;
     }
     if (!participant.reap_dead()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }

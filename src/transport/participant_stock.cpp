@@ -2,11 +2,14 @@
 /// What a participant owns: rings, pools, memory, topics.
 #include <algorithm>
 #include <cerrno>
+#include <exception>
 #include <new>
+#include <optional>
 #include <utility>
 
 #include "lot/error.hpp"
 
+#include "transport/fill.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::transport {
@@ -194,27 +197,46 @@ std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) 
   }
   std::uint32_t run = try_claim_run(granules, tag);
   if (run != kNone) return run;
-  if (granules > segment_.granules().count()) return kNone;  // nothing that goes makes room for it
   const std::uint32_t asker = holder_.cell(tag - 1).pool.load(std::memory_order_relaxed);
-  int error = 0;
-  const auto enough = [&] {
+  int error = errno;
+  make_room_for_run(granules, asker, [&] {
     run = try_claim_run(granules, tag);
     error = errno;
     return run != kNone || error == EDQUOT;  // another thread has taken it: no message of others'
-  };
-  tidy(asker);
-  if (enough()) return run;
-  const bool gathers = may_gather();
-  if (gathers && gather_from_others(enough)) return run;
-  const auto possible = [&](const Eviction::Givers& givers) {
-    return eviction_.can_free_run(asker, granules, givers);
-  };
-  if (!evict_until(enough, asker, segment::kGranule * granules, Shortage::Memory, possible) &&
-      !gathers) {
-    gather_from_others(enough);
-  }
+  });
   errno = error;  // why there was none: looks for what could go have changed it
   return run;
+}
+
+registry::ChannelName Participant::open_ring(std::uint32_t topic,
+                                             const registry::RingOptions& options,
+                                             std::uint32_t asker) {
+  std::optional<registry::ChannelName> name;
+  int error = 0;
+  const auto try_open = [&] {
+    const registry::Registry::Lock lock(registry_);
+    name = registry_.open(topic, index(), options);
+    error = errno;
+    return name.has_value();
+  };
+  const std::uint32_t granules = registry::Registry::granules_of(options);
+  after_reaping(*this, [&] {
+    if (try_open()) return;
+    // Without the registry's lock: a warden that is asked to give may want it, and a stopped one
+    // is waited for.
+    std::exception_ptr failure;
+    make_room_for_run(granules, asker, [&] {
+      try {
+        return try_open();
+      } catch (...) {
+        failure = std::current_exception();
+        return true;
+      }
+    });
+    if (failure) std::rethrow_exception(failure);
+  });
+  if (!name) throw OutOfMemory(describe_ring_shortage(*this, topic, granules, error).c_str());
+  return *name;
 }
 
 std::uint32_t Participant::await_run(std::uint32_t granules, std::uint32_t tag) noexcept {

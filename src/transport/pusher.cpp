@@ -71,13 +71,10 @@ class Pusher final : public detail::PusherCore, private Evictor {
       }
       const QueueEngine engine = Participant::queue_engine(options.engine);
       topic_ = participant_->enter_topic(topic, type);
-      after_reaping(*participant_, [&] {
-        const registry::Registry::Lock lock(participant_->registry());
-        name_ = participant_->registry().open(
-            *topic_, participant_->index(),
-            {options.depth, participant_->segment().capacity().readers, options.policy, engine,
-             taken_by(delivery), 0});
-      });
+      name_ = participant_->open_ring(*topic_,
+                                      {options.depth, participant_->segment().capacity().readers,
+                                       options.policy, engine, taken_by(delivery), 0},
+                                      pool_.index());
     } catch (...) {
       if (topic_) participant_->leave_topic(*topic_);
       close_without_ring();

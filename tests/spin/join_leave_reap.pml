@@ -454,7 +454,7 @@ inline await_puller() {
 #endif
 
 inline open() {
-  acquire(registry, me); /* @ src/transport/pusher.cpp Pusher: const registry::Registry::Lock lock(participant_->registry()) */
+  acquire(registry, me); /* @ src/transport/participant_stock.cpp open_ring: const registry::Registry::Lock lock(registry_) */
   if
   :: atomic { STATE(writer) == FREE -> writer = WRITER(GENERATION(writer) + 1, INIT, k) }; /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
     atomic { memory = 1; kernel_garbage() }; /* @ src/registry/registry.cpp open: entry.granule = segment_.claim_run(entry.granules, segment::kRingTag | c) */
@@ -500,7 +500,7 @@ proctype publisher(byte me) {
     :: k > LAST -> goto gone
     :: else
     fi;
-    open(); /* @ src/transport/pusher.cpp Pusher: participant_->registry().open(*topic_, participant_->index() */
+    open(); /* @ src/transport/participant_stock.cpp open_ring: name = registry_.open(topic, index(), options) */
     if
     :: opened -> publish() /* @ src/transport/pusher.cpp publish: writer_->publish(b) */
     :: else

@@ -361,7 +361,7 @@ inline announce() {
 }
 
 inline open(me, mine) {
-  acquire(registry, me); /* @ src/transport/pusher.cpp Pusher: const registry::Registry::Lock lock(participant_->registry()) */
+  acquire(registry, me); /* @ src/transport/participant_stock.cpp open_ring: const registry::Registry::Lock lock(registry_) */
   writer[mine] = WRITER(INIT, me); /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
 #if RINGS > 1
   atomic {
