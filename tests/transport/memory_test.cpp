@@ -177,7 +177,7 @@ TEST_CASE("where the file system is full the memory that was used before serves 
   const Watchdog watchdog(60);
   const SmallDisk disk("size=40m");
   if (disk.path.empty()) {
-    MESSAGE("no tmpfs can be mounted here");
+    MESSAGE("skipped: can not mount a tmpfs");
     return;
   }
   lot::EngineOptions options = fresh(32 * kMiB);
@@ -292,7 +292,7 @@ TEST_CASE("memory that went back is asked for again before it is used") {
   const Watchdog watchdog(60);
   const SmallDisk disk("size=40m");
   if (disk.path.empty()) {
-    MESSAGE("no tmpfs can be mounted here");
+    MESSAGE("skipped: can not mount a tmpfs");
     return;
   }
   lot::EngineOptions options = fresh(32 * kMiB);
