@@ -369,25 +369,38 @@ TEST_CASE_FIXTURE(Fixture, "what a killed worker had is the next one, before wha
 
 TEST_CASE_FIXTURE(Fixture, "400 tasks are done at least once, with workers killed at random") {
   constexpr std::size_t kTasks = 400;
+  constexpr std::size_t kWorkers = 3;
+  // The worker that gets one of these first does not finish it: it is killed over it.
+  constexpr std::size_t kHardTask = 20;
+  constexpr unsigned kHardTasks = kTasks / kHardTask;
   with_each_engine([&](QueueEngine engine) {
-    const Board<kTasks + 2> board;  // how often each was done; redelivered; the most deliveries
+    const Board<kTasks> done;        // how often each was finished
+    const Board<kWorkers> in_hand;   // the task that a worker surely has not finished, plus 1
+    const Board<1> delivered_again;  // tasks that had been delivered before
     std::mt19937_64 random(seed());
-    const auto work = [&](unsigned salt) {
+    const auto work = [&](std::size_t self, unsigned salt) {
       lot::ShmEngine mine(options);
       auto queue = mine.queue<lot::ShmUniquePtr<Job>>("jobs", redelivering(engine, 32));
       std::mt19937 luck(salt);
       for (;;) {
         auto task = queue.wait_and_take();
+        if (task.deliveries() > 1) ++delivered_again[0];
+        in_hand[self] = unsigned(task->number) + 1;
         must(is_whole(*task), "it is whole");
-        if (task.deliveries() > 1) ++board[kTasks];
-        if (luck() % 8 == 0) continue;  // this worker cannot do it
+        if (task->number % kHardTask == 0 && task.deliveries() == 1) pause();
+        const bool can_do_it = luck() % 8 != 0;
         if (luck() % 4 == 0) std::this_thread::sleep_for(std::chrono::microseconds(luck() % 500));
-        ++board[task->number];
+        in_hand[self] = 0;
+        if (!can_do_it) continue;
+        ++done[task->number];
         task.finish();
       }
     };
-    std::array<Child, 3> workers;
-    for (auto& worker : workers) worker = Child([&, salt = random()] { work(unsigned(salt)); });
+    std::array<Child, kWorkers> workers;
+    const auto start = [&](std::size_t w) {
+      workers[w] = Child([&, w, salt = random()] { work(w, unsigned(salt)); });
+    };
+    for (std::size_t w = 0; w < kWorkers; ++w) start(w);
     // Putters come and go as well, one after the other: a clean end, then a kill.
     std::array<Child, 4> putters;
     for (std::size_t p = 0; p < putters.size(); ++p) {
@@ -402,33 +415,40 @@ TEST_CASE_FIXTURE(Fixture, "400 tasks are done at least once, with workers kille
     }
     const auto all_done = [&] {
       for (std::size_t n = 0; n < kTasks; ++n) {
-        if (board[n].load() == 0) return false;
+        if (done[n].load() == 0) return false;
       }
       return true;
     };
     const auto until = std::chrono::steady_clock::now() + 60s;
     unsigned kills = 0;
+    unsigned kills_in_hand = 0;
     while (!all_done() && std::chrono::steady_clock::now() < until) {
       std::this_thread::sleep_for(std::chrono::microseconds(random() % 8000));
-      auto& victim = workers[random() % workers.size()];
-      victim.kill9();
+      const std::size_t victim = random() % kWorkers;
+      workers[victim].kill9();
       ++kills;
-      victim = Child([&, salt = random()] { work(unsigned(salt)); });
+      if (in_hand[victim].exchange(0) != 0) ++kills_in_hand;
+      start(victim);
     }
     CHECK(all_done());
     for (std::size_t p = 0; p < putters.size(); ++p) {
       CHECK(putters[p].wait() == (p % 2 == 1 ? 128 + SIGKILL : 0));
     }
     for (auto& worker : workers) worker.kill9();
-    MESSAGE(kills << " kills, " << board[kTasks].load() << " tasks delivered again");
     // What the last kills left unfinished is still there, and nothing else.
     lot::ShmEngine shm(options);
     auto rest = shm.queue<lot::ShmUniquePtr<Job>>("jobs", redelivering(engine, 32));
     while (auto task = rest.wait_and_take_for(200ms)) {
       CHECK(is_whole(*task));
+      if (task.deliveries() > 1) ++delivered_again[0];
       task.finish();
     }
     CHECK(rest.is_empty());
+    MESSAGE(kills << " kills, " << kills_in_hand << " with a task in hand, "
+                  << delivered_again[0].load() << " tasks delivered again");
+    // A few workers may have been killed before they could say what they had.
+    CHECK(kills_in_hand >= kHardTasks / 2);
+    CHECK(delivered_again[0].load() >= kills_in_hand);
   });
 }
 
