@@ -325,14 +325,15 @@ TEST_CASE("a topic that comes later gets its share from the one that has all the
   auto front = place.engine.advertise<Frame>("front");
   auto rear = place.engine.advertise<Frame>("rear");
   push_frames(front, 100, kMiB);
-  for (int round = 0; round < 100; ++round) {
+  for (int round = 0; round < 60; ++round) {  // 2 s at 30 Hz
     push_frames(rear, 1, kMiB);
     push_frames(front, 1, kMiB);
   }
   const auto a = place.engine.subscribe<Frame>("front", latched(64)).size();
   const auto b = place.engine.subscribe<Frame>("rear", latched(64)).size();
-  CHECK(a >= 16);
-  CHECK(b >= 16);
+  // 60 % of an equal share: 60 fit.
+  CHECK(a >= 18);
+  CHECK(b >= 18);
 }
 
 TEST_CASE("another topic's need leaves a publisher its newest two messages") {
