@@ -67,7 +67,7 @@ void list_processes(const Observation& seen, Report& report, Json& entry) {
 class TopicList {
  public:
   TopicList(const Observation& seen, const Rates& rates, Clock::time_point now)
-      : seen_(seen), rates_(rates), now_(now) {}
+      : seen_(seen), rows_(rows(seen.channels)), rates_(rates), now_(now) {}
 
   void list(Report& report, Json& entry) {
     entry["topics"] = Json::array();
@@ -84,7 +84,10 @@ class TopicList {
                 {"subscribers", Json::array()}};
     first_ = {printable(topic.name, 40), printable(topic.type, 32)};
     for (const auto& c : seen_.channels) {
-      if (c.topic == topic.index) list(c, out);
+      if (c.topic == topic.index) enter(c, out);
+    }
+    for (const auto& row : rows_) {
+      if (row.channel.topic == topic.index) list(row);
     }
     for (const std::uint32_t k : topic.subscribers) {
       if (!reads_a_queue(topic, k)) list_waiting(topic, k, out);
@@ -92,8 +95,7 @@ class TopicList {
     return out;
   }
 
-  void list(const Channel& c, Json& out) {
-    const Json rate = rate_of(c, rates_, now_);
+  void enter(const Channel& c, Json& out) const {
     out["publishers"].push_back({{"process", c.publisher},
                                  {"channel", c.channel},
                                  {"gone", c.orphan},
@@ -104,15 +106,8 @@ class TopicList {
                                  {"held", c.queue.size()},
                                  {"unfinished", c.unfinished},
                                  {"published", c.published},
-                                 {"per_second", rate},
+                                 {"per_second", rate_of(c, rates_, now_)},
                                  {"waits_for_room", c.waits}});
-    row({"publisher", printable(seen_.who(c.publisher), 24), engine_of(c),
-         policy_of(c) + std::string(c.taken ? ", to one" : ""),
-         std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
-         rate.is_null() ? "" : rate_text(rate.get<double>()), "", "",
-         c.waits             ? "waits for room"
-         : c.unfinished != 0 ? std::to_string(c.unfinished) + " unfinished"
-                             : ""});
     for (const auto& r : c.readers) {
       out["subscribers"].push_back({{"process", r.process},
                                     {"channel", c.channel},
@@ -120,6 +115,20 @@ class TopicList {
                                     {"lag", r.lag},
                                     {"lost", r.lost},
                                     {"holds_back", r.holds_back}});
+    }
+  }
+
+  void list(const Row& shown) {
+    const Channel& c = shown.channel;
+    const Json rate = rate_of(c, rates_, now_);
+    row({"publisher", printable(seen_.publisher(shown), 24), engine_of(c),
+         policy_of(c) + std::string(c.taken ? ", to one" : ""),
+         std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
+         rate.is_null() ? "" : rate_text(rate.get<double>()), "", "",
+         c.waits             ? "waits for room"
+         : c.unfinished != 0 ? std::to_string(c.unfinished) + " unfinished"
+                             : ""});
+    for (const auto& r : c.readers) {
       row({"subscriber", printable(seen_.who(r.process), 24), "", "", "", "",
            r.joining ? "" : std::to_string(r.lag), r.lost != 0 ? count_text(r.lost) : "",
            r.joining      ? "joining"
@@ -157,6 +166,7 @@ class TopicList {
   }
 
   const Observation& seen_;
+  const std::vector<Row> rows_;
   const Rates& rates_;
   Clock::time_point now_;
   std::vector<std::string> first_;

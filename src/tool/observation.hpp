@@ -103,6 +103,15 @@ struct Fill {
   std::uint64_t total = 0;
 };
 
+/// What people read as one row: a queue, or all queues of a topic that are alike and whose
+/// publishers have gone. These differ in nothing that people see; their lengths and their readers'
+/// lags add up.
+struct Row {
+  Channel channel;
+  std::size_t count = 1;  ///< of queues
+};
+std::vector<Row> rows(const std::vector<Channel>& channels);
+
 struct Observation {
   std::uint64_t instance = 0;
   Fill memory;  ///< bytes
@@ -120,6 +129,8 @@ struct Observation {
   const Topic* topic(std::uint32_t index) const;
   /// "3 camera", for people.
   std::string who(std::uint32_t index) const;
+  /// The same of a row's publisher; "(2 gone)" of two.
+  std::string publisher(const Row& row) const;
 };
 
 /// Throws nothing but bad_alloc, whatever the segment's bytes are.

@@ -70,17 +70,15 @@ void list_messages(const Observation& seen, bool all, Report& report, Json& entr
 void list_readers(const Observation& seen, Report& report, Json& entry) {
   Table table({"BEHIND", "TOPIC", "PUBLISHER", "LAG", "LOST"});
   entry["behind"] = Json::array();
-  for (const auto& c : seen.channels) {
+  const auto name_of = [&](const Channel& c) {
     const Topic* topic = seen.topic(c.topic);
-    const std::string name = topic != nullptr ? topic->name : "";
+    return topic != nullptr ? topic->name : std::string();
+  };
+  for (const auto& c : seen.channels) {
     for (const auto& r : c.readers) {
       if (r.lag == 0 && !r.joining) continue;
-      table.add({printable(seen.who(r.process), 24), printable(name, 40),
-                 printable(seen.who(c.publisher), 24),
-                 r.joining ? "joining" : std::to_string(r.lag) + " of " + std::to_string(c.depth),
-                 r.lost != 0 ? count_text(r.lost) : ""});
       entry["behind"].push_back({{"process", r.process},
-                                 {"topic", name},
+                                 {"topic", name_of(c)},
                                  {"publisher", c.publisher},
                                  {"channel", c.channel},
                                  {"depth", c.depth},
@@ -88,6 +86,16 @@ void list_readers(const Observation& seen, Report& report, Json& entry) {
                                  {"lag", r.lag},
                                  {"lost", r.lost},
                                  {"holds_back", r.holds_back}});
+    }
+  }
+  for (const auto& row : rows(seen.channels)) {
+    const Channel& c = row.channel;
+    for (const auto& r : c.readers) {
+      if (r.lag == 0 && !r.joining) continue;
+      table.add({printable(seen.who(r.process), 24), printable(name_of(c), 40),
+                 printable(seen.publisher(row), 24),
+                 r.joining ? "joining" : std::to_string(r.lag) + " of " + std::to_string(c.depth),
+                 r.lost != 0 ? count_text(r.lost) : ""});
     }
   }
   if (table.empty()) return;
