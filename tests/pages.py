@@ -34,8 +34,9 @@ void callback(const lot::ShmSharedPtr<const lot::ros::Message<sensor_msgs::Image
 CONTEXT = {
     'struct Frame {': (LOT + 'template <class T> void use(const T&);',
                        'void page() {', '}'),
-    'auto jobs = ': (LOT + 'struct Task { int number; }; void work(const Task&);',
-                     'void page(lot::ShmEngine& engine) {', '}'),
+    'lot::QueueOptions until_done;': (
+        LOT + 'struct Task { int number; }; void work(const Task&);',
+        'void page(lot::ShmEngine& engine) {', '}'),
     'auto tasks = ': (LOT + 'struct Task { int number; };',
                       'void page(lot::ShmEngine& engine) {', '}'),
     'lot::WaitSet set;': (LOT + 'struct Frame { int number; }; void show(const Frame&); void report();',
