@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""An example ends well by itself and after Ctrl-C, and leaves nothing behind either way.
+"""An example ends well by itself and by SIGINT (Ctrl-C) or SIGTERM, and leaves nothing behind.
 
     check.py PROGRAM
 """
@@ -29,15 +29,18 @@ def wait_until(what, true):
         time.sleep(0.002)
 
 
-def run(program, delay):
-    """Returns the exit code. With a delay: Ctrl-C so much after its segment has come."""
+def run(program, number=None, delay=0.0):
+    """Returns the exit code. With a signal's number: sends that so much after its segment has come.
+
+    All its processes get the signal, as from a terminal or a service manager.
+    """
     process = subprocess.Popen([program], start_new_session=True)
     try:
-        if delay is not None:
+        if number is not None:
             wait_until("its segment", lambda: files() or process.poll() is not None)
             time.sleep(delay)
             if process.poll() is None:
-                os.killpg(process.pid, signal.SIGINT)
+                os.killpg(process.pid, number)
         code = process.wait(PATIENCE)
     finally:
         if process.poll() is None:
@@ -47,20 +50,35 @@ def run(program, delay):
     return code
 
 
+def interrupt(program, number, chance, seed):
+    """Ends it by this signal four times, at times by chance while it works."""
+    ended = 0
+    longest = 0.3
+    for _ in range(40):
+        delay = chance.uniform(0, longest)
+        code = run(program, number, delay)
+        if code == -number:
+            ended += 1
+        elif code == 0:
+            longest *= 0.8  # it was through before
+        else:
+            sys.exit(f"{number.name} after {delay:.3f} s (seed {seed}): exit code {code}")
+        if ended == 4:
+            return
+    sys.exit(f"{number.name} (seed {seed}): it was always through before")
+
+
 def main():
     program = sys.argv[1]
     os.environ["LOT_SEGMENT"] += f"_{os.getpid()}"
     seed = random.SystemRandom().getrandbits(32)
     chance = random.Random(seed)
     try:
-        code = run(program, None)
+        code = run(program)
         if code != 0:
             sys.exit(f"by itself: exit code {code}")
-        for _ in range(5):
-            delay = chance.uniform(0, 0.3)
-            code = run(program, delay)
-            if code not in (0, -signal.SIGINT):
-                sys.exit(f"Ctrl-C after {delay:.3f} s (seed {seed}): exit code {code}")
+        for number in (signal.SIGINT, signal.SIGTERM):
+            interrupt(program, number, chance, seed)
     finally:
         for name in files():
             os.remove(name)
