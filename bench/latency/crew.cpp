@@ -217,8 +217,8 @@ void Crew::start(unsigned group, Place place, const std::string& directory) {
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     if (getppid() != me) _exit(1);
     // What is asked of the library is said in code, for every node alike.
-    for (const char* name :
-         {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_MLOCK", "LOT_QUEUE"}) {
+    for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_PERSIST",
+                             "LOT_MLOCK", "LOT_QUEUE"}) {
       unsetenv(name);
     }
     become(command);

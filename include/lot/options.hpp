@@ -10,13 +10,17 @@
 namespace lot {
 
 /// Which segment an engine uses, and how it is made when it is absent. What the environment says
-/// (LOT_SEGMENT, LOT_DIR, LOT_SIZE, LOT_PERMISSIONS, LOT_MLOCK) comes before what the code says.
+/// (LOT_SEGMENT, LOT_DIR, LOT_SIZE, LOT_PERMISSIONS, LOT_PERSIST, LOT_MLOCK) comes before what the
+/// code says.
 struct EngineOptions {
   std::string segment = "LOTROS";      ///< LOT_SEGMENT
   std::string directory = "/dev/shm";  ///< LOT_DIR; share it with the containers that are to meet
   std::uint64_t size_bytes = 0;  ///< LOT_SIZE (512M, 2G); 0: 1 GiB, or 3/4 of what is free if less
   unsigned permissions = 0600;   ///< LOT_PERMISSIONS, octal; 0660 shares with the group
-  bool persist = false;          ///< the last one to leave keeps the files
+  /// LOT_PERSIST, 1 or 0. The files stay when the last process leaves, and so does what waits in
+  /// queues. It holds for the life of the segment once one process has asked for it, whoever leaves
+  /// last, and however. `lot clean` removes them.
+  bool persist = false;
   /// LOT_MLOCK, 1 or 0. What this process has touched of the segment is never swapped out, and its
   /// publishers' memory is never given back and faulted again. RLIMIT_MEMLOCK must allow the
   /// segment's size, or opening throws.

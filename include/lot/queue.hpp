@@ -244,8 +244,8 @@ const MessageType& queue_type(const QueueOptions& options) {
 /// A handle reads from its first look on (a pop, is_empty(), size(), listen()): of shared items it
 /// gets what is put after that, however late it pops, also when the handle that put them has gone
 /// or its process was killed. Items for one wait in the queue until a handle takes them, also when
-/// everybody who has put some has gone; the last process of a segment removes it, with all that
-/// waits there, unless EngineOptions::persist says that it stays. A queue with
+/// everybody who has put some has gone; the last process that leaves a segment removes it, with all
+/// that waits there, unless one of its processes has asked for EngineOptions::persist. A queue with
 /// QueueOptions::redeliver has tasks instead: see ShmTask.
 ///
 /// Threads: all members may be called at once, on one handle or several.

@@ -23,7 +23,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 10;
+inline constexpr std::uint32_t kLayoutVersion = 11;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
@@ -143,8 +143,13 @@ struct alignas(64) Directory {
   /// Monotonic clock: when a warden last looked for memory that nobody uses. The one that changes
   /// it looks. A SIGKILL then costs one look.
   std::atomic<std::uint64_t> looked_ns;
+  /// Not 0: the files stay when the last process leaves. Set by a process that joins, before it can
+  /// put anything, and never taken back; read by the process that leaves last. Relaxed: the gate
+  /// carries it, or the death of the process that has set it, which the reader has seen before.
+  std::atomic<std::uint32_t> persists;
   alignas(64) LockWord lock;  ///< registry: topics, joining, recycling
 };
+static_assert(sizeof(Directory) == 128 && offsetof(Directory, persists) == 16);
 
 /// A topic exists while any `users` bit stands: bit p is written by participant p and its reaper.
 struct alignas(64) TopicEntry {

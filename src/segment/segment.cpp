@@ -459,6 +459,19 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   return ring;
 }
 
+std::uint32_t Segment::waiting_items(std::uint32_t channel) const noexcept {
+  const ring::Word writer = channels()[channel].writer.load(std::memory_order_acquire);
+  const ring::State state = ring::writer_state(writer);
+  if (state != ring::State::Live && state != ring::State::Orphan) return 0;
+  const Ring r = ring(channel);
+  std::uint32_t items = 0;
+  for (std::uint32_t i = 0; r.taken && i < r.depth; ++i) {
+    // Relaxed: it is only counted.
+    items += ring::block(r.slots[i].load(std::memory_order_relaxed)) != ring::kNoBlock;
+  }
+  return items;
+}
+
 void Segment::construct_queue_lock(std::uint32_t channel) {
   auto* head = at<RingHead>(granule_offset(channels()[channel].granule));
   head->lock.arrived.store(0, std::memory_order_relaxed);

@@ -92,6 +92,14 @@ class Segment {
   Ring ring(std::uint32_t channel) const noexcept;
   /// The same while its maker makes it.
   Ring unformed_ring(std::uint32_t channel) const noexcept;
+  /// How many items wait in a channel whose messages are taken: by one reader each, those included
+  /// that a worker has and has not finished. 0 for any other channel. A hint while processes work.
+  std::uint32_t waiting_items(std::uint32_t channel) const noexcept;
+  /// From now on the files stay when the last process leaves.
+  void keep_files() noexcept { directory().persists.store(1, std::memory_order_relaxed); }
+  bool keeps_files() const noexcept {
+    return directory().persists.load(std::memory_order_relaxed) != 0;
+  }
   /// The lock of a channel's queue, if it has the mutex engine. REQUIRES: ring(channel) has found
   /// it in order.
   mutex_engine::QueueLock queue_lock(std::uint32_t channel) const noexcept;

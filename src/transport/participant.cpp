@@ -74,6 +74,7 @@ EngineOptions with_environment(EngineOptions options) {
   if (const char* v = environment("LOT_DIR")) options.directory = v;
   if (const char* v = environment("LOT_SIZE")) options.size_bytes = parse_size(v);
   if (const char* v = environment("LOT_PERMISSIONS")) options.permissions = parse_permissions(v);
+  if (const char* v = environment("LOT_PERSIST")) options.persist = parse_switch("LOT_PERSIST", v);
   if (const char* v = environment("LOT_MLOCK")) options.lock_memory = parse_switch("LOT_MLOCK", v);
   if (options.name.empty()) options.name = program_invocation_short_name;
   const auto check = [](const char* what, std::uint64_t value, std::uint64_t most) {
@@ -88,6 +89,25 @@ EngineOptions with_environment(EngineOptions options) {
   check("channels", options.channels, 1U << 20);
   check("readers", options.readers, 1U << 16);
   return options;
+}
+
+/// The items that wait in a segment whose files stay, and that only has another size than the one
+/// that was asked for. REQUIRES: the gate is held, and no process uses it.
+std::uint64_t kept_items(const std::string& path) {
+  using segment::Segment;
+  std::string ignored;
+  if (Segment::examine(path, 0, ignored) != Segment::Fit::Fits) return 0;
+  std::uint64_t items = 0;
+  try {
+    const Segment segment(path, Segment::Access::ReadOnly);
+    if (!segment.keeps_files()) return 0;
+    for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
+      items += segment.waiting_items(c);
+    }
+  } catch (const Error&) {  // it is damaged: nobody can take what is in there
+    return 0;
+  }
+  return items;
 }
 
 }  // namespace
@@ -132,6 +152,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
     const std::lock_guard guard(process().mutex);
     if (auto existing = process().by_path[path].lock()) {
       if (options.lock_memory) existing->segment_.lock_memory();
+      if (options.persist) existing->segment_.keep_files();
       return existing;
     }
   }
@@ -169,6 +190,12 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
       if (fit != segment::Segment::Fit::Fits && if_absent == IfAbsent::Throw) {
         throw Error(ENOENT, path, "nobody uses it any more", "there is nothing to be done");
       }
+      const std::uint64_t kept = fit == segment::Segment::Fit::Stale ? kept_items(path) : 0;
+      if (kept != 0) {
+        throw Error(ENOTEMPTY, path,
+                    reason + ", and " + std::to_string(kept) + " items wait in it that are to stay",
+                    "leave LOT_SIZE away and take them, or drop them by `lot clean --with-items`");
+      }
       if (fit != segment::Segment::Fit::Fits) {
         segment::Segment::remove(path);
         ours = false;
@@ -182,6 +209,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
       lock_file.take_turn();
       auto* p = new Participant(options, file);
       std::shared_ptr<Participant> handle(p, &handle_gone);
+      if (options.persist) p->segment_.keep_files();
       const std::lock_guard guard(process().mutex);
       process().by_path[path] = handle;
       process().all.push_back(p);
@@ -201,8 +229,7 @@ Participant::Participant(const EngineOptions& options,
                          std::shared_ptr<liveness::LockFile> lock_file)
     : lock_file_(std::move(lock_file)),
       segment_(segment::path_of(options.directory, options.segment)),
-      registry_(segment_),
-      options_(options) {
+      registry_(segment_) {
   if (options.lock_memory) segment_.lock_memory();
   fill_hub();
   const std::uint32_t blocks = segment_.capacity().blocks;

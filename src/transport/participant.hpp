@@ -421,7 +421,6 @@ class Participant {
   segment::Segment segment_;
   alignas(64) Holder holder_;
   registry::Registry registry_;
-  EngineOptions options_;
   std::size_t cells_bytes_ = 0;
 
   std::mutex reap_mutex_;  ///< byte locks do not exclude our own threads

@@ -176,7 +176,7 @@ void Participant::warden() {
 ///
 /// REQUIRES: the gate.
 void Participant::remove_files_if_last() noexcept {
-  if (options_.persist || !lock_file_->intact()) return;
+  if (!lock_file_->intact()) return;
   const bool are_locks_held = lock_file_->held_by_other(1, participants() - 1);
   for (std::uint32_t k = 1; k < participants(); ++k) {
     // Relaxed: the gate carries it.
@@ -189,7 +189,10 @@ void Participant::remove_files_if_last() noexcept {
     if (other.try_lock() == RobustMutex::Outcome::Busy) return;
     other.unlock();
   }
-  if (segment_.is_at_its_path()) segment::Segment::remove(segment_.path());
+  const bool is_there = segment_.is_at_its_path();
+  // Behind the look at the others: one of them may have set it without the gate, and died since.
+  if (is_there && segment_.keeps_files()) return;
+  if (is_there) segment::Segment::remove(segment_.path());
   ::unlink(lock_file_->path().c_str());
 }
 

@@ -140,13 +140,20 @@ TEST_CASE("a signal leaves the files to others, and those that are to stay") {
     }
     CHECK(files_of(options) == 0);
   }
-  const auto options = fresh();
-  Child child = start_and_wait("signals, persist", options);
-  child.send(SIGTERM);
-  CHECK(child.wait() == 128 + SIGTERM);
-  CHECK(files_of(options) == 2);
-  { const lot::ShmEngine engine(options); }
-  CHECK(files_of(options) == 0);
+  for (const int signal : {SIGTERM, SIGKILL}) {
+    CAPTURE(signal);
+    const auto options = fresh(0);  // the size that the others have
+    Child child = start_and_wait("signals, persist", options);
+    Child visitor = start_and_wait("signals", options);
+    child.send(signal);
+    CHECK(child.wait() == 128 + signal);
+    visitor.send(SIGTERM);  // it asked for nothing
+    CHECK(visitor.wait() == 128 + SIGTERM);
+    CHECK(files_of(options) == 2);
+    { const lot::ShmEngine engine(options); }
+    CHECK(files_of(options) == 2);
+    remove_files_of(options);
+  }
 }
 
 TEST_CASE("a signal that is sent several times leaves no file either, nor without descriptors") {

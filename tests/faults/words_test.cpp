@@ -53,6 +53,7 @@ struct Fresh : Ground {
       const lot::ShmEngine maker(kept);
     }
     segment.emplace(file_of(*this));
+    segment->directory().persists.store(0);  // the last one that leaves removes it
   }
   std::optional<lot::segment::Segment> segment;
 };

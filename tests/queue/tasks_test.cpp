@@ -172,9 +172,86 @@ TEST_CASE_FIXTURE(Fixture, "with persist, what was put waits while no process is
     });
     CHECK(worker.wait() == 0);
   }
-  kept.persist = false;
-  { const lot::ShmEngine last(kept); }
-  CHECK(files_of(kept) == 0);
+  CHECK(files_of(kept) == 2);
+  remove_files_of(kept);
+}
+
+TEST_CASE_FIXTURE(Fixture, "with persist, what was put stays, whoever leaves last, and however") {
+  const lot::EngineOptions visited = fresh();  // by a process that asks for nothing
+  for (const char* how : {"returns", "is killed", "is ended by a signal"}) {
+    CAPTURE(how);
+    const std::string ending = how;
+    Steps steps;
+    Child putter([&] {
+      lot::end_cleanly_on_signals();
+      lot::EngineOptions kept = visited;
+      kept.persist = true;
+      lot::ShmEngine shm(kept);
+      auto mine = shm.queue<lot::ShmUniquePtr<Job>>("jobs");
+      for (std::uint64_t n = 0; n < 10; ++n) must(put(mine, n) == Status::Ok, "put");
+      steps.tell();
+      if (ending != "returns") pause();
+    });
+    REQUIRE(steps.next() != 0);
+    {
+      lot::ShmEngine visitor(visited);
+      if (ending == "is killed") putter.send(SIGKILL);
+      if (ending == "is ended by a signal") putter.send(SIGTERM);
+      putter.wait();
+      lot::segment::Segment segment(visitor.path());
+      CHECK(eventually([&] { return Audit(segment).participants == 1; }));
+    }
+    CHECK(files_of(visited) == 2);
+    Child worker([&] {
+      lot::ShmEngine shm(visited);
+      auto mine = shm.queue<lot::ShmUniquePtr<Job>>("jobs");
+      for (std::uint64_t n = 0; n < 10; ++n) {
+        const auto job = mine.wait_and_pop_for(5s);
+        must(job && (*job)->number == n && is_whole(**job), "the next one");
+      }
+      must(!mine.try_pop(), "each once");
+    });
+    CHECK(worker.wait() == 0);
+    CHECK(files_of(visited) == 2);
+    remove_files_of(visited);
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "what is to stay is not replaced by a segment of another size") {
+  lot::EngineOptions larger = options;
+  larger.size_bytes *= 2;
+  for (const bool persist : {false, true}) {
+    CAPTURE(persist);
+    Steps steps;
+    Child putter([&] {
+      lot::EngineOptions kept = options;
+      kept.persist = persist;
+      lot::ShmEngine shm(kept);
+      auto mine = shm.queue<lot::ShmUniquePtr<Job>>("jobs");
+      for (std::uint64_t n = 0; n < 3; ++n) must(put(mine, n) == Status::Ok, "put");
+      steps.tell();
+      pause();
+    });
+    REQUIRE(steps.next() != 0);
+    putter.kill9();
+    const auto [error, text] = error_of([&] { const lot::ShmEngine shm(larger); });
+    CHECK(error == (persist ? ENOTEMPTY : 0));
+    CHECK((text.find("3 items wait") != std::string::npos) == persist);
+    CHECK((text.find("lot clean --with-items") != std::string::npos) == persist);
+    CHECK(files_of(options) == (persist ? 2 : 0));
+  }
+  {
+    lot::ShmEngine shm(options);
+    auto mine = shm.queue<lot::ShmUniquePtr<Job>>("jobs");
+    for (std::uint64_t n = 0; n < 3; ++n) {
+      const auto job = mine.wait_and_pop_for(5s);
+      REQUIRE(job);
+      CHECK((*job)->number == n);
+    }
+  }
+  CHECK(files_of(options) == 2);
+  { const lot::ShmEngine shm(larger); }  // nothing waits there: it is replaced
+  CHECK(files_of(options) == 0);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a task is there until it is finished") {

@@ -151,6 +151,64 @@ TEST_CASE("what another version or a crash left is replaced when nobody uses it"
   }
 }
 
+TEST_CASE("a segment stays once a process has asked for it, whoever leaves last") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  auto kept = options;
+  kept.persist = true;
+  SUBCASE("the one that asked leaves first") {
+    std::optional<lot::ShmEngine> other(options);
+    Child asking([&] { const lot::ShmEngine engine(kept); });
+    CHECK(asking.wait() == 0);
+    other.reset();
+  }
+  SUBCASE("the one that asked is killed, and reaped") {
+    lot::ShmEngine other(options);
+    Steps joined;
+    Child asking([&] {
+      const lot::ShmEngine engine(kept);
+      joined.tell();
+      pause();
+    });
+    REQUIRE(joined.next() == '.');
+    asking.kill9();
+    lot::segment::Segment segment(other.path());
+    CHECK(eventually([&] { return Audit(segment).participants == 1; }));
+  }
+  SUBCASE("it asks when it is there already") {
+    const lot::ShmEngine first(options);
+    const lot::ShmEngine second(kept);
+  }
+  SUBCASE("it asks by the environment") {
+    const Environment persist("LOT_PERSIST", "1");
+    const lot::ShmEngine engine(options);
+  }
+  CHECK(files_of(options) == 2);
+  { const lot::ShmEngine visitor(options); }
+  CHECK(files_of(options) == 2);
+  // What was asked of a segment is not asked of the next one.
+  overwrite(file_of(options), 40, 12345);  // boot
+  { const lot::ShmEngine next(options); }
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("persist in the environment comes before the code, and is 1 or 0") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  options.persist = true;
+  {
+    const Environment persist("LOT_PERSIST", "0");
+    CHECK(refusal(options) == "");
+  }
+  CHECK(files_of(options) == 0);
+  for (const char* bad : {"perhaps", "yes", "2", "01", " 1"}) {
+    CAPTURE(bad);
+    const Environment persist("LOT_PERSIST", bad);
+    CHECK(says(refusal(options), std::string("LOT_PERSIST=") + bad));
+  }
+  CHECK(files_of(options) == 0);
+}
+
 TEST_CASE("after a restart of the machine nothing is left of what lay on a disk") {
   const Watchdog watchdog(60);
   const Directory disk;

@@ -40,7 +40,7 @@ inline const std::string& prefix() {
     const char* v = std::getenv("LOT_SEGMENT");
     std::string p = v != nullptr && *v != '\0' ? v : "lottest";
     for (const char* name :
-         {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_MLOCK"}) {
+         {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_PERSIST", "LOT_MLOCK"}) {
       unsetenv(name);
     }
     return p + "_" + std::to_string(getpid());
@@ -69,6 +69,13 @@ inline std::size_t files_of(const EngineOptions& options) {
     n += name == options.segment || name.rfind(options.segment + ".", 0) == 0;
   }
   return n;
+}
+
+/// Removes what `persist` has kept. REQUIRES: no process is in the segment.
+inline void remove_files_of(const EngineOptions& options) {
+  for (const char* suffix : {"", ".lock"}) {
+    std::filesystem::remove(options.directory + "/" + options.segment + suffix);
+  }
 }
 
 /// Kills the test when it hangs: times are never asserted.
