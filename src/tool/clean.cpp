@@ -35,22 +35,31 @@ mode_t mode_of(const std::string& path, const std::string& or_of) {
 /// segment that this build can read, and of this boot.
 bool has_witnesses(const Sight& s) { return s.window != nullptr && !living(*s.window).empty(); }
 
+/// Only of a segment that this build can read, and of this boot.
+Waiting items_in(const Sight& s) { return s.window != nullptr ? waiting(*s.window) : Waiting(); }
+
 class Cleaner {
  public:
-  Cleaner(const Settings& settings, bool dry_run, Report& report)
-      : where_(settings.where), dry_(dry_run), report_(report) {
+  Cleaner(const Settings& settings, const CleanOptions& options, Report& report)
+      : where_(settings.where),
+        dry_(options.dry_run),
+        with_items_(options.with_items),
+        report_(report) {
     for (const char* list : {"removed", "reaped", "given_back", "left_alone"}) {
       report_.document()[list] = Json::array();
     }
-    report_.document()["dry_run"] = dry_run;
+    report_.document()["dry_run"] = dry_;
   }
 
   void clean(Sight s) {
     if (s.condition == Sight::Condition::Unreadable) return leave_alone(s.path, s.reason, kWrong);
     const liveness::LockProbe locks(s.path + ".lock");
     if (!locks.is_held(0, kAnybody) && !has_witnesses(s)) {
+      const Waiting items = items_in(s);
       s.window.reset();
-      return remove(s.name, s.path, "nobody lives in it");
+      if (!items.empty() && !with_items_) return leave_items(s, items);
+      return remove(s.name, s.path,
+                    "nobody lives in it" + (items.empty() ? "" : ", " + waiting_text(items)));
     }
     if (s.window == nullptr) return leave_alone(s.path, s.reason + ", and it is in use", kDamaged);
     tend(s);
@@ -69,13 +78,23 @@ class Cleaner {
     }
   }
 
-  void leave_alone(const std::string& path, const std::string& why, Exit exit) {
-    report_.document()["left_alone"].push_back({{"path", path}, {"why", why}});
+  void leave_alone(const std::string& path, const std::string& why, Exit exit,
+                   const Waiting& items = {}) {
+    report_.document()["left_alone"].push_back(
+        {{"path", path}, {"why", why}, {"waiting", waiting_json(items)}});
     report_.print("left alone  " + printable(path, 200) + ": " + printable(why, 300) + "\n");
     report_.ends(exit);
   }
 
  private:
+  /// A process has put them there to be taken: they go only when the user says so.
+  void leave_items(const Sight& s, const Waiting& items) {
+    leave_alone(s.path, "nobody lives in it, but " + waiting_text(items), kWell, items);
+    report_.hint(printable(s.name) +
+                 ": start a process that takes the items, or drop them by `lot clean "
+                 "--with-items`");
+  }
+
   void removed(const std::string& path, const std::string& why) {
     report_.document()["removed"].push_back({{"path", path}, {"why", why}});
     report_.print((dry_ ? "would remove  " : "removed  ") + printable(path, 200) + ": " + why +
@@ -97,8 +116,7 @@ class Cleaner {
         ~Gate() { lock.leave_gate(); }
       } gate{lock};
       const bool is_ours = !exists(path) || begins_as_a_segment(path);
-      if (!is_ours || lock.held_by_other(0, kAnybody) ||
-          (exists(path) && has_witnesses(sight(where_.directory, name)))) {
+      if (!is_ours || lock.held_by_other(0, kAnybody) || (exists(path) && stays(name))) {
         if (made) ::unlink(lock_path.c_str());
         return false;
       }
@@ -109,6 +127,12 @@ class Cleaner {
       }
       return true;
     }
+  }
+
+  /// Asked in the gate: a process may have come, and put something, since it was looked at.
+  bool stays(const std::string& name) const {
+    const Sight now = sight(where_.directory, name);
+    return has_witnesses(now) || (!with_items_ && !items_in(now).empty());
   }
 
   /// Some live, some may be dead: joins as any process does, which is how the dead are reaped and
@@ -183,18 +207,20 @@ class Cleaner {
 
   Where where_;
   bool dry_;
+  bool with_items_;
   Report& report_;
 };
 
 }  // namespace
 
-Exit clean(const Settings& settings, bool dry_run) {
+Exit clean(const Settings& settings, const CleanOptions& options) {
   // What the library would take for itself when it joins.
-  for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_MLOCK"}) {
+  for (const char* name :
+       {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_PERSIST", "LOT_MLOCK"}) {
     unsetenv(name);
   }
   Report report(settings);
-  Cleaner cleaner(settings, dry_run, report);
+  Cleaner cleaner(settings, options, report);
   const Places places = find_places(settings.where);
   for (auto& s : sights(settings.where)) cleaner.clean(std::move(s));
   for (const auto& name : places.unfinished) {

@@ -16,7 +16,11 @@ struct Settings {
 Exit ls(const Settings& settings, std::chrono::milliseconds interval);
 /// Who holds which message since when, and who is behind. `all`: queued and spare ones too.
 Exit who(const Settings& settings, bool all);
+struct CleanOptions {
+  bool dry_run = false;     ///< only say what would be done
+  bool with_items = false;  ///< also remove segments in whose queues items wait
+};
 /// Reaps the dead and removes what nobody lives in.
-Exit clean(const Settings& settings, bool dry_run);
+Exit clean(const Settings& settings, const CleanOptions& options);
 
 }  // namespace lot::tool

@@ -190,6 +190,7 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
     std::snprintf(instance, sizeof(instance), "%016llx",
                   static_cast<unsigned long long>(seen.instance));
     entry["instance"] = instance;
+    entry["persist"] = seen.persists;
     const std::uint64_t taken = bytes_on_disk(sight.path);
     entry["memory"] = {{"used_bytes", seen.memory.used},
                        {"held_back_bytes", seen.held_back},
@@ -199,7 +200,8 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
     report.print(": " + bytes_text(seen.memory.used) + " of " + bytes_text(seen.memory.total) +
                  ", " + std::to_string(seen.blocks.used) + " of " +
                  std::to_string(seen.blocks.total) + " messages; " + bytes_text(seen.held_back) +
-                 " held back, " + bytes_text(taken) + " taken from the system\n\n");
+                 " held back, " + bytes_text(taken) + " taken from the system" +
+                 (seen.persists ? "; persist" : "") + "\n\n");
     list_processes(seen, report, entry);
     TopicList(seen, rates, now).list(report, entry);
     judge(sight, seen, report, entry);

@@ -49,8 +49,10 @@ int run(int argc, char** argv) {
   holders->add_flag("--all", all, "queued messages too, and those that are loaned or spare");
   auto* const cleaner = app.add_subcommand(
       "clean", "Reaps the dead, removes what nobody lives in, gives unused memory back");
-  bool dry_run = false;
-  cleaner->add_flag("--dry-run", dry_run, "only says what would be done");
+  CleanOptions cleaning;
+  cleaner->add_flag("--dry-run", cleaning.dry_run, "only says what would be done");
+  cleaner->add_flag("--with-items", cleaning.with_items,
+                    "also removes segments in whose queues items wait to be taken");
 
   try {
     app.parse(argc, argv);
@@ -59,7 +61,7 @@ int run(int argc, char** argv) {
   }
   if (*list) return ls(settings, std::chrono::milliseconds(interval_ms));
   if (*holders) return who(settings, all);
-  return clean(settings, dry_run);
+  return clean(settings, cleaning);
 }
 
 }  // namespace

@@ -40,6 +40,7 @@ class Observer {
 
   Observation look() {
     seen_.instance = s_.header().identity.instance;
+    seen_.persists = s_.keeps_files();
     find_processes();
     find_topics();
     for (std::uint32_t c = 0; c < capacity_.channels; ++c) find_channel(c);
@@ -504,6 +505,19 @@ std::vector<std::uint32_t> taken_by(Window& window, bool wanted_alive) {
 
 std::vector<std::uint32_t> living(Window& window) { return taken_by(window, true); }
 std::vector<std::uint32_t> dead(Window& window) { return taken_by(window, false); }
+
+Waiting waiting(Window& window) {
+  const Segment& s = window.segment();
+  Waiting found;
+  for (std::uint32_t c = 0; c < s.capacity().channels; ++c) {
+    const std::uint32_t items = s.waiting_items(c);
+    if (items == 0) continue;
+    const std::uint32_t topic = s.channels()[c].topic;
+    found[topic < s.capacity().topics ? text_of(s.topics()[topic].name, segment::kTopicNameBytes)
+                                      : "?"] += items;
+  }
+  return found;
+}
 
 Heads heads(Window& window) {
   Segment& s = window.segment();

@@ -114,7 +114,8 @@ std::vector<Row> rows(const std::vector<Channel>& channels);
 
 struct Observation {
   std::uint64_t instance = 0;
-  Fill memory;  ///< bytes
+  bool persists = false;  ///< its files stay when the last process leaves
+  Fill memory;            ///< bytes
   /// Bytes of `memory.used` that no message is in that others can see: they wait for a loan, or are
   /// loaned.
   std::uint64_t held_back = 0;
@@ -139,6 +140,10 @@ Observation observe(Window& window);
 /// Which of the participants 1 .. are alive: taken, and not dead by both witnesses of the library.
 std::vector<std::uint32_t> living(Window& window);
 std::vector<std::uint32_t> dead(Window& window);
+
+/// Items that wait to be taken, by the names of their queues. A queue without items is not there.
+using Waiting = std::map<std::string, std::uint64_t>;
+Waiting waiting(Window& window);
 
 /// {channel, generation} -> sequence of the next message, to see what was published in between.
 using Heads = std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint64_t>;

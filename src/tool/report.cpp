@@ -51,6 +51,29 @@ bool introduce(const Sight& sight, Report& report, Json& entry) {
   return false;
 }
 
+std::string waiting_text(const Waiting& items) {
+  constexpr int kMostNames = 5;
+  std::string text;
+  int named = 0;
+  std::uint64_t others = 0;
+  for (const auto& [queue, n] : items) {
+    if (named++ >= kMostNames) {
+      others += n;
+    } else if (text.empty()) {
+      text = plural(n, "item waits", "items wait") + " in " + printable(queue, 40);
+    } else {
+      text += ", " + std::to_string(n) + " in " + printable(queue, 40);
+    }
+  }
+  return others == 0 ? text : text + ", " + std::to_string(others) + " in other queues";
+}
+
+Json waiting_json(const Waiting& items) {
+  Json list = Json::array();
+  for (const auto& [queue, n] : items) list.push_back({{"queue", queue}, {"items", n}});
+  return list;
+}
+
 void judge(const Sight& sight, const Observation& seen, Report& report, Json& entry) {
   entry["damage"] = seen.damage;
   const std::string name = printable(sight.name);
@@ -65,7 +88,12 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
   for (const auto& p : seen.processes) any_alive |= p.alive;
   if (!any_alive) {
     report.ends(kWrong);
-    report.hint("nobody lives in " + name + ": run `lot clean`");
+    const Waiting items = waiting(*sight.window);
+    report.hint("nobody lives in " + name +
+                (items.empty() ? ": run `lot clean`"
+                               : "; " + waiting_text(items) +
+                                     ": start a process that takes them, or drop them by `lot "
+                                     "clean --with-items`"));
     return;
   }
   for (const auto& p : seen.processes) {

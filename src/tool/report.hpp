@@ -39,6 +39,9 @@ class Report {
 /// One segment's head: "LOTROS  /dev/shm/LOTROS", or why there is nothing more to say about it.
 /// Enters what is wrong with it in the report. True when it can be observed.
 bool introduce(const Sight& sight, Report& report, Json& entry);
+/// "12 items wait in jobs, 3 in logs"
+std::string waiting_text(const Waiting& items);
+Json waiting_json(const Waiting& items);
 /// Damage and deaths that the observation has found.
 void judge(const Sight& sight, const Observation& seen, Report& report, Json& entry);
 /// Nothing was there: says so.

@@ -29,6 +29,12 @@ struct Picture {
   lot::ShmVector<char> data;
 };
 
+lot::QueueOptions redelivering() {
+  lot::QueueOptions options;
+  options.redeliver = true;
+  return options;
+}
+
 void leave_a_dead_segment(const lot::EngineOptions& options) {
   Actor actor(options, "actor");
   actor.act(kParcels, "advertise", 1);
@@ -54,6 +60,44 @@ void must_not_break(const Ran& clean) {
   must(clean.exit == 0 || clean.exit == 1,
        ("clean does not break: exit " + std::to_string(clean.exit) + "\n" + clean.out + clean.err)
            .c_str());
+}
+
+/// Killed with items in two queues, of one a worker has a task.
+void leave_items(const lot::EngineOptions& options) {
+  Steps ready;
+  Child putter([&] {
+    lot::ShmEngine engine(options);
+    auto jobs = engine.queue<std::uint64_t>("jobs", redelivering());
+    auto notes = engine.queue<lot::ShmUniquePtr<Picture>>("notes");
+    auto shared = engine.queue<lot::ShmSharedPtr<const Picture>>("shared");
+    for (std::uint64_t n = 0; n < 4; ++n) must(jobs.put(n) == lot::Status::Ok, "put");
+    auto task = jobs.try_take();
+    must(task && *task == 0, "the first one");
+    auto other = jobs.try_take();
+    other.finish();
+    for (int n = 0; n < 2; ++n) must(notes.put(notes.make()) == lot::Status::Ok, "put");
+    must(shared.put(shared.make()) == lot::Status::Ok, "put");  // nobody will get it
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() != 0);
+  putter.kill9();
+}
+
+/// What `clean` says of the segment that it leaves alone.
+void check_left_alone(const Ran& ran, const lot::EngineOptions& options) {
+  CHECK(ran.exit == 0);
+  const Json document = ran.json();
+  CHECK(document.at("removed").empty());
+  REQUIRE(document.at("left_alone").size() == 1);
+  const Json& left = document.at("left_alone").at(0);
+  CHECK(left.at("path") == path_of(options));
+  CHECK(left.at("why") == "nobody lives in it, but 3 items wait in jobs, 2 in notes");
+  CHECK(left.at("waiting") == Json::parse(R"([{"queue": "jobs", "items": 3},
+                                              {"queue": "notes", "items": 2}])"));
+  REQUIRE(document.at("hints").size() == 1);
+  CHECK(document.at("hints").at(0).get<std::string>().find("lot clean --with-items") !=
+        std::string::npos);
 }
 
 void overwrite(const std::string& path, std::uint64_t offset, std::uint64_t value) {
@@ -96,6 +140,110 @@ TEST_CASE(
   leave_a_dead_segment(room.options());
   fs::resize_file(path_of(room.options()), 80);
   CHECK(run_lot({"clean", "--dir", room.path()}).exit == 0);
+  CHECK(room.files() == 0);
+}
+
+TEST_CASE("a segment in which items wait is left alone until the command names them") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  leave_items(options);
+  check_left_alone(run_lot(on(options, {"clean", "--dry-run", "--json"})), options);
+  check_left_alone(run_lot(on(options, {"clean", "--json"})), options);
+  check_left_alone(run_lot({"clean", "--json", "--dir", room.path()}), options);
+  CHECK(room.files() == 2);
+  {
+    lot::ShmEngine engine(options);  // what waits is still there
+    auto jobs = engine.queue<std::uint64_t>("jobs", redelivering());
+    CHECK(eventually([&] { return jobs.size() == 3; }));
+    const auto task = jobs.try_take();
+    REQUIRE(task);
+    CHECK(*task == 0);
+    CHECK(task.deliveries() == 2);
+  }
+  CHECK(room.files() == 0);
+  leave_items(options);
+  const Ran dry = run_lot(on(options, {"clean", "--with-items", "--dry-run", "--json"}));
+  CHECK(dry.exit == 0);
+  REQUIRE(dry.json().at("removed").size() == 1);
+  CHECK(dry.json().at("removed").at(0).at("why") ==
+        "nobody lives in it, 3 items wait in jobs, 2 in notes");
+  CHECK(room.files() == 2);
+  const Ran ran = run_lot(on(options, {"clean", "--with-items", "--json"}));
+  CHECK(ran.exit == 0);
+  CHECK(ran.json().at("removed") == dry.json().at("removed"));
+  CHECK(room.files() == 0);
+}
+
+TEST_CASE("a process that was killed while it recycled a ring costs no items of the others") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  leave_items(options);
+  {
+    lot::segment::Segment segment(path_of(options));
+    // As between the ring's memory and its channel: an ended ring without memory.
+    auto& channel = segment.channels().back();
+    channel.formed.store(1);
+    channel.writer.store(
+        lot::ring::make_writer(1, lot::ring::State::Orphan, lot::refcount::kOrphanage));
+  }
+  CHECK(run_lot(on(options, {"ls"})).exit == 3);  // it looks damaged
+  check_left_alone(run_lot(on(options, {"clean", "--json"})), options);
+  CHECK(room.files() == 2);
+}
+
+TEST_CASE("items of another boot go without a word, as the segment does") {
+  const Watchdog watchdog(60);
+  const Room room;
+  leave_items(room.options());
+  overwrite(path_of(room.options()), 40, 12345);
+  CHECK(run_lot(on(room.options(), {"clean"})).exit == 0);
+  CHECK(room.files() == 0);
+}
+
+TEST_CASE("items that come while clean waits for the gate are not removed") {
+  const Watchdog watchdog(60);
+  const Room room;
+  leave_items(room.options("full"));
+  leave_a_dead_segment(room.options());
+  {
+    lot::liveness::LockFile lock(path_of(room.options()) + ".lock", 0600);
+    REQUIRE(lock.enter_gate(10s));
+    Child cleaner([&] {
+      const Ran ran = run_lot(on(room.options(), {"clean", "--json"}));
+      must(ran.exit == 0 && ran.json().at("removed").empty(), ran.out.c_str());
+    });
+    std::this_thread::sleep_for(500ms);  // it has looked by now, or sees the items at once
+    fs::rename(path_of(room.options("full")), path_of(room.options()));
+    lock.leave_gate();
+    CHECK(cleaner.wait() == 0);
+  }
+  CHECK(fs::exists(path_of(room.options())));
+}
+
+TEST_CASE("a segment that was to stay goes when nobody lives in it and nothing waits there") {
+  const Watchdog watchdog(60);
+  const Room room;
+  auto options = room.options();
+  options.persist = true;
+  { const lot::ShmEngine engine(options); }
+  CHECK(room.files() == 2);
+  CHECK(run_lot(on(options, {"clean"})).exit == 0);
+  CHECK(room.files() == 0);
+}
+
+TEST_CASE("clean is a visitor: what it finds in its environment changes no segment") {
+  const Watchdog watchdog(60);
+  const Room room;
+  Actor actor(room.options(), "actor");
+  (void)prefix();
+  REQUIRE(setenv("LOT_PERSIST", "1", 1) == 0);
+  const Ran ran = run_lot(on(room.options(), {"clean", "--json"}));
+  unsetenv("LOT_PERSIST");
+  CHECK(ran.exit == 0);
+  CHECK(ran.json().at("left_alone").empty());
+  CHECK(actor.leave() == 0);
   CHECK(room.files() == 0);
 }
 

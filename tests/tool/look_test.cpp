@@ -89,6 +89,7 @@ TEST_CASE("ls as a document has these keys") {
                                  ".segments[].memory.used_bytes",
                                  ".segments[].name",
                                  ".segments[].path",
+                                 ".segments[].persist",
                                  ".segments[].processes[].alive",
                                  ".segments[].processes[].bytes",
                                  ".segments[].processes[].index",
@@ -155,6 +156,44 @@ TEST_CASE("ls says what is used, what is held back, and what was taken from the 
   CHECK(number(busy, "held_back_bytes") <= number(busy, "used_bytes") - 2 * kMiB);
   CHECK(number(busy, "taken_bytes") >= number(busy, "used_bytes"));
   CHECK(std::abs(number(busy, "taken_bytes") - du()) <= du() / 100);
+}
+
+TEST_CASE("ls says that a segment stays, how many items wait there, and what to do") {
+  const Watchdog watchdog(60);
+  const Room room;
+  lot::EngineOptions options = room.options();
+  const auto ls = [&](bool json) {
+    return run_lot(on(
+        options, json ? std::vector<std::string>{"ls", "--json"} : std::vector<std::string>{"ls"}));
+  };
+  {
+    lot::ShmEngine engine(options);
+    CHECK(ls(true).json().at("segments").at(0).at("persist") == false);
+    CHECK(!says(ls(false).out, "; persist"));
+    options.persist = true;
+    const lot::ShmEngine again(options);
+    CHECK(ls(true).json().at("segments").at(0).at("persist") == true);
+    CHECK(says(ls(false).out, "; persist\n"));
+    auto jobs = engine.queue<std::uint64_t>("jobs");
+    for (std::uint64_t n = 0; n < 12; ++n) CHECK(jobs.put(n) == lot::Status::Ok);
+    CHECK(ls(true).exit == 0);
+  }
+  for (const char* command : {"ls", "who"}) {
+    CAPTURE(command);
+    const Ran ran = run_lot(on(options, {command, "--json"}));
+    CHECK(ran.exit == 1);
+    REQUIRE(ran.json().at("hints").size() == 1);
+    CHECK(ran.json().at("hints").at(0) ==
+          "nobody lives in s; 12 items wait in jobs: start a process that takes them, or drop them "
+          "by `lot clean --with-items`");
+  }
+  {
+    lot::ShmEngine engine(options);
+    auto jobs = engine.queue<std::uint64_t>("jobs");
+    while (jobs.try_pop()) {
+    }
+  }
+  CHECK(says(ls(false).out, "nobody lives in s: run `lot clean`"));
 }
 
 TEST_CASE("who as a document has these keys") {
