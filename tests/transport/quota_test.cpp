@@ -549,3 +549,60 @@ TEST_CASE("what a publisher has reserved counts for its limit, and stays its own
   end.tell();
   CHECK(greedy.wait() == 0);
 }
+
+TEST_CASE("what a publisher has reserved goes to no other process, neither idle nor in its ring") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  constexpr std::uint64_t kReserved = 6;
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Frame>("/reserved");
+  pusher.reserve(kReserved, kFrame);
+  auto plain = engine.advertise<Frame>("/plain");
+  bool in_ring = false;
+  SUBCASE("idle") {}
+  SUBCASE("in its ring") { in_ring = true; }
+  for (std::uint64_t n = 0; n < kReserved; ++n) {
+    push(plain, n);
+    if (in_ring) push(pusher, n);
+  }
+  Steps full, end;
+  Child greedy([&] {
+    lot::ShmEngine mine(options);
+    auto others = mine.advertise<Frame>("/greedy");
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    for (const std::size_t bytes : {kFrame, kFrame / 4, kFrame / 16}) {
+      try {
+        for (;;) {
+          auto loan = others.loan();
+          loan->data.resize(bytes);
+          loans.push_back(std::move(loan));
+        }
+      } catch (const lot::OutOfMemory&) {
+      }
+    }
+    full.tell();
+    end.next();
+  });
+  REQUIRE(full.next() == '.');
+  lot::PullerOptions all;
+  all.history = 64;
+  // It has taken what it may of the one that has reserved nothing, down to the newest two.
+  CHECK(engine.subscribe<Frame>("/plain", all).size() == 2);
+  auto late = engine.subscribe<Frame>("/reserved", all);
+  if (in_ring) {
+    for (std::uint64_t n = 0; n < kReserved; ++n) {
+      const auto frame = late.try_borrow();
+      REQUIRE(frame);
+      CHECK(frame->number == n);
+      CHECK(frame->data.back() == n);
+    }
+  }
+  CHECK(late.missed_total() == 0);
+  // And the publisher has what it has reserved, for as many frames as before.
+  for (std::uint64_t n = 0; n < kReserved; ++n) {
+    REQUIRE_NOTHROW(push(pusher, kReserved + n));
+  }
+  CHECK(engine.subscribe<Frame>("/reserved", all).size() == kReserved);
+  end.tell();
+  CHECK(greedy.wait() == 0);
+}
