@@ -42,7 +42,7 @@ class OutOfMemory : public std::bad_alloc {
   const char* what() const noexcept override { return what_; }
 
  private:
-  char what_[512];
+  char what_[1024];
 };
 
 }  // namespace lot

@@ -40,9 +40,11 @@ void expect_another(transport::Participant& p, const Arena& arena, unsigned newe
 
 [[noreturn, gnu::cold]] void out_of_memory(transport::Participant& p, const Arena& arena,
                                            std::size_t bytes, int error) {
-  throw OutOfMemory((error == EDQUOT ? transport::describe_limit(p, bytes, arena.block)
-                                     : transport::describe_shortage(p, bytes, error))
-                        .c_str());
+  const std::uint32_t asker = p.holder().pool_of(arena.block).index();
+  throw OutOfMemory(
+      (error == EDQUOT ? transport::describe_limit(p, bytes, arena.block)
+                       : transport::describe_shortage(p, {asker, granules_in(bytes), error}, bytes))
+          .c_str());
 }
 
 }  // namespace

@@ -2,13 +2,16 @@
 #include "transport/fill.hpp"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cerrno>
 #include <cstdint>
-#include <cstdio>
 #include <cstring>
+#include <initializer_list>
 #include <map>
+#include <sys/statvfs.h>
 #include <utility>
+#include <vector>
 
 #include "transport/participant.hpp"
 
@@ -24,26 +27,35 @@ std::string topic_of(const segment::Segment& segment, std::uint64_t key) {
   return "a topic that has gone";
 }
 
-/// Granules, by whom they belong to. All words are read once and bounds are checked: others change
-/// them meanwhile.
+/// What has run out, by whom it belongs to: granules, or blocks. All words are read once and bounds
+/// are checked: others change them meanwhile.
 class Fill {
  public:
-  explicit Fill(Participant& participant)
-      : participant_(participant), segment_(participant.segment()) {
-    std::map<std::uint32_t, std::uint32_t> blocks;
-    const auto& tags = segment_.granules();
-    std::uint32_t run = 0;
-    for (std::uint32_t i = 0; i < tags.count(); ++i) {
-      const std::uint32_t tag = tags.tag(i);
-      run = tag == 0 ? run + 1 : 0;
-      largest_ = std::max(largest_, run);
-      used_ += tag != 0;
-      if (tag != 0 && tag <= participant.blocks()) ++blocks[tag - 1];
+  /// Why what is in use does not go for others.
+  enum class Why { Kept, Unread, Reserved, InQueue, Loaned, Queues };
+  static constexpr std::size_t kWhys = 6;
+
+  Fill(Participant& participant, Shortage shortage)
+      : participant_(participant), segment_(participant.segment()), shortage_(shortage) {
+    std::vector<std::uint32_t> weights(participant.blocks());
+    if (shortage == Shortage::Memory) {
+      weigh(weights);
+    } else {
+      total_ = participant.blocks();
+      for (std::uint32_t b = 0; b < total_; ++b) {
+        weights[b] =
+            segment_.block(b).home.load(std::memory_order_relaxed) != refcount::kHomeFree ? 1 : 0;
+        used_ += weights[b];
+      }
     }
-    for (const auto& [b, granules] : blocks) enter(b, granules);
+    const std::vector<Place> places = look_at_rings();
+    for (std::uint32_t b = 0; b < participant.blocks(); ++b) {
+      if (weights[b] != 0) enter(b, weights[b], places[b]);
+    }
   }
 
   std::uint32_t used() const { return used_; }
+  std::uint32_t total() const { return total_; }
   std::uint32_t largest() const { return largest_; }
 
   /// "412 MiB are of /camera, made by node"
@@ -51,44 +63,119 @@ class Fill {
     const auto most = greatest(made_);
     if (most == made_.end()) return {};
     const auto& [maker, topic] = most->first;
-    std::string text = mib(most->second) + " are ";
+    std::string text = amount(most->second) + " are ";
     text += topic.empty() ? "made without a topic by " : "of " + topic + ", made by ";
     return text + name_of(maker);
   }
-  /// "viewer keeps 200 MiB", when a process that has not made them keeps some.
+  /// "viewer keeps 200 MiB", when a process keeps some.
   std::string keeper() const {
     const auto most = greatest(kept_);
-    return most == kept_.end() ? "" : name_of(most->first) + " keeps " + mib(most->second);
+    return most == kept_.end() ? "" : name_of(most->first) + " keeps " + amount(most->second);
   }
-  bool is_kept_mostly() const {
-    const auto most = greatest(kept_);
-    return most != kept_.end() && 2 * most->second > used_;
+  /// What would make room, beside a larger segment: it depends on what has most of it.
+  std::string remedy() const {
+    const auto most = std::max_element(whys_.begin(), whys_.end());
+    if (*most == 0) return {};
+    switch (static_cast<Why>(most - whys_.begin())) {
+      case Why::Kept:
+        return "let that one keep fewer messages (PullerOptions::max_held_bytes)";
+      case Why::Unread:
+        return "let the readers of queues without loss read faster, or give those a smaller depth";
+      case Why::Reserved:
+        return "reserve() less";
+      case Why::InQueue:
+        return "have fewer publishers (the newest two messages of each stay), or smaller messages";
+      case Why::Loaned:
+        return "push or drop what is loaned";
+      case Why::Queues:
+        return "have fewer publishers, or a smaller depth: their queues have most of it";
+    }
+    return {};
   }
 
-  static std::string mib(std::uint32_t granules) { return std::to_string(granules / 256) + " MiB"; }
+  std::string amount(std::uint64_t n) const {
+    if (shortage_ == Shortage::Blocks) return std::to_string(n) + " blocks";
+    constexpr std::uint64_t kInMiB = (std::uint64_t{1} << 20) / segment::kGranule;
+    return n < kInMiB ? std::to_string(n * (segment::kGranule >> 10)) + " KiB"
+                      : std::to_string(n / kInMiB) + " MiB";
+  }
 
  private:
-  void enter(std::uint32_t b, std::uint32_t granules) {
+  enum class Place : std::uint8_t { None, Queue, Lossless };
+
+  void weigh(std::vector<std::uint32_t>& weights) {
+    const auto& tags = segment_.granules();
+    total_ = tags.count();
+    std::uint32_t run = 0;
+    for (std::uint32_t i = 0; i < total_; ++i) {
+      const std::uint32_t tag = tags.tag(i);
+      run = tag == 0 ? run + 1 : 0;
+      largest_ = std::max(largest_, run);
+      used_ += tag != 0;
+      if (tag != 0 && tag <= weights.size()) ++weights[tag - 1];
+      if (tag != 0 && tag > weights.size()) ++of(Why::Queues);
+    }
+  }
+
+  static bool has_readers(const segment::Ring& ring) {
+    for (std::uint32_t c = 0; c < ring.readers; ++c) {
+      if (ring.who[c].load(std::memory_order_relaxed) != 0) return true;
+    }
+    return false;
+  }
+
+  std::vector<Place> look_at_rings() const {
+    std::vector<Place> places(participant_.blocks());
+    for (std::uint32_t c = 0; c < participant_.channels(); ++c) {
+      const auto state =
+          ring::writer_state(segment_.channels()[c].writer.load(std::memory_order_acquire));
+      if (state != ring::State::Live && state != ring::State::Orphan) continue;
+      const segment::Ring ring = segment_.ring(c);
+      const bool waits = !ring.guarded() && (ring.taken || has_readers(ring));
+      for (std::uint32_t i = 0; i < ring.depth; ++i) {
+        const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
+        if (b >= places.size()) continue;
+        Place& place = places[static_cast<std::size_t>(b)];
+        place = std::max(place, waits ? Place::Lossless : Place::Queue);
+      }
+    }
+    return places;
+  }
+
+  void enter(std::uint32_t b, std::uint32_t weight, Place place) {
     auto& words = segment_.block(b);
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     const std::uint64_t key =
         std::atomic_ref(segment_.arena(b).topic).load(std::memory_order_relaxed);
     if (home == refcount::kHomeFree) return;
-    made_[{home - 1, topic_of(segment_, key)}] += granules;
+    made_[{home - 1, topic_of(segment_, key)}] += weight;
+    bool is_kept = false;
     for (std::uint32_t k = 1; k < participant_.participants(); ++k) {
       const auto& own = HardwareOwnership::word(words, k);
-      const bool holds =
-          (own.load(std::memory_order_relaxed) & HardwareOwnership::bit(k)) != 0 && k != home - 1;
-      if (holds) kept_[k] += granules;
+      const bool has = (own.load(std::memory_order_relaxed) & HardwareOwnership::bit(k)) != 0;
+      // Its maker has it in any case, and keeps it if a pointer says so.
+      if (!has || (k == home - 1 && words.home_points.load(std::memory_order_relaxed) == 0)) {
+        continue;
+      }
+      kept_[k] += weight;
+      is_kept = true;
     }
+    of(is_kept                                   ? Why::Kept
+       : place == Place::Lossless                ? Why::Unread
+       : segment::is_reserved(segment_.arena(b)) ? Why::Reserved
+       : place == Place::Queue                   ? Why::InQueue
+                                                 : Why::Loaned) += weight;
   }
+
+  std::uint32_t& of(Why why) { return whys_[static_cast<std::size_t>(why)]; }
 
   std::string name_of(std::uint32_t k) const {
     if (k == refcount::kOrphanage || k >= participant_.participants()) {
       return "a process that has gone";
     }
     return std::string(participant_.name_of(k)) + " (pid " +
-           std::to_string(segment_.participants()[k].pid) + ")";
+           std::to_string(segment_.participants()[k].pid) +
+           (participant_.is_silent(k) ? ", which does not answer)" : ")");
   }
 
   template <class Map>
@@ -99,42 +186,81 @@ class Fill {
 
   Participant& participant_;
   segment::Segment& segment_;
+  Shortage shortage_;
+  std::uint32_t total_ = 0;
   std::uint32_t used_ = 0;
-  std::uint32_t largest_ = 0;  ///< granules that are free, side by side
+  std::uint32_t largest_ = 0;                ///< granules that are free, side by side
+  std::array<std::uint32_t, kWhys> whys_{};  ///< by Why
   std::map<std::pair<std::uint32_t, std::string>, std::uint32_t> made_;  ///< by maker and topic
   std::map<std::uint32_t, std::uint32_t> kept_;                          ///< by who keeps them
 };
 
-/// `what` needs memory that is not there.
-std::string describe(Participant& participant, const std::string& what, int error) {
-  const Fill fill(participant);
-  std::string text = "lot: " + participant.segment().path() + ": no room for " + what + ": " +
-                     Fill::mib(fill.used()) + " of " +
-                     Fill::mib(participant.segment().granules().count()) +
-                     " are in use, the largest free piece has " + Fill::mib(fill.largest());
-  if (error == ENOSPC) text += ", and the file system is full";
-  for (const std::string& part : {fill.richest(), fill.keeper()}) {
+/// "; " before each that says something.
+std::string list(std::initializer_list<std::string> parts) {
+  std::string text;
+  for (const std::string& part : parts) {
     if (!part.empty()) text += "; " + part;
   }
-  return text + (fill.is_kept_mostly()
-                     ? "; let that one keep fewer messages, or raise LOT_SIZE"
-                     : "; raise LOT_SIZE, keep fewer messages, or publish with a smaller depth");
+  return text;
+}
+
+std::string or_else(const std::string& remedy) { return remedy.empty() ? "" : ", or " + remedy; }
+
+/// `what` needs so much memory, which is not there.
+std::string describe(Participant& participant, const Shortfall& shortfall,
+                     const std::string& what) {
+  const Fill fill(participant, Shortage::Memory);
+  const segment::Segment& segment = participant.segment();
+  std::string text = "lot: " + segment.path() + ": no room for " + what + ": " +
+                     fill.amount(fill.used()) + " of " + fill.amount(fill.total()) +
+                     " are in use, the largest free piece has " + fill.amount(fill.largest());
+  const bool is_full = shortfall.error == ENOSPC;  // of the file system
+  const std::string directory = segment.path().substr(0, segment.path().rfind('/'));
+  if (is_full) {
+    struct statvfs room {};
+    text += ", and the file system is full";
+    if (statvfs(directory.c_str(), &room) == 0) {
+      const std::uint64_t free = std::uint64_t{room.f_bavail} * room.f_frsize;
+      text += ": " + fill.amount(free / segment::kGranule) + " are free in " + directory;
+    }
+  }
+  const bool is_too_large = shortfall.granules > fill.total();
+  if (!is_too_large) {
+    const std::uint32_t most =
+        participant.longest_run(shortfall.asker, static_cast<std::uint32_t>(shortfall.granules));
+    if (most > fill.largest() || is_full) {
+      text += "; with messages that may go " + fill.amount(most) + " would have fitted";
+    }
+  }
+  text += list({fill.richest(), fill.keeper()});
+  if (is_too_large) return text + "; the whole segment is too small for it: raise LOT_SIZE";
+  if (is_full) return text + "; free memory in " + directory + ", enlarge it, or set LOT_DIR";
+  return text + "; raise LOT_SIZE" + or_else(fill.remedy());
 }
 
 }  // namespace
 
-std::string describe_shortage(Participant& participant, std::size_t bytes, int error) {
-  return describe(participant, std::to_string(bytes) + " bytes", error);
+std::string describe_shortage(Participant& participant, const Shortfall& shortfall,
+                              std::size_t bytes) {
+  return describe(participant, shortfall, std::to_string(bytes) + " bytes");
 }
 
-std::string describe_ring_shortage(Participant& participant, std::uint32_t topic,
-                                   std::uint32_t granules, int error) {
+std::string describe_ring_shortage(Participant& participant, const Shortfall& shortfall,
+                                   std::uint32_t topic) {
   const segment::TopicEntry& entry = participant.segment().topics()[topic];
   const std::string name(entry.name, strnlen(entry.name, sizeof(entry.name)));
-  return describe(participant,
-                  "the queue of " + name + ", " +
-                      std::to_string(granules * std::uint64_t{segment::kGranule}) + " bytes",
-                  error);
+  const std::uint64_t bytes = std::uint64_t{shortfall.granules} * segment::kGranule;
+  return describe(
+      participant, shortfall,
+      "the queue of " + name + ", " + std::to_string(bytes) + " bytes, fewer with a smaller depth");
+}
+
+std::string describe_block_shortage(Participant& participant) {
+  const Fill fill(participant, Shortage::Blocks);
+  return "lot: " + participant.segment().path() +
+         ": no room for a message: " + std::to_string(fill.used()) + " of " +
+         fill.amount(fill.total()) + " are in use" + list({fill.richest(), fill.keeper()}) +
+         "; make the segment with a larger EngineOptions::blocks" + or_else(fill.remedy());
 }
 
 std::string describe_limit(Participant& participant, std::size_t bytes, std::uint32_t block) {

@@ -214,6 +214,12 @@ class Participant {
            (!gathers && gather_from_others(enough));
   }
 
+  /// The longest run below `granules` that could be had for the publisher with this pool, if all
+  /// that may go for it went; to a 16th.
+  std::uint32_t longest_run(std::uint32_t asker, std::uint32_t granules) noexcept;
+  /// Participant k was waited for in vain, and has not answered since.
+  bool is_silent(std::uint32_t k) const noexcept;
+
   /// A publisher that waits for room in its queue waits for memory and blocks, too, while readers
   /// have yet to read what has them: until search() says that it is done, or the patience has
   /// ended. look() is a small search, which asks no other process. True when one of them was.
@@ -384,7 +390,6 @@ class Participant {
   /// All others but those that were waited for in vain and have not answered since. The warden has
   /// none: it must not wait.
   Eviction::Givers likely_givers() const noexcept;
-  bool is_silent(std::uint32_t k) const noexcept;
   /// Takes a message out of the ended ring of a channel, and frees it. False: it has not become
   /// free.
   bool take_out(std::uint32_t channel, std::uint32_t block) noexcept;

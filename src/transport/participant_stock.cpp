@@ -235,7 +235,8 @@ registry::ChannelName Participant::open_ring(std::uint32_t topic,
     });
     if (failure) std::rethrow_exception(failure);
   });
-  if (!name) throw OutOfMemory(describe_ring_shortage(*this, topic, granules, error).c_str());
+  if (!name)
+    throw OutOfMemory(describe_ring_shortage(*this, {asker, granules, error}, topic).c_str());
   return *name;
 }
 
@@ -400,6 +401,17 @@ Eviction::Givers Participant::likely_givers() const noexcept {
     givers[k] = k == refcount::kOrphanage || !is_silent(k);
   }
   return givers;
+}
+
+std::uint32_t Participant::longest_run(std::uint32_t asker, std::uint32_t granules) noexcept {
+  const Eviction::Givers givers = likely_givers();
+  eviction_.look_at_others(Shortage::Memory);
+  std::uint32_t possible = 0;
+  for (std::uint32_t end = granules; end - possible > 1 + possible / 16;) {
+    const std::uint32_t middle = possible + (end - possible) / 2;
+    (eviction_.can_free_run(asker, middle, givers) ? possible : end) = middle;
+  }
+  return possible;
 }
 
 bool Participant::take_out(std::uint32_t channel, std::uint32_t b) noexcept {

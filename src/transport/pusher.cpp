@@ -10,6 +10,7 @@
 
 #include "lockfree_ring/sleep.hpp"
 #include "transport/eviction.hpp"
+#include "transport/fill.hpp"
 #include "transport/participant.hpp"
 #include "transport/pieces.hpp"
 #include "transport/spin_habit.hpp"
@@ -332,12 +333,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return b != Pool::kNone ? b : scrape_together(waits);
   }
   [[noreturn, gnu::cold]] void refuse_without_blocks() const {
-    char text[256];
-    std::snprintf(text, sizeof(text),
-                  "lot: %s: all %u blocks are in use; keep fewer messages, publish with a smaller "
-                  "depth, or make the segment with a larger EngineOptions::blocks",
-                  participant_->segment().path().c_str(), participant_->blocks());
-    throw OutOfMemory(text);
+    throw OutOfMemory(describe_block_shortage(*participant_).c_str());
   }
 
   /// A block in which nothing could be built.

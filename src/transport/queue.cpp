@@ -82,7 +82,7 @@ class Queue final : public detail::QueueCore {
     participant_->check_usable();  // before the lock: a child may have inherited it
     if (has_workers()) {
       throw Error(EINVAL, name_, "an item of a queue that redelivers cannot be popped",
-                  "take() it, and finish() it when it is done");
+                  "wait_and_take() it, and finish() it when it is done");
     }
     Place place(*this, may_come_back);
     if (!look_or_wait(item, wait, deadline, place, nullptr)) return false;

@@ -352,7 +352,7 @@ TEST_CASE("the error of a full segment says what would have fitted, who holds mo
     auto frame = pusher.loan();
     std::string text;
     try {
-      frame->data.resize(2 * kSegment);
+      frame->data.resize(kSegment / 2);
     } catch (const lot::OutOfMemory& e) {
       text = e.what();
     }
