@@ -31,9 +31,9 @@ namespace lot::chaos {
 ///    the history; that place is known from its counters before and after subscribe(), within the
 ///    messages that were pushed meanwhile. Where first number and missed() leave open what was the
 ///    first number of all, the credit is an interval, until the next look that finds nothing.
-///  - *Block.* There is no gap at all behind the first number. (Before it there may be one: who
-///    joins later than the publisher came gets at most depth - 1 old messages and the rest as
-///    missed.)
+///  - *Block.* There is no gap at all behind the first number. (Before it there may be one: a
+///    reader that joins later than the publisher came gets at most depth - 1 old messages and the
+///    rest as missed.)
 ///  - *Little memory.* Publishers under Overwrite then take their oldest messages back, and a
 ///    reader may have counted some whose number it cannot tell yet. Then only "not lost" is
 ///    checked, by the gaps, and not "none too many"; under Block all of it is.
@@ -48,7 +48,7 @@ class Account {
   void received(const Place& place, std::uint64_t missed);
   void found_nothing();
 
-  /// In a checkpoint, when nobody publishes: a publisher that lives and was not heard, or 0.
+  /// In a checkpoint, when no node publishes: a publisher that lives and was not heard, or 0.
   std::uint32_t unheard();
   /// Says that this one was never heard.
   [[noreturn]] void fail_unheard(std::uint32_t incarnation) {
@@ -78,7 +78,8 @@ class Account {
   Incarnation& record(std::uint32_t i) const { return life_.board.incarnations[i]; }
   bool blocking(std::uint32_t i) const { return record(i).blocking != 0; }
   bool is_exact(std::uint32_t i) const { return life_.epoch.roomy || blocking(i); }
-  /// Who joins late a ring of depth 1 under Block is told what it missed, and gets nothing.
+  /// A reader that joins a ring of depth 1 late, under Block, is told what it missed, and gets
+  /// nothing.
   bool credit_may_stay() const { return topic_ == kRefuse; }
   /// Calls f(index, record) for each publisher that the topic has had since its segment was made.
   template <class F>

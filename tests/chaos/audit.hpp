@@ -11,8 +11,8 @@
 
 namespace lot::chaos {
 
-/// What the living say that they have, at a checkpoint: nobody publishes, all was read, and all let
-/// go of what they had kept.
+/// What the living say that they have, at a checkpoint: no node publishes, all was read, and all
+/// nodes have let go of what they had kept.
 struct Living {
   std::uint32_t participants = 0;
   std::array<std::uint32_t, kTopics> pushers{};

@@ -15,11 +15,12 @@ namespace lot::chaos {
 
 inline constexpr unsigned kMostNodes = 64;
 inline constexpr std::uint32_t kIncarnations = 1 << 19;
-/// Who puts items for one: so many, while a segment lives, and so many items each.
+/// Putters of items that are for one reader: so many, while a segment lives, and so many items
+/// each.
 inline constexpr std::uint32_t kPutters = 1 << 15;
 inline constexpr std::uint32_t kItems = 1 << 10;
 
-/// What a node is about to do, for the table of kills and for who is stuck.
+/// What a node is about to do, for the table of kills and for the report of stuck nodes.
 enum class Doing : std::uint32_t {
   Starting,
   Opening,
@@ -87,8 +88,8 @@ static_assert(kCountNames.size() == static_cast<std::size_t>(Count::kCounts));
 /// A step towards a checkpoint that all nodes take together.
 enum class Stage : std::uint32_t {
   Run,
-  Awake,  ///< nobody waits for long
-  Quiet,  ///< nobody publishes
+  Awake,  ///< no node waits for long
+  Quiet,  ///< no node publishes
   Settle  ///< everybody reads to the end and lets go of everything
 };
 
@@ -171,7 +172,7 @@ struct Board {
   std::atomic<std::uint32_t> last_came;           ///< the one that sees whether anything is left
   std::atomic<std::uint32_t> last_alone;          ///< all others have ended
   std::atomic<std::uint32_t> checkpoint;          ///< counts them; what `reached` refers to
-  std::atomic<std::uint32_t> incarnations_begun;  ///< the next one; 0 is nobody
+  std::atomic<std::uint32_t> incarnations_begun;  ///< the next one; 0 is none
   std::array<std::atomic<std::uint32_t>, kTopics> newest;  ///< incarnation on each topic
   std::atomic<std::uint32_t> reports_begun;
   std::atomic<std::int64_t> stalled_at;  ///< when the machine stood still (canary.hpp)

@@ -18,8 +18,8 @@ class Canary {
   Canary(const Canary&) = delete;
   Canary& operator=(const Canary&) = delete;
 
-  /// True when some processor has not been given to anybody who asked for a while; the board says
-  /// so to the nodes as well.
+  /// True when some processor has not been given for a while to a process that asked for it; the
+  /// board says so to the nodes as well.
   bool machine_stalls();
 
  private:
@@ -27,7 +27,8 @@ class Canary {
   std::vector<pid_t> canaries_;
 };
 
-/// True when the machine has stalled a moment ago: who then gave up waiting is not to blame.
+/// True when the machine has stalled a moment ago: a node that gave up waiting then is not to
+/// blame.
 bool has_stalled(const Board& board);
 
 }  // namespace lot::chaos

@@ -12,7 +12,7 @@ enum class Finding : std::uint8_t {
   Lost,     ///< neither delivered nor counted as missed, or counted wrongly
   Torn,     ///< not the bytes that were published, or changed while held
   Twice,    ///< delivered again, or out of order
-  Leaked,   ///< a word of the segment names nobody who lives
+  Leaked,   ///< a word of the segment names no living participant
   Files,    ///< a file of the segment is left
   Wedged,   ///< no progress
   Crashed,  ///< ended by itself

@@ -12,8 +12,8 @@
 
 namespace lot::chaos {
 
-/// Items that are neither in their queue nor taken, and who may have had them in hand when it was
-/// killed.
+/// Items that are neither in their queue nor taken, and which takers may have been killed with them
+/// in hand.
 ///
 /// A taker that is killed between the take and its mark takes one item along. So each item without
 /// a mark needs a killed taker of its own, that was over a take of this queue at a moment when the
@@ -25,8 +25,8 @@ class Hands {
 
   /// A node's process is gone, however it ended.
   void ended(unsigned slot);
-  /// When nobody puts and no living one is over a take: a missing item that no killed taker is left
-  /// for, or "". What a living putter has put is to be taken by those who live.
+  /// When no node puts and no living one is over a take: a missing item that no killed taker is
+  /// left for, or "". The living takers must take what a living putter has put.
   std::string unexplained(const Living& living) const;
   /// What is missing now stays missing; returns how many that are.
   std::uint32_t write_off(const Living& living);

@@ -25,7 +25,7 @@ using namespace std::chrono_literals;
 template <class T>
 class Inlet final : public Job {
  public:
-  /// What it does depends on the role of who reads.
+  /// What it does depends on the role of the reader.
   Inlet(Life& life, ShmEngine& engine, std::uint32_t topic, Role role = Role::Read)
       : life_(life),
         engine_(engine),
@@ -68,7 +68,7 @@ class Inlet final : public Job {
     return unheard == 0;
   }
 
-  /// Who spins leaves the processor to others all the same.
+  /// A reader that spins leaves the processor to others all the same.
   void rest() {
     if (plan_.options.wait != Wait::Park) {
       std::this_thread::sleep_for(1ms);

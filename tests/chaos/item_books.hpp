@@ -8,7 +8,7 @@
 
 namespace lot::chaos {
 
-/// What the books of all have in common who get items that are for one.
+/// What the books of all nodes have in common that get items which are for one reader.
 class ItemBooks {
  protected:
   ItemBooks(Life& life, std::uint32_t topic) : life_(life), topic_(topic) {}
@@ -17,9 +17,9 @@ class ItemBooks {
   Item& item(const Stamp& stamp) const {
     return life_.board.item(record(stamp.incarnation), stamp.number);
   }
-  /// Fails unless somebody has put this item into this queue.
+  /// Fails unless a putter has put this item into this queue.
   void check_origin(const Stamp& stamp) const;
-  /// Who has left this mark.
+  /// The node that has left this mark, by name.
   static std::string name_of(std::uint32_t mark);
   [[noreturn]] void fail(Finding finding, const std::string& what, const Stamp& stamp) const;
 

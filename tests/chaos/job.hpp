@@ -13,7 +13,7 @@ class Job {
 
   /// Does its work for some milliseconds at most.
   virtual void turn() = 0;
-  /// Nobody publishes any more: the same without publishing.
+  /// No node publishes any more: the same without publishing.
   virtual void quiet() = 0;
   /// Reads to the end and lets go of everything; true when there is nothing left to do.
   virtual bool settle() = 0;

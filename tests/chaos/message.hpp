@@ -13,7 +13,7 @@
 /// them, and a message of another is never taken for this one.
 namespace lot::chaos {
 
-/// Who published it, as its how-manieth.
+/// The publisher of a message, and its number among that one's.
 struct Place {
   std::uint32_t incarnation = 0;
   std::uint64_t number = 0;
@@ -54,7 +54,7 @@ struct Frame {
   ShmString text;
 };
 
-/// What somebody saw in a frame, and in the one before.
+/// What a reader saw in a frame, and in the one before.
 struct Seen {
   Stamp stamp;
   ShmRef<const Frame> now;

@@ -32,7 +32,7 @@ class Publisher final : public Job {
   }
 
   void turn() override {
-    // Each one may wait for a reader; when all come to rest, nobody reads any more.
+    // Each one may wait for a reader; when all come to rest, no node reads any more.
     for (std::uint64_t n = life_.random.below(most_ + 1); n > 0 && goes_on(); --n) publish();
     if (life_.has(Plant::Hoard)) {
       for (unsigned n = 0; n < 200; ++n) hoard_.push_back(outlet_.loan());

@@ -51,7 +51,7 @@ class Putter final : public Job {
     return true;
   }
 
-  /// Makes an item the next one to put: nobody else has it.
+  /// Makes an item the next one to put: no other process has it.
   void stamp(T& item, std::uint64_t serial, std::uint64_t words) {
     if (number_ == kItems) reopen();
     item.stamp = {};

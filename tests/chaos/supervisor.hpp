@@ -67,8 +67,8 @@ class Supervisor {
   void kill(unsigned slot);
   void leave(unsigned slot);
   void resume(Slot& s);
-  /// Sleeps until something is due or somebody has ended; then collects the ended and looks for
-  /// those who are stuck.
+  /// Sleeps until something is due or a node has ended; then collects the ended and looks for nodes
+  /// that are stuck.
   void pump(Time until);
   void collect_ended();
   void ended(unsigned slot, int status);

@@ -57,7 +57,7 @@ class Taker final : public Job {
     for (unsigned n = 0; n < 16; ++n) {
       if (!take_one(n == 0, handle)) break;
     }
-    // Who spins leaves the processor to others all the same.
+    // A taker that spins leaves the processor to others all the same.
     if (plan_.options.wait != Wait::Park) std::this_thread::sleep_for(1ms);
   }
 
@@ -127,7 +127,7 @@ class Taker final : public Job {
       kept_.pop_front();
       life_.count(Count::Rechecked);
       check(*kept.item, kept.seal);
-      // It is ours alone: whoever else has it sees this.
+      // It is ours alone: another process that has it sees this.
       kept.item->stamp = {};
     }
   }
