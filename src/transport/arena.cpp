@@ -122,6 +122,7 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   const std::uint64_t doubled =
       alone ? granules : std::max<std::uint64_t>(granules, granules_shared());
   auto claimed = static_cast<std::uint32_t>(std::min<std::uint64_t>(doubled, kNoRun));
+  const bool waits = p.holder().cell(block).type != nullptr;  // try_loan() does not
   std::uint32_t run = p.try_claim_run(claimed, block + 1);
   if (run == kNoRun) {
     drop_idle(p);
@@ -130,9 +131,9 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   }
   if (run == kNoRun) {  // what has gone meanwhile may be enough, the more so for a little less
     claimed = static_cast<std::uint32_t>(granules_in(bytes));
-    const bool waits = p.holder().cell(block).type != nullptr;  // try_loan() does not
     run = waits ? p.await_run(claimed, block + 1) : p.claim_run(claimed, block + 1);
   }
+  if (run == kNoRun && !waits) throw OutOfMemory("lot: no memory");  // its text is dropped
   if (run == kNoRun) out_of_memory(p, *this, bytes, errno);
   extent[extents] = {run, claimed, 0, alone ? std::uint16_t{0} : kShared};
   const unsigned newest = extents++;

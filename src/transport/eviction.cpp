@@ -82,8 +82,8 @@ Survey& Eviction::survey(Shortage shortage) noexcept {
   return survey_;
 }
 
-bool Eviction::can_free_run(std::uint32_t asker, std::uint32_t granules,
-                            const Givers& givers) noexcept {
+bool Eviction::can_free_run(std::uint32_t asker, std::uint32_t granules, const Givers& givers,
+                            Backing backing) noexcept {
   const std::lock_guard guard(mutex_);
   std::fill(marked_.begin(), marked_.end(), false);
   bool unread = false;
@@ -95,14 +95,15 @@ bool Eviction::can_free_run(std::uint32_t asker, std::uint32_t granules,
   survey(Shortage::Memory).mark(granules, unread, marked_, [&](std::uint32_t k) {
     return givers[k];
   });
-  return has_run(granules);
+  return has_run(granules, backing);
 }
 
-bool Eviction::has_run(std::uint32_t run) const noexcept {
+bool Eviction::has_run(std::uint32_t run, Backing backing) const noexcept {
   segment::Segment& s = *holder_.segment;
   const auto& granules = s.granules();
   constexpr std::uint64_t kUnit = segment::kUnit;
-  bool more = true;          // the system gives memory that nothing has been in yet
+  // The system gives memory that nothing has been in yet.
+  bool more = backing == Backing::Asked;
   std::uint32_t length = 0;  // of the run that ends here
   for (std::uint32_t i = 0; i < granules.count(); ++i) {
     const std::uint32_t tag = granules.tag(i);
@@ -112,7 +113,7 @@ bool Eviction::has_run(std::uint32_t run) const noexcept {
     }
     if (++length < run) continue;
     const std::uint32_t first = i + 1 - run;
-    if (s.is_backed(first, run)) return true;
+    if (backing == Backing::All || s.is_backed(first, run)) return true;
     if (more && s.can_back_run(first, run)) return true;
     more = false;
     // The next run that may be backed begins in another unit.

@@ -117,9 +117,13 @@ class Eviction {
   /// Which other processes give, by participant: those that are stopped do not. Of kOrphanage:
   /// whether ended rings do.
   using Givers = std::array<bool, segment::kMaxParticipants>;
+  /// Where the run's memory comes from that the file system has not given yet: it is asked for it;
+  /// or it is only said what could be: it would give all, or none.
+  enum class Backing { Asked, All, None };
   /// Rule 1, for a run of so many granules. For an asker that waits for readers what they have yet
   /// to read counts, too.
-  bool can_free_run(std::uint32_t asker, std::uint32_t granules, const Givers& givers) noexcept;
+  bool can_free_run(std::uint32_t asker, std::uint32_t granules, const Givers& givers,
+                    Backing backing = Backing::Asked) noexcept;
 
   /// What became of rules 2 to 4.
   struct Turn {
@@ -137,7 +141,7 @@ class Eviction {
   bool give(const Request& request) noexcept;
 
  private:
-  bool has_run(std::uint32_t granules) const noexcept;
+  bool has_run(std::uint32_t granules, Backing backing) const noexcept;
   /// Of our publishers but `asker`, the one that rule 2 chooses; its stock. REQUIRES: mutex_.
   Evictor* richest(std::uint32_t asker, std::uint64_t keep, Shortage shortage,
                    Evictor::Stock& stock) noexcept;

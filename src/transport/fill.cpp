@@ -226,8 +226,8 @@ std::string describe(Participant& participant, const Shortfall& shortfall,
   }
   const bool is_too_large = shortfall.granules > fill.total();
   if (!is_too_large) {
-    const std::uint32_t most =
-        participant.longest_run(shortfall.asker, static_cast<std::uint32_t>(shortfall.granules));
+    const std::uint32_t most = participant.longest_run(
+        shortfall.asker, static_cast<std::uint32_t>(shortfall.granules), is_full);
     if (most > fill.largest() || is_full) {
       text += "; with messages that may go " + fill.amount(most) + " would have fitted";
     }

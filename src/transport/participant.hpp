@@ -215,8 +215,9 @@ class Participant {
   }
 
   /// The longest run below `granules` that could be had for the publisher with this pool, if all
-  /// that may go for it went; to a 16th.
-  std::uint32_t longest_run(std::uint32_t asker, std::uint32_t granules) noexcept;
+  /// that may go for it went; to a 16th. The file system is not asked for memory: it has what is
+  /// needed, or it `is_full`.
+  std::uint32_t longest_run(std::uint32_t asker, std::uint32_t granules, bool is_full) noexcept;
   /// Participant k was waited for in vain, and has not answered since.
   bool is_silent(std::uint32_t k) const noexcept;
 

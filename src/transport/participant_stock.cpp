@@ -403,13 +403,15 @@ Eviction::Givers Participant::likely_givers() const noexcept {
   return givers;
 }
 
-std::uint32_t Participant::longest_run(std::uint32_t asker, std::uint32_t granules) noexcept {
+std::uint32_t Participant::longest_run(std::uint32_t asker, std::uint32_t granules,
+                                       bool is_full) noexcept {
+  const auto backing = is_full ? Eviction::Backing::None : Eviction::Backing::All;
   const Eviction::Givers givers = likely_givers();
   eviction_.look_at_others(Shortage::Memory);
   std::uint32_t possible = 0;
   for (std::uint32_t end = granules; end - possible > 1 + possible / 16;) {
     const std::uint32_t middle = possible + (end - possible) / 2;
-    (eviction_.can_free_run(asker, middle, givers) ? possible : end) = middle;
+    (eviction_.can_free_run(asker, middle, givers, backing) ? possible : end) = middle;
   }
   return possible;
 }
