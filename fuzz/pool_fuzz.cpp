@@ -230,9 +230,11 @@ class Fuzz {
     local_.part(self_) = 1;
     p.real = std::make_unique<Private>(local_, self_);
     const lot::registry::Registry::Lock lock(local_.registry());
-    p.real->ring = local_.registry().open(
+    const auto opened = local_.registry().open(
         0, self_,
         {p.depth, kProcesses + 1, p.blocking ? lot::Policy::Block : lot::Policy::Overwrite});
+    require(opened.has_value(), "there is memory for each ring");
+    p.real->ring = *opened;
     p.real->writer = Writer(local_.ring(p.real->ring.channel));
     p.channel = p.real->ring.channel;
     ++p.life;

@@ -53,6 +53,7 @@ struct Setting {
   std::uint32_t depth;
   std::uint64_t buffers;  ///< of the bare hand-over
   lot::Policy policy;
+  std::uint32_t history = lot::PusherOptions::kAll;
 };
 
 lot::EngineOptions roomy() {
@@ -94,6 +95,7 @@ void frames(benchmark::State& state, const Setting& setting) {
   lot::PusherOptions options;
   options.depth = setting.depth;
   options.policy = setting.policy;
+  options.history = setting.history;
   auto out = engine.advertise<Pixels<kBytes>>("/frames", options);
   other.meet();
   expect(out.wait_for_readers(1, 10s), "a reader");
@@ -140,7 +142,10 @@ bool enter(const char* size) {
              {"overwrite/depth:2/bare:1", {2, 1, kOverwrite}},
              {"overwrite/depth:4/bare:1", {4, 1, kOverwrite}},
              {"overwrite/depth:4/bare:5", {4, 5, kOverwrite}},
-             {"block/depth:4/bare:1", {4, 1, lot::Policy::Block}}};
+             {"overwrite/depth:4/history:0/bare:1", {4, 1, kOverwrite, 0}},
+             {"overwrite/depth:4/history:1/bare:1", {4, 1, kOverwrite, 1}},
+             {"block/depth:4/bare:1", {4, 1, lot::Policy::Block}},
+             {"block/depth:4/history:0/bare:1", {4, 1, lot::Policy::Block, 0}}};
   for (const auto& one : all) {
     benchmark::RegisterBenchmark(
         (std::string("frames/") + size + '/' + one.name).c_str(),
