@@ -30,16 +30,19 @@ def wait_until(what, true):
 
 
 def run(program, number=None, delay=0.0):
-    """Returns the exit code. With a signal's number: sends that so much after its segment has come.
+    """Returns the exit code, and whether a signal came in time.
 
+    With a signal's number: sends that so much after its segment has come.
     All its processes get the signal, as from a terminal or a service manager.
     """
+    in_time = False
     process = subprocess.Popen([program], start_new_session=True)
     try:
         if number is not None:
             wait_until("its segment", lambda: files() or process.poll() is not None)
             time.sleep(delay)
-            if process.poll() is None:
+            in_time = process.poll() is None
+            if in_time:
                 os.killpg(process.pid, number)
         code = process.wait(PATIENCE)
     finally:
@@ -47,7 +50,7 @@ def run(program, number=None, delay=0.0):
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
     wait_until("its processes leave", lambda: not files())
-    return code
+    return code, in_time
 
 
 def interrupt(program, number, chance, seed):
@@ -56,8 +59,8 @@ def interrupt(program, number, chance, seed):
     longest = 0.3
     for _ in range(40):
         delay = chance.uniform(0, longest)
-        code = run(program, number, delay)
-        if code == -number:
+        code, in_time = run(program, number, delay)
+        if in_time and code in (-number, 0):  # 0: it catches the signal itself
             ended += 1
         elif code == 0:
             longest *= 0.8  # it was through before
@@ -74,7 +77,7 @@ def main():
     seed = random.SystemRandom().getrandbits(32)
     chance = random.Random(seed)
     try:
-        code = run(program)
+        code, _ = run(program)
         if code != 0:
             sys.exit(f"by itself: exit code {code}")
         for number in (signal.SIGINT, signal.SIGTERM):
