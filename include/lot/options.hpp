@@ -18,8 +18,8 @@ struct EngineOptions {
   std::uint64_t size_bytes = 0;  ///< LOT_SIZE (512M, 2G); 0: 1 GiB, or 3/4 of what is free if less
   unsigned permissions = 0600;   ///< LOT_PERMISSIONS, octal; 0660 shares with the group
   /// LOT_PERSIST, 1 or 0. The files stay when the last process leaves, and so does what waits in
-  /// queues. It holds for the life of the segment once one process has asked for it, whoever leaves
-  /// last, and however. `lot clean` removes them.
+  /// queues. It holds for the life of the segment once one process has asked for it, whichever
+  /// leaves last, and however. `lot clean` removes them.
   bool persist = false;
   /// LOT_MLOCK, 1 or 0. What this process has touched of the segment is never swapped out, and its
   /// publishers' memory is never given back and faulted again. RLIMIT_MEMLOCK must allow the

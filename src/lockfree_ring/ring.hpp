@@ -426,7 +426,8 @@ class Writer {
   void take_back(std::uint32_t keep, Gone&& gone) {
     std::uint32_t end = slots_read_by_all();
     end = std::min(end, ring_.depth - std::min(keep, ring_.depth));
-    // What is older than one that has gone went before it.
+    // What is older than an empty slot went before it; or an eviction passed it over, since it was
+    // kept, and it stays until it is overwritten.
     std::uint32_t n = end;
     while (n > 0 && held(n - 1) != kNoBlock) --n;
     if (n < end && ring_.guarded()) raise_floor(advance(next_, Word{end} - ring_.depth));

@@ -27,7 +27,7 @@ std::string topic_of(const segment::Segment& segment, std::uint64_t key) {
   return "a topic that has gone";
 }
 
-/// What has run out, by whom it belongs to: granules, or blocks. All words are read once and bounds
+/// What has run out, by its owners: granules, or blocks. All words are read once and bounds
 /// are checked: others change them meanwhile.
 class Fill {
  public:

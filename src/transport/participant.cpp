@@ -104,7 +104,7 @@ std::uint64_t kept_items(const std::string& path) {
     for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
       items += segment.waiting_items(c);
     }
-  } catch (const Error&) {  // it is damaged: nobody can take what is in there
+  } catch (const Error&) {  // it is damaged: no process can take what is in there
     return 0;
   }
   return items;

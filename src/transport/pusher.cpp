@@ -735,11 +735,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
   std::size_t look(std::span<std::uint32_t> foreign) noexcept override {
     const std::lock_guard guard(pool_.lock());
     retire_taken();
-    if (history_ != PusherOptions::kAll) {
-      take_back_read_locked();
-    } else {
-      scan();
-    }
+    if (history_ != PusherOptions::kAll) take_back_read_locked();
+    scan();
     return pool_.take_foreign(foreign);
   }
 
