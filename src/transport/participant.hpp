@@ -121,10 +121,10 @@ class Participant {
   template <class GoOn>
   std::uint32_t claim_run_while(std::uint32_t granules, std::uint32_t tag, GoOn&& go_on) noexcept {
     Pool& pool = holder_.pool_of(tag - 1);
-    if (!pool.may_take(2 * std::uint64_t{granules}))
-      return segment::Granules<segment::Atomics>::kNone;
+    constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
+    if (!pool.take(granules, granules)) return kNone;
     const std::uint32_t run = segment_.claim_run_while(granules, tag, go_on);
-    if (run != segment::Granules<segment::Atomics>::kNone) pool.take(granules);
+    if (run == kNone) pool.count_out(granules);
     return run;
   }
   /// The granules behind a run that a block of ours has.

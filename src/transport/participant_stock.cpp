@@ -155,21 +155,22 @@ void Participant::tidy(std::uint32_t asker) noexcept {
 std::uint32_t Participant::try_claim_run(std::uint32_t granules, std::uint32_t tag) noexcept {
   constexpr auto kNone = segment::Granules<segment::Atomics>::kNone;
   Pool& pool = holder_.pool_of(tag - 1);
-  if (!pool.may_take(granules)) {
+  if (!pool.take(granules)) {
     errno = EDQUOT;
     return kNone;
   }
   const std::uint32_t run = segment_.claim_run(granules, tag);
-  if (run != kNone) pool.take(granules);
+  if (run == kNone) pool.count_out(granules);
   return run;
 }
 
 bool Participant::extend_run(std::uint32_t end, std::uint32_t granules,
                              std::uint32_t tag) noexcept {
   Pool& pool = holder_.pool_of(tag - 1);
-  if (!pool.may_take(granules) || !segment_.extend_run(end, granules, tag)) return false;
-  pool.take(granules);
-  return true;
+  if (!pool.take(granules)) return false;
+  const bool is_longer = segment_.extend_run(end, granules, tag);
+  if (!is_longer) pool.count_out(granules);
+  return is_longer;
 }
 
 /// What is idle goes first, then the publisher's oldest messages; nothing for what can never be

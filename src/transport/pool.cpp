@@ -397,12 +397,16 @@ void Pool::release_block(std::uint32_t b) noexcept {
   holder_.give_back(b);
 }
 
-void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
+void Pool::count_out(std::uint64_t granules) noexcept {
   // A number that a wild write has hit is no more than there is.
   std::uint64_t has = granules_.load(std::memory_order_relaxed);
-  while (!granules_.compare_exchange_weak(has, has - std::min<std::uint64_t>(has, granules),
+  while (!granules_.compare_exchange_weak(has, has - std::min(has, granules),
                                           std::memory_order_relaxed)) {
   }
+}
+
+void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
+  count_out(granules);
   holder_.segment->granules().release(first, granules);
 }
 

@@ -345,15 +345,23 @@ class Pool {
   }
   std::uint64_t limit() const noexcept { return limit_.load(std::memory_order_relaxed); }
   std::uint64_t granules() const noexcept { return granules_.load(std::memory_order_relaxed); }
-  /// May it have so many granules more? Relaxed, as all of it: threads that ask at once may get a
-  /// message too much.
+  /// May it have so many granules more? Relaxed, as all of it: take() decides.
   bool may_take(std::uint64_t granules) const noexcept {
-    const std::uint64_t most = limit();
-    return most == kNoLimit || this->granules() + granules <= most;
+    return this->granules() + granules <= limit();
   }
-  void take(std::uint64_t granules) noexcept {
-    granules_.fetch_add(granules, std::memory_order_relaxed);
+  /// Counts so many granules, if as many as `spare` still fit after them; false: it counts none.
+  /// Threads that take at once stay within the limit, since each one counts a run before it claims
+  /// it, and gives the count back when there is none: a claim may last as long as the kernel needs
+  /// for the memory.
+  bool take(std::uint64_t granules, std::uint64_t spare = 0) noexcept {
+    std::uint64_t has = this->granules();
+    do {
+      if (has + granules + spare > limit()) return false;
+    } while (!granules_.compare_exchange_weak(has, has + granules, std::memory_order_relaxed));
+    return true;
   }
+  /// Takes a count back: there was no run, or it goes.
+  void count_out(std::uint64_t granules) noexcept;
   /// Gives a run of one of its blocks back to the segment.
   void release_run(std::uint32_t first, std::uint32_t granules) noexcept;
 

@@ -413,6 +413,40 @@ TEST_CASE("a publisher takes no more than it may, and gives its own oldest up") 
   CHECK(engine.subscribe<Frame>("/frames", all).size() >= 5);
 }
 
+TEST_CASE("messages that threads build at once stay within their publisher's limit") {
+  const Watchdog watchdog(60);
+  constexpr unsigned kThreads = 4;
+  lot::ShmEngine engine(fresh(kSegment));
+  lot::PusherOptions bounded;
+  bounded.max_bytes = 9 * kFrame;
+  auto pusher = engine.advertise<Frame>("/frames", bounded);
+  unsigned most = 0;
+  unsigned refused = 0;
+  for (unsigned round = 0; round < 20; ++round) {
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    for (unsigned n = 0; n < kThreads; ++n) loans.push_back(pusher.loan());
+    std::atomic<unsigned> built{0};
+    std::atomic<unsigned> waiting{kThreads};
+    std::vector<std::thread> threads;
+    for (auto& loan : loans) {
+      threads.emplace_back([&] {
+        waiting.fetch_sub(1);
+        while (waiting.load() != 0) std::this_thread::yield();
+        try {
+          loan->data.resize(4 * kFrame);
+          built.fetch_add(1);
+        } catch (const lot::OutOfMemory&) {
+        }
+      });
+    }
+    for (auto& thread : threads) thread.join();
+    most = std::max(most, built.load());
+    refused += kThreads - built;
+  }
+  CHECK(most == 2);
+  CHECK(refused >= 20 * (kThreads - 2));
+}
+
 TEST_CASE(
     "of a publisher with a limit: what others keep counts, and a lossless one loses nothing") {
   const Watchdog watchdog(60);
