@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <mutex>
 
 #include "lot/error.hpp"
 
@@ -19,8 +20,6 @@ using transport::fit;
 using transport::granules_in;
 
 constexpr std::uint32_t kNoRun = segment::Granules<HardwareAtomics>::kNone;
-/// A run of so many granules is kept, whatever a smaller message needs of it.
-constexpr std::uint32_t kSmallRun = 16;
 /// From so many extents on large pieces share, in extents as large as all before them.
 constexpr unsigned kManyExtents = 8;
 
@@ -56,6 +55,7 @@ Arena*& arena_being_built() noexcept {
 
 void* Arena::grow(std::size_t bytes, std::size_t align) {
   if (frozen == kPublished) refuse_to_grow(*this);
+  own_spare();
   const std::uint64_t granules = fit(bytes);
   // First what is most likely: a large piece, as the last message here had one.
   for (unsigned i = 0; i < extents; ++i) {
@@ -225,7 +225,17 @@ bool Arena::grow_current(transport::Participant& p, std::size_t bytes, std::size
   return false;
 }
 
+/// A thread that takes the spare extents has the lock, from its last look at the flag until it is
+/// done. It is a thread of the home.
+void Arena::await_taker() noexcept {
+  transport::Participant* const p = transport::Participant::at(this);
+  if (p == nullptr || !p->holder().is_home(block)) return;
+  const std::lock_guard guard(p->holder().pool_of(block).lock());
+  wanted.store(0, std::memory_order_relaxed);
+}
+
 void Arena::trim_whole() noexcept {
+  own_spare();
   trim_current();
   for (unsigned i = extents; i-- > 0;) {
     if (extent[i].living != 0 || current == i + 1 || extent[i].granules <= kSmallRun ||
@@ -313,7 +323,8 @@ void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
   if (is_frozen()) return;
   const std::uint64_t at = static_cast<std::uint64_t>(static_cast<unsigned char*>(piece) - base());
   const bool newest = at + bytes == cursor;
-  for (unsigned i = 0; i < extents; ++i) {
+  const unsigned used = is_spare() ? 0 : extents;  // no piece is in a spare one
+  for (unsigned i = 0; i < used; ++i) {
     Extent& e = extent[i];
     const std::uint64_t begin = data + std::uint64_t{e.granule} * kGranule;
     if (at < begin || at >= begin + bytes_of(e)) continue;

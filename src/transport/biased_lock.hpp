@@ -30,8 +30,7 @@ namespace lot::transport {
 ///
 /// Threads: all members may be called at once.
 /// Memory:  private to the process, so that nothing of it can be left by a crash.
-/// Start:   the barrier is asked for before main(), where it costs 2 us (biased_lock.cpp).
-/// Source:  membarrier(2), MEMBARRIER_CMD_PRIVATE_EXPEDITED; biased locking as in Java's monitors.
+/// Source:  biased locking as in Java's monitors; the barrier is ProcessBarrier.
 class BiasedLock {
  public:
   BiasedLock() noexcept;

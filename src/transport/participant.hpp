@@ -370,6 +370,8 @@ class Participant {
   bool is_releasing() noexcept;
   /// REQUIRES: pools_mutex_, with which destructors of messages run.
   bool trim_pools() noexcept;
+  template <class May>
+  bool take_spare(May&& may) noexcept;
   void stand_guard() noexcept;
   void ring_warden() noexcept;
   /// False when some are left.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// What a participant owns: rings, pools, memory, topics.
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <exception>
 #include <new>
@@ -136,6 +137,25 @@ bool Participant::trim(std::uint32_t asker) noexcept {
   const std::lock_guard guard(pools_mutex_);
   bool any = false;
   for (std::uint32_t i = 0; i < pools_.size(); ++i) any |= pools_[i]->trim(i == asker);
+  return take_spare([](std::uint32_t) { return true; }) || any;
+}
+
+/// Of the messages that are being built, in the pools that may(index) names.
+template <class May>
+bool Participant::take_spare(May&& may) noexcept {
+  bool any = false;
+  std::array<std::uint32_t, 64> wanted;
+  for (std::uint32_t b = holder_.known.load(std::memory_order_relaxed); b != 0;) {
+    std::size_t n = 0;
+    while (b != 0 && n < wanted.size()) {
+      // Relaxed: want_spare() looks again.
+      if (!holder_.is_home(--b) || !segment_.arena(b).is_spare()) continue;
+      Pool& pool = holder_.pool_of(b);
+      if (may(pool.index()) && pool.want_spare(b)) wanted[n++] = b;
+    }
+    if (n != 0) ProcessBarrier::pass();  // M1
+    for (std::size_t i = 0; i < n; ++i) any |= holder_.pool_of(wanted[i]).take_spare(wanted[i]);
+  }
   return any;
 }
 
@@ -179,6 +199,7 @@ bool Participant::make_room_in(Pool& pool, std::uint32_t granules) noexcept {
   if (granules > pool.limit()) return false;
   ahead_.leave_off(pool);
   pool.trim(true);
+  take_spare([&](std::uint32_t index) { return index == pool.index(); });
   const std::uint64_t could_go =
       eviction_.could_give(pool.index(), Shortage::Memory) / segment::kGranule;
   if (pool.granules() + granules > pool.limit() + could_go) return false;

@@ -39,6 +39,8 @@ bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
   arena.block = b;
   arena.data = segment->granule_offset(0);
   arena.extents = 0;
+  arena.spare.store(Arena::kBuilders, std::memory_order_relaxed);
+  arena.wanted.store(0, std::memory_order_relaxed);
   arena.references = 0;
   arena.topic = topic;
   segment::set_reserved(arena, false);
@@ -224,6 +226,9 @@ void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type, bool 
   arena.cursor = small;
   arena.limit = small + segment::kSmallBytes;
   void* root = s.small(b);
+  if (!type.plain && may_share_ && arena.extents != 0) {
+    arena.spare.store(Arena::kSpare, std::memory_order_release);  // M2
+  }
   if (fits) {
     arena.cursor += type.size;
   } else {
@@ -337,8 +342,9 @@ void Pool::settle_free() noexcept {
 }
 
 void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept {
+  Arena& arena = holder_.segment->arena(b);
+  arena.own_spare();
   if (type == nullptr) {  // nothing was built, or its constructor threw
-    Arena& arena = holder_.segment->arena(b);
     for (unsigned i = 0; i < std::min<unsigned>(arena.extents, Arena::kMaxExtents); ++i) {
       arena.extent[i].living = 0;
     }
@@ -347,10 +353,9 @@ void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept
   }
   holder_.cell(b).type = nullptr;
   if (type->plain) {
-    recycle_extents(holder_.segment->arena(b));
+    recycle_extents(arena);
     return;
   }
-  Arena& arena = holder_.segment->arena(b);
   arena.frozen = Arena::kDying;  // what is destroyed now need not give its memory back
   if (type->destroy != nullptr && arena.changed_hands == 0) {
     type->destroy(holder_.segment->base() + arena.root);
@@ -358,6 +363,48 @@ void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept
   if (arena.references != 0) [[unlikely]]
     holder_.release_references(b);
   recycle_extents(arena);
+}
+
+/// The block stays in this pool while the lock is held (is_at_rest_here()), if it is at home in it:
+/// that is asked after the flag, which was set when the block was here.
+bool Pool::has_spare_in(std::uint32_t b) const noexcept {
+  return holder_.segment->arena(b).is_spare() && holder_.is_home(b) &&
+         holder_.cell(b).pool.load(std::memory_order_relaxed) == index_;
+}
+
+bool Pool::want_spare(std::uint32_t b) noexcept {
+  const std::lock_guard guard(lock_);
+  if (!has_spare_in(b)) return false;
+  holder_.segment->arena(b).wanted.store(1, std::memory_order_relaxed);  // M1
+  return true;
+}
+
+/// A builder that has seen that they are wanted has cleared the flag, or waits for the lock.
+///
+/// Crash: the runs carry the block's tag until they are free.
+bool Pool::take_spare(std::uint32_t b) noexcept {
+  Arena& arena = holder_.segment->arena(b);
+  std::array<Arena::Extent, Arena::kMaxExtents> taken;
+  unsigned count = 0;
+  {
+    const std::lock_guard guard(lock_);
+    if (!has_spare_in(b) || arena.wanted.load(std::memory_order_relaxed) == 0) return false;  // M1
+    std::uint8_t left = 0;
+    const unsigned extents = std::min<unsigned>(arena.extents, Arena::kMaxExtents);
+    for (unsigned i = 0; i < extents; ++i) {
+      const Arena::Extent& extent = arena.extent[i];
+      if (extent.granules > Arena::kSmallRun && !extent.is_reserved()) {
+        taken[count++] = extent;
+      } else {
+        arena.extent[left++] = extent;
+      }
+    }
+    arena.extents = left;
+    arena.spare.store(Arena::kBuilders, std::memory_order_release);  // M2
+    arena.wanted.store(0, std::memory_order_relaxed);
+  }
+  for (unsigned i = 0; i < count; ++i) release_run(taken[i].granule, taken[i].granules);
+  return count != 0;
 }
 
 /// Keeps the extents in which the message lived when it died, for they are what the next one will

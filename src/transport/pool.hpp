@@ -17,6 +17,7 @@
 #include "segment/segment.hpp"
 #include "transport/biased_lock.hpp"
 #include "transport/kept_list.hpp"
+#include "transport/process_barrier.hpp"
 
 namespace lot::transport {
 
@@ -370,7 +371,13 @@ class Pool {
   /// Gives the memory of idle blocks back to everybody; what reserve() made only if told to. True
   /// when there was some.
   bool trim(bool with_reserved) noexcept;
-  /// The same for those that is_old(block) names, but for what reserve() made.
+  /// What block b came with from its last message, and its new one has not asked for, is wanted.
+  /// False: there is none. For any block.
+  bool want_spare(std::uint32_t b) noexcept;
+  /// It goes back to the segment. True when there was some. REQUIRES: this thread has said that it
+  /// is wanted, and has passed ProcessBarrier since.
+  bool take_spare(std::uint32_t b) noexcept;
+  /// As trim(), for those that is_old(block) names, but for what reserve() made.
   template <class Old>
   void trim_old(Old&& is_old) noexcept {
     trim_ahead(is_old);
@@ -406,6 +413,7 @@ class Pool {
   }
   void bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept;
   void recycle_extents(detail::Arena& arena) noexcept;
+  bool has_spare_in(std::uint32_t b) const noexcept;
   bool is_at_rest_here(std::uint32_t b) const noexcept;
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
   void grow(std::size_t room);
@@ -416,6 +424,7 @@ class Pool {
 
   Holder& holder_;
   std::uint32_t index_;
+  const bool may_share_ = ProcessBarrier::is_there();  ///< spare extents, with its process
   std::uint64_t topic_ = 0;
   static constexpr std::uint64_t kNoLimit = ~std::uint64_t{0};
   std::atomic<std::uint64_t> limit_{kNoLimit};  ///< in granules

@@ -166,15 +166,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
   [[gnu::hot]] Status push_unique(detail::ControlCell* cell,
                                   std::chrono::nanoseconds block_for) override {
     check(cell);
-    // Made by another copy of the library, or taken from a queue.
     if (cell->hub != participant_->hub() || participant_->was_received(*cell)) {
-      if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
-      const Status status = push_held(cell, block_for, false);
-      if (status == Status::Ok) {
-        cell->hub->points(cell);
-        cell->drop_pointer();
-      }
-      return status;
+      return push_of_others(cell, block_for);
     }
     if (!type_->plain) participant_->segment().arena(cell->block).trim();
     std::unique_lock lock(pool_.lock());
@@ -366,6 +359,16 @@ class Pusher final : public detail::PusherCore, private Evictor {
       throw Error(EINVAL, participant_->segment().path(), "an empty pointer was pushed",
                   "loan() a message, or look at the pointer before");
     }
+  }
+
+  /// Publishes a message that another copy of the library has made, or that was taken from a queue.
+  [[gnu::noinline]] Status push_of_others(detail::ControlCell* cell,
+                                          std::chrono::nanoseconds block_for) {
+    if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
+    cell->hub->shared_from_unique(cell);  // its home says what goes back of a complete one
+    const Status status = push_held(cell, block_for, false);
+    if (status == Status::Ok) cell->drop_pointer();
+    return status;
   }
 
   /// Publishes a message that the caller keeps a pointer to. `shared`: others of this process may

@@ -292,6 +292,17 @@ void loans(std::vector<Operation>& all) {
                    auto& data = n.frame_loans.back()->data;
                    for (const std::size_t size : {20U, 700U, 3000U}) data.resize(size);
                  }});
+  all.push_back({"give back what a message has no need of",
+                 {Promise::LockFree, "grow a message"},
+                 frames + Acts{victim(frame), victim([](Node& n) {
+                                 n.frame_loans.back()->data.resize(12000);
+                                 n.frame_loans.clear();
+                               }),
+                               victim(frame)},
+                 [](Node& n) {
+                   transport::Participant::join(n.options)->trim(transport::Participant::kNobody);
+                   n.frame_loans.back()->data.resize(12000);
+                 }});
   all.push_back({"a grown message given back",
                  {Promise::LockFree, "grow a message"},
                  frames + Acts{victim(frame), victim([](Node& n) {

@@ -4,9 +4,12 @@
 // in its block before. LOT_LOANS says how many loans the last case makes (tests/CMakeLists.txt).
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdint>
+#include <filesystem>
 #include <random>
+#include <thread>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -342,10 +345,110 @@ TEST_CASE("a few messages that are kept do not lie in the way of large ones") {
   CHECK(now * 4 >= empty * 3);
 }
 
+TEST_CASE("what a message that is being built has no need of serves others") {
+  Segment segment(128 * kMiB);
+  auto pusher = segment.engine.advertise<Frame>("/built");
+  const auto make_warm = [&](std::size_t bytes) { pusher.loan()->data.resize(bytes); };
+  SUBCASE("of its own publisher") {
+    make_warm(100 * kMiB);
+    auto small = pusher.loan();
+    auto large = pusher.loan();
+    CHECK_NOTHROW(large->data.resize(100 * kMiB));
+    small->data.resize(kMiB);
+    std::fill(small->data.begin(), small->data.end(), std::uint8_t{7});
+    std::fill(large->data.begin(), large->data.end(), std::uint8_t{9});
+    CHECK(std::count(small->data.begin(), small->data.end(), 7) == kMiB);
+  }
+  SUBCASE("of another one") {
+    make_warm(100 * kMiB);
+    auto small = pusher.loan();
+    auto other = segment.engine.advertise<Frame>("/other");
+    auto large = other.loan();
+    CHECK_NOTHROW(large->data.resize(100 * kMiB));
+    small->data.resize(kMiB);
+  }
+  SUBCASE("of another process") {
+    make_warm(100 * kMiB);
+    auto small = pusher.loan();
+    Child child([&] {
+      lot::EngineOptions same;
+      same.segment = std::filesystem::path(segment.engine.path()).filename();
+      lot::ShmEngine theirs(same);
+      auto other = theirs.advertise<Frame>("/other");
+      auto large = other.loan();
+      large->data.resize(100 * kMiB);
+      return 0;
+    });
+    CHECK(child.wait() == 0);
+    small->data.resize(kMiB);
+  }
+  SUBCASE("but for what reserve() made, and what it uses") {
+    pusher.reserve(1, 60 * kMiB);
+    auto reserved = pusher.loan();
+    make_warm(30 * kMiB);
+    auto used = pusher.loan();
+    used->data.resize(30 * kMiB);
+    auto large = pusher.loan();
+    CHECK_THROWS_AS(large->data.resize(60 * kMiB), lot::OutOfMemory);
+    CHECK_NOTHROW(reserved->data.resize(60 * kMiB));
+  }
+}
+
+TEST_CASE("a thread that is short of memory takes nothing that a message uses") {
+  const Watchdog watchdog(120);
+  Segment segment(64 * kMiB);
+  const std::uint64_t before = segment.used();
+  std::atomic<bool> is_done{false};
+  std::atomic<unsigned> spoiled{0};
+  unsigned refused = 0;
+  {
+    auto pusher = segment.engine.advertise<Frame>("/built");
+    auto greedy = segment.engine.advertise<Frame>("/greedy");
+    auto kept = greedy.loan();  // beside it the asker never gets what it wants
+    kept->data.resize(2 * kMiB);
+    std::vector<std::thread> builders;
+    for (unsigned t = 0; t < 2; ++t) {
+      builders.emplace_back([&, t] {
+        std::mt19937 random(seed() + t);
+        for (unsigned n = 0; n < 600; ++n) {
+          const auto value = static_cast<std::uint8_t>(2 * n + t);
+          std::vector<lot::ShmUniquePtr<Frame>> frames;
+          for (unsigned k = 0; k < 16; ++k) frames.push_back(pusher.loan());
+          for (auto& frame : frames) {
+            frame->data.resize(random() % 4 == 0 ? 100 : 70'000 + random() % 100'000);
+            std::fill(frame->data.begin(), frame->data.end(), value);
+          }
+          for (const auto& frame : frames) {
+            spoiled += std::count(frame->data.begin(), frame->data.end(), value) !=
+                       static_cast<std::ptrdiff_t>(frame->data.size());
+          }
+        }
+      });
+    }
+    std::thread asker([&] {
+      while (!is_done) {
+        auto frame = greedy.loan();
+        CHECK_THROWS_AS(frame->data.resize(segment.size() - kMiB), lot::OutOfMemory);
+        ++refused;
+      }
+    });
+    for (auto& builder : builders) builder.join();
+    is_done = true;
+    asker.join();
+  }
+  CHECK(spoiled == 0);
+  CHECK(refused >= 10);
+  // Each run has gone back, once.
+  CHECK(eventually([&] { return segment.used() == before; }));
+}
+
 TEST_CASE("after many loans of any size most of the segment serves before one is refused") {
   const Watchdog watchdog(300);
   constexpr std::uint64_t kRounds = 11;
   constexpr std::uint64_t kLifetime = 80;  // of a message on average, in loans
+  bool is_complete = false;
+  SUBCASE("messages that are complete") { is_complete = true; }
+  SUBCASE("messages that are being built") {}
   std::mt19937_64 random(seed());
   Segment segment(1024 * kMiB);
   auto maker = segment.engine.advertise<Frame>("/maker");
@@ -356,7 +459,9 @@ TEST_CASE("after many loans of any size most of the segment serves before one is
   for (std::uint64_t loans = 0; loans < kLoans || fills.size() < kRounds;) {
     struct Message {
       std::uint64_t end;  ///< the loan that it lives until
-      lot::ShmSharedPtr<Frame> frame;
+      lot::ShmUniquePtr<Frame> built;
+      lot::ShmSharedPtr<Frame> complete;
+      const Frame& frame() const { return built ? *built : *complete; }
     };
     std::vector<Message> messages;
     for (std::uint64_t n = 0;; ++n) {
@@ -367,7 +472,12 @@ TEST_CASE("after many loans of any size most of the segment serves before one is
       try {
         auto frame = maker.loan();
         frame->data.resize(size);
-        messages.push_back({n + 1 + random() % (2 * kLifetime), std::move(frame)});  // complete
+        messages.push_back({n + 1 + random() % (2 * kLifetime), {}, {}});
+        if (is_complete) {
+          messages.back().complete = std::move(frame);
+        } else {
+          messages.back().built = std::move(frame);
+        }
       } catch (const lot::OutOfMemory&) {
         refused_early += !lasts;
         break;
@@ -375,7 +485,7 @@ TEST_CASE("after many loans of any size most of the segment serves before one is
       ++loans;
     }
     std::uint64_t bytes = 0;
-    for (const Message& m : messages) bytes += m.frame->data.size();
+    for (const Message& m : messages) bytes += m.frame().data.size();
     fills.push_back(static_cast<double>(bytes) / static_cast<double>(segment.size()));
   }
   std::sort(fills.begin(), fills.end());

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 
@@ -23,6 +24,9 @@ namespace lot::detail {
 /// except the newest piece; an extent in which nothing lives is reused, at its new size, or given
 /// back. The whole is released at once when the message dies.
 ///
+/// A block comes with the extents of its last message. Until the new one needs one, they are spare:
+/// a thread of the home that is short of memory takes them (Pool::take_spare()).
+///
 /// A frozen arena gives no memory any more and takes none back: its message is published while
 /// pointers that may change it are left. Its cursor stands at the limit, so that allocate() needs
 /// no look at the flag.
@@ -41,10 +45,15 @@ namespace lot::detail {
 struct Arena {
   static constexpr unsigned kMaxExtents = 15;
   static constexpr std::uint64_t kLargePiece = 64 << 10;
+  /// A run of so many granules is kept, whatever a smaller message needs of it.
+  static constexpr std::uint32_t kSmallRun = 16;
   static constexpr std::uint8_t kPublished = 1;  ///< values of `frozen`
   static constexpr std::uint8_t kDying = 2;
   static constexpr std::uint8_t kTaken = 1;  ///< values of `changed_hands`
   static constexpr std::uint8_t kShown = 2;
+
+  static constexpr std::uint8_t kBuilders = 0;  ///< values of `spare`
+  static constexpr std::uint8_t kSpare = 1;
 
   static constexpr std::uint16_t kShared = 1;    ///< pieces lie side by side in it
   static constexpr std::uint16_t kReserved = 2;  ///< reserve() made it: the block keeps it as it is
@@ -72,6 +81,11 @@ struct Arena {
   std::uint8_t frozen;
   std::uint64_t references;  ///< offset of the first ReferenceList, 0: none
   Extent extent[kMaxExtents];
+  /// Whose the extents are. kBuilders: of the thread that builds the message, as all else here.
+  /// kSpare: of the first that asks, the builder or a thread of the home that is short of memory.
+  std::atomic<std::uint8_t> spare;
+  /// Such a thread is at them. Set and cleared with the lock of the block's pool.
+  std::atomic<std::uint8_t> wanted;
   std::uint64_t data;   ///< offset of granule 0
   std::uint64_t topic;  ///< key of the topic that the block is loaned for, 0: none; for people
   /// While the home freezes what a message refers to: the next block to look at. Private to that.
@@ -97,8 +111,17 @@ struct Arena {
   /// The message is complete: what it has not used goes back. Its home calls it when it publishes
   /// the message.
   void trim() noexcept {
-    if (extents != 0 && frozen == 0) trim_whole();
+    if (frozen == 0 && (is_spare() || extents != 0)) trim_whole();
   }
+
+  /// The extents are the builder's from now on.
+  void own_spare() noexcept {
+    if (!is_spare()) return;
+    spare.store(kBuilders, std::memory_order_relaxed);  // M1
+    std::atomic_signal_fence(std::memory_order_seq_cst);
+    if (wanted.load(std::memory_order_relaxed) != 0) await_taker();  // M1
+  }
+  bool is_spare() const noexcept { return spare.load(std::memory_order_acquire) == kSpare; }  // M2
 
   /// Says that another process than the home owns the message alone from now on. It may change it,
   /// and may be killed in the middle of that: the home runs no destructor then.
@@ -137,6 +160,7 @@ struct Arena {
   void resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept;
   void shorten(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept;
   void trim_whole() noexcept;
+  void await_taker() noexcept;
   void trim_current() noexcept;
   void drop_idle(transport::Participant& p) noexcept;
   void drop(transport::Participant& p, unsigned index) noexcept;
