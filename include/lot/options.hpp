@@ -62,8 +62,8 @@ struct PusherOptions {
   /// The most memory that the messages which this publisher loans take together: in its queue,
   /// loaned, idle, reserved, or kept by readers. Messages of up to 256 bytes, the queue itself and
   /// messages of others do not count. Beyond it the publisher gives its own oldest up, under Block
-  /// and Refuse what was read; where none can go, no message grows (lot::OutOfMemory). Threads that
-  /// grow messages at once may exceed it by one each. 0: as much as the segment has.
+  /// and Refuse what was read; where none can go, no message grows (lot::OutOfMemory). 0: as much
+  /// as the segment has.
   std::uint64_t max_bytes = 0;
   /// So many of the newest messages stay in the queue for readers that subscribe later, though all
   /// readers have read them; the rest of depth is for readers that lag behind. With less than
