@@ -303,6 +303,21 @@ void loans(std::vector<Operation>& all) {
                    transport::Participant::join(n.options)->trim(transport::Participant::kNobody);
                    n.frame_loans.back()->data.resize(12000);
                  }});
+  all.push_back({"give memory back to the system, and get it again",
+                 {Promise::LockFree, "grow a message"},
+                 frames + Acts{victim(frame), victim([](Node& n) {
+                                 n.frame_loans.back()->data.reserve(
+                                     150'000);  // above the tables' unit
+                                 n.frame_loans.clear();
+                               }),
+                               victim(frame)},
+                 [](Node& n) {
+                   const auto participant = transport::Participant::join(n.options);
+                   participant->trim(transport::Participant::kNobody);
+                   testing::must(participant->give_back_to_system(0, [] { return false; }) != 0,
+                                 "it had memory to give back");
+                   n.frame_loans.back()->data.reserve(150'000);
+                 }});
   all.push_back({"a grown message given back",
                  {Promise::LockFree, "grow a message"},
                  frames + Acts{victim(frame), victim([](Node& n) {
