@@ -370,6 +370,9 @@ class Participant {
   bool is_releasing() noexcept;
   /// REQUIRES: pools_mutex_, with which destructors of messages run.
   bool trim_pools() noexcept;
+  /// Gives back what messages that are being built have no need of yet, in the pools that
+  /// may(index) names. REQUIRES: pools_mutex_, so that one thread at a time wants something: what
+  /// it takes was wanted before its own barrier.
   template <class May>
   bool take_spare(May&& may) noexcept;
   void stand_guard() noexcept;

@@ -140,7 +140,6 @@ bool Participant::trim(std::uint32_t asker) noexcept {
   return take_spare([](std::uint32_t) { return true; }) || any;
 }
 
-/// Of the messages that are being built, in the pools that may(index) names.
 template <class May>
 bool Participant::take_spare(May&& may) noexcept {
   bool any = false;
@@ -199,7 +198,10 @@ bool Participant::make_room_in(Pool& pool, std::uint32_t granules) noexcept {
   if (granules > pool.limit()) return false;
   ahead_.leave_off(pool);
   pool.trim(true);
-  take_spare([&](std::uint32_t index) { return index == pool.index(); });
+  {
+    const std::lock_guard guard(pools_mutex_);
+    take_spare([&](std::uint32_t index) { return index == pool.index(); });
+  }
   const std::uint64_t could_go =
       eviction_.could_give(pool.index(), Shortage::Memory) / segment::kGranule;
   if (pool.granules() + granules > pool.limit() + could_go) return false;
