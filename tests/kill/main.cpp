@@ -252,8 +252,9 @@ class Run {
     } else {
       whole = kill_at(Trial::kMost);
       // Of a few, those in the middle of the operation.
-      const std::uint64_t first = std::min<std::uint64_t>(options_.every, whole.points) / 2;
-      for (std::uint64_t point = first; point < whole.points; point += options_.every) {
+      const std::uint64_t every = std::uint64_t{options_.every} * operation.every;
+      const std::uint64_t first = std::min(every, whole.points) / 2;
+      for (std::uint64_t point = first; point < whole.points; point += every) {
         kill_at(point, &whole.path);
       }
     }

@@ -209,6 +209,7 @@ struct Operation {
   std::function<void(Node&)> when_asleep{};  ///< the witness does this when the victim sleeps in it
   bool alone = false;                        ///< there is no witness while it runs
   Rival rival = Rival::None;
+  unsigned every = 1;  ///< its points are alike (each granule's tag): one of so many is enough
 };
 
 std::vector<Operation> all_operations();

@@ -317,7 +317,11 @@ void loans(std::vector<Operation>& all) {
                    testing::must(participant->give_back_to_system(0, [] { return false; }) != 0,
                                  "it had memory to give back");
                    n.frame_loans.back()->data.reserve(150'000);
-                 }});
+                 },
+                 {},
+                 false,
+                 Rival::None,
+                 8});
   all.push_back({"a grown message given back",
                  {Promise::LockFree, "grow a message"},
                  frames + Acts{victim(frame), victim([](Node& n) {
