@@ -70,6 +70,8 @@ struct PusherOptions {
   /// depth, a loan takes what was read last, whose memory is still in the caches, and a publisher
   /// has no more messages than its readers need. For that a loan looks at the place of each reader:
   /// it is for large messages. 0: none stays; 1: what readers with PullerOptions::history = 1 want.
+  /// A message goes with the next loan, or some seconds later: until then there may be one more.
+  /// Where nobody has subscribed, all readers have read all.
   std::uint32_t history = kAll;
   static constexpr std::uint32_t kAll = ~std::uint32_t{0};
 };
@@ -83,13 +85,15 @@ enum class Wait {
 
 struct PullerOptions {
   Wait wait = Wait::Adaptive;
-  /// Messages published before this subscription that it gets first (latched: 1).
+  /// Messages published before this subscription that it gets first (latched: 1). At most what the
+  /// queue has: depth, under Block and Refuse one less.
   std::uint64_t history = 0;
   /// What is kept of this subscription's messages at once: memory, in bytes. Beyond it pulls say
   /// Status::HoldsTooMuch, and messages wait in the queue, or are overwritten, until some are let
   /// go. 0: a quarter of the segment. At most 7/16 of it; less while other subscriptions hold much,
-  /// since all together leave the half. One message is always allowed. Besides, a subscription
-  /// keeps at most a quarter of EngineOptions::blocks messages.
+  /// since all together leave the half. The limit counts what a message takes, a little more than
+  /// its bytes. One message is always allowed. Besides, a subscription keeps at most a quarter of
+  /// EngineOptions::blocks messages.
   std::uint64_t max_held_bytes = 0;
   /// Of max_held_bytes: neither limit. Such a subscription can leave publishers without memory.
   static constexpr std::uint64_t kNoQuota = ~std::uint64_t{0};

@@ -280,6 +280,10 @@ class ShmQueue {
   // it, to private memory, or to nothing; the message can not grow from then on. Under
   // Policy::Overwrite it is never full: the oldest item that nobody has popped is dropped. A unique
   // pointer is moved: put(std::move(item)).
+  //
+  // They wait for a place in the queue. Where the segment has no memory for one more item, since
+  // items that nobody has taken have it, make() and a put of a value throw lot::OutOfMemory, under
+  // Policy::Block after a second: give the queue a depth whose items the segment holds.
 
   Status put(const T& item) { return put_until(item, detail::after(kForever)); }
   Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }

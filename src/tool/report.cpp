@@ -90,10 +90,11 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
     report.ends(kWrong);
     const Waiting items = waiting(*sight.window);
     report.hint("nobody lives in " + name +
-                (items.empty() ? ": run `lot clean`"
-                               : "; " + waiting_text(items) +
-                                     ": start a process that takes them, or drop them by `lot "
-                                     "clean --with-items`"));
+                (!items.empty() ? "; " + waiting_text(items) +
+                                      ": start a process that takes them, or drop them by `lot "
+                                      "clean --with-items`"
+                 : seen.persists ? ", which was to stay: `lot clean` removes it"
+                                 : ": run `lot clean`"));
     return;
   }
   for (const auto& p : seen.processes) {

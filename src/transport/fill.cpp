@@ -80,7 +80,8 @@ class Fill {
       case Why::Kept:
         return "let that one keep fewer messages (PullerOptions::max_held_bytes)";
       case Why::Unread:
-        return "let the readers of queues without loss read faster, or give those a smaller depth";
+        return "let who reads or takes from queues without loss be faster, or give those a smaller "
+               "depth";
       case Why::Reserved:
         return "reserve() less";
       case Why::InQueue:
@@ -131,7 +132,7 @@ class Fill {
           ring::writer_state(segment_.channels()[c].writer.load(std::memory_order_acquire));
       if (state != ring::State::Live && state != ring::State::Orphan) continue;
       const segment::Ring ring = segment_.ring(c);
-      const bool waits = !ring.guarded() && (ring.taken || has_readers(ring));
+      const bool waits = ring.blocking && (ring.taken || has_readers(ring));
       for (std::uint32_t i = 0; i < ring.depth; ++i) {
         const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
         if (b >= places.size()) continue;

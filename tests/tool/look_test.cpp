@@ -193,7 +193,7 @@ TEST_CASE("ls says that a segment stays, how many items wait there, and what to 
     while (jobs.try_pop()) {
     }
   }
-  CHECK(says(ls(false).out, "nobody lives in s: run `lot clean`"));
+  CHECK(says(ls(false).out, "nobody lives in s, which was to stay: `lot clean` removes it"));
 }
 
 TEST_CASE("who as a document has these keys") {

@@ -127,7 +127,20 @@ TEST_CASE("the error of a full segment advises what helps against what has most 
     for (int n = 0; n < 40; ++n) push(owner);
     const std::string text = refusal(pusher, 40 * kMiB);
     CAPTURE(text);
-    CHECK(names(text, "read faster"));
+    CHECK(names(text, "or takes from queues without loss be faster"));
+    CHECK(names(text, "a smaller depth"));
+  }
+  SUBCASE("items that nobody has taken") {
+    auto jobs = engine.queue<lot::ShmUniquePtr<Frame>>("/jobs");
+    for (int n = 0; n < 40; ++n) {
+      auto job = jobs.make();
+      job->data.resize(kMiB);
+      jobs.put(std::move(job));
+    }
+    const std::string text = refusal(pusher, 40 * kMiB);
+    CAPTURE(text);
+    CHECK(names(text, "40 MiB are of /jobs"));
+    CHECK(names(text, "or takes from queues without loss be faster"));
     CHECK(names(text, "a smaller depth"));
   }
   SUBCASE("kept") {
