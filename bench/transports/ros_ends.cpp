@@ -58,8 +58,8 @@ class Node {
     ros::shutdown();
   }
   lot::ros::NodeHandle& handle() { return *handle_; }
-  /// Held while an end is opened: two threads that publish and subscribe at once may be connected
-  /// twice by roscpp.
+  /// Held while an end is opened, and while a publisher ends: two threads that publish and
+  /// subscribe at once may be connected twice by roscpp.
   std::mutex& opening() { return opening_; }
   /// Shared by who publishes within this process, alone for a subscriber that ends: roscpp's link
   /// between the two takes the subscriber away from under a publish() that is at work.
@@ -110,6 +110,12 @@ class PlainPublisher final : public Publisher {
     const std::lock_guard lock(node_->opening());
     publisher_ = node_->handle().advertise<Plain>(terms.topic, terms.depth);
     for (unsigned i = 0; i < terms.pool; ++i) pool_.push_back(make());
+  }
+  ~PlainPublisher() override {
+    // Two that end at once free one topic twice in roscpp (TopicManager::unadvertise() finds its
+    // place in a list under a lock, and uses it under the next one).
+    const std::lock_guard lock(node_->opening());
+    publisher_.shutdown();
   }
   unsigned subscribers() const override {
     const unsigned links = publisher_.getNumSubscribers();
