@@ -198,14 +198,15 @@ struct FinishedAndKilled : TwoWorkers<FinishedAndKilled, 3, 1> {
     start(1);
     RL_ASSERT(third.join(process(1), 0, 1, 1));
     RL_ASSERT(publisher.send());
-    RL_ASSERT(workers[1].start_work());
-    done.note(workers[1].work());
-    ring::empty(segment.channels[0].slots[0], Segment::kFirst);
-    segment.bury(3);
   }
   void thread(unsigned t) {
     if (t == 0) {
-      process(4).see_reaped(3);
+      if (workers[1].start_work()) {
+        done.note(workers[1].work());
+        ring::empty(segment.channels[0].slots[0], Segment::kFirst);
+        segment.bury(3);
+        process(4).see_reaped(3);
+      }
       publisher.send();
     } else {
       work_of(t == 1 ? workers[0] : third);
@@ -215,6 +216,34 @@ struct FinishedAndKilled : TwoWorkers<FinishedAndKilled, 3, 1> {
     if (!worker.start_work()) return;
     done.note(worker.work());
     worker.finish_work();
+  }
+  void check() {
+    do_the_rest();
+    RL_ASSERT(done.each_once(publisher.sent()));
+  }
+  Subscriber third;
+};
+
+/// One has looked at a message that another one finishes before it claims it: the next message in
+/// that slot, and who works on it, are not its business.
+struct LateForAMessage : TwoWorkers<LateForAMessage, 2, 1> {
+  LateForAMessage() : TwoWorkers(2) {}
+  void prepare() {
+    open();
+    start(1);
+    RL_ASSERT(third.join(process(1), 0, 1, 1));
+    RL_ASSERT(publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 1) {
+      work(0);
+      return;
+    }
+    work(1);
+    publisher.send();
+    if (!third.start_work()) return;
+    done.note(third.work());
+    third.finish_work();
   }
   void check() {
     do_the_rest();
@@ -273,19 +302,22 @@ struct AnnouncedBesideWork : Scene<AnnouncedBesideWork, 2> {
     RL_ASSERT(idle.join(start(2), 0, 1, 1));
     RL_ASSERT(publisher.send());
     RL_ASSERT(busy.start_work());
-    process(4).leave();
+    RL_ASSERT(!idle.start_work());  // it has passed what the other one works on
+    process(4).leave();             // which renews the directory
+    version = segment.version.load(std::memory_order_relaxed);
     start(5);
   }
   void thread(unsigned t) {
     if (t == 0) {
       RL_ASSERT(next.advertise(process(5), 1, true));
     } else {
-      while (segment.version.load(std::memory_order_acquire) == 0) idle.sleep(0);
+      while (segment.version.load(std::memory_order_acquire) == version) idle.sleep(version);
     }
   }
   void check() { busy.finish_work(); }
   Publisher publisher, next;
   Subscriber busy, idle;
+  std::uint32_t version = 0;
 };
 
 /// The publisher goes, or is killed, before anybody reads: who comes later gets what waits there.
@@ -338,7 +370,9 @@ const Entered entered{
     {"worker_killed_over_two_slots", "the same over two slots",
      rl::simulate<WorkerKilledOverTwoSlots>},
     {"finished_and_killed", "what a dead one has finished is done once",
-     rl::simulate<FinishedAndKilled>, 2},
+     rl::simulate<FinishedAndKilled>, 1},
+    {"late_for_a_message", "who is late for a message leaves the next one in its slot alone",
+     rl::simulate<LateForAMessage>, 2},
     {"work_outlives_publisher", "workers stay until nothing comes back",
      rl::simulate<WorkOutlivesPublisher>},
     {"killed_work_outlives_publisher", "the same where a worker dies",
