@@ -39,10 +39,11 @@ struct TwoWorkers : Scene<Derived, kThreads> {
     RL_ASSERT(publisher.open(this->start(4), 0, true));
     for (unsigned i : {0U, 1U}) RL_ASSERT(workers[i].join(this->start(2 + i), 0, 1, 1));
   }
-  bool work(unsigned i) {
-    if (!workers[i].start_work()) return false;
-    done.note(workers[i].work());
-    workers[i].finish_work();
+  bool work(unsigned i) { return work_of(workers[i]); }
+  bool work_of(Subscriber& worker) {
+    if (!worker.start_work()) return false;
+    done.note(worker.work());
+    worker.finish_work();
     return true;
   }
   void work_until(unsigned i, std::uint64_t messages) {
@@ -189,16 +190,27 @@ struct WorkerKilledScene : TwoWorkers<Derived, 3, kDepth> {
 struct WorkerKilled : WorkerKilledScene<WorkerKilled, 1> {};
 struct WorkerKilledOverTwoSlots : WorkerKilledScene<WorkerKilledOverTwoSlots, 2> {};
 
+/// Three workers at one slot: one may have looked at a message that another one finishes before it
+/// claims it.
+template <class Derived, unsigned kThreads>
+struct LateWorkers : TwoWorkers<Derived, kThreads, 1> {
+  LateWorkers() : TwoWorkers<Derived, kThreads, 1>(2) {}
+  void prepare() {
+    this->open();
+    this->start(1);
+    RL_ASSERT(third.join(this->process(1), 0, 1, 1));
+    RL_ASSERT(this->publisher.send());
+  }
+  void check() {
+    this->do_the_rest();
+    RL_ASSERT(this->done.each_once(this->publisher.sent()));
+  }
+  Subscriber third;
+};
+
 /// A worker has finished, and was killed before anybody could see more; one that has looked at the
 /// message before does not get it, nor disturbs who works on the next one in that slot.
-struct FinishedAndKilled : TwoWorkers<FinishedAndKilled, 3, 1> {
-  FinishedAndKilled() : TwoWorkers(2) {}
-  void prepare() {
-    open();
-    start(1);
-    RL_ASSERT(third.join(process(1), 0, 1, 1));
-    RL_ASSERT(publisher.send());
-  }
+struct FinishedAndKilled : LateWorkers<FinishedAndKilled, 3> {
   void thread(unsigned t) {
     if (t == 0) {
       if (workers[1].start_work()) {
@@ -212,44 +224,19 @@ struct FinishedAndKilled : TwoWorkers<FinishedAndKilled, 3, 1> {
       work_of(t == 1 ? workers[0] : third);
     }
   }
-  void work_of(Subscriber& worker) {
-    if (!worker.start_work()) return;
-    done.note(worker.work());
-    worker.finish_work();
-  }
-  void check() {
-    do_the_rest();
-    RL_ASSERT(done.each_once(publisher.sent()));
-  }
-  Subscriber third;
 };
 
-/// One has looked at a message that another one finishes before it claims it: the next message in
-/// that slot, and who works on it, are not its business.
-struct LateForAMessage : TwoWorkers<LateForAMessage, 2, 1> {
-  LateForAMessage() : TwoWorkers(2) {}
-  void prepare() {
-    open();
-    start(1);
-    RL_ASSERT(third.join(process(1), 0, 1, 1));
-    RL_ASSERT(publisher.send());
-  }
+/// The next message in the slot, and who works on it, are not the business of who is late.
+struct LateForAMessage : LateWorkers<LateForAMessage, 2> {
   void thread(unsigned t) {
     if (t == 1) {
       work(0);
-      return;
+    } else {
+      work(1);
+      publisher.send();
+      work_of(third);
     }
-    work(1);
-    publisher.send();
-    if (!third.start_work()) return;
-    done.note(third.work());
-    third.finish_work();
   }
-  void check() {
-    do_the_rest();
-    RL_ASSERT(done.each_once(publisher.sent()));
-  }
-  Subscriber third;
 };
 
 /// The publisher goes while one works and another one sleeps: both leave when all is done, also
