@@ -198,6 +198,7 @@ bool Participant::make_room_in(Pool& pool, std::uint32_t granules) noexcept {
   if (granules > pool.limit()) return false;
   ahead_.leave_off(pool);
   pool.trim(true);
+  if (pool.may_take(granules)) return true;
   {
     const std::lock_guard guard(pools_mutex_);
     take_spare([&](std::uint32_t index) { return index == pool.index(); });
