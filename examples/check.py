@@ -5,6 +5,7 @@
     check.py PROGRAM
 """
 
+import ctypes
 import glob
 import os
 import random
@@ -14,6 +15,7 @@ import sys
 import time
 
 PATIENCE = 250  # seconds; a watchdog, not a measure
+PR_SET_CHILD_SUBREAPER = 36
 
 
 def files():
@@ -49,8 +51,20 @@ def run(program, number=None, delay=0.0):
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-    wait_until("its processes leave", lambda: not files())
+    # Its children too: one that a signal ends later would publish to the next run.
+    wait_until("its processes end", lambda: not any_left(process.pid))
+    wait_until("its files go", lambda: not files())
     return code, in_time
+
+
+def any_left(group):
+    """Whether a process of this group lives; those that have ended are ours to wait for."""
+    try:
+        while os.waitpid(-group, os.WNOHANG)[0] != 0:
+            continue
+        return True
+    except ChildProcessError:
+        return False
 
 
 def interrupt(program, number, chance, seed):
@@ -74,6 +88,8 @@ def interrupt(program, number, chance, seed):
 def main():
     program = sys.argv[1]
     os.environ["LOT_SEGMENT"] += f"_{os.getpid()}"
+    if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
+        sys.exit(f"prctl: {os.strerror(ctypes.get_errno())}")
     seed = random.SystemRandom().getrandbits(32)
     chance = random.Random(seed)
     try:
