@@ -4,6 +4,7 @@
 
 #include "lockfree_ring/chosen.hpp"
 #include "scenario.hpp"
+#include "world.hpp"
 
 /// A publisher that says to each reader which messages are for it, and sends it the others another
 /// way: lot::ros (docs/ros.md).
@@ -356,16 +357,16 @@ struct ChosenCellChangesHands : Scene<ChosenCellChangesHands, 3> {
 };
 
 const Entered entered{
-    {"chosen_reader", "each message comes once, by the ring or another way",
-     rl::simulate<ChosenReader>, 2},
-    {"chosen_again", "who is served again gets what is for it", rl::simulate<ChosenAgain>, 3},
-    {"chosen_late", "who is expected gets what was kept for it", rl::simulate<ChosenLate>, 2},
+    {"chosen_reader", "each message comes once, by the ring or another way", cast_of<ChosenReader>,
+     2},
+    {"chosen_again", "who is served again gets what is for it", cast_of<ChosenAgain>, 3},
+    {"chosen_late", "who is expected gets what was kept for it", cast_of<ChosenLate>, 2},
     {"chosen_invited", "who has got all by its link gets the rest by the ring, behind it",
-     rl::simulate<ChosenInvited<1>>, 2},
+     cast_of<ChosenInvited<1>>, 2},
     {"chosen_invited_twice", "an answer is one to the invitation that it answers",
-     rl::simulate<ChosenInvited<2>>, 2},
+     cast_of<ChosenInvited<2>>, 2},
     {"chosen_cell_changes_hands", "what is said to a reader is not said to the next one",
-     rl::simulate<ChosenCellChangesHands>, 2},
+     cast_of<ChosenCellChangesHands>, 2},
 };
 
 }  // namespace

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scenario.hpp"
 #include "segment/units.hpp"
+#include "world.hpp"
 
 /// Runs of granules change hands, among the living and from the dead.
 namespace lot::model {
@@ -285,23 +286,21 @@ struct GiverKilled : Scene<GiverKilled, 2> {
 };
 
 const Entered entered{
-    {"runs_change_hands", "a granule has one owner after the other", rl::simulate<RunsChangeHands>,
+    {"runs_change_hands", "a granule has one owner after the other", cast_of<RunsChangeHands>, 1},
+    {"runs_are_resized", "a run is made longer and shorter beside claims", cast_of<RunsAreResized>,
      1},
-    {"runs_are_resized", "a run is made longer and shorter beside claims",
-     rl::simulate<RunsAreResized>, 1},
-    {"run_is_undone", "a run that was not complete is handed on", rl::simulate<RunIsUndone>, 2},
-    {"claimer_killed", "what a dead claimer has got is found by name", rl::simulate<ClaimerKilled>,
+    {"run_is_undone", "a run that was not complete is handed on", cast_of<RunIsUndone>, 2},
+    {"claimer_killed", "what a dead claimer has got is found by name", cast_of<ClaimerKilled>, 1},
+    {"units_go_back", "memory goes back to the system only from under nobody", cast_of<UnitsGoBack>,
      1},
-    {"units_go_back", "memory goes back to the system only from under nobody",
-     rl::simulate<UnitsGoBack>, 1},
     {"units_are_looked_at", "looks, attempts and claims of a unit at once",
-     rl::simulate<UnitsAreLookedAt>, 1},
+     cast_of<UnitsAreLookedAt>, 1},
     {"giver_killed", "what a process leaves that dies while it gives memory back",
-     rl::simulate<GiverKilled>, 1},
+     cast_of<GiverKilled>, 1},
     {"attempts_are_noted", "memory that is asked for while it goes back is not forgotten",
-     rl::simulate<AttemptsAreNoted<true>>, 1},
+     cast_of<AttemptsAreNoted<true>>, 1},
     {"new_attempts_are_noted", "the same of memory that was never given",
-     rl::simulate<AttemptsAreNoted<false>>, 1},
+     cast_of<AttemptsAreNoted<false>>, 1},
 };
 
 }  // namespace

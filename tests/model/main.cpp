@@ -4,7 +4,9 @@
 #include <cstdio>
 #include <cstring>
 
+#include "plant.hpp"
 #include "scenario.hpp"
+#include "support/seed.hpp"
 
 namespace lot::model {
 namespace {
@@ -18,6 +20,7 @@ usage: lot_model [--random N | --bounded] [--weaken SITE=DAMAGE | --plant NAME] 
                   that a run is repeatable
   --bounded       all schedules with few forced switches, of the scenarios that are small enough
   --bound N       with --bounded: N forced switches, whatever the scenario affords
+  --one-in N      one of each N scenarios, others with each LOT_TEST_SEED
   --weaken SITE=DAMAGE
                   runs with one atomic step spoilt. SITE is FILE:LINE[:COLUMN] as --sites says it;
                   DAMAGE is another ORDER, fail:ORDER (of a compare-exchange that fails), drop (the
@@ -41,6 +44,7 @@ struct Options {
   bool sites = false;
   bool list = false;
   std::vector<std::string_view> names;
+  unsigned shares = 1;
 };
 
 struct Totals {
@@ -66,6 +70,8 @@ bool parse(int argc, char** argv, Options& options) {
       options.bounded = true;
     } else if (word == "--bound") {
       if (!parse(next(), options.bound.emplace())) return false;
+    } else if (word == "--one-in") {
+      if (!parse(next(), options.shares) || options.shares == 0) return false;
     } else if (word == "--weaken") {
       if (!garden.plant(next())) return false;
     } else if (word == "--plant") {
@@ -110,7 +116,7 @@ void run(const Scenario& scenario, const Options& options, Totals& totals) {
   params.progress_stream = &nowhere;
 
   const auto begin = std::chrono::steady_clock::now();
-  const bool holds = scenario.simulate(params);
+  const bool holds = simulate(scenario, params);
   const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
 
   const auto executions = static_cast<unsigned long>(params.stop_iteration);
@@ -126,11 +132,14 @@ void run(const Scenario& scenario, const Options& options, Totals& totals) {
 
 int run_all(const Options& options) {
   Totals totals;
+  const testing::Share share(options.shares);
+  unsigned number = 0;
   for (const Scenario& scenario : scenarios()) {
     const bool named =
         std::find(options.names.begin(), options.names.end(), scenario.name) != options.names.end();
     if (!named && !options.names.empty()) continue;
     if (options.bounded && !options.bound && scenario.bound == 0) continue;
+    if (!share.has(number++)) continue;
     run(scenario, options, totals);
     if (options.stop && totals.failed != 0) break;
   }

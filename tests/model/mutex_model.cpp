@@ -247,23 +247,22 @@ struct TakerKilledWithTheLock : Scene<TakerKilledWithTheLock, 2> {
 
 const Entered entered{
     {"sleepers_on_a_condition", "who sleeps on the condition is woken by each message",
-     rl::simulate<SleepersOnACondition>, 1},
+     cast_of<SleepersOnACondition>, 1},
     {"both_sleep_under_a_lock", "sender and reader never both sleep for ever",
-     rl::simulate<BothSleepUnderALock>, 2},
+     cast_of<BothSleepUnderALock>, 2},
     {"announced_to_a_condition", "who sleeps on a condition hears of a new ring",
-     rl::simulate<AnnouncedToACondition>, 2},
+     cast_of<AnnouncedToACondition>, 2},
     {"last_before_the_end", "a reader finds the last message before the end",
-     rl::simulate<LastBeforeTheEnd>, 2},
+     cast_of<LastBeforeTheEnd>, 2},
     {"end_on_a_condition", "two that sleep on a condition both find the end",
-     rl::simulate<EndOnACondition>, 2},
+     cast_of<EndOnACondition>, 2},
     {"announcer_to_a_condition_killed", "an announcer's death takes nobody's wake-up",
-     rl::simulate<AnnouncerToAConditionKilled>, 1},
-    {"next_owner_repairs", "who gets a dead one's lock wakes all", rl::simulate<NextOwnerRepairs>,
-     1},
+     cast_of<AnnouncerToAConditionKilled>, 1},
+    {"next_owner_repairs", "who gets a dead one's lock wakes all", cast_of<NextOwnerRepairs>, 1},
     {"reader_killed_with_the_lock", "a reader that dies with the lock holds nobody up",
-     rl::simulate<ReaderKilledWithTheLock>},
+     cast_of<ReaderKilledWithTheLock>},
     {"taker_killed_with_the_lock", "what the dead has not taken is its neighbour's",
-     rl::simulate<TakerKilledWithTheLock>, 1},
+     cast_of<TakerKilledWithTheLock>, 1},
 };
 
 }  // namespace

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scenario.hpp"
+#include "world.hpp"
 
 /// What the orphanage holds for those who live on, and when it lets go.
 namespace lot::model {
@@ -434,28 +435,27 @@ struct KilledWhileReferring : Scene<KilledWhileReferring, 2> {
 
 const Entered entered{
     {"borrow_outlives_publisher", "what is borrowed is not freed with its publisher",
-     rl::simulate<BorrowOutlivesPublisher>, 2},
+     cast_of<BorrowOutlivesPublisher>, 2},
     {"taken_out_of_ended_ring", "what is borrowed from an ended ring is not freed for memory",
-     rl::simulate<TakenOutOfEndedRing>, 2},
+     cast_of<TakenOutOfEndedRing>, 2},
     {"borrow_from_dead_forwarder", "the orphanage holds a foreign block until it was read",
-     rl::simulate<BorrowFromDeadForwarder>, 2},
+     cast_of<BorrowFromDeadForwarder>, 2},
     {"adopted_while_home_looks", "what is adopted is not taken for free by its home",
-     rl::simulate<AdoptedWhileHomeLooks>, 2},
+     cast_of<AdoptedWhileHomeLooks>, 2},
     {"target_read_through_orphan", "a target is held until the orphan that refers to it has died",
-     rl::simulate<TargetReadThroughOrphan>, 2},
+     cast_of<TargetReadThroughOrphan>, 2},
     {"ring_is_closed", "the orphanage holds a closed ring's blocks before its publisher lets go",
-     rl::simulate<RingIsClosed>, 2},
+     cast_of<RingIsClosed>, 2},
     {"orphan_travels", "kept by one, freed by the orphanage, claimed by another",
-     rl::simulate<OrphanTravels>, 2},
-    {"referrer_killed", "the orphanage holds what its messages refer to",
-     rl::simulate<ReferrerKilled>},
+     cast_of<OrphanTravels>, 2},
+    {"referrer_killed", "the orphanage holds what its messages refer to", cast_of<ReferrerKilled>},
     {"referrers_reaper_killed", "the same when the reaper is killed and others collect",
-     rl::simulate<ReferrersReaperKilled>, 1},
+     cast_of<ReferrersReaperKilled>, 1},
     {"killed_while_handing_on", "what was handed on is held until it was read",
-     rl::simulate<KilledWhileHandingOn>, 2},
+     cast_of<KilledWhileHandingOn>, 2},
     {"killed_while_referring", "a reference is whole, or its message is not published",
-     rl::simulate<KilledWhileReferring>, 1},
-    {"forwarder_killed", "adopting a block is a hand-over", rl::simulate<ForwarderKilled>},
+     cast_of<KilledWhileReferring>, 1},
+    {"forwarder_killed", "adopting a block is a hand-over", cast_of<ForwarderKilled>},
 };
 
 }  // namespace

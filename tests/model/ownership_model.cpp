@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scenario.hpp"
+#include "world.hpp"
 
 /// Blocks in many hands: forwarding, weak locks, threads of one process.
 namespace lot::model {
@@ -422,30 +423,29 @@ struct HomeIsTold : SceneBegins, rl::test_suite<HomeIsTold, 3> {
 
 const Entered entered{
     {"forwarder_chain", "a forwarded block lives as long as the last ring that has it",
-     rl::simulate<ForwarderChain>, 1},
-    {"weak_lock_elsewhere", "a weak lock gets its message or nothing",
-     rl::simulate<WeakLockElsewhere>, 2},
-    {"weak_lock_at_home", "the same in the block's own process", rl::simulate<WeakLockAtHome>, 2},
+     cast_of<ForwarderChain>, 1},
+    {"weak_lock_elsewhere", "a weak lock gets its message or nothing", cast_of<WeakLockElsewhere>,
+     2},
+    {"weak_lock_at_home", "the same in the block's own process", cast_of<WeakLockAtHome>, 2},
     {"weak_lock_against_claim", "a stale weak lock never disturbs a new owner",
-     rl::simulate<WeakLockAgainstClaim>, 2},
+     cast_of<WeakLockAgainstClaim>, 2},
     {"weak_lock_beside_the_next", "a weak lock never gets the next message in the block",
-     rl::simulate<WeakLockBesideTheNextMessage>, 2},
+     cast_of<WeakLockBesideTheNextMessage>, 2},
     {"weak_lock_behind_a_death", "the same, and it has not seen the last one die",
-     rl::simulate<WeakLockBehindADeath>, 2},
+     cast_of<WeakLockBehindADeath>, 2},
     {"home_has_threads", "threads at home give up their holds in any order",
-     rl::simulate<HomeHasThreads<false>>, 3},
+     cast_of<HomeHasThreads<false>>, 3},
     {"home_has_threads_and_has_asked", "the same, when it waits already",
-     rl::simulate<HomeHasThreads<true>>, 3},
+     cast_of<HomeHasThreads<true>>, 3},
     {"late_reclaim", "who comes late does not touch a block that was given back",
-     rl::simulate<LateReclaim>, 2},
+     cast_of<LateReclaim>, 2},
     {"home_is_told", "a home that has looked in vain is told when the last holder goes",
-     rl::simulate<HomeIsTold>, 2},
+     cast_of<HomeIsTold>, 2},
     {"held_and_free", "who holds a block that is said to be free does not claim it",
-     rl::simulate<HeldAndFree>, 3},
-    {"threads_of_one_process", "threads share one ownership bit", rl::simulate<ThreadsOfOneProcess>,
-     1},
+     cast_of<HeldAndFree>, 3},
+    {"threads_of_one_process", "threads share one ownership bit", cast_of<ThreadsOfOneProcess>, 1},
     {"message_refers_to_message", "a referred message lives as long as the referring one",
-     rl::simulate<MessageRefersToMessage>, 2},
+     cast_of<MessageRefersToMessage>, 2},
 };
 
 }  // namespace

@@ -215,23 +215,23 @@ struct AnnouncedByTheReaper : Scene<AnnouncedByTheReaper, 2> {
 };
 
 const Entered entered{
-    {"two_rings", "a reader of two rings gets the messages of both", rl::simulate<TwoRings>, 2},
+    {"two_rings", "a reader of two rings gets the messages of both", cast_of<TwoRings>, 2},
     {"announced_while_falling_asleep", "a reader that falls asleep hears of a new ring",
-     rl::simulate<AnnouncedWhileFallingAsleep>, 2},
-    {"first_publisher", "a reader without rings hears of the first one",
-     rl::simulate<FirstPublisher>, 2},
+     cast_of<AnnouncedWhileFallingAsleep>, 2},
+    {"first_publisher", "a reader without rings hears of the first one", cast_of<FirstPublisher>,
+     2},
     {"publishers_in_succession", "the reader of a topic gets all of two that follow each other",
-     rl::simulate<PublishersInSuccession>, 1},
+     cast_of<PublishersInSuccession>, 1},
     {"succession_with_three_readers", "the same with three readers",
-     rl::simulate<SuccessionWithThreeReaders>},
-    {"announcer_killed", "an announcer's death takes nobody's wake-up",
-     rl::simulate<AnnouncerKilled>, 1},
+     cast_of<SuccessionWithThreeReaders>},
+    {"announcer_killed", "an announcer's death takes nobody's wake-up", cast_of<AnnouncerKilled>,
+     1},
     {"announced_by_the_reaper", "a ring whose publisher died before it told of it is found",
-     rl::simulate<AnnouncedByTheReaper>, 2},
+     cast_of<AnnouncedByTheReaper>, 2},
     {"two_sleepers_find_the_end", "two that sleep on one mark both find the end",
-     rl::simulate<TwoSleepersFindTheEnd>, 2},
+     cast_of<TwoSleepersFindTheEnd>, 2},
     {"two_sleepers_hear_of_a_ring", "two that sleep on one mark both hear of a new ring",
-     rl::simulate<TwoSleepersHearOfARing>, 2},
+     cast_of<TwoSleepersHearOfARing>, 2},
 };
 
 }  // namespace

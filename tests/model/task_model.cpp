@@ -2,6 +2,7 @@
 #include <map>
 
 #include "scenario.hpp"
+#include "world.hpp"
 
 /// Rings whose messages stay in their slots until a worker has finished them.
 namespace lot::model {
@@ -342,33 +343,32 @@ struct TaskWaitsForWorker : WaitsForTakerScene<TaskWaitsForWorker, true> {};
 
 const Entered entered{
     {"worked_by_two_over_one_slot", "each task is done once, and its memory is used again",
-     rl::simulate<WorkedByTwoOverOneSlot>, 2},
-    {"worked_by_two_over_two_slots", "the same over two slots",
-     rl::simulate<WorkedByTwoOverTwoSlots>, 1},
+     cast_of<WorkedByTwoOverOneSlot>, 2},
+    {"worked_by_two_over_two_slots", "the same over two slots", cast_of<WorkedByTwoOverTwoSlots>,
+     1},
     {"given_back_to_sleeper", "who sleeps hears of a task that has come back",
-     rl::simulate<GivenBackToSleeper>},
+     cast_of<GivenBackToSleeper>},
     {"given_back_behind", "who has passed a task looks again when it has come back",
-     rl::simulate<GivenBackBehind>},
-    {"worked_on_before", "what a worker has done is done for the next one",
-     rl::simulate<WorkedOnBefore>, 3},
+     cast_of<GivenBackBehind>},
+    {"worked_on_before", "what a worker has done is done for the next one", cast_of<WorkedOnBefore>,
+     3},
     {"killed_beside_sleeper", "who sleeps hears of a dead one's task",
-     rl::simulate<KilledBesideSleeper>},
-    {"worker_killed", "what the dead has not done is done", rl::simulate<WorkerKilled>},
-    {"worker_killed_over_two_slots", "the same over two slots",
-     rl::simulate<WorkerKilledOverTwoSlots>},
-    {"finished_and_killed", "what a dead one has finished is done once",
-     rl::simulate<FinishedAndKilled>, 1},
+     cast_of<KilledBesideSleeper>},
+    {"worker_killed", "what the dead has not done is done", cast_of<WorkerKilled>},
+    {"worker_killed_over_two_slots", "the same over two slots", cast_of<WorkerKilledOverTwoSlots>},
+    {"finished_and_killed", "what a dead one has finished is done once", cast_of<FinishedAndKilled>,
+     1},
     {"late_for_a_message", "who is late for a message leaves the next one in its slot alone",
-     rl::simulate<LateForAMessage>, 2},
+     cast_of<LateForAMessage>, 2},
     {"work_outlives_publisher", "workers stay until nothing comes back",
-     rl::simulate<WorkOutlivesPublisher>},
+     cast_of<WorkOutlivesPublisher>},
     {"killed_work_outlives_publisher", "the same where a worker dies",
-     rl::simulate<KilledWorkOutlivesPublisher>},
+     cast_of<KilledWorkOutlivesPublisher>},
     {"announced_beside_work", "who sleeps beside another's task hears of a new queue",
-     rl::simulate<AnnouncedBesideWork>, 2},
+     cast_of<AnnouncedBesideWork>, 2},
     {"item_waits_for_taker", "an item waits when its publisher has gone",
-     rl::simulate<ItemWaitsForTaker>, 1},
-    {"task_waits_for_worker", "so does a task", rl::simulate<TaskWaitsForWorker>, 1},
+     cast_of<ItemWaitsForTaker>, 1},
+    {"task_waits_for_worker", "so does a task", cast_of<TaskWaitsForWorker>, 1},
 };
 
 }  // namespace

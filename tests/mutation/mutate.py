@@ -133,7 +133,6 @@ def parse(arguments):
     parser.add_argument('--self-test', action='store_true')
     options = parser.parse_args(arguments)
     options.model = options.build.resolve() / 'tests' / 'model' / 'lot_model'
-    options.relacy = options.model.parent / 'include'  # as tests/model/CMakeLists.txt has mended it
     if not options.self_test and not options.model.exists():
         parser.error(f'there is no {options.model}: build it, or say --build')
     return options
@@ -187,7 +186,7 @@ def main(arguments):
         planted = []
         if not options.quick:
             planted = [m for m in recovery.MISTAKES if options.only in m.name]
-            builds = recovery.Builds(ROOT, options.compiler, options.relacy)
+            builds = recovery.Builds(ROOT, options.compiler, options.model.parent)
             for mutant, how in zip(planted, pool.map(
                     lambda m: builds.try_out(m, caught.known.get(m.name), try_out), planted)):
                 if how:

@@ -14,7 +14,6 @@
 #include <filesystem>
 #include <optional>
 #include <poll.h>
-#include <random>
 #include <stdexcept>
 #include <string>
 #include <sys/prctl.h>
@@ -26,6 +25,7 @@
 #include "lot/options.hpp"
 
 #include "segment/segment.hpp"
+#include "support/seed.hpp"
 
 /// What tests with several processes need: children, pipes that tell steps, names, and an audit of
 /// what a segment still holds.
@@ -201,17 +201,6 @@ class Child {
   }
   pid_t pid_ = -1;
 };
-
-inline std::uint64_t seed() {
-  static const std::uint64_t value = [] {
-    const char* given = std::getenv("LOT_TEST_SEED");
-    const std::uint64_t s =
-        given != nullptr ? std::strtoull(given, nullptr, 10) : std::random_device{}();
-    std::printf("seed: LOT_TEST_SEED=%llu\n", static_cast<unsigned long long>(s));
-    return s;
-  }();
-  return value;
-}
 
 /// What a segment holds at this moment. Everything but `participants` must be zero when nobody
 /// publishes, reads or keeps anything.
