@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Plants mistakes that the chaos must find: a check that cannot fail proves nothing.
 # Usage: cmake -D CHAOS=path/to/lot_chaos -P can_fail.cmake
-foreach(planted IN ITEMS
+# LOT_TEST_ONE_IN=N: one of each N mistakes, others with each LOT_TEST_SEED.
+set(mistakes
     tear=torn smear=torn refer=torn weak=torn
     skip=lost miss=lost more=lost ghost=lost overrun=lost deaf=lost
     drop=lost spill=lost forget=lost
@@ -10,6 +11,24 @@ foreach(planted IN ITEMS
     file=files
     wedge=wedged doze=wedged stay=wedged
     crash=crashed)
+if(DEFINED ENV{LOT_TEST_ONE_IN})
+  set(seed $ENV{LOT_TEST_SEED})
+  if(NOT seed)
+    string(TIMESTAMP seed %s)
+  endif()
+  message(STATUS "seed: LOT_TEST_SEED=${seed}")
+  math(EXPR next "${seed} % $ENV{LOT_TEST_ONE_IN}")
+  set(chosen)
+  foreach(planted IN LISTS mistakes)
+    if(next EQUAL 0)
+      list(APPEND chosen ${planted})
+      set(next $ENV{LOT_TEST_ONE_IN})
+    endif()
+    math(EXPR next "${next} - 1")
+  endforeach()
+  set(mistakes ${chosen})
+endif()
+foreach(planted IN LISTS mistakes)
   string(REPLACE "=" ";" planted ${planted})
   list(GET planted 0 mistake)
   list(GET planted 1 finding)

@@ -3,6 +3,8 @@
 """Checks the Spin models of this folder, and that they still say what the code says.
 
     run.py [--jobs N] [--full] [--mappings] [MODEL...]   all models, or these (sleep_wake, ...)
+    run.py --one-in N                                    one of each N searches, others with each
+                                                         LOT_TEST_SEED
     run.py --self-test                                   plant mistakes and see that each is found
 
 A model says in its first comment how it is run:
@@ -30,6 +32,7 @@ import concurrent.futures
 import dataclasses
 import os
 import pathlib
+import random
 import re
 import signal
 import subprocess
@@ -321,6 +324,10 @@ def check(folder, root, arguments):
         return drift, not complaints
 
     jobs = [(m, r) for m in models for r in m.runs if arguments.full or not r.full]
+    if arguments.one_in > 1:
+        seed = int(os.environ.get('LOT_TEST_SEED') or random.SystemRandom().getrandbits(32))
+        print(f'seed: LOT_TEST_SEED={seed}')
+        jobs = jobs[seed % arguments.one_in::arguments.one_in]
     more = ['-DFULL'] if arguments.full else []
     children = Children()
     outcomes = []
@@ -462,6 +469,8 @@ def main():
     parser.add_argument('model', nargs='*', help='names of models; default: all')
     parser.add_argument('--jobs', type=int, default=1, choices=(1, 2), help='searches at once')
     parser.add_argument('--full', action='store_true', help='the larger runs as well')
+    parser.add_argument('--one-in', type=int, default=1, metavar='N',
+                        help='one of each N searches, others with each LOT_TEST_SEED')
     parser.add_argument('--mappings', action='store_true', help='compare with the code only')
     parser.add_argument('--folder', type=pathlib.Path, default=HERE, help='where the models lie')
     parser.add_argument('--root', type=pathlib.Path, default=HERE.parents[1],
