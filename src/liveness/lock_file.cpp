@@ -36,10 +36,17 @@ bool held_by_another(int fd, struct flock range) {
   return range.l_type != F_UNLCK;
 }
 
+/// Of each class only both rights: who may read alone could hold the gate by a read lock.
+mode_t of_a_lock_file(mode_t mode) {
+  const mode_t both =
+      mode & (mode >> 1) & 0222;  // the classes' write bits, where they may read too
+  return both | (both << 1);
+}
+
 }  // namespace
 
 LockFile::LockFile(std::string path, mode_t mode)
-    : path_(std::move(path)), fd_(segment::open_private(path_, mode)) {
+    : path_(std::move(path)), fd_(segment::open_private(path_, of_a_lock_file(mode))) {
   struct stat status {};
   fstat(fd_, &status);
   if (!S_ISREG(status.st_mode) || status.st_size != 0) {

@@ -195,29 +195,68 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
   return reason.empty() ? Segment::Fit::Fits : Segment::Fit::Stale;
 }
 
+/// "uid 1000, gid 1000, mode 0600", of what is at path; "" when nothing can be said.
+std::string owner_and_mode(const std::string& path) {
+  struct stat status {};
+  if (lstat(path.c_str(), &status) == -1) return "";
+  char text[96];
+  std::snprintf(text, sizeof(text), "uid %u, gid %u, mode 0%o", status.st_uid, status.st_gid,
+                status.st_mode & 07777);
+  return text;
+}
+
+[[noreturn]] void refuse(const std::string& path, const char* what, int error) {
+  const std::string owner = error == EACCES ? owner_and_mode(path) : "";
+  if (!owner.empty()) {
+    throw Error(error, path, std::string(what) + ", it belongs to " + owner,
+                "let its owner make it anew with LOT_PERMISSIONS=0660 and a common group, or set "
+                "LOT_SEGMENT or LOT_DIR");
+  }
+  const char* advice = error == EROFS    ? "the directory is read-only: name another with LOT_DIR"
+                       : error == ENOENT ? "make the directory, or name another with LOT_DIR"
+                       : error == ENOSPC ? "free memory there, or name another with LOT_DIR"
+                       : error == EMFILE ? "raise the limit of open files (ulimit -n)"
+                       : error == EEXIST ? "somebody else's file is in its place: remove it, or "
+                                           "name another directory with LOT_DIR"
+                                         : "set LOT_DIR to a directory that you may write to";
+  throw Error(error, path, what, advice);
+}
+
+/// A new file appears with its mode, whatever the umask: who is killed in here leaves nothing that
+/// others of its group could not open. -1 and errno when it cannot; EEXIST: there is one.
+int make_private(const std::string& path, mode_t mode) {
+  const std::string directory = path.substr(0, path.rfind('/') + 1);
+  const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, mode);
+  if (unnamed != -1) {
+    if (fchmod(unnamed, mode) == 0 &&
+        linkat(AT_FDCWD, ("/proc/self/fd/" + std::to_string(unnamed)).c_str(), AT_FDCWD,
+               path.c_str(), AT_SYMLINK_FOLLOW) == 0) {
+      return unnamed;
+    }
+    ::close(unnamed);
+  }
+  // There is one, or the file system has no unnamed files, or there is no /proc.
+  const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, mode);
+  if (fd != -1) (void)fchmod(fd, mode);
+  return fd;
+}
+
 }  // namespace
 
 int open_private(const std::string& path, mode_t mode, int flags) {
-  const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | flags, mode);
-  if (fd == -1) {
-    const char* advice = errno == EACCES   ? "it belongs to another user: share it by "
-                                             "LOT_PERMISSIONS=0660 and a common group, or set LOT_DIR"
-                         : errno == EROFS  ? "the directory is read-only: name another with LOT_DIR"
-                         : errno == ENOENT ? "make the directory, or name another with LOT_DIR"
-                         : errno == ENOSPC ? "free memory there, or name another with LOT_DIR"
-                         : errno == EMFILE ? "raise the limit of open files (ulimit -n)"
-                         : errno == EEXIST ? "somebody else's file is in its place: remove it, or "
-                                             "name another directory with LOT_DIR"
-                                           : "set LOT_DIR to a directory that you may write to";
-    throw Error(errno, path, "cannot open it", advice);
+  for (;;) {
+    if ((flags & O_EXCL) == 0) {
+      // Without O_CREAT, which fs.protected_regular refuses in a sticky directory where the file is
+      // another user's, though its mode lets us in. What is there keeps its mode and owner.
+      const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW);
+      if (fd != -1) return fd;
+      if (errno != ENOENT) refuse(path, "cannot open it", errno);
+    }
+    const int fd = make_private(path, mode);
+    if (fd != -1) return fd;
+    if (errno != EEXIST || (flags & O_EXCL) != 0) refuse(path, "cannot make it", errno);
+    // Another process has made it since we looked.
   }
-  struct stat status {};
-  // The mode that was asked for, whatever the umask; only its owner can set it.
-  if (fstat(fd, &status) == 0 && S_ISREG(status.st_mode) && (status.st_mode & 07777) != mode &&
-      status.st_size == 0) {
-    (void)fchmod(fd, mode);
-  }
-  return fd;
 }
 
 std::string path_of(const std::string& directory, const std::string& name) {
@@ -298,10 +337,7 @@ Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, std::
   Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
   if (file.fd == -1) {
     if (errno == ENOENT) return Fit::Absent;
-    throw Error(
-        errno, path, "cannot open the segment",
-        "it belongs to another user? share it by LOT_PERMISSIONS=0660 and a common group, or "
-        "set LOT_SEGMENT");
+    refuse(path, "cannot open the segment", errno);
   }
   return fit_of(file.fd, size, reason);
 }

@@ -19,7 +19,8 @@
 namespace lot::segment {
 
 /// Opens a file for reading and writing, made with exactly `mode` if absent; never follows a link.
-/// `flags` as for open(2). Throws lot::Error with advice.
+/// What is there keeps its mode and owner; with O_EXCL in `flags` it is an error. Throws lot::Error
+/// with advice.
 int open_private(const std::string& path, mode_t mode, int flags = 0);
 
 /// "<directory>/<name>", after a check that the name is one. Throws lot::Error.

@@ -31,7 +31,8 @@ Process& process() {
 }
 
 const char* environment(const char* name) {
-  const char* value = std::getenv(name);
+  const char* value =
+      secure_getenv(name);  // nothing of a caller that a setuid program must not trust
   return value != nullptr && *value != '\0' ? value : nullptr;
 }
 

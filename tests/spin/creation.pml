@@ -125,13 +125,17 @@ inline look_for_others(p, found) {
 inline open_segment(p) {
   skip;
 again:
-  atomic {
-    if
-    :: lock_name == NONE -> kernel_fresh(file); lock_name = file; lock_file[p] = file /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | flags, mode) */
-    :: else -> lock_file[p] = lock_name /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | flags, mode) */
-    fi;
-    file = NONE
-  };
+  if
+  :: atomic { lock_name != NONE -> lock_file[p] = lock_name } /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW) */
+  :: lock_name == NONE -> /* @ src/segment/segment.cpp open_private: if (errno != ENOENT) refuse(path, "cannot open it", errno) */
+    atomic {
+      if
+      :: lock_name == NONE -> kernel_fresh(file); lock_name = file; lock_file[p] = file /* @ src/segment/segment.cpp make_private: linkat(AT_FDCWD, */
+      :: else -> goto again /* @ src/segment/segment.cpp open_private: if (errno != EEXIST || (flags & O_EXCL) != 0) */
+      fi;
+      file = NONE
+    }
+  fi;
 #ifndef NO_GATE
   atomic { gate[lock_file[p]] == NONE -> gate[lock_file[p]] = p }; /* @ src/liveness/lock_file.cpp enter_gate: while (!try_lock(kGate)) */
 #ifndef NO_INODE_CHECK
