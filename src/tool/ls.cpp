@@ -42,10 +42,9 @@ const char* policy_of(const Channel& c) {
 }
 
 double age_of(const Process& p) {
-  const auto now =
-      std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1);
-  const auto since = static_cast<std::int64_t>(p.since_ns);
-  return now > since ? static_cast<double>(now - since) * 1e-9 : 0.0;
+  const auto now = static_cast<std::uint64_t>(std::chrono::system_clock::now().time_since_epoch() /
+                                              std::chrono::nanoseconds(1));
+  return now > p.since_ns ? static_cast<double>(now - p.since_ns) * 1e-9 : 0.0;
 }
 
 void list_processes(const Observation& seen, Report& report, Json& entry) {

@@ -6,6 +6,9 @@
 // It is looked at in this process, between areas that nobody may touch and with poison on the
 // memory that nobody owns, and by the command itself.
 
+#include <cctype>
+#include <cstddef>
+#include <cstring>
 #include <fcntl.h>
 #include <random>
 #include <string>
@@ -193,6 +196,33 @@ TEST_CASE("a segment with changed words is looked at without a step outside of i
   CHECK(mapped != 0);
   CHECK(mapped != 1500);
   CHECK(complaints != 0);
+}
+
+TEST_CASE("no process has come before it could, or after now") {
+  const Watchdog watchdog(60);
+  const std::string sound = image();
+  lot::segment::Capacity capacity;
+  std::memcpy(&capacity, sound.data() + offsetof(lot::segment::Header, capacity), sizeof(capacity));
+  const std::uint64_t table = Geometry::of(capacity).participants;
+  const Room room;
+  for (const std::uint64_t since : {std::uint64_t{1} << 63, std::uint64_t{11019016721167867844U},
+                                    ~std::uint64_t{0}, std::uint64_t{1} << 62}) {
+    CAPTURE(since);
+    std::string bytes = sound;
+    for (std::uint32_t k = 1; k < capacity.participants; ++k) {
+      bytes.replace(table + k * sizeof(lot::segment::ParticipantEntry) +
+                        offsetof(lot::segment::ParticipantEntry, since_ns),
+                    sizeof(since), reinterpret_cast<const char*>(&since), sizeof(since));
+    }
+    write_to(room.path() + "/s", bytes);
+    const Ran ran = run_lot({"ls", "--dir", room.path()});
+    CAPTURE(ran.out);
+    CHECK(ran.err == "");
+    CHECK(ran.out.find("publisher") != std::string::npos);
+    for (std::size_t at = 0; (at = ran.out.find('-', at)) != std::string::npos; ++at) {
+      CHECK(std::isdigit(static_cast<unsigned char>(ran.out[at + 1])) == 0);
+    }
+  }
 }
 
 TEST_CASE("the command ends with 0, 1 or 3 and a whole document, whatever the segment is") {
