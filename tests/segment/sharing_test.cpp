@@ -121,8 +121,7 @@ TEST_CASE("users of one group talk where O_CREAT opens no file of another user")
     lot::ShmEngine engine(options);
     auto pusher = engine.advertise<Number>("/numbers");
     ready.tell();
-    while (!pusher.wait_for_readers(1, 100ms)) {
-    }
+    must(pusher.wait_for_readers(1, 20s), "Bob has come");
     must(pusher.push(pusher.loan(Number{7})) == lot::Status::Ok, "pushed");
     must(done.next() != 0, "Bob has read");
     const Facts all{kAnn, kGroup, 0660};
