@@ -36,10 +36,9 @@ bool held_by_another(int fd, struct flock range) {
   return range.l_type != F_UNLCK;
 }
 
-/// Of each class only both rights: who may read alone could hold the gate by a read lock.
+/// Of each class both rights or none: a user who may only read could hold the gate by a read lock.
 mode_t of_a_lock_file(mode_t mode) {
-  const mode_t both =
-      mode & (mode >> 1) & 0222;  // the classes' write bits, where they may read too
+  const mode_t both = mode & (mode >> 1) & 0222;  // write bits, where there is a read bit too
   return both | (both << 1);
 }
 

@@ -222,8 +222,11 @@ std::string owner_and_mode(const std::string& path) {
   throw Error(error, path, what, advice);
 }
 
-/// A new file appears with its mode, whatever the umask: who is killed in here leaves nothing that
-/// others of its group could not open. -1 and errno when it cannot; EEXIST: there is one.
+/// A new file gets its name when it has its mode, whatever the umask. -1 and errno when it cannot
+/// be made; EEXIST: there is one.
+///
+/// Crash: leaves no file, or a whole one. Only where the file system has no unnamed files, or there
+/// is no /proc, a maker that is killed before fchmod leaves the mode that its umask allows.
 int make_private(const std::string& path, mode_t mode) {
   const std::string directory = path.substr(0, path.rfind('/') + 1);
   const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, mode);
@@ -235,7 +238,7 @@ int make_private(const std::string& path, mode_t mode) {
     }
     ::close(unnamed);
   }
-  // There is one, or the file system has no unnamed files, or there is no /proc.
+  // There is a file of that name already, or it cannot be made in this way.
   const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, mode);
   if (fd != -1) (void)fchmod(fd, mode);
   return fd;

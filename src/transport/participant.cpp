@@ -31,8 +31,8 @@ Process& process() {
 }
 
 const char* environment(const char* name) {
-  const char* value =
-      secure_getenv(name);  // nothing of a caller that a setuid program must not trust
+  // A setuid program does not trust its caller.
+  const char* value = secure_getenv(name);
   return value != nullptr && *value != '\0' ? value : nullptr;
 }
 

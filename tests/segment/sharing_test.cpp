@@ -199,7 +199,7 @@ TEST_CASE("a user outside the group is told whose file it is") {
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("who may only read cannot lock the gate") {
+TEST_CASE("a user who may only read the segment gets no right to the lock file") {
   const Watchdog watchdog(60);
   for (const auto& [permissions, lock] : {std::pair{0644U, 0600U}, std::pair{0664U, 0660U},
                                           std::pair{0640U, 0600U}, std::pair{0666U, 0666U}}) {
