@@ -256,9 +256,13 @@ int open_private(const std::string& path, mode_t mode, int flags) {
       if (errno != ENOENT) refuse(path, "cannot open it", errno);
     }
     const int fd = make_private(path, mode);
-    if (fd != -1) return fd;
-    if (errno != EEXIST || (flags & O_EXCL) != 0) refuse(path, "cannot make it", errno);
-    // Another process has made it since we looked.
+    if (fd != -1 && (flags & O_EXCL) != 0) return fd;
+    // It is opened once more by its name: else /proc/PID/fd, and so lsof, says "#123 (deleted)".
+    if (fd != -1) ::close(fd);
+    // EEXIST: another process has made it since we looked.
+    if (fd == -1 && (errno != EEXIST || (flags & O_EXCL) != 0)) {
+      refuse(path, "cannot make it", errno);
+    }
   }
 }
 
