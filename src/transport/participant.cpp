@@ -145,9 +145,7 @@ class Participant::GateGuard {
 std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent if_absent) {
   options = with_environment(std::move(options));
   const std::string path = segment::path_of(options.directory, options.segment);
-  static const int registered =
-      pthread_atfork(&prepare_fork, &after_fork_in_parent, &after_fork_in_child);
-  (void)registered;
+  watch_forks();
   const std::lock_guard joining(process().joining);
   {
     const std::lock_guard guard(process().mutex);
@@ -543,15 +541,18 @@ Participant* Participant::at(const void* address) noexcept {
 
 void Participant::remove_files() noexcept {
   const auto until = futex::Clock::now() + kGatePatience;
-  // One that is joining just now has files, too.
-  std::unique_lock joining(process().joining, std::try_to_lock);
-  while (!joining && futex::Clock::now() < until) {
-    std::this_thread::sleep_for(std::chrono::milliseconds(1));
-    joining.try_lock();
-  }
-  // For ever, both: none of them goes, and none comes.
-  joining.release();
-  process().mutex.lock();
+  const auto lock = [until](std::mutex& mutex) {
+    bool is_ours = mutex.try_lock();
+    while (!is_ours && futex::Clock::now() < until) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+      is_ours = mutex.try_lock();
+    }
+    return is_ours;
+  };
+  // For ever, both: none of them goes, none comes, and no child is forked, which would have both
+  // locked and no thread to unlock them. One that is joining just now has files, too.
+  (void)lock(process().joining);
+  if (!lock(process().mutex)) return;
   for (Participant* p : process().all) {
     p->is_ending_.store(true, std::memory_order_relaxed);  // the errand carries it
     p->ring_warden();
@@ -564,6 +565,12 @@ void Participant::remove_files() noexcept {
 }
 
 std::mutex& Participant::no_fork() noexcept { return process().mutex; }
+
+void Participant::watch_forks() noexcept {
+  static const int registered =
+      pthread_atfork(&prepare_fork, &after_fork_in_parent, &after_fork_in_child);
+  (void)registered;
+}
 
 void Participant::prepare_fork() noexcept {
   process().joining.lock();

@@ -286,8 +286,10 @@ class Participant {
   static QueueEngine queue_engine(QueueEngine asked);
   /// The process is about to end, in the midst of its work. Where it is the last one on a segment,
   /// the segment's files go. Nothing else is touched: others reap it when it is dead. No engine
-  /// comes or goes from then on.
+  /// comes or goes from then on, and fork() waits for the end. REQUIRES: watch_forks() before.
   static void remove_files() noexcept;
+  /// From now on fork() leaves the child no lock that is held, and no descriptor of ours.
+  static void watch_forks() noexcept;
   /// The participant that has mapped this address, or null.
   static Participant* at(const void* address) noexcept;
 

@@ -90,6 +90,7 @@ void install(int number) {
 
 void end_cleanly_on_signals() {
   const std::lock_guard guard(mutex);
+  transport::Participant::watch_forks();
   if (process.load(std::memory_order_relaxed) != getpid()) {
     came_at.store(0, std::memory_order_relaxed);  // the parent's
     came.store(0, std::memory_order_relaxed);

@@ -4,6 +4,8 @@
 //
 //     ending HOW DIRECTORY SEGMENT
 
+#include <atomic>
+#include <chrono>
 #include <csignal>
 #include <cstdint>
 #include <cstdio>
@@ -15,7 +17,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
-#include <sys/prctl.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <thread>
 #include <unistd.h>
@@ -138,11 +140,46 @@ int run(const char* program, const char* how, const lot::EngineOptions& options)
   return status;
 }
 
+std::atomic<bool> raises_late{false};
+std::atomic<bool> is_raising{false};
+
+void say(const char* word) {
+  std::puts(word);
+  std::fflush(stdout);
+}
+
+/// Forks while the library ends the process, which has no segment yet. A child would have its locks
+/// as they are just then.
+[[noreturn]] void fork_at_the_end() {
+  raises_late = true;
+  say("ready.");
+  while (!is_raising) std::this_thread::sleep_for(1ms);
+  if (fork() == 0) {
+    say("a child");
+    _exit(0);
+  }
+  for (;;) pause();
+}
+
+}  // namespace ending
+
+/// In the place of the C library's: by it the process ends itself.
+extern "C" int raise(int number) noexcept {
+  if (ending::raises_late) {
+    ending::is_raising = true;
+    std::this_thread::sleep_for(std::chrono::seconds(1));  // time to fork in
+  }
+  return static_cast<int>(syscall(SYS_tgkill, getpid(), gettid(), number));
+}
+
+namespace ending {
+
 /// Says "ready", and waits for a signal.
 int end_by_signal(const std::string& how, lot::EngineOptions options) {
   if (how == "signals, ignored") std::signal(SIGINT, SIG_IGN);
   lot::end_cleanly_on_signals();
   lot::end_cleanly_on_signals();  // once more does no harm
+  if (how == "signals, and it forks meanwhile") fork_at_the_end();
   options.persist = how == "signals, persist";
   auto& handles = *new Handles;
   fill(handles, *new Pointers, options);
@@ -174,8 +211,7 @@ int end_by_signal(const std::string& how, lot::EngineOptions options) {
   sigfillset(&all);
   sigemptyset(&before);
   if (how == "signals, and main() returns") sigprocmask(SIG_SETMASK, &all, &before);
-  std::puts("ready.");
-  std::fflush(stdout);
+  say("ready.");
   if (how == "signals, and main() returns") {
     sigsuspend(&before);
     return 1;
@@ -186,8 +222,7 @@ int end_by_signal(const std::string& how, lot::EngineOptions options) {
 int end(const std::string& how, const lot::EngineOptions& options, const char* program) {
   if (how == "sleep") {  // what exec() has made of the process
     require(files_of(options.segment) == 0, "nothing was inherited");
-    std::puts("asleep");
-    std::fflush(stdout);
+    say("asleep");
     pause();
   }
   if (how == "look") return files_of(options.segment);

@@ -3,6 +3,7 @@
 // What a process leaves that ends with everything alive: exit, exec, static objects.
 
 #include <csignal>
+#include <fcntl.h>
 #include <random>
 #include <string>
 #include <thread>
@@ -25,10 +26,10 @@ struct Number {
   std::uint64_t value;
 };
 
-/// A process that has said that it waits for a signal.
-Child start_and_wait(const char* how, const lot::EngineOptions& options) {
+/// A process that has said that it waits for a signal. `said`: what reads its further words.
+Child start_and_wait(const char* how, const lot::EngineOptions& options, int* said = nullptr) {
   int out[2];
-  must(pipe(out) == 0, "pipe");
+  must(pipe2(out, O_CLOEXEC) == 0, "pipe");
   Child child([&] {
     dup2(out[1], STDOUT_FILENO);
     execl(LOT_ENDING, LOT_ENDING, how, options.directory.c_str(), options.segment.c_str(), nullptr);
@@ -37,7 +38,11 @@ Child start_and_wait(const char* how, const lot::EngineOptions& options) {
   close(out[1]);
   char text[7] = {};
   must(read(out[0], text, 6) == 6 && std::string(text) == "ready.", "it is ready");
-  close(out[0]);
+  if (said == nullptr) {
+    close(out[0]);
+  } else {
+    *said = out[0];
+  }
   return child;
 }
 
@@ -188,6 +193,20 @@ TEST_CASE("a signal that comes late, while another process is in the gate, leave
   gate.leave_gate();
   CHECK(child.wait() == 128 + SIGINT);
   CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("a process that a signal ends forks no child, which would find locks that never open") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  int said = -1;
+  Child child = start_and_wait("signals, and it forks meanwhile", options, &said);
+  child.send(SIGTERM);
+  CHECK(child.wait() == 128 + SIGTERM);
+  char text[16] = {};
+  CHECK(read(said, text, 1) == 1);  // the end of the line before
+  CHECK(read(said, text, sizeof(text) - 1) == 0);
+  CHECK(std::string(text) == "\n");
+  close(said);
 }
 
 TEST_CASE("two that are ended at once leave no file") {
