@@ -162,8 +162,9 @@ class Participant {
   /// All that nobody uses, at once, also what lies idle in pools of any process that answers.
   std::uint64_t give_all_back_to_system() noexcept;
   /// Messages go, one after the other, as Eviction says whose, until enough() is true. Of another
-  /// process they are asked for: a stopped one is waited for once, and then passed over until it
-  /// answers. True when enough() was. `need`: what the asker will have more, in bytes or blocks.
+  /// process they are asked for: a stopped one is waited for once, longer where no other can make
+  /// it true, and then passed over until it answers. True when enough() was. `need`: what the asker
+  /// will have more, in bytes or blocks.
   /// `possible`: says whether these givers can make it true; asked again when one has refused.
   template <class Enough, class Possible>
   bool evict_until(Enough&& enough, std::uint32_t asker, std::uint64_t need, Shortage shortage,
@@ -191,9 +192,13 @@ class Participant {
       }
       if (enough()) return true;
       if (turn.what == What::Given) continue;
-      if (futex::Clock::now() >= until) givers = {};  // what is ours may still do
+      const bool is_late = futex::Clock::now() >= until;
+      if (is_late) givers = {};  // what is ours may still do
       eviction_.look_at_others(shortage);
-      if (!given && !possible(givers)) return false;
+      if (given || possible(givers)) continue;
+      // Without that one there is no room. If it was silent it may be slow, and not stopped.
+      if (is_late || turn.what != What::Ask || !is_silent(turn.from)) return false;
+      givers[turn.from] = true;
     }
   }
 

@@ -3,8 +3,10 @@
 // A new publisher needs memory for its queue. A segment that is filled by messages that may go
 // makes room for it, as for a message.
 
+#include <csignal>
 #include <cstdint>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -103,6 +105,7 @@ class Filler {
           end_.next(60s);
         }) {}
   bool is_ready() const { return ready_.next() == '.'; }
+  void send(int signal) { child_.send(signal); }
   int end() {
     end_.tell();
     return child_.wait();
@@ -160,6 +163,23 @@ TEST_CASE("advertise on a segment that is full of messages of an idle process ma
     }
     CHECK(filler.end() == 0);
   }
+}
+
+TEST_CASE("advertise waits for a process that is slow, where no other can make room") {
+  const Watchdog watchdog(60);
+  const auto options = small_segment();
+  lot::ShmEngine engine(options);
+  Filler filler(options, {kPage});
+  REQUIRE(filler.is_ready());
+  filler.send(SIGSTOP);
+  std::thread later([&] {
+    std::this_thread::sleep_for(400ms);  // longer than one answer is waited for
+    filler.send(SIGCONT);
+  });
+  std::vector<lot::ShmPusher<Item>> others;
+  CHECK_NOTHROW(others.push_back(engine.advertise<Item>("/item")));
+  later.join();
+  CHECK(filler.end() == 0);
 }
 
 TEST_CASE("advertise makes room while another process goes on publishing") {
