@@ -558,8 +558,8 @@ void Participant::remove_files() noexcept {
     p->ring_warden();
   }
   for (Participant* p : process().all) {
-    while (!p->files_settled_.load(std::memory_order_relaxed) && futex::Clock::now() < until) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    while (p->files_settled_.load(std::memory_order_relaxed) == 0 &&
+           futex::wait(&p->files_settled_, 0, until)) {
     }
   }
 }

@@ -352,6 +352,7 @@ class Participant {
 
   void remove_files_if_last() noexcept;
   void settle_files() noexcept;
+  void note_settled() noexcept;
   std::optional<std::uint32_t> claim_spare_block() noexcept;
   std::uint64_t give_back_unit(std::uint32_t unit, std::uint32_t looks) noexcept;
   bool make_room_in(Pool& pool, std::uint32_t granules) noexcept;
@@ -460,8 +461,9 @@ class Participant {
   enum class Witness { Awaited, Held, Refused } witness_ = Witness::Awaited;
   std::atomic<bool> warden_stop_{false};
   // Relaxed: errands carry the first; what the second says is in the file system.
-  std::atomic<bool> is_ending_{false};      ///< a signal ends the process: the files are to go
-  std::atomic<bool> files_settled_{false};  ///< as far as that is this process's business
+  std::atomic<bool> is_ending_{false};  ///< a signal ends the process: the files are to go
+  /// 1: as far as that is this process's business. remove_files() sleeps on it.
+  std::atomic<std::uint32_t> files_settled_{0};
   std::mutex departures_mutex_;
   std::list<registry::Departure> departures_;  ///< that the warden has to finish
   // The warden's alone, from here...

@@ -168,7 +168,7 @@ void Participant::warden() {
     lock_file_->unlock(index());
     lock_file_->leave_gate();
   }
-  files_settled_.store(true, std::memory_order_relaxed);  // for remove_files()
+  note_settled();
 }
 
 /// The orphanage's lock says nothing here: the process that acts for it has an index of its own,
@@ -209,8 +209,18 @@ void Participant::settle_files() noexcept {
     }
   } catch (const Error&) {  // another one is stopped there
   }
-  files_settled_.store(true, std::memory_order_relaxed);
-  while (!warden_stop_.load(std::memory_order_relaxed)) std::this_thread::sleep_for(1ms);
+  note_settled();
+  auto& errands = segment_.witnesses()[index()].errands;
+  for (;;) {
+    const std::uint32_t left = errands.fetch_and(~errand::kOwn, std::memory_order_acquire);  // E1
+    if (warden_stop_.load(std::memory_order_relaxed)) return;
+    futex::wait(&errands, left & ~errand::kOwn, std::nullopt);
+  }
+}
+
+void Participant::note_settled() noexcept {
+  files_settled_.store(1, std::memory_order_relaxed);
+  futex::wake_all(&files_settled_);
 }
 
 /// The warden sleeps on what tells it that there is something to do: its errands, and the witness

@@ -7,7 +7,7 @@ set(mistakes
     skip=lost miss=lost more=lost ghost=lost overrun=lost deaf=lost
     drop=lost spill=lost forget=lost
     twice=twice take-twice=twice share=twice recount=twice
-    leak=leaked leak-at-end=leaked hoard=leaked
+    leak=leaked leak-at-end=leaked hoard=leaked greed=leaked
     file=files
     wedge=wedged doze=wedged stay=wedged
     crash=crashed)

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
+#include <cerrno>
 #include <chrono>
 #include <deque>
 #include <optional>
@@ -15,6 +17,7 @@
 #include "job.hpp"
 #include "life.hpp"
 #include "plan.hpp"
+#include "segment/layout.hpp"
 
 namespace lot::chaos {
 
@@ -90,6 +93,7 @@ class Inlet final : public Job {
   struct Kept {
     ShmSharedPtr<const U> message;
     std::uint64_t seal = 0;
+    unsigned subscription = 0;  ///< its number
   };
   struct Weak {
     ShmWeakPtr<const T> message;
@@ -100,7 +104,10 @@ class Inlet final : public Job {
   void subscribe() {
     life_.doing(Doing::Subscribing, topic_);
     account_.before_subscribe();
-    puller_.emplace(engine_.subscribe<T>(kTopic[topic_].name, plan_.options));
+    PullerOptions real = plan_.options;
+    if (life_.has(Plant::Greed)) real.max_held_bytes = PullerOptions::kNoQuota;
+    puller_.emplace(engine_.subscribe<T>(kTopic[topic_].name, real));
+    ++subscriptions_;
     account_.after_subscribe(plan_.options.history);
     life_.me.pullers[topic_].fetch_add(1);
     life_.count(Count::Subscribed);
@@ -124,6 +131,21 @@ class Inlet final : public Job {
       begin = 0;
       std::this_thread::sleep_for(kLongSleep);
     }
+    bool found = look(waits, patience, begin, handle);
+    const auto holds_too_much = [&] { return !found && puller_->status() == Status::HoldsTooMuch; };
+    if (holds_too_much()) {
+      life_.count(Count::HeldTooMuch);
+      recheck_kept(0);
+      found = look(false, patience, begin, handle);
+    }
+    // Now it is another subscription of this process that keeps what this one has got, too.
+    if (holds_too_much()) return false;
+    if (!found) account_.found_nothing();
+    return found;
+  }
+
+  template <class Handle>
+  bool look(bool waits, std::chrono::nanoseconds patience, std::int64_t begin, Handle&& handle) {
     bool found = false;
     if (plan_.style == Style::Borrow || plan_.style == Style::TryBorrow) {
       auto look = waits ? puller_->borrow(patience) : puller_->try_borrow();
@@ -142,7 +164,6 @@ class Inlet final : public Job {
         keep(message);
       }
     }
-    if (!found) account_.found_nothing();
     return found;
   }
 
@@ -163,7 +184,7 @@ class Inlet final : public Job {
     accept(*look, look.missed());
     const std::uint64_t seal = look->stamp.seal;
     handle(*look, [&] { return look.keep(); });
-    if (life_.random.chance(plan_.keep_percent)) keep(look.keep());
+    if (life_.random.chance(plan_.keep_percent)) keep_borrowed(look);
     if (life_.random.chance(plan_.linger_percent)) {
       std::this_thread::sleep_for(life_.random.between(50us, plan_.longest_linger));
     }
@@ -203,16 +224,47 @@ class Inlet final : public Job {
     return {stamp.incarnation, stamp.number};
   }
 
+  /// Or lets go of all others, if it may not.
+  void keep_borrowed(const ShmBorrow<T>& look) {
+    try {
+      keep(look.keep());
+    } catch (const Error& e) {
+      if (e.error_number() != EDQUOT) throw;
+      life_.count(Count::HeldTooMuch);
+      recheck_kept(0);
+    }
+  }
+
   void keep(const ShmSharedPtr<const T>& message) {
     life_.count(Count::Kept);
     if (life_.random.chance(plan_.weak_percent)) {
       weak_.push_back({message, message->stamp.seal ^ (life_.has(Plant::Weak) ? 1 : 0)});
     }
-    kept_.push_back({message, message->stamp.seal});
+    kept_.push_back({message, message->stamp.seal, subscriptions_});
+    check_quota();
     if constexpr (std::is_same_v<T, Seen>) {
       if (message->now) seen_ = {message->now.lock(), message->now_seal};
     }
     recheck_kept(plan_.most_kept);
+  }
+
+  /// It may keep one more while it keeps less than that. What is in a block itself does not count.
+  void check_quota() {
+    std::uint64_t bytes = 0;
+    for (std::size_t n = 0; n + 1 < kept_.size(); ++n) {
+      const Kept<T>& kept = kept_[n];
+      const bool counts_later =
+          std::any_of(kept_.begin() + static_cast<std::ptrdiff_t>(n) + 1, kept_.end(),
+                      [&kept](const Kept<T>& later) { return later.message == kept.message; });
+      if (counts_later || kept.subscription != subscriptions_) continue;
+      const std::uint64_t all = kept.message->stamp.words * sizeof(std::uint64_t);
+      bytes += all - std::min<std::uint64_t>(all, segment::kSmallBytes);
+    }
+    if (bytes > plan_.options.max_held_bytes) {
+      life_.fail(Finding::Leaked, std::string(kTopic[topic_].name) + ": a subscription keeps " +
+                                      std::to_string(bytes) + " bytes and one message more, of " +
+                                      std::to_string(plan_.options.max_held_bytes));
+    }
   }
 
   void recheck_kept(std::size_t rest) {
@@ -261,6 +313,7 @@ class Inlet final : public Job {
   Reading plan_;
   Account account_;
   std::optional<ShmPuller<T>> puller_;
+  unsigned subscriptions_ = 0;  ///< so far
   std::deque<Kept<T>> kept_;
   std::deque<Weak> weak_;
   Kept<Frame> seen_;  ///< what a message referred to

@@ -19,7 +19,10 @@ class Outlet {
       : life_(life), topic_(topic), plan_(publishing(life.random, topic)) {
     life_.doing(Doing::Advertising, topic);
     // Else what a late reader gets is exact.
-    if (life_.epoch.roomy) plan_.history = PusherOptions::kAll;
+    if (life_.epoch.roomy) {
+      plan_.history = PusherOptions::kAll;
+      plan_.max_bytes = 0;
+    }
     const bool takes_back = plan_.is_lossless() || plan_.history != PusherOptions::kAll;
     incarnation_ = life_.new_incarnation(topic, plan_.depth, plan_.is_lossless(), takes_back);
     Publishing real = plan_;
@@ -28,6 +31,7 @@ class Outlet {
       --real.depth;  // as much history as under Block
     }
     pusher_.emplace(engine.advertise<T>(kTopic[topic].name, pusher_options(real)));
+    reserve();
     record().state.store(Incarnation::Live, std::memory_order_release);
     life_.me.pushers[topic].fetch_add(1);
     life_.count(Count::Advertised);
@@ -84,6 +88,14 @@ class Outlet {
   }
 
  private:
+  void reserve() {
+    if (plan_.reserved == 0) return;
+    try {
+      pusher_->reserve(plan_.reserved, kReserved);
+    } catch (const OutOfMemory& e) {
+      life_.no_memory(e.what());
+    }
+  }
   Incarnation& record() { return life_.board.incarnations[incarnation_]; }
   Status push_now(ShmUniquePtr<T>&& message) {
     return tries() ? pusher_->try_push(std::move(message)) : pusher_->push(std::move(message));

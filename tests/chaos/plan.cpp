@@ -160,11 +160,15 @@ Publishing publishing(Random& random, std::uint32_t topic) {
   plan.block_for = random.chance(10) ? 500ms : random.between(1ms, 30ms);
   plan.refuses = topic == kRefuse || (is_put(topic) && random.chance(30));
   if (plan.refuses && random.chance(50)) plan.policy = Policy::Refuse;
+  plan.reserved = random.chance(20) ? 1 + random.below(4) : 0;
+  plan.max_bytes = random.chance(20) ? (64 + random.below(1024)) << 10 : 0;
   return plan;
 }
 
 PusherOptions pusher_options(const Publishing& plan) {
-  return {plan.policy, plan.depth, plan.block_for, plan.engine, 0, plan.history};
+  PusherOptions options{plan.policy, plan.depth, plan.block_for, plan.engine, 0, plan.history};
+  options.max_bytes = plan.max_bytes;
+  return options;
 }
 
 Reading reading(Random& random, Role role) {
@@ -174,8 +178,10 @@ Reading reading(Random& random, Role role) {
       std::array{Style::Borrow, Style::TryBorrow, Style::Pull, Style::TryPull}[random.below(4)];
   plan.options.wait =
       std::array{Wait::Park, Wait::Park, Wait::Adaptive, Wait::Spin}[random.below(4)];
-  // A look that finds nothing is to mean that nothing is there.
   plan.options.max_held_bytes = PullerOptions::kNoQuota;
+  if ((role == Role::Read || role == Role::Sleep) && random.chance(40)) {
+    plan.options.max_held_bytes = (1 + random.below(64)) << 10;
+  }
   plan.patience = plan.options.wait == Wait::Spin ? 200us : random.between(500us, 5ms);
   if (role != Role::Relay) {  // which reads what comes, so that it never relays a message twice
     plan.options.history = std::array<std::uint64_t, 5>{0, 0, 1, 3, 1000}[random.below(5)];

@@ -70,10 +70,13 @@ struct Publishing {
   std::uint32_t depth;
   std::uint32_t history;  ///< where memory runs out
   std::chrono::nanoseconds block_for;
-  bool refuses;  ///< never waits, whether its policy is Refuse or it tries
+  bool refuses;             ///< never waits, whether its policy is Refuse or it tries
+  std::size_t reserved;     ///< messages of kReserved bytes
+  std::uint64_t max_bytes;  ///< 0: as the library chooses
   bool is_lossless() const { return policy != Policy::Overwrite; }
 };
 Publishing publishing(Random& random, std::uint32_t topic);
+inline constexpr std::size_t kReserved = 16 << 10;
 PusherOptions pusher_options(const Publishing& plan);
 
 /// How a subscription behaves in this life.

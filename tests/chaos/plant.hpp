@@ -31,6 +31,7 @@ enum class Plant : std::uint8_t {
   Leak,
   LeakAtEnd,
   Hoard,
+  Greed,
   File,
   Wedge,
   Doze,
@@ -45,7 +46,7 @@ struct Mistake {
   const char* says;
 };
 
-inline constexpr std::array<Mistake, 25> kMistakes{{
+inline constexpr std::array<Mistake, 26> kMistakes{{
     {Plant::Tear, "tear", Finding::Torn, "a publisher writes into what it pushes just now"},
     {Plant::Smear, "smear", Finding::Torn, "a publisher writes into what it has pushed before"},
     {Plant::Refer, "refer", Finding::Torn, "a message refers to another one than it says"},
@@ -67,6 +68,7 @@ inline constexpr std::array<Mistake, 25> kMistakes{{
     {Plant::LeakAtEnd, "leak-at-end", Finding::Leaked,
      "a block is held by nobody, after all ended"},
     {Plant::Hoard, "hoard", Finding::Leaked, "a publisher has more blocks than it can need"},
+    {Plant::Greed, "greed", Finding::Leaked, "a reader keeps more than it may"},
     {Plant::File, "file", Finding::Files, "a file of the segment stays"},
     {Plant::Wedge, "wedge", Finding::Wedged, "a node stops making progress"},
     {Plant::Doze, "doze", Finding::Wedged, "a reader sleeps on when a message comes"},

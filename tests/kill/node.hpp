@@ -210,6 +210,7 @@ struct Operation {
   bool alone = false;                        ///< there is no witness while it runs
   Rival rival = Rival::None;
   unsigned every = 1;  ///< its points are alike (each granule's tag): one of so many is enough
+  bool ends = false;   ///< the process does nothing behind it
 };
 
 std::vector<Operation> all_operations();

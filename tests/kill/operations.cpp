@@ -134,6 +134,26 @@ void membership(std::vector<Operation>& all) {
                  [](Node& n) { n.engine.reset(); },
                  {},
                  true});
+  // As the thread of end_cleanly_on_signals() does it, before the process ends.
+  const auto end_by_signal = [](Node&) { transport::Participant::remove_files(); };
+  all.push_back({"end by a signal, others stay",
+                 Promise::Blocking,
+                 victim_publishes(overwrite(3), 2) + Acts{victim(loan_one)},
+                 end_by_signal,
+                 {},
+                 false,
+                 Rival::None,
+                 1,
+                 true});
+  all.push_back({"end by a signal, last one out",
+                 Promise::Blocking,
+                 {victim(join), publisher(victim, overwrite(2), kTopic), publishes(victim, 3)},
+                 end_by_signal,
+                 {},
+                 true,
+                 Rival::None,
+                 1,
+                 true});
   all.push_back({"close with everything open", Promise::Blocking,
                  victim_publishes(overwrite(2), 3) + Acts{victim(loan_one)},
                  [](Node& n) { n.leave(); }});

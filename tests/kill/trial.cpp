@@ -199,7 +199,8 @@ void Actor::serve(const Operation& operation, Node& node) {
       reply.ok = false;
       std::snprintf(reply.complaint, sizeof(reply.complaint), "%s", e.what());
     }
-    if (node.engine) reply.index = transport::Participant::join(node.options)->index();
+    if (node.engine && !(told.order == Order::Operate && operation.ends))
+      reply.index = transport::Participant::join(node.options)->index();
     for (std::uint64_t s = 0; s < std::size(reply.last); ++s) reply.last[s] = node.account.last(s);
     reply.reads_topic = node.reads_topic;
     reply.reads_frames = node.frame_puller.has_value();
@@ -548,8 +549,10 @@ Trial::Failure Trial::fail_call(std::uint64_t nth, int error, const Path* path) 
     if (reply->reads_items) may_come_early_ |= (std::uint64_t{1} << reply->put) - 1;
     failure.error = reply->complaint;
     note_published();
-    victim_->tell(Actor::Order::Leave);
-    must_answer(*victim_, "the victim leaves");
+    if (!operation_.ends) {
+      victim_->tell(Actor::Order::Leave);
+      must_answer(*victim_, "the victim leaves");
+    }
     victim_->kill();
     inspect();
   } catch (const std::exception& e) {
