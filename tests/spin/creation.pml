@@ -130,11 +130,12 @@ again:
   :: lock_name == NONE -> /* @ src/segment/segment.cpp open_private: if (errno != ENOENT) refuse(path, "cannot open it", errno) */
     atomic {
       if
-      :: lock_name == NONE -> kernel_fresh(file); lock_name = file; lock_file[p] = file /* @ src/segment/segment.cpp make_private: linkat(AT_FDCWD, */
-      :: else -> goto again /* @ src/segment/segment.cpp open_private: if (errno != EEXIST || (flags & O_EXCL) != 0) */
+      :: lock_name == NONE -> kernel_fresh(file); lock_name = file /* @ src/segment/segment.cpp make_private: linkat(AT_FDCWD, */
+      :: else /* @ src/segment/segment.cpp open_private: if (fd == -1 && (errno != EEXIST || (flags & O_EXCL) != 0)) */
       fi;
       file = NONE
-    }
+    };
+    goto again /* @ src/segment/segment.cpp open_private: if (fd != -1) ::close(fd) */
   fi;
 #ifndef NO_GATE
   atomic { gate[lock_file[p]] == NONE -> gate[lock_file[p]] = p }; /* @ src/liveness/lock_file.cpp enter_gate: while (!try_lock(kGate)) */
