@@ -86,7 +86,7 @@ struct Player {
 class Fuzz {
  public:
   Fuzz(LocalSegment& local, const std::string& lock_path, Bytes bytes)
-      : local_(local), lock_path_(lock_path), watcher_(lock_path, 0600), bytes_(bytes) {
+      : local_(local), lock_path_(lock_path), watcher_(lock_path), bytes_(bytes) {
     local_.clear();
   }
 
@@ -140,7 +140,7 @@ class Fuzz {
   void come(Player& player) {
     std::uint32_t expected = 1;
     while (expected < kIndexes && owner_of(expected) != nullptr) ++expected;
-    auto lock = std::make_unique<LockFile>(lock_path_, 0600);
+    auto lock = std::make_unique<LockFile>(lock_path_);
     std::uint32_t k = 1;
     while (k < kIndexes && !lock->try_lock(k)) ++k;
     require(k == expected, "which index is free");

@@ -540,7 +540,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   {
     // Some of the dead may look alive: somebody holds their locks.
     std::optional<lot::liveness::LockFile> others;
-    if ((flags & 6) != 0) others.emplace(path + ".lock", 0600);
+    if ((flags & 6) != 0) others.emplace(path + ".lock");
     if ((flags & 2) != 0) others->try_lock(2);
     if ((flags & 4) != 0) others->try_lock(3);
     try {

@@ -73,7 +73,7 @@ class LocalSegment {
  private:
   static std::string make(const segment::Capacity& capacity) {
     std::string path = "/dev/shm/" + testing::unique_name();
-    segment::Segment::create(path, capacity, 0600);
+    segment::Segment::create(path, capacity, {});
     return path;
   }
 

@@ -16,7 +16,14 @@ struct EngineOptions {
   std::string segment = "LOTROS";      ///< LOT_SEGMENT
   std::string directory = "/dev/shm";  ///< LOT_DIR; share it with the containers that are to meet
   std::uint64_t size_bytes = 0;  ///< LOT_SIZE (512M, 2G); 0: 1 GiB, or 3/4 of what is free if less
-  unsigned permissions = 0600;   ///< LOT_PERMISSIONS, octal; 0660 shares with the group
+  /// LOT_PERMISSIONS, octal. Of new files; a segment whose files give others more is not joined.
+  /// 0: 0600, or 0660 with a group.
+  unsigned permissions = 0;
+  /// LOT_GROUP, a name or a number. Its members share the segment: new files belong to it, and
+  /// theirs are joined.
+  std::string group;
+  /// LOT_USER, a name or a number. This user's segment is joined, as are one's own and root's.
+  std::string user;
   /// LOT_PERSIST, 1 or 0. The files stay when the last process leaves, and so does what waits in
   /// queues. It holds for the life of the segment once one process has asked for it, whichever
   /// leaves last, and however. `lot clean` removes them.

@@ -36,16 +36,10 @@ bool held_by_another(int fd, struct flock range) {
   return range.l_type != F_UNLCK;
 }
 
-/// Of each class both rights or none: a user who may only read could hold the gate by a read lock.
-mode_t of_a_lock_file(mode_t mode) {
-  const mode_t both = mode & (mode >> 1) & 0222;  // write bits, where there is a read bit too
-  return both | (both << 1);
-}
-
 }  // namespace
 
-LockFile::LockFile(std::string path, mode_t mode)
-    : path_(std::move(path)), fd_(segment::open_private(path_, of_a_lock_file(mode))) {
+LockFile::LockFile(std::string path, const segment::Trust& trust)
+    : path_(std::move(path)), fd_(segment::open_private(path_, trust.of_a_lock_file())) {
   struct stat status {};
   fstat(fd_, &status);
   if (!S_ISREG(status.st_mode) || status.st_size != 0) {

@@ -7,6 +7,8 @@
 #include <string>
 #include <sys/stat.h>
 
+#include "segment/trust.hpp"
+
 /// Who is alive is said by the kernel: each participant holds a write lock on its byte of the lock
 /// file, and the kernel drops it when the process dies. No process ids: they mean nothing in
 /// another container.
@@ -32,8 +34,8 @@ class LockFile {
   static constexpr std::uint32_t kTurns = 1 << 16;
 
   /// Opens the lock file, made if absent. Throws lot::Error, also when it is no lock file (not an
-  /// empty regular one): that is left alone.
-  LockFile(std::string path, mode_t mode);
+  /// empty regular one), or not trusted: that is left alone.
+  explicit LockFile(std::string path, const segment::Trust& trust = {});
   ~LockFile();
   LockFile(const LockFile&) = delete;
   LockFile& operator=(const LockFile&) = delete;

@@ -195,22 +195,20 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
   return reason.empty() ? Segment::Fit::Fits : Segment::Fit::Stale;
 }
 
-/// "uid 1000, gid 1000, mode 0600", of what is at path; "" when nothing can be said.
-std::string owner_and_mode(const std::string& path) {
-  struct stat status {};
-  if (lstat(path.c_str(), &status) == -1) return "";
-  char text[96];
-  std::snprintf(text, sizeof(text), "uid %u, gid %u, mode 0%o", status.st_uid, status.st_gid,
-                status.st_mode & 07777);
-  return text;
+/// What is no segment is said to be none, whosever it is.
+Segment::Fit trusted_fit_of(int fd, const std::string& path, std::uint64_t wanted,
+                            const Trust& trust, std::string& reason) {
+  const Segment::Fit fit = fit_of(fd, wanted, reason);
+  if (fit != Segment::Fit::Foreign) trust.require(fd, path);
+  return fit;
 }
 
 [[noreturn]] void refuse(const std::string& path, const char* what, int error) {
   const std::string owner = error == EACCES ? owner_and_mode(path) : "";
   if (!owner.empty()) {
     throw Error(error, path, std::string(what) + ", it belongs to " + owner,
-                "let its owner make it anew with LOT_PERMISSIONS=0660 and a common group, or set "
-                "LOT_SEGMENT or LOT_DIR");
+                "let its owner make it anew with LOT_GROUP=<a common group>, or set LOT_SEGMENT or "
+                "LOT_DIR");
   }
   const char* advice = error == EROFS    ? "the directory is read-only: name another with LOT_DIR"
                        : error == ENOENT ? "make the directory, or name another with LOT_DIR"
@@ -222,40 +220,75 @@ std::string owner_and_mode(const std::string& path) {
   throw Error(error, path, what, advice);
 }
 
+/// Group and mode of a new file, whatever the umask. Closes it when it cannot have them.
+void give_rights(int fd, const std::string& path, const Trust& trust) {
+  const auto fail = [&](const char* what, const char* advice) {
+    const int error = errno;
+    ::close(fd);
+    throw Error(error, path, what, advice);
+  };
+  if (trust.group && fchown(fd, static_cast<uid_t>(-1), *trust.group) == -1) {
+    fail("a new file cannot be given to that group",
+         "name one that you are a member of (LOT_GROUP)");
+  }
+  if (fchmod(fd, trust.mode) == -1) {
+    fail("a new file cannot have those permissions", "set LOT_PERMISSIONS or LOT_DIR");
+  }
+}
+
 /// A new file gets its name when it has its mode, whatever the umask. -1 and errno when it cannot
 /// be made; EEXIST: there is one.
 ///
 /// Crash: leaves no file, or a whole one. Only where the file system has no unnamed files, or there
 /// is no /proc, a maker that is killed before fchmod leaves the mode that its umask allows.
-int make_private(const std::string& path, mode_t mode) {
+int make_private(const std::string& path, const Trust& trust) {
   const std::string directory = path.substr(0, path.rfind('/') + 1);
-  const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, mode);
+  const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, trust.mode);
   if (unnamed != -1) {
-    if (fchmod(unnamed, mode) == 0 &&
-        linkat(AT_FDCWD, ("/proc/self/fd/" + std::to_string(unnamed)).c_str(), AT_FDCWD,
+    give_rights(unnamed, path, trust);
+    if (linkat(AT_FDCWD, ("/proc/self/fd/" + std::to_string(unnamed)).c_str(), AT_FDCWD,
                path.c_str(), AT_SYMLINK_FOLLOW) == 0) {
       return unnamed;
     }
     ::close(unnamed);
   }
   // There is a file of that name already, or it cannot be made in this way.
-  const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, mode);
-  if (fd != -1) (void)fchmod(fd, mode);
+  const int fd =
+      ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, trust.mode);
+  if (fd == -1) return -1;
+  try {
+    give_rights(fd, path, trust);
+  } catch (...) {
+    ::unlink(path.c_str());
+    throw;
+  }
   return fd;
+}
+
+void require_or_close(const Trust& trust, int fd, const std::string& path) {
+  try {
+    trust.require(fd, path);
+  } catch (...) {
+    ::close(fd);
+    throw;
+  }
 }
 
 }  // namespace
 
-int open_private(const std::string& path, mode_t mode, int flags) {
+int open_private(const std::string& path, const Trust& trust, int flags) {
   for (;;) {
     if ((flags & O_EXCL) == 0) {
       // Without O_CREAT, which fs.protected_regular refuses in a sticky directory where the file is
       // another user's, though its mode lets us in. What is there keeps its mode and owner.
       const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW);
-      if (fd != -1) return fd;
+      if (fd != -1) {
+        require_or_close(trust, fd, path);
+        return fd;
+      }
       if (errno != ENOENT) refuse(path, "cannot open it", errno);
     }
-    const int fd = make_private(path, mode);
+    const int fd = make_private(path, trust);
     if (fd != -1 && (flags & O_EXCL) != 0) return fd;
     // It is opened once more by its name: else /proc/PID/fd, and so lsof, says "#123 (deleted)".
     if (fd != -1) ::close(fd);
@@ -306,12 +339,12 @@ Geometry Geometry::of(const Capacity& c) {
   return g;
 }
 
-void Segment::create(const std::string& path, Capacity capacity, mode_t mode) {
+void Segment::create(const std::string& path, Capacity capacity, const Trust& trust) {
   capacity = choose_size(path, capacity);
   const Geometry geometry = Geometry::of(capacity);
   const std::string unfinished = path + ".new";
   ::unlink(unfinished.c_str());  // of a creator that died: we hold the gate
-  Descriptor file(open_private(unfinished, mode, O_EXCL));
+  Descriptor file(open_private(unfinished, trust, O_EXCL));
   const auto fail = [&](int error, const char* what) {
     ::unlink(unfinished.c_str());
     throw Error(error, path, what, "free memory in its directory, or set LOT_SIZE or LOT_DIR");
@@ -332,31 +365,32 @@ void Segment::create(const std::string& path, Capacity capacity, mode_t mode) {
   header.capacity = capacity;
   if (pwrite(file.fd, &header, sizeof(header), 0) != sizeof(header)) fail(errno, "cannot write it");
   {
-    Segment segment(unfinished, Access::ReadWrite, false);
+    Segment segment(unfinished, Access::ReadWrite, trust, false);
     for (Witness& w : segment.witnesses()) RobustMutex::construct(w.mutex);
     RobustMutex::construct(segment.directory().lock.mutex);
   }
   if (::rename(unfinished.c_str(), path.c_str()) == -1) fail(errno, "cannot name it");
 }
 
-Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, std::string& reason) {
+Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, const Trust& trust,
+                              std::string& reason) {
   reason.clear();
   Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
   if (file.fd == -1) {
     if (errno == ENOENT) return Fit::Absent;
     refuse(path, "cannot open the segment", errno);
   }
-  return fit_of(file.fd, size, reason);
+  return trusted_fit_of(file.fd, path, size, trust, reason);
 }
 
-Segment::Fit Segment::inspect(const std::string& path, std::string& reason) {
+Segment::Fit Segment::inspect(const std::string& path, const Trust& trust, std::string& reason) {
   reason.clear();
   Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
   if (file.fd == -1) {
     if (errno == ENOENT) return Fit::Absent;
     throw Error(errno, path, "cannot open it for reading", "it belongs to another user");
   }
-  return fit_of(file.fd, 0, reason);
+  return trusted_fit_of(file.fd, path, 0, trust, reason);
 }
 
 void Segment::remove(const std::string& path) noexcept {
@@ -371,13 +405,16 @@ bool Segment::is_at_its_path() const noexcept {
          read_header(file.fd, ignored).identity.instance == header().identity.instance;
 }
 
-Segment::Segment(const std::string& path, Access access) : Segment(path, access, true) {}
+Segment::Segment(const std::string& path, Access access, const Trust& trust)
+    : Segment(path, access, trust, true) {}
 
-Segment::Segment(const std::string& path, Access access, bool finished) : path_(path) {
+Segment::Segment(const std::string& path, Access access, const Trust& trust, bool finished)
+    : path_(path) {
   const bool writable = access == Access::ReadWrite;
   Descriptor file(::open(path.c_str(), (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW),
                   writable ? boost::interprocess::read_write : boost::interprocess::read_only);
   if (file.fd == -1) throw Error(errno, path, "cannot open it", "may you read and write it?");
+  trust.require(file.fd, path);
   std::uint64_t size = 0;
   const Header header = read_header(file.fd, size);
   const auto refuse = [&path](const std::string& why) {

@@ -14,14 +14,15 @@
 
 #include "segment/granules.hpp"
 #include "segment/layout.hpp"
+#include "segment/trust.hpp"
 #include "segment/units.hpp"
 
 namespace lot::segment {
 
-/// Opens a file for reading and writing, made with exactly `mode` if absent; never follows a link.
-/// What is there keeps its mode and owner; with O_EXCL in `flags` it is an error. Throws lot::Error
-/// with advice.
-int open_private(const std::string& path, mode_t mode, int flags = 0);
+/// Opens a file for reading and writing, made with exactly this mode and group if absent; never
+/// follows a link. What is there keeps its mode and owner, and must be trusted; with O_EXCL in
+/// `flags` it is an error. Throws lot::Error with advice.
+int open_private(const std::string& path, const Trust& trust, int flags = 0);
 
 /// "<directory>/<name>", after a check that the name is one. Throws lot::Error.
 std::string path_of(const std::string& directory, const std::string& name);
@@ -36,17 +37,19 @@ std::uint64_t topic_key(std::string_view name);
 class Segment {
  public:
   /// Makes a new segment; size 0 takes a default that the directory has room for.
-  static void create(const std::string& path, Capacity capacity, mode_t mode);
+  static void create(const std::string& path, Capacity capacity, const Trust& trust);
   enum class Fit {
     Absent,
     Fits,    ///< complete, of this version, machine and boot, and of the size asked for
     Stale,   ///< a segment, but not one that we can join
     Foreign  ///< no segment at all: never touched
   };
-  /// What is at path; `size` 0 means any. Says why it does not fit in `reason`.
-  static Fit examine(const std::string& path, std::uint64_t size, std::string& reason);
+  /// What is at path; `size` 0 means any. Says why it does not fit in `reason`. Throws lot::Error
+  /// when it is not trusted.
+  static Fit examine(const std::string& path, std::uint64_t size, const Trust& trust,
+                     std::string& reason);
   /// The same for who only looks: opens it for reading.
-  static Fit inspect(const std::string& path, std::string& reason);
+  static Fit inspect(const std::string& path, const Trust& trust, std::string& reason);
   static void remove(const std::string& path) noexcept;
   /// False when the path names another file by now, or none.
   bool is_at_its_path() const noexcept;
@@ -55,8 +58,10 @@ class Segment {
     ReadWrite,
     ReadOnly  ///< REQUIRES: nothing is written through it
   };
-  /// Maps the segment at path. Throws lot::Error when it is not one, with the reason.
-  explicit Segment(const std::string& path, Access access = Access::ReadWrite);
+  /// Maps the segment at path. Throws lot::Error when it is not one, or not trusted, with the
+  /// reason.
+  explicit Segment(const std::string& path, Access access = Access::ReadWrite,
+                   const Trust& trust = {});
   /// From now on what this process has touched of it is not swapped out, and this process gives no
   /// memory back. Nothing is touched for it. Throws lot::Error, which names the limit.
   void lock_memory();
@@ -170,7 +175,7 @@ class Segment {
   std::uint64_t give_back(std::uint32_t unit, std::uint32_t looks, std::uint32_t tag) noexcept;
 
  private:
-  Segment(const std::string& path, Access access, bool finished);
+  Segment(const std::string& path, Access access, const Trust& trust, bool finished);
   template <class T>
   T* at(std::uint64_t offset) const noexcept {
     return reinterpret_cast<T*>(base_ + offset);

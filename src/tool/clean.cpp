@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <memory>
-#include <sys/stat.h>
 #include <thread>
 #include <unistd.h>
 
@@ -25,12 +24,6 @@ constexpr auto kReapPatience = 2s;
 /// Byte locks of living processes, whatever the version of their segment.
 constexpr std::uint32_t kAnybody = segment::kMaxParticipants;
 
-mode_t mode_of(const std::string& path, const std::string& or_of) {
-  struct stat status {};
-  if (stat(path.c_str(), &status) != 0 && stat(or_of.c_str(), &status) != 0) return 0600;
-  return (status.st_mode & 0666) | 0600;
-}
-
 /// Those in the segment who live by their witnesses: they may have lost their locks. Only of a
 /// segment that this build can read, and of this boot.
 bool has_witnesses(const Sight& s) { return s.window != nullptr && !living(*s.window).empty(); }
@@ -52,7 +45,9 @@ class Cleaner {
   }
 
   void clean(Sight s) {
-    if (s.condition == Sight::Condition::Unreadable) return leave_alone(s.path, s.reason, kWrong);
+    using Condition = Sight::Condition;
+    if (s.condition == Condition::Unreadable || s.condition == Condition::Untrusted)
+      return leave_alone(s.path, s.reason, kWrong);
     const liveness::LockProbe locks(s.path + ".lock");
     if (!locks.is_held(0, kAnybody) && !has_witnesses(s)) {
       const Waiting items = items_in(s);
@@ -82,7 +77,7 @@ class Cleaner {
                    const Waiting& items = {}) {
     report_.document()["left_alone"].push_back(
         {{"path", path}, {"why", why}, {"waiting", waiting_json(items)}});
-    report_.print("left alone  " + printable(path, 200) + ": " + printable(why, 300) + "\n");
+    report_.print("left alone  " + printable(path, 200) + ": " + printable(why, 500) + "\n");
     report_.ends(exit);
   }
 
@@ -106,10 +101,9 @@ class Cleaner {
   bool try_remove(const std::string& name) {
     const std::string path = path_of(where_, name);
     const std::string lock_path = path + ".lock";
-    const mode_t mode = mode_of(lock_path, path);
     for (;;) {
       const bool made = !exists(lock_path);
-      liveness::LockFile lock(lock_path, mode);
+      liveness::LockFile lock(lock_path, where_.trust);
       if (!lock.enter_gate(kGatePatience)) continue;  // removed meanwhile: once more
       struct Gate {
         liveness::LockFile& lock;
@@ -131,7 +125,7 @@ class Cleaner {
 
   /// Asked in the gate: a process may have come, and put something, since it was looked at.
   bool stays(const std::string& name) const {
-    const Sight now = sight(where_.directory, name);
+    const Sight now = sight(where_, name);
     return has_witnesses(now) || (!with_items_ && !items_in(now).empty());
   }
 
@@ -153,7 +147,10 @@ class Cleaner {
         EngineOptions options;
         options.directory = where_.directory;
         options.segment = s.name;
-        options.permissions = mode_of(s.path + ".lock", s.path);
+        const segment::Trust& trust = where_.trust;
+        options.permissions = trust.mode;
+        if (trust.user) options.user = std::to_string(*trust.user);
+        if (trust.group) options.group = std::to_string(*trust.group);
         options.name = "lot clean";
         using transport::Participant;
         const auto participant = Participant::join(options, Participant::IfAbsent::Throw);
@@ -215,8 +212,8 @@ class Cleaner {
 
 Exit clean(const Settings& settings, const CleanOptions& options) {
   // What the library would take for itself when it joins.
-  for (const char* name :
-       {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_PERSIST", "LOT_MLOCK"}) {
+  for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_USER",
+                           "LOT_GROUP", "LOT_PERSIST", "LOT_MLOCK"}) {
     unsetenv(name);
   }
   Report report(settings);

@@ -4,12 +4,15 @@
 #include <string>
 #include <vector>
 
+#include "segment/trust.hpp"
+
 namespace lot::tool {
 
-/// Where to look: a directory, and one name in it or all.
+/// Where to look: a directory, and one name in it or all; and whose files are looked into.
 struct Where {
   std::string directory;
   std::string name;  ///< empty: all
+  segment::Trust trust;
 };
 
 /// What lies in the directory. Files of others are told from ours by their first bytes; a file that

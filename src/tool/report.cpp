@@ -32,7 +32,7 @@ bool introduce(const Sight& sight, Report& report, Json& entry) {
     return true;
   }
   report.print("\n  " + std::string(to_string(sight.condition)) + ": " +
-               printable(sight.reason, 200) + "\n");
+               printable(sight.reason, 500) + "\n");
   const std::string name = printable(sight.name);
   switch (sight.condition) {
     case Sight::Condition::OtherBoot:
@@ -42,6 +42,11 @@ bool introduce(const Sight& sight, Report& report, Json& entry) {
     case Sight::Condition::Unreadable:
       report.ends(kWrong);
       report.hint(name + " can not be read: ask its owner, or become root");
+      break;
+    case Sight::Condition::Untrusted:
+      report.ends(kWrong);
+      report.hint(name +
+                  " is not looked into: above stands why, and what to set if you trust its users");
       break;
     default:
       report.ends(kDamaged);

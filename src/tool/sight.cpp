@@ -19,6 +19,8 @@ const char* to_string(Sight::Condition condition) {
       return "damaged";
     case Sight::Condition::Unreadable:
       return "unreadable";
+    case Sight::Condition::Untrusted:
+      return "not trusted";
   }
   return "?";
 }
@@ -26,28 +28,28 @@ const char* to_string(Sight::Condition condition) {
 namespace {
 
 /// Nothing: it was not there, or went meanwhile.
-std::optional<Sight> try_sight(const std::string& directory, const std::string& name) {
+std::optional<Sight> try_sight(const Where& where, const std::string& name) {
   using segment::Segment;
   Sight s;
   s.name = name;
-  s.path = directory + "/" + name;
+  s.path = path_of(where, name);
   try {
-    const auto fit = Segment::inspect(s.path, s.reason);
+    const auto fit = Segment::inspect(s.path, where.trust, s.reason);
     if (fit == Segment::Fit::Absent) return std::nullopt;
     if (fit == Segment::Fit::Foreign) {
       s.condition = Sight::Condition::Damaged;
       return s;
     }
-    s.window = std::make_unique<Window>(s.path);
+    s.window = std::make_unique<Window>(s.path, where.trust);
     if (fit == Segment::Fit::Fits) return s;
     // Whoever maps it does not look at the boot.
     s.window.reset();
     s.condition = Sight::Condition::OtherBoot;
   } catch (const Error& e) {
     if (e.error_number() == ENOENT) return std::nullopt;
-    s.condition = e.error_number() == EACCES || e.error_number() == EPERM
-                      ? Sight::Condition::Unreadable
-                      : Sight::Condition::Damaged;
+    s.condition = e.error_number() == EACCES  ? Sight::Condition::Unreadable
+                  : e.error_number() == EPERM ? Sight::Condition::Untrusted
+                                              : Sight::Condition::Damaged;
     if (s.reason.empty()) s.reason = e.what();
   }
   return s;
@@ -55,19 +57,20 @@ std::optional<Sight> try_sight(const std::string& directory, const std::string& 
 
 }  // namespace
 
-Sight sight(const std::string& directory, const std::string& name) {
+Sight sight(const Where& where, const std::string& name) {
+  const std::string path = path_of(where, name);
   for (;;) {
-    auto s = try_sight(directory, name);
+    auto s = try_sight(where, name);
     if (s) return std::move(*s);
-    if (exists(directory + "/" + name)) continue;  // another has been made meanwhile
-    return {name, directory + "/" + name, Sight::Condition::Damaged, "it has just gone", nullptr};
+    if (exists(path)) continue;  // another has been made meanwhile
+    return {name, path, Sight::Condition::Damaged, "it has just gone", nullptr};
   }
 }
 
 std::vector<Sight> sights(const Where& where) {
   std::vector<Sight> found;
   for (const auto& name : find_places(where).segments) {
-    Sight s = sight(where.directory, name);
+    Sight s = sight(where, name);
     if (s.condition == Sight::Condition::Damaged && !exists(s.path)) continue;  // gone meanwhile
     found.push_back(std::move(s));
   }

@@ -14,9 +14,10 @@ namespace lot::tool {
 struct Sight {
   enum class Condition {
     Sound,
-    OtherBoot,  ///< whole, but of a time before the system was started: nobody lives in it
-    Damaged,    ///< not what this build calls a segment: another version, cut short, overwritten
-    Unreadable  ///< it belongs to another user
+    OtherBoot,   ///< whole, but of a time before the system was started: nobody lives in it
+    Damaged,     ///< not what this build calls a segment: another version, cut short, overwritten
+    Unreadable,  ///< it belongs to another user
+    Untrusted    ///< the same, or it gives others too much: it could be read, and is not
   };
   std::string name;
   std::string path;
@@ -26,7 +27,8 @@ struct Sight {
 };
 const char* to_string(Sight::Condition condition);
 
-Sight sight(const std::string& directory, const std::string& name);
+/// The segment of that name, whatever `where` names.
+Sight sight(const Where& where, const std::string& name);
 /// All that `where` names. Throws lot::Error when the directory can not be read.
 std::vector<Sight> sights(const Where& where);
 

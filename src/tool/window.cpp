@@ -21,12 +21,13 @@ Window::Opening::Opening() {
 }
 Window::Opening::~Opening() { is_opening = 0; }
 
-segment::Segment Window::open(const std::string& path) {
+segment::Segment Window::open(const std::string& path, const segment::Trust& trust) {
   const Opening opening;
-  return segment::Segment(path, segment::Segment::Access::ReadOnly);
+  return segment::Segment(path, segment::Segment::Access::ReadOnly, trust);
 }
 
-Window::Window(const std::string& path) : segment_(open(path)), next_(first_window) {
+Window::Window(const std::string& path, const segment::Trust& trust)
+    : segment_(open(path, trust)), next_(first_window) {
   first_window = this;
 }
 

@@ -17,7 +17,7 @@ namespace lot::tool {
 class Window {
  public:
   /// Throws lot::Error when it is no segment that this build can read.
-  explicit Window(const std::string& path);
+  Window(const std::string& path, const segment::Trust& trust);
   ~Window();
   Window(const Window&) = delete;
   Window& operator=(const Window&) = delete;
@@ -33,7 +33,7 @@ class Window {
     Opening();
     ~Opening();
   };
-  static segment::Segment open(const std::string& path);
+  static segment::Segment open(const std::string& path, const segment::Trust& trust);
 
   segment::Segment segment_;
   volatile bool torn_ = false;  ///< by the handler

@@ -70,11 +70,17 @@ bool parse_switch(const char* name, const char* text) {
               "write 1 or 0, or leave it away");
 }
 
+void take_rights_from_environment(EngineOptions& options) {
+  if (const char* v = environment("LOT_PERMISSIONS")) options.permissions = parse_permissions(v);
+  if (const char* v = environment("LOT_USER")) options.user = v;
+  if (const char* v = environment("LOT_GROUP")) options.group = v;
+}
+
 EngineOptions with_environment(EngineOptions options) {
   if (const char* v = environment("LOT_SEGMENT")) options.segment = v;
   if (const char* v = environment("LOT_DIR")) options.directory = v;
   if (const char* v = environment("LOT_SIZE")) options.size_bytes = parse_size(v);
-  if (const char* v = environment("LOT_PERMISSIONS")) options.permissions = parse_permissions(v);
+  take_rights_from_environment(options);
   if (const char* v = environment("LOT_PERSIST")) options.persist = parse_switch("LOT_PERSIST", v);
   if (const char* v = environment("LOT_MLOCK")) options.lock_memory = parse_switch("LOT_MLOCK", v);
   if (options.name.empty()) options.name = program_invocation_short_name;
@@ -94,13 +100,13 @@ EngineOptions with_environment(EngineOptions options) {
 
 /// The items that wait in a segment whose files stay, and that only has another size than the one
 /// that was asked for. REQUIRES: the gate is held, and no process uses it.
-std::uint64_t kept_items(const std::string& path) {
+std::uint64_t kept_items(const std::string& path, const segment::Trust& trust) {
   using segment::Segment;
   std::string ignored;
-  if (Segment::examine(path, 0, ignored) != Segment::Fit::Fits) return 0;
+  if (Segment::examine(path, 0, trust, ignored) != Segment::Fit::Fits) return 0;
   std::uint64_t items = 0;
   try {
-    const Segment segment(path, Segment::Access::ReadOnly);
+    const Segment segment(path, Segment::Access::ReadOnly, trust);
     if (!segment.keeps_files()) return 0;
     for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
       items += segment.waiting_items(c);
@@ -112,6 +118,12 @@ std::uint64_t kept_items(const std::string& path) {
 }
 
 }  // namespace
+
+segment::Trust Participant::trust_of_environment() {
+  EngineOptions options;
+  take_rights_from_environment(options);
+  return segment::Trust::of(options);
+}
 
 QueueEngine Participant::queue_engine(QueueEngine asked) {
   const char* name = environment("LOT_QUEUE");
@@ -145,6 +157,7 @@ class Participant::GateGuard {
 std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent if_absent) {
   options = with_environment(std::move(options));
   const std::string path = segment::path_of(options.directory, options.segment);
+  const segment::Trust trust = segment::Trust::of(options);
   watch_forks();
   const std::lock_guard joining(process().joining);
   {
@@ -157,7 +170,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
   }
 
   for (;;) {
-    auto file = std::make_shared<liveness::LockFile>(path + ".lock", options.permissions);
+    auto file = std::make_shared<liveness::LockFile>(path + ".lock", trust);
     if (!file->enter_gate(kGatePatience)) continue;  // removed by the last one to leave: once more
     liveness::LockFile& lock_file = *file;
     GateGuard gate(lock_file);
@@ -166,7 +179,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
     const auto in_use = [&] { return lock_file.held_by_other(0, segment::kMaxParticipants); };
     try {
       std::string reason;
-      const auto fit = segment::Segment::examine(path, options.size_bytes, reason);
+      const auto fit = segment::Segment::examine(path, options.size_bytes, trust, reason);
       ours = fit == segment::Segment::Fit::Fits || fit == segment::Segment::Fit::Stale;
       if (fit == segment::Segment::Fit::Foreign) {
         throw Error(EINVAL, path, reason, "remove it if it is yours, or set LOT_SEGMENT");
@@ -189,7 +202,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
       if (fit != segment::Segment::Fit::Fits && if_absent == IfAbsent::Throw) {
         throw Error(ENOENT, path, "nobody uses it any more", "there is nothing to be done");
       }
-      const std::uint64_t kept = fit == segment::Segment::Fit::Stale ? kept_items(path) : 0;
+      const std::uint64_t kept = fit == segment::Segment::Fit::Stale ? kept_items(path, trust) : 0;
       if (kept != 0) {
         throw Error(ENOTEMPTY, path,
                     reason + ", and " + std::to_string(kept) + " items wait in it that are to stay",
@@ -201,12 +214,12 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
         segment::Segment::create(path,
                                  {options.size_bytes, options.processes + 1, options.blocks,
                                   options.topics, options.channels, options.readers},
-                                 options.permissions);
+                                 trust);
         made = true;
       }
       ours = true;
       lock_file.take_turn();
-      auto* p = new Participant(options, file);
+      auto* p = new Participant(options, trust, file);
       std::shared_ptr<Participant> handle(p, &handle_gone);
       if (options.persist) p->segment_.keep_files();
       const std::lock_guard guard(process().mutex);
@@ -224,10 +237,11 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
   }
 }
 
-Participant::Participant(const EngineOptions& options,
+Participant::Participant(const EngineOptions& options, const segment::Trust& trust,
                          std::shared_ptr<liveness::LockFile> lock_file)
     : lock_file_(std::move(lock_file)),
-      segment_(segment::path_of(options.directory, options.segment)),
+      segment_(segment::path_of(options.directory, options.segment),
+               segment::Segment::Access::ReadWrite, trust),
       registry_(segment_) {
   if (options.lock_memory) segment_.lock_memory();
   fill_hub();

@@ -287,6 +287,8 @@ class Participant {
     return !holder_.is_home(cell.block) ||
            holder_.in_queue[cell.block].load(std::memory_order_relaxed) != 0;
   }
+  /// Whom a process trusts whose code says nothing of it.
+  static segment::Trust trust_of_environment();
   /// What LOT_QUEUE in the environment says, else what the code says.
   static QueueEngine queue_engine(QueueEngine asked);
   /// The process is about to end, in the midst of its work. Where it is the last one on a segment,
@@ -358,7 +360,8 @@ class Participant {
   bool make_room_in(Pool& pool, std::uint32_t granules) noexcept;
   bool is_kept(std::uint32_t b) noexcept;
 
-  Participant(const EngineOptions& options, std::shared_ptr<liveness::LockFile> lock_file);
+  Participant(const EngineOptions& options, const segment::Trust& trust,
+              std::shared_ptr<liveness::LockFile> lock_file);
   static Participant& of(const detail::ControlCell* cell) noexcept;
   void fill_hub() noexcept;
   std::uint32_t take_index(const EngineOptions& options);

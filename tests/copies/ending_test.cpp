@@ -183,8 +183,7 @@ TEST_CASE("a signal that comes late, while another process is in the gate, leave
   const Watchdog watchdog(60);
   const auto options = fresh();
   Child child = start_and_wait("signals", options);
-  lot::liveness::LockFile gate(options.directory + "/" + options.segment + ".lock",
-                               options.permissions);
+  lot::liveness::LockFile gate(options.directory + "/" + options.segment + ".lock");
   REQUIRE(gate.enter_gate(5s));
   child.send(SIGINT);
   std::this_thread::sleep_for(700ms);

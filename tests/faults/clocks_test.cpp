@@ -179,7 +179,7 @@ TEST_CASE("who waits for the registry, or for the gate, waits on when the clock 
       must(wait.next() == '.', "the clock was set while the lock was held");
     }
     must(wait.next() == '.', "it has left again");
-    lot::liveness::LockFile file(engine.path() + ".lock", 0600);
+    lot::liveness::LockFile file(engine.path() + ".lock");
     must(file.enter_gate(5s), "the gate");
     holding.tell();
     must(wait.next() == '.', "and while the gate was held");

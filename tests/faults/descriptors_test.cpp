@@ -278,7 +278,7 @@ TEST_CASE("closefrom() in any state: no neighbour reaps it, it goes on, joins to
       CHECK((state.run != &waits_for_room || next == kLast + 1));
       CHECK(out.missed_total() == 0);
       CHECK(s.participants()[index].state.load() == 1);
-      lot::liveness::LockFile file(engine.path() + ".lock", 0600);
+      lot::liveness::LockFile file(engine.path() + ".lock");
       CHECK(eventually([&] { return file.held_by_other(index); }));  // it has its lock again
       done.tell();
       CHECK(careless.wait() == 0);
@@ -419,8 +419,8 @@ TEST_CASE("a process in two segments: each lock file comes back, whoever gets wh
       must(eventually([&] { return lock_descriptor(one) != -1 && lock_descriptor(two) != -1; }),
            "both are open again");
     }
-    lot::liveness::LockFile file_one(file_of(one) + ".lock", 0600);
-    lot::liveness::LockFile file_two(file_of(two) + ".lock", 0600);
+    lot::liveness::LockFile file_one(file_of(one) + ".lock");
+    lot::liveness::LockFile file_two(file_of(two) + ".lock");
     const auto held = [](lot::liveness::LockFile& file) {
       int n = 0;
       for (std::uint32_t k = 1; k < lot::segment::kMaxParticipants; ++k) n += file.held_by_other(k);
@@ -615,7 +615,7 @@ TEST_CASE("a neighbour reaps who is dead, and the spy sees a lock on a file that
 
   Child locker([&] {
     const OwnFile own;
-    lot::liveness::LockFile file(file_of(options) + ".lock", 0600);
+    lot::liveness::LockFile file(file_of(options) + ".lock");
     must(file.try_lock(1) && stray_locks() == 0, "a lock file of LOT");
     struct flock all {};
     all.l_type = F_WRLCK;

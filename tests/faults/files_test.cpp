@@ -74,7 +74,10 @@ constexpr const char* kRubbish = "a text of mine that nobody may remove";
 /// Two processes that know each other, and the segment they are in, whatever its path names now.
 struct Insiders {
   explicit Insiders(const lot::EngineOptions& options)
-      : a(options, 'a'), b(options, 'b'), segment(file_of(options)) {
+      : a(options, 'a'),
+        b(options, 'b'),
+        segment(file_of(options), lot::segment::Segment::Access::ReadWrite,
+                lot::segment::Trust::of(options)) {
     REQUIRE(a.joined());
     REQUIRE(b.joined());
     CHECK(a.talks_to(b));

@@ -403,7 +403,7 @@ TEST_CASE("a child forked while another thread is joining waits for it, and hold
     }
     joiner.join();
   });
-  lot::liveness::LockFile gate(file_of(options) + ".lock", 0600);
+  lot::liveness::LockFile gate(file_of(options) + ".lock");
   REQUIRE(gate.enter_gate(5s));
   join.tell();
   REQUIRE(forking.next() == '.');
@@ -471,7 +471,7 @@ TEST_CASE(
   });
   REQUIRE(joined.next() == '.');
   lot::segment::Segment s(file_of(options));
-  lot::liveness::LockFile gate(file_of(options) + ".lock", 0600);
+  lot::liveness::LockFile gate(file_of(options) + ".lock");
   REQUIRE(gate.enter_gate(5s));
   leave.tell();
   CHECK(forked.next() == 'n');

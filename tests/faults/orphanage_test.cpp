@@ -172,7 +172,7 @@ TEST_CASE("nobody acts for the orphanage without its byte lock, nor without its 
     });
     REQUIRE(joined.next() == '.');
     lot::segment::Segment s(file_of(options));
-    lot::liveness::LockFile file(file_of(options) + ".lock", 0600);
+    lot::liveness::LockFile file(file_of(options) + ".lock");
     lot::RobustMutex mutex(s.witnesses()[lot::refcount::kOrphanage].mutex);
     if (byte) {
       CHECK(eventually([&] { return file.try_lock(lot::refcount::kOrphanage); }));
@@ -209,7 +209,7 @@ TEST_CASE("a dead one's index is not refused because somebody reaps just now") {
   });
   REQUIRE(joined.next() == '.');
   dead.kill9();
-  lot::liveness::LockFile lock_file(file_of(options) + ".lock", 0600);
+  lot::liveness::LockFile lock_file(file_of(options) + ".lock");
   REQUIRE(lock_file.try_lock(lot::refcount::kOrphanage));
   std::thread reaper([&] {
     std::this_thread::sleep_for(30ms);

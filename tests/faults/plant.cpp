@@ -24,6 +24,7 @@ using lot::detail::FutexWaits;
 using lot::futex::Deadline;
 using lot::liveness::LockFile;
 using lot::segment::Segment;
+using lot::segment::Trust;
 
 bool planted(std::string_view mistake) {
   static const char* const name = std::getenv("LOT_FAULTS_PLANT");
@@ -75,14 +76,15 @@ bool wrap_looks_held(const RobustMutex* mutex) {
   return !planted("no-witness") && real_looks_held(mutex);
 }
 
-Segment::Fit real_examine(const std::string&, std::uint64_t, std::string&) asm(
+Segment::Fit real_examine(const std::string&, std::uint64_t, const Trust&, std::string&) asm(
     "__real__ZN3lot7segment7Segment7examineERKNSt7__cxx1112basic_stringIcSt11char_traitsIcESaIcEEE"
-    "mRS7_");
-Segment::Fit wrap_examine(const std::string&, std::uint64_t, std::string&) asm(
+    "mRKNS0_5TrustERS7_");
+Segment::Fit wrap_examine(const std::string&, std::uint64_t, const Trust&, std::string&) asm(
     "__wrap__ZN3lot7segment7Segment7examineERKNSt7__cxx1112basic_stringIcSt11char_traitsIcESaIcEEE"
-    "mRS7_");
-Segment::Fit wrap_examine(const std::string& path, std::uint64_t size, std::string& reason) {
-  const auto fit = real_examine(path, size, reason);
+    "mRKNS0_5TrustERS7_");
+Segment::Fit wrap_examine(const std::string& path, std::uint64_t size, const Trust& trust,
+                          std::string& reason) {
+  const auto fit = real_examine(path, size, trust, reason);
   return fit == Segment::Fit::Foreign && planted("rubbish-is-stale") ? Segment::Fit::Stale : fit;
 }
 

@@ -303,7 +303,7 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
   REQUIRE(joined.next() == '.');
   Steps in_gate;
   Child keeps_gate([&] {
-    lot::liveness::LockFile file(file_of(gate_kept) + ".lock", 0600);
+    lot::liveness::LockFile file(file_of(gate_kept) + ".lock");
     must(file.enter_gate(5s), "the gate");
     in_gate.tell();
     pause();
@@ -333,7 +333,7 @@ TEST_CASE("while one thread waits for the gate of a segment, another grows messa
   const Ground ours, stuck;
   Steps in_gate, result, done;
   Child keeps_gate([&] {
-    lot::liveness::LockFile file(file_of(stuck) + ".lock", 0600);
+    lot::liveness::LockFile file(file_of(stuck) + ".lock");
     must(file.enter_gate(5s), "the gate");
     in_gate.tell();
     must(done.next() == '.', "the end");

@@ -32,11 +32,11 @@ TEST_SUITE_BEGIN("liveness");
 
 TEST_CASE("who waits at the gate waits for as long as it changes hands") {
   const std::string path = "/dev/shm/" + unique_name() + ".lock";
-  LockFile others(path, 0600);
+  LockFile others(path);
   REQUIRE(others.try_lock(LockFile::kGate));
   std::atomic<bool> is_in{false};
   std::thread waiter([&] {
-    LockFile own(path, 0600);
+    LockFile own(path);
     CHECK(own.enter_gate(2s));
     is_in = true;
     own.leave_gate();
@@ -56,10 +56,10 @@ TEST_CASE("who waits at the gate waits for as long as it changes hands") {
 TEST_CASE("who waits at the gate has patience with one that is at work there, step by step") {
   const Watchdog watchdog(60);
   const std::string path = "/dev/shm/" + unique_name() + ".lock";
-  LockFile own(path, 0600);
+  LockFile own(path);
   REQUIRE(own.enter_gate(2s));
   Child waiter([&] {
-    LockFile file(path, 0600);
+    LockFile file(path);
     must(file.enter_gate(1s), "the gate");
     file.leave_gate();
   });
@@ -75,11 +75,11 @@ TEST_CASE("who waits at the gate has patience with one that is at work there, st
 TEST_CASE("who was stopped while it waited at the gate has not waited for that time") {
   const Watchdog watchdog(60);
   const std::string path = "/dev/shm/" + unique_name() + ".lock";
-  LockFile own(path, 0600);
+  LockFile own(path);
   REQUIRE(own.enter_gate(2s));
   Steps begun;
   Child waiter([&] {
-    LockFile file(path, 0600);
+    LockFile file(path);
     begun.tell();
     must(file.enter_gate(1s), "the gate");
     file.leave_gate();
@@ -100,7 +100,7 @@ TEST_CASE("a lock is seen by others, and goes with the process that holds it") {
   const std::string path = "/dev/shm/" + unique_name() + ".lock";
   Steps locked;
   Child holder([&] {
-    LockFile file(path, 0600);
+    LockFile file(path);
     must(file.try_lock(7), "the lock");
     must(!file.held_by_other(7), "one's own lock is not another's");
     locked.tell();
@@ -108,7 +108,7 @@ TEST_CASE("a lock is seen by others, and goes with the process that holds it") {
   });
   REQUIRE(locked.next() == '.');
   {
-    LockFile file(path, 0600);
+    LockFile file(path);
     CHECK(file.held_by_other(7));
     CHECK(file.held_by_other(0, 320));
     CHECK(!file.held_by_other(6));
@@ -121,7 +121,7 @@ TEST_CASE("a lock is seen by others, and goes with the process that holds it") {
     file.unlock(7);
     file.unlock(8);
     CHECK(file.enter_gate(1s));
-    LockFile second(path, 0600);
+    LockFile second(path);
     CHECK_THROWS_AS(second.enter_gate(20ms), lot::Error);
     unlink(path.c_str());
     file.leave_gate();
@@ -164,7 +164,7 @@ TEST_CASE("closefrom() in a living process: it is not reaped, goes on, and gets 
     CHECK(puller.missed_total() == 0);
     lot::segment::Segment s(engine.path());
     CHECK(Audit(s).participants == 2);
-    LockFile file(engine.path() + ".lock", 0600);
+    LockFile file(engine.path() + ".lock");
     std::uint32_t held = 0;
     CHECK(eventually([&] {
       held = 0;

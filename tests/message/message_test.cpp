@@ -625,9 +625,9 @@ TEST_CASE("a process leaves though its last messages let others go only then") {
       pusher.push(std::move(detection));
     }
     // Somebody acts for the orphanage just now, so that the ring can not be closed at once.
-    neighbour = std::thread(
-        [lock = std::make_unique<lot::liveness::LockFile>(engine.path() + ".lock", 0600),
-         &held]() mutable {
+    neighbour =
+        std::thread([lock = std::make_unique<lot::liveness::LockFile>(engine.path() + ".lock"),
+                     &held]() mutable {
           held = lock->try_lock(lot::refcount::kOrphanage);
           std::this_thread::sleep_for(500ms);
           lock.reset();

@@ -20,6 +20,7 @@
 
 #include "support/processes.hpp"
 #include "support/small_disk.hpp"
+#include "support/variable.hpp"
 
 namespace {
 
@@ -44,15 +45,6 @@ std::string refusal(const lot::EngineOptions& options) {
 bool says(const std::string& text, const std::string& what) {
   return text.find(what) != std::string::npos;
 }
-
-/// An environment variable for the time of a test.
-struct Environment {
-  Environment(const char* n, const char* value) : name(n) { setenv(n, value, 1); }
-  ~Environment() { unsetenv(name); }
-  Environment(const Environment&) = delete;
-  Environment& operator=(const Environment&) = delete;
-  const char* name;
-};
 
 /// A directory that is not in shared memory.
 struct Directory {
@@ -180,7 +172,7 @@ TEST_CASE("a segment stays once a process has asked for it, whoever leaves last"
     const lot::ShmEngine second(kept);
   }
   SUBCASE("it asks by the environment") {
-    const Environment persist("LOT_PERSIST", "1");
+    const Variable persist("LOT_PERSIST", "1");
     const lot::ShmEngine engine(options);
   }
   CHECK(files_of(options) == 2);
@@ -197,13 +189,13 @@ TEST_CASE("persist in the environment comes before the code, and is 1 or 0") {
   auto options = fresh();
   options.persist = true;
   {
-    const Environment persist("LOT_PERSIST", "0");
+    const Variable persist("LOT_PERSIST", "0");
     CHECK(refusal(options) == "");
   }
   CHECK(files_of(options) == 0);
   for (const char* bad : {"perhaps", "yes", "2", "01", " 1"}) {
     CAPTURE(bad);
-    const Environment persist("LOT_PERSIST", bad);
+    const Variable persist("LOT_PERSIST", bad);
     CHECK(says(refusal(options), std::string("LOT_PERSIST=") + bad));
   }
   CHECK(files_of(options) == 0);
@@ -288,20 +280,20 @@ TEST_CASE("bad names, sizes and permissions are refused, and leave nothing") {
   for (const char* bad : {"x", "12Q", "-5", "0", "5MM", "99999999999G", "18446744073709551616",
                           "1.5G", "M", " ", "+-3"}) {
     CAPTURE(bad);
-    const Environment size("LOT_SIZE", bad);
+    const Variable size("LOT_SIZE", bad);
     CHECK(says(refusal(options), "LOT_SIZE"));
   }
   for (const char* bad : {"x", "888", "0777", "0060", "-1", "01666", "600 "}) {
     CAPTURE(bad);
-    const Environment permissions("LOT_PERMISSIONS", bad);
+    const Variable permissions("LOT_PERMISSIONS", bad);
     CHECK(says(refusal(options), "LOT_PERMISSIONS"));
   }
   {
-    const Environment size("LOT_SIZE", "1M");
+    const Variable size("LOT_SIZE", "1M");
     CHECK(says(refusal(options), "raise LOT_SIZE"));
   }
   {
-    const Environment size("LOT_SIZE", "1000000G");
+    const Variable size("LOT_SIZE", "1000000G");
     CHECK(says(refusal(options), "lower LOT_SIZE"));
   }
   for (auto member :
@@ -319,9 +311,9 @@ TEST_CASE("bad names, sizes and permissions are refused, and leave nothing") {
 TEST_CASE("the environment comes before the code") {
   auto options = fresh();
   const std::string name = unique_name();
-  const Environment segment("LOT_SEGMENT", name.c_str());
-  const Environment size("LOT_SIZE", "32M");
-  const Environment permissions("LOT_PERMISSIONS", "0660");
+  const Variable segment("LOT_SEGMENT", name.c_str());
+  const Variable size("LOT_SIZE", "32M");
+  const Variable permissions("LOT_PERMISSIONS", "0660");
   const lot::ShmEngine engine(options);
   CHECK(engine.path() == options.directory + "/" + name);
   struct stat status {};

@@ -8,7 +8,6 @@
 #include <cstdint>
 #include <cstdio>
 #include <fcntl.h>
-#include <grp.h>
 #include <random>
 #include <string>
 #include <sys/stat.h>
@@ -20,17 +19,13 @@
 #include "lot/lot.hpp"
 
 #include "support/processes.hpp"
+#include "support/users.hpp"
 
 namespace {
 
 using namespace lot::testing;
 
 [[maybe_unused]] const std::string& prefix_taken = prefix();
-
-constexpr uid_t kAnn = 65531;
-constexpr uid_t kBob = 65532;
-constexpr gid_t kGroup = 65533;
-constexpr gid_t kOtherGroup = 65534;
 
 bool rule_in_force = false;
 unsigned refused = 0;
@@ -48,37 +43,18 @@ bool is_refused(const char* path, int flags) {
          file.st_uid != directory.st_uid && file.st_uid != geteuid();
 }
 
-bool can_be_another_user() {
-  if (getuid() == 0) return true;
-  std::printf("skipped: only root can be another user\n");
-  return false;
-}
-
-void become(uid_t user, gid_t group) {
-  must(setgroups(0, nullptr) == 0 && setresgid(group, group, group) == 0 &&
-           setresuid(user, user, user) == 0,
-       "another user");
-}
-
-struct Facts {
-  uid_t user;
-  gid_t group;
-  mode_t mode;
-  friend bool operator==(const Facts&, const Facts&) = default;
-};
-Facts facts_of(const std::string& path) {
-  struct stat status {};
-  must(stat(path.c_str(), &status) == 0, "the file is there");
-  return {status.st_uid, status.st_gid, status.st_mode & 07777};
-}
-
 std::string file_of(const lot::EngineOptions& options) {
   return options.directory + "/" + options.segment;
 }
 
-lot::EngineOptions shared(unsigned permissions) {
+lot::EngineOptions with_permissions(unsigned permissions) {
   lot::EngineOptions options = fresh();
   options.permissions = permissions;
+  return options;
+}
+lot::EngineOptions shared() {
+  lot::EngineOptions options = fresh();
+  options.group = std::to_string(kGroup);
   return options;
 }
 
@@ -113,7 +89,7 @@ TEST_SUITE_BEGIN("sharing" * doctest::skip(!can_be_another_user()));
 TEST_CASE("users of one group talk where O_CREAT opens no file of another user") {
   const Watchdog watchdog(60);
   rule_in_force = true;
-  const auto options = shared(0660);
+  const auto options = shared();
   Steps ready, done, over;
   Child ann([&] {
     become(kAnn, kGroup);
@@ -155,13 +131,20 @@ TEST_CASE("a joiner who asks for other permissions leaves those of the files alo
   const Watchdog watchdog(60);
   for (const unsigned made : {0600U, 0660U, 0666U}) {
     CAPTURE(made);
-    auto options = shared(made);
+    auto options = with_permissions(made);
     const lot::ShmEngine maker(options);
     const Facts before = facts_of(maker.path());
     CHECK(before.mode == made);
     for (const unsigned asked : {0600U, 0660U, 0666U}) {
       options.permissions = asked;
-      Child joiner([&] { const lot::ShmEngine engine(options); });
+      Child joiner([&] {
+        try {
+          const lot::ShmEngine engine(options);
+          must((made & ~asked) == 0, "it gives others no more than was asked for");
+        } catch (const lot::Error& error) {
+          must((made & ~asked) != 0 && error.error_number() == EPERM, error.what());
+        }
+      });
       CHECK(joiner.wait() == 0);
       CHECK(facts_of(maker.path()) == before);
       CHECK(facts_of(maker.path() + ".lock") == before);
@@ -171,7 +154,7 @@ TEST_CASE("a joiner who asks for other permissions leaves those of the files alo
 
 TEST_CASE("a user outside the group is told whose file it is") {
   const Watchdog watchdog(60);
-  const auto options = shared(0660);
+  const auto options = shared();
   Steps ready, over;
   Child ann([&] {
     become(kAnn, kGroup);
@@ -188,7 +171,7 @@ TEST_CASE("a user outside the group is told whose file it is") {
       const std::string text = error.what();
       must(error.error_number() == EACCES, "EACCES");
       must(text.find("uid 65531, gid 65533, mode 0660") != std::string::npos, "whose it is");
-      must(text.find("LOT_PERMISSIONS") != std::string::npos, "what to do");
+      must(text.find("LOT_GROUP") != std::string::npos, "what to do");
       return;
     }
     must(false, "Bob is not let in");
@@ -204,7 +187,7 @@ TEST_CASE("a user who may only read the segment gets no right to the lock file")
   for (const auto& [permissions, lock] : {std::pair{0644U, 0600U}, std::pair{0664U, 0660U},
                                           std::pair{0640U, 0600U}, std::pair{0666U, 0666U}}) {
     CAPTURE(permissions);
-    const auto options = shared(permissions);
+    const auto options = with_permissions(permissions);
     const lot::ShmEngine engine(options);
     CHECK(facts_of(engine.path()).mode == permissions);
     CHECK(facts_of(engine.path() + ".lock").mode == lock);
@@ -216,7 +199,7 @@ TEST_CASE("a maker that is killed leaves no lock file that its group cannot open
   std::mt19937_64 random(seed());
   unsigned left = 0;
   for (int round = 0; round < 100; ++round) {
-    const auto options = shared(0660);
+    const auto options = shared();
     Child maker([&] {
       umask(077);
       const lot::ShmEngine engine(options);
@@ -227,7 +210,7 @@ TEST_CASE("a maker that is killed leaves no lock file that its group cannot open
     const std::string lock = file_of(options) + ".lock";
     if (access(lock.c_str(), F_OK) != 0) continue;
     ++left;
-    CHECK(facts_of(lock).mode == 0660);
+    CHECK(facts_of(lock) == Facts{getuid(), kGroup, 0660});
     std::remove(lock.c_str());
     std::remove((file_of(options) + ".new").c_str());
     std::remove(file_of(options).c_str());

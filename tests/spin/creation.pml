@@ -155,7 +155,7 @@ again:
 #else
 #ifndef UNFINISHED_IS_USED
     unfinished = NONE; /* @ src/segment/segment.cpp create: ::unlink(unfinished.c_str()) */
-    atomic { kernel_fresh(file); unfinished = file }; /* @ src/segment/segment.cpp create: Descriptor file(open_private(unfinished, mode, O_EXCL)) */
+    atomic { kernel_fresh(file); unfinished = file }; /* @ src/segment/segment.cpp create: Descriptor file(open_private(unfinished, trust, O_EXCL)) */
     complete[file] = 1; /* @ src/segment/segment.cpp create: RobustMutex::construct(segment.directory().lock.mutex) */
     atomic { segment_name = unfinished; unfinished = NONE; file = NONE } /* @ src/segment/segment.cpp create: if (::rename(unfinished.c_str(), path.c_str()) == -1) */
 #else

@@ -155,6 +155,7 @@ void write_to(const std::string& path, const std::string& bytes) {
   std::ofstream file(path, std::ios::binary | std::ios::trunc);
   file.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
   REQUIRE(file.good());
+  REQUIRE(chmod(path.c_str(), 0600) == 0);  // else it is not trusted
 }
 
 /// Made once, before the window is there: that is not for segments of several processes.
@@ -178,7 +179,7 @@ TEST_CASE("a segment with changed words is looked at without a step outside of i
   for (unsigned n = 0; n < 1500; ++n) {
     CAPTURE(n);
     write_to(path, damager.damaged());
-    lot::tool::Sight sight = lot::tool::sight(room.path(), "s");
+    lot::tool::Sight sight = lot::tool::sight({room.path(), "", {}}, "s");
     if (sight.window == nullptr) {
       CHECK(!sight.reason.empty());
       continue;
@@ -312,7 +313,7 @@ TEST_CASE("a segment that is cut short while it is looked at is said to be so") 
   for (const std::size_t left : {0UL, 4096UL, 100000UL}) {
     CAPTURE(left);
     write_to(path, image());
-    lot::tool::Window window(path);
+    lot::tool::Window window(path, {});
     REQUIRE(truncate(path.c_str(), static_cast<off_t>(left)) == 0);
     const auto seen = lot::tool::observe(window);
     CHECK(window.torn());

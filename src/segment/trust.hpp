@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <optional>
+#include <string>
+#include <sys/types.h>
+
+#include "lot/options.hpp"
+
+namespace lot::segment {
+
+/// Whose files a process joins, cleans or looks into, and how open they may be (docs/security.md).
+///
+/// What is asked is an open descriptor, not a name: a name may lead to another file by the next
+/// call. A file is trusted when it is a regular one, belongs to the effective user, to root, or to
+/// the user or the group that was named, and gives no right that was not asked for.
+///
+/// Threads: a value.
+/// Source:  fstat(2).
+struct Trust {
+  std::optional<uid_t> user{};   ///< that was named, beside the effective one and root
+  std::optional<gid_t> group{};  ///< that was named; new files get it
+  mode_t mode = 0600;            ///< of new files; no wider one is trusted
+
+  /// Of these options. Throws lot::Error (EINVAL) where there is no such user or group, or a group
+  /// is named that the permissions give nothing.
+  static Trust of(const EngineOptions& options);
+
+  /// The same for a lock file. Of each class both rights or none: a user who may only read could
+  /// hold the gate by a read lock.
+  Trust of_a_lock_file() const;
+
+  /// Throws lot::Error (EPERM) that says whose it is, and what to do, if it is not trusted.
+  void require(int fd, const std::string& path) const;
+};
+
+/// "uid 1000, gid 1000, mode 0600", of what is at path; "" when nothing can be said.
+std::string owner_and_mode(const std::string& path);
+
+}  // namespace lot::segment
