@@ -19,7 +19,7 @@ class LocalSegment {
  public:
   explicit LocalSegment(const segment::Capacity& capacity)
       : segment_(make(capacity)), registry_(segment_) {
-    segment::Segment::remove(segment_.path());
+    segment::Segment::remove(segment_.path(), {});
     holder_.segment = &segment_;
   }
 

@@ -140,8 +140,12 @@ void LockFile::require_intact() const {
               "try again; in a process with other threads do not close descriptors of others");
 }
 
+void LockFile::require(const segment::Trust& trust) const {
+  if (intact()) trust.of_a_lock_file().require(fd_, path_);
+}
+
 bool LockFile::reopen() noexcept {
-  const int fd = ::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW);
+  const int fd = ::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
   if (fd == -1) return false;
   struct stat status {};
   if (fstat(fd, &status) == -1 || status.st_dev != device_ || status.st_ino != inode_) {
@@ -169,6 +173,10 @@ LockProbe::LockProbe(const std::string& path) noexcept
 
 LockProbe::~LockProbe() {
   if (fd_ != -1) ::close(fd_);
+}
+
+void LockProbe::require(const segment::Trust& trust, const std::string& path) const {
+  if (fd_ != -1) trust.of_a_lock_file().require(fd_, path);
 }
 
 bool LockProbe::is_held(std::uint32_t first, std::uint32_t count) const noexcept {

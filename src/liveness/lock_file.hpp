@@ -62,6 +62,8 @@ class LockFile {
   /// Throws lot::Error (EBADF) when it is not intact(): with our locks the gate is gone, too, and
   /// held_by_other() knows nothing.
   void require_intact() const;
+  /// Throws lot::Error when it is not trusted by such a one.
+  void require(const segment::Trust& trust) const;
   /// Opens the file again after that. False when it is another file by now.
   bool reopen() noexcept;
 
@@ -91,6 +93,8 @@ class LockProbe {
   LockProbe& operator=(const LockProbe&) = delete;
 
   bool is_lock_file() const noexcept { return fd_ != -1; }
+  /// Throws lot::Error when it is there and not trusted.
+  void require(const segment::Trust& trust, const std::string& path) const;
   /// True when somebody holds a byte of [first, first + count).
   bool is_held(std::uint32_t first, std::uint32_t count = 1) const noexcept;
 

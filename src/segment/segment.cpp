@@ -195,24 +195,17 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
   return reason.empty() ? Segment::Fit::Fits : Segment::Fit::Stale;
 }
 
-/// What is no segment is said to be none, whosever it is.
-Segment::Fit trusted_fit_of(int fd, const std::string& path, std::uint64_t wanted,
-                            const Trust& trust, std::string& reason) {
-  const Segment::Fit fit = fit_of(fd, wanted, reason);
-  if (fit != Segment::Fit::Foreign) trust.require(fd, path);
-  return fit;
-}
-
 [[noreturn]] void refuse(const std::string& path, const char* what, int error) {
   const std::string owner = error == EACCES ? owner_and_mode(path) : "";
   if (!owner.empty()) {
     throw Error(error, path, std::string(what) + ", it belongs to " + owner,
-                "let its owner make it anew with LOT_GROUP=<a common group>, or set LOT_SEGMENT or "
-                "LOT_DIR");
+                way_in(path) + ", or set LOT_SEGMENT or LOT_DIR");
   }
   const char* advice = error == EROFS    ? "the directory is read-only: name another with LOT_DIR"
                        : error == ENOENT ? "make the directory, or name another with LOT_DIR"
                        : error == ENOSPC ? "free memory there, or name another with LOT_DIR"
+                       : error == EAGAIN
+                           ? "end the process that has a lease on it, or set LOT_SEGMENT"
                        : error == EMFILE ? "raise the limit of open files (ulimit -n)"
                        : error == EEXIST ? "somebody else's file is in its place: remove it, or "
                                            "name another directory with LOT_DIR"
@@ -243,7 +236,7 @@ void give_rights(int fd, const std::string& path, const Trust& trust) {
 /// is no /proc, a maker that is killed before fchmod leaves the mode that its umask allows.
 int make_private(const std::string& path, const Trust& trust) {
   const std::string directory = path.substr(0, path.rfind('/') + 1);
-  const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, trust.mode);
+  const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
   if (unnamed != -1) {
     give_rights(unnamed, path, trust);
     if (linkat(AT_FDCWD, ("/proc/self/fd/" + std::to_string(unnamed)).c_str(), AT_FDCWD,
@@ -253,8 +246,7 @@ int make_private(const std::string& path, const Trust& trust) {
     ::close(unnamed);
   }
   // There is a file of that name already, or it cannot be made in this way.
-  const int fd =
-      ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, trust.mode);
+  const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600);
   if (fd == -1) return -1;
   try {
     give_rights(fd, path, trust);
@@ -281,7 +273,7 @@ int open_private(const std::string& path, const Trust& trust, int flags) {
     if ((flags & O_EXCL) == 0) {
       // Without O_CREAT, which fs.protected_regular refuses in a sticky directory where the file is
       // another user's, though its mode lets us in. What is there keeps its mode and owner.
-      const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW);
+      const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
       if (fd != -1) {
         require_or_close(trust, fd, path);
         return fd;
@@ -343,10 +335,16 @@ void Segment::create(const std::string& path, Capacity capacity, const Trust& tr
   capacity = choose_size(path, capacity);
   const Geometry geometry = Geometry::of(capacity);
   const std::string unfinished = path + ".new";
-  ::unlink(unfinished.c_str());  // of a creator that died: we hold the gate
+  // Of a creator that died: we hold the gate. What is another's makes the next call fail.
+  if (trust.owns(unfinished)) ::unlink(unfinished.c_str());
   Descriptor file(open_private(unfinished, trust, O_EXCL));
   const auto fail = [&](int error, const char* what) {
     ::unlink(unfinished.c_str());
+    if (!may_remove(path)) {
+      throw Error(error, path,
+                  "cannot put a new segment in its place, it belongs to " + owner_and_mode(path),
+                  "let its owner, or root, run `lot clean`, or set LOT_SEGMENT or LOT_DIR");
+    }
     throw Error(error, path, what, "free memory in its directory, or set LOT_SIZE or LOT_DIR");
   };
   if (ftruncate(file.fd, static_cast<off_t>(capacity.size)) == -1) fail(errno, "cannot make it");
@@ -375,12 +373,15 @@ void Segment::create(const std::string& path, Capacity capacity, const Trust& tr
 Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, const Trust& trust,
                               std::string& reason) {
   reason.clear();
-  Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
+  Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
   if (file.fd == -1) {
     if (errno == ENOENT) return Fit::Absent;
     refuse(path, "cannot open the segment", errno);
   }
-  return trusted_fit_of(file.fd, path, size, trust, reason);
+  const Fit fit = fit_of(file.fd, size, reason);
+  // What is no segment is said to be none, whosever it is.
+  if (fit != Fit::Foreign) trust.require(file.fd, path);
+  return fit;
 }
 
 Segment::Fit Segment::inspect(const std::string& path, const Trust& trust, std::string& reason) {
@@ -390,12 +391,14 @@ Segment::Fit Segment::inspect(const std::string& path, const Trust& trust, std::
     if (errno == ENOENT) return Fit::Absent;
     throw Error(errno, path, "cannot open it for reading", "it belongs to another user");
   }
-  return trusted_fit_of(file.fd, path, 0, trust, reason);
+  trust.require(file.fd, path);
+  return fit_of(file.fd, 0, reason);
 }
 
-void Segment::remove(const std::string& path) noexcept {
-  ::unlink(path.c_str());
-  ::unlink((path + ".new").c_str());
+void Segment::remove(const std::string& path, const Trust& trust) noexcept {
+  const std::string unfinished = path + ".new";
+  if (trust.owns(path)) ::unlink(path.c_str());
+  if (trust.owns(unfinished)) ::unlink(unfinished.c_str());
 }
 
 bool Segment::is_at_its_path() const noexcept {
@@ -411,8 +414,9 @@ Segment::Segment(const std::string& path, Access access, const Trust& trust)
 Segment::Segment(const std::string& path, Access access, const Trust& trust, bool finished)
     : path_(path) {
   const bool writable = access == Access::ReadWrite;
-  Descriptor file(::open(path.c_str(), (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW),
-                  writable ? boost::interprocess::read_write : boost::interprocess::read_only);
+  Descriptor file(
+      ::open(path.c_str(), (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK),
+      writable ? boost::interprocess::read_write : boost::interprocess::read_only);
   if (file.fd == -1) throw Error(errno, path, "cannot open it", "may you read and write it?");
   trust.require(file.fd, path);
   std::uint64_t size = 0;

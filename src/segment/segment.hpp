@@ -50,7 +50,8 @@ class Segment {
                      std::string& reason);
   /// The same for who only looks: opens it for reading.
   static Fit inspect(const std::string& path, const Trust& trust, std::string& reason);
-  static void remove(const std::string& path) noexcept;
+  /// What belongs to other users stays.
+  static void remove(const std::string& path, const Trust& trust) noexcept;
   /// False when the path names another file by now, or none.
   bool is_at_its_path() const noexcept;
 

@@ -25,11 +25,6 @@ std::string in_octal(mode_t mode) {
   return text.data();
 }
 
-std::string describe(const struct stat& status) {
-  return "uid " + std::to_string(status.st_uid) + ", gid " + std::to_string(status.st_gid) +
-         ", mode " + in_octal(status.st_mode);
-}
-
 /// A number; nothing: it is a name.
 std::optional<unsigned> number_of(const std::string& text) {
   if (text.empty() || text.find_first_not_of("0123456789") != std::string::npos) return {};
@@ -55,16 +50,50 @@ std::optional<Entry> look_up(const std::string& name, Lookup&& lookup) {
   }
 }
 
+/// The same by its number, by getpwuid_r or getgrgid_r: " (ann)", or "" where it has no name.
+template <class Entry, class Lookup>
+std::string name_of(unsigned number, char* Entry::*name, Lookup&& lookup) {
+  std::vector<char> text(std::size_t{1} << 16);
+  Entry entry{};
+  Entry* found = nullptr;
+  lookup(number, &entry, text.data(), text.size(), &found);
+  return found != nullptr ? std::string(" (") + found->*name + ")" : "";
+}
+
+std::string describe(const struct stat& status) {
+  return "uid " + std::to_string(status.st_uid) +
+         name_of(status.st_uid, &passwd::pw_name, &getpwuid_r) + ", gid " +
+         std::to_string(status.st_gid) + name_of(status.st_gid, &group::gr_name, &getgrgid_r) +
+         ", mode " + in_octal(status.st_mode);
+}
+
+bool is_one_of(const Trust& trust, const struct stat& status) {
+  return status.st_uid == geteuid() || status.st_uid == 0 ||
+         (trust.user && status.st_uid == *trust.user) ||
+         (trust.group && status.st_gid == *trust.group);
+}
+
+/// What lets such a file in, for one who trusts its users.
+std::string remedy(const struct stat& status) {
+  const mode_t rights = status.st_mode & 0666;
+  if (rights == (kOwn | kOfGroup)) return "LOT_GROUP=" + std::to_string(status.st_gid);
+  const bool is_known = status.st_uid == geteuid() || status.st_uid == 0;
+  const std::string user = is_known ? "" : "LOT_USER=" + std::to_string(status.st_uid);
+  const std::string mode = rights == kOwn ? "" : "LOT_PERMISSIONS=" + in_octal(rights);
+  return user + (user.empty() || mode.empty() ? "" : " and ") + mode;
+}
+
 uid_t user_of(const std::string& text) {
   if (const auto number = number_of(text)) return *number;
   if (const auto entry = look_up<passwd>(text, &getpwnam_r)) return entry->pw_uid;
-  throw Error(EINVAL, "LOT_USER=" + text, "there is no such user", "name one, or write its number");
+  throw Error(EINVAL, "user (LOT_USER) " + text, "there is no such user",
+              "name one, or write its number");
 }
 
 gid_t group_of(const std::string& text) {
   if (const auto number = number_of(text)) return *number;
   if (const auto entry = look_up<group>(text, &getgrnam_r)) return entry->gr_gid;
-  throw Error(EINVAL, "LOT_GROUP=" + text, "there is no such group",
+  throw Error(EINVAL, "group (LOT_GROUP) " + text, "there is no such group",
               "name one, or write its number");
 }
 
@@ -77,9 +106,13 @@ Trust Trust::of(const EngineOptions& options) {
   trust.mode = options.permissions != 0 ? options.permissions
                : trust.group            ? kOwn | kOfGroup
                                         : kOwn;
-  if (trust.group && (trust.mode & kOfGroup) == 0) {
-    throw Error(EINVAL, "LOT_GROUP=" + options.group,
-                "the permissions " + in_octal(trust.mode) + " give a group nothing",
+  if ((trust.mode & ~mode_t{0666}) != 0 || (trust.mode & kOwn) != kOwn) {
+    throw Error(EINVAL, "permissions (LOT_PERMISSIONS) " + in_octal(trust.mode),
+                "not usable permissions", "use 0600 (you), 0660 (your group), 0666 (everybody)");
+  }
+  if (trust.group && (trust.mode & kOfGroup) != kOfGroup) {
+    throw Error(EINVAL, "group (LOT_GROUP) " + options.group,
+                "with the permissions " + in_octal(trust.mode) + " its members cannot join",
                 "leave LOT_PERMISSIONS away, or write 0660");
   }
   return trust;
@@ -102,32 +135,66 @@ void Trust::require(int fd, const std::string& path) const {
     throw Error(EINVAL, path, "it is no regular file",
                 "remove it if it is yours, or set LOT_SEGMENT or LOT_DIR");
   }
-  const bool is_owner_trusted = status.st_uid == geteuid() || status.st_uid == 0 ||
-                                (user && status.st_uid == *user) ||
-                                (group && status.st_gid == *group);
-  if (!is_owner_trusted) {
-    throw Error(
-        EPERM, path,
-        "it belongs to " + describe(status) +
-            ": neither to you or root, nor to whom you have named",
-        "if you trust that user or group, name it (LOT_USER=" + std::to_string(status.st_uid) +
-            " or LOT_GROUP=" + std::to_string(status.st_gid) +
-            "); else set LOT_SEGMENT or LOT_DIR, or have it removed");
+  if (!is_one_of(*this, status)) {
+    throw Error(EPERM, path,
+                "it belongs to " + describe(status) +
+                    ": neither to you or root, nor to whom you have named",
+                "if you trust its users, set " + remedy(status) +
+                    "; else set LOT_SEGMENT or LOT_DIR, or have it removed");
+  }
+  if (status.st_nlink > 1) {
+    throw Error(EPERM, path, "it has another name, too: no file that LOT has made has two",
+                "remove it, or set LOT_SEGMENT or LOT_DIR");
   }
   const mode_t wider = status.st_mode & 07777 & ~mode;
+  if ((wider & ~mode_t{0666}) != 0) {
+    throw Error(EPERM, path, "no file of LOT has such a mode: it belongs to " + describe(status),
+                "chmod it to 0600, or remove it, or set LOT_SEGMENT");
+  }
+  if (wider == 0 && group && (status.st_mode & kOfGroup) != 0 && status.st_gid != *group) {
+    throw Error(EPERM, path,
+                "it gives rights to another group than gid " + std::to_string(*group) +
+                    ": it belongs to " + describe(status),
+                "if you trust its users, set " + remedy(status) +
+                    "; else set LOT_SEGMENT, or end all that use it and make it anew");
+  }
   if (wider != 0) {
     throw Error(EPERM, path,
                 "it gives others more than was asked for: it belongs to " + describe(status) +
                     ", and " + in_octal(mode) + " was asked for",
-                "set LOT_PERMISSIONS=" + in_octal(status.st_mode & 0666) +
-                    " if they may read and change what you send; else set LOT_SEGMENT, or have "
-                    "it made anew");
+                "if you trust its users, set " + remedy(status) +
+                    "; else set LOT_SEGMENT, or end all that use it and make it anew");
   }
+}
+
+bool Trust::owns(const std::string& path) const noexcept {
+  struct stat status {};
+  return lstat(path.c_str(), &status) == 0 && is_one_of(*this, status);
 }
 
 std::string owner_and_mode(const std::string& path) {
   struct stat status {};
   return lstat(path.c_str(), &status) == 0 ? describe(status) : "";
+}
+
+std::string way_in(const std::string& path) {
+  struct stat status {};
+  if (lstat(path.c_str(), &status) == 0 && (status.st_mode & kOfGroup) == kOfGroup) {
+    return "become a member of its group (a new login knows of that)";
+  }
+  return "let its owner end all that use it, and make it anew with LOT_GROUP=<a common group>";
+}
+
+bool may_remove(const std::string& path) {
+  struct stat file {
+  }, directory{};
+  if (lstat(path.c_str(), &file) != 0 ||
+      stat(path.substr(0, path.rfind('/') + 1).c_str(), &directory) != 0) {
+    return true;
+  }
+  const uid_t self = geteuid();
+  return self == 0 || (directory.st_mode & S_ISVTX) == 0 || file.st_uid == self ||
+         directory.st_uid == self;
 }
 
 }  // namespace lot::segment

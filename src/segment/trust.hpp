@@ -12,8 +12,9 @@ namespace lot::segment {
 /// Whose files a process joins, cleans or looks into, and how open they may be (docs/security.md).
 ///
 /// What is asked is an open descriptor, not a name: a name may lead to another file by the next
-/// call. A file is trusted when it is a regular one, belongs to the effective user, to root, or to
-/// the user or the group that was named, and gives no right that was not asked for.
+/// call. A file is trusted when it is a regular one with one name, belongs to the effective user,
+/// to root, or to the user or the group that was named, and gives no right that was not asked for,
+/// and none to another group than the one that was named.
 ///
 /// Threads: a value.
 /// Source:  fstat(2).
@@ -32,9 +33,17 @@ struct Trust {
 
   /// Throws lot::Error (EPERM) that says whose it is, and what to do, if it is not trusted.
   void require(int fd, const std::string& path) const;
+  /// What is at path belongs to one of these users, whatever it is: it may be removed. False as
+  /// well when nothing is there.
+  bool owns(const std::string& path) const noexcept;
 };
 
-/// "uid 1000, gid 1000, mode 0600", of what is at path; "" when nothing can be said.
+/// "uid 1000 (ann), gid 1000, mode 0600", of what is at path; "" when nothing can be said.
 std::string owner_and_mode(const std::string& path);
+/// What to do, for people, where the system does not let this process open it.
+std::string way_in(const std::string& path);
+/// False: it belongs to another user, in a directory where each removes his own files only, as in
+/// /dev/shm. See unlink(2), "sticky bit".
+bool may_remove(const std::string& path);
 
 }  // namespace lot::segment

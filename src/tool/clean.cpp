@@ -61,6 +61,12 @@ class Cleaner {
   }
 
   void remove(const std::string& name, const std::string& path, const std::string& why) {
+    if (!segment::may_remove(path)) {
+      return leave_alone(path,
+                         why + ", and it belongs to " + segment::owner_and_mode(path) +
+                             ": that user, or root, can remove it",
+                         kWrong);
+    }
     if (dry_) return removed(path, why);
     try {
       if (try_remove(name)) {
@@ -109,15 +115,15 @@ class Cleaner {
         liveness::LockFile& lock;
         ~Gate() { lock.leave_gate(); }
       } gate{lock};
-      const bool is_ours = !exists(path) || begins_as_a_segment(path);
+      const bool is_ours = !exists(path) || (begins_as_a_segment(path) && where_.trust.owns(path));
       if (!is_ours || lock.held_by_other(0, kAnybody) || (exists(path) && stays(name))) {
         if (made) ::unlink(lock_path.c_str());
         return false;
       }
-      segment::Segment::remove(path);
+      segment::Segment::remove(path, where_.trust);
       ::unlink(lock_path.c_str());
       for (const auto& left : {path, path + ".new", lock_path}) {
-        if (exists(left)) throw Error(EACCES, left, "cannot remove it", "its owner can");
+        if (exists(left)) throw Error(EACCES, left, "cannot remove it", "its owner can, or root");
       }
       return true;
     }

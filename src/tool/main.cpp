@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdio>
+#include <cstdlib>
 #include <string>
 
 #include <CLI/CLI.hpp>
@@ -26,15 +27,20 @@ int run(int argc, char** argv) {
   using namespace lot::tool;
   CLI::App app{"Looks at LOT segments, and cleans up what the dead have left", "lot"};
   Settings settings;
-  settings.where.directory = lot::EngineOptions().directory;
+  // Not CLI11's envname(): a set-user-ID program does not listen to its caller's environment.
+  const auto variable = [](const char* name, const std::string& otherwise) {
+    const char* const value = secure_getenv(name);
+    return value != nullptr && *value != '\0' ? std::string(value) : otherwise;
+  };
+  settings.where.name = variable("LOT_SEGMENT", "");
+  settings.where.directory = variable("LOT_DIR", lot::EngineOptions().directory);
   app.set_version_flag("--version", std::string("lot " LOT_VERSION ", layout ") +
                                         std::to_string(lot::segment::kLayoutVersion));
   app.footer(kFooter);
   app.require_subcommand(1);
   app.fallthrough();
-  app.add_option("-s,--segment", settings.where.name, "only this segment")->envname("LOT_SEGMENT");
-  app.add_option("-d,--dir", settings.where.directory, "where segments lie")
-      ->envname("LOT_DIR")
+  app.add_option("-s,--segment", settings.where.name, "only this segment (LOT_SEGMENT)");
+  app.add_option("-d,--dir", settings.where.directory, "where segments lie (LOT_DIR)")
       ->capture_default_str();
   app.add_flag("--json", settings.json, "for programs");
 

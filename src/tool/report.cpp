@@ -41,7 +41,8 @@ bool introduce(const Sight& sight, Report& report, Json& entry) {
       break;
     case Sight::Condition::Unreadable:
       report.ends(kWrong);
-      report.hint(name + " can not be read: ask its owner, or become root");
+      report.hint(name +
+                  " can not be read: ask its owner, or look as root, with LOT_USER=<its owner>");
       break;
     case Sight::Condition::Untrusted:
       report.ends(kWrong);
@@ -99,7 +100,10 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
                                       ": start a process that takes them, or drop them by `lot "
                                       "clean --with-items`"
                  : seen.persists ? ", which was to stay: `lot clean` removes it"
-                                 : ": run `lot clean`"));
+                                 : ": run `lot clean`") +
+                (segment::may_remove(sight.path) ? ""
+                                                 : ", as its owner or root: it belongs to " +
+                                                       segment::owner_and_mode(sight.path)));
     return;
   }
   for (const auto& p : seen.processes) {

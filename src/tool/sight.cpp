@@ -7,6 +7,8 @@
 
 #include "lot/error.hpp"
 
+#include "liveness/lock_file.hpp"
+
 namespace lot::tool {
 
 const char* to_string(Sight::Condition condition) {
@@ -34,6 +36,8 @@ std::optional<Sight> try_sight(const Where& where, const std::string& name) {
   s.name = name;
   s.path = path_of(where, name);
   try {
+    const std::string lock = s.path + ".lock";
+    liveness::LockProbe(lock).require(where.trust, lock);
     const auto fit = Segment::inspect(s.path, where.trust, s.reason);
     if (fit == Segment::Fit::Absent) return std::nullopt;
     if (fit == Segment::Fit::Foreign) {

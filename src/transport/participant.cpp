@@ -163,6 +163,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
   {
     const std::lock_guard guard(process().mutex);
     if (auto existing = process().by_path[path].lock()) {
+      existing->lock_file_->require(trust);
       if (options.lock_memory) existing->segment_.lock_memory();
       if (options.persist) existing->segment_.keep_files();
       return existing;
@@ -209,7 +210,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
                     "leave LOT_SIZE away and take them, or drop them by `lot clean --with-items`");
       }
       if (fit != segment::Segment::Fit::Fits) {
-        segment::Segment::remove(path);
+        segment::Segment::remove(path, trust);
         ours = false;
         segment::Segment::create(path,
                                  {options.size_bytes, options.processes + 1, options.blocks,
@@ -228,7 +229,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
       return handle;
     } catch (...) {
       if (made && !in_use()) {
-        segment::Segment::remove(path);
+        segment::Segment::remove(path, trust);
         ours = false;
       }
       if (!ours && !in_use()) ::unlink((path + ".lock").c_str());
@@ -239,7 +240,8 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
 
 Participant::Participant(const EngineOptions& options, const segment::Trust& trust,
                          std::shared_ptr<liveness::LockFile> lock_file)
-    : lock_file_(std::move(lock_file)),
+    : trust_(trust),
+      lock_file_(std::move(lock_file)),
       segment_(segment::path_of(options.directory, options.segment),
                segment::Segment::Access::ReadWrite, trust),
       registry_(segment_) {

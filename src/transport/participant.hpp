@@ -438,6 +438,7 @@ class Participant {
   static void after_fork_in_child() noexcept;
 
   OwnedHub hub_;
+  const segment::Trust trust_;
   std::shared_ptr<liveness::LockFile> lock_file_;
   std::atomic<bool> inert_{false};
   segment::Segment segment_;

@@ -192,7 +192,7 @@ void Participant::remove_files_if_last() noexcept {
   const bool is_there = segment_.is_at_its_path();
   // Behind the look at the others: one of them may have set it without the gate, and died since.
   if (is_there && segment_.keeps_files()) return;
-  if (is_there) segment::Segment::remove(segment_.path());
+  if (is_there) segment::Segment::remove(segment_.path(), trust_);
   ::unlink(lock_file_->path().c_str());
 }
 

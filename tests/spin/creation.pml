@@ -126,7 +126,7 @@ inline open_segment(p) {
   skip;
 again:
   if
-  :: atomic { lock_name != NONE -> lock_file[p] = lock_name } /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW) */
+  :: atomic { lock_name != NONE -> lock_file[p] = lock_name } /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK) */
   :: lock_name == NONE -> /* @ src/segment/segment.cpp open_private: if (errno != ENOENT) refuse(path, "cannot open it", errno) */
     atomic {
       if
@@ -203,7 +203,7 @@ inline remove_files(p) {
     q = 0;
     segment_name = NONE /* @ src/segment/segment.cpp remove: ::unlink(path.c_str()) */
   };
-  unfinished = NONE; /* @ src/segment/segment.cpp remove: ::unlink((path + ".new").c_str()) */
+  unfinished = NONE; /* @ src/segment/segment.cpp remove: ::unlink(unfinished.c_str()) */
   lock_name = NONE /* @ src/transport/participant_liveness.cpp remove_files_if_last: ::unlink(lock_file_->path().c_str()) */
 }
 

@@ -436,14 +436,97 @@ TEST_CASE("root looks into another user's segment, and cleans it, when that one 
     CAPTURE(command);
     const Ran ran = run_lot(on(options, {command}));
     CHECK(ran.exit == 1);
-    CHECK(ran.out.find("uid 65532, gid 65534, mode 0666") != std::string::npos);
-    CHECK(ran.out.find("LOT_USER=65532") != std::string::npos);
+    CHECK(ran.out.find("uid 65532") != std::string::npos);
+    CHECK(ran.out.find("LOT_USER=65532 and LOT_PERMISSIONS=0666") != std::string::npos);
     CHECK(room.files() == 2);
   }
   const Variable user("LOT_USER", "65532");
   const Ran seen = run_lot(on(options, {"ls", "--json"}));
   CHECK(seen.json().at("segments").at(0).at("condition") == "sound");
   CHECK(run_lot(on(options, {"clean"})).exit == 0);
+  CHECK(room.files() == 0);
+}
+
+TEST_CASE("clean removes nobody's files by a name that another one has chosen" *
+          doctest::skip(!can_be_another_user())) {
+  const Watchdog watchdog(60);
+  const Room room;
+  REQUIRE(chmod(room.path().c_str(), 01777) == 0);
+  const auto make = [&](uid_t user, const std::string& name, const std::string& text) {
+    Child child([&] {
+      become(user, kOtherGroup);
+      std::ofstream(room.path() + "/" + name) << text;
+    });
+    REQUIRE(child.wait() == 0);
+  };
+  make(kBob, "foo", "LOTSHM\r\n");
+  make(kAnn, "foo.new", "Ann's own");
+  make(kBob, "bar.lock", "");
+  make(kAnn, "bar.new", "Ann's own");
+  make(kAnn, "baz.new", "LOTSHM\r\n");
+  CHECK(run_lot({"clean", "--dir", room.path()}).exit == 1);
+  CHECK(room.files() == 5);
+}
+
+TEST_CASE("a segment is not looked into beside a lock file that is not trusted") {
+  const Watchdog watchdog(60);
+  const Room room;
+  leave_a_dead_segment(room.options());
+  REQUIRE(chmod((path_of(room.options()) + ".lock").c_str(), 0666) == 0);
+  for (const char* command : {"ls", "who", "clean"}) {
+    CAPTURE(command);
+    const Ran ran = run_lot(on(room.options(), {command}));
+    CHECK(ran.exit == 1);
+    CHECK(ran.out.find(".lock: it gives others more than was asked for") != std::string::npos);
+  }
+  CHECK(room.files() == 2);
+}
+
+TEST_CASE("what only its owner can remove is said to be his, by a dry run, too" *
+          doctest::skip(!can_be_another_user())) {
+  const Watchdog watchdog(60);
+  const Room room;
+  REQUIRE(chmod(room.path().c_str(), 01777) == 0);
+  auto options = room.options();
+  options.group = std::to_string(kGroup);
+  Steps ready, over;
+  Child ann([&] {
+    become(kAnn, kGroup);
+    const lot::ShmEngine engine(options);
+    ready.tell();
+    over.next(50s);
+    _exit(0);  // as when it is killed: its files stay
+  });
+  REQUIRE(ready.next() == '.');
+  over.tell();
+  REQUIRE(ann.wait() == 0);
+  command_file();
+  Child bob([&] {
+    become(kBob, kGroup);
+    const Variable group("LOT_GROUP", std::to_string(kGroup).c_str());
+    for (const auto& words : {std::vector<std::string>{"ls"}, {"clean", "--dry-run"}, {"clean"}}) {
+      const Ran ran = run_lot(on(options, words));
+      must(ran.exit == 1 && ran.out.find("it belongs to uid 65531") != std::string::npos &&
+               ran.out.find("root") != std::string::npos,
+           ran.out.c_str());
+    }
+    auto larger = options;
+    larger.size_bytes *= 2;
+    try {
+      const lot::ShmEngine engine(larger);
+      must(false, "refused");
+    } catch (const lot::Error& error) {
+      const std::string text = error.what();
+      must(text.find("it belongs to uid 65531") != std::string::npos &&
+               text.find("lot clean") != std::string::npos,
+           text.c_str());
+    }
+    const lot::ShmEngine engine(options);  // it goes on with what is there
+  });
+  CHECK(bob.wait() == 0);
+  CHECK(room.files() == 2);
+  const Variable group("LOT_GROUP", std::to_string(kGroup).c_str());
+  CHECK(run_lot(on(options, {"clean"})).exit == 0);  // root
   CHECK(room.files() == 0);
 }
 
