@@ -5,6 +5,7 @@
 #include <cerrno>
 #include <csignal>
 #include <cstdint>
+#include <cstdio>
 #include <cstdlib>
 #include <fcntl.h>
 #include <filesystem>
@@ -12,7 +13,9 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <sys/prctl.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 #include <doctest/doctest.h>
@@ -357,8 +360,14 @@ TEST_CASE("the environment says nothing to a program that has another user's rig
     ~Remove() { unlink(path.c_str()); }
   } const remove{copy};
   std::filesystem::copy_file("/proc/self/exe", copy);
+  struct statvfs system {};
+  REQUIRE(statvfs(copy.c_str(), &system) == 0);
+  const bool knows =
+      (system.f_flag & ST_NOSUID) == 0 && prctl(PR_GET_NO_NEW_PRIVS, 0, 0, 0, 0) == 0;
+  if (!knows) std::printf("skipped: the system gives no program another user's rights here\n");
   for (const bool is_set : {false, true}) {
     CAPTURE(is_set);
+    if (is_set && !knows) break;
     REQUIRE(chown(copy.c_str(), kAnn, kGroup) == 0);
     REQUIRE(chmod(copy.c_str(), is_set ? 04755 : 0755) == 0);
     CHECK(as(kBob, kGroup, [&] {
