@@ -233,7 +233,7 @@ void give_rights(int fd, const std::string& path, const Trust& trust) {
 /// be made; EEXIST: there is one.
 ///
 /// Crash: leaves no file, or a whole one. Only where the file system has no unnamed files, or there
-/// is no /proc, a maker that is killed before fchmod leaves the mode that its umask allows.
+/// is no /proc, a maker that is killed between leaves a file of mode 0600, or less by its umask.
 int make_private(const std::string& path, const Trust& trust) {
   const std::string directory = path.substr(0, path.rfind('/') + 1);
   const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
@@ -340,7 +340,7 @@ void Segment::create(const std::string& path, Capacity capacity, const Trust& tr
   Descriptor file(open_private(unfinished, trust, O_EXCL));
   const auto fail = [&](int error, const char* what) {
     ::unlink(unfinished.c_str());
-    if (!may_remove(path)) {
+    if ((error == EPERM || error == EACCES) && !may_remove(path)) {
       throw Error(error, path,
                   "cannot put a new segment in its place, it belongs to " + owner_and_mode(path),
                   "let its owner, or root, run `lot clean`, or set LOT_SEGMENT or LOT_DIR");

@@ -138,7 +138,7 @@ void Trust::require(int fd, const std::string& path) const {
   if (!is_one_of(*this, status)) {
     throw Error(EPERM, path,
                 "it belongs to " + describe(status) +
-                    ": neither to you or root, nor to whom you have named",
+                    ": neither to you or root, nor to a user or group that was named",
                 "if you trust its users, set " + remedy(status) +
                     "; else set LOT_SEGMENT or LOT_DIR, or have it removed");
   }
@@ -151,17 +151,17 @@ void Trust::require(int fd, const std::string& path) const {
     throw Error(EPERM, path, "no file of LOT has such a mode: it belongs to " + describe(status),
                 "chmod it to 0600, or remove it, or set LOT_SEGMENT");
   }
-  if (wider == 0 && group && (status.st_mode & kOfGroup) != 0 && status.st_gid != *group) {
-    throw Error(EPERM, path,
-                "it gives rights to another group than gid " + std::to_string(*group) +
-                    ": it belongs to " + describe(status),
-                "if you trust its users, set " + remedy(status) +
-                    "; else set LOT_SEGMENT, or end all that use it and make it anew");
-  }
   if (wider != 0) {
     throw Error(EPERM, path,
                 "it gives others more than was asked for: it belongs to " + describe(status) +
                     ", and " + in_octal(mode) + " was asked for",
+                "if you trust its users, set " + remedy(status) +
+                    "; else set LOT_SEGMENT, or end all that use it and make it anew");
+  }
+  if (group && (status.st_mode & kOfGroup) != 0 && status.st_gid != *group) {
+    throw Error(EPERM, path,
+                "it gives rights to another group than gid " + std::to_string(*group) +
+                    ": it belongs to " + describe(status),
                 "if you trust its users, set " + remedy(status) +
                     "; else set LOT_SEGMENT, or end all that use it and make it anew");
   }

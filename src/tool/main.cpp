@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdio>
-#include <cstdlib>
 #include <string>
 
 #include <CLI/CLI.hpp>
@@ -27,13 +26,11 @@ int run(int argc, char** argv) {
   using namespace lot::tool;
   CLI::App app{"Looks at LOT segments, and cleans up what the dead have left", "lot"};
   Settings settings;
-  // Not CLI11's envname(): a set-user-ID program does not listen to its caller's environment.
-  const auto variable = [](const char* name, const std::string& otherwise) {
-    const char* const value = secure_getenv(name);
-    return value != nullptr && *value != '\0' ? std::string(value) : otherwise;
-  };
-  settings.where.name = variable("LOT_SEGMENT", "");
-  settings.where.directory = variable("LOT_DIR", lot::EngineOptions().directory);
+  // Not by CLI11's envname(), which a set-user-ID program would listen to.
+  using lot::transport::environment;
+  if (const char* name = environment("LOT_SEGMENT")) settings.where.name = name;
+  const char* const directory = environment("LOT_DIR");
+  settings.where.directory = directory != nullptr ? directory : lot::EngineOptions().directory;
   app.set_version_flag("--version", std::string("lot " LOT_VERSION ", layout ") +
                                         std::to_string(lot::segment::kLayoutVersion));
   app.footer(kFooter);

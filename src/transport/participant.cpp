@@ -15,6 +15,12 @@
 #include "lot/error.hpp"
 
 namespace lot::transport {
+
+const char* environment(const char* name) {
+  const char* value = secure_getenv(name);
+  return value != nullptr && *value != '\0' ? value : nullptr;
+}
+
 namespace {
 
 /// What the process knows of its participants. Never destroyed: pointers may be released by static
@@ -28,12 +34,6 @@ struct Process {
 Process& process() {
   static auto* const p = new Process;
   return *p;
-}
-
-const char* environment(const char* name) {
-  // A setuid program does not trust its caller.
-  const char* value = secure_getenv(name);
-  return value != nullptr && *value != '\0' ? value : nullptr;
 }
 
 std::uint64_t parse_size(const char* text) {

@@ -526,5 +526,8 @@ void after_reaping(Participant& participant, F&& f) {
 
 /// Throws lot::Error when no queue can be so deep.
 void check_depth(std::string_view topic, std::uint32_t depth);
+/// A variable of the environment; null when it is not set, or empty, or the program has rights that
+/// its caller has not (secure_getenv).
+const char* environment(const char* name);
 
 }  // namespace lot::transport
