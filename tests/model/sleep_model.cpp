@@ -164,6 +164,33 @@ struct TwoSleepersFindTheEnd : Scene<TwoSleepersFindTheEnd, 3> {
   Subscriber subscribers[2];
 };
 
+/// A reader of two rings falls asleep while the publisher of one of them is reaped: it leaves that
+/// one, though the other one is silent until it has left. It looks for new rings between the
+/// reaper's change of the directory and the end, so that nothing but the end itself tells of it.
+struct SleeperLeavesWhatEnded : Scene<SleeperLeavesWhatEnded, 2> {
+  SleeperLeavesWhatEnded() : Scene({.blocks = 1, .depth = 1, .readers = 1, .channels = 2}) {}
+  void prepare() {
+    ending.open(start(4), 0, false);
+    silent.open(start(5), 1, false);
+    subscription.join(start(2));
+    start(3);
+    segment.bury(4);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      process(3).see_reaped(4);
+      process(3).await_no_reader(0);
+      RL_ASSERT(silent.send());
+      return;
+    }
+    while (subscription.received() == 0) {
+      if (!subscription.receive()) subscription.await_change();
+    }
+  }
+  Publisher ending, silent;
+  Subscription subscription;
+};
+
 /// Two readers of one ring fall asleep while a ring appears that has a message: both get it.
 struct TwoSleepersHearOfARing : Scene<TwoSleepersHearOfARing, 3> {
   TwoSleepersHearOfARing() : Scene({.blocks = 1, .depth = 1, .readers = 2, .channels = 2}) {}
@@ -230,6 +257,8 @@ const Entered entered{
      cast_of<AnnouncedByTheReaper>, 2},
     {"two_sleepers_find_the_end", "two that sleep on one mark both find the end",
      cast_of<TwoSleepersFindTheEnd>, 2},
+    {"sleeper_leaves_what_ended", "a reader of two rings leaves the one that ends",
+     cast_of<SleeperLeavesWhatEnded>, 2},
     {"two_sleepers_hear_of_a_ring", "two that sleep on one mark both hear of a new ring",
      cast_of<TwoSleepersHearOfARing>, 2},
 };

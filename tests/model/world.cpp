@@ -341,6 +341,17 @@ bool Process::ring_closed(std::uint32_t c) {
   return ring::writer_owner(channel_writer(c).load(std::memory_order_acquire)) != index();
 }
 
+void Process::await_no_reader(std::uint32_t c) {
+  const ring::Ring<Policy> r = ring(c);
+  for (std::uint32_t i = 0; i < r.readers; ++i) {
+    for (;;) {
+      const std::uint32_t seen = r.space->load(std::memory_order_acquire);  // carries the position
+      if (r.cells[i].position.load(std::memory_order_relaxed) == ring::kIdle) break;
+      r.space->wait_while(seen);
+    }
+  }
+}
+
 void Process::move_in(std::uint32_t c, std::uint32_t cell) {
   segment_->channels[c].tenants[cell].write(index());
 }

@@ -162,6 +162,8 @@ class Process {
   void close_ring(std::uint32_t channel);
   /// True when the ring's blocks are the orphanage's.
   bool ring_closed(std::uint32_t channel);
+  /// Sleeps until each reader of a ring has left it.
+  void await_no_reader(std::uint32_t channel);
 
   /// The readers of a ring that we read look again.
   void wake_sleepers(std::uint32_t channel);
