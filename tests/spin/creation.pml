@@ -156,7 +156,7 @@ again:
 #ifndef UNFINISHED_IS_USED
     unfinished = NONE; /* @ src/segment/segment.cpp create: ::unlink(unfinished.c_str()) */
     atomic { kernel_fresh(file); unfinished = file }; /* @ src/segment/segment.cpp create: Descriptor file(open_private(unfinished, trust, O_EXCL)) */
-    complete[file] = 1; /* @ src/segment/segment.cpp create: RobustMutex::construct(segment.directory().lock.mutex) */
+    complete[file] = 1; /* @ src/segment/segment.cpp create: if (pwrite(file.fd, &header, sizeof(header), 0) != sizeof(header)) */
     atomic { segment_name = unfinished; unfinished = NONE; file = NONE } /* @ src/segment/segment.cpp create: if (::rename(unfinished.c_str(), path.c_str()) == -1) */
 #else
     if
@@ -176,7 +176,7 @@ again:
   atomic {
     k = 1;
     do
-    :: k <= PROCESSES && BYTE(lock_file[p], k) == NONE -> break /* @ src/transport/participant_liveness.cpp try_take_index: if (!lock_file_->try_lock(k)) continue */
+    :: k <= PROCESSES && BYTE(lock_file[p], k) == NONE -> break /* @ src/transport/participant_liveness.cpp try_take_index: !lock_file_->try_lock(k) */
     :: k <= PROCESSES && BYTE(lock_file[p], k) != NONE -> k++
     od;
     BYTE(lock_file[p], k) = p;
@@ -184,7 +184,7 @@ again:
     k = 0
   };
   atomic {
-    parts[mapped[p]] = parts[mapped[p]] | 1 << held[p]; /* @ src/transport/participant_liveness.cpp warden: part(index()).store(1, std::memory_order_release) */
+    parts[mapped[p]] = parts[mapped[p]] | 1 << held[p]; /* @ src/transport/participant_liveness.cpp take_index: part(index()).store(1, std::memory_order_release) */
     joined[p] = 1;
     for (q : 1 .. PROCESSES) {
       assert(!joined[q] || mapped[q] == mapped[p]); /* all that use the name use one segment */

@@ -7,7 +7,8 @@
  * The last warden looks when all have gone: whatever is left then is lost for ever.
  *
  * One channel with one cell, one block, two indexes. Sleepers are the business of sleep_wake.pml, the
- * files that of creation.pml.
+ * files that of creation.pml. That the witness thread links its node, and then takes the seat, is one
+ * step: a node that is linked to a seat of another thread changes nothing.
  *
  * run restart -DNEWCOMER_COMES -DMORTALS=2 : the publisher is killed or leaves, and is started again
  * run reapers -DREADER_COMES -DREADER_IS_SETTLED -DTWO_WARDENS -DMORTALS=18 : the publisher and who reaps it are killed
@@ -17,13 +18,15 @@
  * run forwarded -DFORWARDED -DNEWCOMER_COMES -DMORTALS=10 : publishers of somebody else's message leave and are killed
  * run full_table -DNEWCOMER_COMES -DMORTALS=2 -DFULL_TABLE : a newcomer finds every index taken, one by somebody dead
  * run subscribed -DSUBSCRIBED -DREADER_COMES -DANY_TIME -DMORTALS=6 : a subscriber that may die gets a cell in a ring that comes later
+ * run two_files -DNEWCOMER_COMES -DANY_TIME -DTWO_WARDENS -DTWO_FILES -DMORTALS=2 : somebody has removed the lock file: the newcomer and one of the wardens lock another one
+ * run overlap_files -DREADER_COMES -DREADER_IS_SETTLED -DNEWCOMER_COMES -DANY_TIME -DTWO_FILES -DMORTALS=2 : the same; the newcomer comes and leaves while the publisher is reaped
  * full everybody -DREADER_COMES -DNEWCOMER_COMES -DMORTALS=2 : all three, and the publisher may be killed
  * full reader_and_publisher -DREADER_COMES -DMORTALS=6 : both may be killed
  *
  * pan -DCOLLAPSE
  *
  * plant NO_WITNESS lost_lock : a free byte alone counts as death
- * plant TAKEN_WITHOUT_REAP restart : the new owner of an index does not repair what the dead one left
+ * plant TAKEN_WITHOUT_REAP full_table : the new owner of an index does not repair what the dead one left
  * plant NO_REGISTRY_LOCK readers : the recycler does not keep joiners away
  * plant JOINER_TAKES_NO_LOCK readers : the joiner does not keep the recycler away
  * plant RECYCLED_UNDER_READERS readers : a ring is recycled while somebody has a cell
@@ -35,6 +38,11 @@
  * plant NO_SECOND_LOOK subscribed : the maker of a ring does not look whether the subscriber has died
  * plant BLIND_STORE subscribed : the reaper frees a cell that has gone to a living joiner meanwhile
  * plant NO_ORPHANAGE_LOCK overlap : two act for the orphanage at once
+ * plant NO_ORPHANAGE_WORD overlap_files : who acts for the orphanage has its byte alone
+ * plant JUDGES_ONCE two_files : a reaper does not look again, in the orphanage, whether it is still that one
+ * plant TAKEN_UNSEEN two_files : who takes a seat does not look whether it is still the one that was free
+ * plant NO_TAKE_OVER readers : the lock of a dead one stays its own
+ * plant OLD_NAME readers : who takes an index locks in the name of the one before
  */
 
 #ifndef MORTALS
@@ -76,11 +84,45 @@
 #define NOBODYS HOME_FREE
 #endif
 
+/* Two lock files, when somebody has removed one. */
+#define LOCKS (2 * INDEXES)
+#ifdef TWO_FILES
+#define FILE(p) ((p) == NEWCOMER || (p) == MORTAL_WARDEN -> 1 : 0)
+#else
+#define FILE(p) 0
+#endif
+#define BYTE(p, k) lock[FILE(p) * INDEXES + (k)]
+
+/* A seat: {incarnation, notice}; a notice: nobody, the process that stands, or: */
+#define DIED 6
+#define JUDGED 7
+#define SEAT(incarnation, notice) ((incarnation) << 3 | (notice))
+#define INCARNATION(s) ((s) >> 3)
+#define NOTICE(s) ((s) & 7)
+#ifdef NO_WITNESS
+#define STANDS(s) false
+#else
+#define STANDS(s) (NOTICE(s) != NONE && NOTICE(s) < DIED)
+#endif
+/* The name in a lock: {incarnation, index}. Who comes without an index (wardens, a settled reader) has a
+ * number of its own, and its death is seen when the kernel has done all. */
+#define NAME(incarnation, k) ((incarnation) << 3 | (k))
+#define INDEXLESS(p) ((p) + 1)
+#define SEAT_OF(n) seat[(n) & 7]
+#define SEAT_IS_GONE(n, p) (INCARNATION(SEAT_OF(n)) != (n) >> 3 || NOTICE(SEAT_OF(n)) == JUDGED || !STANDS(SEAT_OF(n)) && BYTE(p, (n) & 7) == NONE)
+#define IS_GONE(n, p) (((n) & 7) < INDEXES -> SEAT_IS_GONE(n, p) : kernel_done[((n) & 7) - 1])
+#ifdef NO_TAKE_OVER
+#define CAN_LOCK(word, p) ((word) == NONE)
+#else
+#define CAN_LOCK(word, p) ((word) == NONE || IS_GONE(word, p))
+#endif
+
 /* shared */
-byte gate;          /* kernel locks on bytes of the lock file, by process */
-byte lock[INDEXES];
-byte witness[INDEXES]; /* robust locks, by process */
-byte registry;
+byte gate[2];       /* kernel locks on bytes of the lock files, by process */
+byte lock[LOCKS];
+byte seat[INDEXES]; /* incarnation and notice */
+byte registry;      /* lock words: names */
+byte orphanage;
 bit part[INDEXES];
 byte writer;        /* of the one channel */
 bit formed;
@@ -94,6 +136,7 @@ byte own;           /* its holders, a bit each */
 /* ghost */
 byte occupant[INDEXES]; /* the process that has this index and has not begun to leave */
 bit dead[PROCESSES];
+bit kernel_done[PROCESSES];    /* and the kernel has dropped all that it had */
 bit ended[PROCESSES];
 bit inside;             /* the reader has a Reader of the ring */
 bit message;            /* there is a message in the block */
@@ -115,40 +158,41 @@ inline kernel_kills(p) {
   }
 }
 
-/* Then it drops what the dead one held, robust locks and files one after the other. */
-inline kernel_drops_robust_locks(p) {
+/* Then it gives notice, and drops its files, one after the other. */
+inline kernel_gives_notice(p) {
   d_step {
     for (q : 1 .. INDEXES - 1) {
       if
-      :: witness[q] == p -> witness[q] = NONE
+      :: NOTICE(seat[q]) == p -> seat[q] = SEAT(INCARNATION(seat[q]), DIED)
       :: else
       fi
     }
-    if
-    :: registry == p -> registry = NONE
-    :: else
-    fi;
     q = 0
   }
 }
 
 inline kernel_drops_files(p) {
   d_step {
-    for (q : 0 .. INDEXES - 1) {
+    for (q : 0 .. LOCKS - 1) {
       if
       :: lock[q] == p -> lock[q] = NONE
       :: else
       fi
     }
-    if
-    :: gate == p -> gate = NONE
-    :: else
-    fi;
+    for (q : 0 .. 1) {
+      if
+      :: gate[q] == p -> gate[q] = NONE
+      :: else
+      fi
+    }
     q = 0
   }
 }
 
 inline acquire(word, p) { atomic { (word) == NONE -> word = p } }
+/* A lock word; a living process has what it holds. */
+inline acquire_lock(word) { atomic { CAN_LOCK(word, me) -> word = name } }
+inline release_lock(word) { atomic { assert(word == name); word = NONE } }
 
 /* ---- the orphanage and its helpers ------------------------------------------------------------- */
 
@@ -172,7 +216,7 @@ inline collect() {
   :: IS_DESERTED_ORPHAN -> /* @ src/recovery/recovery.hpp recycle_rings: if (!has_deserted_ring(world_.channels())) return true */
 #ifndef NO_REGISTRY_LOCK
     if
-    :: atomic { registry == NONE -> registry = me } /* @ src/recovery/recovery.hpp recycle_rings: if (!world_.lock_rings()) return false */
+    :: atomic { CAN_LOCK(registry, me) -> registry = name } /* @ src/recovery/recovery.hpp recycle_rings: if (!world_.lock_rings()) return false */
     :: else -> goto unrecycled
     fi;
 #endif
@@ -183,7 +227,7 @@ inline collect() {
     :: else
     fi;
 #ifndef NO_REGISTRY_LOCK
-    registry = NONE /* @ src/recovery/recovery.hpp recycle_rings: world_.unlock_rings() */
+    release_lock(registry) /* @ src/recovery/recovery.hpp recycle_rings: world_.unlock_rings() */
 #endif
   :: else
   fi;
@@ -247,6 +291,25 @@ kept:
   skip
 }
 
+/* By who has its byte, and by who has its word. */
+inline leave_orphanage() {
+#ifndef NO_ORPHANAGE_WORD
+  release_lock(orphanage); /* @ src/transport/participant_liveness.cpp leave_orphanage: RobustMutex(segment_.directory().orphanage.word, presence_).unlock() */
+#endif
+  BYTE(me, 0) = NONE /* @ src/transport/participant_liveness.cpp leave_orphanage: lock_file_->unlock(refcount::kOrphanage) */
+}
+#ifdef NO_ORPHANAGE_WORD
+#define CAN_ENTER_ORPHANAGE (BYTE(me, 0) == NONE)
+#else
+#define CAN_ENTER_ORPHANAGE (BYTE(me, 0) == NONE && CAN_LOCK(orphanage, me))
+#endif
+/* The byte first, then the word; who finds the word locked gives the byte back: nobody has seen more than
+ * that it was locked for a moment. So it is one step. REQUIRES: CAN_ENTER_ORPHANAGE. */
+inline enters_orphanage() {
+  BYTE(me, 0) = me; /* @ src/transport/participant_liveness.cpp enter_orphanage: lock_file_->try_lock(refcount::kOrphanage) */
+  orphanage = name /* @ src/transport/participant_liveness.cpp enter_orphanage: mutex.try_lock() != RobustMutex::Outcome::Busy */
+}
+
 inline reap(k) {
   assert(occupant[k] == NONE);
 #ifdef RELEASE_NAME_FIRST
@@ -291,60 +354,64 @@ inline reap(k) {
 
 /* ---- wardens ----------------------------------------------------------------------------------- */
 
-#ifdef NO_WITNESS
-#define WITNESS_IS_GONE(k) true
-#else
-#define WITNESS_IS_GONE(k) (witness[k] == NONE)
-#endif
-#define CAN_BE_REAPED(k) (part[k] && lock[k] == NONE && WITNESS_IS_GONE(k))
+#define CAN_BE_REAPED(k) (part[k] && BYTE(me, k) == NONE && !STANDS(seat[k]))
 /* When a warden looks, and when that would change anything. What makes it look (it is woken by a death,
  * and searches blocks when a reaper has bumped `bequests`) is left out: it looks when there is something. */
 #define HAS_ORPHANS (STATE(writer) == ORPHAN || home == HOME_ORPHANAGE)
-#define CAN_BE_COLLECTED (HAS_ORPHANS && (IS_DESERTED_ORPHAN && registry == NONE || own & 1 && !IS_NEEDED || home == HOME_ORPHANAGE && own == 0))
+#define CAN_BE_COLLECTED (HAS_ORPHANS && (IS_DESERTED_ORPHAN && CAN_LOCK(registry, me) || own & 1 && !IS_NEEDED || home == HOME_ORPHANAGE && own == 0))
 #define ALL_HAVE_GONE (ended[PUBLISHER] && ended[READER] && ended[NEWCOMER] && ended[MORTAL_WARDEN])
 
 proctype warden(byte me) {
-  byte k, w, q;
+  byte k, w, q, name = INDEXLESS(me);
   bit needed, dies;
   {
 end_idle:
     do
-    :: atomic { CAN_BE_REAPED(1) -> k = 1; break } /* @ src/transport/participant_liveness.cpp reap_dead: !lock_file_->held_by_other(k) */
-    :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/participant_liveness.cpp reap_dead: !lock_file_->held_by_other(k) */
+    :: atomic { CAN_BE_REAPED(1) -> k = 1; break } /* @ src/transport/participant_liveness.cpp reap_dead: presence_.looks_dead(k) */
+    :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/participant_liveness.cpp reap_dead: presence_.looks_dead(k) */
     :: CAN_BE_COLLECTED -> /* @ src/transport/participant_liveness.cpp look_around: reap_dead() || (due && (orphans_ || bequests != bequests_)) || has_deserted_ring() */
       if
-      :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp collect: enter_orphanage() */
+      :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/participant_liveness.cpp collect: enter_orphanage() */
         collect(); /* @ src/transport/participant_liveness.cpp collect: Recovery(*this).collect() */
-        lock[0] = NONE /* @ src/transport/participant_liveness.cpp collect: leave_orphanage() */
+        leave_orphanage() /* @ src/transport/participant_liveness.cpp collect: leave_orphanage() */
       :: !CAN_BE_COLLECTED /* Somebody else was quicker. */
       fi
     :: atomic { me == WARDEN && ALL_HAVE_GONE && !CAN_BE_REAPED(1) && !CAN_BE_REAPED(2) && !CAN_BE_COLLECTED -> goto gone }
     od;
     if
-    :: atomic { lock[k] == NONE -> lock[k] = me } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
+    :: atomic { BYTE(me, k) == NONE -> BYTE(me, k) = me } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
     :: else -> k = 0; goto end_idle
     fi;
     if
     :: part[k] -> /* @ src/transport/participant_liveness.cpp reap_if_dead: part(k).load */
       if
-      :: atomic { WITNESS_IS_GONE(k) -> witness[k] = me }; /* @ src/transport/participant_liveness.cpp reap_if_dead: witness.try_lock() != RobustMutex::Outcome::Busy */
+      :: atomic { !STANDS(seat[k]) -> seat[k] = SEAT(INCARNATION(seat[k]), JUDGED) }; /* @ src/liveness/presence.cpp judge: seat, seat::make(seat::incarnation(seat), seat::kJudged) */
 #ifndef NO_ORPHANAGE_LOCK
         if
-        :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp reap_if_dead: enter_orphanage() */
-          reap(k); /* @ src/transport/participant_liveness.cpp reap_if_dead: Recovery(*this).reap(k) */
-          lock[0] = NONE /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
-        :: else
-        fi;
+        :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/participant_liveness.cpp reap_if_dead: enter_orphanage() */
+          if
+#ifdef JUDGES_ONCE
+          :: true ->
 #else
-        reap(k);
+          :: atomic { part[k] && NOTICE(seat[k]) == JUDGED -> skip }; /* @ src/transport/participant_liveness.cpp reap_if_dead: part(k).load(std::memory_order_acquire) != 0 && presence_.is_judged(k) */
 #endif
-        witness[k] = NONE /* @ src/transport/participant_liveness.cpp reap_if_dead: witness.unlock() */
+            reap(k) /* @ src/transport/participant_liveness.cpp reap_if_dead: Recovery(*this).reap(k) */
+#ifndef JUDGES_ONCE
+          :: else
+#endif
+          fi;
+          leave_orphanage() /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
+        :: else
+        fi
+#else
+        reap(k)
+#endif
       :: else
       fi
     :: else
     fi;
     atomic {
-      lock[k] = NONE; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(k) */
+      BYTE(me, k) = NONE; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(k) */
       k = 0;
       goto end_idle
     };
@@ -361,67 +428,108 @@ gone:
 
 /* ---- whoever comes ----------------------------------------------------------------------------- */
 
+/* Of a dead one, or not: first those that are not. */
+#define MAY_TAKE(k) (part[k] == of_a_dead_one && !STANDS(seat[k]))
+
 inline take_index() {
-  acquire(gate, me); /* @ src/transport/participant.cpp join: if (!file->enter_gate(kGatePatience)) continue */
+  acquire(gate[FILE(me)], me); /* @ src/transport/participant.cpp join: if (!file->enter_gate(kGatePatience)) continue */
   k = 1;
   do
   :: k <= LAST ->
     if
-    :: atomic { lock[k] == NONE -> lock[k] = me }; /* @ src/transport/participant_liveness.cpp try_take_index: if (!lock_file_->try_lock(k)) continue */
+    :: MAY_TAKE(k) -> /* @ src/transport/participant_liveness.cpp try_take_index: return is_clean != of_a_dead_one && presence_.may_be_claimed(k) */
       if
-      :: atomic { WITNESS_IS_GONE(k) -> witness[k] = me }; /* @ src/transport/participant_liveness.cpp try_take_index: witness.try_lock() != RobustMutex::Outcome::Busy */
+      :: atomic { BYTE(me, k) == NONE -> BYTE(me, k) = me }; /* @ src/transport/participant_liveness.cpp try_take_index: !lock_file_->try_lock(k) */
+        atomic {
+          w = seat[k]; /* @ src/liveness/presence.cpp claim: const std::uint64_t seat = seen(k) */
+          if
+          :: MAY_TAKE(k) /* @ src/transport/participant_liveness.cpp try_take_index: if (may_take(k) && presence_.claim(k)) */
+          :: else -> goto untaken
+          fi
+        };
+        atomic {
+          if
+#ifdef TAKEN_UNSEEN
+          :: seat[k] = SEAT(INCARNATION(w) + 1, me)
+#else
+          :: seat[k] == w -> seat[k] = SEAT(INCARNATION(w) + 1, me) /* @ src/liveness/death_notice.cpp take: seat_->compare_exchange_strong(seen_, ours */
+          :: else -> goto untaken
+#endif
+          fi
+        };
+#ifdef OLD_NAME
+        name = NAME(INCARNATION(w), k);
+#else
+        name = NAME(INCARNATION(w) + 1, k);
+#endif
+        w = 0;
         if
-        :: part[k] == 0 -> clean = 1 /* @ src/transport/participant_liveness.cpp try_take_index: bool clean = part(k).load */
+        :: part[k] == 0 -> clean = 1 /* @ src/transport/participant_liveness.cpp repair_index: if (part(index()).load(std::memory_order_acquire) == 0) return true */
 #ifdef TAKEN_WITHOUT_REAP
         :: part[k] -> clean = 1
 #else
-        :: part[k] -> /* @ src/transport/participant_liveness.cpp try_take_index: bool clean = part(k).load */
+        :: part[k] -> /* @ src/transport/participant_liveness.cpp repair_index: if (part(index()).load(std::memory_order_acquire) == 0) return true */
           if
-          :: atomic { lock[0] == NONE -> lock[0] = me }; /* @ src/transport/participant_liveness.cpp try_take_index: enter_orphanage() */
-            reap(k); /* @ src/transport/participant_liveness.cpp try_take_index: Recovery(*this).reap(k) */
-            lock[0] = NONE; /* @ src/transport/participant_liveness.cpp try_take_index: leave_orphanage() */
+          :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/participant_liveness.cpp repair_index: while (!enter_orphanage()) */
+            if
+            :: part[k] -> reap(k) /* @ src/transport/participant_liveness.cpp repair_index: Recovery(*this).reap(index()) */
+            :: part[k] == 0 /* @ src/transport/participant_liveness.cpp repair_index: if (part(index()).load(std::memory_order_acquire) != 0) */
+            fi;
+            leave_orphanage(); /* @ src/transport/participant_liveness.cpp repair_index: leave_orphanage() */
             clean = 1
-          :: else
+#if !defined(FULL_TABLE) || defined(LOOKS_ONCE)
+          :: else /* its patience has ended */
+#endif
           fi
 #endif
         fi;
-        witness[k] = NONE /* @ src/transport/participant_liveness.cpp try_take_index: witness.unlock() */
+        if
+        :: atomic { clean -> clean = 0; assert(occupant[k] == NONE && !IS_NAMED(k)); occupant[k] = me; break }
+        :: else -> give_up_seat() /* @ src/transport/participant_liveness.cpp try_take_index: presence_.end() */
+        fi;
+untaken:
+        w = 0;
+        BYTE(me, k) = NONE /* @ src/transport/participant_liveness.cpp try_take_index: lock_file_->unlock(k) */
       :: else
-      fi;
-      if
-      :: atomic { clean -> clean = 0; assert(occupant[k] == NONE && !IS_NAMED(k)); occupant[k] = me; break }
-      :: else -> lock[k] = NONE /* @ src/transport/participant_liveness.cpp try_take_index: lock_file_->unlock(k) */
       fi
-    :: else
+    :: !MAY_TAKE(k) /* @ src/transport/participant_liveness.cpp try_take_index: return is_clean != of_a_dead_one && presence_.may_be_claimed(k) */
     fi;
     k++
+  :: atomic { k > LAST && !of_a_dead_one -> k = 1; of_a_dead_one = 1 }
 #if defined(FULL_TABLE) && !defined(LOOKS_ONCE)
-  :: else -> k = 1
+  :: atomic { k > LAST && of_a_dead_one -> k = 1; of_a_dead_one = 0 }
 #else
-  :: else -> break
+  :: k > LAST && of_a_dead_one -> break
 #endif
   od;
+  of_a_dead_one = 0;
   if
   :: k <= LAST ->
-    acquire(witness[k], me); /* @ src/transport/participant_liveness.cpp warden: witness.lock_for(kWitnessPatience) != RobustMutex::Outcome::Busy */
-    part[k] = 1 /* @ src/transport/participant_liveness.cpp warden: part(index()).store(1 */
+    part[k] = 1 /* @ src/transport/participant_liveness.cpp take_index: part(index()).store(1 */
   :: else -> /* @ src/transport/participant_liveness.cpp take_index: throw Error(EUSERS, segment_.path() */
 #ifdef FULL_TABLE
     assert(false)
 #endif
   fi;
-  gate = NONE /* @ src/transport/participant.cpp ~GateGuard: file_->leave_gate() */
+  gate[FILE(me)] = NONE /* @ src/transport/participant.cpp ~GateGuard: file_->leave_gate() */
+}
+
+inline give_up_seat() {
+  atomic {
+    assert(NOTICE(seat[k]) == me);
+    seat[k] = SEAT(INCARNATION(seat[k]), NONE) /* @ src/liveness/death_notice.cpp run: order == Order::Renew ? ours_ : seat::make(incarnation, 0) */
+  }
 }
 
 inline leave() {
-  acquire(gate, me); /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience) */
+  acquire(gate[FILE(me)], me); /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience) */
   occupant[k] = NONE;
-  acquire(lock[0], me); /* @ src/transport/participant_liveness.cpp warden: enter_orphanage() */
+  atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/participant_liveness.cpp warden: enter_orphanage() */
   reap(k); /* @ src/transport/participant_liveness.cpp warden: Recovery(*this).reap(index()) */
-  lock[0] = NONE; /* @ src/transport/participant_liveness.cpp warden: leave_orphanage() */
-  witness[k] = NONE; /* @ src/transport/participant_liveness.cpp warden: witness.unlock() */
-  lock[k] = NONE; /* @ src/transport/participant_liveness.cpp warden: lock_file_->unlock(index()) */
-  gate = NONE /* @ src/transport/participant_liveness.cpp warden: lock_file_->leave_gate() */
+  leave_orphanage(); /* @ src/transport/participant_liveness.cpp warden: leave_orphanage() */
+  give_up_seat(); /* @ src/transport/participant_liveness.cpp warden: presence_.end() */
+  BYTE(me, k) = NONE; /* @ src/transport/participant_liveness.cpp warden: lock_file_->unlock(index()) */
+  gate[FILE(me)] = NONE /* @ src/transport/participant_liveness.cpp warden: lock_file_->leave_gate() */
 }
 
 /* The memory of a new ring may hold anything. */
@@ -454,7 +562,7 @@ inline await_puller() {
 #endif
 
 inline open() {
-  acquire(registry, me); /* @ src/transport/participant_stock.cpp open_ring: const registry::Registry::Lock lock(registry_) */
+  acquire_lock(registry); /* @ src/transport/participant_stock.cpp open_ring: const registry::Registry::Lock lock(registry_) */
   if
   :: atomic { STATE(writer) == FREE -> writer = WRITER(GENERATION(writer) + 1, INIT, k) }; /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
     atomic { memory = 1; kernel_garbage() }; /* @ src/registry/registry.cpp open: entry.granule = segment_.claim_run(entry.granules, segment::kRingTag | c) */
@@ -468,7 +576,7 @@ inline open() {
     opened = 1
   :: STATE(writer) != FREE /* @ src/registry/registry.cpp open: if (ring::writer_state(w) != ring::State::Free) continue */
   fi;
-  registry = NONE /* @ src/registry/registry.cpp ~Lock: registry_.unlock() */
+  release_lock(registry) /* @ src/registry/registry.cpp ~Lock: registry_.unlock() */
 }
 
 inline publish() {
@@ -486,8 +594,8 @@ inline publish() {
 }
 
 proctype publisher(byte me) {
-  byte k, w, q;
-  bit needed, dies, clean, opened;
+  byte k, w, q, name;
+  bit needed, dies, clean, opened, of_a_dead_one;
   {
     if
 #ifndef ANY_TIME
@@ -495,7 +603,7 @@ proctype publisher(byte me) {
 #endif
     :: else
     fi;
-    take_index(); /* @ src/transport/participant.cpp Participant: HardwareOwnership(take_index(options)) */
+    take_index(); /* @ src/transport/participant.cpp Participant: take_index(options) */
     if
     :: k > LAST -> goto gone
     :: else
@@ -508,8 +616,8 @@ proctype publisher(byte me) {
 #ifdef CLOSEFROM
     if
     :: me == PUBLISHER ->
-      lock[k] = NONE; /* kernel: closefrom() in the application */
-      acquire(lock[k], me) /* @ src/transport/participant_liveness.cpp keep_own_lock: if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index()) */
+      BYTE(me, k) = NONE; /* kernel: closefrom() in the application */
+      acquire(BYTE(me, k), me) /* @ src/transport/participant_liveness.cpp keep_own_lock: if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index()) */
     :: else
     fi;
 #endif
@@ -524,12 +632,12 @@ proctype publisher(byte me) {
     leave(); /* @ src/transport/participant.cpp leave: warden_.join() */
 gone:
     atomic { ended[me] = 1; k = 0; opened = 0 }
-  } unless { d_step { dead[me] -> k = 0; w = 0; needed = 0; dies = 0; clean = 0; opened = 0 } }
+  } unless { d_step { dead[me] -> k = 0; w = 0; needed = 0; dies = 0; clean = 0; opened = 0; of_a_dead_one = 0 } }
 }
 
 proctype reader(byte me) {
-  byte k, w, q;
-  bit needed, dies, clean;
+  byte k, w, q, name = INDEXLESS(me);
+  bit needed, dies, clean, of_a_dead_one;
   {
 #ifdef READER_IS_SETTLED
     if
@@ -537,13 +645,13 @@ proctype reader(byte me) {
     :: ended[PUBLISHER] -> goto gone
     fi;
 #else
-    take_index(); /* @ src/transport/participant.cpp Participant: HardwareOwnership(take_index(options)) */
+    take_index(); /* @ src/transport/participant.cpp Participant: take_index(options) */
     if
     :: k > LAST -> goto gone
     :: else
     fi;
 #ifndef JOINER_TAKES_NO_LOCK
-    acquire(registry, me); /* @ src/transport/puller.cpp subscribe: const registry::Registry::Lock lock(participant_->registry()) */
+    acquire_lock(registry); /* @ src/transport/puller.cpp subscribe: const registry::Registry::Lock lock(participant_->registry()) */
 #endif
 #ifdef SUBSCRIBED
     pullers = k; /* @ src/registry/registry.cpp add_puller: pullers[participant].fetch_add(1 */
@@ -569,17 +677,17 @@ proctype reader(byte me) {
     w = 0;
 joined:
 #ifndef JOINER_TAKES_NO_LOCK
-    registry = NONE; /* @ src/registry/registry.cpp ~Lock: registry_.unlock() */
+    release_lock(registry); /* @ src/registry/registry.cpp ~Lock: registry_.unlock() */
 #endif
 #endif
 #ifdef SUBSCRIBED
     /* It looks again later: at a ring that has come meanwhile, and may have ended. */
-    acquire(registry, me); /* @ src/transport/puller.cpp find_new_rings: if (!registry.try_lock()) */
+    acquire_lock(registry); /* @ src/transport/puller.cpp find_new_rings: if (!registry.try_lock()) */
     if
     :: STATE(writer) >= LIVE && !inside && formed && who == k + 1 -> inside = 1; assert(memory) /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
     :: STATE(writer) < LIVE || inside || !formed || who != k + 1 /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
     fi;
-    registry = NONE; /* @ src/transport/puller.cpp find_new_rings: registry.unlock() */
+    release_lock(registry); /* @ src/transport/puller.cpp find_new_rings: registry.unlock() */
 #endif
     if
     :: inside && slot -> /* @ src/lockfree_ring/ring.hpp poll: place(slot.load */
@@ -603,7 +711,7 @@ joined:
 #endif
 gone:
     atomic { ended[me] = 1; k = 0 }
-  } unless { d_step { dead[me] -> k = 0; w = 0; needed = 0; dies = 0; clean = 0 } }
+  } unless { d_step { dead[me] -> k = 0; w = 0; needed = 0; dies = 0; clean = 0; of_a_dead_one = 0 } }
 }
 
 /* ---- fate -------------------------------------------------------------------------------------- */
@@ -614,10 +722,10 @@ proctype kernel_fate(byte p) {
   if
   :: atomic { !ended[p] -> kernel_kills(p) };
     if
-    :: kernel_drops_robust_locks(p); kernel_drops_files(p)
-    :: kernel_drops_files(p); kernel_drops_robust_locks(p)
+    :: kernel_gives_notice(p); kernel_drops_files(p)
+    :: kernel_drops_files(p); kernel_gives_notice(p)
     fi;
-    ended[p] = 1
+    atomic { kernel_done[p] = 1; ended[p] = 1 }
   :: true
   fi
 }
