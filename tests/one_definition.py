@@ -24,10 +24,11 @@ import sys
 import tempfile
 
 ROOMS = ('src/lockfree_ring/*.hpp', 'src/refcount/*.hpp', 'src/recovery/*.hpp',
-         'src/robust_mutex/robust_condition.hpp', 'src/segment/granules.hpp',
+         'src/robust_mutex/robust_condition.hpp', 'src/robust_mutex/lock_word.hpp',
+         'src/segment/granules.hpp',
          'src/segment/units.hpp')
 CLASSES = ('Ring', 'Writer', 'Reader', 'Cell', 'Ownership', 'BlockWords', 'Recovery', 'Granules', 'Units',
-           'RobustCondition')
+           'RobustCondition', 'LockWord')
 TARGETS = ('lot', 'lot_model')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.hh', '.cxx', '.hxx', '.ipp', '.inc', '.in'}
 
@@ -289,12 +290,16 @@ template <class P> struct BlockWords {}; template <class P> struct Ownership {};
 } }
 ''',
     'src/recovery/recovery.hpp': '''#include "refcount/ownership.hpp"
+#include "robust_mutex/lock_word.hpp"
 #include "robust_mutex/robust_condition.hpp"
 #include "segment/units.hpp"
 namespace lot::recovery { template <class P, class World> class Recovery {}; }
 ''',
     'src/robust_mutex/robust_condition.hpp': '''
 namespace lot { template <class W = int> class RobustCondition {}; }
+''',
+    'src/robust_mutex/lock_word.hpp': '''
+namespace lot::lock { template <class P> class LockWord {}; }
 ''',
     'src/segment/granules.hpp': '''
 namespace lot::segment { template <class P> class Granules {}; }

@@ -163,8 +163,7 @@ struct NextOwnerRepairs : Scene<NextOwnerRepairs, 3> {
   void thread(unsigned t) {
     if (t == 0) {
       die_within(4, 8, [this] { publisher.send_own(block); });
-      const bool with_the_lock =
-          segment.channels[0].lock.load(std::memory_order_relaxed) == ~std::uint32_t{0};
+      const bool with_the_lock = segment.channels[0].lock.load(std::memory_order_relaxed) != 0;
       if (!subscribers[1].receive() || !with_the_lock) process(1).see_reaped(4);
       return;
     }

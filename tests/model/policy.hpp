@@ -215,6 +215,15 @@ class CheckedAtomic {
     bed.sleep(where);
   }
 
+  /// FUTEX_WAKE of one.
+  void wake_one(Where where = Where::current()) const {
+    killer.step();
+    take_bucket(where);
+    if (beds_.empty()) return;
+    beds_.front()->wake(where);
+    beds_.erase(beds_.begin());
+  }
+
   /// FUTEX_WAKE of everybody.
   void wake_all(Where where = Where::current()) const {
     killer.step();

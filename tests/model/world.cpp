@@ -6,9 +6,7 @@ namespace lot::model {
 // ---- Channel and Segment
 // --------------------------------------------------------------------------
 
-namespace {
-constexpr std::uint32_t kOwnerDied = ~std::uint32_t{0};
-}
+namespace {}
 
 Channel::Channel(const Shape& shape)
     : slots(shape.depth),
@@ -58,28 +56,24 @@ bool Segment::try_lock(std::uint32_t lock, std::uint32_t holder) {
 void Segment::unlock(std::uint32_t lock) { locks_[lock].store(0, std::memory_order_release); }
 
 bool Segment::lock_queue(std::uint32_t channel, std::uint32_t holder) {
-  auto& lock = channels[channel].lock;
+  lock::LockWord<Policy> lock(channels[channel].lock);
+  const std::uint32_t name = lock::make_name(holder, 1);
   for (;;) {
-    std::uint32_t before = 0;
-    if (lock.compare_exchange_strong(before, holder + 1, std::memory_order_acquire,
-                                     std::memory_order_relaxed)) {
-      return true;
-    }
-    if (before == kOwnerDied &&
-        lock.compare_exchange_strong(before, holder + 1, std::memory_order_acquire,
-                                     std::memory_order_relaxed)) {
+    if (lock.try_lock(name, false)) return true;
+    const std::uint32_t seen = lock.seen();
+    if (seen != 0 && has_ended(lock::participant(lock::name(seen))) && lock.take_over(seen, name)) {
       return false;
     }
     Policy::pause();
   }
 }
 
+void Segment::unlock_queue(std::uint32_t channel, std::uint32_t holder) {
+  auto& word = channels[channel].lock;
+  if (lock::LockWord<Policy>(word).unlock(lock::make_name(holder, 1))) word.wake_one();
+}
+
 void Segment::bury(std::uint32_t participant) {
-  for (auto& channel : channels) {
-    if (channel.lock.load(std::memory_order_relaxed) == participant + 1) {
-      channel.lock.store(kOwnerDied, std::memory_order_release);
-    }
-  }
   for (auto& lock : locks_) {
     if (lock.load(std::memory_order_relaxed) == participant + 1) {
       lock.store(0, std::memory_order_release);
@@ -89,8 +83,12 @@ void Segment::bury(std::uint32_t participant) {
   ended_[participant].wake_all();
 }
 
+bool Segment::has_ended(std::uint32_t participant) const {
+  return ended_[participant].load(std::memory_order_acquire) != 0;
+}
+
 void Segment::await_end_of(std::uint32_t participant) {
-  while (ended_[participant].load(std::memory_order_acquire) == 0) {
+  while (!has_ended(participant)) {
     ended_[participant].wait_while(0);
   }
 }
@@ -116,7 +114,7 @@ void Turn::lock() {
 
 void Turn::unlock() {
   if (!held_ || killer.has_hit()) return;
-  process_.segment().channels[channel_].lock.store(0, std::memory_order_release);
+  process_.segment().unlock_queue(channel_, process_.index());
   held_ = false;
 }
 

@@ -7,6 +7,7 @@
 #include "policy.hpp"
 #include "recovery/recovery.hpp"
 #include "refcount/ownership.hpp"
+#include "robust_mutex/lock_word.hpp"
 
 /// A small world around the headers under test: a segment, processes in it, and what the transport
 /// does with them (pool, publisher, subscriber), reduced to its atomic steps.
@@ -57,7 +58,7 @@ struct Channel {
   Plain<bool> blocking;
   Plain<bool> used;  ///< written by who makes a ring and who frees it: one after the other
   Atomic<std::uint32_t> arrived;  ///< the mutex engine's condition
-  Atomic<std::uint32_t> lock;     ///< its lock: 0, its holder + 1, or kOwnerDied
+  Atomic<std::uint32_t> lock;     ///< its lock
   /// Written by who takes and who leaves a cell: a cell has one reader after the other.
   std::vector<Plain<std::uint32_t>> tenants;
 };
@@ -73,13 +74,15 @@ class Segment {
   bool try_lock(std::uint32_t lock, std::uint32_t holder);
   void unlock(std::uint32_t lock);
 
-  /// What pthread_mutex_lock does: false when the last owner has died with the lock.
+  /// False when the last owner has died with the lock.
   bool lock_queue(std::uint32_t channel, std::uint32_t holder);
+  void unlock_queue(std::uint32_t channel, std::uint32_t holder);
 
   /// What the kernel does for a process that has ended, in whatever way.
   void bury(std::uint32_t participant);
   /// Waits until somebody has ended; 0 < participant < kParticipants.
   void await_end_of(std::uint32_t participant);
+  bool has_ended(std::uint32_t participant) const;
 
   const Shape shape;
   std::vector<Atomic<std::uint32_t>> parts;

@@ -9,8 +9,8 @@ import subprocess
 import sites
 
 HEADERS = ('src/lockfree_ring', 'src/refcount', 'src/recovery',
-           'src/robust_mutex/robust_condition.hpp', 'src/segment/granules.hpp',
-           'src/segment/units.hpp')
+           'src/robust_mutex/robust_condition.hpp', 'src/robust_mutex/lock_word.hpp',
+           'src/segment/granules.hpp', 'src/segment/units.hpp')
 
 # One step weaker. A step of a compare-exchange that fails is a load.
 LOAD = {'seq_cst': ('acquire',), 'acquire': ('relaxed',)}

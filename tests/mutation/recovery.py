@@ -13,6 +13,7 @@ OWNERSHIP = 'src/refcount/ownership.hpp'
 SLEEP = 'src/lockfree_ring/sleep.hpp'
 CLAIMS = 'src/lockfree_ring/claims.hpp'
 UNITS = 'src/segment/units.hpp'
+LOCK = 'src/robust_mutex/lock_word.hpp'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,6 +160,16 @@ MISTAKES = (
     Planted('the sender gives a joiner a place before the floor', 'src/lockfree_ring/ring.hpp', 'ring', ((
         'ring_.reach(next_, sequence(position), floor_);',
         'ring_.reach(next_, sequence(position), ring_.first);'),)),
+    Planted('a woken locker does not say that others sleep', LOCK, 'lock', ((
+        'has_slept ? name | kSleepers : name', 'name'),)),
+    Planted('the first who sleeps for a lock does not say so', LOCK, 'lock', ((
+        '        seen |= kSleepers;', '        return seen;'),)),
+    Planted('a lock is taken over from who has it now', LOCK, 'lock', ((
+        '    return word_.compare_exchange_strong(seen, name | kSleepers,',
+        '    seen = word_.load(std::memory_order_acquire);\n'
+        '    return word_.compare_exchange_strong(seen, name | kSleepers,'),)),
+    Planted('a lock that somebody sleeps for stays locked', LOCK, 'lock', ((
+        '    return seen == (name | kSleepers) &&', '    return seen == name &&'),)),
     Planted('nobody is told on the condition of a ring', 'src/lockfree_ring/ring.hpp', 'mutex', ((
         '    if (arrived != nullptr) return RobustCondition(*arrived).renew();\n', ''),)),
     Planted('a mark on the condition is kept', 'src/robust_mutex/robust_condition.hpp', 'mutex', ((

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+
+/// The word of a lock between processes, and each step that changes it. Sleeping, and the question
+/// whether a holder lives, are the caller's (robust_mutex.hpp); docs/locks.md has the reasons.
+///
+/// 0: free. Else {somebody sleeps : 1 | incarnation : 22 | participant + 1 : 9}, the name of its
+/// holder. No name is given twice while it may stand in a lock, so a word that is found unchanged
+/// is still held by the same process.
+///
+/// Crash: a holder that is killed leaves its name; others take the lock over from it.
+///
+/// Edges
+///   L1  unlock: name -> 0 (release) -> try_lock: 0 -> name (acquire)
+///       carries: what the lock guards.
+///   L2  a holder's death, or the next owner of its index -> the caller's question before take_over
+///       carries: the same. The kernel has ended the holder before it says so; who has taken its
+///       seat has acquired that, and released it.
+///   L3  a name is put into the word (release) -> seen(), announce() (acquire)
+///       carries: the incarnation of its index, by which a name is known to be the living one's.
+namespace lot::lock {
+
+inline constexpr std::uint32_t kSleepers = std::uint32_t{1} << 31;
+inline constexpr std::uint32_t kParticipantBits = 9;
+inline constexpr std::uint32_t kParticipants = (std::uint32_t{1} << kParticipantBits) - 1;
+inline constexpr std::uint32_t kIncarnations = std::uint32_t{1} << (31 - kParticipantBits);
+
+/// REQUIRES: participant < kParticipants.
+constexpr std::uint32_t make_name(std::uint32_t participant, std::uint32_t incarnation) {
+  return (incarnation % kIncarnations) << kParticipantBits | (participant + 1);
+}
+constexpr std::uint32_t name(std::uint32_t word) { return word & ~kSleepers; }
+/// Of a name that nobody has (a damaged word): not below kParticipants.
+constexpr std::uint32_t participant(std::uint32_t name) { return (name & kParticipants) - 1; }
+constexpr std::uint32_t incarnation(std::uint32_t name) { return name >> kParticipantBits; }
+
+template <class P>
+class LockWord {
+ public:
+  using Word = typename P::template Atomic<std::uint32_t>;
+
+  explicit LockWord(Word& word) noexcept : word_(word) {}
+
+  /// A process that has slept says so: others may sleep, too, and it was the one to be woken.
+  bool try_lock(std::uint32_t name, bool has_slept) {
+    std::uint32_t free = 0;
+    return word_.compare_exchange_strong(free, has_slept ? name | kSleepers : name,
+                                         std::memory_order_acq_rel,  // L1, L3
+                                         std::memory_order_relaxed);
+  }
+
+  /// Says that the caller is about to sleep. Returns the value to sleep on, or 0: it is free.
+  std::uint32_t announce() {
+    std::uint32_t seen = word_.load(std::memory_order_acquire);  // L3
+    while (seen != 0 && (seen & kSleepers) == 0) {
+      if (word_.compare_exchange_strong(seen, seen | kSleepers, std::memory_order_relaxed,
+                                        std::memory_order_acquire)) {  // L3
+        seen |= kSleepers;
+      }
+    }
+    return seen;
+  }
+
+  std::uint32_t seen() const { return word_.load(std::memory_order_acquire); }  // L3
+
+  /// REQUIRES: the holder that `seen` names is dead. False: another one was quicker. Those who
+  /// sleep were told of nothing: so others may sleep.
+  bool take_over(std::uint32_t seen, std::uint32_t name) {
+    return word_.compare_exchange_strong(seen, name | kSleepers,
+                                         std::memory_order_release,  // L3; L2 is before
+                                         std::memory_order_relaxed);
+  }
+
+  /// True when somebody may sleep: the caller wakes one. Never a store: a word that somebody has
+  /// damaged, and a third one locked, is not ours.
+  [[nodiscard]] bool unlock(std::uint32_t name) {
+    std::uint32_t seen = name;
+    if (word_.compare_exchange_strong(seen, 0, std::memory_order_release,  // L1
+                                      std::memory_order_relaxed)) {
+      return false;
+    }
+    return seen == (name | kSleepers) &&
+           word_.compare_exchange_strong(seen, 0, std::memory_order_release,  // L1
+                                         std::memory_order_relaxed);
+  }
+
+ private:
+  Word& word_;
+};
+
+}  // namespace lot::lock
