@@ -62,6 +62,7 @@ constexpr Figure kFigures[] = {
      0.85},
     {"frames/16M/overwrite/depth:4/bare:1", "  16 MiB, depth 4 / one bare buffer", "faster", false,
      0.85},
+    {"locks/vs_pthread", "lock + unlock / pthread's robust mutex", "ratio", true, 0.8},
     {"pointers/vs_std", "copy + destroy / std::shared_ptr", "ratio", true, 1.1},
     {"pointers/two_processes_vs_boost", "  two processes: faster than Boost", "faster", false, 5},
     {"throughput/borrowed", "64 B, M/s, none lost, borrowed", "M/s", false, 20},
