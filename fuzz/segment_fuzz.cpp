@@ -333,6 +333,16 @@ class Editor {
       word = value;
     }
     write(place, &word, width);
+    using lot::segment::Header;
+    if (place >= offsetof(Header, capacity) && place < offsetof(Header, check)) seal();
+  }
+
+  /// A damaged capacity would be refused for its check alone: one who means it writes that as well.
+  void seal() const {
+    lot::segment::Header header;
+    require(pread(file_, &header, sizeof(header), 0) == sizeof(header), "its header is read");
+    header.check = lot::segment::check_of(header.capacity);
+    write(0, &header, sizeof(header));
   }
 
   const std::vector<unsigned char>& bytes_;  ///< before any edit

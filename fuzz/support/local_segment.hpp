@@ -8,6 +8,7 @@
 #include "recovery/recovery.hpp"
 #include "registry/registry.hpp"
 #include "segment/segment.hpp"
+#include "support/lock_owner.hpp"
 #include "support/processes.hpp"
 #include "transport/pool.hpp"
 
@@ -18,7 +19,7 @@ namespace lot::fuzz {
 class LocalSegment {
  public:
   explicit LocalSegment(const segment::Capacity& capacity)
-      : segment_(make(capacity)), registry_(segment_) {
+      : segment_(make(capacity)), registry_(segment_, owner_) {
     segment::Segment::remove(segment_.path(), {});
     holder_.segment = &segment_;
   }
@@ -78,6 +79,7 @@ class LocalSegment {
   }
 
   segment::Segment segment_;
+  testing::Outsider owner_;
   registry::Registry registry_;
   transport::Holder holder_;
 };

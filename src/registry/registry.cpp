@@ -56,8 +56,7 @@ std::string_view text(const char* bytes, std::size_t room) { return {bytes, strn
 }  // namespace
 
 Registry::Lock::Lock(Registry& registry) : registry_(registry) {
-  RobustMutex mutex(registry.segment_.directory().lock.mutex);
-  if (mutex.lock_for(kPatience) == RobustMutex::Outcome::Busy) {
+  if (registry.mutex().lock_for(kPatience) == RobustMutex::Outcome::Busy) {
     throw Error(EBUSY, registry.segment_.path(),
                 "another process has held the registry's lock all the time",
                 "look for a stopped process that uses it (state T in ps) and continue or kill it");
@@ -65,10 +64,9 @@ Registry::Lock::Lock(Registry& registry) : registry_(registry) {
 }
 Registry::Lock::~Lock() { registry_.unlock(); }
 
-bool Registry::try_lock() noexcept {
-  return RobustMutex(segment_.directory().lock.mutex).try_lock() != RobustMutex::Outcome::Busy;
-}
-void Registry::unlock() noexcept { RobustMutex(segment_.directory().lock.mutex).unlock(); }
+bool Registry::try_lock() noexcept { return mutex().try_lock() != RobustMutex::Outcome::Busy; }
+void Registry::unlock() noexcept { mutex().unlock(); }
+RobustMutex Registry::mutex() const noexcept { return {segment_.directory().lock.word, owner_}; }
 
 std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& type,
                               std::uint32_t participant) {

@@ -46,7 +46,8 @@ struct Departure {
 ///       made by open(), then its look at the pullers: see lockfree_ring/ring.hpp.
 class Registry {
  public:
-  explicit Registry(segment::Segment& segment) : segment_(segment) {}
+  /// `owner` is the participant in whose name the lock is taken.
+  Registry(segment::Segment& segment, LockOwner& owner) : segment_(segment), owner_(owner) {}
 
   /// The registry's lock, held while this lives. Joiners of rings hold it too, so that no ring is
   /// recycled under them. Throws lot::Error when a stopped process keeps it.
@@ -60,6 +61,7 @@ class Registry {
    private:
     Registry& registry_;
   };
+  /// Takes it if it is free, or its holder is dead.
   bool try_lock() noexcept;
   void unlock() noexcept;
 
@@ -110,6 +112,7 @@ class Registry {
   void forget(std::uint32_t participant) noexcept;
 
  private:
+  RobustMutex mutex() const noexcept;
   /// By topic: whether items wait there though their publishers have gone.
   std::vector<bool> topics_with_items() const;
   /// How many pullers the participant has on the topic. Relaxed: the lock carries it.
@@ -119,6 +122,7 @@ class Registry {
   void announce(std::uint32_t topic) noexcept;
 
   segment::Segment& segment_;
+  LockOwner& owner_;
 };
 
 }  // namespace lot::registry

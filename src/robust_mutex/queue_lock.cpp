@@ -11,9 +11,8 @@ constexpr std::chrono::seconds kPatience{5};
 }
 
 bool QueueLock::take() const noexcept {
-  RobustMutex mutex(lock_->mutex);
-  auto outcome = mutex.try_lock();
-  if (outcome == RobustMutex::Outcome::Busy) outcome = mutex.lock_for(kPatience);
+  RobustMutex mutex(lock_->held, *owner_);
+  const auto outcome = mutex.lock_for(kPatience);
   if (outcome == RobustMutex::Outcome::OwnerDied) {
     for (Word* word : {&lock_->arrived, space_}) {
       RobustCondition condition(*word);

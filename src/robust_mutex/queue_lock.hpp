@@ -18,15 +18,15 @@
 /// killed, and the reaper, which takes no lock, repairs both engines alike. One thing is left to
 /// the next owner: nobody may have been told of the last change. It wakes all.
 ///
-/// Also if two got in at once (robust_mutex.hpp says how) no message would be lost: each step is
-/// made for that.
+/// Also if two got in at once (a process has damaged the word) no message would be lost: each step
+/// is made for that.
 namespace lot::mutex_engine {
 
 using Word = std::atomic<std::uint32_t>;
 
 /// What a queue of this engine has besides the ring's words.
 struct alignas(64) Lock {
-  pthread_mutex_t mutex;
+  Word held;     ///< lock_word.hpp
   Word arrived;  ///< the condition on which readers sleep, instead of on slots
 };
 
@@ -38,8 +38,8 @@ class QueueLock {
  public:
   QueueLock() noexcept = default;
   /// `space` is the word on which the queue's sender sleeps, `path` what errors name.
-  QueueLock(Lock& lock, Word& space, const std::string& path) noexcept
-      : lock_(&lock), space_(&space), path_(&path) {}
+  QueueLock(Lock& lock, Word& space, LockOwner& owner, const std::string& path) noexcept
+      : lock_(&lock), space_(&space), owner_(&owner), path_(&path) {}
 
   /// Throws lot::Error when a stopped process keeps the lock.
   void lock() const {
@@ -49,7 +49,7 @@ class QueueLock {
   /// all the same then, since its words are true by themselves.
   bool lock_if_possible() const noexcept { return lock_ == nullptr || take(); }
   void unlock() const noexcept {
-    if (lock_ != nullptr) RobustMutex(lock_->mutex).unlock();
+    if (lock_ != nullptr) RobustMutex(lock_->held, *owner_).unlock();
   }
 
  private:
@@ -58,6 +58,7 @@ class QueueLock {
 
   Lock* lock_ = nullptr;
   Word* space_ = nullptr;
+  LockOwner* owner_ = nullptr;
   const std::string* path_ = nullptr;
 };
 

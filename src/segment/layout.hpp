@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <pthread.h>
 
 #include "lot/detail/arena.hpp"
 #include "lot/detail/atomics.hpp"
@@ -14,7 +13,8 @@
 #include "robust_mutex/queue_lock.hpp"
 
 /// Every byte of a segment (docs/layout.md). All zero bytes are a valid empty table, so that only
-/// the header and the locks need to be written when a segment is made.
+/// the header needs to be written when a segment is made. No address of any process lies in it, and
+/// nothing of the C library.
 namespace lot::segment {
 
 using Atomics = detail::HardwareAtomics;
@@ -23,7 +23,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 11;
+inline constexpr std::uint32_t kLayoutVersion = 12;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
@@ -71,7 +71,9 @@ struct Geometry {
 struct Header {
   Identity identity;
   Capacity capacity;
+  std::uint64_t check;  ///< check_of(capacity): another capacity would make tables of other bytes
 };
+std::uint64_t check_of(const Capacity& capacity) noexcept;
 
 /// A participant as others see it. `state` is the fact; the rest is for people.
 struct alignas(64) ParticipantEntry {
@@ -82,9 +84,9 @@ struct alignas(64) ParticipantEntry {
 };
 static_assert(sizeof(ParticipantEntry) == 64);
 
-/// A lock that dies with the thread that holds it (src/robust_mutex).
-struct alignas(64) LockWord {
-  pthread_mutex_t mutex;
+/// A lock between processes (robust_mutex/lock_word.hpp), on a line of its own.
+struct alignas(64) Lock {
+  std::atomic<std::uint32_t> word;
 };
 
 /// What others ask of a participant's warden.
@@ -98,12 +100,14 @@ inline constexpr std::uint32_t kGive = 8;  ///< give messages up: `request` says
 inline constexpr std::uint32_t kEnding = 16;
 }  // namespace errand
 
-/// A participant's witness, a lock that its warden holds, and how others ask something of that.
+/// What says that a participant lives (docs/locks.md), and how others ask something of its warden.
 ///
 /// `errands` is only a hint: an errand that is lost with the process that brought it is done when
 /// the warden looks by itself, once a second.
 struct alignas(64) Witness {
-  pthread_mutex_t mutex;
+  /// {incarnation : 32 | notice : 32} (liveness/death_notice.hpp); the notice is a futex. Changed
+  /// by the participant's witness thread, by the kernel when it dies, and by who has its byte.
+  std::atomic<std::uint64_t> seat;
   /// Futex; bits of errand::. Set by any participant (release), taken by the warden (acquire): edge
   /// E1 carries the ownership bit that was cleared before.
   std::atomic<std::uint32_t> errands;
@@ -147,9 +151,10 @@ struct alignas(64) Directory {
   /// put anything, and never taken back; read by the process that leaves last. Relaxed: the gate
   /// carries it, or the death of the process that has set it, which the reader has seen before.
   std::atomic<std::uint32_t> persists;
-  alignas(64) LockWord lock;  ///< registry: topics, joining, recycling
+  Lock lock;       ///< registry: topics, joining, recycling
+  Lock orphanage;  ///< who acts for the orphanage has it, and byte 0 of the lock file
 };
-static_assert(sizeof(Directory) == 128 && offsetof(Directory, persists) == 16);
+static_assert(sizeof(Directory) == 192 && offsetof(Directory, persists) == 16);
 
 /// A topic exists while any `users` bit stands: bit p is written by participant p and its reaper.
 struct alignas(64) TopicEntry {

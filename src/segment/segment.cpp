@@ -47,15 +47,10 @@ std::uint64_t hash(const char* bytes, std::size_t n, std::uint64_t h = 146959810
 
 /// What two builds must have in common to read each other's bytes.
 std::uint64_t fingerprint() {
-  const std::uint64_t facts[] = {sizeof(void*),
-                                 std::endian::native == std::endian::little,
-                                 Atomics::kLine,
-                                 Atomics::kOwnWords,
-                                 ring::kBlockBits,
-                                 ring::kSequenceShift,
-                                 sizeof(pthread_mutex_t),
-                                 sizeof(Capacity),
-                                 kGranule,
+  const std::uint64_t facts[] = {sizeof(void*),    std::endian::native == std::endian::little,
+                                 Atomics::kLine,   Atomics::kOwnWords,
+                                 ring::kBlockBits, ring::kSequenceShift,
+                                 sizeof(Capacity), kGranule,
                                  kSmallBytes};
   return hash(reinterpret_cast<const char*>(facts), sizeof(facts));
 }
@@ -154,20 +149,10 @@ std::string objection(const Header& h, std::uint64_t file_size) {
   if (c.participants < 2 || c.participants > kMaxParticipants || c.blocks == 0 ||
       c.blocks >= ring::kNoBlock || c.topics == 0 || c.topics > (1U << 20) || c.channels == 0 ||
       c.channels > (1U << 20) || c.readers == 0 || c.readers > (1U << 16) ||
-      Geometry::of(c).data + kGranule > c.size) {
+      Geometry::of(c).data + kGranule > c.size || h.check != check_of(c)) {
     return "its header is damaged";
   }
   return "";
-}
-
-/// A lock of another kind could do anything: block for ever, change priorities, end the process.
-bool is_robust(const pthread_mutex_t& mutex) {
-  static const pthread_mutex_t model = [] {
-    pthread_mutex_t fresh;
-    RobustMutex::construct(fresh);
-    return fresh;
-  }();
-  return mutex.__data.__kind == model.__data.__kind;
 }
 
 Header read_header(int fd, std::uint64_t& size) {
@@ -304,6 +289,12 @@ std::string path_of(const std::string& directory, const std::string& name) {
   return directory + "/" + name;
 }
 
+std::uint64_t check_of(const Capacity& c) noexcept {
+  const std::uint64_t numbers[] = {c.size,   c.participants, c.blocks,
+                                   c.topics, c.channels,     c.readers};
+  return hash(reinterpret_cast<const char*>(numbers), sizeof(numbers));
+}
+
 std::uint64_t topic_key(std::string_view name) { return hash(name.data(), name.size()) | 1; }
 
 Geometry Geometry::of(const Capacity& c) {
@@ -361,12 +352,8 @@ void Segment::create(const std::string& path, Capacity capacity, const Trust& tr
     header.identity.instance = static_cast<std::uint64_t>(getpid());
   }
   header.capacity = capacity;
+  header.check = check_of(capacity);
   if (pwrite(file.fd, &header, sizeof(header), 0) != sizeof(header)) fail(errno, "cannot write it");
-  {
-    Segment segment(unfinished, Access::ReadWrite, trust, false);
-    for (Witness& w : segment.witnesses()) RobustMutex::construct(w.mutex);
-    RobustMutex::construct(segment.directory().lock.mutex);
-  }
   if (::rename(unfinished.c_str(), path.c_str()) == -1) fail(errno, "cannot name it");
 }
 
@@ -408,11 +395,7 @@ bool Segment::is_at_its_path() const noexcept {
          read_header(file.fd, ignored).identity.instance == header().identity.instance;
 }
 
-Segment::Segment(const std::string& path, Access access, const Trust& trust)
-    : Segment(path, access, trust, true) {}
-
-Segment::Segment(const std::string& path, Access access, const Trust& trust, bool finished)
-    : path_(path) {
+Segment::Segment(const std::string& path, Access access, const Trust& trust) : path_(path) {
   const bool writable = access == Access::ReadWrite;
   Descriptor file(
       ::open(path.c_str(), (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK),
@@ -421,11 +404,9 @@ Segment::Segment(const std::string& path, Access access, const Trust& trust, boo
   trust.require(file.fd, path);
   std::uint64_t size = 0;
   const Header header = read_header(file.fd, size);
-  const auto refuse = [&path](const std::string& why) {
+  if (const std::string why = objection(header, size); !why.empty()) {
     throw Error(EINVAL, path, why, "stop what uses it and remove it, or set LOT_SEGMENT");
-  };
-  const std::string why = objection(header, size);
-  if (!why.empty()) refuse(why);
+  }
   capacity_ = header.capacity;
   geometry_ = Geometry::of(capacity_);
   try {
@@ -440,12 +421,6 @@ Segment::Segment(const std::string& path, Access access, const Trust& trust, boo
   granules_.reset(at<Tag>(geometry_.tags), static_cast<std::uint32_t>(geometry_.granules));
   units_.reset(at<Tag>(geometry_.units), units_of(capacity_));
   mapped_ = std::vector<std::atomic<bool>>(units_.count());
-  const auto locks = witnesses();
-  if (finished && !(is_robust(directory().lock.mutex) &&
-                    std::all_of(locks.begin(), locks.end(),
-                                [](const Witness& w) { return is_robust(w.mutex); }))) {
-    refuse("its locks are damaged");
-  }
 }
 
 std::span<ParticipantEntry> Segment::participants() const noexcept {
@@ -518,10 +493,7 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   }
   std::uint64_t place = granule_offset(granule);
   auto* head = at<RingHead>(place);
-  if (engine == static_cast<std::uint32_t>(QueueEngine::Mutex)) {
-    if (!is_robust(head->lock.mutex)) return ring;
-    ring.arrived = &head->lock.arrived;
-  }
+  if (engine == static_cast<std::uint32_t>(QueueEngine::Mutex)) ring.arrived = &head->lock.arrived;
   ring.roster = &head->roster;
   ring.space = &head->space;
   ring.floor = &head->floor;
@@ -556,17 +528,19 @@ std::uint32_t Segment::waiting_items(std::uint32_t channel) const noexcept {
   return items;
 }
 
-void Segment::construct_queue_lock(std::uint32_t channel) {
+void Segment::construct_queue_lock(std::uint32_t channel) noexcept {
   auto* head = at<RingHead>(granule_offset(channels()[channel].granule));
+  head->lock.held.store(0, std::memory_order_relaxed);
   head->lock.arrived.store(0, std::memory_order_relaxed);
-  RobustMutex::construct(head->lock.mutex);
 }
 
-mutex_engine::QueueLock Segment::queue_lock(std::uint32_t channel) const noexcept {
-  const ChannelEntry& entry = channels()[channel];
-  if (entry.engine != static_cast<std::uint32_t>(QueueEngine::Mutex)) return {};
-  auto* head = at<RingHead>(granule_offset(entry.granule));
-  return {head->lock, head->space, path_};
+mutex_engine::QueueLock Segment::queue_lock(std::uint32_t channel,
+                                            LockOwner& owner) const noexcept {
+  const Ring r = ring(channel);
+  if (r.arrived == nullptr) return {};
+  auto* word = reinterpret_cast<unsigned char*>(r.arrived);
+  auto* lock = reinterpret_cast<mutex_engine::Lock*>(word - offsetof(mutex_engine::Lock, arrived));
+  return {*lock, *r.space, owner, path_};
 }
 
 std::uint32_t Segment::claim_run(std::uint32_t granules, std::uint32_t tag) noexcept {

@@ -109,9 +109,9 @@ class Segment {
   }
   /// The lock of a channel's queue, if it has the mutex engine. REQUIRES: ring(channel) has found
   /// it in order.
-  mutex_engine::QueueLock queue_lock(std::uint32_t channel) const noexcept;
+  mutex_engine::QueueLock queue_lock(std::uint32_t channel, LockOwner& owner) const noexcept;
   /// Makes it. REQUIRES: the channel is INIT, its memory is claimed, and the caller owns it.
-  void construct_queue_lock(std::uint32_t channel);
+  void construct_queue_lock(std::uint32_t channel) noexcept;
   static constexpr std::uint32_t kDeepest = 65536;  ///< slots of a ring
   /// `finished`: with a claim for each slot.
   static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers,
@@ -176,7 +176,6 @@ class Segment {
   std::uint64_t give_back(std::uint32_t unit, std::uint32_t looks, std::uint32_t tag) noexcept;
 
  private:
-  Segment(const std::string& path, Access access, const Trust& trust, bool finished);
   template <class T>
   T* at(std::uint64_t offset) const noexcept {
     return reinterpret_cast<T*>(base_ + offset);

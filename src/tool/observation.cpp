@@ -7,12 +7,17 @@
 #include <thread>
 #include <utility>
 
+#include "liveness/death_notice.hpp"
 #include "liveness/lock_file.hpp"
-#include "robust_mutex/robust_mutex.hpp"
 #include "transport/pool.hpp"
 
 namespace lot::tool {
 namespace {
+
+bool is_alive_in(const segment::Segment& s, const liveness::LockProbe& locks, std::uint32_t k) {
+  return locks.is_held(k) ||
+         liveness::seat::stands(s.witnesses()[k].seat.load(std::memory_order_acquire));
+}
 
 using ring::Word;
 using segment::Segment;
@@ -42,6 +47,8 @@ class Observer {
     seen_.instance = s_.header().identity.instance;
     seen_.persists = s_.keeps_files();
     find_processes();
+    check_lock("registry", s_.directory().lock);
+    check_lock("orphanage", s_.directory().orphanage);
     find_topics();
     for (std::uint32_t c = 0; c < capacity_.channels; ++c) find_channel(c);
     count_memory();
@@ -75,7 +82,7 @@ class Observer {
       if (state != 1)
         complain("process " + std::to_string(k) + ": its state is " + std::to_string(state));
       taken_[k] = true;
-      const bool alive = locks.is_held(k) || RobustMutex(s_.witnesses()[k].mutex).looks_held();
+      const bool alive = is_alive_in(s_, locks, k);
       seen_.processes.push_back(
           {k, text_of(entry.name, sizeof(entry.name)), entry.pid, entry.since_ns, alive, 0});
       read_notes(k);
@@ -93,6 +100,13 @@ class Observer {
       noted.since_ns[what] = since;
       noted.youngest_ns = std::max(noted.youngest_ns, since);
     }
+  }
+
+  /// A dead one may have it: the next process that locks takes it over.
+  void check_lock(const char* what, const segment::Lock& lock) {
+    const std::uint32_t word = lock.word.load(std::memory_order_relaxed);
+    if (word == 0 || lock::participant(lock::name(word)) < capacity_.participants) return;
+    complain(std::string("the lock of the ") + what + ": who has it can not be");
   }
 
   void find_topics() {
@@ -494,7 +508,7 @@ std::vector<std::uint32_t> taken_by(Window& window, bool wanted_alive) {
   const liveness::LockProbe locks(s.path() + ".lock");
   std::vector<std::uint32_t> found;
   for (std::uint32_t k = 1; k < s.capacity().participants; ++k) {
-    const bool alive = locks.is_held(k) || RobustMutex(s.witnesses()[k].mutex).looks_held();
+    const bool alive = is_alive_in(s, locks, k);
     const bool counts = alive || s.participants()[k].state.load(std::memory_order_acquire) != 0;
     if (counts && alive == wanted_alive) found.push_back(k);
   }

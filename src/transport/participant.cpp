@@ -244,7 +244,8 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
       lock_file_(std::move(lock_file)),
       segment_(segment::path_of(options.directory, options.segment),
                segment::Segment::Access::ReadWrite, trust),
-      registry_(segment_) {
+      presence_(segment_, *lock_file_),
+      registry_(segment_, presence_) {
   if (options.lock_memory) segment_.lock_memory();
   fill_hub();
   const std::uint32_t blocks = segment_.capacity().blocks;
@@ -273,13 +274,16 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
   draining_.reserve(pools_.capacity());  // so that closing needs no memory
   idle_.reserve(pools_.capacity());
   watched_.reserve(futex::kMaxWords);
+  bool is_there = false;
   try {
     lock_file_->take_turn();
-    holder_.own = HardwareOwnership(take_index(options));
+    take_index(options);
+    is_there = true;
     lock_file_->take_turn();
     holder_.next_free = (blocks / segment_.capacity().participants) * holder_.own.self;
-    start_warden();
+    warden_ = std::thread([this] { warden(); });
   } catch (...) {
+    if (is_there) part(index()).store(0, std::memory_order_release);
     munmap(holder_.cells, cells_bytes_);
     throw;
   }
@@ -409,6 +413,11 @@ void Participant::rename(std::string_view name) noexcept {
 }
 
 void Participant::refuse() const {
+  if (is_expelled_.load(std::memory_order_relaxed)) {
+    throw Error(ESTALE, segment_.path(),
+                "this process was stopped, and taken for dead: another one has its place",
+                "make new lot objects; a kernel that allows set_robust_list() prevents it");
+  }
   throw Error(ECHILD, segment_.path(), "this object was inherited through fork() and is inert",
               "make a new lot::ShmEngine in the child, or exec");
 }
@@ -599,6 +608,7 @@ void Participant::after_fork_in_parent() noexcept {
 void Participant::after_fork_in_child() noexcept {
   for (Participant* p : process().all) {
     p->inert_ = true;
+    p->presence_.abandon();
     p->lock_file_->abandon();  // else the child would keep the parent alive in others' eyes
   }
   process().all.clear();

@@ -6,7 +6,6 @@
 #include <atomic>
 #include <cerrno>
 #include <chrono>
-#include <condition_variable>
 #include <list>
 #include <memory>
 #include <mutex>
@@ -21,7 +20,7 @@
 #include "lot/options.hpp"
 
 #include "futex/futex.hpp"
-#include "liveness/lock_file.hpp"
+#include "liveness/presence.hpp"
 #include "recovery/recovery.hpp"
 #include "registry/registry.hpp"
 #include "transport/ahead.hpp"
@@ -33,9 +32,9 @@ namespace lot::transport {
 /// The membership of one process (and one copy of the library) in one segment. Engines, pushers and
 /// pullers share it; it leaves when the last of them and the last pointer has gone.
 ///
-/// It runs one thread, the warden: it holds the witness lock that dies with the process, sleeps on
-/// the witness locks of the others and reaps the dead, and finishes what a moment's lock contention
-/// made others put off.
+/// It runs two threads: the witness thread, which does nothing but end with the process
+/// (liveness/death_notice.hpp), and the warden, which sleeps on the notices of the others and reaps
+/// the dead, and finishes what a moment's lock contention made others put off.
 ///
 /// Threads: all members may be called at once.
 /// Crash:   whatever a participant leaves is found by its index and repaired by reap().
@@ -57,6 +56,9 @@ class Participant {
   std::uint32_t index() const noexcept { return holder_.own.self; }
   segment::Segment& segment() noexcept { return segment_; }
   registry::Registry& registry() noexcept { return registry_; }
+  mutex_engine::QueueLock queue_lock(std::uint32_t channel) noexcept {
+    return segment_.queue_lock(channel, presence_);
+  }
   Holder& holder() noexcept { return holder_; }
   const detail::Hub* hub() const noexcept { return &hub_; }
 
@@ -65,7 +67,8 @@ class Participant {
   /// From now on this process is called so.
   void rename(std::string_view name) noexcept;
 
-  /// Throws lot::Error in a forked child, where every inherited object is inert.
+  /// Throws lot::Error in a forked child, where every inherited object is inert, and in a process
+  /// that others have taken for dead.
   void check_usable() const {
     if (inert_.load(std::memory_order_relaxed)) [[unlikely]]
       refuse();
@@ -364,11 +367,12 @@ class Participant {
               std::shared_ptr<liveness::LockFile> lock_file);
   static Participant& of(const detail::ControlCell* cell) noexcept;
   void fill_hub() noexcept;
-  std::uint32_t take_index(const EngineOptions& options);
-  std::optional<std::uint32_t> try_take_index();
-  void start_warden();
+  void take_index(const EngineOptions& options);
+  bool try_take_index(bool of_a_dead_one, futex::Clock::time_point until);
+  bool repair_index(futex::Clock::time_point until) noexcept;
   void warden();
   void keep_own_lock() noexcept;
+  void expel() noexcept;
   void forget_sightings() noexcept;
   void note_sightings() noexcept;
   bool enter_orphanage() noexcept;
@@ -440,8 +444,10 @@ class Participant {
   OwnedHub hub_;
   const segment::Trust trust_;
   std::shared_ptr<liveness::LockFile> lock_file_;
-  std::atomic<bool> inert_{false};
+  std::atomic<bool> inert_{false};  ///< in a forked child; or is_expelled_
+  std::atomic<bool> is_expelled_{false};
   segment::Segment segment_;
+  liveness::Presence presence_;
   alignas(64) Holder holder_;
   registry::Registry registry_;
   std::size_t cells_bytes_ = 0;
@@ -460,9 +466,6 @@ class Participant {
   std::unordered_map<std::uint32_t, unsigned> topic_uses_;
 
   std::thread warden_;
-  std::mutex warden_mutex_;
-  std::condition_variable warden_signal_;
-  enum class Witness { Awaited, Held, Refused } witness_ = Witness::Awaited;
   std::atomic<bool> warden_stop_{false};
   // Relaxed: errands carry the first; what the second says is in the file system.
   std::atomic<bool> is_ending_{false};  ///< a signal ends the process: the files are to go

@@ -34,18 +34,18 @@ constexpr auto kGiveBackTime = 20ms;
 constexpr auto kTurn = kIdleLook * 9 / 10;
 /// Between two errands of other processes, however many they bring.
 constexpr auto kErrandRest = 1ms;
-constexpr auto kWitnessPatience = 1s;
 /// Who joins when all indexes are taken asks again so long: somebody may be reaping just now.
 constexpr auto kFullPatience = 200ms;
 
 }  // namespace
 
-std::uint32_t Participant::take_index(const EngineOptions& options) {
+void Participant::take_index(const EngineOptions& options) {
   const auto until = futex::Clock::now() + kFullPatience;
-  std::optional<std::uint32_t> k;
-  while (!(k = try_take_index())) {
+  // What a dead one has left costs a reap: the wardens do that, when there are other indexes.
+  while (!try_take_index(false, until) && !try_take_index(true, until)) {
     lock_file_->require_intact();
-    if (futex::Clock::now() >= until) {
+    const auto longer = presence_.is_unsure() ? liveness::Presence::kConviction : 0s;
+    if (futex::Clock::now() >= until + longer) {
       throw Error(
           EUSERS, segment_.path(),
           "all " + std::to_string(segment_.capacity().participants - 1) +
@@ -54,48 +54,54 @@ std::uint32_t Participant::take_index(const EngineOptions& options) {
     }
     std::this_thread::sleep_for(1ms);
   }
-  auto& entry = segment_.participants()[*k];
+  auto& entry = segment_.participants()[index()];
   entry.pid = getpid();
   entry.since_ns = static_cast<std::uint64_t>(std::chrono::system_clock::now().time_since_epoch() /
                                               std::chrono::nanoseconds(1));
-  std::memset(entry.name, 0, sizeof(entry.name));
-  std::memcpy(entry.name, options.name.data(),
-              std::min(options.name.size(), sizeof(entry.name) - 1));
-  return *k;
+  rename(options.name);
+  forget_sightings();
+  // Errands were for the one before us. Relaxed: what comes after the name is seen by the name.
+  segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
+  part(index()).store(1, std::memory_order_release);
 }
 
-/// Locks an index that nobody has, once what a dead one left there is repaired.
-std::optional<std::uint32_t> Participant::try_take_index() {
+/// Takes an index that nobody has: one that is clean, or one of a dead process, which is repaired
+/// first, in its own name.
+bool Participant::try_take_index(bool of_a_dead_one, futex::Clock::time_point until) {
+  const auto may_take = [&](std::uint32_t k) {
+    const bool is_clean = part(k).load(std::memory_order_acquire) == 0;
+    return is_clean != of_a_dead_one && presence_.may_be_claimed(k);
+  };
   for (std::uint32_t k = 1; k < segment_.capacity().participants; ++k) {
-    if (!lock_file_->try_lock(k)) continue;
-    RobustMutex witness(segment_.witnesses()[k].mutex);
-    if (witness.try_lock() != RobustMutex::Outcome::Busy) {
-      bool clean = part(k).load(std::memory_order_acquire) == 0;
-      if (!clean && enter_orphanage()) {  // a dead one is in there
-        Recovery(*this).reap(k);
-        leave_orphanage();
-        lock_file_->take_turn();
-        tell_homes();
-        clean = true;
-      }
-      witness.unlock();
-      if (clean) return k;
+    if (!may_take(k) || !lock_file_->try_lock(k)) continue;
+    if (may_take(k) && presence_.claim(k)) {
+      holder_.own = HardwareOwnership(k);
+      if (repair_index(until)) return true;
+      presence_.end();
     }
     lock_file_->unlock(k);
   }
-  return std::nullopt;
+  return false;
 }
 
-void Participant::start_warden() {
-  warden_ = std::thread([this] { warden(); });
-  std::unique_lock lock(warden_mutex_);
-  warden_signal_.wait(lock, [this] { return witness_ != Witness::Awaited; });
-  if (witness_ == Witness::Held) return;
-  lock.unlock();
-  warden_.join();
-  throw Error(EBUSY, lock_file_->path(),
-              "another process has got the same index: the lock file was removed meanwhile",
-              "try again");
+/// False: somebody else acts for the orphanage all the time.
+bool Participant::repair_index(futex::Clock::time_point until) noexcept {
+  if (part(index()).load(std::memory_order_acquire) == 0) return true;
+  while (!enter_orphanage()) {
+    if (futex::Clock::now() >= until) return false;
+    std::this_thread::sleep_for(1ms);
+  }
+  bool repaired = true;
+  try {
+    // Another one, with another lock file, may have been at it.
+    if (part(index()).load(std::memory_order_acquire) != 0) Recovery(*this).reap(index());
+  } catch (const std::bad_alloc&) {  // as if killed here
+    repaired = false;
+  }
+  leave_orphanage();
+  lock_file_->take_turn();
+  if (repaired) tell_homes();
+  return repaired;
 }
 
 void Participant::place_beside_warden() noexcept {
@@ -112,26 +118,8 @@ void Participant::warden() {
   sigset_t all;
   sigfillset(&all);
   pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
-  RobustMutex witness(segment_.witnesses()[index()].mutex);
-  // A prober lets go at once. Who keeps it has the byte of another lock file; and if that one has
-  // died meanwhile, its index is to be reaped first.
-  bool held = witness.lock_for(kWitnessPatience) != RobustMutex::Outcome::Busy;
-  if (held && part(index()).load(std::memory_order_acquire) != 0) {
-    witness.unlock();
-    held = false;
-  }
-  if (held) {
-    forget_sightings();
-    // Errands were for the one before us. Relaxed: what comes after the name is seen by the name.
-    segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
-    part(index()).store(1, std::memory_order_release);
-  }
-  std::unique_lock lock(warden_mutex_);
-  witness_ = held ? Witness::Held : Witness::Refused;
-  warden_signal_.notify_all();
-  lock.unlock();
-  if (!held) return;
   stand_guard();
+  if (is_expelled_.load(std::memory_order_relaxed)) return;  // nothing of that index is ours
   keep_own_lock();
 
   // Leaving is exactly a reap of oneself, and then: the last one out removes the files.
@@ -161,7 +149,7 @@ void Participant::warden() {
       }
     }
   }
-  witness.unlock();
+  presence_.end();
   if (in_gate) {
     if (reaped) remove_files_if_last();
     // Inside the gate: whoever leaves next must see that we are gone.
@@ -184,10 +172,8 @@ void Participant::remove_files_if_last() noexcept {
     if (k == index() || (errands & errand::kEnding) != 0) continue;
     if (are_locks_held && lock_file_->held_by_other(k)) return;
     if (part(k).load(std::memory_order_acquire) == 0) continue;
-    // A living process may have lost its lock to closefrom(): ask its witness.
-    RobustMutex other(segment_.witnesses()[k].mutex);
-    if (other.try_lock() == RobustMutex::Outcome::Busy) return;
-    other.unlock();
+    // A living process may have lost its byte to closefrom(): then its notice stands.
+    if (!presence_.looks_dead(k)) return;
   }
   const bool is_there = segment_.is_at_its_path();
   // Behind the look at the others: one of them may have set it without the gate, and died since.
@@ -223,9 +209,9 @@ void Participant::note_settled() noexcept {
   futex::wake_all(&files_settled_);
 }
 
-/// The warden sleeps on what tells it that there is something to do: its errands, and the witness
-/// of each other participant, which the kernel changes when that one dies. One of those who sleep
-/// on a witness is woken; should it be stopped or killed, the others find out when they look by
+/// The warden sleeps on what tells it that there is something to do: its errands, and the notice of
+/// each other participant, which the kernel changes when that one dies. One of those who sleep on a
+/// notice is woken; should it be stopped or killed, the others find out when they look by
 /// themselves.
 void Participant::stand_guard() noexcept {
   auto& errands = segment_.witnesses()[index()].errands;
@@ -238,7 +224,10 @@ void Participant::stand_guard() noexcept {
     const std::uint32_t left = before & ~mine;
     // The errand carries both.
     if (is_ending_.load(std::memory_order_relaxed)) settle_files();
-    if (warden_stop_.load(std::memory_order_relaxed)) return;
+    if (warden_stop_.load(std::memory_order_relaxed) ||
+        is_expelled_.load(std::memory_order_relaxed)) {
+      return;
+    }
     if ((before & mine & ~errand::kOwn) != 0) {
       run_errands(before & mine);
       rested = futex::Clock::now() + kErrandRest;
@@ -379,6 +368,12 @@ void Participant::tell_homes() noexcept {
   for (std::uint32_t b = 0; b < blocks(); ++b) holder_.tell_home(b);
 }
 
+/// Our index is another process's: we were taken for dead, and are so from now on.
+void Participant::expel() noexcept {
+  is_expelled_.store(true, std::memory_order_relaxed);
+  inert_.store(true, std::memory_order_relaxed);
+}
+
 /// False when something is left that another look may finish.
 bool Participant::look_around() noexcept {
   keep_own_lock();
@@ -392,6 +387,7 @@ bool Participant::look_around() noexcept {
   }
   const bool closed = finish_closing();
   if (due) {
+    if (!presence_.renew()) expel();
     settle_kept();  // an errand may have been lost
     settle_idle();
     give_unused_back();
@@ -432,7 +428,7 @@ bool Participant::finish_departures() noexcept {
   return true;
 }
 
-/// Adds the others' witnesses to what is slept on, the next ones first. False when one of them has
+/// Adds the others' notices to what is slept on, the next ones first. False when one of them has
 /// died and is not reaped yet (it was not quite dead), or when this kernel cannot watch.
 bool Participant::watch_others() noexcept {
   if (!futex::waits_for_many()) return false;  // each time: a sandbox may have come
@@ -440,18 +436,19 @@ bool Participant::watch_others() noexcept {
   for (std::uint32_t n = 1; n < participants(); ++n) {
     const std::uint32_t k = (index() + n) % participants();
     if (k == refcount::kOrphanage || part(k).load(std::memory_order_acquire) == 0) continue;
-    const auto witness = RobustMutex(segment_.witnesses()[k].mutex).watch();
-    if (!witness) {
+    const detail::FutexWait notice = presence_.watch(k);
+    if (notice.value == liveness::seat::kUnwitnessed) continue;
+    if (!liveness::seat::stands(notice.value)) {
       all_stand = false;
     } else if (watched_.size() < futex::kMaxWords) {
-      watched_.push_back(*witness);
+      watched_.push_back(notice);
     }
   }
   return all_stand;
 }
 
 /// closefrom() and the like in the application drop our lock. Nobody reaps us then, because the
-/// witness stands; but nobody should have to ask it.
+/// notice stands; but nobody should have to ask it.
 void Participant::keep_own_lock() noexcept {
   if (!lock_file_->intact()) {
     const std::scoped_lock guard(reap_mutex_, no_fork());
@@ -461,21 +458,20 @@ void Participant::keep_own_lock() noexcept {
   if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index());
 }
 
-/// Two locks, as everywhere. The byte lock goes with the descriptor, and there are two lock files
-/// when somebody has removed one: so a mutex in the segment. A thread that is killed while it tries
-/// for that one sets its owner free when they have the same id in two PID namespaces: so only who
-/// has the byte tries. Who has lost its lock file has the mutex alone.
+/// Two locks: byte 0, by which most find without a question that somebody is at it, and a word,
+/// since there are two lock files when somebody has removed one, and none in the process that has
+/// lost it.
 ///
 /// REQUIRES: reap_mutex_, or that nobody else knows this participant yet.
 bool Participant::enter_orphanage() noexcept {
   if (lock_file_->intact() && !lock_file_->try_lock(refcount::kOrphanage)) return false;
-  RobustMutex mutex(segment_.witnesses()[refcount::kOrphanage].mutex);
+  RobustMutex mutex(segment_.directory().orphanage.word, presence_);
   if (mutex.try_lock() != RobustMutex::Outcome::Busy) return true;
   lock_file_->unlock(refcount::kOrphanage);
   return false;
 }
 void Participant::leave_orphanage() noexcept {
-  RobustMutex(segment_.witnesses()[refcount::kOrphanage].mutex).unlock();
+  RobustMutex(segment_.directory().orphanage.word, presence_).unlock();
   lock_file_->unlock(refcount::kOrphanage);
 }
 
@@ -484,18 +480,16 @@ bool Participant::reap_if_dead(std::uint32_t k) noexcept {
   const std::unique_lock guard(reap_mutex_, std::try_to_lock);
   if (!guard || !lock_file_->intact() || !lock_file_->try_lock(k)) return false;
   bool done = false;
-  RobustMutex witness(segment_.witnesses()[k].mutex);
-  if (part(k).load(std::memory_order_acquire) != 0 &&
-      witness.try_lock() != RobustMutex::Outcome::Busy) {
-    if (enter_orphanage()) {
+  if (part(k).load(std::memory_order_acquire) != 0 && presence_.judge(k) && enter_orphanage()) {
+    // Once more: another reaper, with another lock file, may have been quicker, and k be taken.
+    if (part(k).load(std::memory_order_acquire) != 0 && presence_.is_judged(k)) {
       try {
         done = Recovery(*this).reap(k);
       } catch (const std::bad_alloc&) {  // as if killed here: the next look does it all again
       }
-      leave_orphanage();
-      if (done) tell_homes();
     }
-    witness.unlock();
+    leave_orphanage();
+    if (done) tell_homes();
   }
   lock_file_->unlock(k);
   return done;
@@ -504,8 +498,7 @@ bool Participant::reap_if_dead(std::uint32_t k) noexcept {
 bool Participant::reap_dead() noexcept {
   bool done = false;
   for (std::uint32_t k = 1; k < participants(); ++k) {
-    if (k != index() && part(k).load(std::memory_order_acquire) != 0 &&
-        !RobustMutex(segment_.witnesses()[k].mutex).looks_held() && !lock_file_->held_by_other(k)) {
+    if (k != index() && part(k).load(std::memory_order_acquire) != 0 && presence_.looks_dead(k)) {
       done |= reap_if_dead(k);
     }
   }
@@ -580,6 +573,7 @@ void Participant::renew_directory() noexcept {
 
 /// Crash: killed after this, before the dead one's name goes: the next reaper does it all again.
 void Participant::forget(std::uint32_t k) noexcept {
+  if (registry_.try_lock()) registry_.unlock();  // it may have had it: nobody has to wait for that
   registry_.forget(k);
   segment_.directory().bequests.fetch_add(1, std::memory_order_release);  // D3
 }

@@ -676,7 +676,7 @@ class Puller final : public detail::PullerCore {
              std::string publisher) noexcept {
     missed_ += reader.skipped();
     sources_.push_back(
-        {reader, name, participant_->segment().queue_lock(name.channel), std::move(publisher)});
+        {reader, name, participant_->queue_lock(name.channel), std::move(publisher)});
   }
 
   void pass(const Reader& reader) {

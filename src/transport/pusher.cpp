@@ -92,7 +92,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       participant_->leave_topic(*topic_);
       throw;
     }
-    queue_lock_ = participant_->segment().queue_lock(name_.channel);
+    queue_lock_ = participant_->queue_lock(name_.channel);
     history_ = options.history;
     waits_ = options.policy == Policy::Block;
     block_for_ = std::max(std::chrono::nanoseconds(options.block_for), 0ns);

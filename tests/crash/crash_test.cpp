@@ -20,8 +20,8 @@
 
 #include "lot/lot.hpp"
 
-#include "support/no_waitv.hpp"
 #include "support/processes.hpp"
+#include "support/sandbox.hpp"
 
 namespace {
 

@@ -15,6 +15,7 @@
 #include "liveness/lock_file.hpp"
 #include "neighbour.hpp"
 #include "registry/registry.hpp"
+#include "support/lock_owner.hpp"
 #include "wall_clock.hpp"
 
 namespace {
@@ -172,7 +173,8 @@ TEST_CASE("who waits for the registry, or for the gate, waits on when the clock 
   Child keeper([&] {
     lot::ShmEngine engine(options);
     lot::segment::Segment s(engine.path());
-    lot::registry::Registry registry(s);
+    InOurName name(s);
+    lot::registry::Registry registry(s, name);
     {
       const lot::registry::Registry::Lock lock(registry);
       holding.tell();

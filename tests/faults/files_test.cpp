@@ -20,10 +20,10 @@
 #include "lot/lot.hpp"
 
 #include "janitor.hpp"
+#include "liveness/death_notice.hpp"
 #include "liveness/lock_file.hpp"
 #include "neighbour.hpp"
 #include "puppet.hpp"
-#include "robust_mutex/robust_mutex.hpp"
 
 namespace {
 
@@ -122,28 +122,23 @@ void remove_both(const lot::EngineOptions& options) {
 
 }  // namespace
 
-// The linker (--wrap) sends the callers of RobustMutex::lock_for() to the second of these.
-lot::RobustMutex::Outcome really_lock(lot::RobustMutex*, std::chrono::nanoseconds) asm(
-    "__real__ZN3lot11RobustMutex8lock_forENSt6chrono8durationIlSt5ratioILl1ELl1000000000EEEE");
-lot::RobustMutex::Outcome lock_second(lot::RobustMutex*, std::chrono::nanoseconds) asm(
-    "__wrap__ZN3lot11RobustMutex8lock_forENSt6chrono8durationIlSt5ratioILl1ELl1000000000EEEE");
+// The linker (--wrap) sends the callers of DeathNotice::claim() to the second of these.
+using lot::liveness::DeathNotice;
+bool really_claim(DeathNotice*, DeathNotice::Seat&,
+                  std::uint64_t) asm("__real__ZN3lot8liveness11DeathNotice5claimERSt6atomicImEm");
+bool claim_second(DeathNotice*, DeathNotice::Seat&,
+                  std::uint64_t) asm("__wrap__ZN3lot8liveness11DeathNotice5claimERSt6atomicImEm");
 
-lot::RobustMutex::Outcome lock_second(lot::RobustMutex* mutex, std::chrono::nanoseconds timeout) {
-  std::optional<std::thread> first;
-  std::atomic<bool> locked{false}, done{false};
-  if (first_joiner_is_quicker.exchange(false)) {
-    first.emplace([&] {
-      must(mutex->try_lock() != lot::RobustMutex::Outcome::Busy, "the first one's witness");
-      locked = true;
-      while (!done) usleep(1000);
-      mutex->unlock();
-    });
-    while (!locked) usleep(100);
-  }
-  const auto outcome = really_lock(mutex, timeout);
-  done = true;
-  if (first) first->join();
-  return outcome;
+bool claim_second(DeathNotice* notice, DeathNotice::Seat& seat, std::uint64_t seen) {
+  namespace words = lot::liveness::seat;
+  if (!first_joiner_is_quicker.exchange(false)) return really_claim(notice, seat, seen);
+  const std::uint32_t incarnation = words::incarnation(seen) + 1;
+  const std::uint64_t others = words::make(incarnation, 1 | words::kSleepers);
+  seat = others;  // another one, with the other lock file
+  const bool claimed = really_claim(notice, seat, seen);
+  must(!claimed && seat == others, "the other one's seat");
+  seat = words::make(incarnation, 0);  // it has left again
+  return claimed;
 }
 
 TEST_SUITE_BEGIN("files");
@@ -417,16 +412,18 @@ TEST_CASE("the segment removed, its lock file another user's: an error, those in
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("the lock file removed while two join: who gets the other's index gets an error") {
+TEST_CASE("the lock file removed while two join: the second one gets another index") {
   const Watchdog watchdog(60);
   const Ground options;
   Insiders inside(options);
+  const auto before = taken(inside.segment);
   Child second([&] {
     first_joiner_is_quicker = true;
-    const Refusal refusal(options);
-    must(refusal.number == EBUSY && refusal.says(lock_of(options)), "an error");
-    const Refusal again(options);
-    must(again.number == 0, "the next time it works");
+    const lot::ShmEngine engine(options);
+    must(!first_joiner_is_quicker, "it was not quicker");
+    lot::segment::Segment s(file_of(options));
+    const auto now = taken(s);
+    must(now.size() == before.size() + 1 && now.back() > before.back() + 1, "the index behind");
   });
   CHECK(second.wait() == 0);
   inside.check();

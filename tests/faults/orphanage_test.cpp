@@ -20,6 +20,7 @@
 #include "lockfree_ring/words.hpp"
 #include "neighbour.hpp"
 #include "robust_mutex/robust_mutex.hpp"
+#include "support/lock_owner.hpp"
 
 namespace {
 
@@ -158,7 +159,7 @@ TEST_CASE("the lock file removed: old and new processes do not act for the orpha
   check_rounds(Fault::LockFileRemoved);
 }
 
-TEST_CASE("nobody acts for the orphanage without its byte lock, nor without its mutex") {
+TEST_CASE("nobody acts for the orphanage without its byte, nor without its lock") {
   const Watchdog watchdog(60);
   for (const bool byte : {true, false}) {
     CAPTURE(byte);
@@ -173,7 +174,9 @@ TEST_CASE("nobody acts for the orphanage without its byte lock, nor without its 
     REQUIRE(joined.next() == '.');
     lot::segment::Segment s(file_of(options));
     lot::liveness::LockFile file(file_of(options) + ".lock");
-    lot::RobustMutex mutex(s.witnesses()[lot::refcount::kOrphanage].mutex);
+    const lot::ShmEngine bystander(named(options, "bystander"));  // in whose name we lock
+    InOurName owner(s);
+    lot::RobustMutex mutex(s.directory().orphanage.word, owner);
     if (byte) {
       CHECK(eventually([&] { return file.try_lock(lot::refcount::kOrphanage); }));
     } else {

@@ -14,12 +14,10 @@
 
 #include "futex/futex.hpp"
 #include "liveness/lock_file.hpp"
-#include "robust_mutex/robust_mutex.hpp"
 #include "segment/segment.hpp"
 
 namespace {
 
-using lot::RobustMutex;
 using lot::detail::FutexWaits;
 using lot::futex::Deadline;
 using lot::liveness::LockFile;
@@ -63,18 +61,9 @@ bool wrap_enter_gate(LockFile* file, std::chrono::milliseconds patience) {
   return real_enter_gate(file, patience) || planted("gate-of-a-removed-file");
 }
 
-RobustMutex::Outcome real_try_lock(RobustMutex*) asm("__real__ZN3lot11RobustMutex8try_lockEv");
-RobustMutex::Outcome wrap_try_lock(RobustMutex*) asm("__wrap__ZN3lot11RobustMutex8try_lockEv");
-RobustMutex::Outcome wrap_try_lock(RobustMutex* mutex) {
-  const auto outcome = real_try_lock(mutex);
-  return planted("no-witness") ? RobustMutex::Outcome::OwnerDied : outcome;
-}
-
-bool real_looks_held(const RobustMutex*) asm("__real__ZNK3lot11RobustMutex10looks_heldEv");
-bool wrap_looks_held(const RobustMutex*) asm("__wrap__ZNK3lot11RobustMutex10looks_heldEv");
-bool wrap_looks_held(const RobustMutex* mutex) {
-  return !planted("no-witness") && real_looks_held(mutex);
-}
+bool real_stands(std::uint64_t) asm("__real__ZN3lot8liveness4seat6standsEm");
+bool wrap_stands(std::uint64_t) asm("__wrap__ZN3lot8liveness4seat6standsEm");
+bool wrap_stands(std::uint64_t seat) { return !planted("no-witness") && real_stands(seat); }
 
 Segment::Fit real_examine(const std::string&, std::uint64_t, const Trust&, std::string&) asm(
     "__real__ZN3lot7segment7Segment7examineERKNSt7__cxx1112basic_stringIcSt11char_traitsIcESaIcEEE"

@@ -21,6 +21,7 @@
 #include "liveness/lock_file.hpp"
 #include "neighbour.hpp"
 #include "registry/registry.hpp"
+#include "support/lock_owner.hpp"
 
 namespace {
 
@@ -277,7 +278,8 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
   Child in_registry([&] {
     lot::ShmEngine engine(registry_kept);
     lot::segment::Segment s(engine.path());
-    lot::registry::Registry registry(s);
+    InOurName name(s);
+    lot::registry::Registry registry(s, name);
     {
       const lot::registry::Registry::Lock lock(registry);
       inside.tell();

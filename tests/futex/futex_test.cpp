@@ -23,7 +23,7 @@
 
 #include "lot/detail/patience.hpp"
 
-#include "support/no_waitv.hpp"
+#include "support/sandbox.hpp"
 
 namespace {
 

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "robust_mutex/robust_mutex.hpp"
+#include "support/lock_owner.hpp"
 
 namespace lot::kill {
 namespace {
@@ -83,7 +83,7 @@ class Books {
       if (state == ring::State::Live && owner == refcount::kOrphanage)
         wrong(channel + " is nobody's");
       const segment::Ring ring = segment_.ring(c);
-      if (const auto lock = segment_.queue_lock(c); !lock.lock_if_possible()) {
+      if (const auto lock = segment_.queue_lock(c, outsider_); !lock.lock_if_possible()) {
         wrong(channel + " is locked");
       } else {
         lock.unlock();
@@ -134,16 +134,13 @@ class Books {
   }
 
   void registry_lock() {
-    RobustMutex mutex(segment_.directory().lock.mutex);
-    if (mutex.try_lock() == RobustMutex::Outcome::Busy) {
-      wrong("the registry is locked");
-    } else {
-      mutex.unlock();
-    }
+    const std::uint32_t word = segment_.directory().lock.word.load();
+    if (word != 0) wrong("the registry is locked by " + std::to_string(lock::participant(word)));
   }
 
   segment::Segment& segment_;
   const std::vector<std::uint32_t>& living_;
+  testing::Outsider outsider_{[this](std::uint32_t k) { return !lives(k); }};
   std::string text_;
 };
 

@@ -125,8 +125,9 @@ std::vector<Plant> planted_operations() {
         Promise::Blocking,
         {{Who::Witness, [](Node& n) { n.join(); }}, {Who::Victim, [](Node& n) { n.join(); }}},
         [](Node& n) {
-          auto& mutex = participant(n)->segment().directory().lock.mutex;
-          mutex.__data.__lock = 1;  // the first process of the system
+          auto& segment = participant(n)->segment();
+          const auto seat = segment.witnesses()[1].seat.load();  // one that lives, and has no lock
+          segment.directory().lock.word = lock::make_name(1, liveness::seat::incarnation(seat));
         }},
        "locked"});
   plant("a file is left", "files are left", [](Node& n) {

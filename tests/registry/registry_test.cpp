@@ -13,6 +13,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/lock_owner.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -58,7 +59,8 @@ TEST_CASE("a ring of items that a dead process has recycled in part holds none, 
   channel.taken = 1;
   channel.formed.store(0);  // and its memory has gone
   channel.writer.store(lot::ring::make_writer(generation, lot::ring::State::Orphan, 0));
-  CHECK_FALSE(lot::registry::Registry(segment).is_open({0, generation}));
+  Outsider owner;
+  CHECK_FALSE(lot::registry::Registry(segment, owner).is_open({0, generation}));
   auto puller = engine.subscribe<Apple>("/p");
   auto pusher = engine.advertise<Apple>("/p");
   pusher.push(pusher.loan(std::uint64_t{7}));

@@ -7,6 +7,7 @@
 #include <csignal>
 #include <new>
 #include <sys/mman.h>
+#include <unistd.h>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -22,9 +23,21 @@ using Outcome = RobustMutex::Outcome;
 
 /// A number that only grows, what guards it and what says that it has grown.
 struct Shared {
-  pthread_mutex_t mutex;
+  RobustMutex::Word lock{0};
   std::atomic<std::uint32_t> word{0};
   long number = 0;
+};
+
+/// Each child is a participant of its own, and dead once it has been waited for.
+class Owner final : public lot::LockOwner {
+ public:
+  std::uint32_t name() const noexcept override {
+    return lot::lock::make_name(static_cast<std::uint32_t>(getpid()) % 256,
+                                static_cast<std::uint32_t>(getpid()));
+  }
+  bool is_gone(std::uint32_t name) noexcept override {
+    return kill(static_cast<pid_t>(lot::lock::incarnation(name)), 0) != 0;
+  }
 };
 
 class Fixture {
@@ -34,21 +47,20 @@ class Fixture {
         mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
     REQUIRE(at != MAP_FAILED);
     shared = new (at) Shared;
-    RobustMutex::construct(shared->mutex);
   }
   ~Fixture() { munmap(shared, sizeof(Shared)); }
   Fixture(const Fixture&) = delete;
   Fixture& operator=(const Fixture&) = delete;
 
  protected:
-  RobustMutex mutex() { return RobustMutex(shared->mutex); }
+  RobustMutex mutex() { return {shared->lock, owner_}; }
   Condition condition() { return Condition(shared->word); }
 
   /// Sleeps until the number is at least `least`; false when the lock was lost or time is up.
   bool wait_for(long least, std::chrono::nanoseconds patience = 30s) {
     const auto until = lot::futex::Clock::now() + patience;
     for (;;) {
-      if (mutex().lock() == Outcome::Busy) return false;
+      if (mutex().lock_for(30s) == Outcome::Busy) return false;
       const bool there = shared->number >= least;
       const std::uint32_t seen = there ? 0 : condition().announce();
       mutex().unlock();
@@ -57,7 +69,7 @@ class Fixture {
     }
   }
   void grow() {
-    mutex().lock();
+    mutex().lock_for(30s);
     ++shared->number;
     const bool wake = condition().changed();
     mutex().unlock();
@@ -67,6 +79,9 @@ class Fixture {
 
   const Watchdog watchdog{60};
   Shared* shared = nullptr;
+
+ private:
+  Owner owner_;
 };
 
 }  // namespace
@@ -88,13 +103,13 @@ TEST_CASE_FIXTURE(Fixture, "all who wait hear of a change, each time") {
 }
 
 TEST_CASE_FIXTURE(Fixture, "nobody waits: a change needs no wake") {
-  mutex().lock();
+  mutex().lock_for(30s);
   CHECK(!condition().changed());
   mutex().unlock();
 }
 
 TEST_CASE_FIXTURE(Fixture, "a change between looking and sleeping is not slept through") {
-  mutex().lock();
+  mutex().lock_for(30s);
   const std::uint32_t seen = condition().announce();
   mutex().unlock();
   grow();
@@ -127,7 +142,7 @@ TEST_CASE_FIXTURE(Fixture, "killed between the change and the wake: the repair w
   REQUIRE(eventually([this] { return somebody_waits(); }));
   std::this_thread::sleep_for(20ms);  // most likely all asleep by now; right in any case
   Child changer([this] {
-    mutex().lock();
+    mutex().lock_for(30s);
     ++shared->number;
     must(condition().changed(), "somebody waits");
     mutex().unlock();
@@ -144,12 +159,12 @@ TEST_CASE_FIXTURE(Fixture, "killed while it has the mutex: the next one is told,
   Child waiter([this] { must(wait_for(1), "the change"); });
   REQUIRE(eventually([this] { return somebody_waits(); }));
   Child changer([this] {
-    mutex().lock();
+    mutex().lock_for(30s);
     ++shared->number;
     raise(SIGKILL);
   });
   CHECK(changer.wait() == 128 + SIGKILL);
-  CHECK((mutex().lock() == Outcome::OwnerDied));
+  CHECK((mutex().lock_for(30s) == Outcome::OwnerDied));
   mutex().unlock();
   condition().renew();
   condition().wake_all();

@@ -1,111 +1,113 @@
 // SPDX-License-Identifier: Apache-2.0
-// The robust mutex between real processes, one of which is killed.
+// The lock between real processes, one of which is killed.
 
 #include "robust_mutex/robust_mutex.hpp"
 
 #include <atomic>
 #include <chrono>
-#include <elf.h>
-#include <linux/futex.h>
+#include <csignal>
+#include <functional>
 #include <new>
-#include <pthread.h>
-#include <sched.h>
-#include <signal.h>
 #include <sys/mman.h>
-#include <sys/prctl.h>
-#include <sys/ptrace.h>
-#include <sys/syscall.h>
-#include <sys/uio.h>
-#include <sys/user.h>
-#include <sys/wait.h>
-#include <unistd.h>
+#include <thread>
+#include <vector>
 
 #include <doctest/doctest.h>
 
+#include "futex/futex.hpp"
+#include "support/processes.hpp"
+
 namespace {
 
+using namespace lot::testing;
 using lot::RobustMutex;
 using Outcome = RobustMutex::Outcome;
-using namespace std::chrono_literals;
+namespace lock = lot::lock;
 
-/// What two processes share: the lock, a counter that it guards, and a flag to wait for.
+constexpr std::uint32_t kProcesses = 8;
+
+/// What processes share: the lock, a counter that it guards, a stage to wait for, and who is dead.
 struct Shared {
-  pthread_mutex_t memory;
+  RobustMutex::Word word{0};
   long counter = 0;
   std::atomic<int> stage{0};
+  std::atomic<bool> dead[kProcesses] = {};
 };
 
-/// A Shared of one case. A case that hangs is ended by SIGALRM, in the children as well.
+/// Says of others what the test says of them.
+class Owner final : public lot::LockOwner {
+ public:
+  Owner(Shared& shared, std::uint32_t participant, std::uint32_t incarnation = 1)
+      : shared_(shared), name_(lock::make_name(participant, incarnation)) {}
+
+  std::uint32_t name() const noexcept override { return name_; }
+  bool is_gone(std::uint32_t name) noexcept override {
+    ++asked;
+    if (when_asked) when_asked();
+    const std::uint32_t k = lock::participant(name);
+    return k >= kProcesses || shared_.dead[k];
+  }
+
+  int asked = 0;
+  std::function<void()> when_asked;
+
+ private:
+  Shared& shared_;
+  std::uint32_t name_;
+};
+
 class Fixture {
  public:
-  Fixture() {
-    alarm(60);
-    void* at =
-        mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
-    REQUIRE(at != MAP_FAILED);
-    shared = new (at) Shared;
-    RobustMutex::construct(shared->memory);
-  }
-  ~Fixture() {
-    munmap(shared, sizeof(Shared));
-    alarm(0);
-  }
+  Fixture() = default;
+  ~Fixture() { munmap(shared, sizeof(Shared)); }
   Fixture(const Fixture&) = delete;
   Fixture& operator=(const Fixture&) = delete;
 
  protected:
-  /// Runs body in a child process, which then exits with 0 for true.
-  template <class Body>
-  pid_t in_child(Body&& body) {
-    const pid_t pid = fork();
-    REQUIRE(pid >= 0);
-    if (pid == 0) {
-      alarm(60);  // is not inherited
-      _exit(body() ? 0 : 1);
-    }
-    return pid;
+  RobustMutex mutex(Owner& owner) { return {shared->word, owner}; }
+
+  void await(int stage) const {
+    while (shared->stage != stage) std::this_thread::sleep_for(200us);
   }
 
-  /// The same as the first process of a PID namespace, whose thread id is 1. Calls then(its pid).
-  template <class Body, class Then>
-  pid_t in_namespace(Body&& body, Then&& then) {
-    return in_child([&] {
-      if (unshare(CLONE_NEWPID) != 0 && unshare(CLONE_NEWUSER | CLONE_NEWPID) != 0) return false;
-      const pid_t pid = fork();
-      if (pid == 0) {
-        prctl(PR_SET_PDEATHSIG, SIGKILL);
-        _exit(body() ? 0 : 1);
-      }
-      then(pid);
-      return pid > 0 && status_of(pid) == 0;
+  /// A process k that holds the lock until it is killed.
+  Child holder(std::uint32_t k, Outcome expected = Outcome::Locked) {
+    shared->stage = 0;
+    Child child([=, this] {
+      Owner owner(*shared, k);
+      must(mutex(owner).lock_for(30s) == expected, "the lock");
+      shared->stage = 1;
+      for (;;) pause();
     });
+    await(1);
+    return child;
+  }
+  void kill(Child& child, std::uint32_t k) {
+    child.kill9();
+    shared->dead[k] = true;
   }
 
-  static int status_of(pid_t pid) {
-    int status = -1;
-    REQUIRE(waitpid(pid, &status, 0) == pid);
-    return status;
+  /// Adds to a counter that only the lock guards; false if the lock ever says anything but Locked.
+  bool count(Owner& owner, int rounds) {
+    for (int i = 0; i < rounds; ++i) {
+      if (mutex(owner).lock_for(30s) != Outcome::Locked) return false;
+      const long seen = shared->counter;
+      if (i % 64 == 0) std::this_thread::sleep_for(1us);  // let the other one run into the lock
+      shared->counter = seen + 1;
+      mutex(owner).unlock();
+    }
+    return true;
   }
 
-  void wait_for_stage(int stage) const {
-    while (shared->stage != stage) usleep(200);
-  }
-
-  Shared* shared = nullptr;
+  const Watchdog watchdog{60};
+  Shared* const shared = [] {
+    void* at =
+        mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    REQUIRE(at != MAP_FAILED);
+    return new (at) Shared;
+  }();
+  Owner me{*shared, 1};
 };
-
-/// Adds to a counter that only the lock guards; false if the lock ever says anything but Locked.
-bool count(Shared& shared, int rounds) {
-  RobustMutex mutex(shared.memory);
-  for (int i = 0; i < rounds; ++i) {
-    if (mutex.lock_for(30s) != Outcome::Locked) return false;
-    const long seen = shared.counter;
-    if (i % 64 == 0) usleep(1);  // let the other one run into the lock
-    shared.counter = seen + 1;
-    mutex.unlock();
-  }
-  return true;
-}
 
 }  // namespace
 
@@ -113,239 +115,176 @@ TEST_SUITE_BEGIN("robust_mutex");
 
 TEST_CASE_FIXTURE(Fixture, "two processes that count under the lock lose no count") {
   const int rounds = 5000;
-  const pid_t child = in_child([&] { return count(*shared, rounds); });
-  CHECK(count(*shared, rounds));
-  CHECK(status_of(child) == 0);
+  Child child([&] {
+    Owner other(*shared, 2);
+    must(count(other, rounds), "the lock");
+  });
+  CHECK(count(me, rounds));
+  CHECK(child.wait() == 0);
+  CHECK(shared->counter == 2 * rounds);
+  CHECK(shared->word == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "two threads of one process, which have one name, lose no count") {
+  const int rounds = 5000;
+  std::atomic<bool> counted{false};
+  std::thread other([&] { counted = count(me, rounds); });
+  CHECK(count(me, rounds));
+  other.join();
+  CHECK(counted);
   CHECK(shared->counter == 2 * rounds);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a free lock is locked at once, also by a timeout of nothing") {
-  RobustMutex mutex(shared->memory);
-  CHECK((mutex.try_lock() == Outcome::Locked));
-  mutex.unlock();
-  CHECK((mutex.lock_for(0ns) == Outcome::Locked));
-  mutex.unlock();
+  CHECK((mutex(me).try_lock() == Outcome::Locked));
+  mutex(me).unlock();
+  CHECK((mutex(me).lock_for(0ns) == Outcome::Locked));
+  mutex(me).unlock();
+  CHECK(me.asked == 0);
 }
 
 TEST_CASE_FIXTURE(Fixture,
                   "a lock that another process holds is busy, at once or after the timeout") {
-  const pid_t child = in_child([this] {
-    RobustMutex mutex(shared->memory);
-    if (mutex.try_lock() != Outcome::Locked) return false;
+  Child child([this] {
+    Owner other(*shared, 2);
+    must(mutex(other).try_lock() == Outcome::Locked, "the lock");
     shared->stage = 1;
-    wait_for_stage(2);
-    mutex.unlock();
-    return true;
+    await(2);
+    mutex(other).unlock();
   });
-  wait_for_stage(1);
-  RobustMutex mutex(shared->memory);
-  CHECK((mutex.try_lock() == Outcome::Busy));
+  await(1);
+  CHECK((mutex(me).try_lock() == Outcome::Busy));
   const auto begin = std::chrono::steady_clock::now();
-  CHECK((mutex.lock_for(30ms) == Outcome::Busy));
+  CHECK((mutex(me).lock_for(30ms) == Outcome::Busy));
   CHECK((std::chrono::steady_clock::now() - begin >= 30ms));
-  CHECK((mutex.lock_for(0ns) == Outcome::Busy));
+  CHECK((mutex(me).lock_for(0ns) == Outcome::Busy));
   shared->stage = 2;
-  CHECK((mutex.lock_for(30s) == Outcome::Locked));
-  mutex.unlock();
-  CHECK(status_of(child) == 0);
+  CHECK((mutex(me).lock_for(30s) == Outcome::Locked));
+  mutex(me).unlock();
+  CHECK(child.wait() == 0);
 }
 
 TEST_CASE_FIXTURE(Fixture,
                   "after a holder was killed the next one is told, and then all is normal") {
-  RobustMutex mutex(shared->memory);
-  for (int death = 0; death < 3; ++death) {
-    shared->stage = 0;
-    const pid_t holder = in_child([this] {
-      if (RobustMutex(shared->memory).lock_for(30s) != Outcome::Locked) return false;
-      shared->stage = 1;
-      for (;;) pause();
-    });
-    wait_for_stage(1);
-    CHECK((mutex.try_lock() == Outcome::Busy));
-    REQUIRE(kill(holder, SIGKILL) == 0);
-    CHECK((mutex.lock_for(30s) == Outcome::OwnerDied));
-    CHECK(WIFSIGNALED(status_of(holder)));
-    mutex.unlock();
-    CHECK((mutex.try_lock() == Outcome::Locked));
-    mutex.unlock();
-    CHECK(status_of(in_child([this] { return count(*shared, 10); })) == 0);
+  for (std::uint32_t k = 2; k < 5; ++k) {
+    Child child = holder(k);
+    CHECK((mutex(me).try_lock() == Outcome::Busy));
+    child.kill9();
+    CHECK((mutex(me).lock_for(20ms) == Outcome::Busy));  // nobody knows yet
+    shared->dead[k] = true;
+    CHECK((mutex(me).lock_for(30s) == Outcome::OwnerDied));
+    mutex(me).unlock();
+    CHECK((mutex(me).try_lock() == Outcome::Locked));
+    mutex(me).unlock();
   }
 }
 
-TEST_CASE_FIXTURE(Fixture, "a waiter that sleeps already is told when the holder is killed") {
-  const pid_t holder = in_child([this] {
-    if (RobustMutex(shared->memory).lock_for(30s) != Outcome::Locked) return false;
-    shared->stage = 1;
-    for (;;) pause();
-  });
-  wait_for_stage(1);
-  const pid_t waiter = in_child([this] {
-    RobustMutex mutex(shared->memory);
-    shared->stage = 2;
-    const bool told = mutex.lock_for(30s) == Outcome::OwnerDied;
-    mutex.unlock();
-    return told;
-  });
-  wait_for_stage(2);
-  usleep(20'000);  // most likely asleep by now; right in any case
-  REQUIRE(kill(holder, SIGKILL) == 0);
-  CHECK(status_of(waiter) == 0);
-  CHECK(WIFSIGNALED(status_of(holder)));
-  CHECK((RobustMutex(shared->memory).try_lock() == Outcome::Locked));
-  RobustMutex(shared->memory).unlock();
+TEST_CASE_FIXTURE(Fixture, "a try takes the lock of a dead one, too") {
+  Child child = holder(2);
+  kill(child, 2);
+  CHECK((mutex(me).try_lock() == Outcome::OwnerDied));
+  mutex(me).unlock();
+  CHECK((mutex(me).try_lock() == Outcome::Locked));
+  mutex(me).unlock();
 }
 
-TEST_CASE_FIXTURE(Fixture, "who watches is woken when the holder is killed, and when it unlocks") {
-  RobustMutex mutex(shared->memory);
-  CHECK_FALSE(mutex.watch());  // nobody holds it
-  for (const bool killed : {true, false}) {
-    CAPTURE(killed);
-    shared->stage = 0;
-    const pid_t holder = in_child([this, killed] {
-      RobustMutex mine(shared->memory);
-      if (mine.lock_for(30s) == Outcome::Busy) return false;
-      shared->stage = 1;
-      wait_for_stage(2);
-      usleep(20'000);  // the other one is most likely asleep by now; right in any case
-      if (killed) kill(getpid(), SIGKILL);
-      mine.unlock();
-      return true;
-    });
-    wait_for_stage(1);
-    const auto watched = mutex.watch();
-    REQUIRE(watched);
+TEST_CASE_FIXTURE(Fixture, "a waiter that sleeps already is told when the holder is dead") {
+  Child child = holder(2);
+  Child waiter([this] {
+    Owner other(*shared, 3);
     shared->stage = 2;
-    const auto until = lot::futex::Clock::now() + 10s;
-    while (mutex.looks_held() && lot::futex::wait(watched->word, watched->value, until)) {
-    }
-    REQUIRE_FALSE(mutex.looks_held());
-    CHECK_FALSE(mutex.watch());
-    CHECK(WIFSIGNALED(status_of(holder)) == killed);
-  }
-  CHECK((mutex.try_lock() == Outcome::Locked));  // the one after the dead one has made it good
-  mutex.unlock();
+    must(mutex(other).lock_for(30s) == Outcome::OwnerDied, "the dead one's lock");
+    mutex(other).unlock();
+  });
+  await(2);
+  std::this_thread::sleep_for(20ms);  // most likely asleep by now; right in any case
+  kill(child, 2);
+  CHECK(waiter.wait() == 0);
+  CHECK((mutex(me).try_lock() == Outcome::Locked));
+  mutex(me).unlock();
 }
 
 TEST_CASE_FIXTURE(Fixture, "one that was told and is killed itself leaves the same to the next") {
-  auto die_holding = [this](Outcome expected) {
-    return in_child([this, expected] {
-      if (RobustMutex(shared->memory).lock_for(30s) != expected) return false;
-      kill(getpid(), SIGKILL);
-      return false;
-    });
-  };
-  CHECK(WIFSIGNALED(status_of(die_holding(Outcome::Locked))));
-  CHECK(WIFSIGNALED(status_of(die_holding(Outcome::OwnerDied))));
-  CHECK(WIFSIGNALED(status_of(die_holding(Outcome::OwnerDied))));
-  RobustMutex mutex(shared->memory);
-  CHECK((mutex.try_lock() == Outcome::OwnerDied));
-  mutex.unlock();
-  CHECK((mutex.lock_for(30s) == Outcome::Locked));
-  mutex.unlock();
+  Child first = holder(2);
+  kill(first, 2);
+  Child second = holder(3, Outcome::OwnerDied);
+  kill(second, 3);
+  Child third = holder(4, Outcome::OwnerDied);
+  kill(third, 4);
+  CHECK((mutex(me).try_lock() == Outcome::OwnerDied));
+  mutex(me).unlock();
+  CHECK((mutex(me).lock_for(30s) == Outcome::Locked));
+  mutex(me).unlock();
 }
 
-TEST_CASE_FIXTURE(Fixture, "a waiter that is killed in another PID namespace frees no holder") {
-  const auto nothing = [](pid_t) {};
-  if (status_of(in_namespace([] { return getpid() == 1; }, nothing)) != 0) {
-    MESSAGE("skipped: no PID namespaces here");
-    return;
-  }
-  const pid_t holder = in_namespace(
-      [this] {
-        RobustMutex mutex(shared->memory);
-        if (mutex.lock_for(30s) != Outcome::Locked) return false;
-        shared->stage = 1;
-        wait_for_stage(3);
-        mutex.unlock();
-        return true;
-      },
-      nothing);
-  wait_for_stage(1);
-  const pid_t waiter = in_namespace(
-      [this] {
-        shared->stage = 2;
-        return RobustMutex(shared->memory).lock_for(30s) == Outcome::Locked;
-      },
-      [this](pid_t pid) {
-        wait_for_stage(2);
-        usleep(20'000);  // most likely asleep by now; right in any case
-        kill(pid, SIGKILL);
-      });
-  CHECK(status_of(waiter) != 0);
-  CHECK((RobustMutex(shared->memory).try_lock() == Outcome::Busy));
-  shared->stage = 3;
-  CHECK(status_of(holder) == 0);
-  CHECK((RobustMutex(shared->memory).lock_for(30s) == Outcome::Locked));
-  RobustMutex(shared->memory).unlock();
+TEST_CASE_FIXTURE(Fixture, "a waiter that is killed leaves at most a mark") {
+  CHECK((mutex(me).try_lock() == Outcome::Locked));
+  Child waiter([this] {
+    Owner other(*shared, 2);
+    mutex(other).lock_for(30s);
+  });
+  CHECK(eventually([this] { return (shared->word & lock::kSleepers) != 0; }));
+  kill(waiter, 2);
+  mutex(me).unlock();
+  CHECK(shared->word == 0);
+}
+
+TEST_CASE_FIXTURE(Fixture, "who judges late takes no lock from the next owner of an index") {
+  Owner former(*shared, 2, 7);
+  Owner next(*shared, 2, 8);
+  CHECK((mutex(former).try_lock() == Outcome::Locked));
+  shared->dead[2] = true;
+  me.when_asked = [&] {  // the former one is dead; until we act on it, its index has come again
+    me.when_asked = nullptr;
+    CHECK((mutex(next).try_lock() == Outcome::OwnerDied));
+    mutex(next).unlock();
+    CHECK((mutex(next).try_lock() == Outcome::Locked));
+  };
+  CHECK((mutex(me).try_lock() == Outcome::Busy));
+  CHECK(lock::name(shared->word) == next.name());
+}
+
+TEST_CASE_FIXTURE(Fixture, "a thread that ends with the lock is no death") {
+  std::thread([this] { CHECK((mutex(me).try_lock() == Outcome::Locked)); }).join();
+  CHECK((mutex(me).try_lock() == Outcome::Busy));
+  CHECK((mutex(me).lock_for(10ms) == Outcome::Busy));
+  mutex(me).unlock();
+  CHECK((mutex(me).try_lock() == Outcome::Locked));
 }
 
 TEST_CASE_FIXTURE(Fixture,
-                  "who unlocks wakes others when the kernel no longer counts it as owner") {
-  const pid_t holder = in_child([this] {
-    ptrace(PTRACE_TRACEME, 0, nullptr, nullptr);
-    raise(SIGSTOP);
-    RobustMutex mutex(shared->memory);
-    if (mutex.lock_for(30s) != Outcome::Locked) return false;
-    shared->stage = 1;
-    wait_for_stage(2);
-    mutex.unlock();
-    return true;
-  });
-  const pid_t waiter = in_child([this] {
-    wait_for_stage(1);
-    RobustMutex mutex(shared->memory);
-    if (mutex.lock_for(30s) != Outcome::Locked) return false;
-    mutex.unlock();
-    return true;
-  });
-  int status = 0;
-  REQUIRE(waitpid(holder, &status, 0) == holder);
-  robust_list_head* list = nullptr;
-  std::size_t size = 0;
-  REQUIRE(syscall(SYS_get_robust_list, holder, &list, &size) == 0);
-  const auto* const pending = &list->list_op_pending;  // in the holder's memory
-  unsigned wakes = 0;
-  while (ptrace(PTRACE_SYSCALL, holder, nullptr, nullptr) == 0 &&
-         waitpid(holder, &status, 0) == holder && WIFSTOPPED(status)) {
-    CHECK(ptrace(PTRACE_PEEKDATA, holder, pending, nullptr) == 0);
-    user_regs_struct registers{};
-    iovec where{&registers, sizeof registers};
-    REQUIRE(ptrace(PTRACE_GETREGSET, holder, NT_PRSTATUS, &where) == 0);
-#if defined(__x86_64__)
-    wakes += registers.orig_rax == SYS_futex;
-#elif defined(__aarch64__)
-    wakes += registers.regs[8] == SYS_futex;
-#endif
-    if (shared->stage == 1 &&
-        (shared->memory.__data.__lock & static_cast<int>(FUTEX_WAITERS)) != 0) {
-      shared->stage = 2;
-    }
+                  "a damaged word: nobody's lock is taken over, another's is not unlocked") {
+  for (const std::uint32_t word : {lock::kSleepers, 0x1ffU, 0xffffffffU, 9U << 9}) {
+    CAPTURE(word);
+    shared->word = word;
+    CHECK((mutex(me).try_lock() == Outcome::OwnerDied));
+    mutex(me).unlock();
+    CHECK(shared->word == 0);
   }
-  CHECK(WIFEXITED(status));
-  CHECK(WEXITSTATUS(status) == 0);
-  CHECK(wakes > 0);  // its entry and its exit
-  CHECK(status_of(waiter) == 0);
+  CHECK((mutex(me).try_lock() == Outcome::Locked));
+  Owner other(*shared, 2);
+  shared->word = other.name();
+  mutex(me).unlock();
+  CHECK(shared->word == other.name());
 }
 
 TEST_CASE_FIXTURE(Fixture, "three that sleep are let in one after the other") {
-  RobustMutex mutex(shared->memory);
-  CHECK((mutex.lock_for(30s) == Outcome::Locked));
-  pid_t waiters[3];
-  for (pid_t& waiter : waiters) {
-    waiter = in_child([this] {
+  CHECK((mutex(me).lock_for(30s) == Outcome::Locked));
+  std::vector<Child> waiters;
+  for (std::uint32_t k : {2U, 3U, 4U}) {
+    waiters.emplace_back([this, k] {
+      Owner other(*shared, k);
       ++shared->stage;
-      RobustMutex mine(shared->memory);
-      if (mine.lock_for(30s) != Outcome::Locked) return false;
-      usleep(1'000);
-      mine.unlock();
-      return true;
+      must(mutex(other).lock_for(30s) == Outcome::Locked, "the lock");
+      std::this_thread::sleep_for(1ms);
+      mutex(other).unlock();
     });
   }
-  wait_for_stage(3);
-  usleep(20'000);  // most likely asleep by now; right in any case
-  mutex.unlock();
-  for (const pid_t waiter : waiters) CHECK(status_of(waiter) == 0);
-  CHECK(shared->memory.__data.__lock == 0);
+  await(3);
+  std::this_thread::sleep_for(20ms);  // most likely asleep by now; right in any case
+  mutex(me).unlock();
+  for (Child& waiter : waiters) CHECK(waiter.wait() == 0);
+  CHECK(shared->word == 0);
 }
 
 TEST_SUITE_END();

@@ -16,7 +16,7 @@
 
 #include "lot/lot.hpp"
 
-#include "robust_mutex/robust_mutex.hpp"
+#include "support/lock_owner.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -115,11 +115,10 @@ class TakenRegistry {
   Steps held_;
   Steps go_;
   std::thread other_{[this] {
-    lot::RobustMutex mutex(segment_.directory().lock.mutex);
-    mutex.lock();
-    held_.tell();
+    RegistryLock registry(segment_);
+    if (registry.lock()) held_.tell();
     go_.next(60s);
-    mutex.unlock();
+    registry.unlock();
   }};
 };
 

@@ -16,7 +16,7 @@
 
 #include "lot/lot.hpp"
 
-#include "robust_mutex/robust_mutex.hpp"
+#include "support/lock_owner.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -298,11 +298,10 @@ TEST_CASE("publishers are counted while somebody else is at the registry, too") 
   lot::segment::Segment segment(place.engine.path());
   Steps held;
   std::thread other([&] {
-    lot::RobustMutex mutex(segment.directory().lock.mutex);
-    mutex.lock();
-    held.tell();
+    RegistryLock registry(segment);
+    if (registry.lock()) held.tell();
     std::this_thread::sleep_for(30ms);
-    mutex.unlock();
+    registry.unlock();
   });
   CHECK(held.next() != 0);
   CHECK(puller.publishers() == 1);
@@ -364,13 +363,13 @@ TEST_CASE("a lossless queue is not full because another process is at the regist
   auto puller = place.engine.subscribe<Number>("/t");
   auto block = place.engine.advertise<Number>("/t", {Policy::Block, 1, 1s});
   auto refuse = place.engine.advertise<Number>("/t", {Policy::Refuse, 1, 1s});
-  lot::RobustMutex mutex(segment.directory().lock.mutex);
-  mutex.lock();
+  RegistryLock registry(segment);
+  REQUIRE(registry.lock());
   auto message = block.loan();
   const Status tried = block.try_push(std::move(message));
   const Status pushed = send(refuse, 0);
   const Status full = send(refuse, 1);  // one that is full says so
-  mutex.unlock();
+  registry.unlock();
   CHECK(tried == Status::Ok);
   CHECK(pushed == Status::Ok);
   CHECK(full == Status::Full);

@@ -15,6 +15,7 @@
 #include <lot/lot.hpp>
 
 #include "support/both_engines.hpp"
+#include "support/lock_owner.hpp"
 
 namespace {
 
@@ -408,10 +409,12 @@ TEST_CASE_FIXTURE(Fixture, "who waits while a stopped process keeps the lock goe
   REQUIRE(eventually([&] { return heard == 1; }));
   Steps steps;
   Child owner([&] {
-    lot::segment::Segment segment(shm.path());
+    lot::ShmEngine mine(options);  // in whose name it locks
+    lot::segment::Segment segment(mine.path());
+    InOurName name(segment);
     for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
       if (segment.ring(c).arrived == nullptr) continue;
-      segment.queue_lock(c).lock();
+      segment.queue_lock(c, name).lock();
       steps.tell();
       pause();
     }

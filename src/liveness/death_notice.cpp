@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "liveness/death_notice.hpp"
+
+#include <cerrno>
+#include <csignal>
+#include <cstddef>
+#include <linux/futex.h>
+#include <new>
+#include <pthread.h>
+#include <sys/mman.h>
+#include <sys/syscall.h>
+#include <system_error>
+#include <unistd.h>
+
+#include "lot/error.hpp"
+
+#include "futex/futex.hpp"
+
+namespace lot::liveness {
+namespace {
+
+static_assert(seat::kSleepers == FUTEX_WAITERS && seat::kDied == FUTEX_OWNER_DIED &&
+              seat::kThread == FUTEX_TID_MASK);
+
+/// Only a thread that was ended alone, as a sandbox may, does not answer.
+constexpr std::chrono::seconds kAnswerPatience{2};
+constexpr std::chrono::hours kAsLongAsItTakes{24};
+
+}  // namespace
+
+bool seat::stands(std::uint64_t seat) noexcept {
+  return (notice(seat) & kDied) == 0 && (notice(seat) & kThread) != 0;
+}
+
+DeathNotice::DeathNotice() {
+  static_assert(offsetof(List, offset) == offsetof(robust_list_head, futex_offset) &&
+                offsetof(List, pending) == offsetof(robust_list_head, list_op_pending) &&
+                offsetof(List, node) == sizeof(robust_list_head));
+  void* page =
+      mmap(nullptr, sizeof(List), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+  if (page == MAP_FAILED) throw std::bad_alloc();
+  madvise(page, sizeof(List), MADV_DONTFORK);  // nothing that a child does may change it
+  mlock(page, sizeof(List));                   // where it may: to be there when memory runs out
+  list_ = new (page) List{};
+  list_->head.next = &list_->head;
+  list_->node.next = &list_->head;
+}
+
+DeathNotice::~DeathNotice() {
+  end();
+  munmap(list_, sizeof(List));
+}
+
+bool DeathNotice::claim(Seat& seat, std::uint64_t seen) {
+  seat_ = &seat;
+  seen_ = seen;
+  if (!thread_.joinable()) start();
+  ask(Order::Claim, kAsLongAsItTakes);
+  return ours_ != 0;
+}
+
+bool DeathNotice::renew() noexcept {
+  const std::uint64_t now = seat_->load(std::memory_order_acquire);
+  if (now == ours_) return true;
+  if (seat::incarnation(now) != seat::incarnation(ours_)) return false;
+  ask(Order::Renew, kAnswerPatience);
+  return true;
+}
+
+void DeathNotice::end() noexcept {
+  if (!thread_.joinable()) return;
+  ask(Order::End, kAnswerPatience);
+  thread_.join();
+}
+
+void DeathNotice::start() {
+  sigset_t all, before;
+  sigfillset(&all);
+  pthread_sigmask(SIG_SETMASK, &all, &before);  // the thread has no signals, from its first step on
+  try {
+    thread_ = std::thread([this] { run(); });
+  } catch (const std::system_error& e) {
+    pthread_sigmask(SIG_SETMASK, &before, nullptr);
+    throw Error(e.code().value(), "the witness thread", "cannot be started",
+                "raise the limit of threads (ulimit -u, pids.max) or of memory (ulimit -v)");
+  }
+  pthread_sigmask(SIG_SETMASK, &before, nullptr);
+}
+
+/// One thread at a time asks: the one that joins, then the warden.
+void DeathNotice::ask(Order order, std::chrono::nanoseconds patience) noexcept {
+  const auto until = futex::Clock::now() + patience;
+  order_.store(order, std::memory_order_release);
+  futex::wake_all(&order_);
+  while (order_.load(std::memory_order_acquire) == order && futex::Clock::now() < until) {
+    futex::wait(&order_, static_cast<std::uint32_t>(order), until);
+  }
+}
+
+/// The witness thread. It alone writes the notice of a living process: another thread might do so
+/// when this one has died with the process, and the kernel has read the list.
+void DeathNotice::run() noexcept {
+  pthread_setname_np(pthread_self(), "lot-witness");
+  const bool is_heard = syscall(SYS_set_robust_list, list_, sizeof(robust_list_head)) == 0;
+  const std::uint32_t notice =
+      is_heard ? static_cast<std::uint32_t>(syscall(SYS_gettid)) | seat::kSleepers
+               : seat::kUnwitnessed;
+  for (;;) {
+    const Order order = order_.load(std::memory_order_acquire);
+    if (order == Order::None) {
+      futex::wait(&order_, static_cast<std::uint32_t>(order), {});
+      continue;
+    }
+    if (order == Order::Claim) {
+      take(notice);
+    } else {
+      // Only what stands in our own incarnation is ours to change.
+      const std::uint32_t incarnation = seat::incarnation(ours_);
+      const std::uint64_t said = order == Order::Renew ? ours_ : seat::make(incarnation, 0);
+      std::uint64_t now = seat_->load(std::memory_order_relaxed);
+      while (ours_ != 0 && seat::incarnation(now) == incarnation &&
+             !seat_->compare_exchange_weak(now, said, std::memory_order_release,
+                                           std::memory_order_relaxed)) {
+      }
+      if (order == Order::End) {
+        ours_ = 0;
+        unlink();
+      }
+    }
+    order_.store(Order::None, std::memory_order_release);
+    futex::wake_all(&order_);
+    if (order == Order::End) return;
+  }
+}
+
+/// Linked first: else a death in between would leave a notice that stands for ever.
+void DeathNotice::take(std::uint32_t notice) noexcept {
+  const auto* word = static_cast<const char*>(futex::low_half(*seat_));
+  list_->offset = word - reinterpret_cast<const char*>(&list_->node);
+  list_->head.next = &list_->node;
+  std::atomic_signal_fence(std::memory_order_seq_cst);  // the kernel reads it as this thread does
+  const std::uint64_t ours = seat::make(seat::incarnation(seen_) + 1, notice);
+  // Acquire: what the one before us did. Release: our name, which others find in locks.
+  if (seat_->compare_exchange_strong(seen_, ours, std::memory_order_acq_rel,
+                                     std::memory_order_relaxed)) {
+    ours_ = ours;
+  } else {
+    unlink();
+  }
+}
+
+void DeathNotice::unlink() noexcept {
+  std::atomic_signal_fence(std::memory_order_seq_cst);
+  list_->head.next = &list_->head;
+}
+
+}  // namespace lot::liveness

@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <thread>
+
+/// The kernel's notice of a death: a word in shared memory, that the kernel changes when a process
+/// ends, and wakes one of those who sleep on it. docs/locks.md has the reasons.
+///
+/// A thread of the process, the witness thread, gives the kernel a list of its own
+/// (set_robust_list) whose head and only node lie in private memory; the list's offset leads from
+/// the node to the word. The thread does nothing else: what others do may need the C library's
+/// list.
+///
+/// Source: set_robust_list(2), "The kernel's robust futex ABI" in the kernel's documentation.
+namespace lot::liveness {
+
+/// Who has an index: {incarnation : 32 | notice : 32}. The kernel sees the notice alone, at
+/// futex::low_half(); LOT changes both at once.
+namespace seat {
+inline constexpr std::uint32_t kSleepers = std::uint32_t{1} << 31;  ///< FUTEX_WAITERS
+inline constexpr std::uint32_t kDied = std::uint32_t{1} << 30;      ///< FUTEX_OWNER_DIED
+inline constexpr std::uint32_t kThread = kDied - 1;                 ///< FUTEX_TID_MASK
+/// It is dead: a process says so that has its byte, so this counts whoever has it now. (No thread
+/// that a process begins is called 1.)
+inline constexpr std::uint32_t kJudged = kDied | 1;
+/// The process is there, and its kernel takes no list: the byte alone speaks.
+inline constexpr std::uint32_t kUnwitnessed = kSleepers;
+
+constexpr std::uint64_t make(std::uint32_t incarnation, std::uint32_t notice) {
+  return std::uint64_t{incarnation} << 32 | notice;
+}
+constexpr std::uint32_t notice(std::uint64_t seat) { return static_cast<std::uint32_t>(seat); }
+constexpr std::uint32_t incarnation(std::uint64_t seat) {
+  return static_cast<std::uint32_t>(seat >> 32);
+}
+/// True while its process lives, as far as the notice says.
+bool stands(std::uint64_t seat) noexcept;
+}  // namespace seat
+
+class DeathNotice {
+ public:
+  using Seat = std::atomic<std::uint64_t>;
+
+  /// Throws lot::Error when there is no memory for the list.
+  DeathNotice();
+  ~DeathNotice();
+  DeathNotice(const DeathNotice&) = delete;
+  DeathNotice& operator=(const DeathNotice&) = delete;
+
+  /// Takes the seat, which was `seen`, in its next incarnation. False: it has changed meanwhile.
+  /// Begins the witness thread: throws lot::Error when there can be none.
+  ///
+  /// Crash: killed before it, the seat is as it was; after it, the kernel says so.
+  bool claim(Seat& seat, std::uint64_t seen);
+  /// Says it once more, where another process has changed the notice. False: the seat is another
+  /// one's by now. REQUIRES: claim() has returned true.
+  bool renew() noexcept;
+  /// Gives the seat up, and ends the thread.
+  void end() noexcept;
+
+ private:
+  /// As the kernel reads it (linux/futex.h).
+  struct List {
+    struct Node {
+      Node* next;
+    };
+    Node head;
+    long offset;  ///< from a node to its word
+    Node* pending;
+    Node node;
+  };
+  enum class Order : std::uint32_t { None, Claim, Renew, End };
+
+  void start();
+  void ask(Order order, std::chrono::nanoseconds patience) noexcept;
+  void run() noexcept;
+  void take(std::uint32_t notice) noexcept;
+  void unlink() noexcept;
+
+  /// Shared with nobody, and yet a shared mapping: when memory runs out the kernel may drop the
+  /// private pages of a process that it has killed before it reads the list.
+  List* list_;
+  Seat* seat_ = nullptr;
+  std::uint64_t seen_ = 0;
+  std::uint64_t ours_ = 0;                 ///< the seat, while it is ours; else 0
+  std::atomic<Order> order_{Order::None};  ///< futex: for the thread, which sets None when done
+  std::thread thread_;
+};
+
+}  // namespace lot::liveness

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "liveness/presence.hpp"
+
+namespace lot::liveness {
+namespace {
+/// Who has not looked for so long does not know what was meanwhile.
+constexpr std::chrono::seconds kLookedAway{2};
+}  // namespace
+
+bool Presence::may_be_claimed(std::uint32_t k) noexcept {
+  const std::uint64_t seat = seen(k);
+  if (seat::stands(seat)) return false;
+  if (seat::notice(seat) != seat::kUnwitnessed) return true;
+  if (lock_file_.held_by_other(k)) {
+    is_sure(k);
+    return false;
+  }
+  is_unsure_ = true;
+  return is_convinced(k, seat);
+}
+
+bool Presence::claim(std::uint32_t k) {
+  const std::uint64_t seat = seen(k);
+  if (seat::stands(seat) || !notice_.claim(seat_of(k), seat)) return false;
+  name_.store(lock::make_name(k, seat::incarnation(seat) + 1), std::memory_order_relaxed);
+  return true;
+}
+
+void Presence::end() noexcept {
+  notice_.end();
+  name_.store(0, std::memory_order_relaxed);
+}
+
+/// A byte may outlive its process by seconds, and longer: while the kernel takes gigabytes apart or
+/// writes a core, or where a child has it. Whether to reap has time; who waits for a lock has not.
+bool Presence::is_gone(std::uint32_t name) noexcept {
+  const std::uint32_t k = lock::participant(name);
+  if (k >= segment_.capacity().participants) return true;  // a damaged word
+  const std::uint64_t seat = seen(k);
+  if (lock::make_name(k, seat::incarnation(seat)) != name) return true;
+  if (looks_dead(k) || seat::notice(seat) == seat::kJudged) return true;
+  return !seat::stands(seat) && seat::notice(seat) != seat::kUnwitnessed && is_convinced(k, seat);
+}
+
+bool Presence::looks_dead(std::uint32_t k) noexcept {
+  const std::uint64_t seat = seen(k);
+  const bool may_be = !seat::stands(seat) && !lock_file_.held_by_other(k);
+  if (seat::notice(seat) != seat::kUnwitnessed) return may_be;
+  if (!may_be) is_sure(k);
+  return may_be && is_convinced(k, seat);
+}
+
+bool Presence::judge(std::uint32_t k) noexcept {
+  std::uint64_t seat = seen(k);
+  if (seat::stands(seat)) return false;
+  if (seat::notice(seat) == seat::kUnwitnessed && !is_convinced(k, seat)) return false;
+  return seat::notice(seat) == seat::kJudged ||
+         seat_of(k).compare_exchange_strong(seat,
+                                            seat::make(seat::incarnation(seat), seat::kJudged),
+                                            std::memory_order_acq_rel, std::memory_order_relaxed);
+}
+
+/// True when the seat has said this, at every look, for long enough.
+bool Presence::is_convinced(std::uint32_t k, std::uint64_t seat) noexcept {
+  const std::lock_guard guard(doubts_mutex_);
+  Doubt& doubt = doubts_[k];
+  const auto now = futex::Clock::now();
+  if (doubt.seat != seat || now - doubt.last > kLookedAway) doubt = {seat, now, now};
+  doubt.last = now;
+  return now - doubt.since >= kConviction;
+}
+
+void Presence::is_sure(std::uint32_t k) noexcept {
+  const std::lock_guard guard(doubts_mutex_);
+  doubts_[k] = {};
+}
+
+}  // namespace lot::liveness

@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Who is taken for dead, and who is not, where one of the two witnesses cannot speak.
+
+#include "liveness/presence.hpp"
+
+#include <cerrno>
+#include <csignal>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <system_error>
+#include <thread>
+#include <unistd.h>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/lock_owner.hpp"
+#include "support/processes.hpp"
+#include "support/sandbox.hpp"
+
+namespace {
+
+using namespace lot::testing;
+namespace seat = lot::liveness::seat;
+
+struct Number {
+  std::uint64_t value;
+};
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+/// The seat of participant k, from outside.
+class Seats {
+ public:
+  explicit Seats(const lot::ShmEngine& engine) : segment_(engine.path()) {}
+  std::uint64_t of(std::uint32_t k) const { return segment_.witnesses()[k].seat.load(); }
+  void set(std::uint32_t k, std::uint64_t value) { segment_.witnesses()[k].seat = value; }
+  bool is_there(std::uint32_t k) const { return segment_.participants()[k].state.load() != 0; }
+  const lot::segment::Segment& segment() const { return segment_; }
+
+ private:
+  lot::segment::Segment segment_;
+};
+
+/// What closefrom() in an application does to our lock file.
+void close_all_of(const std::string& path) {
+  for (int fd = 3; fd < 256; ++fd) {
+    std::error_code none;
+    if (std::filesystem::read_symlink("/proc/self/fd/" + std::to_string(fd), none) == path)
+      close(fd);
+  }
+}
+
+/// fork() without its handlers, as a library may do it: the child keeps all descriptors.
+pid_t raw_fork() {
+  return static_cast<pid_t>(syscall(SYS_clone, SIGCHLD, nullptr, nullptr, nullptr, nullptr));
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("presence");
+
+TEST_CASE("an index has another incarnation each time it is taken") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  const lot::ShmEngine first(options);
+  const Seats seats(first);
+  for (std::uint32_t n = 1; n <= 5; ++n) {
+    Child second([&] {
+      lot::ShmEngine engine(options);
+      must(seats.is_there(2) && seat::stands(seats.of(2)), "the index");
+      must(seat::incarnation(seats.of(2)) == n, "its incarnation");
+    });
+    CHECK(second.wait() == 0);
+    CHECK(seats.of(2) == seat::make(n, 0));
+  }
+}
+
+TEST_CASE("where the kernel gives no notices a killed process is reaped all the same") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  const Seats seats(engine);
+  Steps joined;
+  Child victim([&] {
+    must(refuse(SYS_set_robust_list, EPERM), "a filter");
+    lot::ShmEngine mine(options);
+    joined.tell();
+    pause();
+  });
+  REQUIRE(joined.next() != 0);
+  CHECK(seat::notice(seats.of(2)) == seat::kUnwitnessed);
+  victim.kill9();
+  CHECK(eventually([&] { return !seats.is_there(2); }, 30s));
+}
+
+TEST_CASE("where the kernel gives no notices, and the application closes the lock file, it lives") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  const Seats seats(engine);
+  auto pusher = engine.advertise<Number>("/t");
+  Steps joined;
+  Child victim([&] {
+    must(refuse(SYS_set_robust_list, EPERM), "a filter");
+    lot::ShmEngine mine(options);
+    auto puller = mine.subscribe<Number>("/t");
+    close_all_of(mine.path() + ".lock");
+    joined.tell();
+    must(puller.pull(40s)->value == 7, "the message");
+  });
+  REQUIRE(joined.next() != 0);
+  std::this_thread::sleep_for(lot::liveness::Presence::kConviction + 2s);
+  CHECK(seats.is_there(2));
+  CHECK(pusher.push(pusher.loan(std::uint64_t{7})) == lot::Status::Ok);
+  CHECK(victim.wait() == 0);
+}
+
+TEST_CASE("the lock of a dead process is taken over, though a child of it has its byte") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  const Seats seats(engine);
+  Steps locked;
+  Child victim([&] {
+    lot::ShmEngine mine(options);
+    RegistryLock registry(seats.segment());
+    must(registry.lock(), "the registry");
+    if (raw_fork() == 0) {
+      alarm(8);
+      pause();
+    }
+    locked.tell();
+    pause();
+  });
+  REQUIRE(locked.next() != 0);
+  victim.kill9();
+  auto puller = engine.subscribe<Number>("/t");  // throws where it cannot get the lock
+  CHECK(seats.is_there(2));                      // it is not reaped: the byte says that it lives
+  CHECK(!seat::stands(seats.of(2)));
+  CHECK(eventually([&] { return !seats.is_there(2); }, 30s));  // the child has ended
+}
+
+TEST_CASE("a process whose index another one has does nothing more, and says so") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  Seats seats(engine);
+  Steps joined;
+  Child victim([&] {
+    lot::ShmEngine mine(options);
+    auto pusher = mine.advertise<Number>("/t");
+    joined.tell();
+    must(eventually(
+             [&] {
+               try {
+                 pusher.loan();
+               } catch (const lot::Error& e) {
+                 return e.error_number() == ESTALE;
+               }
+               return false;
+             },
+             20s),
+         "an error that says so");
+  });
+  REQUIRE(joined.next() != 0);
+  const std::uint64_t others = seat::make(seat::incarnation(seats.of(2)) + 1, seat::kDied);
+  seats.set(2, others);
+  CHECK(victim.wait() == 0);
+  CHECK(seat::incarnation(seats.of(2)) == seat::incarnation(others));
+  CHECK(!seat::stands(seats.of(2)));
+  CHECK(eventually([&] { return !seats.is_there(2); }));  // all that it had is reaped
+}
+
+TEST_SUITE_END();
