@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <thread>
 #include <unistd.h>
@@ -174,7 +175,7 @@ TEST_CASE("nobody acts for the orphanage without its byte, nor without its lock"
     REQUIRE(joined.next() == '.');
     lot::segment::Segment s(file_of(options));
     lot::liveness::LockFile file(file_of(options) + ".lock");
-    const lot::ShmEngine bystander(named(options, "bystander"));  // in whose name we lock
+    std::optional<lot::ShmEngine> bystander(named(options, "bystander"));  // in whose name we lock
     InOurName owner(s);
     lot::RobustMutex mutex(s.directory().orphanage.word, owner);
     if (byte) {
@@ -191,6 +192,7 @@ TEST_CASE("nobody acts for the orphanage without its byte, nor without its lock"
     }
     CHECK(eventually([&] { return index_of(s, "victim") == 0; }));
     CHECK(neighbour.leave() >= 0);
+    bystander.reset();
     CHECK(files_of(options) == 0);
   }
 }
