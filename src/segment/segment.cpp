@@ -20,7 +20,7 @@
 #include "lot/error.hpp"
 #include "lot/options.hpp"
 
-#include "robust_mutex/robust_mutex.hpp"
+#include "segment/system_limits.hpp"
 
 namespace lot::segment {
 namespace {
@@ -101,6 +101,12 @@ boost::interprocess::mapped_region map_file(const Descriptor& file, std::uint64_
   }
 }
 
+/// The kernel does not know the call (Linux before 5.14 has no MADV_POPULATE_WRITE), or a sandbox
+/// refuses it.
+bool is_refused(int error) {
+  return error == EINVAL || error == EPERM || error == EACCES || error == ENOSYS;
+}
+
 Capacity choose_size(const std::string& path, Capacity capacity) {
   const std::string directory = path.substr(0, path.rfind('/'));
   struct statvfs room {};
@@ -110,21 +116,42 @@ Capacity choose_size(const std::string& path, Capacity capacity) {
   }
   const std::uint64_t free = std::uint64_t{room.f_bavail} * room.f_frsize;
   const bool chosen = capacity.size != 0;
-  if (!chosen) capacity.size = std::min(kDefaultSize, free / 4 * 3);
+  const std::uint64_t of_a_file = file_limit();
+  // Half of it: the processes need memory of their own.
+  const std::uint64_t of_the_group = memory_limit() / 2;
+  if (!chosen) capacity.size = std::min({kDefaultSize, free / 4 * 3, of_a_file, of_the_group});
   capacity.size = capacity.size / kUnit * kUnit;
   const std::uint64_t least = Geometry::of(capacity).data + kSmallestData;
   if (capacity.size < least) {
     throw Error(chosen ? EINVAL : ENOSPC, path,
                 "a segment needs at least " + mib(least + kUnit) + "; " +
                     (chosen ? mib(capacity.size) + " were asked for"
-                            : mib(free) + " are free in " + directory),
+                     : of_a_file <= capacity.size + kUnit
+                         ? "a file of this process may have " + mib(of_a_file)
+                     : of_the_group <= capacity.size + kUnit
+                         ? "the processes of this control group may have " + mib(of_the_group * 2) +
+                               " of memory"
+                         : mib(free) + " are free in " + directory),
                 chosen ? "raise LOT_SIZE"
-                       : "free memory there, enlarge it (docker run --shm-size), or set LOT_DIR");
+                       : "free memory there, enlarge it (docker run --shm-size), set LOT_DIR, or "
+                         "raise the limit (ulimit -f, or the control group's)");
   }
   if (capacity.size > free) {
     throw Error(ENOSPC, path,
                 mib(capacity.size) + " were asked for, " + mib(free) + " are free in " + directory,
                 "lower LOT_SIZE, enlarge the file system (docker run --shm-size), or set LOT_DIR");
+  }
+  if (capacity.size > of_a_file) {  // a signal would end the process
+    throw Error(
+        EFBIG, path,
+        mib(capacity.size) + " were asked for, a file of this process may have " + mib(of_a_file),
+        "lower LOT_SIZE, or raise RLIMIT_FSIZE (ulimit -f)");
+  }
+  if (capacity.size / 2 > of_the_group) {
+    std::fprintf(stderr,
+                 "lot: %s: warning: it has %s, and the processes of this control group may have %s "
+                 "of memory together; lower LOT_SIZE, or raise the group's memory limit\n",
+                 path.c_str(), mib(capacity.size).c_str(), mib(of_the_group * 2).c_str());
   }
   return capacity;
 }
@@ -192,6 +219,7 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
                        : error == EAGAIN
                            ? "end the process that has a lease on it, or set LOT_SEGMENT"
                        : error == EMFILE ? "raise the limit of open files (ulimit -n)"
+                       : error == ENFILE ? "the system has no more open files (fs.file-max)"
                        : error == EEXIST ? "somebody else's file is in its place: remove it, or "
                                            "name another directory with LOT_DIR"
                                          : "set LOT_DIR to a directory that you may write to";
@@ -376,7 +404,7 @@ Segment::Fit Segment::inspect(const std::string& path, const Trust& trust, std::
   Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
   if (file.fd == -1) {
     if (errno == ENOENT) return Fit::Absent;
-    throw Error(errno, path, "cannot open it for reading", "it belongs to another user");
+    refuse(path, "cannot open it for reading", errno);
   }
   trust.require(file.fd, path);
   return fit_of(file.fd, 0, reason);
@@ -400,7 +428,7 @@ Segment::Segment(const std::string& path, Access access, const Trust& trust) : p
   Descriptor file(
       ::open(path.c_str(), (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK),
       writable ? boost::interprocess::read_write : boost::interprocess::read_only);
-  if (file.fd == -1) throw Error(errno, path, "cannot open it", "may you read and write it?");
+  if (file.fd == -1) refuse(path, "cannot open it", errno);
   trust.require(file.fd, path);
   std::uint64_t size = 0;
   const Header header = read_header(file.fd, size);
@@ -412,7 +440,8 @@ Segment::Segment(const std::string& path, Access access, const Trust& trust) : p
   try {
     region_ = map_file(file, size);
   } catch (const boost::interprocess::interprocess_exception& e) {
-    throw Error(e.get_native_error(), path, "cannot map it", "is there enough address space?");
+    throw Error(e.get_native_error(), path, "cannot map " + mib(size) + " of address space",
+                advice_on_address_space());
   }
   base_ = static_cast<unsigned char*>(region_.get_address());
   blocks_ = at<BlockWords>(geometry_.blocks);
@@ -660,8 +689,8 @@ bool Segment::populate(std::uint32_t unit) noexcept {
   const int error = map_unit(unit);
   if (error == 0) return true;
   errno = error;
-  if (error != EINVAL) return false;
-  // Linux before 5.14: by the file, if it still is ours.
+  if (!is_refused(error)) return false;
+  // By the file, if it still is ours.
   Descriptor file(::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
   std::uint64_t ignored = 0;
   return file.fd != -1 &&

@@ -10,9 +10,12 @@
 #include <new>
 #include <pthread.h>
 #include <sys/mman.h>
+#include <system_error>
 #include <unistd.h>
 
 #include "lot/error.hpp"
+
+#include "segment/system_limits.hpp"
 
 namespace lot::transport {
 
@@ -220,7 +223,15 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
       }
       ours = true;
       lock_file.take_turn();
-      auto* p = new Participant(options, trust, file);
+      const auto make = [&] {
+        try {
+          return new Participant(options, trust, file);
+        } catch (const std::bad_alloc&) {
+          throw Error(ENOMEM, path, "no memory for what a process needs to join",
+                      segment::advice_on_address_space());
+        }
+      };
+      auto* p = make();
       std::shared_ptr<Participant> handle(p, &handle_gone);
       if (options.persist) p->segment_.keep_files();
       const std::lock_guard guard(process().mutex);
@@ -281,7 +292,12 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
     is_there = true;
     lock_file_->take_turn();
     holder_.next_free = (blocks / segment_.capacity().participants) * holder_.own.self;
-    warden_ = std::thread([this] { warden(); });
+    try {
+      warden_ = std::thread([this] { warden(); });
+    } catch (const std::system_error& e) {
+      throw Error(e.code().value(), segment_.path(), "no thread to watch over the others",
+                  "raise the limit of threads (ulimit -u, pids.max) or of memory (ulimit -v)");
+    }
   } catch (...) {
     if (is_there) part(index()).store(0, std::memory_order_release);
     munmap(holder_.cells, cells_bytes_);

@@ -48,9 +48,10 @@ void Participant::take_index(const EngineOptions& options) {
     if (futex::Clock::now() >= until + longer) {
       throw Error(
           EUSERS, segment_.path(),
-          "all " + std::to_string(segment_.capacity().participants - 1) +
-              " processes of the segment are taken",
-          "make the segment with a larger EngineOptions::processes, or use several segments");
+          "all " + std::to_string(participants() - 1) + " processes of the segment are taken",
+          participants() < segment::kMaxParticipants
+              ? "make the segment with a larger EngineOptions::processes, or use several segments"
+              : "no segment can have more: use several segments");
     }
     std::this_thread::sleep_for(1ms);
   }

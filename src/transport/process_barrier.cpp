@@ -19,7 +19,8 @@ constexpr unsigned kTries = 1000;  ///< of the barrier, 50 us apart
 
 /// While the process has one thread: later the kernel waits until every core has passed through it,
 /// which takes 10 ms, and seconds on a machine that is overloaded.
-[[maybe_unused]] const bool is_registered_at_start = ProcessBarrier::is_there();
+[[maybe_unused]] const bool is_registered_at_start =
+    membarrier(MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED);
 
 }  // namespace
 
@@ -32,11 +33,15 @@ bool ProcessBarrier::is_there() noexcept {
   return false;
 #endif
 #endif
-  static std::atomic<pid_t> registered{0};
+  static std::atomic<pid_t> tried{0};
   const pid_t process = getpid();
-  if (registered.load(std::memory_order_acquire) == process) return true;
-  if (!membarrier(MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED)) return false;
-  registered.store(process, std::memory_order_release);
+  if (tried.load(std::memory_order_acquire) == process) return true;
+  // Tried as well: a sandbox may have come since the process was registered.
+  if (!membarrier(MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED) ||
+      !membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED)) {
+    return false;
+  }
+  tried.store(process, std::memory_order_release);
   return true;
 #endif
 }
@@ -47,7 +52,10 @@ void ProcessBarrier::pass() noexcept {
   detail::Patience patience;
   for (unsigned tries = 0; !membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED); patience.wait(0)) {
     if (++tries < kTries) continue;
-    std::fputs("lot: membarrier was registered and fails now\n", stderr);
+    std::fputs(
+        "lot: membarrier() worked when this process began and is refused now: let a sandbox come "
+        "before the first lot::ShmEngine\n",
+        stderr);
     std::abort();
   }
 }

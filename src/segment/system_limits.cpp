@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "segment/system_limits.hpp"
+
+#include <algorithm>
+#include <fstream>
+#include <sys/resource.h>
+#include <utility>
+
+namespace lot::segment {
+namespace {
+
+std::uint64_t limit_of(int resource) noexcept {
+  rlimit limit{};
+  if (getrlimit(static_cast<__rlimit_resource_t>(resource), &limit) == -1) return kUnlimited;
+  return limit.rlim_cur == RLIM_INFINITY ? kUnlimited : std::uint64_t{limit.rlim_cur};
+}
+
+/// The number in a file; "max", and a file that is not there, are no limit.
+std::uint64_t number_in(const std::string& path) {
+  std::ifstream file(path);
+  std::uint64_t number = 0;
+  return file >> number ? number : kUnlimited;
+}
+
+/// Of a group and of those above it. In a container the group's own directory may be the mount.
+std::uint64_t least_above(const std::string& mount, std::string group, const std::string& file) {
+  std::uint64_t least = number_in(mount + "/" + file);
+  while (group.size() > 1) {
+    least = std::min(least, number_in(mount + group + "/" + file));
+    group.erase(std::min(group.rfind('/'), group.size()));
+  }
+  return least;
+}
+
+bool has(const std::string& list, const std::string& word) {
+  return ("," + list + ",").find("," + word + ",") != std::string::npos;
+}
+
+}  // namespace
+
+std::uint64_t file_limit() noexcept { return limit_of(RLIMIT_FSIZE); }
+
+std::uint64_t memory_limit(const std::string& groups, const std::string& mount) {
+  std::uint64_t least = kUnlimited;
+  std::ifstream file(groups);
+  for (std::string line; std::getline(file, line);) {  // NUMBER:CONTROLLERS:GROUP
+    const auto first = line.find(':');
+    const auto second = line.find(':', first + 1);
+    if (first == line.npos || second == line.npos) continue;
+    const std::string controllers = line.substr(first + 1, second - first - 1);
+    const std::string group = line.substr(second + 1);
+    if (controllers.empty()) {
+      least = std::min(least, least_above(mount, group, "memory.max"));
+    } else if (has(controllers, "memory")) {
+      least = std::min(least, least_above(mount + "/memory", group, "memory.limit_in_bytes"));
+    }
+  }
+  return least;
+}
+
+std::string advice_on_address_space() {
+  for (const auto& [resource, name] : {std::pair(RLIMIT_AS, "RLIMIT_AS (ulimit -v)"),
+                                       std::pair(RLIMIT_DATA, "RLIMIT_DATA (ulimit -d)")}) {
+    const std::uint64_t limit = limit_of(resource);
+    if (limit == kUnlimited) continue;
+    return std::string(name) + " is " + std::to_string(limit >> 20) + " MiB: raise it, or lower " +
+           "LOT_SIZE";
+  }
+  return "free memory, or lower LOT_SIZE";
+}
+
+}  // namespace lot::segment

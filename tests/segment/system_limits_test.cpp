@@ -1,0 +1,233 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// What the system lets a process have: too little is an error that names the limit, and leaves
+// nothing behind.
+
+#include "segment/system_limits.hpp"
+
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <string>
+#include <sys/resource.h>
+#include <unistd.h>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "liveness/death_notice.hpp"
+#include "segment/segment.hpp"
+#include "support/error_of.hpp"
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+namespace fs = std::filesystem;
+using lot::segment::kUnlimited;
+using lot::segment::memory_limit;
+
+constexpr std::uint64_t kMiB = 1 << 20;
+
+struct Frame {
+  lot::ShmVector<std::uint8_t> data;
+};
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+bool files_are_left(const lot::EngineOptions& options) {
+  for (const auto& entry : fs::directory_iterator(options.directory)) {
+    if (entry.path().filename().string().rfind(options.segment, 0) == 0) return true;
+  }
+  return false;
+}
+
+void limit(__rlimit_resource resource, std::uint64_t value) {
+  const rlimit both{value, value};
+  must(setrlimit(resource, &both) == 0, "a limit");
+}
+
+/// What joining gives in a process that has such a limit.
+template <class Limit>
+void check_refused(const lot::EngineOptions& options, Limit&& limits, int number,
+                   const char* part) {
+  Child child([&] {
+    limits();
+    const auto [error, text] = error_of([&] { const lot::ShmEngine engine(options); });
+    must(error == number && names(text, part), text.c_str());
+  });
+  CHECK(child.wait() == 0);
+  CHECK_FALSE(files_are_left(options));
+}
+
+/// A tree of control groups, as the kernel shows it.
+class Groups {
+ public:
+  Groups() { fs::create_directories(root_); }
+  ~Groups() { fs::remove_all(root_); }
+  Groups(const Groups&) = delete;
+  Groups& operator=(const Groups&) = delete;
+
+  void write(const std::string& file, const std::string& text) const {
+    fs::create_directories(fs::path(root_ + "/" + file).parent_path());
+    std::ofstream(root_ + "/" + file) << text << "\n";
+  }
+  std::uint64_t limit() const { return memory_limit(root_ + "/self", root_); }
+
+ private:
+  const std::string root_ = fs::temp_directory_path() / unique_name();
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("system_limits");
+
+TEST_CASE("a limit of a file's size is an error that names it, not a signal") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  options.size_bytes = 64 * kMiB;
+  check_refused(
+      options, [] { limit(RLIMIT_FSIZE, 32 * kMiB); }, EFBIG, "RLIMIT_FSIZE");
+  options.size_bytes = 0;
+  check_refused(
+      options, [] { limit(RLIMIT_FSIZE, kMiB); }, ENOSPC, "a file of this process");
+}
+
+TEST_CASE("a segment of the default size fits the limit of a file's size") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  options.size_bytes = 0;
+  Child child([&] {
+    limit(RLIMIT_FSIZE, 100 * kMiB);
+    const lot::ShmEngine engine(options);
+    must(fs::file_size(engine.path()) == 100 * kMiB, "its size");
+  });
+  CHECK(child.wait() == 0);
+  CHECK_FALSE(files_are_left(options));
+}
+
+TEST_CASE("a process with such a limit works in a segment that another one has made") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(64 * kMiB);
+  const lot::ShmEngine engine(options);
+  Child child([&] {
+    limit(RLIMIT_FSIZE, kMiB);
+    lot::ShmEngine mine(options);
+    auto pusher = mine.advertise<Frame>("/t");
+    auto frame = pusher.loan();
+    frame->data.resize(16 * kMiB);
+    std::memset(frame->data.data(), 1, frame->data.size());
+    must(pusher.push(std::move(frame)) == lot::Status::Ok, "a message");
+  });
+  CHECK(child.wait() == 0);
+}
+
+TEST_CASE("too few descriptors are an error that says so, and of no other user") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  Child child([&] {
+    const auto joins = [&](std::uint64_t descriptors) {
+      limit(RLIMIT_NOFILE, descriptors);
+      return error_of([&] { const lot::ShmEngine engine(options); });
+    };
+    const int next = dup(STDIN_FILENO);
+    close(next);
+    // With more and more of them, from the highest number on that a limit may be raised to.
+    for (auto n = static_cast<std::uint64_t>(next); n < static_cast<std::uint64_t>(next) + 8; ++n) {
+      Child one([&] {
+        const auto [error, text] = joins(n);
+        if (text == "no error") return;
+        must(error == EMFILE && names(text, "ulimit -n"), text.c_str());
+        must(!names(text, "user"), text.c_str());
+      });
+      must(one.wait() == 0, "an error that says so");
+    }
+  });
+  CHECK(child.wait() == 0);
+  CHECK_FALSE(files_are_left(options));
+}
+
+TEST_CASE("too few threads are an error that says so") {
+  const Watchdog watchdog(60);
+  if (getuid() != 0) {
+    MESSAGE("skipped: the limit is of a user, who may have other processes");
+    return;
+  }
+  auto options = fresh();
+  options.permissions = 0666;
+  constexpr uid_t kUser = 64123;  // nobody's: it has no other process
+  for (const std::uint64_t threads : {1, 2}) {
+    CAPTURE(threads);
+    Child child([&] {
+      must(setgid(kUser) == 0 && setuid(kUser) == 0, "a user");
+      limit(RLIMIT_NPROC, threads);
+      const auto [error, text] = error_of([&] { const lot::ShmEngine engine(options); });
+      must(error == EAGAIN && names(text, "ulimit -u"), text.c_str());
+    });
+    CHECK(child.wait() == 0);
+    CHECK_FALSE(files_are_left(options));
+  }
+}
+
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they need terabytes
+TEST_CASE("too little address space is an error that names the limit") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  options.size_bytes = 512 * kMiB;
+  check_refused(
+      options, [] { limit(RLIMIT_AS, 256 * kMiB); }, ENOMEM, "RLIMIT_AS (ulimit -v) is");
+}
+#endif
+
+TEST_CASE("a full segment of the most processes does not say to ask for more") {
+  const Watchdog watchdog(60);
+  for (const std::uint32_t processes : {2U, 319U}) {
+    CAPTURE(processes);
+    auto options = fresh();
+    options.processes = processes;
+    const lot::ShmEngine engine(options);
+    lot::segment::Segment segment(engine.path());
+    std::vector<std::uint64_t> before;
+    for (auto& witness : segment.witnesses()) {
+      before.push_back(witness.seat.load());
+      if (!lot::liveness::seat::stands(before.back()))
+        witness.seat = lot::liveness::seat::make(1, 2);
+    }
+    Child other([&] {
+      const auto [error, text] = error_of([&] { const lot::ShmEngine mine(options); });
+      must(error == EUSERS, text.c_str());
+      must(names(text, "EngineOptions::processes") == (processes == 2), text.c_str());
+      must(names(text, "use several segments"), text.c_str());
+    });
+    CHECK(other.wait() == 0);
+    for (std::size_t k = 0; k < before.size(); ++k) segment.witnesses()[k].seat = before[k];
+  }
+}
+
+TEST_CASE("the memory limit of a control group is that of the strictest one above it") {
+  const Groups groups;
+  CHECK(groups.limit() == kUnlimited);
+  groups.write("self", "0::/a/b");
+  CHECK(groups.limit() == kUnlimited);
+  groups.write("a/b/memory.max", "max");
+  CHECK(groups.limit() == kUnlimited);
+  groups.write("a/memory.max", "1073741824");
+  CHECK(groups.limit() == 1073741824);
+  groups.write("a/b/memory.max", "536870912");
+  CHECK(groups.limit() == 536870912);
+  groups.write("memory.max", "4096");  // a container sees its own group as the mount
+  CHECK(groups.limit() == 4096);
+}
+
+TEST_CASE("the same in version 1, where each controller has a tree of its own") {
+  const Groups groups;
+  groups.write("self", "4:cpu,cpuacct:/x\n3:memory:/job\n0::/");
+  groups.write("memory/job/memory.limit_in_bytes", "268435456");
+  groups.write("memory/memory.limit_in_bytes", "9223372036854771712");
+  CHECK(groups.limit() == 268435456);
+}
+
+TEST_SUITE_END();

@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// System calls that sandboxes refuse: everything works without them.
+
+#include "support/sandbox.hpp"
+
+#include <cerrno>
+#include <csignal>
+#include <cstdint>
+#include <cstring>
+#include <sys/syscall.h>
+#include <thread>
+#include <unistd.h>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "segment/segment.hpp"
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+struct Frame {
+  std::uint64_t number = 0;
+  lot::ShmVector<std::uint8_t> data;
+};
+
+struct Call {
+  const char* name;
+  std::uint32_t number;
+};
+constexpr Call kCalls[] = {{"set_robust_list", SYS_set_robust_list},
+                           {"futex_waitv", kFutexWaitv},
+                           {"membarrier", SYS_membarrier},
+                           {"madvise", SYS_madvise},
+                           {"mlock", SYS_mlock},
+                           {"sched_setaffinity", SYS_sched_setaffinity}};
+
+constexpr std::uint64_t kFrames = 20;
+
+/// A camera, or a viewer that keeps some of its frames.
+void publish(lot::ShmEngine& engine) {
+  auto pusher = engine.advertise<Frame>("/t", {lot::Policy::Block, 4, 30s});
+  while (pusher.readers() == 0) std::this_thread::sleep_for(1ms);
+  for (std::uint64_t n = 0; n < kFrames; ++n) {
+    auto frame = pusher.loan();
+    frame->number = n;
+    frame->data.resize(1 << 20);
+    std::memset(frame->data.data(), static_cast<int>(n), frame->data.size());
+    must(pusher.push(std::move(frame)) == lot::Status::Ok, "a frame is published");
+  }
+}
+void receive(lot::ShmEngine& engine) {
+  auto puller = engine.subscribe<Frame>("/t");
+  for (std::uint64_t n = 0; n < kFrames; ++n) {
+    const auto frame = puller.pull(30s);
+    must(frame && frame->number == n, "the frame");
+    must(frame->data.back() == static_cast<std::uint8_t>(n), "its bytes");
+    std::thread([kept = frame] { must(kept->data.size() == 1 << 20, "in another thread"); }).join();
+  }
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("sandbox");
+
+TEST_CASE("what a sandbox refuses is done in another way") {
+  const Watchdog watchdog(120);
+  for (const Call& call : kCalls) {
+    for (const int error : {EPERM, ENOSYS}) {
+      CAPTURE(call.name);
+      CAPTURE(error);
+      const auto options = fresh();
+      Child camera([&] {
+        must(refuse(call.number, error), "a filter");
+        lot::ShmEngine engine(options);
+        publish(engine);
+      });
+      Child viewer([&] {
+        must(refuse(call.number, error), "a filter");
+        lot::ShmEngine engine(options);
+        receive(engine);
+      });
+      CHECK(viewer.wait() == 0);
+      CHECK(camera.wait() == 0);
+    }
+  }
+}
+
+TEST_CASE("a viewer that is killed in a sandbox holds no camera up") {
+  const Watchdog watchdog(120);
+  for (const Call& call : kCalls) {
+    CAPTURE(call.name);
+    const auto options = fresh();
+    lot::ShmEngine engine(options);
+    Steps joined;
+    Child viewer([&] {
+      must(refuse(call.number, EPERM), "a filter");
+      lot::ShmEngine mine(options);
+      auto puller = mine.subscribe<Frame>("/t");
+      joined.tell();
+      pause();
+    });
+    REQUIRE(joined.next() != 0);
+    auto pusher = engine.advertise<Frame>("/t", {lot::Policy::Block, 2, 30s});
+    for (int n = 0; n < 2; ++n) CHECK(pusher.push(pusher.loan()) == lot::Status::Ok);
+    viewer.kill9();
+    CHECK(pusher.push(pusher.loan()) == lot::Status::Ok);
+  }
+}
+
+TEST_SUITE_END();
