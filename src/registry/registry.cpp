@@ -238,17 +238,23 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     entry.engine = static_cast<std::uint32_t>(options.engine);
     entry.taken = options.taken;
     entry.first = options.first != 0 ? options.first : options.depth;
-    entry.granules = granules_of(options);
-    entry.granule = segment_.claim_run(entry.granules, segment::kRingTag | c);
-    if (entry.granule == segment::Granules<Atomics>::kNone) {
+    const std::uint32_t granules = granules_of(options);
+    const std::uint32_t run = segment_.claim_run(granules, segment::kRingTag | c);
+    entry.granules = granules;
+    entry.granule = run;
+    if (run == segment::Granules<Atomics>::kNone) {
       entry.writer.store(ring::make_writer(generation, ring::State::Free, 0),
                          std::memory_order_release);
       return std::nullopt;
     }
     // Survey and others look at rings that may be recycled meanwhile.
-    segment_.keep_run(entry.granule, entry.granules);
-    if (options.engine == QueueEngine::Mutex) segment_.construct_queue_lock(c);
+    segment_.keep_run(run, granules);
     segment::Ring ring = segment_.unformed_ring(c);
+    if (ring.depth == 0) {
+      throw Error(EBADMSG, segment_.path(), "another process has changed a queue while it was made",
+                  "end the process that writes where it should not, and try again");
+    }
+    segment::Segment::construct_queue_lock(ring);
     ring.roster->store(0, std::memory_order_relaxed);
     ring.space->store(0, std::memory_order_relaxed);
     if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);

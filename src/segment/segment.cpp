@@ -101,6 +101,12 @@ boost::interprocess::mapped_region map_file(const Descriptor& file, std::uint64_
   }
 }
 
+/// Of a ring of the mutex engine, whose place was checked.
+mutex_engine::Lock& lock_of(const Ring& ring) {
+  auto* word = reinterpret_cast<unsigned char*>(ring.arrived);
+  return *reinterpret_cast<mutex_engine::Lock*>(word - offsetof(mutex_engine::Lock, arrived));
+}
+
 /// The kernel does not know the call (Linux before 5.14 has no MADV_POPULATE_WRITE), or a sandbox
 /// refuses it.
 bool is_refused(int error) {
@@ -557,19 +563,17 @@ std::uint32_t Segment::waiting_items(std::uint32_t channel) const noexcept {
   return items;
 }
 
-void Segment::construct_queue_lock(std::uint32_t channel) noexcept {
-  auto* head = at<RingHead>(granule_offset(channels()[channel].granule));
-  head->lock.held.store(0, std::memory_order_relaxed);
-  head->lock.arrived.store(0, std::memory_order_relaxed);
+void Segment::construct_queue_lock(const Ring& ring) noexcept {
+  if (ring.arrived == nullptr) return;
+  ring.arrived->store(0, std::memory_order_relaxed);
+  lock_of(ring).held.store(0, std::memory_order_relaxed);
 }
 
 mutex_engine::QueueLock Segment::queue_lock(std::uint32_t channel,
                                             LockOwner& owner) const noexcept {
   const Ring r = ring(channel);
   if (r.arrived == nullptr) return {};
-  auto* word = reinterpret_cast<unsigned char*>(r.arrived);
-  auto* lock = reinterpret_cast<mutex_engine::Lock*>(word - offsetof(mutex_engine::Lock, arrived));
-  return {*lock, *r.space, owner, path_};
+  return {lock_of(r), *r.space, owner, path_};
 }
 
 std::uint32_t Segment::claim_run(std::uint32_t granules, std::uint32_t tag) noexcept {

@@ -111,7 +111,7 @@ class Segment {
   /// it in order.
   mutex_engine::QueueLock queue_lock(std::uint32_t channel, LockOwner& owner) const noexcept;
   /// Makes it. REQUIRES: the channel is INIT, its memory is claimed, and the caller owns it.
-  void construct_queue_lock(std::uint32_t channel) noexcept;
+  static void construct_queue_lock(const Ring& ring) noexcept;
   static constexpr std::uint32_t kDeepest = 65536;  ///< slots of a ring
   /// `finished`: with a claim for each slot.
   static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers,

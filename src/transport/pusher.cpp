@@ -83,7 +83,13 @@ class Pusher final : public detail::PusherCore, private Evictor {
     }
     try {
       pool_.limit(options.max_bytes);
-      writer_.emplace(participant_->segment().ring(name_.channel));
+      const segment::Ring ring = participant_->segment().ring(name_.channel);
+      if (ring.depth == 0) {
+        throw Error(EBADMSG, participant_->segment().path(),
+                    "another process has changed the queue that was made for " + std::string(topic),
+                    "end the process that writes where it should not, and try again");
+      }
+      writer_.emplace(ring);
       pool_.make_room(room_to_retire());
       seen_.resize(participant_->blocks());
     } catch (...) {
