@@ -159,7 +159,7 @@ TEST_CASE("too few threads are an error that says so") {
   auto options = fresh();
   options.permissions = 0666;
   constexpr uid_t kUser = 64123;  // nobody's: it has no other process
-  for (const std::uint64_t threads : {1, 2}) {
+  for (const std::uint64_t threads : {std::uint64_t{1}, std::uint64_t{2}}) {
     CAPTURE(threads);
     Child child([&] {
       must(setgid(kUser) == 0 && setuid(kUser) == 0, "a user");
