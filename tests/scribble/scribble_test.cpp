@@ -281,7 +281,7 @@ TEST_CASE("changed words of the tables lead no process outside of the segment") 
       std::printf("round %d: role %zu ended with %d\n", round, i, status);
     }
     unlink(path.c_str());
-    unlink((path + ".lock").c_str());
+    for (const char* other : {".lock", ".new"}) unlink((path + other).c_str());
   }
   CHECK(crashed == 0);
 }
