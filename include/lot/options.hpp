@@ -15,7 +15,7 @@ namespace lot {
 struct EngineOptions {
   std::string segment = "LOTROS";      ///< LOT_SEGMENT
   std::string directory = "/dev/shm";  ///< LOT_DIR; share it with the containers that are to meet
-  std::uint64_t size_bytes = 0;  ///< LOT_SIZE (512M, 2G); 0: 1 GiB, or less: docs/limits.md
+  std::uint64_t size_bytes = 0;        ///< LOT_SIZE (512M, 2G); 0: 1 GiB, or less: docs/limits.md
   /// LOT_PERMISSIONS, octal. Of new files; a segment whose files give others more is not joined.
   /// 0: 0600, or 0660 with a group.
   unsigned permissions = 0;

@@ -565,7 +565,7 @@ inline open() {
   acquire_lock(registry); /* @ src/transport/participant_stock.cpp open_ring: const registry::Registry::Lock lock(registry_) */
   if
   :: atomic { STATE(writer) == FREE -> writer = WRITER(GENERATION(writer) + 1, INIT, k) }; /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
-    atomic { memory = 1; kernel_garbage() }; /* @ src/registry/registry.cpp open: entry.granule = segment_.claim_run(entry.granules, segment::kRingTag | c) */
+    atomic { memory = 1; kernel_garbage() }; /* @ src/registry/registry.cpp open: segment_.claim_run(granules, segment::kRingTag | c) */
     slot = 0; /* @ src/lockfree_ring/ring.hpp format: slots[i].store(make( */
     who = 0; /* @ src/lockfree_ring/ring.hpp format: who[c].store(0 */
     formed = 1; /* @ src/registry/registry.cpp open: entry.formed.store(1 */
