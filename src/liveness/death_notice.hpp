@@ -7,7 +7,7 @@
 #include <thread>
 
 /// The kernel's notice of a death: a word in shared memory, that the kernel changes when a process
-/// ends, and wakes one of those who sleep on it. docs/locks.md has the reasons.
+/// ends, and wakes one of the threads that sleep on it. docs/locks.md has the reasons.
 ///
 /// A thread of the process, the witness thread, gives the kernel a list of its own
 /// (set_robust_list) whose head and only node lie in private memory; the list's offset leads from
@@ -23,8 +23,8 @@ namespace seat {
 inline constexpr std::uint32_t kSleepers = std::uint32_t{1} << 31;  ///< FUTEX_WAITERS
 inline constexpr std::uint32_t kDied = std::uint32_t{1} << 30;      ///< FUTEX_OWNER_DIED
 inline constexpr std::uint32_t kThread = kDied - 1;                 ///< FUTEX_TID_MASK
-/// It is dead: a process says so that has its byte, so this counts whoever has it now. (No thread
-/// that a process begins is called 1.)
+/// It is dead: a process that had its byte says so, and this counts whichever process has the byte
+/// now. (No thread that a process begins is called 1.)
 inline constexpr std::uint32_t kJudged = kDied | 1;
 /// The process is there, and its kernel takes no list: the byte alone speaks.
 inline constexpr std::uint32_t kUnwitnessed = kSleepers;
@@ -80,7 +80,7 @@ class DeathNotice {
   void take(std::uint32_t notice) noexcept;
   void unlink() noexcept;
 
-  /// Shared with nobody, and yet a shared mapping: when memory runs out the kernel may drop the
+  /// Shared with no process, and yet a shared mapping: when memory runs out the kernel may drop the
   /// private pages of a process that it has killed before it reads the list.
   List* list_;
   Seat* seat_ = nullptr;

@@ -3,7 +3,7 @@
 
 namespace lot::liveness {
 namespace {
-/// Who has not looked for so long does not know what was meanwhile.
+/// A process that has not looked for so long does not know what was meanwhile.
 constexpr std::chrono::seconds kLookedAway{2};
 }  // namespace
 
@@ -32,7 +32,8 @@ void Presence::end() noexcept {
 }
 
 /// A byte may outlive its process by seconds, and longer: while the kernel takes gigabytes apart or
-/// writes a core, or where a child has it. Whether to reap has time; who waits for a lock has not.
+/// writes a core, or where a child has it. To reap has time; a process that waits for a lock
+/// has not.
 bool Presence::is_gone(std::uint32_t name) noexcept {
   const std::uint32_t k = lock::participant(name);
   if (k >= segment_.capacity().participants) return true;  // a damaged word

@@ -16,7 +16,8 @@
 namespace lot::liveness {
 
 /// That a process is there, and what it can tell of the others: by two witnesses of each, its byte
-/// of the lock file and its notice in the segment. Dead is who both call dead (docs/locks.md).
+/// of the lock file and its notice in the segment. Dead is a process that both call dead
+/// (docs/locks.md).
 ///
 /// Threads: claim(), renew() and end() by one at a time; the rest by all.
 /// Crash:   killed at any step, it is dead for the others.
@@ -50,7 +51,7 @@ class Presence final : public LockOwner {
 
   /// True when both witnesses say that k is dead.
   bool looks_dead(std::uint32_t k) noexcept;
-  /// The same, said to all: whoever may have its byte from now on, k is dead.
+  /// The same, said to all: whichever process has its byte from now on, k is dead.
   /// REQUIRES: byte k.
   bool judge(std::uint32_t k) noexcept;
   bool is_judged(std::uint32_t k) const noexcept { return seat::notice(seen(k)) == seat::kJudged; }

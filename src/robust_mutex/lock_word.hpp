@@ -7,7 +7,7 @@
 /// The word of a lock between processes, and each step that changes it. Sleeping, and the question
 /// whether a holder lives, are the caller's (robust_mutex.hpp); docs/locks.md has the reasons.
 ///
-/// 0: free. Else {somebody sleeps : 1 | incarnation : 22 | participant + 1 : 9}, the name of its
+/// 0: free. Else {a process sleeps : 1 | incarnation : 22 | participant + 1 : 9}, the name of its
 /// holder. No name is given twice while it may stand in a lock, so a word that is found unchanged
 /// is still held by the same process.
 ///
@@ -17,8 +17,8 @@
 ///   L1  unlock: name -> 0 (release) -> try_lock: 0 -> name (acquire)
 ///       carries: what the lock guards.
 ///   L2  a holder's death, or the next owner of its index -> the caller's question before take_over
-///       carries: the same. The kernel has ended the holder before it says so; who has taken its
-///       seat has acquired that, and released it.
+///       carries: the same. The kernel has ended the holder before it says so; a process
+///       that has taken its seat has acquired that, and released it.
 ///   L3  a name is put into the word (release) -> seen(), announce() (acquire)
 ///       carries: the incarnation of its index, by which a name is known to be the living one's.
 namespace lot::lock {
@@ -33,7 +33,7 @@ constexpr std::uint32_t make_name(std::uint32_t participant, std::uint32_t incar
   return (incarnation % kIncarnations) << kParticipantBits | (participant + 1);
 }
 constexpr std::uint32_t name(std::uint32_t word) { return word & ~kSleepers; }
-/// Of a name that nobody has (a damaged word): not below kParticipants.
+/// Of a name that no process has (a damaged word): not below kParticipants.
 constexpr std::uint32_t participant(std::uint32_t name) { return (name & kParticipants) - 1; }
 constexpr std::uint32_t incarnation(std::uint32_t name) { return name >> kParticipantBits; }
 
@@ -66,16 +66,16 @@ class LockWord {
 
   std::uint32_t seen() const { return word_.load(std::memory_order_acquire); }  // L3
 
-  /// REQUIRES: the holder that `seen` names is dead. False: another one was quicker. Those who
-  /// sleep were told of nothing: so others may sleep.
+  /// REQUIRES: the holder that `seen` names is dead. False: another one was quicker. The
+  /// processes that sleep were told of nothing: so the mark stays.
   bool take_over(std::uint32_t seen, std::uint32_t name) {
     return word_.compare_exchange_strong(seen, name | kSleepers,
                                          std::memory_order_release,  // L3; L2 is before
                                          std::memory_order_relaxed);
   }
 
-  /// True when somebody may sleep: the caller wakes one. Never a store: a word that somebody has
-  /// damaged, and a third one locked, is not ours.
+  /// True when a process may sleep: the caller wakes one. Never a store: a word that was damaged,
+  /// and that a third process has locked since, is not ours.
   [[nodiscard]] bool unlock(std::uint32_t name) {
     std::uint32_t seen = name;
     if (word_.compare_exchange_strong(seen, 0, std::memory_order_release,  // L1

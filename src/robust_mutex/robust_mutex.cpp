@@ -9,7 +9,7 @@ namespace lot {
 namespace {
 
 constexpr std::chrono::nanoseconds kLongest = std::chrono::hours(24 * 365);
-/// Who sleeps looks by itself as well, first after this time, then ever more seldom.
+/// A process that sleeps looks by itself as well, first after this time, then ever more seldom.
 constexpr std::chrono::milliseconds kFirstLook{2};
 constexpr std::chrono::milliseconds kSeldomest{64};
 

@@ -11,7 +11,7 @@
 
 namespace lot {
 
-/// In whose name locks are taken, and who says whether another holder lives.
+/// The process in whose name locks are taken: it says whether another holder lives.
 class LockOwner {
  public:
   /// lock::make_name() of the process; 0: it is no participant, and has no lock.

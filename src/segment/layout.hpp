@@ -106,7 +106,8 @@ inline constexpr std::uint32_t kEnding = 16;
 /// the warden looks by itself, once a second.
 struct alignas(64) Witness {
   /// {incarnation : 32 | notice : 32} (liveness/death_notice.hpp); the notice is a futex. Changed
-  /// by the participant's witness thread, by the kernel when it dies, and by who has its byte.
+  /// by the participant's witness thread, by the kernel when it dies, and by the process
+  /// that has its byte.
   std::atomic<std::uint64_t> seat;
   /// Futex; bits of errand::. Set by any participant (release), taken by the warden (acquire): edge
   /// E1 carries the ownership bit that was cleared before.
@@ -152,7 +153,7 @@ struct alignas(64) Directory {
   /// carries it, or the death of the process that has set it, which the reader has seen before.
   std::atomic<std::uint32_t> persists;
   Lock lock;       ///< registry: topics, joining, recycling
-  Lock orphanage;  ///< who acts for the orphanage has it, and byte 0 of the lock file
+  Lock orphanage;  ///< of the process that acts for it, which has byte 0, too
 };
 static_assert(sizeof(Directory) == 192 && offsetof(Directory, persists) == 16);
 

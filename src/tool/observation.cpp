@@ -106,7 +106,7 @@ class Observer {
   void check_lock(const char* what, const segment::Lock& lock) {
     const std::uint32_t word = lock.word.load(std::memory_order_relaxed);
     if (word == 0 || lock::participant(lock::name(word)) < capacity_.participants) return;
-    complain(std::string("the lock of the ") + what + ": who has it can not be");
+    complain(std::string("the lock of the ") + what + ": its holder can not be");
   }
 
   void find_topics() {

@@ -281,7 +281,7 @@ TEST_CASE("each kind of damage is named") {
   CHECK(says(said(16, 77), "it was made by a build with other word sizes"));
   CHECK(says(said(72 + 8, 0), "its header is damaged"));
   CHECK(says(said(geometry.directory + offsetof(lot::segment::Directory, lock), 400),
-             "the lock of the registry: who has it can not be"));
+             "the lock of the registry: its holder can not be"));
   CHECK(says(said(geometry.participants + 64, 7), "process 1: its state is 7"));
   CHECK(says(said(geometry.channels + offsetof(ChannelEntry, topic), 999), "its topic can not be"));
   CHECK(says(said(geometry.channels + offsetof(ChannelEntry, depth), 1 << 30),
