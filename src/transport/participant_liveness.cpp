@@ -51,7 +51,7 @@ void Participant::take_index(const EngineOptions& options) {
           "all " + std::to_string(participants() - 1) + " processes of the segment are taken",
           participants() < segment::kMaxParticipants
               ? "make the segment with a larger EngineOptions::processes, or use several segments"
-              : "no segment can have more: use several segments");
+              : "EngineOptions::processes is at its maximum: use several segments");
     }
     std::this_thread::sleep_for(1ms);
   }
