@@ -52,7 +52,7 @@ class Node {
     return node;
   }
   ~Node() {
-    if (!ended_.empty()) ros::PollManager::instance()->shutdown();
+    if (over_udp_) ros::PollManager::instance()->shutdown();
     ended_.clear();
     handle_.reset();
     ros::shutdown();
@@ -64,13 +64,15 @@ class Node {
   /// Shared by who publishes within this process, alone for a subscriber that ends: roscpp's link
   /// between the two takes the subscriber away from under a publish() that is at work.
   std::shared_mutex& intra() { return intra_; }
-  /// An end over UDPROS, with the queue of its callbacks, which are not called any more. It goes
-  /// with the node, when the thread that reads sockets has ended: a datagram that comes for a link
-  /// while that one goes would abort the process (boost::lock_error, or an empty boost::function,
-  /// in ros::PollSet::update()).
-  void end_later(std::shared_ptr<ros::CallbackQueue> queue, ros::Subscriber subscriber) {
+  /// An end over UDPROS; a subscriber behind the queue of its callbacks, which it needs as long as
+  /// it lives, though none is called any more. It goes with the node, when the thread that reads
+  /// sockets has ended: a datagram that comes for a link while that one goes would abort the
+  /// process (boost::lock_error, or an empty boost::function, in ros::PollSet::update()). A
+  /// publisher's sockets are polled as well.
+  template <class End>
+  void end_later(End end) {
     const std::lock_guard lock(opening_);
-    ended_.emplace_back(std::move(queue), std::move(subscriber));
+    ended_.push_back(std::make_shared<End>(std::move(end)));
   }
   /// Of a topic, in this process: roscpp has one link for all of them.
   std::atomic<unsigned>& subscribers(const std::string& topic) {
@@ -79,7 +81,7 @@ class Node {
   }
 
  private:
-  explicit Node(const Terms& terms) {
+  explicit Node(const Terms& terms) : over_udp_(terms.way == Way::Udp) {
     if (ros::isInitialized()) throw std::runtime_error("ROS has ended in this process");
     setenv("ROS_HOME", terms.directory.c_str(), 1);
     setenv("ROS_IP", terms.address.c_str(), 1);
@@ -100,7 +102,8 @@ class Node {
   std::mutex opening_;
   std::shared_mutex intra_;
   std::map<std::string, std::atomic<unsigned>> subscribers_;
-  std::vector<std::pair<std::shared_ptr<ros::CallbackQueue>, ros::Subscriber>> ended_;
+  const bool over_udp_;
+  std::vector<std::shared_ptr<void>> ended_;
   std::unique_ptr<lot::ros::NodeHandle> handle_;
 };
 
@@ -112,6 +115,10 @@ class PlainPublisher final : public Publisher {
     for (unsigned i = 0; i < terms.pool; ++i) pool_.push_back(make());
   }
   ~PlainPublisher() override {
+    if (terms_.way == Way::Udp) {
+      node_->end_later(std::move(publisher_));
+      return;
+    }
     // Two that end at once free one topic twice in roscpp (TopicManager::unadvertise() finds its
     // place in a list under a lock, and uses it under the next one).
     const std::lock_guard lock(node_->opening());
@@ -214,7 +221,7 @@ class TopicSubscriber final : public Subscriber {
     --count_;
     if constexpr (std::is_same_v<Message, Plain>) {
       if (terms_.way == Way::Udp) {
-        node_->end_later(std::move(queue_), subscriber_);
+        node_->end_later(std::make_pair(std::move(queue_), ros::Subscriber(subscriber_)));
         return;
       }
     }
