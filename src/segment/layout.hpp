@@ -30,7 +30,7 @@ static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
 static_assert(kMaxParticipants <= ring::kWorkerMask);
 inline constexpr std::uint64_t kGranule = 4096;  ///< unit of message memory
 /// Payload that every block has without an extent.
-inline constexpr std::uint64_t kSmallBytes = 256;
+inline constexpr std::uint64_t kSmallBytes = detail::Mapping::kSmallBytes;
 /// The file system is asked for memory, and gets it back, in these.
 inline constexpr std::uint64_t kUnit = 2 << 20;
 inline constexpr std::size_t kTopicNameBytes = 200;
@@ -202,8 +202,8 @@ constexpr bool is_small(const detail::MessageType& type) {
 /// The memory of a message beside its block. No more than there is, whatever has hit the words.
 inline std::uint64_t granules_of(const detail::Arena& arena, std::uint64_t all) {
   std::uint64_t sum = 0;
-  for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
-    sum += arena.extent[i].granules;
+  for (unsigned i = 0, n = arena.count(); i < n; ++i) {
+    sum += detail::Arena::read(arena.extent[i].granules);
   }
   return sum < all ? sum : all;
 }
@@ -231,6 +231,7 @@ struct RingHead {
 using Tag = std::atomic<std::uint32_t>;
 inline constexpr std::uint32_t kRingTag = std::uint32_t{1} << 31;
 
+static_assert(sizeof(detail::Arena) == kSmallBytes);  // Mapping::place()
 static_assert(sizeof(BlockWords) == 64);
 static_assert(sizeof(Cell) == 64);
 

@@ -450,6 +450,8 @@ Segment::Segment(const std::string& path, Access access, const Trust& trust) : p
                 advice_on_address_space());
   }
   base_ = static_cast<unsigned char*>(region_.get_address());
+  mapping_ = detail::Mapping::Scope(
+      {base_, capacity_.size, geometry_.arenas, geometry_.small, geometry_.data});
   blocks_ = at<BlockWords>(geometry_.blocks);
   arenas_ = at<detail::Arena>(geometry_.arenas);
   small_ = at<unsigned char>(geometry_.small);

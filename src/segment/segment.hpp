@@ -12,6 +12,8 @@
 
 #include <boost/interprocess/mapped_region.hpp>
 
+#include "lot/detail/mapping.hpp"
+
 #include "segment/granules.hpp"
 #include "segment/layout.hpp"
 #include "segment/trust.hpp"
@@ -83,8 +85,19 @@ class Segment {
   std::span<BlockWords> blocks() const noexcept { return {blocks_, capacity_.blocks}; }
   BlockWords& block(std::uint32_t b) const noexcept { return blocks_[b]; }
   detail::Arena& arena(std::uint32_t b) const noexcept { return arenas_[b]; }
+  /// The block of an arena; one that there is not when it is none of ours.
+  std::uint32_t block_of(const detail::Arena& arena) const noexcept {
+    const std::uint64_t b = (offset_of(&arena) - geometry_.arenas) / sizeof(detail::Arena);
+    return static_cast<std::uint32_t>(std::min<std::uint64_t>(b, capacity_.blocks));
+  }
   /// The payload that block b has without any extent.
   unsigned char* small(std::uint32_t b) const noexcept { return small_ + b * kSmallBytes; }
+  /// Where the message in block b lies; null when it is said to lie where it cannot be.
+  unsigned char* message_at(std::uint32_t b, const detail::MessageType& type) const noexcept {
+    if (is_small(type)) return small(b);
+    const std::uint64_t root = detail::Arena::read(arenas_[b].root);
+    return root % type.align == 0 && holds(b, root, type.size) ? base_ + root : nullptr;
+  }
   std::uint64_t offset_of(const void* p) const noexcept {
     return static_cast<std::uint64_t>(static_cast<const unsigned char*>(p) - base_);
   }
@@ -203,6 +216,7 @@ class Segment {
   Geometry geometry_{};
   std::string path_;
   boost::interprocess::mapped_region region_;
+  detail::Mapping::Scope mapping_;
   Granules<Atomics> granules_;
   Units<Atomics> units_;
   std::atomic<bool> can_give_back_{true};  ///< the file system has not refused yet

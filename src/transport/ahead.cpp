@@ -152,26 +152,32 @@ bool Ahead::may_make(const Pool& pool, const Pieces& pieces) const noexcept {
 /// Gives a block that is ours alone extents for such pieces. False: there is no memory for it now.
 bool Ahead::furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept {
   detail::Arena& arena = participant_.segment().arena(b);
-  if (arena.extents > detail::Arena::kMaxExtents) return false;  // somebody has written there
+  constexpr unsigned kMost = detail::Arena::kMaxExtents;
+  unsigned count = arena.count();
+  const auto set_count = [&](unsigned n) { arena.extents = static_cast<std::uint8_t>(count = n); };
   unsigned i = 0;
   for (const Pieces::Piece& piece : pieces) {
-    if (i < arena.extents) {
+    if (i < count) {
       detail::Arena::Extent& extent = arena.extent[i];
       if (extent.kind == piece.kind && extent.granules >= piece.granules) {
         ++i;
         continue;
       }
       pool.release_run(extent.granule, extent.granules);
-      extent = arena.extent[--arena.extents];
+      set_count(count - 1);
+      extent = arena.extent[count];
     }
+    if (count == kMost) return false;  // pieces of a message have no more extents
     const std::uint32_t run = participant_.claim_run_while(
         piece.granules, b + 1, [this] { return !is_called_off_.load(std::memory_order_relaxed); });
     if (run == segment::Granules<segment::Atomics>::kNone) return false;
-    arena.extent[arena.extents++] = arena.extent[i];
+    arena.extent[count] = arena.extent[i];
+    set_count(count + 1);
     arena.extent[i++] = {run, piece.granules, 0, piece.kind};
   }
-  while (arena.extents > i) {
-    const detail::Arena::Extent gone = arena.extent[--arena.extents];
+  while (count > i) {
+    set_count(count - 1);
+    const detail::Arena::Extent gone = arena.extent[count];
     pool.release_run(gone.granule, gone.granules);
   }
   return true;

@@ -44,7 +44,7 @@ class Pieces {
   /// Those of a message that is being built: the extents in which something lives, and the newest.
   static Pieces of(const detail::Arena& arena, unsigned newest) {
     Pieces p;
-    for (unsigned i = 0; i < arena.extents && i < detail::Arena::kMaxExtents; ++i) {
+    for (unsigned i = 0, n = arena.count(); i < n; ++i) {
       const detail::Arena::Extent& e = arena.extent[i];
       if ((e.living != 0 || i == newest) && !e.is_reserved()) p.add({e.granules, e.kind});
     }

@@ -70,7 +70,8 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
                 "refer to that message or a part of it, or copy the object into the message");
   }
   // The hold would be ours, and its entry the home's.
-  if (!p.holder().is_home(arena.block)) {
+  const std::uint32_t here = p.segment().block_of(arena);
+  if (here >= p.blocks() || !p.holder().is_home(here)) {
     throw Error(EPERM, p.segment().path(),
                 "a message that was received can not refer to others than it does",
                 "make one of your own that refers to both");
@@ -84,7 +85,7 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
   const std::uint32_t block = target->block;
   Entry* known = nullptr;
   Entry* free = nullptr;
-  p.holder().each_entry(arena.block, [&](Entry& entry) {
+  p.holder().each_entry(here, [&](Entry& entry) {
     if (entry.block == block) known = &entry;
     if (entry.block == ReferenceList::kNone && free == nullptr) free = &entry;
     return known == nullptr;
@@ -98,8 +99,8 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
     fresh->next = arena.references;
     for (Entry& entry : fresh->entry) entry = {ReferenceList::kNone, 0};
     std::atomic_ref(arena.references)
-        .store(static_cast<std::uint64_t>(reinterpret_cast<unsigned char*>(fresh) - arena.base()),
-               std::memory_order_release);  // killed before: no list, after: a whole one
+        .store(p.segment().offset_of(fresh), std::memory_order_release);
+    // Killed before: no list, after: a whole one.
     free = &fresh->entry[0];
   }
   // The hold first, then its entry: killed in between, the hold goes with our bit.
@@ -112,10 +113,12 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
 void unrefer(Arena& arena, std::uint32_t block) noexcept {
   if (arena.is_frozen()) return;
   transport::Participant* const p = transport::Participant::at(&arena);
-  if (p == nullptr || !p->holder().is_home(arena.block)) return;  // the entry is the home's
+  if (p == nullptr) return;
+  const std::uint32_t here = p->segment().block_of(arena);
+  if (here >= p->blocks() || !p->holder().is_home(here)) return;  // the entry is the home's
   using Entry = ReferenceList::Entry;
   Entry* known = nullptr;
-  p->holder().each_entry(arena.block, [&](Entry& entry) {
+  p->holder().each_entry(here, [&](Entry& entry) {
     if (entry.block == block) known = &entry;
     return known == nullptr;
   });

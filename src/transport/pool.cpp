@@ -35,9 +35,6 @@ bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
   cell(b).type = nullptr;
   queued(b).store(0, std::memory_order_relaxed);
   Arena& arena = segment->arena(b);
-  arena.self = segment->offset_of(&arena);
-  arena.block = b;
-  arena.data = segment->granule_offset(0);
   arena.extents = 0;
   arena.spare.store(Arena::kBuilders, std::memory_order_relaxed);
   arena.wanted.store(0, std::memory_order_relaxed);
@@ -345,9 +342,7 @@ void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept
   Arena& arena = holder_.segment->arena(b);
   arena.own_spare();
   if (type == nullptr) {  // nothing was built, or its constructor threw
-    for (unsigned i = 0; i < std::min<unsigned>(arena.extents, Arena::kMaxExtents); ++i) {
-      arena.extent[i].living = 0;
-    }
+    for (unsigned i = 0, n = arena.count(); i < n; ++i) arena.extent[i].living = 0;
     holder_.release_references(b);
     return;
   }
@@ -358,7 +353,7 @@ void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept
   }
   arena.frozen = Arena::kDying;  // what is destroyed now need not give its memory back
   if (type->destroy != nullptr && arena.changed_hands == 0) {
-    type->destroy(holder_.segment->base() + arena.root);
+    if (void* const message = holder_.segment->message_at(b, *type)) type->destroy(message);
   }
   if (arena.references != 0) [[unlikely]]
     holder_.release_references(b);
@@ -390,8 +385,7 @@ bool Pool::take_spare(std::uint32_t b) noexcept {
     const std::lock_guard guard(lock_);
     if (!has_spare_in(b) || arena.wanted.load(std::memory_order_relaxed) == 0) return false;  // M1
     std::uint8_t left = 0;
-    const unsigned extents = std::min<unsigned>(arena.extents, Arena::kMaxExtents);
-    for (unsigned i = 0; i < extents; ++i) {
+    for (unsigned i = 0, n = arena.count(); i < n; ++i) {
       const Arena::Extent& extent = arena.extent[i];
       if (extent.granules > Arena::kSmallRun && !extent.is_reserved()) {
         taken[count++] = extent;
@@ -411,8 +405,7 @@ bool Pool::take_spare(std::uint32_t b) noexcept {
 /// want; gives back what a growing vector has left behind.
 void Pool::recycle_extents(Arena& arena) noexcept {
   std::uint8_t kept = 0;
-  const unsigned extents = std::min<unsigned>(arena.extents, Arena::kMaxExtents);
-  for (unsigned i = 0; i < extents; ++i) {
+  for (unsigned i = 0, n = arena.count(); i < n; ++i) {
     const Arena::Extent& extent = arena.extent[i];
     if (extent.living == 0 && !extent.is_reserved()) [[unlikely]] {
       release_run(extent.granule, extent.granules);
@@ -435,7 +428,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
   }
   bury(b);
   Arena& arena = holder_.segment->arena(b);
-  for (unsigned i = 0; i < std::min<unsigned>(arena.extents, Arena::kMaxExtents); ++i) {
+  for (unsigned i = 0, n = arena.count(); i < n; ++i) {
     release_run(arena.extent[i].granule, arena.extent[i].granules);
   }
   arena.extents = 0;
@@ -459,7 +452,7 @@ void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
 
 void Pool::keep_reserved(std::uint32_t b) noexcept {
   Arena& arena = holder_.segment->arena(b);
-  for (unsigned i = 0; i < arena.extents; ++i) arena.extent[i].kind |= Arena::kReserved;
+  for (unsigned i = 0, n = arena.count(); i < n; ++i) arena.extent[i].kind |= Arena::kReserved;
   segment::set_reserved(arena, true);
 }
 

@@ -480,10 +480,9 @@ class Puller final : public detail::PullerCore {
     if (small_) {
       borrowed.root = s.small(block_);
     } else {
-      const std::uint64_t root = s.arena(block_).root;
-      if (root % type_.align != 0 || !s.holds(block_, root, type_.size)) [[unlikely]]
+      borrowed.root = s.message_at(block_, type_);
+      if (borrowed.root == nullptr) [[unlikely]]
         skip_damaged("it is said to lie where it cannot be");
-      borrowed.root = s.base() + root;
     }
     borrowed.cell = &participant_->holder().cell(block_);
     borrowed.missed = missed_;

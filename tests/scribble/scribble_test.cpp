@@ -5,8 +5,7 @@
 // that writes there may do all that. None may read or write outside of the segment.
 //
 // Left out are the words that say who owns a block, and payload: a forged owner lets a block be
-// used again under its reader. Arenas are left out as well: a changed one still leads the process
-// that builds a message there outside (docs/security.md).
+// used again under its reader.
 
 #include <algorithm>
 #include <atomic>
@@ -190,7 +189,7 @@ class Scribbler {
     const auto entry = [&](std::uint64_t table, std::uint64_t count, std::uint64_t size) {
       return table + below(std::min<std::uint64_t>(count, 16)) * size + below(size);
     };
-    switch (below(11)) {
+    switch (below(13)) {
       case 0:
         return below(sizeof(Header));
       case 1:
@@ -209,6 +208,9 @@ class Scribbler {
         return geometry_.units + below(segment_.units() * sizeof(Tag));
       case 8:
         return entry(geometry_.sightings, c.participants, sizeof(Sightings));
+      case 9:
+      case 10:
+        return entry(geometry_.arenas, c.blocks, sizeof(lot::detail::Arena));
       default: {
         const ChannelEntry& channel = segment_.channels()[below(6)];
         const std::uint64_t granule = channel.granule % geometry_.granules;

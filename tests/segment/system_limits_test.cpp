@@ -199,7 +199,9 @@ TEST_CASE("a full segment of the most processes does not say to ask for more") {
     Child other([&] {
       const auto [error, text] = error_of([&] { const lot::ShmEngine mine(options); });
       must(error == EUSERS, text.c_str());
-      must(names(text, "EngineOptions::processes") == (processes == 2), text.c_str());
+      must(names(text, "a larger EngineOptions::processes") == (processes == 2), text.c_str());
+      must(names(text, "EngineOptions::processes is at its maximum") == (processes != 2),
+           text.c_str());
       must(names(text, "use several segments"), text.c_str());
     });
     CHECK(other.wait() == 0);

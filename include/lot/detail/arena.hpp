@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "lot/detail/mapping.hpp"
+
 namespace lot::transport {
 class Participant;
 }
@@ -37,12 +39,15 @@ namespace lot::detail {
 ///   A2  No piece in use reaches behind the cursor in the current region. A piece moves the cursor
 ///       back only if it lies in that region itself: the last piece of another extent may end where
 ///       the current one begins.
+///   A3  Whatever another process writes here, no piece leaves the segment, and no index the arena:
+///       each word is read once, and what it leads to is checked against private memory (Mapping).
 ///
 /// Threads: one at a time (a message is built by one thread).
 /// Memory:  256 bytes, address-free: all places are offsets from the segment's begin.
+/// Errors:  lot::Error (EBADMSG) when a piece would lie outside of the segment: A3.
 /// Crash:   the arena is a hint; the truth about memory is in the granules' tags, which name the
 ///          block, and the reaper frees by them. `references` is read by the reaper.
-struct Arena {
+struct alignas(64) Arena {
   static constexpr unsigned kMaxExtents = 15;
   static constexpr std::uint64_t kLargePiece = 64 << 10;
   /// A run of so many granules is kept, whatever a smaller message needs of it.
@@ -66,12 +71,10 @@ struct Arena {
     bool is_reserved() const noexcept { return (kind & kReserved) != 0; }
   };
 
-  std::uint64_t self;    ///< offset of this arena in the segment
   std::uint64_t root;    ///< offset of the message object
   std::uint64_t cursor;  ///< next free byte, as an offset
   std::uint64_t limit;   ///< end of the region that cursor is in
-  std::uint32_t block;
-  std::uint8_t extents;  ///< how many of `extent` are there
+  std::uint8_t extents;  ///< how many of `extent` are there: count()
   std::uint8_t current;  ///< index + 1 of the extent that cursor is in, 0: the small payload
   /// kTaken: another process than the home has taken the message from a queue, alone, and may have
   /// changed it. kShown: and has published it since.
@@ -86,7 +89,6 @@ struct Arena {
   std::atomic<std::uint8_t> spare;
   /// Such a thread is at them. Set and cleared with the lock of the block's pool.
   std::atomic<std::uint8_t> wanted;
-  std::uint64_t data;   ///< offset of granule 0
   std::uint64_t topic;  ///< key of the topic that the block is loaned for, 0: none; for people
   /// While the home freezes what a message refers to: the next block to look at. Private to that.
   std::uint32_t next_to_freeze;
@@ -94,16 +96,27 @@ struct Arena {
   /// home while it has the block alone; read, perhaps stale, by processes that look for memory.
   std::uint32_t reserved;
 
-  unsigned char* base() { return reinterpret_cast<unsigned char*>(this) - self; }
+  /// A word of the arena, read once: what was checked is what is used.
+  template <class T>
+  static T read(const T& word) noexcept {
+    return __atomic_load_n(&word, __ATOMIC_RELAXED);
+  }
+  /// How many extents there are.
+  unsigned count() const noexcept {
+    const unsigned n = read(extents);
+    return n < kMaxExtents ? n : kMaxExtents;
+  }
 
   /// Memory for `bytes`, or throws OutOfMemory.
   void* allocate(std::size_t bytes, std::size_t align) {
-    const std::uint64_t begin = (cursor + (align - 1)) & ~std::uint64_t{align - 1};
+    const std::uint64_t begin = aligned_cursor(align);
+    const std::uint64_t end = read(limit);
     // Below the limit also when it is empty: each piece begins in the region that has it.
-    if (begin < limit && bytes <= limit - begin && bytes < kLargePiece) {
+    if (begin < end && bytes <= end - begin && bytes < kLargePiece) {
+      void* const piece = at(mapping(), begin, bytes);
       cursor = begin + bytes;
-      if (current != 0) count(current - 1U);
-      return base() + begin;
+      note_piece(current_index());
+      return piece;
     }
     return grow(bytes, align);
   }
@@ -111,7 +124,7 @@ struct Arena {
   /// The message is complete: what it has not used goes back. Its home calls it when it publishes
   /// the message.
   void trim() noexcept {
-    if (frozen == 0 && (is_spare() || extents != 0)) trim_whole();
+    if (frozen == 0 && (is_spare() || count() != 0)) trim_whole();
   }
 
   /// The extents are the builder's from now on.
@@ -146,12 +159,36 @@ struct Arena {
   void deallocate(void* piece, std::size_t bytes) noexcept;
 
  private:
-  void count(unsigned index) {
-    if (extent[index].living != 0xffff) ++extent[index].living;
+  static constexpr unsigned kNone = kMaxExtents;  ///< no extent
+
+  const Mapping& mapping() const {
+    const Mapping* const found = Mapping::of(this);
+    if (found == nullptr) [[unlikely]]
+      refuse_place();
+    return *found;
+  }
+  /// Where a piece is.
+  void* at(const Mapping& mapping, std::uint64_t begin, std::uint64_t bytes) const {
+    void* const piece = mapping.place(begin, bytes, this);
+    if (piece == nullptr) [[unlikely]]
+      refuse_place();
+    return piece;
+  }
+  [[noreturn, gnu::cold, gnu::noinline]] void refuse_place() const;
+  std::uint64_t aligned_cursor(std::size_t align) const noexcept {
+    return (read(cursor) + (align - 1)) & ~std::uint64_t{align - 1};
+  }
+  /// Of the extent that the cursor is in; kNone: the small payload.
+  unsigned current_index() const noexcept {
+    const unsigned index = read(current) - 1U;
+    return index < kMaxExtents ? index : kNone;
+  }
+  void note_piece(unsigned index) noexcept {
+    if (index != kNone && extent[index].living != 0xffff) ++extent[index].living;
   }
   void* grow(std::size_t bytes, std::size_t align);
   void* find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules);
-  void* place_in_current(std::size_t bytes, std::size_t align) noexcept;
+  void* place_in_current(std::size_t bytes, std::size_t align);
   unsigned claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules, bool alone);
   void* begin_in(unsigned index, std::size_t bytes);
   bool grow_current(transport::Participant& p, std::size_t bytes, std::size_t align);
