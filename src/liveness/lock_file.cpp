@@ -10,6 +10,7 @@
 
 #include "lot/error.hpp"
 
+#include "liveness/lock_holder.hpp"
 #include "segment/segment.hpp"
 
 namespace lot::liveness {
@@ -19,6 +20,8 @@ namespace {
 constexpr std::chrono::milliseconds kLongestPause{16};
 /// So much longer than meant a pause may be, and counts wholly.
 constexpr int kMostOversleep = 2;
+/// A process that is stopped in the gate keeps others out for so long, and a look at all processes.
+constexpr std::chrono::milliseconds kStoppedPatience{800};
 
 struct flock byte_range(short type, std::uint32_t first, std::uint32_t count) {
   struct flock range {};
@@ -79,6 +82,7 @@ bool LockFile::held_by_other(std::uint32_t first, std::uint32_t count) const noe
 bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
   using Clock = std::chrono::steady_clock;
   Clock::duration waited{};  // while somebody has had this turn
+  Clock::duration next_look = kStoppedPatience;
   std::uint32_t turn = 0;
   auto pause = std::chrono::milliseconds(1);
   while (!try_lock(kGate)) {
@@ -89,11 +93,11 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
     if (const std::uint32_t now = this->turn(); now != turn) {
       turn = now;
       waited = {};
+      next_look = kStoppedPatience;
     }
-    if (waited >= timeout) {
-      throw Error(
-          EBUSY, path_, "another process has been opening or closing the segment all the time",
-          "look for a stopped process that uses it (state T in ps) and continue or kill it");
+    if (waited >= next_look || waited >= timeout) {
+      refuse_if_stopped(waited >= timeout);
+      next_look += kStoppedPatience;
     }
     const auto before = Clock::now();
     std::this_thread::sleep_for(pause);
@@ -107,6 +111,25 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
   }
   leave_gate();
   return false;
+}
+
+/// Or in any case. The process that has the gate may be at work: a large segment takes its time.
+void LockFile::refuse_if_stopped(bool in_any_case) const {
+  const auto holder = LockHolder::find(path_, inode_, kGate);
+  if (holder && holder->is_stopped) {
+    const std::string pid = std::to_string(holder->pid);
+    throw Error(EBUSY, path_,
+                holder->describe() + " is stopped while it opens or closes the segment",
+                "continue it (kill -CONT " + pid + ") or kill it (kill -KILL " + pid + ")");
+  }
+  if (!in_any_case) return;
+  throw Error(
+      EBUSY, path_,
+      (holder ? holder->describe() : "another process") +
+          " has been opening or closing the segment all the time",
+      holder ? "look what it does, or kill it"
+             : "look for a stopped process that uses it, of another user or in another container "
+               "(state T in ps), and continue or kill it");
 }
 
 void LockFile::take_turn() noexcept {

@@ -45,9 +45,10 @@ class LockFile {
   /// True when somebody else holds a byte of [first, first + count).
   bool held_by_other(std::uint32_t first, std::uint32_t count = 1) const noexcept;
 
-  /// Takes the gate; throws lot::Error when one turn there takes longer than `timeout`: where
-  /// hundreds start at once, each waits for the others' turns. Returns false when the file was
-  /// removed meanwhile: open it again.
+  /// Takes the gate; throws lot::Error (EBUSY) when one turn there takes longer than `timeout`:
+  /// where hundreds start at once, each waits for the others' turns. It names the process that has
+  /// the gate, where /proc shows it, and does so within a second when that one is stopped. Returns
+  /// false when the file was removed meanwhile: open it again.
   ///
   /// Only time in which we look counts: where the machine is so busy that we come to look seldom,
   /// who has the gate comes to its work as seldom.
@@ -75,6 +76,7 @@ class LockFile {
  private:
   /// The turn of who has the gate; kGate when it has not taken one yet.
   std::uint32_t turn() const noexcept;
+  void refuse_if_stopped(bool in_any_case) const;
 
   std::string path_;
   std::atomic<int> fd_;

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <random>
 #include <string>
 #include <sys/wait.h>
 #include <thread>
@@ -22,6 +23,7 @@
 #include "neighbour.hpp"
 #include "registry/registry.hpp"
 #include "support/lock_owner.hpp"
+#include "support/seed.hpp"
 
 namespace {
 
@@ -42,6 +44,23 @@ struct Frame {
 
 /// Long enough to be stopped in, on a machine that has much else to do.
 constexpr auto kDeadline = 3s;
+
+/// What the EBUSY of it says; nothing when there was none. Other errors pass.
+template <class F>
+std::string refusal(F&& use) {
+  try {
+    use();
+  } catch (const lot::Error& e) {
+    if (e.error_number() != EBUSY) throw;
+    return e.what();
+  }
+  return {};
+}
+
+bool names_it(const std::string& text, const Child& stopped) {
+  return text.find("process " + std::to_string(stopped.pid()) + " (") != std::string::npos &&
+         text.find("is stopped") != std::string::npos;
+}
 
 /// Stops a process, and waits until it stands.
 void stop(const Child& child) {
@@ -263,14 +282,6 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
   const Watchdog watchdog(60);
   const Ground registry_kept, gate_kept;
   Steps inside, done;
-  const auto refusal = [](auto&& use) -> std::string {
-    try {
-      use();
-    } catch (const lot::Error& e) {
-      return e.error_number() == EBUSY ? e.what() : "";
-    }
-    return "";
-  };
   const auto names_the_stopped = [](const std::string& text) {
     return text.find("stopped process") != std::string::npos;
   };
@@ -313,7 +324,8 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
   REQUIRE(in_gate.next() == '.');
   stop(keeps_gate);
   leave.tell();
-  CHECK(names_the_stopped(refusal([&] { const lot::ShmEngine engine(gate_kept); })));
+  const std::string refused = refusal([&] { const lot::ShmEngine engine(gate_kept); });
+  CHECK_MESSAGE(names_it(refused, keeps_gate), refused);
   CHECK(leaves.wait() == 0);
   lot::segment::Segment s(file_of(gate_kept));
   CHECK(index_of(s, "leaves") == 0);  // it has given up everything but the files
@@ -328,6 +340,35 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
   CHECK(in_registry.wait() == 0);
   CHECK(waits_for_registry.wait() == 0);
   CHECK(files_of(registry_kept) == 0);
+}
+
+TEST_CASE("a process is stopped while it joins or leaves: others get in, or hear which one it is") {
+  const Watchdog watchdog(120);
+  std::mt19937_64 random(seed());
+  int refused = 0;
+  for (int round = 0; round < 20; ++round) {
+    const Ground options;
+    Steps begun;
+    Child comes_and_goes([&] {
+      begun.tell();
+      for (;;) {
+        try {
+          const lot::ShmEngine engine(options);
+        } catch (const lot::Error&) {
+        }
+      }
+    });
+    REQUIRE(begun.next() == '.');
+    std::this_thread::sleep_for(std::chrono::microseconds(random() % 12000));
+    stop(comes_and_goes);
+    const std::string text = refusal([&] { const lot::ShmEngine engine(options); });
+    CHECK_MESSAGE((text.empty() || names_it(text, comes_and_goes)), text);
+    refused += !text.empty();
+    comes_and_goes.kill9();
+    { const lot::ShmEngine engine(options); }  // takes along what was left
+    CHECK(files_of(options) == 0);
+  }
+  MESSAGE(refused << " of 20 heard which one was stopped, the others got in");
 }
 
 TEST_CASE("while one thread waits for the gate of a segment, another grows messages in its own") {

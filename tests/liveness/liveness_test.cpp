@@ -3,8 +3,11 @@
 // Who is alive, as the kernel's locks say it.
 
 #include <atomic>
+#include <cerrno>
+#include <csignal>
 #include <cstdint>
 #include <string>
+#include <sys/stat.h>
 #include <thread>
 #include <unistd.h>
 
@@ -13,12 +16,15 @@
 #include "lot/lot.hpp"
 
 #include "liveness/lock_file.hpp"
+#include "liveness/lock_holder.hpp"
+#include "support/error_of.hpp"
 #include "support/processes.hpp"
 
 namespace {
 
 using namespace lot::testing;
 using lot::liveness::LockFile;
+using lot::liveness::LockHolder;
 
 struct Number {
   std::uint64_t value;
@@ -92,6 +98,37 @@ TEST_CASE("who was stopped while it waited at the gate has not waited for that t
   std::this_thread::sleep_for(100ms);
   own.leave_gate();
   CHECK(waiter.wait() == 0);
+  unlink(path.c_str());
+}
+
+TEST_CASE("the holder of a byte is found, and whether it is stopped") {
+  const Watchdog watchdog(60);
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  Steps locked;
+  Child holder([&] {
+    LockFile file(path);
+    must(file.enter_gate(2s), "the gate");
+    locked.tell();
+    pause();
+  });
+  REQUIRE(locked.next() == '.');
+  struct stat status {};
+  REQUIRE(stat(path.c_str(), &status) == 0);
+  const auto find = [&](std::uint32_t byte) { return LockHolder::find(path, status.st_ino, byte); };
+  REQUIRE(find(LockFile::kGate));
+  CHECK(find(LockFile::kGate)->pid == holder.pid());
+  CHECK(!find(LockFile::kGate)->is_stopped);
+  CHECK(!find(7));
+  CHECK(!LockHolder::find(path, status.st_ino + 1, LockFile::kGate));
+  holder.send(SIGSTOP);
+  CHECK(eventually([&] { return find(LockFile::kGate)->is_stopped; }));
+  LockFile file(path);
+  const auto [error, text] = error_of([&] { file.enter_gate(60s); });  // the watchdog's time
+  CHECK(error == EBUSY);
+  CHECK_MESSAGE(names(text, ("process " + std::to_string(holder.pid()) + " (").c_str()), text);
+  CHECK_MESSAGE(names(text, "kill -CONT"), text);
+  holder.kill9();
+  CHECK(file.enter_gate(2s));
   unlink(path.c_str());
 }
 

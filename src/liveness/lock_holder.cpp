@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "liveness/lock_holder.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <sstream>
+#include <system_error>
+
+namespace lot::liveness {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// What /proc shows of a directory; nothing where it is not ours to look at.
+fs::directory_iterator entries(const fs::path& directory) {
+  std::error_code refused;
+  fs::directory_iterator all(directory, refused);
+  return refused ? fs::directory_iterator() : all;
+}
+
+/// True when an open file, as its fdinfo says, has a lock on a byte of that inode. A line is
+/// "lock: 1: OFDLCK ADVISORY WRITE -1 00:1b:232725 1048576 1048577"; neighbouring locks are one.
+bool has_lock(const fs::path& fdinfo, ino_t inode, std::uint32_t byte) {
+  std::ifstream file(fdinfo);
+  for (std::string line; std::getline(file, line);) {
+    std::istringstream words(line);
+    std::string key, number, kind, advisory, how, pid, place, first, last;
+    if (!(words >> key >> number >> kind >> advisory >> how >> pid >> place >> first >> last) ||
+        key != "lock:" || kind != "OFDLCK") {
+      continue;
+    }
+    const std::string its_inode = place.substr(place.rfind(':') + 1);
+    if (its_inode != std::to_string(inode)) continue;
+    const auto end = last == "EOF" ? std::numeric_limits<std::uint64_t>::max() : std::stoull(last);
+    if (std::stoull(first) <= byte && byte <= end) return true;
+  }
+  return false;
+}
+
+bool holds(const fs::path& process, const fs::path& name, ino_t inode, std::uint32_t byte) {
+  std::error_code error;
+  for (auto fd = entries(process / "fd"); fd != fs::directory_iterator(); fd.increment(error)) {
+    if (error) break;
+    std::error_code gone;
+    if (fs::read_symlink(fd->path(), gone).filename() != name) continue;
+    if (has_lock(process / "fdinfo" / fd->path().filename(), inode, byte)) return true;
+  }
+  return false;
+}
+
+/// "PID (NAME) STATE ...", where the name may have anything in it.
+std::optional<LockHolder> look_at(const fs::path& process, pid_t pid) {
+  std::ifstream file(process / "stat");
+  std::string text;
+  std::getline(file, text);
+  const auto begin = text.find('(');
+  const auto end = text.rfind(')');
+  if (begin == std::string::npos || end == std::string::npos || end + 2 >= text.size()) return {};
+  const char state = text[end + 2];
+  std::string name = text.substr(begin + 1, end - begin - 1);
+  std::replace_if(
+      name.begin(), name.end(), [](unsigned char c) { return std::isprint(c) == 0; }, '?');
+  return LockHolder{pid, name, state == 'T' || state == 't'};
+}
+
+}  // namespace
+
+std::string LockHolder::describe() const {
+  return "process " + std::to_string(pid) + " (" + name + ")";
+}
+
+std::optional<LockHolder> LockHolder::find(const std::string& path, ino_t inode,
+                                           std::uint32_t byte) {
+  const fs::path name = fs::path(path).filename();
+  std::error_code error;
+  for (auto process = entries("/proc"); process != fs::directory_iterator();
+       process.increment(error)) {
+    if (error) break;
+    const std::string number = process->path().filename();
+    if (!std::all_of(number.begin(), number.end(), [](char c) { return c >= '0' && c <= '9'; })) {
+      continue;
+    }
+    if (!holds(process->path(), name, inode, byte)) continue;
+    return look_at(process->path(), std::stoi(number));
+  }
+  return {};
+}
+
+}  // namespace lot::liveness

@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <sys/types.h>
+
+namespace lot::liveness {
+
+/// The process that holds a byte of a lock file, for people to read: liveness asks no process id.
+struct LockHolder {
+  pid_t pid;         ///< as this process sees it
+  std::string name;  ///< of its main thread
+  bool is_stopped;   ///< by SIGSTOP, Ctrl-Z or a debugger
+
+  /// "process 1234 (camera)"
+  std::string describe() const;
+  /// Looks at the open files of every process that /proc shows. None: the holder is of another user
+  /// or another namespace, or has gone meanwhile.
+  static std::optional<LockHolder> find(const std::string& path, ino_t inode, std::uint32_t byte);
+};
+
+}  // namespace lot::liveness
