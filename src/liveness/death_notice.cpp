@@ -15,6 +15,7 @@
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
+#include "segment/system_limits.hpp"
 
 namespace lot::liveness {
 namespace {
@@ -82,7 +83,7 @@ void DeathNotice::start() {
   } catch (const std::system_error& e) {
     pthread_sigmask(SIG_SETMASK, &before, nullptr);
     throw Error(e.code().value(), "the witness thread", "cannot be started",
-                "raise the limit of threads (ulimit -u, pids.max) or of memory (ulimit -v)");
+                segment::advice_on_threads());
   }
   pthread_sigmask(SIG_SETMASK, &before, nullptr);
 }

@@ -32,6 +32,19 @@ std::uint64_t least_above(const std::string& mount, std::string group, const std
   return least;
 }
 
+/// Those of this process that are set.
+std::string memory_limits() {
+  std::string text;
+  for (const auto& [resource, name] : {std::pair(RLIMIT_AS, "RLIMIT_AS (ulimit -v)"),
+                                       std::pair(RLIMIT_DATA, "RLIMIT_DATA (ulimit -d)")}) {
+    const std::uint64_t limit = limit_of(resource);
+    if (limit == kUnlimited) continue;
+    text += (text.empty() ? "" : ", ") + std::string(name) + " is " + std::to_string(limit >> 20) +
+            " MiB";
+  }
+  return text;
+}
+
 bool has(const std::string& list, const std::string& word) {
   return ("," + list + ",").find("," + word + ",") != std::string::npos;
 }
@@ -59,14 +72,20 @@ std::uint64_t memory_limit(const std::string& groups, const std::string& mount) 
 }
 
 std::string advice_on_address_space() {
-  for (const auto& [resource, name] : {std::pair(RLIMIT_AS, "RLIMIT_AS (ulimit -v)"),
-                                       std::pair(RLIMIT_DATA, "RLIMIT_DATA (ulimit -d)")}) {
-    const std::uint64_t limit = limit_of(resource);
-    if (limit == kUnlimited) continue;
-    return std::string(name) + " is " + std::to_string(limit >> 20) + " MiB: raise it, or lower " +
-           "LOT_SIZE";
+  const std::string limits = memory_limits();
+  return limits.empty() ? "free memory, or lower LOT_SIZE"
+                        : limits + ": raise it, or lower LOT_SIZE";
+}
+
+std::string advice_on_threads() {
+  const std::uint64_t threads = limit_of(RLIMIT_NPROC);
+  std::string limits = memory_limits();  // each thread has a stack
+  if (threads != kUnlimited) {
+    limits +=
+        (limits.empty() ? "" : ", ") + ("RLIMIT_NPROC (ulimit -u) is " + std::to_string(threads));
   }
-  return "free memory, or lower LOT_SIZE";
+  if (limits.empty()) return "raise the limit of threads (pids.max of the control group)";
+  return limits + ": raise it, or pids.max of the control group";
 }
 
 }  // namespace lot::segment

@@ -23,5 +23,7 @@ std::uint64_t memory_limit(const std::string& groups = "/proc/self/cgroup",
 
 /// What to do where there is no memory or no address space: names the limit that is set.
 std::string advice_on_address_space();
+/// The same where the system starts no thread.
+std::string advice_on_threads();
 
 }  // namespace lot::segment

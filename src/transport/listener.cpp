@@ -13,6 +13,8 @@
 
 #include "lot/wait_set.hpp"
 
+#include "segment/system_limits.hpp"
+
 namespace lot {
 namespace {
 
@@ -113,7 +115,7 @@ void ShmListener::start(detail::PullerCore& puller, std::function<void()> on_rea
     impl.thread = std::make_unique<std::thread>([&impl] { impl.run(); });
   } catch (const std::system_error& e) {
     throw Error(e.code().value(), "thread", "no thread for a listener",
-                "raise the limit of threads (ulimit -u)");
+                segment::advice_on_threads());
   }
   std::unique_lock lock(impl.mutex);
   impl.begun.wait(lock, [&impl] { return impl.has_begun; });

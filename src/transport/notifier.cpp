@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "futex/futex.hpp"
+#include "segment/system_limits.hpp"
 
 namespace lot::transport {
 
@@ -22,7 +23,7 @@ Notifier::Notifier() : fd_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   } catch (const std::system_error& e) {
     close(fd_);
     throw Error(e.code().value(), "thread", "no thread to wait for messages",
-                "raise the limit of threads (ulimit -u)");
+                segment::advice_on_threads());
   }
 }
 

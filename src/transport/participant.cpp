@@ -296,7 +296,7 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
       warden_ = std::thread([this] { warden(); });
     } catch (const std::system_error& e) {
       throw Error(e.code().value(), segment_.path(), "no thread to watch over the others",
-                  "raise the limit of threads (ulimit -u, pids.max) or of memory (ulimit -v)");
+                  segment::advice_on_threads());
     }
   } catch (...) {
     if (is_there) part(index()).store(0, std::memory_order_release);

@@ -16,6 +16,7 @@
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
+#include "segment/system_limits.hpp"
 #include "transport/participant.hpp"
 
 namespace lot {
@@ -103,7 +104,7 @@ void end_cleanly_on_signals() {
     } catch (const std::system_error& e) {
       pthread_sigmask(SIG_SETMASK, &before, nullptr);
       throw Error(e.code().value(), "thread", "no thread to hear of signals",
-                  "raise the limit of threads (ulimit -u)");
+                  segment::advice_on_threads());
     }
     process.store(getpid(), std::memory_order_relaxed);
     pthread_sigmask(SIG_SETMASK, &before, nullptr);

@@ -6,12 +6,15 @@
 #include "segment/system_limits.hpp"
 
 #include <cerrno>
+#include <cstdio>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <string>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <unistd.h>
+#include <utility>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -79,6 +82,39 @@ class Groups {
 
  private:
   const std::string root_ = fs::temp_directory_path() / unique_name();
+};
+
+/// A control group of the kernel's, of version 1 or 2, with a limit of memory.
+class RealGroup {
+ public:
+  explicit RealGroup(std::uint64_t bytes) {
+    for (const auto& [mount, file] : {std::pair("/sys/fs/cgroup/memory", "memory.limit_in_bytes"),
+                                      std::pair("/sys/fs/cgroup", "memory.max")}) {
+      path_ = std::string(mount) + "/" + unique_name();
+      if (fs::exists(std::string(mount) + "/cgroup.procs") && mkdir(path_.c_str(), 0755) == 0) {
+        if (write(file, std::to_string(bytes))) return;
+        rmdir(path_.c_str());
+      }
+      path_.clear();
+    }
+  }
+  ~RealGroup() {
+    if (is_there()) CHECK(eventually([&] { return rmdir(path_.c_str()) == 0; }));
+  }
+  RealGroup(const RealGroup&) = delete;
+  RealGroup& operator=(const RealGroup&) = delete;
+
+  bool is_there() const { return !path_.empty(); }
+  bool enter() const { return write("cgroup.procs", std::to_string(getpid())); }
+
+ private:
+  bool write(const std::string& file, const std::string& text) const {
+    std::ofstream out(path_ + "/" + file);
+    out << text << std::flush;
+    return out.good();
+  }
+
+  std::string path_;
 };
 
 }  // namespace
@@ -182,6 +218,28 @@ TEST_CASE("too little address space is an error that names the limit") {
 }
 #endif
 
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they need terabytes
+TEST_CASE("too little memory for the threads is an error that names the limit") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  int refused = 0;
+  for (const std::uint64_t mib : {1, 4, 8, 12}) {
+    CAPTURE(mib);
+    Child child([&] {
+      limit(RLIMIT_DATA, mib * kMiB);
+      const auto [error, text] = error_of([&] { const lot::ShmEngine engine(options); });
+      if (text == "no error") return;
+      must(error == ENOMEM || error == EAGAIN, text.c_str());
+      must(names(text, "RLIMIT_DATA (ulimit -d) is"), text.c_str());
+      _exit(7);
+    });
+    refused += child.wait() == 7;
+    CHECK_FALSE(files_are_left(options));
+  }
+  CHECK(refused > 0);
+}
+#endif
+
 TEST_CASE("a full segment of the most processes does not say to ask for more") {
   const Watchdog watchdog(60);
   for (const std::uint32_t processes : {2U, 319U}) {
@@ -230,6 +288,40 @@ TEST_CASE("the same in version 1, where each controller has a tree of its own") 
   groups.write("memory/job/memory.limit_in_bytes", "268435456");
   groups.write("memory/memory.limit_in_bytes", "9223372036854771712");
   CHECK(groups.limit() == 268435456);
+}
+
+TEST_CASE("in a control group with little memory a segment of the default size takes half of it") {
+  const Watchdog watchdog(60);
+  const RealGroup group(256 * kMiB);
+  if (!group.is_there()) {
+    MESSAGE("skipped: no control group can be made here");
+    return;
+  }
+  auto options = fresh();
+  options.size_bytes = 0;
+  Child child([&] {
+    must(group.enter(), "a member of the group");
+    must(memory_limit() == 256 * kMiB, "its limit");
+    const lot::ShmEngine engine(options);
+    must(fs::file_size(engine.path()) == 128 * kMiB, "its size");
+  });
+  CHECK(child.wait() == 0);
+
+  options.size_bytes = 512 * kMiB;
+  const std::string said = fs::temp_directory_path() / unique_name();
+  Child warned([&] {
+    must(group.enter(), "a member of the group");
+    must(freopen(said.c_str(), "w", stderr) != nullptr, "a file for what it says");
+    const lot::ShmEngine engine(options);
+    std::fflush(stderr);
+  });
+  CHECK(warned.wait() == 0);
+  std::string text;
+  std::ifstream file(said);
+  std::getline(file, text);
+  CHECK_MESSAGE(names(text, "the processes of this control group may have 256 MiB"), text);
+  fs::remove(said);
+  CHECK_FALSE(files_are_left(options));
 }
 
 TEST_SUITE_END();
