@@ -223,7 +223,7 @@ TEST_CASE("too little memory for the threads is an error that names the limit") 
   const Watchdog watchdog(60);
   auto options = fresh();
   int refused = 0;
-  for (const std::uint64_t mib : {1, 4, 8, 12}) {
+  for (const std::uint64_t mib : {1U, 4U, 8U, 12U}) {
     CAPTURE(mib);
     Child child([&] {
       limit(RLIMIT_DATA, mib * kMiB);

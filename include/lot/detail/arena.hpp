@@ -163,15 +163,13 @@ struct alignas(64) Arena {
 
   const Mapping& mapping() const {
     const Mapping* const found = Mapping::of(this);
-    if (found == nullptr) [[unlikely]]
-      refuse_place();
+    if (found == nullptr) refuse_place();
     return *found;
   }
   /// Where a piece is.
   void* at(const Mapping& mapping, std::uint64_t begin, std::uint64_t bytes) const {
     void* const piece = mapping.place(begin, bytes, this);
-    if (piece == nullptr) [[unlikely]]
-      refuse_place();
+    if (piece == nullptr) refuse_place();
     return piece;
   }
   [[noreturn, gnu::cold, gnu::noinline]] void refuse_place() const;

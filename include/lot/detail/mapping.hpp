@@ -48,8 +48,7 @@ class Mapping {
   /// The one that an address lies in, or null.
   static const Mapping* of(const void* address) noexcept {
     for (const Mapping* m = newest.load(std::memory_order_acquire); m != nullptr; m = m->older_) {
-      if (m->offset_of(address) < m->size_.load(std::memory_order_relaxed)) [[likely]]
-        return m;
+      if (m->offset_of(address) < m->size_.load(std::memory_order_relaxed)) return m;
     }
     return nullptr;
   }
