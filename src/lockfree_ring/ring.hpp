@@ -760,7 +760,12 @@ class Reader {
   /// they could be read. kDamaged: somebody else has written into the ring; done() goes on behind
   /// it.
   [[gnu::hot]] Word poll(std::uint64_t& missed) {
-    for (Word lapped = 0;;) {
+    Word lapped = 0;
+    return poll(missed, lapped);
+  }
+  /// `lapped`: what a look has passed over so far; more than there can be is damage.
+  [[gnu::hot]] Word poll(std::uint64_t& missed, Word& lapped) {
+    for (;;) {
       auto& slot = ring_.slots[index_];
       const Word seen = place(slot.load(std::memory_order_acquire));  // R1
       const std::int64_t ahead = distance(sequence(seen), cursor_);
@@ -799,8 +804,8 @@ class Reader {
   /// begins again when some have come back.
   Word poll_unclaimed(std::uint64_t& missed) {
     look_back();
-    for (;;) {
-      const Word b = poll(missed);
+    for (Word lapped = 0;;) {
+      const Word b = poll(missed, lapped);
       if (b == kNoBlock || b == kDamaged || !is_claimed(ring_.claims[index_], cursor_)) return b;
       step(1);
     }

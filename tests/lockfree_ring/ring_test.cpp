@@ -283,6 +283,32 @@ TEST_CASE("a slot that no publisher can have written ends a poll, and done() goe
   }
 }
 
+TEST_CASE("slots and claims that lead round and round the sequences end a look for a task") {
+  constexpr Word kDepth = 8;
+  Channel channel(kDepth, Policy::Overwrite);
+  std::vector<std::atomic<Word>> claims(kDepth);
+  std::atomic<std::uint32_t> returned{0};
+  channel.ring.claims = claims.data();
+  channel.ring.returned = &returned;
+  channel.ring.taken = true;
+  Reader reader = channel.join();
+  // Each second slot is ahead of the cursor by a quarter of all numbers, and the message behind it
+  // is another worker's: after a round the cursor stands where it stood.
+  constexpr Word kQuarter = (kSequenceMask + 1) / 4;
+  Word cursor = 0;
+  for (Word i = 0; i < kDepth; i += 2) {
+    const Word ahead = kQuarter + (i == 0 ? (kDepth - 2) * kDepth / 2 : 0);
+    channel.slots[i] = lot::ring::make(lot::ring::advance(cursor, ahead), i);
+    cursor = lot::ring::advance(cursor, ahead + 1 - kDepth);
+    channel.slots[i + 1] = lot::ring::make(cursor, i + 1);
+    claims[i + 1] = lot::ring::make_claim(cursor, 1, 1);
+    cursor = lot::ring::advance(cursor, 1);
+  }
+  REQUIRE(cursor == 0);
+  std::uint64_t missed = 0;
+  CHECK(reader.poll_unclaimed(missed) == lot::ring::kDamaged);
+}
+
 TEST_CASE("publish hands back the block that it replaced") {
   for (const std::uint32_t depth : {1U, 3U}) {
     Channel channel(depth, Policy::Overwrite);
