@@ -33,7 +33,7 @@ bool seat::stands(std::uint64_t seat) noexcept {
   return (notice(seat) & kDied) == 0 && (notice(seat) & kThread) != 0;
 }
 
-DeathNotice::DeathNotice() {
+DeathNotice::DeathNotice() : maker_(getpid()) {
   static_assert(offsetof(List, offset) == offsetof(robust_list_head, futex_offset) &&
                 offsetof(List, pending) == offsetof(robust_list_head, list_op_pending) &&
                 offsetof(List, node) == sizeof(robust_list_head));
@@ -49,7 +49,7 @@ DeathNotice::DeathNotice() {
 
 DeathNotice::~DeathNotice() {
   end();
-  munmap(list_, sizeof(List));
+  if (getpid() == maker_) munmap(list_, sizeof(List));  // a child has no such page (MADV_DONTFORK)
 }
 
 bool DeathNotice::claim(Seat& seat, std::uint64_t seen) {
@@ -63,7 +63,7 @@ bool DeathNotice::claim(Seat& seat, std::uint64_t seen) {
 bool DeathNotice::renew() noexcept {
   const std::uint64_t now = seat_->load(std::memory_order_acquire);
   if (now == ours_) return true;
-  if (seat::incarnation(now) != seat::incarnation(ours_)) return false;
+  if (!is_ours(now)) return false;
   ask(Order::Renew, kAnswerPatience);
   return true;
 }
@@ -84,8 +84,17 @@ void DeathNotice::start() {
     pthread_sigmask(SIG_SETMASK, &before, nullptr);
     throw Error(e.code().value(), "the witness thread", "cannot be started",
                 segment::advice_on_threads());
+  } catch (...) {
+    pthread_sigmask(SIG_SETMASK, &before, nullptr);
+    throw;
   }
   pthread_sigmask(SIG_SETMASK, &before, nullptr);
+}
+
+/// What stands in our own incarnation is ours to change, unless it says that we were judged: others
+/// may have given away what we had.
+bool DeathNotice::is_ours(std::uint64_t seat) const noexcept {
+  return seat::incarnation(seat) == seat::incarnation(ours_) && seat::notice(seat) != seat::kJudged;
 }
 
 /// One thread at a time asks: the one that joins, then the warden.
@@ -115,11 +124,10 @@ void DeathNotice::run() noexcept {
     if (order == Order::Claim) {
       take(notice);
     } else {
-      // Only what stands in our own incarnation is ours to change.
-      const std::uint32_t incarnation = seat::incarnation(ours_);
-      const std::uint64_t said = order == Order::Renew ? ours_ : seat::make(incarnation, 0);
+      const std::uint64_t said =
+          order == Order::Renew ? ours_ : seat::make(seat::incarnation(ours_), 0);
       std::uint64_t now = seat_->load(std::memory_order_relaxed);
-      while (ours_ != 0 && seat::incarnation(now) == incarnation &&
+      while (ours_ != 0 && is_ours(now) &&
              !seat_->compare_exchange_weak(now, said, std::memory_order_release,
                                            std::memory_order_relaxed)) {
       }
@@ -128,8 +136,12 @@ void DeathNotice::run() noexcept {
         unlink();
       }
     }
-    order_.store(Order::None, std::memory_order_release);
-    futex::wake_all(&order_);
+    // The warden may have lost its patience, and have given another order since.
+    Order done = order;
+    if (order_.compare_exchange_strong(done, Order::None, std::memory_order_release,
+                                       std::memory_order_relaxed)) {
+      futex::wake_all(&order_);
+    }
     if (order == Order::End) return;
   }
 }

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <sys/types.h>
 #include <thread>
 
 /// The kernel's notice of a death: a word in shared memory, that the kernel changes when a process
@@ -74,6 +75,7 @@ class DeathNotice {
   };
   enum class Order : std::uint32_t { None, Claim, Renew, End };
 
+  bool is_ours(std::uint64_t seat) const noexcept;
   void start();
   void ask(Order order, std::chrono::nanoseconds patience) noexcept;
   void run() noexcept;
@@ -83,6 +85,7 @@ class DeathNotice {
   /// Shared with no process, and yet a shared mapping: when memory runs out the kernel may drop the
   /// private pages of a process that it has killed before it reads the list.
   List* list_;
+  const pid_t maker_;
   Seat* seat_ = nullptr;
   std::uint64_t seen_ = 0;
   std::uint64_t ours_ = 0;                 ///< the seat, while it is ours; else 0

@@ -10,7 +10,6 @@
 
 #include "lot/error.hpp"
 
-#include "liveness/lock_holder.hpp"
 #include "segment/segment.hpp"
 
 namespace lot::liveness {
@@ -115,12 +114,11 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
 
 /// Or in any case. The process that has the gate may be at work: a large segment takes its time.
 void LockFile::refuse_if_stopped(bool in_any_case) const {
-  const auto holder = LockHolder::find(path_, inode_, kGate);
+  const auto holder = this->holder(kGate);
   if (holder && holder->is_stopped) {
-    const std::string pid = std::to_string(holder->pid);
     throw Error(EBUSY, path_,
                 holder->describe() + " is stopped while it opens or closes the segment",
-                "continue it (kill -CONT " + pid + ") or kill it (kill -KILL " + pid + ")");
+                holder->advice());
   }
   if (!in_any_case) return;
   throw Error(

@@ -4,9 +4,11 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <sys/stat.h>
 
+#include "liveness/lock_holder.hpp"
 #include "segment/trust.hpp"
 
 /// Who is alive is said by the kernel: each participant holds a write lock on its byte of the lock
@@ -57,6 +59,11 @@ class LockFile {
   /// stopped, and has its patience anew. REQUIRES: the gate.
   void take_turn() noexcept;
   void leave_gate() noexcept;
+
+  /// The process that holds a byte, for people to read; see LockHolder.
+  std::optional<LockHolder> holder(std::uint32_t byte) const {
+    return LockHolder::find(path_, inode_, byte);
+  }
 
   /// False when the descriptor was closed behind our back (closefrom) and our locks are gone.
   bool intact() const noexcept;

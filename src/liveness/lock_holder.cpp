@@ -72,6 +72,11 @@ std::string LockHolder::describe() const {
   return "process " + std::to_string(pid) + " (" + name + ")";
 }
 
+std::string LockHolder::advice() const {
+  const std::string number = std::to_string(pid);
+  return "continue it (kill -CONT " + number + ") or kill it (kill -KILL " + number + ")";
+}
+
 std::optional<LockHolder> LockHolder::find(const std::string& path, ino_t inode,
                                            std::uint32_t byte) {
   const fs::path name = fs::path(path).filename();

@@ -16,6 +16,8 @@ struct LockHolder {
 
   /// "process 1234 (camera)"
   std::string describe() const;
+  /// What to do when it is stopped.
+  std::string advice() const;
   /// Looks at the open files of every process that /proc shows. None: the holder is of another user
   /// or another namespace, or has gone meanwhile.
   static std::optional<LockHolder> find(const std::string& path, ino_t inode, std::uint32_t byte);

@@ -21,7 +21,10 @@ bool Presence::may_be_claimed(std::uint32_t k) noexcept {
 
 bool Presence::claim(std::uint32_t k) {
   const std::uint64_t seat = seen(k);
-  if (seat::stands(seat) || !notice_.claim(seat_of(k), seat)) return false;
+  if (seat::stands(seat)) return false;
+  // It may be another one's since may_be_claimed(), which has another lock file.
+  if (seat::notice(seat) == seat::kUnwitnessed && !is_convinced(k, seat)) return false;
+  if (!notice_.claim(seat_of(k), seat)) return false;
   name_.store(lock::make_name(k, seat::incarnation(seat) + 1), std::memory_order_relaxed);
   return true;
 }
@@ -41,6 +44,12 @@ bool Presence::is_gone(std::uint32_t name) noexcept {
   if (lock::make_name(k, seat::incarnation(seat)) != name) return true;
   if (looks_dead(k) || seat::notice(seat) == seat::kJudged) return true;
   return !seat::stands(seat) && seat::notice(seat) != seat::kUnwitnessed && is_convinced(k, seat);
+}
+
+LockOwner::Stopped Presence::stopped(std::uint32_t name) const {
+  const auto holder = lock_file_.holder(lock::participant(name));
+  if (!holder || !holder->is_stopped) return {};
+  return {holder->describe(), holder->advice()};
 }
 
 bool Presence::looks_dead(std::uint32_t k) noexcept {

@@ -48,6 +48,7 @@ class Presence final : public LockOwner {
   /// 0: we have no index.
   std::uint32_t name() const noexcept override { return name_.load(std::memory_order_relaxed); }
   bool is_gone(std::uint32_t name) noexcept override;
+  Stopped stopped(std::uint32_t name) const override;
 
   /// True when both witnesses say that k is dead.
   bool looks_dead(std::uint32_t k) noexcept;

@@ -55,7 +55,7 @@ class Recovery {
     world_.forget(k);
     // Before the name goes (I4): nobody looks for what is left by who is killed here while leaving.
     collect();
-    world_.part(k).store(0, std::memory_order_relaxed);  // read under byte lock k
+    world_.part(k).store(0, std::memory_order_release);  // byte lock k may be of two lock files
     return true;
   }
 

@@ -19,7 +19,9 @@ namespace {
 
 using segment::Atomics;
 
-constexpr std::chrono::seconds kPatience{5};
+constexpr std::chrono::milliseconds kPatience{4800};
+/// So often in that time: is the process that has the lock stopped?
+constexpr std::chrono::milliseconds kStoppedPatience{800};
 
 /// Beside the number of a participant's pullers: it does not want to be served by rings, or it has
 /// found that this is all that it needs.
@@ -56,10 +58,20 @@ std::string_view text(const char* bytes, std::size_t room) { return {bytes, strn
 }  // namespace
 
 Registry::Lock::Lock(Registry& registry) : registry_(registry) {
-  if (registry.mutex().lock_for(kPatience) == RobustMutex::Outcome::Busy) {
+  RobustMutex mutex = registry.mutex();
+  for (std::chrono::milliseconds waited{0};
+       mutex.lock_for(kStoppedPatience) == RobustMutex::Outcome::Busy;) {
+    const auto stopped = registry.owner_.stopped(mutex.holder());
+    if (!stopped.process.empty()) {
+      throw Error(EBUSY, registry.segment_.path(),
+                  stopped.process + " is stopped while it has the registry's lock", stopped.advice);
+    }
+    waited += kStoppedPatience;
+    if (waited < kPatience) continue;
     throw Error(EBUSY, registry.segment_.path(),
                 "another process has held the registry's lock all the time",
-                "look for a stopped process that uses it (state T in ps) and continue or kill it");
+                "look for a stopped process that uses it, of another user or in another container "
+                "(state T in ps), and continue or kill it");
   }
 }
 Registry::Lock::~Lock() { registry_.unlock(); }
@@ -298,7 +310,8 @@ std::vector<bool> Registry::topics_with_items() const {
     if (w == 0) break;  // channels are taken lowest first: those behind it never were
     if (ring::writer_state(w) != ring::State::Orphan || channel.taken == 0) continue;
     const auto c = static_cast<std::uint32_t>(&channel - segment_.channels().data());
-    if (channel.topic < found.size() && segment_.ring(c).has_news()) found[channel.topic] = true;
+    const std::uint32_t topic = detail::read_once(channel.topic);
+    if (topic < found.size() && segment_.ring(c).has_news()) found[topic] = true;
   }
   return found;
 }

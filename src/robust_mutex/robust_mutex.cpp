@@ -50,6 +50,8 @@ bool RobustMutex::take_over(std::uint32_t seen) noexcept {
          Steps(word_).take_over(seen, owner_.name());
 }
 
+std::uint32_t RobustMutex::holder() const noexcept { return lock::name(Steps(word_).seen()); }
+
 void RobustMutex::unlock() noexcept {
   const std::uint32_t name = owner_.name();
   if (name != 0 && Steps(word_).unlock(name)) futex::wake_one(&word_);

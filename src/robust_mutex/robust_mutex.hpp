@@ -4,6 +4,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <string>
 
 #include "lot/detail/atomics.hpp"
 
@@ -18,6 +19,12 @@ class LockOwner {
   virtual std::uint32_t name() const noexcept = 0;
   /// True when the process of that name is dead. A living one never is; a dead one is, soon.
   virtual bool is_gone(std::uint32_t name) noexcept = 0;
+  /// A process that is stopped, for people to read: which one it is, and what to do about it. The
+  /// first is empty when it is not stopped, or not seen from here. May take milliseconds.
+  struct Stopped {
+    std::string process, advice;
+  };
+  virtual Stopped stopped(std::uint32_t /*name*/) const { return {}; }
 
  protected:
   ~LockOwner() = default;
@@ -50,6 +57,8 @@ class RobustMutex {
   /// Locks if it is free or its holder is dead.
   Outcome try_lock() noexcept;
   void unlock() noexcept;
+  /// The name of the process that has it; 0: none.
+  std::uint32_t holder() const noexcept;
 
  private:
   bool take_over(std::uint32_t seen) noexcept;

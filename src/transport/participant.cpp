@@ -114,8 +114,9 @@ std::uint64_t kept_items(const std::string& path, const segment::Trust& trust) {
     for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
       items += segment.waiting_items(c);
     }
-  } catch (const Error&) {  // it is damaged: no process can take what is in there
-    return 0;
+  } catch (const Error& e) {
+    if (!segment::means_damage(e)) throw;
+    return 0;  // no process can take what is in there
   }
   return items;
 }
@@ -164,8 +165,10 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
   watch_forks();
   const std::lock_guard joining(process().joining);
   {
+    std::shared_ptr<Participant> existing;  // the last handle goes without the mutex
     const std::lock_guard guard(process().mutex);
-    if (auto existing = process().by_path[path].lock()) {
+    existing = process().by_path[path].lock();
+    if (existing && !existing->inert_) {
       existing->lock_file_->require(trust);
       if (options.lock_memory) existing->segment_.lock_memory();
       if (options.persist) existing->segment_.keep_files();

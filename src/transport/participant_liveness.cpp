@@ -120,7 +120,9 @@ void Participant::warden() {
   sigfillset(&all);
   pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
   stand_guard();
-  if (is_expelled_.load(std::memory_order_relaxed)) return;  // nothing of that index is ours
+  // Stopped meanwhile, perhaps: nothing of that index may be ours.
+  if (is_expelled_.load(std::memory_order_relaxed)) return;
+  if (!presence_.renew()) return expel();
   keep_own_lock();
 
   // Leaving is exactly a reap of oneself, and then: the last one out removes the files.
@@ -128,7 +130,7 @@ void Participant::warden() {
   try {
     // Without a lock file there is nothing to remove, and its number may name another file.
     in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience);
-  } catch (const Error&) {
+  } catch (const std::exception&) {  // another one is stopped there, or memory is short
   }
   bool reaped = false;
   {
@@ -137,6 +139,12 @@ void Participant::warden() {
     while (!reaped && futex::Clock::now() < until) {
       if (enter_orphanage()) {
         if (in_gate) lock_file_->take_turn();
+        // Others judge and reap in the orphanage: from here on the index stays ours.
+        if (!presence_.renew()) {
+          leave_orphanage();
+          if (in_gate) lock_file_->leave_gate();
+          return expel();
+        }
         try {
           Recovery(*this).reap(index());
           reaped = true;
@@ -189,12 +197,12 @@ void Participant::remove_files_if_last() noexcept {
 /// Crash: killed in the gate, as when it leaves. Behind the mark: it was to die.
 void Participant::settle_files() noexcept {
   try {
-    if (lock_file_->intact() && lock_file_->enter_gate(kGatePatience)) {
+    if (presence_.renew() && lock_file_->intact() && lock_file_->enter_gate(kGatePatience)) {
       remove_files_if_last();
       segment_.witnesses()[index()].errands.fetch_or(errand::kEnding, std::memory_order_relaxed);
       lock_file_->leave_gate();
     }
-  } catch (const Error&) {  // another one is stopped there
+  } catch (const std::exception&) {  // another one is stopped there, or memory is short
   }
   note_settled();
   auto& errands = segment_.witnesses()[index()].errands;
@@ -373,13 +381,20 @@ void Participant::tell_homes() noexcept {
 void Participant::expel() noexcept {
   is_expelled_.store(true, std::memory_order_relaxed);
   inert_.store(true, std::memory_order_relaxed);
+  lock_file_->unlock(index());  // another one has the index, or will
+  note_settled();
 }
 
 /// False when something is left that another look may finish.
 bool Participant::look_around() noexcept {
-  keep_own_lock();
   const auto now = futex::Clock::now();
   const bool due = now - looked_ >= kIdleLook;
+  // First, also when we were stopped for long: nothing of the index may be ours any more.
+  if (due && !presence_.renew()) {
+    expel();
+    return true;
+  }
+  keep_own_lock();
   const std::uint32_t bequests =
       segment_.directory().bequests.load(std::memory_order_acquire);  // D3
   if (reap_dead() || (due && (orphans_ || bequests != bequests_)) || has_deserted_ring()) {
@@ -388,7 +403,6 @@ bool Participant::look_around() noexcept {
   }
   const bool closed = finish_closing();
   if (due) {
-    if (!presence_.renew()) expel();
     settle_kept();  // an errand may have been lost
     settle_idle();
     give_unused_back();

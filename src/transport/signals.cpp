@@ -105,6 +105,9 @@ void end_cleanly_on_signals() {
       pthread_sigmask(SIG_SETMASK, &before, nullptr);
       throw Error(e.code().value(), "thread", "no thread to hear of signals",
                   segment::advice_on_threads());
+    } catch (...) {
+      pthread_sigmask(SIG_SETMASK, &before, nullptr);
+      throw;
     }
     process.store(getpid(), std::memory_order_relaxed);
     pthread_sigmask(SIG_SETMASK, &before, nullptr);

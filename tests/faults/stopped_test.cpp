@@ -282,9 +282,6 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
   const Watchdog watchdog(60);
   const Ground registry_kept, gate_kept;
   Steps inside, done;
-  const auto names_the_stopped = [](const std::string& text) {
-    return text.find("stopped process") != std::string::npos;
-  };
   // One keeps the registry of the first segment, one the gate of the second.
   Child in_registry([&] {
     lot::ShmEngine engine(registry_kept);
@@ -301,7 +298,8 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
   stop(in_registry);
   Child waits_for_registry([&] {
     lot::ShmEngine engine(registry_kept);
-    must(names_the_stopped(refusal([&] { engine.advertise<Number>("/t"); })), "advertise");
+    const std::string text = refusal([&] { engine.advertise<Number>("/t"); });
+    must(names_it(text, in_registry), text.c_str());
     inside.tell();
     must(done.next() == '.', "continued");
     engine.advertise<Number>("/t");

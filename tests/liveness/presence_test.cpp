@@ -146,12 +146,15 @@ TEST_CASE("the lock of a dead process is taken over, though a child of it has it
   CHECK(eventually([&] { return !seats.is_there(2); }, 30s));  // the child has ended
 }
 
-TEST_CASE("a process whose index another one has does nothing more, and says so") {
+TEST_CASE("a process that was taken for dead does nothing more, says so, and may join anew") {
   const Watchdog watchdog(60);
+  bool is_judged = false;  // else another one has its index
+  SUBCASE("another one has its index") {}
+  SUBCASE("it was judged, and nobody has the index yet") { is_judged = true; }
   const auto options = fresh();
   lot::ShmEngine engine(options);
   Seats seats(engine);
-  Steps joined;
+  Steps joined, leave;
   Child victim([&] {
     lot::ShmEngine mine(options);
     auto pusher = mine.advertise<Number>("/t");
@@ -167,12 +170,22 @@ TEST_CASE("a process whose index another one has does nothing more, and says so"
              },
              20s),
          "an error that says so");
+    lot::ShmEngine again(options);
+    auto another = again.advertise<Number>("/t");
+    must(another.push(another.loan(std::uint64_t{1})) == lot::Status::Ok, "a message");
+    joined.tell();
+    must(leave.next() == '.', "the order");
   });
   REQUIRE(joined.next() != 0);
-  const std::uint64_t others = seat::make(seat::incarnation(seats.of(2)) + 1, seat::kDied);
+  const std::uint32_t incarnation = seat::incarnation(seats.of(2));
+  const std::uint64_t others =
+      is_judged ? seat::make(incarnation, seat::kJudged) : seat::make(incarnation + 1, seat::kDied);
+  const std::uint64_t before = seats.of(2);
   seats.set(2, others);
+  REQUIRE(joined.next() != 0);
+  CHECK(seats.of(2) != seat::make(incarnation, seat::notice(before)));
+  leave.tell();
   CHECK(victim.wait() == 0);
-  CHECK(seat::incarnation(seats.of(2)) == seat::incarnation(others));
   CHECK(!seat::stands(seats.of(2)));
   CHECK(eventually([&] { return !seats.is_there(2); }));  // all that it had is reaped
 }

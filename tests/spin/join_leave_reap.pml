@@ -517,7 +517,7 @@ untaken:
 inline give_up_seat() {
   atomic {
     assert(NOTICE(seat[k]) == me);
-    seat[k] = SEAT(INCARNATION(seat[k]), NONE) /* @ src/liveness/death_notice.cpp run: order == Order::Renew ? ours_ : seat::make(incarnation, 0) */
+    seat[k] = SEAT(INCARNATION(seat[k]), NONE) /* @ src/liveness/death_notice.cpp run: order == Order::Renew ? ours_ : seat::make(seat::incarnation(ours_), 0) */
   }
 }
 
