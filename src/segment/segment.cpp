@@ -137,9 +137,11 @@ Capacity choose_size(const std::string& path, Capacity capacity) {
                      : of_the_group <= capacity.size + kUnit
                          ? "the processes of this control group may have " + mib(of_the_group * 2) +
                                " of memory"
-                         : mib(free) + " are free in " + directory),
+                         : mib(free) + " are free in " + directory +
+                               ", and it takes at most three quarters of that"),
                 chosen ? "raise LOT_SIZE"
-                       : "free memory there, enlarge it (docker run --shm-size), set LOT_DIR, or "
+                       : "set LOT_SIZE, free memory there, enlarge it (docker run --shm-size), set "
+                         "LOT_DIR, or "
                          "raise the limit (ulimit -f, or the control group's)");
   }
   if (capacity.size > free) {
@@ -226,10 +228,12 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
                            ? "end the process that has a lease on it, or set LOT_SEGMENT"
                        : error == EMFILE ? "raise the limit of open files (ulimit -n)"
                        : error == ENFILE ? "the system has no more open files (fs.file-max)"
-                       : error == EEXIST ? "somebody else's file is in its place: remove it, or "
-                                           "name another directory with LOT_DIR"
+                       : error == EEXIST ? "its owner, or root, can remove it (lot clean); or name "
+                                           "another directory with LOT_DIR"
                                          : "set LOT_DIR to a directory that you may write to";
-  throw Error(error, path, what, advice);
+  const std::string rival = error == EEXIST ? owner_and_mode(path) : "";
+  throw Error(error, path, what + (rival.empty() ? "" : ": what is there belongs to " + rival),
+              advice);
 }
 
 /// Group and mode of a new file, whatever the umask. Closes it when it cannot have them.
@@ -312,13 +316,16 @@ int open_private(const std::string& path, const Trust& trust, int flags) {
 
 std::string path_of(const std::string& directory, const std::string& name) {
   const bool good = !name.empty() && name.size() <= 100 && name[0] != '.' &&
-                    std::all_of(name.begin(), name.end(), [](char c) {
-                      return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
-                             (c >= '0' && c <= '9') || c == '_' || c == '-' || c == '.';
-                    });
+                    std::all_of(name.begin(), name.end(),
+                                [](char c) {
+                                  return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
+                                         (c >= '0' && c <= '9') || c == '_' || c == '-' || c == '.';
+                                }) &&
+                    !name.ends_with(".lock") && !name.ends_with(".new");
   if (!good) {
     throw Error(EINVAL, name, "not a name for a segment",
-                "use 1 to 100 letters, digits, '_', '-' and '.', not beginning with '.'");
+                "use 1 to 100 letters, digits, '_', '-' and '.', not beginning with '.' nor ending "
+                "with .lock or .new");
   }
   return directory + "/" + name;
 }
@@ -327,6 +334,10 @@ std::uint64_t check_of(const Capacity& c) noexcept {
   const std::uint64_t numbers[] = {c.size,   c.participants, c.blocks,
                                    c.topics, c.channels,     c.readers};
   return hash(reinterpret_cast<const char*>(numbers), sizeof(numbers));
+}
+
+bool means_damage(const Error& e) noexcept {
+  return e.error_number() == EINVAL || e.error_number() == EBADMSG;
 }
 
 std::uint64_t topic_key(std::string_view name) { return hash(name.data(), name.size()) | 1; }
@@ -513,12 +524,12 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   Ring ring;
   ring.writer = &entry.writer;
   // Each once: whoever writes them meanwhile cannot get past the checks.
-  const std::uint32_t depth = entry.depth;
-  const std::uint32_t readers = entry.readers;
-  const std::uint32_t granule = entry.granule;
-  const std::uint32_t granules = entry.granules;
-  const std::uint32_t engine = entry.engine;
-  const std::uint32_t taken = entry.taken;
+  const std::uint32_t depth = detail::read_once(entry.depth);
+  const std::uint32_t readers = detail::read_once(entry.readers);
+  const std::uint32_t granule = detail::read_once(entry.granule);
+  const std::uint32_t granules = detail::read_once(entry.granules);
+  const std::uint32_t engine = detail::read_once(entry.engine);
+  const std::uint32_t taken = detail::read_once(entry.taken);
   if (depth == 0 || depth > kDeepest || readers == 0 || readers > capacity_.readers ||
       granule >= geometry_.granules || granules > geometry_.granules - granule ||
       ring_bytes(depth, readers, taken == kFinished) > kGranule * granules || taken > kFinished ||

@@ -13,6 +13,7 @@
 #include <boost/interprocess/mapped_region.hpp>
 
 #include "lot/detail/mapping.hpp"
+#include "lot/error.hpp"
 
 #include "segment/granules.hpp"
 #include "segment/layout.hpp"
@@ -31,6 +32,9 @@ std::string path_of(const std::string& directory, const std::string& name);
 
 /// What arenas say of the topic that their messages were made for; never 0.
 std::uint64_t topic_key(std::string_view name);
+
+/// True when an error says that the file is no good: not that this process could not look at it.
+bool means_damage(const Error& e) noexcept;
 
 /// One segment, mapped. All tables are reached through it; nothing here is shared state of its own.
 ///
@@ -95,7 +99,7 @@ class Segment {
   /// Where the message in block b lies; null when it is said to lie where it cannot be.
   unsigned char* message_at(std::uint32_t b, const detail::MessageType& type) const noexcept {
     if (is_small(type)) return small(b);
-    const std::uint64_t root = detail::Arena::read(arenas_[b].root);
+    const std::uint64_t root = detail::read_once(arenas_[b].root);
     return root % type.align == 0 && holds(b, root, type.size) ? base_ + root : nullptr;
   }
   std::uint64_t offset_of(const void* p) const noexcept {

@@ -73,8 +73,8 @@ std::uint64_t memory_limit(const std::string& groups, const std::string& mount) 
 
 std::string advice_on_address_space() {
   const std::string limits = memory_limits();
-  return limits.empty() ? "free memory, or lower LOT_SIZE"
-                        : limits + ": raise it, or lower LOT_SIZE";
+  return limits.empty() ? "free memory, or make the segment with a smaller LOT_SIZE"
+                        : limits + ": raise it, or make the segment with a smaller LOT_SIZE";
 }
 
 std::string advice_on_threads() {

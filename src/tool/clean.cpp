@@ -170,7 +170,8 @@ class Cleaner {
         given_back = participant->give_all_back_to_system();
       } catch (const Error& e) {
         if (e.error_number() == ENOENT) return;  // its last process has removed it
-        return leave_alone(s.path, e.what(), the_dead.empty() ? kWell : kWrong);
+        const bool is_full = e.error_number() == EUSERS || e.error_number() == EBUSY;
+        return leave_alone(s.path, e.what(), the_dead.empty() && is_full ? kWell : kWrong);
       }
     }
     for (std::size_t i = 0; i < the_dead.size(); ++i) {

@@ -115,7 +115,8 @@ class Observer {
     for (const auto& channel : s_.channels()) {
       const auto state = ring::writer_state(channel.writer.load(std::memory_order_acquire));
       const bool is_left = state == ring::State::Orphan && channel.taken != 0;
-      if (is_left && channel.topic < topics.size()) waits[channel.topic] = true;
+      const std::uint32_t topic = lot::detail::read_once(channel.topic);
+      if (is_left && topic < topics.size()) waits[topic] = true;
     }
     for (std::uint32_t t = 0; t < topics.size(); ++t) {
       const auto& entry = topics[t];
@@ -526,7 +527,7 @@ Waiting waiting(Window& window) {
   for (std::uint32_t c = 0; c < s.capacity().channels; ++c) {
     const std::uint32_t items = s.waiting_items(c);
     if (items == 0) continue;
-    const std::uint32_t topic = s.channels()[c].topic;
+    const std::uint32_t topic = lot::detail::read_once(s.channels()[c].topic);
     found[topic < s.capacity().topics ? text_of(s.topics()[topic].name, segment::kTopicNameBytes)
                                       : "?"] += items;
   }

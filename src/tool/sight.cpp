@@ -51,9 +51,9 @@ std::optional<Sight> try_sight(const Where& where, const std::string& name) {
     s.condition = Sight::Condition::OtherBoot;
   } catch (const Error& e) {
     if (e.error_number() == ENOENT) return std::nullopt;
-    s.condition = e.error_number() == EACCES  ? Sight::Condition::Unreadable
+    s.condition = segment::means_damage(e)    ? Sight::Condition::Damaged
                   : e.error_number() == EPERM ? Sight::Condition::Untrusted
-                                              : Sight::Condition::Damaged;
+                                              : Sight::Condition::Unreadable;
     if (s.reason.empty()) s.reason = e.what();
   }
   return s;

@@ -16,7 +16,7 @@ struct Sight {
     Sound,
     OtherBoot,   ///< whole, but of a time before the system was started: nobody lives in it
     Damaged,     ///< not what this build calls a segment: another version, cut short, overwritten
-    Unreadable,  ///< it belongs to another user
+    Unreadable,  ///< it belongs to another user, or there is no room to look (a limit, memory)
     Untrusted    ///< the same, or it gives others too much: it could be read, and is not
   };
   std::string name;

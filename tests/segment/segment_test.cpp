@@ -273,8 +273,8 @@ TEST_CASE("bad names, sizes and permissions are refused, and leave nothing") {
   };
   for (const std::string& bad :
        {std::string(), std::string(".."), std::string("a/b"), std::string(".hidden"),
-        std::string("a b"), std::string("\xc3\xa4"), std::string(101, 'x'),
-        std::string("a\0b", 3)}) {
+        std::string("a b"), std::string("\xc3\xa4"), std::string(101, 'x'), std::string("a\0b", 3),
+        std::string("a.lock"), std::string("a.new")}) {
     CHECK(says(with_name(bad), "not a name for a segment"));
   }
   for (const char* bad : {"x", "12Q", "-5", "0", "5MM", "99999999999G", "18446744073709551616",

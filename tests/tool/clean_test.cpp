@@ -2,9 +2,11 @@
 
 // `lot clean` removes what nobody lives in, reaps the dead, and never touches the living.
 
+#include <cerrno>
 #include <memory>
 #include <random>
 #include <string>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <vector>
 
@@ -13,6 +15,7 @@
 #include "actor.hpp"
 #include "command.hpp"
 #include "faults/janitor.hpp"
+#include "support/error_of.hpp"
 #include "support/users.hpp"
 #include "support/variable.hpp"
 
@@ -203,6 +206,32 @@ TEST_CASE("items of another boot go without a word, as the segment does") {
   CHECK(run_lot(on(room.options(), {"clean"})).exit == 0);
   CHECK(room.files() == 0);
 }
+
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they need terabytes
+TEST_CASE("where there is no room to map it, a segment is not taken for damaged") {
+  const Watchdog watchdog(60);
+  const Room room;
+  auto options = room.options();
+  options.size_bytes = 512 << 20;
+  leave_items(options);
+  Child limited([&] {
+    const rlimit room_to_work{256 << 20, 256 << 20};
+    must(setrlimit(RLIMIT_AS, &room_to_work) == 0, "a limit");
+    const Ran ran = run_lot(on(options, {"clean"}));
+    must(ran.exit == 1, ran.out.c_str());
+    must(names(ran.out, "RLIMIT_AS (ulimit -v) is 256 MiB"), ran.out.c_str());
+    must(run_lot(on(options, {"clean", "--dry-run"})).exit == 1, "the same, dry");
+    auto smaller = options;
+    smaller.size_bytes = 16 << 20;
+    const auto [error, text] = error_of([&] { const lot::ShmEngine engine(smaller); });
+    must(error == ENOMEM && names(text, "RLIMIT_AS"), text.c_str());
+  });
+  CHECK(limited.wait() == 0);
+  lot::ShmEngine engine(options);
+  auto jobs = engine.queue<std::uint64_t>("jobs", redelivering());
+  CHECK(eventually([&] { return jobs.size() == 3; }));
+}
+#endif
 
 TEST_CASE("items that come while clean waits for the gate are not removed") {
   const Watchdog watchdog(60);
