@@ -36,14 +36,14 @@ class Granules {
   }
 
   /// A run of `run` granules that carries `tag` now, or kNone. Small runs are sought from the low
-  /// end and large ones from the high end, which keeps them apart. REQUIRES: run is not 0.
+  /// end and large ones from the high end, which keeps them apart.
   std::uint32_t claim(std::uint32_t run, std::uint32_t tag) {
     return claim(run, tag, [](std::uint32_t) { return true; });
   }
   /// The same, of the runs that may(first) allows.
   template <class May>
   std::uint32_t claim(std::uint32_t run, std::uint32_t tag, May&& may) {
-    if (run > count_) return kNone;
+    if (run == 0 || run > count_) return kNone;
     const std::uint32_t places = count_ - run + 1;
     Tag& hint = hint_[size_class(run)];
     const std::uint32_t begin = hint.load(std::memory_order_relaxed);
@@ -64,7 +64,7 @@ class Granules {
   /// The granules behind a run that we have, `run` of them: they carry `tag` now. False: one is in
   /// use.
   bool extend(std::uint32_t end, std::uint32_t run, std::uint32_t tag) {
-    return end <= count_ && run <= count_ - end && take(end, run, tag);
+    return run != 0 && end <= count_ && run <= count_ - end && take(end, run, tag);
   }
 
   /// A run that can not be, since a wild write has hit the place where it was noted, releases

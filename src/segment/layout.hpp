@@ -23,7 +23,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 12;
+inline constexpr std::uint32_t kLayoutVersion = 13;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
@@ -203,7 +203,7 @@ constexpr bool is_small(const detail::MessageType& type) {
 inline std::uint64_t granules_of(const detail::Arena& arena, std::uint64_t all) {
   std::uint64_t sum = 0;
   for (unsigned i = 0, n = arena.count(); i < n; ++i) {
-    sum += detail::Arena::read(arena.extent[i].granules);
+    sum += detail::read_once(arena.extent[i].granules);
   }
   return sum < all ? sum : all;
 }

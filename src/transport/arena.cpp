@@ -25,15 +25,14 @@ constexpr unsigned kManyExtents = 8;
 
 /// A copy, each word of which is read once.
 Arena::Extent copy_of(const Arena::Extent& e) noexcept {
-  return {Arena::read(e.granule), Arena::read(e.granules), Arena::read(e.living),
-          Arena::read(e.kind)};
+  return {read_once(e.granule), read_once(e.granules), read_once(e.living), read_once(e.kind)};
 }
 
 std::uint64_t begin_of(const Mapping& mapping, const Arena::Extent& extent) {
-  return mapping.in_granules(kGranule * Arena::read(extent.granule));
+  return mapping.in_granules(kGranule * read_once(extent.granule));
 }
 std::uint64_t bytes_of(const Arena::Extent& extent) {
-  return kGranule * Arena::read(extent.granules);
+  return kGranule * read_once(extent.granules);
 }
 
 /// The pool whose message an arena has. REQUIRES: its home is here.
@@ -137,7 +136,11 @@ void* Arena::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
     // It is too small, and the piece will need another one.
     if (!extent[idle].is_reserved()) drop(*p, idle);
   }
-  if (!alone && grow_current(*p, bytes, align)) return place_in_current(bytes, align);
+  if (!alone && grow_current(*p, bytes, align)) {
+    void* const piece = place_in_current(bytes, align);
+    if (piece == nullptr) refuse_place();
+    return piece;
+  }
   return begin_in(claim(*p, bytes, granules, alone), bytes);
 }
 
@@ -145,7 +148,7 @@ void* Arena::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
 void* Arena::place_in_current(std::size_t bytes, std::size_t align) {
   const unsigned now = current_index();
   const std::uint64_t begin = aligned_cursor(align);
-  const std::uint64_t end = read(limit);
+  const std::uint64_t end = read_once(limit);
   if (now == kNone || begin >= end || bytes > end - begin) return nullptr;
   void* const piece = at(mapping(), begin, bytes);
   cursor = begin + bytes;
@@ -160,7 +163,7 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   // ones.
   if (!alone && current_index() == kNone) drop_idle(p);
   if (count() == kMaxExtents) drop_idle(p);
-  if (count() == kMaxExtents) out_of_memory(p, *this, bytes, 0);
+  if (count() == kMaxExtents || granules_in(bytes) >= kNoRun) out_of_memory(p, *this, bytes, 0);
   if (!alone) trim_current();
   const std::uint64_t doubled =
       alone ? granules : std::max<std::uint64_t>(granules, granules_shared());
@@ -262,12 +265,15 @@ bool Arena::grow_current(transport::Participant& p, std::size_t bytes, std::size
   const unsigned now = current_index();
   if (now == kNone) return false;
   const Extent e = copy_of(extent[now]);
-  const std::uint64_t least = granules_in(aligned_cursor(align) + bytes - limit);
+  const std::uint64_t begin = aligned_cursor(align);
+  const std::uint64_t end_of_it = read_once(limit);
+  if (begin > end_of_it || bytes <= end_of_it - begin) return false;  // it is not where it can be
+  const std::uint64_t least = granules_in(bytes - (end_of_it - begin));
   const std::uint32_t end = e.granule + e.granules;
   for (const std::uint64_t more : {std::max<std::uint64_t>(least, e.granules), least}) {
     if (more < kNoRun && p.extend_run(end, static_cast<std::uint32_t>(more), tag_of(p, *this))) {
       extent[now].granules = e.granules + static_cast<std::uint32_t>(more);
-      limit += more * kGranule;
+      limit = end_of_it + more * kGranule;
       return true;
     }
   }

@@ -116,6 +116,7 @@ void unrefer(Arena& arena, std::uint32_t block) noexcept {
   if (p == nullptr) return;
   const std::uint32_t here = p->segment().block_of(arena);
   if (here >= p->blocks() || !p->holder().is_home(here)) return;  // the entry is the home's
+  if (block >= p->blocks()) return;                               // the reference is damaged
   using Entry = ReferenceList::Entry;
   Entry* known = nullptr;
   p->holder().each_entry(here, [&](Entry& entry) {

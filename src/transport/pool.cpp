@@ -120,7 +120,9 @@ void Holder::freeze_reachable(std::uint32_t b) const noexcept {
   // Each arena is frozen once, by one thread, which links it into its list of those to look at.
   const std::uint32_t end = segment->capacity().blocks;
   std::uint32_t first = end;
-  for (std::uint32_t from = b; from < end;) {
+  // No more than there are, whatever has hit the links.
+  std::uint32_t left = end;
+  for (std::uint32_t from = b; from < end && left != 0; --left) {
     each_reference(from, [&](std::uint32_t target) {
       Arena& arena = segment->arena(target);
       const detail::MessageType* const type = cell(target).type;
@@ -130,7 +132,7 @@ void Holder::freeze_reachable(std::uint32_t b) const noexcept {
       first = target;
     });
     from = first;
-    if (first < end) first = segment->arena(first).next_to_freeze;
+    if (first < end) first = detail::read_once(segment->arena(first).next_to_freeze);
   }
 }
 
@@ -232,7 +234,7 @@ void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type, bool 
     c.type = waits ? &type : nullptr;  // Arena::claim() asks
     root = arena.allocate(type.size, type.align);
   }
-  arena.root = s.offset_of(root);
+  arena.root = holder_.roots[b] = s.offset_of(root);
   c.type = &type;
   return root;
 }
@@ -353,7 +355,7 @@ void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept
   }
   arena.frozen = Arena::kDying;  // what is destroyed now need not give its memory back
   if (type->destroy != nullptr && arena.changed_hands == 0) {
-    if (void* const message = holder_.segment->message_at(b, *type)) type->destroy(message);
+    type->destroy(holder_.segment->base() + holder_.roots[b]);
   }
   if (arena.references != 0) [[unlikely]]
     holder_.release_references(b);

@@ -44,6 +44,9 @@ struct Holder {
   /// [blocks] Links a thread's list of blocks that dead messages let go of, and that the thread has
   /// still to bring home: the next block plus 2; 1: the last one; 0: the block is on no list.
   mutable std::vector<std::atomic<std::uint32_t>> home_links;
+  /// [blocks] Where the message begins that this process builds or has built there, as an offset:
+  /// its destructor runs nowhere else, whatever the arena says by then.
+  std::vector<std::uint64_t> roots;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
   /// Above all blocks that this process ever held, so that who looks for them need not go further.
   mutable std::atomic<std::uint32_t> known{0};
@@ -54,6 +57,7 @@ struct Holder {
     kept_links.resize(blocks);
     leaving.resize(blocks);
     home_links = std::vector<std::atomic<std::uint32_t>>(blocks);
+    roots.resize(blocks);
   }
 
   segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }

@@ -125,6 +125,7 @@ class Puller final : public detail::PullerCore {
     Source* const s = source_of(claim.origin);
     if (s == nullptr) return;  // somebody else has written into the segment
     segment::Ring ring = s->reader.ring();
+    if (claim.slot >= ring.depth) return;  // as above
     ring::empty(ring.slots[claim.slot], claim.origin.sequence);
     if (s->reader.sender_waits()) ring_bell(s->reader);
     if (s->reader.is_closing()) wake_sleepers(ring);
@@ -134,6 +135,7 @@ class Puller final : public detail::PullerCore {
     Source* const s = source_of(claim.origin);
     if (s == nullptr) return;
     segment::Ring ring = s->reader.ring();
+    if (claim.slot >= ring.depth) return;
     ring.give_back(claim.slot, claim.word);
     wake_sleepers(ring);
   }

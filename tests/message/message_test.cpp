@@ -264,6 +264,8 @@ TEST_CASE("an exception while a message is built frees it") {
   for (int n = 0; n < 50; ++n) {
     auto target = pusher.loan();
     CHECK_THROWS_AS(target->data.resize(100 << 20), lot::OutOfMemory);
+    // Of 2^32 granules the lower 32 bits are 0.
+    CHECK_THROWS_AS(target->data.resize(std::size_t{1} << 41), lot::OutOfMemory);
     target->data.resize(1000);
     target->data.assign(1000, 5);
     CHECK(target->data[999] == 5);

@@ -96,21 +96,16 @@ struct alignas(64) Arena {
   /// home while it has the block alone; read, perhaps stale, by processes that look for memory.
   std::uint32_t reserved;
 
-  /// A word of the arena, read once: what was checked is what is used.
-  template <class T>
-  static T read(const T& word) noexcept {
-    return __atomic_load_n(&word, __ATOMIC_RELAXED);
-  }
   /// How many extents there are.
   unsigned count() const noexcept {
-    const unsigned n = read(extents);
+    const unsigned n = read_once(extents);
     return n < kMaxExtents ? n : kMaxExtents;
   }
 
   /// Memory for `bytes`, or throws OutOfMemory.
   void* allocate(std::size_t bytes, std::size_t align) {
     const std::uint64_t begin = aligned_cursor(align);
-    const std::uint64_t end = read(limit);
+    const std::uint64_t end = read_once(limit);
     // Below the limit also when it is empty: each piece begins in the region that has it.
     if (begin < end && bytes <= end - begin && bytes < kLargePiece) {
       void* const piece = at(mapping(), begin, bytes);
@@ -174,11 +169,11 @@ struct alignas(64) Arena {
   }
   [[noreturn, gnu::cold, gnu::noinline]] void refuse_place() const;
   std::uint64_t aligned_cursor(std::size_t align) const noexcept {
-    return (read(cursor) + (align - 1)) & ~std::uint64_t{align - 1};
+    return (read_once(cursor) + (align - 1)) & ~std::uint64_t{align - 1};
   }
   /// Of the extent that the cursor is in; kNone: the small payload.
   unsigned current_index() const noexcept {
-    const unsigned index = read(current) - 1U;
+    const unsigned index = read_once(current) - 1U;
     return index < kMaxExtents ? index : kNone;
   }
   void note_piece(unsigned index) noexcept {

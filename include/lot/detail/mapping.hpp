@@ -6,6 +6,13 @@
 
 namespace lot::detail {
 
+/// A word of shared memory that others may change, read once: what was checked is what is used. For
+/// words that hand nothing over.
+template <class T>
+T read_once(const T& word) noexcept {
+  return __atomic_load_n(&word, __ATOMIC_RELAXED);
+}
+
 /// A place where a segment is mapped in this process, and where in it the memory of messages is: no
 /// word of the segment leads a builder of messages elsewhere. Kept in private memory, since any
 /// participant can change a word of the segment.
