@@ -25,6 +25,7 @@
 #include "segment/segment.hpp"
 #include "support/error_of.hpp"
 #include "support/processes.hpp"
+#include "support/sanitizers.hpp"
 
 namespace {
 
@@ -208,18 +209,17 @@ TEST_CASE("too few threads are an error that says so") {
   }
 }
 
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they need terabytes
-TEST_CASE("too little address space is an error that names the limit") {
+TEST_CASE("too little address space is an error that names the limit" *
+          doctest::skip(kMapsTerabytes)) {
   const Watchdog watchdog(60);
   auto options = fresh();
   options.size_bytes = 512 * kMiB;
   check_refused(
       options, [] { limit(RLIMIT_AS, 256 * kMiB); }, ENOMEM, "RLIMIT_AS (ulimit -v) is");
 }
-#endif
 
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they need terabytes
-TEST_CASE("too little memory for the threads is an error that names the limit") {
+TEST_CASE("too little memory for the threads is an error that names the limit" *
+          doctest::skip(kMapsTerabytes)) {
   const Watchdog watchdog(60);
   auto options = fresh();
   int refused = 0;
@@ -238,7 +238,6 @@ TEST_CASE("too little memory for the threads is an error that names the limit") 
   }
   CHECK(refused > 0);
 }
-#endif
 
 TEST_CASE("a full segment of the most processes does not say to ask for more") {
   const Watchdog watchdog(60);

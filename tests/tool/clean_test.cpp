@@ -16,6 +16,7 @@
 #include "command.hpp"
 #include "faults/janitor.hpp"
 #include "support/error_of.hpp"
+#include "support/sanitizers.hpp"
 #include "support/users.hpp"
 #include "support/variable.hpp"
 
@@ -207,8 +208,8 @@ TEST_CASE("items of another boot go without a word, as the segment does") {
   CHECK(room.files() == 0);
 }
 
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they need terabytes
-TEST_CASE("where there is no room to map it, a segment is not taken for damaged") {
+TEST_CASE("where there is no room to map it, a segment is not taken for damaged" *
+          doctest::skip(kMapsTerabytes)) {
   const Watchdog watchdog(60);
   const Room room;
   auto options = room.options();
@@ -231,7 +232,6 @@ TEST_CASE("where there is no room to map it, a segment is not taken for damaged"
   auto jobs = engine.queue<std::uint64_t>("jobs", redelivering());
   CHECK(eventually([&] { return jobs.size() == 3; }));
 }
-#endif
 
 TEST_CASE("items that come while clean waits for the gate are not removed") {
   const Watchdog watchdog(60);
