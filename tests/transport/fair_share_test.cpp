@@ -184,7 +184,9 @@ TEST_CASE("eight cameras come and go in any order, with readers and without, and
     CAPTURE(look);
     for (std::size_t n = 0; n < kCameras; ++n) {
       CAPTURE(n);
-      CHECK(held(engine, topic(n)) >= fair(kCameras));
+      // On two cores a camera may be held up with a frame in hand, which is in no queue: then it
+      // has its share again within two seconds.
+      CHECK(eventually([&] { return held(engine, topic(n)) >= fair(kCameras); }, 2s));
     }
     REQUIRE(cameras[last]->has_published(1));
   }
