@@ -24,8 +24,6 @@ Mapping::Scope::Scope(const Layout& layout) {
   }
 }
 
-Mapping::Scope::Scope(Scope&& other) noexcept : mapping_(std::exchange(other.mapping_, nullptr)) {}
-
 Mapping::Scope& Mapping::Scope::operator=(Scope&& other) noexcept {
   std::swap(mapping_, other.mapping_);
   return *this;

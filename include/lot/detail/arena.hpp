@@ -41,6 +41,7 @@ namespace lot::detail {
 ///       the current one begins.
 ///   A3  Whatever another process writes here, no piece leaves the segment, and no index the arena:
 ///       each word is read once, and what it leads to is checked against private memory (Mapping).
+///       A piece may come to lie over another one of the same process (docs/security.md).
 ///
 /// Threads: one at a time (a message is built by one thread).
 /// Memory:  256 bytes, address-free: all places are offsets from the segment's begin.

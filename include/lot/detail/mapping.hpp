@@ -44,7 +44,6 @@ class Mapping {
     Scope() = default;
     /// Throws std::bad_alloc.
     explicit Scope(const Layout& layout);
-    Scope(Scope&& other) noexcept;
     Scope& operator=(Scope&& other) noexcept;
     ~Scope();
 
