@@ -50,8 +50,17 @@ struct Pieces {
 struct Segment {
   explicit Segment(std::uint64_t bytes) : engine(fresh(bytes)), view(engine.path()) {}
 
-  /// Bytes of messages and rings.
-  std::uint64_t used() { return view.granules().used() * lot::segment::kGranule; }
+  /// Bytes of messages and rings. A unit that is on its way back to the file system has the tag of
+  /// a block without a topic meanwhile, and is no message's.
+  std::uint64_t used() {
+    std::uint64_t granules = 0;
+    for (std::uint32_t i = 0; i < view.granules().count(); ++i) {
+      const std::uint32_t tag = view.granules().tag(i);
+      const bool is_ring = (tag & lot::segment::kRingTag) != 0;
+      granules += tag != 0 && (is_ring || view.arena(tag - 1).topic != 0);
+    }
+    return granules * lot::segment::kGranule;
+  }
   std::uint64_t size() { return view.granules().count() * lot::segment::kGranule; }
 
   lot::ShmEngine engine;
