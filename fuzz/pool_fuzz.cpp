@@ -432,13 +432,13 @@ class Fuzz {
   void grow(Process& p) {
     const auto m = pick(p.loans);
     if (!m) return;
-    auto& arena = local_.segment().arena(block(*m));
+    auto& build = local_.segment().build(block(*m));
     const auto granules = static_cast<std::uint32_t>(1 + bytes_.below(4));
-    if (arena.extents == lot::detail::Arena::kMaxExtents) return;
+    if (build.extents == lot::detail::Build::kMaxExtents) return;
     const std::uint32_t run = local_.segment().claim_run(granules, block(*m) + 1);
     require(run != lot::segment::Granules<lot::segment::Atomics>::kNone,
             "there are granules enough");
-    arena.extent[arena.extents++] = {run, granules, 1, 0};
+    build.extent[build.extents++] = {run, granules, 1, 0};
   }
 
   void scan(Process& p) {

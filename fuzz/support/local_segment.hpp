@@ -37,6 +37,7 @@ class LocalSegment {
     zero(segment_.channels());
     zero(segment_.blocks());
     std::memset(static_cast<void*>(&segment_.arena(0)), 0, blocks() * sizeof(lot::detail::Arena));
+    for (std::uint32_t b = 0; b < blocks(); ++b) segment_.build(b).close();
     segment_.granules().release_if([](std::uint32_t) { return true; });
     segment_.directory().version = 0;
   }

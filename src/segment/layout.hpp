@@ -23,7 +23,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 13;
+inline constexpr std::uint32_t kLayoutVersion = 14;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
@@ -231,7 +231,7 @@ struct RingHead {
 using Tag = std::atomic<std::uint32_t>;
 inline constexpr std::uint32_t kRingTag = std::uint32_t{1} << 31;
 
-static_assert(sizeof(detail::Arena) == kSmallBytes);  // Mapping::place()
+static_assert(sizeof(detail::Arena) == kSmallBytes);  // Mapping::small_of()
 static_assert(sizeof(BlockWords) == 64);
 static_assert(sizeof(Cell) == 64);
 

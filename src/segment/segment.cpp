@@ -462,9 +462,10 @@ Segment::Segment(const std::string& path, Access access, const Trust& trust) : p
   }
   base_ = static_cast<unsigned char*>(region_.get_address());
   mapping_ = detail::Mapping::Scope(
-      {base_, capacity_.size, geometry_.arenas, geometry_.small, geometry_.data});
+      {base_, capacity_.size, geometry_.arenas, geometry_.small, geometry_.data, capacity_.blocks});
   blocks_ = at<BlockWords>(geometry_.blocks);
   arenas_ = at<detail::Arena>(geometry_.arenas);
+  builds_ = detail::Build::of(arena(0));
   small_ = at<unsigned char>(geometry_.small);
   granules_.reset(at<Tag>(geometry_.tags), static_cast<std::uint32_t>(geometry_.granules));
   units_.reset(at<Tag>(geometry_.units), units_of(capacity_));

@@ -89,6 +89,9 @@ class Segment {
   std::span<BlockWords> blocks() const noexcept { return {blocks_, capacity_.blocks}; }
   BlockWords& block(std::uint32_t b) const noexcept { return blocks_[b]; }
   detail::Arena& arena(std::uint32_t b) const noexcept { return arenas_[b]; }
+  /// What this process knows of the message that it builds in block b, or has built there.
+  detail::Build& build(std::uint32_t b) const noexcept { return builds_[b]; }
+  void open_build(std::uint32_t b) const noexcept { build(b).open(arena(b), mapping_.mapping()); }
   /// The block of an arena; one that there is not when it is none of ours.
   std::uint32_t block_of(const detail::Arena& arena) const noexcept {
     const std::uint64_t b = (offset_of(&arena) - geometry_.arenas) / sizeof(detail::Arena);
@@ -215,6 +218,7 @@ class Segment {
   unsigned char* base_ = nullptr;
   BlockWords* blocks_ = nullptr;
   detail::Arena* arenas_ = nullptr;
+  detail::Build* builds_ = nullptr;
   unsigned char* small_ = nullptr;
   Capacity capacity_;
   Geometry geometry_{};

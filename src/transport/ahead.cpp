@@ -151,33 +151,28 @@ bool Ahead::may_make(const Pool& pool, const Pieces& pieces) const noexcept {
 
 /// Gives a block that is ours alone extents for such pieces. False: there is no memory for it now.
 bool Ahead::furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept {
-  detail::Arena& arena = participant_.segment().arena(b);
-  constexpr unsigned kMost = detail::Arena::kMaxExtents;
-  unsigned count = arena.count();
-  const auto set_count = [&](unsigned n) { arena.extents = static_cast<std::uint8_t>(count = n); };
+  detail::Build& build = participant_.segment().build(b);
   unsigned i = 0;
   for (const Pieces::Piece& piece : pieces) {
-    if (i < count) {
-      detail::Arena::Extent& extent = arena.extent[i];
+    if (i < build.extents) {
+      detail::Build::Extent& extent = build.extent[i];
       if (extent.kind == piece.kind && extent.granules >= piece.granules) {
         ++i;
         continue;
       }
       pool.release_run(extent.granule, extent.granules);
-      set_count(count - 1);
-      extent = arena.extent[count];
+      extent = build.extent[--build.extents];
     }
-    if (count == kMost) return false;  // pieces of a message have no more extents
+    if (build.extents == build.kMaxExtents)
+      return false;  // pieces of a message have no more extents
     const std::uint32_t run = participant_.claim_run_while(
         piece.granules, b + 1, [this] { return !is_called_off_.load(std::memory_order_relaxed); });
     if (run == segment::Granules<segment::Atomics>::kNone) return false;
-    arena.extent[count] = arena.extent[i];
-    set_count(count + 1);
-    arena.extent[i++] = {run, piece.granules, 0, piece.kind};
+    build.extent[build.extents++] = build.extent[i];
+    build.extent[i++] = {run, piece.granules, 0, piece.kind};
   }
-  while (count > i) {
-    set_count(count - 1);
-    const detail::Arena::Extent gone = arena.extent[count];
+  while (build.extents > i) {
+    const detail::Build::Extent gone = build.extent[--build.extents];
     pool.release_run(gone.granule, gone.granules);
   }
   return true;

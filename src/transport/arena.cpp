@@ -28,32 +28,19 @@ Arena::Extent copy_of(const Arena::Extent& e) noexcept {
   return {read_once(e.granule), read_once(e.granules), read_once(e.living), read_once(e.kind)};
 }
 
-std::uint64_t begin_of(const Mapping& mapping, const Arena::Extent& extent) {
-  return mapping.in_granules(kGranule * read_once(extent.granule));
-}
-std::uint64_t bytes_of(const Arena::Extent& extent) {
-  return kGranule * read_once(extent.granules);
-}
+std::uint64_t bytes_of(const Arena::Extent& extent) { return kGranule * extent.granules; }
 
-/// The pool whose message an arena has. REQUIRES: its home is here.
-transport::Pool& pool_of(transport::Participant& p, const Arena& arena) noexcept {
-  return p.holder().pool_of(p.segment().block_of(arena));
+/// The pool whose message a build is. REQUIRES: its home is here.
+transport::Pool& pool_of(transport::Participant& p, const Build& build) noexcept {
+  return p.holder().pool_of(p.segment().block_of(*build.arena));
 }
-std::uint32_t tag_of(transport::Participant& p, const Arena& arena) noexcept {
-  return p.segment().block_of(arena) + 1;
-}
-
-/// The process's participant, if the arena's message has its home there; else null.
-transport::Participant* home_of(const Arena& arena) noexcept {
-  transport::Participant* const p = transport::Participant::at(&arena);
-  if (p == nullptr) return nullptr;
-  const std::uint32_t block = p->segment().block_of(arena);
-  return block < p->blocks() && p->holder().is_home(block) ? p : nullptr;
+std::uint32_t tag_of(transport::Participant& p, const Build& build) noexcept {
+  return p.segment().block_of(*build.arena) + 1;
 }
 
 /// The publisher will need another one like this: what it has now, and the newest extent.
-void expect_another(transport::Participant& p, const Arena& arena, unsigned newest) noexcept {
-  p.ahead().expect(pool_of(p, arena), transport::Pieces::of(arena, newest));
+void expect_another(transport::Participant& p, const Build& build, unsigned newest) noexcept {
+  p.ahead().expect(pool_of(p, build), transport::Pieces::of(build, newest));
 }
 
 [[noreturn, gnu::cold, gnu::noinline]] void refuse_to_grow(const Arena& arena) {
@@ -63,11 +50,21 @@ void expect_another(transport::Participant& p, const Arena& arena, unsigned newe
               "build it wholly before push(), or copy it into a new loan()");
 }
 
-[[noreturn, gnu::cold]] void out_of_memory(transport::Participant& p, const Arena& arena,
+[[noreturn, gnu::cold, gnu::noinline]] void refuse_place(const Arena& arena) {
+  transport::Participant* const p = transport::Participant::at(&arena);
+  if (p == nullptr) {
+    throw Error(EINVAL, "message", "it lies in no segment that this copy of the library has joined",
+                "let the copy that made the message build it");
+  }
+  throw Error(EBADMSG, p->segment().path(), "the memory of a message is damaged",
+              "somebody has written into the segment who should not");
+}
+
+[[noreturn, gnu::cold]] void out_of_memory(transport::Participant& p, const Build& build,
                                            std::size_t bytes, int error) {
-  const std::uint32_t asker = pool_of(p, arena).index();
+  const std::uint32_t asker = pool_of(p, build).index();
   throw OutOfMemory(
-      (error == EDQUOT ? transport::describe_limit(p, bytes, p.segment().block_of(arena))
+      (error == EDQUOT ? transport::describe_limit(p, bytes, p.segment().block_of(*build.arena))
                        : transport::describe_shortage(p, {asker, granules_in(bytes), error}, bytes))
           .c_str());
 }
@@ -79,27 +76,119 @@ Arena*& arena_being_built() noexcept {
   return arena;
 }
 
-void Arena::refuse_place() const {
-  transport::Participant* const p = transport::Participant::at(this);
-  if (p == nullptr) {
-    throw Error(EINVAL, "message", "it lies in no segment that this copy of the library has joined",
-                "let the copy that made the message build it");
-  }
-  throw Error(EBADMSG, p->segment().path(), "the memory of a message is damaged",
-              "somebody has written into the segment who should not");
+void* allocate_elsewhere(Arena& arena, std::size_t bytes, std::size_t align) {
+  if (Build::of(arena) == nullptr) refuse_place(arena);
+  if (arena.frozen == Arena::kPublished) refuse_to_grow(arena);
+  Build taken;
+  taken.take(arena);
+  void* const piece = taken.grow(bytes, align);
+  taken.tell();
+  return piece;
 }
 
-void* Arena::grow(std::size_t bytes, std::size_t align) {
-  if (frozen == kPublished) refuse_to_grow(*this);
+void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
+  if (is_frozen()) return;
+  Build* const build = Build::of(*this);
+  if (build == nullptr) return;
+  if (build->arena == this) {
+    build->give_back(piece, bytes);
+    return;
+  }
+  try {
+    Build taken;
+    taken.take(*this);
+    taken.give_back(piece, bytes);
+    taken.tell();
+  } catch (const Error&) {  // it is damaged: its memory goes with the message
+  }
+}
+
+std::uint64_t Build::begin_of(const Extent& e) const noexcept {
+  return mapping->in_granules(kGranule * e.granule);
+}
+
+/// The process's participant, if the message has its home there; null for a copy.
+transport::Participant* Build::home() const noexcept {
+  if (Build::of(*arena) != this) return nullptr;
+  transport::Participant* const p = transport::Participant::at(arena);
+  if (p == nullptr) return nullptr;
+  const std::uint32_t block = p->segment().block_of(*arena);
+  return block < p->blocks() && p->holder().is_home(block) ? p : nullptr;
+}
+
+void Build::open(Arena& its, const Mapping& here) noexcept {
+  arena = &its;
+  mapping = &here;
+  extents = 0;
+  spare.store(kBuilders, std::memory_order_relaxed);
+  wanted.store(0, std::memory_order_relaxed);
+}
+
+void Build::tell() const noexcept {
+  Arena& said = *arena;
+  write_once(said.extents, extents);
+  write_once(said.current, current);
+  write_once(said.cursor, cursor);
+  for (unsigned i = 0; i < extents; ++i) {
+    write_once(said.extent[i].granule, extent[i].granule);
+    write_once(said.extent[i].granules, extent[i].granules);
+    write_once(said.extent[i].living, extent[i].living);
+    write_once(said.extent[i].kind, extent[i].kind);
+  }
+}
+
+/// The pieces are where an arena says, in the extents that are here. False: they cannot be.
+bool Build::adopt_pieces(const Arena& said) noexcept {
+  const std::uint8_t now = read_once(said.current);
+  const std::uint64_t at = read_once(said.cursor);
+  std::uint64_t begin = mapping->small_of(arena);
+  std::uint64_t end = begin + segment::kSmallBytes;
+  if (now != 0) {
+    if (now > extents) return false;
+    begin = begin_of(extent[now - 1]);
+    end = begin + bytes_of(extent[now - 1]);
+  }
+  if (at < begin || at > end) return false;
+  for (unsigned i = 0; i < extents; ++i) {
+    const Extent e = copy_of(said.extent[i]);
+    extent[i].living = e.living;
+    extent[i].kind |= e.kind & Arena::kShared;
+  }
+  current = now;
+  cursor = at;
+  limit = end;
+  return true;
+}
+
+void Build::take(Arena& its) {
+  transport::Participant* const p = transport::Participant::at(&its);
+  const Mapping* const here = Mapping::of(&its);
+  if (p == nullptr || here == nullptr) refuse_place(its);
+  const segment::Segment& s = p->segment();
+  const std::uint32_t block = s.block_of(its);
+  if (block >= p->blocks() || &s.arena(block) != &its) refuse_place(its);
+  open(its, *here);
+  extents = static_cast<std::uint8_t>(its.count());
+  for (unsigned i = 0; i < extents; ++i) {
+    extent[i] = copy_of(its.extent[i]);
+    if (!s.holds(block, begin_of(extent[i]), bytes_of(extent[i]))) refuse_place(its);
+  }
+  if (!adopt_pieces(its)) refuse_place(its);
+}
+
+void Build::take_again() noexcept {
+  if (read_once(arena->changed_hands) == 0) return;
+  if (!adopt_pieces(*arena)) limit = cursor;  // it is damaged: no small piece any more
+}
+
+void* Build::grow(std::size_t bytes, std::size_t align) {
   own_spare();
   const std::uint64_t granules = fit(bytes);
   // First what is most likely: a large piece, as the last message here had one.
-  for (unsigned i = 0, n = count(); i < n; ++i) {
+  for (unsigned i = 0; i < extents; ++i) {
     if (extent[i].granules == granules && extent[i].living == 0 && extent[i].kind == 0) {
-      const Mapping& here = mapping();
-      void* const piece = at(here, begin_of(here, extent[i]), bytes);
       extent[i].living = 1;
-      return piece;
+      return at(begin_of(extent[i]));
     }
   }
   // Empty pieces, too, begin in an extent.
@@ -108,10 +197,9 @@ void* Arena::grow(std::size_t bytes, std::size_t align) {
       static_cast<std::uint32_t>(std::clamp(granules, std::uint64_t{1}, std::uint64_t{kNoRun})));
 }
 
-void* Arena::find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules) {
-  const unsigned now = current_index();
-  const bool is_in_reserve = now != kNone && extent[now].is_reserved();
-  const bool alone = bytes >= kLargePiece && count() < kManyExtents;
+void* Build::find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules) {
+  const bool is_in_reserve = current != 0 && extent[current - 1U].is_reserved();
+  const bool alone = bytes >= kLargePiece && extents < kManyExtents;
   if (!alone || is_in_reserve) {
     if (void* const piece = place_in_current(bytes, align); piece != nullptr) return piece;
   }
@@ -119,7 +207,7 @@ void* Arena::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
   if (idle != kNone && extent[idle].granules >= granules && extent[idle].kind != 0) {
     return begin_in(idle, bytes);
   }
-  transport::Participant* const p = home_of(*this);
+  transport::Participant* const p = home();
   // The memory would be at home here, and the message there.
   if (p == nullptr) {
     if (idle != kNone && extent[idle].granules >= granules_in(bytes)) {
@@ -137,33 +225,28 @@ void* Arena::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
     if (!extent[idle].is_reserved()) drop(*p, idle);
   }
   if (!alone && grow_current(*p, bytes, align)) {
-    void* const piece = place_in_current(bytes, align);
-    if (piece == nullptr) refuse_place();
-    return piece;
+    return place_in_current(bytes, align);
   }
   return begin_in(claim(*p, bytes, granules, alone), bytes);
 }
 
 /// Null: it does not fit.
-void* Arena::place_in_current(std::size_t bytes, std::size_t align) {
-  const unsigned now = current_index();
+void* Build::place_in_current(std::size_t bytes, std::size_t align) noexcept {
   const std::uint64_t begin = aligned_cursor(align);
-  const std::uint64_t end = read_once(limit);
-  if (now == kNone || begin >= end || bytes > end - begin) return nullptr;
-  void* const piece = at(mapping(), begin, bytes);
+  if (begin >= limit || bytes > limit - begin) return nullptr;
   cursor = begin + bytes;
-  note_piece(now);
-  return piece;
+  if (current != 0) note_piece(current - 1U);
+  return at(begin);
 }
 
 /// A new extent. For what is more than the piece needs, no message of another topic goes.
-unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules,
+unsigned Build::claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules,
                       bool alone) {
   // The last message here had no small pieces: this one is of another kind, and may have no large
   // ones.
-  if (!alone && current_index() == kNone) drop_idle(p);
-  if (count() == kMaxExtents) drop_idle(p);
-  if (count() == kMaxExtents || granules_in(bytes) >= kNoRun) out_of_memory(p, *this, bytes, 0);
+  if (!alone && current == 0) drop_idle(p);
+  if (extents == kMaxExtents) drop_idle(p);
+  if (extents == kMaxExtents || granules_in(bytes) >= kNoRun) out_of_memory(p, *this, bytes, 0);
   if (!alone) trim_current();
   const std::uint64_t doubled =
       alone ? granules : std::max<std::uint64_t>(granules, granules_shared());
@@ -182,9 +265,8 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   }
   if (run == kNoRun && !waits) throw OutOfMemory("lot: no memory");  // its text is dropped
   if (run == kNoRun) out_of_memory(p, *this, bytes, errno);
-  const unsigned newest = std::min(count(), kMaxExtents - 1);
-  extent[newest] = {run, claimed, 0, alone ? std::uint16_t{0} : kShared};
-  extents = static_cast<std::uint8_t>(newest + 1);
+  const unsigned newest = extents++;
+  extent[newest] = {run, claimed, 0, alone ? std::uint16_t{0} : Arena::kShared};
   if (alone) expect_another(p, *this, newest);
   return newest;
 }
@@ -192,27 +274,25 @@ unsigned Arena::claim(transport::Participant& p, std::size_t bytes, std::uint32_
 /// An extent in which nothing lives begins with a piece of that size. It begins at a page, which
 /// suits every alignment that a message may have. What reserve() made serves pieces of every size,
 /// side by side.
-void* Arena::begin_in(unsigned index, std::size_t bytes) {
+void* Build::begin_in(unsigned index, std::size_t bytes) noexcept {
   Extent& chosen = extent[index];
-  const Mapping& here = mapping();
-  const std::uint64_t begin = begin_of(here, chosen);
-  void* const piece = at(here, begin, bytes);
+  const std::uint64_t begin = begin_of(chosen);
   if (chosen.kind != 0) {
-    chosen.kind |= kShared;
+    chosen.kind |= Arena::kShared;
     trim_current();
     current = static_cast<std::uint8_t>(index + 1);
     cursor = begin + bytes;
     limit = begin + bytes_of(chosen);
   }
   note_piece(index);
-  return piece;
+  return at(begin);
 }
 
 /// Of the extents of a kind in which nothing lives, those that are reserved among them, the
 /// smallest one that has so many granules; where none has, the largest.
-unsigned Arena::idle_extent(std::uint32_t granules, bool shared) const noexcept {
+unsigned Build::idle_extent(std::uint32_t granules, bool shared) const noexcept {
   unsigned best = kNone;
-  for (unsigned i = 0, n = count(); i < n; ++i) {
+  for (unsigned i = 0; i < extents; ++i) {
     if (extent[i].living != 0 || current == i + 1) continue;
     if (!extent[i].is_reserved() && extent[i].is_shared() != shared) continue;
     if (best == kNone) {
@@ -228,11 +308,10 @@ unsigned Arena::idle_extent(std::uint32_t granules, bool shared) const noexcept 
 }
 
 /// What small pieces share; where the next large one will share as well, all.
-std::uint64_t Arena::granules_shared() const noexcept {
+std::uint64_t Build::granules_shared() const noexcept {
   std::uint64_t sum = 0;
-  const unsigned n = count();
-  for (unsigned i = 0; i < n; ++i) {
-    if (extent[i].is_shared() || n >= kManyExtents) sum += extent[i].granules;
+  for (unsigned i = 0; i < extents; ++i) {
+    if (extent[i].is_shared() || extents >= kManyExtents) sum += extent[i].granules;
   }
   return sum;
 }
@@ -241,39 +320,37 @@ std::uint64_t Arena::granules_shared() const noexcept {
 /// granules behind it if they are free. What reserve() made is not made smaller.
 ///
 /// Crash: killed anywhere in it, the granules carry this block's tag or none.
-void Arena::resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept {
-  const Extent e = copy_of(extent[index]);
+void Build::resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept {
+  Extent& e = extent[index];
   if (e.granules < granules) {
-    const std::uint32_t end = e.granule + e.granules;
-    if (p.extend_run(end, granules - e.granules, tag_of(p, *this))) {
-      extent[index].granules = granules;
+    if (p.extend_run(e.granule + e.granules, granules - e.granules, tag_of(p, *this))) {
+      e.granules = granules;
     }
   } else if (!e.is_reserved()) {
     shorten(p, index, granules);
   }
 }
 
-void Arena::shorten(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept {
-  const Extent e = copy_of(extent[index]);
+void Build::shorten(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept {
+  Extent& e = extent[index];
   if (e.granules <= granules) return;
-  extent[index].granules = granules;
-  pool_of(p, *this).release_run(e.granule + granules, e.granules - granules);
+  const std::uint32_t more = e.granules - granules;
+  e.granules = granules;
+  pool_of(p, *this).release_run(e.granule + granules, more);
 }
 
 /// Doubles the extent that the small pieces are in, where the granules behind it are free.
-bool Arena::grow_current(transport::Participant& p, std::size_t bytes, std::size_t align) {
-  const unsigned now = current_index();
-  if (now == kNone) return false;
-  const Extent e = copy_of(extent[now]);
-  const std::uint64_t begin = aligned_cursor(align);
-  const std::uint64_t end_of_it = read_once(limit);
-  if (begin > end_of_it || bytes <= end_of_it - begin) return false;  // it is not where it can be
-  const std::uint64_t least = granules_in(bytes - (end_of_it - begin));
+bool Build::grow_current(transport::Participant& p, std::size_t bytes, std::size_t align) noexcept {
+  if (current == 0) return false;
+  Extent& e = extent[current - 1U];
+  // An alignment may lead behind the limit.
+  const std::uint64_t needed = aligned_cursor(align) + bytes;
+  const std::uint64_t least = granules_in(needed - limit);
   const std::uint32_t end = e.granule + e.granules;
   for (const std::uint64_t more : {std::max<std::uint64_t>(least, e.granules), least}) {
     if (more < kNoRun && p.extend_run(end, static_cast<std::uint32_t>(more), tag_of(p, *this))) {
-      extent[now].granules = e.granules + static_cast<std::uint32_t>(more);
-      limit = end_of_it + more * kGranule;
+      e.granules += static_cast<std::uint32_t>(more);
+      limit += more * kGranule;
       return true;
     }
   }
@@ -282,22 +359,22 @@ bool Arena::grow_current(transport::Participant& p, std::size_t bytes, std::size
 
 /// A thread that takes the spare extents has the lock, from its last look at the flag until it is
 /// done. It is a thread of the home.
-void Arena::await_taker() noexcept {
-  transport::Participant* const p = home_of(*this);
+void Build::await_taker() noexcept {
+  transport::Participant* const p = home();
   if (p == nullptr) return;
   const std::lock_guard guard(pool_of(*p, *this).lock());
   wanted.store(0, std::memory_order_relaxed);
 }
 
-void Arena::trim_whole() noexcept {
+void Build::trim_whole() noexcept {
   own_spare();
   trim_current();
-  for (unsigned i = count(); i-- > 0;) {
+  for (unsigned i = extents; i-- > 0;) {
     if (extent[i].living != 0 || current == i + 1 || extent[i].granules <= kSmallRun ||
         extent[i].is_reserved()) {
       continue;
     }
-    transport::Participant* const p = home_of(*this);
+    transport::Participant* const p = home();
     if (p == nullptr) return;
     drop(*p, i);
   }
@@ -305,36 +382,61 @@ void Arena::trim_whole() noexcept {
 
 /// Gives the end of the current extent back that nothing has been in, above 64 KiB and 1/16 of the
 /// rest.
-void Arena::trim_current() noexcept {
-  const unsigned now = current_index();
-  if (now == kNone || extent[now].is_reserved()) return;
-  const Mapping* const here = Mapping::of(this);
-  if (here == nullptr) return;
-  const Extent e = copy_of(extent[now]);
-  const std::uint64_t begin = begin_of(*here, e);
+void Build::trim_current() noexcept {
+  if (current == 0) return;
+  const Extent& e = extent[current - 1U];
+  if (e.is_reserved()) return;
+  const std::uint64_t begin = begin_of(e);
   const std::uint64_t used = std::max<std::uint64_t>(fit(cursor - begin + 1), kSmallRun);
   if (e.granules <= used) return;
-  transport::Participant* const p = home_of(*this);
+  transport::Participant* const p = home();
   if (p == nullptr) return;
-  shorten(*p, now, static_cast<std::uint32_t>(used));
+  shorten(*p, current - 1U, static_cast<std::uint32_t>(used));
   limit = begin + used * kGranule;
 }
 
 /// Gives extents back in which nothing lives, but for those that reserve() made.
-void Arena::drop_idle(transport::Participant& p) noexcept {
-  for (unsigned i = count(); i-- > 0;) {
+void Build::drop_idle(transport::Participant& p) noexcept {
+  for (unsigned i = extents; i-- > 0;) {
     if (extent[i].living == 0 && current != i + 1 && !extent[i].is_reserved()) drop(p, i);
   }
 }
 
 /// Gives an extent back that is not the current one.
-void Arena::drop(transport::Participant& p, unsigned index) noexcept {
-  const Extent gone = copy_of(extent[index]);
-  const unsigned last = std::max(count(), 1U) - 1;
+void Build::drop(transport::Participant& p, unsigned index) noexcept {
+  const Extent gone = extent[index];
+  const unsigned last = --extents;
   extent[index] = extent[last];
-  extents = static_cast<std::uint8_t>(last);
   if (current == last + 1) current = static_cast<std::uint8_t>(index + 1);
   pool_of(p, *this).release_run(gone.granule, gone.granules);
+}
+
+void Build::give_back(const void* piece, std::size_t bytes) noexcept {
+  const std::uint64_t at = mapping->offset_of(piece);
+  const bool newest = at + bytes == cursor;
+  const unsigned used = is_spare() ? 0 : extents;  // no piece is in a spare one
+  for (unsigned i = 0; i < used; ++i) {
+    Extent& e = extent[i];
+    const std::uint64_t begin = begin_of(e);
+    if (at < begin || at >= begin + bytes_of(e)) continue;
+    if (e.living != 0 && e.living != 0xffff) --e.living;
+    if (current == i + 1) {
+      if (e.living == 0) {
+        cursor = begin;
+      } else if (newest) {
+        cursor = at;
+      }
+    } else if (e.living == 0 && e.kind == 0) {
+      // A vector that grows has left it, and will need more the next time.
+      if (transport::Participant* const p = home(); p != nullptr) {
+        drop(*p, i);
+        expect_another(*p, *this, kMaxExtents);
+      }
+    }
+    return;  // A2
+  }
+  if (newest && current == 0 && at < limit && limit - at <= segment::kSmallBytes)
+    cursor = at;  // A2
 }
 
 void Arena::change_hands() noexcept {
@@ -356,17 +458,12 @@ void Arena::show() noexcept {
 // stores the same.
 void Arena::freeze() noexcept {
   std::atomic_ref(frozen).store(kPublished, std::memory_order_relaxed);
-  std::atomic_ref(cursor).store(limit, std::memory_order_relaxed);
 }
 
 bool Arena::freeze_first() noexcept {
   std::atomic_ref flag(frozen);
-  if (flag.load(std::memory_order_relaxed) != 0 ||
-      flag.exchange(kPublished, std::memory_order_relaxed) != 0) {
-    return false;
-  }
-  freeze();
-  return true;
+  return flag.load(std::memory_order_relaxed) == 0 &&
+         flag.exchange(kPublished, std::memory_order_relaxed) == 0;
 }
 
 bool Arena::was_handed_over() const noexcept {
@@ -377,37 +474,6 @@ bool Arena::was_handed_over() const noexcept {
 
 bool Arena::is_frozen() const noexcept {
   return std::atomic_ref(const_cast<std::uint8_t&>(frozen)).load(std::memory_order_relaxed) != 0;
-}
-
-void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
-  if (is_frozen()) return;
-  const Mapping* const here = Mapping::of(this);
-  if (here == nullptr) return;
-  const std::uint64_t at = here->offset_of(piece);
-  const bool newest = at + bytes == cursor;
-  const unsigned used = is_spare() ? 0 : count();  // no piece is in a spare one
-  for (unsigned i = 0; i < used; ++i) {
-    Extent& e = extent[i];
-    const std::uint64_t begin = begin_of(*here, e);
-    if (at < begin || at >= begin + bytes_of(e)) continue;
-    if (e.living != 0 && e.living != 0xffff) --e.living;
-    if (current == i + 1) {
-      if (e.living == 0) {
-        cursor = begin;
-      } else if (newest) {
-        cursor = at;
-      }
-    } else if (e.living == 0 && e.kind == 0) {
-      // A vector that grows has left it, and will need more the next time.
-      if (transport::Participant* const p = home_of(*this); p != nullptr) {
-        drop(*p, i);
-        expect_another(*p, *this, kMaxExtents);
-      }
-    }
-    return;  // A2
-  }
-  if (newest && current == 0 && at < limit && limit - at <= segment::kSmallBytes)
-    cursor = at;  // A2
 }
 
 }  // namespace lot::detail

@@ -395,7 +395,7 @@ void Participant::fill_hub() noexcept {
   };
   hub_.shared_from_unique = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
-    if (p.holder_.is_home(c->block)) p.segment_.arena(c->block).trim();  // one thread has it
+    if (p.holder_.is_home(c->block)) p.holder_.complete(c->block);  // one thread has it
     p.hub_.points(c);
   };
   hub_.points = [](detail::ControlCell* c) noexcept {

@@ -148,7 +148,7 @@ bool Participant::take_spare(May&& may) noexcept {
     std::size_t n = 0;
     while (b != 0 && n < wanted.size()) {
       // Relaxed: want_spare() looks again.
-      if (!holder_.is_home(--b) || !segment_.arena(b).is_spare()) continue;
+      if (!holder_.is_home(--b) || !segment_.build(b).is_spare()) continue;
       Pool& pool = holder_.pool_of(b);
       if (may(pool.index()) && pool.want_spare(b)) wanted[n++] = b;
     }

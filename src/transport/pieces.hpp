@@ -42,10 +42,10 @@ class Pieces {
     return p;
   }
   /// Those of a message that is being built: the extents in which something lives, and the newest.
-  static Pieces of(const detail::Arena& arena, unsigned newest) {
+  static Pieces of(const detail::Build& build, unsigned newest) {
     Pieces p;
-    for (unsigned i = 0, n = arena.count(); i < n; ++i) {
-      const detail::Arena::Extent& e = arena.extent[i];
+    for (unsigned i = 0; i < build.extents; ++i) {
+      const detail::Build::Extent& e = build.extent[i];
       if ((e.living != 0 || i == newest) && !e.is_reserved()) p.add({e.granules, e.kind});
     }
     return p;
@@ -70,7 +70,7 @@ class Pieces {
     *at = piece;
   }
 
-  std::array<Piece, detail::Arena::kMaxExtents> pieces_{};
+  std::array<Piece, detail::Build::kMaxExtents> pieces_{};
   unsigned count_ = 0;
 };
 

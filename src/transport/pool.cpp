@@ -12,6 +12,7 @@
 namespace lot::transport {
 
 using detail::Arena;
+using detail::Build;
 using detail::ControlCell;
 
 void Holder::acquire(std::uint32_t b, std::uint64_t amount) const noexcept {
@@ -35,9 +36,7 @@ bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
   cell(b).type = nullptr;
   queued(b).store(0, std::memory_order_relaxed);
   Arena& arena = segment->arena(b);
-  arena.extents = 0;
-  arena.spare.store(Arena::kBuilders, std::memory_order_relaxed);
-  arena.wanted.store(0, std::memory_order_relaxed);
+  segment->open_build(b);
   arena.references = 0;
   arena.topic = topic;
   segment::set_reserved(arena, false);
@@ -124,15 +123,14 @@ void Holder::freeze_reachable(std::uint32_t b) const noexcept {
   std::uint32_t left = end;
   for (std::uint32_t from = b; from < end && left != 0; --left) {
     each_reference(from, [&](std::uint32_t target) {
-      Arena& arena = segment->arena(target);
       const detail::MessageType* const type = cell(target).type;
       if (type != nullptr && type->plain) return;  // it can not grow
-      if (!may_grow(cell(target)) || !arena.freeze_first()) return;
-      arena.next_to_freeze = first;
+      if (!may_grow(cell(target)) || !segment->arena(target).freeze_first()) return;
+      segment->build(target).next_to_freeze = first;
       first = target;
     });
     from = first;
-    if (first < end) first = detail::read_once(segment->arena(first).next_to_freeze);
+    if (first < end) first = segment->build(first).next_to_freeze;
   }
 }
 
@@ -216,25 +214,24 @@ void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type, bool 
   ControlCell& c = holder_.cell(b);
   const bool fits = segment::is_small(type);
   Arena& arena = s.arena(b);
+  Build& build = s.build(b);
   if (c.type != nullptr) bury(b);
-  const std::uint64_t small = s.offset_of(s.small(b));
   // Before the allocation: what was published in this block must not freeze the next message.
   arena.changed_hands = 0;
   arena.frozen = 0;
-  arena.current = 0;
-  arena.cursor = small;
-  arena.limit = small + segment::kSmallBytes;
+  build.begin(s.offset_of(s.small(b)));
   void* root = s.small(b);
-  if (!type.plain && may_share_ && arena.extents != 0) {
-    arena.spare.store(Arena::kSpare, std::memory_order_release);  // M2
+  if (!type.plain && may_share_ && build.extents != 0) {
+    build.spare.store(Build::kSpare, std::memory_order_release);  // M2
   }
   if (fits) {
-    arena.cursor += type.size;
+    build.cursor += type.size;
   } else {
-    c.type = waits ? &type : nullptr;  // Arena::claim() asks
+    c.type = waits ? &type : nullptr;  // Build::claim() asks
     root = arena.allocate(type.size, type.align);
   }
-  arena.root = holder_.roots[b] = s.offset_of(root);
+  arena.root = build.root = s.offset_of(root);
+  if (type.plain) build.tell();  // it does not grow
   c.type = &type;
   return root;
 }
@@ -342,37 +339,38 @@ void Pool::settle_free() noexcept {
 
 void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept {
   Arena& arena = holder_.segment->arena(b);
-  arena.own_spare();
+  Build& build = holder_.segment->build(b);
+  build.own_spare();
   if (type == nullptr) {  // nothing was built, or its constructor threw
-    for (unsigned i = 0, n = arena.count(); i < n; ++i) arena.extent[i].living = 0;
+    for (unsigned i = 0; i < build.extents; ++i) build.extent[i].living = 0;
     holder_.release_references(b);
     return;
   }
   holder_.cell(b).type = nullptr;
   if (type->plain) {
-    recycle_extents(arena);
+    recycle_extents(build);
     return;
   }
   arena.frozen = Arena::kDying;  // what is destroyed now need not give its memory back
   if (type->destroy != nullptr && arena.changed_hands == 0) {
-    type->destroy(holder_.segment->base() + holder_.roots[b]);
+    type->destroy(holder_.segment->base() + build.root);
   }
   if (arena.references != 0) [[unlikely]]
     holder_.release_references(b);
-  recycle_extents(arena);
+  recycle_extents(build);
 }
 
 /// The block stays in this pool while the lock is held (is_at_rest_here()), if it is at home in it:
 /// that is asked after the flag, which was set when the block was here.
 bool Pool::has_spare_in(std::uint32_t b) const noexcept {
-  return holder_.segment->arena(b).is_spare() && holder_.is_home(b) &&
+  return holder_.segment->build(b).is_spare() && holder_.is_home(b) &&
          holder_.cell(b).pool.load(std::memory_order_relaxed) == index_;
 }
 
 bool Pool::want_spare(std::uint32_t b) noexcept {
   const std::lock_guard guard(lock_);
   if (!has_spare_in(b)) return false;
-  holder_.segment->arena(b).wanted.store(1, std::memory_order_relaxed);  // M1
+  holder_.segment->build(b).wanted.store(1, std::memory_order_relaxed);  // M1
   return true;
 }
 
@@ -380,24 +378,24 @@ bool Pool::want_spare(std::uint32_t b) noexcept {
 ///
 /// Crash: the runs carry the block's tag until they are free.
 bool Pool::take_spare(std::uint32_t b) noexcept {
-  Arena& arena = holder_.segment->arena(b);
-  std::array<Arena::Extent, Arena::kMaxExtents> taken;
+  Build& build = holder_.segment->build(b);
+  std::array<Build::Extent, Build::kMaxExtents> taken;
   unsigned count = 0;
   {
     const std::lock_guard guard(lock_);
-    if (!has_spare_in(b) || arena.wanted.load(std::memory_order_relaxed) == 0) return false;  // M1
+    if (!has_spare_in(b) || build.wanted.load(std::memory_order_relaxed) == 0) return false;  // M1
     std::uint8_t left = 0;
-    for (unsigned i = 0, n = arena.count(); i < n; ++i) {
-      const Arena::Extent& extent = arena.extent[i];
-      if (extent.granules > Arena::kSmallRun && !extent.is_reserved()) {
+    for (unsigned i = 0; i < build.extents; ++i) {
+      const Build::Extent& extent = build.extent[i];
+      if (extent.granules > Build::kSmallRun && !extent.is_reserved()) {
         taken[count++] = extent;
       } else {
-        arena.extent[left++] = extent;
+        build.extent[left++] = extent;
       }
     }
-    arena.extents = left;
-    arena.spare.store(Arena::kBuilders, std::memory_order_release);  // M2
-    arena.wanted.store(0, std::memory_order_relaxed);
+    build.extents = left;
+    build.spare.store(Build::kBuilders, std::memory_order_release);  // M2
+    build.wanted.store(0, std::memory_order_relaxed);
   }
   for (unsigned i = 0; i < count; ++i) release_run(taken[i].granule, taken[i].granules);
   return count != 0;
@@ -405,18 +403,18 @@ bool Pool::take_spare(std::uint32_t b) noexcept {
 
 /// Keeps the extents in which the message lived when it died, for they are what the next one will
 /// want; gives back what a growing vector has left behind.
-void Pool::recycle_extents(Arena& arena) noexcept {
+void Pool::recycle_extents(Build& build) noexcept {
   std::uint8_t kept = 0;
-  for (unsigned i = 0, n = arena.count(); i < n; ++i) {
-    const Arena::Extent& extent = arena.extent[i];
+  for (unsigned i = 0; i < build.extents; ++i) {
+    const Build::Extent& extent = build.extent[i];
     if (extent.living == 0 && !extent.is_reserved()) [[unlikely]] {
       release_run(extent.granule, extent.granules);
       continue;
     }
-    if (kept != i) arena.extent[kept] = extent;
-    arena.extent[kept++].living = 0;
+    if (kept != i) build.extent[kept] = extent;
+    build.extent[kept++].living = 0;
   }
-  arena.extents = kept;
+  build.extents = kept;
 }
 
 void Pool::release_block(std::uint32_t b) noexcept {
@@ -429,11 +427,10 @@ void Pool::release_block(std::uint32_t b) noexcept {
     return;
   }
   bury(b);
-  Arena& arena = holder_.segment->arena(b);
-  for (unsigned i = 0, n = arena.count(); i < n; ++i) {
-    release_run(arena.extent[i].granule, arena.extent[i].granules);
+  Build& build = holder_.segment->build(b);
+  for (unsigned i = 0; i < build.extents; ++i) {
+    release_run(build.extent[i].granule, build.extent[i].granules);
   }
-  arena.extents = 0;
   c.type = nullptr;
   const std::lock_guard guard(lock_);  // is_at_rest_here()
   holder_.give_back(b);
@@ -453,9 +450,9 @@ void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
 }
 
 void Pool::keep_reserved(std::uint32_t b) noexcept {
-  Arena& arena = holder_.segment->arena(b);
-  for (unsigned i = 0, n = arena.count(); i < n; ++i) arena.extent[i].kind |= Arena::kReserved;
-  segment::set_reserved(arena, true);
+  Build& build = holder_.segment->build(b);
+  for (unsigned i = 0; i < build.extents; ++i) build.extent[i].kind |= Arena::kReserved;
+  segment::set_reserved(holder_.segment->arena(b), true);
 }
 
 void Pool::grow(std::size_t room) {

@@ -44,9 +44,6 @@ struct Holder {
   /// [blocks] Links a thread's list of blocks that dead messages let go of, and that the thread has
   /// still to bring home: the next block plus 2; 1: the last one; 0: the block is on no list.
   mutable std::vector<std::atomic<std::uint32_t>> home_links;
-  /// [blocks] Where the message begins that this process builds or has built there, as an offset:
-  /// its destructor runs nowhere else, whatever the arena says by then.
-  std::vector<std::uint64_t> roots;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
   /// Above all blocks that this process ever held, so that who looks for them need not go further.
   mutable std::atomic<std::uint32_t> known{0};
@@ -57,7 +54,6 @@ struct Holder {
     kept_links.resize(blocks);
     leaving.resize(blocks);
     home_links = std::vector<std::atomic<std::uint32_t>>(blocks);
-    roots.resize(blocks);
   }
 
   segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }
@@ -80,7 +76,10 @@ struct Holder {
   /// Claims block b, for messages of that topic (its key, or 0). False: it is not free.
   bool claim(std::uint32_t b, std::uint64_t topic) noexcept;
   /// Gives a block back to the segment. REQUIRES: it is exclusively owned, and has no memory.
-  void give_back(std::uint32_t b) const noexcept { own.give_back(words(b), cell(b).hold); }
+  void give_back(std::uint32_t b) const noexcept {
+    segment->build(b).close();
+    own.give_back(words(b), cell(b).hold);
+  }
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
   [[gnu::hot]] void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
@@ -94,11 +93,16 @@ struct Holder {
   /// grow.
   void freeze(const detail::ControlCell& c) const noexcept {
     detail::Arena& arena = segment->arena(c.block);
-    // Relaxed: as in Arena::freeze().
-    if (std::atomic_ref(arena.frozen).load(std::memory_order_relaxed) == 0 &&
-        (is_home(c.block) || may_grow(c))) {
-      arena.freeze();
-    }
+    if (!arena.is_frozen() && (is_home(c.block) || may_grow(c))) arena.freeze();
+  }
+  /// A message of ours that no other process has seen yet is complete.
+  void complete(std::uint32_t b) const noexcept {
+    segment->build(b).trim();
+    tell(b);
+  }
+  /// Says in the segment where its pieces are.
+  void tell(std::uint32_t b) const noexcept {
+    if (!segment->arena(b).is_frozen()) segment->build(b).tell();
   }
   /// What a message refers to is published with it.
   void freeze_references(std::uint32_t b) const noexcept {
@@ -386,8 +390,8 @@ class Pool {
   void trim_old(Old&& is_old) noexcept {
     trim_ahead(is_old);
     release_idle([&](std::uint32_t b) {
-      detail::Arena& arena = holder_.segment->arena(b);
-      return is_old(b) && arena.extents != 0 && !segment::is_reserved(arena);
+      return is_old(b) && holder_.segment->build(b).extents != 0 &&
+             !segment::is_reserved(holder_.segment->arena(b));
     });
   }
 
@@ -416,7 +420,7 @@ class Pool {
     if (type == nullptr || !is_laid_out_for_ever(*type)) bury_whole(b, type);
   }
   void bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept;
-  void recycle_extents(detail::Arena& arena) noexcept;
+  void recycle_extents(detail::Build& build) noexcept;
   bool has_spare_in(std::uint32_t b) const noexcept;
   bool is_at_rest_here(std::uint32_t b) const noexcept;
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;

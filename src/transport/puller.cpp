@@ -455,7 +455,9 @@ class Puller final : public detail::PullerCore {
     }
     if (!source.reader.take()) return false;
     // Not before: the home may be the reader that was faster.
-    if (!participant_->holder().is_home(block_)) {
+    if (participant_->holder().is_home(block_)) {
+      participant_->segment().build(block_).take_again();
+    } else {
       participant_->segment().arena(block_).change_hands();
     }
     return true;

@@ -103,7 +103,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     waits_ = options.policy == Policy::Block;
     block_for_ = std::max(std::chrono::nanoseconds(options.block_for), 0ns);
     participant_->eviction().add(*this);
-    if (type.size >= detail::Arena::kLargePiece) {
+    if (type.size >= detail::Build::kLargePiece) {
       participant_->ahead().expect(pool_, Pieces::one(type.size));
       participant_->ahead().next(pool_);
     }
@@ -175,7 +175,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     if (cell->hub != participant_->hub() || participant_->was_received(*cell)) {
       return push_of_others(cell, block_for);
     }
-    if (!type_->plain) participant_->segment().arena(cell->block).trim();
+    if (!type_->plain) participant_->holder().complete(cell->block);
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
@@ -371,7 +371,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   [[gnu::noinline]] Status push_of_others(detail::ControlCell* cell,
                                           std::chrono::nanoseconds block_for) {
     if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
-    cell->hub->shared_from_unique(cell);  // its home says what goes back of a complete one
+    cell->hub->shared_from_unique(cell);  // its home says where its pieces are
     const Status status = push_held(cell, block_for, false);
     if (status == Status::Ok) cell->drop_pointer();
     return status;
@@ -388,6 +388,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     make_room();
     participant_->holder().acquire(cell->block, hold::kRing);
     if (!type_->plain) {
+      if (participant_->holder().is_home(cell->block)) participant_->holder().tell(cell->block);
       if (shared) participant_->holder().freeze(*cell);
       participant_->holder().freeze_references(cell->block);
     }

@@ -508,7 +508,7 @@ TEST_CASE("a publisher that is bound by memory has the next message in its oldes
   for (int i = 0; i < 100; ++i) {
     auto frame = camera.loan();
     lot::transport::Participant& p = *lot::transport::Participant::at(frame.get());
-    warm += p.segment().arena(block_of(p, frame.get())).extents != 0;
+    warm += p.segment().build(block_of(p, frame.get())).extents != 0;
     frame->data.resize(kMiB);
     camera.push(std::move(frame));
   }

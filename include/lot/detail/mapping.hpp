@@ -12,16 +12,22 @@ template <class T>
 T read_once(const T& word) noexcept {
   return __atomic_load_n(&word, __ATOMIC_RELAXED);
 }
+/// Writes one that others may read meanwhile.
+template <class T>
+void write_once(T& word, T value) noexcept {
+  __atomic_store_n(&word, value, __ATOMIC_RELAXED);
+}
 
-/// A place where a segment is mapped in this process, and where in it the memory of messages is: no
-/// word of the segment leads a builder of messages elsewhere. Kept in private memory, since any
-/// participant can change a word of the segment.
+/// A place where a segment is mapped in this process, with what the process knows of its blocks'
+/// messages while it builds them (Build): no word of the segment leads a builder elsewhere. Kept in
+/// private memory, since any participant can change a word of the segment.
 ///
 /// Threads: any. Memory: one for each place at which a segment was ever mapped, never freed, so
-/// that a lookup takes no lock and a child of fork() finds what its parent had.
+/// that a lookup takes no lock and a child of fork() finds what its parent had; 256 bytes for each
+/// block, for which the system gives the pages that are touched.
 class Mapping {
  public:
-  /// A block's small payload, and its arena: both lie equally far into their tables.
+  /// A block's small payload, its arena and its Build: all lie equally far into their tables.
   static constexpr std::uint64_t kSmallBytes = 256;
 
   /// Where what is: the first byte, and offsets from it.
@@ -31,10 +37,11 @@ class Mapping {
     std::uint64_t arenas;
     std::uint64_t small;
     std::uint64_t data;  ///< granules, to the end
+    std::uint64_t blocks;
 
     friend bool operator==(const Layout& a, const Layout& b) noexcept {
       return a.base == b.base && a.size == b.size && a.arenas == b.arenas && a.small == b.small &&
-             a.data == b.data;
+             a.data == b.data && a.blocks == b.blocks;
     }
   };
 
@@ -46,6 +53,8 @@ class Mapping {
     explicit Scope(const Layout& layout);
     Scope& operator=(Scope&& other) noexcept;
     ~Scope();
+
+    const Mapping& mapping() const noexcept { return *mapping_; }
 
    private:
     Mapping* mapping_ = nullptr;
@@ -59,32 +68,31 @@ class Mapping {
     return nullptr;
   }
 
+  unsigned char* base() const noexcept { return layout_.base; }
   std::uint64_t offset_of(const void* address) const noexcept {
     return static_cast<std::uint64_t>(static_cast<const unsigned char*>(address) - layout_.base);
   }
-  /// Where these bytes are; null when they lie neither in granules nor in the small payload of the
-  /// block whose arena it is.
-  unsigned char* place(std::uint64_t offset, std::uint64_t bytes,
-                       const void* arena) const noexcept {
-    std::uint64_t begin = layout_.data;
-    std::uint64_t end = layout_.size;
-    if (offset < begin) {
-      begin = layout_.small + (offset_of(arena) - layout_.arenas);
-      end = begin + kSmallBytes;
-    }
-    return offset >= begin && offset <= end && bytes <= end - offset ? layout_.base + offset
-                                                                     : nullptr;
+  /// The Build of the block that has an arena; null when there is no arena.
+  void* build_of(const void* arena) const noexcept {
+    const std::uint64_t distance = offset_of(arena) - layout_.arenas;
+    return distance < layout_.blocks * kSmallBytes ? builds_ + distance / kSmallBytes * kSmallBytes
+                                                   : nullptr;
+  }
+  /// The small payload of the block that has an arena, as an offset. REQUIRES: it is an arena.
+  std::uint64_t small_of(const void* arena) const noexcept {
+    return layout_.small + (offset_of(arena) - layout_.arenas);
   }
   /// The offset of so many bytes behind the first granule.
   std::uint64_t in_granules(std::uint64_t bytes) const noexcept { return layout_.data + bytes; }
 
  private:
-  Mapping(const Layout& layout, Mapping* older)
-      : layout_(layout), size_(layout.size), older_(older) {}
+  Mapping(const Layout& layout, unsigned char* builds, Mapping* older)
+      : layout_(layout), builds_(builds), size_(layout.size), older_(older) {}
 
   static std::atomic<Mapping*> newest;  // private to the process
 
   const Layout layout_;
+  unsigned char* const builds_;
   std::atomic<std::uint64_t> size_;  ///< 0: nothing is mapped there any more
   Mapping* older_;
 };
