@@ -5,7 +5,6 @@
 #include <array>
 #include <cerrno>
 #include <climits>
-#include <csignal>
 #include <ctime>
 #include <linux/futex.h>
 #include <span>
@@ -13,6 +12,8 @@
 #include <thread>
 #include <unistd.h>
 #include <vector>
+
+#include "futex/no_signals.hpp"
 
 namespace lot::futex {
 namespace {
@@ -86,13 +87,9 @@ bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
   };
   std::vector<std::jthread> others;
   try {
+    const NoSignals quiet;
     for (std::size_t begin = kMaxWords - 1; begin < waits.size(); begin += kMaxWords - 1) {
-      others.emplace_back([&sleep, begin] {
-        sigset_t all;
-        sigfillset(&all);
-        pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
-        sleep(begin);
-      });
+      others.emplace_back([&sleep, begin] { sleep(begin); });
     }
   } catch (...) {  // no more threads: who is there goes on, and the caller looks again
     bell.store(1, std::memory_order_relaxed);

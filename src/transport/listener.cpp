@@ -2,7 +2,6 @@
 #include <cerrno>
 #include <chrono>
 #include <condition_variable>
-#include <csignal>
 #include <cstdio>
 #include <memory>
 #include <mutex>
@@ -13,6 +12,7 @@
 
 #include "lot/wait_set.hpp"
 
+#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot {
@@ -70,9 +70,6 @@ struct ShmListener::Impl {
   }
 
   void run() {
-    sigset_t all;
-    sigfillset(&all);
-    pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
     {
       const std::lock_guard guard(mutex);
       try {
@@ -112,6 +109,7 @@ void ShmListener::start(detail::PullerCore& puller, std::function<void()> on_rea
   impl.options = thread;
   impl.set.add(puller, std::move(on_ready));
   try {
+    const futex::NoSignals quiet;
     impl.thread = std::make_unique<std::thread>([&impl] { impl.run(); });
   } catch (const std::system_error& e) {
     throw Error(e.code().value(), "thread", "no thread for a listener",

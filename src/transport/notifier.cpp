@@ -2,13 +2,13 @@
 #include "transport/notifier.hpp"
 
 #include <cerrno>
-#include <csignal>
 #include <optional>
 #include <sys/eventfd.h>
 #include <system_error>
 #include <unistd.h>
 
 #include "futex/futex.hpp"
+#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot::transport {
@@ -19,6 +19,7 @@ Notifier::Notifier() : fd_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
                 "close descriptors, or raise the limit (ulimit -n)");
   }
   try {
+    const futex::NoSignals quiet;
     thread_ = std::thread([this] { run(); });
   } catch (const std::system_error& e) {
     close(fd_);
@@ -63,9 +64,6 @@ void Notifier::watch(detail::PullerCore& puller) {
 
 void Notifier::run() {
   pthread_setname_np(pthread_self(), "lot-notify");
-  sigset_t all;
-  sigfillset(&all);
-  pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
   detail::FutexWaits waits;
   for (bool watching = false;;) {
     futex::Deadline until;

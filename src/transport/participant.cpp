@@ -15,6 +15,7 @@
 
 #include "lot/error.hpp"
 
+#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot::transport {
@@ -296,6 +297,7 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
     lock_file_->take_turn();
     holder_.next_free = (blocks / segment_.capacity().participants) * holder_.own.self;
     try {
+      const futex::NoSignals quiet;
       warden_ = std::thread([this] { warden(); });
     } catch (const std::system_error& e) {
       throw Error(e.code().value(), segment_.path(), "no thread to watch over the others",

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <csignal>
 #include <cstring>
 #include <optional>
 #include <unistd.h>
@@ -116,9 +115,6 @@ void Participant::place_beside_warden() noexcept {
 
 void Participant::warden() {
   pthread_setname_np(pthread_self(), "lot-warden");  // of another thread it would go through /proc
-  sigset_t all;
-  sigfillset(&all);
-  pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
   stand_guard();
   // Stopped meanwhile, perhaps: nothing of that index may be ours.
   if (is_expelled_.load(std::memory_order_relaxed)) return;

@@ -16,6 +16,7 @@
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
+#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 #include "transport/participant.hpp"
 
@@ -95,22 +96,14 @@ void end_cleanly_on_signals() {
   if (process.load(std::memory_order_relaxed) != getpid()) {
     came_at.store(0, std::memory_order_relaxed);  // the parent's
     came.store(0, std::memory_order_relaxed);
-    // The thread takes no signals: it inherits the mask.
-    sigset_t all, before;
-    sigfillset(&all);
-    pthread_sigmask(SIG_SETMASK, &all, &before);
+    const futex::NoSignals quiet;
     try {
       std::thread(&wait_and_end).detach();
     } catch (const std::system_error& e) {
-      pthread_sigmask(SIG_SETMASK, &before, nullptr);
       throw Error(e.code().value(), "thread", "no thread to hear of signals",
                   segment::advice_on_threads());
-    } catch (...) {
-      pthread_sigmask(SIG_SETMASK, &before, nullptr);
-      throw;
     }
     process.store(getpid(), std::memory_order_relaxed);
-    pthread_sigmask(SIG_SETMASK, &before, nullptr);
   }
   static const int registered = std::atexit(&await_end);
   static_cast<void>(registered);  // without it the exit code is main()'s

@@ -8,6 +8,9 @@
 #include <csignal>
 #include <cstdint>
 #include <filesystem>
+#include <map>
+#include <mutex>
+#include <pthread.h>
 #include <string>
 #include <sys/syscall.h>
 #include <sys/wait.h>
@@ -61,9 +64,41 @@ pid_t raw_fork() {
   return static_cast<pid_t>(syscall(SYS_clone, SIGCHLD, nullptr, nullptr, nullptr, nullptr));
 }
 
+/// The threads that LOT has begun, by name, and whether a signal could come to them at first.
+std::mutex begun_mutex;
+std::map<std::string, bool> begun;
+
 }  // namespace
 
+extern "C" {
+int __real_pthread_setname_np(pthread_t thread, const char* name);
+/// What a thread of LOT does first.
+int __wrap_pthread_setname_np(pthread_t thread, const char* name) {
+  sigset_t blocked;
+  pthread_sigmask(SIG_BLOCK, nullptr, &blocked);
+  {
+    const std::lock_guard guard(begun_mutex);
+    begun[name] = sigismember(&blocked, SIGUSR1) == 0;
+  }
+  return __real_pthread_setname_np(thread, name);
+}
+}
+
 TEST_SUITE_BEGIN("presence");
+
+TEST_CASE("no signal of the application comes to a thread of the library, from its first step on") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh());
+  auto puller = engine.subscribe<Number>("/t");
+  puller.fd();
+  const auto listener = engine.listen<Number>("/t", [](const lot::ShmSharedPtr<const Number>&) {});
+  const std::map<std::string, bool> all{
+      {"lot-witness", false}, {"lot-warden", false}, {"lot-notify", false}, {"lot-listen", false}};
+  CHECK(eventually([&] {
+    const std::lock_guard guard(begun_mutex);
+    return begun == all;
+  }));
+}
 
 TEST_CASE("an index has another incarnation each time it is taken") {
   const Watchdog watchdog(60);
