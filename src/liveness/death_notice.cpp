@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "liveness/death_notice.hpp"
 
+#include <algorithm>
 #include <cerrno>
-#include <csignal>
 #include <cstddef>
 #include <linux/futex.h>
 #include <new>
-#include <pthread.h>
 #include <sys/mman.h>
 #include <sys/syscall.h>
-#include <system_error>
 #include <unistd.h>
+#include <utility>
 
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
+#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot::liveness {
@@ -23,9 +23,10 @@ namespace {
 static_assert(seat::kSleepers == FUTEX_WAITERS && seat::kDied == FUTEX_OWNER_DIED &&
               seat::kThread == FUTEX_TID_MASK);
 
-/// Only a thread that was ended alone, as a sandbox may, does not answer.
 constexpr std::chrono::seconds kAnswerPatience{2};
 constexpr std::chrono::hours kAsLongAsItTakes{24};
+/// So often in that time: has the thread been ended alone, as a sandbox may?
+constexpr std::chrono::milliseconds kLook{100};
 
 }  // namespace
 
@@ -55,8 +56,15 @@ DeathNotice::~DeathNotice() {
 bool DeathNotice::claim(Seat& seat, std::uint64_t seen) {
   seat_ = &seat;
   seen_ = seen;
-  if (!thread_.joinable()) start();
+  if (!has_thread_) start();
   ask(Order::Claim, kAsLongAsItTakes);
+  if (!has_thread_) {
+    throw Error(EPERM, "the witness thread (lot-witness)",
+                "was ended alone by the system, as a sandbox does for a system call "
+                "(SECCOMP_RET_KILL_THREAD)",
+                "let it call prctl, set_robust_list, gettid and futex, or refuse them with an "
+                "error (SECCOMP_RET_ERRNO)");
+  }
   return ours_ != 0;
 }
 
@@ -69,26 +77,27 @@ bool DeathNotice::renew() noexcept {
 }
 
 void DeathNotice::end() noexcept {
-  if (!thread_.joinable()) return;
+  if (!has_thread_) return;
   ask(Order::End, kAnswerPatience);
-  thread_.join();
+  if (std::exchange(has_thread_, false)) pthread_join(thread_, nullptr);
 }
 
 void DeathNotice::start() {
-  sigset_t all, before;
-  sigfillset(&all);
-  pthread_sigmask(SIG_SETMASK, &all, &before);  // the thread has no signals, from its first step on
-  try {
-    thread_ = std::thread([this] { run(); });
-  } catch (const std::system_error& e) {
-    pthread_sigmask(SIG_SETMASK, &before, nullptr);
-    throw Error(e.code().value(), "the witness thread", "cannot be started",
-                segment::advice_on_threads());
-  } catch (...) {
-    pthread_sigmask(SIG_SETMASK, &before, nullptr);
-    throw;
+  const futex::NoSignals quiet;
+  const auto begin = [](void* self) -> void* {
+    static_cast<DeathNotice*>(self)->run();
+    return nullptr;
+  };
+  if (const int error = pthread_create(&thread_, nullptr, begin, this)) {
+    throw Error(error, "the witness thread", "cannot be started", segment::advice_on_threads());
   }
-  pthread_sigmask(SIG_SETMASK, &before, nullptr);
+  has_thread_ = true;
+}
+
+/// Nothing is written when a thread ends: the C library is asked.
+bool DeathNotice::has_ended() noexcept {
+  if (has_thread_ && pthread_tryjoin_np(thread_, nullptr) == 0) has_thread_ = false;
+  return !has_thread_;
 }
 
 /// What stands in our own incarnation is ours to change, unless it says that we were judged: others
@@ -102,8 +111,10 @@ void DeathNotice::ask(Order order, std::chrono::nanoseconds patience) noexcept {
   const auto until = futex::Clock::now() + patience;
   order_.store(order, std::memory_order_release);
   futex::wake_all(&order_);
-  while (order_.load(std::memory_order_acquire) == order && futex::Clock::now() < until) {
-    futex::wait(&order_, static_cast<std::uint32_t>(order), until);
+  while (order_.load(std::memory_order_acquire) == order && !has_ended()) {
+    const auto now = futex::Clock::now();
+    if (now >= until) return;
+    futex::wait(&order_, static_cast<std::uint32_t>(order), std::min(until, now + kLook));
   }
 }
 

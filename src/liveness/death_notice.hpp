@@ -4,8 +4,8 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <pthread.h>
 #include <sys/types.h>
-#include <thread>
 
 /// The kernel's notice of a death: a word in shared memory, that the kernel changes when a process
 /// ends, and wakes one of the threads that sleep on it. docs/locks.md has the reasons.
@@ -52,7 +52,7 @@ class DeathNotice {
   DeathNotice& operator=(const DeathNotice&) = delete;
 
   /// Takes the seat, which was `seen`, in its next incarnation. False: it has changed meanwhile.
-  /// Begins the witness thread: throws lot::Error when there can be none.
+  /// Begins the witness thread: throws lot::Error when there can be none, or a sandbox ends it.
   ///
   /// Crash: killed before it, the seat is as it was; after it, the kernel says so.
   bool claim(Seat& seat, std::uint64_t seen);
@@ -77,6 +77,7 @@ class DeathNotice {
 
   bool is_ours(std::uint64_t seat) const noexcept;
   void start();
+  bool has_ended() noexcept;
   void ask(Order order, std::chrono::nanoseconds patience) noexcept;
   void run() noexcept;
   void take(std::uint32_t notice) noexcept;
@@ -90,7 +91,8 @@ class DeathNotice {
   std::uint64_t seen_ = 0;
   std::uint64_t ours_ = 0;                 ///< the seat, while it is ours; else 0
   std::atomic<Order> order_{Order::None};  ///< futex: for the thread, which sets None when done
-  std::thread thread_;
+  pthread_t thread_{};
+  bool has_thread_ = false;
 };
 
 }  // namespace lot::liveness

@@ -17,6 +17,7 @@
 #include "lot/lot.hpp"
 
 #include "segment/segment.hpp"
+#include "support/error_of.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -109,6 +110,25 @@ TEST_CASE("a viewer that is killed in a sandbox holds no camera up") {
     for (int n = 0; n < 2; ++n) CHECK(pusher.push(pusher.loan()) == lot::Status::Ok);
     viewer.kill9();
     CHECK(pusher.push(pusher.loan()) == lot::Status::Ok);
+  }
+}
+
+TEST_CASE("a sandbox that ends the witness thread alone is an error that names it, and no hang") {
+  const Watchdog watchdog(60);
+  for (const int call : {SYS_prctl, SYS_set_robust_list, SYS_gettid}) {
+    CAPTURE(call);
+    const auto options = fresh();
+    Child child([&] {
+      must(answer(static_cast<std::uint32_t>(call), SECCOMP_RET_KILL_THREAD), "a filter");
+      for (int attempt = 0; attempt < 2; ++attempt) {
+        const auto [error, text] = error_of([&] { const lot::ShmEngine engine(options); });
+        must(error == EPERM && names(text, "the witness thread (lot-witness)") &&
+                 names(text, "SECCOMP_RET_KILL_THREAD"),
+             text.c_str());
+      }
+    });
+    CHECK(child.wait() == 0);
+    CHECK(files_of(options) == 0);
   }
 }
 
