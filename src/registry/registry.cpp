@@ -61,6 +61,10 @@ Registry::Lock::Lock(Registry& registry) : registry_(registry) {
   RobustMutex mutex = registry.mutex();
   for (std::chrono::milliseconds waited{0};
        mutex.lock_for(kStoppedPatience) == RobustMutex::Outcome::Busy;) {
+    if (registry.owner_.name() == 0) {
+      throw Error(ESTALE, registry.segment_.path(),
+                  "this process has no place in the segment any more", "make new lot objects");
+    }
     const auto stopped = registry.owner_.stopped(mutex.holder());
     if (!stopped.process.empty()) {
       throw Error(EBUSY, registry.segment_.path(),

@@ -20,6 +20,7 @@ using Steps = lock::LockWord<detail::HardwareAtomics>;
 RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
   Steps word(word_);
   const std::uint32_t name = owner_.name();
+  if (name == 0) return Outcome::Busy;
   if (word.try_lock(name, false)) return Outcome::Locked;
   const auto until =
       futex::Clock::now() + std::clamp(timeout, std::chrono::nanoseconds(0), kLongest);
@@ -30,7 +31,7 @@ RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noe
     if (word.try_lock(name, true)) return Outcome::Locked;
     const auto now = futex::Clock::now();
     if (now < due) continue;  // signals and other waiters do not put the look off
-    if (seen != 0 && take_over(seen)) return Outcome::OwnerDied;
+    if (seen != 0 && take_over(seen, name)) return Outcome::OwnerDied;
     if (now >= until) return Outcome::Busy;
     period = std::min(2 * period, kSeldomest);
     due = std::min(until, now + period);
@@ -39,15 +40,16 @@ RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noe
 
 RobustMutex::Outcome RobustMutex::try_lock() noexcept {
   Steps word(word_);
-  if (word.try_lock(owner_.name(), false)) return Outcome::Locked;
+  const std::uint32_t name = owner_.name();
+  if (name == 0) return Outcome::Busy;
+  if (word.try_lock(name, false)) return Outcome::Locked;
   const std::uint32_t seen = word.seen();
-  return seen != 0 && take_over(seen) ? Outcome::OwnerDied : Outcome::Busy;
+  return seen != 0 && take_over(seen, name) ? Outcome::OwnerDied : Outcome::Busy;
 }
 
-bool RobustMutex::take_over(std::uint32_t seen) noexcept {
+bool RobustMutex::take_over(std::uint32_t seen, std::uint32_t name) noexcept {
   const std::uint32_t holder = lock::name(seen);
-  return holder != owner_.name() && owner_.is_gone(holder) &&
-         Steps(word_).take_over(seen, owner_.name());
+  return holder != name && owner_.is_gone(holder) && Steps(word_).take_over(seen, name);
 }
 
 std::uint32_t RobustMutex::holder() const noexcept { return lock::name(Steps(word_).seen()); }

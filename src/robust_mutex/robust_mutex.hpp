@@ -15,7 +15,7 @@ namespace lot {
 /// The process in whose name locks are taken: it says whether another holder lives.
 class LockOwner {
  public:
-  /// lock::make_name() of the process; 0: it is no participant, and has no lock.
+  /// lock::make_name() of the process; 0: it is no participant, has no lock, and gets none.
   virtual std::uint32_t name() const noexcept = 0;
   /// True when the process of that name is dead. A living one never is; a dead one is, soon.
   virtual bool is_gone(std::uint32_t name) noexcept = 0;
@@ -61,7 +61,7 @@ class RobustMutex {
   std::uint32_t holder() const noexcept;
 
  private:
-  bool take_over(std::uint32_t seen) noexcept;
+  bool take_over(std::uint32_t seen, std::uint32_t name) noexcept;
 
   Word& word_;
   LockOwner& owner_;

@@ -192,8 +192,9 @@ void Participant::remove_files_if_last() noexcept {
 ///
 /// Crash: killed in the gate, as when it leaves. Behind the mark: it was to die.
 void Participant::settle_files() noexcept {
+  if (!presence_.renew()) return expel();
   try {
-    if (presence_.renew() && lock_file_->intact() && lock_file_->enter_gate(kGatePatience)) {
+    if (lock_file_->intact() && lock_file_->enter_gate(kGatePatience)) {
       remove_files_if_last();
       segment_.witnesses()[index()].errands.fetch_or(errand::kEnding, std::memory_order_relaxed);
       lock_file_->leave_gate();
@@ -223,6 +224,9 @@ void Participant::stand_guard() noexcept {
   auto soon = kFirstLook;
   auto rested = looked_ = futex::Clock::now();
   for (;;) {
+    // First: we may have been stopped for long. Nothing of the index may be ours any more, its
+    // errands neither.
+    if (!presence_.renew()) return expel();
     // What others ask waits, and stands there meanwhile, until we have rested.
     const std::uint32_t mine = futex::Clock::now() >= rested ? ~std::uint32_t{0} : errand::kOwn;
     const std::uint32_t before = errands.fetch_and(~mine, std::memory_order_acquire);  // E1
@@ -373,10 +377,13 @@ void Participant::tell_homes() noexcept {
   for (std::uint32_t b = 0; b < blocks(); ++b) holder_.tell_home(b);
 }
 
-/// Our index is another process's: we were taken for dead, and are so from now on.
+/// Our index is another process's: we were taken for dead, and are so from now on. A thread that is
+/// in the midst of a call gets no lock in the old name, and the kernel's list leads to the seat no
+/// more: in another PID namespace the next one's thread may be called as ours.
 void Participant::expel() noexcept {
   is_expelled_.store(true, std::memory_order_relaxed);
   inert_.store(true, std::memory_order_relaxed);
+  presence_.end();
   lock_file_->unlock(index());  // another one has the index, or will
   note_settled();
 }
@@ -385,11 +392,6 @@ void Participant::expel() noexcept {
 bool Participant::look_around() noexcept {
   const auto now = futex::Clock::now();
   const bool due = now - looked_ >= kIdleLook;
-  // First, also when we were stopped for long: nothing of the index may be ours any more.
-  if (due && !presence_.renew()) {
-    expel();
-    return true;
-  }
   keep_own_lock();
   const std::uint32_t bequests =
       segment_.directory().bequests.load(std::memory_order_acquire);  // D3

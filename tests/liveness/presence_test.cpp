@@ -8,6 +8,7 @@
 #include <csignal>
 #include <cstdint>
 #include <filesystem>
+#include <fstream>
 #include <map>
 #include <mutex>
 #include <pthread.h>
@@ -22,9 +23,12 @@
 
 #include "lot/lot.hpp"
 
+#include "futex/futex.hpp"
+#include "support/error_of.hpp"
 #include "support/lock_owner.hpp"
 #include "support/processes.hpp"
 #include "support/sandbox.hpp"
+#include "transport/participant.hpp"
 
 namespace {
 
@@ -62,6 +66,15 @@ void close_all_of(const std::string& path) {
 /// fork() without its handlers, as a library may do it: the child keeps all descriptors.
 pid_t raw_fork() {
   return static_cast<pid_t>(syscall(SYS_clone, SIGCHLD, nullptr, nullptr, nullptr, nullptr));
+}
+
+bool has_thread(const std::string& name) {
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::string its;
+    std::getline(std::ifstream(task.path() / "comm"), its);
+    if (its == name) return true;
+  }
+  return false;
 }
 
 /// The threads that LOT has begun, by name, and whether a signal could come to them at first.
@@ -223,6 +236,42 @@ TEST_CASE("a process that was taken for dead does nothing more, says so, and may
   CHECK(victim.wait() == 0);
   CHECK(!seat::stands(seats.of(2)));
   CHECK(eventually([&] { return !seats.is_there(2); }));  // all that it had is reaped
+}
+
+TEST_CASE(
+    "a process that was taken for dead leaves errands and locks to the next one of its index") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  const lot::ShmEngine engine(options);
+  Seats seats(engine);
+  Steps joined, leave;
+  Child victim([&] {
+    const auto mine = lot::detail::join(options);
+    joined.tell();
+    must(eventually([&] { return mine->inert(); }), "it knows");
+    const auto [error, text] =
+        error_of([&] { const lot::registry::Registry::Lock lock(mine->registry()); });
+    must(error == ESTALE, text.c_str());
+    must(!mine->registry().try_lock(), "nor another way");
+    must(eventually([] { return !has_thread("lot-witness"); }), "the kernel's list has gone");
+    joined.tell();
+    must(leave.next() == '.', "the order");
+  });
+  REQUIRE(joined.next() != 0);
+  usleep(50000);  // its warden sleeps
+  auto& witness = seats.segment().witnesses()[2];
+  const std::uint64_t next = seat::make(seat::incarnation(seats.of(2)) + 1, 1 | seat::kSleepers);
+  seats.set(2, next);
+  witness.errands.fetch_or(lot::segment::errand::kTrim);
+  lot::futex::wake_all(&witness.errands);
+  CHECK(joined.next() != 0);
+  CHECK((witness.errands.load() & lot::segment::errand::kTrim) != 0);
+  CHECK(seats.of(2) == next);
+  leave.tell();
+  CHECK(victim.wait() == 0);
+  CHECK(seats.of(2) == next);
+  seats.set(2, next | seat::kDied);
+  CHECK(eventually([&] { return !seats.is_there(2); }));
 }
 
 TEST_SUITE_END();

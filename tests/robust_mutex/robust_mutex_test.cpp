@@ -143,6 +143,19 @@ TEST_CASE_FIXTURE(Fixture, "a free lock is locked at once, also by a timeout of 
   CHECK(me.asked == 0);
 }
 
+TEST_CASE_FIXTURE(Fixture, "who has no name gets no lock, neither a free one nor a dead one's") {
+  Owner nobody(*shared, ~std::uint32_t{0}, 0);
+  REQUIRE(nobody.name() == 0);
+  CHECK((mutex(nobody).try_lock() == Outcome::Busy));
+  CHECK((mutex(nobody).lock_for(30s) == Outcome::Busy));
+  Child child = holder(2);
+  kill(child, 2);
+  const std::uint32_t before = shared->word;
+  CHECK((mutex(nobody).try_lock() == Outcome::Busy));
+  CHECK(shared->word == before);
+  CHECK((mutex(me).try_lock() == Outcome::OwnerDied));
+}
+
 TEST_CASE_FIXTURE(Fixture,
                   "a lock that another process holds is busy, at once or after the timeout") {
   Child child([this] {
