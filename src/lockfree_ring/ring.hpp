@@ -803,8 +803,12 @@ class Reader {
   /// As poll(), where messages are to be finished: passes over those that somebody works on, and
   /// begins again when some have come back.
   Word poll_unclaimed(std::uint64_t& missed) {
+    Word lapped = 0;
+    return poll_unclaimed(missed, lapped);
+  }
+  Word poll_unclaimed(std::uint64_t& missed, Word& lapped) {
     look_back();
-    for (Word lapped = 0;;) {
+    for (;;) {
       const Word b = poll(missed, lapped);
       if (b == kNoBlock || b == kDamaged || !is_claimed(ring_.claims[index_], cursor_)) return b;
       step(1);

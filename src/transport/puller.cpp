@@ -364,11 +364,15 @@ class Puller final : public detail::PullerCore {
     return false;
   }
 
+  /// Twice around the ring at most, though other readers are faster each time: a process that
+  /// changes its words could go on for ever. Where they lead round and round the numbers that is
+  /// found on the way.
   [[gnu::hot]] bool look_into(Source& source, detail::Borrowed& borrowed) {
     const Source::Turn turn(source);
-    for (;;) {
-      const ring::Word b =
-          working_ ? source.reader.poll_unclaimed(missed_) : source.reader.poll(missed_);
+    ring::Word lapped = 0;
+    for (std::uint32_t tries = 0; tries < 2 * source.reader.ring().depth; ++tries) {
+      const ring::Word b = working_ ? source.reader.poll_unclaimed(missed_, lapped)
+                                    : source.reader.poll(missed_, lapped);
       if (b == kNoBlock) return false;
       found(borrowed, b);
       if (!keeping_) return true;
@@ -378,6 +382,7 @@ class Puller final : public detail::PullerCore {
       if (ours) return true;
       borrowed.cell->drop_pointer();
     }
+    return false;
   }
 
   /// What has come back is the oldest there is: the next look begins there.
@@ -560,10 +565,12 @@ class Puller final : public detail::PullerCore {
   /// Sleeps until something may have come. False when the deadline has passed.
   [[gnu::hot]] bool park(const futex::Deadline& deadline) {
     waits_.clear();
-    const auto again = arm(waits_);
-    if (!again) return true;
-    const bool final = deadline && *deadline <= *again;
-    return futex::wait_any(waits_, final ? *deadline : *again) || !final;
+    if (const auto again = arm(waits_)) {
+      futex::wait_any(waits_, deadline ? std::min(*again, *deadline) : *again);
+    }
+    // Whatever the wait says: the words may change, or messages be there, all the time, and other
+    // readers be faster.
+    return !deadline || futex::Clock::now() < *deadline;
   }
 
   static void wake_sleepers(segment::Ring& ring) noexcept {

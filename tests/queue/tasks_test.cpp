@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Items that wait for whoever takes them, whatever becomes of those who put them; and tasks, which
 // come back when their worker does not finish them. Both engines.
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cerrno>
@@ -303,6 +304,52 @@ TEST_CASE_FIXTURE(Fixture, "a task is there until it is finished") {
     first.finish();
     CHECK(jobs.is_empty());
     CHECK(!jobs.wait_and_take_for(1ms));
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "words that lead a worker round and round the numbers are damage") {
+  with_each_engine([&](QueueEngine engine) {
+    constexpr std::uint32_t kDepth = 8;
+    lot::ShmEngine shm(options);
+    auto jobs = shm.queue<lot::ShmUniquePtr<Job>>("jobs", redelivering(engine, kDepth));
+    for (std::uint64_t n = 0; n < 2; ++n) REQUIRE(put(jobs, n) == Status::Ok);
+    jobs.try_take().finish();
+    auto task = jobs.try_take();
+    REQUIRE(task);
+    lot::segment::Segment segment(shm.path());
+    const auto channels = segment.channels();
+    const auto c = std::find_if(channels.begin(), channels.end(), [](const auto& channel) {
+      return lot::ring::writer_state(channel.writer.load()) == lot::ring::State::Live;
+    });
+    REQUIRE(c != channels.end());
+    const auto ring = segment.ring(static_cast<std::uint32_t>(c - channels.begin()));
+    REQUIRE(ring.depth == kDepth);
+    std::array<lot::ring::Word, kDepth> slots, claims;
+    lot::ring::Word block = lot::ring::kNoBlock;
+    for (std::uint32_t i = 0; i < kDepth; ++i) {
+      slots[i] = ring.slots[i].load();
+      claims[i] = ring.claims[i].load();
+      block = std::min(block, lot::ring::block(slots[i]));
+    }
+    REQUIRE(block != lot::ring::kNoBlock);
+    // Each second message is a quarter of all numbers ahead; the one behind it is there, and
+    // another worker was faster.
+    for (std::uint32_t i = 0; i < kDepth; i += 2) {
+      const auto ahead = lot::ring::advance(i, (i / 2 + 1) * (lot::ring::Word{1} << 40));
+      const auto there = lot::ring::advance(ahead, lot::ring::Word{1} - kDepth);
+      ring.slots[i] = lot::ring::make(ahead, block);
+      ring.slots[i + 1] = lot::ring::make(there, block);
+      ring.claims[i + 1] = lot::ring::make_claim(lot::ring::next(there), 1, 0);
+    }
+    for (int n = 0; n < 3; ++n) {
+      CHECK(error_of([&] { jobs.try_take(); }).first == EBADMSG);
+      CHECK(error_of([&] { jobs.wait_and_take(); }).first == EBADMSG);
+    }
+    for (std::uint32_t i = 0; i < kDepth; ++i) {
+      ring.slots[i] = slots[i];
+      ring.claims[i] = claims[i];
+    }
+    task.finish();
   });
 }
 
