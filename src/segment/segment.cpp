@@ -113,6 +113,21 @@ bool is_refused(int error) {
   return error == EINVAL || error == EPERM || error == EACCES || error == ENOSYS;
 }
 
+/// Takes the memory of the first bytes of a file that nobody else knows yet. 0, or an error.
+int reserve_new(int fd, std::uint64_t bytes) {
+  const int error = posix_fallocate(fd, 0, static_cast<off_t>(bytes));
+  if (!is_refused(error)) return error;
+  const std::vector<char> zeros(kUnit);
+  for (std::uint64_t done = 0; done < bytes;) {
+    const ssize_t n = pwrite(fd, zeros.data(), std::min<std::uint64_t>(zeros.size(), bytes - done),
+                             static_cast<off_t>(done));
+    if (n == -1 && errno == EINTR) continue;
+    if (n <= 0) return n == 0 ? ENOSPC : errno;
+    done += static_cast<std::uint64_t>(n);
+  }
+  return 0;
+}
+
 Capacity choose_size(const std::string& path, Capacity capacity) {
   const std::string directory = path.substr(0, path.rfind('/'));
   struct statvfs room {};
@@ -384,7 +399,7 @@ void Segment::create(const std::string& path, Capacity capacity, const Trust& tr
     throw Error(error, path, what, "free memory in its directory, or set LOT_SIZE or LOT_DIR");
   };
   if (ftruncate(file.fd, static_cast<off_t>(capacity.size)) == -1) fail(errno, "cannot make it");
-  int error = posix_fallocate(file.fd, 0, static_cast<off_t>(geometry.data));
+  const int error = reserve_new(file.fd, geometry.data);
   if (error != 0) fail(error, "cannot reserve memory for its tables");
   Header header{};
   std::memcpy(header.identity.magic, kMagic, sizeof(kMagic));

@@ -217,13 +217,16 @@ std::string describe(Participant& participant, const Shortfall& shortfall,
                      " are in use, the largest free piece has " + fill.amount(fill.largest());
   const bool is_full = shortfall.error == ENOSPC;  // of the file system
   const std::string directory = segment.path().substr(0, segment.path().rfind('/'));
+  std::string remedy = "free memory in " + directory + ", enlarge it, or set LOT_DIR";
   if (is_full) {
     struct statvfs room {};
-    text += ", and the file system is full";
-    if (statvfs(directory.c_str(), &room) == 0) {
-      const std::uint64_t free = std::uint64_t{room.f_bavail} * room.f_frsize;
-      text += ": " + fill.amount(free / segment::kGranule) + " are free in " + directory;
-    }
+    const bool is_known = statvfs(directory.c_str(), &room) == 0;
+    const std::uint64_t free = std::uint64_t{room.f_bavail} * room.f_frsize / segment::kGranule;
+    const bool is_refused = is_known && free >= shortfall.granules;
+    text += is_refused ? ", and the system gives no memory" : ", and the file system is full";
+    if (is_known) text += ": " + fill.amount(free) + " are free in " + directory;
+    if (is_refused)
+      remedy = "have the sandbox let madvise or fallocate through, or look for a quota";
   }
   const bool is_too_large = shortfall.granules > fill.total();
   if (!is_too_large) {
@@ -235,7 +238,7 @@ std::string describe(Participant& participant, const Shortfall& shortfall,
   }
   text += list({fill.richest(), fill.keeper()});
   if (is_too_large) return text + "; the whole segment is too small for it: raise LOT_SIZE";
-  if (is_full) return text + "; free memory in " + directory + ", enlarge it, or set LOT_DIR";
+  if (is_full) return text + "; " + remedy;
   return text + "; raise LOT_SIZE" + or_else(fill.remedy());
 }
 

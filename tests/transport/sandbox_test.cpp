@@ -37,6 +37,7 @@ constexpr Call kCalls[] = {{"set_robust_list", SYS_set_robust_list},
                            {"futex_waitv", kFutexWaitv},
                            {"membarrier", SYS_membarrier},
                            {"madvise", SYS_madvise},
+                           {"fallocate", SYS_fallocate},
                            {"mlock", SYS_mlock},
                            {"sched_setaffinity", SYS_sched_setaffinity}};
 
@@ -111,6 +112,24 @@ TEST_CASE("a viewer that is killed in a sandbox holds no camera up") {
     viewer.kill9();
     CHECK(pusher.push(pusher.loan()) == lot::Status::Ok);
   }
+}
+
+TEST_CASE("where neither madvise nor fallocate is allowed, messages say that there is no memory") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  Child child([&] {
+    must(refuse(SYS_madvise, EPERM) && refuse(SYS_fallocate, EPERM), "a filter");
+    lot::ShmEngine engine(options);
+    const auto [error, text] = error_of([&] {
+      auto pusher = engine.advertise<Frame>("/t");
+      pusher.loan()->data.resize(1 << 20);
+    });
+    must(error == 0 && names(text, "the system gives no memory") &&
+             names(text, "madvise or fallocate"),
+         text.c_str());
+  });
+  CHECK(child.wait() == 0);
+  CHECK(files_of(options) == 0);
 }
 
 TEST_CASE("a sandbox that ends the witness thread alone is an error that names it, and no hang") {
