@@ -61,8 +61,6 @@ std::uint64_t boot() {
   return file >> id ? hash(id.data(), id.size()) : 0;
 }
 
-std::string mib(std::uint64_t bytes) { return std::to_string(bytes >> 20) + " MiB"; }
-
 struct Descriptor {  // also what Boost's mapped_region maps
   int fd;
   boost::interprocess::mode_t mode;
@@ -144,37 +142,42 @@ Capacity choose_size(const std::string& path, Capacity capacity) {
   capacity.size = capacity.size / kUnit * kUnit;
   const std::uint64_t least = Geometry::of(capacity).data + kSmallestData;
   if (capacity.size < least) {
+    std::string limit = size_text(capacity.size) + " were asked for";
+    const char* remedy = "raise LOT_SIZE";
+    if (!chosen && of_a_file <= capacity.size + kUnit) {
+      limit = "a file of this process may have " + size_text(of_a_file);
+      remedy = "raise RLIMIT_FSIZE (ulimit -f)";
+    } else if (!chosen && of_the_group <= capacity.size + kUnit) {
+      limit = "the processes of this control group may have " + size_text(of_the_group * 2) +
+              " of memory, and it takes at most half of that";
+      remedy = "raise the group's memory limit, or set LOT_SIZE";
+    } else if (!chosen) {
+      limit = size_text(free) + " are free in " + directory +
+              ", and it takes at most three quarters of that";
+      remedy =
+          "free memory there, enlarge it (docker run --shm-size), set LOT_DIR, or set LOT_SIZE";
+    }
     throw Error(chosen ? EINVAL : ENOSPC, path,
-                "a segment needs at least " + mib(least + kUnit) + "; " +
-                    (chosen ? mib(capacity.size) + " were asked for"
-                     : of_a_file <= capacity.size + kUnit
-                         ? "a file of this process may have " + mib(of_a_file)
-                     : of_the_group <= capacity.size + kUnit
-                         ? "the processes of this control group may have " + mib(of_the_group * 2) +
-                               " of memory"
-                         : mib(free) + " are free in " + directory +
-                               ", and it takes at most three quarters of that"),
-                chosen ? "raise LOT_SIZE"
-                       : "set LOT_SIZE, free memory there, enlarge it (docker run --shm-size), set "
-                         "LOT_DIR, or "
-                         "raise the limit (ulimit -f, or the control group's)");
+                "a segment needs at least " + size_text(least + kUnit) + "; " + limit, remedy);
   }
   if (capacity.size > free) {
     throw Error(ENOSPC, path,
-                mib(capacity.size) + " were asked for, " + mib(free) + " are free in " + directory,
+                size_text(capacity.size) + " were asked for, " + size_text(free) + " are free in " +
+                    directory,
                 "lower LOT_SIZE, enlarge the file system (docker run --shm-size), or set LOT_DIR");
   }
   if (capacity.size > of_a_file) {  // a signal would end the process
-    throw Error(
-        EFBIG, path,
-        mib(capacity.size) + " were asked for, a file of this process may have " + mib(of_a_file),
-        "lower LOT_SIZE, or raise RLIMIT_FSIZE (ulimit -f)");
+    throw Error(EFBIG, path,
+                size_text(capacity.size) + " were asked for, a file of this process may have " +
+                    size_text(of_a_file),
+                "lower LOT_SIZE, or raise RLIMIT_FSIZE (ulimit -f)");
   }
   if (capacity.size / 2 > of_the_group) {
     std::fprintf(stderr,
                  "lot: %s: warning: it has %s, and the processes of this control group may have %s "
                  "of memory together; lower LOT_SIZE, or raise the group's memory limit\n",
-                 path.c_str(), mib(capacity.size).c_str(), mib(of_the_group * 2).c_str());
+                 path.c_str(), size_text(capacity.size).c_str(),
+                 size_text(of_the_group * 2).c_str());
   }
   return capacity;
 }
@@ -225,7 +228,7 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
   if (header.identity.boot != 0 && boot() != 0 && header.identity.boot != boot()) {
     reason = "it was left by another boot of the system";
   } else if (wanted != 0 && wanted / kUnit * kUnit != file_size) {
-    reason = "it has " + mib(file_size) + ", " + mib(wanted) + " were asked for";
+    reason = "it has " + size_text(file_size) + ", " + size_text(wanted) + " were asked for";
   }
   return reason.empty() ? Segment::Fit::Fits : Segment::Fit::Stale;
 }
@@ -472,7 +475,7 @@ Segment::Segment(const std::string& path, Access access, const Trust& trust) : p
   try {
     region_ = map_file(file, size);
   } catch (const boost::interprocess::interprocess_exception& e) {
-    throw Error(e.get_native_error(), path, "cannot map " + mib(size) + " of address space",
+    throw Error(e.get_native_error(), path, "cannot map " + size_text(size) + " of address space",
                 advice_on_address_space());
   }
   base_ = static_cast<unsigned char*>(region_.get_address());
@@ -754,11 +757,11 @@ void Segment::lock_memory() {
     rlimit limit{};
     getrlimit(RLIMIT_MEMLOCK, &limit);
     throw Error(error, path_,
-                "cannot lock its " + mib(size()) + ": RLIMIT_MEMLOCK is " +
+                "cannot lock its " + size_text(size()) + ": RLIMIT_MEMLOCK is " +
                     std::to_string(limit.rlim_cur >> 10) + " KiB",
                 "raise the limit (ulimit -l, LimitMEMLOCK=, docker run --ulimit memlock=-1), give "
-                "CAP_IPC_LOCK, make the segment smaller by LOT_SIZE, or leave LOT_MLOCK and "
-                "EngineOptions::lock_memory away");
+                "CAP_IPC_LOCK, leave LOT_MLOCK and EngineOptions::lock_memory away, or have the "
+                "segment made anew with a smaller LOT_SIZE, when all that use it have ended");
   }
   is_locked_.store(true, std::memory_order_relaxed);
   can_give_back_.store(false, std::memory_order_relaxed);  // MADV_REMOVE refuses locked memory

@@ -39,8 +39,7 @@ std::string memory_limits() {
                                        std::pair(RLIMIT_DATA, "RLIMIT_DATA (ulimit -d)")}) {
     const std::uint64_t limit = limit_of(resource);
     if (limit == kUnlimited) continue;
-    text += (text.empty() ? "" : ", ") + std::string(name) + " is " + std::to_string(limit >> 20) +
-            " MiB";
+    text += (text.empty() ? "" : ", ") + std::string(name) + " is " + size_text(limit);
   }
   return text;
 }
@@ -71,10 +70,16 @@ std::uint64_t memory_limit(const std::string& groups, const std::string& mount) 
   return least;
 }
 
+std::string size_text(std::uint64_t bytes) {
+  constexpr std::uint64_t kMiB = 1 << 20;
+  const bool is_small = bytes < 10 * kMiB && bytes % kMiB != 0;
+  return is_small ? std::to_string(bytes >> 10) + " KiB" : std::to_string(bytes / kMiB) + " MiB";
+}
+
 std::string advice_on_address_space() {
   const std::string limits = memory_limits();
-  return limits.empty() ? "free memory, or make the segment with a smaller LOT_SIZE"
-                        : limits + ": raise it, or make the segment with a smaller LOT_SIZE";
+  return (limits.empty() ? "free memory" : limits + ": raise it") +
+         ", or have the segment made anew with a smaller LOT_SIZE, when all that use it have ended";
 }
 
 std::string advice_on_threads() {

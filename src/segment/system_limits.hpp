@@ -21,7 +21,11 @@ std::uint64_t file_limit() noexcept;
 std::uint64_t memory_limit(const std::string& groups = "/proc/self/cgroup",
                            const std::string& mount = "/sys/fs/cgroup");
 
-/// What to do where there is no memory or no address space: names the limit that is set.
+/// "1000 KiB", "64 MiB".
+std::string size_text(std::uint64_t bytes);
+
+/// What to do where there is no memory or no address space: names the limit that is set. The
+/// segment is there by then.
 std::string advice_on_address_space();
 /// The same where the system starts no thread.
 std::string advice_on_threads();

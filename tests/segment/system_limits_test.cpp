@@ -130,7 +130,10 @@ TEST_CASE("a limit of a file's size is an error that names it, not a signal") {
       options, [] { limit(RLIMIT_FSIZE, 32 * kMiB); }, EFBIG, "RLIMIT_FSIZE");
   options.size_bytes = 0;
   check_refused(
-      options, [] { limit(RLIMIT_FSIZE, kMiB); }, ENOSPC, "a file of this process");
+      options, [] { limit(RLIMIT_FSIZE, kMiB); }, ENOSPC, "a file of this process may have 1 MiB");
+  check_refused(
+      options, [] { limit(RLIMIT_FSIZE, 1000 << 10); }, ENOSPC,
+      "a file of this process may have 1000 KiB (No space left on device); raise RLIMIT_FSIZE");
 }
 
 TEST_CASE("a segment of the default size fits the limit of a file's size") {
@@ -216,6 +219,24 @@ TEST_CASE("too little address space is an error that names the limit" *
   options.size_bytes = 512 * kMiB;
   check_refused(
       options, [] { limit(RLIMIT_AS, 256 * kMiB); }, ENOMEM, "RLIMIT_AS (ulimit -v) is");
+}
+
+TEST_CASE("who has no room for a segment that is there is not told to make it smaller at once" *
+          doctest::skip(kMapsTerabytes)) {
+  const Watchdog watchdog(60);
+  const auto options = fresh(512 * kMiB);
+  const lot::ShmEngine engine(options);
+  Child child([&] {
+    const auto joins = [&] { return error_of([&] { const lot::ShmEngine mine(options); }); };
+    limit(RLIMIT_AS, 256 * kMiB);
+    const auto [error, text] = joins();
+    must(error == ENOMEM && names(text,
+                                  "RLIMIT_AS (ulimit -v) is 256 MiB: raise it, or have the "
+                                  "segment made anew with a smaller LOT_SIZE, when all that "
+                                  "use it have ended"),
+         text.c_str());
+  });
+  CHECK(child.wait() == 0);
 }
 
 TEST_CASE("too little memory for the threads is an error that names the limit" *
