@@ -41,7 +41,7 @@ bool held_by_another(int fd, struct flock range) {
 }  // namespace
 
 LockFile::LockFile(std::string path, const segment::Trust& trust)
-    : path_(std::move(path)), fd_(segment::open_private(path_, trust.of_a_lock_file())) {
+    : path_(std::move(path)), fd_(segment::open_private(path_, trust)) {
   struct stat status {};
   fstat(fd_, &status);
   if (!S_ISREG(status.st_mode) || status.st_size != 0) {
@@ -162,7 +162,7 @@ void LockFile::require_intact() const {
 }
 
 void LockFile::require(const segment::Trust& trust) const {
-  if (intact()) trust.of_a_lock_file().require(fd_, path_);
+  if (intact()) trust.require(fd_, path_);
 }
 
 bool LockFile::reopen() noexcept {
@@ -197,7 +197,7 @@ LockProbe::~LockProbe() {
 }
 
 void LockProbe::require(const segment::Trust& trust, const std::string& path) const {
-  if (fd_ != -1) trust.of_a_lock_file().require(fd_, path);
+  if (fd_ != -1) trust.require(fd_, path);
 }
 
 bool LockProbe::is_held(std::uint32_t first, std::uint32_t count) const noexcept {

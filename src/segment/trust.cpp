@@ -19,6 +19,9 @@ namespace {
 constexpr mode_t kOwn = 0600;
 constexpr mode_t kOfGroup = 0060;
 
+/// One of the classes may read and not write, or the other way around.
+bool gives_half(mode_t mode) { return ((mode >> 1 ^ mode) & 0222) != 0; }
+
 std::string in_octal(mode_t mode) {
   std::array<char, 16> text{};
   std::snprintf(text.data(), text.size(), "0%o", mode & 07777U);
@@ -115,14 +118,12 @@ Trust Trust::of(const EngineOptions& options) {
                 "with the permissions " + in_octal(trust.mode) + " its members cannot join",
                 "leave LOT_PERMISSIONS away, or write 0660");
   }
+  if (gives_half(trust.mode)) {
+    throw Error(EINVAL, "permissions (LOT_PERMISSIONS) " + in_octal(trust.mode),
+                "nobody could join by one right alone: joining reads and writes",
+                "use 0600 (you), 0660 (your group), 0666 (everybody)");
+  }
   return trust;
-}
-
-Trust Trust::of_a_lock_file() const {
-  Trust its = *this;
-  const mode_t both = mode & (mode >> 1) & 0222;  // write bits, where there is a read bit too
-  its.mode = both | (both << 1);
-  return its;
 }
 
 void Trust::require(int fd, const std::string& path) const {
@@ -147,7 +148,7 @@ void Trust::require(int fd, const std::string& path) const {
                 "remove it, or set LOT_SEGMENT or LOT_DIR");
   }
   const mode_t wider = status.st_mode & 07777 & ~mode;
-  if ((wider & ~mode_t{0666}) != 0) {
+  if ((wider & ~mode_t{0666}) != 0 || (wider != 0 && gives_half(status.st_mode))) {
     throw Error(EPERM, path, "no file of LOT has such a mode: it belongs to " + describe(status),
                 "chmod it to 0600, or remove it, or set LOT_SEGMENT");
   }

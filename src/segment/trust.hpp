@@ -23,13 +23,10 @@ struct Trust {
   std::optional<gid_t> group{};  ///< that was named; new files get it
   mode_t mode = 0600;            ///< of new files; no wider one is trusted
 
-  /// Of these options. Throws lot::Error (EINVAL) where there is no such user or group, or a group
-  /// is named that the permissions give nothing.
+  /// Of these options. Throws lot::Error (EINVAL) where there is no such user or group, a group is
+  /// named that the permissions give nothing, or they give a class one right alone: to join takes
+  /// both, and a user who may only read could hold the gate by a read lock of the lock file.
   static Trust of(const EngineOptions& options);
-
-  /// The same for a lock file. Of each class both rights or none: a user who may only read could
-  /// hold the gate by a read lock.
-  Trust of_a_lock_file() const;
 
   /// Throws lot::Error (EPERM) that says whose it is, and what to do, if it is not trusted.
   void require(int fd, const std::string& path) const;

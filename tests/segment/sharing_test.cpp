@@ -12,12 +12,12 @@
 #include <string>
 #include <sys/stat.h>
 #include <unistd.h>
-#include <utility>
 
 #include <doctest/doctest.h>
 
 #include "lot/lot.hpp"
 
+#include "support/error_of.hpp"
 #include "support/processes.hpp"
 #include "support/users.hpp"
 
@@ -182,16 +182,32 @@ TEST_CASE("a user outside the group is told whose file it is") {
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("a user who may only read the segment gets no right to the lock file") {
-  const Watchdog watchdog(60);
-  for (const auto& [permissions, lock] : {std::pair{0644U, 0600U}, std::pair{0664U, 0660U},
-                                          std::pair{0640U, 0600U}, std::pair{0666U, 0666U}}) {
+TEST_CASE("permissions that give one right alone are refused: nobody could join by it") {
+  for (const unsigned permissions : {0640U, 0644U, 0664U, 0620U, 0602U, 0646U}) {
     CAPTURE(permissions);
     const auto options = with_permissions(permissions);
-    const lot::ShmEngine engine(options);
-    CHECK(facts_of(engine.path()).mode == permissions);
-    CHECK(facts_of(engine.path() + ".lock").mode == lock);
+    const auto [error, text] = error_of([&] { const lot::ShmEngine engine(options); });
+    CHECK(error == EINVAL);
+    CHECK(names(text, "joining reads and writes"));
+    CHECK(files_of(options) == 0);
   }
+  for (const unsigned permissions : {0600U, 0660U, 0606U, 0666U}) {
+    CAPTURE(permissions);
+    const lot::ShmEngine engine(with_permissions(permissions));
+    CHECK(facts_of(engine.path()).mode == permissions);
+    CHECK(facts_of(engine.path() + ".lock").mode == permissions);
+  }
+}
+
+TEST_CASE("a file that somebody has given such a mode is not joined, and the error says so") {
+  const auto options = with_permissions(0600);
+  const lot::ShmEngine engine(options);
+  REQUIRE(chmod(engine.path().c_str(), 0644) == 0);
+  Child other([&] {
+    const auto [error, text] = error_of([&] { const lot::ShmEngine mine(options); });
+    must(error == EPERM && names(text, "no file of LOT has such a mode"), text.c_str());
+  });
+  CHECK(other.wait() == 0);
 }
 
 TEST_CASE("a maker that is killed leaves no lock file that its group cannot open") {
