@@ -17,7 +17,8 @@ struct EngineOptions {
   std::string directory = "/dev/shm";  ///< LOT_DIR; share it with the containers that are to meet
   std::uint64_t size_bytes = 0;        ///< LOT_SIZE (512M, 2G); 0: 1 GiB, or less: docs/limits.md
   /// LOT_PERMISSIONS, octal: 0600, 0660 or 0666, since joining reads and writes. Of new files; a
-  /// segment whose files give others more is not joined. 0: 0600, or 0660 with a group.
+  /// segment whose files give others more is not joined, nor one's own that gives less. 0: 0600, or
+  /// 0660 with a group.
   unsigned permissions = 0;
   /// LOT_GROUP, a name or a number. Its members share the segment: new files belong to it, and
   /// theirs are joined.

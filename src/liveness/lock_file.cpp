@@ -165,6 +165,10 @@ void LockFile::require(const segment::Trust& trust) const {
   if (intact()) trust.require(fd_, path_);
 }
 
+std::string LockFile::shortfall(const segment::Trust& trust) const {
+  return intact() ? trust.shortfall(fd_) : "";
+}
+
 bool LockFile::reopen() noexcept {
   const int fd = ::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
   if (fd == -1) return false;

@@ -72,6 +72,8 @@ class LockFile {
   void require_intact() const;
   /// Throws lot::Error when it is not trusted by such a one.
   void require(const segment::Trust& trust) const;
+  /// Why it does not let all in whom such a one wants to, or "".
+  std::string shortfall(const segment::Trust& trust) const;
   /// Opens the file again after that. False when it is another file by now.
   bool reopen() noexcept;
 

@@ -289,8 +289,9 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
   }
   throw Error(ENOSPC, segment_.path(),
               "all " + std::to_string(channels.size()) + " channels are in use",
-              "make the segment with a larger EngineOptions::channels; `lot ls` shows queues whose "
-              "items wait though their putters have gone");
+              "make the segment with a larger EngineOptions::channels; " +
+                  segment::command("ls", segment_.path()) +
+                  " shows queues whose items wait though their putters have gone");
 }
 
 std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {

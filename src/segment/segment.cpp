@@ -246,8 +246,8 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
                            ? "end the process that has a lease on it, or set LOT_SEGMENT"
                        : error == EMFILE ? "raise the limit of open files (ulimit -n)"
                        : error == ENFILE ? "the system has no more open files (fs.file-max)"
-                       : error == EEXIST ? "its owner, or root, can remove it (lot clean); or name "
-                                           "another directory with LOT_DIR"
+                       : error == EEXIST ? "its owner, or root, can remove it; or name another "
+                                           "directory with LOT_DIR"
                                          : "set LOT_DIR to a directory that you may write to";
   const std::string rival = error == EEXIST ? owner_and_mode(path) : "";
   throw Error(error, path, what + (rival.empty() ? "" : ": what is there belongs to " + rival),
@@ -397,7 +397,8 @@ void Segment::create(const std::string& path, Capacity capacity, const Trust& tr
     if ((error == EPERM || error == EACCES) && !may_remove(path)) {
       throw Error(error, path,
                   "cannot put a new segment in its place, it belongs to " + owner_and_mode(path),
-                  "let its owner, or root, run `lot clean`, or set LOT_SEGMENT or LOT_DIR");
+                  "let its owner, or root, run " + command("clean", path) +
+                      ", or set LOT_SEGMENT or LOT_DIR");
     }
     throw Error(error, path, what, "free memory in its directory, or set LOT_SIZE or LOT_DIR");
   };
@@ -431,7 +432,8 @@ Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, const
   const Fit fit = fit_of(file.fd, size, reason);
   // What is no segment is said to be none, whosever it is.
   if (fit != Fit::Foreign) trust.require(file.fd, path);
-  return fit;
+  if (fit == Fit::Fits) reason = trust.shortfall(file.fd);
+  return fit == Fit::Fits && !reason.empty() ? Fit::Narrow : fit;
 }
 
 Segment::Fit Segment::inspect(const std::string& path, const Trust& trust, std::string& reason) {

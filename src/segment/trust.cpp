@@ -5,8 +5,10 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
+#include <fstream>
 #include <grp.h>
 #include <pwd.h>
+#include <string_view>
 #include <sys/stat.h>
 #include <unistd.h>
 #include <vector>
@@ -63,6 +65,16 @@ std::string name_of(unsigned number, char* Entry::*name, Lookup&& lookup) {
   return found != nullptr ? std::string(" (") + found->*name + ")" : "";
 }
 
+/// As a shell reads it.
+std::string quoted(const std::string& word) {
+  constexpr const char* kPlain =
+      "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./+:,@%";
+  if (!word.empty() && word.find_first_not_of(kPlain) == std::string::npos) return word;
+  std::string text = "'";
+  for (const char c : word) text += c == '\'' ? std::string("'\\''") : std::string(1, c);
+  return text + "'";
+}
+
 std::string describe(const struct stat& status) {
   return "uid " + std::to_string(status.st_uid) +
          name_of(status.st_uid, &passwd::pw_name, &getpwuid_r) + ", gid " +
@@ -76,14 +88,37 @@ bool is_one_of(const Trust& trust, const struct stat& status) {
          (trust.group && status.st_gid == *trust.group);
 }
 
-/// What lets such a file in, for one who trusts its users.
-std::string remedy(const struct stat& status) {
+/// Whom the system calls so it does not know: all users, or groups, that are not mapped in a user
+/// namespace. Everywhere else it is called "nobody", or "nogroup".
+bool is_overflow(unsigned number, const char* kind) {
+  unsigned overflow = 65534;
+  std::ifstream(std::string("/proc/sys/kernel/overflow") + kind) >> overflow;
+  return number == overflow;
+}
+
+/// The variables that let such a file in: "LOT_GROUP=1002"; "" where no process needs one, or none
+/// names its users alone.
+std::string variables_for(const struct stat& status) {
   const mode_t rights = status.st_mode & 0666;
-  if (rights == (kOwn | kOfGroup)) return "LOT_GROUP=" + std::to_string(status.st_gid);
+  if (gives_half(rights)) return "";
+  if (rights == (kOwn | kOfGroup) && !is_overflow(status.st_gid, "gid")) {
+    return "LOT_GROUP=" + std::to_string(status.st_gid);
+  }
   const bool is_known = status.st_uid == geteuid() || status.st_uid == 0;
+  if (!is_known && is_overflow(status.st_uid, "uid")) return "";
   const std::string user = is_known ? "" : "LOT_USER=" + std::to_string(status.st_uid);
   const std::string mode = rights == kOwn ? "" : "LOT_PERMISSIONS=" + in_octal(rights);
-  return user + (user.empty() || mode.empty() ? "" : " and ") + mode;
+  return user + (user.empty() || mode.empty() ? "" : " ") + mode;
+}
+
+/// What to do about a file that was refused. To let every user of the machine in comes last.
+std::string advice(const struct stat& status, const std::string& otherwise) {
+  const std::string variables = variables_for(status);
+  if (variables.empty()) return otherwise;
+  if ((status.st_mode & 0006) != 0) {
+    return otherwise + "; only if you trust every user of this machine, set " + variables;
+  }
+  return "if you trust its users, set " + variables + "; else " + otherwise;
 }
 
 uid_t user_of(const std::string& text) {
@@ -140,13 +175,18 @@ void Trust::require(int fd, const std::string& path) const {
     throw Error(EPERM, path,
                 "it belongs to " + describe(status) +
                     ": neither to you or root, nor to a user or group that was named",
-                "if you trust its users, set " + remedy(status) +
-                    "; else set LOT_SEGMENT or LOT_DIR, or have it removed");
+                advice(status,
+                       "set LOT_SEGMENT or LOT_DIR, or have it removed, or made anew with "
+                       "LOT_GROUP=<a common group>"));
   }
   if (status.st_nlink > 1) {
     throw Error(EPERM, path, "it has another name, too: no file that LOT has made has two",
                 "remove it, or set LOT_SEGMENT or LOT_DIR");
   }
+  const auto anew = [&] {
+    return "set LOT_SEGMENT, or end all that use it, and remove what a kill has left by " +
+           command("clean", path);
+  };
   const mode_t wider = status.st_mode & 07777 & ~mode;
   if ((wider & ~mode_t{0666}) != 0 || (wider != 0 && gives_half(status.st_mode))) {
     throw Error(EPERM, path, "no file of LOT has such a mode: it belongs to " + describe(status),
@@ -156,16 +196,24 @@ void Trust::require(int fd, const std::string& path) const {
     throw Error(EPERM, path,
                 "it gives others more than was asked for: it belongs to " + describe(status) +
                     ", and " + in_octal(mode) + " was asked for",
-                "if you trust its users, set " + remedy(status) +
-                    "; else set LOT_SEGMENT, or end all that use it and make it anew");
+                advice(status, anew()));
   }
   if (group && (status.st_mode & kOfGroup) != 0 && status.st_gid != *group) {
     throw Error(EPERM, path,
                 "it gives rights to another group than gid " + std::to_string(*group) +
                     ": it belongs to " + describe(status),
-                "if you trust its users, set " + remedy(status) +
-                    "; else set LOT_SEGMENT, or end all that use it and make it anew");
+                advice(status, anew()));
   }
+}
+
+std::string Trust::shortfall(int fd) const {
+  struct stat status {};
+  if (!wants_all || fstat(fd, &status) == -1 || status.st_uid != geteuid() ||
+      (mode & ~status.st_mode) == 0) {
+    return "";
+  }
+  return "it lets fewer in than was asked for: it belongs to " + describe(status) + ", and mode " +
+         in_octal(mode) + (group ? " of gid " + std::to_string(*group) : "") + " was asked for";
 }
 
 bool Trust::owns(const std::string& path) const noexcept {
@@ -180,10 +228,28 @@ std::string owner_and_mode(const std::string& path) {
 
 std::string way_in(const std::string& path) {
   struct stat status {};
-  if (lstat(path.c_str(), &status) == 0 && (status.st_mode & kOfGroup) == kOfGroup) {
+  if (lstat(path.c_str(), &status) == 0 && (status.st_mode & kOfGroup) == kOfGroup &&
+      !is_overflow(status.st_gid, "gid")) {
     return "become a member of its group (a new login knows of that)";
   }
   return "let its owner end all that use it, and make it anew with LOT_GROUP=<a common group>";
+}
+
+std::string command(const std::string& words, const std::string& path) {
+  std::string segment = path;
+  for (const std::string_view suffix : {".lock", ".new"}) {
+    if (segment.ends_with(suffix)) segment.resize(segment.size() - suffix.size());
+  }
+  const auto slash = segment.rfind('/');
+  const std::string directory = segment.substr(0, slash);
+  struct stat status {};
+  std::string text;
+  if (lstat(segment.c_str(), &status) == 0 || lstat(path.c_str(), &status) == 0) {
+    text = variables_for(status);
+  }
+  text += (text.empty() ? "lot " : " lot ") + words;
+  if (directory != EngineOptions().directory) text += " --dir " + quoted(directory);
+  return "`" + text + " --segment " + quoted(segment.substr(slash + 1)) + "`";
 }
 
 bool may_remove(const std::string& path) {

@@ -22,6 +22,9 @@ struct Trust {
   std::optional<uid_t> user{};   ///< that was named, beside the effective one and root
   std::optional<gid_t> group{};  ///< that was named; new files get it
   mode_t mode = 0600;            ///< of new files; no wider one is trusted
+  /// Of one's own files no narrower one is joined either: those whom it was to let in would wait
+  /// for ever. What is another's is as that one wants it.
+  bool wants_all = false;
 
   /// Of these options. Throws lot::Error (EINVAL) where there is no such user or group, a group is
   /// named that the permissions give nothing, or they give a class one right alone: to join takes
@@ -30,6 +33,8 @@ struct Trust {
 
   /// Throws lot::Error (EPERM) that says whose it is, and what to do, if it is not trusted.
   void require(int fd, const std::string& path) const;
+  /// Why a file that is trusted does not let all in whom it should, or "".
+  std::string shortfall(int fd) const;
   /// What is at path belongs to one of these users, whatever it is: it may be removed. False as
   /// well when nothing is there.
   bool owns(const std::string& path) const noexcept;
@@ -39,6 +44,9 @@ struct Trust {
 std::string owner_and_mode(const std::string& path);
 /// What to do, for people, where the system does not let this process open it.
 std::string way_in(const std::string& path);
+/// "`LOT_GROUP=1002 lot clean --segment LOTROS`": the command on the segment at path (or whose lock
+/// file, or unfinished file, is there), as a shell takes it, with the variables that let it in.
+std::string command(const std::string& words, const std::string& path);
 /// False: it belongs to another user, in a directory where each removes his own files only, as in
 /// /dev/shm. See unlink(2), "sticky bit".
 bool may_remove(const std::string& path);

@@ -102,16 +102,17 @@ EngineOptions with_environment(EngineOptions options) {
   return options;
 }
 
-/// The items that wait in a segment whose files stay, and that only has another size than the one
-/// that was asked for. REQUIRES: the gate is held, and no process uses it.
+/// The items that wait in a segment that has another size than the one that was asked for, if its
+/// files stay; or that lets fewer in. REQUIRES: the gate is held, and no process uses it.
 std::uint64_t kept_items(const std::string& path, const segment::Trust& trust) {
   using segment::Segment;
   std::string ignored;
-  if (Segment::examine(path, 0, trust, ignored) != Segment::Fit::Fits) return 0;
+  const auto fit = Segment::examine(path, 0, trust, ignored);
+  if (fit != Segment::Fit::Fits && fit != Segment::Fit::Narrow) return 0;
   std::uint64_t items = 0;
   try {
     const Segment segment(path, Segment::Access::ReadOnly, trust);
-    if (!segment.keeps_files()) return 0;
+    if (fit == Segment::Fit::Fits && !segment.keeps_files()) return 0;
     for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
       items += segment.waiting_items(c);
     }
@@ -147,6 +148,17 @@ void check_depth(std::string_view topic, std::uint32_t depth) {
   }
 }
 
+/// So often a lock file is made anew: a process that asks for less may have made the new one.
+constexpr int kMostRenewals = 8;
+
+/// A segment of one's own, which a process uses, lets fewer in than was asked for.
+[[noreturn]] void refuse_narrow(const std::string& path, const std::string& reason) {
+  throw Error(EPERM, path, reason + "; and it is in use",
+              "end all that use it (" + segment::command("ls", path) +
+                  " names them) and start again, then it is made anew; or ask for no more than "
+                  "those do (LOT_GROUP, LOT_PERMISSIONS), or set LOT_SEGMENT");
+}
+
 /// Opening, making and removing the segment happens between these.
 class Participant::GateGuard {
  public:
@@ -162,7 +174,8 @@ class Participant::GateGuard {
 std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent if_absent) {
   options = with_environment(std::move(options));
   const std::string path = segment::path_of(options.directory, options.segment);
-  const segment::Trust trust = segment::Trust::of(options);
+  segment::Trust trust = segment::Trust::of(options);
+  trust.wants_all = if_absent == IfAbsent::Make;  // else it is a visitor
   watch_forks();
   const std::lock_guard joining(process().joining);
   {
@@ -171,13 +184,15 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
     existing = process().by_path[path].lock();
     if (existing && !existing->inert_) {
       existing->lock_file_->require(trust);
+      const std::string reason = existing->lock_file_->shortfall(trust);
+      if (!reason.empty()) refuse_narrow(path + ".lock", reason);
       if (options.lock_memory) existing->segment_.lock_memory();
       if (options.persist) existing->segment_.keep_files();
       return existing;
     }
   }
 
-  for (;;) {
+  for (int renewed = 0;;) {
     auto file = std::make_shared<liveness::LockFile>(path + ".lock", trust);
     if (!file->enter_gate(kGatePatience)) continue;  // removed by the last one to leave: once more
     liveness::LockFile& lock_file = *file;
@@ -188,11 +203,13 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
     try {
       std::string reason;
       const auto fit = segment::Segment::examine(path, options.size_bytes, trust, reason);
-      ours = fit == segment::Segment::Fit::Fits || fit == segment::Segment::Fit::Stale;
+      const bool is_narrow = fit == segment::Segment::Fit::Narrow;
+      ours = fit == segment::Segment::Fit::Fits || fit == segment::Segment::Fit::Stale || is_narrow;
       if (fit == segment::Segment::Fit::Foreign) {
         throw Error(EINVAL, path, reason, "remove it if it is yours, or set LOT_SEGMENT");
       }
-      const bool used = fit != segment::Segment::Fit::Fits && in_use();
+      const std::string lock_reason = lock_file.shortfall(trust);
+      const bool used = (fit != segment::Segment::Fit::Fits || !lock_reason.empty()) && in_use();
       // Without our locks we are not in the gate, and `used` says nothing.
       lock_file.require_intact();
       if (fit == segment::Segment::Fit::Stale && used) {
@@ -207,14 +224,34 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
         }
         continue;
       }
+      if (used && is_narrow) refuse_narrow(path, reason);
+      if (used && !lock_reason.empty()) refuse_narrow(path + ".lock", lock_reason);
       if (fit != segment::Segment::Fit::Fits && if_absent == IfAbsent::Throw) {
         throw Error(ENOENT, path, "nobody uses it any more", "there is nothing to be done");
       }
-      const std::uint64_t kept = fit == segment::Segment::Fit::Stale ? kept_items(path, trust) : 0;
+      const bool may_keep = fit == segment::Segment::Fit::Stale || is_narrow;
+      const std::uint64_t kept = may_keep ? kept_items(path, trust) : 0;
       if (kept != 0) {
         throw Error(ENOTEMPTY, path,
-                    reason + ", and " + std::to_string(kept) + " items wait in it that are to stay",
-                    "leave LOT_SIZE away and take them, or drop them by `lot clean --with-items`");
+                    reason + ", and " + std::to_string(kept) +
+                        (kept == 1 ? " item waits in it that is to stay"
+                                   : " items wait in it that are to stay"),
+                    "take them without " +
+                        std::string(is_narrow ? "LOT_GROUP and LOT_PERMISSIONS" : "LOT_SIZE") +
+                        ", or drop them by " + segment::command("clean --with-items", path));
+      }
+      if (!lock_reason.empty()) {
+        // What is there keeps its mode: a new lock file gets the one that was asked for.
+        if (fit != segment::Segment::Fit::Fits) segment::Segment::remove(path, trust);
+        if (++renewed > kMostRenewals) {
+          throw Error(EPERM, path + ".lock", lock_reason + "; and new ones are so, too",
+                      "name a directory with LOT_DIR whose file system has such modes");
+        }
+        if (::unlink((path + ".lock").c_str()) == -1) {
+          throw Error(errno, path + ".lock", lock_reason + "; and it cannot be removed",
+                      "remove it as the owner of its directory, or set LOT_SEGMENT or LOT_DIR");
+        }
+        continue;
       }
       if (fit != segment::Segment::Fit::Fits) {
         segment::Segment::remove(path, trust);

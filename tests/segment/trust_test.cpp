@@ -141,13 +141,14 @@ TEST_CASE("another user's segment is joined by nobody who has not named him, not
               const Answer answer(options);
               must(answer.number == EPERM, "refused");
               must(answer.says(file_of(options) + ".lock"), "which file");
-              must(answer.says("it belongs to uid 65532") && answer.says("gid 65534"), "whose");
+              must(answer.says("it belongs to uid 65532") && answer.says("gid 65530"), "whose");
               must(answer.says(permissions == 0660 ? "mode 0660: neither" : "mode 0666: neither"),
                    "its mode");
-              must(
-                  answer.says(permissions == 0660 ? "set LOT_GROUP=65534;"
-                                                  : "set LOT_USER=65532 and LOT_PERMISSIONS=0666;"),
-                  "what to do");
+              must(answer.says(permissions == 0660 ? "set LOT_GROUP=65530;"
+                                                   : "; only if you trust every user of this "
+                                                     "machine, set LOT_USER=65532 "
+                                                     "LOT_PERMISSIONS=0666"),
+                   "what to do");
             }) == 0);
       auto trusting = options;
       trusting.user = std::to_string(kBob);
@@ -202,6 +203,41 @@ TEST_CASE("members of a group that is named share a segment, others and stranger
   CHECK(as(kBob, kOtherGroup, [&] { must(Answer(options).number == EACCES, "refused"); }) == 0);
 }
 
+TEST_CASE("nobody is told to trust the group of those whom the system does not know") {
+  const Watchdog watchdog(60);
+  const Room room;
+  auto options = room.options();
+  options.group = std::to_string(kNoGroup);
+  const Owner bob(options, kBob, kNoGroup);
+  for (const bool can_open : {true, false}) {
+    CAPTURE(can_open);
+    CHECK(as(can_open ? 0 : kAnn, kGroup, [&] {
+            const Answer answer(room.options());
+            must(answer.number == (can_open ? EPERM : EACCES), answer.text.c_str());
+            must(!answer.says("LOT_GROUP=65534") && !answer.says("become a member"),
+                 answer.text.c_str());
+            must(answer.says("LOT_GROUP=<a common group>"), answer.text.c_str());
+            must(answer.says("set LOT_USER=65532 LOT_PERMISSIONS=0660;") == can_open,
+                 answer.text.c_str());
+          }) == 0);
+  }
+}
+
+TEST_CASE("what a kill has left with a wider mode goes by the command that the error says") {
+  const Watchdog watchdog(60);
+  const Room room;
+  auto options = room.options();
+  options.permissions = 0666;
+  options.persist = true;
+  { const lot::ShmEngine engine(options); }
+  const Answer answer(room.options());
+  CHECK(answer.number == EPERM);
+  CHECK_MESSAGE(answer.says("`LOT_PERMISSIONS=0666 lot clean --dir " + options.directory +
+                            " --segment s`; only if you trust every user of this machine, set "
+                            "LOT_PERMISSIONS=0666"),
+                answer.text);
+}
+
 TEST_CASE("root's segment is trusted") {
   const Watchdog watchdog(60);
   const Room room;
@@ -229,10 +265,98 @@ TEST_CASE("one's own segment that gives others more than was asked for is not jo
     // Nor by who has joined it before.
     if (std::string(suffix) == ".lock") CHECK(Answer(options).number == EPERM);
     auto wide = options;
-    wide.permissions = 0666;
-    CHECK(as(0, 0, [&] { must(Answer(wide).text.empty(), "joined"); }) == 0);
-    REQUIRE(chmod(path.c_str(), 0600) == 0);
+    wide.permissions = 0606;
+    for (const mode_t mode : {mode_t{0606}, mode_t{0600}}) {
+      for (const char* each : {"", ".lock"}) {
+        REQUIRE(chmod((file_of(options) + each).c_str(), mode) == 0);
+      }
+      if (mode == 0606) {
+        CHECK(as(0, 0, [&] { must(Answer(wide).text.empty(), "joined"); }) == 0);
+      }
+    }
   }
+}
+
+TEST_CASE("one's own segment that lets fewer in than a group was asked for is in use: an error") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  auto shared = options;
+  shared.group = std::to_string(kGroup);
+  const lot::ShmEngine maker(options);
+  const auto is_refused = [&](const char* suffix) {
+    const Answer answer(shared);
+    must(answer.number == EPERM &&
+             answer.says(file_of(options) + suffix +
+                         ": it lets fewer in than was asked for: it belongs to uid 0 (root)") &&
+             answer.says("mode 0600, and mode 0660 of gid 65533 was asked for; and it is in use") &&
+             answer.says("`lot ls --dir " + options.directory + " --segment s`"),
+         answer.text.c_str());
+  };
+  CHECK(as(0, 0, [&] { is_refused(""); }) == 0);
+  is_refused(".lock");  // who has joined it before
+  CHECK(as(0, 0, [&] { must(Answer(options).text.empty(), "joined as it is"); }) == 0);
+  CHECK(facts_of(file_of(options)) == Facts{0, getgid(), 0600});
+}
+
+TEST_CASE("what a kill has left that lets fewer in than a group was asked for is made anew") {
+  const Watchdog watchdog(60);
+  for (const bool has_lock : {true, false}) {
+    CAPTURE(has_lock);
+    const Room room;
+    const auto options = room.options();
+    auto shared = options;
+    shared.group = std::to_string(kGroup);
+    Steps ready;
+    Child maker([&] {
+      const lot::ShmEngine engine(options);
+      ready.tell();
+      pause();
+    });
+    REQUIRE(ready.next() == '.');
+    maker.kill9();
+    if (!has_lock) REQUIRE(unlink((file_of(options) + ".lock").c_str()) == 0);
+    const lot::ShmEngine engine(shared);
+    for (const char* suffix : {"", ".lock"}) {
+      CHECK(facts_of(file_of(options) + suffix) == Facts{0, kGroup, 0660});
+    }
+    CHECK(as(kBob, kGroup, [&] { must(Answer(shared).text.empty(), "joined"); }) == 0);
+  }
+}
+
+TEST_CASE("a narrow segment in which items wait is not made anew") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  auto shared = options;
+  shared.group = std::to_string(kGroup);
+  Steps ready;
+  Child putter([&] {
+    lot::ShmEngine engine(options);
+    must(engine.queue<std::uint64_t>("jobs").put(7) == lot::Status::Ok, "put");
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() == '.');
+  putter.kill9();
+  const Answer answer(shared);
+  CHECK(answer.number == ENOTEMPTY);
+  CHECK_MESSAGE(answer.says("it lets fewer in than was asked for"), answer.text);
+  CHECK_MESSAGE(answer.says("1 item waits in it"), answer.text);
+  CHECK_MESSAGE(answer.says("`lot clean --with-items --dir " + options.directory + " --segment s`"),
+                answer.text);
+  lot::ShmEngine engine(options);
+  CHECK(engine.queue<std::uint64_t>("jobs").try_pop() == 7);
+}
+
+TEST_CASE("what is another user's may let fewer in than was asked for") {
+  const Watchdog watchdog(60);
+  const Room room;
+  auto options = room.options();
+  options.group = std::to_string(kGroup);
+  const Owner ann(options, kAnn, kGroup);
+  options.permissions = 0666;
+  CHECK(as(kBob, kGroup, [&] { must(Answer(options).text.empty(), "joined"); }) == 0);
 }
 
 TEST_CASE("an unfinished segment of another user is not removed") {
@@ -258,7 +382,7 @@ TEST_CASE("one's own segment that gives rights to another group is not joined") 
   const Answer answer(options);
   CHECK(answer.number == EPERM);
   CHECK(answer.says("another group than gid 65533"));
-  CHECK(answer.says("set LOT_GROUP=65534;"));
+  CHECK(answer.says("set LOT_GROUP=65530;"));
 }
 
 TEST_CASE("a file with a second name is not used") {

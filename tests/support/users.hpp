@@ -15,7 +15,8 @@ namespace lot::testing {
 inline constexpr uid_t kAnn = 65531;
 inline constexpr uid_t kBob = 65532;
 inline constexpr gid_t kGroup = 65533;
-inline constexpr gid_t kOtherGroup = 65534;
+inline constexpr gid_t kOtherGroup = 65530;
+inline constexpr gid_t kNoGroup = 65534;  ///< the kernel's name of those that it does not know
 
 inline bool can_be_another_user() {
   if (getuid() == 0) return true;

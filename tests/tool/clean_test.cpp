@@ -466,7 +466,7 @@ TEST_CASE("root looks into another user's segment, and cleans it, when that one 
     const Ran ran = run_lot(on(options, {command}));
     CHECK(ran.exit == 1);
     CHECK(ran.out.find("uid 65532") != std::string::npos);
-    CHECK(ran.out.find("LOT_USER=65532 and LOT_PERMISSIONS=0666") != std::string::npos);
+    CHECK(ran.out.find("LOT_USER=65532 LOT_PERMISSIONS=0666") != std::string::npos);
     CHECK(room.files() == 2);
   }
   const Variable user("LOT_USER", "65532");
