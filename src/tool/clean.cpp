@@ -91,9 +91,8 @@ class Cleaner {
   /// A process has put them there to be taken: they go only when the user says so.
   void leave_items(const Sight& s, const Waiting& items) {
     leave_alone(s.path, "nobody lives in it, but " + waiting_text(items), kWell, items);
-    report_.hint(printable(s.name) +
-                 ": start a process that takes the items, or drop them by `lot clean "
-                 "--with-items`");
+    report_.hint(printable(s.name) + ": start a process that takes the items, or drop them by " +
+                 command("clean --with-items", s.path));
   }
 
   void removed(const std::string& path, const std::string& why) {
@@ -235,8 +234,8 @@ Exit clean(const Settings& settings, const CleanOptions& options) {
     cleaner.remove(name, path_of(settings.where, name) + ".lock", "it has no segment");
   }
   for (const auto& name : places.doubtful) {
-    cleaner.leave_alone(path_of(settings.where, name) + ".lock",
-                        "it may be anybody's; `lot clean --segment " + name + "` removes it",
+    const std::string path = path_of(settings.where, name) + ".lock";
+    cleaner.leave_alone(path, "it may be anybody's; " + command("clean", path) + " removes it",
                         kWell);
   }
   return report.finish();

@@ -207,7 +207,7 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
     for (const auto& c : seen.channels) {
       if (!c.waits) continue;
       report.hint("publisher " + printable(seen.who(c.publisher)) +
-                  " waits for room: `lot who` says for whom");
+                  " waits for room: " + command("who", sight.path) + " says for whom");
     }
   }
   report.document()["segments"].push_back(std::move(entry));

@@ -21,6 +21,10 @@ Exit Report::finish() {
   return exit_;
 }
 
+std::string command(const std::string& words, const std::string& path) {
+  return printable(segment::command(words, path), 500);
+}
+
 bool introduce(const Sight& sight, Report& report, Json& entry) {
   entry["name"] = sight.name;
   entry["path"] = sight.path;
@@ -37,12 +41,12 @@ bool introduce(const Sight& sight, Report& report, Json& entry) {
   switch (sight.condition) {
     case Sight::Condition::OtherBoot:
       report.ends(kWrong);
-      report.hint(name + " is of another boot: run `lot clean`");
+      report.hint(name + " is of another boot: run " + command("clean", sight.path));
       break;
     case Sight::Condition::Unreadable:
       report.ends(kWrong);
       report.hint(name +
-                  " can not be read: ask its owner, or look as root, with LOT_USER=<its owner>");
+                  " can not be read: ask its owner, or look as root: " + command("ls", sight.path));
       break;
     case Sight::Condition::Untrusted:
       report.ends(kWrong);
@@ -51,8 +55,8 @@ bool introduce(const Sight& sight, Report& report, Json& entry) {
       break;
     default:
       report.ends(kDamaged);
-      report.hint(name +
-                  " is damaged, or of another version: stop what uses it and run `lot clean`");
+      report.hint(name + " is damaged, or of another version: stop what uses it and run " +
+                  command("clean", sight.path));
   }
   return false;
 }
@@ -88,29 +92,31 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
     report.ends(kDamaged);
     report.hint(name +
                 " is damaged: a process has written behind the end of its messages; stop "
-                "all that use it and run `lot clean`");
+                "all that use it and run " +
+                command("clean", sight.path));
   }
   bool any_alive = false;
   for (const auto& p : seen.processes) any_alive |= p.alive;
   if (!any_alive) {
     report.ends(kWrong);
     const Waiting items = waiting(*sight.window);
-    report.hint("nobody lives in " + name +
-                (!items.empty() ? "; " + waiting_text(items) +
-                                      ": start a process that takes them, or drop them by `lot "
-                                      "clean --with-items`"
-                 : seen.persists ? ", which was to stay: `lot clean` removes it"
-                                 : ": run `lot clean`") +
-                (segment::may_remove(sight.path) ? ""
-                                                 : ", as its owner or root: it belongs to " +
-                                                       segment::owner_and_mode(sight.path)));
+    report.hint(
+        "nobody lives in " + name +
+        (!items.empty()
+             ? "; " + waiting_text(items) + ": start a process that takes them, or drop them by " +
+                   command("clean --with-items", sight.path)
+         : seen.persists ? ", which was to stay: " + command("clean", sight.path) + " removes it"
+                         : ": run " + command("clean", sight.path)) +
+        (segment::may_remove(sight.path)
+             ? ""
+             : ", as its owner or root: it belongs to " + segment::owner_and_mode(sight.path)));
     return;
   }
   for (const auto& p : seen.processes) {
     if (p.alive) continue;
     report.ends(kWrong);
     report.hint("process " + std::to_string(p.index) + " (" + printable(p.name) + ") in " + name +
-                " is dead: run `lot clean`");
+                " is dead: run " + command("clean", sight.path));
   }
 }
 

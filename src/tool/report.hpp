@@ -36,6 +36,9 @@ class Report {
   Exit exit_ = kWell;
 };
 
+/// As segment::command(), harmless to a terminal.
+std::string command(const std::string& words, const std::string& path);
+
 /// One segment's head: "LOTROS  /dev/shm/LOTROS", or why there is nothing more to say about it.
 /// Enters what is wrong with it in the report. True when it can be observed.
 bool introduce(const Sight& sight, Report& report, Json& entry);

@@ -3,9 +3,13 @@
 // What the tool's documents look like, how it ends, and that looking changes nothing.
 
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
 #include <set>
 #include <string>
 #include <sys/stat.h>
+#include <utility>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -13,6 +17,8 @@
 #include "actor.hpp"
 #include "command.hpp"
 #include "faults/janitor.hpp"
+#include "support/users.hpp"
+#include "support/variable.hpp"
 
 namespace {
 
@@ -185,7 +191,8 @@ TEST_CASE("ls says that a segment stays, how many items wait there, and what to 
     REQUIRE(ran.json().at("hints").size() == 1);
     CHECK(ran.json().at("hints").at(0) ==
           "nobody lives in s; 12 items wait in jobs: start a process that takes them, or drop them "
-          "by `lot clean --with-items`");
+          "by `lot clean --with-items --dir " +
+              room.path() + " --segment s`");
   }
   {
     lot::ShmEngine engine(options);
@@ -193,7 +200,53 @@ TEST_CASE("ls says that a segment stays, how many items wait there, and what to 
     while (jobs.try_pop()) {
     }
   }
-  CHECK(says(ls(false).out, "nobody lives in s, which was to stay: `lot clean` removes it"));
+  CHECK(says(ls(false).out, "nobody lives in s, which was to stay: `lot clean --dir " +
+                                room.path() + " --segment s` removes it"));
+}
+
+/// What stands between back quotes, in the last line that has them.
+std::string advised_command(const std::string& text) {
+  const auto end = text.rfind('`');
+  const auto begin = end == 0 || end == text.npos ? text.npos : text.rfind('`', end - 1);
+  return begin == text.npos ? "" : text.substr(begin + 1, end - begin - 1);
+}
+
+TEST_CASE("the command of a hint does what it says when a shell runs it" *
+          doctest::skip(!can_be_another_user())) {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto shell = [](const std::string& command) {
+    const std::string program = "lot() { " LOT_COMMAND " \"$@\"; }; ";
+    return std::system(("{ " + program + command + "; } > /dev/null").c_str());
+  };
+  for (const char* name : {"s", "it's two words"}) {
+    for (const auto& [group, permissions] :
+         {std::pair("", 0U), std::pair("65533", 0U), std::pair("", 0666U), std::pair("", 0660U)}) {
+      CAPTURE(name);
+      CAPTURE(group);
+      CAPTURE(permissions);
+      auto options = room.options();
+      options.group = group;
+      options.permissions = permissions;
+      options.persist = true;
+      { const lot::ShmEngine engine(options); }
+      for (const char* suffix : {"", ".lock"}) {
+        std::filesystem::rename(room.path() + "/s" + suffix, room.path() + "/" + name + suffix);
+      }
+      const Variable its_group("LOT_GROUP", group);
+      char octal[8];
+      std::snprintf(octal, sizeof(octal), "0%o", permissions);
+      const Variable its_permissions("LOT_PERMISSIONS", permissions != 0 ? octal : "");
+      const std::string command =
+          advised_command(run_lot({"ls", "--dir", room.path(), "--segment", name}).out);
+      CAPTURE(command);
+      unsetenv("LOT_GROUP");
+      unsetenv("LOT_PERMISSIONS");
+      CHECK(says(command, "lot clean --dir"));
+      CHECK(shell(command) == 0);
+      CHECK(room.files() == 0);
+    }
+  }
 }
 
 TEST_CASE("who as a document has these keys") {
