@@ -46,7 +46,8 @@ LockFile::LockFile(std::string path, const segment::Trust& trust)
   fstat(fd_, &status);
   if (!S_ISREG(status.st_mode) || status.st_size != 0) {
     ::close(fd_);
-    throw Error(EINVAL, path_, "it is not a lock file",
+    throw Error(EINVAL, path_,
+                "it is a file of " + std::to_string(status.st_size) + " bytes, no lock file",
                 "remove it if it is yours, or set LOT_SEGMENT");
   }
   device_ = status.st_dev;
@@ -187,7 +188,7 @@ void LockFile::abandon() noexcept {
 }
 
 LockProbe::LockProbe(const std::string& path) noexcept
-    : fd_(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK)) {
+    : path_(path), fd_(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK)) {
   struct stat status {};
   if (fd_ == -1 || (fstat(fd_, &status) == 0 && S_ISREG(status.st_mode) && status.st_size == 0)) {
     return;
@@ -206,6 +207,12 @@ void LockProbe::require(const segment::Trust& trust, const std::string& path) co
 
 bool LockProbe::is_held(std::uint32_t first, std::uint32_t count) const noexcept {
   return fd_ != -1 && held_by_another(fd_, byte_range(F_WRLCK, first, count));
+}
+
+std::optional<LockHolder> LockProbe::holder(std::uint32_t byte) const {
+  struct stat status {};
+  if (!is_held(byte) || fstat(fd_, &status) == -1) return {};
+  return LockHolder::find(path_, status.st_ino, byte);
 }
 
 }  // namespace lot::liveness

@@ -108,8 +108,11 @@ class LockProbe {
   void require(const segment::Trust& trust, const std::string& path) const;
   /// True when somebody holds a byte of [first, first + count).
   bool is_held(std::uint32_t first, std::uint32_t count = 1) const noexcept;
+  /// The process that holds a byte, for people to read; see LockHolder.
+  std::optional<LockHolder> holder(std::uint32_t byte) const;
 
  private:
+  std::string path_;
   int fd_;
 };
 

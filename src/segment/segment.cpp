@@ -234,6 +234,10 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
 }
 
 [[noreturn]] void refuse(const std::string& path, const char* what, int error) {
+  if (const std::string kind = kind_of(path); !kind.empty()) {
+    throw Error(error, path, std::string(what) + ": it is " + kind + ", no file of LOT",
+                "remove it if it is yours, or set LOT_SEGMENT or LOT_DIR");
+  }
   const std::string owner = error == EACCES ? owner_and_mode(path) : "";
   if (!owner.empty()) {
     throw Error(error, path, std::string(what) + ", it belongs to " + owner,
@@ -430,6 +434,9 @@ Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, const
     refuse(path, "cannot open the segment", errno);
   }
   const Fit fit = fit_of(file.fd, size, reason);
+  if (const std::string kind = kind_of(path); fit == Fit::Foreign && !kind.empty()) {
+    reason = "it is " + kind + ", no file of LOT";
+  }
   // What is no segment is said to be none, whosever it is.
   if (fit != Fit::Foreign) trust.require(file.fd, path);
   if (fit == Fit::Fits) reason = trust.shortfall(file.fd);

@@ -82,6 +82,15 @@ std::string describe(const struct stat& status) {
          ", mode " + in_octal(status.st_mode);
 }
 
+std::string kind_of(mode_t mode) {
+  return S_ISREG(mode)    ? ""
+         : S_ISLNK(mode)  ? "a symbolic link"
+         : S_ISDIR(mode)  ? "a directory"
+         : S_ISFIFO(mode) ? "a FIFO"
+         : S_ISSOCK(mode) ? "a socket"
+                          : "a device";
+}
+
 bool is_one_of(const Trust& trust, const struct stat& status) {
   return status.st_uid == geteuid() || status.st_uid == 0 ||
          (trust.user && status.st_uid == *trust.user) ||
@@ -168,7 +177,7 @@ void Trust::require(int fd, const std::string& path) const {
                 "try again; in a process with other threads do not close descriptors of others");
   }
   if (!S_ISREG(status.st_mode)) {
-    throw Error(EINVAL, path, "it is no regular file",
+    throw Error(EINVAL, path, "it is " + kind_of(status.st_mode) + ", no file of LOT",
                 "remove it if it is yours, or set LOT_SEGMENT or LOT_DIR");
   }
   if (!is_one_of(*this, status)) {
@@ -219,6 +228,11 @@ std::string Trust::shortfall(int fd) const {
 bool Trust::owns(const std::string& path) const noexcept {
   struct stat status {};
   return lstat(path.c_str(), &status) == 0 && is_one_of(*this, status);
+}
+
+std::string kind_of(const std::string& path) {
+  struct stat status {};
+  return lstat(path.c_str(), &status) == 0 ? kind_of(status.st_mode) : "";
 }
 
 std::string owner_and_mode(const std::string& path) {

@@ -40,6 +40,9 @@ struct Trust {
   bool owns(const std::string& path) const noexcept;
 };
 
+/// What lies at path, where it is no regular file: "a symbolic link", "a directory", "a FIFO" ...
+/// Else "", also when nothing is there.
+std::string kind_of(const std::string& path);
 /// "uid 1000 (ann), gid 1000, mode 0600", of what is at path; "" when nothing can be said.
 std::string owner_and_mode(const std::string& path);
 /// What to do, for people, where the system does not let this process open it.

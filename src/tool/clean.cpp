@@ -238,6 +238,13 @@ Exit clean(const Settings& settings, const CleanOptions& options) {
     cleaner.leave_alone(path, "it may be anybody's; " + command("clean", path) + " removes it",
                         kWell);
   }
+  for (const auto& obstacle : places.obstacles) {
+    cleaner.leave_alone(obstacle.path,
+                        obstacle.what +
+                            ", and no process can join: remove it if it is yours, or use another "
+                            "name (LOT_SEGMENT)",
+                        kWrong);
+  }
   return report.finish();
 }
 

@@ -232,6 +232,7 @@ Exit ls(const Settings& settings, std::chrono::milliseconds interval) {
     if (i != 0) report.print("\n");
     list(found[i], rates[i], report);
   }
+  look_for_obstacles(settings, found, report);
   return report.finish();
 }
 

@@ -42,6 +42,32 @@ std::vector<std::string> files_in(const std::string& directory) {
   return names;
 }
 
+/// Why what lies there is no file of LOT; "" where nothing lies there, or one of LOT does.
+std::string objection(const std::string& path, bool is_lock) {
+  struct stat status {};
+  if (lstat(path.c_str(), &status) == -1) return "";
+  if (const std::string kind = segment::kind_of(path); !kind.empty()) return "it is " + kind;
+  if (is_lock ? status.st_size == 0 : begins_as_a_segment(path)) return "";
+  if (!is_lock && access(path.c_str(), R_OK) == -1) {
+    return "it cannot be read, and has no lock file: it belongs to " +
+           segment::owner_and_mode(path);
+  }
+  return "it is a file of " + std::to_string(status.st_size) + " bytes, and no " +
+         (is_lock ? "lock file" : "segment");
+}
+
+std::vector<Places::Obstacle> find_obstacles(const Where& where) {
+  std::vector<Places::Obstacle> found;
+  const std::string path =
+      path_of(where, where.name.empty() ? EngineOptions().segment : where.name);
+  for (const bool is_lock : {false, true}) {
+    const std::string its = is_lock ? path + std::string(kLock) : path;
+    const std::string what = objection(its, is_lock);
+    if (!what.empty()) found.push_back({its, what});
+  }
+  return found;
+}
+
 }  // namespace
 
 std::string path_of(const Where& where, const std::string& name) {
@@ -98,6 +124,7 @@ Places find_places(const Where& where) {
     }
     (where.name.empty() ? places.doubtful : places.locks).push_back(stem);
   }
+  places.obstacles = find_obstacles(where);
   return places;
 }
 

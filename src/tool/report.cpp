@@ -3,6 +3,9 @@
 
 #include <cstdio>
 
+#include "liveness/lock_file.hpp"
+#include "refcount/ownership.hpp"
+#include "robust_mutex/lock_word.hpp"
 #include "tool/text.hpp"
 
 namespace lot::tool {
@@ -117,6 +120,50 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
     report.ends(kWrong);
     report.hint("process " + std::to_string(p.index) + " (" + printable(p.name) + ") in " + name +
                 " is dead: run " + command("clean", sight.path));
+  }
+}
+
+namespace {
+
+/// A stopped process holds its locks.
+void name_the_stopped(const std::string& path, Window* window, Report& report) {
+  const liveness::LockProbe locks(path + ".lock");
+  const auto ask = [&](std::uint32_t byte, const char* where) {
+    const auto holder = locks.holder(byte);
+    if (!holder || !holder->is_stopped) return;
+    report.ends(kWrong);
+    report.hint(holder->describe() + " is stopped while it " + where + " " + printable(path, 200) +
+                ", and others wait for it: " + holder->advice());
+  };
+  ask(liveness::LockFile::kGate, "opens or closes");
+  ask(refcount::kOrphanage, "frees what the dead have left in");
+  if (window == nullptr) return;
+  segment::Segment& s = window->segment();
+  const std::uint32_t word = s.directory().lock.word.load(std::memory_order_acquire);
+  const std::uint32_t k = lock::participant(lock::name(word));
+  if (word != 0 && k < s.capacity().participants) ask(k, "has the registry's lock of");
+}
+
+}  // namespace
+
+void look_for_obstacles(const Settings& settings, const std::vector<Sight>& found, Report& report) {
+  const Places places = find_places(settings.where);
+  for (const auto& obstacle : places.obstacles) {
+    report.ends(kWrong);
+    report.hint(printable(obstacle.path, 200) + ": " + printable(obstacle.what, 200) +
+                ", and no process can join: remove it if it is yours, or use another name "
+                "(LOT_SEGMENT)");
+  }
+  for (const Sight& sight : found) {
+    if (sight.condition != Sight::Condition::Untrusted) {
+      name_the_stopped(sight.path, sight.window.get(), report);
+    }
+  }
+  for (const auto* names : {&places.unfinished, &places.locks, &places.doubtful}) {
+    for (const auto& name : *names) {
+      const std::string path = path_of(settings.where, name);
+      if (!exists(path)) name_the_stopped(path, nullptr, report);
+    }
   }
 }
 

@@ -47,6 +47,9 @@ std::string waiting_text(const Waiting& items);
 Json waiting_json(const Waiting& items);
 /// Damage and deaths that the observation has found.
 void judge(const Sight& sight, const Observation& seen, Report& report, Json& entry);
+/// What keeps processes from joining, or makes them wait: something else in the place of a file, a
+/// process that is stopped where others must pass. Of all that the settings name, besides `found`.
+void look_for_obstacles(const Settings& settings, const std::vector<Sight>& found, Report& report);
 /// Nothing was there: says so.
 void nothing_found(const Settings& settings, Report& report);
 

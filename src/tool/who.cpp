@@ -154,6 +154,7 @@ Exit who(const Settings& settings, bool all) {
     }
     report.document()["segments"].push_back(std::move(entry));
   }
+  look_for_obstacles(settings, found, report);
   return report.finish();
 }
 

@@ -432,7 +432,9 @@ TEST_CASE("leftovers of killed makers go; files that may be anybody's stay") {
   // Who names it, means it.
   CHECK(run_lot({"clean", "--dir", room.path(), "--segment", "empty"}).exit == 0);
   CHECK(!fs::exists(room.path() + "/empty.lock"));
-  CHECK(run_lot({"clean", "--dir", room.path(), "--segment", "note"}).exit == 0);
+  const Ran named = run_lot({"clean", "--dir", room.path(), "--segment", "note"});
+  CHECK(named.exit == 1);
+  CHECK(names(named.out, "note.lock: it is a file of 14 bytes, and no lock file"));
   CHECK(bytes_of(room.path() + "/note.lock") == "a text of mine");
 }
 

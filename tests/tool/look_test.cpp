@@ -2,6 +2,7 @@
 
 // What the tool's documents look like, how it ends, and that looking changes nothing.
 
+#include <cerrno>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -17,6 +18,9 @@
 #include "actor.hpp"
 #include "command.hpp"
 #include "faults/janitor.hpp"
+#include "liveness/lock_file.hpp"
+#include "support/error_of.hpp"
+#include "support/lock_owner.hpp"
 #include "support/users.hpp"
 #include "support/variable.hpp"
 
@@ -393,6 +397,97 @@ TEST_CASE("all segments of a directory are listed, and nothing else") {
   CHECK(document.at("segments").at(0).at("name") == "one");
   CHECK(document.at("segments").at(1).at("name") == "two");
   CHECK(document.at("exit") == 0);
+}
+
+TEST_CASE("what lies in the place of a segment or its lock file is said, by each command") {
+  const Watchdog watchdog(60);
+  for (const char* name : {"s", "LOTROS"}) {
+    for (const std::string suffix : {"", ".lock"}) {
+      CAPTURE(name);
+      CAPTURE(suffix);
+      const Room room;
+      const std::string path = room.path() + "/" + name + suffix;
+      const auto check = [&](const std::string& what, int error) {
+        for (const char* command : {"ls", "who", "clean"}) {
+          CAPTURE(command);
+          const Ran ran = run_lot(on(room.options(name), {command}));
+          CHECK(ran.exit == 1);
+          CHECK_MESSAGE(says(ran.out, path + ": it is " + what), ran.out);
+          CHECK(says(ran.out, "remove it if it is yours"));
+          const Ran of_all = run_lot({command, "--dir", room.path()});
+          CHECK(says(of_all.out, what) == (std::string(name) == "LOTROS"));
+        }
+        const auto [number, text] =
+            error_of([&] { const lot::ShmEngine engine(room.options(name)); });
+        CHECK(number == error);
+        CHECK_MESSAGE(says(text, path), text);
+        CHECK_MESSAGE(says(text, "remove it if it is yours"), text);
+        if (what[2] != 'f') CHECK_MESSAGE(says(text, "it is " + what + ", no file of LOT"), text);
+        CHECK(room.files() == 1);
+        std::filesystem::remove(path);
+      };
+      REQUIRE(mkfifo(path.c_str(), 0600) == 0);
+      check("a FIFO", EINVAL);
+      REQUIRE(mkdir(path.c_str(), 0700) == 0);
+      check("a directory", EISDIR);
+      REQUIRE(symlink("/etc/passwd", path.c_str()) == 0);
+      check("a symbolic link", ELOOP);
+      std::ofstream(path) << "mine!\n";
+      REQUIRE(chmod(path.c_str(), 0600) == 0);
+      check(suffix.empty() ? "a file of 6 bytes, and no segment"
+                           : "a file of 6 bytes, and no lock file",
+            EINVAL);
+      CHECK(room.files() == 0);
+    }
+  }
+}
+
+TEST_CASE("a process that is stopped where others must pass is named, and what to do") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const Steps inside;
+  const auto is_named = [&](const Child& child, const std::string& where) {
+    stop(child);
+    const std::string pid = std::to_string(child.pid());
+    for (const char* command : {"ls", "who"}) {
+      CAPTURE(command);
+      const Ran ran = run_lot(on(room.options(), {command}));
+      CHECK(ran.exit == 1);
+      CHECK_MESSAGE(says(ran.out, "process " + pid + " ("), ran.out);
+      CHECK_MESSAGE(says(ran.out, "is stopped while it " + where + " " + room.path() + "/s"),
+                    ran.out);
+      CHECK_MESSAGE(says(ran.out, "kill -CONT " + pid), ran.out);
+    }
+    child.send(SIGCONT);
+  };
+  const auto in_gate = [&] {
+    lot::liveness::LockFile file(room.path() + "/s.lock");
+    must(file.enter_gate(5s), "the gate");
+    inside.tell();
+    pause();
+  };
+  {
+    Child alone(in_gate);  // there is no segment yet
+    REQUIRE(inside.next() == '.');
+    is_named(alone, "opens or closes");
+  }
+  const lot::ShmEngine engine(room.options());
+  CHECK(run_lot(on(room.options(), {"ls"})).exit == 0);
+  {
+    Child beside(in_gate);
+    REQUIRE(inside.next() == '.');
+    is_named(beside, "opens or closes");
+  }
+  Child in_registry([&] {
+    const lot::ShmEngine mine(room.options());
+    const lot::segment::Segment s(mine.path());
+    RegistryLock lock(s);
+    must(lock.lock(), "the registry");
+    inside.tell();
+    pause();
+  });
+  REQUIRE(inside.next() == '.');
+  is_named(in_registry, "has the registry's lock of");
 }
 
 TEST_CASE("names that would steer a terminal are printed harmless, and whole as a document") {
