@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <csignal>
 #include <cstdio>
 #include <deque>
 #include <iterator>
@@ -135,6 +136,8 @@ class Forward final : public ::ros::SubscriptionCallbackHelper {
 
 int relay(int argc, char** argv, const std::vector<Relayed>& types) {
   ::ros::init(argc, argv, "lot_relay", ::ros::init_options::AnonymousName);
+  // As roscpp's for SIGINT: it sets a flag, and ROS's thread ends the node.
+  std::signal(SIGTERM, [](int) { ::ros::requestShutdown(); });
   ::ros::V_string arguments;
   ::ros::removeROSArgs(argc, argv, arguments);
   if (arguments.size() != 3) {

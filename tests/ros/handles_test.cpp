@@ -89,6 +89,39 @@ TEST_CASE("one topic has one type in a process") {
                   ros::ConflictingSubscriptionException);
 }
 
+TEST_CASE("a header's number is the message's among the publisher's, as in roscpp") {
+  lot::ros::NodeHandle node;
+  const auto first = fresh_topic();
+  const auto again = fresh_topic();
+  std::vector<std::uint32_t> seen;
+  std::vector<std::uint32_t> seen_again;
+  boost::shared_ptr<Image const> last;
+  auto talker = node.advertise<Image>(first, 10);
+  auto repeater = node.advertise<Image>(again, 10);
+  auto listener =
+      node.subscribe<Image>(first, 10, [&](const boost::shared_ptr<Image const>& image) {
+        seen.push_back(image->header.seq);
+        last = image;
+      });
+  auto other = node.subscribe<Image>(
+      again, 10, [&](const Image& image) { seen_again.push_back(image.header.seq); });
+  REQUIRE(comes([&] { return listener.getNumPublishers() == 1 && other.getNumPublishers() == 1; }));
+  for (int n = 0; n < 3; ++n) {
+    auto image = talker.loan();
+    image->header.seq = 77;
+    talker.publish(std::move(image));
+  }
+  sensor_msgs::Image standard;
+  standard.header.seq = 77;
+  talker.publish(standard);
+  REQUIRE(comes([&] { return seen.size() == 4; }));
+  for (std::size_t n = 1; n < seen.size(); ++n) CHECK(seen[n] == seen[0] + n);
+  CHECK(seen[0] <= 1);
+  repeater.publish(last);
+  REQUIRE(comes([&] { return seen_again.size() == 1; }));
+  CHECK(seen_again[0] == seen[3]);
+}
+
 TEST_CASE("a callback may own other handles, and go with the last one of its subscriber") {
   lot::ros::NodeHandle node;
   const auto in = fresh_topic();

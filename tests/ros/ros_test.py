@@ -394,9 +394,17 @@ class Relay(Case):
             self.assertEqual(written['serialised'], 0)
             self.assertEqual(seen[0]['from']['/talker']['places'], written['places'])
             graph.stop(opener)
-            relay.send_signal(signal.SIGINT)
+            relay.send_signal(signal.SIGTERM)
             self.assertEqual(relay.wait(20), 0, graph.said(relay))
             self.assertEqual(graph.files(), [])
+
+    def test_it_ends_when_it_is_told_to_while_it_waits_for_a_publisher(self):
+        for signal_ in (signal.SIGTERM, signal.SIGINT):
+            with self.subTest(signal_), Graph() as graph:
+                relay = graph.run([RELAY, '/t', '/shared', '__name:=relay'])
+                graph.wait_for(lambda: 'waiting for a publisher' in graph.output(relay), 'the relay')
+                relay.send_signal(signal_)
+                self.assertEqual(relay.wait(20), 0, graph.said(relay))
 
     def test_what_lot_latches_is_latched_again(self):
         for order in ('talker', 'relay'), ('relay', 'talker'):

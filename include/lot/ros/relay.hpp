@@ -33,8 +33,8 @@ Relayed relayed() {
 /// `_queue_size:=N` (100): so many messages may wait; that many OUT keeps in shared memory, if
 /// there is room.
 ///
-/// Returns what main() does: 0 when it was asked to end, 1 for a type that is not in `types`, 2 for
-/// a wrong command line.
+/// Returns what main() does: 0 when it was asked to end (SIGINT, SIGTERM, rosnode kill), 1 for a
+/// type that is not in `types`, 2 for a wrong command line.
 int relay(int argc, char** argv, const std::vector<Relayed>& types);
 
 }  // namespace lot::ros
