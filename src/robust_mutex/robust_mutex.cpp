@@ -18,9 +18,18 @@ using Steps = lock::LockWord<detail::HardwareAtomics>;
 }  // namespace
 
 RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
-  Steps word(word_);
   const std::uint32_t name = owner_.name();
   if (name == 0) return Outcome::Busy;
+  const Outcome outcome = lock_as(name, timeout);
+  if (outcome == Outcome::Busy || owner_.name() == name) return outcome;
+  // The process was taken for dead meanwhile: what it does now is not to be done in the old name.
+  if (Steps(word_).unlock(name)) futex::wake_one(&word_);
+  return Outcome::Busy;
+}
+
+RobustMutex::Outcome RobustMutex::lock_as(std::uint32_t name,
+                                          std::chrono::nanoseconds timeout) noexcept {
+  Steps word(word_);
   if (word.try_lock(name, false)) return Outcome::Locked;
   const auto until =
       futex::Clock::now() + std::clamp(timeout, std::chrono::nanoseconds(0), kLongest);
@@ -32,7 +41,7 @@ RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noe
     const auto now = futex::Clock::now();
     if (now < due) continue;  // signals and other waiters do not put the look off
     if (seen != 0 && take_over(seen, name)) return Outcome::OwnerDied;
-    if (now >= until) return Outcome::Busy;
+    if (now >= until || owner_.name() != name) return Outcome::Busy;
     period = std::min(2 * period, kSeldomest);
     due = std::min(until, now + period);
   }

@@ -41,6 +41,8 @@ class Owner final : public lot::LockOwner {
       : shared_(shared), name_(lock::make_name(participant, incarnation)) {}
 
   std::uint32_t name() const noexcept override { return name_; }
+  /// The process was taken for dead.
+  void lose_name() { name_ = 0; }
   bool is_gone(std::uint32_t name) noexcept override {
     ++asked;
     if (when_asked) when_asked();
@@ -53,7 +55,7 @@ class Owner final : public lot::LockOwner {
 
  private:
   Shared& shared_;
-  std::uint32_t name_;
+  std::atomic<std::uint32_t> name_;
 };
 
 class Fixture {
@@ -154,6 +156,22 @@ TEST_CASE_FIXTURE(Fixture, "who has no name gets no lock, neither a free one nor
   CHECK((mutex(nobody).try_lock() == Outcome::Busy));
   CHECK(shared->word == before);
   CHECK((mutex(me).try_lock() == Outcome::OwnerDied));
+}
+
+TEST_CASE_FIXTURE(Fixture, "who loses its name while it waits gets no lock in the old one") {
+  Child child = holder(2);
+  Owner late(*shared, 3);
+  late.when_asked = [&] { late.lose_name(); };
+  SUBCASE("it stops waiting") {
+    CHECK((mutex(late).lock_for(30s) == Outcome::Busy));
+    CHECK(late.asked == 1);
+  }
+  SUBCASE("what it has got goes back") {
+    kill(child, 2);
+    CHECK((mutex(late).lock_for(30s) == Outcome::Busy));
+    CHECK((mutex(me).try_lock() == Outcome::Locked));
+    mutex(me).unlock();
+  }
 }
 
 TEST_CASE_FIXTURE(Fixture,
