@@ -13,7 +13,7 @@
 #include <unistd.h>
 #include <vector>
 
-#include "futex/no_signals.hpp"
+#include "lot/detail/no_signals.hpp"
 
 namespace lot::futex {
 namespace {
@@ -87,7 +87,7 @@ bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
   };
   std::vector<std::jthread> others;
   try {
-    const NoSignals quiet;
+    const detail::NoSignals quiet;
     for (std::size_t begin = kMaxWords - 1; begin < waits.size(); begin += kMaxWords - 1) {
       others.emplace_back([&sleep, begin] { sleep(begin); });
     }

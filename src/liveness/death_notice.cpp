@@ -11,10 +11,10 @@
 #include <unistd.h>
 #include <utility>
 
+#include "lot/detail/no_signals.hpp"
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
-#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot::liveness {
@@ -83,7 +83,7 @@ void DeathNotice::end() noexcept {
 }
 
 void DeathNotice::start() {
-  const futex::NoSignals quiet;
+  const detail::NoSignals quiet;
   const auto begin = [](void* self) -> void* {
     static_cast<DeathNotice*>(self)->run();
     return nullptr;

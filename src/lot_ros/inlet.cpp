@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <condition_variable>
-#include <csignal>
 #include <functional>
 #include <iterator>
 #include <thread>
@@ -15,6 +14,8 @@
 #include <ros/param.h>
 #include <ros/this_node.h>
 #include <ros/topic_manager.h>
+
+#include "lot/detail/no_signals.hpp"
 
 #include "lot_ros/immediate_queue.hpp"
 
@@ -43,6 +44,7 @@ class Intake final : public ::ros::CallbackQueueInterface {
     const std::lock_guard guard(mutex_);
     if (!begun_) {
       begun_ = true;
+      const lot::detail::NoSignals quiet;
       std::thread([this] { run(); }).detach();
     }
     work_.push_back({callback, owner});
@@ -67,9 +69,6 @@ class Intake final : public ::ros::CallbackQueueInterface {
 
   void run() {
     pthread_setname_np(pthread_self(), "lot-ros-intake");
-    sigset_t all;
-    sigfillset(&all);
-    pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
     std::unique_lock lock(mutex_);
     thread_ = std::this_thread::get_id();
     for (;;) {

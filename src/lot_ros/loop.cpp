@@ -2,7 +2,6 @@
 #include "lot_ros/loop.hpp"
 
 #include <algorithm>
-#include <csignal>
 #include <pthread.h>
 #include <unistd.h>
 #include <utility>
@@ -95,9 +94,6 @@ void Loop::guarded(const std::function<void()>& work) {
 void Loop::run() {
   thread_ = std::this_thread::get_id();
   pthread_setname_np(pthread_self(), "lot-ros");
-  sigset_t all;
-  sigfillset(&all);
-  pthread_sigmask(SIG_BLOCK, &all, nullptr);     // signals are the application's
   while (!is_inherited() && do_what_is_due()) {  // a callback may have forked
     while (!afterwards_.empty()) {
       for (const auto& each : std::exchange(afterwards_, {})) {

@@ -15,6 +15,8 @@
 #include <ros/this_node.h>
 #include <xmlrpcpp/XmlRpcException.h>
 
+#include "lot/detail/no_signals.hpp"
+
 namespace lot::ros {
 namespace {
 
@@ -124,6 +126,7 @@ Session::Session() : loop_(std::make_shared<Loop>(waiting())) {
     participant_.reset();
   }
   // Without a segment, too: what comes over links is delivered there.
+  const lot::detail::NoSignals quiet;
   thread_ = std::thread([loop = loop_] { loop->run(); });
 }
 

@@ -2,10 +2,11 @@
 #include "transport/ahead.hpp"
 
 #include <algorithm>
-#include <csignal>
 #include <exception>
 #include <pthread.h>
 #include <sched.h>
+
+#include "lot/detail/no_signals.hpp"
 
 #include "transport/participant.hpp"
 
@@ -92,14 +93,13 @@ void Ahead::stop() noexcept {
 
 /// REQUIRES: mutex_. Throws where the system has no thread.
 void Ahead::start() {
-  if (!thread_.joinable()) thread_ = std::thread([this] { run(); });
+  if (thread_.joinable()) return;
+  const detail::NoSignals quiet;
+  thread_ = std::thread([this] { run(); });
 }
 
 void Ahead::run() noexcept {
   pthread_setname_np(pthread_self(), "lot-ahead");
-  sigset_t all;
-  sigfillset(&all);
-  pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are the application's
   participant_.place_beside_warden();
   std::unique_lock lock(mutex_);
   for (;;) {

@@ -10,9 +10,9 @@
 #include <thread>
 #include <unistd.h>
 
+#include "lot/detail/no_signals.hpp"
 #include "lot/wait_set.hpp"
 
-#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot {
@@ -109,7 +109,7 @@ void ShmListener::start(detail::PullerCore& puller, std::function<void()> on_rea
   impl.options = thread;
   impl.set.add(puller, std::move(on_ready));
   try {
-    const futex::NoSignals quiet;
+    const detail::NoSignals quiet;
     impl.thread = std::make_unique<std::thread>([&impl] { impl.run(); });
   } catch (const std::system_error& e) {
     throw Error(e.code().value(), "thread", "no thread for a listener",

@@ -7,8 +7,9 @@
 #include <system_error>
 #include <unistd.h>
 
+#include "lot/detail/no_signals.hpp"
+
 #include "futex/futex.hpp"
-#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot::transport {
@@ -19,7 +20,7 @@ Notifier::Notifier() : fd_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
                 "close descriptors, or raise the limit (ulimit -n)");
   }
   try {
-    const futex::NoSignals quiet;
+    const detail::NoSignals quiet;
     thread_ = std::thread([this] { run(); });
   } catch (const std::system_error& e) {
     close(fd_);

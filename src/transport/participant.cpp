@@ -13,9 +13,9 @@
 #include <system_error>
 #include <unistd.h>
 
+#include "lot/detail/no_signals.hpp"
 #include "lot/error.hpp"
 
-#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot::transport {
@@ -334,7 +334,7 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
     lock_file_->take_turn();
     holder_.next_free = (blocks / segment_.capacity().participants) * holder_.own.self;
     try {
-      const futex::NoSignals quiet;
+      const detail::NoSignals quiet;
       warden_ = std::thread([this] { warden(); });
     } catch (const std::system_error& e) {
       throw Error(e.code().value(), segment_.path(), "no thread to watch over the others",

@@ -13,10 +13,10 @@
 #include <thread>
 #include <unistd.h>
 
+#include "lot/detail/no_signals.hpp"
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
-#include "futex/no_signals.hpp"
 #include "segment/system_limits.hpp"
 #include "transport/participant.hpp"
 
@@ -96,7 +96,7 @@ void end_cleanly_on_signals() {
   if (process.load(std::memory_order_relaxed) != getpid()) {
     came_at.store(0, std::memory_order_relaxed);  // the parent's
     came.store(0, std::memory_order_relaxed);
-    const futex::NoSignals quiet;
+    const detail::NoSignals quiet;
     try {
       std::thread(&wait_and_end).detach();
     } catch (const std::system_error& e) {

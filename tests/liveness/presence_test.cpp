@@ -39,6 +39,11 @@ struct Number {
   std::uint64_t value;
 };
 
+/// Of such ones the next is made ahead.
+struct Large {
+  std::uint8_t bytes[1 << 20];
+};
+
 [[maybe_unused]] const std::string& prefix_taken = prefix();
 
 /// The seat of participant k, from outside.
@@ -105,8 +110,12 @@ TEST_CASE("no signal of the application comes to a thread of the library, from i
   auto puller = engine.subscribe<Number>("/t");
   puller.fd();
   const auto listener = engine.listen<Number>("/t", [](const lot::ShmSharedPtr<const Number>&) {});
-  const std::map<std::string, bool> all{
-      {"lot-witness", false}, {"lot-warden", false}, {"lot-notify", false}, {"lot-listen", false}};
+  auto pusher = engine.advertise<Large>("/large");
+  const std::map<std::string, bool> all{{"lot-witness", false},
+                                        {"lot-warden", false},
+                                        {"lot-notify", false},
+                                        {"lot-listen", false},
+                                        {"lot-ahead", false}};
   CHECK(eventually([&] {
     const std::lock_guard guard(begun_mutex);
     return begun == all;

@@ -4,7 +4,7 @@
 #include <csignal>
 #include <pthread.h>
 
-namespace lot::futex {
+namespace lot::detail {
 
 /// While this lives the calling thread takes no signal, and a thread that it begins takes none from
 /// its first step on: signals are the application's.
@@ -23,4 +23,4 @@ class NoSignals {
   sigset_t before_;
 };
 
-}  // namespace lot::futex
+}  // namespace lot::detail
