@@ -113,7 +113,10 @@ bool is_refused(int error) {
 
 /// Takes the memory of the first bytes of a file that nobody else knows yet. 0, or an error.
 int reserve_new(int fd, std::uint64_t bytes) {
-  const int error = posix_fallocate(fd, 0, static_cast<off_t>(bytes));
+  int error;
+  do {
+    error = posix_fallocate(fd, 0, static_cast<off_t>(bytes));
+  } while (error == EINTR);
   if (!is_refused(error)) return error;
   const std::vector<char> zeros(kUnit);
   for (std::uint64_t done = 0; done < bytes;) {

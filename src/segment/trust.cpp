@@ -258,9 +258,10 @@ std::string command(const std::string& words, const std::string& path) {
   const std::string directory = segment.substr(0, slash);
   struct stat status {};
   std::string text;
-  if (lstat(segment.c_str(), &status) == 0 || lstat(path.c_str(), &status) == 0) {
-    text = variables_for(status);
-  }
+  const auto is_file = [&](const std::string& its) {
+    return lstat(its.c_str(), &status) == 0 && S_ISREG(status.st_mode);
+  };
+  if (is_file(segment) || is_file(path)) text = variables_for(status);
   text += (text.empty() ? "lot " : " lot ") + words;
   if (directory != EngineOptions().directory) text += " --dir " + quoted(directory);
   return "`" + text + " --segment " + quoted(segment.substr(slash + 1)) + "`";

@@ -48,7 +48,8 @@ std::string objection(const std::string& path, bool is_lock) {
   if (lstat(path.c_str(), &status) == -1) return "";
   if (const std::string kind = segment::kind_of(path); !kind.empty()) return "it is " + kind;
   if (is_lock ? status.st_size == 0 : begins_as_a_segment(path)) return "";
-  if (!is_lock && access(path.c_str(), R_OK) == -1) {
+  if (!exists(path)) return "";  // removed meanwhile
+  if (!is_lock && access(path.c_str(), R_OK) == -1 && errno == EACCES) {
     return "it cannot be read, and has no lock file: it belongs to " +
            segment::owner_and_mode(path);
   }

@@ -226,7 +226,10 @@ std::string describe(Participant& participant, const Shortfall& shortfall,
     text += is_refused ? ", and the system gives no memory" : ", and the file system is full";
     if (is_known) text += ": " + fill.amount(free) + " are free in " + directory;
     if (is_refused)
-      remedy = "have the sandbox let madvise or fallocate through, or look for a quota";
+      remedy =
+          "try again; where it stays so, have the sandbox let madvise or fallocate through, or "
+          "look "
+          "for a quota";
   }
   const bool is_too_large = shortfall.granules > fill.total();
   if (!is_too_large) {

@@ -102,25 +102,45 @@ EngineOptions with_environment(EngineOptions options) {
   return options;
 }
 
-/// The items that wait in a segment that has another size than the one that was asked for, if its
-/// files stay; or that lets fewer in. REQUIRES: the gate is held, and no process uses it.
-std::uint64_t kept_items(const std::string& path, const segment::Trust& trust) {
+[[noreturn, gnu::cold]] void refuse_without_memory(const std::string& path) {
+  throw Error(ENOMEM, path, "no memory for what a process needs to join",
+              segment::advice_on_address_space());
+}
+
+/// What is in a segment that would be made anew.
+struct Contents {
+  std::uint64_t items = 0;   ///< that wait, and are to stay
+  bool is_narrow = false;    ///< it lets fewer in than was asked for
+  bool is_lived_in = false;  ///< a process may have lost its byte to closefrom(): its notice stands
+};
+
+/// `has_size`: it has the size that was asked for, and would be joined if it let all in. REQUIRES:
+/// the gate is held.
+Contents look_into(const std::string& path, const segment::Trust& trust, bool has_size) {
   using segment::Segment;
+  Contents contents;
   std::string ignored;
   const auto fit = Segment::examine(path, 0, trust, ignored);
-  if (fit != Segment::Fit::Fits && fit != Segment::Fit::Narrow) return 0;
-  std::uint64_t items = 0;
+  contents.is_narrow = fit == Segment::Fit::Narrow;
+  if (fit != Segment::Fit::Fits && !contents.is_narrow) return contents;
   try {
     const Segment segment(path, Segment::Access::ReadOnly, trust);
-    if (fit == Segment::Fit::Fits && !segment.keeps_files()) return 0;
-    for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
-      items += segment.waiting_items(c);
+    for (std::uint32_t k = 1; k < segment.capacity().participants; ++k) {
+      contents.is_lived_in |=
+          segment.participants()[k].state.load(std::memory_order_acquire) != 0 &&
+          liveness::seat::stands(segment.witnesses()[k].seat.load(std::memory_order_acquire));
     }
+    if (!has_size && !segment.keeps_files()) return contents;
+    for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
+      contents.items += segment.waiting_items(c);
+    }
+  } catch (const std::bad_alloc&) {
+    refuse_without_memory(path);
   } catch (const Error& e) {
     if (!segment::means_damage(e)) throw;
-    return 0;  // no process can take what is in there
+    return {};  // no process can take what is in there
   }
-  return items;
+  return contents;
 }
 
 }  // namespace
@@ -209,7 +229,10 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
         throw Error(EINVAL, path, reason, "remove it if it is yours, or set LOT_SEGMENT");
       }
       const std::string lock_reason = lock_file.shortfall(trust);
-      const bool used = (fit != segment::Segment::Fit::Fits || !lock_reason.empty()) && in_use();
+      const bool goes = fit != segment::Segment::Fit::Fits || !lock_reason.empty();
+      const Contents contents =
+          goes && ours ? look_into(path, trust, fit != segment::Segment::Fit::Stale) : Contents();
+      const bool used = goes && (contents.is_lived_in || in_use());
       // Without our locks we are not in the gate, and `used` says nothing.
       lock_file.require_intact();
       if (fit == segment::Segment::Fit::Stale && used) {
@@ -229,16 +252,16 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
       if (fit != segment::Segment::Fit::Fits && if_absent == IfAbsent::Throw) {
         throw Error(ENOENT, path, "nobody uses it any more", "there is nothing to be done");
       }
-      const bool may_keep = fit == segment::Segment::Fit::Stale || is_narrow;
-      const std::uint64_t kept = may_keep ? kept_items(path, trust) : 0;
-      if (kept != 0) {
+      if (contents.items != 0 && fit != segment::Segment::Fit::Fits) {
+        const std::string size = is_narrow ? "" : "LOT_SIZE";
+        const std::string rights = contents.is_narrow ? "LOT_GROUP and LOT_PERMISSIONS" : "";
         throw Error(ENOTEMPTY, path,
-                    reason + ", and " + std::to_string(kept) +
-                        (kept == 1 ? " item waits in it that is to stay"
-                                   : " items wait in it that are to stay"),
-                    "take them without " +
-                        std::string(is_narrow ? "LOT_GROUP and LOT_PERMISSIONS" : "LOT_SIZE") +
-                        ", or drop them by " + segment::command("clean --with-items", path));
+                    reason + ", and " + std::to_string(contents.items) +
+                        (contents.items == 1 ? " item waits in it that is to stay"
+                                             : " items wait in it that are to stay"),
+                    "take them without " + size + (size.empty() || rights.empty() ? "" : ", ") +
+                        rights + ", or drop them by " +
+                        segment::command("clean --with-items", path));
       }
       if (!lock_reason.empty()) {
         // What is there keeps its mode: a new lock file gets the one that was asked for.
@@ -247,7 +270,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
           throw Error(EPERM, path + ".lock", lock_reason + "; and new ones are so, too",
                       "name a directory with LOT_DIR whose file system has such modes");
         }
-        if (::unlink((path + ".lock").c_str()) == -1) {
+        if (::unlink((path + ".lock").c_str()) == -1 && errno != ENOENT) {
           throw Error(errno, path + ".lock", lock_reason + "; and it cannot be removed",
                       "remove it as the owner of its directory, or set LOT_SEGMENT or LOT_DIR");
         }
@@ -268,8 +291,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
         try {
           return new Participant(options, trust, file);
         } catch (const std::bad_alloc&) {
-          throw Error(ENOMEM, path, "no memory for what a process needs to join",
-                      segment::advice_on_address_space());
+          refuse_without_memory(path);
         }
       };
       auto* p = make();

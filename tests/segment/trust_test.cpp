@@ -16,6 +16,8 @@
 #include <sys/prctl.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
+#include <system_error>
+#include <thread>
 #include <unistd.h>
 
 #include <doctest/doctest.h>
@@ -322,6 +324,39 @@ TEST_CASE("what a kill has left that lets fewer in than a group was asked for is
     }
     CHECK(as(kBob, kGroup, [&] { must(Answer(shared).text.empty(), "joined"); }) == 0);
   }
+}
+
+TEST_CASE("a narrow segment of a process that has closed its descriptors is in use") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  auto shared = options;
+  shared.group = std::to_string(kGroup);
+  Steps ready, over;
+  Child maker([&] {
+    const lot::ShmEngine engine(options);
+    // Again and again, since LOT opens the lock file once more and takes its byte back.
+    while (over.next(0ms) == '\0') {
+      for (int fd = 3; fd < 256; ++fd) {
+        std::error_code none;
+        const auto name =
+            std::filesystem::read_symlink("/proc/self/fd/" + std::to_string(fd), none);
+        if (name == file_of(options) + ".lock") close(fd);
+      }
+      ready.tell();
+      std::this_thread::sleep_for(1ms);
+    }
+  });
+  REQUIRE(ready.next() == '.');
+  for (int n = 0; n < 20; ++n) {
+    const Answer answer(shared);
+    REQUIRE(answer.number == EPERM);
+    REQUIRE_MESSAGE(answer.says("and it is in use"), answer.text);
+    REQUIRE(ready.next() == '.');
+  }
+  CHECK(facts_of(file_of(options)) == Facts{0, getgid(), 0600});
+  over.tell();
+  CHECK(maker.wait() == 0);
 }
 
 TEST_CASE("a narrow segment in which items wait is not made anew") {
