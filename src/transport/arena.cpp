@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <exception>
 #include <mutex>
 
 #include "lot/error.hpp"
@@ -52,6 +53,12 @@ void expect_another(transport::Participant& p, const Build& build, unsigned newe
 
 [[noreturn, gnu::cold, gnu::noinline]] void refuse_place(const Arena& arena) {
   transport::Participant* const p = transport::Participant::at(&arena);
+  if (p == nullptr && Mapping::of(&arena) != nullptr) {
+    throw Error(ECHILD, "message",
+                "the objects of its segment are inert: they were inherited through fork(), or this "
+                "process was taken for dead",
+                "build messages with a lot::ShmEngine that this process has made since");
+  }
   if (p == nullptr) {
     throw Error(EINVAL, "message", "it lies in no segment that this copy of the library has joined",
                 "let the copy that made the message build it");
@@ -99,7 +106,7 @@ void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
     taken.take(*this);
     taken.give_back(piece, bytes);
     taken.tell();
-  } catch (const Error&) {  // it is damaged: its memory goes with the message
+  } catch (const std::exception&) {  // it is damaged: its memory goes with the message
   }
 }
 
@@ -124,7 +131,8 @@ void Build::open(Arena& its, const Mapping& here) noexcept {
   wanted.store(0, std::memory_order_relaxed);
 }
 
-void Build::tell() const noexcept {
+void Build::tell() noexcept {
+  is_told = true;
   Arena& said = *arena;
   write_once(said.extents, extents);
   write_once(said.current, current);
@@ -181,7 +189,7 @@ void Build::take_again() noexcept {
   if (!adopt_pieces(*arena)) limit = cursor;  // it is damaged: no small piece any more
 }
 
-void* Build::grow(std::size_t bytes, std::size_t align) {
+void* Build::find_room(std::size_t bytes, std::size_t align) {
   own_spare();
   const std::uint64_t granules = fit(bytes);
   // First what is most likely: a large piece, as the last message here had one.
@@ -208,6 +216,7 @@ void* Build::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
     return begin_in(idle, bytes);
   }
   transport::Participant* const p = home();
+  if (p == nullptr && Build::of(*arena) == this) refuse_place(*arena);
   // The memory would be at home here, and the message there.
   if (p == nullptr) {
     if (idle != kNone && extent[idle].granules >= granules_in(bytes)) {
@@ -430,6 +439,7 @@ void Build::give_back(const void* piece, std::size_t bytes) noexcept {
       // A vector that grows has left it, and will need more the next time.
       if (transport::Participant* const p = home(); p != nullptr) {
         drop(*p, i);
+        if (is_told) tell();
         expect_another(*p, *this, kMaxExtents);
       }
     }

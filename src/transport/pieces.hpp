@@ -13,7 +13,7 @@
 namespace lot::transport {
 
 constexpr std::uint64_t granules_in(std::uint64_t bytes) {
-  return (bytes + segment::kGranule - 1) / segment::kGranule;
+  return bytes / segment::kGranule + (bytes % segment::kGranule != 0);
 }
 
 /// The granules of an extent for a piece of that size. Sizes that differ little share one, so that

@@ -395,7 +395,7 @@ bool Pool::take_spare(std::uint32_t b) noexcept {
     }
     build.extents = left;
     build.spare.store(Build::kBuilders, std::memory_order_release);  // M2
-    build.wanted.store(0, std::memory_order_relaxed);
+    build.wanted.store(0, std::memory_order_release);                // M1
   }
   for (unsigned i = 0; i < count; ++i) release_run(taken[i].granule, taken[i].granules);
   return count != 0;
@@ -451,6 +451,7 @@ void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
 
 void Pool::keep_reserved(std::uint32_t b) noexcept {
   Build& build = holder_.segment->build(b);
+  build.own_spare();
   for (unsigned i = 0; i < build.extents; ++i) build.extent[i].kind |= Arena::kReserved;
   segment::set_reserved(holder_.segment->arena(b), true);
 }

@@ -4,6 +4,7 @@
 // checks what the arena says.
 
 #include <algorithm>
+#include <cerrno>
 #include <cstdint>
 #include <cstring>
 #include <filesystem>
@@ -127,6 +128,64 @@ TEST_CASE("what others write into an arena moves no piece of a message that is b
   }
   { const auto gone = std::move(pusher); }
   CHECK(eventually([&] { return view.granules().used() <= before; }));
+}
+
+TEST_CASE("a message that grows after it became shared has told so, also when it is referred to") {
+  struct Referring {
+    lot::ShmRef<const Parts> parts;
+  };
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(64 << 20));
+  auto pusher = engine.advertise<Parts>("/parts");
+  auto referring = engine.advertise<Referring>("/referring");
+  lot::ShmSharedPtr<Parts> shared = pusher.loan();
+  Participant& p = *Participant::at(shared.get());
+  const Arena& arena = p.segment().arena(block_of(p, shared.get()));
+  const auto granules = [&] {
+    return lot::segment::granules_of(arena, p.segment().granules().count());
+  };
+  CHECK(granules() == 0);
+  shared->large.resize(8 << 20);
+  CHECK(granules() >= 2048);
+  shared->large.clear();
+  shared->large.shrink_to_fit();
+  CHECK(granules() < 2048);
+  shared->large.resize(16 << 20);
+  auto message = referring.loan();
+  message->parts = shared;
+  referring.push(std::move(message));
+  CHECK_THROWS_WITH_AS(shared->more.resize(100'000), doctest::Contains("published"), lot::Error);
+  CHECK(granules() >= 4096);
+}
+
+TEST_CASE("no number of bytes is too large to be refused") {
+  lot::ShmEngine engine(fresh(64 << 20));
+  auto pusher = engine.advertise<Parts>("/parts");
+  for (const std::size_t less : {std::size_t{0}, std::size_t{1}, std::size_t{4095},
+                                 std::size_t{4096}, std::size_t{1} << 62}) {
+    CAPTURE(less);
+    CHECK_THROWS_AS(pusher.reserve(1, ~std::size_t{0} - less), lot::OutOfMemory);
+  }
+}
+
+TEST_CASE("a child of fork() builds none of its parent's messages") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(64 << 20));
+  auto pusher = engine.advertise<Parts>("/parts");
+  auto message = pusher.loan();
+  message->more.resize(100);
+  Child child([&] {
+    try {
+      message->words.emplace_back(std::size_t{100}, 'x');
+    } catch (const lot::Error& e) {
+      must(e.error_number() == ECHILD && std::strstr(e.what(), "fork") != nullptr, e.what());
+      return;
+    }
+    must(false, "it is refused");
+  });
+  CHECK(child.wait() == 0);
+  message->more.resize(200);
+  CHECK(message->words.empty());
 }
 
 /// A queue's item, made by another process.

@@ -141,6 +141,7 @@ struct alignas(64) Build {
   std::uint64_t root = 0;
   std::uint8_t extents = 0;  ///< how many of `extent` are there
   std::uint8_t current = 0;  ///< index + 1 of the extent that cursor is in, 0: the small payload
+  bool is_told = false;      ///< the arena says what is here
   /// Whose the extents are. kBuilders: of the thread that builds the message, as all else here.
   /// kSpare: of the first that asks, the builder or a thread of the home that is short of memory.
   std::atomic<std::uint8_t> spare{kBuilders};
@@ -169,6 +170,7 @@ struct alignas(64) Build {
     current = 0;
     cursor = small;
     limit = small + Mapping::kSmallBytes;
+    is_told = false;
   }
 
   /// The message is complete: what it has not used goes back. Its home calls it when it publishes
@@ -176,8 +178,9 @@ struct alignas(64) Build {
   void trim() noexcept {
     if (arena->frozen == 0 && (is_spare() || extents != 0)) trim_whole();
   }
-  /// Says in the arena where the pieces are.
-  void tell() const noexcept;
+  /// Says in the arena where the pieces are, from now on each time that the message gets or loses
+  /// an extent.
+  void tell() noexcept;
   /// Another process has had the message, which this one, its home, has taken from a queue again:
   /// the pieces are where the arena says, in the extents that are known here.
   void take_again() noexcept;
@@ -187,11 +190,15 @@ struct alignas(64) Build {
     if (!is_spare()) return;
     spare.store(kBuilders, std::memory_order_relaxed);  // M1
     std::atomic_signal_fence(std::memory_order_seq_cst);
-    if (wanted.load(std::memory_order_relaxed) != 0) await_taker();  // M1
+    if (wanted.load(std::memory_order_acquire) != 0) await_taker();  // M1
   }
   bool is_spare() const noexcept { return spare.load(std::memory_order_acquire) == kSpare; }  // M2
 
-  void* grow(std::size_t bytes, std::size_t align);
+  void* grow(std::size_t bytes, std::size_t align) {
+    void* const piece = find_room(bytes, align);
+    if (is_told) tell();
+    return piece;
+  }
   void give_back(const void* piece, std::size_t bytes) noexcept;
 
   /// This one, not the home's, is of a message that the process has taken from a queue and another
@@ -212,6 +219,7 @@ struct alignas(64) Build {
   std::uint64_t begin_of(const Extent& e) const noexcept;
   transport::Participant* home() const noexcept;
   bool adopt_pieces(const Arena& said) noexcept;
+  void* find_room(std::size_t bytes, std::size_t align);
   void* find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules);
   void* place_in_current(std::size_t bytes, std::size_t align) noexcept;
   unsigned claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules, bool alone);

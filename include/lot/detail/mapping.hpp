@@ -23,8 +23,9 @@ void write_once(T& word, T value) noexcept {
 /// private memory, since any participant can change a word of the segment.
 ///
 /// Threads: any. Memory: one for each place at which a segment was ever mapped, never freed, so
-/// that a lookup takes no lock and a child of fork() finds what its parent had; 256 bytes for each
-/// block, for which the system gives the pages that are touched.
+/// that a lookup takes no lock and a child of fork() finds the places that its parent had; while
+/// the segment is mapped, 256 bytes for each block, for which the system gives the pages that are
+/// touched.
 class Mapping {
  public:
   /// A block's small payload, its arena and its Build: all lie equally far into their tables.
@@ -92,7 +93,7 @@ class Mapping {
   static std::atomic<Mapping*> newest;  // private to the process
 
   const Layout layout_;
-  unsigned char* const builds_;
+  unsigned char* builds_;            ///< of the segment that is mapped there now
   std::atomic<std::uint64_t> size_;  ///< 0: nothing is mapped there any more
   Mapping* older_;
 };
