@@ -566,10 +566,10 @@ class Puller final : public detail::PullerCore {
   [[gnu::hot]] bool park(const futex::Deadline& deadline) {
     waits_.clear();
     if (const auto again = arm(waits_)) {
-      futex::wait_any(waits_, deadline ? std::min(*again, *deadline) : *again);
+      const bool final = deadline && *deadline <= *again;
+      if (!futex::wait_any(waits_, final ? *deadline : *again) && final) return false;
     }
-    // Whatever the wait says: the words may change, or messages be there, all the time, and other
-    // readers be faster.
+    // The words may change, or messages be there, all the time, and other readers be faster.
     return !deadline || futex::Clock::now() < *deadline;
   }
 

@@ -141,7 +141,7 @@ class Run {
     if (is_mine()) judge(failure.operation.name, fail(failure.operation), failure.found_as);
     const Plant shrinking = planted_shrinking();
     if (is_mine()) judge(shrinking.operation.name, one(shrinking.operation), shrinking.found_as);
-    options_.every = 12;  // one, in the middle
+    options_.every = 100;  // one, in the middle
     const Plant on_the_way = planted_on_the_way();
     if (is_mine()) {
       const std::uint64_t strayed = totals_.strayed;
