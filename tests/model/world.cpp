@@ -6,8 +6,6 @@ namespace lot::model {
 // ---- Channel and Segment
 // --------------------------------------------------------------------------
 
-namespace {}
-
 Channel::Channel(const Shape& shape)
     : slots(shape.depth),
       cells(shape.readers),
