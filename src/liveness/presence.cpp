@@ -30,8 +30,8 @@ bool Presence::claim(std::uint32_t k) {
 }
 
 void Presence::end() noexcept {
+  name_.store(0, std::memory_order_relaxed);  // first: the witness may take its time
   notice_.end();
-  name_.store(0, std::memory_order_relaxed);
 }
 
 /// A byte may outlive its process by seconds, and longer: while the kernel takes gigabytes apart or
