@@ -402,7 +402,7 @@ class Relay(Case):
         for signal_ in (signal.SIGTERM, signal.SIGINT):
             with self.subTest(signal_), Graph() as graph:
                 relay = graph.run([RELAY, '/t', '/shared', '__name:=relay'])
-                graph.wait_for(lambda: 'waiting for a publisher' in graph.output(relay), 'the relay')
+                graph.wait_for(lambda: graph.ask('lookupNode', '/relay'), 'the relay')
                 relay.send_signal(signal_)
                 self.assertEqual(relay.wait(20), 0, graph.said(relay))
 
