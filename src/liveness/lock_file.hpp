@@ -72,7 +72,7 @@ class LockFile {
   void require_intact() const;
   /// Throws lot::Error when it is not trusted by such a one.
   void require(const segment::Trust& trust) const;
-  /// Why it does not let all in whom such a one wants to, or "".
+  /// Why it is narrow for such a one, or "".
   std::string shortfall(const segment::Trust& trust) const;
   /// Opens the file again after that. False when it is another file by now.
   bool reopen() noexcept;

@@ -111,7 +111,7 @@ bool is_refused(int error) {
   return error == EINVAL || error == EPERM || error == EACCES || error == ENOSYS;
 }
 
-/// Takes the memory of the first bytes of a file that nobody else knows yet. 0, or an error.
+/// Takes the memory of the first bytes of a file that no other process knows yet. 0, or an error.
 int reserve_new(int fd, std::uint64_t bytes) {
   int error;
   do {

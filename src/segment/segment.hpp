@@ -48,7 +48,7 @@ class Segment {
     Absent,
     Fits,    ///< complete, of this version, machine and boot, and of the size asked for
     Stale,   ///< a segment, but not one that we can join
-    Narrow,  ///< one that fits, and does not let all in whom it should (Trust::shortfall)
+    Narrow,  ///< one that fits, and is narrow (Trust::shortfall)
     Foreign  ///< no segment at all: never touched
   };
   /// What is at path; `size` 0 means any. Says why it does not fit in `reason`. Throws lot::Error

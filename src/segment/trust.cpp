@@ -97,8 +97,8 @@ bool is_one_of(const Trust& trust, const struct stat& status) {
          (trust.group && status.st_gid == *trust.group);
 }
 
-/// Whom the system calls so it does not know: all users, or groups, that are not mapped in a user
-/// namespace. Everywhere else it is called "nobody", or "nogroup".
+/// The number that stands for all users, or groups, that are not mapped in a user namespace.
+/// Everywhere else its name is "nobody", or "nogroup".
 bool is_overflow(unsigned number, const char* kind) {
   unsigned overflow = 65534;
   std::ifstream(std::string("/proc/sys/kernel/overflow") + kind) >> overflow;

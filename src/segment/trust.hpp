@@ -33,7 +33,7 @@ struct Trust {
 
   /// Throws lot::Error (EPERM) that says whose it is, and what to do, if it is not trusted.
   void require(int fd, const std::string& path) const;
-  /// Why a file that is trusted does not let all in whom it should, or "".
+  /// Why a file that is trusted is narrow, or "".
   std::string shortfall(int fd) const;
   /// What is at path belongs to one of these users, whatever it is: it may be removed. False as
   /// well when nothing is there.
