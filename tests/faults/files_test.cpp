@@ -238,20 +238,21 @@ TEST_CASE("the lock file removed: newcomers join the same segment, and nobody is
   }
 }
 
-TEST_CASE("the lock file removed and another size asked for: a new segment, those inside go on") {
+TEST_CASE("the lock file removed and another size asked for: EBUSY while those inside use it") {
   const Watchdog watchdog(60);
   const Ground options;
   Insiders inside(options);
   remove_lock_file(options);
   lot::EngineOptions bigger = options;
   bigger.size_bytes *= 2;
-  Newcomers outside(bigger);
-  CHECK(outside.c.knows_nothing_of(inside.a));
+  const Refusal refusal(bigger);  // the new lock file says nothing of them, their notices do
+  CHECK(refusal.number == EBUSY);
+  CHECK(refusal.says("it is in use"));
   let_wardens_look();
   inside.check();
-  inside.leave();
-  CHECK(files_of(options) == 2);
-  outside.leave();
+  inside.a.kill9();
+  CHECK(inside.b.leave());
+  CHECK(eventually([&] { return Refusal(bigger).number == 0; }));
   CHECK(files_of(options) == 0);
 }
 

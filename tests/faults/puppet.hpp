@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstdio>
 #include <optional>
 #include <set>
 #include <string>
@@ -69,7 +70,8 @@ class Puppet {
     std::optional<ShmEngine> engine;
     try {
       engine.emplace(named(options, std::string(1, name).c_str()));
-    } catch (const Error&) {
+    } catch (const Error& e) {
+      std::fprintf(stderr, "%c does not join: %s\n", name, e.what());
       answer_.tell('n');
       return;
     }
