@@ -20,17 +20,17 @@ using Steps = lock::LockWord<detail::HardwareAtomics>;
 RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
   const std::uint32_t name = owner_.name();
   if (name == 0) return Outcome::Busy;
-  const Outcome outcome = lock_as(name, timeout);
+  if (Steps(word_).try_lock(name, false)) return Outcome::Locked;
+  const Outcome outcome = wait_for(timeout, name);
   if (outcome == Outcome::Busy || owner_.name() == name) return outcome;
   // The process was taken for dead meanwhile: what it does now is not to be done in the old name.
   if (Steps(word_).unlock(name)) futex::wake_one(&word_);
   return Outcome::Busy;
 }
 
-RobustMutex::Outcome RobustMutex::lock_as(std::uint32_t name,
-                                          std::chrono::nanoseconds timeout) noexcept {
+RobustMutex::Outcome RobustMutex::wait_for(std::chrono::nanoseconds timeout,
+                                           std::uint32_t name) noexcept {
   Steps word(word_);
-  if (word.try_lock(name, false)) return Outcome::Locked;
   const auto until =
       futex::Clock::now() + std::clamp(timeout, std::chrono::nanoseconds(0), kLongest);
   auto period = kFirstLook;

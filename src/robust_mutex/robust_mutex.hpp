@@ -61,7 +61,7 @@ class RobustMutex {
   std::uint32_t holder() const noexcept;
 
  private:
-  Outcome lock_as(std::uint32_t name, std::chrono::nanoseconds timeout) noexcept;
+  Outcome wait_for(std::chrono::nanoseconds timeout, std::uint32_t name) noexcept;
   bool take_over(std::uint32_t seen, std::uint32_t name) noexcept;
 
   Word& word_;
