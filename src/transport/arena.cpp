@@ -205,6 +205,12 @@ void* Build::find_room(std::size_t bytes, std::size_t align) {
       static_cast<std::uint32_t>(std::clamp(granules, std::uint64_t{1}, std::uint64_t{kNoRun})));
 }
 
+void* Build::grow_told(std::size_t bytes, std::size_t align) {
+  void* const piece = find_room(bytes, align);
+  tell();
+  return piece;
+}
+
 void* Build::find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules) {
   const bool is_in_reserve = current != 0 && extent[current - 1U].is_reserved();
   const bool alone = bytes >= kLargePiece && extents < kManyExtents;

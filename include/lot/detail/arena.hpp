@@ -195,9 +195,7 @@ struct alignas(64) Build {
   bool is_spare() const noexcept { return spare.load(std::memory_order_acquire) == kSpare; }  // M2
 
   void* grow(std::size_t bytes, std::size_t align) {
-    void* const piece = find_room(bytes, align);
-    if (is_told) tell();
-    return piece;
+    return is_told ? grow_told(bytes, align) : find_room(bytes, align);
   }
   void give_back(const void* piece, std::size_t bytes) noexcept;
 
@@ -220,6 +218,7 @@ struct alignas(64) Build {
   transport::Participant* home() const noexcept;
   bool adopt_pieces(const Arena& said) noexcept;
   void* find_room(std::size_t bytes, std::size_t align);
+  void* grow_told(std::size_t bytes, std::size_t align);
   void* find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules);
   void* place_in_current(std::size_t bytes, std::size_t align) noexcept;
   unsigned claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules, bool alone);
