@@ -228,7 +228,8 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
     return std::memcmp(header.identity.magic, kMagic, sizeof(kMagic)) == 0 ? Segment::Fit::Stale
                                                                            : Segment::Fit::Foreign;
   }
-  if (header.identity.boot != 0 && boot() != 0 && header.identity.boot != boot()) {
+  const std::uint64_t here = header.identity.boot != 0 ? boot() : 0;
+  if (here != 0 && header.identity.boot != here) {
     reason = "it was left by another boot of the system";
   } else if (wanted != 0 && wanted / kUnit * kUnit != file_size) {
     reason = "it has " + size_text(file_size) + ", " + size_text(wanted) + " were asked for";
