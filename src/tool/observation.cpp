@@ -150,9 +150,11 @@ class Observer {
     const auto state = ring::writer_state(w);
     if (state == ring::State::Free || state == ring::State::Init) return;
     const auto wrong = [&](const std::string& what) {
-      // What is recycled meanwhile may look like anything, until its writer word says so.
+      // What is recycled meanwhile may look like anything, until its writer word says so; which may
+      // take long for one that is stopped with the registry's lock. The lock is looked at first.
       if (!std::exchange(has_waited_, true)) std::this_thread::sleep_for(kRecycling);
-      if (entry.writer.load(std::memory_order_acquire) == w) {
+      if (s_.directory().lock.word.load(std::memory_order_acquire) == 0 &&
+          entry.writer.load(std::memory_order_acquire) == w) {
         complain("queue " + std::to_string(c) + ": " + what);
       }
     };

@@ -57,6 +57,14 @@ std::string objection(const std::string& path, bool is_lock) {
          (is_lock ? "lock file" : "segment");
 }
 
+/// The same of an unfinished segment, which whoever makes a new one removes first if it is trusted.
+std::string objection_to_unfinished(const std::string& path, const segment::Trust& trust) {
+  struct stat status {};
+  if (lstat(path.c_str(), &status) == -1) return "";
+  if (S_ISDIR(status.st_mode)) return "it is a directory";
+  return trust.owns(path) ? "" : "it belongs to " + segment::owner_and_mode(path);
+}
+
 std::vector<Places::Obstacle> find_obstacles(const Where& where) {
   std::vector<Places::Obstacle> found;
   const std::string path =
@@ -66,6 +74,9 @@ std::vector<Places::Obstacle> find_obstacles(const Where& where) {
     const std::string what = objection(its, is_lock);
     if (!what.empty()) found.push_back({its, what});
   }
+  const std::string unfinished = path + std::string(kUnfinished);
+  const std::string what = exists(path) ? "" : objection_to_unfinished(unfinished, where.trust);
+  if (!what.empty()) found.push_back({unfinished, what});
   return found;
 }
 

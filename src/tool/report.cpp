@@ -136,7 +136,7 @@ void name_the_stopped(const std::string& path, Window* window, Report& report) {
                 ", and others wait for it: " + holder->advice());
   };
   ask(liveness::LockFile::kGate, "opens or closes");
-  ask(refcount::kOrphanage, "frees what the dead have left in");
+  ask(refcount::kOrphanage, "frees what it or the dead have left in");
   if (window == nullptr) return;
   segment::Segment& s = window->segment();
   const std::uint32_t word = s.directory().lock.word.load(std::memory_order_acquire);

@@ -307,6 +307,30 @@ TEST_CASE("each kind of damage is named") {
   CHECK(says(run_lot({"ls", "--dir", room.path()}).out, "it is too short"));
 }
 
+TEST_CASE(
+    "a queue that is half made, or half gone, while its maker has the registry is no damage") {
+  const Watchdog watchdog(120);
+  const Room room;
+  lot::segment::Capacity capacity;
+  std::memcpy(&capacity, image().data() + offsetof(lot::segment::Header, capacity),
+              sizeof(capacity));
+  const auto geometry = Geometry::of(capacity);
+  std::string bytes = image();
+  const std::uint32_t depth = 0;
+  std::memcpy(bytes.data() + geometry.channels + offsetof(lot::segment::ChannelEntry, depth),
+              &depth, sizeof(depth));
+  write_to(room.path() + "/s", bytes);
+  CHECK(run_lot({"ls", "--interval", "1", "--dir", room.path()}).exit == 3);
+  const std::uint32_t name = lot::lock::make_name(1, 1);
+  std::memcpy(bytes.data() + geometry.directory + offsetof(lot::segment::Directory, lock), &name,
+              sizeof(name));
+  write_to(room.path() + "/s", bytes);
+  const Ran ran = run_lot({"ls", "--interval", "1", "--dir", room.path()});
+  CAPTURE(ran.out);
+  CHECK(ran.exit == 1);  // its process is dead
+  CHECK(ran.out.find("damaged") == ran.out.npos);
+}
+
 TEST_CASE("a segment that is cut short while it is looked at is said to be so") {
   const Watchdog watchdog(60);
   const Room room;

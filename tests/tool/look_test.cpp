@@ -442,6 +442,28 @@ TEST_CASE("what lies in the place of a segment or its lock file is said, by each
   }
 }
 
+TEST_CASE("so is what keeps a new segment from being made") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const std::string path = room.path() + "/s.new";
+  const auto check = [&](const std::string& what) {
+    for (const char* command : {"ls", "who", "clean"}) {
+      const Ran ran = run_lot(on(room.options("s"), {command}));
+      CHECK(ran.exit == 1);
+      CHECK_MESSAGE(says(ran.out, path + ": it " + what), ran.out);
+    }
+    CHECK(error_of([&] { const lot::ShmEngine engine(room.options("s")); }).first == EEXIST);
+    std::filesystem::remove(path);
+    std::filesystem::remove(room.path() + "/s.lock");
+  };
+  REQUIRE(mkdir(path.c_str(), 0700) == 0);
+  check("is a directory");
+  if (geteuid() != 0) return;
+  std::ofstream(path) << "not yours";
+  REQUIRE(chown(path.c_str(), 65532, 65532) == 0);
+  check("belongs to uid 65532");
+}
+
 TEST_CASE("a process that is stopped where others must pass is named, and what to do") {
   const Watchdog watchdog(60);
   const Room room;
