@@ -138,6 +138,7 @@ Capacity choose_size(const std::string& path, Capacity capacity) {
   }
   const std::uint64_t free = std::uint64_t{room.f_bavail} * room.f_frsize;
   const bool chosen = capacity.size != 0;
+  const std::uint64_t asked = capacity.size;
   const std::uint64_t of_a_file = file_limit();
   // Half of it: the processes need memory of their own.
   const std::uint64_t of_the_group = memory_limit() / 2;
@@ -145,7 +146,7 @@ Capacity choose_size(const std::string& path, Capacity capacity) {
   capacity.size = capacity.size / kUnit * kUnit;
   const std::uint64_t least = Geometry::of(capacity).data + kSmallestData;
   if (capacity.size < least) {
-    std::string limit = size_text(capacity.size) + " were asked for";
+    std::string limit = size_text(asked) + " were asked for";
     const char* remedy = "raise LOT_SIZE";
     if (!chosen && of_a_file <= capacity.size + kUnit) {
       limit = "a file of this process may have " + size_text(of_a_file);
@@ -257,7 +258,7 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
                        : error == EEXIST ? "its owner, or root, can remove it; or name another "
                                            "directory with LOT_DIR"
                                          : "set LOT_DIR to a directory that you may write to";
-  const std::string rival = error == EEXIST ? owner_and_mode(path) : "";
+  const std::string rival = error == EEXIST || error == EAGAIN ? owner_and_mode(path) : "";
   throw Error(error, path, what + (rival.empty() ? "" : ": what is there belongs to " + rival),
               advice);
 }

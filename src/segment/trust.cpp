@@ -262,6 +262,15 @@ std::string command(const std::string& words, const std::string& path) {
     return lstat(its.c_str(), &status) == 0 && S_ISREG(status.st_mode);
   };
   if (is_file(segment) || is_file(path)) text = variables_for(status);
+  if (!text.empty()) {
+    // What is exported where the command is pasted says something else.
+    for (const char* const name : {"LOT_USER", "LOT_GROUP", "LOT_PERMISSIONS"}) {
+      const char* const exported = secure_getenv(name);
+      const bool is_said = text.find(name + std::string("=")) != text.npos;
+      if (exported != nullptr && *exported != '\0' && !is_said)
+        text += std::string(" ") + name + "=";
+    }
+  }
   text += (text.empty() ? "lot " : " lot ") + words;
   if (directory != EngineOptions().directory) text += " --dir " + quoted(directory);
   return "`" + text + " --segment " + quoted(segment.substr(slash + 1)) + "`";

@@ -238,6 +238,13 @@ TEST_CASE("what a kill has left with a wider mode goes by the command that the e
                             " --segment s`; only if you trust every user of this machine, set "
                             "LOT_PERMISSIONS=0666"),
                 answer.text);
+  // It clears what is exported where it is pasted.
+  CHECK(as(0, 0, [&] {
+          setenv("LOT_GROUP", "65533", 1);
+          const Answer exported(room.options());
+          must(exported.says("`LOT_PERMISSIONS=0666 LOT_GROUP= lot clean --dir "),
+               exported.text.c_str());
+        }) == 0);
 }
 
 TEST_CASE("root's segment is trusted") {
