@@ -49,11 +49,12 @@ std::uint64_t parse_size(const char* text) {
                          : unit == 'K' || unit == 'k' ? 10
                          : unit == 'M' || unit == 'm' ? 20
                          : unit == 'G' || unit == 'g' ? 30
+                         : unit == 'T' || unit == 't' ? 40
                                                       : 64;
   if (end == text || *end != '\0' || shift == 64 || errno != 0 || n == 0 || text[0] == '-' ||
       n > (~std::uint64_t{0} >> shift)) {
     throw Error(EINVAL, std::string("LOT_SIZE=") + text, "not a size",
-                "write a number of bytes, or one with K, M or G behind it");
+                "write a number of bytes, or one with K, M, G or T behind it");
   }
   return n << shift;
 }

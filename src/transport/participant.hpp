@@ -328,6 +328,8 @@ class Participant {
  private:
   /// And for who acts for the orphanage.
   static constexpr std::chrono::seconds kOrphanagePatience{2};
+  /// The same in the gate, where others wait who come and go: they get in within a second.
+  static constexpr std::chrono::milliseconds kOrphanagePatienceInGate{400};
 
   static constexpr std::chrono::milliseconds kAnswerPatience{10};
   static constexpr std::chrono::microseconds kAnswerLook{100};

@@ -131,7 +131,7 @@ void Participant::warden() {
   bool reaped = false;
   {
     const std::lock_guard guard(reap_mutex_);
-    const auto until = futex::Clock::now() + kOrphanagePatience;
+    const auto until = futex::Clock::now() + kOrphanagePatienceInGate;
     while (!reaped && futex::Clock::now() < until) {
       if (enter_orphanage()) {
         if (in_gate) lock_file_->take_turn();
