@@ -17,6 +17,8 @@
 
 #include "lot/detail/no_signals.hpp"
 
+#include "lot_ros/copies.hpp"
+
 namespace lot::ros {
 namespace {
 
@@ -131,6 +133,11 @@ Session::Session() : loop_(std::make_shared<Loop>(waiting())) {
 }
 
 void Session::open() {
+  // Two copies would be two participants of one node's name, which publishers do not tell apart.
+  if (const std::string first = earlier_copy(); !first.empty()) {
+    throw Error(EEXIST, first, "it came into this process first, and has another copy of lot::ros",
+                "link all nodes of a process with the same liblot_ros.so");
+  }
   EngineOptions options;
   options.name = participant_name(::ros::this_node::getName());
   read_parameter("segment", options.segment);
