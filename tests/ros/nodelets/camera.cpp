@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+/// A camera as a nodelet: images with a number, and the place where their bytes lie.
+#include "nodelets.hpp"
+
+namespace lot_test {
+
+class Camera final : public nodelet::Nodelet {
+ public:
+  ~Camera() override { timer_.stop(); }
+
+ private:
+  void onInit() override {
+    const auto own = getPrivateNodeHandle();
+    own.param("count", count_, count_);
+    own.param("bytes", bytes_, bytes_);
+    out_ = lot::ros::NodeHandle(getNodeHandle()).advertise<LotImage>("image", 30);
+    timer_ =
+        getNodeHandle().createTimer(ros::Duration(kPeriod), [this](const auto&) { publish(); });
+    own.setParam("ready", true);
+  }
+
+  void publish() {
+    bool go = false;
+    if (number_ == 0 && (!getPrivateNodeHandle().getParam("go", go) || !go)) return;
+    if (number_ == 0 && out_.getNumSubscribers() == 0) return;  // its link is not there yet
+    if (number_ == count_) {
+      timer_.stop();
+      getPrivateNodeHandle().setParam("serialised", static_cast<int>(out_.serialised()));
+      return;
+    }
+    auto image = out_.loan();
+    image->data.resize(bytes_);
+    mark(*image, number_++);
+    out_.publish(std::move(image));
+  }
+
+  int count_ = 600;
+  int bytes_ = 100'000;
+  int number_ = 0;
+  lot::ros::Publisher<LotImage> out_;
+  ros::Timer timer_;
+};
+
+}  // namespace lot_test
+
+PLUGINLIB_EXPORT_CLASS(lot_test::Camera, nodelet::Nodelet)
