@@ -21,6 +21,7 @@ from graph import NODE, TOOL, Graph
 COUNT = 200
 RELAY = os.environ.get('LOT_RELAY', 'lot_relay')
 HANDLES = os.environ.get('LOT_ROS_HANDLES', 'ros_handles_test')
+FILTERS = os.environ.get('LOT_ROS_FILTERS', 'ros_filters_test')
 CAMERA = os.environ.get('LOT_ROS_CAMERA')
 KILLING_S = float(os.environ.get('LOT_ROS_KILLING_S', 20))
 
@@ -185,6 +186,15 @@ class Handles(Case):
     def test_handles_in_one_node(self):
         with Graph() as graph:
             node = graph.run([HANDLES])
+            status = node.wait(200)
+            self.assertEqual(status, 0, graph.output(node) + graph.said(node))
+            self.assertEqual(graph.files(), [])
+
+
+class Filters(Case):
+    def test_filters_and_cameras_in_one_node(self):
+        with Graph() as graph:
+            node = graph.run([FILTERS])
             status = node.wait(200)
             self.assertEqual(status, 0, graph.output(node) + graph.said(node))
             self.assertEqual(graph.files(), [])
