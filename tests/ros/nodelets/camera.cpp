@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// A camera as a nodelet: images with a number, and the place where their bytes lie.
+#include <cstddef>
+
 #include "nodelets.hpp"
 
 namespace lot_test {
@@ -29,7 +31,7 @@ class Camera final : public nodelet::Nodelet {
       return;
     }
     auto image = out_.loan();
-    image->data.resize(bytes_);
+    image->data.resize(static_cast<std::size_t>(bytes_));
     mark(*image, number_++);
     out_.publish(std::move(image));
   }
