@@ -153,8 +153,10 @@ class Observer {
       // What is recycled meanwhile may look like anything, until its writer word says so; which may
       // take long for one that is stopped with the registry's lock. The lock is looked at first.
       if (!std::exchange(has_waited_, true)) std::this_thread::sleep_for(kRecycling);
-      if (s_.directory().lock.word.load(std::memory_order_acquire) == 0 &&
-          entry.writer.load(std::memory_order_acquire) == w) {
+      const bool goes = state == ring::State::Orphan &&
+                        entry.formed.load(std::memory_order_acquire) == 0 &&
+                        s_.directory().lock.word.load(std::memory_order_acquire) != 0;
+      if (!goes && entry.writer.load(std::memory_order_acquire) == w) {
         complain("queue " + std::to_string(c) + ": " + what);
       }
     };

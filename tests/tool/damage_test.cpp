@@ -307,8 +307,8 @@ TEST_CASE("each kind of damage is named") {
   CHECK(says(run_lot({"ls", "--dir", room.path()}).out, "it is too short"));
 }
 
-TEST_CASE(
-    "a queue that is half made, or half gone, while its maker has the registry is no damage") {
+TEST_CASE("a queue that is half gone while somebody has the registry is no damage") {
+  using lot::segment::ChannelEntry;
   const Watchdog watchdog(120);
   const Room room;
   lot::segment::Capacity capacity;
@@ -316,19 +316,30 @@ TEST_CASE(
               sizeof(capacity));
   const auto geometry = Geometry::of(capacity);
   std::string bytes = image();
-  const std::uint32_t depth = 0;
-  std::memcpy(bytes.data() + geometry.channels + offsetof(lot::segment::ChannelEntry, depth),
-              &depth, sizeof(depth));
-  write_to(room.path() + "/s", bytes);
-  CHECK(run_lot({"ls", "--interval", "1", "--dir", room.path()}).exit == 3);
-  const std::uint32_t name = lot::lock::make_name(1, 1);
-  std::memcpy(bytes.data() + geometry.directory + offsetof(lot::segment::Directory, lock), &name,
-              sizeof(name));
-  write_to(room.path() + "/s", bytes);
-  const Ran ran = run_lot({"ls", "--interval", "1", "--dir", room.path()});
+  const auto put = [&bytes](std::uint64_t at, const auto& value) {
+    std::memcpy(bytes.data() + at, &value, sizeof(value));
+  };
+  const auto look = [&] {
+    write_to(room.path() + "/s", bytes);
+    return run_lot({"ls", "--interval", "1", "--dir", room.path()});
+  };
+  put(geometry.channels + offsetof(ChannelEntry, depth), std::uint32_t{0});
+  put(geometry.channels + offsetof(ChannelEntry, formed), std::uint32_t{0});
+  CHECK(look().exit == 3);
+  const auto lock = geometry.directory + offsetof(lot::segment::Directory, lock);
+  put(lock, lot::lock::make_name(1, 1));
+  CHECK(look().exit == 3);  // it is in use, and nobody takes it away
+  lot::ring::Word writer = 0;
+  std::memcpy(&writer, bytes.data() + geometry.channels, sizeof(writer));
+  put(geometry.channels,
+      lot::ring::make_writer(lot::ring::writer_generation(writer), lot::ring::State::Orphan,
+                             lot::ring::writer_owner(writer)));
+  const Ran ran = look();
   CAPTURE(ran.out);
   CHECK(ran.exit == 1);  // its process is dead
   CHECK(ran.out.find("damaged") == ran.out.npos);
+  put(lock, std::uint32_t{0});
+  CHECK(look().exit == 3);
 }
 
 TEST_CASE("a segment that is cut short while it is looked at is said to be so") {
