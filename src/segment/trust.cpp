@@ -272,7 +272,10 @@ std::string command(const std::string& words, const std::string& path) {
     }
   }
   text += (text.empty() ? "lot " : " lot ") + words;
-  if (directory != EngineOptions().directory) text += " --dir " + quoted(directory);
+  const char* const elsewhere = secure_getenv("LOT_DIR");
+  if (directory != EngineOptions().directory || (elsewhere != nullptr && *elsewhere != '\0')) {
+    text += " --dir " + quoted(directory);
+  }
   return "`" + text + " --segment " + quoted(segment.substr(slash + 1)) + "`";
 }
 
