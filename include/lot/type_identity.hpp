@@ -29,9 +29,10 @@ void destroy_message(void* message) noexcept {
   static_cast<T*>(message)->~T();
 }
 
-/// The one MessageType of T in this copy of the library.
+/// The one MessageType of T in this program, or shared object: hidden, so that no other one's
+/// destroy_message() is called, which may be of another version, or use another copy of the library.
 template <class T>
-const MessageType& message_type() {
+[[gnu::visibility("hidden")]] const MessageType& message_type() {
   static const MessageType type{
       sizeof(T),
       alignof(T),

@@ -220,6 +220,38 @@ TEST_CASE("a camera: image and info together") {
   CHECK_FALSE(out);
 }
 
+TEST_CASE("a camera that is ended in its callback, and an info that is late") {
+  lot::ros::NodeHandle node;
+  const std::string topic = fresh_topic() + "/image_raw";
+  lot::ros::CameraPublisher out(node, topic, 2 * kCount);
+  const auto infos = node.advertise<lot::ros::CameraPublisher::CameraInfo>(
+      lot::ros::camera_info_topic(topic), 2 * kCount);
+  lot::ros::CameraSubscriber in;
+  std::vector<double> seen;
+  in = {node, topic, 2 * kCount,
+        [&](const boost::shared_ptr<Image const>& image,
+            const boost::shared_ptr<lot::ros::CameraSubscriber::CameraInfo const>&) {
+          seen.push_back(image->header.stamp.toSec());
+          if (seen.size() == 2) in.shutdown();
+        }};
+  const auto images = node.advertise<Image>(topic, 2 * kCount);
+  REQUIRE(comes([&] { return images.getNumSubscribers() == 1 && infos.getNumSubscribers() == 1; }));
+  for (int n = 1; n <= 3; ++n) say(images, n);
+  const auto tell = [&infos](int n) {
+    auto info = infos.loan();
+    info->header.stamp = ros::Time(n);
+    infos.publish(std::move(info));
+  };
+  tell(2);  // 1 has lost its info then
+  CHECK(comes([&] { return seen.size() == 1; }));
+  tell(1);
+  tell(3);
+  CHECK(comes([&] { return seen.size() == 2; }));
+  CHECK(seen == std::vector<double>{2, 3});
+  CHECK_FALSE(in);
+  CHECK(comes([&] { return images.getNumSubscribers() == 0; }));
+}
+
 int main(int argc, char** argv) {
   ros::init(argc, argv, "filters");
   ros::NodeHandle keeps_ros;

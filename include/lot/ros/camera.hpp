@@ -2,27 +2,27 @@
 #pragma once
 
 #include <algorithm>
-#include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <type_traits>
 #include <utility>
 
 #include <boost/function.hpp>
 #include <boost/shared_ptr.hpp>
-#include <message_filters/time_synchronizer.h>
 #include <ros/console.h>
 #include <ros/wall_timer.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 
-#include "lot/ros/message_filters.hpp"
 #include "lot/ros/node_handle.hpp"
 #include "lot/ros/publisher.hpp"
+#include "lot/ros/subscriber.hpp"
 
-/// Images with what is known of their camera, together. Who includes it links message_filters.
+/// Images with what is known of their camera, together.
 namespace lot::ros {
 
 /// "camera/image_raw" has its infos beside it, as "camera/camera_info".
@@ -114,28 +114,30 @@ class CameraPublisher {
 /// call. Where most find no counterpart for ten seconds, it says so.
 ///
 /// Shape:   a handle, copied as one likes; both are unsubscribed when the last copy has gone.
-/// Threads: as Subscriber. The callback comes from the node's queue.
+/// Threads: as Subscriber. The callback comes from the node's queue, without a lock; by several
+///          threads at once if these call that queue.
+/// Memory:  `queue_size` images or infos wait for their counterparts, the oldest goes first.
 class CameraSubscriber {
  public:
   using Image = Message<sensor_msgs::Image_>;
   using CameraInfo = Message<sensor_msgs::CameraInfo_>;
-  using Callback = boost::function<void(const boost::shared_ptr<Image const>&,
-                                        const boost::shared_ptr<CameraInfo const>&)>;
+  using ImagePtr = boost::shared_ptr<Image const>;
+  using InfoPtr = boost::shared_ptr<CameraInfo const>;
+  using Callback = boost::function<void(const ImagePtr&, const InfoPtr&)>;
 
   CameraSubscriber() = default;
   CameraSubscriber(NodeHandle& node, const std::string& topic, std::uint32_t queue_size,
-                   const Callback& callback,
-                   const ::ros::TransportHints& hints = ::ros::TransportHints())
-      : both_(std::make_shared<Both>(node, topic, queue_size, callback, hints)) {}
-
-  std::string getTopic() const { return both_ ? both_->images.getSubscriber().getTopic() : ""; }
-  std::string getInfoTopic() const { return both_ ? both_->infos.getSubscriber().getTopic() : ""; }
-  std::uint32_t getNumPublishers() const {
-    return both_ ? std::max(both_->images.getSubscriber().getNumPublishers(),
-                            both_->infos.getSubscriber().getNumPublishers())
-                 : 0;
+                   Callback callback, const ::ros::TransportHints& hints = ::ros::TransportHints())
+      : both_(std::make_shared<Both>(std::max(queue_size, 1U), std::move(callback))) {
+    both_->start(both_, node, topic, hints);
   }
-  /// Unsubscribes, whoever has copies.
+
+  std::string getTopic() const { return both_ ? both_->images.getTopic() : ""; }
+  std::string getInfoTopic() const { return both_ ? both_->infos.getTopic() : ""; }
+  std::uint32_t getNumPublishers() const {
+    return both_ ? std::max(both_->images.getNumPublishers(), both_->infos.getNumPublishers()) : 0;
+  }
+  /// Unsubscribes, whoever has copies. May be called in the callback.
   void shutdown() {
     if (both_) both_->end();
     both_.reset();
@@ -144,48 +146,77 @@ class CameraSubscriber {
 
  private:
   struct Both {
-    Both(NodeHandle& node, const std::string& topic, std::uint32_t queue_size, Callback user,
-         const ::ros::TransportHints& hints)
-        : images(node, topic, queue_size, hints),
-          infos(node, camera_info_topic(node.resolveName(topic)), queue_size, hints),
-          pairs(images, infos, queue_size),
-          callback(std::move(user)) {
-      images.registerCallback([this](const boost::shared_ptr<Image const>&) { ++image_count; });
-      infos.registerCallback([this](const boost::shared_ptr<CameraInfo const>&) { ++info_count; });
-      pairs.registerCallback(&Both::pair, this);
-      look = node.createWallTimer(::ros::WallDuration(10), [this](const auto&) { warn(); });
-    }
-    ~Both() { end(); }
+    Both(std::uint32_t most, Callback user) : queue_size(most), callback(std::move(user)) {}
 
-    void pair(const boost::shared_ptr<Image const>& image,
-              const boost::shared_ptr<CameraInfo const>& info) {
-      ++pair_count;
-      callback(image, info);
+    /// Once, before others know of it. Each call keeps it: the user may end it in there.
+    void start(const std::weak_ptr<Both>& self, NodeHandle& node, const std::string& topic,
+               const ::ros::TransportHints& hints) {
+      look = node.createWallTimer(::ros::WallDuration(10), [self](const ::ros::WallTimerEvent&) {
+        if (const auto both = self.lock()) both->warn();
+      });
+      const std::string info_topic = camera_info_topic(node.resolveName(topic));
+      infos = node.subscribe<CameraInfo>(
+          info_topic, queue_size,
+          boost::function<void(const InfoPtr&)>([self](const InfoPtr& info) {
+            if (const auto both = self.lock()) both->take(info->header.stamp, nullptr, info);
+          }),
+          ::ros::VoidConstPtr(), hints);
+      images = node.subscribe<Image>(
+          topic, queue_size, boost::function<void(const ImagePtr&)>([self](const ImagePtr& image) {
+            if (const auto both = self.lock()) both->take(image->header.stamp, image, nullptr);
+          }),
+          ::ros::VoidConstPtr(), hints);
     }
+
+    void take(::ros::Time stamp, const ImagePtr& image, const InfoPtr& info) {
+      std::pair<ImagePtr, InfoPtr> pair;
+      std::map<::ros::Time, std::pair<ImagePtr, InfoPtr>> late;  // they go without the lock
+      {
+        const std::lock_guard guard(mutex);
+        ++(image ? image_count : info_count);
+        auto& waiting = waiting_for[stamp];
+        if (image) waiting.first = image;
+        if (info) waiting.second = info;
+        if (waiting.first && waiting.second) {
+          pair = waiting;
+          ++pair_count;
+          // What is older has lost its counterpart.
+          for (auto at = waiting_for.begin(); at != waiting_for.end() && at->first <= stamp;) {
+            late.insert(waiting_for.extract(at++));
+          }
+        } else if (waiting_for.size() > queue_size) {
+          late.insert(waiting_for.extract(waiting_for.begin()));
+        }
+      }
+      if (pair.first) callback(pair.first, pair.second);
+    }
+
+    /// The handles stay as they are: other threads may be asking them.
     void end() {
-      look.stop();
-      images.unsubscribe();
-      infos.unsubscribe();
-    }
-    void warn() {
-      const unsigned seen_images = image_count.exchange(0);
-      const unsigned seen_infos = info_count.exchange(0);
-      const unsigned seen_pairs = pair_count.exchange(0);
-      const unsigned most = std::max(seen_images, seen_infos);
-      if (most < 3 || seen_pairs > most / 3) return;
-      ROS_WARN(
-          "LOT: %s and %s do not go together: in 10 s there were %u images, %u infos and %u pairs "
-          "of the same stamp",
-          images.getSubscriber().getTopic().c_str(), infos.getSubscriber().getTopic().c_str(),
-          seen_images, seen_infos, seen_pairs);
+      ::ros::WallTimer timer = look;
+      timer.stop();
+      for (Subscriber each : {images, infos}) each.shutdown();
     }
 
-    std::atomic<unsigned> image_count{0}, info_count{0}, pair_count{0};
-    message_filters::Subscriber<Image> images;
-    message_filters::Subscriber<CameraInfo> infos;
-    ::message_filters::TimeSynchronizer<Image, CameraInfo> pairs;
+    void warn() {
+      const std::lock_guard guard(mutex);
+      const unsigned most = std::max(image_count, info_count);
+      if (most >= 3 && pair_count <= most / 3) {
+        ROS_WARN(
+            "LOT: %s and its infos do not go together: in 10 s there were %u images, %u infos and "
+            "%u pairs of the same stamp",
+            images.getTopic().c_str(), image_count, info_count, pair_count);
+      }
+      image_count = info_count = pair_count = 0;
+    }
+
+    const std::uint32_t queue_size;
     const Callback callback;
+    std::mutex mutex;
+    std::map<::ros::Time, std::pair<ImagePtr, InfoPtr>> waiting_for;
+    unsigned image_count = 0, info_count = 0, pair_count = 0;
     ::ros::WallTimer look;
+    Subscriber images, infos;
   };
 
   std::shared_ptr<Both> both_;

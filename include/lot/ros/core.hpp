@@ -65,8 +65,9 @@ struct Kind {
   lot::detail::ControlCell* (*cell_of)(const boost::shared_ptr<void const>& message);
 };
 
+/// Hidden: each library that uses it has its own, whose functions are of its version.
 template <class M>
-const Kind& kind_of() {
+[[gnu::visibility("hidden")]] const Kind& kind_of() {
   namespace traits = ::ros::message_traits;
   namespace serialization = ::ros::serialization;
   static const Kind kind{

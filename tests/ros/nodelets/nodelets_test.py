@@ -122,6 +122,16 @@ class InOneManager(unittest.TestCase):
 
 
 class OfTwoCopies(unittest.TestCase):
+    def test_what_the_first_copy_needs_is_its_own(self):
+        """The one that is off is the first to say what an image is."""
+        with Nodelets() as graph:
+            manager = Manager(graph)
+            for kind in 'PlainViewer', 'TwinViewer', 'Viewer', 'Camera':
+                manager.load(kind)
+            graph.go()
+            for viewer in 'plainviewer', 'twinviewer', 'viewer':
+                self.assertEqual(graph.saw(viewer, WHEREVER), WHEREVER, graph.said(manager.process))
+
     def test_whose_library_has_another_copy(self):
         """Two versions of liblot_ros.so, say: the second one is off, and says what to do."""
         for order in ('Camera', 'TwinViewer'), ('TwinViewer', 'Camera'):
