@@ -30,7 +30,8 @@ void destroy_message(void* message) noexcept {
 }
 
 /// The one MessageType of T in this program, or shared object: hidden, so that no other one's
-/// destroy_message() is called, which may be of another version, or use another copy of the library.
+/// destroy_message() is called, which may be of another version, or use another copy of the
+/// library.
 template <class T>
 [[gnu::visibility("hidden")]] const MessageType& message_type() {
   static const MessageType type{

@@ -22,8 +22,8 @@ struct Places {
   std::vector<std::string> unfinished;  ///< names X where a file X.new was left by a dead creator
   std::vector<std::string> locks;       ///< names X where there is nothing but X.lock
   std::vector<std::string> doubtful;    ///< the same, but the empty file may be anybody's
-  /// What lies in the place of the segment that was named, or of the usual one, of its lock file, or
-  /// of an unfinished one, and keeps processes from joining.
+  /// What lies in the place of the segment that was named, or of the usual one, of its lock file,
+  /// or of an unfinished one, and keeps processes from joining.
   struct Obstacle {
     std::string path;
     std::string what;  ///< "it is a directory"
