@@ -249,7 +249,8 @@ class Tools(Case):
             self.assertIn('/victim', cleanup)
             self.assertEqual(graph.peers('/t')[1], ['/listener'])
             self.assert_all(graph.report(listener), 0, ['/talker'], 4000)
-            self.assertEqual(graph.report(talker)[0]['serialised'], 0)
+            # The reaper may be quicker than roscpp with the end of the victim's link.
+            self.assertLess(graph.report(talker)[0]['serialised'], 30)
             self.assertEqual(graph.files(), [])
 
     def test_who_expects_another_type_is_refused_by_ros_and_nobody_else_is(self):
