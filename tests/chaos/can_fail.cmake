@@ -33,23 +33,23 @@ foreach(planted IN LISTS mistakes)
   list(GET planted 0 mistake)
   list(GET planted 1 finding)
   set(size --kills 800 --checkpoint 40)
-  if(mistake STREQUAL "doze")  # few readers sleep that long
+  # Few readers sleep that long; and few see a publisher that comes later, where little is running.
+  if(mistake MATCHES "^(doze|deaf)$")
     set(size --kills 4000 --checkpoint 400)
   endif()
-  # What it is found as is chance, since one mistake has many consequences (a number used twice leaves
-  # less history to a late joiner, who finds a loss), and so is, on a busy machine, whether it does
-  # harm at all (a reader that is deaf to publishers that come later lives to see one). So a few
-  # seeds are tried until it was found as what it is.
+  # It is found every time. What it is found as is chance, since one mistake has many consequences (a
+  # number used twice leaves less history to a late joiner, who finds a loss); so a few seeds are
+  # tried until it was found as what it is.
   foreach(seed RANGE 4 8)
     execute_process(
       COMMAND ${CHAOS} ${size} --patience 6 --seed ${seed} --plant ${mistake}
       RESULT_VARIABLE status
       OUTPUT_VARIABLE output
       ERROR_VARIABLE output)
-    if(NOT status MATCHES "^[01]$" OR output MATCHES "\n${finding}: ")
+    if(NOT status EQUAL 1 OR output MATCHES "\n${finding}: ")
       break()
     endif()
-    message(STATUS "${mistake}: not found as what it is, seed ${seed}\n${output}")
+    message(STATUS "${mistake}: found as something else, seed ${seed}\n${output}")
   endforeach()
   # A line that begins with the finding; and the exit status.
   if(NOT status EQUAL 1 OR NOT output MATCHES "\n${finding}: ")

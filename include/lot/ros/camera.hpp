@@ -35,8 +35,8 @@ inline std::string camera_info_topic(std::string image_topic) {
 /// image_transport::CameraPublisher's counterpart: each image goes with an info of the same stamp
 /// and frame, so that a CameraSubscriber, LOT's or image_transport's, finds the two.
 ///
-/// Shape:   a handle, copied as one likes; both topics are unadvertised when the last copy has
-/// gone. Threads: all members may be called at once.
+/// Shape:   a handle, copied as one likes; both topics go when the last copy has gone.
+/// Threads: all members may be called at once.
 class CameraPublisher {
  public:
   using Image = Message<sensor_msgs::Image_>;
@@ -111,7 +111,7 @@ class CameraPublisher {
 };
 
 /// image_transport::CameraSubscriber's counterpart: an image and the info of the same stamp in one
-/// call. Where most find no counterpart for ten seconds, it says so.
+/// call. Where most find no counterpart for ten seconds, ROS_WARN says so.
 ///
 /// Shape:   a handle, copied as one likes; both are unsubscribed when the last copy has gone.
 /// Threads: as Subscriber. The callback comes from the node's queue, without a lock; by several
