@@ -255,7 +255,8 @@ class Fuzz {
     if (b == kNone) return;
     bury_the_dead();
     require(!living_in(b), "a block that is loaned carries no message that lives");
-    auto* payload = static_cast<Payload*>(pool.lay_out(b, plain ? kPlain : kClass, false));
+    auto* payload =
+        static_cast<Payload*>(pool.lay_out(p.real->cells[b], plain ? kPlain : kClass, false));
     const std::uint64_t number = messages_.size();
     *payload = {number, ~number};
     messages_.push_back({b, generation(b), self_, p.life, plain});

@@ -87,7 +87,7 @@ class ShmAllocator {
                          std::is_default_constructible_v<U> && std::is_move_assignable_v<U>) {
       // A move constructor would take the other's memory over, whichever that is; an assignment
       // does so only within one message.
-      const BuildScope scope(arena_.get());
+      const detail::BuildScope scope(arena_.get());
       ::new (static_cast<void*>(place)) U;
       struct Undo {
         U* built;
@@ -98,10 +98,10 @@ class ShmAllocator {
       ((*place = std::forward<Args>(args)), ...);
       undo.built = nullptr;
     } else if constexpr (std::is_constructible_v<U, const Args&...>) {
-      const BuildScope scope(arena_.get());
+      const detail::BuildScope scope(arena_.get());
       ::new (static_cast<void*>(place)) U(static_cast<const Args&>(args)...);
     } else {
-      const BuildScope scope(arena_.get());
+      const detail::BuildScope scope(arena_.get());
       ::new (static_cast<void*>(place)) U(std::forward<Args>(args)...);
     }
   }
@@ -118,19 +118,6 @@ class ShmAllocator {
   }
 
  private:
-  /// Containers that are default-constructed meanwhile belong to `arena`.
-  class BuildScope {
-   public:
-    explicit BuildScope(detail::Arena* arena) noexcept
-        : before_(std::exchange(detail::arena_being_built(), arena)) {}
-    ~BuildScope() { detail::arena_being_built() = before_; }
-    BuildScope(const BuildScope&) = delete;
-    BuildScope& operator=(const BuildScope&) = delete;
-
-   private:
-    detail::Arena* before_;
-  };
-
   detail::OffsetPtr<detail::Arena> arena_;
 };
 

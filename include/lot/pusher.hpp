@@ -18,11 +18,6 @@ namespace detail {
 /// Builds a T in a loan; containers in it that are default-constructed meanwhile belong to it.
 template <class T, class... Args>
 ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
-  struct Scope {
-    Arena* before;
-    explicit Scope(Arena* arena) noexcept : before(std::exchange(arena_being_built(), arena)) {}
-    ~Scope() { arena_being_built() = before; }
-  };
   struct Abandon {  // when the constructor of T throws
     ControlCell* cell;
     ~Abandon() {
@@ -35,7 +30,7 @@ ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
   if constexpr (sizeof...(Args) == 0 && std::is_trivially_default_constructible_v<T>) {
     object = ::new (loan.root) T;  // no zeroing of pixels
   } else {
-    const Scope scope(loan.arena);
+    const BuildScope scope(loan.arena);
     // As const: a move would take memory along that is not the message's.
     if constexpr (sizeof...(Args) == 0) {
       object = ::new (loan.root) T;

@@ -388,7 +388,7 @@ void Participant::fill_hub() noexcept {
     if (p.was_received(*c)) {
       p.drop_pointer(*c);
     } else {
-      p.holder_.pool_of(c->block).give_back(c->block);
+      p.holder_.pool_of(*c).give_back(*c);
     }
     p.exit();
   };
@@ -513,7 +513,7 @@ void Participant::drop_pointer(detail::ControlCell& cell) noexcept {
   if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
     words.home_points.store(1, std::memory_order_relaxed);  // another thread was quicker
   }
-  if ((v & hold::kHolds) == 0) holder_.pool_of(cell.block).came_home(cell.block);
+  if ((v & hold::kHolds) == 0) holder_.pool_of(cell).came_home(cell.block);
 }
 
 /// What other threads and processes have read was read before this says yes: each hold that goes is

@@ -209,13 +209,13 @@ std::uint32_t Pool::claim() {
   return kNone;
 }
 
-void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type, bool waits) {
+void* Pool::lay_out_anew(ControlCell& c, const detail::MessageType& type, bool waits) {
   segment::Segment& s = *holder_.segment;
-  ControlCell& c = holder_.cell(b);
+  const std::uint32_t b = c.block;
   const bool fits = segment::is_small(type);
   Arena& arena = s.arena(b);
   Build& build = s.build(b);
-  if (c.type != nullptr) bury(b);
+  if (c.type != nullptr) bury(c);
   // Before the allocation: what was published in this block must not freeze the next message.
   arena.changed_hands = 0;
   arena.frozen = 0;
@@ -236,8 +236,9 @@ void* Pool::lay_out_anew(std::uint32_t b, const detail::MessageType& type, bool 
   return root;
 }
 
-void Pool::give_back(std::uint32_t b) noexcept {
-  bury(b);
+void Pool::give_back(ControlCell& c) noexcept {
+  const std::uint32_t b = c.block;
+  bury(c);
   {
     const std::lock_guard guard(lock_);
     if (is_in_use_) {
@@ -337,7 +338,9 @@ void Pool::settle_free() noexcept {
   }
 }
 
-void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept {
+void Pool::bury_whole(ControlCell& c) noexcept {
+  const std::uint32_t b = c.block;
+  const detail::MessageType* const type = std::exchange(c.type, nullptr);
   Arena& arena = holder_.segment->arena(b);
   Build& build = holder_.segment->build(b);
   build.own_spare();
@@ -346,7 +349,6 @@ void Pool::bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept
     holder_.release_references(b);
     return;
   }
-  holder_.cell(b).type = nullptr;
   if (type->plain) {
     recycle_extents(build);
     return;
@@ -426,7 +428,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
     }
     return;
   }
-  bury(b);
+  bury(c);
   Build& build = holder_.segment->build(b);
   for (unsigned i = 0; i < build.extents; ++i) {
     release_run(build.extent[i].granule, build.extent[i].granules);

@@ -64,8 +64,9 @@ struct Holder {
     return (cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
   }
 
-  Pool& pool_of(std::uint32_t b) const noexcept {
-    return *(*pools)[cell(b).pool.load(std::memory_order_relaxed)];
+  Pool& pool_of(std::uint32_t b) const noexcept { return pool_of(cell(b)); }
+  Pool& pool_of(const detail::ControlCell& cell) const noexcept {
+    return *(*pools)[cell.pool.load(std::memory_order_relaxed)];
   }
 
   /// Asks something of participant k's warden.
@@ -250,15 +251,15 @@ class Pool {
 
   /// Lays the arena of an exclusively owned block out for a message. Throws OutOfMemory; where it
   /// waits, as late as a message that grows does.
-  void* lay_out(std::uint32_t b, const detail::MessageType& type, bool waits) {
+  void* lay_out(detail::ControlCell& cell, const detail::MessageType& type, bool waits) {
     // A small plain message lies where one of its type lay the last time.
-    if (holder_.cell(b).type == &type && is_laid_out_for_ever(type))
-      return holder_.segment->small(b);
-    return lay_out_anew(b, type, waits);
+    if (cell.type == &type && is_laid_out_for_ever(type)) return holder_.segment->small(cell.block);
+    return lay_out_anew(cell, type, waits);
   }
 
   /// An exclusively owned block comes back: its message was never shared, or has died.
-  void give_back(std::uint32_t b) noexcept;
+  void give_back(std::uint32_t b) noexcept { give_back(holder_.cell(b)); }
+  void give_back(detail::ControlCell& cell) noexcept;
   /// The last hold of this process on a message of ours has gone.
   void came_home(std::uint32_t b) noexcept;
 
@@ -412,14 +413,13 @@ class Pool {
   static bool is_laid_out_for_ever(const detail::MessageType& type) noexcept {
     return type.plain && segment::is_small(type);
   }
-  void* lay_out_anew(std::uint32_t b, const detail::MessageType& type, bool waits);
+  void* lay_out_anew(detail::ControlCell& cell, const detail::MessageType& type, bool waits);
   /// The message has died and the block is exclusively ours: its destructor runs, its references
   /// are let go, its memory is kept for the next one.
-  void bury(std::uint32_t b) noexcept {
-    const detail::MessageType* const type = holder_.cell(b).type;
-    if (type == nullptr || !is_laid_out_for_ever(*type)) bury_whole(b, type);
+  void bury(detail::ControlCell& cell) noexcept {
+    if (cell.type == nullptr || !is_laid_out_for_ever(*cell.type)) bury_whole(cell);
   }
-  void bury_whole(std::uint32_t b, const detail::MessageType* type) noexcept;
+  void bury_whole(detail::ControlCell& cell) noexcept;
   void recycle_extents(detail::Build& build) noexcept;
   bool has_spare_in(std::uint32_t b) const noexcept;
   bool is_at_rest_here(std::uint32_t b) const noexcept;

@@ -157,7 +157,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     }
     detail::Loan loan{&participant_->holder().cell(b), nullptr, &participant_->segment().arena(b)};
     try {
-      loan.root = pool_.lay_out(b, type, or_throw);
+      loan.root = pool_.lay_out(*loan.cell, type, or_throw);
     } catch (const OutOfMemory&) {
       take_back(b);
       if (or_throw) throw;

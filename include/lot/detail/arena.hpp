@@ -278,4 +278,20 @@ static_assert(sizeof(ReferenceList) == 64);
 /// The arena of the message that this thread is constructing right now, or null.
 Arena*& arena_being_built() noexcept;
 
+/// Containers that this thread default-constructs meanwhile belong to `arena`.
+class BuildScope {
+ public:
+  explicit BuildScope(Arena* arena) noexcept
+      : being_built_(arena_being_built()), before_(being_built_) {
+    being_built_ = arena;
+  }
+  ~BuildScope() { being_built_ = before_; }
+  BuildScope(const BuildScope&) = delete;
+  BuildScope& operator=(const BuildScope&) = delete;
+
+ private:
+  Arena*& being_built_;
+  Arena* const before_;
+};
+
 }  // namespace lot::detail
