@@ -7,4 +7,5 @@
 #include "lot/ros/node_handle.hpp"
 #include "lot/ros/publisher.hpp"
 #include "lot/ros/relay.hpp"
+#include "lot/ros/standard.hpp"
 #include "lot/ros/subscriber.hpp"

@@ -117,6 +117,8 @@ bool is_latching(const boost::shared_ptr<::ros::M_string>& header) {
 
 /// Nobody else's callbacks are of this type, so that nobody shares our deserialiser.
 struct OurMessages {};
+/// What they say on this thread.
+thread_local const std::type_info* said_type = &typeid(OurMessages);
 
 }  // namespace
 
@@ -153,7 +155,7 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
     });
   }
 
-  const std::type_info& getTypeInfo() override { return typeid(OurMessages); }
+  const std::type_info& getTypeInfo() override { return *said_type; }
   bool isConst() override { return true; }
   bool hasHeader() override { return kind_.has_header; }
 
@@ -162,6 +164,10 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
   const std::shared_ptr<Loop> loop_;
   const detail::Kind& kind_;
 };
+
+const std::type_info& Inlet::taken_type() noexcept { return typeid(OurMessages); }
+Inlet::Disguise::Disguise(const std::type_info& type) noexcept { said_type = &type; }
+Inlet::Disguise::~Disguise() { said_type = &typeid(OurMessages); }
 
 Inlet::Inlet(std::shared_ptr<Session> session, const ::ros::SubscribeOptions& options,
              const detail::Kind& kind)

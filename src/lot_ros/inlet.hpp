@@ -9,6 +9,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <typeinfo>
 #include <utility>
 #include <vector>
 
@@ -64,6 +65,18 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   static constexpr std::uint32_t kAtOnce = 64;
 
   const detail::Kind& kind() const noexcept { return kind_; }
+
+  /// What our callback helpers say that they take: so an outlet of this process gives them messages
+  /// where they lie.
+  static const std::type_info& taken_type() noexcept;
+  /// While it lives they say another type on this thread, and pass for a plain subscriber's.
+  class Disguise {
+   public:
+    explicit Disguise(const std::type_info& type) noexcept;
+    ~Disguise();
+    Disguise(const Disguise&) = delete;
+    Disguise& operator=(const Disguise&) = delete;
+  };
 
   std::uint32_t publishers() const { return subscriber_.getNumPublishers(); }
   /// Whether a node that messages came from latches; nothing: it has yet to say so.

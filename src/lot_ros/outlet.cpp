@@ -6,33 +6,25 @@
 #include <utility>
 
 #include <boost/make_shared.hpp>
+#include <boost/weak_ptr.hpp>
 #include <ros/console.h>
 #include <ros/init.h>
 #include <ros/single_subscriber_publisher.h>
 
+#include "lot_ros/inlet.hpp"
+
 namespace lot::ros {
 namespace {
 
-/// What an outlet sends on a link: bytes that were serialised already, for all links together.
-struct Serialised {
-  ::ros::SerializedMessage bytes;
+/// roscpp keeps the link to itself that it speaks of, though all that is needed of it is public.
+template <auto member>
+struct Reveal {
+  friend const ::ros::SubscriberLinkPtr& link_of(const ::ros::SingleSubscriberPublisher& peer) {
+    return peer.*member;
+  }
 };
-
-}  // namespace
-}  // namespace lot::ros
-
-namespace ros::serialization {
-
-/// A link takes a message by serialising it: these bytes are it already.
-template <>
-inline ::ros::SerializedMessage serializeMessage(const lot::ros::Serialised& message) {
-  return message.bytes;
-}
-
-}  // namespace ros::serialization
-
-namespace lot::ros {
-namespace {
+const ::ros::SubscriberLinkPtr& link_of(const ::ros::SingleSubscriberPublisher& peer);
+template struct Reveal<&::ros::SingleSubscriberPublisher::link_>;
 
 using namespace std::chrono_literals;
 
@@ -59,18 +51,11 @@ std::uint32_t depth_of(const ::ros::AdvertiseOptions& options) {
   return std::clamp<std::uint32_t>(options.queue_size, kUsualDepth, kDeepest);
 }
 
-/// Not null while this thread sends it to a peer.
-thread_local const ::ros::SerializedMessage* outgoing = nullptr;
 /// Not null while this thread asks a callback of roscpp's what it is about.
 thread_local TopicOutlet::News* asked = nullptr;
 
 void on_peer(const ::ros::SingleSubscriberPublisher& peer, bool came) {
-  if (asked != nullptr) {
-    asked->came = came;
-    asked->name = peer.getSubscriberName();
-  } else if (outgoing != nullptr && came) {
-    peer.publish(Serialised{*outgoing});
-  }
+  if (asked != nullptr) *asked = {came, peer.getSubscriberName(), link_of(peer)};
 }
 
 TopicOutlet::Links links_of(::ros::Publication& publication) {
@@ -115,7 +100,7 @@ class Door final : public ::ros::CallbackQueueInterface {
       if (at == outlets_.end()) return;
       entry = at->second;
     }
-    TopicOutlet::News news{false, "", callback, {}};
+    TopicOutlet::News news;
     asked = &news;
     callback->call();
     asked = nullptr;
@@ -149,7 +134,11 @@ const ::ros::SerializedMessage& probe_frame() {
 
 TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::AdvertiseOptions& options,
                          const detail::Kind& kind)
-    : loop_(session->loop()), options_(options), kind_(kind), session_(std::move(session)) {
+    : loop_(session->loop()),
+      options_(options),
+      kind_(kind),
+      converter_(detail::make_converter(kind)),
+      session_(std::move(session)) {
   if (!session_->is_on() || kind.least_bytes < 2) return;
   PusherOptions ring;
   ring.depth = depth_of(options);
@@ -292,14 +281,14 @@ void TopicOutlet::take_note(Peers& gone) {
       const auto is_new = [&](const auto& link) {
         return link.second.callerid == news.name &&
                std::none_of(peers_.begin(), peers_.end(),
-                            [&](const Peer& p) { return p.link == link.first; });
+                            [&](const Peer& p) { return p.number == link.first; });
       };
       const auto at = std::find_if(links.begin(), links.end(), is_new);
       Peer peer;
       peer.name = news.name;
-      peer.callback = news.callback;
+      peer.link = news.link;
       if (at != links.end()) {
-        peer.link = at->first;
+        peer.number = at->first;
         peer.may_read = at->second.transport == "TCPROS" || at->second.transport == "INTRAPROCESS";
       } else {
         peer.state = State::Link;  // it was there before us: what it is we do not know
@@ -307,14 +296,14 @@ void TopicOutlet::take_note(Peers& gone) {
       peers_.push_back(std::move(peer));
     } else {
       for (auto peer = peers_.begin(); peer != peers_.end();) {
-        if (peer->name != news.name || links.count(peer->link) != 0) {
+        if (peer->name != news.name || links.count(peer->number) != 0) {
           ++peer;
           continue;
         }
         leave_ring(*peer);
         {
           const std::lock_guard guard(news_mutex_);
-          announced_.erase(peer->link);
+          announced_.erase(peer->number);
         }
         gone.push_back(std::move(*peer));
         peer = peers_.erase(peer);
@@ -330,7 +319,7 @@ void TopicOutlet::welcome(Peer& peer) {
   const Message* const last = latched_last(latched);
   if (needs_link(peer) || (!latched.empty() && last == nullptr) || !may_come(peer)) {
     if (!latched.empty()) go_to_link(peer);
-    for (const Message* message : latched) send(peer, serialise(*message));
+    for (const Message* message : latched) send(peer, *message);
   } else if (last != nullptr) {
     keep_for(peer, *last);
   }
@@ -396,7 +385,7 @@ void TopicOutlet::go_to_link(Peer& peer) {
   peer.state = State::Link;
   if (peer.invited) invite_later(peer);
   peer.invited.reset();
-  for (const Message& message : std::exchange(peer.unsure, {})) send(peer, serialise(message));
+  for (const Message& message : std::exchange(peer.unsure, {})) send(peer, message);
 }
 
 /// Its link has carried all that was for it so far. If it can read the ring, it is told so behind
@@ -415,7 +404,7 @@ void TopicOutlet::invite(Peer& peer) {
   peer.since = std::chrono::steady_clock::now();
   peer.state = State::Open;
   peer.has_answered = false;
-  send(peer, frame_of(peer.invitation));
+  send_sign(peer, frame_of(peer.invitation));
   watch(kFirstLook);
 }
 void TopicOutlet::invite_later(Peer& peer) {
@@ -512,10 +501,11 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   };
   bool to_ring = ring_ != nullptr && (latches || in(State::Ring) || in(State::Open));
   if (to_ring && (parcel.cell == nullptr || !ring_->has(*parcel.cell, parcel.message.get()))) {
-    const detail::Parcel copy = into_ring(parcel);
+    const detail::Parcel copy = into_ring(message);
     to_ring = copy.cell != nullptr;
     if (to_ring) {
-      parcel = copy;
+      parcel.message = copy.message;
+      parcel.cell = copy.cell;
     } else if (!std::exchange(has_lacked_room_, true)) {
       ROS_WARN(
           "LOT: %s goes over TCPROS for a message that the segment has no room for: set a larger "
@@ -535,8 +525,6 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
     }
   }
 
-  std::optional<::ros::SerializedMessage> bytes;
-  if (in(State::Link)) bytes = serialise(message);
   const bool is_due = Loop::Clock::now() >= probe_at_;
   std::vector<Peer*> undecided;
   for (Peer& peer : peers_) {
@@ -554,9 +542,10 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
   if (latches) from->second.latched = message;
+  Bytes bytes;
   for (Peer& peer : peers_) {
     if (peer.state != State::Link) continue;
-    send(peer, *bytes);
+    send(peer, message, bytes);
     invite(peer);
   }
   if (in(State::Ring)) {
@@ -565,27 +554,88 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   }
 }
 
-/// A copy of a message that others cannot read where it is; none when there is no room.
-detail::Parcel TopicOutlet::into_ring(const detail::Parcel& parcel) {
+/// A copy of a message that others cannot read where it is; none when there is no room. Of a
+/// standard one it bears the number.
+detail::Parcel TopicOutlet::into_ring(const Message& message) {
+  const detail::Parcel& given = message.parcel;
   try {
     const lot::detail::Loan loan = ring_->loan(*kind_.layout, false);
     if (loan.cell == nullptr) return {};
-    return kind_.copy_into(loan, parcel.message.get());
+    if (given.message) return kind_.copy_into(loan, given.message.get());
+    detail::Parcel copy = kind_.standard.copy_into(loan, given.standard.get());
+    kind_.set_sequence(const_cast<void*>(copy.message.get()), message.number);
+    return copy;
   } catch (const OutOfMemory&) {
     return {};
   }
 }
 
-::ros::SerializedMessage TopicOutlet::serialise(const Message& message) {
+const ::ros::SerializedMessage& TopicOutlet::serialise(const Message& message, Bytes& bytes) {
+  if (bytes) return *bytes;
   ++serialised_;
-  ::ros::SerializedMessage bytes = kind_.serialise(message.parcel.message.get());
+  const detail::Parcel& parcel = message.parcel;
+  bytes = parcel.message ? kind_.serialise(parcel.message.get())
+                         : kind_.standard.serialise(parcel.standard.get());
   if (kind_.has_header && !message.fresh) {
     // Others may be reading the message: its number is set in the bytes alone.
     for (int i = 0; i < 4; ++i) {
-      bytes.message_start[i] = static_cast<std::uint8_t>(message.number >> 8 * i);
+      bytes->message_start[i] = static_cast<std::uint8_t>(message.number >> 8 * i);
     }
   }
-  return bytes;
+  return *bytes;
+}
+
+/// A frame that no message is. Plain subscribers of this process do not see it.
+void TopicOutlet::send_sign(const Peer& peer, ::ros::SerializedMessage frame) {
+  frame.type_info = kind_.standard.type;
+  if (const ::ros::SubscriberLinkPtr link = peer.link.lock()) {
+    link->enqueueMessage(frame, true, false);
+  }
+}
+
+void TopicOutlet::send(const Peer& peer, const Message& message) {
+  Bytes bytes;
+  send(peer, message, bytes);
+}
+
+void TopicOutlet::send(const Peer& peer, const Message& message, Bytes& bytes) {
+  const ::ros::SubscriberLinkPtr link = peer.link.lock();
+  if (!link) return;
+  ++by_link_;
+  if (link->isIntraprocess()) return send_in_process(*link, message, bytes);
+  link->enqueueMessage(serialise(message, bytes), true, false);
+}
+
+/// Subscribers of this process get it by pointer: plain ones the standard message, ours the one in
+/// shared memory. Bytes are for those of other types (ShapeShifter), for ours where there is none,
+/// and for those that come later, if the topic latches: roscpp keeps for them what came last.
+void TopicOutlet::send_in_process(::ros::SubscriberLink& link, const Message& message,
+                                  Bytes& bytes) {
+  const detail::Parcel& parcel = message.parcel;
+  const std::type_info& standard = *kind_.standard.type;
+  const auto by_pointer = [&](boost::shared_ptr<void const> pointer, const std::type_info& type) {
+    ::ros::SerializedMessage where;
+    where.message = std::move(pointer);
+    where.type_info = &type;
+    link.enqueueMessage(where, false, true);
+  };
+  bool others = false;
+  bool plain = false;
+  link.getPublishTypes(others, plain, standard);
+  if (plain) {
+    by_pointer(parcel.standard ? parcel.standard : converter_->convert(parcel.message), standard);
+  }
+  std::optional<Inlet::Disguise> served;
+  if (others && parcel.message) {
+    by_pointer(parcel.message, Inlet::taken_type());
+    served.emplace(standard);
+    others = false;
+    link.getPublishTypes(others, plain, standard);
+  }
+  if (!others && !publication_->isLatching()) return;
+  ::ros::SerializedMessage for_others = serialise(message, bytes);
+  for_others.type_info = &standard;  // who takes this has it
+  link.enqueueMessage(for_others, true, false);
 }
 
 /// While there are messages LOT's thread asks every now and then whether anybody beside LOT needs
@@ -663,13 +713,7 @@ bool TopicOutlet::take_answers() {
 /// It has to say anew whether it is content.
 void TopicOutlet::probe(Peer& peer) {
   ring_->ask(peer.served);
-  send(peer, probe_frame());
-}
-
-void TopicOutlet::send(const Peer& peer, const ::ros::SerializedMessage& message) {
-  const auto* const before = std::exchange(outgoing, &message);
-  peer.callback->call();
-  outgoing = before;
+  send_sign(peer, probe_frame());
 }
 
 // ---- the user's ends ----------------------------------------------------------------------------
@@ -727,6 +771,11 @@ bool TopicOutlet::remove(std::uint64_t name) {
 std::uint64_t TopicOutlet::serialised() const {
   const std::lock_guard guard(mutex_);
   return serialised_;
+}
+
+std::uint64_t TopicOutlet::by_link() const {
+  const std::lock_guard guard(mutex_);
+  return by_link_;
 }
 
 /// Links that are there and that roscpp has told us of, which it does a little later.

@@ -61,6 +61,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   const detail::Kind& kind() const noexcept { return kind_; }
 
   std::uint64_t serialised() const override;
+  std::uint64_t by_link() const override;
   std::uint32_t subscribers() const override;
 
   struct Link {
@@ -69,12 +70,12 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   };
   using Links = std::map<int, Link>;  ///< by roscpp's number of the connection
 
-  /// What roscpp says of a peer. `callback` sends to it what `outgoing` points to, when called.
+  /// What roscpp says of a peer.
   struct News {
-    bool came;
-    std::string name;
-    ::ros::CallbackInterfacePtr callback;
-    std::optional<Links> links;  ///< then; null: until open() has them
+    bool came = false;
+    std::string name{};
+    boost::weak_ptr<::ros::SubscriberLink> link{};
+    std::optional<Links> links{};  ///< then; null: until open() has them
   };
   void note(News news);
 
@@ -91,11 +92,11 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     bool fresh;  ///< its header says the number
   };
   struct Peer {
-    int link = 0;  ///< roscpp's number of the connection
+    int number = 0;  ///< roscpp's, of the connection
+    boost::weak_ptr<::ros::SubscriberLink> link{};
     std::string name;
     bool may_read = false;  ///< TCPROS, or of this process
     State state = State::Open;
-    ::ros::CallbackInterfacePtr callback;
     lot::detail::Served served;
     std::chrono::steady_clock::time_point served_since{};
     bool is_welcome = false;    ///< it has got what is latched
@@ -160,14 +161,20 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   bool take_answers();
   void settle();
   void probe(Peer& peer);
-  ::ros::SerializedMessage serialise(const Message& message);
+  /// The bytes of a message, made when they are asked for: once, for all links.
+  using Bytes = std::optional<::ros::SerializedMessage>;
+  const ::ros::SerializedMessage& serialise(const Message& message, Bytes& bytes);
+  void send(const Peer& peer, const Message& message, Bytes& bytes);
+  void send(const Peer& peer, const Message& message);
+  void send_sign(const Peer& peer, ::ros::SerializedMessage frame);
+  void send_in_process(::ros::SubscriberLink& link, const Message& message, Bytes& bytes);
   std::shared_ptr<lot::detail::PusherCore> ring();
-  void send(const Peer& peer, const ::ros::SerializedMessage& message);
-  detail::Parcel into_ring(const detail::Parcel& parcel);
+  detail::Parcel into_ring(const Message& message);
 
   const std::shared_ptr<Loop> loop_;
   const ::ros::AdvertiseOptions options_;
   const detail::Kind& kind_;
+  const std::shared_ptr<detail::Converter> converter_;
   /// Null: LOT is off, cannot have this topic, or it is closed. Changed with both mutexes held.
   std::shared_ptr<lot::detail::PusherCore> ring_;
   std::mutex ring_mutex_;  ///< a leaf
@@ -186,6 +193,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   bool last_is_latched_ = false;      ///< the last message of the ring is the one that is latched
   bool has_lacked_room_ = false;      ///< a message found none, which was said
   std::uint64_t serialised_ = 0;
+  std::uint64_t by_link_ = 0;
 
   mutable std::mutex news_mutex_;  ///< a leaf: roscpp's locks are held by who takes it
   std::vector<News> news_;

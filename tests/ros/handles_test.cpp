@@ -66,9 +66,9 @@ using Words = std::vector<std::string>;
 std::size_t says_by_ring(const lot::ros::Publisher<String>& talker, std::size_t next) {
   int in_a_row = 0;
   CHECK(comes([&] {
-    const auto before = talker.serialised();
+    const auto before = talker.by_link();
     say(talker, std::to_string(next++).c_str());
-    in_a_row = talker.serialised() == before ? in_a_row + 1 : 0;
+    in_a_row = talker.by_link() == before ? in_a_row + 1 : 0;
     return in_a_row == 20;
   }));
   return next;
@@ -404,7 +404,7 @@ TEST_CASE("who comes to read too late is served by its link, and then by the rin
   for (; is_held_up; std::this_thread::sleep_for(10ms)) {
     say(talker, std::to_string(next++).c_str());
   }
-  CHECK(talker.serialised() > 0);
+  CHECK(talker.by_link() > 0);
   const auto said = says_by_ring(talker, next);
   CHECK(comes([&] { return ear.heard.size() == said; }));
   for (std::size_t i = 0; i < said; ++i) CHECK(ear.heard[i] == std::to_string(i));

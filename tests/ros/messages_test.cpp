@@ -7,7 +7,9 @@
 #include <random>
 #include <sstream>
 #include <string>
+#include <string_view>
 #include <unistd.h>
+#include <unordered_map>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -23,6 +25,7 @@
 #include <sensor_msgs/MultiEchoLaserScan.h>
 #include <sensor_msgs/PointCloud.h>
 #include <sensor_msgs/PointCloud2.h>
+#include <sensor_msgs/image_encodings.h>
 #include <std_msgs/Bool.h>
 #include <std_msgs/Empty.h>
 #include <std_msgs/Float64MultiArray.h>
@@ -210,4 +213,92 @@ TEST_CASE("who gets one reads it where it was written") {
   const auto got = track_reader.try_pull();
   REQUIRE(got);
   CHECK(bytes_of(*got) == bytes_of(mine));
+}
+
+namespace {
+
+std::string taken(const std::string& text) { return text; }
+
+}  // namespace
+
+TEST_CASE("strings, vectors and headers convert to and from the standard ones") {
+  using Image = lot::ros::Message<sensor_msgs::Image_>;
+  using Cloud = lot::ros::Message<sensor_msgs::PointCloud2_>;
+  Image m;
+  const Image& seen = m;
+  sensor_msgs::Image other;
+
+  m.encoding = std::string("rgb8");
+  CHECK(m.encoding == std::string("rgb8"));
+  CHECK(std::string("bgr8") != m.encoding);
+  CHECK(m.encoding == sensor_msgs::image_encodings::RGB8);
+  CHECK(m.encoding == "rgb8");
+  CHECK(std::string("bgr8") < m.encoding);
+  CHECK(m.encoding <= m.encoding);
+  CHECK(sensor_msgs::image_encodings::bitDepth(seen.encoding) == 8);
+  std::string s = seen.encoding;
+  CHECK(s == "rgb8");
+  s = seen.header.frame_id;
+  CHECK(s.empty());
+  s = "a" + m.encoding + std::string("z");
+  s += m.encoding;
+  CHECK(s == "argb8zrgb8");
+  CHECK(std::string("k") + m.encoding == "krgb8");
+  CHECK(taken(m.encoding) == "rgb8");
+  CHECK(std::unordered_map<std::string, int>{{"rgb8", 3}}[m.encoding] == 3);
+  CHECK(std::string_view(m.encoding) == "rgb8");
+  CHECK(std::hash<lot::ros::String>()(m.encoding) == std::hash<std::string_view>()("rgb8"));
+
+  other.header.frame_id = "lens";
+  other.header.seq = 3;
+  other.header.stamp = ros::Time(1, 2);
+  m.header = other.header;
+  CHECK(m.header == other.header);
+  const std_msgs::Header copy = m.header;
+  CHECK(copy == other.header);
+  other.header = Image().header;
+  CHECK(other.header.frame_id.empty());
+
+  std::vector<std::uint8_t> bytes{1, 2, 3};
+  m.data = bytes;
+  CHECK(m.data == bytes);
+  bytes = m.data;
+  bytes.push_back(4);
+  CHECK(bytes != m.data);
+  const std::vector<std::uint8_t> made = seen.data;
+  CHECK(made.size() == 3);
+
+  Cloud cloud;
+  sensor_msgs::PointField field;
+  field.name = "x";
+  cloud.fields.push_back(field);
+  cloud.fields.push_back(cloud.fields.front());
+  const std::vector<sensor_msgs::PointField> fields = cloud.fields;
+  CHECK(fields.size() == 2);
+  CHECK(fields[1].name == "x");
+  cloud.fields = std::vector<sensor_msgs::PointField>(5, field);
+  CHECK(cloud.fields[4].name == field.name);
+}
+
+TEST_CASE("what is assigned to a field in shared memory lies there") {
+  auto pusher = engine().advertise<lot::ros::Message<sensor_msgs::PointCloud2_>>("/fields");
+  auto cloud = pusher.loan();
+  const auto* const begin = reinterpret_cast<const char*>(cloud.get());
+  const auto is_there = [begin](const void* place) {
+    const auto distance = static_cast<const char*>(place) - begin;
+    return distance > -(64 << 20) && distance < (64 << 20);
+  };
+  std_msgs::Header header;
+  header.frame_id = std::string(100, 'f');
+  cloud->header = header;
+  cloud->data = std::vector<std::uint8_t>(1000, 1);
+  sensor_msgs::PointField field;
+  field.name = std::string(50, 'n');
+  cloud->fields.push_back(field);
+  cloud->fields = std::vector<sensor_msgs::PointField>(3, field);
+  CHECK(is_there(cloud->header.frame_id.data()));
+  CHECK(is_there(cloud->data.data()));
+  CHECK(is_there(cloud->fields.data()));
+  for (const auto& each : cloud->fields) CHECK(is_there(each.name.data()));
+  CHECK(!is_there(field.name.data()));
 }

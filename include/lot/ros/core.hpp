@@ -31,10 +31,13 @@ struct Keeper {
   void operator()(const void*) noexcept { message.reset(); }
 };
 
-/// A message on its way: as callbacks get it, and where it is in the segment.
+/// A message on its way: as callbacks get it, and where it is in the segment. One of the two
+/// pointers may be null.
 struct Parcel {
   boost::shared_ptr<void const> message;
   lot::detail::ControlCell* cell = nullptr;  ///< null: it lies on the heap
+  /// The same as roscpp's own type, as the user has published it.
+  boost::shared_ptr<void const> standard = nullptr;
 };
 
 template <class M>
@@ -42,6 +45,37 @@ Parcel parcel_of(ShmSharedPtr<const M> message) {
   const M* const place = message.get();
   lot::detail::ControlCell* const cell = lot::detail::PointerAccess::cell(message);
   return {boost::shared_ptr<M const>(place, Keeper<const M>{std::move(message)}), cell};
+}
+
+/// What must be known of the standard message of a type, sensor_msgs::Image of Message<Image_>.
+struct StandardKind {
+  const std::type_info* type;
+  ::ros::SerializedMessage (*serialise)(const void* standard);
+  void* (*make)();
+  void (*destroy)(void* standard) noexcept;
+  /// Makes it what `message` is, in the memory that it has.
+  void (*assign)(void* standard, const void* message);
+  /// A message in a loan that is what it is. Throws lot::OutOfMemory.
+  Parcel (*copy_into)(const lot::detail::Loan& loan, const void* standard);
+};
+
+template <class M>
+StandardKind standard_kind_of() {
+  using S = Standard<M>;
+  return {&typeid(S),
+          [](const void* standard) {
+            return ::ros::serialization::serializeMessage(*static_cast<const S*>(standard));
+          },
+          []() -> void* { return new S; },
+          [](void* standard) noexcept { delete static_cast<S*>(standard); },
+          [](void* standard, const void* message) {
+            ros::assign(*static_cast<S*>(standard), *static_cast<const M*>(message));
+          },
+          [](const lot::detail::Loan& loan, const void* standard) {
+            auto copy = lot::detail::build<M>(loan);
+            ros::assign(*copy, *static_cast<const S*>(standard));
+            return parcel_of(ShmSharedPtr<const M>(std::move(copy)));
+          }};
 }
 
 /// What must be known of a message type.
@@ -63,6 +97,7 @@ struct Kind {
   Parcel (*copy_into)(const lot::detail::Loan& loan, const void* message);
   /// Where a message lies in the segment; null: it is on the heap.
   lot::detail::ControlCell* (*cell_of)(const boost::shared_ptr<void const>& message);
+  StandardKind standard;
 };
 
 /// Hidden: each library that uses it has its own, whose functions are of its version.
@@ -108,7 +143,8 @@ template <class M>
       [](const boost::shared_ptr<void const>& message) -> lot::detail::ControlCell* {
         const auto* keeper = boost::get_deleter<Keeper<const M>>(message);
         return keeper == nullptr ? nullptr : lot::detail::PointerAccess::cell(keeper->message);
-      }};
+      },
+      standard_kind_of<M>()};
   return kind;
 }
 
@@ -126,6 +162,7 @@ class Outlet {
   /// the user's end that it comes from.
   virtual void publish(const Parcel& parcel, bool fresh, std::uint64_t end) = 0;
   virtual std::uint64_t serialised() const = 0;  ///< messages so far
+  virtual std::uint64_t by_link() const = 0;     ///< messages so far, each link for itself
   /// Links whose subscribers get what is published from now on.
   virtual std::uint32_t subscribers() const = 0;
 };
@@ -159,6 +196,19 @@ class Subscription {
 /// Null when ROS refuses it. Throws ros::ConflictingSubscriptionException.
 std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
                                         const ::ros::SubscribeOptions& options, const Kind& kind);
+
+/// Makes standard messages of others: of one message at most one in this process at a time, which
+/// all who ask share. The memory of those that have gone is used again.
+///
+/// Threads: all members may be called at once.
+/// Memory:  keeps that of at most `kIdle` messages that nobody has.
+class Converter {
+ public:
+  static constexpr std::size_t kIdle = 4;
+  virtual ~Converter() = default;
+  virtual boost::shared_ptr<void const> convert(const boost::shared_ptr<void const>& message) = 0;
+};
+std::shared_ptr<Converter> make_converter(const Kind& kind);
 
 /// Where a message may be made that no publisher has loaned; null: LOT is off in this process.
 std::shared_ptr<lot::detail::PusherCore> maker();

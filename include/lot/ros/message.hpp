@@ -15,6 +15,7 @@
 
 #include "lot/compliance.hpp"
 #include "lot/message.hpp"
+#include "lot/ros/fields.hpp"
 #include "lot/type_identity.hpp"
 
 /// Generated ROS messages in shared memory.
@@ -31,46 +32,9 @@
 namespace lot::ros {
 
 template <template <class> class Generated>
-using Message = Generated<ShmAllocator<void>>;
+using Message = Generated<Allocator<void>>;
 
 namespace detail {
-
-/// The type of a field in the standard message, and in the one in shared memory.
-template <class T>
-struct Kin {
-  using Standard = T;
-  using Shared = T;
-};
-template <template <class> class Generated>
-struct Kin<Generated<ShmAllocator<void>>> {
-  using Standard = Generated<std::allocator<void>>;
-  using Shared = Generated<ShmAllocator<void>>;
-};
-template <template <class> class Generated>
-struct Kin<Generated<std::allocator<void>>> : Kin<Generated<ShmAllocator<void>>> {};
-template <class A>
-struct Kin<std::basic_string<char, std::char_traits<char>, A>> {
-  using Standard = std::string;
-  using Shared = ShmString;
-};
-template <class T, class A>
-struct Kin<std::vector<T, A>> {
-  using Standard = std::vector<typename Kin<T>::Standard>;
-  using Shared = ShmVector<typename Kin<T>::Shared>;
-};
-template <class T, std::size_t N>
-struct Kin<boost::array<T, N>> {
-  using Standard = boost::array<typename Kin<T>::Standard, N>;
-  using Shared = boost::array<typename Kin<T>::Shared, N>;
-};
-
-/// T's counterpart: the standard type's is the shared one, and the other way round.
-template <class T>
-using Counterpart = std::conditional_t<std::is_same_v<T, typename Kin<T>::Standard>,
-                                       typename Kin<T>::Shared, typename Kin<T>::Standard>;
-
-template <class To>
-void copy(To& to, const Counterpart<To>& from);
 
 /// A stream for ROS's serialisers that notes where the fields of a message lie, in their order.
 class Fields {
@@ -154,13 +118,14 @@ using Standard = typename detail::Kin<T>::Standard;
 namespace lot {
 
 template <template <class> class Generated>
-struct is_trusted_message<Generated<ShmAllocator<void>>>
-    : std::bool_constant<::ros::message_traits::IsMessage<Generated<ShmAllocator<void>>>::value> {};
+struct is_trusted_message<Generated<ros::Allocator<void>>>
+    : std::bool_constant<::ros::message_traits::IsMessage<Generated<ros::Allocator<void>>>::value> {
+};
 
 /// The ROS name, and the md5 of its definition.
 template <template <class> class Generated>
-struct TypeIdentity<Generated<ShmAllocator<void>>> {
-  using Type = Generated<ShmAllocator<void>>;
+struct TypeIdentity<Generated<ros::Allocator<void>>> {
+  using Type = Generated<ros::Allocator<void>>;
   static const char* name() { return ::ros::message_traits::DataType<Type>::value(); }
   static constexpr std::uint64_t hash() {
     return ::ros::message_traits::MD5Sum<Type>::static_value1 ^
@@ -175,9 +140,9 @@ namespace ros::message_traits {
 /// As for the standard message, by the types that the message has. (The functions header() and
 /// frameId() of roscpp return pointers into the standard message: they are for that alone.)
 template <template <class> class Generated>
-struct FrameId<Generated<lot::ShmAllocator<void>>,
-               typename boost::enable_if<HasHeader<Generated<lot::ShmAllocator<void>>>>::type> {
-  using Type = Generated<lot::ShmAllocator<void>>;
+struct FrameId<Generated<lot::ros::Allocator<void>>,
+               typename boost::enable_if<HasHeader<Generated<lot::ros::Allocator<void>>>>::type> {
+  using Type = Generated<lot::ros::Allocator<void>>;
   static auto* pointer(Type& m) { return &m.header.frame_id; }
   static const auto* pointer(const Type& m) { return &m.header.frame_id; }
   static std::string value(const Type& m) {
@@ -185,9 +150,9 @@ struct FrameId<Generated<lot::ShmAllocator<void>>,
   }
 };
 template <template <class> class Generated>
-struct Header<Generated<lot::ShmAllocator<void>>,
-              typename boost::enable_if<HasHeader<Generated<lot::ShmAllocator<void>>>>::type> {
-  using Type = Generated<lot::ShmAllocator<void>>;
+struct Header<Generated<lot::ros::Allocator<void>>,
+              typename boost::enable_if<HasHeader<Generated<lot::ros::Allocator<void>>>>::type> {
+  using Type = Generated<lot::ros::Allocator<void>>;
   static auto* pointer(Type& m) { return &m.header; }
   static const auto* pointer(const Type& m) { return &m.header; }
 };

@@ -89,15 +89,31 @@ class Publisher {
   }
   /// Copies it once.
   void publish(const M& message) const {
-    publish_copy([&message](M& copy) { copy = message; });
+    publish_with([&message](M& copy) { copy = message; });
   }
   /// The standard message, sensor_msgs::Image. Copies it once.
   template <class S, std::enable_if_t<std::is_same_v<S, Standard<M>>, int> = 0>
   void publish(const S& message) const {
-    publish_copy([&message](M& copy) { assign(copy, message); });
+    publish_with([&message](M& copy) { assign(copy, message); });
   }
+  /// Plain subscribers of this process get it by pointer, as by ros::Publisher: nobody may change
+  /// it any more. It is copied once if somebody reads shared memory.
   void publish(const boost::shared_ptr<Standard<M> const>& message) const {
-    if (message) publish(*message);
+    if (end_ && message) send({nullptr, nullptr, message}, false);
+  }
+  /// A message that `fill` makes of an empty one, in shared memory; where that has no room for it,
+  /// once more on the heap.
+  template <class Fill>
+  void publish_with(Fill&& fill) const {
+    auto message = loan();
+    if (!message) return;
+    try {
+      fill(*message);
+    } catch (const OutOfMemory&) {
+      message = Loan<M>(boost::make_shared<M>());
+      fill(*message);
+    }
+    publish(std::move(message));
   }
   /// A message that was received, or published already: without a copy.
   void publish(const ShmSharedPtr<const M>& message) const {
@@ -130,31 +146,33 @@ class Publisher {
     const auto outlet = end_ ? end_->outlet() : nullptr;
     return outlet ? outlet->serialised() : 0;
   }
+  /// How many went to a subscriber by its link, and not by the ring: serialised, or by pointer
+  /// where it is in this process.
+  std::uint64_t by_link() const {
+    const auto outlet = end_ ? end_->outlet() : nullptr;
+    return outlet ? outlet->by_link() : 0;
+  }
   /// Unadvertises, whoever has copies.
   void shutdown() {
     if (end_) end_->shutdown();
     end_.reset();
   }
   explicit operator bool() const { return bool(plain()); }
+  /// There is none: what a ros::Publisher sends is serialised.
+  template <class P, std::enable_if_t<std::is_same_v<P, ::ros::Publisher>, int> = 0>
+  operator P() const {
+    static_assert(
+        !std::is_same_v<P, ::ros::Publisher>,
+        "keep it as lot::ros::Publisher<M>, or auto: a ros::Publisher would serialise "
+        "each message. (For diagnostic_updater: tick a TopicDiagnostic beside publish().)");
+    return {};
+  }
   friend bool operator==(const Publisher& a, const Publisher& b) { return a.end_ == b.end_; }
   friend bool operator!=(const Publisher& a, const Publisher& b) { return a.end_ != b.end_; }
   friend bool operator<(const Publisher& a, const Publisher& b) { return a.end_ < b.end_; }
 
  private:
   ::ros::Publisher plain() const { return end_ ? end_->plain() : ::ros::Publisher(); }
-  /// Where shared memory has no room the copy lies on the heap, and goes over TCPROS.
-  template <class Fill>
-  void publish_copy(Fill&& fill) const {
-    auto copy = loan();
-    if (!copy) return;
-    try {
-      fill(*copy);
-    } catch (const OutOfMemory&) {
-      copy = Loan<M>(boost::make_shared<M>());
-      fill(*copy);
-    }
-    publish(std::move(copy));
-  }
   void send(const detail::Parcel& parcel, bool fresh) const {
     if (const auto outlet = end_->outlet()) outlet->publish(parcel, fresh, end_->id());
   }

@@ -10,6 +10,7 @@
 #include <boost/function.hpp>
 #include <boost/get_pointer.hpp>
 #include <ros/parameter_adapter.h>
+#include <ros/subscriber.h>
 
 #include "lot/ros/core.hpp"
 
@@ -32,6 +33,13 @@ class Subscriber {
     end_.reset();
   }
   explicit operator bool() const { return end_ != nullptr; }
+  /// There is none.
+  template <class S, std::enable_if_t<std::is_same_v<S, ::ros::Subscriber>, int> = 0>
+  operator S() const {
+    static_assert(!std::is_same_v<S, ::ros::Subscriber>,
+                  "keep it as lot::ros::Subscriber, or auto: a ros::Subscriber ends nothing here");
+    return {};
+  }
   friend bool operator==(const Subscriber& a, const Subscriber& b) { return a.end_ == b.end_; }
   friend bool operator!=(const Subscriber& a, const Subscriber& b) { return a.end_ != b.end_; }
   friend bool operator<(const Subscriber& a, const Subscriber& b) { return a.end_ < b.end_; }
@@ -45,8 +53,8 @@ namespace detail {
 template <class T>
 inline constexpr bool is_lot_message = false;
 template <template <class> class Generated>
-inline constexpr bool is_lot_message<Generated<ShmAllocator<void>>> =
-    ::ros::message_traits::IsMessage<Generated<ShmAllocator<void>>>::value;
+inline constexpr bool is_lot_message<Generated<Allocator<void>>> =
+    ::ros::message_traits::IsMessage<Generated<Allocator<void>>>::value;
 
 /// What a callback takes: the one parameter of a function, a member function, or an object that has
 /// one operator(). void: several, or a template.

@@ -1,14 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-/// A camera as a nodelet: images with a number, and the place where their bytes lie.
+/// Cameras as nodelets: images with a number, and the place where their bytes lie. One makes them
+/// in shared memory; the other makes standard ones, and publishes them by pointer.
 #include <cstddef>
+#include <utility>
+
+#include <boost/make_shared.hpp>
 
 #include "nodelets.hpp"
 
 namespace lot_test {
 
-class Camera final : public nodelet::Nodelet {
+template <class Maker>
+class AnyCamera : public nodelet::Nodelet {
  public:
-  ~Camera() override { timer_.stop(); }
+  ~AnyCamera() override { timer_.stop(); }
 
  private:
   void onInit() override {
@@ -30,7 +35,7 @@ class Camera final : public nodelet::Nodelet {
       getPrivateNodeHandle().setParam("serialised", static_cast<int>(out_.serialised()));
       return;
     }
-    auto image = out_.loan();
+    auto image = Maker::make(out_);
     image->data.resize(static_cast<std::size_t>(bytes_));
     mark(*image, number_++);
     out_.publish(std::move(image));
@@ -43,6 +48,19 @@ class Camera final : public nodelet::Nodelet {
   ros::Timer timer_;
 };
 
+struct InSharedMemory {
+  static auto make(lot::ros::Publisher<LotImage>& out) { return out.loan(); }
+};
+struct OnTheHeap {
+  static auto make(lot::ros::Publisher<LotImage>&) {
+    return boost::make_shared<sensor_msgs::Image>();
+  }
+};
+
+class Camera final : public AnyCamera<InSharedMemory> {};
+class StandardCamera final : public AnyCamera<OnTheHeap> {};
+
 }  // namespace lot_test
 
 PLUGINLIB_EXPORT_CLASS(lot_test::Camera, nodelet::Nodelet)
+PLUGINLIB_EXPORT_CLASS(lot_test::StandardCamera, nodelet::Nodelet)

@@ -69,6 +69,7 @@ class Nodelets(Graph):
 
 ALL = {'first': 0, 'received': COUNT, 'wrong': 0, 'elsewhere': 0}
 WHEREVER = {'first': 0, 'received': COUNT, 'wrong': 0}
+SHARED = {**WHEREVER, 'apart': 0}
 
 
 class InOneManager(unittest.TestCase):
@@ -86,14 +87,43 @@ class InOneManager(unittest.TestCase):
                 self.assertEqual(len(graph.look()['processes']), 1)  # one copy, one participant
 
     def test_plain_ones_beside_them(self):
+        """They share one standard message, made once; the others get it where it lies."""
         for order in (('Camera', 'PlainViewer', 'Viewer'), ('PlainViewer', 'Viewer', 'Camera')):
             with self.subTest(order=order), Nodelets() as graph:
                 manager = Manager(graph)
                 for kind in order:
                     manager.load(kind)
+                manager.load('PlainViewer', 'otherplain')
                 graph.go()
-                self.assertEqual(graph.saw('viewer', WHEREVER), WHEREVER, graph.said(manager.process))
-                self.assertEqual(graph.saw('plainviewer', WHEREVER), WHEREVER, graph.said(manager.process))
+                self.assertEqual(graph.saw('viewer'), ALL, graph.said(manager.process))
+                for plain in 'plainviewer', 'otherplain':
+                    self.assertEqual(graph.saw(plain, SHARED), SHARED, graph.said(manager.process))
+                self.assertEqual(graph.serialised(), 0)
+
+    def test_a_standard_image_goes_to_plain_ones_by_pointer(self):
+        """To LOT's as a copy."""
+        with Nodelets() as graph:
+            manager = Manager(graph)
+            manager.load('PlainViewer')
+            manager.load('StandardCamera', 'camera')
+            manager.load('PlainViewer', 'otherplain')
+            manager.load('Viewer')
+            graph.go()
+            for plain in 'plainviewer', 'otherplain':
+                self.assertEqual(graph.saw(plain, {**SHARED, **ALL}), {**SHARED, **ALL}, graph.said(manager.process))
+            self.assertEqual(graph.saw('viewer', WHEREVER), WHEREVER, graph.said(manager.process))
+            self.assertEqual(graph.serialised(), 0)
+
+    def test_a_standard_image_goes_to_another_process_too(self):
+        with Nodelets() as graph:
+            manager, other = Manager(graph), Manager(graph, 'other')
+            manager.load('StandardCamera', 'camera')
+            other.load('OtherViewer')
+            manager.load('PlainViewer')
+            graph.go()
+            self.assertEqual(graph.saw('plainviewer', ALL), ALL, graph.said(manager.process))
+            later = graph.saw('otherviewer', WHEREVER)  # the camera does not wait for its link
+            self.assertEqual((later['first'] + later['received'], later['wrong']), (COUNT, 0), graph.said(other.process))
 
     def test_unloading_and_reloading(self):
         """The libraries that are not unloaded go on meanwhile, and who comes back gets what comes then."""

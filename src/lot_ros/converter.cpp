@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include <boost/weak_ptr.hpp>
+
+#include "lot/ros/core.hpp"
+
+namespace lot::ros {
+namespace {
+
+/// A message in shared memory: a cell is another one's after it.
+struct Name {
+  const lot::detail::ControlCell* cell = nullptr;
+  std::uint64_t segment = 0;
+  std::uint32_t generation = 0;  ///< of the block's messages
+
+  friend bool operator<(const Name& a, const Name& b) noexcept {
+    return std::tie(a.cell, a.segment, a.generation) < std::tie(b.cell, b.segment, b.generation);
+  }
+};
+
+/// What this process has made of one message. Who makes it holds the mutex, so that the others
+/// wait.
+struct Made {
+  std::mutex mutex;
+  boost::weak_ptr<void const> standard;
+};
+
+/// Of all messages that somebody here has the standard one of, by the type of that.
+class Known {
+ public:
+  static Known& the() {
+    static auto* const known = new Known;  // messages may outlive main()
+    return *known;
+  }
+
+  std::shared_ptr<Made> of(const Name& name) {
+    const std::lock_guard guard(mutex_);
+    auto& made = made_[name];
+    auto found = made.lock();
+    if (!found) made = found = std::make_shared<Made>();
+    return found;
+  }
+  void forget(const Name& name) noexcept {
+    const std::lock_guard guard(mutex_);
+    const auto at = made_.find(name);
+    if (at != made_.end() && at->second.expired()) made_.erase(at);
+  }
+
+ private:
+  std::mutex mutex_;
+  std::map<Name, std::weak_ptr<Made>> made_;
+};
+
+/// Messages whose memory nobody uses just now.
+class Idle {
+ public:
+  explicit Idle(const detail::StandardKind& kind) : kind_(kind) {
+    messages_.reserve(detail::Converter::kIdle);
+  }
+  ~Idle() {
+    for (void* const message : messages_) kind_.destroy(message);
+  }
+  Idle(const Idle&) = delete;
+  Idle& operator=(const Idle&) = delete;
+
+  void* take() {
+    {
+      const std::lock_guard guard(mutex_);
+      if (!messages_.empty()) {
+        void* const last = messages_.back();  // the caches know it best
+        messages_.pop_back();
+        return last;
+      }
+    }
+    return kind_.make();
+  }
+  void put(void* message) noexcept {
+    {
+      const std::lock_guard guard(mutex_);
+      if (messages_.size() < detail::Converter::kIdle) return messages_.push_back(message);
+    }
+    kind_.destroy(message);
+  }
+
+ private:
+  const detail::StandardKind& kind_;
+  std::mutex mutex_;
+  std::vector<void*> messages_;
+};
+
+class IdleConverter final : public detail::Converter {
+ public:
+  explicit IdleConverter(const detail::Kind& kind)
+      : kind_(kind), idle_(std::make_shared<Idle>(kind.standard)) {}
+
+  boost::shared_ptr<void const> convert(const boost::shared_ptr<void const>& message) override {
+    const lot::detail::ControlCell* const cell = kind_.cell_of(message);
+    if (cell == nullptr) return make(message, nullptr, {});
+    const Name name{cell, cell->hub->instance(cell), cell->hub->generation(cell)};
+    const auto made = Known::the().of(name);
+    const std::lock_guard guard(made->mutex);
+    if (auto standard = made->standard.lock()) return standard;
+    auto standard = make(message, made, name);
+    made->standard = standard;
+    return standard;
+  }
+
+ private:
+  /// Brings the memory back. It has what is known of the message, so that this is there as long as
+  /// anybody has the standard one.
+  struct Return {
+    std::shared_ptr<Idle> idle;
+    std::shared_ptr<Made> made;
+    Name name;
+    void operator()(void* standard) noexcept {
+      idle->put(standard);
+      if (made == nullptr) return;
+      made.reset();
+      Known::the().forget(name);
+    }
+  };
+
+  boost::shared_ptr<void const> make(const boost::shared_ptr<void const>& message,
+                                     std::shared_ptr<Made> made, const Name& name) {
+    boost::shared_ptr<void> standard(idle_->take(), Return{idle_, std::move(made), name});
+    kind_.standard.assign(standard.get(), message.get());
+    return standard;
+  }
+
+  const detail::Kind& kind_;
+  const std::shared_ptr<Idle> idle_;
+};
+
+}  // namespace
+
+std::shared_ptr<detail::Converter> detail::make_converter(const Kind& kind) {
+  return std::make_shared<IdleConverter>(kind);
+}
+
+}  // namespace lot::ros
