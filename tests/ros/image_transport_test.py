@@ -6,6 +6,7 @@ import hashlib
 import os
 import pathlib
 import shutil
+import signal
 import subprocess
 import tempfile
 import unittest
@@ -36,11 +37,14 @@ class Images(Graph):
         super().__init__()
         self.env['ROS_PACKAGE_PATH'] = f'{prefix}/share:/usr/share'
 
-    def camera(self):
-        """Publishes /camera/image_raw with every transport that there is."""
+    def picture(self):
         picture = self.home / 'picture.ppm'
         picture.write_bytes(b'P6 %d %d 255\n' % (WIDTH, HEIGHT) + PIXELS)
-        camera = self.run([PUBLISHER, str(picture), '__name:=camera', '_publish_rate:=30'])
+        return picture
+
+    def camera(self):
+        """Publishes /camera/image_raw with every transport that there is."""
+        camera = self.run([PUBLISHER, str(self.picture()), '__name:=camera', '_publish_rate:=30'])
         self.wait_for(lambda: self.peers('/camera/image_raw/lot')[0], 'the camera')
         return camera
 
@@ -100,6 +104,30 @@ class ImageTransport(unittest.TestCase):
             graph.run([REPUBLISH, 'lot', 'in:=/ported', 'raw', 'out:=/of_ported', '__name:=of_ported'])
             digests = graph.run(['/usr/bin/python3', '-c', PRINT_DIGESTS, '/of_ported'])
             graph.wait_for(lambda: 'rgb8 2048 2731' in graph.output(digests), 'images of 16 MiB')
+
+    def test_a_pipeline_of_plain_programs_and_one_ported_node(self):
+        """examples/ros/launch/pipeline.launch; and the node finds what it found before it was ported."""
+        with Images(self.prefix) as graph:
+            picture = graph.picture()
+            launch = graph.run(['roslaunch', 'lot', 'pipeline.launch', f'picture:={picture}',
+                                f'pictures:={graph.home}/edges%04i.png'])
+            plain = graph.run([f'{self.prefix}/share/lot/ros_edges', '__name:=plain', 'image:=/camera/image_raw',
+                               'edges:=/by_plain'])
+            found = [graph.run(['/usr/bin/python3', '-c', PRINT_DIGESTS, topic]) for topic in ('/edges/plain', '/by_plain')]
+            for node in found:
+                graph.wait_for(lambda node=node: len(graph.output(node).splitlines()) > 10, 'edges')
+            edges = [set(graph.output(node).splitlines()) for node in found]
+            self.assertEqual(edges[0], edges[1])
+            self.assertRegex(edges[0].pop(), f'^mono8 {HEIGHT} {WIDTH} ')
+            graph.wait_for(lambda: len(list(graph.home.glob('edges*.png'))) > 1, 'pictures')
+            self.assertEqual(graph.readers('/camera/image_raw/lot'), ['/find_edges'])
+            self.assertEqual(sorted(graph.readers('/edges/lot')), ['/pictures', '/republish'])
+            self.assertLess(graph.sent('/camera', '/camera/image_raw/lot'), len(PIXELS))
+            self.assertLess(graph.sent('/find_edges', '/edges/lot'), len(PIXELS))
+            for process in launch, plain:
+                process.send_signal(signal.SIGINT)
+                process.wait(60)
+            self.assertEqual(graph.files(), [])
 
 
 if __name__ == '__main__':
