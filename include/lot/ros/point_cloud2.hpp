@@ -69,9 +69,11 @@ inline std::size_t offset_of_field(const Cloud& cloud, const std::string& name, 
   throw std::runtime_error("the point cloud has no field " + name);
 }
 
-/// Goes from point to point through one field.
+/// Goes from point to point through one field, which lies at any address.
 template <class T, class Byte, class Its, class Derived>
 class PointIterator {
+  typedef T Value __attribute__((aligned(1), may_alias));
+
  public:
   PointIterator() = default;
   PointIterator(Its& cloud, const std::string& field) : step_(cloud.point_step) {
@@ -82,9 +84,9 @@ class PointIterator {
     end_ = at_ + points * step_;
   }
 
-  T& operator*() const { return *reinterpret_cast<T*>(at_); }
+  Value& operator*() const { return *reinterpret_cast<Value*>(at_); }
   /// The i-th value of the point from here, of a field that has several or of those behind it.
-  T& operator[](std::size_t i) const { return reinterpret_cast<T*>(at_)[i]; }
+  Value& operator[](std::size_t i) const { return reinterpret_cast<Value*>(at_)[i]; }
   Derived& operator++() { return *this += 1; }
   Derived& operator+=(int points) {
     at_ += points * static_cast<std::ptrdiff_t>(step_);
