@@ -8,10 +8,11 @@
 //               HOW: lot, plain, std (lot, given standard messages), other (lot, messages of
 //               another definition under the same name)
 //               greet: whoever comes gets message 0 of NAME/greeting for itself
-//           sub:HOW:TOPIC[:COUNT[:after=SECONDS[:quietly]][:queue=N][:leave]]
+//           sub:HOW:TOPIC[:COUNT[:after=SECONDS[:quietly]][:queue=N][:leave][:slow]]
 //               HOW: lot, plain, lotptr, event
 //               after: it begins then, when a message has just come, but quietly
 //               leave: it ends when it has got COUNT
+//               slow (lot): its callback takes a second for each 100th message
 //           TOPIC may be ~private.
 //
 // Ends when all publishers have sent all and all subscribers have got COUNT, or by SIGINT, SIGTERM
@@ -192,6 +193,7 @@ class Subscription final : public End {
       if (words[i].rfind("queue=", 0) == 0) queue_ = queue_of(words[i]);
       if (words[i] == "quietly") quietly_ = true;
       if (words[i] == "leave") leaves_ = true;
+      if (words[i] == "slow") slow_ = true;
     }
     if (!after_) begin();
   }
@@ -234,9 +236,11 @@ class Subscription final : public End {
             account_.note(*event.getConstMessage(), event.getPublisherName());
           });
     } else {
-      lot_ = node.subscribe<Shared>(
-          topic_, queue_,
-          [this](const boost::shared_ptr<Shared const>& m) { account_.note(*m, ""); });
+      lot_ =
+          node.subscribe<Shared>(topic_, queue_, [this](const boost::shared_ptr<Shared const>& m) {
+            account_.note(*m, "");
+            if (slow_ && m->width % 100 == 99) std::this_thread::sleep_for(std::chrono::seconds(1));
+          });
     }
   }
   const std::string how_, topic_;
@@ -248,6 +252,7 @@ class Subscription final : public End {
   std::uint32_t queue_ = kQueue;
   bool leaves_ = false;
   bool quietly_ = false;
+  bool slow_ = false;
   Account account_;
   ros::Subscriber plain_;
   lot::ros::Subscriber lot_;
