@@ -4,6 +4,7 @@
 #include <memory>
 #include <mutex>
 #include <tuple>
+#include <typeindex>
 #include <utility>
 #include <vector>
 
@@ -14,14 +15,23 @@
 namespace lot::ros {
 namespace {
 
-/// A message in shared memory: a cell is another one's after it.
+/// A message in shared memory, or a part of one (an aliasing pointer): its cell and its place are
+/// another one's after it.
 struct Name {
   const lot::detail::ControlCell* cell = nullptr;
   std::uint64_t segment = 0;
   std::uint32_t generation = 0;  ///< of the block's messages
+  const void* place = nullptr;
+  std::type_index standard = typeid(void);
 
   friend bool operator<(const Name& a, const Name& b) noexcept {
-    return std::tie(a.cell, a.segment, a.generation) < std::tie(b.cell, b.segment, b.generation);
+    return a.as_tuple() < b.as_tuple();
+  }
+
+ private:
+  std::tuple<const void*, std::uint64_t, std::uint32_t, const void*, std::type_index> as_tuple()
+      const noexcept {
+    return {cell, segment, generation, place, standard};
   }
 };
 
@@ -32,7 +42,7 @@ struct Made {
   boost::weak_ptr<void const> standard;
 };
 
-/// Of all messages that somebody here has the standard one of, by the type of that.
+/// Of all messages that somebody here has the shared standard one of.
 class Known {
  public:
   static Known& the() {
@@ -100,10 +110,11 @@ class IdleConverter final : public detail::Converter {
   explicit IdleConverter(const detail::Kind& kind)
       : kind_(kind), idle_(std::make_shared<Idle>(kind.standard)) {}
 
-  boost::shared_ptr<void const> convert(const boost::shared_ptr<void const>& message) override {
+  Pointer make(const Pointer& message) override { return make(message, nullptr, Name()); }
+  Pointer shared(const Pointer& message) override {
     const lot::detail::ControlCell* const cell = kind_.cell_of(message);
-    if (cell == nullptr) return make(message, nullptr, {});
-    const Name name{cell, cell->hub->instance(cell), cell->hub->generation(cell)};
+    if (cell == nullptr) return make(message);
+    const Name name = name_of(cell, message.get());
     const auto made = Known::the().of(name);
     const std::lock_guard guard(made->mutex);
     if (auto standard = made->standard.lock()) return standard;
@@ -127,8 +138,16 @@ class IdleConverter final : public detail::Converter {
     }
   };
 
-  boost::shared_ptr<void const> make(const boost::shared_ptr<void const>& message,
-                                     std::shared_ptr<Made> made, const Name& name) {
+  Name name_of(const lot::detail::ControlCell* cell, const void* place) const {
+    Name name;
+    name.cell = cell;
+    name.segment = cell->hub->instance(cell);
+    name.generation = cell->hub->generation(cell);
+    name.place = place;
+    name.standard = *kind_.standard.type;
+    return name;
+  }
+  Pointer make(const Pointer& message, std::shared_ptr<Made> made, const Name& name) {
     boost::shared_ptr<void> standard(idle_->take(), Return{idle_, std::move(made), name});
     kind_.standard.assign(standard.get(), message.get());
     return standard;

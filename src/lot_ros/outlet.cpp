@@ -130,6 +130,11 @@ const ::ros::SerializedMessage& probe_frame() {
   return *frame;
 }
 
+bool is_in_process(const boost::weak_ptr<::ros::SubscriberLink>& link) {
+  const ::ros::SubscriberLinkPtr there = link.lock();
+  return there && there->isIntraprocess();
+}
+
 }  // namespace
 
 TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::AdvertiseOptions& options,
@@ -274,6 +279,7 @@ void TopicOutlet::take_note(Peers& gone) {
   }
   for (News& news : all) {
     const Links& links = *news.links;
+    latches();
     if (news.came) {
       for (auto& [name, end] : ends_) {
         if (end.greets) ++end.ungreeted[news.name];
@@ -541,12 +547,18 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   if (to_ring) ring_->push_shared(parcel.cell, parcel.message.get(), 0ns);
   for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
-  if (latches) from->second.latched = message;
   Bytes bytes;
-  for (Peer& peer : peers_) {
-    if (peer.state != State::Link) continue;
-    send(peer, message, bytes);
-    invite(peer);
+  if (latches) {
+    keep_apart(message, bytes);
+    from->second.latched = message;
+  }
+  // Those of this process last: they may change a standard message.
+  for (const bool here : {false, true}) {
+    for (Peer& peer : peers_) {
+      if (peer.state != State::Link || is_in_process(peer.link) != here) continue;
+      send(peer, message, bytes);
+      invite(peer);
+    }
   }
   if (in(State::Ring)) {
     ++published_;
@@ -606,36 +618,63 @@ void TopicOutlet::send(const Peer& peer, const Message& message, Bytes& bytes) {
   link->enqueueMessage(serialise(message, bytes), true, false);
 }
 
-/// Subscribers of this process get it by pointer: plain ones the standard message, ours the one in
-/// shared memory. Bytes are for those of other types (ShapeShifter), for ours where there is none,
-/// and for those that come later, if the topic latches: roscpp keeps for them what came last.
+/// Subscribers of this process get it by pointer: plain ones the standard message, which they may
+/// change, and ours the one in shared memory. Bytes are for those of other types (ShapeShifter),
+/// and for ours where there is none. Where the topic latches all get bytes: roscpp keeps what came
+/// last, and gives it to those that come later, whatever type they take.
 void TopicOutlet::send_in_process(::ros::SubscriberLink& link, const Message& message,
                                   Bytes& bytes) {
+  if (latches()) return link.enqueueMessage(serialise(message, bytes), true, false);
   const detail::Parcel& parcel = message.parcel;
   const std::type_info& standard = *kind_.standard.type;
+  bool not_plain = false;
+  bool plain = false;
+  link.getPublishTypes(not_plain, plain, standard);
+  const bool by_us = not_plain && parcel.message;
+  std::optional<Inlet::Disguise> served;
+  bool others = not_plain;
+  if (by_us) {
+    served.emplace(standard);
+    others = false;
+    link.getPublishTypes(others, plain, standard);
+    served.reset();
+  }
+  // Before anybody has a pointer by which to change it.
+  if (others) serialise(message, bytes);
   const auto by_pointer = [&](boost::shared_ptr<void const> pointer, const std::type_info& type) {
     ::ros::SerializedMessage where;
     where.message = std::move(pointer);
     where.type_info = &type;
     link.enqueueMessage(where, false, true);
   };
-  bool others = false;
-  bool plain = false;
-  link.getPublishTypes(others, plain, standard);
+  if (by_us) by_pointer(parcel.message, Inlet::taken_type());
   if (plain) {
-    by_pointer(parcel.standard ? parcel.standard : converter_->convert(parcel.message), standard);
+    by_pointer(parcel.standard ? parcel.standard : converter_->make(parcel.message), standard);
   }
-  std::optional<Inlet::Disguise> served;
-  if (others && parcel.message) {
-    by_pointer(parcel.message, Inlet::taken_type());
-    served.emplace(standard);
-    others = false;
-    link.getPublishTypes(others, plain, standard);
-  }
-  if (!others && !publication_->isLatching()) return;
-  ::ros::SerializedMessage for_others = serialise(message, bytes);
+  if (!others) return;
+  if (by_us) served.emplace(standard);
+  ::ros::SerializedMessage for_others = *bytes;
   for_others.type_info = &standard;  // who takes this has it
   link.enqueueMessage(for_others, true, false);
+}
+
+bool TopicOutlet::latches() {
+  has_latched_ = has_latched_ || publication_->isLatching();
+  return has_latched_;
+}
+
+/// What is latched is nobody's to change: of a standard message that only its publisher has, a
+/// copy.
+void TopicOutlet::keep_apart(Message& message, Bytes& bytes) {
+  detail::Parcel& parcel = message.parcel;
+  if (!parcel.message) {
+    const ::ros::SerializedMessage& made = serialise(message, bytes);
+    const auto length =
+        made.num_bytes - static_cast<std::size_t>(made.message_start - made.buf.get());
+    parcel.message = kind_.deserialise(made.message_start, static_cast<std::uint32_t>(length));
+    message.fresh = false;
+  }
+  parcel.standard.reset();
 }
 
 /// While there are messages LOT's thread asks every now and then whether anybody beside LOT needs

@@ -168,6 +168,8 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void send(const Peer& peer, const Message& message);
   void send_sign(const Peer& peer, ::ros::SerializedMessage frame);
   void send_in_process(::ros::SubscriberLink& link, const Message& message, Bytes& bytes);
+  bool latches();
+  void keep_apart(Message& message, Bytes& bytes);
   std::shared_ptr<lot::detail::PusherCore> ring();
   detail::Parcel into_ring(const Message& message);
 
@@ -194,6 +196,8 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   bool has_lacked_room_ = false;      ///< a message found none, which was said
   std::uint64_t serialised_ = 0;
   std::uint64_t by_link_ = 0;
+  /// Once it has latched: links that were made then say so for ever.
+  bool has_latched_ = false;
 
   mutable std::mutex news_mutex_;  ///< a leaf: roscpp's locks are held by who takes it
   std::vector<News> news_;

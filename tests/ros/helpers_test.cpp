@@ -24,6 +24,17 @@
 #include "lot/ros/pcl.hpp"
 #include "lot/ros/point_cloud2.hpp"
 
+namespace test {
+
+struct Stereo {
+  lot::ros::Message<sensor_msgs::Image_> left, right;
+};
+
+}  // namespace test
+
+template <>
+struct lot::is_trusted_message<test::Stereo> : std::true_type {};
+
 namespace {
 
 using Image = lot::ros::Message<sensor_msgs::Image_>;
@@ -270,6 +281,7 @@ TEST_CASE("clouds go to PCL and back with every point") {
     CHECK(static_cast<const void*>(&there[0]) == read.data.data());
     CHECK(there[123].x == 123);
     CHECK_THROWS_AS(lot::ros::points<pcl::PointXYZ>(read), std::runtime_error);
+    CHECK_THROWS_AS(lot::ros::points<pcl::PointXYZI>(read), std::runtime_error);  // no intensity
   }
   SUBCASE("of fewer bytes than it says") {
     cloud->data.resize(100);
@@ -304,4 +316,23 @@ TEST_CASE("a standard message is made once for all who ask, in memory that is us
   CHECK(c->data.data() == place);  // of the one that has gone
   CHECK(c->data.back() == 3);
   CHECK(one(nullptr) == nullptr);
+}
+
+TEST_CASE("standard messages of two parts of one message are two") {
+  using test::Stereo;
+  lot::ShmEngine engine(options());
+  auto out = engine.advertise<Stereo>("/stereo");
+  auto loan = out.loan();
+  loan->left.data.assign(10, 1);
+  loan->right.data.assign(10, 2);
+  loan->left.header.frame_id = "left";
+  const lot::ShmSharedPtr<const Stereo> stereo(std::move(loan));
+  const auto part = [&stereo](const Image& image) {
+    return lot::ros::detail::parcel_of(lot::ShmSharedPtr<const Image>(stereo, &image)).message;
+  };
+  const lot::ros::ToStandard<Image> standard;
+  const auto left = standard(boost::static_pointer_cast<Image const>(part(stereo->left)));
+  const auto right = standard(boost::static_pointer_cast<Image const>(part(stereo->right)));
+  CHECK(left->data.front() == 1);
+  CHECK(right->data.front() == 2);
 }

@@ -247,6 +247,9 @@ TEST_CASE("strings, vectors and headers convert to and from the standard ones") 
   CHECK(taken(m.encoding) == "rgb8");
   CHECK(std::unordered_map<std::string, int>{{"rgb8", 3}}[m.encoding] == 3);
   CHECK(std::string_view(m.encoding) == "rgb8");
+  const std::string tail = m.encoding.substr(3);
+  CHECK(tail == "8");
+  CHECK(m.encoding.substr(0, 3) == std::string("rgb"));
   CHECK(std::hash<lot::ros::String>()(m.encoding) == std::hash<std::string_view>()("rgb8"));
 
   other.header.frame_id = "lens";
@@ -301,4 +304,22 @@ TEST_CASE("what is assigned to a field in shared memory lies there") {
   CHECK(is_there(cloud->fields.data()));
   for (const auto& each : cloud->fields) CHECK(is_there(each.name.data()));
   CHECK(!is_there(field.name.data()));
+}
+
+TEST_CASE("what is moved out of a message lies outside of it") {
+  using Image = lot::ros::Message<sensor_msgs::Image_>;
+  auto pusher = engine().advertise<Image>("/moved");
+  auto loan = pusher.loan();
+  loan->data.assign(5000, 7);
+  loan->encoding = std::string(100, 'e');
+  const auto* const inside = loan->data.data();
+  std::vector<Image> all;
+  all.push_back(std::move(*loan));
+  loan.reset();
+  CHECK(all[0].data.data() != inside);
+  CHECK(all[0].data == std::vector<std::uint8_t>(5000, 7));
+  CHECK(all[0].encoding == std::string(100, 'e'));
+  const auto* const outside = all[0].data.data();
+  const Image last = std::move(all[0]);
+  CHECK(last.data.data() == outside);  // no copy between what lies on the heap
 }

@@ -197,16 +197,19 @@ class Subscription {
 std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
                                         const ::ros::SubscribeOptions& options, const Kind& kind);
 
-/// Makes standard messages of others: of one message at most one in this process at a time, which
-/// all who ask share. The memory of those that have gone is used again.
+/// Makes standard messages of others. The memory of those that have gone is used again.
 ///
 /// Threads: all members may be called at once.
 /// Memory:  keeps that of at most `kIdle` messages that nobody has.
 class Converter {
  public:
+  using Pointer = boost::shared_ptr<void const>;
   static constexpr std::size_t kIdle = 4;
   virtual ~Converter() = default;
-  virtual boost::shared_ptr<void const> convert(const boost::shared_ptr<void const>& message) = 0;
+  /// One for the caller alone: roscpp lets a topic's only subscriber of a process change it.
+  virtual Pointer make(const Pointer& message) = 0;
+  /// One that all who ask in this process share, as long as anybody has it.
+  virtual Pointer shared(const Pointer& message) = 0;
 };
 std::shared_ptr<Converter> make_converter(const Kind& kind);
 

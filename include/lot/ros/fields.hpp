@@ -97,10 +97,19 @@ class basic_string<char, char_traits<char>, lot::ros::Allocator<char>> : public 
   using Shared::Shared;
   using Shared::operator=;
   basic_string() = default;
+  basic_string(const basic_string&) = default;
+  /// Takes the other's memory over only where both are of one message, or of none.
+  basic_string(basic_string&& other) : Shared() { Shared::operator=(std::move(other)); }
+  basic_string& operator=(const basic_string&) = default;
+  basic_string& operator=(basic_string&&) = default;
+  ~basic_string() = default;
   basic_string(const Shared& other) : Shared(other) {}
   basic_string(const Standard& other) : Shared(other.data(), other.size()) {}
 
   operator Standard() const { return {data(), size()}; }
+  basic_string substr(size_type begin = 0, size_type count = npos) const {
+    return basic_string(Shared::substr(begin, count));
+  }
 
   friend Standard operator+(const basic_string& a, const Standard& b) { return Standard(a) += b; }
   friend Standard operator+(const Standard& a, const basic_string& b) {
@@ -134,6 +143,12 @@ class vector<T, lot::ros::Allocator<T>> : public lot::ShmVector<T> {
   using Shared::push_back;
   using Shared::Shared;
   vector() = default;
+  vector(const vector&) = default;
+  /// Takes the other's memory over only where both are of one message, or of none.
+  vector(vector&& other) : Shared() { Shared::operator=(std::move(other)); }
+  vector& operator=(const vector&) = default;
+  vector& operator=(vector&&) = default;
+  ~vector() = default;
   vector(const Shared& other) : Shared(other) {}
   vector(const Standard& other) { *this = other; }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -87,10 +88,18 @@ inline std::size_t count_points(const Cloud& cloud) {
 template <class Point, class Byte, class Its>
 Points<Point> points_of(Its& cloud, Byte* bytes) {
   const std::size_t count = count_points(cloud);
-  const auto map = mapping<std::remove_const_t<Point>>(cloud);
-  for (const auto& piece : map) {
-    if (piece.serialized_offset == piece.struct_offset) continue;
-    throw std::runtime_error("the points of the cloud are laid out otherwise: pcl::fromROSMsg()");
+  for (const auto& field : pcl::getFields<std::remove_const_t<Point>>()) {
+    const auto is_it = [&](const auto& there) {
+      const bool are_colours = field.name.rfind("rgb", 0) == 0 && there.name.rfind("rgb", 0) == 0;
+      return (there.name == field.name && there.datatype == field.datatype) || are_colours;
+    };
+    const auto there = std::find_if(cloud.fields.begin(), cloud.fields.end(), is_it);
+    if (there == cloud.fields.end()) {
+      throw std::runtime_error("the point cloud has no field " + field.name + " of that type");
+    }
+    if (there->offset != field.offset) {
+      throw std::runtime_error("the points of the cloud are laid out otherwise: pcl::fromROSMsg()");
+    }
   }
   const bool is_dense = cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step;
   if (cloud.point_step != sizeof(Point) || !is_dense) {
@@ -122,6 +131,9 @@ Points<Point> points(detail::Cloud& cloud) {
 /// Makes `cloud` one of so many points, which are still to be filled: points<Point>(cloud).
 template <class Point>
 void shape(detail::Cloud& cloud, std::uint32_t width, std::uint32_t height = 1) {
+  if (std::size_t{width} * sizeof(Point) > UINT32_MAX) {
+    throw std::runtime_error("a row of a point cloud has less than 4 GiB");
+  }
   const auto fields = pcl::getFields<Point>();
   cloud.fields.resize(fields.size());
   for (std::size_t i = 0; i < fields.size(); ++i) {
@@ -156,11 +168,12 @@ void fromROSMsg(const lot::ros::Message<sensor_msgs::PointCloud2_>& cloud,
   points.width = cloud.width;
   points.height = cloud.height;
   points.is_dense = cloud.is_dense != 0;
-  points.points.resize(count);
-  auto* to = reinterpret_cast<std::uint8_t*>(points.points.data());
   const bool is_whole = map.size() == 1 && map[0].serialized_offset == 0 &&
                         map[0].struct_offset == 0 && map[0].size == cloud.point_step &&
                         cloud.point_step == sizeof(Point);
+  if (!is_whole) points.points.clear();
+  points.points.resize(count);
+  auto* to = reinterpret_cast<std::uint8_t*>(points.points.data());
   for (std::uint32_t y = 0; y < cloud.height; ++y) {
     const std::uint8_t* from = cloud.data.data() + std::size_t{y} * cloud.row_step;
     if (is_whole) {

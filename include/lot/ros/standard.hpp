@@ -28,7 +28,7 @@ class ToStandard {
 
   Pointer operator()(const boost::shared_ptr<M const>& message) const {
     if (!message) return nullptr;
-    return boost::static_pointer_cast<Standard<M> const>(converter_->convert(message));
+    return boost::static_pointer_cast<Standard<M> const>(converter_->shared(message));
   }
 
  private:
