@@ -620,8 +620,8 @@ void TopicOutlet::send(const Peer& peer, const Message& message, Bytes& bytes) {
 
 /// Subscribers of this process get it by pointer: plain ones the standard message, which they may
 /// change, and ours the one in shared memory. Bytes are for those of other types (ShapeShifter),
-/// and for ours where there is none. Where the topic latches all get bytes: roscpp keeps what came
-/// last, and gives it to those that come later, whatever type they take.
+/// and for ours where there is no room for one. Where the topic latches all get bytes: roscpp keeps
+/// what came last, and gives it to those that come later, whatever type they take.
 void TopicOutlet::send_in_process(::ros::SubscriberLink& link, const Message& message,
                                   Bytes& bytes) {
   if (latches()) return link.enqueueMessage(serialise(message, bytes), true, false);
@@ -630,14 +630,20 @@ void TopicOutlet::send_in_process(::ros::SubscriberLink& link, const Message& me
   bool not_plain = false;
   bool plain = false;
   link.getPublishTypes(not_plain, plain, standard);
-  const bool by_us = not_plain && parcel.message;
-  std::optional<Inlet::Disguise> served;
+  boost::shared_ptr<void const> ours = parcel.message;
+  if (not_plain && !ours && ring_) {
+    bool is_wanted = false;
+    bool by_others = false;
+    link.getPublishTypes(by_others, is_wanted, Inlet::taken_type());
+    if (is_wanted) ours = into_ring(message).message;  // null: there is no room
+  }
+  const bool by_us = not_plain && ours;
   bool others = not_plain;
   if (by_us) {
-    served.emplace(standard);
+    const Inlet::Disguise served(standard);
+    bool is_served = false;
     others = false;
-    link.getPublishTypes(others, plain, standard);
-    served.reset();
+    link.getPublishTypes(others, is_served, standard);
   }
   // Before anybody has a pointer by which to change it.
   if (others) serialise(message, bytes);
@@ -647,11 +653,12 @@ void TopicOutlet::send_in_process(::ros::SubscriberLink& link, const Message& me
     where.type_info = &type;
     link.enqueueMessage(where, false, true);
   };
-  if (by_us) by_pointer(parcel.message, Inlet::taken_type());
+  if (by_us) by_pointer(ours, Inlet::taken_type());
   if (plain) {
     by_pointer(parcel.standard ? parcel.standard : converter_->make(parcel.message), standard);
   }
   if (!others) return;
+  std::optional<Inlet::Disguise> served;
   if (by_us) served.emplace(standard);
   ::ros::SerializedMessage for_others = *bytes;
   for_others.type_info = &standard;  // who takes this has it
