@@ -70,6 +70,12 @@ class Graph:
 
     def __exit__(self, *_):
         for process in reversed(self.started):
+            if process.poll() is None and 'roslaunch' in process.name:
+                process.send_signal(signal.SIGINT)  # killed, it leaves its nodes behind
+                try:
+                    process.wait(30)
+                except subprocess.TimeoutExpired:
+                    pass
             if process.poll() is None:
                 process.kill()
             process.wait()
