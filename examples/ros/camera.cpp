@@ -24,14 +24,15 @@ int main(int argc, char** argv) {
   const std::string role = argc > 1 ? argv[1] : "";
   if (role == "camera") {
     auto publisher = node.advertise<Image>("camera/image", 10);
+    int shade = 0;
     for (ros::Rate rate(30); ros::ok(); rate.sleep()) {
       auto image = publisher.loan();
       image->height = 2048;
-      image->width = 2731;
-      image->step = 3 * image->width;
-      image->encoding = "rgb8";
+      image->width = 2048;
+      image->step = 4 * image->width;
+      image->encoding = "rgba8";
       image->data.resize(16 << 20);
-      std::memset(image->data.data(), static_cast<int>(image->header.seq), image->data.size());
+      std::memset(image->data.data(), shade++, image->data.size());
       image->header.stamp = ros::Time::now();
       publisher.publish(std::move(image));
     }

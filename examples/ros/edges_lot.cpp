@@ -26,11 +26,15 @@ class Edges {
  private:
   void find(const boost::shared_ptr<Image const>& image) {
     const auto grey = cv_bridge::toCvShare(image, "mono8");
-    auto edges = lot::ros::loan_image(edges_, grey->image.rows, grey->image.cols, "mono8");
-    edges->header = image->header;
-    cv::Mat there = lot::ros::view(*edges);
-    cv::Canny(grey->image, there, 50, 150);
-    edges_.publish(std::move(edges));
+    try {
+      auto edges = lot::ros::loan_image(edges_, grey->image.rows, grey->image.cols, "mono8");
+      edges->header = image->header;
+      cv::Mat there = lot::ros::view(*edges);
+      cv::Canny(grey->image, there, 50, 150);
+      edges_.publish(std::move(edges));
+    } catch (const lot::OutOfMemory& e) {  // subscribers keep more than the segment has room for
+      ROS_WARN_THROTTLE(1, "an image is dropped: %s", e.what());
+    }
   }
 
   lot::ros::Publisher<Image> edges_;

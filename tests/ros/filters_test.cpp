@@ -115,6 +115,14 @@ TEST_CASE("ApproximateTime: the nearest of each") {
   CHECK(pair.serialised() == 0);
 }
 
+TEST_CASE("the infos of an image's topic stand beside it") {
+  CHECK(lot::ros::camera_info_topic("camera/image_raw") == "camera/camera_info");
+  CHECK(lot::ros::camera_info_topic("/camera/image_raw/") == "/camera/camera_info");
+  CHECK(lot::ros::camera_info_topic("camera/image_raw/lot") == "camera/camera_info");
+  CHECK(lot::ros::camera_info_topic("image") == "camera_info");
+  CHECK(lot::ros::camera_info_topic("lot") == "camera_info");
+}
+
 TEST_CASE("Cache and Chain") {
   Pair pair;
   message_filters::Cache<Image> cache(pair.left, kCount);

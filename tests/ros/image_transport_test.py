@@ -103,7 +103,7 @@ class ImageTransport(unittest.TestCase):
             graph.run([f'{self.prefix}/share/lot/ros_camera', 'camera', '/camera/image:=/ported/lot'])
             graph.run([REPUBLISH, 'lot', 'in:=/ported', 'raw', 'out:=/of_ported', '__name:=of_ported'])
             digests = graph.run(['/usr/bin/python3', '-c', PRINT_DIGESTS, '/of_ported'])
-            graph.wait_for(lambda: 'rgb8 2048 2731' in graph.output(digests), 'images of 16 MiB')
+            graph.wait_for(lambda: 'rgba8 2048 2048' in graph.output(digests), 'images of 16 MiB')
 
     def test_a_pipeline_of_plain_programs_and_one_ported_node(self):
         """examples/ros/launch/pipeline.launch; and the node finds what it found before it was ported."""

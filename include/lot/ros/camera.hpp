@@ -25,9 +25,20 @@
 /// Images with what is known of their camera, together.
 namespace lot::ros {
 
-/// "camera/image_raw" has its infos beside it, as "camera/camera_info".
+/// "camera/image_raw" has its infos beside it, as "camera/camera_info"; so has
+/// "camera/image_raw/lot", its topic for image_transport's nodes.
 inline std::string camera_info_topic(std::string image_topic) {
-  while (!image_topic.empty() && image_topic.back() == '/') image_topic.pop_back();
+  const auto drop_slashes = [&] {
+    while (!image_topic.empty() && image_topic.back() == '/') image_topic.pop_back();
+  };
+  drop_slashes();
+  const std::string transport = "/lot";
+  if (image_topic.size() > transport.size() &&
+      image_topic.compare(image_topic.size() - transport.size(), transport.size(), transport) ==
+          0) {
+    image_topic.resize(image_topic.size() - transport.size());
+    drop_slashes();
+  }
   const auto slash = image_topic.rfind('/');
   return (slash == std::string::npos ? "" : image_topic.substr(0, slash + 1)) + "camera_info";
 }

@@ -26,8 +26,7 @@ namespace lot::ros::message_filters {
 ///     both.registerCallback(&callback);
 ///
 /// Threads: as lot::ros::Subscriber. Callbacks come from the queue that is given, or the node's;
-/// none
-///          is at work when it is destroyed, or unsubscribe() has returned.
+///          none is at work when it is destroyed, or unsubscribe() has returned.
 /// Memory:  a filter keeps messages by pointer, in the segment: as many as its queue takes.
 template <class M>
 class Subscriber final : public ::message_filters::SubscriberBase,

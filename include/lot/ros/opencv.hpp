@@ -29,7 +29,8 @@
 ///       pub.publish(lot::ros::loan_image(pub, picture, "bgr8"));  // a cv::Mat: one copy
 ///     }
 ///
-/// Errors: cv_bridge::Exception, where a message cannot be what its fields say.
+/// Errors: cv_bridge::Exception, where a message's data is too short for the size and the encoding
+/// that it states.
 namespace lot::ros {
 namespace detail {
 

@@ -21,7 +21,7 @@
 #include "lot/ros/message.hpp"
 #include "lot/ros/point_cloud2.hpp"
 
-/// Point clouds in shared memory for PCL. Who includes it links pcl_conversions and PCL.
+/// Point clouds in shared memory for PCL. Who includes it links pcl_common.
 ///
 ///     for (const pcl::PointXYZ& point : lot::ros::points<pcl::PointXYZ>(*cloud)) ...  // no copy
 ///     pcl::PointCloud<pcl::PointXYZ> mine;
@@ -109,7 +109,7 @@ Points<Point> points_of(Its& cloud, Byte* bytes) {
   }
   if (reinterpret_cast<std::uintptr_t>(bytes) % alignof(Point) != 0) {
     throw std::runtime_error(
-        "the points of the cloud are not aligned, as those of one under 64 KiB may be: "
+        "the points of the cloud are not aligned (clouds under 64 KiB may not be): "
         "pcl::fromROSMsg()");
   }
   return {reinterpret_cast<Point*>(bytes), count};
