@@ -68,9 +68,13 @@ case $size in
     ;;
 esac
 
-# Of NAME,... those that lot_ab has, and a line about the others.
 here=$("$lot_ab" list | awk '$2 !~ /^\(/ { print $1 }')
+if [ $ros = yes ] && ! grep -qx ros-lot <<<"$here"; then
+  echo "paper.sh: this lot_ab was built without ROS: run scripts/setup ros, and build it again" >&2
+  exit 2
+fi
 every=$(grep -v -e '^floor-' -e '^ros-' <<<"$here" | paste -sd,)
+# Of NAME,... those that lot_ab has, and a line about the others.
 those_here() {
   local name some=()
   for name in ${1//,/ }; do

@@ -110,6 +110,12 @@ def ends_well():
 
 
 def has_ros():
+    have = subprocess.run([LOT_AB, 'list'], capture_output=True, text=True, check=True).stdout
+    if not re.search(r'^ros-lot +[^( ]', have, re.MULTILINE):
+        paper = Paper('--ros')
+        check(paper.status == 2 and not paper.asked, '--ros where lot_ab has no ROS: an error')
+        check('built without ROS: run scripts/setup ros' in paper.complained, 'it says what to do')
+        return
     for option, most in ((None, 60 * 60), ('--quick', 6 * 60)):
         paper = Paper(*([option] if option else []), '--ros')
         word = f'{option or "normal"} --ros'
