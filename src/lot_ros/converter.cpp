@@ -35,14 +35,14 @@ struct Name {
   }
 };
 
-/// What this process has made of one message. Who makes it holds the mutex, so that the others
-/// wait.
+/// What this process has made of one message. The thread that makes it holds the mutex, so that
+/// other threads wait.
 struct Made {
   std::mutex mutex;
   boost::weak_ptr<void const> standard;
 };
 
-/// Of all messages that somebody here has the shared standard one of.
+/// Of all messages whose shared standard one has a pointer left in this process.
 class Known {
  public:
   static Known& the() {
@@ -68,7 +68,7 @@ class Known {
   std::map<Name, std::weak_ptr<Made>> made_;
 };
 
-/// Messages whose memory nobody uses just now.
+/// Messages whose memory is free to be used again.
 class Idle {
  public:
   explicit Idle(const detail::StandardKind& kind) : kind_(kind) {
@@ -124,8 +124,8 @@ class IdleConverter final : public detail::Converter {
   }
 
  private:
-  /// Brings the memory back. It has what is known of the message, so that this is there as long as
-  /// anybody has the standard one.
+  /// Brings the memory back. It keeps what is known of the message for as long as the standard one
+  /// has a pointer left.
   struct Return {
     std::shared_ptr<Idle> idle;
     std::shared_ptr<Made> made;

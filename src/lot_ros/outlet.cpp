@@ -645,7 +645,7 @@ void TopicOutlet::send_in_process(::ros::SubscriberLink& link, const Message& me
     others = false;
     link.getPublishTypes(others, is_served, standard);
   }
-  // Before anybody has a pointer by which to change it.
+  // Before a subscriber has a pointer by which to change it.
   if (others) serialise(message, bytes);
   const auto by_pointer = [&](boost::shared_ptr<void const> pointer, const std::type_info& type) {
     ::ros::SerializedMessage where;
@@ -661,7 +661,7 @@ void TopicOutlet::send_in_process(::ros::SubscriberLink& link, const Message& me
   std::optional<Inlet::Disguise> served;
   if (by_us) served.emplace(standard);
   ::ros::SerializedMessage for_others = *bytes;
-  for_others.type_info = &standard;  // who takes this has it
+  for_others.type_info = &standard;  // plain subscribers have it
   link.enqueueMessage(for_others, true, false);
 }
 
@@ -670,8 +670,7 @@ bool TopicOutlet::latches() {
   return has_latched_;
 }
 
-/// What is latched is nobody's to change: of a standard message that only its publisher has, a
-/// copy.
+/// No subscriber may change what is latched: the user's standard message goes, and a copy stays.
 void TopicOutlet::keep_apart(Message& message, Bytes& bytes) {
   detail::Parcel& parcel = message.parcel;
   if (!parcel.message) {

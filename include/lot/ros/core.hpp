@@ -200,7 +200,7 @@ std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
 /// Makes standard messages of others. The memory of those that have gone is used again.
 ///
 /// Threads: all members may be called at once.
-/// Memory:  keeps that of at most `kIdle` messages that nobody has.
+/// Memory:  keeps that of at most `kIdle` messages that have no pointer left.
 class Converter {
  public:
   using Pointer = boost::shared_ptr<void const>;
@@ -208,7 +208,7 @@ class Converter {
   virtual ~Converter() = default;
   /// One for the caller alone: roscpp lets a topic's only subscriber of a process change it.
   virtual Pointer make(const Pointer& message) = 0;
-  /// One that all who ask in this process share, as long as anybody has it.
+  /// One that all callers of this process share, as long as one of them has a pointer to it.
   virtual Pointer shared(const Pointer& message) = 0;
 };
 std::shared_ptr<Converter> make_converter(const Kind& kind);

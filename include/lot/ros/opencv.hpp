@@ -17,7 +17,7 @@
 #include "lot/ros/message.hpp"
 #include "lot/ros/publisher.hpp"
 
-/// Images in shared memory for OpenCV. Who includes it links cv_bridge and OpenCV.
+/// Images in shared memory for OpenCV. Link cv_bridge and OpenCV.
 ///
 ///     void callback(const boost::shared_ptr<Image const>& image) {
 ///       const cv::Mat seen = lot::ros::view(*image);             // no copy; as long as the image

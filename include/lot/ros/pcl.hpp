@@ -21,7 +21,7 @@
 #include "lot/ros/message.hpp"
 #include "lot/ros/point_cloud2.hpp"
 
-/// Point clouds in shared memory for PCL. Who includes it links pcl_common.
+/// Point clouds in shared memory for PCL. Link pcl_common.
 ///
 ///     for (const pcl::PointXYZ& point : lot::ros::points<pcl::PointXYZ>(*cloud)) ...  // no copy
 ///     pcl::PointCloud<pcl::PointXYZ> mine;
@@ -195,7 +195,7 @@ void fromROSMsg(const lot::ros::Message<sensor_msgs::PointCloud2_>& cloud,
 template <class Point>
 void toROSMsg(const PointCloud<Point>& points,
               lot::ros::Message<sensor_msgs::PointCloud2_>& cloud) {
-  // As PCL does: a cloud that nobody has said the size of is one row.
+  // As PCL does: a cloud without a width and a height is one row.
   const bool is_said = points.width != 0 || points.height != 0;
   lot::ros::shape<Point>(cloud,
                          is_said ? points.width : static_cast<std::uint32_t>(points.points.size()),

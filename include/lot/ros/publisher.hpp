@@ -96,8 +96,8 @@ class Publisher {
   void publish(const S& message) const {
     publish_with([&message](M& copy) { assign(copy, message); });
   }
-  /// Plain subscribers of this process get it by pointer, as by ros::Publisher: nobody may change
-  /// it any more. It is copied once if somebody reads shared memory.
+  /// Plain subscribers of this process get it by pointer, as by ros::Publisher: do not change it
+  /// any more. It is copied once if a subscriber reads shared memory.
   void publish(const boost::shared_ptr<Standard<M> const>& message) const {
     if (end_ && message) send({nullptr, nullptr, message}, false);
   }

@@ -15,12 +15,12 @@ namespace lot::ros {
 ///     lot::ros::ToStandard<Image> standard;                      // one for each topic
 ///     sensor_msgs::ImageConstPtr copy = standard(image);         // boost::shared_ptr<Image const>
 ///
-/// A message is copied once for all who ask in this process as long as one of them has the copy,
+/// A message is copied once for all callers of this process, as long as one of them has the copy,
 /// into memory that is used again: it is touched for the first time once, and not for each message.
 ///
 /// Shape:   a handle; copies of it share that memory.
-/// Threads: all members may be called at once. Who has a copy must not change it: others read it.
-/// Memory:  that of at most four messages that nobody has any more is kept, on the heap.
+/// Threads: all members may be called at once. A caller must not change a copy: others read it.
+/// Memory:  keeps that of at most four copies that have no pointer left, on the heap.
 template <class M>
 class ToStandard {
  public:
