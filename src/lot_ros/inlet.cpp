@@ -119,6 +119,21 @@ bool is_latching(const boost::shared_ptr<::ros::M_string>& header) {
 struct OurMessages {};
 /// What they say on this thread.
 thread_local const std::type_info* said_type = &typeid(OurMessages);
+/// Where those leave their inlet that are asked for it on this thread.
+thread_local std::shared_ptr<Inlet>* asked = nullptr;
+
+/// Work for Intake's thread.
+class Errand final : public ::ros::CallbackInterface {
+ public:
+  explicit Errand(std::function<void()> work) : work_(std::move(work)) {}
+  CallResult call() override {
+    work_();
+    return Success;
+  }
+
+ private:
+  const std::function<void()> work_;
+};
 
 }  // namespace
 
@@ -155,7 +170,10 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
     });
   }
 
-  const std::type_info& getTypeInfo() override { return *said_type; }
+  const std::type_info& getTypeInfo() override {
+    if (asked != nullptr) *asked = inlet_.lock();
+    return *said_type;
+  }
   bool isConst() override { return true; }
   bool hasHeader() override { return kind_.has_header; }
 
@@ -169,9 +187,29 @@ const std::type_info& Inlet::taken_type() noexcept { return typeid(OurMessages);
 Inlet::Disguise::Disguise(const std::type_info& type) noexcept { said_type = &type; }
 Inlet::Disguise::~Disguise() { said_type = &typeid(OurMessages); }
 
+Inlet::Subscribers Inlet::on(::ros::SubscriberLink& link, const std::type_info& standard) {
+  Subscribers found;
+  bool is_ours = false;
+  bool not_ours = false;
+  asked = &found.inlet;
+  link.getPublishTypes(not_ours, is_ours, taken_type());
+  asked = nullptr;
+  if (!not_ours) return found;
+  bool not_plain = false;
+  link.getPublishTypes(not_plain, found.plain, standard);
+  const Disguise as_plain_ones(standard);
+  bool plain_or_ours = false;
+  link.getPublishTypes(found.others, plain_or_ours, standard);
+  return found;
+}
+
 Inlet::Inlet(std::shared_ptr<Session> session, const ::ros::SubscribeOptions& options,
              const detail::Kind& kind)
-    : loop_(session->loop()), topic_(options.topic), kind_(kind), session_(std::move(session)) {}
+    : loop_(session->loop()),
+      topic_(options.topic),
+      own_name_(participant_name(::ros::this_node::getName())),
+      kind_(kind),
+      session_(std::move(session)) {}
 
 bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) {
   const auto has_plain_ones = [this] {
@@ -216,6 +254,7 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
   ours.transport_hints = asked.transport_hints;
   ::ros::NodeHandle own(node);  // the user's may be shut down, and other users stay
   subscriber_ = own.subscribe(ours);
+  follow_links();  // roscpp may have given us what they brought last
   return bool(subscriber_);
 }
 
@@ -225,11 +264,14 @@ std::shared_ptr<Session> Inlet::close() {
     decltype(rings_) rings;  // all let go when LOT's thread may go on
     decltype(unclaimed_) unclaimed;
     decltype(held_) held;
+    decltype(taken_) taken;
     loop_->call([&] {
       if (rings_) loop_->arrivals().remove(*rings_);
       rings.swap(rings_);
       unclaimed.swap(unclaimed_);
       held.swap(held_);
+      const std::lock_guard guard(taken_mutex_);
+      taken.swap(taken_);
     });
   }
   subscriber_.shutdown();
@@ -286,6 +328,7 @@ bool Inlet::has_claimed() const { return may_deliver_ == 0 && !unclaimed_.empty(
 
 /// Delivers what is for us, or keeps it behind what came before it, and what may yet be said to be.
 void Inlet::claim(Pulled pulled) {
+  if (rings_->publisher(pulled.origin) == own_name_) return;  // it hands its messages over
   const RingName name(pulled.origin.channel, pulled.origin.generation);
   const auto ring = unclaimed_.find(name);
   if (ring == unclaimed_.end()) {
@@ -331,9 +374,9 @@ void Inlet::heard(const std::string& publisher, const Header& header, bool is_sh
   Link& link = links_[publisher];
   if (link.alive.lock() != header) {
     link = {boost::make_shared<::ros::M_string>(*header), header, 0, Loop::Clock::now()};
-    if (!std::exchange(forgetting_, true)) forget_later();
     Last old;  // let go when the lock has been left
     const std::lock_guard guard(mutex_);
+    if (!std::exchange(forgetting_, true)) forget_later();
     if (const auto last = latched_.find(publisher); last != latched_.end()) {
       if (last->second.is_known || !is_latching(header)) {  // it is an earlier link's, or of none
         old = std::move(last->second);
@@ -355,6 +398,10 @@ void Inlet::heard(const std::string& publisher, const Header& header, bool is_sh
 }
 
 void Inlet::arrived(Frame frame) {
+  const auto is_held = [&](const Frame& f) { return f.publisher == frame.publisher; };
+  const bool is_behind =
+      rings_ && (has_claimed() || std::any_of(held_.begin(), held_.end(), is_held));
+  if (frame.is_last_before) return is_behind ? held_.push_back(std::move(frame)) : handle(frame);
   Link& link = links_[frame.publisher];
   if (rings_ && !link.idle_rings && Loop::Clock::now() - link.since > kDecided) {
     link.idle_rings.emplace();
@@ -368,11 +415,7 @@ void Inlet::arrived(Frame frame) {
     --link.had;
     return;
   }
-  const bool waits = rings_ && (rings_->has_last_ones(frame.publisher) || has_claimed() ||
-                                std::any_of(held_.begin(), held_.end(), [&](const Frame& f) {
-                                  return f.publisher == frame.publisher;
-                                }));
-  if (waits) {
+  if (is_behind || (rings_ && rings_->has_last_ones(frame.publisher))) {
     held_.push_back(std::move(frame));
     read();
   } else {
@@ -382,6 +425,13 @@ void Inlet::arrived(Frame frame) {
 
 /// Everything that its publisher has sent before it has been delivered.
 void Inlet::handle(const Frame& frame) {
+  if (frame.is_last_before) {
+    {
+      const std::lock_guard guard(taken_mutex_);
+      --behind_;
+    }
+    return deliver_in_turn();
+  }
   if (frame.message) return deliver(frame.message, frame.publisher, header_of(frame.publisher));
   if (!rings_) return;
   Link& link = links_[frame.publisher];
@@ -409,12 +459,12 @@ void Inlet::forget_those_gone() {
   const auto is_gone = [this](const std::string& publisher) {
     const auto link = links_.find(publisher);
     return (link == links_.end() || link->second.alive.expired()) &&
-           !(rings_ && rings_->has_publisher(publisher));
+           !(rings_ && publisher != own_name_ && rings_->has_publisher(publisher));
   };
   std::vector<Last> gone;  // let go when the lock has been left
   const std::lock_guard guard(mutex_);
   for (auto last = latched_.begin(); last != latched_.end();) {
-    if (!is_gone(last->first)) {
+    if (!last->second.alive.expired() || !is_gone(last->first)) {
       ++last;
       continue;
     }
@@ -462,10 +512,15 @@ void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::str
   const bool is_known = link != links_.end() && !link->second.alive.expired();
   if (!is_known || is_latching(header)) {
     last = {message, header, is_known ? link->second.alive : decltype(Last::alive)(), is_known};
-    std::swap(last, latched_[publisher]);
-    if (!std::exchange(forgetting_, true)) forget_later();
+    remember(publisher, last);
   }
   for (const auto& [name, user] : users_) give(user, message, header);
+}
+
+/// What was there before is to be let go when the lock has been left.
+void Inlet::remember(const std::string& publisher, Last& last) {
+  std::swap(last, latched_[publisher]);
+  if (!std::exchange(forgetting_, true)) forget_later();
 }
 
 void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
@@ -486,6 +541,91 @@ void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
   } else {
     user.callbacks->addCallback(user.queue, user.id());
   }
+}
+
+// ---- from publishers of this process
+// -------------------------------------------------------------
+
+void Inlet::take(Taken taken, std::size_t depth) {
+  Taken oldest;  // let go when the lock has been left
+  const std::lock_guard guard(taken_mutex_);
+  if (taken_.size() >= depth) {
+    oldest = std::move(taken_.front());
+    taken_.pop_front();
+  }
+  taken_.push_back(std::move(taken));
+}
+
+void Inlet::follow_links() {
+  {
+    const std::lock_guard guard(taken_mutex_);
+    ++behind_;
+  }
+  const auto come = [weak = weak_from_this(), loop = loop_] {
+    loop->soon([weak] {
+      const auto inlet = weak.lock();
+      if (!inlet) return;
+      Frame last{};
+      last.publisher = inlet->own_name_;
+      last.is_last_before = true;
+      inlet->arrived(std::move(last));
+    });
+  };
+  Intake::the().addCallback(boost::make_shared<Errand>(come), 0);
+}
+
+void Inlet::deliver_taken() {
+  if (!calls_at_once_) {
+    std::uint32_t all = ~std::uint32_t{0};
+    deliver_taken(all);
+    return;
+  }
+  loop_->soon([weak = weak_from_this()] {
+    if (const auto inlet = weak.lock()) inlet->deliver_in_turn();
+  });
+}
+
+/// On LOT's thread: as many as may be before it calls callbacks.
+void Inlet::deliver_in_turn() {
+  if (std::exchange(turn_, loop_->turn()) != loop_->turn()) may_deliver_ = at_once_;
+  if (!deliver_taken(may_deliver_)) return;
+  loop_->soon([weak = weak_from_this()] {
+    if (const auto inlet = weak.lock()) inlet->deliver_in_turn();
+  });
+}
+
+/// Counts down. True when some are left that could be delivered.
+bool Inlet::deliver_taken(std::uint32_t& most) {
+  std::unique_lock lock(taken_mutex_);
+  if (std::exchange(is_delivering_, true)) return false;
+  while (most > 0 && behind_ == 0 && !taken_.empty()) {
+    {
+      const Taken next = std::move(taken_.front());
+      taken_.pop_front();
+      --most;
+      lock.unlock();
+      try {
+        deliver(next);
+      } catch (const std::exception& e) {  // of a user's queue
+        ROS_ERROR("LOT: %s: %s", topic_.c_str(), e.what());
+      } catch (...) {
+        ROS_ERROR("LOT: %s: a callback queue has thrown what is no std::exception", topic_.c_str());
+      }
+    }
+    lock.lock();
+  }
+  is_delivering_ = false;
+  return behind_ == 0 && !taken_.empty();
+}
+
+void Inlet::deliver(const Taken& taken) {
+  Last last;  // let go when the lock has been left
+  const std::lock_guard guard(mutex_);
+  if (taken.latched_by) {
+    last = {taken.message, taken.header, taken.latched_by, true};
+    remember(own_name_, last);
+  }
+  for (const auto& [name, user] : users_) give(user, taken.message, taken.header);
 }
 
 // ---- users --------------------------------------------------------------------------------------
@@ -515,12 +655,14 @@ std::uint64_t Inlet::add(const ::ros::SubscribeOptions& options) {
 
 void Inlet::count_at_once() {
   std::uint32_t n = kAtOnce;
+  bool is_at_once = false;
   for (const auto& [name, user] : users_) {
-    if (user.callbacks == immediate_queue() && user.queue_size != 0) {
-      n = std::min(n, user.queue_size);
-    }
+    if (user.callbacks != immediate_queue()) continue;
+    is_at_once = true;
+    if (user.queue_size != 0) n = std::min(n, user.queue_size);
   }
   at_once_ = n;
+  calls_at_once_ = is_at_once;
 }
 
 Inlet::User Inlet::remove(std::uint64_t name) {

@@ -15,6 +15,7 @@
 
 #include <ros/message_event.h>
 #include <ros/subscriber.h>
+#include <ros/subscriber_link.h>
 #include <ros/subscription_callback_helper.h>
 #include <ros/subscription_queue.h>
 
@@ -27,8 +28,9 @@ namespace lot::ros {
 /// One topic that this process reads: one ordinary ROS subscription for all of the user's
 /// subscribers, and the rings of its publishers (docs/ros.md).
 ///
-/// Threads: all members may be called at once. Rings are read, and everything is delivered, on
-///          LOT's thread; frames of links are deserialised on Intake's.
+/// Threads: all members may be called at once. Rings are read, and what they and links bring is
+///          delivered, on LOT's thread; what publishers of this process hand over, on theirs.
+///          Frames of links are deserialised on Intake's.
 /// Crash:   of a publisher: its ring is read to the end, then forgotten.
 class Inlet final : public std::enable_shared_from_this<Inlet> {
  public:
@@ -66,10 +68,31 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
 
   const detail::Kind& kind() const noexcept { return kind_; }
 
-  /// What our callback helpers say that they take: so an outlet of this process gives them messages
-  /// where they lie.
+  /// A message that a publisher of this process hands over itself.
+  struct Taken {
+    boost::shared_ptr<void const> message;
+    boost::shared_ptr<::ros::M_string> header;
+    /// Who subscribes later gets it, too, as long as this lives; null: it is not latched.
+    boost::shared_ptr<::ros::M_string> latched_by;
+  };
+  /// Keeps it for deliver_taken(), behind those that are there: the last `depth` of them.
+  void take(Taken taken, std::size_t depth);
+  /// Puts them into the users' queues, on this thread; on LOT's where it calls a callback. Another
+  /// thread that is about that does it for this one. REQUIRES: no lock of a topic is held.
+  void deliver_taken();
+  /// What is taken from now on is delivered behind what links have brought so far.
+  void follow_links();
+
+  /// Who subscribes on a link inside this process.
+  struct Subscribers {
+    std::shared_ptr<Inlet> inlet;  ///< LOT's own, which take() messages; null: there are none
+    bool plain = false;            ///< of the standard type
+    bool others = false;           ///< of another one, as ShapeShifter
+  };
+  static Subscribers on(::ros::SubscriberLink& link, const std::type_info& standard);
+  /// What LOT's own say that they take: bytes that are said to be that reach all but them.
   static const std::type_info& taken_type() noexcept;
-  /// While it lives they say another type on this thread, and pass for a plain subscriber's.
+  /// While it lives they pass for those of another type, on this thread.
   class Disguise {
    public:
     explicit Disguise(const std::type_info& type) noexcept;
@@ -90,10 +113,20 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     Header header;
     std::string publisher;  ///< as a participant would be called
     std::uint8_t invitation = 0;
+    bool is_last_before = false;  ///< no frame: what follow_links() waits for
   };
   struct Pulled {
     boost::shared_ptr<void const> message;
     lot::detail::Origin origin;
+  };
+
+  /// The last message of a publisher.
+  struct Last {
+    boost::shared_ptr<void const> message;
+    Header header;
+    boost::weak_ptr<::ros::M_string> alive;
+    bool is_known = false;              ///< of which link it is
+    std::vector<std::uint64_t> late{};  ///< users that came before that was known
   };
 
   /// {channel, generation}.
@@ -112,15 +145,20 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   void arrived(Frame frame);
   void handle(const Frame& frame);
   void deliver_held();
+  void deliver_in_turn();
+  bool deliver_taken(std::uint32_t& most);
+  void deliver(const Taken& taken);
   void deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
                const Header& header);
   Header header_of(const std::string& publisher) const;
   // REQUIRES mutex_.
+  void remember(const std::string& publisher, Last& last);
   void count_at_once();
   void give(const User& user, const boost::shared_ptr<void const>& message, const Header& header);
 
   const std::shared_ptr<Loop> loop_;
   const std::string topic_;
+  const std::string own_name_;  ///< of this process, as a participant is called
   const detail::Kind& kind_;
   ::ros::Subscriber subscriber_;
   std::shared_ptr<Session> session_;                ///< null: closed
@@ -150,17 +188,16 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   mutable std::mutex mutex_;
   std::map<std::uint64_t, User> users_;
   std::atomic<std::uint32_t> at_once_{kAtOnce};
-  /// The last message of each publisher that latches, or of which that is not known yet.
-  struct Last {
-    boost::shared_ptr<void const> message;
-    Header header;
-    boost::weak_ptr<::ros::M_string> alive;
-    bool is_known = false;              ///< of which link it is
-    std::vector<std::uint64_t> late{};  ///< users that came before that was known
-  };
+  std::atomic<bool> calls_at_once_{false};  ///< a user's callback is called by LOT's thread
+  /// Of each publisher that latches, or of which that is not known yet.
   std::map<std::string, Last> latched_;
-  bool forgetting_ = false;  ///< LOT's thread will look whether they are still there; its own
+  bool forgetting_ = false;  ///< LOT's thread will look whether they are still there
   std::uint64_t last_user_ = 0;
+
+  std::mutex taken_mutex_;  ///< a leaf
+  std::deque<Taken> taken_;
+  unsigned behind_ = 0;         ///< frames that are to be handled before these
+  bool is_delivering_ = false;  ///< a thread is about that
 };
 
 }  // namespace lot::ros

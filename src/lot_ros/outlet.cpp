@@ -10,6 +10,7 @@
 #include <ros/console.h>
 #include <ros/init.h>
 #include <ros/single_subscriber_publisher.h>
+#include <ros/this_node.h>
 
 #include "lot_ros/inlet.hpp"
 
@@ -137,6 +138,36 @@ bool is_in_process(const boost::weak_ptr<::ros::SubscriberLink>& link) {
 
 }  // namespace
 
+class TopicOutlet::Turn {
+ public:
+  explicit Turn(TopicOutlet& outlet) : Turn(outlet, std::unique_lock(outlet.mutex_)) {}
+  Turn(TopicOutlet& outlet, std::unique_lock<std::mutex> lock)
+      : outlet_(outlet), lock_(std::move(lock)) {}
+  Turn(const Turn&) = delete;
+  Turn& operator=(const Turn&) = delete;
+  ~Turn() { leave(); }
+
+  /// Others may have it meanwhile.
+  void sleep(std::chrono::milliseconds time) {
+    leave();
+    std::this_thread::sleep_for(time);
+    lock_.lock();
+  }
+
+ private:
+  void leave() {
+    Peers gone;
+    gone.swap(outlet_.gone_);
+    decltype(receivers_) receivers;
+    receivers.swap(outlet_.receivers_);
+    lock_.unlock();
+    for (const auto& inlet : receivers) inlet->deliver_taken();
+  }
+
+  TopicOutlet& outlet_;
+  std::unique_lock<std::mutex> lock_;
+};
+
 TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::AdvertiseOptions& options,
                          const detail::Kind& kind)
     : loop_(session->loop()),
@@ -190,29 +221,25 @@ bool TopicOutlet::open() {
 
 /// Whoever has yet to come, or to say whether its link is needed, too, gets what was kept for it.
 void TopicOutlet::settle() {
-  Peers gone;  // destroyed when the lock has been left
   const auto until = Loop::Clock::now() + kLastAnswers;
-  std::unique_lock lock(mutex_);
-  const std::uint64_t on_links = serialised_;
-  take_note(gone);
-  for (Peer& peer : peers_) {
-    const bool may_answer = peer.invited && !peer.unsure.empty();
-    if (peer.state == State::Open && !may_answer && (needs_link(peer) || !try_ring(peer))) {
-      go_to_link(peer);
+  bool is_sending = false;
+  {
+    Turn turn(*this);
+    const std::uint64_t on_links = serialised_;
+    take_note();
+    for (Peer& peer : peers_) {
+      const bool may_answer = peer.invited && !peer.unsure.empty();
+      if (peer.state == State::Open && !may_answer && (needs_link(peer) || !try_ring(peer))) {
+        go_to_link(peer);
+      }
+      if (peer.state == State::Ring && !peer.unsure.empty()) probe(peer);
     }
-    if (peer.state == State::Ring && !peer.unsure.empty()) probe(peer);
+    while (!take_answers() && ::ros::ok() && Loop::Clock::now() < until) turn.sleep(kBusy);
+    for (Peer& peer : peers_) {
+      if (peer.state == State::Open) go_to_link(peer);
+    }
+    is_sending = serialised_ != on_links;
   }
-  // LOT's thread itself would give those of this process.
-  while (!take_answers() && !loop_->is_here() && ::ros::ok() && Loop::Clock::now() < until) {
-    lock.unlock();
-    std::this_thread::sleep_for(kBusy);
-    lock.lock();
-  }
-  for (Peer& peer : peers_) {
-    if (peer.state == State::Open) go_to_link(peer);
-  }
-  const bool is_sending = serialised_ != on_links;
-  lock.unlock();
   // roscpp drops what it has not written when the topic ends.
   if (is_sending) std::this_thread::sleep_for(kLastFrames);
 }
@@ -257,11 +284,11 @@ void TopicOutlet::tend(Loop::Clock::time_point when) {
   loop_->at(when, [weak = weak_from_this()] {
     const auto self = weak.lock();
     if (!self) return;
-    Peers gone;
-    const std::unique_lock lock(self->mutex_, std::try_to_lock);
+    std::unique_lock lock(self->mutex_, std::try_to_lock);
     if (!lock) return self->tend(Loop::Clock::now() + kBusy);
+    const Turn turn(*self, std::move(lock));
     if (!self->session_) return;
-    self->take_note(gone);
+    self->take_note();
     for (Peer& peer : self->peers_) {
       if (peer.state != State::Open) continue;
       self->welcome(peer);
@@ -270,7 +297,7 @@ void TopicOutlet::tend(Loop::Clock::time_point when) {
   });
 }
 
-void TopicOutlet::take_note(Peers& gone) {
+void TopicOutlet::take_note() {
   std::vector<News> all;
   {
     const std::lock_guard guard(news_mutex_);
@@ -295,7 +322,8 @@ void TopicOutlet::take_note(Peers& gone) {
       peer.link = news.link;
       if (at != links.end()) {
         peer.number = at->first;
-        peer.may_read = at->second.transport == "TCPROS" || at->second.transport == "INTRAPROCESS";
+        peer.may_read =
+            at->second.transport == "TCPROS" && news.name != ::ros::this_node::getName();
       } else {
         peer.state = State::Link;  // it was there before us: what it is we do not know
       }
@@ -311,7 +339,7 @@ void TopicOutlet::take_note(Peers& gone) {
           const std::lock_guard guard(news_mutex_);
           announced_.erase(peer->number);
         }
-        gone.push_back(std::move(*peer));
+        gone_.push_back(std::move(*peer));
         peer = peers_.erase(peer);
       }
     }
@@ -479,13 +507,12 @@ void TopicOutlet::reserve(std::size_t count, std::size_t bytes) {
 }
 
 void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t end) {
-  Peers gone;  // destroyed when the lock has been left
-  const std::lock_guard guard(mutex_);
+  const Turn turn(*this);
   if (!session_ || !::ros::ok() || publication_->isDropped()) {
-    gone.swap(peers_);
+    gone_.swap(peers_);
     return;
   }
-  take_note(gone);
+  take_note();
   for (Peer& peer : peers_) {
     if (peer.state == State::Open) welcome(peer);
   }
@@ -496,6 +523,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
 
   const auto from = ends_.find(end);
   const bool latches = from != ends_.end() && from->second.latches;
+  if (latches) message.latched_by = from->second.alive;
   for (Peer& peer : peers_) {
     if (peer.state != State::Open) continue;
     const bool has_room = peer.unsure.size() < most_unsure();
@@ -512,11 +540,8 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
     if (to_ring) {
       parcel.message = copy.message;
       parcel.cell = copy.cell;
-    } else if (!std::exchange(has_lacked_room_, true)) {
-      ROS_WARN(
-          "LOT: %s goes over TCPROS for a message that the segment has no room for: set a larger "
-          "~lot/size at the node that makes it, or keep fewer messages (said once)",
-          options_.topic.c_str());
+    } else {
+      lacks_room();
     }
   }
   for (Peer& peer : peers_) {
@@ -582,6 +607,14 @@ detail::Parcel TopicOutlet::into_ring(const Message& message) {
   }
 }
 
+void TopicOutlet::lacks_room() {
+  if (std::exchange(has_lacked_room_, true)) return;
+  ROS_WARN(
+      "LOT: %s goes over TCPROS for a message that the segment has no room for: set a larger "
+      "~lot/size at the node that makes it, or keep fewer messages (said once)",
+      options_.topic.c_str());
+}
+
 const ::ros::SerializedMessage& TopicOutlet::serialise(const Message& message, Bytes& bytes) {
   if (bytes) return *bytes;
   ++serialised_;
@@ -605,64 +638,108 @@ void TopicOutlet::send_sign(const Peer& peer, ::ros::SerializedMessage frame) {
   }
 }
 
-void TopicOutlet::send(const Peer& peer, const Message& message) {
+void TopicOutlet::send(Peer& peer, const Message& message) {
   Bytes bytes;
   send(peer, message, bytes);
 }
 
-void TopicOutlet::send(const Peer& peer, const Message& message, Bytes& bytes) {
+void TopicOutlet::send(Peer& peer, const Message& message, Bytes& bytes) {
   const ::ros::SubscriberLinkPtr link = peer.link.lock();
   if (!link) return;
+  if (link->isIntraprocess()) return send_in_process(peer, *link, message, bytes);
   ++by_link_;
-  if (link->isIntraprocess()) return send_in_process(*link, message, bytes);
   link->enqueueMessage(serialise(message, bytes), true, false);
 }
 
-/// Subscribers of this process get it by pointer: plain ones the standard message, which they may
-/// change, and ours the one in shared memory. Bytes are for those of other types (ShapeShifter),
-/// and for ours where there is no room for one. Where the topic latches all get bytes: roscpp keeps
-/// what came last, and gives it to those that come later, whatever type they take.
-void TopicOutlet::send_in_process(::ros::SubscriberLink& link, const Message& message,
+/// Subscribers of this process get it by pointer: ours the message in shared memory, plain ones the
+/// standard message, which they may change. Bytes are for those of other types (ShapeShifter); and
+/// where the topic latches for plain ones, too: roscpp keeps what came last, and gives it to those
+/// that come later, whatever type they take.
+void TopicOutlet::send_in_process(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
                                   Bytes& bytes) {
-  if (latches()) return link.enqueueMessage(serialise(message, bytes), true, false);
-  const detail::Parcel& parcel = message.parcel;
   const std::type_info& standard = *kind_.standard.type;
-  bool not_plain = false;
-  bool plain = false;
-  link.getPublishTypes(not_plain, plain, standard);
-  boost::shared_ptr<void const> ours = parcel.message;
-  if (not_plain && !ours && ring_) {
-    bool is_wanted = false;
-    bool by_others = false;
-    link.getPublishTypes(by_others, is_wanted, Inlet::taken_type());
-    if (is_wanted) ours = into_ring(message).message;  // null: there is no room
+  Inlet::Subscribers there = Inlet::on(link, standard);
+  // All of this before a subscriber has a pointer by which to change it.
+  const bool is_ours = there.inlet != nullptr;
+  if (is_ours) hand_over(std::move(there.inlet), peer, message, bytes);
+  if (latches()) {
+    if (there.plain || there.others || peer.is_kept) send_to_be_kept(peer, link, message, bytes);
+    if (is_latched_here()) watch(kFirstLook);
+    return;
   }
-  const bool by_us = not_plain && ours;
-  bool others = not_plain;
-  if (by_us) {
-    const Inlet::Disguise served(standard);
-    bool is_served = false;
-    others = false;
-    link.getPublishTypes(others, is_served, standard);
-  }
-  // Before a subscriber has a pointer by which to change it.
-  if (others) serialise(message, bytes);
-  const auto by_pointer = [&](boost::shared_ptr<void const> pointer, const std::type_info& type) {
+  if (!there.plain && !there.others) return;
+  ++by_link_;
+  if (there.others) serialise(message, bytes);
+  if (there.plain) {
+    const detail::Parcel& parcel = message.parcel;
     ::ros::SerializedMessage where;
-    where.message = std::move(pointer);
-    where.type_info = &type;
+    where.message = parcel.standard ? parcel.standard : converter_->make(parcel.message);
+    where.type_info = &standard;
     link.enqueueMessage(where, false, true);
-  };
-  if (by_us) by_pointer(ours, Inlet::taken_type());
-  if (plain) {
-    by_pointer(parcel.standard ? parcel.standard : converter_->make(parcel.message), standard);
   }
-  if (!others) return;
-  std::optional<Inlet::Disguise> served;
-  if (by_us) served.emplace(standard);
+  if (!there.others) return;
+  const Inlet::Disguise as_plain_ones(standard);  // these have it
   ::ros::SerializedMessage for_others = *bytes;
-  for_others.type_info = &standard;  // plain subscribers have it
+  for_others.type_info = &standard;
   link.enqueueMessage(for_others, true, false);
+}
+
+/// To LOT's own subscribers of this process, which deliver it when the lock has been left.
+void TopicOutlet::hand_over(std::shared_ptr<Inlet> inlet, Peer& peer, const Message& message,
+                            Bytes& bytes) {
+  boost::shared_ptr<void const> ours = message.parcel.message;
+  if (!ours && ring_) {
+    ours = into_ring(message).message;
+    if (!ours) lacks_room();
+  }
+  if (!ours) ours = deserialise(message, bytes);
+  // What greets the peer goes by the link.
+  if (!is_greeted(peer)) inlet->follow_links();
+  const auto header = boost::make_shared<::ros::M_string>();
+  (*header)["callerid"] = ::ros::this_node::getName();
+  (*header)["topic"] = options_.topic;
+  (*header)["type"] = kind_.datatype;
+  (*header)["md5sum"] = kind_.md5sum;
+  (*header)["message_definition"] = kind_.definition;
+  (*header)["latching"] = message.latched_by ? "1" : "0";
+  inlet->take({std::move(ours), header, message.latched_by}, depth_of(options_));
+  peer.inlet = inlet;
+  receivers_.push_back(std::move(inlet));
+}
+
+/// All but LOT's own get the bytes, and so do those that come to this link later.
+void TopicOutlet::send_to_be_kept(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
+                                  Bytes& bytes) {
+  ++by_link_;
+  ::ros::SerializedMessage kept = serialise(message, bytes);
+  kept.type_info = &Inlet::taken_type();
+  link.enqueueMessage(kept, true, false);
+  peer.is_kept = true;
+}
+
+/// True when a plain subscriber that comes beside LOT's own of this process is to get what is
+/// latched, and roscpp does not have it.
+bool TopicOutlet::is_latched_here() const {
+  return !latched().empty() && std::any_of(peers_.begin(), peers_.end(), [](const Peer& peer) {
+    return peer.state == State::Link && !peer.is_kept && is_in_process(peer.link);
+  });
+}
+
+/// Is one there? roscpp does not say so.
+void TopicOutlet::look_beside() {
+  for (Peer& peer : peers_) {
+    if (peer.state != State::Link || peer.is_kept || !is_in_process(peer.link)) continue;
+    const ::ros::SubscriberLinkPtr link = peer.link.lock();
+    if (!link) continue;
+    const Inlet::Subscribers there = Inlet::on(*link, *kind_.standard.type);
+    if (!there.plain && !there.others) continue;
+    const bool is_new = there.inlet && there.inlet != peer.inlet.lock();
+    for (const Message* message : latched()) {
+      Bytes bytes;
+      if (is_new) hand_over(there.inlet, peer, *message, bytes);
+      send_to_be_kept(peer, *link, *message, bytes);
+    }
+  }
 }
 
 bool TopicOutlet::latches() {
@@ -670,14 +747,19 @@ bool TopicOutlet::latches() {
   return has_latched_;
 }
 
+/// On the heap.
+boost::shared_ptr<void const> TopicOutlet::deserialise(const Message& message, Bytes& bytes) {
+  const ::ros::SerializedMessage& made = serialise(message, bytes);
+  const auto length =
+      made.num_bytes - static_cast<std::size_t>(made.message_start - made.buf.get());
+  return kind_.deserialise(made.message_start, static_cast<std::uint32_t>(length));
+}
+
 /// No subscriber may change what is latched: the user's standard message goes, and a copy stays.
 void TopicOutlet::keep_apart(Message& message, Bytes& bytes) {
   detail::Parcel& parcel = message.parcel;
   if (!parcel.message) {
-    const ::ros::SerializedMessage& made = serialise(message, bytes);
-    const auto length =
-        made.num_bytes - static_cast<std::size_t>(made.message_start - made.buf.get());
-    parcel.message = kind_.deserialise(made.message_start, static_cast<std::uint32_t>(length));
+    parcel.message = deserialise(message, bytes);
     message.fresh = false;
   }
   parcel.standard.reset();
@@ -695,8 +777,9 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
   loop_->at(when, [weak = weak_from_this(), patience] {
     const auto self = weak.lock();
     if (!self) return;
-    const std::unique_lock lock(self->mutex_, std::try_to_lock);
+    std::unique_lock lock(self->mutex_, std::try_to_lock);
     if (!lock) return self->look_at(Loop::Clock::now() + kBusy, patience);
+    const Turn turn(*self, std::move(lock));
     self->watching_ = false;
     if (!self->session_) return;
     const bool all_answered = self->take_answers();
@@ -704,7 +787,9 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
     const bool is_early = now < self->probe_at_;
     bool goes_on = is_early;
     // Who comes beside a peer in the ring is to get what is latched, too.
-    const bool asks_anyway = self->latched_last(self->latched()) != nullptr && self->is_read();
+    self->look_beside();
+    const bool asks_anyway = self->is_latched_here() ||
+                             (self->latched_last(self->latched()) != nullptr && self->is_read());
     if (!goes_on && (self->published_ != 0 || !all_answered || asks_anyway)) {
       goes_on = true;
       const std::uint32_t published = std::exchange(self->published_, 0);
@@ -764,14 +849,13 @@ void TopicOutlet::probe(Peer& peer) {
 // ---- the user's ends ----------------------------------------------------------------------------
 
 std::uint64_t TopicOutlet::add(bool latches, bool greets) {
-  Peers gone;  // destroyed when the lock has been left
-  const std::lock_guard guard(mutex_);
-  ends_[++last_end_] = {latches, greets, std::nullopt};
+  const Turn turn(*this);
+  ends_[++last_end_] = {latches, greets};
   if (!greets) return last_end_;
   // What its callback sends comes behind all that was published so far.
   End& end = ends_[last_end_];
   end.greets = false;  // of those who come from now on it hears, and of these
-  take_note(gone);
+  take_note();
   end.greets = true;
   for (Peer& peer : peers_) {
     if (peer.state == State::Open) welcome(peer);
@@ -783,11 +867,10 @@ std::uint64_t TopicOutlet::add(bool latches, bool greets) {
 }
 
 void TopicOutlet::greeted(std::uint64_t name, const std::string& peer_name) {
-  Peers gone;  // destroyed when the lock has been left
-  const std::lock_guard guard(mutex_);
+  const Turn turn(*this);
   const auto at = ends_.find(name);
   if (!session_ || at == ends_.end()) return;
-  take_note(gone);
+  take_note();
   // Those that were there before the callback was may be greeted twice.
   auto& ungreeted = at->second.ungreeted;
   if (const auto link = ungreeted.find(peer_name); link != ungreeted.end()) {
@@ -797,7 +880,12 @@ void TopicOutlet::greeted(std::uint64_t name, const std::string& peer_name) {
     if (peer.name != peer_name || !is_greeted(peer)) continue;
     if (peer.state == State::Open) welcome(peer);
     if (peer.state == State::Open && needs_link(peer)) go_to_link(peer);
-    if (peer.state == State::Link) invite(peer);
+    if (peer.state != State::Link) continue;
+    invite(peer);
+    const ::ros::SubscriberLinkPtr link = peer.link.lock();
+    if (!link || !link->isIntraprocess()) continue;
+    const auto there = Inlet::on(*link, *kind_.standard.type);
+    if (there.inlet) there.inlet->follow_links();
   }
 }
 

@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include <boost/make_shared.hpp>
 #include <ros/callback_queue_interface.h>
 #include <ros/publication.h>
 #include <ros/subscriber_link.h>
@@ -24,8 +25,11 @@
 
 namespace lot::ros {
 
+class Inlet;
+
 /// One topic that this process publishes: LOT's ring for those peers that read it, an ordinary ROS
-/// link for all others (docs/ros.md).
+/// link for all others, and LOT's own subscribers of this process get messages from the thread that
+/// publishes (docs/ros.md).
 ///
 ///     Open ------ it reads our ring ------> Ring ------ it wants its link, no room ------> Link
 ///      | ^                                                                               ^ |
@@ -90,12 +94,16 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     detail::Parcel parcel;
     std::uint32_t number;
     bool fresh;  ///< its header says the number
+    /// The end that latches it has this; null: it is not latched.
+    boost::shared_ptr<::ros::M_string> latched_by{};
   };
   struct Peer {
     int number = 0;  ///< roscpp's, of the connection
     boost::weak_ptr<::ros::SubscriberLink> link{};
     std::string name;
-    bool may_read = false;  ///< TCPROS, or of this process
+    bool may_read = false;         ///< its link is TCPROS, and of another node
+    bool is_kept = false;          ///< its link is of this process and has carried what is latched
+    std::weak_ptr<Inlet> inlet{};  ///< that messages were handed over to last
     State state = State::Open;
     lot::detail::Served served;
     std::chrono::steady_clock::time_point served_since{};
@@ -126,6 +134,8 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     bool latches = false;
     bool greets = false;
     std::optional<Message> latched{};
+    /// While it lives, subscribers of this process give what is latched to those that come.
+    boost::shared_ptr<::ros::M_string> alive = boost::make_shared<::ros::M_string>();
     /// By name: links that have come and are to be greeted yet, since when its callback was there.
     std::map<std::string, int> ungreeted{};
   };
@@ -135,9 +145,11 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
 
   void announce(const News& news);  // REQUIRES news_mutex_
 
-  // All of these REQUIRE mutex_. What they take out of peers_ goes to `gone`, and is destroyed
-  // when the lock has been left.
-  void take_note(Peers& gone);
+  /// Holds mutex_. When it has left it, receivers_ deliver, and what is in gone_ is destroyed.
+  class Turn;
+
+  // All of these REQUIRE a Turn.
+  void take_note();
   void welcome(Peer& peer);
   bool try_ring(Peer& peer);
   bool may_come(const Peer& peer) const;
@@ -164,14 +176,22 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   /// The bytes of a message, made when they are asked for: once, for all links.
   using Bytes = std::optional<::ros::SerializedMessage>;
   const ::ros::SerializedMessage& serialise(const Message& message, Bytes& bytes);
-  void send(const Peer& peer, const Message& message, Bytes& bytes);
-  void send(const Peer& peer, const Message& message);
+  void send(Peer& peer, const Message& message, Bytes& bytes);
+  void send(Peer& peer, const Message& message);
   void send_sign(const Peer& peer, ::ros::SerializedMessage frame);
-  void send_in_process(::ros::SubscriberLink& link, const Message& message, Bytes& bytes);
+  void send_in_process(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
+                       Bytes& bytes);
+  void hand_over(std::shared_ptr<Inlet> inlet, Peer& peer, const Message& message, Bytes& bytes);
+  void send_to_be_kept(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
+                       Bytes& bytes);
+  bool is_latched_here() const;
+  void look_beside();
   bool latches();
+  boost::shared_ptr<void const> deserialise(const Message& message, Bytes& bytes);
   void keep_apart(Message& message, Bytes& bytes);
   std::shared_ptr<lot::detail::PusherCore> ring();
   detail::Parcel into_ring(const Message& message);
+  void lacks_room();
 
   const std::shared_ptr<Loop> loop_;
   const ::ros::AdvertiseOptions options_;
@@ -186,6 +206,8 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   mutable std::mutex mutex_;
   std::shared_ptr<Session> session_;  ///< null: closed
   Peers peers_;
+  Peers gone_;
+  std::vector<std::shared_ptr<Inlet>> receivers_;  ///< that have messages to deliver
   std::map<std::uint64_t, End> ends_;
   std::uint64_t last_end_ = 0;
   bool watching_ = false;        ///< LOT's thread will look after the links

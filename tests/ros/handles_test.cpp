@@ -1,6 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Handles of lot::ros in one node, with a real master: run by ros_test.py.
+// Handles of lot::ros in one node, and with a second one, and a real master: run by ros_test.py.
+//
+//     ros_handles_test --echo TOPIC    the second one: repeats on TOPIC/heard what TOPIC,
+//     TOPIC/bool
+//                                      and TOPIC/empty say; its LOT thread is held up for 1.5 s by
+//                                      a message on TOPIC/hold
 
 #define DOCTEST_CONFIG_IMPLEMENT
 #include "handles.hpp"
@@ -9,13 +14,18 @@
 #include <atomic>
 #include <cerrno>
 #include <chrono>
+#include <csignal>
+#include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <stdexcept>
 #include <string>
+#include <sys/wait.h>
 #include <thread>
+#include <unistd.h>
 #include <vector>
 
 #include <boost/make_shared.hpp>
@@ -24,6 +34,7 @@
 #include <ros/ros.h>
 #include <rosgraph_msgs/Log.h>
 #include <sensor_msgs/Image.h>
+#include <spawn.h>
 #include <std_msgs/Bool.h>
 #include <std_msgs/Empty.h>
 
@@ -35,6 +46,21 @@ using lot::ros::test::fresh_topic;
 using lot::ros::test::say;
 using lot::ros::test::String;
 using Image = lot::ros::Message<sensor_msgs::Image_>;
+using Empty = lot::ros::Message<std_msgs::Empty_>;
+using Bool = lot::ros::Message<std_msgs::Bool_>;
+
+/// A message type that is neither LOT's nor the standard one, but serialises to the same.
+template <class T>
+struct OtherAllocator : std::allocator<T> {
+  template <class U>
+  struct rebind {
+    using other = OtherAllocator<U>;
+  };
+  OtherAllocator() = default;
+  template <class U>
+  OtherAllocator(const OtherAllocator<U>&) {}
+};
+using OtherString = std_msgs::String_<OtherAllocator<void>>;
 
 /// Waits until it holds, and spins nothing. False: in vain for so long.
 bool comes_unspun(const std::function<bool()>& condition, std::chrono::milliseconds most = 20s) {
@@ -62,8 +88,59 @@ struct Ear {
 };
 using Words = std::vector<std::string>;
 
+const char* const kHeldUp = "(held up)";
+const char* const kGoesOn = "(goes on)";
+
+int echo(int argc, char** argv) {
+  ros::init(argc, argv, "echo", ros::init_options::AnonymousName);
+  const std::string topic = argv[2];
+  lot::ros::NodeHandle node;
+  auto heard = node.advertise<String>(topic + "/heard", 1000);
+  auto ear = node.subscribe<String>(
+      topic, 1000, [&](const boost::shared_ptr<String const>& message) { heard.publish(message); });
+  auto nothing =
+      node.subscribe<Empty>(topic + "/empty", 10, [&](const Empty&) { say(heard, "nothing"); });
+  auto word = node.subscribe<Bool>(
+      topic + "/bool", 10, [&](const Bool& message) { say(heard, message.data ? "yes" : "no"); });
+  auto hold = immediate().subscribe<String>(topic + "/hold", 10, [&](const String&) {
+    say(heard, kHeldUp);
+    std::this_thread::sleep_for(1500ms);
+    say(heard, kGoesOn);
+  });
+  ros::spin();
+  return 0;
+}
+
+/// A node of another process that hears a topic.
+class Elsewhere {
+ public:
+  explicit Elsewhere(const std::string& topic) {
+    listener_ = lot::ros::NodeHandle().subscribe<String>(topic + "/heard", 1000, ear_.callback());
+    char program[] = "/proc/self/exe", echo[] = "--echo";
+    std::string of = topic;
+    char* const argv[] = {program, echo, of.data(), nullptr};
+    REQUIRE(posix_spawn(&child_, program, nullptr, nullptr, argv, environ) == 0);
+    CHECK(comes([this] { return listener_.getNumPublishers() == 1; }));
+  }
+  Elsewhere(const Elsewhere&) = delete;
+  Elsewhere& operator=(const Elsewhere&) = delete;
+  ~Elsewhere() {
+    kill(child_, SIGINT);
+    int status = -1;
+    CHECK(waitpid(child_, &status, 0) == child_);
+    CHECK(status == 0);
+  }
+
+  const Words& heard() const { return ear_.heard; }
+
+ private:
+  Ear ear_;
+  lot::ros::Subscriber listener_;
+  pid_t child_ = 0;
+};
+
 /// Counts on from `next` until some in a row were not sent on links. Returns what comes then.
-std::size_t says_by_ring(const lot::ros::Publisher<String>& talker, std::size_t next) {
+std::size_t says_past_links(const lot::ros::Publisher<String>& talker, std::size_t next) {
   int in_a_row = 0;
   CHECK(comes([&] {
     const auto before = talker.by_link();
@@ -209,10 +286,17 @@ TEST_CASE(
         }
       });
   std::size_t got = 0;
-  auto listener = node.subscribe<String>(topic, 10, [&](const String& s) { got = s.data.size(); });
+  lot::ros::Subscriber listener;
+  std::optional<Elsewhere> there;
+  bool is_here = false;
+  SUBCASE("in this process") {
+    is_here = true;
+    listener = node.subscribe<String>(topic, 10, [&](const String& s) { got = s.data.size(); });
+  }
+  SUBCASE("in another one") { there.emplace(topic); }
   auto talker = node.advertise<String>(topic, 10);
   REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
-  says_by_ring(talker, 0);
+  says_past_links(talker, 0);
   const auto before = talker.serialised();
   auto large = boost::make_shared<std_msgs::String>();
   large->data.assign(50 << 20, 'x');
@@ -227,10 +311,13 @@ TEST_CASE(
     talker.publish(large);
     talker.publish(large);
     CHECK(talker.serialised() == before + 2);
-    CHECK(comes([&] { return got == large->data.size(); }));
+    CHECK(comes([&] {
+      return is_here ? got == large->data.size()
+                     : !there->heard().empty() && there->heard().back() == large->data;
+    }));
     CHECK(comes([&] { return warnings != 0; }));
   }
-  says_by_ring(talker, 0);
+  says_past_links(talker, 0);
   CHECK(warnings == 1);
 }
 
@@ -304,29 +391,45 @@ TEST_CASE("LOT's pointer for those who subscribe by roscpp's own NodeHandle") {
   CHECK(comes([&] { return heard == message.data; }));
 }
 
-TEST_CASE("messages of no byte, and of one, come by links") {
-  using Empty = lot::ros::Message<std_msgs::Empty_>;
-  using Bool = lot::ros::Message<std_msgs::Bool_>;
+TEST_CASE("messages of no byte, and of one, go to other processes by links") {
   lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  auto nothing = node.advertise<Empty>(topic + "/empty", 10);
+  auto word = node.advertise<Bool>(topic + "/bool", 10, true);
   int nothings = 0;
   std::vector<bool> words;
-  const auto of_nothing = fresh_topic();
-  const auto of_words = fresh_topic();
-  auto nothing = node.advertise<Empty>(of_nothing, 10);
-  auto word = node.advertise<Bool>(of_words, 10, true);
-  auto hears_nothing = node.subscribe<Empty>(of_nothing, 10, [&](const Empty&) { ++nothings; });
-  auto hears_words = node.subscribe<Bool>(
-      of_words, 10, [&](const Bool& message) { words.push_back(message.data); });
-  REQUIRE(comes([&] { return nothing.getNumSubscribers() == 1 && word.getNumSubscribers() == 1; }));
-  for (int i = 0; i < 4; ++i) {
-    nothing.publish(Empty());
-    auto message = word.loan();
-    message->data = i % 2 != 0;
-    word.publish(std::move(message));
+  const auto publish = [&] {
+    for (int i = 0; i < 4; ++i) {
+      nothing.publish(Empty());
+      auto message = word.loan();
+      message->data = i % 2 != 0;
+      word.publish(std::move(message));
+    }
+  };
+  const auto have_subscribers = [&] {
+    return nothing.getNumSubscribers() == 1 && word.getNumSubscribers() == 1;
+  };
+  SUBCASE("in this process they are handed over") {
+    auto hears_nothing =
+        node.subscribe<Empty>(topic + "/empty", 10, [&](const Empty&) { ++nothings; });
+    auto hears_words = node.subscribe<Bool>(
+        topic + "/bool", 10, [&](const Bool& message) { words.push_back(message.data); });
+    REQUIRE(comes(have_subscribers));
+    publish();
+    CHECK(comes([&] { return nothings == 4 && words.size() == 4; }));
+    CHECK(words == std::vector<bool>{false, true, false, true});
+    CHECK(word.serialised() == 0);
   }
-  CHECK(comes([&] { return nothings == 4 && words.size() == 4; }));
-  CHECK(words == std::vector<bool>{false, true, false, true});
-  CHECK(word.serialised() == 4);
+  SUBCASE("in another one") {
+    const Elsewhere there(topic);
+    REQUIRE(comes(have_subscribers));
+    publish();
+    CHECK(comes([&] { return there.heard().size() == 8; }));
+    Words said = there.heard();
+    said.erase(std::remove(said.begin(), said.end(), "nothing"), said.end());
+    CHECK(said == Words{"no", "yes", "no", "yes"});
+    CHECK(word.serialised() == 4);
+  }
 }
 
 TEST_CASE("a connect callback's own message comes first, and the others follow it") {
@@ -339,17 +442,25 @@ TEST_CASE("a connect callback's own message comes first, and the others follow i
     peer.publish(hello);
     greeted = true;
   });
-  Ear ear;
-  auto listener = node.subscribe<String>(topic, 100, ear.callback());
-  REQUIRE(comes([&] { return greeted.load(); }));
-  say(talker, "1");
-  say(talker, "2");
-  CHECK(comes([&] { return ear.heard.size() == 3; }));
-  CHECK(ear.heard == Words{"hello", "1", "2"});
-  // Soon they come by the ring.
-  const auto said = says_by_ring(talker, 3);
-  CHECK(comes([&] { return ear.heard.size() == said; }));
-  for (std::size_t i = 1; i < said; ++i) CHECK(ear.heard[i] == std::to_string(i));
+  const auto check = [&](const Words& heard) {
+    REQUIRE(comes([&] { return greeted.load(); }));
+    say(talker, "1");
+    say(talker, "2");
+    CHECK(comes([&] { return heard.size() == 3; }));
+    CHECK(heard == Words{"hello", "1", "2"});
+    const auto said = says_past_links(talker, 3);
+    CHECK(comes([&] { return heard.size() == said; }));
+    for (std::size_t i = 1; i < said; ++i) CHECK(heard[i] == std::to_string(i));
+  };
+  SUBCASE("in this process") {
+    Ear ear;
+    auto listener = node.subscribe<String>(topic, 100, ear.callback());
+    check(ear.heard);
+  }
+  SUBCASE("in another one") {
+    const Elsewhere there(topic);
+    check(there.heard());
+  }
 }
 
 TEST_CASE("two publishers of a topic greet, at any time, and what they say comes in its order") {
@@ -376,38 +487,35 @@ TEST_CASE("two publishers of a topic greet, at any time, and what they say comes
   for (int i = 1; i < 20; ++i) {
     if (i != 10) CHECK(ear.heard[std::size_t(i)] == std::to_string(i));
   }
-  const auto said = says_by_ring(first, 20);
+  const auto said = says_past_links(first, 20);
   CHECK(comes([&] { return ear.heard.size() == said; }));
   for (std::size_t i = 20; i < said; ++i) CHECK(ear.heard[i] == std::to_string(i));
 }
 
 TEST_CASE("who comes to read too late is served by its link, and then by the ring") {
   lot::ros::NodeHandle node;
-  auto at_once = immediate();
-  const auto slow = fresh_topic();
   const auto topic = fresh_topic();
-  std::atomic<bool> is_held_up{false};
-  auto holds_up = at_once.subscribe<String>(slow, 10, [&](const String&) {
-    is_held_up = true;
-    std::this_thread::sleep_for(1500ms);  // LOT's thread
-    is_held_up = false;
-  });
-  auto alarm = node.advertise<String>(slow, 10);
-  Ear ear;
-  auto listener = node.subscribe<String>(topic, 1000, ear.callback());
-  REQUIRE(comes([&] { return alarm.getNumSubscribers() == 1; }));
-  say(alarm, "");
-  REQUIRE(comes([&] { return is_held_up.load(); }));
+  const Elsewhere there(topic);
+  auto hold = node.advertise<String>(topic + "/hold", 10);
+  REQUIRE(comes([&] { return hold.getNumSubscribers() == 1; }));
+  say(hold, "");
+  REQUIRE(comes([&] { return there.heard() == Words{kHeldUp}; }));
   auto talker = node.advertise<String>(topic, 1000);
   CHECK(comes([&] { return talker.getNumSubscribers() == 1; }));
   std::size_t next = 0;
-  for (; is_held_up; std::this_thread::sleep_for(10ms)) {
+  CHECK(comes([&] {
     say(talker, std::to_string(next++).c_str());
-  }
+    return there.heard().size() > 1;
+  }));
   CHECK(talker.by_link() > 0);
-  const auto said = says_by_ring(talker, next);
-  CHECK(comes([&] { return ear.heard.size() == said; }));
-  for (std::size_t i = 0; i < said; ++i) CHECK(ear.heard[i] == std::to_string(i));
+  const auto said = says_past_links(talker, next);
+  CHECK(comes([&] { return there.heard().size() == said + 2; }));
+  Words heard = there.heard();
+  heard.erase(std::remove_if(heard.begin(), heard.end(),
+                             [](const std::string& word) { return word[0] == '('; }),
+              heard.end());
+  REQUIRE(heard.size() == said);
+  for (std::size_t i = 0; i < said; ++i) CHECK(heard[i] == std::to_string(i));
 }
 
 TEST_CASE("publishers are told who comes and who goes, and spinOnce() calls back") {
@@ -567,6 +675,181 @@ TEST_CASE(
     CHECK(heard == said);
     CHECK(plain_heard == said);
   }
+}
+
+// ---- from a publisher of this process
+// ------------------------------------------------------------
+
+TEST_CASE(
+    "the thread that publishes fills the queues of its process, and LOT's thread is not asked") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  std::atomic<bool> is_held_up{false};
+  std::atomic<bool> goes_on{false};
+  auto holds_up = immediate().subscribe<String>(topic + "/hold", 10, [&](const String&) {
+    is_held_up = true;
+    comes_unspun([&] { return goes_on.load(); });
+  });
+  auto hold = node.advertise<String>(topic + "/hold", 10);
+  Words heard;
+  std::set<const void*> sent, places;
+  auto listener =
+      node.subscribe<String>(topic, 100, [&](const boost::shared_ptr<String const>& message) {
+        heard.emplace_back(message->data.data(), message->data.size());
+        places.insert(message.get());
+      });
+  auto talker = node.advertise<String>(topic, 100);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  REQUIRE(comes([&] { return hold.getNumSubscribers() == 1; }));
+  say(talker, "first");  // what links have brought before the first one, LOT's thread must know
+  REQUIRE(comes([&] { return heard.size() == 1; }));
+  heard.clear();
+  places.clear();
+  say(hold, "");
+  REQUIRE(comes_unspun([&] { return is_held_up.load(); }));
+  Words said;
+  for (int n = 0; n < 50; ++n) {
+    said.push_back(std::to_string(n));
+    auto message = talker.loan();
+    message->data = said.back().c_str();
+    sent.insert(message.get());
+    talker.publish(std::move(message));
+  }
+  ros::getGlobalCallbackQueue()->callAvailable();
+  CHECK(heard == said);
+  CHECK(places == sent);
+  CHECK(talker.by_link() == 0);
+  goes_on = true;
+}
+
+TEST_CASE("four threads publish in one process, and what each says arrives in its order") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  constexpr int kThreads = 4, kEach = 200;
+  std::vector<std::vector<int>> heard(kThreads);
+  std::size_t all = 0;
+  auto listener = node.subscribe<String>(topic, 0, [&](const String& s) {
+    const std::string text(s.data.data(), s.data.size());
+    heard[std::size_t(text[0] - 'a')].push_back(std::stoi(text.substr(1)));
+    ++all;
+  });
+  auto talker = node.advertise<String>(topic, 1000);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  std::vector<std::thread> threads;
+  for (int t = 0; t < kThreads; ++t) {
+    threads.emplace_back([&, t] {
+      for (int n = 0; n < kEach; ++n) say(talker, (char('a' + t) + std::to_string(n)).c_str());
+    });
+  }
+  for (auto& thread : threads) thread.join();
+  CHECK(comes([&] { return all == kThreads * kEach; }));
+  for (const auto& of_one : heard) {
+    REQUIRE(of_one.size() == kEach);
+    CHECK(std::is_sorted(of_one.begin(), of_one.end()));
+  }
+}
+
+namespace {
+
+/// Calls at once, on the thread that adds, as an application's own queue may.
+class AtOnce final : public ros::CallbackQueueInterface {
+ public:
+  void addCallback(const ros::CallbackInterfacePtr& callback, std::uint64_t) override {
+    callback->call();
+  }
+  void removeByID(std::uint64_t) override {}
+};
+
+}  // namespace
+
+TEST_CASE("a queue that calls at once publishes the same topic again") {
+  AtOnce queue;
+  lot::ros::NodeHandle node;
+  node.setCallbackQueue(&queue);
+  const auto topic = fresh_topic();
+  auto talker = node.advertise<String>(topic, 100);
+  Ear ear;
+  auto listener = node.subscribe<String>(topic, 100, [&](const String& s) {
+    ear.callback()(s);
+    if (ear.heard.size() < 10) say(talker, std::to_string(ear.heard.size()).c_str());
+  });
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  say(talker, "0");
+  CHECK(comes_unspun([&] { return ear.heard.size() >= 10; }));
+  for (std::size_t i = 0; i < ear.heard.size(); ++i) CHECK(ear.heard[i] == std::to_string(i));
+  CHECK(ear.heard.size() == 10);
+}
+
+TEST_CASE("what is latched in one process is handed over, and given to whoever comes beside") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  auto talker = node.advertise<String>(topic, 10, true);
+  std::set<const void*> sent, places;
+  const auto latch = [&](const char* text) {
+    auto message = talker.loan();
+    message->data = text;
+    sent.insert(message.get());
+    talker.publish(std::move(message));
+  };
+  latch("0");
+  std::size_t heard = 0;
+  std::string latching;
+  const auto callback = [&](const ros::MessageEvent<String const>& event) {
+    ++heard;
+    places.insert(event.getConstMessage().get());
+    latching = event.getConnectionHeader().at("latching");
+    CHECK(event.getPublisherName() == ros::this_node::getName());
+  };
+  auto first = node.subscribe<String>(topic, 10, callback);
+  CHECK(comes([&] { return heard == 1; }));
+  latch("1");
+  CHECK(comes([&] { return heard == 2; }));
+  auto second = node.subscribe<String>(topic, 10, callback);
+  CHECK(comes([&] { return heard == 3; }));
+  CHECK(places == sent);
+  CHECK(latching == "1");
+  CHECK(talker.serialised() == 0);
+  // Plain ones, of the type and of any type: the last one, once, and then what comes.
+  Words plain_heard, any_heard;
+  ros::NodeHandle plain;
+  auto third = plain.subscribe<std_msgs::String>(
+      topic, 10, boost::function<void(const std_msgs::StringConstPtr&)>([&](const auto& s) {
+        plain_heard.push_back(s->data);
+      }));
+  CHECK(comes([&] { return plain_heard == Words{"1"}; }));
+  auto fourth = plain.subscribe<OtherString>(
+      topic, 10,
+      boost::function<void(const boost::shared_ptr<OtherString const>&)>(
+          [&](const auto& any) { any_heard.emplace_back(any->data.data(), any->data.size()); }));
+  CHECK(comes([&] { return any_heard == Words{"1"}; }));
+  latch("2");
+  CHECK(comes([&] {
+    return heard == 5 && plain_heard == Words{"1", "2"} && any_heard == Words{"1", "2"};
+  }));
+  // One that subscribes anew has it from roscpp, and then what comes.
+  first.shutdown();
+  second.shutdown();
+  Ear ear;
+  auto again = node.subscribe<String>(topic, 10, ear.callback());
+  latch("3");
+  CHECK(comes([&] { return ear.heard == Words{"2", "3"}; }));
+  CHECK(comes([&] { return plain_heard.size() == 3 && any_heard.size() == 3; }));
+}
+
+TEST_CASE("what has been latched goes with the publisher that latched it") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  Ear first, second;
+  auto early = node.subscribe<String>(topic, 10, first.callback());
+  auto other = node.advertise<String>(topic, 10);
+  auto talker = node.advertise<String>(topic, 10, true);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  say(talker, "latched");
+  CHECK(comes([&] { return first.heard == Words{"latched"}; }));
+  talker.shutdown();
+  auto late = node.subscribe<String>(topic, 10, second.callback());
+  say(other, "not latched");
+  CHECK(comes([&] { return second.heard == Words{"not latched"}; }));
 }
 
 // ---- callbacks on LOT's thread ------------------------------------------------------------------
@@ -828,6 +1111,7 @@ TEST_CASE("what is not LOT's goes to roscpp's queue, where LOT's thread calls ca
 }
 
 int main(int argc, char** argv) {
+  if (argc > 2 && std::string(argv[1]) == "--echo") return echo(argc, argv);
   ros::init(argc, argv, "handles");
   ros::NodeHandle keeps_ros;
   doctest::Context context(argc, argv);

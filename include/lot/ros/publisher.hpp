@@ -146,8 +146,8 @@ class Publisher {
     const auto outlet = end_ ? end_->outlet() : nullptr;
     return outlet ? outlet->serialised() : 0;
   }
-  /// How many went to a subscriber by its link, and not by the ring: serialised, or by pointer
-  /// where it is in this process.
+  /// How many went to a subscriber by its link, and not by the ring or from hand to hand:
+  /// serialised, or by pointer to a plain one of this process.
   std::uint64_t by_link() const {
     const auto outlet = end_ ? end_->outlet() : nullptr;
     return outlet ? outlet->by_link() : 0;
