@@ -6,7 +6,7 @@ if(LOT_SANITIZE)
   endif()
   list(JOIN LOT_SANITIZE "," lot_sanitizers)
   add_compile_options(-fsanitize=${lot_sanitizers} -fno-sanitize-recover=all
-    -fno-omit-frame-pointer -g)
+    -fno-omit-frame-pointer -g1)
   add_link_options(-fsanitize=${lot_sanitizers})
   unset(lot_sanitizers)
 endif()

@@ -120,7 +120,7 @@ struct OurMessages {};
 /// What they say on this thread.
 thread_local const std::type_info* said_type = &typeid(OurMessages);
 /// Where those leave their inlet that are asked for it on this thread.
-thread_local std::shared_ptr<Inlet>* asked = nullptr;
+thread_local std::shared_ptr<Inlet>* found_inlet = nullptr;
 
 /// Work for Intake's thread.
 class Errand final : public ::ros::CallbackInterface {
@@ -171,7 +171,7 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
   }
 
   const std::type_info& getTypeInfo() override {
-    if (asked != nullptr) *asked = inlet_.lock();
+    if (found_inlet != nullptr) *found_inlet = inlet_.lock();
     return *said_type;
   }
   bool isConst() override { return true; }
@@ -191,9 +191,9 @@ Inlet::Subscribers Inlet::on(::ros::SubscriberLink& link, const std::type_info& 
   Subscribers found;
   bool is_ours = false;
   bool not_ours = false;
-  asked = &found.inlet;
+  found_inlet = &found.inlet;
   link.getPublishTypes(not_ours, is_ours, taken_type());
-  asked = nullptr;
+  found_inlet = nullptr;
   if (!not_ours) return found;
   bool not_plain = false;
   link.getPublishTypes(not_plain, found.plain, standard);
