@@ -233,6 +233,7 @@ std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
   }
   std::shared_ptr<Inlet> inlet;
   std::uint64_t user = 0;
+  Inlet::Calls calls;  // made when the lock has been left
   {
     const auto session = Session::get();
     std::unique_lock lock(Topics::all().opening);
@@ -250,7 +251,7 @@ std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
     }
     const bool is_new = inlet == nullptr;
     if (is_new) inlet = std::make_shared<Inlet>(session, options, kind);
-    user = inlet->add(options);
+    user = inlet->add(options, calls);
     if (is_new) {
       bool opened = false;
       try {

@@ -121,6 +121,13 @@ struct OurMessages {};
 thread_local const std::type_info* said_type = &typeid(OurMessages);
 /// Where those leave their inlet that are asked for it on this thread.
 thread_local std::shared_ptr<Inlet>* found_inlet = nullptr;
+/// While this thread sends past an inlet: that one alone says so.
+struct Past {
+  const Inlet* inlet;
+};
+thread_local const Past* past = nullptr;
+/// Users to whose queues this thread adds callbacks just now.
+thread_local std::vector<const Inlet::Adding*> adding_here;
 
 /// Work for Intake's thread.
 class Errand final : public ::ros::CallbackInterface {
@@ -172,6 +179,8 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
 
   const std::type_info& getTypeInfo() override {
     if (found_inlet != nullptr) *found_inlet = inlet_.lock();
+    if (past != nullptr)
+      return inlet_.lock().get() == past->inlet ? typeid(Past) : typeid(OurMessages);
     return *said_type;
   }
   bool isConst() override { return true; }
@@ -183,7 +192,17 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
   const detail::Kind& kind_;
 };
 
-const std::type_info& Inlet::taken_type() noexcept { return typeid(OurMessages); }
+void Inlet::send_past(const Inlet* inlet, ::ros::SubscriberLink& link,
+                      ::ros::SerializedMessage bytes) {
+  const Past here{inlet};
+  const struct Sending {
+    explicit Sending(const Past& p) { past = &p; }
+    ~Sending() { past = nullptr; }
+  } sending(here);
+  bytes.type_info = &typeid(Past);
+  link.enqueueMessage(bytes, true, false);
+}
+
 Inlet::Disguise::Disguise(const std::type_info& type) noexcept { said_type = &type; }
 Inlet::Disguise::~Disguise() { said_type = &typeid(OurMessages); }
 
@@ -192,7 +211,7 @@ Inlet::Subscribers Inlet::on(::ros::SubscriberLink& link, const std::type_info& 
   bool is_ours = false;
   bool not_ours = false;
   found_inlet = &found.inlet;
-  link.getPublishTypes(not_ours, is_ours, taken_type());
+  link.getPublishTypes(not_ours, is_ours, typeid(OurMessages));
   found_inlet = nullptr;
   if (!not_ours) return found;
   bool not_plain = false;
@@ -253,8 +272,9 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
   ours.callback_queue = &Intake::the();
   ours.transport_hints = asked.transport_hints;
   ::ros::NodeHandle own(node);  // the user's may be shut down, and other users stay
+  close_gate();                 // roscpp may give us what links brought last
   subscriber_ = own.subscribe(ours);
-  follow_links();  // roscpp may have given us what they brought last
+  open_gate_behind_links();
   return bool(subscriber_);
 }
 
@@ -265,13 +285,16 @@ std::shared_ptr<Session> Inlet::close() {
     decltype(unclaimed_) unclaimed;
     decltype(held_) held;
     decltype(taken_) taken;
+    decltype(latched_) latched;
     loop_->call([&] {
       if (rings_) loop_->arrivals().remove(*rings_);
       rings.swap(rings_);
       unclaimed.swap(unclaimed_);
       held.swap(held_);
-      const std::lock_guard guard(taken_mutex_);
+      const std::scoped_lock guard(mutex_, taken_mutex_);
+      latched.swap(latched_);
       taken.swap(taken_);
+      is_closed_ = true;
     });
   }
   subscriber_.shutdown();
@@ -374,10 +397,15 @@ void Inlet::heard(const std::string& publisher, const Header& header, bool is_sh
   Link& link = links_[publisher];
   if (link.alive.lock() != header) {
     link = {boost::make_shared<::ros::M_string>(*header), header, 0, Loop::Clock::now()};
+    Calls calls;
     Last old;  // let go when the lock has been left
     const std::lock_guard guard(mutex_);
     if (!std::exchange(forgetting_, true)) forget_later();
-    if (const auto last = latched_.find(publisher); last != latched_.end()) {
+    const auto last = latched_.find(publisher);
+    // What this process itself has handed over has nothing to do with a link.
+    const bool is_links =
+        publisher != own_name_ || (last != latched_.end() && last->second.alive.expired());
+    if (last != latched_.end() && is_links) {
       if (last->second.is_known || !is_latching(header)) {  // it is an earlier link's, or of none
         old = std::move(last->second);
         latched_.erase(last);
@@ -387,7 +415,7 @@ void Inlet::heard(const std::string& publisher, const Header& header, bool is_sh
         last->second.is_known = true;
         for (const std::uint64_t name : std::exchange(last->second.late, {})) {
           const auto user = users_.find(name);
-          if (user != users_.end()) give(user->second, last->second.message, link.header);
+          if (user != users_.end()) give(user->second, last->second.message, link.header, calls);
         }
       }
     }
@@ -401,7 +429,11 @@ void Inlet::arrived(Frame frame) {
   const auto is_held = [&](const Frame& f) { return f.publisher == frame.publisher; };
   const bool is_behind =
       rings_ && (has_claimed() || std::any_of(held_.begin(), held_.end(), is_held));
-  if (frame.is_last_before) return is_behind ? held_.push_back(std::move(frame)) : handle(frame);
+  if (frame.is_last_before) {
+    if (!is_behind) return handle(frame);
+    held_.push_back(std::move(frame));
+    return read();
+  }
   Link& link = links_[frame.publisher];
   if (rings_ && !link.idle_rings && Loop::Clock::now() - link.since > kDecided) {
     link.idle_rings.emplace();
@@ -428,7 +460,7 @@ void Inlet::handle(const Frame& frame) {
   if (frame.is_last_before) {
     {
       const std::lock_guard guard(taken_mutex_);
-      --behind_;
+      ++gates_opened_;
     }
     return deliver_in_turn();
   }
@@ -506,6 +538,7 @@ std::optional<bool> Inlet::latches(const std::string& publisher) const {
 /// To all users' queues.
 void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
                     const Header& header) {
+  Calls calls;
   Last last;  // let go when the lock has been left
   const auto link = links_.find(publisher);
   const std::lock_guard guard(mutex_);
@@ -514,7 +547,7 @@ void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::str
     last = {message, header, is_known ? link->second.alive : decltype(Last::alive)(), is_known};
     remember(publisher, last);
   }
-  for (const auto& [name, user] : users_) give(user, message, header);
+  for (const auto& [name, user] : users_) give(user, message, header, calls);
 }
 
 /// What was there before is to be let go when the lock has been left.
@@ -523,8 +556,9 @@ void Inlet::remember(const std::string& publisher, Last& last) {
   if (!std::exchange(forgetting_, true)) forget_later();
 }
 
+/// Into its queue; what is in there does not change its order any more.
 void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
-                 const Header& header) {
+                 const Header& header, Calls& calls) {
   ::ros::SerializedMessage made;
   made.message = message;
   made.type_info = kind_.type;
@@ -539,28 +573,75 @@ void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
     loop_->afterwards(
         [queue = user.queue, id = user.id()] { ImmediateQueue::the().call(queue, id); });
   } else {
-    user.callbacks->addCallback(user.queue, user.id());
+    calls.add(*this, user);
   }
 }
 
-// ---- from publishers of this process
-// -------------------------------------------------------------
-
-void Inlet::take(Taken taken, std::size_t depth) {
-  Taken oldest;  // let go when the lock has been left
-  const std::lock_guard guard(taken_mutex_);
-  if (taken_.size() >= depth) {
-    oldest = std::move(taken_.front());
-    taken_.pop_front();
-  }
-  taken_.push_back(std::move(taken));
+void Inlet::Calls::add(Inlet& inlet, const User& user) {
+  calls_.push_back({inlet.shared_from_this(), user});
 }
 
-void Inlet::follow_links() {
+Inlet::Calls::~Calls() {
+  if (calls_.empty()) return;
+  Loop& loop = *calls_.front().inlet->loop_;
+  if (loop.has_turn()) {
+    loop.afterwards([calls = std::move(calls_)] {
+      for (const Call& call : calls) call.make();
+    });
+  } else {
+    for (const Call& call : calls_) call.make();
+  }
+}
+
+void Inlet::Calls::Call::make() const noexcept {
+  Adding& adding = *user.adding;
   {
-    const std::lock_guard guard(taken_mutex_);
-    ++behind_;
+    const std::lock_guard guard(inlet->mutex_);
+    if (adding.is_removed) return;
+    ++adding.threads;
   }
+  adding_here.push_back(&adding);
+  try {
+    user.callbacks->addCallback(user.queue, user.id());
+  } catch (const std::exception& e) {  // of a queue that calls at once
+    ROS_ERROR("LOT: %s: %s", inlet->topic_.c_str(), e.what());
+  } catch (...) {
+    ROS_ERROR("LOT: %s: a callback queue has thrown something that is no std::exception",
+              inlet->topic_.c_str());
+  }
+  adding_here.pop_back();
+  const std::lock_guard guard(inlet->mutex_);
+  --adding.threads;
+  inlet->added_.notify_all();
+}
+
+// ---- from publishers of this process ------------------------------------------------------------
+
+Inlet::Taken Inlet::take(Taken taken, std::size_t depth) {
+  Taken dropped{};
+  const std::lock_guard guard(taken_mutex_);
+  if (is_closed_) return taken;
+  if (taken_.size() >= std::max<std::size_t>(depth, most_waiting_)) {
+    // What is latched must be remembered, unless there is nothing else.
+    const auto oldest =
+        std::find_if(taken_.begin(), taken_.end(), [](const Taken& t) { return !t.latched_by; });
+    const auto at = oldest != taken_.end() ? oldest : taken_.begin();
+    dropped = std::move(*at);
+    taken_.erase(at);
+  }
+  taken.behind = gates_closed_;
+  taken_.push_back(std::move(taken));
+  return dropped;
+}
+
+std::uint64_t Inlet::close_gate() {
+  const std::lock_guard guard(taken_mutex_);
+  return ++gates_closed_;
+}
+
+/// When Intake's thread and LOT's have done what links have brought so far. A gate that was closed
+/// before may be opened by this one: all that had come before it has come before this one, too.
+void Inlet::open_gate_behind_links() {
   const auto come = [weak = weak_from_this(), loop = loop_] {
     loop->soon([weak] {
       const auto inlet = weak.lock();
@@ -574,63 +655,61 @@ void Inlet::follow_links() {
   Intake::the().addCallback(boost::make_shared<Errand>(come), 0);
 }
 
+void Inlet::follow_links() {
+  close_gate();
+  open_gate_behind_links();
+}
+
 void Inlet::deliver_taken() {
-  if (!calls_at_once_) {
-    std::uint32_t all = ~std::uint32_t{0};
-    deliver_taken(all);
-    return;
+  if (loop_->has_turn()) return deliver_in_turn();
+  if (calls_at_once_) {
+    return loop_->soon([weak = weak_from_this()] {
+      if (const auto inlet = weak.lock()) inlet->deliver_in_turn();
+    });
   }
-  loop_->soon([weak = weak_from_this()] {
-    if (const auto inlet = weak.lock()) inlet->deliver_in_turn();
-  });
+  std::size_t here = 0;  // those that come meanwhile their own threads deliver
+  {
+    const std::lock_guard guard(taken_mutex_);
+    here = taken_.size();
+  }
+  while (here-- > 0 && deliver_next()) {
+  }
 }
 
 /// On LOT's thread: as many as may be before it calls callbacks.
 void Inlet::deliver_in_turn() {
   if (std::exchange(turn_, loop_->turn()) != loop_->turn()) may_deliver_ = at_once_;
-  if (!deliver_taken(may_deliver_)) return;
+  for (; may_deliver_ > 0; --may_deliver_) {
+    if (!deliver_next()) return;
+  }
   loop_->soon([weak = weak_from_this()] {
     if (const auto inlet = weak.lock()) inlet->deliver_in_turn();
   });
 }
 
-/// Counts down. True when some are left that could be delivered.
-bool Inlet::deliver_taken(std::uint32_t& most) {
-  std::unique_lock lock(taken_mutex_);
-  if (std::exchange(is_delivering_, true)) return false;
-  while (most > 0 && behind_ == 0 && !taken_.empty()) {
-    {
-      const Taken next = std::move(taken_.front());
-      taken_.pop_front();
-      --most;
-      lock.unlock();
-      try {
-        deliver(next);
-      } catch (const std::exception& e) {  // of a user's queue
-        ROS_ERROR("LOT: %s: %s", topic_.c_str(), e.what());
-      } catch (...) {
-        ROS_ERROR("LOT: %s: a callback queue has thrown what is no std::exception", topic_.c_str());
-      }
-    }
-    lock.lock();
-  }
-  is_delivering_ = false;
-  return behind_ == 0 && !taken_.empty();
-}
-
-void Inlet::deliver(const Taken& taken) {
-  Last last;  // let go when the lock has been left
+/// False: none is there, or the first one waits for what links have brought.
+bool Inlet::deliver_next() {
+  Calls calls;
+  Taken next;  // let go, as `last`, when the lock has been left
+  Last last;
   const std::lock_guard guard(mutex_);
-  if (taken.latched_by) {
-    last = {taken.message, taken.header, taken.latched_by, true};
+  {
+    const std::lock_guard its_place(taken_mutex_);
+    if (taken_.empty() || taken_.front().behind > gates_opened_) return false;
+    next = std::move(taken_.front());
+    taken_.pop_front();
+  }
+  if (next.latched_by) {
+    last = {next.message, next.header, next.latched_by, true};
     remember(own_name_, last);
   }
-  for (const auto& [name, user] : users_) give(user, taken.message, taken.header);
+  for (const auto& [name, user] : users_) give(user, next.message, next.header, calls);
+  return true;
 }
 
 // ---- users --------------------------------------------------------------------------------------
 
-std::uint64_t Inlet::add(const ::ros::SubscribeOptions& options) {
+std::uint64_t Inlet::add(const ::ros::SubscribeOptions& options, Calls& calls) {
   User user;
   user.helper = options.helper;
   user.callbacks = options.callback_queue;
@@ -645,7 +724,7 @@ std::uint64_t Inlet::add(const ::ros::SubscribeOptions& options) {
     if (!last.is_known) {
       last.late.push_back(last_user_);
     } else if (is_latching(last.header) && !last.alive.expired()) {
-      give(user, last.message, last.header);
+      give(user, last.message, last.header, calls);
     }
   }
   users_[last_user_] = std::move(user);
@@ -656,21 +735,29 @@ std::uint64_t Inlet::add(const ::ros::SubscribeOptions& options) {
 void Inlet::count_at_once() {
   std::uint32_t n = kAtOnce;
   bool is_at_once = false;
+  std::size_t most = 0;
   for (const auto& [name, user] : users_) {
+    most = std::max(most, user.queue_size == 0 ? ~std::size_t{0} : std::size_t{user.queue_size});
     if (user.callbacks != immediate_queue()) continue;
     is_at_once = true;
     if (user.queue_size != 0) n = std::min(n, user.queue_size);
   }
   at_once_ = n;
   calls_at_once_ = is_at_once;
+  most_waiting_ = most;
 }
 
 Inlet::User Inlet::remove(std::uint64_t name) {
-  const std::lock_guard guard(mutex_);
+  std::unique_lock lock(mutex_);
   const auto at = users_.find(name);
   User user = std::move(at->second);
   users_.erase(at);
   count_at_once();
+  Adding& adding = *user.adding;
+  adding.is_removed = true;
+  const auto here =
+      static_cast<unsigned>(std::count(adding_here.begin(), adding_here.end(), &adding));
+  added_.wait(lock, [&] { return adding.threads == here; });
   return user;
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <atomic>
+#include <condition_variable>
 #include <cstdint>
 #include <deque>
 #include <map>
@@ -44,6 +45,12 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   /// Returns what it had, so that the last one goes where nothing waits for this.
   std::shared_ptr<Session> close();
 
+  /// Whether a thread adds a callback to the queue of a user just now. Guarded by the inlet's
+  /// mutex.
+  struct Adding {
+    unsigned threads = 0;
+    bool is_removed = false;
+  };
   struct User {
     ::ros::SubscriptionCallbackHelperPtr helper;
     ::ros::CallbackQueueInterface* callbacks;
@@ -51,14 +58,35 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     bool has_tracked_object;
     ::ros::VoidConstWPtr tracked_object;
     std::uint32_t queue_size;  ///< 0: any number
+    std::shared_ptr<Adding> adding = std::make_shared<Adding>();
 
     std::uint64_t id() const noexcept { return reinterpret_cast<std::uint64_t>(queue.get()); }
     /// None of its callbacks begins any more, and none is at work but in this thread.
     void dismiss();
   };
+  /// Callbacks for messages that are in users' queues already. They are added at its end, where no
+  /// lock may be held, for a queue of the application's may call at once; by LOT's thread when it
+  /// has done what it does now.
+  class Calls {
+   public:
+    Calls() = default;
+    ~Calls();
+    Calls(const Calls&) = delete;
+    Calls& operator=(const Calls&) = delete;
+    void add(Inlet& inlet, const User& user);  // REQUIRES the inlet's mutex
+
+   private:
+    struct Call {
+      std::shared_ptr<Inlet> inlet;
+      User user;
+      void make() const noexcept;
+    };
+    std::vector<Call> calls_;
+  };
   /// A subscriber of the user's; the name that it has here. What is latched it gets at once.
-  std::uint64_t add(const ::ros::SubscribeOptions& options);
-  /// Takes it out; to be dismissed, and destroyed, where no lock is held.
+  std::uint64_t add(const ::ros::SubscribeOptions& options, Calls& calls);
+  /// Takes it out; to be dismissed, and destroyed, where no lock is held. No thread but this one
+  /// adds a callback to its queue any more.
   User remove(std::uint64_t user);
   bool has_users();
 
@@ -74,11 +102,13 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     boost::shared_ptr<::ros::M_string> header;
     /// Who subscribes later gets it, too, as long as this lives; null: it is not latched.
     boost::shared_ptr<::ros::M_string> latched_by;
+    std::uint64_t behind = 0;  ///< the gate that is to be passed first
   };
-  /// Keeps it for deliver_taken(), behind those that are there: the last `depth` of them.
-  void take(Taken taken, std::size_t depth);
-  /// Puts them into the users' queues, on this thread; on LOT's where it calls a callback. Another
-  /// thread that is about that does it for this one. REQUIRES: no lock of a topic is held.
+  /// Keeps it for deliver_taken(), behind those that are there: the last of them, `depth` or as
+  /// many as a user's queue takes. Returns what that drops; to be destroyed where no lock is held.
+  Taken take(Taken taken, std::size_t depth);
+  /// Puts those that are there into the users' queues: on this thread, or on LOT's where that calls
+  /// callbacks. REQUIRES: no lock of a topic is held.
   void deliver_taken();
   /// What is taken from now on is delivered behind what links have brought so far.
   void follow_links();
@@ -90,9 +120,10 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     bool others = false;           ///< of another one, as ShapeShifter
   };
   static Subscribers on(::ros::SubscriberLink& link, const std::type_info& standard);
-  /// What LOT's own say that they take: bytes that are said to be that reach all but them.
-  static const std::type_info& taken_type() noexcept;
-  /// While it lives they pass for those of another type, on this thread.
+  /// To all subscribers on the link but `inlet`, which may be null; and roscpp keeps it.
+  static void send_past(const Inlet* inlet, ::ros::SubscriberLink& link,
+                        ::ros::SerializedMessage bytes);
+  /// While it lives LOT's own pass for those of another type, on this thread.
   class Disguise {
    public:
     explicit Disguise(const std::type_info& type) noexcept;
@@ -146,15 +177,17 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   void handle(const Frame& frame);
   void deliver_held();
   void deliver_in_turn();
-  bool deliver_taken(std::uint32_t& most);
-  void deliver(const Taken& taken);
+  bool deliver_next();
+  std::uint64_t close_gate();
+  void open_gate_behind_links();
   void deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
                const Header& header);
   Header header_of(const std::string& publisher) const;
   // REQUIRES mutex_.
   void remember(const std::string& publisher, Last& last);
   void count_at_once();
-  void give(const User& user, const boost::shared_ptr<void const>& message, const Header& header);
+  void give(const User& user, const boost::shared_ptr<void const>& message, const Header& header,
+            Calls& calls);
 
   const std::shared_ptr<Loop> loop_;
   const std::string topic_;
@@ -188,7 +221,9 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   mutable std::mutex mutex_;
   std::map<std::uint64_t, User> users_;
   std::atomic<std::uint32_t> at_once_{kAtOnce};
-  std::atomic<bool> calls_at_once_{false};  ///< a user's callback is called by LOT's thread
+  std::atomic<bool> calls_at_once_{false};    ///< a user's callback is called by LOT's thread
+  std::atomic<std::size_t> most_waiting_{0};  ///< that a user's queue takes
+  std::condition_variable added_;             ///< a callback
   /// Of each publisher that latches, or of which that is not known yet.
   std::map<std::string, Last> latched_;
   bool forgetting_ = false;  ///< LOT's thread will look whether they are still there
@@ -196,8 +231,9 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
 
   std::mutex taken_mutex_;  ///< a leaf
   std::deque<Taken> taken_;
-  unsigned behind_ = 0;         ///< frames that are to be handled before these
-  bool is_delivering_ = false;  ///< a thread is about that
+  std::uint64_t gates_closed_ = 0;  ///< messages wait behind them for what links have brought
+  std::uint64_t gates_opened_ = 0;
+  bool is_closed_ = false;
 };
 
 }  // namespace lot::ros

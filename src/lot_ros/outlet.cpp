@@ -12,8 +12,6 @@
 #include <ros/single_subscriber_publisher.h>
 #include <ros/this_node.h>
 
-#include "lot_ros/inlet.hpp"
-
 namespace lot::ros {
 namespace {
 
@@ -160,6 +158,8 @@ class TopicOutlet::Turn {
     gone.swap(outlet_.gone_);
     decltype(receivers_) receivers;
     receivers.swap(outlet_.receivers_);
+    decltype(dropped_) dropped;
+    dropped.swap(outlet_.dropped_);
     lock_.unlock();
     for (const auto& inlet : receivers) inlet->deliver_taken();
   }
@@ -572,6 +572,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   if (to_ring) ring_->push_shared(parcel.cell, parcel.message.get(), 0ns);
   for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
+  look_beside();
   Bytes bytes;
   if (latches) {
     keep_apart(message, bytes);
@@ -658,12 +659,13 @@ void TopicOutlet::send(Peer& peer, const Message& message, Bytes& bytes) {
 void TopicOutlet::send_in_process(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
                                   Bytes& bytes) {
   const std::type_info& standard = *kind_.standard.type;
-  Inlet::Subscribers there = Inlet::on(link, standard);
+  const Inlet::Subscribers there = subscribers_on(link);
   // All of this before a subscriber has a pointer by which to change it.
-  const bool is_ours = there.inlet != nullptr;
-  if (is_ours) hand_over(std::move(there.inlet), peer, message, bytes);
+  if (there.inlet) hand_over(there.inlet, peer, message, bytes);
   if (latches()) {
-    if (there.plain || there.others || peer.is_kept) send_to_be_kept(peer, link, message, bytes);
+    if (there.plain || there.others || peer.is_kept) {
+      send_to_be_kept(peer, link, there.inlet.get(), message, bytes);
+    }
     if (is_latched_here()) watch(kFirstLook);
     return;
   }
@@ -685,7 +687,7 @@ void TopicOutlet::send_in_process(Peer& peer, ::ros::SubscriberLink& link, const
 }
 
 /// To LOT's own subscribers of this process, which deliver it when the lock has been left.
-void TopicOutlet::hand_over(std::shared_ptr<Inlet> inlet, Peer& peer, const Message& message,
+void TopicOutlet::hand_over(const std::shared_ptr<Inlet>& inlet, Peer& peer, const Message& message,
                             Bytes& bytes) {
   boost::shared_ptr<void const> ours = message.parcel.message;
   if (!ours && ring_) {
@@ -702,18 +704,17 @@ void TopicOutlet::hand_over(std::shared_ptr<Inlet> inlet, Peer& peer, const Mess
   (*header)["md5sum"] = kind_.md5sum;
   (*header)["message_definition"] = kind_.definition;
   (*header)["latching"] = message.latched_by ? "1" : "0";
-  inlet->take({std::move(ours), header, message.latched_by}, depth_of(options_));
+  dropped_.push_back(
+      inlet->take({std::move(ours), header, message.latched_by}, depth_of(options_)));
   peer.inlet = inlet;
-  receivers_.push_back(std::move(inlet));
 }
 
-/// All but LOT's own get the bytes, and so do those that come to this link later.
-void TopicOutlet::send_to_be_kept(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
-                                  Bytes& bytes) {
+/// All but those that it was handed over to get the bytes, and so do those that come to this link
+/// later.
+void TopicOutlet::send_to_be_kept(Peer& peer, ::ros::SubscriberLink& link, const Inlet* has_it,
+                                  const Message& message, Bytes& bytes) {
   ++by_link_;
-  ::ros::SerializedMessage kept = serialise(message, bytes);
-  kept.type_info = &Inlet::taken_type();
-  link.enqueueMessage(kept, true, false);
+  Inlet::send_past(has_it, link, serialise(message, bytes));
   peer.is_kept = true;
 }
 
@@ -725,21 +726,29 @@ bool TopicOutlet::is_latched_here() const {
   });
 }
 
-/// Is one there? roscpp does not say so.
+/// Has one come since, or LOT's own anew? roscpp does not say so.
 void TopicOutlet::look_beside() {
+  if (!is_latched_here()) return;
   for (Peer& peer : peers_) {
-    if (peer.state != State::Link || peer.is_kept || !is_in_process(peer.link)) continue;
     const ::ros::SubscriberLinkPtr link = peer.link.lock();
-    if (!link) continue;
-    const Inlet::Subscribers there = Inlet::on(*link, *kind_.standard.type);
-    if (!there.plain && !there.others) continue;
+    if (peer.state != State::Link || peer.is_kept || !link || !link->isIntraprocess()) continue;
+    const Inlet::Subscribers there = subscribers_on(*link);
     const bool is_new = there.inlet && there.inlet != peer.inlet.lock();
     for (const Message* message : latched()) {
       Bytes bytes;
       if (is_new) hand_over(there.inlet, peer, *message, bytes);
-      send_to_be_kept(peer, *link, *message, bytes);
+      if (there.plain || there.others) {
+        send_to_be_kept(peer, *link, there.inlet.get(), *message, bytes);
+      }
     }
   }
+}
+
+/// What it finds delivers, and goes, when the lock has been left.
+Inlet::Subscribers TopicOutlet::subscribers_on(::ros::SubscriberLink& link) {
+  Inlet::Subscribers there = Inlet::on(link, *kind_.standard.type);
+  if (there.inlet) receivers_.push_back(there.inlet);
+  return there;
 }
 
 bool TopicOutlet::latches() {
@@ -803,7 +812,10 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
     if (!all_answered || goes_on) {
       self->watching_ = true;
       auto next = all_answered ? self->probe_at_ : now + patience;
-      if (asks_anyway && !is_early) next = std::min(next, now + kLastLook);  // for the answers
+      // For the answers; and where nobody is asked.
+      if ((asks_anyway && !is_early) || self->is_latched_here()) {
+        next = std::min(next, now + kLastLook);
+      }
       self->look_at(next, all_answered ? kFirstLook : std::min(2 * patience, kLastLook));
     }
   });
@@ -884,7 +896,7 @@ void TopicOutlet::greeted(std::uint64_t name, const std::string& peer_name) {
     invite(peer);
     const ::ros::SubscriberLinkPtr link = peer.link.lock();
     if (!link || !link->isIntraprocess()) continue;
-    const auto there = Inlet::on(*link, *kind_.standard.type);
+    const auto there = subscribers_on(*link);
     if (there.inlet) there.inlet->follow_links();
   }
 }

@@ -21,11 +21,10 @@
 
 #include "lot/ros/core.hpp"
 
+#include "lot_ros/inlet.hpp"
 #include "lot_ros/session.hpp"
 
 namespace lot::ros {
-
-class Inlet;
 
 /// One topic that this process publishes: LOT's ring for those peers that read it, an ordinary ROS
 /// link for all others, and LOT's own subscribers of this process get messages from the thread that
@@ -181,9 +180,11 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void send_sign(const Peer& peer, ::ros::SerializedMessage frame);
   void send_in_process(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
                        Bytes& bytes);
-  void hand_over(std::shared_ptr<Inlet> inlet, Peer& peer, const Message& message, Bytes& bytes);
-  void send_to_be_kept(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
-                       Bytes& bytes);
+  Inlet::Subscribers subscribers_on(::ros::SubscriberLink& link);
+  void hand_over(const std::shared_ptr<Inlet>& inlet, Peer& peer, const Message& message,
+                 Bytes& bytes);
+  void send_to_be_kept(Peer& peer, ::ros::SubscriberLink& link, const Inlet* has_it,
+                       const Message& message, Bytes& bytes);
   bool is_latched_here() const;
   void look_beside();
   bool latches();
@@ -207,7 +208,8 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   std::shared_ptr<Session> session_;  ///< null: closed
   Peers peers_;
   Peers gone_;
-  std::vector<std::shared_ptr<Inlet>> receivers_;  ///< that have messages to deliver
+  std::vector<std::shared_ptr<Inlet>> receivers_;  ///< that may have messages to deliver
+  std::vector<Inlet::Taken> dropped_;
   std::map<std::uint64_t, End> ends_;
   std::uint64_t last_end_ = 0;
   bool watching_ = false;        ///< LOT's thread will look after the links

@@ -852,6 +852,87 @@ TEST_CASE("what has been latched goes with the publisher that latched it") {
   CHECK(comes([&] { return second.heard == Words{"not latched"}; }));
 }
 
+TEST_CASE("a thread that is held up in a subscriber's queue holds no other publisher up") {
+  AtOnce queue;
+  lot::ros::NodeHandle node, at_once;
+  at_once.setCallbackQueue(&queue);
+  const auto topic = fresh_topic();
+  std::atomic<bool> is_at_work{false}, goes_on{false};
+  auto holds_up = at_once.subscribe<String>(topic, 1000, [&](const String&) {
+    is_at_work = true;
+    comes_unspun([&] { return goes_on.load(); });
+  });
+  Ear ear;
+  auto listener = node.subscribe<String>(topic, 1000, ear.callback());
+  auto talker = node.advertise<String>(topic, 10);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  std::thread first([&] { say(talker, "0"); });
+  REQUIRE(comes_unspun([&] { return is_at_work.load(); }));
+  // More than the publisher's queue: the subscriber's has room for them.
+  for (int n = 1; n <= 200; ++n) say(talker, std::to_string(n).c_str());
+  CHECK(comes([&] { return ear.heard.size() >= 200; }));
+  goes_on = true;
+  first.join();
+  CHECK(comes([&] { return ear.heard.size() == 201; }));
+  for (std::size_t n = 0; n < ear.heard.size(); ++n) CHECK(ear.heard[n] == std::to_string(n));
+}
+
+TEST_CASE("a queue that calls at once answers another process on the topic itself") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  const Elsewhere there(topic);
+  auto talker = node.advertise<String>(topic, 10);
+  AtOnce queue;
+  lot::ros::NodeHandle at_once;
+  at_once.setCallbackQueue(&queue);
+  auto answers = node.advertise<String>(topic + "/heard", 10);
+  std::mutex mutex;
+  Words heard;
+  auto listener = at_once.subscribe<String>(topic + "/heard", 100, [&](const String& s) {
+    const std::string word(s.data.data(), s.data.size());
+    {
+      const std::lock_guard guard(mutex);
+      heard.push_back(word);
+    }
+    if (word == "question") say(answers, "answer");
+  });
+  REQUIRE(comes([&] {
+    return talker.getNumSubscribers() == 1 && listener.getNumPublishers() == 2 &&
+           answers.getNumSubscribers() == 1;
+  }));
+  say(talker, "question");
+  CHECK(comes([&] {
+    const std::lock_guard guard(mutex);
+    return heard == Words{"question", "answer"};
+  }));
+}
+
+TEST_CASE("who comes beside gets what is latched before what another publisher says then") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  auto latching = node.advertise<String>(topic, 10, true);
+  auto other = node.advertise<String>(topic, 10);
+  Ear ear;
+  auto listener = node.subscribe<String>(topic, 10, ear.callback());
+  REQUIRE(comes([&] { return other.getNumSubscribers() == 1; }));
+  say(latching, "latched");
+  CHECK(comes([&] { return ear.heard == Words{"latched"}; }));
+  Words plain_heard;
+  auto plain = ros::NodeHandle().subscribe<std_msgs::String>(
+      topic, 10, boost::function<void(const std_msgs::StringConstPtr&)>([&](const auto& s) {
+        plain_heard.push_back(s->data);
+      }));
+  say(other, "and then");
+  CHECK(comes([&] { return plain_heard == Words{"latched", "and then"}; }));
+  CHECK(comes([&] { return ear.heard == Words{"latched", "and then"}; }));
+  listener.shutdown();
+  Ear again;
+  auto anew = node.subscribe<String>(topic, 10, again.callback());
+  say(other, "at last");
+  CHECK(comes([&] { return !again.heard.empty() && again.heard.back() == "at last"; }));
+  CHECK(comes([&] { return plain_heard.size() == 3; }));
+}
+
 // ---- callbacks on LOT's thread ------------------------------------------------------------------
 
 TEST_CASE("LOT's thread calls callbacks at once, one after the other") {
