@@ -55,6 +55,22 @@ void check_name(std::string_view name) {
 
 std::string_view text(const char* bytes, std::size_t room) { return {bytes, strnlen(bytes, room)}; }
 
+[[noreturn]] void refuse_subscribers(const std::string& path, std::uint64_t subscribers,
+                                     std::uint32_t readers) {
+  throw Error(EUSERS, path,
+              "the topic has " + std::to_string(subscribers) +
+                  " subscribers, and a publisher has " + std::to_string(readers) +
+                  " readers at most",
+              "make the segment with a larger EngineOptions::readers");
+}
+
+[[noreturn]] void refuse_channel(const std::string& path, std::size_t channels) {
+  throw Error(ENOSPC, path, "all " + std::to_string(channels) + " channels are in use",
+              "make the segment with a larger EngineOptions::channels; " +
+                  segment::command("ls", path) +
+                  " shows queues whose items wait though their putters have gone");
+}
+
 }  // namespace
 
 Registry::Lock::Lock(Registry& registry) : registry_(registry) {
@@ -230,12 +246,7 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
   for (std::uint32_t p = 1; p < segment_.capacity().participants; ++p) {
     awaited += pullers(topic, p);
   }
-  if (awaited > options.readers) {
-    throw Error(EUSERS, segment_.path(),
-                "the topic has " + std::to_string(awaited) + " subscribers, and a publisher has " +
-                    std::to_string(options.readers) + " readers at most",
-                "make the segment with a larger EngineOptions::readers");
-  }
+  if (awaited > options.readers) refuse_subscribers(segment_.path(), awaited, options.readers);
   const auto channels = segment_.channels();
   for (std::uint32_t c = 0; c < channels.size(); ++c) {
     auto& entry = channels[c];
@@ -287,11 +298,7 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     announce(topic);
     return ChannelName{c, generation};
   }
-  throw Error(ENOSPC, segment_.path(),
-              "all " + std::to_string(channels.size()) + " channels are in use",
-              "make the segment with a larger EngineOptions::channels; " +
-                  segment::command("ls", segment_.path()) +
-                  " shows queues whose items wait though their putters have gone");
+  refuse_channel(segment_.path(), channels.size());
 }
 
 std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {

@@ -144,22 +144,31 @@ class Observer {
     }
   }
 
+  /// A queue, and its writer word when the look at it began.
+  struct Looked {
+    std::uint32_t channel;
+    Word writer;
+  };
+
+  void complain_of(const Looked& at, const std::string& what) {
+    auto& entry = s_.channels()[at.channel];
+    // What is recycled meanwhile may look like anything, until its writer word says so; which may
+    // take long for one that is stopped with the registry's lock. The lock is looked at first.
+    if (!std::exchange(has_waited_, true)) std::this_thread::sleep_for(kRecycling);
+    const bool goes = ring::writer_state(at.writer) == ring::State::Orphan &&
+                      entry.formed.load(std::memory_order_acquire) == 0 &&
+                      s_.directory().lock.word.load(std::memory_order_acquire) != 0;
+    if (!goes && entry.writer.load(std::memory_order_acquire) == at.writer) {
+      complain("queue " + std::to_string(at.channel) + ": " + what);
+    }
+  }
+
   void find_channel(std::uint32_t c) {
     auto& entry = s_.channels()[c];
     const Word w = entry.writer.load(std::memory_order_acquire);
     const auto state = ring::writer_state(w);
     if (state == ring::State::Free || state == ring::State::Init) return;
-    const auto wrong = [&](const std::string& what) {
-      // What is recycled meanwhile may look like anything, until its writer word says so; which may
-      // take long for one that is stopped with the registry's lock. The lock is looked at first.
-      if (!std::exchange(has_waited_, true)) std::this_thread::sleep_for(kRecycling);
-      const bool goes = state == ring::State::Orphan &&
-                        entry.formed.load(std::memory_order_acquire) == 0 &&
-                        s_.directory().lock.word.load(std::memory_order_acquire) != 0;
-      if (!goes && entry.writer.load(std::memory_order_acquire) == w) {
-        complain("queue " + std::to_string(c) + ": " + what);
-      }
-    };
+    const Looked at{c, w};
     Channel channel;
     channel.channel = c;
     channel.generation = ring::writer_generation(w);
@@ -169,31 +178,53 @@ class Observer {
     channel.policy = static_cast<Policy>(entry.policy);
     channel.engine = static_cast<QueueEngine>(entry.engine);
     if (state != ring::State::Live && state != ring::State::Orphan) {
-      return wrong("its state is " + std::to_string(static_cast<unsigned>(state)));
+      return complain_of(at, "its state is " + std::to_string(static_cast<unsigned>(state)));
     }
-    if (channel.publisher >= capacity_.participants) return wrong("its publisher can not be");
-    if (channel.topic >= capacity_.topics) return wrong("its topic can not be");
+    if (channel.publisher >= capacity_.participants) {
+      return complain_of(at, "its publisher can not be");
+    }
+    if (channel.topic >= capacity_.topics) return complain_of(at, "its topic can not be");
     const segment::Ring r = s_.ring(c);
-    if (r.depth == 0) return wrong("its numbers make no sense");
+    if (r.depth == 0) return complain_of(at, "its numbers make no sense");
     channel.depth = r.depth;
     channel.taken = r.taken;
     // Cursors before slots: a reader is never ahead of what is read later.
-    struct Cursor {
-      std::uint32_t who;
-      Word position;
-    };
+    const std::vector<Cursor> cursors = cursors_of(at, r);
+    const bool marked = (r.space->load(std::memory_order_acquire) & 1) != 0;
+    find_queue(at, r, channel);
+    for (const Cursor& cursor : cursors) {
+      channel.readers.push_back(reader_at(cursor, at, r, channel));
+    }
+    const bool full = r.taken ? channel.queue.size() == r.depth
+                              : std::any_of(channel.readers.begin(), channel.readers.end(),
+                                            [](const Reader& x) { return x.holds_back; });
+    channel.waits = marked && !channel.orphan && is_alive(channel.publisher) && full;
+    seen_.channels.push_back(std::move(channel));
+  }
+
+  /// Where a reader of a queue is.
+  struct Cursor {
+    std::uint32_t process;
+    Word position;
+  };
+
+  std::vector<Cursor> cursors_of(const Looked& at, const segment::Ring& r) {
     std::vector<Cursor> cursors;
     for (std::uint32_t i = 0; i < r.readers; ++i) {
       const std::uint32_t who = r.who[i].load(std::memory_order_acquire);
       if (who == 0) continue;
       if (who > capacity_.participants) {
-        wrong("a reader of it can not be");
+        complain_of(at, "a reader of it can not be");
         continue;
       }
       const Word position = r.cells[i].position.load(std::memory_order_acquire);
       cursors.push_back({who - 1, position});
     }
-    const bool marked = (r.space->load(std::memory_order_acquire) & 1) != 0;
+    return cursors;
+  }
+
+  /// What lies in the slots.
+  void find_queue(const Looked& at, const segment::Ring& r, Channel& channel) {
     bool bad_slot = false;
     std::uint32_t newest = 0;
     std::vector<Word> slots(r.depth);
@@ -218,37 +249,35 @@ class Observer {
         channel.unfinished += ring::is_claimed(r.claims[i], ring::sequence(slot));
       }
     }
-    if (bad_slot) wrong("a slot of it names a message that can not be");
-    for (const Cursor& cursor : cursors) {
-      Reader reader{cursor.who};
-      reader.awaited = ring::is_awaited(cursor.position);
-      if (cursor.position == ring::kIdle || ring::is_joining(cursor.position)) {
-        reader.joining = true;
-      } else {
-        const Word at = ring::sequence(cursor.position);
-        const auto lag = ring::distance(channel.next, at);
-        reader.lag = lag > 0 ? static_cast<std::uint64_t>(lag) : 0;
-        if (r.taken) {
-          reader.lag = static_cast<std::uint64_t>(
-              std::count_if(channel.queue.begin(), channel.queue.end(),
-                            [at](const Queued& q) { return ring::distance(q.sequence, at) >= 0; }));
-        }
-        reader.lost = !r.blocking && !r.taken && reader.lag > r.depth ? reader.lag - r.depth : 0;
-        reader.holds_back = r.blocking && !r.taken && lag >= r.depth;
-        const Word b = ring::block(cursor.position);
-        if (b != ring::kNoBlock && b < capacity_.blocks) {
-          borrows_.insert({{static_cast<std::uint32_t>(b), cursor.who}, channel.topic});
-        } else if (b != ring::kNoBlock) {
-          wrong("a reader of it borrows a message that can not be");
-        }
-      }
-      channel.readers.push_back(reader);
+    if (bad_slot) complain_of(at, "a slot of it names a message that can not be");
+  }
+
+  /// REQUIRES: find_queue().
+  Reader reader_at(const Cursor& cursor, const Looked& at, const segment::Ring& r,
+                   const Channel& channel) {
+    Reader reader{cursor.process};
+    reader.awaited = ring::is_awaited(cursor.position);
+    if (cursor.position == ring::kIdle || ring::is_joining(cursor.position)) {
+      reader.joining = true;
+      return reader;
     }
-    const bool full = r.taken ? channel.queue.size() == r.depth
-                              : std::any_of(channel.readers.begin(), channel.readers.end(),
-                                            [](const Reader& x) { return x.holds_back; });
-    channel.waits = marked && !channel.orphan && is_alive(channel.publisher) && full;
-    seen_.channels.push_back(std::move(channel));
+    const Word next_read = ring::sequence(cursor.position);
+    const auto lag = ring::distance(channel.next, next_read);
+    reader.lag = lag > 0 ? static_cast<std::uint64_t>(lag) : 0;
+    if (r.taken) {
+      reader.lag = static_cast<std::uint64_t>(std::count_if(
+          channel.queue.begin(), channel.queue.end(),
+          [&](const Queued& q) { return ring::distance(q.sequence, next_read) >= 0; }));
+    }
+    reader.lost = !r.blocking && !r.taken && reader.lag > r.depth ? reader.lag - r.depth : 0;
+    reader.holds_back = r.blocking && !r.taken && lag >= r.depth;
+    const Word b = ring::block(cursor.position);
+    if (b != ring::kNoBlock && b < capacity_.blocks) {
+      borrows_.insert({{static_cast<std::uint32_t>(b), cursor.process}, channel.topic});
+    } else if (b != ring::kNoBlock) {
+      complain_of(at, "a reader of it borrows a message that can not be");
+    }
+    return reader;
   }
 
   void count_memory() {
@@ -303,22 +332,32 @@ class Observer {
     return {{}, seconds_between(full ? noted.youngest_ns : noted.looked_ns, now_ns_)};
   }
 
-  void find_message(std::uint32_t b) {
-    auto& words = s_.block(b);
+  /// The ownership words of a message, of one moment.
+  struct Owned {
     std::uint64_t own[segment::Atomics::kOwnWords];
-    std::uint64_t life = 0;
-    std::uint32_t home = 0;
-    std::uint32_t home_points = 0;
+    std::uint64_t life;
+    std::uint32_t home;
+    std::uint32_t home_points;
+  };
+
+  Owned owned(std::uint32_t b) {
+    auto& words = s_.block(b);
+    Owned seen{};
     // A message that dies while it is read is read once more.
     for (int tries = 0; tries < 3; ++tries) {
-      life = words.life.load(std::memory_order_acquire);
-      home = words.home.load(std::memory_order_acquire);
-      home_points = words.home_points.load(std::memory_order_acquire);
+      seen.life = words.life.load(std::memory_order_acquire);
+      seen.home = words.home.load(std::memory_order_acquire);
+      seen.home_points = words.home_points.load(std::memory_order_acquire);
       for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
-        own[w] = words.own[w].load(std::memory_order_acquire);
+        seen.own[w] = words.own[w].load(std::memory_order_acquire);
       }
-      if (words.life.load(std::memory_order_acquire) == life) break;
+      if (words.life.load(std::memory_order_acquire) == seen.life) break;
     }
+    return seen;
+  }
+
+  void find_message(std::uint32_t b) {
+    const auto [own, life, home, home_points] = owned(b);
     if (home == refcount::kHomeFree) return;
     ++seen_.blocks.used;
     if (home > capacity_.participants) {

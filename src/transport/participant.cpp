@@ -108,6 +108,14 @@ EngineOptions with_environment(EngineOptions options) {
               segment::advice_on_address_space());
 }
 
+/// A segment of one's own, which a process uses, lets fewer in than was asked for.
+[[noreturn]] void refuse_narrow(const std::string& path, const std::string& reason) {
+  throw Error(EPERM, path, reason + "; and it is in use",
+              "end all that use it (" + segment::command("ls", path) +
+                  " names them) and start again, then it is made anew; or ask for no more than "
+                  "those do (LOT_GROUP, LOT_PERMISSIONS), or set LOT_SEGMENT");
+}
+
 /// What is in a segment that would be made anew.
 struct Contents {
   std::uint64_t items = 0;   ///< that wait, and are to stay
@@ -144,6 +152,68 @@ Contents look_into(const std::string& path, const segment::Trust& trust, bool ha
   return contents;
 }
 
+using Fit = segment::Segment::Fit;
+
+/// What lies where a process wants to join, seen with the gate held.
+struct Found {
+  Fit fit = Fit::Absent;
+  std::string reason;       ///< why it does not fit
+  std::string lock_reason;  ///< why its lock file lets fewer in than was asked for
+  bool used = false;        ///< by others; only looked for where segment or lock file would go
+  Contents contents;        ///< looked at in that case, too
+};
+
+/// Throws where what is there can neither be joined nor made anew.
+void require_free(const std::string& path, const Found& found, Participant::IfAbsent if_absent) {
+  const bool is_narrow = found.fit == Fit::Narrow;
+  if (found.fit == Fit::Stale && found.used) {
+    throw Error(EBUSY, path, found.reason + ", and it is in use",
+                "leave LOT_SIZE as those have it who use it, stop them, or set LOT_SEGMENT");
+  }
+  if (found.used && is_narrow) refuse_narrow(path, found.reason);
+  if (found.used && !found.lock_reason.empty()) refuse_narrow(path + ".lock", found.lock_reason);
+  if (found.fit == Fit::Fits) return;
+  if (if_absent == Participant::IfAbsent::Throw) {
+    throw Error(ENOENT, path, "nobody uses it any more", "there is nothing to be done");
+  }
+  const std::uint64_t items = found.contents.items;
+  if (items == 0) return;
+  const std::string size = is_narrow ? "" : "LOT_SIZE";
+  const std::string rights = found.contents.is_narrow ? "LOT_GROUP and LOT_PERMISSIONS" : "";
+  throw Error(
+      ENOTEMPTY, path,
+      found.reason + ", and " + std::to_string(items) +
+          (items == 1 ? " item waits in it that is to stay" : " items wait in it that are to stay"),
+      "take them without " + size + (size.empty() || rights.empty() ? "" : ", ") + rights +
+          ", or drop them by " + segment::command("clean --with-items", path));
+}
+
+/// The next process makes a new one.
+void remove_lock_file(const std::string& path, const std::string& reason,
+                      const std::string& advice) {
+  if (::unlink((path + ".lock").c_str()) == -1 && errno != ENOENT) {
+    throw Error(errno, path + ".lock", reason, advice);
+  }
+}
+
+/// So often a lock file is made anew: a process that asks for less may have made the new one.
+constexpr int kMostRenewals = 8;
+
+/// What is there keeps its mode: a new lock file gets the one that was asked for.
+void renew_lock_file(const std::string& path, const std::string& lock_reason, int renewed) {
+  if (renewed > kMostRenewals) {
+    throw Error(EPERM, path + ".lock", lock_reason + "; and new ones are so, too",
+                "name a directory with LOT_DIR whose file system has such modes");
+  }
+  remove_lock_file(path, lock_reason + "; and it cannot be removed",
+                   "remove it as the owner of its directory, or set LOT_SEGMENT or LOT_DIR");
+}
+
+segment::Capacity capacity_of(const EngineOptions& options) {
+  return {options.size_bytes, options.processes + 1, options.blocks,
+          options.topics,     options.channels,      options.readers};
+}
+
 }  // namespace
 
 segment::Trust Participant::trust_of_environment() {
@@ -169,17 +239,6 @@ void check_depth(std::string_view topic, std::uint32_t depth) {
   }
 }
 
-/// So often a lock file is made anew: a process that asks for less may have made the new one.
-constexpr int kMostRenewals = 8;
-
-/// A segment of one's own, which a process uses, lets fewer in than was asked for.
-[[noreturn]] void refuse_narrow(const std::string& path, const std::string& reason) {
-  throw Error(EPERM, path, reason + "; and it is in use",
-              "end all that use it (" + segment::command("ls", path) +
-                  " names them) and start again, then it is made anew; or ask for no more than "
-                  "those do (LOT_GROUP, LOT_PERMISSIONS), or set LOT_SEGMENT");
-}
-
 /// Opening, making and removing the segment happens between these.
 class Participant::GateGuard {
  public:
@@ -192,6 +251,43 @@ class Participant::GateGuard {
   liveness::LockFile* file_;
 };
 
+/// The one that this process has there already; null: none.
+std::shared_ptr<Participant> Participant::joined(const EngineOptions& options,
+                                                 const std::string& path,
+                                                 const segment::Trust& trust) {
+  std::shared_ptr<Participant> existing;  // the last handle goes without the mutex
+  const std::lock_guard guard(process().mutex);
+  existing = process().by_path[path].lock();
+  if (!existing || existing->inert_) return nullptr;
+  existing->lock_file_->require(trust);
+  const std::string reason = existing->lock_file_->shortfall(trust);
+  if (!reason.empty()) refuse_narrow(path + ".lock", reason);
+  if (options.lock_memory) existing->segment_.lock_memory();
+  if (options.persist) existing->segment_.keep_files();
+  return existing;
+}
+
+/// Joins the segment that is there. REQUIRES: the gate is held, and it is our turn.
+std::shared_ptr<Participant> Participant::admit(const EngineOptions& options,
+                                                const std::string& path,
+                                                const segment::Trust& trust,
+                                                const std::shared_ptr<liveness::LockFile>& file) {
+  const auto make = [&] {
+    try {
+      return new Participant(options, trust, file);
+    } catch (const std::bad_alloc&) {
+      refuse_without_memory(path);
+    }
+  };
+  auto* p = make();
+  std::shared_ptr<Participant> handle(p, &handle_gone);
+  if (options.persist) p->segment_.keep_files();
+  const std::lock_guard guard(process().mutex);
+  process().by_path[path] = handle;
+  process().all.push_back(p);
+  return handle;
+}
+
 std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent if_absent) {
   options = with_environment(std::move(options));
   const std::string path = segment::path_of(options.directory, options.segment);
@@ -199,109 +295,50 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
   trust.wants_all = if_absent == IfAbsent::Make;  // else it is a visitor
   watch_forks();
   const std::lock_guard joining(process().joining);
-  {
-    std::shared_ptr<Participant> existing;  // the last handle goes without the mutex
-    const std::lock_guard guard(process().mutex);
-    existing = process().by_path[path].lock();
-    if (existing && !existing->inert_) {
-      existing->lock_file_->require(trust);
-      const std::string reason = existing->lock_file_->shortfall(trust);
-      if (!reason.empty()) refuse_narrow(path + ".lock", reason);
-      if (options.lock_memory) existing->segment_.lock_memory();
-      if (options.persist) existing->segment_.keep_files();
-      return existing;
-    }
-  }
+  if (auto existing = joined(options, path, trust)) return existing;
 
   for (int renewed = 0;;) {
     auto file = std::make_shared<liveness::LockFile>(path + ".lock", trust);
     if (!file->enter_gate(kGatePatience)) continue;  // removed by the last one to leave: once more
-    liveness::LockFile& lock_file = *file;
-    GateGuard gate(lock_file);
+    GateGuard gate(*file);
     bool ours = false;  // there is a segment that the lock file belongs to
     bool made = false;  // by us, just now
-    const auto in_use = [&] { return lock_file.held_by_other(0, segment::kMaxParticipants); };
+    const auto in_use = [&] { return file->held_by_other(0, segment::kMaxParticipants); };
     try {
-      std::string reason;
-      const auto fit = segment::Segment::examine(path, options.size_bytes, trust, reason);
-      const bool is_narrow = fit == segment::Segment::Fit::Narrow;
-      ours = fit == segment::Segment::Fit::Fits || fit == segment::Segment::Fit::Stale || is_narrow;
-      if (fit == segment::Segment::Fit::Foreign) {
-        throw Error(EINVAL, path, reason, "remove it if it is yours, or set LOT_SEGMENT");
+      Found found;
+      const Fit fit = segment::Segment::examine(path, options.size_bytes, trust, found.reason);
+      found.fit = fit;
+      ours = fit == Fit::Fits || fit == Fit::Stale || fit == Fit::Narrow;
+      if (fit == Fit::Foreign) {
+        throw Error(EINVAL, path, found.reason, "remove it if it is yours, or set LOT_SEGMENT");
       }
-      const std::string lock_reason = lock_file.shortfall(trust);
-      const bool goes = fit != segment::Segment::Fit::Fits || !lock_reason.empty();
-      const Contents contents =
-          goes && ours ? look_into(path, trust, fit != segment::Segment::Fit::Stale) : Contents();
-      const bool used = goes && (contents.is_lived_in || in_use());
+      found.lock_reason = file->shortfall(trust);
+      const bool goes = fit != Fit::Fits || !found.lock_reason.empty();
+      if (goes && ours) found.contents = look_into(path, trust, fit != Fit::Stale);
+      found.used = goes && (found.contents.is_lived_in || in_use());
       // Without our locks we are not in the gate, and `used` says nothing.
-      lock_file.require_intact();
-      if (fit == segment::Segment::Fit::Stale && used) {
-        throw Error(EBUSY, path, reason + ", and it is in use",
-                    "leave LOT_SIZE as those have it who use it, stop them, or set LOT_SEGMENT");
-      }
-      if (fit == segment::Segment::Fit::Absent && used) {
+      file->require_intact();
+      if (fit == Fit::Absent && found.used) {
         // Somebody has removed the segment of living processes: the lock file is theirs.
-        if (::unlink((path + ".lock").c_str()) == -1 && errno != ENOENT) {
-          throw Error(errno, path + ".lock", "it is used with a segment that was removed",
-                      "stop those who use it (its owner can also remove it), or set LOT_SEGMENT");
-        }
+        remove_lock_file(
+            path, "it is used with a segment that was removed",
+            "stop those who use it (its owner can also remove it), or set LOT_SEGMENT");
         continue;
       }
-      if (used && is_narrow) refuse_narrow(path, reason);
-      if (used && !lock_reason.empty()) refuse_narrow(path + ".lock", lock_reason);
-      if (fit != segment::Segment::Fit::Fits && if_absent == IfAbsent::Throw) {
-        throw Error(ENOENT, path, "nobody uses it any more", "there is nothing to be done");
-      }
-      if (contents.items != 0 && fit != segment::Segment::Fit::Fits) {
-        const std::string size = is_narrow ? "" : "LOT_SIZE";
-        const std::string rights = contents.is_narrow ? "LOT_GROUP and LOT_PERMISSIONS" : "";
-        throw Error(ENOTEMPTY, path,
-                    reason + ", and " + std::to_string(contents.items) +
-                        (contents.items == 1 ? " item waits in it that is to stay"
-                                             : " items wait in it that are to stay"),
-                    "take them without " + size + (size.empty() || rights.empty() ? "" : ", ") +
-                        rights + ", or drop them by " +
-                        segment::command("clean --with-items", path));
-      }
-      if (!lock_reason.empty()) {
-        // What is there keeps its mode: a new lock file gets the one that was asked for.
-        if (fit != segment::Segment::Fit::Fits) segment::Segment::remove(path, trust);
-        if (++renewed > kMostRenewals) {
-          throw Error(EPERM, path + ".lock", lock_reason + "; and new ones are so, too",
-                      "name a directory with LOT_DIR whose file system has such modes");
-        }
-        if (::unlink((path + ".lock").c_str()) == -1 && errno != ENOENT) {
-          throw Error(errno, path + ".lock", lock_reason + "; and it cannot be removed",
-                      "remove it as the owner of its directory, or set LOT_SEGMENT or LOT_DIR");
-        }
+      require_free(path, found, if_absent);
+      if (fit != Fit::Fits) segment::Segment::remove(path, trust);
+      if (!found.lock_reason.empty()) {
+        renew_lock_file(path, found.lock_reason, ++renewed);
         continue;
       }
-      if (fit != segment::Segment::Fit::Fits) {
-        segment::Segment::remove(path, trust);
+      if (fit != Fit::Fits) {
         ours = false;
-        segment::Segment::create(path,
-                                 {options.size_bytes, options.processes + 1, options.blocks,
-                                  options.topics, options.channels, options.readers},
-                                 trust);
+        segment::Segment::create(path, capacity_of(options), trust);
         made = true;
       }
       ours = true;
-      lock_file.take_turn();
-      const auto make = [&] {
-        try {
-          return new Participant(options, trust, file);
-        } catch (const std::bad_alloc&) {
-          refuse_without_memory(path);
-        }
-      };
-      auto* p = make();
-      std::shared_ptr<Participant> handle(p, &handle_gone);
-      if (options.persist) p->segment_.keep_files();
-      const std::lock_guard guard(process().mutex);
-      process().by_path[path] = handle;
-      process().all.push_back(p);
-      return handle;
+      file->take_turn();
+      return admit(options, path, trust, file);
     } catch (...) {
       if (made && !in_use()) {
         segment::Segment::remove(path, trust);
@@ -374,6 +411,13 @@ Participant::~Participant() { munmap(holder_.cells, cells_bytes_); }
 
 void Participant::fill_hub() noexcept {
   hub_.owner = this;
+  fill_pointers();
+  fill_weak_pointers();
+  fill_answers();
+}
+
+/// What pointers do.
+void Participant::fill_pointers() noexcept {
   hub_.drop_last = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
     if (p.inert_) return;
@@ -395,10 +439,21 @@ void Participant::fill_hub() noexcept {
   hub_.acquire = [](detail::ControlCell* c) noexcept {
     of(c).holder_.acquire(c->block, hold::kPointer);
   };
-  hub_.path = [](const detail::ControlCell* c) noexcept { return of(c).segment_.path().c_str(); };
-  hub_.instance = [](const detail::ControlCell* c) noexcept {
-    return of(c).segment_.header().identity.instance;
+  hub_.shared_from_unique = [](detail::ControlCell* c) noexcept {
+    Participant& p = of(c);
+    if (p.holder_.is_home(c->block)) p.holder_.complete(c->block);  // one thread has it
+    p.hub_.points(c);
   };
+  hub_.points = [](detail::ControlCell* c) noexcept {
+    Participant& p = of(c);
+    if (p.holder_.is_home(c->block)) {
+      p.segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
+    }
+  };
+}
+
+/// What weak pointers do.
+void Participant::fill_weak_pointers() noexcept {
   hub_.lock_weak = [](detail::ControlCell* c, std::uint32_t generation) noexcept {
     Participant& p = of(c);
     if (p.inert_) return false;
@@ -418,6 +473,26 @@ void Participant::fill_hub() noexcept {
     return refcount::generation_of(
         of(c).segment_.block(c->block).life.load(std::memory_order_acquire));
   };
+  hub_.expired = [](const detail::ControlCell* c, std::uint32_t generation) noexcept {
+    Participant& p = of(c);
+    return p.inert_ || p.has_left() || p.hub_.generation(c) != generation;
+  };
+  hub_.weak_count = [](detail::ControlCell* c, int change) noexcept {
+    Participant& p = of(c);
+    if (change > 0) {
+      p.life_.fetch_add(kReference, std::memory_order_relaxed);
+    } else {
+      p.drop_reference();
+    }
+  };
+}
+
+/// What pointers ask.
+void Participant::fill_answers() noexcept {
+  hub_.path = [](const detail::ControlCell* c) noexcept { return of(c).segment_.path().c_str(); };
+  hub_.instance = [](const detail::ControlCell* c) noexcept {
+    return of(c).segment_.header().identity.instance;
+  };
   hub_.others = [](const detail::ControlCell* c) noexcept {
     Participant& p = of(c);
     segment::BlockWords& words = p.segment_.block(c->block);
@@ -436,35 +511,12 @@ void Participant::fill_hub() noexcept {
     }
     return n;
   };
-  hub_.expired = [](const detail::ControlCell* c, std::uint32_t generation) noexcept {
-    Participant& p = of(c);
-    return p.inert_ || p.has_left() || p.hub_.generation(c) != generation;
-  };
   hub_.alone = [](const detail::ControlCell* c) noexcept {
     const Participant& p = of(c);
     return !p.inert_ && p.is_alone(*c);
   };
   hub_.base = [](const detail::ControlCell* c) noexcept -> const unsigned char* {
     return of(c).segment_.base();
-  };
-  hub_.weak_count = [](detail::ControlCell* c, int change) noexcept {
-    Participant& p = of(c);
-    if (change > 0) {
-      p.life_.fetch_add(kReference, std::memory_order_relaxed);
-    } else {
-      p.drop_reference();
-    }
-  };
-  hub_.shared_from_unique = [](detail::ControlCell* c) noexcept {
-    Participant& p = of(c);
-    if (p.holder_.is_home(c->block)) p.holder_.complete(c->block);  // one thread has it
-    p.hub_.points(c);
-  };
-  hub_.points = [](detail::ControlCell* c) noexcept {
-    Participant& p = of(c);
-    if (p.holder_.is_home(c->block)) {
-      p.segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
-    }
   };
 }
 

@@ -368,7 +368,15 @@ class Participant {
   Participant(const EngineOptions& options, const segment::Trust& trust,
               std::shared_ptr<liveness::LockFile> lock_file);
   static Participant& of(const detail::ControlCell* cell) noexcept;
+  static std::shared_ptr<Participant> joined(const EngineOptions& options, const std::string& path,
+                                             const segment::Trust& trust);
+  static std::shared_ptr<Participant> admit(const EngineOptions& options, const std::string& path,
+                                            const segment::Trust& trust,
+                                            const std::shared_ptr<liveness::LockFile>& file);
   void fill_hub() noexcept;
+  void fill_pointers() noexcept;
+  void fill_weak_pointers() noexcept;
+  void fill_answers() noexcept;
   void take_index(const EngineOptions& options);
   bool try_take_index(bool of_a_dead_one, futex::Clock::time_point until);
   bool repair_index(futex::Clock::time_point until) noexcept;
