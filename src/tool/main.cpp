@@ -80,5 +80,8 @@ int main(int argc, char** argv) {
   } catch (const std::bad_alloc&) {
     std::fprintf(stderr, "lot: out of memory\n");
     return lot::tool::kWrong;
+  } catch (const std::exception& e) {
+    std::fprintf(stderr, "lot: %s\n", e.what());
+    return lot::tool::kWrong;
   }
 }

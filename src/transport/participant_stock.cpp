@@ -147,8 +147,9 @@ bool Participant::take_spare(May&& may) noexcept {
   for (std::uint32_t b = holder_.known.load(std::memory_order_relaxed); b != 0;) {
     std::size_t n = 0;
     while (b != 0 && n < wanted.size()) {
+      --b;
       // Relaxed: want_spare() looks again.
-      if (!holder_.is_home(--b) || !segment_.build(b).is_spare()) continue;
+      if (!holder_.is_home(b) || !segment_.build(b).is_spare()) continue;
       Pool& pool = holder_.pool_of(b);
       if (may(pool.index()) && pool.want_spare(b)) wanted[n++] = b;
     }

@@ -180,7 +180,7 @@ class Queue final : public detail::QueueCore {
       } else if (wait == Wait::Until) {
         futex::wait_any(waits, std::min(*again, deadline));
       } else {
-        futex::wait_any(waits, *again);
+        futex::wait_any(waits, again);
       }
     }
   }
