@@ -11,7 +11,7 @@ DIR is a build tree of Ninja in which lot and lot_model are built. Checked are
   - every C++ file of the tree, and what those objects read besides: nobody else defines a template
     of these names, or anything in namespace lot that a protocol header defines;
   - every #include that names a protocol header: it leads to the one in src/;
-  - tests/model, and its compiler's options: no macro stands for std, atomic or a memory order.
+  - tests/proof/model, and its compiler's options: no macro stands for std, atomic or a memory order.
 """
 
 import argparse
@@ -196,7 +196,7 @@ def check_tree(root, files, headers, names):
         text = file.read_text(errors='replace')
         yield from second_definitions(file.relative_to(root), text, names)
         yield from wrong_includes(root, file, text, headers)
-        if file.is_relative_to(root / 'tests' / 'model'):
+        if file.is_relative_to(root / 'tests' / 'proof' / 'model'):
             yield from pretences(root, file, text)
 
 
@@ -311,8 +311,8 @@ namespace lot::segment { template <class P> class Units {}; }
 namespace lot { template <class P> class Forward; }
 namespace lot::ring { template <class P> class Reader; int ready() { return make(2); } }
 ''',
-    'tests/model/relacy.hpp': '#undef memory_order_relaxed\n',
-    'tests/model/model.cpp': '''#include "relacy.hpp"
+    'tests/proof/model/relacy.hpp': '#undef memory_order_relaxed\n',
+    'tests/proof/model/model.cpp': '''#include "relacy.hpp"
 #include "recovery/recovery.hpp"
 namespace lot::model {
 using Ring = lot::ring::Ring<int>;
@@ -326,8 +326,8 @@ int main() {}
 ''',
 }
 PLANTED = [  # file, its text, what must be complained about
-    ('tests/model/bad.hpp', 'namespace lot::ring {\ntemplate <class P>\nclass Writer {};\n}\n',
-     'tests/model/bad.hpp:3: a second definition of Writer'),
+    ('tests/proof/model/bad.hpp', 'namespace lot::ring {\ntemplate <class P>\nclass Writer {};\n}\n',
+     'tests/proof/model/bad.hpp:3: a second definition of Writer'),
     ('tests/bad.cpp', 'namespace lot::test { namespace { template <class P> struct Ring {}; } }\n',
      'second definition of Ring'),
     ('tests/bad.cpp', 'namespace lot {\nnamespace ring { struct Reader { int a; }; } }\n',
@@ -343,13 +343,13 @@ PLANTED = [  # file, its text, what must be complained about
      'second definition of announce'),
     ('src/recovery/bad.hpp', 'namespace lot::ring { inline int make(int) { return 1; } }\n',
      'make is defined in src/lockfree_ring/ring.hpp already'),
-    ('tests/model/bad.cpp', '#include "copy/recovery.hpp"\n', 'bad.cpp:1: copy/recovery.hpp'),
-    ('tests/model/bad.cpp', '\n#  include <ring.hpp>\n', 'bad.cpp:2: ring.hpp is a copy'),
-    ('tests/model/bad.hpp', '#define std rl\n', 'tests/model/bad.hpp:1: a macro named std'),
-    ('tests/model/bad.hpp', '\n# define memory_order_acquire 0\n',
+    ('tests/proof/model/bad.cpp', '#include "copy/recovery.hpp"\n', 'bad.cpp:1: copy/recovery.hpp'),
+    ('tests/proof/model/bad.cpp', '\n#  include <ring.hpp>\n', 'bad.cpp:2: ring.hpp is a copy'),
+    ('tests/proof/model/bad.hpp', '#define std rl\n', 'tests/proof/model/bad.hpp:1: a macro named std'),
+    ('tests/proof/model/bad.hpp', '\n# define memory_order_acquire 0\n',
      'bad.hpp:2: a macro named memory_order_acquire'),
-    ('tests/model/bad.hpp', '#define atomic(x) rl::atomic<x>\n', 'a macro named atomic'),
-    ('tests/model/bad.hpp', '#include <relacy/relacy_std.hpp>\n', 'includes relacy/relacy_std'),
+    ('tests/proof/model/bad.hpp', '#define atomic(x) rl::atomic<x>\n', 'a macro named atomic'),
+    ('tests/proof/model/bad.hpp', '#include <relacy/relacy_std.hpp>\n', 'includes relacy/relacy_std'),
 ]
 BUILD = '''
 rule cc
@@ -366,13 +366,13 @@ build tests/CMakeFiles/lot_model.dir/model.o: cc {model}
 build lot_model: link tests/CMakeFiles/lot_model.dir/model.o
 '''
 BUILDS = [  # sources and flags of the model, what is built, what must be complained about
-    ('tests/model/model.cpp', '', ['lot', 'lot_model'], None),
-    ('tests/model/model.cpp', '', ['lot'], 'lot_model is not built'),
+    ('tests/proof/model/model.cpp', '', ['lot', 'lot_model'], None),
+    ('tests/proof/model/model.cpp', '', ['lot'], 'lot_model is not built'),
     ('other.cpp', '', ['lot', 'lot_model'], 'does not compile src/lockfree_ring/ring.hpp'),
-    ('tests/model/model.cpp', '-Iout', ['lot', 'lot_model'], 'a copy of a protocol header'),
-    ('tests/model/model.cpp', '-include out/same.hpp', ['lot', 'lot_model'],
+    ('tests/proof/model/model.cpp', '-Iout', ['lot', 'lot_model'], 'a copy of a protocol header'),
+    ('tests/proof/model/model.cpp', '-include out/same.hpp', ['lot', 'lot_model'],
      'second definition of Ring'),
-    ('tests/model/model.cpp', '-Dmemory_order_acquire=0', ['lot', 'lot_model'],
+    ('tests/proof/model/model.cpp', '-Dmemory_order_acquire=0', ['lot', 'lot_model'],
      'with -Dmemory_order'),
 ]
 

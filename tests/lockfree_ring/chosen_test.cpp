@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 // A publisher that says to each reader which messages are for it, in one thread; what threads do to
-// it is in tests/model/chosen_model.cpp, what lot::ros does with it in tests/ros.
+// it is in tests/proof/model/chosen_model.cpp, what lot::ros does with it in tests/lot_ros.
 
 #include <atomic>
 #include <cstdint>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The ring as an algorithm, in one thread: every case knows the exact interleaving. What threads do
-// to it is in tests/stress/threads_test.cpp, what a model checker does in tests/model.
+// to it is in tests/proof/stress/threads_test.cpp, what a model checker does in tests/proof/model.
 
 #include <algorithm>
 #include <atomic>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Ownership in one thread: who holds a block, when its message dies, and who gets its memory then.
-// What threads do to it is in tests/stress/threads_test.cpp.
+// What threads do to it is in tests/proof/stress/threads_test.cpp.
 
 #include <atomic>
 #include <cstdint>

@@ -14,8 +14,8 @@
 
 #include "actor.hpp"
 #include "command.hpp"
-#include "faults/janitor.hpp"
 #include "support/error_of.hpp"
+#include "support/janitor.hpp"
 #include "support/sanitizers.hpp"
 #include "support/users.hpp"
 #include "support/variable.hpp"

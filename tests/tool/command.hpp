@@ -9,7 +9,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "faults/neighbour.hpp"
+#include "support/neighbour.hpp"
 #include "support/processes.hpp"
 
 /// What the tests of the tool have in common: the command itself, run as anybody runs it.

@@ -19,7 +19,7 @@
 
 #include "actor.hpp"
 #include "command.hpp"
-#include "faults/janitor.hpp"
+#include "support/janitor.hpp"
 #include "support/window.hpp"
 #include "tool/sight.hpp"
 

@@ -17,9 +17,9 @@
 
 #include "actor.hpp"
 #include "command.hpp"
-#include "faults/janitor.hpp"
 #include "liveness/lock_file.hpp"
 #include "support/error_of.hpp"
+#include "support/janitor.hpp"
 #include "support/lock_owner.hpp"
 #include "support/users.hpp"
 #include "support/variable.hpp"

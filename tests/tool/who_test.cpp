@@ -15,7 +15,7 @@
 
 #include "actor.hpp"
 #include "command.hpp"
-#include "faults/janitor.hpp"
+#include "support/janitor.hpp"
 
 namespace {
 

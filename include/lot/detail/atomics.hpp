@@ -13,7 +13,7 @@ namespace lot::detail {
 ///
 /// Every algorithm of the protocol is a template on such a policy over memory that it is given, so
 /// that the header which the library compiles is the one that a model checker runs
-/// (tests/model supplies a policy of checked atomics).
+/// (tests/proof/model supplies a policy of checked atomics).
 struct HardwareAtomics {
   template <class T>
   using Atomic = std::atomic<T>;

@@ -27,7 +27,7 @@
 
 // The searches happen while compiling, so most checks are static_asserts beside
 // the type they are about; the cases at the end repeat the heart of them so that
-// a test run shows it. What the compiler says is tested in tests/compile_fail.
+// a test run shows it. What the compiler says is tested in tests/proof/compile_fail.
 namespace {
 
 // Stands for lot::ShmAllocator: it has state, and is not trivially copyable.

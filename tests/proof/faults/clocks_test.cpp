@@ -11,11 +11,11 @@
 
 #include "lot/lot.hpp"
 
-#include "janitor.hpp"
 #include "liveness/lock_file.hpp"
-#include "neighbour.hpp"
 #include "registry/registry.hpp"
+#include "support/janitor.hpp"
 #include "support/lock_owner.hpp"
+#include "support/neighbour.hpp"
 #include "wall_clock.hpp"
 
 namespace {

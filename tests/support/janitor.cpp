@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "janitor.hpp"
+#include "support/janitor.hpp"
 
 #include <csignal>
 #include <cstdlib>

@@ -22,11 +22,11 @@
 
 #include "lot/lot.hpp"
 
-#include "janitor.hpp"
 #include "liveness/lock_file.hpp"
 #include "lock_spy.hpp"
 #include "lockfree_ring/words.hpp"
-#include "neighbour.hpp"
+#include "support/janitor.hpp"
+#include "support/neighbour.hpp"
 
 namespace {
 

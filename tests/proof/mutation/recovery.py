@@ -20,7 +20,7 @@ LOCK = 'src/robust_mutex/lock_word.hpp'
 class Planted:
     name: str
     file: str
-    unit: str     # the scenarios that are to notice: tests/model/UNIT_model.cpp
+    unit: str     # the scenarios that are to notice: tests/proof/model/UNIT_model.cpp
     pairs: tuple  # (text, text instead), each found exactly once
 
 
@@ -239,7 +239,7 @@ class Builds:
             return try_model(self.build(mutant, source), [], hint)
 
     def build(self, mutant, source):
-        model = self.root / 'tests' / 'model'
+        model = self.root / 'tests' / 'proof' / 'model'
         program = source.parent / 'model'
         units = ('world', 'subscription', mutant.unit + '_model')
         subprocess.run(

@@ -16,10 +16,10 @@
 #include "lot/lot.hpp"
 
 #include "futex/futex.hpp"
-#include "janitor.hpp"
 #include "lockfree_ring/words.hpp"
-#include "neighbour.hpp"
 #include "refcount/ownership.hpp"
+#include "support/janitor.hpp"
+#include "support/neighbour.hpp"
 
 namespace {
 

@@ -19,11 +19,11 @@
 
 #include "lot/lot.hpp"
 
-#include "janitor.hpp"
 #include "liveness/death_notice.hpp"
 #include "liveness/lock_file.hpp"
-#include "neighbour.hpp"
 #include "puppet.hpp"
+#include "support/janitor.hpp"
+#include "support/neighbour.hpp"
 
 namespace {
 

@@ -9,7 +9,7 @@
 
 #include "lot/lot.hpp"
 
-#include "neighbour.hpp"
+#include "support/neighbour.hpp"
 
 namespace lot::testing {
 

@@ -19,9 +19,9 @@
 
 #include "lot/lot.hpp"
 
-#include "janitor.hpp"
-#include "neighbour.hpp"
 #include "refcount/ownership.hpp"
+#include "support/janitor.hpp"
+#include "support/neighbour.hpp"
 
 namespace {
 

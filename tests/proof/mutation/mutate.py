@@ -41,7 +41,7 @@ import recovery
 import sites
 
 HERE = pathlib.Path(__file__).resolve().parent
-ROOT = HERE.parent.parent
+ROOT = HERE.parents[2]
 FAILED = re.compile(r'^(\S+) +FAIL +(\d+) executions +[\d.]+ s  (.+)$', re.M)
 # What is tried until one search notices: quick ones first.
 SEARCHES = (('random', 20000), ('bounded', 0))
@@ -132,7 +132,7 @@ def parse(arguments):
     parser.add_argument('--jobs', type=int, default=2)
     parser.add_argument('--self-test', action='store_true')
     options = parser.parse_args(arguments)
-    options.model = options.build.resolve() / 'tests' / 'model' / 'lot_model'
+    options.model = options.build.resolve() / 'tests' / 'proof' / 'model' / 'lot_model'
     if not options.self_test and not options.model.exists():
         parser.error(f'there is no {options.model}: build it, or say --build')
     return options

@@ -473,7 +473,7 @@ def main():
                         help='one of each N searches, others with each LOT_TEST_SEED')
     parser.add_argument('--mappings', action='store_true', help='compare with the code only')
     parser.add_argument('--folder', type=pathlib.Path, default=HERE, help='where the models lie')
-    parser.add_argument('--root', type=pathlib.Path, default=HERE.parents[1],
+    parser.add_argument('--root', type=pathlib.Path, default=HERE.parents[2],
                         help='where their mappings begin')
     parser.add_argument('--self-test', action='store_true')
     arguments = parser.parse_args()

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """lot::ros over minutes: many topics, a dead master, slow callbacks, 1 kHz, flat memory.
 
-    tests/ros/long_test.py [Long.test_...]       about 14 minutes; LOT_ROS_LONG=0.1 in the environment: a tenth
+    tests/lot_ros/long_test.py [Long.test_...]       about 14 minutes; LOT_ROS_LONG=0.1 in the environment: a tenth
 """
 
 import os
@@ -11,7 +11,7 @@ import signal
 import time
 import unittest
 
-os.environ.setdefault('LOT_ROS_NODE', 'build/release/tests/ros/ros_node')
+os.environ.setdefault('LOT_ROS_NODE', 'build/release/tests/lot_ros/ros_node')
 os.environ.setdefault('LOT_TOOL', 'build/release/src/tool/lot')
 
 from graph import Graph  # noqa: E402

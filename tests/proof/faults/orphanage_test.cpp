@@ -16,12 +16,12 @@
 
 #include "lot/lot.hpp"
 
-#include "janitor.hpp"
 #include "liveness/lock_file.hpp"
 #include "lockfree_ring/words.hpp"
-#include "neighbour.hpp"
 #include "robust_mutex/robust_mutex.hpp"
+#include "support/janitor.hpp"
 #include "support/lock_owner.hpp"
+#include "support/neighbour.hpp"
 
 namespace {
 

@@ -20,10 +20,10 @@
 
 #include "lot/lot.hpp"
 
-#include "janitor.hpp"
 #include "liveness/lock_file.hpp"
-#include "neighbour.hpp"
 #include "slow_open.hpp"
+#include "support/janitor.hpp"
+#include "support/neighbour.hpp"
 
 namespace {
 

@@ -17,8 +17,8 @@
 
 #include "lot/lot.hpp"
 
-#include "janitor.hpp"
-#include "neighbour.hpp"
+#include "support/janitor.hpp"
+#include "support/neighbour.hpp"
 
 namespace {
 

@@ -6,7 +6,7 @@
  * Publishers, readers and wardens are killed after any step. A lost wake is an invalid end state:
  * somebody sleeps and nobody is left who could move.
  *
- * Everything is sequentially consistent here: memory orders are the business of tests/model. Who may
+ * Everything is sequentially consistent here: memory orders are the business of tests/proof/model. Who may
  * reap whom is the business of join_leave_reap.pml: a warden that finds a dead participant's byte
  * free takes it.
  *
@@ -214,7 +214,7 @@ inline wake_readers(c) {
 }
 
 /* Whoever announces a ring takes marks away in the others, and wakes: all of it, if k began to. That the
- * reaper takes the marks away first is left out, it makes the runs with two rings much larger: tests/model
+ * reaper takes the marks away first is left out, it makes the runs with two rings much larger: tests/proof/model
  * has it (announced_by_the_reaper). */
 inline wake_whom_it_announced_to(k) {
 #if RINGS > 1

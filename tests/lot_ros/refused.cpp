@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 // What cannot work with messages in shared memory: each case is refused by one line that says what
-// to write. tests/ros/CMakeLists.txt has the lines.
+// to write. tests/lot_ros/CMakeLists.txt has the lines.
 
 #include <ros/ros.h>
 #include <sensor_msgs/Image.h>

@@ -19,9 +19,9 @@
 #include "lot/lot.hpp"
 
 #include "first_sequence.hpp"
-#include "janitor.hpp"
 #include "lockfree_ring/words.hpp"
-#include "neighbour.hpp"
+#include "support/janitor.hpp"
+#include "support/neighbour.hpp"
 
 namespace {
 
