@@ -198,7 +198,7 @@ TEST_SUITE("lot_ab json") {
     CHECK(load(dir.path()).machine.cores == 2);
   }
 
-  TEST_CASE("who is killed while saving leaves the run that was there") {
+  TEST_CASE("a process that is killed while saving leaves the run that was there") {
     const TemporaryDirectory dir;
     const Run run = run_of({cell_of(128, 10'000)});
     save(run, dir.path());

@@ -32,7 +32,7 @@ Cell parked(std::size_t size) {
 }  // namespace
 
 TEST_SUITE("lot_ab rivals") {
-  TEST_CASE("each is held to what it is known to reach, in its better shape") {
+  TEST_CASE("each rival is held to what it is known to reach, in its better shape") {
     const auto checks = check_rivals(run_of({parked(16 << 20)}));
     REQUIRE(checks.size() == 3);
     CHECK(checks[0].rival == "lot2021-direct");
@@ -76,7 +76,7 @@ TEST_SUITE("lot_ab rivals") {
     CHECK(checks[0].verdict != "NO");
   }
 
-  TEST_CASE("who spins is held to the line between cores") {
+  TEST_CASE("a rival that spins is held to the line between cores") {
     Cell cell = parked(128);
     cell.conditions.wait = "spin";
     cell.conditions.mode = "ping-pong";

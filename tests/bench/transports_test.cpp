@@ -216,7 +216,7 @@ TEST_CASE("every transport serves several publishers, and every way to wait") {
   }
 }
 
-TEST_CASE("who can wait for slow subscribers loses nothing") {
+TEST_CASE("a transport that can wait for slow subscribers loses nothing") {
   const Watchdog watchdog{600};
   for (const unsigned pool : {0U, 8U}) {
     each_transport([pool](const Transport& t) {

@@ -130,7 +130,7 @@ TEST_CASE_FIXTURE(Fixture, "two processes wake each other, again and again") {
   CHECK(status_of(child) == 0);
 }
 
-TEST_CASE_FIXTURE(Fixture, "one wake reaches all who sleep on the word") {
+TEST_CASE_FIXTURE(Fixture, "one wake reaches all sleepers of the word") {
   pid_t children[3];
   for (pid_t& child : children) {
     child = in_child([this] {
@@ -346,7 +346,7 @@ TEST_CASE_FIXTURE(Fixture, "a thread can be lent to, though one before it in its
   }
 }
 
-TEST_CASE_FIXTURE(Fixture, "a wake that nobody waits for does nothing") {
+TEST_CASE_FIXTURE(Fixture, "a wake without a sleeper does nothing") {
   futex::wake_all(&shared->words[0]);
   CHECK_FALSE(futex::wait(&shared->words[0], 0, futex::Clock::now() + 1ms));
 }

@@ -84,7 +84,7 @@ class Fixture {
 
 TEST_SUITE_BEGIN("death_notice");
 
-TEST_CASE_FIXTURE(Fixture, "a process stands until it is killed; who sleeps on it is woken") {
+TEST_CASE_FIXTURE(Fixture, "a process stands until it is killed; its sleepers are woken") {
   for (int round = 0; round < 50; ++round) {
     Child child = claimer(stay);
     const std::uint64_t seen = shared->seat;
@@ -110,7 +110,7 @@ TEST_CASE_FIXTURE(Fixture, "a process that ends its notice takes it back") {
   CHECK(shared->seat == seat::make(1, 0));
 }
 
-TEST_CASE_FIXTURE(Fixture, "one that ends without a word, or becomes another program, is told of") {
+TEST_CASE_FIXTURE(Fixture, "a process that ends without a word, or by exec, is told of") {
   CHECK(claimer([](DeathNotice&) { _exit(0); }).wait() == 0);
   CHECK(is_told());
   CHECK(claimer([](DeathNotice&) { execl("/bin/true", "true", nullptr); }).wait() == 0);
@@ -143,8 +143,7 @@ TEST_CASE_FIXTURE(Fixture, "a seat that has changed is not claimed, and a death 
   CHECK(shared->seat == 7);
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "who was overtaken and dies has no notice, also with the same thread id") {
+TEST_CASE_FIXTURE(Fixture, "an overtaken process has no notice, nor by the same thread id") {
   Child child([&] {
     DeathNotice mine;
     must(!mine.claim(shared->seat, 1), "a seat that somebody else has");
@@ -174,7 +173,7 @@ TEST_CASE_FIXTURE(Fixture, "what another process has written there is set right,
   CHECK(is_told());
 }
 
-TEST_CASE_FIXTURE(Fixture, "a seat that another one has taken meanwhile is left to that one") {
+TEST_CASE_FIXTURE(Fixture, "a seat that another process has taken is left to it") {
   Child child = claimer([&](DeathNotice& mine) {
     while (seat::notice(shared->seat) != 12345) std::this_thread::sleep_for(100us);
     must(!mine.renew(), "another incarnation");
@@ -224,8 +223,7 @@ TEST_CASE_FIXTURE(Fixture, "a forked child neither keeps the notice nor gives it
   CHECK(is_told());
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "two of one process, as two segments or two copies of the library have") {
+TEST_CASE_FIXTURE(Fixture, "two of one process, as of two segments or library copies") {
   DeathNotice::Seat& second = shared->before;
   second = 0;
   Child child = claimer([&](DeathNotice& mine) {
@@ -243,7 +241,7 @@ TEST_CASE_FIXTURE(Fixture,
   second = 0x1111111111111111;
 }
 
-TEST_CASE_FIXTURE(Fixture, "one whose kernel takes no list says that its byte alone speaks") {
+TEST_CASE_FIXTURE(Fixture, "without a list of the kernel's the byte speaks alone") {
   Child child([&] {
     must(refuse(SYS_set_robust_list, EPERM), "a filter");
     DeathNotice mine;

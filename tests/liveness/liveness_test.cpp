@@ -36,7 +36,7 @@ struct Number {
 
 TEST_SUITE_BEGIN("liveness");
 
-TEST_CASE("who waits at the gate waits for as long as it changes hands") {
+TEST_CASE("a joiner at the gate waits for as long as the gate changes hands") {
   const std::string path = "/dev/shm/" + unique_name() + ".lock";
   LockFile others(path);
   REQUIRE(others.try_lock(LockFile::kGate));
@@ -59,7 +59,7 @@ TEST_CASE("who waits at the gate waits for as long as it changes hands") {
   unlink(path.c_str());
 }
 
-TEST_CASE("who waits at the gate has patience with one that is at work there, step by step") {
+TEST_CASE("a joiner at the gate has patience with a process at work there, step by step") {
   const Watchdog watchdog(60);
   const std::string path = "/dev/shm/" + unique_name() + ".lock";
   LockFile own(path);
@@ -78,7 +78,7 @@ TEST_CASE("who waits at the gate has patience with one that is at work there, st
   unlink(path.c_str());
 }
 
-TEST_CASE("who was stopped while it waited at the gate has not waited for that time") {
+TEST_CASE("the time in which a joiner was stopped does not count as waiting at the gate") {
   const Watchdog watchdog(60);
   const std::string path = "/dev/shm/" + unique_name() + ".lock";
   LockFile own(path);

@@ -247,8 +247,7 @@ TEST_CASE("a process that was taken for dead does nothing more, says so, and may
   CHECK(eventually([&] { return !seats.is_there(2); }));  // all that it had is reaped
 }
 
-TEST_CASE(
-    "a process that was taken for dead leaves errands and locks to the next one of its index") {
+TEST_CASE("a process taken for dead leaves errands and locks to the next one of its index") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   const lot::ShmEngine engine(options);

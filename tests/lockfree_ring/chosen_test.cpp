@@ -101,7 +101,7 @@ TEST_CASE("only what was said to be for a reader is its own") {
   CHECK(puller->taken_back("writer") == 0);
 }
 
-TEST_CASE("nothing is said to those that have no cell, another name, or that decline") {
+TEST_CASE("nothing is said to readers without a cell, of another name, or that decline") {
   Fixture f;
   CHECK_FALSE(f.pusher->serve("reader", 0));
   const auto puller = f.puller(f.reader);
@@ -122,7 +122,7 @@ TEST_CASE("nothing is said to those that have no cell, another name, or that dec
   CHECK_FALSE(f.pusher->serve("reader", 0));
 }
 
-TEST_CASE("who is asked to join anew is served when it has, by that answer alone") {
+TEST_CASE("a reader that is asked to join anew is served when it has, by that answer alone") {
   Fixture f;
   const auto puller = f.puller(f.reader);
   CHECK(puller->size() == 0);  // it has looked for rings
@@ -148,7 +148,7 @@ TEST_CASE("who is asked to join anew is served when it has, by that answer alone
   CHECK(f.pusher->serve("reader", 0, 8));
 }
 
-TEST_CASE("who does not decline any more is served again") {
+TEST_CASE("a reader that does not decline any more is served again") {
   Fixture f;
   const auto puller = f.puller(f.reader);
   CHECK(puller->size() == 0);
@@ -185,7 +185,7 @@ TEST_CASE("two readers of one name are not told apart, so neither is served") {
   CHECK(f.pusher->serve("reader", 0));  // a cell in this ring counts, not the name alone
 }
 
-TEST_CASE("the last message is for who comes late, if it is said so, though he has read it") {
+TEST_CASE("the last message is for a late reader, if that is said, though it has been read") {
   Fixture f;
   const auto puller = f.puller(f.reader);
   CHECK_FALSE(f.pusher->serve("reader", 1));  // there is no last one
@@ -200,7 +200,7 @@ TEST_CASE("the last message is for who comes late, if it is said so, though he h
   CHECK(puller->is_ours(last->origin) == std::optional(true));
 }
 
-TEST_CASE("who is expected and comes late gets what was kept for it, once it is said so") {
+TEST_CASE("an expected reader that comes late gets what was kept for it, once it is said so") {
   Fixture f;
   CHECK_FALSE(f.pusher->expects("reader"));
   const auto puller = f.puller(f.reader);
@@ -250,7 +250,7 @@ TEST_CASE("what is taken back is counted once, and what is not read yet is not i
   CHECK(puller->taken_back("writer") == 0);
 }
 
-TEST_CASE("who has not read all that is its own is not served again, and the rest is known") {
+TEST_CASE("a reader that has not read all its own is not served again, and the rest is known") {
   Fixture f;
   const auto puller = f.puller(f.reader);
   const auto served = f.pusher->serve("reader", 0);

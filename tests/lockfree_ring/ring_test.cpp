@@ -438,7 +438,7 @@ TEST_CASE("there are as many readers as cells, and a cell that was left can be j
   CHECK(channel.ring.deserted());
 }
 
-TEST_CASE("nobody joins a ring that is not live, or that has become another one") {
+TEST_CASE("no reader joins a ring that is not live, or that has become another one") {
   Channel channel(2, Policy::Blocking);
   bool full = true;
   for (const State state : {State::Free, State::Init, State::Orphan}) {
@@ -493,7 +493,7 @@ TEST_CASE("a sender without readers, or whose last reader has left, is never hel
   channel.publish(12, 20);
 }
 
-TEST_CASE("a sender that knew of room looks again when somebody has joined further back") {
+TEST_CASE("a sender that knew of room looks again when a reader has joined further back") {
   Channel channel(4, Policy::Blocking);
   Reader ahead = channel.join();
   channel.publish(0, 4);
@@ -581,7 +581,7 @@ TEST_CASE("a subscriber that goes without having looked frees its cell") {
   CHECK(channel.who[1] == 0);
 }
 
-TEST_CASE("overwriting always has room, but knows who is behind") {
+TEST_CASE("overwriting always has room, but knows which readers are behind") {
   Channel channel(2, Policy::Overwrite);
   Reader reader = channel.join();
   channel.publish(0, 5);
@@ -646,7 +646,7 @@ TEST_CASE("a reader that leaves changes what a sender sleeps on and keeps its ma
   CHECK(Reader::ring_bell(channel.space));
 }
 
-TEST_CASE("nobody is rung for a sender that never waits") {
+TEST_CASE("no reader rings for a sender that never waits") {
   Channel channel(1, Policy::Overwrite);
   Reader reader = channel.join();
   std::uint64_t missed = 0;
@@ -772,7 +772,7 @@ TEST_CASE("what a reader looks at, or one that has not looked yet, does not come
   CHECK(channel.writer.evict_oldest() == kNoBlock);
 }
 
-TEST_CASE("who joins a lossless ring begins behind all that came back, and gets no gap") {
+TEST_CASE("a reader that joins a lossless ring begins behind all that came back, without a gap") {
   const auto only = [](Word wanted) { return [wanted](Word block) { return block == wanted; }; };
   Channel channel(5, Policy::Blocking, 4, kSequenceMask - 2);
   channel.publish(0, 5);
@@ -928,7 +928,7 @@ TEST_CASE("a sleeper's mark is seen by the next publish and by no other") {
   }
 }
 
-TEST_CASE("nobody sleeps while there is something to look at") {
+TEST_CASE("no reader sleeps while there is something to look at") {
   Channel channel(2, Policy::Overwrite);
   Reader reader = channel.join();
   channel.publish(0, 1);
@@ -1173,7 +1173,7 @@ TEST_CASE("a joiner that is overtaken begins where the sender has put it, and mi
   }
 }
 
-TEST_CASE("what comes back while somebody joins is not what the joiner gets, at each step") {
+TEST_CASE("what comes back while a reader joins is not what it gets, at each step") {
   for (const Word first : {Word{0}, kSequenceMask - 5}) {
     for (const std::uint64_t history : {std::uint64_t{0}, std::uint64_t{2}, std::uint64_t{9}}) {
       for (int step = 0; step < 3; ++step) {
@@ -1212,7 +1212,7 @@ TEST_CASE("what comes back while somebody joins is not what the joiner gets, at 
   }
 }
 
-TEST_CASE("who joins behind the floor's step does not keep a message from coming back") {
+TEST_CASE("a reader that joins behind the floor's step keeps no message from coming back") {
   InterruptedChannel channel(4, Policy::Blocking);
   channel.publish(0, 4);
   std::optional<BasicChannel<InterruptedAtomics>::Reader> joiner;

@@ -250,7 +250,7 @@ TEST_CASE("a subscriber is shut down by two threads, while its callback makes ot
   }
 }
 
-TEST_CASE("who is counted as a subscriber gets what is published next") {
+TEST_CASE("a counted subscriber gets what is published next") {
   ros::NodeHandle plain;
   lot::ros::NodeHandle node;
   for (int round = 0; round < 300; ++round) {
@@ -272,8 +272,7 @@ TEST_CASE("who is counted as a subscriber gets what is published next") {
   }
 }
 
-TEST_CASE(
-    "a copy for which shared memory has no room goes over TCPROS, and a warning says so once") {
+TEST_CASE("a copy for which shared memory has no room goes over TCPROS, and one warning says so") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   ::ros::NodeHandle plain;
@@ -321,7 +320,7 @@ TEST_CASE(
   CHECK(warnings == 1);
 }
 
-TEST_CASE("a publisher that is shut down publishes no more, whoever has copies") {
+TEST_CASE("a publisher that is shut down publishes no more, whatever copies there are") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   Ear ear;
@@ -340,8 +339,7 @@ TEST_CASE("a publisher that is shut down publishes no more, whoever has copies")
   CHECK(ear.heard == Words{"first"});
 }
 
-TEST_CASE(
-    "who comes late gets what each publisher has latched, and so does a second one beside it") {
+TEST_CASE("a late subscriber gets what each publisher has latched, and so does one beside it") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   auto a = node.advertise<String>(topic, 10, true);
@@ -373,7 +371,7 @@ TEST_CASE("two latching publishers of one topic: the late one gets both") {
   CHECK(std::set<std::string>(ear.heard.begin(), ear.heard.end()).count("a") == 1);
 }
 
-TEST_CASE("LOT's pointer for those who subscribe by roscpp's own NodeHandle") {
+TEST_CASE("LOT's pointer for subscribers by roscpp's own NodeHandle") {
   const auto topic = fresh_topic();
   ros::NodeHandle plain;
   std::string heard;
@@ -492,7 +490,7 @@ TEST_CASE("two publishers of a topic greet, at any time, and what they say comes
   for (std::size_t i = 20; i < said; ++i) CHECK(ear.heard[i] == std::to_string(i));
 }
 
-TEST_CASE("who comes to read too late is served by its link, and then by the ring") {
+TEST_CASE("a reader that comes too late is served by its link, and then by the ring") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   const Elsewhere there(topic);
@@ -518,7 +516,7 @@ TEST_CASE("who comes to read too late is served by its link, and then by the rin
   for (std::size_t i = 0; i < said; ++i) CHECK(heard[i] == std::to_string(i));
 }
 
-TEST_CASE("publishers are told who comes and who goes, and spinOnce() calls back") {
+TEST_CASE("publishers are told which subscribers come and go, and spinOnce() calls back") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   std::vector<std::string> came;
@@ -551,8 +549,7 @@ TEST_CASE("publishers are told who comes and who goes, and spinOnce() calls back
   }
 }
 
-TEST_CASE(
-    "several threads publish; each NodeHandle has a callback queue, and spinners of its own") {
+TEST_CASE("several threads publish; each NodeHandle has a callback queue and spinners") {
   constexpr int kThreads = 4;
   constexpr int kEach = 100;
   lot::ros::NodeHandle node;
@@ -643,8 +640,7 @@ TEST_CASE("memory that was reserved is used") {
   lot::ros::Publisher<Image>().reserve(1, 1);  // nobody's: nothing
 }
 
-TEST_CASE(
-    "a burst is heard once, and what follows, where a plain subscriber is found beside LOT's") {
+TEST_CASE("a burst is heard once, and what follows, when a plain subscriber is found") {
   lot::ros::NodeHandle node;
   constexpr std::size_t kBurst = 99;
   constexpr std::size_t kMore = 200;
@@ -680,8 +676,7 @@ TEST_CASE(
 // ---- from a publisher of this process
 // ------------------------------------------------------------
 
-TEST_CASE(
-    "the thread that publishes fills the queues of its process, and LOT's thread is not asked") {
+TEST_CASE("the thread that publishes fills the queues of its process, not LOT's thread") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   std::atomic<bool> is_held_up{false};
@@ -780,7 +775,7 @@ TEST_CASE("a queue that calls at once publishes the same topic again") {
   CHECK(ear.heard.size() == 10);
 }
 
-TEST_CASE("what is latched in one process is handed over, and given to whoever comes beside") {
+TEST_CASE("what is latched in one process is handed over, and given to one that comes beside") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   auto talker = node.advertise<String>(topic, 10, true);
@@ -1042,8 +1037,7 @@ TEST_CASE("a callback on LOT's thread opens and ends handles, while others do, a
   CHECK(called == 200);
 }
 
-TEST_CASE(
-    "no callback is at work on LOT's thread, or begins, when its subscriber has been shut down") {
+TEST_CASE("no callback is at work on LOT's thread when its subscriber has been shut down") {
   auto node = immediate();
   for (int round = 0; round < 20; ++round) {
     const auto topic = fresh_topic();
@@ -1066,7 +1060,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("a callback on LOT's thread keeps nobody waiting who ends or opens another topic") {
+TEST_CASE("a callback on LOT's thread holds up no thread that ends or opens another topic") {
   auto node = immediate();
   const auto topic = fresh_topic();
   auto talker = node.advertise<String>(topic, 10, true);
@@ -1137,8 +1131,7 @@ TEST_CASE("the last subscriber of a process ends while another one's callback is
   CHECK(comes_unspun([&] { return done.load(); }));
 }
 
-TEST_CASE(
-    "a short queue loses nothing to LOT's thread that calls, and is a bound where it is slow") {
+TEST_CASE("a short queue loses nothing to LOT's thread, and is a bound where that is slow") {
   auto node = immediate();
   const auto topic = fresh_topic();
   auto talker = node.advertise<String>(topic, 100);

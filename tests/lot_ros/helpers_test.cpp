@@ -290,7 +290,7 @@ TEST_CASE("clouds go to PCL and back with every point") {
   }
 }
 
-TEST_CASE("a standard message is made once for all who ask, in memory that is used again") {
+TEST_CASE("a standard message is made once for all that ask, in memory that is used again") {
   lot::ShmEngine engine(options());
   auto out = engine.advertise<Image>("/made");
   const auto received = [&](std::uint8_t value) {

@@ -184,9 +184,11 @@ TEST_CASE("each generated message is the same in shared memory") {
   check<tf2_msgs::TFMessage_>();
 }
 
-TEST_CASE("so is one that was generated here") { check<lot_test_msgs::Tracks_>(); }
+TEST_CASE("a message that was generated here is the same in shared memory, too") {
+  check<lot_test_msgs::Tracks_>();
+}
 
-TEST_CASE("who gets one reads it where it was written") {
+TEST_CASE("a subscriber reads a message where it was written") {
   using Image = lot::ros::Message<sensor_msgs::Image_>;
   using Tracks = lot::ros::Message<lot_test_msgs::Tracks_>;
   auto images = engine().advertise<Image>("images");

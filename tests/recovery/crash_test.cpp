@@ -92,7 +92,7 @@ long sleeps_of_warden() {
 
 TEST_SUITE_BEGIN("crash");
 
-TEST_CASE("a blocked publisher goes on when the reader that holds it back is killed") {
+TEST_CASE("a publisher under Policy::Block goes on when the reader that holds it back is killed") {
   const Watchdog watchdog(60);
   for (const bool borrowing : {false, true}) {
     CAPTURE(borrowing);
@@ -142,7 +142,7 @@ TEST_CASE("a blocked publisher goes on when the reader that holds it back is kil
   }
 }
 
-TEST_CASE("what a publisher loaned when it was killed is freed") {
+TEST_CASE("what a publisher had on loan when it was killed is freed") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Keeper keeper(options);
@@ -171,7 +171,7 @@ TEST_CASE("what a publisher loaned when it was killed is freed") {
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("readers of a killed publisher get all that was published, then learn that it is gone") {
+TEST_CASE("readers of a killed publisher get all that was published, then PublisherGone") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Steps joined, published;
@@ -218,7 +218,7 @@ TEST_CASE("readers of a killed publisher get all that was published, then learn 
   CHECK(leak_in(engine.path()) == "");
 }
 
-TEST_CASE("a reader that only polls learns that the publisher is gone, and its ring is freed") {
+TEST_CASE("a reader that only polls gets PublisherGone, and the publisher's ring is freed") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Steps joined;
@@ -243,9 +243,7 @@ TEST_CASE("a reader that only polls learns that the publisher is gone, and its r
   CHECK(eventually([&] { return Audit(s).channels == 0; }, 5s));
 }
 
-TEST_CASE(
-    "a message that outlives its process is freed when the last one drops it, by who was not "
-    "told") {
+TEST_CASE("a message that outlives its process is freed by its last holder, which was not told") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Steps leave;
@@ -341,7 +339,7 @@ TEST_CASE("a process leaves when its last handle goes, whatever its warden is at
   }
 }
 
-TEST_CASE("a killed publisher's last message stays readable for whom it was sent to") {
+TEST_CASE("a killed publisher's last message stays readable for its subscribers") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Steps joined;
@@ -461,7 +459,7 @@ TEST_CASE("processes that leave at the same moment leave no file") {
   }
 }
 
-TEST_CASE("after all were killed, the next one starts and its exit cleans up") {
+TEST_CASE("after all processes were killed, the next one starts and its exit cleans up") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Steps ready;
@@ -641,7 +639,7 @@ TEST_CASE("what a forked child inherits is inert and says so, and the parent goe
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("a child that outlives its parent does not keep it alive in others' eyes") {
+TEST_CASE("a forked child that outlives its parent does not keep it alive in others' eyes") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Keeper keeper(options);

@@ -89,7 +89,7 @@ TEST_CASE_FIXTURE(Block, "a claimed block is exclusively ours: one pointer, one 
   CHECK((home.word & hold::kEdge) == 0);
 }
 
-TEST_CASE_FIXTURE(Block, "a block that somebody owns cannot be claimed") {
+TEST_CASE_FIXTURE(Block, "a block that a process owns cannot be claimed") {
   REQUIRE(home.claim(words));
   CHECK_FALSE(other.claim(words));
   CHECK_FALSE(home.claim(words));
@@ -98,7 +98,7 @@ TEST_CASE_FIXTURE(Block, "a block that somebody owns cannot be claimed") {
   CHECK(hold::pointers(home.word) == 1);
 }
 
-TEST_CASE_FIXTURE(Block, "a block that was given back is free for anybody") {
+TEST_CASE_FIXTURE(Block, "a block that was given back is free for any process") {
   for (Participant* next : {&home, &other, &far, &home}) {
     REQUIRE(next->claim(words));
     CHECK(next->holds(words));
@@ -146,7 +146,7 @@ TEST_CASE_FIXTURE(Block, "elsewhere the first hold sets the bit and the last one
 
 // ---- death --------------------------------------------------------------------------------------
 
-TEST_CASE_FIXTURE(Block, "a message dies only when nobody holds it") {
+TEST_CASE_FIXTURE(Block, "a message dies only when no process holds it") {
   REQUIRE(home.claim(words));
   CHECK_FALSE(Ownership::die_in_orphanage(words));  // home's own bit counts unless it is excepted
   far.acquire(words);
@@ -246,8 +246,7 @@ TEST_CASE_FIXTURE(Block, "the ring's hold is turned into the next message's poin
   CHECK(generation() == 1);
 }
 
-TEST_CASE_FIXTURE(Block,
-                  "the ring's hold is given up even when pointers at home keep the message") {
+TEST_CASE_FIXTURE(Block, "the ring's hold is given up though pointers at home keep the message") {
   REQUIRE(home.claim(words));
   home.acquire(words, hold::kRing);
   CHECK_FALSE(home.reclaim(words, hold::kRing));
@@ -345,8 +344,7 @@ TEST_CASE_FIXTURE(Block, "a weak lock revives a message between its last release
   CHECK(home.reclaim(words, 0));
 }
 
-TEST_CASE_FIXTURE(Block,
-                  "a reclaim that comes late leaves a block alone that was given back since") {
+TEST_CASE_FIXTURE(Block, "a late reclaim leaves a block alone that was given back") {
   REQUIRE(home.claim(words));
   REQUIRE(home.release(words));  // thread A, which stops here
   REQUIRE(home.lock(words, 0));  // thread B
@@ -374,8 +372,7 @@ TEST_CASE("the edge names its thread and leaves home and held readable") {
   }
 }
 
-TEST_CASE_FIXTURE(Block,
-                  "a thread that waits for the edge lends its priority to the one that has it") {
+TEST_CASE_FIXTURE(Block, "a thread that waits for the edge lends its owner priority") {
   if (const char* reason = lot::test::LentPriority::lacking()) {
     MESSAGE("skipped: " << std::string(reason));
     return;
@@ -431,7 +428,7 @@ TEST_CASE_FIXTURE(Block, "an adopted message lives until the orphanage lets it g
   CHECK(home.reclaim(words, 0));
 }
 
-TEST_CASE_FIXTURE(Block, "the orphanage buries a message only when nobody holds it") {
+TEST_CASE_FIXTURE(Block, "the orphanage buries a message only when no process holds it") {
   REQUIRE(home.claim(words));
   other.acquire(words);
   // Home has died: its reaper clears its bit and takes the block over.

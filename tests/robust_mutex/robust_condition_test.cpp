@@ -88,7 +88,7 @@ class Fixture {
 
 TEST_SUITE_BEGIN("robust_condition");
 
-TEST_CASE_FIXTURE(Fixture, "all who wait hear of a change, each time") {
+TEST_CASE_FIXTURE(Fixture, "all waiters hear of a change, each time") {
   std::vector<Child> waiters;
   for (int i = 0; i < 4; ++i) {
     waiters.emplace_back([this] {
@@ -102,7 +102,7 @@ TEST_CASE_FIXTURE(Fixture, "all who wait hear of a change, each time") {
   for (Child& waiter : waiters) CHECK(waiter.wait() == 0);
 }
 
-TEST_CASE_FIXTURE(Fixture, "nobody waits: a change needs no wake") {
+TEST_CASE_FIXTURE(Fixture, "a change without a waiter needs no wake") {
   mutex().lock_for(30s);
   CHECK(!condition().changed());
   mutex().unlock();

@@ -145,7 +145,7 @@ TEST_CASE_FIXTURE(Fixture, "a free lock is locked at once, also by a timeout of 
   CHECK(me.asked == 0);
 }
 
-TEST_CASE_FIXTURE(Fixture, "who has no name gets no lock, neither a free one nor a dead one's") {
+TEST_CASE_FIXTURE(Fixture, "without a name a process gets no lock, neither a free nor a dead one") {
   Owner nobody(*shared, ~std::uint32_t{0}, 0);
   REQUIRE(nobody.name() == 0);
   CHECK((mutex(nobody).try_lock() == Outcome::Busy));
@@ -158,7 +158,7 @@ TEST_CASE_FIXTURE(Fixture, "who has no name gets no lock, neither a free one nor
   CHECK((mutex(me).try_lock() == Outcome::OwnerDied));
 }
 
-TEST_CASE_FIXTURE(Fixture, "who loses its name while it waits gets no lock in the old one") {
+TEST_CASE_FIXTURE(Fixture, "a waiter that loses its name gets no lock in the old one") {
   Child child = holder(2);
   Owner late(*shared, 3);
   late.when_asked = [&] { late.lose_name(); };
@@ -174,8 +174,7 @@ TEST_CASE_FIXTURE(Fixture, "who loses its name while it waits gets no lock in th
   }
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "a lock that another process holds is busy, at once or after the timeout") {
+TEST_CASE_FIXTURE(Fixture, "another process's lock is busy, at once or after a timeout") {
   Child child([this] {
     Owner other(*shared, 2);
     must(mutex(other).try_lock() == Outcome::Locked, "the lock");
@@ -195,8 +194,7 @@ TEST_CASE_FIXTURE(Fixture,
   CHECK(child.wait() == 0);
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "after a holder was killed the next one is told, and then all is normal") {
+TEST_CASE_FIXTURE(Fixture, "after a holder was killed the next one is told, once") {
   for (std::uint32_t k = 2; k < 5; ++k) {
     Child child = holder(k);
     CHECK((mutex(me).try_lock() == Outcome::Busy));
@@ -260,7 +258,7 @@ TEST_CASE_FIXTURE(Fixture, "a waiter that is killed leaves at most a mark") {
   CHECK(shared->word == 0);
 }
 
-TEST_CASE_FIXTURE(Fixture, "who judges late takes no lock from the next owner of an index") {
+TEST_CASE_FIXTURE(Fixture, "a late judge takes no lock from the next owner of an index") {
   Owner former(*shared, 2, 7);
   Owner next(*shared, 2, 8);
   CHECK((mutex(former).try_lock() == Outcome::Locked));
@@ -283,8 +281,7 @@ TEST_CASE_FIXTURE(Fixture, "a thread that ends with the lock is no death") {
   CHECK((mutex(me).try_lock() == Outcome::Locked));
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "a damaged word: nobody's lock is taken over, another's is not unlocked") {
+TEST_CASE_FIXTURE(Fixture, "a damaged word: none is taken over, another's stays locked") {
   for (const std::uint32_t word : {lock::kSleepers, 0x1ffU, 0xffffffffU, 9U << 9}) {
     CAPTURE(word);
     shared->word = word;

@@ -125,7 +125,7 @@ TEST_CASE("a file that is no segment is named and never touched") {
   }
 }
 
-TEST_CASE("what another version or a crash left is replaced when nobody uses it") {
+TEST_CASE("what another version or a crash left is replaced when no process uses it") {
   const Watchdog watchdog(60);
   for (const int how : {0, 1, 2, 3}) {
     CAPTURE(how);
@@ -143,7 +143,7 @@ TEST_CASE("what another version or a crash left is replaced when nobody uses it"
   }
 }
 
-TEST_CASE("a segment stays once a process has asked for it, whoever leaves last") {
+TEST_CASE("with persist a segment stays, whichever process leaves last") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   auto kept = options;
@@ -184,7 +184,7 @@ TEST_CASE("a segment stays once a process has asked for it, whoever leaves last"
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("persist in the environment comes before the code, and is 1 or 0") {
+TEST_CASE("LOT_PERSIST in the environment comes before the code, and is 1 or 0") {
   const Watchdog watchdog(60);
   auto options = fresh();
   options.persist = true;
@@ -308,7 +308,7 @@ TEST_CASE("bad names, sizes and permissions are refused, and leave nothing") {
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("the environment comes before the code") {
+TEST_CASE("LOT_SEGMENT, LOT_SIZE and LOT_PERMISSIONS in the environment come before the code") {
   auto options = fresh();
   const std::string name = unique_name();
   const Variable segment("LOT_SEGMENT", name.c_str());

@@ -127,8 +127,7 @@ TEST_CASE("users of one group talk where O_CREAT opens no file of another user")
   remove_files_of(options);  // Bob may have left last, and may not remove Ann's files
 }
 
-TEST_CASE(
-    "a joiner who asks for other permissions hears of it, and leaves those of the files alone") {
+TEST_CASE("a joiner with other permissions hears of it, and leaves those of the files alone") {
   const Watchdog watchdog(60);
   for (const unsigned made : {0600U, 0660U, 0666U}) {
     CAPTURE(made);
@@ -186,7 +185,7 @@ TEST_CASE("a user outside the group is told whose file it is") {
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("permissions that give one right alone are refused: nobody could join by it") {
+TEST_CASE("permissions that give one right alone are refused: no process could join by it") {
   for (const unsigned permissions : {0640U, 0644U, 0664U, 0620U, 0602U, 0646U}) {
     CAPTURE(permissions);
     const auto options = with_permissions(permissions);
@@ -203,7 +202,7 @@ TEST_CASE("permissions that give one right alone are refused: nobody could join 
   }
 }
 
-TEST_CASE("a file that somebody has given such a mode is not joined, and the error says so") {
+TEST_CASE("a file that a user has given such permissions is not joined, and the error says so") {
   const auto options = with_permissions(0600);
   const lot::ShmEngine engine(options);
   REQUIRE(chmod(engine.path().c_str(), 0644) == 0);

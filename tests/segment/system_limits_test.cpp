@@ -221,7 +221,7 @@ TEST_CASE("too little address space is an error that names the limit" *
       options, [] { limit(RLIMIT_AS, 256 * kMiB); }, ENOMEM, "RLIMIT_AS (ulimit -v) is");
 }
 
-TEST_CASE("who has no room for a segment that is there is not told to make it smaller at once" *
+TEST_CASE("a joiner without room for a segment is not told to make it smaller at once" *
           doctest::skip(kMapsTerabytes)) {
   const Watchdog watchdog(60);
   const auto options = fresh(512 * kMiB);

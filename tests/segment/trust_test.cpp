@@ -128,7 +128,7 @@ int as(uid_t user, gid_t group, const std::function<void()>& body) {
 
 TEST_SUITE_BEGIN("trust" * doctest::skip(!can_be_another_user()));
 
-TEST_CASE("another user's segment is joined by nobody who has not named him, not by root either") {
+TEST_CASE("without LOT_USER or LOT_GROUP no process joins another user's segment, nor does root") {
   const Watchdog watchdog(60);
   for (const unsigned permissions : {0660U, 0666U}) {
     CAPTURE(permissions);
@@ -187,7 +187,7 @@ TEST_CASE("another user's segment alone, or lock file alone, is not used") {
   }
 }
 
-TEST_CASE("members of a group that is named share a segment, others and strangers do not") {
+TEST_CASE("members of the LOT_GROUP share a segment, other users and strangers do not") {
   const Watchdog watchdog(60);
   const Room room;
   auto options = room.options();
@@ -205,7 +205,7 @@ TEST_CASE("members of a group that is named share a segment, others and stranger
   CHECK(as(kBob, kOtherGroup, [&] { must(Answer(options).number == EACCES, "refused"); }) == 0);
 }
 
-TEST_CASE("nobody is told to trust the group of those whom the system does not know") {
+TEST_CASE("no error advises LOT_GROUP for a user whom the system does not know") {
   const Watchdog watchdog(60);
   const Room room;
   auto options = room.options();
@@ -441,7 +441,7 @@ TEST_CASE("a file with a second name is not used") {
   }
 }
 
-TEST_CASE("a lease holds nobody up") {
+TEST_CASE("a lease on the file holds no joiner up") {
   const Watchdog watchdog(30);  // the kernel waits for 45 seconds, unless it is told not to
   for (const char* suffix : {"", ".lock"}) {
     CAPTURE(suffix);
@@ -469,7 +469,7 @@ TEST_CASE("a lease holds nobody up") {
   }
 }
 
-TEST_CASE("a group that one is no member of, or that does not exist: an error, and no file") {
+TEST_CASE("LOT_GROUP without this user, or that does not exist, is an error, and leaves no file") {
   const Watchdog watchdog(60);
   const Room room;
   const auto answer_of = [&](const std::string& user, const std::string& group,
@@ -516,7 +516,7 @@ TEST_CASE("of another file, a directory, a link, a pipe in its place nothing is 
   }
 }
 
-TEST_CASE("the environment says nothing to a program that has another user's rights") {
+TEST_CASE("LOT_USER in the environment is not heard by a program with another user's rights") {
   const Watchdog watchdog(60);
   const Room room;
   // On a file system that knows set-user-id, unlike many a /dev/shm.

@@ -133,7 +133,7 @@ TEST_CASE("what the system refuses is not taken for given, nor for gone") {
   CHECK(!memory.units.has(0, 0));
 }
 
-TEST_CASE("what others may read at any time never goes") {
+TEST_CASE("what other processes may read at any time never goes") {
   Memory memory(1);
   REQUIRE(memory.granules.claim(1, 7) == 0);
   CHECK(memory.get(0, 0));
@@ -158,7 +158,7 @@ TEST_CASE("memory that is asked for while it leaves is not forgotten") {
   CHECK(memory.units.is_old(0, 5));  // the next look gives it back
 }
 
-TEST_CASE("a look for memory leaves it to those who claim it") {
+TEST_CASE("a look for memory leaves it to the threads that claim it") {
   Memory memory(2);
   const auto ask = [&](std::uint32_t unit) { return memory.ask(unit); };
   CHECK(memory.units.try_get(0, 1, ask));
@@ -170,7 +170,7 @@ TEST_CASE("a look for memory leaves it to those who claim it") {
   CHECK(memory.give_back(1, 5, 1));  // nobody has claimed it
 }
 
-TEST_CASE("memory that is in use never goes, whoever claims, looks and gives back at once") {
+TEST_CASE("memory in use never goes, whichever threads claim, look and give back at once") {
   const lot::testing::Watchdog watchdog(100);
   constexpr std::uint32_t kUnits = 6;
   constexpr std::uint32_t kWorkers = 3;

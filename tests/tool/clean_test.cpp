@@ -117,7 +117,7 @@ void overwrite(const std::string& path, std::uint64_t offset, std::uint64_t valu
 
 TEST_SUITE_BEGIN("clean");
 
-TEST_CASE("a segment whose last process was killed is removed with its lock file") {
+TEST_CASE("lot clean removes a segment whose last process was killed, with its lock file") {
   const Watchdog watchdog(60);
   const Room room;
   leave_a_dead_segment(room.options());
@@ -131,8 +131,7 @@ TEST_CASE("a segment whose last process was killed is removed with its lock file
   CHECK(room.files() == 0);
 }
 
-TEST_CASE(
-    "what is of another boot, another version or damaged is removed when nobody lives in it") {
+TEST_CASE("a segment of another boot or version, or damaged, is removed when no process is there") {
   const Watchdog watchdog(60);
   for (const unsigned offset : {40U, 8U, 72U, 16U}) {
     CAPTURE(offset);
@@ -233,7 +232,7 @@ TEST_CASE("where there is no room to map it, a segment is not taken for damaged"
   CHECK(eventually([&] { return jobs.size() == 3; }));
 }
 
-TEST_CASE("items that come while clean waits for the gate are not removed") {
+TEST_CASE("items that come while lot clean waits for the gate are not removed") {
   const Watchdog watchdog(60);
   const Room room;
   leave_items(room.options("full"));
@@ -253,7 +252,7 @@ TEST_CASE("items that come while clean waits for the gate are not removed") {
   CHECK(fs::exists(path_of(room.options())));
 }
 
-TEST_CASE("a segment that was to stay goes when nobody lives in it and nothing waits there") {
+TEST_CASE("a segment with persist goes when no process is there and nothing waits in it") {
   const Watchdog watchdog(60);
   const Room room;
   auto options = room.options();
@@ -264,7 +263,7 @@ TEST_CASE("a segment that was to stay goes when nobody lives in it and nothing w
   CHECK(room.files() == 0);
 }
 
-TEST_CASE("clean is a visitor: what it finds in its environment changes no segment") {
+TEST_CASE("lot clean is a visitor: what it finds in its environment changes no segment") {
   const Watchdog watchdog(60);
   const Room room;
   Actor actor(room.options(), "actor");
@@ -278,7 +277,7 @@ TEST_CASE("clean is a visitor: what it finds in its environment changes no segme
   CHECK(room.files() == 0);
 }
 
-TEST_CASE("memory that nobody uses goes back at once") {
+TEST_CASE("memory that no process uses goes back at once") {
   const Watchdog watchdog(60);
   const Room room;
   lot::EngineOptions options = room.options();
@@ -324,7 +323,7 @@ TEST_CASE("memory that nobody uses goes back at once") {
   CHECK(camera.wait() == 0);
 }
 
-TEST_CASE("a damaged segment that somebody lives in is left alone") {
+TEST_CASE("a damaged segment in which a process lives is left alone") {
   const Watchdog watchdog(60);
   const Room room;
   const Actor actor(room.options(), "actor");
@@ -398,7 +397,7 @@ TEST_CASE("the dead among stopped processes are reaped, and the stopped go on af
   check_they_talk(publisher, reader);
 }
 
-TEST_CASE("leftovers of killed makers go; files that may be anybody's stay") {
+TEST_CASE("leftovers of killed makers go; files that may be a user's stay") {
   const Watchdog watchdog(60);
   const Room room;
   const auto touch = [&](const std::string& name, const std::string& text = "") {
@@ -478,7 +477,7 @@ TEST_CASE("root looks into another user's segment, and cleans it, when that one 
   CHECK(room.files() == 0);
 }
 
-TEST_CASE("clean removes nobody's files by a name that another one has chosen" *
+TEST_CASE("lot clean removes no user's files by a name that another user has chosen" *
           doctest::skip(!can_be_another_user())) {
   const Watchdog watchdog(60);
   const Room room;
@@ -580,7 +579,7 @@ TEST_CASE("the permissions of a shared segment's lock file are not changed") {
   CHECK((status.st_mode & 07777) == 0666);
 }
 
-TEST_CASE("clean in a loop beside processes that come, talk, die and leave harms none of them") {
+TEST_CASE("lot clean in a loop harms no process of those that come, talk, die and leave") {
   const Watchdog watchdog(120);
   const Room room;
   const auto options = room.options();
@@ -620,7 +619,7 @@ TEST_CASE("clean in a loop beside processes that come, talk, die and leave harms
   CHECK(after.st_ino == before.st_ino);
 }
 
-TEST_CASE("clean in a loop beside processes that make the segment and leave it hinders none") {
+TEST_CASE("lot clean in a loop hinders no process of those that make the segment and leave it") {
   const Watchdog watchdog(120);
   const Room room;
   const auto options = room.options();

@@ -307,7 +307,7 @@ TEST_CASE("each kind of damage is named") {
   CHECK(says(run_lot({"ls", "--dir", room.path()}).out, "it is too short"));
 }
 
-TEST_CASE("a queue that is half gone while somebody has the registry is no damage") {
+TEST_CASE("a queue that is half gone while a process has the registry is no damage") {
   using lot::segment::ChannelEntry;
   const Watchdog watchdog(120);
   const Room room;

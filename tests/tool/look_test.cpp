@@ -80,7 +80,7 @@ struct Scene {
 
 TEST_SUITE_BEGIN("look");
 
-TEST_CASE("ls as a document has these keys") {
+TEST_CASE("lot ls as a document has these keys") {
   const Watchdog watchdog(60);
   const Scene scene;
   const Json document = run_lot(on(scene.options, {"ls", "--json"})).json();
@@ -131,7 +131,7 @@ TEST_CASE("ls as a document has these keys") {
                              });
 }
 
-TEST_CASE("ls says what is used, what is held back, and what was taken from the system") {
+TEST_CASE("lot ls says what is used, what is held back, and what was taken from the system") {
   const Watchdog watchdog(60);
   const Room room;
   lot::ShmEngine engine(room.options());
@@ -168,7 +168,7 @@ TEST_CASE("ls says what is used, what is held back, and what was taken from the 
   CHECK(std::abs(number(busy, "taken_bytes") - du()) <= du() / 100);
 }
 
-TEST_CASE("ls says that a segment stays, how many items wait there, and what to do") {
+TEST_CASE("lot ls says that a segment stays, how many items wait there, and what to do") {
   const Watchdog watchdog(60);
   const Room room;
   lot::EngineOptions options = room.options();
@@ -253,7 +253,7 @@ TEST_CASE("the command of a hint does what it says when a shell runs it" *
   }
 }
 
-TEST_CASE("who as a document has these keys") {
+TEST_CASE("lot who as a document has these keys") {
   const Watchdog watchdog(60);
   const Scene scene;
   const Json document = run_lot(on(scene.options, {"who", "--json"})).json();
@@ -297,7 +297,7 @@ TEST_CASE("who as a document has these keys") {
                              });
 }
 
-TEST_CASE("clean as a document has these keys") {
+TEST_CASE("lot clean as a document has these keys") {
   const Watchdog watchdog(60);
   const Room room;
   {
@@ -310,7 +310,7 @@ TEST_CASE("clean as a document has these keys") {
                                                    ".removed[].why"});
 }
 
-TEST_CASE("ls and who change no byte of a segment, and take no memory for what nobody has used") {
+TEST_CASE("lot ls and lot who change no byte of a segment, and take no memory that is unused") {
   const Watchdog watchdog(60);
   const Scene scene;
   scene.stop_all();  // their wardens write
@@ -331,7 +331,7 @@ TEST_CASE("ls and who change no byte of a segment, and take no memory for what n
   CHECK(scene.room.files() == 2);
 }
 
-TEST_CASE("what people read names who waits for whom, and since when who keeps what") {
+TEST_CASE("the text names the process that waits, for which one, and since when each keeps what") {
   const Watchdog watchdog(60);
   const Scene scene;
   const std::string ls = run_lot(on(scene.options, {"ls"})).out;
@@ -399,7 +399,7 @@ TEST_CASE("all segments of a directory are listed, and nothing else") {
   CHECK(document.at("exit") == 0);
 }
 
-TEST_CASE("what lies in the place of a segment or its lock file is said, by each command") {
+TEST_CASE("lot ls, who and clean say what lies in the place of a segment or its lock file") {
   const Watchdog watchdog(60);
   for (const char* name : {"s", "LOTROS"}) {
     for (const std::string suffix : {"", ".lock"}) {
@@ -442,7 +442,7 @@ TEST_CASE("what lies in the place of a segment or its lock file is said, by each
   }
 }
 
-TEST_CASE("so is what keeps a new segment from being made") {
+TEST_CASE("lot ls, who and clean say what keeps a new segment from being made") {
   const Watchdog watchdog(60);
   const Room room;
   const std::string path = room.path() + "/s.new";
@@ -464,7 +464,7 @@ TEST_CASE("so is what keeps a new segment from being made") {
   check("belongs to uid 65532");
 }
 
-TEST_CASE("a process that is stopped where others must pass is named, and what to do") {
+TEST_CASE("a process that is stopped where other processes must pass is named, and what to do") {
   const Watchdog watchdog(60);
   const Room room;
   const Steps inside;
@@ -535,7 +535,7 @@ TEST_CASE("names that would steer a terminal are printed harmless, and whole as 
   CHECK(document.at("segments").at(0).at("topics").at(0).at("name") == topic);
 }
 
-TEST_CASE("a queue whose items are taken: who has taken one, and who waits for a taker") {
+TEST_CASE("a queue whose items are taken: the process that has one, and those that wait") {
   const Watchdog watchdog(60);
   const Room room;
   const auto options = room.options();

@@ -438,7 +438,7 @@ class Play {
 
 TEST_SUITE_BEGIN("who");
 
-TEST_CASE("who and ls say what four processes truly hold, after each of 250 random steps") {
+TEST_CASE("lot who and lot ls say what four processes truly hold, after each of 250 random steps") {
   const Watchdog watchdog(300);
   Play play(seed());
   for (unsigned n = 0; n < 250; ++n) {

@@ -206,7 +206,7 @@ TEST_CASE("advertise makes room while another process goes on publishing") {
   CHECK(other.wait() == 0);
 }
 
-TEST_CASE("what a publisher has left that has gone makes room for a new queue") {
+TEST_CASE("messages of a publisher that has left make room for a new queue") {
   const Watchdog watchdog(60);
   const auto options = small_segment();
   lot::ShmEngine engine(options);
@@ -276,7 +276,7 @@ TEST_CASE("a queue that can never fit takes nothing, and the error says what hel
   use(engine, "/late");  // a usual one gets its memory all the same
 }
 
-TEST_CASE("what is loaned does not give way to a queue, and the error names who has it") {
+TEST_CASE("a loan does not give way to a new queue, and the error names the process that has it") {
   const Watchdog watchdog(60);
   auto options = small_segment();
   options.name = "the loaner";

@@ -89,7 +89,7 @@ bool has_words(const Parts& parts, std::size_t from, std::size_t count, char let
 
 TEST_SUITE_BEGIN("transport");
 
-TEST_CASE("what others write into an arena moves no piece of a message that is built") {
+TEST_CASE("what another process writes into an arena moves no piece of a message that is built") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(64 << 20));
   lot::segment::Segment view(engine.path());
@@ -158,7 +158,7 @@ TEST_CASE("a message that grows after it became shared has told so, also when it
   CHECK(granules() >= 4096);
 }
 
-TEST_CASE("no number of bytes is too large to be refused") {
+TEST_CASE("reserve() of any number of bytes that is too large throws OutOfMemory") {
   lot::ShmEngine engine(fresh(64 << 20));
   auto pusher = engine.advertise<Parts>("/parts");
   for (const std::size_t less : {std::size_t{0}, std::size_t{1}, std::size_t{4095},
@@ -224,7 +224,7 @@ struct Made {
   Child maker;
 };
 
-TEST_CASE("a message that comes home again grows behind what others have added") {
+TEST_CASE("a message that comes home again grows behind what another process has added") {
   const Watchdog watchdog(60);
   Made made(1 << 20);
   Items out = made.engine.queue<lot::ShmUniquePtr<Parts>>("out");

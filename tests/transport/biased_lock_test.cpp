@@ -31,7 +31,7 @@ constexpr bool kHasBias = true;
 }  // namespace
 
 TEST_SUITE("transport") {
-  TEST_CASE("a lock that one thread had to itself excludes those who come later") {
+  TEST_CASE("a lock that one thread had to itself excludes the threads that come later") {
     alarm(100);
     constexpr int kRounds = 200;
     constexpr long kEach = 2000;
@@ -85,7 +85,7 @@ TEST_SUITE("transport") {
     CHECK_FALSE(lock.is_biased());  // the others never become the owner
   }
 
-  TEST_CASE("a lock whose owner has it to itself now and then excludes those who come") {
+  TEST_CASE("a lock whose owner has it to itself now and then excludes the threads that come") {
     alarm(100);
     constexpr long kVisits = 300;
     BiasedLock lock;
@@ -114,7 +114,7 @@ TEST_SUITE("transport") {
     alarm(0);
   }
 
-  TEST_CASE("the owner may be gone when others take the lock") {
+  TEST_CASE("the owner may be gone when other threads take the lock") {
     BiasedLock lock;
     int inside = 0;
     const auto visit = [&] {
@@ -127,7 +127,7 @@ TEST_SUITE("transport") {
     CHECK(inside == 3);
   }
 
-  TEST_CASE("who comes with a real-time priority, on the owner's core, lets it out") {
+  TEST_CASE("a thread with a real-time priority, on the owner's core, lets the owner out") {
     alarm(100);
     cpu_set_t before;
     REQUIRE(pthread_getaffinity_np(pthread_self(), sizeof before, &before) == 0);

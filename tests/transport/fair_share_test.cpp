@@ -198,7 +198,7 @@ TEST_CASE("eight cameras come and go in any order, with readers and without, and
   for (auto& camera : cameras) CHECK(camera->end() == 0);
 }
 
-TEST_CASE("what a reader keeps of a camera does not keep that one from giving way") {
+TEST_CASE("messages that a reader keeps do not keep their camera from giving way") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   Camera front(options, topic(0), 200, 0ms);
@@ -225,7 +225,7 @@ TEST_CASE("what a reader keeps of a camera does not keep that one from giving wa
   CHECK(front.end() == 0);
 }
 
-TEST_CASE("what a camera has left that was killed gives way, before that of the living") {
+TEST_CASE("messages of a killed camera give way, before those of living ones") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   lot::ShmEngine engine(options);
@@ -249,7 +249,7 @@ TEST_CASE("what a camera has left that was killed gives way, before that of the 
   CHECK(late.missed_total() == 198);
 }
 
-TEST_CASE("what a camera has left does not go in vain while its process is stopped") {
+TEST_CASE("messages of a closed camera do not go in vain while its process is stopped") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   lot::ShmEngine engine(options);
@@ -327,7 +327,7 @@ TEST_CASE("blocks that the messages of another process have are given up, too") 
   CHECK(other.wait() == 0);
 }
 
-TEST_CASE("the error of a full segment says what would have fitted, who holds most, what helps") {
+TEST_CASE("OutOfMemory says what would have fitted, which process holds most, and what helps") {
   const Watchdog watchdog(60);
   auto options = fresh(kSegment);
   options.name = "the camera";
@@ -371,7 +371,7 @@ TEST_CASE("the error of a full segment says what would have fitted, who holds mo
   CHECK(keeper.wait() == 0);
 }
 
-TEST_CASE("a stopped camera cannot give way, others do, and it does when it goes on") {
+TEST_CASE("a stopped camera cannot give way, other ones do, and it does when it goes on") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   Camera stopped(options, topic(0), 200, 0ms);
@@ -394,7 +394,7 @@ TEST_CASE("a stopped camera cannot give way, others do, and it does when it goes
   CHECK(other.end() == 0);
 }
 
-TEST_CASE("what was reserved stays in the queue of another process that has published it again") {
+TEST_CASE("what reserve() made stays in the queue of another process that has published it again") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   constexpr std::uint64_t kReserved = 8;

@@ -206,7 +206,7 @@ TEST_CASE("what reserve() made suffices: nothing is made beside it") {
   CHECK(pool_of(frame.get()).granules() == 3 * 4 * kMiB / 4096);
 }
 
-TEST_CASE("a publisher has no more than its quota, and all of it") {
+TEST_CASE("what is made ahead stays within max_bytes, and leaves nothing of it unused") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(128 * kMiB));
   lot::PusherOptions options;
@@ -223,7 +223,7 @@ TEST_CASE("a publisher has no more than its quota, and all of it") {
   CHECK(engine.subscribe<Frame>("frames", all).size() == 6);
 }
 
-TEST_CASE("nothing is made where more than a quarter of what is free would go") {
+TEST_CASE("nothing is made ahead where more than a quarter of what is free would go") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(64 * kMiB));
   auto large = engine.advertise<Frame>("large", {Policy::Overwrite, 2, {}});
@@ -269,7 +269,7 @@ TEST_CASE("what is made ahead is the first that goes when memory is short") {
   CHECK(engine.subscribe<Frame>("ours", latched).size() == 2);  // no message went for it
 }
 
-TEST_CASE("what is not loaned goes back") {
+TEST_CASE("what is made ahead and not loaned goes back") {
   const Watchdog watchdog(120);
   lot::ShmEngine engine(fresh(128 * kMiB));
   auto pusher = engine.advertise<Frame>("frames");
@@ -281,7 +281,7 @@ TEST_CASE("what is not loaned goes back") {
   CHECK(eventually([&] { return taken(engine) + kFrame - 4 * kMiB <= before; }, 60s));
 }
 
-TEST_CASE("whenever a process leaves, what is being made goes with it") {
+TEST_CASE("whenever a process leaves, what is being made ahead goes with it") {
   const Watchdog watchdog(100);
   std::mt19937_64 random(seed());
   const auto options = fresh(128 * kMiB);
@@ -303,7 +303,7 @@ TEST_CASE("whenever a process leaves, what is being made goes with it") {
   }
 }
 
-TEST_CASE("killed while it makes a block, a process leaves what others repair") {
+TEST_CASE("a process that is killed while it makes a block leaves what the others repair") {
   const Watchdog watchdog(120);
   std::mt19937_64 random(seed());
   const auto options = fresh(128 * kMiB);
@@ -334,7 +334,7 @@ TEST_CASE("killed while it makes a block, a process leaves what others repair") 
   }
 }
 
-TEST_CASE("a forked child has nothing of it, and ends") {
+TEST_CASE("a forked child has nothing of what its parent makes ahead, and ends") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(256 * kMiB));
   auto pusher = engine.advertise<Frame>("frames");
@@ -436,7 +436,7 @@ TEST_CASE("a file system that has huge pages gives one for each unit, and takes 
   }
 }
 
-TEST_CASE("locked memory is locked where it was touched, and stays") {
+TEST_CASE("memory under lock_memory is locked where it was touched, and stays") {
   const Watchdog watchdog(100);
   lot::EngineOptions options = fresh(64 * kMiB);
   options.lock_memory = true;
@@ -464,7 +464,7 @@ TEST_CASE("locked memory is locked where it was touched, and stays") {
   CHECK(!pool.has_ahead());
 }
 
-TEST_CASE("who may not lock so much is told of the limit") {
+TEST_CASE("a process that asks for LOT_MLOCK and may not lock so much is told of the limit") {
   const Watchdog watchdog(60);
   Child child([&] {
     const rlimit little{64 << 10, 64 << 10};

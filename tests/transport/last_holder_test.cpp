@@ -85,7 +85,7 @@ struct lot::is_trusted_message<Counted> : std::true_type {};
 
 TEST_SUITE_BEGIN("transport");
 
-TEST_CASE("a message dies when its last holder goes, which is another process") {
+TEST_CASE("a message dies when its last holder, another process, goes") {
   const Watchdog watchdog(60);
   const auto options = fresh(256 << 20);
   Steps has, go, gone;

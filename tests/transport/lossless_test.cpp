@@ -73,7 +73,7 @@ void read_all(lot::ShmPuller<Frame>& reader, std::uint64_t count) {
 
 TEST_SUITE_BEGIN("transport");
 
-TEST_CASE("frames that do not fit at default depth all arrive, under Block and under Refuse") {
+TEST_CASE("frames that do not fit at default depth all arrive, under Policy::Block and Refuse") {
   for (const Policy policy : {Policy::Block, Policy::Refuse}) {
     CAPTURE((policy == Policy::Block));
     const Watchdog watchdog(60);
@@ -96,7 +96,7 @@ TEST_CASE("frames that do not fit at default depth all arrive, under Block and u
   }
 }
 
-TEST_CASE("the same to readers in other processes, of which one keeps some frames") {
+TEST_CASE("such frames all reach readers in other processes, of which one keeps some frames") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   Steps ready, go, end;
@@ -135,7 +135,7 @@ TEST_CASE("the same to readers in other processes, of which one keeps some frame
   CHECK(keeper.wait() == 0);
 }
 
-TEST_CASE("two that lose nothing and one that overwrites share a segment, in three processes") {
+TEST_CASE("two lossless publishers and one with Policy::Overwrite share a segment") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   lot::ShmEngine engine(options);
@@ -199,7 +199,7 @@ TEST_CASE("two that lose nothing and one that overwrites share a segment, in thr
   CHECK(overwrite.wait() == 0);
 }
 
-TEST_CASE("what a lossless publisher has left to read goes to another topic, but for the newest") {
+TEST_CASE("what was read of a lossless publisher goes to another topic, but for the newest") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   lot::ShmEngine engine(options);
@@ -281,7 +281,7 @@ TEST_CASE("a latched lossless message is there for late readers while others run
   CHECK(is_whole(*got, 7));
 }
 
-TEST_CASE("who joins with history meanwhile gets the newest frames that are left, without a gap") {
+TEST_CASE("a reader that joins meanwhile gets as history the newest frames, without a gap") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   Steps ready;
@@ -318,7 +318,7 @@ TEST_CASE("who joins with history meanwhile gets the newest frames that are left
   CHECK(reader.missed_total() == 0);
 }
 
-TEST_CASE("a lossless publisher with a limit of memory keeps to it and loses nothing") {
+TEST_CASE("a lossless publisher with max_bytes keeps to it and loses nothing") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(kSegment));
   lot::PusherOptions limited{Policy::Refuse};
@@ -390,7 +390,7 @@ TEST_CASE("a loan waits for a slow reader as a push does, and for nothing else")
   CHECK(slow.wait() == 0);
 }
 
-TEST_CASE("a loan that waits for a reader goes on when that one is killed") {
+TEST_CASE("a loan that waits for a reader goes on when the reader is killed") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   lot::ShmEngine engine(options);
@@ -413,7 +413,7 @@ TEST_CASE("a loan that waits for a reader goes on when that one is killed") {
   killer.join();
 }
 
-TEST_CASE("a loan waits no longer than block_for, and under Refuse not at all") {
+TEST_CASE("a loan waits no longer than block_for, and under Policy::Refuse not at all") {
   const Watchdog watchdog(60);
   struct Picture {
     std::uint64_t number;

@@ -124,7 +124,7 @@ TEST_CASE("a latched message stays while another topic of its process runs out o
   CHECK(got->id == 7);
 }
 
-TEST_CASE("a request that can never be met gives no message up") {
+TEST_CASE("a request that can never be met throws OutOfMemory and gives no message up") {
   const Watchdog watchdog(60);
   Place place(32 * kMiB);
   auto maps = place.engine.advertise<Map>("map");
@@ -218,7 +218,7 @@ std::uint64_t taken(const lot::ShmEngine& engine) {
   return static_cast<std::uint64_t>(status.st_blocks) * 512;
 }
 
-TEST_CASE("memory that nobody uses any more goes back to the system") {
+TEST_CASE("memory that no process uses any more goes back to the system") {
   const Watchdog watchdog(120);
   Place place(256 * kMiB);
   auto kept = place.engine.advertise<Frame>("kept", {Policy::Overwrite, 2, {}});
@@ -257,7 +257,7 @@ TEST_CASE("memory that nobody uses any more goes back to the system") {
   }
 }
 
-TEST_CASE("killed while it gives memory back, a process leaves what others repair") {
+TEST_CASE("a process that is killed while it gives memory back leaves what the others repair") {
   const Watchdog watchdog(120);
   std::mt19937_64 random(seed());
   Place place(32 * kMiB);
@@ -422,7 +422,7 @@ void push_detections(lot::ShmPusher<Detection>& pusher, int count,
   }
 }
 
-TEST_CASE("messages do not go for what they refer to when others keep that alive") {
+TEST_CASE("messages do not give way for what they refer to when others keep that alive") {
   const Watchdog watchdog(60);
   Place place(32 * kMiB);
   auto detections = place.engine.advertise<Detection>("detections", {Policy::Overwrite, 16, {}});
@@ -443,7 +443,7 @@ TEST_CASE("messages do not go for what they refer to when others keep that alive
   CHECK(place.engine.subscribe<Detection>("detections", latched(16)).size() == 16);
 }
 
-TEST_CASE("messages go that alone have what they refer to") {
+TEST_CASE("messages give way that alone have what they refer to") {
   const Watchdog watchdog(60);
   Place place(32 * kMiB);
   auto detections = place.engine.advertise<Detection>("detections", {Policy::Overwrite, 16, {}});
@@ -469,7 +469,7 @@ TEST_CASE("messages go that alone have what they refer to") {
   }
 }
 
-TEST_CASE("memory that a publisher has reserved is there whatever other topics need") {
+TEST_CASE("memory from reserve() is there whatever other topics need") {
   const Watchdog watchdog(60);
   Place place(32 * kMiB);
   auto front = place.engine.advertise<Frame>("front");
@@ -486,8 +486,7 @@ TEST_CASE("memory that a publisher has reserved is there whatever other topics n
   CHECK_NOTHROW(push_frames(front, 4, 4 * kMiB));
 }
 
-TEST_CASE(
-    "a reservation that fails leaves its memory to others, and what was reserved before stays") {
+TEST_CASE("a reserve() that fails leaves its memory to others; what was reserved before stays") {
   const Watchdog watchdog(60);
   Place place(32 * kMiB);
   auto front = place.engine.advertise<Frame>("front");
@@ -782,7 +781,7 @@ TEST_CASE("whichever allocation of put and pop fails, no item is lost") {
   });
 }
 
-TEST_CASE("whichever allocation of listen, fd and a wait set fails, nothing is lost") {
+TEST_CASE("whichever allocation of listen, fd and a WaitSet fails, nothing is lost") {
   const Watchdog watchdog(100);
   fail_each_allocation([](lot::ShmEngine& engine, long n) {
     auto pusher = engine.advertise<Frame>("t");
@@ -802,7 +801,7 @@ TEST_CASE("whichever allocation of listen, fd and a wait set fails, nothing is l
   });
 }
 
-TEST_CASE("whichever allocation of a message that refers to another fails, nothing is lost") {
+TEST_CASE("whichever allocation of a message with a ShmRef fails, nothing is lost") {
   const Watchdog watchdog(100);
   struct Box {
     lot::ShmRef<const Map> map;

@@ -125,7 +125,7 @@ struct lot::is_trusted_message<Virtual> : std::true_type {};
 
 TEST_SUITE_BEGIN("pointers");
 
-TEST_CASE("null and moved-from pointers behave") {
+TEST_CASE("null and moved-from pointers, unique, shared and weak, behave") {
   Place place;
   Unique u;
   CHECK(!u);
@@ -182,7 +182,7 @@ TEST_CASE("null and moved-from pointers behave") {
   CHECK(!v.expired());
 }
 
-TEST_CASE("a unique pointer owns, moves, swaps, frees and becomes shared without a copy") {
+TEST_CASE("a ShmUniquePtr owns, moves, swaps, frees and becomes a ShmSharedPtr without a copy") {
   Place place;
   Unique u = place.engine->make<Pair>(std::uint64_t{1}, std::uint64_t{2});
   const Pair* address = u.get();
@@ -210,7 +210,7 @@ TEST_CASE("a unique pointer owns, moves, swaps, frees and becomes shared without
   CHECK(!w);
 }
 
-TEST_CASE("copies count, convert, alias, cast, compare, hash and print as std::shared_ptr's do") {
+TEST_CASE("copies of a ShmSharedPtr count, convert, alias, cast, compare, hash and print") {
   Place place;
   Shared s = place.make(1);
   const Shared other = place.make(5);
@@ -281,7 +281,7 @@ TEST_CASE("copies count, convert, alias, cast, compare, hash and print as std::s
   CHECK(a == s);
 }
 
-TEST_CASE("a weak pointer does not keep the message alive, nor takes the next one in its memory") {
+TEST_CASE("a ShmWeakPtr does not keep the message alive, nor takes the next one in its memory") {
   Place place;
   Shared s = place.make(1);
   const Weak w = s;
@@ -316,7 +316,7 @@ TEST_CASE("a weak pointer does not keep the message alive, nor takes the next on
   CHECK(copy.lock() == more[0]);
 }
 
-TEST_CASE("a message that only the queue holds has not expired for a weak pointer") {
+TEST_CASE("a message that only the queue holds has not expired for a weak pointer, ShmWeakPtr") {
   Place place;
   auto pusher = place.engine->advertise<Pair>("/t", {lot::Policy::Overwrite, 2, 1s});
   Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
@@ -425,7 +425,7 @@ TEST_CASE("a kept message outlives its subscription, its publisher and its publi
   }
 }
 
-TEST_CASE("pointers outlive their engine, and the process leaves with the last of them") {
+TEST_CASE("pointers outlive their ShmEngine, and the process leaves with the last of them") {
   const auto options = fresh();
   Shared s;
   Unique u;
@@ -915,7 +915,7 @@ class OnCore {
   cpu_set_t before_;
 };
 
-TEST_CASE("an item that its maker takes back is destroyed, though others try for it") {
+TEST_CASE("an item that its maker takes back is destroyed, though other processes try for it") {
   const Watchdog watchdog(100);
   const auto options = fresh();
   constexpr int kRounds = 20'000;

@@ -63,7 +63,7 @@ lot::Status hoard(lot::ShmPuller<Frame>& puller, Kept& kept) {
 
 TEST_SUITE_BEGIN("transport");
 
-TEST_CASE("a subscription that keeps what it may hears so, and goes on when it lets some go") {
+TEST_CASE("at max_held_bytes pull says HoldsTooMuch, and goes on when the reader lets some go") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(kSegment));
   auto pusher = engine.advertise<Frame>("/frames");
@@ -154,7 +154,7 @@ TEST_CASE("the same message counts once, and what has died not at all") {
   }
 }
 
-TEST_CASE("by default a subscription keeps a quarter of the segment, in memory or in messages") {
+TEST_CASE("by default max_held_bytes is a quarter of the segment, in memory or in messages") {
   const Watchdog watchdog(60);
   auto options = fresh(kSegment);
   options.blocks = 400;
@@ -188,7 +188,7 @@ TEST_CASE("by default a subscription keeps a quarter of the segment, in memory o
   }
 }
 
-TEST_CASE("a reader that keeps everything it may holds up no other topic") {
+TEST_CASE("a reader at its max_held_bytes holds up no other topic") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   Steps ready, end;
@@ -303,7 +303,7 @@ TEST_CASE("all subscriptions together leave half of the segment to others") {
   for (auto& hoarder : hoarders) CHECK(hoarder.wait() == 0);
 }
 
-TEST_CASE("a wait set and a listener are told, now and then, and do not spin") {
+TEST_CASE("a WaitSet and a listener's on_error hear of HoldsTooMuch at times, and do not spin") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(kSegment));
   auto pusher = engine.advertise<Frame>("/frames");
@@ -337,7 +337,7 @@ TEST_CASE("a wait set and a listener are told, now and then, and do not spin") {
   CHECK(eventually([&] { return errors > 0; }));
 }
 
-TEST_CASE("a queue of shared items says so too") {
+TEST_CASE("a queue of shared items says that its reader holds too much") {
   const Watchdog watchdog(60);
   auto options = fresh(kSegment);
   options.blocks = 64;
@@ -366,7 +366,7 @@ TEST_CASE("a queue of shared items says so too") {
   CHECK((*queue.try_pop()).get() != nullptr);
 }
 
-TEST_CASE("a publisher takes no more than it may, and gives its own oldest up") {
+TEST_CASE("a publisher takes no more than max_bytes, and gives its own oldest up") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(kSegment));
   lot::PusherOptions bounded;
@@ -415,7 +415,7 @@ TEST_CASE("a publisher takes no more than it may, and gives its own oldest up") 
   CHECK(engine.subscribe<Frame>("/frames", all).size() == before);
 }
 
-TEST_CASE("messages that threads build at once stay within their publisher's limit") {
+TEST_CASE("messages that threads build at once stay within their publisher's max_bytes") {
   const Watchdog watchdog(60);
   constexpr unsigned kThreads = 4;
   lot::ShmEngine engine(fresh(kSegment));
@@ -449,8 +449,7 @@ TEST_CASE("messages that threads build at once stay within their publisher's lim
   CHECK(refused >= 20 * (kThreads - 2));
 }
 
-TEST_CASE(
-    "of a publisher with a limit: what others keep counts, and a lossless one loses nothing") {
+TEST_CASE("what readers keep counts for max_bytes, and a lossless publisher loses nothing") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(kSegment));
   lot::PusherOptions bounded;
@@ -477,7 +476,7 @@ TEST_CASE(
   CHECK(puller.size() == 4);
 }
 
-TEST_CASE("messages that outlive their publisher neither give nor take another one's limit") {
+TEST_CASE("messages that outlive their publisher change no other publisher's max_bytes") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(kSegment));
   lot::PusherOptions bounded;
@@ -511,7 +510,7 @@ TEST_CASE("messages that outlive their publisher neither give nor take another o
   }
 }
 
-TEST_CASE("a full subscription without a message is empty, and what looks in place goes on") {
+TEST_CASE("a subscription at max_held_bytes without a message is empty, and try_borrow() goes on") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(fresh(kSegment));
   Kept kept;
@@ -551,7 +550,7 @@ TEST_CASE("a full subscription without a message is empty, and what looks in pla
   CHECK(keeper.missed_total() == 0);
 }
 
-TEST_CASE("what a publisher has reserved counts for its limit, and stays its own") {
+TEST_CASE("what reserve() made counts for max_bytes, and stays the publisher's own") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   lot::ShmEngine engine(options);
@@ -586,7 +585,7 @@ TEST_CASE("what a publisher has reserved counts for its limit, and stays its own
   CHECK(greedy.wait() == 0);
 }
 
-TEST_CASE("what a publisher has reserved goes to no other process, neither idle nor in its ring") {
+TEST_CASE("what reserve() made goes to no other process, neither idle nor in a ring") {
   const Watchdog watchdog(60);
   const auto options = fresh(kSegment);
   constexpr std::uint64_t kReserved = 6;

@@ -92,7 +92,7 @@ TEST_CASE_FIXTURE(BothEngines, "a frame that its readers have read is the next o
   });
 }
 
-TEST_CASE_FIXTURE(BothEngines, "by default the whole queue stays for readers that come later") {
+TEST_CASE_FIXTURE(BothEngines, "by default history is the whole queue, for later readers") {
   lot::ShmEngine engine(options);
   auto pusher = engine.advertise<Frame>("/frames", keeping(lot::PusherOptions::kAll));
   auto reader = engine.subscribe<Frame>("/frames");
@@ -135,7 +135,7 @@ TEST_CASE_FIXTURE(BothEngines, "a reader that lags has the whole queue, and what
   });
 }
 
-TEST_CASE_FIXTURE(BothEngines, "a late reader gets what was to stay, and is told of no gap") {
+TEST_CASE_FIXTURE(BothEngines, "a late reader gets the history that stayed, without a gap") {
   with_each_engine([&](QueueEngine engine_kind) {
     for (const std::uint32_t history : {0U, 1U, 3U}) {
       CAPTURE(history);

@@ -114,7 +114,7 @@ TEST_CASE("a viewer that is killed in a sandbox holds no camera up") {
   }
 }
 
-TEST_CASE("where neither madvise nor fallocate is allowed, messages say that there is no memory") {
+TEST_CASE("without madvise and fallocate a message throws, and the error names them") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Child child([&] {

@@ -69,7 +69,7 @@ std::string refusal_of_blocks(lot::ShmPusher<Note>& pusher,
 
 TEST_SUITE_BEGIN("transport");
 
-TEST_CASE("what the error says would have fitted does fit") {
+TEST_CASE("what OutOfMemory says would have fitted does fit") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(named("node"));
   auto front = engine.advertise<Frame>("/front");
@@ -87,7 +87,7 @@ TEST_CASE("what the error says would have fitted does fit") {
   CHECK(refusal(rear, fits * kMiB) == "no error");
 }
 
-TEST_CASE("the error for what is larger than the segment advises a larger one, and nothing else") {
+TEST_CASE("OutOfMemory for more than the segment advises a larger one, and nothing else") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(named("node"));
   auto pusher = engine.advertise<Frame>("/frames");
@@ -100,7 +100,7 @@ TEST_CASE("the error for what is larger than the segment advises a larger one, a
   CHECK(!names(text, "would have fitted"));
 }
 
-TEST_CASE("the error of a full segment advises what helps against what has most of it") {
+TEST_CASE("OutOfMemory of a full segment advises what helps against what has most of it") {
   const Watchdog watchdog(60);
   lot::ShmEngine engine(named("node"));
   auto pusher = engine.advertise<Frame>("/late");
@@ -168,7 +168,7 @@ TEST_CASE("the error of a full segment advises what helps against what has most 
   }
 }
 
-TEST_CASE("the error where all blocks are in use names who has them") {
+TEST_CASE("OutOfMemory where all blocks are in use names the processes that have them") {
   const Watchdog watchdog(60);
   auto options = named("node");
   options.blocks = 64;
@@ -202,7 +202,7 @@ TEST_CASE("the error where all blocks are in use names who has them") {
   }
 }
 
-TEST_CASE("the error of a full file system says what is free there, and advises another one") {
+TEST_CASE("OutOfMemory of a full file system says what is free there, and advises another one") {
   const Watchdog watchdog(60);
   const SmallDisk disk("size=40m");
   if (disk.path.empty()) {
@@ -230,7 +230,7 @@ TEST_CASE("the error of a full file system says what is free there, and advises 
   std::remove((disk.path + "/other").c_str());
 }
 
-TEST_CASE("the error names a process that has the memory and does not answer") {
+TEST_CASE("OutOfMemory names a process that has the memory and does not answer") {
   const Watchdog watchdog(60);
   const auto options = named("the sleeper");
   Steps ready, end;

@@ -27,7 +27,7 @@ bool has_one_core() { return !lot::transport::has_several_cores(); }
 
 }  // namespace
 
-TEST_CASE("who spins always spins, who parks never does, whatever came of it") {
+TEST_CASE("Wait::Spin always spins, Wait::Park never does, whatever came of it") {
   SpinHabit spin(Wait::Spin);
   SpinHabit park(Wait::Park);
   for (int i = 0; i < 100; ++i) {
@@ -38,7 +38,7 @@ TEST_CASE("who spins always spins, who parks never does, whatever came of it") {
   }
 }
 
-TEST_CASE("who adapts spins until that was in vain four times, then now and then") {
+TEST_CASE("Wait::Adaptive spins until that was in vain four times, then now and then") {
   if (has_one_core()) return;
   SpinHabit habit(Wait::Adaptive);
   CHECK_FALSE(habit.enough(kShort));

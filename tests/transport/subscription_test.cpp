@@ -126,8 +126,7 @@ class TakenRegistry {
 
 TEST_SUITE_BEGIN("subscription");
 
-TEST_CASE(
-    "what a killed process has put reaches those who had subscribed, however late they look") {
+TEST_CASE("messages of a killed publisher reach its subscribers, however late they look") {
   const Watchdog watchdog(100);
   const auto options = fresh();
   lot::ShmEngine engine(options);
@@ -153,7 +152,7 @@ TEST_CASE(
   }));
 }
 
-TEST_CASE("what a publisher has put that is gone reaches those who had subscribed") {
+TEST_CASE("messages of a publisher that has left reach its subscribers") {
   const Watchdog watchdog(100);
   const auto options = fresh();
   lot::ShmEngine engine(options);
@@ -174,7 +173,7 @@ TEST_CASE("what a publisher has put that is gone reaches those who had subscribe
   receiver.check();
 }
 
-TEST_CASE("what an overwriting publisher has lost before it died counts as missed") {
+TEST_CASE("what a dead publisher has lost under Policy::Overwrite counts as missed") {
   const Watchdog watchdog(100);
   const auto options = fresh();
   lot::ShmEngine engine(options);
@@ -320,7 +319,7 @@ TEST_CASE("a subscribe that fails takes nothing from the other pullers of its pr
   }
 }
 
-TEST_CASE("what memory pressure took before the publisher died is missed, also without a message") {
+TEST_CASE("missed() counts what memory pressure took before the publisher died") {
   const Watchdog watchdog(100);
   auto options = fresh();
   options.size_bytes = 32 << 20;

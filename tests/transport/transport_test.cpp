@@ -130,7 +130,7 @@ TEST_CASE("pull, try_pull, borrow and keep give the messages in order, and say w
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("each reader is told exactly how many messages it missed") {
+TEST_CASE("missed() tells each reader exactly how many messages it has lost") {
   const Watchdog watchdog(60);
   std::mt19937_64 random(seed());
   for (const std::uint32_t depth : {1U, 2U, 3U, 7U, 64U}) {
@@ -189,7 +189,7 @@ TEST_CASE("a borrowed message stays as it is while its publisher laps the reader
   CHECK(number->value == 596);
 }
 
-TEST_CASE("under Block nothing is lost, and a full queue leaves the message with the caller") {
+TEST_CASE("under Policy::Block nothing is lost; a full queue leaves the message with the caller") {
   const Watchdog watchdog(60);
   Place place;
   for (const std::uint32_t depth : {1U, 2U, 5U}) {
@@ -215,7 +215,7 @@ TEST_CASE("under Block nothing is lost, and a full queue leaves the message with
   }
 }
 
-TEST_CASE("two processes hand 20000 messages over under Block, each way of waiting") {
+TEST_CASE("two processes hand 20000 messages over under Policy::Block, each way of waiting") {
   const Watchdog watchdog(100);
   for (const auto wait : {Wait::Park, Wait::Adaptive, Wait::Spin}) {
     const auto options = fresh();
@@ -248,7 +248,7 @@ TEST_CASE("two processes hand 20000 messages over under Block, each way of waiti
   }
 }
 
-TEST_CASE("one subscription reads several publishers, which come and go in any order") {
+TEST_CASE("one ShmPuller reads several publishers, which come and go in any order") {
   const Watchdog watchdog(60);
   std::mt19937_64 random(seed());
   Place place;
@@ -290,7 +290,7 @@ TEST_CASE("one subscription reads several publishers, which come and go in any o
   CHECK(all_got + puller.missed_total() == all_sent);  // received, or counted as missed
 }
 
-TEST_CASE("publishers are counted while somebody else is at the registry, too") {
+TEST_CASE("publishers are counted also while another process has the registry") {
   const Watchdog watchdog(60);
   Place place;
   auto puller = place.engine.subscribe<Number>("/t");
@@ -320,7 +320,7 @@ TEST_CASE("what a publisher sent after the subscription counts, even before the 
   CHECK(got + puller.missed_total() == 10);
 }
 
-TEST_CASE("a lossless publisher waits for all who had subscribed, also before their first look") {
+TEST_CASE("a lossless publisher waits for all earlier subscribers, also before their first look") {
   const Watchdog watchdog(60);
   Place place;
   for (const auto policy : {Policy::Block, Policy::Refuse}) {
@@ -477,7 +477,7 @@ TEST_CASE("a late joiner gets the history it asks for") {
   }
 }
 
-TEST_CASE("several threads push on one pusher and none of their messages is lost") {
+TEST_CASE("several threads push on one ShmPusher and none of their messages is lost") {
   const Watchdog watchdog(60);
   Place place;
   auto pusher = place.engine.advertise<Number>("/t", {Policy::Block, 16, 30s});
@@ -602,7 +602,7 @@ TEST_CASE("a pointer that outlives its publisher gives its memory back when it g
   CHECK(Audit(s).granules == 0);
 }
 
-TEST_CASE("when memory runs out, the oldest messages give way and are counted as missed") {
+TEST_CASE("when memory runs out, the oldest messages give way and are counted by missed()") {
   const Watchdog watchdog(60);
   Place place(16 << 20);
   auto pusher = place.engine.advertise<Frame>("/t", {Policy::Overwrite, 64, 1s});
@@ -641,7 +641,7 @@ TEST_CASE("when memory runs out, the oldest messages give way and are counted as
   }
 }
 
-TEST_CASE("when blocks run out, loan says so, try_loan is null, and freeing helps") {
+TEST_CASE("when blocks run out, loan throws OutOfMemory, try_loan is null, and freeing helps") {
   const Watchdog watchdog(60);
   auto options = fresh(32 << 20);
   options.blocks = 16;
@@ -757,7 +757,7 @@ TEST_CASE("big and small messages in any mixture do not fill the segment up") {
   MESSAGE("at most ", most / 256, " MiB of 128 were in use");
 }
 
-TEST_CASE("engines of one process on one segment are one participant") {
+TEST_CASE("several ShmEngine of one process on one segment are one participant") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   {

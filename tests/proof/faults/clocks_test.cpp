@@ -164,7 +164,7 @@ TEST_CASE("a blocked push ends in its time, or goes on when there is room") {
   }
 }
 
-TEST_CASE("who waits for the registry, or for the gate, waits on when the clock is set") {
+TEST_CASE("a process that waits for the registry, or the gate, waits on when the clock is set") {
   const Watchdog watchdog(60);
   if (skipped()) return;
   const Jumps jumps;

@@ -359,7 +359,7 @@ TEST_CASE("two neighbours that close everything at the same moment both live") {
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("who has lost its lock and is stopped keeps its index, its segment and its files") {
+TEST_CASE("a stopped process that has lost its lock keeps its index, its segment and its files") {
   const Watchdog watchdog(60);
   const Ground options;
   Steps ready, closed, done;
@@ -404,7 +404,7 @@ TEST_CASE("who has lost its lock and is stopped keeps its index, its segment and
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("a process in two segments: each lock file comes back, whoever gets which number") {
+TEST_CASE("a process in two segments: each lock file comes back, whichever gets which number") {
   const Watchdog watchdog(60);
   const Ground one, two;
   Neighbour next_to_one(one), next_to_two(two);
@@ -465,7 +465,7 @@ TEST_CASE("a process that is twice in a segment: one of the two may get the othe
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("who has closed its descriptors and is killed then is reaped") {
+TEST_CASE("a process that has closed its descriptors and is killed then is reaped") {
   const Watchdog watchdog(60);
   for (const bool at_once : {true, false}) {
     CAPTURE(at_once);
@@ -492,8 +492,7 @@ TEST_CASE("who has closed its descriptors and is killed then is reaped") {
   }
 }
 
-TEST_CASE(
-    "with its lock file gone and its descriptor closed, a process leaves others' files alone") {
+TEST_CASE("without lock file and descriptor, a process leaves other processes' files alone") {
   const Watchdog watchdog(60);
   const Ground options;
   Child careless([&] {
@@ -512,7 +511,7 @@ TEST_CASE(
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("closed while it joins: an error that says so, or it goes on; the next one cleans up") {
+TEST_CASE("descriptors closed while a process joins: an error that says so, or it goes on") {
   const Watchdog watchdog(120);
   for (const bool stale : {false, true}) {  // another segment is there, which nobody uses
     CAPTURE(stale);
@@ -593,7 +592,7 @@ TEST_CASE("closefrom() in the middle of a reap: what has the number then is not 
 
 // What the cases above rely on can fail.
 
-TEST_CASE("a neighbour reaps who is dead, and the spy sees a lock on a file that is not LOT's") {
+TEST_CASE("a neighbour reaps the dead, and the spy sees a lock on a file that is not LOT's") {
   const Watchdog watchdog(60);
   const Ground options;
   {

@@ -179,7 +179,7 @@ TEST_CASE("the segment, or both files, removed: those inside go on, newcomers me
   }
 }
 
-TEST_CASE("the segment removed: who dies inside is reaped by those inside, whatever newcomers do") {
+TEST_CASE("the segment removed: those inside reap their dead, whatever newcomers do") {
   const Watchdog watchdog(60);
   const Ground options;
   Insiders inside(options);
@@ -195,7 +195,7 @@ TEST_CASE("the segment removed: who dies inside is reaped by those inside, whate
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("the lock file removed: newcomers join the same segment, and nobody is taken for dead") {
+TEST_CASE("the lock file removed: newcomers join the same segment, and none is taken for dead") {
   const Watchdog watchdog(60);
   for (const bool insiders_leave_first : {true, false}) {
     CAPTURE(insiders_leave_first);
@@ -283,8 +283,7 @@ TEST_CASE("both files removed: another engine of a process inside joins those in
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE(
-    "the lock file removed and nobody comes: the segment stays, and the next one removes it") {
+TEST_CASE("the lock file removed, no newcomer: the segment stays, the next process removes it") {
   const Watchdog watchdog(60);
   const Ground options;
   Insiders inside(options);
@@ -296,7 +295,7 @@ TEST_CASE(
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("replaced by another segment in use: newcomers meet those, nobody is reaped, all go on") {
+TEST_CASE("replaced by another segment in use: newcomers meet there, none is reaped, all go on") {
   const Watchdog watchdog(60);
   const Ground options, other;
   Insiders inside(options);
@@ -432,7 +431,7 @@ TEST_CASE("the lock file removed while two join: the second one gets another ind
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("the directory renamed: those inside go on, and meet who comes by the new name") {
+TEST_CASE("the directory renamed: those inside go on, and meet newcomers by the new name") {
   const Watchdog watchdog(60);
   for (const bool insiders_leave_first : {true, false}) {
     CAPTURE(insiders_leave_first);

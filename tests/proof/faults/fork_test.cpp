@@ -106,7 +106,7 @@ bool has_lock_file(pid_t pid, const lot::EngineOptions& options) {
 
 TEST_SUITE_BEGIN("fork");
 
-TEST_CASE("a program that a node has started lives on, and the killed node is reaped") {
+TEST_CASE("a program started by fork, vfork or posix_spawn lives on; the killed node is reaped") {
   const Watchdog watchdog(60);
   prctl(PR_SET_CHILD_SUBREAPER, 1);
   for (const auto start : {&with_fork_and_exec, &with_vfork_and_exec, &with_posix_spawn}) {
@@ -210,8 +210,7 @@ TEST_CASE("the child of a killed parent goes on with an engine of its own") {
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE(
-    "a parent that leaves takes nothing from the child that lives on, and the other way round") {
+TEST_CASE("a parent that leaves takes nothing from its forked child, and the other way round") {
   const Watchdog watchdog(60);
   const Ground options;
   Steps forked, left, life;
@@ -355,8 +354,7 @@ Statics& statics(const lot::EngineOptions& options) {
 
 }  // namespace
 
-TEST_CASE(
-    "exit() in a child destroys static objects and touches nothing; in the parent it leaves") {
+TEST_CASE("exit() in a forked child destroys statics, touches nothing; in the parent it leaves") {
   const Watchdog watchdog(60);
   const Ground options;
   Child parent([&] {
@@ -450,8 +448,7 @@ TEST_CASE("a child forked while a closed lock file is opened again holds no lock
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE(
-    "a child forked while another thread is leaving holds no lock, and the parent is reaped") {
+TEST_CASE("a child forked while a thread is leaving holds no lock, and the parent is reaped") {
   const Watchdog watchdog(60);
   const Ground options;
   Neighbour neighbour(options);

@@ -171,8 +171,7 @@ TEST_CASE("a lock file that is a directory or a link is an error, and is left al
   }
 }
 
-TEST_CASE(
-    "a lock file that is a FIFO, a device or somebody's text is an error, and is left alone") {
+TEST_CASE("a lock file that is a FIFO, a device or a user's text is an error, and is left alone") {
   const Watchdog watchdog(60);
   for (const int kind : {S_IFIFO, S_IFCHR, S_IFREG}) {
     CAPTURE(kind);

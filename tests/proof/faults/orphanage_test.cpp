@@ -160,7 +160,7 @@ TEST_CASE("the lock file removed: old and new processes do not act for the orpha
   check_rounds(Fault::LockFileRemoved);
 }
 
-TEST_CASE("nobody acts for the orphanage without its byte, nor without its lock") {
+TEST_CASE("no process acts for the orphanage without its byte, nor without its lock") {
   const Watchdog watchdog(60);
   for (const bool byte : {true, false}) {
     CAPTURE(byte);
@@ -197,12 +197,12 @@ TEST_CASE("nobody acts for the orphanage without its byte, nor without its lock"
   }
 }
 
-TEST_CASE("closefrom() in the middle of a reap: nobody else acts for the orphanage meanwhile") {
+TEST_CASE("closefrom() in the middle of a reap: no other process acts for the orphanage") {
   const Watchdog watchdog(60);
   check_rounds(Fault::ClosedInAReap);
 }
 
-TEST_CASE("a dead one's index is not refused because somebody reaps just now") {
+TEST_CASE("a dead process's index is not refused because another one reaps just now") {
   const Watchdog watchdog(60);
   Ground options;
   options.processes = 1;

@@ -229,7 +229,7 @@ TEST_CASE("a publisher that is stopped past its deadline says Full, or Ok when t
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("a stopped reader that borrows: Block is held back, Overwrite goes on, the bytes stay") {
+TEST_CASE("a stopped reader that borrows: Policy::Block waits, Overwrite goes on, the bytes stay") {
   const Watchdog watchdog(60);
   const Ground options;
   Neighbour neighbour(options);

@@ -176,7 +176,7 @@ TEST_CASE("deadlines are measured on one's own clock, on one word and on many") 
   }
 }
 
-TEST_CASE("who sleeps on another clock is woken, and is reaped when it is killed, both ways") {
+TEST_CASE("a sleeper on another clock is woken, and is reaped when it is killed, both ways") {
   const Watchdog watchdog(60);
   if (skipped()) return;
   for (const bool ahead : {true, false}) {

@@ -232,8 +232,7 @@ TEST_CASE("the roster wraps: a sender knows what each joiner borrows") {
   CHECK(ring.roster->load() < 10);
 }
 
-TEST_CASE(
-    "the word that a sender sleeps on wraps, by readers that read and by readers that leave") {
+TEST_CASE("the word that a sender sleeps on wraps, by readers that read and that leave") {
   const Watchdog watchdog(60);
   for (const bool readers_leave : {false, true}) {
     CAPTURE(readers_leave);
@@ -272,7 +271,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("the directory's version wraps: who waits for publishers learns of each") {
+TEST_CASE("the directory's version wraps: a reader that waits for publishers learns of each") {
   const Watchdog watchdog(60);
   Fresh ground;
   auto& version = ground.segment->directory().version;
@@ -303,8 +302,7 @@ TEST_CASE("the directory's version wraps: who waits for publishers learns of eac
   CHECK(version.load() < 100);
 }
 
-TEST_CASE(
-    "the generation of a ring wraps: publishers that follow each other in it are told apart") {
+TEST_CASE("the generation of a ring wraps: publishers that follow each other are told apart") {
   const Watchdog watchdog(60);
   for (const std::uint32_t before : {kEnd - 3, kEnd - 2}) {  // one up for each end of a ring, too
     CAPTURE(before);

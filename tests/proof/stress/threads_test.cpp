@@ -252,7 +252,7 @@ TEST_CASE("a borrowed message is never overwritten, and what is missed is counte
   }
 }
 
-TEST_CASE("under back-pressure every reader gets every message, and nobody sleeps for ever") {
+TEST_CASE("under back-pressure every reader gets every message, and none sleeps for ever") {
   Watchdog watchdog;
   const std::uint32_t seed = new_seed();
   const std::uint64_t messages = 40000;
@@ -284,7 +284,7 @@ TEST_CASE("under back-pressure every reader gets every message, and nobody sleep
   }
 }
 
-TEST_CASE("a lossless sender takes back what was read from under nobody, and nobody misses any") {
+TEST_CASE("a lossless sender takes back only what all have read, and no reader misses any") {
   Watchdog watchdog;
   const std::uint32_t seed = new_seed();
   const std::uint64_t messages = 40000;
@@ -421,7 +421,7 @@ void run_family(Family& family, std::uint32_t seed) {
 
 }  // namespace
 
-TEST_CASE("a message never changes while somebody holds it, whoever locks, copies and lets go") {
+TEST_CASE("a message never changes while a thread holds it, whichever ones lock, copy and let go") {
   Watchdog watchdog;
   const std::uint32_t seed = new_seed();
   Family family(100000, 0);

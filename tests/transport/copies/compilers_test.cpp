@@ -60,7 +60,7 @@ TEST_CASE("what one compiler's program publishes another's reads, whichever make
   }
 }
 
-TEST_CASE("one compiler's program repairs what another's leaves that is killed") {
+TEST_CASE("one compiler's program repairs what a killed one of another compiler leaves") {
   if (!there_are_two()) return;
   const Watchdog watchdog(120);
   for (const std::string& victim : {kOwn, kOther}) {

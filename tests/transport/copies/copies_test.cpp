@@ -317,7 +317,7 @@ TEST_CASE("shared objects with copies of their own exchange pointers and message
   in_a_process([](const auto& options) { messages_and_pointers(options, RTLD_LOCAL); });
 }
 
-TEST_CASE("so they do when the names of one are visible to the other") {
+TEST_CASE("shared objects do so, too, when the names of one are visible to the other") {
   in_a_process([](const auto& options) { messages_and_pointers(options, RTLD_GLOBAL); });
 }
 
@@ -329,7 +329,7 @@ TEST_CASE("a shared object that is unloaded while it is used stays, and so do it
   in_a_process([](const auto& options) { unload_what_is_in_use(options); });
 }
 
-TEST_CASE("a shared object that is unloaded when nobody uses it has left, and can come again") {
+TEST_CASE("a shared object that is unloaded when it is not used has left, and can come again") {
   in_a_process([](const auto& options) { unload_what_nobody_uses(options); });
 }
 

@@ -108,7 +108,7 @@ TEST_CASE("static objects leave the segment, whichever goes last, and remove it"
   }
 }
 
-TEST_CASE("a signal ends the last process of a segment, and leaves no file") {
+TEST_CASE("end_cleanly_on_signals: a signal ends a segment's last process, and leaves no file") {
   const Watchdog watchdog(120);
   const struct {
     const char* how;
@@ -132,7 +132,7 @@ TEST_CASE("a signal ends the last process of a segment, and leaves no file") {
   }
 }
 
-TEST_CASE("a signal leaves the files to others, and those that are to stay") {
+TEST_CASE("end_cleanly_on_signals leaves files to other processes, and with persist") {
   const Watchdog watchdog(120);
   for (const int signal : {SIGINT, SIGTERM}) {
     const auto options = fresh();
@@ -208,7 +208,7 @@ TEST_CASE("a process that a signal ends forks no child, which would find locks t
   close(said);
 }
 
-TEST_CASE("two that are ended at once leave no file") {
+TEST_CASE("two processes that signals end at once leave no file") {
   const Watchdog watchdog(120);
   for (int round = 0; round < 20; ++round) {
     const auto options = fresh();
@@ -224,7 +224,7 @@ TEST_CASE("two that are ended at once leave no file") {
   }
 }
 
-TEST_CASE("killed while a signal ends it, a process leaves what the next one repairs") {
+TEST_CASE("a process that is killed while a signal ends it leaves what the next one repairs") {
   const Watchdog watchdog(120);
   std::mt19937_64 random(seed());
   for (int round = 0; round < 40; ++round) {

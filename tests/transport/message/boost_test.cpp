@@ -297,8 +297,7 @@ bool all_are(bool in_message, const Zoo& zoo) {
 
 TEST_SUITE_BEGIN("message");
 
-TEST_CASE(
-    "Boost's containers are built in the message and read by a process that maps it elsewhere") {
+TEST_CASE("Boost's containers in a message are read by a process that maps it elsewhere") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   const std::uint64_t first = seed();

@@ -135,7 +135,7 @@ bool good(const Cloud& cloud, std::uint32_t n) {
 
 TEST_SUITE_BEGIN("message");
 
-TEST_CASE("strings, vectors and nested ones cross to another process") {
+TEST_CASE("ShmString, ShmVector and nested ones cross to another process") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Steps ready;
@@ -281,7 +281,7 @@ TEST_CASE("an exception while a message is built frees it") {
   CHECK(pusher.push(std::move(target)) == lot::Status::Ok);
 }
 
-TEST_CASE("a message keeps what it refers to alive, and lets it go when it dies") {
+TEST_CASE("a ShmRef keeps its target alive, and lets it go when its own message dies") {
   const Watchdog watchdog(60);
   Place place;
   lot::segment::Segment s(place.engine.path());
@@ -345,7 +345,7 @@ TEST_CASE("a message of strings and vectors is freed as a whole; any other destr
   CHECK(Counting::destroyed <= before + 300);
 }
 
-TEST_CASE("many references in vectors, also of messages that refer to others") {
+TEST_CASE("many ShmRef in vectors, also to messages that refer to others") {
   const Watchdog watchdog(60);
   Place place;
   lot::segment::Segment s(place.engine.path());
@@ -393,7 +393,7 @@ TEST_CASE("many references in vectors, also of messages that refer to others") {
   CHECK(eventually([&] { return last.expired(); }));
 }
 
-TEST_CASE("a reference stays good when its message's publisher is killed, and is freed after") {
+TEST_CASE("a ShmRef stays good when its publisher is killed, and its target is freed after") {
   const Watchdog watchdog(60);
   const auto options = fresh();
   Steps joined;
@@ -436,7 +436,7 @@ TEST_CASE("a reference stays good when its message's publisher is killed, and is
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("a reference into another segment is refused") {
+TEST_CASE("a ShmRef into another segment is refused") {
   Place here;
   Place there;
   auto pusher = here.engine.advertise<Detection>("/d");
@@ -456,7 +456,7 @@ TEST_CASE("a message whose constructor throws gives its memory back, however oft
   CHECK(message->data.size() == 1 << 20);
 }
 
-TEST_CASE("a reference to a reference keeps the whole chain") {
+TEST_CASE("a ShmRef to a message with a ShmRef keeps the whole chain") {
   const Watchdog watchdog(60);
   struct Link {
     std::uint64_t number;
@@ -485,7 +485,7 @@ TEST_CASE("a reference to a reference keeps the whole chain") {
   CHECK(watch.expired());
 }
 
-TEST_CASE("a reference that is assigned again lets its former target go while it is built") {
+TEST_CASE("a ShmRef that is assigned again lets its former target go while its message is built") {
   Place place;
   const auto make = [&](std::uint64_t number) {
     auto target = place.engine.make<Target>();
@@ -537,7 +537,7 @@ TEST_CASE("a reference that is assigned again lets its former target go while it
   CHECK(third.expired());
 }
 
-TEST_CASE("references in a message may change as often as they like") {
+TEST_CASE("a ShmRef in a message may change as often as it likes") {
   const Watchdog watchdog(60);
   Place place;
   auto message = place.engine.make<Detections>();
@@ -555,7 +555,7 @@ TEST_CASE("references in a message may change as often as they like") {
   CHECK(after.granules < before + 10);
 }
 
-TEST_CASE("a reference to a part of a message is good, to anything else it is refused") {
+TEST_CASE("a ShmRef to a part of a message is good, to anything else it is refused") {
   Place place;
   auto target = place.engine.make<Target>();
   target->data.assign(1000, 7);
@@ -583,7 +583,7 @@ TEST_CASE("a reference to a part of a message is good, to anything else it is re
   CHECK(!parts->element);
 }
 
-TEST_CASE("a chain of references dies on a small stack, however long it is") {
+TEST_CASE("a chain of ShmRef dies on a small stack, however long it is") {
   const Watchdog watchdog(60);
   struct Link {
     lot::ShmRef<const Link> before;

@@ -223,7 +223,7 @@ TEST_CASE("a message may have many large pieces") {
   }
 }
 
-TEST_CASE("reserved memory serves pieces of any size") {
+TEST_CASE("memory from reserve() serves pieces of any size") {
   Segment segment(64 * kMiB);
   auto pusher = segment.engine.advertise<Frame>("/reserved");
   pusher.reserve(1, 4 * kMiB);
@@ -291,7 +291,7 @@ TEST_CASE("a constructor that throws leaves nothing in its block") {
   CHECK_NOTHROW(pusher.loan(false));
 }
 
-TEST_CASE("reserved memory stays while messages do not need it, and grows no pile beside it") {
+TEST_CASE("memory from reserve() stays while messages need less, and grows no pile beside it") {
   Segment segment(64 * kMiB);
   auto pusher = segment.engine.advertise<Frame>("/reserved");
   const std::uint64_t before = segment.used();
@@ -354,7 +354,7 @@ TEST_CASE("a few messages that are kept do not lie in the way of large ones") {
   CHECK(now * 4 >= empty * 3);
 }
 
-TEST_CASE("what a message that is being built has no need of serves others") {
+TEST_CASE("what a message that is being built has no need of serves other messages") {
   Segment segment(128 * kMiB);
   auto pusher = segment.engine.advertise<Frame>("/built");
   const auto make_warm = [&](std::size_t bytes) { pusher.loan()->data.resize(bytes); };

@@ -271,7 +271,7 @@ TEST_CASE_FIXTURE(Fixture, "(c) all operations at once, at random, on the same h
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "(d) who waits on a queue keeps nobody from anything else") {
+TEST_CASE_FIXTURE(Fixture, "(d) waiting on a queue keeps no process from anything else") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto queue = shm.queue<Item>("q", with(engine, 2));

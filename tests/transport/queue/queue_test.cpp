@@ -84,7 +84,7 @@ struct lot::is_trusted_message<Fragile> : std::true_type {};
 
 TEST_SUITE_BEGIN("queue");
 
-TEST_CASE_FIXTURE(Fixture, "items come out in the order in which they were put in") {
+TEST_CASE_FIXTURE(Fixture, "items come out of a ShmQueue in the order in which they were put in") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto points = shm.queue<Point>("points", with(engine));
@@ -230,7 +230,7 @@ TEST_CASE_FIXTURE(Fixture, "a handle that goes puts back what it could not copy 
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "a full queue: refuse says so at once, block when the time is up") {
+TEST_CASE_FIXTURE(Fixture, "a full queue: Refuse says so at once, Policy::Block in time") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     for (const Policy policy : {Policy::Block, Policy::Refuse}) {
@@ -250,7 +250,7 @@ TEST_CASE_FIXTURE(Fixture, "a full queue: refuse says so at once, block when the
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "a full queue that overwrites keeps the newest") {
+TEST_CASE_FIXTURE(Fixture, "a full queue under Policy::Overwrite keeps the newest items") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 4, Policy::Overwrite));
@@ -261,7 +261,7 @@ TEST_CASE_FIXTURE(Fixture, "a full queue that overwrites keeps the newest") {
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "who puts into a full queue waits until somebody pops") {
+TEST_CASE_FIXTURE(Fixture, "a put into a full queue waits until another process pops") {
   with_each_engine([&](QueueEngine engine) {
     Child popper([&] {
       lot::ShmEngine shm(options);
@@ -323,7 +323,7 @@ TEST_CASE_FIXTURE(Fixture, "a topic and a queue of items for one do not mix") {
   CHECK_THROWS_WITH_AS(shm.subscribe<Task>("/t"), doctest::Contains("ShmQueue of"), lot::Error);
 }
 
-TEST_CASE_FIXTURE(Fixture, "values and unique pointers are put into the same queue") {
+TEST_CASE_FIXTURE(Fixture, "values and ShmUniquePtr are put into the same queue") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto values = shm.queue<Point>("points", with(engine));
@@ -467,7 +467,7 @@ TEST_CASE_FIXTURE(Fixture, "items that many threads hand round keep what they ar
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "items of a handle that goes at once reach who waits for them") {
+TEST_CASE_FIXTURE(Fixture, "items of a handle that goes at once reach the process that waits") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine));
@@ -495,8 +495,7 @@ TEST_CASE_FIXTURE(Fixture, "items of a handle that goes at once reach who waits 
   });
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "a queue that overwrites gives its oldest items up when memory runs out") {
+TEST_CASE_FIXTURE(Fixture, "a queue with Overwrite gives its oldest up when memory runs out") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);  // 64 MiB
     auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 64, Policy::Overwrite));
@@ -610,7 +609,7 @@ TEST_CASE_FIXTURE(Fixture, "items wait in the queue for the reader that comes la
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "what a killed one has put is still taken") {
+TEST_CASE_FIXTURE(Fixture, "what a killed process has put is still taken") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine));
@@ -681,7 +680,7 @@ TEST_CASE_FIXTURE(Fixture, "each item is taken by exactly one, also when some of
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "who sleeps on an empty queue hears of one that comes later") {
+TEST_CASE_FIXTURE(Fixture, "a pop that sleeps hears of a process that comes later") {
   with_each_engine([&](QueueEngine engine) {
     Child late([&] {
       std::this_thread::sleep_for(20ms);

@@ -177,7 +177,7 @@ TEST_CASE_FIXTURE(Fixture, "with persist, what was put waits while no process is
   remove_files_of(kept);
 }
 
-TEST_CASE_FIXTURE(Fixture, "with persist, what was put stays, whoever leaves last, and however") {
+TEST_CASE_FIXTURE(Fixture, "with persist, what was put stays, whichever process leaves last") {
   const lot::EngineOptions visited = fresh();  // by a process that asks for nothing
   for (const char* how : {"returns", "is killed", "is ended by a signal"}) {
     CAPTURE(how);
@@ -255,7 +255,7 @@ TEST_CASE_FIXTURE(Fixture, "what is to stay is not replaced by a segment of anot
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE_FIXTURE(Fixture, "a task is there until it is finished") {
+TEST_CASE_FIXTURE(Fixture, "with redeliver a task is there until finish()") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto jobs = shm.queue<lot::ShmUniquePtr<Job>>("jobs", redelivering(engine));
@@ -397,8 +397,7 @@ TEST_CASE_FIXTURE(Fixture, "an unfinished task counts for the depth, and finish(
   });
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "who sleeps gets what another worker gives back, or leaves when killed") {
+TEST_CASE_FIXTURE(Fixture, "a sleeping worker gets what another gives back, or had when killed") {
   with_each_engine([&](QueueEngine engine) {
     for (const bool putter_stays : {true, false}) {
       CAPTURE(putter_stays);
@@ -629,7 +628,7 @@ TEST_CASE_FIXTURE(Fixture, "a process that leaves gives its tasks back") {
   task.finish();
 }
 
-TEST_CASE_FIXTURE(Fixture, "one long task keeps nobody's memory") {
+TEST_CASE_FIXTURE(Fixture, "one long task keeps no memory from other tasks") {
   with_each_engine([&](QueueEngine engine) {
     lot::EngineOptions small = fresh(16 << 20);
     small.blocks = 64;

@@ -383,7 +383,7 @@ TEST_CASE_FIXTURE(Fixture, "a pop whose time is up says so at once, one with all
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "waiting for readers takes any length of time") {
+TEST_CASE_FIXTURE(Fixture, "wait_for_readers() takes any length of time") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto pusher = shm.advertise<Number>("/t", {Policy::Block, 2, 1s, engine});

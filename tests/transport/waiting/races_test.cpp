@@ -103,8 +103,7 @@ TEST_CASE_FIXTURE(Fixture, "what a thread wrote before stop() is there when run(
   }
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "of two stops before one run, what was written before the first is seen") {
+TEST_CASE_FIXTURE(Fixture, "of two stop() before one run(), what preceded the first is seen") {
   WaitSet set;
   for (int round = 1; round <= 50; ++round) {
     int first = 0, second = 0;
@@ -132,8 +131,7 @@ TEST_CASE_FIXTURE(Fixture,
   }
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "what is written before a stop in a signal handler is there after run()") {
+TEST_CASE_FIXTURE(Fixture, "what a signal handler writes before stop() is there after run()") {
   static WaitSet* set;
   static int reason;
   WaitSet mine;

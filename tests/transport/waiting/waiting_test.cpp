@@ -97,7 +97,7 @@ TEST_CASE_FIXTURE(Fixture, "a reader with history gets the newest messages from 
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "a publisher that refuses never waits") {
+TEST_CASE_FIXTURE(Fixture, "a publisher under Policy::Refuse never waits") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto pusher = shm.advertise<Number>("/t", {Policy::Refuse, 2, 1h, engine});
@@ -115,7 +115,7 @@ TEST_CASE_FIXTURE(Fixture, "a publisher that refuses never waits") {
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "one thread serves many pullers, timers and a stop request") {
+TEST_CASE_FIXTURE(Fixture, "one WaitSet serves many pullers, timers and a stop request") {
   with_each_engine([&](QueueEngine engine) {
     for (const Wait wait : {Wait::Park, Wait::Adaptive, Wait::Spin}) {
       lot::ShmEngine shm(options);
@@ -224,7 +224,7 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet is stopped from another thread and from a 
   sigaction(SIGUSR1, &before, nullptr);
 }
 
-TEST_CASE_FIXTURE(Fixture, "an empty handler and a period of nothing are refused at once") {
+TEST_CASE_FIXTURE(Fixture, "a WaitSet refuses an empty handler and a period of nothing") {
   lot::ShmEngine shm(options);
   auto puller = shm.subscribe<Number>("/t");
   WaitSet set;
@@ -238,7 +238,7 @@ TEST_CASE_FIXTURE(Fixture, "an empty handler and a period of nothing are refused
   CHECK(set.run_once(1ms) == 0);
 }
 
-TEST_CASE_FIXTURE(Fixture, "handlers may add and remove, also themselves, and may throw") {
+TEST_CASE_FIXTURE(Fixture, "handlers of a WaitSet may add, remove, also themselves, and throw") {
   lot::ShmEngine shm(options);
   auto pusher = shm.advertise<Number>("/t");
   auto one = shm.subscribe<Number>("/t");
@@ -267,8 +267,7 @@ TEST_CASE_FIXTURE(Fixture, "handlers may add and remove, also themselves, and ma
   CHECK_THROWS_AS(set.add_timer(0s, [] {}), lot::Error);
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "a listener calls back for each message, on a thread as it was asked for") {
+TEST_CASE_FIXTURE(Fixture, "a ShmListener calls back for each message, on the thread asked for") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     std::atomic<std::uint64_t> next{0};
@@ -316,7 +315,7 @@ TEST_CASE_FIXTURE(Fixture,
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "a listener whose thread cannot be had says why") {
+TEST_CASE_FIXTURE(Fixture, "a ShmListener whose thread cannot be had says why") {
   lot::ShmEngine shm(options);
   const auto ignore = [](const lot::ShmSharedPtr<const Number>&) {};
   lot::ThreadOptions thread;
@@ -330,8 +329,7 @@ TEST_CASE_FIXTURE(Fixture, "a listener whose thread cannot be had says why") {
                        doctest::Contains("ThreadOptions::policy"), lot::Error);
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "a descriptor is readable while there are messages, for poll and epoll") {
+TEST_CASE_FIXTURE(Fixture, "fd() is readable while there are messages, for poll and epoll") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto pusher = shm.advertise<Number>("/t", with(engine));
@@ -393,7 +391,7 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet beside a borrow leaves the borrow alone") 
   set.remove(puller);
 }
 
-TEST_CASE_FIXTURE(Fixture, "who waits while a stopped process keeps the lock goes on afterwards") {
+TEST_CASE_FIXTURE(Fixture, "all ways to wait go on after a stopped process has had the lock") {
   lot::ShmEngine shm(options);
   auto pusher = shm.advertise<Number>("/t", with(QueueEngine::Mutex));
   auto puller = shm.subscribe<Number>("/t");
@@ -431,7 +429,7 @@ TEST_CASE_FIXTURE(Fixture, "who waits while a stopped process keeps the lock goe
   CHECK(puller.pull(20s)->value == 2);
 }
 
-TEST_CASE_FIXTURE(Fixture, "a forked child of a process with a descriptor and a listener ends") {
+TEST_CASE_FIXTURE(Fixture, "a forked child of a process with fd() and a ShmListener ends") {
   lot::ShmEngine shm(options);
   auto puller = std::make_unique<lot::ShmPuller<Number>>(shm.subscribe<Number>("/t"));
   puller->fd();
