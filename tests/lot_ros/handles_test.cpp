@@ -902,7 +902,7 @@ TEST_CASE("a queue that calls at once answers another process on the topic itsel
   }));
 }
 
-TEST_CASE("who comes beside gets what is latched before what another publisher says then") {
+TEST_CASE("a plain one beside gets what is latched, and then what another publisher says") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
   auto latching = node.advertise<String>(topic, 10, true);

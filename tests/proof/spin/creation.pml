@@ -193,7 +193,7 @@ again:
     q = 0
   };
 #ifndef NO_GATE
-  gate[lock_file[p]] = NONE /* @ src/transport/participant.cpp join: GateGuard gate(lock_file) */
+  gate[lock_file[p]] = NONE /* @ src/transport/participant.cpp join: GateGuard gate(*file) */
 #endif
 }
 
