@@ -33,10 +33,13 @@
 /// Boost's work too.
 namespace lot {
 
+/// A double-ended queue: elements stay where they are when it grows at an end.
 template <class T>
 using ShmDeque = boost::container::deque<T, ShmAllocator<T>>;
+/// A list that is linked both ways.
 template <class T>
 using ShmList = boost::container::list<T, ShmAllocator<T>>;
+/// A list that is linked forwards only.
 template <class T>
 using ShmSlist = boost::container::slist<T, ShmAllocator<T>>;
 /// Elements never move, however it grows.
@@ -46,24 +49,31 @@ using ShmStableVector = boost::container::stable_vector<T, ShmAllocator<T>>;
 template <class T, std::size_t N>
 using ShmSmallVector = boost::container::small_vector<T, N, ShmAllocator<T>>;
 
+/// A tree of keys and values.
 template <class Key, class T, class Compare = std::less<Key>>
 using ShmMap = boost::container::map<Key, T, Compare, ShmAllocator<std::pair<const Key, T>>>;
+/// A tree that may have a key several times.
 template <class Key, class T, class Compare = std::less<Key>>
 using ShmMultimap =
     boost::container::multimap<Key, T, Compare, ShmAllocator<std::pair<const Key, T>>>;
+/// A tree of keys.
 template <class Key, class Compare = std::less<Key>>
 using ShmSet = boost::container::set<Key, Compare, ShmAllocator<Key>>;
+/// A tree of keys that may have a key several times.
 template <class Key, class Compare = std::less<Key>>
 using ShmMultiset = boost::container::multiset<Key, Compare, ShmAllocator<Key>>;
 
 /// A map that is a sorted vector: the quickest to read in place.
 template <class Key, class T, class Compare = std::less<Key>>
 using ShmFlatMap = boost::container::flat_map<Key, T, Compare, ShmAllocator<std::pair<Key, T>>>;
+/// A sorted vector of keys and values that may have a key several times.
 template <class Key, class T, class Compare = std::less<Key>>
 using ShmFlatMultimap =
     boost::container::flat_multimap<Key, T, Compare, ShmAllocator<std::pair<Key, T>>>;
+/// A sorted vector of keys.
 template <class Key, class Compare = std::less<Key>>
 using ShmFlatSet = boost::container::flat_set<Key, Compare, ShmAllocator<Key>>;
+/// A sorted vector of keys that may have a key several times.
 template <class Key, class Compare = std::less<Key>>
 using ShmFlatMultiset = boost::container::flat_multiset<Key, Compare, ShmAllocator<Key>>;
 

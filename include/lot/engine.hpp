@@ -27,16 +27,39 @@ namespace lot {
 /// may outlive their engine; the process leaves the segment when the last of them has gone, and the
 /// last process removes it.
 ///
-/// Threads: all members may be called at once. In a forked child everything inherited is inert.
-/// Errors:  lot::Error, which says what to do.
+/// Threads: all members may be called at once, but for assignment and destruction. In a forked
+///          child everything inherited is inert.
+/// Errors:  lot::Error, which says what to do. Here, and in all that an engine makes: ECHILD in a
+///          forked child, and ESTALE in a process that was stopped and that another process took
+///          for dead meanwhile: make a new engine. std::bad_alloc when the process has no memory.
+/// Memory:  the segment is mapped whole: address space of its size. The process has a place in it,
+///          tables with an entry for each of its blocks, and the threads lot-warden, lot-witness
+///          and, once it publishes large messages, lot-ahead.
+/// Crash:   the other processes see the death within milliseconds, free what the process had, and
+///          its place. What it has pushed and put stays.
 class ShmEngine {
  public:
+  /// Joins the segment, and makes it where there is none. It waits for another process that joins
+  /// or leaves just now, five seconds at most.
+  ///
+  /// Errors: EINVAL for options that cannot be (or variables of the environment), and where the
+  /// file is no segment that may be replaced; EPERM for a segment of another user, or with other
+  /// rights; EBUSY while others use it with another size, or a stopped process opens or leaves it;
+  /// ENOTEMPTY where another size would drop items that are to stay; EUSERS when as many processes
+  /// are in it as it has room for; ENOSPC, EFBIG or ENOMEM when its directory, the file system or
+  /// the address space has not the size; EAGAIN when there is no thread; what a system call said.
   explicit ShmEngine(const EngineOptions& options = EngineOptions());
   ~ShmEngine();
   ShmEngine(ShmEngine&&) noexcept = default;
   ShmEngine& operator=(ShmEngine&&) noexcept = default;
 
-  /// Errors: another type on the topic, the segment's tables or memory full, a bad name or depth.
+  /// A publisher of the topic, which makes its queue. It may wait for a process that advertises,
+  /// subscribes or leaves, five seconds at most.
+  /// Errors: EPROTOTYPE when the topic carries another type; EINVAL for a name of no or over 199
+  /// bytes, for a depth that cannot be, for a bad LOT_QUEUE; ENOSPC when the segment has no topic
+  /// or channel left; EUSERS when the topic has more subscribers than EngineOptions::readers; EBUSY
+  /// when a stopped process keeps the registry; EBADMSG when a process has written where it should
+  /// not; lot::OutOfMemory when the segment has no room for the queue.
   template <class T>
   ShmPusher<T> advertise(std::string_view topic, const PusherOptions& options = PusherOptions()) {
     assert_message<T>();
@@ -46,7 +69,8 @@ class ShmEngine {
   }
   /// Messages that are published after this call are received, or counted as missed, however late
   /// the puller looks, also when their publisher has left or was killed.
-  /// Errors: as advertise(); EUSERS when a publisher has all the readers that it can have.
+  /// Errors: EPROTOTYPE, EINVAL (the name), ENOSPC (topics), EBUSY and EBADMSG as advertise();
+  /// EUSERS when a publisher has all the readers that it can have.
   template <class T>
   ShmPuller<T> subscribe(std::string_view topic, const PullerOptions& options = PullerOptions()) {
     assert_message<T>();
@@ -55,13 +79,19 @@ class ShmEngine {
   }
   /// Subscribes, and calls callback(const ShmSharedPtr<const T>&) for each message on a thread of
   /// its own, until the listener is destroyed.
+  /// Errors: as subscribe(), and as the constructor of ShmListener.
   template <class T, class Callback>
   ShmListener listen(std::string_view topic, Callback&& callback,
                      const PullerOptions& options = PullerOptions(),
                      const ThreadOptions& thread = ThreadOptions()) {
     return {subscribe<T>(topic, options), std::forward<Callback>(callback), options.wait, thread};
   }
-  /// One end, or both, of a queue of items of type T. Errors: as advertise().
+  /// One end, or both, of a queue of items of type T. What is needed to put is made by the first
+  /// put, and what is needed to pop by the first pop: see there.
+  ///
+  /// Errors: EPROTOTYPE when other handles have another type, or differ in redeliver; EINVAL for a
+  /// bad name or depth, for redeliver with Policy::Overwrite or with shared items; ENOSPC (topics),
+  /// EBUSY and EBADMSG as advertise().
   template <class T>
   ShmQueue<T> queue(std::string_view name, const QueueOptions& options = QueueOptions()) {
     using Item = detail::QueueItem<T>;
@@ -77,6 +107,7 @@ class ShmEngine {
                                           putting, popping, detail::delivery_of<T>(options)));
   }
   /// A message that belongs to no topic: to be pushed on several, or referred to by others.
+  /// Errors: lot::OutOfMemory; what the constructor of T throws.
   template <class T, class... Args>
   ShmUniquePtr<T> make(Args&&... args) {
     assert_message<T>();
@@ -84,7 +115,8 @@ class ShmEngine {
                             std::forward<Args>(args)...);
   }
 
-  /// The file that the segment is.
+  /// The file that the segment is. The reference is valid as long as the engine, or anything that
+  /// it has made.
   const std::string& path() const noexcept;
 
  private:

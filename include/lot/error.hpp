@@ -9,23 +9,25 @@ namespace lot {
 
 /// How an operation that may come to nothing in ordinary life ended. Not an error.
 enum class Status {
-  Ok,
+  Ok,             ///< it has done what it was asked for
   Empty,          ///< nothing to read now
   Full,           ///< a slow reader holds the queue back, and the deadline has passed
   Timeout,        ///< nothing came until the deadline
-  PublisherGone,  ///< nothing to read, and nobody publishes on the topic now
+  PublisherGone,  ///< nothing to read, and the topic has no publisher now
   HoldsTooMuch    ///< the subscription holds all the memory that it may: let messages go
 };
 
+/// The status in words, as "publisher gone".
 const char* to_string(Status status) noexcept;
 
 /// A failure from outside: the system said no, or a segment is not what it should be. what() names
 /// the object, the reason and what to do about it.
 class Error : public std::runtime_error {
  public:
+  /// `reason` and `advice` make what(). Throws std::bad_alloc.
   Error(int error_number, std::string object, const std::string& reason, const std::string& advice);
 
-  /// errno of the failure, or 0 where no system call failed.
+  /// The kind of the failure, as a value of errno, also where no system call has failed; or 0.
   int error_number() const noexcept { return errno_; }
   /// The path or name it is about.
   const std::string& object() const noexcept { return object_; }
@@ -38,7 +40,9 @@ class Error : public std::runtime_error {
 /// The segment has no room for a message. what() says how full it is and what to raise.
 class OutOfMemory : public std::bad_alloc {
  public:
+  /// Keeps a copy of the text, cut at 1023 bytes.
   explicit OutOfMemory(const char* what) noexcept;
+  /// How full the segment is, and what to raise.
   const char* what() const noexcept override { return what_; }
 
  private:

@@ -29,16 +29,24 @@
 ///
 /// The bytes say what publishers and subscribers do: loan, push, pull, borrow, keep, forward, come
 /// and go. What comes out is compared with a model: each message as it was filled, in its
-/// publisher's order, each once or counted as missed, and unchanged for as long as somebody looks
-/// at it.
+/// publisher's order, each once or counted as missed, and unchanged for as long as a subscriber
+/// looks at it.
 namespace lot::fuzz {
 
 /// What a fuzzer has thought up, read from the front; behind the end there are zeros.
+///
+/// Threads: a value, of one thread.
+/// Errors:  none: no member throws.
+/// Memory:  two words; the bytes are the fuzzer's, and must be there as long as it.
+/// Crash:   nothing of it is in a segment.
 class Bytes {
  public:
+  /// From the beginning.
   Bytes(const std::uint8_t* data, std::size_t size) noexcept : at_(data), left_(size) {}
 
+  /// How many have not been read.
   std::size_t left() const noexcept { return left_; }
+  /// The next one.
   std::uint8_t byte() noexcept {
     if (left_ == 0) return 0;
     --left_;
@@ -71,7 +79,7 @@ class Bytes {
   std::size_t left_;
 };
 
-/// Aborts, and names what differs from the model: a fuzzer keeps the input.
+/// Aborts, and names what differs from the model: a fuzzer keeps the input. Throws nothing.
 inline void require(bool same, const char* what) {
   if (same) return;
   std::fprintf(stderr, "lot: not as the model has it: %s\n", what);
@@ -81,8 +89,8 @@ inline void require(bool same, const char* what) {
 /// The segment that the messages lie in. All the messages of a run must fit into a quarter of it:
 /// when memory is short, publishers overwrite early, which the model takes for a loss.
 struct Options {
-  std::uint64_t size_bytes = 64 << 20;
-  std::string directory = "/dev/shm";
+  std::uint64_t size_bytes = 64 << 20;  ///< of the segment
+  std::string directory = "/dev/shm";   ///< where it is made; its name goes at once
 };
 
 namespace detail {
@@ -544,6 +552,10 @@ class Queue {
 /// `print` says all that is in it. The options count at the first call. Returns 0.
 ///
 /// Threads: one at a time.
+/// Errors:  what ShmEngine, `fill` and `print` throw; lot::OutOfMemory when the messages do not
+///          fit.
+/// Memory:  a segment of Options::size_bytes, until the process ends.
+/// Crash:   the segment has no name, and goes with the process.
 template <class T, class Fill, class Print>
 int queue(const std::uint8_t* data, std::size_t size, Fill&& fill, Print&& print,
           const Options& options = Options()) {

@@ -28,10 +28,17 @@ namespace lot {
 /// between them copies, and so `Frame mine = *seen;` is an ordinary private copy. (As with every
 /// allocator, swapping two containers of different messages is undefined.)
 ///
-/// Memory grows only while the message is built, since afterwards everybody sees it as const. It is
-/// not zeroed: resize() default-initialises, so trivial elements hold what was there before.
+/// Memory grows only while the message is built, since afterwards all readers see it as const. It
+/// is not zeroed: resize() default-initialises, so trivial elements hold what was there before.
 ///
-/// Errors: throws lot::OutOfMemory when the segment is full.
+/// Threads: a message is built by one thread at a time; const containers are read by any number.
+/// Errors:  allocate() throws, and so what makes a container grow: lot::OutOfMemory when the
+///          segment is full, or when another process has made the message; lot::Error: EPERM when
+///          the message is published, ECHILD in a forked child and in a process that was taken for
+///          dead, EINVAL when another copy of the library has made the message, EBADMSG when
+///          another process has damaged it. On the heap: std::bad_alloc.
+/// Memory:  one word in each container, which is relative: any process may read it.
+/// Crash:   the memory belongs to the message, and goes with it.
 template <class T>
 class ShmAllocator {
  public:
@@ -51,12 +58,16 @@ class ShmAllocator {
     using other = ShmAllocator<U>;
   };
 
+  /// Of the message that this thread builds just now, else of the heap.
   ShmAllocator() noexcept : arena_(detail::arena_being_built()) {}
   ShmAllocator(const ShmAllocator& other) noexcept = default;
+  /// Of the same message as `other`, or of the heap as that one.
   template <class U>
   ShmAllocator(const ShmAllocator<U>& other) noexcept : arena_(other.arena()) {}
   ShmAllocator& operator=(const ShmAllocator&) noexcept = default;
 
+  /// Memory for n elements, not zeroed. Throws lot::OutOfMemory, lot::Error and std::bad_alloc as
+  /// the class says.
   pointer allocate(std::size_t n) {
     if (n > std::numeric_limits<std::size_t>::max() / 2 / sizeof(T)) throw std::bad_alloc();
     if (detail::Arena* arena = arena_.get()) {
@@ -64,6 +75,8 @@ class ShmAllocator {
     }
     return pointer(static_cast<T*>(::operator new(n * sizeof(T), std::align_val_t(alignof(T)))));
   }
+  /// Takes memory back that the same message, or the heap, has given. Of a message that is
+  /// published it stays until the message dies.
   void deallocate(const pointer& p, std::size_t n) noexcept {
     if (detail::Arena* arena = arena_.get()) {
       arena->deallocate(p.get(), n * sizeof(T));
@@ -73,7 +86,7 @@ class ShmAllocator {
   }
 
   /// Elements that are containers get this allocator too, so that cloud->fields.resize(4) stays in
-  /// the message; trivial elements are left as they are.
+  /// the message; trivial elements are left as they are. Throws what the constructor throws.
   template <class U, class... Args>
   void construct(U* place, Args&&... args) {
     // A trivial element needs no scope; the loop over a resize() then vanishes in the compiler.
@@ -106,8 +119,10 @@ class ShmAllocator {
     }
   }
 
+  /// What a copy of a container gets: that of the message that this thread builds, else the heap.
   ShmAllocator select_on_container_copy_construction() const noexcept { return ShmAllocator(); }
 
+  /// The message that it allocates in; null: the heap.
   detail::Arena* arena() const noexcept { return arena_.get(); }
 
   friend bool operator==(const ShmAllocator& a, const ShmAllocator& b) noexcept {
@@ -121,11 +136,14 @@ class ShmAllocator {
   detail::OffsetPtr<detail::Arena> arena_;
 };
 
+/// Its pointers are relative.
 template <class T>
 struct is_shm_allocator<ShmAllocator<T>> : std::true_type {};
 
+/// A string in a message.
 using ShmString = std::basic_string<char, std::char_traits<char>, ShmAllocator<char>>;
 
+/// A vector in a message. resize() does not zero trivial elements.
 template <class T>
 using ShmVector = std::vector<T, ShmAllocator<T>>;
 
@@ -137,18 +155,27 @@ using ShmVector = std::vector<T, ShmAllocator<T>>;
 /// is built, else when the message dies. Outside of messages it works as well, and then simply
 /// holds a ShmSharedPtr's share.
 ///
-/// Errors: assignment throws lot::Error when the target is private memory, or in another segment,
-/// or when the message that it lies in was received or is published.
-///
 ///     struct Detection { lot::ShmRef<const Frame> frame; float box[4]; };
 ///     detection->frame = seen;
+///
+/// Threads: as the message: one thread at a time builds it, any number read it.
+/// Errors:  assignment throws lot::Error: EINVAL when the target is private memory, or lies in
+///          another segment, or came to the process by another copy of the library; EPERM when the
+///          message that the reference lies in was received or is published; EBADMSG when a
+///          reference is damaged. lot::OutOfMemory when the message has no room to note one more
+///          target.
+/// Memory:  32 bytes, and in the message a list with an entry for each target.
+/// Crash:   what was published keeps its target for as long as it lives; what was only loaned is
+///          freed and lets its target go.
 template <class U>
 class ShmRef {
  public:
   using element_type = U;
 
+  /// Refers to nothing; in the message that this thread builds, else in private memory.
   ShmRef() noexcept : arena_(detail::arena_being_built()) {}
   ShmRef(const ShmRef& other) : ShmRef() { assign(other.get(), other.cell_here()); }
+  /// Refers to what `target` points to; null where that has no message. Throws as an assignment.
   template <class V, detail::EnableIfConvertible<V, U> = 0>
   ShmRef(const ShmSharedPtr<V>& target) : ShmRef() {
     *this = target;
@@ -157,6 +184,9 @@ class ShmRef {
     if (this != &other) assign(other.get(), other.cell_here());
     return *this;
   }
+  /// Refers to what `target` points to, and lets go of what it referred to; null where `target` has
+  /// no message. Throws lot::Error and lot::OutOfMemory as the class says, and then refers to what
+  /// it did.
   template <class V, detail::EnableIfConvertible<V, U> = 0>
   ShmRef& operator=(const ShmSharedPtr<V>& target) {
     assign(target.get(), detail::PointerAccess::cell(target));
@@ -164,13 +194,19 @@ class ShmRef {
   }
   ~ShmRef() { let_go(); }
 
+  /// The target where it lies in this process, or null. What another process has damaged may lead
+  /// anywhere: lock() looks.
   U* get() const noexcept { return target_.get(); }
+  /// The target. REQUIRES: there is one.
   U& operator*() const noexcept { return *get(); }
+  /// A member of the target. REQUIRES: there is one.
   U* operator->() const noexcept { return get(); }
+  /// False: it refers to nothing.
   explicit operator bool() const noexcept { return get() != nullptr; }
 
   /// A pointer of this process to the target. REQUIRES: the message is held or borrowed. Throws
-  /// lot::Error when the reference is damaged; get() does not look.
+  /// lot::Error: EBADMSG when the reference is damaged, EINVAL when this copy of the library has
+  /// not joined the segment.
   ShmSharedPtr<U> lock() const {
     return get() == nullptr
                ? ShmSharedPtr<U>()
@@ -221,6 +257,7 @@ class ShmRef {
   std::uint32_t block_ = 0;                      ///< inside of messages only
 };
 
+/// Its words are relative.
 template <class U>
 struct is_trusted_message<ShmRef<U>> : std::true_type {};
 

@@ -36,9 +36,9 @@ struct EngineOptions {
   std::string name;  ///< what tools call this process; default: its program name
 
   // Capacities of a new segment.
-  std::uint32_t processes = 319;
-  std::uint32_t blocks = 16384;  ///< messages that exist at once, all topics together
-  std::uint32_t topics = 1024;
+  std::uint32_t processes = 319;  ///< that are in it at once
+  std::uint32_t blocks = 16384;   ///< messages that exist at once, all topics together
+  std::uint32_t topics = 1024;    ///< and queues, that have users or items
   std::uint32_t channels = 2048;  ///< publishers, all topics together
   std::uint32_t readers = 256;    ///< of one publisher
 };
@@ -52,12 +52,13 @@ enum class Policy : std::uint32_t {
 
 /// How a queue works inside. Both do the same; readers follow the publisher.
 enum class QueueEngine : std::uint32_t {
-  Ring,  ///< lock-free: a process that is killed or stopped holds nobody up
+  Ring,  ///< lock-free: a process that is killed or stopped holds no other up
   Mutex  ///< every step under one lock, as most queues are built: to compare with
 };
 
+/// How a publisher keeps its messages, and how long it waits for readers.
 struct PusherOptions {
-  Policy policy = Policy::Overwrite;
+  Policy policy = Policy::Overwrite;  ///< where the slowest reader is a whole queue behind
   /// Messages that the queue holds at most. It may hold fewer while the segment, or max_bytes, is
   /// short of memory. Under Block and Refuse only what all readers have read goes: there must be
   /// room for what the slowest one has yet to read.
@@ -79,8 +80,9 @@ struct PusherOptions {
   /// has no more messages than its readers need. For that a loan looks at the place of each reader:
   /// it is for large messages. 0: none stays; 1: what readers with PullerOptions::history = 1 want.
   /// A message goes with the next loan, or some seconds later: until then there may be one more.
-  /// Where nobody has subscribed, all readers have read all.
+  /// Where there is no subscriber, all readers have read all.
   std::uint32_t history = kAll;
+  /// Of history: all that the queue has room for.
   static constexpr std::uint32_t kAll = ~std::uint32_t{0};
 };
 
@@ -91,8 +93,9 @@ enum class Wait {
   Park       ///< sleeps at once
 };
 
+/// What a subscription gets first, how much it keeps, and how it waits.
 struct PullerOptions {
-  Wait wait = Wait::Adaptive;
+  Wait wait = Wait::Adaptive;  ///< how pull() and borrow() pass the time
   /// Messages published before this subscription that it gets first (latched: 1). At most what the
   /// queue has: depth, under Block and Refuse one less.
   std::uint64_t history = 0;

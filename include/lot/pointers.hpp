@@ -35,8 +35,10 @@ using EnableIfConvertible = std::enable_if_t<std::is_convertible_v<From*, To*>, 
 /// A message in shared memory that only its maker can see: it is built through this, then pushed or
 /// turned into a ShmSharedPtr, both without a copy.
 ///
-/// Threads: as std::unique_ptr.
-/// Crash:   the message is freed by the reaper.
+/// Threads: as std::unique_ptr. In a forked child what it has inherited does nothing.
+/// Errors:  no member throws. The containers of the message do when they grow: see ShmAllocator.
+/// Memory:  two words; the message has its memory in the segment until the pointer has gone.
+/// Crash:   another process frees the message.
 template <class T>
 class ShmUniquePtr {
  public:
@@ -44,6 +46,7 @@ class ShmUniquePtr {
   using pointer = T*;
 
   constexpr ShmUniquePtr() noexcept = default;
+  /// Null.
   constexpr ShmUniquePtr(std::nullptr_t) noexcept {}
   ShmUniquePtr(ShmUniquePtr&& other) noexcept
       : object_(std::exchange(other.object_, nullptr)),
@@ -52,15 +55,20 @@ class ShmUniquePtr {
     ShmUniquePtr(std::move(other)).swap(*this);
     return *this;
   }
+  /// Frees the message.
   ShmUniquePtr& operator=(std::nullptr_t) noexcept {
     reset();
     return *this;
   }
   ~ShmUniquePtr() { reset(); }
 
+  /// The message, or null.
   T* get() const noexcept { return object_; }
+  /// The message. REQUIRES: there is one.
   T& operator*() const noexcept { return *object_; }
+  /// A member of the message. REQUIRES: there is one.
   T* operator->() const noexcept { return object_; }
+  /// False: it is null.
   explicit operator bool() const noexcept { return object_ != nullptr; }
 
   /// Frees the message.
@@ -71,6 +79,7 @@ class ShmUniquePtr {
       cell->hub->abandoned(cell);
     }
   }
+  /// Exchanges the messages.
   void swap(ShmUniquePtr& other) noexcept {
     std::swap(object_, other.object_);
     std::swap(cell_, other.cell_);
@@ -96,10 +105,13 @@ class ShmUniquePtr {
 /// elements can still be written through the pointer, while readers look at them: the library
 /// cannot prevent that, the program must not do it.
 ///
-/// Threads: distinct objects freely, one object with synchronisation.
+/// Threads: distinct objects freely, one object with synchronisation. In a forked child what it has
+///          inherited counts nothing.
+/// Errors:  no member throws, but for the constructor from a ShmWeakPtr.
 /// Memory:  two words; get() is one load. The object itself belongs in private memory: in a message
 ///          use ShmRef.
-/// Crash:   a process that dies loses its holds at the next reap; nobody else notices.
+/// Crash:   another process takes the dead one's holds away; the message lives on while others have
+///          it.
 template <class T>
 class ShmSharedPtr {
  public:
@@ -109,13 +121,16 @@ class ShmSharedPtr {
   using weak_type = ShmWeakPtr<T>;
 
   constexpr ShmSharedPtr() noexcept = default;
+  /// Null.
   constexpr ShmSharedPtr(std::nullptr_t) noexcept {}
   ShmSharedPtr(const ShmSharedPtr& other) noexcept : ShmSharedPtr(other, other.object_) {}
   ShmSharedPtr(ShmSharedPtr&& other) noexcept
       : object_(std::exchange(other.object_, nullptr)),
         cell_(std::exchange(other.cell_, nullptr)) {}
+  /// Shares the message of a pointer to a derived or a mutable type.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmSharedPtr(const ShmSharedPtr<U>& other) noexcept : ShmSharedPtr(other, other.get()) {}
+  /// Takes over such a pointer.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmSharedPtr(ShmSharedPtr<U>&& other) noexcept
       : object_(std::exchange(other.object_, nullptr)),
@@ -125,6 +140,7 @@ class ShmSharedPtr {
   ShmSharedPtr(const ShmSharedPtr<U>& other, T* part) noexcept : object_(part), cell_(other.cell_) {
     if (cell_ != nullptr) cell_->add_pointer();
   }
+  /// The same, and `other` is null afterwards.
   template <class U>
   ShmSharedPtr(ShmSharedPtr<U>&& other, T* part) noexcept
       : object_(part), cell_(std::exchange(other.cell_, nullptr)) {
@@ -148,28 +164,37 @@ class ShmSharedPtr {
     ShmSharedPtr(std::move(other)).swap(*this);
     return *this;
   }
+  /// Lets its message go, and shares that of `other`.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmSharedPtr& operator=(const ShmSharedPtr<U>& other) noexcept {
     ShmSharedPtr(other).swap(*this);
     return *this;
   }
+  /// Lets its message go, and takes that of `other` over.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmSharedPtr& operator=(ShmSharedPtr<U>&& other) noexcept {
     ShmSharedPtr(std::move(other)).swap(*this);
     return *this;
   }
+  /// Lets its message go, and takes the unique one over; nothing is copied.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmSharedPtr& operator=(ShmUniquePtr<U>&& unique) noexcept {
     ShmSharedPtr(std::move(unique)).swap(*this);
     return *this;
   }
 
+  /// The message, or the part of it that the pointer is to, or null.
   T* get() const noexcept { return object_; }
+  /// The same as a reference. REQUIRES: it is not null.
   std::add_lvalue_reference_t<T> operator*() const noexcept { return *object_; }
+  /// A member of it. REQUIRES: it is not null.
   T* operator->() const noexcept { return object_; }
+  /// False: it is null.
   explicit operator bool() const noexcept { return object_ != nullptr; }
 
+  /// Lets the message go, and is null.
   void reset() noexcept { ShmSharedPtr().swap(*this); }
+  /// Exchanges the pointers.
   void swap(ShmSharedPtr& other) noexcept {
     std::swap(object_, other.object_);
     std::swap(cell_, other.cell_);
@@ -195,6 +220,7 @@ class ShmSharedPtr {
   bool owner_before(const ShmSharedPtr<U>& other) const noexcept {
     return std::less<const void*>()(cell_, other.cell_);  // both live: one cell, one message
   }
+  /// The same beside a message that may have died.
   template <class U>
   bool owner_before(const ShmWeakPtr<U>& other) const noexcept {
     return detail::owner_less(cell_, generation(), other.cell_, other.generation_);
@@ -217,7 +243,10 @@ class ShmSharedPtr {
 
 /// Looks after a message without keeping it alive.
 ///
-/// Threads: as std::weak_ptr.
+/// Threads: as std::weak_ptr: distinct objects freely, one object with synchronisation.
+/// Errors:  no member throws.
+/// Memory:  three words; the message's memory is used again when it has died.
+/// Crash:   nothing of it is in the segment.
 template <class T>
 class ShmWeakPtr {
  public:
@@ -227,9 +256,11 @@ class ShmWeakPtr {
   ShmWeakPtr(const ShmWeakPtr& other) noexcept
       : ShmWeakPtr(other.object_, other.cell_, other.generation_) {}
   ShmWeakPtr(ShmWeakPtr&& other) noexcept { swap(other); }
+  /// Looks after the message of a pointer to a derived or a mutable type.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmWeakPtr(const ShmWeakPtr<U>& other) noexcept
       : ShmWeakPtr(other.template object_as<T>(), other.cell_, other.generation_) {}
+  /// Looks after the message of a shared pointer.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmWeakPtr(const ShmSharedPtr<U>& shared) noexcept
       : ShmWeakPtr(shared.object_, shared.cell_, shared.generation()) {}
@@ -244,6 +275,7 @@ class ShmWeakPtr {
     ShmWeakPtr(std::move(other)).swap(*this);
     return *this;
   }
+  /// Looks after that message from now on.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmWeakPtr& operator=(const ShmSharedPtr<U>& shared) noexcept {
     ShmWeakPtr(shared).swap(*this);
@@ -255,6 +287,7 @@ class ShmWeakPtr {
     if (cell_ == nullptr || !cell_->hub->lock_weak(cell_, generation_)) return {};
     return {object_, cell_};
   }
+  /// As that of a ShmSharedPtr to the message; 0 when it has died.
   long use_count() const noexcept {
     const ShmSharedPtr<T> shared = lock();
     return shared.cell_ != nullptr ? shared.use_count() - 1 : 0;
@@ -264,7 +297,9 @@ class ShmWeakPtr {
   bool expired() const noexcept {
     return cell_ == nullptr || cell_->hub->expired(cell_, generation_);
   }
+  /// Looks after nothing any more.
   void reset() noexcept { ShmWeakPtr().swap(*this); }
+  /// Exchanges the pointers.
   void swap(ShmWeakPtr& other) noexcept {
     std::swap(object_, other.object_);
     std::swap(cell_, other.cell_);
@@ -275,6 +310,7 @@ class ShmWeakPtr {
   bool owner_before(const ShmWeakPtr<U>& other) const noexcept {
     return detail::owner_less(cell_, generation_, other.cell_, other.generation_);
   }
+  /// The same beside a message that lives.
   template <class U>
   bool owner_before(const ShmSharedPtr<U>& other) const noexcept {
     return detail::owner_less(cell_, generation_, other.cell_, other.generation());
@@ -348,19 +384,24 @@ ShmSharedPtr<const T> make_const(ShmSharedPtr<T> pointer) noexcept {
   return ShmSharedPtr<const T>(std::move(pointer));
 }
 
+/// A pointer to the same message, cast by static_cast.
 template <class T, class U>
 ShmSharedPtr<T> static_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
   return {p, static_cast<T*>(p.get())};
 }
+/// A pointer to the same message, cast by const_cast. Readers look at what was pushed: do not
+/// write.
 template <class T, class U>
 ShmSharedPtr<T> const_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
   return {p, const_cast<T*>(p.get())};
 }
+/// A pointer to the same message, cast by reinterpret_cast.
 template <class T, class U>
 ShmSharedPtr<T> reinterpret_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
   return {p, reinterpret_cast<T*>(p.get())};
 }
 
+/// As get(), for code that takes pointers of any kind.
 template <class T>
 T* to_raw_pointer(const ShmSharedPtr<T>& p) noexcept {
   return p.get();
@@ -406,18 +447,22 @@ template <class T>
 bool operator!=(std::nullptr_t, const ShmSharedPtr<T>& p) noexcept {
   return static_cast<bool>(p);
 }
+/// Exchanges the pointers.
 template <class T>
 void swap(ShmSharedPtr<T>& a, ShmSharedPtr<T>& b) noexcept {
   a.swap(b);
 }
+/// Exchanges the pointers.
 template <class T>
 void swap(ShmUniquePtr<T>& a, ShmUniquePtr<T>& b) noexcept {
   a.swap(b);
 }
+/// Exchanges the pointers.
 template <class T>
 void swap(ShmWeakPtr<T>& a, ShmWeakPtr<T>& b) noexcept {
   a.swap(b);
 }
+/// Prints the address in this process. Throws what the stream throws.
 template <class T>
 std::ostream& operator<<(std::ostream& out, const ShmSharedPtr<T>& p) {
   return out << p.get();
@@ -426,6 +471,7 @@ std::ostream& operator<<(std::ostream& out, const ShmSharedPtr<T>& p) {
 }  // namespace lot
 
 namespace std {  // open, since doxygen does not follow the short form
+/// As that of the raw pointer.
 template <class T>
 struct hash<lot::ShmSharedPtr<T>> {
   std::size_t operator()(const lot::ShmSharedPtr<T>& p) const noexcept {

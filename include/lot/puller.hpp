@@ -15,10 +15,18 @@ namespace lot {
 ///
 /// It ends with the object. While it lives the message can not change, however far the publisher
 /// runs ahead. One at a time per puller, which it must not outlive.
+///
+/// Threads: one at a time, as its puller: what the thread of the puller and the thread of the
+///          borrow do must not overlap.
+/// Errors:  only keep() throws.
+/// Memory:  none: the reader's cell in the queue names the message. Its publisher cannot reuse the
+///          message's memory meanwhile.
+/// Crash:   another process frees the cell, and the publisher has the memory again.
 template <class T>
 class ShmBorrow {
  public:
   ShmBorrow() noexcept = default;
+  /// For ShmPuller.
   ShmBorrow(detail::PullerCore* core, const detail::Borrowed& borrowed) noexcept
       : core_(core), borrowed_(borrowed) {}
   ShmBorrow(ShmBorrow&& other) noexcept
@@ -34,16 +42,21 @@ class ShmBorrow {
   }
   ~ShmBorrow() { end(); }
 
+  /// False: no message came, or the borrow has ended.
   explicit operator bool() const noexcept { return core_ != nullptr; }
+  /// The message where it lies, or null.
   const T* get() const noexcept { return static_cast<const T*>(borrowed_.root); }
+  /// The message. REQUIRES: there is one.
   const T& operator*() const noexcept { return *get(); }
+  /// A member of the message. REQUIRES: there is one.
   const T* operator->() const noexcept { return get(); }
 
   /// Messages that this reader missed just before this one.
   std::uint64_t missed() const noexcept { return borrowed_.missed; }
 
-  /// A pointer to the message that outlives the borrow. Throws lot::Error (EDQUOT) when the
-  /// subscription holds all that it may (PullerOptions::max_held_bytes).
+  /// A pointer to the message that outlives the borrow; null where there is none. Throws
+  /// lot::Error: EDQUOT when the subscription holds all that it may
+  /// (PullerOptions::max_held_bytes); ECHILD, ESTALE.
   ShmSharedPtr<const T> keep() const {
     if (core_ == nullptr) return {};
     return detail::PointerAccess::shared(get(), core_->keep());
@@ -63,26 +76,43 @@ class ShmBorrow {
 /// Receives the messages of a topic, from all its publishers; those that come later are found.
 ///
 /// Threads: one at a time.
-/// Crash:   its place in the queue is freed by the reaper, and a publisher that waits for it goes
-/// on.
+/// Errors:  lot::Error: ECHILD in a forked child, ESTALE in a process that was taken for dead;
+///          EBUSY when this puller has a borrow that has not ended, and with QueueEngine::Mutex
+///          when a stopped process keeps the queue's lock for five seconds; EBADMSG for a message
+///          that another process has damaged: it counts as missed, and the next look goes on behind
+///          it. std::bad_alloc when there is no memory to join a new publisher. That nothing came
+///          is no error: see status().
+/// Memory:  a cell in the queue of each publisher of the topic. What is pulled stays in the segment
+///          until its last pointer has gone, at most PullerOptions::max_held_bytes of it.
+/// Crash:   another process frees its cells, and a publisher that waits for it goes on.
 template <class T>
 class ShmPuller {
  public:
+  /// For ShmEngine::subscribe(). Throws nothing.
   explicit ShmPuller(std::unique_ptr<detail::PullerCore> core) : core_(std::move(core)) {}
 
-  /// The next message, or null; status() says why, missed() how many were lost before it.
+  /// The next message, or null; status() says why, missed() how many were lost before it. Never
+  /// waits. Throws lot::Error as the class says.
   ShmSharedPtr<const T> try_pull() { return pull_kept(false, {}, false); }
+  /// The next message; null when none came in time, or a second after one has come that may not be
+  /// kept (HoldsTooMuch). Throws lot::Error as the class says.
   ShmSharedPtr<const T> pull(Duration timeout) {
     return pull_kept(true, detail::after(timeout), false);
   }
+  /// The same until a time of the steady clock. Throws the same.
   ShmSharedPtr<const T> pull_until(Deadline deadline) { return pull_kept(true, deadline, false); }
   /// Waits for ever for a message. Null, and HoldsTooMuch, a second after one has come that may not
-  /// be kept. A signal handler does not end it, nor any other wait.
+  /// be kept. A signal handler does not end it, nor any other wait. Throws the same.
   ShmSharedPtr<const T> pull() { return pull_kept(true, {}, true); }
 
+  /// The next message in place, or an empty borrow; status() and missed() as after try_pull().
+  /// Never waits. Throws lot::Error as the class says.
   ShmBorrow<T> try_borrow() { return look(false, {}, false); }
+  /// The next message in place; empty when none came in time. Throws the same.
   ShmBorrow<T> borrow(Duration timeout) { return look(true, detail::after(timeout), false); }
+  /// The same until a time of the steady clock. Throws the same.
   ShmBorrow<T> borrow_until(Deadline deadline) { return look(true, deadline, false); }
+  /// Waits for ever for a message. Throws the same.
   ShmBorrow<T> borrow() { return look(true, {}, true); }
 
   /// How the last pull or borrow ended: Ok, Timeout; of a try_, Empty or PublisherGone (no
@@ -94,16 +124,18 @@ class ShmPuller {
   /// All that were lost to it, also those after the last message that it got.
   std::uint64_t missed_total() const noexcept { return missed_total_; }
   /// Publishers of the topic that are there now. It may wait for other processes that advertise,
-  /// subscribe or leave, and throws lot::Error when a stopped one keeps it waiting.
+  /// subscribe or leave. Throws lot::Error: EBUSY when a stopped one keeps it waiting, five seconds
+  /// at most; ECHILD, ESTALE.
   std::size_t publishers() { return core_->publishers(); }
-  /// Messages that are there to be read.
+  /// Messages that are there to be read. Throws lot::Error (ECHILD, ESTALE).
   std::size_t size() { return core_->size(); }
 
   /// A descriptor for epoll, poll, Asio or GLib: readable (level-triggered) from when a message may
   /// have come until try_pull() or try_borrow() has found none. It may say so for nothing, each
   /// second at most (each 10 ms while the subscription holds too much). From the first call on, a
   /// thread of the library's watches the queue whenever a look has found nothing. It belongs to the
-  /// puller, which closes it.
+  /// puller, which closes it. Throws lot::Error: EMFILE, ENFILE or ENOMEM where there is no
+  /// descriptor, EAGAIN where there is no thread; ECHILD, ESTALE.
   int fd() { return core_->fd(); }
 
  private:

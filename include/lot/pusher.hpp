@@ -58,17 +58,26 @@ ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
 /// The cost of a push does not depend on the number of readers, and it makes no system call unless
 /// one of them sleeps.
 ///
-/// Threads: all members may be called at once.
-/// Crash:   what was pushed is read to its end; what was only loaned is freed.
+/// Threads: all members may be called at once, but for assignment and destruction.
+/// Errors:  lot::Error: ECHILD in a forked child, ESTALE in a process that was taken for dead; with
+///          QueueEngine::Mutex EBUSY when a stopped process keeps the queue's lock for five
+///          seconds. lot::OutOfMemory when the segment has no room for a message, std::bad_alloc
+///          when the process has none. What throws has published nothing.
+/// Memory:  in the segment a queue of PusherOptions::depth slots and EngineOptions::readers cells,
+///          the messages in it, and what reserve() made. Messages keep their memory for the next
+///          loans, and give it back when they are idle for some seconds.
+/// Crash:   readers read what was pushed to its end; other processes free what was only loaned.
 template <class T>
 class ShmPusher {
  public:
+  /// For ShmEngine::advertise(). Throws nothing.
   ShmPusher(std::unique_ptr<detail::PusherCore> core, std::chrono::nanoseconds block_for)
       : core_(std::move(core)), block_for_(block_for) {}
 
   /// A new message, built in shared memory from args. Plain types are not zeroed.
   /// Errors: lot::OutOfMemory; under Policy::Block after PusherOptions::block_for, if readers have
-  /// yet to read what has the memory.
+  /// yet to read what has the memory. lot::Error as the class says. What the constructor of T
+  /// throws.
   template <class... Args>
   ShmUniquePtr<T> loan(Args&&... args) {
     return detail::build<T>(core_->loan(detail::message_type<T>(), true),
@@ -76,6 +85,7 @@ class ShmPusher {
   }
   /// The same, but null at once when the segment has no room for the struct. Vectors and strings in
   /// it ask for memory when they grow, as those of a loan() do, and throw lot::OutOfMemory.
+  /// Errors: lot::Error as the class says; what the constructor of T throws.
   template <class... Args>
   ShmUniquePtr<T> try_loan(Args&&... args) {
     const detail::Loan loan = core_->loan(detail::message_type<T>(), false);
@@ -86,35 +96,46 @@ class ShmPusher {
   /// Publishes. Under Policy::Block it waits for a slow reader, at most PusherOptions::block_for
   /// (or `block_for`); Status::Full then, and the message stays with the caller. Else always
   /// Status::Ok.
+  ///
+  /// Errors: lot::Error as the class says, and EINVAL for an empty pointer or a message of another
+  /// segment. The message stays with the caller then, too.
   Status push(ShmUniquePtr<T>&& message) { return push(std::move(message), block_for_); }
+  /// The same with another limit than the options'. Throws the same.
   Status push(ShmUniquePtr<T>&& message, Duration block_for) {
     const Status status = core_->push_unique(detail::PointerAccess::cell(message), block_for);
     if (status == Status::Ok) detail::PointerAccess::take(message);
     return status;
   }
-  /// Never waits for a reader.
+  /// The same, and never waits for a reader. Throws the same.
   Status try_push(ShmUniquePtr<T>&& message) {
     return push(std::move(message), std::chrono::nanoseconds(0));
   }
 
   /// Publishes a message that was received, or is kept: no copy. It can not grow from then on; its
-  /// elements must not be written any more either, since readers look at them.
+  /// elements must not be written any more either, since readers look at them. It waits, and says
+  /// Status::Full, as the push of a ShmUniquePtr.
   ///
-  /// Errors: lot::Error (EINVAL) when the pointer is empty, or points to something else than its
-  /// whole message: to a part of it, to private memory, to nothing. In the process that made the
-  /// message its type is compared, too; in others, the place and that a T fits there.
+  /// Errors: lot::Error as the class says, and EINVAL when the pointer is empty, or of a message in
+  /// another segment, or points to something else than its whole message: to a part of it, to
+  /// private memory, to nothing. In the process that made the message its type is compared, too; in
+  /// others, the place and that a T fits there.
   Status push(const ShmSharedPtr<const T>& message) { return push(message, block_for_); }
+  /// The same with another limit than the options'. Throws the same.
   Status push(const ShmSharedPtr<const T>& message, Duration block_for) {
     return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
   }
+  /// The same by a pointer that could change the message. Throws the same.
   Status push(const ShmSharedPtr<T>& message) { return push(message, block_for_); }
+  /// The same with another limit than the options'. Throws the same.
   Status push(const ShmSharedPtr<T>& message, Duration block_for) {
     return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
   }
 
   /// Subscribers that read this publisher: each gets what is pushed from now on, also one that has
-  /// not looked yet.
+  /// not looked yet. Throws lot::Error (ECHILD, ESTALE).
   std::size_t readers() const { return core_->readers(); }
+  /// Waits until so many read this publisher; it looks each millisecond. False: the time is up, and
+  /// there are fewer. Throws lot::Error (ECHILD, ESTALE).
   bool wait_for_readers(std::size_t count, Duration timeout) {
     return core_->wait_for_readers(count, timeout);
   }
@@ -123,7 +144,8 @@ class ShmPusher {
   ///
   /// count: the depth, the loans at once, and the messages that readers keep. bytes: of all vectors
   /// and strings of a message. No other publisher gets it; it counts for PusherOptions::max_bytes.
-  /// Errors: lot::OutOfMemory, and then nothing is reserved.
+  /// Under Policy::Block it waits for memory as loan() does.
+  /// Errors: lot::OutOfMemory, and then nothing is reserved; lot::Error as the class says.
   void reserve(std::size_t count, std::size_t bytes) { core_->reserve(count, bytes); }
 
  private:

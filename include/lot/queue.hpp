@@ -22,11 +22,12 @@
 
 namespace lot {
 
+/// How a handle of a queue keeps its items, and how it waits.
 struct QueueOptions {
-  std::uint32_t depth = 64;  ///< items that one who puts has in the queue at most
-  Policy policy = Policy::Block;
+  std::uint32_t depth = 64;                ///< items of one handle that wait in it at most
+  Policy policy = Policy::Block;           ///< where the queue is full
   QueueEngine engine = QueueEngine::Ring;  ///< LOT_QUEUE comes before it
-  Wait wait = Wait::Adaptive;
+  Wait wait = Wait::Adaptive;              ///< how a pop or a take passes the time
   /// Items are tasks: each is taken by a worker (ShmQueue::wait_and_take()) and stays in the queue
   /// until that one has called ShmTask::finish(); if it dies or gives up before, another worker
   /// gets it. All handles of the queue must say the same. Not for items that each reader gets, nor
@@ -48,12 +49,15 @@ struct QueueOptions {
 /// again: deliveries() says when it is time to finish it all the same.
 ///
 /// Threads: as a std::unique_ptr: any thread may have it, one at a time.
-/// Memory:  the queue's core lives until its handle and all its tasks have gone.
+/// Errors:  only finish() throws.
+/// Memory:  the item has its place in the queue and its memory until finish(). The queue's core
+///          lives until its handle and all its tasks have gone.
 /// Crash:   the task comes back as soon as the death is seen (some milliseconds), in all processes.
 template <class T>
 class ShmTask {
  public:
   ShmTask() = default;
+  /// For ShmQueue. Throws nothing.
   ShmTask(std::shared_ptr<detail::QueueCore> queue, const detail::Claim& claim)
       : queue_(std::move(queue)), claim_(claim) {}
   ShmTask(ShmTask&& other) noexcept : queue_(std::move(other.queue_)), claim_(other.claim_) {}
@@ -69,16 +73,20 @@ class ShmTask {
 
   /// False: there was none in time, or it is finished, or given back.
   explicit operator bool() const noexcept { return queue_ != nullptr; }
+  /// The item where it lies, or null where there is no task.
   const T* get() const noexcept {
     return queue_ ? static_cast<const T*>(claim_.item.root) : nullptr;
   }
+  /// The item. REQUIRES: there is a task.
   const T& operator*() const noexcept { return *get(); }
+  /// A member of the item. REQUIRES: there is a task.
   const T* operator->() const noexcept { return get(); }
   /// How often workers have got this task, with this time: 1 at first. It counts up to 4095.
   std::uint32_t deliveries() const noexcept { return queue_ ? claim_.deliveries : 0; }
 
-  /// The task is done: no worker gets it any more. Nothing where there is none. Throws lot::Error
-  /// in a forked child: the task is its parent's.
+  /// The task is done: no worker gets it any more. Nothing where there is none. Throws lot::Error:
+  /// ECHILD in a forked child, where the task is its parent's; ESTALE in a process that was taken
+  /// for dead, whose tasks other workers get.
   void finish() {
     if (!queue_) return;
     queue_->finish(claim_);
@@ -230,7 +238,7 @@ const MessageType& queue_type(const QueueOptions& options) {
 ///     queue.put(queue.make(1, 2, 3));
 ///     lot::ShmUniquePtr<Task> task = queue.wait_and_pop();
 ///
-/// T says what an item is and who gets it:
+/// T says what an item is and which readers get it:
 /// - `ShmSharedPtr<const U>`: each reader gets every item and becomes one of its owners. Such a
 /// queue
 ///   is a topic: ShmPusher and ShmPuller of U work on it as well.
@@ -244,16 +252,25 @@ const MessageType& queue_type(const QueueOptions& options) {
 /// A handle reads from its first look on (a pop, is_empty(), size(), listen()): of shared items it
 /// gets what is put after that, however late it pops, also when the handle that put them has gone
 /// or its process was killed. Items for one wait in the queue until a handle takes them, also when
-/// everybody who has put some has gone; the last process that leaves a segment removes it, with all
-/// that waits there, unless one of its processes has asked for EngineOptions::persist. A queue with
-/// QueueOptions::redeliver has tasks instead: see ShmTask.
+/// all handles that have put some have gone; the last process that leaves a segment removes it,
+/// with all that waits there, unless one of its processes has asked for EngineOptions::persist. A
+/// queue with QueueOptions::redeliver has tasks instead: see ShmTask.
 ///
-/// Threads: all members may be called at once, on one handle or several.
-/// Errors:  where a value cannot be copied out (its copy constructor throws: no memory), the pop
-///          throws that, and the handle has the item for its next pop. It puts it back into the
-///          queue, behind the others, when it goes; if there is no room or no memory for that, it
-///          drops the item. EDQUOT when a handle that pops shared items holds too many of them
-///          (PullerOptions::max_held_bytes, its default).
+/// Threads: all members may be called at once, on one handle or several, but for assignment and
+///          destruction.
+/// Errors:  lot::Error: ECHILD in a forked child, ESTALE in a process that was taken for dead;
+///          EINVAL where tasks are popped, or items taken; EBADMSG for an item that another process
+///          has damaged; with QueueEngine::Mutex EBUSY when a stopped process keeps the queue's
+///          lock for five seconds. The first put, make() or emplace() of a handle makes its queue,
+///          and throws as ShmEngine::advertise(), too; the first pop, take, listen(), size() or
+///          is_empty() throws as ShmEngine::subscribe(), too. Where a value cannot be copied out
+///          (its copy constructor throws: no memory), the pop throws that, and the handle has the
+///          item for its next pop. It puts it back into the queue, behind the others, when it goes;
+///          if there is no room or no memory for that, it drops the item. EDQUOT when a handle that
+///          pops shared items holds too many of them (PullerOptions::max_held_bytes, its default).
+/// Memory:  in the segment, for a handle that puts, a queue of QueueOptions::depth slots with its
+///          items; for one that pops, a cell in each of these. An item has its memory until its
+///          last owner has gone.
 /// Crash:   what was put stays; an item for one that a killed process has not taken yet is taken by
 ///          another, one that it has taken is freed, also one that it could not copy.
 template <class T>
@@ -263,36 +280,47 @@ class ShmQueue {
 
  public:
   using value_type = T;
+  /// What lies in the segment for an item.
   using Element = typename Item::Element;
 
+  /// For ShmEngine::queue(). Throws nothing.
   explicit ShmQueue(std::shared_ptr<detail::QueueCore> core) : core_(std::move(core)) {}
 
-  /// A new item, built in shared memory from args, to be put later.
+  /// A new item, built in shared memory from args, to be put later. Throws lot::OutOfMemory, under
+  /// Policy::Block after a second; lot::Error as the class says; what the constructor throws.
   template <class... Args>
   ShmUniquePtr<Element> make(Args&&... args) {
     return detail::build<Element>(core_->loan(detail::message_type<Element>()),
                                   std::forward<Args>(args)...);
   }
 
-  // Putting. Status::Full when the queue was full (at once under Policy::Refuse, when the time is
-  // up under Policy::Block: put() and emplace() wait for ever); the item then stays with the
-  // caller. A shared item is a pointer to a whole message: lot::Error (EINVAL) for one to a part of
-  // it, to private memory, or to nothing; the message can not grow from then on. Under
-  // Policy::Overwrite it is never full: the oldest item that nobody has popped is dropped. A unique
-  // pointer is moved: put(std::move(item)).
+  // Putting: of a copy of an item, of an item that is moved. Status::Full when the queue was full
+  // (at once under Policy::Refuse, when the time is up under Policy::Block: put() and emplace()
+  // wait for ever); the item then stays with the caller. A shared item is a pointer to a whole
+  // message: lot::Error (EINVAL) for one to a part of it, to private memory, or to nothing; the
+  // message can not grow from then on. Under Policy::Overwrite it is never full: the oldest item
+  // that no handle has popped is dropped. A unique pointer is moved: put(std::move(item)).
   //
   // They wait for a place in the queue. Where the segment has no memory for one more item, since
-  // items that nobody has taken have it, make() and a put of a value throw lot::OutOfMemory, under
-  // Policy::Block after a second: give the queue a depth whose items the segment holds.
+  // items that no handle has taken have it, make() and a put of a value throw lot::OutOfMemory,
+  // under Policy::Block after a second: give the queue a depth whose items the segment holds.
 
+  /// Puts a copy of a value, or shares a message, and waits for ever for a place. Throws
+  /// lot::OutOfMemory where a value finds no memory, lot::Error as the class says, and EINVAL for a
+  /// pointer to anything else than a whole message of this segment; what a copy of the value
+  /// throws.
   Status put(const T& item) { return put_until(item, detail::after(kForever)); }
+  /// Puts the item itself: a pointer is null afterwards, if it was put. Throws the same.
   Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }
+  /// As put(), and waits so long for a place at most. Throws the same.
   Status put_for(const T& item, Duration timeout) {
     return put_until(item, detail::after(timeout));
   }
+  /// As put() of an item that is moved. Throws the same.
   Status put_for(T&& item, Duration timeout) {
     return put_until(std::move(item), detail::after(timeout));
   }
+  /// As put(), and waits for a place until then. Throws the same.
   Status put_until(const T& item, Deadline deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
       return core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
@@ -302,6 +330,7 @@ class ShmQueue {
       return put_made(make(item), deadline);
     }
   }
+  /// As put() of an item that is moved. Throws the same.
   Status put_until(T&& item, Deadline deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
       const Status status =
@@ -314,10 +343,12 @@ class ShmQueue {
       return put_made(std::move(item), deadline);
     }
   }
-  /// Never waits for a reader.
+  /// As put(), and never waits for a place. Throws the same.
   Status try_put(const T& item) { return put_until(item, Clock::time_point::min()); }
+  /// As put() of an item that is moved. Throws the same.
   Status try_put(T&& item) { return put_until(std::move(item), Clock::time_point::min()); }
-  /// Builds the item in place, from args.
+  /// Builds the item in place, from args, and puts it as put(): the item is lost where it says
+  /// Status::Full. Throws as make() and put().
   template <class... Args>
   Status emplace(Args&&... args) {
     return put_made(make(std::forward<Args>(args)...), detail::after(kForever));
@@ -325,36 +356,48 @@ class ShmQueue {
 
   // Popping. Nothing when there was none in time. A pointer comes in an optional: (*item)->member.
 
+  /// The next item; waits for ever for one. Throws lot::Error as the class says, EDQUOT of shared
+  /// items; what the copy of a value throws.
   T wait_and_pop() {
     detail::Borrowed item;
     core_->pop(item, detail::QueueCore::Wait::Forever, {}, Item::kMayComeBack);
     return Item::template from<T>(*core_, item);
   }
+  /// The next item, if one comes in that time. Throws the same.
   std::optional<T> wait_and_pop_for(Duration timeout) {
     return wait_and_pop_until(detail::after(timeout));
   }
+  /// The next item, if one comes until then. Throws the same.
   std::optional<T> wait_and_pop_until(Deadline deadline) {
     return pop(detail::QueueCore::Wait::Until, deadline);
   }
+  /// The next item, if there is one now. Throws the same.
   std::optional<T> try_pop() { return pop(detail::QueueCore::Wait::Never, {}); }
 
   // Taking tasks, where the queue was made with QueueOptions::redeliver; popping is not for those.
   // lot::Error (EINVAL) for the one where the other is meant. An empty task when there was none in
   // time.
 
+  /// The next task; waits for ever for one. Throws lot::Error as the class says.
   ShmTask<Element> wait_and_take() { return take(detail::QueueCore::Wait::Forever, {}); }
+  /// The next task, if one comes in that time. Throws the same.
   ShmTask<Element> wait_and_take_for(Duration timeout) {
     return wait_and_take_until(detail::after(timeout));
   }
+  /// The next task, if one comes until then. Throws the same.
   ShmTask<Element> wait_and_take_until(Deadline deadline) {
     return take(detail::QueueCore::Wait::Until, deadline);
   }
+  /// The next task, if there is one now. Throws the same.
   ShmTask<Element> try_take() { return take(detail::QueueCore::Wait::Never, {}); }
 
-  /// Begins to read: of shared items this handle gets all that are put from now on.
+  /// Begins to read: of shared items this handle gets all that are put from now on. Throws
+  /// lot::Error as the class says.
   void listen() { core_->listen(); }
   /// Items that this handle could pop now: true a moment ago, when others pop or put meanwhile.
+  /// Throws lot::Error as the class says.
   std::size_t size() { return core_->size(); }
+  /// True when size() is 0. Throws the same.
   bool is_empty() { return size() == 0; }
   /// Items that one handle has in the queue at most.
   std::size_t capacity() const noexcept { return core_->capacity(); }

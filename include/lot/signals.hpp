@@ -18,7 +18,8 @@ namespace lot {
 ///
 /// Threads: at any time; it starts one, which sleeps until a signal comes.
 /// Fork:    in a child they act as by default, until it calls this itself.
-/// Errors:  lot::Error when there is no thread for it.
+/// Errors:  lot::Error (EAGAIN) when the system starts no thread for it. It may be called again.
+/// Memory:  the stack of that thread.
 /// Crash:   killed by SIGKILL, the last one leaves its files to the next one, as always.
 void end_cleanly_on_signals();
 

@@ -16,7 +16,10 @@ namespace lot {
 /// message a name of your own (say, one that all languages share) and a hash of its definition.
 template <class T>
 struct TypeIdentity {
+  /// The name of the type, which lives as long as the process. The default is the C++ name, and
+  /// throws std::bad_alloc at its first call.
   static const char* name();
+  /// A hash of the definition; 0 by default. Throws nothing.
   static constexpr std::uint64_t hash() { return 0; }
 };
 

@@ -34,17 +34,20 @@ class WaitSetCore;
 ///
 /// Threads: stop() at any time, also in a signal handler; all others by the thread that runs.
 ///          Handlers run in it, and may add, remove and stop, but not run.
-/// Errors:  what a handler throws leaves run() and run_once(), which can be called again.
-/// lot::Error
-///          for an empty handler and for a period of nothing.
+/// Errors:  what a handler throws leaves run() and run_once(), which can be called again. So does
+///          lot::Error (ECHILD, ESTALE) of a puller. lot::Error (EINVAL) for an empty handler and
+///          for a period of nothing. std::bad_alloc.
+/// Memory:  private: an entry for each puller and timer.
+/// Crash:   nothing of it is in the segment.
 class WaitSet {
  public:
+  /// What is called when there is something to do.
   using Handler = std::function<void()>;
   /// Names a timer.
   enum class Timer : std::uint64_t {};
 
   /// With Wait::Adaptive it spins for some microseconds before it sleeps, where that has helped
-  /// lately; its pullers' own PullerOptions::wait does not count here.
+  /// lately; its pullers' own PullerOptions::wait does not count here. Throws std::bad_alloc.
   explicit WaitSet(Wait wait = Wait::Park);
   ~WaitSet();
   WaitSet(const WaitSet&) = delete;
@@ -52,33 +55,41 @@ class WaitSet {
 
   /// Calls `handler` when the puller may have something to read.
   /// REQUIRES: the puller is removed before it is destroyed or moved from.
+  /// Throws lot::Error (EINVAL) when the handler is empty, std::bad_alloc.
   template <class T>
   void add(ShmPuller<T>& puller, Handler handler) {
     add(*puller.core_, std::move(handler));
   }
+  /// Calls its handlers no more; does nothing for a puller that was not added. Throws nothing.
   template <class T>
   void remove(ShmPuller<T>& puller) {
     remove(*puller.core_);
   }
 
-  /// Calls `handler` every `period`, or once. Periods that were slept through are left out. A timer
-  /// that a handler adds is called in the next round at the earliest, also after a negative delay.
+  /// Calls `handler` every `period`, for the first time after one. Periods that were slept through
+  /// are left out. A timer that a handler adds is called in the next round at the earliest. Throws
+  /// lot::Error (EINVAL) for an empty handler or a period of nothing, std::bad_alloc.
   Timer add_timer(Duration period, Handler handler);
+  /// Calls `handler` once, after `delay`; where that is nothing or negative, in the next round.
+  /// Throws lot::Error (EINVAL) for an empty handler, std::bad_alloc.
   Timer add_timer_once(Duration delay, Handler handler);
+  /// Calls it no more; does nothing for a timer that has gone. Throws nothing.
   void remove(Timer timer);
 
-  /// Calls handlers until stop().
+  /// Calls handlers until stop(). Throws what a handler throws, and lot::Error of a puller.
   void run();
   /// Waits until something can be done, or the time is up, and does it: the number of handlers that
-  /// were called. 0 as well when stop() was called.
+  /// were called. 0 as well when stop() was called. Throws as run().
   std::size_t run_once(Duration timeout);
 
   /// Ends run() after the handler that is at work, or the next run() at once. What was written
   /// before it is seen after run().
   void stop() noexcept;
 
-  // The untyped halves of pullers: the library's own business.
+  /// As add() of the puller that it is the untyped half of: the library's own business. Throws the
+  /// same.
   void add(detail::PullerCore& puller, Handler handler);
+  /// As remove() of that puller. Throws nothing.
   void remove(detail::PullerCore& puller);
 
  private:
@@ -96,15 +107,19 @@ struct ThreadOptions {
 };
 
 /// Calls back for each message of a topic, on a thread of its own; until it is destroyed. See
-/// ShmEngine::listen().
+/// ShmEngine::listen(). One that was moved from may only be destroyed or assigned to.
 ///
 /// Threads: the callback runs on that thread alone. When the listener has been destroyed it is not
 ///          running any more; it must not destroy its own listener.
 /// Errors:  what the callback throws ends the program, as in a std::thread; but lot::Error goes to
-///          ThreadOptions::on_error.
+///          ThreadOptions::on_error. That callback's message is gone; the next one is called back.
+/// Memory:  a thread with its stack, and what its puller has.
+/// Crash:   as ShmPuller.
 class ShmListener {
  public:
-  /// Errors: lot::Error when the thread cannot be had as `thread` wants it.
+  /// Takes the puller over, and begins.
+  /// Errors: lot::Error: EAGAIN when the system starts no thread; EINVAL or EPERM when the thread
+  /// cannot run on these cores, or be scheduled like this; std::bad_alloc.
   template <class T, class Callback>
   ShmListener(ShmPuller<T>&& puller, Callback&& callback, Wait wait, const ThreadOptions& thread) {
     static_assert(

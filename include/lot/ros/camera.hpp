@@ -26,7 +26,7 @@
 namespace lot::ros {
 
 /// "camera/image_raw" has its infos beside it, as "camera/camera_info"; so has
-/// "camera/image_raw/lot", its topic for image_transport's nodes.
+/// "camera/image_raw/lot", its topic for image_transport's nodes. Throws std::bad_alloc.
 inline std::string camera_info_topic(std::string image_topic) {
   const auto drop_slashes = [&] {
     while (!image_topic.empty() && image_topic.back() == '/') image_topic.pop_back();
@@ -47,13 +47,19 @@ inline std::string camera_info_topic(std::string image_topic) {
 /// and frame, so that a CameraSubscriber, LOT's or image_transport's, finds the two.
 ///
 /// Shape:   a handle, copied as one likes; both topics go when the last copy has gone.
-/// Threads: all members may be called at once.
+/// Threads: all members may be called at once, but for assignment, shutdown() and destruction.
+/// Errors:  as Publisher.
+/// Memory:  as two Publishers.
+/// Crash:   as Publisher. An image whose info was published, but not it itself, is never seen by a
+///          CameraSubscriber.
 class CameraPublisher {
  public:
-  using Image = Message<sensor_msgs::Image_>;
-  using CameraInfo = Message<sensor_msgs::CameraInfo_>;
+  using Image = Message<sensor_msgs::Image_>;            ///< what it publishes
+  using CameraInfo = Message<sensor_msgs::CameraInfo_>;  ///< and beside it
 
   CameraPublisher() = default;
+  /// Advertises the image's topic, and camera_info_topic() of it. Throws as
+  /// NodeHandle::advertise().
   CameraPublisher(NodeHandle& node, const std::string& topic, std::uint32_t queue_size,
                   bool latch = false) {
     const std::string resolved = node.resolveName(topic);
@@ -61,45 +67,53 @@ class CameraPublisher {
     infos_ = node.advertise<CameraInfo>(camera_info_topic(resolved), queue_size, latch);
   }
 
-  /// An image to fill and to publish.
+  /// An image to fill and to publish. Throws as Publisher::loan().
   Loan<Image> loan() const { return images_.loan(); }
+  /// Memory for images, as Publisher::reserve(). Throws the same.
   void reserve(std::size_t count, std::size_t bytes) const { images_.reserve(count, bytes); }
 
-  /// The info gets the stamp and the frame of the image. Nothing where the image is empty.
+  /// The info gets the stamp and the frame of the image. Nothing where the image is empty. Throws
+  /// as Publisher::publish(); lot::OutOfMemory when the info's contents find no room.
   template <class Info>
   void publish(Loan<Image>&& image, const Info& info) const {
     if (!image) return;
     publish_info(info, image->header);
     images_.publish(std::move(image));
   }
-  /// The same, and both get this stamp.
+  /// The same, and both get this stamp. Throws the same.
   template <class Info>
   void publish(Loan<Image>&& image, const Info& info, ::ros::Time stamp) const {
     if (image) image->header.stamp = stamp;
     publish(std::move(image), info);
   }
-  /// Standard ones; the image is copied once.
+  /// Standard ones; the image is copied once. Throws the same.
   void publish(const sensor_msgs::Image& image, const sensor_msgs::CameraInfo& info) const {
     publish_info(info, image.header);
     images_.publish(image);
   }
+  /// Standard ones by pointer; the image is copied once. Nothing where one is null. Throws the
+  /// same.
   void publish(const sensor_msgs::ImageConstPtr& image,
                const sensor_msgs::CameraInfoConstPtr& info) const {
     if (image && info) publish(*image, *info);
   }
 
+  /// The images' topic, resolved; empty where there is none. Throws std::bad_alloc.
   std::string getTopic() const { return images_.getTopic(); }
+  /// The infos' topic, as getTopic(). Throws std::bad_alloc.
   std::string getInfoTopic() const { return infos_.getTopic(); }
-  /// Of images, or of infos if more.
+  /// Subscribers of images, or of infos if more. Throws as Publisher::getNumSubscribers().
   std::uint32_t getNumSubscribers() const {
     return std::max(images_.getNumSubscribers(), infos_.getNumSubscribers());
   }
-  /// As Publisher::serialised(), of both topics.
+  /// As Publisher::serialised(), of both topics. Throws the same.
   std::uint64_t serialised() const { return images_.serialised() + infos_.serialised(); }
+  /// Unadvertises both, though others have copies. Throws as Publisher::shutdown().
   void shutdown() {
     images_.shutdown();
     infos_.shutdown();
   }
+  /// False: it was not advertised, or is shut down. Throws nothing.
   explicit operator bool() const { return images_ && infos_; }
 
  private:
@@ -127,32 +141,42 @@ class CameraPublisher {
 /// Shape:   a handle, copied as one likes; both are unsubscribed when the last copy has gone.
 /// Threads: as Subscriber. The callback comes from the node's queue, without a lock; by several
 ///          threads at once if these call that queue.
+/// Errors:  as Subscriber. What the callback throws goes to the thread that calls the queue.
 /// Memory:  `queue_size` images or infos wait for their counterparts, the oldest goes first.
+/// Crash:   as Subscriber.
 class CameraSubscriber {
  public:
-  using Image = Message<sensor_msgs::Image_>;
-  using CameraInfo = Message<sensor_msgs::CameraInfo_>;
-  using ImagePtr = boost::shared_ptr<Image const>;
-  using InfoPtr = boost::shared_ptr<CameraInfo const>;
+  using Image = Message<sensor_msgs::Image_>;            ///< what it receives
+  using CameraInfo = Message<sensor_msgs::CameraInfo_>;  ///< and with it
+  using ImagePtr = boost::shared_ptr<Image const>;       ///< as the callback gets an image
+  using InfoPtr = boost::shared_ptr<CameraInfo const>;   ///< as the callback gets an info
+  /// What is called with each pair.
   using Callback = boost::function<void(const ImagePtr&, const InfoPtr&)>;
 
   CameraSubscriber() = default;
+  /// Subscribes to the image's topic, and to camera_info_topic() of it. Throws as
+  /// NodeHandle::subscribe().
   CameraSubscriber(NodeHandle& node, const std::string& topic, std::uint32_t queue_size,
                    Callback callback, const ::ros::TransportHints& hints = ::ros::TransportHints())
       : both_(std::make_shared<Both>(std::max(queue_size, 1U), std::move(callback))) {
     both_->start(both_, node, topic, hints);
   }
 
+  /// The images' topic, resolved; empty where there is none. Throws std::bad_alloc.
   std::string getTopic() const { return both_ ? both_->images.getTopic() : ""; }
+  /// The infos' topic, as getTopic(). Throws std::bad_alloc.
   std::string getInfoTopic() const { return both_ ? both_->infos.getTopic() : ""; }
+  /// Publishers of images, or of infos if more. Throws as Subscriber::getNumPublishers().
   std::uint32_t getNumPublishers() const {
     return both_ ? std::max(both_->images.getNumPublishers(), both_->infos.getNumPublishers()) : 0;
   }
-  /// Unsubscribes, whoever has copies. May be called in the callback.
+  /// Unsubscribes both, though others have copies. May be called in the callback. Throws as
+  /// Subscriber::shutdown().
   void shutdown() {
     if (both_) both_->end();
     both_.reset();
   }
+  /// False: it was not subscribed, or is shut down. Throws nothing.
   explicit operator bool() const { return both_ != nullptr; }
 
  private:

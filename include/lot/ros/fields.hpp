@@ -27,6 +27,13 @@
 /// fields' types by the message's allocator, and so this one is of a name of its own.
 namespace lot::ros {
 
+/// The allocator of containers in messages of ROS: ShmAllocator by another name, so that they can
+/// be specialised.
+///
+/// Threads: as ShmAllocator.
+/// Errors:  as ShmAllocator.
+/// Memory:  as ShmAllocator.
+/// Crash:   as ShmAllocator.
 template <class T>
 class Allocator : public ShmAllocator<T> {
  public:
@@ -36,11 +43,14 @@ class Allocator : public ShmAllocator<T> {
   };
 
   Allocator() = default;
+  /// Of the same message as `other`, or of the heap as that one.
   template <class U>
   Allocator(const ShmAllocator<U>& other) noexcept : ShmAllocator<T>(other) {}
 };
 
+/// A string in a message of ROS; it converts to and from std::string by a copy.
 using String = std::basic_string<char, std::char_traits<char>, Allocator<char>>;
+/// An array in a message of ROS; it converts to and from std::vector by a copy.
 template <class T>
 using Vector = std::vector<T, Allocator<T>>;
 
@@ -88,6 +98,12 @@ void copy(To& to, const Counterpart<To>& from);
 
 namespace std {
 
+/// lot::ros::String: a lot::ShmString that converts to and from std::string.
+///
+/// Threads: as a std::string: one thread changes it, any number read it.
+/// Errors:  what makes it grow throws as ShmAllocator; a conversion to std::string std::bad_alloc.
+/// Memory:  in the message that it is built in, else on the heap.
+/// Crash:   it goes with its message.
 template <>
 class basic_string<char, char_traits<char>, lot::ros::Allocator<char>> : public lot::ShmString {
   using Shared = lot::ShmString;
@@ -106,7 +122,9 @@ class basic_string<char, char_traits<char>, lot::ros::Allocator<char>> : public 
   basic_string(const Shared& other) : Shared(other) {}
   basic_string(const Standard& other) : Shared(other.data(), other.size()) {}
 
+  /// A copy on the heap.
   operator Standard() const { return {data(), size()}; }
+  /// A copy, as that of a std::string; std::out_of_range where it begins behind the end.
   basic_string substr(size_type begin = 0, size_type count = npos) const {
     return basic_string(Shared::substr(begin, count));
   }
@@ -129,9 +147,17 @@ class basic_string<char, char_traits<char>, lot::ros::Allocator<char>> : public 
   friend bool operator>=(const Standard& a, const basic_string& b) { return b <= a; }
 };
 
+/// As that of std::string.
 template <>
 struct hash<lot::ros::String> : hash<lot::ShmString> {};
 
+/// lot::ros::Vector: a lot::ShmVector that converts to and from std::vector, and so do its
+/// elements.
+///
+/// Threads: as a std::vector: one thread changes it, any number read it.
+/// Errors:  what makes it grow throws as ShmAllocator; a conversion to std::vector std::bad_alloc.
+/// Memory:  in the message that it is built in, else on the heap.
+/// Crash:   it goes with its message.
 template <class T>
 class vector<T, lot::ros::Allocator<T>> : public lot::ShmVector<T> {
   using Shared = lot::ShmVector<T>;
@@ -152,10 +178,12 @@ class vector<T, lot::ros::Allocator<T>> : public lot::ShmVector<T> {
   vector(const Shared& other) : Shared(other) {}
   vector(const Standard& other) { *this = other; }
 
+  /// Becomes what a std::vector is: one copy.
   vector& operator=(const Standard& other) {
     lot::ros::detail::copy(*this, other);
     return *this;
   }
+  /// A copy on the heap.
   operator Standard() const {
     Standard made;
     lot::ros::detail::copy(made, *this);

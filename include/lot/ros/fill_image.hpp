@@ -12,7 +12,8 @@
 
 namespace sensor_msgs {
 
-/// sensor_msgs/fill_image.h's fillImage() and clearImage(), for images in shared memory: one copy.
+/// sensor_msgs/fill_image.h's fillImage(), for images in shared memory: one copy. Always true.
+/// Throws lot::OutOfMemory when the segment has no room, and lot::Error as lot::ShmAllocator.
 inline bool fillImage(lot::ros::Message<Image_>& image, const std::string& encoding,
                       std::uint32_t rows, std::uint32_t cols, std::uint32_t step,
                       const void* data) {
@@ -26,6 +27,7 @@ inline bool fillImage(lot::ros::Message<Image_>& image, const std::string& encod
   if (bytes != 0) std::memcpy(image.data.data(), data, bytes);
   return true;
 }
+/// sensor_msgs/fill_image.h's clearImage(): no pixels. Throws nothing.
 inline void clearImage(lot::ros::Message<Image_>& image) { image.data.clear(); }
 
 }  // namespace sensor_msgs

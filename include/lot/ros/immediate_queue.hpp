@@ -16,10 +16,10 @@ namespace lot::ros {
 /// Shape:   the process's one; it lives for ever.
 /// Threads: these callbacks come one after the other, on LOT's thread, which brings all messages of
 ///          the process: what takes long holds up the other topics. All else that has this queue
-///          (timers, services, ordinary subscribers) goes to ros::getGlobalCallbackQueue().
-///          Signals are blocked there. Elsewhere the end of a subscriber waits for its own callback
-///          while that is at work, as with any queue; the end of a publisher waits at most 0.1 s
-///          for subscribers that have just come.
+///          (timers, services, ordinary subscribers) goes to ros::getGlobalCallbackQueue(). Signals
+///          are blocked there. Elsewhere the end of a subscriber waits for its own callback while
+///          that is at work, as with any queue; the end of a publisher waits at most 0.1 s for
+///          subscribers that have just come.
 /// Errors:  what a callback throws is logged, and goes no further.
 /// In a callback: publish, advertise, subscribe and shut down at will.
 ::ros::CallbackQueueInterface* immediate_queue();

@@ -28,9 +28,10 @@
 ///     sensor_msgs::Image mine;
 ///     lot::ros::assign(mine, *image);                         // and back: assign(*image, mine)
 ///
-/// A Message that nobody has loaned (`Image copy = *image;`) is an ordinary object on the heap.
+/// A Message that is no loan (`Image copy = *image;`) is an ordinary object on the heap.
 namespace lot::ros {
 
+/// The message in shared memory of what ROS has generated: `Message<sensor_msgs::Image_>`.
 template <template <class> class Generated>
 using Message = Generated<Allocator<void>>;
 
@@ -103,7 +104,8 @@ void copy(To& to, const Counterpart<To>& from) {
 
 }  // namespace detail
 
-/// Makes `to` what `from` is: one copy of each field. Either may be the standard message.
+/// Makes `to` what `from` is: one copy of each field. Either may be the standard message. Throws
+/// lot::OutOfMemory and lot::Error as ShmAllocator, std::bad_alloc.
 template <class To>
 void assign(To& to, const detail::Counterpart<To>& from) {
   detail::copy(to, from);
@@ -117,6 +119,7 @@ using Standard = typename detail::Kin<T>::Standard;
 
 namespace lot {
 
+/// Its fields are numbers, and strings and vectors whose pointers are relative.
 template <template <class> class Generated>
 struct is_trusted_message<Generated<ros::Allocator<void>>>
     : std::bool_constant<::ros::message_traits::IsMessage<Generated<ros::Allocator<void>>>::value> {
@@ -149,6 +152,7 @@ struct FrameId<Generated<lot::ros::Allocator<void>>,
     return {m.header.frame_id.data(), m.header.frame_id.size()};
   }
 };
+/// As for the standard message.
 template <template <class> class Generated>
 struct Header<Generated<lot::ros::Allocator<void>>,
               typename boost::enable_if<HasHeader<Generated<lot::ros::Allocator<void>>>>::type> {

@@ -31,30 +31,41 @@ namespace lot::ros {
 ///
 /// A callback is a function, a member function, boost::function, or anything that can be called; it
 /// takes const M&, M, boost::shared_ptr<M const>, boost::shared_ptr<M>, lot::ShmSharedPtr<const M>
-/// (each also by const&), const ros::MessageEvent<M const>& or const ros::MessageEvent<M>&. Who
-/// takes a message to change it gets a copy.
+/// (each also by const&), const ros::MessageEvent<M const>& or const ros::MessageEvent<M>&. A
+/// callback that takes a message to change it gets a copy.
 ///
 /// Everything else is roscpp's own: it is a ros::NodeHandle, and messages that are no
 /// lot::ros::Message are advertised and subscribed to as ever.
 ///
 /// Threads: as ros::NodeHandle.
+/// Errors:  as ros::NodeHandle. What LOT cannot do (no segment, no room) ROS_WARN says, and
+///          messages go over TCPROS. The first end of a process starts LOT's thread:
+///          std::system_error where the system has none.
+/// Memory:  with the first end, the process joins the segment: see ShmEngine.
+/// Crash:   as ShmEngine. A node can be started again at once.
 class NodeHandle : public ::ros::NodeHandle {
  public:
+  /// What a callback takes where its type does not say it.
   template <class M>
   using ToPointer = const boost::shared_ptr<M const>&;
 
   NodeHandle() = default;
+  /// The same node handle as `plain`. Throws as the copy of that one.
   explicit NodeHandle(const ::ros::NodeHandle& plain) : ::ros::NodeHandle(plain) {}
 
   using ::ros::NodeHandle::advertise;
   using ::ros::NodeHandle::NodeHandle;
   using ::ros::NodeHandle::subscribe;
 
+  /// A Publisher<M>, or a ros::Publisher where M is no lot::ros::Message; an empty one where ROS
+  /// refuses it, which it logs: another type on the topic, say. Throws ros::InvalidNameException,
+  /// std::bad_alloc and std::system_error.
   template <class M>
   auto advertise(const std::string& topic, std::uint32_t queue_size, bool latch = false) {
     return advertise<M>(topic, queue_size, ::ros::SubscriberStatusCallback(),
                         ::ros::SubscriberStatusCallback(), ::ros::VoidConstPtr(), latch);
   }
+  /// The same, and calls back when a subscriber comes and goes. Throws the same.
   template <class M>
   auto advertise(
       const std::string& topic, std::uint32_t queue_size,
@@ -72,7 +83,12 @@ class NodeHandle : public ::ros::NodeHandle {
     }
   }
 
-  /// A function, or anything that can be called with a message.
+  /// A Subscriber, or a ros::Subscriber where M is no lot::ros::Message: calls back what can be
+  /// called with a message, from the node's callback queue. Empty where ROS refuses it, which it
+  /// logs. Throws ros::ConflictingSubscriptionException when the process has subscribed to the
+  /// topic with another type, ros::InvalidNameException, std::bad_alloc and std::system_error;
+  /// lot::Error (EDEADLK) when a callback queue of the user's own subscribes while a callback is
+  /// added to it, and the topic is just being left.
   template <class M, class Callback,
             std::enable_if_t<!std::is_member_function_pointer_v<Callback>, int> = 0>
   auto subscribe(const std::string& topic, std::uint32_t queue_size, Callback&& callback,
@@ -82,13 +98,14 @@ class NodeHandle : public ::ros::NodeHandle {
                            boost::function<void(P)>(std::forward<Callback>(callback)),
                            ::ros::VoidConstPtr(), hints);
   }
+  /// The same, a function. Throws the same.
   template <class P>
   auto subscribe(const std::string& topic, std::uint32_t queue_size, void (*callback)(P),
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, boost::function<void(P)>(callback),
                            ::ros::VoidConstPtr(), hints);
   }
-  /// It is not called any more when the tracked object has gone.
+  /// The same, and it is not called any more when the tracked object has gone. Throws the same.
   template <class M, class P>
   auto subscribe(const std::string& topic, std::uint32_t queue_size,
                  const boost::function<void(P)>& callback,
@@ -96,26 +113,28 @@ class NodeHandle : public ::ros::NodeHandle {
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, callback, tracked_object, hints);
   }
-  /// A member function of an object that outlives the subscriber.
+  /// A member function of an object that outlives the subscriber. Throws the same.
   template <class P, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P),
                  T* object, const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, on<P>(object, callback), ::ros::VoidConstPtr(),
                            hints);
   }
+  /// A const one. Throws the same.
   template <class P, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P) const,
                  T* object, const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, on<P>(object, callback), ::ros::VoidConstPtr(),
                            hints);
   }
-  /// A member function of an object that is not called any more when it has gone.
+  /// A member function of an object; it is not called any more when that has gone. Throws the same.
   template <class P, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P),
                  const boost::shared_ptr<T>& object,
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, on<P>(object.get(), callback), object, hints);
   }
+  /// A const one. Throws the same.
   template <class P, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P) const,
                  const boost::shared_ptr<T>& object,
@@ -123,11 +142,13 @@ class NodeHandle : public ::ros::NodeHandle {
     return subscribe_to<P>(topic, queue_size, on<P>(object.get(), callback), object, hints);
   }
   // roscpp has these beside those above, which would be chosen there: each of them hides one.
+  /// A function that takes a pointer, where M is said. Throws the same.
   template <class M>
   auto subscribe(const std::string& topic, std::uint32_t queue_size, void (*callback)(ToPointer<M>),
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>>(topic, queue_size, callback, hints);
   }
+  /// A boost::function that takes a pointer, where M is said. Throws the same.
   template <class M>
   auto subscribe(const std::string& topic, std::uint32_t queue_size,
                  const boost::function<void(ToPointer<M>)>& callback,
@@ -135,31 +156,35 @@ class NodeHandle : public ::ros::NodeHandle {
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<ToPointer<M>>(topic, queue_size, callback, tracked_object, hints);
   }
+  /// A member function that takes a pointer, where M is said. Throws the same.
   template <class M, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size,
                  void (T::*callback)(ToPointer<M>), T* object,
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
+  /// A const one. Throws the same.
   template <class M, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size,
                  void (T::*callback)(ToPointer<M>) const, T* object,
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
+  /// The same, not called any more when the object has gone. Throws the same.
   template <class M, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size,
                  void (T::*callback)(ToPointer<M>), const boost::shared_ptr<T>& object,
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
+  /// A const one. Throws the same.
   template <class M, class T>
   auto subscribe(const std::string& topic, std::uint32_t queue_size,
                  void (T::*callback)(ToPointer<M>) const, const boost::shared_ptr<T>& object,
                  const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
-  /// All of roscpp's options. REQUIRES: `options.helper` takes messages M.
+  /// All of roscpp's options. REQUIRES: `options.helper` takes messages M. Throws the same.
   template <class M>
   Subscriber subscribe(const ::ros::SubscribeOptions& options) {
     static_assert(detail::is_lot_message<M>, "use ros::NodeHandle for other messages");

@@ -29,8 +29,8 @@
 ///       pub.publish(lot::ros::loan_image(pub, picture, "bgr8"));  // a cv::Mat: one copy
 ///     }
 ///
-/// Errors: cv_bridge::Exception, where a message's data is too short for the size and the encoding
-/// that it states.
+/// Errors:  cv_bridge::Exception, where a message's data is too short for the size and the encoding
+///          that it states.
 namespace lot::ros {
 namespace detail {
 
@@ -76,11 +76,14 @@ inline cv_bridge::CvImageConstPtr share(const Image& image,
 }  // namespace detail
 
 /// The pixels, where they lie. REQUIRES: the message is there as long as the matrix. Of a message
-/// that was received they are not to be written.
+/// that was received they are not to be written. Throws cv_bridge::Exception where the message has
+/// too few bytes, or an encoding that OpenCV has no type for.
 inline cv::Mat view(detail::Image& image) { return detail::matrix_on(image); }
+/// The pixels of a message that cannot be changed: do not write them. Throws the same.
 inline const cv::Mat view(const detail::Image& image) { return detail::matrix_on(image); }
 
-/// Makes `image` one of that size, whose pixels are still to be filled. The header stays.
+/// Makes `image` one of that size, whose pixels are still to be filled. The header stays. Throws
+/// cv_bridge::Exception for an encoding that OpenCV has no type for; lot::OutOfMemory.
 inline void shape(detail::Image& image, int rows, int cols, const std::string& encoding) {
   const std::size_t row =
       static_cast<std::size_t>(cols) * CV_ELEM_SIZE(cv_bridge::getCvType(encoding));
@@ -93,6 +96,7 @@ inline void shape(detail::Image& image, int rows, int cols, const std::string& e
 }
 
 /// Copies a matrix into a message, once; CvImage::toImageMsg()'s counterpart. The header stays.
+/// Throws cv_bridge::Exception where the matrix has not the type of the encoding; lot::OutOfMemory.
 inline void to_image(const cv::Mat& pixels, const std::string& encoding, detail::Image& image) {
   if (pixels.type() != cv_bridge::getCvType(encoding)) {
     throw cv_bridge::Exception("a matrix of type " + cv::typeToString(pixels.type()) +
@@ -102,19 +106,21 @@ inline void to_image(const cv::Mat& pixels, const std::string& encoding, detail:
   cv::Mat there = view(image);
   pixels.copyTo(there);
 }
+/// The same of an image of cv_bridge's, with its header. Throws the same.
 inline void to_image(const cv_bridge::CvImage& from, detail::Image& image) {
   to_image(from.image, from.encoding, image);
   image.header = from.header;
 }
 
-/// A loan of that size, whose pixels are still to be filled: view(*loan). Throws lot::OutOfMemory.
+/// A loan of that size, whose pixels are still to be filled: view(*loan). Throws as shape() and
+/// Publisher::loan(): lot::OutOfMemory where the segment has no room for the pixels.
 inline Loan<detail::Image> loan_image(const Publisher<detail::Image>& publisher, int rows, int cols,
                                       const std::string& encoding) {
   auto image = publisher.loan();
   if (image) shape(*image, rows, cols, encoding);
   return image;
 }
-/// A loan with these pixels. Throws lot::OutOfMemory.
+/// A loan with these pixels. Throws as to_image() and Publisher::loan().
 inline Loan<detail::Image> loan_image(const Publisher<detail::Image>& publisher,
                                       const cv::Mat& pixels, const std::string& encoding) {
   auto image = publisher.loan();
@@ -126,7 +132,8 @@ inline Loan<detail::Image> loan_image(const Publisher<detail::Image>& publisher,
 
 namespace cv_bridge {
 
-/// As for the standard image: no copy unless the encoding is another one.
+/// As for the standard image: no copy unless the encoding is another one. The pixels are not to be
+/// written. Throws cv_bridge::Exception, cv::Exception and std::bad_alloc.
 inline CvImageConstPtr toCvShare(const lot::ros::Message<sensor_msgs::Image_>& source,
                                  const boost::shared_ptr<void const>& tracked_object,
                                  const std::string& encoding = std::string()) {
@@ -138,13 +145,15 @@ inline CvImageConstPtr toCvShare(const lot::ros::Message<sensor_msgs::Image_>& s
   const CvImageConstPtr shared = lot::ros::detail::share(source, tracked_object);
   return encoding.empty() || source.encoding == encoding ? shared : cvtColor(shared, encoding);
 }
+/// The same of a pointer, which is kept. REQUIRES: it is not null. Throws the same.
 inline CvImageConstPtr toCvShare(
     const boost::shared_ptr<lot::ros::Message<sensor_msgs::Image_> const>& source,
     const std::string& encoding = std::string()) {
   return toCvShare(*source, source, encoding);
 }
 
-/// As for the standard image: one copy.
+/// As for the standard image: one copy. Throws cv_bridge::Exception, cv::Exception and
+/// std::bad_alloc.
 inline CvImagePtr toCvCopy(const lot::ros::Message<sensor_msgs::Image_>& source,
                            const std::string& encoding = std::string()) {
   const CvImageConstPtr shared = toCvShare(source, nullptr, encoding);
@@ -152,6 +161,7 @@ inline CvImagePtr toCvCopy(const lot::ros::Message<sensor_msgs::Image_>& source,
   return boost::make_shared<CvImage>(shared->header, shared->encoding,
                                      is_copy ? shared->image : shared->image.clone());
 }
+/// The same of a pointer. REQUIRES: it is not null. Throws the same.
 inline CvImagePtr toCvCopy(
     const boost::shared_ptr<lot::ros::Message<sensor_msgs::Image_> const>& source,
     const std::string& encoding = std::string()) {

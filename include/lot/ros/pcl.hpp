@@ -31,14 +31,25 @@
 namespace lot::ros {
 
 /// Points that lie in a message one behind the other. The message must be there as long as it.
+///
+/// Threads: a value; of the points as of the message: one thread writes, any number read.
+/// Errors:  no member throws.
+/// Memory:  two words.
+/// Crash:   nothing of it is in the segment.
 template <class Point>
 class Points {
  public:
+  /// For points().
   Points(Point* first, std::size_t count) noexcept : first_(first), count_(count) {}
+  /// The first point.
   Point* begin() const noexcept { return first_; }
+  /// Behind the last one.
   Point* end() const noexcept { return first_ + count_; }
+  /// How many.
   std::size_t size() const noexcept { return count_; }
+  /// True when there is none.
   bool empty() const noexcept { return count_ == 0; }
+  /// REQUIRES: i < size().
   Point& operator[](std::size_t i) const noexcept { return first_[i]; }
 
  private:
@@ -123,12 +134,14 @@ template <class Point>
 Points<const Point> points(const detail::Cloud& cloud) {
   return detail::points_of<const Point>(cloud, cloud.data.data());
 }
+/// The same, to be written. Throws the same.
 template <class Point>
 Points<Point> points(detail::Cloud& cloud) {
   return detail::points_of<Point>(cloud, cloud.data.data());
 }
 
-/// Makes `cloud` one of so many points, which are still to be filled: points<Point>(cloud).
+/// Makes `cloud` one of so many points, which are still to be filled: points<Point>(cloud). Throws
+/// std::runtime_error for a row of 4 GiB or more; lot::OutOfMemory when the segment has no room.
 template <class Point>
 void shape(detail::Cloud& cloud, std::uint32_t width, std::uint32_t height = 1) {
   if (std::size_t{width} * sizeof(Point) > UINT32_MAX) {
@@ -156,7 +169,8 @@ void shape(detail::Cloud& cloud, std::uint32_t width, std::uint32_t height = 1) 
 namespace pcl {
 
 /// As for the standard message, with one copy where it has two. Fields that the cloud has not are
-/// zero.
+/// zero. Throws std::runtime_error where the cloud has fewer bytes than points, or a field lies
+/// outside of its points; std::bad_alloc.
 template <class Point>
 void fromROSMsg(const lot::ros::Message<sensor_msgs::PointCloud2_>& cloud,
                 PointCloud<Point>& points) {
@@ -191,7 +205,8 @@ void fromROSMsg(const lot::ros::Message<sensor_msgs::PointCloud2_>& cloud,
   }
 }
 
-/// As for the standard message.
+/// As for the standard message. Throws std::runtime_error where there are not width x height
+/// points, or a row has 4 GiB or more; lot::OutOfMemory when the segment has no room.
 template <class Point>
 void toROSMsg(const PointCloud<Point>& points,
               lot::ros::Message<sensor_msgs::PointCloud2_>& cloud) {

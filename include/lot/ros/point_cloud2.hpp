@@ -24,7 +24,7 @@
 ///     modifier.resize(100);
 ///     for (lot::ros::PointCloud2Iterator<float> x(*cloud, "x"); x != x.end(); ++x) x[0] = 1;
 ///
-/// Errors: std::runtime_error, where the cloud has no such field.
+/// Errors:  std::runtime_error, where the cloud has no such field.
 namespace lot::ros {
 namespace detail {
 
@@ -113,12 +113,26 @@ class PointIterator {
 
 }  // namespace detail
 
+/// Goes from point to point of a cloud that is being built, through one field.
+///
+/// Threads: one at a time; several may go through one cloud that is not written.
+/// Errors:  its constructor throws std::runtime_error where the cloud has no such field; no other
+///          member throws.
+/// Memory:  three words; the cloud must be there as long as it, and keep its size.
+/// Crash:   nothing of it is in the segment.
 template <class T>
 class PointCloud2Iterator
     : public detail::PointIterator<T, std::uint8_t, detail::Cloud, PointCloud2Iterator<T>> {
  public:
   using PointCloud2Iterator::PointIterator::PointIterator;
 };
+/// Goes from point to point of any cloud, through one field.
+///
+/// Threads: one at a time; several may go through one cloud that is not written.
+/// Errors:  its constructor throws std::runtime_error where the cloud has no such field; no other
+///          member throws.
+/// Memory:  three words; the cloud must be there as long as it, and keep its size.
+/// Crash:   nothing of it is in the segment.
 template <class T>
 class PointCloud2ConstIterator
     : public detail::PointIterator<const T, const std::uint8_t, const detail::Cloud,
@@ -128,15 +142,25 @@ class PointCloud2ConstIterator
 };
 
 /// Says what the points of a cloud that is being built are, and how many.
+///
+/// Threads: one at a time, that which builds the cloud.
+/// Errors:  lot::OutOfMemory when the segment has no room; std::runtime_error for a field that
+///          cannot be.
+/// Memory:  one word; the cloud must be there as long as it.
+/// Crash:   as the cloud's message.
 class PointCloud2Modifier {
  public:
+  /// Of that cloud. Throws nothing.
   explicit PointCloud2Modifier(detail::Cloud& cloud) : cloud_(cloud) {}
 
+  /// How many points the cloud has bytes for. Throws nothing.
   std::size_t size() const {
     return cloud_.point_step == 0 ? 0 : cloud_.data.size() / cloud_.point_step;
   }
+  /// Memory for so many points. REQUIRES: the fields are said. Throws lot::OutOfMemory.
   void reserve(std::size_t points) { cloud_.data.reserve(points * cloud_.point_step); }
-  /// A cloud of one row, or of one column, stays one.
+  /// So many points. A cloud of one row, or of one column, stays one. REQUIRES: the fields are
+  /// said. Throws lot::OutOfMemory.
   void resize(std::size_t points) {
     cloud_.data.resize(points * cloud_.point_step);
     const auto n = static_cast<std::uint32_t>(points);
@@ -148,6 +172,7 @@ class PointCloud2Modifier {
     cloud_.width = n;
     cloud_.row_step = n * cloud_.point_step;
   }
+  /// No points; the fields stay. Throws nothing.
   void clear() {
     cloud_.data.clear();
     if (cloud_.height == 1) {
@@ -159,7 +184,8 @@ class PointCloud2Modifier {
     }
   }
 
-  /// So many fields, each a name, how many values it has, and their datatype; without gaps.
+  /// So many fields, each a name, how many values it has, and their datatype; without gaps. Throws
+  /// std::runtime_error for a datatype that does not exist, lot::OutOfMemory.
   template <class... Fields>
   void setPointCloud2Fields([[maybe_unused]] int count, const Fields&... fields) {
     static_assert(sizeof...(Fields) % 3 == 0, "each field is a name, a count and a datatype");
@@ -167,7 +193,8 @@ class PointCloud2Modifier {
     cloud_.fields.reserve(sizeof...(Fields) / 3);
     lay_out(add(0, fields...));
   }
-  /// By their usual names: "xyz", "rgb", "rgba", each of 16 bytes.
+  /// By their usual names: "xyz", "rgb", "rgba", each of 16 bytes. Throws std::runtime_error for
+  /// another name, lot::OutOfMemory.
   template <class... Names>
   void setPointCloud2FieldsByString([[maybe_unused]] int count, const Names&... names) {
     cloud_.fields.clear();

@@ -10,9 +10,10 @@ namespace lot::ros {
 
 /// A type of messages that a relay knows.
 struct Relayed {
-  const char* datatype;
-  const detail::Kind& (*kind)();
+  const char* datatype;           ///< "my_msgs/Cloud"
+  const detail::Kind& (*kind)();  ///< what LOT knows of it
 };
+/// That of what ROS has generated: `relayed<my_msgs::Cloud_>()`. Throws nothing.
 template <template <class> class Generated>
 Relayed relayed() {
   return {::ros::message_traits::DataType<Generated<std::allocator<void>>>::value(),
@@ -34,7 +35,12 @@ Relayed relayed() {
 /// there is room.
 ///
 /// Returns what main() does: 0 when it was asked to end (SIGINT, SIGTERM, rosnode kill), 1 for a
-/// type that is not in `types`, 2 for a wrong command line.
+/// type that is not in `types`, and where ROS refuses a topic, 2 for a wrong command line.
+///
+/// Threads: one at a time, once in a process: it calls ros::init().
+/// Errors:  what roscpp throws for a bad name; lot::Error and std::bad_alloc as Publisher.
+/// Memory:  `queue_size` messages that wait, and as many in OUT's queue.
+/// Crash:   as Publisher and Subscriber: publish the topic again by starting it again.
 int relay(int argc, char** argv, const std::vector<Relayed>& types);
 
 }  // namespace lot::ros

@@ -20,12 +20,15 @@ namespace lot::ros {
 ///
 /// Shape:   a handle; copies of it share that memory.
 /// Threads: all members may be called at once. A caller must not change a copy: others read it.
+/// Errors:  std::bad_alloc.
 /// Memory:  keeps that of at most four copies that have no pointer left, on the heap.
+/// Crash:   nothing of it is in the segment.
 template <class M>
 class ToStandard {
  public:
-  using Pointer = boost::shared_ptr<Standard<M> const>;
+  using Pointer = boost::shared_ptr<Standard<M> const>;  ///< to a copy that is shared
 
+  /// The copy of a message, made where there is none; null for null. Throws std::bad_alloc.
   Pointer operator()(const boost::shared_ptr<M const>& message) const {
     if (!message) return nullptr;
     return boost::static_pointer_cast<Standard<M> const>(converter_->shared(message));

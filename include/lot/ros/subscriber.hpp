@@ -19,21 +19,32 @@ namespace lot::ros {
 /// ros::Subscriber's counterpart.
 ///
 /// Shape:   a handle, copied as one likes; unsubscribed when the last copy has gone.
-/// Threads: all members may be called at once.
+/// Threads: all members may be called at once, but for assignment, shutdown() and destruction of
+///          one handle. The callback comes from the node's callback queue.
+/// Errors:  what the callback throws goes to the thread that calls the queue. A message that
+///          another process has damaged is logged, and dropped.
+/// Memory:  a cell in the queue of each publisher of the topic, one for all subscribers of the
+///          process; `queue_size` messages that wait for the callback are kept in the segment.
+/// Crash:   as ShmPuller: publishers go on.
 class Subscriber {
  public:
   Subscriber() = default;
+  /// For NodeHandle::subscribe(). Throws nothing.
   explicit Subscriber(std::shared_ptr<detail::Subscription> end) : end_(std::move(end)) {}
 
+  /// The topic, resolved; empty where there is none. Throws std::bad_alloc.
   std::string getTopic() const { return end_ ? end_->topic() : std::string(); }
+  /// Publishers that are linked now, plain ones and LOT's. Throws nothing.
   std::uint32_t getNumPublishers() const { return end_ ? end_->publishers() : 0; }
-  /// Unsubscribes, whoever has copies.
+  /// Unsubscribes, though others have copies. It waits for a callback that is at work, unless that
+  /// is what calls it. Throws std::bad_alloc.
   void shutdown() {
     if (end_) end_->shutdown();
     end_.reset();
   }
+  /// False: it was not subscribed, or is shut down. Throws nothing.
   explicit operator bool() const { return end_ != nullptr; }
-  /// There is none.
+  /// There is none: a ros::Subscriber ends nothing here. Does not compile, so throws nothing.
   template <class S, std::enable_if_t<std::is_same_v<S, ::ros::Subscriber>, int> = 0>
   operator S() const {
     static_assert(!std::is_same_v<S, ::ros::Subscriber>,
@@ -123,6 +134,7 @@ struct ParameterAdapter<lot::ShmSharedPtr<M const>> {
     return lot::ros::detail::shared_from<M>(event.getConstMessage());
   }
 };
+/// The same by reference.
 template <class M>
 struct ParameterAdapter<const lot::ShmSharedPtr<M const>&>
     : ParameterAdapter<lot::ShmSharedPtr<M const>> {};
