@@ -53,7 +53,7 @@ bool camera() {
     frame->pixels.assign(kPixels, 0);
     frame->pixels[n * 1000] = 255;
     frame->place = place_of(engine, frame->pixels.data());
-    frames.push(std::move(frame));
+    (void)frames.push(std::move(frame));  // the oldest goes: never Full
   }
   return true;
 }
@@ -72,7 +72,7 @@ bool detector() {
     detection->brightest =
         static_cast<std::uint64_t>(std::max_element(pixels.begin(), pixels.end()) - pixels.begin());
     detection->place = place_of(engine, pixels.data());
-    detections.push(std::move(detection));
+    (void)detections.push(std::move(detection));
     ++n;
   }
   return true;

@@ -44,7 +44,7 @@ bool echo() {
   auto there = engine.subscribe<Ball>("/there");
   for (;;) {  // until main() says SIGTERM
     const auto ball = there.pull(100ms);
-    if (ball) back[ball->arm].push(back[ball->arm].loan(*ball));
+    if (ball) (void)back[ball->arm].push(back[ball->arm].loan(*ball));  // never Full
   }
   return true;
 }
@@ -69,7 +69,7 @@ bool play() {
       std::vector<double> trips;
       for (std::uint32_t n = 0; n < kTrips; ++n) {
         const auto begin = Clock::now();
-        there[arm].push(there[arm].loan(Ball{arm}));
+        (void)there[arm].push(there[arm].loan(Ball{arm}));  // the oldest goes: never Full
         while (!back.pull(100ms)) continue;
         trips.push_back(std::chrono::duration<double, std::micro>(Clock::now() - begin).count());
       }

@@ -33,7 +33,7 @@ bool camera() {
     frame->encoding = "mono8";
     frame->data.resize(16 << 20);  // no zeroing of pixels
     frame->data.back() = static_cast<std::uint8_t>(n);
-    pusher.push(std::move(frame));  // unique becomes shared, no copy
+    (void)pusher.push(std::move(frame));  // no copy; the oldest goes: never Full
   }
   return true;
 }

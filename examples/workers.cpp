@@ -36,7 +36,7 @@ void put(Tasks& tasks, std::uint32_t number) {
   auto task = tasks.make();
   task->number = number;
   task->numbers.assign(kNumbers, number);
-  tasks.put(std::move(task));
+  (void)tasks.put(std::move(task));  // waits for a place: never Full
 }
 
 lot::QueueOptions until_finished() {
@@ -60,8 +60,8 @@ bool worker() {
     std::this_thread::sleep_for(1ms);  // hard work
     Result result{task->number, 0};
     for (const std::uint32_t n : task->numbers) result.sum += n;
-    results.put(result);
-    task.finish();  // killed before: the next worker does it (again)
+    (void)results.put(result);  // there is room for all
+    task.finish();              // killed before: the next worker does it (again)
   }
   return true;
 }

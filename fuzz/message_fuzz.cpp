@@ -389,7 +389,7 @@ class Fuzz {
   }
 
   void publish(Pair& pair) {
-    pusher_.push(std::move(pair.message));
+    require(pusher_.push(std::move(pair.message)) == lot::Status::Ok, "a push");
     const auto seen = puller_.try_pull();
     require(seen && same(*seen, pair.model), "a message, when it is read");
     const Document<Shared> copy = *seen;  // an ordinary private one

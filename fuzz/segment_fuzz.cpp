@@ -31,6 +31,7 @@
 
 #include "liveness/lock_file.hpp"
 #include "support/directory.hpp"
+#include "support/must_go.hpp"
 #include "support/plant.hpp"
 #include "support/window.hpp"
 #include "transport/participant.hpp"
@@ -42,6 +43,7 @@ using lot::fuzz::planted;
 using lot::fuzz::require;
 using lot::testing::Child;
 using lot::testing::must;
+using lot::testing::must_go;
 using lot::testing::Steps;
 namespace window = lot::fuzz::window;
 using namespace std::chrono_literals;
@@ -111,19 +113,19 @@ void publish(const lot::EngineOptions& options, const Steps& done) {
   auto smalls = engine.advertise<Small>("/small", {lot::Policy::Overwrite, 4});
   auto documents = engine.advertise<Document>("/document", {lot::Policy::Block, 5});
   auto larges = engine.advertise<Large>("/large", {lot::Policy::Overwrite, 3});
-  for (unsigned n = 0; n < 6; ++n) smalls.push(smalls.loan());
+  for (unsigned n = 0; n < 6; ++n) must_go(smalls.push(smalls.loan()));
   const lot::ShmSharedPtr<Small> small = engine.make<Small>();
   const lot::ShmSharedPtr<Large> large = larges.loan();
-  smalls.push(small);
-  larges.push(large);
-  larges.push(larges.loan());
+  must_go(smalls.push(small));
+  must_go(larges.push(large));
+  must_go(larges.push(larges.loan()));
   for (unsigned n = 0; n < 4; ++n) {
     auto document = documents.loan();
     fill(*document, n);
     document->small = small;
     document->larges.resize(n);
     for (auto& l : document->larges) l = large;
-    documents.push(std::move(document));
+    must_go(documents.push(std::move(document)));
   }
   auto unfinished = documents.loan();
   fill(*unfinished, 9);
@@ -141,7 +143,7 @@ void publish_and_close(const lot::EngineOptions& options, const Steps& done) {
     for (unsigned n = 0; n < 3; ++n) {
       auto document = documents.loan();
       fill(*document, n);
-      documents.push(std::move(document));
+      must_go(documents.push(std::move(document)));
     }
   }
   done.tell();
@@ -448,7 +450,8 @@ class Station {
         borrow_.end();
         return;
       case 6:
-        if (pusher_ && !kept_.empty()) pusher_->push(kept_[which % kept_.size()], 0ms);
+        // Full as well: the segment is damaged.
+        if (pusher_ && !kept_.empty()) (void)pusher_->push(kept_[which % kept_.size()], 0ms);
         return;
       case 7:
         if (!kept_.empty())
@@ -485,7 +488,7 @@ class Station {
   void push() {
     auto message = pusher_->loan();
     if constexpr (std::is_same_v<T, Document>) fill(*message, 1);
-    pusher_->push(std::move(message), 1ms);
+    (void)pusher_->push(std::move(message), 1ms);  // Full as well: the segment is damaged
     sink = sink + static_cast<unsigned>(pusher_->readers());
   }
   void end_reading() {

@@ -72,7 +72,7 @@ void two_processes_vs_boost(benchmark::State& state) {
   other.meet();
   auto ball = out.loan();
   ball->fill(1);
-  out.push(std::move(ball));
+  expect(out.push(std::move(ball)) == lot::Status::Ok, "the message did not go");
   const auto ours = in.pull(10s);
   expect(ours && ours->is(1), "the message did not come");
   other.meet();

@@ -31,7 +31,7 @@ int ring_camera(const Settings& settings) {
       control.wait();
     }
     frame->head.stamp_ns = now_ns();
-    pusher.push(std::move(frame));
+    (void)pusher.push(std::move(frame));  // the oldest goes: never Full
   });
   return 0;
 }

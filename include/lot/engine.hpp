@@ -61,7 +61,8 @@ class ShmEngine {
   /// when a stopped process keeps the registry; EBADMSG when a process has written where it should
   /// not; lot::OutOfMemory when the segment has no room for the queue.
   template <class T>
-  ShmPusher<T> advertise(std::string_view topic, const PusherOptions& options = PusherOptions()) {
+  [[nodiscard]] ShmPusher<T> advertise(std::string_view topic,
+                                       const PusherOptions& options = PusherOptions()) {
     assert_message<T>();
     return {detail::make_pusher(participant_, topic, detail::message_type<T>(), options,
                                 detail::Delivery::ToAll),
@@ -72,7 +73,8 @@ class ShmEngine {
   /// Errors: EPROTOTYPE, EINVAL (the name), ENOSPC (topics), EBUSY and EBADMSG as advertise();
   /// EUSERS when a publisher has all the readers that it can have.
   template <class T>
-  ShmPuller<T> subscribe(std::string_view topic, const PullerOptions& options = PullerOptions()) {
+  [[nodiscard]] ShmPuller<T> subscribe(std::string_view topic,
+                                       const PullerOptions& options = PullerOptions()) {
     assert_message<T>();
     return ShmPuller<T>(detail::make_puller(participant_, topic, detail::message_type<T>(), options,
                                             detail::Delivery::ToAll));
@@ -81,9 +83,9 @@ class ShmEngine {
   /// its own, until the listener is destroyed.
   /// Errors: as subscribe(), and as the constructor of ShmListener.
   template <class T, class Callback>
-  ShmListener listen(std::string_view topic, Callback&& callback,
-                     const PullerOptions& options = PullerOptions(),
-                     const ThreadOptions& thread = ThreadOptions()) {
+  [[nodiscard]] ShmListener listen(std::string_view topic, Callback&& callback,
+                                   const PullerOptions& options = PullerOptions(),
+                                   const ThreadOptions& thread = ThreadOptions()) {
     return {subscribe<T>(topic, options), std::forward<Callback>(callback), options.wait, thread};
   }
   /// One end, or both, of a queue of items of type T. What is needed to put is made by the first
@@ -93,7 +95,8 @@ class ShmEngine {
   /// bad name or depth, for redeliver with Policy::Overwrite or with shared items; ENOSPC (topics),
   /// EBUSY and EBADMSG as advertise().
   template <class T>
-  ShmQueue<T> queue(std::string_view name, const QueueOptions& options = QueueOptions()) {
+  [[nodiscard]] ShmQueue<T> queue(std::string_view name,
+                                  const QueueOptions& options = QueueOptions()) {
     using Item = detail::QueueItem<T>;
     using Element = typename Item::Element;
     assert_message<Element>();
@@ -109,7 +112,7 @@ class ShmEngine {
   /// A message that belongs to no topic: to be pushed on several, or referred to by others.
   /// Errors: lot::OutOfMemory; what the constructor of T throws.
   template <class T, class... Args>
-  ShmUniquePtr<T> make(Args&&... args) {
+  [[nodiscard]] ShmUniquePtr<T> make(Args&&... args) {
     assert_message<T>();
     return detail::build<T>(maker_->loan(detail::message_type<T>(), true),
                             std::forward<Args>(args)...);

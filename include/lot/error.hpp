@@ -18,7 +18,7 @@ enum class Status {
 };
 
 /// The status in words, as "publisher gone".
-const char* to_string(Status status) noexcept;
+[[nodiscard]] const char* to_string(Status status) noexcept;
 
 /// A failure from outside: the system said no, or a segment is not what it should be. what() names
 /// the object, the reason and what to do about it.

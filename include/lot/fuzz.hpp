@@ -398,7 +398,7 @@ class Queue {
     if (subscriber.borrowed != nullptr) {
       bool refused = false;
       try {
-        subscriber.puller.try_borrow();
+        (void)subscriber.puller.try_borrow();  // it throws
       } catch (const Error&) {
         refused = true;
       }

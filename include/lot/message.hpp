@@ -68,7 +68,7 @@ class ShmAllocator {
 
   /// Memory for n elements, not zeroed. Throws lot::OutOfMemory, lot::Error and std::bad_alloc as
   /// the class says.
-  pointer allocate(std::size_t n) {
+  [[nodiscard]] pointer allocate(std::size_t n) {
     if (n > std::numeric_limits<std::size_t>::max() / 2 / sizeof(T)) throw std::bad_alloc();
     if (detail::Arena* arena = arena_.get()) {
       return pointer(static_cast<T*>(arena->allocate(n * sizeof(T), alignof(T))));
@@ -202,12 +202,12 @@ class ShmRef {
   /// A member of the target. REQUIRES: there is one.
   U* operator->() const noexcept { return get(); }
   /// False: it refers to nothing.
-  explicit operator bool() const noexcept { return get() != nullptr; }
+  [[nodiscard]] explicit operator bool() const noexcept { return get() != nullptr; }
 
   /// A pointer of this process to the target. REQUIRES: the message is held or borrowed. Throws
   /// lot::Error: EBADMSG when the reference is damaged, EINVAL when this copy of the library has
   /// not joined the segment.
-  ShmSharedPtr<U> lock() const {
+  [[nodiscard]] ShmSharedPtr<U> lock() const {
     return get() == nullptr
                ? ShmSharedPtr<U>()
                : detail::PointerAccess::shared(get(), detail::acquire_block(cell_here()));

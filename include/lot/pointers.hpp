@@ -69,7 +69,7 @@ class ShmUniquePtr {
   /// A member of the message. REQUIRES: there is one.
   T* operator->() const noexcept { return object_; }
   /// False: it is null.
-  explicit operator bool() const noexcept { return object_ != nullptr; }
+  [[nodiscard]] explicit operator bool() const noexcept { return object_ != nullptr; }
 
   /// Frees the message.
   void reset() noexcept {
@@ -190,7 +190,7 @@ class ShmSharedPtr {
   /// A member of it. REQUIRES: it is not null.
   T* operator->() const noexcept { return object_; }
   /// False: it is null.
-  explicit operator bool() const noexcept { return object_ != nullptr; }
+  [[nodiscard]] explicit operator bool() const noexcept { return object_ != nullptr; }
 
   /// Lets the message go, and is null.
   void reset() noexcept { ShmSharedPtr().swap(*this); }
@@ -213,7 +213,9 @@ class ShmSharedPtr {
   /// time longer: until the publisher has taken the message back from its queue. A process that has
   /// received the message hears false as long as the process that made it stays, which may publish
   /// it again at any time; but for an item that it has taken from a queue and not published since.
-  bool unique() const noexcept { return cell_ != nullptr && cell_->hub->alone(cell_); }
+  [[nodiscard]] bool unique() const noexcept {
+    return cell_ != nullptr && cell_->hub->alone(cell_);
+  }
 
   /// Orders by message: pointers to parts of one message are equal.
   template <class U>
@@ -283,7 +285,7 @@ class ShmWeakPtr {
   }
 
   /// A pointer to the message, or null when it has died.
-  ShmSharedPtr<T> lock() const noexcept {
+  [[nodiscard]] ShmSharedPtr<T> lock() const noexcept {
     if (cell_ == nullptr || !cell_->hub->lock_weak(cell_, generation_)) return {};
     return {object_, cell_};
   }
@@ -294,7 +296,7 @@ class ShmWeakPtr {
   }
   /// True when the message has died, or when this process has left the segment: lock() is null
   /// then. (A message that only the publisher's queue holds has not died.)
-  bool expired() const noexcept {
+  [[nodiscard]] bool expired() const noexcept {
     return cell_ == nullptr || cell_->hub->expired(cell_, generation_);
   }
   /// Looks after nothing any more.
@@ -380,24 +382,24 @@ ShmSharedPtr<T>::ShmSharedPtr(const ShmWeakPtr<U>& weak) : ShmSharedPtr(weak.loc
 
 /// The paper's helper: the same message, read only.
 template <class T>
-ShmSharedPtr<const T> make_const(ShmSharedPtr<T> pointer) noexcept {
+[[nodiscard]] ShmSharedPtr<const T> make_const(ShmSharedPtr<T> pointer) noexcept {
   return ShmSharedPtr<const T>(std::move(pointer));
 }
 
 /// A pointer to the same message, cast by static_cast.
 template <class T, class U>
-ShmSharedPtr<T> static_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
+[[nodiscard]] ShmSharedPtr<T> static_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
   return {p, static_cast<T*>(p.get())};
 }
 /// A pointer to the same message, cast by const_cast. Readers look at what was pushed: do not
 /// write.
 template <class T, class U>
-ShmSharedPtr<T> const_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
+[[nodiscard]] ShmSharedPtr<T> const_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
   return {p, const_cast<T*>(p.get())};
 }
 /// A pointer to the same message, cast by reinterpret_cast.
 template <class T, class U>
-ShmSharedPtr<T> reinterpret_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
+[[nodiscard]] ShmSharedPtr<T> reinterpret_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
   return {p, reinterpret_cast<T*>(p.get())};
 }
 

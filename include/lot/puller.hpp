@@ -43,7 +43,7 @@ class ShmBorrow {
   ~ShmBorrow() { end(); }
 
   /// False: no message came, or the borrow has ended.
-  explicit operator bool() const noexcept { return core_ != nullptr; }
+  [[nodiscard]] explicit operator bool() const noexcept { return core_ != nullptr; }
   /// The message where it lies, or null.
   const T* get() const noexcept { return static_cast<const T*>(borrowed_.root); }
   /// The message. REQUIRES: there is one.
@@ -57,7 +57,7 @@ class ShmBorrow {
   /// A pointer to the message that outlives the borrow; null where there is none. Throws
   /// lot::Error: EDQUOT when the subscription holds all that it may
   /// (PullerOptions::max_held_bytes); ECHILD, ESTALE.
-  ShmSharedPtr<const T> keep() const {
+  [[nodiscard]] ShmSharedPtr<const T> keep() const {
     if (core_ == nullptr) return {};
     return detail::PointerAccess::shared(get(), core_->keep());
   }
@@ -93,27 +93,31 @@ class ShmPuller {
 
   /// The next message, or null; status() says why, missed() how many were lost before it. Never
   /// waits. Throws lot::Error as the class says.
-  ShmSharedPtr<const T> try_pull() { return pull_kept(false, {}, false); }
+  [[nodiscard]] ShmSharedPtr<const T> try_pull() { return pull_kept(false, {}, false); }
   /// The next message; null when none came in time, or a second after one has come that may not be
   /// kept (HoldsTooMuch). Throws lot::Error as the class says.
-  ShmSharedPtr<const T> pull(Duration timeout) {
+  [[nodiscard]] ShmSharedPtr<const T> pull(Duration timeout) {
     return pull_kept(true, detail::after(timeout), false);
   }
   /// The same until a time of the steady clock. Throws the same.
-  ShmSharedPtr<const T> pull_until(Deadline deadline) { return pull_kept(true, deadline, false); }
+  [[nodiscard]] ShmSharedPtr<const T> pull_until(Deadline deadline) {
+    return pull_kept(true, deadline, false);
+  }
   /// Waits for ever for a message. Null, and HoldsTooMuch, a second after one has come that may not
   /// be kept. A signal handler does not end it, nor any other wait. Throws the same.
-  ShmSharedPtr<const T> pull() { return pull_kept(true, {}, true); }
+  [[nodiscard]] ShmSharedPtr<const T> pull() { return pull_kept(true, {}, true); }
 
   /// The next message in place, or an empty borrow; status() and missed() as after try_pull().
   /// Never waits. Throws lot::Error as the class says.
-  ShmBorrow<T> try_borrow() { return look(false, {}, false); }
+  [[nodiscard]] ShmBorrow<T> try_borrow() { return look(false, {}, false); }
   /// The next message in place; empty when none came in time. Throws the same.
-  ShmBorrow<T> borrow(Duration timeout) { return look(true, detail::after(timeout), false); }
+  [[nodiscard]] ShmBorrow<T> borrow(Duration timeout) {
+    return look(true, detail::after(timeout), false);
+  }
   /// The same until a time of the steady clock. Throws the same.
-  ShmBorrow<T> borrow_until(Deadline deadline) { return look(true, deadline, false); }
+  [[nodiscard]] ShmBorrow<T> borrow_until(Deadline deadline) { return look(true, deadline, false); }
   /// Waits for ever for a message. Throws the same.
-  ShmBorrow<T> borrow() { return look(true, {}, true); }
+  [[nodiscard]] ShmBorrow<T> borrow() { return look(true, {}, true); }
 
   /// How the last pull or borrow ended: Ok, Timeout; of a try_, Empty or PublisherGone (no
   /// publisher now, or yet); of a pull also HoldsTooMuch. A pull that waits does so for a second at

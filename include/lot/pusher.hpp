@@ -79,7 +79,7 @@ class ShmPusher {
   /// yet to read what has the memory. lot::Error as the class says. What the constructor of T
   /// throws.
   template <class... Args>
-  ShmUniquePtr<T> loan(Args&&... args) {
+  [[nodiscard]] ShmUniquePtr<T> loan(Args&&... args) {
     return detail::build<T>(core_->loan(detail::message_type<T>(), true),
                             std::forward<Args>(args)...);
   }
@@ -87,7 +87,7 @@ class ShmPusher {
   /// it ask for memory when they grow, as those of a loan() do, and throw lot::OutOfMemory.
   /// Errors: lot::Error as the class says; what the constructor of T throws.
   template <class... Args>
-  ShmUniquePtr<T> try_loan(Args&&... args) {
+  [[nodiscard]] ShmUniquePtr<T> try_loan(Args&&... args) {
     const detail::Loan loan = core_->loan(detail::message_type<T>(), false);
     if (loan.cell == nullptr) return nullptr;
     return detail::build<T>(loan, std::forward<Args>(args)...);
@@ -99,15 +99,17 @@ class ShmPusher {
   ///
   /// Errors: lot::Error as the class says, and EINVAL for an empty pointer or a message of another
   /// segment. The message stays with the caller then, too.
-  Status push(ShmUniquePtr<T>&& message) { return push(std::move(message), block_for_); }
+  [[nodiscard]] Status push(ShmUniquePtr<T>&& message) {
+    return push(std::move(message), block_for_);
+  }
   /// The same with another limit than the options'. Throws the same.
-  Status push(ShmUniquePtr<T>&& message, Duration block_for) {
+  [[nodiscard]] Status push(ShmUniquePtr<T>&& message, Duration block_for) {
     const Status status = core_->push_unique(detail::PointerAccess::cell(message), block_for);
     if (status == Status::Ok) detail::PointerAccess::take(message);
     return status;
   }
   /// The same, and never waits for a reader. Throws the same.
-  Status try_push(ShmUniquePtr<T>&& message) {
+  [[nodiscard]] Status try_push(ShmUniquePtr<T>&& message) {
     return push(std::move(message), std::chrono::nanoseconds(0));
   }
 
@@ -119,15 +121,17 @@ class ShmPusher {
   /// another segment, or points to something else than its whole message: to a part of it, to
   /// private memory, to nothing. In the process that made the message its type is compared, too; in
   /// others, the place and that a T fits there.
-  Status push(const ShmSharedPtr<const T>& message) { return push(message, block_for_); }
+  [[nodiscard]] Status push(const ShmSharedPtr<const T>& message) {
+    return push(message, block_for_);
+  }
   /// The same with another limit than the options'. Throws the same.
-  Status push(const ShmSharedPtr<const T>& message, Duration block_for) {
+  [[nodiscard]] Status push(const ShmSharedPtr<const T>& message, Duration block_for) {
     return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
   }
   /// The same by a pointer that could change the message. Throws the same.
-  Status push(const ShmSharedPtr<T>& message) { return push(message, block_for_); }
+  [[nodiscard]] Status push(const ShmSharedPtr<T>& message) { return push(message, block_for_); }
   /// The same with another limit than the options'. Throws the same.
-  Status push(const ShmSharedPtr<T>& message, Duration block_for) {
+  [[nodiscard]] Status push(const ShmSharedPtr<T>& message, Duration block_for) {
     return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
   }
 
@@ -136,7 +140,7 @@ class ShmPusher {
   std::size_t readers() const { return core_->readers(); }
   /// Waits until so many read this publisher; it looks each millisecond. False: the time is up, and
   /// there are fewer. Throws lot::Error (ECHILD, ESTALE).
-  bool wait_for_readers(std::size_t count, Duration timeout) {
+  [[nodiscard]] bool wait_for_readers(std::size_t count, Duration timeout) {
     return core_->wait_for_readers(count, timeout);
   }
   /// Makes memory for `count` messages of `bytes` each and touches it, so that the first frames are

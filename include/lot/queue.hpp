@@ -72,7 +72,7 @@ class ShmTask {
   ~ShmTask() { give_back(); }
 
   /// False: there was none in time, or it is finished, or given back.
-  explicit operator bool() const noexcept { return queue_ != nullptr; }
+  [[nodiscard]] explicit operator bool() const noexcept { return queue_ != nullptr; }
   /// The item where it lies, or null where there is no task.
   const T* get() const noexcept {
     return queue_ ? static_cast<const T*>(claim_.item.root) : nullptr;
@@ -289,7 +289,7 @@ class ShmQueue {
   /// A new item, built in shared memory from args, to be put later. Throws lot::OutOfMemory, under
   /// Policy::Block after a second; lot::Error as the class says; what the constructor throws.
   template <class... Args>
-  ShmUniquePtr<Element> make(Args&&... args) {
+  [[nodiscard]] ShmUniquePtr<Element> make(Args&&... args) {
     return detail::build<Element>(core_->loan(detail::message_type<Element>()),
                                   std::forward<Args>(args)...);
   }
@@ -309,19 +309,19 @@ class ShmQueue {
   /// lot::OutOfMemory where a value finds no memory, lot::Error as the class says, and EINVAL for a
   /// pointer to anything else than a whole message of this segment; what a copy of the value
   /// throws.
-  Status put(const T& item) { return put_until(item, detail::after(kForever)); }
+  [[nodiscard]] Status put(const T& item) { return put_until(item, detail::after(kForever)); }
   /// Puts the item itself: a pointer is null afterwards, if it was put. Throws the same.
-  Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }
+  [[nodiscard]] Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }
   /// As put(), and waits so long for a place at most. Throws the same.
-  Status put_for(const T& item, Duration timeout) {
+  [[nodiscard]] Status put_for(const T& item, Duration timeout) {
     return put_until(item, detail::after(timeout));
   }
   /// As put() of an item that is moved. Throws the same.
-  Status put_for(T&& item, Duration timeout) {
+  [[nodiscard]] Status put_for(T&& item, Duration timeout) {
     return put_until(std::move(item), detail::after(timeout));
   }
   /// As put(), and waits for a place until then. Throws the same.
-  Status put_until(const T& item, Deadline deadline) {
+  [[nodiscard]] Status put_until(const T& item, Deadline deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
       return core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
     } else {
@@ -331,7 +331,7 @@ class ShmQueue {
     }
   }
   /// As put() of an item that is moved. Throws the same.
-  Status put_until(T&& item, Deadline deadline) {
+  [[nodiscard]] Status put_until(T&& item, Deadline deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
       const Status status =
           core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
@@ -344,13 +344,15 @@ class ShmQueue {
     }
   }
   /// As put(), and never waits for a place. Throws the same.
-  Status try_put(const T& item) { return put_until(item, Clock::time_point::min()); }
+  [[nodiscard]] Status try_put(const T& item) { return put_until(item, Clock::time_point::min()); }
   /// As put() of an item that is moved. Throws the same.
-  Status try_put(T&& item) { return put_until(std::move(item), Clock::time_point::min()); }
+  [[nodiscard]] Status try_put(T&& item) {
+    return put_until(std::move(item), Clock::time_point::min());
+  }
   /// Builds the item in place, from args, and puts it as put(): the item is lost where it says
   /// Status::Full. Throws as make() and put().
   template <class... Args>
-  Status emplace(Args&&... args) {
+  [[nodiscard]] Status emplace(Args&&... args) {
     return put_made(make(std::forward<Args>(args)...), detail::after(kForever));
   }
 
@@ -358,38 +360,40 @@ class ShmQueue {
 
   /// The next item; waits for ever for one. Throws lot::Error as the class says, EDQUOT of shared
   /// items; what the copy of a value throws.
-  T wait_and_pop() {
+  [[nodiscard]] T wait_and_pop() {
     detail::Borrowed item;
     core_->pop(item, detail::QueueCore::Wait::Forever, {}, Item::kMayComeBack);
     return Item::template from<T>(*core_, item);
   }
   /// The next item, if one comes in that time. Throws the same.
-  std::optional<T> wait_and_pop_for(Duration timeout) {
+  [[nodiscard]] std::optional<T> wait_and_pop_for(Duration timeout) {
     return wait_and_pop_until(detail::after(timeout));
   }
   /// The next item, if one comes until then. Throws the same.
-  std::optional<T> wait_and_pop_until(Deadline deadline) {
+  [[nodiscard]] std::optional<T> wait_and_pop_until(Deadline deadline) {
     return pop(detail::QueueCore::Wait::Until, deadline);
   }
   /// The next item, if there is one now. Throws the same.
-  std::optional<T> try_pop() { return pop(detail::QueueCore::Wait::Never, {}); }
+  [[nodiscard]] std::optional<T> try_pop() { return pop(detail::QueueCore::Wait::Never, {}); }
 
   // Taking tasks, where the queue was made with QueueOptions::redeliver; popping is not for those.
   // lot::Error (EINVAL) for the one where the other is meant. An empty task when there was none in
   // time.
 
   /// The next task; waits for ever for one. Throws lot::Error as the class says.
-  ShmTask<Element> wait_and_take() { return take(detail::QueueCore::Wait::Forever, {}); }
+  [[nodiscard]] ShmTask<Element> wait_and_take() {
+    return take(detail::QueueCore::Wait::Forever, {});
+  }
   /// The next task, if one comes in that time. Throws the same.
-  ShmTask<Element> wait_and_take_for(Duration timeout) {
+  [[nodiscard]] ShmTask<Element> wait_and_take_for(Duration timeout) {
     return wait_and_take_until(detail::after(timeout));
   }
   /// The next task, if one comes until then. Throws the same.
-  ShmTask<Element> wait_and_take_until(Deadline deadline) {
+  [[nodiscard]] ShmTask<Element> wait_and_take_until(Deadline deadline) {
     return take(detail::QueueCore::Wait::Until, deadline);
   }
   /// The next task, if there is one now. Throws the same.
-  ShmTask<Element> try_take() { return take(detail::QueueCore::Wait::Never, {}); }
+  [[nodiscard]] ShmTask<Element> try_take() { return take(detail::QueueCore::Wait::Never, {}); }
 
   /// Begins to read: of shared items this handle gets all that are put from now on. Throws
   /// lot::Error as the class says.
@@ -398,7 +402,7 @@ class ShmQueue {
   /// Throws lot::Error as the class says.
   std::size_t size() { return core_->size(); }
   /// True when size() is 0. Throws the same.
-  bool is_empty() { return size() == 0; }
+  [[nodiscard]] bool is_empty() { return size() == 0; }
   /// Items that one handle has in the queue at most.
   std::size_t capacity() const noexcept { return core_->capacity(); }
 

@@ -18,6 +18,7 @@
 #include "liveness/lock_file.hpp"
 #include "liveness/lock_holder.hpp"
 #include "support/error_of.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -179,7 +180,7 @@ TEST_CASE("closefrom() in a living process: it is not reaped, goes on, and gets 
     closefrom(last_of_mine + 1);
     closed.tell();
     for (std::uint64_t n = 0; n < 400; ++n) {
-      pusher.push(pusher.loan(n));
+      must_go(pusher.push(pusher.loan(n)));
       usleep(3000);
     }
     must(done.next() == '.', "the end");

@@ -141,8 +141,8 @@ TEST_CASE("an image that cannot be what it says is an error") {
   SUBCASE("too few bytes") { image->height = 5; }
   SUBCASE("steps that are too short") { image->step = 11; }
   SUBCASE("an encoding that there is not") { image->encoding = "nonsense"; }
-  CHECK_THROWS_AS(lot::ros::view(*image), cv_bridge::Exception);
-  CHECK_THROWS_AS(cv_bridge::toCvCopy(*image), cv_bridge::Exception);
+  CHECK_THROWS_AS((void)lot::ros::view(*image), cv_bridge::Exception);
+  CHECK_THROWS_AS((void)cv_bridge::toCvCopy(*image), cv_bridge::Exception);
 }
 
 TEST_CASE("an image of cv_bridge's, or a part of a matrix, becomes a message") {
@@ -272,7 +272,7 @@ TEST_CASE("clouds go to PCL and back with every point") {
     pcl::PointCloud<pcl::PointXYZRGB> back;
     pcl::fromROSMsg(gaps, back);
     CHECK(back[6999].rgba == points[6999].rgba);
-    CHECK_THROWS_AS(lot::ros::points<pcl::PointXYZRGB>(gaps), std::runtime_error);
+    CHECK_THROWS_AS((void)lot::ros::points<pcl::PointXYZRGB>(gaps), std::runtime_error);
   }
   SUBCASE("where they lie") {
     const Cloud& read = *cloud;
@@ -280,8 +280,9 @@ TEST_CASE("clouds go to PCL and back with every point") {
     CHECK(there.size() == 7000);
     CHECK(static_cast<const void*>(&there[0]) == read.data.data());
     CHECK(there[123].x == 123);
-    CHECK_THROWS_AS(lot::ros::points<pcl::PointXYZ>(read), std::runtime_error);
-    CHECK_THROWS_AS(lot::ros::points<pcl::PointXYZI>(read), std::runtime_error);  // no intensity
+    CHECK_THROWS_AS((void)lot::ros::points<pcl::PointXYZ>(read), std::runtime_error);
+    CHECK_THROWS_AS((void)lot::ros::points<pcl::PointXYZI>(read),
+                    std::runtime_error);  // no intensity
   }
   SUBCASE("of fewer bytes than it says") {
     cloud->data.resize(100);

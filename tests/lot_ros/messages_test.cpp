@@ -200,7 +200,7 @@ TEST_CASE("a subscriber reads a message where it was written") {
   image->data.resize(1 << 20);
   image->data.back() = 7;
   const auto* const place = image->data.data();
-  images.push(std::move(image));
+  REQUIRE(images.push(std::move(image)) == lot::Status::Ok);
   const auto seen = image_reader.try_pull();
   REQUIRE(seen);
   CHECK(seen->data.data() == place);
@@ -211,7 +211,7 @@ TEST_CASE("a subscriber reads a message where it was written") {
   serialization::Serializer<lot_test_msgs::Tracks>::read(anything, mine);
   auto track = tracks.loan();
   lot::ros::assign(*track, mine);
-  tracks.push(std::move(track));
+  REQUIRE(tracks.push(std::move(track)) == lot::Status::Ok);
   const auto got = track_reader.try_pull();
   REQUIRE(got);
   CHECK(bytes_of(*got) == bytes_of(mine));

@@ -35,7 +35,7 @@ int run(char** argv) {
     std::printf("pid %d\n", static_cast<int>(getpid()));
     std::fflush(stdout);
     for (std::uint64_t n = 1; stop == 0; ++n) {
-      pusher.push(pusher.loan(n));
+      if (pusher.push(pusher.loan(n)) != lot::Status::Ok) return 1;
       std::this_thread::sleep_for(1ms);
     }
     return 0;

@@ -14,6 +14,7 @@
 #include "lot/lot.hpp"
 
 #include "support/lock_owner.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -63,7 +64,7 @@ TEST_CASE("a ring of items that a dead process has recycled in part holds none, 
   CHECK_FALSE(lot::registry::Registry(segment, owner).is_open({0, generation}));
   auto puller = engine.subscribe<Apple>("/p");
   auto pusher = engine.advertise<Apple>("/p");
-  pusher.push(pusher.loan(std::uint64_t{7}));
+  must_go(pusher.push(pusher.loan(std::uint64_t{7})));
   const auto apple = puller.pull(10s);
   REQUIRE(apple);
   CHECK(apple->value == 7);
@@ -81,25 +82,28 @@ TEST_CASE("another type on a topic is an error at either end, which names both")
   };
   {
     auto puller = engine.subscribe<Apple>("/p");
-    CHECK(names_both(refusal([&] { engine.advertise<Pear>("/p"); }), "/p", "Pear (8 bytes"));
-    CHECK(names_both(refusal([&] { engine.subscribe<Pear>("/p"); }), "/p", "Pear (8 bytes"));
+    CHECK(names_both(refusal([&] { return engine.advertise<Pear>("/p"); }), "/p", "Pear (8 bytes"));
+    CHECK(names_both(refusal([&] { return engine.subscribe<Pear>("/p"); }), "/p", "Pear (8 bytes"));
     auto pusher = engine.advertise<Apple>("/q");
-    CHECK(names_both(refusal([&] { engine.subscribe<BigApple>("/q"); }), "/q", "BigApple (32"));
+    CHECK(names_both(refusal([&] { return engine.subscribe<BigApple>("/q"); }), "/q",
+                     "BigApple (32"));
     Child other([&] {
       lot::ShmEngine mine(options);
-      must(names_both(refusal([&] { mine.subscribe<Pear>("/q"); }), "/q", "Pear"), "subscribe");
-      must(names_both(refusal([&] { mine.advertise<Pear>("/p"); }), "/p", "Pear"), "advertise");
-      must(refusal([&] { mine.subscribe<Apple>("/q"); }).empty(), "the right type");
+      must(names_both(refusal([&] { return mine.subscribe<Pear>("/q"); }), "/q", "Pear"),
+           "subscribe");
+      must(names_both(refusal([&] { return mine.advertise<Pear>("/p"); }), "/p", "Pear"),
+           "advertise");
+      must(refusal([&] { return mine.subscribe<Apple>("/q"); }).empty(), "the right type");
     });
     CHECK(other.wait() == 0);
     // The ends that were refused left nothing.
     CHECK(puller.publishers() == 0);
-    pusher.push(pusher.loan(std::uint64_t{1}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{1})));
   }
   // After all have left, the name is free for another type.
   auto pusher = engine.advertise<Pear>("/p");
   auto puller = engine.subscribe<Pear>("/p");
-  pusher.push(pusher.loan(std::uint64_t{4}));
+  must_go(pusher.push(pusher.loan(std::uint64_t{4})));
   CHECK(puller.pull(1s)->value == 4);
   auto other = engine.subscribe<BigApple>("/q");
 }
@@ -116,21 +120,21 @@ TEST_CASE("a topic of a process that was killed is free for another type") {
   });
   REQUIRE(ready.next() == '.');
   lot::ShmEngine engine(options);
-  CHECK(!refusal([&] { engine.subscribe<Pear>("/p"); }).empty());
+  CHECK(!refusal([&] { return engine.subscribe<Pear>("/p"); }).empty());
   victim.kill9();
-  CHECK(eventually([&] { return refusal([&] { engine.subscribe<Pear>("/p"); }).empty(); }));
+  CHECK(eventually([&] { return refusal([&] { return engine.subscribe<Pear>("/p"); }).empty(); }));
 }
 
 TEST_CASE("bad topic names and depths are refused") {
   lot::ShmEngine engine(fresh());
   for (const std::string& bad : {std::string(), std::string(200, 'x'), std::string("a\0b", 3)}) {
-    CHECK(says(refusal([&] { engine.advertise<Apple>(bad); }), "not a name for a topic"));
-    CHECK(says(refusal([&] { engine.subscribe<Apple>(bad); }), "not a name for a topic"));
+    CHECK(says(refusal([&] { return engine.advertise<Apple>(bad); }), "not a name for a topic"));
+    CHECK(says(refusal([&] { return engine.subscribe<Apple>(bad); }), "not a name for a topic"));
   }
   auto longest = engine.advertise<Apple>(std::string(199, 'x'));
   for (const std::uint32_t bad : {0U, 65537U}) {
     CHECK(says(refusal([&] {
-                 engine.advertise<Apple>("/t", {lot::Policy::Block, bad, 1s});
+                 return engine.advertise<Apple>("/t", {lot::Policy::Block, bad, 1s});
                }),
                "depth"));
   }
@@ -155,15 +159,16 @@ TEST_CASE("each limit is an error that names the setting, and what is freed is t
       for (const char* topic : {"/a", "/b", "/c"}) {
         pushers.push_back(engine.advertise<Apple>(topic));
       }
-      CHECK(says(refusal([&] { engine.advertise<Apple>("/d"); }), "EngineOptions::topics"));
-      CHECK(says(refusal([&] { engine.subscribe<Apple>("/d"); }), "EngineOptions::topics"));
+      CHECK(says(refusal([&] { return engine.advertise<Apple>("/d"); }), "EngineOptions::topics"));
+      CHECK(says(refusal([&] { return engine.subscribe<Apple>("/d"); }), "EngineOptions::topics"));
       pushers.push_back(engine.advertise<Apple>("/a"));
-      CHECK(says(refusal([&] { engine.advertise<Apple>("/a"); }), "EngineOptions::channels"));
+      CHECK(
+          says(refusal([&] { return engine.advertise<Apple>("/a"); }), "EngineOptions::channels"));
       std::vector<lot::ShmPuller<Apple>> pullers;
       for (int n = 0; n < 2; ++n) pullers.push_back(engine.subscribe<Apple>("/b"));
-      CHECK(says(refusal([&] { engine.subscribe<Apple>("/b"); }), "EngineOptions::readers"));
+      CHECK(says(refusal([&] { return engine.subscribe<Apple>("/b"); }), "EngineOptions::readers"));
       pullers.pop_back();
-      CHECK(refusal([&] { engine.subscribe<Apple>("/b"); }).empty());
+      CHECK(refusal([&] { return engine.subscribe<Apple>("/b"); }).empty());
     }
     CHECK(eventually([&] { return Audit(s).nothing(); }));
     INFO(Audit(s).text());

@@ -18,6 +18,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "support/small_disk.hpp"
 #include "support/variable.hpp"
@@ -210,7 +211,7 @@ TEST_CASE("after a restart of the machine nothing is left of what lay on a disk"
   Child before([&] {
     lot::ShmEngine engine(options);
     auto out = engine.advertise<std::uint64_t>("/number");
-    for (std::uint64_t n = 0; n < 10; ++n) out.push(out.loan(n));
+    for (std::uint64_t n = 0; n < 10; ++n) must_go(out.push(out.loan(n)));
     auto in = engine.subscribe<std::uint64_t>("/number", latched(10));
     const auto kept = in.try_pull();
     must(kept && in.publishers() == 1, "a message");
@@ -225,7 +226,7 @@ TEST_CASE("after a restart of the machine nothing is left of what lay on a disk"
     CHECK(in.publishers() == 0);
     CHECK_FALSE(in.try_pull());
     auto out = engine.advertise<std::uint64_t>("/number");
-    out.push(out.loan(77U));
+    must_go(out.push(out.loan(77U)));
     const auto seen = in.try_pull();
     REQUIRE(seen);
     CHECK(*seen == 77);
@@ -441,7 +442,7 @@ TEST_CASE("two segments in one process have nothing to do with each other") {
     auto pusher = a.advertise<Frame>("/t");
     auto puller = b.subscribe<Frame>("/t");
     auto right = a.subscribe<Frame>("/t");
-    pusher.push(pusher.loan());
+    must_go(pusher.push(pusher.loan()));
     CHECK(puller.try_pull() == nullptr);
     CHECK(puller.status() == lot::Status::PublisherGone);
     CHECK(right.try_pull() != nullptr);

@@ -24,6 +24,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "support/users.hpp"
 #include "transport/participant.hpp"
@@ -70,7 +71,7 @@ struct Answer {
       lot::ShmEngine engine(options);
       auto pusher = engine.advertise<Number>("/numbers");
       auto puller = engine.subscribe<Number>("/numbers");
-      pusher.push(pusher.loan(Number{7}));
+      must_go(pusher.push(pusher.loan(Number{7})));
       must(puller.pull(10s)->value == 7, "it works");
     } catch (const lot::Error& error) {
       number = error.error_number();

@@ -21,6 +21,7 @@
 #include "support/error_of.hpp"
 #include "support/janitor.hpp"
 #include "support/lock_owner.hpp"
+#include "support/must_go.hpp"
 #include "support/users.hpp"
 #include "support/variable.hpp"
 
@@ -156,7 +157,7 @@ TEST_CASE("lot ls says what is used, what is held back, and what was taken from 
   for (int n = 0; n < 4; ++n) {
     auto frame = pusher.loan();
     frame->data.resize(1 << 20);
-    pusher.push(std::move(frame));
+    must_go(pusher.push(std::move(frame)));
   }
   auto loaned = pusher.loan();
   loaned->data.resize(1 << 20);
@@ -652,7 +653,7 @@ TEST_CASE("a rate is what was published in between") {
     lot::ShmEngine engine(options);
     auto pusher = engine.advertise<Letter>(kLetters);
     ready.tell();
-    while (halt.next(1ms) == '\0') pusher.push(pusher.loan());
+    while (halt.next(1ms) == '\0') must_go(pusher.push(pusher.loan()));
     ready.tell();
     pause();
   });
@@ -690,7 +691,7 @@ TEST_CASE("a segment at full speed, with queues that come and go, is never calle
       auto puller = engine.subscribe<Parcel>(kParcels);
       std::vector<lot::ShmSharedPtr<const Parcel>> kept;
       for (unsigned n = 0; n < 200; ++n) {
-        pusher.push(pusher.loan());
+        (void)pusher.push(pusher.loan());  // Full as well
         if (n % 3 == 0) kept.push_back(puller.try_pull());
         if (n % 50 == 0) kept.clear();
       }

@@ -267,7 +267,8 @@ TEST_CASE("a queue that can never fit takes nothing, and the error says what hel
   CHECK(before >= 32);
   lot::PusherOptions deepest;
   deepest.depth = 65536;
-  const std::string text = error_of([&] { engine.advertise<Item>("/late", deepest); }).second;
+  const std::string text =
+      error_of([&] { return engine.advertise<Item>("/late", deepest); }).second;
   CAPTURE(text);
   CHECK(names(text, "the queue of /late"));
   CHECK(names(text, "LOT_SIZE"));
@@ -289,7 +290,7 @@ TEST_CASE("a loan does not give way to a new queue, and the error names the proc
   };
   while (error_of(loan).second == "no error") {
   }
-  const std::string text = error_of([&] { engine.advertise<Item>("/late"); }).second;
+  const std::string text = error_of([&] { return engine.advertise<Item>("/late"); }).second;
   CAPTURE(text);
   CHECK(names(text, "the queue of /late"));
   CHECK(names(text, "of /frames, made by the loaner (pid "));

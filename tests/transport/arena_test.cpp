@@ -19,6 +19,7 @@
 #include "lot/lot.hpp"
 
 #include "support/both_engines.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "support/seed.hpp"
 #include "transport/participant.hpp"
@@ -153,7 +154,7 @@ TEST_CASE("a message that grows after it became shared has told so, also when it
   shared->large.resize(16 << 20);
   auto message = referring.loan();
   message->parts = shared;
-  referring.push(std::move(message));
+  must_go(referring.push(std::move(message)));
   CHECK_THROWS_WITH_AS(shared->more.resize(100'000), doctest::Contains("published"), lot::Error);
   CHECK(granules() >= 4096);
 }

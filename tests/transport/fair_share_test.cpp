@@ -15,6 +15,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -309,7 +310,7 @@ TEST_CASE("blocks that the messages of another process have are given up, too") 
   Child other([&] {
     lot::ShmEngine engine(options);
     auto pusher = engine.advertise<Note>("/notes");
-    for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
+    for (int n = 0; n < 100; ++n) must_go(pusher.push(pusher.loan()));
     ready.tell();
     end.next();
   });

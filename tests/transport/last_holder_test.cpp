@@ -15,6 +15,7 @@
 #include "lot/lot.hpp"
 
 #include "support/block_words.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -333,7 +334,7 @@ TEST_CASE("a home says that it waits for a holder when its warden can find the b
       ++waits;
       if (pool_of_it.load()->kept() == 0) ++waits_unfound;
     });
-    out.push(std::move(frame));
+    must_go(out.push(std::move(frame)));
   }
   CHECK(waits > 0);
   CHECK(waits_unfound == 0);

@@ -22,6 +22,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "support/small_disk.hpp"
 #include "transport/participant.hpp"
@@ -115,7 +116,7 @@ TEST_CASE("a latched message stays while another topic of its process runs out o
   lot::PusherOptions one;
   one.depth = 1;
   auto maps = place.engine.advertise<Map>("map", one);
-  maps.push(maps.loan(Map{7}));
+  must_go(maps.push(maps.loan(Map{7})));
   auto camera = place.engine.advertise<Frame>("camera");
   push_frames(camera, 100, kMiB);
   auto late = place.engine.subscribe<Map>("map", latched(1));
@@ -129,7 +130,7 @@ TEST_CASE("a request that can never be met throws OutOfMemory and gives no messa
   Place place(32 * kMiB);
   auto maps = place.engine.advertise<Map>("map");
   auto camera = place.engine.advertise<Frame>("camera");
-  for (int i = 0; i < 10; ++i) maps.push(maps.loan(Map{i}));
+  for (int i = 0; i < 10; ++i) must_go(maps.push(maps.loan(Map{i})));
   push_frames(camera, 10, kMiB);
   auto reader = place.engine.subscribe<Frame>("camera", latched(10));
   auto frame = camera.loan();
@@ -509,7 +510,7 @@ TEST_CASE("a publisher that is bound by memory has the next message in its oldes
     lot::transport::Participant& p = *lot::transport::Participant::at(frame.get());
     warm += p.segment().build(block_of(p, frame.get())).extents != 0;
     frame->data.resize(kMiB);
-    camera.push(std::move(frame));
+    must_go(camera.push(std::move(frame)));
   }
   CHECK(warm >= 50);  // but when it looks whether there is more for it
 }
@@ -520,13 +521,13 @@ TEST_CASE("a publisher as deep as there are blocks claims none in its steady sta
   lot::PusherOptions deep;
   deep.depth = 256;
   auto pusher = place.engine.advertise<Map>("t", deep);
-  for (int i = 0; i < 1000; ++i) pusher.push(pusher.loan(Map{i}));
+  for (int i = 0; i < 1000; ++i) must_go(pusher.push(pusher.loan(Map{i})));
   int claims = 0;
   for (int i = 0; i < 1000; ++i) {
     auto map = pusher.loan(Map{i});
     lot::transport::Holder& holder = lot::transport::Participant::at(map.get())->holder();
     claims += holder.next_free.exchange(0) != 0;
-    pusher.push(std::move(map));
+    must_go(pusher.push(std::move(map)));
   }
   CHECK(claims <= 100);
 }
@@ -553,10 +554,10 @@ TEST_CASE("a push of the same message again allocates nothing") {
   Place place(32 * kMiB);
   auto pusher = place.engine.advertise<Map>("t");
   const lot::ShmSharedPtr<Map> same(pusher.loan(Map{1}));
-  for (int i = 0; i < 1000; ++i) pusher.push(same);
+  for (int i = 0; i < 1000; ++i) must_go(pusher.push(same));
   news = 0;
   counts_news = true;
-  for (int i = 0; i < 1000; ++i) pusher.push(same);
+  for (int i = 0; i < 1000; ++i) must_go(pusher.push(same));
   counts_news = false;
   CHECK(news == 0);
 }
@@ -692,9 +693,9 @@ TEST_CASE("whichever allocation of loan and push fails, nothing is lost") {
       auto frame = pusher.loan();
       frame->data.resize(100);
       const lot::ShmSharedPtr<Frame> shared(std::move(frame));
-      pusher.push(shared);
-      pusher.push(shared);
-      other.push(shared);
+      must_go(pusher.push(shared));
+      must_go(pusher.push(shared));
+      must_go(other.push(shared));
     }
   });
 }
@@ -794,7 +795,7 @@ TEST_CASE("whichever allocation of listen, fd and a WaitSet fails, nothing is lo
     const int fd = puller.fd();
     CHECK(fd >= 0);
     lot::WaitSet set;
-    set.add(puller, [&] { puller.try_pull(); });
+    set.add(puller, [&] { return puller.try_pull(); });
     set.add_timer(1ms, [] {});
     push_frames(pusher, 1, 100);
     set.run_once(1s);
@@ -814,7 +815,7 @@ TEST_CASE("whichever allocation of a message with a ShmRef fails, nothing is los
     const lot::ShmRef<const Map> outside = map;
     auto pusher = engine.advertise<Box>("boxes");
     auto puller = engine.subscribe<Box>("boxes");
-    pusher.push(std::move(box));
+    must_go(pusher.push(std::move(box)));
     const auto seen = puller.try_pull();
     REQUIRE(seen);
     CHECK(seen->map.lock()->id == 7);

@@ -22,6 +22,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -320,12 +321,12 @@ TEST_CASE("a message that only the queue holds has not expired for a weak pointe
   Place place;
   auto pusher = place.engine->advertise<Pair>("/t", {lot::Policy::Overwrite, 2, 1s});
   Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
-  pusher.push(s);
+  must_go(pusher.push(s));
   const Weak w = s;
   s.reset();
   CHECK(!w.expired());
   CHECK(w.lock()->a == 1);
-  for (std::uint64_t n = 0; n < 200; ++n) pusher.push(pusher.loan(n, n));
+  for (std::uint64_t n = 0; n < 200; ++n) must_go(pusher.push(pusher.loan(n, n)));
   CHECK(w.lock() == nullptr);
 }
 
@@ -355,7 +356,7 @@ TEST_CASE("use_count says one for each other process that has pointers") {
     REQUIRE(pusher.wait_for_readers(2, 10s));
     Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
     CHECK(s.unique());
-    pusher.push(s);
+    must_go(pusher.push(s));
     CHECK(kept.next() == '.');
     CHECK(kept.next() == '.');
     CHECK(s.use_count() == 3);
@@ -391,7 +392,7 @@ TEST_CASE("a kept message outlives its subscription, its publisher and its publi
       auto text = pusher.loan();
       text->number = 7;
       text->text.assign(100000, 'x');
-      pusher.push(std::move(text));
+      must_go(pusher.push(std::move(text)));
       go.next();
       if (killed) kill(getpid(), SIGKILL);
     });
@@ -546,9 +547,9 @@ TEST_CASE("a push of what is not the whole message is refused, on a topic and in
   auto reader = place.engine->queue<Const>("q");
   reader.listen();
   const auto refused = [&](const Const& pointer) {
-    return error_of([&] { pusher.push(pointer); }) == EINVAL &&
-           error_of([&] { queue.put(pointer); }) == EINVAL &&
-           error_of([&] { queue.put(Const(pointer)); }) == EINVAL;
+    return error_of([&] { return pusher.push(pointer); }) == EINVAL &&
+           error_of([&] { return queue.put(pointer); }) == EINVAL &&
+           error_of([&] { return queue.put(Const(pointer)); }) == EINVAL;
   };
   const lot::ShmSharedPtr<Large> large = place.engine->make<Large>();
   const lot::ShmSharedPtr<std::array<Pair, 3>> small = place.engine->make<std::array<Pair, 3>>();
@@ -585,9 +586,9 @@ TEST_CASE("what another process has made is published whole, not in parts") {
     auto pairs = engine.advertise<Pair>("/pairs");
     auto items = engine.queue<Unique>("items");
     must(joined.next() == '.', "a reader");
-    large.push(large.loan());
-    pairs.push(pairs.loan());
-    items.put(items.make());
+    must_go(large.push(large.loan()));
+    must_go(pairs.push(pairs.loan()));
+    must_go(items.put(items.make()));
     done.next();
   });
   {
@@ -607,11 +608,12 @@ TEST_CASE("what another process has made is published whole, not in parts") {
     auto again_pairs = engine.advertise<Pair>("/again/pairs");
     CHECK(again.push(l) == lot::Status::Ok);
     CHECK(again_pairs.push(p) == lot::Status::Ok);
-    CHECK(error_of([&] { again_pairs.push(Const(l, &l->first)); }) == EINVAL);
-    CHECK(error_of([&] { again_pairs.push(Const(l, &l->last)); }) == EINVAL);
-    CHECK(error_of([&] { again_pairs.push(Const(p, p.get() + 1)); }) == EINVAL);
+    CHECK(error_of([&] { return again_pairs.push(Const(l, &l->first)); }) == EINVAL);
+    CHECK(error_of([&] { return again_pairs.push(Const(l, &l->last)); }) == EINVAL);
+    CHECK(error_of([&] { return again_pairs.push(Const(p, p.get() + 1)); }) == EINVAL);
     CHECK(error_of([&] {
-            again.push(lot::ShmSharedPtr<const Large>(p, reinterpret_cast<const Large*>(p.get())));
+            return again.push(
+                lot::ShmSharedPtr<const Large>(p, reinterpret_cast<const Large*>(p.get())));
           }) == EINVAL);
     done.tell();
     CHECK(maker.wait() == 0);
@@ -649,7 +651,7 @@ TEST_CASE("a message that a shared pointer has published can not grow any more")
     lot::ShmUniquePtr<Text> next = pusher.loan();
     next->text.assign(100000, 'c');
     (void)pusher.push(std::move(next));
-    puller.try_pull();
+    (void)puller.try_pull();  // makes room
   }
 }
 
@@ -680,10 +682,10 @@ TEST_CASE("an item that one reader takes grows after it was put and taken") {
   auto second = place.engine->queue<lot::ShmUniquePtr<Text>>("second");
   first.listen();
   second.listen();
-  first.put(first.make());
+  must_go(first.put(first.make()));
   auto text = first.wait_and_pop();
   text->text.assign(1000, 'a');
-  second.put(std::move(text));
+  must_go(second.put(std::move(text)));
   text = second.wait_and_pop();
   text->text.assign(100000, 'b');
   CHECK(text->text.size() == 100000);
@@ -697,17 +699,17 @@ TEST_CASE("unique() is false while a queue, a reader or a message has the messag
   CHECK(s.unique());
   {
     auto puller = place.engine->subscribe<Pair>("/t");
-    pusher.push(s);
+    must_go(pusher.push(s));
     CHECK(s.use_count() == 1);
     CHECK_FALSE(s.unique());
     auto borrow = puller.try_borrow();
     REQUIRE(borrow);
-    for (std::uint64_t n = 0; n < 200; ++n) pusher.push(pusher.loan(n, n));
+    for (std::uint64_t n = 0; n < 200; ++n) must_go(pusher.push(pusher.loan(n, n)));
     CHECK(s.use_count() == 1);
     CHECK_FALSE(s.unique());  // the borrow
     CHECK(borrow->a == 1);
   }
-  for (std::uint64_t n = 0; n < 200; ++n) pusher.push(pusher.loan(n, n));
+  for (std::uint64_t n = 0; n < 200; ++n) must_go(pusher.push(pusher.loan(n, n)));
   CHECK(s.unique());
   const Shared copy = s;
   CHECK_FALSE(s.unique());
@@ -743,7 +745,7 @@ TEST_CASE("unique() is false while another process has the message, and where it
     }
     must(item.unique(), "one again");
     auto pusher = engine.advertise<Pair>("/items");
-    pusher.push(item);
+    must_go(pusher.push(item));
     must(!item.unique(), "it is in a queue");
     kept.tell();
     must(go.next() == '.', "go on");
@@ -758,10 +760,10 @@ TEST_CASE("unique() is false while another process has the message, and where it
     auto items = engine.queue<Unique>("items");
     REQUIRE(pusher.wait_for_readers(1, 10s));
     const Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
-    pusher.push(s);
-    items.put(items.make());
+    must_go(pusher.push(s));
+    must_go(items.put(items.make()));
     REQUIRE(kept.next() == '.');
-    for (std::uint64_t n = 0; n < 200; ++n) pusher.push(pusher.loan(n, n));
+    for (std::uint64_t n = 0; n < 200; ++n) must_go(pusher.push(pusher.loan(n, n)));
     CHECK_FALSE(s.unique());
     go.tell();
     REQUIRE(dropped.next() == '.');
@@ -783,14 +785,14 @@ void check_published_item(bool shared, bool first_back) {
     auto pusher = engine.advertise<T>("/t", {lot::Policy::Overwrite, 1, 1s});
     must(pusher.wait_for_readers(2, 20s), "two readers");
     if (shared) {
-      pusher.push(lot::ShmSharedPtr<T>(std::move(item)));
+      must_go(pusher.push(lot::ShmSharedPtr<T>(std::move(item))));
     } else {
-      pusher.push(std::move(item));
+      must_go(pusher.push(std::move(item)));
     }
     return pusher;
   };
   const auto flush = [](lot::ShmPusher<T>& pusher) {  // so that no queue has the item
-    for (int n = 0; n < 200; ++n) pusher.push(pusher.loan());
+    for (int n = 0; n < 200; ++n) must_go(pusher.push(pusher.loan()));
   };
   Child reader([&] {
     lot::ShmEngine engine(options);
@@ -823,7 +825,7 @@ void check_published_item(bool shared, bool first_back) {
     auto puller = engine.subscribe<T>("/t");
     auto items = engine.queue<lot::ShmUniquePtr<T>>("items");
     auto back = engine.queue<lot::ShmUniquePtr<T>>("back");
-    items.put(items.make());
+    must_go(items.put(items.make()));
     std::optional<lot::ShmPusher<T>> pusher;
     if (first_back) pusher.emplace(publish(engine, back.wait_and_pop()));
     const auto seen = puller.pull(20s);
@@ -878,12 +880,12 @@ TEST_CASE("a message in memory that was once taken from a queue is its maker's, 
     lot::ShmEngine engine(options);
     auto items = engine.queue<Unique>("items");
     auto pusher = engine.advertise<Pair>("/t");
-    for (int n = 0; n < kItems; ++n) items.put(items.make());
+    for (int n = 0; n < kItems; ++n) must_go(items.put(items.make()));
     REQUIRE(taken.next() == '.');
     std::vector<Shared> kept;
     for (int n = 0; n < kItems; ++n) {  // in the memory of those that were taken
       kept.emplace_back(items.make());
-      pusher.push(kept.back());
+      must_go(pusher.push(kept.back()));
     }
     pushed.tell();
     CHECK(seen.next() == '.');
@@ -938,7 +940,7 @@ TEST_CASE("an item that its maker takes back is destroyed, though other processe
     auto items = engine.queue<lot::ShmUniquePtr<Mortal>>("items");
     const OnCore first(false);
     for (int round = 0; round < kRounds; ++round) {
-      for (int n = 0; n < 32; ++n) items.put(items.make());
+      for (int n = 0; n < 32; ++n) must_go(items.put(items.make()));
       while (items.try_pop()) ++taken_back;
     }
     end.tell();
@@ -980,7 +982,7 @@ TEST_CASE("a weak pointer of a process that has left has expired, though the mes
     auto pusher = engine.advertise<Pair>("/t");
     const Shared s = pusher.loan(std::uint64_t{1}, std::uint64_t{2});
     must(pusher.wait_for_readers(1, 20s), "a reader");
-    pusher.push(s);
+    must_go(pusher.push(s));
     must(end.next() == '.', "the end");
     must(s->a == 1, "the message lives");
   });

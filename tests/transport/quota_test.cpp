@@ -15,6 +15,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -349,7 +350,7 @@ TEST_CASE("a queue of shared items says that its reader holds too much") {
   std::vector<lot::ShmSharedPtr<const Note>> kept;
   const auto put_and_pop = [&] {
     for (int n = 0; n < 64; ++n) {
-      queue.put(lot::ShmSharedPtr<const Note>(queue.make()));
+      must_go(queue.put(lot::ShmSharedPtr<const Note>(queue.make())));
       kept.push_back(queue.wait_and_pop());
     }
   };

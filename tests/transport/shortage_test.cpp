@@ -15,6 +15,7 @@
 #include "lot/lot.hpp"
 
 #include "support/error_of.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "support/small_disk.hpp"
 
@@ -135,7 +136,7 @@ TEST_CASE("OutOfMemory of a full segment advises what helps against what has mos
     for (int n = 0; n < 40; ++n) {
       auto job = jobs.make();
       job->data.resize(kMiB);
-      jobs.put(std::move(job));
+      must_go(jobs.put(std::move(job)));
     }
     const std::string text = refusal(pusher, 40 * kMiB);
     CAPTURE(text);
@@ -191,7 +192,7 @@ TEST_CASE("OutOfMemory where all blocks are in use names the processes that have
     auto reader = engine.subscribe<Note>("/owner", greedy);
     std::vector<lot::ShmSharedPtr<const Note>> kept;
     for (int n = 0; n < 50; ++n) {
-      owner.push(owner.loan());
+      must_go(owner.push(owner.loan()));
       kept.push_back(reader.pull(10s));
     }
     const std::string text = refusal_of_blocks(pusher, loans);

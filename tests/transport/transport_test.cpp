@@ -17,6 +17,7 @@
 #include "lot/lot.hpp"
 
 #include "support/lock_owner.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -106,7 +107,7 @@ TEST_CASE("pull, try_pull, borrow and keep give the messages in order, and say w
         CHECK(look->value == 4);
         CHECK((*look).value == 4);
         CHECK(look.missed() == 0);
-        CHECK_THROWS_AS(puller.try_pull(), lot::Error);  // one borrow at a time
+        CHECK_THROWS_AS((void)puller.try_pull(), lot::Error);  // one borrow at a time
         kept = look.keep();
         auto moved = std::move(look);
         CHECK(!look);  // NOLINT: moved-from is empty
@@ -169,12 +170,12 @@ TEST_CASE("a borrowed message stays as it is while its publisher laps the reader
   auto numbers = place.engine.advertise<Number>("/n", {Policy::Overwrite, 4, 1s});
   auto puller = place.engine.subscribe<Frame>("/t");
   auto number_puller = place.engine.subscribe<Number>("/n");
-  pusher.push(frame_of(pusher, 7, 3000));
+  must_go(pusher.push(frame_of(pusher, 7, 3000)));
   send(numbers, 7);
   auto look = puller.borrow(1s);
   auto number = number_puller.borrow(1s);
   for (std::uint64_t n = 100; n < 600; ++n) {
-    pusher.push(frame_of(pusher, n, 3000));
+    must_go(pusher.push(frame_of(pusher, n, 3000)));
     send(numbers, n);
   }
   CHECK(look->number == 7);
@@ -444,7 +445,7 @@ TEST_CASE("a publisher that cannot have all its subscribers as readers says so a
   auto first = std::make_unique<lot::ShmPuller<Number>>(engine.subscribe<Number>("/t"));
   auto second = engine.subscribe<Number>("/t");
   try {
-    engine.advertise<Number>("/t");
+    (void)engine.advertise<Number>("/t");  // it throws
     FAIL("two subscribers, and room for one");
   } catch (const lot::Error& e) {
     CHECK(e.error_number() == EUSERS);
@@ -523,7 +524,7 @@ TEST_CASE("a received message is forwarded on other topics without a copy") {
     REQUIRE(pusher.wait_for_readers(1, 10s));
     auto frame = frame_of(pusher, 5, 5000);
     const Frame* address = frame.get();
-    pusher.push(std::move(frame));
+    must_go(pusher.push(std::move(frame)));
     auto first = back.pull(20s);
     auto second = back.pull(20s);
     REQUIRE(first);
@@ -531,7 +532,7 @@ TEST_CASE("a received message is forwarded on other topics without a copy") {
     CHECK(first.get() == address);
     CHECK(second.get() == address);
     // Overwritten at its origin, it lives on.
-    for (std::uint64_t n = 10; n < 100; ++n) pusher.push(frame_of(pusher, n, 5000));
+    for (std::uint64_t n = 10; n < 100; ++n) must_go(pusher.push(frame_of(pusher, n, 5000)));
     CHECK(intact(*first, 5000));
     CHECK(first->number == 5);
     sent.tell();
@@ -554,9 +555,9 @@ TEST_CASE("a pusher that only forwards gives the messages up again, also when it
     for (int n = 0; n < 100; ++n) {
       auto seen = in->pull(20s);
       must(bool(seen), "a message");
-      out->push(seen);
+      must_go(out->push(seen));
     }
-    out->loan();  // looks at the retired ones: 34 of them, none its own
+    (void)out->loan();  // looks at the retired ones: 34 of them, none its own
     out.reset();
     in.reset();
     step.tell();
@@ -610,7 +611,7 @@ TEST_CASE("when memory runs out, the oldest messages give way and are counted by
   greedy.max_held_bytes = lot::PullerOptions::kNoQuota;
   auto puller = place.engine.subscribe<Frame>("/t", greedy);
   constexpr std::size_t kSize = (1 << 20) / 8;
-  for (std::uint64_t n = 0; n < 100; ++n) pusher.push(frame_of(pusher, n, kSize));
+  for (std::uint64_t n = 0; n < 100; ++n) must_go(pusher.push(frame_of(pusher, n, kSize)));
   std::uint64_t next = 0;
   while (auto look = puller.try_borrow()) {
     REQUIRE(look->number == next + look.missed());
@@ -625,7 +626,7 @@ TEST_CASE("when memory runs out, the oldest messages give way and are counted by
   for (std::uint64_t n = 0;; ++n) {
     REQUIRE(n < 20);
     try {
-      pusher.push(frame_of(pusher, n, kSize));
+      must_go(pusher.push(frame_of(pusher, n, kSize)));
     } catch (const lot::OutOfMemory& e) {
       CHECK(std::string(e.what()).find("LOT_SIZE") != std::string::npos);
       break;
@@ -636,7 +637,7 @@ TEST_CASE("when memory runs out, the oldest messages give way and are counted by
   for (auto& k : kept) CHECK(intact(*k, kSize));
   kept.clear();
   for (std::uint64_t n = 0; n < 30; ++n) {
-    pusher.push(frame_of(pusher, n, kSize));
+    must_go(pusher.push(frame_of(pusher, n, kSize)));
     CHECK(puller.pull(1s)->number == n);
   }
 }
@@ -651,7 +652,7 @@ TEST_CASE("when blocks run out, loan throws OutOfMemory, try_loan is null, and f
   for (std::uint64_t n = 0; n < 16; ++n) loans.push_back(pusher.loan(n));
   CHECK(!pusher.try_loan());
   try {
-    pusher.loan();
+    (void)pusher.loan();  // it throws
     FAIL("no exception");
   } catch (const lot::OutOfMemory& e) {
     CHECK(std::string(e.what()).find("EngineOptions::blocks") != std::string::npos);
@@ -700,7 +701,7 @@ TEST_CASE("a plain message larger than a block's small payload is not zeroed and
     auto big = pusher.loan();
     big->number = n;
     std::memset(big->bytes, static_cast<int>(n), sizeof(big->bytes));
-    pusher.push(std::move(big));
+    must_go(pusher.push(std::move(big)));
     auto seen = puller.pull(1s);
     REQUIRE(seen);
     CHECK(seen->number == n);
@@ -718,7 +719,7 @@ TEST_CASE("a message grows in many small steps") {
   for (int round = 0; round < 20; ++round) {
     auto frame = pusher.loan();
     for (std::uint64_t i = 0; i < 200000; ++i) frame->data.push_back(i);
-    pusher.push(std::move(frame));
+    must_go(pusher.push(std::move(frame)));
     auto seen = puller.pull(1s);
     REQUIRE(seen->data.size() == 200000);
     for (std::uint64_t i = 0; i < 200000; i += 997) REQUIRE(seen->data[i] == i);
@@ -781,7 +782,7 @@ TEST_CASE("pushing a message of another segment is an error that names both") {
   auto pusher = here.engine.advertise<Number>("/t");
   const lot::ShmSharedPtr<Number> other = there.engine.make<Number>();
   try {
-    pusher.push(other);
+    must_go(pusher.push(other));
     FAIL("no exception");
   } catch (const lot::Error& e) {
     CHECK(std::string(e.what()).find(there.engine.path()) != std::string::npos);

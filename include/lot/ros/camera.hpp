@@ -27,7 +27,7 @@ namespace lot::ros {
 
 /// "camera/image_raw" has its infos beside it, as "camera/camera_info"; so has
 /// "camera/image_raw/lot", its topic for image_transport's nodes. Throws std::bad_alloc.
-inline std::string camera_info_topic(std::string image_topic) {
+[[nodiscard]] inline std::string camera_info_topic(std::string image_topic) {
   const auto drop_slashes = [&] {
     while (!image_topic.empty() && image_topic.back() == '/') image_topic.pop_back();
   };
@@ -68,7 +68,7 @@ class CameraPublisher {
   }
 
   /// An image to fill and to publish. Throws as Publisher::loan().
-  Loan<Image> loan() const { return images_.loan(); }
+  [[nodiscard]] Loan<Image> loan() const { return images_.loan(); }
   /// Memory for images, as Publisher::reserve(). Throws the same.
   void reserve(std::size_t count, std::size_t bytes) const { images_.reserve(count, bytes); }
 
@@ -114,7 +114,7 @@ class CameraPublisher {
     infos_.shutdown();
   }
   /// False: it was not advertised, or is shut down. Throws nothing.
-  explicit operator bool() const { return images_ && infos_; }
+  [[nodiscard]] explicit operator bool() const { return images_ && infos_; }
 
  private:
   template <class Info, class Header>
@@ -177,7 +177,7 @@ class CameraSubscriber {
     both_.reset();
   }
   /// False: it was not subscribed, or is shut down. Throws nothing.
-  explicit operator bool() const { return both_ != nullptr; }
+  [[nodiscard]] explicit operator bool() const { return both_ != nullptr; }
 
  private:
   struct Both {

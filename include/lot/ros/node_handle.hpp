@@ -61,13 +61,14 @@ class NodeHandle : public ::ros::NodeHandle {
   /// refuses it, which it logs: another type on the topic, say. Throws ros::InvalidNameException,
   /// std::bad_alloc and std::system_error.
   template <class M>
-  auto advertise(const std::string& topic, std::uint32_t queue_size, bool latch = false) {
+  [[nodiscard]] auto advertise(const std::string& topic, std::uint32_t queue_size,
+                               bool latch = false) {
     return advertise<M>(topic, queue_size, ::ros::SubscriberStatusCallback(),
                         ::ros::SubscriberStatusCallback(), ::ros::VoidConstPtr(), latch);
   }
   /// The same, and calls back when a subscriber comes and goes. Throws the same.
   template <class M>
-  auto advertise(
+  [[nodiscard]] auto advertise(
       const std::string& topic, std::uint32_t queue_size,
       const ::ros::SubscriberStatusCallback& connect,
       const ::ros::SubscriberStatusCallback& disconnect = ::ros::SubscriberStatusCallback(),
@@ -91,8 +92,9 @@ class NodeHandle : public ::ros::NodeHandle {
   /// added to it, and the topic is just being left.
   template <class M, class Callback,
             std::enable_if_t<!std::is_member_function_pointer_v<Callback>, int> = 0>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size, Callback&& callback,
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               Callback&& callback,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     using P = detail::ParameterFor<M, Callback>;
     return subscribe_to<P>(topic, queue_size,
                            boost::function<void(P)>(std::forward<Callback>(callback)),
@@ -100,93 +102,99 @@ class NodeHandle : public ::ros::NodeHandle {
   }
   /// The same, a function. Throws the same.
   template <class P>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (*callback)(P),
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (*callback)(P),
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, boost::function<void(P)>(callback),
                            ::ros::VoidConstPtr(), hints);
   }
   /// The same, and it is not called any more when the tracked object has gone. Throws the same.
   template <class M, class P>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size,
-                 const boost::function<void(P)>& callback,
-                 const ::ros::VoidConstPtr& tracked_object = ::ros::VoidConstPtr(),
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               const boost::function<void(P)>& callback,
+                               const ::ros::VoidConstPtr& tracked_object = ::ros::VoidConstPtr(),
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, callback, tracked_object, hints);
   }
   /// A member function of an object that outlives the subscriber. Throws the same.
   template <class P, class T>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P),
-                 T* object, const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (T::*callback)(P), T* object,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, on<P>(object, callback), ::ros::VoidConstPtr(),
                            hints);
   }
   /// A const one. Throws the same.
   template <class P, class T>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P) const,
-                 T* object, const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (T::*callback)(P) const, T* object,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, on<P>(object, callback), ::ros::VoidConstPtr(),
                            hints);
   }
   /// A member function of an object; it is not called any more when that has gone. Throws the same.
   template <class P, class T>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P),
-                 const boost::shared_ptr<T>& object,
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (T::*callback)(P), const boost::shared_ptr<T>& object,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, on<P>(object.get(), callback), object, hints);
   }
   /// A const one. Throws the same.
   template <class P, class T>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (T::*callback)(P) const,
-                 const boost::shared_ptr<T>& object,
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (T::*callback)(P) const, const boost::shared_ptr<T>& object,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<P>(topic, queue_size, on<P>(object.get(), callback), object, hints);
   }
   // roscpp has these beside those above, which would be chosen there: each of them hides one.
   /// A function that takes a pointer, where M is said. Throws the same.
   template <class M>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size, void (*callback)(ToPointer<M>),
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (*callback)(ToPointer<M>),
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>>(topic, queue_size, callback, hints);
   }
   /// A boost::function that takes a pointer, where M is said. Throws the same.
   template <class M>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size,
-                 const boost::function<void(ToPointer<M>)>& callback,
-                 const ::ros::VoidConstPtr& tracked_object = ::ros::VoidConstPtr(),
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               const boost::function<void(ToPointer<M>)>& callback,
+                               const ::ros::VoidConstPtr& tracked_object = ::ros::VoidConstPtr(),
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe_to<ToPointer<M>>(topic, queue_size, callback, tracked_object, hints);
   }
   /// A member function that takes a pointer, where M is said. Throws the same.
   template <class M, class T>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size,
-                 void (T::*callback)(ToPointer<M>), T* object,
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (T::*callback)(ToPointer<M>), T* object,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
   /// A const one. Throws the same.
   template <class M, class T>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size,
-                 void (T::*callback)(ToPointer<M>) const, T* object,
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (T::*callback)(ToPointer<M>) const, T* object,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
   /// The same, not called any more when the object has gone. Throws the same.
   template <class M, class T>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size,
-                 void (T::*callback)(ToPointer<M>), const boost::shared_ptr<T>& object,
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (T::*callback)(ToPointer<M>),
+                               const boost::shared_ptr<T>& object,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
   /// A const one. Throws the same.
   template <class M, class T>
-  auto subscribe(const std::string& topic, std::uint32_t queue_size,
-                 void (T::*callback)(ToPointer<M>) const, const boost::shared_ptr<T>& object,
-                 const ::ros::TransportHints& hints = ::ros::TransportHints()) {
+  [[nodiscard]] auto subscribe(const std::string& topic, std::uint32_t queue_size,
+                               void (T::*callback)(ToPointer<M>) const,
+                               const boost::shared_ptr<T>& object,
+                               const ::ros::TransportHints& hints = ::ros::TransportHints()) {
     return subscribe<ToPointer<M>, T>(topic, queue_size, callback, object, hints);
   }
   /// All of roscpp's options. REQUIRES: `options.helper` takes messages M. Throws the same.
   template <class M>
-  Subscriber subscribe(const ::ros::SubscribeOptions& options) {
+  [[nodiscard]] Subscriber subscribe(const ::ros::SubscribeOptions& options) {
     static_assert(detail::is_lot_message<M>, "use ros::NodeHandle for other messages");
     return Subscriber(detail::subscribe(*this, options, detail::kind_of<M>()));
   }

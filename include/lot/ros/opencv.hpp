@@ -78,9 +78,11 @@ inline cv_bridge::CvImageConstPtr share(const Image& image,
 /// The pixels, where they lie. REQUIRES: the message is there as long as the matrix. Of a message
 /// that was received they are not to be written. Throws cv_bridge::Exception where the message has
 /// too few bytes, or an encoding that OpenCV has no type for.
-inline cv::Mat view(detail::Image& image) { return detail::matrix_on(image); }
+[[nodiscard]] inline cv::Mat view(detail::Image& image) { return detail::matrix_on(image); }
 /// The pixels of a message that cannot be changed: do not write them. Throws the same.
-inline const cv::Mat view(const detail::Image& image) { return detail::matrix_on(image); }
+[[nodiscard]] inline const cv::Mat view(const detail::Image& image) {
+  return detail::matrix_on(image);
+}
 
 /// Makes `image` one of that size, whose pixels are still to be filled. The header stays. Throws
 /// cv_bridge::Exception for an encoding that OpenCV has no type for; lot::OutOfMemory.
@@ -114,15 +116,17 @@ inline void to_image(const cv_bridge::CvImage& from, detail::Image& image) {
 
 /// A loan of that size, whose pixels are still to be filled: view(*loan). Throws as shape() and
 /// Publisher::loan(): lot::OutOfMemory where the segment has no room for the pixels.
-inline Loan<detail::Image> loan_image(const Publisher<detail::Image>& publisher, int rows, int cols,
-                                      const std::string& encoding) {
+[[nodiscard]] inline Loan<detail::Image> loan_image(const Publisher<detail::Image>& publisher,
+                                                    int rows, int cols,
+                                                    const std::string& encoding) {
   auto image = publisher.loan();
   if (image) shape(*image, rows, cols, encoding);
   return image;
 }
 /// A loan with these pixels. Throws as to_image() and Publisher::loan().
-inline Loan<detail::Image> loan_image(const Publisher<detail::Image>& publisher,
-                                      const cv::Mat& pixels, const std::string& encoding) {
+[[nodiscard]] inline Loan<detail::Image> loan_image(const Publisher<detail::Image>& publisher,
+                                                    const cv::Mat& pixels,
+                                                    const std::string& encoding) {
   auto image = publisher.loan();
   if (image) to_image(pixels, encoding, *image);
   return image;
@@ -134,9 +138,9 @@ namespace cv_bridge {
 
 /// As for the standard image: no copy unless the encoding is another one. The pixels are not to be
 /// written. Throws cv_bridge::Exception, cv::Exception and std::bad_alloc.
-inline CvImageConstPtr toCvShare(const lot::ros::Message<sensor_msgs::Image_>& source,
-                                 const boost::shared_ptr<void const>& tracked_object,
-                                 const std::string& encoding = std::string()) {
+[[nodiscard]] inline CvImageConstPtr toCvShare(const lot::ros::Message<sensor_msgs::Image_>& source,
+                                               const boost::shared_ptr<void const>& tracked_object,
+                                               const std::string& encoding = std::string()) {
   if (lot::ros::detail::has_foreign_bytes(source)) {
     sensor_msgs::Image standard;
     lot::ros::assign(standard, source);
@@ -146,7 +150,7 @@ inline CvImageConstPtr toCvShare(const lot::ros::Message<sensor_msgs::Image_>& s
   return encoding.empty() || source.encoding == encoding ? shared : cvtColor(shared, encoding);
 }
 /// The same of a pointer, which is kept. REQUIRES: it is not null. Throws the same.
-inline CvImageConstPtr toCvShare(
+[[nodiscard]] inline CvImageConstPtr toCvShare(
     const boost::shared_ptr<lot::ros::Message<sensor_msgs::Image_> const>& source,
     const std::string& encoding = std::string()) {
   return toCvShare(*source, source, encoding);
@@ -154,15 +158,15 @@ inline CvImageConstPtr toCvShare(
 
 /// As for the standard image: one copy. Throws cv_bridge::Exception, cv::Exception and
 /// std::bad_alloc.
-inline CvImagePtr toCvCopy(const lot::ros::Message<sensor_msgs::Image_>& source,
-                           const std::string& encoding = std::string()) {
+[[nodiscard]] inline CvImagePtr toCvCopy(const lot::ros::Message<sensor_msgs::Image_>& source,
+                                         const std::string& encoding = std::string()) {
   const CvImageConstPtr shared = toCvShare(source, nullptr, encoding);
   const bool is_copy = shared->image.data != source.data.data();
   return boost::make_shared<CvImage>(shared->header, shared->encoding,
                                      is_copy ? shared->image : shared->image.clone());
 }
 /// The same of a pointer. REQUIRES: it is not null. Throws the same.
-inline CvImagePtr toCvCopy(
+[[nodiscard]] inline CvImagePtr toCvCopy(
     const boost::shared_ptr<lot::ros::Message<sensor_msgs::Image_> const>& source,
     const std::string& encoding = std::string()) {
   return toCvCopy(*source, encoding);

@@ -48,7 +48,7 @@ class Points {
   /// How many.
   std::size_t size() const noexcept { return count_; }
   /// True when there is none.
-  bool empty() const noexcept { return count_ == 0; }
+  [[nodiscard]] bool empty() const noexcept { return count_ == 0; }
   /// REQUIRES: i < size().
   Point& operator[](std::size_t i) const noexcept { return first_[i]; }
 
@@ -131,12 +131,12 @@ Points<Point> points_of(Its& cloud, Byte* bytes) {
 /// The points, where they lie. Throws std::runtime_error where they are not laid out as Point is,
 /// and pcl::fromROSMsg() has to copy them.
 template <class Point>
-Points<const Point> points(const detail::Cloud& cloud) {
+[[nodiscard]] Points<const Point> points(const detail::Cloud& cloud) {
   return detail::points_of<const Point>(cloud, cloud.data.data());
 }
 /// The same, to be written. Throws the same.
 template <class Point>
-Points<Point> points(detail::Cloud& cloud) {
+[[nodiscard]] Points<Point> points(detail::Cloud& cloud) {
   return detail::points_of<Point>(cloud, cloud.data.data());
 }
 

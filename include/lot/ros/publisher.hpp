@@ -49,12 +49,12 @@ class Loan {
   /// A member of the message. REQUIRES: there is one.
   M* operator->() const noexcept { return place_; }
   /// False: there is none, or it was published.
-  explicit operator bool() const noexcept { return place_ != nullptr; }
+  [[nodiscard]] explicit operator bool() const noexcept { return place_ != nullptr; }
   /// True when others can read it where it is.
   bool is_shared() const noexcept { return bool(shared_); }
 
   /// As a parcel; the loan is empty then. For Publisher. Throws std::bad_alloc.
-  detail::Parcel release() {
+  [[nodiscard]] detail::Parcel release() {
     place_ = nullptr;
     if (!shared_) return {std::exchange(heap_, nullptr), nullptr};
     return detail::parcel_of(ShmSharedPtr<const M>(std::move(shared_)));
@@ -87,7 +87,7 @@ class Publisher {
 
   /// A message to fill and to publish, on the heap where the segment has no room for it. It is
   /// empty when the publisher is. Throws lot::Error and std::bad_alloc as the class says.
-  Loan<M> loan() const {
+  [[nodiscard]] Loan<M> loan() const {
     const auto outlet = end_ ? end_->outlet() : nullptr;
     if (!outlet) return {};
     const lot::detail::Loan loan = outlet->loan();
@@ -185,7 +185,7 @@ class Publisher {
     end_.reset();
   }
   /// False: it was not advertised, or is shut down. Throws nothing.
-  explicit operator bool() const { return bool(plain()); }
+  [[nodiscard]] explicit operator bool() const { return bool(plain()); }
   /// There is none: what a ros::Publisher sends is serialised. Does not compile, so throws nothing.
   template <class P, std::enable_if_t<std::is_same_v<P, ::ros::Publisher>, int> = 0>
   operator P() const {

@@ -15,7 +15,7 @@ struct Relayed {
 };
 /// That of what ROS has generated: `relayed<my_msgs::Cloud_>()`. Throws nothing.
 template <template <class> class Generated>
-Relayed relayed() {
+[[nodiscard]] Relayed relayed() {
   return {::ros::message_traits::DataType<Generated<std::allocator<void>>>::value(),
           detail::kind_of<Message<Generated>>};
 }
@@ -41,6 +41,6 @@ Relayed relayed() {
 /// Errors:  what roscpp throws for a bad name; lot::Error and std::bad_alloc as Publisher.
 /// Memory:  `queue_size` messages that wait, and as many in OUT's queue.
 /// Crash:   as Publisher and Subscriber: publish the topic again by starting it again.
-int relay(int argc, char** argv, const std::vector<Relayed>& types);
+[[nodiscard]] int relay(int argc, char** argv, const std::vector<Relayed>& types);
 
 }  // namespace lot::ros

@@ -29,7 +29,7 @@ class ToStandard {
   using Pointer = boost::shared_ptr<Standard<M> const>;  ///< to a copy that is shared
 
   /// The copy of a message, made where there is none; null for null. Throws std::bad_alloc.
-  Pointer operator()(const boost::shared_ptr<M const>& message) const {
+  [[nodiscard]] Pointer operator()(const boost::shared_ptr<M const>& message) const {
     if (!message) return nullptr;
     return boost::static_pointer_cast<Standard<M> const>(converter_->shared(message));
   }

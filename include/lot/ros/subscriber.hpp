@@ -43,7 +43,7 @@ class Subscriber {
     end_.reset();
   }
   /// False: it was not subscribed, or is shut down. Throws nothing.
-  explicit operator bool() const { return end_ != nullptr; }
+  [[nodiscard]] explicit operator bool() const { return end_ != nullptr; }
   /// There is none: a ros::Subscriber ends nothing here. Does not compile, so throws nothing.
   template <class S, std::enable_if_t<std::is_same_v<S, ::ros::Subscriber>, int> = 0>
   operator S() const {

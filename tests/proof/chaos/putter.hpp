@@ -113,7 +113,7 @@ class Putter final : public Job {
   /// needs none, and is refused behind that.
   void make_ring() {
     try {
-      queue_->put(ShmUniquePtr<T>());
+      (void)queue_->put(ShmUniquePtr<T>());  // it throws
     } catch (const Error& e) {
       if (e.error_number() == EINVAL) return;
       throw;

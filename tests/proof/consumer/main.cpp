@@ -29,7 +29,7 @@ static int publish_and_receive(lot::ShmEngine& engine) {
     frame->encoding = "mono8";
     frame->data.resize(16 << 20);
     frame->data[4711] = round;
-    pusher.push(std::move(frame));
+    if (pusher.push(std::move(frame)) != lot::Status::Ok) return 9;
 
     if (round == 1) {
       lot::ShmSharedPtr<const Frame> seen = puller.pull(100ms);
@@ -64,7 +64,9 @@ static int wait_for_several(lot::ShmEngine& engine) {
     while (auto number = puller.try_pull()) sum += number->number;
     set.stop();
   });
-  set.add_timer_once(1ms, [&] { pusher.push(pusher.loan(Task{5})); });
+  set.add_timer_once(1ms, [&] {
+    if (pusher.push(pusher.loan(Task{5})) != lot::Status::Ok) set.stop();  // sum stays 0
+  });
   set.run();
   return sum == 5 ? 0 : 8;
 }

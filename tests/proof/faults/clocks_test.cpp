@@ -15,6 +15,7 @@
 #include "registry/registry.hpp"
 #include "support/janitor.hpp"
 #include "support/lock_owner.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 #include "wall_clock.hpp"
 
@@ -77,7 +78,7 @@ TEST_CASE("a pull with a deadline ends in its time, whatever the wall clock does
         must(!puller.pull(150ms) && puller.status() == Status::Timeout, "Timeout");
         must(Clock::now() - start >= 150ms, "not before its time");
         must(eventually([&] { return WallClock::year() == year + years; }), "the other year");
-        pusher.push(pusher.loan(std::uint64_t{7}));
+        must_go(pusher.push(pusher.loan(std::uint64_t{7})));
         must(puller.pull(150ms)->value == 7, "it goes on");
       });
       REQUIRE(waiting.next() == '.');
@@ -113,7 +114,7 @@ TEST_CASE("a sleeper without a deadline is woken, and one with a far one too") {
       auto pusher = engine.advertise<Number>("/t");
       must(pusher.wait_for_readers(1, 10s), "the reader");
       usleep(20000);
-      pusher.push(pusher.loan(std::uint64_t{7}));
+      must_go(pusher.push(pusher.loan(std::uint64_t{7})));
     });
     CHECK(writer.wait() == 0);
     CHECK(reader.wait() == 0);
@@ -134,7 +135,7 @@ TEST_CASE("a blocked push ends in its time, or goes on when there is room") {
       auto pusher = engine.advertise<Number>("/t", {Policy::Block, 2, 1s});
       blocking.tell();
       must(pusher.wait_for_readers(1, 10s), "the reader");
-      for (std::uint64_t n = 0; n < 2; ++n) pusher.push(pusher.loan(n));
+      for (std::uint64_t n = 0; n < 2; ++n) must_go(pusher.push(pusher.loan(n)));
       const auto start = Clock::now();
       blocking.tell();
       if (room) {

@@ -26,6 +26,7 @@
 #include "lock_spy.hpp"
 #include "lockfree_ring/words.hpp"
 #include "support/janitor.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -225,7 +226,7 @@ TEST_CASE("closefrom() in any state: no neighbour reaps it, it goes on, joins to
       ready.tell();
       state.run(self);
       auto news = engine.advertise<Number>("/new");
-      news.push(news.loan(kLast));
+      must_go(news.push(news.loan(kLast)));
       must(done.next() == '.', "the end");
       must(own.untouched(), "what is the application's was not touched");
     });
@@ -238,7 +239,7 @@ TEST_CASE("closefrom() in any state: no neighbour reaps it, it goes on, joins to
       lot::segment::Segment s(engine.path());
       const std::uint32_t index = index_of(s, "careless");
       REQUIRE(index != 0);
-      in.push(in.loan(std::uint64_t{0}));
+      must_go(in.push(in.loan(std::uint64_t{0})));
       std::uint64_t next = 0;
       bool may_read = state.reads_out_at_once;
       const auto read_out = [&] {
@@ -265,7 +266,7 @@ TEST_CASE("closefrom() in any state: no neighbour reaps it, it goes on, joins to
       CHECK(s.participants()[index].state.load() == 1);
       looked.tell();
       for (std::uint64_t n = 1; n <= kLast; ++n) {
-        in.push(in.loan(n));
+        must_go(in.push(in.loan(n)));
         read_out();
         if (n % 8 == 0) usleep(100);
       }
@@ -303,7 +304,7 @@ TEST_CASE("dup2() over the lock file's descriptor leaves what it was made to nam
     std::this_thread::sleep_for(350ms);
     lot::segment::Segment s(engine.path());
     must(index_of(s, "careless") != 0, "not reaped");
-    pusher.push(pusher.loan(std::uint64_t{7}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{7})));
     must(puller.pull(10s)->value == 7, "it goes on");
     must(eventually([&] { return lock_descriptor(options) != -1; }), "it is open again");
     must(lock_descriptor(options) != number, "the library has opened another one");
@@ -336,7 +337,7 @@ TEST_CASE("two neighbours that close everything at the same moment both live") {
         OwnFiles own;
         own.take(first);
         for (std::uint64_t n = 0; n < 50; ++n) {
-          pusher.push(pusher.loan(round * 50 + n));
+          must_go(pusher.push(pusher.loan(round * 50 + n)));
           const auto seen = puller.pull(10s);
           must(seen && seen->value == round * 50 + n, "each message of the other");
         }
@@ -372,7 +373,7 @@ TEST_CASE("a stopped process that has lost its lock keeps its index, its segment
     closefrom(first);
     closed.tell();
     raise(SIGSTOP);
-    pusher.push(pusher.loan(std::uint64_t{7}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{7})));
     must(done.next() == '.', "the end");
   });
   REQUIRE(ready.next() == '.');
@@ -428,7 +429,7 @@ TEST_CASE("a process in two segments: each lock file comes back, whichever gets 
     };
     must(eventually([&] { return held(file_one) == 2 && held(file_two) == 2; }), "both locks");
     must(stray_locks() == 0, "nothing else was locked");
-    pusher.push(pusher.loan(std::uint64_t{1}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{1})));
     must(puller.try_pull() == nullptr, "the segments have nothing to do with each other");
   });
   CHECK(careless.wait() == 0);
@@ -454,7 +455,7 @@ TEST_CASE("a process that is twice in a segment: one of the two may get the othe
     auto pusher = first.advertise<Number>("/t");
     auto puller = second.subscribe<Number>("/t");
     for (std::uint64_t n = 0; n < 350; ++n) {
-      pusher.push(pusher.loan(n));
+      must_go(pusher.push(pusher.loan(n)));
       must(puller.pull(10s)->value == n, "messages cross");
       usleep(1000);
     }
@@ -531,7 +532,7 @@ TEST_CASE("descriptors closed while a process joins: an error that says so, or i
           lot::ShmEngine engine(options);
           auto pusher = engine.advertise<Number>("/t");
           auto puller = engine.subscribe<Number>("/t");
-          pusher.push(pusher.loan(std::uint64_t{7}));
+          must_go(pusher.push(pusher.loan(std::uint64_t{7})));
           must(puller.pull(10s)->value == 7, "it goes on");
         } catch (const lot::Error& e) {
           must(e.error_number() == EBADF, e.what());

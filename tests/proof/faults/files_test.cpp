@@ -23,6 +23,7 @@
 #include "liveness/lock_file.hpp"
 #include "puppet.hpp"
 #include "support/janitor.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -268,7 +269,7 @@ TEST_CASE("both files removed: another engine of a process inside joins those in
     must(files_of(options) == 0, "no new segment");
     auto pusher = second.advertise<Number>("/t");
     auto puller = first.subscribe<Number>("/t");
-    pusher.push(pusher.loan(std::uint64_t{7}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{7})));
     must(puller.pull(10s)->value == 7, "they are one participant");
     joined.tell();
     must(done.next() == '.', "the end");

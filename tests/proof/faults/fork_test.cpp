@@ -23,6 +23,7 @@
 #include "liveness/lock_file.hpp"
 #include "slow_open.hpp"
 #include "support/janitor.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -184,7 +185,8 @@ TEST_CASE("the child of a killed parent goes on with an engine of its own") {
       joined.tell(inherited ? '!' : '.');
       await(parent_killed);
       for (std::uint64_t n = 0; n < 100; ++n) must(reader.pull(10s)->value == n, "each number");
-      must(is_inert([&] { pusher.loan(); }) && is_inert([&] { puller.try_pull(); }), "inert");
+      must(is_inert([&] { return pusher.loan(); }) && is_inert([&] { return puller.try_pull(); }),
+           "inert");
       received.tell();
       await(life);
       _exit(0);
@@ -199,7 +201,7 @@ TEST_CASE("the child of a killed parent goes on with an engine of its own") {
   CHECK(eventually([&] { return index_of(s, "parent") == 0 && numbers->readers() == 1; }));
   CHECK(index_of(s, "child") != 0);
   parent_killed.tell();
-  for (std::uint64_t n = 0; n < 100; ++n) numbers->push(numbers->loan(n));
+  for (std::uint64_t n = 0; n < 100; ++n) must_go(numbers->push(numbers->loan(n)));
   CHECK(received.next() == '.');
   CHECK(index_of(s, "child") != 0);
   life.tell();
@@ -252,7 +254,7 @@ TEST_CASE("forks while other threads publish and pull: the streams go on, each c
     std::thread publisher([&] {
       for (std::uint64_t n = 0; !enough; ++n) {
         must(pusher.push(pusher.loan(n)) == Status::Ok, "a push");
-        latest.push(latest.loan(n));
+        must_go(latest.push(latest.loan(n)));
       }
       must(pusher.push(pusher.loan(~std::uint64_t{0})) == Status::Ok, "the last push");
     });
@@ -268,9 +270,9 @@ TEST_CASE("forks while other threads publish and pull: the streams go on, each c
       for (int n = 0; n < 30; ++n) {
         const std::uint64_t before = received;
         Child child([&] {
-          must(is_inert([&] { pusher.loan(); }), "pusher");
-          must(is_inert([&] { puller.try_pull(); }), "puller");
-          must(is_inert([&] { engine.make<Number>(); }), "engine");
+          must(is_inert([&] { return pusher.loan(); }), "pusher");
+          must(is_inert([&] { return puller.try_pull(); }), "puller");
+          must(is_inert([&] { return engine.make<Number>(); }), "engine");
           lot::ShmEngine own(named(options, "child"));
           auto mine = own.subscribe<Number>("/latest", {Wait::Park, 1});
           const auto seen = mine.pull(10s);
@@ -296,7 +298,7 @@ TEST_CASE("a child that forks again: the grandchild inherits nothing that works,
   Child parent([&] {
     lot::ShmEngine engine(named(options, "parent"));
     auto pusher = engine.advertise<Number>("/t");
-    pusher.push(pusher.loan(std::uint64_t{1}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{1})));
     lot::segment::Segment s(engine.path());
     const std::string alone = Audit(s).text();
     Child child([&] {
@@ -306,9 +308,9 @@ TEST_CASE("a child that forks again: the grandchild inherits nothing that works,
       must(borrowed && borrowed->value == 1, "the child's engine works");
       const std::string both = Audit(s).text();
       Child grandchild([&] {
-        must(is_inert([&] { pusher.loan(); }), "the grandparent's");
-        must(is_inert([&] { reader.try_pull(); }), "the parent's");
-        must(is_inert([&] { own.make<Number>(); }), "the parent's engine");
+        must(is_inert([&] { return pusher.loan(); }), "the grandparent's");
+        must(is_inert([&] { return reader.try_pull(); }), "the parent's");
+        must(is_inert([&] { return own.make<Number>(); }), "the parent's engine");
         borrowed.end();
         lot::ShmEngine third(named(options, "grandchild"));
         auto again = third.subscribe<Number>("/t", {Wait::Park, 1});
@@ -340,8 +342,8 @@ struct Statics {
   lot::ShmBorrow<Number> borrowed;
 
   explicit Statics(const lot::EngineOptions& options) : engine(options) {
-    pusher.push(pusher.loan(std::uint64_t{2}));
-    pusher.push(pusher.loan(std::uint64_t{3}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{2})));
+    must_go(pusher.push(pusher.loan(std::uint64_t{3})));
     kept = puller.pull(10s);
     weak = kept;
     borrowed = puller.borrow(10s);

@@ -16,6 +16,7 @@
 #include "lot/lot.hpp"
 
 #include "support/janitor.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -44,7 +45,7 @@ std::string use(const lot::EngineOptions& options) {
     lot::ShmEngine engine(options);
     auto pusher = engine.advertise<Number>("/t");
     auto puller = engine.subscribe<Number>("/t");
-    pusher.push(pusher.loan(std::uint64_t{7}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{7})));
     const auto seen = puller.pull(10s);
     must(seen && seen->value == 7, "the message");
   } catch (const lot::Error& e) {

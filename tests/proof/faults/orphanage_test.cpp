@@ -21,6 +21,7 @@
 #include "robust_mutex/robust_mutex.hpp"
 #include "support/janitor.hpp"
 #include "support/lock_owner.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -98,7 +99,7 @@ std::size_t kill_a_publisher(Fault fault) {
     ready.tell();
     must(joined.next() == '.', "the reader");
     for (auto& pusher : pushers) {
-      for (std::uint64_t n = 0; n < kMessages; ++n) pusher.push(pusher.loan(n));
+      for (std::uint64_t n = 0; n < kMessages; ++n) must_go(pusher.push(pusher.loan(n)));
     }
     published.tell();
     pause();

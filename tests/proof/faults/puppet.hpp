@@ -9,6 +9,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace lot::testing {
@@ -82,7 +83,7 @@ class Puppet {
     for (;;) {
       switch (order_.next(60s)) {
         case 's':
-          mouth.push(mouth.loan(Word{name}));
+          must_go(mouth.push(mouth.loan(Word{name})));
           answer_.tell('y');
           break;
         case 'h': {

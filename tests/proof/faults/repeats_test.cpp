@@ -19,6 +19,7 @@
 #include "lockfree_ring/words.hpp"
 #include "refcount/ownership.hpp"
 #include "support/janitor.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -83,13 +84,13 @@ TEST_CASE("a reader that is held up before it sleeps does not sleep over 1024 me
     while (quick_got < 1026 && puller.pull()) quick_got += 1 + static_cast<int>(puller.missed());
   });
   CHECK(eventually([&] { return pusher.readers() == 2; }));
-  pusher.push(message);
+  must_go(pusher.push(message));
   CHECK(eventually([&] { return arrived.load(); }));  // its mark stands
-  for (int n = 0; n < 1024; ++n) pusher.push(message);
+  for (int n = 0; n < 1024; ++n) must_go(pusher.push(message));
   CHECK(eventually([&] { return quick_got == 1025 && asleep(getpid(), quick_thread); }));
   released = true;
   CHECK(eventually([&] { return slow_got == 2; }, 20s));  // there is a message that it has not read
-  pusher.push(message);
+  must_go(pusher.push(message));
   slow.join();
   quick.join();
 }

@@ -21,6 +21,7 @@
 #include "first_sequence.hpp"
 #include "lockfree_ring/words.hpp"
 #include "support/janitor.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -147,7 +148,7 @@ TEST_CASE("a reader sleeps before each message on both sides of the wrap, and is
         const bool sleeps =
             eventually([&] { return next == n && is_marked() && asleep(getpid(), thread); });
         CHECK(sleeps);
-        pusher.push(pusher.loan(n));
+        must_go(pusher.push(pusher.loan(n)));
       }
       reader.join();
       CHECK(next == 10);
@@ -273,7 +274,7 @@ TEST_CASE("a subscription that was there first is told what the wrap has taken b
       const BeforeTheWrap start(before);
       auto pusher = engine.advertise<Number>("/t", {Policy::Overwrite, depth, 1s});
       const std::uint64_t count = depth + 5;
-      for (std::uint64_t n = 0; n < count; ++n) pusher.push(pusher.loan(n));
+      for (std::uint64_t n = 0; n < count; ++n) must_go(pusher.push(pusher.loan(n)));
       auto first = puller.pull(10s);
       REQUIRE(first);
       CHECK(first->value == 5);
@@ -328,16 +329,16 @@ TEST_CASE("the last message before the wrap is borrowed while its publisher runs
     lot::ShmEngine engine(options);
     auto pusher = engine.advertise<Number>("/t", {Policy::Overwrite, depth, 1s});
     auto puller = engine.subscribe<Number>("/t");
-    pusher.push(pusher.loan(std::uint64_t{77}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{77})));
     auto look = puller.borrow(10s);
     REQUIRE(look);
     for (std::uint64_t n = 0; n < 1000; ++n) {
-      pusher.push(pusher.loan(n));
+      must_go(pusher.push(pusher.loan(n)));
       REQUIRE(look->value == 77);
     }
     const auto kept = look.keep();
     look.end();
-    for (std::uint64_t n = 1000; n < 2000; ++n) pusher.push(pusher.loan(n));
+    for (std::uint64_t n = 1000; n < 2000; ++n) must_go(pusher.push(pusher.loan(n)));
     CHECK(kept->value == 77);
     const auto seen = puller.pull(10s);
     CHECK(seen->value == 2000 - depth);
@@ -357,7 +358,7 @@ TEST_CASE("a publisher that is killed just behind the wrap: all is read, then it
       auto pusher = engine.advertise<Number>("/t", {Policy::Overwrite, 8, 1s});
       advertised.tell();
       must(pusher.wait_for_readers(1, 10s), "the reader");
-      for (std::uint64_t n = 0; n < 3 + behind; ++n) pusher.push(pusher.loan(n));
+      for (std::uint64_t n = 0; n < 3 + behind; ++n) must_go(pusher.push(pusher.loan(n)));
       published.tell();
       pause();
     });

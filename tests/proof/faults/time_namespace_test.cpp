@@ -18,6 +18,7 @@
 #include "lot/lot.hpp"
 
 #include "support/janitor.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -165,7 +166,7 @@ TEST_CASE("deadlines are measured on one's own clock, on one word and on many") 
         must(!puller->pull(120ms) && puller->status() == Status::Timeout, "Timeout");
         must(Clock::now() - start >= 120ms, "not before its time");
       }
-      for (int n = 0; n < 2; ++n) first.push(first.loan());
+      for (int n = 0; n < 2; ++n) must_go(first.push(first.loan()));
       const auto start = Clock::now();
       must(first.push(first.loan(), 120ms) == Status::Full, "Full");
       must(Clock::now() - start >= 120ms, "not before its time");
@@ -200,9 +201,9 @@ TEST_CASE("a sleeper on another clock is woken, and is reaped when it is killed,
         must(asleep_now.next() == '0', "the reader");
         must(pusher.wait_for_readers(1, 10s), "the reader");
         usleep(20000);
-        pusher.push(pusher.loan(std::uint64_t{0}));
+        must_go(pusher.push(pusher.loan(std::uint64_t{0})));
         must(asleep_now.next() == '.', "it was woken");
-        pusher.push(pusher.loan(std::uint64_t{1}));
+        must_go(pusher.push(pusher.loan(std::uint64_t{1})));
         room.tell();
         // Full: goes on when the reader is killed and has been reaped.
         must(pusher.push(pusher.loan(std::uint64_t{2})) == Status::Ok, "room after its death");

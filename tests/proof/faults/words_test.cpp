@@ -21,6 +21,7 @@
 
 #include "refcount/ownership.hpp"
 #include "support/janitor.hpp"
+#include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 
 namespace {
@@ -223,9 +224,9 @@ TEST_CASE("the roster wraps: a sender knows what each joiner borrows") {
   std::list<lot::ShmBorrow<Number>> borrows;
   for (std::uint64_t n = 0; n < 6; ++n) {
     readers.push_back(engine.subscribe<Number>("/t"));
-    pusher.push(pusher.loan(n));
+    must_go(pusher.push(pusher.loan(n)));
     borrows.push_back(readers.back().borrow(10s));
-    for (std::uint64_t more = 0; more < 300; ++more) pusher.push(pusher.loan(1000 + more));
+    for (std::uint64_t more = 0; more < 300; ++more) must_go(pusher.push(pusher.loan(1000 + more)));
     std::uint64_t expected = 0;
     for (const auto& borrow : borrows) CHECK(borrow->value == expected++);
   }
@@ -295,7 +296,7 @@ TEST_CASE("the directory's version wraps: a reader that waits for publishers lea
     CHECK(eventually([&] { return next == n && asleep(getpid(), thread); }));
     pushers.push_back(engine.advertise<Number>("/t"));
     CHECK(pushers.back().wait_for_readers(1, 10s));
-    pushers.back().push(pushers.back().loan(n));
+    must_go(pushers.back().push(pushers.back().loan(n)));
   }
   reader.join();
   CHECK(next == 10);
@@ -325,7 +326,7 @@ TEST_CASE("the generation of a ring wraps: publishers that follow each other are
         REQUIRE(pusher);
         const auto word = writer.load();
         CHECK(lot::ring::writer_state(word) == lot::ring::State::Live);
-        for (std::uint64_t i = 0; i < 2; ++i) pusher->push(pusher->loan(2 * n + i));
+        for (std::uint64_t i = 0; i < 2; ++i) must_go(pusher->push(pusher->loan(2 * n + i)));
         CHECK(puller.pull(10s)->value == 2 * n);
         pusher.reset();
         CHECK(puller.pull(10s)->value == 2 * n + 1);  // what it has left

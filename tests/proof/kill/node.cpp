@@ -4,6 +4,7 @@
 #include <chrono>
 
 #include "support/block_words.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -314,13 +315,13 @@ void Node::arm() {
   probe_again.emplace(engine->advertise<Number>("/probe", {Policy::Overwrite, 1, 1s}));
   probe_puller.emplace(engine->subscribe<Number>("/probe"));
   probe_frames.emplace(engine->advertise<Frame>("/probe-frames", {Policy::Overwrite, 1, 1s}));
-  probe_pusher->push(probe_pusher->loan(numbered(7, 0)));
-  probe_puller->try_borrow();
+  testing::must_go(probe_pusher->push(probe_pusher->loan(numbered(7, 0))));
+  (void)probe_puller->try_borrow();  // and ends it
   probe_block.emplace(engine->advertise<Number>("/probe-block", {Policy::Block, 1, 1s}));
   probe_block_puller.emplace(engine->subscribe<Number>("/probe-block"));
   probe_queue.emplace(engine->queue<Number>("/probe-items", {2, Policy::Overwrite}));
-  probe_queue->put(numbered(7, 0));
-  probe_queue->try_pop();
+  testing::must_go(probe_queue->put(numbered(7, 0)));
+  (void)probe_queue->try_pop();  // and drops it
 }
 
 void Node::inspect() {

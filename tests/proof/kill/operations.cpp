@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "node.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -190,7 +191,7 @@ void topics(std::vector<Operation>& all) {
   }
   all.push_back({"wait for readers", Promise::Blocking,
                  both + Acts{publisher(victim, overwrite(2), kTopic)},
-                 [](Node& n) { n.pusher->wait_for_readers(1, 10s); },
+                 [](Node& n) { return n.pusher->wait_for_readers(1, 10s); },
                  [](Node& n) {
                    n.puller.emplace(n.engine->subscribe<Number>(kTopic, parked()));
                    n.reads_topic = true;
@@ -429,13 +430,13 @@ void pulls(std::vector<Operation>& all, QueueEngine engine) {
     const PusherOptions options = blocking ? block(2, engine) : overwrite(2, engine);
     all.push_back({named("try, nothing there" + policy, engine),
                    under(engine, {Promise::LockFree, "borrow"}), victim_reads(options, 0),
-                   [](Node& n) { n.puller->try_borrow(); }});
+                   [](Node& n) { return n.puller->try_borrow(); }});
     all.push_back({named("borrow and end" + policy, engine),
                    under(engine, {Promise::LockFree, "borrow"}), victim_reads(options, 2),
                    [](Node& n) { n.receive(); }});
     all.push_back({named("pull and let go" + policy, engine),
                    under(engine, {Promise::LockFree, "pull, copy, weak lock, drop"}),
-                   victim_reads(options, 2), [](Node& n) { n.puller->try_pull(); }});
+                   victim_reads(options, 2), [](Node& n) { return n.puller->try_pull(); }});
     all.push_back({named("pull sleeps and is woken" + policy, engine), Promise::Blocking,
                    victim_reads(options, 0), [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                    [](Node& n) { n.publish(1); }});
@@ -446,7 +447,7 @@ void pulls(std::vector<Operation>& all, QueueEngine engine) {
        victim_reads(block(1, engine), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
        [](Node& n) {
          n.receive();
-         n.puller->try_borrow();
+         (void)n.puller->try_borrow();  // and ends it
        }});
   all.push_back(
       {named("unsubscribe, the sender sleeps for room", engine), Promise::Blocking,
@@ -473,7 +474,8 @@ void pulls(std::vector<Operation>& all, QueueEngine engine) {
                       })},
                  [](Node& n) { n.borrow = n.puller->borrow(10s); }, [](Node& n) { n.publish(1); }});
   all.push_back({named("timed pull, too late", engine), Promise::Blocking,
-                 victim_reads(overwrite(2, engine), 0), [](Node& n) { n.puller->pull(2ms); }});
+                 victim_reads(overwrite(2, engine), 0),
+                 [](Node& n) { return n.puller->pull(2ms); }});
   all.push_back({named("borrow, lapped", engine),
                  under(engine, {Promise::LockFree, "read what the victim published"}),
                  victim_reads(overwrite(2, engine), 7), [](Node& n) { n.receive_all(); }});
@@ -483,7 +485,7 @@ void pulls(std::vector<Operation>& all, QueueEngine engine) {
        victim_reads(overwrite(2, engine), 1) + Acts{witness([](Node& n) { n.pusher.reset(); })},
        [](Node& n) {
          n.receive_all();
-         n.puller->try_borrow();
+         (void)n.puller->try_borrow();  // finds none
        }});
 }
 
@@ -501,7 +503,7 @@ void subscribers(std::vector<Operation>& all, QueueEngine engine) {
   const auto look = [](Node& n) { n.receive(); };
   const auto read = [](Node& n) {
     n.receive_all();
-    n.puller->try_borrow();
+    (void)n.puller->try_borrow();  // finds none
   };
   const auto unsubscribe = [](Node& n) { n.puller.reset(); };
   const Acts gone{witness([](Node& n) { n.pusher.reset(); })};
@@ -608,7 +610,7 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
   add("pop, overwritten", shown, both(options(2, Policy::Overwrite)) + puts(witness, 5), pop);
   add(
       "pop sleeps and is woken", Promise::Blocking, both(options(2)),
-      [](Node& n) { n.queue->wait_and_pop_for(10s); }, put);
+      [](Node& n) { return n.queue->wait_and_pop_for(10s); }, put);
   add("pop, who puts sleeps for room", shown,
       both(options(1)) + puts(witness, 1) + Acts{witness([](Node& n) { n.sleep_to_put(); })},
       [](Node& n) {
@@ -618,11 +620,11 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
   add("pop without a copy, and put it again", Promise::Blocking,
       both(options(2)) + puts(witness, 1) + Acts{victim([=](Node& n) {
         n.tasks.emplace(n.engine->queue<ShmUniquePtr<Number>>(kLeft, options(2)));
-        n.tasks->put(n.tasks->make(numbered(n.source, 0)));
+        testing::must_go(n.tasks->put(n.tasks->make(numbered(n.source, 0))));
       })},
       [](Node& n) {
         auto task = n.tasks->try_pop();
-        n.tasks->put(std::move(*task));
+        testing::must_go(n.tasks->put(std::move(*task)));
         task = n.tasks->try_pop();
       });
   add("open a queue, and listen", Promise::Blocking,
@@ -1027,10 +1029,10 @@ void pointers(std::vector<Operation>& all) {
                    n.pusher.emplace(n.engine->advertise<Number>("/again", overwrite(1)));
                  })},
                  [](Node& n) {
-                   n.pusher->push(n.kept.front());
+                   testing::must_go(n.pusher->push(n.kept.front()));
                    n.kept.clear();
                    for (int i = 0; i < 2; ++i)
-                     n.pusher->push(n.pusher->loan(numbered(n.source, 0)));
+                     testing::must_go(n.pusher->push(n.pusher->loan(numbered(n.source, 0))));
                  }});
   const Acts referring =
       holding + Acts{victim([](Node& n) {
@@ -1044,7 +1046,7 @@ void pointers(std::vector<Operation>& all) {
                  [](Node& n) {
                    n.frame_loans.back()->reference = n.kept.front();
                    n.kept.clear();
-                   n.frames->push(std::move(n.frame_loans.back()));
+                   testing::must_go(n.frames->push(std::move(n.frame_loans.back())));
                  }});
   all.push_back({"a reference is assigned again",
                  {Promise::LockFree, "publish a message that refers"},
@@ -1055,7 +1057,7 @@ void pointers(std::vector<Operation>& all) {
                  [](Node& n) {
                    n.frame_loans.back()->reference = n.kept.front();
                    n.kept.clear();
-                   n.frames->push(std::move(n.frame_loans.back()));
+                   testing::must_go(n.frames->push(std::move(n.frame_loans.back())));
                  }});
   all.push_back({"a message that refers dies",
                  {Promise::LockFree, "publish a message that refers"},
@@ -1099,7 +1101,7 @@ void reaps(std::vector<Operation>& all) {
                                 auto frame = n.frames->loan();
                                 frame->data.resize(700);
                                 frame->reference = n.kept.front();
-                                n.frames->push(std::move(frame));
+                                testing::must_go(n.frames->push(std::move(frame)));
                               })},
                  reap});
   all.push_back({"collect, an orphan ring loses its last reader",

@@ -2,6 +2,7 @@
 
 // What a neighbour can do while another process stands still anywhere.
 #include "node.hpp"
+#include "support/must_go.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::kill {
@@ -16,10 +17,12 @@ void read_own(Node& n) {
   while (n.probe_puller->try_borrow()) {
   }
 }
-void publish_own(Node& n) { n.probe_pusher->push(n.probe_pusher->loan(numbered(7, 0))); }
+void publish_own(Node& n) {
+  testing::must_go(n.probe_pusher->push(n.probe_pusher->loan(numbered(7, 0))));
+}
 void put_and_pop(Node& n) {
-  n.probe_queue->put(numbered(7, 0));
-  n.probe_queue->try_pop();
+  testing::must_go(n.probe_queue->put(numbered(7, 0)));
+  (void)n.probe_queue->try_pop();  // and drops it
 }
 void pop_item(Node& n) {
   if (n.queue && !n.sleeper.joinable()) n.pop();
@@ -72,13 +75,13 @@ void make_and_share(Node& n) {
 }
 void publish_again(Node& n) {
   publish_own(n);
-  if (const auto kept = n.probe_puller->try_pull()) n.probe_again->push(kept);
+  if (const auto kept = n.probe_puller->try_pull()) testing::must_go(n.probe_again->push(kept));
 }
 void refer(Node& n) {
   publish_own(n);
   auto frame = n.probe_frames->loan();
   frame->reference = n.probe_puller->try_pull();
-  n.probe_frames->push(std::move(frame));
+  testing::must_go(n.probe_frames->push(std::move(frame)));
 }
 void collect(Node& n) { transport::Participant::join(n.options)->collect(); }
 void look_for_the_dead(Node& n) { transport::Participant::join(n.options)->reap_dead(); }
@@ -122,7 +125,7 @@ bool loan_own(Node& n) {
   n.probe_loan = n.probe_pusher->loan(numbered(7, 0));
   return true;
 }
-void push_own(Node& n) { n.probe_pusher->push(std::move(n.probe_loan)); }
+void push_own(Node& n) { testing::must_go(n.probe_pusher->push(std::move(n.probe_loan))); }
 
 bool loan_other(Node& n) {
   if (!n.pusher || n.blocking || n.locked) return false;

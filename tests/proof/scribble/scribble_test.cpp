@@ -55,7 +55,7 @@ void publish(lot::ShmEngine& engine, const char* topic, const lot::PusherOptions
       message->data.resize(static_cast<std::size_t>(1) << (n % 18));
       std::memset(message->data.data(), n, message->data.size());
     }
-    pusher.push(std::move(message), 5ms);
+    (void)pusher.push(std::move(message), 5ms);  // Full as well: the segment is damaged
     sink = sink + static_cast<unsigned>(pusher.readers());
     if (n % 8 == 0) std::this_thread::sleep_for(100us);
   }
@@ -115,7 +115,7 @@ const lot::QueueOptions kTasks = [] {
 
 void put(lot::ShmEngine& engine) {
   auto queue = engine.queue<Number>("/tasks", kTasks);
-  for (std::uint64_t n = 0; n < 300; ++n) queue.put_for(Number{n}, 2ms);
+  for (std::uint64_t n = 0; n < 300; ++n) (void)queue.put_for(Number{n}, 2ms);  // Full as well
 }
 void take(lot::ShmEngine& engine) {
   auto queue = engine.queue<Number>("/tasks", kTasks);

@@ -18,6 +18,7 @@
 #include "lot/lot.hpp"
 
 #include "plugin.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -289,11 +290,11 @@ TEST_CASE("engines on several segments of one process have nothing to do with ea
         for (std::uint64_t n = 0; n < 100; ++n) {
           auto frame = pushers[i].loan();
           fill(*frame, 1000 * i + n);
-          pushers[i].push(std::move(frame));
+          must_go(pushers[i].push(std::move(frame)));
           const auto seen = pullers[i].try_pull();
           if (!seen || !good(*seen, 1000 * i + n) || pullers[i].missed_total() != 0) return;
         }
-        pushers[i].push(pushers[i].loan());  // the sign that all went well
+        must_go(pushers[i].push(pushers[i].loan()));  // the sign that all went well
       });
     }
     for (auto& thread : threads) thread.join();
@@ -304,7 +305,7 @@ TEST_CASE("engines on several segments of one process have nothing to do with ea
     }
     // What one segment has another cannot publish, nor refer to.
     const Shared frame = pushers[0].loan();
-    CHECK_THROWS_AS(pushers[1].push(frame), lot::Error);
+    CHECK_THROWS_AS((void)pushers[1].push(frame), lot::Error);
     auto link = engines[1].make<Link>();
     CHECK_THROWS_AS(link->frame = frame, lot::Error);
     engines.erase(engines.begin());

@@ -36,6 +36,7 @@ struct Number {
 void require(bool condition, const char* what) {
   if (!condition) throw std::runtime_error(what);
 }
+void must_go(lot::Status status) { require(status == lot::Status::Ok, "a message goes"); }
 
 /// What a program of this library may have.
 struct Handles {
@@ -58,7 +59,7 @@ void fill(Handles& handles, Pointers& pointers, const lot::EngineOptions& option
     auto number = handles.pusher->loan();
     number->value = n;
     number->text = "a text that is much too long for the small string in place";
-    handles.pusher->push(std::move(number));
+    must_go(handles.pusher->push(std::move(number)));
   }
   pointers.kept = handles.puller->pull(10s);
   require(pointers.kept && pointers.kept->value == 0, "what was pushed");
@@ -87,7 +88,7 @@ struct Late {
     lot::ShmEngine engine(options);
     auto pusher = engine.advertise<WithANameThatIsNotShort>("/late");
     auto puller = engine.subscribe<WithANameThatIsNotShort>("/late");
-    pusher.push(pusher.loan(std::uint64_t{5}));
+    must_go(pusher.push(pusher.loan(std::uint64_t{5})));
     require(puller.try_pull()->value == 5, "what was pushed");
     require(std::strcmp(lot::TypeIdentity<WithANameThatIsNotShort>::name(),
                         "ending::Late::WithANameThatIsNotShort") == 0,
@@ -105,12 +106,12 @@ struct Late {
 
 /// Publishes until the process ends.
 void publish_for_ever(Handles& handles) {
-  for (;;) handles.pusher->push(handles.pusher->loan());
+  for (;;) must_go(handles.pusher->push(handles.pusher->loan()));
 }
 
 /// Closes rings until the process ends: most of the time it acts for the orphanage.
 void close_for_ever(Handles& handles) {
-  for (;;) handles.engine->advertise<Number>("/closed");
+  for (;;) (void)handles.engine->advertise<Number>("/closed");
 }
 
 /// Open files of this process that belong to the segment.
@@ -275,7 +276,7 @@ int end(const std::string& how, const lot::EngineOptions& options, const char* p
     require(files_of(options.segment) > 0, "its own files are open");
     require(run(program, "look", options) == 0, "the other program has inherited none");
     require(pointers.kept->value == 0, "what was kept");
-    handles.pusher->push(std::move(pointers.loaned));
+    must_go(handles.pusher->push(std::move(pointers.loaned)));
     return 0;
   }
   throw std::runtime_error("no such end: " + how);

@@ -14,6 +14,7 @@
 #include "lot/lot.hpp"
 
 #include "liveness/lock_file.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -60,7 +61,7 @@ void check_works(lot::ShmEngine& engine) {
   CHECK(eventually([&] { return Audit(segment).nothing(); }));
   auto pusher = engine.advertise<Number>("/u");
   auto puller = engine.subscribe<Number>("/u");
-  pusher.push(pusher.loan(std::uint64_t{7}));
+  must_go(pusher.push(pusher.loan(std::uint64_t{7})));
   const auto seen = puller.pull(10s);
   REQUIRE(seen);
   CHECK(seen->value == 7);

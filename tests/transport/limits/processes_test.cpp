@@ -140,7 +140,7 @@ TEST_CASE("64 publishers of one topic, and 190 readers, lose nothing") {
     Nodes readers(kReaders, "read", options, 20, kPublishers);
     REQUIRE(readers.are_ready());
     CHECK(Audit(segment).readers == kReaders * kPublishers);
-    const auto [error, text] = error_of([&] { engine.subscribe<Numbered>("/t"); });
+    const auto [error, text] = error_of([&] { return engine.subscribe<Numbered>("/t"); });
     CHECK(error == EUSERS);
     CHECK(names(text, "EngineOptions::readers"));
     readers.go();

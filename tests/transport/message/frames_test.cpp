@@ -15,6 +15,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -103,7 +104,7 @@ class Publisher {
       std::swap(in_hand_[random() % in_hand_.size()], in_hand_.back());
       frame = std::move(in_hand_.back());
       in_hand_.pop_back();
-      if (random() % 8 != 0) pusher_.push(std::move(frame));
+      if (random() % 8 != 0) must_go(pusher_.push(std::move(frame)));
     }
   }
 

@@ -34,6 +34,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -592,7 +593,7 @@ void run_on_all(Program&& program) {
   check_same(expected, program(InMessage<Shm>(*message)));
   check_same(final_state(on_std.objects), final_state(message->objects));
   CHECK(all_inside(message->objects));
-  pusher.push(std::move(message));
+  must_go(pusher.push(std::move(message)));
   CHECK(reader.wait() == 0);
 }
 

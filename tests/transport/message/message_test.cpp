@@ -25,6 +25,7 @@
 #include "lot/lot.hpp"
 
 #include "liveness/lock_file.hpp"
+#include "support/must_go.hpp"
 #include "support/processes.hpp"
 
 /// A message whose constructor fails after it has taken memory.
@@ -272,7 +273,7 @@ TEST_CASE("an exception while a message is built frees it") {
   }
   const lot::ShmVector<std::uint64_t> huge(4 << 20);  // 32 MiB
   for (int n = 0; n < 50; ++n) {
-    CHECK_THROWS_AS(pusher.loan(std::uint64_t{1}, huge), lot::OutOfMemory);
+    CHECK_THROWS_AS((void)pusher.loan(std::uint64_t{1}, huge), lot::OutOfMemory);
   }
   lot::segment::Segment s(place.engine.path());
   CHECK(Audit(s).homes < 5);
@@ -301,7 +302,7 @@ TEST_CASE("a ShmRef keeps its target alive, and lets it go when its own message 
     CHECK(detection->frame->number == 7);
     CHECK(detection->frame.get() == shared.get());
     CHECK(shared.use_count() == 1);
-    pusher.push(std::move(detection));
+    must_go(pusher.push(std::move(detection)));
   }
   CHECK(!watch.expired());
   auto seen = puller.pull(1s);
@@ -312,7 +313,7 @@ TEST_CASE("a ShmRef keeps its target alive, and lets it go when its own message 
   locked.reset();
   auto copy = *seen;  // outside of messages it is a share of its own
   seen.reset();
-  pusher.push(pusher.loan());
+  must_go(pusher.push(pusher.loan()));
   CHECK(copy.frame->number == 7);
   auto again = copy;
   copy = Detection();
@@ -320,7 +321,7 @@ TEST_CASE("a ShmRef keeps its target alive, and lets it go when its own message 
   CHECK(again.frame.lock()->number == 7);
   again.frame = lot::ShmSharedPtr<const Target>();
   CHECK(!again.frame);
-  for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
+  for (int n = 0; n < 100; ++n) must_go(pusher.push(pusher.loan()));
   CHECK(watch.expired());
 }
 
@@ -337,7 +338,7 @@ TEST_CASE("a message of strings and vectors is freed as a whole; any other destr
     auto message = pusher.loan();
     message->members.resize(3);
     message->members[1].text = kLong;
-    pusher.push(std::move(message));
+    must_go(pusher.push(std::move(message)));
   }
   // All but those that wait for the next loan to look at them.
   CHECK(Counting::destroyed > before);
@@ -365,7 +366,7 @@ TEST_CASE("many ShmRef in vectors, also to messages that refer to others") {
         all->all.back().frame = shared;
         all->all.push_back(Detection{lot::ShmRef<const Target>(shared), {}});
       }
-      pusher.push(std::move(all));
+      must_go(pusher.push(std::move(all)));
       auto seen = puller.pull(1s);
       REQUIRE(seen);
       for (std::uint64_t n = 0; n < 100; ++n) {
@@ -388,7 +389,7 @@ TEST_CASE("many ShmRef in vectors, also to messages that refer to others") {
     last = shared;
     auto all = pusher.loan();
     all->refs.push_back(shared);
-    pusher.push(std::move(all));
+    must_go(pusher.push(std::move(all)));
   }
   CHECK(eventually([&] { return last.expired(); }));
 }
@@ -408,7 +409,7 @@ TEST_CASE("a ShmRef stays good when its publisher is killed, and its target is f
     const lot::ShmSharedPtr<const Target> shared = std::move(target);
     auto detection = pusher.loan();
     detection->frame = shared;
-    pusher.push(std::move(detection));
+    must_go(pusher.push(std::move(detection)));
     kill(getpid(), SIGKILL);
   });
   {
@@ -420,7 +421,7 @@ TEST_CASE("a ShmRef stays good when its publisher is killed, and its target is f
     REQUIRE(seen);
     CHECK(publisher.wait() == 128 + SIGKILL);
     CHECK(eventually([&] { return Audit(s).participants == 1; }));
-    puller.pull(10ms);  // leaves the dead publisher's ring
+    (void)puller.pull(10ms);  // leaves the dead publisher's ring
     std::this_thread::sleep_for(1300ms);
     CHECK(seen->frame->data.size() == 100000);
     CHECK(seen->frame->data[99999] == 7);
@@ -450,7 +451,7 @@ TEST_CASE("a message whose constructor throws gives its memory back, however oft
   const Watchdog watchdog(60);
   Place place(32 << 20);
   auto pusher = place.engine.advertise<Failing>("/t");
-  for (int n = 0; n < 100; ++n) CHECK_THROWS_AS(pusher.loan(true), std::runtime_error);
+  for (int n = 0; n < 100; ++n) CHECK_THROWS_AS((void)pusher.loan(true), std::runtime_error);
   auto message = pusher.loan(false);
   REQUIRE(message);
   CHECK(message->data.size() == 1 << 20);
@@ -476,12 +477,12 @@ TEST_CASE("a ShmRef to a message with a ShmRef keeps the whole chain") {
     const lot::ShmSharedPtr<const Detection> d = std::move(detection);
     auto link = pusher.loan();
     link->next = d;
-    pusher.push(std::move(link));
+    must_go(pusher.push(std::move(link)));
   }
   auto seen = puller.pull(1s);
   CHECK(seen->next->frame->number == 3);
   seen.reset();
-  for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
+  for (int n = 0; n < 100; ++n) must_go(pusher.push(pusher.loan()));
   CHECK(watch.expired());
 }
 
@@ -533,7 +534,7 @@ TEST_CASE("a ShmRef that is assigned again lets its former target go while its m
   kept->all[0].frame = lot::ShmRef<const Target>();
   CHECK(!third.expired());
   kept.reset();
-  for (int n = 0; n < 100; ++n) pusher.push(pusher.loan());
+  for (int n = 0; n < 100; ++n) must_go(pusher.push(pusher.loan()));
   CHECK(third.expired());
 }
 
@@ -624,7 +625,7 @@ TEST_CASE("a process leaves though its last messages let others go only then") {
     for (int n = 0; n < 3; ++n) {
       auto detection = pusher.loan();
       detection->frame = lot::ShmSharedPtr<const Target>(engine.make<Target>());
-      pusher.push(std::move(detection));
+      must_go(pusher.push(std::move(detection)));
     }
     // Somebody acts for the orphanage just now, so that the ring can not be closed at once.
     neighbour =

@@ -15,6 +15,7 @@
 #include <lot/lot.hpp>
 
 #include "support/both_engines.hpp"
+#include "support/must_go.hpp"
 
 namespace {
 
@@ -147,9 +148,9 @@ TEST_CASE_FIXTURE(Fixture, "an item that could not be copied out is the next one
       for (int n = 0; n < 3; ++n) REQUIRE(queue.emplace(3 * round + n) == Status::Ok);
       {
         const Breaks breaks;
-        CHECK_THROWS_WITH(queue.try_pop(), "copied");
-        CHECK_THROWS_WITH(queue.wait_and_pop_for(1s), "copied");
-        CHECK_THROWS_WITH(queue.wait_and_pop(), "copied");
+        CHECK_THROWS_WITH((void)queue.try_pop(), "copied");
+        CHECK_THROWS_WITH((void)queue.wait_and_pop_for(1s), "copied");
+        CHECK_THROWS_WITH((void)queue.wait_and_pop(), "copied");
       }
       CHECK(queue.size() == 3);
       const auto first = queue.try_pop();
@@ -185,7 +186,7 @@ TEST_CASE_FIXTURE(Fixture, "an item that one thread could not copy reaches anoth
         is_waiting = true;
         popped = queue.wait_and_pop().number;
       });
-      CHECK_THROWS_WITH(queue.try_pop(), "copied");
+      CHECK_THROWS_WITH((void)queue.try_pop(), "copied");
       waiter.join();
       Fragile::on_copy = nullptr;
       CHECK(popped == round);
@@ -205,7 +206,7 @@ TEST_CASE_FIXTURE(Fixture, "a handle that goes puts back what it could not copy 
       REQUIRE(puts.emplace(9) == Status::Ok);
       {
         const Breaks breaks;
-        CHECK_THROWS_WITH(goes->try_pop(), "copied");
+        CHECK_THROWS_WITH((void)goes->try_pop(), "copied");
       }
       CHECK(goes->size() == (also_puts ? 2 : 1));
       CHECK(other.size() == (also_puts ? 1 : 0));
@@ -219,7 +220,7 @@ TEST_CASE_FIXTURE(Fixture, "a handle that goes puts back what it could not copy 
     REQUIRE(goes->emplace(1) == Status::Ok);
     {
       const Breaks breaks;
-      CHECK_THROWS_WITH(goes->try_pop(), "copied");
+      CHECK_THROWS_WITH((void)goes->try_pop(), "copied");
     }
     REQUIRE(goes->emplace(2) == Status::Ok);
     goes.reset();
@@ -307,7 +308,7 @@ TEST_CASE_FIXTURE(Fixture, "a queue of shared items is a topic") {
     auto pusher = shm.advertise<Task>("/t", {Policy::Overwrite, 8, 1s, engine});
     auto pushed = pusher.loan();
     pushed->number = 1;
-    pusher.push(std::move(pushed));
+    must_go(pusher.push(std::move(pushed)));
     CHECK(queue.wait_and_pop()->number == 1);
     CHECK(puller.pull(1s)->number == 1);
     auto made = queue.make();
@@ -320,7 +321,8 @@ TEST_CASE_FIXTURE(Fixture, "a queue of shared items is a topic") {
 TEST_CASE_FIXTURE(Fixture, "a topic and a queue of items for one do not mix") {
   lot::ShmEngine shm(options);
   auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("/t");
-  CHECK_THROWS_WITH_AS(shm.subscribe<Task>("/t"), doctest::Contains("ShmQueue of"), lot::Error);
+  CHECK_THROWS_WITH_AS((void)shm.subscribe<Task>("/t"), doctest::Contains("ShmQueue of"),
+                       lot::Error);
 }
 
 TEST_CASE_FIXTURE(Fixture, "values and ShmUniquePtr are put into the same queue") {
@@ -340,8 +342,10 @@ TEST_CASE_FIXTURE(Fixture, "an empty pointer is refused, and any deadline is one
     lot::ShmEngine shm(options);
     auto tasks = shm.queue<lot::ShmUniquePtr<Task>>("tasks", with(engine, 1));
     auto views = shm.queue<lot::ShmSharedPtr<const Task>>("views", with(engine));
-    CHECK_THROWS_WITH_AS(tasks.put(nullptr), doctest::Contains("an empty pointer"), lot::Error);
-    CHECK_THROWS_WITH_AS(views.put(nullptr), doctest::Contains("an empty pointer"), lot::Error);
+    CHECK_THROWS_WITH_AS((void)tasks.put(nullptr), doctest::Contains("an empty pointer"),
+                         lot::Error);
+    CHECK_THROWS_WITH_AS((void)views.put(nullptr), doctest::Contains("an empty pointer"),
+                         lot::Error);
     const auto long_ago = Clock::time_point::min() + 1ns;
     CHECK(tasks.put_until(tasks.make(), long_ago) == Status::Ok);
     CHECK(tasks.put_until(tasks.make(), long_ago) == Status::Full);
@@ -721,7 +725,8 @@ TEST_CASE_FIXTURE(Fixture, "LOT_QUEUE in the environment comes before the code")
     CHECK((engine_of_the_only_ring() == QueueEngine::Ring));
   }
   setenv("LOT_QUEUE", "fast", 1);
-  CHECK_THROWS_WITH_AS(shm.advertise<Point>("/t"), doctest::Contains("LOT_QUEUE=fast"), lot::Error);
+  CHECK_THROWS_WITH_AS((void)shm.advertise<Point>("/t"), doctest::Contains("LOT_QUEUE=fast"),
+                       lot::Error);
   if (before != nullptr) {
     setenv("LOT_QUEUE", saved.c_str(), 1);
   } else {
@@ -733,9 +738,9 @@ TEST_CASE_FIXTURE(Fixture, "a bad depth and another type are said when the queue
   lot::ShmEngine shm(options);
   QueueOptions none;
   none.depth = 0;
-  CHECK_THROWS_WITH_AS(shm.queue<Point>("q", none), doctest::Contains("depth 0"), lot::Error);
+  CHECK_THROWS_WITH_AS((void)shm.queue<Point>("q", none), doctest::Contains("depth 0"), lot::Error);
   auto points = shm.queue<Point>("q");
-  CHECK_THROWS_AS(shm.queue<Task>("q"), lot::Error);
+  CHECK_THROWS_AS((void)shm.queue<Task>("q"), lot::Error);
 }
 
 TEST_SUITE_END();

@@ -127,8 +127,9 @@ TEST_CASE_FIXTURE(Fixture, "what waits in a queue keeps its topic, and readers c
     // The topics that come now do not get the place of that one.
     std::vector<lot::ShmPusher<Other>> others;
     for (int i = 0; i < 3; ++i) others.push_back(shm.advertise<Other>("t" + std::to_string(i)));
-    CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Other>>("jobs", plain(engine)); }).first ==
-          EPROTOTYPE);
+    CHECK(error_of([&] {
+            return shm.queue<lot::ShmUniquePtr<Other>>("jobs", plain(engine));
+          }).first == EPROTOTYPE);
     for (std::uint64_t n = 0; n < 4; ++n) {
       auto mine = shm.queue<lot::ShmUniquePtr<Job>>("jobs", plain(engine));
       CHECK(mine.size() == 4 - n);
@@ -138,8 +139,9 @@ TEST_CASE_FIXTURE(Fixture, "what waits in a queue keeps its topic, and readers c
     }
     // Nothing waits any more: the name is anybody's.
     CHECK(eventually([&] {
-      return error_of([&] { shm.queue<lot::ShmUniquePtr<Other>>("jobs", plain(engine)); }).first ==
-             0;
+      return error_of([&] {
+               return shm.queue<lot::ShmUniquePtr<Other>>("jobs", plain(engine));
+             }).first == 0;
     }));
   });
 }
@@ -342,8 +344,8 @@ TEST_CASE_FIXTURE(Fixture, "words that lead a worker round and round the numbers
       ring.claims[i + 1] = lot::ring::make_claim(lot::ring::next(there), 1, 0);
     }
     for (int n = 0; n < 3; ++n) {
-      CHECK(error_of([&] { jobs.try_take(); }).first == EBADMSG);
-      CHECK(error_of([&] { jobs.wait_and_take(); }).first == EBADMSG);
+      CHECK(error_of([&] { return jobs.try_take(); }).first == EBADMSG);
+      CHECK(error_of([&] { return jobs.wait_and_take(); }).first == EBADMSG);
     }
     for (std::uint32_t i = 0; i < kDepth; ++i) {
       ring.slots[i] = slots[i];
@@ -678,18 +680,18 @@ TEST_CASE_FIXTURE(Fixture, "popping and taking do not mix, and the error says wh
   lot::ShmEngine shm(options);
   auto tasks = shm.queue<lot::ShmUniquePtr<Job>>("tasks", redelivering(QueueEngine::Ring));
   auto items = shm.queue<lot::ShmUniquePtr<Job>>("items");
-  CHECK(error_of([&] { tasks.try_pop(); }).first == EINVAL);
-  CHECK(error_of([&] { items.try_take(); }).first == EINVAL);
-  CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Job>>("tasks"); }).first == EPROTOTYPE);
+  CHECK(error_of([&] { return tasks.try_pop(); }).first == EINVAL);
+  CHECK(error_of([&] { return items.try_take(); }).first == EINVAL);
+  CHECK(error_of([&] { return shm.queue<lot::ShmUniquePtr<Job>>("tasks"); }).first == EPROTOTYPE);
   CHECK(error_of([&] {
-          shm.queue<lot::ShmUniquePtr<Job>>("items", redelivering(QueueEngine::Ring));
+          return shm.queue<lot::ShmUniquePtr<Job>>("items", redelivering(QueueEngine::Ring));
         }).first == EPROTOTYPE);
   CHECK(error_of([&] {
-          shm.queue<lot::ShmSharedPtr<const Job>>("all", redelivering(QueueEngine::Ring));
+          return shm.queue<lot::ShmSharedPtr<const Job>>("all", redelivering(QueueEngine::Ring));
         }).first == EINVAL);
   QueueOptions overwriting = redelivering(QueueEngine::Ring);
   overwriting.policy = Policy::Overwrite;
-  CHECK(error_of([&] { shm.queue<lot::ShmUniquePtr<Job>>("newest", overwriting); }).first ==
+  CHECK(error_of([&] { return shm.queue<lot::ShmUniquePtr<Job>>("newest", overwriting); }).first ==
         EINVAL);
 }
 

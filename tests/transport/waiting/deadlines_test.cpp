@@ -14,6 +14,7 @@
 #include <lot/lot.hpp>
 
 #include "support/both_engines.hpp"
+#include "support/must_go.hpp"
 
 namespace {
 
@@ -238,7 +239,7 @@ TEST_CASE_FIXTURE(Fixture, "a pull and a borrow with all the time there is wait 
     lot::ShmEngine shm(options);
     auto puller = shm.subscribe<Number>("/t", {wait, 0});
     auto pusher = shm.advertise<Number>("/t", {Policy::Block, 64, 1s, engine});
-    const auto push = [&] { pusher.push(pusher.loan(Number{1})); };
+    const auto push = [&] { must_go(pusher.push(pusher.loan(Number{1}))); };
     with_each_long([&](auto time) {
       {
         const InAMoment message(push);
@@ -318,7 +319,7 @@ TEST_CASE_FIXTURE(Fixture, "a publisher's own patience may be any length of time
     with_each_long([&](auto time) {
       {
         auto pusher = full(time);
-        const InAMoment room([&] { puller.pull(1h); });
+        const InAMoment room([&] { return puller.pull(1h); });
         CHECK(pusher.push(pusher.loan()) == Status::Ok);
       }
       while (puller.try_pull()) {
@@ -339,8 +340,8 @@ TEST_CASE_FIXTURE(Fixture, "a push and a put with all the time there is wait for
     CHECK(puller.publishers() == 1);
     fill([&] { return pusher.try_push(pusher.loan()); });
     fill([&] { return items.try_put(items.make()); });
-    const auto pull = [&] { puller.pull(1h); };
-    const auto pop = [&] { items.wait_and_pop(); };
+    const auto pull = [&] { return puller.pull(1h); };
+    const auto pop = [&] { return items.wait_and_pop(); };
     with_each_long([&](auto time) {
       {
         const InAMoment room(pull);
@@ -365,7 +366,7 @@ TEST_CASE_FIXTURE(Fixture, "a pop whose time is up says so at once, one with all
     queue_options.engine = engine;
     queue_options.wait = wait;
     auto items = shm.queue<lot::ShmUniquePtr<Number>>("items", queue_options);
-    const auto put = [&] { items.put(items.make(Number{1})); };
+    const auto put = [&] { must_go(items.put(items.make(Number{1}))); };
     with_each_short([&](auto time) {
       for (int n = 0; n < kTimes; ++n) CHECK(!items.wait_and_pop_for(time));
     });
@@ -418,7 +419,7 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet waits and calls its timers after any lengt
     });
     with_each_long([&](auto time) {
       const std::size_t before = messages;
-      const InAMoment message([&] { pusher.push(pusher.loan(Number{1})); });
+      const InAMoment message([&] { must_go(pusher.push(pusher.loan(Number{1}))); });
       while (messages == before) set.run_once(time);
     });
     CHECK(calls == 0);

@@ -16,6 +16,7 @@
 
 #include "support/both_engines.hpp"
 #include "support/lock_owner.hpp"
+#include "support/must_go.hpp"
 
 namespace {
 
@@ -184,7 +185,7 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet of more queues than the kernel waits for a
   for (const std::size_t t : {std::size_t{0}, kPullers / 2, kPullers - 1}) {
     std::thread publisher([&] {
       std::this_thread::sleep_for(20ms);  // most likely asleep by now
-      pushers[t].push(pushers[t].loan(Number{7}));
+      must_go(pushers[t].push(pushers[t].loan(Number{7})));
     });
     CHECK(set.run_once(20s) == 1);
     CHECK(got[t] == 7);
@@ -320,12 +321,12 @@ TEST_CASE_FIXTURE(Fixture, "a ShmListener whose thread cannot be had says why") 
   const auto ignore = [](const lot::ShmSharedPtr<const Number>&) {};
   lot::ThreadOptions thread;
   thread.cpus = {1023};
-  CHECK_THROWS_WITH_AS(shm.listen<Number>("/t", ignore, {}, thread),
+  CHECK_THROWS_WITH_AS((void)shm.listen<Number>("/t", ignore, {}, thread),
                        doctest::Contains("ThreadOptions::cpus"), lot::Error);
   thread = {};
   thread.policy = SCHED_FIFO;
   thread.priority = 1000;
-  CHECK_THROWS_WITH_AS(shm.listen<Number>("/t", ignore, {}, thread),
+  CHECK_THROWS_WITH_AS((void)shm.listen<Number>("/t", ignore, {}, thread),
                        doctest::Contains("ThreadOptions::policy"), lot::Error);
 }
 
@@ -419,7 +420,7 @@ TEST_CASE_FIXTURE(Fixture, "all ways to wait go on after a stopped process has h
   });
   REQUIRE(steps.next() != 0);
   CHECK(puller.size() == 1);
-  CHECK_THROWS_WITH_AS(puller.try_pull(), doctest::Contains("lock of a queue"), lot::Error);
+  CHECK_THROWS_WITH_AS((void)puller.try_pull(), doctest::Contains("lock of a queue"), lot::Error);
   owner.kill9();
   CHECK(readable(fd, 20'000));
   CHECK(puller.pull(20s)->value == 1);
