@@ -245,7 +245,11 @@ void TopicOutlet::settle() {
 }
 
 void TopicOutlet::withdraw() {
-  settle();
+  try {
+    settle();
+  } catch (const std::exception& e) {  // this process was taken for dead, say: its peers have all
+    ROS_WARN("LOT: %s: its last messages: %s", options_.topic.c_str(), e.what());
+  }
   Door::the().remove(callbacks_);
   ::ros::TopicManager::instance()->unadvertise(options_.topic, callbacks_);
 }

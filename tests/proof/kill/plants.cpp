@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "node.hpp"
+#include "support/must_go.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::kill {
@@ -154,10 +155,11 @@ std::vector<Plant> planted_operations() {
   frames.push_back(
       {Who::Witness, [](Node& n) { n.frame_puller.emplace(n.engine->subscribe<Frame>(kFrames)); }});
   all.push_back({{"a reference is null", Promise::Blocking, frames,
-                  [](Node& n) { n.frames->push(n.frames->loan()); }},
+                  [](Node& n) { testing::must_go(n.frames->push(n.frames->loan())); }},
                  "refers to what its sender gave it"});
-  frames.push_back({Who::Victim, [](Node& n) { n.frames->push(n.frames->loan()); }});
-  frames.push_back({Who::Witness, [](Node& n) { n.frame_puller->try_pull(); }});
+  frames.push_back(
+      {Who::Victim, [](Node& n) { testing::must_go(n.frames->push(n.frames->loan())); }});
+  frames.push_back({Who::Witness, [](Node& n) { (void)n.frame_puller->try_pull(); }});
   const auto opens = [](Node& n) {
     n.join();
     n.open_queue({4, Policy::Block, QueueEngine::Ring, Wait::Park});
