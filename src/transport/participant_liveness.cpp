@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// Who is alive: taking an index, the warden, reaping, collecting, and leaving the segment.
+/// Life and death of participants: taking an index, the warden, reaping, collecting, and leaving
+/// the segment.
 #include <algorithm>
 #include <array>
 #include <cerrno>
@@ -18,29 +19,32 @@ namespace {
 
 using namespace std::chrono_literals;
 namespace errand = segment::errand;
-/// How often the warden looks while there is something to finish: first soon, then ever more
-/// seldom.
+/// The time between two looks of the warden while something is left to finish. It grows from the
+/// first value to the second.
 constexpr std::chrono::milliseconds kFirstLook{1};
 constexpr std::chrono::milliseconds kLastLook{100};
-/// And when there is nothing: somebody may have died whose death it was not told of.
+/// The same where nothing is left to finish. The warden may have missed the notice of a death.
 constexpr auto kIdleLook = 1s;
-/// Idle memory of a publisher goes back to the segment after so many looks, and from the segment to
-/// the system after as many more.
+/// Idle memory of a publisher goes back to the segment after this many looks. After as many looks
+/// more it goes from the segment back to the system.
 constexpr std::uint8_t kOldLooks = 5;
-/// What is more waits for the next look: the warden watches over the other processes.
+/// A look gives memory back for at most this long. The rest waits for the next look, since the
+/// warden has to watch the other processes.
 constexpr auto kGiveBackTime = 20ms;
-/// Looks for unused memory are so far apart, at the least.
+/// Two looks for unused memory are at least this far apart.
 constexpr auto kTurn = kIdleLook * 9 / 10;
-/// Between two errands of other processes, however many they bring.
+/// The warden rests this long after it has run errands of other processes, however many they bring.
 constexpr auto kErrandRest = 1ms;
-/// Who joins when all indexes are taken asks again so long: somebody may be reaping just now.
+/// A process that joins while all indexes are taken tries again for this long. A reaper may be
+/// freeing an index just now.
 constexpr auto kFullPatience = 200ms;
 
 }  // namespace
 
 void Participant::take_index(const EngineOptions& options) {
   const auto until = futex::Clock::now() + kFullPatience;
-  // What a dead one has left costs a reap: the wardens do that, when there are other indexes.
+  // An index of a dead participant must be reaped first. The wardens do that, so a joiner prefers a
+  // clean index.
   while (!try_take_index(false, until) && !try_take_index(true, until)) {
     lock_file_->require_intact();
     const auto longer = presence_.is_unsure() ? liveness::Presence::kConviction : 0s;
@@ -60,15 +64,17 @@ void Participant::take_index(const EngineOptions& options) {
                                               std::chrono::nanoseconds(1));
   rename(options.name);
   forget_sightings();
-  // Errands were for the one before us. Relaxed: what comes after the name is seen by the name.
+  // The errands were meant for the former owner of the index. Relaxed: a participant that asks this
+  // one has seen its new state, or its name in a home word. Both come later.
   segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
-  part(index()).store(1, std::memory_order_release);
+  part(index()).store(1, std::memory_order_release);  // state
 }
 
-/// Takes an index that nobody has: one that is clean, or one of a dead process, which is repaired
-/// first, in its own name.
+/// Takes a free index: a clean one, or one of a dead process. The latter is repaired first, under
+/// the name of this process.
 bool Participant::try_take_index(bool of_a_dead_one, futex::Clock::time_point until) {
   const auto may_take = [&](std::uint32_t k) {
+    // Acquire: edge "state". A joiner that sees 0 sees all that the reaper has done.
     const bool is_clean = part(k).load(std::memory_order_acquire) == 0;
     return is_clean != of_a_dead_one && presence_.may_be_claimed(k);
   };
@@ -84,16 +90,16 @@ bool Participant::try_take_index(bool of_a_dead_one, futex::Clock::time_point un
   return false;
 }
 
-/// False: somebody else acts for the orphanage all the time.
+/// False: another process has acted for the orphanage all the time.
 bool Participant::repair_index(futex::Clock::time_point until) noexcept {
-  if (part(index()).load(std::memory_order_acquire) == 0) return true;
+  if (part(index()).load(std::memory_order_acquire) == 0) return true;  // state
   while (!enter_orphanage()) {
     if (futex::Clock::now() >= until) return false;
     std::this_thread::sleep_for(1ms);
   }
   bool repaired = true;
   try {
-    // Another one, with another lock file, may have been at it.
+    // A reaper with another lock file may have repaired the index meanwhile.
     if (part(index()).load(std::memory_order_acquire) != 0) Recovery(*this).reap(index());
   } catch (const std::bad_alloc&) {  // as if killed here
     repaired = false;
@@ -114,19 +120,21 @@ void Participant::place_beside_warden() noexcept {
 }
 
 void Participant::warden() {
-  pthread_setname_np(pthread_self(), "lot-warden");  // of another thread it would go through /proc
+  pthread_setname_np(pthread_self(), "lot-warden");  // to name another thread would need /proc
   stand_guard();
-  // Stopped meanwhile, perhaps: nothing of that index may be ours.
+  // This process may have been stopped meanwhile and taken for dead. Then nothing of its index
+  // belongs to it.
   if (is_expelled_.load(std::memory_order_relaxed)) return;
   if (!presence_.renew()) return expel();
   keep_own_lock();
 
-  // Leaving is exactly a reap of oneself, and then: the last one out removes the files.
+  // To leave, the participant reaps itself. After that the last participant removes the files.
   bool in_gate = false;
   try {
-    // Without a lock file there is nothing to remove, and its number may name another file.
+    // Without its lock file the process has nothing to remove. The descriptor may even name another
+    // file.
     in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience);
-  } catch (const std::exception&) {  // another one is stopped there, or memory is short
+  } catch (const std::exception&) {  // a stopped process keeps the gate, or memory is short
   }
   bool reaped = false;
   {
@@ -135,7 +143,8 @@ void Participant::warden() {
     while (!reaped && futex::Clock::now() < until) {
       if (enter_orphanage()) {
         if (in_gate) lock_file_->take_turn();
-        // Others judge and reap in the orphanage: from here on the index stays ours.
+        // Other processes judge and reap only in the orphanage. So from here on the index stays
+        // with this process.
         if (!presence_.renew()) {
           leave_orphanage();
           if (in_gate) lock_file_->leave_gate();
@@ -144,7 +153,7 @@ void Participant::warden() {
         try {
           Recovery(*this).reap(index());
           reaped = true;
-        } catch (const std::bad_alloc&) {  // as if killed here: it is done all again
+        } catch (const std::bad_alloc&) {  // as if killed here: the reap starts anew
         }
         leave_orphanage();
         if (in_gate) lock_file_->take_turn();
@@ -157,15 +166,17 @@ void Participant::warden() {
   presence_.end();
   if (in_gate) {
     if (reaped) remove_files_if_last();
-    // Inside the gate: whoever leaves next must see that we are gone.
+    // Inside the gate: the next process that leaves must see that this one has gone.
     lock_file_->unlock(index());
     lock_file_->leave_gate();
   }
   note_settled();
 }
 
-/// The orphanage's lock says nothing here: the process that acts for it has an index of its own,
-/// and may do so to its end (a thread closes a ring), behind its *ending*.
+/// Removes the segment and its lock file if no other process uses them. The orphanage's lock does
+/// not count as use: the process that acts for the orphanage has an index of its own. A process
+/// that is ending may act for it to its end, behind its *ending* mark, since a thread closes a
+/// ring.
 ///
 /// REQUIRES: the gate.
 void Participant::remove_files_if_last() noexcept {
@@ -176,62 +187,66 @@ void Participant::remove_files_if_last() noexcept {
     const std::uint32_t errands = segment_.witnesses()[k].errands.load(std::memory_order_relaxed);
     if (k == index() || (errands & errand::kEnding) != 0) continue;
     if (are_locks_held && lock_file_->held_by_other(k)) return;
-    if (part(k).load(std::memory_order_acquire) == 0) continue;
-    // A living process may have lost its byte to closefrom(): then its notice stands.
+    if (part(k).load(std::memory_order_acquire) == 0) continue;  // state
+    // A living process may have lost its byte to closefrom(). Its notice still stands then.
     if (!presence_.looks_dead(k)) return;
   }
   const bool is_there = segment_.is_at_its_path();
-  // Behind the look at the others: one of them may have set it without the gate, and died since.
+  // After the look at the others: one of them may have set it without the gate, and died since.
   if (is_there && segment_.keeps_files()) return;
   if (is_there) segment::Segment::remove(segment_.path(), trust_);
   ::unlink(lock_file_->path().c_str());
 }
 
-/// The warden does it, as when it leaves: so the gate has one user at a time. It does nothing more:
-/// the process ends now.
+/// Settles the files for a process that a signal ends. The warden does it, as it does when it
+/// leaves, so one thread of the process at a time uses the gate. Afterwards the warden does nothing
+/// more, since the process ends now.
 ///
-/// Crash: killed in the gate, as when it leaves. Behind the mark: it was to die.
+/// Crash:   killed in the gate, the effect is as when it leaves. Killed behind the mark, the
+///          process was about to die in any case.
 void Participant::settle_files() noexcept {
   if (!presence_.renew()) return expel();
   try {
     if (lock_file_->intact() && lock_file_->enter_gate(kGatePatience)) {
       remove_files_if_last();
+      // Relaxed: the gate carries it.
       segment_.witnesses()[index()].errands.fetch_or(errand::kEnding, std::memory_order_relaxed);
       lock_file_->leave_gate();
     }
-  } catch (const std::exception&) {  // another one is stopped there, or memory is short
+  } catch (const std::exception&) {  // a stopped process keeps the gate, or memory is short
   }
   note_settled();
   auto& errands = segment_.witnesses()[index()].errands;
   for (;;) {
     const std::uint32_t left = errands.fetch_and(~errand::kOwn, std::memory_order_acquire);  // E1
+    // Relaxed: the errand (E1) carries it.
     if (warden_stop_.load(std::memory_order_relaxed)) return;
     futex::wait(&errands, left & ~errand::kOwn, std::nullopt);
   }
 }
 
 void Participant::note_settled() noexcept {
+  // Relaxed: what it tells of is in the file system.
   files_settled_.store(1, std::memory_order_relaxed);
   futex::wake_all(&files_settled_);
 }
 
-/// The warden sleeps on what tells it that there is something to do: its errands, and the notice of
-/// each other participant, which the kernel changes when that one dies. One of those who sleep on a
-/// notice is woken; should it be stopped or killed, the others find out when they look by
-/// themselves.
+/// The warden's loop. It sleeps on its errands and on the notice of each other participant, which
+/// the kernel changes when that participant dies. The kernel wakes one of the wardens that sleep on
+/// a notice. If that warden is stopped or killed, the others find the death at their next look.
 void Participant::stand_guard() noexcept {
   auto& errands = segment_.witnesses()[index()].errands;
   auto soon = kFirstLook;
   auto rested = looked_ = futex::Clock::now();
   for (;;) {
-    // First: we may have been stopped for long. Nothing of the index may be ours any more, its
-    // errands neither.
+    // First: this process may have been stopped for long and taken for dead. Then nothing of the
+    // index is its own any more, and neither are the errands.
     if (!presence_.renew()) return expel();
-    // What others ask waits, and stands there meanwhile, until we have rested.
+    // Requests of other processes stay in the word until the warden has rested.
     const std::uint32_t mine = futex::Clock::now() >= rested ? ~std::uint32_t{0} : errand::kOwn;
     const std::uint32_t before = errands.fetch_and(~mine, std::memory_order_acquire);  // E1
     const std::uint32_t left = before & ~mine;
-    // The errand carries both.
+    // Relaxed: the errand (E1) carries both flags.
     if (is_ending_.load(std::memory_order_relaxed)) settle_files();
     if (warden_stop_.load(std::memory_order_relaxed) ||
         is_expelled_.load(std::memory_order_relaxed)) {
@@ -251,6 +266,7 @@ void Participant::stand_guard() noexcept {
       soon = kFirstLook;
     } else {
       futex::wait_any(watched_, std::min(futex::Clock::now() + soon, until));
+      // Relaxed: a hint. The next turn fetches the errands with acquire.
       const bool asked = errands.load(std::memory_order_relaxed) != left;
       soon = asked ? kFirstLook : std::min(2 * soon, kLastLook);
     }
@@ -268,8 +284,8 @@ void Participant::run_errands(std::uint32_t asked) noexcept {
     std::uint64_t word = ours.request.load(std::memory_order_relaxed);  // E1 carries it
     const bool given = eviction_.give(Request::of(word));
     trim(kNobody);
-    // Of several that have asked, the last one counts. It may have come just now: then it has
-    // another answer. Relaxed: the memory is carried by G1.
+    // Of several requests the last one counts. If it has come just now, it gets another answer, by
+    // the compare-and-swap. Relaxed: G1 carries the memory.
     ours.request.compare_exchange_strong(word, given ? Request::kGiven : Request::kRefused,
                                          std::memory_order_relaxed);
   } else {
@@ -278,7 +294,8 @@ void Participant::run_errands(std::uint32_t asked) noexcept {
   ours.answers.fetch_add(1, std::memory_order_release);  // E2
 }
 
-/// Pools without kept messages are left alone, and so is the bias of their locks.
+/// Buries kept messages that no other process holds any more. It leaves pools without kept messages
+/// alone, and so the bias of their locks.
 void Participant::settle_kept() noexcept {
   const std::lock_guard guard(settle_mutex_);
   std::size_t n;
@@ -286,13 +303,13 @@ void Participant::settle_kept() noexcept {
     const std::lock_guard pools(pools_mutex_);
     n = pools_.size();
   }
-  for (std::size_t i = 0; i < n; ++i) pools_[i]->settle();  // pools stay, and where they are
+  for (std::size_t i = 0; i < n; ++i) pools_[i]->settle();  // a pool is never destroyed or moved
 }
 
 /// Looks at messages that other processes have kept and that have left the ring of an idle
-/// publisher: without a turn of its own, the publisher does not see that they are free. A publisher
-/// that had a turn since the last look has seen it. Pools whose messages no other process ever kept
-/// are left alone, and so is the bias of their locks.
+/// publisher. Without a turn of its own, such a publisher does not see that they are free. A
+/// publisher that had a turn since the last look has seen it. The warden leaves pools alone whose
+/// messages no other process ever kept, and so the bias of their locks.
 void Participant::settle_idle() noexcept {
   std::size_t pools;
   {
@@ -302,15 +319,16 @@ void Participant::settle_idle() noexcept {
   std::fill(to_settle_.begin(), to_settle_.end(), false);
   std::fill(new_prints_.begin(), new_prints_.end(), 0);
   std::fill(to_trim_.begin(), to_trim_.end(), false);
+  // Relaxed, as `pool` and `hold` below: hints. The pool looks again under its lock.
   const std::uint32_t known = holder_.known.load(std::memory_order_relaxed);
   for (std::uint32_t b = 0; b < known; ++b) {
-    if (idle_looks_[b] >= kOldLooks) idle_looks_[b] = 0;  // it was a loan
+    if (idle_looks_[b] >= kOldLooks) idle_looks_[b] = 0;  // it was a loan: the count starts anew
     if (!holder_.is_home(b)) {
       idle_looks_[b] = 0;
       continue;
     }
-    // Each hold of another one bumps the version (I3). Relaxed: a hint. The version of another
-    // message's last look says too much rather than too little.
+    // Each hold of another participant bumps the version (I3). Relaxed: a hint. Where the last look
+    // saw another message, the comparison reports a hold too many rather than one too few.
     const std::uint64_t life = block(b).life.load(std::memory_order_relaxed);
     const std::uint64_t before = std::exchange(lives_[b], life);
     const bool same = refcount::generation_of(life) == refcount::generation_of(before);
@@ -318,10 +336,11 @@ void Participant::settle_idle() noexcept {
         life / refcount::kVersion != before / refcount::kVersion || (same && was_held_[b]);
     const std::uint32_t pool = holder_.cell(b).pool.load(std::memory_order_relaxed);
     const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);
-    // A loan that the application keeps looks the same, but its pool does not have it at hand.
+    // A loan that the application keeps looks the same, but its pool does not have it among its
+    // ready blocks.
     const bool rests = life == before && (v & hold::kHolds) == hold::kPointer &&
                        block(b).home_points.load(std::memory_order_relaxed) == 0;
-    // Where memory is locked it stays, and so do the blocks that have it.
+    // Locked memory stays, and so do the blocks that have it.
     if (!rests || segment_.is_locked() || segment::is_reserved(segment_.arena(b))) {
       idle_looks_[b] = 0;
     } else {
@@ -333,7 +352,7 @@ void Participant::settle_idle() noexcept {
     new_prints_[pool] += ((v + refcount::generation_of(life)) * kSpread) ^ b * kSpread;
     if (was_held_[b] && hold::pointers(v) == 0) to_settle_[pool] = true;
   }
-  for (std::uint32_t i = 0; i < pools; ++i) {  // pools stay, and where they are
+  for (std::uint32_t i = 0; i < pools; ++i) {  // a pool is never destroyed or moved
     if (to_trim_[i] && pools_[i]->granules() != 0) {
       const std::lock_guard guard(settle_mutex_);
       pools_[i]->trim_old([this](std::uint32_t b) { return idle_looks_[b] >= kOldLooks; });
@@ -342,7 +361,7 @@ void Participant::settle_idle() noexcept {
     if (!is_idle || !to_settle_[i] || !pools_[i]->may_wait()) continue;
     std::array<std::uint32_t, 16> foreign;
     for (std::size_t n = foreign.size(); n == foreign.size();) {
-      n = eviction_.look(i, foreign);  // before settle_mutex_, with which destructors run
+      n = eviction_.look(i, foreign);  // without settle_mutex_, under which destructors run
       const std::lock_guard guard(settle_mutex_);
       for (std::size_t k = 0; k < n; ++k) holder_.release(foreign[k], hold::kRing);
     }
@@ -351,14 +370,16 @@ void Participant::settle_idle() noexcept {
   }
 }
 
-/// Of all wardens one looks, once a second.
+/// Gives unused memory back to the system. Of all wardens, one looks, about once a second.
 void Participant::give_unused_back() noexcept {
-  if (!segment_.can_give_back()) return;  // another process can, perhaps
+  if (!segment_.can_give_back()) return;  // another process perhaps can
   auto& looked = segment_.directory().looked_ns;
+  // Relaxed, both: the word only says when to look; it carries nothing.
   std::uint64_t before = looked.load(std::memory_order_relaxed);
   const auto now = futex::Clock::now();
   const auto ns = static_cast<std::uint64_t>(now.time_since_epoch() / 1ns);
-  // Signed: another warden may just have looked; in another time namespace it is any time.
+  // Signed: another warden may have looked a moment later than `now`. In another time namespace the
+  // difference can be anything.
   const auto since = std::chrono::nanoseconds(static_cast<std::int64_t>(ns - before));
   if ((since > -kTurn && since < kTurn) ||
       !looked.compare_exchange_strong(before, ns, std::memory_order_relaxed)) {
@@ -367,24 +388,28 @@ void Participant::give_unused_back() noexcept {
   segment_.look_at_units();
   const auto& errands = segment_.witnesses()[index()].errands;
   give_back_to_system(kOldLooks, [&] {
+    // Relaxed: a hint to stop early.
     return errands.load(std::memory_order_relaxed) != 0 ||
            futex::Clock::now() >= now + kGiveBackTime;
   });
 }
 
-/// After bits of a dead one, or of the orphanage, were cleared: whoever waits for them looks.
+/// Tells all homes to look again, after ownership bits of a dead participant or of the orphanage
+/// were cleared.
 void Participant::tell_homes() noexcept {
   for (std::uint32_t b = 0; b < blocks(); ++b) holder_.tell_home(b);
 }
 
-/// Our index is another process's: we were taken for dead, and are so from now on. A thread that is
-/// in the midst of a call gets no lock in the old name, and the kernel's list leads to the seat no
-/// more: in another PID namespace the next one's thread may be called as ours.
+/// This process was taken for dead, and another process has its index or will get it. From now on
+/// it is inert. A thread that is in the midst of a call gets no lock in the old name. The kernel's
+/// robust list leads to the seat no more: in another PID namespace a thread of the next owner may
+/// have the same thread id as a thread of this process.
 void Participant::expel() noexcept {
+  // Relaxed, both: other threads only have to see them soon. They carry nothing.
   is_expelled_.store(true, std::memory_order_relaxed);
   inert_.store(true, std::memory_order_relaxed);
   presence_.end();
-  lock_file_->unlock(index());  // another one has the index, or will
+  lock_file_->unlock(index());  // another process has the index, or will have it
   note_settled();
 }
 
@@ -401,7 +426,7 @@ bool Participant::look_around() noexcept {
   }
   const bool closed = finish_closing();
   if (due) {
-    settle_kept();  // an errand may have been lost
+    settle_kept();  // once a second, since an errand may have been lost
     settle_idle();
     give_unused_back();
     note_sightings();
@@ -415,7 +440,7 @@ void Participant::depart(std::list<registry::Departure> departure) noexcept {
   try {
     const registry::Registry::Lock lock(registry_);
     registry_.remove(departure.front(), index());
-  } catch (const std::exception&) {  // a stopped process keeps it
+  } catch (const std::exception&) {  // a stopped process keeps the registry's lock
     {
       const std::lock_guard guard(departures_mutex_);
       departures_.splice(departures_.end(), departure);
@@ -429,7 +454,7 @@ void Participant::depart(std::list<registry::Departure> departure) noexcept {
 bool Participant::finish_departures() noexcept {
   const std::lock_guard guard(departures_mutex_);
   if (departures_.empty()) return true;
-  // The warden must not wait: it watches over the other processes.
+  // The warden must not wait, since it has to watch the other processes.
   const std::unique_lock topics(topics_mutex_, std::try_to_lock);
   if (!topics || !registry_.try_lock()) return false;
   for (const auto& departure : departures_) {
@@ -441,13 +466,15 @@ bool Participant::finish_departures() noexcept {
   return true;
 }
 
-/// Adds the others' notices to what is slept on, the next ones first. False when one of them has
-/// died and is not reaped yet (it was not quite dead), or when this kernel cannot watch.
+/// Adds the notices of the other participants to the words that the warden sleeps on, beginning
+/// with the next index. False when one of them has died and is not reaped yet (it was not quite
+/// dead), or when this kernel cannot wait for several words.
 bool Participant::watch_others() noexcept {
-  if (!futex::waits_for_many()) return false;  // each time: a sandbox may have come
+  if (!futex::waits_for_many()) return false;  // asked each time, since a sandbox may have come
   bool all_stand = true;
   for (std::uint32_t n = 1; n < participants(); ++n) {
     const std::uint32_t k = (index() + n) % participants();
+    // Acquire: edge "state".
     if (k == refcount::kOrphanage || part(k).load(std::memory_order_acquire) == 0) continue;
     const detail::FutexWait notice = presence_.watch(k);
     if (notice.value == liveness::seat::kUnwitnessed) continue;
@@ -460,22 +487,23 @@ bool Participant::watch_others() noexcept {
   return all_stand;
 }
 
-/// closefrom() and the like in the application drop our lock. Nobody reaps us then, because the
-/// notice stands; but nobody should have to ask it.
+/// Takes the own byte lock again after closefrom() or the like has dropped it. Other processes do
+/// not reap this one meanwhile, because its notice stands. With the byte back, they need not look
+/// at the notice.
 void Participant::keep_own_lock() noexcept {
   if (!lock_file_->intact()) {
     const std::scoped_lock guard(reap_mutex_, no_fork());
     lock_lost_ = lock_file_->reopen();
   }
-  // A prober may have the byte for a moment: then again the next time.
+  // A process that probes the byte may have it for a moment. Then the next look tries again.
   if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index());
 }
 
-/// Two locks: byte 0, by which most find without a question that somebody is at it, and a word,
-/// since there are two lock files when somebody has removed one, and none in the process that has
-/// lost it.
+/// Acting for the orphanage takes two locks: byte 0 of the lock file, and a robust mutex word. Byte
+/// 0 mostly shows at once that another process acts. The word is needed because there are two lock
+/// files after one was removed and made anew, and none in a process that has lost its own.
 ///
-/// REQUIRES: reap_mutex_, or that nobody else knows this participant yet.
+/// REQUIRES: reap_mutex_, or that no other thread knows this participant yet.
 bool Participant::enter_orphanage() noexcept {
   if (lock_file_->intact() && !lock_file_->try_lock(refcount::kOrphanage)) return false;
   RobustMutex mutex(segment_.directory().orphanage.word, presence_);
@@ -493,8 +521,10 @@ bool Participant::reap_if_dead(std::uint32_t k) noexcept {
   const std::unique_lock guard(reap_mutex_, std::try_to_lock);
   if (!guard || !lock_file_->intact() || !lock_file_->try_lock(k)) return false;
   bool done = false;
+  // Acquire: edge "state".
   if (part(k).load(std::memory_order_acquire) != 0 && presence_.judge(k) && enter_orphanage()) {
-    // Once more: another reaper, with another lock file, may have been quicker, and k be taken.
+    // Once more: another reaper, with another lock file, may have been faster, and a new process
+    // may have taken k.
     if (part(k).load(std::memory_order_acquire) != 0 && presence_.is_judged(k)) {
       try {
         done = Recovery(*this).reap(k);
@@ -511,6 +541,7 @@ bool Participant::reap_if_dead(std::uint32_t k) noexcept {
 bool Participant::reap_dead() noexcept {
   bool done = false;
   for (std::uint32_t k = 1; k < participants(); ++k) {
+    // Acquire: edge "state".
     if (k != index() && part(k).load(std::memory_order_acquire) != 0 && presence_.looks_dead(k)) {
       done |= reap_if_dead(k);
     }
@@ -518,10 +549,13 @@ bool Participant::reap_dead() noexcept {
   return done;
 }
 
-/// Channels are taken lowest first, and who has seen one of a higher number has seen those below
-/// it: so the first that never was taken ends a search. (After 2^31 times a channel looks new; then
-/// a search may be short until it is taken once more.)
+/// How many channels, from the lowest, were ever in use. Channels are taken lowest first. A thread
+/// that has seen one of a higher number has seen those below it, so a search ends at the first
+/// channel that was never taken. (After 2^31 uses a channel looks new. A search may then end too
+/// early, until the channel is taken once more.)
 std::uint32_t Participant::used_channels() noexcept {
+  // Relaxed: the number only grows, and two threads find the same. The writer words are acquired
+  // (R7): a ring that is found is whole.
   std::uint32_t used = used_channels_.load(std::memory_order_relaxed);
   while (used < channels() && channel_writer(used).load(std::memory_order_acquire) != 0) ++used;
   used_channels_.store(used, std::memory_order_relaxed);
@@ -531,17 +565,20 @@ std::uint32_t Participant::used_channels() noexcept {
 bool Participant::has_orphan_rings() noexcept {
   const std::uint32_t used = used_channels();
   for (std::uint32_t c = 0; c < used; ++c) {
+    // Acquire: R9.
     const auto w = channel_writer(c).load(std::memory_order_acquire);
     if (ring::writer_state(w) == ring::State::Orphan) return true;
   }
   return false;
 }
 
-/// Of those whose readers are at their last messages. What waits to be taken may wait for long, and
-/// who takes the last one says so. A hint: a ring may be recycled meanwhile.
+/// Whether a ring has ended whose readers are at their last messages. A ring of items to be taken
+/// counts only when it has no news: its items may wait for long, and the reader that takes the last
+/// one says so. A hint: a ring may be recycled meanwhile.
 bool Participant::has_ending_rings() noexcept {
   const std::uint32_t used = used_channels();
   for (std::uint32_t c = 0; c < used; ++c) {
+    // Acquire: R9.
     const auto w = channel_writer(c).load(std::memory_order_acquire);
     if (ring::writer_state(w) != ring::State::Orphan) continue;
     const segment::Ring r = ring(c);
@@ -550,8 +587,9 @@ bool Participant::has_ending_rings() noexcept {
   return false;
 }
 
-/// Asked by who acts for the orphanage: the memory of a ring that another one recycles may be
-/// anybody's. While somebody else acts for it the answer is no, and the next look asks again.
+/// Whether an ended ring has no reader any more. Only the process that acts for the orphanage may
+/// ask: when another process recycles the ring, its memory may get a new owner. While another
+/// process acts for the orphanage the answer is no, and the next look asks again.
 bool Participant::has_deserted_ring() noexcept {
   if (!has_orphan_rings()) return false;
   const std::unique_lock guard(reap_mutex_, std::try_to_lock);
@@ -564,6 +602,7 @@ bool Participant::has_deserted_ring() noexcept {
 bool Participant::collect() noexcept {
   bool orphans = has_orphan_rings();
   for (std::uint32_t b = 0; b < blocks() && !orphans; ++b) {
+    // Relaxed: a hint. collect() looks again in the orphanage.
     orphans = block(b).home.load(std::memory_order_relaxed) == refcount::kHomeOrphanage;
   }
   if (!orphans) return false;
@@ -580,13 +619,16 @@ bool Participant::collect() noexcept {
 
 void Participant::renew_directory() noexcept {
   auto& version = segment_.directory().version;
-  version.fetch_add(1, std::memory_order_relaxed);  // as ring::announce()
+  // Relaxed, as in ring::announce(): D1 carries nothing.
+  version.fetch_add(1, std::memory_order_relaxed);
   futex::wake_all(&version);
 }
 
-/// Crash: killed after this, before the dead one's name goes: the next reaper does it all again.
+/// Crash:   killed after this and before the dead participant's name goes, the next reaper does it
+///          all again.
 void Participant::forget(std::uint32_t k) noexcept {
-  if (registry_.try_lock()) registry_.unlock();  // it may have had it: nobody has to wait for that
+  // The dead participant may have had this lock. Freed here, it keeps no process waiting.
+  if (registry_.try_lock()) registry_.unlock();
   registry_.forget(k);
   segment_.directory().bequests.fetch_add(1, std::memory_order_release);  // D3
 }
