@@ -27,11 +27,11 @@ const char* environment(const char* name) {
 
 namespace {
 
-/// What the process knows of its participants. Never destroyed: pointers may be released by static
-/// destructors that run after ours.
+/// The participants of this process. The object is never destroyed, since static destructors that
+/// run after this library's may release pointers.
 struct Process {
-  std::mutex joining;  ///< held while one joins, which may take its time; taken before `mutex`
-  std::mutex mutex;    ///< the lists
+  std::mutex joining;  ///< held while a thread joins, which may take long; taken before `mutex`
+  std::mutex mutex;    ///< guards the lists
   std::map<std::string, std::weak_ptr<Participant>> by_path;
   std::vector<Participant*> all;
 };
@@ -108,7 +108,7 @@ EngineOptions with_environment(EngineOptions options) {
               segment::advice_on_address_space());
 }
 
-/// A segment of one's own, which a process uses, lets fewer in than was asked for.
+/// Throws: the segment is in use and lets fewer users in than was asked for (*narrow*).
 [[noreturn]] void refuse_narrow(const std::string& path, const std::string& reason) {
   throw Error(EPERM, path, reason + "; and it is in use",
               "end all that use it (" + segment::command("ls", path) +
@@ -116,15 +116,18 @@ EngineOptions with_environment(EngineOptions options) {
                   "those do (LOT_GROUP, LOT_PERMISSIONS), or set LOT_SEGMENT");
 }
 
-/// What is in a segment that would be made anew.
+/// The contents of a segment that would be removed and made anew.
 struct Contents {
-  std::uint64_t items = 0;   ///< that wait, and are to stay
-  bool is_narrow = false;    ///< it lets fewer in than was asked for
-  bool is_lived_in = false;  ///< a process may have lost its byte to closefrom(): its notice stands
+  std::uint64_t items = 0;  ///< items that wait in queues and are to stay
+  bool is_narrow = false;   ///< it lets fewer users in than was asked for
+  /// A notice stands: that process may have lost its byte to closefrom().
+  bool is_lived_in = false;
 };
 
-/// `has_size`: it has the size that was asked for, and would be joined if it let all in. REQUIRES:
-/// the gate is held.
+/// `has_size`: the segment has the size that was asked for. It would be joined if it let all users
+/// in.
+///
+/// REQUIRES: the gate is held.
 Contents look_into(const std::string& path, const segment::Trust& trust, bool has_size) {
   using segment::Segment;
   Contents contents;
@@ -136,6 +139,7 @@ Contents look_into(const std::string& path, const segment::Trust& trust, bool ha
     const Segment segment(path, Segment::Access::ReadOnly, trust);
     for (std::uint32_t k = 1; k < segment.capacity().participants; ++k) {
       contents.is_lived_in |=
+          // Acquire: edges "state" and "seat".
           segment.participants()[k].state.load(std::memory_order_acquire) != 0 &&
           liveness::seat::stands(segment.witnesses()[k].seat.load(std::memory_order_acquire));
     }
@@ -147,23 +151,24 @@ Contents look_into(const std::string& path, const segment::Trust& trust, bool ha
     refuse_without_memory(path);
   } catch (const Error& e) {
     if (!segment::means_damage(e)) throw;
-    return {};  // no process can take what is in there
+    return {};  // it is damaged: no process can take what is in there
   }
   return contents;
 }
 
 using Fit = segment::Segment::Fit;
 
-/// What lies where a process wants to join, seen with the gate held.
+/// What a process finds at the path where it wants to join, seen with the gate held.
 struct Found {
   Fit fit = Fit::Absent;
   std::string reason;       ///< why it does not fit
-  std::string lock_reason;  ///< why its lock file lets fewer in than was asked for
-  bool used = false;        ///< by others; only looked for where segment or lock file would go
-  Contents contents;        ///< looked at in that case, too
+  std::string lock_reason;  ///< why its lock file lets fewer users in than was asked for
+  bool used = false;  ///< by other processes; looked for only where the segment or the lock file
+                      ///< would be removed
+  Contents contents;  ///< looked at in that case only
 };
 
-/// Throws where what is there can neither be joined nor made anew.
+/// Throws if what was found can neither be joined nor made anew.
 void require_free(const std::string& path, const Found& found, Participant::IfAbsent if_absent) {
   const bool is_narrow = found.fit == Fit::Narrow;
   if (found.fit == Fit::Stale && found.used) {
@@ -188,7 +193,7 @@ void require_free(const std::string& path, const Found& found, Participant::IfAb
           ", or drop them by " + segment::command("clean --with-items", path));
 }
 
-/// The next process makes a new one.
+/// Removes the lock file. The next process makes a new one.
 void remove_lock_file(const std::string& path, const std::string& reason,
                       const std::string& advice) {
   if (::unlink((path + ".lock").c_str()) == -1 && errno != ENOENT) {
@@ -196,10 +201,12 @@ void remove_lock_file(const std::string& path, const std::string& reason,
   }
 }
 
-/// So often a lock file is made anew: a process that asks for less may have made the new one.
+/// The lock file is made anew at most this often. Each time a process that asks for less may have
+/// made the new one.
 constexpr int kMostRenewals = 8;
 
-/// What is there keeps its mode: a new lock file gets the one that was asked for.
+/// Removes a lock file whose mode is too narrow. A file that exists keeps its mode; a new one gets
+/// the mode that was asked for.
 void renew_lock_file(const std::string& path, const std::string& lock_reason, int renewed) {
   if (renewed > kMostRenewals) {
     throw Error(EPERM, path + ".lock", lock_reason + "; and new ones are so, too",
@@ -239,7 +246,7 @@ void check_depth(std::string_view topic, std::uint32_t depth) {
   }
 }
 
-/// Opening, making and removing the segment happens between these.
+/// Leaves the gate at its end. The segment is opened, made and removed only inside the gate.
 class Participant::GateGuard {
  public:
   explicit GateGuard(liveness::LockFile& file) : file_(&file) {}
@@ -251,11 +258,12 @@ class Participant::GateGuard {
   liveness::LockFile* file_;
 };
 
-/// The one that this process has there already; null: none.
+/// The participant that this process has at the path already. Null: it has none.
 std::shared_ptr<Participant> Participant::joined(const EngineOptions& options,
                                                  const std::string& path,
                                                  const segment::Trust& trust) {
-  std::shared_ptr<Participant> existing;  // the last handle goes without the mutex
+  std::shared_ptr<Participant> existing;  // declared before the guard: if it is the last handle, it
+                                          // goes after the mutex is unlocked
   const std::lock_guard guard(process().mutex);
   existing = process().by_path[path].lock();
   if (!existing || existing->inert_) return nullptr;
@@ -267,7 +275,7 @@ std::shared_ptr<Participant> Participant::joined(const EngineOptions& options,
   return existing;
 }
 
-/// Joins the segment that is there. REQUIRES: the gate is held, and it is our turn.
+/// Joins the segment that exists. REQUIRES: the gate is held, and this process has its turn.
 std::shared_ptr<Participant> Participant::admit(const EngineOptions& options,
                                                 const std::string& path,
                                                 const segment::Trust& trust,
@@ -292,17 +300,18 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
   options = with_environment(std::move(options));
   const std::string path = segment::path_of(options.directory, options.segment);
   segment::Trust trust = segment::Trust::of(options);
-  trust.wants_all = if_absent == IfAbsent::Make;  // else it is a visitor
+  trust.wants_all = if_absent == IfAbsent::Make;  // without Make the caller is a visitor
   watch_forks();
   const std::lock_guard joining(process().joining);
   if (auto existing = joined(options, path, trust)) return existing;
 
   for (int renewed = 0;;) {
     auto file = std::make_shared<liveness::LockFile>(path + ".lock", trust);
-    if (!file->enter_gate(kGatePatience)) continue;  // removed by the last one to leave: once more
+    // The last participant has removed the file: try again.
+    if (!file->enter_gate(kGatePatience)) continue;
     GateGuard gate(*file);
-    bool ours = false;  // there is a segment that the lock file belongs to
-    bool made = false;  // by us, just now
+    bool ours = false;  // a segment exists that the lock file belongs to
+    bool made = false;  // this call has made the segment
     const auto in_use = [&] { return file->held_by_other(0, segment::kMaxParticipants); };
     try {
       Found found;
@@ -316,10 +325,10 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
       const bool goes = fit != Fit::Fits || !found.lock_reason.empty();
       if (goes && ours) found.contents = look_into(path, trust, fit != Fit::Stale);
       found.used = goes && (found.contents.is_lived_in || in_use());
-      // Without our locks we are not in the gate, and `used` says nothing.
+      // Without its locks this process is not in the gate, and `used` says nothing.
       file->require_intact();
       if (fit == Fit::Absent && found.used) {
-        // Somebody has removed the segment of living processes: the lock file is theirs.
+        // The segment of living processes was removed, and the lock file belongs to them.
         remove_lock_file(
             path, "it is used with a segment that was removed",
             "stop those who use it (its owner can also remove it), or set LOT_SEGMENT");
@@ -383,7 +392,7 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
   new_prints_.resize(pools_.capacity());
   to_settle_.resize(pools_.capacity());
   to_trim_.resize(pools_.capacity());
-  draining_.reserve(pools_.capacity());  // so that closing needs no memory
+  draining_.reserve(pools_.capacity());  // closing a publisher then needs no memory
   idle_.reserve(pools_.capacity());
   watched_.reserve(futex::kMaxWords);
   bool is_there = false;
@@ -401,6 +410,7 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
                   segment::advice_on_threads());
     }
   } catch (...) {
+    // Release: edge "state".
     if (is_there) part(index()).store(0, std::memory_order_release);
     munmap(holder_.cells, cells_bytes_);
     throw;
@@ -416,7 +426,7 @@ void Participant::fill_hub() noexcept {
   fill_answers();
 }
 
-/// What pointers do.
+/// Fills in what pointers do.
 void Participant::fill_pointers() noexcept {
   hub_.drop_last = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
@@ -441,18 +451,20 @@ void Participant::fill_pointers() noexcept {
   };
   hub_.shared_from_unique = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
-    if (p.holder_.is_home(c->block)) p.holder_.complete(c->block);  // one thread has it
+    // Only one thread has the pointer.
+    if (p.holder_.is_home(c->block)) p.holder_.complete(c->block);
     p.hub_.points(c);
   };
   hub_.points = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
     if (p.holder_.is_home(c->block)) {
+      // Relaxed: a hint for the use_count() of other processes.
       p.segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
     }
   };
 }
 
-/// What weak pointers do.
+/// Fills in what weak pointers do.
 void Participant::fill_weak_pointers() noexcept {
   hub_.lock_weak = [](detail::ControlCell* c, std::uint32_t generation) noexcept {
     Participant& p = of(c);
@@ -462,6 +474,7 @@ void Participant::fill_weak_pointers() noexcept {
     const Left left =
         p.has_left() ? Left::Gone : p.holder_.own.acquire_weak(words, c->hold, generation);
     const bool alive = left == Left::Held;
+    // Relaxed, both: with a hold the block stays at home; home_points is a hint.
     if (alive && (c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
       words.home_points.store(1, std::memory_order_relaxed);
     }
@@ -480,6 +493,7 @@ void Participant::fill_weak_pointers() noexcept {
   hub_.weak_count = [](detail::ControlCell* c, int change) noexcept {
     Participant& p = of(c);
     if (change > 0) {
+      // Relaxed: the caller has a pointer or a weak pointer already.
       p.life_.fetch_add(kReference, std::memory_order_relaxed);
     } else {
       p.drop_reference();
@@ -487,7 +501,7 @@ void Participant::fill_weak_pointers() noexcept {
   };
 }
 
-/// What pointers ask.
+/// Fills in what pointers ask.
 void Participant::fill_answers() noexcept {
   hub_.path = [](const detail::ControlCell* c) noexcept { return of(c).segment_.path().c_str(); };
   hub_.instance = [](const detail::ControlCell* c) noexcept {
@@ -497,10 +511,11 @@ void Participant::fill_answers() noexcept {
     Participant& p = of(c);
     segment::BlockWords& words = p.segment_.block(c->block);
     const std::uint32_t self = p.index();
+    // Relaxed, as home_points below: a count is out of date at once in any case.
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     std::size_t n = 0;
     for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
-      std::uint64_t holders = words.own[w].load(std::memory_order_acquire);
+      std::uint64_t holders = words.own[w].load(std::memory_order_acquire);  // O1
       const auto without = [&](std::uint32_t k) {
         holders = HardwareOwnership::holders(holders, w, k);
       };
@@ -535,7 +550,7 @@ std::atomic<ring::Word>& Participant::channel_writer(std::uint32_t c) noexcept {
 }
 
 std::string_view Participant::name_of(std::uint32_t k) const noexcept {
-  if (k >= participants()) return {};  // a damaged word said so
+  if (k >= participants()) return {};  // the index comes from a damaged word
   const auto& entry = segment_.participants()[k];
   return {entry.name, strnlen(entry.name, sizeof(entry.name))};
 }
@@ -546,6 +561,7 @@ void Participant::rename(std::string_view name) noexcept {
 }
 
 void Participant::refuse() const {
+  // Relaxed: it only chooses the text.
   if (is_expelled_.load(std::memory_order_relaxed)) {
     throw Error(ESTALE, segment_.path(),
                 "this process was stopped, and taken for dead: another one has its place",
@@ -559,17 +575,19 @@ void Participant::drop_pointer(detail::ControlCell& cell) noexcept {
   if (!holder_.is_home(cell.block)) return holder_.release(cell.block, hold::kPointer);
   segment::BlockWords& words = segment_.block(cell.block);
   const std::uint64_t v =
+      // O4
       cell.hold.fetch_sub(hold::kPointer, std::memory_order_acq_rel) - hold::kPointer;
   if (hold::pointers(v) != 0) return;
   words.home_points.store(0, std::memory_order_relaxed);
   if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
-    words.home_points.store(1, std::memory_order_relaxed);  // another thread was quicker
+    // Another thread has taken a pointer meanwhile.
+    words.home_points.store(1, std::memory_order_relaxed);
   }
   if ((v & hold::kHolds) == 0) holder_.pool_of(cell).came_home(cell.block);
 }
 
-/// What other threads and processes have read was read before this says yes: each hold that goes is
-/// released, and acquired here.
+/// True only if other threads and processes have done all their reads before: each hold that goes
+/// is released, and acquired here.
 bool Participant::is_alone(const detail::ControlCell& cell) const noexcept {
   // A ring's hold stands while the ring has the message, and until no hazard names it (I1).
   const std::uint64_t v = cell.hold.load(std::memory_order_acquire);  // O4
@@ -577,8 +595,9 @@ bool Participant::is_alone(const detail::ControlCell& cell) const noexcept {
   const segment::BlockWords& words = segment_.block(cell.block);
   const std::uint64_t life = words.life.load(std::memory_order_acquire);  // O2
   std::uint32_t maker = index();
-  // The home's bit stands as long as it has the memory, whether it looks at the message or not. It
-  // does not when this process took the message from a queue, and has not published it since.
+  // The home's bit stands as long as the home has the memory, whether it looks at the message or
+  // not. It does not count when this process took the message from a queue and has not published it
+  // since.
   if ((v & hold::kHome) == 0 && segment_.arena(cell.block).was_handed_over()) {
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     if (home > refcount::kHomeOrphanage) maker = home - 1;
@@ -590,18 +609,20 @@ bool Participant::is_alone(const detail::ControlCell& cell) const noexcept {
     }
     if (holders != 0) return false;
   }
-  // A hold that has moved behind the search has bumped the version (I3), which the bit that it has
-  // left behind carries: relaxed.
+  // A hold may have moved behind the search. Then it has bumped the version (I3). Relaxed: the load
+  // of the bit that it has left behind carries the bump (O1).
   return words.life.load(std::memory_order_relaxed) == life;
 }
 
-/// Between enter() and exit() the participant neither leaves nor goes away. REQUIRES: the caller
+/// Between enter() and exit() the participant neither leaves nor is destroyed. REQUIRES: the caller
 /// has a pointer or a weak pointer of it.
 void Participant::enter() noexcept {
+  // seq_cst: life_ and left_ are looked at crosswise (see life_).
   life_.fetch_add(kReference | kInside, std::memory_order_seq_cst);
 }
 
 void Participant::exit() noexcept {
+  // Relaxed: the compare-and-swap decides. seq_cst: see life_.
   std::uint64_t v = life_.load(std::memory_order_relaxed);
   while ((v & kClosing) == 0) {
     if (life_.compare_exchange_weak(v, v - (kReference | kInside), std::memory_order_seq_cst,
@@ -609,79 +630,85 @@ void Participant::exit() noexcept {
       return;
     }
   }
-  // All handles have gone: whoever comes out last and leaves no pointer behind closes the door.
+  // All handles have gone. The last thread that comes out makes the participant leave, if no
+  // pointer remains.
   life_.fetch_sub(kInside, std::memory_order_seq_cst);
   leave_if_unused();
   drop_reference();
 }
 
 void Participant::drop_reference() noexcept {
+  // acq_rel, as in std::shared_ptr: the thread that deletes the object sees what the others did.
   const std::uint64_t left = life_.fetch_sub(kReference, std::memory_order_acq_rel) - kReference;
   if ((left & kReferences) == 0) delete this;
 }
 
 bool Participant::has_left() noexcept {
-  if (!left_.load(std::memory_order_seq_cst)) return false;
+  if (!left_.load(std::memory_order_seq_cst)) return false;  // see life_
   const std::lock_guard guard(leave_mutex_);  // the thread that has set it may take it back
+  // Relaxed: the mutex carries it.
   return left_.load(std::memory_order_relaxed);
 }
 
 void Participant::leave_if_unused() noexcept {
   const auto unused = [this] {
+    // seq_cst: see life_.
     return (life_.load(std::memory_order_seq_cst) & kInsideMask) == 0 && !holds_pointers();
   };
   {
     const std::lock_guard guard(leave_mutex_);
     if (left_ || !unused()) return;
-    left_.store(true, std::memory_order_seq_cst);
-    if (!unused()) {  // a weak pointer was locked just now: its holder comes by here again
-      left_.store(false, std::memory_order_seq_cst);
+    left_.store(true, std::memory_order_seq_cst);  // see life_
+    if (!unused()) {  // a weak pointer was locked just now: its holder calls this again
+      left_.store(false, std::memory_order_seq_cst);  // see life_
       return;
     }
   }
   leave();
 }
 
-/// Only asked when all handles have gone. Blocks that are ready for loan carry a pointer hold of
-/// their pool, so the pools give those back first; with each goes what its message referred to,
-/// which then is ready itself.
+/// True when the process still has pointers to messages. Called only after all handles have gone. A
+/// block that is ready for a loan carries a pointer hold of its pool, so the pools give such blocks
+/// back first. With each block goes what its message referred to, which then may be ready itself.
 bool Participant::holds_pointers() noexcept {
-  // The warden has some for a moment while it settles or drains.
+  // Both locks: the warden has pointer holds for a moment while it settles or drains.
   const std::scoped_lock guard(settle_mutex_, pools_mutex_);
   while (trim_pools()) {
   }
   for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) {
+    // seq_cst: see life_.
     if (hold::pointers(holder_.cells[b].hold.load(std::memory_order_seq_cst)) != 0) return true;
   }
   return false;
 }
 
 void Participant::handle_gone(Participant* p) noexcept {
-  if (p->inert_) return;  // a forked child touches nothing, and has no thread to stop
+  if (p->inert_) return;  // a forked child touches nothing and has no thread to stop
   p->enter();
-  p->ahead_.stop();  // what it has in hand is a hold of ours
-  // To the end: when the warden brings the last block home, nobody looks whether we may leave. Not
-  // for ever: somebody may have been stopped who acts for the orphanage.
+  p->ahead_.stop();  // the block that it is making is a hold of this process
+  // Closing is finished here: when the warden brings the last block home, no thread checks whether
+  // the participant may leave. The wait is bounded, since a process that acts for the orphanage may
+  // be stopped.
   const auto until = futex::Clock::now() + kOrphanagePatience;
   while (p->finish_closing(),
          !p->rings_closed() && (futex::Clock::now() < until || p->is_releasing())) {
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }
-  p->life_.fetch_or(kClosing, std::memory_order_seq_cst);
+  p->life_.fetch_or(kClosing, std::memory_order_seq_cst);  // see life_
   p->exit();
 }
 
 void Participant::leave() noexcept {
-  warden_stop_.store(true, std::memory_order_relaxed);
+  warden_stop_.store(true, std::memory_order_relaxed);  // relaxed: the errand (E1) carries it
   ring_warden();
   warden_.join();
   {
-    // Not before: a child that is forked meanwhile must close the lock file.
+    // Not earlier: a child that is forked meanwhile must close the lock file.
     const std::lock_guard guard(process().mutex);
     lock_file_->abandon();
     std::erase(process().all, this);
   }
-  drop_reference();  // the handles' one
+  drop_reference();  // the reference that all handles share
 }
 
 bool Participant::same_segment(const detail::ControlCell& cell) const noexcept {
@@ -707,15 +734,17 @@ void Participant::remove_files() noexcept {
     }
     return is_ours;
   };
-  // For ever, both: none of them goes, none comes, and no child is forked, which would have both
-  // locked and no thread to unlock them. One that is joining just now has files, too.
+  // Both locks are kept for ever. So no participant leaves, none joins, and no child is forked: it
+  // would have both mutexes locked and no thread to unlock them. A participant that is joining just
+  // now has files, too.
   (void)lock(process().joining);
   if (!lock(process().mutex)) return;
   for (Participant* p : process().all) {
-    p->is_ending_.store(true, std::memory_order_relaxed);  // the errand carries it
+    p->is_ending_.store(true, std::memory_order_relaxed);  // relaxed: the errand (E1) carries it
     p->ring_warden();
   }
   for (Participant* p : process().all) {
+    // Relaxed: what it tells of is in the file system.
     while (p->files_settled_.load(std::memory_order_relaxed) == 0 &&
            futex::wait(&p->files_settled_, 0, until)) {
     }
@@ -742,7 +771,7 @@ void Participant::after_fork_in_child() noexcept {
   for (Participant* p : process().all) {
     p->inert_ = true;
     p->presence_.abandon();
-    p->lock_file_->abandon();  // else the child would keep the parent alive in others' eyes
+    p->lock_file_->abandon();  // else the child would make the parent look alive to other processes
   }
   process().all.clear();
   process().by_path.clear();

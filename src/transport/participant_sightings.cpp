@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// Since when a participant holds what it holds: a table for people, which the warden writes
-/// each second, so that it costs a loan, a pull and a release nothing.
+/// Since when a participant holds what it holds: a table for people. The warden writes it once a
+/// second, so it costs a loan, a pull and a release nothing.
 #include <algorithm>
 #include <array>
 #include <new>
@@ -19,29 +19,33 @@ std::uint64_t now_ns() {
 }
 
 void write(Sighting& place, std::uint64_t what, std::uint64_t since_ns) {
+  // Relaxed, both: the warden alone writes; the release of the time carries the 0.
   if (place.what.load(std::memory_order_relaxed) == what) return;
   place.what.store(0, std::memory_order_relaxed);
-  place.since_ns.store(since_ns, std::memory_order_release);  // who sees it sees the name gone
-  place.what.store(what, std::memory_order_release);          // carries the time
+  // Sighting: a reader that sees the time sees the old name gone.
+  place.since_ns.store(since_ns, std::memory_order_release);
+  place.what.store(what, std::memory_order_release);  // sighting: carries the time
 }
 
 }  // namespace
 
-/// What the one before us at this index has left. Before we are in the segment, so that nobody
-/// takes it for ours.
+/// Clears what the former owner of this index has left, before this process is in the segment, so
+/// that no reader of the table takes it for this process's.
 void Participant::forget_sightings() noexcept {
   Sightings& table = segment_.sightings()[index()];
+  // Relaxed: the state of the participant, stored later with release, carries them.
   for (Sighting& place : table.seen) place.what.store(0, std::memory_order_relaxed);
   table.looked_ns.store(0, std::memory_order_relaxed);
 }
 
-/// Crash: killed anywhere in here, a place is empty or true.
+/// Crash:   killed anywhere in here, a place is empty or true.
 void Participant::note_sightings() noexcept {
   const std::uint64_t now = now_ns();
   std::unordered_map<std::uint64_t, std::uint64_t> held;
   const auto add = [&](std::uint32_t b) {
     const std::uint64_t what =
         std::uint64_t{b + 1} << 32 |
+        // Relaxed, here and below: what people see may be old.
         refcount::generation_of(block(b).life.load(std::memory_order_relaxed));
     const auto before = held_since_.find(what);
     held.emplace(what, before != held_since_.end() ? before->second : now);
@@ -61,11 +65,12 @@ void Participant::note_sightings() noexcept {
     }
     const std::uint32_t used = used_channels();
     for (std::uint32_t c = 0; c < used; ++c) {
+      // Acquire: R7, R9.
       const auto state = ring::writer_state(channel_writer(c).load(std::memory_order_acquire));
       if (state != ring::State::Live && state != ring::State::Orphan) continue;
       const segment::Ring r = ring(c);
       for (std::uint32_t i = 0; i < r.readers; ++i) {
-        // A ring that is recycled meanwhile may say anything: no harm comes of that.
+        // A ring that is recycled meanwhile may say anything, which does no harm. So relaxed.
         if (r.who[i].load(std::memory_order_relaxed) != index() + 1) continue;
         const ring::Word position = r.cells[i].position.load(std::memory_order_relaxed);
         if (position != ring::kIdle && ring::block(position) < blocks()) {
@@ -74,10 +79,10 @@ void Participant::note_sightings() noexcept {
       }
     }
   } catch (const std::bad_alloc&) {
-    return;  // people will have to wait
+    return;  // the table stays as it was
   }
 
-  // The oldest first, so that those which stay mostly keep their places.
+  // The oldest first, so that entries that stay mostly keep their places.
   std::array<std::pair<std::uint64_t, std::uint64_t>, Sightings::kMost> oldest{};
   const auto end = std::partial_sort_copy(
       held.begin(), held.end(), oldest.begin(), oldest.end(), [](const auto& a, const auto& b) {
@@ -88,8 +93,10 @@ void Participant::note_sightings() noexcept {
     write(table.seen[place - oldest.begin()], place->first, place->second);
   }
   for (auto place = end; place != oldest.end(); ++place) {
+    // Relaxed: a name that goes carries nothing.
     table.seen[place - oldest.begin()].what.store(0, std::memory_order_relaxed);
   }
+  // Release: a reader that sees this time sees the table of this look or a later one.
   table.looked_ns.store(now, std::memory_order_release);
   held_since_ = std::move(held);
 }

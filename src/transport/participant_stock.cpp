@@ -17,8 +17,10 @@ namespace lot::transport {
 
 void Participant::close_ring(const registry::ChannelName& name) noexcept {
   {
-    // Until we let finish_closing() at it, nobody can recycle the ring under us.
+    // finish_closing() takes this mutex before it gives the ring to the orphanage. Until then no
+    // process can recycle the ring.
     const std::lock_guard guard(reap_mutex_);
+    // Release (as part of seq_cst): R9.
     channel_writer(name.channel)
         .store(ring::make_writer(name.generation, ring::State::Orphan, index()),
                std::memory_order_seq_cst);
@@ -33,11 +35,13 @@ void Participant::settle_closing() noexcept {
 }
 
 bool Participant::ring_closed(const registry::ChannelName& name) const noexcept {
+  // Acquire: the orphanage's name is stored (release) after it has adopted all blocks of the ring.
   const auto w = segment_.channels()[name.channel].writer.load(std::memory_order_acquire);
   return ring::writer_generation(w) != name.generation || ring::writer_owner(w) != index();
 }
 
 bool Participant::is_closing(std::uint32_t channel) noexcept {
+  // Acquire: as in ring_closed().
   const auto w = channel_writer(channel).load(std::memory_order_acquire);
   return ring::writer_state(w) == ring::State::Orphan && ring::writer_owner(w) == index();
 }
@@ -73,12 +77,12 @@ bool Participant::finish_closing() noexcept {
       }
       recovery.collect();
     } catch (const std::bad_alloc&) {
-      all = false;  // as if killed here: the warden's next look does it again
+      all = false;  // memory is short: as if killed here; the warden's next look does it again
     }
     leave_orphanage();
     if (!all) return false;
   }
-  // What the closed rings held is the orphanage's now: our own holds may go.
+  // The orphanage holds now what the closed rings held. So the holds of this process may go.
   const auto is_due = [this](const Draining& d) {
     return !d.blocks.empty() && !d.releasing && ring_closed(d.ring);
   };
@@ -144,6 +148,7 @@ template <class May>
 bool Participant::take_spare(May&& may) noexcept {
   bool any = false;
   std::array<std::uint32_t, 64> wanted;
+  // Relaxed: a hint. A block that is held for the first time just now is no idle one.
   for (std::uint32_t b = holder_.known.load(std::memory_order_relaxed); b != 0;) {
     std::size_t n = 0;
     while (b != 0 && n < wanted.size()) {
@@ -193,8 +198,8 @@ bool Participant::extend_run(std::uint32_t end, std::uint32_t granules,
   return is_longer;
 }
 
-/// What is idle goes first, then the publisher's oldest messages; nothing for what can never be
-/// met.
+/// Makes room under the publisher's own limit. Idle memory goes first, then the publisher's oldest
+/// messages. Nothing goes for a run that can never fit under the limit.
 bool Participant::make_room_in(Pool& pool, std::uint32_t granules) noexcept {
   if (granules > pool.limit()) return false;
   ahead_.leave_off(pool);
@@ -223,14 +228,16 @@ std::uint32_t Participant::claim_run(std::uint32_t granules, std::uint32_t tag) 
   }
   std::uint32_t run = try_claim_run(granules, tag);
   if (run != kNone) return run;
+  // Relaxed: the caller has the block, so its pool does not change.
   const std::uint32_t asker = holder_.cell(tag - 1).pool.load(std::memory_order_relaxed);
   int error = errno;
   make_room_for_run(granules, asker, [&] {
     run = try_claim_run(granules, tag);
     error = errno;
-    return run != kNone || error == EDQUOT;  // another thread has taken it: no message of others'
+    // EDQUOT: another thread has used up the limit. No other publisher gives a message for that.
+    return run != kNone || error == EDQUOT;
   });
-  errno = error;  // why there was none: looks for what could go have changed it
+  errno = error;  // why there was no run: the looks for what could go have changed errno
   return run;
 }
 
@@ -248,7 +255,7 @@ registry::ChannelName Participant::open_ring(std::uint32_t topic,
   const std::uint32_t granules = registry::Registry::granules_of(options);
   after_reaping(*this, [&] {
     if (try_open()) return;
-    // Without the registry's lock: a warden that is asked to give may want it, and a stopped one
+    // Without the registry's lock: a warden that is asked to give may want it, and a stopped warden
     // is waited for.
     std::exception_ptr failure;
     make_room_for_run(granules, asker, [&] {
@@ -292,11 +299,12 @@ std::uint32_t Participant::await_run(std::uint32_t granules, std::uint32_t tag) 
   return run;
 }
 
-/// The block names the owner of a unit's granules for a moment. Not the last one: a publisher that
-/// finds none gives messages up.
+/// Claims a free block. For a moment its tag marks the granules of a unit that goes back to the
+/// system. It is not the last free block: a publisher that finds none gives messages up.
 std::optional<std::uint32_t> Participant::claim_spare_block() noexcept {
   bool is_last = true;
   for (std::uint32_t b = blocks(); b-- != 0;) {
+    // Relaxed: a hint. Holder::claim() decides (O3).
     if (block(b).home.load(std::memory_order_relaxed) != refcount::kHomeFree) continue;
     if (!std::exchange(is_last, false) && holder_.claim(b, 0)) return b;
   }
@@ -304,8 +312,8 @@ std::optional<std::uint32_t> Participant::claim_spare_block() noexcept {
 }
 
 std::uint64_t Participant::give_back_unit(std::uint32_t unit, std::uint32_t looks) noexcept {
-  // So holds_pointers() does not see the block, and a thread that is short of memory waits for this
-  // one unit (trim()).
+  // Under this lock holds_pointers() does not see the block. A thread that is short of memory waits
+  // for this one unit (trim()).
   const std::lock_guard guard(pools_mutex_);
   const auto b = claim_spare_block();
   if (!b) return 0;
@@ -320,7 +328,7 @@ std::uint64_t Participant::give_all_back_to_system() noexcept {
   return give_back_to_system(0, [] { return false; });
 }
 
-/// Relaxed, as in Survey: what changes meanwhile is seen at the next look.
+/// Relaxed, as in Survey: the next look sees what changes meanwhile.
 Participant::Kept Participant::weigh_kept() noexcept {
   Kept kept;
   for (std::uint32_t b = 0; b < blocks(); ++b) kept.blocks += is_kept(b);
@@ -340,6 +348,7 @@ Participant::Kept Participant::weigh_kept() noexcept {
 
 bool Participant::is_kept(std::uint32_t b) noexcept {
   const segment::BlockWords& words = segment_.block(b);
+  // Relaxed, here and below: see weigh_kept().
   const std::uint32_t home = words.home.load(std::memory_order_relaxed);
   if (home == refcount::kHomeFree) return false;
   if (words.home_points.load(std::memory_order_relaxed) != 0) return true;
@@ -362,11 +371,13 @@ bool Participant::may_gather() noexcept {
 }
 
 void Participant::ask_others(Questions& questions) noexcept {
+  // Relaxed: see may_gather().
   gathered_.store(futex::Clock::now().time_since_epoch().count(), std::memory_order_relaxed);
   for (std::uint32_t k = 1; k < participants(); ++k) {
+    // Acquire: edge "state".
     if (k == index() || part(k).load(std::memory_order_acquire) == 0) continue;
     questions.asked[k] = true;
-    // Relaxed: an answer to an earlier question is as good as one to ours.
+    // Relaxed: an answer to an earlier question is as good as one to this question.
     questions.answers[k] = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
     holder_.ask(k, segment::errand::kTrim);
   }
@@ -374,7 +385,7 @@ void Participant::ask_others(Questions& questions) noexcept {
 
 bool Participant::all_have_answered(const Questions& questions) noexcept {
   for (std::uint32_t k = 1; k < participants(); ++k) {
-    // E2; the memory itself is carried by G1.
+    // E2. G1 carries the memory itself.
     if (questions.asked[k] &&
         segment_.witnesses()[k].answers.load(std::memory_order_acquire) == questions.answers[k]) {
       return false;
@@ -383,13 +394,14 @@ bool Participant::all_have_answered(const Questions& questions) noexcept {
   return true;
 }
 
-/// Crash: killed after the errand, the other one gives something up in vain.
+/// Crash:   killed after the errand, the other participant gives something up and no process uses
+///          it at once.
 bool Participant::ask_to_give(std::uint32_t k, const Request& request) noexcept {
   auto& word = segment_.witnesses()[k].request;
   word.store(request.word(), std::memory_order_relaxed);  // E1 carries it
   std::uint64_t answer = request.word();
-  // Relaxed: the memory is carried by G1. Where another process has asked meanwhile, something may
-  // have been given.
+  // Relaxed: G1 carries the memory. Where another process has asked meanwhile, something may have
+  // been given.
   return ask_and_wait(k, segment::errand::kGive,
                       [&] {
                         answer = word.load(std::memory_order_relaxed);
@@ -401,6 +413,7 @@ bool Participant::ask_to_give(std::uint32_t k, const Request& request) noexcept 
 template <class Done>
 bool Participant::ask_and_wait(std::uint32_t k, std::uint32_t errand, Done&& done) noexcept {
   const auto& answers = segment_.witnesses()[k].answers;
+  // Relaxed: only compared. done() says whether the memory is there.
   const std::uint32_t before = answers.load(std::memory_order_relaxed);
   holder_.ask(k, errand);
   const auto until = futex::Clock::now() + kGiverPatience;
@@ -416,6 +429,7 @@ bool Participant::ask_and_wait(std::uint32_t k, std::uint32_t errand, Done&& don
 }
 
 bool Participant::is_silent(std::uint32_t k) const noexcept {
+  // Relaxed, both: they only say how long to wait.
   const std::uint64_t answers = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
   return silent_[k].load(std::memory_order_relaxed) == answers + 1;
 }
@@ -443,9 +457,11 @@ std::uint32_t Participant::longest_run(std::uint32_t asker, std::uint32_t granul
 }
 
 bool Participant::take_out(std::uint32_t channel, std::uint32_t b) noexcept {
+  // Relaxed: a hint. Recovery looks again in the orphanage.
   const std::uint32_t home = block(b).home.load(std::memory_order_relaxed);
   const bool is_elsewhere = home > refcount::kHomeOrphanage && home <= participants();
-  if (is_elsewhere && is_silent(home - 1)) return false;  // it would not free it
+  // Its warden does not answer, so it would not free the block.
+  if (is_elsewhere && is_silent(home - 1)) return false;
   const auto generation = [&] {
     return refcount::generation_of(block(b).life.load(std::memory_order_acquire));
   };
@@ -474,9 +490,10 @@ bool Participant::take_out(std::uint32_t channel, std::uint32_t b) noexcept {
     if (!is_out) return false;
     tell_homes();
   }
-  // Its publisher has gone, but not its process, which has the memory. That may be ours.
+  // The publisher has gone, but the process that has the memory has not. It may be this process.
   return !is_elsewhere ? generation() != before
                        : ask_and_wait(home - 1, segment::errand::kTrim, [&] {
+                           // Relaxed: G1 and O3 carry what a new owner gets.
                            return block(b).home.load(std::memory_order_relaxed) != home;
                          });
 }
@@ -489,7 +506,7 @@ std::uint32_t Participant::enter_topic(std::string_view name, const detail::Mess
     topic = registry_.enter(name, type, index());
     try {
       ++topic_uses_[topic];
-    } catch (...) {  // it was not there
+    } catch (...) {  // the entry was not there
       registry_.leave(topic, index());
       throw;
     }

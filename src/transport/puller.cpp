@@ -26,17 +26,17 @@ using Reader = ring::Reader<Policy>;
 constexpr unsigned kPollsPerClock = 64;
 /// The first polls of a wait follow each other at once: a pause would add to the latency.
 constexpr unsigned kEagerPolls = 4096;
-/// So many messages without a wait are a stream; its reader then waits so long before it looks
-/// again.
+/// This many messages without a wait are a stream. The reader then pauses this often after a
+/// message before it looks again.
 constexpr unsigned kBurst = 4;
 constexpr unsigned kPausesAfterBurst = 50;
-/// In a stream, the lines of this message are fetched while those before it are read.
+/// In a stream, the reader fetches the cache lines of the message that is this many places ahead.
 constexpr std::uint32_t kPrefetchAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
 constexpr auto kLongestSleep = 1s;
-/// A subscription that holds too much: so often is it looked whether messages have been let go, and
-/// so long does a pull wait for that at most. A wait set or a descriptor says so often
-/// that some are there.
+/// For a subscription that holds too much: the time between two looks whether messages have been
+/// let go, and the longest that a pull waits for that. A wait set or a descriptor reports waiting
+/// messages once in the longer time.
 constexpr auto kLookForRoom = 10ms;
 constexpr auto kWaitForRoom = 1s;
 
@@ -66,7 +66,7 @@ class Puller final : public detail::PullerCore {
 
   ~Puller() override {
     if (participant_->inert()) {
-      (void)notifier_.release();  // the child has no such thread
+      (void)notifier_.release();  // a forked child has no such thread
       return;
     }
     notifier_.reset();
@@ -119,13 +119,13 @@ class Puller final : public detail::PullerCore {
     claim.deliveries = static_cast<std::uint32_t>(ring::claim_deliveries(claim_));
   }
 
-  /// Crash: killed before the bell, the sender looks by itself; before the others hear of the end,
-  /// they do.
+  /// Crash:   killed before the bell, the sender looks by itself. Killed before the other workers
+  ///          are told of the end, they look by themselves.
   void finish(const detail::Claim& claim) noexcept override {
     Source* const s = source_of(claim.origin);
-    if (s == nullptr) return;  // somebody else has written into the segment
+    if (s == nullptr) return;  // another process has damaged the segment
     segment::Ring ring = s->reader.ring();
-    if (claim.slot >= ring.depth) return;  // as above
+    if (claim.slot >= ring.depth) return;  // the segment is damaged, as above
     ring::empty(ring.slots[claim.slot], claim.origin.sequence);
     if (s->reader.sender_waits()) ring_bell(s->reader);
     if (s->reader.is_closing()) wake_sleepers(ring);
@@ -142,6 +142,8 @@ class Puller final : public detail::PullerCore {
 
   std::size_t size() override {
     participant_->check_usable();
+    // Acquire, here and wherever the version is compared: D1. It carries nothing: the registry's
+    // lock carries the rings.
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
     std::size_t n = 0;
     for (const Source& s : sources_) n += s.reader.size();
@@ -149,7 +151,8 @@ class Puller final : public detail::PullerCore {
   }
 
   bool ready() override {
-    if (keeping_ && quota_.is_full()) return false;  // arm() says when to look
+    if (keeping_ && quota_.is_full()) return false;  // arm() says when to look again
+    // Relaxed: a hint. The next look acquires.
     return (directory_.load(std::memory_order_relaxed) != version_ && !not_before_) ||
            std::any_of(sources_.begin(), sources_.end(),
                        [](const Source& s) { return s.reader.ready() || s.reader.is_closing(); });
@@ -211,17 +214,19 @@ class Puller final : public detail::PullerCore {
   std::vector<detail::Origin> rejoin(std::string_view publisher, std::uint64_t answer) override {
     std::vector<detail::Origin> rejoined;
     for (auto s = sources_.begin(); s != sources_.end();) {
-      // Who serves us asks for nothing, and who has ended has no use for it.
+      // Skips a ring whose publisher serves this reader already, and one that has ended: neither
+      // needs a new round.
       const bool is_served = ring::is_set(s->reader.from()) && !ring::is_set(s->reader.to());
       if (s->publisher != publisher || is_served || s->reader.orphaned()) {
         ++s;
         continue;
       }
-      // First, so that the ring is never without us: nobody may take its memory for other things.
+      // The new cell first, so that the ring always has a cell of this reader and its memory is not
+      // reused.
       bool full = false;
       const auto again = Reader::join(s->reader.ring(), s->name.generation, participant_->index(),
                                       Reader::kFromTheStart, full, answer);
-      if (!again) {  // there is no room, or it has ended just now
+      if (!again) {  // the ring has no free cell, or has ended just now
         ++s;
         continue;
       }
@@ -248,30 +253,31 @@ class Puller final : public detail::PullerCore {
 
   [[gnu::hot]] std::optional<detail::Clock::time_point> arm(detail::FutexWaits& waits) override {
     participant_->check_usable();
-    if (borrowing_) return std::nullopt;  // the next look says what is wrong
-    if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
+    if (borrowing_) return std::nullopt;  // the next look reports what is wrong
+    if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();  // D1
     if (has_messages()) {
       const bool is_full = keeping_ && quota_.is_full() && !quota_.allows_one_more();
       return is_full ? when_to_tell() : std::nullopt;
     }
     const std::size_t rings = sources_.size();
     if (!settle()) return std::nullopt;
-    // Who has kept messages of that ring looks whose they are.
+    // A caller that asks is_ours() has to see first whether messages of a new ring are for it.
     if (chooses_ && sources_.size() != rings) return std::nullopt;
     const ring::Rest rest =
         ring::lie_down(sources_, directory_, version_, [&waits](const auto& word, auto value) {
           waits.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
         });
     if (rest == ring::Rest::Look) return std::nullopt;
-    // Doze: somebody keeps the registry's lock, else we had found the new rings: not for long.
-    // Sleep: a slot's futex looks the same again after 1024 messages: who was held up for exactly
-    // so long before it sleeps looks once more after a while.
+    // Doze: another process keeps the registry's lock for a short time, else the new rings would
+    // have been found. Sleep: the low half of a slot repeats after 1024 messages, so a sleeper that
+    // was delayed for exactly 1024 messages can miss its wake-up. It looks again after
+    // kLongestSleep.
     return futex::Clock::now() + (rest == ring::Rest::Sleep ? kLongestSleep : kBusyRegistry);
   }
 
   std::size_t publishers() override {
     participant_->check_usable();
-    if (directory_.load(std::memory_order_acquire) != version_) {
+    if (directory_.load(std::memory_order_acquire) != version_) {  // D1
       const registry::Registry::Lock lock(participant_->registry());
       find_rings();
     }
@@ -284,14 +290,14 @@ class Puller final : public detail::PullerCore {
     Reader reader;
     registry::ChannelName name;
     mutex_engine::QueueLock lock;
-    std::string publisher;  ///< name of its process
+    std::string publisher;  ///< the name of its process
     ring::Chosen<Policy> chosen{};
     struct Turn : mutex_engine::Alone {
       explicit Turn(const Source& source) : Alone(source.lock) {}
     };
   };
 
-  /// A ring that has ended, and what was for us there.
+  /// A ring that has ended, and which of its messages were for this reader.
   struct Left {
     registry::ChannelName name;
     ring::Word from;
@@ -335,18 +341,19 @@ class Puller final : public detail::PullerCore {
     }
     if (!wait) {
       if (!settle() && look(borrowed)) return Status::Ok;
-      // A ring that has not been looked at may hold what was published: the registry was taken.
+      // A ring that this reader has not found yet may hold what was published: the registry's lock
+      // was taken.
       const bool all_seen = directory_.load(std::memory_order_acquire) == version_;
       return sources_.empty() && all_seen ? Status::PublisherGone : Status::Empty;
     }
     return wait_and_look(borrowed, forever ? futex::Deadline() : futex::Deadline(deadline));
   }
 
-  /// One look at every ring, beginning behind the one that had the last message.
+  /// Looks once at every ring, beginning behind the ring that had the last message.
   [[gnu::hot]] bool look(detail::Borrowed& borrowed) {
     if (participant_->inert() || borrowing_) [[unlikely]]
       refuse();
-    if (directory_.load(std::memory_order_acquire) != version_) [[unlikely]]
+    if (directory_.load(std::memory_order_acquire) != version_) [[unlikely]]  // D1
       find_new_rings();
     const std::size_t n = sources_.size();
     if (working_) [[unlikely]]
@@ -355,7 +362,8 @@ class Puller final : public detail::PullerCore {
       if (++current_ >= n) current_ = 0;
       Source& source = sources_[current_];
       const Reader& reader = source.reader;
-      // Nobody is kept from the lock for nothing.
+      // A mutex ring is looked at only if it is ready: else other threads would wait for its lock
+      // for nothing.
       if (reader.ring().arrived != nullptr && !reader.ready()) continue;
       prefetch(reader.peek(0));
       if (burst_ >= kBurst) prefetch(reader.peek(kPrefetchAhead));
@@ -364,9 +372,9 @@ class Puller final : public detail::PullerCore {
     return false;
   }
 
-  /// Twice around the ring at most, though other readers are faster each time: a process that
-  /// changes its words could go on for ever. Where they lead round and round the numbers that is
-  /// found on the way.
+  /// Looks into one ring, at most for twice its depth. Without that limit it could go on for ever:
+  /// other readers may be faster each time, and a faulty process may change the words all the time.
+  /// The poll finds by itself where words lead round and round the sequence numbers.
   [[gnu::hot]] bool look_into(Source& source, detail::Borrowed& borrowed) {
     const Source::Turn turn(source);
     ring::Word lapped = 0;
@@ -385,7 +393,7 @@ class Puller final : public detail::PullerCore {
     return false;
   }
 
-  /// What has come back is the oldest there is: the next look begins there.
+  /// Items that have come back are the oldest there are: the next look begins at their ring.
   void begin_with_returns() {
     for (std::size_t i = 0; i < sources_.size(); ++i) {
       if (!sources_[i].reader.has_returns()) continue;
@@ -411,22 +419,22 @@ class Puller final : public detail::PullerCore {
                        [](const Source& s) { return s.reader.ready(); });
   }
 
-  /// A pull while the quota is full. Ok: it may look. Where no message is there the pull ends, or
-  /// waits, as any other.
+  /// A pull while the quota is full. Ok: the caller may look. Where there is no message the pull
+  /// ends, or waits, as any other.
   [[gnu::noinline]] Status pull_when_full(bool wait, const futex::Deadline& deadline) {
     for (;;) {
       if (participant_->inert() || borrowing_) refuse();
-      if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();
+      if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();  // D1
       if (has_messages() || !settle()) break;
       if (!wait) {
-        const bool all_seen = directory_.load(std::memory_order_acquire) == version_;
+        const bool all_seen = directory_.load(std::memory_order_acquire) == version_;  // D1
         return sources_.empty() && all_seen ? Status::PublisherGone : Status::Empty;
       }
       if (!park(deadline) && !has_messages()) return Status::Timeout;
     }
     return wait && wait_for_quota(deadline) ? Status::Ok : Status::HoldsTooMuch;
   }
-  /// False: the time is up, and the process has let nothing go.
+  /// False: the time is up, and the process has let no message go.
   bool wait_for_quota(const futex::Deadline& deadline) {
     auto until = futex::Clock::now() + kWaitForRoom;
     if (deadline) until = std::min(until, *deadline);
@@ -437,8 +445,8 @@ class Puller final : public detail::PullerCore {
     }
     return true;
   }
-  /// Messages are there, and the subscription holds too much for one of them. Nothing: it is time
-  /// to say so once more.
+  /// When to report messages that wait while the subscription holds too much. Nothing: report them
+  /// now.
   std::optional<detail::Clock::time_point> when_to_tell() {
     const auto now = futex::Clock::now();
     if (now >= tell_again_) {
@@ -448,10 +456,11 @@ class Puller final : public detail::PullerCore {
     return now + kLookForRoom;
   }
 
-  /// Takes the message that we hold out of the queue, or claims it. False: another reader was
-  /// faster.
+  /// Takes the message that this process holds out of the queue, or claims it. False: another
+  /// reader was faster.
   ///
-  /// Crash: killed before the item says that it has changed hands, this process has not changed it.
+  /// Crash:   killed before the item says that it has changed hands, this process has not changed
+  ///          it.
   bool take(Source& source) {
     if (working_) {
       claimed_slot_ = source.reader.index();
@@ -459,7 +468,7 @@ class Puller final : public detail::PullerCore {
       return claim_ != 0;
     }
     if (!source.reader.take()) return false;
-    // Not before: the home may be the reader that was faster.
+    // Only after the take: the reader that was faster may be the home.
     if (participant_->holder().is_home(block_)) {
       participant_->segment().build(block_).take_again();
     } else {
@@ -499,7 +508,7 @@ class Puller final : public detail::PullerCore {
     borrowing_ = true;
   }
 
-  /// After a look that found nothing. False: there is something to look at after all.
+  /// Called after a look that found nothing. False: there is something to look at after all.
   [[gnu::hot]] bool settle() {
     return ring::settle(
         sources_, [this](Reader& reader) { ring_bell(reader); },
@@ -517,9 +526,9 @@ class Puller final : public detail::PullerCore {
       const auto status = spin(borrowed, deadline, streaming);
       if (status) return *status;
     }
-    // A publisher that shares our core gets ahead instead of waking us for each message.
+    // A publisher on the same core gets ahead now, instead of waking this reader for each message.
     if (streaming && (!deadline || futex::Clock::now() < *deadline) && yield_.worthwhile()) {
-      settle();  // else a publisher may sleep that waits for room
+      settle();  // else a publisher that waits for room may sleep
       const auto away = YieldHabit::yield();
       if (yield_.found(look(borrowed), away)) return Status::Ok;
     }
@@ -533,8 +542,8 @@ class Puller final : public detail::PullerCore {
   /// Nothing: it is time to sleep.
   std::optional<Status> spin(detail::Borrowed& borrowed, const futex::Deadline& deadline,
                              bool streaming) {
-    // At the heels of a streaming publisher every message would cost both sides the slot's line:
-    // let it get ahead.
+    // Right behind a streaming publisher, every message would cost both sides the slot's cache
+    // line. So the reader lets the publisher get ahead.
     if (streaming) {
       for (unsigned n = 0; n < kPausesAfterBurst; ++n) Policy::pause();
       if (look(borrowed)) {
@@ -547,13 +556,14 @@ class Puller final : public detail::PullerCore {
       const bool eager = n <= kEagerPolls;
       if (!eager) Policy::pause();
       if (look(borrowed)) {
-        habit_.spun(eager ? 0ns : futex::Clock::now() - start);  // no clock where latency counts
+        // Reads no clock where latency counts.
+        habit_.spun(eager ? 0ns : futex::Clock::now() - start);
         return Status::Ok;
       }
       if (n % kPollsPerClock != 0) continue;
       settle();
       const auto now = futex::Clock::now();
-      // Once more: we may have been held up since the last look.
+      // Once more: this thread may have been held up since the last look.
       if (deadline && now >= *deadline) return look(borrowed) ? Status::Ok : Status::Timeout;
       if (habit_.enough(now - start)) {
         habit_.spun(now - start);
@@ -562,14 +572,15 @@ class Puller final : public detail::PullerCore {
     }
   }
 
-  /// Sleeps until something may have come. False when the deadline has passed.
+  /// Sleeps until a message may have come. False when the deadline has passed.
   [[gnu::hot]] bool park(const futex::Deadline& deadline) {
     waits_.clear();
     if (const auto again = arm(waits_)) {
       const bool final = deadline && *deadline <= *again;
       if (!futex::wait_any(waits_, final ? *deadline : *again) && final) return false;
     }
-    // The words may change, or messages be there, all the time, and other readers be faster.
+    // The words may change, or messages may be there, all the time, while other readers are faster.
+    // So the deadline counts here, too.
     return !deadline || futex::Clock::now() < *deadline;
   }
 
@@ -597,8 +608,8 @@ class Puller final : public detail::PullerCore {
     }
   }
 
-  /// Where it fails, no cell awaits this puller: a new ring needs the lock, too. The cells that
-  /// await other pullers of this process stay theirs. REQUIRES: the registry's lock.
+  /// If it fails, no cell awaits this puller, since a new ring needs the lock, too. Cells that
+  /// await other pullers of this process remain. REQUIRES: the registry's lock.
   void announce_and_join(std::uint64_t history) {
     registry::Registry& registry = participant_->registry();
     registry.add_puller(topic_, participant_->index());
@@ -610,9 +621,9 @@ class Puller final : public detail::PullerCore {
     }
   }
 
-  /// The rings of the topic as it is subscribed to: the open ones are joined.
+  /// Joins the open rings of the topic when it is subscribed to.
   void join_what_is_there(std::uint64_t history) {
-    const std::uint32_t version = directory_.load(std::memory_order_acquire);
+    const std::uint32_t version = directory_.load(std::memory_order_acquire);  // D1
     for (const auto& name : participant_->registry().rings(topic_)) {
       make_room_for_one();
       const segment::Ring ring = participant_->segment().ring(name.channel);
@@ -633,17 +644,17 @@ class Puller final : public detail::PullerCore {
       }
       if (reader) {
         begin(*reader, name, std::move(publisher));
-      } else {  // it has ended before
+      } else {  // the ring has ended before
         passed_.push_back(name);
       }
     }
     version_ = version;
   }
 
-  /// Rings that have come since: each has a cell for us, and is read from its first message, also
-  /// when it has ended meanwhile. REQUIRES: the registry's lock.
+  /// Finds rings that were made since. Each has a cell for this puller, which reads it from its
+  /// first message, also when it has ended meanwhile. REQUIRES: the registry's lock.
   void find_rings() {
-    const std::uint32_t version = directory_.load(std::memory_order_acquire);
+    const std::uint32_t version = directory_.load(std::memory_order_acquire);  // D1
     const auto rings = participant_->registry().rings(topic_);
     std::erase_if(passed_, [&rings](const auto& name) {
       return std::find(rings.begin(), rings.end(), name) == rings.end();
@@ -657,7 +668,7 @@ class Puller final : public detail::PullerCore {
       if (is_of_our_kind(ring)) reader = Reader::adopt(ring, participant_->index());
       if (reader) {
         begin(*reader, name, std::move(publisher));
-      } else {  // somebody has written over its cell
+      } else {  // its cell is damaged
         passed_.push_back(name);
       }
     }
@@ -665,19 +676,21 @@ class Puller final : public detail::PullerCore {
     not_before_.reset();
   }
 
-  /// As the type of the topic says, where nobody has written into the segment.
+  /// True if the ring is of this puller's kind, as the type of the topic says. It is unless the
+  /// segment is damaged.
   bool is_of_our_kind(const segment::Ring& ring) const {
     return ring.depth != 0 && ring.taken == taking_ && (ring.claims != nullptr) == working_;
   }
 
-  /// First, as the publisher's name: where there is no memory no cell is lost. A source that ends
-  /// is passed.
+  /// Makes room first, as publisher_of() does: where there is no memory, no cell is lost. A source
+  /// that ends is passed.
   void make_room_for_one() {
     sources_.reserve(sources_.size() + 1);
     passed_.reserve(passed_.size() + sources_.size() + 1);
   }
 
   std::string publisher_of(const segment::Ring& ring) const {
+    // Acquire: R7.
     const auto owner = ring::writer_owner(ring.writer->load(std::memory_order_acquire));
     return std::string(participant_->name_of(owner));
   }
@@ -695,7 +708,7 @@ class Puller final : public detail::PullerCore {
     passed_.push_back(at->name);
   }
 
-  /// On the data path, so it never waits for the registry's lock; the next look tries again.
+  /// On the data path. So it never waits for the registry's lock, and the next look tries again.
   void find_new_rings() {
     if (not_before_ && futex::Clock::now() < *not_before_) return;
     registry::Registry& registry = participant_->registry();
@@ -715,12 +728,12 @@ class Puller final : public detail::PullerCore {
     if (Reader::ring_bell(space)) futex::wake_all(&space);
   }
 
-  /// For is_ours(), of messages that its caller has kept.
+  /// Keeps what is_ours() needs for messages that its caller has kept.
   void remember(const Reader& reader) {
     if (!chooses_) return;
     const auto at = std::find_if(sources_.begin(), sources_.end(),
                                  [&reader](const Source& s) { return &s.reader == &reader; });
-    const ring::Word to = reader.to();  // first: it carries `from` (R11)
+    const ring::Word to = reader.to();  // first, since it carries `from` (R11)
     if (left_.size() == kLeft) left_.erase(left_.begin());
     left_.push_back({at->name, reader.from(), to, at->publisher, at->chosen.taken_back(reader)});
   }
@@ -733,12 +746,14 @@ class Puller final : public detail::PullerCore {
   void leave_sources() noexcept {
     for (Source& s : sources_) leave(s.reader);
     sources_.clear();
-    participant_->collect();  // of rings that have ended we may have been the last reader
+    participant_->collect();  // this may have been the last reader of a ring that has ended
   }
 
-  /// The rings that need no leaving, or are left: in all others a cell awaits this puller.
+  /// Notes the rings that this puller need not leave, or has left. In all other rings a cell awaits
+  /// it.
   void note_known() noexcept {
-    for (const Source& s : sources_) passed_.push_back(s.name);  // there is room
+    // make_room_for_one() has made room.
+    for (const Source& s : sources_) passed_.push_back(s.name);
   }
 
   [[noreturn]] void refuse() const {
@@ -759,19 +774,19 @@ class Puller final : public detail::PullerCore {
                 "writes behind the end of its messages");
   }
 
-  // Looked at for each message, so close to each other.
+  // These are read for each message, so they lie close to each other.
   std::shared_ptr<Participant> participant_;
   std::atomic<std::uint32_t>& directory_;
   std::vector<Source> sources_;
   std::size_t current_ = 0;
   std::uint64_t missed_ = 0;
-  std::uint32_t version_ = 0;  ///< of the directory, when sources_ was right
+  std::uint32_t version_ = 0;  ///< the directory's version that sources_ is right for
   std::uint32_t block_ = 0;
   unsigned burst_ = 0;  ///< messages since the last wait
   bool borrowing_ = false;
-  bool keeping_ = false;  ///< what is found is kept at once
+  bool keeping_ = false;  ///< a message that is found is kept at once
   bool taking_;           ///< each message is for one reader, which takes it
-  bool working_;          ///< and it stays in the queue until that one has finished
+  bool working_;          ///< and it stays in the queue until that reader has finished it
   bool small_;            ///< the messages lie in their blocks' small payload
   const detail::MessageType& type_;
   std::unique_ptr<Notifier> notifier_;  ///< once fd() was called
@@ -782,16 +797,16 @@ class Puller final : public detail::PullerCore {
   std::uint32_t topic_;
   SpinHabit habit_;
   YieldHabit yield_;
-  futex::Deadline not_before_;  ///< there is no use in looking for rings
+  futex::Deadline not_before_;  ///< until then it does not look for new rings
   detail::FutexWaits waits_;
-  /// Rings that are not for this puller, or not any more, and still there: another puller of the
-  /// process may have a cell in them that nobody has looked at.
+  /// Rings that are not for this puller, or not any more, and still exist. Another puller of the
+  /// process may have a cell in them that it has not looked at yet.
   std::vector<registry::ChannelName> passed_;
-  std::list<registry::Departure> departure_;  ///< one, made before it is needed
-  std::uint32_t claimed_slot_ = 0;            ///< of the message that was claimed last
+  std::list<registry::Departure> departure_;  ///< one entry, made before it is needed
+  std::uint32_t claimed_slot_ = 0;            ///< the slot of the message that was claimed last
   ring::Word claim_ = 0;
-  bool chooses_ = false;    ///< somebody asks which messages are for us
-  std::vector<Left> left_;  ///< the last few
+  bool chooses_ = false;    ///< the caller asks which messages are for it
+  std::vector<Left> left_;  ///< the last few rings that have ended
 };
 
 }  // namespace

@@ -21,22 +21,24 @@ namespace {
 using namespace std::chrono_literals;
 using ring::kNoBlock;
 
-/// Retired messages are reclaimed in batches, since looking at every reader's hazard costs more
-/// than a small message does. Of messages of one size, a batch holds no more memory back than this;
-/// what is larger is reclaimed at once.
+/// Retired messages are reclaimed in batches, since a look at every reader's hazard costs more than
+/// a small message does. A batch of messages of one size holds back at most this much memory.
+/// Larger messages are reclaimed at once.
 constexpr std::uint64_t kBatchedBytes = 256 << 10;
 constexpr std::size_t kUsualBatch = 32;
-/// A sender that waits for room looks by itself this often: readers tell of it a few times a lap
-/// only, and what they tell may be missed.
+/// A sender that waits for room looks by itself this often. Readers tell it of room only a few
+/// times a lap, and it may miss that.
 constexpr auto kLookPeriod = 1ms;
-/// A publisher that had to give its own oldest message up does so at once for each of its loans, as
-/// long as this. Then it looks again whether there is more for it.
+/// A publisher that had to give up its own oldest message does so at once for each of its loans,
+/// for this long. Then it looks again whether there is more memory for it.
 constexpr auto kBoundFor = 1s;
-constexpr std::size_t kRoomAhead = 64;  ///< publishes, for which there is room to retire
+constexpr std::size_t kRoomAhead = 64;  ///< for how many publishes room to retire is made at once
 constexpr unsigned kPausesPerLook = 16;
-/// The lines of the block that is replaced so many publishes from now are fetched back in time.
+/// A lossless stream fetches the cache lines of the block that will be replaced this many publishes
+/// from now.
 constexpr std::uint32_t kPrefetchAhead = 6;
-constexpr unsigned kLooksPerProbe = 4;  ///< and asks whether the laggards live
+/// after how many looks it checks whether the slow readers live
+constexpr unsigned kLooksPerProbe = 4;
 
 constexpr std::uint32_t taken_by(detail::Delivery delivery) {
   switch (delivery) {
@@ -61,7 +63,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       : participant_(std::move(participant)), pool_(participant_->open_pool(topic)), type_(&type) {
     try {
       check_depth(topic, options.depth);
-      // To all without loss, so many messages may be unread at once.
+      // Messages for all readers without loss: up to `depth` of them may be unread at once.
       if (options.policy != Policy::Overwrite && delivery == detail::Delivery::ToAll &&
           options.depth >= participant_->blocks()) {
         throw Error(EINVAL, std::string(topic),
@@ -120,13 +122,14 @@ class Pusher final : public detail::PusherCore, private Evictor {
     {
       std::unique_lock lock(pool_.lock());
       const auto& ring = writer_->ring();
-      const auto give_up = [&](ring::Word b) {  // there is room: room_to_retire()
+      const auto give_up = [&](ring::Word b) {  // room_to_retire() has made room
         if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
       };
       if (ring.taken) {
         writer_->each_put(give_up);
       } else {
         for (std::uint32_t i = 0; i < ring.depth; ++i) {
+          // Relaxed: only this publisher stores blocks there.
           give_up(ring::block(ring.slots[i].load(std::memory_order_relaxed)));
         }
       }
@@ -180,8 +183,9 @@ class Pusher final : public detail::PusherCore, private Evictor {
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
     make_room();
-    // Nobody else can have this block, not even a weak pointer: the tag keeps those of former
-    // messages away. So the hold changes from ours to the ring's by a plain store.
+    // No other thread or process can have this block, and not even a weak pointer: the tag keeps
+    // weak pointers of former messages away. So a plain store changes the pointer's hold into the
+    // ring's.
     cell->hold.store(cell->hold.load(std::memory_order_relaxed) - hold::kPointer + hold::kRing,
                      std::memory_order_relaxed);
     if (!type_->plain) participant_->holder().freeze_references(cell->block);
@@ -203,7 +207,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const auto& ring = writer_->ring();
     std::size_t n = 0;
     for (std::uint32_t c = 0; c < ring.readers; ++c) {
-      n += ring.who[c].load(std::memory_order_acquire) != 0;
+      n += ring.who[c].load(std::memory_order_acquire) != 0;  // R8
     }
     return n;
   }
@@ -283,27 +287,29 @@ class Pusher final : public detail::PusherCore, private Evictor {
       throw;
     }
     for (const std::uint32_t b : blocks) {
-      pool_.keep_reserved(b);  // only now: blocks of a reserve() that fails serve all
+      // only now: the blocks of a reserve() that fails serve all publishers
+      pool_.keep_reserved(b);
       pool_.give_back(b);
     }
-    // What it needs it has now.
+    // The publisher now has what it needs. So no block is made ahead for it.
     participant_->ahead().forget(pool_);
     pool_.trim_ahead();
   }
 
  private:
-  /// A piece of a message that is ours: its pages are mapped for writing.
+  /// Maps the pages of a piece for writing. The message belongs to this publisher alone.
   void touch(const void* piece, std::size_t bytes) {
     segment::Segment& s = participant_->segment();
     const std::uint64_t begin = s.offset_of(piece) - s.granule_offset(0);
-    if (s.offset_of(piece) < s.granule_offset(0) || bytes == 0) return;  // in the small payload
+    // the piece lies in the small payload
+    if (s.offset_of(piece) < s.granule_offset(0) || bytes == 0) return;
     const auto first = static_cast<std::uint32_t>(begin / segment::kGranule);
     const auto last = static_cast<std::uint32_t>((begin + bytes - 1) / segment::kGranule);
     s.map_for_writing(first, last - first + 1);
   }
 
-  /// What all readers have read leaves the ring, but for PusherOptions::history: what was read last
-  /// is at hand for the next loan then.
+  /// Takes back what all readers have read, except for PusherOptions::history messages. The message
+  /// that was read last is then at hand for the next loan.
   [[gnu::noinline]] void take_back_read() noexcept {
     std::unique_lock lock(pool_.lock());
     take_back_read_locked();
@@ -313,7 +319,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     {
       const mutex_engine::Alone alone(queue_lock_, std::nothrow);
       const bool guarded = writer_->ring().guarded();
-      writer_->take_back(history_, [&](ring::Word b) {  // there is room: room_to_retire()
+      writer_->take_back(history_, [&](ring::Word b) {  // room_to_retire() has made room
         if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), guarded);
       });
     }
@@ -335,18 +341,20 @@ class Pusher final : public detail::PusherCore, private Evictor {
     throw OutOfMemory(describe_block_shortage(*participant_).c_str());
   }
 
-  /// A block in which nothing could be built.
+  /// Takes back a block in which no message could be built.
   void take_back(std::uint32_t b) noexcept {
     participant_->holder().cell(b).type = nullptr;
     pool_.give_back(b);
   }
 
   bool is_called(std::uint32_t k, std::string_view node) const {
+    // Acquire: edge "state".
     return participant_->part(k).load(std::memory_order_acquire) != 0 &&
            participant_->name_of(k) == node;
   }
 
-  /// Of those who read here and want to be served; several: one of them is dead, perhaps.
+  /// The only participant with this node name that reads here and wants to be served. With several
+  /// of them, one is perhaps dead, and the answer is none.
   std::optional<std::uint32_t> only_reader(std::string_view node) {
     std::optional<std::uint32_t> reader;
     bool several = false;
@@ -371,17 +379,19 @@ class Pusher final : public detail::PusherCore, private Evictor {
   [[gnu::noinline]] Status push_of_others(detail::ControlCell* cell,
                                           std::chrono::nanoseconds block_for) {
     if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
-    cell->hub->shared_from_unique(cell);  // its home says where its pieces are
+    cell->hub->shared_from_unique(cell);  // its home writes down where its pieces are
     const Status status = push_held(cell, block_for, false);
     if (status == Status::Ok) cell->drop_pointer();
     return status;
   }
 
-  /// Publishes a message that the caller keeps a pointer to. `shared`: others of this process may
-  /// have pointers, too, and could make it grow. REQUIRES: it lies in this segment.
+  /// Publishes a message that the caller keeps a pointer to. `shared`: other threads of this
+  /// process may have pointers, too, and could make the message grow. REQUIRES: the message lies in
+  /// this segment.
   [[gnu::hot]] Status push_held(const detail::ControlCell* cell, std::chrono::nanoseconds block_for,
                                 bool shared) {
-    const bool was_received = participant_->was_received(*cell);  // before the locked operations
+    // read before the locked operations
+    const bool was_received = participant_->was_received(*cell);
     std::unique_lock lock(pool_.lock());
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
@@ -392,7 +402,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       if (shared) participant_->holder().freeze(*cell);
       participant_->holder().freeze_references(cell->block);
     }
-    // After freeze(), which asks whose it was.
+    // After freeze(), which looks whether the message was handed over.
     if (was_received && !writer_->ring().taken) {
       participant_->segment().arena(cell->block).show();
     }
@@ -400,9 +410,10 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return Status::Ok;
   }
 
-  /// True when readers of the topic will find `object` where they look for the message, and it is
-  /// one of the topic's type. The type of a message is known where its home is in this process;
-  /// else a T fits where the message begins. REQUIRES: it lies in this segment.
+  /// True when readers of the topic will find `object` where they look for the message, and it has
+  /// the topic's type. The type of a message is known where its home is in this process. Elsewhere
+  /// it is enough that a T fits where the message begins. REQUIRES: the message lies in this
+  /// segment.
   bool is_whole(const detail::ControlCell& cell, const void* object) const {
     segment::Segment& s = participant_->segment();
     const bool is_small = segment::is_small(*type_);
@@ -411,6 +422,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const bool ours = cell.hub == participant_->hub();
     const unsigned char* const base = ours ? s.base() : cell.hub->base(&cell);
     if (object != base + root) return false;
+    // Relaxed: the caller has a pointer, so the block stays at home.
     if ((cell.hold.load(std::memory_order_relaxed) & hold::kHome) != 0 && cell.type != nullptr) {
       return cell.type == type_ || detail::is_same(*cell.type, *type_);
     }
@@ -429,6 +441,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const auto* base = cell.hub->base(&cell);
     const auto offset =
         static_cast<std::uint64_t>(static_cast<const unsigned char*>(object) - base);
+    // Relaxed: as in is_whole().
     const bool home = (cell.hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
     std::string what = "the pointer that was pushed points to ";
     if (object == nullptr) {
@@ -450,10 +463,11 @@ class Pusher final : public detail::PusherCore, private Evictor {
     participant_->settle_closing();
   }
 
-  /// Besides what is retired: the whole ring, when it closes or its messages are taken, the one
-  /// that a publish replaces, and what other threads have replaced and not retired yet.
+  /// The room for retired blocks, besides those that are retired now: the whole ring, when it
+  /// closes or its messages are taken; the block that a publish replaces; and the blocks that other
+  /// threads have replaced and not retired yet.
   std::size_t room_to_retire() const { return writer_->ring().depth + std::size_t{1} + owed_; }
-  /// Each publish retires one at most, so room for several is made at once. Locked.
+  /// Makes room for several publishes at once. Each publish retires one block at most. Locked.
   void make_room() {
     if (room_ahead_ == 0) [[unlikely]] {
       pool_.make_room(room_to_retire() + kRoomAhead);
@@ -467,7 +481,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return std::min(fit_, std::max(kUsualBatch, 2 * writer_->active_readers()));
   }
 
-  /// Messages that were taken are retired. True when there were some. Locked.
+  /// Retires messages that readers have taken. True when there were some. Locked.
   bool retire_taken() {
     bool any = false;
     if (!writer_ || !writer_->ring().taken) return any;
@@ -478,7 +492,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return any;
   }
 
-  /// The pool has no block at hand: from those that were overwritten, or that nobody has. Locked.
+  /// The pool has no block at hand: gets one from the overwritten messages, or a free one of the
+  /// segment. Locked.
   std::uint32_t replenish() {
     retire_taken();
     const bool was_short = is_short();
@@ -496,7 +511,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return b;
   }
 
-  /// The block that was made ahead, or one that nobody has. Locked.
+  /// Claims the block that was made ahead, or a free one of the segment. Locked.
   std::uint32_t claim() {
     const std::uint32_t b = pool_.take_ahead();
     will_need_next_ = true;
@@ -512,12 +527,12 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return false;
   }
 
-  /// The oldest message leaves the ring, if no reader needs it that must not lose it. Its block
-  /// keeps its memory, for the next loan. Locked.
+  /// Takes the oldest message out of the ring, unless a reader still needs it that must not lose
+  /// it. The block keeps its memory for the next loan. Locked.
   bool evict_own() noexcept {
     return evict_own([](ring::Word) { return true; });
   }
-  /// The same, of those that may(block) lets go.
+  /// The same, for messages that may(block) allows.
   template <class May>
   bool evict_own(May&& may) noexcept {
     if (!writer_) return false;
@@ -525,11 +540,11 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const ring::Word b = writer_->evict_oldest(may);
     if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
     scan();
-    pool_.note_batches();  // a reader may look at it
+    pool_.note_batches();  // a reader may still look at it
     return b != kNoBlock;
   }
 
-  /// Retired blocks that no reader's hazard names become free. Locked.
+  /// Frees retired blocks that no reader's hazard names. Locked.
   void scan() {
     if (!writer_ || pool_.retired() == 0) return;
     see_hazards();
@@ -544,43 +559,47 @@ class Pusher final : public detail::PusherCore, private Evictor {
     });
   }
 
-  /// Publishes, wakes, retires what was overwritten. Called with both locks held, left without.
+  /// Publishes, wakes readers, and retires what was overwritten. Called with both locks held. It
+  /// returns without them.
   [[gnu::hot]] void publish(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
                             std::uint32_t b) {
     const bool guarded = writer_->ring().guarded();
-    if (guarded) note_fit(fit(b));  // before: a reader that takes it may change it
+    if (guarded) note_fit(fit(b));  // before publishing, since a reader that takes it may change it
+    // Relaxed: publishing carries it (R1).
     if (writer_->ring().taken) participant_->holder().queued(b).store(1, std::memory_order_relaxed);
     const auto published = writer_->publish(b);
     alone.unlock();
-    // First: after a pause all that is looked at here is cold, and who sleeps would wait for it.
+    // Wakes first: after a pause, all that is read here is out of the caches, and the sleeper would
+    // wait for it.
     if (published.wake) {
       ++owed_;
-      lock.unlock();  // who is woken may want it, on our core
+      lock.unlock();  // the thread that is woken may want the lock, on this core
       wake_readers(*published.slot);
       lock.lock();
       --owed_;
     }
     if (published.replaced == b) {
       pool_.retire_foreign(
-          b);  // the same message again: it is in the ring, so nobody needs this hold
-    } else if (published.replaced < participant_->blocks()) {  // else none, or it is damaged
+          b);  // the same message again: the ring has it, and this hold is one too many
+    } else if (published.replaced < participant_->blocks()) {  // else none, or damaged
       pool_.retire(static_cast<std::uint32_t>(published.replaced), guarded);
       if (guarded) {
-        // Small ones wait for the next loan to look at them, unless nothing is ever loaned here.
+        // Small messages wait for the next loan to look at them, unless nothing is ever loaned
+        // here.
         const std::size_t enough = batch();
         if (enough == 1 || pool_.retired() >= 2 * enough) scan();
       }
     }
     if (retire_taken() && batch() == 1) scan();
-    if (guarded && fit_ == 1) {  // what is large waits for no loan
+    if (guarded && fit_ == 1) {  // large messages wait for no loan
       pool_.poll_free();
-      // Else they wait in the ring as well.
+      // Else messages wait in the ring as well.
       if (!writer_->ring().taken && history_ == PusherOptions::kAll) pool_.note_waiting();
     }
     if (!published.wake) {
       if (!pool_.has_free() && pool_.retired() >= batch()) scan();
       pool_.prepare();
-      if (!guarded) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // a lossless stream
+      if (!guarded) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // in a lossless stream
     }
     const bool is_short_of_blocks = will_need_next_;
     if (pool_.has_foreign()) release_foreign(lock);
@@ -588,7 +607,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
       ask_for_next(lock);
   }
 
-  /// Now, when the frame is out: the publisher wants its core for filling it.
+  /// Asks Ahead for the next block. Only now, after the frame is out: the publisher needs its core
+  /// to fill the frame.
   [[gnu::noinline]] void ask_for_next(std::unique_lock<BiasedLock>& lock) {
     if (!lock.owns_lock()) lock.lock();
     will_need_next_ = false;
@@ -596,8 +616,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
     participant_->ahead().next(pool_);
   }
 
-  /// Lets go of what has left our ring and is not our pool's. It takes the locks of other pools: so
-  /// called with the lock, left without.
+  /// Releases the ring's holds on blocks of other pools. That takes the locks of those pools. So it
+  /// is called with the lock and returns without it.
   void release_foreign(std::unique_lock<BiasedLock>& lock) noexcept {
     std::array<std::uint32_t, 16> foreign;
     for (;;) {
@@ -619,7 +639,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     const detail::MessageType* type = participant_->holder().cell(b).type;
     if (type != nullptr && type->plain && type->size <= segment::kSmallBytes) return kBatchedBytes;
     const detail::Arena& arena = participant_->segment().arena(b);
-    if (arena.references != 0) return 1;  // what it refers to may be big
+    if (arena.references != 0) return 1;  // the messages that it refers to may be big
     return std::max<std::size_t>(kBatchedBytes / std::max<std::uint64_t>(own_bytes(b), 1), 1);
   }
 
@@ -629,7 +649,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return segment::kGranule * segment::granules_of(s.arena(b), s.granules().count());
   }
 
-  /// A batch is no larger than the largest message in the ring allows.
+  /// Sets the batch to what the largest message in the ring allows.
   void note_fit(std::size_t fit) noexcept {
     if (fit == fit_ && since_fit_ == 0) return;
     if (fit > fit_ && since_fit_ < writer_->ring().depth) {
@@ -642,7 +662,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
   }
 
   /// Waits until the slowest reader has read, or died. A reader that is at work makes room within
-  /// microseconds: where that has been so, it spins first. Called and left with both locks held.
+  /// microseconds. Where that has been so, the sender spins first. Called with both locks held. It
+  /// returns with both.
   bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
                      std::chrono::nanoseconds block_for) {
     if (!waits_) return false;
@@ -650,7 +671,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     if (futex::Clock::now() < until && habit_.worthwhile() && spin_for_room(lock, alone, until)) {
       return true;
     }
-    // A reader that shares our core makes room without having to wake us.
+    // A reader on the same core makes room, and then need not wake this thread.
     if (futex::Clock::now() < until && yield_.worthwhile()) {
       alone.unlock();
       lock.unlock();
@@ -690,7 +711,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
       }
       alone.unlock();
       lock.unlock();
-      // Seldom enough to leave the reader its cursor's line, and to find room for more than one.
+      // The looks are far enough apart to leave the cache line of the reader's cursor with the
+      // reader, and to find room for more than one message.
       for (unsigned n = 0; n < kPausesPerLook; ++n) segment::Atomics::pause();
       lock.lock();
       alone.lock();
@@ -702,7 +724,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return false;
   }
 
-  /// The pool is dry and all blocks are taken: looks everywhere.
+  /// The pool has no block and all blocks are taken: looks everywhere.
   std::uint32_t scrape_together(bool waits) {
     std::uint32_t b = Pool::kNone;
     const auto look = [&] {
@@ -762,7 +784,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   bool give_up_to_other(Shortage shortage, std::uint64_t keep) noexcept override {
     std::unique_lock lock(pool_.lock());
     const Stock now = weigh(shortage);
-    // That one, unless it has been kept since.
+    // Gives up that message, unless it has been kept since.
     const bool any = now.oldest != 0 && now.held - now.oldest >= keep &&
                      is_in_ring_only(now.block) &&
                      evict_own([&](ring::Word b) { return b == now.block; });
@@ -775,7 +797,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return weigh(shortage);
   }
 
-  /// REQUIRES: the lock, and Eviction's.
+  /// REQUIRES: the pool's lock and Eviction's.
   Stock weigh(Shortage shortage) noexcept {
     Stock stock;
     begin_to_weigh();
@@ -819,8 +841,9 @@ class Pusher final : public detail::PusherCore, private Evictor {
     });
   }
 
-  /// Calls f(block, newer ones in the ring, whether it may go: no reader needs it that must not
-  /// lose it) from the oldest on, until it says false. Locked. REQUIRES: begin_to_weigh().
+  /// Calls f(block, number of newer ones in the ring, whether it may go) for each message in the
+  /// ring, oldest first, until f says false. A message may go if no reader that must not lose it
+  /// still needs it. Locked. REQUIRES: begin_to_weigh().
   template <class F>
   void each_of_ring(F&& f) const {
     const std::uint32_t depth = writer_->ring().depth;
@@ -833,31 +856,33 @@ class Pusher final : public detail::PusherCore, private Evictor {
     }
   }
 
-  /// The message dies when it leaves the ring: no pointer, no reader, no other process has it. So
-  /// far as can be seen. REQUIRES: see_hazards().
+  /// True when the message dies as soon as it leaves the ring: no pointer, no reader and no other
+  /// process has it, as far as can be seen. REQUIRES: see_hazards().
   bool is_in_ring_only(std::uint32_t b) const noexcept {
     const Holder& holder = participant_->holder();
+    // Relaxed, here and below: a hint. The pool looks again before the message dies.
     const std::uint64_t word = holder.cell(b).hold.load(std::memory_order_relaxed);
     if ((word & hold::kHome) == 0 || hold::pointers(word) != 0 || seen_[b] == scan_) return false;
     for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
+      // Relaxed: as above.
       const std::uint64_t own = holder.words(b).own[w].load(std::memory_order_relaxed);
       if (HardwareOwnership::holders(own, w, holder.own.self) != 0) return false;
     }
     return true;
   }
 
-  /// reserve() made its memory: other topics have no claim on it.
+  /// True when reserve() made its memory: other topics have no claim on it.
   bool is_reserved(std::uint32_t b) const noexcept {
     return segment::is_reserved(participant_->segment().arena(b));
   }
-  /// Another topic's need passes it over. REQUIRES: see_hazards().
+  /// True when another topic's need passes the message over. REQUIRES: see_hazards().
   bool stays(std::uint32_t b, Shortage shortage) const noexcept {
     return !is_in_ring_only(b) || is_reserved(b) ||
            (shortage == Shortage::Memory && own_bytes(b) == 0 &&
             participant_->segment().arena(b).references == 0);
   }
 
-  /// Looks at the readers, and forgets what was weighed before.
+  /// Looks at the readers' hazards and places, and forgets what was weighed before.
   void begin_to_weigh() noexcept {
     see_hazards();
     read_slots_ = writer_->read_slots();
@@ -869,7 +894,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     });
   }
 
-  /// One more place of the message has left its ring, from the oldest on.
+  /// Counts that one more place of the message has left its ring, from the oldest on.
   void leave(std::uint32_t b) noexcept {
     Holder& holder = participant_->holder();
     ++holder.leaving[b];
@@ -877,16 +902,17 @@ class Pusher final : public detail::PusherCore, private Evictor {
     holder.each_reference(b, [&](std::uint32_t t) { ++holder.leaving[t]; });
   }
 
-  /// Nothing has it any more, as far as can be seen: it dies.
+  /// True when nothing holds the message any more, as far as can be seen, so that it dies.
   bool has_left(std::uint32_t b) const noexcept {
     const Holder& holder = participant_->holder();
     const std::uint64_t places =
+        // Relaxed: a hint, as in is_in_ring_only().
         holder.cell(b).hold.load(std::memory_order_relaxed) & hold::kRingMask;
     return is_in_ring_only(b) && places == holder.leaving[b] * hold::kRing;
   }
 
-  /// Calls f(block) for the message that has just left, if that was its last place, and for what it
-  /// was the last to refer to.
+  /// Calls f(block) for the message that has just left, if that was its last place, and for each
+  /// message that only it referred to.
   template <class F>
   void each_that_dies(std::uint32_t b, F&& f) const noexcept {
     if (!has_left(b)) return;
@@ -905,26 +931,29 @@ class Pusher final : public detail::PusherCore, private Evictor {
 
   std::shared_ptr<Participant> participant_;
   Pool& pool_;
-  const detail::MessageType* type_ = nullptr;  ///< of the topic; null: there is none
+  const detail::MessageType* type_ = nullptr;  ///< the topic's type; null: there is no topic
   std::optional<std::uint32_t> topic_;
   registry::ChannelName name_{};
   std::optional<ring::Writer<segment::Atomics>> writer_;
   mutex_engine::QueueLock queue_lock_;
-  std::uint32_t history_ = PusherOptions::kAll;  ///< what all have read stays, so much of it
-  bool waits_ = false;                           ///< for room, and so long for memory:
+  std::uint32_t history_ = PusherOptions::kAll;  ///< this many messages that all have read stay
+  bool waits_ = false;  ///< it waits for room, and for memory at most this long:
   std::chrono::nanoseconds block_for_{};
   SpinHabit habit_{Wait::Adaptive};
   YieldHabit yield_;
-  std::size_t fit_ = kBatchedBytes;  ///< into a batch, of messages like the largest in the ring
-  std::uint32_t since_fit_ = 0;      ///< messages since the last of that size
-  bool will_need_next_ = false;      ///< it has claimed a block since Ahead was told the last time
+  /// how many messages like the largest in the ring fit into a batch
+  std::size_t fit_ = kBatchedBytes;
+  std::uint32_t since_fit_ = 0;      ///< messages since the last one of that size
+  bool will_need_next_ = false;      ///< it has claimed a block since it last told Ahead
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
-  std::uint32_t read_slots_ = 0;  ///< Writer::read_slots(), when the ring was last weighed
+  std::uint32_t read_slots_ = 0;  ///< Writer::read_slots() when the ring was last weighed
   std::size_t room_ahead_ = 0;
-  std::size_t owed_ = 0;  ///< threads that have published, and wake before they retire
-  futex::Clock::time_point short_until_{};  ///< blocks or memory were short; none: they were not
-  bool is_bound_ = false;  ///< and an own message had to go: the next loan takes the oldest's place
+  std::size_t owed_ = 0;  ///< threads that have published and wake readers before they retire
+  /// Blocks or memory were short; until then they count as short. None: they were not.
+  futex::Clock::time_point short_until_{};
+  /// And a message of its own had to go: the next loan takes the place of the oldest.
+  bool is_bound_ = false;
 };
 
 }  // namespace

@@ -13,23 +13,26 @@
 
 namespace lot::transport {
 
-/// Whether spinning can help: with one core the other side cannot move meanwhile.
+/// True when spinning can help: with one core the other side cannot move meanwhile.
 inline bool has_several_cores() noexcept {
-  // Not our own affinity: processes that are pinned to a core each have the more reason to spin.
+  // The affinity of this process does not count: processes that are each pinned to a core have the
+  // more reason to spin.
   static const bool several = sysconf(_SC_NPROCESSORS_ONLN) > 1;
   return several;
 }
 
-/// Whether something that helps in some waits only is tried: where that has been of use lately.
-/// Where it has not, it is tried in a few waits, to find out when things have changed; by chance,
-/// since waits may come in a rhythm, and both ends of a ping-pong must try in the same round. One
-/// thread at a time.
+/// Decides whether to try something that helps in some waits only. It is tried as long as it has
+/// been of use lately. After that it is tried in a few waits only, to find out when things have
+/// changed. Chance picks those waits: waits may come in a rhythm, and both ends of a ping-pong must
+/// try in the same round.
+///
+/// Threads: one at a time.
 class Habit {
  public:
-  /// Asked once in each wait.
+  /// True: try it. Asked once in each wait.
   bool worthwhile() noexcept { return in_vain_ < kPatience || random_() % kWaitsPerTrial == 0; }
 
-  /// What came of it.
+  /// Tells the habit what came of it.
   void tried(bool was_of_use) noexcept {
     if (was_of_use) {
       in_vain_ = 0;
@@ -39,7 +42,7 @@ class Habit {
   }
 
  private:
-  /// Not the same in two habits, nor in two processes.
+  /// A number that differs between two habits and between two processes.
   std::uint32_t seed() const noexcept {
     const auto now = static_cast<std::uintptr_t>(futex::Clock::now().time_since_epoch().count());
     return static_cast<std::uint32_t>(reinterpret_cast<std::uintptr_t>(this) ^ now);
@@ -48,21 +51,22 @@ class Habit {
   static constexpr unsigned kPatience = 4;
   static constexpr unsigned kWaitsPerTrial = 16;
 
-  unsigned in_vain_ = 0;  ///< in succession
+  unsigned in_vain_ = 0;  ///< how often in succession it was of no use
   std::minstd_rand random_{seed()};
 };
 
-/// Whether one who has to wait spins before it sleeps, and for how long: what `Wait` means.
+/// Decides whether a thread that has to wait spins before it sleeps, and for how long: what `Wait`
+/// means.
 ///
-/// Adaptive spins a little longer than what a wake-up across cores costs, and only where that has
-/// been of use lately: who waits for the next frame of a camera, or for somebody who needs this
-/// very core to go on, would spin in vain each time.
+/// Adaptive spins a little longer than a wake-up across cores takes, and only where that has been
+/// of use lately. A thread that waits for the next frame of a camera would spin for nothing each
+/// time. So would a thread that waits for another one on the same core.
 class SpinHabit {
  public:
   explicit SpinHabit(Wait wait)
       : wait_(wait == Wait::Adaptive && !has_several_cores() ? Wait::Park : wait) {}
 
-  /// Asked once in each wait.
+  /// True: spin. Asked once in each wait.
   bool worthwhile() noexcept {
     return wait_ == Wait::Adaptive ? habit_.worthwhile() : wait_ == Wait::Spin;
   }
@@ -72,8 +76,8 @@ class SpinHabit {
     return wait_ == Wait::Adaptive && spun >= kSpinTime;
   }
 
-  /// How long one has spun until it came to something, or enough. (Held up for longer, somebody
-  /// else may have needed the core.)
+  /// Tells the habit how long the thread has spun, with or without a result. A spin longer than
+  /// enough() counts as useless, even with a result: another thread may have needed the core.
   void spun(futex::Clock::duration time) noexcept { habit_.tried(!enough(time)); }
 
  private:
@@ -83,29 +87,31 @@ class SpinHabit {
   Habit habit_;
 };
 
-/// Letting others have the core, before one sleeps: where the other end of a stream needs this very
-/// core, that gets on with many messages, and nobody has to be woken for each few. Where somebody
-/// else has the core then, for long, it is in vain, as where nobody wants it.
+/// Yields once before sleeping, so that a peer on the same core can process a batch, and needs
+/// fewer wake-ups. It stops yielding when it found nothing, or when another task kept the core for
+/// 500 us.
 class YieldHabit {
  public:
-  /// Asked once in each wait.
+  /// True: yield. Asked once in each wait.
   bool worthwhile() noexcept { return habit_.worthwhile(); }
 
-  /// How long the core was away. Touches nothing of the habit: threads of one pusher do this at
-  /// once, without the lock that they have for all else.
+  /// Yields, and returns how long the core was away. It does not touch the habit: several threads
+  /// of one pusher may yield at once, without the lock that protects everything else.
   static futex::Clock::duration yield() noexcept {
     const auto start = futex::Clock::now();
     std::this_thread::yield();
     return futex::Clock::now() - start;
   }
-  /// Whether there was what is waited for, after a yield of so long; hands that back.
+  /// Tells the habit whether the yield of this length has brought what was waited for. Returns
+  /// `is_there`.
   bool found(bool is_there, futex::Clock::duration away) noexcept {
     habit_.tried(is_there && away < kLong);
     return is_there;
   }
 
  private:
-  static constexpr auto kLong = std::chrono::microseconds(500);  ///< others' slices are longer
+  /// Shorter than the time slices of other tasks.
+  static constexpr auto kLong = std::chrono::microseconds(500);
 
   Habit habit_;
 };
