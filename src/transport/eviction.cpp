@@ -9,8 +9,9 @@
 namespace lot::transport {
 namespace {
 
-constexpr std::uint32_t kNoAsker = ~std::uint32_t{0};  ///< of ours: another process asks
-/// A warden gives no more at once: it has to answer, and to watch over the others.
+/// no publisher of this process: another process asks
+constexpr std::uint32_t kNoAsker = ~std::uint32_t{0};
+/// A warden gives no more at once, since it has to answer, and to watch the other processes.
 constexpr unsigned kMostAtOnce = 64;
 constexpr std::chrono::milliseconds kLongestGift{20};
 
@@ -88,7 +89,7 @@ bool Eviction::can_free_run(std::uint32_t asker, std::uint32_t granules, const G
   std::fill(marked_.begin(), marked_.end(), false);
   bool unread = false;
   for (Evictor* e : evictors_) unread |= e->pool() == asker && e->patience().count() != 0;
-  // At the end of what the rules allow, the asker has given all that it had.
+  // When the rules have been applied to the end, the asker has given up all that it had.
   for (Evictor* e : evictors_) {
     e->mark(e->pool() == asker, segment::kGranule * granules, unread, marked_);
   }
@@ -102,9 +103,9 @@ bool Eviction::has_run(std::uint32_t run, Backing backing) const noexcept {
   segment::Segment& s = *holder_.segment;
   const auto& granules = s.granules();
   constexpr std::uint64_t kUnit = segment::kUnit;
-  // The system gives memory that nothing has been in yet.
+  // The file system still has to give memory that was never used.
   bool more = backing == Backing::Asked;
-  std::uint32_t length = 0;  // of the run that ends here
+  std::uint32_t length = 0;  // the length of the run that ends here
   for (std::uint32_t i = 0; i < granules.count(); ++i) {
     const std::uint32_t tag = granules.tag(i);
     if (tag != 0 && (tag > marked_.size() || !marked_[tag - 1])) {
@@ -164,7 +165,8 @@ Eviction::Turn Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage
   const Request request{shortage, (keep + unit - 1) / unit, (need + unit - 1) / unit};
   const Survey::Publisher* const other =
       others.richest(request.keep, [&](std::uint32_t k) { return givers[k]; });
-  // A publisher that refuses has changed meanwhile. Then another is chosen, once for each of them.
+  // A publisher that refuses has changed meanwhile. Then another one is chosen, at most once for
+  // each publisher.
   for (std::size_t n = 0; n < evictors_.size(); ++n) {
     Evictor::Stock stock;
     Evictor* const ours = richest(asker, keep, shortage, stock);

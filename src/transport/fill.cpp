@@ -27,11 +27,12 @@ std::string topic_of(const segment::Segment& segment, std::uint64_t key) {
   return "a topic that has gone";
 }
 
-/// What has run out, by its owners: granules, or blocks. All words are read once and bounds
-/// are checked: others change them meanwhile.
+/// What has run out, granules or blocks, by its owners. All words are read once and bounds are
+/// checked, since other processes change them meanwhile. Relaxed, wherever this file reads a word:
+/// the text says what was there a moment ago.
 class Fill {
  public:
-  /// Why what is in use does not go for others.
+  /// Why a part that is in use cannot be evicted for others.
   enum class Why { Kept, Unread, Reserved, InQueue, Loaned, Queues };
   static constexpr std::size_t kWhys = 6;
 
@@ -44,6 +45,7 @@ class Fill {
       total_ = participant.blocks();
       for (std::uint32_t b = 0; b < total_; ++b) {
         weights[b] =
+            // Relaxed: see Fill.
             segment_.block(b).home.load(std::memory_order_relaxed) != refcount::kHomeFree ? 1 : 0;
         used_ += weights[b];
       }
@@ -72,7 +74,7 @@ class Fill {
     const auto most = greatest(kept_);
     return most == kept_.end() ? "" : name_of(most->first) + " keeps " + amount(most->second);
   }
-  /// What would make room, beside a larger segment: it depends on what has most of it.
+  /// What would make room, besides a larger segment. It depends on what takes most of the memory.
   std::string remedy() const {
     const auto most = std::max_element(whys_.begin(), whys_.end());
     if (*most == 0) return {};
@@ -120,6 +122,7 @@ class Fill {
 
   static bool has_readers(const segment::Ring& ring) {
     for (std::uint32_t c = 0; c < ring.readers; ++c) {
+      // Relaxed: see Fill.
       if (ring.who[c].load(std::memory_order_relaxed) != 0) return true;
     }
     return false;
@@ -129,11 +132,13 @@ class Fill {
     std::vector<Place> places(participant_.blocks());
     for (std::uint32_t c = 0; c < participant_.channels(); ++c) {
       const auto state =
+          // Acquire: R7.
           ring::writer_state(segment_.channels()[c].writer.load(std::memory_order_acquire));
       if (state != ring::State::Live && state != ring::State::Orphan) continue;
       const segment::Ring ring = segment_.ring(c);
       const bool waits = ring.blocking && (ring.taken || has_readers(ring));
       for (std::uint32_t i = 0; i < ring.depth; ++i) {
+        // Relaxed: see Fill.
         const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
         if (b >= places.size()) continue;
         Place& place = places[static_cast<std::size_t>(b)];
@@ -145,6 +150,7 @@ class Fill {
 
   void enter(std::uint32_t b, std::uint32_t weight, Place place) {
     auto& words = segment_.block(b);
+    // Relaxed, here and below: see Fill.
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     const std::uint64_t key =
         std::atomic_ref(segment_.arena(b).topic).load(std::memory_order_relaxed);
@@ -154,7 +160,7 @@ class Fill {
     for (std::uint32_t k = 1; k < participant_.participants(); ++k) {
       const auto& own = HardwareOwnership::word(words, k);
       const bool has = (own.load(std::memory_order_relaxed) & HardwareOwnership::bit(k)) != 0;
-      // Its maker has it in any case, and keeps it if a pointer says so.
+      // Its maker has it in any case. It keeps it if a pointer says so.
       if (!has || (k == home - 1 && words.home_points.load(std::memory_order_relaxed) == 0)) {
         continue;
       }
@@ -190,13 +196,13 @@ class Fill {
   Shortage shortage_;
   std::uint32_t total_ = 0;
   std::uint32_t used_ = 0;
-  std::uint32_t largest_ = 0;                ///< granules that are free, side by side
+  std::uint32_t largest_ = 0;                ///< the longest run of free granules
   std::array<std::uint32_t, kWhys> whys_{};  ///< by Why
   std::map<std::pair<std::uint32_t, std::string>, std::uint32_t> made_;  ///< by maker and topic
-  std::map<std::uint32_t, std::uint32_t> kept_;                          ///< by who keeps them
+  std::map<std::uint32_t, std::uint32_t> kept_;  ///< by the process that keeps them
 };
 
-/// "; " before each that says something.
+/// Puts "; " before each part that is not empty.
 std::string list(std::initializer_list<std::string> parts) {
   std::string text;
   for (const std::string& part : parts) {
@@ -207,7 +213,7 @@ std::string list(std::initializer_list<std::string> parts) {
 
 std::string or_else(const std::string& remedy) { return remedy.empty() ? "" : ", or " + remedy; }
 
-/// `what` needs so much memory, which is not there.
+/// Describes that `what` needs so much memory, which is not there.
 std::string describe(Participant& participant, const Shortfall& shortfall,
                      const std::string& what) {
   const Fill fill(participant, Shortage::Memory);
@@ -215,7 +221,7 @@ std::string describe(Participant& participant, const Shortfall& shortfall,
   std::string text = "lot: " + segment.path() + ": no room for " + what + ": " +
                      fill.amount(fill.used()) + " of " + fill.amount(fill.total()) +
                      " are in use, the largest free piece has " + fill.amount(fill.largest());
-  const bool is_full = shortfall.error == ENOSPC;  // of the file system
+  const bool is_full = shortfall.error == ENOSPC;  // the file system is full
   const std::string directory = segment.path().substr(0, segment.path().rfind('/'));
   std::string remedy = "free memory in " + directory + ", enlarge it, or set LOT_DIR";
   if (is_full) {
@@ -272,6 +278,7 @@ std::string describe_block_shortage(Participant& participant) {
 
 std::string describe_limit(Participant& participant, std::size_t bytes, std::uint32_t block) {
   const segment::Segment& segment = participant.segment();
+  // Relaxed: the caller has the block, and with it the topic stays.
   const std::uint64_t key =
       std::atomic_ref(participant.segment().arena(block).topic).load(std::memory_order_relaxed);
   const Pool& pool = participant.holder().pool_of(block);

@@ -9,15 +9,15 @@ namespace lot::transport {
 
 class Participant;
 
-/// A run that could not be had.
+/// A run of memory that could not be had.
 struct Shortfall {
   std::uint32_t asker = 0;  ///< the index of the pool that wanted it
   std::uint64_t granules = 0;
-  int error = 0;  ///< ENOSPC, when it was the file system that had none
+  int error = 0;  ///< ENOSPC when the file system had no memory
 };
 
-/// Why a segment has no room for so many bytes, for people: what would have fitted, who holds most,
-/// and what helps.
+/// Says, for people, why a segment has no room for so many bytes: what would have fitted, which
+/// process holds most, and what helps.
 std::string describe_shortage(Participant& participant, const Shortfall& shortfall,
                               std::size_t bytes);
 /// The same, for the queue of a new publisher on a topic.
@@ -25,8 +25,8 @@ std::string describe_ring_shortage(Participant& participant, const Shortfall& sh
                                    std::uint32_t topic);
 /// The same, where all blocks are in use.
 std::string describe_block_shortage(Participant& participant);
-/// Why there is no room for a publisher that has all that PusherOptions::max_bytes gives it.
-/// `block`: of its message.
+/// Says why there is no room for a publisher that has all that PusherOptions::max_bytes gives it.
+/// `block`: the block of its message.
 std::string describe_limit(Participant& participant, std::size_t bytes, std::uint32_t block);
 
 }  // namespace lot::transport

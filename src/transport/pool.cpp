@@ -19,12 +19,14 @@ void Holder::acquire(std::uint32_t b, std::uint64_t amount) const noexcept {
   ControlCell& c = cell(b);
   know(b);
   own.acquire(words(b), c.hold, amount);
+  // Relaxed, both: the hold keeps the block at home; home_points is a hint.
   if (amount == hold::kPointer && (c.hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
     words(b).home_points.store(1, std::memory_order_relaxed);
   }
 }
 
 void Holder::know(std::uint32_t b) const noexcept {
+  // Relaxed: the number only grows, and what lies below it is looked at anew.
   std::uint32_t above = known.load(std::memory_order_relaxed);
   while (above <= b && !known.compare_exchange_weak(above, b + 1, std::memory_order_relaxed)) {
   }
@@ -32,6 +34,7 @@ void Holder::know(std::uint32_t b) const noexcept {
 
 bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
   if (!own.claim(words(b), cell(b).hold)) return false;
+  // Relaxed, both: no other thread knows the block yet; what publishes it carries them.
   words(b).home_points.store(0, std::memory_order_relaxed);
   cell(b).type = nullptr;
   queued(b).store(0, std::memory_order_relaxed);
@@ -58,7 +61,7 @@ void Holder::ask(std::uint32_t k, std::uint32_t errand) const noexcept {
 }
 
 void Holder::tell_home(std::uint32_t b) const noexcept {
-  // Relaxed: a home that has changed meanwhile does not wait for us.
+  // Relaxed: a home that has changed meanwhile does not wait for this hold.
   const std::uint32_t home = words(b).home.load(std::memory_order_relaxed);
   if (home <= refcount::kHomeOrphanage || home - 1 >= segment->capacity().participants) return;
   ask(home - 1, segment::errand::kLook);
@@ -67,8 +70,8 @@ void Holder::tell_home(std::uint32_t b) const noexcept {
 void Holder::release_references(std::uint32_t b) const noexcept {
   Arena& arena = segment->arena(b);
   if (arena.references == 0) return;
-  // What comes home may let others come home while it is buried, and so on. That is done by who is
-  // first, one after the other: such a chain may be longer than a stack is deep.
+  // A message that comes home may let others come home while it is buried, and so on. Such a chain
+  // may be longer than a stack is deep. So the outermost call buries them, one after the other.
   static thread_local HomeList* first = nullptr;
   const bool nested = first != nullptr && first->is_of(*this);
   HomeList mine(*this);
@@ -88,24 +91,25 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   first = outer;
 }
 
-/// A weak pointer may have revived the message, and the last hold may have gone once more: then
-/// another thread has the block on its list, and what we have read is handed to that one. It takes
-/// the block off its list before it looks.
+/// A weak pointer may have revived the message, and the last hold may have gone once more. Then
+/// another thread has the block on its list. What this thread has read is handed to that thread
+/// (acq_rel), which takes the block off its list before it looks.
 void Holder::HomeList::push(std::uint32_t b) noexcept {
   auto& link = holder_.home_links[b];
   for (;;) {
     std::uint32_t none = 0;
-    if (link.compare_exchange_strong(none, first_, std::memory_order_acq_rel,
+    if (link.compare_exchange_strong(none, first_, std::memory_order_acq_rel,  // see above
                                      std::memory_order_relaxed)) {
       first_ = b + 2;
       return;
     }
-    if (link.fetch_or(0, std::memory_order_acq_rel) != 0) return;
+    if (link.fetch_or(0, std::memory_order_acq_rel) != 0) return;  // see above
   }
 }
 
 std::uint32_t Holder::HomeList::pop() noexcept {
   const std::uint32_t b = first_ - 2;
+  // acq_rel: acquires what a thread in push() has handed over.
   first_ = holder_.home_links[b].exchange(0, std::memory_order_acq_rel);
   return b;
 }
@@ -116,15 +120,15 @@ bool Holder::may_grow(const ControlCell& c) const noexcept {
 }
 
 void Holder::freeze_reachable(std::uint32_t b) const noexcept {
-  // Each arena is frozen once, by one thread, which links it into its list of those to look at.
+  // Each arena is frozen once, by one thread, which links it into its list of arenas to look at.
   const std::uint32_t end = segment->capacity().blocks;
   std::uint32_t first = end;
-  // No more than there are, whatever has hit the links.
+  // At most as many as there are blocks, even if the links are damaged.
   std::uint32_t left = end;
   for (std::uint32_t from = b; from < end && left != 0; --left) {
     each_reference(from, [&](std::uint32_t target) {
       const detail::MessageType* const type = cell(target).type;
-      if (type != nullptr && type->plain) return;  // it can not grow
+      if (type != nullptr && type->plain) return;  // it cannot grow
       if (!may_grow(cell(target)) || !segment->arena(target).freeze_first()) return;
       segment->build(target).next_to_freeze = first;
       first = target;
@@ -163,21 +167,23 @@ void Pool::prefetch(std::uint64_t b) const noexcept {
   detail::HardwareAtomics::prefetch_write(&holder_.words(index));
 }
 
-/// On failure the block is the last of the kept ones, unless this process still holds it: then the
-/// last hold that goes calls came_home(). Ours again, it is not among them. REQUIRES: the lock, and
-/// that the block is at home in this pool.
+/// Makes the block exclusively this pool's again. On failure the block is the last of the kept
+/// ones, unless this process still holds it: then the last hold that goes calls came_home(). On
+/// success the block is not among the kept ones. REQUIRES: the lock, and that the block is at home
+/// in this pool.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
   ControlCell& c = holder_.cell(b);
-  // The block is on the list before a holder can see kWanted: the holder calls the warden, perhaps
+  // The block is on the list before a holder can see kWanted. The holder asks the warden, perhaps
   // before this thread goes on, and the warden looks only at pools that have kept blocks.
   const bool ours = holder_.own.reclaim(holder_.words(b), c.hold, expected,
                                         [&] { return kept_.enter(b); });  // E1
   if (ours) {
     kept_.remove(b);
-    // Relaxed: exclusively ours.
+    // Relaxed, both: the block is exclusively this thread's.
     if (holder_.queued(b).load(std::memory_order_relaxed) != 0) {
       holder_.queued(b).store(0, std::memory_order_relaxed);
-      // A small plain message is laid out once for all: what its taker said does not outlive it.
+      // A small plain message is laid out once for all. So what its taker has written there is
+      // cleared here.
       if (c.type != nullptr && c.type->plain) {
         Arena& arena = holder_.segment->arena(b);
         arena.changed_hands = 0;
@@ -186,6 +192,7 @@ bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
     }
     return true;
   }
+  // Relaxed: a hold that changes now calls came_home(), which waits for the lock.
   const std::uint64_t v = c.hold.load(std::memory_order_relaxed);
   if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0) {
     kept_.move_to_end(b);
@@ -197,12 +204,14 @@ bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
 
 std::uint32_t Pool::claim() {
   const std::uint32_t blocks = holder_.segment->capacity().blocks;
+  // Relaxed: a hint where to begin. Holder::claim() decides (O3).
   std::uint32_t b = holder_.next_free.load(std::memory_order_relaxed);
   for (std::uint32_t n = 0; n < blocks; ++n, ++b) {
     if (b >= blocks) b = 0;
     if (!holder_.claim(b, topic_)) continue;
     holder_.next_free.store(b + 1, std::memory_order_relaxed);
     holder_.know(b);
+    // Relaxed: the release of a hold carries it (is_at_rest_here()).
     holder_.cell(b).pool.store(index_, std::memory_order_relaxed);
     return b;
   }
@@ -227,7 +236,7 @@ void* Pool::lay_out_anew(ControlCell& c, const detail::MessageType& type, bool w
   if (fits) {
     build.cursor += type.size;
   } else {
-    c.type = waits ? &type : nullptr;  // Build::claim() asks
+    c.type = waits ? &type : nullptr;  // Build::claim() reads it
     root = arena.allocate(type.size, type.align);
   }
   arena.root = build.root = s.offset_of(root);
@@ -257,11 +266,12 @@ void Pool::came_home(std::uint32_t b) noexcept {
   give_back(b);
 }
 
-/// False for a thread that comes late: others took a hold and let it go meanwhile, and the message
-/// has died; the block may even be another pool's now. Nothing is left to do then.
+/// True if the block is at home in this pool and has no holds. False for a thread that comes late:
+/// other threads took a hold and let it go meanwhile, and the message has died. The block may even
+/// be in another pool now. Then nothing is left to do.
 ///
-/// A block goes from this pool only with the lock (release_block). So one that is seen here with
-/// the lock, without holds, stays; and its pool is the one that is read: the acquire pairs with the
+/// A block leaves this pool only with the lock (release_block). So a block that is seen here with
+/// the lock, without holds, stays. Its pool is the one that is read: the acquire pairs with the
 /// release of its last hold, which came after the pool was written.
 bool Pool::is_at_rest_here(std::uint32_t b) const noexcept {
   const ControlCell& c = holder_.cell(b);
@@ -273,6 +283,7 @@ bool Pool::is_at_rest_here(std::uint32_t b) const noexcept {
 void Pool::retire(std::uint32_t b, bool borrowed) {
   if (borrowed) {
     retired_.push_back(b);
+    // Relaxed, both: the ring's hold keeps the block where it is.
   } else if ((holder_.cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
              holder_.cell(b).pool.load(std::memory_order_relaxed) == index_) {
     if (!drop_if_held(b)) free_.push_back(b);
@@ -281,10 +292,11 @@ void Pool::retire(std::uint32_t b, bool borrowed) {
   }
 }
 
-/// Gives a ring's hold up at once where others of this process remain: a message that is pushed
-/// again and again has one entry in a ring after the other, but dies once.
+/// Gives up a ring's hold at once if this process has other holds. A message that is pushed again
+/// and again has one entry in a ring after the other, but dies once.
 bool Pool::drop_if_held(std::uint32_t b) noexcept {
   auto& word = holder_.cell(b).hold;
+  // Relaxed: the compare-and-swap decides (O4).
   std::uint64_t v = word.load(std::memory_order_relaxed);
   while ((v & hold::kHolds) != hold::kRing) {
     if (word.compare_exchange_weak(v, v - hold::kRing, std::memory_order_acq_rel,
@@ -344,7 +356,7 @@ void Pool::bury_whole(ControlCell& c) noexcept {
   Arena& arena = holder_.segment->arena(b);
   Build& build = holder_.segment->build(b);
   build.own_spare();
-  if (type == nullptr) {  // nothing was built, or its constructor threw
+  if (type == nullptr) {  // nothing was built, or the constructor threw
     for (unsigned i = 0; i < build.extents; ++i) build.extent[i].living = 0;
     holder_.release_references(b);
     return;
@@ -353,7 +365,7 @@ void Pool::bury_whole(ControlCell& c) noexcept {
     recycle_extents(build);
     return;
   }
-  arena.frozen = Arena::kDying;  // what is destroyed now need not give its memory back
+  arena.frozen = Arena::kDying;  // pieces that are destroyed now need not give back their memory
   if (type->destroy != nullptr && arena.changed_hands == 0) {
     type->destroy(holder_.segment->base() + build.root);
   }
@@ -362,8 +374,9 @@ void Pool::bury_whole(ControlCell& c) noexcept {
   recycle_extents(build);
 }
 
-/// The block stays in this pool while the lock is held (is_at_rest_here()), if it is at home in it:
-/// that is asked after the flag, which was set when the block was here.
+/// True if the block is at home in this pool and has spare extents. While the lock is held, a block
+/// of this pool stays in it (is_at_rest_here()). The home is read after the flag, which was set
+/// while the block was here.
 bool Pool::has_spare_in(std::uint32_t b) const noexcept {
   return holder_.segment->build(b).is_spare() && holder_.is_home(b) &&
          holder_.cell(b).pool.load(std::memory_order_relaxed) == index_;
@@ -376,9 +389,10 @@ bool Pool::want_spare(std::uint32_t b) noexcept {
   return true;
 }
 
-/// A builder that has seen that they are wanted has cleared the flag, or waits for the lock.
+/// A builder that has seen that its spare extents are wanted has cleared the flag, or waits for the
+/// lock.
 ///
-/// Crash: the runs carry the block's tag until they are free.
+/// Crash:   the runs carry the block's tag until they are free.
 bool Pool::take_spare(std::uint32_t b) noexcept {
   Build& build = holder_.segment->build(b);
   std::array<Build::Extent, Build::kMaxExtents> taken;
@@ -403,8 +417,8 @@ bool Pool::take_spare(std::uint32_t b) noexcept {
   return count != 0;
 }
 
-/// Keeps the extents in which the message lived when it died, for they are what the next one will
-/// want; gives back what a growing vector has left behind.
+/// Keeps the extents in which the message lived when it died, since the next message will want
+/// them. Gives back what a growing vector has left behind.
 void Pool::recycle_extents(Build& build) noexcept {
   std::uint8_t kept = 0;
   for (unsigned i = 0; i < build.extents; ++i) {
@@ -421,7 +435,7 @@ void Pool::recycle_extents(Build& build) noexcept {
 
 void Pool::release_block(std::uint32_t b) noexcept {
   ControlCell& c = holder_.cell(b);
-  // A ring or a reference that somebody has written over has led here, too.
+  // A damaged ring or reference can lead here, too.
   if ((c.hold.load(std::memory_order_relaxed) & hold::kHolds) != hold::kPointer) {
     if (holder_.own.release(holder_.words(b), c.hold, hold::kPointer) == Left::Wanted) {
       holder_.tell_home(b);
@@ -439,7 +453,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
 }
 
 void Pool::count_out(std::uint64_t granules) noexcept {
-  // A number that a wild write has hit is no more than there is.
+  // A damaged counter may hold any number: the result is never below 0. Relaxed: it guards no data.
   std::uint64_t has = granules_.load(std::memory_order_relaxed);
   while (!granules_.compare_exchange_weak(has, has - std::min(has, granules),
                                           std::memory_order_relaxed)) {

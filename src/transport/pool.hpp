@@ -34,21 +34,23 @@ struct Holder {
   detail::ControlCell* cells = nullptr;  ///< [blocks]
   const std::vector<std::unique_ptr<Pool>>* pools = nullptr;
   /// [blocks] 1: the message was put into a queue from which one reader takes it. A unique pointer
-  /// to it was taken from there: others may still look at its block.
+  /// to it was taken from there. Other processes may still look at its block.
   std::vector<std::atomic<std::uint8_t>> in_queue;
   std::vector<KeptList::Link> kept_links;  ///< [blocks]
-  /// [blocks] While a publisher's messages are weighed (Eviction): of the places in its ring, and
-  /// of the messages in it that refer to the block, so many would have gone. Guarded by Eviction's
-  /// mutex.
+  /// [blocks] Used while a publisher's messages are weighed (Eviction). It counts how many places
+  /// in the publisher's ring, and how many messages in it that refer to the block, would have gone.
+  /// Guarded by Eviction's mutex.
   std::vector<std::uint32_t> leaving;
-  /// [blocks] Links a thread's list of blocks that dead messages let go of, and that the thread has
-  /// still to bring home: the next block plus 2; 1: the last one; 0: the block is on no list.
+  /// [blocks] Links a thread's list of blocks that dead messages let go of and that the thread has
+  /// still to bring home. The value is the next block plus 2; 1: the last block; 0: the block is on
+  /// no list.
   mutable std::vector<std::atomic<std::uint32_t>> home_links;
   std::atomic<std::uint32_t> next_free{0};  ///< hint: where a free block may be found
-  /// Above all blocks that this process ever held, so that who looks for them need not go further.
+  /// One more than the highest block that this process ever held: a search for such blocks ends
+  /// there.
   mutable std::atomic<std::uint32_t> known{0};
 
-  /// Makes what there is one of for each block. REQUIRES: before the first use.
+  /// Makes the tables that have one entry for each block. REQUIRES: before the first use.
   void make_tables(std::size_t blocks) {
     in_queue = std::vector<std::atomic<std::uint8_t>>(blocks);
     kept_links.resize(blocks);
@@ -59,19 +61,22 @@ struct Holder {
   segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }
   detail::ControlCell& cell(std::uint32_t b) const noexcept { return cells[b]; }
   std::atomic<std::uint8_t>& queued(std::uint32_t b) noexcept { return in_queue[b]; }
-  /// True while the block is at home here.
+  /// True while the block is at home in this process.
   bool is_home(std::uint32_t b) const noexcept {
+    // Relaxed: a hint, unless the caller has a hold or the pool's lock, which keep it as it is.
     return (cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
   }
 
   Pool& pool_of(std::uint32_t b) const noexcept { return pool_of(cell(b)); }
   Pool& pool_of(const detail::ControlCell& cell) const noexcept {
+    // Relaxed: see ControlCell::pool.
     return *(*pools)[cell.pool.load(std::memory_order_relaxed)];
   }
 
-  /// Asks something of participant k's warden.
+  /// Brings participant k's warden an errand.
   void ask(std::uint32_t k, std::uint32_t errand) const noexcept;
-  /// Tells the home of another's block, which waits for it, that our last hold has gone.
+  /// Tells the home of a block of another participant, which waits for it, that the last hold of
+  /// this process has gone.
   void tell_home(std::uint32_t b) const noexcept;
 
   /// Claims block b, for messages of that topic (its key, or 0). False: it is not free.
@@ -84,40 +89,40 @@ struct Holder {
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
   [[gnu::hot]] void acquire(std::uint32_t b, std::uint64_t amount) const noexcept;
-  /// The block is, or was, held here.
+  /// Notes that this process holds, or held, the block.
   void know(std::uint32_t b) const noexcept;
   /// Lets go of a hold of the given kind.
   void release(std::uint32_t b, std::uint64_t amount) const noexcept;
   /// Lets go of what a dead message referred to.
   void release_references(std::uint32_t b) const noexcept;
-  /// Freezes a message that is published, where this process may have pointers that could make it
-  /// grow.
+  /// Freezes a message that is published, if pointers of this process could make it grow.
   void freeze(const detail::ControlCell& c) const noexcept {
     detail::Arena& arena = segment->arena(c.block);
     if (!arena.is_frozen() && (is_home(c.block) || may_grow(c))) arena.freeze();
   }
-  /// A message of ours that no other process has seen yet is complete.
+  /// Completes a message of this process that no other process has seen yet.
   void complete(std::uint32_t b) const noexcept {
     segment->build(b).trim();
     tell(b);
   }
-  /// Says in the segment where its pieces are.
+  /// Writes into the segment where its pieces are.
   void tell(std::uint32_t b) const noexcept {
     if (!segment->arena(b).is_frozen()) segment->build(b).tell();
   }
-  /// What a message refers to is published with it.
+  /// Freezes what the message refers to, since that is published with it.
   void freeze_references(std::uint32_t b) const noexcept {
     if (segment->arena(b).references != 0) freeze_reachable(b);
   }
-  /// The blocks that the message in b refers to. Bounds are checked: it may be rubbish.
+  /// Calls f(block) for each block that the message in b refers to. Bounds are checked, since the
+  /// list may be damaged.
   template <class F>
   void each_reference(std::uint32_t b, F&& f) const;
-  /// Its entries, the free ones too, until f(entry) is false.
+  /// Calls f(entry) for each entry of the list, the free ones too, until f returns false.
   template <class F>
   void each_entry(std::uint32_t b, F&& f) const;
 
  private:
-  /// Blocks to be brought home by the thread that has the list; the last one that came, first.
+  /// Blocks that the thread that has the list must bring home. The block that came last is first.
   class HomeList {
    public:
     explicit HomeList(const Holder& holder) noexcept : holder_(holder) {}
@@ -137,8 +142,8 @@ struct Holder {
   void freeze_reachable(std::uint32_t b) const noexcept;
 };
 
-/// Blocks, first come, first served. It has room for each block of the segment, so that a push
-/// needs no memory. Threads: the owner sees to that one uses it at a time.
+/// Blocks, first in, first out. It has room for each block of the segment, so that a push needs no
+/// memory. Threads: one at a time; the owner ensures it.
 class BlockQueue {
  public:
   explicit BlockQueue(std::uint32_t blocks)
@@ -149,9 +154,9 @@ class BlockQueue {
   std::uint32_t front() const noexcept { return blocks_[first_]; }
   void pop_front() noexcept {
     if (++first_ == room_) first_ = 0;
-    if (--count_ == 0) first_ = 0;  // so it stays small in the caches
+    if (--count_ == 0) first_ = 0;  // so it uses few cache lines
   }
-  /// A block that is in it already may be lost, when rubbish in the segment has led to it.
+  /// A block that is in it twice, because the segment is damaged, may be lost.
   void push_back(std::uint32_t b) noexcept {
     if (count_ == room_) return;
     const std::uint32_t at = first_ + count_++;
@@ -165,8 +170,8 @@ class BlockQueue {
   std::uint32_t count_ = 0;
 };
 
-/// Blocks, last come, first served. It has room for each block of the segment, so that a push needs
-/// no memory. Threads: the owner sees to that one uses it at a time.
+/// Blocks, last in, first out. It has room for each block of the segment, so that a push needs no
+/// memory. Threads: one at a time; the owner ensures it.
 class BlockStack {
  public:
   explicit BlockStack(std::uint32_t blocks)
@@ -176,7 +181,7 @@ class BlockStack {
   /// REQUIRES, as pop_back(): not empty.
   std::uint32_t back() const noexcept { return blocks_[count_ - 1]; }
   std::uint32_t pop_back() noexcept { return blocks_[--count_]; }
-  /// A block that is in it already may be lost, when rubbish in the segment has led to it.
+  /// A block that is in it twice, because the segment is damaged, may be lost.
   void push_back(std::uint32_t b) noexcept {
     if (count_ != room_) [[likely]]
       blocks_[count_++] = b;
@@ -197,7 +202,8 @@ class BlockStack {
   std::uint32_t count_ = 0;
 };
 
-/// The blocks of one publisher: loans them, and takes them back when their messages have died.
+/// The blocks of one publisher. The pool loans them, and takes them back when their messages have
+/// died.
 ///
 /// A block stays at home from loan to loan, with its extents: so a loan of a warm block touches no
 /// word that another process writes.
@@ -209,7 +215,8 @@ class BlockStack {
 ///       |                    | others hold it
 ///       +--- reclaimed --- kept
 ///
-/// Threads: all members may be called at once, but those marked "locked": with lock() held.
+/// Threads: all members may be called at once, but those marked "locked": these need lock() to be
+///          held.
 class Pool {
  public:
   Pool(Holder& holder, std::uint32_t index)
@@ -220,149 +227,155 @@ class Pool {
         kept_(holder.kept_links.data()) {}
 
   BiasedLock& lock() noexcept { return lock_; }
-  /// For whom it will claim blocks: the key of a topic, or 0. REQUIRES: the pool is not in use.
+  /// Sets the topic that the pool will claim blocks for: its key, or 0. REQUIRES: the pool is not
+  /// in use.
   void serve(std::uint64_t topic) noexcept {
     const std::lock_guard guard(lock_);
     is_in_use_ = true;
     topic_ = topic;
+    // Relaxed, both: the lock carries them, and readers without it take them for hints.
     may_wait_.store(topic != 0, std::memory_order_relaxed);  // a maker has no ring
     has_publisher_.store(topic != 0, std::memory_order_relaxed);
     limit(0);
   }
 
-  /// Its publisher has gone: blocks that come home from now on, from pointers that outlive it, go
-  /// back to the segment.
+  /// The publisher of the pool has gone. Blocks that come home from now on, from pointers that
+  /// outlive it, go back to the segment.
   void close() noexcept {
     const std::lock_guard guard(lock_);
     is_in_use_ = false;
+    // Relaxed: Ahead::forget() comes next. It takes Ahead's mutex, which carries it.
     has_publisher_.store(false, std::memory_order_relaxed);
   }
 
   /// An exclusively owned block for a message of this type, or kNone. Locked.
   static constexpr std::uint32_t kNone = ~std::uint32_t{0};
   std::uint32_t try_loan() { return ready_.empty() ? try_reclaim() : ready_.pop_back(); }
-  /// Does what it can of the next loan's work now, after a publish, when nobody waits for it.
+  /// Does as much of the next loan's work as it can, after a publish, when no reader waits for it.
   /// Locked.
   void prepare() noexcept;
-  /// Fetches the lines that a loan of this block will write.
+  /// Fetches the cache lines that a loan of this block will write.
   void prefetch(std::uint64_t b) const noexcept;
-  /// A block as by try_loan(), from those that nobody has.
+  /// A block as by try_loan(), from the free blocks of the segment.
   std::uint32_t claim();
 
-  /// Lays the arena of an exclusively owned block out for a message. Throws OutOfMemory; where it
-  /// waits, as late as a message that grows does.
+  /// Lays out the arena of an exclusively owned block for a message. Throws OutOfMemory. `waits`:
+  /// it waits for memory as long as a message that grows does.
   void* lay_out(detail::ControlCell& cell, const detail::MessageType& type, bool waits) {
-    // A small plain message lies where one of its type lay the last time.
+    // A small plain message lies where the last message of its type lay in this block.
     if (cell.type == &type && is_laid_out_for_ever(type)) return holder_.segment->small(cell.block);
     return lay_out_anew(cell, type, waits);
   }
 
-  /// An exclusively owned block comes back: its message was never shared, or has died.
+  /// Takes back an exclusively owned block: its message was never shared, or has died.
   void give_back(std::uint32_t b) noexcept { give_back(holder_.cell(b)); }
   void give_back(detail::ControlCell& cell) noexcept;
-  /// The last hold of this process on a message of ours has gone.
+  /// The last hold of this process on a message of the pool has gone.
   void came_home(std::uint32_t b) noexcept;
 
   /// A block has left the ring; its hold is still the ring's. Locked. `borrowed` says whether a
   /// reader may still look at it.
   void retire(std::uint32_t b, bool borrowed);
-  /// Makes room for so many more that retire(). Throws std::bad_alloc, and then all is as before.
+  /// Makes room to retire so many more blocks. Throws std::bad_alloc, and then all is as before.
   /// Locked.
   void make_room(std::size_t more) {
-    // Each retired one may turn out to be foreign, and the same block may be there several times.
+    // Each retired block may turn out to be foreign, and the same block may be there several times.
     if (const std::size_t n = retired_.size() + foreign_.size() + more; n > room_) [[unlikely]]
       grow(2 * n);
   }
   std::size_t retired() const noexcept { return retired_.size(); }
-  /// Ring holds on blocks that are not this pool's. The caller releases them once it has unlocked
-  /// (their own pools' locks are taken then): as many as there is room for. Returns how many.
-  /// Locked.
+  /// Takes ring holds on blocks of other pools out, as many as `into` has room for. The caller
+  /// releases them after it has unlocked, since their own pools' locks are taken then. Returns how
+  /// many. Locked.
   std::size_t take_foreign(std::span<std::uint32_t> into) noexcept;
-  /// A message that is not this pool's business has left the ring: the same again replaced it.
-  /// Locked.
+  /// A message of another pool has left the ring, or the same message has replaced itself. Locked.
   void retire_foreign(std::uint32_t b) { foreign_.push_back(b); }
-  /// How many blocks only others hold. At any time, without the lock.
+  /// How many blocks only other processes hold. Callable at any time, without the lock.
   std::size_t kept() const noexcept { return kept_.size(); }
   bool has_free() const noexcept { return !ready_.empty() || !free_.empty(); }
   bool has_foreign() const noexcept { return !foreign_.empty(); }
-  /// The retired blocks, for who closes the ring. Locked.
+  /// The retired blocks, for the publisher that closes the ring. Locked.
   std::vector<std::uint32_t> take_retired() noexcept {
     room_ = 0;
     return std::exchange(retired_, {});
   }
-  /// Retired blocks that is_protected(block) denies become free. Locked.
+  /// Frees the retired blocks for which is_protected(block) is false. Locked.
   template <class Protected>
   void scan(Protected&& is_protected);
-  /// Looks at all blocks that others hold, and at those that are free. Locked.
+  /// Looks at all blocks that other processes hold, and at those that are free. Locked.
   void poll_kept();
-  /// The same for those that are free alone. Locked.
+  /// The same for those that are free only. Locked.
   void poll_free();
-  /// Says to the warden whether blocks wait for the publisher's next turn, retired or free. Where
-  /// that is not said turn by turn they may. Locked.
+  /// Tells the warden whether blocks wait for the publisher's next turn, retired or free. Where the
+  /// publisher does not say so each turn, they may wait. Locked. Relaxed, here and below: a hint,
+  /// since settle_free() looks with the lock.
   void note_waiting() noexcept {
     may_wait_.store(!retired_.empty() || !free_.empty(), std::memory_order_relaxed);
   }
   void note_batches() noexcept { may_wait_.store(true, std::memory_order_relaxed); }
   bool may_wait() const noexcept { return may_wait_.load(std::memory_order_relaxed); }
 
-  /// Messages that only others held, and hold no more, die now.
+  /// Buries messages that only other processes held, and that no process holds any more.
   void settle() noexcept;
-  /// The same, and those that have left the ring and wait for the publisher's next turn: they die,
-  /// or are kept.
+  /// Buries messages that have left the ring and wait for the publisher's next turn. Those that
+  /// other processes still hold become kept ones.
   void settle_free() noexcept;
 
-  /// This block's memory stays with this publisher, whatever other topics need. REQUIRES: it is
-  /// exclusively owned.
+  /// Marks the block's memory as reserved: it stays with this publisher, whatever other topics
+  /// need. REQUIRES: the block is exclusively owned.
   void keep_reserved(std::uint32_t b) noexcept;
 
   std::uint32_t index() const noexcept { return index_; }
 
-  // The block that was made ahead (ahead.hpp): one, in a word of its own, so that who makes it and
-  // who takes it need no lock, and the lock keeps its bias.
+  // The block that was made ahead (ahead.hpp). There is one at most, in a word of its own. So
+  // neither the thread that makes it nor the one that takes it needs the lock, and the lock keeps
+  // its bias. The word hands the block over: put_ahead() releases, the takers acquire. All other
+  // orders here are relaxed, since they are hints.
 
-  /// For Ahead: makers have no publisher, and one that has gone neither.
+  /// For Ahead. False for the pool of a maker, and after its publisher has gone.
   bool has_publisher() const noexcept { return has_publisher_.load(std::memory_order_relaxed); }
   bool expects() const noexcept { return expects_.load(std::memory_order_relaxed); }
   void expects(bool yes) noexcept { expects_.store(yes, std::memory_order_relaxed); }
-  /// An exclusively owned block with its memory, or kNone.
+  /// Takes the exclusively owned block with its memory, or kNone. Acquire: put_ahead().
   std::uint32_t take_ahead() noexcept {
     return ahead_.load(std::memory_order_relaxed) == kNone
                ? kNone
                : ahead_.exchange(kNone, std::memory_order_acquire);
   }
   bool has_ahead() const noexcept { return ahead_.load(std::memory_order_relaxed) != kNone; }
-  /// False: there is one.
+  /// Release: what has been built of the block. False: there is one already.
   bool put_ahead(std::uint32_t b) noexcept {
     std::uint32_t none = kNone;
     return ahead_.compare_exchange_strong(none, b, std::memory_order_release,
                                           std::memory_order_relaxed);
   }
-  /// It goes back to the segment. True when there was one.
+  /// Gives the block that was made ahead back to the segment. True when there was one.
   bool trim_ahead() noexcept {
     return trim_ahead([](std::uint32_t) { return true; });
   }
-  /// A block that nobody else has seen goes back to the segment.
+  /// Gives a block back to the segment that no other thread or process has seen.
   void release(std::uint32_t b) noexcept { release_block(b); }
 
-  // The memory of its blocks, idle ones too: what their publisher may have, and has. Counted, and
-  // not looked for, since the counter is this process's own: no crash leaves it wrong.
+  // The memory of the pool's blocks, idle ones too: how much its publisher may have, and how much
+  // it has. It is counted and not searched for: the counter is private to the process, so no crash
+  // leaves it wrong. Relaxed, all of it: the counter guards no data.
 
-  /// PusherOptions::max_bytes; 0: no limit. What messages of an earlier publisher still have, whose
-  /// pointers have outlived it, counts as well.
+  /// Sets PusherOptions::max_bytes; 0: no limit. Messages of an earlier publisher, whose pointers
+  /// have outlived it, count as well.
   void limit(std::uint64_t bytes) noexcept {
     limit_.store(bytes == 0 ? kNoLimit : std::max<std::uint64_t>(bytes / segment::kGranule, 1),
                  std::memory_order_relaxed);
   }
   std::uint64_t limit() const noexcept { return limit_.load(std::memory_order_relaxed); }
   std::uint64_t granules() const noexcept { return granules_.load(std::memory_order_relaxed); }
-  /// May it have so many granules more? Relaxed, as all of it: take() decides.
+  /// True if the publisher may have so many granules more. Only a hint: take() decides.
   bool may_take(std::uint64_t granules) const noexcept {
     return this->granules() + granules <= limit();
   }
-  /// Counts so many granules, if as many as `spare` still fit after them; false: it counts none.
-  /// Threads that take at once stay within the limit, since each one counts a run before it claims
-  /// it, and gives the count back when there is none: a claim may last as long as the kernel needs
-  /// for the memory.
+  /// Counts so many granules, if `spare` more still fit after them. False: it counts none. Threads
+  /// that take at once stay within the limit: each one counts a run before it claims it, and takes
+  /// the count back when there is none. A claim may last as long as the kernel needs for the
+  /// memory.
   bool take(std::uint64_t granules, std::uint64_t spare = 0) noexcept {
     std::uint64_t has = this->granules();
     do {
@@ -370,23 +383,23 @@ class Pool {
     } while (!granules_.compare_exchange_weak(has, has + granules, std::memory_order_relaxed));
     return true;
   }
-  /// Takes a count back: there was no run, or it goes.
+  /// Takes a count back: there was no run, or the run is given back.
   void count_out(std::uint64_t granules) noexcept;
   /// Gives a run of one of its blocks back to the segment.
   void release_run(std::uint32_t first, std::uint32_t granules) noexcept;
 
-  /// Frees what it can; true when nothing is left. For a pool whose publisher has gone.
+  /// Frees what it can. True when nothing is left. For a pool whose publisher has gone.
   bool drain() noexcept;
-  /// Gives the memory of idle blocks back to everybody; what reserve() made only if told to. True
+  /// Gives the memory of idle blocks back to the segment; what reserve() made only if told to. True
   /// when there was some.
   bool trim(bool with_reserved) noexcept;
-  /// What block b came with from its last message, and its new one has not asked for, is wanted.
-  /// False: there is none. For any block.
+  /// Says that the spare extents of block b are wanted: those that its last message left and its
+  /// new one has not asked for. False: there are none. For any block.
   bool want_spare(std::uint32_t b) noexcept;
-  /// It goes back to the segment. True when there was some. REQUIRES: this thread has said that it
-  /// is wanted, and has passed ProcessBarrier since.
+  /// Gives the spare extents back to the segment. True when there were some. REQUIRES: this thread
+  /// has called want_spare(), and has passed ProcessBarrier since.
   bool take_spare(std::uint32_t b) noexcept;
-  /// As trim(), for those that is_old(block) names, but for what reserve() made.
+  /// As trim(), for the blocks that is_old(block) names, except for what reserve() made.
   template <class Old>
   void trim_old(Old&& is_old) noexcept {
     trim_ahead(is_old);
@@ -399,6 +412,7 @@ class Pool {
  private:
   template <class May>
   bool trim_ahead(May&& may) noexcept {
+    // Relaxed: the compare-and-swap decides, and acquires what put_ahead() has released.
     std::uint32_t b = ahead_.load(std::memory_order_relaxed);
     if (b == kNone || !may(b) ||
         !ahead_.compare_exchange_strong(b, kNone, std::memory_order_acquire,
@@ -409,13 +423,13 @@ class Pool {
     return true;
   }
   std::uint32_t try_reclaim();
-  /// True where nothing of a message's layout depends on the message.
+  /// True if nothing of a message's layout depends on the message.
   static bool is_laid_out_for_ever(const detail::MessageType& type) noexcept {
     return type.plain && segment::is_small(type);
   }
   void* lay_out_anew(detail::ControlCell& cell, const detail::MessageType& type, bool waits);
-  /// The message has died and the block is exclusively ours: its destructor runs, its references
-  /// are let go, its memory is kept for the next one.
+  /// Buries a message that has died; the block is exclusively this pool's. Its destructor runs, its
+  /// references are let go, and its memory is kept for the next message.
   void bury(detail::ControlCell& cell) noexcept {
     if (cell.type == nullptr || !is_laid_out_for_ever(*cell.type)) bury_whole(cell);
   }
@@ -432,28 +446,29 @@ class Pool {
 
   Holder& holder_;
   std::uint32_t index_;
-  const bool may_share_ = ProcessBarrier::is_there();  ///< spare extents, with its process
+  /// spare extents may be shared with the process
+  const bool may_share_ = ProcessBarrier::is_there();
   std::uint64_t topic_ = 0;
   static constexpr std::uint64_t kNoLimit = ~std::uint64_t{0};
   std::atomic<std::uint64_t> limit_{kNoLimit};  ///< in granules
   std::atomic<std::uint64_t> granules_{0};
   BiasedLock lock_;
-  bool is_in_use_ = false;  ///< by a publisher or a maker
+  bool is_in_use_ = false;  ///< a publisher or a maker uses it
   BlockStack ready_;
   std::atomic<bool> may_wait_{false};
   BlockQueue free_;  ///< retired and unprotected, still with the ring's hold
   std::vector<std::uint32_t> retired_;
-  std::vector<std::uint32_t> foreign_;  ///< left our ring, but is not ours
-  std::size_t room_ = 0;                ///< of retired_, and of foreign_
+  std::vector<std::uint32_t> foreign_;  ///< left this ring, but belong to other pools
+  std::size_t room_ = 0;                ///< the room of retired_, and of foreign_
   KeptList kept_;
-  // Behind what each message looks at.
+  // These lie behind the members that each message reads.
   std::atomic<bool> has_publisher_{false};
   std::atomic<bool> expects_{false};  ///< Ahead knows what its messages are like
   std::atomic<std::uint32_t> ahead_{kNone};
 };
 
-// Relaxed: the home writes the list; a reaper reads it under the dead home's byte lock, or after
-// the message's death; `lot who` takes what it sees for a hint.
+// Relaxed: the home writes the list. A reaper reads it under the dead home's byte lock, or after
+// the message's death. `lot who` takes what it sees for a hint.
 template <class F>
 void Holder::each_entry(std::uint32_t b, F&& f) const {
   using detail::ReferenceList;
@@ -473,18 +488,18 @@ void Holder::each_entry(std::uint32_t b, F&& f) const {
 template <class F>
 void Holder::each_reference(std::uint32_t b, F&& f) const {
   each_entry(b, [&](detail::ReferenceList::Entry& entry) {
-    // Once: whatever writes it meanwhile cannot get past the check.
+    // Read once: a write that comes meanwhile cannot get past the check.
     const std::uint32_t target = std::atomic_ref(entry.block).load(std::memory_order_relaxed);
     if (target < segment->capacity().blocks) f(target);
     return true;
   });
 }
 
-/// Idle blocks that may(block) names go back to the segment. True when there was one.
+/// Gives idle blocks that may(block) names back to the segment. True when there was one.
 template <class May>
 bool Pool::release_idle(May&& may) noexcept {
-  // Released without the lock, since destructors of messages may run. Piece by piece, into a room
-  // that is there: memory of another kind may be short as well.
+  // Released without the lock, since destructors of messages may run. Piece by piece, into an array
+  // that exists already: memory of another kind may be short as well.
   bool any = false;
   std::array<std::uint32_t, 64> idle;
   for (std::size_t n = idle.size(); n == idle.size();) {

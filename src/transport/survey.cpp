@@ -9,15 +9,15 @@ using Ownership = refcount::Ownership<segment::Atomics>;
 
 namespace {
 
-/// Tasks that a publisher waits for go to workers only. What it has left when it has gone, its
-/// readers get to the end.
+/// True if readers may lose messages of the ring, or take none. Only workers get the tasks that a
+/// publisher waits for. What a publisher has left when it has gone, its readers get to the end.
 bool may_lose(const segment::ChannelEntry& entry, ring::State state) {
   return entry.policy == static_cast<std::uint32_t>(Policy::Overwrite) ||
          (state == ring::State::Live && entry.taken == 0);
 }
 
-/// Where the slowest reader of a lossless ring stands, whose next message is `head`. One that is
-/// joining may get any place.
+/// The place of the slowest reader of a lossless ring. `head`: the ring's next message. A reader
+/// that is joining may get any place.
 ring::Word slowest(const segment::Ring& ring, ring::Word head) {
   ring::Word place = head;
   for (std::uint32_t c = 0; c < ring.readers; ++c) {
@@ -50,9 +50,10 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
     const std::uint32_t tag = tags.tag(i);
     if (tag != 0 && tag <= granules_.size()) ++granules_[tag - 1];
   }
-  // First the living, since what they still have does not die with an ended ring.
+  // The living publishers first, since what they still have does not die with an ended ring.
   for (const ring::State state : {ring::State::Live, ring::State::Orphan}) {
     for (std::uint32_t c = 0; c < segment_.capacity().channels; ++c) {
+      // Acquire: R7, R9.
       const ring::Word w = segment_.channels()[c].writer.load(std::memory_order_acquire);
       if (w == 0) break;  // channels are taken lowest first: those behind it never were
       const std::uint32_t owner = ring::writer_owner(w);
@@ -64,6 +65,7 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
       if (state == ring::State::Live) {
         const segment::Ring ring = segment_.ring(c);
         for (std::uint32_t i = 0; i < ring.depth; ++i) {
+          // Relaxed: a hint.
           const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
           if (b < granules_.size()) is_in_live_ring_[static_cast<std::size_t>(b)] = true;
         }
@@ -102,12 +104,12 @@ void Survey::mark_of(const Publisher& p, std::uint64_t keep, bool unread,
                    });
 }
 
-/// A ring that is recycled meanwhile may say anything: Segment::ring() and the bounds here see to
-/// that no harm comes of it.
+/// A ring that is recycled meanwhile may say anything. The bounds in Segment::ring() and here make
+/// that harmless.
 template <class F>
 void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f) const {
   const segment::Ring ring = segment_.ring(channel);
-  // Relaxed: nothing that they lead to is looked at.
+  // Relaxed: nothing that the slots lead to is read.
   const auto word = [&](std::uint32_t i) { return ring.slots[i].load(std::memory_order_relaxed); };
   std::uint32_t newest = 0;
   std::uint32_t left = 0;
@@ -132,6 +134,7 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
 
 std::uint64_t Survey::weight_of(std::uint32_t b, std::uint32_t owner) const noexcept {
   segment::BlockWords& words = segment_.block(b);
+  // Relaxed, here and below: hints (Survey).
   const std::uint32_t home = words.home.load(std::memory_order_relaxed);
   const bool has_gone = owner == refcount::kOrphanage;
   if (words.home_points.load(std::memory_order_relaxed) != 0) return 0;

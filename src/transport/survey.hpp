@@ -13,25 +13,26 @@ namespace lot::transport {
 /// What has run out.
 enum class Shortage { Memory, Blocks };
 
-/// Of the messages of a publisher, other topics never get so many of the newest.
+/// Other topics never get this many of a publisher's newest messages.
 inline constexpr std::uint32_t kNewest = 2;
 
-/// What a process that is short asks another one for, in one word, so that no half of it is old.
+/// What a process that is short asks another one for. It is one word, so that no half of it can be
+/// old.
 ///
 ///     {blocks : 1 | keep : 31 | need : 32}
 ///
-/// Both count granules, or blocks. The one that is asked gives its oldest messages until `need` is
-/// free, while the publisher that gives keeps at least `keep`.
+/// Both count granules, or blocks. The process that is asked gives its oldest messages until `need`
+/// is free, while the publisher that gives keeps at least `keep`.
 struct Request {
   Shortage shortage = Shortage::Memory;
   std::uint64_t keep = 0;
   std::uint64_t need = 0;
 
-  /// What the warden puts in its place.
+  /// What the warden stores in its place as the answer.
   static constexpr std::uint64_t kGiven = 0;
   static constexpr std::uint64_t kRefused = ~std::uint64_t{0};
 
-  /// Never one of these: it needs something, and does not keep so much.
+  /// Never equal to an answer: `need` is at least 1, and `keep` is less than its greatest value.
   std::uint64_t word() const noexcept {
     const std::uint64_t blocks = shortage == Shortage::Blocks ? 1 : 0;
     return blocks << 63 | std::min(keep, kMostKept - 1) << 32 |
@@ -47,13 +48,13 @@ struct Request {
   static constexpr std::uint64_t kMostNeeded = 0xffffffff;
 };
 
-/// What the publishers of other processes, and those that have gone, could give, as far as the
+/// What publishers of other processes, and publishers that have gone, could give, as far as the
 /// shared words say.
 ///
-/// It counts by the granules' tags, since a counter could drift when a process is killed. All that
-/// it finds are hints: words change meanwhile, and only the publisher itself knows whether a reader
-/// looks at a message just now. So it chooses whom to ask; the one that is asked decides. What
-/// messages refer to does not count.
+/// It counts by the granules' tags, since a counter could be wrong after a process is killed. All
+/// that it finds are hints: words change meanwhile, and only the publisher itself knows whether a
+/// reader looks at a message just now. So the survey chooses which process to ask, and that process
+/// decides. What messages refer to does not count.
 ///
 /// Threads: one at a time.
 /// Memory:  private to the process, made once: memory of another kind may be short as well.
@@ -64,19 +65,20 @@ class Survey {
   void prepare();
 
   struct Publisher {
-    std::uint32_t owner = 0;    ///< participant; kOrphanage: it has gone
-    std::uint32_t channel = 0;  ///< of its ring
+    std::uint32_t owner = 0;    ///< the participant; kOrphanage: the publisher has gone
+    std::uint32_t channel = 0;  ///< the channel of its ring
     std::uint64_t held = 0;     ///< weight of the messages that would die if they left the ring
-    std::uint64_t unread = 0;   ///< of those that readers must not lose
-    std::uint64_t oldest = 0;   ///< of the oldest of those, if another topic may have it; else 0
-    std::uint32_t first = 0;    ///< the block of the oldest of those
+    std::uint64_t unread = 0;   ///< the part of it that readers must not lose
+    /// the weight of the oldest of them, if another topic may have it; else 0
+    std::uint64_t oldest = 0;
+    std::uint32_t first = 0;  ///< the block of the oldest of them
   };
 
   /// Weighs the messages of all publishers but those of `self`, in granules or blocks.
   void look(std::uint32_t self, Shortage shortage) noexcept;
   Shortage shortage() const noexcept { return shortage_; }
-  /// The one that holds most, of those that can give and keep `keep`, in processes that may(owner)
-  /// allows. Null: there is none.
+  /// The publisher that holds most, of those that can give and then keep `keep`, in processes that
+  /// may(owner) allows. Null: there is none.
   template <class May>
   const Publisher* richest(std::uint64_t keep, May&& may) const noexcept {
     return best([&](const Publisher& p) {
@@ -84,15 +86,16 @@ class Survey {
              may(p.owner);
     });
   }
-  /// The one that holds most of those that have gone. `all`: also if that are the newest messages.
+  /// The publisher that has gone and has left most. `all`: also if only its newest messages are
+  /// left.
   const Publisher* ended(bool all) const noexcept {
     return best([all](const Publisher& p) {
       return p.owner == refcount::kOrphanage && (all || p.oldest != 0);
     });
   }
-  /// Marks the blocks of messages that these publishers may give while each keeps `keep`; of
-  /// processes that may(owner) allows, and of ended rings if may(kOrphanage) does. `unread`: those
-  /// too that readers have yet to read.
+  /// Marks the blocks of messages that these publishers may give while each keeps `keep`: those of
+  /// processes that may(owner) allows, and those of ended rings if may(kOrphanage) is true.
+  /// `unread`: also those that readers have yet to read.
   template <class May>
   void mark(std::uint64_t keep, bool unread, std::vector<bool>& blocks, May&& may) const noexcept {
     for (const Publisher& p : publishers_) {
@@ -115,17 +118,18 @@ class Survey {
   }
   void mark_of(const Publisher& p, std::uint64_t keep, bool unread,
                std::vector<bool>& blocks) const noexcept;
-  /// Calls f(block, its weight, how many newer ones are in the ring, whether it may go: no reader
-  /// needs it that must not lose it) for those that count, from the oldest on, until it says false.
+  /// Calls f(block, its weight, how many newer ones are in the ring, whether it may go) for each
+  /// message that counts, oldest first, until f says false. A message may go if no reader that must
+  /// not lose it still needs it.
   template <class F>
   void each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f) const;
-  /// Its weight if it dies when it leaves the ring, and is not reserved; else 0.
+  /// The block's weight if the message dies when it leaves the ring, and is not reserved; else 0.
   std::uint64_t weight_of(std::uint32_t block, std::uint32_t owner) const noexcept;
 
   segment::Segment& segment_;
   Shortage shortage_ = Shortage::Memory;
-  std::vector<std::uint32_t> granules_;  ///< by block: how many carry its tag
-  std::vector<bool> is_in_live_ring_;    ///< by block
+  std::vector<std::uint32_t> granules_;  ///< [blocks] how many granules carry its tag
+  std::vector<bool> is_in_live_ring_;    ///< [blocks]
   std::vector<Publisher> publishers_;
 };
 
