@@ -13,10 +13,11 @@
 namespace lot::transport {
 namespace {
 
-/// What is made takes at most one part in so many of the granules that are free. One part in so
-/// many of the blocks is left to others.
+/// The block that is made takes at most one part in kShare of the free granules. One part in kShare
+/// of the blocks is left to others.
 constexpr std::uint64_t kShare = 4;
-/// After memory was short, nothing is made so long: what has become free is for who asked.
+/// After memory was short, nothing is made for this long: what has become free is for the publisher
+/// that asked.
 constexpr std::chrono::seconds kShortFor{1};
 
 }  // namespace
@@ -29,14 +30,14 @@ std::vector<Ahead::Want>::iterator Ahead::find(const Pool& pool) noexcept {
 void Ahead::expect(Pool& pool, const Pieces& pieces) noexcept {
   try {
     const std::lock_guard guard(mutex_);
-    // forget() comes after the pool is closed: what it has forgotten does not come back.
+    // forget() comes after the pool is closed. So what it has forgotten does not come back.
     if (is_ending_ || !pool.has_publisher()) return;
     start();
     auto want = find(pool);
     if (want == wants_.end()) want = wants_.insert(want, {&pool, {}, false});
     want->pieces = pieces;
     pool.expects(true);
-  } catch (const std::exception&) {  // no memory of another kind: the frame is as slow as without
+  } catch (const std::exception&) {  // no memory: that frame is as slow as without Ahead
   }
 }
 
@@ -76,7 +77,7 @@ void Ahead::leave_off() noexcept {
 }
 
 void Ahead::call_off(std::unique_lock<std::mutex>& lock) noexcept {
-  is_called_off_.store(true, std::memory_order_relaxed);
+  is_called_off_.store(true, std::memory_order_relaxed);  // relaxed: it carries nothing
   const std::uint64_t turn = turn_;
   signal_.wait(lock, [&] { return at_ == nullptr || turn_ != turn; });
 }
@@ -85,7 +86,7 @@ void Ahead::stop() noexcept {
   {
     const std::lock_guard guard(mutex_);
     is_ending_ = true;
-    is_called_off_.store(true, std::memory_order_relaxed);
+    is_called_off_.store(true, std::memory_order_relaxed);  // relaxed: as above
   }
   signal_.notify_all();
   if (thread_.joinable()) thread_.join();
@@ -115,6 +116,7 @@ void Ahead::run() noexcept {
     if (futex::Clock::now() < short_until_) continue;
     at_ = &pool;
     ++turn_;
+    // relaxed: mutex_ orders it with the others
     is_called_off_.store(false, std::memory_order_relaxed);
     lock.unlock();
     make(pool, pieces);
@@ -124,7 +126,7 @@ void Ahead::run() noexcept {
   }
 }
 
-/// The block that is there is made larger, where it does not do.
+/// Makes the block. One that exists already but is not suitable gets other extents.
 void Ahead::make(Pool& pool, const Pieces& pieces) noexcept {
   std::uint32_t b = pool.take_ahead();
   if (b == Pool::kNone && may_make(pool, pieces)) b = pool.claim();
@@ -132,10 +134,10 @@ void Ahead::make(Pool& pool, const Pieces& pieces) noexcept {
   if (!furnish(pool, b, pieces) || !pool.put_ahead(b)) pool.release(b);
 }
 
-/// As much as is free now: what is claimed meanwhile is another's.
+/// True if enough is free now. What is claimed meanwhile belongs to the claimer.
 bool Ahead::may_make(const Pool& pool, const Pieces& pieces) const noexcept {
   const std::uint64_t needed = pieces.granules();
-  if (!pool.may_take(2 * needed)) return false;  // the publisher may have one in hand
+  if (!pool.may_take(2 * needed)) return false;  // the publisher may be filling one now
   const auto& tags = participant_.segment().granules();
   std::uint64_t free = 0;
   for (std::uint32_t i = 0; i < tags.count() && free < kShare * needed; ++i)
@@ -144,12 +146,14 @@ bool Ahead::may_make(const Pool& pool, const Pieces& pieces) const noexcept {
   const std::uint64_t left = participant_.blocks() / kShare;
   std::uint64_t idle = 0;
   for (std::uint32_t b = participant_.blocks(); b-- != 0 && idle <= left;) {
+    // Relaxed: a hint.
     idle += participant_.block(b).home.load(std::memory_order_relaxed) == refcount::kHomeFree;
   }
   return idle > left;
 }
 
-/// Gives a block that is ours alone extents for such pieces. False: there is no memory for it now.
+/// Gives an exclusively owned block extents for such pieces. False: there is no memory for them
+/// now.
 bool Ahead::furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept {
   detail::Build& build = participant_.segment().build(b);
   unsigned i = 0;
@@ -163,8 +167,8 @@ bool Ahead::furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept 
       pool.release_run(extent.granule, extent.granules);
       extent = build.extent[--build.extents];
     }
-    if (build.extents == build.kMaxExtents)
-      return false;  // pieces of a message have no more extents
+    if (build.extents == build.kMaxExtents) return false;  // a message has no more extents
+    // Relaxed: it carries nothing. Seen late, one more unit is mapped.
     const std::uint32_t run = participant_.claim_run_while(
         piece.granules, b + 1, [this] { return !is_called_off_.load(std::memory_order_relaxed); });
     if (run == segment::Granules<segment::Atomics>::kNone) return false;

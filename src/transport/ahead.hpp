@@ -16,11 +16,11 @@ namespace lot::transport {
 
 class Participant;
 
-/// Makes the block that a publisher will loan next, with its memory touched, so that no frame but
-/// the first waits for the kernel. docs/memory.md says how much, and for whom.
+/// Makes the block that a publisher will loan next, with its memory mapped, so that only the first
+/// frame waits for the kernel. docs/memory.md says how much is made, and for which publishers.
 ///
-/// A thread of its own does it, since the warden answers others within milliseconds. It begins with
-/// the first request.
+/// A thread of its own does it, since the warden answers other processes within milliseconds. The
+/// thread starts with the first request.
 ///
 /// Threads: all members may be called at once, but those marked "no lock": the caller has no pool's
 ///          lock, which is for sections that never block.
@@ -32,20 +32,20 @@ class Ahead {
   Ahead(const Ahead&) = delete;
   Ahead& operator=(const Ahead&) = delete;
 
-  /// The messages of the publisher with this pool have such pieces. No lock.
+  /// Tells that messages of the publisher with this pool have such pieces. No lock.
   void expect(Pool& pool, const Pieces& pieces) noexcept;
-  /// It has claimed a block, perhaps the one that was made, and is done with it: it will need
-  /// another, and not its core. No lock.
+  /// The publisher has claimed a block, perhaps the one that was made, and has published it. It
+  /// will need another one, and does not need its core now. No lock.
   void next(Pool& pool) noexcept;
-  /// Nothing is made for it any more when this returns, until it expects something again, which no
-  /// closed pool does. No lock.
+  /// When this returns nothing is made for the publisher any more, until it expects something
+  /// again. A closed pool does not. No lock.
   void forget(Pool& pool) noexcept;
-  /// Memory is short: when this returns nothing is in hand, so that what is made lies in the pools,
-  /// and nothing is made for a while. No lock.
+  /// Memory is short. When this returns the thread holds nothing, so that what was made lies in the
+  /// pools, and nothing is made for a while. No lock.
   void leave_off() noexcept;
   /// The same for one publisher, whose quota is short, until it claims a block again. No lock.
   void leave_off(Pool& pool) noexcept;
-  /// Nothing is made any more, and nothing is in hand. No lock.
+  /// Ends the thread: nothing is made any more, and the thread holds nothing. No lock.
   void stop() noexcept;
 
  private:
@@ -60,16 +60,16 @@ class Ahead {
   void make(Pool& pool, const Pieces& pieces) noexcept;
   bool may_make(const Pool& pool, const Pieces& pieces) const noexcept;
   bool furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept;
-  /// What is in hand goes back, as soon as the kernel has done with a unit. REQUIRES: the lock on
-  /// mutex_.
+  /// Makes the thread give back what it is making, as soon as the kernel has finished a unit.
+  /// Returns when it has. REQUIRES: the lock on mutex_.
   void call_off(std::unique_lock<std::mutex>& lock) noexcept;
 
   Participant& participant_;
   std::mutex mutex_;
   std::condition_variable signal_;
-  std::vector<Want> wants_;   ///< a publisher each
-  const Pool* at_ = nullptr;  ///< whose block is in hand
-  std::uint64_t turn_ = 0;    ///< how many it has begun
+  std::vector<Want> wants_;   ///< one for each publisher
+  const Pool* at_ = nullptr;  ///< the pool whose block is being made
+  std::uint64_t turn_ = 0;    ///< how many blocks it has begun
   bool is_ending_ = false;
   futex::Clock::time_point short_until_{};
   std::atomic<bool> is_called_off_{false};

@@ -21,17 +21,17 @@ using transport::fit;
 using transport::granules_in;
 
 constexpr std::uint32_t kNoRun = segment::Granules<HardwareAtomics>::kNone;
-/// From so many extents on large pieces share, in extents as large as all before them.
+/// From this many extents on, large pieces share extents, each as large as all before it together.
 constexpr unsigned kManyExtents = 8;
 
-/// A copy, each word of which is read once.
+/// Copies an extent. Each word is read once.
 Arena::Extent copy_of(const Arena::Extent& e) noexcept {
   return {read_once(e.granule), read_once(e.granules), read_once(e.living), read_once(e.kind)};
 }
 
 std::uint64_t bytes_of(const Arena::Extent& extent) { return kGranule * extent.granules; }
 
-/// The pool whose message a build is. REQUIRES: its home is here.
+/// The pool that the build's message belongs to. REQUIRES: its home is in this process.
 transport::Pool& pool_of(transport::Participant& p, const Build& build) noexcept {
   return p.holder().pool_of(p.segment().block_of(*build.arena));
 }
@@ -39,7 +39,8 @@ std::uint32_t tag_of(transport::Participant& p, const Build& build) noexcept {
   return p.segment().block_of(*build.arena) + 1;
 }
 
-/// The publisher will need another one like this: what it has now, and the newest extent.
+/// Tells Ahead that the publisher will need another message like this one, with what it has now and
+/// its newest extent.
 void expect_another(transport::Participant& p, const Build& build, unsigned newest) noexcept {
   p.ahead().expect(pool_of(p, build), transport::Pieces::of(build, newest));
 }
@@ -114,7 +115,7 @@ std::uint64_t Build::begin_of(const Extent& e) const noexcept {
   return mapping->in_granules(kGranule * e.granule);
 }
 
-/// The process's participant, if the message has its home there; null for a copy.
+/// This process's participant, if the message has its home there. Null for a copy.
 transport::Participant* Build::home() const noexcept {
   if (Build::of(*arena) != this) return nullptr;
   transport::Participant* const p = transport::Participant::at(arena);
@@ -127,6 +128,7 @@ void Build::open(Arena& its, const Mapping& here) noexcept {
   arena = &its;
   mapping = &here;
   extents = 0;
+  // Relaxed, both: no other thread knows the build yet.
   spare.store(kBuilders, std::memory_order_relaxed);
   wanted.store(0, std::memory_order_relaxed);
 }
@@ -145,7 +147,8 @@ void Build::tell() noexcept {
   }
 }
 
-/// The pieces are where an arena says, in the extents that are here. False: they cannot be.
+/// Takes over from an arena where the pieces are, in the extents that this build has. False: they
+/// cannot be there.
 bool Build::adopt_pieces(const Arena& said) noexcept {
   const std::uint8_t now = read_once(said.current);
   const std::uint64_t at = read_once(said.cursor);
@@ -186,13 +189,13 @@ void Build::take(Arena& its) {
 
 void Build::take_again() noexcept {
   if (read_once(arena->changed_hands) == 0) return;
-  if (!adopt_pieces(*arena)) limit = cursor;  // it is damaged: no small piece any more
+  if (!adopt_pieces(*arena)) limit = cursor;  // it is damaged: no small piece fits any more
 }
 
 void* Build::find_room(std::size_t bytes, std::size_t align) {
   own_spare();
   const std::uint64_t granules = fit(bytes);
-  // First what is most likely: a large piece, as the last message here had one.
+  // First the most likely case: a large piece, as the last message here had one.
   for (unsigned i = 0; i < extents; ++i) {
     if (extent[i].granules == granules && extent[i].living == 0 && extent[i].kind == 0) {
       extent[i].living = 1;
@@ -223,7 +226,7 @@ void* Build::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
   }
   transport::Participant* const p = home();
   if (p == nullptr && Build::of(*arena) == this) refuse_place(*arena);
-  // The memory would be at home here, and the message there.
+  // A new extent would be at home in this process, and the message in another.
   if (p == nullptr) {
     if (idle != kNone && extent[idle].granules >= granules_in(bytes)) {
       return begin_in(idle, bytes);
@@ -236,7 +239,7 @@ void* Build::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
   if (idle != kNone) {
     resize(*p, idle, granules);
     if (extent[idle].granules >= granules_in(bytes)) return begin_in(idle, bytes);
-    // It is too small, and the piece will need another one.
+    // The extent is too small, and the piece will need another one.
     if (!extent[idle].is_reserved()) drop(*p, idle);
   }
   if (!alone && grow_current(*p, bytes, align)) {
@@ -245,7 +248,7 @@ void* Build::find_extent(std::size_t bytes, std::size_t align, std::uint32_t gra
   return begin_in(claim(*p, bytes, granules, alone), bytes);
 }
 
-/// Null: it does not fit.
+/// Null: the piece does not fit.
 void* Build::place_in_current(std::size_t bytes, std::size_t align) noexcept {
   const std::uint64_t begin = aligned_cursor(align);
   if (begin >= limit || bytes > limit - begin) return nullptr;
@@ -254,11 +257,12 @@ void* Build::place_in_current(std::size_t bytes, std::size_t align) noexcept {
   return at(begin);
 }
 
-/// A new extent. For what is more than the piece needs, no message of another topic goes.
+/// Claims a new extent. No message of another topic goes for the part that is more than the piece
+/// needs.
 unsigned Build::claim(transport::Participant& p, std::size_t bytes, std::uint32_t granules,
                       bool alone) {
-  // The last message here had no small pieces: this one is of another kind, and may have no large
-  // ones.
+  // The last message in this block had no small pieces. So this one is of another kind, and may
+  // have no large ones.
   if (!alone && current == 0) drop_idle(p);
   if (extents == kMaxExtents) drop_idle(p);
   if (extents == kMaxExtents || granules_in(bytes) >= kNoRun) out_of_memory(p, *this, bytes, 0);
@@ -267,18 +271,19 @@ unsigned Build::claim(transport::Participant& p, std::size_t bytes, std::uint32_
       alone ? granules : std::max<std::uint64_t>(granules, granules_shared());
   auto claimed = static_cast<std::uint32_t>(std::min<std::uint64_t>(doubled, kNoRun));
   const std::uint32_t tag = tag_of(p, *this);
-  const bool waits = p.holder().cell(tag - 1).type != nullptr;  // try_loan() does not
+  // a loan that must not wait leaves `type` null
+  const bool waits = p.holder().cell(tag - 1).type != nullptr;
   std::uint32_t run = p.try_claim_run(claimed, tag);
   if (run == kNoRun) {
     drop_idle(p);
     claimed = granules;
     run = p.claim_run(claimed, tag);
   }
-  if (run == kNoRun) {  // what has gone meanwhile may be enough, the more so for a little less
+  if (run == kNoRun) {  // what was freed meanwhile may be enough, the more so for a little less
     claimed = static_cast<std::uint32_t>(granules_in(bytes));
     run = waits ? p.await_run(claimed, tag) : p.claim_run(claimed, tag);
   }
-  if (run == kNoRun && !waits) throw OutOfMemory("lot: no memory");  // its text is dropped
+  if (run == kNoRun && !waits) throw OutOfMemory("lot: no memory");  // the caller drops this text
   if (run == kNoRun) out_of_memory(p, *this, bytes, errno);
   const unsigned newest = extents++;
   extent[newest] = {run, claimed, 0, alone ? std::uint16_t{0} : Arena::kShared};
@@ -286,8 +291,8 @@ unsigned Build::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   return newest;
 }
 
-/// An extent in which nothing lives begins with a piece of that size. It begins at a page, which
-/// suits every alignment that a message may have. What reserve() made serves pieces of every size,
+/// Begins an empty extent with a piece of that size. The extent begins at a page, which suits every
+/// alignment that a message may have. An extent that reserve() made serves pieces of every size,
 /// side by side.
 void* Build::begin_in(unsigned index, std::size_t bytes) noexcept {
   Extent& chosen = extent[index];
@@ -303,8 +308,8 @@ void* Build::begin_in(unsigned index, std::size_t bytes) noexcept {
   return at(begin);
 }
 
-/// Of the extents of a kind in which nothing lives, those that are reserved among them, the
-/// smallest one that has so many granules; where none has, the largest.
+/// Finds an empty extent of that kind; a reserved one suits every kind. It chooses the smallest one
+/// that has so many granules, or the largest where none has.
 unsigned Build::idle_extent(std::uint32_t granules, bool shared) const noexcept {
   unsigned best = kNone;
   for (unsigned i = 0; i < extents; ++i) {
@@ -322,7 +327,8 @@ unsigned Build::idle_extent(std::uint32_t granules, bool shared) const noexcept 
   return best;
 }
 
-/// What small pieces share; where the next large one will share as well, all.
+/// The granules that small pieces share. All granules, where the next large piece will share as
+/// well.
 std::uint64_t Build::granules_shared() const noexcept {
   std::uint64_t sum = 0;
   for (unsigned i = 0; i < extents; ++i) {
@@ -331,8 +337,8 @@ std::uint64_t Build::granules_shared() const noexcept {
   return sum;
 }
 
-/// Makes an idle extent as large as a piece needs: gives back what is too much, and takes the
-/// granules behind it if they are free. What reserve() made is not made smaller.
+/// Makes an idle extent as large as a piece needs. It gives back what is too much, or takes the
+/// granules behind the extent if they are free. An extent that reserve() made does not shrink.
 ///
 /// Crash: killed anywhere in it, the granules carry this block's tag or none.
 void Build::resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept {
@@ -372,13 +378,13 @@ bool Build::grow_current(transport::Participant& p, std::size_t bytes, std::size
   return false;
 }
 
-/// A thread that takes the spare extents has the lock, from its last look at the flag until it is
-/// done. It is a thread of the home.
+/// Waits for a thread that takes the spare extents. It has the lock from its last look at the flag
+/// until it is done. It is a thread of the home's process.
 void Build::await_taker() noexcept {
   transport::Participant* const p = home();
   if (p == nullptr) return;
   const std::lock_guard guard(pool_of(*p, *this).lock());
-  wanted.store(0, std::memory_order_relaxed);
+  wanted.store(0, std::memory_order_relaxed);  // relaxed: the lock carries it (M1, L2)
 }
 
 void Build::trim_whole() noexcept {
@@ -395,8 +401,8 @@ void Build::trim_whole() noexcept {
   }
 }
 
-/// Gives the end of the current extent back that nothing has been in, above 64 KiB and 1/16 of the
-/// rest.
+/// Gives back the end of the current extent that no piece has used, as far as it is more than 64
+/// KiB and 1/16 of the rest.
 void Build::trim_current() noexcept {
   if (current == 0) return;
   const Extent& e = extent[current - 1U];
@@ -410,14 +416,14 @@ void Build::trim_current() noexcept {
   limit = begin + used * kGranule;
 }
 
-/// Gives extents back in which nothing lives, but for those that reserve() made.
+/// Gives back the empty extents, except for those that reserve() made.
 void Build::drop_idle(transport::Participant& p) noexcept {
   for (unsigned i = extents; i-- > 0;) {
     if (extent[i].living == 0 && current != i + 1 && !extent[i].is_reserved()) drop(p, i);
   }
 }
 
-/// Gives an extent back that is not the current one.
+/// Gives back an extent that is not the current one.
 void Build::drop(transport::Participant& p, unsigned index) noexcept {
   const Extent gone = extent[index];
   const unsigned last = --extents;
@@ -429,7 +435,7 @@ void Build::drop(transport::Participant& p, unsigned index) noexcept {
 void Build::give_back(const void* piece, std::size_t bytes) noexcept {
   const std::uint64_t at = mapping->offset_of(piece);
   const bool newest = at + bytes == cursor;
-  const unsigned used = is_spare() ? 0 : extents;  // no piece is in a spare one
+  const unsigned used = is_spare() ? 0 : extents;  // no piece is in a spare extent
   for (unsigned i = 0; i < used; ++i) {
     Extent& e = extent[i];
     const std::uint64_t begin = begin_of(e);
@@ -442,7 +448,8 @@ void Build::give_back(const void* piece, std::size_t bytes) noexcept {
         cursor = at;
       }
     } else if (e.living == 0 && e.kind == 0) {
-      // A vector that grows has left it, and will need more the next time.
+      // A growing vector has left the extent, and the next message will need the larger one at
+      // once.
       if (transport::Participant* const p = home(); p != nullptr) {
         drop(*p, i);
         if (is_told) tell();
@@ -456,28 +463,29 @@ void Build::give_back(const void* piece, std::size_t bytes) noexcept {
 }
 
 void Arena::change_hands() noexcept {
-  // Relaxed: the holds of who writes it carry it.
+  // Relaxed: the holds of the process that writes it carry it.
   std::atomic_ref(changed_hands).store(kTaken, std::memory_order_relaxed);
 }
 
 void Arena::show() noexcept {
   // Relaxed: publishing carries it. Only the process that has taken the message comes here with
-  // kTaken, and no reader takes the message from a queue any more.
+  // kTaken, and from then on no reader takes the message from a queue.
   std::atomic_ref flag(changed_hands);
   if (flag.load(std::memory_order_relaxed) == kTaken) {
     flag.store(kShown, std::memory_order_relaxed);
   }
 }
 
-// Relaxed: publishing carries it to other processes. Another thread of this one that changes the
-// message must be synchronised with the push, as with any change; another one that publishes it
-// stores the same.
+// Relaxed: publishing carries it to other processes. Within this process, another thread that
+// changes the message must be synchronised with the push, as with any change. Another thread that
+// publishes it stores the same value.
 void Arena::freeze() noexcept {
   std::atomic_ref(frozen).store(kPublished, std::memory_order_relaxed);
 }
 
 bool Arena::freeze_first() noexcept {
   std::atomic_ref flag(frozen);
+  // Relaxed, both: as in freeze().
   return flag.load(std::memory_order_relaxed) == 0 &&
          flag.exchange(kPublished, std::memory_order_relaxed) == 0;
 }
@@ -489,6 +497,7 @@ bool Arena::was_handed_over() const noexcept {
 }
 
 bool Arena::is_frozen() const noexcept {
+  // Relaxed: as in freeze().
   return std::atomic_ref(const_cast<std::uint8_t&>(frozen)).load(std::memory_order_relaxed) != 0;
 }
 

@@ -7,6 +7,7 @@ namespace lot::transport {
 
 BiasedLock::BiasedLock() noexcept {
   if (!ProcessBarrier::is_there()) {
+    // Relaxed, both: no other thread knows the lock yet.
     owner_.store(kNobody, std::memory_order_relaxed);
     shared_.store(true, std::memory_order_relaxed);
   }
@@ -20,9 +21,10 @@ void BiasedLock::lock_shared() noexcept {
                                        std::memory_order_relaxed)) {  // L2
     while (inside != 0) {
       patience.wait(inside);
-      inside = taken_.load(std::memory_order_relaxed);
+      inside = taken_.load(std::memory_order_relaxed);  // relaxed: the compare-and-swap acquires
     }
   }
+  // Relaxed, here and below: owner_ and shared_ change only with taken_ (L2).
   const std::uintptr_t owner = owner_.load(std::memory_order_relaxed);
   if (owner == kUnowned) {
     owner_.store(self(), std::memory_order_relaxed);
@@ -30,7 +32,7 @@ void BiasedLock::lock_shared() noexcept {
     if (!shared_.load(std::memory_order_relaxed)) revoke(patience);
     alone_ = 0;
   } else if (++alone_ == kReturn) {
-    shared_.store(false, std::memory_order_relaxed);  // the next thread that has taken_ sees it
+    shared_.store(false, std::memory_order_relaxed);  // relaxed: carried with taken_ (L2)
   }
 }
 

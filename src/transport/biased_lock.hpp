@@ -8,23 +8,24 @@
 
 namespace lot::transport {
 
-/// A lock between the threads of one process, for sections that never block. As long as one thread
-/// alone uses it, it costs no locked operation.
+/// A lock between the threads of one process, for sections that never block. As long as only one
+/// thread uses it, it costs no locked operation.
 ///
-/// The first thread that takes it becomes its owner and says by a plain store that it is inside. A
-/// second thread revokes that: it raises shared_, makes every core of the process pass a barrier
-/// (membarrier), and waits until the owner is out. From then on all take an ordinary spin lock,
-/// until the owner has taken it kReturn times and no other thread has: then it has its way again.
+/// The first thread that takes the lock becomes its owner, and says by a plain store that it is
+/// inside. A second thread revokes that bias: it raises shared_, makes every core that runs the
+/// process pass a barrier (membarrier), and waits until the owner is out. From then on all threads
+/// take an ordinary spin lock. When the owner has taken it kReturn times and no other thread has,
+/// the owner gets the bias back.
 ///
-/// A thread that waits lends its priority to the thread that is inside (detail::Patience), so that
-/// a real-time thread waits for the section and not for the scheduler. Only while it revokes the
-/// bias it sleeps 50 us at a time instead.
+/// A thread that waits lends its priority to the thread that is inside (detail::Patience). So a
+/// real-time thread waits for the section and not for the scheduler. Only while a thread revokes
+/// the bias, it sleeps 50 us at a time instead.
 ///
 /// Edges
-///   L1  busy_ = true, then shared_ load by the owner <-> shared_ = true, membarrier, then busy_
-///   load by
-///       the revoker: one of the two sees the other. The owner's half is ordered for the compiler
-///       only; the membarrier is the processor's half of both.
+///   L1  busy_ = true, then shared_ load, by the owner
+///       <-> shared_ = true, membarrier, then busy_ load, by the revoker:
+///       one of the two sees the other. The owner's half is ordered for the compiler only. The
+///       membarrier is the processor's half of both.
 ///   L2  busy_ = false / taken_ = 0 (release) -> busy_ load / taken_ compare-and-swap (acquire)
 ///       carries: what the lock guards.
 ///
@@ -36,6 +37,7 @@ class BiasedLock {
   BiasedLock() noexcept;
 
   void lock() noexcept {
+    // Relaxed: only this thread itself can have stored its own number here.
     if (owner_.load(std::memory_order_relaxed) == self()) [[likely]] {
       busy_.store(true, std::memory_order_relaxed);  // L1
       std::atomic_signal_fence(std::memory_order_seq_cst);
@@ -58,16 +60,17 @@ class BiasedLock {
     }
   }
 
-  /// A barrier costs some microseconds, once for so many sections.
+  /// How often the owner takes the lock alone before it gets the bias back. A barrier costs some
+  /// microseconds, at most once in so many sections.
   static constexpr std::uint32_t kReturn = 1000;
-  /// Whether the owner need no locked operation. It may change at any time.
+  /// True if the owner needs no locked operation. It may change at any time. Relaxed: a hint.
   bool is_biased() const noexcept { return !shared_.load(std::memory_order_relaxed); }
 
  private:
   static constexpr std::uintptr_t kUnowned = 0;
   static constexpr std::uintptr_t kNobody = 1;
 
-  /// Tells this thread from the others that live.
+  /// A number that tells this thread from all other living threads.
   static std::uintptr_t self() noexcept {
     static thread_local char here;
     return reinterpret_cast<std::uintptr_t>(&here);
@@ -75,12 +78,15 @@ class BiasedLock {
   void lock_shared() noexcept;
   void revoke(detail::Patience& patience) noexcept;
 
-  std::atomic<std::uintptr_t> owner_{kUnowned};  ///< for ever: it alone writes busy_
-  std::atomic<bool> busy_{false};                ///< the owner is inside, without taken_
-  std::atomic<bool> shared_{false};              ///< the bias was revoked; written with taken_
+  /// never changes once set: only the owner writes busy_
+  std::atomic<std::uintptr_t> owner_{kUnowned};
+  std::atomic<bool> busy_{false};  ///< the owner is inside, without taken_
+  /// the bias was revoked; a thread writes it while it has taken_
+  std::atomic<bool> shared_{false};
   std::atomic<std::uint32_t> taken_{0};  ///< the thread that is inside, for waiters; 0: none
-  bool biased_ = false;      ///< how the thread that is inside came in; guarded by the lock itself
-  std::uint32_t alone_ = 0;  ///< how often the owner has come since another thread did; the same
+  bool biased_ = false;  ///< the thread inside came in by the bias; guarded by the lock itself
+  /// the owner's entries since another thread's; guarded by the lock itself
+  std::uint32_t alone_ = 0;
 };
 
 }  // namespace lot::transport

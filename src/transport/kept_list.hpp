@@ -8,25 +8,26 @@
 
 namespace lot::transport {
 
-/// The blocks of a pool whose messages only other processes hold, in the order in which they are
-/// looked at.
+/// The blocks of a pool whose messages only other processes hold, in the order in which the pool
+/// looks at them.
 ///
-/// A block is on it or not, by its own link: so a block whose message has died is taken off at
-/// once, wherever it stands, and nothing is allocated.
+/// A block's own link says whether it is on the list. So a block whose message has died is taken
+/// off at once, wherever it stands, and nothing is allocated.
 ///
 /// Threads: size() at any time, all else with the pool's lock. A link is written by the pool that
 ///          has its block at home.
 class KeptList {
  public:
-  /// The places of the neighbours, each one more than the block's index; 0: not on a list.
+  /// The places of the neighbours: a block's index plus 1; 0: not on a list.
   struct Link {
     std::uint32_t next = 0;
     std::uint32_t previous = 0;
   };
 
-  /// `links`: one a block, shared by all pools of the process.
+  /// `links`: one for each block, shared by all pools of the process.
   explicit KeptList(Link* links) noexcept : links_(links) {}
 
+  // Relaxed: a hint, or read with the lock.
   std::size_t size() const noexcept { return size_.load(std::memory_order_relaxed); }
   bool empty() const noexcept { return first_ == 0; }
   /// REQUIRES: not empty.
@@ -39,7 +40,8 @@ class KeptList {
     count(1);
     return true;
   }
-  /// Puts the block at the end, whether it is on the list or not. size() never says less meanwhile.
+  /// Puts the block at the end, whether it is on the list or not. size() never reports less
+  /// meanwhile.
   void move_to_end(std::uint32_t block) noexcept {
     if (enter(block)) return;
     unlink(block);
@@ -78,7 +80,7 @@ class KeptList {
     }
   }
   Link& at(std::uint32_t place) noexcept { return links_[place - 1]; }
-  /// Written under the lock alone.
+  /// Called with the lock only. Relaxed: readers without it take the size for a hint.
   void count(int change) noexcept {
     size_.store(size() + static_cast<std::size_t>(change), std::memory_order_relaxed);
   }

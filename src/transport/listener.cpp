@@ -18,10 +18,10 @@
 namespace lot {
 namespace {
 
-/// What cannot be waited for is not tried again at once.
+/// The listener pauses this long after an error, since it may come again at once.
 constexpr std::chrono::milliseconds kAfterError{10};
 
-/// Makes the calling thread what `options` wants. Throws lot::Error.
+/// Gives the calling thread the name, cores and priority that `options` names. Throws lot::Error.
 void become(const ThreadOptions& options) {
   pthread_setname_np(pthread_self(), options.name.substr(0, 15).c_str());
   if (!options.cpus.empty()) {
@@ -62,7 +62,7 @@ struct ShmListener::Impl {
   explicit Impl(Wait wait) : set(wait) {}
   ~Impl() {
     if (getpid() != process) {
-      (void)thread.release();  // the child has no such thread
+      (void)thread.release();  // a forked child has no such thread
       return;
     }
     set.stop();

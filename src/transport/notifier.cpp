@@ -33,7 +33,7 @@ Notifier::~Notifier() {
   {
     const std::lock_guard guard(mutex_);
     order_ = Order::Stop;
-    orders_.fetch_add(1, std::memory_order_relaxed);  // the mutex carries the order
+    orders_.fetch_add(1, std::memory_order_relaxed);  // relaxed: the mutex carries the order
   }
   futex::wake_all(&orders_);
   thread_.join();
@@ -41,7 +41,7 @@ Notifier::~Notifier() {
 }
 
 void Notifier::watch(detail::PullerCore& puller) {
-  // First: what comes from now on makes it readable again.
+  // First, so that what comes from now on makes it readable again.
   eventfd_t count;
   eventfd_read(fd_, &count);
   detail::FutexWaits waits;
@@ -49,7 +49,7 @@ void Notifier::watch(detail::PullerCore& puller) {
   try {
     again = puller.arm(waits);
   } catch (...) {
-    ring();  // nobody watches: look again
+    ring();  // nothing watches: the puller's user has to look again
     throw;
   }
   if (!again) return ring();
@@ -58,7 +58,7 @@ void Notifier::watch(detail::PullerCore& puller) {
     waits_ = std::move(waits);
     again_ = *again;
     order_ = Order::Watch;
-    orders_.fetch_add(1, std::memory_order_relaxed);  // the mutex carries the order
+    orders_.fetch_add(1, std::memory_order_relaxed);  // relaxed: the mutex carries the order
   }
   futex::wake_all(&orders_);
 }
@@ -78,7 +78,8 @@ void Notifier::run() {
         order_ = Order::Idle;
       }
       until = watching ? futex::Deadline(again_) : std::nullopt;
-      seen = orders_.load(std::memory_order_relaxed);  // all orders are given with the mutex
+      // relaxed: all orders are given with the mutex
+      seen = orders_.load(std::memory_order_relaxed);
     }
     if (!watching) {
       futex::wait(&orders_, seen, until);
@@ -87,7 +88,7 @@ void Notifier::run() {
     waits.push_back({&orders_, seen});
     futex::wait_any(waits, until);
     waits.pop_back();
-    if (orders_.load(std::memory_order_relaxed) != seen) continue;
+    if (orders_.load(std::memory_order_relaxed) != seen) continue;  // relaxed: as above
     ring();
     watching = false;  // until the puller's thread has looked
   }

@@ -11,8 +11,8 @@ namespace lot::transport {
 
 /// Makes a descriptor readable when a puller may have a message: for epoll, poll, Asio and GLib.
 ///
-/// The puller's own thread looks and, when there is nothing, hands over the words to sleep on; a
-/// thread of the notifier's sleeps on them. So nobody but its user ever touches the puller.
+/// The puller's own thread looks and, when it finds nothing, hands over the words to sleep on. A
+/// thread of the notifier sleeps on them. So only the puller's user ever touches the puller.
 ///
 /// Threads: watch() one at a time.
 /// Errors:  lot::Error when the system has no descriptor or no thread left.
@@ -34,7 +34,7 @@ class Notifier {
   int fd_;
   std::mutex mutex_;
   detail::FutexWaits waits_;         ///< what to sleep on
-  detail::Clock::time_point again_;  ///< but not longer
+  detail::Clock::time_point again_;  ///< the latest time to wake
   enum class Order { Idle, Watch, Stop } order_ = Order::Idle;
   std::atomic<std::uint32_t> orders_{0};  ///< futex: bumped with each order
   std::thread thread_;

@@ -16,8 +16,8 @@ constexpr std::uint64_t granules_in(std::uint64_t bytes) {
   return bytes / segment::kGranule + (bytes % segment::kGranule != 0);
 }
 
-/// The granules of an extent for a piece of that size. Sizes that differ little share one, so that
-/// the next message fits; it is at most 1/16 more, beside the last granule.
+/// The granules of an extent for a piece of that size. Sizes that differ little get the same
+/// number, so that the next message fits. Beyond rounding up to granules, it is at most 1/16 more.
 constexpr std::uint64_t fit(std::uint64_t bytes) {
   constexpr std::uint64_t kSmallRun = 16;
   const std::uint64_t granules = granules_in(bytes);
@@ -26,8 +26,8 @@ constexpr std::uint64_t fit(std::uint64_t bytes) {
   return (granules + step - 1) & ~(step - 1);
 }
 
-/// What a message has in extents: their kinds and sizes, the shared ones behind the others, large
-/// ones first.
+/// The extents of a message: their kinds and sizes. Shared extents come last, and within a kind the
+/// large ones come first.
 class Pieces {
  public:
   struct Piece {
@@ -35,13 +35,13 @@ class Pieces {
     std::uint16_t kind;  ///< 0 or Arena::kShared
   };
 
-  /// A message that is one piece.
+  /// The extents of a message that is one piece.
   static Pieces one(std::uint64_t bytes) {
     Pieces p;
     p.add({static_cast<std::uint32_t>(fit(bytes)), 0});
     return p;
   }
-  /// Those of a message that is being built: the extents in which something lives, and the newest.
+  /// The extents of a message that is being built: those in which something lives, and the newest.
   static Pieces of(const detail::Build& build, unsigned newest) {
     Pieces p;
     for (unsigned i = 0; i < build.extents; ++i) {

@@ -58,7 +58,7 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
     throw Error(EINVAL, p.segment().path(), "a message can not refer to one in another segment",
                 "copy it, or put both topics into one segment");
   }
-  if (target->hub != p.hub()) {  // it knows the target by an address of another mapping
+  if (target->hub != p.hub()) {  // it knows the target by an address in another mapping
     throw Error(
         EINVAL, p.segment().path(),
         "a message can not refer to one that another copy of the library has pulled or made",
@@ -69,7 +69,7 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
                 "a message can not refer to what lies outside of the message that it would keep",
                 "refer to that message or a part of it, or copy the object into the message");
   }
-  // The hold would be ours, and its entry the home's.
+  // In a message of another home, the hold would belong to this process and its entry to the home.
   const std::uint32_t here = p.segment().block_of(arena);
   if (here >= p.blocks() || !p.holder().is_home(here)) {
     throw Error(EPERM, p.segment().path(),
@@ -100,10 +100,12 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
     for (Entry& entry : fresh->entry) entry = {ReferenceList::kNone, 0};
     std::atomic_ref(arena.references)
         .store(p.segment().offset_of(fresh), std::memory_order_release);
-    // Killed before: no list, after: a whole one.
+    // Release: the order matters to a kill only. Killed before, there is no list; after, a whole
+    // one.
     free = &fresh->entry[0];
   }
-  // The hold first, then its entry: killed in between, the hold goes with our bit.
+  // The hold first, then its entry. Killed in between, the hold goes with this process's bit.
+  // Relaxed, here and below: only the home writes the list (Holder::each_entry).
   p.holder().acquire(block, hold::kRing);
   free->refs = 1;
   std::atomic_ref(free->block).store(block, std::memory_order_relaxed);
@@ -115,7 +117,7 @@ void unrefer(Arena& arena, std::uint32_t block) noexcept {
   transport::Participant* const p = transport::Participant::at(&arena);
   if (p == nullptr) return;
   const std::uint32_t here = p->segment().block_of(arena);
-  if (here >= p->blocks() || !p->holder().is_home(here)) return;  // the entry is the home's
+  if (here >= p->blocks() || !p->holder().is_home(here)) return;  // only the home changes an entry
   if (block >= p->blocks()) return;                               // the reference is damaged
   using Entry = ReferenceList::Entry;
   Entry* known = nullptr;
@@ -124,8 +126,8 @@ void unrefer(Arena& arena, std::uint32_t block) noexcept {
     return known == nullptr;
   });
   if (known == nullptr || --known->refs != 0) return;
-  // The entry first, then its hold, which is released: killed in between, the hold goes with our
-  // bit.
+  // The entry first, then its hold, which is released. Killed in between, the hold goes with this
+  // process's bit.
   std::atomic_ref(known->block).store(ReferenceList::kNone, std::memory_order_relaxed);
   p->holder().release(block, hold::kRing);
 }

@@ -15,10 +15,10 @@ namespace {
 
 bool membarrier(int command) noexcept { return syscall(SYS_membarrier, command, 0, 0) == 0; }
 
-constexpr unsigned kTries = 1000;  ///< of the barrier, 50 us apart
+constexpr unsigned kTries = 1000;  ///< how often the barrier is tried, 50 us apart
 
-/// While the process has one thread: later the kernel waits until every core has passed through it,
-/// which takes 10 ms, and seconds on a machine that is overloaded.
+/// Registered while the process has one thread. Later the kernel waits until every core has passed
+/// through it, which takes 10 ms, and seconds on an overloaded machine.
 [[maybe_unused]] const bool is_registered_at_start =
     membarrier(MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED);
 
@@ -36,7 +36,7 @@ bool ProcessBarrier::is_there() noexcept {
   static std::atomic<pid_t> tried{0};
   const pid_t process = getpid();
   if (tried.load(std::memory_order_acquire) == process) return true;
-  // Tried as well: a sandbox may have come since the process was registered.
+  // The barrier itself is tried as well: a sandbox may have come since the process was registered.
   if (!membarrier(MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED) ||
       !membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED)) {
     return false;
@@ -47,7 +47,7 @@ bool ProcessBarrier::is_there() noexcept {
 }
 
 void ProcessBarrier::pass() noexcept {
-  // The kernel may be short of memory for a moment. A process that is refused for good cannot go
+  // The kernel may be short of memory for a moment. A process that it refuses for good cannot go
   // on.
   detail::Patience patience;
   for (unsigned tries = 0; !membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED); patience.wait(0)) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// The core of ShmQueue: a pusher and a puller, each made when it is first needed, for all threads.
+/// The core of ShmQueue: one pusher and one puller for all threads. Each is made when it is first
+/// needed.
 #include <algorithm>
 #include <cerrno>
 #include <mutex>
@@ -52,7 +53,7 @@ class Queue final : public detail::QueueCore {
   }
 
   bool take(detail::Claim& claim, Wait wait, Clock::time_point deadline) override {
-    participant_->check_usable();  // before the lock: a child may have inherited it
+    participant_->check_usable();  // before the lock: a forked child may have inherited it locked
     if (!has_workers()) {
       throw Error(EINVAL, name_, "the queue was made without QueueOptions::redeliver",
                   "pop its items, or set redeliver in each process that uses it");
@@ -79,7 +80,7 @@ class Queue final : public detail::QueueCore {
 
   bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline,
            bool may_come_back) override {
-    participant_->check_usable();  // before the lock: a child may have inherited it
+    participant_->check_usable();  // before the lock: a forked child may have inherited it locked
     if (has_workers()) {
       throw Error(EINVAL, name_, "an item of a queue that redelivers cannot be popped",
                   "wait_and_take() it, and finish() it when it is done");
@@ -90,30 +91,32 @@ class Queue final : public detail::QueueCore {
     return true;
   }
 
+  // Relaxed: see Place::reserve().
   void copied() noexcept override { in_hand_.fetch_sub(1, std::memory_order_relaxed); }
 
   void hand_back(const detail::Borrowed& item) noexcept override {
     if (participant_->inert()) return;
     const std::lock_guard guard(mutex_);
-    returned_.push_back(item);  // into the place that its pop has
+    returned_.push_back(item);  // its pop has made room
     copied();
     wake_waiters();
   }
 
   void listen() override {
-    participant_->check_usable();  // before the lock: a child may have inherited it
+    participant_->check_usable();  // before the lock: a forked child may have inherited it locked
     const std::lock_guard guard(mutex_);
     puller();
   }
   std::size_t size() override {
-    participant_->check_usable();  // before the lock: a child may have inherited it
+    participant_->check_usable();  // before the lock: a forked child may have inherited it locked
     const std::lock_guard guard(mutex_);
     return returned_.size() + puller().size();
   }
   std::size_t capacity() const noexcept override { return putting_.depth; }
 
  private:
-  /// Room in returned_ for the item of one pop, from before it looks until its item is copied.
+  /// Keeps room in returned_ for the item of one pop, from before the pop looks until its item is
+  /// copied.
   class Place {
    public:
     Place(Queue& queue, bool is_needed) : queue_(queue), is_needed_(is_needed) {}
@@ -125,14 +128,14 @@ class Queue final : public detail::QueueCore {
     /// REQUIRES: the queue's mutex.
     void reserve() {
       if (!is_needed_ || has_) return;
-      // Relaxed, here and elsewhere: it grows under the mutex, and if it is less by now there is
-      // room to spare.
+      // Relaxed, here and elsewhere: in_hand_ grows only under the mutex. If it is less by now,
+      // there is more room than needed.
       const std::size_t in_hand = queue_.in_hand_.load(std::memory_order_relaxed);
       queue_.returned_.reserve(queue_.returned_.size() + in_hand + 1);
       queue_.in_hand_.fetch_add(1, std::memory_order_relaxed);
       has_ = true;
     }
-    /// copied() or hand_back() gives it up.
+    /// Leaves the room to copied() or hand_back(), which give it up.
     void keep() noexcept { has_ = false; }
 
    private:
@@ -143,7 +146,8 @@ class Queue final : public detail::QueueCore {
 
   bool has_workers() const { return delivery_ == detail::Delivery::ToWorker; }
 
-  /// With a claim: where the item lies, too.
+  /// Looks for an item, and waits as `wait` says. With a claim, it also notes where the item lies
+  /// in the queue.
   bool look_or_wait(detail::Borrowed& item, Wait wait, Clock::time_point deadline, Place& place,
                     detail::Claim* claim) {
     detail::FutexWaits waits;
@@ -185,7 +189,7 @@ class Queue final : public detail::QueueCore {
     }
   }
 
-  /// First what came back: it is older than what lies in the queue. REQUIRES: mutex_.
+  /// Takes an item that came back first: it is older than what lies in the queue. REQUIRES: mutex_.
   bool look(detail::Borrowed& item) {
     if (returned_.empty()) {
       const Status status = puller().pull(item, false, {}, false);
@@ -197,22 +201,24 @@ class Queue final : public detail::QueueCore {
     return true;
   }
 
-  /// Threads of this handle that wait sleep on the puller's words. One that has not begun to sleep
-  /// on them sleeps on for the second after which it looks in any case. REQUIRES: mutex_.
+  /// Wakes the threads of this handle that sleep on the puller's words. A thread that has not begun
+  /// to sleep misses the wake-up and sleeps until it looks again by itself, after a second at most.
+  /// REQUIRES: mutex_.
   void wake_waiters() noexcept {
     try {
       detail::FutexWaits waits;
       puller().arm(waits);
       for (const auto& wait : waits) futex::wake_all(wait.word);
-    } catch (const std::exception&) {  // there is no memory: after that second
+    } catch (const std::exception&) {  // no memory: they look by themselves after a second
     }
   }
 
-  /// The handle goes: another one can have what came back to it.
+  /// The handle is destroyed: puts an item that came back to it into the queue, so that another
+  /// handle can get it.
   void put_back(const detail::Borrowed& item) noexcept {
     try {
       if (pusher().push_unique(item.cell, 0ns) == Status::Ok) return;
-    } catch (const std::exception&) {  // no memory, or no place for another queue
+    } catch (const std::exception&) {  // no memory, or no room for another ring
     }
     item.cell->drop_pointer();
   }
@@ -245,10 +251,10 @@ class Queue final : public detail::QueueCore {
   std::uint32_t topic_;
   std::once_flag pusher_made_;
   std::unique_ptr<detail::PusherCore> pusher_;
-  std::mutex mutex_;  ///< of what follows; no thread sleeps with it
+  std::mutex mutex_;  ///< guards what follows; no thread sleeps while it holds it
   SpinHabit habit_;
   std::unique_ptr<detail::PullerCore> puller_;
-  /// Items that this handle has taken and could not copy. There is room for those in_hand_ as well.
+  /// Items that this handle has taken and could not copy. There is room for in_hand_ more.
   std::vector<detail::Borrowed> returned_;
   std::atomic<std::size_t> in_hand_{0};  ///< pops that may hand an item back, or look for one
 };

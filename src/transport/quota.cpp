@@ -9,14 +9,16 @@
 namespace lot::transport {
 namespace {
 
-/// So many notes at least lie between two looks.
+/// At least this many notes lie between two looks.
 constexpr std::size_t kNotesAhead = 64;
-/// All that is kept is weighed again when this subscription has taken such a part of what was left,
-/// or has taken more after so long: of several that do so at once each stays within what is left.
+/// All that is kept in the segment is weighed again when this subscription has taken one part in
+/// kPartOfRest of what was left, or has taken more after kWeighedFor. So each of several that take
+/// at once stays within what is left.
 constexpr std::uint64_t kPartOfRest = 16;
 constexpr std::chrono::milliseconds kWeighedFor{10};
 
-/// Below the half: a subscription that is alone leaves others a part of it, too.
+/// The limit in granules. It stays below the half, so that a subscription that is alone leaves
+/// others a part, too.
 std::uint64_t limit_of(segment::Segment& segment, std::uint64_t bytes) {
   const std::uint64_t all = segment.granules().count();
   if (bytes == Quota::kNone) return Quota::kNone;
@@ -24,8 +26,9 @@ std::uint64_t limit_of(segment::Segment& segment, std::uint64_t bytes) {
   return std::clamp(granules, std::uint64_t{1}, std::max<std::uint64_t>(all * 7 / 16, 1));
 }
 
-/// May a subscription that holds so much take more? Each gets a part of what the others leave of
-/// the half: the greater its limit, the greater the part. One that is alone reaches its limit.
+/// True if a subscription that holds `own` may take more. Each gets a part of what the others leave
+/// of the half. The greater its limit, the greater its part. A subscription that is alone reaches
+/// its limit.
 bool is_within(std::uint64_t own, std::uint64_t limit, std::uint64_t all_kept, std::uint64_t half) {
   if (own >= limit || all_kept >= half) return false;
   return own * (half - limit) < limit * (half - all_kept);
@@ -43,33 +46,34 @@ Quota::Quota(Participant& participant, std::uint64_t limit)
 }
 
 void Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
-  // Relaxed: it is held, so it lives.
+  // Relaxed: the message is held, so its generation stays.
   const std::uint32_t generation = refcount::generation_of(
       participant_.segment().block(block).life.load(std::memory_order_relaxed));
   granules_ += granules;
-  // A reader that lets one message go before the next one comes has one note, and no look.
+  // A reader that lets one message go before the next one comes has one note, and needs no look.
   if (!notes_.empty() && !has_pointers(notes_.back().block)) {
     granules_ -= notes_.back().granules;
     notes_.back() = {block, generation, granules};
   } else {
-    notes_.push_back({block, generation, granules});  // there is room
+    notes_.push_back({block, generation, granules});  // allows_one_more() has made room
   }
 }
 
 bool Quota::look() {
   forget_what_went();
-  // One message is always allowed: where others hold all that may be held, this one goes on.
+  // One message is always allowed: this subscription goes on even if others hold all that may be
+  // held.
   is_full_ =
       !notes_.empty() && (granules_ >= limit_ || notes_.size() >= limit_notes_ || !leaves_enough());
   if (is_full_) {
-    look_at_notes_ = 0;  // each time from now on
+    look_at_notes_ = 0;  // it looks each time from now on
     return false;
   }
   plan_next_look();
   return true;
 }
 
-/// Each message counts once, however often it has come.
+/// Removes notes of messages that were let go. Each message counts once, however often it has come.
 void Quota::forget_what_went() noexcept {
   std::erase_if(notes_, [this](const Note& note) { return !is_held(note); });
   const auto by_block = [](const Note& a, const Note& b) { return a.block < b.block; };
@@ -83,12 +87,14 @@ void Quota::forget_what_went() noexcept {
 bool Quota::is_held(const Note& note) const noexcept {
   const auto& life = participant_.segment().block(note.block).life;
   return has_pointers(note.block) &&
+         // Relaxed: a message that is held keeps its generation.
          refcount::generation_of(life.load(std::memory_order_relaxed)) == note.generation;
 }
 
 bool Quota::has_pointers(std::uint32_t block) const noexcept {
+  // Relaxed: a hint, and what it misses the next look sees.
   const std::uint64_t word = participant_.holder().cell(block).hold.load(std::memory_order_relaxed);
-  // At the edge a thread takes the first hold or lets go of the last: that will be seen.
+  // At the edge a thread takes the first hold or lets go of the last: the next look will see it.
   return (word & hold::kEdge) != 0 || hold::pointers(word) != 0;
 }
 
@@ -119,16 +125,16 @@ bool Quota::leaves_enough() {
   return !is_shared_out_;
 }
 
-/// Makes room for the notes until then.
+/// Plans the next look, and makes room for the notes until then.
 void Quota::plan_next_look() {
   const std::uint64_t half = participant_.segment().granules().count() / 2;
-  // Before it has weighed, it takes little: others may have taken all.
+  // Before it has weighed, it takes little: other subscriptions may have taken everything.
   const std::uint64_t left = weighed_.own_notes == 0 ? half / 2 : half;
   const std::uint64_t rest = left > weighed_.granules ? left - weighed_.granules : 0;
   const std::size_t notes =
       std::max(std::min(std::max(2 * notes_.size(), notes_.size() + kNotesAhead), limit_notes_),
                notes_.size() + 1);
-  look_at_notes_ = 0;  // where there is no memory for them
+  look_at_notes_ = 0;  // in case there is no memory for them
   notes_.reserve(notes);
   look_at_notes_ = notes;
   look_at_granules_ = std::min(limit_, granules_ + std::max<std::uint64_t>(rest / kPartOfRest, 1));

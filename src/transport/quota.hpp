@@ -12,12 +12,12 @@ namespace lot::transport {
 
 class Participant;
 
-/// What one subscription holds, and how much it may (PullerOptions::max_held_bytes,
+/// What one subscription holds, and how much it may hold (PullerOptions::max_held_bytes,
 /// docs/memory.md).
 ///
-/// What is kept is noted. What was let go is not: the notes are looked through when there are twice
-/// as many as after the last look, or when their sum reaches the limit. So a pointer that goes
-/// costs nothing more, and one that comes the note.
+/// What is kept is noted. What was let go is not. Instead the notes are looked through when there
+/// are twice as many as after the last look, or when their sum reaches the limit. So a pointer that
+/// goes costs nothing more, and one that comes costs a note.
 ///
 /// A note counts while this process holds the message, for whatever part of it.
 ///
@@ -29,14 +29,14 @@ class Quota {
   static constexpr std::uint64_t kNone = ~std::uint64_t{0};
   Quota(Participant& participant, std::uint64_t limit);
 
-  /// May one more message be kept? True makes room for its note. Throws std::bad_alloc.
+  /// True if one more message may be kept; it makes room for its note. Throws std::bad_alloc.
   bool allows_one_more() {
     if (notes_.size() < look_at_notes_ && granules_ < look_at_granules_) [[likely]]
       return true;
     return look();
   }
-  /// A message that this process has a pointer hold on. `granules`: its memory beside its block.
-  /// REQUIRES: counts(), and allows_one_more() was true since the last note.
+  /// Notes a message that this process has a pointer hold on. `granules`: its memory besides its
+  /// block. REQUIRES: counts(), and allows_one_more() was true since the last note.
   void note(std::uint32_t block, std::uint64_t granules) noexcept;
 
   /// False: there is no limit, and no need for notes.
@@ -61,15 +61,15 @@ class Quota {
 
   Participant& participant_;
   std::vector<Note> notes_;
-  std::uint64_t granules_ = 0;  ///< of all notes
+  std::uint64_t granules_ = 0;  ///< the sum of all notes
   std::size_t look_at_notes_ = 0;
   std::uint64_t look_at_granules_ = 0;
   bool is_full_ = false;
-  bool is_shared_out_ = false;  ///< full since all subscriptions together hold too much
+  bool is_shared_out_ = false;  ///< full because all subscriptions together hold too much
 
   const std::uint64_t limit_;      ///< in granules
   const std::size_t limit_notes_;  ///< a quarter of the blocks
-  /// All that is kept in the segment, when that was last weighed, and what was held here then.
+  /// What was kept in the whole segment when it was last weighed, and what was held here then.
   struct Weighed {
     std::uint64_t granules = 0;
     std::uint64_t blocks = 0;

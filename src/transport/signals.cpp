@@ -25,19 +25,21 @@ namespace {
 
 constexpr int kSignals[] = {SIGINT, SIGTERM, SIGHUP};
 
-/// remove_files() takes no longer. A signal that comes meanwhile is the same wish once more: a
-/// terminal, a shell and timeout(1) send it twice, and so does a parent's death (PR_SET_PDEATHSIG).
+/// remove_files() takes no longer than this. A signal that comes meanwhile is the same wish once
+/// more: a terminal, a shell and timeout(1) send it twice, and so does a parent's death
+/// (PR_SET_PDEATHSIG).
 constexpr std::chrono::milliseconds kCleaning = transport::Participant::kGatePatience;
 
 std::mutex mutex;
-// What the handler uses, relaxed: nothing is handed over. No descriptor: closefrom() would take it.
-std::atomic<pid_t> process{0};         ///< that has the thread
-std::atomic<std::int64_t> came_at{0};  ///< when the first signal came; 0: none has
-std::atomic<std::uint32_t> came{0};    ///< which one; the thread sleeps on it
+// What the handler uses. Relaxed, all of it: nothing is handed over. No descriptor, since
+// closefrom() would close it.
+std::atomic<pid_t> process{0};         ///< the process that has the thread
+std::atomic<std::int64_t> came_at{0};  ///< when the first signal came; 0: none has come
+std::atomic<std::uint32_t> came{0};    ///< the number of the signal; the thread sleeps on this word
 
 std::int64_t now() { return futex::Clock::now().time_since_epoch().count(); }
 
-/// Only what a signal handler may do.
+/// The handler. It does only what a signal handler may do.
 void take(int number) {
   const int error = errno;
   const bool is_child = getpid() != process.load(std::memory_order_relaxed);
@@ -46,13 +48,13 @@ void take(int number) {
     came.store(static_cast<std::uint32_t>(number), std::memory_order_relaxed);
     futex::wake_all(&came);
   } else if (is_child || now() - first > std::chrono::nanoseconds(kCleaning).count()) {
-    std::signal(number, SIG_DFL);  // a child has no such thread; or it takes too long
-    raise(number);                 // it comes when this handler has returned
+    std::signal(number, SIG_DFL);  // a forked child has no such thread; or removing takes too long
+    raise(number);                 // the signal comes when this handler has returned
   }
   errno = error;
 }
 
-/// The process ends as by default.
+/// Ends the process as the signal does by default.
 [[noreturn]] void end(int number) {
   std::signal(number, SIG_DFL);
   sigset_t its;
@@ -60,7 +62,7 @@ void take(int number) {
   sigaddset(&its, number);
   pthread_sigmask(SIG_UNBLOCK, &its, nullptr);
   raise(number);
-  _exit(128 + number);  // the first process of a container has no default
+  _exit(128 + number);  // for the first process of a container the default is to ignore it
 }
 
 void wait_and_end() {
@@ -70,8 +72,8 @@ void wait_and_end() {
   end(static_cast<int>(came.load(std::memory_order_relaxed)));
 }
 
-/// main() goes on while a signal is on its way: what it returns of work that the signal has cut
-/// short is no exit code.
+/// Keeps main() from ending the process while a signal is on its way: a result of work that the
+/// signal has cut short is no exit code.
 void await_end() {
   while (process.load(std::memory_order_relaxed) == getpid() &&
          came_at.load(std::memory_order_relaxed) != 0) {
@@ -94,7 +96,7 @@ void end_cleanly_on_signals() {
   const std::lock_guard guard(mutex);
   transport::Participant::watch_forks();
   if (process.load(std::memory_order_relaxed) != getpid()) {
-    came_at.store(0, std::memory_order_relaxed);  // the parent's
+    came_at.store(0, std::memory_order_relaxed);  // these are the parent's
     came.store(0, std::memory_order_relaxed);
     const detail::NoSignals quiet;
     try {
@@ -106,7 +108,7 @@ void end_cleanly_on_signals() {
     process.store(getpid(), std::memory_order_relaxed);
   }
   static const int registered = std::atexit(&await_end);
-  static_cast<void>(registered);  // without it the exit code is main()'s
+  static_cast<void>(registered);  // if it fails, the exit code is main()'s
   for (const int number : kSignals) install(number);
 }
 

@@ -9,8 +9,9 @@ using Ownership = refcount::Ownership<segment::Atomics>;
 
 namespace {
 
-/// True if readers may lose messages of the ring, or take none. Only workers get the tasks that a
-/// publisher waits for. What a publisher has left when it has gone, its readers get to the end.
+/// True if messages of the ring may go for another topic's need. False for the items of a queue
+/// without loss: only their takers get them. False for what a publisher without loss has left: its
+/// readers get that to the end.
 bool may_lose(const segment::ChannelEntry& entry, ring::State state) {
   return entry.policy == static_cast<std::uint32_t>(Policy::Overwrite) ||
          (state == ring::State::Live && entry.taken == 0);

@@ -24,8 +24,8 @@ constexpr unsigned kPollsPerClock = 64;
 
 // Edges
 //   W1  stop_ = 1 (exchange, release) in stop() -> exchange (acquire) in take_stop()
-//       carries: what the thread, or the signal handler, wrote before stop() is there when run()
-//       has returned.
+//       carries: what the thread or the signal handler that called stop() wrote before. It is there
+//       when run() has returned.
 class WaitSetCore {
  public:
   explicit WaitSetCore(Wait wait) : habit_(wait) {}
@@ -52,18 +52,19 @@ class WaitSetCore {
 
   /// Relaxed: take_stop() follows, which acquires.
   bool stopped() const noexcept { return stop_.load(std::memory_order_relaxed) != 0; }
-  /// True once for each stop, or once for several.
+  /// True once for one stop, or for several that came together.
   bool take_stop() noexcept {
     return stopped() && stop_.exchange(0, std::memory_order_acquire) != 0;  // W1
   }
-  /// Only what a signal handler may do.
+  /// Does only what a signal handler may do.
   void stop() noexcept {
-    // W1. An exchange, so that it carries on what an earlier stop of another thread has released.
+    // W1. An exchange and not a store: it also carries what an earlier stop() of another thread has
+    // released.
     stop_.exchange(1, std::memory_order_release);
     futex::wake_all(&stop_);
   }
 
-  /// How many handlers were called; nothing when it was stopped.
+  /// Returns how many handlers were called; nothing when the set was stopped.
   std::optional<std::size_t> run_once(const futex::Deadline& deadline) {
     for (;;) {
       if (take_stop()) return std::nullopt;
@@ -89,7 +90,7 @@ class WaitSetCore {
   struct Timer {
     WaitSet::Timer name;
     Clock::time_point next;
-    std::chrono::nanoseconds period;  ///< 0: once
+    std::chrono::nanoseconds period;  ///< 0: it fires once
     WaitSet::Handler handler;
     bool removed = false;
   };
@@ -98,9 +99,11 @@ class WaitSetCore {
     std::size_t called = 0;
     const auto now = Clock::now();
     const WaitSet::Timer last{last_timer_};
-    for (auto t = timers_.begin(); t != timers_.end(); ++t) {  // handlers may add: a list stays
-      // One that a handler adds meanwhile is not for now, be it overdue: else a handler that adds
-      // such a one each time would be all that is called.
+    // a handler may add a timer: iterators of a list stay valid
+    for (auto t = timers_.begin(); t != timers_.end(); ++t) {
+      // A timer that a handler adds meanwhile waits for the next turn, even if it is overdue.
+      // Otherwise a handler that adds such a timer each time would keep all others from being
+      // called.
       if (t->removed || t->next > now || t->name > last) continue;
       if (t->period.count() == 0) {
         t->removed = true;
@@ -115,8 +118,8 @@ class WaitSetCore {
     return called;
   }
 
-  /// Calls the handlers of those that have something to read, and collects what the others wait
-  /// for. Returns when to look again.
+  /// Calls the handlers of the pullers that have something to read, and collects the words that the
+  /// others wait for. Returns when to look again.
   std::optional<Clock::time_point> call_ready(std::size_t& called) {
     std::optional<Clock::time_point> until;
     for (auto e = entries_.begin(); e != entries_.end() && !stopped(); ++e) {
@@ -133,7 +136,7 @@ class WaitSetCore {
     return until;
   }
 
-  /// True when something has come while we spun.
+  /// True when a message, a stop or the deadline has come while this thread spun.
   bool spin(const std::optional<Clock::time_point>& until) {
     if (entries_.empty() || !habit_.worthwhile()) return false;
     const auto start = Clock::now();
@@ -160,8 +163,8 @@ class WaitSetCore {
   std::list<Timer> timers_;
   std::uint64_t last_timer_ = 0;
   FutexWaits waits_;
-  /// Futex: 1 = stop() was called. Any thread and signal handlers set it, the thread that runs
-  /// takes it back. Seen late, it costs another look.
+  /// Futex: 1 = stop() was called. Any thread and signal handlers set it. The thread in run()
+  /// resets it. Seen late, it costs one more look.
   std::atomic<std::uint32_t> stop_{0};
 };
 
