@@ -34,8 +34,8 @@ class Ahead {
 
   /// Tells that messages of the publisher with this pool have such pieces. No lock.
   void expect(Pool& pool, const Pieces& pieces) noexcept;
-  /// The publisher has claimed a block, perhaps the one that was made, and has published it. It
-  /// will need another one, and does not need its core now. No lock.
+  /// The publisher will need another block, and does not need its core now. It has claimed a block,
+  /// perhaps the one that was made, and is done with it. No lock.
   void next(Pool& pool) noexcept;
   /// When this returns nothing is made for the publisher any more, until it expects something
   /// again. A closed pool does not. No lock.

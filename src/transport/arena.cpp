@@ -130,7 +130,7 @@ void Build::open(Arena& its, const Mapping& here) noexcept {
   extents = 0;
   // Relaxed, both: no other thread knows the build yet.
   spare.store(kBuilders, std::memory_order_relaxed);
-  wanted.store(0, std::memory_order_relaxed);
+  wanted.store(0, std::memory_order_relaxed);  // as above
 }
 
 void Build::tell() noexcept {
@@ -471,8 +471,8 @@ void Arena::show() noexcept {
   // Relaxed: publishing carries it. Only the process that has taken the message comes here with
   // kTaken, and from then on no reader takes the message from a queue.
   std::atomic_ref flag(changed_hands);
-  if (flag.load(std::memory_order_relaxed) == kTaken) {
-    flag.store(kShown, std::memory_order_relaxed);
+  if (flag.load(std::memory_order_relaxed) == kTaken) {  // as above
+    flag.store(kShown, std::memory_order_relaxed);       // as above
   }
 }
 
@@ -480,7 +480,7 @@ void Arena::show() noexcept {
 // changes the message must be synchronised with the push, as with any change. Another thread that
 // publishes it stores the same value.
 void Arena::freeze() noexcept {
-  std::atomic_ref(frozen).store(kPublished, std::memory_order_relaxed);
+  std::atomic_ref(frozen).store(kPublished, std::memory_order_relaxed);  // as above
 }
 
 bool Arena::freeze_first() noexcept {

@@ -9,7 +9,7 @@ BiasedLock::BiasedLock() noexcept {
   if (!ProcessBarrier::is_there()) {
     // Relaxed, both: no other thread knows the lock yet.
     owner_.store(kNobody, std::memory_order_relaxed);
-    shared_.store(true, std::memory_order_relaxed);
+    shared_.store(true, std::memory_order_relaxed);  // as above
   }
 }
 
@@ -27,9 +27,9 @@ void BiasedLock::lock_shared() noexcept {
   // Relaxed, here and below: owner_ and shared_ change only with taken_ (L2).
   const std::uintptr_t owner = owner_.load(std::memory_order_relaxed);
   if (owner == kUnowned) {
-    owner_.store(self(), std::memory_order_relaxed);
+    owner_.store(self(), std::memory_order_relaxed);  // as above
   } else if (owner != self()) {
-    if (!shared_.load(std::memory_order_relaxed)) revoke(patience);
+    if (!shared_.load(std::memory_order_relaxed)) revoke(patience);  // as above
     alone_ = 0;
   } else if (++alone_ == kReturn) {
     shared_.store(false, std::memory_order_relaxed);  // relaxed: carried with taken_ (L2)

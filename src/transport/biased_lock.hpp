@@ -39,8 +39,8 @@ class BiasedLock {
   void lock() noexcept {
     // Relaxed: only this thread itself can have stored its own number here.
     if (owner_.load(std::memory_order_relaxed) == self()) [[likely]] {
-      busy_.store(true, std::memory_order_relaxed);  // L1
-      std::atomic_signal_fence(std::memory_order_seq_cst);
+      busy_.store(true, std::memory_order_relaxed);               // L1
+      std::atomic_signal_fence(std::memory_order_seq_cst);        // L1, for the compiler
       if (!shared_.load(std::memory_order_relaxed)) [[likely]] {  // L1
         biased_ = true;
         return;

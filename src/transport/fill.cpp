@@ -153,12 +153,13 @@ class Fill {
     // Relaxed, here and below: see Fill.
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     const std::uint64_t key =
-        std::atomic_ref(segment_.arena(b).topic).load(std::memory_order_relaxed);
+        std::atomic_ref(segment_.arena(b).topic).load(std::memory_order_relaxed);  // see Fill
     if (home == refcount::kHomeFree) return;
     made_[{home - 1, topic_of(segment_, key)}] += weight;
     bool is_kept = false;
     for (std::uint32_t k = 1; k < participant_.participants(); ++k) {
       const auto& own = HardwareOwnership::word(words, k);
+      // Relaxed: see Fill.
       const bool has = (own.load(std::memory_order_relaxed) & HardwareOwnership::bit(k)) != 0;
       // Its maker has it in any case. It keeps it if a pointer says so.
       if (!has || (k == home - 1 && words.home_points.load(std::memory_order_relaxed) == 0)) {

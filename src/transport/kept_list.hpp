@@ -82,6 +82,7 @@ class KeptList {
   Link& at(std::uint32_t place) noexcept { return links_[place - 1]; }
   /// Called with the lock only. Relaxed: readers without it take the size for a hint.
   void count(int change) noexcept {
+    // Relaxed: see above.
     size_.store(size() + static_cast<std::size_t>(change), std::memory_order_relaxed);
   }
 

@@ -476,7 +476,7 @@ void Participant::fill_weak_pointers() noexcept {
     const bool alive = left == Left::Held;
     // Relaxed, both: with a hold the block stays at home; home_points is a hint.
     if (alive && (c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
-      words.home_points.store(1, std::memory_order_relaxed);
+      words.home_points.store(1, std::memory_order_relaxed);  // a hint
     }
     if (left == Left::Wanted) p.holder_.tell_home(c->block);
     p.exit();
@@ -521,6 +521,7 @@ void Participant::fill_answers() noexcept {
       };
       without(refcount::kOrphanage);
       without(self);
+      // Relaxed: see above.
       if (home > 1 && words.home_points.load(std::memory_order_relaxed) == 0) without(home - 1);
       n += static_cast<std::size_t>(std::popcount(holders));
     }
@@ -578,7 +579,7 @@ void Participant::drop_pointer(detail::ControlCell& cell) noexcept {
       // O4
       cell.hold.fetch_sub(hold::kPointer, std::memory_order_acq_rel) - hold::kPointer;
   if (hold::pointers(v) != 0) return;
-  words.home_points.store(0, std::memory_order_relaxed);
+  words.home_points.store(0, std::memory_order_relaxed);  // relaxed: a hint
   if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
     // Another thread has taken a pointer meanwhile.
     words.home_points.store(1, std::memory_order_relaxed);
@@ -625,6 +626,7 @@ void Participant::exit() noexcept {
   // Relaxed: the compare-and-swap decides. seq_cst: see life_.
   std::uint64_t v = life_.load(std::memory_order_relaxed);
   while ((v & kClosing) == 0) {
+    // seq_cst: see life_.
     if (life_.compare_exchange_weak(v, v - (kReference | kInside), std::memory_order_seq_cst,
                                     std::memory_order_relaxed)) {
       return;

@@ -249,7 +249,7 @@ void Participant::stand_guard() noexcept {
     // Relaxed: the errand (E1) carries both flags.
     if (is_ending_.load(std::memory_order_relaxed)) settle_files();
     if (warden_stop_.load(std::memory_order_relaxed) ||
-        is_expelled_.load(std::memory_order_relaxed)) {
+        is_expelled_.load(std::memory_order_relaxed)) {  // as above
       return;
     }
     if ((before & mine & ~errand::kOwn) != 0) {
@@ -334,8 +334,8 @@ void Participant::settle_idle() noexcept {
     const bool same = refcount::generation_of(life) == refcount::generation_of(before);
     was_held_[b] =
         life / refcount::kVersion != before / refcount::kVersion || (same && was_held_[b]);
-    const std::uint32_t pool = holder_.cell(b).pool.load(std::memory_order_relaxed);
-    const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);
+    const std::uint32_t pool = holder_.cell(b).pool.load(std::memory_order_relaxed);  // a hint
+    const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);     // a hint
     // A loan that the application keeps looks the same, but its pool does not have it among its
     // ready blocks.
     const bool rests = life == before && (v & hold::kHolds) == hold::kPointer &&
@@ -382,7 +382,7 @@ void Participant::give_unused_back() noexcept {
   // difference can be anything.
   const auto since = std::chrono::nanoseconds(static_cast<std::int64_t>(ns - before));
   if ((since > -kTurn && since < kTurn) ||
-      !looked.compare_exchange_strong(before, ns, std::memory_order_relaxed)) {
+      !looked.compare_exchange_strong(before, ns, std::memory_order_relaxed)) {  // as above
     return;
   }
   segment_.look_at_units();
@@ -407,7 +407,7 @@ void Participant::tell_homes() noexcept {
 void Participant::expel() noexcept {
   // Relaxed, both: other threads only have to see them soon. They carry nothing.
   is_expelled_.store(true, std::memory_order_relaxed);
-  inert_.store(true, std::memory_order_relaxed);
+  inert_.store(true, std::memory_order_relaxed);  // as above
   presence_.end();
   lock_file_->unlock(index());  // another process has the index, or will have it
   note_settled();
@@ -557,8 +557,9 @@ std::uint32_t Participant::used_channels() noexcept {
   // Relaxed: the number only grows, and two threads find the same. The writer words are acquired
   // (R7): a ring that is found is whole.
   std::uint32_t used = used_channels_.load(std::memory_order_relaxed);
+  // Acquire: R7.
   while (used < channels() && channel_writer(used).load(std::memory_order_acquire) != 0) ++used;
-  used_channels_.store(used, std::memory_order_relaxed);
+  used_channels_.store(used, std::memory_order_relaxed);  // as above
   return used;
 }
 

@@ -21,7 +21,7 @@ std::uint64_t now_ns() {
 void write(Sighting& place, std::uint64_t what, std::uint64_t since_ns) {
   // Relaxed, both: the warden alone writes; the release of the time carries the 0.
   if (place.what.load(std::memory_order_relaxed) == what) return;
-  place.what.store(0, std::memory_order_relaxed);
+  place.what.store(0, std::memory_order_relaxed);  // as above
   // Sighting: a reader that sees the time sees the old name gone.
   place.since_ns.store(since_ns, std::memory_order_release);
   place.what.store(what, std::memory_order_release);  // sighting: carries the time
@@ -35,7 +35,7 @@ void Participant::forget_sightings() noexcept {
   Sightings& table = segment_.sightings()[index()];
   // Relaxed: the state of the participant, stored later with release, carries them.
   for (Sighting& place : table.seen) place.what.store(0, std::memory_order_relaxed);
-  table.looked_ns.store(0, std::memory_order_relaxed);
+  table.looked_ns.store(0, std::memory_order_relaxed);  // as above
 }
 
 /// Crash:   killed anywhere in here, a place is empty or true.
@@ -51,13 +51,13 @@ void Participant::note_sightings() noexcept {
     held.emplace(what, before != held_since_.end() ? before->second : now);
   };
   try {
-    const std::uint32_t known = holder_.known.load(std::memory_order_relaxed);
+    const std::uint32_t known = holder_.known.load(std::memory_order_relaxed);  // a hint
     for (std::uint32_t b = 0; b < known; ++b) {
       auto& words = block(b);
       const std::uint64_t own =
-          HardwareOwnership::word(words, index()).load(std::memory_order_relaxed);
+          HardwareOwnership::word(words, index()).load(std::memory_order_relaxed);  // a hint
       if ((own & HardwareOwnership::bit(index())) == 0) continue;
-      const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);
+      const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);  // a hint
       // At home a lone pointer may be the pool's, on a block that waits for a loan.
       const bool spare =
           (v & hold::kHome) != 0 && words.home_points.load(std::memory_order_relaxed) == 0;
@@ -72,6 +72,7 @@ void Participant::note_sightings() noexcept {
       for (std::uint32_t i = 0; i < r.readers; ++i) {
         // A ring that is recycled meanwhile may say anything, which does no harm. So relaxed.
         if (r.who[i].load(std::memory_order_relaxed) != index() + 1) continue;
+        // Relaxed: a hint.
         const ring::Word position = r.cells[i].position.load(std::memory_order_relaxed);
         if (position != ring::kIdle && ring::block(position) < blocks()) {
           add(static_cast<std::uint32_t>(ring::block(position)));

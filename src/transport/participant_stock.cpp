@@ -351,9 +351,9 @@ bool Participant::is_kept(std::uint32_t b) noexcept {
   // Relaxed, here and below: see weigh_kept().
   const std::uint32_t home = words.home.load(std::memory_order_relaxed);
   if (home == refcount::kHomeFree) return false;
-  if (words.home_points.load(std::memory_order_relaxed) != 0) return true;
+  if (words.home_points.load(std::memory_order_relaxed) != 0) return true;  // a hint
   for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
-    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);
+    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);  // a hint
     for (const std::uint32_t k : {refcount::kOrphanage, home - 1}) {
       holders = HardwareOwnership::holders(holders, w, k);
     }
@@ -404,7 +404,7 @@ bool Participant::ask_to_give(std::uint32_t k, const Request& request) noexcept 
   // been given.
   return ask_and_wait(k, segment::errand::kGive,
                       [&] {
-                        answer = word.load(std::memory_order_relaxed);
+                        answer = word.load(std::memory_order_relaxed);  // G1
                         return answer != request.word();
                       }) &&
          answer != Request::kRefused;
@@ -431,7 +431,7 @@ bool Participant::ask_and_wait(std::uint32_t k, std::uint32_t errand, Done&& don
 bool Participant::is_silent(std::uint32_t k) const noexcept {
   // Relaxed, both: they only say how long to wait.
   const std::uint64_t answers = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
-  return silent_[k].load(std::memory_order_relaxed) == answers + 1;
+  return silent_[k].load(std::memory_order_relaxed) == answers + 1;  // as above
 }
 
 Eviction::Givers Participant::likely_givers() const noexcept {

@@ -99,7 +99,7 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
     fresh->next = arena.references;
     for (Entry& entry : fresh->entry) entry = {ReferenceList::kNone, 0};
     std::atomic_ref(arena.references)
-        .store(p.segment().offset_of(fresh), std::memory_order_release);
+        .store(p.segment().offset_of(fresh), std::memory_order_release);  // see below
     // Release: the order matters to a kill only. Killed before, there is no list; after, a whole
     // one.
     free = &fresh->entry[0];
@@ -108,7 +108,7 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
   // Relaxed, here and below: only the home writes the list (Holder::each_entry).
   p.holder().acquire(block, hold::kRing);
   free->refs = 1;
-  std::atomic_ref(free->block).store(block, std::memory_order_relaxed);
+  std::atomic_ref(free->block).store(block, std::memory_order_relaxed);  // see above
   return block;
 }
 

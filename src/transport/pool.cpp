@@ -21,13 +21,14 @@ void Holder::acquire(std::uint32_t b, std::uint64_t amount) const noexcept {
   own.acquire(words(b), c.hold, amount);
   // Relaxed, both: the hold keeps the block at home; home_points is a hint.
   if (amount == hold::kPointer && (c.hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
-    words(b).home_points.store(1, std::memory_order_relaxed);
+    words(b).home_points.store(1, std::memory_order_relaxed);  // a hint
   }
 }
 
 void Holder::know(std::uint32_t b) const noexcept {
   // Relaxed: the number only grows, and what lies below it is looked at anew.
   std::uint32_t above = known.load(std::memory_order_relaxed);
+  // Relaxed: see above.
   while (above <= b && !known.compare_exchange_weak(above, b + 1, std::memory_order_relaxed)) {
   }
 }
@@ -37,7 +38,7 @@ bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
   // Relaxed, both: no other thread knows the block yet; what publishes it carries them.
   words(b).home_points.store(0, std::memory_order_relaxed);
   cell(b).type = nullptr;
-  queued(b).store(0, std::memory_order_relaxed);
+  queued(b).store(0, std::memory_order_relaxed);  // as above
   Arena& arena = segment->arena(b);
   segment->open_build(b);
   arena.references = 0;
@@ -181,7 +182,7 @@ bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
     kept_.remove(b);
     // Relaxed, both: the block is exclusively this thread's.
     if (holder_.queued(b).load(std::memory_order_relaxed) != 0) {
-      holder_.queued(b).store(0, std::memory_order_relaxed);
+      holder_.queued(b).store(0, std::memory_order_relaxed);  // as above
       // A small plain message is laid out once for all. So what its taker has written there is
       // cleared here.
       if (c.type != nullptr && c.type->plain) {
@@ -209,7 +210,7 @@ std::uint32_t Pool::claim() {
   for (std::uint32_t n = 0; n < blocks; ++n, ++b) {
     if (b >= blocks) b = 0;
     if (!holder_.claim(b, topic_)) continue;
-    holder_.next_free.store(b + 1, std::memory_order_relaxed);
+    holder_.next_free.store(b + 1, std::memory_order_relaxed);  // a hint
     holder_.know(b);
     // Relaxed: the release of a hold carries it (is_at_rest_here()).
     holder_.cell(b).pool.store(index_, std::memory_order_relaxed);
@@ -277,7 +278,7 @@ bool Pool::is_at_rest_here(std::uint32_t b) const noexcept {
   const ControlCell& c = holder_.cell(b);
   const std::uint64_t v = c.hold.load(std::memory_order_acquire);  // O4
   return (v & hold::kHome) != 0 && (v & hold::kHolds) == 0 &&
-         c.pool.load(std::memory_order_relaxed) == index_;
+         c.pool.load(std::memory_order_relaxed) == index_;  // O4 carries it
 }
 
 void Pool::retire(std::uint32_t b, bool borrowed) {
@@ -299,8 +300,8 @@ bool Pool::drop_if_held(std::uint32_t b) noexcept {
   // Relaxed: the compare-and-swap decides (O4).
   std::uint64_t v = word.load(std::memory_order_relaxed);
   while ((v & hold::kHolds) != hold::kRing) {
-    if (word.compare_exchange_weak(v, v - hold::kRing, std::memory_order_acq_rel,
-                                   std::memory_order_relaxed)) {
+    if (word.compare_exchange_weak(v, v - hold::kRing, std::memory_order_acq_rel,  // O4
+                                   std::memory_order_relaxed)) {                   // see above
       return true;
     }
   }
@@ -379,7 +380,7 @@ void Pool::bury_whole(ControlCell& c) noexcept {
 /// while the block was here.
 bool Pool::has_spare_in(std::uint32_t b) const noexcept {
   return holder_.segment->build(b).is_spare() && holder_.is_home(b) &&
-         holder_.cell(b).pool.load(std::memory_order_relaxed) == index_;
+         holder_.cell(b).pool.load(std::memory_order_relaxed) == index_;  // the lock carries it
 }
 
 bool Pool::want_spare(std::uint32_t b) noexcept {

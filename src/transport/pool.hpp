@@ -235,6 +235,7 @@ class Pool {
     topic_ = topic;
     // Relaxed, both: the lock carries them, and readers without it take them for hints.
     may_wait_.store(topic != 0, std::memory_order_relaxed);  // a maker has no ring
+    // Relaxed: Ahead::expect() comes later in the same thread.
     has_publisher_.store(topic != 0, std::memory_order_relaxed);
     limit(0);
   }
@@ -310,10 +311,10 @@ class Pool {
   /// publisher does not say so each turn, they may wait. Locked. Relaxed, here and below: a hint,
   /// since settle_free() looks with the lock.
   void note_waiting() noexcept {
-    may_wait_.store(!retired_.empty() || !free_.empty(), std::memory_order_relaxed);
+    may_wait_.store(!retired_.empty() || !free_.empty(), std::memory_order_relaxed);  // a hint
   }
-  void note_batches() noexcept { may_wait_.store(true, std::memory_order_relaxed); }
-  bool may_wait() const noexcept { return may_wait_.load(std::memory_order_relaxed); }
+  void note_batches() noexcept { may_wait_.store(true, std::memory_order_relaxed); }    // a hint
+  bool may_wait() const noexcept { return may_wait_.load(std::memory_order_relaxed); }  // a hint
 
   /// Buries messages that only other processes held, and that no process holds any more.
   void settle() noexcept;
@@ -334,19 +335,20 @@ class Pool {
 
   /// For Ahead. False for the pool of a maker, and after its publisher has gone.
   bool has_publisher() const noexcept { return has_publisher_.load(std::memory_order_relaxed); }
-  bool expects() const noexcept { return expects_.load(std::memory_order_relaxed); }
-  void expects(bool yes) noexcept { expects_.store(yes, std::memory_order_relaxed); }
+  bool expects() const noexcept { return expects_.load(std::memory_order_relaxed); }   // a hint
+  void expects(bool yes) noexcept { expects_.store(yes, std::memory_order_relaxed); }  // a hint
   /// Takes the exclusively owned block with its memory, or kNone. Acquire: put_ahead().
   std::uint32_t take_ahead() noexcept {
     return ahead_.load(std::memory_order_relaxed) == kNone
                ? kNone
-               : ahead_.exchange(kNone, std::memory_order_acquire);
+               : ahead_.exchange(kNone, std::memory_order_acquire);  // put_ahead()
   }
+  // Relaxed: a hint.
   bool has_ahead() const noexcept { return ahead_.load(std::memory_order_relaxed) != kNone; }
   /// Release: what has been built of the block. False: there is one already.
   bool put_ahead(std::uint32_t b) noexcept {
     std::uint32_t none = kNone;
-    return ahead_.compare_exchange_strong(none, b, std::memory_order_release,
+    return ahead_.compare_exchange_strong(none, b, std::memory_order_release,  // see above
                                           std::memory_order_relaxed);
   }
   /// Gives the block that was made ahead back to the segment. True when there was one.
@@ -366,7 +368,9 @@ class Pool {
     limit_.store(bytes == 0 ? kNoLimit : std::max<std::uint64_t>(bytes / segment::kGranule, 1),
                  std::memory_order_relaxed);
   }
+  // Relaxed: it only counts.
   std::uint64_t limit() const noexcept { return limit_.load(std::memory_order_relaxed); }
+  // Relaxed: it only counts.
   std::uint64_t granules() const noexcept { return granules_.load(std::memory_order_relaxed); }
   /// True if the publisher may have so many granules more. Only a hint: take() decides.
   bool may_take(std::uint64_t granules) const noexcept {
@@ -380,6 +384,7 @@ class Pool {
     std::uint64_t has = this->granules();
     do {
       if (has + granules + spare > limit()) return false;
+      // Relaxed: it only counts.
     } while (!granules_.compare_exchange_weak(has, has + granules, std::memory_order_relaxed));
     return true;
   }
@@ -415,7 +420,7 @@ class Pool {
     // Relaxed: the compare-and-swap decides, and acquires what put_ahead() has released.
     std::uint32_t b = ahead_.load(std::memory_order_relaxed);
     if (b == kNone || !may(b) ||
-        !ahead_.compare_exchange_strong(b, kNone, std::memory_order_acquire,
+        !ahead_.compare_exchange_strong(b, kNone, std::memory_order_acquire,  // put_ahead()
                                         std::memory_order_relaxed)) {
       return false;
     }
@@ -472,6 +477,7 @@ class Pool {
 template <class F>
 void Holder::each_entry(std::uint32_t b, F&& f) const {
   using detail::ReferenceList;
+  // Relaxed, here and below: see above.
   std::uint64_t at = std::atomic_ref(segment->arena(b).references).load(std::memory_order_relaxed);
   // A message has one entry for each block, and no new list while an entry is free.
   const std::uint32_t most = segment->capacity().blocks / ReferenceList::kEntries + 1;
@@ -481,7 +487,7 @@ void Holder::each_entry(std::uint32_t b, F&& f) const {
     for (ReferenceList::Entry& entry : list->entry) {
       if (!f(entry)) return;
     }
-    at = std::atomic_ref(list->next).load(std::memory_order_relaxed);
+    at = std::atomic_ref(list->next).load(std::memory_order_relaxed);  // see above
   }
 }
 

@@ -35,13 +35,14 @@ bool ProcessBarrier::is_there() noexcept {
 #endif
   static std::atomic<pid_t> tried{0};
   const pid_t process = getpid();
+  // Acquire, with the release below: the process has registered by then.
   if (tried.load(std::memory_order_acquire) == process) return true;
   // The barrier itself is tried as well: a sandbox may have come since the process was registered.
   if (!membarrier(MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED) ||
       !membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED)) {
     return false;
   }
-  tried.store(process, std::memory_order_release);
+  tried.store(process, std::memory_order_release);  // see above
   return true;
 #endif
 }

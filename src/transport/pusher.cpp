@@ -688,6 +688,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       std::vector<std::uint32_t> laggards;
       if (look % kLooksPerProbe == 0) {
         writer_->laggards([&](std::uint32_t c) {
+          // Acquire: R8.
           const std::uint32_t who = writer_->ring().who[c].load(std::memory_order_acquire);
           if (who != 0) laggards.push_back(who - 1);
         });

@@ -132,7 +132,7 @@ class Queue final : public detail::QueueCore {
       // there is more room than needed.
       const std::size_t in_hand = queue_.in_hand_.load(std::memory_order_relaxed);
       queue_.returned_.reserve(queue_.returned_.size() + in_hand + 1);
-      queue_.in_hand_.fetch_add(1, std::memory_order_relaxed);
+      queue_.in_hand_.fetch_add(1, std::memory_order_relaxed);  // as above
       has_ = true;
     }
     /// Leaves the room to copied() or hand_back(), which give it up.

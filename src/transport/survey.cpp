@@ -24,6 +24,7 @@ ring::Word slowest(const segment::Ring& ring, ring::Word head) {
   for (std::uint32_t c = 0; c < ring.readers; ++c) {
     // Relaxed: a hint.
     const ring::Word position = ring.cells[c].position.load(std::memory_order_relaxed);
+    // Relaxed: a hint.
     if (position == ring::kIdle || ring.who[c].load(std::memory_order_relaxed) == 0) continue;
     const ring::Word its = ring::is_joining(position)
                                ? ring::advance(head, ring::kSequenceMask + 1 - ring.depth)
@@ -138,13 +139,13 @@ std::uint64_t Survey::weight_of(std::uint32_t b, std::uint32_t owner) const noex
   // Relaxed, here and below: hints (Survey).
   const std::uint32_t home = words.home.load(std::memory_order_relaxed);
   const bool has_gone = owner == refcount::kOrphanage;
-  if (words.home_points.load(std::memory_order_relaxed) != 0) return 0;
+  if (words.home_points.load(std::memory_order_relaxed) != 0) return 0;  // a hint
   if (has_gone ? home == refcount::kHomeFree || is_in_live_ring_[b]
                : home != owner + 1 || segment::is_reserved(segment_.arena(b))) {
     return 0;
   }
   for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
-    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);
+    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);  // a hint
     for (const std::uint32_t k : {owner, home - 1}) holders = Ownership::holders(holders, w, k);
     if (holders != 0) return 0;
   }
