@@ -65,19 +65,16 @@ class Evictor {
 /// messages to give.
 ///
 ///   1. A need that can never be met evicts nothing. So the tags are looked at first. Is there a
-///   run
-///      of granules that are free, or belong to messages that rules 2 to 4 can free? Free granules
-///      that were never used count while the file system has room for them.
+///      run of granules that are free, or belong to messages that rules 2 to 4 can free? Free
+///      granules that were never used count while the file system has room for them.
 ///   2. What publishers that have gone have left goes first, but for the newest two messages of
-///   each:
-///      readers that had subscribed have not read them. Then the oldest message goes of the
+///      each: readers that had subscribed have not read them. Then the oldest message goes of the
 ///      publisher that holds most, in whatever process, while that publisher keeps at least as much
 ///      as the asker will have. So publishers end with equal shares. Another process is asked,
 ///      since only its own publisher changes a ring. When that has gone, the process that acts for
 ///      the orphanage changes it.
 ///   3. Where no other publisher can give, the asker's own oldest message goes, whatever it is.
-///   Where
-///      it has none, the rest goes of what publishers that have gone have left.
+///      Where it has none, the rest goes of what publishers that have gone have left.
 ///   4. For another topic these never go: the newest two messages of a publisher (a latched message
 ///      is among them), a message in a block that reserve() made, a message that is kept or
 ///      borrowed. The messages behind a kept, borrowed or reserved one do go. A message whose going
