@@ -13,9 +13,13 @@
 #include "robust_mutex/robust_condition.hpp"
 
 /// A single-producer broadcast ring of blocks: a pure algorithm over memory that it is given. It
-/// makes no system call; whoever must be woken or waited for is said in return values.
+/// makes no system call. Return values tell the caller whom to wake and what to wait for.
 ///
-/// There is no head word: the slots are the truth, and the newest one says where the ring stands.
+/// There is no head word. The slots are the only truth: the newest message in them says how far
+/// the ring has come.
+///
+/// `Writer` is the publisher's side and `Reader` is the subscriber's side. "The sender" is the
+/// publisher where it waits for room.
 ///
 /// Edges (the release side, the acquire side, and what is carried); docs/edges.md has them all
 ///   R1  slot exchange in Writer::publish   -> slot load in Reader::poll
@@ -25,16 +29,16 @@
 ///       either the reader sees that the slot has moved on, or the writer sees the hazard.
 ///   R3  position store in Reader::done, join -> position load in Writer::room, hazards,
 ///       serve
-///       carries: "the payload has been read"; to serve(): that the reader's round has begun.
+///       carries: "the payload has been read". To serve(): "the reader's round has begun".
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
-///       in Writer::room (seq_cst): a joiner is either on the writer's list or starts behind it.
+///       in Writer::room (seq_cst): a joiner is on the writer's list, or starts behind the message.
 ///   R5  clear_sleeper() (release)          -> sleeper's look at the slot (acquire)
-///       carries: the writer word ORPHAN, the directory's change, or `returned`, that preceded the
-///       clearing.
+///       carries: what was stored before the clearing: the writer word ORPHAN, the directory's new
+///       version, or `returned`.
 ///   R6  space mark, then positions in Writer::room (seq_cst)
 ///       <-> position store, then space load on an empty poll (seq_cst)
-///       a sender that sleeps for room is rung by the reader that made some.
+///       the reader that makes room rings the sender that sleeps for it.
 ///   R7  LIVE (release)                     -> writer load in Reader::join, adopt (acquire)
 ///       carries: what format() and await() made.
 ///   R8  who = 0 in Reader::leave, reaper (release) -> claim of who in Reader::join (acquire)
@@ -42,49 +46,51 @@
 ///   R9  ORPHAN (release)                   -> writer load in Reader::orphaned (acquire)
 ///       carries: the last messages.
 ///   R10 slot compare-and-swap in empty() -> slot load in Writer::room, Writer::each_taken
-///       carries: the taker's hold on the block. Both are seq_cst, as R2: the writer sees the
-///       hazard of whoever has seen the message before.
+///       carries: the taker's hold on the block. Both are seq_cst, as in R2: the writer sees the
+///       hazard of each reader that saw the message before it was taken.
 ///   R11 `to` by compare-and-swap in Writer::serve (release) -> `to` in Reader::to (acquire)
-///       carries: `from`, which was set before: who sees that the old end is taken back sees the
-///       new beginning. Whom a message is for is carried by its slot (R1).
+///       carries: `from`, which was set before. A reader that sees that the old end is taken back
+///       sees the new beginning. Which reader a message is for is carried by its slot (R1).
 ///   R12 `from` in Reader::join (release) -> `from` in Writer::serve (acquire)
-///       carries: whose cell it is: who sees the round sees the name.
+///       carries: whose cell it is. A writer that sees the round sees the reader's name.
 ///   R13 formed = 1 and who store, then pullers load in Ring::await_pullers (all seq_cst)
 ///       <-> pullers = 0 by the reaper, then formed and who loads in free_cells (all seq_cst):
 ///       the maker or the reaper takes the cell of a dead subscriber away, or both do.
-///   R14 position store in Reader::join, of the wish or, in a guarded ring, of the place; the place
-///       that follows a wish is in its release sequence
+///   R14 position store in Reader::join, of the wish or, in a guarded ring, of the place. The place
+///       that follows a wish is in its release sequence.
 ///       -> position load, then second look at who, in make_idle
-///       carries: the maker's who = 0, which let the joiner in: the reaper does not take the place
-///       of a living joiner for that of a dead subscriber.
+///       carries: the maker's who = 0, which let the joiner in. So the reaper does not take a
+///       living joiner's place for the place of a dead subscriber.
 ///   R15 floor store, then roster load in Writer::close_off (seq_cst)
 ///       <-> roster bump, then floor load in Reader::join (seq_cst)
-///       a joiner of a lossless ring begins behind what its writer takes back, or the writer sees
-///       it, and then its place (R3), and takes nothing back that is not before that.
+///       a joiner of a lossless ring begins behind what its writer takes back; or the writer sees
+///       the joiner, then its place (R3), and takes back only what is before that place.
 ///
-/// A queue whose messages are each taken by one reader (`taken`) is a ring as well: who has read a
-/// message takes it out of its slot, and who finds none there goes on. Where messages are to be
-/// finished (`claims`), it is taken out only then (claims.hpp).
+/// A queue whose messages are each for one reader (`taken`) is a ring as well. A reader that has
+/// read a message takes it out of its slot. A reader that finds an empty slot goes on to the next.
+/// Where workers must finish messages (`claims`), the message leaves its slot only when it is
+/// finished (claims.hpp).
 namespace lot::ring {
 
 /// One reader's shared words, on a line of their own.
 template <class P>
 struct alignas(P::kLine) Cell {
-  /// {cursor, hazard}, or what is not a reader at work (words.hpp). Written by that reader, and
-  /// when it has died by its reaper. The writer writes it once: it gives a joiner its place.
+  /// {cursor, hazard}, or a word that says that no reader is at work here (words.hpp). The reader
+  /// writes it, and after its death its reaper. The ring's maker writes it for a subscriber that
+  /// has not looked yet. The writer writes it once, when it gives a joiner its place.
   typename P::template Atomic<Word> position;
-  /// For writers that serve some of their readers only: the messages from `from` on, before `to`,
-  /// are for this one. A joiner takes both back; then the writer sets them.
+  /// For writers that serve only some of their readers: the messages from `from` on and before
+  /// `to` are for this reader. A joiner unsets both. Then the writer sets them.
   typename P::template Atomic<Word> from;
   typename P::template Atomic<Word> to;
 };
 
-/// Takes a sleeper's mark away. True when there was one: the caller may have to wake.
+/// Takes a sleeper's mark away. True when there was one: the caller may have to wake a sleeper.
 template <class Slot>
 bool clear_sleeper(Slot& slot) {
-  Word seen = slot.load(std::memory_order_relaxed);
+  Word seen = slot.load(std::memory_order_relaxed);  // the compare-and-swap checks it
   for (;;) {
-    // An RMW even where no mark stands: edge R5 hangs on it.
+    // A read-modify-write even where no mark stands: edge R5 depends on it.
     const bool marked = (seen & kSleeper) != 0;
     if (slot.compare_exchange_weak(seen, marked ? next_round(seen) : seen,
                                    std::memory_order_release, std::memory_order_relaxed)) {  // R5
@@ -99,50 +105,51 @@ struct Ring {
   template <class T>
   using Atomic = typename P::template Atomic<T>;
 
-  Atomic<Word>* writer = nullptr;           ///< who publishes here: make_writer()
+  Atomic<Word>* writer = nullptr;           ///< names the publisher: make_writer()
   Atomic<Word>* slots = nullptr;            ///< [depth]
   Cell<P>* cells = nullptr;                 ///< [readers]
   Atomic<std::uint32_t>* who = nullptr;     ///< [readers] 0, or participant + 1
   Atomic<std::uint32_t>* roster = nullptr;  ///< bumped by each joiner: "look at who[] again"
   Atomic<std::uint32_t>* space = nullptr;   ///< futex; odd = the sender sleeps for room
   /// Joiners begin here at the earliest: the writer takes older messages back. Where messages are
-  /// overwritten, only a hint: a joiner that comes too late counts them as missed.
+  /// overwritten this is only a hint: a joiner that comes too late counts them as missed.
   Atomic<Word>* floor = nullptr;
   std::uint32_t depth = 0;
   std::uint32_t readers = 0;
-  bool blocking = false;  ///< what was not read holds the writer back (else it is overwritten)
+  bool blocking = false;  ///< unread messages hold the writer back (else it overwrites them)
   bool taken = false;     ///< each message is for one reader, which takes it (else for all)
-  Word first = 0;         ///< sequence of the first message; slot 0 is the one that takes it
-  /// The mutex engine's condition: readers sleep on it (else on the slots).
+  Word first = 0;         ///< sequence of the first message, which goes into slot 0
+  /// The mutex engine's condition: readers sleep on it. Null: they sleep on the slots.
   Atomic<std::uint32_t>* arrived = nullptr;
-  /// [depth], where taken messages are to be finished; else null, as is `returned`.
+  /// [depth], where workers must finish the messages that they take. Else null, as is `returned`.
   Atomic<Word>* claims = nullptr;
   Atomic<std::uint32_t>* returned = nullptr;  ///< bumped when messages have come back
 
-  /// Readers protect by a hazard what they look at; else their cursor does.
+  /// True where a reader protects the message that it looks at by a hazard. Else its cursor does.
   bool guarded() const { return taken || !blocking; }
 
   /// Makes the slots and cells of a new ring. REQUIRES: writer is INIT and the caller owns it.
   void format() {
-    // Relaxed: LIVE, which the caller stores then, carries them (R7).
-    floor->store(first, std::memory_order_relaxed);
+    // All are relaxed: LIVE, which the caller stores afterwards, carries them (R7).
+    floor->store(first, std::memory_order_relaxed);  // R7
     for (std::uint32_t i = 0; i < depth; ++i) {
       const Word before = advance(first, Word{i} - depth);
-      slots[i].store(make(before, kNoBlock), std::memory_order_relaxed);
+      slots[i].store(make(before, kNoBlock), std::memory_order_relaxed);  // R7
+      // R7
       if (claims != nullptr) claims[i].store(make_claim(before, 0, 0), std::memory_order_relaxed);
     }
     for (std::uint32_t c = 0; c < readers; ++c) {
-      cells[c].position.store(kIdle, std::memory_order_relaxed);
-      cells[c].from.store(make_unbound(0), std::memory_order_relaxed);
-      cells[c].to.store(make_unbound(0), std::memory_order_relaxed);
-      who[c].store(0, std::memory_order_relaxed);
+      cells[c].position.store(kIdle, std::memory_order_relaxed);        // R7
+      cells[c].from.store(make_unbound(0), std::memory_order_relaxed);  // R7
+      cells[c].to.store(make_unbound(0), std::memory_order_relaxed);    // R7
+      who[c].store(0, std::memory_order_relaxed);                       // R7
     }
   }
 
-  /// Gives a cell to each reader that had subscribed before this ring came: the cell stands for it
-  /// until it looks (Reader::adopt), or unsubscribes. pullers(p) says how many readers participant
-  /// p has, and subscribes(p), by a seq_cst load (R13), whether it still has some. REQUIRES: INIT;
-  /// the caller has called format(); subscribers that live are kept away.
+  /// Gives a cell to each reader that subscribed before this ring was made. The cell stands for
+  /// the reader until it looks (Reader::adopt) or unsubscribes. pullers(p) says how many readers
+  /// participant p has. subscribes(p) says, by a seq_cst load (R13), whether p still has some.
+  /// REQUIRES: INIT; the caller has called format(); living subscribers are kept away.
   ///
   /// Crash: killed before LIVE, the ring was never there.
   template <class Pullers, class Subscribes>
@@ -152,7 +159,7 @@ struct Ring {
       const std::uint32_t count = pullers(p);
       for (std::uint32_t n = 0; n < count && c < readers; ++n, ++c) {
         await(c, p);
-        if (!subscribes(p)) await_no_more(c);  // R13: it has died
+        if (!subscribes(p)) await_no_more(c);  // R13: p has died
       }
     }
   }
@@ -164,15 +171,16 @@ struct Ring {
     cells[c].position.store(kIdle, std::memory_order_relaxed);  // R7 carries both
     who[c].store(0, std::memory_order_relaxed);
   }
-  /// A reader of the participant leaves without having looked. False: no cell awaits it. The
-  /// caller wakes `space` unconditionally. REQUIRES: nobody recycles the ring meanwhile.
+  /// A reader of the participant leaves before it has looked. False: no cell awaits such a reader.
+  /// The caller wakes `space` unconditionally. REQUIRES: no process recycles the ring meanwhile.
   ///
   /// Crash: the reaper does the rest, as in Reader::leave.
   bool unsubscribe(std::uint32_t participant) {
     for (std::uint32_t c = 0; c < readers; ++c) {
+      // Relaxed: the lock against joiners carries what the ring's maker has stored.
       if (who[c].load(std::memory_order_relaxed) != participant + 1) continue;
-      Word position = cells[c].position.load(std::memory_order_relaxed);
-      // Relaxed: no message was looked at.
+      Word position = cells[c].position.load(std::memory_order_relaxed);  // checked by the next
+      // Relaxed: this reader has looked at no message.
       if (!is_awaited(position) ||
           !cells[c].position.compare_exchange_strong(position, kIdle, std::memory_order_relaxed,
                                                      std::memory_order_relaxed)) {
@@ -189,10 +197,11 @@ struct Ring {
     who[c].store(0, std::memory_order_release);      // R3, R8
   }
 
-  /// How many messages before `head` a joiner can begin, that wants `history` of them. For a sender
-  /// that must not overtake it, one less than the depth: the sender may be one message ahead of
-  /// what the joiner saw. And not before the floor, unless that was left behind so long ago that
-  /// the sequences have wrapped.
+  /// How many messages before `head` a joiner may begin that wants `history` of them.
+  ///
+  /// In a lossless ring the limit is the depth less one: the sender must not overtake the joiner,
+  /// and may be one message ahead of what the joiner saw. The floor is a limit as well, unless the
+  /// ring left it behind so long ago that the sequences have wrapped.
   std::uint64_t reach(Word head, std::uint64_t history, Word lowest) const {
     const std::uint64_t most = std::uint64_t{depth} - (guarded() ? 0 : 1);
     const std::uint64_t back = std::min({history, most, published(head)});
@@ -200,8 +209,8 @@ struct Ring {
     const bool limits = lowest != first && since >= 0;
     return limits ? std::min(back, static_cast<std::uint64_t>(since)) : back;
   }
-  /// All messages that were ever published before `head`, unless that number has wrapped: then the
-  /// ring is full long since.
+  /// The number of all messages that were ever published before `head`. When that number has
+  /// wrapped the ring has long been full, and this is the depth.
   std::uint64_t published(Word head) const {
     const std::int64_t since_first = distance(head, first);
     if (since_first < 0 || (since_first < depth && slot_was_used(depth - 1))) return depth;
@@ -209,8 +218,8 @@ struct Ring {
   }
   /// False while slot i is as format() made it.
   bool slot_was_used(std::uint32_t i) const {
-    // Relaxed: a joiner loads the slots once more, and those loads count; the writer has written
-    // them.
+    // Relaxed: a joiner depends on its seq_cst loads of the slots (R4), not on this one. The writer
+    // has written the slots itself.
     const Word word = slots[i].load(std::memory_order_relaxed);
     return block(word) != kNoBlock || sequence(word) != advance(first, Word{i} - depth);
   }
@@ -218,34 +227,37 @@ struct Ring {
   /// True when a reader's position names the block: a hint.
   bool is_looked_at(Word b) const {
     for (std::uint32_t c = 0; c < readers; ++c) {
-      const Word position = cells[c].position.load(std::memory_order_relaxed);
+      const Word position = cells[c].position.load(std::memory_order_relaxed);  // a hint
       if (position != kIdle && block(position) == b) return true;
     }
     return false;
   }
 
-  /// Takes the sleepers' marks away, so that a late sleeper sees what was stored before. The caller
-  /// then wakes all sleepers, whatever the marks were.
+  /// Takes the sleepers' marks away. So a reader that is about to sleep sees what was stored
+  /// before. The caller then wakes all sleepers, whatever the marks were.
   void clear_sleepers() {
     if (arrived != nullptr) return RobustCondition(*arrived).renew();
     for (std::uint32_t i = 0; i < depth; ++i) clear_sleeper(slots[i]);
   }
-  /// Calls wake(word) for each word on which somebody may sleep.
+  /// Calls wake(word) for each word on which a reader may sleep.
   template <class Wake>
   void wake_sleepers(Wake&& wake) {
     if (arrived != nullptr) return wake(*arrived);
     for (std::uint32_t i = 0; i < depth; ++i) wake(slots[i]);
   }
 
-  /// The messages that a participant works on are anybody's again. True: the caller wakes all
-  /// readers, unconditionally, so that they look for them. REQUIRES: the participant is dead; where
-  /// it has a cell, that still names it.
+  /// Takes back the claims of a dead worker, so that any worker may claim those messages again.
+  /// True: the caller wakes all readers, unconditionally, so that they look for the messages.
+  /// REQUIRES: the participant is dead; if it has a cell, the cell still names it.
   ///
-  /// Crash: may be repeated. Whoever reads here may have been killed while it gave something back.
+  /// Crash: may be repeated. Returns true for each participant that has a cell here, even if it has
+  /// no claim: it may have been killed after it gave a message back and before it woke the readers.
   bool take_claims_back(std::uint32_t participant) {
     bool reads = false;
     for (std::uint32_t c = 0; c < readers && !reads; ++c) {
-      reads = who[c].load(std::memory_order_relaxed) == participant + 1;  // its own, or not
+      // Relaxed: the byte lock of the dead carries the name that the dead one stored itself. It
+      // does not matter whether this sees a name that the ring's maker stored for it.
+      reads = who[c].load(std::memory_order_relaxed) == participant + 1;
     }
     for (std::uint32_t i = 0; i < depth; ++i) {
       const Word seen = claims[i].load(std::memory_order_relaxed);  // as above
@@ -256,46 +268,48 @@ struct Ring {
     if (reads) returned->fetch_add(1, std::memory_order_release);  // C2
     return reads;
   }
-  /// A worker gives the message of a slot back. The caller wakes those who sleep.
+  /// A worker gives the message of a slot back. The caller wakes the readers that sleep.
   void give_back(std::uint32_t i, Word claim) {
     unclaim(claims[i], claim);
     returned->fetch_add(1, std::memory_order_release);  // C2
   }
 
-  /// True when nobody needs this ring any more: no reader is at work in it, and where it has
-  /// nothing to tell, the readers that it awaits do not count. They then never learn that it was
-  /// there. What is to be taken waits for readers to come. REQUIRES: the ring has ended; no reader
-  /// joins, adopts or leaves a cell that awaits it meanwhile.
+  /// True when no reader needs this ring any more. REQUIRES: the ring has ended; no reader joins,
+  /// adopts or leaves a cell that awaits it meanwhile.
+  ///
+  /// A reader that is at work in the ring needs it. A reader that the ring awaits needs it only if
+  /// the ring has news for it; else that reader never learns that the ring was there. Messages that
+  /// one reader is to take keep the ring until they are taken.
   bool deserted() const {
     bool awaits = false;
     for (std::uint32_t c = 0; c < readers; ++c) {
       if (who[c].load(std::memory_order_acquire) == 0) continue;  // R3: leave()
-      // Relaxed: what makes and ends `awaited` is carried by the lock against joiners.
+      // Relaxed: the lock against joiners carries what makes and what ends `awaited`.
       if (!is_awaited(cells[c].position.load(std::memory_order_relaxed))) return false;
       awaits = true;
     }
     return (!awaits && !taken) || !has_news();
   }
-  /// True when a reader that has not looked yet gets a message here, or one to count as missed.
+  /// True when a reader that has not looked yet gets a message here, or must count one as missed.
   bool has_news() const {
-    if (depth == 0) return false;  // killed in the midst of recycling, one leaves an ended ring so
+    if (depth == 0) return false;  // a process that was killed in recycling leaves a ring like this
     if (!taken) return slot_was_used(0);
     for (std::uint32_t i = 0; i < depth; ++i) {
-      // Relaxed: carried by the lock for ended rings, under which they were written or taken.
+      // Relaxed: the lock for ended rings carries what was written or taken under it.
       if (block(slots[i].load(std::memory_order_relaxed)) != kNoBlock) return true;
     }
     return false;
   }
 };
 
-/// The publisher's side: private state of the one thread that publishes at a time.
+/// The publisher's side: private state of the thread that publishes. One thread at a time.
 template <class P>
 class Writer {
  public:
   /// What publish() leaves to the caller.
   struct Published {
-    Word replaced;  ///< block that the slot held before, or kNoBlock: it is the caller's to retire
-    bool wake;      ///< somebody sleeps: wake `slot`, or `arrived` if the ring has one
+    Word replaced;  ///< block that the slot held before, or kNoBlock: the caller retires it
+    bool wake;      ///< a reader may sleep: wake `slot`, or `arrived` if the ring has one
     typename P::template Atomic<Word>* slot;
   };
 
@@ -305,8 +319,8 @@ class Writer {
     if (ring.taken) put_.resize(ring.depth, kNoBlock);
   }
 
-  /// True if the next publish overwrites nothing that a reader still needs (always, under
-  /// overwrite). Looks at the readers only when the cached minimum does not suffice.
+  /// True if the next publish overwrites nothing that a reader still needs. Always true where
+  /// messages are overwritten. Looks at the readers only when the cached minimum does not suffice.
   bool room() {
     if (!ring_.blocking) return true;
     if (ring_.taken) {
@@ -318,8 +332,8 @@ class Writer {
     return distance(next_, minimum_) < ring_.depth;
   }
 
-  /// In so many of the oldest slots, from the one that the next message will take, no reader has
-  /// anything to read yet: all where messages are overwritten, none where they are to be taken.
+  /// The number of the oldest slots that no reader needs to read any more, counted from the slot
+  /// that the next message will take. All slots where messages are overwritten.
   std::uint32_t read_slots() { return ring_.blocking ? slots_read_by_all() : ring_.depth; }
 
   /// Publishes a block; the caller's hold on it becomes the ring's. REQUIRES: room().
@@ -340,12 +354,15 @@ class Writer {
     prefetch();
     return published;
   }
-  /// Fetches the slot of the next message: its reader has had a look at it, or will have one.
+  /// Fetches the slot of the next message into this core's cache: a reader that looked at it has
+  /// its line.
   void prefetch() const { P::prefetch_write(&ring_.slots[index_]); }
 
-  /// Calls gone(block) for messages that were taken, as far as all before them were; for all that
-  /// were finished, which one that takes long must not hold up. The holds on them are the caller's
-  /// to retire. REQUIRES: the messages of the ring are taken.
+  /// Calls gone(block) for messages that readers have taken out of their slots. The caller retires
+  /// the holds on them. REQUIRES: the messages of the ring are taken.
+  ///
+  /// Without claims it stops at the oldest message that is still there. With claims it finds every
+  /// finished message: one task that takes long must not hold up the others.
   template <class Gone>
   void each_taken(Gone&& gone) {
     if (ring_.claims != nullptr) return each_finished(gone);
@@ -368,7 +385,7 @@ class Writer {
       gone(std::exchange(put_[i], kNoBlock));
     }
   }
-  /// Calls hold(block) for each message whose hold is still the ring's. REQUIRES: as each_taken().
+  /// Calls hold(block) for each message whose hold the ring still has. REQUIRES: as each_taken().
   template <class Hold>
   void each_put(Hold&& hold) const {
     for (const Word b : put_) {
@@ -389,16 +406,18 @@ class Writer {
   /// The block in the slot that the message `ahead` of the next one will take, or kNoBlock.
   /// REQUIRES: ahead < depth.
   Word held(std::uint32_t ahead) const {
+    // Relaxed: only the writer puts a block into a slot.
     return block(ring_.slots[oldest_slot(ahead)].load(std::memory_order_relaxed));
   }
 
-  /// Takes the oldest message back out of the ring that may(block) lets go, when memory has run
-  /// out. Returns its block, or kNoBlock when the ring holds none. Where messages are overwritten,
-  /// readers that have not read it count it as missed. From a lossless ring it goes only when all
-  /// have read it, and nobody looks at it then.
+  /// Evicts: takes out of the ring the oldest message that may(block) lets go. For a publisher
+  /// whose memory has run out. Returns its block, or kNoBlock when the ring holds none.
   ///
-  /// Crash: killed behind the floor, joiners that are under way get less of the past. Behind the
-  /// fetch_or, the reaper finds a block that no ring names.
+  /// Where messages are overwritten, readers that have not read the message count it as missed. In
+  /// a lossless ring it goes only when all readers have read it, so no reader looks at it.
+  ///
+  /// Crash: killed after the floor was stored: joiners that are under way get less of the past.
+  /// Killed after the fetch_or: the reaper finds a block that no ring names.
   template <class May>
   Word evict_oldest(May&& may) {
     const std::uint32_t slots = read_slots();
@@ -416,18 +435,18 @@ class Writer {
     return evict_oldest([](Word) { return true; });
   }
 
-  /// Takes the messages that all readers have read back out of the ring, but for the newest `keep`
-  /// of the ring, and calls gone(block) for each, the oldest first. Of what is to be taken by one
-  /// reader none goes. Whatever a reader's place says, gone blocks are as evicted ones: hazards()
-  /// says whether a reader looks at one.
+  /// Takes out of the ring the messages that all readers have read, except for the newest `keep`
+  /// ones. Calls gone(block) for each, the oldest first. Takes none where each message is for one
+  /// reader. The blocks are like evicted ones: hazards() says whether a reader still looks at one,
+  /// whatever the places of the readers say.
   ///
   /// Crash: as in evict_oldest(), after each of them.
   template <class Gone>
   void take_back(std::uint32_t keep, Gone&& gone) {
     std::uint32_t end = slots_read_by_all();
     end = std::min(end, ring_.depth - std::min(keep, ring_.depth));
-    // What is older than an empty slot went before it; or an eviction passed it over, since it was
-    // kept, and it stays until it is overwritten.
+    // A message that is older than an empty slot went before. Or an eviction passed it over, since
+    // may() kept it: then it stays until it is overwritten.
     std::uint32_t n = end;
     while (n > 0 && held(n - 1) != kNoBlock) --n;
     if (n < end && ring_.guarded()) raise_floor(advance(next_, Word{end} - ring_.depth));
@@ -438,7 +457,7 @@ class Writer {
     }
   }
 
-  /// Calls seen(block) for each block that some reader may be looking at right now.
+  /// Calls seen(block) for each block that a reader may be looking at now.
   template <class Seen>
   void hazards(Seen&& seen) {
     refresh_roster();
@@ -453,7 +472,7 @@ class Writer {
   void laggards(Lag&& lag) {
     refresh_roster();
     for (const std::uint32_t c : active_) {
-      const Word position = ring_.cells[c].position.load(std::memory_order_relaxed);
+      const Word position = ring_.cells[c].position.load(std::memory_order_relaxed);  // a hint
       if (position == kIdle || ring_.taken) continue;
       if (is_joining(position)) continue;  // room() gives it a place
       if (distance(next_, sequence(position)) >= ring_.depth) lag(c);
@@ -465,45 +484,51 @@ class Writer {
   void each_reader(F&& f) {
     refresh_roster();
     for (const std::uint32_t c : active_) {
+      // Relaxed: a hint. The reader may leave at any time.
       const std::uint32_t who = ring_.who[c].load(std::memory_order_relaxed);
       if (who != 0) f(who - 1);
     }
   }
 
-  /// A reader that is served, as the writer knows it.
+  /// A reader that the writer serves: its cell, and its round there.
   struct Served {
     std::uint32_t cell = 0;
     Word round = 0;
   };
-  /// Says to the only reader that this participant has here that the messages from `first` on are
-  /// for it. Nothing when it has none, or several, or has not yet read all that was for it before.
-  /// `still()` is asked after the reader was looked at, and says whether the participant is meant.
-  /// `answer`: only one that has joined with that.
+  /// Tells the only reader that this participant has here that the messages from `first` on are for
+  /// it. Returns nothing when the participant has no reader here or several, or when the reader has
+  /// not yet read all that was for it before.
+  ///
+  /// `still()` is asked after the look at the reader. It says whether the participant is still the
+  /// one that is meant. `answer`: serves only a reader that joined with that answer.
   template <class Still>
   std::optional<Served> serve(std::uint32_t participant, Word first, Still&& still,
                               std::optional<Word> answer = {}) {
     refresh_roster();
     std::optional<std::uint32_t> cell;
     for (const std::uint32_t c : active_) {
+      // Relaxed: `from` brings the name (R12), and `who` is read again below.
       if (ring_.who[c].load(std::memory_order_relaxed) != participant + 1) continue;
       if (cell) return std::nullopt;
       cell = c;
     }
     if (!cell) return std::nullopt;
     auto& [position, from, to] = ring_.cells[*cell];
-    // Who has not joined to the end has yet to begin its round.
+    // A reader that has not finished joining may not have begun its round yet.
     const Word read = position.load(std::memory_order_acquire);  // R3
     if (!is_place(read)) return std::nullopt;
     Word begin = from.load(std::memory_order_acquire);  // R12
-    Word end = to.load(std::memory_order_relaxed);
+    Word end = to.load(std::memory_order_relaxed);      // its round is compared with that of `from`
     const Word round = bound_round(begin);
     if (answer && begin != make_unbound(round, *answer)) return std::nullopt;
     if (bound_round(end) != round || is_set(begin) != is_set(end)) return std::nullopt;
     if (is_set(end) && distance(sequence(read), bound_sequence(end)) < 0) return std::nullopt;
+    // Relaxed: R12 has brought the name that belongs to this round.
     if (!still() || ring_.who[*cell].load(std::memory_order_relaxed) != participant + 1) {
       return std::nullopt;
     }
-    // If the cell has another reader by now, its round is another one.
+    // If the cell has another reader by now, that reader has begun another round, and the
+    // compare-and-swap fails. Relaxed: the message's slot carries it to the reader (R1), or R11.
     if (!from.compare_exchange_strong(begin, make_bound(round, first), std::memory_order_relaxed,
                                       std::memory_order_relaxed)) {
       return std::nullopt;
@@ -515,26 +540,31 @@ class Writer {
     }
     return Served{*cell, round};
   }
-  /// False when one of the last n messages was evicted or overwritten, or there were not so many.
+  /// True when the last n messages are all in the ring: none was evicted or overwritten, and there
+  /// were so many.
   bool has_last(Word n) const {
     if (n > ring_.depth || static_cast<Word>(distance(next_, ring_.first)) < n) return false;
     for (Word i = 1; i <= n; ++i) {
       const Word place = (index_ + ring_.depth - i) % ring_.depth;
+      // Relaxed: the writer has put the blocks there itself.
       if (block(ring_.slots[place].load(std::memory_order_relaxed)) == kNoBlock) return false;
     }
     return true;
   }
 
-  /// False when the cell has lost that reader.
+  /// False when that reader has left its cell.
   bool serves(const Served& served) const {
+    // Relaxed: a hint. The reader may leave at any time.
     return bound_round(ring_.cells[served.cell].from.load(std::memory_order_relaxed)) ==
                served.round &&
            ring_.who[served.cell].load(std::memory_order_relaxed) != 0;
   }
-  /// Nothing more is for that reader, nor are the last `back` messages, if it has not read them.
+  /// Ends what is for that reader: no later message is for it, nor are the last `back` messages,
+  /// where it has not read them yet.
   void stop(const Served& served, Word back) {
     Word open = make_unbound(served.round);
     const Word end = advance(next_, kSequenceMask + 1 - back);
+    // Relaxed: the next message's slot carries it (R1).
     ring_.cells[served.cell].to.compare_exchange_strong(
         open, make_bound(served.round, end), std::memory_order_relaxed, std::memory_order_relaxed);
   }
@@ -542,7 +572,7 @@ class Writer {
   /// Announces on `space` that the sender is about to sleep; returns the value to sleep on. The
   /// caller looks at room() once more, and sleeps only if there is still none.
   std::uint32_t mark_waiting() {
-    // A mark may stand from the last time, and somebody may have left since.
+    // A mark may stand from the last time, and a reader may have left since.
     std::uint32_t v = ring_.space->load(std::memory_order_acquire);  // R6
     while ((v & 1) == 0) {
       if (ring_.space->compare_exchange_strong(v, v + 1, std::memory_order_seq_cst,
@@ -569,14 +599,15 @@ class Writer {
     return i < ring_.depth ? i : i - ring_.depth;
   }
 
-  /// In so many of the oldest slots no reader has anything to read yet. Where messages are
-  /// overwritten the places of readers are hints: what they tell hangs on nothing.
+  /// The number of the oldest slots that all readers have read. None where each message is for one
+  /// reader. Where messages are overwritten the places of readers are only hints: nothing depends
+  /// on the result there.
   std::uint32_t slots_read_by_all() {
     if (ring_.taken) return 0;
     refresh_roster();
     find_slowest();
     const std::int64_t behind = distance(next_, minimum_);
-    if (behind < 0 || behind >= ring_.depth) return 0;  // less than nothing: a word is damaged
+    if (behind < 0 || behind >= ring_.depth) return 0;  // below 0: a word is damaged
     return ring_.depth - static_cast<std::uint32_t>(behind);
   }
 
@@ -602,8 +633,8 @@ class Writer {
     }
   }
 
-  /// True when all readers of a lossless ring are beyond this message, those that join just now
-  /// too. False: a joiner was quicker. REQUIRES: read_slots() said that all have read it.
+  /// True when all readers of a lossless ring are beyond this message, also those that are joining
+  /// now. False: a joiner was quicker. REQUIRES: read_slots() said that all have read it.
   bool close_off(Word message) {
     raise_floor(next(message));
     refresh_roster();
@@ -612,8 +643,8 @@ class Writer {
   }
 
   void raise_floor(Word lowest) {
-    // It never goes down. What looks as if it came behind the next message was there before the
-    // sequences wrapped.
+    // The floor never goes down. A floor that seems to lie behind the next message is from before
+    // the sequences wrapped.
     const std::int64_t before = distance(next_, floor_);
     if (before < 0 || before > distance(next_, lowest)) {
       floor_ = lowest;
@@ -621,15 +652,16 @@ class Writer {
     }
   }
 
-  /// Where the reader of a cell stands, or kIdle. A joiner that has no place yet gets one: a joiner
-  /// that is held up holds nothing up.
+  /// Where the reader of a cell stands, or kIdle. Gives a place to a joiner that has none yet, so
+  /// that a joiner that is held up does not hold up the sender.
   Word place_of(std::uint32_t c) {
     auto& word = ring_.cells[c].position;
     Word position = word.load(std::memory_order_seq_cst);  // R3, R6
     while (is_joining(position)) {
       const std::uint64_t back = ring_.reach(next_, sequence(position), floor_);
       const Word place = make(advance(next_, Word{0} - back), kNoBlock);
-      // Relaxed: only the place is told. If the joiner was quicker, its place counts (R3).
+      // Relaxed: the place is all that it tells. If the joiner was quicker, its own place counts,
+      // which the failing compare-and-swap acquires (R3).
       if (word.compare_exchange_strong(position, place, std::memory_order_relaxed,
                                        std::memory_order_acquire)) {
         return place;
@@ -646,7 +678,7 @@ class Writer {
     minimum_known_ = false;  // a late joiner may stand behind the cached minimum
     active_.clear();
     for (std::uint32_t c = 0; c < ring_.readers; ++c) {
-      // R3: who has left has read. That a joiner is seen is the roster's business (R4).
+      // R3: a reader that has left has read. The roster makes sure that joiners are seen (R4).
       if (ring_.who[c].load(std::memory_order_acquire) != 0) active_.push_back(c);
     }
   }
@@ -660,7 +692,7 @@ class Writer {
   bool roster_known_ = false;
   bool minimum_known_ = false;
   std::vector<std::uint32_t> active_;
-  std::vector<Word> put_;  ///< by slot, if messages are taken: the block whose hold is the ring's
+  std::vector<Word> put_;     ///< by slot, if messages are taken: the block whose hold the ring has
   std::uint32_t oldest_ = 0;  ///< slot of the oldest of put_
 };
 
