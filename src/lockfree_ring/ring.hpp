@@ -333,7 +333,8 @@ class Writer {
   }
 
   /// The number of the oldest slots that no reader needs to read any more, counted from the slot
-  /// that the next message will take. All slots where messages are overwritten.
+  /// that the next message will take. All slots where messages are overwritten. None where each
+  /// message of a lossless ring is for one reader.
   std::uint32_t read_slots() { return ring_.blocking ? slots_read_by_all() : ring_.depth; }
 
   /// Publishes a block; the caller's hold on it becomes the ring's. REQUIRES: room().
@@ -696,21 +697,21 @@ class Writer {
   std::uint32_t oldest_ = 0;  ///< slot of the oldest of put_
 };
 
-/// A consumer's side: private state of one reader, used by one thread at a time.
+/// The subscriber's side: private state of one reader, used by one thread at a time.
 template <class P>
 class Reader {
  public:
-  /// History that asks for everything since the ring was made.
+  /// A history that asks for every message since the ring was made.
   static constexpr std::uint64_t kFromTheStart = ~std::uint64_t{0};
-  /// Whether the sender sleeps for room is asked so often in one lap of the ring.
+  /// How often in one lap of the ring done() asks whether the sender sleeps for room.
   static constexpr std::uint32_t kBellsPerLap = 4;
 
   Reader() = default;
 
   /// Joins a ring of the given generation, starting with the newest `history` messages. Returns
-  /// no reader when the ring has no free cell (then `full` is set), or has ended and is not one
-  /// whose messages are taken: what waits there is any reader's. REQUIRES: nobody recycles the ring
-  /// meanwhile.
+  /// no reader when the ring has no free cell (then `full` is set), or when it has ended. An ended
+  /// ring whose messages are taken can be joined: any reader may take what waits there.
+  /// REQUIRES: no process recycles the ring meanwhile.
   ///
   /// Crash: killed after the claim of who[c], the reaper makes the cell idle and frees it.
   static std::optional<Reader> join(const Ring<P>& ring, std::uint32_t generation,
@@ -733,14 +734,15 @@ class Reader {
     const bool is_open = writer_state(writer) == State::Live ||
                          (ring.taken && writer_state(writer) == State::Orphan);
     if (!is_open || writer_generation(writer) != generation) {
-      ring.who[c].store(0, std::memory_order_relaxed);  // nothing was done with the cell
+      ring.who[c].store(0, std::memory_order_relaxed);  // this reader did nothing with the cell
       return std::nullopt;
     }
     auto& [position, from, to] = ring.cells[c];
-    // Whoever sees us (R4) sees that nothing is for us yet.
+    // A writer that sees this reader (R4) also sees that no message is for it yet. Relaxed: R8
+    // carries the former reader's round.
     const Word round = bound_round(from.load(std::memory_order_relaxed)) + 1;
     from.store(make_unbound(round, answer), std::memory_order_release);  // R12
-    to.store(make_unbound(round), std::memory_order_relaxed);
+    to.store(make_unbound(round), std::memory_order_relaxed);            // R3 carries it
     Word wish = joining(std::min<std::uint64_t>(history, ring.depth));
     if (!ring.guarded()) position.store(wish, std::memory_order_release);  // R3, R14
     ring.roster->fetch_add(1, std::memory_order_seq_cst);                  // R4, R15
@@ -748,15 +750,15 @@ class Reader {
     reader.ring_ = ring;
     reader.cell_ = c;
     reader.start_at_newest(history);
-    // From here the cursor holds the sender. The former reader of the cell may have borrowed, so
-    // this lets its hazard go (R3).
+    // From here the cursor holds the sender back. The former reader of the cell may have borrowed a
+    // message: this store lets its hazard go (R3).
     const Word place = make(reader.cursor_, kNoBlock);
     if (ring.guarded()) {
-      position.store(place, std::memory_order_release);
+      position.store(place, std::memory_order_release);  // R3, R14
       // Relaxed: the place belongs to the release sequence of the wish, which carries R3 and R14.
     } else if (!position.compare_exchange_strong(wish, place, std::memory_order_relaxed,
                                                  std::memory_order_relaxed)) {
-      reader.start_at(sequence(wish));  // the sender was quicker
+      reader.start_at(sequence(wish));  // the sender was quicker, and gave the place
       const std::int64_t before = distance(reader.cursor_, ring.first);
       reader.skipped_ = history == kFromTheStart && before > 0 ? static_cast<Word>(before) : 0;
     }
@@ -764,15 +766,18 @@ class Reader {
     return reader;
   }
 
-  /// The reader that a cell awaits (Ring::await): it begins with the first message, however late.
-  /// Nothing: no cell awaits this participant. REQUIRES: nobody recycles the ring meanwhile.
+  /// The reader that a cell awaits (Ring::await). It begins with the first message, however late it
+  /// comes. Nothing: no cell awaits this participant. REQUIRES: no process recycles the ring
+  /// meanwhile.
   static std::optional<Reader> adopt(const Ring<P>& ring, std::uint32_t participant) {
     (void)ring.writer->load(std::memory_order_acquire);  // R7
     for (std::uint32_t c = 0; c < ring.readers; ++c) {
+      // Relaxed: R7 carries the name.
       if (ring.who[c].load(std::memory_order_relaxed) != participant + 1) continue;
       auto& word = ring.cells[c].position;
-      Word position = word.load(std::memory_order_relaxed);
-      // Relaxed: the reader has done nothing in this ring before, so only its place is told.
+      Word position = word.load(std::memory_order_relaxed);  // checked by the next
+      // Relaxed: the reader has done nothing in this ring before, so its place is all that it
+      // tells.
       if (!is_awaited(position) ||
           !word.compare_exchange_strong(position, position & ~kSleeper, std::memory_order_relaxed,
                                         std::memory_order_relaxed)) {
@@ -788,14 +793,15 @@ class Reader {
   }
 
   /// Borrows the next message: its block, or kNoBlock when there is none. The block and its payload
-  /// are protected until done(). `missed` is increased by the messages that were overwritten before
-  /// they could be read. kDamaged: somebody else has written into the ring; done() goes on behind
-  /// it.
+  /// are protected until done(). Adds to `missed` the messages that were overwritten before this
+  /// reader could read them. kDamaged: a process that is no publisher here has written into the
+  /// ring; done() goes on behind that slot.
   [[gnu::hot]] Word poll(std::uint64_t& missed) {
     Word lapped = 0;
     return poll(missed, lapped);
   }
-  /// `lapped`: what a look has passed over so far; more than there can be is damage.
+  /// `lapped`: how many messages this look has passed over so far. More than there can be is
+  /// damage.
   [[gnu::hot]] Word poll(std::uint64_t& missed, Word& lapped) {
     for (;;) {
       auto& slot = ring_.slots[index_];
@@ -805,9 +811,10 @@ class Reader {
         when_empty();
         return kNoBlock;
       }
-      if (ahead > 0) {  // lapped: the oldest that can still be there is one round behind `seen`
+      if (ahead > 0) {  // lapped: the oldest message that can still be there is one lap behind
         lapped += static_cast<Word>(ahead);
-        // Not by whole rounds, or round and round the numbers: it would never come to an end.
+        // No publisher leaps by less than whole laps. A leap through half of all sequences is
+        // damage, too: the loop might never end.
         if (ahead % ring_.depth != 0 || lapped > kSequenceMask / 2) return kDamaged;
         skip(static_cast<Word>(ahead) + 1 - ring_.depth, missed);
         continue;
@@ -827,13 +834,14 @@ class Reader {
   }
 
   /// Takes the message that poll() has found out of the ring, for this reader alone. False: another
-  /// one was faster. REQUIRES: the messages of the ring are taken; the caller holds the block.
+  /// reader was faster. REQUIRES: the messages of the ring are taken; the caller holds the block.
   ///
-  /// Crash: killed before it, the message stays where it is; after it, it is gone with its taker.
+  /// Crash: killed before this step, the message stays in its slot. Killed after it, the message is
+  /// lost with its taker.
   bool take() { return empty(ring_.slots[index_], cursor_); }
 
-  /// As poll(), where messages are to be finished: passes over those that somebody works on, and
-  /// begins again when some have come back.
+  /// As poll(), where workers must finish messages: passes over a message that a worker has
+  /// claimed, and begins again when messages have come back.
   Word poll_unclaimed(std::uint64_t& missed) {
     Word lapped = 0;
     return poll_unclaimed(missed, lapped);
@@ -846,15 +854,16 @@ class Reader {
       step(1);
     }
   }
-  /// As take(), where messages are to be finished: the message stays in its slot(). Returns the
-  /// claim, or 0.
+  /// As take(), where workers must finish messages: the message stays in its slot(). Returns the
+  /// claim, or 0 when another worker has or had the message.
   ///
-  /// Crash: killed after it, the message comes back.
+  /// Crash: killed after this step, the message comes back.
   Word claim(std::uint32_t participant) {
     auto& word = ring_.claims[index_];
     const Word mine = ring::claim(word, cursor_, participant);
     if (mine == 0) return 0;
-    // The claim may have been a dead one's, which had finished. Relaxed: C1 carries that.
+    // The claim may be of a worker that died after it had finished the message. Relaxed: C1
+    // carries the empty slot.
     const Word seen = ring_.slots[index_].load(std::memory_order_relaxed);
     if (sequence(seen) == cursor_ && block(seen) != kNoBlock) return mine;
     unclaim(word, mine);
@@ -862,26 +871,28 @@ class Reader {
   }
   std::uint32_t index() const { return index_; }
 
-  /// The block of the message `ahead` of the next one, or kNoBlock. For prefetching only: may be
-  /// wrong.
+  /// The block of the message that is `ahead` of the next one, or kNoBlock. For prefetching only:
+  /// it may be wrong.
   Word peek(std::uint32_t ahead) const {
     if (ahead >= ring_.depth) return kNoBlock;
     const std::uint32_t i = index_ + ahead;
+    // Relaxed: for prefetching only.
     const Word seen =
         ring_.slots[i < ring_.depth ? i : i - ring_.depth].load(std::memory_order_relaxed);
     return sequence(seen) == advance(cursor_, ahead) ? block(seen) : kNoBlock;
   }
 
   /// Ends a borrow. Returns true when the sender sleeps for room: the caller then calls ring_bell()
-  /// and, if that says so, wakes `space`. It is asked a few times a lap only: to wake for each
+  /// and, if that says so, wakes `space`. It asks only a few times in a lap: a wake for each
   /// message would cost both sides more than the message.
   bool done() {
     step(1);
     ring_.cells[cell_].position.store(make(cursor_, kNoBlock), std::memory_order_release);  // R3
     if (!ring_.blocking || distance(cursor_, asked_) < ring_.depth / kBellsPerLap) return false;
     asked_ = cursor_;
-    // A stale "even" here, as room of which nobody tells, is mended by the next empty poll, or by
-    // the sender's own timed look.
+    // Relaxed: this may see a stale even number, and not every message makes this call. In both
+    // cases the next empty poll rings, or the sender finds the room by its own look every
+    // millisecond.
     return (ring_.space->load(std::memory_order_relaxed) & 1) != 0;
   }
 
@@ -890,10 +901,11 @@ class Reader {
     return ring_.blocking && (ring_.space->load(std::memory_order_seq_cst) & 1) != 0;  // R6
   }
 
-  /// Takes the sender's mark away; true when the caller must wake `space`.
+  /// Takes the sender's mark away. True when the caller must wake `space`.
   static bool ring_bell(typename P::template Atomic<std::uint32_t>& space) {
-    std::uint32_t v = space.load(std::memory_order_relaxed);
-    // Again: who leaves or is reaped adds 2, and the sender sleeps on.
+    std::uint32_t v = space.load(std::memory_order_relaxed);  // the compare-and-swap checks it
+    // A loop: a reader that leaves, or its reaper, adds 2, and the sender sleeps on. Relaxed: the
+    // futex call of the wake orders.
     while ((v & 1) != 0) {
       if (space.compare_exchange_weak(v, v + 1, std::memory_order_relaxed,
                                       std::memory_order_relaxed)) {
@@ -904,8 +916,8 @@ class Reader {
   }
 
   /// Leaves a sleeper's mark in the slot that the next publish will exchange. Returns the slot word
-  /// to sleep on, or nothing when there is something to look at. The caller must then look at
-  /// ended() and the directory before it sleeps.
+  /// to sleep on, or nothing when there may be a message. Before the caller sleeps it must look at
+  /// ended() and the directory.
   std::optional<Word> mark_sleeping() {
     auto& slot = ring_.slots[index_];
     Word seen = slot.load(std::memory_order_acquire);  // R5: the mark may be another reader's
@@ -920,7 +932,7 @@ class Reader {
     return seen;
   }
 
-  /// The same where readers sleep on the mutex engine's condition. REQUIRES: its lock.
+  /// As mark_sleeping(), where readers sleep on the mutex engine's condition. REQUIRES: its lock.
   std::optional<std::uint32_t> announce_sleeping() {
     if (ready()) return std::nullopt;
     return RobustCondition(*ring_.arrived).announce();
@@ -931,8 +943,8 @@ class Reader {
     return writer_state(ring_.writer->load(std::memory_order_acquire)) == State::Orphan;  // R9
   }
 
-  /// True when the publisher has gone and everything was read. (The writer word first, then the
-  /// slot: else a last message could slip in between.)
+  /// True when the publisher has gone and this reader has read everything. It loads the writer word
+  /// first and then the slot: else a last message could come in between.
   bool ended() const {
     // R9 carries the slot.
     return orphaned() &&
@@ -941,18 +953,19 @@ class Reader {
 
   /// True when poll() would find something.
   bool ready() const {
+    // Relaxed: a hint. poll() acquires the message.
     return distance(sequence(ring_.slots[index_].load(std::memory_order_relaxed)), cursor_) >= 0 ||
            has_returns();
   }
   /// True when messages have come back since poll_unclaimed() looked.
   bool has_returns() const {
-    // Relaxed: a hint; a sleeper has acquired it (R5).
+    // Relaxed: a hint. A reader that is about to sleep has acquired it (R5).
     return ring_.returned != nullptr &&
            ring_.returned->load(std::memory_order_relaxed) != returned_;
   }
-  /// True while messages are in the ring that somebody works on, or that nobody has taken.
+  /// True while the ring has messages that no worker has finished: claimed or not.
   bool is_unfinished() const { return ring_.claims != nullptr && ring_.has_news(); }
-  /// True when the publisher has gone, and what it has left cannot come back.
+  /// True when the publisher has gone, and no message that it left can come back.
   bool is_closing() const { return orphaned() && !is_unfinished(); }
 
   /// Frees the cell. The caller wakes `space` unconditionally. Crash: the reaper does the rest.
@@ -961,23 +974,25 @@ class Reader {
     ring_.free_cell(cell_);
   }
 
-  /// What the writer has said is for us: the messages from `from` on, before `to`; each may not be
-  /// said yet. Of a message that was read, both count, when `to` is asked first.
+  /// What the writer has said is for this reader: the messages from `from` on and before `to`. The
+  /// writer may not have set them yet. For a message that was read both are valid, if the caller
+  /// asks for `to` first.
   Word to() const { return ring_.cells[cell_].to.load(std::memory_order_acquire); }  // R11
+  // Relaxed: R1 or R11 carries it.
   Word from() const { return ring_.cells[cell_].from.load(std::memory_order_relaxed); }
 
-  /// Of a reader that joined from the start: messages that were overwritten before it came.
+  /// Of a reader that joined from the start: how many messages were overwritten before it came.
   std::uint64_t skipped() const { return skipped_; }
 
   typename P::template Atomic<Word>& slot() const { return ring_.slots[index_]; }
 
-  /// Messages that are there to be read.
+  /// How many messages are there to be read: a hint while the publisher works.
   std::uint32_t size() const {
     if (ring_.claims != nullptr) return unclaimed();
     std::uint32_t n = 0;
     std::uint32_t i = index_;
     for (std::uint32_t ahead = 0; ahead < ring_.depth; ++ahead) {
-      const Word seen = ring_.slots[i].load(std::memory_order_relaxed);
+      const Word seen = ring_.slots[i].load(std::memory_order_relaxed);  // only counted
       if (distance(sequence(seen), advance(cursor_, ahead)) < 0) break;
       if (block(seen) != kNoBlock) ++n;
       if (++i == ring_.depth) i = 0;
@@ -992,7 +1007,7 @@ class Reader {
  private:
   /// Puts the cursor `history` messages before the newest one, as far as the ring goes back.
   void start_at_newest(std::uint64_t history) {
-    // Before the slots: then the floor is not beyond the newest message that is found in them.
+    // The floor before the slots: so the floor is not beyond the newest message found in them.
     const Word lowest = ring_.floor->load(std::memory_order_seq_cst);  // R15
     newest_index_ = 0;
     newest_ = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
@@ -1006,13 +1021,13 @@ class Reader {
     const Word head = next(newest_);
     std::uint64_t back = ring_.reach(head, history, lowest);
     if (history == kFromTheStart && !ring_.blocking && !ring_.taken) {
-      back = ring_.published(head);  // poll() counts the missed
+      back = ring_.published(head);  // poll() counts those that are gone as missed
     }
     start_at(advance(head, Word{0} - back));
     if (history == kFromTheStart && !ring_.taken) skipped_ = ring_.published(head) - back;
   }
 
-  /// Messages that have come back lie behind the cursor.
+  /// Begins again when messages have come back: they lie behind the cursor.
   void look_back() {
     const std::uint32_t now = ring_.returned->load(std::memory_order_acquire);  // C2
     if (now == returned_) return;
@@ -1022,16 +1037,16 @@ class Reader {
   std::uint32_t unclaimed() const {
     std::uint32_t n = 0;
     for (std::uint32_t i = 0; i < ring_.depth; ++i) {
-      const Word seen = ring_.slots[i].load(std::memory_order_relaxed);
+      const Word seen = ring_.slots[i].load(std::memory_order_relaxed);  // only counted
       n += block(seen) != kNoBlock && !is_claimed(ring_.claims[i], sequence(seen));
     }
     return n;
   }
 
-  /// Puts the cursor there. newest_ was once in the slot newest_index_.
+  /// Puts the cursor at this sequence. The message newest_ was once in the slot newest_index_.
   void start_at(Word cursor) {
     cursor_ = cursor;
-    // Sequences and indexes go on together, also where the sequences wrap.
+    // Sequences and indexes advance together, also where the sequences wrap.
     const std::int64_t depth = ring_.depth;
     const std::int64_t ahead = distance(cursor, newest_) % depth + depth;
     index_ = static_cast<std::uint32_t>((newest_index_ + ahead) % depth);
@@ -1047,7 +1062,7 @@ class Reader {
   }
 
   void skip(Word by, std::uint64_t& missed) {
-    if (!ring_.taken) missed += by;  // else another reader has got them
+    if (!ring_.taken) missed += by;  // if taken: another reader has got them
     step(by);
     drained_ = false;
   }
@@ -1065,12 +1080,12 @@ class Reader {
   Ring<P> ring_;
   Word cursor_ = 0;
   std::uint64_t skipped_ = 0;
-  Word newest_ = 0;                 ///< when it joined
-  std::uint32_t newest_index_ = 0;  ///< the slot of that
+  Word newest_ = 0;                 ///< the newest message when this reader joined
+  std::uint32_t newest_index_ = 0;  ///< the slot of newest_
   std::uint32_t index_ = 0;
   std::uint32_t cell_ = 0;
   Word asked_ = 0;              ///< cursor when done() last asked whether the sender waits
-  std::uint32_t returned_ = 0;  ///< of the ring, when look_back() last looked
+  std::uint32_t returned_ = 0;  ///< the ring's `returned` when look_back() last looked
   bool drained_ = false;
 };
 
