@@ -7,36 +7,37 @@
 
 #include "lockfree_ring/words.hpp"
 
-/// Messages that stay in their slots until their reader has finished with them. Beside each slot is
-/// a claim, which names the worker of its message. A worker that dies, or gives the message back,
-/// leaves a slot that is as it was, so that nothing has to be put anywhere again.
+/// Messages that stay in their slots until a worker has finished them. Beside each slot is a claim,
+/// which names the worker of its message. A worker that dies, or gives the message back, leaves the
+/// slot as it was. So no process has to put the message back anywhere.
 ///
 /// The steps, and what a kill after each leaves (docs/queue.md):
-///   claim()    the claim names the worker: its reaper takes the name away
-///   empty()    the slot has no message: it is finished; the claim is out of date
-///   unclaim()  any worker may claim the message; the readers were not told: the reaper tells them
+///   claim()    The claim names the worker. The worker's reaper takes the name away.
+///   empty()    The slot has no message: it is finished. The claim is out of date.
+///   unclaim()  Any worker may claim the message. The worker was killed before it told the readers:
+///              the reaper tells them.
 ///
 /// Edges
 ///   C1  unclaim() (release) -> claim() (acquire)
-///       carries: what the last worker has done; and of a reaper, that the dead one may have
+///       carries: what the last worker has done. From a reaper: that the dead worker may have
 ///       emptied the slot.
 ///   C2  `returned` bump (release) -> load in Reader::look_back (acquire)
 ///       carries: the claims that were taken back.
 namespace lot::ring {
 
-/// True while a worker has the message of this sequence: true a moment ago.
+/// True when a worker has the message of this sequence: a hint, since it may change at any time.
 template <class Claim>
 bool is_claimed(const Claim& claim, Word sequence) {
-  const Word seen = claim.load(std::memory_order_relaxed);
+  const Word seen = claim.load(std::memory_order_relaxed);  // a hint
   return claim_sequence(seen) == sequence && claim_worker(seen) != 0;
 }
 
-/// Claims the message of this sequence for the participant. Returns the claim, or 0: another one
-/// works on it, or it was finished long since. REQUIRES: the caller holds the block; then it looks
-/// whether the message is still in its slot.
+/// Claims the message of this sequence for the participant. Returns the claim, or 0 when another
+/// worker has it, or when the slot has had a newer message since. REQUIRES: the caller holds the
+/// block; afterwards it looks whether the message is still in its slot.
 template <class Claim>
 Word claim(Claim& word, Word sequence, std::uint32_t participant) {
-  Word seen = word.load(std::memory_order_relaxed);
+  Word seen = word.load(std::memory_order_relaxed);  // the compare-and-swap checks it
   for (;;) {
     const std::int64_t ahead = distance(claim_sequence(seen), sequence);
     if (ahead > 0 || (ahead == 0 && claim_worker(seen) != 0)) return 0;
@@ -50,8 +51,8 @@ Word claim(Claim& word, Word sequence, std::uint32_t participant) {
   }
 }
 
-/// Takes a claim back: the message keeps its count of deliveries. Nothing where the claim is
-/// another one by now.
+/// Takes a claim back. The message keeps its count of deliveries. Does nothing where the word has
+/// another claim by now.
 template <class Claim>
 void unclaim(Claim& word, Word claim) {
   word.compare_exchange_strong(claim, claim & ~kWorkerMask, std::memory_order_release,
@@ -61,7 +62,7 @@ void unclaim(Claim& word, Word claim) {
 /// Takes the message of this sequence out of its slot. False: it is not there any more.
 template <class Slot>
 bool empty(Slot& slot, Word of_sequence) {
-  Word seen = slot.load(std::memory_order_relaxed);
+  Word seen = slot.load(std::memory_order_relaxed);  // the compare-and-swap checks it
   while (sequence(seen) == of_sequence && block(seen) != kNoBlock) {
     if (slot.compare_exchange_weak(seen, seen | kNoBlock, std::memory_order_seq_cst,
                                    std::memory_order_relaxed)) {  // R6, R10

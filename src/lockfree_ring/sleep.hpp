@@ -7,27 +7,26 @@
 
 #include "lockfree_ring/ring.hpp"
 
-/// How the reader of many rings falls asleep, and how a new ring wakes the readers of its topic:
-/// all steps in shared memory, in their order. The system calls are the caller's.
+/// How the reader of many rings goes to sleep, and how a new ring wakes the readers of its topic.
+/// This has all steps in shared memory, in their order. The caller makes the system calls.
 ///
-/// `Sources` is a container of structs that have a `reader`, one for each ring that is read, and a
-/// `Turn`: while it lives they are alone with a ring of the mutex engine.
+/// `Sources` is a container of structs, one for each ring that is read. Each has a `reader` and a
+/// type `Turn`. While a Turn lives, the reader has the lock of a ring of the mutex engine.
 ///
 /// Edges
 ///   R5  a mark taken away (release) -> sleeper's look at the slot (acquire)
-///       carries: the directory's new version, the writer word ORPHAN, or that messages have come
-///       back.
+///       carries: the directory's new version, the writer word ORPHAN, or `returned`.
 namespace lot::ring {
 
-/// What a reader does that has looked everywhere and found nothing.
+/// What a reader does next that has looked at every ring and found nothing.
 enum class Rest {
-  Look,  ///< there is something to look at after all
-  Doze,  ///< sleep on the last word alone, and not for long: there are rings that it could not join
-  Sleep,  ///< until one of the words changes
+  Look,   ///< look again: something has changed
+  Doze,   ///< sleep briefly, on the last word alone: there are rings that it could not join yet
+  Sleep,  ///< sleep until one of the words changes
 };
 
-/// Rings that have ended are left, senders that wait for room are rung. False: there is something
-/// to look at after all.
+/// Leaves the rings that have ended, and rings senders that wait for room. False: the reader must
+/// look again.
 template <class Sources, class RingBell, class Leave>
 [[gnu::hot]] bool settle(Sources& sources, RingBell&& ring_bell, Leave&& leave) {
   for (auto s = sources.begin(); s != sources.end();) {
@@ -37,7 +36,7 @@ template <class Sources, class RingBell, class Leave>
       continue;
     }
     if (!s->reader.ended() || s->reader.has_returns()) return false;
-    if (s->reader.is_unfinished()) {  // by others: it may come back
+    if (s->reader.is_unfinished()) {  // other workers have messages, which may come back
       ++s;
       continue;
     }
@@ -47,8 +46,8 @@ template <class Sources, class RingBell, class Leave>
   return true;
 }
 
-/// Leaves a mark in one ring, or says on its condition that somebody sleeps. False: there is
-/// something to look at after all.
+/// Leaves a sleeper's mark in one ring, or on the condition of a ring of the mutex engine. False:
+/// the reader must look again.
 template <class Source, class SleepOn>
 bool leave_mark(Source& source, SleepOn& sleep_on) {
   auto* arrived = source.reader.ring().arrived;
@@ -64,7 +63,7 @@ bool leave_mark(Source& source, SleepOn& sleep_on) {
 }
 
 /// Leaves marks in the rings, and calls sleep_on(word, value) for each word to sleep on. `version`
-/// is the directory's when the sources were all rings of the topic.
+/// is the directory's version at which the sources were all rings of the topic.
 ///
 /// Crash: the marks stay behind, and cost one needless wake each.
 template <class Sources, class Directory, class SleepOn>
@@ -73,8 +72,8 @@ Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t versio
   for (auto& source : sources) {
     if (!leave_mark(source, sleep_on)) return Rest::Look;
   }
-  // What changed before the marks stood. Whoever changes it later takes the marks away, which
-  // begins a new round of the slot, and wakes.
+  // Now looks for what changed before the marks stood. A process that changes it later takes the
+  // marks away, which begins a new round of each slot, and wakes the reader.
   bool any_live = false;
   for (auto& source : sources) {
     if (source.reader.is_closing() || source.reader.has_returns()) return Rest::Look;
@@ -86,9 +85,10 @@ Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t versio
   return now == version ? Rest::Sleep : Rest::Doze;
 }
 
-/// The readers of a ring look again: wakes those who sleep there.
+/// Wakes the readers that sleep on a ring, so that they look again.
 ///
-/// Crash: killed between a mark and its wake, it leaves a reader asleep without a mark.
+/// Crash: killed after it has taken a mark away and before the wake, it leaves a reader asleep
+/// without a mark.
 template <class Ring, class Wake>
 void wake_sleepers(Ring& ring, Wake&& wake) {
   if (ring.arrived != nullptr) {
@@ -101,25 +101,25 @@ void wake_sleepers(Ring& ring, Wake&& wake) {
   }
 }
 
-/// Says that a ring has come, and wakes who may want to read it: who has nothing to read sleeps on
-/// the directory's version, the others in the other rings of the topic.
+/// Says that there is a new ring, and wakes the readers that may want it. A reader without a ring
+/// sleeps on the directory's version. The other readers sleep in the other rings of the topic.
 ///
 /// Crash: as wake_sleepers(). The reaper wakes all sleepers of all rings.
 template <class Directory, class Rings, class Wake>
 void announce(Directory& directory, Rings&& rings, Wake&& wake) {
-  // Relaxed: R5 carries it, and who finds it changed takes the registry's lock, which carries the
-  // ring.
+  // Relaxed: R5 carries it. A reader that finds it changed takes the registry's lock, which carries
+  // the ring.
   directory.fetch_add(1, std::memory_order_relaxed);
   for (auto&& ring : rings) wake_sleepers(ring, wake);
   wake(directory);
 }
 
-/// What a sender sleeps on when its ring is full, the value of `space`; nothing when there is
-/// room() after all.
+/// Marks that the sender of a full ring sleeps for room. Returns the value of `space` to sleep on,
+/// or nothing when there is room() after all.
 template <class Writer, class Room>
 std::optional<std::uint32_t> wait_for_room(Writer& writer, Room&& room) {
   const std::uint32_t value = writer.mark_waiting();
-  if (room()) return std::nullopt;  // R6: made before the mark stood, so nobody rings
+  if (room()) return std::nullopt;  // R6: made before the mark stood, so no reader rings
   return value;
 }
 

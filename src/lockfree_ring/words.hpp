@@ -9,14 +9,14 @@ namespace lot::ring {
 
 /// A slot:  {sequence : 42 | round : 2 | sleeper : 1 | block : 19}.
 ///
-/// One atomic word is the whole truth about a slot: which message is in it, in which block, and
-/// whether some reader sleeps until the *next* message comes into it. Its low 32 bits are the
-/// futex. A mark that is taken away without a message begins a new round: who has not fallen asleep
-/// on it yet does not take the next reader's mark for its own.
+/// One atomic word says all about a slot: which message is in it, in which block, and whether a
+/// reader sleeps until the *next* message comes into it. Its low 32 bits are the futex. Taking a
+/// mark away without a message begins a new round of the slot. So a reader that was about to sleep
+/// on its own mark does not take the next reader's mark for it.
 ///
-/// A reader's position uses the same format: {cursor | 0 | kNoBlock} is a place, {sequence | 0 |
-/// block} a place and a hazard. The sleeper bit is never part of a place. Words that carry it say
-/// what is not a reader at work: kIdle, awaited() and joining().
+/// A reader's position has the same format. {cursor | 0 | kNoBlock} is a place. {sequence | 0 |
+/// block} is a place and a hazard. The sleeper bit is never part of a place: a word that has it
+/// says that no reader is at work here. Those are kIdle, awaited() and joining().
 using Word = std::uint64_t;
 
 inline constexpr unsigned kBlockBits = 19;
@@ -33,23 +33,23 @@ inline constexpr Word kIdle = ~Word{0};  ///< position: no reader
 constexpr Word make(Word sequence, Word block) { return sequence << kSequenceShift | block; }
 constexpr Word sequence(Word word) { return word >> kSequenceShift; }
 constexpr Word block(Word word) { return word & kNoBlock; }
-/// A position that the maker of the ring has made for a reader that had subscribed before: the
-/// reader has not looked yet, and will begin at this sequence.
+/// A position that the ring's maker has stored for a reader that had subscribed before. The reader
+/// has not looked yet, and will begin at this sequence.
 constexpr Word awaited(Word sequence) { return make(sequence, kNoBlock) | kSleeper; }
 constexpr bool is_awaited(Word position) {
   return (position & (kSleeper | kRoundMask)) == kSleeper;
 }
-/// A position of a joiner that has no place yet, and wants this many messages of the past. A sender
-/// that must not overtake the joiner gives it a place.
+/// The position of a joiner that has no place yet, and wants this many messages of the past: its
+/// wish. A sender that must not overtake the joiner gives it a place.
 constexpr Word joining(Word back) { return make(back, kNoBlock) | kSleeper | kRound; }
 constexpr bool is_joining(Word position) {
   return (position & (kSleeper | kRoundMask)) == (kSleeper | kRound);
 }
-/// True for the position of a reader that has looked.
+/// True for the position of a reader that is at work.
 constexpr bool is_place(Word position) { return (position & kSleeper) == 0; }
-/// The slot's message: what a position that reads it says.
+/// A slot's sequence and block: the position of a reader that looks at its message.
 constexpr Word place(Word slot) { return slot & ~(kSleeper | kRoundMask); }
-/// The slot without its mark, in a round of its own.
+/// The slot word without its mark, in the next round.
 constexpr Word next_round(Word slot) {
   return (slot & ~(kSleeper | kRoundMask)) | ((slot + kRound) & kRoundMask);
 }
@@ -57,7 +57,7 @@ constexpr Word next_round(Word slot) {
 /// What Reader::poll() returns for a slot that no publisher can have written. It names no block.
 inline constexpr Word kDamaged = kNoBlock + 1;
 
-/// a - b of two sequences, as a signed number: sequences wrap after 2^42 messages, and two that are
+/// a - b of two sequences, as a signed number. Sequences wrap after 2^42 messages. Two that are
 /// compared are never further apart than 2^41.
 constexpr std::int64_t distance(Word a, Word b) {
   return static_cast<std::int64_t>((a - b) << kSequenceShift) >> kSequenceShift;
@@ -65,8 +65,9 @@ constexpr std::int64_t distance(Word a, Word b) {
 constexpr Word next(Word sequence) { return (sequence + 1) & kSequenceMask; }
 constexpr Word advance(Word sequence, Word by) { return (sequence + by) & kSequenceMask; }
 
-/// Where what is for one reader begins or ends: {set : 1 | round : 21 | sequence : 42}. Each reader
-/// of a cell begins a round of its own, so that a writer that is late says nothing to the next one.
+/// A bound: where the messages for one reader begin or end. {set : 1 | round : 21 | sequence : 42}.
+/// Each reader of a cell begins a round of its own, so that a late writer tells the cell's next
+/// reader nothing.
 inline constexpr Word kSet = Word{1} << 63;
 inline constexpr unsigned kBoundBits = 64 - kSequenceShift;
 inline constexpr Word kBoundRounds = Word{1} << (63 - kBoundBits);
@@ -74,7 +75,8 @@ inline constexpr Word kBoundRounds = Word{1} << (63 - kBoundBits);
 constexpr Word make_bound(Word round, Word sequence) {
   return kSet | (round % kBoundRounds) << kBoundBits | sequence;
 }
-/// A bound that is not set yet; what its reader answers to who asked it to join anew (0: nothing).
+/// A bound that is not set yet. `answer`: what its reader answers to the publisher that asked it to
+/// join again (0: nothing).
 constexpr Word make_unbound(Word round, Word answer = 0) {
   return (round % kBoundRounds) << kBoundBits | answer;
 }
@@ -82,9 +84,9 @@ constexpr bool is_set(Word bound) { return (bound & kSet) != 0; }
 constexpr Word bound_round(Word bound) { return (bound & ~kSet) >> kBoundBits; }
 constexpr Word bound_sequence(Word bound) { return bound & kSequenceMask; }
 
-/// Who works on the message of a slot: {sequence : 42 | deliveries : 12 | worker : 10}, the worker
-/// as participant + 1, or 0. Where the sequence is older than the slot's, the message was never
-/// delivered. Deliveries are counted up to kMostDeliveries.
+/// A claim names the worker of a slot's message: {sequence : 42 | deliveries : 12 | worker : 10}.
+/// The worker is participant + 1, or 0. Where the sequence is older than the slot's, the message
+/// was never delivered. Deliveries are counted up to kMostDeliveries.
 inline constexpr unsigned kWorkerBits = 10;
 inline constexpr Word kWorkerMask = (Word{1} << kWorkerBits) - 1;
 inline constexpr Word kMostDeliveries = (Word{1} << (kSequenceShift - kWorkerBits)) - 1;
