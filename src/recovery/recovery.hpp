@@ -7,14 +7,17 @@
 #include "lockfree_ring/ring.hpp"
 #include "refcount/ownership.hpp"
 
-/// The one place that repairs what a death leaves. A clean exit is the same code, run on oneself.
+/// The one place that repairs what a death leaves. A process that exits cleanly runs the same code
+/// on itself.
 ///
-/// Every step may be repeated: a reaper that is killed anywhere is followed by another that begins
-/// again (docs/crash.md).
+/// Every step may be repeated. When a reaper is killed anywhere, another one begins again
+/// (docs/crash.md).
 ///
-/// What the dead has written is carried by its byte lock, and what other reapers have written by
-/// the orphanage's locks (byte lock 0 and a mutex), so that those words are read relaxed. What the
-/// living write is not.
+/// What the dead participant has written is carried by its byte lock. What other reapers have
+/// written is carried by the orphanage's locks (byte lock 0 and a mutex). So those words are read
+/// relaxed. What living participants write is not.
+///
+/// "byte lock k" beside a relaxed load below means the first of these, "byte lock 0" the second.
 ///
 /// The World is what is repaired:
 ///   participants()               -> number of indexes, 0 included
@@ -22,15 +25,15 @@
 ///   blocks(), block(b)           -> BlockWords<P>&
 ///   channels()                   -> number of channels
 ///   channel_writer(c)            -> Atomic<Word>&
-///   ring(c)                      -> Ring<P>; depth 0 when it was never finished
+///   ring(c)                      -> Ring<P>; depth 0 when its maker has not finished it
 ///   each_reference(b, f)         -> f(block) for each block that the message in b refers to
 ///   lock_rings(), unlock_rings() -> the registry's lock, tried, against joiners
 ///   recycle_ring(c)              -> releases the ring's memory and names
 ///   release_extents(dead)        -> releases the memory of the blocks named in vector<bool> dead
 ///   unsubscribe(k)               -> participant k has no pullers any more (R13)
-///   forget(k)                    -> what else names participant k (users of topics)
-///   renew_directory()            -> readers look for rings of their topics again
-///   wake(word)                   -> wakes everybody who sleeps on it
+///   forget(k)                    -> clears what else names participant k (users of topics)
+///   renew_directory()            -> makes readers look for rings of their topics again
+///   wake(word)                   -> wakes all threads that sleep on the word
 namespace lot::recovery {
 
 template <class P, class World>
@@ -38,37 +41,41 @@ class Recovery {
  public:
   explicit Recovery(World& world) : world_(world) {}
 
-  /// Repairs what participant k left. REQUIRES: byte locks k and 0 are held, k is dead (or is the
-  /// caller, leaving). Returns false when there was nothing to do.
+  /// Repairs what participant k left. Returns false when there was nothing to do. REQUIRES: byte
+  /// locks k and 0 are held; k is dead, or is the caller, which leaves.
   bool reap(std::uint32_t k) {
-    if (world_.part(k).load(std::memory_order_relaxed) == 0) return false;
+    if (world_.part(k).load(std::memory_order_relaxed) == 0) return false;  // byte lock k
     wake_whom_it_announced_to(k);
     for (std::uint32_t c = 0; c < world_.channels(); ++c) orphan_ring(c, k);
     world_.unsubscribe(k);  // before its cells go: no new ring awaits it (R13)
     for (std::uint32_t c = 0; c < world_.channels(); ++c) take_claims_back(c, k);
     for (std::uint32_t c = 0; c < world_.channels(); ++c) free_cells(c, k);
     adopt_references(k);
-    // All homes before the first hold: else a reaper that is killed in between leaves a message of
-    // k's that nobody takes for the orphanage's, and what it refers to without a holder (I4).
+    // All homes before the first hold. Else a reaper that is killed in between leaves a message of
+    // k that does not count as the orphanage's, and its references without a holder (I4).
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) move_home(b, k);
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);
     world_.forget(k);
-    // Before the name goes (I4): nobody looks for what is left by who is killed here while leaving.
+    // Before the name goes (I4): if the process that leaves is killed here, no other process would
+    // look for what it left. The store is a release: byte k of two lock files may be two locks, and
+    // then a process that finds the index free has only this word.
     collect();
     world_.part(k).store(0, std::memory_order_release);  // byte lock k may be of two lock files
     return true;
   }
 
-  /// The publisher of channel c, which is k, is gone: no new joiners, the orphanage holds what is
-  /// in the ring and what is still borrowed, sleepers wake and find the end. REQUIRES: byte lock 0.
+  /// Ends the ring of channel c if k was its publisher. No reader joins it any more. The orphanage
+  /// holds the messages in the ring and those that readers still borrow. Readers that sleep wake
+  /// and find the end. REQUIRES: byte lock 0.
   void orphan_ring(std::uint32_t c, std::uint32_t k) {
     auto& writer = world_.channel_writer(c);
-    const ring::Word w = writer.load(std::memory_order_relaxed);
+    const ring::Word w = writer.load(std::memory_order_relaxed);  // byte lock k
     if (ring::writer_owner(w) != k || ring::writer_state(w) == ring::State::Free) return;
     const auto generation = ring::writer_generation(w);
     if (ring::writer_state(w) == ring::State::Init) {
-      // Nobody else knows it, and its memory may still hold what was in there before.
+      // No other process knows this ring. Its memory may still hold what was in there before.
       world_.recycle_ring(c);
+      // Release: the next publisher that claims the entry acquires that the ring was recycled.
       writer.store(ring::make_writer(generation + 1, ring::State::Free, 0),
                    std::memory_order_release);
       return;
@@ -77,7 +84,8 @@ class Recovery {
                  std::memory_order_release);  // R9
     ring::Ring<P> r = world_.ring(c);
     for (std::uint32_t i = 0; i < r.depth; ++i) {
-      // Readers may be taking messages: each is still in its slot, or has a holder or a hazard.
+      // Readers may take messages meanwhile: each is still in its slot, or has a holder or a
+      // hazard.
       adopt(ring::block(r.slots[i].load(std::memory_order_seq_cst)));  // R2, R10
     }
     for (std::uint32_t i = 0; i < r.readers; ++i) {
@@ -85,26 +93,29 @@ class Recovery {
       if (position != ring::kIdle) adopt(ring::block(position));
     }
     wake_readers(r);
-    // The name last: until here a reaper that follows us finds the ring by it (I4).
+    // The name goes last (I4): until here the next reaper finds the ring by it. Release: a
+    // publisher that closes asks this word whether its ring is an orphan, and then gives its own
+    // holds up. It must see that the orphanage has holds.
     writer.store(ring::make_writer(generation, ring::State::Orphan, refcount::kOrphanage),
                  std::memory_order_release);
   }
 
-  /// Wakes whoever sleeps on a ring, unconditionally: a conditional wake loses a sleeper whose mark
-  /// was taken by a publisher that died before it could wake.
+  /// Wakes all readers that sleep on a ring, unconditionally. A conditional wake would lose a
+  /// reader whose mark a publisher took away before it died, without the wake.
   void wake_readers(ring::Ring<P>& r) {
     r.clear_sleepers();
     r.wake_sleepers([this](auto& word) { world_.wake(word); });
   }
 
-  /// Frees what nobody needs any more: rings without readers, adopted blocks that no orphan ring
-  /// names, dead blocks of the orphanage. REQUIRES: byte lock 0. Returns true if all was looked at
-  /// (false: the registry was locked, rings are left for the next time).
+  /// Frees what no participant needs any more: rings without readers, adopted blocks that no orphan
+  /// ring names, dead blocks of the orphanage. Returns false when the registry was locked: then the
+  /// rings are left for the next time. REQUIRES: byte lock 0.
   bool collect() {
     const bool all = recycle_rings();
     mark_needed();
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
       auto& words = world_.block(b);
+      // Relaxed: byte lock 0.
       if ((words.own[0].load(std::memory_order_relaxed) & 1) != 0 && !needed_[b]) {
         words.own[0].fetch_and(~std::uint64_t{1}, std::memory_order_release);  // O1
       }
@@ -114,7 +125,7 @@ class Recovery {
     return all;
   }
 
-  /// True when collect() would recycle one of the first so many rings. REQUIRES: byte lock 0.
+  /// True when collect() would recycle a ring among the first `channels`. REQUIRES: byte lock 0.
   bool has_deserted_ring(std::uint32_t channels) {
     for (std::uint32_t c = 0; c < channels; ++c) {
       if (is_deserted_orphan(c)) return true;
@@ -122,13 +133,13 @@ class Recovery {
     return false;
   }
 
-  /// Takes a message out of an ended ring, unless a reader looks at it: readers that have not read
-  /// it count it as missed, where all get it. Nothing else must have the block: then it is
-  /// collect()'s. False: it is not there, or is looked at. REQUIRES: byte lock 0.
+  /// Takes a message out of an ended ring, unless a reader looks at it. False: it is not there, or
+  /// a reader looks at it. Readers that have not read it count it as missed, where all readers get
+  /// it. REQUIRES: byte lock 0; nothing else has the block. Then collect() frees it.
   ///
-  /// Crash: killed behind the fetch_or, the next collect() finds a block that no ring names.
+  /// Crash: killed after the fetch_or, the next collect() finds a block that no ring names.
   bool take_out(std::uint32_t c, ring::Word b) {
-    const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
+    const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);  // byte lock 0
     if (ring::writer_state(w) != ring::State::Orphan ||
         ring::writer_owner(w) != refcount::kOrphanage) {
       return false;
@@ -136,6 +147,7 @@ class Recovery {
     const ring::Ring<P> r = world_.ring(c);
     if (r.blocking || r.is_looked_at(b)) return false;
     for (std::uint32_t i = 0; i < r.depth; ++i) {
+      // Relaxed: byte lock 0. In an ended ring no process puts a block into a slot.
       if (ring::block(r.slots[i].load(std::memory_order_relaxed)) != b) continue;
       r.slots[i].fetch_or(ring::kNoBlock, std::memory_order_seq_cst);  // R2
       return true;
@@ -150,18 +162,21 @@ class Recovery {
     if (b < world_.blocks()) Own::adopt(world_.block(static_cast<std::uint32_t>(b)));
   }
 
-  /// A publisher that announces itself takes marks away from the rings of others, and wakes; killed
-  /// in between, it leaves sleepers without a mark. Its ring still names it then.
+  /// Wakes the readers to whom k may have announced a ring. A publisher that announces a ring takes
+  /// marks away in the rings of others, and then wakes. If it is killed in between, it leaves
+  /// readers asleep without a mark. Its ring still names it then.
   void wake_whom_it_announced_to(std::uint32_t k) {
     bool published = false;
     for (std::uint32_t c = 0; c < world_.channels() && !published; ++c) {
-      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
+      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);  // byte lock k
       published = ring::writer_owner(w) == k && ring::writer_state(w) > ring::State::Init;
     }
     if (!published) return;
-    // A ring that it did not announce any more awaits readers, who look for it now.
+    // k may have made a ring and died before it announced it. The ring awaits readers, which look
+    // for it now.
     world_.renew_directory();
     for (std::uint32_t c = 0; c < world_.channels(); ++c) {
+      // Relaxed: byte lock k carries each ring to which k announced, and ring() acquires the ring.
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
       if (ring::writer_state(w) != ring::State::Live) continue;
       ring::Ring<P> r = world_.ring(c);
@@ -170,15 +185,16 @@ class Recovery {
     }
   }
 
-  /// What k has taken and not finished comes back. The readers of each ring that k reads are told,
-  /// whatever is found: a reaper, or k itself, may have been killed before it could tell them.
+  /// Takes back the tasks that k has taken and not finished. Tells the readers of each ring that k
+  /// reads, even if it finds no task: a reaper, or k itself, may have been killed before it told
+  /// them.
   void take_claims_back(std::uint32_t c, std::uint32_t k) {
     ring::Ring<P> r = world_.ring(c);
     if (r.claims != nullptr && r.take_claims_back(k)) wake_readers(r);
   }
 
   void free_cells(std::uint32_t c, std::uint32_t k) {
-    ring::Ring<P> r = world_.ring(c);  // also one that is being made, once its cells are there
+    ring::Ring<P> r = world_.ring(c);  // also a ring that its maker still makes, if it has cells
     for (std::uint32_t i = 0; i < r.readers; ++i) {
       if (r.who[i].load(std::memory_order_seq_cst) != k + 1) continue;  // R13
       if (!make_idle(r, i, k)) continue;
@@ -192,15 +208,15 @@ class Recovery {
 
   /// Takes the place of the dead k out of its cell. False: the cell is not k's any more.
   ///
-  /// The maker of a ring may free the same cell (R13), and a living joiner may have it at once. No
-  /// cell becomes k's again while byte lock k is held and the ring stays (byte lock 0), so the
-  /// position belongs to k if the cell is k's afterwards; and what the joiner has stored there
-  /// brings the maker's who = 0 (R14). If the maker frees the cell behind the second look, the
-  /// position is
-  ///   awaited()         which no joiner writes: nothing but k's place is taken away by it;
-  ///   kIdle             nothing to be done;
-  ///   another           only k itself has joined with that, so that no maker can be at the cell.
-  /// The writer may give k a place instead of its wish, meanwhile: that one goes as well.
+  /// The maker of a ring may free the same cell (R13), and a living joiner may get it at once. No
+  /// cell becomes k's again: this caller has byte lock k, and byte lock 0 keeps the ring. So if the
+  /// cell is k's after the load of the position, that position is k's. If a joiner has stored the
+  /// position, the load brings the maker's who = 0 (R14). The maker may free the cell after the
+  /// second look. Then the position is one of these:
+  ///   awaited()         No joiner writes it, so this takes only k's place away.
+  ///   kIdle             There is nothing to do.
+  ///   any other         Only k itself has joined with it, so no maker can free the cell.
+  /// Meanwhile the writer may give k a place instead of its wish. The loop takes that one, too.
   bool make_idle(ring::Ring<P>& r, std::uint32_t i, std::uint32_t k) {
     auto& word = r.cells[i].position;
     for (;;) {
@@ -214,9 +230,10 @@ class Recovery {
     }
   }
 
-  /// Messages of k that live on in others' hands keep alive what they refer to.
+  /// The orphanage adopts what the messages of k refer to: others may still hold those messages.
   void adopt_references(std::uint32_t k) {
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      // Relaxed: byte lock k.
       if (world_.block(b).home.load(std::memory_order_relaxed) == k + 1) {
         world_.each_reference(b, [this](ring::Word target) { adopt(target); });
       }
@@ -225,15 +242,15 @@ class Recovery {
 
   void move_home(std::uint32_t b, std::uint32_t k) {
     auto& words = world_.block(b);
-    if (words.home.load(std::memory_order_relaxed) != k + 1) return;
-    words.home_points.store(0, std::memory_order_relaxed);
-    words.home.store(refcount::kHomeOrphanage, std::memory_order_relaxed);
+    if (words.home.load(std::memory_order_relaxed) != k + 1) return;        // byte lock k
+    words.home_points.store(0, std::memory_order_relaxed);                  // for use_count() only
+    words.home.store(refcount::kHomeOrphanage, std::memory_order_relaxed);  // byte lock 0
   }
 
   void let_go(std::uint32_t b, std::uint32_t k) {
     auto& own = Own::word(world_.block(b), k);
-    if ((own.load(std::memory_order_relaxed) & Own::bit(k)) != 0) {
-      own.fetch_and(~Own::bit(k), std::memory_order_release);  // O1
+    if ((own.load(std::memory_order_relaxed) & Own::bit(k)) != 0) {  // byte lock k
+      own.fetch_and(~Own::bit(k), std::memory_order_release);        // O1
     }
   }
 
@@ -242,8 +259,10 @@ class Recovery {
     if (!world_.lock_rings()) return false;
     for (std::uint32_t c = 0; c < world_.channels(); ++c) {
       if (!is_deserted_orphan(c)) continue;
-      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
+      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);  // byte lock 0
       world_.recycle_ring(c);
+      // Release: a publisher that claims the entry acquires that the ring was recycled. Its former
+      // publisher, which may be closing, acquires the orphanage's holds.
       world_.channel_writer(c).store(
           ring::make_writer(ring::writer_generation(w) + 1, ring::State::Free, 0),
           std::memory_order_release);
@@ -253,20 +272,20 @@ class Recovery {
   }
 
   bool is_deserted_orphan(std::uint32_t c) {
-    const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
+    const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);  // byte lock 0
     return ring::writer_state(w) == ring::State::Orphan &&
            ring::writer_owner(w) == refcount::kOrphanage && world_.ring(c).deserted();
   }
 
-  /// Which blocks the orphanage must go on holding: those that an orphan ring or a position in it
-  /// names, and those that a living message of the orphanage refers to.
+  /// Notes which blocks the orphanage must go on holding: those that an orphan ring or a reader's
+  /// position in it names, and those that a living message of the orphanage refers to.
   void mark_needed() {
     needed_.assign(world_.blocks(), false);
     auto need = [this](ring::Word b) {
       if (b < needed_.size()) needed_[static_cast<std::size_t>(b)] = true;
     };
     for (std::uint32_t c = 0; c < world_.channels(); ++c) {
-      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);
+      const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);  // byte lock 0
       if (ring::writer_state(w) != ring::State::Orphan) continue;
       ring::Ring<P> r = world_.ring(c);
       for (std::uint32_t i = 0; i < r.depth; ++i) {
@@ -278,20 +297,22 @@ class Recovery {
       }
     }
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      // Relaxed: byte lock 0.
       if (world_.block(b).home.load(std::memory_order_relaxed) == refcount::kHomeOrphanage) {
         world_.each_reference(b, need);
       }
     }
   }
 
-  /// Frees the orphanage's dead. Returns true when one of them referred to another block: that one
-  /// may now be free as well.
+  /// Frees the orphanage's dead messages. Returns true when one of them referred to another block:
+  /// that block may now be free as well.
   bool bury() {
     std::vector<bool> dead(world_.blocks(), false);
     bool any = false;
     bool released = false;
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
       auto& words = world_.block(b);
+      // Relaxed: byte lock 0.
       if (words.home.load(std::memory_order_relaxed) != refcount::kHomeOrphanage ||
           !Own::die_in_orphanage(words)) {
         continue;
@@ -314,6 +335,7 @@ class Recovery {
     if (!released) return false;
     mark_needed();
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
+      // Relaxed: byte lock 0.
       if (referred[b] && !needed_[b] &&
           (world_.block(b).own[0].load(std::memory_order_relaxed) & 1) != 0) {
         world_.block(b).own[0].fetch_and(~std::uint64_t{1}, std::memory_order_release);  // O1
