@@ -20,11 +20,11 @@ namespace {
 using segment::Atomics;
 
 constexpr std::chrono::milliseconds kPatience{4800};
-/// So often in that time: is the process that has the lock stopped?
+/// After each such time a process that waits asks whether the lock's holder is stopped.
 constexpr std::chrono::milliseconds kStoppedPatience{800};
 
-/// Beside the number of a participant's pullers: it does not want to be served by rings, or it has
-/// found that this is all that it needs.
+/// Two bits beside the number of a participant's pullers. kDeclined: it does not want to be served
+/// by rings. kContent: it has confirmed that the rings are enough.
 constexpr std::uint16_t kDeclined = 0x8000;
 constexpr std::uint16_t kContent = 0x4000;
 constexpr std::uint16_t count_of(std::uint16_t pullers) {
@@ -33,7 +33,7 @@ constexpr std::uint16_t count_of(std::uint16_t pullers) {
 
 bool in_use(const segment::TopicEntry& topic) {
   for (const auto& users : topic.users) {
-    if (users.load(std::memory_order_acquire) != 0) return true;
+    if (users.load(std::memory_order_acquire) != 0) return true;  // users
   }
   return false;
 }
@@ -127,8 +127,8 @@ std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& 
                   "build both sides with the same definition of the message, or use another topic");
     }
   } else if (free != nullptr) {
-    // Not found by anybody until a user's bit stands: killed in between, it is still free. Nobody
-    // makes a ring there before.
+    // No process finds the topic until a user's bit stands, and none makes a ring there before. If
+    // this process is killed in between, the entry is still free.
     found = free;
     found->type_size = type.size;
     found->type_align = type.align;
@@ -143,11 +143,12 @@ std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& 
                 "make the segment with a larger EngineOptions::topics");
   }
   found->users[participant / Atomics::kBitsPerWord].fetch_or(bit(participant),
-                                                             std::memory_order_release);
+                                                             std::memory_order_release);  // users
   return static_cast<std::uint32_t>(found - topics.data());
 }
 
 void Registry::leave(std::uint32_t topic, std::uint32_t participant) noexcept {
+  // Release (users): a process that finds no user makes another topic of the entry.
   segment_.topics()[topic].users[participant / Atomics::kBitsPerWord].fetch_and(
       ~bit(participant), std::memory_order_release);
 }
@@ -158,8 +159,8 @@ void Registry::add_puller(std::uint32_t topic, std::uint32_t participant) noexce
 }
 void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
   auto& pullers = segment_.topics()[topic].pullers[participant];
-  std::uint16_t seen = pullers.load(std::memory_order_relaxed);
-  // What else it has said goes with its last puller. Relaxed: the lock carries it.
+  std::uint16_t seen = pullers.load(std::memory_order_relaxed);  // the compare-and-swap checks it
+  // kDeclined and kContent go with the participant's last puller. Relaxed: the lock carries it.
   while (!pullers.compare_exchange_weak(
       seen, count_of(seen) == 1 ? 0 : static_cast<std::uint16_t>(seen - 1),
       std::memory_order_relaxed, std::memory_order_relaxed)) {
@@ -167,31 +168,36 @@ void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noe
 }
 
 bool Registry::wants(std::uint32_t topic, std::uint32_t participant) const noexcept {
+  // Relaxed, here and in the next four: the bits are in one word, which brings nothing else.
   const std::uint16_t seen =
       segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed);
   return seen != 0 && (seen & kDeclined) == 0;
 }
 bool Registry::is_content(std::uint32_t topic, std::uint32_t participant) const noexcept {
+  // Relaxed: see wants().
   return (segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed) &
           kContent) != 0;
 }
 void Registry::decline(std::uint32_t topic, std::uint32_t participant) noexcept {
+  // Relaxed: see wants().
   segment_.topics()[topic].pullers[participant].fetch_or(kDeclined, std::memory_order_relaxed);
 }
 void Registry::content(std::uint32_t topic, std::uint32_t participant) noexcept {
   auto& word = segment_.topics()[topic].pullers[participant];
-  word.fetch_or(kContent, std::memory_order_relaxed);
-  // In this order: who sees it not declined may ask.
+  word.fetch_or(kContent, std::memory_order_relaxed);  // see wants()
+  // In this order: a publisher that sees that it has not declined may ask. Relaxed: see wants().
   word.fetch_and(static_cast<std::uint16_t>(~kDeclined), std::memory_order_relaxed);
 }
 
 void Registry::ask(std::uint32_t topic, std::uint32_t participant) noexcept {
+  // Relaxed: see wants().
   segment_.topics()[topic].pullers[participant].fetch_and(static_cast<std::uint16_t>(~kContent),
                                                           std::memory_order_relaxed);
 }
 
 std::uint32_t Registry::pullers(std::uint32_t topic, std::uint32_t participant) const noexcept {
-  // An index that no process has subscribes to nothing, whatever a wild write has made of it.
+  // An index that no process has subscribes to nothing, whatever a wild write has put there.
+  // Relaxed: the lock carries what a participant stored before it announced its puller.
   return segment_.participants()[participant].state.load(std::memory_order_relaxed) == 0
              ? 0
              : count_of(
@@ -201,8 +207,8 @@ std::uint32_t Registry::pullers(std::uint32_t topic, std::uint32_t participant) 
 void Registry::unsubscribe(std::uint32_t participant) noexcept {
   for (auto& topic : segment_.topics()) {
     auto& pullers = topic.pullers[participant];
-    if (pullers.load(std::memory_order_relaxed) != 0) {
-      pullers.store(0, std::memory_order_seq_cst);  // R13
+    if (pullers.load(std::memory_order_relaxed) != 0) {  // the dead one's byte lock carries it
+      pullers.store(0, std::memory_order_seq_cst);       // R13
     }
   }
 }
@@ -210,16 +216,17 @@ void Registry::unsubscribe(std::uint32_t participant) noexcept {
 void Registry::forget(std::uint32_t participant) noexcept {
   for (auto& topic : segment_.topics()) {
     auto& users = topic.users[participant / Atomics::kBitsPerWord];
+    // Relaxed: the dead one's byte lock carries its bit.
     if ((users.load(std::memory_order_relaxed) & bit(participant)) != 0) {
-      users.fetch_and(~bit(participant), std::memory_order_release);
+      users.fetch_and(~bit(participant), std::memory_order_release);  // users
     }
   }
 }
 
 void Registry::remove(const Departure& departure, std::uint32_t participant) noexcept {
   const auto channels = segment_.channels();
-  for (std::uint32_t c = 0; c < channels.size(); ++c) {  // without a list: this may not fail
-    const auto w = channels[c].writer.load(std::memory_order_acquire);
+  for (std::uint32_t c = 0; c < channels.size(); ++c) {  // makes no list: this must not fail
+    const auto w = channels[c].writer.load(std::memory_order_acquire);  // R7
     const auto state = ring::writer_state(w);
     const ChannelName name{c, ring::writer_generation(w)};
     const auto& known = departure.known;
@@ -250,9 +257,11 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
   const auto channels = segment_.channels();
   for (std::uint32_t c = 0; c < channels.size(); ++c) {
     auto& entry = channels[c];
+    // Acquire, here and below: the reaper that set the entry free had recycled its ring.
     ring::Word w = entry.writer.load(std::memory_order_acquire);
     if (ring::writer_state(w) != ring::State::Free) continue;
     const std::uint32_t generation = ring::writer_generation(w) + 1;
+    // Acquire: as above.
     if (!entry.writer.compare_exchange_strong(
             w, ring::make_writer(generation, ring::State::Init, participant),
             std::memory_order_acquire, std::memory_order_relaxed)) {
@@ -270,11 +279,12 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     entry.granules = granules;
     entry.granule = run;
     if (run == segment::Granules<Atomics>::kNone) {
+      // Release: the next publisher that claims the entry acquires what was written here.
       entry.writer.store(ring::make_writer(generation, ring::State::Free, 0),
                          std::memory_order_release);
       return std::nullopt;
     }
-    // Survey and others look at rings that may be recycled meanwhile.
+    // Survey and others look at rings that another process may recycle meanwhile.
     segment_.keep_run(run, granules);
     segment::Ring ring = segment_.unformed_ring(c);
     if (ring.depth == 0) {
@@ -282,11 +292,11 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
                   "end the process that writes where it should not, and try again");
     }
     segment::Segment::construct_queue_lock(ring);
-    ring.roster->store(0, std::memory_order_relaxed);
-    ring.space->store(0, std::memory_order_relaxed);
-    if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);
+    ring.roster->store(0, std::memory_order_relaxed);                                  // R7
+    ring.space->store(0, std::memory_order_relaxed);                                   // R7
+    if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);  // R7
     ring.format();
-    // From here a reaper looks at the cells.
+    // From here on a reaper looks at the cells.
     entry.formed.store(1, std::memory_order_seq_cst);  // R13
     ring.await_pullers(
         segment_.capacity().participants, [&](std::uint32_t p) { return pullers(topic, p); },
@@ -294,7 +304,7 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
           return pullers[p].load(std::memory_order_seq_cst) != 0;  // R13
         });
     entry.writer.store(ring::make_writer(generation, ring::State::Live, participant),
-                       std::memory_order_seq_cst);
+                       std::memory_order_seq_cst);  // R7, D1
     announce(topic);
     return ChannelName{c, generation};
   }
@@ -305,7 +315,7 @@ std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {
   std::vector<ChannelName> found;
   const auto channels = segment_.channels();
   for (std::uint32_t c = 0; c < channels.size(); ++c) {
-    const auto w = channels[c].writer.load(std::memory_order_seq_cst);
+    const auto w = channels[c].writer.load(std::memory_order_seq_cst);  // R7
     const auto state = ring::writer_state(w);
     if ((state == ring::State::Live || state == ring::State::Orphan) &&
         channels[c].topic == topic) {
@@ -318,8 +328,8 @@ std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {
 std::vector<bool> Registry::topics_with_items() const {
   std::vector<bool> found(segment_.capacity().topics, false);
   for (const auto& channel : segment_.channels()) {
-    const ring::Word w = channel.writer.load(std::memory_order_acquire);
-    if (w == 0) break;  // channels are taken lowest first: those behind it never were
+    const ring::Word w = channel.writer.load(std::memory_order_acquire);  // R7
+    if (w == 0) break;  // channels are taken lowest first: no later one was ever taken
     if (ring::writer_state(w) != ring::State::Orphan || channel.taken == 0) continue;
     const auto c = static_cast<std::uint32_t>(&channel - segment_.channels().data());
     const std::uint32_t topic = detail::read_once(channel.topic);
@@ -330,26 +340,27 @@ std::vector<bool> Registry::topics_with_items() const {
 
 bool Registry::is_open(const ChannelName& name) const noexcept {
   const auto& channel = segment_.channels()[name.channel];
-  const auto w = channel.writer.load(std::memory_order_acquire);
+  const auto w = channel.writer.load(std::memory_order_acquire);  // R7
   const auto state = ring::writer_state(w);
   if (ring::writer_generation(w) != name.generation) return false;
-  // An ended ring without items may be of a topic that was there before.
+  // An ended ring without items may belong to an earlier topic in the same entry.
   return state == ring::State::Live || (state == ring::State::Orphan && channel.taken != 0 &&
                                         segment_.ring(name.channel).has_news());
 }
 
 void Registry::recycle(std::uint32_t channel) noexcept {
   auto& entry = segment_.channels()[channel];
+  // Before the tags go: a process that claims the memory then sees formed = 0 (G1).
   entry.formed.store(0, std::memory_order_release);
   segment_.granules().release_if(
       [channel](std::uint32_t tag) { return tag == (segment::kRingTag | channel); });
 }
 
 void Registry::announce(std::uint32_t topic) noexcept {
-  // Found one by one, without a list: this may not fail.
+  // Looks at the channels one by one and makes no list: this must not fail.
   const auto channels = segment_.channels();
   const auto is_of_topic = [&](std::uint32_t c) {
-    const auto w = channels[c].writer.load(std::memory_order_seq_cst);
+    const auto w = channels[c].writer.load(std::memory_order_seq_cst);  // R7
     return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic;
   };
   ring::announce(segment_.directory().version,

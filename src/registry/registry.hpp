@@ -30,27 +30,31 @@ struct ChannelName {
   friend bool operator==(const ChannelName&, const ChannelName&) = default;
 };
 
-/// A puller that has gone, and the rings in which no cell awaits it.
+/// A puller that leaves, and the rings that it knows: no cell there awaits it any more.
 struct Departure {
   std::uint32_t topic = 0;
   std::vector<ChannelName> known;
 };
 
-/// Who talks where: topics and their rings. All of it is slow path, under one robust lock; a holder
-/// that dies leaves words that are each true by themselves, so there is nothing to repair.
+/// The topics and their rings: which publisher and which puller meet where. All of it is slow path,
+/// under one robust lock. A holder of the lock that dies leaves words that are each true by
+/// themselves, so there is nothing to repair.
 ///
 /// Edges
 ///   D1  directory version bump after LIVE -> version load of a puller
-///       carries nothing: who finds it changed takes the lock, which carries the new ring.
+///       carries nothing: a puller that finds it changed takes the lock, which carries the new
+///       ring.
 ///   R13 pullers = 0 in unsubscribe() (seq_cst), then the reaper's look at the cells <-> a cell
 ///       made by open(), then its look at the pullers: see lockfree_ring/ring.hpp.
+///   users  a user's bit (release) -> in_use() (acquire)
+///       carries: name and type of the topic.
 class Registry {
  public:
   /// `owner` is the participant in whose name the lock is taken.
   Registry(segment::Segment& segment, LockOwner& owner) : segment_(segment), owner_(owner) {}
 
-  /// The registry's lock, held while this lives. Joiners of rings hold it too, so that no ring is
-  /// recycled under them. Throws lot::Error when a stopped process keeps it.
+  /// The registry's lock, held while this lives. Joiners of rings hold it as well, so that no
+  /// process recycles a ring that they join. Throws lot::Error when a stopped process keeps it.
   class Lock {
    public:
     explicit Lock(Registry& registry);
@@ -61,7 +65,7 @@ class Registry {
    private:
     Registry& registry_;
   };
-  /// Takes it if it is free, or its holder is dead.
+  /// Takes the lock if it is free, or if its holder is dead.
   bool try_lock() noexcept;
   void unlock() noexcept;
 
@@ -73,52 +77,54 @@ class Registry {
   std::uint32_t enter(std::string_view name, const detail::MessageType& type,
                       std::uint32_t participant);
   void leave(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// Announces a puller, before it joins the rings that there are: each ring that is opened after
-  /// that has a cell for it from the start.
+  /// Announces a puller before it joins the rings that there are. Each ring that is opened later
+  /// has a cell for it from the start.
   void add_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
 
   /// Makes a ring for the participant, with a cell for each puller of the topic, and announces it.
-  /// So what is published there waits for each of them, however late it looks, also when the
-  /// publisher has died. Nothing: there is no memory for it, and errno says why, as
-  /// Segment::claim_run() does; then all is as before. Throws lot::Error.
+  /// So a message that is published there waits for each puller, however late that one looks, and
+  /// even when the publisher has died. Nothing: there is no memory for the ring, and all is as
+  /// before; errno says why, as with Segment::claim_run(). Throws lot::Error.
   std::optional<ChannelName> open(std::uint32_t topic, std::uint32_t participant,
                                   const RingOptions& options);
   /// The rings of a topic: those that are live, and those that have ended and are still read.
   std::vector<ChannelName> rings(std::uint32_t topic) const;
-  /// What is to be read there can be joined: it is live, or its messages wait to be taken.
+  /// True when a reader can join the ring: it is live, or messages wait there to be taken.
   bool is_open(const ChannelName& name) const noexcept;
-  /// Takes the cells away that await a puller of the participant, and its announcement.
+  /// Takes away the cells that await a puller of the participant, and that puller's announcement.
   void remove(const Departure& departure, std::uint32_t participant) noexcept;
-  /// Takes the announcement of a puller away that no cell awaits.
+  /// Takes away the announcement of a puller that no cell awaits.
   void remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// Gives a ring's memory back. REQUIRES: nobody reads or writes it.
+  /// Gives a ring's memory back. REQUIRES: no process reads or writes it.
   void recycle(std::uint32_t channel) noexcept;
 
   // Without the lock.
 
-  /// The memory of such a ring.
+  /// How many granules such a ring takes.
   static std::uint32_t granules_of(const RingOptions& options) noexcept;
-  /// Participant p has pullers on the topic, and does not want its messages another way.
+  /// True when the participant has pullers on the topic, and has not declined to be served by
+  /// rings.
   bool wants(std::uint32_t topic, std::uint32_t participant) const noexcept;
-  /// And has said that it needs them no other way.
+  /// True when the participant has confirmed that it needs no second path (content()).
   bool is_content(std::uint32_t topic, std::uint32_t participant) const noexcept;
-  /// The participant itself says the one or the other.
+  /// The participant itself says that it does not want to be served by rings.
   void decline(std::uint32_t topic, std::uint32_t participant) noexcept;
+  /// The participant itself confirms that the rings are enough.
   void content(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// Takes `content` back, since it is asked anew.
+  /// Takes the confirmation back: the publisher wants the participant to confirm again.
   void ask(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// Parts of a reap: the participant has no pullers any more, and then no topics.
+  /// The parts of a reap: first the participant has no pullers any more, and then no topics.
   void unsubscribe(std::uint32_t participant) noexcept;
   void forget(std::uint32_t participant) noexcept;
 
  private:
   RobustMutex mutex() const noexcept;
-  /// By topic: whether items wait there though their publishers have gone.
+  /// For each topic: true when items wait there whose publishers have gone.
   std::vector<bool> topics_with_items() const;
   /// How many pullers the participant has on the topic. Relaxed: the lock carries it.
   std::uint32_t pullers(std::uint32_t topic, std::uint32_t participant) const noexcept;
-  /// Says that a ring has come, and wakes who waits for that. REQUIRES: the lock, so that no ring
-  /// is recycled meanwhile.
+  /// Says that there is a new ring, and wakes the pullers that wait for one. REQUIRES: the lock, so
+  /// that no process recycles a ring meanwhile.
   void announce(std::uint32_t topic) noexcept;
 
   segment::Segment& segment_;
