@@ -25,7 +25,7 @@ static_assert(seat::kSleepers == FUTEX_WAITERS && seat::kDied == FUTEX_OWNER_DIE
 
 constexpr std::chrono::seconds kAnswerPatience{2};
 constexpr std::chrono::hours kAsLongAsItTakes{24};
-/// So often in that time: has the thread been ended alone, as a sandbox may?
+/// After each such time the asker checks whether a sandbox has ended the witness thread alone.
 constexpr std::chrono::milliseconds kLook{100};
 
 }  // namespace
@@ -41,8 +41,8 @@ DeathNotice::DeathNotice() : maker_(getpid()) {
   void* page =
       mmap(nullptr, sizeof(List), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
   if (page == MAP_FAILED) throw std::bad_alloc();
-  madvise(page, sizeof(List), MADV_DONTFORK);  // nothing that a child does may change it
-  mlock(page, sizeof(List));                   // where it may: to be there when memory runs out
+  madvise(page, sizeof(List), MADV_DONTFORK);  // so that no forked child can change it
+  mlock(page, sizeof(List));                   // if allowed: it must be there when memory runs out
   list_ = new (page) List{};
   list_->head.next = &list_->head;
   list_->node.next = &list_->head;
@@ -69,6 +69,7 @@ bool DeathNotice::claim(Seat& seat, std::uint64_t seen) {
 }
 
 bool DeathNotice::renew() noexcept {
+  // Acquire: what the process did that has the seat now, if it is another one.
   const std::uint64_t now = seat_->load(std::memory_order_acquire);
   if (now == ours_) return true;
   if (!is_ours(now)) return false;
@@ -94,23 +95,25 @@ void DeathNotice::start() {
   has_thread_ = true;
 }
 
-/// Nothing is written when a thread ends: the C library is asked.
+/// A thread that ends writes nothing, so this asks the C library.
 bool DeathNotice::has_ended() noexcept {
   if (has_thread_ && pthread_tryjoin_np(thread_, nullptr) == 0) has_thread_ = false;
   return !has_thread_;
 }
 
-/// What stands in our own incarnation is ours to change, unless it says that we were judged: others
-/// may have given away what we had.
+/// True when this process may change the seat: it has our incarnation, and does not say that a
+/// reaper judged us. After a judgement others may have given away what we had.
 bool DeathNotice::is_ours(std::uint64_t seat) const noexcept {
   return seat::incarnation(seat) == seat::incarnation(ours_) && seat::notice(seat) != seat::kJudged;
 }
 
-/// One thread at a time asks: the one that joins, then the warden.
+/// Gives the witness thread an order and waits until it is done. One thread at a time asks: the
+/// thread that joins, and later the warden.
 void DeathNotice::ask(Order order, std::chrono::nanoseconds patience) noexcept {
   const auto until = futex::Clock::now() + patience;
-  order_.store(order, std::memory_order_release);
+  order_.store(order, std::memory_order_release);  // carries seat_ and seen_ to the witness thread
   futex::wake_all(&order_);
+  // Acquire: what the witness thread has stored in ours_.
   while (order_.load(std::memory_order_acquire) == order && !has_ended()) {
     const auto now = futex::Clock::now();
     if (now >= until) return;
@@ -118,8 +121,8 @@ void DeathNotice::ask(Order order, std::chrono::nanoseconds patience) noexcept {
   }
 }
 
-/// The witness thread. It alone writes the notice of a living process: another thread might do so
-/// when this one has died with the process, and the kernel has read the list.
+/// The witness thread. It alone writes the notice of a living process. Another thread could still
+/// write it after this thread has died with the process and the kernel has read the list.
 void DeathNotice::run() noexcept {
   pthread_setname_np(pthread_self(), "lot-witness");
   const bool is_heard = syscall(SYS_set_robust_list, list_, sizeof(robust_list_head)) == 0;
@@ -127,7 +130,7 @@ void DeathNotice::run() noexcept {
       is_heard ? static_cast<std::uint32_t>(syscall(SYS_gettid)) | seat::kSleepers
                : seat::kUnwitnessed;
   for (;;) {
-    const Order order = order_.load(std::memory_order_acquire);
+    const Order order = order_.load(std::memory_order_acquire);  // what the asker has stored
     if (order == Order::None) {
       futex::wait(&order_, static_cast<std::uint32_t>(order), {});
       continue;
@@ -137,7 +140,8 @@ void DeathNotice::run() noexcept {
     } else {
       const std::uint64_t said =
           order == Order::Renew ? ours_ : seat::make(seat::incarnation(ours_), 0);
-      std::uint64_t now = seat_->load(std::memory_order_relaxed);
+      std::uint64_t now = seat_->load(std::memory_order_relaxed);  // the next step checks it
+      // Release (seat): what this process did before it gives the seat up.
       while (ours_ != 0 && is_ours(now) &&
              !seat_->compare_exchange_weak(now, said, std::memory_order_release,
                                            std::memory_order_relaxed)) {
@@ -147,7 +151,8 @@ void DeathNotice::run() noexcept {
         unlink();
       }
     }
-    // The warden may have lost its patience, and have given another order since.
+    // The warden may have run out of patience, and have given another order since. Release: carries
+    // ours_ to the asker.
     Order done = order;
     if (order_.compare_exchange_strong(done, Order::None, std::memory_order_release,
                                        std::memory_order_relaxed)) {
@@ -157,14 +162,15 @@ void DeathNotice::run() noexcept {
   }
 }
 
-/// Linked first: else a death in between would leave a notice that stands for ever.
+/// Takes the seat. Links the node first: else a death in between would leave a notice that stands
+/// for ever.
 void DeathNotice::take(std::uint32_t notice) noexcept {
   const auto* word = static_cast<const char*>(futex::low_half(*seat_));
   list_->offset = word - reinterpret_cast<const char*>(&list_->node);
   list_->head.next = &list_->node;
   std::atomic_signal_fence(std::memory_order_seq_cst);  // the kernel reads it as this thread does
   const std::uint64_t ours = seat::make(seat::incarnation(seen_) + 1, notice);
-  // Acquire: what the one before us did. Release: our name, which others find in locks.
+  // Acquire: what the seat's former owner did. Release: our name, which others find in locks.
   if (seat_->compare_exchange_strong(seen_, ours, std::memory_order_acq_rel,
                                      std::memory_order_relaxed)) {
     ours_ = ours;
@@ -174,7 +180,7 @@ void DeathNotice::take(std::uint32_t notice) noexcept {
 }
 
 void DeathNotice::unlink() noexcept {
-  std::atomic_signal_fence(std::memory_order_seq_cst);
+  std::atomic_signal_fence(std::memory_order_seq_cst);  // as in take(): the kernel's order is ours
   list_->head.next = &list_->head;
 }
 

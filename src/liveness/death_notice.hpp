@@ -7,27 +7,26 @@
 #include <pthread.h>
 #include <sys/types.h>
 
-/// The kernel's notice of a death: a word in shared memory, that the kernel changes when a process
-/// ends, and wakes one of the threads that sleep on it. docs/locks.md has the reasons.
+/// The kernel's notice of a death. It is a word in shared memory. When the process ends the kernel
+/// changes the word, and wakes one of the threads that sleep on it. docs/locks.md has the reasons.
 ///
-/// A thread of the process, the witness thread, gives the kernel a list of its own
-/// (set_robust_list) whose head and only node lie in private memory; the list's offset leads from
-/// the node to the word. The thread does nothing else: what others do may need the C library's
-/// list.
+/// The process has a witness thread, which gives the kernel a list of its own (set_robust_list).
+/// Head and only node of the list lie in private memory. The list's offset leads from the node to
+/// the word. The witness thread does nothing else: other code may need the C library's list.
 ///
 /// Source: set_robust_list(2), "The kernel's robust futex ABI" in the kernel's documentation.
 namespace lot::liveness {
 
-/// Who has an index: {incarnation : 32 | notice : 32}. The kernel sees the notice alone, at
-/// futex::low_half(); LOT changes both at once.
+/// A seat says which process has an index: {incarnation : 32 | notice : 32}. The kernel sees only
+/// the notice, at futex::low_half(). LOT changes both at once.
 namespace seat {
 inline constexpr std::uint32_t kSleepers = std::uint32_t{1} << 31;  ///< FUTEX_WAITERS
 inline constexpr std::uint32_t kDied = std::uint32_t{1} << 30;      ///< FUTEX_OWNER_DIED
 inline constexpr std::uint32_t kThread = kDied - 1;                 ///< FUTEX_TID_MASK
-/// It is dead: a process that had its byte says so, and this counts whichever process has the byte
-/// now. (No thread that a process begins is called 1.)
+/// The process is dead, as a process says that had its byte. This counts whichever process has the
+/// byte now. (No thread that a process begins has the id 1.)
 inline constexpr std::uint32_t kJudged = kDied | 1;
-/// The process is there, and its kernel takes no list: the byte alone speaks.
+/// The process is there, but its kernel takes no list: only its byte says whether it lives.
 inline constexpr std::uint32_t kUnwitnessed = kSleepers;
 
 constexpr std::uint64_t make(std::uint32_t incarnation, std::uint32_t notice) {
@@ -51,19 +50,21 @@ class DeathNotice {
   DeathNotice(const DeathNotice&) = delete;
   DeathNotice& operator=(const DeathNotice&) = delete;
 
-  /// Takes the seat, which was `seen`, in its next incarnation. False: it has changed meanwhile.
-  /// Begins the witness thread: throws lot::Error when there can be none, or a sandbox ends it.
+  /// Takes the seat, whose word was `seen`, in its next incarnation. False: the seat has changed
+  /// meanwhile. Begins the witness thread. Throws lot::Error when the thread cannot be started, or
+  /// when a sandbox ends it.
   ///
-  /// Crash: killed before it, the seat is as it was; after it, the kernel says so.
+  /// Crash: killed before this step, the seat is as it was. Killed after it, the kernel marks the
+  /// notice.
   bool claim(Seat& seat, std::uint64_t seen);
-  /// Says it once more, where another process has changed the notice. False: the seat is another
-  /// one's by now. REQUIRES: claim() has returned true.
+  /// Sets the notice again if another process has changed it. False: this process was judged, or
+  /// another process has the seat by now. REQUIRES: claim() has returned true.
   bool renew() noexcept;
   /// Gives the seat up, and ends the thread.
   void end() noexcept;
 
  private:
-  /// As the kernel reads it (linux/futex.h).
+  /// The list as the kernel reads it (linux/futex.h).
   struct List {
     struct Node {
       Node* next;
@@ -83,14 +84,14 @@ class DeathNotice {
   void take(std::uint32_t notice) noexcept;
   void unlink() noexcept;
 
-  /// Shared with no process, and yet a shared mapping: when memory runs out the kernel may drop the
-  /// private pages of a process that it has killed before it reads the list.
+  /// A shared mapping that no other process has. When memory runs out, the kernel may drop the
+  /// private pages of a process that it has killed, before it reads the list.
   List* list_;
   const pid_t maker_;
   Seat* seat_ = nullptr;
   std::uint64_t seen_ = 0;
-  std::uint64_t ours_ = 0;                 ///< the seat, while it is ours; else 0
-  std::atomic<Order> order_{Order::None};  ///< futex: for the thread, which sets None when done
+  std::uint64_t ours_ = 0;                 ///< the seat's word while it is ours; else 0
+  std::atomic<Order> order_{Order::None};  ///< futex; the witness thread sets None when it is done
   pthread_t thread_{};
   bool has_thread_ = false;
 };

@@ -15,11 +15,12 @@
 namespace lot::liveness {
 namespace {
 
-/// Hundreds that wait at the gate must not keep who is in it from the processor.
+/// Hundreds of processes that wait at the gate must not keep the one in it from the processor.
 constexpr std::chrono::milliseconds kLongestPause{16};
-/// So much longer than meant a pause may be, and counts wholly.
+/// A pause counts as waiting for at most this many times its planned length.
 constexpr int kMostOversleep = 2;
-/// A process that is stopped in the gate keeps others out for so long, and a look at all processes.
+/// A process that is stopped in the gate keeps others out for this long. Then they look at all
+/// processes in /proc.
 constexpr std::chrono::milliseconds kStoppedPatience{800};
 
 struct flock byte_range(short type, std::uint32_t first, std::uint32_t count) {
@@ -31,8 +32,8 @@ struct flock byte_range(short type, std::uint32_t first, std::uint32_t count) {
   return range;
 }
 
-/// True when another open file description holds a byte of it. On failure too: nobody is ever
-/// reaped because a system call went wrong.
+/// True when another open file description holds a byte of the range. True on failure, too: no
+/// process must be reaped because a system call failed.
 bool held_by_another(int fd, struct flock range) {
   if (fcntl(fd, F_OFD_GETLK, &range) == -1) return true;
   return range.l_type != F_UNLCK;
@@ -57,7 +58,7 @@ LockFile::LockFile(std::string path, const segment::Trust& trust)
 LockFile::~LockFile() { abandon(); }
 
 bool LockFile::try_lock(std::uint32_t byte) noexcept {
-  if (!intact()) {  // the number may be a file of the application by now
+  if (!intact()) {  // the descriptor may be a file of the application by now
     errno = EBADF;
     return false;
   }
@@ -81,7 +82,7 @@ bool LockFile::held_by_other(std::uint32_t first, std::uint32_t count) const noe
 
 bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
   using Clock = std::chrono::steady_clock;
-  Clock::duration waited{};  // while somebody has had this turn
+  Clock::duration waited{};  // while the same turn has lasted
   Clock::duration next_look = kStoppedPatience;
   std::uint32_t turn = 0;
   auto pause = std::chrono::milliseconds(1);
@@ -113,7 +114,8 @@ bool LockFile::enter_gate(std::chrono::milliseconds timeout) {
   return false;
 }
 
-/// Or in any case. The process that has the gate may be at work: a large segment takes its time.
+/// Throws if the process that has the gate is stopped, or `in_any_case`. That process may also be
+/// at work: a large segment takes time.
 void LockFile::refuse_if_stopped(bool in_any_case) const {
   const auto holder = this->holder(kGate);
   if (holder && holder->is_stopped) {
@@ -135,7 +137,7 @@ void LockFile::take_turn() noexcept {
   const auto now = std::chrono::steady_clock::now().time_since_epoch().count();
   const std::uint32_t before =
       std::exchange(turn_, kFirstTurn + static_cast<std::uint32_t>(now) % kTurns);
-  if (before == turn_) return;  // once in 65536 times
+  if (before == turn_) return;  // happens once in 65536 times
   if (before != 0) unlock(before);
   try_lock(turn_);
 }

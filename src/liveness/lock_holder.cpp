@@ -14,15 +14,16 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// What /proc shows of a directory; nothing where it is not ours to look at.
+/// What /proc shows of a directory. Nothing where this process may not look at it.
 fs::directory_iterator entries(const fs::path& directory) {
   std::error_code refused;
   fs::directory_iterator all(directory, refused);
   return refused ? fs::directory_iterator() : all;
 }
 
-/// True when an open file, as its fdinfo says, has a lock on a byte of that inode. A line is
-/// "lock: 1: OFDLCK ADVISORY WRITE -1 00:1b:232725 1048576 1048577"; neighbouring locks are one.
+/// True when the fdinfo of an open file says that it has a lock on a byte of that inode. A line is
+/// "lock: 1: OFDLCK ADVISORY WRITE -1 00:1b:232725 1048576 1048577". The kernel joins neighbouring
+/// locks to one.
 bool has_lock(const fs::path& fdinfo, ino_t inode, std::uint32_t byte) {
   std::ifstream file(fdinfo);
   for (std::string line; std::getline(file, line);) {
@@ -51,7 +52,7 @@ bool holds(const fs::path& process, const fs::path& name, ino_t inode, std::uint
   return false;
 }
 
-/// "PID (NAME) STATE ...", where the name may have anything in it.
+/// Reads /proc/PID/stat: "PID (NAME) STATE ...". The name may have any bytes in it.
 std::optional<LockHolder> look_at(const fs::path& process, pid_t pid) {
   std::ifstream file(process / "stat");
   std::string text;

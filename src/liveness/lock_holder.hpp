@@ -8,7 +8,8 @@
 
 namespace lot::liveness {
 
-/// The process that holds a byte of a lock file, for people to read: liveness asks no process id.
+/// The process that holds a byte of a lock file. For messages to people only: no question whether a
+/// process lives depends on a process id.
 struct LockHolder {
   pid_t pid;         ///< as this process sees it
   std::string name;  ///< of its main thread
@@ -16,10 +17,10 @@ struct LockHolder {
 
   /// "process 1234 (camera)"
   std::string describe() const;
-  /// What to do when it is stopped.
+  /// What a user can do when the process is stopped.
   std::string advice() const;
-  /// Looks at the open files of every process that /proc shows. None: the holder is of another user
-  /// or another namespace, or has gone meanwhile.
+  /// Looks at the open files of every process that /proc shows. None: the holder belongs to another
+  /// user or another namespace, or has gone meanwhile.
   static std::optional<LockHolder> find(const std::string& path, ino_t inode, std::uint32_t byte);
 };
 

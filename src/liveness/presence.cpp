@@ -3,7 +3,7 @@
 
 namespace lot::liveness {
 namespace {
-/// A process that has not looked for so long does not know what was meanwhile.
+/// A process that has not looked for this long does not know what happened meanwhile.
 constexpr std::chrono::seconds kLookedAway{2};
 }  // namespace
 
@@ -22,21 +22,22 @@ bool Presence::may_be_claimed(std::uint32_t k) noexcept {
 bool Presence::claim(std::uint32_t k) {
   const std::uint64_t seat = seen(k);
   if (seat::stands(seat)) return false;
-  // It may be another one's since may_be_claimed(), which has another lock file.
+  // Since may_be_claimed() a process with another lock file may have taken the seat.
   if (seat::notice(seat) == seat::kUnwitnessed && !is_convinced(k, seat)) return false;
   if (!notice_.claim(seat_of(k), seat)) return false;
+  // Relaxed: the name is all that it tells. The seat has released it to other processes (L3).
   name_.store(lock::make_name(k, seat::incarnation(seat) + 1), std::memory_order_relaxed);
   return true;
 }
 
 void Presence::end() noexcept {
-  name_.store(0, std::memory_order_relaxed);  // first: the witness may take its time
+  name_.store(0, std::memory_order_relaxed);  // first: the witness thread may take some time
   notice_.end();
 }
 
-/// A byte may outlive its process by seconds, and longer: while the kernel takes gigabytes apart or
-/// writes a core, or where a child has it. To reap has time; a process that waits for a lock
-/// has not.
+/// A byte may stay locked for seconds after its process has died, or for longer: while the kernel
+/// frees gigabytes or writes a core, or while a forked child has the descriptor. A reaper can wait
+/// for that. A process that waits for a lock cannot.
 bool Presence::is_gone(std::uint32_t name) noexcept {
   const std::uint32_t k = lock::participant(name);
   if (k >= segment_.capacity().participants) return true;  // a damaged word
@@ -64,13 +65,14 @@ bool Presence::judge(std::uint32_t k) noexcept {
   std::uint64_t seat = seen(k);
   if (seat::stands(seat)) return false;
   if (seat::notice(seat) == seat::kUnwitnessed && !is_convinced(k, seat)) return false;
+  // acq_rel (seat): what the dead process did, to the next owner of the index.
   return seat::notice(seat) == seat::kJudged ||
          seat_of(k).compare_exchange_strong(seat,
                                             seat::make(seat::incarnation(seat), seat::kJudged),
                                             std::memory_order_acq_rel, std::memory_order_relaxed);
 }
 
-/// True when the seat has said this, at every look, for long enough.
+/// True when the seat has had this word at every look for long enough (kConviction).
 bool Presence::is_convinced(std::uint32_t k, std::uint64_t seat) noexcept {
   const std::lock_guard guard(doubts_mutex_);
   Doubt& doubt = doubts_[k];

@@ -15,54 +15,54 @@
 
 namespace lot::liveness {
 
-/// That a process is there, and what it can tell of the others: by two witnesses of each, its byte
-/// of the lock file and its notice in the segment. Dead is a process that both call dead
+/// Says that this process lives, and which of the others live. Each process has two witnesses: its
+/// byte of the lock file, and its notice in the segment. A process is dead when both call it dead
 /// (docs/locks.md).
 ///
-/// Threads: claim(), renew() and end() by one at a time; the rest by all.
-/// Crash:   killed at any step, it is dead for the others.
+/// Threads: one thread at a time calls claim(), renew() and end(). Any thread may call the rest.
+/// Crash:   killed at any step, the process is dead for the others.
 class Presence final : public LockOwner {
  public:
-  /// So long the witnesses must have said what one alone can not be believed. A living process
-  /// takes a byte again that its application has closed, and renews a notice that another process
-  /// has changed, within a second.
+  /// How long one witness must call a process dead before others believe it without the second one.
+  /// A living process corrects its witnesses within a second: it takes a byte again that its
+  /// application has closed, and renews a notice that another process has changed.
   static constexpr std::chrono::seconds kConviction{3};
 
   Presence(const segment::Segment& segment, const LockFile& lock_file)
       : segment_(segment), lock_file_(lock_file) {}
 
-  /// True when index k may be taken: nobody is there, as far as its notice says. Where that is not
-  /// sure yet, is_unsure() is true from then on: it may be so in kConviction.
+  /// True when index k may be taken: its notice says that no process has it. Where that is not sure
+  /// yet, is_unsure() is true from then on: the index may be free after kConviction.
   bool may_be_claimed(std::uint32_t k) noexcept;
   bool is_unsure() const noexcept { return is_unsure_; }
-  /// Takes index k, with a name that nobody has had. False: another one was quicker, which has the
-  /// byte of another lock file. Throws lot::Error. REQUIRES: byte k; may_be_claimed().
+  /// Takes index k, with a name that no process has had. False: another process was quicker, which
+  /// has the byte of another lock file. Throws lot::Error. REQUIRES: byte k; may_be_claimed().
   bool claim(std::uint32_t k);
-  /// Our notice is set again if another process has changed it. False: the index is another one's
-  /// by now. We have been taken for dead.
+  /// Sets our notice again if another process has changed it. False: others have taken us for dead:
+  /// they have judged us, or another process has the index by now.
   bool renew() noexcept { return notice_.renew(); }
   void end() noexcept;
-  /// In a forked child: it is no participant.
+  /// For a forked child: it is no participant. Relaxed: the child has one thread.
   void abandon() noexcept { name_.store(0, std::memory_order_relaxed); }
 
-  /// 0: we have no index.
+  /// 0: we have no index. Relaxed: the name is all that it tells.
   std::uint32_t name() const noexcept override { return name_.load(std::memory_order_relaxed); }
   bool is_gone(std::uint32_t name) noexcept override;
   Stopped stopped(std::uint32_t name) const override;
 
   /// True when both witnesses say that k is dead.
   bool looks_dead(std::uint32_t k) noexcept;
-  /// The same, said to all: whichever process has its byte from now on, k is dead.
-  /// REQUIRES: byte k.
+  /// True when k is dead, which this then says to all: k stays dead, whichever process has its byte
+  /// from now on. REQUIRES: byte k.
   bool judge(std::uint32_t k) noexcept;
   bool is_judged(std::uint32_t k) const noexcept { return seat::notice(seen(k)) == seat::kJudged; }
-  /// What to sleep on until k dies.
+  /// The word and value to sleep on until k dies.
   detail::FutexWait watch(std::uint32_t k) const noexcept {
     return {futex::low_half(seat_of(k)), seat::notice(seen(k))};
   }
 
  private:
-  /// What a participant's seat says, that one alone can not be believed.
+  /// The word of a participant's seat that is not believed yet, and since when it has been there.
   struct Doubt {
     std::uint64_t seat = 0;
     futex::Clock::time_point since, last;
@@ -71,7 +71,7 @@ class Presence final : public LockOwner {
   DeathNotice::Seat& seat_of(std::uint32_t k) const noexcept {
     return segment_.witnesses()[k].seat;
   }
-  // Acquire: what the one did before whose seat it was.
+  // Acquire (seat): what the seat's former owner did.
   std::uint64_t seen(std::uint32_t k) const noexcept {
     return seat_of(k).load(std::memory_order_acquire);
   }
