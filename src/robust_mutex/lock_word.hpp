@@ -4,23 +4,24 @@
 #include <atomic>
 #include <cstdint>
 
-/// The word of a lock between processes, and each step that changes it. Sleeping, and the question
-/// whether a holder lives, are the caller's (robust_mutex.hpp); docs/locks.md has the reasons.
+/// The word of a lock between processes, and each step that changes it. The caller sleeps, and asks
+/// whether a holder lives (robust_mutex.hpp). docs/locks.md has the reasons.
 ///
-/// 0: free. Else {a process sleeps : 1 | incarnation : 22 | participant + 1 : 9}, the name of its
-/// holder. No name is given twice while it may stand in a lock, so a word that is found unchanged
-/// is still held by the same process.
+/// 0: free. Else {a process sleeps : 1 | incarnation : 22 | participant + 1 : 9}: the last two are
+/// the name of the lock's holder. No two processes get the same name while it may stand in a lock.
+/// So a word that has not changed means that the same process still has the lock.
 ///
-/// Crash: a holder that is killed leaves its name; others take the lock over from it.
+/// Crash: a holder that is killed leaves its name. Others take the lock over from it.
 ///
 /// Edges
 ///   L1  unlock: name -> 0 (release) -> try_lock: 0 -> name (acquire)
 ///       carries: what the lock guards.
 ///   L2  a holder's death, or the next owner of its index -> the caller's question before take_over
-///       carries: the same. The kernel has ended the holder before it says so; a process
-///       that has taken its seat has acquired that, and released it.
+///       carries: the same. The kernel says that the holder is dead after it has ended it. A
+///       process that has taken the holder's seat has acquired that, and has released it again.
 ///   L3  a name is put into the word (release) -> seen(), announce() (acquire)
-///       carries: the incarnation of its index, by which a name is known to be the living one's.
+///       carries: the incarnation of the name's index. By it others know whether the name belongs
+///       to the living process of that index.
 namespace lot::lock {
 
 inline constexpr std::uint32_t kSleepers = std::uint32_t{1} << 31;
@@ -33,7 +34,8 @@ constexpr std::uint32_t make_name(std::uint32_t participant, std::uint32_t incar
   return (incarnation % kIncarnations) << kParticipantBits | (participant + 1);
 }
 constexpr std::uint32_t name(std::uint32_t word) { return word & ~kSleepers; }
-/// Of a name that no process has (a damaged word): not below kParticipants.
+/// The participant of a name. Not below kParticipants for a name that no process has (a damaged
+/// word).
 constexpr std::uint32_t participant(std::uint32_t name) { return (name & kParticipants) - 1; }
 constexpr std::uint32_t incarnation(std::uint32_t name) { return name >> kParticipantBits; }
 
@@ -44,7 +46,8 @@ class LockWord {
 
   explicit LockWord(Word& word) noexcept : word_(word) {}
 
-  /// A process that has slept says so: others may sleep, too, and it was the one to be woken.
+  /// Takes the lock if it is free. `has_slept`: this process was the one that was woken. It keeps
+  /// the mark, since others may still sleep.
   bool try_lock(std::uint32_t name, bool has_slept) {
     std::uint32_t free = 0;
     return word_.compare_exchange_strong(free, has_slept ? name | kSleepers : name,
@@ -52,7 +55,8 @@ class LockWord {
                                          std::memory_order_relaxed);
   }
 
-  /// Says that the caller is about to sleep. Returns the value to sleep on, or 0: it is free.
+  /// Says that the caller is about to sleep. Returns the value to sleep on, or 0 when the lock is
+  /// free.
   std::uint32_t announce() {
     std::uint32_t seen = word_.load(std::memory_order_acquire);  // L3
     while (seen != 0 && (seen & kSleepers) == 0) {
@@ -66,16 +70,17 @@ class LockWord {
 
   std::uint32_t seen() const { return word_.load(std::memory_order_acquire); }  // L3
 
-  /// REQUIRES: the holder that `seen` names is dead. False: another one was quicker. The
-  /// processes that sleep were told of nothing: so the mark stays.
+  /// Takes the lock over from the dead holder that `seen` names. False: another process was
+  /// quicker. The mark stays, since no process has woken those that sleep. REQUIRES: that holder is
+  /// dead.
   bool take_over(std::uint32_t seen, std::uint32_t name) {
     return word_.compare_exchange_strong(seen, name | kSleepers,
                                          std::memory_order_release,  // L3; L2 is before
                                          std::memory_order_relaxed);
   }
 
-  /// True when a process may sleep: the caller wakes one. Never a store: a word that was damaged,
-  /// and that a third process has locked since, is not ours.
+  /// Sets the lock free. True when a process may sleep: the caller wakes one. It is never a plain
+  /// store: if another process has damaged the word, a third one may have taken the lock since.
   [[nodiscard]] bool unlock(std::uint32_t name) {
     std::uint32_t seen = name;
     if (word_.compare_exchange_strong(seen, 0, std::memory_order_release,  // L1

@@ -10,16 +10,16 @@
 #include "robust_mutex/robust_condition.hpp"
 #include "robust_mutex/robust_mutex.hpp"
 
-/// The queue's other engine, as most queues are built: every step under one lock, and a condition
-/// to sleep on. It is kept to compare with.
+/// The queue's other engine, built like most queues: every step is done under one lock, and waiters
+/// sleep on a condition. It is kept as a comparison for the ring.
 ///
-/// The words are the ring's and so are the steps (lockfree_ring/ring.hpp): the lock only lets one
-/// in at a time. So each step leaves words that are true by themselves wherever its owner is
-/// killed, and the reaper, which takes no lock, repairs both engines alike. One thing is left to
-/// the next owner: nobody may have been told of the last change. It wakes all.
+/// It has the ring's words and the ring's steps (lockfree_ring/ring.hpp). The lock only lets one
+/// process in at a time. So wherever its owner is killed, each word is true by itself. The reaper
+/// takes no lock, and repairs both engines alike. One thing is left to the lock's next owner: the
+/// dead one may not have woken others for its last change. So the next owner wakes all.
 ///
-/// Also if two got in at once (a process has damaged the word) no message would be lost: each step
-/// is made for that.
+/// Even if two processes got in at once (a third has damaged the word), no message would be lost:
+/// each step of the ring allows for that.
 namespace lot::mutex_engine {
 
 using Word = std::atomic<std::uint32_t>;
@@ -30,14 +30,15 @@ struct alignas(64) Lock {
   Word arrived;  ///< the condition on which readers sleep, instead of on slots
 };
 
-/// One process's handle of a queue's lock. The ring has none: then it does nothing.
+/// One process's handle of a queue's lock. A queue of the ring engine has no lock: then the handle
+/// does nothing.
 ///
 /// Threads: as a mutex.
-/// Crash:   the next owner wakes all.
+/// Crash:   the next owner of the lock wakes all.
 class QueueLock {
  public:
   QueueLock() noexcept = default;
-  /// `space` is the word on which the queue's sender sleeps, `path` what errors name.
+  /// `space` is the word on which the queue's sender sleeps. `path` is the path that errors name.
   QueueLock(Lock& lock, Word& space, LockOwner& owner, const std::string& path) noexcept
       : lock_(&lock), space_(&space), owner_(&owner), path_(&path) {}
 
@@ -45,8 +46,8 @@ class QueueLock {
   void lock() const {
     if (lock_ != nullptr && !take()) refuse();
   }
-  /// The same where nothing may be thrown: false when a stopped process keeps it. The step is done
-  /// all the same then, since its words are true by themselves.
+  /// As lock(), for callers that must not throw: false when a stopped process keeps the lock. Then
+  /// the caller does its step all the same, since each word is true by itself.
   bool lock_if_possible() const noexcept { return lock_ == nullptr || take(); }
   void unlock() const noexcept {
     if (lock_ != nullptr) RobustMutex(lock_->held, *owner_).unlock();
@@ -62,7 +63,7 @@ class QueueLock {
   const std::string* path_ = nullptr;
 };
 
-/// Alone with a queue of the mutex engine, while this lives.
+/// Holds the lock of a queue of the mutex engine while it lives.
 class Alone {
  public:
   explicit Alone(const QueueLock& lock) : lock_(lock) { lock_.lock(); }

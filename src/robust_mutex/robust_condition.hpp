@@ -9,22 +9,24 @@
 
 namespace lot {
 
-/// What those wait for whom a RobustMutex lets in: a change of what it guards.
+/// A condition variable beside a RobustMutex: waiters sleep on it until what the mutex guards has
+/// changed.
 ///
-/// One word in shared memory, {changes : 31 | somebody waits : 1}, and nothing that counts waiters:
-/// a waiter that is killed leaves at most a mark, which costs one needless wake.
+/// It is one word in shared memory, {changes : 31 | a waiter sleeps : 1}. No word counts waiters: a
+/// waiter that is killed leaves at most a mark, which costs one needless wake.
 ///
-/// Every wake is for all. A wake for one is lost when that one is killed before it gets to the
-/// lock.
+/// Every wake is for all waiters. A wake for one would be lost if that waiter is killed before it
+/// gets the mutex.
 ///
-///     waiter:   locked, nothing to do:  seen = condition.announce(); unlock; sleep_until(seen,
-///     ...) changer:  locked, changed:        wake = condition.changed();  unlock; if (wake)
-///     wake_all()
+///     A waiter that has the mutex and finds nothing to do:
+///       seen = condition.announce(); unlock; sleep_until(seen, ...)
+///     A thread that has the mutex and has changed something:
+///       wake = condition.changed(); unlock; if (wake) wake_all()
 ///
 /// Threads: announce() and changed() under the mutex; all others at any time.
-/// Crash:   killed between changed() and wake_all() it leaves sleepers without a mark. Whoever
-///          repairs what the dead has left calls renew() and wakes unconditionally; so does who
-///          gets the mutex with Outcome::OwnerDied.
+/// Crash:   a thread that is killed between changed() and wake_all() leaves sleepers without a
+///          mark. The reaper calls renew() and wakes unconditionally. So does the process that gets
+///          the mutex with Outcome::OwnerDied.
 /// Source:  futex(2).
 ///
 /// Edges
@@ -40,24 +42,25 @@ class RobustCondition {
     return word_.fetch_or(kWaits, std::memory_order_acquire) | kWaits;  // C1
   }
 
-  /// Sleeps until something has changed since announce(). False when the deadline has passed. The
-  /// caller locks and looks again, in any case.
+  /// Sleeps until something has changed since announce(). False when the deadline has passed. In
+  /// both cases the caller locks and looks again.
   bool sleep_until(std::uint32_t seen, const futex::Deadline& deadline) const noexcept {
     return futex::wait(&word_, seen, deadline);
   }
 
-  /// Says that something has changed. True when somebody may sleep: the caller then wakes.
+  /// Says that something has changed. True when a waiter may sleep: the caller then wakes all.
   [[nodiscard]] bool changed() {
+    // Both steps are relaxed: the mutex orders them.
     if ((word_.load(std::memory_order_relaxed) & kWaits) == 0) return false;
     word_.fetch_add(kWaits, std::memory_order_relaxed);  // takes the mark away, and is a change
     return true;
   }
   void wake_all() const noexcept { futex::wake_all(&word_); }
 
-  /// A change that is no change of what the mutex guards, or of which nobody was told: the caller
-  /// wakes everybody, whatever the mark says. With the mutex or without it.
+  /// Counts a change that the mutex does not guard, or one for which no process may have woken the
+  /// waiters. The caller then wakes all, whatever the mark says. With the mutex or without it.
   void renew() {
-    // Takes no mark away, which needs the mutex: so by two.
+    // Adds 2, so that the mark stays: only a caller with the mutex may take it away.
     word_.fetch_add(2 * kWaits, std::memory_order_release);  // C1
   }
 

@@ -9,7 +9,8 @@ namespace lot {
 namespace {
 
 constexpr std::chrono::nanoseconds kLongest = std::chrono::hours(24 * 365);
-/// A process that sleeps looks by itself as well, first after this time, then ever more seldom.
+/// A process that sleeps also looks by itself: first after kFirstLook, and then after ever longer
+/// times up to kSeldomest.
 constexpr std::chrono::milliseconds kFirstLook{2};
 constexpr std::chrono::milliseconds kSeldomest{64};
 
@@ -23,7 +24,7 @@ RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noe
   if (Steps(word_).try_lock(name, false)) return Outcome::Locked;
   const Outcome outcome = wait_for(timeout, name);
   if (outcome == Outcome::Busy || owner_.name() == name) return outcome;
-  // The process was taken for dead meanwhile: what it does now is not to be done in the old name.
+  // Others took the process for dead meanwhile. It must not act under its old name.
   if (Steps(word_).unlock(name)) futex::wake_one(&word_);
   return Outcome::Busy;
 }
@@ -39,7 +40,7 @@ RobustMutex::Outcome RobustMutex::wait_for(std::chrono::nanoseconds timeout,
     if (seen != 0) futex::wait(&word_, seen, due);
     if (word.try_lock(name, true)) return Outcome::Locked;
     const auto now = futex::Clock::now();
-    if (now < due) continue;  // signals and other waiters do not put the look off
+    if (now < due) continue;  // signals and other waiters do not delay the look
     if (seen != 0 && take_over(seen, name)) return Outcome::OwnerDied;
     if (now >= until || owner_.name() != name) return Outcome::Busy;
     period = std::min(2 * period, kSeldomest);
