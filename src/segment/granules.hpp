@@ -9,16 +9,19 @@
 
 /// The pool of message memory: granules of 4 KiB, handed out in runs of any number, first fit.
 ///
-/// One fact, one word: each granule's tag names its owner. There are no free lists and no tree to
-/// split and join; a run is free when its tags are 0, and what the dead owned is found by name.
+/// Each granule's tag names its owner, and no other word says so. There are no free lists and no
+/// tree to split and join. A run is free when its tags are 0. What a dead process owned is found by
+/// its tags.
 ///
-/// Progress: claim() is lock-free. Claims go upwards and are undone when a later granule is taken,
-///           so of those who collide the one furthest up goes through.
+/// Progress: claim() is lock-free. A claim goes upwards, and is undone when it finds a granule
+///           taken. So of the claims that collide, the one that has come furthest up succeeds.
+///
 /// Edges
 ///   G1  tag = 0 in release (release) -> tag compare-and-swap in claim (acquire)
 ///       carries: "the old owner and all its readers are done with the memory".
-/// Crash: killed while claiming: the granules carry the tag of a block or ring whose home is dead;
-///        they are freed with it.
+///
+/// Crash: killed while claiming: the granules carry the tag of a block or ring whose home is dead.
+///        They are freed with it.
 namespace lot::segment {
 
 template <class P>
@@ -35,18 +38,18 @@ class Granules {
     count_ = count;
   }
 
-  /// A run of `run` granules that carries `tag` now, or kNone. Small runs are sought from the low
-  /// end and large ones from the high end, which keeps them apart.
+  /// Claims a run of `run` granules, which then carries `tag`. kNone: there is no such run. Looks
+  /// for small runs from the low end and for large ones from the high end, which keeps them apart.
   std::uint32_t claim(std::uint32_t run, std::uint32_t tag) {
     return claim(run, tag, [](std::uint32_t) { return true; });
   }
-  /// The same, of the runs that may(first) allows.
+  /// The same, among the runs that may(first) allows.
   template <class May>
   std::uint32_t claim(std::uint32_t run, std::uint32_t tag, May&& may) {
     if (run == 0 || run > count_) return kNone;
     const std::uint32_t places = count_ - run + 1;
     Tag& hint = hint_[size_class(run)];
-    const std::uint32_t begin = hint.load(std::memory_order_relaxed);
+    const std::uint32_t begin = hint.load(std::memory_order_relaxed);  // a hint
     std::uint32_t first = kNone;
     if (run < kLarge) {
       const std::uint32_t from = std::min(begin, places - 1);
@@ -57,50 +60,53 @@ class Granules {
       first = seek_down(0, from + 1, run, tag, may);
       if (first == kNone) first = seek_down(from + 1, places, run, tag, may);
     }
+    // Relaxed: a hint.
     if (first != kNone) hint.store(run < kLarge ? first : ~first, std::memory_order_relaxed);
     return first;
   }
 
-  /// The granules behind a run that we have, `run` of them: they carry `tag` now. False: one is in
-  /// use.
+  /// Claims `run` granules behind a run that the caller has. They then carry `tag`. False: one of
+  /// them is in use.
   bool extend(std::uint32_t end, std::uint32_t run, std::uint32_t tag) {
     return run != 0 && end <= count_ && run <= count_ - end && take(end, run, tag);
   }
 
-  /// A run that can not be, since a wild write has hit the place where it was noted, releases
-  /// nothing.
+  /// Releases a run. Releases nothing if there can be no such run: then a wild write has hit the
+  /// word that noted it.
   void release(std::uint32_t first, std::uint32_t run) {
     if (run == 0 || first >= count_ || run > count_ - first) return;
     put_back(first, run);
     for (unsigned c = 0; c < static_cast<unsigned>(std::bit_width(count_)); ++c) {
-      // A run that begins before ours may be free now, as far as it ends in ours.
+      // A run that begins before this one may be free now, if it ends in this one.
       const std::uint32_t longest = (2U << c) - 1;
       const std::uint32_t place = (1U << c) < kLarge ? first - std::min(first, longest - 1)  //
                                                      : ~(first + run - 1);
-      if (hint_[c].load(std::memory_order_relaxed) > place) {
-        hint_[c].store(place, std::memory_order_relaxed);
+      if (hint_[c].load(std::memory_order_relaxed) > place) {  // a hint
+        hint_[c].store(place, std::memory_order_relaxed);      // a hint
       }
     }
   }
 
-  /// The same for granules that were free just before: no search need begin with them. REQUIRES: it
-  /// is a run.
+  /// As release(), for granules that were free shortly before: the hints stay as they are.
+  /// REQUIRES: there is such a run.
   void put_back(std::uint32_t first, std::uint32_t run) {
     for (std::uint32_t i = 0; i < run; ++i) {
       tags_[first + i].store(0, std::memory_order_release);  // G1
     }
   }
 
-  /// Releases every granule whose tag dead(tag) says so.
+  /// Releases every granule for whose tag dead(tag) is true.
   template <class Dead>
   void release_if(Dead&& dead) {
     for (std::uint32_t i = 0; i < count_; ++i) {
+      // Relaxed: no other process changes the tags that dead() accepts.
       const std::uint32_t tag = tags_[i].load(std::memory_order_relaxed);
       if (tag != 0 && dead(tag)) tags_[i].store(0, std::memory_order_release);  // G1
     }
   }
 
   std::uint32_t count() const { return count_; }
+  /// Relaxed: a hint, or the tag of a block or ring that the caller keeps from being freed.
   std::uint32_t tag(std::uint32_t i) const { return tags_[i].load(std::memory_order_relaxed); }
   bool is_free(std::uint32_t first, std::uint32_t run) const {
     return last_used(first, run) == kNone;
@@ -114,7 +120,7 @@ class Granules {
  private:
   static constexpr std::uint32_t kLarge = 256;
 
-  /// Runs of about one size share a hint.
+  /// Runs of a similar size share a hint.
   static unsigned size_class(std::uint32_t run) {
     return static_cast<unsigned>(std::bit_width(run | 1)) - 1;
   }
@@ -126,7 +132,7 @@ class Granules {
     for (std::uint32_t first = begin; first < end;) {
       const std::uint32_t used = last_used(first, run);
       if (used != kNone) {
-        first = used + 1;  // no run that has this one is free
+        first = used + 1;  // no run that has this granule is free
       } else if (may(first) && take(first, run, tag)) {
         return first;
       } else {
@@ -173,7 +179,7 @@ class Granules {
       if (tags_[first + i].load(std::memory_order_relaxed) != 0 ||
           !tags_[first + i].compare_exchange_strong(free, tag, std::memory_order_acquire,
                                                     std::memory_order_relaxed)) {  // G1
-        // Release: what the former owner has released is handed on (G1).
+        // Release: hands on what the former owner has released (G1).
         while (i > 0) tags_[first + --i].store(0, std::memory_order_release);
         return false;
       }
@@ -183,10 +189,11 @@ class Granules {
 
   Tag* tags_ = nullptr;
   std::uint32_t count_ = 0;
-  /// Private, by size class: where to begin. Before that place, seen from the end that the class
-  /// begins at, this process has found no run, nor released one: a hint, since others release, and
-  /// the runs of a class differ; the second half of a search finds the rest. Those of large runs
-  /// are complements, and so begin at 0, too.
+  /// By size class, private to the process: where a search begins. Before that place, seen from the
+  /// end at which the class begins, this process has found no free run and has released none. It is
+  /// only a hint: other processes release as well, and the runs of a class differ in size. The
+  /// second half of a search finds the rest. The hints of large runs are complements, so that they
+  /// begin at 0 as well.
   std::array<Tag, 32> hint_{};
 };
 

@@ -6,25 +6,29 @@
 
 #include "segment/granules.hpp"
 
-/// Which memory the file system has given, in units of some hundred granules, a word each:
+/// Says which memory the file system has given, in units of some hundred granules. Each unit has a
+/// word:
 ///
-///   0        none: what is written there may be a SIGBUS
-///   1        leaving: a process gives it back, or was killed while it did
-///   2        unsure: a process has asked for it, or was killed while it did
-///   3 + age  all of it; so many looks in a row have found no granule of it in use
+///   0        none: a write there may be a SIGBUS
+///   1        leaving: a process gives the memory back, or was killed while it did
+///   2        unsure: a process has asked for the memory, or was killed while it did
+///   3 + age  all of it; `age` looks in a row have found no granule of the unit in use
 ///   all ones all of it, for ever
 ///
-/// A word becomes 3 or more only by a process that has a granule of the unit, and less only by one
-/// that has all of them. So the two exclude each other by the granules' tags, and what has been
-/// claimed since a unit was found unused is not taken away.
+/// Only a process that has a granule of the unit changes the word to 3 or more. Only a process that
+/// has all granules of the unit changes it to less. So the granules' tags exclude one from the
+/// other. Memory that was claimed after a look had found the unit unused is not taken away.
 ///
-/// Progress: lock-free, but for what the file system does.
+/// Progress: lock-free, except for what the file system does.
+///
 /// Edges
 ///   B1  unit = 3 in get (release) -> load in get (acquire)
 ///       carries: the file system has given the memory.
-///   G1  (granules.hpp) carries 0 from give_back to the next one that has a granule of the unit.
-/// Crash: killed behind 1 or 2: the next process that has a granule of the unit gets the memory
-///        once more, or the next look gives it back.
+///   G1  (granules.hpp) carries 0 from give_back to the next process that has a granule of the
+///   unit.
+///
+/// Crash: killed after it has stored 1 or 2: the next process that has a granule of the unit asks
+///        for the memory once more, or the next look gives it back.
 namespace lot::segment {
 
 template <class P>
@@ -41,15 +45,16 @@ class Units {
   }
   std::uint32_t count() const { return count_; }
 
-  /// The units first to last have their memory: ask(unit) asks the file system for one's, where it
-  /// has not given that yet. False: it has none. REQUIRES: the caller has a granule of each.
+  /// Makes sure that the units from first to last have their memory. Calls ask(unit), which asks
+  /// the file system, where it has not given the memory yet. False: the file system has none.
+  /// REQUIRES: the caller has a granule of each unit.
   template <class Ask>
   bool get(std::uint32_t first, std::uint32_t last, Ask&& ask) {
     for (std::uint32_t unit = first; unit <= last; ++unit) {
       std::uint32_t said = words_[unit].load(std::memory_order_acquire);  // B1
       if (said < kGiven) {
         if (!attempt(unit, ask)) return false;
-        said = words_[unit].load(std::memory_order_relaxed);
+        said = words_[unit].load(std::memory_order_relaxed);  // this process has just asked itself
       }
       while (said != kGiven && said != kForEver &&
              !words_[unit].compare_exchange_weak(said, kGiven, std::memory_order_release,
@@ -58,8 +63,8 @@ class Units {
     }
     return true;
   }
-  /// The same for a caller that has no granule of them: it learns whether there is memory, and no
-  /// other process does.
+  /// As get(), for a caller that has no granule of the units. Only this caller learns whether there
+  /// is memory: the words do not say so.
   template <class Ask>
   bool try_get(std::uint32_t first, std::uint32_t last, Ask&& ask) {
     for (std::uint32_t unit = first; unit <= last; ++unit) {
@@ -67,47 +72,50 @@ class Units {
     }
     return true;
   }
-  /// The units' memory never goes back: it is read by processes that have no granule of it.
-  /// REQUIRES: get(), and the caller has a granule of each.
+  /// The units' memory never goes back: processes that have no granule of it read it. REQUIRES:
+  /// get(); the caller has a granule of each unit.
   void keep(std::uint32_t first, std::uint32_t last) {
     for (std::uint32_t unit = first; unit <= last; ++unit) {
-      words_[unit].exchange(kForEver, std::memory_order_relaxed);  // so that B1 is carried on
+      // An exchange, which continues the release sequence of B1.
+      words_[unit].exchange(kForEver, std::memory_order_relaxed);
     }
   }
-  /// A hint, as is_old(): the process that claims there calls get().
+  /// True when the units have their memory: a hint, as is_old(). A process that claims there calls
+  /// get().
   bool has(std::uint32_t first, std::uint32_t last) const {
     for (std::uint32_t unit = first; unit <= last; ++unit) {
-      if (words_[unit].load(std::memory_order_relaxed) < kGiven) return false;
+      if (words_[unit].load(std::memory_order_relaxed) < kGiven) return false;  // a hint
     }
     return true;
   }
 
-  /// One look: is_used(unit) says whether a granule of it is in use. Relaxed, as all looks: the
-  /// process that acts on it has the granules.
+  /// One look at a unit. is_used(unit) says whether a granule of it is in use. Relaxed, as all
+  /// looks: the process that acts on the result has the granules.
   template <class Used>
   void look(std::uint32_t unit, Used&& is_used) {
-    std::uint32_t said = words_[unit].load(std::memory_order_relaxed);
+    std::uint32_t said = words_[unit].load(std::memory_order_relaxed);  // a look
     if (said < kGiven || said >= kOldest) return;
     const std::uint32_t now = is_used(unit) ? kGiven : said + 1;
-    // What has changed meanwhile is newer.
+    // If the word has changed meanwhile, it stays: it is newer. Relaxed: a look.
     if (now != said) {
       words_[unit].compare_exchange_strong(said, now, std::memory_order_relaxed,
                                            std::memory_order_relaxed);
     }
   }
-  /// So many looks have found it unused, or it is not known what became of it.
+  /// True when `looks` looks have found the unit unused, or when its word is leaving or unsure.
   bool is_old(std::uint32_t unit, std::uint32_t looks) const {
-    const std::uint32_t said = words_[unit].load(std::memory_order_relaxed);
+    const std::uint32_t said = words_[unit].load(std::memory_order_relaxed);  // a look
     if (said < kGiven) return said != kNone;
     return said != kForEver && said - kGiven >= looks;
   }
 
-  /// Gives the memory of a unit back by punch(), unless it is in use, or was since is_old(). Its
-  /// granules are `run` from `first` on; they carry `tag` meanwhile. False: it is in use, or the
-  /// file system refuses; then ask(unit) sees to that it has what it had.
+  /// Gives the memory of a unit back by punch(), unless the unit is in use, or was used since
+  /// is_old(). Its granules are the `run` ones from `first` on. They carry `tag` meanwhile. False:
+  /// the unit is in use, or the file system refuses. If it refuses, ask(unit) makes sure that the
+  /// unit has its memory again.
   ///
-  /// Crash: killed anywhere in it, the granules carry the tag or none; the unit is leaving, or as
-  ///        before.
+  /// Crash: killed at any step, the granules carry the tag or none. The unit's word is leaving, or
+  ///        as before.
   template <class Punch, class Ask>
   bool give_back(std::uint32_t unit, std::uint32_t looks, Granules<P>& granules,
                  std::uint32_t first, std::uint32_t run, std::uint32_t tag, Punch&& punch,
@@ -115,10 +123,11 @@ class Units {
     if (!granules.extend(first, run, tag)) return false;
     bool gone = false;
     if (is_old(unit, looks)) {
-      words_[unit].store(kLeaving, std::memory_order_relaxed);
+      words_[unit].store(kLeaving, std::memory_order_relaxed);  // G1 carries it
       gone = punch();
       if (gone) {
-        // One that asks meanwhile makes it unsure. G1 carries it.
+        // A process that asks meanwhile makes the word unsure: then it stays. Relaxed: G1 carries
+        // it.
         std::uint32_t leaving = kLeaving;
         words_[unit].compare_exchange_strong(leaving, kNone, std::memory_order_relaxed,
                                              std::memory_order_relaxed);
@@ -138,8 +147,8 @@ class Units {
   static constexpr std::uint32_t kForEver = ~std::uint32_t{0};
   static constexpr std::uint32_t kOldest = kForEver - 1;
 
-  /// Said before, for one that is killed, and after: another process may have given back meanwhile
-  /// what was there before.
+  /// Notes the attempt before it asks, for the case that it is killed, and once more afterwards:
+  /// another process may have stored 0 meanwhile, for the memory that was there before.
   template <class Ask>
   bool attempt(std::uint32_t unit, Ask&& ask) {
     note_attempt(unit);
@@ -147,8 +156,10 @@ class Units {
     note_attempt(unit);
     return given;
   }
+  /// Relaxed: an unsure word carries nothing. A process with a granule of the unit asks itself.
   void note_attempt(std::uint32_t unit) {
-    std::uint32_t said = words_[unit].load(std::memory_order_relaxed);
+    std::uint32_t said = words_[unit].load(std::memory_order_relaxed);  // the next step checks it
+    // Relaxed: as said above.
     while (said < kUnsure &&
            !words_[unit].compare_exchange_weak(said, kUnsure, std::memory_order_relaxed,
                                                std::memory_order_relaxed)) {
