@@ -12,9 +12,9 @@
 #include "refcount/ownership.hpp"
 #include "robust_mutex/queue_lock.hpp"
 
-/// Every byte of a segment (docs/layout.md). All zero bytes are a valid empty table, so that only
-/// the header needs to be written when a segment is made. No address of any process lies in it, and
-/// nothing of the C library.
+/// The layout of every byte of a segment (docs/layout.md). All zero bytes are a valid empty table,
+/// so that the maker of a segment writes only the header. The segment has no address of any
+/// process, and nothing of the C library.
 namespace lot::segment {
 
 using Atomics = detail::HardwareAtomics;
@@ -31,13 +31,13 @@ static_assert(kMaxParticipants <= ring::kWorkerMask);
 inline constexpr std::uint64_t kGranule = 4096;  ///< unit of message memory
 /// Payload that every block has without an extent.
 inline constexpr std::uint64_t kSmallBytes = detail::Mapping::kSmallBytes;
-/// The file system is asked for memory, and gets it back, in these.
+/// LOT asks the file system for memory, and gives it back, in units of this size.
 inline constexpr std::uint64_t kUnit = 2 << 20;
 inline constexpr std::size_t kTopicNameBytes = 200;
 inline constexpr std::size_t kTypeNameBytes = 232;
 
 /// The first 64 bytes. They never change their meaning, so that a newer library can tell an old
-/// segment from rubbish.
+/// segment from other bytes.
 struct Identity {
   char magic[8];
   std::uint32_t layout_version;
@@ -50,7 +50,7 @@ struct Identity {
 };
 static_assert(sizeof(Identity) == 64);
 
-/// The numbers that a segment is made with; everything else follows from them.
+/// The numbers that a segment is made with. Everything else follows from them.
 struct Capacity {
   std::uint64_t size = 0;
   std::uint32_t participants = kMaxParticipants;
@@ -60,7 +60,7 @@ struct Capacity {
   std::uint32_t readers = 256;  ///< of one channel
 };
 
-/// Offsets of the tables, computed alike by everybody from the capacity.
+/// Offsets of the tables. Each process computes the same ones from the capacity.
 struct Geometry {
   std::uint64_t participants, witnesses, directory, topics, channels, blocks, arenas, small, tags,
       units, sightings, data;
@@ -75,7 +75,7 @@ struct Header {
 };
 std::uint64_t check_of(const Capacity& capacity) noexcept;
 
-/// A participant as others see it. `state` is the fact; the rest is for people.
+/// A participant as others see it. Only `state` matters to LOT; the rest is for people.
 struct alignas(64) ParticipantEntry {
   std::atomic<std::uint32_t> state;  ///< 0 free, 1 taken; written under byte lock k
   std::int32_t pid;                  ///< in its own namespace: never used for liveness
@@ -89,21 +89,22 @@ struct alignas(64) Lock {
   std::atomic<std::uint32_t> word;
 };
 
-/// What others ask of a participant's warden.
+/// What other participants ask of a participant's warden.
 namespace errand {
-inline constexpr std::uint32_t kLook = 1;  ///< a message that it waits for may be free
+inline constexpr std::uint32_t kLook = 1;  ///< a message that the home waits for may be free
 inline constexpr std::uint32_t kTrim = 2;  ///< give idle memory back
-inline constexpr std::uint32_t kOwn = 4;   ///< its own process has something to do
+inline constexpr std::uint32_t kOwn = 4;   ///< the warden's own process has something for it to do
 inline constexpr std::uint32_t kGive = 8;  ///< give messages up: `request` says how much
-/// No errand: its process says that a signal ends it, and that it counts no more for the one
-/// that removes the files. Written and read in the gate; stays until the next one with this index.
+/// No errand. The participant itself says that a signal ends it. Then the last process, which
+/// removes the files, does not count it any more. Written and read in the gate. Stays until the
+/// next participant gets this index.
 inline constexpr std::uint32_t kEnding = 16;
 }  // namespace errand
 
-/// What says that a participant lives (docs/locks.md), and how others ask something of its warden.
+/// Says whether a participant lives (docs/locks.md), and takes what others ask of its warden.
 ///
-/// `errands` is only a hint: an errand that is lost with the process that brought it is done when
-/// the warden looks by itself, once a second.
+/// `errands` is only a hint. If a process is killed before it brings an errand, the warden does it
+/// at its own look, once a second.
 struct alignas(64) Witness {
   /// {incarnation : 32 | notice : 32} (liveness/death_notice.hpp); the notice is a futex. Changed
   /// by the participant's witness thread, by the kernel when it dies, and by the process
@@ -114,22 +115,23 @@ struct alignas(64) Witness {
   std::atomic<std::uint32_t> errands;
   /// Bumped by the warden (release) when it has done kTrim or kGive, read by those who asked.
   std::atomic<std::uint32_t> answers;
-  /// What kGive asks for, and then the answer (transport/survey.hpp). Written by the asker, of
-  /// several the last one counts, and by the warden. E1 carries the question, G1 what was given.
+  /// What kGive asks for, and then the answer (transport/survey.hpp). Written by the asker and by
+  /// the warden. If several participants ask, the last one counts. E1 carries the question, and G1
+  /// the memory that was given.
   std::atomic<std::uint64_t> request;
 };
 static_assert(sizeof(Witness) == 64);
 
-/// One message that a participant has been seen to hold. Written by its warden alone: emptied
-/// first, named last (release), so that who reads the name, the time and the name again (acquire)
-/// knows whether they belong together.
+/// One message that a participant has been seen to hold. Only its warden writes it: it empties the
+/// name first and stores the new name last (release). A process that reads the name, the time and
+/// the name again (acquire) knows whether they belong together.
 struct Sighting {
   std::atomic<std::uint64_t> what;      ///< {block + 1 : 32 | generation : 32}, 0: none
   std::atomic<std::uint64_t> since_ns;  ///< steady clock, when it was first seen
 };
 
-/// Since when a participant holds its oldest messages: for people, nothing depends on it
-/// (docs/tool.md). What a dead one has left is overwritten by who gets its index.
+/// Since when a participant holds its oldest messages. For people only, nothing depends on it
+/// (docs/tool.md). The next participant with the same index overwrites what a dead one has left.
 struct alignas(64) Sightings {
   static constexpr std::uint32_t kMost = 15;
   std::atomic<std::uint64_t> looked_ns;  ///< steady clock, when the warden last looked; 0: not yet
@@ -138,26 +140,27 @@ struct alignas(64) Sightings {
 };
 static_assert(sizeof(Sightings) == 256);
 
-/// What all processes look at to find each other.
+/// The words that all processes look at to find each other.
 struct alignas(64) Directory {
   std::atomic<std::uint32_t> version;  ///< futex; bumped by each advertise
-  /// Bumped by who reaps, when the orphanage has got what the dead one had: till it changes, nobody
-  /// need search. Edge D3: bumped (release) before the dead one's name goes -> load by a warden
-  /// before it searches (acquire); carries the homes that are the orphanage's now.
+  /// The reaper bumps it when the orphanage has got what the dead one had. Until it changes, no
+  /// warden need search. Edge D3: bumped (release) before the dead one's name goes -> load by a
+  /// warden before it searches (acquire); carries the homes that are the orphanage's now.
   std::atomic<std::uint32_t> bequests;
-  /// Monotonic clock: when a warden last looked for memory that nobody uses. The one that changes
-  /// it looks. A SIGKILL then costs one look.
+  /// Monotonic clock: when a warden last looked for memory that no process uses. The warden that
+  /// changes it does the next look. If that one is killed, one look is lost.
   std::atomic<std::uint64_t> looked_ns;
-  /// Not 0: the files stay when the last process leaves. Set by a process that joins, before it can
-  /// put anything, and never taken back; read by the process that leaves last. Relaxed: the gate
-  /// carries it, or the death of the process that has set it, which the reader has seen before.
+  /// Not 0: the files stay when the last process leaves. A process that joins sets it before it can
+  /// put anything, and no process takes it back. The process that leaves last reads it. Relaxed:
+  /// the gate carries it; or the death of the process that has set it, which the reader has seen
+  /// before.
   std::atomic<std::uint32_t> persists;
   Lock lock;       ///< registry: topics, joining, recycling
-  Lock orphanage;  ///< of the process that acts for it, which has byte 0, too
+  Lock orphanage;  ///< held by the process that acts for the orphanage; it has byte 0 as well
 };
 static_assert(sizeof(Directory) == 192 && offsetof(Directory, persists) == 16);
 
-/// A topic exists while any `users` bit stands: bit p is written by participant p and its reaper.
+/// A topic exists while a `users` bit stands. Participant p and its reaper write bit p.
 struct alignas(64) TopicEntry {
   std::atomic<std::uint64_t> users[Atomics::kOwnWords];
   std::uint64_t type_size;
@@ -165,16 +168,18 @@ struct alignas(64) TopicEntry {
   std::uint64_t type_hash;
   char name[kTopicNameBytes];
   char type_name[kTypeNameBytes];
-  /// {declines : 1 | content : 1 | how many pullers participant p has on the topic : 14}: written
-  /// by p and its reaper; `content` is p's answer to a question, and who asks takes it back. A
-  /// publisher that loses nothing waits for them; one that chooses its readers does not choose
-  /// those who decline, and need send nothing another way to those who are content.
+  /// [p]: {declines : 1 | content : 1 | how many pullers participant p has on the topic : 14}.
+  /// Written by p and its reaper. `content` is p's confirmation that the rings are enough; a
+  /// publisher that asks for a new one takes it back. A lossless publisher waits for all pullers. A
+  /// publisher that chooses its readers does not choose participants that decline. It need not use
+  /// a second path for participants that are content.
   std::atomic<std::uint16_t> pullers[kMaxParticipants];
   char padding[8];
 };
 static_assert(sizeof(TopicEntry) == 1152);
 
-/// One publisher's ring on a topic. Plain fields are written while the writer word is INIT.
+/// One publisher's ring on a topic. The publisher writes the plain fields while the writer word is
+/// INIT.
 struct alignas(64) ChannelEntry {
   std::atomic<ring::Word> writer;
   std::uint64_t first;  ///< sequence of the first message
@@ -192,14 +197,14 @@ static_assert(sizeof(ChannelEntry) == 64);
 
 /// ChannelEntry::taken.
 inline constexpr std::uint32_t kTaken = 1;     ///< one reader takes a message
-inline constexpr std::uint32_t kFinished = 2;  ///< and it stays in its slot until that one is done
+inline constexpr std::uint32_t kFinished = 2;  ///< and the message stays in its slot until finished
 
 /// True when messages of the type lie in the payload that every block has.
 constexpr bool is_small(const detail::MessageType& type) {
   return type.size <= kSmallBytes && type.align <= 64;
 }
 
-/// The memory of a message beside its block. No more than there is, whatever has hit the words.
+/// How many granules a message has. At most `all`, even if a wild write has hit the words.
 inline std::uint64_t granules_of(const detail::Arena& arena, std::uint64_t all) {
   std::uint64_t sum = 0;
   for (unsigned i = 0, n = arena.count(); i < n; ++i) {
@@ -208,26 +213,26 @@ inline std::uint64_t granules_of(const detail::Arena& arena, std::uint64_t all) 
   return sum < all ? sum : all;
 }
 
-/// reserve() made the block's memory. Relaxed: a hint for those who look for memory.
+/// Whether reserve() made the block's memory. Relaxed: a hint for publishers that look for memory.
 inline void set_reserved(detail::Arena& arena, bool yes) {
-  std::atomic_ref(arena.reserved).store(yes ? 1 : 0, std::memory_order_relaxed);
+  std::atomic_ref(arena.reserved).store(yes ? 1 : 0, std::memory_order_relaxed);  // a hint
 }
 inline bool is_reserved(detail::Arena& arena) {
-  return std::atomic_ref(arena.reserved).load(std::memory_order_relaxed) != 0;
+  return std::atomic_ref(arena.reserved).load(std::memory_order_relaxed) != 0;  // a hint
 }
 
-/// The first bytes of a ring's memory; behind it who[], slots[], cells[], and claims[] where
-/// messages are to be finished.
+/// The first bytes of a ring's memory. Behind it lie who[], slots[], cells[], and claims[] where
+/// workers must finish messages.
 struct RingHead {
   alignas(64) std::atomic<std::uint32_t> roster;
   std::atomic<std::uint32_t> returned;
-  std::atomic<ring::Word> floor;  ///< of a lossless ring: where joiners begin at the earliest
+  std::atomic<ring::Word> floor;  ///< joiners of a lossless ring begin here at the earliest
   alignas(64) std::atomic<std::uint32_t> space;
   mutex_engine::Lock lock;  ///< of the mutex engine
 };
 
-/// Owner of one granule: 0 free, block + 1, or kRingTag | channel. Stale for nobody: the owner's
-/// own words say whether it lives, so freeing after a death is a search by name.
+/// The owner of one granule: 0 if free, block + 1, or kRingTag | channel. The owner's own words say
+/// whether it lives. So a reaper finds by the tags what it must free.
 using Tag = std::atomic<std::uint32_t>;
 inline constexpr std::uint32_t kRingTag = std::uint32_t{1} << 31;
 

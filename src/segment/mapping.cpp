@@ -8,8 +8,8 @@
 namespace lot::detail {
 namespace {
 
-/// Zeros, for which the system gives the pages that are touched. A child of fork() finds zeros,
-/// too: it builds none of its parent's messages.
+/// A table of zeros. The system gives memory only for the pages that are touched. A child of fork()
+/// finds zeros as well: it builds none of its parent's messages.
 unsigned char* make_table(std::uint64_t bytes) {
   void* const table = mmap(nullptr, bytes, PROT_READ | PROT_WRITE,
                            MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
@@ -25,12 +25,13 @@ std::atomic<Mapping*> Mapping::newest{nullptr};
 Mapping::Scope::Scope(const Layout& layout) {
   const std::uint64_t bytes = layout.blocks * kSmallBytes;
   unsigned char* const builds = make_table(bytes);
-  Mapping* first = newest.load(std::memory_order_acquire);
+  Mapping* first = newest.load(std::memory_order_acquire);  // the mappings in the list
   for (Mapping* m = first; m != nullptr; m = m->older_) {
-    // Two are never at one place: the one that was there has gone.
+    // Two segments are never mapped at one place: the former one has gone.
     if (m->layout_ == layout) {
       mapping_ = m;
       m->builds_ = builds;
+      // Relaxed: a thread that looks an address up got it from the owner of this Scope.
       m->size_.store(layout.size, std::memory_order_relaxed);
       return;
     }
@@ -41,6 +42,7 @@ Mapping::Scope::Scope(const Layout& layout) {
     munmap(builds, bytes);
     throw;
   }
+  // Release: the new Mapping, for of().
   while (!newest.compare_exchange_weak(first, mapping_, std::memory_order_release,
                                        std::memory_order_relaxed)) {
     mapping_->older_ = first;
@@ -54,7 +56,7 @@ Mapping::Scope& Mapping::Scope::operator=(Scope&& other) noexcept {
 
 Mapping::Scope::~Scope() {
   if (mapping_ == nullptr) return;
-  mapping_->size_.store(0, std::memory_order_relaxed);
+  mapping_->size_.store(0, std::memory_order_relaxed);  // no thread uses an address there any more
   munmap(mapping_->builds_, mapping_->layout_.blocks * kSmallBytes);
 }
 

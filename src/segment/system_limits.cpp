@@ -15,14 +15,15 @@ std::uint64_t limit_of(int resource) noexcept {
   return limit.rlim_cur == RLIM_INFINITY ? kUnlimited : std::uint64_t{limit.rlim_cur};
 }
 
-/// The number in a file; "max", and a file that is not there, are no limit.
+/// The number in a file. "max" is no limit, nor is a file that is not there.
 std::uint64_t number_in(const std::string& path) {
   std::ifstream file(path);
   std::uint64_t number = 0;
   return file >> number ? number : kUnlimited;
 }
 
-/// Of a group and of those above it. In a container the group's own directory may be the mount.
+/// The least limit of a group and of the groups above it. In a container the group's own directory
+/// may be the mount.
 std::uint64_t least_above(const std::string& mount, std::string group, const std::string& file) {
   std::uint64_t least = number_in(mount + "/" + file);
   while (group.size() > 1) {
@@ -32,7 +33,7 @@ std::uint64_t least_above(const std::string& mount, std::string group, const std
   return least;
 }
 
-/// Those of this process that are set.
+/// The memory limits of this process that are set.
 std::string memory_limits() {
   std::string text;
   for (const auto& [resource, name] : {std::pair(RLIMIT_AS, "RLIMIT_AS (ulimit -v)"),

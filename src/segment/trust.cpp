@@ -21,7 +21,7 @@ namespace {
 constexpr mode_t kOwn = 0600;
 constexpr mode_t kOfGroup = 0060;
 
-/// One of the classes may read and not write, or the other way around.
+/// True when a class (user, group, others) may read and not write, or write and not read.
 bool gives_half(mode_t mode) { return ((mode >> 1 ^ mode) & 0222) != 0; }
 
 std::string in_octal(mode_t mode) {
@@ -30,12 +30,12 @@ std::string in_octal(mode_t mode) {
   return text.data();
 }
 
-/// A number; nothing: it is a name.
+/// The number that the text is. Nothing: it is a name.
 std::optional<unsigned> number_of(const std::string& text) {
   if (text.empty() || text.find_first_not_of("0123456789") != std::string::npos) return {};
   errno = 0;
   const unsigned long number = std::strtoul(text.c_str(), nullptr, 10);
-  // The last one means "none" in many calls.
+  // The highest number means "none" in many system calls.
   if (errno != 0 || number >= ~0U) return {};
   return static_cast<unsigned>(number);
 }
@@ -55,7 +55,7 @@ std::optional<Entry> look_up(const std::string& name, Lookup&& lookup) {
   }
 }
 
-/// The same by its number, by getpwuid_r or getgrgid_r: " (ann)", or "" where it has no name.
+/// Looks a number up by getpwuid_r or getgrgid_r: " (ann)", or "" where it has no name.
 template <class Entry, class Lookup>
 std::string name_of(unsigned number, char* Entry::*name, Lookup&& lookup) {
   std::vector<char> text(std::size_t{1} << 16);
@@ -65,7 +65,7 @@ std::string name_of(unsigned number, char* Entry::*name, Lookup&& lookup) {
   return found != nullptr ? std::string(" (") + found->*name + ")" : "";
 }
 
-/// As a shell reads it.
+/// The word as a shell reads it.
 std::string quoted(const std::string& word) {
   constexpr const char* kPlain =
       "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./+:,@%";
@@ -97,16 +97,16 @@ bool is_one_of(const Trust& trust, const struct stat& status) {
          (trust.group && status.st_gid == *trust.group);
 }
 
-/// The number that stands for all users, or groups, that are not mapped in a user namespace.
-/// Everywhere else its name is "nobody", or "nogroup".
+/// True for the number that stands for all users, or groups, that are not mapped in a user
+/// namespace. Everywhere else its name is "nobody", or "nogroup".
 bool is_overflow(unsigned number, const char* kind) {
   unsigned overflow = 65534;
   std::ifstream(std::string("/proc/sys/kernel/overflow") + kind) >> overflow;
   return number == overflow;
 }
 
-/// The variables that let such a file in: "LOT_GROUP=1002"; "" where no process needs one, or none
-/// names its users alone.
+/// The variables with which a process trusts such a file: "LOT_GROUP=1002". "" where no process
+/// needs one, or where no variable names the file's users alone.
 std::string variables_for(const struct stat& status) {
   const mode_t rights = status.st_mode & 0666;
   if (gives_half(rights)) return "";
@@ -120,7 +120,8 @@ std::string variables_for(const struct stat& status) {
   return user + (user.empty() || mode.empty() ? "" : " ") + mode;
 }
 
-/// What to do about a file that was refused. To let every user of the machine in comes last.
+/// What a user can do about a file that was refused. To let in every user of the machine comes
+/// last.
 std::string advice(const struct stat& status, const std::string& otherwise) {
   const std::string variables = variables_for(status);
   if (variables.empty()) return otherwise;
@@ -263,7 +264,7 @@ std::string command(const std::string& words, const std::string& path) {
   };
   if (is_file(segment) || is_file(path)) text = variables_for(status);
   if (!text.empty()) {
-    // What is exported where the command is pasted says something else.
+    // The user's shell may export other values for these variables: they are cleared.
     for (const char* const name : {"LOT_USER", "LOT_GROUP", "LOT_PERMISSIONS"}) {
       const char* const exported = secure_getenv(name);
       const bool is_said = text.find(name + std::string("=")) != text.npos;
