@@ -27,7 +27,8 @@ namespace {
 
 constexpr std::uint64_t kDefaultSize = std::uint64_t{1} << 30;
 constexpr std::uint64_t kSmallestData = std::uint64_t{4} << 20;
-/// A run of so many granules is mapped by whole units: their faults would take longer.
+/// A run of at least this many granules is mapped by whole units: the page faults would take
+/// longer.
 constexpr std::uint32_t kMappedAtOnce = 128;
 
 constexpr std::uint64_t round_up(std::uint64_t n, std::uint64_t to) {
@@ -45,7 +46,7 @@ std::uint64_t hash(const char* bytes, std::size_t n, std::uint64_t h = 146959810
   return h;
 }
 
-/// What two builds must have in common to read each other's bytes.
+/// A hash of what two builds must have in common to read each other's bytes.
 std::uint64_t fingerprint() {
   const std::uint64_t facts[] = {sizeof(void*),    std::endian::native == std::endian::little,
                                  Atomics::kLine,   Atomics::kOwnWords,
@@ -61,7 +62,7 @@ std::uint64_t boot() {
   return file >> id ? hash(id.data(), id.size()) : 0;
 }
 
-struct Descriptor {  // also what Boost's mapped_region maps
+struct Descriptor {  // also the memory-mappable object for Boost's mapped_region
   int fd;
   boost::interprocess::mode_t mode;
   explicit Descriptor(int f, boost::interprocess::mode_t m = boost::interprocess::read_write)
@@ -75,10 +76,11 @@ struct Descriptor {  // also what Boost's mapped_region maps
   boost::interprocess::mode_t get_mode() const { return mode; }
 };
 
-/// Maps the whole file at a multiple of a unit, as huge pages must lie, where the file system has
-/// them.
+/// Maps the whole file at a multiple of a unit: huge pages must lie like that, where the file
+/// system has them.
 boost::interprocess::mapped_region map_file(const Descriptor& file, std::uint64_t size) {
-  // The kernel finds a room, and the file takes its place in it: no other thread can come between.
+  // The kernel first reserves a room of addresses. Then the file is mapped inside it, so that no
+  // other thread can take those addresses in between.
   const std::uint64_t room_size = size + kUnit;
   void* const room =
       mmap(nullptr, room_size, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
@@ -99,19 +101,20 @@ boost::interprocess::mapped_region map_file(const Descriptor& file, std::uint64_
   }
 }
 
-/// Of a ring of the mutex engine, whose place was checked.
+/// The lock of a ring of the mutex engine. REQUIRES: the ring's place was checked.
 mutex_engine::Lock& lock_of(const Ring& ring) {
   auto* word = reinterpret_cast<unsigned char*>(ring.arrived);
   return *reinterpret_cast<mutex_engine::Lock*>(word - offsetof(mutex_engine::Lock, arrived));
 }
 
-/// The kernel does not know the call (Linux before 5.14 has no MADV_POPULATE_WRITE), or a sandbox
-/// refuses it.
+/// True when the kernel does not know the call (Linux before 5.14 has no MADV_POPULATE_WRITE), or
+/// when a sandbox refuses it.
 bool is_refused(int error) {
   return error == EINVAL || error == EPERM || error == EACCES || error == ENOSYS;
 }
 
-/// Takes the memory of the first bytes of a file that no other process knows yet. 0, or an error.
+/// Makes the file system give the memory of the first bytes of a file that no other process knows
+/// yet. Returns 0 or an error.
 int reserve_new(int fd, std::uint64_t bytes) {
   int error;
   do {
@@ -140,7 +143,7 @@ Capacity choose_size(const std::string& path, Capacity capacity) {
   const bool chosen = capacity.size != 0;
   const std::uint64_t asked = capacity.size;
   const std::uint64_t of_a_file = file_limit();
-  // Half of it: the processes need memory of their own.
+  // Half of the group's limit: the processes need memory of their own.
   const std::uint64_t of_the_group = memory_limit() / 2;
   if (!chosen) capacity.size = std::min({kDefaultSize, free / 4 * 3, of_a_file, of_the_group});
   capacity.size = capacity.size / kUnit * kUnit;
@@ -170,7 +173,7 @@ Capacity choose_size(const std::string& path, Capacity capacity) {
                     directory,
                 "lower LOT_SIZE, enlarge the file system (docker run --shm-size), or set LOT_DIR");
   }
-  if (capacity.size > of_a_file) {  // a signal would end the process
+  if (capacity.size > of_a_file) {  // else a signal (SIGXFSZ) would end the process
     throw Error(EFBIG, path,
                 size_text(capacity.size) + " were asked for, a file of this process may have " +
                     size_text(of_a_file),
@@ -263,7 +266,7 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
               advice);
 }
 
-/// Group and mode of a new file, whatever the umask. Closes it when it cannot have them.
+/// Gives a new file its group and mode, whatever the umask. Closes it when it cannot have them.
 void give_rights(int fd, const std::string& path, const Trust& trust) {
   const auto fail = [&](const char* what, const char* advice) {
     const int error = errno;
@@ -279,11 +282,12 @@ void give_rights(int fd, const std::string& path, const Trust& trust) {
   }
 }
 
-/// A new file gets its name when it has its mode, whatever the umask. -1 and errno when it cannot
-/// be made; EEXIST: there is one.
+/// Makes a new file, which gets its name only after its mode, whatever the umask. -1 and errno when
+/// it cannot be made; EEXIST: there is one.
 ///
-/// Crash: leaves no file, or a whole one. Only where the file system has no unnamed files, or there
-/// is no /proc, a maker that is killed between leaves a file of mode 0600, or less by its umask.
+/// Crash: leaves no file, or a whole one. There is one exception, where the file system has no
+/// unnamed files, or there is no /proc. Then a maker that is killed in between leaves a file of
+/// mode 0600, or less by its umask.
 int make_private(const std::string& path, const Trust& trust) {
   const std::string directory = path.substr(0, path.rfind('/') + 1);
   const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
@@ -295,7 +299,7 @@ int make_private(const std::string& path, const Trust& trust) {
     }
     ::close(unnamed);
   }
-  // There is a file of that name already, or it cannot be made in this way.
+  // There is a file of that name already, or the file cannot be made in this way.
   const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600);
   if (fd == -1) return -1;
   try {
@@ -321,8 +325,8 @@ void require_or_close(const Trust& trust, int fd, const std::string& path) {
 int open_private(const std::string& path, const Trust& trust, int flags) {
   for (;;) {
     if ((flags & O_EXCL) == 0) {
-      // Without O_CREAT, which fs.protected_regular refuses in a sticky directory where the file is
-      // another user's, though its mode lets us in. What is there keeps its mode and owner.
+      // Without O_CREAT: in a sticky directory fs.protected_regular refuses it for another user's
+      // file, even if the file's mode lets us in. A file that is there keeps its mode and owner.
       const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
       if (fd != -1) {
         require_or_close(trust, fd, path);
@@ -332,9 +336,10 @@ int open_private(const std::string& path, const Trust& trust, int flags) {
     }
     const int fd = make_private(path, trust);
     if (fd != -1 && (flags & O_EXCL) != 0) return fd;
-    // It is opened once more by its name: else /proc/PID/fd, and so lsof, says "#123 (deleted)".
+    // Closes the new file, and opens it again by its name. Else /proc/PID/fd, and so lsof, would
+    // show "#123 (deleted)".
     if (fd != -1) ::close(fd);
-    // EEXIST: another process has made it since we looked.
+    // EEXIST: another process has made the file since we looked.
     if (fd == -1 && (errno != EEXIST || (flags & O_EXCL) != 0)) {
       refuse(path, "cannot make it", errno);
     }
@@ -398,7 +403,8 @@ void Segment::create(const std::string& path, Capacity capacity, const Trust& tr
   capacity = choose_size(path, capacity);
   const Geometry geometry = Geometry::of(capacity);
   const std::string unfinished = path + ".new";
-  // Of a creator that died: we hold the gate. What is another's makes the next call fail.
+  // An unfinished file is from a creator that died, since we hold the gate. If it belongs to
+  // another user, the next call fails.
   if (trust.owns(unfinished)) ::unlink(unfinished.c_str());
   Descriptor file(open_private(unfinished, trust, O_EXCL));
   const auto fail = [&](int error, const char* what) {
@@ -442,7 +448,7 @@ Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, const
   if (const std::string kind = kind_of(path); fit == Fit::Foreign && !kind.empty()) {
     reason = "it is " + kind + ", no file of LOT";
   }
-  // What is no segment is said to be none, whosever it is.
+  // A file that is no segment is reported as such, whichever user owns it.
   if (fit != Fit::Foreign) trust.require(file.fd, path);
   if (fit == Fit::Fits) reason = trust.shortfall(file.fd);
   return fit == Fit::Fits && !reason.empty() ? Fit::Narrow : fit;
@@ -556,7 +562,7 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   ChannelEntry& entry = channels()[channel];
   Ring ring;
   ring.writer = &entry.writer;
-  // Each once: whoever writes them meanwhile cannot get past the checks.
+  // Reads each field once: a process that changes it meanwhile cannot get past the checks.
   const std::uint32_t depth = detail::read_once(entry.depth);
   const std::uint32_t readers = detail::read_once(entry.readers);
   const std::uint32_t granule = detail::read_once(entry.granule);
@@ -597,13 +603,13 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
 }
 
 std::uint32_t Segment::waiting_items(std::uint32_t channel) const noexcept {
-  const ring::Word writer = channels()[channel].writer.load(std::memory_order_acquire);
+  const ring::Word writer = channels()[channel].writer.load(std::memory_order_acquire);  // R7
   const ring::State state = ring::writer_state(writer);
   if (state != ring::State::Live && state != ring::State::Orphan) return 0;
   const Ring r = ring(channel);
   std::uint32_t items = 0;
   for (std::uint32_t i = 0; r.taken && i < r.depth; ++i) {
-    // Relaxed: it is only counted.
+    // Relaxed: the items are only counted.
     items += ring::block(r.slots[i].load(std::memory_order_relaxed)) != ring::kNoBlock;
   }
   return items;
@@ -611,8 +617,8 @@ std::uint32_t Segment::waiting_items(std::uint32_t channel) const noexcept {
 
 void Segment::construct_queue_lock(const Ring& ring) noexcept {
   if (ring.arrived == nullptr) return;
-  ring.arrived->store(0, std::memory_order_relaxed);
-  lock_of(ring).held.store(0, std::memory_order_relaxed);
+  ring.arrived->store(0, std::memory_order_relaxed);       // R7 carries it
+  lock_of(ring).held.store(0, std::memory_order_relaxed);  // R7 carries it
 }
 
 mutex_engine::QueueLock Segment::queue_lock(std::uint32_t channel,
@@ -632,7 +638,7 @@ std::uint32_t Segment::claim_run(std::uint32_t granules, std::uint32_t tag) noex
                           [&](std::uint32_t first) { return is_backed(first, granules); });
     if (run == Granules<Atomics>::kNone) break;
     if (back_run(run, granules)) return run;
-    granules_.release(run, granules);  // it was given back meanwhile
+    granules_.release(run, granules);  // another process has given its memory back meanwhile
   }
   errno = ENOSPC;
   return Granules<Atomics>::kNone;
@@ -662,7 +668,7 @@ bool Segment::back_run(std::uint32_t first, std::uint32_t granules) noexcept {
   if (!units_.get(unit_of(first), last, [this](std::uint32_t unit) { return populate(unit); })) {
     return false;
   }
-  // What other processes have used is there, but not mapped here.
+  // Memory that other processes have used is there, but not mapped in this process.
   for (std::uint32_t unit = unit_of(first); granules >= kMappedAtOnce && unit <= last; ++unit) {
     map_unit(unit);
   }
@@ -675,8 +681,8 @@ void Segment::map_for_writing(std::uint32_t first, std::uint32_t granules) noexc
   for (std::uint32_t unit = unit_of(first); error == 0 && unit <= last; ++unit) {
     error = map_unit(unit);
   }
-  // Linux before 5.14: what is written is what is there. Volatile: a compiler may leave an atomic
-  // addition of 0 out.
+  // Linux before 5.14: writes a byte of each granule with its own value. Volatile, since a compiler
+  // may leave out an atomic addition of 0.
   for (std::uint32_t i = 0; error != 0 && i < granules; ++i) {
     volatile unsigned char& byte = base_[granule_offset(first + i)];
     byte = byte;
@@ -720,9 +726,9 @@ std::uint64_t Segment::give_back(std::uint32_t unit, std::uint32_t looks,
   const Run run = run_of_unit(unit);
   const std::uint64_t bytes = kGranule * run.granules;
   const auto punch = [&] {
-    mapped_[unit].store(false, std::memory_order_relaxed);
+    mapped_[unit].store(false, std::memory_order_relaxed);  // a hint
     const bool gone = madvise(base_ + unit * kUnit, bytes, MADV_REMOVE) == 0;
-    if (!gone) can_give_back_.store(false, std::memory_order_relaxed);
+    if (!gone) can_give_back_.store(false, std::memory_order_relaxed);  // a hint
     return gone;
   };
   const bool gone = units_.give_back(unit, looks, granules_, run.first, run.granules, tag, punch,
@@ -730,17 +736,18 @@ std::uint64_t Segment::give_back(std::uint32_t unit, std::uint32_t looks,
   return gone ? bytes : 0;
 }
 
-/// Takes the memory from the system before it is used, so that a full file system is an error here
-/// and not a SIGBUS later. Done twice does no harm.
+/// Gets the memory of a unit from the system before LOT uses it. So a full file system is an error
+/// here, and not a SIGBUS later. To do it twice does no harm.
 bool Segment::populate(std::uint32_t unit) noexcept {
   const std::uint64_t begin = unit * kUnit;
   const std::uint64_t bytes = bytes_of_unit(unit);
-  mapped_[unit].store(false, std::memory_order_relaxed);  // it went, perhaps by another process
+  // Relaxed: a hint. The memory had gone, perhaps by another process.
+  mapped_[unit].store(false, std::memory_order_relaxed);
   const int error = map_unit(unit);
   if (error == 0) return true;
   errno = error;
   if (!is_refused(error)) return false;
-  // By the file, if it still is ours.
+  // Else asks through the file, if the path still leads to this segment.
   Descriptor file(::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
   std::uint64_t ignored = 0;
   return file.fd != -1 &&
@@ -748,9 +755,10 @@ bool Segment::populate(std::uint32_t unit) noexcept {
          posix_fallocate(file.fd, static_cast<off_t>(begin), static_cast<off_t>(bytes)) == 0;
 }
 
-/// Changes no byte, so it may be done to memory that others have: a page that is there is mapped.
+/// Maps a unit. It changes no byte, so the memory may belong to others: pages that are there are
+/// only mapped.
 int Segment::map_unit(std::uint32_t unit) noexcept {
-  if (mapped_[unit].load(std::memory_order_relaxed)) return 0;
+  if (mapped_[unit].load(std::memory_order_relaxed)) return 0;  // a hint
 #ifdef MADV_POPULATE_WRITE
   constexpr int kPopulateWrite = MADV_POPULATE_WRITE;
 #else
@@ -761,7 +769,7 @@ int Segment::map_unit(std::uint32_t unit) noexcept {
     result = madvise(base_ + unit * kUnit, bytes_of_unit(unit), kPopulateWrite);
   } while (result == -1 && (errno == EINTR || errno == EAGAIN));
   if (result == -1) return errno;
-  mapped_[unit].store(true, std::memory_order_relaxed);
+  mapped_[unit].store(true, std::memory_order_relaxed);  // a hint
   return 0;
 }
 
@@ -777,7 +785,7 @@ void Segment::lock_memory() {
                 "CAP_IPC_LOCK, leave LOT_MLOCK and EngineOptions::lock_memory away, or have the "
                 "segment made anew with a smaller LOT_SIZE, when all that use it have ended");
   }
-  is_locked_.store(true, std::memory_order_relaxed);
+  is_locked_.store(true, std::memory_order_relaxed);       // a flag that tells nothing else
   can_give_back_.store(false, std::memory_order_relaxed);  // MADV_REMOVE refuses locked memory
 }
 

@@ -22,57 +22,60 @@
 
 namespace lot::segment {
 
-/// Opens a file for reading and writing, made with exactly this mode and group if absent; never
-/// follows a link. What is there keeps its mode and owner, and must be trusted; with O_EXCL in
-/// `flags` it is an error. Throws lot::Error with advice.
+/// Opens a file for reading and writing. Makes it with exactly this mode and group if it is absent.
+/// Never follows a link. A file that is there keeps its mode and owner, and must be trusted. With
+/// O_EXCL in `flags` a file that is there is an error. Throws lot::Error with advice.
 int open_private(const std::string& path, const Trust& trust, int flags = 0);
 
-/// "<directory>/<name>", after a check that the name is one. Throws lot::Error.
+/// "<directory>/<name>", after a check that the name is valid. Throws lot::Error.
 std::string path_of(const std::string& directory, const std::string& name);
 
-/// What arenas say of the topic that their messages were made for; never 0.
+/// The number by which arenas name the topic that their messages were made for. Never 0.
 std::uint64_t topic_key(std::string_view name);
 
-/// True when an error says that the file is no good: not that this process could not look at it.
+/// True when an error says that the file is damaged, and not that this process could not look at
+/// it.
 bool means_damage(const Error& e) noexcept;
 
-/// One segment, mapped. All tables are reached through it; nothing here is shared state of its own.
+/// One segment, mapped. All tables are reached through it. It has no shared state besides them.
 ///
-/// Absent or complete: a segment is built under a temporary name and renamed in one step, so that
-/// nobody ever sees a half-made one. REQUIRES (create, attach, remove): the gate is held.
+/// A segment is absent or complete: its maker builds it under a temporary name and renames it in
+/// one step, so that no process sees an unfinished one. REQUIRES: the gate is held for create(),
+/// for remove(), and where a process maps the segment to join it.
 class Segment {
  public:
-  /// Makes a new segment; size 0 takes a default that the directory has room for.
+  /// Makes a new segment. Size 0 means a default for which the directory has room.
   static void create(const std::string& path, Capacity capacity, const Trust& trust);
   enum class Fit {
     Absent,
     Fits,    ///< complete, of this version, machine and boot, and of the size asked for
     Stale,   ///< a segment, but not one that we can join
-    Narrow,  ///< one that fits, and is narrow (Trust::shortfall)
+    Narrow,  ///< a segment that fits, and is narrow (Trust::shortfall)
     Foreign  ///< no segment at all: never touched
   };
-  /// What is at path; `size` 0 means any. Says why it does not fit in `reason`. Throws lot::Error
+  /// What is at path; `size` 0 means any. Says in `reason` why it does not fit. Throws lot::Error
   /// when it is not trusted.
   static Fit examine(const std::string& path, std::uint64_t size, const Trust& trust,
                      std::string& reason);
-  /// The same for who only looks: opens it for reading.
+  /// As examine(), for a process that only looks: opens the segment for reading.
   static Fit inspect(const std::string& path, const Trust& trust, std::string& reason);
-  /// What belongs to other users stays.
+  /// Removes the segment and an unfinished one. Leaves files of users that are not trusted.
   static void remove(const std::string& path, const Trust& trust) noexcept;
   /// False when the path names another file by now, or none.
   bool is_at_its_path() const noexcept;
 
   enum class Access {
     ReadWrite,
-    ReadOnly  ///< REQUIRES: nothing is written through it
+    ReadOnly  ///< REQUIRES: no code writes through it
   };
-  /// Maps the segment at path. Throws lot::Error when it is not one, or not trusted, with the
-  /// reason.
+  /// Maps the segment at path. Throws lot::Error, with the reason, when it is no segment or not
+  /// trusted.
   explicit Segment(const std::string& path, Access access = Access::ReadWrite,
                    const Trust& trust = {});
-  /// From now on what this process has touched of it is not swapped out, and this process gives no
-  /// memory back. Nothing is touched for it. Throws lot::Error, which names the limit.
+  /// From now on the system does not swap out the pages that this process touches, and this process
+  /// gives no memory back. It touches no page itself. Throws lot::Error, which names the limit.
   void lock_memory();
+  // Relaxed: a flag that tells nothing else.
   bool is_locked() const noexcept { return is_locked_.load(std::memory_order_relaxed); }
 
   const std::string& path() const noexcept { return path_; }
@@ -90,17 +93,17 @@ class Segment {
   std::span<BlockWords> blocks() const noexcept { return {blocks_, capacity_.blocks}; }
   BlockWords& block(std::uint32_t b) const noexcept { return blocks_[b]; }
   detail::Arena& arena(std::uint32_t b) const noexcept { return arenas_[b]; }
-  /// What this process knows of the message that it builds in block b, or has built there.
+  /// The private data of this process about the message that it builds or has built in block b.
   detail::Build& build(std::uint32_t b) const noexcept { return builds_[b]; }
   void open_build(std::uint32_t b) const noexcept { build(b).open(arena(b), mapping_.mapping()); }
-  /// The block of an arena; one that there is not when it is none of ours.
+  /// The block of an arena. capacity().blocks, which is no block, for an arena elsewhere.
   std::uint32_t block_of(const detail::Arena& arena) const noexcept {
     const std::uint64_t b = (offset_of(&arena) - geometry_.arenas) / sizeof(detail::Arena);
     return static_cast<std::uint32_t>(std::min<std::uint64_t>(b, capacity_.blocks));
   }
   /// The payload that block b has without any extent.
   unsigned char* small(std::uint32_t b) const noexcept { return small_ + b * kSmallBytes; }
-  /// Where the message in block b lies; null when it is said to lie where it cannot be.
+  /// Where the message in block b lies. Null when its arena names a place where it cannot be.
   unsigned char* message_at(std::uint32_t b, const detail::MessageType& type) const noexcept {
     if (is_small(type)) return small(b);
     const std::uint64_t root = detail::read_once(arenas_[b].root);
@@ -110,31 +113,30 @@ class Segment {
     return static_cast<std::uint64_t>(static_cast<const unsigned char*>(p) - base_);
   }
 
-  /// True when these bytes, which begin at an offset that was read from the segment, lie in memory
-  /// of block b: in its small payload, or in granules that carry its tag (the first and the last
-  /// do).
+  /// True when these bytes lie in memory of block b: in its small payload, or in granules whose
+  /// first and last one carry its tag. The offset may have been read from the segment.
   bool holds(std::uint32_t b, std::uint64_t offset, std::uint64_t bytes) const noexcept;
 
-  /// The ring of a channel; depth 0 when it was never finished, or its numbers make no sense, or
-  /// its memory is not its own.
+  /// The ring of a channel. Its depth is 0 when its maker has not finished it, when its numbers
+  /// make no sense, or when its memory belongs to another owner.
   Ring ring(std::uint32_t channel) const noexcept;
-  /// The same while its maker makes it.
+  /// As ring(), also while the ring's maker makes it.
   Ring unformed_ring(std::uint32_t channel) const noexcept;
-  /// How many items wait in a channel whose messages are taken: by one reader each, those included
-  /// that a worker has and has not finished. 0 for any other channel. A hint while processes work.
+  /// How many items wait in a channel whose messages are each for one reader. Counts those that a
+  /// worker has and has not finished. 0 for any other channel. A hint while processes work.
   std::uint32_t waiting_items(std::uint32_t channel) const noexcept;
-  /// From now on the files stay when the last process leaves.
+  /// From now on the files stay when the last process leaves. Relaxed: see Directory::persists.
   void keep_files() noexcept { directory().persists.store(1, std::memory_order_relaxed); }
   bool keeps_files() const noexcept {
-    return directory().persists.load(std::memory_order_relaxed) != 0;
+    return directory().persists.load(std::memory_order_relaxed) != 0;  // see Directory::persists
   }
   /// The lock of a channel's queue, if it has the mutex engine. REQUIRES: ring(channel) has found
-  /// it in order.
+  /// the channel in order.
   mutex_engine::QueueLock queue_lock(std::uint32_t channel, LockOwner& owner) const noexcept;
-  /// Makes it. REQUIRES: the channel is INIT, its memory is claimed, and the caller owns it.
+  /// Makes that lock. REQUIRES: the channel is INIT, its memory is claimed, and the caller owns it.
   static void construct_queue_lock(const Ring& ring) noexcept;
-  static constexpr std::uint32_t kDeepest = 65536;  ///< slots of a ring
-  /// `finished`: with a claim for each slot.
+  static constexpr std::uint32_t kDeepest = 65536;  ///< the most slots of a ring
+  /// The memory of a ring. `finished`: with a claim for each slot.
   static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers,
                                   bool finished) noexcept;
 
@@ -143,11 +145,11 @@ class Segment {
     return geometry_.data + granule * kGranule;
   }
   /// Claims a run for `tag` and makes sure that the system really has the memory. Where the system
-  /// has no more, one that has been used before. kNone: there is no run; errno is ENOSPC when it
-  /// was the system that had none.
+  /// has no more, it claims a run that has been used before. kNone: there is no run; errno is
+  /// ENOSPC when the system had no memory.
   std::uint32_t claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
-  /// The same for one that nobody waits for: it is mapped for writing, and given up between two
-  /// units when go_on() says no, or the system has no more.
+  /// As claim_run(), for a run that no thread waits for. Maps it for writing as well. Gives it up
+  /// between two units when go_on() says no, or when the system has no more memory.
   template <class GoOn>
   std::uint32_t claim_run_while(std::uint32_t granules, std::uint32_t tag, GoOn&& go_on) noexcept {
     const std::uint32_t run = granules_.claim(granules, tag);
@@ -163,37 +165,38 @@ class Segment {
     }
     return run;
   }
-  /// Makes that writing there faults no page of this process. REQUIRES: the caller has the run, and
-  /// no other thread or process writes there meanwhile.
+  /// Maps a run, so that a write there causes no page fault in this process. REQUIRES: the caller
+  /// has the run, and no other thread or process writes there meanwhile.
   void map_for_writing(std::uint32_t first, std::uint32_t granules) noexcept;
-  /// The same for the granules behind a run that carries `tag`, which then is longer. False: they
-  /// are not all free, or the system has none.
+  /// As claim_run(), for the granules behind a run that carries `tag`: the run is longer then.
+  /// False: they are not all free, or the system has no memory.
   bool extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept;
   /// The memory of a run that the caller has stays the segment's for ever.
   void keep_run(std::uint32_t first, std::uint32_t granules) noexcept;
-  /// True when the system has given the memory of a run, or would give it. At any time.
+  /// True when the system has given the memory of a run, or would give it. Any process may ask at
+  /// any time.
   bool can_back_run(std::uint32_t first, std::uint32_t granules) noexcept;
-  /// True when the system has given it.
+  /// True when the system has given the memory of a run.
   bool is_backed(std::uint32_t first, std::uint32_t granules) const noexcept;
 
-  // Memory that nobody uses goes back to the system, in the units (units.hpp) from first_unit() to
-  // units() - 1.
+  // Memory that no process uses goes back to the system, in the units (units.hpp) from first_unit()
+  // to units() - 1.
 
-  /// The first one that has granules alone; before it are the tables.
+  /// The first unit that has only granules. Before it are the tables.
   std::uint32_t first_unit() const noexcept {
     return static_cast<std::uint32_t>((geometry_.data + kUnit - 1) / kUnit);
   }
   std::uint32_t units() const noexcept { return units_.count(); }
-  /// False when it has refused, for this process: memory is locked (mlock), or the file system can
-  /// not.
+  /// False when the system has refused it to this process: the memory is locked (mlock), or the
+  /// file system cannot do it. Relaxed: a hint.
   bool can_give_back() const noexcept { return can_give_back_.load(std::memory_order_relaxed); }
   std::uint64_t bytes_of_unit(std::uint32_t unit) const noexcept;
-  /// One look at which of them are in use.
+  /// One look at which of the units are in use.
   void look_at_units() noexcept;
-  /// So many looks in a row have found it unused, and it is now.
+  /// True when `looks` looks in a row have found the unit unused, and it is unused now.
   bool is_unused(std::uint32_t unit, std::uint32_t looks) const noexcept;
-  /// Gives the memory of a unit back, if it still is unused. Its granules carry `tag` meanwhile.
-  /// Returns the bytes: 0 when it is in use, or the file system can not.
+  /// Gives the memory of a unit back, if the unit is still unused. Its granules carry `tag`
+  /// meanwhile. Returns the bytes: 0 when the unit is in use, or the file system cannot do it.
   std::uint64_t give_back(std::uint32_t unit, std::uint32_t looks, std::uint32_t tag) noexcept;
 
  private:
@@ -205,17 +208,17 @@ class Segment {
     std::uint32_t first, granules;
   };
   std::uint32_t unit_of(std::uint32_t granule) const noexcept;
-  /// From this granule to the end of its unit.
+  /// How many granules there are from this one to the end of its unit.
   std::uint32_t left_in_unit(std::uint32_t granule) const noexcept;
-  /// REQUIRES: from first_unit() on.
+  /// REQUIRES: the unit is first_unit() or a later one.
   Run run_of_unit(std::uint32_t unit) const noexcept;
-  /// REQUIRES, as all that gets memory: the caller has a granule of each of its units.
+  /// REQUIRES, as all functions that get memory: the caller has a granule of each of its units.
   bool back_run(std::uint32_t first, std::uint32_t granules) noexcept;
   bool populate(std::uint32_t unit) noexcept;
-  /// 0, or an error: EINVAL where the kernel does not know how.
+  /// 0, or an error: EINVAL where the kernel does not know the call.
   int map_unit(std::uint32_t unit) noexcept;
 
-  // Looked at for each message, so close to each other.
+  // Each message needs these, so they lie close to each other.
   unsigned char* base_ = nullptr;
   BlockWords* blocks_ = nullptr;
   detail::Arena* arenas_ = nullptr;
@@ -230,8 +233,8 @@ class Segment {
   Units<Atomics> units_;
   std::atomic<bool> can_give_back_{true};  ///< the file system has not refused yet
   std::atomic<bool> is_locked_{false};
-  /// [units] This process has mapped all of it. Relaxed, a hint: it may have gone and come back by
-  /// others.
+  /// [units] True when this process has mapped the whole unit. Relaxed: a hint. Other processes may
+  /// have given the unit back and got it again.
   std::vector<std::atomic<bool>> mapped_;
 };
 
