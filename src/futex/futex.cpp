@@ -18,8 +18,8 @@
 namespace lot::futex {
 namespace {
 
-/// A time before the epoch has passed as surely as the epoch itself; of negative seconds the kernel
-/// says EINVAL, and the sleep would end as if by a wake, again and again.
+/// A time before the epoch becomes the epoch: both have passed. For negative seconds the kernel
+/// returns EINVAL, and the sleep would end as if by a wake, again and again.
 timespec to_timespec(Clock::time_point at) {
   const std::chrono::nanoseconds since = std::max(at, Clock::time_point()).time_since_epoch();
   const auto ns = since.count();
@@ -65,13 +65,14 @@ bool wait_some(std::span<const detail::FutexWait> waits, const Deadline& deadlin
       syscall(kFutexWaitv, entries, waits.size(), 0, deadline ? &at : nullptr, CLOCK_MONOTONIC);
   if (r >= 0 || errno == EAGAIN || errno == EINTR) return true;
   if (errno == ETIMEDOUT) return false;
-  // There is no futex_waitv: one is slept on, so not for long.
+  // There is no futex_waitv: this sleeps on the first word only, so not for long.
   const Clock::time_point soon = Clock::now() + kSlice;
   const bool last = deadline && *deadline <= soon;
   return wait(waits[0].word, waits[0].value, last ? *deadline : soon) || !last;
 }
 
-/// Each group of words has a thread that sleeps on it; who wakes first rings all the others.
+/// Each group of words has a thread that sleeps on it. The thread that wakes first rings a bell for
+/// all the others.
 bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
   std::atomic<std::uint32_t> bell{0};
   const auto sleep = [&](std::size_t begin) {
@@ -81,7 +82,7 @@ bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
               waits.begin() + static_cast<std::ptrdiff_t>(end), group.begin());
     group[end - begin] = {&bell, 0};
     const bool woken = wait_some({group.data(), end - begin + 1}, deadline);
-    bell.store(1, std::memory_order_relaxed);  // what was woken for is looked at by the caller
+    bell.store(1, std::memory_order_relaxed);  // it tells only to wake; the caller looks again
     wake_all(&bell);
     return woken;
   };
@@ -91,7 +92,7 @@ bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
     for (std::size_t begin = kMaxWords - 1; begin < waits.size(); begin += kMaxWords - 1) {
       others.emplace_back([&sleep, begin] { sleep(begin); });
     }
-  } catch (...) {  // no more threads: who is there goes on, and the caller looks again
+  } catch (...) {  // no more threads: those that are there wake up, and the caller looks again
     bell.store(1, std::memory_order_relaxed);
     wake_all(&bell);
     std::this_thread::sleep_for(kSlice);
@@ -110,7 +111,7 @@ bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcep
 }
 
 bool waits_for_many() noexcept {
-  // To sleep on nothing is refused for what it asks, or because there is no such call.
+  // The kernel refuses to sleep on no word: with EINVAL if it knows the call, else with ENOSYS.
   return syscall(kFutexWaitv, nullptr, 0, 0, nullptr, CLOCK_MONOTONIC) == -1 && errno == EINVAL;
 }
 

@@ -10,11 +10,11 @@
 
 #include "lot/detail/wait.hpp"
 
-/// Sleeping on a word in shared memory until another process wakes it.
+/// Sleeping on a word in shared memory until another process wakes the sleeper.
 ///
-/// Always shared futexes: a private one does not wake another process. Deadlines are on the steady
-/// clock; every time_point is one, also those before the epoch, which have passed. A sleep may end
-/// for nothing; the caller looks again.
+/// All futexes are shared ones: a private one does not wake another process. Deadlines are on the
+/// steady clock. Every time_point is a valid deadline; one before the epoch has passed. A sleep may
+/// end without a reason: the caller looks again.
 ///
 /// Threads: all functions may be called at once.
 /// Crash:   a sleeper that is killed leaves nothing behind.
@@ -35,9 +35,9 @@ inline const void* low_half(const std::atomic<std::uint64_t>& word) noexcept {
 
 /// Sleeps while all the words have their values. False when the deadline has passed.
 ///
-/// The kernel takes kMaxWords at once (futex_waitv); of more, threads of their own sleep on the
-/// rest. Where the kernel has no futex_waitv (Linux before 5.16, some sandboxes) it is a sleep of a
-/// few milliseconds at most.
+/// The kernel takes kMaxWords at once (futex_waitv). If there are more, additional threads sleep on
+/// the rest. Where the kernel has no futex_waitv (Linux before 5.16, some sandboxes) the sleep
+/// takes a few milliseconds at most.
 inline constexpr std::size_t kMaxWords = 128;
 [[gnu::hot]] bool wait_any(const detail::FutexWaits& waits, const Deadline& deadline) noexcept;
 

@@ -18,7 +18,7 @@ namespace {
 constexpr unsigned kPauses = 100;
 constexpr unsigned kYields = 16;
 constexpr long kNap = 50'000;            ///< ns, without a loan
-constexpr long kLoanPeriod = 1'000'000;  ///< ns; an owner that passes ends it at once
+constexpr long kLoanPeriod = 1'000'000;  ///< ns; an owner that passes ends the loan at once
 
 #ifndef FUTEX_LOCK_PI2
 constexpr int kLockPi2 = 13;
@@ -26,7 +26,11 @@ constexpr int kLockPi2 = 13;
 constexpr int kLockPi2 = FUTEX_LOCK_PI2;
 #endif
 
-/// Not by FUTEX_LOCK_PI, whose time ends by the wall clock: that may be set back.
+// All orders in this file are relaxed. A loan only decides which thread runs and which sleeps. What
+// the threads hand over is ordered by the word that they wait for.
+
+/// Sleeps on a loan. Not by FUTEX_LOCK_PI: its deadline is on the wall clock, which may be set
+/// back.
 bool lock_pi(std::atomic<std::uint32_t>& loan) noexcept {
   timespec until{};
   clock_gettime(CLOCK_MONOTONIC, &until);
@@ -38,19 +42,23 @@ bool lock_pi(std::atomic<std::uint32_t>& loan) noexcept {
   return syscall(SYS_futex, &loan, kLockPi2 | FUTEX_PRIVATE_FLAG, 0, &until, nullptr, 0) == 0;
 }
 
-/// REQUIRES: the futex is the calling thread's, whose id this is.
+/// REQUIRES: the calling thread owns the futex, and `thread` is its id.
 void unlock_pi(std::atomic<std::uint32_t>& loan, std::uint32_t thread) noexcept {
+  // Relaxed: the loan tells nothing else.
   if (!loan.compare_exchange_strong(thread, 0, std::memory_order_relaxed,
                                     std::memory_order_relaxed)) {  // the kernel knows of waiters
     syscall(SYS_futex, &loan, FUTEX_UNLOCK_PI | FUTEX_PRIVATE_FLAG, 0, nullptr, nullptr, 0);
   }
 }
 
+/// Clears the loan of a thread that has ended.
+///
 /// The kernel marks a loan when a waiter sleeps on it, and leaves the mark when the waiter's time
-/// is over. The owner takes it away when it passes; one that has ended never does: then its waiters
-/// clear the loan, and the next thread that has this place can be lent to. (If they meet a new
-/// thread of the same id, its waiters sleep until their time is over.)
+/// is over. The owner takes the mark away when it passes. An owner that has ended never passes:
+/// then its waiters clear the loan, and can lend to the next thread that has this place. (If a new
+/// thread has the same id, its waiters sleep until their time is over.)
 bool clear(std::atomic<std::uint32_t>& loan, std::uint32_t owner) noexcept {
+  // Relaxed: the loan tells nothing else.
   return loan.compare_exchange_strong(owner, 0, std::memory_order_relaxed,
                                       std::memory_order_relaxed);
 }
@@ -75,12 +83,14 @@ std::uint32_t ThisThread::ask() noexcept {
 
 void ThisThread::give_back() noexcept {
   Loan& loan = loan_to(id_);
+  // Relaxed: the loan tells nothing else.
   if ((loan.load(std::memory_order_relaxed) & FUTEX_TID_MASK) == id_) unlock_pi(loan, id_);
 }
 
-/// In the child of a fork.
+/// Runs in the child of a fork().
 void ThisThread::forget() noexcept {
   id_ = 0;
+  // Relaxed: the child has one thread.
   for (Loan& loan : loans_) loan.store(0, std::memory_order_relaxed);
 }
 
@@ -97,18 +107,19 @@ void Patience::wait(std::uint32_t thread) noexcept {
   }
   if (thread == 0) return nap();
   auto& loan = ThisThread::loan_to(thread);
-  std::uint32_t owner = loan.load(std::memory_order_relaxed);
+  std::uint32_t owner = loan.load(std::memory_order_relaxed);  // the loan tells nothing else
   if (named_ != thread || (owner & FUTEX_TID_MASK) != thread) {
-    // First the name, then another look by the caller: if the other thread passes after that look,
-    // it finds the name.
+    // First this puts the other thread's name into the loan, then the caller looks again. If the
+    // other thread passes after that look, it finds its name.
     if (named_ != 0) withdraw();
     const bool is_others = owner != 0 && (owner & FUTEX_TID_MASK) != thread;
     if (is_others && has_ended(owner) && clear(loan, owner)) owner = 0;
+    // Relaxed: the loan tells nothing else.
     if (owner == 0 && loan.compare_exchange_strong(owner, thread, std::memory_order_relaxed,
                                                    std::memory_order_relaxed)) {
       owner = thread;
     }
-    if ((owner & FUTEX_TID_MASK) != thread) return nap();  // another thread's by chance
+    if ((owner & FUTEX_TID_MASK) != thread) return nap();  // another thread shares this loan
     named_ = thread;
     return;
   }
@@ -116,8 +127,8 @@ void Patience::wait(std::uint32_t thread) noexcept {
     named_ = 0;
     unlock_pi(loan, ThisThread::id());
   } else if (errno != ETIMEDOUT) {
-    if (errno == ESRCH) {  // it has ended
-      owner = loan.load(std::memory_order_relaxed);
+    if (errno == ESRCH) {                            // the other thread has ended
+      owner = loan.load(std::memory_order_relaxed);  // the loan tells nothing else
       if ((owner & FUTEX_TID_MASK) == thread) clear(loan, owner);
       named_ = 0;
     }
@@ -125,9 +136,10 @@ void Patience::wait(std::uint32_t thread) noexcept {
   }
 }
 
-/// Takes the name away if no waiter sleeps on it: its owner may never come by again.
+/// Takes the name out of the loan if no waiter sleeps on it: the named thread may never pass again.
 void Patience::withdraw() noexcept {
   std::uint32_t owner = named_;
+  // Relaxed: the loan tells nothing else.
   ThisThread::loan_to(named_).compare_exchange_strong(owner, 0, std::memory_order_relaxed,
                                                       std::memory_order_relaxed);
   named_ = 0;
