@@ -92,7 +92,7 @@ bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
     for (std::size_t begin = kMaxWords - 1; begin < waits.size(); begin += kMaxWords - 1) {
       others.emplace_back([&sleep, begin] { sleep(begin); });
     }
-  } catch (...) {  // no more threads: those that are there wake up, and the caller looks again
+  } catch (...) {  // no further thread can start: the others wake up, and the caller looks again
     bell.store(1, std::memory_order_relaxed);
     wake_all(&bell);
     std::this_thread::sleep_for(kSlice);

@@ -179,7 +179,8 @@ struct Ring {
     for (std::uint32_t c = 0; c < readers; ++c) {
       // Relaxed: the lock against joiners carries what the ring's maker has stored.
       if (who[c].load(std::memory_order_relaxed) != participant + 1) continue;
-      Word position = cells[c].position.load(std::memory_order_relaxed);  // checked by the next
+      Word position =
+          cells[c].position.load(std::memory_order_relaxed);  // the compare-and-swap checks it
       // Relaxed: this reader has looked at no message.
       if (!is_awaited(position) ||
           !cells[c].position.compare_exchange_strong(position, kIdle, std::memory_order_relaxed,
@@ -541,8 +542,8 @@ class Writer {
     }
     return Served{*cell, round};
   }
-  /// True when the last n messages are all in the ring: none was evicted or overwritten, and there
-  /// were so many.
+  /// True when the last n messages are all in the ring: there were n, and none was evicted or
+  /// overwritten.
   bool has_last(Word n) const {
     if (n > ring_.depth || static_cast<Word>(distance(next_, ring_.first)) < n) return false;
     for (Word i = 1; i <= n; ++i) {
@@ -775,7 +776,7 @@ class Reader {
       // Relaxed: R7 carries the name.
       if (ring.who[c].load(std::memory_order_relaxed) != participant + 1) continue;
       auto& word = ring.cells[c].position;
-      Word position = word.load(std::memory_order_relaxed);  // checked by the next
+      Word position = word.load(std::memory_order_relaxed);  // the compare-and-swap checks it
       // Relaxed: the reader has done nothing in this ring before, so its place is all that it
       // tells.
       if (!is_awaited(position) ||
@@ -811,7 +812,7 @@ class Reader {
         when_empty();
         return kNoBlock;
       }
-      if (ahead > 0) {  // lapped: the oldest message that can still be there is one lap behind
+      if (ahead > 0) {  // lapped: the oldest message still there is one lap behind `seen`
         lapped += static_cast<Word>(ahead);
         // No publisher leaps by less than whole laps. A leap through half of all sequences is
         // damage, too: the loop might never end.
@@ -1021,7 +1022,7 @@ class Reader {
     const Word head = next(newest_);
     std::uint64_t back = ring_.reach(head, history, lowest);
     if (history == kFromTheStart && !ring_.blocking && !ring_.taken) {
-      back = ring_.published(head);  // poll() counts those that are gone as missed
+      back = ring_.published(head);  // poll() counts overwritten messages as missed
     }
     start_at(advance(head, Word{0} - back));
     if (history == kFromTheStart && !ring_.taken) skipped_ = ring_.published(head) - back;

@@ -46,8 +46,8 @@ class LockWord {
 
   explicit LockWord(Word& word) noexcept : word_(word) {}
 
-  /// Takes the lock if it is free. `has_slept`: this process was the one that was woken. It keeps
-  /// the mark, since others may still sleep.
+  /// Takes the lock if it is free. `has_slept`: the caller has slept for the lock, and may have got
+  /// the only wake. It sets the mark, since others may still sleep.
   bool try_lock(std::uint32_t name, bool has_slept) {
     std::uint32_t free = 0;
     return word_.compare_exchange_strong(free, has_slept ? name | kSleepers : name,

@@ -113,7 +113,8 @@ struct alignas(64) Witness {
   /// Futex; bits of errand::. Set by any participant (release), taken by the warden (acquire): edge
   /// E1 carries the ownership bit that was cleared before.
   std::atomic<std::uint32_t> errands;
-  /// Bumped by the warden (release) when it has done kTrim or kGive, read by those who asked.
+  /// The warden bumps it (release, E2) when it has done kTrim or kGive. The participants that asked
+  /// read it.
   std::atomic<std::uint32_t> answers;
   /// What kGive asks for, and then the answer (transport/survey.hpp). Written by the asker and by
   /// the warden. If several participants ask, the last one counts. E1 carries the question, and G1
@@ -148,7 +149,7 @@ struct alignas(64) Directory {
   /// warden before it searches (acquire); carries the homes that are the orphanage's now.
   std::atomic<std::uint32_t> bequests;
   /// Monotonic clock: when a warden last looked for memory that no process uses. The warden that
-  /// changes it does the next look. If that one is killed, one look is lost.
+  /// changes it does the next look. If that warden is killed, one look is lost.
   std::atomic<std::uint64_t> looked_ns;
   /// Not 0: the files stay when the last process leaves. A process that joins sets it before it can
   /// put anything, and no process takes it back. The process that leaves last reads it. Relaxed:
