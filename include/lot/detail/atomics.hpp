@@ -9,17 +9,17 @@
 
 namespace lot::detail {
 
-/// The atomics policy of the library itself: real atomics of the machine.
+/// The atomics policy of the library itself: the machine's real atomics.
 ///
-/// Every algorithm of the protocol is a template on such a policy over memory that it is given, so
-/// that the header which the library compiles is the one that a model checker runs
-/// (tests/proof/model supplies a policy of checked atomics).
+/// Every algorithm of the protocol is a template. Its parameters are such a policy and the memory
+/// it works on. So a model checker runs the very header that the library compiles:
+/// tests/proof/model supplies a policy of checked atomics.
 struct HardwareAtomics {
   template <class T>
   using Atomic = std::atomic<T>;
 
-  static constexpr std::size_t kLine = 64;  ///< bytes that travel together between cores
-  static constexpr unsigned kOwnWords = 6;  ///< words of ownership bits of a block
+  static constexpr std::size_t kLine = 64;  ///< bytes of a cache line
+  static constexpr unsigned kOwnWords = 6;  ///< words of ownership bits in a block
   static constexpr unsigned kBitsPerWord = 63;
 
   /// Tells the core that the caller spins.
@@ -31,13 +31,13 @@ struct HardwareAtomics {
 #endif
   }
 
-  /// How a thread waits for another one of its process, and how that one is named.
+  /// How a thread waits for another thread of its process, and how it names that thread.
   using Patience = detail::Patience;
   static std::uint32_t this_thread() noexcept { return ThisThread::id(); }
-  /// Behind a section in which this thread was named.
+  /// Called at the end of a section in which the hold word, or a lock, has named this thread.
   static void passed() noexcept { ThisThread::passed(); }
 
-  /// A step that only somebody else's write into the words can lead to.
+  /// The protocol reaches such a step only when a foreign write has damaged the words.
   static void damage_seen() noexcept {}
 
   static void prefetch_read(const void* address) noexcept { __builtin_prefetch(address, 0); }

@@ -8,8 +8,8 @@ namespace lot::detail {
 /// The fields of a hold word: what one process knows of its own holds on one block.
 ///
 /// A hold word is private to a process; the shared fact "this process holds the block" is one
-/// ownership bit, and flips only when the hold word goes from none to some or back. So copying a
-/// pointer never touches a cache line that another process writes.
+/// ownership bit, and flips only when the hold word goes from none to some or back. So a thread
+/// that copies a pointer never touches a cache line that another process writes.
 ///
 ///     63           36 35        16 15     3  2    1    0
 ///    +---------------+------------+---------+----+----+----+
@@ -24,18 +24,19 @@ namespace lot::detail {
 ///  - held:     our ownership bit stands in the shared word
 ///  - edge:     a thread is moving the ownership bit; the others wait for it
 ///
-/// While a thread has the edge the word names it, so that a waiter can lend it its priority:
+/// While a thread has the edge, the word names that thread, so that a waiter can lend it its
+/// priority:
 ///
 ///     63                        25 24     3    2    1    0
 ///    +----------------------------+--------+----+----+----+
 ///    |             0              | thread |home|held|  1 |
 ///    +----------------------------+--------+----+----+----+
 ///
-/// The edge is taken when this process has no holds on the block, or only the one ring's hold that
-/// the thread itself gives up; and it ends by a plain store. So nothing may be added to the word
-/// or taken from it blindly meanwhile: only a thread with a hold of its own does that
-/// (add_pointer(), release(), drop_pointer()), and while it has that hold no edge can be taken.
-/// `home` and `held` stay readable at any time, and pointers() is 0.
+/// A thread takes the edge when this process has no holds on the block, or only the one ring's hold
+/// that the thread itself gives up. A plain store ends the edge. So meanwhile no other thread may
+/// add to the word or subtract from it blindly. Only a thread with a hold of its own does that
+/// (add_pointer(), release(), drop_pointer()), and while it has that hold no thread can take the
+/// edge. `home` and `held` stay readable at any time, and pointers() is 0.
 namespace hold {
 inline constexpr std::uint64_t kEdge = 1;
 inline constexpr std::uint64_t kHeld = 2;

@@ -6,38 +6,40 @@
 
 namespace lot::detail {
 
-/// A word of shared memory that others may change, read once: what was checked is what is used. For
-/// words that hand nothing over.
+/// Reads a word of shared memory once, since other processes may change it: the caller then uses
+/// the value that it has checked. Relaxed: such a word hands nothing over.
 template <class T>
 T read_once(const T& word) noexcept {
   return __atomic_load_n(&word, __ATOMIC_RELAXED);
 }
-/// Writes one that others may read meanwhile.
+/// Writes a word that other processes may read meanwhile. Relaxed: it hands nothing over.
 template <class T>
 void write_once(T& word, T value) noexcept {
   __atomic_store_n(&word, value, __ATOMIC_RELAXED);
 }
 
 /// A place where a segment is mapped in this process, with what the process knows of its blocks'
-/// messages while it builds them (Build): no word of the segment leads a builder elsewhere. Kept in
-/// private memory, since any participant can change a word of the segment.
+/// messages while it builds them (Build). It lies in private memory, since any participant can
+/// change a word of the segment: so no such word can lead a builder elsewhere.
 ///
-/// Threads: any. Memory: one for each place at which a segment was ever mapped, never freed, so
-/// that a lookup takes no lock and a child of fork() finds the places that its parent had; while
-/// the segment is mapped, 256 bytes for each block, for which the system gives the pages that are
-/// touched.
+/// Threads: any.
+/// Memory:  one for each place at which a segment was ever mapped. It is never freed, so that a
+///          lookup takes no lock and a child of fork() finds the places that its parent had. While
+///          the segment is mapped, 256 bytes for each block; the system gives the pages that are
+///          touched.
 class Mapping {
  public:
-  /// A block's small payload, its arena and its Build: all lie equally far into their tables.
+  /// Size of a block's small payload, of its arena and of its Build: all three lie equally far into
+  /// their tables.
   static constexpr std::uint64_t kSmallBytes = 256;
 
-  /// Where what is: the first byte, and offsets from it.
+  /// Where the parts of a segment are: the first byte, and offsets from it.
   struct Layout {
     unsigned char* base;
     std::uint64_t size;
     std::uint64_t arenas;
     std::uint64_t small;
-    std::uint64_t data;  ///< granules, to the end
+    std::uint64_t data;  ///< the granules, to the end of the segment
     std::uint64_t blocks;
 
     friend bool operator==(const Layout& a, const Layout& b) noexcept {
@@ -46,7 +48,7 @@ class Mapping {
     }
   };
 
-  /// Says that a segment is mapped there, as long as the object lives.
+  /// While it lives, a segment is mapped at that place.
   class Scope {
    public:
     Scope() = default;
@@ -61,7 +63,9 @@ class Mapping {
     Mapping* mapping_ = nullptr;
   };
 
-  /// The one that an address lies in, or null.
+  /// The mapping that an address lies in, or null.
+  /// Acquire: with the release in Scope, the fields of the Mapping. `size_` is relaxed: the caller
+  /// got the address from a thread that had the segment mapped.
   static const Mapping* of(const void* address) noexcept {
     for (const Mapping* m = newest.load(std::memory_order_acquire); m != nullptr; m = m->older_) {
       if (m->offset_of(address) < m->size_.load(std::memory_order_relaxed)) return m;
@@ -83,7 +87,7 @@ class Mapping {
   std::uint64_t small_of(const void* arena) const noexcept {
     return layout_.small + (offset_of(arena) - layout_.arenas);
   }
-  /// The offset of so many bytes behind the first granule.
+  /// The offset of the byte that lies `bytes` behind the begin of the first granule.
   std::uint64_t in_granules(std::uint64_t bytes) const noexcept { return layout_.data + bytes; }
 
  private:

@@ -6,8 +6,8 @@
 
 namespace lot::detail {
 
-/// While this lives the calling thread takes no signal, and a thread that it begins takes none from
-/// its first step on: signals are the application's.
+/// While this lives the calling thread takes no signal. A thread that it begins takes none from its
+/// first step on: signals belong to the application.
 class NoSignals {
  public:
   NoSignals() noexcept {

@@ -8,10 +8,10 @@
 
 namespace lot::detail {
 
-/// A pointer that says how far away its target is from itself, so that it means the same wherever
-/// the segment is mapped. Converts to T*, which is what containers work with.
+/// A pointer that stores the distance from itself to its target. So it means the same wherever a
+/// process maps the segment. It converts to T*, which is what containers work with.
 ///
-/// Arithmetic is done on integers: on char* the compiler may assume that both ends lie in one
+/// OffsetPtr computes with integers: for char* the compiler may assume that both ends lie in one
 /// object.
 template <class T>
 class OffsetPtr {
@@ -22,7 +22,7 @@ class OffsetPtr {
   using value_type = std::remove_cv_t<T>;
   using difference_type = std::ptrdiff_t;
   using pointer = OffsetPtr;
-  using reference = Bytes&;  // Boost declares functions of it for pointers to void as well
+  using reference = Bytes&;  // Boost declares functions with it for pointers to void as well
   using iterator_category = std::random_access_iterator_tag;
 #if __cplusplus > 201703L
   using iterator_concept = std::contiguous_iterator_tag;  // for std::span of a ShmVector
@@ -89,8 +89,8 @@ class OffsetPtr {
   /// No object begins one byte behind a pointer to it, so this offset is free to mean null.
   static constexpr std::uintptr_t kNull = 1;
 
-  /// The address as a number that the compiler knows nothing about: else g++ -O3 takes what is
-  /// found at a distance from `this` for a part of *this, and reorders stores.
+  /// The address as a number about which the compiler knows nothing. Otherwise g++ -O3 takes an
+  /// object at some distance from `this` for a part of *this, and reorders stores.
   static std::uintptr_t hidden(const volatile void* p) noexcept {
     auto address = reinterpret_cast<std::uintptr_t>(p);
     asm("" : "+r"(address));

@@ -17,13 +17,13 @@ constexpr bool all_die_quietly(Types<Part...>, Types<Holders...>) {
   return (dies_quietly<std::remove_cv_t<Part>, Holders...>() && ...);
 }
 
-/// Whether a T's destructor only frees strings and vectors, so that a dead message is freed as a
-/// whole and nobody walks through its elements (a destructor of std::vector does, byte by byte, if
-/// the allocator is not std's: 4 ms for a frame of 16 MiB).
+/// Whether a T's destructor only frees strings and vectors. Then the library frees a dead message
+/// as a whole and does not walk through its elements. (The destructor of std::vector walks through
+/// them byte by byte, if the allocator is not std's: 4 ms for a frame of 16 MiB.)
 ///
-/// An aggregate may have a destructor of its own. Who declares one has no implicit move
-/// constructor, and copying a string or a vector may throw: so an aggregate of those that moves
-/// without throwing has none. A type that lies inside itself is looked at once.
+/// An aggregate may declare a destructor of its own. It then has no implicit move constructor, and
+/// copying a string or a vector may throw. So an aggregate of strings or vectors that moves without
+/// throwing declares no destructor. The search looks at a type that lies inside itself once.
 /// REQUIRES: T is a message.
 template <typename T, typename... Holders>
 constexpr bool dies_quietly() {

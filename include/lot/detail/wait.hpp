@@ -6,7 +6,7 @@
 
 namespace lot::detail {
 
-/// One word to sleep on, and the value that it must still have (futex(2)).
+/// One word to sleep on, and the value that it must still have when the kernel looks (futex(2)).
 struct FutexWait {
   const void* word;
   std::uint32_t value;
