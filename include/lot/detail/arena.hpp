@@ -204,7 +204,7 @@ struct alignas(64) Build {
   }
   bool is_spare() const noexcept {
     return spare.load(std::memory_order_acquire) == kSpare;
-  }  // M2: the extents
+  }  // M2  // M2: the extents
 
   void* grow(std::size_t bytes, std::size_t align) {
     return is_told ? grow_told(bytes, align) : find_room(bytes, align);

@@ -59,6 +59,8 @@ inline bool is_same(const MessageType& a, const MessageType& b) noexcept {
 
 /// What this process knows of one block: the private hold word, and the library copy that releases
 /// the block.
+///
+/// Memory:  private to the process; lives as long as its participant.
 struct alignas(32) ControlCell {
   std::atomic<std::uint64_t> hold;
   const Hub* hub;
