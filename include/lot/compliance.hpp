@@ -26,11 +26,10 @@
 
 /// Refuses, while compiling, messages that another process could not read.
 ///
-/// A message is written once, into a segment that every process maps at an
-/// address of its own. A pointer, a reference, a vtable or a std::string inside
-/// it means something to its writer only. C++ compiles such a message without a
-/// word and the reader crashes, sometimes. So LOT searches each message type
-/// member by member and says what it found and what to use instead:
+/// A message is written once, into a segment that every process maps at an address of its own. A
+/// pointer, a reference, a vtable or a std::string inside it means something to its writer only.
+/// C++ compiles such a message without a word, and the reader crashes, sometimes. So LOT searches
+/// each message type member by member and says what it found and what to use instead:
 ///
 ///     struct Bad { std::uint64_t stamp; std::string text; };
 ///     lot::assert_message<Bad>();
@@ -47,10 +46,9 @@
 /// an is_shm_allocator; aggregates of up to 40 accepted members; and whatever
 /// is_trusted_message vouches for.
 ///
-/// Limits:  values are not looked at. An integer that holds an address, or an
-///          index into something private, passes. A trusted class that begins
-///          with a union nobody trusts is refused inside an aggregate: the union
-///          shows through; trust the union too.
+/// Limits:  values are not looked at. An integer that holds an address, or an index into something
+///          private, passes. A trusted class that begins with an untrusted union is refused inside
+///          an aggregate: the search sees the union through the class. Trust the union too.
 namespace lot {
 
 /// Says that A allocates in shared memory and that its pointers may be read by other processes.
@@ -222,7 +220,7 @@ inline constexpr bool is_tuple_like = false;
 template <typename T>
 inline constexpr bool is_tuple_like<T, std::void_t<decltype(std::tuple_size<T>::value)>> = true;
 
-/// The probe (see fields.hpp) for a union that nobody vouches for, named or not.
+/// The probe (see fields.hpp) for a union that no is_trusted_message vouches for, named or not.
 struct AnyUntrustedUnion {
   template <typename U,
             typename = std::enable_if_t<std::is_union_v<U> && !is_trusted_message<U>::value>>

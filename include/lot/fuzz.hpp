@@ -482,7 +482,7 @@ class Queue {
     if (pointer) remember(weak.number, weak.side, pointer);
   }
 
-  /// True when somebody must still find the message.
+  /// True when a holder of the model must still find the message.
   bool is_alive(std::uint64_t number) const {
     for (const auto& p : pointers_) {
       if (p.number == number) return true;
@@ -497,7 +497,7 @@ class Queue {
     return false;
   }
 
-  /// What must hold between steps, whoever looks.
+  /// What must hold between steps.
   void check() {
     for (const auto& p : pointers_) {
       same(*p.pointer, p.number, "a message that is kept");

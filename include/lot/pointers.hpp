@@ -205,6 +205,8 @@ class ShmSharedPtr {
   /// unique().
   long use_count() const noexcept {
     if (cell_ == nullptr) return 0;
+    // O4: when it counts one pointer, the threads that dropped the others have read all that they
+    // wanted to.
     const auto here = detail::hold::pointers(cell_->hold.load(std::memory_order_acquire));
     return static_cast<long>(here + cell_->hub->others(cell_));
   }

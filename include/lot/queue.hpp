@@ -28,10 +28,10 @@ struct QueueOptions {
   Policy policy = Policy::Block;           ///< where the queue is full
   QueueEngine engine = QueueEngine::Ring;  ///< LOT_QUEUE comes before it
   Wait wait = Wait::Adaptive;              ///< how a pop or a take passes the time
-  /// Items are tasks: each is taken by a worker (ShmQueue::wait_and_take()) and stays in the queue
-  /// until that one has called ShmTask::finish(); if it dies or gives up before, another worker
-  /// gets it. All handles of the queue must say the same. Not for items that each reader gets, nor
-  /// with Policy::Overwrite.
+  /// Items are tasks. A worker takes a task (ShmQueue::wait_and_take()), and the task stays in the
+  /// queue until that worker has called ShmTask::finish(). If the worker dies or gives up before,
+  /// another worker gets the task. All handles of the queue must say the same. Not for items that
+  /// each reader gets, nor with Policy::Overwrite.
   bool redeliver = false;
 };
 
@@ -42,8 +42,8 @@ struct QueueOptions {
 ///     work(*task);    // if this throws, or the process is killed, another worker gets the task
 ///     task.finish();
 ///
-/// Until finish() the task has its place in the queue, so it counts for the depth. A task that is
-/// given back, or whose worker has died, is the next one to be taken of those that its handle has
+/// Until finish() the task has its place in the queue, so it counts for the depth. If a worker
+/// gives a task back, or dies, the task is the next one to be taken of those that its handle has
 /// put. So a task is done at least once: a worker that is killed between its work and finish() has
 /// done it, and another one does it again. A task that no worker can do is the next one again and
 /// again: deliveries() says when it is time to finish it all the same.
@@ -92,7 +92,7 @@ class ShmTask {
     queue_->finish(claim_);
     queue_.reset();
   }
-  /// Another worker may do it, or this one later.
+  /// Gives the task back: another worker may do it, or this one later.
   void give_back() noexcept {
     if (!queue_) return;
     queue_->give_back(claim_);
@@ -106,7 +106,7 @@ class ShmTask {
 
 namespace detail {
 
-/// What lies in shared memory for an item of type T, and who gets it.
+/// What lies in shared memory for an item of type T, and which readers get it.
 template <class T>
 struct QueueItem {
   static_assert(std::is_object_v<T> && !std::is_array_v<T>,
@@ -191,7 +191,8 @@ const MessageType& taken_type() {
   }();
   return type;
 }
-/// And of one whose items are tasks: a handle that redelivers and one that does not never meet.
+/// The MessageType of a queue whose items are tasks: a handle that redelivers and one that does not
+/// never meet.
 template <class U>
 const MessageType& task_type() {
   static const std::string name =
@@ -204,7 +205,7 @@ const MessageType& task_type() {
   return type;
 }
 
-/// How the items of a queue are delivered. Throws lot::Error (EINVAL) where items that everybody
+/// How the items of a queue are delivered. Throws lot::Error (EINVAL) where items that each reader
 /// gets are to be redelivered.
 template <class T>
 Delivery delivery_of(const QueueOptions& options) {
@@ -240,21 +241,20 @@ const MessageType& queue_type(const QueueOptions& options) {
 ///
 /// T says what an item is and which readers get it:
 /// - `ShmSharedPtr<const U>`: each reader gets every item and becomes one of its owners. Such a
-/// queue
-///   is a topic: ShmPusher and ShmPuller of U work on it as well.
+///   queue is a topic: ShmPusher and ShmPuller of U work on it as well.
 /// - `ShmUniquePtr<U>`: one of the readers takes it, and owns it alone. It may change the item, but
 ///   only its maker's process can make it grow.
 /// - any other T: one of the readers takes it, by value. T is a message type. Such a queue and one
 ///   of `ShmUniquePtr<T>` are the same: one process may put values and another pop pointers.
 ///
 /// Each handle that puts has a queue of its own (depth items, in their order); a handle that pops
-/// reads all of them. Threads that share a handle share its items, each of which one of them gets.
-/// A handle reads from its first look on (a pop, is_empty(), size(), listen()): of shared items it
-/// gets what is put after that, however late it pops, also when the handle that put them has gone
-/// or its process was killed. Items for one wait in the queue until a handle takes them, also when
-/// all handles that have put some have gone; the last process that leaves a segment removes it,
-/// with all that waits there, unless one of its processes has asked for EngineOptions::persist. A
-/// queue with QueueOptions::redeliver has tasks instead: see ShmTask.
+/// reads all of them. Threads that share a handle share its items: one of these threads gets each
+/// item. A handle reads from its first look on (a pop, is_empty(), size(), listen()). Of shared
+/// items it gets what is put after that, however late it pops, also when the handle that put them
+/// has gone or its process was killed. Items for one reader wait in the queue until a handle takes
+/// them, also when all handles that have put some have gone. The last process that leaves a segment
+/// removes it, with all that waits there, unless one of its processes has asked for
+/// EngineOptions::persist. A queue with QueueOptions::redeliver has tasks instead: see ShmTask.
 ///
 /// Threads: all members may be called at once, on one handle or several, but for assignment and
 ///          destruction.
@@ -265,14 +265,15 @@ const MessageType& queue_type(const QueueOptions& options) {
 ///          and throws as ShmEngine::advertise(), too; the first pop, take, listen(), size() or
 ///          is_empty() throws as ShmEngine::subscribe(), too. Where a value cannot be copied out
 ///          (its copy constructor throws: no memory), the pop throws that, and the handle has the
-///          item for its next pop. It puts it back into the queue, behind the others, when it goes;
-///          if there is no room or no memory for that, it drops the item. EDQUOT when a handle that
-///          pops shared items holds too many of them (PullerOptions::max_held_bytes, its default).
+///          item for its next pop. When the handle goes, it puts the item back into the queue,
+///          behind the others; if there is no room or no memory for that, it drops the item. EDQUOT
+///          when a handle that pops shared items holds too many of them
+///          (PullerOptions::max_held_bytes, its default).
 /// Memory:  in the segment, for a handle that puts, a queue of QueueOptions::depth slots with its
 ///          items; for one that pops, a cell in each of these. An item has its memory until its
 ///          last owner has gone.
-/// Crash:   what was put stays; an item for one that a killed process has not taken yet is taken by
-///          another, one that it has taken is freed, also one that it could not copy.
+/// Crash:   what was put stays. An item for one reader that a killed process has not taken yet goes
+///          to another. One that it has taken is freed, also one that it could not copy.
 template <class T>
 class ShmQueue {
   using Item = detail::QueueItem<T>;

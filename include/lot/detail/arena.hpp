@@ -196,15 +196,13 @@ struct alignas(64) Build {
   /// The builder owns the extents from now on.
   void own_spare() noexcept {
     if (!is_spare()) return;
-    spare.store(kBuilders, std::memory_order_relaxed);  // M1: `wanted` is loaded after it;
-                                                        // ProcessBarrier orders the two
+    // M1: the fence keeps the compiler from moving the load before the store. ProcessBarrier of the
+    // thread that sets `wanted` does the rest.
+    spare.store(kBuilders, std::memory_order_relaxed);
     std::atomic_signal_fence(std::memory_order_seq_cst);
-    if (wanted.load(std::memory_order_acquire) != 0)
-      await_taker();  // M1: has what a done taker left
+    if (wanted.load(std::memory_order_acquire) != 0) await_taker();  // M1
   }
-  bool is_spare() const noexcept {
-    return spare.load(std::memory_order_acquire) == kSpare;
-  }  // M2  // M2: the extents
+  bool is_spare() const noexcept { return spare.load(std::memory_order_acquire) == kSpare; }  // M2
 
   void* grow(std::size_t bytes, std::size_t align) {
     return is_told ? grow_told(bytes, align) : find_room(bytes, align);

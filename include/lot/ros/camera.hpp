@@ -183,7 +183,8 @@ class CameraSubscriber {
   struct Both {
     Both(std::uint32_t most, Callback user) : queue_size(most), callback(std::move(user)) {}
 
-    /// Once, before others know of it. Each call keeps it: the user may end it in there.
+    /// Called once, before other threads know of this object. Each call of take() keeps the object
+    /// alive: the user's callback may end the subscriber.
     void start(const std::weak_ptr<Both>& self, NodeHandle& node, const std::string& topic,
                const ::ros::TransportHints& hints) {
       look = node.createWallTimer(::ros::WallDuration(10), [self](const ::ros::WallTimerEvent&) {
@@ -205,7 +206,7 @@ class CameraSubscriber {
 
     void take(::ros::Time stamp, const ImagePtr& image, const InfoPtr& info) {
       std::pair<ImagePtr, InfoPtr> pair;
-      std::map<::ros::Time, std::pair<ImagePtr, InfoPtr>> late;  // they go without the lock
+      std::map<::ros::Time, std::pair<ImagePtr, InfoPtr>> late;  // released without the lock
       {
         const std::lock_guard guard(mutex);
         ++(image ? image_count : info_count);
@@ -215,7 +216,7 @@ class CameraSubscriber {
         if (waiting.first && waiting.second) {
           pair = waiting;
           ++pair_count;
-          // What is older has lost its counterpart.
+          // Older ones have lost their counterparts.
           for (auto at = waiting_for.begin(); at != waiting_for.end() && at->first <= stamp;) {
             late.insert(waiting_for.extract(at++));
           }

@@ -21,7 +21,7 @@
 #include "lot/pusher.hpp"
 #include "lot/ros/message.hpp"
 
-/// The untyped halves of lot::ros::Publisher and Subscriber; they live in the library.
+/// The untyped halves of lot::ros::Publisher and Subscriber. They live in the library.
 namespace lot::ros::detail {
 
 /// What a boost::shared_ptr to a message in shared memory has as its deleter: LOT's own pointer.
@@ -31,12 +31,12 @@ struct Keeper {
   void operator()(const void*) noexcept { message.reset(); }
 };
 
-/// A message on its way: as callbacks get it, and where it is in the segment. One of the two
-/// pointers may be null.
+/// A message on its way: the pointer that callbacks get, and its place in the segment. One of the
+/// two pointers may be null.
 struct Parcel {
   boost::shared_ptr<void const> message;
   lot::detail::ControlCell* cell = nullptr;  ///< null: it lies on the heap
-  /// The same as roscpp's own type, as the user has published it.
+  /// The same message as roscpp's own type, as the user has published it.
   boost::shared_ptr<void const> standard = nullptr;
 };
 
@@ -47,15 +47,15 @@ Parcel parcel_of(ShmSharedPtr<const M> message) {
   return {boost::shared_ptr<M const>(place, Keeper<const M>{std::move(message)}), cell};
 }
 
-/// What must be known of the standard message of a type, sensor_msgs::Image of Message<Image_>.
+/// What LOT must know of the standard message of a type, sensor_msgs::Image of Message<Image_>.
 struct StandardKind {
   const std::type_info* type;
   ::ros::SerializedMessage (*serialise)(const void* standard);
   void* (*make)();
   void (*destroy)(void* standard) noexcept;
-  /// Makes it what `message` is, in the memory that it has.
+  /// Copies `message` into the standard message, in the memory that this one has.
   void (*assign)(void* standard, const void* message);
-  /// A message in a loan that is what it is. Throws lot::OutOfMemory.
+  /// Copies the standard message into a loan. Throws lot::OutOfMemory.
   Parcel (*copy_into)(const lot::detail::Loan& loan, const void* standard);
 };
 
@@ -78,29 +78,30 @@ StandardKind standard_kind_of() {
           }};
 }
 
-/// What must be known of a message type.
+/// What LOT must know of a message type.
 struct Kind {
   const char* datatype;
   const char* md5sum;
   const char* definition;
   bool has_header;
-  std::size_t least_bytes;  ///< that a message serialises to
+  std::size_t least_bytes;  ///< the fewest bytes that a message serialises to
   const std::type_info* type;
   const lot::detail::MessageType* layout;
   ::ros::SerializedMessage (*serialise)(const void* message);
   void (*set_sequence)(void* message, std::uint32_t sequence);
-  /// A message that was pulled, as callbacks get it.
+  /// The pointer that callbacks get to a message that LOT's thread has pulled.
   boost::shared_ptr<void const> (*adopt)(const lot::detail::Borrowed& kept);
-  /// A message on the heap that has come over a link.
+  /// Makes a message on the heap from the bytes of a link's frame.
   boost::shared_ptr<void> (*deserialise)(std::uint8_t* bytes, std::uint32_t length);
-  /// A copy of it in a loan. Throws lot::OutOfMemory.
+  /// Copies a message into a loan. Throws lot::OutOfMemory.
   Parcel (*copy_into)(const lot::detail::Loan& loan, const void* message);
   /// Where a message lies in the segment; null: it is on the heap.
   lot::detail::ControlCell* (*cell_of)(const boost::shared_ptr<void const>& message);
   StandardKind standard;
 };
 
-/// Hidden: each library that uses it has its own, whose functions are of its version.
+/// Hidden: each library that uses it has its own copy, whose functions are of that library's
+/// version.
 template <class M>
 [[gnu::visibility("hidden")]] const Kind& kind_of() {
   namespace traits = ::ros::message_traits;
@@ -148,26 +149,28 @@ template <class M>
   return kind;
 }
 
-/// All that publishes one topic in this process.
+/// One topic that this process publishes, for all of the user's publishers of it.
 ///
 /// Threads: all members may be called at once.
 class Outlet {
  public:
   virtual ~Outlet() = default;
-  /// cell null: LOT is off in this process, or out of memory: messages lie on the heap.
+  /// A place to build a message. `cell` null: LOT is off in this process or out of memory, and
+  /// messages lie on the heap.
   virtual lot::detail::Loan loan() = 0;
-  /// Makes memory for so many messages ready, `bytes` each; nothing where LOT is off.
+  /// Makes memory ready for `count` messages of `bytes` each. Does nothing where LOT is off.
   virtual void reserve(std::size_t count, std::size_t bytes) = 0;
-  /// `fresh`: nobody else has the message yet, so that its header's number is ours to set. `end`:
-  /// the user's end that it comes from.
+  /// Publishes a message. `fresh`: no other thread has the message yet, so the outlet may set the
+  /// number in its header. `end`: the user's end that publishes it.
   virtual void publish(const Parcel& parcel, bool fresh, std::uint64_t end) = 0;
-  virtual std::uint64_t serialised() const = 0;  ///< messages so far
-  virtual std::uint64_t by_link() const = 0;     ///< messages so far, each link for itself
-  /// Links whose subscribers get what is published from now on.
+  virtual std::uint64_t serialised() const = 0;  ///< messages that were serialised so far
+  virtual std::uint64_t by_link()
+      const = 0;  ///< messages sent on links so far, counted for each link
+  /// How many links there are whose subscribers get what is published from now on.
   virtual std::uint32_t subscribers() const = 0;
 };
 
-/// An end of a topic that the user has: advertised until it is shut down or destroyed.
+/// One publisher of the user's: advertised until it is shut down or destroyed.
 ///
 /// Threads: all members may be called at once.
 class Advertisement {
@@ -182,22 +185,25 @@ class Advertisement {
 std::shared_ptr<Advertisement> advertise(::ros::NodeHandle& node,
                                          const ::ros::AdvertiseOptions& options, const Kind& kind);
 
+/// One subscriber of the user's.
+///
 /// Threads: all members may be called at once.
 class Subscription {
  public:
   virtual ~Subscription() = default;
   virtual std::uint32_t publishers() const = 0;
-  /// Whether a node that messages came from latches; nothing: it has yet to say so.
+  /// Whether the node that sent messages latches. Nothing: the node has yet to say so.
   virtual std::optional<bool> latches(const std::string& publisher) const = 0;
   virtual std::string topic() const = 0;
-  /// No callback begins after this, and none is at work when it returns, but in its own thread.
+  /// Ends the subscriber. When it returns, none of its callbacks begins any more, and none is at
+  /// work, but one in the calling thread.
   virtual void shutdown() = 0;
 };
 /// Null when ROS refuses it. Throws ros::ConflictingSubscriptionException.
 std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
                                         const ::ros::SubscribeOptions& options, const Kind& kind);
 
-/// Makes standard messages of others. The memory of those that have gone is used again.
+/// Makes standard messages of messages in shared memory. It uses the memory of released ones again.
 ///
 /// Threads: all members may be called at once.
 /// Memory:  keeps that of at most `kIdle` messages that have no pointer left.
@@ -206,14 +212,16 @@ class Converter {
   using Pointer = boost::shared_ptr<void const>;
   static constexpr std::size_t kIdle = 4;
   virtual ~Converter() = default;
-  /// One for the caller alone: roscpp lets a topic's only subscriber of a process change it.
+  /// A standard message for the caller alone: roscpp lets a topic's only subscriber of a process
+  /// change it.
   virtual Pointer make(const Pointer& message) = 0;
-  /// One that all callers of this process share, as long as one of them has a pointer to it.
+  /// A standard message that all callers of this process share, as long as one of them has a
+  /// pointer to it.
   virtual Pointer shared(const Pointer& message) = 0;
 };
 std::shared_ptr<Converter> make_converter(const Kind& kind);
 
-/// Where a message may be made that no publisher has loaned; null: LOT is off in this process.
+/// Makes messages that no publisher has loaned. Null: LOT is off in this process.
 std::shared_ptr<lot::detail::PusherCore> maker();
 
 }  // namespace lot::ros::detail

@@ -211,8 +211,8 @@ class NodeHandle : public ::ros::NodeHandle {
                     const ::ros::VoidConstPtr& tracked_object, const ::ros::TransportHints& hints) {
     using M = detail::MessageOf<P>;
     if constexpr (std::is_same_v<std::decay_t<P>, ShmSharedPtr<const M>>) {
-      // What comes over a link is copied into shared memory; where that cannot be, nobody is told
-      // of the message, but the node.
+      // The callback takes LOT's pointer, so a message that came over a link is copied into shared
+      // memory. If that fails, the node logs it and the callback does not get the message.
       using Plain = const boost::shared_ptr<M const>&;
       return subscribe_to<Plain>(topic, queue_size,
                                  boost::function<void(Plain)>([callback](Plain message) {

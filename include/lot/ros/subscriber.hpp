@@ -67,8 +67,8 @@ template <template <class> class Generated>
 inline constexpr bool is_lot_message<Generated<Allocator<void>>> =
     ::ros::message_traits::IsMessage<Generated<Allocator<void>>>::value;
 
-/// What a callback takes: the one parameter of a function, a member function, or an object that has
-/// one operator(). void: several, or a template.
+/// The one parameter of a callback: a function, a member function, or an object with one
+/// operator(). void: the callback has several, or is a template.
 template <class F, class = void>
 struct Parameter {
   using Type = void;
@@ -92,8 +92,8 @@ struct Parameter<boost::function<R(P)>> {
   using Type = P;
 };
 
-/// The same of a callback for messages M, which may be a template (boost::bind, a lambda of auto):
-/// then it gets a pointer, as in roscpp.
+/// The parameter of a callback for messages M. The callback may be a template (boost::bind, a
+/// lambda of auto): then it gets a pointer, as in roscpp.
 template <class M, class F>
 using ParameterFor = std::conditional_t<std::is_void_v<typename Parameter<std::decay_t<F>>::Type>,
                                         const boost::shared_ptr<M const>&,
@@ -103,8 +103,8 @@ using ParameterFor = std::conditional_t<std::is_void_v<typename Parameter<std::d
 template <class P>
 using MessageOf = typename ::ros::ParameterAdapter<P>::Message;
 
-/// LOT's pointer to a message that is called back; a copy in shared memory of one that is not
-/// there. Throws lot::Error when LOT is off in this process, lot::OutOfMemory.
+/// LOT's pointer to the message of a callback; if the message is not in shared memory, to a copy
+/// that is. Throws lot::Error when LOT is off in this process, lot::OutOfMemory.
 template <class M>
 ShmSharedPtr<const M> shared_from(const boost::shared_ptr<M const>& message) {
   if (const auto* keeper = boost::get_deleter<Keeper<const M>>(message)) return keeper->message;
