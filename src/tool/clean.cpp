@@ -18,17 +18,17 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr std::chrono::milliseconds kGatePatience = 2s;
-/// A reaper may be at it just now.
+/// A reaper may be reaping the dead process just now.
 constexpr auto kReapPatience = 2s;
 
 /// Byte locks of living processes, whatever the version of their segment.
 constexpr std::uint32_t kAnybody = segment::kMaxParticipants;
 
-/// Those in the segment who live by their witnesses: they may have lost their locks. Only of a
-/// segment that this build can read, and of this boot.
+/// True when a process in the segment lives by its witnesses: it may have lost its locks. Only for
+/// a segment that this build can read, and of this boot.
 bool has_witnesses(const Sight& s) { return s.window != nullptr && !living(*s.window).empty(); }
 
-/// Only of a segment that this build can read, and of this boot.
+/// Only for a segment that this build can read, and of this boot.
 Waiting items_in(const Sight& s) { return s.window != nullptr ? waiting(*s.window) : Waiting(); }
 
 class Cleaner {
@@ -88,7 +88,8 @@ class Cleaner {
   }
 
  private:
-  /// A process has put them there to be taken: they go only when the user says so.
+  /// Leaves a segment alone because items wait in it. A process has put them there to be taken:
+  /// they go only when the user says so.
   void leave_items(const Sight& s, const Waiting& items) {
     leave_alone(s.path, "nobody lives in it, but " + waiting_text(items), kWell, items);
     report_.hint(printable(s.name) + ": start a process that takes the items, or drop them by " +
@@ -101,15 +102,16 @@ class Cleaner {
                   "\n");
   }
 
-  /// Under the gate nobody can come; so whoever is not there now will find nothing, and make it
-  /// anew. False: somebody is there, or has put something else in its place.
+  /// Removes a segment and its lock file. No process can join while the tool has the gate; a
+  /// process that comes later finds nothing and makes the segment anew. False: a process is in the
+  /// segment, or has put something else in its place.
   bool try_remove(const std::string& name) {
     const std::string path = path_of(where_, name);
     const std::string lock_path = path + ".lock";
     for (;;) {
       const bool made = !exists(lock_path);
       liveness::LockFile lock(lock_path, where_.trust);
-      if (!lock.enter_gate(kGatePatience)) continue;  // removed meanwhile: once more
+      if (!lock.enter_gate(kGatePatience)) continue;  // the lock file was removed: once more
       struct Gate {
         liveness::LockFile& lock;
         ~Gate() { lock.leave_gate(); }
@@ -128,14 +130,15 @@ class Cleaner {
     }
   }
 
-  /// Asked in the gate: a process may have come, and put something, since it was looked at.
+  /// True when the segment must stay. Called in the gate: since the first look a process may have
+  /// joined, or put an item.
   bool stays(const std::string& name) const {
     const Sight now = sight(where_, name);
     return has_witnesses(now) || (!with_items_ && !items_in(now).empty());
   }
 
-  /// Some live, some may be dead: joins as any process does, which is how the dead are reaped and
-  /// memory goes back.
+  /// Cleans up in a segment that living processes use, and in which others may be dead. It joins as
+  /// any process does: so the dead are reaped, and memory goes back.
   void tend(Sight& s) {
     const auto the_dead = dead(*s.window);
     std::vector<std::string> names;
@@ -168,7 +171,7 @@ class Cleaner {
         }
         given_back = participant->give_all_back_to_system();
       } catch (const Error& e) {
-        if (e.error_number() == ENOENT) return;  // its last process has removed it
+        if (e.error_number() == ENOENT) return;  // the last process of the segment has removed it
         const bool is_full = e.error_number() == EUSERS || e.error_number() == EBUSY;
         return leave_alone(s.path, e.what(), the_dead.empty() && is_full ? kWell : kWrong);
       }
@@ -217,7 +220,7 @@ class Cleaner {
 }  // namespace
 
 Exit clean(const Settings& settings, const CleanOptions& options) {
-  // What the library would take for itself when it joins.
+  // The library would read these variables when it joins.
   for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_USER",
                            "LOT_GROUP", "LOT_PERSIST", "LOT_MLOCK"}) {
     unsetenv(name);

@@ -12,15 +12,16 @@ struct Settings {
   bool json = false;
 };
 
-/// Who is there: segments, processes, topics, publishers, subscribers, memory.
+/// Lists what is there: segments, processes, topics, publishers, subscribers, memory.
 Exit ls(const Settings& settings, std::chrono::milliseconds interval);
-/// Who holds which message since when, and who is behind. `all`: queued and spare ones too.
+/// Lists which process holds which message since when, and which reader is behind. `all`: queued
+/// and spare messages too.
 Exit who(const Settings& settings, bool all);
 struct CleanOptions {
   bool dry_run = false;     ///< only say what would be done
   bool with_items = false;  ///< also remove segments in whose queues items wait
 };
-/// Reaps the dead and removes what nobody lives in.
+/// Reaps the dead and removes segments in which no process lives.
 Exit clean(const Settings& settings, const CleanOptions& options);
 
 }  // namespace lot::tool

@@ -173,7 +173,7 @@ class TopicList {
       {"TOPIC", "TYPE", "ROLE", "PROCESS", "ENGINE", "POLICY", "HELD", "RATE", "LAG", "LOST", ""}};
 };
 
-/// What the file system holds for the file, as du says it; 0 when it has gone.
+/// The bytes that the file system holds for the file, as du says it; 0 when the file has gone.
 std::uint64_t bytes_on_disk(const std::string& path) {
   struct stat status {};
   if (::stat(path.c_str(), &status) == -1) return 0;
@@ -185,7 +185,7 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
   if (introduce(sight, report, entry)) {
     const Observation seen = observe(*sight.window);
     const auto now = Clock::now();
-    char instance[17];  // a name, not a number: those end at 2^53 for many
+    char instance[17];  // a name, since many JSON readers keep numbers only up to 2^53
     std::snprintf(instance, sizeof(instance), "%016llx",
                   static_cast<unsigned long long>(seen.instance));
     entry["instance"] = instance;

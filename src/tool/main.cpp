@@ -26,7 +26,7 @@ int run(int argc, char** argv) {
   using namespace lot::tool;
   CLI::App app{"Looks at LOT segments, and cleans up what the dead have left", "lot"};
   Settings settings;
-  // Not by CLI11's envname(), which a set-user-ID program would listen to.
+  // Not by CLI11's envname(): that one reads the environment of a set-user-ID program, too.
   using lot::transport::environment;
   if (const char* name = environment("LOT_SEGMENT")) settings.where.name = name;
   const char* const directory = environment("LOT_DIR");

@@ -16,7 +16,7 @@ namespace {
 
 bool is_alive_in(const segment::Segment& s, const liveness::LockProbe& locks, std::uint32_t k) {
   return locks.is_held(k) ||
-         liveness::seat::stands(s.witnesses()[k].seat.load(std::memory_order_acquire));
+         liveness::seat::stands(s.witnesses()[k].seat.load(std::memory_order_acquire));  // seat
 }
 
 using ring::Word;
@@ -32,13 +32,18 @@ double seconds_between(std::uint64_t earlier_ns, std::uint64_t later_ns) {
   return later_ns > earlier_ns ? static_cast<double>(later_ns - earlier_ns) * 1e-9 : 0.0;
 }
 
-/// What one participant's warden has noted.
+/// What the warden of one participant has noted.
 struct Noted {
   std::map<std::uint64_t, std::uint64_t> since_ns;  ///< by Sighting::what
   std::uint64_t looked_ns = 0;
   std::uint64_t youngest_ns = 0;
 };
 
+/// Looks at one segment, once.
+///
+/// Edges:   the observer writes no shared word, so it is never one side of a pair that both store.
+///          Each of its loads is an acquire load. It is the reader's side of the edge that the line
+///          names, and all later loads come after it.
 class Observer {
  public:
   explicit Observer(Window& window) : s_(window.segment()), capacity_(s_.capacity()) {}
@@ -77,7 +82,7 @@ class Observer {
     noted_.resize(capacity_.participants);
     for (std::uint32_t k = 1; k < capacity_.participants; ++k) {
       auto& entry = s_.participants()[k];
-      const std::uint32_t state = entry.state.load(std::memory_order_acquire);
+      const std::uint32_t state = entry.state.load(std::memory_order_acquire);  // state
       if (state == 0) continue;
       if (state != 1)
         complain("process " + std::to_string(k) + ": its state is " + std::to_string(state));
@@ -92,8 +97,11 @@ class Observer {
   void read_notes(std::uint32_t k) {
     const segment::Sightings& table = s_.sightings()[k];
     Noted& noted = noted_[k];
+    // The warden stores it last (release): the places are of that look, or of a later one.
     noted.looked_ns = table.looked_ns.load(std::memory_order_acquire);
     for (const auto& place : table.seen) {
+      // sighting: the name, the time, and the name again. Relaxed: the acquire load of the time
+      // comes before it.
       const std::uint64_t what = place.what.load(std::memory_order_acquire);
       const std::uint64_t since = place.since_ns.load(std::memory_order_acquire);
       if (what == 0 || place.what.load(std::memory_order_relaxed) != what) continue;
@@ -102,7 +110,8 @@ class Observer {
     }
   }
 
-  /// A dead one may have it: the next process that locks takes it over.
+  /// A dead process may have the lock: the next process that locks takes it over.
+  /// Relaxed: only the number in the word is checked.
   void check_lock(const char* what, const segment::Lock& lock) {
     const std::uint32_t word = lock.word.load(std::memory_order_relaxed);
     if (word == 0 || lock::participant(lock::name(word)) < capacity_.participants) return;
@@ -111,8 +120,9 @@ class Observer {
 
   void find_topics() {
     const auto topics = s_.topics();
-    std::vector<bool> waits(topics.size(), false);  // what waits to be taken needs no user
+    std::vector<bool> waits(topics.size(), false);  // a topic with items that wait needs no user
     for (const auto& channel : s_.channels()) {
+      // R9
       const auto state = ring::writer_state(channel.writer.load(std::memory_order_acquire));
       const bool is_left = state == ring::State::Orphan && channel.taken != 0;
       const std::uint32_t topic = lot::detail::read_once(channel.topic);
@@ -128,6 +138,7 @@ class Observer {
                   waits[t]};
       if (!topic.name.empty()) name_of_key_[segment::topic_key(topic.name)] = topic.name;
       for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
+        // users: name and type of the topic
         const auto users =
             entry.users[k / segment::Atomics::kBitsPerWord].load(std::memory_order_acquire);
         if ((users & Own::bit(k)) == 0) continue;
@@ -136,6 +147,7 @@ class Observer {
           continue;
         }
         topic.used = true;
+        // Acquire as the users before it; the number is for people.
         const unsigned pullers = entry.pullers[k].load(std::memory_order_acquire);
         if (pullers != 0) topic.subscribers.push_back(k);
         pullers_[{t, k}] = pullers;
@@ -144,7 +156,7 @@ class Observer {
     }
   }
 
-  /// A queue, and its writer word when the look at it began.
+  /// A queue, and its writer word when the observer began to look at it.
   struct Looked {
     std::uint32_t channel;
     Word writer;
@@ -152,8 +164,10 @@ class Observer {
 
   void complain_of(const Looked& at, const std::string& what) {
     auto& entry = s_.channels()[at.channel];
-    // What is recycled meanwhile may look like anything, until its writer word says so; which may
-    // take long for one that is stopped with the registry's lock. The lock is looked at first.
+    // A process may recycle the queue meanwhile. Then the queue may look like anything until its
+    // writer word says so, which takes long if that process is stopped with the registry's lock. So
+    // the observer complains only if the queue is not being recycled and its writer word has not
+    // changed. Acquire: it loads `formed`, then the lock's word, and the writer word last.
     if (!std::exchange(has_waited_, true)) std::this_thread::sleep_for(kRecycling);
     const bool goes = ring::writer_state(at.writer) == ring::State::Orphan &&
                       entry.formed.load(std::memory_order_acquire) == 0 &&
@@ -165,7 +179,7 @@ class Observer {
 
   void find_channel(std::uint32_t c) {
     auto& entry = s_.channels()[c];
-    const Word w = entry.writer.load(std::memory_order_acquire);
+    const Word w = entry.writer.load(std::memory_order_acquire);  // R7
     const auto state = ring::writer_state(w);
     if (state == ring::State::Free || state == ring::State::Init) return;
     const Looked at{c, w};
@@ -188,9 +202,9 @@ class Observer {
     if (r.depth == 0) return complain_of(at, "its numbers make no sense");
     channel.depth = r.depth;
     channel.taken = r.taken;
-    // Cursors before slots: a reader is never ahead of what is read later.
+    // The observer reads cursors before slots: so a reader is never ahead of the slots.
     const std::vector<Cursor> cursors = cursors_of(at, r);
-    const bool marked = (r.space->load(std::memory_order_acquire) & 1) != 0;
+    const bool marked = (r.space->load(std::memory_order_acquire) & 1) != 0;  // R6
     find_queue(at, r, channel);
     for (const Cursor& cursor : cursors) {
       channel.readers.push_back(reader_at(cursor, at, r, channel));
@@ -202,7 +216,7 @@ class Observer {
     seen_.channels.push_back(std::move(channel));
   }
 
-  /// Where a reader of a queue is.
+  /// Where one reader of a queue is.
   struct Cursor {
     std::uint32_t process;
     Word position;
@@ -211,25 +225,25 @@ class Observer {
   std::vector<Cursor> cursors_of(const Looked& at, const segment::Ring& r) {
     std::vector<Cursor> cursors;
     for (std::uint32_t i = 0; i < r.readers; ++i) {
-      const std::uint32_t who = r.who[i].load(std::memory_order_acquire);
+      const std::uint32_t who = r.who[i].load(std::memory_order_acquire);  // before its position
       if (who == 0) continue;
       if (who > capacity_.participants) {
         complain_of(at, "a reader of it can not be");
         continue;
       }
-      const Word position = r.cells[i].position.load(std::memory_order_acquire);
+      const Word position = r.cells[i].position.load(std::memory_order_acquire);  // R3
       cursors.push_back({who - 1, position});
     }
     return cursors;
   }
 
-  /// What lies in the slots.
+  /// Reads the slots of a queue into the channel.
   void find_queue(const Looked& at, const segment::Ring& r, Channel& channel) {
     bool bad_slot = false;
     std::uint32_t newest = 0;
     std::vector<Word> slots(r.depth);
     for (std::uint32_t i = 0; i < r.depth; ++i) {
-      slots[i] = r.slots[i].load(std::memory_order_acquire);
+      slots[i] = r.slots[i].load(std::memory_order_acquire);  // R1
       if (ring::distance(ring::sequence(slots[i]), ring::sequence(slots[newest])) > 0) newest = i;
     }
     channel.next = ring::next(ring::sequence(slots[newest]));
@@ -308,7 +322,7 @@ class Observer {
     transport::Holder reader;
     reader.segment = &s_;
     for (std::uint32_t b = 0; b < capacity_.blocks; ++b) {
-      const std::uint32_t home = s_.block(b).home.load(std::memory_order_acquire);
+      const std::uint32_t home = s_.block(b).home.load(std::memory_order_acquire);  // O3
       if (home == refcount::kHomeFree || home > capacity_.participants) continue;
       reader.each_reference(b, [&](std::uint32_t target) { refers_.insert({target, home - 1}); });
     }
@@ -316,7 +330,7 @@ class Observer {
 
   void note_queues() {
     for (const Channel& channel : seen_.channels) {
-      // An orphaned queue is the orphanage's, from the moment that its publisher's name is gone.
+      // An orphaned queue belongs to the orphanage once its publisher's name is gone.
       for (const Queued& q : channel.queue) {
         queues_.insert({q.block, {channel.publisher, q.sequence, channel.topic}});
       }
@@ -332,7 +346,7 @@ class Observer {
     return {{}, seconds_between(full ? noted.youngest_ns : noted.looked_ns, now_ns_)};
   }
 
-  /// The ownership words of a message, of one moment.
+  /// The ownership words of a message, as they were at one moment.
   struct Owned {
     std::uint64_t own[segment::Atomics::kOwnWords];
     std::uint64_t life;
@@ -343,7 +357,8 @@ class Observer {
   Owned owned(std::uint32_t b) {
     auto& words = s_.block(b);
     Owned seen{};
-    // A message that dies while it is read is read once more.
+    // If the message dies meanwhile, the observer reads the words once more. The acquire loads keep
+    // the words between the two looks at `life`.
     for (int tries = 0; tries < 3; ++tries) {
       seen.life = words.life.load(std::memory_order_acquire);
       seen.home = words.home.load(std::memory_order_acquire);
@@ -393,7 +408,8 @@ class Observer {
     for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
       if ((own[k / segment::Atomics::kBitsPerWord] & Own::bit(k)) == 0) continue;
       if (k >= capacity_.participants || (k != 0 && !taken(k))) {
-        // Who has left or come meanwhile may be among them; nobody holds beyond the table.
+        // A process that has left or come meanwhile may have a bit here. A bit beyond the table is
+        // damage.
         if (k >= capacity_.participants) {
           complain("message " + std::to_string(b) + ": a holder " + std::to_string(k) +
                    " can not be");
@@ -409,7 +425,7 @@ class Observer {
     seen_.messages.push_back(std::move(message));
   }
 
-  /// Process k has its bit on the message: why?
+  /// Finds out why process k has its bit on the message.
   void find_hold(Message& message, std::uint32_t k, bool home_points) {
     const auto has = [&](Holder::How how) {
       return std::any_of(message.holders.begin(), message.holders.end(),
@@ -419,11 +435,11 @@ class Observer {
     const bool refers = refers_.contains({message.block, k});
     bool keeps;
     if (k == refcount::kOrphanage) {
-      keeps = false;  // what is in its queues, or about to be freed
+      keeps = false;  // the message is in its queues, or about to be freed
     } else if (k == message.home) {
       keeps = home_points;
     } else if (has(Holder::How::Queues) || refers) {
-      // The bit may stand for these alone; only its warden knows of pointers.
+      // The bit may stand for these alone: only the warden of process k knows of pointers.
       keeps = age.seconds.has_value() && !has(Holder::How::Borrows);
     } else {
       keeps = true;
@@ -454,8 +470,8 @@ class Observer {
   std::multimap<std::uint32_t, QueuedAt> queues_;             ///< by block
 };
 
-/// Adds the numbers of a queue to those of another one, and each reader's to those of its
-/// process's. A process that reads by several handles has as many readers in each queue.
+/// Adds the numbers of one queue to those of another, and each reader's numbers to those of the
+/// same process. A process that reads by several handles has as many readers in each queue.
 void add(const Channel& from, Channel& to) {
   to.depth += from.depth;
   to.unfinished += from.unfinished;
@@ -553,6 +569,7 @@ std::vector<std::uint32_t> taken_by(Window& window, bool wanted_alive) {
   std::vector<std::uint32_t> found;
   for (std::uint32_t k = 1; k < s.capacity().participants; ++k) {
     const bool alive = is_alive_in(s, locks, k);
+    // state
     const bool counts = alive || s.participants()[k].state.load(std::memory_order_acquire) != 0;
     if (counts && alive == wanted_alive) found.push_back(k);
   }
@@ -581,13 +598,13 @@ Heads heads(Window& window) {
   Segment& s = window.segment();
   Heads found;
   for (std::uint32_t c = 0; c < s.capacity().channels; ++c) {
-    const Word w = s.channels()[c].writer.load(std::memory_order_acquire);
+    const Word w = s.channels()[c].writer.load(std::memory_order_acquire);  // R7
     if (ring::writer_state(w) != ring::State::Live) continue;
     const segment::Ring r = s.ring(c);
     if (r.depth == 0) continue;
-    Word newest = ring::sequence(r.slots[0].load(std::memory_order_acquire));
+    Word newest = ring::sequence(r.slots[0].load(std::memory_order_acquire));  // R1
     for (std::uint32_t i = 1; i < r.depth; ++i) {
-      const Word here = ring::sequence(r.slots[i].load(std::memory_order_acquire));
+      const Word here = ring::sequence(r.slots[i].load(std::memory_order_acquire));  // R1
       if (ring::distance(here, newest) > 0) newest = here;
     }
     found[{c, ring::writer_generation(w)}] = ring::next(newest);

@@ -12,26 +12,27 @@
 
 #include "tool/window.hpp"
 
-/// What can be seen of a segment from outside, in plain values: everything is read once, checked,
-/// and never trusted. While processes work, what was read first is older than what was read last.
+/// What can be seen of a segment from outside, in plain values: the observer reads each word once,
+/// checks it, and never trusts it. While processes work, the words that it read first are older
+/// than those that it read last.
 namespace lot::tool {
 
 struct Process {
   std::uint32_t index;
   std::string name;
-  std::int32_t pid;        ///< as it says, in its own namespace
+  std::int32_t pid;        ///< as the process says it, in its own namespace
   std::uint64_t since_ns;  ///< wall clock
   bool alive;
-  std::uint64_t bytes = 0;  ///< of the messages that it has made
+  std::uint64_t bytes = 0;  ///< memory of the messages that it has made
 };
 
 struct Reader {
   std::uint32_t process;
-  bool joining = false;     ///< lag and lost are not known yet
-  bool awaited = false;     ///< it has not looked since the publisher is there
-  std::uint64_t lag = 0;    ///< published and not read yet; the one in hand counts
-  std::uint64_t lost = 0;   ///< of these, overwritten already
-  bool holds_back = false;  ///< the publisher has no room because of it
+  bool joining = false;     ///< the reader is joining: lag and lost are not known yet
+  bool awaited = false;     ///< the reader has not looked since the publisher came
+  std::uint64_t lag = 0;    ///< published and not read yet; the message in hand counts
+  std::uint64_t lost = 0;   ///< how many of the lag are overwritten already
+  bool holds_back = false;  ///< the publisher has no room because of this reader
 };
 
 struct Queued {
@@ -50,8 +51,8 @@ struct Channel {
   Policy policy = Policy::Overwrite;
   QueueEngine engine = QueueEngine::Ring;
   bool taken = false;          ///< each message is for one reader, which takes it
-  std::size_t unfinished = 0;  ///< messages that somebody works on
-  bool waits = false;          ///< the publisher has found no room, and nobody has made any
+  std::size_t unfinished = 0;  ///< messages that a worker works on
+  bool waits = false;          ///< the publisher has found no room, and no reader has made any
   std::uint64_t next = 0;      ///< sequence of the next message
   std::uint64_t published = 0;
   std::vector<Queued> queue;  ///< oldest first
@@ -67,18 +68,18 @@ struct Topic {
   bool used;
 };
 
-/// Since when, as far as the holder's warden has noted it.
+/// Since when a process holds a message, as far as its warden has noted it.
 struct Age {
   std::optional<double> seconds;
-  std::optional<double> at_most;  ///< when it was not noted
+  std::optional<double> at_most;  ///< where the warden has not noted it
 };
 
 struct Holder {
   enum class How {
     Keeps,  ///< by pointers
     Borrows,
-    Queues,  ///< in the queue of a publisher of its
-    Refers,  ///< another message of its refers to it
+    Queues,  ///< in the queue of one of its publishers
+    Refers,  ///< another message that it made refers to the message
     Spare    ///< loaned and not published, or waiting for a loan
   };
   std::uint32_t process;  ///< 0: the orphanage
@@ -92,8 +93,8 @@ const char* to_string(Holder::How how);
 struct Message {
   std::uint32_t block;
   std::uint32_t generation;
-  std::uint32_t home;  ///< who made it; 0: it has gone
-  std::string topic;   ///< that it was made for; empty: none, or one that has gone
+  std::uint32_t home;  ///< the process that made it; 0: that process has gone
+  std::string topic;   ///< the topic that it was made for; empty: none, or one that has gone
   std::uint64_t bytes;
   std::vector<Holder> holders;
 };
@@ -104,8 +105,8 @@ struct Fill {
 };
 
 /// What people read as one row: a queue, or all queues of a topic that are alike and whose
-/// publishers have gone. These differ in nothing that people see; their lengths and their readers'
-/// lags add up.
+/// publishers have gone. Such queues look the same to people. The row adds up their lengths, and
+/// the lags of their readers.
 struct Row {
   Channel channel;
   std::size_t count = 1;  ///< of queues
@@ -116,36 +117,38 @@ struct Observation {
   std::uint64_t instance = 0;
   bool persists = false;  ///< its files stay when the last process leaves
   Fill memory;            ///< bytes
-  /// Bytes of `memory.used` that no message is in that others can see: they wait for a loan, or are
-  /// loaned.
+  /// How many bytes of `memory.used` no other process can see as a message. They wait for a loan,
+  /// or are loaned.
   std::uint64_t held_back = 0;
   Fill blocks;
   std::vector<Process> processes;
   std::vector<Topic> topics;
   std::vector<Channel> channels;
   std::vector<Message> messages;
-  std::vector<std::string> damage;  ///< what can not be right
+  std::vector<std::string> damage;  ///< words that can not be right
 
   const Process* process(std::uint32_t index) const;
   const Topic* topic(std::uint32_t index) const;
   /// "3 camera", for people.
   std::string who(std::uint32_t index) const;
-  /// The same of a row's publisher; "(2 gone)" of two.
+  /// The same for the publisher of a row; "(2 gone)" for two.
   std::string publisher(const Row& row) const;
 };
 
-/// Throws nothing but bad_alloc, whatever the segment's bytes are.
+/// Observes a segment. Throws nothing but bad_alloc, whatever the bytes of the segment are.
 Observation observe(Window& window);
 
-/// Which of the participants 1 .. are alive: taken, and not dead by both witnesses of the library.
+/// The participants (1 and up) that are alive, or dead: taken, and dead only if both witnesses of
+/// the library say so.
 std::vector<std::uint32_t> living(Window& window);
 std::vector<std::uint32_t> dead(Window& window);
 
-/// Items that wait to be taken, by the names of their queues. A queue without items is not there.
+/// Items that wait to be taken, by the names of their queues. A queue without items is left out.
 using Waiting = std::map<std::string, std::uint64_t>;
 Waiting waiting(Window& window);
 
-/// {channel, generation} -> sequence of the next message, to see what was published in between.
+/// {channel, generation} -> sequence of the next message. Two looks say how many messages were
+/// published in between.
 using Heads = std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint64_t>;
 Heads heads(Window& window);
 

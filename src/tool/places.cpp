@@ -42,13 +42,13 @@ std::vector<std::string> files_in(const std::string& directory) {
   return names;
 }
 
-/// Why what lies there is no file of LOT; "" where nothing lies there, or one of LOT does.
+/// Why the file at this path is no file of LOT; "" where there is no file, or one of LOT.
 std::string objection(const std::string& path, bool is_lock) {
   struct stat status {};
   if (lstat(path.c_str(), &status) == -1) return "";
   if (const std::string kind = segment::kind_of(path); !kind.empty()) return "it is " + kind;
   if (is_lock ? status.st_size == 0 : begins_as_a_segment(path)) return "";
-  if (!exists(path)) return "";  // removed meanwhile
+  if (!exists(path)) return "";  // a process removed it meanwhile
   if (!is_lock && access(path.c_str(), R_OK) == -1 && errno == EACCES) {
     return "it cannot be read, and has no lock file: it belongs to " +
            segment::owner_and_mode(path);
@@ -57,7 +57,8 @@ std::string objection(const std::string& path, bool is_lock) {
          (is_lock ? "lock file" : "segment");
 }
 
-/// The same of an unfinished segment, which whoever makes a new one removes first if it is trusted.
+/// The same for an unfinished segment. A process that makes a new segment removes it first, if it
+/// is trusted.
 std::string objection_to_unfinished(const std::string& path, const segment::Trust& trust) {
   struct stat status {};
   if (lstat(path.c_str(), &status) == -1) return "";

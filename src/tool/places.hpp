@@ -8,22 +8,23 @@
 
 namespace lot::tool {
 
-/// Where to look: a directory, and one name in it or all; and whose files are looked into.
+/// Where to look: a directory, one name in it or all names, and the users whose files the tool
+/// opens.
 struct Where {
   std::string directory;
   std::string name;  ///< empty: all
   segment::Trust trust;
 };
 
-/// What lies in the directory. Files of others are told from ours by their first bytes; a file that
-/// could be anybody's is only ours when its name was asked for.
+/// What lies in the directory. The tool tells files of others from LOT's by their first bytes. A
+/// file that could belong to any program counts as LOT's only when the user named it.
 struct Places {
   std::vector<std::string> segments;    ///< names of files that begin as a segment does
   std::vector<std::string> unfinished;  ///< names X where a file X.new was left by a dead creator
   std::vector<std::string> locks;       ///< names X where there is nothing but X.lock
-  std::vector<std::string> doubtful;    ///< the same, but the empty file may be anybody's
-  /// What lies in the place of the segment that was named, or of the usual one, of its lock file,
-  /// or of an unfinished one, and keeps processes from joining.
+  std::vector<std::string> doubtful;    ///< names X with an empty X.lock that may be of any program
+  /// Something that keeps processes from joining. It lies in the place of the named segment (or the
+  /// usual one), of its lock file, or of an unfinished segment.
   struct Obstacle {
     std::string path;
     std::string what;  ///< "it is a directory"
@@ -36,7 +37,8 @@ Places find_places(const Where& where);
 
 std::string path_of(const Where& where, const std::string& name);
 bool exists(const std::string& path);
-/// True also of a file that may not be read and has a lock file: nobody can say that it is none.
+/// True also for a file that the tool may not read and that has a lock file: the tool cannot prove
+/// that it is no segment.
 bool begins_as_a_segment(const std::string& path);
 
 }  // namespace lot::tool

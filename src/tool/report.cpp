@@ -14,7 +14,7 @@ Exit Report::finish() {
   if (json_) {
     document_["hints"] = hints_;
     document_["exit"] = static_cast<int>(exit_);
-    // Names may be anything, JSON is UTF-8.
+    // Names may hold any bytes, and JSON is UTF-8.
     text_ = document_.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
   } else if (!hints_.empty()) {
     text_ += "\n";
@@ -125,7 +125,7 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
 
 namespace {
 
-/// A stopped process holds its locks.
+/// A stopped process keeps its locks: names each one that others wait for.
 void name_the_stopped(const std::string& path, Window* window, Report& report) {
   const liveness::LockProbe locks(path + ".lock");
   const auto ask = [&](std::uint32_t byte, const char* where) {
@@ -139,7 +139,7 @@ void name_the_stopped(const std::string& path, Window* window, Report& report) {
   ask(refcount::kOrphanage, "frees what it or the dead have left in");
   if (window == nullptr) return;
   segment::Segment& s = window->segment();
-  const std::uint32_t word = s.directory().lock.word.load(std::memory_order_acquire);
+  const std::uint32_t word = s.directory().lock.word.load(std::memory_order_acquire);  // L3
   const std::uint32_t k = lock::participant(lock::name(word));
   if (word != 0 && k < s.capacity().participants) ask(k, "has the registry's lock of");
 }

@@ -36,21 +36,22 @@ class Report {
   Exit exit_ = kWell;
 };
 
-/// As segment::command(), harmless to a terminal.
+/// As segment::command(), with unprintable bytes replaced: names could steer a terminal.
 std::string command(const std::string& words, const std::string& path);
 
-/// One segment's head: "LOTROS  /dev/shm/LOTROS", or why there is nothing more to say about it.
-/// Enters what is wrong with it in the report. True when it can be observed.
+/// Prints a segment's first line: "LOTROS  /dev/shm/LOTROS", or why there is nothing more to say
+/// about it. Notes in the report what is wrong with it. True when it can be observed.
 bool introduce(const Sight& sight, Report& report, Json& entry);
 /// "12 items wait in jobs, 3 in logs"
 std::string waiting_text(const Waiting& items);
 Json waiting_json(const Waiting& items);
-/// Damage and deaths that the observation has found.
+/// Reports the damage and the deaths that the observation has found.
 void judge(const Sight& sight, const Observation& seen, Report& report, Json& entry);
-/// What keeps processes from joining, or makes them wait: something else in the place of a file, a
-/// process that is stopped where others must pass. Of all that the settings name, besides `found`.
+/// Reports what keeps processes from joining or makes them wait: something else in the place of a
+/// file, a stopped process where others must pass. It looks at all that the settings name, besides
+/// `found`.
 void look_for_obstacles(const Settings& settings, const std::vector<Sight>& found, Report& report);
-/// Nothing was there: says so.
+/// Reports that nothing was found.
 void nothing_found(const Settings& settings, Report& report);
 
 }  // namespace lot::tool

@@ -29,7 +29,7 @@ const char* to_string(Sight::Condition condition) {
 
 namespace {
 
-/// Nothing: it was not there, or went meanwhile.
+/// Looks at a segment. Nothing: the segment was not there, or went meanwhile.
 std::optional<Sight> try_sight(const Where& where, const std::string& name) {
   using segment::Segment;
   Sight s;
@@ -46,7 +46,7 @@ std::optional<Sight> try_sight(const Where& where, const std::string& name) {
     }
     s.window = std::make_unique<Window>(s.path, where.trust);
     if (fit == Segment::Fit::Fits) return s;
-    // Whoever maps it does not look at the boot.
+    // Window maps the segment of any boot: the tool drops it.
     s.window.reset();
     s.condition = Sight::Condition::OtherBoot;
   } catch (const Error& e) {
@@ -66,7 +66,7 @@ Sight sight(const Where& where, const std::string& name) {
   for (;;) {
     auto s = try_sight(where, name);
     if (s) return std::move(*s);
-    if (exists(path)) continue;  // another has been made meanwhile
+    if (exists(path)) continue;  // another process has made a new one meanwhile
     return {name, path, Sight::Condition::Damaged, "it has just gone", nullptr};
   }
 }

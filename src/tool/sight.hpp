@@ -10,26 +10,26 @@
 
 namespace lot::tool {
 
-/// A segment as found in its directory.
+/// A segment as the tool finds it in its directory.
 struct Sight {
   enum class Condition {
     Sound,
-    OtherBoot,   ///< whole, but of a time before the system was started: nobody lives in it
-    Damaged,     ///< not what this build calls a segment: another version, cut short, overwritten
-    Unreadable,  ///< it belongs to another user, or there is no room to look (a limit, memory)
-    Untrusted    ///< the same, or it gives others too much: it could be read, and is not
+    OtherBoot,   ///< whole, but made before the system was started: no process lives in it
+    Damaged,     ///< no segment to this build: another version, cut short, overwritten
+    Unreadable,  ///< another user's, or the tool lacks room to look (a limit, memory)
+    Untrusted    ///< another user's, or open to too many: the tool could read it, and does not
   };
   std::string name;
   std::string path;
   Condition condition = Condition::Sound;
   std::string reason;              ///< why it is not sound
-  std::unique_ptr<Window> window;  ///< of a sound one
+  std::unique_ptr<Window> window;  ///< set for a sound one only
 };
 const char* to_string(Sight::Condition condition);
 
-/// The segment of that name, whatever `where` names.
+/// Looks at the segment of that name, whatever `where` names.
 Sight sight(const Where& where, const std::string& name);
-/// All that `where` names. Throws lot::Error when the directory can not be read.
+/// Looks at all segments that `where` names. Throws lot::Error when the directory can not be read.
 std::vector<Sight> sights(const Where& where);
 
 /// How a command ends (docs/tool.md).

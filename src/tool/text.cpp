@@ -69,7 +69,7 @@ std::string printable(const std::string& text, std::size_t most) {
   for (char& c : out) {
     if (c < ' ' || c > '~') c = '?';
   }
-  if (out.size() > most) {  // both ends say most
+  if (out.size() > most) {  // the two ends of a name say most
     const std::size_t half = (most - 2) / 2;
     out = out.substr(0, half) + ".." + out.substr(out.size() - half);
   }

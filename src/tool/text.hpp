@@ -28,7 +28,8 @@ std::string count_text(std::uint64_t count);
 std::string rate_text(double per_second);
 /// "12 s", "3 min"
 std::string age_text(double seconds);
-/// Names come from other processes: nothing in them may steer a terminal. Long ones are cut.
+/// Replaces the bytes that a terminal would obey: names come from other processes. Cuts a long name
+/// in the middle.
 std::string printable(const std::string& text, std::size_t most = 60);
 /// "1 process", "2 processes"
 std::string plural(std::uint64_t n, const std::string& one, const std::string& many);

@@ -18,7 +18,7 @@ std::string since_text(const Holder& h) {
     return "";
   }
   if (h.age.seconds) return age_text(*h.age.seconds);
-  // The warden looks each second.
+  // The warden looks around once a second.
   if (!h.age.at_most) return "?";
   std::string text{'<', ' '};  // g++ 12 warns of "< " + text
   return text += age_text(std::max(1.0, *h.age.at_most + 0.5));

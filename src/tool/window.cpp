@@ -7,7 +7,7 @@
 namespace lot::tool {
 namespace {
 
-Window* first_window = nullptr;             ///< read by the handler
+Window* first_window = nullptr;             ///< the signal handler reads it
 volatile std::sig_atomic_t is_opening = 0;  ///< and this
 
 }  // namespace
@@ -55,7 +55,7 @@ void Window::on_bus_error(int signal, siginfo_t* info, void*) {
       return;
     }
   }
-  ::signal(signal, SIG_DFL);  // not ours: it comes again and ends the process
+  ::signal(signal, SIG_DFL);  // not a page of ours: the signal comes again and ends the process
 }
 
 }  // namespace lot::tool

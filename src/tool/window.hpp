@@ -8,10 +8,10 @@
 
 namespace lot::tool {
 
-/// A segment that is looked at from outside: mapped read-only, joined by nobody.
+/// A segment that the tool looks at from outside: it maps the segment read-only and does not join.
 ///
-/// Whoever may write to the file may also truncate it, and then reading raises SIGBUS. While a
-/// Window lives, such a page reads as zeros instead, and torn() says that it has happened.
+/// A process that may write to the file may also truncate it, and then reading raises SIGBUS. While
+/// a Window lives, such a page reads as zeros instead, and torn() says that it has happened.
 ///
 /// Threads: one.
 class Window {
@@ -28,7 +28,8 @@ class Window {
  private:
   static void on_bus_error(int signal, siginfo_t* info, void* context);
 
-  /// Until the segment is mapped nobody knows where.
+  /// While it lives, the handler takes every SIGBUS for one of the segment that is being mapped:
+  /// its address is not known yet.
   struct Opening {
     Opening();
     ~Opening();
@@ -36,8 +37,8 @@ class Window {
   static segment::Segment open(const std::string& path, const segment::Trust& trust);
 
   segment::Segment segment_;
-  volatile bool torn_ = false;  ///< by the handler
-  Window* next_;                ///< of all that live
+  volatile bool torn_ = false;  ///< the signal handler sets it
+  Window* next_;                ///< the next one in the list of all that live
 };
 
 }  // namespace lot::tool
