@@ -15,7 +15,8 @@
 namespace lot::ros {
 namespace {
 
-/// roscpp keeps the link to itself that it speaks of, though all that is needed of it is public.
+/// Reads the link out of roscpp's SingleSubscriberPublisher, which keeps it private. All that LOT
+/// uses of the link is public.
 template <auto member>
 struct Reveal {
   friend const ::ros::SubscriberLinkPtr& link_of(const ::ros::SingleSubscriberPublisher& peer) {
@@ -29,28 +30,29 @@ using namespace std::chrono_literals;
 
 /// So long a LOT subscriber may take until it reads the ring: its node is just starting.
 constexpr auto kPatience = 1s;
-/// And so long until it answers for the first time: else the cell is that of one whose name it has
-/// taken over, and who has not ended yet.
+/// So long a reader may take until it answers for the first time. After that, the outlet takes the
+/// cell for one of an earlier process of that name, which has not ended yet.
 constexpr auto kAnswers = 5s;
 constexpr std::chrono::milliseconds kFirstLook{10};
 constexpr std::chrono::milliseconds kLastLook{100};
-/// So long the end of a publisher may wait for answers.
+/// So long the end of a publisher waits for answers.
 constexpr std::chrono::milliseconds kLastAnswers{100};
-/// And so long roscpp's thread has to write what its links have got last.
+/// So long roscpp's thread then has to write the last frames of the links.
 constexpr std::chrono::milliseconds kLastFrames{10};
-/// LOT's thread comes again, when somebody publishes just now.
+/// When a thread is publishing just now, LOT's thread comes again after this.
 constexpr std::chrono::milliseconds kBusy{1};
 constexpr std::uint32_t kUsualDepth = 16;
-/// Frames of ours that may be in a link's queue, which throws the oldest one away when it is full.
+/// Frames beside messages that may be in a link's queue: a probe and an invitation. The queue
+/// throws its oldest frame away when it is full.
 constexpr std::uint32_t kOurFrames = 2;
 
-/// Of the ring.
+/// The depth of the ring.
 std::uint32_t depth_of(const ::ros::AdvertiseOptions& options) {
-  if (options.queue_size == 0) return kDeepest;  // as many as come
+  if (options.queue_size == 0) return kDeepest;  // the user's queue has no limit
   return std::clamp<std::uint32_t>(options.queue_size, kUsualDepth, kDeepest);
 }
 
-/// Not null while this thread asks a callback of roscpp's what it is about.
+/// Not null while this thread calls a callback of roscpp's, to learn what it is about.
 thread_local TopicOutlet::News* asked = nullptr;
 
 void on_peer(const ::ros::SingleSubscriberPublisher& peer, bool came) {
@@ -68,8 +70,9 @@ TopicOutlet::Links links_of(::ros::Publication& publication) {
   return links;
 }
 
-/// Where roscpp brings what it has to say of peers: at once, on its own threads. It may hold on to
-/// this for longer than an outlet lives, so it is never destroyed.
+/// The callback queue by which roscpp tells of peers: it passes news on at once, on roscpp's own
+/// threads. roscpp may keep the pointer for longer than an outlet lives, so the door is never
+/// destroyed.
 class Door final : public ::ros::CallbackQueueInterface {
  public:
   static Door& the() {
@@ -81,7 +84,8 @@ class Door final : public ::ros::CallbackQueueInterface {
     const std::lock_guard guard(mutex_);
     outlets_[reinterpret_cast<std::uint64_t>(callbacks.get())] = {std::move(outlet), nullptr};
   }
-  /// From now on roscpp does not hold the lock of the links while it calls.
+  /// The topic is advertised: from now on roscpp does not hold the lock of the links while it
+  /// calls.
   void opened(const ::ros::SubscriberCallbacksPtr& callbacks, ::ros::PublicationPtr publication) {
     const std::lock_guard guard(mutex_);
     outlets_[reinterpret_cast<std::uint64_t>(callbacks.get())].publication = std::move(publication);
@@ -117,7 +121,7 @@ class Door final : public ::ros::CallbackQueueInterface {
   std::map<std::uint64_t, Entry> outlets_;
 };
 
-/// A frame that no message is: one byte.
+/// A frame of one byte, which is no message.
 ::ros::SerializedMessage frame_of(std::uint8_t sign) {
   boost::shared_array<std::uint8_t> bytes(new std::uint8_t[5]{1, 0, 0, 0, sign});
   ::ros::SerializedMessage message(bytes, 5);
@@ -145,7 +149,7 @@ class TopicOutlet::Turn {
   Turn& operator=(const Turn&) = delete;
   ~Turn() { leave(); }
 
-  /// Others may have it meanwhile.
+  /// Releases the mutex for that time: other threads may take it.
   void sleep(std::chrono::milliseconds time) {
     leave();
     std::this_thread::sleep_for(time);
@@ -195,7 +199,8 @@ bool TopicOutlet::open() {
       [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, true); },
       [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, false); },
       ::ros::VoidConstPtr(), &Door::the());
-  // So that links say from the first one on that the topic latches; what is latched, we send.
+  // With this callback, links say from the first one on that the topic latches. The outlet itself
+  // sends what is latched.
   if (options_.latch) callbacks_->push_latched_message_ = [](const ::ros::SubscriberLinkPtr&) {};
   Door::the().add(callbacks_, weak_from_this());
   const bool accepted = ::ros::TopicManager::instance()->advertise(options, callbacks_);
@@ -207,7 +212,7 @@ bool TopicOutlet::open() {
     return false;
   }
   Door::the().opened(callbacks_, publication_);
-  // Who came meanwhile came without its links.
+  // News that came before now have no links yet.
   const Links links = links_of(*publication_);
   const std::lock_guard guard(news_mutex_);
   for (News& news : news_) {
@@ -219,7 +224,8 @@ bool TopicOutlet::open() {
   return true;
 }
 
-/// Whoever has yet to come, or to say whether its link is needed, too, gets what was kept for it.
+/// Before the end: peers that have not come to the ring yet, or have not answered yet, get what the
+/// outlet has kept for them.
 void TopicOutlet::settle() {
   const auto until = Loop::Clock::now() + kLastAnswers;
   bool is_sending = false;
@@ -240,14 +246,15 @@ void TopicOutlet::settle() {
     }
     is_sending = serialised_ != on_links;
   }
-  // roscpp drops what it has not written when the topic ends.
+  // When the topic ends, roscpp drops the frames that it has not written.
   if (is_sending) std::this_thread::sleep_for(kLastFrames);
 }
 
 void TopicOutlet::withdraw() {
   try {
     settle();
-  } catch (const std::exception& e) {  // this process was taken for dead, say: its peers have all
+  } catch (const std::exception&
+               e) {  // for example, this process was taken for dead: its peers have all
     ROS_WARN("LOT: %s: its last messages: %s", options_.topic.c_str(), e.what());
   }
   Door::the().remove(callbacks_);
@@ -258,7 +265,7 @@ void TopicOutlet::close() {
   Peers gone;
   std::shared_ptr<lot::detail::PusherCore> ring;
   std::shared_ptr<Session> session;
-  const std::scoped_lock guard(mutex_, ring_mutex_);  // let go first
+  const std::scoped_lock guard(mutex_, ring_mutex_);  // released first, before the objects above go
   gone.swap(peers_);
   ring.swap(ring_);
   session.swap(session_);
@@ -275,7 +282,7 @@ void TopicOutlet::note(News news) {
   tend({});
 }
 
-/// A link of which roscpp has told: a new one of that name.
+/// Notes the link that the news is about: a new one of that name.
 void TopicOutlet::announce(const News& news) {
   if (!news.came) return;
   for (const auto& [number, link] : *news.links) {
@@ -283,7 +290,7 @@ void TopicOutlet::announce(const News& news) {
   }
 }
 
-/// LOT's thread waits for no publisher that is at work: that one takes note itself.
+/// LOT's thread does not wait for a thread that is publishing: that thread takes note itself.
 void TopicOutlet::tend(Loop::Clock::time_point when) {
   loop_->at(when, [weak = weak_from_this()] {
     const auto self = weak.lock();
@@ -329,7 +336,7 @@ void TopicOutlet::take_note() {
         peer.may_read =
             at->second.transport == "TCPROS" && news.name != ::ros::this_node::getName();
       } else {
-        peer.state = State::Link;  // it was there before us: what it is we do not know
+        peer.state = State::Link;  // it was there before LOT: its kind is unknown
       }
       peers_.push_back(std::move(peer));
     } else {
@@ -350,7 +357,7 @@ void TopicOutlet::take_note() {
   }
 }
 
-/// A peer that has just come. What is latched it gets now.
+/// Treats a peer that has just come: it gets what is latched.
 void TopicOutlet::welcome(Peer& peer) {
   if (std::exchange(peer.is_welcome, true)) return;
   const auto latched = this->latched();
@@ -371,13 +378,14 @@ std::vector<const TopicOutlet::Message*> TopicOutlet::latched() const {
   return latched;
 }
 
-/// The one that is latched, if it is the ring's last; null: it is not, or several are.
+/// The latched message, if there is one only and it is the ring's last message; else null.
 const TopicOutlet::Message* TopicOutlet::latched_last(
     const std::vector<const Message*>& latched) const {
   return latched.size() == 1 && last_is_latched_ ? latched.front() : nullptr;
 }
 
-/// What is unsure is for it, then. Soon it is known whether that is enough.
+/// Open -> Ring, if the peer reads the ring: serves its cell from the oldest kept message on. The
+/// probe then asks whether the ring is enough for the peer's process.
 bool TopicOutlet::try_ring(Peer& peer) {
   if (!ring_ || !peer.may_read || !is_alone(peer)) return false;
   const auto served = ring_->serve(participant_name(peer.name), peer.unsure.size(), peer.invited);
@@ -392,14 +400,16 @@ bool TopicOutlet::try_ring(Peer& peer) {
   return true;
 }
 
-/// True when it is a LOT subscriber's, so that it is about to read our ring. One of the same name
-/// that is there, too, has gone, and roscpp has yet to say so.
+/// True when the peer may still come to read the ring: a living participant of that name wants the
+/// topic, and the peer has not taken too long. (If another peer of that name is there, too, its
+/// process has gone, and roscpp has yet to say so.)
 bool TopicOutlet::may_come(const Peer& peer) const {
   const bool in_time =
       peer.unsure.empty() || std::chrono::steady_clock::now() - peer.since < kPatience;
   return in_time && ring_ && peer.may_read && ring_->expects(participant_name(peer.name));
 }
 
+/// Keeps a message that goes into the ring, since the peer may yet need it by its link.
 void TopicOutlet::keep_for(Peer& peer, const Message& message) {
   const auto now = std::chrono::steady_clock::now();
   if (peer.unsure.empty()) peer.since = now;
@@ -410,6 +420,7 @@ void TopicOutlet::keep_for(Peer& peer, const Message& message) {
   watch(kFirstLook);
 }
 
+/// The peer has confirmed that the ring is enough: its link needs none of the kept messages.
 void TopicOutlet::has_answered(Peer& peer) {
   peer.has_answered = true;
   if (peer.invite_again != kFirstInvitation &&
@@ -419,6 +430,7 @@ void TopicOutlet::has_answered(Peer& peer) {
   peer.unsure.clear();
 }
 
+/// Open -> Link, or the end of Ring: sends on the link what the outlet has kept for the peer.
 void TopicOutlet::go_to_link(Peer& peer) {
   peer.state = State::Link;
   if (peer.invited) invite_later(peer);
@@ -426,9 +438,10 @@ void TopicOutlet::go_to_link(Peer& peer) {
   for (const Message& message : std::exchange(peer.unsure, {})) send(peer, message);
 }
 
-/// Its link has carried all that was for it so far. If it can read the ring, it is told so behind
-/// that, and what comes is kept for it until it does. What is latched must stay the link's last
-/// frame: roscpp keeps that for those who come beside it.
+/// Link -> Open, if the peer could read the ring: invites it. The peer's link has carried all
+/// messages for it so far, and the invitation is the frame behind them. The outlet keeps what comes
+/// next until the peer reads the ring. It invites no peer of a latched topic: what is latched must
+/// stay the link's last frame, which roscpp keeps for subscribers that come later.
 void TopicOutlet::invite(Peer& peer) {
   if (!ring_ || !peer.may_read || !is_alone(peer) || !is_greeted(peer)) return;
   if (!latched().empty()) return;
@@ -445,6 +458,7 @@ void TopicOutlet::invite(Peer& peer) {
   send_sign(peer, frame_of(peer.invitation));
   watch(kFirstLook);
 }
+/// Sets the earliest time of the next invitation, and doubles the wait.
 void TopicOutlet::invite_later(Peer& peer) {
   peer.invite_at = std::chrono::steady_clock::now() + peer.invite_again;
   peer.invite_again = std::min(2 * peer.invite_again, kRarestInvitation);
@@ -467,24 +481,28 @@ bool TopicOutlet::is_greeted(const Peer& peer) const {
   });
 }
 
-/// What it is greeted by comes before what is in the ring, if it is told so.
+/// True when a connect callback greets the peer over its link. An invited peer has got the
+/// greeting: it is a frame before the invitation.
 bool TopicOutlet::needs_link(const Peer& peer) const { return greets() && !peer.invited; }
 
-/// As many as its link takes at once: roscpp throws the oldest away when its queue is full.
+/// As many messages as the peer's link takes at once: roscpp throws the oldest frame away when its
+/// queue is full.
 std::size_t TopicOutlet::most_unsure() const {
   const std::size_t undecided = most_undecided(depth_of(options_));
   return options_.queue_size == 0 ? undecided
                                   : std::min<std::size_t>(options_.queue_size, undecided);
 }
 
+/// The peer's link has gone: ends its service in the ring.
 void TopicOutlet::leave_ring(Peer& peer) {
   if (peer.state != State::Ring) return;
   ring_->stop(peer.served, 0);
   peer.state = State::Link;
 }
 
-/// Its messages go by the link from now on, and those that somebody beside its LOT subscribers may
-/// have missed, too, and what is latched; they themselves know by `to` what they have had.
+/// Ring -> Link: the peer's messages go by the link from now on. So do those that a plain
+/// subscriber beside its LOT subscribers may have missed, and what is latched. The inlet of the
+/// peer knows by `to` which of them it has had.
 void TopicOutlet::return_to_link(Peer& peer) {
   const Message* const last = latched_last(latched());
   if (last != nullptr && peer.has_last && peer.unsure.empty()) peer.unsure.push_back(*last);
@@ -495,7 +513,7 @@ void TopicOutlet::return_to_link(Peer& peer) {
 
 // ---- messages -----------------------------------------------------------------------------------
 
-/// The ring may be closed meanwhile.
+/// A pointer to the ring, since another thread may close the outlet meanwhile.
 std::shared_ptr<lot::detail::PusherCore> TopicOutlet::ring() {
   const std::lock_guard guard(ring_mutex_);
   return ring_;
@@ -566,7 +584,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
     if (peer.state == State::Open) undecided.push_back(&peer);
     if (peer.state != State::Ring) continue;
     peer.has_last = true;
-    if (is_due) ring_->ask(peer.served);  // nobody has lately
+    if (is_due) ring_->ask(peer.served);  // no other thread has asked lately
     if (ring_->is_content(peer.served)) {
       has_answered(peer);
     } else {
@@ -582,7 +600,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
     keep_apart(message, bytes);
     from->second.latched = message;
   }
-  // Those of this process last: they may change a standard message.
+  // Subscribers of this process come last: they may change a standard message.
   for (const bool here : {false, true}) {
     for (Peer& peer : peers_) {
       if (peer.state != State::Link || is_in_process(peer.link) != here) continue;
@@ -596,8 +614,8 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
   }
 }
 
-/// A copy of a message that others cannot read where it is; none when there is no room. Of a
-/// standard one it bears the number.
+/// Copies into the ring's memory a message that other processes cannot read where it is. Returns an
+/// empty parcel when there is no room. The copy of a standard message gets the message's number.
 detail::Parcel TopicOutlet::into_ring(const Message& message) {
   const detail::Parcel& given = message.parcel;
   try {
@@ -627,7 +645,7 @@ const ::ros::SerializedMessage& TopicOutlet::serialise(const Message& message, B
   bytes = parcel.message ? kind_.serialise(parcel.message.get())
                          : kind_.standard.serialise(parcel.standard.get());
   if (kind_.has_header && !message.fresh) {
-    // Others may be reading the message: its number is set in the bytes alone.
+    // Other threads may be reading the message: the outlet sets its number in the bytes alone.
     for (int i = 0; i < 4; ++i) {
       bytes->message_start[i] = static_cast<std::uint8_t>(message.number >> 8 * i);
     }
@@ -635,7 +653,8 @@ const ::ros::SerializedMessage& TopicOutlet::serialise(const Message& message, B
   return *bytes;
 }
 
-/// A frame that no message is. Plain subscribers of this process do not see it.
+/// Sends a frame that is no message: a probe or an invitation. Plain subscribers of this process do
+/// not see it.
 void TopicOutlet::send_sign(const Peer& peer, ::ros::SerializedMessage frame) {
   frame.type_info = kind_.standard.type;
   if (const ::ros::SubscriberLinkPtr link = peer.link.lock()) {
@@ -656,15 +675,16 @@ void TopicOutlet::send(Peer& peer, const Message& message, Bytes& bytes) {
   link->enqueueMessage(serialise(message, bytes), true, false);
 }
 
-/// Subscribers of this process get it by pointer: ours the message in shared memory, plain ones the
-/// standard message, which they may change. Bytes are for those of other types (ShapeShifter); and
-/// where the topic latches for plain ones, too: roscpp keeps what came last, and gives it to those
-/// that come later, whatever type they take.
+/// Sends a message to subscribers of this process, by pointer: LOT's get the message in shared
+/// memory, plain ones the standard message, which they may change. Subscribers of other types
+/// (ShapeShifter) get bytes. Where the topic latches, plain ones get bytes, too: roscpp keeps the
+/// last frame, and gives it to subscribers that come later, whatever type they take.
 void TopicOutlet::send_in_process(Peer& peer, ::ros::SubscriberLink& link, const Message& message,
                                   Bytes& bytes) {
   const std::type_info& standard = *kind_.standard.type;
   const Inlet::Subscribers there = subscribers_on(link);
-  // All of this before a subscriber has a pointer by which to change it.
+  // The outlet copies and serialises before a subscriber has a pointer by which it may change the
+  // message.
   if (there.inlet) hand_over(there.inlet, peer, message, bytes);
   if (latches()) {
     if (there.plain || there.others || peer.is_kept) {
@@ -684,13 +704,14 @@ void TopicOutlet::send_in_process(Peer& peer, ::ros::SubscriberLink& link, const
     link.enqueueMessage(where, false, true);
   }
   if (!there.others) return;
-  const Inlet::Disguise as_plain_ones(standard);  // these have it
+  const Inlet::Disguise as_plain_ones(standard);  // plain ones have the message by pointer
   ::ros::SerializedMessage for_others = *bytes;
   for_others.type_info = &standard;
   link.enqueueMessage(for_others, true, false);
 }
 
-/// To LOT's own subscribers of this process, which deliver it when the lock has been left.
+/// Hands a message over to the inlet of LOT's own subscribers of this process. The inlet delivers
+/// it when this thread has released the outlet's mutex.
 void TopicOutlet::hand_over(const std::shared_ptr<Inlet>& inlet, Peer& peer, const Message& message,
                             Bytes& bytes) {
   boost::shared_ptr<void const> ours = message.parcel.message;
@@ -699,7 +720,7 @@ void TopicOutlet::hand_over(const std::shared_ptr<Inlet>& inlet, Peer& peer, con
     if (!ours) lacks_room();
   }
   if (!ours) ours = deserialise(message, bytes);
-  // What greets the peer goes by the link.
+  // A greeting goes by the link: the message waits behind it.
   if (!is_greeted(peer)) inlet->follow_links();
   const auto header = boost::make_shared<::ros::M_string>();
   (*header)["callerid"] = ::ros::this_node::getName();
@@ -713,8 +734,8 @@ void TopicOutlet::hand_over(const std::shared_ptr<Inlet>& inlet, Peer& peer, con
   peer.inlet = inlet;
 }
 
-/// All but those that it was handed over to get the bytes, and so do those that come to this link
-/// later.
+/// Sends the bytes to all subscribers on the link but those of the inlet that has the message.
+/// roscpp keeps the bytes for subscribers that come to this link later.
 void TopicOutlet::send_to_be_kept(Peer& peer, ::ros::SubscriberLink& link, const Inlet* has_it,
                                   const Message& message, Bytes& bytes) {
   ++by_link_;
@@ -722,7 +743,7 @@ void TopicOutlet::send_to_be_kept(Peer& peer, ::ros::SubscriberLink& link, const
   peer.is_kept = true;
 }
 
-/// True when a plain subscriber that comes beside LOT's own of this process is to get what is
+/// True when a plain subscriber may come beside LOT's own of this process, is to get what is
 /// latched, and roscpp does not have it.
 bool TopicOutlet::is_latched_here() const {
   return !latched().empty() && std::any_of(peers_.begin(), peers_.end(), [](const Peer& peer) {
@@ -730,7 +751,7 @@ bool TopicOutlet::is_latched_here() const {
   });
 }
 
-/// Has one come since, or LOT's own anew? roscpp does not say so.
+/// Looks whether such a plain subscriber has come, or a new inlet of LOT's: roscpp does not say so.
 void TopicOutlet::look_beside() {
   if (!is_latched_here()) return;
   for (Peer& peer : peers_) {
@@ -748,7 +769,8 @@ void TopicOutlet::look_beside() {
   }
 }
 
-/// What it finds delivers, and goes, when the lock has been left.
+/// The subscribers on a link of this process. The inlet that it finds delivers, and may go, when
+/// this thread has released the mutex.
 Inlet::Subscribers TopicOutlet::subscribers_on(::ros::SubscriberLink& link) {
   Inlet::Subscribers there = Inlet::on(link, *kind_.standard.type);
   if (there.inlet) receivers_.push_back(there.inlet);
@@ -760,7 +782,7 @@ bool TopicOutlet::latches() {
   return has_latched_;
 }
 
-/// On the heap.
+/// Makes the message anew on the heap, from its bytes.
 boost::shared_ptr<void const> TopicOutlet::deserialise(const Message& message, Bytes& bytes) {
   const ::ros::SerializedMessage& made = serialise(message, bytes);
   const auto length =
@@ -768,7 +790,8 @@ boost::shared_ptr<void const> TopicOutlet::deserialise(const Message& message, B
   return kind_.deserialise(made.message_start, static_cast<std::uint32_t>(length));
 }
 
-/// No subscriber may change what is latched: the user's standard message goes, and a copy stays.
+/// Makes a message that is latched safe from subscribers that change it: gives up the user's
+/// standard message, and keeps a copy.
 void TopicOutlet::keep_apart(Message& message, Bytes& bytes) {
   detail::Parcel& parcel = message.parcel;
   if (!parcel.message) {
@@ -778,9 +801,10 @@ void TopicOutlet::keep_apart(Message& message, Bytes& bytes) {
   parcel.standard.reset();
 }
 
-/// While there are messages LOT's thread asks every now and then whether anybody beside LOT needs
-/// the links, apart from the messages, which it would hold up; and it takes the answers, since no
-/// other message may follow.
+/// Has LOT's thread look after the links while messages are published. It probes every now and
+/// then: does a plain subscriber beside a peer's LOT subscribers need the link? A publishing thread
+/// does not send the probes, since they would hold its messages up. LOT's thread takes the answers
+/// as well, since there may be no further message.
 void TopicOutlet::watch(std::chrono::milliseconds patience) {
   if (std::exchange(watching_, true)) return;
   look_at(Loop::Clock::now() + patience, patience);
@@ -799,7 +823,7 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
     const auto now = Loop::Clock::now();
     const bool is_early = now < self->probe_at_;
     bool goes_on = is_early;
-    // Who comes beside a peer in the ring is to get what is latched, too.
+    // A plain subscriber that comes beside a peer in the ring is to get what is latched, too.
     self->look_beside();
     const bool asks_anyway = self->is_latched_here() ||
                              (self->latched_last(self->latched()) != nullptr && self->is_read());
@@ -816,7 +840,8 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
     if (!all_answered || goes_on) {
       self->watching_ = true;
       auto next = all_answered ? self->probe_at_ : now + patience;
-      // For the answers; and where nobody is asked.
+      // It looks earlier for the answers, and for new plain subscribers of this process, which no
+      // probe finds.
       if ((asks_anyway && !is_early) || self->is_latched_here()) {
         next = std::min(next, now + kLastLook);
       }
@@ -825,13 +850,14 @@ void TopicOutlet::look_at(Loop::Clock::time_point when, std::chrono::millisecond
   });
 }
 
-/// True when somebody has its messages from the ring.
+/// True when a peer has its messages from the ring.
 bool TopicOutlet::is_read() const {
   return std::any_of(peers_.begin(), peers_.end(),
                      [](const Peer& peer) { return peer.state == State::Ring; });
 }
 
-/// False: somebody has yet to say something about messages that are kept for it.
+/// Takes the answers of the peers. False: a peer has yet to answer about messages that the outlet
+/// keeps for it.
 bool TopicOutlet::take_answers() {
   bool all_answered = true;
   for (Peer& peer : peers_) {
@@ -856,7 +882,8 @@ bool TopicOutlet::take_answers() {
   return all_answered;
 }
 
-/// It has to say anew whether it is content.
+/// Asks a peer: is a plain subscriber beside your LOT subscribers? It has to confirm anew that it
+/// is content.
 void TopicOutlet::probe(Peer& peer) {
   ring_->ask(peer.served);
   send_sign(peer, probe_frame());
@@ -868,9 +895,9 @@ std::uint64_t TopicOutlet::add(bool latches, bool greets) {
   const Turn turn(*this);
   ends_[++last_end_] = {latches, greets};
   if (!greets) return last_end_;
-  // What its callback sends comes behind all that was published so far.
+  // What the connect callback sends comes behind all that was published so far.
   End& end = ends_[last_end_];
-  end.greets = false;  // of those who come from now on it hears, and of these
+  end.greets = false;  // take_note() counts no greeting for it: the loop below does
   take_note();
   end.greets = true;
   for (Peer& peer : peers_) {
@@ -887,7 +914,7 @@ void TopicOutlet::greeted(std::uint64_t name, const std::string& peer_name) {
   const auto at = ends_.find(name);
   if (!session_ || at == ends_.end()) return;
   take_note();
-  // Those that were there before the callback was may be greeted twice.
+  // Links that were there before the callback was may be greeted twice.
   auto& ungreeted = at->second.ungreeted;
   if (const auto link = ungreeted.find(peer_name); link != ungreeted.end()) {
     if (--link->second == 0) ungreeted.erase(link);
@@ -906,7 +933,7 @@ void TopicOutlet::greeted(std::uint64_t name, const std::string& peer_name) {
 }
 
 bool TopicOutlet::remove(std::uint64_t name) {
-  End end;  // let go when the lock has been left
+  End end;  // destroyed when the mutex is released
   const std::lock_guard guard(mutex_);
   const auto at = ends_.find(name);
   if (at != ends_.end()) {
@@ -927,7 +954,7 @@ std::uint64_t TopicOutlet::by_link() const {
   return by_link_;
 }
 
-/// Links that are there and that roscpp has told us of, which it does a little later.
+/// How many links are there of which roscpp has told the outlet, which it does a little later.
 std::uint32_t TopicOutlet::subscribers() const {
   const Links links = links_of(*publication_);
   const std::lock_guard guard(news_mutex_);

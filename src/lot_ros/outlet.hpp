@@ -26,26 +26,37 @@
 
 namespace lot::ros {
 
-/// One topic that this process publishes: LOT's ring for those peers that read it, an ordinary ROS
-/// link for all others, and LOT's own subscribers of this process get messages from the thread that
-/// publishes (docs/ros.md).
+/// One topic that this process publishes (docs/ros.md). A *peer* is the subscriber's process at the
+/// other end of one of the topic's ROS links. Peers that can read the publisher's ring get messages
+/// by the ring, all others by their links. LOT's own subscribers of this process get messages by
+/// hand: the thread that publishes gives them to their inlet.
 ///
-///     Open ------ it reads our ring ------> Ring ------ it wants its link, no room ------> Link
-///      | ^                                                                               ^ |
-///      | `------ it could read the ring: it is invited, by the last frame on its link ---|-'
-///      `-------- it is no LOT subscriber's, or it has not come to read for too long -----'
+/// The outlet decides for each peer, and changes its mind:
 ///
-/// Threads: all members may be called at once. note() is called by roscpp with its locks held.
-/// Crash:   of a peer: its link ends, and it is forgotten; its cell in the ring is the reaper's.
+///      Open ------ it reads our ring ------> Ring ------ it wants its link, no room ------> Link
+///       | ^                                                                               ^ |
+///       | `------ it could read the ring: it is invited, by the last frame on its link ---|-'
+///       `-------- it is no LOT subscriber's, or it has not come to read for too long -----'
+///
+/// - Open: the outlet has sent nothing on the link yet, or nothing since it invited the peer. It
+///   expects the peer to read the ring, and keeps for it what goes into the ring meanwhile.
+/// - Ring: the peer reads the ring. Its link carries probes and no messages.
+/// - Link: the outlet sends each message on the link.
+///
+/// Threads: all members may be called at once. roscpp calls note() with its own locks held.
+/// Crash:   of a peer: its link ends, and the outlet forgets it. The reaper frees its cell in the
+///          ring.
 class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_this<TopicOutlet> {
  public:
   TopicOutlet(std::shared_ptr<Session> session, const ::ros::AdvertiseOptions& options,
               const detail::Kind& kind);
 
-  /// Announces it to ROS; once, with the first end there already. False: ROS refuses it.
+  /// Advertises the topic at ROS. Called once, when the first end has been added. False: ROS
+  /// refuses it.
   bool open();
-  /// When nobody publishes any more: takes that back; and then lets go of all. What roscpp's
-  /// threads still have of this does nothing then.
+  /// The end of the outlet, when the user has no publisher of the topic any more. withdraw() takes
+  /// the advertisement back, then close() lets go of everything. A call that a roscpp thread still
+  /// makes does nothing then.
   void withdraw();
   void close();
   const std::string& topic() const noexcept { return options_.topic; }
@@ -54,11 +65,12 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void reserve(std::size_t count, std::size_t bytes) override;
   void publish(const detail::Parcel& parcel, bool fresh, std::uint64_t end) override;
 
-  /// A user's end of the topic: whether it latches, and whether it greets peers.
+  /// Adds an end: one publisher of the user's. `latches`, `greets`: whether it latches, and whether
+  /// it has a connect callback that greets peers.
   std::uint64_t add(bool latches, bool greets);
-  /// The connect callback of that end has been called for a peer.
+  /// The connect callback of that end has returned from a call for the peer of that name.
   void greeted(std::uint64_t end, const std::string& name);
-  /// True when there is no other one.
+  /// Removes an end. True when it was the last one.
   bool remove(std::uint64_t end);
 
   const detail::Kind& kind() const noexcept { return kind_; }
@@ -71,80 +83,87 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     std::string callerid;
     std::string transport;
   };
-  using Links = std::map<int, Link>;  ///< by roscpp's number of the connection
+  using Links = std::map<int, Link>;  ///< by the number that roscpp gives a connection
 
-  /// What roscpp says of a peer.
+  /// What roscpp says about a peer: that a link came, or went.
   struct News {
     bool came = false;
     std::string name{};
     boost::weak_ptr<::ros::SubscriberLink> link{};
-    std::optional<Links> links{};  ///< then; null: until open() has them
+    std::optional<Links> links{};  ///< all links of that moment; null: open() adds them
   };
   void note(News news);
 
  private:
   enum class State { Open, Ring, Link };
-  /// So long after a peer has been invited in vain it is invited again; then twice as long.
+  /// If a peer does not follow an invitation, the outlet waits so long before the next one, then
+  /// twice as long each time.
   static constexpr std::chrono::milliseconds kFirstInvitation{250};
   static constexpr std::chrono::milliseconds kRarestInvitation{60'000};
-  /// So long it is in the ring until the next invitation may come as soon as the first.
+  /// After so long in the ring, the peer's next invitation may come as soon as a first one.
   static constexpr std::chrono::seconds kSettled{10};
   struct Message {
     detail::Parcel parcel;
     std::uint32_t number;
-    bool fresh;  ///< its header says the number
-    /// The end that latches it has this; null: it is not latched.
+    bool fresh;  ///< its header holds the number, since no other thread had the message
+    /// Lives as long as the end that latches the message. Null: the message is not latched.
     boost::shared_ptr<::ros::M_string> latched_by{};
   };
   struct Peer {
-    int number = 0;  ///< roscpp's, of the connection
+    int number = 0;  ///< roscpp's number of the connection
     boost::weak_ptr<::ros::SubscriberLink> link{};
     std::string name;
-    bool may_read = false;         ///< its link is TCPROS, and of another node
-    bool is_kept = false;          ///< its link is of this process and has carried what is latched
-    std::weak_ptr<Inlet> inlet{};  ///< that messages were handed over to last
+    bool may_read = false;  ///< the link is TCPROS, and of another node
+    bool is_kept = false;   ///< a link in this process, and roscpp keeps there what is latched
+    std::weak_ptr<Inlet> inlet{};  ///< the inlet that got the last message by hand
     State state = State::Open;
     lot::detail::Served served;
     std::chrono::steady_clock::time_point served_since{};
-    bool is_welcome = false;    ///< it has got what is latched
+    bool is_welcome = false;    ///< the peer has got what is latched
     bool has_last = false;      ///< Ring: the last message of the ring is for it
-    bool has_answered = false;  ///< it is the one whose cell is served
-    /// Open: what is in the ring, and is for it when it comes to read; since when the first is
-    /// there, or it has been invited. Ring: what has gone there before it said whether somebody
-    /// beside LOT needs it, too.
+    bool has_answered = false;  ///< the served cell is this peer's, since its process has answered
+    /// Messages that the ring has, and that the peer may still need by its link.
+    /// Open: they are for the peer if it comes to read the ring.
+    /// Ring: they went into the ring before the peer said whether its link is needed, too.
+    /// `since`: when the first of them was published; Open: or when the outlet invited the peer.
     std::deque<Message> unsure;
     std::chrono::steady_clock::time_point since;
-    /// Open, after its link has carried messages: the invitation that it has got behind these. When
-    /// it answers by that, it has them all.
+    /// Open, after the link has carried messages: the number of the invitation that the outlet sent
+    /// behind these. A peer that answers with this number has them all.
     std::optional<std::uint8_t> invited{};
-    /// The last one. They begin anywhere: a late answer to an earlier link's is none to this one's.
+    /// The number of the last invitation. The numbers begin at random: so a late answer to an
+    /// earlier link's invitation is none to this link's.
     std::uint8_t invitation = static_cast<std::uint8_t>(std::random_device()());
-    std::chrono::steady_clock::time_point invite_at{};  ///< not before that
+    std::chrono::steady_clock::time_point invite_at{};  ///< no invitation before that
     std::chrono::milliseconds invite_again = kFirstInvitation;
   };
   using Peers = std::vector<Peer>;
 
   static constexpr std::chrono::milliseconds kProbePeriod{250};
-  /// A probe costs the processor as much as several messages: a stream is asked about less often.
+  /// A probe costs the processor as much as several messages: so the outlet probes less often in a
+  /// stream.
   static constexpr std::chrono::milliseconds kStreamProbePeriod{1000};
-  static constexpr std::chrono::milliseconds kStream{60};  ///< a message comes within that
+  static constexpr std::chrono::milliseconds kStream{60};  ///< a stream has one within that
 
   struct End {
     bool latches = false;
     bool greets = false;
     std::optional<Message> latched{};
-    /// While it lives, subscribers of this process give what is latched to those that come.
+    /// While it lives, the inlets of this process give what is latched to subscribers that come
+    /// later.
     boost::shared_ptr<::ros::M_string> alive = boost::make_shared<::ros::M_string>();
-    /// By name: links that have come and are to be greeted yet, since when its callback was there.
+    /// By the peer's name: how many links have come since the callback was there, and are not
+    /// greeted yet.
     std::map<std::string, int> ungreeted{};
   };
 
-  /// On LOT's thread: takes note of who has come.
+  /// Has LOT's thread take note of the links that came and went.
   void tend(Loop::Clock::time_point when);
 
   void announce(const News& news);  // REQUIRES news_mutex_
 
-  /// Holds mutex_. When it has left it, receivers_ deliver, and what is in gone_ is destroyed.
+  /// Holds mutex_. When it has released mutex_, it has the inlets of receivers_ deliver, and
+  /// destroys the peers in gone_.
   class Turn;
 
   // All of these REQUIRE a Turn.
@@ -172,7 +191,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   bool take_answers();
   void settle();
   void probe(Peer& peer);
-  /// The bytes of a message, made when they are asked for: once, for all links.
+  /// The bytes of a message. The first link that needs them makes them, for all links.
   using Bytes = std::optional<::ros::SerializedMessage>;
   const ::ros::SerializedMessage& serialise(const Message& message, Bytes& bytes);
   void send(Peer& peer, const Message& message, Bytes& bytes);
@@ -198,9 +217,10 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   const ::ros::AdvertiseOptions options_;
   const detail::Kind& kind_;
   const std::shared_ptr<detail::Converter> converter_;
-  /// Null: LOT is off, cannot have this topic, or it is closed. Changed with both mutexes held.
+  /// Null: LOT is off, cannot carry this topic, or the outlet is closed. A thread that changes it
+  /// holds both mutexes.
   std::shared_ptr<lot::detail::PusherCore> ring_;
-  std::mutex ring_mutex_;  ///< a leaf
+  std::mutex ring_mutex_;  ///< a leaf: no other lock is taken under it
   ::ros::SubscriberCallbacksPtr callbacks_;
   ::ros::PublicationPtr publication_;
 
@@ -208,25 +228,25 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   std::shared_ptr<Session> session_;  ///< null: closed
   Peers peers_;
   Peers gone_;
-  std::vector<std::shared_ptr<Inlet>> receivers_;  ///< that may have messages to deliver
+  std::vector<std::shared_ptr<Inlet>> receivers_;  ///< inlets that may have messages to deliver
   std::vector<Inlet::Taken> dropped_;
   std::map<std::uint64_t, End> ends_;
   std::uint64_t last_end_ = 0;
-  bool watching_ = false;        ///< LOT's thread will look after the links
-  std::uint32_t published_ = 0;  ///< messages, since it has last asked
+  bool watching_ = false;        ///< LOT's thread is due to look after the links
+  std::uint32_t published_ = 0;  ///< messages since the last probes
   std::chrono::milliseconds probe_period_ = kProbePeriod;
-  Loop::Clock::time_point probe_at_;  ///< not before that it asks again
-  bool last_is_latched_ = false;      ///< the last message of the ring is the one that is latched
-  bool has_lacked_room_ = false;      ///< a message found none, which was said
+  Loop::Clock::time_point probe_at_;  ///< no probes before that
+  bool last_is_latched_ = false;      ///< the last message of the ring is the latched one
+  bool has_lacked_room_ = false;      ///< a message found no room, and the user was told
   std::uint64_t serialised_ = 0;
   std::uint64_t by_link_ = 0;
-  /// Once it has latched: links that were made then say so for ever.
+  /// True once the topic has latched. roscpp's links that were made then latch for ever.
   bool has_latched_ = false;
 
-  mutable std::mutex news_mutex_;  ///< a leaf: roscpp's locks are held by who takes it
+  mutable std::mutex news_mutex_;  ///< a leaf: a thread may take it with roscpp's locks held
   std::vector<News> news_;
-  std::set<int> announced_;  ///< roscpp's numbers of the links that it has told of
-  bool is_open_ = false;     ///< all news have their links
+  std::set<int> announced_;  ///< numbers of the links that roscpp has told of
+  bool is_open_ = false;     ///< open() has added the links to all news
 };
 
 }  // namespace lot::ros
