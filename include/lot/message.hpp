@@ -58,10 +58,10 @@ class ShmAllocator {
     using other = ShmAllocator<U>;
   };
 
-  /// Of the message that this thread builds just now, else of the heap.
+  /// Allocates in the message that this thread builds just now, else on the heap.
   ShmAllocator() noexcept : arena_(detail::arena_being_built()) {}
   ShmAllocator(const ShmAllocator& other) noexcept = default;
-  /// Of the same message as `other`, or of the heap as that one.
+  /// Allocates in the same message as `other`, or on the heap as `other` does.
   template <class U>
   ShmAllocator(const ShmAllocator<U>& other) noexcept : arena_(other.arena()) {}
   ShmAllocator& operator=(const ShmAllocator&) noexcept = default;
@@ -119,7 +119,8 @@ class ShmAllocator {
     }
   }
 
-  /// What a copy of a container gets: that of the message that this thread builds, else the heap.
+  /// The allocator that a copy of a container gets: of the message that this thread builds, else of
+  /// the heap.
   ShmAllocator select_on_container_copy_construction() const noexcept { return ShmAllocator(); }
 
   /// The message that it allocates in; null: the heap.
@@ -194,8 +195,8 @@ class ShmRef {
   }
   ~ShmRef() { let_go(); }
 
-  /// The target where it lies in this process, or null. What another process has damaged may lead
-  /// anywhere: lock() looks.
+  /// The target where it lies in this process, or null. If another process has damaged the
+  /// reference, it may lead anywhere: lock() checks it.
   U* get() const noexcept { return target_.get(); }
   /// The target. REQUIRES: there is one.
   U& operator*() const noexcept { return *get(); }

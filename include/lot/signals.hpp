@@ -5,8 +5,8 @@ namespace lot {
 
 /// SIGINT, SIGTERM and SIGHUP end the process as they would without this, and leave no file: the
 /// last process of a segment removes it first. One line at the beginning of main(), for programs
-/// that do not catch these signals themselves; those that do, and then let their engines go, need
-/// it not.
+/// that do not catch these signals themselves. A program that catches them, and then lets its
+/// engines go, does not need it.
 ///
 /// A signal that is ignored or has a handler is left alone. Removing takes some milliseconds, and
 /// five seconds at most, when another process is stopped in the midst of opening or leaving;

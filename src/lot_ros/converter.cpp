@@ -15,12 +15,12 @@
 namespace lot::ros {
 namespace {
 
-/// A message in shared memory, or a part of one (an aliasing pointer): its cell and its place are
-/// another one's after it.
+/// Names a message in shared memory, or a part of one (an aliasing pointer). The generation is in
+/// it, since the next message of the block has the same cell and place.
 struct Name {
   const lot::detail::ControlCell* cell = nullptr;
   std::uint64_t segment = 0;
-  std::uint32_t generation = 0;  ///< of the block's messages
+  std::uint32_t generation = 0;  ///< which message of the block it is
   const void* place = nullptr;
   std::type_index standard = typeid(void);
 
@@ -35,14 +35,14 @@ struct Name {
   }
 };
 
-/// What this process has made of one message. The thread that makes it holds the mutex, so that
-/// other threads wait.
+/// The standard message that this process has made of one message. The thread that makes it holds
+/// the mutex, so that other threads wait for it.
 struct Made {
   std::mutex mutex;
   boost::weak_ptr<void const> standard;
 };
 
-/// Of all messages whose shared standard one has a pointer left in this process.
+/// The Made of each message whose shared standard message has a pointer left in this process.
 class Known {
  public:
   static Known& the() {
@@ -68,7 +68,7 @@ class Known {
   std::map<Name, std::weak_ptr<Made>> made_;
 };
 
-/// Messages whose memory is free to be used again.
+/// Released standard messages, whose memory is used again.
 class Idle {
  public:
   explicit Idle(const detail::StandardKind& kind) : kind_(kind) {
@@ -84,7 +84,7 @@ class Idle {
     {
       const std::lock_guard guard(mutex_);
       if (!messages_.empty()) {
-        void* const last = messages_.back();  // the caches know it best
+        void* const last = messages_.back();  // most likely still in the caches
         messages_.pop_back();
         return last;
       }
@@ -124,8 +124,8 @@ class IdleConverter final : public detail::Converter {
   }
 
  private:
-  /// Brings the memory back. It keeps what is known of the message for as long as the standard one
-  /// has a pointer left.
+  /// The deleter of a standard message: gives its memory to Idle. It keeps the Made alive for as
+  /// long as the standard message has a pointer left.
   struct Return {
     std::shared_ptr<Idle> idle;
     std::shared_ptr<Made> made;

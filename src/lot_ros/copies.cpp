@@ -32,7 +32,7 @@ bool is_ours(const dl_phdr_info& object, const ElfW(Phdr) & part, std::uintptr_t
   return part.p_type == PT_LOAD && address - (object.dlpi_addr + part.p_vaddr) < part.p_memsz;
 }
 
-/// Whether a part of a file has our note.
+/// True when this part of a file holds our note.
 bool has_note(const dl_phdr_info& object, const ElfW(Phdr) & part) {
   if (part.p_type != PT_NOTE) return false;
   const auto* at = reinterpret_cast<const char*>(object.dlpi_addr + part.p_vaddr);
@@ -54,7 +54,8 @@ bool has_note(const dl_phdr_info& object, const ElfW(Phdr) & part) {
   return false;
 }
 
-/// Objects come in the order in which they were loaded. Not 0: that is enough.
+/// Looks at one loaded object. They come in the order in which they were loaded. Returns 0 to see
+/// the next one.
 int look(dl_phdr_info* object, std::size_t, void* data) {
   auto& search = *static_cast<Search*>(data);
   bool has = false;

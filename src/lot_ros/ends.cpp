@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// The user's ends of topics: what lot::ros::Publisher and Subscriber hold.
+/// The user's ends of topics, which lot::ros::Publisher and Subscriber hold.
 #include <condition_variable>
 #include <exception>
 #include <map>
@@ -18,12 +18,13 @@
 namespace lot::ros::detail {
 namespace {
 
-/// What this process has of each topic; never destroyed, for it is asked from static destructors.
+/// The outlet and the inlet of each topic in this process. Never destroyed, since static
+/// destructors use it.
 struct Topics {
-  std::mutex opening;  ///< held while one opens, which may ask the master
+  std::mutex opening;  ///< a thread holds it while it opens one, which may ask the master
   std::map<std::string, std::weak_ptr<TopicOutlet>> outlets;
   std::map<std::string, std::weak_ptr<Inlet>> inlets;
-  /// Whose end is not over yet: nobody subscribes to these meanwhile.
+  /// Topics whose inlet is still closing: no thread subscribes to them meanwhile.
   std::set<std::string> closing;
   std::condition_variable closed;
   static Topics& all() {
@@ -32,14 +33,14 @@ struct Topics {
   }
 };
 
-/// roscpp's unadvertise of a topic's last end looks for its place and erases it later: no other one
-/// may come or go meanwhile. No user code runs under it.
+/// roscpp's unadvertise of a topic's last end looks for its place and erases it later. So no other
+/// thread may advertise or unadvertise meanwhile. No user code runs under this mutex.
 std::mutex& advertising() {
   static auto* const mutex = new std::mutex;
   return *mutex;
 }
 
-/// Takes a topic out of the map if this is what it leads to; else false.
+/// Takes a topic out of the map if the map has this end for it; else false.
 template <class Map, class End>
 bool erase(Map& map, const std::string& topic, const std::shared_ptr<End>& end) {
   const auto at = map.find(topic);
@@ -72,7 +73,7 @@ class TopicAdvertisement final : public Advertisement {
       std::swap(plain, plain_);
     }
     if (!outlet) return;
-    plain.shutdown();  // the outlet's own end keeps the topic, so that only callbacks go here
+    plain.shutdown();  // the outlet keeps the topic advertised: only callbacks go here
     bool is_last = false;
     {
       const std::lock_guard guard(Topics::all().opening);
@@ -94,12 +95,13 @@ class TopicAdvertisement final : public Advertisement {
   ::ros::Publisher plain_;
 };
 
-/// Without the lock, which a user's queue may want to which LOT's thread gives messages just now.
+/// Closes an inlet without the lock: LOT's thread may be giving messages to a user's queue just
+/// now, and that queue may want the lock.
 void close(Inlet& inlet, const std::string& topic, std::unique_lock<std::mutex>& opening) {
   Topics::all().closing.insert(topic);
   opening.unlock();
-  std::shared_ptr<Session> session;  // goes last
-  const struct Closed {              // whatever close() throws
+  std::shared_ptr<Session> session;  // destroyed last
+  const struct Closed {              // its end comes also when close() throws
     const std::string& topic;
     ~Closed() {
       const std::lock_guard guard(Topics::all().opening);
@@ -132,7 +134,7 @@ class TopicSubscription final : public Subscription {
       inlet.swap(inlet_);
     }
     if (!inlet) return;
-    inlet->remove(user_).dismiss();  // no lock is held when what its callback holds goes
+    inlet->remove(user_).dismiss();  // no lock is held while its callback's objects go
     std::unique_lock lock(Topics::all().opening);
     if (inlet->has_users() || !erase(Topics::all().inlets, topic_, inlet)) return;
     close(*inlet, topic_, lock);
@@ -180,20 +182,20 @@ std::shared_ptr<Advertisement> advertise(::ros::NodeHandle& node,
         opened = outlet->open();
       }
       if (!opened) {
-        lock.unlock();  // it may be LOT's last here: its thread is waited for
+        lock.unlock();  // it may be the last of the session, which waits for LOT's thread
         outlet->close();
         return nullptr;
       }
       Topics::all().outlets[resolved.topic] = outlet;
     }
   }
-  // The user's own, which latches by name only: what is latched the outlet sends. By the name that
-  // the user has said: roscpp remaps it once.
+  // roscpp's publisher for the user's callbacks. It latches by name only: the outlet sends what is
+  // latched. By the name that the user has said, since roscpp remaps it once.
   ::ros::AdvertiseOptions own = asked;
   if (asked.connect_cb) {
     own.connect_cb = [weak = std::weak_ptr(outlet), end,
                       connect = asked.connect_cb](const ::ros::SingleSubscriberPublisher& peer) {
-      const struct Greeted {  // whatever it throws
+      const struct Greeted {  // its end comes also when connect() throws
         const std::weak_ptr<TopicOutlet>& outlet;
         std::uint64_t end;
         std::string name;
@@ -233,12 +235,12 @@ std::shared_ptr<Subscription> subscribe(::ros::NodeHandle& node,
   }
   std::shared_ptr<Inlet> inlet;
   std::uint64_t user = 0;
-  Inlet::Calls calls;  // made when the lock has been left
+  Inlet::Calls calls;  // added when the lock has been released
   {
     const auto session = Session::get();
     std::unique_lock lock(Topics::all().opening);
     const auto is_closed = [&options] { return Topics::all().closing.count(options.topic) == 0; };
-    if (session->loop()->has_turn() && !is_closed()) {  // in a queue of the user's own
+    if (session->loop()->has_turn() && !is_closed()) {  // called from a queue of the user's own
       throw Error(EDEADLK, options.topic, "its last subscriber is just being shut down",
                   "subscribe in a callback, not while a callback is added to a queue");
     }

@@ -28,7 +28,7 @@ void ImmediateQueue::removeByID(std::uint64_t owner) {
 }
 
 void ImmediateQueue::call(const ::ros::CallbackInterfacePtr& callback, std::uint64_t owner) {
-  if (::ros::isShuttingDown()) return;  // as roscpp's own queue
+  if (::ros::isShuttingDown()) return;  // as roscpp's own queue does
   const Work work{owner, std::this_thread::get_id()};
   {
     const std::lock_guard guard(mutex_);

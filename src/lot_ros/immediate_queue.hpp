@@ -12,7 +12,8 @@
 
 namespace lot::ros {
 
-/// What immediate_queue() is. What roscpp adds it may add under its own locks: that goes elsewhere.
+/// The queue that immediate_queue() returns. roscpp may add callbacks under its own locks: those go
+/// to the global callback queue.
 ///
 /// Threads: all members may be called at once.
 class ImmediateQueue final : public ::ros::CallbackQueueInterface {
@@ -20,10 +21,10 @@ class ImmediateQueue final : public ::ros::CallbackQueueInterface {
   static ImmediateQueue& the();
 
   void addCallback(const ::ros::CallbackInterfacePtr& callback, std::uint64_t owner) override;
-  /// Nothing of that owner is at work any more when this returns, but in this thread.
+  /// When it returns, no callback of that owner is at work any more, but one in this thread.
   void removeByID(std::uint64_t owner) override;
 
-  /// Calls it. REQUIRES: no lock is held.
+  /// Calls the callback. REQUIRES: this thread holds no lock.
   void call(const ::ros::CallbackInterfacePtr& callback, std::uint64_t owner);
 
  private:

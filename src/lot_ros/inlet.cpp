@@ -22,17 +22,17 @@
 namespace lot::ros {
 namespace {
 
-/// Frames that wait to be deserialised, of one topic: as many as its users would let wait, and as a
-/// publisher sends at once that goes from the ring to the link, with its probes. Of these none may
-/// be lost, for they are counted.
+/// How many frames of one topic may wait to be deserialised: as many as its users would let wait,
+/// and as many as a publisher sends at once when it goes from the ring to the link, with its
+/// probes. None of these may be lost, since the inlet counts them.
 constexpr std::uint32_t kShortestIntake = kDeepest + 16;
-/// A publisher that waits for us has decided by then.
+/// A publisher that waits for this reader has decided by then.
 constexpr auto kDecided = std::chrono::seconds(2);
-/// So often is it looked at whether publishers are still there.
+/// So often LOT's thread looks whether publishers are still there.
 constexpr auto kForgetPeriod = std::chrono::seconds(5);
 
-/// The thread that deserialises what comes over links. roscpp may hold on to its queue for longer
-/// than anybody subscribes, so it is never destroyed.
+/// The thread that deserialises what comes over links. roscpp may keep this queue for longer than a
+/// subscription lasts, so it is never destroyed.
 class Intake final : public ::ros::CallbackQueueInterface {
  public:
   static Intake& the() {
@@ -50,7 +50,8 @@ class Intake final : public ::ros::CallbackQueueInterface {
     work_.push_back({callback, owner});
     more_.notify_one();
   }
-  /// Nothing of that owner is called any more when this returns, unless it is called from there.
+  /// When it returns, no callback of that owner is called any more, unless such a callback calls
+  /// it.
   void removeByID(std::uint64_t owner) override {
     std::unique_lock lock(mutex_);
     work_.erase(std::remove_if(work_.begin(), work_.end(),
@@ -96,12 +97,13 @@ class Intake final : public ::ros::CallbackQueueInterface {
   std::uint64_t at_work_for_ = 0;
 };
 
-/// What frames are deserialised to that no message are: the place of their byte.
+/// A *sign* is a frame of one byte, which is no message: a probe or an invitation. It is
+/// deserialised to a pointer to the place of its byte in this table.
 constexpr std::uint8_t kSigns[256]{};
 boost::shared_ptr<void const> sign(std::uint8_t byte) {
   return {&kSigns[byte], [](const void*) {}};
 }
-/// Nothing: it is a message.
+/// The byte of a sign. Nothing: it is a message.
 std::optional<std::uint8_t> sign_of(const void* message) {
   const auto* const place = static_cast<const std::uint8_t*>(message);
   const bool is_sign =
@@ -115,18 +117,19 @@ bool is_latching(const boost::shared_ptr<::ros::M_string>& header) {
   return at != header->end() && at->second == "1";
 }
 
-/// Nobody else's callbacks are of this type, so that nobody shares our deserialiser.
+/// The type that LOT's subscribers tell roscpp. No other callback is of this type, so no other
+/// subscriber shares their deserialiser.
 struct OurMessages {};
-/// What they say on this thread.
+/// The type that LOT's subscribers tell this thread.
 thread_local const std::type_info* said_type = &typeid(OurMessages);
-/// Where those leave their inlet that are asked for it on this thread.
+/// When not null: an inlet that this thread asks for its type leaves its pointer here.
 thread_local std::shared_ptr<Inlet>* found_inlet = nullptr;
-/// While this thread sends past an inlet: that one alone says so.
+/// While this thread sends past an inlet: that inlet alone says that it is of type Past.
 struct Past {
   const Inlet* inlet;
 };
 thread_local const Past* past = nullptr;
-/// Users to whose queues this thread adds callbacks just now.
+/// The users to whose queues this thread adds callbacks just now.
 thread_local std::vector<const Inlet::Adding*> adding_here;
 
 /// Work for Intake's thread.
@@ -144,7 +147,7 @@ class Errand final : public ::ros::CallbackInterface {
 
 }  // namespace
 
-/// What roscpp calls for a frame of the topic's links.
+/// roscpp calls it for each frame of the topic's links.
 class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
  public:
   Helper(std::weak_ptr<Inlet> inlet, std::shared_ptr<Loop> loop, const detail::Kind& kind)
@@ -160,7 +163,7 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
 
   void call(::ros::SubscriptionCallbackHelperCallParams& params) override {
     const auto& event = params.event;
-    const bool is_shared = event.nonConstWillCopy();  // with somebody who is no subscriber of LOT's
+    const bool is_shared = event.nonConstWillCopy();  // a plain subscriber is on the link, too
     const auto sign = sign_of(event.getMessage().get());
     const bool is_probe = sign == kProbe;
     Frame frame{sign ? nullptr : event.getMessage(), event.getConnectionHeaderPtr(),
@@ -170,7 +173,7 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
       if (!inlet) return;
       try {
         inlet->heard(frame.publisher, frame.header, is_shared);
-      } catch (const std::exception& e) {  // of a ring; the frame is another's, perhaps
+      } catch (const std::exception& e) {  // a ring's; the frame may be another's
         ROS_ERROR("LOT: %s", e.what());
       }
       if (!is_probe) inlet->arrived(std::move(frame));
@@ -250,9 +253,9 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
           lot::detail::make_puller(session_->participant(), session_->name_of(topic_),
                                    *kind_.layout, from_the_start, lot::detail::Delivery::ToAll);
       if (has_plain_ones()) rings_->decline();
-      rings_->size();  // joins those that are there, before a link says that we are here
-      // Nobody waits for LOT's thread here: a user's queue, which it gives a message just now, may
-      // want to open another topic.
+      rings_->size();  // joins the rings, before a link says that we are here
+      // This thread must not wait for LOT's thread here: LOT's thread may be giving a message to a
+      // user's queue just now, and that queue may want to open another topic.
       loop_->soon([weak = weak_from_this()] {
         const auto self = weak.lock();
         if (!self || !self->rings_) return;
@@ -264,14 +267,14 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
     }
   }
 
-  // By the name that the user has said: roscpp remaps it once.
+  // By the name that the user has said, since roscpp remaps it once.
   ::ros::SubscribeOptions ours(asked.topic, std::max(asked.queue_size, kShortestIntake),
                                asked.md5sum, asked.datatype);
-  if (asked.queue_size == 0) ours.queue_size = 0;  // as many as come
+  if (asked.queue_size == 0) ours.queue_size = 0;  // no limit
   ours.helper = boost::make_shared<Helper>(weak_from_this(), loop_, kind_);
   ours.callback_queue = &Intake::the();
   ours.transport_hints = asked.transport_hints;
-  ::ros::NodeHandle own(node);  // the user's may be shut down, and other users stay
+  ::ros::NodeHandle own(node);  // a copy: the user may shut its own down while other users stay
   close_gate();                 // roscpp may give us what links brought last
   subscriber_ = own.subscribe(ours);
   open_gate_behind_links();
@@ -279,9 +282,10 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
 }
 
 std::shared_ptr<Session> Inlet::close() {
-  // First, so that nobody serves these rings any more when the link is another one's.
+  // The inlet leaves its rings first, so that no publisher serves them when the link is another
+  // inlet's.
   {
-    decltype(rings_) rings;  // all let go when LOT's thread may go on
+    decltype(rings_) rings;  // all destroyed when LOT's thread may go on
     decltype(unclaimed_) unclaimed;
     decltype(held_) held;
     decltype(taken_) taken;
@@ -305,7 +309,8 @@ std::shared_ptr<Session> Inlet::close() {
 
 void Inlet::read() {
   if (!rings_) return;
-  // Then others have their turn: the loop comes back as long as something is there.
+  // LOT's thread delivers so many in one round of its loop. Then it reads other topics. The loop
+  // comes back while messages are there.
   if (std::exchange(turn_, loop_->turn()) != loop_->turn()) may_deliver_ = at_once_;
   deliver_claimed();
   for (; may_deliver_ > 0; --may_deliver_) {
@@ -332,7 +337,8 @@ void Inlet::read() {
   }
 }
 
-/// Those that were kept, and have been said to be for us, as many as may be in this turn.
+/// Delivers kept messages that the publisher has said to be for this inlet, as many as it may in
+/// this round.
 void Inlet::deliver_claimed() {
   for (auto ring = unclaimed_.begin(); ring != unclaimed_.end();) {
     auto& waiting = ring->second.messages;
@@ -345,13 +351,14 @@ void Inlet::deliver_claimed() {
   }
 }
 
-/// True when some may be left for the next turn. Nobody is asked whose they are: who is told so
-/// delivers them.
+/// True when kept messages may be left for the next round. It does not ask whether they are for
+/// this inlet: a caller of is_ours() that gets true must deliver.
 bool Inlet::has_claimed() const { return may_deliver_ == 0 && !unclaimed_.empty(); }
 
-/// Delivers what is for us, or keeps it behind what came before it, and what may yet be said to be.
+/// Delivers a pulled message if it is for this inlet. Keeps it if older ones of its ring are kept,
+/// or if the publisher may yet say that it is for this inlet.
 void Inlet::claim(Pulled pulled) {
-  if (rings_->publisher(pulled.origin) == own_name_) return;  // it hands its messages over
+  if (rings_->publisher(pulled.origin) == own_name_) return;  // its outlet calls take()
   const RingName name(pulled.origin.channel, pulled.origin.generation);
   const auto ring = unclaimed_.find(name);
   if (ring == unclaimed_.end()) {
@@ -371,7 +378,7 @@ void Inlet::claim(Pulled pulled) {
   }
 }
 
-/// False when the publisher's link brings its messages.
+/// False when the publisher's link brings the messages of this ring.
 bool Inlet::may_be_ours_yet(const Pulled& pulled) const {
   const auto link = links_.find(std::string(rings_->publisher(pulled.origin)));
   if (link == links_.end() || !link->second.idle_rings) return true;
@@ -380,7 +387,7 @@ bool Inlet::may_be_ours_yet(const Pulled& pulled) const {
   return std::find(idle.begin(), idle.end(), ring) == idle.end();
 }
 
-/// False: whether it is ours may be said yet.
+/// Delivers the message if it is for this inlet. False: the publisher has yet to say so.
 bool Inlet::deliver_if_ours(const Pulled& pulled) {
   const auto is_ours = rings_->is_ours(pulled.origin);
   if (!is_ours) return false;
@@ -391,18 +398,18 @@ bool Inlet::deliver_if_ours(const Pulled& pulled) {
   return true;
 }
 
-/// A frame says whether somebody beside LOT's subscribers gets what the link brings, and what the
-/// link knows of its publisher.
+/// Takes from a frame what it says: whether a plain subscriber gets what the link brings, too, and
+/// what the link knows of its publisher. Answers the publisher by decline() or content().
 void Inlet::heard(const std::string& publisher, const Header& header, bool is_shared) {
   Link& link = links_[publisher];
   if (link.alive.lock() != header) {
     link = {boost::make_shared<::ros::M_string>(*header), header, 0, Loop::Clock::now()};
     Calls calls;
-    Last old;  // let go when the lock has been left
+    Last old;  // destroyed after the mutex is released
     const std::lock_guard guard(mutex_);
     if (!std::exchange(forgetting_, true)) forget_later();
     const auto last = latched_.find(publisher);
-    // What this process itself has handed over has nothing to do with a link.
+    // A message that this process itself has handed over has nothing to do with a link.
     const bool is_links =
         publisher != own_name_ || (last != latched_.end() && last->second.alive.expired());
     if (last != latched_.end() && is_links) {
@@ -442,7 +449,7 @@ void Inlet::arrived(Frame frame) {
     }
   }
   if (rings_) link.had += rings_->taken_back(frame.publisher);
-  if (!frame.message) link.had = 0;  // they came before it, or were lost
+  if (!frame.message) link.had = 0;  // they came before the invitation, or were lost
   if (link.had != 0) {
     --link.had;
     return;
@@ -455,7 +462,8 @@ void Inlet::arrived(Frame frame) {
   }
 }
 
-/// Everything that its publisher has sent before it has been delivered.
+/// Handles a frame: a message, an invitation, or the end of a gate. All messages that its publisher
+/// sent before it have been delivered.
 void Inlet::handle(const Frame& frame) {
   if (frame.is_last_before) {
     {
@@ -470,7 +478,7 @@ void Inlet::handle(const Frame& frame) {
   link.idle_rings.reset();
   link.since = Loop::Clock::now();
   for (const auto& ring : rings_->rejoin(frame.publisher, frame.invitation)) {
-    unclaimed_.erase(RingName(ring.channel, ring.generation));  // it is read again
+    unclaimed_.erase(RingName(ring.channel, ring.generation));  // the inlet reads it again
   }
 }
 
@@ -486,14 +494,14 @@ void Inlet::deliver_held() {
   }
 }
 
-/// A publisher whose link is gone, and whose ring is read, latches nothing any more.
+/// Forgets publishers whose link is gone and whose ring is read: they latch nothing any more.
 void Inlet::forget_those_gone() {
   const auto is_gone = [this](const std::string& publisher) {
     const auto link = links_.find(publisher);
     return (link == links_.end() || link->second.alive.expired()) &&
            !(rings_ && publisher != own_name_ && rings_->has_publisher(publisher));
   };
-  std::vector<Last> gone;  // let go when the lock has been left
+  std::vector<Last> gone;  // destroyed after the mutex is released
   const std::lock_guard guard(mutex_);
   for (auto last = latched_.begin(); last != latched_.end();) {
     if (!last->second.alive.expired() || !is_gone(last->first)) {
@@ -515,7 +523,7 @@ void Inlet::forget_later() {
   });
 }
 
-/// What a link of that publisher's says of it; or what is known without one.
+/// The connection header of a publisher: as its link says, or what is known without a link.
 Inlet::Header Inlet::header_of(const std::string& publisher) const {
   if (const auto at = links_.find(publisher); at != links_.end()) return at->second.header;
   auto header = boost::make_shared<::ros::M_string>();
@@ -535,11 +543,11 @@ std::optional<bool> Inlet::latches(const std::string& publisher) const {
   return is_latching(last->second.header);
 }
 
-/// To all users' queues.
+/// Puts a message into the queues of all users.
 void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
                     const Header& header) {
   Calls calls;
-  Last last;  // let go when the lock has been left
+  Last last;  // destroyed after the mutex is released
   const auto link = links_.find(publisher);
   const std::lock_guard guard(mutex_);
   const bool is_known = link != links_.end() && !link->second.alive.expired();
@@ -550,13 +558,14 @@ void Inlet::deliver(const boost::shared_ptr<void const>& message, const std::str
   for (const auto& [name, user] : users_) give(user, message, header, calls);
 }
 
-/// What was there before is to be let go when the lock has been left.
+/// Remembers the last message of a publisher. `last` has the one before then: the caller destroys
+/// it when it has released the mutex.
 void Inlet::remember(const std::string& publisher, Last& last) {
   std::swap(last, latched_[publisher]);
   if (!std::exchange(forgetting_, true)) forget_later();
 }
 
-/// Into its queue; what is in there does not change its order any more.
+/// Puts a message into one user's queue, whose order is final.
 void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
                  const Header& header, Calls& calls) {
   ::ros::SerializedMessage made;
@@ -565,7 +574,7 @@ void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
   const auto deserializer =
       boost::make_shared<::ros::MessageDeserializer>(user.helper, made, header);
   bool was_full = false;
-  // Others may have it: who wants to change it gets a copy.
+  // Other subscribers may have the message: a callback that changes it gets a copy.
   user.queue->push(user.helper, deserializer, user.has_tracked_object, user.tracked_object, true,
                    ::ros::Time::now(), &was_full);
   if (was_full) return;
@@ -603,7 +612,7 @@ void Inlet::Calls::Call::make() const noexcept {
   adding_here.push_back(&adding);
   try {
     user.callbacks->addCallback(user.queue, user.id());
-  } catch (const std::exception& e) {  // of a queue that calls at once
+  } catch (const std::exception& e) {  // thrown by a queue that calls at once
     ROS_ERROR("LOT: %s: %s", inlet->topic_.c_str(), e.what());
   } catch (...) {
     ROS_ERROR("LOT: %s: a callback queue has thrown something that is no std::exception",
@@ -622,7 +631,8 @@ Inlet::Taken Inlet::take(Taken taken, std::size_t depth) {
   const std::lock_guard guard(taken_mutex_);
   if (is_closed_) return taken;
   if (taken_.size() >= std::max<std::size_t>(depth, most_waiting_)) {
-    // What is latched must be remembered, unless there is nothing else.
+    // What is latched must be remembered: it drops the oldest message that is not latched, and a
+    // latched one only if all are.
     const auto oldest =
         std::find_if(taken_.begin(), taken_.end(), [](const Taken& t) { return !t.latched_by; });
     const auto at = oldest != taken_.end() ? oldest : taken_.begin();
@@ -639,8 +649,9 @@ std::uint64_t Inlet::close_gate() {
   return ++gates_closed_;
 }
 
-/// When Intake's thread and LOT's have done what links have brought so far. A gate that was closed
-/// before may be opened by this one: all that had come before it has come before this one, too.
+/// Opens a gate when Intake's thread and LOT's thread have handled what links have brought so far.
+/// This call may open a gate that was closed earlier: all that came before that gate has come
+/// before this one, too.
 void Inlet::open_gate_behind_links() {
   const auto come = [weak = weak_from_this(), loop = loop_] {
     loop->soon([weak] {
@@ -667,7 +678,7 @@ void Inlet::deliver_taken() {
       if (const auto inlet = weak.lock()) inlet->deliver_in_turn();
     });
   }
-  std::size_t here = 0;  // those that come meanwhile their own threads deliver
+  std::size_t here = 0;  // messages that come meanwhile are delivered by their own threads
   {
     const std::lock_guard guard(taken_mutex_);
     here = taken_.size();
@@ -676,7 +687,7 @@ void Inlet::deliver_taken() {
   }
 }
 
-/// On LOT's thread: as many as may be before it calls callbacks.
+/// Called by LOT's thread: delivers as many messages as it may before it calls callbacks.
 void Inlet::deliver_in_turn() {
   if (std::exchange(turn_, loop_->turn()) != loop_->turn()) may_deliver_ = at_once_;
   for (; may_deliver_ > 0; --may_deliver_) {
@@ -687,10 +698,10 @@ void Inlet::deliver_in_turn() {
   });
 }
 
-/// False: none is there, or the first one waits for what links have brought.
+/// Delivers the first waiting message. False: none waits, or the first one waits at a closed gate.
 bool Inlet::deliver_next() {
   Calls calls;
-  Taken next;  // let go, as `last`, when the lock has been left
+  Taken next;  // destroyed, as `last`, when the mutexes are released
   Last last;
   const std::lock_guard guard(mutex_);
   {

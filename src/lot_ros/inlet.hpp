@@ -26,27 +26,36 @@
 
 namespace lot::ros {
 
-/// One topic that this process reads: one ordinary ROS subscription for all of the user's
-/// subscribers, and the rings of its publishers (docs/ros.md).
+/// One topic that this process reads (docs/ros.md), for all of the user's subscribers of it, its
+/// *users*. Messages come on three ways:
+/// - by the rings of publishers of other processes, which LOT's thread reads;
+/// - by links: the inlet has one ordinary ROS subscription, and each link carries *frames*;
+/// - by hand, from outlets of this process, which call take().
 ///
-/// Threads: all members may be called at once. Rings are read, and what they and links bring is
-///          delivered, on LOT's thread; what publishers of this process hand over, on theirs.
-///          Frames of links are deserialised on Intake's.
-/// Crash:   of a publisher: its ring is read to the end, then forgotten.
+/// A publisher writes into the reader's cell of its ring which messages are for this inlet. LOT's
+/// thread delivers those, keeps messages about which the publisher has said nothing yet, and drops
+/// all others. A frame waits while the ring of its publisher has older messages for this inlet. So
+/// a user gets no message both by the ring and by a link, and gets the messages of each publisher
+/// in order.
+///
+/// Threads: all members may be called at once. LOT's thread reads the rings, and delivers what
+///          rings and links bring. The publishing threads of this process deliver what they hand
+///          over. Intake's thread deserialises the frames of links.
+/// Crash:   of a publisher: LOT's thread reads its ring to the end, then forgets it.
 class Inlet final : public std::enable_shared_from_this<Inlet> {
  public:
   Inlet(std::shared_ptr<Session> session, const ::ros::SubscribeOptions& options,
         const detail::Kind& kind);
-  /// Joins the rings, then subscribes at ROS; once, with the first user there already. `asked` has
-  /// the topic's name as that one has said it to `node`. False: ROS refuses it.
+  /// Joins the rings, then subscribes at ROS. Called once, when the first user has been added.
+  /// `asked` has the topic's name as that user has said it to `node`. False: ROS refuses it.
   bool open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked);
-  /// Unsubscribes, when it has no user any more. What roscpp's threads still have of this does
-  /// nothing then.
-  /// Returns what it had, so that the last one goes where nothing waits for this.
+  /// Unsubscribes, when the inlet has no user any more. A call that a roscpp thread still makes
+  /// does nothing then.
+  /// Returns the session that it had: so the caller destroys the last session where nothing waits
+  /// for this.
   std::shared_ptr<Session> close();
 
-  /// Whether a thread adds a callback to the queue of a user just now. Guarded by the inlet's
-  /// mutex.
+  /// How many threads add a callback to the queue of a user just now. The inlet's mutex guards it.
   struct Adding {
     unsigned threads = 0;
     bool is_removed = false;
@@ -61,12 +70,13 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     std::shared_ptr<Adding> adding = std::make_shared<Adding>();
 
     std::uint64_t id() const noexcept { return reinterpret_cast<std::uint64_t>(queue.get()); }
-    /// None of its callbacks begins any more, and none is at work but in this thread.
+    /// When it returns, none of the user's callbacks begins any more, and none is at work, but one
+    /// in this thread.
     void dismiss();
   };
-  /// Callbacks for messages that are in users' queues already. They are added at its end, where no
-  /// lock may be held, for a queue of the application's may call at once; by LOT's thread when it
-  /// has done what it does now.
+  /// Callbacks to add for messages that are in users' queues already. The destructor adds them. No
+  /// lock may be held then, since a queue of the application's may call at once. If this thread has
+  /// the turn (Loop), LOT's thread adds them when it has done what it does now.
   class Calls {
    public:
     Calls() = default;
@@ -83,47 +93,50 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     };
     std::vector<Call> calls_;
   };
-  /// A subscriber of the user's; the name that it has here. What is latched it gets at once.
+  /// Adds a user, and gives it what is latched. Returns its number here.
   std::uint64_t add(const ::ros::SubscribeOptions& options, Calls& calls);
-  /// Takes it out; to be dismissed, and destroyed, where no lock is held. No thread but this one
-  /// adds a callback to its queue any more.
+  /// Takes a user out. The caller dismisses and destroys it where it holds no lock. When this
+  /// returns, no thread but this one adds a callback to its queue any more.
   User remove(std::uint64_t user);
   bool has_users();
 
-  /// So many messages are read before other topics have their turn, and callbacks, if LOT's thread
-  /// calls them: no queue of a user's is to be filled before.
+  /// LOT's thread reads so many messages before other topics have their turn, and before it calls
+  /// callbacks, if it is the thread that calls them: so it does not fill a user's queue before.
   static constexpr std::uint32_t kAtOnce = 64;
 
   const detail::Kind& kind() const noexcept { return kind_; }
 
-  /// A message that a publisher of this process hands over itself.
+  /// A message that an outlet of this process has handed over.
   struct Taken {
     boost::shared_ptr<void const> message;
     boost::shared_ptr<::ros::M_string> header;
-    /// Who subscribes later gets it, too, as long as this lives; null: it is not latched.
+    /// Lives while the message is latched: until it dies, subscribers that come later get the
+    /// message, too. Null: the message is not latched.
     boost::shared_ptr<::ros::M_string> latched_by;
-    std::uint64_t behind = 0;  ///< the gate that is to be passed first
+    std::uint64_t behind = 0;  ///< the number of the gate that must open first
   };
-  /// Keeps it for deliver_taken(), behind those that are there: the last of them, `depth` or as
-  /// many as a user's queue takes. Returns what that drops; to be destroyed where no lock is held.
+  /// Keeps a message for deliver_taken(), behind those that wait. So many may wait: `depth`, or as
+  /// many as a user's queue takes. Returns the message that it drops for that; the caller destroys
+  /// it where it holds no lock.
   Taken take(Taken taken, std::size_t depth);
-  /// Puts those that are there into the users' queues: on this thread, or on LOT's where that calls
-  /// callbacks. REQUIRES: no lock of a topic is held.
+  /// Puts the waiting messages into the users' queues: on this thread, or on LOT's thread if that
+  /// one calls the callbacks. REQUIRES: this thread holds no lock of a topic.
   void deliver_taken();
-  /// What is taken from now on is delivered behind what links have brought so far.
+  /// From now on the inlet delivers a message that it takes behind what links have brought so far.
   void follow_links();
 
-  /// Who subscribes on a link inside this process.
+  /// The subscribers on a link inside this process.
   struct Subscribers {
-    std::shared_ptr<Inlet> inlet;  ///< LOT's own, which take() messages; null: there are none
-    bool plain = false;            ///< of the standard type
-    bool others = false;           ///< of another one, as ShapeShifter
+    std::shared_ptr<Inlet> inlet;  ///< of LOT's own, which take() messages; null: there are none
+    bool plain = false;            ///< there are plain ones, of the standard type
+    bool others = false;           ///< there are some of another type, as ShapeShifter
   };
   static Subscribers on(::ros::SubscriberLink& link, const std::type_info& standard);
-  /// To all subscribers on the link but `inlet`, which may be null; and roscpp keeps it.
+  /// Sends bytes to all subscribers on the link but those of `inlet`, which may be null. roscpp
+  /// keeps the bytes for subscribers that come later.
   static void send_past(const Inlet* inlet, ::ros::SubscriberLink& link,
                         ::ros::SerializedMessage bytes);
-  /// While it lives LOT's own pass for those of another type, on this thread.
+  /// While it lives, LOT's own subscribers say to this thread that they are of `type`.
   class Disguise {
    public:
     explicit Disguise(const std::type_info& type) noexcept;
@@ -133,18 +146,18 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   };
 
   std::uint32_t publishers() const { return subscriber_.getNumPublishers(); }
-  /// Whether a node that messages came from latches; nothing: it has yet to say so.
+  /// Whether the node that sent messages latches. Nothing: the node has yet to say so.
   std::optional<bool> latches(const std::string& publisher) const;
 
  private:
   class Helper;
-  using Header = boost::shared_ptr<::ros::M_string>;  ///< of a connection
+  using Header = boost::shared_ptr<::ros::M_string>;  ///< the header of a connection
   struct Frame {
-    boost::shared_ptr<void const> message;  ///< null: an invitation of this number
+    boost::shared_ptr<void const> message;  ///< null: an invitation with the number below
     Header header;
-    std::string publisher;  ///< as a participant would be called
+    std::string publisher;  ///< the publisher's node, named as its participant would be
     std::uint8_t invitation = 0;
-    bool is_last_before = false;  ///< no frame: what follow_links() waits for
+    bool is_last_before = false;  ///< no frame: opens the gate that waits for the frames before it
   };
   struct Pulled {
     boost::shared_ptr<void const> message;
@@ -156,14 +169,14 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     boost::shared_ptr<void const> message;
     Header header;
     boost::weak_ptr<::ros::M_string> alive;
-    bool is_known = false;              ///< of which link it is
-    std::vector<std::uint64_t> late{};  ///< users that came before that was known
+    bool is_known = false;              ///< the link that it belongs to is known
+    std::vector<std::uint64_t> late{};  ///< users that came before the link was known
   };
 
   /// {channel, generation}.
   using RingName = std::pair<std::uint32_t, std::uint32_t>;
 
-  // LOT's thread.
+  // Called by LOT's thread only.
   void read();
   void deliver_claimed();
   bool has_claimed() const;
@@ -191,47 +204,50 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
 
   const std::shared_ptr<Loop> loop_;
   const std::string topic_;
-  const std::string own_name_;  ///< of this process, as a participant is called
+  const std::string own_name_;  ///< of this process, as its participant is called
   const detail::Kind& kind_;
   ::ros::Subscriber subscriber_;
   std::shared_ptr<Session> session_;                ///< null: closed
   std::unique_ptr<lot::detail::PullerCore> rings_;  ///< null: LOT is off
-  std::uint64_t turn_ = ~std::uint64_t{0};          ///< of the loop's
-  std::uint32_t may_deliver_ = 0;                   ///< from rings, in this turn
-  bool reads_again_ = false;                        ///< in the next turn; LOT's thread's own
-  /// The last messages of each ring whose publisher has not said yet whom they are for.
+  std::uint64_t turn_ = ~std::uint64_t{0};  ///< the loop's round in which may_deliver_ was set
+  std::uint32_t may_deliver_ = 0;           ///< messages that it may still deliver in this round
+  bool reads_again_ = false;                ///< read() is due in the next round; LOT's thread's own
+  /// The *unclaimed* messages of each ring: the last ones of which the publisher has not said yet
+  /// whether they are for this inlet.
   struct Unclaimed {
     std::deque<Pulled> messages;
     Loop::Clock::time_point since;
   };
   std::map<RingName, Unclaimed> unclaimed_;
-  std::deque<Frame> held_;  ///< frames that came before the ring was read
-  /// What links say of publishers, and how many of a link's next frames a ring has brought already.
+  std::deque<Frame> held_;  ///< frames that wait until the ring has been read
+  /// What the links of a publisher say of it.
   struct Link {
-    Header header;  ///< a copy, since a link is gone when nobody has its own any more
+    Header header;  ///< a copy: roscpp's own goes with the link
     boost::weak_ptr<::ros::M_string> alive;
-    std::size_t had = 0;
+    std::size_t had = 0;  ///< how many of the link's next frames a ring has brought already
     Loop::Clock::time_point since{};
-    /// Once it has carried messages for so long that all is decided: rings that its publisher had
-    /// then. They have nothing more for us, unless it invites us.
+    /// Set once the link has carried messages for so long that its publisher has decided: the rings
+    /// that the publisher had then. They bring nothing more for this inlet, unless the publisher
+    /// invites it.
     std::optional<std::vector<RingName>> idle_rings{};
   };
   std::map<std::string, Link> links_;
 
   mutable std::mutex mutex_;
   std::map<std::uint64_t, User> users_;
+  // A thread with mutex_ writes these three; others read them without it.
   std::atomic<std::uint32_t> at_once_{kAtOnce};
-  std::atomic<bool> calls_at_once_{false};    ///< a user's callback is called by LOT's thread
-  std::atomic<std::size_t> most_waiting_{0};  ///< that a user's queue takes
-  std::condition_variable added_;             ///< a callback
-  /// Of each publisher that latches, or of which that is not known yet.
+  std::atomic<bool> calls_at_once_{false};    ///< LOT's thread calls the callback of a user
+  std::atomic<std::size_t> most_waiting_{0};  ///< places of the largest queue of a user
+  std::condition_variable added_;             ///< a thread has added a callback
+  /// The last message of each publisher that latches, or of which that is not known yet.
   std::map<std::string, Last> latched_;
-  bool forgetting_ = false;  ///< LOT's thread will look whether they are still there
+  bool forgetting_ = false;  ///< LOT's thread is due to look for publishers that have gone
   std::uint64_t last_user_ = 0;
 
-  std::mutex taken_mutex_;  ///< a leaf
+  std::mutex taken_mutex_;  ///< a leaf: no other lock is taken under it
   std::deque<Taken> taken_;
-  std::uint64_t gates_closed_ = 0;  ///< messages wait behind them for what links have brought
+  std::uint64_t gates_closed_ = 0;  ///< gates so far; messages wait behind one for the links
   std::uint64_t gates_opened_ = 0;
   bool is_closed_ = false;
 };

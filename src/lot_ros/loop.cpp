@@ -15,7 +15,8 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr auto kLookPeriod = 1s;
-/// So long its end waits for a callback that is at work: it may need what the one who waits has.
+/// So long end() waits for a callback that is at work: the callback may itself wait for what the
+/// ending thread has.
 constexpr auto kLastCallback = 100ms;
 
 }  // namespace
@@ -34,17 +35,18 @@ void Loop::at(Clock::time_point time, std::function<void()> work) {
   if (!is_here()) arrivals_.stop();
 }
 
-/// While there is one, this thread has what is LOT's thread's.
+/// While it lives, this thread has the turn.
 class Loop::Turn {
  public:
-  /// A caller is any thread in call(), LOT's in a callback as well.
+  /// `is_caller`: a thread in call(), which may be LOT's thread in a callback.
   Turn(Loop& loop, bool is_caller) : loop_(loop) {
     std::unique_lock lock(loop.mutex_);
     if (is_caller) {
       ++loop.callers_;
-      if (loop.owner_.load() == loop.thread_.load()) loop.arrivals_.stop();  // it may be asleep
+      if (loop.owner_.load() == loop.thread_.load()) loop.arrivals_.stop();  // LOT's may be asleep
     }
-    // LOT's thread lets callers go first: it would take the next turn at once, again and again.
+    // LOT's thread lets callers go first: else it would take the next turn at once, again and
+    // again.
     loop.changed_.wait(lock, [&] {
       return loop.owner_.load() == std::thread::id() && (is_caller || loop.callers_ == 0);
     });
@@ -78,7 +80,7 @@ void Loop::afterwards(std::function<void()> work) {
   }
 }
 
-/// One's error does not keep the next one from its turn.
+/// Calls `work` and logs what it throws, so that the next work is done all the same.
 void Loop::guarded(const std::function<void()>& work) {
   try {
     work();
@@ -104,7 +106,8 @@ void Loop::run() {
   }
 }
 
-/// Or what comes next. False when this is the end.
+/// Does the work that is due, then waits for arrivals until the next work is due. False: LOT's
+/// thread ends.
 bool Loop::do_what_is_due() {
   const Turn turn(*this, false);
   std::vector<std::function<void()>> due;
@@ -125,7 +128,8 @@ bool Loop::do_what_is_due() {
     }
   }
   for (const auto& work : due) guarded(work);
-  // Once more where something was due: of that it was told by stop(), and then it reads no ring.
+  // Where work was due, once more: at() has told of that work by stop(), and after a stop()
+  // run_once() reads no ring.
   if (!due.empty()) guarded([&] { arrivals_.run_once(most); });
   guarded([&] { arrivals_.run_once(most); });
   return true;

@@ -16,11 +16,12 @@
 
 namespace lot::ros {
 
-/// LOT's thread of a process: rings are read, messages are delivered and links are looked after
-/// there. What roscpp's threads reach of LOT has this, and may outlive the session.
+/// LOT's thread of a process: it reads rings, delivers messages and looks after links. roscpp's
+/// threads reach this object through all that they have of LOT, so it may outlive the session.
 ///
-/// What is LOT's thread's (rings, links, arrivals()) one thread has at a time: that one, except in
-/// what it does afterwards, where callbacks of the application are; or one that is in call().
+/// One thread at a time has the *turn*: it alone may touch what belongs to LOT's thread (rings,
+/// links, arrivals()). That is LOT's thread, except while it does what was left for afterwards,
+/// which includes callbacks of the application; or it is a thread in call().
 ///
 /// Threads: all members may be called at once, but arrivals().
 class Loop {
@@ -31,33 +32,34 @@ class Loop {
 
   using Clock = std::chrono::steady_clock;
 
-  /// Calls it on LOT's thread, soon or then; never, when that ends first.
+  /// soon(), at(): has LOT's thread call `work`, soon or at that time. If LOT's thread ends first,
+  /// it never calls it.
   void soon(std::function<void()> work) { at(Clock::time_point(), std::move(work)); }
   void at(Clock::time_point time, std::function<void()> work);
-  /// Calls it here, while this thread has what is LOT's thread's: at once if it has that already.
-  /// Waits for no callback of the application.
+  /// Calls `work` on this thread, while this thread has the turn: at once if it has the turn
+  /// already. Waits for no callback of the application.
   void call(const std::function<void()>& work);
 
-  /// Calls it on LOT's thread when that has done what it does now, so that it finds nothing half
-  /// done, and keeps nobody waiting.
+  /// Has LOT's thread call `work` when it has done what it does now and has given the turn up. So
+  /// `work` finds nothing half done, and no thread waits for it.
   void afterwards(std::function<void()> work);
 
-  /// What LOT's thread waits for besides. REQUIRES: this thread has what is LOT's thread's.
+  /// What else LOT's thread waits for. REQUIRES: this thread has the turn.
   WaitSet& arrivals() noexcept { return arrivals_; }
 
   /// What LOT's thread does.
   void run();
-  /// It ends soon. False when LOT's thread is long about that, in a callback of the application's,
-  /// or is this thread.
+  /// Ends LOT's thread soon. False when that takes long, because LOT's thread is in a callback of
+  /// the application's, or when this is LOT's thread.
   bool end() noexcept;
-  /// Counts the turns of LOT's thread: each does what is due, reads rings, and then does what was
-  /// to be done afterwards. REQUIRES: this is that thread.
+  /// Counts the rounds of LOT's thread. In each it does what is due and reads rings, and then does
+  /// what was left for afterwards. REQUIRES: this is LOT's thread.
   std::uint64_t turn() const noexcept { return turn_; }
   /// True on LOT's thread.
   bool is_here() const noexcept { return thread_.load() == std::this_thread::get_id(); }
-  /// True where this thread has what is LOT's thread's.
+  /// True when this thread has the turn.
   bool has_turn() const noexcept { return owner_.load() == std::this_thread::get_id(); }
-  /// True in a forked child, which has no such thread: nothing is done there any more.
+  /// True in a forked child, which has no LOT's thread: nothing is done there any more.
   bool is_inherited() const noexcept;
 
  private:
@@ -68,12 +70,12 @@ class Loop {
   const int process_;
   std::mutex mutex_;
   std::multimap<Clock::time_point, std::function<void()>> work_;  ///< by when it is to be done
-  bool ended_ = false;                                            ///< nobody does any work any more
+  bool ended_ = false;  ///< LOT's thread takes no work any more
   bool ends_ = false;
   std::atomic<std::thread::id> thread_{};
-  std::atomic<std::thread::id> owner_{};  ///< who has what is LOT's thread's; changes under mutex_
-  unsigned callers_ = 0;                  ///< that wait in call()
-  std::condition_variable changed_;       ///< one of these, or ended_
+  std::atomic<std::thread::id> owner_{};  ///< the thread with the turn; changes under mutex_
+  unsigned callers_ = 0;                  ///< threads that wait in call()
+  std::condition_variable changed_;       ///< owner_, callers_ or ended_
   WaitSet arrivals_;
   std::vector<std::function<void()>> afterwards_;  ///< LOT's thread's own
   std::uint64_t turn_ = 0;

@@ -253,8 +253,7 @@ void TopicOutlet::settle() {
 void TopicOutlet::withdraw() {
   try {
     settle();
-  } catch (const std::exception&
-               e) {  // for example, this process was taken for dead: its peers have all
+  } catch (const std::exception& e) {  // say, taken for dead: its peers have all
     ROS_WARN("LOT: %s: its last messages: %s", options_.topic.c_str(), e.what());
   }
   Door::the().remove(callbacks_);

@@ -19,14 +19,14 @@
 namespace lot::ros {
 namespace {
 
-constexpr int kQueue = 100;  ///< as ~queue_size says, else
-/// A message in shared memory may be there before its publisher's link, which says whether it
-/// latches: so long it is waited for that, and so often it is looked.
+constexpr int kQueue = 100;  ///< unless ~queue_size says otherwise
+/// A message in shared memory may come before its publisher's link, which says whether the
+/// publisher latches. The relay waits for the link so long, and looks so often.
 using Clock = std::chrono::steady_clock;
 constexpr std::chrono::seconds kPatience{1};
 constexpr double kLook_s = 0.01;
 
-/// The type of a topic that somebody publishes; waits for one. Empty: the node is to end.
+/// The type of a topic; waits until a node publishes it. Empty: the node is to end.
 std::string type_of(const std::string& topic) {
   for (bool said = false; ::ros::ok(); said = true) {
     ::ros::master::V_TopicInfo topics;
@@ -40,7 +40,7 @@ std::string type_of(const std::string& topic) {
   return "";
 }
 
-/// What a topic of any type is published again by.
+/// Publishes a topic of any type again.
 class Forward final : public ::ros::SubscriptionCallbackHelper {
  public:
   Forward(::ros::NodeHandle& node, const std::string& out, std::uint32_t queue_size,
@@ -48,7 +48,7 @@ class Forward final : public ::ros::SubscriptionCallbackHelper {
       : node_(node), out_(out), queue_size_(queue_size), kind_(kind), end_(advertise(false)) {}
 
   bool is_open() const { return end_ != nullptr; }
-  /// `in` calls this until it ends.
+  /// The subscription `in` calls this until it ends.
   void is_fed_by(const detail::Subscription& in) {
     in_ = &in;
     looks_ = node_.createWallTimer(
@@ -124,10 +124,11 @@ class Forward final : public ::ros::SubscriptionCallbackHelper {
   const std::uint32_t queue_size_;
   const detail::Kind& kind_;
   std::shared_ptr<detail::Advertisement> end_;
-  std::shared_ptr<detail::Advertisement> latching_end_;  ///< null: nobody latches yet
+  std::shared_ptr<detail::Advertisement> latching_end_;  ///< null: no publisher latches yet
   const detail::Subscription* in_ = nullptr;
   std::deque<Waiting> waiting_;  ///< until it is known whether their publishers latch
-  /// The last message of a publisher that has not said so in time: it was not latched.
+  /// The last message of each publisher that did not say in time whether it latches. The relay has
+  /// sent it as one that is not latched.
   std::map<std::string, Message> doubtful_;
   ::ros::WallTimer looks_;
 };
@@ -136,7 +137,7 @@ class Forward final : public ::ros::SubscriptionCallbackHelper {
 
 int relay(int argc, char** argv, const std::vector<Relayed>& types) {
   ::ros::init(argc, argv, "lot_relay", ::ros::init_options::AnonymousName);
-  // As roscpp's for SIGINT: it sets a flag, and ROS's thread ends the node.
+  // As roscpp's handler of SIGINT: it sets a flag, and ROS's thread ends the node.
   std::signal(SIGTERM, [](int) { ::ros::requestShutdown(); });
   ::ros::V_string arguments;
   ::ros::removeROSArgs(argc, argv, arguments);

@@ -24,7 +24,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// Of one run of a ROS master that has no /run_id of its own (roslaunch sets one).
+/// Names one run of a ROS master that has no /run_id (roslaunch sets one).
 constexpr const char* kGraphParameter = "/lot_graph";
 constexpr auto kGraphSettles = 50ms;
 
@@ -42,7 +42,7 @@ std::string asked_of_master(const char* method) {
   return payload.toXml();
 }
 
-/// ~lot/NAME, if it is there and of this type.
+/// Reads the parameter ~lot/NAME, if it is there and of this type.
 template <class T>
 bool read_parameter(const char* name, T& value) {
   return ::ros::param::get(::ros::names::resolve(std::string("~lot/") + name), value);
@@ -64,7 +64,8 @@ std::uint64_t bytes_of(const std::string& text) {
   return static_cast<std::uint64_t>(number * factor);
 }
 
-/// ~lot/size is for who makes the segment: one that others use is as large as it is.
+/// Joins the segment. ~lot/size is for the process that makes the segment: if others use one of
+/// another size, it joins theirs.
 std::shared_ptr<transport::Participant> join(EngineOptions options) {
   try {
     return lot::detail::join(options);
@@ -106,7 +107,7 @@ std::string participant_name(std::string_view node) {
 }
 
 std::shared_ptr<Session> Session::get() {
-  static auto* const mutex = new std::mutex;  // asked from static destructors
+  static auto* const mutex = new std::mutex;  // static destructors call this
   static auto* const the_one = new std::weak_ptr<Session>;
   const std::lock_guard guard(*mutex);
   auto session = the_one->lock();
@@ -127,13 +128,14 @@ Session::Session() : loop_(std::make_shared<Loop>(waiting())) {
     maker_.reset();
     participant_.reset();
   }
-  // Without a segment, too: what comes over links is delivered there.
+  // LOT's thread runs without a segment, too: it delivers what comes over links.
   const lot::detail::NoSignals quiet;
   thread_ = std::thread([loop = loop_] { loop->run(); });
 }
 
 void Session::open() {
-  // Two copies would be two participants of one node's name, which publishers do not tell apart.
+  // Two copies would be two participants with one node's name: publishers could not tell them
+  // apart.
   if (const std::string first = earlier_copy(); !first.empty()) {
     throw Error(EEXIST, first, "it came into this process first, and has another copy of lot::ros",
                 "link all nodes of a process with the same liblot_ros.so");
@@ -161,11 +163,11 @@ void Session::open() {
   maker_ = lot::detail::make_maker(participant_);
 }
 
-/// What tells this ROS graph from others that use the segment.
+/// A name that tells this ROS graph from others that use the segment.
 std::string Session::graph() {
   std::string id;
   if (!::ros::param::get("/run_id", id)) {
-    // Several nodes may find none at once: the last one's word stands.
+    // Several nodes may set it at once: the value of the last one stands.
     while (!::ros::param::get(kGraphParameter, id)) {
       if (!::ros::ok()) throw Error(ESHUTDOWN, kGraphParameter, "ROS ends", "start anew");
       ::ros::param::set(kGraphParameter, random_text());
@@ -180,7 +182,7 @@ Session::~Session() {
     thread_.detach();
     return;
   }
-  // Nobody waits for somebody else's callback for long.
+  // The user's thread does not wait long for a callback that is at work on LOT's thread.
   loop_->end() ? thread_.join() : thread_.detach();
 }
 

@@ -14,24 +14,25 @@
 
 namespace lot::ros {
 
-/// No publisher's ring has more places.
+/// The most places of a publisher's ring.
 inline constexpr std::uint32_t kDeepest = 1024;
 
-/// So many messages of a publisher may be in its ring before it has said to a reader that they are
-/// for it, since that one is only just coming: all but the one that makes room for the next.
+/// A reader that is only just joining gets messages of a ring before the publisher has said that
+/// they are for it. There may be so many of these: all places but the one that makes room for the
+/// next message.
 constexpr std::size_t most_undecided(std::size_t depth) { return depth - 1; }
-/// And so many when that takes long: somebody hangs, and memory is not to be his.
+/// So many when the decision takes long: a peer hangs, and must not keep more memory.
 inline constexpr std::size_t kMostUndecidedLater = 15;
 
-/// What LOT is in this process while somebody publishes or subscribes: the segment, and LOT's
-/// thread. The user's handles own it, so that it ends in the user's threads, and with it the
+/// What LOT has in this process while the process publishes or subscribes: the segment, and LOT's
+/// thread. The user's handles own it. So it ends in one of the user's threads, and with it the
 /// segment's files, if this was the last process.
 ///
 /// Threads: all members may be called at once.
 class Session {
  public:
-  /// The process's; made when there is none. Reads the parameters and opens the segment; what
-  /// cannot be opened is said by ROS_WARN, and messages then go over TCPROS alone.
+  /// The session of the process; makes it when there is none. Reads the parameters and opens the
+  /// segment. If that fails, ROS_WARN says why, and messages go over TCPROS alone.
   static std::shared_ptr<Session> get();
   ~Session();
   Session(const Session&) = delete;
@@ -44,7 +45,8 @@ class Session {
   }
   lot::detail::PusherCore* maker() const noexcept { return maker_.get(); }
   QueueEngine queue_engine() const noexcept { return queue_engine_; }
-  /// A topic's name in the segment: other graphs may have one of the same name.
+  /// A topic's name in the segment: it names the ROS graph, too, since other graphs may have a
+  /// topic of that name.
   std::string name_of(const std::string& topic) const;
 
   const std::shared_ptr<Loop>& loop() const noexcept { return loop_; }
@@ -58,17 +60,18 @@ class Session {
   std::unique_ptr<lot::detail::PusherCore> maker_;
   QueueEngine queue_engine_ = QueueEngine::Ring;
   std::string run_;
-  std::shared_ptr<Loop> loop_;  ///< the thread's own: it may be the one that destroys this
+  std::shared_ptr<Loop> loop_;  ///< LOT's thread has it, too: it may destroy this
   std::thread thread_;
 };
 
-/// What a frame of one byte says, which no message is: is anybody beside LOT's subscribers there?
+/// A frame of one byte is no message. This byte is a probe: does the process have subscribers
+/// beside LOT's on this link?
 constexpr std::uint8_t kProbe = 0;
-/// The others are numbers of invitations: join my ring anew with this answer, when you have what
-/// came before it.
+/// The other bytes are numbers of invitations: "when you have all messages before this frame, join
+/// my ring anew, with this number as the answer".
 constexpr std::uint8_t kLastInvitation = 255;
 
-/// A node's name as a participant bears it: names that are too long end in a hash.
+/// A node's name as its participant has it: a name that is too long ends in a hash.
 std::string participant_name(std::string_view node);
 
 /// FNV-1a, as 16 hexadecimal digits.

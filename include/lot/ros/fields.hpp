@@ -43,7 +43,7 @@ class Allocator : public ShmAllocator<T> {
   };
 
   Allocator() = default;
-  /// Of the same message as `other`, or of the heap as that one.
+  /// Allocates in the same message as `other`, or on the heap as `other` does.
   template <class U>
   Allocator(const ShmAllocator<U>& other) noexcept : ShmAllocator<T>(other) {}
 };

@@ -13,7 +13,7 @@ struct Relayed {
   const char* datatype;           ///< "my_msgs/Cloud"
   const detail::Kind& (*kind)();  ///< what LOT knows of it
 };
-/// That of what ROS has generated: `relayed<my_msgs::Cloud_>()`. Throws nothing.
+/// The Relayed of a message that ROS has generated: `relayed<my_msgs::Cloud_>()`. Throws nothing.
 template <template <class> class Generated>
 [[nodiscard]] Relayed relayed() {
   return {::ros::message_traits::DataType<Generated<std::allocator<void>>>::value(),

@@ -4,9 +4,9 @@
 ///     rosrun image_view image_view image:=/camera/image _image_transport:=lot
 ///
 /// The images of /camera/image go as /camera/image/lot, of type sensor_msgs/Image: nodes of
-/// lot::ros read and write that topic, too. A publisher copies an image once, into shared memory;
-/// a subscriber once, out of it, since what it calls takes standard images. That copy is shared by
-/// all subscribers of the process.
+/// lot::ros read and write that topic, too. A publisher copies an image once, into shared memory. A
+/// subscriber copies it once, out of shared memory, since its callback takes standard images. All
+/// subscribers of the process share that copy.
 #include <algorithm>
 #include <cstdint>
 #include <exception>
@@ -36,7 +36,7 @@ class ImagePublisher final : public image_transport::PublisherPlugin {
   std::string getTopic() const override { return images_.getTopic(); }
   void publish(const sensor_msgs::Image& image) const override { images_.publish(image); }
   void publish(const sensor_msgs::ImageConstPtr& image) const override { images_.publish(image); }
-  /// Pixels that are in no message yet.
+  /// Publishes pixels that are in no message yet.
   void publish(const sensor_msgs::Image& image, const std::uint8_t* pixels) const override {
     images_.publish_with([&](auto& made) {
       assign(made.header, image.header);
@@ -62,8 +62,8 @@ class ImagePublisher final : public image_transport::PublisherPlugin {
                                                 greeting(went), tracked, latch);
   }
 
-  /// The user's, which may publish to the one subscriber alone; none where there is none, since a
-  /// publisher that greets serves its peers over TCPROS first.
+  /// Wraps the user's connect callback, which may publish to the one subscriber alone. Empty where
+  /// the user has none, since a publisher that greets serves its peers over TCPROS first.
   ::ros::SubscriberStatusCallback greeting(const Greeting& users) const {
     if (!users) return {};
     return [this, users](const ::ros::SingleSubscriberPublisher& peer) {
