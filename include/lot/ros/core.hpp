@@ -164,8 +164,7 @@ class Outlet {
   /// number in its header. `end`: the user's end that publishes it.
   virtual void publish(const Parcel& parcel, bool fresh, std::uint64_t end) = 0;
   virtual std::uint64_t serialised() const = 0;  ///< messages that were serialised so far
-  virtual std::uint64_t by_link()
-      const = 0;  ///< messages sent on links so far, counted for each link
+  virtual std::uint64_t by_link() const = 0;     ///< messages sent on links, for each link
   /// How many links there are whose subscribers get what is published from now on.
   virtual std::uint32_t subscribers() const = 0;
 };
