@@ -33,10 +33,10 @@ namespace lot::ros {
 ///
 /// The outlet decides for each peer, and changes its mind:
 ///
-///      Open ------ it reads our ring ------> Ring ------ it wants its link, no room ------> Link
-///       | ^                                                                               ^ |
-///       | `------ it could read the ring: it is invited, by the last frame on its link ---|-'
-///       `-------- it is no LOT subscriber's, or it has not come to read for too long -----'
+///     Open ---- the peer reads the ring ----> Ring --- it wants its link, or no room ---> Link
+///      | ^                                                                                ^ |
+///      | `---- the peer could read the ring: it is invited, by the last frame on its link |-'
+///      `------ the peer is no LOT subscriber's, or has not come to read for too long -----'
 ///
 /// - Open: the outlet has sent nothing on the link yet, or nothing since it invited the peer. It
 ///   expects the peer to read the ring, and keeps for it what goes into the ring meanwhile.
