@@ -17,7 +17,7 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / 'tests' / 'ros'))
+sys.path.insert(0, str(ROOT / 'tests' / 'lot_ros'))
 from graph import Graph  # noqa: E402
 
 MIB = 1 << 20

@@ -721,16 +721,25 @@ void TopicOutlet::hand_over(const std::shared_ptr<Inlet>& inlet, Peer& peer, con
   if (!ours) ours = deserialise(message, bytes);
   // A greeting goes by the link: the message waits behind it.
   if (!is_greeted(peer)) inlet->follow_links();
-  const auto header = boost::make_shared<::ros::M_string>();
+  const auto& header = header_of(message.latched_by != nullptr);
+  dropped_.push_back(
+      inlet->take({std::move(ours), header, message.latched_by}, depth_of(options_)));
+  peer.inlet = inlet;
+}
+
+/// What the header of a link would say to these subscribers. Made once, since a map of strings
+/// costs as much as all else that a message needs here.
+const boost::shared_ptr<::ros::M_string>& TopicOutlet::header_of(bool is_latched) {
+  auto& header = headers_[is_latched ? 1 : 0];
+  if (header) return header;
+  header = boost::make_shared<::ros::M_string>();
   (*header)["callerid"] = ::ros::this_node::getName();
   (*header)["topic"] = options_.topic;
   (*header)["type"] = kind_.datatype;
   (*header)["md5sum"] = kind_.md5sum;
   (*header)["message_definition"] = kind_.definition;
-  (*header)["latching"] = message.latched_by ? "1" : "0";
-  dropped_.push_back(
-      inlet->take({std::move(ours), header, message.latched_by}, depth_of(options_)));
-  peer.inlet = inlet;
+  (*header)["latching"] = is_latched ? "1" : "0";
+  return header;
 }
 
 /// Sends the bytes to all subscribers on the link but those of the inlet that has the message.

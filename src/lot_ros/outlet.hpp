@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <cstdint>
 #include <deque>
@@ -211,6 +212,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   void keep_apart(Message& message, Bytes& bytes);
   std::shared_ptr<lot::detail::PusherCore> ring();
   detail::Parcel into_ring(const Message& message);
+  const boost::shared_ptr<::ros::M_string>& header_of(bool is_latched);
   void lacks_room();
 
   const std::shared_ptr<Loop> loop_;
@@ -230,6 +232,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   Peers gone_;
   std::vector<std::shared_ptr<Inlet>> receivers_;  ///< inlets that may have messages to deliver
   std::vector<Inlet::Taken> dropped_;
+  std::array<boost::shared_ptr<::ros::M_string>, 2> headers_;  ///< header_of()
   std::map<std::uint64_t, End> ends_;
   std::uint64_t last_end_ = 0;
   bool watching_ = false;        ///< LOT's thread is due to look after the links
