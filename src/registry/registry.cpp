@@ -261,7 +261,6 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     ring::Word w = entry.writer.load(std::memory_order_acquire);
     if (ring::writer_state(w) != ring::State::Free) continue;
     const std::uint32_t generation = ring::writer_generation(w) + 1;
-    // Acquire: as above.
     if (!entry.writer.compare_exchange_strong(
             w, ring::make_writer(generation, ring::State::Init, participant),
             std::memory_order_acquire, std::memory_order_relaxed)) {

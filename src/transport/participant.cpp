@@ -307,8 +307,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
 
   for (int renewed = 0;;) {
     auto file = std::make_shared<liveness::LockFile>(path + ".lock", trust);
-    // The last participant has removed the file: try again.
-    if (!file->enter_gate(kGatePatience)) continue;
+    if (!file->enter_gate(kGatePatience)) continue;  // the last participant has removed the file
     GateGuard gate(*file);
     bool ours = false;  // a segment exists that the lock file belongs to
     bool made = false;  // this call has made the segment

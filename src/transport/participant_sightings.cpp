@@ -70,9 +70,8 @@ void Participant::note_sightings() noexcept {
       if (state != ring::State::Live && state != ring::State::Orphan) continue;
       const segment::Ring r = ring(c);
       for (std::uint32_t i = 0; i < r.readers; ++i) {
-        // A ring that is recycled meanwhile may say anything, which does no harm. So relaxed.
+        // Both relaxed: a ring that is recycled meanwhile may say anything, which does no harm.
         if (r.who[i].load(std::memory_order_relaxed) != index() + 1) continue;
-        // Relaxed: a hint.
         const ring::Word position = r.cells[i].position.load(std::memory_order_relaxed);
         if (position != ring::kIdle && ring::block(position) < blocks()) {
           add(static_cast<std::uint32_t>(ring::block(position)));
