@@ -526,13 +526,7 @@ void Inlet::forget_later() {
 /// The connection header of a publisher: as its link says, or what is known without a link.
 Inlet::Header Inlet::header_of(const std::string& publisher) const {
   if (const auto at = links_.find(publisher); at != links_.end()) return at->second.header;
-  auto header = boost::make_shared<::ros::M_string>();
-  (*header)["callerid"] = publisher;
-  (*header)["topic"] = topic_;
-  (*header)["type"] = kind_.datatype;
-  (*header)["md5sum"] = kind_.md5sum;
-  (*header)["message_definition"] = kind_.definition;
-  return header;
+  return link_header(kind_, topic_, publisher);
 }
 
 std::optional<bool> Inlet::latches(const std::string& publisher) const {
@@ -644,9 +638,9 @@ Inlet::Taken Inlet::take(Taken taken, std::size_t depth) {
   return dropped;
 }
 
-std::uint64_t Inlet::close_gate() {
+void Inlet::close_gate() {
   const std::lock_guard guard(taken_mutex_);
-  return ++gates_closed_;
+  ++gates_closed_;
 }
 
 /// Opens a gate when Intake's thread and LOT's thread have handled what links have brought so far.
@@ -673,11 +667,7 @@ void Inlet::follow_links() {
 
 void Inlet::deliver_taken() {
   if (loop_->has_turn()) return deliver_in_turn();
-  if (calls_at_once_) {
-    return loop_->soon([weak = weak_from_this()] {
-      if (const auto inlet = weak.lock()) inlet->deliver_in_turn();
-    });
-  }
+  if (calls_at_once_) return deliver_soon();
   std::size_t here = 0;  // messages that come meanwhile are delivered by their own threads
   {
     const std::lock_guard guard(taken_mutex_);
@@ -693,6 +683,10 @@ void Inlet::deliver_in_turn() {
   for (; may_deliver_ > 0; --may_deliver_) {
     if (!deliver_next()) return;
   }
+  deliver_soon();
+}
+
+void Inlet::deliver_soon() {
   loop_->soon([weak = weak_from_this()] {
     if (const auto inlet = weak.lock()) inlet->deliver_in_turn();
   });

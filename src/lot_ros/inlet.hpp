@@ -190,8 +190,9 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   void handle(const Frame& frame);
   void deliver_held();
   void deliver_in_turn();
+  void deliver_soon();
   bool deliver_next();
-  std::uint64_t close_gate();
+  void close_gate();
   void open_gate_behind_links();
   void deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
                const Header& header);

@@ -732,12 +732,7 @@ void TopicOutlet::hand_over(const std::shared_ptr<Inlet>& inlet, Peer& peer, con
 const boost::shared_ptr<::ros::M_string>& TopicOutlet::header_of(bool is_latched) {
   auto& header = headers_[is_latched ? 1 : 0];
   if (header) return header;
-  header = boost::make_shared<::ros::M_string>();
-  (*header)["callerid"] = ::ros::this_node::getName();
-  (*header)["topic"] = options_.topic;
-  (*header)["type"] = kind_.datatype;
-  (*header)["md5sum"] = kind_.md5sum;
-  (*header)["message_definition"] = kind_.definition;
+  header = link_header(kind_, options_.topic, ::ros::this_node::getName());
   (*header)["latching"] = is_latched ? "1" : "0";
   return header;
 }

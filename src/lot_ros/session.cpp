@@ -8,6 +8,7 @@
 #include <random>
 #include <utility>
 
+#include <boost/make_shared.hpp>
 #include <ros/console.h>
 #include <ros/master.h>
 #include <ros/names.h>
@@ -97,6 +98,17 @@ std::string hash_of(std::string_view text) {
   char digits[17];
   std::snprintf(digits, sizeof(digits), "%016llx", static_cast<unsigned long long>(h));
   return digits;
+}
+
+boost::shared_ptr<::ros::M_string> link_header(const detail::Kind& kind, const std::string& topic,
+                                               const std::string& publisher) {
+  auto header = boost::make_shared<::ros::M_string>();
+  (*header)["callerid"] = publisher;
+  (*header)["topic"] = topic;
+  (*header)["type"] = kind.datatype;
+  (*header)["md5sum"] = kind.md5sum;
+  (*header)["message_definition"] = kind.definition;
+  return header;
 }
 
 std::string participant_name(std::string_view node) {

@@ -7,6 +7,9 @@
 #include <string_view>
 #include <thread>
 
+#include <boost/shared_ptr.hpp>
+#include <ros/datatypes.h>
+
 #include "lot/engine.hpp"
 #include "lot/ros/core.hpp"
 
@@ -73,6 +76,10 @@ constexpr std::uint8_t kLastInvitation = 255;
 
 /// A node's name as its participant has it: a name that is too long ends in a hash.
 std::string participant_name(std::string_view node);
+
+/// What the header of a link to that publisher says of the topic.
+boost::shared_ptr<::ros::M_string> link_header(const detail::Kind& kind, const std::string& topic,
+                                               const std::string& publisher);
 
 /// FNV-1a, as 16 hexadecimal digits.
 std::string hash_of(std::string_view text);
