@@ -275,9 +275,9 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
   ours.callback_queue = &Intake::the();
   ours.transport_hints = asked.transport_hints;
   ::ros::NodeHandle own(node);  // a copy: the user may shut its own down while other users stay
-  close_gate();                 // roscpp may give us what links brought last
+  expect_marker();              // roscpp may give us what links brought last
   subscriber_ = own.subscribe(ours);
-  open_gate_behind_links();
+  send_marker();
   return bool(subscriber_);
 }
 
@@ -436,7 +436,7 @@ void Inlet::arrived(Frame frame) {
   const auto is_held = [&](const Frame& f) { return f.publisher == frame.publisher; };
   const bool is_behind =
       rings_ && (has_claimed() || std::any_of(held_.begin(), held_.end(), is_held));
-  if (frame.is_last_before) {
+  if (frame.is_marker) {
     if (!is_behind) return handle(frame);
     held_.push_back(std::move(frame));
     return read();
@@ -462,13 +462,13 @@ void Inlet::arrived(Frame frame) {
   }
 }
 
-/// Handles a frame: a message, an invitation, or the end of a gate. All messages that its publisher
+/// Handles a frame: a message, an invitation, or a marker. All messages that its publisher
 /// sent before it have been delivered.
 void Inlet::handle(const Frame& frame) {
-  if (frame.is_last_before) {
+  if (frame.is_marker) {
     {
       const std::lock_guard guard(taken_mutex_);
-      ++gates_opened_;
+      ++markers_passed_;
     }
     return deliver_in_turn();
   }
@@ -633,27 +633,27 @@ Inlet::Taken Inlet::take(Taken taken, std::size_t depth) {
     dropped = std::move(*at);
     taken_.erase(at);
   }
-  taken.behind = gates_closed_;
+  taken.behind = markers_;
   taken_.push_back(std::move(taken));
   return dropped;
 }
 
-void Inlet::close_gate() {
+void Inlet::expect_marker() {
   const std::lock_guard guard(taken_mutex_);
-  ++gates_closed_;
+  ++markers_;
 }
 
-/// Opens a gate when Intake's thread and LOT's thread have handled what links have brought so far.
-/// This call may open a gate that was closed earlier: all that came before that gate has come
+/// Sends a marker behind the frames that links have brought so far, through Intake's thread and
+/// LOT's thread. It may pass for one that was expected earlier: the frames before that one are
 /// before this one, too.
-void Inlet::open_gate_behind_links() {
+void Inlet::send_marker() {
   const auto come = [weak = weak_from_this(), loop = loop_] {
     loop->soon([weak] {
       const auto inlet = weak.lock();
       if (!inlet) return;
       Frame last{};
       last.publisher = inlet->own_name_;
-      last.is_last_before = true;
+      last.is_marker = true;
       inlet->arrived(std::move(last));
     });
   };
@@ -661,8 +661,8 @@ void Inlet::open_gate_behind_links() {
 }
 
 void Inlet::follow_links() {
-  close_gate();
-  open_gate_behind_links();
+  expect_marker();
+  send_marker();
 }
 
 void Inlet::deliver_taken() {
@@ -692,7 +692,7 @@ void Inlet::deliver_soon() {
   });
 }
 
-/// Delivers the first waiting message. False: none waits, or the first one waits at a closed gate.
+/// Delivers the first waiting message. False: none waits, or the first one waits for a marker.
 bool Inlet::deliver_next() {
   Calls calls;
   Taken next;  // destroyed, as `last`, when the mutexes are released
@@ -700,7 +700,7 @@ bool Inlet::deliver_next() {
   const std::lock_guard guard(mutex_);
   {
     const std::lock_guard its_place(taken_mutex_);
-    if (taken_.empty() || taken_.front().behind > gates_opened_) return false;
+    if (taken_.empty() || taken_.front().behind > markers_passed_) return false;
     next = std::move(taken_.front());
     taken_.pop_front();
   }

@@ -113,7 +113,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     /// Lives while the message is latched: until it dies, subscribers that come later get the
     /// message, too. Null: the message is not latched.
     boost::shared_ptr<::ros::M_string> latched_by;
-    std::uint64_t behind = 0;  ///< the number of the gate that must open first
+    std::uint64_t behind = 0;  ///< the number of the marker that must pass first
   };
   /// Keeps a message for deliver_taken(), behind those that wait. So many may wait: `depth`, or as
   /// many as a user's queue takes. Returns the message that it drops for that; the caller destroys
@@ -157,7 +157,7 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     Header header;
     std::string publisher;  ///< the publisher's node, named as its participant would be
     std::uint8_t invitation = 0;
-    bool is_last_before = false;  ///< no frame: opens the gate that waits for the frames before it
+    bool is_marker = false;  ///< no frame: all frames before it have been handled
   };
   struct Pulled {
     boost::shared_ptr<void const> message;
@@ -192,8 +192,8 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   void deliver_in_turn();
   void deliver_soon();
   bool deliver_next();
-  void close_gate();
-  void open_gate_behind_links();
+  void expect_marker();
+  void send_marker();
   void deliver(const boost::shared_ptr<void const>& message, const std::string& publisher,
                const Header& header);
   Header header_of(const std::string& publisher) const;
@@ -248,8 +248,8 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
 
   std::mutex taken_mutex_;  ///< a leaf: no other lock is taken under it
   std::deque<Taken> taken_;
-  std::uint64_t gates_closed_ = 0;  ///< gates so far; messages wait behind one for the links
-  std::uint64_t gates_opened_ = 0;
+  std::uint64_t markers_ = 0;  ///< so far; a message waits until those before it have passed
+  std::uint64_t markers_passed_ = 0;
   bool is_closed_ = false;
 };
 
