@@ -197,22 +197,25 @@ class Inlet::Helper final : public ::ros::SubscriptionCallbackHelper {
 
 void Inlet::send_past(const Inlet* inlet, ::ros::SubscriberLink& link,
                       ::ros::SerializedMessage bytes) {
+  const Disguise for_this_message(typeid(OurMessages));
   const Past here{inlet};
-  const struct Sending {
-    explicit Sending(const Past& p) { past = &p; }
-    ~Sending() { past = nullptr; }
-  } sending(here);
+  past = &here;
   bytes.type_info = &typeid(Past);
   link.enqueueMessage(bytes, true, false);
 }
 
-Inlet::Disguise::Disguise(const std::type_info& type) noexcept { said_type = &type; }
-Inlet::Disguise::~Disguise() { said_type = &typeid(OurMessages); }
+Inlet::Disguise::Disguise(const std::type_info& type) noexcept
+    : type_before_(std::exchange(said_type, &type)), past_before_(std::exchange(past, nullptr)) {}
+Inlet::Disguise::~Disguise() {
+  said_type = type_before_;
+  past = static_cast<const Past*>(past_before_);
+}
 
 Inlet::Subscribers Inlet::on(::ros::SubscriberLink& link, const std::type_info& standard) {
   Subscribers found;
   bool is_ours = false;
   bool not_ours = false;
+  const Disguise as_they_are(typeid(OurMessages));
   found_inlet = &found.inlet;
   link.getPublishTypes(not_ours, is_ours, typeid(OurMessages));
   found_inlet = nullptr;
@@ -581,7 +584,7 @@ void Inlet::give(const User& user, const boost::shared_ptr<void const>& message,
 }
 
 void Inlet::Calls::add(Inlet& inlet, const User& user) {
-  calls_.push_back({inlet.shared_from_this(), user});
+  calls_.push_back({inlet.shared_from_this(), user.callbacks, user.queue, user.adding});
 }
 
 Inlet::Calls::~Calls() {
@@ -597,15 +600,14 @@ Inlet::Calls::~Calls() {
 }
 
 void Inlet::Calls::Call::make() const noexcept {
-  Adding& adding = *user.adding;
   {
     const std::lock_guard guard(inlet->mutex_);
-    if (adding.is_removed) return;
-    ++adding.threads;
+    if (adding->is_removed) return;
+    ++adding->threads;
   }
-  adding_here.push_back(&adding);
+  adding_here.push_back(adding.get());
   try {
-    user.callbacks->addCallback(user.queue, user.id());
+    callbacks->addCallback(queue, id_of(queue));
   } catch (const std::exception& e) {  // thrown by a queue that calls at once
     ROS_ERROR("LOT: %s: %s", inlet->topic_.c_str(), e.what());
   } catch (...) {
@@ -614,7 +616,7 @@ void Inlet::Calls::Call::make() const noexcept {
   }
   adding_here.pop_back();
   const std::lock_guard guard(inlet->mutex_);
-  --adding.threads;
+  --adding->threads;
   inlet->added_.notify_all();
 }
 

@@ -60,16 +60,21 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     unsigned threads = 0;
     bool is_removed = false;
   };
+  using Queue = boost::shared_ptr<::ros::SubscriptionQueue>;
+  /// What a callback queue knows a user by.
+  static std::uint64_t id_of(const Queue& queue) noexcept {
+    return reinterpret_cast<std::uint64_t>(queue.get());
+  }
   struct User {
     ::ros::SubscriptionCallbackHelperPtr helper;
     ::ros::CallbackQueueInterface* callbacks;
-    boost::shared_ptr<::ros::SubscriptionQueue> queue;
+    Queue queue;
     bool has_tracked_object;
     ::ros::VoidConstWPtr tracked_object;
     std::uint32_t queue_size;  ///< 0: any number
     std::shared_ptr<Adding> adding = std::make_shared<Adding>();
 
-    std::uint64_t id() const noexcept { return reinterpret_cast<std::uint64_t>(queue.get()); }
+    std::uint64_t id() const noexcept { return id_of(queue); }
     /// When it returns, none of the user's callbacks begins any more, and none is at work, but one
     /// in this thread.
     void dismiss();
@@ -88,7 +93,9 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
    private:
     struct Call {
       std::shared_ptr<Inlet> inlet;
-      User user;
+      ::ros::CallbackQueueInterface* callbacks;
+      Queue queue;
+      std::shared_ptr<Adding> adding;
       void make() const noexcept;
     };
     std::vector<Call> calls_;
@@ -143,6 +150,11 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
     ~Disguise();
     Disguise(const Disguise&) = delete;
     Disguise& operator=(const Disguise&) = delete;
+
+   private:
+    // A queue that calls at once may publish another message meanwhile.
+    const std::type_info* type_before_;
+    const void* past_before_;
   };
 
   std::uint32_t publishers() const { return subscriber_.getNumPublishers(); }
