@@ -23,6 +23,7 @@
 
 #include "support/local_segment.hpp"
 #include "support/plant.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -267,8 +268,7 @@ class Fuzz {
     const auto m = pick(p.loans);
     if (!m || !room(p)) return;
     std::erase(p.loans, *m);
-    auto& word = cell(p, *m).hold;
-    word = word - hold::kPointer + hold::kRing;
+    lot::transport::HardwareOwnership::hand_to_ring(cell(p, *m).hold);
     publish(p, *m);
   }
 
@@ -312,7 +312,7 @@ class Fuzz {
     if (!m) return;
     std::erase(p.loans, *m);
     p.pointers.push_back(*m);
-    local_.block(block(*m)).home_points = 1;
+    lot::transport::HardwareOwnership::note_pointers(local_.block(block(*m)), cell(p, *m).hold);
   }
 
   void abandon(Process& p) {
@@ -324,7 +324,7 @@ class Fuzz {
   }
 
   void copy(Process& p, std::uint64_t m) {
-    cell(p, m).add_pointer();
+    cell(p, m).hold.add_pointer();
     p.pointers.push_back(m);
   }
 
@@ -333,12 +333,8 @@ class Fuzz {
     if (p.pointers.empty()) return;
     const std::uint64_t m = p.pointers[index];
     p.pointers.erase(p.pointers.begin() + static_cast<std::ptrdiff_t>(index));
-    ControlCell& c = cell(p, m);
-    if (!p.real->holder.is_home(block(m))) return p.real->holder.release(block(m), hold::kPointer);
-    const std::uint64_t left = c.hold.fetch_sub(hold::kPointer) - hold::kPointer;
-    if (hold::pointers(left) != 0) return;
-    local_.block(block(m)).home_points = 0;
-    if ((left & hold::kHolds) == 0) p.real->pools[c.pool]->came_home(block(m));
+    if (cell(p, m).hold.drop_pointer_of_several()) return;
+    p.real->holder.release(block(m), hold::kPointer);
   }
 
   void join(Process& p) {
@@ -404,7 +400,6 @@ class Fuzz {
     require(!locked || !message.dead, "a weak pointer to a message that has died");
     if (!locked) return;
     p.pointers.push_back(*m);
-    if ((cell(p, *m).hold & hold::kHome) != 0) words.home_points = 1;
   }
 
   /// A loaned message refers to one that is kept, as by ShmRef.
@@ -503,9 +498,9 @@ class Fuzz {
     }
     for (std::uint32_t b = 0; b < kBlocks; ++b) {
       const auto m = living_in(b);
-      const bool adopted = (local_.block(b).own[0] & 1) != 0;
+      const bool adopted = (local_.block(b).own[0].load() & 1) != 0;
       require(adopted == (m && needed(*m)), "what the orphanage holds after a collection");
-      require(local_.block(b).home != 1 || m, "what is at home with the orphanage lives");
+      require(local_.block(b).home.load() != 1 || m, "what is at home with the orphanage lives");
     }
   }
 
@@ -614,7 +609,7 @@ class Fuzz {
         require(rings_.count(tag & ~lot::segment::kRingTag) != 0,
                 "a ring that has memory is there");
       } else {
-        require(tag <= kBlocks && local_.block(tag - 1).home != 0,
+        require(tag <= kBlocks && local_.block(tag - 1).home.load() != 0,
                 "a block that has memory is used");
       }
     }
@@ -622,7 +617,7 @@ class Fuzz {
 
   void check_message(std::uint64_t m) {
     const Message& message = messages_[m];
-    require(local_.block(message.block).home == message.home + 1, "whose memory it is");
+    require(local_.block(message.block).home.load() == message.home + 1, "whose memory it is");
     const auto& payload = *reinterpret_cast<const Payload*>(local_.segment().small(message.block));
     require(payload.number == m && payload.echo == ~m, "the payload of a message that lives");
     Numbers blocks;
@@ -636,12 +631,12 @@ class Fuzz {
     auto& words = local_.block(b);
     const auto m = living_in(b);
     for (std::uint32_t k = 1; k <= kProcesses; ++k) {
-      const bool at_home = words.home == k + 1;
-      const bool own = (words.own[0] >> k & 1) != 0;
+      const bool at_home = words.home.load() == k + 1;
+      const bool own = (words.own[0].load() >> k & 1) != 0;
       require(own == (at_home || (m && holds(k, *m))), "who holds a block");
       require(!at_home || processes_[k].entered, "whose home a block has");
       if (!processes_[k].real) continue;
-      const std::uint64_t word = processes_[k].real->cells[b].hold;
+      const std::uint64_t word = processes_[k].real->cells[b].hold.load();
       const std::uint64_t rings = (word & hold::kRingMask) / hold::kRing;
       const std::uint64_t pointers = m ? pointers_of(k, *m) : 0;
       const std::uint64_t named = m ? rings_of(k, *m) : 0;
@@ -654,7 +649,8 @@ class Fuzz {
               "how many pointers a process has");
       require(rings == named || (at_home && rings == named + 1), "how many rings hold a block");
     }
-    if ((words.own[0] & 1) == 0) require(!m || !needed(*m), "the orphanage holds what it must");
+    if ((words.own[0].load() & 1) == 0)
+      require(!m || !needed(*m), "the orphanage holds what it must");
   }
 
   /// Everybody lets go of everything and leaves: nothing may be left.
@@ -696,10 +692,10 @@ class Fuzz {
     for (std::uint64_t m = 0; m < messages_.size(); ++m) {
       if (messages_[m].dead || !held(m)) continue;
       auto& words = local_.block(block(m));
-      if (planted("lost_hold")) words.own[0] = 0;
-      if (planted("leaked_hold")) words.own[0] |= 14;
-      if (planted("early_death")) ++words.life;
-      if (planted("stolen_home")) words.home = lot::refcount::kHomeFree;
+      if (planted("lost_hold")) lot::test::raw(words.own[0]) = 0;
+      if (planted("leaked_hold")) lot::test::raw(words.own[0]) |= 14;
+      if (planted("early_death")) ++lot::test::raw(words.life);
+      if (planted("stolen_home")) lot::test::raw(words.home) = lot::refcount::kHomeFree;
       if (planted("changed_payload")) ++*local_.segment().small(block(m));
       if (planted("lost_references")) local_.segment().arena(block(m)).references = 0;
     }
@@ -713,7 +709,7 @@ class Fuzz {
   std::uint32_t block(std::uint64_t m) const { return messages_[m].block; }
   ControlCell& cell(Process& p, std::uint64_t m) const { return p.real->holder.cell(block(m)); }
   std::uint32_t generation(std::uint32_t b) const {
-    return lot::refcount::generation_of(local_.block(b).life);
+    return lot::refcount::generation_of(local_.block(b).life.load());
   }
   static bool room(Process& p) { return p.real->writer.room(); }
 

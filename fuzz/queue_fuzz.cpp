@@ -18,6 +18,7 @@
 
 #include "support/leaks.hpp"
 #include "support/plant.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -62,8 +63,8 @@ void spoil(const void* message) {
       }
     }
     for (auto& block : p->segment().blocks()) {
-      if (planted("lost_hold")) block.own[0] = 0;
-      if (planted("leaked_hold") && block.home != 0) block.own[4] = 1;
+      if (planted("lost_hold")) lot::test::raw(block.own[0]) = 0;
+      if (planted("leaked_hold") && block.home.load() != 0) lot::test::raw(block.own[4]) = 1;
     }
   }
   before = message;

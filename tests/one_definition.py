@@ -10,7 +10,10 @@ DIR is a build tree of Ninja in which lot and lot_model are built. Checked are
     file of such a name;
   - every C++ file of the tree, and what those objects read besides: nobody else defines a template
     of these names, or anything in namespace lot that a protocol header defines;
-  - every #include that names a protocol header: it leads to the one in src/;
+  - every #include that names a protocol header: it leads to the one in src/ or include/;
+  - the library, the model and the fuzzers: none of them changes a word of a block, or a hold word.
+    Ownership does (and HoldWord, for copied pointers). The compiler refuses it, too, since the
+    atomics are private bases; this says so of text that is not compiled, and of test::raw();
   - tests/proof/model, and its compiler's options: no macro stands for std, atomic or a memory order.
 """
 
@@ -25,10 +28,10 @@ import tempfile
 
 ROOMS = ('src/lockfree_ring/*.hpp', 'src/refcount/*.hpp', 'src/recovery/*.hpp',
          'src/robust_mutex/robust_condition.hpp', 'src/robust_mutex/lock_word.hpp',
-         'src/segment/granules.hpp',
-         'src/segment/units.hpp')
+         'src/segment/granules.hpp', 'src/segment/units.hpp',
+         'include/lot/detail/hold_word.hpp', 'include/lot/detail/changed_by.hpp')
 CLASSES = ('Ring', 'Writer', 'Reader', 'Cell', 'Ownership', 'BlockWords', 'Recovery', 'Granules', 'Units',
-           'RobustCondition', 'LockWord')
+           'RobustCondition', 'LockWord', 'HoldWord', 'ChangedBy')
 TARGETS = ('lot', 'lot_model')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.hh', '.cxx', '.hxx', '.ipp', '.inc', '.in'}
 
@@ -39,6 +42,9 @@ INCLUDE = re.compile(r'^[ \t]*#[ \t]*(?:include|include_next|import)[ \t]*["<]([
 STANDARD = r'(?:std|atomic(?:_\w+)?|memory_order(?:_\w+)?|(?:compare_)?exchange(?:_\w+)?|fetch_\w+)'
 DEFINE = re.compile(rf'^[ \t]*#[ \t]*define[ \t]+({STANDARD})\b', re.M)
 PRETENCE = re.compile(r'\b(relacy/(?:relacy_std|stdlib/))')
+CHANGE = re.compile(r'\b(hold|own|life|home|home_points)(?:_?\[[^][]*\]|\([^()]*\))?\)?\s*'
+                    r'(?:\.|->)\s*(?:store|exchange|fetch_\w+|compare_exchange_\w+)\s*\(')
+CHANGED_IN = ('src', 'include', 'fuzz', 'tests/proof/model')
 TOKEN = re.compile(r'[A-Za-z_]\w*|::|\[\[|\]\]|->|[^\s\w]')
 
 
@@ -173,11 +179,19 @@ def wrong_includes(root, file, text, headers):
         name = include.group(1)
         if pathlib.PurePosixPath(name).name not in own:
             continue
-        found = next((p.resolve() for p in (b / name for b in (file.parent, root / 'src', root))
+        found = next((p.resolve() for p in (b / name for b in (file.parent, root / 'src', root / 'include', root))
                       if p.is_file()), None)
         if found not in headers:
             line = text.count('\n', 0, include.start(1)) + 1
             yield f'{file.relative_to(root)}:{line}: {name} is a copy of a protocol header'
+
+
+def changes(root, file, text):
+    """Statements that change a word of a block, or a hold word."""
+    text = COMMENT.sub(lambda m: blank(m.group()), text)
+    for match in CHANGE.finditer(text):
+        line = text.count('\n', 0, match.start(1)) + 1
+        yield f'{file.relative_to(root)}:{line}: {match.group(1)} is changed outside of Ownership'
 
 
 def pretences(root, file, text):
@@ -196,6 +210,8 @@ def check_tree(root, files, headers, names):
         text = file.read_text(errors='replace')
         yield from second_definitions(file.relative_to(root), text, names)
         yield from wrong_includes(root, file, text, headers)
+        if any(file.is_relative_to(root / folder) for folder in CHANGED_IN):
+            yield from changes(root, file, text)
         if file.is_relative_to(root / 'tests' / 'proof' / 'model'):
             yield from pretences(root, file, text)
 
@@ -285,6 +301,8 @@ inline int make(int a) { return a; }
 }
 ''',
     'src/refcount/ownership.hpp': '''#include "lockfree_ring/ring.hpp"
+#include "lot/detail/changed_by.hpp"
+#include "lot/detail/hold_word.hpp"
 namespace lot { namespace refcount {
 template <class P> struct BlockWords {}; template <class P> struct Ownership {};
 } }
@@ -306,6 +324,13 @@ namespace lot::segment { template <class P> class Granules {}; }
 ''',
     'src/segment/units.hpp': '''#include "segment/granules.hpp"
 namespace lot::segment { template <class P> class Units {}; }
+''',
+    'include/lot/detail/hold_word.hpp': '''
+namespace lot::refcount { template <class P> struct Ownership; }
+namespace lot::detail { template <class A> class HoldWord {}; }
+''',
+    'include/lot/detail/changed_by.hpp': '''
+namespace lot::detail { template <class A, class O> class ChangedBy {}; }
 ''',
     'src/lot.cpp': '''#include "recovery/recovery.hpp"
 namespace lot { template <class P> class Forward; }
@@ -339,12 +364,24 @@ PLANTED = [  # file, its text, what must be complained about
     ('src/bad.hpp',
      'namespace lot::x { template <class P> requires (A<P>) struct BlockWords : B {}; }\n',
      'second definition of BlockWords'),
+    ('src/bad.hpp', 'namespace lot::transport { template <class A> struct HoldWord {}; }\n',
+     'second definition of HoldWord'),
     ('src/bad.hpp', 'namespace lot::ring { template <class R> bool announce(R&) { return 0; } }\n',
      'second definition of announce'),
     ('src/recovery/bad.hpp', 'namespace lot::ring { inline int make(int) { return 1; } }\n',
      'make is defined in src/lockfree_ring/ring.hpp already'),
     ('tests/proof/model/bad.cpp', '#include "copy/recovery.hpp"\n', 'bad.cpp:1: copy/recovery.hpp'),
     ('tests/proof/model/bad.cpp', '\n#  include <ring.hpp>\n', 'bad.cpp:2: ring.hpp is a copy'),
+    ('src/bad.cpp', 'void f(Cell& c) {\n  c.hold.fetch_sub(1, std::memory_order_acq_rel);\n}\n',
+     'src/bad.cpp:2: hold is changed outside of Ownership'),
+    ('src/bad.cpp', 'void f(W& w) { w.own[0].fetch_and(~1); }\n', 'own is changed outside'),
+    ('src/bad.cpp', 'void f(W* w) { w->life .store (1); }\n', 'life is changed outside'),
+    ('include/lot/bad.hpp', 'inline void f(W& w) { w.home.compare_exchange_strong(a, b); }\n',
+     'home is changed outside'),
+    ('tests/proof/model/bad.cpp', 'void f() { hold(b).fetch_add(1); }\n', 'hold is changed outside'),
+    ('tests/proof/model/bad.cpp', 'void f() { raw(home_hold); hold_(b); raw(x.hold).store(1); }\n',
+     'hold is changed outside'),
+    ('fuzz/bad.cpp', 'void f(W& w) { w.home_points.exchange(1); }\n', 'home_points is changed'),
     ('tests/proof/model/bad.hpp', '#define std rl\n', 'tests/proof/model/bad.hpp:1: a macro named std'),
     ('tests/proof/model/bad.hpp', '\n# define memory_order_acquire 0\n',
      'bad.hpp:2: a macro named memory_order_acquire'),
@@ -353,7 +390,7 @@ PLANTED = [  # file, its text, what must be complained about
 ]
 BUILD = '''
 rule cc
-  command = g++ -std=c++20 -Isrc $flags -MD -MF $out.d -c $in -o $out
+  command = g++ -std=c++20 -Isrc -Iinclude $flags -MD -MF $out.d -c $in -o $out
   deps = gcc
   depfile = $out.d
 rule link
@@ -417,7 +454,7 @@ def self_test():
             for name in ('.ninja_deps', '.ninja_log'):
                 (root / name).unlink(missing_ok=True)
             write('build.ninja', BUILD.format(lot='src/lot.cpp', model=model, flags=flags)
-                  .replace('-Isrc $flags', '$flags -Isrc'))
+                  .replace('-Isrc -Iinclude $flags', '$flags -Isrc -Iinclude'))
             ninja(root, *built)
             try:
                 complaints = check(root, root, tree)

@@ -138,7 +138,7 @@ class ShmSharedPtr {
   /// Aliasing: points to `part`, keeps alive what `other` keeps alive.
   template <class U>
   ShmSharedPtr(const ShmSharedPtr<U>& other, T* part) noexcept : object_(part), cell_(other.cell_) {
-    if (cell_ != nullptr) cell_->add_pointer();
+    if (cell_ != nullptr) cell_->hold.add_pointer();
   }
   /// The same, and `other` is null afterwards.
   template <class U>

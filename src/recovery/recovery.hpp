@@ -54,7 +54,7 @@ class Recovery {
     // All homes before the first hold. Else a reaper that is killed in between leaves a message of
     // k that does not count as the orphanage's, and its references without a holder (I4).
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) move_home(b, k);
-    for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) Own::let_go(world_.block(b), k);
     world_.forget(k);
     // Before the name goes (I4): if the process that leaves is killed here, no other process would
     // look for what it left. The store is a release: byte k of two lock files may be two locks, and
@@ -114,11 +114,7 @@ class Recovery {
     const bool all = recycle_rings();
     mark_needed();
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
-      auto& words = world_.block(b);
-      // Relaxed: byte lock 0.
-      if ((words.own[0].load(std::memory_order_relaxed) & 1) != 0 && !needed_[b]) {
-        words.own[0].fetch_and(~std::uint64_t{1}, std::memory_order_release);  // O1
-      }
+      if (!needed_[b]) Own::let_go(world_.block(b), refcount::kOrphanage);
     }
     while (bury()) {
     }
@@ -242,15 +238,8 @@ class Recovery {
 
   void move_home(std::uint32_t b, std::uint32_t k) {
     auto& words = world_.block(b);
-    if (words.home.load(std::memory_order_relaxed) != k + 1) return;        // byte lock k
-    words.home_points.store(0, std::memory_order_relaxed);                  // for use_count() only
-    words.home.store(refcount::kHomeOrphanage, std::memory_order_relaxed);  // byte lock 0
-  }
-
-  void let_go(std::uint32_t b, std::uint32_t k) {
-    auto& own = Own::word(world_.block(b), k);
-    if ((own.load(std::memory_order_relaxed) & Own::bit(k)) != 0) {  // byte lock k
-      own.fetch_and(~Own::bit(k), std::memory_order_release);        // O1
+    if (words.home.load(std::memory_order_relaxed) == k + 1) {  // byte lock k
+      Own::move_to_orphanage(words);
     }
   }
 
@@ -329,17 +318,12 @@ class Recovery {
     }
     world_.release_extents(dead);
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
-      if (dead[b])
-        world_.block(b).home.store(refcount::kHomeFree, std::memory_order_release);  // O3
+      if (dead[b]) Own::free_orphan(world_.block(b));
     }
     if (!released) return false;
     mark_needed();
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
-      // Relaxed: byte lock 0.
-      if (referred[b] && !needed_[b] &&
-          (world_.block(b).own[0].load(std::memory_order_relaxed) & 1) != 0) {
-        world_.block(b).own[0].fetch_and(~std::uint64_t{1}, std::memory_order_release);  // O1
-      }
+      if (referred[b] && !needed_[b]) Own::let_go(world_.block(b), refcount::kOrphanage);
     }
     return true;
   }

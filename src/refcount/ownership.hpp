@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cstdint>
 
+#include "lot/detail/changed_by.hpp"
 #include "lot/detail/hold_word.hpp"
 
 /// Robust ownership of blocks. One bit per participant says which participants hold a block, never
@@ -23,22 +24,27 @@
 ///       carries: the new own bit: a home that sees the bump sees the bit.
 ///   O3  home = 0 in give_back (release)       -> home claim in claim() (acquire)
 ///       carries: cleared bits and released extents.
-///   O5  kWanted set in reclaim() (release)    -> own bit cleared in the same word by let_go() or
+///   O5  kWanted set in reclaim() (release)    -> own bit cleared in the same word by release() or
 ///       acquire_weak(), then its load there (acquire)
 ///       carries: with E1, back to the home, what note_waiting() noted. Both change one word, so
 ///       one of the changes is the later: the holder finds kWanted, or the home finds the holder's
 ///       bit gone.
+///   O6  home_points = 1, pointer dropped (release) -> hold word in release() (acquire), then 0
+///       home_points = 0, last pointer dropped (release) -> next pointer (acquire), then 1
+///       carries: the order of the two stores. Only the first pointer stores 1. So while a thread
+///       drops what is the only pointer, no other thread does.
 ///   O4  hold word, edge released (release)    -> edge taken (acquire)
 ///       carries: the own bit, between threads of one process.
 namespace lot::refcount {
 
 namespace hold = detail::hold;
 
-/// The shared words of one block, on a line of their own.
+/// The shared words of one block, on a line of their own. Ownership changes them. All code may read
+/// them.
 template <class P>
 struct alignas(P::kLine) BlockWords {
   template <class T>
-  using Atomic = typename P::template Atomic<T>;
+  using Atomic = detail::ChangedBy<typename P::template Atomic<T>, Ownership<P>>;
 
   /// P::kBitsPerWord bits a word. Bit p: participant p holds the block. Bit 0: the orphanage does.
   /// Bit p is written by p and by p's reaper. Bit 0 is written by the process that acts for the
@@ -49,8 +55,8 @@ struct alignas(P::kLine) BlockWords {
   Atomic<std::uint64_t> life;
   /// 0: free; p + 1: participant p owns the memory; 1: the orphanage does.
   Atomic<std::uint32_t> home;
-  /// 1 while pointers in the home process hold the block. The home writes it, so that use_count()
-  /// in other processes counts it.
+  /// 1 while pointers in the home process hold the block. So use_count() in other processes counts
+  /// the home. Edge O6 orders its changes. Between two steps it may be wrong; at rest it is right.
   Atomic<std::uint32_t> home_points;
 };
 
@@ -81,12 +87,13 @@ constexpr std::uint64_t next_generation(std::uint64_t life) {
 }
 
 /// The steps that a participant takes on blocks. Each step gets the block's shared words. A step
-/// that changes the participant's own holds gets its private hold word, too.
+/// that changes the participant's own holds gets its private hold word, too. No other code changes
+/// any of these words: their types see to it.
 ///
 /// Threads: several threads of one process may call all of them at once on the same block.
 template <class P>
 struct Ownership {
-  using Hold = typename P::template Atomic<std::uint64_t>;
+  using Hold = detail::HoldWord<typename P::template Atomic<std::uint64_t>>;
   using Words = BlockWords<P>;
   static_assert(P::kBitsPerWord < 64, "the last bit is kWanted");
 
@@ -115,6 +122,7 @@ struct Ownership {
       } else if ((v & hold::kHeld) != 0) {  // the own bit stands, and has stood all the time
         if (h.compare_exchange_weak(v, v + amount, std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4
+          if (amount == hold::kPointer) note_first_pointer(b, v);
           return;
         }
       } else if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
@@ -137,13 +145,14 @@ struct Ownership {
         v = await_edge(h, v);
       } else if ((v & hold::kHome) != 0) {
         // The tag in the hold word makes the compare-and-swap fail if the message dies meanwhile.
-        // Both are relaxed: a thread that has a weak pointer has seen the message.
+        // Relaxed: a thread that has a weak pointer has seen the message.
         if ((v & hold::kTagMask) != hold::tag_of(generation) ||
             generation_of(b.life.load(std::memory_order_relaxed)) != generation) {
           return Left::Gone;
         }
-        if (h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_relaxed,
-                                    std::memory_order_relaxed)) {  // relaxed as above
+        if (h.compare_exchange_weak(v, v + hold::kPointer, std::memory_order_acquire,
+                                    std::memory_order_relaxed)) {  // O6
+          note_first_pointer(b, v);
           return Left::Held;
         }
       } else if ((v & hold::kHeld) != 0) {
@@ -159,12 +168,46 @@ struct Ownership {
                                          std::memory_order_relaxed)) {  // O4
         own(b).fetch_or(own_bit_, std::memory_order_relaxed);           // O2 carries it
         const std::uint64_t old = b.life.fetch_add(kVersion, std::memory_order_release);  // O2
-        if (generation_of(old) != generation) return let_go(b, h);
+        if (generation_of(old) != generation) return clear_own_bit(b, h);
         h.store(hold::kHeld | hold::kPointer, std::memory_order_release);  // O4
         P::passed();
         return Left::Held;
       }
     }
+  }
+
+  /// Says that pointers of this process have a message that one unique pointer had. REQUIRES: the
+  /// caller has that pointer.
+  static void note_pointers(Words& b, const Hold& h) {
+    // Relaxed, both: the caller's hold keeps the block at home, and no other thread has a pointer.
+    if ((h.load(std::memory_order_relaxed) & hold::kHome) != 0) {
+      b.home_points.store(1, std::memory_order_relaxed);  // see above
+    }
+  }
+
+  /// Turns the pointer hold of an exclusively owned message into a hold of the ring.
+  ///
+  /// Not a locked operation: no other thread or process can have this block, and not even a weak
+  /// pointer, since the tag keeps weak pointers of former messages away. What publishes the message
+  /// carries the store.
+  static void hand_to_ring(Hold& h) {
+    // Relaxed, both: see above.
+    const std::uint64_t v = h.load(std::memory_order_relaxed);
+    h.store(v - hold::kPointer + hold::kRing, std::memory_order_relaxed);  // see above
+  }
+
+  /// Lets go of a ring's hold if this process has other holds. False, and nothing has changed, if
+  /// it is the only hold. So a message that is pushed again and again has one entry in a ring after
+  /// the other, but dies once.
+  static bool drop_ring_hold_of_several(Hold& h) {
+    std::uint64_t v = h.load(std::memory_order_relaxed);  // the compare-and-swap checks it
+    while ((v & hold::kHolds) != hold::kRing) {
+      if (h.compare_exchange_weak(v, v - hold::kRing, std::memory_order_release,
+                                  std::memory_order_relaxed)) {  // O4
+        return true;
+      }
+    }
+    return false;
   }
 
   /// Takes `amount` from this process's holds. In a process that is not the home the last release
@@ -173,20 +216,28 @@ struct Ownership {
   /// Crash: killed before the caller tells the home, it leaves a message without a holder. The home
   /// finds it by its own look, once a second.
   Left release(Words& b, Hold& h, std::uint64_t amount) const {
-    std::uint64_t v = h.load(std::memory_order_relaxed);  // the compare-and-swap checks it
+    std::uint64_t v = h.load(std::memory_order_acquire);  // O6
     for (;;) {
       const bool last = (v & hold::kHolds) == amount;
       if (last && (v & (hold::kHome | hold::kEdge)) == 0) {
         // The last hold becomes the edge in one step, so that no other thread can come in between.
         if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4
-          return let_go(b, h);
+          return clear_own_bit(b, h);
         }
-      } else if (h.compare_exchange_weak(v, v - amount, std::memory_order_release,
-                                         std::memory_order_relaxed)) {  // O4
+        continue;
+      }
+      const bool only_pointer = amount == hold::kPointer && is_only_pointer_at_home(v);
+      if (only_pointer) b.home_points.store(0, std::memory_order_relaxed);  // O6 carries it
+      // Relaxed on failure: a thread stores home_points while it has the only pointer. So since the
+      // load no other thread has.
+      if (h.compare_exchange_weak(v, v - amount, std::memory_order_release,
+                                  std::memory_order_relaxed)) {  // O4, O6
         // Release is enough: the thread that goes on takes the edge, and that step acquires.
         return last && (v & hold::kHome) != 0 ? Left::Home : Left::Held;
       }
+      // Another thread may have a pointer now. This one still has its own.
+      if (only_pointer) b.home_points.store(1, std::memory_order_relaxed);  // O6 carries it
     }
   }
 
@@ -283,7 +334,9 @@ struct Ownership {
         return false;
       }
     }
-    own(b).fetch_or(own_bit_, std::memory_order_relaxed);  // no other process has the block yet
+    // Relaxed, both: no other process has the block yet.
+    own(b).fetch_or(own_bit_, std::memory_order_relaxed);
+    b.home_points.store(0, std::memory_order_relaxed);  // see above
     return true;
   }
 
@@ -294,14 +347,43 @@ struct Ownership {
     b.home.store(kHomeFree, std::memory_order_release);      // O3
   }
 
-  /// Makes the orphanage a holder. REQUIRES: byte lock 0; a participant still holds the block.
+  // What a reaper does. REQUIRES, in all of them: byte lock 0, and byte lock k where k is dead.
+
+  /// Makes the orphanage a holder. REQUIRES: a participant still holds the block.
   static void adopt(Words& b) {
     b.own[0].fetch_or(1, std::memory_order_relaxed);        // O2 carries it
     b.life.fetch_add(kVersion, std::memory_order_release);  // O2: adopting is a hand-over too
   }
 
+  /// Makes the orphanage the home of a block that was at home in a dead participant.
+  static void move_to_orphanage(Words& b) {
+    b.home_points.store(0, std::memory_order_relaxed);        // for use_count() only
+    b.home.store(kHomeOrphanage, std::memory_order_relaxed);  // byte lock 0
+  }
+
+  /// Takes a block from the dead participant k, or from the orphanage, if it holds the block.
+  static void let_go(Words& b, std::uint32_t k) {
+    auto& own = word(b, k);
+    if ((own.load(std::memory_order_relaxed) & bit(k)) != 0) {  // byte lock k
+      own.fetch_and(~bit(k), std::memory_order_release);        // O1
+    }
+  }
+
+  /// Sets a dead block of the orphanage free for all participants. REQUIRES: its extents are free.
+  static void free_orphan(Words& b) { b.home.store(kHomeFree, std::memory_order_release); }  // O3
+
  private:
   auto& own(Words& b) const { return b.own[own_word_]; }
+
+  static bool is_only_pointer_at_home(std::uint64_t v) {
+    return (v & hold::kHome) != 0 && hold::pointers(v) == 1;
+  }
+  /// `v`: the hold word to which a pointer was added.
+  static void note_first_pointer(Words& b, std::uint64_t v) {
+    if ((v & hold::kHome) != 0 && hold::pointers(v) == 0) {
+      b.home_points.store(1, std::memory_order_relaxed);  // O6 carries it
+    }
+  }
 
   static bool die(Words& b, std::uint32_t except_word, std::uint64_t except, std::uint64_t& seen) {
     std::uint64_t life = b.life.load(std::memory_order_acquire);  // O2
@@ -320,7 +402,7 @@ struct Ownership {
   }
 
   /// Clears the own bit. REQUIRES: the edge, and not at home.
-  Left let_go(Words& b, Hold& h) const {
+  Left clear_own_bit(Words& b, Hold& h) const {
     own(b).fetch_and(~own_bit_, std::memory_order_release);  // O1
     // A second look is cheaper than the old value of the fetch_and, for which x86 has no single
     // instruction. It sees kWanted if the home set it before this bit was cleared, unless the home

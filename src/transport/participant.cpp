@@ -431,7 +431,7 @@ void Participant::fill_pointers() noexcept {
     Participant& p = of(c);
     if (p.inert_) return;
     p.enter();
-    p.drop_pointer(*c);
+    p.holder_.release(c->block, hold::kPointer);
     p.exit();
   };
   hub_.abandoned = [](detail::ControlCell* c) noexcept {
@@ -439,7 +439,7 @@ void Participant::fill_pointers() noexcept {
     if (p.inert_) return;
     p.enter();
     if (p.was_received(*c)) {
-      p.drop_pointer(*c);
+      p.holder_.release(c->block, hold::kPointer);
     } else {
       p.holder_.pool_of(*c).give_back(*c);
     }
@@ -456,10 +456,7 @@ void Participant::fill_pointers() noexcept {
   };
   hub_.points = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
-    if (p.holder_.is_home(c->block)) {
-      // Relaxed: a hint for the use_count() of other processes.
-      p.segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
-    }
+    HardwareOwnership::note_pointers(p.segment_.block(c->block), c->hold);
   };
 }
 
@@ -472,14 +469,9 @@ void Participant::fill_weak_pointers() noexcept {
     segment::BlockWords& words = p.segment_.block(c->block);
     const Left left =
         p.has_left() ? Left::Gone : p.holder_.own.acquire_weak(words, c->hold, generation);
-    const bool alive = left == Left::Held;
-    // Relaxed, both: with a hold the block stays at home; home_points is a hint.
-    if (alive && (c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
-      words.home_points.store(1, std::memory_order_relaxed);  // a hint
-    }
     if (left == Left::Wanted) p.holder_.tell_home(c->block);
     p.exit();
-    return alive;
+    return left == Left::Held;
   };
   hub_.generation = [](const detail::ControlCell* c) noexcept {
     return refcount::generation_of(
@@ -569,21 +561,6 @@ void Participant::refuse() const {
   }
   throw Error(ECHILD, segment_.path(), "this object was inherited through fork() and is inert",
               "make a new lot::ShmEngine in the child, or exec");
-}
-
-void Participant::drop_pointer(detail::ControlCell& cell) noexcept {
-  if (!holder_.is_home(cell.block)) return holder_.release(cell.block, hold::kPointer);
-  segment::BlockWords& words = segment_.block(cell.block);
-  const std::uint64_t v =
-      // O4
-      cell.hold.fetch_sub(hold::kPointer, std::memory_order_acq_rel) - hold::kPointer;
-  if (hold::pointers(v) != 0) return;
-  words.home_points.store(0, std::memory_order_relaxed);  // relaxed: a hint
-  if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
-    // Another thread has taken a pointer meanwhile.
-    words.home_points.store(1, std::memory_order_relaxed);
-  }
-  if ((v & hold::kHolds) == 0) holder_.pool_of(cell).came_home(cell.block);
 }
 
 /// True only if other threads and processes have done all their reads before: each hold that goes

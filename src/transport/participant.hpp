@@ -446,7 +446,6 @@ class Participant {
   bool watch_others() noexcept;
   std::uint32_t used_channels() noexcept;
 
-  void drop_pointer(detail::ControlCell& cell) noexcept;
   void enter() noexcept;
   void exit() noexcept;
   void drop_reference() noexcept;

@@ -16,13 +16,8 @@ using detail::Build;
 using detail::ControlCell;
 
 void Holder::acquire(std::uint32_t b, std::uint64_t amount) const noexcept {
-  ControlCell& c = cell(b);
   know(b);
-  own.acquire(words(b), c.hold, amount);
-  // Relaxed, both: the hold keeps the block at home; home_points is a hint.
-  if (amount == hold::kPointer && (c.hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
-    words(b).home_points.store(1, std::memory_order_relaxed);  // a hint
-  }
+  own.acquire(words(b), cell(b).hold, amount);
 }
 
 void Holder::know(std::uint32_t b) const noexcept {
@@ -35,10 +30,9 @@ void Holder::know(std::uint32_t b) const noexcept {
 
 bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
   if (!own.claim(words(b), cell(b).hold)) return false;
-  // Relaxed, both: no other thread knows the block yet; what publishes it carries them.
-  words(b).home_points.store(0, std::memory_order_relaxed);
   cell(b).type = nullptr;
-  queued(b).store(0, std::memory_order_relaxed);  // as above
+  // Relaxed: no other thread knows the block yet; what publishes it carries the store.
+  queued(b).store(0, std::memory_order_relaxed);
   Arena& arena = segment->arena(b);
   segment->open_build(b);
   arena.references = 0;
@@ -287,25 +281,10 @@ void Pool::retire(std::uint32_t b, bool borrowed) {
     // Relaxed, both: the ring's hold keeps the block where it is.
   } else if ((holder_.cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
              holder_.cell(b).pool.load(std::memory_order_relaxed) == index_) {
-    if (!drop_if_held(b)) free_.push_back(b);
+    if (!HardwareOwnership::drop_ring_hold_of_several(holder_.cell(b).hold)) free_.push_back(b);
   } else {
     foreign_.push_back(b);
   }
-}
-
-/// Gives up a ring's hold at once if this process has other holds. A message that is pushed again
-/// and again has one entry in a ring after the other, but dies once.
-bool Pool::drop_if_held(std::uint32_t b) noexcept {
-  auto& word = holder_.cell(b).hold;
-  // Relaxed: the compare-and-swap decides (O4).
-  std::uint64_t v = word.load(std::memory_order_relaxed);
-  while ((v & hold::kHolds) != hold::kRing) {
-    if (word.compare_exchange_weak(v, v - hold::kRing, std::memory_order_acq_rel,  // O4
-                                   std::memory_order_relaxed)) {                   // see above
-      return true;
-    }
-  }
-  return false;
 }
 
 void Pool::poll_kept() {

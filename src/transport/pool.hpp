@@ -444,7 +444,6 @@ class Pool {
   bool is_at_rest_here(std::uint32_t b) const noexcept;
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
   void grow(std::size_t room);
-  bool drop_if_held(std::uint32_t b) noexcept;
   template <class May>
   bool release_idle(May&& may) noexcept;
   void release_block(std::uint32_t b) noexcept;

@@ -183,11 +183,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     mutex_engine::Alone alone(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
     make_room();
-    // No other thread or process can have this block, and not even a weak pointer: the tag keeps
-    // weak pointers of former messages away. So a plain store changes the pointer's hold into the
-    // ring's.
-    cell->hold.store(cell->hold.load(std::memory_order_relaxed) - hold::kPointer + hold::kRing,
-                     std::memory_order_relaxed);
+    HardwareOwnership::hand_to_ring(cell->hold);
     if (!type_->plain) participant_->holder().freeze_references(cell->block);
     publish(lock, alone, cell->block);
     return Status::Ok;

@@ -14,6 +14,7 @@
 // The policy comes first: the algorithm takes its atomics and their memory orders from it.
 #include "refcount/ownership.hpp"
 #include "support/lent_priority.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -41,24 +42,24 @@ struct Participant {
 
   /// True when the shared word says that this process holds the block.
   bool holds(Words& b) const {
-    return (Ownership::word(b, own.self) & Ownership::bit(own.self)) != 0;
+    return (Ownership::word(b, own.self).load() & Ownership::bit(own.self)) != 0;
   }
 
   Ownership own;
-  std::atomic<std::uint64_t> word{0};
+  Ownership::Hold word{};
 };
 
 /// One block and three processes; the bit of `far` stands in another word than those of the others.
 struct Block {
-  std::uint32_t generation() const { return generation_of(words.life); }
-  std::uint64_t version() const { return words.life >> 32; }
+  std::uint32_t generation() const { return generation_of(words.life.load()); }
+  std::uint64_t version() const { return words.life.load() >> 32; }
   bool die(const Participant& p) {
     std::uint64_t seen = 0;
     return p.own.die(words, seen);
   }
   bool unheld() const {
     for (const auto& bits : words.own) {
-      if (bits != 0) return false;
+      if (bits.load() != 0) return false;
     }
     return true;
   }
@@ -82,20 +83,20 @@ TEST_CASE("the next generation wraps and leaves the version alone") {
 
 TEST_CASE_FIXTURE(Block, "a claimed block is exclusively ours: one pointer, one bit, one home") {
   CHECK(home.claim(words));
-  CHECK(words.home == 2);
+  CHECK(words.home.load() == 2);
   CHECK(home.holds(words));
-  CHECK(hold::pointers(home.word) == 1);
-  CHECK((home.word & hold::kHome) != 0);
-  CHECK((home.word & hold::kEdge) == 0);
+  CHECK(hold::pointers(home.word.load()) == 1);
+  CHECK((home.word.load() & hold::kHome) != 0);
+  CHECK((home.word.load() & hold::kEdge) == 0);
 }
 
 TEST_CASE_FIXTURE(Block, "a block that a process owns cannot be claimed") {
   REQUIRE(home.claim(words));
   CHECK_FALSE(other.claim(words));
   CHECK_FALSE(home.claim(words));
-  CHECK(other.word == 0);
+  CHECK(other.word.load() == 0);
   CHECK_FALSE(other.holds(words));
-  CHECK(hold::pointers(home.word) == 1);
+  CHECK(hold::pointers(home.word.load()) == 1);
 }
 
 TEST_CASE_FIXTURE(Block, "a block that was given back is free for any process") {
@@ -103,8 +104,8 @@ TEST_CASE_FIXTURE(Block, "a block that was given back is free for any process") 
     REQUIRE(next->claim(words));
     CHECK(next->holds(words));
     next->give_back(words);
-    CHECK(words.home == lot::refcount::kHomeFree);
-    CHECK(next->word == 0);
+    CHECK(words.home.load() == lot::refcount::kHomeFree);
+    CHECK(next->word.load() == 0);
     CHECK(unheld());
   }
 }
@@ -113,15 +114,15 @@ TEST_CASE_FIXTURE(Block, "a block that was given back is free for any process") 
 
 TEST_CASE_FIXTURE(Block, "at home only the hold word counts, and the last release says so") {
   REQUIRE(home.claim(words));
-  const std::uint64_t life = words.life;
+  const std::uint64_t life = words.life.load();
   home.acquire(words);
   home.acquire(words, hold::kRing);
-  CHECK(hold::pointers(home.word) == 2);
+  CHECK(hold::pointers(home.word.load()) == 2);
   CHECK_FALSE(home.release(words));
   CHECK_FALSE(home.release(words));
   CHECK(home.release(words, hold::kRing));  // true: now try reclaim()
   CHECK(home.holds(words));                 // the home's bit stands until give_back
-  CHECK(words.life == life);
+  CHECK(words.life.load() == life);
 }
 
 TEST_CASE_FIXTURE(Block, "elsewhere the first hold sets the bit and the last one clears it") {
@@ -139,7 +140,7 @@ TEST_CASE_FIXTURE(Block, "elsewhere the first hold sets the bit and the last one
     CHECK(guest->holds(words));
     CHECK_FALSE(guest->release(words));
     CHECK_FALSE(guest->holds(words));
-    CHECK(guest->word == 0);
+    CHECK(guest->word.load() == 0);
   }
   CHECK(generation() == 0);
 }
@@ -179,9 +180,9 @@ TEST_CASE_FIXTURE(Block, "the last release at home makes the block ours again, a
     CHECK(generation() == message);
     REQUIRE(home.release(words));
     CHECK(home.reclaim(words, 0));
-    CHECK(hold::pointers(home.word) == 1);
+    CHECK(hold::pointers(home.word.load()) == 1);
     CHECK(generation() == message + 1);
-    CHECK((home.word & hold::kTagMask) == hold::tag_of(message + 1));
+    CHECK((home.word.load() & hold::kTagMask) == hold::tag_of(message + 1));
   }
 }
 
@@ -193,8 +194,8 @@ TEST_CASE_FIXTURE(Block, "a block that others still hold is reclaimed once they 
   CHECK_FALSE(home.reclaim(words, 0));
   other.release(words);
   CHECK_FALSE(home.reclaim(words, 0));
-  CHECK((home.word & hold::kHolds) == 0);
-  CHECK((home.word & hold::kEdge) == 0);
+  CHECK((home.word.load() & hold::kHolds) == 0);
+  CHECK((home.word.load() & hold::kEdge) == 0);
   far.release(words);
   CHECK(home.reclaim(words, 0));
   CHECK(generation() == 1);
@@ -224,15 +225,15 @@ TEST_CASE_FIXTURE(Block, "a weak lock that fails tells the home that has seen it
   REQUIRE(home.claim(words));
   REQUIRE(home.release(words));
   REQUIRE(home.reclaim(words, 0));
-  Ownership::word(words, other.own.self).fetch_or(lot::refcount::kWanted);
+  lot::test::raw(Ownership::word(words, other.own.self)).fetch_or(lot::refcount::kWanted);
   CHECK(other.own.acquire_weak(words, other.word, 0) == Left::Wanted);
-  CHECK(other.word == 0);
+  CHECK(other.word.load() == 0);
 }
 
 TEST_CASE_FIXTURE(Block, "a block that we hold ourselves is not reclaimed") {
   REQUIRE(home.claim(words));
   CHECK_FALSE(home.reclaim(words, 0));
-  CHECK(hold::pointers(home.word) == 1);
+  CHECK(hold::pointers(home.word.load()) == 1);
   CHECK(generation() == 0);
 }
 
@@ -241,8 +242,8 @@ TEST_CASE_FIXTURE(Block, "the ring's hold is turned into the next message's poin
   home.acquire(words, hold::kRing);
   REQUIRE_FALSE(home.release(words));
   CHECK(home.reclaim(words, hold::kRing));
-  CHECK((home.word & hold::kRingMask) == 0);
-  CHECK(hold::pointers(home.word) == 1);
+  CHECK((home.word.load() & hold::kRingMask) == 0);
+  CHECK(hold::pointers(home.word.load()) == 1);
   CHECK(generation() == 1);
 }
 
@@ -250,8 +251,8 @@ TEST_CASE_FIXTURE(Block, "the ring's hold is given up though pointers at home ke
   REQUIRE(home.claim(words));
   home.acquire(words, hold::kRing);
   CHECK_FALSE(home.reclaim(words, hold::kRing));
-  CHECK((home.word & hold::kRingMask) == 0);
-  CHECK(hold::pointers(home.word) == 1);
+  CHECK((home.word.load() & hold::kRingMask) == 0);
+  CHECK(hold::pointers(home.word.load()) == 1);
   CHECK(generation() == 0);
   CHECK(home.release(words));
   CHECK(home.reclaim(words, 0));
@@ -263,7 +264,7 @@ TEST_CASE_FIXTURE(Block, "the ring's hold is given up even when others keep the 
   REQUIRE_FALSE(home.release(words));
   other.acquire(words);
   CHECK_FALSE(home.reclaim(words, hold::kRing));
-  CHECK((home.word & hold::kHolds) == 0);
+  CHECK((home.word.load() & hold::kHolds) == 0);
   CHECK(home.holds(words));
   CHECK(generation() == 0);
   other.release(words);
@@ -275,11 +276,11 @@ TEST_CASE_FIXTURE(Block, "the ring's hold is given up even when others keep the 
 TEST_CASE_FIXTURE(Block, "a weak lock of a living message holds it, at home and elsewhere") {
   REQUIRE(home.claim(words));
   for (Participant* process : {&home, &other, &far}) {
-    const std::uint64_t before = hold::pointers(process->word);
+    const std::uint64_t before = hold::pointers(process->word.load());
     CHECK(process->lock(words, 0));
     CHECK(process->lock(words, 0));
     CHECK(process->holds(words));
-    CHECK(hold::pointers(process->word) == before + 2);
+    CHECK(hold::pointers(process->word.load()) == before + 2);
   }
   home.release(words);
   home.release(words);
@@ -294,11 +295,11 @@ TEST_CASE_FIXTURE(Block, "a weak lock of a dead message fails and leaves nothing
   REQUIRE(home.reclaim(words, 0));
   for (Participant* process : {&other, &far}) {
     CHECK_FALSE(process->lock(words, 0));
-    CHECK(process->word == 0);
+    CHECK(process->word.load() == 0);
     CHECK_FALSE(process->holds(words));
   }
   CHECK_FALSE(home.lock(words, 0));
-  CHECK(hold::pointers(home.word) == 1);
+  CHECK(hold::pointers(home.word.load()) == 1);
   CHECK(home.lock(words, 1));
 }
 
@@ -308,7 +309,7 @@ TEST_CASE_FIXTURE(Block, "a weak lock fails on a process that holds the block's 
   REQUIRE(home.reclaim(words, 0));
   other.acquire(words);
   CHECK_FALSE(other.lock(words, 0));
-  CHECK(hold::pointers(other.word) == 1);
+  CHECK(hold::pointers(other.word.load()) == 1);
   CHECK(other.holds(words));
 }
 
@@ -332,7 +333,7 @@ TEST_CASE_FIXTURE(Block, "a weak lock whose generation has the same tag fails at
   const std::uint32_t alias = 1U << 13;
   REQUIRE(hold::tag_of(alias) == hold::tag_of(generation()));
   CHECK_FALSE(home.lock(words, alias));
-  CHECK(hold::pointers(home.word) == 1);
+  CHECK(hold::pointers(home.word.load()) == 1);
 }
 
 TEST_CASE_FIXTURE(Block, "a weak lock revives a message between its last release and its reclaim") {
@@ -354,7 +355,7 @@ TEST_CASE_FIXTURE(Block, "a late reclaim leaves a block alone that was given bac
   SUBCASE("and is free") {}
   SUBCASE("and belongs to another process") { REQUIRE(other.claim(words)); }
   CHECK_FALSE(home.reclaim(words, 0));  // thread A goes on
-  CHECK(home.word == 0);
+  CHECK(home.word.load() == 0);
   CHECK_FALSE(home.holds(words));
   CHECK(generation() == 1);
 }
@@ -381,11 +382,11 @@ TEST_CASE_FIXTURE(Block, "a thread that waits for the edge lends its owner prior
   REQUIRE(home.claim(words));
   std::uint64_t before = 0;
   const auto enter = [&](Participant& p) {
-    before = p.word;
-    p.word = hold::edge_of(before, HardwareAtomics::this_thread());
+    before = p.word.load();
+    lot::test::raw(p.word) = hold::edge_of(before, HardwareAtomics::this_thread());
   };
   const auto leave = [&](Participant& p) {
-    p.word.store(before, std::memory_order_release);
+    lot::test::raw(p.word).store(before, std::memory_order_release);
     HardwareAtomics::passed();
   };
   const auto turns = [&](Participant& p, const std::function<void()>& want_in) {
@@ -393,7 +394,7 @@ TEST_CASE_FIXTURE(Block, "a thread that waits for the edge lends its owner prior
   };
   SUBCASE("to hold the block") {
     CHECK(turns(other, [&] { other.acquire(words); }) == 0);
-    CHECK(hold::pointers(other.word) == 1);
+    CHECK(hold::pointers(other.word.load()) == 1);
   }
   SUBCASE("to lock a weak pointer") {
     bool locked = false;
@@ -415,6 +416,64 @@ TEST_CASE_FIXTURE(Block, "a thread that waits for the edge lends its owner prior
   alarm(0);
 }
 
+// ---- the ring's hold
+// ------------------------------------------------------------------------------
+
+TEST_CASE_FIXTURE(Block, "a loan that is pushed becomes the ring's hold, and no pointer remains") {
+  REQUIRE(home.claim(words));
+  Ownership::hand_to_ring(home.word);
+  CHECK((home.word.load() & hold::kHolds) == hold::kRing);
+  CHECK((home.word.load() & hold::kHome) != 0);
+  CHECK(home.reclaim(words, hold::kRing));
+}
+
+TEST_CASE_FIXTURE(Block, "a ring's hold goes at once if there is another hold, and stays if not") {
+  REQUIRE(home.claim(words));
+  home.acquire(words, hold::kRing);
+  home.acquire(words, hold::kRing);
+  CHECK(Ownership::drop_ring_hold_of_several(home.word));
+  CHECK((home.word.load() & hold::kRingMask) == hold::kRing);
+  home.release(words);
+  CHECK_FALSE(Ownership::drop_ring_hold_of_several(home.word));
+  CHECK((home.word.load() & hold::kHolds) == hold::kRing);
+}
+
+// ---- the home's pointers, as other processes count them -----------------------------------------
+
+TEST_CASE_FIXTURE(Block, "use_count() elsewhere counts the home while it has pointers") {
+  const auto counted = [this] { return words.home_points.load() != 0; };
+  REQUIRE(home.claim(words));
+  CHECK_FALSE(counted());  // a loan
+  Ownership::note_pointers(words, home.word);
+  CHECK(counted());
+  home.acquire(words, hold::kRing);
+  home.acquire(words);
+  home.release(words);
+  CHECK(counted());
+  home.release(words);
+  CHECK_FALSE(counted());
+  REQUIRE(home.lock(words, generation()));
+  CHECK(counted());
+  home.release(words);
+  CHECK_FALSE(counted());
+}
+
+TEST_CASE_FIXTURE(Block, "use_count() elsewhere does not count pointers of other processes twice") {
+  REQUIRE(home.claim(words));
+  home.acquire(words, hold::kRing);
+  home.release(words);
+  other.acquire(words);
+  Ownership::note_pointers(words, other.word);
+  CHECK(words.home_points.load() == 0);
+}
+
+TEST_CASE_FIXTURE(Block, "the orphanage has no pointers") {
+  REQUIRE(home.claim(words));
+  Ownership::note_pointers(words, home.word);
+  Ownership::move_to_orphanage(words);
+  CHECK(words.home_points.load() == 0);
+}
+
 // ---- the orphanage ------------------------------------------------------------------------------
 
 TEST_CASE_FIXTURE(Block, "an adopted message lives until the orphanage lets it go") {
@@ -424,7 +483,7 @@ TEST_CASE_FIXTURE(Block, "an adopted message lives until the orphanage lets it g
   CHECK(version() == before + 1);
   REQUIRE(home.release(words));
   CHECK_FALSE(home.reclaim(words, 0));
-  words.own[0].fetch_and(~std::uint64_t{1});
+  Ownership::let_go(words, lot::refcount::kOrphanage);
   CHECK(home.reclaim(words, 0));
 }
 
@@ -432,17 +491,17 @@ TEST_CASE_FIXTURE(Block, "the orphanage buries a message only when no process ho
   REQUIRE(home.claim(words));
   other.acquire(words);
   // Home has died: its reaper clears its bit and takes the block over.
-  words.own[0].fetch_and(~Ownership::bit(home.own.self));
-  words.home = lot::refcount::kHomeOrphanage;
+  Ownership::move_to_orphanage(words);
+  Ownership::let_go(words, home.own.self);
   CHECK_FALSE(Ownership::die_in_orphanage(words));
   Ownership::adopt(words);
   other.release(words);
   CHECK_FALSE(Ownership::die_in_orphanage(words));
   CHECK_FALSE(far.claim(words));
-  words.own[0].fetch_and(~std::uint64_t{1});
+  Ownership::let_go(words, lot::refcount::kOrphanage);
   CHECK(Ownership::die_in_orphanage(words));
   CHECK_FALSE(other.lock(words, 0));
-  words.home = lot::refcount::kHomeFree;
+  Ownership::free_orphan(words);
   CHECK(far.claim(words));
 }
 

@@ -17,6 +17,7 @@
 #include "support/block_words.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
+#include "support/raw.hpp"
 #include "transport/participant.hpp"
 
 namespace {
@@ -321,9 +322,9 @@ TEST_CASE("a home says that it waits for a holder when its warden can find the b
   // What another process does that keeps it.
   auto& words = p.segment().block(b);
   const std::uint32_t other = p.participants() - 1;
-  auto& own = lot::transport::HardwareOwnership::word(words, other);
+  auto& own = lot::test::raw(lot::transport::HardwareOwnership::word(words, other));
   own.fetch_or(lot::transport::HardwareOwnership::bit(other));
-  words.life.fetch_add(lot::refcount::kVersion);
+  lot::test::raw(words.life).fetch_add(lot::refcount::kVersion);
 
   looked_at = &words;
   pool_of_it = &p.holder().pool_of(b);

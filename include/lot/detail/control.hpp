@@ -62,7 +62,7 @@ inline bool is_same(const MessageType& a, const MessageType& b) noexcept {
 ///
 /// Memory:  private to the process; lives as long as its participant.
 struct alignas(32) ControlCell {
-  std::atomic<std::uint64_t> hold;
+  HoldWord<std::atomic<std::uint64_t>> hold;
   const Hub* hub;
   const MessageType* type;  ///< set while this process is the home of the block
   std::uint32_t block;
@@ -71,22 +71,10 @@ struct alignas(32) ControlCell {
   /// (Pool::came_home).
   std::atomic<std::uint32_t> pool;
 
-  /// Counts one more pointer of this process. REQUIRES: a pointer exists.
-  /// Relaxed: a pointer exists already, as in std::shared_ptr.
-  void add_pointer() noexcept { hold.fetch_add(hold::kPointer, std::memory_order_relaxed); }
-
   /// Counts one pointer less. The hub drops the last pointer. Afterwards the hub, and with it this
   /// cell, may be gone.
   void drop_pointer() noexcept {
-    std::uint64_t v = hold.load(std::memory_order_relaxed);  // the exchange checks it
-    while (hold::pointers(v) > 1) {
-      // O4: this thread has read all that it wanted to. Relaxed on failure: the loop looks again.
-      if (hold.compare_exchange_weak(v, v - hold::kPointer, std::memory_order_acq_rel,
-                                     std::memory_order_relaxed)) {
-        return;
-      }
-    }
-    hub->drop_last(this);
+    if (!hold.drop_pointer_of_several()) hub->drop_last(this);
   }
 };
 static_assert(sizeof(ControlCell) == 32);

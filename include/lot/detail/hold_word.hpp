@@ -1,7 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstdint>
+
+namespace lot::refcount {
+template <class P>
+struct Ownership;
+}
 
 namespace lot::detail {
 
@@ -34,9 +40,9 @@ namespace lot::detail {
 ///
 /// A thread takes the edge when this process has no holds on the block, or only the one ring's hold
 /// that the thread itself gives up. A plain store ends the edge. So meanwhile no other thread may
-/// add to the word or subtract from it blindly. Only a thread with a hold of its own does that
-/// (add_pointer(), release(), drop_pointer()), and while it has that hold no thread can take the
-/// edge. `home` and `held` stay readable at any time, and pointers() is 0.
+/// add to the word or subtract from it blindly. Only a thread with a hold of its own does that, and
+/// while it has that hold no thread can take the edge. `home` and `held` stay readable at any time,
+/// and pointers() is 0.
 namespace hold {
 inline constexpr std::uint64_t kEdge = 1;
 inline constexpr std::uint64_t kHeld = 2;
@@ -63,5 +69,40 @@ constexpr std::uint64_t tag_of(std::uint32_t generation) {
   return (std::uint64_t{generation} << kTagShift) & kTagMask;
 }
 }  // namespace hold
+
+/// A hold word. Code outside this file and src/refcount/ownership.hpp can read it, and cannot
+/// change it: the atomic is a private base. The two changes that a copied pointer makes stand here,
+/// since the pointers are templates of their user's program.
+///
+/// Threads: all threads of the process may call all members at once.
+/// Crash:   it is private to the process, and dies with it.
+template <class Atomic>
+class HoldWord : Atomic {
+ public:
+  using Atomic::load;
+
+  /// Counts one more pointer of this process. REQUIRES: the caller has a pointer.
+  /// Relaxed: the caller's pointer keeps the message, as in std::shared_ptr.
+  void add_pointer() { this->fetch_add(hold::kPointer, std::memory_order_relaxed); }
+
+  /// Counts one pointer less. False, and nothing has changed, when it may be the last one of this
+  /// process: the caller then calls Ownership::release().
+  bool drop_pointer_of_several() {
+    std::uint64_t v = load(std::memory_order_relaxed);  // the compare-and-swap checks it
+    while (hold::pointers(v) > 1) {
+      // O4: this thread has read all that it wanted to. The thread that drops the last pointer
+      // acquires. Relaxed on failure: the loop looks again.
+      if (this->compare_exchange_weak(v, v - hold::kPointer, std::memory_order_release,
+                                      std::memory_order_relaxed)) {
+        return true;
+      }
+    }
+    return false;
+  }
+
+ private:
+  template <class P>
+  friend struct refcount::Ownership;
+};
 
 }  // namespace lot::detail

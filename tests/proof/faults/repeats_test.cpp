@@ -21,6 +21,7 @@
 #include "support/janitor.hpp"
 #include "support/must_go.hpp"
 #include "support/neighbour.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -132,12 +133,12 @@ TEST_CASE("a weak lock that is held up while its block lives through up to 8191 
   for (const int messages : {1, 2, 4095, 4096, 8190, 8191}) {
     CAPTURE(messages);
     lot::refcount::BlockWords<InterruptedAtomics> block{};
-    Interrupted<std::uint64_t> word{};
+    lot::refcount::Ownership<InterruptedAtomics>::Hold word{};
     const lot::refcount::Ownership<InterruptedAtomics> home(5);
     REQUIRE(home.claim(block, word));
     const std::uint32_t generation =
         lot::refcount::generation_of(block.life.load(std::memory_order_relaxed));
-    block.life.meanwhile = [&] {  // another thread of the home process
+    lot::test::raw(block.life).meanwhile = [&] {  // another thread of the home process
       for (int n = 0; n < messages; ++n) {
         REQUIRE(home.release(block, word, hold::kPointer));
         REQUIRE(home.reclaim(block, word, 0));

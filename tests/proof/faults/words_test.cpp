@@ -23,6 +23,7 @@
 #include "support/janitor.hpp"
 #include "support/must_go.hpp"
 #include "support/neighbour.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -60,7 +61,8 @@ struct Fresh : Ground {
 };
 
 void set_life(lot::segment::Segment& s, std::uint32_t version, std::uint32_t generation) {
-  for (auto& block : s.blocks()) block.life.store(std::uint64_t{version} << 32 | generation);
+  for (auto& block : s.blocks())
+    lot::test::raw(block.life).store(std::uint64_t{version} << 32 | generation);
 }
 std::uint32_t version_of(const lot::segment::BlockWords& block) {
   return static_cast<std::uint32_t>(block.life.load() >> 32);

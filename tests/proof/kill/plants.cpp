@@ -13,6 +13,7 @@
 
 #include "node.hpp"
 #include "support/must_go.hpp"
+#include "support/raw.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::kill {
@@ -65,10 +66,10 @@ std::vector<Plant> planted_operations() {
     all.push_back({{name, Promise::Blocking, scene(std::move(last)), std::move(harm)}, found_as});
   };
   plant("a hold of nobody", "is free and held", [](Node& n) {
-    participant(n)->block(kFreeBlock).own[0].fetch_or(std::uint64_t{1} << kNobody);
+    test::raw(participant(n)->block(kFreeBlock).own[0]).fetch_or(std::uint64_t{1} << kNobody);
   });
   plant("a block at home with nobody", "is at home with the dead",
-        [](Node& n) { participant(n)->block(kFreeBlock).home.store(kNobody + 1); });
+        [](Node& n) { test::raw(participant(n)->block(kFreeBlock).home).store(kNobody + 1); });
   plant("an operation that throws", "the operation throws: all is lost",
         [](Node&) { throw std::runtime_error("all is lost"); });
   plant("memory of a message that is not there", "belongs to no message",
@@ -210,7 +211,8 @@ Plant planted_failure() {
              if (fd != -1) {
                ::close(fd);
              } else {
-               participant(n)->block(kFreeBlock).own[0].fetch_or(std::uint64_t{1} << kNobody);
+               test::raw(participant(n)->block(kFreeBlock).own[0])
+                   .fetch_or(std::uint64_t{1} << kNobody);
              }
            }},
           "is free and held"};
@@ -229,7 +231,7 @@ Plant planted_shrinking() {
 Plant planted_on_the_way() {
   return {{"harm that does not last", Promise::Blocking, scene([](Node&) {}),
            [](Node& n) {
-             auto& bits = participant(n)->block(kFreeBlock).own[0];
+             auto& bits = test::raw(participant(n)->block(kFreeBlock).own[0]);
              bits.fetch_or(std::uint64_t{1} << kNobody);
              n.publish(1);
              bits.fetch_and(~(std::uint64_t{1} << kNobody));

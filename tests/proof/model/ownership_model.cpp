@@ -286,12 +286,12 @@ struct HomeHasThreads : SceneBegins, rl::test_suite<HomeHasThreads<kAsked>, 3> {
   using Own = refcount::Ownership<Policy>;
   void before() {
     for (auto& word : block.own) {
-      word.watch_bits(Policy::kBitsPerWord);
-      if (kAsked) word.fetch_or(refcount::kWanted, std::memory_order_relaxed);
+      test::raw(word).watch_bits(Policy::kBitsPerWord);
+      if (kAsked) test::raw(word).fetch_or(refcount::kWanted, std::memory_order_relaxed);
     }
     RL_ASSERT(home.claim(block, home_hold));
     payload.write(1);
-    home_hold.fetch_add(hold::kRing, std::memory_order_relaxed);
+    home.acquire(block, home_hold, hold::kRing);
     other.acquire(block, other_hold, hold::kPointer);
   }
   void thread(unsigned t) {
@@ -315,12 +315,85 @@ struct HomeHasThreads : SceneBegins, rl::test_suite<HomeHasThreads<kAsked>, 3> {
   Plain<int> payload;
 };
 
+/// Threads of the home copy, drop and lock pointers to one message. When all is done, the word that
+/// tells other processes of the home's pointers is right. `kKeeps`: one pointer stays.
+template <bool kKeeps>
+struct HomeCountsItsPointers : SceneBegins, rl::test_suite<HomeCountsItsPointers<kKeeps>, 3> {
+  using Own = refcount::Ownership<Policy>;
+  void before() {
+    for (auto& word : block.own) test::raw(word).watch_bits(Policy::kBitsPerWord);
+    test::raw(block.home_points).watch_bits(1);
+    RL_ASSERT(home.claim(block, home_hold));
+    home.acquire(block, home_hold, hold::kRing);
+    home.note_pointers(block, home_hold);  // the loan becomes a shared pointer
+    home_hold.add_pointer();
+    generation = refcount::generation_of(block.life.load(std::memory_order_relaxed));
+  }
+  void thread(unsigned t) {
+    if (t < 2) {
+      drop();
+    } else if (home.acquire_weak(block, home_hold, generation) == Left::Held && !kKeeps) {
+      drop();
+    }
+  }
+  void after() {
+    RL_ASSERT(hold::pointers(last_value(test::raw(home_hold))) == (kKeeps ? 1 : 0));
+    RL_ASSERT(last_value(test::raw(block.home_points)) == (kKeeps ? 1 : 0));
+  }
+  /// A load may read an older value.
+  template <class T>
+  static T last_value(Atomic<T>& word) {
+    return word.fetch_or(0, std::memory_order_relaxed);
+  }
+  void drop() {
+    if (home_hold.drop_pointer_of_several()) return;
+    RL_ASSERT(home.release(block, home_hold, hold::kPointer) == Left::Held);  // the ring's stays
+  }
+  Own home{2};
+  refcount::BlockWords<Policy> block;
+  Own::Hold home_hold;
+  std::uint32_t generation = 0;
+};
+
+/// The ring lets a message go while two threads of its home drop their pointers: the one that lets
+/// go last finds it, and may write the block when all have read it.
+struct RingAndPointersLetGo : SceneBegins, rl::test_suite<RingAndPointersLetGo, 3> {
+  using Own = refcount::Ownership<Policy>;
+  void before() {
+    for (auto& word : block.own) test::raw(word).watch_bits(Policy::kBitsPerWord);
+    test::raw(block.home_points).watch_bits(1);
+    RL_ASSERT(home.claim(block, home_hold));
+    payload.write(1);
+    home.acquire(block, home_hold, hold::kRing);
+    home.note_pointers(block, home_hold);
+    home_hold.add_pointer();
+    deaths = 0;
+  }
+  void thread(unsigned t) {
+    RL_ASSERT(payload.read() == 1);
+    const bool ours = t == 0 ? !home.drop_ring_hold_of_several(home_hold) &&
+                                   home.reclaim(block, home_hold, hold::kRing)
+                             : !home_hold.drop_pointer_of_several() &&
+                                   home.release(block, home_hold, hold::kPointer) == Left::Home &&
+                                   home.reclaim(block, home_hold, 0);
+    if (!ours) return;
+    payload.write(2);
+    ++deaths;
+  }
+  void after() { RL_ASSERT(deaths == 1); }
+  Own home{2};
+  refcount::BlockWords<Policy> block;
+  Own::Hold home_hold;
+  Plain<int> payload;
+  int deaths = 0;  ///< looked at when all is over
+};
+
 /// One thread has let its last hold go, and comes late: another one has locked a weak pointer, let
 /// go and given the block back, and another process may have it.
 struct LateReclaim : SceneBegins, rl::test_suite<LateReclaim, 3> {
   using Own = refcount::Ownership<Policy>;
   void before() {
-    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    for (auto& word : block.own) test::raw(word).watch_bits(Policy::kBitsPerWord);
     RL_ASSERT(home.claim(block, home_hold));
     generation = refcount::generation_of(block.life.load(std::memory_order_relaxed));
   }
@@ -355,7 +428,7 @@ struct LateReclaim : SceneBegins, rl::test_suite<LateReclaim, 3> {
 struct HeldAndFree : SceneBegins, rl::test_suite<HeldAndFree, 3> {
   using Own = refcount::Ownership<Policy>;
   void before() {
-    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    for (auto& word : block.own) test::raw(word).watch_bits(Policy::kBitsPerWord);
     Policy::does_damage = true;
     RL_ASSERT(home.claim(block, home_hold));
     keeper.acquire(block, keeper_hold, hold::kPointer);
@@ -383,7 +456,7 @@ struct HeldAndFree : SceneBegins, rl::test_suite<HeldAndFree, 3> {
 struct HomeIsTold : SceneBegins, rl::test_suite<HomeIsTold, 3> {
   using Own = refcount::Ownership<Policy>;
   void before() {
-    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    for (auto& word : block.own) test::raw(word).watch_bits(Policy::kBitsPerWord);
     RL_ASSERT(home.claim(block, home_hold));
     RL_ASSERT(home.release(block, home_hold, hold::kPointer) == Left::Home);
     RL_ASSERT(home.reclaim(block, home_hold, 0));  // so that there is one that has died
@@ -437,6 +510,12 @@ const Entered entered{
      cast_of<HomeHasThreads<false>>, 3},
     {"home_has_threads_and_has_asked", "the same, when it waits already",
      cast_of<HomeHasThreads<true>>, 3},
+    {"home_counts_its_pointers", "at rest the home's pointers are counted right: none",
+     cast_of<HomeCountsItsPointers<false>>, 3},
+    {"home_counts_a_pointer_that_stays", "the same, and one pointer stays",
+     cast_of<HomeCountsItsPointers<true>>, 3},
+    {"ring_and_pointers_let_go", "a message dies once, whichever of its holds goes last",
+     cast_of<RingAndPointersLetGo>, 3},
     {"late_reclaim", "who comes late does not touch a block that was given back",
      cast_of<LateReclaim>, 2},
     {"home_is_told", "a home that has looked in vain is told when the last holder goes",

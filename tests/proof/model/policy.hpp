@@ -129,8 +129,8 @@ class CheckedAtomic {
  public:
   CheckedAtomic() { value_.store(T{}, rl::mo_relaxed, rl::debug_info("initial", "", 0)); }
 
-  /// Of a word whose bits each belong to somebody: setting and clearing of one bit must be ordered
-  /// by more than the schedule. (Relacy does read-modify-writes in the order of the schedule; a
+  /// Of a word whose bits each belong to somebody: changes of one bit must be ordered by more than
+  /// the schedule. (Relacy does stores and read-modify-writes in the order of the schedule; a
   /// machine may not.)
   void watch_bits(unsigned count) {
     for (bits_.resize(count); auto& bit : bits_) bit.write(0);
@@ -148,7 +148,9 @@ class CheckedAtomic {
 
   void store(T value, Order order, Where where = Where::current()) {
     const Done done = begin(Operation::Store, order, order, where);
-    if (!done.dropped) value_.store(value, for_store(done.order), info(where));
+    if (done.dropped) return;
+    touch(static_cast<T>(~T{0}), where);
+    value_.store(value, for_store(done.order), info(where));
   }
 
   T exchange(T value, Order order, Where where = Where::current()) {

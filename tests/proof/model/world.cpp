@@ -41,7 +41,7 @@ Segment::Segment(const Shape& s)
   for (std::uint32_t c = 0; c < s.channels; ++c) channels.emplace_back(s);
   for (auto& reference : references) reference.write(kNoBlock);
   for (auto& block : blocks) {
-    for (auto& word : block.own) word.watch_bits(Policy::kBitsPerWord);
+    for (auto& word : block.own) test::raw(word).watch_bits(Policy::kBitsPerWord);
   }
 }
 
@@ -238,20 +238,19 @@ bool Process::lock_weak(Word b, std::uint32_t generation) {
   return own_.acquire_weak(words(b), hold(b), generation) == refcount::Left::Held;
 }
 
+void Process::copy(Word b) { hold(b).add_pointer(); }
+
 void Process::drop(Word b) {
+  if (hold(b).drop_pointer_of_several()) return;
   if (own_.release(words(b), hold(b), hold::kPointer) == refcount::Left::Home) come_home(b, 0);
 }
 
 void Process::hand_to_ring(Word b) {
-  hold(b).fetch_add(hold::kRing - hold::kPointer, std::memory_order_relaxed);
+  own_.acquire(words(b), hold(b), hold::kRing);
+  drop(b);
 }
 
-void Process::hand_own_to_ring(Word b) {
-  // Plain: nobody has holds, and a stale weak lock fails by the tag. What follows is ordered by the
-  // exchange in publish().
-  hold(b).store(hold::kHome | hold::kHeld | hold::kRing | hold::tag_of(generation(b)),
-                std::memory_order_relaxed);
-}
+void Process::hand_own_to_ring(Word b) { own_.hand_to_ring(hold(b)); }
 
 void Process::refer(Word b, Word target) {
   own_.acquire(words(target), hold(target), hold::kRing);
@@ -267,7 +266,7 @@ void Process::release_reference(Word b) {
 
 void Process::take_from_ring(Word b) {
   if (at_home(b)) {
-    come_home(b, hold::kRing);
+    if (!own_.drop_ring_hold_of_several(hold(b))) come_home(b, hold::kRing);
   } else {
     own_.release(words(b), hold(b), hold::kRing);
   }

@@ -8,6 +8,7 @@
 #include "recovery/recovery.hpp"
 #include "refcount/ownership.hpp"
 #include "robust_mutex/lock_word.hpp"
+#include "support/raw.hpp"
 
 /// A small world around the headers under test: a segment, processes in it, and what the transport
 /// does with them (pool, publisher, subscriber), reduced to its atomic steps.
@@ -149,8 +150,9 @@ class Process {
   /// As another thread sees it that waits for nothing.
   bool holds(Word b) { return (hold(b).load(std::memory_order_relaxed) & hold::kHeld) != 0; }
   bool lock_weak(Word b, std::uint32_t generation);
+  void copy(Word b);                ///< copies a pointer
   void drop(Word b);                ///< lets go of a pointer hold
-  void hand_to_ring(Word b);        ///< the pointer hold becomes the ring's
+  void hand_to_ring(Word b);        ///< takes a hold for the ring, and drops the pointer
   void hand_own_to_ring(Word b);    ///< the same for a loaned block: nobody else has holds
   void refer(Word b, Word target);  ///< the message in b keeps `target`, which we hold, alive
   void take_from_ring(Word b);      ///< the ring's hold ends; nobody reads the block there
@@ -221,7 +223,7 @@ class Process {
   using Recovery = recovery::Recovery<Policy, Process>;
 
   refcount::BlockWords<Policy>& words(Word b) { return segment_->blocks[b]; }
-  Atomic<std::uint64_t>& hold(Word b) { return holds_[b]; }
+  refcount::Ownership<Policy>::Hold& hold(Word b) { return holds_[b]; }
   bool reclaim(Word b, std::uint64_t expected);
   void come_home(Word b, std::uint64_t expected);
   void release_reference(Word b);
@@ -232,7 +234,7 @@ class Process {
 
   Segment* segment_;
   refcount::Ownership<Policy> own_;
-  std::vector<Atomic<std::uint64_t>> holds_;
+  std::vector<refcount::Ownership<Policy>::Hold> holds_;
   Atomic<std::uint32_t> pool_lock_;
   std::deque<Word> ready_;  ///< exclusively ours
   std::deque<Word> kept_;   ///< ours, but others held them when we looked

@@ -77,13 +77,13 @@ MISTAKES = (
     Planted('references are not adopted', RECOVERY, 'orphan', ((
         '    adopt_references(k);\n    // All', '    // All'),)),
     Planted('own bits are cleared before the orphanage adopts', RECOVERY, 'orphan', (
-        ('    for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);\n', ''),
+        ('    for (std::uint32_t b = 0; b < world_.blocks(); ++b) Own::let_go(world_.block(b), k);\n', ''),
         ('    wake_whom_it_announced_to(k);\n    for',
-         '    for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);\n'
+         '    for (std::uint32_t b = 0; b < world_.blocks(); ++b) Own::let_go(world_.block(b), k);\n'
          '    wake_whom_it_announced_to(k);\n    for'))),
     Planted('holds go while a home still has the dead one\'s name', RECOVERY, 'orphan', ((
-        '++b) move_home(b, k);\n    for (std::uint32_t b = 0; b < world_.blocks(); ++b) let_go(b, k);',
-        '++b) {\n      let_go(b, k);\n      move_home(b, k);\n    }'),)),
+        '++b) move_home(b, k);\n    for (std::uint32_t b = 0; b < world_.blocks(); ++b) Own::let_go(world_.block(b), k);',
+        '++b) {\n      Own::let_go(world_.block(b), k);\n      move_home(b, k);\n    }'),)),
     Planted('adopting does not bump the version', OWNERSHIP, 'orphan', ((
         '    b.life.fetch_add(kVersion, std::memory_order_release);  // O2: adopting is a hand-over too\n',
         ''),)),

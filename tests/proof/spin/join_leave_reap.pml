@@ -237,8 +237,8 @@ unrecycled:
   :: else
   fi;
   if
-  :: own & 1 && !needed -> /* @ src/recovery/recovery.hpp collect: if ((words.own[0].load */
-    own = own & ~1 /* @ src/recovery/recovery.hpp collect: words.own[0].fetch_and(~std::uint64_t{1} */
+  :: own & 1 && !needed -> /* @ src/recovery/recovery.hpp collect: if (!needed_[b]) Own::let_go */
+    own = own & ~1 /* @ src/refcount/ownership.hpp let_go: own.fetch_and(~bit(k) */
   :: else
   fi;
   atomic {
@@ -253,7 +253,7 @@ unrecycled:
   if
   :: dies ->
     atomic {
-      home = HOME_FREE; /* @ src/recovery/recovery.hpp bury: world_.block(b).home.store(refcount::kHomeFree */
+      home = HOME_FREE; /* @ src/refcount/ownership.hpp free_orphan: b.home.store(kHomeFree */
       dies = 0
     }
   :: else
@@ -335,10 +335,10 @@ inline reap(k) {
   :: else
   fi;
   if
-  :: home == HOME(k) -> home = HOME_ORPHANAGE /* @ src/recovery/recovery.hpp move_home: words.home.store(refcount::kHomeOrphanage */
+  :: home == HOME(k) -> home = HOME_ORPHANAGE /* @ src/refcount/ownership.hpp move_to_orphanage: b.home.store(kHomeOrphanage */
   :: home != HOME(k) /* @ src/recovery/recovery.hpp move_home: if (words.home.load */
   fi;
-  own = own & ~(1 << k); /* @ src/recovery/recovery.hpp let_go: own.fetch_and(~Own::bit(k) */
+  own = own & ~(1 << k); /* @ src/refcount/ownership.hpp let_go: own.fetch_and(~bit(k) */
 #ifdef HOLD_FIRST
   if
   :: slot && STATE(writer) == ORPHAN -> own = own | 1
@@ -701,9 +701,9 @@ joined:
     :: else
     fi;
     if
-    :: own & 1 << k -> /* @ src/refcount/ownership.hpp let_go: own(b).fetch_and(~own_bit_ */
+    :: own & 1 << k -> /* @ src/refcount/ownership.hpp clear_own_bit: own(b).fetch_and(~own_bit_ */
       assert(message);
-      own = own & ~(1 << k) /* @ src/refcount/ownership.hpp let_go: own(b).fetch_and(~own_bit_ */
+      own = own & ~(1 << k) /* @ src/refcount/ownership.hpp clear_own_bit: own(b).fetch_and(~own_bit_ */
     :: else
     fi;
 #ifndef READER_IS_SETTLED

@@ -337,7 +337,7 @@ class Family {
 
   struct Process {
     Ownership own;
-    std::atomic<std::uint64_t> word{0};
+    Ownership::Hold word{};
   };
 
   void work(Process& me, std::uint32_t seed) {
