@@ -3,16 +3,15 @@
 #include <cerrno>
 #include <list>
 #include <string>
-#include <thread>
 
 #include "lot/detail/core.hpp"
 
 #include "lockfree_ring/chosen.hpp"
 #include "lockfree_ring/sleep.hpp"
-#include "transport/notifier.hpp"
 #include "transport/participant.hpp"
 #include "transport/quota.hpp"
-#include "transport/spin_habit.hpp"
+#include "waiting/notifier.hpp"
+#include "waiting/waiting.hpp"
 
 namespace lot::transport {
 namespace {
@@ -23,9 +22,6 @@ using ring::kNoBlock;
 using Policy = segment::Atomics;
 using Reader = ring::Reader<Policy>;
 
-constexpr unsigned kPollsPerClock = 64;
-/// The first polls of a wait follow each other at once: a pause would add to the latency.
-constexpr unsigned kEagerPolls = 4096;
 /// This many messages without a wait are a stream. The reader then pauses this often after a
 /// message before it looks again.
 constexpr unsigned kBurst = 4;
@@ -245,7 +241,7 @@ class Puller final : public detail::PullerCore {
   int fd() override {
     participant_->check_usable();
     if (!notifier_) {
-      notifier_ = std::make_unique<Notifier>();
+      notifier_ = std::make_unique<waiting::Notifier>();
       notifier_->watch(*this);
     }
     return notifier_->fd();
@@ -422,28 +418,23 @@ class Puller final : public detail::PullerCore {
   /// A pull while the quota is full. Ok: the caller may look. Where there is no message the pull
   /// ends, or waits, as any other.
   [[gnu::noinline]] Status pull_when_full(bool wait, const futex::Deadline& deadline) {
-    for (;;) {
-      if (participant_->inert() || borrowing_) refuse();
-      if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();  // D1
-      if (has_messages() || !settle()) break;
+    ForAny any(*this);
+    if (!any.look()) {
       if (!wait) {
         const bool all_seen = directory_.load(std::memory_order_acquire) == version_;  // D1
         return sources_.empty() && all_seen ? Status::PublisherGone : Status::Empty;
       }
-      if (!park(deadline) && !has_messages()) return Status::Timeout;
+      if (!waiting::wait(any, deadline)) return Status::Timeout;
     }
     return wait && wait_for_quota(deadline) ? Status::Ok : Status::HoldsTooMuch;
   }
   /// False: the time is up, and the process has let no message go.
   bool wait_for_quota(const futex::Deadline& deadline) {
+    if (quota_.allows_one_more()) return true;
     auto until = futex::Clock::now() + kWaitForRoom;
     if (deadline) until = std::min(until, *deadline);
-    while (!quota_.allows_one_more()) {
-      const auto now = futex::Clock::now();
-      if (now >= until) return false;
-      std::this_thread::sleep_until(std::min(until, now + kLookForRoom));
-    }
-    return true;
+    ForQuota let_go(*this);
+    return waiting::wait(let_go, until);
   }
   /// When to report messages that wait while the subscription holds too much. Nothing: report them
   /// now.
@@ -521,68 +512,74 @@ class Puller final : public detail::PullerCore {
   }
 
   [[gnu::hot]] Status wait_and_look(detail::Borrowed& borrowed, const futex::Deadline& deadline) {
-    const bool streaming = std::exchange(burst_, 0) >= kBurst;
-    if (habit_.worthwhile()) {
-      const auto status = spin(borrowed, deadline, streaming);
-      if (status) return *status;
-    }
-    // A publisher on the same core gets ahead now, instead of waking this reader for each message.
-    if (streaming && (!deadline || futex::Clock::now() < *deadline) && yield_.worthwhile()) {
-      settle();  // else a publisher that waits for room may sleep
-      const auto away = YieldHabit::yield();
-      if (yield_.found(look(borrowed), away)) return Status::Ok;
-    }
-    for (;;) {
-      const bool in_time = park(deadline);
-      if (look(borrowed)) return Status::Ok;
-      if (!in_time) return Status::Timeout;
-    }
+    ForMessage message(*this, borrowed, std::exchange(burst_, 0) >= kBurst);
+    return waiting::wait(message, deadline) ? Status::Ok : Status::Timeout;
   }
 
-  /// Nothing: it is time to sleep.
-  std::optional<Status> spin(detail::Borrowed& borrowed, const futex::Deadline& deadline,
-                             bool streaming) {
-    // Right behind a streaming publisher, every message would cost both sides the slot's cache
-    // line. So the reader lets the publisher get ahead.
-    if (streaming) {
-      for (unsigned n = 0; n < kPausesAfterBurst; ++n) Policy::pause();
-      if (look(borrowed)) {
-        habit_.spun(0ns);
-        return Status::Ok;
-      }
-    }
-    const auto start = futex::Clock::now();
-    for (unsigned n = 1;; ++n) {
-      const bool eager = n <= kEagerPolls;
-      if (!eager) Policy::pause();
-      if (look(borrowed)) {
-        // Reads no clock where latency counts.
-        habit_.spun(eager ? 0ns : futex::Clock::now() - start);
-        return Status::Ok;
-      }
-      if (n % kPollsPerClock != 0) continue;
-      settle();
-      const auto now = futex::Clock::now();
-      // Once more: this thread may have been held up since the last look.
-      if (deadline && now >= *deadline) return look(borrowed) ? Status::Ok : Status::Timeout;
-      if (habit_.enough(now - start)) {
-        habit_.spun(now - start);
-        return std::nullopt;
-      }
-    }
-  }
-
-  /// Sleeps until a message may have come. False when the deadline has passed.
-  [[gnu::hot]] bool park(const futex::Deadline& deadline) {
+  /// Leaves the marks for whatever this puller waits for. Nothing: look at once.
+  [[gnu::hot]] std::optional<waiting::Sleep<const detail::FutexWaits&>> lie_down() {
     waits_.clear();
-    if (const auto again = arm(waits_)) {
-      const bool final = deadline && *deadline <= *again;
-      if (!futex::wait_any(waits_, final ? *deadline : *again) && final) return false;
-    }
-    // The words may change, or messages may be there, all the time, while other readers are faster.
-    // So the deadline counts here, too.
-    return !deadline || futex::Clock::now() < *deadline;
+    const auto again = arm(waits_);
+    if (!again) return std::nullopt;
+    return {{waits_, again}};
   }
+
+  /// How a borrow and a pull wait for the next message.
+  struct ForMessage : waiting::Steps<ForMessage> {
+    static constexpr unsigned kPollsPerClock = 64;
+    /// They follow each other at once: a pause would add to the latency.
+    static constexpr unsigned kEagerPolls = 4096;
+
+    ForMessage(Puller& puller, detail::Borrowed& borrowed, bool streaming)
+        : puller_(puller), borrowed_(borrowed), streaming_(streaming) {}
+    bool look() { return puller_.look(borrowed_); }
+    waiting::SpinHabit* spins() noexcept { return &puller_.habit_; }
+    /// A publisher on the same core gets ahead then, instead of waking this reader for each
+    /// message.
+    waiting::YieldHabit* yields() noexcept { return streaming_ ? &puller_.yield_ : nullptr; }
+    /// Right behind a streaming publisher, every message would cost both sides the slot's cache
+    /// line. So the reader first lets the publisher get ahead.
+    unsigned pauses(unsigned n) const noexcept {
+      if (n == 0 && streaming_) return kPausesAfterBurst;
+      return n < kEagerPolls ? 0 : 1;
+    }
+    void settle() { puller_.settle(); }  // else a publisher that waits for room may sleep
+    auto arm() { return puller_.lie_down(); }
+
+   private:
+    Puller& puller_;
+    detail::Borrowed& borrowed_;
+    bool streaming_;
+  };
+
+  /// How a pull that may keep no more waits until there is any message.
+  struct ForAny : waiting::Steps<ForAny> {
+    explicit ForAny(Puller& puller) : puller_(puller) {}
+    bool look() {
+      if (puller_.participant_->inert() || puller_.borrowing_) puller_.refuse();
+      // D1
+      if (puller_.directory_.load(std::memory_order_acquire) != puller_.version_) {
+        puller_.find_new_rings();
+      }
+      return puller_.has_messages() || !puller_.settle();
+    }
+    auto arm() { return puller_.lie_down(); }
+
+   private:
+    Puller& puller_;
+  };
+
+  /// How it then waits until the process lets messages go, which changes no word.
+  struct ForQuota : waiting::Steps<ForQuota> {
+    explicit ForQuota(Puller& puller) : puller_(puller) {}
+    bool look() { return puller_.quota_.allows_one_more(); }
+    std::optional<waiting::Sleep<waiting::NoWords>> arm() const {
+      return {{{}, futex::Clock::now() + kLookForRoom}};
+    }
+
+   private:
+    Puller& puller_;
+  };
 
   static void wake_sleepers(segment::Ring& ring) noexcept {
     ring::wake_sleepers(ring, [](const auto& word) { futex::wake_all(futex_of(word)); });
@@ -789,14 +786,14 @@ class Puller final : public detail::PullerCore {
   bool working_;          ///< and it stays in the queue until that reader has finished it
   bool small_;            ///< the messages lie in their blocks' small payload
   const detail::MessageType& type_;
-  std::unique_ptr<Notifier> notifier_;  ///< once fd() was called
+  std::unique_ptr<waiting::Notifier> notifier_;  ///< once fd() was called
   const std::string topic_name_;
   Quota quota_;
   futex::Clock::time_point tell_again_{};
 
   std::uint32_t topic_;
-  SpinHabit habit_;
-  YieldHabit yield_;
+  waiting::SpinHabit habit_;
+  waiting::YieldHabit yield_;
   futex::Deadline not_before_;  ///< until then it does not look for new rings
   detail::FutexWaits waits_;
   /// Rings that are not for this puller, or not any more, and still exist. Another puller of the

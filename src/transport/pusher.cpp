@@ -4,7 +4,6 @@
 #include <cerrno>
 #include <cstring>
 #include <optional>
-#include <thread>
 
 #include "lot/detail/core.hpp"
 
@@ -13,7 +12,7 @@
 #include "transport/fill.hpp"
 #include "transport/participant.hpp"
 #include "transport/pieces.hpp"
-#include "transport/spin_habit.hpp"
+#include "waiting/waiting.hpp"
 
 namespace lot::transport {
 namespace {
@@ -209,12 +208,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
   }
 
   bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) override {
-    const auto until = detail::after(timeout);
-    while (readers() < count) {
-      if (futex::Clock::now() >= until) return false;
-      std::this_thread::sleep_for(kLookPeriod);
-    }
-    return true;
+    ForReaders enough(*this, count);
+    return enough.look() || waiting::wait(enough, detail::after(timeout));
   }
 
   bool is_read_by(std::string_view node) override {
@@ -663,63 +658,67 @@ class Pusher final : public detail::PusherCore, private Evictor {
   bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
                      std::chrono::nanoseconds block_for) {
     if (!waits_) return false;
-    const auto until = detail::after(std::max(block_for, 0ns));
-    if (futex::Clock::now() < until && habit_.worthwhile() && spin_for_room(lock, alone, until)) {
-      return true;
-    }
-    // A reader on the same core makes room, and then need not wake this thread.
-    if (futex::Clock::now() < until && yield_.worthwhile()) {
-      alone.unlock();
-      lock.unlock();
-      const auto away = YieldHabit::yield();
-      lock.lock();
-      alone.lock();
-      if (yield_.found(writer_->room(), away)) return true;
-    }
-    for (unsigned look = 1;; ++look) {
-      const auto value = ring::wait_for_room(*writer_, [this] { return writer_->room(); });
-      if (!value) return true;
-      const auto now = futex::Clock::now();
-      if (now >= until) return false;
-      std::vector<std::uint32_t> laggards;
-      if (look % kLooksPerProbe == 0) {
-        writer_->laggards([&](std::uint32_t c) {
-          // Acquire: R8.
-          const std::uint32_t who = writer_->ring().who[c].load(std::memory_order_acquire);
-          if (who != 0) laggards.push_back(who - 1);
-        });
-      }
-      alone.unlock();
-      lock.unlock();
-      for (const std::uint32_t k : laggards) participant_->reap_if_dead(k);
-      futex::wait(writer_->ring().space, *value, std::min(until, now + kLookPeriod));
-      lock.lock();
-      alone.lock();
-    }
+    ForRoom room(*this, lock, alone);
+    return waiting::wait(room, detail::after(std::max(block_for, 0ns)));
   }
 
-  bool spin_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
-                     futex::Clock::time_point until) {
-    const auto start = futex::Clock::now();
-    for (auto now = start; now < until; now = futex::Clock::now()) {
-      if (habit_.enough(now - start)) {
-        habit_.spun(now - start);
-        return false;
-      }
-      alone.unlock();
-      lock.unlock();
-      // The looks are far enough apart to leave the cache line of the reader's cursor with the
-      // reader, and to find room for more than one message.
-      for (unsigned n = 0; n < kPausesPerLook; ++n) segment::Atomics::pause();
-      lock.lock();
-      alone.lock();
-      if (writer_->room()) {
-        habit_.spun(futex::Clock::now() - start);
-        return true;
-      }
+  /// How wait_for_readers() waits: readers that come change no word.
+  struct ForReaders : waiting::Steps<ForReaders> {
+    ForReaders(Pusher& pusher, std::size_t count) : pusher_(pusher), count_(count) {}
+    bool look() { return pusher_.readers() >= count_; }
+    std::optional<waiting::Sleep<waiting::NoWords>> arm() const {
+      return {{{}, futex::Clock::now() + kLookPeriod}};
     }
-    return false;
-  }
+
+   private:
+    Pusher& pusher_;
+    std::size_t count_;
+  };
+
+  /// How a push waits for room in the ring. Meanwhile it has no lock.
+  struct ForRoom : waiting::Steps<ForRoom> {
+    ForRoom(Pusher& pusher, std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone)
+        : pusher_(pusher), lock_(lock), alone_(alone) {}
+    bool look() { return pusher_.writer_->room(); }
+    waiting::SpinHabit* spins() noexcept { return &pusher_.habit_; }
+    /// A reader on the same core makes room then, and need not wake this thread.
+    waiting::YieldHabit* yields() noexcept { return &pusher_.yield_; }
+    /// The looks are far enough apart to leave the cache line of the reader's cursor with the
+    /// reader, and to find room for more than one message.
+    unsigned pauses(unsigned /*n*/) const noexcept { return kPausesPerLook; }
+    std::optional<waiting::Sleep<detail::FutexWait>> arm() {
+      auto& writer = *pusher_.writer_;
+      const auto value = ring::wait_for_room(writer, [&writer] { return writer.room(); });
+      if (!value) return std::nullopt;
+      if (++sleeps_ % kLooksPerProbe == 0) {
+        writer.laggards([&](std::uint32_t c) {
+          // Acquire: R8.
+          const std::uint32_t who = writer.ring().who[c].load(std::memory_order_acquire);
+          if (who != 0) laggards_.push_back(who - 1);
+        });
+      }
+      return {{{writer.ring().space, *value}, futex::Clock::now() + kLookPeriod}};
+    }
+    void unlock() noexcept {
+      alone_.unlock();
+      lock_.unlock();
+    }
+    void lock() {
+      lock_.lock();
+      alone_.lock();
+    }
+    void before_sleep() {
+      for (const std::uint32_t k : laggards_) pusher_.participant_->reap_if_dead(k);
+      laggards_.clear();
+    }
+
+   private:
+    Pusher& pusher_;
+    std::unique_lock<BiasedLock>& lock_;
+    mutex_engine::Alone& alone_;
+    unsigned sleeps_ = 0;
+    std::vector<std::uint32_t> laggards_;  ///< slow readers that may be dead
+  };
 
   /// The pool has no block and all blocks are taken: looks everywhere.
   std::uint32_t scrape_together(bool waits) {
@@ -936,8 +935,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
   std::uint32_t history_ = PusherOptions::kAll;  ///< this many messages that all have read stay
   bool waits_ = false;  ///< it waits for room, and for memory at most this long:
   std::chrono::nanoseconds block_for_{};
-  SpinHabit habit_{Wait::Adaptive};
-  YieldHabit yield_;
+  waiting::SpinHabit habit_{Wait::Adaptive};
+  waiting::YieldHabit yield_;
   /// how many messages like the largest in the ring fit into a batch
   std::size_t fit_ = kBatchedBytes;
   std::uint32_t since_fit_ = 0;      ///< messages since the last one of that size

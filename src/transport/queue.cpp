@@ -9,7 +9,7 @@
 
 #include "futex/futex.hpp"
 #include "transport/participant.hpp"
-#include "transport/spin_habit.hpp"
+#include "waiting/waiting.hpp"
 
 namespace lot::transport {
 namespace {
@@ -150,44 +150,41 @@ class Queue final : public detail::QueueCore {
   /// in the queue.
   bool look_or_wait(detail::Borrowed& item, Wait wait, Clock::time_point deadline, Place& place,
                     detail::Claim* claim) {
-    detail::FutexWaits waits;
-    std::optional<Clock::time_point> start;
-    bool spinning = false;
-    for (;;) {
-      std::optional<Clock::time_point> again;
-      {
-        const std::lock_guard guard(mutex_);
-        place.reserve();
-        const bool found = look(item);
-        if (found && claim != nullptr) puller().describe(*claim);
-        if (found && !spinning) return true;
-        if (!found && wait == Wait::Never) return false;
-        const auto now = Clock::now();
-        if (!start) {
-          start = now;
-          spinning = habit_.worthwhile();
-        }
-        if (spinning && (found || habit_.enough(now - *start))) {
-          spinning = false;
-          habit_.spun(now - *start);
-        }
-        if (found) return true;
-        if (wait == Wait::Until && now >= deadline) return false;
-        if (!spinning) {
-          waits.clear();
-          again = puller().arm(waits);
-          if (!again) continue;
-        }
-      }
-      if (!again) {
-        segment::Atomics::pause();
-      } else if (wait == Wait::Until) {
-        futex::wait_any(waits, std::min(*again, deadline));
-      } else {
-        futex::wait_any(waits, again);
-      }
-    }
+    ForItem next(*this, item, place, claim);
+    if (next.look()) return true;
+    if (wait == Wait::Never) return false;
+    return waiting::wait(next, wait == Wait::Until ? futex::Deadline(deadline) : std::nullopt);
   }
+
+  /// How a pop and a take wait for an item. It has the queue's mutex, except while it waits.
+  struct ForItem : waiting::Steps<ForItem> {
+    ForItem(Queue& queue, detail::Borrowed& item, Place& place, detail::Claim* claim)
+        : queue_(queue), item_(item), place_(place), claim_(claim), lock_(queue.mutex_) {}
+    bool look() {
+      place_.reserve();
+      if (!queue_.look(item_)) return false;
+      if (claim_ != nullptr) queue_.puller().describe(*claim_);
+      return true;
+    }
+    waiting::SpinHabit* spins() noexcept { return &queue_.habit_; }
+    std::optional<waiting::Sleep<const detail::FutexWaits&>> arm() {
+      waits_.clear();
+      if (const auto again = queue_.puller().arm(waits_)) return {{waits_, again}};
+      lock_.unlock();  // other threads of this handle get in, however often this one has to look
+      lock_.lock();
+      return std::nullopt;
+    }
+    void unlock() { lock_.unlock(); }
+    void lock() { lock_.lock(); }
+
+   private:
+    Queue& queue_;
+    detail::Borrowed& item_;
+    Place& place_;
+    detail::Claim* claim_;
+    std::unique_lock<std::mutex> lock_;
+    detail::FutexWaits waits_;
+  };
 
   /// Takes an item that came back first: it is older than what lies in the queue. REQUIRES: mutex_.
   bool look(detail::Borrowed& item) {
@@ -252,7 +249,7 @@ class Queue final : public detail::QueueCore {
   std::once_flag pusher_made_;
   std::unique_ptr<detail::PusherCore> pusher_;
   std::mutex mutex_;  ///< guards what follows; no thread sleeps while it holds it
-  SpinHabit habit_;
+  waiting::SpinHabit habit_;
   std::unique_ptr<detail::PullerCore> puller_;
   /// Items that this handle has taken and could not copy. There is room for in_hand_ more.
   std::vector<detail::Borrowed> returned_;

@@ -8,16 +8,20 @@
 #include <array>
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <functional>
 #include <iostream>
 #include <map>
 #include <optional>
+#include <random>
 #include <source_location>
 #include <sstream>
 #include <string>
 #include <string_view>
+#include <thread>
+#include <unistd.h>
 #include <vector>
 
 #pragma push_macro("assert")

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "world.hpp"
 
+#include "waiting/waiting.hpp"
+
 namespace lot::model {
 
 // ---- Channel and Segment
@@ -438,18 +440,50 @@ bool Publisher::send() {
   return true;
 }
 
+namespace {
+
+/// What the library's strategy of waiting runs on. No time passes.
+struct Machine {
+  struct Space {
+    const Atomic<std::uint32_t>& word;
+    std::uint32_t value;
+  };
+  static futex::Clock::time_point now() { return {}; }
+  static void pause() { Policy::pause(); }
+  static void yield() { Policy::pause(); }
+  static bool sleep(const Space& space, const futex::Deadline&) {
+    space.word.wait_while(space.value);
+    return true;
+  }
+};
+
+/// As the library's sender waits for room.
+class ForRoom : public waiting::Steps<ForRoom> {
+ public:
+  ForRoom(ring::Writer<Policy>& writer, Turn& turn) : writer_(writer), turn_(turn) {}
+  bool look() { return writer_.room(); }
+  std::optional<waiting::Sleep<Machine::Space>> arm() {
+    const auto odd = ring::wait_for_room(writer_, [this] { return writer_.room(); });
+    if (!odd) return std::nullopt;
+    return {{{*writer_.ring().space, *odd}, std::nullopt}};
+  }
+  void unlock() { turn_.unlock(); }
+  void lock() { turn_.lock(); }
+
+ private:
+  ring::Writer<Policy>& writer_;
+  Turn& turn_;
+};
+
+}  // namespace
+
 void Publisher::send_and_wait() {
   const Word b = process_->loan();
   RL_ASSERT(b != Process::kNone);
   process_->write(b, sent_);
   Turn turn(*process_, channel_);
-  while (!writer_.room()) {
-    const auto odd = ring::wait_for_room(writer_, [this] { return writer_.room(); });
-    if (!odd) break;
-    turn.unlock();
-    writer_.ring().space->wait_while(*odd);
-    turn.lock();
-  }
+  ForRoom room(writer_, turn);
+  if (!room.look()) RL_ASSERT(waiting::wait<Machine>(room, std::nullopt));
   process_->hand_own_to_ring(b);
   publish(b, turn);
 }

@@ -457,15 +457,15 @@ mark:
     part[LAGGARD] = 0; /* @ src/recovery/recovery.hpp reap: world_.part(k).store(0 */
     lock[0] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
     lock[LAGGARD] = 0 /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(k) */
-  :: !IS_DEAD(LAGGARD) /* @ src/transport/pusher.cpp wait_for_room: for (const std::uint32_t k : laggards) participant_->reap_if_dead(k) */
+  :: !IS_DEAD(LAGGARD) /* @ src/transport/pusher.cpp before_sleep: for (const std::uint32_t k : laggards_) pusher_.participant_->reap_if_dead(k) */
   fi;
 #endif
 #endif
-  atomic { kernel_queue(me, SPACE, space, value, mark) }; /* @ src/transport/pusher.cpp wait_for_room: futex::wait(writer_->ring().space, *value, */
+  atomic { kernel_queue(me, SPACE, space, value, mark) }; /* @ src/waiting/waiting.hpp wait: Machine::sleep(sleep->words, */
   if
-  :: atomic { woken[me] -> woken[me] = 0; goto mark } /* @ src/transport/pusher.cpp wait_for_room: futex::wait(writer_->ring().space, *value, */
+  :: atomic { woken[me] -> woken[me] = 0; goto mark } /* @ src/waiting/waiting.hpp wait: Machine::sleep(sleep->words, */
 #ifdef TIMED_LOOK
-  :: atomic { queued[me] = 0; woken[me] = 0; goto mark } /* @ src/transport/pusher.cpp wait_for_room: std::min(until, now + kLookPeriod) */
+  :: atomic { queued[me] = 0; woken[me] = 0; goto mark } /* @ src/transport/pusher.cpp arm: futex::Clock::now() + kLookPeriod */
 #endif
   fi;
 room:
@@ -749,7 +749,7 @@ settle:
         break }
     od;
     if
-    :: atomic { woken[me] -> woken[me] = 0; queued[me] = 0; goto look } /* @ src/transport/puller.cpp park: futex::wait_any(waits_ */
+    :: atomic { woken[me] -> woken[me] = 0; queued[me] = 0; goto look } /* @ src/waiting/waiting.hpp wait: Machine::sleep(sleep->words, */
     :: NOTHING_CAN_COME
     fi;
 finished:

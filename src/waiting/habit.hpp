@@ -4,14 +4,13 @@
 #include <chrono>
 #include <cstdint>
 #include <random>
-#include <thread>
 #include <unistd.h>
 
 #include "lot/options.hpp"
 
 #include "futex/futex.hpp"
 
-namespace lot::transport {
+namespace lot::waiting {
 
 /// True when spinning can help: with one core the other side cannot move meanwhile.
 inline bool has_several_cores() noexcept {
@@ -87,23 +86,16 @@ class SpinHabit {
   Habit habit_;
 };
 
-/// Yields once before sleeping, so that a peer on the same core can process a batch, and needs
-/// fewer wake-ups. It stops yielding when it found nothing, or when another task kept the core for
-/// 500 us.
+/// Decides whether a thread yields once before it sleeps, so that a peer on the same core can
+/// process a batch, and needs fewer wake-ups. The thread stops yielding when it found nothing, or
+/// when another task kept the core for 500 us.
 class YieldHabit {
  public:
   /// True: yield. Asked once in each wait.
   bool worthwhile() noexcept { return habit_.worthwhile(); }
 
-  /// Yields, and returns how long the core was away. It does not touch the habit: several threads
-  /// of one pusher may yield at once, without the lock that protects everything else.
-  static futex::Clock::duration yield() noexcept {
-    const auto start = futex::Clock::now();
-    std::this_thread::yield();
-    return futex::Clock::now() - start;
-  }
-  /// Tells the habit whether the yield of this length has brought what was waited for. Returns
-  /// `is_there`.
+  /// Tells the habit whether the yield, which took the core `away` for so long, has brought what
+  /// was waited for. Returns `is_there`.
   bool found(bool is_there, futex::Clock::duration away) noexcept {
     habit_.tried(is_there && away < kLong);
     return is_there;
@@ -116,4 +108,4 @@ class YieldHabit {
   Habit habit_;
 };
 
-}  // namespace lot::transport
+}  // namespace lot::waiting

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "transport/spin_habit.hpp"
+#include "waiting/habit.hpp"
 
 #include <chrono>
 
@@ -9,9 +9,9 @@ namespace {
 
 using namespace std::chrono_literals;
 using lot::Wait;
-using lot::transport::Habit;
-using lot::transport::SpinHabit;
-using lot::transport::YieldHabit;
+using lot::waiting::Habit;
+using lot::waiting::SpinHabit;
+using lot::waiting::YieldHabit;
 
 constexpr auto kShort = 10us;
 constexpr auto kLong = 100us;
@@ -23,7 +23,7 @@ unsigned spins_of(SpinHabit& habit, unsigned waits) {
 }
 
 /// Where there is one core, adaptive waiting parks, and there is nothing to learn.
-bool has_one_core() { return !lot::transport::has_several_cores(); }
+bool has_one_core() { return !lot::waiting::has_several_cores(); }
 
 }  // namespace
 
@@ -110,7 +110,7 @@ TEST_CASE("the core is let go seldom where nothing is found afterwards") {
   unsigned yields = 0;
   for (int i = 0; i < 1000; ++i) {
     if (!habit.worthwhile()) continue;
-    CHECK_FALSE(habit.found(false, YieldHabit::yield()));
+    CHECK_FALSE(habit.found(false, 1us));
     ++yields;
   }
   CHECK(yields >= 4);

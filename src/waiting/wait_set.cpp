@@ -8,19 +8,16 @@
 #include <optional>
 #include <utility>
 
-#include "lot/detail/atomics.hpp"
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
-#include "transport/spin_habit.hpp"
+#include "waiting/waiting.hpp"
 
 namespace lot {
 
 namespace detail {
 
 using namespace std::chrono_literals;
-
-constexpr unsigned kPollsPerClock = 64;
 
 // Edges
 //   W1  stop_ = 1 (exchange, release) in stop() -> exchange (acquire) in take_stop()
@@ -66,20 +63,10 @@ class WaitSetCore {
 
   /// Returns how many handlers were called; nothing when the set was stopped.
   std::optional<std::size_t> run_once(const futex::Deadline& deadline) {
-    for (;;) {
-      if (take_stop()) return std::nullopt;
-      std::size_t called = call_timers();
-      waits_.clear();
-      std::optional<Clock::time_point> until = call_ready(called);
-      if (called != 0) return called;
-      const auto now = Clock::now();
-      if (deadline && now >= *deadline) return 0;
-      if (deadline) until = std::min(until.value_or(*deadline), *deadline);
-      for (const Timer& t : timers_) until = std::min(until.value_or(t.next), t.next);
-      if (spin(until)) continue;
-      waits_.push_back({&stop_, 0});
-      futex::wait_any(waits_, until);
-    }
+    Round round(*this);
+    if (!round.look()) waiting::wait(round, deadline);
+    if (round.is_stopped()) return std::nullopt;
+    return round.called();
   }
 
  private:
@@ -118,6 +105,48 @@ class WaitSetCore {
     return called;
   }
 
+  /// How one run_once() waits for something to do, and does it.
+  class Round : public waiting::Steps<Round> {
+   public:
+    static constexpr unsigned kPollsPerClock = 64;
+
+    explicit Round(WaitSetCore& set) : set_(set) {}
+    bool is_stopped() const noexcept { return is_stopped_; }
+    std::size_t called() const noexcept { return called_; }
+
+    /// True: handlers were called, or there was a stop. Else the pullers are armed, as well.
+    bool look() {
+      if (set_.take_stop()) return is_stopped_ = true;
+      called_ = set_.call_timers();
+      set_.waits_.clear();
+      again_ = set_.call_ready(called_);
+      for (const Timer& t : set_.timers_) again_ = std::min(again_.value_or(t.next), t.next);
+      return called_ != 0;
+    }
+    /// Arms nothing where there is nothing to do.
+    bool poll(Clock::time_point now) {
+      const bool is_due = set_.is_ready() || set_.stopped() || (again_ && now >= *again_);
+      return is_due && look();
+    }
+    waiting::SpinHabit* spins() noexcept { return set_.entries_.empty() ? nullptr : &set_.habit_; }
+    /// The last look has armed the pullers.
+    std::optional<waiting::Sleep<const FutexWaits&>> arm() {
+      set_.waits_.push_back({&set_.stop_, 0});
+      return {{set_.waits_, again_}};
+    }
+
+   private:
+    WaitSetCore& set_;
+    std::size_t called_ = 0;
+    bool is_stopped_ = false;
+    futex::Deadline again_;  ///< when a timer is due, or a puller must be looked at
+  };
+
+  bool is_ready() const {
+    return std::any_of(entries_.begin(), entries_.end(),
+                       [](const Entry& e) { return e.puller->ready(); });
+  }
+
   /// Calls the handlers of the pullers that have something to read, and collects the words that the
   /// others wait for. Returns when to look again.
   std::optional<Clock::time_point> call_ready(std::size_t& called) {
@@ -136,29 +165,7 @@ class WaitSetCore {
     return until;
   }
 
-  /// True when a message, a stop or the deadline has come while this thread spun.
-  bool spin(const std::optional<Clock::time_point>& until) {
-    if (entries_.empty() || !habit_.worthwhile()) return false;
-    const auto start = Clock::now();
-    for (unsigned n = 1;; ++n) {
-      HardwareAtomics::pause();
-      for (const Entry& e : entries_) {
-        if (!e.puller->ready()) continue;
-        habit_.spun(Clock::now() - start);
-        return true;
-      }
-      if (n % kPollsPerClock != 0) continue;
-      if (stopped()) return true;
-      const auto now = Clock::now();
-      if (until && now >= *until) return true;
-      if (habit_.enough(now - start)) {
-        habit_.spun(now - start);
-        return false;
-      }
-    }
-  }
-
-  transport::SpinHabit habit_;
+  waiting::SpinHabit habit_;
   std::list<Entry> entries_;
   std::list<Timer> timers_;
   std::uint64_t last_timer_ = 0;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "transport/notifier.hpp"
+#include "waiting/notifier.hpp"
 
 #include <cerrno>
 #include <optional>
@@ -11,8 +11,9 @@
 
 #include "futex/futex.hpp"
 #include "segment/system_limits.hpp"
+#include "waiting/waiting.hpp"
 
-namespace lot::transport {
+namespace lot::waiting {
 
 Notifier::Notifier() : fd_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   if (fd_ == -1) {
@@ -63,37 +64,51 @@ void Notifier::watch(detail::PullerCore& puller) {
   futex::wake_all(&orders_);
 }
 
+/// How the notifier's thread waits until it is told to stop. Each look is its first, or comes after
+/// a sleep.
+struct Notifier::Watcher : waiting::Steps<Watcher> {
+  explicit Watcher(Notifier& notifier) : notifier_(notifier) {}
+
+  /// True: it is told to stop. Else it takes a new order, or makes the descriptor readable when a
+  /// word of the puller, or the time, has ended its sleep.
+  bool look() {
+    bool rings = false;
+    {
+      const std::lock_guard guard(notifier_.mutex_);
+      if (notifier_.order_ == Order::Stop) return true;
+      if (notifier_.order_ == Order::Watch) {
+        waits_ = notifier_.waits_;
+        again_ = notifier_.again_;
+        notifier_.order_ = Order::Idle;
+      } else {
+        rings = again_.has_value();
+        waits_.clear();  // until the puller's thread has looked
+        again_.reset();
+      }
+      // relaxed: all orders are given with the mutex
+      seen_ = notifier_.orders_.load(std::memory_order_relaxed);
+    }
+    if (rings) notifier_.ring();
+    return false;
+  }
+  std::optional<Sleep<const detail::FutexWaits&>> arm() {
+    waits_.push_back({&notifier_.orders_, seen_});
+    return {{waits_, again_}};
+  }
+
+ private:
+  Notifier& notifier_;
+  detail::FutexWaits waits_;
+  futex::Deadline again_;  ///< none: no puller is watched
+  std::uint32_t seen_ = 0;
+};
+
 void Notifier::run() {
   pthread_setname_np(pthread_self(), "lot-notify");
-  detail::FutexWaits waits;
-  for (bool watching = false;;) {
-    futex::Deadline until;
-    std::uint32_t seen;
-    {
-      const std::lock_guard guard(mutex_);
-      if (order_ == Order::Stop) return;
-      if (order_ == Order::Watch) {
-        waits = waits_;
-        watching = true;
-        order_ = Order::Idle;
-      }
-      until = watching ? futex::Deadline(again_) : std::nullopt;
-      // relaxed: all orders are given with the mutex
-      seen = orders_.load(std::memory_order_relaxed);
-    }
-    if (!watching) {
-      futex::wait(&orders_, seen, until);
-      continue;
-    }
-    waits.push_back({&orders_, seen});
-    futex::wait_any(waits, until);
-    waits.pop_back();
-    if (orders_.load(std::memory_order_relaxed) != seen) continue;  // relaxed: as above
-    ring();
-    watching = false;  // until the puller's thread has looked
-  }
+  Watcher watcher(*this);
+  if (!watcher.look()) waiting::wait(watcher, std::nullopt);
 }
 
 void Notifier::ring() noexcept { eventfd_write(fd_, 1); }
 
-}  // namespace lot::transport
+}  // namespace lot::waiting

@@ -7,7 +7,7 @@
 
 #include "lot/detail/core.hpp"
 
-namespace lot::transport {
+namespace lot::waiting {
 
 /// Makes a descriptor readable when a puller may have a message: for epoll, poll, Asio and GLib.
 ///
@@ -28,6 +28,8 @@ class Notifier {
   void watch(detail::PullerCore& puller);
 
  private:
+  struct Watcher;
+
   void run();
   void ring() noexcept;
 
@@ -40,4 +42,4 @@ class Notifier {
   std::thread thread_;
 };
 
-}  // namespace lot::transport
+}  // namespace lot::waiting
