@@ -303,7 +303,7 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
           return pullers[p].load(std::memory_order_seq_cst) != 0;  // R13
         });
     entry.writer.store(ring::make_writer(generation, ring::State::Live, participant),
-                       std::memory_order_seq_cst);  // R7, D1
+                       std::memory_order_release);  // R7
     announce(topic);
     return ChannelName{c, generation};
   }
@@ -314,7 +314,7 @@ std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {
   std::vector<ChannelName> found;
   const auto channels = segment_.channels();
   for (std::uint32_t c = 0; c < channels.size(); ++c) {
-    const auto w = channels[c].writer.load(std::memory_order_seq_cst);  // R7
+    const auto w = channels[c].writer.load(std::memory_order_acquire);  // R7
     const auto state = ring::writer_state(w);
     if ((state == ring::State::Live || state == ring::State::Orphan) &&
         channels[c].topic == topic) {
@@ -349,7 +349,8 @@ bool Registry::is_open(const ChannelName& name) const noexcept {
 
 void Registry::recycle(std::uint32_t channel) noexcept {
   auto& entry = segment_.channels()[channel];
-  // Before the tags go: a process that claims the memory then sees formed = 0 (G1).
+  // Before the tags go: a process that claims the memory then sees formed = 0 (G1). Release: an
+  // observer that sees the 0 sees that the registry's lock is taken.
   entry.formed.store(0, std::memory_order_release);
   segment_.granules().release_if(
       [channel](std::uint32_t tag) { return tag == (segment::kRingTag | channel); });
@@ -359,7 +360,7 @@ void Registry::announce(std::uint32_t topic) noexcept {
   // Looks at the channels one by one and makes no list: this must not fail.
   const auto channels = segment_.channels();
   const auto is_of_topic = [&](std::uint32_t c) {
-    const auto w = channels[c].writer.load(std::memory_order_seq_cst);  // R7
+    const auto w = channels[c].writer.load(std::memory_order_acquire);  // R7
     return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic;
   };
   ring::announce(segment_.directory().version,

@@ -474,8 +474,10 @@ void Participant::fill_weak_pointers() noexcept {
     return left == Left::Held;
   };
   hub_.generation = [](const detail::ControlCell* c) noexcept {
+    // Relaxed: the caller has seen its message live. A later number says that it has died, and
+    // nothing else: only who locks a weak pointer looks at the message.
     return refcount::generation_of(
-        of(c).segment_.block(c->block).life.load(std::memory_order_acquire));
+        of(c).segment_.block(c->block).life.load(std::memory_order_relaxed));
   };
   hub_.expired = [](const detail::ControlCell* c, std::uint32_t generation) noexcept {
     Participant& p = of(c);

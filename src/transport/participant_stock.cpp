@@ -20,10 +20,9 @@ void Participant::close_ring(const registry::ChannelName& name) noexcept {
     // finish_closing() takes this mutex before it gives the ring to the orphanage. Until then no
     // process can recycle the ring.
     const std::lock_guard guard(reap_mutex_);
-    // Release (as part of seq_cst): R9.
     channel_writer(name.channel)
         .store(ring::make_writer(name.generation, ring::State::Orphan, index()),
-               std::memory_order_seq_cst);
+               std::memory_order_release);  // R9
     segment::Ring r = ring(name.channel);
     Recovery(*this).wake_readers(r);
   }
@@ -462,8 +461,9 @@ bool Participant::take_out(std::uint32_t channel, std::uint32_t b) noexcept {
   const bool is_elsewhere = home > refcount::kHomeOrphanage && home <= participants();
   // Its warden does not answer, so it would not free the block.
   if (is_elsewhere && is_silent(home - 1)) return false;
+  // Relaxed: the number is all that it tells. Whoever claims the memory acquires it (G1).
   const auto generation = [&] {
-    return refcount::generation_of(block(b).life.load(std::memory_order_acquire));
+    return refcount::generation_of(block(b).life.load(std::memory_order_relaxed));
   };
   const std::uint32_t before = generation();
   {

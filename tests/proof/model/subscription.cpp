@@ -10,7 +10,7 @@ void Subscription::join(Process& process) {
   segment.pullers[process.index()].fetch_add(1, std::memory_order_relaxed);
   version_ = segment.version.load(std::memory_order_acquire);
   for (std::uint32_t c = 0; c < process.channels(); ++c) {
-    const Word writer = process.channel_writer(c).load(std::memory_order_seq_cst);
+    const Word writer = process.channel_writer(c).load(std::memory_order_acquire);
     if (ring::writer_state(writer) != ring::State::Live) continue;
     bool full = false;
     const auto reader =
@@ -25,7 +25,7 @@ void Subscription::join(Process& process) {
 void Subscription::end() {
   while (!process_->lock_rings()) Policy::pause();
   for (std::uint32_t c = 0; c < process_->channels(); ++c) {
-    const Word writer = process_->channel_writer(c).load(std::memory_order_seq_cst);
+    const Word writer = process_->channel_writer(c).load(std::memory_order_acquire);
     if (ring::writer_state(writer) < ring::State::Live) continue;
     ring::Ring<Policy> ring = process_->ring(c);
     if (ring.unsubscribe(process_->index())) ring.space->wake_all();
@@ -37,7 +37,7 @@ void Subscription::end() {
 void Subscription::find_rings() {
   const std::uint32_t version = process_->segment().version.load(std::memory_order_acquire);
   for (std::uint32_t c = 0; c < process_->channels(); ++c) {
-    const Word writer = process_->channel_writer(c).load(std::memory_order_seq_cst);
+    const Word writer = process_->channel_writer(c).load(std::memory_order_acquire);
     const std::uint32_t generation = ring::writer_generation(writer);
     if (ring::writer_state(writer) < ring::State::Live ||
         std::any_of(sources_.begin(), sources_.end(), [&](const Source& s) {

@@ -319,7 +319,7 @@ void Process::close_ring(std::uint32_t c) {
   Atomic<Word>& writer = channel_writer(c);
   const Word generation = ring::writer_generation(writer.load(std::memory_order_relaxed));
   writer.store(ring::make_writer(generation, ring::State::Orphan, index()),
-               std::memory_order_seq_cst);
+               std::memory_order_release);
   Recovery recovery(*this);
   ring::Ring<Policy> r = ring(c);
   recovery.wake_readers(r);
@@ -408,7 +408,7 @@ bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
         return pullers[p].load(std::memory_order_seq_cst) != 0;  // R13
       });
   channel.writer.store(ring::make_writer(generation, ring::State::Live, process.index()),
-                       std::memory_order_seq_cst);
+                       std::memory_order_release);
   process_ = &process;
   channel_ = c;
   writer_ = ring::Writer<Policy>(ring);
@@ -419,7 +419,7 @@ bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
 void Publisher::announce() {
   std::vector<ring::Ring<Policy>> rings;
   for (std::uint32_t c = 0; c < process_->channels(); ++c) {
-    const Word writer = process_->channel_writer(c).load(std::memory_order_seq_cst);
+    const Word writer = process_->channel_writer(c).load(std::memory_order_acquire);
     if (ring::writer_state(writer) == ring::State::Live) rings.push_back(process_->ring(c));
   }
   ring::announce(process_->segment().version, rings, [](const auto& word) { word.wake_all(); });
