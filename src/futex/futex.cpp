@@ -93,7 +93,7 @@ bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
       others.emplace_back([&sleep, begin] { sleep(begin); });
     }
   } catch (...) {  // no further thread can start: the others wake up, and the caller looks again
-    bell.store(1, std::memory_order_relaxed);
+    bell.store(1, std::memory_order_relaxed);  // it tells only to wake
     wake_all(&bell);
     std::this_thread::sleep_for(kSlice);
   }

@@ -69,7 +69,7 @@ bool DeathNotice::claim(Seat& seat, std::uint64_t seen) {
 }
 
 bool DeathNotice::renew() noexcept {
-  // Acquire: what the process did that has the seat now, if it is another one.
+  // Acquire, edge "seat": what the process did that has the seat now, if it is another one.
   const std::uint64_t now = seat_->load(std::memory_order_acquire);
   if (now == ours_) return true;
   if (!is_ours(now)) return false;
@@ -141,7 +141,7 @@ void DeathNotice::run() noexcept {
       const std::uint64_t said =
           order == Order::Renew ? ours_ : seat::make(seat::incarnation(ours_), 0);
       std::uint64_t now = seat_->load(std::memory_order_relaxed);  // the next step checks it
-      // Release (seat): what this process did before it gives the seat up.
+      // Release, edge "seat": what this process did before it gives the seat up.
       while (ours_ != 0 && is_ours(now) &&
              !seat_->compare_exchange_weak(now, said, std::memory_order_release,
                                            std::memory_order_relaxed)) {
@@ -170,7 +170,8 @@ void DeathNotice::take(std::uint32_t notice) noexcept {
   list_->head.next = &list_->node;
   std::atomic_signal_fence(std::memory_order_seq_cst);  // the kernel reads it as this thread does
   const std::uint64_t ours = seat::make(seat::incarnation(seen_) + 1, notice);
-  // Acquire: what the seat's former owner did. Release: our name, which others find in locks.
+  // Edge "seat". Acquire: what the seat's former owner did. Release: our name, which others find
+  // in locks.
   if (seat_->compare_exchange_strong(seen_, ours, std::memory_order_acq_rel,
                                      std::memory_order_relaxed)) {
     ours_ = ours;

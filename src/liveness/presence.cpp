@@ -65,7 +65,7 @@ bool Presence::judge(std::uint32_t k) noexcept {
   std::uint64_t seat = seen(k);
   if (seat::stands(seat)) return false;
   if (seat::notice(seat) == seat::kUnwitnessed && !is_convinced(k, seat)) return false;
-  // acq_rel (seat): what the dead process did, to the next owner of the index.
+  // acq_rel, edge "seat": what the dead process did, to the next owner of the index.
   return seat::notice(seat) == seat::kJudged ||
          seat_of(k).compare_exchange_strong(seat,
                                             seat::make(seat::incarnation(seat), seat::kJudged),

@@ -71,7 +71,7 @@ class Presence final : public LockOwner {
   DeathNotice::Seat& seat_of(std::uint32_t k) const noexcept {
     return segment_.witnesses()[k].seat;
   }
-  // Acquire (seat): what the seat's former owner did.
+  // Acquire, edge "seat": what the seat's former owner did. For who takes a lock over, L2.
   std::uint64_t seen(std::uint32_t k) const noexcept {
     return seat_of(k).load(std::memory_order_acquire);
   }

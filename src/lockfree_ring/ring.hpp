@@ -168,8 +168,8 @@ struct Ring {
     who[c].store(participant + 1, std::memory_order_seq_cst);            // R13
   }
   void await_no_more(std::uint32_t c) {
-    cells[c].position.store(kIdle, std::memory_order_relaxed);  // R7 carries both
-    who[c].store(0, std::memory_order_relaxed);
+    cells[c].position.store(kIdle, std::memory_order_relaxed);  // R7 carries it
+    who[c].store(0, std::memory_order_relaxed);                 // R7 carries it
   }
   /// A reader of the participant leaves before it has looked. False: no cell awaits such a reader.
   /// The caller wakes `space` unconditionally. REQUIRES: no process recycles the ring meanwhile.
@@ -261,7 +261,7 @@ struct Ring {
       reads = who[c].load(std::memory_order_relaxed) == participant + 1;
     }
     for (std::uint32_t i = 0; i < depth; ++i) {
-      const Word seen = claims[i].load(std::memory_order_relaxed);  // as above
+      const Word seen = claims[i].load(std::memory_order_relaxed);  // the dead one's byte lock
       if (claim_worker(seen) != participant + 1) continue;
       unclaim(claims[i], seen);
       reads = true;

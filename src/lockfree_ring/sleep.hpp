@@ -107,8 +107,8 @@ void wake_sleepers(Ring& ring, Wake&& wake) {
 /// Crash: as wake_sleepers(). The reaper wakes all sleepers of all rings.
 template <class Directory, class Rings, class Wake>
 void announce(Directory& directory, Rings&& rings, Wake&& wake) {
-  // Relaxed: R5 carries it. A reader that finds it changed takes the registry's lock, which carries
-  // the ring.
+  // D1. Relaxed: R5 carries it. A reader that finds it changed takes the registry's lock, which
+  // carries the ring.
   directory.fetch_add(1, std::memory_order_relaxed);
   for (auto&& ring : rings) wake_sleepers(ring, wake);
   wake(directory);

@@ -314,7 +314,9 @@ void Inlet::read() {
   if (!rings_) return;
   // LOT's thread delivers so many in one round of its loop. Then it reads other topics. The loop
   // comes back while messages are there.
-  if (std::exchange(turn_, loop_->turn()) != loop_->turn()) may_deliver_ = at_once_;
+  if (std::exchange(turn_, loop_->turn()) != loop_->turn()) {
+    may_deliver_ = at_once_.load(std::memory_order_relaxed);  // the number is all that it tells
+  }
   deliver_claimed();
   for (; may_deliver_ > 0; --may_deliver_) {
     lot::detail::Borrowed borrowed;
@@ -626,7 +628,8 @@ Inlet::Taken Inlet::take(Taken taken, std::size_t depth) {
   Taken dropped{};
   const std::lock_guard guard(taken_mutex_);
   if (is_closed_) return taken;
-  if (taken_.size() >= std::max<std::size_t>(depth, most_waiting_)) {
+  // Relaxed: the number is all that it tells.
+  if (taken_.size() >= std::max(depth, most_waiting_.load(std::memory_order_relaxed))) {
     // What is latched must be remembered: it drops the oldest message that is not latched, and a
     // latched one only if all are.
     const auto oldest =
@@ -669,7 +672,8 @@ void Inlet::follow_links() {
 
 void Inlet::deliver_taken() {
   if (loop_->has_turn()) return deliver_in_turn();
-  if (calls_at_once_) return deliver_soon();
+  // Relaxed: a user that is added now could as well have been added behind this look.
+  if (calls_at_once_.load(std::memory_order_relaxed)) return deliver_soon();
   std::size_t here = 0;  // messages that come meanwhile are delivered by their own threads
   {
     const std::lock_guard guard(taken_mutex_);
@@ -681,7 +685,9 @@ void Inlet::deliver_taken() {
 
 /// Called by LOT's thread: delivers as many messages as it may before it calls callbacks.
 void Inlet::deliver_in_turn() {
-  if (std::exchange(turn_, loop_->turn()) != loop_->turn()) may_deliver_ = at_once_;
+  if (std::exchange(turn_, loop_->turn()) != loop_->turn()) {
+    may_deliver_ = at_once_.load(std::memory_order_relaxed);  // the number is all that it tells
+  }
   for (; may_deliver_ > 0; --may_deliver_) {
     if (!deliver_next()) return;
   }
@@ -749,9 +755,10 @@ void Inlet::count_at_once() {
     is_at_once = true;
     if (user.queue_size != 0) n = std::min(n, user.queue_size);
   }
-  at_once_ = n;
-  calls_at_once_ = is_at_once;
-  most_waiting_ = most;
+  // Relaxed, all: the users themselves are read with mutex_.
+  at_once_.store(n, std::memory_order_relaxed);
+  calls_at_once_.store(is_at_once, std::memory_order_relaxed);
+  most_waiting_.store(most, std::memory_order_relaxed);
 }
 
 Inlet::User Inlet::remove(std::uint64_t name) {

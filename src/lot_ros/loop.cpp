@@ -41,23 +41,29 @@ class Loop::Turn {
   /// `is_caller`: a thread in call(), which may be LOT's thread in a callback.
   Turn(Loop& loop, bool is_caller) : loop_(loop) {
     std::unique_lock lock(loop.mutex_);
+    // Relaxed, all of owner_ here: the mutex carries it.
     if (is_caller) {
       ++loop.callers_;
-      if (loop.owner_.load() == loop.thread_.load()) loop.arrivals_.stop();  // LOT's may be asleep
+      // Relaxed: LOT's thread has named itself before it took the turn, with the mutex.
+      const bool is_lots = loop.owner_.load(std::memory_order_relaxed) ==
+                           loop.thread_.load(std::memory_order_relaxed);
+      if (is_lots) loop.arrivals_.stop();  // it may be asleep
     }
     // LOT's thread lets callers go first: else it would take the next turn at once, again and
     // again.
     loop.changed_.wait(lock, [&] {
-      return loop.owner_.load() == std::thread::id() && (is_caller || loop.callers_ == 0);
+      // Relaxed: the mutex carries it.
+      const bool is_free = loop.owner_.load(std::memory_order_relaxed) == std::thread::id();
+      return is_free && (is_caller || loop.callers_ == 0);
     });
     if (is_caller) --loop.callers_;
-    loop.owner_ = std::this_thread::get_id();
+    loop.owner_.store(std::this_thread::get_id(), std::memory_order_relaxed);  // as above
   }
   Turn(const Turn&) = delete;
   Turn& operator=(const Turn&) = delete;
   ~Turn() {
     const std::lock_guard guard(loop_.mutex_);
-    loop_.owner_ = std::thread::id();
+    loop_.owner_.store(std::thread::id(), std::memory_order_relaxed);  // the mutex carries it
     loop_.changed_.notify_all();
   }
 
@@ -94,7 +100,8 @@ void Loop::guarded(const std::function<void()>& work) {
 }
 
 void Loop::run() {
-  thread_ = std::this_thread::get_id();
+  // Relaxed: other threads compare it with their own id, which it never is.
+  thread_.store(std::this_thread::get_id(), std::memory_order_relaxed);
   pthread_setname_np(pthread_self(), "lot-ros");
   while (!is_inherited() && do_what_is_due()) {  // a callback may have forked
     while (!afterwards_.empty()) {

@@ -56,9 +56,15 @@ class Loop {
   /// what was left for afterwards. REQUIRES: this is LOT's thread.
   std::uint64_t turn() const noexcept { return turn_; }
   /// True on LOT's thread.
-  bool is_here() const noexcept { return thread_.load() == std::this_thread::get_id(); }
+  bool is_here() const noexcept {
+    // Relaxed: only this thread itself can have stored its own id here.
+    return thread_.load(std::memory_order_relaxed) == std::this_thread::get_id();
+  }
   /// True when this thread has the turn.
-  bool has_turn() const noexcept { return owner_.load() == std::this_thread::get_id(); }
+  bool has_turn() const noexcept {
+    // Relaxed: as in is_here().
+    return owner_.load(std::memory_order_relaxed) == std::this_thread::get_id();
+  }
   /// True in a forked child, which has no LOT's thread: nothing is done there any more.
   bool is_inherited() const noexcept;
 

@@ -33,7 +33,7 @@ constexpr std::uint16_t count_of(std::uint16_t pullers) {
 
 bool in_use(const segment::TopicEntry& topic) {
   for (const auto& users : topic.users) {
-    if (users.load(std::memory_order_acquire) != 0) return true;  // users
+    if (users.load(std::memory_order_acquire) != 0) return true;  // edge "users"
   }
   return false;
 }
@@ -142,13 +142,14 @@ std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& 
                 "all " + std::to_string(topics.size()) + " topics are in use",
                 "make the segment with a larger EngineOptions::topics");
   }
-  found->users[participant / Atomics::kBitsPerWord].fetch_or(bit(participant),
-                                                             std::memory_order_release);  // users
+  found->users[participant / Atomics::kBitsPerWord].fetch_or(
+      bit(participant),
+      std::memory_order_release);  // edge "users"
   return static_cast<std::uint32_t>(found - topics.data());
 }
 
 void Registry::leave(std::uint32_t topic, std::uint32_t participant) noexcept {
-  // Release (users): a process that finds no user makes another topic of the entry.
+  // Release, edge "users": a process that finds no user makes another topic of the entry.
   segment_.topics()[topic].users[participant / Atomics::kBitsPerWord].fetch_and(
       ~bit(participant), std::memory_order_release);
 }
@@ -218,7 +219,7 @@ void Registry::forget(std::uint32_t participant) noexcept {
     auto& users = topic.users[participant / Atomics::kBitsPerWord];
     // Relaxed: the dead one's byte lock carries its bit.
     if ((users.load(std::memory_order_relaxed) & bit(participant)) != 0) {
-      users.fetch_and(~bit(participant), std::memory_order_release);  // users
+      users.fetch_and(~bit(participant), std::memory_order_release);  // edge "users"
     }
   }
 }
@@ -296,7 +297,7 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);  // R7
     ring.format();
     // From here on a reaper looks at the cells.
-    entry.formed.store(1, std::memory_order_seq_cst);  // R13
+    entry.formed.store(1, std::memory_order_seq_cst);  // R13, edge "formed"
     ring.await_pullers(
         segment_.capacity().participants, [&](std::uint32_t p) { return pullers(topic, p); },
         [&pullers = segment_.topics()[topic].pullers](std::uint32_t p) {
@@ -350,7 +351,7 @@ bool Registry::is_open(const ChannelName& name) const noexcept {
 void Registry::recycle(std::uint32_t channel) noexcept {
   auto& entry = segment_.channels()[channel];
   // Before the tags go: a process that claims the memory then sees formed = 0 (G1). Release: an
-  // observer that sees the 0 sees that the registry's lock is taken.
+  // observer that sees the 0 sees that the registry's lock is taken (edge "formed").
   entry.formed.store(0, std::memory_order_release);
   segment_.granules().release_if(
       [channel](std::uint32_t tag) { return tag == (segment::kRingTag | channel); });

@@ -30,7 +30,7 @@ namespace lot {
 /// Source:  futex(2).
 ///
 /// Edges
-///   C1  renew() (release) -> announce() (acquire)
+///   Q1  renew() (release) -> announce() (acquire)
 ///       carries: what the caller of renew() stored before, without the mutex.
 template <class Word = std::atomic<std::uint32_t>>
 class RobustCondition {
@@ -39,7 +39,7 @@ class RobustCondition {
 
   /// Says that the caller is about to sleep. Returns the value to sleep on.
   std::uint32_t announce() {
-    return word_.fetch_or(kWaits, std::memory_order_acquire) | kWaits;  // C1
+    return word_.fetch_or(kWaits, std::memory_order_acquire) | kWaits;  // Q1
   }
 
   /// Sleeps until something has changed since announce(). False when the deadline has passed. In
@@ -61,7 +61,7 @@ class RobustCondition {
   /// waiters. The caller then wakes all, whatever the mark says. With the mutex or without it.
   void renew() {
     // Adds 2, so that the mark stays: only a caller with the mutex may take it away.
-    word_.fetch_add(2 * kWaits, std::memory_order_release);  // C1
+    word_.fetch_add(2 * kWaits, std::memory_order_release);  // Q1
   }
 
  private:

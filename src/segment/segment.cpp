@@ -552,7 +552,8 @@ bool Segment::holds(std::uint32_t b, std::uint64_t offset, std::uint64_t bytes) 
 
 Ring Segment::ring(std::uint32_t channel) const noexcept {
   ChannelEntry& entry = channels()[channel];
-  if (entry.formed.load(std::memory_order_seq_cst) != 0) return unformed_ring(channel);  // R13
+  // R13, edge "formed"
+  if (entry.formed.load(std::memory_order_seq_cst) != 0) return unformed_ring(channel);
   Ring ring;
   ring.writer = &entry.writer;
   return ring;

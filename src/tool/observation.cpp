@@ -16,7 +16,8 @@ namespace {
 
 bool is_alive_in(const segment::Segment& s, const liveness::LockProbe& locks, std::uint32_t k) {
   return locks.is_held(k) ||
-         liveness::seat::stands(s.witnesses()[k].seat.load(std::memory_order_acquire));  // seat
+         // edge "seat"
+         liveness::seat::stands(s.witnesses()[k].seat.load(std::memory_order_acquire));
 }
 
 using ring::Word;
@@ -82,7 +83,7 @@ class Observer {
     noted_.resize(capacity_.participants);
     for (std::uint32_t k = 1; k < capacity_.participants; ++k) {
       auto& entry = s_.participants()[k];
-      const std::uint32_t state = entry.state.load(std::memory_order_acquire);  // state
+      const std::uint32_t state = entry.state.load(std::memory_order_acquire);  // edge "state"
       if (state == 0) continue;
       if (state != 1)
         complain("process " + std::to_string(k) + ": its state is " + std::to_string(state));
@@ -97,11 +98,12 @@ class Observer {
   void read_notes(std::uint32_t k) {
     const segment::Sightings& table = s_.sightings()[k];
     Noted& noted = noted_[k];
-    // The warden stores it last (release): the places are of that look, or of a later one.
+    // Acquire: the warden stores it last (release), so the places are of that look, or of a later
+    // one.
     noted.looked_ns = table.looked_ns.load(std::memory_order_acquire);
     for (const auto& place : table.seen) {
-      // sighting: the name, the time, and the name again. Relaxed: the acquire load of the time
-      // comes before it.
+      // Edge "sighting": the name, the time, and the name again. Relaxed: the acquire load of the
+      // time comes before it.
       const std::uint64_t what = place.what.load(std::memory_order_acquire);
       const std::uint64_t since = place.since_ns.load(std::memory_order_acquire);
       if (what == 0 || place.what.load(std::memory_order_relaxed) != what) continue;
@@ -138,7 +140,7 @@ class Observer {
                   waits[t]};
       if (!topic.name.empty()) name_of_key_[segment::topic_key(topic.name)] = topic.name;
       for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
-        // users: name and type of the topic
+        // Acquire, edge "users": name and type of the topic
         const auto users =
             entry.users[k / segment::Atomics::kBitsPerWord].load(std::memory_order_acquire);
         if ((users & Own::bit(k)) == 0) continue;
@@ -167,8 +169,9 @@ class Observer {
     // A process may recycle the queue meanwhile. Then the queue may look like anything until its
     // writer word says so, which takes long if that process is stopped with the registry's lock. So
     // the observer complains only if the queue is not being recycled and its writer word has not
-    // changed. Acquire: it loads `formed`, then the lock's word, and the writer word last.
+    // changed.
     if (!std::exchange(has_waited_, true)) std::this_thread::sleep_for(kRecycling);
+    // Acquire, edge "formed": it loads `formed`, then the lock's word, and the writer word last.
     const bool goes = ring::writer_state(at.writer) == ring::State::Orphan &&
                       entry.formed.load(std::memory_order_acquire) == 0 &&
                       s_.directory().lock.word.load(std::memory_order_acquire) != 0;
@@ -569,7 +572,7 @@ std::vector<std::uint32_t> taken_by(Window& window, bool wanted_alive) {
   std::vector<std::uint32_t> found;
   for (std::uint32_t k = 1; k < s.capacity().participants; ++k) {
     const bool alive = is_alive_in(s, locks, k);
-    // state
+    // edge "state"
     const bool counts = alive || s.participants()[k].state.load(std::memory_order_acquire) != 0;
     if (counts && alive == wanted_alive) found.push_back(k);
   }

@@ -86,7 +86,7 @@ void Ahead::stop() noexcept {
   {
     const std::lock_guard guard(mutex_);
     is_ending_ = true;
-    is_called_off_.store(true, std::memory_order_relaxed);  // relaxed: as above
+    is_called_off_.store(true, std::memory_order_relaxed);  // relaxed: it carries nothing
   }
   signal_.notify_all();
   if (thread_.joinable()) thread_.join();

@@ -384,7 +384,7 @@ void Build::await_taker() noexcept {
   transport::Participant* const p = home();
   if (p == nullptr) return;
   const std::lock_guard guard(pool_of(*p, *this).lock());
-  wanted.store(0, std::memory_order_relaxed);  // relaxed: the lock carries it (M1, L2)
+  wanted.store(0, std::memory_order_relaxed);  // relaxed: the lock carries it (M1, P2)
 }
 
 void Build::trim_whole() noexcept {

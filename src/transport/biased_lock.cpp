@@ -18,13 +18,13 @@ void BiasedLock::lock_shared() noexcept {
   detail::Patience patience;
   std::uint32_t inside = 0;
   while (!taken_.compare_exchange_weak(inside, thread, std::memory_order_acquire,
-                                       std::memory_order_relaxed)) {  // L2
+                                       std::memory_order_relaxed)) {  // P2
     while (inside != 0) {
       patience.wait(inside);
       inside = taken_.load(std::memory_order_relaxed);  // relaxed: the compare-and-swap acquires
     }
   }
-  // Relaxed, here and below: owner_ and shared_ change only with taken_ (L2).
+  // Relaxed, here and below: owner_ and shared_ change only with taken_ (P2).
   const std::uintptr_t owner = owner_.load(std::memory_order_relaxed);
   if (owner == kUnowned) {
     owner_.store(self(), std::memory_order_relaxed);  // as above
@@ -32,14 +32,14 @@ void BiasedLock::lock_shared() noexcept {
     if (!shared_.load(std::memory_order_relaxed)) revoke(patience);  // as above
     alone_ = 0;
   } else if (++alone_ == kReturn) {
-    shared_.store(false, std::memory_order_relaxed);  // relaxed: carried with taken_ (L2)
+    shared_.store(false, std::memory_order_relaxed);  // relaxed: carried with taken_ (P2)
   }
 }
 
 void BiasedLock::revoke(detail::Patience& patience) noexcept {
-  shared_.store(true, std::memory_order_seq_cst);  // L1
+  shared_.store(true, std::memory_order_seq_cst);  // P1
   ProcessBarrier::pass();
-  while (busy_.load(std::memory_order_acquire)) patience.wait(0);  // L1, L2
+  while (busy_.load(std::memory_order_acquire)) patience.wait(0);  // P1, P2
 }
 
 }  // namespace lot::transport

@@ -22,11 +22,11 @@ namespace lot::transport {
 /// the bias, it sleeps 50 us at a time instead.
 ///
 /// Edges
-///   L1  busy_ = true, then shared_ load, by the owner
+///   P1  busy_ = true, then shared_ load, by the owner
 ///       <-> shared_ = true, membarrier, then busy_ load, by the revoker:
 ///       one of the two sees the other. The owner's half is ordered for the compiler only. The
 ///       membarrier is the processor's half of both.
-///   L2  busy_ = false / taken_ = 0 (release) -> busy_ load / taken_ compare-and-swap (acquire)
+///   P2  busy_ = false / taken_ = 0 (release) -> busy_ load / taken_ compare-and-swap (acquire)
 ///       carries: what the lock guards.
 ///
 /// Threads: all members may be called at once.
@@ -39,13 +39,13 @@ class BiasedLock {
   void lock() noexcept {
     // Relaxed: only this thread itself can have stored its own number here.
     if (owner_.load(std::memory_order_relaxed) == self()) [[likely]] {
-      busy_.store(true, std::memory_order_relaxed);               // L1
-      std::atomic_signal_fence(std::memory_order_seq_cst);        // L1, for the compiler
-      if (!shared_.load(std::memory_order_relaxed)) [[likely]] {  // L1
+      busy_.store(true, std::memory_order_relaxed);               // P1
+      std::atomic_signal_fence(std::memory_order_seq_cst);        // P1, for the compiler
+      if (!shared_.load(std::memory_order_relaxed)) [[likely]] {  // P1
         biased_ = true;
         return;
       }
-      busy_.store(false, std::memory_order_release);  // L2
+      busy_.store(false, std::memory_order_release);  // P2
     }
     lock_shared();
   }
@@ -53,9 +53,9 @@ class BiasedLock {
   void unlock() noexcept {
     if (biased_) [[likely]] {
       biased_ = false;
-      busy_.store(false, std::memory_order_release);  // L2
+      busy_.store(false, std::memory_order_release);  // P2
     } else {
-      taken_.store(0, std::memory_order_release);  // L2
+      taken_.store(0, std::memory_order_release);  // P2
       detail::ThisThread::passed();
     }
   }

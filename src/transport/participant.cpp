@@ -266,7 +266,7 @@ std::shared_ptr<Participant> Participant::joined(const EngineOptions& options,
                                           // goes after the mutex is unlocked
   const std::lock_guard guard(process().mutex);
   existing = process().by_path[path].lock();
-  if (!existing || existing->inert_) return nullptr;
+  if (!existing || existing->inert()) return nullptr;
   existing->lock_file_->require(trust);
   const std::string reason = existing->lock_file_->shortfall(trust);
   if (!reason.empty()) refuse_narrow(path + ".lock", reason);
@@ -429,14 +429,14 @@ void Participant::fill_hub() noexcept {
 void Participant::fill_pointers() noexcept {
   hub_.drop_last = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
-    if (p.inert_) return;
+    if (p.inert()) return;
     p.enter();
     p.holder_.release(c->block, hold::kPointer);
     p.exit();
   };
   hub_.abandoned = [](detail::ControlCell* c) noexcept {
     Participant& p = of(c);
-    if (p.inert_) return;
+    if (p.inert()) return;
     p.enter();
     if (p.was_received(*c)) {
       p.holder_.release(c->block, hold::kPointer);
@@ -464,7 +464,7 @@ void Participant::fill_pointers() noexcept {
 void Participant::fill_weak_pointers() noexcept {
   hub_.lock_weak = [](detail::ControlCell* c, std::uint32_t generation) noexcept {
     Participant& p = of(c);
-    if (p.inert_) return false;
+    if (p.inert()) return false;
     p.enter();
     segment::BlockWords& words = p.segment_.block(c->block);
     const Left left =
@@ -481,7 +481,7 @@ void Participant::fill_weak_pointers() noexcept {
   };
   hub_.expired = [](const detail::ControlCell* c, std::uint32_t generation) noexcept {
     Participant& p = of(c);
-    return p.inert_ || p.has_left() || p.hub_.generation(c) != generation;
+    return p.inert() || p.has_left() || p.hub_.generation(c) != generation;
   };
   hub_.weak_count = [](detail::ControlCell* c, int change) noexcept {
     Participant& p = of(c);
@@ -522,7 +522,7 @@ void Participant::fill_answers() noexcept {
   };
   hub_.alone = [](const detail::ControlCell* c) noexcept {
     const Participant& p = of(c);
-    return !p.inert_ && p.is_alone(*c);
+    return !p.inert() && p.is_alone(*c);
   };
   hub_.base = [](const detail::ControlCell* c) noexcept -> const unsigned char* {
     return of(c).segment_.base();
@@ -578,6 +578,7 @@ bool Participant::is_alone(const detail::ControlCell& cell) const noexcept {
   // not. It does not count when this process took the message from a queue and has not published it
   // since.
   if ((v & hold::kHome) == 0 && segment_.arena(cell.block).was_handed_over()) {
+    // Relaxed: only the number counts. What the home has done is in its bit (O1).
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     if (home > refcount::kHomeOrphanage) maker = home - 1;
   }
@@ -611,7 +612,7 @@ void Participant::exit() noexcept {
     }
   }
   // All handles have gone. The last thread that comes out makes the participant leave, if no
-  // pointer remains.
+  // pointer remains. seq_cst: see life_.
   life_.fetch_sub(kInside, std::memory_order_seq_cst);
   leave_if_unused();
   drop_reference();
@@ -637,7 +638,8 @@ void Participant::leave_if_unused() noexcept {
   };
   {
     const std::lock_guard guard(leave_mutex_);
-    if (left_ || !unused()) return;
+    // Relaxed: the mutex carries it.
+    if (left_.load(std::memory_order_relaxed) || !unused()) return;
     left_.store(true, std::memory_order_seq_cst);  // see life_
     if (!unused()) {  // a weak pointer was locked just now: its holder calls this again
       left_.store(false, std::memory_order_seq_cst);  // see life_
@@ -663,7 +665,7 @@ bool Participant::holds_pointers() noexcept {
 }
 
 void Participant::handle_gone(Participant* p) noexcept {
-  if (p->inert_) return;  // a forked child touches nothing and has no thread to stop
+  if (p->inert()) return;  // a forked child touches nothing and has no thread to stop
   p->enter();
   p->ahead_.stop();  // the block that it is making is a hold of this process
   // Closing is finished here: when the warden brings the last block home, no thread checks whether
@@ -699,7 +701,7 @@ Participant* Participant::at(const void* address) noexcept {
   const std::lock_guard guard(process().mutex);
   for (Participant* p : process().all) {
     const auto* base = p->segment_.base();
-    if (address >= base && address < base + p->segment_.size() && !p->inert_) return p;
+    if (address >= base && address < base + p->segment_.size() && !p->inert()) return p;
   }
   return nullptr;
 }
@@ -749,7 +751,7 @@ void Participant::after_fork_in_parent() noexcept {
 }
 void Participant::after_fork_in_child() noexcept {
   for (Participant* p : process().all) {
-    p->inert_ = true;
+    p->inert_.store(true, std::memory_order_relaxed);  // relaxed: the child has one thread
     p->presence_.abandon();
     p->lock_file_->abandon();  // else the child would make the parent look alive to other processes
   }

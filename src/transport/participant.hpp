@@ -76,7 +76,8 @@ class Participant {
     if (inert_.load(std::memory_order_relaxed)) [[unlikely]]
       refuse();
   }
-  bool inert() const noexcept { return inert_; }
+  /// Relaxed: as in check_usable().
+  bool inert() const noexcept { return inert_.load(std::memory_order_relaxed); }
   [[noreturn]] void refuse() const;
 
   /// Opens a pool for a new publisher, or, without a topic, for an engine's own messages. The pool

@@ -67,7 +67,7 @@ void Participant::take_index(const EngineOptions& options) {
   // The errands were meant for the former owner of the index. Relaxed: a participant that asks this
   // one has seen its new state, or its name in a home word. Both come later.
   segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
-  part(index()).store(1, std::memory_order_release);  // state
+  part(index()).store(1, std::memory_order_release);  // edge "state"
 }
 
 /// Takes a free index: a clean one, or one of a dead process. The latter is repaired first, under
@@ -92,14 +92,14 @@ bool Participant::try_take_index(bool of_a_dead_one, futex::Clock::time_point un
 
 /// False: another process has acted for the orphanage all the time.
 bool Participant::repair_index(futex::Clock::time_point until) noexcept {
-  if (part(index()).load(std::memory_order_acquire) == 0) return true;  // state
+  if (part(index()).load(std::memory_order_acquire) == 0) return true;  // edge "state"
   while (!enter_orphanage()) {
     if (futex::Clock::now() >= until) return false;
     std::this_thread::sleep_for(1ms);
   }
   bool repaired = true;
   try {
-    // A reaper with another lock file may have repaired the index meanwhile.
+    // A reaper with another lock file may have repaired the index meanwhile. Acquire: edge "state".
     if (part(index()).load(std::memory_order_acquire) != 0) Recovery(*this).reap(index());
   } catch (const std::bad_alloc&) {  // as if killed here
     repaired = false;
@@ -123,7 +123,7 @@ void Participant::warden() {
   pthread_setname_np(pthread_self(), "lot-warden");  // to name another thread would need /proc
   stand_guard();
   // This process may have been stopped meanwhile and taken for dead. Then nothing of its index
-  // belongs to it.
+  // belongs to it. Relaxed: only this thread stores it.
   if (is_expelled_.load(std::memory_order_relaxed)) return;
   if (!presence_.renew()) return expel();
   keep_own_lock();
@@ -187,7 +187,7 @@ void Participant::remove_files_if_last() noexcept {
     const std::uint32_t errands = segment_.witnesses()[k].errands.load(std::memory_order_relaxed);
     if (k == index() || (errands & errand::kEnding) != 0) continue;
     if (are_locks_held && lock_file_->held_by_other(k)) return;
-    if (part(k).load(std::memory_order_acquire) == 0) continue;  // state
+    if (part(k).load(std::memory_order_acquire) == 0) continue;  // edge "state"
     // A living process may have lost its byte to closefrom(). Its notice still stands then.
     if (!presence_.looks_dead(k)) return;
   }

@@ -22,9 +22,9 @@ void write(Sighting& place, std::uint64_t what, std::uint64_t since_ns) {
   // Relaxed, both: the warden alone writes; the release of the time carries the 0.
   if (place.what.load(std::memory_order_relaxed) == what) return;
   place.what.store(0, std::memory_order_relaxed);  // as above
-  // Sighting: a reader that sees the time sees the old name gone.
+  // Edge "sighting": a reader that sees the time sees the old name gone.
   place.since_ns.store(since_ns, std::memory_order_release);
-  place.what.store(what, std::memory_order_release);  // sighting: carries the time
+  place.what.store(what, std::memory_order_release);  // edge "sighting": carries the time
 }
 
 }  // namespace
@@ -58,7 +58,8 @@ void Participant::note_sightings() noexcept {
           HardwareOwnership::word(words, index()).load(std::memory_order_relaxed);  // a hint
       if ((own & HardwareOwnership::bit(index())) == 0) continue;
       const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);  // a hint
-      // At home a lone pointer may be the pool's, on a block that waits for a loan.
+      // At home a lone pointer may be the pool's, on a block that waits for a loan. Relaxed: a
+      // hint.
       const bool spare =
           (v & hold::kHome) != 0 && words.home_points.load(std::memory_order_relaxed) == 0;
       if (hold::pointers(v) != 0 && !spare) add(b);

@@ -98,10 +98,10 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
     auto* fresh = static_cast<ReferenceList*>(arena.allocate(sizeof(ReferenceList), 8));
     fresh->next = arena.references;
     for (Entry& entry : fresh->entry) entry = {ReferenceList::kNone, 0};
-    std::atomic_ref(arena.references)
-        .store(p.segment().offset_of(fresh), std::memory_order_release);  // see below
     // Release: the order matters to a kill only. Killed before, there is no list; after, a whole
     // one.
+    std::atomic_ref(arena.references)
+        .store(p.segment().offset_of(fresh), std::memory_order_release);
     free = &fresh->entry[0];
   }
   // The hold first, then its entry. Killed in between, the hold goes with this process's bit.
@@ -127,7 +127,7 @@ void unrefer(Arena& arena, std::uint32_t block) noexcept {
   });
   if (known == nullptr || --known->refs != 0) return;
   // The entry first, then its hold, which is released. Killed in between, the hold goes with this
-  // process's bit.
+  // process's bit. Relaxed: only the home writes the list.
   std::atomic_ref(known->block).store(ReferenceList::kNone, std::memory_order_relaxed);
   p->holder().release(block, hold::kRing);
 }

@@ -415,7 +415,8 @@ void Pool::recycle_extents(Build& build) noexcept {
 
 void Pool::release_block(std::uint32_t b) noexcept {
   ControlCell& c = holder_.cell(b);
-  // A damaged ring or reference can lead here, too.
+  // A damaged ring or reference can lead here, too. Relaxed: the caller alone has the block. The
+  // list that it has taken it from carries the word, with the lock or by ahead_.
   if ((c.hold.load(std::memory_order_relaxed) & hold::kHolds) != hold::kPointer) {
     if (holder_.own.release(holder_.words(b), c.hold, hold::kPointer) == Left::Wanted) {
       holder_.tell_home(b);

@@ -334,12 +334,14 @@ class Pool {
   // orders here are relaxed, since they are hints.
 
   /// For Ahead. False for the pool of a maker, and after its publisher has gone.
-  bool has_publisher() const noexcept { return has_publisher_.load(std::memory_order_relaxed); }
+  bool has_publisher() const noexcept {
+    return has_publisher_.load(std::memory_order_relaxed);  // a hint
+  }
   bool expects() const noexcept { return expects_.load(std::memory_order_relaxed); }   // a hint
   void expects(bool yes) noexcept { expects_.store(yes, std::memory_order_relaxed); }  // a hint
   /// Takes the exclusively owned block with its memory, or kNone. Acquire: put_ahead().
   std::uint32_t take_ahead() noexcept {
-    return ahead_.load(std::memory_order_relaxed) == kNone
+    return ahead_.load(std::memory_order_relaxed) == kNone  // a hint
                ? kNone
                : ahead_.exchange(kNone, std::memory_order_acquire);  // put_ahead()
   }
@@ -363,7 +365,7 @@ class Pool {
   // leaves it wrong. Relaxed, all of it: the counter guards no data.
 
   /// Sets PusherOptions::max_bytes; 0: no limit. Messages of an earlier publisher, whose pointers
-  /// have outlived it, count as well.
+  /// have outlived it, count as well. Relaxed: the number is all that it tells.
   void limit(std::uint64_t bytes) noexcept {
     limit_.store(bytes == 0 ? kNoLimit : std::max<std::uint64_t>(bytes / segment::kGranule, 1),
                  std::memory_order_relaxed);
@@ -493,7 +495,8 @@ void Holder::each_entry(std::uint32_t b, F&& f) const {
 template <class F>
 void Holder::each_reference(std::uint32_t b, F&& f) const {
   each_entry(b, [&](detail::ReferenceList::Entry& entry) {
-    // Read once: a write that comes meanwhile cannot get past the check.
+    // Read once: a write that comes meanwhile cannot get past the check. Relaxed: the home alone
+    // writes the list. A reaper has the dead one's byte lock, or no process holds the message.
     const std::uint32_t target = std::atomic_ref(entry.block).load(std::memory_order_relaxed);
     if (target < segment->capacity().blocks) f(target);
     return true;

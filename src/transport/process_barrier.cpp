@@ -42,7 +42,7 @@ bool ProcessBarrier::is_there() noexcept {
       !membarrier(MEMBARRIER_CMD_PRIVATE_EXPEDITED)) {
     return false;
   }
-  tried.store(process, std::memory_order_release);  // see above
+  tried.store(process, std::memory_order_release);  // that the process has registered
   return true;
 #endif
 }

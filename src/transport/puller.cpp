@@ -338,7 +338,7 @@ class Puller final : public detail::PullerCore {
     if (!wait) {
       if (!settle() && look(borrowed)) return Status::Ok;
       // A ring that this reader has not found yet may hold what was published: the registry's lock
-      // was taken.
+      // was taken. Acquire: D1.
       const bool all_seen = directory_.load(std::memory_order_acquire) == version_;
       return sources_.empty() && all_seen ? Status::PublisherGone : Status::Empty;
     }

@@ -39,7 +39,8 @@ std::atomic<std::uint32_t> came{0};    ///< the number of the signal; the thread
 
 std::int64_t now() { return futex::Clock::now().time_since_epoch().count(); }
 
-/// The handler. It does only what a signal handler may do.
+/// The handler. It does only what a signal handler may do. Relaxed, all: a number is all that each
+/// word tells.
 void take(int number) {
   const int error = errno;
   const bool is_child = getpid() != process.load(std::memory_order_relaxed);
@@ -65,6 +66,7 @@ void take(int number) {
   _exit(128 + number);  // for the first process of a container the default is to ignore it
 }
 
+/// What the thread does. Relaxed: the number is all that the word tells.
 void wait_and_end() {
   pthread_setname_np(pthread_self(), "lot-signals");
   while (came.load(std::memory_order_relaxed) == 0) futex::wait(&came, 0, std::nullopt);
@@ -73,7 +75,7 @@ void wait_and_end() {
 }
 
 /// Keeps main() from ending the process while a signal is on its way: a result of work that the
-/// signal has cut short is no exit code.
+/// signal has cut short is no exit code. Relaxed, both: it looks again each time.
 void await_end() {
   while (process.load(std::memory_order_relaxed) == getpid() &&
          came_at.load(std::memory_order_relaxed) != 0) {
@@ -95,6 +97,7 @@ void install(int number) {
 void end_cleanly_on_signals() {
   const std::lock_guard guard(mutex);
   transport::Participant::watch_forks();
+  // Relaxed, all: the mutex orders the callers, and the handler needs the numbers only.
   if (process.load(std::memory_order_relaxed) != getpid()) {
     came_at.store(0, std::memory_order_relaxed);  // these are the parent's
     came.store(0, std::memory_order_relaxed);
@@ -105,7 +108,7 @@ void end_cleanly_on_signals() {
       throw Error(e.code().value(), "thread", "no thread to hear of signals",
                   segment::advice_on_threads());
     }
-    process.store(getpid(), std::memory_order_relaxed);
+    process.store(getpid(), std::memory_order_relaxed);  // relaxed: as above
   }
   static const int registered = std::atexit(&await_end);
   static_cast<void>(registered);  // if it fails, the exit code is main()'s

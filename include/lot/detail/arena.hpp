@@ -199,7 +199,7 @@ struct alignas(64) Build {
     // M1: the fence keeps the compiler from moving the load before the store. ProcessBarrier of the
     // thread that sets `wanted` does the rest.
     spare.store(kBuilders, std::memory_order_relaxed);
-    std::atomic_signal_fence(std::memory_order_seq_cst);
+    std::atomic_signal_fence(std::memory_order_seq_cst);             // M1, for the compiler
     if (wanted.load(std::memory_order_acquire) != 0) await_taker();  // M1
   }
   bool is_spare() const noexcept { return spare.load(std::memory_order_acquire) == kSpare; }  // M2

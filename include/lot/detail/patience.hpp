@@ -20,10 +20,11 @@ class ThisThread {
   /// Ends a section for which other threads may have waited: gives back a priority that a waiter
   /// has lent to this thread. REQUIRES: the section has named this thread by id().
   static void passed() noexcept {
-    // The fence keeps only the compiler from looking too early. A waiter on this core interrupts
-    // this thread between two instructions. So the waiter came before our look, or it sees that the
-    // section is over. We can miss a waiter on another core for an instant: it sleeps until its
-    // time is over. The load is relaxed: a loan carries no data.
+    // seq_cst, as a fence for the compiler alone: it keeps the look behind the end of the section.
+    // A waiter on this core interrupts this thread between two instructions. So the waiter came
+    // before our look, or it sees that the section is over. We can miss a waiter on another core
+    // for an instant: it sleeps until its time is over. The load is relaxed: a loan carries no
+    // data.
     std::atomic_signal_fence(std::memory_order_seq_cst);
     if (loans_[id_ % kLoans].load(std::memory_order_relaxed) != 0) give_back();
   }
