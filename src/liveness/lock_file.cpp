@@ -10,6 +10,7 @@
 
 #include "lot/error.hpp"
 
+#include "robust_mutex/robust_mutex.hpp"
 #include "segment/segment.hpp"
 
 namespace lot::liveness {
@@ -21,7 +22,7 @@ constexpr std::chrono::milliseconds kLongestPause{16};
 constexpr int kMostOversleep = 2;
 /// A process that is stopped in the gate keeps others out for this long. Then they look at all
 /// processes in /proc.
-constexpr std::chrono::milliseconds kStoppedPatience{800};
+constexpr auto kStoppedPatience = LockOwner::kStoppedPatience;
 
 struct flock byte_range(short type, std::uint32_t first, std::uint32_t count) {
   struct flock range {};

@@ -20,8 +20,6 @@ namespace {
 using segment::Atomics;
 
 constexpr std::chrono::milliseconds kPatience{4800};
-/// After each such time a process that waits asks whether the lock's holder is stopped.
-constexpr std::chrono::milliseconds kStoppedPatience{800};
 
 /// Two bits beside the number of a participant's pullers. kDeclined: it does not want to be served
 /// by rings. kContent: it has confirmed that the rings are enough.
@@ -76,17 +74,14 @@ std::string_view text(const char* bytes, std::size_t room) { return {bytes, strn
 Registry::Lock::Lock(Registry& registry) : registry_(registry) {
   RobustMutex mutex = registry.mutex();
   for (std::chrono::milliseconds waited{0};
-       mutex.lock_for(kStoppedPatience) == RobustMutex::Outcome::Busy;) {
-    if (registry.owner_.name() == 0) {
-      throw Error(ESTALE, registry.segment_.path(),
-                  "this process has no place in the segment any more", "make new lot objects");
-    }
+       mutex.lock_for(LockOwner::kStoppedPatience) == RobustMutex::Outcome::Busy;) {
+    registry.owner_.require_place(registry.segment_.path());
     const auto stopped = registry.owner_.stopped(mutex.holder());
     if (!stopped.process.empty()) {
       throw Error(EBUSY, registry.segment_.path(),
                   stopped.process + " is stopped while it has the registry's lock", stopped.advice);
     }
-    waited += kStoppedPatience;
+    waited += LockOwner::kStoppedPatience;
     if (waited < kPatience) continue;
     throw Error(EBUSY, registry.segment_.path(),
                 "another process has held the registry's lock all the time",

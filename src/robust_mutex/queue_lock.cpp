@@ -24,10 +24,7 @@ bool QueueLock::take() const noexcept {
 }
 
 void QueueLock::refuse() const {
-  if (owner_->name() == 0) {
-    throw Error(ESTALE, *path_, "this process has no place in the segment any more",
-                "make new lot objects");
-  }
+  owner_->require_place(*path_);
   throw Error(EBUSY, *path_, "another process has held the lock of a queue all the time",
               "look for a stopped process that uses it (state T in ps) and continue or kill it");
 }

@@ -2,6 +2,9 @@
 #include "robust_mutex/robust_mutex.hpp"
 
 #include <algorithm>
+#include <cerrno>
+
+#include "lot/error.hpp"
 
 #include "futex/futex.hpp"
 
@@ -17,6 +20,12 @@ constexpr std::chrono::milliseconds kSeldomest{64};
 using Steps = lock::LockWord<detail::HardwareAtomics>;
 
 }  // namespace
+
+void LockOwner::require_place(const std::string& path) const {
+  if (name() != 0) return;
+  throw Error(ESTALE, path, "this process has no place in the segment any more",
+              "make new lot objects");
+}
 
 RobustMutex::Outcome RobustMutex::lock_for(std::chrono::nanoseconds timeout) noexcept {
   const std::uint32_t name = owner_.name();

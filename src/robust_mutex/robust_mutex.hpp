@@ -28,6 +28,11 @@ class LockOwner {
     std::string process, advice;
   };
   virtual Stopped stopped(std::uint32_t /*name*/) const { return {}; }
+  /// After each such time a process that waits asks whether the one that it waits for is stopped.
+  static constexpr std::chrono::milliseconds kStoppedPatience{800};
+
+  /// Throws lot::Error (ESTALE), naming `path`, when the process is no participant any more.
+  void require_place(const std::string& path) const;
 
  protected:
   ~LockOwner() = default;

@@ -214,12 +214,12 @@ inline std::uint64_t granules_of(const detail::Arena& arena, std::uint64_t all) 
   return sum < all ? sum : all;
 }
 
-/// Whether reserve() made the block's memory. Relaxed: a hint for publishers that look for memory.
+/// Whether reserve() made the block's memory: a hint for publishers that look for memory.
 inline void set_reserved(detail::Arena& arena, bool yes) {
-  std::atomic_ref(arena.reserved).store(yes ? 1 : 0, std::memory_order_relaxed);  // a hint
+  detail::write_once<std::uint32_t>(arena.reserved, yes ? 1 : 0);
 }
-inline bool is_reserved(detail::Arena& arena) {
-  return std::atomic_ref(arena.reserved).load(std::memory_order_relaxed) != 0;  // a hint
+inline bool is_reserved(const detail::Arena& arena) {
+  return detail::read_once(arena.reserved) != 0;
 }
 
 /// The first bytes of a ring's memory. Behind it lie who[], slots[], cells[], and claims[] where

@@ -463,42 +463,31 @@ void Build::give_back(const void* piece, std::size_t bytes) noexcept {
 }
 
 void Arena::change_hands() noexcept {
-  // Relaxed: the holds of the process that writes it carry it.
-  std::atomic_ref(changed_hands).store(kTaken, std::memory_order_relaxed);
+  // The holds of the process that writes it carry it.
+  write_once<std::uint8_t>(changed_hands, kTaken);
 }
 
 void Arena::show() noexcept {
-  // Relaxed: publishing carries it. Only the process that has taken the message comes here with
-  // kTaken, and from then on no reader takes the message from a queue.
-  std::atomic_ref flag(changed_hands);
-  if (flag.load(std::memory_order_relaxed) == kTaken) {  // as above
-    flag.store(kShown, std::memory_order_relaxed);       // as above
-  }
+  // Publishing carries it. Only the process that has taken the message comes here with kTaken, and
+  // from then on no reader takes the message from a queue.
+  if (read_once(changed_hands) == kTaken) write_once<std::uint8_t>(changed_hands, kShown);
 }
 
-// Relaxed: publishing carries it to other processes. Within this process, another thread that
+// Publishing carries it to other processes. Within this process, another thread that
 // changes the message must be synchronised with the push, as with any change. Another thread that
 // publishes it stores the same value.
-void Arena::freeze() noexcept {
-  std::atomic_ref(frozen).store(kPublished, std::memory_order_relaxed);  // as above
-}
+void Arena::freeze() noexcept { write_once<std::uint8_t>(frozen, kPublished); }
 
 bool Arena::freeze_first() noexcept {
-  std::atomic_ref flag(frozen);
-  // Relaxed, both: as in freeze().
-  return flag.load(std::memory_order_relaxed) == 0 &&
-         flag.exchange(kPublished, std::memory_order_relaxed) == 0;
+  // Relaxed: as in freeze().
+  return read_once(frozen) == 0 &&
+         std::atomic_ref(frozen).exchange(kPublished, std::memory_order_relaxed) == 0;
 }
 
 bool Arena::was_handed_over() const noexcept {
-  // Relaxed: as in change_hands().
-  return !is_frozen() && std::atomic_ref(const_cast<std::uint8_t&>(changed_hands))
-                                 .load(std::memory_order_relaxed) == kTaken;
+  return !is_frozen() && read_once(changed_hands) == kTaken;
 }
 
-bool Arena::is_frozen() const noexcept {
-  // Relaxed: as in freeze().
-  return std::atomic_ref(const_cast<std::uint8_t&>(frozen)).load(std::memory_order_relaxed) != 0;
-}
+bool Arena::is_frozen() const noexcept { return read_once(frozen) != 0; }
 
 }  // namespace lot::detail

@@ -152,8 +152,7 @@ class Fill {
     auto& words = segment_.block(b);
     // Relaxed, here and below: see Fill.
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
-    const std::uint64_t key =
-        std::atomic_ref(segment_.arena(b).topic).load(std::memory_order_relaxed);  // see Fill
+    const std::uint64_t key = detail::read_once(segment_.arena(b).topic);
     if (home == refcount::kHomeFree) return;
     made_[{home - 1, topic_of(segment_, key)}] += weight;
     bool is_kept = false;
@@ -279,9 +278,8 @@ std::string describe_block_shortage(Participant& participant) {
 
 std::string describe_limit(Participant& participant, std::size_t bytes, std::uint32_t block) {
   const segment::Segment& segment = participant.segment();
-  // Relaxed: the caller has the block, and with it the topic stays.
-  const std::uint64_t key =
-      std::atomic_ref(participant.segment().arena(block).topic).load(std::memory_order_relaxed);
+  // The caller has the block, and with it the topic stays.
+  const std::uint64_t key = detail::read_once(segment.arena(block).topic);
   const Pool& pool = participant.holder().pool_of(block);
   return "lot: " + segment.path() + ": no room for " + std::to_string(bytes) +
          " bytes: the publisher of " + topic_of(segment, key) + " has " +

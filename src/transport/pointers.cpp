@@ -105,10 +105,9 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
     free = &fresh->entry[0];
   }
   // The hold first, then its entry. Killed in between, the hold goes with this process's bit.
-  // Relaxed, here and below: only the home writes the list (Holder::each_entry).
   p.holder().acquire(block, hold::kRing);
   free->refs = 1;
-  std::atomic_ref(free->block).store(block, std::memory_order_relaxed);  // see above
+  write_once(free->block, block);
   return block;
 }
 
@@ -127,8 +126,8 @@ void unrefer(Arena& arena, std::uint32_t block) noexcept {
   });
   if (known == nullptr || --known->refs != 0) return;
   // The entry first, then its hold, which is released. Killed in between, the hold goes with this
-  // process's bit. Relaxed: only the home writes the list.
-  std::atomic_ref(known->block).store(ReferenceList::kNone, std::memory_order_relaxed);
+  // process's bit.
+  write_once<std::uint32_t>(known->block, ReferenceList::kNone);
   p->holder().release(block, hold::kRing);
 }
 

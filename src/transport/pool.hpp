@@ -473,13 +473,12 @@ class Pool {
   std::atomic<std::uint32_t> ahead_{kNone};
 };
 
-// Relaxed: the home writes the list. A reaper reads it under the dead home's byte lock, or after
+// The home writes the list. A reaper reads it under the dead home's byte lock, or after
 // the message's death. `lot who` takes what it sees for a hint.
 template <class F>
 void Holder::each_entry(std::uint32_t b, F&& f) const {
   using detail::ReferenceList;
-  // Relaxed, here and below: see above.
-  std::uint64_t at = std::atomic_ref(segment->arena(b).references).load(std::memory_order_relaxed);
+  std::uint64_t at = detail::read_once(segment->arena(b).references);
   // A message has one entry for each block, and no new list while an entry is free.
   const std::uint32_t most = segment->capacity().blocks / ReferenceList::kEntries + 1;
   for (std::uint32_t n = 0; n < most && at != 0; ++n) {
@@ -488,16 +487,15 @@ void Holder::each_entry(std::uint32_t b, F&& f) const {
     for (ReferenceList::Entry& entry : list->entry) {
       if (!f(entry)) return;
     }
-    at = std::atomic_ref(list->next).load(std::memory_order_relaxed);  // see above
+    at = detail::read_once(list->next);
   }
 }
 
 template <class F>
 void Holder::each_reference(std::uint32_t b, F&& f) const {
   each_entry(b, [&](detail::ReferenceList::Entry& entry) {
-    // Read once: a write that comes meanwhile cannot get past the check. Relaxed: the home alone
-    // writes the list. A reaper has the dead one's byte lock, or no process holds the message.
-    const std::uint32_t target = std::atomic_ref(entry.block).load(std::memory_order_relaxed);
+    // Read once: a write that comes meanwhile cannot get past the check.
+    const std::uint32_t target = detail::read_once(entry.block);
     if (target < segment->capacity().blocks) f(target);
     return true;
   });
