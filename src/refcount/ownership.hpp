@@ -121,7 +121,7 @@ struct Ownership {
         v = await_edge(h, v);
       } else if ((v & hold::kHeld) != 0) {  // the own bit stands, and has stood all the time
         if (h.compare_exchange_weak(v, v + amount, std::memory_order_acquire,
-                                    std::memory_order_relaxed)) {  // O4
+                                    std::memory_order_relaxed)) {  // O4, O6
           if (amount == hold::kPointer) note_first_pointer(b, v);
           return;
         }

@@ -58,8 +58,7 @@ void Participant::note_sightings() noexcept {
           HardwareOwnership::word(words, index()).load(std::memory_order_relaxed);  // a hint
       if ((own & HardwareOwnership::bit(index())) == 0) continue;
       const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);  // a hint
-      // At home a lone pointer may be the pool's, on a block that waits for a loan. Relaxed: a
-      // hint.
+      // Relaxed: a hint. At home a lone pointer may be the pool's, on a block ready for a loan.
       const bool spare =
           (v & hold::kHome) != 0 && words.home_points.load(std::memory_order_relaxed) == 0;
       if (hold::pointers(v) != 0 && !spare) add(b);

@@ -686,9 +686,11 @@ class Pusher final : public detail::PusherCore, private Evictor {
     /// The looks are far enough apart to leave the cache line of the reader's cursor with the
     /// reader, and to find room for more than one message.
     unsigned pauses(unsigned /*n*/) const noexcept { return kPausesPerLook; }
+    /// Leaves the mark, too: people see by it that a publisher has found no room (`lot ls`).
+    bool last_look() { return !mark(); }
     std::optional<waiting::Sleep<detail::FutexWait>> arm() {
       auto& writer = *pusher_.writer_;
-      const auto value = ring::wait_for_room(writer, [&writer] { return writer.room(); });
+      const auto value = mark();
       if (!value) return std::nullopt;
       if (++sleeps_ % kLooksPerProbe == 0) {
         writer.laggards([&](std::uint32_t c) {
@@ -713,6 +715,11 @@ class Pusher final : public detail::PusherCore, private Evictor {
     }
 
    private:
+    /// The value of `space` to sleep on; nothing: there is room.
+    std::optional<std::uint32_t> mark() {
+      return ring::wait_for_room(*pusher_.writer_, [this] { return look(); });
+    }
+
     Pusher& pusher_;
     std::unique_lock<BiasedLock>& lock_;
     mutex_engine::Alone& alone_;

@@ -60,6 +60,8 @@ struct Steps {
   bool poll([[maybe_unused]] futex::Clock::time_point now) {
     return static_cast<Waiter*>(this)->look();
   }
+  /// The look after the deadline. False: the waiter gives up.
+  bool last_look() { return static_cast<Waiter*>(this)->look(); }
   /// Does what other processes may be waiting for. Called now and then in a spin, and before the
   /// waiter yields.
   void settle() {}
@@ -104,7 +106,7 @@ std::optional<bool> spin(Waiter& waiter, SpinHabit& habit, const futex::Deadline
   for (auto now = start;; now = Machine::now()) {
     if (deadline && now >= *deadline) {
       waiter.settle();
-      return waiter.look();  // once more: this thread may have been held up since the last look
+      return waiter.last_look();  // this thread may have been held up since the one before
     }
     if (habit.enough(now - start)) {
       habit.spun(now - start);
@@ -158,7 +160,7 @@ template <class Machine = Kernel, class Waiter>
   for (;;) {
     const auto sleep = waiter.arm();
     // Also where arm() asks for a look: while other readers are faster, it does so each time.
-    if (has_passed<Machine>(deadline)) return waiter.look();
+    if (has_passed<Machine>(deadline)) return waiter.last_look();
     bool in_time = true;
     if (sleep) {
       const bool is_last = deadline && (!sleep->again || *deadline <= *sleep->again);

@@ -105,6 +105,7 @@ struct Waiter : lot::waiting::Steps<Waiter> {
   SpinHabit* spin = nullptr;
   YieldHabit* yield = nullptr;
   Clock::duration again = 0ns;  ///< it sleeps so long at most; 0: as long as it likes
+  bool marks_at_last = false;   ///< its look after the deadline leaves a mark
   bool armed_in_vain = false;   ///< arm() asks for a look each time
   std::function<void()> after_mark;
   unsigned polls = 0;
@@ -126,6 +127,10 @@ struct Waiter : lot::waiting::Steps<Waiter> {
     CHECK(Machine::locked);
     ++polls;
     return there;
+  }
+  bool last_look() {
+    if (marks_at_last) Machine::step("mark", true);
+    return look();
   }
   std::optional<Sleep<Watched>> arm() {
     Machine::step("arm", true);
@@ -294,6 +299,20 @@ TEST_CASE("a deadline that passes in the spin: one more look, and no mark") {
   CHECK_FALSE(wait(waiter, kStart + 10us));
   CHECK(waiter.polls == 12);
   CHECK(Machine::steps == "look settle settle settle settle look");
+}
+
+TEST_CASE("a waiter whose last look leaves a mark leaves it wherever the deadline passes") {
+  for (const Wait wait_as : {Wait::Spin, Wait::Park}) {
+    for (const Clock::duration time : {Clock::duration(0ns), Clock::duration(10us)}) {
+      Waiter waiter;
+      SpinHabit spin(wait_as);
+      waiter.spin = &spin;
+      waiter.marks_at_last = true;
+      CHECK_FALSE(wait(waiter, kStart + time));
+      const bool has_slept = Machine::steps.find("sleep") != std::string::npos;
+      CHECK((has_slept || Machine::steps.find("mark look") != std::string::npos));
+    }
+  }
 }
 
 TEST_CASE("Wait::Spin never sleeps") {

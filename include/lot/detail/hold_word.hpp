@@ -88,7 +88,7 @@ class HoldWord : Atomic {
   /// Counts one pointer less. False, and nothing has changed, when it may be the last one of this
   /// process: the caller then calls Ownership::release().
   bool drop_pointer_of_several() {
-    std::uint64_t v = load(std::memory_order_relaxed);  // the compare-and-swap checks it
+    std::uint64_t v = this->load(std::memory_order_relaxed);  // the compare-and-swap checks it
     while (hold::pointers(v) > 1) {
       // O4: this thread has read all that it wanted to. The thread that drops the last pointer
       // acquires. Relaxed on failure: the loop looks again.
