@@ -24,17 +24,18 @@
 #include "support/local_segment.hpp"
 #include "support/plant.hpp"
 #include "support/raw.hpp"
+#include "transport/pool.hpp"
 
 namespace {
 
 using lot::detail::ControlCell;
 using lot::detail::MessageType;
 using lot::fuzz::Bytes;
-using lot::fuzz::LocalSegment;
 using lot::fuzz::planted;
 using lot::fuzz::require;
 using lot::ring::kNoBlock;
 using lot::ring::Word;
+using lot::testing::LocalSegment;
 using lot::transport::Holder;
 using lot::transport::Pool;
 namespace hold = lot::transport::hold;
@@ -225,10 +226,10 @@ class Fuzz {
   }
 
   void enter(Process& p) {
-    if (rings_.size() == local_.channels())
+    if (rings_.size() == local_.world().channels())
       return;  // readers keep the rings of those who have left
     p.entered = true;
-    local_.part(self_) = 1;
+    local_.world().part(self_) = 1;
     p.real = std::make_unique<Private>(local_, self_);
     const lot::registry::Registry::Lock lock(local_.registry());
     const auto opened = local_.registry().open(
@@ -236,7 +237,7 @@ class Fuzz {
         {p.depth, kProcesses + 1, p.blocking ? lot::Policy::Block : lot::Policy::Overwrite});
     require(opened.has_value(), "there is memory for each ring");
     p.real->ring = *opened;
-    p.real->writer = Writer(local_.ring(p.real->ring.channel));
+    p.real->writer = Writer(local_.world().ring(p.real->ring.channel));
     p.channel = p.real->ring.channel;
     ++p.life;
     require(rings_.count(p.channel) == 0, "a ring that is opened was free");
@@ -312,7 +313,7 @@ class Fuzz {
     if (!m) return;
     std::erase(p.loans, *m);
     p.pointers.push_back(*m);
-    lot::transport::HardwareOwnership::note_pointers(local_.block(block(*m)), cell(p, *m).hold);
+    lot::transport::HardwareOwnership::note_pointers(local_.world().block(block(*m)), cell(p, *m).hold);
   }
 
   void abandon(Process& p) {
@@ -338,14 +339,14 @@ class Fuzz {
   }
 
   void join(Process& p) {
-    const auto c = static_cast<std::uint32_t>(bytes_.below(local_.channels()));
+    const auto c = static_cast<std::uint32_t>(bytes_.below(local_.world().channels()));
     const auto history = bytes_.below(4) == 0 ? Reader::kFromTheStart : bytes_.below(3);
-    const Word writer = local_.channel_writer(c);
+    const Word writer = local_.world().channel_writer(c);
     if (p.real->readers.count(c) != 0 || lot::ring::writer_state(writer) != lot::ring::State::Live)
       return;
     bool full = false;
-    const auto reader =
-        Reader::join(local_.ring(c), lot::ring::writer_generation(writer), self_, history, full);
+    const auto reader = Reader::join(local_.world().ring(c), lot::ring::writer_generation(writer),
+                                     self_, history, full);
     if (!reader) return;
     p.real->readers.emplace(c, *reader);
     p.cells.insert(c);
@@ -392,7 +393,7 @@ class Fuzz {
     const auto m = pick(weak_);
     if (!m) return;
     const Message& message = messages_[*m];
-    auto& words = local_.block(message.block);
+    auto& words = local_.world().block(message.block);
     const bool locked =
         p.real->holder.own.acquire_weak(words, cell(p, *m).hold, message.generation) ==
         lot::refcount::Left::Held;
@@ -498,9 +499,9 @@ class Fuzz {
     }
     for (std::uint32_t b = 0; b < kBlocks; ++b) {
       const auto m = living_in(b);
-      const bool adopted = (local_.block(b).own[0].load() & 1) != 0;
+      const bool adopted = (local_.world().block(b).own[0].load() & 1) != 0;
       require(adopted == (m && needed(*m)), "what the orphanage holds after a collection");
-      require(local_.block(b).home.load() != 1 || m, "what is at home with the orphanage lives");
+      require(local_.world().block(b).home.load() != 1 || m, "what is at home with the orphanage lives");
     }
   }
 
@@ -609,7 +610,7 @@ class Fuzz {
         require(rings_.count(tag & ~lot::segment::kRingTag) != 0,
                 "a ring that has memory is there");
       } else {
-        require(tag <= kBlocks && local_.block(tag - 1).home.load() != 0,
+        require(tag <= kBlocks && local_.world().block(tag - 1).home.load() != 0,
                 "a block that has memory is used");
       }
     }
@@ -617,18 +618,18 @@ class Fuzz {
 
   void check_message(std::uint64_t m) {
     const Message& message = messages_[m];
-    require(local_.block(message.block).home.load() == message.home + 1, "whose memory it is");
+    require(local_.world().block(message.block).home.load() == message.home + 1, "whose memory it is");
     const auto& payload = *reinterpret_cast<const Payload*>(local_.segment().small(message.block));
     require(payload.number == m && payload.echo == ~m, "the payload of a message that lives");
     Numbers blocks;
-    local_.each_reference(message.block, [&](std::uint32_t b) { blocks.push_back(b); });
+    local_.world().each_reference(message.block, [&](std::uint32_t b) { blocks.push_back(b); });
     Numbers expected;
     for (const std::uint64_t target : message.refers_to) expected.push_back(block(target));
     require(blocks == expected, "what a message refers to");
   }
 
   void check_block(std::uint32_t b) {
-    auto& words = local_.block(b);
+    auto& words = local_.world().block(b);
     const auto m = living_in(b);
     for (std::uint32_t k = 1; k <= kProcesses; ++k) {
       const bool at_home = words.home.load() == k + 1;
@@ -691,7 +692,7 @@ class Fuzz {
     if (++steps_ % 8 != 0) return;
     for (std::uint64_t m = 0; m < messages_.size(); ++m) {
       if (messages_[m].dead || !held(m)) continue;
-      auto& words = local_.block(block(m));
+      auto& words = local_.world().block(block(m));
       if (planted("lost_hold")) lot::test::raw(words.own[0]) = 0;
       if (planted("leaked_hold")) lot::test::raw(words.own[0]) |= 14;
       if (planted("early_death")) ++lot::test::raw(words.life);
@@ -709,7 +710,7 @@ class Fuzz {
   std::uint32_t block(std::uint64_t m) const { return messages_[m].block; }
   ControlCell& cell(Process& p, std::uint64_t m) const { return p.real->holder.cell(block(m)); }
   std::uint32_t generation(std::uint32_t b) const {
-    return lot::refcount::generation_of(local_.block(b).life.load());
+    return lot::refcount::generation_of(local_.world().block(b).life.load());
   }
   static bool room(Process& p) { return p.real->writer.room(); }
 

@@ -56,8 +56,8 @@ void spoil(const void* message) {
       auto* bytes = const_cast<unsigned char*>(static_cast<const unsigned char*>(before));
       bytes[0] = static_cast<unsigned char>(bytes[0] ^ 1);
     }
-    for (std::uint32_t c = 0; c < p->channels(); ++c) {
-      const lot::segment::Ring ring = p->ring(c);
+    for (std::uint32_t c = 0; c < p->world().channels(); ++c) {
+      const lot::segment::Ring ring = p->world().ring(c);
       for (std::uint32_t i = 0; i < ring.depth; ++i) {
         if (planted("lost_message")) ring.slots[i].fetch_or(lot::ring::kNoBlock);
       }

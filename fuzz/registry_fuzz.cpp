@@ -29,13 +29,13 @@ namespace {
 
 using lot::detail::MessageType;
 using lot::fuzz::Bytes;
-using lot::fuzz::LocalSegment;
 using lot::fuzz::planted;
 using lot::fuzz::require;
 using lot::liveness::LockFile;
 using lot::registry::ChannelName;
 using lot::registry::Registry;
 using lot::ring::State;
+using lot::testing::LocalSegment;
 using Reader = lot::ring::Reader<lot::segment::Atomics>;
 
 constexpr std::uint32_t kIndexes = 4;  ///< 0 is the orphanage
@@ -145,10 +145,10 @@ class Fuzz {
     while (k < kIndexes && !lock->try_lock(k)) ++k;
     require(k == expected, "which index is free");
     if (k == kIndexes) return;
-    const bool dead = local_.part(k) != 0;
+    const bool dead = local_.world().part(k) != 0;
     require(dead == (dead_.count(k) != 0), "whether somebody died there");
     if (dead) repair(*lock, k);
-    local_.part(k) = 1;
+    local_.world().part(k) = 1;
     player.lock = std::move(lock);
     player.index = k;
   }
@@ -212,7 +212,7 @@ class Fuzz {
     require(local_.segment().directory().version.load() != version, "a new ring is announced");
     *free = {State::Live, opened->generation, topic, player.index};
     player.rings.push_back(*opened);
-    const auto ring = local_.ring(opened->channel);
+    const auto ring = local_.world().ring(opened->channel);
     require(ring.depth == depth && ring.readers == kReaders && ring.blocking == blocking,
             "the ring");
   }
@@ -223,7 +223,7 @@ class Fuzz {
     const ChannelName name = player.rings.back();
     player.rings.pop_back();
     require(player.lock->try_lock(0), "the orphanage is free");
-    lot::recovery::Recovery<lot::segment::Atomics, LocalSegment> recovery(local_);
+    lot::transport::Recovery recovery(local_.world());
     recovery.orphan_ring(name.channel, player.index);
     recovery.collect();
     player.lock->unlock(0);
@@ -240,7 +240,7 @@ class Fuzz {
     const Registry::Lock lock(local_.registry());
     bool full = false;
     const auto reader =
-        Reader::join(local_.ring(c), channel.generation - older, player.index, 0, full);
+        Reader::join(local_.world().ring(c), channel.generation - older, player.index, 0, full);
     const bool room = channel.readers.size() < kReaders;
     require(full == !room, "whether the ring has all its readers");
     require(reader.has_value() == (room && channel.state == State::Live && older == 0),
@@ -278,7 +278,7 @@ class Fuzz {
     const bool free = player.lock->try_lock(k);
     require(free == (owner_of(k) == nullptr), "whether a process lives");
     if (!free) return;
-    if (local_.part(k) != 0) repair(*player.lock, k);
+    if (local_.world().part(k) != 0) repair(*player.lock, k);
     player.lock->unlock(k);
   }
 
@@ -344,7 +344,8 @@ class Fuzz {
     for (std::uint32_t k = 1; k < kIndexes; ++k) {
       const bool lives = owner_of(k) != nullptr;
       require(watcher_.held_by_other(k) == lives, "who is alive");
-      require((local_.part(k) != 0) == (lives || dead_.count(k) != 0), "which indexes are taken");
+      require((local_.world().part(k) != 0) == (lives || dead_.count(k) != 0),
+              "which indexes are taken");
     }
     for (std::uint32_t t = 0; t < kTopics; ++t)
       check_topic(local_.segment().topics()[t], topics_[t]);
@@ -375,12 +376,12 @@ class Fuzz {
 
   void check_channel(std::uint32_t c) {
     const Channel& channel = channels_[c];
-    const auto word = local_.channel_writer(c).load();
+    const auto word = local_.world().channel_writer(c).load();
     require(lot::ring::writer_state(word) == channel.state &&
                 lot::ring::writer_generation(word) == channel.generation &&
                 (channel.state == State::Free || lot::ring::writer_owner(word) == channel.owner),
             "the state of a channel");
-    const auto ring = local_.ring(c);
+    const auto ring = local_.world().ring(c);
     std::multiset<std::uint32_t> readers;
     for (std::uint32_t i = 0; i < ring.readers; ++i) {
       if (ring.who[i] != 0) readers.insert(ring.who[i] - 1);
@@ -417,14 +418,15 @@ class Fuzz {
     if (planted("leaked_user")) topic.users[0] |= 8;
     if (planted("renamed_topic")) topic.name[1] = 'z';
     if (planted("retyped_topic")) ++topic.type_size;
-    if (planted("lost_ring")) local_.channel_writer(0) = 0;
+    if (planted("lost_ring")) local_.world().channel_writer(0) = 0;
     if (planted("lost_memory")) local_.registry().recycle(0);
     if (planted("lost_lock")) {
       for (Player& player : players_) {
         if (player.lock) player.lock->unlock(player.index);
       }
     }
-    if (planted("leaked_reader") && local_.ring(0).depth != 0) local_.ring(0).who[1] = 2;
+    if (planted("leaked_reader") && local_.world().ring(0).depth != 0)
+      local_.world().ring(0).who[1] = 2;
   }
 
   LocalSegment& local_;

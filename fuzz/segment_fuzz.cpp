@@ -525,8 +525,8 @@ void use(const lot::EngineOptions& options, Bytes& input) {
           larges.step(operation % 16, input);
           break;
         default:
-          if (operation % 2 == 0) participant->reap_dead();
-          participant->collect();
+          if (operation % 2 == 0) participant->reaper().reap_dead();
+          participant->reaper().collect();
       }
     } catch (const lot::Error&) {
     } catch (const lot::OutOfMemory&) {

@@ -19,8 +19,8 @@ void require_nothing_left(const Participants& participants) {
   const auto patience = std::chrono::seconds(plant().empty() ? 30 : 1);
   std::string left;
   const auto nothing = [&] {
-    for (transport::Participant* p : participants) p->trim(transport::Participant::kNobody);
-    for (transport::Participant* p : participants) p->collect();
+    for (transport::Participant* p : participants) p->stock().trim(transport::Stock::kNobody);
+    for (transport::Participant* p : participants) p->reaper().collect();
     const testing::Audit audit((*participants.begin())->segment());
     left = audit.text();
     return audit.nothing();

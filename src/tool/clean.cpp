@@ -161,15 +161,15 @@ class Cleaner {
         if (trust.group) options.group = std::to_string(*trust.group);
         options.name = "lot clean";
         using transport::Participant;
-        const auto participant = Participant::join(options, Participant::IfAbsent::Throw);
+        const auto participant = Participant::join(options, transport::IfAbsent::Throw);
         const auto until = std::chrono::steady_clock::now() + kReapPatience;
         while (!(left = still_dead(s, the_dead)).empty() &&
                std::chrono::steady_clock::now() < until) {
-          participant->reap_dead();
-          participant->collect();
+          participant->reaper().reap_dead();
+          participant->reaper().collect();
           std::this_thread::sleep_for(1ms);
         }
-        given_back = participant->give_all_back_to_system();
+        given_back = participant->memory().give_all_back_to_system();
       } catch (const Error& e) {
         if (e.error_number() == ENOENT) return;  // the last process of the segment has removed it
         const bool is_full = e.error_number() == EUSERS || e.error_number() == EBUSY;

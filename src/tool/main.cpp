@@ -9,7 +9,7 @@
 
 #include "segment/layout.hpp"
 #include "tool/commands.hpp"
-#include "transport/participant.hpp"
+#include "transport/environment.hpp"
 
 namespace {
 
@@ -63,7 +63,7 @@ int run(int argc, char** argv) {
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? kWell : kUsage;
   }
-  settings.where.trust = lot::transport::Participant::trust_of_environment();
+  settings.where.trust = lot::transport::trust_of_environment();
   if (*list) return ls(settings, std::chrono::milliseconds(interval_ms));
   if (*holders) return who(settings, all);
   return clean(settings, cleaning);

@@ -10,6 +10,7 @@
 #include "liveness/death_notice.hpp"
 #include "liveness/lock_file.hpp"
 #include "transport/pool.hpp"
+#include "transport/references.hpp"
 
 namespace lot::tool {
 namespace {
@@ -322,12 +323,12 @@ class Observer {
   }
 
   void find_references() {
-    transport::Holder reader;
-    reader.segment = &s_;
     for (std::uint32_t b = 0; b < capacity_.blocks; ++b) {
       const std::uint32_t home = s_.block(b).home.load(std::memory_order_acquire);  // O3
       if (home == refcount::kHomeFree || home > capacity_.participants) continue;
-      reader.each_reference(b, [&](std::uint32_t target) { refers_.insert({target, home - 1}); });
+      transport::each_reference(s_, b, [&](std::uint32_t target) {
+        refers_.insert({target, home - 1});
+      });
     }
   }
 

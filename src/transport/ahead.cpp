@@ -8,8 +8,6 @@
 
 #include "lot/detail/no_signals.hpp"
 
-#include "transport/participant.hpp"
-
 namespace lot::transport {
 namespace {
 
@@ -101,7 +99,7 @@ void Ahead::start() {
 
 void Ahead::run() noexcept {
   pthread_setname_np(pthread_self(), "lot-ahead");
-  participant_.place_beside_warden();
+  warden_.place_beside();
   std::unique_lock lock(mutex_);
   for (;;) {
     auto want = wants_.end();
@@ -138,16 +136,16 @@ void Ahead::make(Pool& pool, const Pieces& pieces) noexcept {
 bool Ahead::may_make(const Pool& pool, const Pieces& pieces) const noexcept {
   const std::uint64_t needed = pieces.granules();
   if (!pool.may_take(2 * needed)) return false;  // the publisher may be filling one now
-  const auto& tags = participant_.segment().granules();
+  const auto& tags = segment_.granules();
   std::uint64_t free = 0;
   for (std::uint32_t i = 0; i < tags.count() && free < kShare * needed; ++i)
     free += tags.tag(i) == 0;
   if (free < kShare * needed) return false;
-  const std::uint64_t left = participant_.blocks() / kShare;
+  const std::uint64_t left = segment_.capacity().blocks / kShare;
   std::uint64_t idle = 0;
-  for (std::uint32_t b = participant_.blocks(); b-- != 0 && idle <= left;) {
+  for (std::uint32_t b = segment_.capacity().blocks; b-- != 0 && idle <= left;) {
     // Relaxed: a hint.
-    idle += participant_.block(b).home.load(std::memory_order_relaxed) == refcount::kHomeFree;
+    idle += segment_.block(b).home.load(std::memory_order_relaxed) == refcount::kHomeFree;
   }
   return idle > left;
 }
@@ -155,7 +153,7 @@ bool Ahead::may_make(const Pool& pool, const Pieces& pieces) const noexcept {
 /// Gives an exclusively owned block extents for such pieces. False: there is no memory for them
 /// now.
 bool Ahead::furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept {
-  detail::Build& build = participant_.segment().build(b);
+  detail::Build& build = segment_.build(b);
   unsigned i = 0;
   for (const Pieces::Piece& piece : pieces) {
     if (i < build.extents) {
@@ -169,9 +167,9 @@ bool Ahead::furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept 
     }
     if (build.extents == build.kMaxExtents) return false;  // a message has no more extents
     // Relaxed: it carries nothing. Seen late, one more unit is mapped.
-    const std::uint32_t run = participant_.claim_run_while(
+    const std::uint32_t run = pool.claim_run_while(
         piece.granules, b + 1, [this] { return !is_called_off_.load(std::memory_order_relaxed); });
-    if (run == segment::Granules<segment::Atomics>::kNone) return false;
+    if (run == Pool::kNoRun) return false;
     build.extent[build.extents++] = build.extent[i];
     build.extent[i++] = {run, piece.granules, 0, piece.kind};
   }

@@ -9,12 +9,12 @@
 #include <vector>
 
 #include "futex/futex.hpp"
+#include "segment/segment.hpp"
 #include "transport/pieces.hpp"
 #include "transport/pool.hpp"
+#include "transport/warden_thread.hpp"
 
 namespace lot::transport {
-
-class Participant;
 
 /// Makes the block that a publisher will loan next, with its memory mapped, so that only the first
 /// frame waits for the kernel. docs/memory.md says how much is made, and for which publishers.
@@ -27,7 +27,9 @@ class Participant;
 /// Crash:   a block that is made carries the process's name, and its memory the block's: as a loan.
 class Ahead {
  public:
-  explicit Ahead(Participant& participant) noexcept : participant_(participant) {}
+  /// Its thread runs beside the warden.
+  Ahead(segment::Segment& segment, WardenThread& warden) noexcept
+      : segment_(segment), warden_(warden) {}
   ~Ahead() { stop(); }
   Ahead(const Ahead&) = delete;
   Ahead& operator=(const Ahead&) = delete;
@@ -64,7 +66,8 @@ class Ahead {
   /// Returns when it has. REQUIRES: the lock on mutex_.
   void call_off(std::unique_lock<std::mutex>& lock) noexcept;
 
-  Participant& participant_;
+  segment::Segment& segment_;
+  WardenThread& warden_;
   std::mutex mutex_;
   std::condition_variable signal_;
   std::vector<Want> wants_;   ///< one for each publisher

@@ -72,8 +72,9 @@ void expect_another(transport::Participant& p, const Build& build, unsigned newe
                                            std::size_t bytes, int error) {
   const std::uint32_t asker = pool_of(p, build).index();
   throw OutOfMemory(
-      (error == EDQUOT ? transport::describe_limit(p, bytes, p.segment().block_of(*build.arena))
-                       : transport::describe_shortage(p, {asker, granules_in(bytes), error}, bytes))
+      (error == EDQUOT
+           ? transport::describe_limit(p.holder(), bytes, p.segment().block_of(*build.arena))
+           : transport::describe_shortage(p.memory(), {asker, granules_in(bytes), error}, bytes))
           .c_str());
 }
 
@@ -273,15 +274,15 @@ unsigned Build::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   const std::uint32_t tag = tag_of(p, *this);
   // a loan that must not wait leaves `type` null
   const bool waits = p.holder().cell(tag - 1).type != nullptr;
-  std::uint32_t run = p.try_claim_run(claimed, tag);
+  std::uint32_t run = pool_of(p, *this).try_claim_run(claimed, tag);
   if (run == kNoRun) {
     drop_idle(p);
     claimed = granules;
-    run = p.claim_run(claimed, tag);
+    run = p.memory().claim_run(claimed, tag);
   }
   if (run == kNoRun) {  // what was freed meanwhile may be enough, the more so for a little less
     claimed = static_cast<std::uint32_t>(granules_in(bytes));
-    run = waits ? p.await_run(claimed, tag) : p.claim_run(claimed, tag);
+    run = waits ? p.memory().await_run(claimed, tag) : p.memory().claim_run(claimed, tag);
   }
   if (run == kNoRun && !waits) throw OutOfMemory("lot: no memory");  // the caller drops this text
   if (run == kNoRun) out_of_memory(p, *this, bytes, errno);
@@ -344,7 +345,8 @@ std::uint64_t Build::granules_shared() const noexcept {
 void Build::resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept {
   Extent& e = extent[index];
   if (e.granules < granules) {
-    if (p.extend_run(e.granule + e.granules, granules - e.granules, tag_of(p, *this))) {
+    if (pool_of(p, *this).extend_run(e.granule + e.granules, granules - e.granules,
+                                     tag_of(p, *this))) {
       e.granules = granules;
     }
   } else if (!e.is_reserved()) {
@@ -369,7 +371,8 @@ bool Build::grow_current(transport::Participant& p, std::size_t bytes, std::size
   const std::uint64_t least = granules_in(needed - limit);
   const std::uint32_t end = e.granule + e.granules;
   for (const std::uint64_t more : {std::max<std::uint64_t>(least, e.granules), least}) {
-    if (more < kNoRun && p.extend_run(end, static_cast<std::uint32_t>(more), tag_of(p, *this))) {
+    if (more < kNoRun &&
+        pool_of(p, *this).extend_run(end, static_cast<std::uint32_t>(more), tag_of(p, *this))) {
       e.granules += static_cast<std::uint32_t>(more);
       limit += more * kGranule;
       return true;

@@ -14,7 +14,7 @@ std::shared_ptr<transport::Participant> join(const EngineOptions& options) {
 static_assert(sizeof(segment::ParticipantEntry::name) == kProcessNameBytes);
 static_assert(segment::kTopicNameBytes == kTopicNameBytes);
 void rename(transport::Participant& participant, std::string_view name) noexcept {
-  participant.rename(name);
+  participant.membership().rename(name);
 }
 
 }  // namespace detail

@@ -13,7 +13,7 @@
 #include <utility>
 #include <vector>
 
-#include "transport/participant.hpp"
+#include "transport/memory.hpp"
 
 namespace lot::transport {
 namespace {
@@ -36,13 +36,16 @@ class Fill {
   enum class Why { Kept, Unread, Reserved, InQueue, Loaned, Queues };
   static constexpr std::size_t kWhys = 6;
 
-  Fill(Participant& participant, Shortage shortage)
-      : participant_(participant), segment_(participant.segment()), shortage_(shortage) {
-    std::vector<std::uint32_t> weights(participant.blocks());
+  Fill(Memory& memory, Shortage shortage)
+      : world_(memory.world()),
+        neighbours_(memory.neighbours()),
+        segment_(memory.segment()),
+        shortage_(shortage) {
+    std::vector<std::uint32_t> weights(world_.blocks());
     if (shortage == Shortage::Memory) {
       weigh(weights);
     } else {
-      total_ = participant.blocks();
+      total_ = world_.blocks();
       for (std::uint32_t b = 0; b < total_; ++b) {
         weights[b] =
             // Relaxed: see Fill.
@@ -51,7 +54,7 @@ class Fill {
       }
     }
     const std::vector<Place> places = look_at_rings();
-    for (std::uint32_t b = 0; b < participant.blocks(); ++b) {
+    for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
       if (weights[b] != 0) enter(b, weights[b], places[b]);
     }
   }
@@ -129,8 +132,8 @@ class Fill {
   }
 
   std::vector<Place> look_at_rings() const {
-    std::vector<Place> places(participant_.blocks());
-    for (std::uint32_t c = 0; c < participant_.channels(); ++c) {
+    std::vector<Place> places(world_.blocks());
+    for (std::uint32_t c = 0; c < world_.channels(); ++c) {
       const auto state =
           // Acquire: R7.
           ring::writer_state(segment_.channels()[c].writer.load(std::memory_order_acquire));
@@ -156,7 +159,7 @@ class Fill {
     if (home == refcount::kHomeFree) return;
     made_[{home - 1, topic_of(segment_, key)}] += weight;
     bool is_kept = false;
-    for (std::uint32_t k = 1; k < participant_.participants(); ++k) {
+    for (std::uint32_t k = 1; k < world_.participants(); ++k) {
       const auto& own = HardwareOwnership::word(words, k);
       // Relaxed: see Fill.
       const bool has = (own.load(std::memory_order_relaxed) & HardwareOwnership::bit(k)) != 0;
@@ -177,12 +180,12 @@ class Fill {
   std::uint32_t& of(Why why) { return whys_[static_cast<std::size_t>(why)]; }
 
   std::string name_of(std::uint32_t k) const {
-    if (k == refcount::kOrphanage || k >= participant_.participants()) {
+    if (k == refcount::kOrphanage || k >= world_.participants()) {
       return "a process that has gone";
     }
-    return std::string(participant_.name_of(k)) + " (pid " +
+    return std::string(world_.name_of(k)) + " (pid " +
            std::to_string(segment_.participants()[k].pid) +
-           (participant_.is_silent(k) ? ", which does not answer)" : ")");
+           (neighbours_.is_silent(k) ? ", which does not answer)" : ")");
   }
 
   template <class Map>
@@ -191,7 +194,8 @@ class Fill {
                             [](const auto& a, const auto& b) { return a.second < b.second; });
   }
 
-  Participant& participant_;
+  const World& world_;
+  const Neighbours& neighbours_;
   segment::Segment& segment_;
   Shortage shortage_;
   std::uint32_t total_ = 0;
@@ -214,10 +218,9 @@ std::string list(std::initializer_list<std::string> parts) {
 std::string or_else(const std::string& remedy) { return remedy.empty() ? "" : ", or " + remedy; }
 
 /// Describes that `what` needs so much memory, which is not there.
-std::string describe(Participant& participant, const Shortfall& shortfall,
-                     const std::string& what) {
-  const Fill fill(participant, Shortage::Memory);
-  const segment::Segment& segment = participant.segment();
+std::string describe(Memory& memory, const Shortfall& shortfall, const std::string& what) {
+  const Fill fill(memory, Shortage::Memory);
+  const segment::Segment& segment = memory.segment();
   std::string text = "lot: " + segment.path() + ": no room for " + what + ": " +
                      fill.amount(fill.used()) + " of " + fill.amount(fill.total()) +
                      " are in use, the largest free piece has " + fill.amount(fill.largest());
@@ -239,7 +242,7 @@ std::string describe(Participant& participant, const Shortfall& shortfall,
   }
   const bool is_too_large = shortfall.granules > fill.total();
   if (!is_too_large) {
-    const std::uint32_t most = participant.longest_run(
+    const std::uint32_t most = memory.longest_run(
         shortfall.asker, static_cast<std::uint32_t>(shortfall.granules), is_full);
     if (most > fill.largest() || is_full) {
       text += "; with messages that may go " + fill.amount(most) + " would have fitted";
@@ -253,34 +256,33 @@ std::string describe(Participant& participant, const Shortfall& shortfall,
 
 }  // namespace
 
-std::string describe_shortage(Participant& participant, const Shortfall& shortfall,
-                              std::size_t bytes) {
-  return describe(participant, shortfall, std::to_string(bytes) + " bytes");
+std::string describe_shortage(Memory& memory, const Shortfall& shortfall, std::size_t bytes) {
+  return describe(memory, shortfall, std::to_string(bytes) + " bytes");
 }
 
-std::string describe_ring_shortage(Participant& participant, const Shortfall& shortfall,
+std::string describe_ring_shortage(Memory& memory, const Shortfall& shortfall,
                                    std::uint32_t topic) {
-  const segment::TopicEntry& entry = participant.segment().topics()[topic];
+  const segment::TopicEntry& entry = memory.segment().topics()[topic];
   const std::string name(entry.name, strnlen(entry.name, sizeof(entry.name)));
   const std::uint64_t bytes = std::uint64_t{shortfall.granules} * segment::kGranule;
   return describe(
-      participant, shortfall,
+      memory, shortfall,
       "the queue of " + name + ", " + std::to_string(bytes) + " bytes, fewer with a smaller depth");
 }
 
-std::string describe_block_shortage(Participant& participant) {
-  const Fill fill(participant, Shortage::Blocks);
-  return "lot: " + participant.segment().path() +
+std::string describe_block_shortage(Memory& memory) {
+  const Fill fill(memory, Shortage::Blocks);
+  return "lot: " + memory.segment().path() +
          ": no room for a message: " + std::to_string(fill.used()) + " of " +
          fill.amount(fill.total()) + " are in use" + list({fill.richest(), fill.keeper()}) +
          "; make the segment with a larger EngineOptions::blocks" + or_else(fill.remedy());
 }
 
-std::string describe_limit(Participant& participant, std::size_t bytes, std::uint32_t block) {
-  const segment::Segment& segment = participant.segment();
+std::string describe_limit(const Holder& holder, std::size_t bytes, std::uint32_t block) {
+  const segment::Segment& segment = *holder.segment;
   // The caller has the block, and with it the topic stays.
   const std::uint64_t key = detail::read_once(segment.arena(block).topic);
-  const Pool& pool = participant.holder().pool_of(block);
+  const Pool& pool = holder.pool_of(block);
   return "lot: " + segment.path() + ": no room for " + std::to_string(bytes) +
          " bytes: the publisher of " + topic_of(segment, key) + " has " +
          std::to_string(pool.granules() * segment::kGranule) + " of the " +

@@ -85,7 +85,7 @@ std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::
   const std::uint32_t block = target->block;
   Entry* known = nullptr;
   Entry* free = nullptr;
-  p.holder().each_entry(here, [&](Entry& entry) {
+  transport::each_entry(p.segment(), here, [&](Entry& entry) {
     if (entry.block == block) known = &entry;
     if (entry.block == ReferenceList::kNone && free == nullptr) free = &entry;
     return known == nullptr;
@@ -120,7 +120,7 @@ void unrefer(Arena& arena, std::uint32_t block) noexcept {
   if (block >= p->blocks()) return;                               // the reference is damaged
   using Entry = ReferenceList::Entry;
   Entry* known = nullptr;
-  p->holder().each_entry(here, [&](Entry& entry) {
+  transport::each_entry(p->segment(), here, [&](Entry& entry) {
     if (entry.block == block) known = &entry;
     return known == nullptr;
   });

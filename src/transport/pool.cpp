@@ -3,11 +3,13 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <utility>
 
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
+#include "transport/references.hpp"
 
 namespace lot::transport {
 
@@ -71,7 +73,7 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   const bool nested = first != nullptr && first->is_of(*this);
   HomeList mine(*this);
   HomeList& home = nested ? *first : mine;
-  each_reference(b, [&](std::uint32_t target) {
+  each_reference(*segment, b, [&](std::uint32_t target) {
     const Left left = own.release(words(target), cell(target).hold, hold::kRing);
     if (left == Left::Home) home.push(target);
     if (left == Left::Wanted) tell_home(target);
@@ -121,7 +123,7 @@ void Holder::freeze_reachable(std::uint32_t b) const noexcept {
   // At most as many as there are blocks, even if the links are damaged.
   std::uint32_t left = end;
   for (std::uint32_t from = b; from < end && left != 0; --left) {
-    each_reference(from, [&](std::uint32_t target) {
+    each_reference(*segment, from, [&](std::uint32_t target) {
       const detail::MessageType* const type = cell(target).type;
       if (type != nullptr && type->plain) return;  // it cannot grow
       if (!may_grow(cell(target)) || !segment->arena(target).freeze_first()) return;
@@ -439,6 +441,23 @@ void Pool::count_out(std::uint64_t granules) noexcept {
   while (!granules_.compare_exchange_weak(has, has - std::min(has, granules),
                                           std::memory_order_relaxed)) {
   }
+}
+
+std::uint32_t Pool::try_claim_run(std::uint32_t granules, std::uint32_t tag) noexcept {
+  if (!take(granules)) {
+    errno = EDQUOT;
+    return kNoRun;
+  }
+  const std::uint32_t run = holder_.segment->claim_run(granules, tag);
+  if (run == kNoRun) count_out(granules);
+  return run;
+}
+
+bool Pool::extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept {
+  if (!take(granules)) return false;
+  const bool is_longer = holder_.segment->extend_run(end, granules, tag);
+  if (!is_longer) count_out(granules);
+  return is_longer;
 }
 
 void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {

@@ -113,13 +113,6 @@ struct Holder {
   void freeze_references(std::uint32_t b) const noexcept {
     if (segment->arena(b).references != 0) freeze_reachable(b);
   }
-  /// Calls f(block) for each block that the message in b refers to. Bounds are checked, since the
-  /// list may be damaged.
-  template <class F>
-  void each_reference(std::uint32_t b, F&& f) const;
-  /// Calls f(entry) for each entry of the list, the free ones too, until f returns false.
-  template <class F>
-  void each_entry(std::uint32_t b, F&& f) const;
 
  private:
   /// Blocks that the thread that has the list must bring home. The block that came last is first.
@@ -390,6 +383,21 @@ class Pool {
     } while (!granules_.compare_exchange_weak(has, has + granules, std::memory_order_relaxed));
     return true;
   }
+  /// Claims a run of free memory for a block of the pool. The run gets the block's tag. kNone:
+  /// there is none, and errno says why: 0, ENOSPC (the file system), EDQUOT (the limit).
+  std::uint32_t try_claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
+  /// The same for Ahead, which leaves its publisher room for as many granules more. The run is
+  /// mapped. It is given up when go_on() says no.
+  template <class GoOn>
+  std::uint32_t claim_run_while(std::uint32_t granules, std::uint32_t tag, GoOn&& go_on) noexcept {
+    if (!take(granules, granules)) return kNoRun;
+    const std::uint32_t run = holder_.segment->claim_run_while(granules, tag, go_on);
+    if (run == kNoRun) count_out(granules);
+    return run;
+  }
+  static constexpr auto kNoRun = segment::Granules<segment::Atomics>::kNone;
+  /// Claims the granules behind a run that a block of the pool has.
+  bool extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t tag) noexcept;
   /// Takes a count back: there was no run, or the run is given back.
   void count_out(std::uint64_t granules) noexcept;
   /// Gives a run of one of its blocks back to the segment.
@@ -472,34 +480,6 @@ class Pool {
   std::atomic<bool> expects_{false};  ///< Ahead knows what its messages are like
   std::atomic<std::uint32_t> ahead_{kNone};
 };
-
-// The home writes the list. A reaper reads it under the dead home's byte lock, or after
-// the message's death. `lot who` takes what it sees for a hint.
-template <class F>
-void Holder::each_entry(std::uint32_t b, F&& f) const {
-  using detail::ReferenceList;
-  std::uint64_t at = detail::read_once(segment->arena(b).references);
-  // A message has one entry for each block, and no new list while an entry is free.
-  const std::uint32_t most = segment->capacity().blocks / ReferenceList::kEntries + 1;
-  for (std::uint32_t n = 0; n < most && at != 0; ++n) {
-    if (at % alignof(ReferenceList) != 0 || !segment->holds(b, at, sizeof(ReferenceList))) return;
-    auto* list = reinterpret_cast<ReferenceList*>(segment->base() + at);
-    for (ReferenceList::Entry& entry : list->entry) {
-      if (!f(entry)) return;
-    }
-    at = detail::read_once(list->next);
-  }
-}
-
-template <class F>
-void Holder::each_reference(std::uint32_t b, F&& f) const {
-  each_entry(b, [&](detail::ReferenceList::Entry& entry) {
-    // Read once: a write that comes meanwhile cannot get past the check.
-    const std::uint32_t target = detail::read_once(entry.block);
-    if (target < segment->capacity().blocks) f(target);
-    return true;
-  });
-}
 
 /// Gives idle blocks that may(block) names back to the segment. True when there was one.
 template <class May>

@@ -47,15 +47,15 @@ class Puller final : public detail::PullerCore {
         small_(type.size <= segment::kSmallBytes && type.align <= 64),
         type_(type),
         topic_name_(topic),
-        quota_(*participant_,
+        quota_(participant_->segment(), participant_->holder(),
                delivery == detail::Delivery::ToAll ? options.max_held_bytes : Quota::kNone),
-        topic_(participant_->enter_topic(topic, type)),
+        topic_(participant_->topics().enter(topic, type)),
         habit_(options.wait) {
     try {
       departure_.emplace_back();
-      after_reaping(*participant_, [&] { subscribe(options); });
+      after_reaping(participant_->reaper(), [&] { subscribe(options); });
     } catch (...) {
-      participant_->leave_topic(topic_);
+      participant_->topics().leave(topic_);
       throw;
     }
   }
@@ -69,7 +69,7 @@ class Puller final : public detail::PullerCore {
     note_known();
     leave_sources();
     departure_.front() = {topic_, std::move(passed_)};
-    participant_->depart(std::move(departure_));
+    participant_->topics().depart(std::move(departure_));
   }
 
   [[gnu::hot]] Status borrow(detail::Borrowed& borrowed, bool wait,
@@ -507,7 +507,7 @@ class Puller final : public detail::PullerCore {
           remember(reader);
           pass(reader);
           leave(reader);
-          participant_->collect();
+          participant_->reaper().collect();
         });
   }
 
@@ -689,7 +689,7 @@ class Puller final : public detail::PullerCore {
   std::string publisher_of(const segment::Ring& ring) const {
     // Acquire: R7.
     const auto owner = ring::writer_owner(ring.writer->load(std::memory_order_acquire));
-    return std::string(participant_->name_of(owner));
+    return std::string(participant_->world().name_of(owner));
   }
 
   void begin(const Reader& reader, const registry::ChannelName& name,
@@ -743,7 +743,8 @@ class Puller final : public detail::PullerCore {
   void leave_sources() noexcept {
     for (Source& s : sources_) leave(s.reader);
     sources_.clear();
-    participant_->collect();  // this may have been the last reader of a ring that has ended
+    participant_->reaper()
+        .collect();  // this may have been the last reader of a ring that has ended
   }
 
   /// Notes the rings that this puller need not leave, or has left. In all other rings a cell awaits

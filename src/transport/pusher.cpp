@@ -8,6 +8,7 @@
 #include "lot/detail/core.hpp"
 
 #include "lockfree_ring/sleep.hpp"
+#include "transport/environment.hpp"
 #include "transport/eviction.hpp"
 #include "transport/fill.hpp"
 #include "transport/participant.hpp"
@@ -55,11 +56,13 @@ class Pusher final : public detail::PusherCore, private Evictor {
  public:
   /// A maker of messages without a topic.
   explicit Pusher(std::shared_ptr<Participant> participant)
-      : participant_(std::move(participant)), pool_(participant_->open_pool()) {}
+      : participant_(std::move(participant)), pool_(participant_->stock().open()) {}
 
   Pusher(std::shared_ptr<Participant> participant, std::string_view topic,
          const detail::MessageType& type, const PusherOptions& options, detail::Delivery delivery)
-      : participant_(std::move(participant)), pool_(participant_->open_pool(topic)), type_(&type) {
+      : participant_(std::move(participant)),
+        pool_(participant_->stock().open(topic)),
+        type_(&type) {
     try {
       check_depth(topic, options.depth);
       // Messages for all readers without loss: up to `depth` of them may be unread at once.
@@ -71,14 +74,14 @@ class Pusher final : public detail::PusherCore, private Evictor {
                         std::to_string(participant_->blocks()) + " blocks",
                     "use less, or make the segment with a larger EngineOptions::blocks");
       }
-      const QueueEngine engine = Participant::queue_engine(options.engine);
-      topic_ = participant_->enter_topic(topic, type);
-      name_ = participant_->open_ring(*topic_,
-                                      {options.depth, participant_->segment().capacity().readers,
-                                       options.policy, engine, taken_by(delivery), 0},
-                                      pool_.index());
+      const QueueEngine engine = queue_engine(options.engine);
+      topic_ = participant_->topics().enter(topic, type);
+      name_ = participant_->rings().open(*topic_,
+                                         {options.depth, participant_->segment().capacity().readers,
+                                          options.policy, engine, taken_by(delivery), 0},
+                                         pool_.index());
     } catch (...) {
-      if (topic_) participant_->leave_topic(*topic_);
+      if (topic_) participant_->topics().leave(*topic_);
       close_without_ring();
       throw;
     }
@@ -94,9 +97,9 @@ class Pusher final : public detail::PusherCore, private Evictor {
       pool_.make_room(room_to_retire());
       seen_.resize(participant_->blocks());
     } catch (...) {
-      participant_->close_pool(pool_, name_, {});
-      participant_->close_ring(name_);
-      participant_->leave_topic(*topic_);
+      participant_->stock().close(pool_, name_, {});
+      participant_->rings().close(name_);
+      participant_->topics().leave(*topic_);
       throw;
     }
     queue_lock_ = participant_->queue_lock(name_.channel);
@@ -135,9 +138,9 @@ class Pusher final : public detail::PusherCore, private Evictor {
       blocks = pool_.take_retired();
       if (pool_.has_foreign()) release_foreign(lock);
     }
-    participant_->close_pool(pool_, name_, std::move(blocks));
-    participant_->close_ring(name_);
-    participant_->leave_topic(*topic_);
+    participant_->stock().close(pool_, name_, std::move(blocks));
+    participant_->rings().close(name_);
+    participant_->topics().leave(*topic_);
   }
 
   [[gnu::hot]] detail::Loan loan(const detail::MessageType& type, bool or_throw) override {
@@ -236,7 +239,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
 
   bool expects(std::string_view node) override {
     if (!writer_) return false;
-    for (std::uint32_t k = 0; k < participant_->participants(); ++k) {
+    for (std::uint32_t k = 0; k < participant_->world().participants(); ++k) {
       if (participant_->registry().wants(*topic_, k) && is_called(k, node)) return true;
     }
     return false;
@@ -329,7 +332,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return b != Pool::kNone ? b : scrape_together(waits);
   }
   [[noreturn, gnu::cold]] void refuse_without_blocks() const {
-    throw OutOfMemory(describe_block_shortage(*participant_).c_str());
+    throw OutOfMemory(describe_block_shortage(participant_->memory()).c_str());
   }
 
   /// Takes back a block in which no message could be built.
@@ -340,8 +343,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
 
   bool is_called(std::uint32_t k, std::string_view node) const {
     // Acquire: edge "state".
-    return participant_->part(k).load(std::memory_order_acquire) != 0 &&
-           participant_->name_of(k) == node;
+    return participant_->world().part(k).load(std::memory_order_acquire) != 0 &&
+           participant_->world().name_of(k) == node;
   }
 
   /// The only participant with this node name that reads here and wants to be served. With several
@@ -350,7 +353,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     std::optional<std::uint32_t> reader;
     bool several = false;
     writer_->each_reader([&](std::uint32_t k) {
-      if (k >= participant_->participants() || !is_called(k, node)) return;
+      if (k >= participant_->world().participants() || !is_called(k, node)) return;
       several = reader.has_value();
       reader = k;
     });
@@ -450,8 +453,8 @@ class Pusher final : public detail::PusherCore, private Evictor {
   }
 
   void close_without_ring() noexcept {
-    participant_->close_pool(pool_, {}, {});
-    participant_->settle_closing();
+    participant_->stock().close(pool_, {}, {});
+    participant_->rings().settle_closing();
   }
 
   /// The room for retired blocks, besides those that are retired now: the whole ring, when it
@@ -740,16 +743,16 @@ class Pusher final : public detail::PusherCore, private Evictor {
     };
     if (look()) return b;
     const auto search = [&] {
-      participant_->tidy(pool_.index());
+      participant_->memory().tidy(pool_.index());
       if (look()) return true;
-      const bool gathers = participant_->may_gather();
-      if (gathers && participant_->gather_from_others(look)) return true;
-      return participant_->evict_until(look, pool_.index(), 1, Shortage::Blocks,
-                                       [](const Eviction::Givers&) { return true; }) ||
-             (!gathers && participant_->gather_from_others(look));
+      const bool gathers = participant_->neighbours().may_gather();
+      if (gathers && participant_->neighbours().gather(look)) return true;
+      return participant_->memory().evict_until(look, pool_.index(), 1, Shortage::Blocks,
+                                                [](const Eviction::Givers&) { return true; }) ||
+             (!gathers && participant_->neighbours().gather(look));
     };
-    if (!search() && waits && participant_->may_await_readers(pool_.index())) {
-      participant_->await_readers(search, look, pool_.index(), Shortage::Blocks);
+    if (!search() && waits && participant_->memory().may_await_readers(pool_.index())) {
+      participant_->memory().await_readers(search, look, pool_.index(), Shortage::Blocks);
     }
     return b;
   }
@@ -892,7 +895,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     Holder& holder = participant_->holder();
     each_of_ring([&](std::uint32_t b, std::uint32_t, bool) {
       holder.leaving[b] = 0;
-      holder.each_reference(b, [&](std::uint32_t t) { holder.leaving[t] = 0; });
+      each_reference(*holder.segment, b, [&](std::uint32_t t) { holder.leaving[t] = 0; });
       return true;
     });
   }
@@ -902,7 +905,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
     Holder& holder = participant_->holder();
     ++holder.leaving[b];
     if (!has_left(b)) return;
-    holder.each_reference(b, [&](std::uint32_t t) { ++holder.leaving[t]; });
+    each_reference(*holder.segment, b, [&](std::uint32_t t) { ++holder.leaving[t]; });
   }
 
   /// True when nothing holds the message any more, as far as can be seen, so that it dies.
@@ -920,7 +923,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
   void each_that_dies(std::uint32_t b, F&& f) const noexcept {
     if (!has_left(b)) return;
     f(b);
-    participant_->holder().each_reference(b, [&](std::uint32_t t) {
+    each_reference(participant_->segment(), b, [&](std::uint32_t t) {
       if (has_left(t)) f(t);
     });
   }

@@ -34,12 +34,12 @@ class Queue final : public detail::QueueCore {
       throw Error(EINVAL, std::string(name), "a queue that redelivers cannot overwrite its items",
                   "use Policy::Block or Policy::Refuse");
     }
-    topic_ = participant_->enter_topic(name, type);
+    topic_ = participant_->topics().enter(name, type);
   }
   ~Queue() override {
     if (participant_->inert()) return;
     for (const detail::Borrowed& item : returned_) put_back(item);
-    participant_->leave_topic(topic_);
+    participant_->topics().leave(topic_);
   }
 
   detail::Loan loan(const detail::MessageType& type) override { return pusher().loan(type, true); }

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <chrono>
 
-#include "transport/participant.hpp"
+#include "refcount/ownership.hpp"
 
 namespace lot::transport {
 namespace {
@@ -34,12 +34,55 @@ bool is_within(std::uint64_t own, std::uint64_t limit, std::uint64_t all_kept, s
   return own * (half - limit) < limit * (half - all_kept);
 }
 
+/// What is kept in the whole segment: messages that processes got from others and have pointers to,
+/// and messages that their own process has published and keeps.
+struct Kept {
+  std::uint64_t granules = 0;
+  std::uint64_t blocks = 0;
+};
+
+bool is_kept(const segment::Segment& segment, std::uint32_t b) noexcept {
+  const segment::BlockWords& words = segment.block(b);
+  // Relaxed, here and below: see weigh_kept().
+  const std::uint32_t home = words.home.load(std::memory_order_relaxed);
+  if (home == refcount::kHomeFree) return false;
+  if (words.home_points.load(std::memory_order_relaxed) != 0) return true;  // a hint
+  for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
+    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);  // a hint
+    for (const std::uint32_t k : {refcount::kOrphanage, home - 1}) {
+      holders = HardwareOwnership::holders(holders, w, k);
+    }
+    if (holders != 0) return true;
+  }
+  return false;
+}
+
+/// Relaxed, as in Survey: the next look sees what changes meanwhile.
+Kept weigh_kept(segment::Segment& segment) noexcept {
+  const std::uint32_t blocks = segment.capacity().blocks;
+  Kept kept;
+  for (std::uint32_t b = 0; b < blocks; ++b) kept.blocks += is_kept(segment, b);
+  const auto& tags = segment.granules();
+  std::uint32_t last = 0;
+  bool counts = false;
+  for (std::uint32_t i = 0; i < tags.count(); ++i) {
+    const std::uint32_t tag = tags.tag(i);
+    if (tag != last) {
+      last = tag;
+      counts = tag != 0 && tag <= blocks && is_kept(segment, tag - 1);
+    }
+    kept.granules += counts;
+  }
+  return kept;
+}
+
 }  // namespace
 
-Quota::Quota(Participant& participant, std::uint64_t limit)
-    : participant_(participant),
-      limit_(limit_of(participant.segment(), limit)),
-      limit_notes_(std::max<std::size_t>(participant.blocks() / 4, 1)) {
+Quota::Quota(segment::Segment& segment, const Holder& holder, std::uint64_t limit)
+    : segment_(segment),
+      holder_(holder),
+      limit_(limit_of(segment, limit)),
+      limit_notes_(std::max<std::size_t>(segment.capacity().blocks / 4, 1)) {
   if (counts()) return;
   look_at_notes_ = ~std::size_t{0};
   look_at_granules_ = kNone;
@@ -47,8 +90,8 @@ Quota::Quota(Participant& participant, std::uint64_t limit)
 
 void Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
   // Relaxed: the message is held, so its generation stays.
-  const std::uint32_t generation = refcount::generation_of(
-      participant_.segment().block(block).life.load(std::memory_order_relaxed));
+  const std::uint32_t generation =
+      refcount::generation_of(segment_.block(block).life.load(std::memory_order_relaxed));
   granules_ += granules;
   // A reader that lets one message go before the next one comes has one note, and needs no look.
   if (!notes_.empty() && !has_pointers(notes_.back().block)) {
@@ -85,7 +128,7 @@ void Quota::forget_what_went() noexcept {
 }
 
 bool Quota::is_held(const Note& note) const noexcept {
-  const auto& life = participant_.segment().block(note.block).life;
+  const auto& life = segment_.block(note.block).life;
   return has_pointers(note.block) &&
          // Relaxed: a message that is held keeps its generation.
          refcount::generation_of(life.load(std::memory_order_relaxed)) == note.generation;
@@ -93,14 +136,14 @@ bool Quota::is_held(const Note& note) const noexcept {
 
 bool Quota::has_pointers(std::uint32_t block) const noexcept {
   // Relaxed: a hint, and what it misses the next look sees.
-  const std::uint64_t word = participant_.holder().cell(block).hold.load(std::memory_order_relaxed);
+  const std::uint64_t word = holder_.cell(block).hold.load(std::memory_order_relaxed);
   // At the edge a thread takes the first hold or lets go of the last: the next look will see it.
   return (word & hold::kEdge) != 0 || hold::pointers(word) != 0;
 }
 
 bool Quota::leaves_enough() {
-  const std::uint64_t half = participant_.segment().granules().count() / 2;
-  const std::uint64_t half_blocks = participant_.blocks() / 2;
+  const std::uint64_t half = segment_.granules().count() / 2;
+  const std::uint64_t half_blocks = segment_.capacity().blocks / 2;
   const auto grown = [](std::uint64_t now, std::uint64_t then) {
     return now > then ? now - then : 0;
   };
@@ -117,7 +160,7 @@ bool Quota::leaves_enough() {
                                            more < part_of_rest(half, weighed_.granules) &&
                                            more_notes < part_of_rest(half_blocks, weighed_.blocks);
   if (!is_new) {
-    const Participant::Kept kept = participant_.weigh_kept();
+    const Kept kept = weigh_kept(segment_);
     weighed_ = {kept.granules, kept.blocks, granules_, notes_.size(), now};
   }
   is_shared_out_ = !is_within(granules_, limit_, weighed_.granules, half) ||
@@ -127,7 +170,7 @@ bool Quota::leaves_enough() {
 
 /// Plans the next look, and makes room for the notes until then.
 void Quota::plan_next_look() {
-  const std::uint64_t half = participant_.segment().granules().count() / 2;
+  const std::uint64_t half = segment_.granules().count() / 2;
   // Before it has weighed, it takes little: other subscriptions may have taken everything.
   const std::uint64_t left = weighed_.own_notes == 0 ? half / 2 : half;
   const std::uint64_t rest = left > weighed_.granules ? left - weighed_.granules : 0;

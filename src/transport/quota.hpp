@@ -7,10 +7,10 @@
 #include <vector>
 
 #include "futex/futex.hpp"
+#include "segment/segment.hpp"
+#include "transport/pool.hpp"
 
 namespace lot::transport {
-
-class Participant;
 
 /// What one subscription holds, and how much it may hold (PullerOptions::max_held_bytes,
 /// docs/memory.md).
@@ -27,7 +27,7 @@ class Quota {
  public:
   /// `limit` in bytes; 0: a quarter of the segment; kNone: all of it.
   static constexpr std::uint64_t kNone = ~std::uint64_t{0};
-  Quota(Participant& participant, std::uint64_t limit);
+  Quota(segment::Segment& segment, const Holder& holder, std::uint64_t limit);
 
   /// True if one more message may be kept; it makes room for its note. Throws std::bad_alloc.
   bool allows_one_more() {
@@ -59,7 +59,8 @@ class Quota {
   bool leaves_enough();
   void plan_next_look();
 
-  Participant& participant_;
+  segment::Segment& segment_;
+  const Holder& holder_;
   std::vector<Note> notes_;
   std::uint64_t granules_ = 0;  ///< the sum of all notes
   std::size_t look_at_notes_ = 0;

@@ -28,7 +28,7 @@ constexpr int kSignals[] = {SIGINT, SIGTERM, SIGHUP};
 /// remove_files() takes no longer than this. A signal that comes meanwhile is the same wish once
 /// more: a terminal, a shell and timeout(1) send it twice, and so does a parent's death
 /// (PR_SET_PDEATHSIG).
-constexpr std::chrono::milliseconds kCleaning = transport::Participant::kGatePatience;
+constexpr std::chrono::milliseconds kCleaning = transport::kGatePatience;
 
 std::mutex mutex;
 // What the handler uses. Relaxed, all of it: nothing is handed over. No descriptor, since

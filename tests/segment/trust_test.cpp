@@ -27,7 +27,7 @@
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "support/users.hpp"
-#include "transport/participant.hpp"
+#include "transport/environment.hpp"
 
 namespace {
 
@@ -549,9 +549,9 @@ TEST_SUITE_END();
 
 // The programs of the case above. _exit: LeakSanitizer cannot look at a set-user-ID program.
 TEST_CASE("run: it is heard" * doctest::skip()) {
-  _exit(lot::transport::Participant::trust_of_environment().user == 4711 ? 0 : 1);
+  _exit(lot::transport::trust_of_environment().user == 4711 ? 0 : 1);
 }
 TEST_CASE("run: it is not heard" * doctest::skip()) {
   must(geteuid() == kAnn, "it has Ann's rights");
-  _exit(lot::transport::Participant::trust_of_environment().user ? 1 : 0);
+  _exit(lot::transport::trust_of_environment().user ? 1 : 0);
 }

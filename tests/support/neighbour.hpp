@@ -36,7 +36,7 @@ class Neighbour {
           ready_.tell();
           char reaps = 'a';
           while (done_.next(0ms) == '\0') {
-            if (participant->reap_dead() && reaps < 'z') ++reaps;
+            if (participant->reaper().reap_dead() && reaps < 'z') ++reaps;
             usleep(200);
           }
           reaps_.tell(reaps);

@@ -331,7 +331,9 @@ TEST_CASE("a process that is killed while it makes a block leaves what the other
       const Audit audit(segment);
       return audit.participants == 1 && audit.granules == 0 && audit.homes == 0;
     }));
-    lot::transport::Participant::join(options)->give_all_back_to_system();  // so that it is new
+    lot::transport::Participant::join(options)
+        ->memory()
+        .give_all_back_to_system();  // so that it is new
   }
 }
 
@@ -431,7 +433,7 @@ TEST_CASE("a file system that has huge pages gives one for each unit, and takes 
     CHECK(mapped >= 14 * 1024);  // KiB, of whole units in the frame
     pusher.reset();
     const std::uint64_t before = taken(engine);
-    CHECK(participant->give_all_back_to_system() >= 14 * kMiB);
+    CHECK(participant->memory().give_all_back_to_system() >= 14 * kMiB);
     CHECK(taken(engine) + 14 * kMiB <= before);
     CHECK(of_mapping(engine.path(), "ShmemPmdMapped") <= mapped - 14 * 1024);
   }
@@ -461,7 +463,7 @@ TEST_CASE("memory under lock_memory is locked where it was touched, and stays") 
   CHECK(pool.has_ahead());
   CHECK(faults([&] { push(pusher, 8 * kMiB); }) < kFew);
   // Others that are short of memory get it all the same.
-  participant->trim(lot::transport::Participant::kNobody);
+  participant->stock().trim(lot::transport::Stock::kNobody);
   CHECK(!pool.has_ahead());
 }
 

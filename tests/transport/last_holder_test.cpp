@@ -321,7 +321,7 @@ TEST_CASE("a home says that it waits for a holder when its warden can find the b
   shared.reset();
   // What another process does that keeps it.
   auto& words = p.segment().block(b);
-  const std::uint32_t other = p.participants() - 1;
+  const std::uint32_t other = p.world().participants() - 1;
   auto& own = lot::test::raw(lot::transport::HardwareOwnership::word(words, other));
   own.fetch_or(lot::transport::HardwareOwnership::bit(other));
   lot::test::raw(words.life).fetch_add(lot::refcount::kVersion);

@@ -189,7 +189,9 @@ TEST_CASE("where the file system is full the memory that was used before serves 
     push_frames(front, 8, kMiB);
     auto rear = engine.advertise<Frame>("rear", {Policy::Overwrite, 2, {}});
     auto frame = rear.loan();
-    lot::transport::Participant::at(frame.get())->give_all_back_to_system();  // what is ahead
+    lot::transport::Participant::at(frame.get())
+        ->memory()
+        .give_all_back_to_system();  // what is ahead
     const Filling filling(disk.path);
     const auto left = [&] { return engine.subscribe<Frame>("front", latched(8)).size(); };
     SUBCASE("of messages that go") {
@@ -232,7 +234,9 @@ TEST_CASE("memory that no process uses any more goes back to the system") {
   auto reserved = place.engine.advertise<Frame>("reserved", {Policy::Overwrite, 2, {}});
   reserved.reserve(2, 8 * kMiB);
   const auto probe = place.engine.make<Frame>();
-  lot::transport::Participant::at(probe.get())->give_all_back_to_system();  // what is ahead
+  lot::transport::Participant::at(probe.get())
+      ->memory()
+      .give_all_back_to_system();  // what is ahead
   const std::uint64_t before = taken(place.engine);
   std::optional<lot::ShmPusher<Frame>> burst = place.engine.advertise<Frame>("burst");
   push_frames(*burst, 30, 4 * kMiB);
@@ -275,7 +279,7 @@ TEST_CASE("a process that is killed while it gives memory back leaves what the o
       const auto participant = lot::transport::Participant::join(options);
       for (bool first = true;; first = false) {
         engine.advertise<Frame>("frames").reserve(2, 4 * kMiB);
-        participant->give_back_to_system(0, [] { return false; });
+        participant->stock().give_back_to_system(0, [] { return false; });
         if (first) begun.tell();
       }
     });
@@ -306,9 +310,9 @@ TEST_CASE("memory that went back is asked for again before it is used") {
     }
     const auto participant = lot::transport::Participant::join(options);
     const std::uint64_t before = taken(engine);
-    CHECK(participant->give_all_back_to_system() >= 14 * kMiB);
+    CHECK(participant->memory().give_all_back_to_system() >= 14 * kMiB);
     CHECK(taken(engine) + 14 * kMiB <= before);
-    CHECK(participant->give_all_back_to_system() == 0);
+    CHECK(participant->memory().give_all_back_to_system() == 0);
     auto second = engine.advertise<Frame>("second", {Policy::Overwrite, 8, {}});
     {
       const Filling filling(disk.path);

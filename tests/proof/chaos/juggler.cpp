@@ -30,7 +30,7 @@ void Juggler::turn() {
     // What wardens do with what was long unused, at once.
     if (random.chance(20)) {
       const auto participant = transport::Participant::join(life_.epoch.engine);
-      participant->give_back_to_system(0, [] { return false; });
+      participant->stock().give_back_to_system(0, [] { return false; });
     }
   }
   // Handles, and pointers that they hold, may outlive their engines.

@@ -110,7 +110,7 @@ std::size_t kill_a_publisher(Fault fault) {
   Child collector([&] {
     const auto participant = Participant::join(named(options, "collector"));
     collecting.tell();
-    while (enough.next(0ms) == '\0') participant->collect();
+    while (enough.next(0ms) == '\0') participant->reaper().collect();
   });
   REQUIRE(collecting.next() == '.');
   Child careless;
@@ -119,7 +119,7 @@ std::size_t kill_a_publisher(Fault fault) {
       const int first = dup(2);
       const auto participant = Participant::join(named(options, "careless"));
       std::thread([&participant] {
-        for (;;) participant->reap_dead();
+        for (;;) participant->reaper().reap_dead();
       }).detach();
       collecting.tell();
       while (std::none_of(s.channels().begin(), s.channels().end(), is_orphan)) {

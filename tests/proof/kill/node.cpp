@@ -83,8 +83,8 @@ void Node::drop_probes() {
   probe_loan.reset();
   if (!probe_loans.empty()) {
     probe_loans.clear();
-    transport::Participant::join(options)->trim(
-        transport::Participant::kNobody);  // its pools would keep all blocks
+    transport::Participant::join(options)->stock().trim(
+        transport::Stock::kNobody);  // its pools would keep all blocks
   }
   probe_kept.reset();
   probe_copy.reset();
@@ -97,7 +97,7 @@ bool Node::waits_at_home() const {
   const auto participant = transport::Participant::join(options);
   bool any = false;
   for (std::uint32_t b = 0; b < participant->blocks(); ++b) {
-    const auto& words = participant->block(b);
+    const auto& words = participant->world().block(b);
     any |= test::home_waits(words) && words.home.load() == participant->index() + 1;
   }
   return any;
@@ -106,7 +106,7 @@ bool Node::waits_at_home() const {
 bool Node::home_waits() const {
   if (kept.empty()) return false;
   const auto participant = transport::Participant::join(options);
-  const auto& words = participant->block(detail::PointerAccess::cell(kept.front())->block);
+  const auto& words = participant->world().block(detail::PointerAccess::cell(kept.front())->block);
   return test::home_waits(words) && words.home.load() != participant->index() + 1;
 }
 
@@ -190,8 +190,8 @@ void Node::await_sleeper() {
 void Node::await(const std::function<bool(const segment::Ring&)>& mark) const {
   const auto participant = transport::Participant::join(options);
   const bool stands = testing::eventually([&] {
-    for (std::uint32_t c = 0; c < participant->channels(); ++c) {
-      const auto ring = participant->ring(c);
+    for (std::uint32_t c = 0; c < participant->world().channels(); ++c) {
+      const auto ring = participant->world().ring(c);
       if (ring.depth != 0 && mark(ring)) return true;
     }
     return false;
@@ -306,8 +306,8 @@ void Node::hold(bool borrowing) {
 
 void Node::reap() {
   const auto participant = transport::Participant::join(options);
-  participant->reap_dead();
-  participant->collect();
+  participant->reaper().reap_dead();
+  participant->reaper().collect();
 }
 
 void Node::arm() {

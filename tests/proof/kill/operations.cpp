@@ -284,7 +284,7 @@ void loans(std::vector<Operation>& all) {
                    for (int i = 0; i < 3; ++i) {
                      participant->eviction().give({transport::Shortage::Blocks, 1, 1});
                    }
-                   participant->trim(transport::Participant::kNobody);
+                   participant->stock().trim(transport::Stock::kNobody);
                  }});
   // The witness has not looked yet, and is told of what it missed.
   all.push_back({"loan, blocks have run out: from an ended ring", Promise::Blocking,
@@ -321,28 +321,28 @@ void loans(std::vector<Operation>& all) {
                                }),
                                victim(frame)},
                  [](Node& n) {
-                   transport::Participant::join(n.options)->trim(transport::Participant::kNobody);
+                   transport::Participant::join(n.options)->stock().trim(transport::Stock::kNobody);
                    n.frame_loans.back()->data.resize(12000);
                  }});
-  all.push_back({"give memory back to the system, and get it again",
-                 {Promise::LockFree, "grow a message"},
-                 frames + Acts{victim(frame), victim([](Node& n) {
-                                 n.frame_loans.back()->data.reserve(
-                                     150'000);  // above the tables' unit
-                                 n.frame_loans.clear();
-                               }),
-                               victim(frame)},
-                 [](Node& n) {
-                   const auto participant = transport::Participant::join(n.options);
-                   participant->trim(transport::Participant::kNobody);
-                   testing::must(participant->give_back_to_system(0, [] { return false; }) != 0,
-                                 "it had memory to give back");
-                   n.frame_loans.back()->data.reserve(150'000);
-                 },
-                 {},
-                 false,
-                 Rival::None,
-                 8});
+  all.push_back(
+      {"give memory back to the system, and get it again",
+       {Promise::LockFree, "grow a message"},
+       frames + Acts{victim(frame), victim([](Node& n) {
+                       n.frame_loans.back()->data.reserve(150'000);  // above the tables' unit
+                       n.frame_loans.clear();
+                     }),
+                     victim(frame)},
+       [](Node& n) {
+         const auto participant = transport::Participant::join(n.options);
+         participant->stock().trim(transport::Stock::kNobody);
+         testing::must(participant->stock().give_back_to_system(0, [] { return false; }) != 0,
+                       "it had memory to give back");
+         n.frame_loans.back()->data.reserve(150'000);
+       },
+       {},
+       false,
+       Rival::None,
+       8});
   all.push_back({"a grown message given back",
                  {Promise::LockFree, "grow a message"},
                  frames + Acts{victim(frame), victim([](Node& n) {

@@ -66,23 +66,23 @@ std::vector<Plant> planted_operations() {
     all.push_back({{name, Promise::Blocking, scene(std::move(last)), std::move(harm)}, found_as});
   };
   plant("a hold of nobody", "is free and held", [](Node& n) {
-    test::raw(participant(n)->block(kFreeBlock).own[0]).fetch_or(std::uint64_t{1} << kNobody);
+    test::raw(participant(n)->world().block(kFreeBlock).own[0]).fetch_or(std::uint64_t{1} << kNobody);
   });
   plant("a block at home with nobody", "is at home with the dead",
-        [](Node& n) { test::raw(participant(n)->block(kFreeBlock).home).store(kNobody + 1); });
+        [](Node& n) { test::raw(participant(n)->world().block(kFreeBlock).home).store(kNobody + 1); });
   plant("an operation that throws", "the operation throws: all is lost",
         [](Node&) { throw std::runtime_error("all is lost"); });
   plant("memory of a message that is not there", "belongs to no message",
         [](Node& n) { participant(n)->segment().granules().claim(1, kFreeBlock + 1); });
   plant("a reader's cell of nobody", "has a dead reader", [](Node& n) {
     const auto p = participant(n);
-    for (std::uint32_t c = 0; c < p->channels(); ++c) {
-      const auto ring = p->ring(c);
+    for (std::uint32_t c = 0; c < p->world().channels(); ++c) {
+      const auto ring = p->world().ring(c);
       if (ring.depth != 0) ring.who[ring.readers - 1].store(kNobody + 1);
     }
   });
   plant("a cell in a ring that has ended", "has ended and awaits a reader", [](Node& n) {
-    const auto ring = participant(n)->ring(0);
+    const auto ring = participant(n)->world().ring(0);
     ring.cells[ring.readers - 1].position.store(ring::awaited(ring.first));
     ring.who[ring.readers - 1].store(ring.who[0].load());  // the witness has joined with another
     n.pusher.reset();
@@ -94,7 +94,7 @@ std::vector<Plant> planted_operations() {
       "a held message is written", "a held message did not change",
       [](Node& n) {
         const auto p = participant(n);
-        const auto ring = p->ring(0);
+        const auto ring = p->world().ring(0);
         for (std::uint32_t i = 0; i < ring.depth; ++i) {
           const ring::Word b = ring::block(ring.slots[i].load());
           if (b == ring::kNoBlock) continue;
@@ -113,7 +113,7 @@ std::vector<Plant> planted_operations() {
   });
   plant("a message is taken back", "published 4, seen 2", [](Node& n) {
     n.publish(1);
-    auto& slot = participant(n)->ring(0).slots[2];
+    auto& slot = participant(n)->world().ring(0).slots[2];
     slot.store(ring::make(ring::sequence(slot.load()) - 4, ring::kNoBlock));
     n.publish(1);
   });
@@ -190,7 +190,7 @@ std::vector<Plant> planted_operations() {
                   contended,
                   [](Node& n) {
                     const auto p = participant(n);
-                    const ring::Word b = ring::block(p->ring(0).slots[1].load());
+                    const ring::Word b = ring::block(p->world().ring(0).slots[1].load());
                     const Number other = numbered(kVictim, 40);
                     std::memcpy(p->segment().small(static_cast<std::uint32_t>(b)), &other,
                                 sizeof(other));
@@ -211,7 +211,7 @@ Plant planted_failure() {
              if (fd != -1) {
                ::close(fd);
              } else {
-               test::raw(participant(n)->block(kFreeBlock).own[0])
+               test::raw(participant(n)->world().block(kFreeBlock).own[0])
                    .fetch_or(std::uint64_t{1} << kNobody);
              }
            }},
@@ -231,7 +231,7 @@ Plant planted_shrinking() {
 Plant planted_on_the_way() {
   return {{"harm that does not last", Promise::Blocking, scene([](Node&) {}),
            [](Node& n) {
-             auto& bits = test::raw(participant(n)->block(kFreeBlock).own[0]);
+             auto& bits = test::raw(participant(n)->world().block(kFreeBlock).own[0]);
              bits.fetch_or(std::uint64_t{1} << kNobody);
              n.publish(1);
              bits.fetch_and(~(std::uint64_t{1} << kNobody));

@@ -83,8 +83,8 @@ void refer(Node& n) {
   frame->reference = n.probe_puller->try_pull();
   testing::must_go(n.probe_frames->push(std::move(frame)));
 }
-void collect(Node& n) { transport::Participant::join(n.options)->collect(); }
-void look_for_the_dead(Node& n) { transport::Participant::join(n.options)->reap_dead(); }
+void collect(Node& n) { transport::Participant::join(n.options)->reaper().collect(); }
+void look_for_the_dead(Node& n) { transport::Participant::join(n.options)->reaper().reap_dead(); }
 
 void subscribe(Node& n) { const auto puller = n.engine->subscribe<Number>(kOther); }
 void advertise(Node& n) { const auto pusher = n.engine->advertise<Number>("/short-lived"); }
@@ -97,7 +97,7 @@ bool take_all_blocks(Node& n) {
   const auto participant = transport::Participant::join(n.options);
   const auto free = [&] {
     for (std::uint32_t b = 0; b < participant->blocks(); ++b) {
-      if (participant->block(b).home.load() == refcount::kHomeFree) return true;
+      if (participant->world().block(b).home.load() == refcount::kHomeFree) return true;
     }
     return false;
   };

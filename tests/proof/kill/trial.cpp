@@ -278,7 +278,8 @@ void Actor::obey(Order order, std::uint32_t number, const Operation& operation, 
       node.drop_all();
       node.reap();
       transport::Participant::join(node.options)
-          ->trim(transport::Participant::kNobody);  // what the engine's maker has ready
+          ->stock()
+          .trim(transport::Stock::kNobody);  // what the engine's maker has ready
       break;
     case Order::Leave:
       node.leave();

@@ -176,7 +176,7 @@ again:
   atomic {
     k = 1;
     do
-    :: k <= PROCESSES && BYTE(lock_file[p], k) == NONE -> break /* @ src/transport/participant_liveness.cpp try_take_index: !lock_file_->try_lock(k) */
+    :: k <= PROCESSES && BYTE(lock_file[p], k) == NONE -> break /* @ src/transport/membership.cpp try_take_index: !lock_file_->try_lock(k) */
     :: k <= PROCESSES && BYTE(lock_file[p], k) != NONE -> k++
     od;
     BYTE(lock_file[p], k) = p;
@@ -184,7 +184,7 @@ again:
     k = 0
   };
   atomic {
-    parts[mapped[p]] = parts[mapped[p]] | 1 << held[p]; /* @ src/transport/participant_liveness.cpp take_index: part(index()).store(1, std::memory_order_release) */
+    parts[mapped[p]] = parts[mapped[p]] | 1 << held[p]; /* @ src/transport/membership.cpp take_index: part(index()).store(1, std::memory_order_release) */
     joined[p] = 1;
     for (q : 1 .. PROCESSES) {
       assert(!joined[q] || mapped[q] == mapped[p]); /* all that use the name use one segment */
@@ -193,7 +193,7 @@ again:
     q = 0
   };
 #ifndef NO_GATE
-  gate[lock_file[p]] = NONE /* @ src/transport/participant.cpp join: GateGuard gate(*file) */
+  gate[lock_file[p]] = NONE /* @ src/transport/gate.cpp pass_gate: GateGuard gate(*file) */
 #endif
 }
 
@@ -204,13 +204,13 @@ inline remove_files(p) {
     segment_name = NONE /* @ src/segment/segment.cpp remove: ::unlink(path.c_str()) */
   };
   unfinished = NONE; /* @ src/segment/segment.cpp remove: ::unlink(unfinished.c_str()) */
-  lock_name = NONE /* @ src/transport/participant_liveness.cpp remove_files_if_last: ::unlink(lock_file_->path().c_str()) */
+  lock_name = NONE /* @ src/transport/membership.cpp remove_files_if_last: ::unlink(lock_file_->path().c_str()) */
 }
 
 inline leave(p) {
   atomic { in_gate = 1; alone = (alive == 1); came = came & ~(1 << p) };
 #ifndef NO_GATE
-  atomic { gate[lock_file[p]] == NONE -> gate[lock_file[p]] = p }; /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience) */
+  atomic { gate[lock_file[p]] == NONE -> gate[lock_file[p]] = p }; /* @ src/transport/warden.cpp leave: in_gate = lock_file_.intact() && lock_file_.enter_gate(kGatePatience) */
 #ifndef NO_INODE_CHECK
   if
   :: lock_name != lock_file[p] -> gate[lock_file[p]] = NONE; in_gate = 0 /* @ src/liveness/lock_file.cpp enter_gate: leave_gate(); return false */
@@ -219,7 +219,7 @@ inline leave(p) {
 #endif
 #endif
   atomic {
-    parts[mapped[p]] = parts[mapped[p]] & ~(1 << held[p]); /* @ src/transport/participant_liveness.cpp warden: Recovery(*this).reap(index()) */
+    parts[mapped[p]] = parts[mapped[p]] & ~(1 << held[p]); /* @ src/transport/reaper.cpp reap_own: Recovery(world_).reap(index()) */
     joined[p] = 0
   };
   if
@@ -227,7 +227,7 @@ inline leave(p) {
 #ifdef UNLINK_WITHOUT_LOOK
     others = 0;
 #else
-    look_for_others(p, others); /* @ src/transport/participant_liveness.cpp remove_files_if_last: lock_file_->held_by_other(1, participants() - 1) */
+    look_for_others(p, others); /* @ src/transport/membership.cpp remove_files_if_last: lock_file_->held_by_other(1, participants() - 1) */
 #endif
     if
     :: !others -> remove_files(p)
@@ -237,9 +237,9 @@ inline leave(p) {
     gate[lock_file[p]] = NONE;
     BYTE(lock_file[p], held[p]) = NONE
 #else
-    BYTE(lock_file[p], held[p]) = NONE; /* @ src/transport/participant_liveness.cpp warden: lock_file_->unlock(index()) */
+    BYTE(lock_file[p], held[p]) = NONE; /* @ src/transport/warden.cpp leave: lock_file_.unlock(index()) */
 #ifndef NO_GATE
-    gate[lock_file[p]] = NONE /* @ src/transport/participant_liveness.cpp warden: lock_file_->leave_gate() */
+    gate[lock_file[p]] = NONE /* @ src/transport/warden.cpp leave: lock_file_.leave_gate() */
 #endif
 #endif
   :: else

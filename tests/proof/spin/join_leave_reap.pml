@@ -294,9 +294,9 @@ kept:
 /* By who has its byte, and by who has its word. */
 inline leave_orphanage() {
 #ifndef NO_ORPHANAGE_WORD
-  release_lock(orphanage); /* @ src/transport/participant_liveness.cpp leave_orphanage: RobustMutex(segment_.directory().orphanage.word, presence_).unlock() */
+  release_lock(orphanage); /* @ src/transport/reaper.cpp leave_orphanage: RobustMutex(segment_.directory().orphanage.word, presence_).unlock() */
 #endif
-  BYTE(me, 0) = NONE /* @ src/transport/participant_liveness.cpp leave_orphanage: lock_file_->unlock(refcount::kOrphanage) */
+  BYTE(me, 0) = NONE /* @ src/transport/reaper.cpp leave_orphanage: lock_file_.unlock(refcount::kOrphanage) */
 }
 #ifdef NO_ORPHANAGE_WORD
 #define CAN_ENTER_ORPHANAGE (BYTE(me, 0) == NONE)
@@ -306,8 +306,8 @@ inline leave_orphanage() {
 /* The byte first, then the word; who finds the word locked gives the byte back: nobody has seen more than
  * that it was locked for a moment. So it is one step. REQUIRES: CAN_ENTER_ORPHANAGE. */
 inline enters_orphanage() {
-  BYTE(me, 0) = me; /* @ src/transport/participant_liveness.cpp enter_orphanage: lock_file_->try_lock(refcount::kOrphanage) */
-  orphanage = name /* @ src/transport/participant_liveness.cpp enter_orphanage: mutex.try_lock() != RobustMutex::Outcome::Busy */
+  BYTE(me, 0) = me; /* @ src/transport/reaper.cpp enter_orphanage: lock_file_.try_lock(refcount::kOrphanage) */
+  orphanage = name /* @ src/transport/reaper.cpp enter_orphanage: mutex.try_lock() != RobustMutex::Outcome::Busy */
 }
 
 inline reap(k) {
@@ -367,40 +367,40 @@ proctype warden(byte me) {
   {
 end_idle:
     do
-    :: atomic { CAN_BE_REAPED(1) -> k = 1; break } /* @ src/transport/participant_liveness.cpp reap_dead: presence_.looks_dead(k) */
-    :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/participant_liveness.cpp reap_dead: presence_.looks_dead(k) */
-    :: CAN_BE_COLLECTED -> /* @ src/transport/participant_liveness.cpp look_around: reap_dead() || (due && (orphans_ || bequests != bequests_)) || has_deserted_ring() */
+    :: atomic { CAN_BE_REAPED(1) -> k = 1; break } /* @ src/transport/reaper.cpp reap_dead: presence_.looks_dead(k) */
+    :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/reaper.cpp reap_dead: presence_.looks_dead(k) */
+    :: CAN_BE_COLLECTED -> /* @ src/transport/warden.cpp look_around: reaper_.reap_dead() || (due && (orphans_ || bequests != bequests_)) || reaper_.has_deserted_ring() */
       if
-      :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/participant_liveness.cpp collect: enter_orphanage() */
-        collect(); /* @ src/transport/participant_liveness.cpp collect: Recovery(*this).collect() */
-        leave_orphanage() /* @ src/transport/participant_liveness.cpp collect: leave_orphanage() */
+      :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/reaper.cpp collect: enter_orphanage() */
+        collect(); /* @ src/transport/reaper.cpp collect: Recovery(world_).collect() */
+        leave_orphanage() /* @ src/transport/reaper.cpp collect: leave_orphanage() */
       :: !CAN_BE_COLLECTED /* Somebody else was quicker. */
       fi
     :: atomic { me == WARDEN && ALL_HAVE_GONE && !CAN_BE_REAPED(1) && !CAN_BE_REAPED(2) && !CAN_BE_COLLECTED -> goto gone }
     od;
     if
-    :: atomic { BYTE(me, k) == NONE -> BYTE(me, k) = me } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
+    :: atomic { BYTE(me, k) == NONE -> BYTE(me, k) = me } /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.try_lock(k) */
     :: else -> k = 0; goto end_idle
     fi;
     if
-    :: part[k] -> /* @ src/transport/participant_liveness.cpp reap_if_dead: part(k).load */
+    :: part[k] -> /* @ src/transport/reaper.cpp reap_if_dead: world_.part(k).load */
       if
       :: atomic { !STANDS(seat[k]) -> seat[k] = SEAT(INCARNATION(seat[k]), JUDGED) }; /* @ src/liveness/presence.cpp judge: seat, seat::make(seat::incarnation(seat), seat::kJudged) */
 #ifndef NO_ORPHANAGE_LOCK
         if
-        :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/participant_liveness.cpp reap_if_dead: enter_orphanage() */
+        :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/reaper.cpp reap_if_dead: enter_orphanage() */
           if
 #ifdef JUDGES_ONCE
           :: true ->
 #else
-          :: atomic { part[k] && NOTICE(seat[k]) == JUDGED -> skip }; /* @ src/transport/participant_liveness.cpp reap_if_dead: part(k).load(std::memory_order_acquire) != 0 && presence_.is_judged(k) */
+          :: atomic { part[k] && NOTICE(seat[k]) == JUDGED -> skip }; /* @ src/transport/reaper.cpp reap_if_dead: world_.part(k).load(std::memory_order_acquire) != 0 && presence_.is_judged(k) */
 #endif
-            reap(k) /* @ src/transport/participant_liveness.cpp reap_if_dead: Recovery(*this).reap(k) */
+            reap(k) /* @ src/transport/reaper.cpp reap_if_dead: Recovery(world_).reap(k) */
 #ifndef JUDGES_ONCE
           :: else
 #endif
           fi;
-          leave_orphanage() /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
+          leave_orphanage() /* @ src/transport/reaper.cpp reap_if_dead: leave_orphanage() */
         :: else
         fi
 #else
@@ -411,7 +411,7 @@ end_idle:
     :: else
     fi;
     atomic {
-      BYTE(me, k) = NONE; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(k) */
+      BYTE(me, k) = NONE; /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.unlock(k) */
       k = 0;
       goto end_idle
     };
@@ -432,18 +432,18 @@ gone:
 #define MAY_TAKE(k) (part[k] == of_a_dead_one && !STANDS(seat[k]))
 
 inline take_index() {
-  acquire(gate[FILE(me)], me); /* @ src/transport/participant.cpp join: if (!file->enter_gate(kGatePatience)) continue */
+  acquire(gate[FILE(me)], me); /* @ src/transport/gate.cpp pass_gate: if (!file->enter_gate(kGatePatience)) continue */
   k = 1;
   do
   :: k <= LAST ->
     if
-    :: MAY_TAKE(k) -> /* @ src/transport/participant_liveness.cpp try_take_index: return is_clean != of_a_dead_one && presence_.may_be_claimed(k) */
+    :: MAY_TAKE(k) -> /* @ src/transport/membership.cpp try_take_index: return is_clean != of_a_dead_one && presence_.may_be_claimed(k) */
       if
-      :: atomic { BYTE(me, k) == NONE -> BYTE(me, k) = me }; /* @ src/transport/participant_liveness.cpp try_take_index: !lock_file_->try_lock(k) */
+      :: atomic { BYTE(me, k) == NONE -> BYTE(me, k) = me }; /* @ src/transport/membership.cpp try_take_index: !lock_file_->try_lock(k) */
         atomic {
           w = seat[k]; /* @ src/liveness/presence.cpp claim: const std::uint64_t seat = seen(k) */
           if
-          :: MAY_TAKE(k) /* @ src/transport/participant_liveness.cpp try_take_index: if (may_take(k) && presence_.claim(k)) */
+          :: MAY_TAKE(k) /* @ src/transport/membership.cpp try_take_index: if (may_take(k) && presence_.claim(k)) */
           :: else -> goto untaken
           fi
         };
@@ -464,18 +464,18 @@ inline take_index() {
 #endif
         w = 0;
         if
-        :: part[k] == 0 -> clean = 1 /* @ src/transport/participant_liveness.cpp repair_index: if (part(index()).load(std::memory_order_acquire) == 0) return true */
+        :: part[k] == 0 -> clean = 1 /* @ src/transport/reaper.cpp repair_index: if (world_.part(index()).load(std::memory_order_acquire) == 0) return true */
 #ifdef TAKEN_WITHOUT_REAP
         :: part[k] -> clean = 1
 #else
-        :: part[k] -> /* @ src/transport/participant_liveness.cpp repair_index: if (part(index()).load(std::memory_order_acquire) == 0) return true */
+        :: part[k] -> /* @ src/transport/reaper.cpp repair_index: if (world_.part(index()).load(std::memory_order_acquire) == 0) return true */
           if
-          :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/participant_liveness.cpp repair_index: while (!enter_orphanage()) */
+          :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/reaper.cpp repair_index: while (!enter_orphanage()) */
             if
-            :: part[k] -> reap(k) /* @ src/transport/participant_liveness.cpp repair_index: Recovery(*this).reap(index()) */
-            :: part[k] == 0 /* @ src/transport/participant_liveness.cpp repair_index: if (part(index()).load(std::memory_order_acquire) != 0) */
+            :: part[k] -> reap(k) /* @ src/transport/reaper.cpp repair_index: Recovery(world_).reap(index()) */
+            :: part[k] == 0 /* @ src/transport/reaper.cpp repair_index: if (world_.part(index()).load(std::memory_order_acquire) != 0) */
             fi;
-            leave_orphanage(); /* @ src/transport/participant_liveness.cpp repair_index: leave_orphanage() */
+            leave_orphanage(); /* @ src/transport/reaper.cpp repair_index: leave_orphanage() */
             clean = 1
 #if !defined(FULL_TABLE) || defined(LOOKS_ONCE)
           :: else /* its patience has ended */
@@ -485,14 +485,14 @@ inline take_index() {
         fi;
         if
         :: atomic { clean -> clean = 0; assert(occupant[k] == NONE && !IS_NAMED(k)); occupant[k] = me; break }
-        :: else -> give_up_seat() /* @ src/transport/participant_liveness.cpp try_take_index: presence_.end() */
+        :: else -> give_up_seat() /* @ src/transport/membership.cpp try_take_index: presence_.end() */
         fi;
 untaken:
         w = 0;
-        BYTE(me, k) = NONE /* @ src/transport/participant_liveness.cpp try_take_index: lock_file_->unlock(k) */
+        BYTE(me, k) = NONE /* @ src/transport/membership.cpp try_take_index: lock_file_->unlock(k) */
       :: else
       fi
-    :: !MAY_TAKE(k) /* @ src/transport/participant_liveness.cpp try_take_index: return is_clean != of_a_dead_one && presence_.may_be_claimed(k) */
+    :: !MAY_TAKE(k) /* @ src/transport/membership.cpp try_take_index: return is_clean != of_a_dead_one && presence_.may_be_claimed(k) */
     fi;
     k++
   :: atomic { k > LAST && !of_a_dead_one -> k = 1; of_a_dead_one = 1 }
@@ -505,13 +505,13 @@ untaken:
   of_a_dead_one = 0;
   if
   :: k <= LAST ->
-    part[k] = 1 /* @ src/transport/participant_liveness.cpp take_index: part(index()).store(1 */
-  :: else -> /* @ src/transport/participant_liveness.cpp take_index: throw Error(EUSERS, segment_.path() */
+    part[k] = 1 /* @ src/transport/membership.cpp take_index: part(index()).store(1 */
+  :: else -> /* @ src/transport/membership.cpp take_index: throw Error(EUSERS, segment_.path() */
 #ifdef FULL_TABLE
     assert(false)
 #endif
   fi;
-  gate[FILE(me)] = NONE /* @ src/transport/participant.cpp ~GateGuard: file_->leave_gate() */
+  gate[FILE(me)] = NONE /* @ src/transport/gate.cpp ~GateGuard: file_->leave_gate() */
 }
 
 inline give_up_seat() {
@@ -522,14 +522,14 @@ inline give_up_seat() {
 }
 
 inline leave() {
-  acquire(gate[FILE(me)], me); /* @ src/transport/participant_liveness.cpp warden: in_gate = lock_file_->intact() && lock_file_->enter_gate(kGatePatience) */
+  acquire(gate[FILE(me)], me); /* @ src/transport/warden.cpp leave: in_gate = lock_file_.intact() && lock_file_.enter_gate(kGatePatience) */
   occupant[k] = NONE;
-  atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/participant_liveness.cpp warden: enter_orphanage() */
-  reap(k); /* @ src/transport/participant_liveness.cpp warden: Recovery(*this).reap(index()) */
-  leave_orphanage(); /* @ src/transport/participant_liveness.cpp warden: leave_orphanage() */
-  give_up_seat(); /* @ src/transport/participant_liveness.cpp warden: presence_.end() */
-  BYTE(me, k) = NONE; /* @ src/transport/participant_liveness.cpp warden: lock_file_->unlock(index()) */
-  gate[FILE(me)] = NONE /* @ src/transport/participant_liveness.cpp warden: lock_file_->leave_gate() */
+  atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/reaper.cpp reap_own: enter_orphanage() */
+  reap(k); /* @ src/transport/reaper.cpp reap_own: Recovery(world_).reap(index()) */
+  leave_orphanage(); /* @ src/transport/reaper.cpp reap_own: leave_orphanage() */
+  give_up_seat(); /* @ src/transport/warden.cpp leave: presence_.end() */
+  BYTE(me, k) = NONE; /* @ src/transport/warden.cpp leave: lock_file_.unlock(index()) */
+  gate[FILE(me)] = NONE /* @ src/transport/warden.cpp leave: lock_file_.leave_gate() */
 }
 
 /* The memory of a new ring may hold anything. */
@@ -562,7 +562,7 @@ inline await_puller() {
 #endif
 
 inline open() {
-  acquire_lock(registry); /* @ src/transport/participant_stock.cpp open_ring: const registry::Registry::Lock lock(registry_) */
+  acquire_lock(registry); /* @ src/transport/rings.cpp open: const registry::Registry::Lock lock(registry_) */
   if
   :: atomic { STATE(writer) == FREE -> writer = WRITER(GENERATION(writer) + 1, INIT, k) }; /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
     atomic { memory = 1; kernel_garbage() }; /* @ src/registry/registry.cpp open: segment_.claim_run(granules, segment::kRingTag | c) */
@@ -603,12 +603,12 @@ proctype publisher(byte me) {
 #endif
     :: else
     fi;
-    take_index(); /* @ src/transport/participant.cpp Participant: take_index(options) */
+    take_index(); /* @ src/transport/participant.cpp take_index: membership_.take_index(name */
     if
     :: k > LAST -> goto gone
     :: else
     fi;
-    open(); /* @ src/transport/participant_stock.cpp open_ring: name = registry_.open(topic, index(), options) */
+    open(); /* @ src/transport/rings.cpp open: name = registry_.open(topic, holder_.own.self, options) */
     if
     :: opened -> publish() /* @ src/transport/pusher.cpp publish: writer_->publish(b) */
     :: else
@@ -617,7 +617,7 @@ proctype publisher(byte me) {
     if
     :: me == PUBLISHER ->
       BYTE(me, k) = NONE; /* kernel: closefrom() in the application */
-      acquire(BYTE(me, k), me) /* @ src/transport/participant_liveness.cpp keep_own_lock: if (lock_lost_) lock_lost_ = !lock_file_->try_lock(index()) */
+      acquire(BYTE(me, k), me) /* @ src/transport/reaper.cpp keep_own_lock: if (lock_lost_) lock_lost_ = !lock_file_.try_lock(index()) */
     :: else
     fi;
 #endif
@@ -629,7 +629,7 @@ proctype publisher(byte me) {
     :: !opened || who != 0 /* @ src/lockfree_ring/ring.hpp join: ring.who[c].compare_exchange_strong(nobody, participant + 1 */
     fi;
 #endif
-    leave(); /* @ src/transport/participant.cpp leave: warden_.join() */
+    leave(); /* @ src/transport/participant.cpp leave: warden_.stop() */
 gone:
     atomic { ended[me] = 1; k = 0; opened = 0 }
   } unless { d_step { dead[me] -> k = 0; w = 0; needed = 0; dies = 0; clean = 0; opened = 0; of_a_dead_one = 0 } }
@@ -645,7 +645,7 @@ proctype reader(byte me) {
     :: ended[PUBLISHER] -> goto gone
     fi;
 #else
-    take_index(); /* @ src/transport/participant.cpp Participant: take_index(options) */
+    take_index(); /* @ src/transport/participant.cpp take_index: membership_.take_index(name */
     if
     :: k > LAST -> goto gone
     :: else
@@ -707,7 +707,7 @@ joined:
     :: else
     fi;
 #ifndef READER_IS_SETTLED
-    leave(); /* @ src/transport/participant.cpp leave: warden_.join() */
+    leave(); /* @ src/transport/participant.cpp leave: warden_.stop() */
 #endif
 gone:
     atomic { ended[me] = 1; k = 0 }

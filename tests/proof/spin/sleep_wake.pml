@@ -223,8 +223,8 @@ inline wake_whom_it_announced_to(k) {
 #else
   if
   :: k < READER(0) && OWNER(writer[c]) == k && STATE(writer[c]) > INIT -> /* @ src/recovery/recovery.hpp wake_whom_it_announced_to: published = ring::writer_owner(w) == k && ring::writer_state(w) > ring::State::Init */
-    directory++; /* @ src/transport/participant_liveness.cpp renew_directory: version.fetch_add(1 */
-    kernel_wake(DIRECTORY); /* @ src/transport/participant_liveness.cpp renew_directory: futex::wake_all(&version) */
+    directory++; /* @ src/transport/world.cpp renew_directory: version.fetch_add(1 */
+    kernel_wake(DIRECTORY); /* @ src/transport/world.cpp renew_directory: futex::wake_all(&version) */
     if
     :: STATE(writer[0]) == LIVE -> wake_slots(0) /* @ src/recovery/recovery.hpp wake_whom_it_announced_to: if (ring::writer_state(w) != ring::State::Live) continue */
     :: else
@@ -312,16 +312,16 @@ proctype warden(byte p) {
   {
 end_idle:
     do
-    :: atomic { IS_DEAD(1) -> lock[1] = p; k = 1; break } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
-    :: atomic { IS_DEAD(2) -> lock[2] = p; k = 2; break } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
-    :: atomic { IS_DEAD(3) -> lock[3] = p; k = 3; break } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
-    :: atomic { IS_DEAD(4) -> lock[4] = p; k = 4; break } /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
+    :: atomic { IS_DEAD(1) -> lock[1] = p; k = 1; break } /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.try_lock(k) */
+    :: atomic { IS_DEAD(2) -> lock[2] = p; k = 2; break } /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.try_lock(k) */
+    :: atomic { IS_DEAD(3) -> lock[3] = p; k = 3; break } /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.try_lock(k) */
+    :: atomic { IS_DEAD(4) -> lock[4] = p; k = 4; break } /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.try_lock(k) */
     od;
-    acquire(lock[0], p); /* @ src/transport/participant_liveness.cpp reap_if_dead: enter_orphanage() */
-    reap(k); /* @ src/transport/participant_liveness.cpp reap_if_dead: Recovery(*this).reap(k) */
-    lock[0] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
+    acquire(lock[0], p); /* @ src/transport/reaper.cpp reap_if_dead: enter_orphanage() */
+    reap(k); /* @ src/transport/reaper.cpp reap_if_dead: Recovery(world_).reap(k) */
+    lock[0] = 0; /* @ src/transport/reaper.cpp reap_if_dead: leave_orphanage() */
     atomic {
-      lock[k] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(k) */
+      lock[k] = 0; /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.unlock(k) */
       k = 0;
       goto end_idle
     }
@@ -361,7 +361,7 @@ inline announce() {
 }
 
 inline open(me, mine) {
-  acquire(registry, me); /* @ src/transport/participant_stock.cpp open_ring: const registry::Registry::Lock lock(registry_) */
+  acquire(registry, me); /* @ src/transport/rings.cpp open: const registry::Registry::Lock lock(registry_) */
   writer[mine] = WRITER(INIT, me); /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
 #if RINGS > 1
   atomic {
@@ -406,11 +406,11 @@ inline close_ring(me, mine) {
   wake_readers(mine);
   writer[mine] = WRITER(ORPHAN, 0);
 #else
-  writer[mine] = WRITER(ORPHAN, me); /* @ src/transport/participant_stock.cpp close_ring: .store(ring::make_writer(name.generation, ring::State::Orphan, index()) */
-  wake_readers(mine); /* @ src/transport/participant_stock.cpp close_ring: Recovery(*this).wake_readers(r) */
-  acquire(lock[0], me); /* @ src/transport/participant_stock.cpp finish_closing: enter_orphanage() */
-  orphan_ring(mine, me); /* @ src/transport/participant_stock.cpp finish_closing: recovery.orphan_ring(c, index()) */
-  lock[0] = 0 /* @ src/transport/participant_stock.cpp finish_closing: leave_orphanage() */
+  writer[mine] = WRITER(ORPHAN, me); /* @ src/transport/reaper.cpp end_ring: .store(ring::make_writer(name.generation, ring::State::Orphan, index()) */
+  wake_readers(mine); /* @ src/transport/reaper.cpp end_ring: Recovery(world_).wake_readers(r) */
+  acquire(lock[0], me); /* @ src/transport/reaper.cpp give_up_rings: enter_orphanage() */
+  orphan_ring(mine, me); /* @ src/transport/reaper.cpp give_up_rings: recovery.orphan_ring(c, index()) */
+  lock[0] = 0 /* @ src/transport/reaper.cpp give_up_rings: leave_orphanage() */
 #endif
 }
 
@@ -451,13 +451,13 @@ mark:
 #ifdef TIMED_LOOK
 #ifndef NO_PROBE
   if
-  :: atomic { IS_DEAD(LAGGARD) -> lock[LAGGARD] = me }; /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->try_lock(k) */
-    acquire(lock[0], me); /* @ src/transport/participant_liveness.cpp reap_if_dead: enter_orphanage() */
+  :: atomic { IS_DEAD(LAGGARD) -> lock[LAGGARD] = me }; /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.try_lock(k) */
+    acquire(lock[0], me); /* @ src/transport/reaper.cpp reap_if_dead: enter_orphanage() */
     free_cell(0, READERS - 1, LAGGARD); /* @ src/recovery/recovery.hpp reap: free_cells(c, k) */
     part[LAGGARD] = 0; /* @ src/recovery/recovery.hpp reap: world_.part(k).store(0 */
-    lock[0] = 0; /* @ src/transport/participant_liveness.cpp reap_if_dead: leave_orphanage() */
-    lock[LAGGARD] = 0 /* @ src/transport/participant_liveness.cpp reap_if_dead: lock_file_->unlock(k) */
-  :: !IS_DEAD(LAGGARD) /* @ src/transport/pusher.cpp before_sleep: for (const std::uint32_t k : laggards_) pusher_.participant_->reap_if_dead(k) */
+    lock[0] = 0; /* @ src/transport/reaper.cpp reap_if_dead: leave_orphanage() */
+    lock[LAGGARD] = 0 /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.unlock(k) */
+  :: !IS_DEAD(LAGGARD) /* @ src/transport/pusher.cpp before_sleep: for (const std::uint32_t k : laggards_) pusher_.participant_->reaper().reap_if_dead(k) */
   fi;
 #endif
 #endif
@@ -492,7 +492,7 @@ proctype publisher(byte mine) {
     :: else -> break
     od;
 #ifdef CLOSES
-    close_ring(me, mine); /* @ src/transport/pusher.cpp ~Pusher: participant_->close_ring(name_) */
+    close_ring(me, mine); /* @ src/transport/pusher.cpp ~Pusher: participant_->rings().close(name_) */
 #endif
     atomic { ended[me] = 1; next = 0 }
   } unless { d_step { dead[me] -> c = 0; i = 0; r = 0; w = 0; old = 0; value = 0; next = 0; crowded = 0; marked = 0 } }

@@ -1,0 +1,195 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/membership.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <cstring>
+#include <exception>
+#include <optional>
+#include <string>
+#include <thread>
+#include <unistd.h>
+#include <utility>
+
+#include "lot/error.hpp"
+
+#include "transport/gate.hpp"
+
+namespace lot::transport {
+namespace {
+
+using namespace std::chrono_literals;
+using segment::Sighting;
+using segment::Sightings;
+namespace errand = segment::errand;
+/// A process that joins while all indexes are taken tries again for this long. A reaper may be
+/// freeing an index just now.
+constexpr auto kFullPatience = 200ms;
+
+}  // namespace
+
+Membership::Membership(const EngineOptions& options, const segment::Trust& trust,
+                       std::shared_ptr<liveness::LockFile> lock_file)
+    : trust_(trust),
+      lock_file_(std::move(lock_file)),
+      segment_(segment::path_of(options.directory, options.segment),
+               segment::Segment::Access::ReadWrite, trust),
+      presence_(segment_, *lock_file_) {
+  if (options.lock_memory) segment_.lock_memory();
+}
+
+void Membership::take_index(std::string_view name, const Repair& repair) {
+  const auto until = futex::Clock::now() + kFullPatience;
+  // An index of a dead participant must be reaped first. The wardens do that, so a joiner prefers a
+  // clean index.
+  while (!try_take_index(false, until, repair) && !try_take_index(true, until, repair)) {
+    lock_file_->require_intact();
+    const auto longer = presence_.is_unsure() ? liveness::Presence::kConviction : 0s;
+    if (futex::Clock::now() >= until + longer) {
+      throw Error(
+          EUSERS, segment_.path(),
+          "all " + std::to_string(participants() - 1) + " processes of the segment are taken",
+          participants() < segment::kMaxParticipants
+              ? "make the segment with a larger EngineOptions::processes, or use several segments"
+              : "EngineOptions::processes is at its maximum: use several segments");
+    }
+    std::this_thread::sleep_for(1ms);
+  }
+  auto& entry = segment_.participants()[index()];
+  entry.pid = getpid();
+  entry.since_ns = static_cast<std::uint64_t>(std::chrono::system_clock::now().time_since_epoch() /
+                                              std::chrono::nanoseconds(1));
+  rename(name);
+  forget_sightings();
+  // The errands were meant for the former owner of the index. Relaxed: a participant that asks this
+  // one has seen its new state, or its name in a home word. Both come later.
+  segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
+  part(index()).store(1, std::memory_order_release);  // state
+}
+
+/// Takes a free index: a clean one, or one of a dead process. The latter is repaired first, under
+/// the name of this process.
+bool Membership::try_take_index(bool of_a_dead_one, futex::Clock::time_point until,
+                                const Repair& repair) {
+  const auto may_take = [&](std::uint32_t k) {
+    // Acquire: edge "state". A joiner that sees 0 sees all that the reaper has done.
+    const bool is_clean = part(k).load(std::memory_order_acquire) == 0;
+    return is_clean != of_a_dead_one && presence_.may_be_claimed(k);
+  };
+  for (std::uint32_t k = 1; k < participants(); ++k) {
+    if (!may_take(k) || !lock_file_->try_lock(k)) continue;
+    if (may_take(k) && presence_.claim(k)) {
+      index_ = k;
+      if (repair(until)) return true;
+      presence_.end();
+    }
+    lock_file_->unlock(k);
+  }
+  return false;
+}
+
+/// Clears what the former owner of this index has left, before this process is in the segment, so
+/// that no reader of the table takes it for this process's.
+void Membership::forget_sightings() noexcept {
+  Sightings& table = segment_.sightings()[index()];
+  // Relaxed: the state of the participant, stored later with release, carries them.
+  for (Sighting& place : table.seen) place.what.store(0, std::memory_order_relaxed);
+  table.looked_ns.store(0, std::memory_order_relaxed);  // as above
+}
+
+void Membership::return_index() noexcept {
+  // Release: edge "state".
+  part(index()).store(0, std::memory_order_release);
+}
+
+void Membership::rename(std::string_view name) noexcept {
+  auto& entry = segment_.participants()[index()];
+  std::memset(entry.name, 0, sizeof(entry.name));
+  std::memcpy(entry.name, name.data(), std::min(name.size(), sizeof(entry.name) - 1));
+}
+
+void Membership::refuse() const {
+  // Relaxed: it only chooses the text.
+  if (is_expelled_.load(std::memory_order_relaxed)) {
+    throw Error(ESTALE, segment_.path(),
+                "this process was stopped, and taken for dead: another one has its place",
+                "make new lot objects; a kernel that allows set_robust_list() prevents it");
+  }
+  throw Error(ECHILD, segment_.path(), "this object was inherited through fork() and is inert",
+              "make a new lot::ShmEngine in the child, or exec");
+}
+
+void Membership::abandon() noexcept {
+  inert_ = true;
+  presence_.abandon();
+  lock_file_->abandon();  // else the child would make the parent look alive to other processes
+}
+
+/// This process was taken for dead, and another process has its index or will get it. From now on
+/// it is inert. A thread that is in the midst of a call gets no lock in the old name. The kernel's
+/// robust list leads to the seat no more: in another PID namespace a thread of the next owner may
+/// have the same thread id as a thread of this process.
+void Membership::expel() noexcept {
+  // Relaxed, both: other threads only have to see them soon. They carry nothing.
+  is_expelled_.store(true, std::memory_order_relaxed);
+  inert_.store(true, std::memory_order_relaxed);  // as above
+  presence_.end();
+  lock_file_->unlock(index());  // another process has the index, or will have it
+  note_settled();
+}
+
+/// Removes the segment and its lock file if no other process uses them. The orphanage's lock does
+/// not count as use: the process that acts for the orphanage has an index of its own. A process
+/// that is ending may act for it to its end, behind its *ending* mark, since a thread closes a
+/// ring.
+///
+/// REQUIRES: the gate.
+void Membership::remove_files_if_last() noexcept {
+  if (!lock_file_->intact()) return;
+  const bool are_locks_held = lock_file_->held_by_other(1, participants() - 1);
+  for (std::uint32_t k = 1; k < participants(); ++k) {
+    // Relaxed: the gate carries it.
+    const std::uint32_t errands = segment_.witnesses()[k].errands.load(std::memory_order_relaxed);
+    if (k == index() || (errands & errand::kEnding) != 0) continue;
+    if (are_locks_held && lock_file_->held_by_other(k)) return;
+    if (part(k).load(std::memory_order_acquire) == 0) continue;  // state
+    // A living process may have lost its byte to closefrom(). Its notice still stands then.
+    if (!presence_.looks_dead(k)) return;
+  }
+  const bool is_there = segment_.is_at_its_path();
+  // After the look at the others: one of them may have set it without the gate, and died since.
+  if (is_there && segment_.keeps_files()) return;
+  if (is_there) segment::Segment::remove(segment_.path(), trust_);
+  ::unlink(lock_file_->path().c_str());
+}
+
+/// Crash:   killed in the gate, the effect is as when it leaves. Killed behind the mark, the
+///          process was about to die in any case.
+void Membership::settle_files() noexcept {
+  try {
+    if (lock_file_->intact() && lock_file_->enter_gate(kGatePatience)) {
+      remove_files_if_last();
+      // Relaxed: the gate carries it.
+      segment_.witnesses()[index()].errands.fetch_or(errand::kEnding, std::memory_order_relaxed);
+      lock_file_->leave_gate();
+    }
+  } catch (const std::exception&) {  // a stopped process keeps the gate, or memory is short
+  }
+  note_settled();
+}
+
+void Membership::note_settled() noexcept {
+  // Relaxed: what it tells of is in the file system.
+  files_settled_.store(1, std::memory_order_relaxed);
+  futex::wake_all(&files_settled_);
+}
+
+void Membership::await_settled(futex::Clock::time_point until) noexcept {
+  // Relaxed: what it tells of is in the file system.
+  while (files_settled_.load(std::memory_order_relaxed) == 0 &&
+         futex::wait(&files_settled_, 0, until)) {
+  }
+}
+
+}  // namespace lot::transport

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/neighbours.hpp"
+
+namespace lot::transport {
+
+bool Neighbours::may_gather() noexcept {
+  constexpr auto kSeldom = std::chrono::milliseconds(100);
+  const auto now = futex::Clock::now().time_since_epoch();
+  // Relaxed: two threads may ask at once, which does no harm.
+  const futex::Clock::duration last(gathered_.load(std::memory_order_relaxed));
+  return now - last >= kSeldom;
+}
+
+void Neighbours::ask_others(Questions& questions) noexcept {
+  // Relaxed: see may_gather().
+  gathered_.store(futex::Clock::now().time_since_epoch().count(), std::memory_order_relaxed);
+  for (std::uint32_t k = 1; k < world_.participants(); ++k) {
+    // Acquire: edge "state".
+    if (k == holder_.own.self || world_.part(k).load(std::memory_order_acquire) == 0) continue;
+    questions.asked[k] = true;
+    // Relaxed: an answer to an earlier question is as good as one to this question.
+    questions.answers[k] = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
+    holder_.ask(k, segment::errand::kTrim);
+  }
+}
+
+bool Neighbours::all_have_answered(const Questions& questions) noexcept {
+  for (std::uint32_t k = 1; k < world_.participants(); ++k) {
+    // E2. G1 carries the memory itself.
+    if (questions.asked[k] &&
+        segment_.witnesses()[k].answers.load(std::memory_order_acquire) == questions.answers[k]) {
+      return false;
+    }
+  }
+  return true;
+}
+
+bool Neighbours::ask_to_give(std::uint32_t k, const Request& request) noexcept {
+  auto& word = segment_.witnesses()[k].request;
+  word.store(request.word(), std::memory_order_relaxed);  // E1 carries it
+  std::uint64_t answer = request.word();
+  // Relaxed: G1 carries the memory. Where another process has asked meanwhile, something may have
+  // been given.
+  return ask_and_wait(k, segment::errand::kGive,
+                      [&] {
+                        answer = word.load(std::memory_order_relaxed);  // G1
+                        return answer != request.word();
+                      }) &&
+         answer != Request::kRefused;
+}
+
+bool Neighbours::is_silent(std::uint32_t k) const noexcept {
+  // Relaxed, both: they only say how long to wait.
+  const std::uint64_t answers = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
+  return silent_[k].load(std::memory_order_relaxed) == answers + 1;  // as above
+}
+
+}  // namespace lot::transport

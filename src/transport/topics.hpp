@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <list>
+#include <mutex>
+#include <string_view>
+#include <unordered_map>
+
+#include "lot/detail/control.hpp"
+
+#include "registry/registry.hpp"
+#include "transport/pool.hpp"
+#include "transport/reaper.hpp"
+
+namespace lot::transport {
+
+/// The topics that this process is a user of. It counts its handles on each.
+///
+/// Threads: all members may be called at once.
+/// Crash:   the registry has the process among the users of a topic until a reaper forgets it.
+class Topics {
+ public:
+  Topics(registry::Registry& registry, const Holder& holder, Reaper& reaper) noexcept
+      : registry_(registry), holder_(holder), reaper_(reaper) {}
+  Topics(const Topics&) = delete;
+  Topics& operator=(const Topics&) = delete;
+
+  /// Throws lot::Error.
+  std::uint32_t enter(std::string_view name, const detail::MessageType& type);
+  void leave(std::uint32_t topic) noexcept;
+
+  /// The last step of a puller that is destroyed: it leaves the rings that it never looked at, and
+  /// the topic. Where a stopped process keeps the registry's lock, the warden does that later.
+  void depart(std::list<registry::Departure> departure) noexcept;
+  /// False when some departures are left. Does not wait.
+  bool finish_departures() noexcept;
+
+ private:
+  /// Counts one handle of the topic less. REQUIRES: topics_mutex_.
+  void count_out(std::uint32_t topic) noexcept;
+  std::uint32_t index() const noexcept { return holder_.own.self; }
+
+  registry::Registry& registry_;
+  const Holder& holder_;
+  Reaper& reaper_;
+  std::mutex topics_mutex_;
+  std::unordered_map<std::uint32_t, unsigned> topic_uses_;
+  std::mutex departures_mutex_;
+  std::list<registry::Departure> departures_;  ///< those that the warden has to finish
+};
+
+}  // namespace lot::transport
