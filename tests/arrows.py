@@ -5,6 +5,9 @@
     arrows.py [ROOT]       check the tree at ROOT (default: the tree this file lies in)
     arrows.py --self-test  plant wrong includes in a scratch tree and see that each is found
 
+A section "Inside `ROOM`" lists the units of a room, bottom first: a unit (a header and its source) includes
+units of rows above its own, and itself. Every file of the room belongs to a unit that is listed.
+
 An include is looked up as the compiler would (beside the file, then in src/, include/, tests/ and so
 on). One that names a room is judged by its name even when the file does not exist.
 """
@@ -17,6 +20,8 @@ import tempfile
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*(?:include|include_next|import)[ \t]*["<]([^">]+)[">]', re.M)
 COMMENT = re.compile(r'/\*.*?\*/', re.S)
 ROW = re.compile(r'^\|\s*`(\w+)/?`\s*\|(.*)\|([^|]*)\|\s*$')
+INSIDE = re.compile(r'^## Inside `(\w+)`$')
+UNITS = re.compile(r'^\|\s*((?:`\w+`(?:,\s*)?)+)\s*\|[^|]*\|\s*$')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.inc', '.in'}
 BASES = ('src', 'include', 'tests', 'bench', 'fuzz', 'examples', '')
 # Who, outside a folder, may include it. Folders of src/ are the table's business.
@@ -51,6 +56,35 @@ def read_table(readme):
     if not table:
         raise ValueError(f'{readme}: no table of rooms found')
     return table
+
+
+def read_units(readme):
+    """{room: {unit: its row, from the bottom}}, for the rooms whose units are listed."""
+    units, room = {}, None
+    for line in readme.read_text().splitlines():
+        if line.startswith('## '):
+            head = INSIDE.match(line)
+            room = head and head.group(1)
+            continue
+        row = UNITS.match(line)
+        if not room or not row:
+            continue
+        known = units.setdefault(room, {})
+        number = len(set(known.values()))
+        for unit in re.findall(r'`(\w+)`', row.group(1)):
+            if unit in known:
+                raise ValueError(f'{readme}: {room} has two rows for {unit}')
+            known[unit] = number
+    return units
+
+
+def objection_inside(relative, name, units):
+    """Why the file may not include the header `name` of its own room, or None."""
+    rows = units.get(relative.parts[1], {}) if relative.parts[0] == 'src' and len(relative.parts) == 3 else {}
+    unit, other = relative.name.split('.')[0], pathlib.PurePosixPath(name).name.split('.')[0]
+    if unit not in rows or other not in rows or unit == other or rows[other] < rows[unit]:
+        return None
+    return f'{unit} is no unit above {other}'
 
 
 def place(relative):
@@ -95,6 +129,7 @@ def check(root):
     """All complaints about the tree at root, as lines 'file:line: why'."""
     root = root.resolve()
     table = read_table(root / 'src' / 'README.md')
+    units = read_units(root / 'src' / 'README.md')
     complaints = []
     for top in ('include', 'src', *OUTER):
         for file in sorted((root / top).rglob('*')):
@@ -105,11 +140,16 @@ def check(root):
             if top == 'src' and source[1] not in table:
                 complaints.append(f'{relative}:1: lies in no room of src/README.md')
                 continue
+            rows = units.get(source[1]) if top == 'src' and len(relative.parts) == 3 else None
+            if rows is not None and file.name.split('.')[0] not in rows:
+                complaints.append(f'{relative}:1: belongs to no unit of src/README.md')
             text = file.read_text(errors='replace')
             text = COMMENT.sub(lambda c: '\n' * c.group().count('\n'), text)
             for include in INCLUDE.finditer(text):
                 goal = target(root, file, include.group(1), table)
-                why = goal and objection(source, goal, table)
+                why = goal and (objection(source, goal, table) or
+                                (goal == source and
+                                 objection_inside(relative, include.group(1), units)))
                 if why:
                     line = text.count('\n', 0, include.start(1)) + 1
                     complaints.append(f'{relative}:{line}: {include.group(1)}: {why}')
@@ -123,6 +163,16 @@ TABLE = '''
 | `side` | b | nothing |
 | `middle` | c | `low` |
 | `high` | d | all above |
+
+## Inside `high`
+
+| unit | job |
+|---|---|
+| `floor` | a |
+| `left`, `right` | b |
+| `high` | c |
+
+## Around
 '''
 GOOD = {
     'include/lot/noun.hpp': '#include <vector>\n#include "detail/inline.hpp"\n',
@@ -130,7 +180,11 @@ GOOD = {
     'src/low/low.hpp': '// #include "high/high.hpp"\n/*\n#include "high/high.hpp"\n*/\n',
     'src/side/side.hpp': '#include <lot/noun.hpp>\n',
     'src/middle/middle.cpp': '#include "low/low.hpp"\n#include <benchmark/benchmark.h>\n',
-    'src/high/high.hpp': '#include "../middle/none.hpp"\n#include <side/side.hpp>\n',
+    'src/high/high.hpp': '#include "../middle/none.hpp"\n#include <side/side.hpp>\n#include "high/left.hpp"\n',
+    'src/high/high.cpp': '#include "high/high.hpp"\n#include "right.hpp"\n',
+    'src/high/left.hpp': '#include "high/floor.hpp"\n',
+    'src/high/right.hpp': '',
+    'src/high/floor.hpp': '',
     'tests/low/test.cpp': '#include "low/low.hpp"\n#include "support/help.hpp"\n',
     'tests/support/help.hpp': '#include "high/high.hpp"\n',
     'fuzz/fuzz.cpp': '#include "tests/support/help.hpp"\n',
@@ -142,8 +196,11 @@ PLANTED = [  # file, its text, what must be complained about
     ('src/low/bad.hpp', '#include "high/high.hpp"\n', 'src/low may not include src/high'),
     ('src/middle/bad.cpp', '#include <side/side.hpp>\n', 'src/middle may not include src/side'),
     ('src/middle/bad.cpp', '# include "../side/side.hpp"\n', 'src/middle may not include src/side'),
-    ('src/high/bad.cpp', '#include "support/help.hpp"\n', 'nobody includes tests/'),
-    ('src/high/bad.cpp', '#include "../../bench/micro/floor.hpp"\n', 'nobody includes bench/'),
+    ('src/high/left.cpp', '#include "high/right.hpp"\n', 'left is no unit above right'),
+    ('src/high/floor.cpp', '\n#include "high.hpp"\n', 'src/high/floor.cpp:2:'),
+    ('src/high/stray.cpp', '', 'belongs to no unit'),
+    ('src/high/left.cpp', '#include "support/help.hpp"\n', 'nobody includes tests/'),
+    ('src/high/left.cpp', '#include "../../bench/micro/floor.hpp"\n', 'nobody includes bench/'),
     ('src/stray/bad.cpp', '', 'lies in no room'),
     ('src/bad.cpp', '', 'lies in no room'),
     ('include/lot/bad.hpp', '#include "low/low.hpp"\n', 'include/ never includes src/'),
@@ -181,7 +238,13 @@ def self_test():
             failures.append('a table that names an unknown room is accepted')
         except ValueError:
             pass
-    return failures, len(GOOD) + len(PLANTED) + 1
+        write('src/README.md', TABLE.replace('`left`, `right`', '`left`, `floor`'))
+        try:
+            check(root)
+            failures.append('a unit with two rows is accepted')
+        except ValueError:
+            pass
+    return failures, len(GOOD) + len(PLANTED) + 2
 
 
 def main(arguments):
