@@ -32,19 +32,40 @@ class Lifetime {
   Lifetime(const Lifetime&) = delete;
   Lifetime& operator=(const Lifetime&) = delete;
 
-  void enter() noexcept;
-  void exit() noexcept;
+  /// Between enter() and exit() the owner neither leaves nor is destroyed. REQUIRES: the caller has
+  /// a pointer or a weak pointer of it.
+  void enter() noexcept {
+    // seq_cst: life_ and left_ are looked at crosswise (see life_).
+    life_.fetch_add(kReference | kInside, std::memory_order_seq_cst);
+  }
+  void exit() noexcept {
+    // Relaxed: the compare-and-swap decides. seq_cst: see life_.
+    std::uint64_t v = life_.load(std::memory_order_relaxed);
+    while ((v & kClosing) == 0) {
+      // seq_cst: see life_.
+      if (life_.compare_exchange_weak(v, v - (kReference | kInside), std::memory_order_seq_cst,
+                                      std::memory_order_relaxed)) {
+        return;
+      }
+    }
+    exit_when_closing();
+  }
   /// A weak pointer more. REQUIRES: the caller has a pointer or a weak pointer already.
   void add_reference() noexcept {
     life_.fetch_add(kReference, std::memory_order_relaxed);  // relaxed: the caller has one
   }
-  void drop_reference() noexcept;
+  void drop_reference() noexcept {
+    // acq_rel, as in std::shared_ptr: the thread that deletes the owner sees what the others did.
+    const std::uint64_t left = life_.fetch_sub(kReference, std::memory_order_acq_rel) - kReference;
+    if ((left & kReferences) == 0) owner_.end();
+  }
   /// All handles have gone. From now on the last pointer makes the owner leave. REQUIRES: between
   /// enter() and exit().
   void close() noexcept { life_.fetch_or(kClosing, std::memory_order_seq_cst); }  // see life_
   bool has_left() noexcept;
 
  private:
+  void exit_when_closing() noexcept;
   void leave_if_unused() noexcept;
 
   Owner& owner_;

@@ -57,8 +57,8 @@ class Memory {
 
   /// Claims a run of memory for a block of this process, for the publisher that has the block. The
   /// run gets the block's tag. It comes from the segment, or, when that is full, from what can be
-  /// freed. kNone: there is no run, and errno says why: 0, ENOSPC (the file system), EDQUOT (the
-  /// publisher has all that PusherOptions::max_bytes gives it).
+  /// freed. Pool::kNoRun: there is none, and errno says why: 0, ENOSPC (the file system), EDQUOT
+  /// (the publisher has all that PusherOptions::max_bytes gives it).
   std::uint32_t claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
   /// The same. A publisher that waits for readers does so here, if that can make room for the run.
   std::uint32_t await_run(std::uint32_t granules, std::uint32_t tag) noexcept;

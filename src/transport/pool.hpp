@@ -383,7 +383,7 @@ class Pool {
     } while (!granules_.compare_exchange_weak(has, has + granules, std::memory_order_relaxed));
     return true;
   }
-  /// Claims a run of free memory for a block of the pool. The run gets the block's tag. kNone:
+  /// Claims a run of free memory for a block of the pool. The run gets the block's tag. kNoRun:
   /// there is none, and errno says why: 0, ENOSPC (the file system), EDQUOT (the limit).
   std::uint32_t try_claim_run(std::uint32_t granules, std::uint32_t tag) noexcept;
   /// The same for Ahead, which leaves its publisher room for as many granules more. The run is
