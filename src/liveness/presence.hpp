@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <mutex>
 
+#include "lot/detail/mutex.hpp"
+
 #include "futex/futex.hpp"
 #include "liveness/death_notice.hpp"
 #include "liveness/lock_file.hpp"
@@ -83,7 +85,7 @@ class Presence final : public LockOwner {
   DeathNotice notice_;
   bool is_unsure_ = false;
   std::atomic<std::uint32_t> name_{0};
-  std::mutex doubts_mutex_;
+  detail::Mutex doubts_mutex_{detail::Rank::Doubts};
   std::array<Doubt, segment::kMaxParticipants> doubts_;
 };
 

@@ -10,6 +10,7 @@
 
 #include <boost/weak_ptr.hpp>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/ros/core.hpp"
 
 namespace lot::ros {
@@ -38,7 +39,7 @@ struct Name {
 /// The standard message that this process has made of one message. The thread that makes it holds
 /// the mutex, so that other threads wait for it.
 struct Made {
-  std::mutex mutex;
+  lot::detail::Mutex mutex{lot::detail::Rank::Made};
   boost::weak_ptr<void const> standard;
 };
 
@@ -64,7 +65,7 @@ class Known {
   }
 
  private:
-  std::mutex mutex_;
+  lot::detail::Mutex mutex_{lot::detail::Rank::Known};
   std::map<Name, std::weak_ptr<Made>> made_;
 };
 
@@ -101,7 +102,7 @@ class Idle {
 
  private:
   const detail::StandardKind& kind_;
-  std::mutex mutex_;
+  lot::detail::Mutex mutex_{lot::detail::Rank::Idle};
   std::vector<void*> messages_;
 };
 

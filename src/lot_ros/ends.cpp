@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 /// The user's ends of topics, which lot::ros::Publisher and Subscriber hold.
-#include <condition_variable>
 #include <exception>
 #include <map>
 #include <mutex>
@@ -12,6 +11,8 @@
 #include <ros/node_handle.h>
 #include <ros/single_subscriber_publisher.h>
 
+#include "lot/detail/mutex.hpp"
+
 #include "lot_ros/inlet.hpp"
 #include "lot_ros/outlet.hpp"
 
@@ -21,12 +22,13 @@ namespace {
 /// The outlet and the inlet of each topic in this process. Never destroyed, since static
 /// destructors use it.
 struct Topics {
-  std::mutex opening;  ///< a thread holds it while it opens one, which may ask the master
+  lot::detail::Mutex opening{lot::detail::Rank::Opening};  ///< a thread holds it while it opens
+                                                           ///< one, which may ask the master
   std::map<std::string, std::weak_ptr<TopicOutlet>> outlets;
   std::map<std::string, std::weak_ptr<Inlet>> inlets;
   /// Topics whose inlet is still closing: no thread subscribes to them meanwhile.
   std::set<std::string> closing;
-  std::condition_variable closed;
+  lot::detail::Condition closed;
   static Topics& all() {
     static auto* const topics = new Topics;
     return *topics;
@@ -35,8 +37,8 @@ struct Topics {
 
 /// roscpp's unadvertise of a topic's last end looks for its place and erases it later. So no other
 /// thread may advertise or unadvertise meanwhile. No user code runs under this mutex.
-std::mutex& advertising() {
-  static auto* const mutex = new std::mutex;
+lot::detail::Mutex& advertising() {
+  static auto* const mutex = new lot::detail::Mutex(lot::detail::Rank::Advertising);
   return *mutex;
 }
 
@@ -90,14 +92,14 @@ class TopicAdvertisement final : public Advertisement {
 
  private:
   const std::uint64_t id_;
-  mutable std::mutex mutex_;
+  mutable lot::detail::Mutex mutex_{lot::detail::Rank::End};
   std::shared_ptr<TopicOutlet> outlet_;
   ::ros::Publisher plain_;
 };
 
 /// Closes an inlet without the lock: LOT's thread may be giving messages to a user's queue just
 /// now, and that queue may want the lock.
-void close(Inlet& inlet, const std::string& topic, std::unique_lock<std::mutex>& opening) {
+void close(Inlet& inlet, const std::string& topic, std::unique_lock<lot::detail::Mutex>& opening) {
   Topics::all().closing.insert(topic);
   opening.unlock();
   std::shared_ptr<Session> session;  // destroyed last
@@ -143,7 +145,7 @@ class TopicSubscription final : public Subscription {
  private:
   const std::string topic_;
   const std::uint64_t user_;
-  mutable std::mutex mutex_;
+  mutable lot::detail::Mutex mutex_{lot::detail::Rank::End};
   std::shared_ptr<Inlet> inlet_;
 };
 

@@ -2,6 +2,7 @@
 #include "lot_ros/immediate_queue.hpp"
 
 #include <algorithm>
+#include <mutex>
 
 #include <ros/callback_queue.h>
 #include <ros/init.h>

@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <condition_variable>
 #include <cstdint>
-#include <mutex>
 #include <thread>
 #include <utility>
 #include <vector>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/ros/immediate_queue.hpp"
 
 namespace lot::ros {
@@ -30,8 +29,8 @@ class ImmediateQueue final : public ::ros::CallbackQueueInterface {
  private:
   using Work = std::pair<std::uint64_t, std::thread::id>;
 
-  std::mutex mutex_;
-  std::condition_variable done_;
+  lot::detail::Mutex mutex_{lot::detail::Rank::Immediate};
+  lot::detail::Condition done_;
   std::vector<Work> at_work_;
 };
 

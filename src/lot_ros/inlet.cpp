@@ -2,7 +2,6 @@
 #include "lot_ros/inlet.hpp"
 
 #include <algorithm>
-#include <condition_variable>
 #include <functional>
 #include <iterator>
 #include <thread>
@@ -15,6 +14,7 @@
 #include <ros/this_node.h>
 #include <ros/topic_manager.h>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/detail/no_signals.hpp"
 
 #include "lot_ros/immediate_queue.hpp"
@@ -89,8 +89,8 @@ class Intake final : public ::ros::CallbackQueueInterface {
     }
   }
 
-  std::mutex mutex_;
-  std::condition_variable more_, idle_;
+  lot::detail::Mutex mutex_{lot::detail::Rank::Intake};
+  lot::detail::Condition more_, idle_;
   bool begun_ = false;
   std::thread::id thread_;
   std::deque<Work> work_;

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <atomic>
-#include <condition_variable>
 #include <cstdint>
 #include <deque>
 #include <map>
@@ -20,6 +19,7 @@
 #include <ros/subscription_callback_helper.h>
 #include <ros/subscription_queue.h>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/ros/core.hpp"
 
 #include "lot_ros/session.hpp"
@@ -246,19 +246,20 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   };
   std::map<std::string, Link> links_;
 
-  mutable std::mutex mutex_;
+  mutable lot::detail::Mutex mutex_{lot::detail::Rank::Inlet};
   std::map<std::uint64_t, User> users_;
   // A thread with mutex_ writes these three; others read them without it.
   std::atomic<std::uint32_t> at_once_{kAtOnce};
   std::atomic<bool> calls_at_once_{false};    ///< LOT's thread calls the callback of a user
   std::atomic<std::size_t> most_waiting_{0};  ///< places of the largest queue of a user
-  std::condition_variable added_;             ///< a thread has added a callback
+  lot::detail::Condition added_;              ///< a thread has added a callback
   /// The last message of each publisher that latches, or of which that is not known yet.
   std::map<std::string, Last> latched_;
   bool forgetting_ = false;  ///< LOT's thread is due to look for publishers that have gone
   std::uint64_t last_user_ = 0;
 
-  std::mutex taken_mutex_;  ///< a leaf: no other lock is taken under it
+  lot::detail::Mutex taken_mutex_{
+      lot::detail::Rank::Taken};  ///< a leaf: no other lock is taken under it
   std::deque<Taken> taken_;
   std::uint64_t markers_ = 0;  ///< so far; a message waits until those before it have passed
   std::uint64_t markers_passed_ = 0;

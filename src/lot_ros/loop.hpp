@@ -3,7 +3,6 @@
 
 #include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -12,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/wait_set.hpp"
 
 namespace lot::ros {
@@ -74,14 +74,14 @@ class Loop {
   bool do_what_is_due();
 
   const int process_;
-  std::mutex mutex_;
+  lot::detail::Mutex mutex_{lot::detail::Rank::Loop};
   std::multimap<Clock::time_point, std::function<void()>> work_;  ///< by when it is to be done
   bool ended_ = false;  ///< LOT's thread takes no work any more
   bool ends_ = false;
   std::atomic<std::thread::id> thread_{};
   std::atomic<std::thread::id> owner_{};  ///< the thread with the turn; changes under mutex_
   unsigned callers_ = 0;                  ///< threads that wait in call()
-  std::condition_variable changed_;       ///< owner_, callers_ or ended_
+  lot::detail::Condition changed_;        ///< owner_, callers_ or ended_
   WaitSet arrivals_;
   std::vector<std::function<void()>> afterwards_;  ///< LOT's thread's own
   std::uint64_t turn_ = 0;

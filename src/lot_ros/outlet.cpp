@@ -117,7 +117,7 @@ class Door final : public ::ros::CallbackQueueInterface {
     std::weak_ptr<TopicOutlet> outlet;
     ::ros::PublicationPtr publication;
   };
-  std::mutex mutex_;
+  lot::detail::Mutex mutex_{lot::detail::Rank::Door};
   std::map<std::uint64_t, Entry> outlets_;
 };
 
@@ -143,7 +143,7 @@ bool is_in_process(const boost::weak_ptr<::ros::SubscriberLink>& link) {
 class TopicOutlet::Turn {
  public:
   explicit Turn(TopicOutlet& outlet) : Turn(outlet, std::unique_lock(outlet.mutex_)) {}
-  Turn(TopicOutlet& outlet, std::unique_lock<std::mutex> lock)
+  Turn(TopicOutlet& outlet, std::unique_lock<lot::detail::Mutex> lock)
       : outlet_(outlet), lock_(std::move(lock)) {}
   Turn(const Turn&) = delete;
   Turn& operator=(const Turn&) = delete;
@@ -169,7 +169,7 @@ class TopicOutlet::Turn {
   }
 
   TopicOutlet& outlet_;
-  std::unique_lock<std::mutex> lock_;
+  std::unique_lock<lot::detail::Mutex> lock_;
 };
 
 TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::AdvertiseOptions& options,

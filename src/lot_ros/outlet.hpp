@@ -20,6 +20,7 @@
 #include <ros/subscriber_link.h>
 #include <ros/topic_manager.h>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/ros/core.hpp"
 
 #include "lot_ros/inlet.hpp"
@@ -222,11 +223,12 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   /// Null: LOT is off, cannot carry this topic, or the outlet is closed. A thread that changes it
   /// holds both mutexes.
   std::shared_ptr<lot::detail::PusherCore> ring_;
-  std::mutex ring_mutex_;  ///< a leaf: no other lock is taken under it
+  lot::detail::Mutex ring_mutex_{
+      lot::detail::Rank::Ring};  ///< a leaf: no other lock is taken under it
   ::ros::SubscriberCallbacksPtr callbacks_;
   ::ros::PublicationPtr publication_;
 
-  mutable std::mutex mutex_;
+  mutable lot::detail::Mutex mutex_{lot::detail::Rank::Outlet};
   std::shared_ptr<Session> session_;  ///< null: closed
   Peers peers_;
   Peers gone_;
@@ -246,7 +248,8 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   /// True once the topic has latched. roscpp's links that were made then latch for ever.
   bool has_latched_ = false;
 
-  mutable std::mutex news_mutex_;  ///< a leaf: a thread may take it with roscpp's locks held
+  mutable lot::detail::Mutex news_mutex_{
+      lot::detail::Rank::News};  ///< a leaf: a thread may take it with roscpp's locks held
   std::vector<News> news_;
   std::set<int> announced_;  ///< numbers of the links that roscpp has told of
   bool is_open_ = false;     ///< open() has added the links to all news

@@ -16,6 +16,7 @@
 #include <ros/this_node.h>
 #include <xmlrpcpp/XmlRpcException.h>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/detail/no_signals.hpp"
 
 #include "lot_ros/copies.hpp"
@@ -119,7 +120,8 @@ std::string participant_name(std::string_view node) {
 }
 
 std::shared_ptr<Session> Session::get() {
-  static auto* const mutex = new std::mutex;  // static destructors call this
+  static auto* const mutex =
+      new lot::detail::Mutex(lot::detail::Rank::Session);  // static destructors call this
   static auto* const the_one = new std::weak_ptr<Session>;
   const std::lock_guard guard(*mutex);
   auto session = the_one->lock();

@@ -74,7 +74,7 @@ void Ahead::leave_off() noexcept {
   call_off(lock);
 }
 
-void Ahead::call_off(std::unique_lock<std::mutex>& lock) noexcept {
+void Ahead::call_off(std::unique_lock<detail::Mutex>& lock) noexcept {
   is_called_off_.store(true, std::memory_order_relaxed);  // relaxed: it carries nothing
   const std::uint64_t turn = turn_;
   signal_.wait(lock, [&] { return at_ == nullptr || turn_ != turn; });

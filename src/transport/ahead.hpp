@@ -2,11 +2,12 @@
 #pragma once
 
 #include <atomic>
-#include <condition_variable>
 #include <cstdint>
 #include <mutex>
 #include <thread>
 #include <vector>
+
+#include "lot/detail/mutex.hpp"
 
 #include "futex/futex.hpp"
 #include "segment/segment.hpp"
@@ -64,12 +65,12 @@ class Ahead {
   bool furnish(Pool& pool, std::uint32_t b, const Pieces& pieces) noexcept;
   /// Makes the thread give back what it is making, as soon as the kernel has finished a unit.
   /// Returns when it has. REQUIRES: the lock on mutex_.
-  void call_off(std::unique_lock<std::mutex>& lock) noexcept;
+  void call_off(std::unique_lock<detail::Mutex>& lock) noexcept;
 
   segment::Segment& segment_;
   WardenThread& warden_;
-  std::mutex mutex_;
-  std::condition_variable signal_;
+  detail::Mutex mutex_{detail::Rank::Ahead};
+  detail::Condition signal_;
   std::vector<Want> wants_;   ///< one for each publisher
   const Pool* at_ = nullptr;  ///< the pool whose block is being made
   std::uint64_t turn_ = 0;    ///< how many blocks it has begun

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cstdint>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/detail/patience.hpp"
 
 namespace lot::transport {
@@ -37,20 +38,13 @@ class BiasedLock {
   BiasedLock() noexcept;
 
   void lock() noexcept {
-    // Relaxed: only this thread itself can have stored its own number here.
-    if (owner_.load(std::memory_order_relaxed) == self()) [[likely]] {
-      busy_.store(true, std::memory_order_relaxed);               // P1
-      std::atomic_signal_fence(std::memory_order_seq_cst);        // P1, for the compiler
-      if (!shared_.load(std::memory_order_relaxed)) [[likely]] {  // P1
-        biased_ = true;
-        return;
-      }
-      busy_.store(false, std::memory_order_release);  // P2
-    }
-    lock_shared();
+    detail::before_lock(detail::Rank::Pool);
+    take();
+    detail::after_lock(detail::Rank::Pool);
   }
 
   void unlock() noexcept {
+    detail::before_unlock(detail::Rank::Pool);
     if (biased_) [[likely]] {
       biased_ = false;
       busy_.store(false, std::memory_order_release);  // P2
@@ -67,6 +61,20 @@ class BiasedLock {
   bool is_biased() const noexcept { return !shared_.load(std::memory_order_relaxed); }
 
  private:
+  void take() noexcept {
+    // Relaxed: only this thread itself can have stored its own number here.
+    if (owner_.load(std::memory_order_relaxed) == self()) [[likely]] {
+      busy_.store(true, std::memory_order_relaxed);               // P1
+      std::atomic_signal_fence(std::memory_order_seq_cst);        // P1, for the compiler
+      if (!shared_.load(std::memory_order_relaxed)) [[likely]] {  // P1
+        biased_ = true;
+        return;
+      }
+      busy_.store(false, std::memory_order_release);  // P2
+    }
+    lock_shared();
+  }
+
   static constexpr std::uintptr_t kUnowned = 0;
   static constexpr std::uintptr_t kNobody = 1;
 

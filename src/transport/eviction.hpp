@@ -9,6 +9,8 @@
 #include <span>
 #include <vector>
 
+#include "lot/detail/mutex.hpp"
+
 #include "transport/pool.hpp"
 #include "transport/survey.hpp"
 
@@ -155,7 +157,7 @@ class Eviction {
   Survey& survey(Shortage shortage) noexcept;
 
   Holder& holder_;
-  std::mutex mutex_;
+  detail::Mutex mutex_{detail::Rank::Eviction};
   std::vector<Evictor*> evictors_;
   std::vector<bool> marked_;  ///< [blocks]
   Survey survey_;

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <mutex>
 
+#include "lot/detail/mutex.hpp"
+
 namespace lot::transport {
 
 /// How long a participant lives: it leaves its segment when its last handle and its last pointer
@@ -70,7 +72,7 @@ class Lifetime {
 
   Owner& owner_;
   std::atomic<bool> left_{false};
-  std::mutex leave_mutex_;
+  detail::Mutex leave_mutex_{detail::Rank::Leave};
 
   /// {closing : 1 | references : 31 | inside : 32}. Closing: all handles have gone. References: the
   /// membership is one, each weak pointer and each thread inside is one. At none the owner is

@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
@@ -24,8 +25,9 @@ constexpr std::chrono::seconds kOrphanagePatience{2};
 /// The participants of this process. The object is never destroyed, since static destructors that
 /// run after this library's may release pointers.
 struct Process {
-  std::mutex joining;  ///< held while a thread joins, which may take long; taken before `mutex`
-  std::mutex mutex;    ///< guards the lists
+  /// held while a thread joins, which may take long
+  detail::Mutex joining{detail::Rank::Joining};
+  detail::Mutex mutex{detail::Rank::Process};  ///< guards the lists
   std::map<std::string, std::weak_ptr<Participant>> by_path;
   std::vector<Participant*> all;
 };
@@ -169,7 +171,7 @@ Participant* Participant::at(const void* address) noexcept {
 
 void Participant::remove_files() noexcept {
   const auto until = futex::Clock::now() + kGatePatience;
-  const auto lock = [until](std::mutex& mutex) {
+  const auto lock = [until](detail::Mutex& mutex) {
     bool is_ours = mutex.try_lock();
     while (!is_ours && futex::Clock::now() < until) {
       std::this_thread::sleep_for(std::chrono::milliseconds(1));

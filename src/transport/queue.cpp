@@ -6,6 +6,7 @@
 #include <mutex>
 
 #include "lot/detail/core.hpp"
+#include "lot/detail/mutex.hpp"
 
 #include "futex/futex.hpp"
 #include "transport/participant.hpp"
@@ -248,7 +249,8 @@ class Queue final : public detail::QueueCore {
   std::uint32_t topic_;
   std::once_flag pusher_made_;
   std::unique_ptr<detail::PusherCore> pusher_;
-  std::mutex mutex_;  ///< guards what follows; no thread sleeps while it holds it
+  /// guards what follows; no thread sleeps while it holds it
+  detail::Mutex mutex_{detail::Rank::Queue};
   waiting::SpinHabit habit_;
   std::unique_ptr<detail::PullerCore> puller_;
   /// Items that this handle has taken and could not copy. There is room for in_hand_ more.

@@ -233,9 +233,10 @@ bool Reaper::take_out(std::uint32_t channel, std::uint32_t b,
   return is_out;
 }
 
-bool Reaper::keep_own_lock(std::mutex& no_fork) noexcept {
+bool Reaper::keep_own_lock(detail::Mutex& no_fork) noexcept {
   if (!lock_file_.intact()) {
-    const std::scoped_lock guard(reap_mutex_, no_fork);
+    const std::lock_guard guard(reap_mutex_);
+    const std::lock_guard no_child(no_fork);
     lock_lost_ = lock_file_.reopen();
   }
   // A process that probes the byte may have it for a moment. Then the next look tries again.

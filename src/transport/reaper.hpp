@@ -7,6 +7,7 @@
 #include <mutex>
 #include <thread>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
@@ -69,7 +70,7 @@ class Reaper {
   /// not reap this one meanwhile, because its notice stands. With the byte back, they need not look
   /// at the notice. False: the next look tries again. Held while the lock file is opened: no_fork.
   /// Warden.
-  bool keep_own_lock(std::mutex& no_fork) noexcept;
+  bool keep_own_lock(detail::Mutex& no_fork) noexcept;
 
  private:
   std::uint32_t index() const noexcept { return membership_.index(); }
@@ -84,7 +85,8 @@ class Reaper {
   segment::Segment& segment_;
   World& world_;
   const Holder& holder_;
-  std::mutex reap_mutex_;   ///< byte locks do not exclude threads of one process
+  /// byte locks do not exclude threads of one process
+  detail::Mutex reap_mutex_{detail::Rank::Reap};
   bool lock_lost_ = false;  ///< this process must lock its byte again; the warden's
 };
 

@@ -13,6 +13,7 @@
 #include <thread>
 #include <unistd.h>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/detail/no_signals.hpp"
 #include "lot/error.hpp"
 
@@ -30,7 +31,7 @@ constexpr int kSignals[] = {SIGINT, SIGTERM, SIGHUP};
 /// (PR_SET_PDEATHSIG).
 constexpr std::chrono::milliseconds kCleaning = transport::kGatePatience;
 
-std::mutex mutex;
+detail::Mutex mutex{detail::Rank::Signals};
 // What the handler uses. Relaxed, all of it: nothing is handed over. No descriptor, since
 // closefrom() would close it.
 std::atomic<pid_t> process{0};         ///< the process that has the thread

@@ -80,7 +80,8 @@ void Stock::settle_free(std::size_t i) noexcept {
 /// itself.
 bool Stock::holds_pointers() noexcept {
   // Both locks: the warden has pointer holds for a moment while it settles or drains.
-  const std::scoped_lock guard(settle_mutex_, pools_mutex_);
+  const std::lock_guard settling(settle_mutex_);
+  const std::lock_guard guard(pools_mutex_);
   while (trim_all()) {
   }
   for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) {

@@ -11,6 +11,8 @@
 #include <utility>
 #include <vector>
 
+#include "lot/detail/mutex.hpp"
+
 #include "registry/registry.hpp"
 #include "segment/segment.hpp"
 #include "transport/ahead.hpp"
@@ -113,10 +115,9 @@ class Stock {
   segment::Segment& segment_;
   Holder& holder_;
   Ahead& ahead_;
-  /// Held while kept messages die, with no other lock, since their destructors are the
-  /// application's code. Taken before pools_mutex_.
-  std::mutex settle_mutex_;
-  std::mutex pools_mutex_;
+  /// Held while kept messages die, since their destructors are the application's code.
+  detail::Mutex settle_mutex_{detail::Rank::Settle};
+  detail::Mutex pools_mutex_{detail::Rank::Pools};
   std::vector<std::unique_ptr<Pool>> pools_;
   std::vector<Draining> draining_;
   std::vector<Pool*> idle_;

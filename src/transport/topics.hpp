@@ -8,6 +8,7 @@
 #include <unordered_map>
 
 #include "lot/detail/control.hpp"
+#include "lot/detail/mutex.hpp"
 
 #include "registry/registry.hpp"
 #include "transport/pool.hpp"
@@ -44,9 +45,9 @@ class Topics {
   registry::Registry& registry_;
   const Holder& holder_;
   Reaper& reaper_;
-  std::mutex topics_mutex_;
+  detail::Mutex topics_mutex_{detail::Rank::Topics};
   std::unordered_map<std::uint32_t, unsigned> topic_uses_;
-  std::mutex departures_mutex_;
+  detail::Mutex departures_mutex_{detail::Rank::Departures};
   std::list<registry::Departure> departures_;  ///< those that the warden has to finish
 };
 

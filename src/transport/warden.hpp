@@ -6,6 +6,8 @@
 #include <mutex>
 #include <vector>
 
+#include "lot/detail/mutex.hpp"
+
 #include "futex/futex.hpp"
 #include "segment/segment.hpp"
 #include "transport/eviction.hpp"
@@ -43,7 +45,7 @@ class Warden {
     Topics& topics;
     /// Held while the lock file is opened: a forked child must know all descriptors that it has to
     /// close.
-    std::mutex& no_fork;
+    detail::Mutex& no_fork;
   };
   explicit Warden(const Parts& parts);
   Warden(const Warden&) = delete;
@@ -80,7 +82,7 @@ class Warden {
   Reaper& reaper_;
   Rings& rings_;
   Topics& topics_;
-  std::mutex& no_fork_;
+  detail::Mutex& no_fork_;
 
   std::atomic<bool> warden_stop_{false};
   // Both relaxed: errands (E1) carry them.

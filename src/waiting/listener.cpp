@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cerrno>
 #include <chrono>
-#include <condition_variable>
 #include <cstdio>
 #include <memory>
 #include <mutex>
@@ -10,6 +9,7 @@
 #include <thread>
 #include <unistd.h>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/detail/no_signals.hpp"
 #include "lot/wait_set.hpp"
 
@@ -52,8 +52,8 @@ void become(const ThreadOptions& options) {
 struct ShmListener::Impl {
   WaitSet set;
   ThreadOptions options;
-  std::mutex mutex;
-  std::condition_variable begun;
+  detail::Mutex mutex{detail::Rank::Listener};
+  detail::Condition begun;
   bool has_begun = false;
   std::exception_ptr refused;
   const pid_t process = getpid();

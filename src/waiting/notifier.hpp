@@ -6,6 +6,7 @@
 #include <thread>
 
 #include "lot/detail/core.hpp"
+#include "lot/detail/mutex.hpp"
 
 namespace lot::waiting {
 
@@ -34,7 +35,7 @@ class Notifier {
   void ring() noexcept;
 
   int fd_;
-  std::mutex mutex_;
+  detail::Mutex mutex_{detail::Rank::Notifier};
   detail::FutexWaits waits_;         ///< what to sleep on
   detail::Clock::time_point again_;  ///< the latest time to wake
   enum class Order { Idle, Watch, Stop } order_ = Order::Idle;

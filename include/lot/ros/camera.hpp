@@ -18,6 +18,7 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 
+#include "lot/detail/mutex.hpp"
 #include "lot/ros/node_handle.hpp"
 #include "lot/ros/publisher.hpp"
 #include "lot/ros/subscriber.hpp"
@@ -248,7 +249,7 @@ class CameraSubscriber {
 
     const std::uint32_t queue_size;
     const Callback callback;
-    std::mutex mutex;
+    lot::detail::Mutex mutex{lot::detail::Rank::Camera};
     std::map<::ros::Time, std::pair<ImagePtr, InfoPtr>> waiting_for;
     unsigned image_count = 0, info_count = 0, pair_count = 0;
     ::ros::WallTimer look;
