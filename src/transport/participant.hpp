@@ -70,7 +70,7 @@ class Participant final : private Lifetime::Owner {
     return hub_.same_segment(cell);
   }
   bool was_received(const detail::ControlCell& cell) const noexcept {
-    return hub_.was_received(cell);
+    return holder_.was_received(cell);
   }
 
   // The units.

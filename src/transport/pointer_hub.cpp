@@ -28,7 +28,7 @@ void PointerHub::fill_pointers() noexcept {
     const PointerHub& p = of(c);
     if (p.membership_.is_inert()) return;
     p.lifetime_.enter();
-    if (p.was_received(*c)) {
+    if (p.holder_.was_received(*c)) {
       p.drop_pointer(*c);
     } else {
       p.holder_.pool_of(*c).give_back(*c);

@@ -22,13 +22,6 @@ class PointerHub : public detail::Hub {
 
   /// True when the pointer belongs to this segment, whichever copy of the library made it.
   bool same_segment(const detail::ControlCell& cell) const noexcept;
-  /// True when the message of a unique pointer was taken from a queue. Other processes may still
-  /// look at its block, though not at the message.
-  bool was_received(const detail::ControlCell& cell) const noexcept {
-    // Relaxed: the slot that the message was taken from carries it (R1).
-    return !holder_.is_home(cell.block) ||
-           holder_.in_queue[cell.block].load(std::memory_order_relaxed) != 0;
-  }
 
  private:
   static const PointerHub& of(const detail::ControlCell* cell) noexcept;

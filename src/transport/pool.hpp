@@ -67,6 +67,13 @@ struct Holder {
     return (cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
   }
 
+  /// True when the message of a unique pointer was taken from a queue. Other processes may still
+  /// look at its block, though not at the message.
+  bool was_received(const detail::ControlCell& c) const noexcept {
+    // Relaxed: the slot that the message was taken from carries it (R1).
+    return !is_home(c.block) || in_queue[c.block].load(std::memory_order_relaxed) != 0;
+  }
+
   Pool& pool_of(std::uint32_t b) const noexcept { return pool_of(cell(b)); }
   Pool& pool_of(const detail::ControlCell& cell) const noexcept {
     // Relaxed: see ControlCell::pool.
