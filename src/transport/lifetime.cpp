@@ -25,7 +25,8 @@ void Lifetime::leave_if_unused() noexcept {
   };
   {
     const std::lock_guard guard(leave_mutex_);
-    if (left_ || !unused()) return;
+    // Relaxed: the mutex carries it.
+    if (left_.load(std::memory_order_relaxed) || !unused()) return;
     left_.store(true, std::memory_order_seq_cst);  // see life_
     if (!unused()) {  // a weak pointer was locked just now: its holder calls this again
       left_.store(false, std::memory_order_seq_cst);  // see life_

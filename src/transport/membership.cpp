@@ -65,7 +65,7 @@ void Membership::take_index(std::string_view name, const Repair& repair) {
   // The errands were meant for the former owner of the index. Relaxed: a participant that asks this
   // one has seen its new state, or its name in a home word. Both come later.
   segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
-  part(index()).store(1, std::memory_order_release);  // state
+  part(index()).store(1, std::memory_order_release);  // edge "state"
 }
 
 /// Takes a free index: a clean one, or one of a dead process. The latter is repaired first, under
@@ -121,7 +121,7 @@ void Membership::refuse() const {
 }
 
 void Membership::abandon() noexcept {
-  inert_ = true;
+  inert_.store(true, std::memory_order_relaxed);  // relaxed: the child has one thread
   presence_.abandon();
   lock_file_->abandon();  // else the child would make the parent look alive to other processes
 }
@@ -153,7 +153,7 @@ void Membership::remove_files_if_last() noexcept {
     const std::uint32_t errands = segment_.witnesses()[k].errands.load(std::memory_order_relaxed);
     if (k == index() || (errands & errand::kEnding) != 0) continue;
     if (are_locks_held && lock_file_->held_by_other(k)) return;
-    if (part(k).load(std::memory_order_acquire) == 0) continue;  // state
+    if (part(k).load(std::memory_order_acquire) == 0) continue;  // edge "state"
     // A living process may have lost its byte to closefrom(). Its notice still stands then.
     if (!presence_.looks_dead(k)) return;
   }

@@ -52,7 +52,8 @@ class Membership {
     if (inert_.load(std::memory_order_relaxed)) [[unlikely]]
       refuse();
   }
-  bool is_inert() const noexcept { return inert_; }
+  /// Relaxed: as in check_usable().
+  bool is_inert() const noexcept { return inert_.load(std::memory_order_relaxed); }
   [[noreturn]] void refuse() const;
   /// This process is a forked child of the one that has joined.
   void abandon() noexcept;

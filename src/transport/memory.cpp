@@ -94,8 +94,9 @@ bool Memory::take_out(std::uint32_t channel, std::uint32_t b) noexcept {
   const bool is_elsewhere = home > refcount::kHomeOrphanage && home <= world_.participants();
   // Its warden does not answer, so it would not free the block.
   if (is_elsewhere && neighbours_.is_silent(home - 1)) return false;
+  // Relaxed: the number is all that it tells. Whoever claims the memory acquires it (G1).
   const auto generation = [&] {
-    return refcount::generation_of(world_.block(b).life.load(std::memory_order_acquire));
+    return refcount::generation_of(world_.block(b).life.load(std::memory_order_relaxed));
   };
   const std::uint32_t before = generation();
   const auto until = futex::Clock::now() + Neighbours::kAnswerPatience;

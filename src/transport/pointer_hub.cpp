@@ -21,7 +21,7 @@ void PointerHub::fill_pointers() noexcept {
     const PointerHub& p = of(c);
     if (p.membership_.is_inert()) return;
     p.lifetime_.enter();
-    p.drop_pointer(*c);
+    p.holder_.release(c->block, hold::kPointer);
     p.lifetime_.exit();
   };
   abandoned = [](detail::ControlCell* c) noexcept {
@@ -29,7 +29,7 @@ void PointerHub::fill_pointers() noexcept {
     if (p.membership_.is_inert()) return;
     p.lifetime_.enter();
     if (p.holder_.was_received(*c)) {
-      p.drop_pointer(*c);
+      p.holder_.release(c->block, hold::kPointer);
     } else {
       p.holder_.pool_of(*c).give_back(*c);
     }
@@ -46,10 +46,7 @@ void PointerHub::fill_pointers() noexcept {
   };
   points = [](detail::ControlCell* c) noexcept {
     const PointerHub& p = of(c);
-    if (p.holder_.is_home(c->block)) {
-      // Relaxed: a hint for the use_count() of other processes.
-      p.segment_.block(c->block).home_points.store(1, std::memory_order_relaxed);
-    }
+    HardwareOwnership::note_pointers(p.segment_.block(c->block), c->hold);
   };
 }
 
@@ -62,18 +59,15 @@ void PointerHub::fill_weak_pointers() noexcept {
     segment::BlockWords& words = p.segment_.block(c->block);
     const Left left =
         p.lifetime_.has_left() ? Left::Gone : p.holder_.own.acquire_weak(words, c->hold, expected);
-    const bool alive = left == Left::Held;
-    // Relaxed, both: with a hold the block stays at home; home_points is a hint.
-    if (alive && (c->hold.load(std::memory_order_relaxed) & hold::kHome) != 0) {
-      words.home_points.store(1, std::memory_order_relaxed);  // a hint
-    }
     if (left == Left::Wanted) p.holder_.tell_home(c->block);
     p.lifetime_.exit();
-    return alive;
+    return left == Left::Held;
   };
   generation = [](const detail::ControlCell* c) noexcept {
+    // Relaxed: the caller has seen its message live. A later number says that it has died, and
+    // nothing else: only who locks a weak pointer looks at the message.
     return refcount::generation_of(
-        of(c).segment_.block(c->block).life.load(std::memory_order_acquire));
+        of(c).segment_.block(c->block).life.load(std::memory_order_relaxed));
   };
   expired = [](const detail::ControlCell* c, std::uint32_t expected) noexcept {
     const PointerHub& p = of(c);
@@ -128,21 +122,6 @@ const PointerHub& PointerHub::of(const detail::ControlCell* cell) noexcept {
   return *static_cast<const PointerHub*>(cell->hub);
 }
 
-void PointerHub::drop_pointer(detail::ControlCell& cell) const noexcept {
-  if (!holder_.is_home(cell.block)) return holder_.release(cell.block, hold::kPointer);
-  segment::BlockWords& words = segment_.block(cell.block);
-  const std::uint64_t v =
-      // O4
-      cell.hold.fetch_sub(hold::kPointer, std::memory_order_acq_rel) - hold::kPointer;
-  if (hold::pointers(v) != 0) return;
-  words.home_points.store(0, std::memory_order_relaxed);  // relaxed: a hint
-  if (hold::pointers(cell.hold.load(std::memory_order_seq_cst)) != 0) {
-    // Another thread has taken a pointer meanwhile.
-    words.home_points.store(1, std::memory_order_relaxed);
-  }
-  if ((v & hold::kHolds) == 0) holder_.pool_of(cell).came_home(cell.block);
-}
-
 /// True only if other threads and processes have done all their reads before: each hold that goes
 /// is released, and acquired here.
 bool PointerHub::is_alone(const detail::ControlCell& cell) const noexcept {
@@ -156,6 +135,7 @@ bool PointerHub::is_alone(const detail::ControlCell& cell) const noexcept {
   // not. It does not count when this process took the message from a queue and has not published it
   // since.
   if ((v & hold::kHome) == 0 && segment_.arena(cell.block).was_handed_over()) {
+    // Relaxed: only the number counts. What the home has done is in its bit (O1).
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     if (home > refcount::kHomeOrphanage) maker = home - 1;
   }

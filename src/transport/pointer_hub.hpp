@@ -29,7 +29,6 @@ class PointerHub : public detail::Hub {
   void fill_weak_pointers() noexcept;
   void fill_answers() noexcept;
   std::uint32_t index() const noexcept { return holder_.own.self; }
-  void drop_pointer(detail::ControlCell& cell) const noexcept;
   /// True when the one pointer of this process is all that can see the message.
   bool is_alone(const detail::ControlCell& cell) const noexcept;
 

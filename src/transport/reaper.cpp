@@ -19,14 +19,15 @@ constexpr auto kOrphanageLook = 100us;
 
 /// False: another process has acted for the orphanage all the time.
 bool Reaper::repair_index(futex::Clock::time_point until) noexcept {
-  if (world_.part(index()).load(std::memory_order_acquire) == 0) return true;  // state
+  if (world_.part(index()).load(std::memory_order_acquire) == 0) return true;  // edge "state"
   while (!enter_orphanage()) {
     if (futex::Clock::now() >= until) return false;
     std::this_thread::sleep_for(1ms);
   }
   bool repaired = true;
   try {
-    // A reaper with another lock file may have repaired the index meanwhile.
+    // A reaper with another lock file may have repaired the index meanwhile. Acquire:
+    // edge "state".
     if (world_.part(index()).load(std::memory_order_acquire) != 0) Recovery(world_).reap(index());
   } catch (const std::bad_alloc&) {  // as if killed here
     repaired = false;

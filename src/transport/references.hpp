@@ -13,13 +13,12 @@ namespace lot::transport {
 /// Calls f(entry) for each entry of the list of what the message in block b refers to, the free
 /// ones too, until f returns false. Bounds are checked, since the list may be damaged.
 ///
-/// Relaxed: the home writes the list. A reaper reads it under the dead home's byte lock, or after
+/// The home writes the list. A reaper reads it under the dead home's byte lock, or after
 /// the message's death. `lot who` takes what it sees for a hint.
 template <class F>
 void each_entry(const segment::Segment& segment, std::uint32_t b, F&& f) {
   using detail::ReferenceList;
-  // Relaxed, here and below: see above.
-  std::uint64_t at = std::atomic_ref(segment.arena(b).references).load(std::memory_order_relaxed);
+  std::uint64_t at = detail::read_once(segment.arena(b).references);
   // A message has one entry for each block, and no new list while an entry is free.
   const std::uint32_t most = segment.capacity().blocks / ReferenceList::kEntries + 1;
   for (std::uint32_t n = 0; n < most && at != 0; ++n) {
@@ -28,7 +27,7 @@ void each_entry(const segment::Segment& segment, std::uint32_t b, F&& f) {
     for (ReferenceList::Entry& entry : list->entry) {
       if (!f(entry)) return;
     }
-    at = std::atomic_ref(list->next).load(std::memory_order_relaxed);  // see above
+    at = detail::read_once(list->next);
   }
 }
 
@@ -37,7 +36,7 @@ template <class F>
 void each_reference(const segment::Segment& segment, std::uint32_t b, F&& f) {
   each_entry(segment, b, [&](detail::ReferenceList::Entry& entry) {
     // Read once: a write that comes meanwhile cannot get past the check.
-    const std::uint32_t target = std::atomic_ref(entry.block).load(std::memory_order_relaxed);
+    const std::uint32_t target = detail::read_once(entry.block);
     if (target < segment.capacity().blocks) f(target);
     return true;
   });
