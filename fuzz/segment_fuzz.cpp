@@ -232,7 +232,7 @@ class Editor {
     const auto offset = input.number<std::uint16_t>();
     const std::uint8_t operation = input.byte();
     const std::uint32_t value = std::uint32_t{input.number<std::uint16_t>()} << 8 | input.byte();
-    change(place(area % 14, index, offset), operation, value);
+    change(place(area < 252 ? area % 14 : 14, index, offset), operation, value);
   }
 
   /// Leaves so many 65536ths of the file.
@@ -281,6 +281,8 @@ class Editor {
       }
       case 12:
         return entry(geometry_.small, capacity_.blocks, kSmallBytes);
+      case 14:
+        return entry(geometry_.replies, capacity_.topics, sizeof(Replies));
       default: {  // a message's memory
         const auto& arena = at<lot::detail::Arena>(
             geometry_.arenas + index % capacity_.blocks * sizeof(lot::detail::Arena));

@@ -29,9 +29,10 @@ import tempfile
 ROOMS = ('src/lockfree_ring/*.hpp', 'src/refcount/*.hpp', 'src/recovery/*.hpp',
          'src/robust_mutex/robust_condition.hpp', 'src/robust_mutex/lock_word.hpp',
          'src/segment/granules.hpp', 'src/segment/units.hpp', 'src/waiting/waiting.hpp',
+         'src/selection/bounds.hpp', 'src/selection/selector.hpp',
          'include/lot/detail/hold_word.hpp', 'include/lot/detail/changed_by.hpp')
 CLASSES = ('Ring', 'Writer', 'Reader', 'Cell', 'Ownership', 'BlockWords', 'Recovery', 'Granules', 'Units',
-           'RobustCondition', 'LockWord', 'HoldWord', 'ChangedBy', 'Steps')
+           'RobustCondition', 'LockWord', 'HoldWord', 'ChangedBy', 'Steps', 'Bounds', 'Selector', 'Selection')
 TARGETS = ('lot', 'lot_model')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.hh', '.cxx', '.hxx', '.ipp', '.inc', '.in'}
 
@@ -312,6 +313,7 @@ template <class P> struct BlockWords {}; template <class P> struct Ownership {};
 #include "robust_mutex/robust_condition.hpp"
 #include "segment/units.hpp"
 #include "waiting/waiting.hpp"
+#include "selection/selector.hpp"
 namespace lot::recovery { template <class P, class World> class Recovery {}; }
 ''',
     'src/robust_mutex/robust_condition.hpp': '''
@@ -335,6 +337,12 @@ namespace lot::detail { template <class A, class O> class ChangedBy {}; }
 ''',
     'src/waiting/waiting.hpp': '''
 namespace lot::waiting { template <class Waiter> struct Steps {}; }
+''',
+    'src/selection/bounds.hpp': '''
+namespace lot::selection { template <class P> struct Bounds {}; }
+''',
+    'src/selection/selector.hpp': '''#include "selection/bounds.hpp"
+namespace lot::selection { template <class P> class Selector {}; template <class P> class Selection {}; }
 ''',
     'src/lot.cpp': '''#include "recovery/recovery.hpp"
 namespace lot { template <class P> class Forward; }

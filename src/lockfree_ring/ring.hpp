@@ -27,9 +27,8 @@
 ///   R2  slot exchange, then position load in Writer::hazards (both seq_cst)
 ///       <-> position store, then second slot load in Reader::poll (both seq_cst)
 ///       either the reader sees that the slot has moved on, or the writer sees the hazard.
-///   R3  position store in Reader::done, join -> position load in Writer::room, hazards,
-///       serve
-///       carries: "the payload has been read". To serve(): "the reader's round has begun".
+///   R3  position store in Reader::done, join -> position load in Writer::room, hazards
+///       carries: "the payload has been read". From join(): what its caller has prepared.
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
 ///       in Writer::room (seq_cst): a joiner is on the writer's list, or starts behind the message.
@@ -48,11 +47,6 @@
 ///   R10 slot compare-and-swap in empty() -> slot load in Writer::room, Writer::each_taken
 ///       carries: the taker's hold on the block. Both are seq_cst, as in R2: the writer sees the
 ///       hazard of each reader that saw the message before it was taken.
-///   R11 `to` by compare-and-swap in Writer::serve (release) -> `to` in Reader::to (acquire)
-///       carries: `from`, which was set before. A reader that sees that the old end is taken back
-///       sees the new beginning. Which reader a message is for is carried by its slot (R1).
-///   R12 `from` in Reader::join (release) -> `from` in Writer::serve (acquire)
-///       carries: whose cell it is. A writer that sees the round sees the reader's name.
 ///   R13 formed = 1 and who store, then pullers load in Ring::await_pullers (all seq_cst)
 ///       <-> pullers = 0 by the reaper, then formed and who loads in free_cells (all seq_cst):
 ///       the maker or the reaper takes the cell of a dead subscriber away, or both do.
@@ -79,10 +73,6 @@ struct alignas(P::kLine) Cell {
   /// writes it, and after its death its reaper. The ring's maker writes it for a subscriber that
   /// has not looked yet. The writer writes it once, when it gives a joiner its place.
   typename P::template Atomic<Word> position;
-  /// For writers that serve only some of their readers: the messages from `from` on and before
-  /// `to` are for this reader. A joiner unsets both. Then the writer sets them.
-  typename P::template Atomic<Word> from;
-  typename P::template Atomic<Word> to;
 };
 
 /// Takes a sleeper's mark away. True when there was one: the caller may have to wake a sleeper.
@@ -124,6 +114,9 @@ struct Ring {
   /// [depth], where workers must finish the messages that they take. Else null, as is `returned`.
   Atomic<Word>* claims = nullptr;
   Atomic<std::uint32_t>* returned = nullptr;  ///< bumped when messages have come back
+  /// [readers] Memory that the ring's maker has asked for, for each reader some. The ring itself
+  /// never looks there. Null: there is none.
+  void* extra = nullptr;
 
   /// True where a reader protects the message that it looks at by a hazard. Else its cursor does.
   bool guarded() const { return taken || !blocking; }
@@ -139,10 +132,8 @@ struct Ring {
       if (claims != nullptr) claims[i].store(make_claim(before, 0, 0), std::memory_order_relaxed);
     }
     for (std::uint32_t c = 0; c < readers; ++c) {
-      cells[c].position.store(kIdle, std::memory_order_relaxed);        // R7
-      cells[c].from.store(make_unbound(0), std::memory_order_relaxed);  // R7
-      cells[c].to.store(make_unbound(0), std::memory_order_relaxed);    // R7
-      who[c].store(0, std::memory_order_relaxed);                       // R7
+      cells[c].position.store(kIdle, std::memory_order_relaxed);  // R7
+      who[c].store(0, std::memory_order_relaxed);                 // R7
     }
   }
 
@@ -481,94 +472,15 @@ class Writer {
     }
   }
 
-  /// Calls f(participant) for each reader.
+  /// Calls f(participant, cell) for each reader.
   template <class F>
   void each_reader(F&& f) {
     refresh_roster();
     for (const std::uint32_t c : active_) {
       // Relaxed: a hint. The reader may leave at any time.
       const std::uint32_t who = ring_.who[c].load(std::memory_order_relaxed);
-      if (who != 0) f(who - 1);
+      if (who != 0) f(who - 1, c);
     }
-  }
-
-  /// A reader that the writer serves: its cell, and its round there.
-  struct Served {
-    std::uint32_t cell = 0;
-    Word round = 0;
-  };
-  /// Tells the only reader that this participant has here that the messages from `first` on are for
-  /// it. Returns nothing when the participant has no reader here or several, or when the reader has
-  /// not yet read all that was for it before.
-  ///
-  /// `still()` is asked after the look at the reader. It says whether the participant is still the
-  /// one that is meant. `answer`: serves only a reader that joined with that answer.
-  template <class Still>
-  std::optional<Served> serve(std::uint32_t participant, Word first, Still&& still,
-                              std::optional<Word> answer = {}) {
-    refresh_roster();
-    std::optional<std::uint32_t> cell;
-    for (const std::uint32_t c : active_) {
-      // Relaxed: `from` brings the name (R12), and `who` is read again below.
-      if (ring_.who[c].load(std::memory_order_relaxed) != participant + 1) continue;
-      if (cell) return std::nullopt;
-      cell = c;
-    }
-    if (!cell) return std::nullopt;
-    auto& [position, from, to] = ring_.cells[*cell];
-    // A reader that has not finished joining may not have begun its round yet.
-    const Word read = position.load(std::memory_order_acquire);  // R3
-    if (!is_place(read)) return std::nullopt;
-    Word begin = from.load(std::memory_order_acquire);  // R12
-    Word end = to.load(std::memory_order_relaxed);      // its round is compared with that of `from`
-    const Word round = bound_round(begin);
-    if (answer && begin != make_unbound(round, *answer)) return std::nullopt;
-    if (bound_round(end) != round || is_set(begin) != is_set(end)) return std::nullopt;
-    if (is_set(end) && distance(sequence(read), bound_sequence(end)) < 0) return std::nullopt;
-    // Relaxed: R12 has brought the name that belongs to this round.
-    if (!still() || ring_.who[*cell].load(std::memory_order_relaxed) != participant + 1) {
-      return std::nullopt;
-    }
-    // If the cell has another reader by now, that reader has begun another round, and the
-    // compare-and-swap fails. Relaxed: the message's slot carries it to the reader (R1), or R11.
-    if (!from.compare_exchange_strong(begin, make_bound(round, first), std::memory_order_relaxed,
-                                      std::memory_order_relaxed)) {
-      return std::nullopt;
-    }
-    if (is_set(end) &&
-        !to.compare_exchange_strong(end, make_unbound(round), std::memory_order_release,
-                                    std::memory_order_relaxed)) {  // R11
-      return std::nullopt;
-    }
-    return Served{*cell, round};
-  }
-  /// True when the last n messages are all in the ring: there were n, and none was evicted or
-  /// overwritten.
-  bool has_last(Word n) const {
-    if (n > ring_.depth || static_cast<Word>(distance(next_, ring_.first)) < n) return false;
-    for (Word i = 1; i <= n; ++i) {
-      const Word place = (index_ + ring_.depth - i) % ring_.depth;
-      // Relaxed: the writer has put the blocks there itself.
-      if (block(ring_.slots[place].load(std::memory_order_relaxed)) == kNoBlock) return false;
-    }
-    return true;
-  }
-
-  /// False when that reader has left its cell.
-  bool serves(const Served& served) const {
-    // Relaxed: a hint. The reader may leave at any time.
-    return bound_round(ring_.cells[served.cell].from.load(std::memory_order_relaxed)) ==
-               served.round &&
-           ring_.who[served.cell].load(std::memory_order_relaxed) != 0;
-  }
-  /// Ends what is for that reader: no later message is for it, nor are the last `back` messages,
-  /// where it has not read them yet.
-  void stop(const Served& served, Word back) {
-    Word open = make_unbound(served.round);
-    const Word end = advance(next_, kSequenceMask + 1 - back);
-    // Relaxed: the next message's slot carries it (R1).
-    ring_.cells[served.cell].to.compare_exchange_strong(
-        open, make_bound(served.round, end), std::memory_order_relaxed, std::memory_order_relaxed);
   }
 
   /// Announces on `space` that the sender is about to sleep; returns the value to sleep on. The
@@ -706,6 +618,10 @@ class Reader {
   static constexpr std::uint64_t kFromTheStart = ~std::uint64_t{0};
   /// How often in one lap of the ring done() asks whether the sender sleeps for room.
   static constexpr std::uint32_t kBellsPerLap = 4;
+  /// A reader that joins and prepares nothing.
+  struct Nothing {
+    void operator()(std::uint32_t) const noexcept {}
+  };
 
   Reader() = default;
 
@@ -714,10 +630,15 @@ class Reader {
   /// ring whose messages are taken can be joined: any reader may take what waits there.
   /// REQUIRES: no process recycles the ring meanwhile.
   ///
+  /// prepare(cell) is called once the cell is this reader's, and before the writer sees the reader
+  /// there. R8 has brought what the cell's former readers did, and R3 brings the writer what
+  /// prepare() did.
+  ///
   /// Crash: killed after the claim of who[c], the reaper makes the cell idle and frees it.
+  template <class Prepare = Nothing>
   static std::optional<Reader> join(const Ring<P>& ring, std::uint32_t generation,
                                     std::uint32_t participant, std::uint64_t history, bool& full,
-                                    Word answer = 0) {
+                                    Prepare&& prepare = {}) {
     full = false;
     std::uint32_t c = 0;
     for (; c < ring.readers; ++c) {
@@ -738,12 +659,8 @@ class Reader {
       ring.who[c].store(0, std::memory_order_relaxed);  // this reader did nothing with the cell
       return std::nullopt;
     }
-    auto& [position, from, to] = ring.cells[c];
-    // A writer that sees this reader (R4) also sees that no message is for it yet. Relaxed: R8
-    // carries the former reader's round.
-    const Word round = bound_round(from.load(std::memory_order_relaxed)) + 1;
-    from.store(make_unbound(round, answer), std::memory_order_release);  // R12
-    to.store(make_unbound(round), std::memory_order_relaxed);            // R3 carries it
+    prepare(c);
+    auto& position = ring.cells[c].position;
     Word wish = joining(std::min<std::uint64_t>(history, ring.depth));
     if (!ring.guarded()) position.store(wish, std::memory_order_release);  // R3, R14
     ring.roster->fetch_add(1, std::memory_order_seq_cst);                  // R4, R15
@@ -974,13 +891,6 @@ class Reader {
     ring_.cells[cell_].position.store(kIdle, std::memory_order_release);  // R3
     ring_.free_cell(cell_);
   }
-
-  /// What the writer has said is for this reader: the messages from `from` on and before `to`. The
-  /// writer may not have set them yet. For a message that was read both are valid, if the caller
-  /// asks for `to` first.
-  Word to() const { return ring_.cells[cell_].to.load(std::memory_order_acquire); }  // R11
-  // Relaxed: R1 or R11 carries it.
-  Word from() const { return ring_.cells[cell_].from.load(std::memory_order_relaxed); }
 
   /// Of a reader that joined from the start: how many messages were overwritten before it came.
   std::uint64_t skipped() const { return skipped_; }

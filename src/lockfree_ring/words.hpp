@@ -65,25 +65,6 @@ constexpr std::int64_t distance(Word a, Word b) {
 constexpr Word next(Word sequence) { return (sequence + 1) & kSequenceMask; }
 constexpr Word advance(Word sequence, Word by) { return (sequence + by) & kSequenceMask; }
 
-/// A bound: where the messages for one reader begin or end. {set : 1 | round : 21 | sequence : 42}.
-/// Each reader of a cell begins a round of its own, so that a late writer tells the cell's next
-/// reader nothing.
-inline constexpr Word kSet = Word{1} << 63;
-inline constexpr unsigned kBoundBits = 64 - kSequenceShift;
-inline constexpr Word kBoundRounds = Word{1} << (63 - kBoundBits);
-
-constexpr Word make_bound(Word round, Word sequence) {
-  return kSet | (round % kBoundRounds) << kBoundBits | sequence;
-}
-/// A bound that is not set yet. `answer`: what its reader answers to the publisher that asked it to
-/// join again (0: nothing).
-constexpr Word make_unbound(Word round, Word answer = 0) {
-  return (round % kBoundRounds) << kBoundBits | answer;
-}
-constexpr bool is_set(Word bound) { return (bound & kSet) != 0; }
-constexpr Word bound_round(Word bound) { return (bound & ~kSet) >> kBoundBits; }
-constexpr Word bound_sequence(Word bound) { return bound & kSequenceMask; }
-
 /// A claim names the worker of a slot's message: {sequence : 42 | deliveries : 12 | worker : 10}.
 /// The worker is participant + 1, or 0. Where the sequence is older than the slot's, the message
 /// was never delivered. Deliveries are counted up to kMostDeliveries.

@@ -252,17 +252,16 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
       PullerOptions from_the_start;
       from_the_start.history = ~std::uint64_t{0};
       from_the_start.max_held_bytes = PullerOptions::kNoQuota;  // no callback says that it is full
-      rings_ =
-          lot::detail::make_puller(session_->participant(), session_->name_of(topic_),
-                                   *kind_.layout, from_the_start, lot::detail::Delivery::ToAll);
+      rings_ = lot::detail::make_selecting_puller(
+          session_->participant(), session_->name_of(topic_), *kind_.layout, from_the_start);
       if (has_plain_ones()) rings_->decline();
-      rings_->size();  // joins the rings, before a link says that we are here
+      rings_->core().size();  // joins the rings, before a link says that we are here
       // This thread must not wait for LOT's thread here: LOT's thread may be giving a message to a
       // user's queue just now, and that queue may want to open another topic.
       loop_->soon([weak = weak_from_this()] {
         const auto self = weak.lock();
         if (!self || !self->rings_) return;
-        self->loop_->arrivals().add(*self->rings_, [inlet = self.get()] { inlet->read(); });
+        self->loop_->arrivals().add(self->rings_->core(), [inlet = self.get()] { inlet->read(); });
       });
     } catch (const std::exception& e) {
       rings_.reset();
@@ -285,8 +284,8 @@ bool Inlet::open(::ros::NodeHandle& node, const ::ros::SubscribeOptions& asked) 
 }
 
 std::shared_ptr<Session> Inlet::close() {
-  // The inlet leaves its rings first, so that no publisher serves them when the link is another
-  // inlet's.
+  // The inlet leaves its rings first, so that no publisher selects it there when the link is
+  // another inlet's.
   {
     decltype(rings_) rings;  // all destroyed when LOT's thread may go on
     decltype(unclaimed_) unclaimed;
@@ -294,7 +293,7 @@ std::shared_ptr<Session> Inlet::close() {
     decltype(taken_) taken;
     decltype(latched_) latched;
     loop_->call([&] {
-      if (rings_) loop_->arrivals().remove(*rings_);
+      if (rings_) loop_->arrivals().remove(rings_->core());
       rings.swap(rings_);
       unclaimed.swap(unclaimed_);
       held.swap(held_);
@@ -320,12 +319,13 @@ void Inlet::read() {
   deliver_claimed();
   for (; may_deliver_ > 0; --may_deliver_) {
     lot::detail::Borrowed borrowed;
-    if (rings_->borrow(borrowed, false, {}, false) != Status::Ok) break;
+    lot::detail::PullerCore& puller = rings_->core();
+    if (puller.borrow(borrowed, false, {}, false) != Status::Ok) break;
     const struct End {
-      lot::detail::PullerCore& rings;
-      ~End() { rings.done(); }
-    } end{*rings_};
-    borrowed.cell = rings_->keep();
+      lot::detail::PullerCore& puller;
+      ~End() { puller.done(); }
+    } end{puller};
+    borrowed.cell = puller.keep();
     claim({kind_.adopt(borrowed), rings_->origin()});
   }
   deliver_claimed();
@@ -404,7 +404,7 @@ bool Inlet::deliver_if_ours(const Pulled& pulled) {
 }
 
 /// Takes from a frame what it says: whether a plain subscriber gets what the link brings, too, and
-/// what the link knows of its publisher. Answers the publisher by decline() or content().
+/// what the link knows of its publisher. Answers the publisher by decline() or confirm().
 void Inlet::heard(const std::string& publisher, const Header& header, bool is_shared) {
   Link& link = links_[publisher];
   if (link.alive.lock() != header) {
@@ -433,7 +433,7 @@ void Inlet::heard(const std::string& publisher, const Header& header, bool is_sh
     }
   }
   if (!rings_) return;
-  is_shared ? rings_->decline() : rings_->content();
+  is_shared ? rings_->decline() : rings_->confirm();
   read();
 }
 
@@ -453,13 +453,13 @@ void Inlet::arrived(Frame frame) {
       link.idle_rings->emplace_back(ring.channel, ring.generation);
     }
   }
-  if (rings_) link.had += rings_->taken_back(frame.publisher);
+  if (rings_) link.had += rings_->resent(frame.publisher);
   if (!frame.message) link.had = 0;  // they came before the invitation, or were lost
   if (link.had != 0) {
     --link.had;
     return;
   }
-  if (is_behind || (rings_ && rings_->has_last_ones(frame.publisher))) {
+  if (is_behind || (rings_ && rings_->has_remaining(frame.publisher))) {
     held_.push_back(std::move(frame));
     read();
   } else {
@@ -482,7 +482,7 @@ void Inlet::handle(const Frame& frame) {
   Link& link = links_[frame.publisher];
   link.idle_rings.reset();
   link.since = Loop::Clock::now();
-  for (const auto& ring : rings_->rejoin(frame.publisher, frame.invitation)) {
+  for (const auto& ring : rings_->join_anew(frame.publisher, frame.invitation)) {
     unclaimed_.erase(RingName(ring.channel, ring.generation));  // the inlet reads it again
   }
 }
@@ -490,7 +490,7 @@ void Inlet::handle(const Frame& frame) {
 void Inlet::deliver_held() {
   if (!rings_) return;
   for (auto frame = held_.begin(); frame != held_.end();) {
-    if (rings_->has_last_ones(frame->publisher)) {
+    if (rings_->has_remaining(frame->publisher)) {
       ++frame;
       continue;
     }

@@ -20,6 +20,7 @@
 #include <ros/subscription_queue.h>
 
 #include "lot/detail/mutex.hpp"
+#include "lot/detail/selection.hpp"
 #include "lot/ros/core.hpp"
 
 #include "lot_ros/session.hpp"
@@ -220,8 +221,8 @@ class Inlet final : public std::enable_shared_from_this<Inlet> {
   const std::string own_name_;  ///< of this process, as its participant is called
   const detail::Kind& kind_;
   ::ros::Subscriber subscriber_;
-  std::shared_ptr<Session> session_;                ///< null: closed
-  std::unique_ptr<lot::detail::PullerCore> rings_;  ///< null: LOT is off
+  std::shared_ptr<Session> session_;                     ///< null: closed
+  std::unique_ptr<lot::detail::SelectingPuller> rings_;  ///< null: LOT is off
   std::uint64_t turn_ = ~std::uint64_t{0};  ///< the loop's round in which may_deliver_ was set
   std::uint32_t may_deliver_ = 0;           ///< messages that it may still deliver in this round
   bool reads_again_ = false;                ///< read() is due in the next round; LOT's thread's own

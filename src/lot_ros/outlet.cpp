@@ -184,8 +184,8 @@ TopicOutlet::TopicOutlet(std::shared_ptr<Session> session, const ::ros::Advertis
   ring.depth = depth_of(options);
   ring.engine = session_->queue_engine();
   try {
-    ring_ = lot::detail::make_pusher(session_->participant(), session_->name_of(options.topic),
-                                     *kind.layout, ring, lot::detail::Delivery::ToAll);
+    ring_ = lot::detail::make_selecting_pusher(
+        session_->participant(), session_->name_of(options.topic), *kind.layout, ring);
   } catch (const std::exception& e) {
     ROS_WARN("LOT: %s goes over TCPROS: %s", options.topic.c_str(), e.what());
   }
@@ -262,7 +262,7 @@ void TopicOutlet::withdraw() {
 
 void TopicOutlet::close() {
   Peers gone;
-  std::shared_ptr<lot::detail::PusherCore> ring;
+  std::shared_ptr<lot::detail::SelectingPusher> ring;
   std::shared_ptr<Session> session;
   const std::scoped_lock guard(mutex_, ring_mutex_);  // released first, before the objects above go
   gone.swap(peers_);
@@ -383,14 +383,14 @@ const TopicOutlet::Message* TopicOutlet::latched_last(
   return latched.size() == 1 && last_is_latched_ ? latched.front() : nullptr;
 }
 
-/// Open -> Ring, if the peer reads the ring: serves its cell from the oldest kept message on. The
-/// probe then asks whether the ring is enough for the peer's process.
+/// Open -> Ring, if the peer reads the ring: selects its reader from the oldest kept message on.
+/// The probe then asks whether the ring is enough for the peer's process.
 bool TopicOutlet::try_ring(Peer& peer) {
   if (!ring_ || !peer.may_read || !is_alone(peer)) return false;
-  const auto served = ring_->serve(participant_name(peer.name), peer.unsure.size(), peer.invited);
-  if (!served) return false;
-  peer.served = *served;
-  peer.served_since = std::chrono::steady_clock::now();
+  const auto reader = ring_->select(participant_name(peer.name), peer.unsure.size(), peer.invited);
+  if (!reader) return false;
+  peer.reader = *reader;
+  peer.selected_since = std::chrono::steady_clock::now();
   peer.state = State::Ring;
   peer.has_last = !peer.unsure.empty();
   peer.invited.reset();
@@ -423,7 +423,7 @@ void TopicOutlet::keep_for(Peer& peer, const Message& message) {
 void TopicOutlet::has_answered(Peer& peer) {
   peer.has_answered = true;
   if (peer.invite_again != kFirstInvitation &&
-      std::chrono::steady_clock::now() - peer.served_since > kSettled) {
+      std::chrono::steady_clock::now() - peer.selected_since > kSettled) {
     peer.invite_again = kFirstInvitation;
   }
   peer.unsure.clear();
@@ -495,7 +495,7 @@ std::size_t TopicOutlet::most_unsure() const {
 /// The peer's link has gone: ends its service in the ring.
 void TopicOutlet::leave_ring(Peer& peer) {
   if (peer.state != State::Ring) return;
-  ring_->stop(peer.served, 0);
+  ring_->deselect(peer.reader, 0);
   peer.state = State::Link;
 }
 
@@ -505,7 +505,7 @@ void TopicOutlet::leave_ring(Peer& peer) {
 void TopicOutlet::return_to_link(Peer& peer) {
   const Message* const last = latched_last(latched());
   if (last != nullptr && peer.has_last && peer.unsure.empty()) peer.unsure.push_back(*last);
-  ring_->stop(peer.served, peer.unsure.size());
+  ring_->deselect(peer.reader, peer.unsure.size());
   invite_later(peer);
   go_to_link(peer);
 }
@@ -513,18 +513,18 @@ void TopicOutlet::return_to_link(Peer& peer) {
 // ---- messages -----------------------------------------------------------------------------------
 
 /// A pointer to the ring, since another thread may close the outlet meanwhile.
-std::shared_ptr<lot::detail::PusherCore> TopicOutlet::ring() {
+std::shared_ptr<lot::detail::SelectingPusher> TopicOutlet::ring() {
   const std::lock_guard guard(ring_mutex_);
   return ring_;
 }
 
 lot::detail::Loan TopicOutlet::loan() {
   const auto ring = this->ring();
-  return ring ? ring->loan(*kind_.layout, false) : lot::detail::Loan{};
+  return ring ? ring->core().loan(*kind_.layout, false) : lot::detail::Loan{};
 }
 
 void TopicOutlet::reserve(std::size_t count, std::size_t bytes) {
-  if (const auto ring = this->ring()) ring->reserve(count, bytes);
+  if (const auto ring = this->ring()) ring->core().reserve(count, bytes);
 }
 
 void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t end) {
@@ -555,7 +555,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
                        [state](const Peer& p) { return p.state == state; });
   };
   bool to_ring = ring_ != nullptr && (latches || in(State::Ring) || in(State::Open));
-  if (to_ring && (parcel.cell == nullptr || !ring_->has(*parcel.cell, parcel.message.get()))) {
+  if (to_ring && (parcel.cell == nullptr || !ring_->accepts(*parcel.cell, parcel.message.get()))) {
     const detail::Parcel copy = into_ring(message);
     to_ring = copy.cell != nullptr;
     if (to_ring) {
@@ -569,9 +569,9 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
     if (peer.state == State::Open && !to_ring) {
       go_to_link(peer);
     } else if (peer.state == State::Ring) {
-      if (!to_ring || !ring_->wants(peer.served)) {
+      if (!to_ring || !ring_->wants(peer.reader)) {
         return_to_link(peer);
-      } else if (ring_->is_content(peer.served)) {
+      } else if (ring_->has_confirmed(peer.reader)) {
         has_answered(peer);
       }
     }
@@ -583,14 +583,14 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
     if (peer.state == State::Open) undecided.push_back(&peer);
     if (peer.state != State::Ring) continue;
     peer.has_last = true;
-    if (is_due) ring_->ask(peer.served);  // no other thread has asked lately
-    if (ring_->is_content(peer.served)) {
+    if (is_due) ring_->ask(peer.reader);  // no other thread has asked lately
+    if (ring_->has_confirmed(peer.reader)) {
       has_answered(peer);
     } else {
       undecided.push_back(&peer);
     }
   }
-  if (to_ring) ring_->push_shared(parcel.cell, parcel.message.get(), 0ns);
+  if (to_ring) ring_->core().push_shared(parcel.cell, parcel.message.get(), 0ns);
   for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
   look_beside();
@@ -618,7 +618,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
 detail::Parcel TopicOutlet::into_ring(const Message& message) {
   const detail::Parcel& given = message.parcel;
   try {
-    const lot::detail::Loan loan = ring_->loan(*kind_.layout, false);
+    const lot::detail::Loan loan = ring_->core().loan(*kind_.layout, false);
     if (loan.cell == nullptr) return {};
     if (given.message) return kind_.copy_into(loan, given.message.get());
     detail::Parcel copy = kind_.standard.copy_into(loan, given.standard.get());
@@ -864,7 +864,7 @@ bool TopicOutlet::is_read() const {
 bool TopicOutlet::take_answers() {
   bool all_answered = true;
   for (Peer& peer : peers_) {
-    if (peer.state == State::Ring && !ring_->wants(peer.served)) return_to_link(peer);
+    if (peer.state == State::Ring && !ring_->wants(peer.reader)) return_to_link(peer);
     if (peer.state == State::Open && peer.invited && peer.unsure.empty() && !try_ring(peer)) {
       if (std::chrono::steady_clock::now() - peer.since > kPatience) {
         go_to_link(peer);
@@ -875,7 +875,7 @@ bool TopicOutlet::take_answers() {
     if (peer.unsure.empty()) continue;
     if (peer.state == State::Open) {
       if (needs_link(peer) || (!try_ring(peer) && !may_come(peer))) go_to_link(peer);
-    } else if (ring_->is_content(peer.served)) {
+    } else if (ring_->has_confirmed(peer.reader)) {
       has_answered(peer);
     } else if (!peer.has_answered && std::chrono::steady_clock::now() - peer.since > kAnswers) {
       return_to_link(peer);
@@ -886,9 +886,9 @@ bool TopicOutlet::take_answers() {
 }
 
 /// Asks a peer: is a plain subscriber beside your LOT subscribers? It has to confirm anew that it
-/// is content.
+/// needs no link.
 void TopicOutlet::probe(Peer& peer) {
-  ring_->ask(peer.served);
+  ring_->ask(peer.reader);
   send_sign(peer, probe_frame());
 }
 

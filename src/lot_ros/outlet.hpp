@@ -21,6 +21,7 @@
 #include <ros/topic_manager.h>
 
 #include "lot/detail/mutex.hpp"
+#include "lot/detail/selection.hpp"
 #include "lot/ros/core.hpp"
 
 #include "lot_ros/inlet.hpp"
@@ -119,11 +120,11 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
     bool is_kept = false;   ///< a link in this process, and roscpp keeps there what is latched
     std::weak_ptr<Inlet> inlet{};  ///< the inlet that got the last message by hand
     State state = State::Open;
-    lot::detail::Served served;
-    std::chrono::steady_clock::time_point served_since{};
+    lot::detail::SelectedReader reader;  ///< Ring: the reader that the outlet has selected
+    std::chrono::steady_clock::time_point selected_since{};
     bool is_welcome = false;    ///< the peer has got what is latched
     bool has_last = false;      ///< Ring: the last message of the ring is for it
-    bool has_answered = false;  ///< the served cell is this peer's, since its process has answered
+    bool has_answered = false;  ///< the selected reader is this peer's, since it has answered
     /// Messages that the ring has, and that the peer may still need by its link.
     /// Open: they are for the peer if it comes to read the ring.
     /// Ring: they went into the ring before the peer said whether its link is needed, too.
@@ -211,7 +212,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   bool latches();
   boost::shared_ptr<void const> deserialise(const Message& message, Bytes& bytes);
   void keep_apart(Message& message, Bytes& bytes);
-  std::shared_ptr<lot::detail::PusherCore> ring();
+  std::shared_ptr<lot::detail::SelectingPusher> ring();
   detail::Parcel into_ring(const Message& message);
   const boost::shared_ptr<::ros::M_string>& header_of(bool is_latched);
   void lacks_room();
@@ -222,7 +223,7 @@ class TopicOutlet final : public detail::Outlet, public std::enable_shared_from_
   const std::shared_ptr<detail::Converter> converter_;
   /// Null: LOT is off, cannot carry this topic, or the outlet is closed. A thread that changes it
   /// holds both mutexes.
-  std::shared_ptr<lot::detail::PusherCore> ring_;
+  std::shared_ptr<lot::detail::SelectingPusher> ring_;
   lot::detail::Mutex ring_mutex_{
       lot::detail::Rank::Ring};  ///< a leaf: no other lock is taken under it
   ::ros::SubscriberCallbacksPtr callbacks_;

@@ -21,14 +21,6 @@ using segment::Atomics;
 
 constexpr std::chrono::milliseconds kPatience{4800};
 
-/// Two bits beside the number of a participant's pullers. kDeclined: it does not want to be served
-/// by rings. kContent: it has confirmed that the rings are enough.
-constexpr std::uint16_t kDeclined = 0x8000;
-constexpr std::uint16_t kContent = 0x4000;
-constexpr std::uint16_t count_of(std::uint16_t pullers) {
-  return pullers & static_cast<std::uint16_t>(~(kDeclined | kContent));
-}
-
 bool in_use(const segment::TopicEntry& topic) {
   for (const auto& users : topic.users) {
     if (users.load(std::memory_order_acquire) != 0) return true;  // edge "users"
@@ -150,45 +142,16 @@ void Registry::leave(std::uint32_t topic, std::uint32_t participant) noexcept {
 }
 
 void Registry::add_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
-  // Relaxed: the lock carries it.
-  segment_.topics()[topic].pullers[participant].fetch_add(1, std::memory_order_relaxed);
+  segment_.topics()[topic].pullers[participant].fetch_add(1, std::memory_order_release);  // pullers
 }
 void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
-  auto& pullers = segment_.topics()[topic].pullers[participant];
-  std::uint16_t seen = pullers.load(std::memory_order_relaxed);  // the compare-and-swap checks it
-  // kDeclined and kContent go with the participant's last puller. Relaxed: the lock carries it.
-  while (!pullers.compare_exchange_weak(
-      seen, count_of(seen) == 1 ? 0 : static_cast<std::uint16_t>(seen - 1),
-      std::memory_order_relaxed, std::memory_order_relaxed)) {
-  }
+  // Relaxed: the lock carries it.
+  segment_.topics()[topic].pullers[participant].fetch_sub(1, std::memory_order_relaxed);
 }
 
-bool Registry::wants(std::uint32_t topic, std::uint32_t participant) const noexcept {
-  // Relaxed, here and in the next four: the bits are in one word, which brings nothing else.
-  const std::uint16_t seen =
-      segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed);
-  return seen != 0 && (seen & kDeclined) == 0;
-}
-bool Registry::is_content(std::uint32_t topic, std::uint32_t participant) const noexcept {
-  // Relaxed: see wants().
-  return (segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed) &
-          kContent) != 0;
-}
-void Registry::decline(std::uint32_t topic, std::uint32_t participant) noexcept {
-  // Relaxed: see wants().
-  segment_.topics()[topic].pullers[participant].fetch_or(kDeclined, std::memory_order_relaxed);
-}
-void Registry::content(std::uint32_t topic, std::uint32_t participant) noexcept {
-  auto& word = segment_.topics()[topic].pullers[participant];
-  word.fetch_or(kContent, std::memory_order_relaxed);  // see wants()
-  // In this order: a publisher that sees that it has not declined may ask. Relaxed: see wants().
-  word.fetch_and(static_cast<std::uint16_t>(~kDeclined), std::memory_order_relaxed);
-}
-
-void Registry::ask(std::uint32_t topic, std::uint32_t participant) noexcept {
-  // Relaxed: see wants().
-  segment_.topics()[topic].pullers[participant].fetch_and(static_cast<std::uint16_t>(~kContent),
-                                                          std::memory_order_relaxed);
+bool Registry::has_pullers(std::uint32_t topic, std::uint32_t participant) const noexcept {
+  const auto& pullers = segment_.topics()[topic].pullers[participant];
+  return pullers.load(std::memory_order_acquire) != 0;  // pullers
 }
 
 std::uint32_t Registry::pullers(std::uint32_t topic, std::uint32_t participant) const noexcept {
@@ -196,8 +159,7 @@ std::uint32_t Registry::pullers(std::uint32_t topic, std::uint32_t participant) 
   // Relaxed: the lock carries what a participant stored before it announced its puller.
   return segment_.participants()[participant].state.load(std::memory_order_relaxed) == 0
              ? 0
-             : count_of(
-                   segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed));
+             : segment_.topics()[topic].pullers[participant].load(std::memory_order_relaxed);
 }
 
 void Registry::unsubscribe(std::uint32_t participant) noexcept {
@@ -238,8 +200,8 @@ void Registry::remove(const Departure& departure, std::uint32_t participant) noe
 }
 
 std::uint32_t Registry::granules_of(const RingOptions& options) noexcept {
-  const std::uint64_t bytes = segment::Segment::ring_bytes(options.depth, options.readers,
-                                                           options.taken == segment::kFinished);
+  const std::uint64_t bytes = segment::Segment::ring_bytes(
+      options.depth, options.readers, options.taken == segment::kFinished, options.extra);
   return static_cast<std::uint32_t>((bytes + segment::kGranule - 1) / segment::kGranule);
 }
 
@@ -268,6 +230,7 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     entry.policy = static_cast<std::uint32_t>(options.policy);
     entry.engine = static_cast<std::uint32_t>(options.engine);
     entry.taken = options.taken;
+    entry.extra = options.extra;
     entry.first = options.first != 0 ? options.first : options.depth;
     const std::uint32_t granules = granules_of(options);
     const std::uint32_t run = segment_.claim_run(granules, segment::kRingTag | c);
@@ -290,6 +253,8 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     ring.roster->store(0, std::memory_order_relaxed);                                  // R7
     ring.space->store(0, std::memory_order_relaxed);                                   // R7
     if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);  // R7
+    // R7 carries the zeros.
+    if (ring.extra != nullptr) std::memset(ring.extra, 0, ring.readers * segment::kExtraBytes);
     ring.format();
     // From here on a reaper looks at the cells.
     entry.formed.store(1, std::memory_order_seq_cst);  // R13, edge "formed"

@@ -21,6 +21,7 @@ struct RingOptions {
   QueueEngine engine = QueueEngine::Ring;
   std::uint32_t taken = 0;  ///< ChannelEntry::taken
   std::uint64_t first = 0;  ///< sequence of the first message; 0: the depth
+  std::uint32_t extra = 0;  ///< ChannelEntry::extra: zero bytes when the ring is made
 };
 
 /// One ring of a topic.
@@ -48,6 +49,8 @@ struct Departure {
 ///       made by open(), then its look at the pullers: see lockfree_ring/ring.hpp.
 ///   users  a user's bit (release) -> in_use() (acquire)
 ///       carries: name and type of the topic.
+///   pullers  bump in add_puller() (release) -> load in has_pullers() (acquire)
+///       carries: what the participant has written before it announced the puller.
 class Registry {
  public:
   /// `owner` is the participant in whose name the lock is taken.
@@ -102,17 +105,8 @@ class Registry {
 
   /// How many granules such a ring takes.
   static std::uint32_t granules_of(const RingOptions& options) noexcept;
-  /// True when the participant has pullers on the topic, and has not declined to be served by
-  /// rings.
-  bool wants(std::uint32_t topic, std::uint32_t participant) const noexcept;
-  /// True when the participant has confirmed that it needs no second path (content()).
-  bool is_content(std::uint32_t topic, std::uint32_t participant) const noexcept;
-  /// The participant itself says that it does not want to be served by rings.
-  void decline(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// The participant itself confirms that the rings are enough.
-  void content(std::uint32_t topic, std::uint32_t participant) noexcept;
-  /// Takes the confirmation back: the publisher wants the participant to confirm again.
-  void ask(std::uint32_t topic, std::uint32_t participant) noexcept;
+  /// True when the participant has pullers on the topic.
+  bool has_pullers(std::uint32_t topic, std::uint32_t participant) const noexcept;
   /// The parts of a reap: first the participant has no pullers any more, and then no topics.
   void unsubscribe(std::uint32_t participant) noexcept;
   void forget(std::uint32_t participant) noexcept;

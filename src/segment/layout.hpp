@@ -23,7 +23,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 14;
+inline constexpr std::uint32_t kLayoutVersion = 15;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
@@ -63,7 +63,7 @@ struct Capacity {
 /// Offsets of the tables. Each process computes the same ones from the capacity.
 struct Geometry {
   std::uint64_t participants, witnesses, directory, topics, channels, blocks, arenas, small, tags,
-      units, sightings, data;
+      units, sightings, replies, data;
   std::uint64_t granules;  ///< in the data area
   static Geometry of(const Capacity& capacity);
 };
@@ -169,15 +169,21 @@ struct alignas(64) TopicEntry {
   std::uint64_t type_hash;
   char name[kTopicNameBytes];
   char type_name[kTypeNameBytes];
-  /// [p]: {declines : 1 | content : 1 | how many pullers participant p has on the topic : 14}.
-  /// Written by p and its reaper. `content` is p's confirmation that the rings are enough; a
-  /// publisher that asks for a new one takes it back. A lossless publisher waits for all pullers. A
-  /// publisher that chooses its readers does not choose participants that decline. It need not use
-  /// a second path for participants that are content.
+  /// [p]: how many pullers participant p has on the topic. Written by p and its reaper. A lossless
+  /// publisher waits for all of them.
   std::atomic<std::uint16_t> pullers[kMaxParticipants];
   char padding[8];
 };
 static_assert(sizeof(TopicEntry) == 1152);
+
+/// What participants reply to the publishers of a topic that select their readers: two bits a
+/// participant (selection/replies.hpp). They mean something only while the participant has pullers
+/// on the topic.
+struct Replies {
+  static constexpr std::uint32_t kPerWord = 32;
+  std::atomic<std::uint64_t> words[kMaxParticipants / kPerWord];
+};
+static_assert(sizeof(Replies) == 80 && kMaxParticipants % Replies::kPerWord == 0);
 
 /// One publisher's ring on a topic. The publisher writes the plain fields while the writer word is
 /// INIT.
@@ -193,8 +199,12 @@ struct alignas(64) ChannelEntry {
   std::atomic<std::uint32_t> formed;  ///< 1: the plain fields are complete
   std::uint32_t engine;               ///< lot::QueueEngine
   std::uint32_t taken;                ///< 0: all readers get a message; else kTaken, kFinished
+  std::uint32_t extra;                ///< bytes of extra memory for each reader: 0 or kExtraBytes
 };
 static_assert(sizeof(ChannelEntry) == 64);
+
+/// ChannelEntry::extra. A room above makes of it what it wants.
+inline constexpr std::uint32_t kExtraBytes = 16;
 
 /// ChannelEntry::taken.
 inline constexpr std::uint32_t kTaken = 1;     ///< one reader takes a message
@@ -222,8 +232,8 @@ inline bool is_reserved(const detail::Arena& arena) {
   return detail::read_once(arena.reserved) != 0;
 }
 
-/// The first bytes of a ring's memory. Behind it lie who[], slots[], cells[], and claims[] where
-/// workers must finish messages.
+/// The first bytes of a ring's memory. Behind it lie who[], slots[], cells[], claims[] where
+/// workers must finish messages, and the extra memory if the ring's maker has asked for it.
 struct RingHead {
   alignas(64) std::atomic<std::uint32_t> roster;
   std::atomic<std::uint32_t> returned;

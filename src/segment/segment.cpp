@@ -392,6 +392,7 @@ Geometry Geometry::of(const Capacity& c) {
   table(g.tags, all_granules * sizeof(Tag));
   table(g.units, units_of(c) * sizeof(Tag));
   table(g.sightings, c.participants * sizeof(Sightings));
+  table(g.replies, c.topics * sizeof(Replies));
   at = round_up(at, kGranule);  // payload begins on a page of its own
   table(g.small, c.blocks * kSmallBytes);
   g.data = round_up(at, kGranule);
@@ -523,6 +524,9 @@ Directory& Segment::directory() const noexcept { return *at<Directory>(geometry_
 std::span<TopicEntry> Segment::topics() const noexcept {
   return {at<TopicEntry>(geometry_.topics), capacity_.topics};
 }
+std::span<Replies> Segment::replies() const noexcept {
+  return {at<Replies>(geometry_.replies), capacity_.topics};
+}
 std::span<ChannelEntry> Segment::channels() const noexcept {
   return {at<ChannelEntry>(geometry_.channels), capacity_.channels};
 }
@@ -532,10 +536,10 @@ constexpr std::uint64_t who_bytes(std::uint32_t readers) { return round_up(reade
 constexpr std::uint64_t slot_bytes(std::uint32_t depth) { return round_up(depth * 8ULL, 64); }
 }  // namespace
 
-std::uint64_t Segment::ring_bytes(std::uint32_t depth, std::uint32_t readers,
-                                  bool finished) noexcept {
+std::uint64_t Segment::ring_bytes(std::uint32_t depth, std::uint32_t readers, bool finished,
+                                  std::uint32_t extra) noexcept {
   return sizeof(RingHead) + who_bytes(readers) + slot_bytes(depth) + readers * sizeof(Cell) +
-         (finished ? slot_bytes(depth) : 0);
+         (finished ? slot_bytes(depth) : 0) + std::uint64_t{readers} * extra;
 }
 
 bool Segment::holds(std::uint32_t b, std::uint64_t offset, std::uint64_t bytes) const noexcept {
@@ -570,9 +574,11 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   const std::uint32_t granules = detail::read_once(entry.granules);
   const std::uint32_t engine = detail::read_once(entry.engine);
   const std::uint32_t taken = detail::read_once(entry.taken);
+  const std::uint32_t extra = detail::read_once(entry.extra);
   if (depth == 0 || depth > kDeepest || readers == 0 || readers > capacity_.readers ||
       granule >= geometry_.granules || granules > geometry_.granules - granule ||
-      ring_bytes(depth, readers, taken == kFinished) > kGranule * granules || taken > kFinished ||
+      (extra != 0 && extra != kExtraBytes) || taken > kFinished ||
+      ring_bytes(depth, readers, taken == kFinished, extra) > kGranule * granules ||
       engine > static_cast<std::uint32_t>(QueueEngine::Mutex)) {
     return ring;
   }
@@ -591,10 +597,13 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   ring.slots = at<std::atomic<ring::Word>>(place);
   place += slot_bytes(depth);
   ring.cells = at<Cell>(place);
+  place += readers * sizeof(Cell);
   if (taken == kFinished) {
-    ring.claims = at<std::atomic<ring::Word>>(place + readers * sizeof(Cell));
+    ring.claims = at<std::atomic<ring::Word>>(place);
     ring.returned = &head->returned;
+    place += slot_bytes(depth);
   }
+  if (extra != 0) ring.extra = at<unsigned char>(place);
   ring.depth = depth;
   ring.readers = readers;
   ring.blocking = entry.policy != static_cast<std::uint32_t>(Policy::Overwrite);

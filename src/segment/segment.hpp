@@ -89,6 +89,7 @@ class Segment {
   std::span<Sightings> sightings() const noexcept;
   Directory& directory() const noexcept;
   std::span<TopicEntry> topics() const noexcept;
+  std::span<Replies> replies() const noexcept;  ///< by topic
   std::span<ChannelEntry> channels() const noexcept;
   std::span<BlockWords> blocks() const noexcept { return {blocks_, capacity_.blocks}; }
   BlockWords& block(std::uint32_t b) const noexcept { return blocks_[b]; }
@@ -136,9 +137,10 @@ class Segment {
   /// Makes that lock. REQUIRES: the channel is INIT, its memory is claimed, and the caller owns it.
   static void construct_queue_lock(const Ring& ring) noexcept;
   static constexpr std::uint32_t kDeepest = 65536;  ///< the most slots of a ring
-  /// The memory of a ring. `finished`: with a claim for each slot.
-  static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers,
-                                  bool finished) noexcept;
+  /// The memory of a ring. `finished`: with a claim for each slot. `extra`: bytes of extra memory
+  /// for each reader.
+  static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers, bool finished,
+                                  std::uint32_t extra) noexcept;
 
   Granules<Atomics>& granules() noexcept { return granules_; }
   std::uint64_t granule_offset(std::uint32_t granule) const noexcept {

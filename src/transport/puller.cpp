@@ -6,10 +6,10 @@
 
 #include "lot/detail/core.hpp"
 
-#include "lockfree_ring/chosen.hpp"
 #include "lockfree_ring/sleep.hpp"
 #include "transport/participant.hpp"
 #include "transport/quota.hpp"
+#include "transport/ring_ends.hpp"
 #include "waiting/notifier.hpp"
 #include "waiting/waiting.hpp"
 
@@ -36,10 +36,11 @@ constexpr auto kLongestSleep = 1s;
 constexpr auto kLookForRoom = 10ms;
 constexpr auto kWaitForRoom = 1s;
 
-class Puller final : public detail::PullerCore {
+class Puller final : public RingPuller {
  public:
   Puller(std::shared_ptr<Participant> participant, std::string_view topic,
-         const detail::MessageType& type, const PullerOptions& options, detail::Delivery delivery)
+         const detail::MessageType& type, const PullerOptions& options, detail::Delivery delivery,
+         RingObserver* observer)
       : participant_(std::move(participant)),
         directory_(participant_->segment().directory().version),
         taking_(delivery != detail::Delivery::ToAll),
@@ -50,7 +51,8 @@ class Puller final : public detail::PullerCore {
         quota_(participant_->segment(), participant_->holder(),
                delivery == detail::Delivery::ToAll ? options.max_held_bytes : Quota::kNone),
         topic_(participant_->topics().enter(topic, type)),
-        habit_(options.wait) {
+        habit_(options.wait),
+        observer_(observer) {
     try {
       departure_.emplace_back();
       after_reaping(participant_->reaper(), [&] { subscribe(options); });
@@ -154,89 +156,26 @@ class Puller final : public detail::PullerCore {
                        [](const Source& s) { return s.reader.ready() || s.reader.is_closing(); });
   }
 
-  detail::Origin origin() override {
+  std::span<const Source> sources() const noexcept override { return sources_; }
+
+  std::uint32_t topic() const noexcept override { return topic_; }
+
+  detail::Origin origin() const noexcept override {
     const Source& s = sources_[current_];
     return {s.name.channel, s.name.generation, s.reader.cursor()};
   }
 
-  std::optional<bool> is_ours(const detail::Origin& origin) override {
-    chooses_ = true;
-    if (Source* const s = source_of(origin)) return s->chosen.is_ours(s->reader, origin.sequence);
-    const Left* const left = left_of(origin);
-    return left != nullptr && ring::lies_between(origin.sequence, left->from, left->to) == true;
+  bool join_anew(const registry::ChannelName& name) override {
+    const auto s = std::find_if(sources_.begin(), sources_.end(),
+                                [&name](const Source& source) { return source.name == name; });
+    if (s == sources_.end()) return false;
+    bool full = false;
+    const auto again = join(s->reader.ring(), name, Reader::kFromTheStart, full);
+    if (!again) return false;
+    leave(s->reader);
+    s->reader = *again;
+    return true;
   }
-
-  std::string_view publisher(const detail::Origin& origin) override {
-    if (const Source* const s = source_of(origin)) return s->publisher;
-    const Left* const left = left_of(origin);
-    return left != nullptr ? std::string_view(left->publisher) : std::string_view();
-  }
-
-  std::size_t depth(const detail::Origin& origin) override {
-    const Source* const s = source_of(origin);
-    return s != nullptr ? s->reader.ring().depth : 0;
-  }
-
-  bool has_publisher(std::string_view publisher) override {
-    return std::any_of(sources_.begin(), sources_.end(),
-                       [&](const Source& s) { return s.publisher == publisher; });
-  }
-
-  std::vector<detail::Origin> rings_of(std::string_view publisher) override {
-    std::vector<detail::Origin> rings;
-    for (const Source& s : sources_) {
-      if (s.publisher == publisher) rings.push_back({s.name.channel, s.name.generation, 0});
-    }
-    return rings;
-  }
-
-  bool has_last_ones(std::string_view publisher) override {
-    return std::any_of(sources_.begin(), sources_.end(), [&](const Source& s) {
-      return s.publisher == publisher && s.chosen.has_last_ones(s.reader);
-    });
-  }
-
-  std::size_t taken_back(std::string_view publisher) override {
-    std::size_t n = 0;
-    for (Source& s : sources_) {
-      if (s.publisher == publisher) n += s.chosen.taken_back(s.reader);
-    }
-    for (Left& l : left_) {
-      if (l.publisher == publisher) n += std::exchange(l.taken_back, 0);
-    }
-    return n;
-  }
-
-  std::vector<detail::Origin> rejoin(std::string_view publisher, std::uint64_t answer) override {
-    std::vector<detail::Origin> rejoined;
-    for (auto s = sources_.begin(); s != sources_.end();) {
-      // Skips a ring whose publisher serves this reader already, and one that has ended: neither
-      // needs a new round.
-      const bool is_served = ring::is_set(s->reader.from()) && !ring::is_set(s->reader.to());
-      if (s->publisher != publisher || is_served || s->reader.orphaned()) {
-        ++s;
-        continue;
-      }
-      // The new cell first, so that the ring always has a cell of this reader and its memory is not
-      // reused.
-      bool full = false;
-      const auto again = Reader::join(s->reader.ring(), s->name.generation, participant_->index(),
-                                      Reader::kFromTheStart, full, answer);
-      if (!again) {  // the ring has no free cell, or has ended just now
-        ++s;
-        continue;
-      }
-      rejoined.push_back({s->name.channel, s->name.generation, 0});
-      leave(s->reader);
-      s->reader = *again;
-      s->chosen = {};
-      ++s;
-    }
-    return rejoined;
-  }
-
-  void decline() override { participant_->registry().decline(topic_, participant_->index()); }
-  void content() override { participant_->registry().content(topic_, participant_->index()); }
 
   int fd() override {
     participant_->check_usable();
@@ -257,8 +196,8 @@ class Puller final : public detail::PullerCore {
     }
     const std::size_t rings = sources_.size();
     if (!settle()) return std::nullopt;
-    // A caller that asks is_ours() has to see first whether messages of a new ring are for it.
-    if (chooses_ && sources_.size() != rings) return std::nullopt;
+    // The caller looks first: it may have kept messages of a ring that has ended just now.
+    if (observer_ != nullptr && sources_.size() != rings) return std::nullopt;
     const ring::Rest rest =
         ring::lie_down(sources_, directory_, version_, [&waits](const auto& word, auto value) {
           waits.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
@@ -282,34 +221,6 @@ class Puller final : public detail::PullerCore {
   }
 
  private:
-  struct alignas(64) Source {
-    Reader reader;
-    registry::ChannelName name;
-    mutex_engine::QueueLock lock;
-    std::string publisher;  ///< the name of its process
-    ring::Chosen<Policy> chosen{};
-    struct Turn : mutex_engine::Alone {
-      explicit Turn(const Source& source) : Alone(source.lock) {}
-    };
-  };
-
-  /// A ring that has ended, and which of its messages were for this reader.
-  struct Left {
-    registry::ChannelName name;
-    ring::Word from;
-    ring::Word to;
-    std::string publisher;
-    std::size_t taken_back;
-  };
-  static constexpr std::size_t kLeft = 64;
-
-  const Left* left_of(const detail::Origin& origin) const {
-    for (const Left& l : left_) {
-      if (l.name.channel == origin.channel && l.name.generation == origin.generation) return &l;
-    }
-    return nullptr;
-  }
-
   Source* source_of(const detail::Origin& origin) {
     for (Source& s : sources_) {
       if (s.name.channel == origin.channel && s.name.generation == origin.generation) return &s;
@@ -504,7 +415,7 @@ class Puller final : public detail::PullerCore {
     return ring::settle(
         sources_, [this](Reader& reader) { ring_bell(reader); },
         [this](Reader& reader) {
-          remember(reader);
+          if (observer_ != nullptr) observer_->leaving(source_with(reader));
           pass(reader);
           leave(reader);
           participant_->reaper().collect();
@@ -609,6 +520,7 @@ class Puller final : public detail::PullerCore {
   /// await other pullers of this process remain. REQUIRES: the registry's lock.
   void announce_and_join(std::uint64_t history) {
     registry::Registry& registry = participant_->registry();
+    if (observer_ != nullptr) observer_->announcing(topic_);
     registry.add_puller(topic_, participant_->index());
     try {
       join_what_is_there(history);
@@ -632,7 +544,7 @@ class Puller final : public detail::PullerCore {
           throw Error(EBADMSG, participant_->segment().path(),
                       "the queue of a publisher of the topic is damaged", "restart the publisher");
         }
-        reader = Reader::join(ring, name.generation, participant_->index(), history, full);
+        reader = join(ring, name, history, full);
       }
       if (full) {
         throw Error(EUSERS, participant_->segment().path(),
@@ -646,6 +558,14 @@ class Puller final : public detail::PullerCore {
       }
     }
     version_ = version;
+  }
+
+  std::optional<Reader> join(const segment::Ring& ring, const registry::ChannelName& name,
+                             std::uint64_t history, bool& full) {
+    return Reader::join(ring, name.generation, participant_->index(), history, full,
+                        [&](std::uint32_t cell) {
+                          if (observer_ != nullptr) observer_->joining(ring, cell);
+                        });
   }
 
   /// Finds rings that were made since. Each has a cell for this puller, which reads it from its
@@ -699,11 +619,11 @@ class Puller final : public detail::PullerCore {
         {reader, name, participant_->queue_lock(name.channel), std::move(publisher)});
   }
 
-  void pass(const Reader& reader) {
-    const auto at = std::find_if(sources_.begin(), sources_.end(),
-                                 [&reader](const Source& s) { return &s.reader == &reader; });
-    passed_.push_back(at->name);
+  const Source& source_with(const Reader& reader) const {
+    return *std::find_if(sources_.begin(), sources_.end(),
+                         [&reader](const Source& s) { return &s.reader == &reader; });
   }
+  void pass(const Reader& reader) { passed_.push_back(source_with(reader).name); }
 
   /// On the data path. So it never waits for the registry's lock, and the next look tries again.
   void find_new_rings() {
@@ -723,16 +643,6 @@ class Puller final : public detail::PullerCore {
   void ring_bell(Reader& reader) noexcept {
     auto& space = *reader.ring().space;
     if (Reader::ring_bell(space)) futex::wake_all(&space);
-  }
-
-  /// Keeps what is_ours() needs for messages that its caller has kept.
-  void remember(const Reader& reader) {
-    if (!chooses_) return;
-    const auto at = std::find_if(sources_.begin(), sources_.end(),
-                                 [&reader](const Source& s) { return &s.reader == &reader; });
-    const ring::Word to = reader.to();  // first, since it carries `from` (R11)
-    if (left_.size() == kLeft) left_.erase(left_.begin());
-    left_.push_back({at->name, reader.from(), to, at->publisher, at->chosen.taken_back(reader)});
   }
 
   void leave(Reader& reader) noexcept {
@@ -803,11 +713,20 @@ class Puller final : public detail::PullerCore {
   std::list<registry::Departure> departure_;  ///< one entry, made before it is needed
   std::uint32_t claimed_slot_ = 0;            ///< the slot of the message that was claimed last
   ring::Word claim_ = 0;
-  bool chooses_ = false;    ///< the caller asks which messages are for it
-  std::vector<Left> left_;  ///< the last few rings that have ended
+  RingObserver* const observer_;  ///< null: there is none
 };
 
 }  // namespace
+
+std::unique_ptr<RingPuller> make_ring_puller(std::shared_ptr<Participant> participant,
+                                             std::string_view topic,
+                                             const detail::MessageType& type,
+                                             const PullerOptions& options,
+                                             detail::Delivery delivery, RingObserver* observer) {
+  participant->check_usable();
+  return std::make_unique<Puller>(std::move(participant), topic, type, options, delivery, observer);
+}
+
 }  // namespace lot::transport
 
 namespace lot::detail {
@@ -815,9 +734,8 @@ namespace lot::detail {
 std::unique_ptr<PullerCore> make_puller(std::shared_ptr<transport::Participant> participant,
                                         std::string_view topic, const MessageType& type,
                                         const PullerOptions& options, Delivery delivery) {
-  participant->check_usable();
-  return std::make_unique<transport::Puller>(std::move(participant), topic, type, options,
-                                             delivery);
+  return transport::make_ring_puller(std::move(participant), topic, type, options, delivery,
+                                     nullptr);
 }
 
 }  // namespace lot::detail

@@ -13,6 +13,7 @@
 #include "transport/fill.hpp"
 #include "transport/participant.hpp"
 #include "transport/pieces.hpp"
+#include "transport/ring_ends.hpp"
 #include "waiting/waiting.hpp"
 
 namespace lot::transport {
@@ -52,14 +53,15 @@ constexpr std::uint32_t taken_by(detail::Delivery delivery) {
   return 0;
 }
 
-class Pusher final : public detail::PusherCore, private Evictor {
+class Pusher final : public RingPusher, private Evictor {
  public:
   /// A maker of messages without a topic.
   explicit Pusher(std::shared_ptr<Participant> participant)
       : participant_(std::move(participant)), pool_(participant_->stock().open()) {}
 
   Pusher(std::shared_ptr<Participant> participant, std::string_view topic,
-         const detail::MessageType& type, const PusherOptions& options, detail::Delivery delivery)
+         const detail::MessageType& type, const PusherOptions& options, detail::Delivery delivery,
+         std::uint32_t extra)
       : participant_(std::move(participant)),
         pool_(participant_->stock().open(topic)),
         type_(&type) {
@@ -78,7 +80,7 @@ class Pusher final : public detail::PusherCore, private Evictor {
       topic_ = participant_->topics().enter(topic, type);
       name_ = participant_->rings().open(*topic_,
                                          {options.depth, participant_->segment().capacity().readers,
-                                          options.policy, engine, taken_by(delivery), 0},
+                                          options.policy, engine, taken_by(delivery), 0, extra},
                                          pool_.index());
     } catch (...) {
       if (topic_) participant_->topics().leave(*topic_);
@@ -215,56 +217,14 @@ class Pusher final : public detail::PusherCore, private Evictor {
     return enough.look() || waiting::wait(enough, detail::after(timeout));
   }
 
-  bool is_read_by(std::string_view node) override {
-    if (!writer_) return false;
-    const std::lock_guard guard(pool_.lock());
-    return only_reader(node).has_value();
-  }
+  Held hold() override { return {std::unique_lock(pool_.lock()), *writer_}; }
 
-  std::optional<detail::Served> serve(std::string_view node, std::size_t back,
-                                      std::optional<std::uint64_t> answer) override {
-    participant_->check_usable();
-    if (!writer_) return std::nullopt;
-    const std::lock_guard guard(pool_.lock());
-    if (!writer_->has_last(back)) return std::nullopt;
-    const ring::Word first =
-        ring::advance(writer_->next_sequence(), ring::kSequenceMask + 1 - back);
-    const auto reader = only_reader(node);
-    if (!reader) return std::nullopt;
-    const auto served = writer_->serve(
-        *reader, first, [&] { return is_called(*reader, node); }, answer);
-    if (!served) return std::nullopt;
-    return detail::Served{*reader, served->cell, served->round};
-  }
-
-  bool expects(std::string_view node) override {
-    if (!writer_) return false;
-    for (std::uint32_t k = 0; k < participant_->world().participants(); ++k) {
-      if (participant_->registry().wants(*topic_, k) && is_called(k, node)) return true;
-    }
-    return false;
-  }
-
-  void stop(const detail::Served& served, std::size_t back) override {
-    const std::lock_guard guard(pool_.lock());
-    writer_->stop({served.cell, served.round}, back);
-  }
-
-  bool wants(const detail::Served& served) override {
-    return participant_->registry().wants(*topic_, served.participant) &&
-           writer_->serves({served.cell, served.round});
-  }
-
-  bool has(const detail::ControlCell& cell, const void* object) const override {
+  bool accepts(const detail::ControlCell& cell, const void* object) const override {
     return participant_->same_segment(cell) && is_whole(cell, object);
   }
 
-  bool is_content(const detail::Served& served) override {
-    return participant_->registry().is_content(*topic_, served.participant);
-  }
-  void ask(const detail::Served& served) override {
-    participant_->registry().ask(*topic_, served.participant);
-  }
+  const segment::Ring& ring() const noexcept override { return writer_->ring(); }
+  std::uint32_t topic() const noexcept override { return *topic_; }
 
   void reserve(std::size_t count, std::size_t bytes) override {
     static const detail::MessageType nothing{1, 1, 0, "", nullptr, false};
@@ -339,26 +299,6 @@ class Pusher final : public detail::PusherCore, private Evictor {
   void take_back(std::uint32_t b) noexcept {
     participant_->holder().cell(b).type = nullptr;
     pool_.give_back(b);
-  }
-
-  bool is_called(std::uint32_t k, std::string_view node) const {
-    // Acquire: edge "state".
-    return participant_->world().part(k).load(std::memory_order_acquire) != 0 &&
-           participant_->world().name_of(k) == node;
-  }
-
-  /// The only participant with this node name that reads here and wants to be served. With several
-  /// of them, one is perhaps dead, and the answer is none.
-  std::optional<std::uint32_t> only_reader(std::string_view node) {
-    std::optional<std::uint32_t> reader;
-    bool several = false;
-    writer_->each_reader([&](std::uint32_t k) {
-      if (k >= participant_->world().participants() || !is_called(k, node)) return;
-      several = reader.has_value();
-      reader = k;
-    });
-    const bool is_wanted = reader && !several && participant_->registry().wants(*topic_, *reader);
-    return is_wanted ? reader : std::nullopt;
   }
 
   void check(const detail::ControlCell* cell) const {
@@ -963,6 +903,16 @@ class Pusher final : public detail::PusherCore, private Evictor {
 };
 
 }  // namespace
+
+std::unique_ptr<RingPusher> make_ring_pusher(std::shared_ptr<Participant> participant,
+                                             std::string_view topic,
+                                             const detail::MessageType& type,
+                                             const PusherOptions& options,
+                                             detail::Delivery delivery, std::uint32_t extra) {
+  participant->check_usable();
+  return std::make_unique<Pusher>(std::move(participant), topic, type, options, delivery, extra);
+}
+
 }  // namespace lot::transport
 
 namespace lot::detail {
@@ -970,9 +920,7 @@ namespace lot::detail {
 std::unique_ptr<PusherCore> make_pusher(std::shared_ptr<transport::Participant> participant,
                                         std::string_view topic, const MessageType& type,
                                         const PusherOptions& options, Delivery delivery) {
-  participant->check_usable();
-  return std::make_unique<transport::Pusher>(std::move(participant), topic, type, options,
-                                             delivery);
+  return transport::make_ring_pusher(std::move(participant), topic, type, options, delivery, 0);
 }
 
 std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> participant) {

@@ -162,10 +162,9 @@ void Reaper::end_ring(const registry::ChannelName& name) noexcept {
   // give_up_rings() takes this mutex before it gives the ring to the orphanage. Until then no
   // process can recycle the ring.
   const std::lock_guard guard(reap_mutex_);
-  // Release (as part of seq_cst): R9.
   world_.channel_writer(name.channel)
       .store(ring::make_writer(name.generation, ring::State::Orphan, index()),
-             std::memory_order_seq_cst);
+             std::memory_order_release);  // R9
   segment::Ring r = world_.ring(name.channel);
   Recovery(world_).wake_readers(r);
 }

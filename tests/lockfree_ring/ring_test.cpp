@@ -438,6 +438,29 @@ TEST_CASE("there are as many readers as cells, and a cell that was left can be j
   CHECK(channel.ring.deserted());
 }
 
+TEST_CASE("a joiner prepares the cell that it has got before the writer can see it there") {
+  for (const Policy policy : {Policy::Overwrite, Policy::Blocking}) {
+    Channel channel(2, policy, 1);
+    const auto cells = [&] {
+      std::vector<std::uint32_t> found;
+      bool full = false;
+      Reader::join(channel.ring, kGeneration, kParticipant, 0, full, [&](std::uint32_t cell) {
+        found.push_back(cell);
+        CHECK(channel.who[cell] == kParticipant + 1);
+        CHECK(channel.cells[cell].position == lot::ring::kIdle);
+        CHECK(channel.roster == 0);
+      });
+      return found;
+    };
+    channel.become(State::Init);
+    CHECK(cells().empty());
+    channel.become(State::Live);
+    CHECK(cells() == std::vector<std::uint32_t>{0});
+    CHECK(channel.roster == 1);
+    CHECK(cells().empty());  // there is no free cell
+  }
+}
+
 TEST_CASE("no reader joins a ring that is not live, or that has become another one") {
   Channel channel(2, Policy::Blocking);
   bool full = true;

@@ -4,6 +4,8 @@
 
 #include "registry/registry.hpp"
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <string>
@@ -32,6 +34,8 @@ struct BigApple {
 };
 
 [[maybe_unused]] const std::string& prefix_taken = prefix();
+
+constexpr std::uint32_t kMaker = 1;  ///< the first process of a segment
 
 std::string refusal(const std::function<void()>& what) {
   try {
@@ -70,6 +74,49 @@ TEST_CASE("a ring of items that a dead process has recycled in part holds none, 
   CHECK(apple->value == 7);
   CHECK(eventually(
       [&] { return lot::ring::writer_state(channel.writer.load()) != lot::ring::State::Orphan; }));
+}
+
+TEST_CASE("a ring has extra memory if its maker asks for it: zero bytes, and behind all else") {
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  lot::segment::Segment segment(engine.path());
+  InOurName owner(segment);
+  lot::registry::Registry registry(segment, owner);
+  const lot::registry::Registry::Lock lock(registry);
+  const std::uint32_t topic = registry.enter("/extra", lot::detail::message_type<Apple>(), kMaker);
+  const auto is_behind = [](const unsigned char* extra, const auto* table, std::size_t n) {
+    return extra >= reinterpret_cast<const unsigned char*>(table + n);
+  };
+  for (const std::uint32_t taken : {0U, lot::segment::kFinished}) {
+    lot::registry::RingOptions how{5, 3, lot::Policy::Overwrite, lot::QueueEngine::Ring, taken};
+    const auto plain = registry.open(topic, kMaker, how);
+    REQUIRE(plain);
+    CHECK(segment.ring(plain->channel).extra == nullptr);
+    how.extra = lot::segment::kExtraBytes;
+    const unsigned char* soiled = nullptr;
+    for (int times = 0; times < 2; ++times) {  // then in memory that was in use before
+      const auto name = registry.open(topic, kMaker, how);
+      REQUIRE(name);
+      const lot::segment::Ring ring = segment.ring(name->channel);
+      REQUIRE(ring.extra != nullptr);
+      auto* const extra = static_cast<unsigned char*>(ring.extra);
+      const std::size_t bytes = std::size_t{how.readers} * how.extra;
+      CHECK(std::count(extra, extra + bytes, 0) == static_cast<std::ptrdiff_t>(bytes));
+      CHECK(is_behind(extra, ring.cells, ring.readers));
+      CHECK((ring.claims == nullptr || is_behind(extra, ring.claims, ring.depth)));
+      auto& entry = segment.channels()[name->channel];
+      CHECK(segment.offset_of(extra) + bytes <=
+            segment.granule_offset(entry.granule + entry.granules));
+      entry.extra = 8;  // a wild write
+      CHECK(segment.ring(name->channel).depth == 0);
+      entry.extra = how.extra;
+      CHECK((times == 0 || extra == soiled));
+      soiled = extra;
+      std::fill_n(extra, bytes, std::uint8_t{0xff});
+      registry.recycle(name->channel);
+      entry.writer.store(lot::ring::make_writer(name->generation, lot::ring::State::Free, 0));
+    }
+  }
 }
 
 TEST_CASE("another type on a topic is an error at either end, which names both") {

@@ -83,7 +83,7 @@ class Damager {
     const auto entry = [&](std::uint64_t table, std::uint64_t count, std::uint64_t size) {
       return table + below(std::min<std::uint64_t>(count, 12)) * size + below(size);
     };
-    switch (below(11)) {
+    switch (below(12)) {
       case 0:
         return below(sizeof(Header));
       case 1:
@@ -103,6 +103,8 @@ class Damager {
         return geometry_.tags + below(geometry_.granules * sizeof(Tag));
       case 9:
         return entry(geometry_.sightings, capacity_.participants, sizeof(Sightings));
+      case 10:
+        return entry(geometry_.replies, capacity_.topics, sizeof(Replies));
       default: {
         std::uint32_t granule = 0;
         std::memcpy(&granule,

@@ -7,7 +7,6 @@
 #include <memory>
 #include <optional>
 #include <string_view>
-#include <vector>
 
 #include "lot/detail/arena.hpp"
 #include "lot/detail/control.hpp"
@@ -49,14 +48,6 @@ struct Borrowed {
   std::uint64_t missed = 0;
 };
 
-/// What a publisher knows of one subscriber that it serves by its ring, where its ring serves some
-/// subscribers only.
-struct Served {
-  std::uint32_t participant = 0;
-  std::uint32_t cell = 0;
-  std::uint64_t round = 0;
-};
-
 /// A message's place in one publisher's queue.
 struct Origin {
   std::uint32_t channel = 0;
@@ -87,32 +78,6 @@ class PusherCore {
   virtual bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) = 0;
   /// Makes `count` blocks with `bytes` of touched memory each.
   virtual void reserve(std::size_t count, std::size_t bytes) = 0;
-
-  // For publishers that tell each reader which messages are for it.
-
-  /// Serves the one reader that belongs to the node of that name and wants the ring. It gets the
-  /// next message and all later ones, and before them the last `back` ones. Returns nothing if
-  /// there is no such reader, if several readers could be meant, or if the last `back` messages are
-  /// not in the ring.
-  /// `answer`: serves only a reader that has joined anew with this answer (PullerCore::rejoin).
-  virtual std::optional<Served> serve(std::string_view node, std::size_t back,
-                                      std::optional<std::uint64_t> answer = {}) = 0;
-  /// True when the node has such a reader, served or not.
-  virtual bool is_read_by(std::string_view node) = 0;
-  /// True when a process of that name wants the topic's messages. It may not read this ring yet.
-  virtual bool expects(std::string_view node) = 0;
-  /// Ends the service: the reader gets no further message, and of the last `back` messages none
-  /// that it has not read yet.
-  virtual void stop(const Served& served, std::size_t back) = 0;
-  /// False when the reader needs its messages by another path, or is gone.
-  virtual bool wants(const Served& served) = 0;
-  /// False when push_shared() would refuse the message: it lies in another segment, or `object` is
-  /// not the message itself.
-  virtual bool has(const ControlCell& cell, const void* object) const = 0;
-  /// True when the reader has confirmed that it needs no second path. Call ask() to make it confirm
-  /// again.
-  virtual bool is_content(const Served& served) = 0;
-  virtual void ask(const Served& served) = 0;
 };
 
 class PullerCore {
@@ -143,37 +108,6 @@ class PullerCore {
   virtual std::size_t size() = 0;
   /// True when a look may find something. Costs a load for each publisher.
   virtual bool ready() = 0;
-
-  // For readers whose publishers tell each reader which messages are for it.
-
-  /// Where the borrowed message comes from.
-  virtual Origin origin() = 0;
-  /// Whether the message is for this reader. A caller that gets true must deliver it. Returns
-  /// nothing while the publisher may still decide. May be called after the borrow has ended.
-  virtual std::optional<bool> is_ours(const Origin& origin) = 0;
-  /// The name of the process that publishes there. Empty when the puller has forgotten that ring.
-  virtual std::string_view publisher(const Origin& origin) = 0;
-  /// How many places that publisher's ring has. 0 when the puller has left that ring.
-  virtual std::size_t depth(const Origin& origin) = 0;
-  /// True when this reader is in a ring of a publisher of that name: the publisher lives, or has
-  /// left messages that are not read yet.
-  virtual bool has_publisher(std::string_view publisher) = 0;
-  /// The rings of publishers of that name. Their sequences are 0.
-  virtual std::vector<Origin> rings_of(std::string_view publisher) = 0;
-  /// True when a publisher of that name has ended its service to this reader, and the reader has
-  /// not read all of it yet.
-  virtual bool has_last_ones(std::string_view publisher) = 0;
-  /// How many delivered messages the publishers of that name take back, since they send them by
-  /// another path. Each is counted in one call only.
-  virtual std::size_t taken_back(std::string_view publisher) = 0;
-  /// Joins anew the rings of publishers of that name that do not serve this reader, and so tells
-  /// them this answer. Returns those rings: this reader reads their messages once more. REQUIRES:
-  /// no message is borrowed.
-  virtual std::vector<Origin> rejoin(std::string_view publisher, std::uint64_t answer) = 0;
-  /// decline(): this reader wants no message of publishers that choose their readers. content(): it
-  /// confirms that it needs no other path.
-  virtual void decline() = 0;
-  virtual void content() = 0;
 
   /// A descriptor that becomes readable when a message may have come. It stays so until a look
   /// finds none.

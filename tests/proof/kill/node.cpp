@@ -74,8 +74,8 @@ void Node::drop_all() {
   puller.reset();
   second.reset();
   pusher.reset();
-  chosen.reset();
-  chooser.reset();
+  selected.reset();
+  selecting.reset();
 }
 
 void Node::drop_probes() {
@@ -117,12 +117,13 @@ void Node::leave() {
 
 void Node::publish(unsigned count) {
   for (unsigned i = 0; i < count; ++i) {
-    if (chooser) {
-      auto letter = detail::build<Number>(chooser->loan(detail::message_type<Number>(), true));
+    if (selecting) {
+      auto letter =
+          detail::build<Number>(selecting->core().loan(detail::message_type<Number>(), true));
       *letter = numbered(source, published);
       const ShmSharedPtr<const Number> shared(std::move(letter));
       const auto* cell = detail::PointerAccess::cell(shared);
-      if (chooser->push_shared(cell, shared.get(), 10s) == Status::Ok) ++published;
+      if (selecting->core().push_shared(cell, shared.get(), 10s) == Status::Ok) ++published;
       continue;
     }
     auto message = pusher->loan(numbered(source, published));
@@ -261,34 +262,34 @@ void Node::sleep_to_put() {
   await([](const segment::Ring& ring) { return (ring.space->load() & 1) != 0; });
 }
 
-void Node::choose(const char* topic, const PusherOptions& opts) {
-  chooser = detail::make_pusher(transport::Participant::join(options), topic,
-                                detail::message_type<Number>(), opts, detail::Delivery::ToAll);
+void Node::advertise_selecting(const char* topic, const PusherOptions& opts) {
+  selecting = detail::make_selecting_pusher(transport::Participant::join(options), topic,
+                                            detail::message_type<Number>(), opts);
 }
 
-void Node::be_chosen(const char* topic) {
-  chosen = detail::make_puller(transport::Participant::join(options), topic,
-                               detail::message_type<Number>(), {Wait::Park, ~std::uint64_t{0}},
-                               detail::Delivery::ToAll);
-  chosen->size();  // it has looked for rings
+void Node::subscribe_selected(const char* topic) {
+  selected = detail::make_selecting_puller(transport::Participant::join(options), topic,
+                                           detail::message_type<Number>(),
+                                           {Wait::Park, ~std::uint64_t{0}});
+  selected->core().size();  // it has looked for rings
   reads_topic = std::string_view(topic) == kTopic;
 }
 
-void Node::serve(const char* name, std::size_t back) {
-  served = chooser->serve(name, back);
-  testing::must(served.has_value(), "there is a reader to be served");
+void Node::select(const char* name, std::size_t back) {
+  reader = selecting->select(name, back);
+  testing::must(reader.has_value(), "there is a reader to be selected");
 }
 
-void Node::read_chosen() {
+void Node::read_selected() {
   for (;;) {
     detail::Borrowed borrowed;
-    if (chosen->borrow(borrowed, false, {}, false) != Status::Ok) return;
-    const detail::Origin origin = chosen->origin();
+    if (selected->core().borrow(borrowed, false, {}, false) != Status::Ok) return;
+    const detail::Origin origin = selected->origin();
     const auto& number = *static_cast<const Number*>(borrowed.root);
     account.enter(number, borrowed.missed);
-    letters.push_back({number, origin, chosen->is_ours(origin)});
-    chosen->done();
-    taken_back += chosen->taken_back("the victim");
+    letters.push_back({number, origin, selected->is_ours(origin)});
+    selected->core().done();
+    resent += selected->resent("the victim");
   }
 }
 
@@ -339,8 +340,8 @@ void Node::inspect() {
   }
   if (queue) {
     inspect_queue();
-  } else if (chosen) {
-    inspect_chosen();
+  } else if (selected) {
+    inspect_selected();
   } else if (sleeper.joinable()) {
     sleeper.join();  // it ends when it has been woken and has found the end
   } else if (puller) {
@@ -359,14 +360,14 @@ void Node::inspect() {
       ++published;
     }
   }
-  if (chooser) {
-    must(!served || !chooser->wants(*served), "the dead want nothing");
-    must(!chooser->expects("the victim"), "the dead are not expected");
-    must(!chooser->serve("the victim", 0), "the dead are not served");
-    if (served) chooser->stop(*served, 1);
+  if (selecting) {
+    must(!reader || !selecting->wants(*reader), "the dead want nothing");
+    must(!selecting->expects("the victim"), "the dead are not expected");
+    must(!selecting->select("the victim", 0), "the dead are not selected");
+    if (reader) selecting->deselect(*reader, 1);
     const std::uint64_t before = published;
     publish(6);
-    must(published == before + 6, "nobody holds up who chooses its readers");
+    must(published == before + 6, "nobody holds up a publisher that selects its readers");
   }
   if (frame) {
     must(intact(*frame->reference), "what a message refers to outlives new messages");
@@ -377,19 +378,19 @@ void Node::inspect() {
 }
 
 /// What was said to be a reader's own follows each other, is what it must be, and stays that.
-void Node::inspect_chosen() {
+void Node::inspect_selected() {
   using testing::must;
   const bool ended = testing::eventually([&] {
-    read_chosen();
-    return !chosen->has_publisher("the victim");
+    read_selected();
+    return !selected->has_publisher("the victim");
   });
-  must(ended, "the reader learned that who chose it is gone");
-  taken_back += chosen->taken_back("the victim");
+  must(ended, "the reader learned that its publisher is gone");
+  resent += selected->resent("the victim");
   std::uint64_t count = 0;
   std::uint64_t last = 0;
   for (Letter& letter : letters) {
     // Who has died says nothing more: what was not said is not its own.
-    if (!letter.ours) letter.ours = chosen->is_ours(letter.origin).value_or(false);
+    if (!letter.ours) letter.ours = selected->is_ours(letter.origin).value_or(false);
     const std::uint64_t n = letter.number.number;
     must(*letter.ours || n < due_from || n >= due_to, "what was said to be a reader's is its own");
     if (!*letter.ours) continue;
@@ -398,8 +399,8 @@ void Node::inspect_chosen() {
     last = n;
     ++count;
   }
-  must(taken_back <= count, "only what was a reader's own is taken back");
-  must(!chosen->has_last_ones("the victim"), "nothing is left unread");
+  must(resent <= count, "only what was a reader's own is sent once more");
+  must(!selected->has_remaining("the victim"), "nothing is left unread");
 }
 
 /// All items that nobody has taken are ours, and there is room for more.

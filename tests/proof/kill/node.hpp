@@ -10,7 +10,7 @@
 #include <thread>
 #include <vector>
 
-#include "lot/detail/core.hpp"
+#include "lot/detail/selection.hpp"
 #include "lot/lot.hpp"
 
 #include "segment/layout.hpp"
@@ -88,15 +88,15 @@ struct Node {
   std::optional<Number> next_item(std::chrono::milliseconds most);
   void sleep_on_queue();  ///< a thread of its own pops until it is told that all is over
   void sleep_to_put();    ///< a thread of its own puts one more, for which there is no room
-  void choose(const char* topic, const PusherOptions& options);  ///< advertises: see `chooser`
-  void be_chosen(const char* topic);                             ///< subscribes: see `chosen`
-  void serve(const char* name, std::size_t back = 0);            ///< there must be such a reader
-  void read_chosen();  ///< what is there goes into the account
-  void arm();          ///< makes what the probes use
+  void advertise_selecting(const char* topic, const PusherOptions& options);  ///< `selecting`
+  void subscribe_selected(const char* topic);                                 ///< `selected`
+  void select(const char* name, std::size_t back = 0);  ///< there must be such a reader
+  void read_selected();                                 ///< what is there goes into the account
+  void arm();                                           ///< makes what the probes use
 
   // After a death.
   void inspect_queue();
-  void inspect_chosen();
+  void inspect_selected();
   void enter_item(const Number& item);
   void inspect();  ///< repairs, reads and publishes all it can, looks at what it holds
   ShmSharedPtr<const Frame> inspect_frames();
@@ -123,9 +123,9 @@ struct Node {
   std::uint64_t put_items = 0;
   std::atomic<bool> over{false};  ///< for who sleeps on the queue
   /// Says to each reader which messages are for it; and such a reader.
-  std::unique_ptr<detail::PusherCore> chooser;
-  std::unique_ptr<detail::PullerCore> chosen;
-  std::optional<detail::Served> served;
+  std::unique_ptr<detail::SelectingPusher> selecting;
+  std::unique_ptr<detail::SelectingPuller> selected;
+  std::optional<detail::SelectedReader> reader;  ///< that `selecting` has selected
   /// What has come to such a reader, and whether it was its own, if that was said.
   struct Letter {
     Number number;
@@ -133,7 +133,7 @@ struct Node {
     std::optional<bool> ours;
   };
   std::vector<Letter> letters;
-  std::size_t taken_back = 0;                  ///< how many letters were
+  std::size_t resent = 0;                      ///< how many letters were
   std::uint64_t due_from = 0, due_to = 0;      ///< the numbers of letters that must be its own
   std::uint64_t may_from = 0, may_to = ~0ULL;  ///< of those that may be
   ShmBorrow<Number> borrow;

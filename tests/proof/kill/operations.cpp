@@ -822,7 +822,7 @@ void locked_queues(std::vector<Operation>& all) {
 }
 
 /// Each reader is told which messages are for it.
-void chosen(std::vector<Operation>& all, QueueEngine engine) {
+void selection(std::vector<Operation>& all, QueueEngine engine) {
   const PusherOptions options = overwrite(8, engine);
   const auto add = [&](const char* name, const Pledge& pledge, const Acts& before,
                        std::function<void(Node&)> run) {
@@ -837,75 +837,80 @@ void chosen(std::vector<Operation>& all, QueueEngine engine) {
     });
   };
   // The witness reads; it has read nothing yet when the victim operates.
-  const Acts chooses{witness(join), victim(join), witness(locks),
-                     victim([=](Node& n) { n.choose(kTopic, options); }),
-                     witness([](Node& n) { n.be_chosen(kTopic); })};
-  const Acts three = chooses + Acts{publishes(victim, 3)};
-  const Acts serves =
-      chooses + Acts{victim([](Node& n) { n.serve("the witness"); }), publishes(victim, 3)};
-  const auto reads = witness([](Node& n) { n.read_chosen(); });
-  const Pledge choosing{Promise::LockFree, "serve and stop"};
-  const Pledge being{Promise::LockFree, "read what is one's own"};
-  add("serve, from now on", choosing, three + Acts{ours(3, 3)},
-      [](Node& n) { n.serve("the witness"); });
-  add("serve, from the last ones on", choosing, three + Acts{reads, ours(1, 1)},
-      [](Node& n) { n.serve("the witness", 2); });
-  add("serve, and publish", choosing, three + Acts{ours(3, 3)}, [](Node& n) {
-    n.serve("the witness");
+  const Acts selects{witness(join), victim(join), witness(locks),
+                     victim([=](Node& n) { n.advertise_selecting(kTopic, options); }),
+                     witness([](Node& n) { n.subscribe_selected(kTopic); })};
+  const Acts three = selects + Acts{publishes(victim, 3)};
+  const Acts has_selected =
+      selects + Acts{victim([](Node& n) { n.select("the witness"); }), publishes(victim, 3)};
+  const auto reads = witness([](Node& n) { n.read_selected(); });
+  const Pledge selecting{Promise::LockFree, "select and deselect"};
+  const Pledge reading{Promise::LockFree, "read what is one's own"};
+  add("select, from now on", selecting, three + Acts{ours(3, 3)},
+      [](Node& n) { n.select("the witness"); });
+  add("select, from the last ones on", selecting, three + Acts{reads, ours(1, 1)},
+      [](Node& n) { n.select("the witness", 2); });
+  add("select, and publish", selecting, three + Acts{ours(3, 3)}, [](Node& n) {
+    n.select("the witness");
     n.publish();
   });
-  add("serve, who has not looked", choosing,
+  add("select, a reader that has not looked", selecting,
       Acts{witness(join), victim(join), witness(locks),
-           witness([](Node& n) { n.be_chosen(kTopic); }),
-           victim([=](Node& n) { n.choose(kTopic, options); }), publishes(victim, 3),
+           witness([](Node& n) { n.subscribe_selected(kTopic); }),
+           victim([=](Node& n) { n.advertise_selecting(kTopic, options); }), publishes(victim, 3),
            ours(4, 4, 4)},
       [](Node& n) {
-        if (n.chooser->serve("the witness", 0)) std::abort();
+        if (n.selecting->select("the witness", 0)) std::abort();
         n.publish();
       });
-  add("serve, nobody of that name", choosing, three + Acts{ours(3, 3, 3)}, [](Node& n) {
-    if (n.chooser->serve("nobody", 0)) std::abort();
+  add("select, nobody of that name", selecting, three + Acts{ours(3, 3, 3)}, [](Node& n) {
+    if (n.selecting->select("nobody", 0)) std::abort();
   });
-  add("serve again", choosing,
-      serves + Acts{victim([](Node& n) { n.chooser->stop(*n.served, 0); }), reads,
-                    publishes(victim, 1), ours(0, 3, 3)},
-      [](Node& n) { n.serve("the witness"); });
-  add("stop", choosing, serves + Acts{ours(0, 3)}, [](Node& n) { n.chooser->stop(*n.served, 0); });
-  add("stop, the last ones go another way", choosing, serves + Acts{ours(0, 1)},
-      [](Node& n) { n.chooser->stop(*n.served, 2); });
-  add("stop, the last ones have been read", choosing, serves + Acts{reads, ours(0, 3, 3)},
-      [](Node& n) { n.chooser->stop(*n.served, 2); });
-  add("ask", choosing, serves + Acts{witness([](Node& n) { n.chosen->content(); }), ours(0, 3)},
-      [](Node& n) { n.chooser->ask(*n.served); });
-  add("unadvertise, a reader is served", Promise::Blocking, serves + Acts{ours(0, 3)},
-      [](Node& n) { n.chooser.reset(); });
+  add("select again", selecting,
+      has_selected + Acts{victim([](Node& n) { n.selecting->deselect(*n.reader, 0); }), reads,
+                          publishes(victim, 1), ours(0, 3, 3)},
+      [](Node& n) { n.select("the witness"); });
+  add("deselect", selecting, has_selected + Acts{ours(0, 3)},
+      [](Node& n) { n.selecting->deselect(*n.reader, 0); });
+  add("deselect, the last ones go another way", selecting, has_selected + Acts{ours(0, 1)},
+      [](Node& n) { n.selecting->deselect(*n.reader, 2); });
+  add("deselect, the last ones have been read", selecting,
+      has_selected + Acts{reads, ours(0, 3, 3)},
+      [](Node& n) { n.selecting->deselect(*n.reader, 2); });
+  add("ask", selecting,
+      has_selected + Acts{witness([](Node& n) { n.selected->confirm(); }), ours(0, 3)},
+      [](Node& n) { n.selecting->ask(*n.reader); });
+  add("unadvertise, a reader is selected", Promise::Blocking, has_selected + Acts{ours(0, 3)},
+      [](Node& n) { n.selecting.reset(); });
 
   // The victim reads.
-  const Acts is_chosen{witness(join), victim(join), witness(locks),
-                       witness([=](Node& n) { n.choose(kOther, options); }),
-                       victim([](Node& n) { n.be_chosen(kOther); })};
-  const Acts is_served =
-      is_chosen + Acts{witness([](Node& n) { n.serve("the victim"); }), publishes(witness, 2)};
-  add("read what is one's own", being, is_served, [](Node& n) { n.read_chosen(); });
-  add("read, who chooses has come", being,
+  const Acts subscribes{witness(join), victim(join), witness(locks),
+                        witness([=](Node& n) { n.advertise_selecting(kOther, options); }),
+                        victim([](Node& n) { n.subscribe_selected(kOther); })};
+  const Acts is_selected =
+      subscribes + Acts{witness([](Node& n) { n.select("the victim"); }), publishes(witness, 2)};
+  add("read what is one's own", reading, is_selected, [](Node& n) { n.read_selected(); });
+  add("read, a selecting publisher has come", reading,
       Acts{witness(join), victim(join), witness(locks),
-           victim([](Node& n) { n.be_chosen(kOther); }),
-           witness([=](Node& n) { n.choose(kOther, options); }), publishes(witness, 2)},
-      [](Node& n) { n.read_chosen(); });
-  add("decline", being, is_served, [](Node& n) { n.chosen->decline(); });
-  add("join anew", being, is_chosen, [](Node& n) {
-    if (n.chosen->rejoin("the witness", 7).size() != 1) std::abort();
+           victim([](Node& n) { n.subscribe_selected(kOther); }),
+           witness([=](Node& n) { n.advertise_selecting(kOther, options); }),
+           publishes(witness, 2)},
+      [](Node& n) { n.read_selected(); });
+  add("decline", reading, is_selected, [](Node& n) { n.selected->decline(); });
+  add("join anew", reading, subscribes, [](Node& n) {
+    if (n.selected->join_anew("the witness", 7).size() != 1) std::abort();
   });
-  add("say that one is content", being, is_served, [](Node& n) { n.chosen->content(); });
-  add("say it again", being,
-      is_served + Acts{victim([](Node& n) { n.chosen->content(); }),
-                       witness([](Node& n) { n.chooser->ask(*n.served); })},
-      [](Node& n) { n.chosen->content(); });
-  add("subscribe to who chooses", Promise::Blocking,
+  add("confirm", reading, is_selected, [](Node& n) { n.selected->confirm(); });
+  add("confirm again", reading,
+      is_selected + Acts{victim([](Node& n) { n.selected->confirm(); }),
+                         witness([](Node& n) { n.selecting->ask(*n.reader); })},
+      [](Node& n) { n.selected->confirm(); });
+  add("subscribe to a selecting publisher", Promise::Blocking,
       Acts{witness(join), victim(join), witness(locks),
-           witness([=](Node& n) { n.choose(kOther, options); }), publishes(witness, 2)},
-      [](Node& n) { n.be_chosen(kOther); });
-  add("unsubscribe, served", Promise::Blocking, is_served, [](Node& n) { n.chosen.reset(); });
+           witness([=](Node& n) { n.advertise_selecting(kOther, options); }),
+           publishes(witness, 2)},
+      [](Node& n) { n.subscribe_selected(kOther); });
+  add("unsubscribe, selected", Promise::Blocking, is_selected, [](Node& n) { n.selected.reset(); });
 }
 
 /// A message whose last holder is another process than its home, which would have it back.
@@ -1128,7 +1133,7 @@ std::vector<Operation> all_operations() {
     queues(all, engine);
     tasks(all, engine);
     rivals(all, engine, Rival::Killed);
-    chosen(all, engine);
+    selection(all, engine);
   }
   rivals(all, QueueEngine::Ring, Rival::Stopped);
   locked_queues(all);

@@ -27,18 +27,18 @@ void put_and_pop(Node& n) {
 void pop_item(Node& n) {
   if (n.queue && !n.sleeper.joinable()) n.pop();
 }
-/// From the victim, if it chooses, or to it, if it reads.
-void choose(Node& n) {
-  if (!n.chooser) return;
-  if (n.served) n.chooser->stop(*n.served, 1);
-  n.served = n.chooser->serve("the victim", 0);
+/// From the victim, if it selects its readers, or to it, if it reads.
+void select_and_deselect(Node& n) {
+  if (!n.selecting) return;
+  if (n.reader) n.selecting->deselect(*n.reader, 1);
+  n.reader = n.selecting->select("the victim", 0);
   n.publish();
-  if (n.served) n.chooser->ask(*n.served);
+  if (n.reader) n.selecting->ask(*n.reader);
 }
-void be_chosen(Node& n) {
-  if (!n.chosen) return;
-  n.chosen->content();
-  n.read_chosen();
+void read_selected(Node& n) {
+  if (!n.selected) return;
+  n.selected->confirm();
+  n.read_selected();
 }
 /// The lock of its queues is nobody's who stands still.
 bool unlocked(Node& n) { return !n.locked; }
@@ -237,8 +237,8 @@ const std::vector<Probe>& all_probes() {
       {"make, share, copy, drop", kLockFree, make_and_share},
       {"publish again what was received", kLockFree, publish_again},
       {"publish a message that refers", kLockFree, refer},
-      {"serve and stop", kLockFree, choose, unlocked},
-      {"read what is one's own", kLockFree, be_chosen, unlocked},
+      {"select and deselect", kLockFree, select_and_deselect, unlocked},
+      {"read what is one's own", kLockFree, read_selected, unlocked},
       {"collect what nobody needs", kLockFree, collect},
       {"look for the dead", kLockFree, look_for_the_dead},
       {"loan, blocks have run out", kLockFree, loan_without_blocks, take_all_blocks},

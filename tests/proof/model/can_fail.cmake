@@ -22,7 +22,7 @@ foreach(mistake IN ITEMS
     "evicted-and-left-there evicted_while_taken_two_slots"
     "evicted-and-left-there taker_killed_while_evicted"
     "no-look-at-hazards --bounded evicted_block_changes_hands"
-    "no-look-at-the-answer chosen_invited_twice"
+    "no-look-at-the-answer selected_when_invited_twice"
     no-repair-after-a-death)
   separate_arguments(words UNIX_COMMAND "${mistake}")
   foreach(executions IN ITEMS 1000 20000)  # most are found soon

@@ -63,7 +63,7 @@ struct Omissions {
   bool ring_for_room = false;  ///< a reader makes room and does not ring
   bool hazards = false;        ///< the pool reclaims what has left the ring without a look
   bool rings_lock = false;     ///< joiners do not take the registry's lock
-  bool answer = false;         ///< who was invited is served whatever it answers
+  bool answer = false;         ///< a reader that was invited is selected whatever it answers
   bool repair = false;         ///< the next owner of a dead one's lock wakes nobody
 };
 

@@ -13,6 +13,7 @@ Channel::Channel(const Shape& shape)
       cells(shape.readers),
       who(shape.readers),
       claims(shape.depth),
+      bounds(shape.readers),
       tenants(shape.readers) {
   blocking.write(false);
   used.write(false);
@@ -312,7 +313,8 @@ ring::Ring<Policy> Process::unformed_ring(std::uint32_t c) {
           Segment::kFirst,
           segment_->shape.locked ? &channel.arrived : nullptr,
           segment_->shape.finished ? channel.claims.data() : nullptr,
-          segment_->shape.finished ? &channel.returned : nullptr};
+          segment_->shape.finished ? &channel.returned : nullptr,
+          channel.bounds.data()};
 }
 
 void Process::close_ring(std::uint32_t c) {
@@ -398,6 +400,10 @@ bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
   ring.roster->store(0, std::memory_order_relaxed);
   ring.space->store(0, std::memory_order_relaxed);
   if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);
+  for (auto& [from, to] : channel.bounds) {
+    from.store(0, std::memory_order_relaxed);
+    to.store(0, std::memory_order_relaxed);
+  }
   ring.format();
   channel.formed.store(1, std::memory_order_seq_cst);  // R13
   auto& pullers = process.segment().pullers;
@@ -570,6 +576,20 @@ void Publisher::scan() {
 // ---- Subscriber
 // -----------------------------------------------------------------------------------
 
+namespace {
+
+/// Joins as a reader that the publisher may select.
+std::optional<ring::Reader<Policy>> join_ring(const ring::Ring<Policy>& ring,
+                                              std::uint32_t generation, std::uint32_t participant,
+                                              std::uint64_t history, Word answer) {
+  bool full = false;
+  return ring::Reader<Policy>::join(
+      ring, generation, participant, history, full,
+      [&](std::uint32_t cell) { selection::begin_round(ring, cell, answer); });
+}
+
+}  // namespace
+
 bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generation,
                       std::uint64_t history) {
   const bool locked = !garden.omitted.rings_lock;
@@ -579,9 +599,7 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
   const auto state = ring::writer_state(writer);
   if (state == ring::State::Live ||
       (state == ring::State::Orphan && process.segment().shape.taken)) {
-    bool full = false;
-    reader =
-        ring::Reader<Policy>::join(process.ring(c), generation, process.index(), history, full);
+    reader = join_ring(process.ring(c), generation, process.index(), history, 0);
   }
   if (locked) process.unlock_rings();
   if (!reader) return false;
@@ -593,10 +611,9 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
   return true;
 }
 
-bool Subscriber::rejoin(Word answer) {
-  bool full = false;
-  const auto reader = ring::Reader<Policy>::join(reader_.ring(), generation_, process_->index(),
-                                                 ring::Reader<Policy>::kFromTheStart, full, answer);
+bool Subscriber::join_anew(Word answer) {
+  const auto reader = join_ring(reader_.ring(), generation_, process_->index(),
+                                ring::Reader<Policy>::kFromTheStart, answer);
   if (reader) process_->move_in(channel_, reader->cell());
   leave();
   if (reader) reader_ = *reader;

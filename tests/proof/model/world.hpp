@@ -8,6 +8,7 @@
 #include "recovery/recovery.hpp"
 #include "refcount/ownership.hpp"
 #include "robust_mutex/lock_word.hpp"
+#include "selection/bounds.hpp"
 #include "support/raw.hpp"
 
 /// A small world around the headers under test: a segment, processes in it, and what the transport
@@ -55,7 +56,8 @@ struct Channel {
   std::vector<Atomic<Word>> claims;
   Atomic<std::uint32_t> returned;
   Atomic<Word> floor;
-  Atomic<std::uint32_t> formed;  ///< 1: `blocking` is written
+  std::vector<selection::Bounds<Policy>> bounds;  ///< the ring's extra memory
+  Atomic<std::uint32_t> formed;                   ///< 1: `blocking` is written
   Plain<bool> blocking;
   Plain<bool> used;  ///< written by who makes a ring and who frees it: one after the other
   Atomic<std::uint32_t> arrived;  ///< the mutex engine's condition
@@ -312,7 +314,7 @@ class Subscriber {
             std::uint64_t history);
   void leave();
   /// Joins it once more, with an answer, and leaves then. Without the lock: it was there all along.
-  bool rejoin(Word answer);
+  bool join_anew(Word answer);
 
   /// The next message's block, or kNone; protected until done().
   Word borrow();

@@ -10,7 +10,8 @@ import sites
 
 HEADERS = ('src/lockfree_ring', 'src/refcount', 'src/recovery',
            'src/robust_mutex/robust_condition.hpp', 'src/robust_mutex/lock_word.hpp',
-           'src/segment/granules.hpp', 'src/segment/units.hpp')
+           'src/segment/granules.hpp', 'src/segment/units.hpp',
+           'src/selection/bounds.hpp', 'src/selection/selector.hpp')
 
 # One step weaker. A step of a compare-exchange that fails is a load.
 LOAD = {'seq_cst': ('acquire',), 'acquire': ('relaxed',)}

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes in the steps of recovery, sleep, death and memory that goes back, each planted in a copy
-of the headers."""
+"""Mistakes in the steps of recovery, sleep, death, memory that goes back and selection, each planted
+in a copy of the headers."""
 
 import dataclasses
 import pathlib
@@ -14,6 +14,8 @@ SLEEP = 'src/lockfree_ring/sleep.hpp'
 CLAIMS = 'src/lockfree_ring/claims.hpp'
 UNITS = 'src/segment/units.hpp'
 LOCK = 'src/robust_mutex/lock_word.hpp'
+BOUNDS = 'src/selection/bounds.hpp'
+SELECTOR = 'src/selection/selector.hpp'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,6 +196,15 @@ MISTAKES = (
         '        words_[unit].compare_exchange_strong(leaving, kNone, std::memory_order_relaxed,\n'
         '                                             std::memory_order_relaxed);\n',
         '        words_[unit].store(leaving - leaving, std::memory_order_relaxed);\n'),)),
+    Planted('a joiner keeps the round of the cell\'s former reader', BOUNDS, 'selection', ((
+        'bound_round(from.load(std::memory_order_relaxed)) + 1;',
+        'bound_round(from.load(std::memory_order_relaxed));'),)),
+    Planted('a reader is selected again that has yet to read its own', SELECTOR, 'selection', ((
+        '    if (is_set(end) && precedes(ring::sequence(position), end)) return std::nullopt;\n', ''),)),
+    Planted('a reader is selected before it has a place', SELECTOR, 'selection', ((
+        '    if (!ring::is_place(position)) return std::nullopt;\n', ''),)),
+    Planted('the cell is not looked at again when its round is known', SELECTOR, 'selection', ((
+        ' || ring_.who[*cell].load(std::memory_order_relaxed) != participant + 1', ''),)),
 )
 
 
@@ -220,7 +231,7 @@ def misplaced(root):
 class Builds:
     """Builds the model against copies of the headers; each is gone when it has been tried out."""
 
-    COPIED = ('lockfree_ring', 'refcount', 'recovery', 'robust_mutex', 'segment')
+    COPIED = ('lockfree_ring', 'refcount', 'recovery', 'robust_mutex', 'segment', 'selection')
 
     AS_BUILT = ('main', 'plant', 'simulate')  # they see none of the headers
 

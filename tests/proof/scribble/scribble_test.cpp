@@ -189,7 +189,7 @@ class Scribbler {
     const auto entry = [&](std::uint64_t table, std::uint64_t count, std::uint64_t size) {
       return table + below(std::min<std::uint64_t>(count, 16)) * size + below(size);
     };
-    switch (below(13)) {
+    switch (below(14)) {
       case 0:
         return below(sizeof(Header));
       case 1:
@@ -209,7 +209,9 @@ class Scribbler {
       case 8:
         return entry(geometry_.sightings, c.participants, sizeof(Sightings));
       case 9:
+        return entry(geometry_.replies, std::min(c.topics, 3U), sizeof(Replies));
       case 10:
+      case 11:
         return entry(geometry_.arenas, c.blocks, sizeof(lot::detail::Arena));
       default: {
         const ChannelEntry& channel = segment_.channels()[below(6)];

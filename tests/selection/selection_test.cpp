@@ -1,0 +1,339 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// A publisher that says to each reader which messages are for it, in one thread; what threads do to
+// it is in tests/proof/model/selection_model.cpp, what lot::ros does with it in tests/lot_ros.
+
+#include "lot/detail/selection.hpp"
+
+#include <atomic>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "support/processes.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using namespace std::chrono_literals;
+
+struct Letter {
+  std::uint64_t number;
+};
+
+[[maybe_unused]] const std::string& prefix_taken = prefix();
+
+/// One process of the segment: its own directory's spelling makes it a participant of its own.
+struct Member {
+  Member(lot::EngineOptions options, const std::string& name, const std::string& spelling)
+      : participant([&] {
+          options.name = name;
+          options.directory += spelling;
+          return lot::detail::join(options);
+        }()) {}
+  std::shared_ptr<lot::transport::Participant> participant;
+};
+
+struct Fixture {
+  lot::EngineOptions options = fresh();
+  Member writer{options, "writer", ""};
+  Member reader{options, "reader", "/."};
+  const lot::detail::MessageType& type = lot::detail::message_type<Letter>();
+  std::unique_ptr<lot::detail::SelectingPusher> pusher = lot::detail::make_selecting_pusher(
+      writer.participant, "/t", type, {lot::Policy::Overwrite, 8});
+
+  std::unique_ptr<lot::detail::SelectingPuller> puller(Member& of) const {
+    return lot::detail::make_selecting_puller(of.participant, "/t", type, {lot::Wait::Park, ~0ULL});
+  }
+  void push(std::uint64_t number) const { push(pusher->core(), number); }
+  void push(lot::detail::PusherCore& by, std::uint64_t number) const {
+    auto letter = lot::detail::build<Letter>(by.loan(type, true));
+    letter->number = number;
+    const lot::ShmSharedPtr<const Letter> shared(std::move(letter));
+    REQUIRE(by.push_shared(lot::detail::PointerAccess::cell(shared), shared.get(), 0ns) ==
+            lot::Status::Ok);
+  }
+};
+
+struct Got {
+  std::uint64_t number;
+  lot::detail::Origin origin;
+  std::optional<bool> ours;
+};
+std::optional<Got> pull(lot::detail::SelectingPuller& puller) {
+  lot::detail::Borrowed borrowed;
+  if (puller.core().borrow(borrowed, false, {}, false) != lot::Status::Ok) return std::nullopt;
+  const auto origin = puller.origin();
+  const Got got{static_cast<const Letter*>(borrowed.root)->number, origin, puller.is_ours(origin)};
+  puller.core().done();
+  return got;
+}
+/// The numbers of what has come and is for this reader.
+std::vector<std::uint64_t> ours(lot::detail::SelectingPuller& puller) {
+  std::vector<std::uint64_t> numbers;
+  while (const auto got = pull(puller)) {
+    if (got->ours.value_or(false)) numbers.push_back(got->number);
+  }
+  return numbers;
+}
+using Numbers = std::vector<std::uint64_t>;
+
+}  // namespace
+
+TEST_SUITE_BEGIN("selection");
+
+TEST_CASE("only what was said to be for a reader is its own") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  f.push(0);
+  const auto selected = f.pusher->select("reader", 0);
+  REQUIRE(selected);
+  f.push(1);
+  f.push(2);
+  f.pusher->deselect(*selected, 0);
+  f.push(3);
+  CHECK(ours(*puller) == Numbers{1, 2});
+  CHECK_FALSE(puller->has_remaining("writer"));
+  CHECK(puller->resent("writer") == 0);
+}
+
+TEST_CASE("nothing is said to readers without a cell, of another name, or that decline") {
+  Fixture f;
+  CHECK_FALSE(f.pusher->select("reader", 0));
+  const auto puller = f.puller(f.reader);
+  CHECK(puller->core().size() == 0);  // it has looked for rings
+  CHECK_FALSE(f.pusher->select("somebody", 0));
+  auto selected = f.pusher->select("reader", 0);
+  REQUIRE(selected);
+  CHECK(f.pusher->wants(*selected));
+  CHECK_FALSE(f.pusher->has_confirmed(*selected));
+  puller->confirm();
+  CHECK(f.pusher->has_confirmed(*selected));
+  f.pusher->ask(*selected);
+  CHECK_FALSE(f.pusher->has_confirmed(*selected));
+  puller->confirm();
+  puller->decline();
+  CHECK_FALSE(f.pusher->wants(*selected));
+  f.pusher->deselect(*selected, 0);
+  CHECK_FALSE(f.pusher->select("reader", 0));
+}
+
+TEST_CASE("a reader that is asked to join anew is selected when it has, by that answer alone") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  CHECK(puller->core().size() == 0);  // it has looked for rings
+  CHECK(f.pusher->is_read_by("reader"));
+  CHECK_FALSE(f.pusher->is_read_by("somebody"));
+  f.push(0);
+  f.push(1);
+  CHECK_FALSE(f.pusher->select("reader", 1, 7));
+  CHECK(puller->join_anew("somebody", 7).empty());
+  CHECK_FALSE(f.pusher->select("reader", 1, 7));
+  CHECK(puller->join_anew("writer", 6).size() == 1);
+  CHECK_FALSE(f.pusher->select("reader", 1, 7));
+  CHECK(puller->join_anew("writer", 7).size() == 1);
+  const auto selected = f.pusher->select("reader", 1, 7);
+  REQUIRE(selected);
+  f.push(2);
+  CHECK(ours(*puller) == Numbers{1, 2});
+  // Who is selected has not been asked.
+  CHECK(puller->join_anew("writer", 8).empty());
+  f.pusher->deselect(*selected, 0);
+  CHECK(puller->join_anew("writer", 8).size() == 1);
+  CHECK(ours(*puller).empty());
+  CHECK(f.pusher->select("reader", 0, 8));
+}
+
+TEST_CASE("a reader that does not decline any more is selected again") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  CHECK(puller->core().size() == 0);
+  puller->decline();
+  CHECK_FALSE(f.pusher->is_read_by("reader"));
+  CHECK_FALSE(f.pusher->select("reader", 0));
+  puller->confirm();
+  CHECK(f.pusher->is_read_by("reader"));
+  CHECK(f.pusher->select("reader", 0));
+}
+
+TEST_CASE("what a reader has said of itself goes with its last puller") {
+  Fixture f;
+  {
+    const auto first = f.puller(f.reader);
+    const auto second = f.puller(f.reader);
+    first->decline();
+  }
+  const auto puller = f.puller(f.reader);
+  const auto selected = f.pusher->select("reader", 0);
+  REQUIRE(selected);
+  CHECK(f.pusher->wants(*selected));
+  CHECK_FALSE(f.pusher->has_confirmed(*selected));
+}
+
+TEST_CASE("a new puller takes back what its process has replied") {
+  Fixture f;
+  const auto first = f.puller(f.reader);
+  CHECK(first->core().size() == 0);
+  const auto selected = f.pusher->select("reader", 0);
+  REQUIRE(selected);
+  first->confirm();
+  CHECK(f.pusher->has_confirmed(*selected));
+  const auto second = f.puller(f.reader);
+  CHECK_FALSE(f.pusher->has_confirmed(*selected));
+  first->decline();
+  CHECK_FALSE(f.pusher->expects("reader"));
+  const auto third = f.puller(f.reader);
+  CHECK(f.pusher->expects("reader"));
+}
+
+TEST_CASE("a reply of a process that has no puller any more means nothing") {
+  Fixture f;
+  std::optional<lot::detail::SelectedReader> selected;
+  {
+    const auto puller = f.puller(f.reader);
+    selected = f.pusher->select("reader", 0);
+    REQUIRE(selected);
+    puller->confirm();
+    CHECK(f.pusher->has_confirmed(*selected));
+  }
+  CHECK_FALSE(f.pusher->has_confirmed(*selected));
+  CHECK_FALSE(f.pusher->wants(*selected));
+  CHECK_FALSE(f.pusher->expects("reader"));
+}
+
+TEST_CASE("a publisher that does not select its readers says nothing to them") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  const auto plain =
+      lot::detail::make_pusher(f.writer.participant, "/t", f.type, {lot::Policy::Overwrite, 8},
+                               lot::detail::Delivery::ToAll);
+  f.push(*plain, 0);
+  const auto got = pull(*puller);
+  REQUIRE(got);
+  CHECK_FALSE(got->ours.has_value());
+  CHECK(puller->rings_of("writer").size() == 2);
+  CHECK_FALSE(puller->has_remaining("writer"));
+  CHECK(puller->resent("writer") == 0);
+  CHECK(puller->join_anew("writer", 7).size() == 1);
+}
+
+TEST_CASE("two readers of one name are not told apart, so neither is selected") {
+  Fixture f;
+  const auto first = f.puller(f.reader);
+  Member twin(f.options, "reader", "/./.");
+  {
+    const auto second = f.puller(twin);
+    CHECK_FALSE(f.pusher->select("reader", 0));
+  }
+  CHECK(f.pusher->select("reader", 0));  // a cell in this ring counts, not the name alone
+}
+
+TEST_CASE("the last message is for a late reader, if that is said, though it has been read") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  CHECK_FALSE(f.pusher->select("reader", 1));  // there is no last one
+  f.push(0);
+  f.push(1);
+  const auto first = pull(*puller);
+  const auto last = pull(*puller);
+  REQUIRE((first && last));
+  CHECK_FALSE(last->ours.has_value());  // it may be said yet
+  REQUIRE(f.pusher->select("reader", 1));
+  CHECK(puller->is_ours(first->origin) == std::optional(false));
+  CHECK(puller->is_ours(last->origin) == std::optional(true));
+}
+
+TEST_CASE("an expected reader that comes late gets what was kept for it, once it is said so") {
+  Fixture f;
+  CHECK_FALSE(f.pusher->expects("reader"));
+  const auto puller = f.puller(f.reader);
+  CHECK(f.pusher->expects("reader"));  // it has said that it reads the topic, before it has a cell
+  CHECK_FALSE(f.pusher->expects("somebody"));
+  CHECK_FALSE(f.pusher->select("reader", 3));  // there are not so many
+  for (std::uint64_t n = 0; n < 5; ++n) f.push(n);
+  std::vector<Got> kept;
+  while (const auto got = pull(*puller)) kept.push_back(*got);
+  REQUIRE(kept.size() == 5);
+  CHECK_FALSE(f.pusher->select("reader", 9));  // the ring has eight places
+  REQUIRE(f.pusher->select("reader", 3));
+  f.push(5);
+  for (const Got& got : kept) {
+    CHECK(puller->is_ours(got.origin) == std::optional(got.number >= 2));
+  }
+  CHECK(ours(*puller) == Numbers{5});
+  puller->decline();
+  CHECK_FALSE(f.pusher->expects("reader"));
+}
+
+TEST_CASE("a publisher is there until its ring is read") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  CHECK(puller->core().size() == 0);
+  CHECK(puller->has_publisher("writer"));
+  CHECK_FALSE(puller->has_publisher("reader"));
+  f.push(0);
+  f.pusher.reset();
+  CHECK(puller->has_publisher("writer"));
+  while (pull(*puller)) {
+  }
+  CHECK_FALSE(puller->has_publisher("writer"));
+}
+
+TEST_CASE("what is taken back is counted once, and what is not read yet is not its own") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  const auto selected = f.pusher->select("reader", 0);
+  REQUIRE(selected);
+  for (std::uint64_t n = 0; n < 3; ++n) f.push(n);
+  CHECK(ours(*puller) == Numbers{0, 1, 2});
+  f.push(3);
+  f.pusher->deselect(*selected, 3);  // 1, 2 and 3 go another way as well
+  CHECK(ours(*puller).empty());
+  CHECK(puller->resent("writer") == 2);
+  CHECK(puller->resent("writer") == 0);
+}
+
+TEST_CASE("a reader that has not read all its own is not selected again, and the rest is known") {
+  Fixture f;
+  const auto puller = f.puller(f.reader);
+  const auto selected = f.pusher->select("reader", 0);
+  REQUIRE(selected);
+  f.push(0);
+  f.push(1);
+  f.pusher->deselect(*selected, 0);
+  CHECK(puller->core().size() == 2);
+  CHECK(puller->has_remaining("writer"));
+  CHECK_FALSE(puller->has_remaining("somebody"));
+  CHECK_FALSE(f.pusher->select("reader", 0));
+  CHECK(ours(*puller) == Numbers{0, 1});
+  CHECK_FALSE(puller->has_remaining("writer"));
+  f.push(2);
+  REQUIRE(f.pusher->select("reader", 0));
+  f.push(3);
+  CHECK(ours(*puller) == Numbers{3});
+}
+
+TEST_CASE("a reader that takes the cell of another one is told nothing that was for that one") {
+  Fixture f;
+  std::optional<lot::detail::SelectedReader> selected;
+  {
+    const auto puller = f.puller(f.reader);
+    selected = f.pusher->select("reader", 0);
+    REQUIRE(selected);
+  }
+  const auto next = f.puller(f.reader);
+  CHECK_FALSE(f.pusher->wants(*selected));
+  f.pusher->deselect(*selected, 0);
+  f.push(0);
+  const auto got = pull(*next);
+  REQUIRE(got);
+  CHECK_FALSE(got->ours.has_value());
+  CHECK(next->publisher(got->origin) == "writer");
+}
+
+TEST_SUITE_END();
