@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Checks who includes whom, against the table in src/README.md.
+"""Checks who includes whom, against the two tables in src/README.md.
 
     arrows.py [ROOT]       check the tree at ROOT (default: the tree this file lies in)
     arrows.py --self-test  plant wrong includes in a scratch tree and see that each is found
@@ -10,6 +10,11 @@ units of rows above its own, and itself. Every file of the room belongs to a uni
 
 An include is looked up as the compiler would (beside the file, then in src/, include/, tests/ and so
 on). One that names a room is judged by its name even when the file does not exist.
+
+The second table says which room lends which header of include/lot/detail/. A room, and a header
+that it lends, may include what is lent by the room itself and by the rooms that it may include. A
+public header brings what it includes, by itself or by other public headers, so a room may include
+it only if it may include all of that.
 """
 
 import pathlib
@@ -22,6 +27,8 @@ COMMENT = re.compile(r'/\*.*?\*/', re.S)
 ROW = re.compile(r'^\|\s*`(\w+)/?`\s*\|(.*)\|([^|]*)\|\s*$')
 INSIDE = re.compile(r'^## Inside `(\w+)`$')
 UNITS = re.compile(r'^\|\s*((?:`\w+`(?:,\s*)?)+)\s*\|[^|]*\|\s*$')
+LENT = re.compile(r'^\|\s*`(\w+)`\s*\|((?:\s*`\w+`,?)+)\s*\|\s*$')
+DETAIL = pathlib.PurePosixPath('include/lot/detail')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.inc', '.in'}
 BASES = ('src', 'include', 'tests', 'bench', 'fuzz', 'examples', '')
 # Who, outside a folder, may include it. Folders of src/ are the table's business.
@@ -34,14 +41,15 @@ OUTER = {
 
 
 def read_table(readme):
-    """{room: set of rooms it may include}, in the table's order. A room's arrows only point up the page."""
-    table = {}
+    """{room: set of rooms it may include}, in the table's order, and {room: set of rooms whose lent
+    headers it may include}. A room's arrows only point up the page."""
+    table, borrows = {}, {}
     for line in readme.read_text().splitlines():
         row = ROW.match(line)
         if not row:
             continue
         room, allowed = row.group(1), row.group(3).strip()
-        if allowed == 'nothing':
+        if allowed in ('nothing', 'what all above lend'):
             rooms = set()
         elif allowed == 'all above':
             rooms = set(table)
@@ -52,10 +60,31 @@ def read_table(readme):
         if rooms - set(table):
             raise ValueError(f'{readme}: {room} may only include rooms above it, not '
                              + ', '.join(sorted(rooms - set(table))))
+        borrows[room] = rooms | {room}
+        if allowed == 'what all above lend':
+            borrows[room] |= set(table)
         table[room] = rooms
     if not table:
         raise ValueError(f'{readme}: no table of rooms found')
-    return table
+    return table, borrows
+
+
+def read_lent(readme, table):
+    """{header of include/lot/detail/: the room that lends it}."""
+    lent = {}
+    for line in readme.read_text().splitlines():
+        row = LENT.match(line)
+        if not row:
+            continue
+        room = row.group(1)
+        if room not in table:
+            raise ValueError(f'{readme}: {room} lends headers and is no room')
+        for name in re.findall(r'`(\w+)`', row.group(2)):
+            header = (DETAIL / f'{name}.hpp').as_posix()
+            if header in lent:
+                raise ValueError(f'{readme}: two rooms lend {name}')
+            lent[header] = room
+    return lent
 
 
 def read_units(readme):
@@ -95,12 +124,19 @@ def place(relative):
     return (parts[0], '') if len(parts) > 1 else ('', '')
 
 
-def target(root, file, name, table):
-    """Where an include leads: a place as above, or None for a header that is not ours."""
+def file_of(root, file, name):
+    """The file of this tree that an include leads to, relative to the root, or None."""
     for base in (file.parent, *(root / b for b in BASES)):
         found = (base / name).resolve()
         if found.is_file() and root in found.parents:
-            return place(found.relative_to(root))
+            return found.relative_to(root)
+    return None
+
+
+def target(found, name, table):
+    """Where an include leads: a place as above, or None for a header that is not ours."""
+    if found is not None:
+        return place(found)
     parts = [p for p in pathlib.PurePosixPath(name).parts if p not in ('.', '..')]
     if parts and parts[0] == 'src':
         return 'src', parts[1] if len(parts) > 2 else ''
@@ -125,12 +161,59 @@ def objection(source, goal, table):
     return f'src/{room} may not include src/{goal[1]}'
 
 
+def includes_of(file):
+    """(name, line) of each include of a file."""
+    text = file.read_text(errors='replace')
+    text = COMMENT.sub(lambda c: '\n' * c.group().count('\n'), text)
+    return [(i.group(1), text.count('\n', 0, i.start(1)) + 1) for i in INCLUDE.finditer(text)]
+
+
+class Lent:
+    """What the headers of include/lot/ bring of what rooms lend."""
+
+    def __init__(self, root, readme, table):
+        self.root = root
+        self.rooms = read_lent(readme, table)
+        self.brought = {}
+
+    def missing(self):
+        """Complaints: the table and the folder name the same headers."""
+        there = {p.relative_to(self.root).as_posix() for p in (self.root / DETAIL).glob('*')}
+        return [f'{h}:1: no room of src/README.md lends it' for h in sorted(there - set(self.rooms))] + [
+            f'src/README.md:1: {self.rooms[h]} lends {h}, which is not there'
+            for h in sorted(set(self.rooms) - there)]
+
+    def brings(self, header):
+        """{room: a lent header of it} for a header of include/lot/."""
+        name = header.as_posix()
+        if name in self.rooms:
+            return {self.rooms[name]: name}
+        if name not in self.brought:
+            self.brought[name] = rooms = {}
+            file = self.root / header
+            for include, _ in includes_of(file):
+                found = file_of(self.root, file, include)
+                if found is not None and found.parts[0] == 'include':
+                    rooms.update(self.brings(found))
+        return self.brought[name]
+
+    def objection(self, room, header, borrows):
+        """Why a room, or a header that it lends, may not include a header of include/lot/, or None."""
+        for lender, name in sorted(self.brings(header).items()):
+            if lender not in borrows[room]:
+                how = '' if name == header.as_posix() else f' brings {name}, which'
+                return f'{how} {lender} lends, and {room} may not include'.strip()
+        return None
+
+
 def check(root):
     """All complaints about the tree at root, as lines 'file:line: why'."""
     root = root.resolve()
-    table = read_table(root / 'src' / 'README.md')
-    units = read_units(root / 'src' / 'README.md')
-    complaints = []
+    readme = root / 'src' / 'README.md'
+    table, borrows = read_table(readme)
+    lent = Lent(root, readme, table)
+    complaints = lent.missing()
+    units = read_units(readme)
     for top in ('include', 'src', *OUTER):
         for file in sorted((root / top).rglob('*')):
             if file.suffix not in SUFFIXES or not file.is_file():
@@ -143,16 +226,16 @@ def check(root):
             rows = units.get(source[1]) if top == 'src' and len(relative.parts) == 3 else None
             if rows is not None and file.name.split('.')[0] not in rows:
                 complaints.append(f'{relative}:1: belongs to no unit of src/README.md')
-            text = file.read_text(errors='replace')
-            text = COMMENT.sub(lambda c: '\n' * c.group().count('\n'), text)
-            for include in INCLUDE.finditer(text):
-                goal = target(root, file, include.group(1), table)
+            borrower = source[1] if top == 'src' else lent.rooms.get(relative.as_posix())
+            for name, line in includes_of(file):
+                found = file_of(root, file, name)
+                goal = target(found, name, table)
                 why = goal and (objection(source, goal, table) or
-                                (goal == source and
-                                 objection_inside(relative, include.group(1), units)))
+                                (goal == source and objection_inside(relative, name, units)))
+                if not why and borrower and goal and goal[0] == 'include':
+                    why = lent.objection(borrower, found, borrows)
                 if why:
-                    line = text.count('\n', 0, include.start(1)) + 1
-                    complaints.append(f'{relative}:{line}: {include.group(1)}: {why}')
+                    complaints.append(f'{relative}:{line}: {name}: {why}')
     return complaints
 
 
@@ -163,6 +246,12 @@ TABLE = '''
 | `side` | b | nothing |
 | `middle` | c | `low` |
 | `high` | d | all above |
+| `guest` | e | what all above lend |
+
+| room | lends |
+|---|---|
+| `low` | `deep`, `other` |
+| `high` | `inline` |
 
 ## Inside `high`
 
@@ -176,15 +265,17 @@ TABLE = '''
 '''
 GOOD = {
     'include/lot/noun.hpp': '#include <vector>\n#include "detail/inline.hpp"\n',
-    'include/lot/detail/inline.hpp': '#include <lot/noun.hpp>\n',
+    'include/lot/plain.hpp': '#include <vector>\n',
+    'include/lot/detail/inline.hpp': '#include <lot/noun.hpp>\n#include "deep.hpp"\n',
+    'include/lot/detail/deep.hpp': '#include "lot/plain.hpp"\n',
+    'include/lot/detail/other.hpp': '#include "lot/detail/deep.hpp"\n',
     'src/low/low.hpp': '// #include "high/high.hpp"\n/*\n#include "high/high.hpp"\n*/\n',
-    'src/side/side.hpp': '#include <lot/noun.hpp>\n',
-    'src/middle/middle.cpp': '#include "low/low.hpp"\n#include <benchmark/benchmark.h>\n',
-    'src/high/high.hpp': '#include "../middle/none.hpp"\n#include <side/side.hpp>\n#include "high/left.hpp"\n',
-    'src/high/high.cpp': '#include "high/high.hpp"\n#include "right.hpp"\n',
-    'src/high/left.hpp': '#include "high/floor.hpp"\n',
-    'src/high/right.hpp': '',
-    'src/high/floor.hpp': '',
+    'src/side/side.hpp': '#include <lot/plain.hpp>\n',
+    'src/middle/middle.cpp': '#include "low/low.hpp"\n#include <benchmark/benchmark.h>\n'
+                             '#include "lot/detail/other.hpp"\n',
+    'src/high/high.hpp': '#include "../middle/none.hpp"\n#include <side/side.hpp>\n'
+                         '#include "lot/noun.hpp"\n',
+    'src/guest/guest.cpp': '#include "lot/noun.hpp"\n#include "lot/detail/deep.hpp"\n',
     'tests/low/test.cpp': '#include "low/low.hpp"\n#include "support/help.hpp"\n',
     'tests/support/help.hpp': '#include "high/high.hpp"\n',
     'fuzz/fuzz.cpp': '#include "tests/support/help.hpp"\n',
@@ -209,6 +300,22 @@ PLANTED = [  # file, its text, what must be complained about
     ('fuzz/low/bad.cpp', '#include "bench/micro/floor.hpp"\n', 'nobody includes bench/'),
     ('bench/micro/bad.cpp', '#include "support/help.hpp"\n', 'nobody includes tests/'),
     ('examples/bad.cpp', '#include "fuzz/fuzz.cpp"\n', 'nobody includes fuzz/'),
+    ('src/guest/bad.cpp', '#include "low/low.hpp"\n', 'src/guest may not include src/low'),
+    ('src/side/bad.cpp', '#include "lot/detail/deep.hpp"\n', 'low lends, and side may not include'),
+    ('src/low/bad.cpp', '#include <lot/detail/inline.hpp>\n', 'high lends, and low may not include'),
+    ('src/low/bad.cpp', '#include "../../include/lot/detail/inline.hpp"\n', 'high lends'),
+    ('src/middle/bad.cpp', '#include "lot/noun.hpp"\n',
+     'brings include/lot/detail/inline.hpp, which high lends, and middle may not include'),
+    ('include/lot/detail/deep.hpp', '#include "inline.hpp"\n', 'high lends, and low may not include'),
+    ('include/lot/detail/deep.hpp', '\n#include "lot/noun.hpp"\n', 'detail/deep.hpp:2:'),
+    ('include/lot/detail/stray.hpp', '', 'no room of src/README.md lends it'),
+]
+
+
+TABLES = [  # a row more, and what is wrong with it
+    ('| `top` | e | `missing` |\n', 'names an unknown room'),
+    ('| `missing` | `more` |\n', 'lends for an unknown room'),
+    ('| `side` | `deep` |\n', 'lends a header twice'),
 ]
 
 
@@ -230,21 +337,28 @@ def self_test():
             write(name, text)
             complaints = check(root)
             (root / name).unlink()
+            if name in GOOD:
+                write(name, GOOD[name])
             if len(complaints) != 1 or expected not in complaints[0]:
                 failures.append(f'{name} {text.strip()!r}: expected {expected!r}, got {complaints}')
-        write('src/README.md', TABLE + '| `top` | e | `missing` |\n')
-        try:
-            check(root)
-            failures.append('a table that names an unknown room is accepted')
-        except ValueError:
-            pass
+        (root / 'include/lot/detail/other.hpp').unlink()
+        write('src/middle/middle.cpp', '')
+        if len(check(root)) != 1 or 'which is not there' not in check(root)[0]:
+            failures.append(f'a lent header that is not there: {check(root)}')
+        for row, what in TABLES:
+            write('src/README.md', TABLE + row)
+            try:
+                check(root)
+                failures.append(f'a table is accepted that {what}')
+            except ValueError:
+                pass
         write('src/README.md', TABLE.replace('`left`, `right`', '`left`, `floor`'))
         try:
             check(root)
             failures.append('a unit with two rows is accepted')
         except ValueError:
             pass
-    return failures, len(GOOD) + len(PLANTED) + 2
+    return failures, len(GOOD) + len(PLANTED) + 2 + len(TABLES)
 
 
 def main(arguments):

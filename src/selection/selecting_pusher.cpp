@@ -58,7 +58,7 @@ class SelectingPusher final : public detail::SelectingPusher {
   }
 
   bool expects(std::string_view node) override {
-    for (std::uint32_t k = 0; k < participant_->participants(); ++k) {
+    for (std::uint32_t k = 0; k < participant_->world().participants(); ++k) {
       if (replies_.wants(k) && is_called(k, node)) return true;
     }
     return false;
@@ -81,8 +81,8 @@ class SelectingPusher final : public detail::SelectingPusher {
 
   bool is_called(std::uint32_t k, std::string_view node) const {
     // Acquire: edge "state".
-    return participant_->part(k).load(std::memory_order_acquire) != 0 &&
-           participant_->name_of(k) == node;
+    return participant_->world().part(k).load(std::memory_order_acquire) != 0 &&
+           participant_->world().name_of(k) == node;
   }
 
   /// The only participant with this node name that reads the ring and wants it. With several of
@@ -91,7 +91,7 @@ class SelectingPusher final : public detail::SelectingPusher {
     std::optional<std::uint32_t> reader;
     bool several = false;
     writer.each_reader([&](std::uint32_t k, std::uint32_t) {
-      if (k >= participant_->participants() || !is_called(k, node)) return;
+      if (k >= participant_->world().participants() || !is_called(k, node)) return;
       several = reader.has_value();
       reader = k;
     });
