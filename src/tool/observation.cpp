@@ -150,10 +150,8 @@ class Observer {
           continue;
         }
         topic.used = true;
-        // Acquire as the users before it; the number is for people.
-        const unsigned pullers = entry.pullers[k].load(std::memory_order_acquire);
-        if (pullers != 0) topic.subscribers.push_back(k);
-        pullers_[{t, k}] = pullers;
+        // Acquire: as the users before it.
+        if (entry.pullers[k].load(std::memory_order_acquire) != 0) topic.subscribers.push_back(k);
       }
       if (topic.used) seen_.topics.push_back(std::move(topic));
     }
@@ -467,7 +465,6 @@ class Observer {
   std::vector<Noted> noted_;
   std::vector<std::uint64_t> granules_;  ///< by block
   std::map<std::uint64_t, std::string> name_of_key_;
-  std::map<std::pair<std::uint32_t, std::uint32_t>, unsigned> pullers_;  ///< {topic, process}
   std::set<std::pair<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t>>
       borrows_;                                               ///< {{block, process}, topic}
   std::set<std::pair<std::uint32_t, std::uint32_t>> refers_;  ///< {block, process}
