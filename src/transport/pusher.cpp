@@ -653,7 +653,7 @@ class Pusher final : public RingPusher, private Evictor {
       alone_.lock();
     }
     void before_sleep() {
-      for (const std::uint32_t k : laggards_) pusher_.participant_->reap_if_dead(k);
+      for (const std::uint32_t k : laggards_) pusher_.participant_->reaper().reap_if_dead(k);
       laggards_.clear();
     }
 

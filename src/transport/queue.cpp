@@ -183,7 +183,7 @@ class Queue final : public detail::QueueCore {
     detail::Borrowed& item_;
     Place& place_;
     detail::Claim* claim_;
-    std::unique_lock<std::mutex> lock_;
+    std::unique_lock<detail::Mutex> lock_;
     detail::FutexWaits waits_;
   };
 
