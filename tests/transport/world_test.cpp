@@ -37,7 +37,7 @@ TEST_CASE("a World over a bare segment: Recovery frees the blocks, memory and to
   LocalSegment local = make();
   World& world = local.world();
   world.part(kDead) = 1;
-  std::atomic<std::uint64_t> hold{0};
+  HardwareOwnership::Hold hold{};
   REQUIRE(HardwareOwnership(kDead).claim(world.block(5), hold));
   REQUIRE(local.segment().claim_run(3, 5 + 1) !=
           lot::segment::Granules<lot::segment::Atomics>::kNone);
@@ -52,7 +52,7 @@ TEST_CASE("a World over a bare segment: Recovery frees the blocks, memory and to
   CHECK(Recovery(world).reap(kDead));
 
   CHECK(world.part(kDead) == 0);
-  CHECK(world.block(5).home == refcount::kHomeFree);
+  CHECK(world.block(5).home.load() == refcount::kHomeFree);
   CHECK(lot::ring::writer_state(world.channel_writer(0)) == lot::ring::State::Free);
   CHECK(local.segment().directory().bequests.load() != bequests);
   const auto& tags = local.segment().granules();

@@ -11,6 +11,7 @@
 #include "canary.hpp"
 #include "jobs.hpp"
 #include "support/processes.hpp"
+#include "support/raw.hpp"
 
 namespace lot::chaos {
 
@@ -37,7 +38,7 @@ void plant_in_segment(Life& life) {
     segment::Segment s(path);
     const std::uint32_t nobody = s.capacity().participants - 1;
     using Own = refcount::Ownership<segment::Atomics>;
-    Own::word(s.block(s.capacity().blocks - 1), nobody).fetch_or(Own::bit(nobody));
+    test::raw(Own::word(s.block(s.capacity().blocks - 1), nobody)).fetch_or(Own::bit(nobody));
   } else if (life.has(Plant::File)) {
     std::ofstream(path + ".stray") << "left";
   }
