@@ -313,7 +313,8 @@ class Fuzz {
     if (!m) return;
     std::erase(p.loans, *m);
     p.pointers.push_back(*m);
-    lot::transport::HardwareOwnership::note_pointers(local_.world().block(block(*m)), cell(p, *m).hold);
+    lot::transport::HardwareOwnership::note_pointers(local_.world().block(block(*m)),
+                                                     cell(p, *m).hold);
   }
 
   void abandon(Process& p) {
@@ -501,7 +502,8 @@ class Fuzz {
       const auto m = living_in(b);
       const bool adopted = (local_.world().block(b).own[0].load() & 1) != 0;
       require(adopted == (m && needed(*m)), "what the orphanage holds after a collection");
-      require(local_.world().block(b).home.load() != 1 || m, "what is at home with the orphanage lives");
+      require(local_.world().block(b).home.load() != 1 || m,
+              "what is at home with the orphanage lives");
     }
   }
 
@@ -618,7 +620,8 @@ class Fuzz {
 
   void check_message(std::uint64_t m) {
     const Message& message = messages_[m];
-    require(local_.world().block(message.block).home.load() == message.home + 1, "whose memory it is");
+    require(local_.world().block(message.block).home.load() == message.home + 1,
+            "whose memory it is");
     const auto& payload = *reinterpret_cast<const Payload*>(local_.segment().small(message.block));
     require(payload.number == m && payload.echo == ~m, "the payload of a message that lives");
     Numbers blocks;

@@ -142,7 +142,8 @@ void Registry::leave(std::uint32_t topic, std::uint32_t participant) noexcept {
 }
 
 void Registry::add_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
-  segment_.topics()[topic].pullers[participant].fetch_add(1, std::memory_order_release);  // pullers
+  // Release: edge "pullers".
+  segment_.topics()[topic].pullers[participant].fetch_add(1, std::memory_order_release);
 }
 void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
   // Relaxed: the lock carries it.
@@ -151,7 +152,7 @@ void Registry::remove_puller(std::uint32_t topic, std::uint32_t participant) noe
 
 bool Registry::has_pullers(std::uint32_t topic, std::uint32_t participant) const noexcept {
   const auto& pullers = segment_.topics()[topic].pullers[participant];
-  return pullers.load(std::memory_order_acquire) != 0;  // pullers
+  return pullers.load(std::memory_order_acquire) != 0;  // edge "pullers"
 }
 
 std::uint32_t Registry::pullers(std::uint32_t topic, std::uint32_t participant) const noexcept {

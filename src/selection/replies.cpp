@@ -21,12 +21,15 @@ std::atomic<std::uint64_t>& word_of(segment::Replies& replies, std::uint32_t par
 // is ordered by the edge "pullers".
 
 void set(segment::Replies& replies, std::uint64_t bits, std::uint32_t participant) {
+  // Relaxed: see above.
   word_of(replies, participant).fetch_or(at(bits, participant), std::memory_order_relaxed);
 }
 void take_back(segment::Replies& replies, std::uint64_t bits, std::uint32_t participant) {
+  // Relaxed: see above.
   word_of(replies, participant).fetch_and(~at(bits, participant), std::memory_order_relaxed);
 }
 bool has(segment::Replies& replies, std::uint64_t bit, std::uint32_t participant) {
+  // Relaxed: see above.
   const std::uint64_t word = word_of(replies, participant).load(std::memory_order_relaxed);
   return (word & at(bit, participant)) != 0;
 }

@@ -66,10 +66,12 @@ std::vector<Plant> planted_operations() {
     all.push_back({{name, Promise::Blocking, scene(std::move(last)), std::move(harm)}, found_as});
   };
   plant("a hold of nobody", "is free and held", [](Node& n) {
-    test::raw(participant(n)->world().block(kFreeBlock).own[0]).fetch_or(std::uint64_t{1} << kNobody);
+    test::raw(participant(n)->world().block(kFreeBlock).own[0])
+        .fetch_or(std::uint64_t{1} << kNobody);
   });
-  plant("a block at home with nobody", "is at home with the dead",
-        [](Node& n) { test::raw(participant(n)->world().block(kFreeBlock).home).store(kNobody + 1); });
+  plant("a block at home with nobody", "is at home with the dead", [](Node& n) {
+    test::raw(participant(n)->world().block(kFreeBlock).home).store(kNobody + 1);
+  });
   plant("an operation that throws", "the operation throws: all is lost",
         [](Node&) { throw std::runtime_error("all is lost"); });
   plant("memory of a message that is not there", "belongs to no message",
