@@ -206,6 +206,22 @@ std::uint32_t Registry::granules_of(const RingOptions& options) noexcept {
   return static_cast<std::uint32_t>((bytes + segment::kGranule - 1) / segment::kGranule);
 }
 
+namespace {
+
+/// Writes what the ring is to be into its entry. REQUIRES: this process has claimed the entry.
+void describe(segment::ChannelEntry& entry, std::uint32_t topic, const RingOptions& options) {
+  entry.topic = topic;
+  entry.depth = options.depth;
+  entry.readers = options.readers;
+  entry.policy = static_cast<std::uint32_t>(options.policy);
+  entry.engine = static_cast<std::uint32_t>(options.engine);
+  entry.taken = options.taken;
+  entry.extra = options.extra;
+  entry.first = options.first != 0 ? options.first : options.depth;
+}
+
+}  // namespace
+
 std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t participant,
                                           const RingOptions& options) {
   std::uint64_t awaited = 0;
@@ -225,14 +241,7 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
             std::memory_order_acquire, std::memory_order_relaxed)) {
       continue;
     }
-    entry.topic = topic;
-    entry.depth = options.depth;
-    entry.readers = options.readers;
-    entry.policy = static_cast<std::uint32_t>(options.policy);
-    entry.engine = static_cast<std::uint32_t>(options.engine);
-    entry.taken = options.taken;
-    entry.extra = options.extra;
-    entry.first = options.first != 0 ? options.first : options.depth;
+    describe(entry, topic, options);
     const std::uint32_t granules = granules_of(options);
     const std::uint32_t run = segment_.claim_run(granules, segment::kRingTag | c);
     entry.granules = granules;
