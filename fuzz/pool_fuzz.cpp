@@ -28,7 +28,7 @@
 
 namespace {
 
-using lot::detail::ControlCell;
+using lot::detail::ControlBlock;
 using lot::detail::MessageType;
 using lot::fuzz::Bytes;
 using lot::fuzz::planted;
@@ -85,13 +85,13 @@ struct Private {
   explicit Private(LocalSegment& local, std::uint32_t self) {
     holder.segment = &local.segment();
     holder.own = lot::transport::HardwareOwnership(self);
-    holder.cells = cells.data();
+    holder.controls = cells.data();
     holder.make_tables(kBlocks);
     holder.pools = &pools;
     for (std::uint32_t b = 0; b < kBlocks; ++b) cells[b].block = b;
     for (std::uint32_t i = 0; i < kPools; ++i) pools.push_back(std::make_unique<Pool>(holder, i));
   }
-  std::array<ControlCell, kBlocks> cells{};
+  std::array<ControlBlock, kBlocks> cells{};
   Holder holder;
   std::vector<std::unique_ptr<Pool>> pools;
   Writer writer;
@@ -229,7 +229,7 @@ class Fuzz {
     if (rings_.size() == local_.world().channels())
       return;  // readers keep the rings of those who have left
     p.entered = true;
-    local_.world().part(self_) = 1;
+    local_.world().participant_state(self_) = 1;
     p.real = std::make_unique<Private>(local_, self_);
     const lot::registry::Registry::Lock lock(local_.registry());
     const auto opened = local_.registry().open(
@@ -644,7 +644,7 @@ class Fuzz {
       const std::uint64_t rings = (word & hold::kRingMask) / hold::kRing;
       const std::uint64_t pointers = m ? pointers_of(k, *m) : 0;
       const std::uint64_t named = m ? rings_of(k, *m) : 0;
-      require((word & hold::kEdge) == 0 && ((word & hold::kHeld) != 0) == own &&
+      require((word & hold::kBusy) == 0 && ((word & hold::kHeld) != 0) == own &&
                   ((word & hold::kHome) != 0) == at_home,
               "what a process knows of its bit");
       // A pool holds its idle blocks by one pointer, or by the hold of the ring that they left.
@@ -711,7 +711,7 @@ class Fuzz {
   // -------------------------------------------------------------------------------
 
   std::uint32_t block(std::uint64_t m) const { return messages_[m].block; }
-  ControlCell& cell(Process& p, std::uint64_t m) const { return p.real->holder.cell(block(m)); }
+  ControlBlock& cell(Process& p, std::uint64_t m) const { return p.real->holder.control(block(m)); }
   std::uint32_t generation(std::uint32_t b) const {
     return lot::refcount::generation_of(local_.world().block(b).life.load());
   }

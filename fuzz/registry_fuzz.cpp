@@ -145,10 +145,10 @@ class Fuzz {
     while (k < kIndexes && !lock->try_lock(k)) ++k;
     require(k == expected, "which index is free");
     if (k == kIndexes) return;
-    const bool dead = local_.world().part(k) != 0;
+    const bool dead = local_.world().participant_state(k) != 0;
     require(dead == (dead_.count(k) != 0), "whether somebody died there");
     if (dead) repair(*lock, k);
-    local_.world().part(k) = 1;
+    local_.world().participant_state(k) = 1;
     player.lock = std::move(lock);
     player.index = k;
   }
@@ -278,7 +278,7 @@ class Fuzz {
     const bool free = player.lock->try_lock(k);
     require(free == (owner_of(k) == nullptr), "whether a process lives");
     if (!free) return;
-    if (local_.world().part(k) != 0) repair(*player.lock, k);
+    if (local_.world().participant_state(k) != 0) repair(*player.lock, k);
     player.lock->unlock(k);
   }
 
@@ -344,7 +344,7 @@ class Fuzz {
     for (std::uint32_t k = 1; k < kIndexes; ++k) {
       const bool lives = owner_of(k) != nullptr;
       require(watcher_.held_by_other(k) == lives, "who is alive");
-      require((local_.world().part(k) != 0) == (lives || dead_.count(k) != 0),
+      require((local_.world().participant_state(k) != 0) == (lives || dead_.count(k) != 0),
               "which indexes are taken");
     }
     for (std::uint32_t t = 0; t < kTopics; ++t)

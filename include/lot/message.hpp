@@ -175,14 +175,14 @@ class ShmRef {
 
   /// Refers to nothing; in the message that this thread builds, else in private memory.
   ShmRef() noexcept : arena_(detail::arena_being_built()) {}
-  ShmRef(const ShmRef& other) : ShmRef() { assign(other.get(), other.cell_here()); }
+  ShmRef(const ShmRef& other) : ShmRef() { assign(other.get(), other.control_here()); }
   /// Refers to what `target` points to; null where that has no message. Throws as an assignment.
   template <class V, detail::EnableIfConvertible<V, U> = 0>
   ShmRef(const ShmSharedPtr<V>& target) : ShmRef() {
     *this = target;
   }
   ShmRef& operator=(const ShmRef& other) {
-    if (this != &other) assign(other.get(), other.cell_here());
+    if (this != &other) assign(other.get(), other.control_here());
     return *this;
   }
   /// Refers to what `target` points to, and lets go of what it referred to; null where `target` has
@@ -190,7 +190,7 @@ class ShmRef {
   /// it did.
   template <class V, detail::EnableIfConvertible<V, U> = 0>
   ShmRef& operator=(const ShmSharedPtr<V>& target) {
-    assign(target.get(), detail::PointerAccess::cell(target));
+    assign(target.get(), detail::PointerAccess::control(target));
     return *this;
   }
   ~ShmRef() { let_go(); }
@@ -211,33 +211,33 @@ class ShmRef {
   [[nodiscard]] ShmSharedPtr<U> lock() const {
     return get() == nullptr
                ? ShmSharedPtr<U>()
-               : detail::PointerAccess::shared(get(), detail::acquire_block(cell_here()));
+               : detail::PointerAccess::shared(get(), detail::acquire_block(control_here()));
   }
 
  private:
-  /// The target's control cell in this process. A message says by its address which segment it is
+  /// The target's control block in this process. A message says by its address which segment it is
   /// in: its own words may be damaged.
-  detail::ControlCell* cell_here() const {
+  detail::ControlBlock* control_here() const {
     if (get() == nullptr) return nullptr;
-    detail::ControlCell* cell =
-        detail::cell_of(this, arena_.get() != nullptr, block_, get(), sizeof(U));
-    return cell != nullptr ? cell : private_cell_;
+    detail::ControlBlock* control =
+        detail::control_of(this, arena_.get() != nullptr, block_, get(), sizeof(U));
+    return control != nullptr ? control : private_control_;
   }
 
-  void assign(U* target, detail::ControlCell* cell) {
-    if (target == nullptr || cell == nullptr) {
+  void assign(U* target, detail::ControlBlock* control) {
+    if (target == nullptr || control == nullptr) {
       let_go();
       return;
     }
     // The new target first: it may be kept alive by the old one alone.
     if (detail::Arena* arena = arena_.get()) {
-      const std::uint32_t block = detail::refer(*arena, cell, target, sizeof(U));
+      const std::uint32_t block = detail::refer(*arena, control, target, sizeof(U));
       let_go();
       block_ = block;
     } else {
-      cell = detail::acquire_block(cell);
+      control = detail::acquire_block(control);
       let_go();
-      private_cell_ = cell;
+      private_control_ = control;
     }
     target_ = target;
   }
@@ -247,15 +247,15 @@ class ShmRef {
     target_ = nullptr;
     if (detail::Arena* arena = arena_.get()) {
       detail::unrefer(*arena, block_);
-    } else if (private_cell_ != nullptr) {
-      std::exchange(private_cell_, nullptr)->drop_pointer();
+    } else if (private_control_ != nullptr) {
+      std::exchange(private_control_, nullptr)->drop_pointer();
     }
   }
 
   detail::OffsetPtr<detail::Arena> arena_;
   detail::OffsetPtr<U> target_;
-  detail::ControlCell* private_cell_ = nullptr;  ///< outside of messages only
-  std::uint32_t block_ = 0;                      ///< inside of messages only
+  detail::ControlBlock* private_control_ = nullptr;  ///< outside of messages only
+  std::uint32_t block_ = 0;                          ///< inside of messages only
 };
 
 /// Its words are relative.

@@ -21,11 +21,11 @@ class ShmWeakPtr;
 namespace detail {
 struct PointerAccess;
 
-/// Whether the message of the first cell comes before the second's. A block has one message after
-/// another: its generation says which.
-inline bool owner_less(const ControlCell* a, std::uint32_t a_generation, const ControlCell* b,
+/// Whether the message of the first control block comes before the second's. A block has one
+/// message after another: its generation says which.
+inline bool owner_less(const ControlBlock* a, std::uint32_t a_generation, const ControlBlock* b,
                        std::uint32_t b_generation) noexcept {
-  return a == b ? a_generation < b_generation : std::less<const ControlCell*>()(a, b);
+  return a == b ? a_generation < b_generation : std::less<const ControlBlock*>()(a, b);
 }
 
 template <class From, class To>
@@ -50,7 +50,7 @@ class ShmUniquePtr {
   constexpr ShmUniquePtr(std::nullptr_t) noexcept {}
   ShmUniquePtr(ShmUniquePtr&& other) noexcept
       : object_(std::exchange(other.object_, nullptr)),
-        cell_(std::exchange(other.cell_, nullptr)) {}
+        control_(std::exchange(other.control_, nullptr)) {}
   ShmUniquePtr& operator=(ShmUniquePtr&& other) noexcept {
     ShmUniquePtr(std::move(other)).swap(*this);
     return *this;
@@ -73,24 +73,25 @@ class ShmUniquePtr {
 
   /// Frees the message.
   void reset() noexcept {
-    if (cell_ != nullptr) {
+    if (control_ != nullptr) {
       object_ = nullptr;
-      detail::ControlCell* cell = std::exchange(cell_, nullptr);
-      cell->hub->abandoned(cell);
+      detail::ControlBlock* control = std::exchange(control_, nullptr);
+      control->hub->abandoned(control);
     }
   }
   /// Exchanges the messages.
   void swap(ShmUniquePtr& other) noexcept {
     std::swap(object_, other.object_);
-    std::swap(cell_, other.cell_);
+    std::swap(control_, other.control_);
   }
 
  private:
   friend struct detail::PointerAccess;
-  ShmUniquePtr(T* object, detail::ControlCell* cell) noexcept : object_(object), cell_(cell) {}
+  ShmUniquePtr(T* object, detail::ControlBlock* control) noexcept
+      : object_(object), control_(control) {}
 
   T* object_ = nullptr;
-  detail::ControlCell* cell_ = nullptr;
+  detail::ControlBlock* control_ = nullptr;
 };
 
 /// A shared pointer to a message in shared memory, across processes.
@@ -126,7 +127,7 @@ class ShmSharedPtr {
   ShmSharedPtr(const ShmSharedPtr& other) noexcept : ShmSharedPtr(other, other.object_) {}
   ShmSharedPtr(ShmSharedPtr&& other) noexcept
       : object_(std::exchange(other.object_, nullptr)),
-        cell_(std::exchange(other.cell_, nullptr)) {}
+        control_(std::exchange(other.control_, nullptr)) {}
   /// Shares the message of a pointer to a derived or a mutable type.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmSharedPtr(const ShmSharedPtr<U>& other) noexcept : ShmSharedPtr(other, other.get()) {}
@@ -134,16 +135,17 @@ class ShmSharedPtr {
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmSharedPtr(ShmSharedPtr<U>&& other) noexcept
       : object_(std::exchange(other.object_, nullptr)),
-        cell_(std::exchange(other.cell_, nullptr)) {}
+        control_(std::exchange(other.control_, nullptr)) {}
   /// Aliasing: points to `part`, keeps alive what `other` keeps alive.
   template <class U>
-  ShmSharedPtr(const ShmSharedPtr<U>& other, T* part) noexcept : object_(part), cell_(other.cell_) {
-    if (cell_ != nullptr) cell_->hold.add_pointer();
+  ShmSharedPtr(const ShmSharedPtr<U>& other, T* part) noexcept
+      : object_(part), control_(other.control_) {
+    if (control_ != nullptr) control_->hold.add_pointer();
   }
   /// The same, and `other` is null afterwards.
   template <class U>
   ShmSharedPtr(ShmSharedPtr<U>&& other, T* part) noexcept
-      : object_(part), cell_(std::exchange(other.cell_, nullptr)) {
+      : object_(part), control_(std::exchange(other.control_, nullptr)) {
     other.object_ = nullptr;
   }
   /// Unique becomes shared; nothing is copied.
@@ -153,7 +155,7 @@ class ShmSharedPtr {
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   explicit ShmSharedPtr(const ShmWeakPtr<U>& weak);
   ~ShmSharedPtr() {
-    if (cell_ != nullptr) cell_->drop_pointer();
+    if (control_ != nullptr) control_->drop_pointer();
   }
 
   ShmSharedPtr& operator=(const ShmSharedPtr& other) noexcept {
@@ -197,18 +199,18 @@ class ShmSharedPtr {
   /// Exchanges the pointers.
   void swap(ShmSharedPtr& other) noexcept {
     std::swap(object_, other.object_);
-    std::swap(cell_, other.cell_);
+    std::swap(control_, other.control_);
   }
 
   /// Pointers in this process, and one for each other process that has some (or forwards the
   /// message). Neither the publisher's queue nor borrows count: for "may I change it?" ask
   /// unique().
   long use_count() const noexcept {
-    if (cell_ == nullptr) return 0;
+    if (control_ == nullptr) return 0;
     // O4: when it counts one pointer, the threads that dropped the others have read all that they
     // wanted to.
-    const auto here = detail::hold::pointers(cell_->hold.load(std::memory_order_acquire));
-    return static_cast<long>(here + cell_->hub->others(cell_));
+    const auto here = detail::hold::pointers(control_->hold.load(std::memory_order_acquire));
+    return static_cast<long>(here + control_->hub->others(control_));
   }
   /// True when nothing else can see the message: this is the only pointer, and no queue, reader,
   /// other message or other process has it. While it may be seen the answer is false, also for some
@@ -216,18 +218,19 @@ class ShmSharedPtr {
   /// received the message hears false as long as the process that made it stays, which may publish
   /// it again at any time; but for an item that it has taken from a queue and not published since.
   [[nodiscard]] bool unique() const noexcept {
-    return cell_ != nullptr && cell_->hub->alone(cell_);
+    return control_ != nullptr && control_->hub->alone(control_);
   }
 
   /// Orders by message: pointers to parts of one message are equal.
   template <class U>
   bool owner_before(const ShmSharedPtr<U>& other) const noexcept {
-    return std::less<const void*>()(cell_, other.cell_);  // both live: one cell, one message
+    return std::less<const void*>()(control_,
+                                    other.control_);  // both live: one control, one message
   }
   /// The same beside a message that may have died.
   template <class U>
   bool owner_before(const ShmWeakPtr<U>& other) const noexcept {
-    return detail::owner_less(cell_, generation(), other.cell_, other.generation_);
+    return detail::owner_less(control_, generation(), other.control_, other.generation_);
   }
 
  private:
@@ -236,13 +239,14 @@ class ShmSharedPtr {
   template <class U>
   friend class ShmWeakPtr;
   friend struct detail::PointerAccess;
-  ShmSharedPtr(T* object, detail::ControlCell* cell) noexcept : object_(object), cell_(cell) {}
+  ShmSharedPtr(T* object, detail::ControlBlock* control) noexcept
+      : object_(object), control_(control) {}
   std::uint32_t generation() const noexcept {
-    return cell_ != nullptr ? cell_->hub->generation(cell_) : 0;
+    return control_ != nullptr ? control_->hub->generation(control_) : 0;
   }
 
   T* object_ = nullptr;
-  detail::ControlCell* cell_ = nullptr;
+  detail::ControlBlock* control_ = nullptr;
 };
 
 /// Looks after a message without keeping it alive.
@@ -258,18 +262,18 @@ class ShmWeakPtr {
 
   constexpr ShmWeakPtr() noexcept = default;
   ShmWeakPtr(const ShmWeakPtr& other) noexcept
-      : ShmWeakPtr(other.object_, other.cell_, other.generation_) {}
+      : ShmWeakPtr(other.object_, other.control_, other.generation_) {}
   ShmWeakPtr(ShmWeakPtr&& other) noexcept { swap(other); }
   /// Looks after the message of a pointer to a derived or a mutable type.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmWeakPtr(const ShmWeakPtr<U>& other) noexcept
-      : ShmWeakPtr(other.template object_as<T>(), other.cell_, other.generation_) {}
+      : ShmWeakPtr(other.template object_as<T>(), other.control_, other.generation_) {}
   /// Looks after the message of a shared pointer.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmWeakPtr(const ShmSharedPtr<U>& shared) noexcept
-      : ShmWeakPtr(shared.object_, shared.cell_, shared.generation()) {}
+      : ShmWeakPtr(shared.object_, shared.control_, shared.generation()) {}
   ~ShmWeakPtr() {
-    if (cell_ != nullptr) cell_->hub->weak_count(cell_, -1);
+    if (control_ != nullptr) control_->hub->weak_count(control_, -1);
   }
   ShmWeakPtr& operator=(const ShmWeakPtr& other) noexcept {
     ShmWeakPtr(other).swap(*this);
@@ -288,36 +292,36 @@ class ShmWeakPtr {
 
   /// A pointer to the message, or null when it has died.
   [[nodiscard]] ShmSharedPtr<T> lock() const noexcept {
-    if (cell_ == nullptr || !cell_->hub->lock_weak(cell_, generation_)) return {};
-    return {object_, cell_};
+    if (control_ == nullptr || !control_->hub->lock_weak(control_, generation_)) return {};
+    return {object_, control_};
   }
   /// As that of a ShmSharedPtr to the message; 0 when it has died.
   long use_count() const noexcept {
     const ShmSharedPtr<T> shared = lock();
-    return shared.cell_ != nullptr ? shared.use_count() - 1 : 0;
+    return shared.control_ != nullptr ? shared.use_count() - 1 : 0;
   }
   /// True when the message has died, or when this process has left the segment: lock() is null
   /// then. (A message that only the publisher's queue holds has not died.)
   [[nodiscard]] bool expired() const noexcept {
-    return cell_ == nullptr || cell_->hub->expired(cell_, generation_);
+    return control_ == nullptr || control_->hub->expired(control_, generation_);
   }
   /// Looks after nothing any more.
   void reset() noexcept { ShmWeakPtr().swap(*this); }
   /// Exchanges the pointers.
   void swap(ShmWeakPtr& other) noexcept {
     std::swap(object_, other.object_);
-    std::swap(cell_, other.cell_);
+    std::swap(control_, other.control_);
     std::swap(generation_, other.generation_);
   }
   /// Orders by message, dead or alive: the next message in the same memory is another one.
   template <class U>
   bool owner_before(const ShmWeakPtr<U>& other) const noexcept {
-    return detail::owner_less(cell_, generation_, other.cell_, other.generation_);
+    return detail::owner_less(control_, generation_, other.control_, other.generation_);
   }
   /// The same beside a message that lives.
   template <class U>
   bool owner_before(const ShmSharedPtr<U>& other) const noexcept {
-    return detail::owner_less(cell_, generation_, other.cell_, other.generation());
+    return detail::owner_less(control_, generation_, other.control_, other.generation());
   }
 
  private:
@@ -325,9 +329,9 @@ class ShmWeakPtr {
   friend class ShmWeakPtr;
   template <class U>
   friend class ShmSharedPtr;
-  ShmWeakPtr(T* object, detail::ControlCell* cell, std::uint32_t generation) noexcept
-      : object_(object), cell_(cell), generation_(generation) {
-    if (cell_ != nullptr) cell_->hub->weak_count(cell_, 1);
+  ShmWeakPtr(T* object, detail::ControlBlock* control, std::uint32_t generation) noexcept
+      : object_(object), control_(control), generation_(generation) {
+    if (control_ != nullptr) control_->hub->weak_count(control_, 1);
   }
   /// A conversion to a virtual base reads the object, which must be alive for that: of a dead one
   /// it is null.
@@ -341,7 +345,7 @@ class ShmWeakPtr {
   }
 
   T* object_ = nullptr;
-  detail::ControlCell* cell_ = nullptr;
+  detail::ControlBlock* control_ = nullptr;
   std::uint32_t generation_ = 0;
 };
 
@@ -349,22 +353,22 @@ namespace detail {
 /// How pushers, pullers and ShmRef make and take pointers.
 struct PointerAccess {
   template <class T>
-  static ShmUniquePtr<T> unique(T* object, ControlCell* cell) noexcept {
-    return {object, cell};
+  static ShmUniquePtr<T> unique(T* object, ControlBlock* control) noexcept {
+    return {object, control};
   }
   template <class T>
-  static ShmSharedPtr<T> shared(T* object, ControlCell* cell) noexcept {
-    return {object, cell};
+  static ShmSharedPtr<T> shared(T* object, ControlBlock* control) noexcept {
+    return {object, control};
   }
   template <class Pointer>
-  static ControlCell* cell(const Pointer& p) noexcept {
-    return p.cell_;
+  static ControlBlock* control(const Pointer& p) noexcept {
+    return p.control_;
   }
   /// Takes what the pointer holds out of it.
   template <class Pointer>
-  static ControlCell* take(Pointer& p) noexcept {
+  static ControlBlock* take(Pointer& p) noexcept {
     p.object_ = nullptr;
-    return std::exchange(p.cell_, nullptr);
+    return std::exchange(p.control_, nullptr);
   }
 };
 }  // namespace detail
@@ -372,14 +376,14 @@ struct PointerAccess {
 template <class T>
 template <class U, detail::EnableIfConvertible<U, T>>
 ShmSharedPtr<T>::ShmSharedPtr(ShmUniquePtr<U>&& unique) noexcept : object_(unique.get()) {
-  cell_ = detail::PointerAccess::take(unique);
-  if (cell_ != nullptr) cell_->hub->shared_from_unique(cell_);
+  control_ = detail::PointerAccess::take(unique);
+  if (control_ != nullptr) control_->hub->shared_from_unique(control_);
 }
 
 template <class T>
 template <class U, detail::EnableIfConvertible<U, T>>
 ShmSharedPtr<T>::ShmSharedPtr(const ShmWeakPtr<U>& weak) : ShmSharedPtr(weak.lock()) {
-  if (cell_ == nullptr) throw std::bad_weak_ptr();
+  if (control_ == nullptr) throw std::bad_weak_ptr();
 }
 
 /// The paper's helper: the same message, read only.

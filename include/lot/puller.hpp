@@ -151,7 +151,7 @@ class ShmPuller {
     status_ = core_->pull(kept, wait, deadline, forever);
     count(kept);
     if (status_ != Status::Ok) return {};
-    return detail::PointerAccess::shared(static_cast<const T*>(kept.root), kept.cell);
+    return detail::PointerAccess::shared(static_cast<const T*>(kept.root), kept.control);
   }
   ShmBorrow<T> look(bool wait, detail::Clock::time_point deadline, bool forever) {
     detail::Borrowed borrowed;

@@ -19,13 +19,13 @@ namespace detail {
 template <class T, class... Args>
 ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
   struct Abandon {  // when the constructor of T throws
-    ControlCell* cell;
+    ControlBlock* control;
     ~Abandon() {
-      if (cell == nullptr) return;
-      cell->type = nullptr;
-      cell->hub->abandoned(cell);
+      if (control == nullptr) return;
+      control->type = nullptr;
+      control->hub->abandoned(control);
     }
-  } abandon{loan.cell};
+  } abandon{loan.control};
   T* object;
   if constexpr (sizeof...(Args) == 0 && std::is_trivially_default_constructible_v<T>) {
     object = ::new (loan.root) T;  // no zeroing of pixels
@@ -43,8 +43,8 @@ ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
 #pragma GCC diagnostic pop
     }
   }
-  abandon.cell = nullptr;
-  return PointerAccess::unique(object, loan.cell);
+  abandon.control = nullptr;
+  return PointerAccess::unique(object, loan.control);
 }
 
 }  // namespace detail
@@ -89,7 +89,7 @@ class ShmPusher {
   template <class... Args>
   [[nodiscard]] ShmUniquePtr<T> try_loan(Args&&... args) {
     const detail::Loan loan = core_->loan(detail::message_type<T>(), false);
-    if (loan.cell == nullptr) return nullptr;
+    if (loan.control == nullptr) return nullptr;
     return detail::build<T>(loan, std::forward<Args>(args)...);
   }
 
@@ -104,7 +104,7 @@ class ShmPusher {
   }
   /// The same with another limit than the options'. Throws the same.
   [[nodiscard]] Status push(ShmUniquePtr<T>&& message, Duration block_for) {
-    const Status status = core_->push_unique(detail::PointerAccess::cell(message), block_for);
+    const Status status = core_->push_unique(detail::PointerAccess::control(message), block_for);
     if (status == Status::Ok) detail::PointerAccess::take(message);
     return status;
   }
@@ -126,13 +126,13 @@ class ShmPusher {
   }
   /// The same with another limit than the options'. Throws the same.
   [[nodiscard]] Status push(const ShmSharedPtr<const T>& message, Duration block_for) {
-    return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
+    return core_->push_shared(detail::PointerAccess::control(message), message.get(), block_for);
   }
   /// The same by a pointer that could change the message. Throws the same.
   [[nodiscard]] Status push(const ShmSharedPtr<T>& message) { return push(message, block_for_); }
   /// The same with another limit than the options'. Throws the same.
   [[nodiscard]] Status push(const ShmSharedPtr<T>& message, Duration block_for) {
-    return core_->push_shared(detail::PointerAccess::cell(message), message.get(), block_for);
+    return core_->push_shared(detail::PointerAccess::control(message), message.get(), block_for);
   }
 
   /// Subscribers that read this publisher: each gets what is pushed from now on, also one that has

@@ -130,15 +130,15 @@ struct QueueItem {
         throw;
       }
     } else {
-      const LetGo let_go{borrowed.cell};
+      const LetGo let_go{borrowed.control};
       return Result(how..., element);
     }
   }
 
  private:
   struct LetGo {
-    ControlCell* cell;
-    ~LetGo() { cell->drop_pointer(); }
+    ControlBlock* control;
+    ~LetGo() { control->drop_pointer(); }
   };
   struct End {
     QueueCore& queue;
@@ -146,7 +146,7 @@ struct QueueItem {
     bool copied = true;
     ~End() {
       if (copied) {
-        item.cell->drop_pointer();
+        item.control->drop_pointer();
         queue.copied();
       } else {
         queue.hand_back(item);
@@ -162,7 +162,7 @@ struct QueueItem<ShmUniquePtr<U>> {
   template <class Result, class... How>
   static Result from(QueueCore&, const Borrowed& borrowed, How... how) {
     return Result(how..., PointerAccess::unique(static_cast<U*>(const_cast<void*>(borrowed.root)),
-                                                borrowed.cell));
+                                                borrowed.control));
   }
 };
 template <class U>
@@ -175,7 +175,7 @@ struct QueueItem<ShmSharedPtr<U>> {
   static constexpr bool kMayComeBack = false;
   template <class Result, class... How>
   static Result from(QueueCore&, const Borrowed& borrowed, How... how) {
-    return Result(how..., PointerAccess::shared(static_cast<U*>(borrowed.root), borrowed.cell));
+    return Result(how..., PointerAccess::shared(static_cast<U*>(borrowed.root), borrowed.control));
   }
 };
 
@@ -324,7 +324,7 @@ class ShmQueue {
   /// As put(), and waits for a place until then. Throws the same.
   [[nodiscard]] Status put_until(const T& item, Deadline deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
-      return core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
+      return core_->put_shared(detail::PointerAccess::control(item), item.get(), deadline);
     } else {
       static_assert(std::is_same_v<T, Element>,
                     "lot: this item has one owner and can only be moved; use std::move()");
@@ -335,7 +335,7 @@ class ShmQueue {
   [[nodiscard]] Status put_until(T&& item, Deadline deadline) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
       const Status status =
-          core_->put_shared(detail::PointerAccess::cell(item), item.get(), deadline);
+          core_->put_shared(detail::PointerAccess::control(item), item.get(), deadline);
       if (status == Status::Ok) item.reset();
       return status;
     } else if constexpr (std::is_same_v<T, Element>) {
@@ -424,7 +424,7 @@ class ShmQueue {
 
   template <class Made>
   Status put_made(Made&& made, Clock::time_point deadline) {
-    const Status status = core_->put_unique(detail::PointerAccess::cell(made), deadline);
+    const Status status = core_->put_unique(detail::PointerAccess::control(made), deadline);
     if (status == Status::Ok) detail::PointerAccess::take(made);
     return status;
   }

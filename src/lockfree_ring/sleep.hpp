@@ -67,8 +67,8 @@ bool leave_mark(Source& source, SleepOn& sleep_on) {
 ///
 /// Crash: the marks stay behind, and cost one needless wake each.
 template <class Sources, class Directory, class SleepOn>
-Rest lie_down(Sources& sources, const Directory& directory, std::uint32_t version,
-              SleepOn&& sleep_on) {
+Rest prepare_to_sleep(Sources& sources, const Directory& directory, std::uint32_t version,
+                      SleepOn&& sleep_on) {
   for (auto& source : sources) {
     if (!leave_mark(source, sleep_on)) return Rest::Look;
   }

@@ -17,9 +17,9 @@ namespace lot::ros {
 namespace {
 
 /// Names a message in shared memory, or a part of one (an aliasing pointer). The generation is in
-/// it, since the next message of the block has the same cell and place.
+/// it, since the next message of the block has the same control block and place.
 struct Name {
-  const lot::detail::ControlCell* cell = nullptr;
+  const lot::detail::ControlBlock* control = nullptr;
   std::uint64_t segment = 0;
   std::uint32_t generation = 0;  ///< which message of the block it is
   const void* place = nullptr;
@@ -32,7 +32,7 @@ struct Name {
  private:
   std::tuple<const void*, std::uint64_t, std::uint32_t, const void*, std::type_index> as_tuple()
       const noexcept {
-    return {cell, segment, generation, place, standard};
+    return {control, segment, generation, place, standard};
   }
 };
 
@@ -113,9 +113,9 @@ class IdleConverter final : public detail::Converter {
 
   Pointer make(const Pointer& message) override { return make(message, nullptr, Name()); }
   Pointer shared(const Pointer& message) override {
-    const lot::detail::ControlCell* const cell = kind_.cell_of(message);
-    if (cell == nullptr) return make(message);
-    const Name name = name_of(cell, message.get());
+    const lot::detail::ControlBlock* const control = kind_.control_of(message);
+    if (control == nullptr) return make(message);
+    const Name name = name_of(control, message.get());
     const auto made = Known::the().of(name);
     const std::lock_guard guard(made->mutex);
     if (auto standard = made->standard.lock()) return standard;
@@ -139,11 +139,11 @@ class IdleConverter final : public detail::Converter {
     }
   };
 
-  Name name_of(const lot::detail::ControlCell* cell, const void* place) const {
+  Name name_of(const lot::detail::ControlBlock* control, const void* place) const {
     Name name;
-    name.cell = cell;
-    name.segment = cell->hub->instance(cell);
-    name.generation = cell->hub->generation(cell);
+    name.control = control;
+    name.segment = control->hub->instance(control);
+    name.generation = control->hub->generation(control);
     name.place = place;
     name.standard = *kind_.standard.type;
     return name;

@@ -313,7 +313,7 @@ void Inlet::read() {
   if (!rings_) return;
   // LOT's thread delivers so many in one round of its loop. Then it reads other topics. The loop
   // comes back while messages are there.
-  if (std::exchange(turn_, loop_->turn()) != loop_->turn()) {
+  if (std::exchange(turn_, loop_->turn_number()) != loop_->turn_number()) {
     may_deliver_ = at_once_.load(std::memory_order_relaxed);  // the number is all that it tells
   }
   deliver_claimed();
@@ -325,7 +325,7 @@ void Inlet::read() {
       lot::detail::PullerCore& puller;
       ~End() { puller.done(); }
     } end{puller};
-    borrowed.cell = puller.keep();
+    borrowed.control = puller.keep();
     claim({kind_.adopt(borrowed), rings_->origin()});
   }
   deliver_claimed();
@@ -685,7 +685,7 @@ void Inlet::deliver_taken() {
 
 /// Called by LOT's thread: delivers as many messages as it may before it calls callbacks.
 void Inlet::deliver_in_turn() {
-  if (std::exchange(turn_, loop_->turn()) != loop_->turn()) {
+  if (std::exchange(turn_, loop_->turn_number()) != loop_->turn_number()) {
     may_deliver_ = at_once_.load(std::memory_order_relaxed);  // the number is all that it tells
   }
   for (; may_deliver_ > 0; --may_deliver_) {

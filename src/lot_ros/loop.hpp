@@ -54,7 +54,7 @@ class Loop {
   bool end() noexcept;
   /// Counts the rounds of LOT's thread. In each it does what is due and reads rings, and then does
   /// what was left for afterwards. REQUIRES: this is LOT's thread.
-  std::uint64_t turn() const noexcept { return turn_; }
+  std::uint64_t turn_number() const noexcept { return turn_; }
   /// True on LOT's thread.
   bool is_here() const noexcept {
     // Relaxed: only this thread itself can have stored its own id here.

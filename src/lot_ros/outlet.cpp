@@ -71,13 +71,13 @@ TopicOutlet::Links links_of(::ros::Publication& publication) {
 }
 
 /// The callback queue by which roscpp tells of peers: it passes news on at once, on roscpp's own
-/// threads. roscpp may keep the pointer for longer than an outlet lives, so the door is never
+/// threads. roscpp may keep the pointer for longer than an outlet lives, so it is never
 /// destroyed.
-class Door final : public ::ros::CallbackQueueInterface {
+class PeerNews final : public ::ros::CallbackQueueInterface {
  public:
-  static Door& the() {
-    static auto* const door = new Door;
-    return *door;
+  static PeerNews& the() {
+    static auto* const news = new PeerNews;
+    return *news;
   }
 
   void add(const ::ros::SubscriberCallbacksPtr& callbacks, std::weak_ptr<TopicOutlet> outlet) {
@@ -117,7 +117,7 @@ class Door final : public ::ros::CallbackQueueInterface {
     std::weak_ptr<TopicOutlet> outlet;
     ::ros::PublicationPtr publication;
   };
-  lot::detail::Mutex mutex_{lot::detail::Rank::Door};
+  lot::detail::Mutex mutex_{lot::detail::Rank::PeerNews};
   std::map<std::uint64_t, Entry> outlets_;
 };
 
@@ -198,20 +198,20 @@ bool TopicOutlet::open() {
   callbacks_ = boost::make_shared<::ros::SubscriberCallbacks>(
       [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, true); },
       [](const ::ros::SingleSubscriberPublisher& peer) { on_peer(peer, false); },
-      ::ros::VoidConstPtr(), &Door::the());
+      ::ros::VoidConstPtr(), &PeerNews::the());
   // With this callback, links say from the first one on that the topic latches. The outlet itself
   // sends what is latched.
   if (options_.latch) callbacks_->push_latched_message_ = [](const ::ros::SubscriberLinkPtr&) {};
-  Door::the().add(callbacks_, weak_from_this());
+  PeerNews::the().add(callbacks_, weak_from_this());
   const bool accepted = ::ros::TopicManager::instance()->advertise(options, callbacks_);
   if (accepted) {
     publication_ = ::ros::TopicManager::instance()->lookupPublication(options.topic);
   }
   if (!publication_) {
-    Door::the().remove(callbacks_);
+    PeerNews::the().remove(callbacks_);
     return false;
   }
-  Door::the().opened(callbacks_, publication_);
+  PeerNews::the().opened(callbacks_, publication_);
   // News that came before now have no links yet.
   const Links links = links_of(*publication_);
   const std::lock_guard guard(news_mutex_);
@@ -256,7 +256,7 @@ void TopicOutlet::withdraw() {
   } catch (const std::exception& e) {  // say, taken for dead: its peers have all
     ROS_WARN("LOT: %s: its last messages: %s", options_.topic.c_str(), e.what());
   }
-  Door::the().remove(callbacks_);
+  PeerNews::the().remove(callbacks_);
   ::ros::TopicManager::instance()->unadvertise(options_.topic, callbacks_);
 }
 
@@ -555,12 +555,13 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
                        [state](const Peer& p) { return p.state == state; });
   };
   bool to_ring = ring_ != nullptr && (latches || in(State::Ring) || in(State::Open));
-  if (to_ring && (parcel.cell == nullptr || !ring_->accepts(*parcel.cell, parcel.message.get()))) {
+  if (to_ring &&
+      (parcel.control == nullptr || !ring_->accepts(*parcel.control, parcel.message.get()))) {
     const detail::Parcel copy = into_ring(message);
-    to_ring = copy.cell != nullptr;
+    to_ring = copy.control != nullptr;
     if (to_ring) {
       parcel.message = copy.message;
-      parcel.cell = copy.cell;
+      parcel.control = copy.control;
     } else {
       lacks_room();
     }
@@ -590,7 +591,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
       undecided.push_back(&peer);
     }
   }
-  if (to_ring) ring_->core().push_shared(parcel.cell, parcel.message.get(), 0ns);
+  if (to_ring) ring_->core().push_shared(parcel.control, parcel.message.get(), 0ns);
   for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
   look_beside();
@@ -619,7 +620,7 @@ detail::Parcel TopicOutlet::into_ring(const Message& message) {
   const detail::Parcel& given = message.parcel;
   try {
     const lot::detail::Loan loan = ring_->core().loan(*kind_.layout, false);
-    if (loan.cell == nullptr) return {};
+    if (loan.control == nullptr) return {};
     if (given.message) return kind_.copy_into(loan, given.message.get());
     detail::Parcel copy = kind_.standard.copy_into(loan, given.standard.get());
     kind_.set_sequence(const_cast<void*>(copy.message.get()), message.number);

@@ -107,7 +107,7 @@ class Forward final : public ::ros::SubscriptionCallbackHelper {
     if (latches && !latching_end_) latching_end_ = advertise(true);
     const auto& end = latches && latching_end_ ? latching_end_ : end_;
     if (const auto outlet = end->outlet()) {
-      outlet->publish({message, kind_.cell_of(message)}, false, end->id());
+      outlet->publish({message, kind_.control_of(message)}, false, end->id());
     }
   }
 

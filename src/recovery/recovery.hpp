@@ -21,7 +21,7 @@
 ///
 /// The World is what is repaired:
 ///   participants()               -> number of indexes, 0 included
-///   part(k)                      -> Atomic<uint32_t>&, 0 free, 1 taken
+///   participant_state(k)                      -> Atomic<uint32_t>&, 0 free, 1 taken
 ///   blocks(), block(b)           -> BlockWords<P>&
 ///   channels()                   -> number of channels
 ///   channel_writer(c)            -> Atomic<Word>&
@@ -44,7 +44,8 @@ class Recovery {
   /// Repairs what participant k left. Returns false when there was nothing to do. REQUIRES: byte
   /// locks k and 0 are held; k is dead, or is the caller, which leaves.
   bool reap(std::uint32_t k) {
-    if (world_.part(k).load(std::memory_order_relaxed) == 0) return false;  // byte lock k
+    if (world_.participant_state(k).load(std::memory_order_relaxed) == 0)
+      return false;  // byte lock k
     wake_whom_it_announced_to(k);
     for (std::uint32_t c = 0; c < world_.channels(); ++c) orphan_ring(c, k);
     world_.unsubscribe(k);  // before its cells go: no new ring awaits it (R13)
@@ -60,7 +61,8 @@ class Recovery {
     // look for what it left. The store is a release: byte k of two lock files may be two locks, and
     // then a process that finds the index free has only this word.
     collect();
-    world_.part(k).store(0, std::memory_order_release);  // byte lock k may be of two lock files
+    world_.participant_state(k).store(
+        0, std::memory_order_release);  // byte lock k may be of two lock files
     return true;
   }
 
@@ -116,7 +118,7 @@ class Recovery {
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) {
       if (!needed_[b]) Own::let_go(world_.block(b), refcount::kOrphanage);
     }
-    while (bury()) {
+    while (free_dead_messages()) {
     }
     return all;
   }
@@ -295,7 +297,7 @@ class Recovery {
 
   /// Frees the orphanage's dead messages. Returns true when one of them referred to another block:
   /// that block may now be free as well.
-  bool bury() {
+  bool free_dead_messages() {
     std::vector<bool> dead(world_.blocks(), false);
     bool any = false;
     bool released = false;

@@ -33,7 +33,7 @@
 ///       home_points = 0, last pointer dropped (release) -> next pointer (acquire), then 1
 ///       carries: the order of the two stores. Only the first pointer stores 1. So while a thread
 ///       drops what is the only pointer, no other thread does.
-///   O4  hold word, edge released (release)    -> edge taken (acquire)
+///   O4  hold word, no longer busy (release)  -> hold word made busy (acquire)
 ///       carries: the own bit, between threads of one process.
 namespace lot::refcount {
 
@@ -117,15 +117,15 @@ struct Ownership {
   void acquire(Words& b, Hold& h, std::uint64_t amount) const {
     std::uint64_t v = h.load(std::memory_order_relaxed);  // the compare-and-swap checks it
     for (;;) {
-      if ((v & hold::kEdge) != 0) {
-        v = await_edge(h, v);
+      if ((v & hold::kBusy) != 0) {
+        v = await_idle(h, v);
       } else if ((v & hold::kHeld) != 0) {  // the own bit stands, and has stood all the time
         if (h.compare_exchange_weak(v, v + amount, std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4, O6
           if (amount == hold::kPointer) note_first_pointer(b, v);
           return;
         }
-      } else if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
+      } else if (h.compare_exchange_weak(v, busy(v), std::memory_order_acquire,
                                          std::memory_order_relaxed)) {  // O4
         own(b).fetch_or(own_bit_, std::memory_order_relaxed);           // O2 carries it
         b.life.fetch_add(kVersion, std::memory_order_release);          // O2
@@ -141,8 +141,8 @@ struct Ownership {
   Left acquire_weak(Words& b, Hold& h, std::uint32_t generation) const {
     std::uint64_t v = h.load(std::memory_order_relaxed);  // the compare-and-swap checks it
     for (;;) {
-      if ((v & hold::kEdge) != 0) {
-        v = await_edge(h, v);
+      if ((v & hold::kBusy) != 0) {
+        v = await_idle(h, v);
       } else if ((v & hold::kHome) != 0) {
         // The tag in the hold word makes the compare-and-swap fail if the message dies meanwhile.
         // Relaxed: a thread that has a weak pointer has seen the message.
@@ -164,7 +164,7 @@ struct Ownership {
         // then the message cannot have died.
         if (generation_of(b.life.load(std::memory_order_relaxed)) == generation) return Left::Held;
         return release(b, h, hold::kPointer) == Left::Wanted ? Left::Wanted : Left::Gone;
-      } else if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
+      } else if (h.compare_exchange_weak(v, busy(v), std::memory_order_acquire,
                                          std::memory_order_relaxed)) {  // O4
         own(b).fetch_or(own_bit_, std::memory_order_relaxed);           // O2 carries it
         const std::uint64_t old = b.life.fetch_add(kVersion, std::memory_order_release);  // O2
@@ -219,9 +219,10 @@ struct Ownership {
     std::uint64_t v = h.load(std::memory_order_acquire);  // O6
     for (;;) {
       const bool last = (v & hold::kHolds) == amount;
-      if (last && (v & (hold::kHome | hold::kEdge)) == 0) {
-        // The last hold becomes the edge in one step, so that no other thread can come in between.
-        if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
+      if (last && (v & (hold::kHome | hold::kBusy)) == 0) {
+        // The last hold becomes the busy bit in one step, so that no other thread can come in
+        // between.
+        if (h.compare_exchange_weak(v, busy(v), std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4
           return clear_own_bit(b, h);
         }
@@ -233,7 +234,7 @@ struct Ownership {
       // load no other thread has.
       if (h.compare_exchange_weak(v, v - amount, std::memory_order_release,
                                   std::memory_order_relaxed)) {  // O4, O6
-        // Release is enough: the thread that goes on takes the edge, and that step acquires.
+        // Release is enough: the thread that goes on makes the word busy, and that step acquires.
         return last && (v & hold::kHome) != 0 ? Left::Home : Left::Held;
       }
       // Another thread may have a pointer now. This one still has its own.
@@ -244,7 +245,7 @@ struct Ownership {
   /// The death of a message. True: only the home held the block, and no process can have taken a
   /// hold meanwhile. Where the orphanage is the home even its own bit must be gone.
   /// `seen`: gets all bits of the words that were looked at.
-  /// REQUIRES: at home under the edge, or byte lock 0.
+  /// REQUIRES: at home, with the busy bit, or byte lock 0.
   bool die(Words& b, std::uint64_t& seen) const { return die(b, own_word_, own_bit_, seen); }
   static bool die_in_orphanage(Words& b) {
     std::uint64_t seen = 0;
@@ -264,8 +265,8 @@ struct Ownership {
   bool reclaim(Words& b, Hold& h, std::uint64_t expected, Note&& note_waiting) const {
     std::uint64_t v = h.load(std::memory_order_relaxed);  // the compare-and-swap checks it
     for (;;) {
-      if ((v & hold::kEdge) != 0) {
-        v = await_edge(h, v);
+      if ((v & hold::kBusy) != 0) {
+        v = await_idle(h, v);
         continue;
       }
       // This thread is late: another one took a hold, let it go, and has given the block back.
@@ -278,7 +279,7 @@ struct Ownership {
         }
         continue;
       }
-      if (h.compare_exchange_weak(v, edge(v), std::memory_order_acquire,
+      if (h.compare_exchange_weak(v, busy(v), std::memory_order_acquire,
                                   std::memory_order_relaxed)) {  // O4
         break;
       }
@@ -324,10 +325,10 @@ struct Ownership {
     const std::uint64_t mine = hold::kHome | hold::kHeld | hold::kPointer |
                                hold::tag_of(static_cast<std::uint32_t>(generation));
     std::uint64_t none = 0;
-    // Another thread's weak lock or last release may have the edge for a moment.
+    // Another thread's weak lock or last release may have the word busy for a moment.
     while (!h.compare_exchange_weak(none, mine, std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4
-      if ((none & hold::kEdge) != 0) none = await_edge(h, none);
+      if ((none & hold::kBusy) != 0) none = await_idle(h, none);
       if (none != 0) {  // this process holds it: another process has overwritten `home`
         P::damage_seen();
         b.home.store(kHomeFree, std::memory_order_release);  // O3
@@ -401,7 +402,7 @@ struct Ownership {
                                           std::memory_order_relaxed);
   }
 
-  /// Clears the own bit. REQUIRES: the edge, and not at home.
+  /// Clears the own bit. REQUIRES: the busy bit, and not at home.
   Left clear_own_bit(Words& b, Hold& h) const {
     own(b).fetch_and(~own_bit_, std::memory_order_release);  // O1
     // A second look is cheaper than the old value of the fetch_and, for which x86 has no single
@@ -439,16 +440,16 @@ struct Ownership {
     }
   }
 
-  static std::uint64_t edge(std::uint64_t v) { return hold::edge_of(v, P::this_thread()); }
+  static std::uint64_t busy(std::uint64_t v) { return hold::busy_word(v, P::this_thread()); }
 
-  /// Waits until no thread has the edge. Returns the hold word. The other thread has only a few
+  /// Waits until the word is not busy. Returns the hold word. The other thread has only a few
   /// instructions left; P::Patience makes sure that it gets to run.
-  static std::uint64_t await_edge(Hold& h, std::uint64_t v) {
+  static std::uint64_t await_idle(Hold& h, std::uint64_t v) {
     typename P::Patience patience;
     do {
-      patience.wait(hold::edge_thread(v));
+      patience.wait(hold::busy_thread(v));
       v = h.load(std::memory_order_relaxed);  // the caller's compare-and-swap checks and acquires
-    } while ((v & hold::kEdge) != 0);
+    } while ((v & hold::kBusy) != 0);
     return v;
   }
 

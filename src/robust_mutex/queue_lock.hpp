@@ -64,16 +64,16 @@ class QueueLock {
 };
 
 /// Holds the lock of a queue of the mutex engine while it lives.
-class Alone {
+class QueueGuard {
  public:
-  explicit Alone(const QueueLock& lock) : lock_(lock) { lock_.lock(); }
-  Alone(const QueueLock& lock, std::nothrow_t) noexcept
+  explicit QueueGuard(const QueueLock& lock) : lock_(lock) { lock_.lock(); }
+  QueueGuard(const QueueLock& lock, std::nothrow_t) noexcept
       : lock_(lock), held_(lock.lock_if_possible()) {}
-  ~Alone() {
+  ~QueueGuard() {
     if (held_) lock_.unlock();
   }
-  Alone(const Alone&) = delete;
-  Alone& operator=(const Alone&) = delete;
+  QueueGuard(const QueueGuard&) = delete;
+  QueueGuard& operator=(const QueueGuard&) = delete;
 
   void lock() {
     lock_.lock();

@@ -147,7 +147,7 @@ struct alignas(64) Directory {
   /// The reaper bumps it when the orphanage has got what the dead one had. Until it changes, no
   /// warden need search. Edge D3: bumped (release) before the dead one's name goes -> load by a
   /// warden before it searches (acquire); carries the homes that are the orphanage's now.
-  std::atomic<std::uint32_t> bequests;
+  std::atomic<std::uint32_t> adoptions;
   /// Monotonic clock: when a warden last looked for memory that no process uses. The warden that
   /// changes it does the next look. If that warden is killed, one look is lost.
   std::atomic<std::uint64_t> looked_ns;

@@ -29,8 +29,8 @@ class SelectingPusher final : public detail::SelectingPusher {
 
   detail::PusherCore& core() noexcept override { return *core_; }
 
-  bool accepts(const detail::ControlCell& cell, const void* object) const override {
-    return core_->accepts(cell, object);
+  bool accepts(const detail::ControlBlock& control, const void* object) const override {
+    return core_->accepts(control, object);
   }
 
   std::optional<detail::SelectedReader> select(std::string_view node, std::size_t back,
@@ -81,7 +81,7 @@ class SelectingPusher final : public detail::SelectingPusher {
 
   bool is_called(std::uint32_t k, std::string_view node) const {
     // Acquire: edge "state".
-    return participant_->world().part(k).load(std::memory_order_acquire) != 0 &&
+    return participant_->world().participant_state(k).load(std::memory_order_acquire) != 0 &&
            participant_->world().name_of(k) == node;
   }
 

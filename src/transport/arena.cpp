@@ -273,7 +273,7 @@ unsigned Build::claim(transport::Participant& p, std::size_t bytes, std::uint32_
   auto claimed = static_cast<std::uint32_t>(std::min<std::uint64_t>(doubled, kNoRun));
   const std::uint32_t tag = tag_of(p, *this);
   // a loan that must not wait leaves `type` null
-  const bool waits = p.holder().cell(tag - 1).type != nullptr;
+  const bool waits = p.holder().control(tag - 1).type != nullptr;
   std::uint32_t run = pool_of(p, *this).try_claim_run(claimed, tag);
   if (run == kNoRun) {
     drop_idle(p);

@@ -139,17 +139,17 @@ Evictor* Eviction::richest(std::uint32_t asker, std::uint64_t keep, Shortage sho
   return richest;
 }
 
-Eviction::Turn Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage shortage,
+Eviction::Step Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage shortage,
                                const Givers& givers) noexcept {
-  using What = Turn::What;
+  using What = Step::What;
   const std::lock_guard guard(mutex_);
   const Survey& others = survey(shortage);
-  const auto take_out = [&](bool all) -> Turn {
+  const auto take_out = [&](bool all) -> Step {
     const Survey::Publisher* const p = givers[refcount::kOrphanage] ? others.ended(all) : nullptr;
     if (p == nullptr) return {};
     return {What::TakeOut, p->channel, {}, p->first};
   };
-  if (const Turn turn = take_out(false); turn.what != What::Nothing) return turn;
+  if (const Step step = take_out(false); step.what != What::Nothing) return step;
   Evictor* own = nullptr;
   std::uint64_t own_held = 0;
   bool can_give = false;

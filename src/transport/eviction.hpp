@@ -132,7 +132,7 @@ class Eviction {
                     Backing backing = Backing::Asked) noexcept;
 
   /// What rules 2 to 4 have decided.
-  struct Turn {
+  struct Step {
     enum class What { Nothing, Given, Ask, TakeOut } what = What::Nothing;
     std::uint32_t from = 0;   ///< Ask: the participant; TakeOut: the channel of an ended ring
     Request request{};        ///< Ask: what is asked for
@@ -140,7 +140,7 @@ class Eviction {
   };
   /// Lets one message go, if it is one of this process. `need`: what the asker will have more, in
   /// bytes or blocks.
-  Turn evict(std::uint32_t asker, std::uint64_t need, Shortage shortage,
+  Step evict(std::uint32_t asker, std::uint64_t need, Shortage shortage,
              const Givers& givers) noexcept;
   /// Gives what another process asks for, or a part of it: that process asks again. True: something
   /// was given.

@@ -49,7 +49,7 @@ void HeldSince::note() noexcept {
       const std::uint64_t own =
           HardwareOwnership::word(words, self).load(std::memory_order_relaxed);  // a hint
       if ((own & HardwareOwnership::bit(self)) == 0) continue;
-      const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);  // a hint
+      const std::uint64_t v = holder_.control(b).hold.load(std::memory_order_relaxed);  // a hint
       // Relaxed: a hint. At home a lone pointer may be the pool's, on a block ready for a loan.
       const bool spare =
           (v & hold::kHome) != 0 && words.home_points.load(std::memory_order_relaxed) == 0;

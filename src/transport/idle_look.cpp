@@ -64,8 +64,8 @@ void IdleLook::look_at_blocks(std::size_t pools) noexcept {
     const bool same = refcount::generation_of(life) == refcount::generation_of(before);
     was_held_[b] =
         life / refcount::kVersion != before / refcount::kVersion || (same && was_held_[b]);
-    const std::uint32_t pool = holder_.cell(b).pool.load(std::memory_order_relaxed);  // a hint
-    const std::uint64_t v = holder_.cell(b).hold.load(std::memory_order_relaxed);     // a hint
+    const std::uint32_t pool = holder_.control(b).pool.load(std::memory_order_relaxed);  // a hint
+    const std::uint64_t v = holder_.control(b).hold.load(std::memory_order_relaxed);     // a hint
     // A loan that the application keeps looks the same, but its pool does not have it among its
     // ready blocks.
     const bool rests = life == before && (v & hold::kHolds) == hold::kPointer &&

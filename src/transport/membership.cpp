@@ -65,7 +65,7 @@ void Membership::take_index(std::string_view name, const Repair& repair) {
   // The errands were meant for the former owner of the index. Relaxed: a participant that asks this
   // one has seen its new state, or its name in a home word. Both come later.
   segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
-  part(index()).store(1, std::memory_order_release);  // edge "state"
+  participant_state(index()).store(1, std::memory_order_release);  // edge "state"
 }
 
 /// Takes a free index: a clean one, or one of a dead process. The latter is repaired first, under
@@ -74,7 +74,7 @@ bool Membership::try_take_index(bool of_a_dead_one, futex::Clock::time_point unt
                                 const Repair& repair) {
   const auto may_take = [&](std::uint32_t k) {
     // Acquire: edge "state". A joiner that sees 0 sees all that the reaper has done.
-    const bool is_clean = part(k).load(std::memory_order_acquire) == 0;
+    const bool is_clean = participant_state(k).load(std::memory_order_acquire) == 0;
     return is_clean != of_a_dead_one && presence_.may_be_claimed(k);
   };
   for (std::uint32_t k = 1; k < participants(); ++k) {
@@ -100,7 +100,7 @@ void Membership::forget_sightings() noexcept {
 
 void Membership::return_index() noexcept {
   // Release: edge "state".
-  part(index()).store(0, std::memory_order_release);
+  participant_state(index()).store(0, std::memory_order_release);
 }
 
 void Membership::rename(std::string_view name) noexcept {
@@ -153,7 +153,7 @@ void Membership::remove_files_if_last() noexcept {
     const std::uint32_t errands = segment_.witnesses()[k].errands.load(std::memory_order_relaxed);
     if (k == index() || (errands & errand::kEnding) != 0) continue;
     if (are_locks_held && lock_file_->held_by_other(k)) return;
-    if (part(k).load(std::memory_order_acquire) == 0) continue;  // edge "state"
+    if (participant_state(k).load(std::memory_order_acquire) == 0) continue;  // edge "state"
     // A living process may have lost its byte to closefrom(). Its notice still stands then.
     if (!presence_.looks_dead(k)) return;
   }

@@ -80,36 +80,36 @@ class Memory {
   template <class Enough, class Possible>
   bool evict_until(Enough&& enough, std::uint32_t asker, std::uint64_t need, Shortage shortage,
                    Possible&& possible) noexcept {
-    using What = Eviction::Turn::What;
+    using What = Eviction::Step::What;
     Eviction::Givers givers = likely_givers();
     const auto until = futex::Clock::now() + kGivePatience;
     eviction_.look_at_others(shortage);
     if (!possible(givers)) return false;
     for (;;) {
-      const Eviction::Turn turn = eviction_.evict(asker, need, shortage, givers);
+      const Eviction::Step step = eviction_.evict(asker, need, shortage, givers);
       bool given = true;
-      switch (turn.what) {
+      switch (step.what) {
         case What::Nothing:
           return false;
         case What::Given:
           stock_.trim(asker);
           break;
         case What::Ask:
-          given = givers[turn.from] = neighbours_.ask_to_give(turn.from, turn.request);
+          given = givers[step.from] = neighbours_.ask_to_give(step.from, step.request);
           break;
         case What::TakeOut:
-          given = givers[refcount::kOrphanage] = take_out(turn.from, turn.block);
+          given = givers[refcount::kOrphanage] = take_out(step.from, step.block);
           break;
       }
       if (enough()) return true;
-      if (turn.what == What::Given) continue;
+      if (step.what == What::Given) continue;
       const bool is_late = futex::Clock::now() >= until;
       if (is_late) givers = {};  // messages of this process may still be enough
       eviction_.look_at_others(shortage);
       if (given || possible(givers)) continue;
       // Without that giver there is no room. If it was silent it may be slow, and not stopped.
-      if (is_late || turn.what != What::Ask || !neighbours_.is_silent(turn.from)) return false;
-      givers[turn.from] = true;
+      if (is_late || step.what != What::Ask || !neighbours_.is_silent(step.from)) return false;
+      givers[step.from] = true;
     }
   }
 

@@ -16,7 +16,8 @@ void Neighbours::ask_others(Questions& questions) noexcept {
   gathered_.store(futex::Clock::now().time_since_epoch().count(), std::memory_order_relaxed);
   for (std::uint32_t k = 1; k < world_.participants(); ++k) {
     // Acquire: edge "state".
-    if (k == holder_.own.self || world_.part(k).load(std::memory_order_acquire) == 0) continue;
+    if (k == holder_.own.self || world_.participant_state(k).load(std::memory_order_acquire) == 0)
+      continue;
     questions.asked[k] = true;
     // Relaxed: an answer to an earlier question is as good as one to this question.
     questions.answers[k] = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);

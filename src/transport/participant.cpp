@@ -96,7 +96,7 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
       registry_(segment(), membership_.presence()),
       world_(segment(), registry_),
       hub_(membership_, lifetime_, holder_),
-      cells_(blocks(), hub_),
+      control_blocks_(blocks(), hub_),
       ahead_(segment(), warden_thread_),
       eviction_(holder_, segment()),
       stock_(segment(), holder_, ahead_),
@@ -109,7 +109,7 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
       warden_({membership_, world_, holder_, warden_thread_, eviction_, stock_, reaper_, rings_,
                topics_, process().mutex}) {
   holder_.segment = &segment();
-  holder_.cells = cells_.all();
+  holder_.controls = control_blocks_.all();
   holder_.make_tables(blocks());
   eviction_.prepare(blocks(), segment().capacity().channels);
   take_index(options.name);

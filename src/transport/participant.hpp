@@ -10,7 +10,7 @@
 
 #include "registry/registry.hpp"
 #include "transport/ahead.hpp"
-#include "transport/cells.hpp"
+#include "transport/control_blocks.hpp"
 #include "transport/eviction.hpp"
 #include "transport/gate.hpp"
 #include "transport/lifetime.hpp"
@@ -66,11 +66,11 @@ class Participant final : private Lifetime::Owner {
   mutex_engine::QueueLock queue_lock(std::uint32_t channel) noexcept {
     return segment().queue_lock(channel, membership_.presence());
   }
-  bool same_segment(const detail::ControlCell& cell) const noexcept {
-    return hub_.same_segment(cell);
+  bool same_segment(const detail::ControlBlock& control) const noexcept {
+    return hub_.same_segment(control);
   }
-  bool was_received(const detail::ControlCell& cell) const noexcept {
-    return holder_.was_received(cell);
+  bool was_received(const detail::ControlBlock& control) const noexcept {
+    return holder_.was_received(control);
   }
 
   // The units.
@@ -115,7 +115,7 @@ class Participant final : private Lifetime::Owner {
   registry::Registry registry_;
   World world_;
   PointerHub hub_;
-  Cells cells_;
+  ControlBlocks control_blocks_;
   alignas(64) Holder holder_;
   WardenThread warden_thread_;
   Ahead ahead_;

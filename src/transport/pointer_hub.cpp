@@ -17,14 +17,14 @@ PointerHub::PointerHub(Membership& membership, Lifetime& lifetime, Holder& holde
 
 /// Fills in what pointers do.
 void PointerHub::fill_pointers() noexcept {
-  drop_last = [](detail::ControlCell* c) noexcept {
+  drop_last = [](detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
     if (p.membership_.is_inert()) return;
     p.lifetime_.enter();
     p.holder_.release(c->block, hold::kPointer);
     p.lifetime_.exit();
   };
-  abandoned = [](detail::ControlCell* c) noexcept {
+  abandoned = [](detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
     if (p.membership_.is_inert()) return;
     p.lifetime_.enter();
@@ -35,16 +35,16 @@ void PointerHub::fill_pointers() noexcept {
     }
     p.lifetime_.exit();
   };
-  acquire = [](detail::ControlCell* c) noexcept {
+  acquire = [](detail::ControlBlock* c) noexcept {
     of(c).holder_.acquire(c->block, hold::kPointer);
   };
-  shared_from_unique = [](detail::ControlCell* c) noexcept {
+  shared_from_unique = [](detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
     // Only one thread has the pointer.
     if (p.holder_.is_home(c->block)) p.holder_.complete(c->block);
     p.points(c);
   };
-  points = [](detail::ControlCell* c) noexcept {
+  points = [](detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
     HardwareOwnership::note_pointers(p.segment_.block(c->block), c->hold);
   };
@@ -52,7 +52,7 @@ void PointerHub::fill_pointers() noexcept {
 
 /// Fills in what weak pointers do.
 void PointerHub::fill_weak_pointers() noexcept {
-  lock_weak = [](detail::ControlCell* c, std::uint32_t expected) noexcept {
+  lock_weak = [](detail::ControlBlock* c, std::uint32_t expected) noexcept {
     const PointerHub& p = of(c);
     if (p.membership_.is_inert()) return false;
     p.lifetime_.enter();
@@ -63,17 +63,17 @@ void PointerHub::fill_weak_pointers() noexcept {
     p.lifetime_.exit();
     return left == Left::Held;
   };
-  generation = [](const detail::ControlCell* c) noexcept {
+  generation = [](const detail::ControlBlock* c) noexcept {
     // Relaxed: the caller has seen its message live. A later number says that it has died, and
     // nothing else: only who locks a weak pointer looks at the message.
     return refcount::generation_of(
         of(c).segment_.block(c->block).life.load(std::memory_order_relaxed));
   };
-  expired = [](const detail::ControlCell* c, std::uint32_t expected) noexcept {
+  expired = [](const detail::ControlBlock* c, std::uint32_t expected) noexcept {
     const PointerHub& p = of(c);
     return p.membership_.is_inert() || p.lifetime_.has_left() || p.generation(c) != expected;
   };
-  weak_count = [](detail::ControlCell* c, int change) noexcept {
+  weak_count = [](detail::ControlBlock* c, int change) noexcept {
     const PointerHub& p = of(c);
     if (change > 0) {
       p.lifetime_.add_reference();
@@ -85,11 +85,11 @@ void PointerHub::fill_weak_pointers() noexcept {
 
 /// Fills in what pointers ask.
 void PointerHub::fill_answers() noexcept {
-  path = [](const detail::ControlCell* c) noexcept { return of(c).segment_.path().c_str(); };
-  instance = [](const detail::ControlCell* c) noexcept {
+  path = [](const detail::ControlBlock* c) noexcept { return of(c).segment_.path().c_str(); };
+  instance = [](const detail::ControlBlock* c) noexcept {
     return of(c).segment_.header().identity.instance;
   };
-  others = [](const detail::ControlCell* c) noexcept {
+  others = [](const detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
     segment::BlockWords& words = p.segment_.block(c->block);
     const std::uint32_t self = p.index();
@@ -109,32 +109,32 @@ void PointerHub::fill_answers() noexcept {
     }
     return n;
   };
-  alone = [](const detail::ControlCell* c) noexcept {
+  alone = [](const detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
     return !p.membership_.is_inert() && p.is_alone(*c);
   };
-  base = [](const detail::ControlCell* c) noexcept -> const unsigned char* {
+  base = [](const detail::ControlBlock* c) noexcept -> const unsigned char* {
     return of(c).segment_.base();
   };
 }
 
-const PointerHub& PointerHub::of(const detail::ControlCell* cell) noexcept {
-  return *static_cast<const PointerHub*>(cell->hub);
+const PointerHub& PointerHub::of(const detail::ControlBlock* control) noexcept {
+  return *static_cast<const PointerHub*>(control->hub);
 }
 
 /// True only if other threads and processes have done all their reads before: each hold that goes
 /// is released, and acquired here.
-bool PointerHub::is_alone(const detail::ControlCell& cell) const noexcept {
+bool PointerHub::is_alone(const detail::ControlBlock& control) const noexcept {
   // A ring's hold stands while the ring has the message, and until no hazard names it (I1).
-  const std::uint64_t v = cell.hold.load(std::memory_order_acquire);  // O4
+  const std::uint64_t v = control.hold.load(std::memory_order_acquire);  // O4
   if ((v & hold::kHolds) != hold::kPointer) return false;
-  const segment::BlockWords& words = segment_.block(cell.block);
+  const segment::BlockWords& words = segment_.block(control.block);
   const std::uint64_t life = words.life.load(std::memory_order_acquire);  // O2
   std::uint32_t maker = index();
   // The home's bit stands as long as the home has the memory, whether it looks at the message or
   // not. It does not count when this process took the message from a queue and has not published it
   // since.
-  if ((v & hold::kHome) == 0 && segment_.arena(cell.block).was_handed_over()) {
+  if ((v & hold::kHome) == 0 && segment_.arena(control.block).was_handed_over()) {
     // Relaxed: only the number counts. What the home has done is in its bit (O1).
     const std::uint32_t home = words.home.load(std::memory_order_relaxed);
     if (home > refcount::kHomeOrphanage) maker = home - 1;
@@ -151,8 +151,9 @@ bool PointerHub::is_alone(const detail::ControlCell& cell) const noexcept {
   return words.life.load(std::memory_order_relaxed) == life;
 }
 
-bool PointerHub::same_segment(const detail::ControlCell& cell) const noexcept {
-  return cell.hub == this || cell.hub->instance(&cell) == segment_.header().identity.instance;
+bool PointerHub::same_segment(const detail::ControlBlock& control) const noexcept {
+  return control.hub == this ||
+         control.hub->instance(&control) == segment_.header().identity.instance;
 }
 
 }  // namespace lot::transport

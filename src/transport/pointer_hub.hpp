@@ -21,16 +21,16 @@ class PointerHub : public detail::Hub {
   PointerHub& operator=(const PointerHub&) = delete;
 
   /// True when the pointer belongs to this segment, whichever copy of the library made it.
-  bool same_segment(const detail::ControlCell& cell) const noexcept;
+  bool same_segment(const detail::ControlBlock& control) const noexcept;
 
  private:
-  static const PointerHub& of(const detail::ControlCell* cell) noexcept;
+  static const PointerHub& of(const detail::ControlBlock* control) noexcept;
   void fill_pointers() noexcept;
   void fill_weak_pointers() noexcept;
   void fill_answers() noexcept;
   std::uint32_t index() const noexcept { return holder_.own.self; }
   /// True when the one pointer of this process is all that can see the message.
-  bool is_alone(const detail::ControlCell& cell) const noexcept;
+  bool is_alone(const detail::ControlBlock& control) const noexcept;
 
   Membership& membership_;
   Lifetime& lifetime_;

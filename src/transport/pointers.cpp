@@ -29,8 +29,8 @@ namespace {
 
 }  // namespace
 
-ControlCell* cell_of(const void* reference, bool in_message, std::uint32_t block,
-                     const void* target, std::size_t bytes) {
+ControlBlock* control_of(const void* reference, bool in_message, std::uint32_t block,
+                         const void* target, std::size_t bytes) {
   transport::Participant* p = transport::Participant::at(reference);
   if (p == nullptr) {
     if (in_message) refuse_unknown();
@@ -42,15 +42,15 @@ ControlCell* cell_of(const void* reference, bool in_message, std::uint32_t block
     throw Error(EBADMSG, p->segment().path(), "a reference in a message is damaged",
                 "somebody has written into the segment who should not");
   }
-  return &p->holder().cell(block);
+  return &p->holder().control(block);
 }
 
-ControlCell* acquire_block(ControlCell* cell) {
-  cell->hub->acquire(cell);
-  return cell;
+ControlBlock* acquire_block(ControlBlock* control) {
+  control->hub->acquire(control);
+  return control;
 }
 
-std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::size_t bytes) {
+std::uint32_t refer(Arena& arena, ControlBlock* target, const void* object, std::size_t bytes) {
   transport::Participant* const at = transport::Participant::at(&arena);
   if (at == nullptr) refuse_unknown();
   transport::Participant& p = *at;

@@ -15,11 +15,11 @@ namespace lot::transport {
 
 using detail::Arena;
 using detail::Build;
-using detail::ControlCell;
+using detail::ControlBlock;
 
 void Holder::acquire(std::uint32_t b, std::uint64_t amount) const noexcept {
   know(b);
-  own.acquire(words(b), cell(b).hold, amount);
+  own.acquire(words(b), control(b).hold, amount);
 }
 
 void Holder::know(std::uint32_t b) const noexcept {
@@ -31,8 +31,8 @@ void Holder::know(std::uint32_t b) const noexcept {
 }
 
 bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
-  if (!own.claim(words(b), cell(b).hold)) return false;
-  cell(b).type = nullptr;
+  if (!own.claim(words(b), control(b).hold)) return false;
+  control(b).type = nullptr;
   // Relaxed: no other thread knows the block yet; what publishes it carries the store.
   queued(b).store(0, std::memory_order_relaxed);
   Arena& arena = segment->arena(b);
@@ -44,8 +44,8 @@ bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
 }
 
 void Holder::release(std::uint32_t b, std::uint64_t amount) const noexcept {
-  const Left left = own.release(words(b), cell(b).hold, amount);
-  if (left == Left::Home) pool_of(b).came_home(b);
+  const Left left = own.release(words(b), control(b).hold, amount);
+  if (left == Left::Home) pool_of(b).last_hold_gone(b);
   if (left == Left::Wanted) tell_home(b);
 }
 
@@ -74,7 +74,7 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   HomeList mine(*this);
   HomeList& home = nested ? *first : mine;
   each_reference(*segment, b, [&](std::uint32_t target) {
-    const Left left = own.release(words(target), cell(target).hold, hold::kRing);
+    const Left left = own.release(words(target), control(target).hold, hold::kRing);
     if (left == Left::Home) home.push(target);
     if (left == Left::Wanted) tell_home(target);
   });
@@ -83,7 +83,7 @@ void Holder::release_references(std::uint32_t b) const noexcept {
   HomeList* const outer = std::exchange(first, &mine);
   while (!home.empty()) {
     const std::uint32_t target = home.pop();
-    pool_of(target).came_home(target);
+    pool_of(target).last_hold_gone(target);
   }
   first = outer;
 }
@@ -111,8 +111,8 @@ std::uint32_t Holder::HomeList::pop() noexcept {
   return b;
 }
 
-bool Holder::may_grow(const ControlCell& c) const noexcept {
-  return is_home(c.block) || c.hub != cell(c.block).hub ||
+bool Holder::may_grow(const ControlBlock& c) const noexcept {
+  return is_home(c.block) || c.hub != control(c.block).hub ||
          segment->arena(c.block).was_handed_over();
 }
 
@@ -124,9 +124,9 @@ void Holder::freeze_reachable(std::uint32_t b) const noexcept {
   std::uint32_t left = end;
   for (std::uint32_t from = b; from < end && left != 0; --left) {
     each_reference(*segment, from, [&](std::uint32_t target) {
-      const detail::MessageType* const type = cell(target).type;
+      const detail::MessageType* const type = control(target).type;
       if (type != nullptr && type->plain) return;  // it cannot grow
-      if (!may_grow(cell(target)) || !segment->arena(target).freeze_first()) return;
+      if (!may_grow(control(target)) || !segment->arena(target).freeze_first()) return;
       segment->build(target).next_to_freeze = first;
       first = target;
     });
@@ -165,11 +165,11 @@ void Pool::prefetch(std::uint64_t b) const noexcept {
 }
 
 /// Makes the block exclusively this pool's again. On failure the block is the last of the kept
-/// ones, unless this process still holds it: then the last hold that goes calls came_home(). On
-/// success the block is not among the kept ones. REQUIRES: the lock, and that the block is at home
-/// in this pool.
+/// ones, unless this process still holds it: then the last hold that goes calls last_hold_gone().
+/// On success the block is not among the kept ones. REQUIRES: the lock, and that the block is at
+/// home in this pool.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
-  ControlCell& c = holder_.cell(b);
+  ControlBlock& c = holder_.control(b);
   // The block is on the list before a holder can see kWanted. The holder asks the warden, perhaps
   // before this thread goes on, and the warden looks only at pools that have kept blocks.
   const bool ours = holder_.own.reclaim(holder_.words(b), c.hold, expected,
@@ -189,7 +189,7 @@ bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
     }
     return true;
   }
-  // Relaxed: a hold that changes now calls came_home(), which waits for the lock.
+  // Relaxed: a hold that changes now calls last_hold_gone(), which waits for the lock.
   const std::uint64_t v = c.hold.load(std::memory_order_relaxed);
   if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0) {
     kept_.move_to_end(b);
@@ -209,19 +209,19 @@ std::uint32_t Pool::claim() {
     holder_.next_free.store(b + 1, std::memory_order_relaxed);  // a hint
     holder_.know(b);
     // Relaxed: the release of a hold carries it (is_at_rest_here()).
-    holder_.cell(b).pool.store(index_, std::memory_order_relaxed);
+    holder_.control(b).pool.store(index_, std::memory_order_relaxed);
     return b;
   }
   return kNone;
 }
 
-void* Pool::lay_out_anew(ControlCell& c, const detail::MessageType& type, bool waits) {
+void* Pool::lay_out_anew(ControlBlock& c, const detail::MessageType& type, bool waits) {
   segment::Segment& s = *holder_.segment;
   const std::uint32_t b = c.block;
   const bool fits = segment::is_small(type);
   Arena& arena = s.arena(b);
   Build& build = s.build(b);
-  if (c.type != nullptr) bury(c);
+  if (c.type != nullptr) destroy_message(c);
   // Before the allocation: what was published in this block must not freeze the next message.
   arena.changed_hands = 0;
   arena.frozen = 0;
@@ -242,9 +242,9 @@ void* Pool::lay_out_anew(ControlCell& c, const detail::MessageType& type, bool w
   return root;
 }
 
-void Pool::give_back(ControlCell& c) noexcept {
+void Pool::give_back(ControlBlock& c) noexcept {
   const std::uint32_t b = c.block;
-  bury(c);
+  destroy_message(c);
   {
     const std::lock_guard guard(lock_);
     if (is_in_use_) {
@@ -255,7 +255,7 @@ void Pool::give_back(ControlCell& c) noexcept {
   release_block(b);
 }
 
-void Pool::came_home(std::uint32_t b) noexcept {
+void Pool::last_hold_gone(std::uint32_t b) noexcept {
   {
     const std::lock_guard guard(lock_);
     if (!is_at_rest_here(b) || !reclaim(b, 0)) return;
@@ -271,7 +271,7 @@ void Pool::came_home(std::uint32_t b) noexcept {
 /// the lock, without holds, stays. Its pool is the one that is read: the acquire pairs with the
 /// release of its last hold, which came after the pool was written.
 bool Pool::is_at_rest_here(std::uint32_t b) const noexcept {
-  const ControlCell& c = holder_.cell(b);
+  const ControlBlock& c = holder_.control(b);
   const std::uint64_t v = c.hold.load(std::memory_order_acquire);  // O4
   return (v & hold::kHome) != 0 && (v & hold::kHolds) == 0 &&
          c.pool.load(std::memory_order_relaxed) == index_;  // O4 carries it
@@ -281,9 +281,9 @@ void Pool::retire(std::uint32_t b, bool borrowed) {
   if (borrowed) {
     retired_.push_back(b);
     // Relaxed, both: the ring's hold keeps the block where it is.
-  } else if ((holder_.cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
-             holder_.cell(b).pool.load(std::memory_order_relaxed) == index_) {
-    if (!HardwareOwnership::drop_ring_hold_of_several(holder_.cell(b).hold)) free_.push_back(b);
+  } else if ((holder_.control(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
+             holder_.control(b).pool.load(std::memory_order_relaxed) == index_) {
+    if (!HardwareOwnership::drop_ring_hold_of_several(holder_.control(b).hold)) free_.push_back(b);
   } else {
     foreign_.push_back(b);
   }
@@ -332,7 +332,7 @@ void Pool::settle_free() noexcept {
   }
 }
 
-void Pool::bury_whole(ControlCell& c) noexcept {
+void Pool::bury_whole(ControlBlock& c) noexcept {
   const std::uint32_t b = c.block;
   const detail::MessageType* const type = std::exchange(c.type, nullptr);
   Arena& arena = holder_.segment->arena(b);
@@ -361,7 +361,7 @@ void Pool::bury_whole(ControlCell& c) noexcept {
 /// while the block was here.
 bool Pool::has_spare_in(std::uint32_t b) const noexcept {
   return holder_.segment->build(b).is_spare() && holder_.is_home(b) &&
-         holder_.cell(b).pool.load(std::memory_order_relaxed) == index_;  // the lock carries it
+         holder_.control(b).pool.load(std::memory_order_relaxed) == index_;  // the lock carries it
 }
 
 bool Pool::want_spare(std::uint32_t b) noexcept {
@@ -416,7 +416,7 @@ void Pool::recycle_extents(Build& build) noexcept {
 }
 
 void Pool::release_block(std::uint32_t b) noexcept {
-  ControlCell& c = holder_.cell(b);
+  ControlBlock& c = holder_.control(b);
   // A damaged ring or reference can lead here, too. Relaxed: the caller alone has the block. The
   // list that it has taken it from carries the word, with the lock or by ahead_.
   if ((c.hold.load(std::memory_order_relaxed) & hold::kHolds) != hold::kPointer) {
@@ -425,7 +425,7 @@ void Pool::release_block(std::uint32_t b) noexcept {
     }
     return;
   }
-  bury(c);
+  destroy_message(c);
   Build& build = holder_.segment->build(b);
   for (unsigned i = 0; i < build.extents; ++i) {
     release_run(build.extent[i].granule, build.extent[i].granules);

@@ -31,7 +31,7 @@ class Pool;
 struct Holder {
   segment::Segment* segment = nullptr;
   HardwareOwnership own;
-  detail::ControlCell* cells = nullptr;  ///< [blocks]
+  detail::ControlBlock* controls = nullptr;  ///< [blocks]
   const std::vector<std::unique_ptr<Pool>>* pools = nullptr;
   /// [blocks] 1: the message was put into a queue from which one reader takes it. A unique pointer
   /// to it was taken from there. Other processes may still look at its block.
@@ -59,25 +59,25 @@ struct Holder {
   }
 
   segment::BlockWords& words(std::uint32_t b) const noexcept { return segment->block(b); }
-  detail::ControlCell& cell(std::uint32_t b) const noexcept { return cells[b]; }
+  detail::ControlBlock& control(std::uint32_t b) const noexcept { return controls[b]; }
   std::atomic<std::uint8_t>& queued(std::uint32_t b) noexcept { return in_queue[b]; }
   /// True while the block is at home in this process.
   bool is_home(std::uint32_t b) const noexcept {
     // Relaxed: a hint, unless the caller has a hold or the pool's lock, which keep it as it is.
-    return (cell(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
+    return (control(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
   }
 
   /// True when the message of a unique pointer was taken from a queue. Other processes may still
   /// look at its block, though not at the message.
-  bool was_received(const detail::ControlCell& c) const noexcept {
+  bool was_received(const detail::ControlBlock& c) const noexcept {
     // Relaxed: the slot that the message was taken from carries it (R1).
     return !is_home(c.block) || in_queue[c.block].load(std::memory_order_relaxed) != 0;
   }
 
-  Pool& pool_of(std::uint32_t b) const noexcept { return pool_of(cell(b)); }
-  Pool& pool_of(const detail::ControlCell& cell) const noexcept {
-    // Relaxed: see ControlCell::pool.
-    return *(*pools)[cell.pool.load(std::memory_order_relaxed)];
+  Pool& pool_of(std::uint32_t b) const noexcept { return pool_of(control(b)); }
+  Pool& pool_of(const detail::ControlBlock& control) const noexcept {
+    // Relaxed: see ControlBlock::pool.
+    return *(*pools)[control.pool.load(std::memory_order_relaxed)];
   }
 
   /// Brings participant k's warden an errand.
@@ -91,7 +91,7 @@ struct Holder {
   /// Gives a block back to the segment. REQUIRES: it is exclusively owned, and has no memory.
   void give_back(std::uint32_t b) const noexcept {
     segment->build(b).close();
-    own.give_back(words(b), cell(b).hold);
+    own.give_back(words(b), control(b).hold);
   }
 
   /// Takes a hold of the given kind for this process. REQUIRES: the caller protects the block.
@@ -103,7 +103,7 @@ struct Holder {
   /// Lets go of what a dead message referred to.
   void release_references(std::uint32_t b) const noexcept;
   /// Freezes a message that is published, if pointers of this process could make it grow.
-  void freeze(const detail::ControlCell& c) const noexcept {
+  void freeze(const detail::ControlBlock& c) const noexcept {
     detail::Arena& arena = segment->arena(c.block);
     if (!arena.is_frozen() && (is_home(c.block) || may_grow(c))) arena.freeze();
   }
@@ -138,7 +138,7 @@ struct Holder {
     std::uint32_t first_ = kEnd;
   };
 
-  bool may_grow(const detail::ControlCell& c) const noexcept;
+  bool may_grow(const detail::ControlBlock& c) const noexcept;
   void freeze_reachable(std::uint32_t b) const noexcept;
 };
 
@@ -262,17 +262,18 @@ class Pool {
 
   /// Lays out the arena of an exclusively owned block for a message. Throws OutOfMemory. `waits`:
   /// it waits for memory as long as a message that grows does.
-  void* lay_out(detail::ControlCell& cell, const detail::MessageType& type, bool waits) {
+  void* lay_out(detail::ControlBlock& control, const detail::MessageType& type, bool waits) {
     // A small plain message lies where the last message of its type lay in this block.
-    if (cell.type == &type && is_laid_out_for_ever(type)) return holder_.segment->small(cell.block);
-    return lay_out_anew(cell, type, waits);
+    if (control.type == &type && is_laid_out_for_ever(type))
+      return holder_.segment->small(control.block);
+    return lay_out_anew(control, type, waits);
   }
 
   /// Takes back an exclusively owned block: its message was never shared, or has died.
-  void give_back(std::uint32_t b) noexcept { give_back(holder_.cell(b)); }
-  void give_back(detail::ControlCell& cell) noexcept;
+  void give_back(std::uint32_t b) noexcept { give_back(holder_.control(b)); }
+  void give_back(detail::ControlBlock& control) noexcept;
   /// The last hold of this process on a message of the pool has gone.
-  void came_home(std::uint32_t b) noexcept;
+  void last_hold_gone(std::uint32_t b) noexcept;
 
   /// A block has left the ring; its hold is still the ring's. Locked. `borrowed` says whether a
   /// reader may still look at it.
@@ -449,13 +450,13 @@ class Pool {
   static bool is_laid_out_for_ever(const detail::MessageType& type) noexcept {
     return type.plain && segment::is_small(type);
   }
-  void* lay_out_anew(detail::ControlCell& cell, const detail::MessageType& type, bool waits);
+  void* lay_out_anew(detail::ControlBlock& control, const detail::MessageType& type, bool waits);
   /// Buries a message that has died; the block is exclusively this pool's. Its destructor runs, its
   /// references are let go, and its memory is kept for the next message.
-  void bury(detail::ControlCell& cell) noexcept {
-    if (cell.type == nullptr || !is_laid_out_for_ever(*cell.type)) bury_whole(cell);
+  void destroy_message(detail::ControlBlock& control) noexcept {
+    if (control.type == nullptr || !is_laid_out_for_ever(*control.type)) bury_whole(control);
   }
-  void bury_whole(detail::ControlCell& cell) noexcept;
+  void bury_whole(detail::ControlBlock& control) noexcept;
   void recycle_extents(detail::Build& build) noexcept;
   bool has_spare_in(std::uint32_t b) const noexcept;
   bool is_at_rest_here(std::uint32_t b) const noexcept;

@@ -83,11 +83,11 @@ class Puller final : public RingPuller {
   [[gnu::hot]] void done() noexcept override {
     if (participant_->inert()) return;
     Source& source = sources_[current_];
-    const mutex_engine::Alone alone(source.lock, std::nothrow);
+    const mutex_engine::QueueGuard queue_guard(source.lock, std::nothrow);
     end(source);
   }
 
-  [[gnu::hot]] detail::ControlCell* keep() override {
+  [[gnu::hot]] detail::ControlBlock* keep() override {
     participant_->check_usable();
     if (!quota_.allows_one_more()) refuse_to_hold();
     return hold_it();
@@ -198,8 +198,8 @@ class Puller final : public RingPuller {
     if (!settle()) return std::nullopt;
     // The caller looks first: it may have kept messages of a ring that has ended just now.
     if (observer_ != nullptr && sources_.size() != rings) return std::nullopt;
-    const ring::Rest rest =
-        ring::lie_down(sources_, directory_, version_, [&waits](const auto& word, auto value) {
+    const ring::Rest rest = ring::prepare_to_sleep(
+        sources_, directory_, version_, [&waits](const auto& word, auto value) {
           waits.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
         });
     if (rest == ring::Rest::Look) return std::nullopt;
@@ -291,11 +291,11 @@ class Puller final : public RingPuller {
       if (b == kNoBlock) return false;
       found(borrowed, b);
       if (!keeping_) return true;
-      borrowed.cell = hold_it();
+      borrowed.control = hold_it();
       const bool ours = !taking_ || take(source);
       end(source);
       if (ours) return true;
-      borrowed.cell->drop_pointer();
+      borrowed.control->drop_pointer();
     }
     return false;
   }
@@ -310,10 +310,10 @@ class Puller final : public RingPuller {
   }
 
   /// REQUIRES: the quota allows one more.
-  [[gnu::hot]] detail::ControlCell* hold_it() {
+  [[gnu::hot]] detail::ControlBlock* hold_it() {
     participant_->holder().acquire(block_, hold::kPointer);
     if (quota_.counts()) quota_.note(block_, small_ && type_.plain ? 0 : granules());
-    return &participant_->holder().cell(block_);
+    return &participant_->holder().control(block_);
   }
 
   std::uint64_t granules() const noexcept {
@@ -404,7 +404,7 @@ class Puller final : public RingPuller {
       if (borrowed.root == nullptr) [[unlikely]]
         skip_damaged("it is said to lie where it cannot be");
     }
-    borrowed.cell = &participant_->holder().cell(block_);
+    borrowed.control = &participant_->holder().control(block_);
     borrowed.missed = missed_;
     missed_ = 0;
     borrowing_ = true;
@@ -428,7 +428,7 @@ class Puller final : public RingPuller {
   }
 
   /// Leaves the marks for whatever this puller waits for. Nothing: look at once.
-  [[gnu::hot]] std::optional<waiting::Sleep<const detail::FutexWaits&>> lie_down() {
+  [[gnu::hot]] std::optional<waiting::Sleep<const detail::FutexWaits&>> prepare_to_sleep() {
     waits_.clear();
     const auto again = arm(waits_);
     if (!again) return std::nullopt;
@@ -455,7 +455,7 @@ class Puller final : public RingPuller {
       return n < kEagerPolls ? 0 : 1;
     }
     void settle() { puller_.settle(); }  // else a publisher that waits for room may sleep
-    auto arm() { return puller_.lie_down(); }
+    auto arm() { return puller_.prepare_to_sleep(); }
 
    private:
     Puller& puller_;
@@ -474,7 +474,7 @@ class Puller final : public RingPuller {
       }
       return puller_.has_messages() || !puller_.settle();
     }
-    auto arm() { return puller_.lie_down(); }
+    auto arm() { return puller_.prepare_to_sleep(); }
 
    private:
     Puller& puller_;
@@ -516,8 +516,8 @@ class Puller final : public RingPuller {
     }
   }
 
-  /// If it fails, no cell awaits this puller, since a new ring needs the lock, too. Cells that
-  /// await other pullers of this process remain. REQUIRES: the registry's lock.
+  /// If it fails, no cell awaits this puller, since a new ring needs the lock, too. Cells
+  /// that await other pullers of this process remain. REQUIRES: the registry's lock.
   void announce_and_join(std::uint64_t history) {
     registry::Registry& registry = participant_->registry();
     if (observer_ != nullptr) observer_->announcing(topic_);
@@ -585,7 +585,7 @@ class Puller final : public RingPuller {
       if (is_of_our_kind(ring)) reader = Reader::adopt(ring, participant_->index());
       if (reader) {
         begin(*reader, name, std::move(publisher));
-      } else {  // its cell is damaged
+      } else {  // its control is damaged
         passed_.push_back(name);
       }
     }

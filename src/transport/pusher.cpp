@@ -162,9 +162,10 @@ class Pusher final : public RingPusher, private Evictor {
         refuse_without_blocks();
       }
     }
-    detail::Loan loan{&participant_->holder().cell(b), nullptr, &participant_->segment().arena(b)};
+    detail::Loan loan{&participant_->holder().control(b), nullptr,
+                      &participant_->segment().arena(b)};
     try {
-      loan.root = pool_.lay_out(*loan.cell, type, or_throw);
+      loan.root = pool_.lay_out(*loan.control, type, or_throw);
     } catch (const OutOfMemory&) {
       take_back(b);
       if (or_throw) throw;
@@ -176,29 +177,29 @@ class Pusher final : public RingPusher, private Evictor {
     return loan;
   }
 
-  [[gnu::hot]] Status push_unique(detail::ControlCell* cell,
+  [[gnu::hot]] Status push_unique(detail::ControlBlock* control,
                                   std::chrono::nanoseconds block_for) override {
-    check(cell);
-    if (cell->hub != participant_->hub() || participant_->was_received(*cell)) {
-      return push_of_others(cell, block_for);
+    check(control);
+    if (control->hub != participant_->hub() || participant_->was_received(*control)) {
+      return push_of_others(control, block_for);
     }
-    if (!type_->plain) participant_->holder().complete(cell->block);
+    if (!type_->plain) participant_->holder().complete(control->block);
     std::unique_lock lock(pool_.lock());
-    mutex_engine::Alone alone(queue_lock_);
-    if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
+    mutex_engine::QueueGuard queue_guard(queue_lock_);
+    if (!writer_->room() && !wait_for_room(lock, queue_guard, block_for)) return Status::Full;
     make_room();
-    HardwareOwnership::hand_to_ring(cell->hold);
-    if (!type_->plain) participant_->holder().freeze_references(cell->block);
-    publish(lock, alone, cell->block);
+    HardwareOwnership::hand_to_ring(control->hold);
+    if (!type_->plain) participant_->holder().freeze_references(control->block);
+    publish(lock, queue_guard, control->block);
     return Status::Ok;
   }
 
-  [[gnu::hot]] Status push_shared(const detail::ControlCell* cell, const void* object,
+  [[gnu::hot]] Status push_shared(const detail::ControlBlock* control, const void* object,
                                   std::chrono::nanoseconds block_for) override {
-    check(cell);
-    if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
-    if (!is_whole(*cell, object)) refuse_part(*cell, object);
-    return push_held(cell, block_for, true);
+    check(control);
+    if (!participant_->same_segment(*control)) refuse_elsewhere(*control);
+    if (!is_whole(*control, object)) refuse_part(*control, object);
+    return push_held(control, block_for, true);
   }
 
   std::size_t readers() override {
@@ -219,8 +220,8 @@ class Pusher final : public RingPusher, private Evictor {
 
   Held hold() override { return {std::unique_lock(pool_.lock()), *writer_}; }
 
-  bool accepts(const detail::ControlCell& cell, const void* object) const override {
-    return participant_->same_segment(cell) && is_whole(cell, object);
+  bool accepts(const detail::ControlBlock& control, const void* object) const override {
+    return participant_->same_segment(control) && is_whole(control, object);
   }
 
   const segment::Ring& ring() const noexcept override { return writer_->ring(); }
@@ -233,7 +234,7 @@ class Pusher final : public RingPusher, private Evictor {
       blocks.reserve(count);
       for (std::size_t i = 0; i < count; ++i) {
         const detail::Loan loan = this->loan(nothing, true);
-        blocks.push_back(loan.cell->block);
+        blocks.push_back(loan.control->block);
         touch(loan.arena->allocate(bytes, 64), bytes);
       }
     } catch (...) {
@@ -271,7 +272,7 @@ class Pusher final : public RingPusher, private Evictor {
   }
   void take_back_read_locked() noexcept {
     {
-      const mutex_engine::Alone alone(queue_lock_, std::nothrow);
+      const mutex_engine::QueueGuard queue_guard(queue_lock_, std::nothrow);
       const bool guarded = writer_->ring().guarded();
       writer_->take_back(history_, [&](ring::Word b) {  // room_to_retire() has made room
         if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), guarded);
@@ -297,50 +298,51 @@ class Pusher final : public RingPusher, private Evictor {
 
   /// Takes back a block in which no message could be built.
   void take_back(std::uint32_t b) noexcept {
-    participant_->holder().cell(b).type = nullptr;
+    participant_->holder().control(b).type = nullptr;
     pool_.give_back(b);
   }
 
-  void check(const detail::ControlCell* cell) const {
+  void check(const detail::ControlBlock* control) const {
     participant_->check_usable();
-    if (cell == nullptr) {
+    if (control == nullptr) {
       throw Error(EINVAL, participant_->segment().path(), "an empty pointer was pushed",
                   "loan() a message, or look at the pointer before");
     }
   }
 
   /// Publishes a message that another copy of the library has made, or that was taken from a queue.
-  [[gnu::noinline]] Status push_of_others(detail::ControlCell* cell,
+  [[gnu::noinline]] Status push_of_others(detail::ControlBlock* control,
                                           std::chrono::nanoseconds block_for) {
-    if (!participant_->same_segment(*cell)) refuse_elsewhere(*cell);
-    cell->hub->shared_from_unique(cell);  // its home writes down where its pieces are
-    const Status status = push_held(cell, block_for, false);
-    if (status == Status::Ok) cell->drop_pointer();
+    if (!participant_->same_segment(*control)) refuse_elsewhere(*control);
+    control->hub->shared_from_unique(control);  // its home writes down where its pieces are
+    const Status status = push_held(control, block_for, false);
+    if (status == Status::Ok) control->drop_pointer();
     return status;
   }
 
   /// Publishes a message that the caller keeps a pointer to. `shared`: other threads of this
   /// process may have pointers, too, and could make the message grow. REQUIRES: the message lies in
   /// this segment.
-  [[gnu::hot]] Status push_held(const detail::ControlCell* cell, std::chrono::nanoseconds block_for,
-                                bool shared) {
+  [[gnu::hot]] Status push_held(const detail::ControlBlock* control,
+                                std::chrono::nanoseconds block_for, bool shared) {
     // read before the locked operations
-    const bool was_received = participant_->was_received(*cell);
+    const bool was_received = participant_->was_received(*control);
     std::unique_lock lock(pool_.lock());
-    mutex_engine::Alone alone(queue_lock_);
-    if (!writer_->room() && !wait_for_room(lock, alone, block_for)) return Status::Full;
+    mutex_engine::QueueGuard queue_guard(queue_lock_);
+    if (!writer_->room() && !wait_for_room(lock, queue_guard, block_for)) return Status::Full;
     make_room();
-    participant_->holder().acquire(cell->block, hold::kRing);
+    participant_->holder().acquire(control->block, hold::kRing);
     if (!type_->plain) {
-      if (participant_->holder().is_home(cell->block)) participant_->holder().tell(cell->block);
-      if (shared) participant_->holder().freeze(*cell);
-      participant_->holder().freeze_references(cell->block);
+      if (participant_->holder().is_home(control->block))
+        participant_->holder().tell(control->block);
+      if (shared) participant_->holder().freeze(*control);
+      participant_->holder().freeze_references(control->block);
     }
     // After freeze(), which looks whether the message was handed over.
     if (was_received && !writer_->ring().taken) {
-      participant_->segment().arena(cell->block).show();
+      participant_->segment().arena(control->block).show();
     }
-    publish(lock, alone, cell->block);
+    publish(lock, queue_guard, control->block);
     return Status::Ok;
   }
 
@@ -348,46 +350,48 @@ class Pusher final : public RingPusher, private Evictor {
   /// the topic's type. The type of a message is known where its home is in this process. Elsewhere
   /// it is enough that a T fits where the message begins. REQUIRES: the message lies in this
   /// segment.
-  bool is_whole(const detail::ControlCell& cell, const void* object) const {
+  bool is_whole(const detail::ControlBlock& control, const void* object) const {
     segment::Segment& s = participant_->segment();
     const bool is_small = segment::is_small(*type_);
     const std::uint64_t root =
-        is_small ? s.offset_of(s.small(cell.block)) : s.arena(cell.block).root;
-    const bool ours = cell.hub == participant_->hub();
-    const unsigned char* const base = ours ? s.base() : cell.hub->base(&cell);
+        is_small ? s.offset_of(s.small(control.block)) : s.arena(control.block).root;
+    const bool ours = control.hub == participant_->hub();
+    const unsigned char* const base = ours ? s.base() : control.hub->base(&control);
     if (object != base + root) return false;
     // Relaxed: the caller has a pointer, so the block stays at home.
-    if ((cell.hold.load(std::memory_order_relaxed) & hold::kHome) != 0 && cell.type != nullptr) {
-      return cell.type == type_ || detail::is_same(*cell.type, *type_);
+    if ((control.hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
+        control.type != nullptr) {
+      return control.type == type_ || detail::is_same(*control.type, *type_);
     }
-    return is_small || s.holds(cell.block, root, type_->size);
+    return is_small || s.holds(control.block, root, type_->size);
   }
 
-  [[noreturn, gnu::cold]] void refuse_elsewhere(const detail::ControlCell& cell) const {
+  [[noreturn, gnu::cold]] void refuse_elsewhere(const detail::ControlBlock& control) const {
     throw Error(EINVAL, participant_->segment().path(),
-                std::string("the message lies in another segment, ") + cell.hub->path(&cell),
+                std::string("the message lies in another segment, ") + control.hub->path(&control),
                 "copy it into a loan()");
   }
 
-  [[noreturn, gnu::cold]] void refuse_part(const detail::ControlCell& cell,
+  [[noreturn, gnu::cold]] void refuse_part(const detail::ControlBlock& control,
                                            const void* object) const {
     const segment::Segment& s = participant_->segment();
-    const auto* base = cell.hub->base(&cell);
+    const auto* base = control.hub->base(&control);
     const auto offset =
         static_cast<std::uint64_t>(static_cast<const unsigned char*>(object) - base);
     // Relaxed: as in is_whole().
-    const bool home = (cell.hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
+    const bool home = (control.hold.load(std::memory_order_relaxed) & hold::kHome) != 0;
     std::string what = "the pointer that was pushed points to ";
     if (object == nullptr) {
       what += "nothing, though it holds a message";
-    } else if (!s.holds(cell.block, offset, 1)) {
+    } else if (!s.holds(control.block, offset, 1)) {
       what += "memory outside of the message that it holds";
-    } else if (offset != s.arena(cell.block).root) {
+    } else if (offset != s.arena(control.block).root) {
       what += "a part of a message";
     } else {
       what += "the beginning of a message of another type";
     }
-    if (home && cell.type != nullptr) what += std::string(" (of type ") + cell.type->name + ")";
+    if (home && control.type != nullptr)
+      what += std::string(" (of type ") + control.type->name + ")";
     throw Error(EINVAL, s.path(), what + "; readers get whole messages of type " + type_->name,
                 "push the pointer to the whole message, or copy the object into a loan()");
   }
@@ -470,7 +474,7 @@ class Pusher final : public RingPusher, private Evictor {
   template <class May>
   bool evict_own(May&& may) noexcept {
     if (!writer_) return false;
-    const mutex_engine::Alone alone(queue_lock_, std::nothrow);
+    const mutex_engine::QueueGuard queue_guard(queue_lock_, std::nothrow);
     const ring::Word b = writer_->evict_oldest(may);
     if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
     scan();
@@ -495,14 +499,14 @@ class Pusher final : public RingPusher, private Evictor {
 
   /// Publishes, wakes readers, and retires what was overwritten. Called with both locks held. It
   /// returns without them.
-  [[gnu::hot]] void publish(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
-                            std::uint32_t b) {
+  [[gnu::hot]] void publish(std::unique_lock<BiasedLock>& lock,
+                            mutex_engine::QueueGuard& queue_guard, std::uint32_t b) {
     const bool guarded = writer_->ring().guarded();
     if (guarded) note_fit(fit(b));  // before publishing, since a reader that takes it may change it
     // Relaxed: publishing carries it (R1).
     if (writer_->ring().taken) participant_->holder().queued(b).store(1, std::memory_order_relaxed);
     const auto published = writer_->publish(b);
-    alone.unlock();
+    queue_guard.unlock();
     // Wakes first: after a pause, all that is read here is out of the caches, and the sleeper would
     // wait for it.
     if (published.wake) {
@@ -570,7 +574,7 @@ class Pusher final : public RingPusher, private Evictor {
 
   /// How many messages like this one a batch may hold, at least one.
   std::size_t fit(std::uint32_t b) const {
-    const detail::MessageType* type = participant_->holder().cell(b).type;
+    const detail::MessageType* type = participant_->holder().control(b).type;
     if (type != nullptr && type->plain && type->size <= segment::kSmallBytes) return kBatchedBytes;
     const detail::Arena& arena = participant_->segment().arena(b);
     if (arena.references != 0) return 1;  // the messages that it refers to may be big
@@ -598,10 +602,10 @@ class Pusher final : public RingPusher, private Evictor {
   /// Waits until the slowest reader has read, or died. A reader that is at work makes room within
   /// microseconds. Where that has been so, the sender spins first. Called with both locks held. It
   /// returns with both.
-  bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone,
+  bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::QueueGuard& queue_guard,
                      std::chrono::nanoseconds block_for) {
     if (!waits_) return false;
-    ForRoom room(*this, lock, alone);
+    ForRoom room(*this, lock, queue_guard);
     return waiting::wait(room, detail::after(std::max(block_for, 0ns)));
   }
 
@@ -620,8 +624,9 @@ class Pusher final : public RingPusher, private Evictor {
 
   /// How a push waits for room in the ring. Meanwhile it has no lock.
   struct ForRoom : waiting::Steps<ForRoom> {
-    ForRoom(Pusher& pusher, std::unique_lock<BiasedLock>& lock, mutex_engine::Alone& alone)
-        : pusher_(pusher), lock_(lock), alone_(alone) {}
+    ForRoom(Pusher& pusher, std::unique_lock<BiasedLock>& lock,
+            mutex_engine::QueueGuard& queue_guard)
+        : pusher_(pusher), lock_(lock), queue_guard_(queue_guard) {}
     bool look() { return pusher_.writer_->room(); }
     waiting::SpinHabit* spins() noexcept { return &pusher_.habit_; }
     /// A reader on the same core makes room then, and need not wake this thread.
@@ -645,12 +650,12 @@ class Pusher final : public RingPusher, private Evictor {
       return {{{writer.ring().space, *value}, futex::Clock::now() + kLookPeriod}};
     }
     void unlock() noexcept {
-      alone_.unlock();
+      queue_guard_.unlock();
       lock_.unlock();
     }
     void lock() {
       lock_.lock();
-      alone_.lock();
+      queue_guard_.lock();
     }
     void before_sleep() {
       for (const std::uint32_t k : laggards_) pusher_.participant_->reaper().reap_if_dead(k);
@@ -665,7 +670,7 @@ class Pusher final : public RingPusher, private Evictor {
 
     Pusher& pusher_;
     std::unique_lock<BiasedLock>& lock_;
-    mutex_engine::Alone& alone_;
+    mutex_engine::QueueGuard& queue_guard_;
     unsigned sleeps_ = 0;
     std::vector<std::uint32_t> laggards_;  ///< slow readers that may be dead
   };
@@ -807,7 +812,7 @@ class Pusher final : public RingPusher, private Evictor {
   bool is_in_ring_only(std::uint32_t b) const noexcept {
     const Holder& holder = participant_->holder();
     // Relaxed, here and below: a hint. The pool looks again before the message dies.
-    const std::uint64_t word = holder.cell(b).hold.load(std::memory_order_relaxed);
+    const std::uint64_t word = holder.control(b).hold.load(std::memory_order_relaxed);
     if ((word & hold::kHome) == 0 || hold::pointers(word) != 0 || seen_[b] == scan_) return false;
     for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
       // Relaxed: as above.
@@ -853,7 +858,7 @@ class Pusher final : public RingPusher, private Evictor {
     const Holder& holder = participant_->holder();
     const std::uint64_t places =
         // Relaxed: a hint, as in is_in_ring_only().
-        holder.cell(b).hold.load(std::memory_order_relaxed) & hold::kRingMask;
+        holder.control(b).hold.load(std::memory_order_relaxed) & hold::kRingMask;
     return is_in_ring_only(b) && places == holder.leaving[b] * hold::kRing;
   }
 

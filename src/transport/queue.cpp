@@ -45,12 +45,12 @@ class Queue final : public detail::QueueCore {
 
   detail::Loan loan(const detail::MessageType& type) override { return pusher().loan(type, true); }
 
-  Status put_unique(detail::ControlCell* cell, Clock::time_point deadline) override {
-    return pusher().push_unique(cell, until(deadline));
+  Status put_unique(detail::ControlBlock* control, Clock::time_point deadline) override {
+    return pusher().push_unique(control, until(deadline));
   }
-  Status put_shared(const detail::ControlCell* cell, const void* object,
+  Status put_shared(const detail::ControlBlock* control, const void* object,
                     Clock::time_point deadline) override {
-    return pusher().push_shared(cell, object, until(deadline));
+    return pusher().push_shared(control, object, until(deadline));
   }
 
   bool take(detail::Claim& claim, Wait wait, Clock::time_point deadline) override {
@@ -68,7 +68,7 @@ class Queue final : public detail::QueueCore {
       const std::lock_guard guard(mutex_);
       puller_->finish(claim);
     }
-    claim.item.cell->drop_pointer();
+    claim.item.control->drop_pointer();
   }
   void give_back(const detail::Claim& claim) noexcept override {
     if (participant_->inert()) return;
@@ -76,7 +76,7 @@ class Queue final : public detail::QueueCore {
       const std::lock_guard guard(mutex_);
       puller_->give_back(claim);
     }
-    claim.item.cell->drop_pointer();
+    claim.item.control->drop_pointer();
   }
 
   bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline,
@@ -215,10 +215,10 @@ class Queue final : public detail::QueueCore {
   /// handle can get it.
   void put_back(const detail::Borrowed& item) noexcept {
     try {
-      if (pusher().push_unique(item.cell, 0ns) == Status::Ok) return;
+      if (pusher().push_unique(item.control, 0ns) == Status::Ok) return;
     } catch (const std::exception&) {  // no memory, or no room for another ring
     }
-    item.cell->drop_pointer();
+    item.control->drop_pointer();
   }
 
   static std::chrono::nanoseconds until(Clock::time_point deadline) {

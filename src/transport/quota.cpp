@@ -136,9 +136,10 @@ bool Quota::is_held(const Note& note) const noexcept {
 
 bool Quota::has_pointers(std::uint32_t block) const noexcept {
   // Relaxed: a hint, and what it misses the next look sees.
-  const std::uint64_t word = holder_.cell(block).hold.load(std::memory_order_relaxed);
-  // At the edge a thread takes the first hold or lets go of the last: the next look will see it.
-  return (word & hold::kEdge) != 0 || hold::pointers(word) != 0;
+  const std::uint64_t word = holder_.control(block).hold.load(std::memory_order_relaxed);
+  // While the word is busy a thread takes the first hold or lets go of the last: the next look will
+  // see it.
+  return (word & hold::kBusy) != 0 || hold::pointers(word) != 0;
 }
 
 bool Quota::leaves_enough() {

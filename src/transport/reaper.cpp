@@ -19,7 +19,8 @@ constexpr auto kOrphanageLook = 100us;
 
 /// False: another process has acted for the orphanage all the time.
 bool Reaper::repair_index(futex::Clock::time_point until) noexcept {
-  if (world_.part(index()).load(std::memory_order_acquire) == 0) return true;  // edge "state"
+  if (world_.participant_state(index()).load(std::memory_order_acquire) == 0)
+    return true;  // edge "state"
   while (!enter_orphanage()) {
     if (futex::Clock::now() >= until) return false;
     std::this_thread::sleep_for(1ms);
@@ -28,7 +29,8 @@ bool Reaper::repair_index(futex::Clock::time_point until) noexcept {
   try {
     // A reaper with another lock file may have repaired the index meanwhile. Acquire:
     // edge "state".
-    if (world_.part(index()).load(std::memory_order_acquire) != 0) Recovery(world_).reap(index());
+    if (world_.participant_state(index()).load(std::memory_order_acquire) != 0)
+      Recovery(world_).reap(index());
   } catch (const std::bad_alloc&) {  // as if killed here
     repaired = false;
   }
@@ -99,11 +101,12 @@ bool Reaper::reap_if_dead(std::uint32_t k) noexcept {
   if (!guard || !lock_file_.intact() || !lock_file_.try_lock(k)) return false;
   bool done = false;
   // Acquire: edge "state".
-  if (world_.part(k).load(std::memory_order_acquire) != 0 && presence_.judge(k) &&
+  if (world_.participant_state(k).load(std::memory_order_acquire) != 0 && presence_.judge(k) &&
       enter_orphanage()) {
     // Once more: another reaper, with another lock file, may have been faster, and a new process
     // may have taken k.
-    if (world_.part(k).load(std::memory_order_acquire) != 0 && presence_.is_judged(k)) {
+    if (world_.participant_state(k).load(std::memory_order_acquire) != 0 &&
+        presence_.is_judged(k)) {
       try {
         done = Recovery(world_).reap(k);
       } catch (const std::bad_alloc&) {  // as if killed here: the next look does it all again
@@ -120,7 +123,7 @@ bool Reaper::reap_dead() noexcept {
   bool done = false;
   for (std::uint32_t k = 1; k < world_.participants(); ++k) {
     // Acquire: edge "state".
-    if (k != index() && world_.part(k).load(std::memory_order_acquire) != 0 &&
+    if (k != index() && world_.participant_state(k).load(std::memory_order_acquire) != 0 &&
         presence_.looks_dead(k)) {
       done |= reap_if_dead(k);
     }

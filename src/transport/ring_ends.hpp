@@ -33,7 +33,7 @@ class RingPusher : public detail::PusherCore {
   virtual Held hold() = 0;
   /// False when push_shared() would refuse the message: it lies in another segment, or `object` is
   /// not the message itself.
-  virtual bool accepts(const detail::ControlCell& cell, const void* object) const = 0;
+  virtual bool accepts(const detail::ControlBlock& control, const void* object) const = 0;
   /// Both REQUIRE that the pusher has a topic.
   virtual const segment::Ring& ring() const noexcept = 0;
   virtual std::uint32_t topic() const noexcept = 0;
@@ -45,8 +45,8 @@ struct alignas(64) Source {
   registry::ChannelName name;
   mutex_engine::QueueLock lock;
   std::string publisher;  ///< the name of its process
-  struct Turn : mutex_engine::Alone {
-    explicit Turn(const Source& source) : Alone(source.lock) {}
+  struct Turn : mutex_engine::QueueGuard {
+    explicit Turn(const Source& source) : QueueGuard(source.lock) {}
   };
 };
 

@@ -86,7 +86,7 @@ bool Stock::holds_pointers() noexcept {
   }
   for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) {
     // seq_cst: see Lifetime.
-    if (hold::pointers(holder_.cells[b].hold.load(std::memory_order_seq_cst)) != 0) return true;
+    if (hold::pointers(holder_.controls[b].hold.load(std::memory_order_seq_cst)) != 0) return true;
   }
   return false;
 }

@@ -192,12 +192,12 @@ bool Warden::look_around() noexcept {
   const auto now = futex::Clock::now();
   const bool due = now - looked_ >= kIdleLook;
   const bool has_lock = reaper_.keep_own_lock(no_fork_);
-  const std::uint32_t bequests =
-      segment_.directory().bequests.load(std::memory_order_acquire);  // D3
-  if (reaper_.reap_dead() || (due && (orphans_ || bequests != bequests_)) ||
+  const std::uint32_t adoptions =
+      segment_.directory().adoptions.load(std::memory_order_acquire);  // D3
+  if (reaper_.reap_dead() || (due && (orphans_ || adoptions != adoptions_)) ||
       reaper_.has_deserted_ring()) {
     orphans_ = reaper_.collect();
-    bequests_ = bequests;
+    adoptions_ = adoptions;
   }
   const bool closed = rings_.finish_closing();
   if (due) {
@@ -220,7 +220,9 @@ bool Warden::watch_others() noexcept {
   for (std::uint32_t n = 1; n < world_.participants(); ++n) {
     const std::uint32_t k = (index() + n) % world_.participants();
     // Acquire: edge "state".
-    if (k == refcount::kOrphanage || world_.part(k).load(std::memory_order_acquire) == 0) continue;
+    if (k == refcount::kOrphanage ||
+        world_.participant_state(k).load(std::memory_order_acquire) == 0)
+      continue;
     const detail::FutexWait notice = presence_.watch(k);
     if (notice.value == liveness::seat::kUnwitnessed) continue;
     if (!liveness::seat::stands(notice.value)) {

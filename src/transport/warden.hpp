@@ -93,7 +93,7 @@ class Warden {
   std::vector<detail::FutexWait> watched_;  ///< what it sleeps on
   futex::Clock::time_point looked_;  ///< its last look for what no errand and no notice tells it
   bool orphans_ = true;              ///< the last search found orphans, or there was no search yet
-  std::uint32_t bequests_ = 0;       ///< Directory::bequests before the last search
+  std::uint32_t adoptions_ = 0;      ///< Directory::adoptions before the last search
 };
 
 }  // namespace lot::transport

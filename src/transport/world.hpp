@@ -27,7 +27,7 @@ class World {
       : segment_(segment), registry_(registry) {}
 
   std::uint32_t participants() const noexcept { return segment_.capacity().participants; }
-  std::atomic<std::uint32_t>& part(std::uint32_t k) const noexcept {
+  std::atomic<std::uint32_t>& participant_state(std::uint32_t k) const noexcept {
     return segment_.participants()[k].state;
   }
   /// The name that participant k has given itself, at most kNameBytes - 1 bytes of it.

@@ -87,7 +87,7 @@ TEST_CASE_FIXTURE(Block, "a claimed block is exclusively ours: one pointer, one 
   CHECK(home.holds(words));
   CHECK(hold::pointers(home.word.load()) == 1);
   CHECK((home.word.load() & hold::kHome) != 0);
-  CHECK((home.word.load() & hold::kEdge) == 0);
+  CHECK((home.word.load() & hold::kBusy) == 0);
 }
 
 TEST_CASE_FIXTURE(Block, "a block that a process owns cannot be claimed") {
@@ -195,7 +195,7 @@ TEST_CASE_FIXTURE(Block, "a block that others still hold is reclaimed once they 
   other.release(words);
   CHECK_FALSE(home.reclaim(words, 0));
   CHECK((home.word.load() & hold::kHolds) == 0);
-  CHECK((home.word.load() & hold::kEdge) == 0);
+  CHECK((home.word.load() & hold::kBusy) == 0);
   far.release(words);
   CHECK(home.reclaim(words, 0));
   CHECK(generation() == 1);
@@ -365,15 +365,15 @@ TEST_CASE_FIXTURE(Block, "a late reclaim leaves a block alone that was given bac
 TEST_CASE("the edge names its thread and leaves home and held readable") {
   const std::uint64_t word = hold::kHome | hold::kHeld | hold::tag_of(0x1fff) | hold::kRing;
   for (const std::uint32_t thread : {1U, 4711U, (1U << 22) - 1}) {
-    const std::uint64_t edge = hold::edge_of(word, thread);
-    CHECK(hold::edge_thread(edge) == thread);
-    CHECK((edge & (hold::kEdge | hold::kHome | hold::kHeld)) ==
-          (hold::kEdge | hold::kHome | hold::kHeld));
-    CHECK(hold::pointers(edge) == 0);
+    const std::uint64_t busy = hold::busy_word(word, thread);
+    CHECK(hold::busy_thread(busy) == thread);
+    CHECK((busy & (hold::kBusy | hold::kHome | hold::kHeld)) ==
+          (hold::kBusy | hold::kHome | hold::kHeld));
+    CHECK(hold::pointers(busy) == 0);
   }
 }
 
-TEST_CASE_FIXTURE(Block, "a thread that waits for the edge lends its owner priority") {
+TEST_CASE_FIXTURE(Block, "a thread that waits for a busy hold word lends its owner priority") {
   if (const char* reason = lot::test::LentPriority::lacking()) {
     MESSAGE("skipped: " << std::string(reason));
     return;
@@ -383,7 +383,7 @@ TEST_CASE_FIXTURE(Block, "a thread that waits for the edge lends its owner prior
   std::uint64_t before = 0;
   const auto enter = [&](Participant& p) {
     before = p.word.load();
-    lot::test::raw(p.word) = hold::edge_of(before, HardwareAtomics::this_thread());
+    lot::test::raw(p.word) = hold::busy_word(before, HardwareAtomics::this_thread());
   };
   const auto leave = [&](Participant& p) {
     lot::test::raw(p.word).store(before, std::memory_order_release);

@@ -55,7 +55,7 @@ struct Fixture {
     auto letter = lot::detail::build<Letter>(by.loan(type, true));
     letter->number = number;
     const lot::ShmSharedPtr<const Letter> shared(std::move(letter));
-    REQUIRE(by.push_shared(lot::detail::PointerAccess::cell(shared), shared.get(), 0ns) ==
+    REQUIRE(by.push_shared(lot::detail::PointerAccess::control(shared), shared.get(), 0ns) ==
             lot::Status::Ok);
   }
 };

@@ -68,7 +68,7 @@ class Desk {
       puller_.reset();
     } else if (what == "loan" && pusher_) {
       auto message = pusher_->loan();
-      letter_of(*message).block = detail::PointerAccess::cell(message)->block;
+      letter_of(*message).block = detail::PointerAccess::control(message)->block;
       loans_.push_back(std::move(message));
     } else if (what == "drop" && !loans_.empty()) {
       loans_.erase(loans_.begin() + static_cast<std::ptrdiff_t>(number % loans_.size()));

@@ -377,14 +377,14 @@ TEST_CASE("a message that is kept while the others are weighed is not given up t
   const auto probe = rear.loan();
   lot::transport::Participant& p = *lot::transport::Participant::at(probe.get());
   lot::transport::Holder& holder = p.holder();
-  const std::uint32_t asker = holder.cell(block_of(p, probe.get())).pool.load();
+  const std::uint32_t asker = holder.control(block_of(p, probe.get())).pool.load();
   Meddler meddler;
   p.eviction().add(meddler);
   auto reader = place.engine.subscribe<Frame>("front", latched(8));
   lot::ShmSharedPtr<const Frame> oldest;
   const auto evict = [&] {
     return p.eviction().evict(asker, kMiB, lot::transport::Shortage::Memory, {}).what ==
-           lot::transport::Eviction::Turn::What::Given;
+           lot::transport::Eviction::Step::What::Given;
   };
   const auto numbers = [&] {
     std::vector<int> all;

@@ -14,7 +14,7 @@
 
 #include "support/local_segment.hpp"
 #include "transport/ahead.hpp"
-#include "transport/cells.hpp"
+#include "transport/control_blocks.hpp"
 #include "transport/idle_look.hpp"
 #include "transport/warden_thread.hpp"
 
@@ -33,7 +33,7 @@ struct Alone {
   Alone() {
     holder.segment = &local.segment();
     holder.own = lot::transport::HardwareOwnership(kSelf);
-    holder.cells = cells.all();
+    holder.controls = cells.all();
     holder.make_tables(kBlocks);
   }
 
@@ -63,7 +63,7 @@ struct Alone {
 
   LocalSegment local{{16 << 20, 3, kBlocks, 1, 4, 2}};
   lot::detail::Hub hub{};
-  lot::transport::Cells cells{kBlocks, hub};
+  lot::transport::ControlBlocks cells{kBlocks, hub};
   lot::transport::Holder holder;
   lot::transport::WardenThread warden;
   lot::transport::Ahead ahead{local.segment(), warden};

@@ -10,34 +10,34 @@
 
 namespace lot::detail {
 
-struct ControlCell;
+struct ControlBlock;
 
 /// What a pointer needs of the copy of the library that made it. The pointer itself leads to it. So
 /// code that was linked with another copy can release the pointer.
 struct Hub {
   /// Drops what is most likely the last pointer of this process.
-  void (*drop_last)(ControlCell*) noexcept;
+  void (*drop_last)(ControlBlock*) noexcept;
   /// A unique pointer gives up a message that was never shared.
-  void (*abandoned)(ControlCell*) noexcept;
+  void (*abandoned)(ControlBlock*) noexcept;
   /// Takes a pointer hold on a block that is protected.
-  void (*acquire)(ControlCell*) noexcept;
-  bool (*lock_weak)(ControlCell*, std::uint32_t generation) noexcept;
-  std::uint32_t (*generation)(const ControlCell*) noexcept;
-  std::size_t (*others)(const ControlCell*) noexcept;  ///< other processes that hold the block
-  void (*weak_count)(ControlCell*, int change) noexcept;
+  void (*acquire)(ControlBlock*) noexcept;
+  bool (*lock_weak)(ControlBlock*, std::uint32_t generation) noexcept;
+  std::uint32_t (*generation)(const ControlBlock*) noexcept;
+  std::size_t (*others)(const ControlBlock*) noexcept;  ///< other processes that hold the block
+  void (*weak_count)(ControlBlock*, int change) noexcept;
   /// Turns a unique pointer, whose message no reader has, into a shared one.
-  void (*shared_from_unique)(ControlCell*) noexcept;
+  void (*shared_from_unique)(ControlBlock*) noexcept;
   /// Notes that pointers of this process have the message.
-  void (*points)(ControlCell*) noexcept;
-  const char* (*path)(const ControlCell*) noexcept;  ///< path of the segment
+  void (*points)(ControlBlock*) noexcept;
+  const char* (*path)(const ControlBlock*) noexcept;  ///< path of the segment
   /// Tells the segment from earlier and later ones of its name.
-  std::uint64_t (*instance)(const ControlCell*) noexcept;
+  std::uint64_t (*instance)(const ControlBlock*) noexcept;
   /// True when the message of a weak pointer has died, or this process has left the segment.
-  bool (*expired)(const ControlCell*, std::uint32_t generation) noexcept;
+  bool (*expired)(const ControlBlock*, std::uint32_t generation) noexcept;
   /// True when there is one pointer to the message, and no queue, reader or other process has it.
-  bool (*alone)(const ControlCell*) noexcept;
+  bool (*alone)(const ControlBlock*) noexcept;
   /// Where that copy of the library has mapped the segment.
-  const unsigned char* (*base)(const ControlCell*) noexcept;
+  const unsigned char* (*base)(const ControlBlock*) noexcept;
 };
 
 /// How the library handles a message without knowing its type.
@@ -61,22 +61,22 @@ inline bool is_same(const MessageType& a, const MessageType& b) noexcept {
 /// the block.
 ///
 /// Memory:  private to the process; lives as long as its participant.
-struct alignas(32) ControlCell {
+struct alignas(32) ControlBlock {
   HoldWord<std::atomic<std::uint64_t>> hold;
   const Hub* hub;
   const MessageType* type;  ///< set while this process is the home of the block
   std::uint32_t block;
   /// Index of the pool that has the block, while this process is the home. The thread that claims
   /// the block writes it. A thread that comes late with an older message may read it
-  /// (Pool::came_home).
+  /// (Pool::last_hold_gone).
   std::atomic<std::uint32_t> pool;
 
   /// Counts one pointer less. The hub drops the last pointer. Afterwards the hub, and with it this
-  /// cell, may be gone.
+  /// control block, may be gone.
   void drop_pointer() noexcept {
     if (!hold.drop_pointer_of_several()) hub->drop_last(this);
   }
 };
-static_assert(sizeof(ControlCell) == 32);
+static_assert(sizeof(ControlBlock) == 32);
 
 }  // namespace lot::detail

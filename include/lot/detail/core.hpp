@@ -34,14 +34,14 @@ inline Clock::time_point after(std::chrono::nanoseconds timeout) {
 
 /// Where the publisher builds a message.
 struct Loan {
-  ControlCell* cell = nullptr;  ///< null: out of memory
+  ControlBlock* control = nullptr;  ///< null: out of memory
   void* root = nullptr;
   Arena* arena = nullptr;
 };
 
 /// A message that is borrowed. The reader may read it until the borrow ends.
 struct Borrowed {
-  ControlCell* cell = nullptr;  ///< null: there is no message
+  ControlBlock* control = nullptr;  ///< null: there is no message
   const void* root = nullptr;
   /// How many messages this reader lost just before this one. Without a message: how many since its
   /// last look.
@@ -69,10 +69,10 @@ class PusherCore {
   virtual ~PusherCore() = default;
   virtual Loan loan(const MessageType& type, bool or_throw) = 0;
   /// Publishes a unique message. On Status::Full the caller keeps it.
-  virtual Status push_unique(ControlCell* cell, std::chrono::nanoseconds block_for) = 0;
+  virtual Status push_unique(ControlBlock* control, std::chrono::nanoseconds block_for) = 0;
   /// Publishes a shared message. The caller keeps its pointer, which is to `object`. Throws
   /// lot::Error when `object` is not the message itself. The message can not grow from then on.
-  virtual Status push_shared(const ControlCell* cell, const void* object,
+  virtual Status push_shared(const ControlBlock* control, const void* object,
                              std::chrono::nanoseconds block_for) = 0;
   virtual std::size_t readers() = 0;
   virtual bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) = 0;
@@ -89,7 +89,7 @@ class PullerCore {
   virtual void done() noexcept = 0;
   /// Takes a pointer hold on the borrowed message. Throws as refuse_to_hold() when the quota is
   /// full.
-  virtual ControlCell* keep() = 0;
+  virtual ControlBlock* keep() = 0;
   /// Throws what Status::HoldsTooMuch means: lot::Error, EDQUOT.
   [[noreturn]] virtual void refuse_to_hold() const = 0;
   /// borrow, keep and done in one.
@@ -134,8 +134,8 @@ class QueueCore {
  public:
   virtual ~QueueCore() = default;
   virtual Loan loan(const MessageType& type) = 0;
-  virtual Status put_unique(ControlCell* cell, Clock::time_point deadline) = 0;
-  virtual Status put_shared(const ControlCell* cell, const void* object,
+  virtual Status put_unique(ControlBlock* control, Clock::time_point deadline) = 0;
+  virtual Status put_shared(const ControlBlock* control, const void* object,
                             Clock::time_point deadline) = 0;
   enum class Wait { Never, Until, Forever };
   /// Takes an item to work on. False when none came in time.
@@ -172,17 +172,17 @@ std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> p
 /// The hold lasts until unrefer() is called as often, or the message dies. Returns the target's
 /// block. Throws lot::Error when the two are in different segments, when `object` is no part of the
 /// target, and when the message that is built belongs to another process or is published.
-std::uint32_t refer(Arena& arena, ControlCell* target, const void* object, std::size_t bytes);
+std::uint32_t refer(Arena& arena, ControlBlock* target, const void* object, std::size_t bytes);
 /// Takes one refer() back. Does nothing if the message is not being built any more: its references
 /// end when it dies.
 void unrefer(Arena& arena, std::uint32_t block) noexcept;
-/// The cell of what a reference refers to, in the participant that has mapped the reference. Null
-/// when the reference lies in private memory, which no participant has mapped. Throws lot::Error
-/// when no participant has mapped the message that the reference is in, and when the reference is
-/// damaged: the target must lie in the same segment.
-ControlCell* cell_of(const void* reference, bool in_message, std::uint32_t block,
-                     const void* target, std::size_t bytes);
-/// Takes another pointer hold on a block that the caller protects. Returns the cell.
-ControlCell* acquire_block(ControlCell* cell);
+/// The control block of what a reference refers to, in the participant that has mapped the
+/// reference. Null when the reference lies in private memory, which no participant has mapped.
+/// Throws lot::Error when no participant has mapped the message that the reference is in, and when
+/// the reference is damaged: the target must lie in the same segment.
+ControlBlock* control_of(const void* reference, bool in_message, std::uint32_t block,
+                         const void* target, std::size_t bytes);
+/// Takes another pointer hold on a block that the caller protects. Returns the control block.
+ControlBlock* acquire_block(ControlBlock* control);
 
 }  // namespace lot::detail

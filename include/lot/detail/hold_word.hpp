@@ -19,7 +19,7 @@ namespace lot::detail {
 ///
 ///     63           36 35        16 15     3  2    1    0
 ///    +---------------+------------+---------+----+----+----+
-///    | pointers : 28 | rings : 20 | tag: 13 |home|held|edge|
+///    | pointers : 28 | rings : 20 | tag: 13 |home|held|busy|
 ///    +---------------+------------+---------+----+----+----+
 ///
 ///  - pointers: ShmSharedPtr, ShmUniquePtr (and the pool, for a block that is ready to be loaned)
@@ -28,9 +28,9 @@ namespace lot::detail {
 ///              lock's compare-and-swap fail on a block that has died meanwhile
 ///  - home:     this process owns the block's memory
 ///  - held:     our ownership bit stands in the shared word
-///  - edge:     a thread is moving the ownership bit; the others wait for it
+///  - busy:     a thread is moving the ownership bit; the others wait for it
 ///
-/// While a thread has the edge, the word names that thread, so that a waiter can lend it its
+/// While a thread has the word busy, the word names that thread, so that a waiter can lend it its
 /// priority:
 ///
 ///     63                        25 24     3    2    1    0
@@ -38,13 +38,13 @@ namespace lot::detail {
 ///    |             0              | thread |home|held|  1 |
 ///    +----------------------------+--------+----+----+----+
 ///
-/// A thread takes the edge when this process has no holds on the block, or only the one ring's hold
-/// that the thread itself gives up. A plain store ends the edge. So meanwhile no other thread may
+/// A thread makes the word busy when this process has no holds on the block, or only the one ring's
+/// hold that the thread itself gives up. A plain store ends that. So meanwhile no other thread may
 /// add to the word or subtract from it blindly. Only a thread with a hold of its own does that, and
-/// while it has that hold no thread can take the edge. `home` and `held` stay readable at any time,
-/// and pointers() is 0.
+/// while it has that hold no thread can make the word busy. `home` and `held` stay readable at any
+/// time, and pointers() is 0.
 namespace hold {
-inline constexpr std::uint64_t kEdge = 1;
+inline constexpr std::uint64_t kBusy = 1;
 inline constexpr std::uint64_t kHeld = 2;
 inline constexpr std::uint64_t kHome = 4;
 inline constexpr unsigned kTagShift = 3;
@@ -57,12 +57,12 @@ inline constexpr std::uint64_t kPointer = std::uint64_t{1} << 36;
 inline constexpr std::uint64_t kHolds = ~((std::uint64_t{1} << 16) - 1);  ///< rings and pointers
 
 constexpr std::uint64_t pointers(std::uint64_t word) { return word >> 36; }
-/// The word while `thread` has the edge. The kernel's thread ids are below 2^22.
-constexpr std::uint64_t edge_of(std::uint64_t word, std::uint32_t thread) {
-  return (word & (kHome | kHeld)) | kEdge | ((std::uint64_t{thread} << kThreadShift) & kThreadMask);
+/// The word while `thread` has it busy. The kernel's thread ids are below 2^22.
+constexpr std::uint64_t busy_word(std::uint64_t word, std::uint32_t thread) {
+  return (word & (kHome | kHeld)) | kBusy | ((std::uint64_t{thread} << kThreadShift) & kThreadMask);
 }
-/// The thread that has the edge. REQUIRES: the edge is taken.
-constexpr std::uint32_t edge_thread(std::uint64_t word) {
+/// The thread that has the word busy. REQUIRES: the word is busy.
+constexpr std::uint32_t busy_thread(std::uint64_t word) {
   return static_cast<std::uint32_t>((word & kThreadMask) >> kThreadShift);
 }
 constexpr std::uint64_t tag_of(std::uint32_t generation) {

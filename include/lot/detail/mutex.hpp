@@ -31,7 +31,7 @@ enum class Rank : unsigned char {
   Made,
   Known,
   Idle,
-  Door,
+  PeerNews,
   Loop,
   Intake,
   Immediate,
@@ -66,7 +66,7 @@ inline namespace LOT_LOCKS {
 constexpr const char* name_of(Rank rank) noexcept {
   constexpr const char* kNames[] = {
       "Camera", "Opening",    "Session",   "Advertising", "End",      "Outlet", "Inlet",
-      "Taken",  "Ring",       "News",      "Made",        "Known",    "Idle",   "Door",
+      "Taken",  "Ring",       "News",      "Made",        "Known",    "Idle",   "PeerNews",
       "Loop",   "Intake",     "Immediate", "Signals",     "Listener", "Queue",  "Joining",
       "Leave",  "Departures", "Topics",    "Reap",        "Settle",   "Pools",  "Eviction",
       "Ahead",  "Pool",       "Process",   "Notifier",    "Doubts"};

@@ -32,7 +32,7 @@ class SelectingPusher {
   virtual PusherCore& core() noexcept = 0;
   /// False when push_shared() would refuse the message: it lies in another segment, or `object` is
   /// not the message itself.
-  virtual bool accepts(const ControlCell& cell, const void* object) const = 0;
+  virtual bool accepts(const ControlBlock& control, const void* object) const = 0;
 
   /// Selects the one reader that belongs to the node of that name and wants the ring. It gets the
   /// next message and all later ones, and before them the last `back` ones. Returns nothing if

@@ -35,7 +35,7 @@ struct Keeper {
 /// two pointers may be null.
 struct Parcel {
   boost::shared_ptr<void const> message;
-  lot::detail::ControlCell* cell = nullptr;  ///< null: it lies on the heap
+  lot::detail::ControlBlock* control = nullptr;  ///< null: it lies on the heap
   /// The same message as roscpp's own type, as the user has published it.
   boost::shared_ptr<void const> standard = nullptr;
 };
@@ -43,8 +43,8 @@ struct Parcel {
 template <class M>
 Parcel parcel_of(ShmSharedPtr<const M> message) {
   const M* const place = message.get();
-  lot::detail::ControlCell* const cell = lot::detail::PointerAccess::cell(message);
-  return {boost::shared_ptr<M const>(place, Keeper<const M>{std::move(message)}), cell};
+  lot::detail::ControlBlock* const control = lot::detail::PointerAccess::control(message);
+  return {boost::shared_ptr<M const>(place, Keeper<const M>{std::move(message)}), control};
 }
 
 /// What LOT must know of the standard message of a type, sensor_msgs::Image of Message<Image_>.
@@ -96,7 +96,7 @@ struct Kind {
   /// Copies a message into a loan. Throws lot::OutOfMemory.
   Parcel (*copy_into)(const lot::detail::Loan& loan, const void* message);
   /// Where a message lies in the segment; null: it is on the heap.
-  lot::detail::ControlCell* (*cell_of)(const boost::shared_ptr<void const>& message);
+  lot::detail::ControlBlock* (*control_of)(const boost::shared_ptr<void const>& message);
   StandardKind standard;
 };
 
@@ -126,7 +126,7 @@ template <class M>
       },
       [](const lot::detail::Borrowed& kept) -> boost::shared_ptr<void const> {
         auto message =
-            lot::detail::PointerAccess::shared(static_cast<const M*>(kept.root), kept.cell);
+            lot::detail::PointerAccess::shared(static_cast<const M*>(kept.root), kept.control);
         const M* const place = message.get();
         return boost::shared_ptr<M const>(place, Keeper<const M>{std::move(message)});
       },
@@ -141,9 +141,9 @@ template <class M>
         *copy = *static_cast<const M*>(message);
         return parcel_of(ShmSharedPtr<const M>(std::move(copy)));
       },
-      [](const boost::shared_ptr<void const>& message) -> lot::detail::ControlCell* {
+      [](const boost::shared_ptr<void const>& message) -> lot::detail::ControlBlock* {
         const auto* keeper = boost::get_deleter<Keeper<const M>>(message);
-        return keeper == nullptr ? nullptr : lot::detail::PointerAccess::cell(keeper->message);
+        return keeper == nullptr ? nullptr : lot::detail::PointerAccess::control(keeper->message);
       },
       standard_kind_of<M>()};
   return kind;

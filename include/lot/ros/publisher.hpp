@@ -91,7 +91,7 @@ class Publisher {
     const auto outlet = end_ ? end_->outlet() : nullptr;
     if (!outlet) return {};
     const lot::detail::Loan loan = outlet->loan();
-    if (loan.cell == nullptr) return Loan<M>(boost::make_shared<M>());
+    if (loan.control == nullptr) return Loan<M>(boost::make_shared<M>());
     return Loan<M>(lot::detail::build<M>(loan));
   }
 
@@ -144,7 +144,7 @@ class Publisher {
   void publish(const boost::shared_ptr<M const>& message) const {
     if (!end_ || !message) return;
     if (const auto* keeper = boost::get_deleter<detail::Keeper<const M>>(message)) {
-      send({message, lot::detail::PointerAccess::cell(keeper->message)}, false);
+      send({message, lot::detail::PointerAccess::control(keeper->message)}, false);
     } else {
       publish(*message);
     }

@@ -3,7 +3,7 @@
 #include <lot/lot.hpp>
 
 // Only src/refcount/ownership.hpp, and HoldWord for copied pointers, change a hold word.
-void wrong(lot::detail::ControlCell& cell) {
+void wrong(lot::detail::ControlBlock& cell) {
   cell.hold.store(0);
   cell.hold.fetch_add(1);
   cell.hold.exchange(1);

@@ -106,7 +106,8 @@ bool Node::waits_at_home() const {
 bool Node::home_waits() const {
   if (kept.empty()) return false;
   const auto participant = transport::Participant::join(options);
-  const auto& words = participant->world().block(detail::PointerAccess::cell(kept.front())->block);
+  const auto& words =
+      participant->world().block(detail::PointerAccess::control(kept.front())->block);
   return test::home_waits(words) && words.home.load() != participant->index() + 1;
 }
 
@@ -122,7 +123,7 @@ void Node::publish(unsigned count) {
           detail::build<Number>(selecting->core().loan(detail::message_type<Number>(), true));
       *letter = numbered(source, published);
       const ShmSharedPtr<const Number> shared(std::move(letter));
-      const auto* cell = detail::PointerAccess::cell(shared);
+      const auto* cell = detail::PointerAccess::control(shared);
       if (selecting->core().push_shared(cell, shared.get(), 10s) == Status::Ok) ++published;
       continue;
     }

@@ -279,7 +279,7 @@ struct ReaperKilled : Scene<ReaperKilled, 3> {
     RL_ASSERT(subscriber.join(start(2), 0, 1, 2));
     for (std::uint32_t k : {1U, 3U}) start(k);
     for (int i = 0; i < 2; ++i) publisher.send();
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -312,7 +312,7 @@ struct ReaperKilledBesideSleeper : Scene<ReaperKilledBesideSleeper, 2> {
     publisher.open(start(4), 0, false);
     RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
     for (std::uint32_t k : {1U, 3U}) start(k);
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -340,7 +340,7 @@ struct NextReaper : Scene<NextReaper, 2> {
     for (std::uint32_t k : {1U, 3U}) start(k);
     publisher.send();
     RL_ASSERT(subscriber.receive());
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -362,7 +362,7 @@ struct ReapFreesAll : Scene<ReapFreesAll, 2> {
   void prepare() {
     publisher.open(start(4), 0, false);
     publisher.send();
-    segment.bury(4);
+    segment.end_process(4);
     start(3);
   }
   void thread(unsigned t) {
@@ -379,7 +379,7 @@ struct FreedAndClaimed : Scene<FreedAndClaimed, 2> {
   void prepare() {
     publisher.open(start(4), 0, false);
     publisher.send();
-    segment.bury(4);
+    segment.end_process(4);
     for (std::uint32_t k : {2U, 3U}) start(k);
   }
   void thread(unsigned t) {
@@ -475,7 +475,7 @@ struct TwoInSuccession : Scene<TwoInSuccession, 2> {
   void prepare() {
     dead.open(start(4), 0, false);
     dead.send();
-    segment.bury(4);
+    segment.end_process(4);
     start(2);
     start(3);
   }
@@ -553,7 +553,7 @@ struct ReapedWhileARingIsMade : Scene<ReapedWhileARingIsMade, 2> {
   ReapedWhileARingIsMade() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
   void prepare() {
     for (std::uint32_t k : {1U, 3U, 4U, kSoiledBy}) start(k);
-    segment.bury(kSoiledBy);
+    segment.end_process(kSoiledBy);
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -612,7 +612,7 @@ struct SubscriberReapedWhileARingIsMade : Scene<SubscriberReapedWhileARingIsMade
   void prepare() {
     for (std::uint32_t k : {1U, 2U, 4U}) start(k);
     subscription.join(process(2));
-    segment.bury(2);
+    segment.end_process(2);
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -637,7 +637,7 @@ struct SubscriberReapedAndFollowed : Scene<SubscriberReapedAndFollowed, 3> {
   void prepare() {
     for (std::uint32_t k : {1U, 2U, 3U, 4U}) start(k);
     subscription.join(process(2));
-    segment.bury(2);
+    segment.end_process(2);
     view = process(3).unformed_ring(0);
     view.blocking = true;
   }

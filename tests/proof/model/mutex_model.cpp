@@ -112,7 +112,7 @@ struct EndOnACondition : Scene<EndOnACondition, 3> {
     publisher.open(start(4), 0, false);
     for (unsigned i : {0U, 1U}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 1));
     start(1);
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t == 0) {

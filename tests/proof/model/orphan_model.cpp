@@ -19,7 +19,7 @@ struct BorrowOutlivesPublisher : Scene<BorrowOutlivesPublisher, 2> {
   void thread(unsigned t) {
     if (t == 0) {
       publisher.send();
-      segment.bury(4);
+      segment.end_process(4);
       process(3).reap(4);
       write_what_is_free();
       process(3).collect();
@@ -44,7 +44,7 @@ struct TakenOutOfEndedRing : Scene<TakenOutOfEndedRing, 2> {
     publisher.open(start(4), 0, false);
     RL_ASSERT(subscriber.join(start(2), 0, 1, 2));
     for (int i = 0; i < 2; ++i) publisher.send();
-    segment.bury(4);
+    segment.end_process(4);
     RL_ASSERT(start(3).reap(4));
     first = ring::block(segment.channels[0].slots[0].load(std::memory_order_relaxed));
   }
@@ -77,7 +77,7 @@ struct BorrowFromDeadForwarder : Scene<BorrowFromDeadForwarder, 2> {
     process(3).keep(b);
     middle.done();
     second.forward(b);
-    segment.bury(3);
+    segment.end_process(3);
     RL_ASSERT(start(2).reap(3));
   }
   void thread(unsigned t) {
@@ -108,7 +108,7 @@ struct AdoptedWhileHomeLooks : Scene<AdoptedWhileHomeLooks, 2> {
     process(3).keep(b);
     middle.done();
     second.forward(b);
-    segment.bury(3);
+    segment.end_process(3);
     start(2);
     first.send();
   }
@@ -148,7 +148,7 @@ struct TargetReadThroughOrphan : Scene<TargetReadThroughOrphan, 2> {
     process(2).keep(message);
     reader.done();
     reader.leave();
-    segment.bury(3);
+    segment.end_process(3);
     RL_ASSERT(process(1).reap(3));
   }
   void thread(unsigned t) {
@@ -201,7 +201,7 @@ struct OrphanTravels : Scene<OrphanTravels, 3> {
     block = subscriber.borrow();
     process(2).keep(block);
     subscriber.done();
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -288,7 +288,7 @@ struct ReferrersReaperKilled : Scene<ReferrersReaperKilled, 2> {
     message = reader.borrow();
     process(2).keep(message);
     reader.done();
-    segment.bury(3);
+    segment.end_process(3);
   }
   void thread(unsigned t) {
     if (t == 0) {

@@ -150,7 +150,7 @@ struct TwoSleepersFindTheEnd : Scene<TwoSleepersFindTheEnd, 3> {
     publisher.open(start(4), 0, false);
     for (unsigned i : {0U, 1U}) RL_ASSERT(subscribers[i].join(start(2 + i), 0, 1, 1));
     start(1);
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -174,7 +174,7 @@ struct SleeperLeavesWhatEnded : Scene<SleeperLeavesWhatEnded, 2> {
     silent.open(start(5), 1, false);
     subscription.join(start(2));
     start(3);
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t == 0) {
@@ -225,7 +225,7 @@ struct AnnouncedByTheReaper : Scene<AnnouncedByTheReaper, 2> {
     subscription.join(start(2));
     dead.open(start(5), 1, false);
     RL_ASSERT(dead.send());
-    segment.bury(5);
+    segment.end_process(5);
     start(3);
   }
   void thread(unsigned t) {

@@ -296,7 +296,7 @@ struct TakerKilledForRoom : Scene<TakerKilledForRoom, 3> {
     } else {
       segment.await_end_of(2);
       // Relaxed: it may still see the sender's mark as it was before the reaper came.
-      while (process(3).part(2).load(std::memory_order_relaxed) != 0) Policy::pause();
+      while (process(3).participant_state(2).load(std::memory_order_relaxed) != 0) Policy::pause();
       while (taker.take(ledger.entry())) {
       }
     }
@@ -347,7 +347,7 @@ struct TakenFromAnOrphan : TwoTakers<TakenFromAnOrphan, 3, true, 2> {
     open();
     start(1);
     for (int i = 0; i < 2; ++i) RL_ASSERT(publisher.send());
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t != 0) {
@@ -377,7 +377,7 @@ struct OneTakenFromAnOrphan : Scene<OneTakenFromAnOrphan, 2> {
     RL_ASSERT(taker.join(start(2), 0, 1, 1));
     start(1);
     RL_ASSERT(publisher.send());
-    segment.bury(4);
+    segment.end_process(4);
   }
   void thread(unsigned t) {
     if (t != 0) {

@@ -217,7 +217,7 @@ struct FinishedAndKilled : LateWorkers<FinishedAndKilled, 3> {
       if (workers[1].start_work()) {
         done.note(workers[1].work());
         ring::empty(segment.channels[0].slots[0], Segment::kFirst);
-        segment.bury(3);
+        segment.end_process(3);
         process(4).see_reaped(3);
       }
       publisher.send();
@@ -256,7 +256,7 @@ struct WorkOutlivesPublisherScene : TwoWorkers<Derived, 3, 1> {
     } else if (t == 1) {
       this->work_until_the_end(0);
     } else if (kKilled) {
-      this->segment.bury(3);
+      this->segment.end_process(3);
       this->process(1).see_reaped(3);
     } else {
       this->workers[1].give_work_back();

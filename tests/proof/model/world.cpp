@@ -74,7 +74,7 @@ void Segment::unlock_queue(std::uint32_t channel, std::uint32_t holder) {
   if (lock::LockWord<Policy>(word).unlock(lock::make_name(holder, 1))) word.wake_one();
 }
 
-void Segment::bury(std::uint32_t participant) {
+void Segment::end_process(std::uint32_t participant) {
   for (auto& lock : locks_) {
     if (lock.load(std::memory_order_relaxed) == participant + 1) {
       lock.store(0, std::memory_order_release);
@@ -127,11 +127,12 @@ Process::Process(Segment& segment, std::uint32_t index)
 
 bool Process::attach() {
   if (!segment_->try_lock(index(), index())) return false;
-  if (part(index()).load(std::memory_order_relaxed) != 0) {  // a dead one is in there: reap first
+  if (participant_state(index()).load(std::memory_order_relaxed) !=
+      0) {  // a dead one is in there: reap first
     segment_->unlock(index());
     return false;
   }
-  part(index()).store(1, std::memory_order_relaxed);
+  participant_state(index()).store(1, std::memory_order_relaxed);
   return true;
 }
 
@@ -139,7 +140,7 @@ void Process::leave() {
   while (!segment_->try_lock(refcount::kOrphanage, index())) Policy::pause();
   Recovery(*this).reap(index());
   segment_->unlock(refcount::kOrphanage);
-  segment_->bury(index());
+  segment_->end_process(index());
 }
 
 bool Process::reap(std::uint32_t k) {
@@ -154,7 +155,7 @@ bool Process::reap(std::uint32_t k) {
 }
 
 void Process::see_reaped(std::uint32_t k) {
-  while (!reap(k) && part(k).load(std::memory_order_acquire) != 0) Policy::pause();
+  while (!reap(k) && participant_state(k).load(std::memory_order_acquire) != 0) Policy::pause();
 }
 
 void Process::collect() {

@@ -82,7 +82,7 @@ class Segment {
   void unlock_queue(std::uint32_t channel, std::uint32_t holder);
 
   /// What the kernel does for a process that has ended, in whatever way.
-  void bury(std::uint32_t participant);
+  void end_process(std::uint32_t participant);
   /// Waits until somebody has ended; 0 < participant < kParticipants.
   void await_end_of(std::uint32_t participant);
   bool has_ended(std::uint32_t participant) const;
@@ -186,7 +186,7 @@ class Process {
 
   // What Recovery asks of its World.
   std::uint32_t participants() const { return kParticipants; }
-  Atomic<std::uint32_t>& part(std::uint32_t k) { return segment_->parts[k]; }
+  Atomic<std::uint32_t>& participant_state(std::uint32_t k) { return segment_->parts[k]; }
   std::uint32_t blocks() const { return segment_->shape.blocks; }
   refcount::BlockWords<Policy>& block(std::uint32_t b) { return segment_->blocks[b]; }
   std::uint32_t channels() const { return segment_->shape.channels; }
@@ -300,8 +300,8 @@ template <class Sources>
 void sleep_on(Sources& sources, Segment& segment, std::uint32_t version) {
   Bed bed;
   const ring::Rest rest =
-      ring::lie_down(sources, segment.version, version,
-                     [&bed](const auto& word, auto value) { bed.add(word, value); });
+      ring::prepare_to_sleep(sources, segment.version, version,
+                             [&bed](const auto& word, auto value) { bed.add(word, value); });
   if (rest == ring::Rest::Sleep) bed.sleep();
   if (rest == ring::Rest::Doze) Policy::pause();
 }
@@ -425,7 +425,7 @@ class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
     } catch (const Killed&) {  // nothing here: Relacy may not switch threads inside a handler
     }
     killer.aim(0);
-    segment.bury(index);
+    segment.end_process(index);
   }
 
   Segment segment;
@@ -433,11 +433,11 @@ class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
  private:
   /// Everybody has gone, one way or the other: nothing may be left.
   void quiesce() {
-    for (std::uint32_t k = 1; k < kParticipants; ++k) segment.bury(k);
+    for (std::uint32_t k = 1; k < kParticipants; ++k) segment.end_process(k);
     Process janitor(segment, kJanitor);
     for (std::uint32_t k = 1; k < kParticipants; ++k) janitor.reap(k);
     if (segment.shape.taken) take_what_waits();
-    segment.bury(kTaker);
+    segment.end_process(kTaker);
     janitor.reap(kTaker);
     janitor.collect();
     constexpr auto kOrder = std::memory_order_seq_cst;

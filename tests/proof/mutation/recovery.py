@@ -37,7 +37,7 @@ MISTAKES = (
         'ring::State::Orphan, k),', 'ring::State::Orphan, refcount::kOrphanage),'),)),
     Planted('the participant loses its name before the work', RECOVERY, 'crash', ((
         '    wake_whom_it_announced_to(k);\n    for',
-        '    world_.part(k).store(0, std::memory_order_relaxed);\n'
+        '    world_.participant_state(k).store(0, std::memory_order_relaxed);\n'
         '    wake_whom_it_announced_to(k);\n    for'),)),
     Planted('a half-done ring is taken for done', RECOVERY, 'crash', ((
         'if (ring::writer_owner(w) != k || ring::writer_state(w) == ring::State::Free) return;',

@@ -160,7 +160,7 @@ struct Ring {
         !ring.who[c].compare_exchange_strong(none, me + 1, std::memory_order_seq_cst,
                                              std::memory_order_relaxed)) {
       return world_
-          .part(k)
+          .participant_state(k)
           .load(std::memory_order_seq_cst) != next(a.exchange(b.load(std::memory_order_relaxed),
                                                               std::memory_order_acq_rel));
     }
@@ -179,7 +179,7 @@ EXPECTED = [
     ('poll slots[i<n?i:i-n].load#1', ('acquire',), (7, 37)),
     ('poll word(b,self).fetch_or#1', ('release',), (8, 9)),
     ('poll ring.who[c].compare_exchange_strong#1', ('seq_cst', 'relaxed'), (9, 10)),
-    ('poll world_.part(k).load#1', ('seq_cst',), (11, 14)),
+    ('poll world_.participant_state(k).load#1', ('seq_cst',), (11, 14)),
     ('poll a.exchange#1', ('acq_rel',), (13, 52)),
     ('poll b.load#1', ('relaxed',), (13, 63)),
     ('poll slots[0].load#1', ('acquire',), (16, 12)),

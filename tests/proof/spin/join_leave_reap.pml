@@ -244,7 +244,7 @@ unrecycled:
   atomic {
     needed = 0;
     if
-    :: home == HOME_ORPHANAGE && own == 0 -> /* @ src/recovery/recovery.hpp bury: !Own::die_in_orphanage(words) */
+    :: home == HOME_ORPHANAGE && own == 0 -> /* @ src/recovery/recovery.hpp free_dead_messages: !Own::die_in_orphanage(words) */
       message = 0;
       dies = 1
     :: else
@@ -349,14 +349,14 @@ inline reap(k) {
   part[k] = 0;
 #endif
   collect(); /* @ src/recovery/recovery.hpp reap: collect() */
-  part[k] = 0 /* @ src/recovery/recovery.hpp reap: world_.part(k).store(0 */
+  part[k] = 0 /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).store(0 */
 }
 
 /* ---- wardens ----------------------------------------------------------------------------------- */
 
 #define CAN_BE_REAPED(k) (part[k] && BYTE(me, k) == NONE && !STANDS(seat[k]))
 /* When a warden looks, and when that would change anything. What makes it look (it is woken by a death,
- * and searches blocks when a reaper has bumped `bequests`) is left out: it looks when there is something. */
+ * and searches blocks when a reaper has bumped `adoptions`) is left out: it looks when there is something. */
 #define HAS_ORPHANS (STATE(writer) == ORPHAN || home == HOME_ORPHANAGE)
 #define CAN_BE_COLLECTED (HAS_ORPHANS && (IS_DESERTED_ORPHAN && CAN_LOCK(registry, me) || own & 1 && !IS_NEEDED || home == HOME_ORPHANAGE && own == 0))
 #define ALL_HAVE_GONE (ended[PUBLISHER] && ended[READER] && ended[NEWCOMER] && ended[MORTAL_WARDEN])
@@ -369,7 +369,7 @@ end_idle:
     do
     :: atomic { CAN_BE_REAPED(1) -> k = 1; break } /* @ src/transport/reaper.cpp reap_dead: presence_.looks_dead(k) */
     :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/reaper.cpp reap_dead: presence_.looks_dead(k) */
-    :: CAN_BE_COLLECTED -> /* @ src/transport/warden.cpp look_around: reaper_.reap_dead() || (due && (orphans_ || bequests != bequests_)) || reaper_.has_deserted_ring() */
+    :: CAN_BE_COLLECTED -> /* @ src/transport/warden.cpp look_around: reaper_.reap_dead() || (due && (orphans_ || adoptions != adoptions_)) || reaper_.has_deserted_ring() */
       if
       :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/reaper.cpp collect: enter_orphanage() */
         collect(); /* @ src/transport/reaper.cpp collect: Recovery(world_).collect() */
@@ -383,7 +383,7 @@ end_idle:
     :: else -> k = 0; goto end_idle
     fi;
     if
-    :: part[k] -> /* @ src/transport/reaper.cpp reap_if_dead: world_.part(k).load */
+    :: part[k] -> /* @ src/transport/reaper.cpp reap_if_dead: world_.participant_state(k).load */
       if
       :: atomic { !STANDS(seat[k]) -> seat[k] = SEAT(INCARNATION(seat[k]), JUDGED) }; /* @ src/liveness/presence.cpp judge: seat, seat::make(seat::incarnation(seat), seat::kJudged) */
 #ifndef NO_ORPHANAGE_LOCK
@@ -393,7 +393,7 @@ end_idle:
 #ifdef JUDGES_ONCE
           :: true ->
 #else
-          :: atomic { part[k] && NOTICE(seat[k]) == JUDGED -> skip }; /* @ src/transport/reaper.cpp reap_if_dead: world_.part(k).load(std::memory_order_acquire) != 0 && presence_.is_judged(k) */
+          :: atomic { part[k] && NOTICE(seat[k]) == JUDGED -> skip }; /* @ src/transport/reaper.cpp reap_if_dead: world_.participant_state(k).load(std::memory_order_acquire) != 0 && presence_.is_judged(k) */
 #endif
             reap(k) /* @ src/transport/reaper.cpp reap_if_dead: Recovery(world_).reap(k) */
 #ifndef JUDGES_ONCE
@@ -464,16 +464,16 @@ inline take_index() {
 #endif
         w = 0;
         if
-        :: part[k] == 0 -> clean = 1 /* @ src/transport/reaper.cpp repair_index: if (world_.part(index()).load(std::memory_order_acquire) == 0) return true */
+        :: part[k] == 0 -> clean = 1 /* @ src/transport/reaper.cpp repair_index: if (world_.participant_state(index()).load(std::memory_order_acquire) == 0) return true */
 #ifdef TAKEN_WITHOUT_REAP
         :: part[k] -> clean = 1
 #else
-        :: part[k] -> /* @ src/transport/reaper.cpp repair_index: if (world_.part(index()).load(std::memory_order_acquire) == 0) return true */
+        :: part[k] -> /* @ src/transport/reaper.cpp repair_index: if (world_.participant_state(index()).load(std::memory_order_acquire) == 0) return true */
           if
           :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/reaper.cpp repair_index: while (!enter_orphanage()) */
             if
             :: part[k] -> reap(k) /* @ src/transport/reaper.cpp repair_index: Recovery(world_).reap(index()) */
-            :: part[k] == 0 /* @ src/transport/reaper.cpp repair_index: if (world_.part(index()).load(std::memory_order_acquire) != 0) */
+            :: part[k] == 0 /* @ src/transport/reaper.cpp repair_index: if (world_.participant_state(index()).load(std::memory_order_acquire) != 0) */
             fi;
             leave_orphanage(); /* @ src/transport/reaper.cpp repair_index: leave_orphanage() */
             clean = 1
@@ -505,7 +505,7 @@ untaken:
   of_a_dead_one = 0;
   if
   :: k <= LAST ->
-    part[k] = 1 /* @ src/transport/membership.cpp take_index: part(index()).store(1 */
+    part[k] = 1 /* @ src/transport/membership.cpp take_index: participant_state(index()).store(1 */
   :: else -> /* @ src/transport/membership.cpp take_index: throw Error(EUSERS, segment_.path() */
 #ifdef FULL_TABLE
     assert(false)

@@ -299,7 +299,7 @@ inline reap(k) {
     od
   fi;
   atomic {
-    part[k] = 0; /* @ src/recovery/recovery.hpp reap: world_.part(k).store(0 */
+    part[k] = 0; /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).store(0 */
     c = 0
   }
 }
@@ -430,7 +430,7 @@ inline look_for_room() {
 }
 
 inline wait_for_room(me) {
-  look_for_room(); /* @ src/transport/pusher.cpp push_unique: !writer_->room() && !wait_for_room(lock, alone, block_for) */
+  look_for_room(); /* @ src/transport/pusher.cpp push_unique: !writer_->room() && !wait_for_room(lock, queue_guard, block_for) */
   if
   :: !crowded -> goto room
   :: else
@@ -454,7 +454,7 @@ mark:
   :: atomic { IS_DEAD(LAGGARD) -> lock[LAGGARD] = me }; /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.try_lock(k) */
     acquire(lock[0], me); /* @ src/transport/reaper.cpp reap_if_dead: enter_orphanage() */
     free_cell(0, READERS - 1, LAGGARD); /* @ src/recovery/recovery.hpp reap: free_cells(c, k) */
-    part[LAGGARD] = 0; /* @ src/recovery/recovery.hpp reap: world_.part(k).store(0 */
+    part[LAGGARD] = 0; /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).store(0 */
     lock[0] = 0; /* @ src/transport/reaper.cpp reap_if_dead: leave_orphanage() */
     lock[LAGGARD] = 0 /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.unlock(k) */
   :: !IS_DEAD(LAGGARD) /* @ src/transport/pusher.cpp before_sleep: for (const std::uint32_t k : laggards_) pusher_.participant_->reaper().reap_if_dead(k) */
@@ -486,7 +486,7 @@ proctype publisher(byte mine) {
     do
     :: next < FIRST + MESSAGES ->
 #ifdef ROOM
-      wait_for_room(me); /* @ src/transport/pusher.cpp push_unique: wait_for_room(lock, alone, block_for) */
+      wait_for_room(me); /* @ src/transport/pusher.cpp push_unique: wait_for_room(lock, queue_guard, block_for) */
 #endif
       publish(mine) /* @ src/transport/pusher.cpp publish: writer_->publish(b) */
     :: else -> break
@@ -653,7 +653,7 @@ settle:
     :: atomic { s == RINGS -> s = 0; break }
     od;
 
-    /* lie_down() */
+    /* prepare_to_sleep() */
     next_ring(s);
     do
     :: atomic { s < RINGS ->
@@ -688,7 +688,7 @@ settle:
     do
     :: atomic { s < RINGS ->
         if
-        :: STATE(writer[s]) == ORPHAN -> over = 1 /* @ src/lockfree_ring/sleep.hpp lie_down: if (source.reader.is_closing() || source.reader.has_returns()) return Rest::Look */
+        :: STATE(writer[s]) == ORPHAN -> over = 1 /* @ src/lockfree_ring/sleep.hpp prepare_to_sleep: if (source.reader.is_closing() || source.reader.has_returns()) return Rest::Look */
         :: else
         fi;
         s++; next_ring(s) }
@@ -699,7 +699,7 @@ settle:
     atomic {
       s = 0;
       next_ring(s);
-      now = directory; /* @ src/lockfree_ring/sleep.hpp lie_down: const std::uint32_t now = directory.load */
+      now = directory; /* @ src/lockfree_ring/sleep.hpp prepare_to_sleep: const std::uint32_t now = directory.load */
 #ifdef NO_DIRECTORY_RECHECK
       now = version;
 #endif
@@ -740,7 +740,7 @@ settle:
         if
         :: ALONE ->
           if
-          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp lie_down: if (now != version || !any_live) sleep_on(directory, now) */
+          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp prepare_to_sleep: if (now != version || !any_live) sleep_on(directory, now) */
           :: else -> GIVE_UP(look)
           fi
         :: else
