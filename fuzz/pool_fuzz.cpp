@@ -229,7 +229,7 @@ class Fuzz {
     if (rings_.size() == local_.world().channels())
       return;  // readers keep the rings of those who have left
     p.entered = true;
-    local_.world().participant_state(self_) = 1;
+    local_.world().participant_state(self_).take();
     p.real = std::make_unique<Private>(local_, self_);
     const lot::registry::Registry::Lock lock(local_.registry());
     const auto opened = local_.registry().open(
@@ -342,7 +342,7 @@ class Fuzz {
   void join(Process& p) {
     const auto c = static_cast<std::uint32_t>(bytes_.below(local_.world().channels()));
     const auto history = bytes_.below(4) == 0 ? Reader::kFromTheStart : bytes_.below(3);
-    const Word writer = local_.world().channel_writer(c);
+    const Word writer = local_.world().channel_writer(c).load();
     if (p.real->readers.count(c) != 0 || lot::ring::writer_state(writer) != lot::ring::State::Live)
       return;
     bool full = false;

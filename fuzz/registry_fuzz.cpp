@@ -24,6 +24,7 @@
 #include "support/directory.hpp"
 #include "support/local_segment.hpp"
 #include "support/plant.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -145,10 +146,10 @@ class Fuzz {
     while (k < kIndexes && !lock->try_lock(k)) ++k;
     require(k == expected, "which index is free");
     if (k == kIndexes) return;
-    const bool dead = local_.world().participant_state(k) != 0;
+    const bool dead = local_.world().participant_state(k).load() != 0;
     require(dead == (dead_.count(k) != 0), "whether somebody died there");
     if (dead) repair(*lock, k);
-    local_.world().participant_state(k) = 1;
+    local_.world().participant_state(k).take();
     player.lock = std::move(lock);
     player.index = k;
   }
@@ -278,7 +279,7 @@ class Fuzz {
     const bool free = player.lock->try_lock(k);
     require(free == (owner_of(k) == nullptr), "whether a process lives");
     if (!free) return;
-    if (local_.world().participant_state(k) != 0) repair(*player.lock, k);
+    if (local_.world().participant_state(k).load() != 0) repair(*player.lock, k);
     player.lock->unlock(k);
   }
 
@@ -344,7 +345,7 @@ class Fuzz {
     for (std::uint32_t k = 1; k < kIndexes; ++k) {
       const bool lives = owner_of(k) != nullptr;
       require(watcher_.held_by_other(k) == lives, "who is alive");
-      require((local_.world().participant_state(k) != 0) == (lives || dead_.count(k) != 0),
+      require((local_.world().participant_state(k).load() != 0) == (lives || dead_.count(k) != 0),
               "which indexes are taken");
     }
     for (std::uint32_t t = 0; t < kTopics; ++t)
@@ -366,7 +367,7 @@ class Fuzz {
   static void check_topic(lot::segment::TopicEntry& real, const Topic& topic) {
     std::uint64_t users = 0;
     for (const std::uint32_t k : topic.users) users |= std::uint64_t{1} << k;
-    require(real.users[0] == users, "the users of a topic");
+    require(real.users[0].load() == users, "the users of a topic");
     if (users == 0) return;
     const MessageType& type = kTypes[topic.type];
     require(real.name == kNames[topic.name] && real.type_name == std::string(type.name) &&
@@ -414,11 +415,11 @@ class Fuzz {
   void spoil() {
     if (++steps_ % 8 != 0) return;
     auto& topic = local_.segment().topics()[0];
-    if (planted("lost_user")) topic.users[0] = 0;
-    if (planted("leaked_user")) topic.users[0] |= 8;
+    if (planted("lost_user")) lot::test::raw(topic.users[0]) = 0;
+    if (planted("leaked_user")) lot::test::raw(topic.users[0]) |= 8;
     if (planted("renamed_topic")) topic.name[1] = 'z';
     if (planted("retyped_topic")) ++topic.type_size;
-    if (planted("lost_ring")) local_.world().channel_writer(0) = 0;
+    if (planted("lost_ring")) lot::test::raw(local_.world().channel_writer(0)) = 0;
     if (planted("lost_memory")) local_.registry().recycle(0);
     if (planted("lost_lock")) {
       for (Player& player : players_) {

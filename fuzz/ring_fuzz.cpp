@@ -37,7 +37,6 @@ using lot::fuzz::planted;
 using lot::ring::kNoBlock;
 using lot::ring::kSequenceMask;
 using lot::ring::kSleeper;
-using lot::ring::State;
 using lot::ring::Word;
 using Ring = lot::ring::Ring<HardwareAtomics>;
 using Cell = lot::ring::Cell<HardwareAtomics>;
@@ -85,7 +84,7 @@ class Fuzz {
     ring_.taken = taken;
     ring_.first = first;
     ring_.format();
-    writer_word_ = lot::ring::make_writer(1, State::Live, 1);
+    writer_word_.go_live(1, 1);
     writer_ = Writer(ring_);
   }
 
@@ -129,7 +128,7 @@ class Fuzz {
 
   /// The publisher goes; everybody reads what is left. What is to be taken waits for who comes.
   void end() {
-    writer_word_ = lot::ring::make_writer(1, State::Orphan, 1);
+    writer_word_.end(1, 1);
     ring_.clear_sleepers();
     marked_ = false;
     bool full = true;
@@ -371,7 +370,7 @@ class Fuzz {
     require(laggards == late, "laggards");
   }
 
-  std::atomic<Word> writer_word_{0};
+  lot::ring::WriterWord<lot::detail::HardwareAtomics> writer_word_;
   std::vector<std::atomic<Word>> slots_;
   std::vector<Cell> cells_;
   std::vector<std::atomic<std::uint32_t>> who_;

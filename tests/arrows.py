@@ -11,8 +11,8 @@ units of rows above its own, and itself. Every file of the room belongs to a uni
 An include is looked up as the compiler would (beside the file, then in src/, include/, tests/ and so
 on). One that names a room is judged by its name even when the file does not exist.
 
-The second table says which room lends which header of include/lot/detail/. A room, and a header
-that it lends, may include what is lent by the room itself and by the rooms that it may include. A
+The second table says which room lends which header of include/lot/detail/. What `anybody` lends
+belongs to no room: every room may include it. A room, and a header that it lends, may include what is lent by the room itself and by the rooms that it may include. A
 public header brings what it includes, by itself or by other public headers, so a room may include
 it only if it may include all of that.
 """
@@ -27,6 +27,7 @@ COMMENT = re.compile(r'/\*.*?\*/', re.S)
 ROW = re.compile(r'^\|\s*`(\w+)/?`\s*\|(.*)\|([^|]*)\|\s*$')
 INSIDE = re.compile(r'^## Inside `(\w+)`$')
 UNITS = re.compile(r'^\|\s*((?:`\w+`(?:,\s*)?)+)\s*\|[^|]*\|\s*$')
+ANYBODY = 'anybody'
 LENT = re.compile(r'^\|\s*`(\w+)`\s*\|((?:\s*`\w+`,?)+)\s*\|\s*$')
 DETAIL = pathlib.PurePosixPath('include/lot/detail')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.inc', '.in'}
@@ -77,7 +78,7 @@ def read_lent(readme, table):
         if not row:
             continue
         room = row.group(1)
-        if room not in table:
+        if room not in table and room != ANYBODY:
             raise ValueError(f'{readme}: {room} lends headers and is no room')
         for name in re.findall(r'`(\w+)`', row.group(2)):
             header = (DETAIL / f'{name}.hpp').as_posix()
@@ -200,7 +201,7 @@ class Lent:
     def objection(self, room, header, borrows):
         """Why a room, or a header that it lends, may not include a header of include/lot/, or None."""
         for lender, name in sorted(self.brings(header).items()):
-            if lender not in borrows[room]:
+            if lender != ANYBODY and lender not in borrows.get(room, ()):
                 how = '' if name == header.as_posix() else f' brings {name}, which'
                 return f'{how} {lender} lends, and {room} may not include'.strip()
         return None
@@ -250,6 +251,7 @@ TABLE = '''
 
 | room | lends |
 |---|---|
+| `anybody` | `common` |
 | `low` | `deep`, `other` |
 | `high` | `inline` |
 
@@ -268,9 +270,10 @@ GOOD = {
     'include/lot/plain.hpp': '#include <vector>\n',
     'include/lot/detail/inline.hpp': '#include <lot/noun.hpp>\n#include "deep.hpp"\n',
     'include/lot/detail/deep.hpp': '#include "lot/plain.hpp"\n',
+    'include/lot/detail/common.hpp': '#include <atomic>\n',
     'include/lot/detail/other.hpp': '#include "lot/detail/deep.hpp"\n',
     'src/low/low.hpp': '// #include "high/high.hpp"\n/*\n#include "high/high.hpp"\n*/\n',
-    'src/side/side.hpp': '#include <lot/plain.hpp>\n',
+    'src/side/side.hpp': '#include <lot/plain.hpp>\n#include "lot/detail/common.hpp"\n',
     'src/middle/middle.cpp': '#include "low/low.hpp"\n#include <benchmark/benchmark.h>\n'
                              '#include "lot/detail/other.hpp"\n',
     'src/high/high.hpp': '#include "../middle/none.hpp"\n#include <side/side.hpp>\n'
@@ -308,6 +311,7 @@ PLANTED = [  # file, its text, what must be complained about
      'brings include/lot/detail/inline.hpp, which high lends, and middle may not include'),
     ('include/lot/detail/deep.hpp', '#include "inline.hpp"\n', 'high lends, and low may not include'),
     ('include/lot/detail/deep.hpp', '\n#include "lot/noun.hpp"\n', 'detail/deep.hpp:2:'),
+    ('include/lot/detail/common.hpp', '#include "inline.hpp"\n', 'high lends, and anybody may not include'),
     ('include/lot/detail/stray.hpp', '', 'no room of src/README.md lends it'),
 ]
 

@@ -11,9 +11,11 @@ DIR is a build tree of Ninja in which lot and lot_model are built. Checked are
   - every C++ file of the tree, and what those objects read besides: nobody else defines a template
     of these names, or anything in namespace lot that a protocol header defines;
   - every #include that names a protocol header: it leads to the one in src/ or include/;
-  - the library, the model and the fuzzers: none of them changes a word of a block, or a hold word.
-    Ownership does (and HoldWord, for copied pointers). The compiler refuses it, too, since the
-    atomics are private bases; this says so of text that is not compiled, and of test::raw();
+  - the library, the model and the fuzzers: none of them changes a word of a block, a hold word, a
+    writer word, a participant's state or the directory's version. The class of that word does
+    (Ownership, HoldWord, WriterWord, ParticipantState, DirectoryVersion). The compiler refuses it,
+    too, since the atomics are private bases; this says so of text that is not compiled, and of
+    test::raw();
   - tests/proof/model, and its compiler's options: no macro stands for std, atomic or a memory order.
 """
 
@@ -32,7 +34,8 @@ ROOMS = ('src/lockfree_ring/*.hpp', 'src/refcount/*.hpp', 'src/recovery/*.hpp',
          'src/selection/bounds.hpp', 'src/selection/selector.hpp',
          'include/lot/detail/hold_word.hpp', 'include/lot/detail/changed_by.hpp')
 CLASSES = ('Ring', 'Writer', 'Reader', 'Cell', 'Ownership', 'BlockWords', 'Recovery', 'Granules', 'Units',
-           'RobustCondition', 'LockWord', 'HoldWord', 'ChangedBy', 'Steps', 'Bounds', 'Selector', 'Selection')
+           'RobustCondition', 'LockWord', 'HoldWord', 'ChangedBy', 'WriterWord', 'ParticipantState',
+           'DirectoryVersion', 'Steps', 'Bounds', 'Selector', 'Selection')
 TARGETS = ('lot', 'lot_model')
 SUFFIXES = {'.hpp', '.cpp', '.h', '.cc', '.hh', '.cxx', '.hxx', '.ipp', '.inc', '.in'}
 
@@ -43,7 +46,7 @@ INCLUDE = re.compile(r'^[ \t]*#[ \t]*(?:include|include_next|import)[ \t]*["<]([
 STANDARD = r'(?:std|atomic(?:_\w+)?|memory_order(?:_\w+)?|(?:compare_)?exchange(?:_\w+)?|fetch_\w+)'
 DEFINE = re.compile(rf'^[ \t]*#[ \t]*define[ \t]+({STANDARD})\b', re.M)
 PRETENCE = re.compile(r'\b(relacy/(?:relacy_std|stdlib/))')
-CHANGE = re.compile(r'\b(hold|own|life|home|home_points)(?:_?\[[^][]*\]|\([^()]*\))?\)?\s*'
+CHANGE = re.compile(r'\b(hold|own|life|home|home_points|writer|channel_writer|participant_state|version)(?:_?\[[^][]*\]|\([^()]*\))?\)?\s*'
                     r'(?:\.|->)\s*(?:store|exchange|fetch_\w+|compare_exchange_\w+)\s*\(')
 CHANGED_IN = ('src', 'include', 'fuzz', 'tests/proof/model')
 TOKEN = re.compile(r'[A-Za-z_]\w*|::|\[\[|\]\]|->|[^\s\w]')
@@ -192,7 +195,7 @@ def changes(root, file, text):
     text = COMMENT.sub(lambda m: blank(m.group()), text)
     for match in CHANGE.finditer(text):
         line = text.count('\n', 0, match.start(1)) + 1
-        yield f'{file.relative_to(root)}:{line}: {match.group(1)} is changed outside of Ownership'
+        yield f'{file.relative_to(root)}:{line}: {match.group(1)} is changed outside of the class that owns it'
 
 
 def pretences(root, file, text):
@@ -297,6 +300,7 @@ template <class P> struct alignas(P::kLine) Cell { int position; };
 template <class P> struct Ring { Cell<P>* cells; };
 template <class P> class Writer { public: template <class T> struct A {}; int f() { return 1; } };
 template <class P> class Reader {};
+template <class P> class WriterWord {}; template <class P> class DirectoryVersion {};
 template <class R> bool announce(R& r) { return r.go([] { return 1; }); }
 inline int make(int a) { return a; }
 }
@@ -306,6 +310,7 @@ inline int make(int a) { return a; }
 #include "lot/detail/hold_word.hpp"
 namespace lot { namespace refcount {
 template <class P> struct BlockWords {}; template <class P> struct Ownership {};
+template <class P> class ParticipantState {};
 } }
 ''',
     'src/recovery/recovery.hpp': '''#include "refcount/ownership.hpp"
@@ -385,7 +390,7 @@ PLANTED = [  # file, its text, what must be complained about
     ('tests/proof/model/bad.cpp', '#include "copy/recovery.hpp"\n', 'bad.cpp:1: copy/recovery.hpp'),
     ('tests/proof/model/bad.cpp', '\n#  include <ring.hpp>\n', 'bad.cpp:2: ring.hpp is a copy'),
     ('src/bad.cpp', 'void f(Cell& c) {\n  c.hold.fetch_sub(1, std::memory_order_acq_rel);\n}\n',
-     'src/bad.cpp:2: hold is changed outside of Ownership'),
+     'src/bad.cpp:2: hold is changed outside of the class that owns it'),
     ('src/bad.cpp', 'void f(W& w) { w.own[0].fetch_and(~1); }\n', 'own is changed outside'),
     ('src/bad.cpp', 'void f(W* w) { w->life .store (1); }\n', 'life is changed outside'),
     ('include/lot/bad.hpp', 'inline void f(W& w) { w.home.compare_exchange_strong(a, b); }\n',
@@ -394,6 +399,9 @@ PLANTED = [  # file, its text, what must be complained about
     ('tests/proof/model/bad.cpp', 'void f() { raw(home_hold); hold_(b); raw(x.hold).store(1); }\n',
      'hold is changed outside'),
     ('fuzz/bad.cpp', 'void f(W& w) { w.home_points.exchange(1); }\n', 'home_points is changed'),
+    ('src/bad.cpp', 'void f(Entry& e) { e.writer.store(0); }\n', 'writer is changed outside'),
+    ('tests/proof/model/bad.cpp', 'void f() { raw(participant_state(k)).exchange(1); }\n',
+     'participant_state is changed outside'),
     ('tests/proof/model/bad.hpp', '#define std rl\n', 'tests/proof/model/bad.hpp:1: a macro named std'),
     ('tests/proof/model/bad.hpp', '\n# define memory_order_acquire 0\n',
      'bad.hpp:2: a macro named memory_order_acquire'),

@@ -83,6 +83,12 @@ void DeathNotice::end() noexcept {
   if (std::exchange(has_thread_, false)) pthread_join(thread_, nullptr);
 }
 
+bool DeathNotice::judge(Seat& seat, std::uint64_t seen) noexcept {
+  // acq_rel, edge "seat": what the dead process did, to the next owner of the index.
+  return seat.compare_exchange_strong(seen, seat::make(seat::incarnation(seen), seat::kJudged),
+                                      std::memory_order_acq_rel, std::memory_order_relaxed);
+}
+
 void DeathNotice::start() {
   const detail::NoSignals quiet;
   const auto begin = [](void* self) -> void* {
@@ -165,7 +171,7 @@ void DeathNotice::run() noexcept {
 /// Takes the seat. Links the node first: else a death in between would leave a notice that stands
 /// for ever.
 void DeathNotice::take(std::uint32_t notice) noexcept {
-  const auto* word = static_cast<const char*>(futex::low_half(*seat_));
+  const auto* word = static_cast<const char*>(futex::low_half(seat_->word()));
   list_->offset = word - reinterpret_cast<const char*>(&list_->node);
   list_->head.next = &list_->node;
   std::atomic_signal_fence(std::memory_order_seq_cst);  // the kernel reads it as this thread does

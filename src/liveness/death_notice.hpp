@@ -7,6 +7,8 @@
 #include <pthread.h>
 #include <sys/types.h>
 
+#include "lot/detail/changed_by.hpp"
+
 /// The kernel's notice of a death. It is a word in shared memory. When the process ends the kernel
 /// changes the word, and wakes one of the threads that sleep on it. docs/locks.md has the reasons.
 ///
@@ -40,9 +42,10 @@ constexpr std::uint32_t incarnation(std::uint64_t seat) {
 bool stands(std::uint64_t seat) noexcept;
 }  // namespace seat
 
+/// The notice of this process. All changes of a seat are here, but for the kernel's.
 class DeathNotice {
  public:
-  using Seat = std::atomic<std::uint64_t>;
+  using Seat = detail::ChangedBy<std::atomic<std::uint64_t>, DeathNotice>;
 
   /// Throws lot::Error when there is no memory for the list.
   DeathNotice();
@@ -62,6 +65,9 @@ class DeathNotice {
   bool renew() noexcept;
   /// Gives the seat up, and ends the thread.
   void end() noexcept;
+  /// Says to all that the process of the seat, whose word was `seen`, is dead. False: the seat has
+  /// changed meanwhile. REQUIRES: its byte.
+  static bool judge(Seat& seat, std::uint64_t seen) noexcept;
 
  private:
   /// The list as the kernel reads it (linux/futex.h).

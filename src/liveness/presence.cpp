@@ -62,14 +62,10 @@ bool Presence::looks_dead(std::uint32_t k) noexcept {
 }
 
 bool Presence::judge(std::uint32_t k) noexcept {
-  std::uint64_t seat = seen(k);
+  const std::uint64_t seat = seen(k);
   if (seat::stands(seat)) return false;
   if (seat::notice(seat) == seat::kUnwitnessed && !is_convinced(k, seat)) return false;
-  // acq_rel, edge "seat": what the dead process did, to the next owner of the index.
-  return seat::notice(seat) == seat::kJudged ||
-         seat_of(k).compare_exchange_strong(seat,
-                                            seat::make(seat::incarnation(seat), seat::kJudged),
-                                            std::memory_order_acq_rel, std::memory_order_relaxed);
+  return seat::notice(seat) == seat::kJudged || DeathNotice::judge(seat_of(k), seat);
 }
 
 /// True when the seat has had this word at every look for long enough (kConviction).

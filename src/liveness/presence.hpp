@@ -60,7 +60,7 @@ class Presence final : public LockOwner {
   bool is_judged(std::uint32_t k) const noexcept { return seat::notice(seen(k)) == seat::kJudged; }
   /// The word and value to sleep on until k dies.
   detail::FutexWait watch(std::uint32_t k) const noexcept {
-    return {futex::low_half(seat_of(k)), seat::notice(seen(k))};
+    return {futex::low_half(seat_of(k).word()), seat::notice(seen(k))};
   }
 
  private:

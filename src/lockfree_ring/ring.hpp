@@ -10,6 +10,7 @@
 
 #include "lockfree_ring/claims.hpp"
 #include "lockfree_ring/words.hpp"
+#include "lockfree_ring/writer_word.hpp"
 #include "robust_mutex/robust_condition.hpp"
 
 /// A single-producer broadcast ring of blocks: a pure algorithm over memory that it is given. It
@@ -95,7 +96,7 @@ struct Ring {
   template <class T>
   using Atomic = typename P::template Atomic<T>;
 
-  Atomic<Word>* writer = nullptr;           ///< names the publisher: make_writer()
+  WriterWord<P>* writer = nullptr;          ///< names the publisher
   Atomic<Word>* slots = nullptr;            ///< [depth]
   Cell<P>* cells = nullptr;                 ///< [readers]
   Atomic<std::uint32_t>* who = nullptr;     ///< [readers] 0, or participant + 1
@@ -121,10 +122,13 @@ struct Ring {
   /// True where a reader protects the message that it looks at by a hazard. Else its cursor does.
   bool guarded() const { return taken || !blocking; }
 
-  /// Makes the slots and cells of a new ring. REQUIRES: writer is INIT and the caller owns it.
+  /// Makes the words of a new ring. REQUIRES: writer is INIT and the caller owns it.
   void format() {
     // All are relaxed: LIVE, which the caller stores afterwards, carries them (R7).
-    floor->store(first, std::memory_order_relaxed);  // R7
+    roster->store(0, std::memory_order_relaxed);                             // R7
+    space->store(0, std::memory_order_relaxed);                              // R7
+    if (returned != nullptr) returned->store(0, std::memory_order_relaxed);  // R7
+    floor->store(first, std::memory_order_relaxed);                          // R7
     for (std::uint32_t i = 0; i < depth; ++i) {
       const Word before = advance(first, Word{i} - depth);
       slots[i].store(make(before, kNoBlock), std::memory_order_relaxed);  // R7
@@ -343,7 +347,10 @@ class Writer {
       if (published.replaced != kNoBlock && oldest_ == index_) oldest_ = after(index_);
     }
     next_ = next(next_);
-    index_ = after(index_);
+    if (++index_ == ring_.depth) {
+      index_ = 0;
+      ++laps_;
+    }
     prefetch();
     return published;
   }
@@ -414,11 +421,12 @@ class Writer {
   template <class May>
   Word evict_oldest(May&& may) {
     const std::uint32_t slots = read_slots();
-    for (std::uint32_t n = 0; n < slots; ++n) {
+    for (std::uint32_t n = empty_slots(); n < slots; ++n) {
       const std::uint32_t i = oldest_slot(n);
       // Relaxed: only the writer puts a block into a slot.
       const Word held =
           ring_.taken ? put_[i] : block(ring_.slots[i].load(std::memory_order_relaxed));
+      if (held == kNoBlock) note_empty(n);
       if (held == kNoBlock || !may(held)) continue;
       return take_out(n) ? held : kNoBlock;
     }
@@ -525,6 +533,17 @@ class Writer {
     return ring_.depth - static_cast<std::uint32_t>(behind);
   }
 
+  /// How many messages were published: the place of the oldest slot. Does not wrap, as next_ does.
+  std::uint64_t place() const { return laps_ * ring_.depth + index_; }
+  /// So many of the oldest slots hold no message, for sure. So an eviction need not look at what
+  /// the evictions before it have emptied.
+  std::uint32_t empty_slots() const {
+    return emptied_ > place() ? static_cast<std::uint32_t>(emptied_ - place()) : 0;
+  }
+  void note_empty(std::uint32_t n) {
+    if (n == empty_slots()) emptied_ = place() + n + 1;
+  }
+
   /// Empties the slot of the n-th oldest message. False: a joiner of a lossless ring was quicker.
   bool take_out(std::uint32_t n) {
     const std::uint32_t i = oldest_slot(n);
@@ -533,6 +552,7 @@ class Writer {
     ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
     if (ring_.taken) put_[i] = kNoBlock;
     if (oldest_ == i) oldest_ = after(i);
+    note_empty(n);
     return true;
   }
 
@@ -608,6 +628,8 @@ class Writer {
   std::vector<std::uint32_t> active_;
   std::vector<Word> put_;     ///< by slot, if messages are taken: the block whose hold the ring has
   std::uint32_t oldest_ = 0;  ///< slot of the oldest of put_
+  std::uint64_t laps_ = 0;    ///< how often index_ has come back to 0
+  std::uint64_t emptied_ = 0;  ///< no slot before this place holds a message; counted as place()
 };
 
 /// The subscriber's side: private state of one reader, used by one thread at a time.

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <optional>
 
+#include "lot/detail/changed_by.hpp"
+
 #include "lockfree_ring/ring.hpp"
 
 /// How the reader of many rings goes to sleep, and how a new ring wakes the readers of its topic.
@@ -17,6 +19,16 @@
 ///   R5  a mark taken away (release) -> sleeper's look at the slot (acquire)
 ///       carries: the directory's new version, the writer word ORPHAN, or `returned`.
 namespace lot::ring {
+
+/// The directory's version. It says that there may be new rings. Futex.
+template <class P>
+class DirectoryVersion
+    : public detail::ChangedBy<typename P::template Atomic<std::uint32_t>, DirectoryVersion<P>> {
+ public:
+  /// D1. Relaxed: it carries nothing. A reader that finds it changed takes the registry's lock,
+  /// which carries the ring.
+  void bump() { this->fetch_add(1, std::memory_order_relaxed); }
+};
 
 /// What a reader does next that has looked at every ring and found nothing.
 enum class Rest {
@@ -81,7 +93,7 @@ Rest prepare_to_sleep(Sources& sources, const Directory& directory, std::uint32_
   }
   const std::uint32_t now = directory.load(std::memory_order_relaxed);  // R5 has acquired it
   // A new publisher wakes the readers of live rings (announce), and sleepers on the directory.
-  if (now != version || !any_live) sleep_on(directory, now);
+  if (now != version || !any_live) sleep_on(directory.word(), now);
   return now == version ? Rest::Sleep : Rest::Doze;
 }
 
@@ -107,11 +119,9 @@ void wake_sleepers(Ring& ring, Wake&& wake) {
 /// Crash: as wake_sleepers(). The reaper wakes all sleepers of all rings.
 template <class Directory, class Rings, class Wake>
 void announce(Directory& directory, Rings&& rings, Wake&& wake) {
-  // D1. Relaxed: R5 carries it. A reader that finds it changed takes the registry's lock, which
-  // carries the ring.
-  directory.fetch_add(1, std::memory_order_relaxed);
+  directory.bump();
   for (auto&& ring : rings) wake_sleepers(ring, wake);
-  wake(directory);
+  wake(directory.word());
 }
 
 /// Marks that the sender of a full ring sleeps for room. Returns the value of `space` to sleep on,

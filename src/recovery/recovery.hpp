@@ -6,6 +6,7 @@
 
 #include "lockfree_ring/ring.hpp"
 #include "refcount/ownership.hpp"
+#include "refcount/participant_state.hpp"
 
 /// The one place that repairs what a death leaves. A process that exits cleanly runs the same code
 /// on itself.
@@ -21,10 +22,10 @@
 ///
 /// The World is what is repaired:
 ///   participants()               -> number of indexes, 0 included
-///   participant_state(k)                      -> Atomic<uint32_t>&, 0 free, 1 taken
+///   participant_state(k)         -> ParticipantState<P>&
 ///   blocks(), block(b)           -> BlockWords<P>&
 ///   channels()                   -> number of channels
-///   channel_writer(c)            -> Atomic<Word>&
+///   channel_writer(c)            -> WriterWord<P>&
 ///   ring(c)                      -> Ring<P>; depth 0 when its maker has not finished it
 ///   each_reference(b, f)         -> f(block) for each block that the message in b refers to
 ///   lock_rings(), unlock_rings() -> the registry's lock, tried, against joiners
@@ -58,11 +59,9 @@ class Recovery {
     for (std::uint32_t b = 0; b < world_.blocks(); ++b) Own::let_go(world_.block(b), k);
     world_.forget(k);
     // Before the name goes (I4): if the process that leaves is killed here, no other process would
-    // look for what it left. The store is a release: byte k of two lock files may be two locks, and
-    // then a process that finds the index free has only this word.
+    // look for what it left.
     collect();
-    world_.participant_state(k).store(
-        0, std::memory_order_release);  // byte lock k may be of two lock files
+    world_.participant_state(k).free();
     return true;
   }
 
@@ -77,13 +76,10 @@ class Recovery {
     if (ring::writer_state(w) == ring::State::Init) {
       // No other process knows this ring. Its memory may still hold what was in there before.
       world_.recycle_ring(c);
-      // Release: the next publisher that claims the entry acquires that the ring was recycled.
-      writer.store(ring::make_writer(generation + 1, ring::State::Free, 0),
-                   std::memory_order_release);
+      writer.free(generation + 1);
       return;
     }
-    writer.store(ring::make_writer(generation, ring::State::Orphan, k),
-                 std::memory_order_release);  // R9
+    writer.end(generation, k);
     ring::Ring<P> r = world_.ring(c);
     for (std::uint32_t i = 0; i < r.depth; ++i) {
       // Readers may take messages meanwhile: each is still in its slot, or has a holder or a
@@ -95,11 +91,8 @@ class Recovery {
       if (position != ring::kIdle) adopt(ring::block(position));
     }
     wake_readers(r);
-    // The name goes last (I4): until here the next reaper finds the ring by it. Release: a
-    // publisher that closes asks this word whether its ring is an orphan, and then gives its own
-    // holds up. It must see that the orphanage has holds.
-    writer.store(ring::make_writer(generation, ring::State::Orphan, refcount::kOrphanage),
-                 std::memory_order_release);
+    // The name goes last (I4): until here the next reaper finds the ring by it.
+    writer.give_to_orphanage(generation, refcount::kOrphanage);
   }
 
   /// Wakes all readers that sleep on a ring, unconditionally. A conditional wake would lose a
@@ -252,11 +245,7 @@ class Recovery {
       if (!is_deserted_orphan(c)) continue;
       const auto w = world_.channel_writer(c).load(std::memory_order_relaxed);  // byte lock 0
       world_.recycle_ring(c);
-      // Release: a publisher that claims the entry acquires that the ring was recycled. Its former
-      // publisher, which may be closing, acquires the orphanage's holds.
-      world_.channel_writer(c).store(
-          ring::make_writer(ring::writer_generation(w) + 1, ring::State::Free, 0),
-          std::memory_order_release);
+      world_.channel_writer(c).free(ring::writer_generation(w) + 1);
     }
     world_.unlock_rings();
     return true;

@@ -232,24 +232,18 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
   const auto channels = segment_.channels();
   for (std::uint32_t c = 0; c < channels.size(); ++c) {
     auto& entry = channels[c];
-    // Acquire, here and below: the reaper that set the entry free had recycled its ring.
-    ring::Word w = entry.writer.load(std::memory_order_acquire);
+    // Acquire, as claim(): the process that set the entry free had recycled its ring.
+    const ring::Word w = entry.writer.load(std::memory_order_acquire);
     if (ring::writer_state(w) != ring::State::Free) continue;
+    if (!entry.writer.claim(w, participant)) continue;
     const std::uint32_t generation = ring::writer_generation(w) + 1;
-    if (!entry.writer.compare_exchange_strong(
-            w, ring::make_writer(generation, ring::State::Init, participant),
-            std::memory_order_acquire, std::memory_order_relaxed)) {
-      continue;
-    }
     describe(entry, topic, options);
     const std::uint32_t granules = granules_of(options);
     const std::uint32_t run = segment_.claim_run(granules, segment::kRingTag | c);
     entry.granules = granules;
     entry.granule = run;
     if (run == segment::Granules<Atomics>::kNone) {
-      // Release: the next publisher that claims the entry acquires what was written here.
-      entry.writer.store(ring::make_writer(generation, ring::State::Free, 0),
-                         std::memory_order_release);
+      entry.writer.free(generation);
       return std::nullopt;
     }
     // Survey and others look at rings that another process may recycle meanwhile.
@@ -260,9 +254,6 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
                   "end the process that writes where it should not, and try again");
     }
     segment::Segment::construct_queue_lock(ring);
-    ring.roster->store(0, std::memory_order_relaxed);                                  // R7
-    ring.space->store(0, std::memory_order_relaxed);                                   // R7
-    if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);  // R7
     // R7 carries the zeros.
     if (ring.extra != nullptr) std::memset(ring.extra, 0, ring.readers * segment::kExtraBytes);
     ring.format();
@@ -273,8 +264,7 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
         [&pullers = segment_.topics()[topic].pullers](std::uint32_t p) {
           return pullers[p].load(std::memory_order_seq_cst) != 0;  // R13
         });
-    entry.writer.store(ring::make_writer(generation, ring::State::Live, participant),
-                       std::memory_order_release);  // R7
+    entry.writer.go_live(generation, participant);
     announce(topic);
     return ChannelName{c, generation};
   }

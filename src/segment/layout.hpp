@@ -6,11 +6,35 @@
 
 #include "lot/detail/arena.hpp"
 #include "lot/detail/atomics.hpp"
+#include "lot/detail/changed_by.hpp"
 #include "lot/detail/control.hpp"
 
 #include "lockfree_ring/ring.hpp"
+#include "lockfree_ring/sleep.hpp"
+#include "lockfree_ring/writer_word.hpp"
 #include "refcount/ownership.hpp"
+#include "refcount/participant_state.hpp"
 #include "robust_mutex/queue_lock.hpp"
+#include "segment/errands.hpp"
+#include "segment/sightings.hpp"
+
+// The classes that change a word of the segment: ChangedBy names them, and nothing else does.
+namespace lot::liveness {
+class DeathNotice;
+}
+namespace lot::registry {
+class Registry;
+}
+namespace lot::selection {
+class TopicReplies;
+}
+namespace lot::transport {
+class Warden;
+class World;
+}  // namespace lot::transport
+namespace lot::segment {
+class Segment;
+}
 
 /// The layout of every byte of a segment (docs/layout.md). All zero bytes are a valid empty table,
 /// so that the maker of a segment writes only the header. The segment has no address of any
@@ -77,8 +101,8 @@ std::uint64_t check_of(const Capacity& capacity) noexcept;
 
 /// A participant as others see it. Only `state` matters to LOT; the rest is for people.
 struct alignas(64) ParticipantEntry {
-  std::atomic<std::uint32_t> state;  ///< 0 free, 1 taken; written under byte lock k
-  std::int32_t pid;                  ///< in its own namespace: never used for liveness
+  refcount::ParticipantState<Atomics> state;  ///< written under byte lock k
+  std::int32_t pid;                           ///< in its own namespace: never used for liveness
   std::uint64_t since_ns;
   char name[48];
 };
@@ -89,73 +113,31 @@ struct alignas(64) Lock {
   std::atomic<std::uint32_t> word;
 };
 
-/// What other participants ask of a participant's warden.
-namespace errand {
-inline constexpr std::uint32_t kLook = 1;  ///< a message that the home waits for may be free
-inline constexpr std::uint32_t kTrim = 2;  ///< give idle memory back
-inline constexpr std::uint32_t kOwn = 4;   ///< the warden's own process has something for it to do
-inline constexpr std::uint32_t kGive = 8;  ///< give messages up: `request` says how much
-/// No errand. The participant itself says that a signal ends it. Then the last process, which
-/// removes the files, does not count it any more. Written and read in the gate. Stays until the
-/// next participant gets this index.
-inline constexpr std::uint32_t kEnding = 16;
-}  // namespace errand
-
 /// Says whether a participant lives (docs/locks.md), and takes what others ask of its warden.
-///
-/// `errands` is only a hint. If a process is killed before it brings an errand, the warden does it
-/// at its own look, once a second.
 struct alignas(64) Witness {
   /// {incarnation : 32 | notice : 32} (liveness/death_notice.hpp); the notice is a futex. Changed
   /// by the participant's witness thread, by the kernel when it dies, and by the process
   /// that has its byte.
-  std::atomic<std::uint64_t> seat;
-  /// Futex; bits of errand::. Set by any participant (release), taken by the warden (acquire): edge
-  /// E1 carries the ownership bit that was cleared before.
-  std::atomic<std::uint32_t> errands;
-  /// The warden bumps it (release, E2) when it has done kTrim or kGive. The participants that asked
-  /// read it.
-  std::atomic<std::uint32_t> answers;
-  /// What kGive asks for, and then the answer (transport/survey.hpp). Written by the asker and by
-  /// the warden. If several participants ask, the last one counts. E1 carries the question, and G1
-  /// the memory that was given.
-  std::atomic<std::uint64_t> request;
+  detail::ChangedBy<std::atomic<std::uint64_t>, liveness::DeathNotice> seat;
+  Errands errands;
 };
-static_assert(sizeof(Witness) == 64);
-
-/// One message that a participant has been seen to hold. Only its warden writes it: it empties the
-/// name first and stores the new name last (release). A process that reads the name, the time and
-/// the name again (acquire) knows whether they belong together.
-struct Sighting {
-  std::atomic<std::uint64_t> what;      ///< {block + 1 : 32 | generation : 32}, 0: none
-  std::atomic<std::uint64_t> since_ns;  ///< steady clock, when it was first seen
-};
-
-/// Since when a participant holds its oldest messages. For people only, nothing depends on it
-/// (docs/tool.md). The next participant with the same index overwrites what a dead one has left.
-struct alignas(64) Sightings {
-  static constexpr std::uint32_t kMost = 15;
-  std::atomic<std::uint64_t> looked_ns;  ///< steady clock, when the warden last looked; 0: not yet
-  std::uint64_t reserved;
-  Sighting seen[kMost];
-};
-static_assert(sizeof(Sightings) == 256);
+static_assert(sizeof(Witness) == 64 && offsetof(Witness, errands) == 8);
 
 /// The words that all processes look at to find each other.
 struct alignas(64) Directory {
-  std::atomic<std::uint32_t> version;  ///< futex; bumped by each advertise
+  ring::DirectoryVersion<Atomics> version;  ///< futex; bumped by each advertise
   /// The reaper bumps it when the orphanage has got what the dead one had. Until it changes, no
   /// warden need search. Edge D3: bumped (release) before the dead one's name goes -> load by a
   /// warden before it searches (acquire); carries the homes that are the orphanage's now.
-  std::atomic<std::uint32_t> adoptions;
+  detail::ChangedBy<std::atomic<std::uint32_t>, transport::World> adoptions;
   /// Monotonic clock: when a warden last looked for memory that no process uses. The warden that
   /// changes it does the next look. If that warden is killed, one look is lost.
-  std::atomic<std::uint64_t> looked_ns;
+  detail::ChangedBy<std::atomic<std::uint64_t>, transport::Warden> looked_ns;
   /// Not 0: the files stay when the last process leaves. A process that joins sets it before it can
   /// put anything, and no process takes it back. The process that leaves last reads it. Relaxed:
   /// the gate carries it; or the death of the process that has set it, which the reader has seen
   /// before.
-  std::atomic<std::uint32_t> persists;
+  detail::ChangedBy<std::atomic<std::uint32_t>, Segment> persists;
   Lock lock;       ///< registry: topics, joining, recycling
   Lock orphanage;  ///< held by the process that acts for the orphanage; it has byte 0 as well
 };
@@ -163,7 +145,7 @@ static_assert(sizeof(Directory) == 192 && offsetof(Directory, persists) == 16);
 
 /// A topic exists while a `users` bit stands. Participant p and its reaper write bit p.
 struct alignas(64) TopicEntry {
-  std::atomic<std::uint64_t> users[Atomics::kOwnWords];
+  detail::ChangedBy<std::atomic<std::uint64_t>, registry::Registry> users[Atomics::kOwnWords];
   std::uint64_t type_size;
   std::uint64_t type_align;
   std::uint64_t type_hash;
@@ -171,7 +153,7 @@ struct alignas(64) TopicEntry {
   char type_name[kTypeNameBytes];
   /// [p]: how many pullers participant p has on the topic. Written by p and its reaper. A lossless
   /// publisher waits for all of them.
-  std::atomic<std::uint16_t> pullers[kMaxParticipants];
+  detail::ChangedBy<std::atomic<std::uint16_t>, registry::Registry> pullers[kMaxParticipants];
   char padding[8];
 };
 static_assert(sizeof(TopicEntry) == 1152);
@@ -181,25 +163,27 @@ static_assert(sizeof(TopicEntry) == 1152);
 /// on the topic.
 struct Replies {
   static constexpr std::uint32_t kPerWord = 32;
-  std::atomic<std::uint64_t> words[kMaxParticipants / kPerWord];
+  detail::ChangedBy<std::atomic<std::uint64_t>, selection::TopicReplies>
+      words[kMaxParticipants / kPerWord];
 };
 static_assert(sizeof(Replies) == 80 && kMaxParticipants % Replies::kPerWord == 0);
 
 /// One publisher's ring on a topic. The publisher writes the plain fields while the writer word is
 /// INIT.
 struct alignas(64) ChannelEntry {
-  std::atomic<ring::Word> writer;
+  ring::WriterWord<Atomics> writer;
   std::uint64_t first;  ///< sequence of the first message
   std::uint32_t topic;
   std::uint32_t depth;
   std::uint32_t readers;
-  std::uint32_t policy;               ///< lot::Policy
-  std::uint32_t granule;              ///< first granule of the ring's memory
-  std::uint32_t granules;             ///< how many
-  std::atomic<std::uint32_t> formed;  ///< 1: the plain fields are complete
-  std::uint32_t engine;               ///< lot::QueueEngine
-  std::uint32_t taken;                ///< 0: all readers get a message; else kTaken, kFinished
-  std::uint32_t extra;                ///< bytes of extra memory for each reader: 0 or kExtraBytes
+  std::uint32_t policy;    ///< lot::Policy
+  std::uint32_t granule;   ///< first granule of the ring's memory
+  std::uint32_t granules;  ///< how many
+  /// 1: the plain fields are complete.
+  detail::ChangedBy<std::atomic<std::uint32_t>, registry::Registry> formed;
+  std::uint32_t engine;  ///< lot::QueueEngine
+  std::uint32_t taken;   ///< 0: all readers get a message; else kTaken, kFinished
+  std::uint32_t extra;   ///< bytes of extra memory for each reader: 0 or kExtraBytes
 };
 static_assert(sizeof(ChannelEntry) == 64);
 

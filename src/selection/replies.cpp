@@ -13,51 +13,44 @@ constexpr std::uint64_t kConfirmed = 2;
 constexpr std::uint64_t at(std::uint64_t bits, std::uint32_t participant) {
   return bits << (2 * (participant % segment::Replies::kPerWord));
 }
-std::atomic<std::uint64_t>& word_of(segment::Replies& replies, std::uint32_t participant) {
-  return replies.words[participant / segment::Replies::kPerWord];
-}
+
+}  // namespace
 
 // All of them are relaxed: a reply brings nothing else. What must not be an earlier process's reply
 // is ordered by the edge "pullers".
 
-void set(segment::Replies& replies, std::uint64_t bits, std::uint32_t participant) {
+void TopicReplies::set(std::uint64_t bits, std::uint32_t participant) noexcept {
   // Relaxed: see above.
-  word_of(replies, participant).fetch_or(at(bits, participant), std::memory_order_relaxed);
+  word_of(participant).fetch_or(at(bits, participant), std::memory_order_relaxed);
 }
-void take_back(segment::Replies& replies, std::uint64_t bits, std::uint32_t participant) {
+void TopicReplies::take_back(std::uint64_t bits, std::uint32_t participant) noexcept {
   // Relaxed: see above.
-  word_of(replies, participant).fetch_and(~at(bits, participant), std::memory_order_relaxed);
+  word_of(participant).fetch_and(~at(bits, participant), std::memory_order_relaxed);
 }
-bool has(segment::Replies& replies, std::uint64_t bit, std::uint32_t participant) {
+bool TopicReplies::has(std::uint64_t bit, std::uint32_t participant) const noexcept {
   // Relaxed: see above.
-  const std::uint64_t word = word_of(replies, participant).load(std::memory_order_relaxed);
+  const std::uint64_t word = word_of(participant).load(std::memory_order_relaxed);
   return (word & at(bit, participant)) != 0;
 }
 
-}  // namespace
-
 void TopicReplies::begin(std::uint32_t participant) noexcept {
-  take_back(replies_, kDeclines | kConfirmed, participant);
+  take_back(kDeclines | kConfirmed, participant);
 }
-void TopicReplies::decline(std::uint32_t participant) noexcept {
-  set(replies_, kDeclines, participant);
-}
+void TopicReplies::decline(std::uint32_t participant) noexcept { set(kDeclines, participant); }
 void TopicReplies::confirm(std::uint32_t participant) noexcept {
-  set(replies_, kConfirmed, participant);
+  set(kConfirmed, participant);
   // In this order: a publisher that sees that the participant does not decline may ask.
-  take_back(replies_, kDeclines, participant);
+  take_back(kDeclines, participant);
 }
 
 bool TopicReplies::wants(std::uint32_t participant) const noexcept {
   // The pullers first: they bring what begin() has done (edge "pullers").
-  return registry_.has_pullers(topic_, participant) && !has(replies_, kDeclines, participant);
+  return registry_.has_pullers(topic_, participant) && !has(kDeclines, participant);
 }
 bool TopicReplies::has_confirmed(std::uint32_t participant) const noexcept {
   // As in wants().
-  return registry_.has_pullers(topic_, participant) && has(replies_, kConfirmed, participant);
+  return registry_.has_pullers(topic_, participant) && has(kConfirmed, participant);
 }
-void TopicReplies::ask(std::uint32_t participant) noexcept {
-  take_back(replies_, kConfirmed, participant);
-}
+void TopicReplies::ask(std::uint32_t participant) noexcept { take_back(kConfirmed, participant); }
 
 }  // namespace lot::selection

@@ -46,6 +46,13 @@ class TopicReplies {
   void ask(std::uint32_t participant) noexcept;
 
  private:
+  auto& word_of(std::uint32_t participant) const noexcept {
+    return replies_.words[participant / segment::Replies::kPerWord];
+  }
+  void set(std::uint64_t bits, std::uint32_t participant) noexcept;
+  void take_back(std::uint64_t bits, std::uint32_t participant) noexcept;
+  bool has(std::uint64_t bit, std::uint32_t participant) const noexcept;
+
   segment::Replies& replies_;
   const registry::Registry& registry_;
   const std::uint32_t topic_;

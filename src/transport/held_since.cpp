@@ -11,21 +11,11 @@
 namespace lot::transport {
 namespace {
 
-using segment::Sighting;
 using segment::Sightings;
 
 std::uint64_t now_ns() {
   return static_cast<std::uint64_t>(futex::Clock::now().time_since_epoch() /
                                     std::chrono::nanoseconds(1));
-}
-
-void write(Sighting& place, std::uint64_t what, std::uint64_t since_ns) {
-  // Relaxed, both: the warden alone writes; the release of the time carries the 0.
-  if (place.what.load(std::memory_order_relaxed) == what) return;
-  place.what.store(0, std::memory_order_relaxed);  // as above
-  // Edge "sighting": a reader that sees the time sees the old name gone.
-  place.since_ns.store(since_ns, std::memory_order_release);
-  place.what.store(what, std::memory_order_release);  // edge "sighting": carries the time
 }
 
 }  // namespace
@@ -87,14 +77,12 @@ void HeldSince::show(const Held& held, std::uint64_t now) noexcept {
       });
   Sightings& table = segment_.sightings()[holder_.own.self];
   for (auto place = oldest.begin(); place != end; ++place) {
-    write(table.seen[place - oldest.begin()], place->first, place->second);
+    table.seen[place - oldest.begin()].set(place->first, place->second);
   }
   for (auto place = end; place != oldest.end(); ++place) {
-    // Relaxed: a name that goes carries nothing.
-    table.seen[place - oldest.begin()].what.store(0, std::memory_order_relaxed);
+    table.seen[place - oldest.begin()].clear();
   }
-  // Release: a reader that sees this time sees the table of this look or a later one.
-  table.looked_ns.store(now, std::memory_order_release);
+  table.note_look(now);
 }
 
 }  // namespace lot::transport

@@ -20,9 +20,6 @@ namespace lot::transport {
 namespace {
 
 using namespace std::chrono_literals;
-using segment::Sighting;
-using segment::Sightings;
-namespace errand = segment::errand;
 /// A process that joins while all indexes are taken tries again for this long. A reaper may be
 /// freeing an index just now.
 constexpr auto kFullPatience = 200ms;
@@ -61,11 +58,11 @@ void Membership::take_index(std::string_view name, const Repair& repair) {
   entry.since_ns = static_cast<std::uint64_t>(std::chrono::system_clock::now().time_since_epoch() /
                                               std::chrono::nanoseconds(1));
   rename(name);
-  forget_sightings();
-  // The errands were meant for the former owner of the index. Relaxed: a participant that asks this
-  // one has seen its new state, or its name in a home word. Both come later.
-  segment_.witnesses()[index()].errands.store(0, std::memory_order_relaxed);
-  participant_state(index()).store(1, std::memory_order_release);  // edge "state"
+  // What the former owner of this index has left goes before this process is in the segment, so
+  // that no reader of the tables takes it for this process's.
+  segment_.sightings()[index()].clear();
+  segment_.witnesses()[index()].errands.forget();
+  participant_state(index()).take();
 }
 
 /// Takes a free index: a clean one, or one of a dead process. The latter is repaired first, under
@@ -89,19 +86,7 @@ bool Membership::try_take_index(bool of_a_dead_one, futex::Clock::time_point unt
   return false;
 }
 
-/// Clears what the former owner of this index has left, before this process is in the segment, so
-/// that no reader of the table takes it for this process's.
-void Membership::forget_sightings() noexcept {
-  Sightings& table = segment_.sightings()[index()];
-  // Relaxed: the state of the participant, stored later with release, carries them.
-  for (Sighting& place : table.seen) place.what.store(0, std::memory_order_relaxed);
-  table.looked_ns.store(0, std::memory_order_relaxed);  // as above
-}
-
-void Membership::return_index() noexcept {
-  // Release: edge "state".
-  participant_state(index()).store(0, std::memory_order_release);
-}
+void Membership::return_index() noexcept { participant_state(index()).free(); }
 
 void Membership::rename(std::string_view name) noexcept {
   auto& entry = segment_.participants()[index()];
@@ -149,9 +134,7 @@ void Membership::remove_files_if_last() noexcept {
   if (!lock_file_->intact()) return;
   const bool are_locks_held = lock_file_->held_by_other(1, participants() - 1);
   for (std::uint32_t k = 1; k < participants(); ++k) {
-    // Relaxed: the gate carries it.
-    const std::uint32_t errands = segment_.witnesses()[k].errands.load(std::memory_order_relaxed);
-    if (k == index() || (errands & errand::kEnding) != 0) continue;
+    if (k == index() || segment_.witnesses()[k].errands.is_ending()) continue;
     if (are_locks_held && lock_file_->held_by_other(k)) return;
     if (participant_state(k).load(std::memory_order_acquire) == 0) continue;  // edge "state"
     // A living process may have lost its byte to closefrom(). Its notice still stands then.
@@ -170,8 +153,7 @@ void Membership::settle_files() noexcept {
   try {
     if (lock_file_->intact() && lock_file_->enter_gate(kGatePatience)) {
       remove_files_if_last();
-      // Relaxed: the gate carries it.
-      segment_.witnesses()[index()].errands.fetch_or(errand::kEnding, std::memory_order_relaxed);
+      segment_.witnesses()[index()].errands.note_ending();
       lock_file_->leave_gate();
     }
   } catch (const std::exception&) {  // a stopped process keeps the gate, or memory is short

@@ -74,9 +74,8 @@ class Membership {
 
  private:
   bool try_take_index(bool of_a_dead_one, futex::Clock::time_point until, const Repair& repair);
-  void forget_sightings() noexcept;
   std::uint32_t participants() const noexcept { return segment_.capacity().participants; }
-  std::atomic<std::uint32_t>& participant_state(std::uint32_t k) const noexcept {
+  refcount::ParticipantState<segment::Atomics>& participant_state(std::uint32_t k) const noexcept {
     return segment_.participants()[k].state;
   }
 

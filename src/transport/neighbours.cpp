@@ -20,7 +20,7 @@ void Neighbours::ask_others(Questions& questions) noexcept {
       continue;
     questions.asked[k] = true;
     // Relaxed: an answer to an earlier question is as good as one to this question.
-    questions.answers[k] = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
+    questions.answers[k] = segment_.witnesses()[k].errands.answers();
     holder_.ask(k, segment::errand::kTrim);
   }
 }
@@ -29,7 +29,7 @@ bool Neighbours::all_have_answered(const Questions& questions) noexcept {
   for (std::uint32_t k = 1; k < world_.participants(); ++k) {
     // E2. G1 carries the memory itself.
     if (questions.asked[k] &&
-        segment_.witnesses()[k].answers.load(std::memory_order_acquire) == questions.answers[k]) {
+        segment_.witnesses()[k].errands.answers_acquired() == questions.answers[k]) {
       return false;
     }
   }
@@ -37,23 +37,23 @@ bool Neighbours::all_have_answered(const Questions& questions) noexcept {
 }
 
 bool Neighbours::ask_to_give(std::uint32_t k, const Request& request) noexcept {
-  auto& word = segment_.witnesses()[k].request;
-  word.store(request.word(), std::memory_order_relaxed);  // E1 carries it
+  auto& errands = segment_.witnesses()[k].errands;
+  errands.ask(request.word());
   std::uint64_t answer = request.word();
-  // Relaxed: G1 carries the memory. Where another process has asked meanwhile, something may have
+  // Where another process has asked meanwhile, something may have
   // been given.
   return ask_and_wait(k, segment::errand::kGive,
                       [&] {
-                        answer = word.load(std::memory_order_relaxed);  // G1
+                        answer = errands.request();
                         return answer != request.word();
                       }) &&
          answer != Request::kRefused;
 }
 
 bool Neighbours::is_silent(std::uint32_t k) const noexcept {
-  // Relaxed, both: they only say how long to wait.
-  const std::uint64_t answers = segment_.witnesses()[k].answers.load(std::memory_order_relaxed);
-  return silent_[k].load(std::memory_order_relaxed) == answers + 1;  // as above
+  const std::uint64_t answers = segment_.witnesses()[k].errands.answers();
+  // Relaxed: it only says how long to wait.
+  return silent_[k].load(std::memory_order_relaxed) == answers + 1;
 }
 
 }  // namespace lot::transport

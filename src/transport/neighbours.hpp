@@ -57,9 +57,7 @@ class Neighbours {
   /// answered in time. It is then not asked again until it has answered something.
   template <class Done>
   bool ask_and_wait(std::uint32_t k, std::uint32_t errand, Done&& done) noexcept {
-    const auto& answers = segment_.witnesses()[k].answers;
-    // Relaxed: only compared. done() says whether the memory is there.
-    const std::uint32_t before = answers.load(std::memory_order_relaxed);
+    const std::uint32_t before = segment_.witnesses()[k].errands.answers();
     holder_.ask(k, errand);
     const auto until = futex::Clock::now() + kGiverPatience;
     while (!done()) {

@@ -51,10 +51,7 @@ void Holder::release(std::uint32_t b, std::uint64_t amount) const noexcept {
 
 void Holder::ask(std::uint32_t k, std::uint32_t errand) const noexcept {
   auto& errands = segment->witnesses()[k].errands;
-  // Killed before the wake: the warden looks by itself once a second.
-  if ((errands.fetch_or(errand, std::memory_order_release) & errand) != errand) {  // E1
-    futex::wake_all(&errands);
-  }
+  if (errands.bring(errand)) futex::wake_all(errands.word());
 }
 
 void Holder::tell_home(std::uint32_t b) const noexcept {

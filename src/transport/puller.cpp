@@ -684,7 +684,7 @@ class Puller final : public RingPuller {
 
   // These are read for each message, so they lie close to each other.
   std::shared_ptr<Participant> participant_;
-  std::atomic<std::uint32_t>& directory_;
+  ring::DirectoryVersion<segment::Atomics>& directory_;
   std::vector<Source> sources_;
   std::size_t current_ = 0;
   std::uint64_t missed_ = 0;

@@ -165,9 +165,7 @@ void Reaper::end_ring(const registry::ChannelName& name) noexcept {
   // give_up_rings() takes this mutex before it gives the ring to the orphanage. Until then no
   // process can recycle the ring.
   const std::lock_guard guard(reap_mutex_);
-  world_.channel_writer(name.channel)
-      .store(ring::make_writer(name.generation, ring::State::Orphan, index()),
-             std::memory_order_release);  // R9
+  world_.channel_writer(name.channel).end(name.generation, index());
   segment::Ring r = world_.ring(name.channel);
   Recovery(world_).wake_readers(r);
 }

@@ -126,7 +126,7 @@ void Warden::stand_guard() noexcept {
     if (!presence_.renew()) return membership_.expel();
     // Requests of other processes stay in the word until the warden has rested.
     const std::uint32_t mine = futex::Clock::now() >= rested ? ~std::uint32_t{0} : errand::kOwn;
-    const std::uint32_t before = errands.fetch_and(~mine, std::memory_order_acquire);  // E1
+    const std::uint32_t before = errands.take(mine);
     const std::uint32_t left = before & ~mine;
     // Relaxed: the errand (E1) carries both flags.
     if (is_ending_.load(std::memory_order_relaxed)) settle_files();
@@ -137,7 +137,7 @@ void Warden::stand_guard() noexcept {
       rested = futex::Clock::now() + kErrandRest;
     }
     const bool finished = look_around();
-    watched_.assign(1, {&errands, left});
+    watched_.assign(1, {errands.word(), left});
     const bool all_stand = watch_others();
     auto until = looked_ + kIdleLook;
     if (left != 0) until = std::min(until, rested);
@@ -146,8 +146,7 @@ void Warden::stand_guard() noexcept {
       soon = kFirstLook;
     } else {
       futex::wait_any(watched_, std::min(futex::Clock::now() + soon, until));
-      // Relaxed: a hint. The next turn fetches the errands with acquire.
-      const bool asked = errands.load(std::memory_order_relaxed) != left;
+      const bool asked = errands.waiting() != left;
       soon = asked ? kFirstLook : std::min(2 * soon, kLastLook);
     }
   }
@@ -161,30 +160,27 @@ void Warden::settle_files() noexcept {
   membership_.settle_files();
   auto& errands = segment_.witnesses()[index()].errands;
   for (;;) {
-    const std::uint32_t left = errands.fetch_and(~errand::kOwn, std::memory_order_acquire);  // E1
+    const std::uint32_t left = errands.take(errand::kOwn);
     // Relaxed: the errand (E1) carries it.
     if (warden_stop_.load(std::memory_order_relaxed)) return;
-    futex::wait(&errands, left & ~errand::kOwn, std::nullopt);
+    futex::wait(errands.word(), left & ~errand::kOwn, std::nullopt);
   }
 }
 
 void Warden::run_errands(std::uint32_t asked) noexcept {
   stock_.settle_kept();
   if ((asked & (errand::kTrim | errand::kGive)) == 0) return;
-  segment::Witness& ours = segment_.witnesses()[index()];
+  segment::Errands& ours = segment_.witnesses()[index()].errands;
   eviction_.settle();
   if ((asked & errand::kGive) != 0) {
-    std::uint64_t word = ours.request.load(std::memory_order_relaxed);  // E1 carries it
-    const bool given = eviction_.give(Request::of(word));
+    const std::uint64_t request = ours.request();
+    const bool given = eviction_.give(Request::of(request));
     stock_.trim(Stock::kNobody);
-    // Of several requests the last one counts. If it has come just now, it gets another answer, by
-    // the compare-and-swap. Relaxed: G1 carries the memory.
-    ours.request.compare_exchange_strong(word, given ? Request::kGiven : Request::kRefused,
-                                         std::memory_order_relaxed);
+    ours.reply(request, given ? Request::kGiven : Request::kRefused);
   } else {
     stock_.trim(Stock::kNobody);
   }
-  ours.answers.fetch_add(1, std::memory_order_release);  // E2
+  ours.answer();
 }
 
 /// False when something is left that another look may finish.
@@ -252,9 +248,7 @@ void Warden::give_unused_back() noexcept {
   segment_.look_at_units();
   const auto& errands = segment_.witnesses()[index()].errands;
   stock_.give_back_to_system(IdleLook::kOldLooks, [&] {
-    // Relaxed: a hint to stop early.
-    return errands.load(std::memory_order_relaxed) != 0 ||
-           futex::Clock::now() >= now + kGiveBackTime;
+    return errands.waiting() != 0 || futex::Clock::now() >= now + kGiveBackTime;
   });
 }
 

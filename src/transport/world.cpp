@@ -52,9 +52,8 @@ bool World::has_ending_rings() noexcept {
 
 void World::renew_directory() noexcept {
   auto& version = segment_.directory().version;
-  // Relaxed, as in ring::announce(): D1 carries nothing.
-  version.fetch_add(1, std::memory_order_relaxed);
-  futex::wake_all(&version);
+  version.bump();
+  futex::wake_all(&version.word());
 }
 
 /// Crash:   killed after this and before the dead participant's name goes, the next reaper does it

@@ -27,7 +27,7 @@ class World {
       : segment_(segment), registry_(registry) {}
 
   std::uint32_t participants() const noexcept { return segment_.capacity().participants; }
-  std::atomic<std::uint32_t>& participant_state(std::uint32_t k) const noexcept {
+  refcount::ParticipantState<segment::Atomics>& participant_state(std::uint32_t k) const noexcept {
     return segment_.participants()[k].state;
   }
   /// The name that participant k has given itself, at most kNameBytes - 1 bytes of it.
@@ -35,7 +35,7 @@ class World {
   std::uint32_t blocks() const noexcept { return segment_.capacity().blocks; }
   segment::BlockWords& block(std::uint32_t b) const noexcept { return segment_.block(b); }
   std::uint32_t channels() const noexcept { return segment_.capacity().channels; }
-  std::atomic<ring::Word>& channel_writer(std::uint32_t c) const noexcept {
+  ring::WriterWord<segment::Atomics>& channel_writer(std::uint32_t c) const noexcept {
     return segment_.channels()[c].writer;
   }
   segment::Ring ring(std::uint32_t c) const noexcept { return segment_.ring(c); }

@@ -20,18 +20,22 @@
 
 #include "futex/futex.hpp"
 #include "support/processes.hpp"
+#include "support/raw.hpp"
 #include "support/sandbox.hpp"
 
 namespace {
 
 using namespace lot::testing;
 using lot::liveness::DeathNotice;
+using lot::test::raw;
 namespace seat = lot::liveness::seat;
 
 struct Shared {
-  DeathNotice::Seat before{0x1111111111111111};
-  DeathNotice::Seat seat{0};
-  DeathNotice::Seat behind{0x2222222222222222};
+  Shared() {
+    raw(before) = 0x1111111111111111;
+    raw(behind) = 0x2222222222222222;
+  }
+  DeathNotice::Seat before, seat, behind;
   std::atomic<int> stage{0};
 };
 
@@ -44,8 +48,8 @@ class Fixture {
     shared = new (at) Shared;
   }
   ~Fixture() {
-    CHECK(shared->before == 0x1111111111111111);
-    CHECK(shared->behind == 0x2222222222222222);
+    CHECK(raw(shared->before) == 0x1111111111111111);
+    CHECK(raw(shared->behind) == 0x2222222222222222);
     munmap(shared, sizeof(Shared));
   }
   Fixture(const Fixture&) = delete;
@@ -58,7 +62,7 @@ class Fixture {
     shared->stage = 0;
     Child child([&] {
       DeathNotice mine;
-      must(mine.claim(shared->seat, shared->seat), "the seat");
+      must(mine.claim(shared->seat, raw(shared->seat)), "the seat");
       must(stands(), "its notice");
       shared->stage = 1;
       then(mine);
@@ -72,9 +76,9 @@ class Fixture {
   void await(int stage) const {
     while (shared->stage < stage) std::this_thread::sleep_for(200us);
   }
-  bool stands() const { return seat::stands(shared->seat); }
-  std::uint32_t incarnation() const { return seat::incarnation(shared->seat); }
-  bool is_told() const { return (shared->seat & seat::kDied) != 0; }
+  bool stands() const { return seat::stands(raw(shared->seat)); }
+  std::uint32_t incarnation() const { return seat::incarnation(raw(shared->seat)); }
+  bool is_told() const { return (raw(shared->seat) & seat::kDied) != 0; }
 
   const Watchdog watchdog{60};
   Shared* shared = nullptr;
@@ -87,12 +91,12 @@ TEST_SUITE_BEGIN("death_notice");
 TEST_CASE_FIXTURE(Fixture, "a process stands until it is killed; its sleepers are woken") {
   for (int round = 0; round < 50; ++round) {
     Child child = claimer(stay);
-    const std::uint64_t seen = shared->seat;
+    const std::uint64_t seen = raw(shared->seat);
     REQUIRE(seat::stands(seen));
     CHECK(seat::incarnation(seen) == static_cast<std::uint32_t>(round) + 1);
     std::thread sleeper([&] {
-      while (shared->seat == seen) {
-        lot::futex::wait(lot::futex::low_half(shared->seat), seat::notice(seen), {});
+      while (raw(shared->seat) == seen) {
+        lot::futex::wait(lot::futex::low_half(shared->seat.word()), seat::notice(seen), {});
       }
     });
     if (round % 2 == 0) std::this_thread::sleep_for(1ms);
@@ -107,7 +111,7 @@ TEST_CASE_FIXTURE(Fixture, "a process stands until it is killed; its sleepers ar
 TEST_CASE_FIXTURE(Fixture, "a process that ends its notice takes it back") {
   Child child = claimer([](DeathNotice& mine) { mine.end(); });
   CHECK(child.wait() == 0);
-  CHECK(shared->seat == seat::make(1, 0));
+  CHECK(raw(shared->seat) == seat::make(1, 0));
 }
 
 TEST_CASE_FIXTURE(Fixture, "a process that ends without a word, or by exec, is told of") {
@@ -131,7 +135,7 @@ TEST_CASE_FIXTURE(Fixture, "the death of a thread of the application is no death
 }
 
 TEST_CASE_FIXTURE(Fixture, "a seat that has changed is not claimed, and a death leaves it alone") {
-  shared->seat = 7;
+  raw(shared->seat) = 7;
   Child child([&] {
     DeathNotice mine;
     must(!mine.claim(shared->seat, 0), "a seat that somebody else has");
@@ -140,7 +144,7 @@ TEST_CASE_FIXTURE(Fixture, "a seat that has changed is not claimed, and a death 
   });
   await(1);
   child.kill9();
-  CHECK(shared->seat == 7);
+  CHECK(raw(shared->seat) == 7);
 }
 
 TEST_CASE_FIXTURE(Fixture, "an overtaken process has no notice, nor by the same thread id") {
@@ -148,25 +152,25 @@ TEST_CASE_FIXTURE(Fixture, "an overtaken process has no notice, nor by the same 
     DeathNotice mine;
     must(!mine.claim(shared->seat, 1), "a seat that somebody else has");
     // Its witness thread is the next thread of this process, here and in the other namespace.
-    shared->seat = seat::make(1, static_cast<std::uint32_t>(getpid() + 1) | seat::kSleepers);
+    raw(shared->seat) = seat::make(1, static_cast<std::uint32_t>(getpid() + 1) | seat::kSleepers);
     shared->stage = 1;
     stay(mine);
   });
   await(1);
-  const std::uint64_t before = shared->seat;
+  const std::uint64_t before = raw(shared->seat);
   child.kill9();
-  CHECK(shared->seat == before);
+  CHECK(raw(shared->seat) == before);
 }
 
 TEST_CASE_FIXTURE(Fixture, "what another process has written there is set right, and still told") {
   Child child = claimer([&](DeathNotice& mine) {
-    while (seat::notice(shared->seat) != 12345) std::this_thread::sleep_for(100us);
+    while (seat::notice(raw(shared->seat)) != 12345) std::this_thread::sleep_for(100us);
     must(mine.renew(), "the same incarnation");
-    must(seat::notice(shared->seat) != 12345, "its notice");
+    must(seat::notice(raw(shared->seat)) != 12345, "its notice");
     shared->stage = 2;
     stay(mine);
   });
-  shared->seat = seat::make(incarnation(), 12345);
+  raw(shared->seat) = seat::make(incarnation(), 12345);
   await(2);
   CHECK(stands());
   child.kill9();
@@ -175,22 +179,22 @@ TEST_CASE_FIXTURE(Fixture, "what another process has written there is set right,
 
 TEST_CASE_FIXTURE(Fixture, "a seat that another process has taken is left to it") {
   Child child = claimer([&](DeathNotice& mine) {
-    while (seat::notice(shared->seat) != 12345) std::this_thread::sleep_for(100us);
+    while (seat::notice(raw(shared->seat)) != 12345) std::this_thread::sleep_for(100us);
     must(!mine.renew(), "another incarnation");
     mine.end();
   });
   const std::uint64_t others = seat::make(incarnation() + 1, 12345);
-  shared->seat = others;
+  raw(shared->seat) = others;
   CHECK(child.wait() == 0);
-  CHECK(shared->seat == others);
+  CHECK(raw(shared->seat) == others);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a seat is claimed again once it was given up") {
   Child child = claimer([&](DeathNotice& mine) {
     mine.end();
-    must(shared->seat == seat::make(1, 0), "given up");
+    must(raw(shared->seat) == seat::make(1, 0), "given up");
     must(!mine.claim(shared->seat, 0), "an older look");
-    must(mine.claim(shared->seat, shared->seat), "the seat again");
+    must(mine.claim(shared->seat, raw(shared->seat)), "the seat again");
     shared->stage = 2;
     stay(mine);
   });
@@ -218,14 +222,14 @@ TEST_CASE_FIXTURE(Fixture, "a forked child neither keeps the notice nor gives it
     stay(mine);
   });
   await(3);
-  CHECK(seat::stands(shared->seat));
+  CHECK(seat::stands(raw(shared->seat)));
   child.kill9();
   CHECK(is_told());
 }
 
 TEST_CASE_FIXTURE(Fixture, "two of one process, as of two segments or library copies") {
   DeathNotice::Seat& second = shared->before;
-  second = 0;
+  raw(second) = 0;
   Child child = claimer([&](DeathNotice& mine) {
     DeathNotice other;
     must(other.claim(second, 0), "the second seat");
@@ -233,12 +237,12 @@ TEST_CASE_FIXTURE(Fixture, "two of one process, as of two segments or library co
     stay(mine);
   });
   await(2);
-  CHECK(seat::stands(shared->seat));
-  CHECK(seat::stands(second));
+  CHECK(seat::stands(raw(shared->seat)));
+  CHECK(seat::stands(raw(second)));
   child.kill9();
   CHECK(is_told());
-  CHECK((second & seat::kDied) != 0);
-  second = 0x1111111111111111;
+  CHECK((raw(second) & seat::kDied) != 0);
+  raw(second) = 0x1111111111111111;
 }
 
 TEST_CASE_FIXTURE(Fixture, "without a list of the kernel's the byte speaks alone") {
@@ -246,10 +250,10 @@ TEST_CASE_FIXTURE(Fixture, "without a list of the kernel's the byte speaks alone
     must(refuse(SYS_set_robust_list, EPERM), "a filter");
     DeathNotice mine;
     must(mine.claim(shared->seat, 0), "the seat");
-    must(seat::notice(shared->seat) == seat::kUnwitnessed, "that there is no notice");
+    must(seat::notice(raw(shared->seat)) == seat::kUnwitnessed, "that there is no notice");
   });
   CHECK(child.wait() == 0);
-  CHECK(shared->seat == seat::make(1, 0));
+  CHECK(raw(shared->seat) == seat::make(1, 0));
 }
 
 TEST_SUITE_END();

@@ -27,6 +27,7 @@
 #include "support/error_of.hpp"
 #include "support/lock_owner.hpp"
 #include "support/processes.hpp"
+#include "support/raw.hpp"
 #include "support/sandbox.hpp"
 #include "transport/participant.hpp"
 
@@ -51,7 +52,9 @@ class Seats {
  public:
   explicit Seats(const lot::ShmEngine& engine) : segment_(engine.path()) {}
   std::uint64_t of(std::uint32_t k) const { return segment_.witnesses()[k].seat.load(); }
-  void set(std::uint32_t k, std::uint64_t value) { segment_.witnesses()[k].seat = value; }
+  void set(std::uint32_t k, std::uint64_t value) {
+    lot::test::raw(segment_.witnesses()[k].seat) = value;
+  }
   bool is_there(std::uint32_t k) const { return segment_.participants()[k].state.load() != 0; }
   const lot::segment::Segment& segment() const { return segment_; }
 
@@ -271,13 +274,13 @@ TEST_CASE("a process taken for dead leaves errands and locks to the next one of 
   });
   REQUIRE(joined.next() != 0);
   usleep(50000);  // its warden sleeps
-  auto& witness = seats.segment().witnesses()[2];
+  auto& errands = seats.segment().witnesses()[2].errands;
   const std::uint64_t next = seat::make(seat::incarnation(seats.of(2)) + 1, 1 | seat::kSleepers);
   seats.set(2, next);
-  witness.errands.fetch_or(lot::segment::errand::kTrim);
-  lot::futex::wake_all(&witness.errands);
+  CHECK(errands.bring(lot::segment::errand::kTrim));
+  lot::futex::wake_all(errands.word());
   CHECK(joined.next() != 0);
-  CHECK((witness.errands.load() & lot::segment::errand::kTrim) != 0);
+  CHECK((errands.waiting() & lot::segment::errand::kTrim) != 0);
   CHECK(seats.of(2) == next);
   leave.tell();
   CHECK(victim.wait() == 0);

@@ -20,6 +20,7 @@
 // The policy comes first: the algorithm takes its atomics and their memory orders from it.
 #include "lockfree_ring/ring.hpp"
 #include "lockfree_ring/words.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -61,7 +62,7 @@ struct BasicChannel {
   }
 
   void become(State state) {
-    writer_word = lot::ring::make_writer(kGeneration, state, kParticipant);
+    lot::test::raw(writer_word) = lot::ring::make_writer(kGeneration, state, kParticipant);
   }
 
   Reader join(std::uint64_t history = 0) {
@@ -104,7 +105,7 @@ struct BasicChannel {
     return found;
   }
 
-  Atomic<Word> writer_word{0};
+  lot::ring::WriterWord<P> writer_word;
   std::vector<Atomic<Word>> slots;
   std::vector<lot::ring::Cell<P>> cells;
   std::vector<Atomic<std::uint32_t>> who;

@@ -18,6 +18,7 @@
 #include "support/lock_owner.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -62,8 +63,9 @@ TEST_CASE("a ring of items that a dead process has recycled in part holds none, 
   const auto generation = lot::ring::writer_generation(channel.writer.load());
   channel.topic = 0;
   channel.taken = 1;
-  channel.formed.store(0);  // and its memory has gone
-  channel.writer.store(lot::ring::make_writer(generation, lot::ring::State::Orphan, 0));
+  lot::test::raw(channel.formed).store(0);  // and its memory has gone
+  lot::test::raw(channel.writer)
+      .store(lot::ring::make_writer(generation, lot::ring::State::Orphan, 0));
   Outsider owner;
   CHECK_FALSE(lot::registry::Registry(segment, owner).is_open({0, generation}));
   auto puller = engine.subscribe<Apple>("/p");
@@ -114,7 +116,8 @@ TEST_CASE("a ring has extra memory if its maker asks for it: zero bytes, and beh
       soiled = extra;
       std::fill_n(extra, bytes, std::uint8_t{0xff});
       registry.recycle(name->channel);
-      entry.writer.store(lot::ring::make_writer(name->generation, lot::ring::State::Free, 0));
+      lot::test::raw(entry.writer)
+          .store(lot::ring::make_writer(name->generation, lot::ring::State::Free, 0));
     }
   }
 }

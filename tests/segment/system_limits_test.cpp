@@ -25,6 +25,7 @@
 #include "segment/segment.hpp"
 #include "support/error_of.hpp"
 #include "support/processes.hpp"
+#include "support/raw.hpp"
 #include "support/sanitizers.hpp"
 
 namespace {
@@ -272,7 +273,7 @@ TEST_CASE("a full segment of the most processes does not say to ask for more") {
     for (auto& witness : segment.witnesses()) {
       before.push_back(witness.seat.load());
       if (!lot::liveness::seat::stands(before.back()))
-        witness.seat = lot::liveness::seat::make(1, 2);
+        lot::test::raw(witness.seat) = lot::liveness::seat::make(1, 2);
     }
     Child other([&] {
       const auto [error, text] = error_of([&] { const lot::ShmEngine mine(options); });
@@ -283,7 +284,8 @@ TEST_CASE("a full segment of the most processes does not say to ask for more") {
       must(names(text, "use several segments"), text.c_str());
     });
     CHECK(other.wait() == 0);
-    for (std::size_t k = 0; k < before.size(); ++k) segment.witnesses()[k].seat = before[k];
+    for (std::size_t k = 0; k < before.size(); ++k)
+      lot::test::raw(segment.witnesses()[k].seat) = before[k];
   }
 }
 

@@ -8,6 +8,7 @@
 #include "segment/segment.hpp"
 #include "support/lock_owner.hpp"
 #include "support/processes.hpp"
+#include "support/raw.hpp"
 #include "transport/world.hpp"
 
 namespace lot::testing {
@@ -37,7 +38,7 @@ class LocalSegment {
                 segment_.capacity().blocks * sizeof(lot::detail::Arena));
     for (std::uint32_t b = 0; b < segment_.capacity().blocks; ++b) segment_.build(b).close();
     segment_.granules().release_if([](std::uint32_t) { return true; });
-    segment_.directory().version = 0;
+    test::raw(segment_.directory().version) = 0;
   }
 
   transport::World& world() { return world_; }

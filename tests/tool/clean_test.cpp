@@ -16,6 +16,7 @@
 #include "command.hpp"
 #include "support/error_of.hpp"
 #include "support/janitor.hpp"
+#include "support/raw.hpp"
 #include "support/sanitizers.hpp"
 #include "support/users.hpp"
 #include "support/variable.hpp"
@@ -189,9 +190,9 @@ TEST_CASE("a process that was killed while it recycled a ring costs no items of 
     lot::segment::Segment segment(path_of(options));
     // As between the ring's memory and its channel: an ended ring without memory.
     auto& channel = segment.channels().back();
-    channel.formed.store(1);
-    channel.writer.store(
-        lot::ring::make_writer(1, lot::ring::State::Orphan, lot::refcount::kOrphanage));
+    lot::test::raw(channel.formed).store(1);
+    lot::test::raw(channel.writer)
+        .store(lot::ring::make_writer(1, lot::ring::State::Orphan, lot::refcount::kOrphanage));
   }
   CHECK(run_lot(on(options, {"ls"})).exit == 3);  // it looks damaged
   check_left_alone(run_lot(on(options, {"clean", "--json"})), options);

@@ -94,9 +94,9 @@ TEST_CASE("a member reaps another one that has gone without a word, and not itse
     CHECK(!stays.reaper->reap_if_dead(gone));
   }
   CHECK(!stays.reaper->reap_if_dead(stays.membership->index()));
-  CHECK(stays.world->participant_state(gone) == 1);
+  CHECK(stays.world->participant_state(gone).load() == 1);
   CHECK(stays.reaper->reap_dead());
-  CHECK(stays.world->participant_state(gone) == 0);
+  CHECK(stays.world->participant_state(gone).load() == 0);
 }
 
 TEST_CASE("a member that leaves last removes the files, and one that is not last leaves them") {

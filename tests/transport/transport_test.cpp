@@ -19,6 +19,7 @@
 #include "support/lock_owner.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
+#include "support/raw.hpp"
 #include "transport/participant.hpp"
 
 namespace {
@@ -383,8 +384,8 @@ TEST_CASE("a lossless publisher does not wait for an index that no process has")
   {
     lot::segment::Segment segment(place.engine.path());
     for (auto& topic : segment.topics()) {
-      topic.pullers[0].store(1);  // as a wild write would do
-      topic.pullers[5].store(3);
+      lot::test::raw(topic.pullers[0]).store(1);  // as a wild write would do
+      lot::test::raw(topic.pullers[5]).store(3);
     }
   }
   auto second = place.engine.advertise<Number>("/t", {Policy::Block, 4, 1ms});

@@ -36,7 +36,7 @@ TEST_SUITE_BEGIN("transport");
 TEST_CASE("a World over a bare segment: Recovery frees the blocks, memory and topics of the dead") {
   LocalSegment local = make();
   World& world = local.world();
-  world.participant_state(kDead) = 1;
+  world.participant_state(kDead).take();
   HardwareOwnership::Hold hold{};
   REQUIRE(HardwareOwnership(kDead).claim(world.block(5), hold));
   REQUIRE(local.segment().claim_run(3, 5 + 1) !=
@@ -51,9 +51,9 @@ TEST_CASE("a World over a bare segment: Recovery frees the blocks, memory and to
 
   CHECK(Recovery(world).reap(kDead));
 
-  CHECK(world.participant_state(kDead) == 0);
+  CHECK(world.participant_state(kDead).load() == 0);
   CHECK(world.block(5).home.load() == refcount::kHomeFree);
-  CHECK(lot::ring::writer_state(world.channel_writer(0)) == lot::ring::State::Free);
+  CHECK(lot::ring::writer_state(world.channel_writer(0).load()) == lot::ring::State::Free);
   CHECK(local.segment().directory().adoptions.load() != adoptions);
   const auto& tags = local.segment().granules();
   for (std::uint32_t i = 0; i < tags.count(); ++i) CHECK(tags.tag(i) == 0);
@@ -63,7 +63,7 @@ TEST_CASE("a World over a bare segment: Recovery frees the blocks, memory and to
 TEST_CASE("a World finds rings that have ended, and forgets them once Recovery has collected") {
   LocalSegment local = make();
   World& world = local.world();
-  world.participant_state(kDead) = 1;
+  world.participant_state(kDead).take();
   lot::registry::ChannelName ring{};
   {
     const lot::registry::Registry::Lock lock(local.registry());

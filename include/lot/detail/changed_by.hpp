@@ -11,6 +11,8 @@ template <class Atomic, class Owner>
 class ChangedBy : Atomic {
  public:
   using Atomic::load;
+  /// The word itself, to sleep on and to wake.
+  const Atomic& word() const noexcept { return *this; }
 
  private:
   friend Owner;

@@ -25,6 +25,7 @@
 #include "support/janitor.hpp"
 #include "support/must_go.hpp"
 #include "support/neighbour.hpp"
+#include "support/raw.hpp"
 
 namespace {
 
@@ -125,20 +126,20 @@ void remove_both(const lot::EngineOptions& options) {
 
 // The linker (--wrap) sends the callers of DeathNotice::claim() to the second of these.
 using lot::liveness::DeathNotice;
-bool really_claim(DeathNotice*, DeathNotice::Seat&,
-                  std::uint64_t) asm("__real__ZN3lot8liveness11DeathNotice5claimERSt6atomicImEm");
-bool claim_second(DeathNotice*, DeathNotice::Seat&,
-                  std::uint64_t) asm("__wrap__ZN3lot8liveness11DeathNotice5claimERSt6atomicImEm");
+bool really_claim(DeathNotice*, DeathNotice::Seat&, std::uint64_t) asm(
+    "__real__ZN3lot8liveness11DeathNotice5claimERNS_6detail9ChangedByISt6atomicImES1_EEm");
+bool claim_second(DeathNotice*, DeathNotice::Seat&, std::uint64_t) asm(
+    "__wrap__ZN3lot8liveness11DeathNotice5claimERNS_6detail9ChangedByISt6atomicImES1_EEm");
 
 bool claim_second(DeathNotice* notice, DeathNotice::Seat& seat, std::uint64_t seen) {
   namespace words = lot::liveness::seat;
   if (!first_joiner_is_quicker.exchange(false)) return really_claim(notice, seat, seen);
   const std::uint32_t incarnation = words::incarnation(seen) + 1;
   const std::uint64_t others = words::make(incarnation, 1 | words::kSleepers);
-  seat = others;  // another one, with the other lock file
+  lot::test::raw(seat) = others;  // another one, with the other lock file
   const bool claimed = really_claim(notice, seat, seen);
-  must(!claimed && seat == others, "the other one's seat");
-  seat = words::make(incarnation, 0);  // it has left again
+  must(!claimed && seat.load() == others, "the other one's seat");
+  lot::test::raw(seat) = words::make(incarnation, 0);  // it has left again
   return claimed;
 }
 

@@ -55,7 +55,7 @@ struct Fresh : Ground {
       const lot::ShmEngine maker(kept);
     }
     segment.emplace(file_of(*this));
-    segment->directory().persists.store(0);  // the last one that leaves removes it
+    lot::test::raw(segment->directory().persists).store(0);  // the last one that leaves removes it
   }
   std::optional<lot::segment::Segment> segment;
 };
@@ -277,7 +277,7 @@ TEST_CASE("the word that a sender sleeps on wraps, by readers that read and that
 TEST_CASE("the directory's version wraps: a reader that waits for publishers learns of each") {
   const Watchdog watchdog(60);
   Fresh ground;
-  auto& version = ground.segment->directory().version;
+  auto& version = lot::test::raw(ground.segment->directory().version);
   version.store(kEnd - 3);
   lot::ShmEngine engine(ground);
   std::atomic<pid_t> thread{0};
@@ -310,7 +310,7 @@ TEST_CASE("the generation of a ring wraps: publishers that follow each other are
   for (const std::uint32_t before : {kEnd - 3, kEnd - 2}) {  // one up for each end of a ring, too
     CAPTURE(before);
     Fresh ground(16384, 1);  // one channel for all of them
-    auto& writer = ground.segment->channels()[0].writer;
+    auto& writer = lot::test::raw(ground.segment->channels()[0].writer);
     writer.store(lot::ring::make_writer(before, lot::ring::State::Free, 0));
     {
       lot::ShmEngine engine(ground);

@@ -90,7 +90,7 @@ std::vector<Plant> planted_operations() {
     n.pusher.reset();
   });
   plant("a topic of nobody", "a topic is used by the dead", [](Node& n) {
-    participant(n)->segment().topics()[3].users[0].fetch_or(std::uint64_t{1} << kNobody);
+    test::raw(participant(n)->segment().topics()[3].users[0]).fetch_or(std::uint64_t{1} << kNobody);
   });
   plant(
       "a held message is written", "a held message did not change",

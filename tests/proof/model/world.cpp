@@ -34,7 +34,7 @@ void Channel::soil() {
 
 Segment::Segment(const Shape& s)
     : shape(s),
-      parts(kParticipants),
+      states(kParticipants),
       blocks(s.blocks),
       pullers(kParticipants),
       payloads(s.blocks),
@@ -132,7 +132,7 @@ bool Process::attach() {
     segment_->unlock(index());
     return false;
   }
-  participant_state(index()).store(1, std::memory_order_relaxed);
+  participant_state(index()).take();
   return true;
 }
 
@@ -319,10 +319,8 @@ ring::Ring<Policy> Process::unformed_ring(std::uint32_t c) {
 }
 
 void Process::close_ring(std::uint32_t c) {
-  Atomic<Word>& writer = channel_writer(c);
-  const Word generation = ring::writer_generation(writer.load(std::memory_order_relaxed));
-  writer.store(ring::make_writer(generation, ring::State::Orphan, index()),
-               std::memory_order_release);
+  auto& writer = channel_writer(c);
+  writer.end(ring::writer_generation(writer.load(std::memory_order_relaxed)), index());
   Recovery recovery(*this);
   ring::Ring<Policy> r = ring(c);
   recovery.wake_readers(r);
@@ -386,21 +384,14 @@ bool Publisher::advertise(Process& process, std::uint32_t c, bool blocking) {
 
 bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
   Channel& channel = process.segment().channels[c];
-  Word free = channel.writer.load(std::memory_order_relaxed);
+  const Word free = channel.writer.load(std::memory_order_relaxed);
   if (ring::writer_state(free) != ring::State::Free) return false;
+  if (!channel.writer.claim(free, process.index())) return false;
   const Word generation = ring::writer_generation(free) + 1;
-  if (!channel.writer.compare_exchange_strong(
-          free, ring::make_writer(generation, ring::State::Init, process.index()),
-          std::memory_order_acquire, std::memory_order_relaxed)) {
-    return false;
-  }
   channel.used.write(true);
   channel.soil();
   channel.blocking.write(blocking);
   ring::Ring<Policy> ring = process.unformed_ring(c);
-  ring.roster->store(0, std::memory_order_relaxed);
-  ring.space->store(0, std::memory_order_relaxed);
-  if (ring.returned != nullptr) ring.returned->store(0, std::memory_order_relaxed);
   for (auto& [from, to] : channel.bounds) {
     from.store(0, std::memory_order_relaxed);
     to.store(0, std::memory_order_relaxed);
@@ -414,8 +405,7 @@ bool Publisher::make_ring(Process& process, std::uint32_t c, bool blocking) {
       [&pullers](std::uint32_t p) {
         return pullers[p].load(std::memory_order_seq_cst) != 0;  // R13
       });
-  channel.writer.store(ring::make_writer(generation, ring::State::Live, process.index()),
-                       std::memory_order_release);
+  channel.writer.go_live(generation, process.index());
   process_ = &process;
   channel_ = c;
   writer_ = ring::Writer<Policy>(ring);

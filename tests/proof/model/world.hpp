@@ -47,7 +47,7 @@ struct Channel {
   /// As the memory is that a new ring gets: somebody's message was in there.
   void soil();
 
-  Atomic<Word> writer;
+  ring::WriterWord<Policy> writer;
   std::vector<Atomic<Word>> slots;
   std::vector<ring::Cell<Policy>> cells;
   std::vector<Atomic<std::uint32_t>> who;
@@ -88,11 +88,11 @@ class Segment {
   bool has_ended(std::uint32_t participant) const;
 
   const Shape shape;
-  std::vector<Atomic<std::uint32_t>> parts;
+  std::vector<refcount::ParticipantState<Policy>> states;
   std::vector<refcount::BlockWords<Policy>> blocks;
   std::deque<Channel> channels;
   /// The directory's.
-  Atomic<std::uint32_t> version;
+  ring::DirectoryVersion<Policy> version;
   /// By participant, of the one topic.
   std::vector<Atomic<std::uint32_t>> pullers;
   /// The message of a block: its number. Any access that the protocol does not order is a race.
@@ -186,11 +186,13 @@ class Process {
 
   // What Recovery asks of its World.
   std::uint32_t participants() const { return kParticipants; }
-  Atomic<std::uint32_t>& participant_state(std::uint32_t k) { return segment_->parts[k]; }
+  refcount::ParticipantState<Policy>& participant_state(std::uint32_t k) {
+    return segment_->states[k];
+  }
   std::uint32_t blocks() const { return segment_->shape.blocks; }
   refcount::BlockWords<Policy>& block(std::uint32_t b) { return segment_->blocks[b]; }
   std::uint32_t channels() const { return segment_->shape.channels; }
-  Atomic<Word>& channel_writer(std::uint32_t c) { return segment_->channels[c].writer; }
+  ring::WriterWord<Policy>& channel_writer(std::uint32_t c) { return segment_->channels[c].writer; }
   ring::Ring<Policy> ring(std::uint32_t c);
   ring::Ring<Policy> unformed_ring(std::uint32_t c);
   template <class F>
@@ -205,8 +207,8 @@ class Process {
   }
   void release_extents(const std::vector<bool>& dead);
   void renew_directory() {
-    segment_->version.fetch_add(1, std::memory_order_relaxed);
-    segment_->version.wake_all();
+    segment_->version.bump();
+    segment_->version.word().wake_all();
   }
   void unsubscribe(std::uint32_t k) {
     // Only then, as the registry: Relacy takes the store for a fence.
@@ -441,7 +443,7 @@ class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
     janitor.reap(kTaker);
     janitor.collect();
     constexpr auto kOrder = std::memory_order_seq_cst;
-    for (auto& part : segment.parts) RL_ASSERT(part.load(kOrder) == 0);
+    for (auto& state : segment.states) RL_ASSERT(state.load(kOrder) == 0);
     for (auto& count : segment.pullers) RL_ASSERT(count.load(kOrder) == 0);
     for (auto& block : segment.blocks) {
       RL_ASSERT(block.home.load(kOrder) == refcount::kHomeFree);

@@ -34,10 +34,10 @@ MISTAKES = (
       if (ring::clear_sleeper(r.slots[i])) world_.wake(r.slots[i]);
     }'''),)),
     Planted('the ring loses its name before the work', RECOVERY, 'crash', ((
-        'ring::State::Orphan, k),', 'ring::State::Orphan, refcount::kOrphanage),'),)),
+        'writer.end(generation, k);', 'writer.end(generation, refcount::kOrphanage);'),)),
     Planted('the participant loses its name before the work', RECOVERY, 'crash', ((
         '    wake_whom_it_announced_to(k);\n    for',
-        '    world_.participant_state(k).store(0, std::memory_order_relaxed);\n'
+        '    world_.participant_state(k).free();\n'
         '    wake_whom_it_announced_to(k);\n    for'),)),
     Planted('a half-done ring is taken for done', RECOVERY, 'crash', ((
         'if (ring::writer_owner(w) != k || ring::writer_state(w) == ring::State::Free) return;',
@@ -144,8 +144,8 @@ MISTAKES = (
         '    if (ahead > 0 || (ahead == 0 && claim_worker(seen) != 0)) return 0;',
         '    if (ahead > 0) return 0;'),)),
     Planted('who sleeps beside a task hears of no new ring', SLEEP, 'task', ((
-        '  if (now != version || !any_live) sleep_on(directory, now);',
-        '  if (now != version || sources.empty()) sleep_on(directory, now);'),)),
+        '  if (now != version || !any_live) sleep_on(directory.word(), now);',
+        '  if (now != version || sources.empty()) sleep_on(directory.word(), now);'),)),
     Planted('a reader of the ring is not told after the dead one', 'src/lockfree_ring/ring.hpp', 'task', ((
         '    if (reads) returned->fetch_add(1, std::memory_order_release);  // C2\n', ''),)),
     Planted('a ring with items is deserted', 'src/lockfree_ring/ring.hpp', 'task', ((

@@ -184,7 +184,7 @@ again:
     k = 0
   };
   atomic {
-    parts[mapped[p]] = parts[mapped[p]] | 1 << held[p]; /* @ src/transport/membership.cpp take_index: participant_state(index()).store(1, std::memory_order_release) */
+    parts[mapped[p]] = parts[mapped[p]] | 1 << held[p]; /* @ src/transport/membership.cpp take_index: participant_state(index()).take() */
     joined[p] = 1;
     for (q : 1 .. PROCESSES) {
       assert(!joined[q] || mapped[q] == mapped[p]); /* all that use the name use one segment */

@@ -223,7 +223,7 @@ inline collect() {
     if
     :: IS_DESERTED_ORPHAN -> /* @ src/recovery/recovery.hpp recycle_rings: if (!is_deserted_orphan(c)) continue */
       recycle(); /* @ src/recovery/recovery.hpp recycle_rings: world_.recycle_ring(c) */
-      writer = WRITER(GENERATION(writer) + 1, FREE, 0) /* @ src/recovery/recovery.hpp recycle_rings: ring::make_writer(ring::writer_generation(w) + 1, ring::State::Free, 0) */
+      writer = WRITER(GENERATION(writer) + 1, FREE, 0) /* @ src/recovery/recovery.hpp recycle_rings: world_.channel_writer(c).free(ring::writer_generation(w) + 1) */
     :: else
     fi;
 #ifndef NO_REGISTRY_LOCK
@@ -271,12 +271,12 @@ inline orphan_ring(k) {
   if
   :: STATE(w) == INIT ->
     recycle(); /* @ src/recovery/recovery.hpp orphan_ring: world_.recycle_ring(c) */
-    writer = WRITER(GENERATION(w) + 1, FREE, 0) /* @ src/recovery/recovery.hpp orphan_ring: writer.store(ring::make_writer(generation + 1, ring::State::Free, 0) */
+    writer = WRITER(GENERATION(w) + 1, FREE, 0) /* @ src/recovery/recovery.hpp orphan_ring: writer.free(generation + 1) */
   :: else ->
 #ifdef RING_NAME_FIRST
     writer = WRITER(GENERATION(w), ORPHAN, 0);
 #else
-    writer = WRITER(GENERATION(w), ORPHAN, k); /* @ src/recovery/recovery.hpp orphan_ring: writer.store(ring::make_writer(generation, ring::State::Orphan, k) */
+    writer = WRITER(GENERATION(w), ORPHAN, k); /* @ src/recovery/recovery.hpp orphan_ring: writer.end(generation, k) */
 #endif
 #ifndef HOLD_FIRST
     if
@@ -284,7 +284,7 @@ inline orphan_ring(k) {
     :: !slot /* @ src/recovery/recovery.hpp orphan_ring: adopt(ring::block(r.slots[i].load */
     fi;
 #endif
-    writer = WRITER(GENERATION(w), ORPHAN, 0) /* @ src/recovery/recovery.hpp orphan_ring: writer.store(ring::make_writer(generation, ring::State::Orphan, refcount::kOrphanage) */
+    writer = WRITER(GENERATION(w), ORPHAN, 0) /* @ src/recovery/recovery.hpp orphan_ring: writer.give_to_orphanage(generation, refcount::kOrphanage) */
   fi;
   w = 0;
 kept:
@@ -349,7 +349,7 @@ inline reap(k) {
   part[k] = 0;
 #endif
   collect(); /* @ src/recovery/recovery.hpp reap: collect() */
-  part[k] = 0 /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).store(0 */
+  part[k] = 0 /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).free() */
 }
 
 /* ---- wardens ----------------------------------------------------------------------------------- */
@@ -385,7 +385,7 @@ end_idle:
     if
     :: part[k] -> /* @ src/transport/reaper.cpp reap_if_dead: world_.participant_state(k).load */
       if
-      :: atomic { !STANDS(seat[k]) -> seat[k] = SEAT(INCARNATION(seat[k]), JUDGED) }; /* @ src/liveness/presence.cpp judge: seat, seat::make(seat::incarnation(seat), seat::kJudged) */
+      :: atomic { !STANDS(seat[k]) -> seat[k] = SEAT(INCARNATION(seat[k]), JUDGED) }; /* @ src/liveness/presence.cpp judge: DeathNotice::judge(seat_of(k), seat) */
 #ifndef NO_ORPHANAGE_LOCK
         if
         :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/reaper.cpp reap_if_dead: enter_orphanage() */
@@ -505,7 +505,7 @@ untaken:
   of_a_dead_one = 0;
   if
   :: k <= LAST ->
-    part[k] = 1 /* @ src/transport/membership.cpp take_index: participant_state(index()).store(1 */
+    part[k] = 1 /* @ src/transport/membership.cpp take_index: participant_state(index()).take() */
   :: else -> /* @ src/transport/membership.cpp take_index: throw Error(EUSERS, segment_.path() */
 #ifdef FULL_TABLE
     assert(false)
@@ -564,7 +564,7 @@ inline await_puller() {
 inline open() {
   acquire_lock(registry); /* @ src/transport/rings.cpp open: const registry::Registry::Lock lock(registry_) */
   if
-  :: atomic { STATE(writer) == FREE -> writer = WRITER(GENERATION(writer) + 1, INIT, k) }; /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
+  :: atomic { STATE(writer) == FREE -> writer = WRITER(GENERATION(writer) + 1, INIT, k) }; /* @ src/registry/registry.cpp open: entry.writer.claim(w, participant) */
     atomic { memory = 1; kernel_garbage() }; /* @ src/registry/registry.cpp open: segment_.claim_run(granules, segment::kRingTag | c) */
     slot = 0; /* @ src/lockfree_ring/ring.hpp format: slots[i].store(make( */
     who = 0; /* @ src/lockfree_ring/ring.hpp format: who[c].store(0 */
@@ -572,7 +572,7 @@ inline open() {
 #ifdef SUBSCRIBED
     await_puller(); /* @ src/registry/registry.cpp open: ring.await_pullers(segment_.capacity().participants */
 #endif
-    writer = WRITER(GENERATION(writer), LIVE, k); /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Live, participant) */
+    writer = WRITER(GENERATION(writer), LIVE, k); /* @ src/registry/registry.cpp open: entry.writer.go_live(generation, participant) */
     opened = 1
   :: STATE(writer) != FREE /* @ src/registry/registry.cpp open: if (ring::writer_state(w) != ring::State::Free) continue */
   fi;

@@ -223,8 +223,8 @@ inline wake_whom_it_announced_to(k) {
 #else
   if
   :: k < READER(0) && OWNER(writer[c]) == k && STATE(writer[c]) > INIT -> /* @ src/recovery/recovery.hpp wake_whom_it_announced_to: published = ring::writer_owner(w) == k && ring::writer_state(w) > ring::State::Init */
-    directory++; /* @ src/transport/world.cpp renew_directory: version.fetch_add(1 */
-    kernel_wake(DIRECTORY); /* @ src/transport/world.cpp renew_directory: futex::wake_all(&version) */
+    directory++; /* @ src/transport/world.cpp renew_directory: version.bump() */
+    kernel_wake(DIRECTORY); /* @ src/transport/world.cpp renew_directory: futex::wake_all(&version.word()) */
     if
     :: STATE(writer[0]) == LIVE -> wake_slots(0) /* @ src/recovery/recovery.hpp wake_whom_it_announced_to: if (ring::writer_state(w) != ring::State::Live) continue */
     :: else
@@ -252,7 +252,7 @@ inline orphan_ring(c, k) {
   if
   :: STATE(w) == INIT ->
     atomic {
-      writer[c] = WRITER(FREE, 0); /* @ src/recovery/recovery.hpp orphan_ring: writer.store(ring::make_writer(generation + 1, ring::State::Free, 0) */
+      writer[c] = WRITER(FREE, 0); /* @ src/recovery/recovery.hpp orphan_ring: writer.free(generation + 1) */
       w = 0;
       goto kept
     }
@@ -261,11 +261,11 @@ inline orphan_ring(c, k) {
 #ifdef RELEASE_NAME_FIRST
   writer[c] = WRITER(ORPHAN, 0);
 #else
-  writer[c] = WRITER(ORPHAN, k); /* @ src/recovery/recovery.hpp orphan_ring: writer.store(ring::make_writer(generation, ring::State::Orphan, k) */
+  writer[c] = WRITER(ORPHAN, k); /* @ src/recovery/recovery.hpp orphan_ring: writer.end(generation, k) */
 #endif
   wake_readers(c); /* @ src/recovery/recovery.hpp orphan_ring: wake_readers(r) */
   atomic {
-    writer[c] = WRITER(ORPHAN, 0); /* @ src/recovery/recovery.hpp orphan_ring: writer.store(ring::make_writer(generation, ring::State::Orphan, refcount::kOrphanage) */
+    writer[c] = WRITER(ORPHAN, 0); /* @ src/recovery/recovery.hpp orphan_ring: writer.give_to_orphanage(generation, refcount::kOrphanage) */
     w = 0
   };
 kept:
@@ -299,7 +299,7 @@ inline reap(k) {
     od
   fi;
   atomic {
-    part[k] = 0; /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).store(0 */
+    part[k] = 0; /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).free() */
     c = 0
   }
 }
@@ -331,7 +331,7 @@ end_idle:
 /* ---- a publisher ------------------------------------------------------------------------------- */
 
 inline announce() {
-  directory++; /* @ src/lockfree_ring/sleep.hpp announce: directory.fetch_add(1 */
+  directory++; /* @ src/lockfree_ring/sleep.hpp announce: directory.bump() */
 #ifndef ANNOUNCE_WAKES_DIRECTORY_ONLY
   do
   :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp announce: return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
@@ -356,13 +356,13 @@ inline announce() {
 #ifdef DIRECTORY_IS_NOT_WOKEN
   skip
 #else
-  kernel_wake(DIRECTORY) /* @ src/lockfree_ring/sleep.hpp announce: wake(directory) */
+  kernel_wake(DIRECTORY) /* @ src/lockfree_ring/sleep.hpp announce: wake(directory.word()) */
 #endif
 }
 
 inline open(me, mine) {
   acquire(registry, me); /* @ src/transport/rings.cpp open: const registry::Registry::Lock lock(registry_) */
-  writer[mine] = WRITER(INIT, me); /* @ src/registry/registry.cpp open: ring::make_writer(generation, ring::State::Init, participant) */
+  writer[mine] = WRITER(INIT, me); /* @ src/registry/registry.cpp open: entry.writer.claim(w, participant) */
 #if RINGS > 1
   atomic {
     r = 0;
@@ -372,7 +372,7 @@ inline open(me, mine) {
     od
   };
 #endif
-  writer[mine] = WRITER(LIVE, me); /* @ src/registry/registry.cpp open: entry.writer.store(ring::make_writer(generation, ring::State::Live, participant) */
+  writer[mine] = WRITER(LIVE, me); /* @ src/registry/registry.cpp open: entry.writer.go_live(generation, participant) */
   announce(); /* @ src/registry/registry.cpp open: announce(topic) */
   registry = 0 /* @ src/registry/registry.cpp ~Lock: registry_.unlock() */
 }
@@ -406,7 +406,7 @@ inline close_ring(me, mine) {
   wake_readers(mine);
   writer[mine] = WRITER(ORPHAN, 0);
 #else
-  writer[mine] = WRITER(ORPHAN, me); /* @ src/transport/reaper.cpp end_ring: .store(ring::make_writer(name.generation, ring::State::Orphan, index()) */
+  writer[mine] = WRITER(ORPHAN, me); /* @ src/transport/reaper.cpp end_ring: world_.channel_writer(name.channel).end(name.generation, index()) */
   wake_readers(mine); /* @ src/transport/reaper.cpp end_ring: Recovery(world_).wake_readers(r) */
   acquire(lock[0], me); /* @ src/transport/reaper.cpp give_up_rings: enter_orphanage() */
   orphan_ring(mine, me); /* @ src/transport/reaper.cpp give_up_rings: recovery.orphan_ring(c, index()) */
@@ -454,7 +454,7 @@ mark:
   :: atomic { IS_DEAD(LAGGARD) -> lock[LAGGARD] = me }; /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.try_lock(k) */
     acquire(lock[0], me); /* @ src/transport/reaper.cpp reap_if_dead: enter_orphanage() */
     free_cell(0, READERS - 1, LAGGARD); /* @ src/recovery/recovery.hpp reap: free_cells(c, k) */
-    part[LAGGARD] = 0; /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).store(0 */
+    part[LAGGARD] = 0; /* @ src/recovery/recovery.hpp reap: world_.participant_state(k).free() */
     lock[0] = 0; /* @ src/transport/reaper.cpp reap_if_dead: leave_orphanage() */
     lock[LAGGARD] = 0 /* @ src/transport/reaper.cpp reap_if_dead: lock_file_.unlock(k) */
   :: !IS_DEAD(LAGGARD) /* @ src/transport/pusher.cpp before_sleep: for (const std::uint32_t k : laggards_) pusher_.participant_->reaper().reap_if_dead(k) */
@@ -740,7 +740,7 @@ settle:
         if
         :: ALONE ->
           if
-          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp prepare_to_sleep: if (now != version || !any_live) sleep_on(directory, now) */
+          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp prepare_to_sleep: if (now != version || !any_live) sleep_on(directory.word(), now) */
           :: else -> GIVE_UP(look)
           fi
         :: else

@@ -29,7 +29,6 @@ using lot::detail::HardwareAtomics;
 namespace futex = lot::futex;
 namespace hold = lot::detail::hold;
 using lot::ring::kNoBlock;
-using lot::ring::State;
 using lot::ring::Word;
 using Ring = lot::ring::Ring<HardwareAtomics>;
 using Cell = lot::ring::Cell<HardwareAtomics>;
@@ -85,7 +84,7 @@ struct Channel {
     ring.blocking = blocking;
     ring.first = lot::ring::kSequenceMask - 1000;  // wraps on the way
     ring.format();
-    writer_word = lot::ring::make_writer(1, State::Live, 1);
+    writer_word.go_live(1, 1);
   }
 
   std::optional<Reader> join(std::uint64_t history) {
@@ -95,7 +94,7 @@ struct Channel {
 
   /// What the reaper does for a publisher that has gone.
   void end() {
-    writer_word = lot::ring::make_writer(1, State::Orphan, 1);
+    writer_word.end(1, 1);
     ring.clear_sleepers();
     for (const auto& slot : slots) futex::wake_all(futex::low_half(slot));
   }
@@ -104,7 +103,7 @@ struct Channel {
     return static_cast<std::uint64_t>(lot::ring::distance(sequence, ring.first));
   }
 
-  std::atomic<Word> writer_word{0};
+  lot::ring::WriterWord<lot::detail::HardwareAtomics> writer_word;
   std::vector<std::atomic<Word>> slots;
   std::vector<Cell> cells;
   std::vector<std::atomic<std::uint32_t>> who;

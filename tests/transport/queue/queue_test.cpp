@@ -705,7 +705,7 @@ TEST_CASE_FIXTURE(Fixture, "LOT_QUEUE in the environment comes before the code")
   const lot::segment::Segment segment(shm.path());
   const auto engine_of_the_only_ring = [&] {
     for (const auto& channel : segment.channels()) {
-      if (lot::ring::writer_state(channel.writer) == lot::ring::State::Live) {
+      if (lot::ring::writer_state(channel.writer.load()) == lot::ring::State::Live) {
         return static_cast<QueueEngine>(channel.engine);
       }
     }
