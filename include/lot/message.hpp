@@ -175,6 +175,8 @@ class ShmRef {
 
   /// Refers to nothing; in the message that this thread builds, else in private memory.
   ShmRef() noexcept : arena_(detail::arena_being_built()) {}
+  /// The same.
+  ShmRef(std::nullptr_t) noexcept : ShmRef() {}
   ShmRef(const ShmRef& other) : ShmRef() { assign(other.get(), other.control_here()); }
   /// Refers to what `target` points to; null where that has no message. Throws as an assignment.
   template <class V, detail::EnableIfConvertible<V, U> = 0>
@@ -193,7 +195,40 @@ class ShmRef {
     assign(target.get(), detail::PointerAccess::control(target));
     return *this;
   }
+  /// Refers to what another reference does, by a pointer to a base or to const. Throws as the class
+  /// says.
+  template <class V, detail::EnableIfConvertible<V, U> = 0>
+  ShmRef(const ShmRef<V>& other) : ShmRef() {
+    assign(other.get(), other.control_here());
+  }
+  /// The same, and lets go of what it referred to.
+  template <class V, detail::EnableIfConvertible<V, U> = 0>
+  ShmRef& operator=(const ShmRef<V>& other) {
+    assign(other.get(), other.control_here());
+    return *this;
+  }
+  /// Lets go of what it refers to.
+  ShmRef& operator=(std::nullptr_t) noexcept {
+    let_go();
+    return *this;
+  }
   ~ShmRef() { let_go(); }
+
+  /// Lets go of what it refers to.
+  void reset() noexcept { let_go(); }
+  /// Exchanges the targets, also of references in different messages. Throws as an assignment, and
+  /// then both refer to what they did.
+  void swap(ShmRef& other) {
+    const ShmSharedPtr<U> mine = lock();
+    const ShmSharedPtr<U> others = other.lock();
+    *this = others;
+    try {
+      other = mine;
+    } catch (...) {
+      *this = mine;
+      throw;
+    }
+  }
 
   /// The target where it lies in this process, or null. If another process has damaged the
   /// reference, it may lead anywhere: lock() checks it.
@@ -215,6 +250,8 @@ class ShmRef {
   }
 
  private:
+  template <class V>
+  friend class ShmRef;
   /// The target's control block in this process. A message says by its address which segment it is
   /// in: its own words may be damaged.
   detail::ControlBlock* control_here() const {
@@ -258,11 +295,30 @@ class ShmRef {
   std::uint32_t block_ = 0;                          ///< inside of messages only
 };
 
+namespace detail {
+template <class U>
+struct IsPointer<ShmRef<U>> : std::true_type {};
+}  // namespace detail
+
+/// Exchanges the targets. Throws as ShmRef::swap().
+template <class U>
+void swap(ShmRef<U>& a, ShmRef<U>& b) {
+  a.swap(b);
+}
+
 /// Its words are relative.
 template <class U>
 struct is_trusted_message<ShmRef<U>> : std::true_type {};
 
 }  // namespace lot
+
+/// As that of the raw pointer: equal references in different messages have equal hashes.
+template <class U>
+struct std::hash<lot::ShmRef<U>> {
+  std::size_t operator()(const lot::ShmRef<U>& ref) const noexcept {
+    return std::hash<U*>()(ref.get());
+  }
+};
 
 /// As std::string's: std has it for its own allocator only.
 template <>

@@ -8,11 +8,16 @@
 #include <ostream>
 #include <type_traits>
 #include <utility>
+#if __cplusplus >= 202002L
+#include <compare>
+#endif
 
 #include "lot/detail/control.hpp"
 
 namespace lot {
 
+template <class T>
+class ShmUniquePtr;
 template <class T>
 class ShmSharedPtr;
 template <class T>
@@ -30,6 +35,18 @@ inline bool owner_less(const ControlBlock* a, std::uint32_t a_generation, const 
 
 template <class From, class To>
 using EnableIfConvertible = std::enable_if_t<std::is_convertible_v<From*, To*>, int>;
+
+/// The pointers of this library that compare by address, with each other and with nullptr.
+template <class P>
+struct IsPointer : std::false_type {};
+template <class T>
+struct IsPointer<ShmUniquePtr<T>> : std::true_type {};
+template <class T>
+struct IsPointer<ShmSharedPtr<T>> : std::true_type {};
+template <class P>
+using EnableIfPointer = std::enable_if_t<IsPointer<P>::value, int>;
+template <class P, class Q>
+using EnableIfPointers = std::enable_if_t<IsPointer<P>::value && IsPointer<Q>::value, int>;
 }  // namespace detail
 
 /// A message in shared memory that only its maker can see: it is built through this, then pushed or
@@ -51,7 +68,18 @@ class ShmUniquePtr {
   ShmUniquePtr(ShmUniquePtr&& other) noexcept
       : object_(std::exchange(other.object_, nullptr)),
         control_(std::exchange(other.control_, nullptr)) {}
+  /// Takes over a pointer to a derived or a mutable type.
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmUniquePtr(ShmUniquePtr<U>&& other) noexcept
+      : object_(std::exchange(other.object_, nullptr)),
+        control_(std::exchange(other.control_, nullptr)) {}
   ShmUniquePtr& operator=(ShmUniquePtr&& other) noexcept {
+    ShmUniquePtr(std::move(other)).swap(*this);
+    return *this;
+  }
+  /// Frees the message, and takes that of `other` over.
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmUniquePtr& operator=(ShmUniquePtr<U>&& other) noexcept {
     ShmUniquePtr(std::move(other)).swap(*this);
     return *this;
   }
@@ -86,6 +114,8 @@ class ShmUniquePtr {
   }
 
  private:
+  template <class U>
+  friend class ShmUniquePtr;
   friend struct detail::PointerAccess;
   ShmUniquePtr(T* object, detail::ControlBlock* control) noexcept
       : object_(object), control_(control) {}
@@ -264,6 +294,14 @@ class ShmWeakPtr {
   ShmWeakPtr(const ShmWeakPtr& other) noexcept
       : ShmWeakPtr(other.object_, other.control_, other.generation_) {}
   ShmWeakPtr(ShmWeakPtr&& other) noexcept { swap(other); }
+  /// Looks on after the message of such a pointer in its place, which looks after nothing then.
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmWeakPtr(ShmWeakPtr<U>&& other) noexcept
+      : object_(other.template object_as<T>()),
+        control_(std::exchange(other.control_, nullptr)),
+        generation_(std::exchange(other.generation_, 0)) {
+    other.object_ = nullptr;
+  }
   /// Looks after the message of a pointer to a derived or a mutable type.
   template <class U, detail::EnableIfConvertible<U, T> = 0>
   ShmWeakPtr(const ShmWeakPtr<U>& other) noexcept
@@ -280,6 +318,18 @@ class ShmWeakPtr {
     return *this;
   }
   ShmWeakPtr& operator=(ShmWeakPtr&& other) noexcept {
+    ShmWeakPtr(std::move(other)).swap(*this);
+    return *this;
+  }
+  /// Looks after that message from now on.
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmWeakPtr& operator=(const ShmWeakPtr<U>& other) noexcept {
+    ShmWeakPtr(other).swap(*this);
+    return *this;
+  }
+  /// The same, and `other` looks after nothing then.
+  template <class U, detail::EnableIfConvertible<U, T> = 0>
+  ShmWeakPtr& operator=(ShmWeakPtr<U>&& other) noexcept {
     ShmWeakPtr(std::move(other)).swap(*this);
     return *this;
   }
@@ -403,6 +453,12 @@ template <class T, class U>
 [[nodiscard]] ShmSharedPtr<T> const_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
   return {p, const_cast<T*>(p.get())};
 }
+/// A pointer to the same message, cast by dynamic_cast; null if the object is no T.
+template <class T, class U>
+[[nodiscard]] ShmSharedPtr<T> dynamic_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
+  if (T* object = dynamic_cast<T*>(p.get())) return {p, object};
+  return {};
+}
 /// A pointer to the same message, cast by reinterpret_cast.
 template <class T, class U>
 [[nodiscard]] ShmSharedPtr<T> reinterpret_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
@@ -415,46 +471,56 @@ T* to_raw_pointer(const ShmSharedPtr<T>& p) noexcept {
   return p.get();
 }
 
-template <class T, class U>
-bool operator==(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+// Pointers compare by address, as raw pointers do.
+template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
+auto operator==(const P& a, const Q& b) noexcept -> decltype(a.get() == b.get()) {
   return a.get() == b.get();
 }
-template <class T, class U>
-bool operator!=(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator==(const P& p, std::nullptr_t) noexcept {
+  return p.get() == nullptr;
+}
+#if __cplusplus >= 202002L
+template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
+auto operator<=>(const P& a, const Q& b) noexcept
+    -> decltype(std::compare_three_way()(a.get(), b.get())) {
+  return std::compare_three_way()(a.get(), b.get());
+}
+#else
+template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
+auto operator!=(const P& a, const Q& b) noexcept -> decltype(a.get() != b.get()) {
   return a.get() != b.get();
 }
-template <class T, class U>
-bool operator<(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
-  return std::less<std::common_type_t<T*, U*>>()(a.get(), b.get());
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator!=(const P& p, std::nullptr_t) noexcept {
+  return p.get() != nullptr;
 }
-template <class T, class U>
-bool operator>(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator==(std::nullptr_t, const P& p) noexcept {
+  return p.get() == nullptr;
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator!=(std::nullptr_t, const P& p) noexcept {
+  return p.get() != nullptr;
+}
+template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
+auto operator<(const P& a, const Q& b) noexcept -> decltype(a.get() < b.get()) {
+  return std::less<decltype(true ? a.get() : b.get())>()(a.get(), b.get());
+}
+template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
+auto operator>(const P& a, const Q& b) noexcept -> decltype(b < a) {
   return b < a;
 }
-template <class T, class U>
-bool operator<=(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
+auto operator<=(const P& a, const Q& b) noexcept -> decltype(b < a) {
   return !(b < a);
 }
-template <class T, class U>
-bool operator>=(const ShmSharedPtr<T>& a, const ShmSharedPtr<U>& b) noexcept {
+template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
+auto operator>=(const P& a, const Q& b) noexcept -> decltype(a < b) {
   return !(a < b);
 }
-template <class T>
-bool operator==(const ShmSharedPtr<T>& p, std::nullptr_t) noexcept {
-  return !p;
-}
-template <class T>
-bool operator==(std::nullptr_t, const ShmSharedPtr<T>& p) noexcept {
-  return !p;
-}
-template <class T>
-bool operator!=(const ShmSharedPtr<T>& p, std::nullptr_t) noexcept {
-  return static_cast<bool>(p);
-}
-template <class T>
-bool operator!=(std::nullptr_t, const ShmSharedPtr<T>& p) noexcept {
-  return static_cast<bool>(p);
-}
+#endif
+
 /// Exchanges the pointers.
 template <class T>
 void swap(ShmSharedPtr<T>& a, ShmSharedPtr<T>& b) noexcept {
@@ -471,10 +537,27 @@ void swap(ShmWeakPtr<T>& a, ShmWeakPtr<T>& b) noexcept {
   a.swap(b);
 }
 /// Prints the address in this process. Throws what the stream throws.
-template <class T>
-std::ostream& operator<<(std::ostream& out, const ShmSharedPtr<T>& p) {
-  return out << p.get();
+template <class P, detail::EnableIfPointer<P> = 0>
+std::ostream& operator<<(std::ostream& out, const P& p) {
+  return out << static_cast<const void*>(p.get());
 }
+
+/// Orders by message: pointers to parts of one message are equal. For sets and maps of
+/// ShmSharedPtr and ShmWeakPtr, also mixed.
+struct owner_less {
+  using is_transparent = void;
+  template <class P, class Q>
+  auto operator()(const P& a, const Q& b) const noexcept -> decltype(a.owner_before(b)) {
+    return a.owner_before(b);
+  }
+};
+
+template <class T>
+ShmSharedPtr(ShmUniquePtr<T>) -> ShmSharedPtr<T>;
+template <class T>
+ShmSharedPtr(ShmWeakPtr<T>) -> ShmSharedPtr<T>;
+template <class T>
+ShmWeakPtr(ShmSharedPtr<T>) -> ShmWeakPtr<T>;
 
 }  // namespace lot
 
@@ -486,4 +569,17 @@ struct hash<lot::ShmSharedPtr<T>> {
     return std::hash<T*>()(p.get());
   }
 };
+/// As that of the raw pointer.
+template <class T>
+struct hash<lot::ShmUniquePtr<T>> {
+  std::size_t operator()(const lot::ShmUniquePtr<T>& p) const noexcept {
+    return std::hash<T*>()(p.get());
+  }
+};
+/// lot::owner_less, for containers that name this one.
+template <class T>
+struct owner_less<lot::ShmSharedPtr<T>> : lot::owner_less {};
+/// The same.
+template <class T>
+struct owner_less<lot::ShmWeakPtr<T>> : lot::owner_less {};
 }  // namespace std

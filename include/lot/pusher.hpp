@@ -47,6 +47,19 @@ ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
   return PointerAccess::unique(object, loan.control);
 }
 
+/// The control block of a message that is to be pushed. Throws lot::Error (EINVAL) for a pointer
+/// that was converted to one to a base: readers would find a message of another type. The type is
+/// known where the message was made; one that was taken from a queue is not looked at.
+template <class T>
+ControlBlock* whole(const ShmUniquePtr<T>& message) {
+  ControlBlock* const control = PointerAccess::control(message);
+  const MessageType& type = message_type<T>();
+  if (control != nullptr && control->type != &type && control->type != nullptr) {
+    require_type(*control, type);
+  }
+  return control;
+}
+
 }  // namespace detail
 
 /// Publishes messages of type T on a topic.
@@ -104,7 +117,7 @@ class ShmPusher {
   }
   /// The same with another limit than the options'. Throws the same.
   [[nodiscard]] Status push(ShmUniquePtr<T>&& message, Duration block_for) {
-    const Status status = core_->push_unique(detail::PointerAccess::control(message), block_for);
+    const Status status = core_->push_unique(detail::whole(message), block_for);
     if (status == Status::Ok) detail::PointerAccess::take(message);
     return status;
   }

@@ -424,7 +424,7 @@ class ShmQueue {
 
   template <class Made>
   Status put_made(Made&& made, Clock::time_point deadline) {
-    const Status status = core_->put_unique(detail::PointerAccess::control(made), deadline);
+    const Status status = core_->put_unique(detail::whole(made), deadline);
     if (status == Status::Ok) detail::PointerAccess::take(made);
     return status;
   }

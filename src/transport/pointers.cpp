@@ -50,6 +50,14 @@ ControlBlock* acquire_block(ControlBlock* control) {
   return control;
 }
 
+void require_type(const ControlBlock& control, const MessageType& type) {
+  if (is_same(*control.type, type)) return;
+  throw Error(EINVAL, control.hub->path(&control),
+              std::string("the pointer that was pushed points to a message of another type (") +
+                  control.type->name + "); readers get whole messages of type " + type.name,
+              "push it as what it was made, or copy the object into a loan()");
+}
+
 std::uint32_t refer(Arena& arena, ControlBlock* target, const void* object, std::size_t bytes) {
   transport::Participant* const at = transport::Participant::at(&arena);
   if (at == nullptr) refuse_unknown();

@@ -10,6 +10,7 @@
 #include <memory>
 #include <optional>
 #include <sched.h>
+#include <set>
 #include <sstream>
 #include <string>
 #include <thread>
@@ -209,6 +210,120 @@ TEST_CASE("a ShmUniquePtr owns, moves, swaps, frees and becomes a ShmSharedPtr w
   Unique w = place.engine->make<Pair>();
   w = nullptr;
   CHECK(!w);
+}
+
+TEST_CASE("a ShmUniquePtr converts to const and to a base, compares, hashes and prints") {
+  Place place;
+  Unique u = place.engine->make<Pair>(std::uint64_t{1}, std::uint64_t{2});
+  const Pair* const address = u.get();
+  CHECK(u != nullptr);
+  CHECK(nullptr != u);
+  lot::ShmUniquePtr<const Pair> c = std::move(u);
+  CHECK(u == nullptr);
+  CHECK(nullptr == u);
+  CHECK(c.get() == address);
+  u = place.engine->make<Pair>();
+  c = std::move(u);
+  CHECK(u == nullptr);
+  CHECK(c == c);
+  CHECK(c != u);
+  CHECK((c < u) == (c.get() < u.get()));
+  CHECK((c <= u) != (c > u));
+  CHECK((c >= u) != (c < u));
+  CHECK(std::hash<lot::ShmUniquePtr<const Pair>>()(c) == std::hash<const Pair*>()(c.get()));
+  std::ostringstream out, raw;
+  out << c;
+  raw << static_cast<const void*>(c.get());
+  CHECK(out.str() == raw.str());
+  const lot::ShmSharedPtr shared(std::move(c));
+  static_assert(std::is_same_v<decltype(shared), const Const>);
+  CHECK(c == nullptr);
+#if __cplusplus >= 202002L
+  CHECK((shared <=> shared) == 0);
+  CHECK((shared <=> Const()) != 0);
+#endif
+}
+
+TEST_CASE("a push of a ShmUniquePtr to a base is refused: readers get whole messages") {
+  Place place;
+  auto pusher = place.engine->advertise<Pair>("/t");
+  auto puller = place.engine->subscribe<Pair>("/t");
+  lot::ShmUniquePtr<Derived> derived = place.engine->make<Derived>();
+  Unique base = std::move(derived);
+  CHECK(error_of([&] { must_go(pusher.push(std::move(base))); }) == EINVAL);
+  CHECK(base != nullptr);
+  base.reset();
+  CHECK(!puller.try_pull());
+  must_go(pusher.push(pusher.loan(std::uint64_t{1}, std::uint64_t{2})));
+  CHECK(puller.try_pull()->b == 2);
+}
+
+TEST_CASE("a ShmRef compares with pointers, converts, swaps, hashes and lets go") {
+  Place place;
+  using Ref = lot::ShmRef<const Linked>;
+  lot::ShmSharedPtr<Linked> one = place.engine->make<Linked>();
+  lot::ShmSharedPtr<Linked> two = place.engine->make<Linked>();
+  auto message = place.engine->make<Linked>();
+  Ref mine = one;
+  CHECK(mine == one);
+  CHECK(one == mine);
+  CHECK(mine != two);
+  CHECK(mine != nullptr);
+  message->next = two;
+  CHECK(message->next == two);
+  swap(mine, message->next);  // one is in private memory, the other in a message
+  CHECK(mine == two);
+  CHECK(message->next == one);
+  CHECK(std::hash<Ref>()(message->next) == std::hash<const Linked*>()(one.get()));
+  const lot::ShmRef<Linked> changeable = two;
+  mine = nullptr;
+  CHECK(mine == nullptr);
+  mine = changeable;
+  CHECK(mine == changeable);
+  const Ref constant = changeable;
+  CHECK(constant == two);
+  mine.reset();
+  CHECK(!mine);
+  message->next = nullptr;
+  CHECK(message->next == nullptr);
+  const lot::ShmWeakPtr weak(one);
+  one.reset();
+  CHECK(weak.expired());  // no reference has kept it
+}
+
+TEST_CASE("owner_less orders what shares a message, dead or alive, also by std's name") {
+  Place place;
+  const Shared s = place.make(1);
+  const lot::ShmSharedPtr<std::uint64_t> part(s, &s->b);
+  const Weak weak = s;
+  CHECK(!lot::owner_less()(s, part));
+  CHECK(!lot::owner_less()(part, weak));
+  CHECK(!lot::owner_less()(weak, s));
+  std::set<Weak, std::owner_less<Weak>> set{weak, Weak(s), Weak(place.make(3))};
+  CHECK(set.size() == 2);
+  CHECK(set.find(s) != set.end());
+}
+
+TEST_CASE("a ShmWeakPtr converts by move; dynamic_pointer_cast and deduction keep the message") {
+  Place place;
+  lot::ShmSharedPtr<Derived> derived = place.engine->make<Derived>();
+  lot::ShmWeakPtr<Derived> weak(derived);
+  Weak base(std::move(weak));
+  CHECK(base.lock() == derived);
+  CHECK(weak.expired());
+  weak = derived;
+  base = weak;
+  CHECK(base.lock() == derived);
+  base.reset();
+  base = std::move(weak);
+  CHECK(base.lock() == derived);
+  CHECK(weak.expired());
+  const lot::ShmSharedPtr again(base);
+  static_assert(std::is_same_v<decltype(again), const Shared>);
+  CHECK(again == derived);
+  const auto up = lot::dynamic_pointer_cast<Pair>(derived);
+  CHECK(up == again);
+  CHECK(up.use_count() == 3);
 }
 
 TEST_CASE("copies of a ShmSharedPtr count, convert, alias, cast, compare, hash and print") {

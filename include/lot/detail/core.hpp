@@ -173,6 +173,10 @@ std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> p
 /// block. Throws lot::Error when the two are in different segments, when `object` is no part of the
 /// target, and when the message that is built belongs to another process or is published.
 std::uint32_t refer(Arena& arena, ControlBlock* target, const void* object, std::size_t bytes);
+
+/// Throws lot::Error (EINVAL) unless the message is of that type, which two libraries of a process
+/// may each describe.
+void require_type(const ControlBlock& control, const MessageType& type);
 /// Takes one refer() back. Does nothing if the message is not being built any more: its references
 /// end when it dies.
 void unrefer(Arena& arena, std::uint32_t block) noexcept;
