@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// Shows what LOT does: one camera process, five consumer processes, beside a plain TCP copy; then
 /// what happens when processes are killed. With --input, a real video instead.
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
@@ -30,6 +31,7 @@ void parse(CLI::App& app, Settings& s) {
   const auto internal = [&app](const char* name, auto& value) {
     app.add_option(name, value)->group("");
   };
+  internal("--size", s.size);
   internal("--role", s.role);
   internal("--number", s.number);
   internal("--run", s.run);
@@ -51,16 +53,38 @@ int play(const Settings& s) {
   return roles.at(s.role)(s);
 }
 
+/// Where the segments lie.
+std::filesystem::path directory() {
+  const char* name = std::getenv("LOT_DIR");
+  return name != nullptr ? name : "/dev/shm";
+}
+
+/// Takes smaller frames where the file system has no room for these, and says so. A container often
+/// has 64 MB.
+void fit(Settings& s) {
+  constexpr std::uint64_t kLeast = 64 << 10;
+  std::error_code ignored;
+  const std::uint64_t available = std::filesystem::space(directory(), ignored).available;
+  if (ignored || available / 4 * 3 >= s.size) return;
+  s.size = available / 4 * 3;
+  // A camera that was killed and the next one each have a whole ring and what consumers hold.
+  const std::uint64_t frames = 2 * (s.depth + demo::kConsumers * (demo::kHeld + 1));
+  const std::uint64_t most = s.size / frames / kLeast * kLeast;
+  if (!s.input.empty() || s.bytes <= most) return;
+  s.bytes = std::max(most, kLeast);
+  std::printf("%s has %.0f MB free: frames of %llu KiB, so that all of them fit\n\n",
+              directory().c_str(), static_cast<double>(available) / 1e6,
+              static_cast<unsigned long long>(s.bytes >> 10));
+}
+
 /// Removes our own segment if killed processes have left it. Not one that the user has named:
 /// others may be in it.
 struct Cleaner {
   std::string name;
   ~Cleaner() {
     if (std::getenv("LOT_SEGMENT") != nullptr) return;
-    const char* directory = std::getenv("LOT_DIR");
     std::error_code ignored;
-    for (const auto& entry : std::filesystem::directory_iterator(
-             directory != nullptr ? directory : "/dev/shm", ignored)) {
+    for (const auto& entry : std::filesystem::directory_iterator(directory(), ignored)) {
       const std::string file = entry.path().filename().string();
       if (file == name || file.rfind(name + ".", 0) == 0) {
         std::filesystem::remove(entry.path(), ignored);
@@ -73,6 +97,7 @@ int direct(Settings& s) {
   demo::catch_signals();
   s.segment = "lotdemo_" + std::to_string(getpid());
   const Cleaner cleaner{s.segment};
+  fit(s);
   bool good = false;
   if (!s.input.empty()) {
     good = demo::video(s);
@@ -92,7 +117,11 @@ int main(int argc, char** argv) {
                "lot_demo");
   Settings settings;
   parse(app, settings);
-  CLI11_PARSE(app, argc, argv);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? 0 : 2;
+  }
   try {
     return settings.role.empty() ? direct(settings) : play(settings);
   } catch (const demo::Interrupted&) {

@@ -42,6 +42,7 @@ std::vector<std::string> arguments(const Settings& s) {
                                  "--frames=" + std::to_string(s.frames),
                                  "--hz=" + std::to_string(s.hz),
                                  "--bytes=" + std::to_string(s.bytes),
+                                 "--size=" + std::to_string(s.size),
                                  "--depth=" + std::to_string(s.depth),
                                  "--run=" + std::to_string(s.run),
                                  "--port=" + std::to_string(s.port),

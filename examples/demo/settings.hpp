@@ -20,6 +20,7 @@ struct Settings {
   double hz = 30;
   std::uint64_t bytes = 16 << 20;
   std::uint32_t depth = 16;
+  std::uint64_t size = std::uint64_t{1} << 30;  ///< of the segment
   std::string input;
   std::string segment;  ///< name; LOT_SEGMENT comes before it
 
@@ -38,7 +39,7 @@ struct Settings {
   lot::EngineOptions engine() const {
     lot::EngineOptions options;
     options.segment = segment;
-    options.size_bytes = std::uint64_t{1} << 30;
+    options.size_bytes = size;
     options.name = number == 0 ? role : role + std::to_string(number);
     return options;
   }
