@@ -68,8 +68,8 @@ ControlBlock* whole(const ShmUniquePtr<T>& message) {
 ///     frame->data.resize(16 << 20);      // not zeroed
 ///     pusher.push(std::move(frame));      // readers see these bytes
 ///
-/// The cost of a push does not depend on the number of readers, and it makes no system call unless
-/// one of them sleeps.
+/// A push costs the same for any number of readers that are awake, and makes no system call. Where
+/// readers sleep it makes one, which takes longer with each of them.
 ///
 /// Threads: all members may be called at once, but for assignment and destruction.
 /// Errors:  lot::Error: ECHILD in a forked child, ESTALE in a process that was taken for dead; with
