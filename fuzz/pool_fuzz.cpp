@@ -73,7 +73,7 @@ struct Message {
   unsigned life;       ///< which one of its home's lives it was made in
   bool plain;
   bool dead = false;
-  bool buried = false;                     ///< what it referred to is let go
+  bool destroyed = false;                  ///< what it referred to is let go
   std::vector<std::uint64_t> refers_to{};  ///< numbers
 };
 
@@ -85,13 +85,13 @@ struct Private {
   explicit Private(LocalSegment& local, std::uint32_t self) {
     holder.segment = &local.segment();
     holder.own = lot::transport::HardwareOwnership(self);
-    holder.controls = cells.data();
+    holder.controls = controls.data();
     holder.make_tables(kBlocks);
     holder.pools = &pools;
-    for (std::uint32_t b = 0; b < kBlocks; ++b) cells[b].block = b;
+    for (std::uint32_t b = 0; b < kBlocks; ++b) controls[b].block = b;
     for (std::uint32_t i = 0; i < kPools; ++i) pools.push_back(std::make_unique<Pool>(holder, i));
   }
-  std::array<ControlBlock, kBlocks> cells{};
+  std::array<ControlBlock, kBlocks> controls{};
   Holder holder;
   std::vector<std::unique_ptr<Pool>> pools;
   Writer writer;
@@ -255,10 +255,10 @@ class Fuzz {
     }
     if (b == kNone) b = pool.claim();
     if (b == kNone) return;
-    bury_the_dead();
+    destroy_the_dead();
     require(!living_in(b), "a block that is loaned carries no message that lives");
     auto* payload =
-        static_cast<Payload*>(pool.lay_out(p.real->cells[b], plain ? kPlain : kClass, false));
+        static_cast<Payload*>(pool.lay_out(p.real->controls[b], plain ? kPlain : kClass, false));
     const std::uint64_t number = messages_.size();
     *payload = {number, ~number};
     messages_.push_back({b, generation(b), self_, p.life, plain});
@@ -269,7 +269,7 @@ class Fuzz {
     const auto m = pick(p.loans);
     if (!m || !room(p)) return;
     std::erase(p.loans, *m);
-    lot::transport::HardwareOwnership::hand_to_ring(cell(p, *m).hold);
+    lot::transport::HardwareOwnership::hand_to_ring(control(p, *m).hold);
     publish(p, *m);
   }
 
@@ -314,7 +314,7 @@ class Fuzz {
     std::erase(p.loans, *m);
     p.pointers.push_back(*m);
     lot::transport::HardwareOwnership::note_pointers(local_.world().block(block(*m)),
-                                                     cell(p, *m).hold);
+                                                     control(p, *m).hold);
   }
 
   void abandon(Process& p) {
@@ -322,11 +322,11 @@ class Fuzz {
     if (!m) return;
     std::erase(p.loans, *m);
     messages_[*m].dead = true;
-    p.real->pools[cell(p, *m).pool]->give_back(block(*m));
+    p.real->pools[control(p, *m).pool]->give_back(block(*m));
   }
 
   void copy(Process& p, std::uint64_t m) {
-    cell(p, m).hold.add_pointer();
+    control(p, m).hold.add_pointer();
     p.pointers.push_back(m);
   }
 
@@ -335,7 +335,7 @@ class Fuzz {
     if (p.pointers.empty()) return;
     const std::uint64_t m = p.pointers[index];
     p.pointers.erase(p.pointers.begin() + static_cast<std::ptrdiff_t>(index));
-    if (cell(p, m).hold.drop_pointer_of_several()) return;
+    if (control(p, m).hold.drop_pointer_of_several()) return;
     p.real->holder.release(block(m), hold::kPointer);
   }
 
@@ -396,7 +396,7 @@ class Fuzz {
     const Message& message = messages_[*m];
     auto& words = local_.world().block(message.block);
     const bool locked =
-        p.real->holder.own.acquire_weak(words, cell(p, *m).hold, message.generation) ==
+        p.real->holder.own.acquire_weak(words, control(p, *m).hold, message.generation) ==
         lot::refcount::Left::Held;
     require(locked || !held(*m), "a weak pointer to a message that is held");
     require(!locked || !message.dead, "a weak pointer to a message that has died");
@@ -466,9 +466,9 @@ class Fuzz {
     require(local_.reap(k), "there was something to reap");
     rings_.at(p.channel).orphan = true;
     for (Message& m : messages_) {
-      if (m.home != k || m.buried) continue;
+      if (m.home != k || m.destroyed) continue;
       m.home = 0;
-      m.buried = m.dead;
+      m.destroyed = m.dead;
     }
     Process fresh;
     fresh.life = p.life;
@@ -485,7 +485,7 @@ class Fuzz {
 
   /// What a reap or a collection makes of the orphanage.
   void collected() {
-    bury_the_dead();
+    destroy_the_dead();
     std::erase_if(rings_, [this](const auto& ring) {
       return ring.second.orphan &&
              std::none_of(processes_.begin(), processes_.end(),
@@ -495,7 +495,7 @@ class Fuzz {
       any = false;
       for (std::uint64_t m = 0; m < messages_.size(); ++m) {
         if (messages_[m].home != 0 || messages_[m].dead || held(m)) continue;
-        messages_[m].dead = messages_[m].buried = any = true;
+        messages_[m].dead = messages_[m].destroyed = any = true;
       }
     }
     for (std::uint32_t b = 0; b < kBlocks; ++b) {
@@ -522,7 +522,7 @@ class Fuzz {
   std::uint64_t references_of(std::uint32_t home, std::uint64_t m) {
     std::uint64_t n = 0;
     for (const Message& other : messages_) {
-      if (other.home == home && !other.buried) {
+      if (other.home == home && !other.destroyed) {
         n += static_cast<std::uint64_t>(
             std::count(other.refers_to.begin(), other.refers_to.end(), m));
       }
@@ -564,16 +564,16 @@ class Fuzz {
   }
 
   /// Which messages have died since: only those that nobody held, but for others that died.
-  void bury_the_dead() {
+  void destroy_the_dead() {
     for (bool any = true; any;) {
       any = false;
       for (std::uint64_t m = 0; m < messages_.size(); ++m) {
         Message& message = messages_[m];
-        if (message.buried || message.home == 0) continue;
+        if (message.destroyed || message.home == 0) continue;
         if (!message.dead && has_died(message) && !held(m)) message.dead = any = true;
         if (message.dead && processes_[message.home].real &&
             local_.segment().arena(message.block).references == 0) {
-          message.buried = any = true;
+          message.destroyed = any = true;
         }
       }
     }
@@ -587,7 +587,7 @@ class Fuzz {
   }
 
   void check() {
-    bury_the_dead();
+    destroy_the_dead();
     for (std::uint64_t m = 0; m < messages_.size(); ++m) {
       if (!messages_[m].dead) check_message(m);
     }
@@ -640,7 +640,7 @@ class Fuzz {
       require(own == (at_home || (m && holds(k, *m))), "who holds a block");
       require(!at_home || processes_[k].entered, "whose home a block has");
       if (!processes_[k].real) continue;
-      const std::uint64_t word = processes_[k].real->cells[b].hold.load();
+      const std::uint64_t word = processes_[k].real->controls[b].hold.load();
       const std::uint64_t rings = (word & hold::kRingMask) / hold::kRing;
       const std::uint64_t pointers = m ? pointers_of(k, *m) : 0;
       const std::uint64_t named = m ? rings_of(k, *m) : 0;
@@ -711,7 +711,9 @@ class Fuzz {
   // -------------------------------------------------------------------------------
 
   std::uint32_t block(std::uint64_t m) const { return messages_[m].block; }
-  ControlBlock& cell(Process& p, std::uint64_t m) const { return p.real->holder.control(block(m)); }
+  ControlBlock& control(Process& p, std::uint64_t m) const {
+    return p.real->holder.control(block(m));
+  }
   std::uint32_t generation(std::uint32_t b) const {
     return lot::refcount::generation_of(local_.world().block(b).life.load());
   }

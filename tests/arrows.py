@@ -5,15 +5,15 @@
     arrows.py [ROOT]       check the tree at ROOT (default: the tree this file lies in)
     arrows.py --self-test  plant wrong includes in a scratch tree and see that each is found
 
-A section "Inside `ROOM`" lists the units of a room, bottom first: a unit (a header and its source) includes
-units of rows above its own, and itself. Every file of the room belongs to a unit that is listed.
+A section "Inside `MODULE`" lists the units of a module, bottom first: a unit (a header and its source) includes
+units of rows above its own, and itself. Every file of the module belongs to a unit that is listed.
 
 An include is looked up as the compiler would (beside the file, then in src/, include/, tests/ and so
-on). One that names a room is judged by its name even when the file does not exist.
+on). One that names a module is judged by its name even when the file does not exist.
 
-The second table says which room lends which header of include/lot/detail/. What `anybody` lends
-belongs to no room: every room may include it. A room, and a header that it lends, may include what is lent by the room itself and by the rooms that it may include. A
-public header brings what it includes, by itself or by other public headers, so a room may include
+The second table says which module lends which header of include/lot/detail/. What `anybody` lends
+belongs to no module: every module may include it. A module, and a header that it lends, may include what is lent by the module itself and by the modules that it may include. A
+public header brings what it includes, by itself or by other public headers, so a module may include
 it only if it may include all of that.
 """
 
@@ -42,74 +42,74 @@ OUTER = {
 
 
 def read_table(readme):
-    """{room: set of rooms it may include}, in the table's order, and {room: set of rooms whose lent
-    headers it may include}. A room's arrows only point up the page."""
+    """{module: set of modules it may include}, in the table's order, and {module: set of modules whose lent
+    headers it may include}. A module's arrows only point up the page."""
     table, borrows = {}, {}
     for line in readme.read_text().splitlines():
         row = ROW.match(line)
         if not row:
             continue
-        room, allowed = row.group(1), row.group(3).strip()
+        module, allowed = row.group(1), row.group(3).strip()
         if allowed in ('nothing', 'what all above lend'):
-            rooms = set()
+            modules = set()
         elif allowed == 'all above':
-            rooms = set(table)
+            modules = set(table)
         else:
-            rooms = set(re.findall(r'`(\w+)`', allowed))
-            if not rooms or re.sub(r'`\w+`|[,\s]', '', allowed):
-                raise ValueError(f'{readme}: cannot read what {room} may include: {allowed!r}')
-        if rooms - set(table):
-            raise ValueError(f'{readme}: {room} may only include rooms above it, not '
-                             + ', '.join(sorted(rooms - set(table))))
-        borrows[room] = rooms | {room}
+            modules = set(re.findall(r'`(\w+)`', allowed))
+            if not modules or re.sub(r'`\w+`|[,\s]', '', allowed):
+                raise ValueError(f'{readme}: cannot read what {module} may include: {allowed!r}')
+        if modules - set(table):
+            raise ValueError(f'{readme}: {module} may only include modules above it, not '
+                             + ', '.join(sorted(modules - set(table))))
+        borrows[module] = modules | {module}
         if allowed == 'what all above lend':
-            borrows[room] |= set(table)
-        table[room] = rooms
+            borrows[module] |= set(table)
+        table[module] = modules
     if not table:
-        raise ValueError(f'{readme}: no table of rooms found')
+        raise ValueError(f'{readme}: no table of modules found')
     return table, borrows
 
 
 def read_lent(readme, table):
-    """{header of include/lot/detail/: the room that lends it}."""
+    """{header of include/lot/detail/: the module that lends it}."""
     lent = {}
     for line in readme.read_text().splitlines():
         row = LENT.match(line)
         if not row:
             continue
-        room = row.group(1)
-        if room not in table and room != ANYBODY:
-            raise ValueError(f'{readme}: {room} lends headers and is no room')
+        module = row.group(1)
+        if module not in table and module != ANYBODY:
+            raise ValueError(f'{readme}: {module} lends headers and is no module')
         for name in re.findall(r'`(\w+)`', row.group(2)):
             header = (DETAIL / f'{name}.hpp').as_posix()
             if header in lent:
-                raise ValueError(f'{readme}: two rooms lend {name}')
-            lent[header] = room
+                raise ValueError(f'{readme}: two modules lend {name}')
+            lent[header] = module
     return lent
 
 
 def read_units(readme):
-    """{room: {unit: its row, from the bottom}}, for the rooms whose units are listed."""
-    units, room = {}, None
+    """{module: {unit: its row, from the bottom}}, for the modules whose units are listed."""
+    units, module = {}, None
     for line in readme.read_text().splitlines():
         if line.startswith('## '):
             head = INSIDE.match(line)
-            room = head and head.group(1)
+            module = head and head.group(1)
             continue
         row = UNITS.match(line)
-        if not room or not row:
+        if not module or not row:
             continue
-        known = units.setdefault(room, {})
+        known = units.setdefault(module, {})
         number = len(set(known.values()))
         for unit in re.findall(r'`(\w+)`', row.group(1)):
             if unit in known:
-                raise ValueError(f'{readme}: {room} has two rows for {unit}')
+                raise ValueError(f'{readme}: {module} has two rows for {unit}')
             known[unit] = number
     return units
 
 
 def objection_inside(relative, name, units):
-    """Why the file may not include the header `name` of its own room, or None."""
+    """Why the file may not include the header `name` of its own module, or None."""
     rows = units.get(relative.parts[1], {}) if relative.parts[0] == 'src' and len(relative.parts) == 3 else {}
     unit, other = relative.name.split('.')[0], pathlib.PurePosixPath(name).name.split('.')[0]
     if unit not in rows or other not in rows or unit == other or rows[other] < rows[unit]:
@@ -118,7 +118,7 @@ def objection_inside(relative, name, units):
 
 
 def place(relative):
-    """The room or folder of a path relative to the root: ('src', 'futex'), ('include', ''), ..."""
+    """The module or folder of a path relative to the root: ('src', 'futex'), ('include', ''), ..."""
     parts = relative.parts
     if len(parts) > 2 and parts[0] == 'src':
         return 'src', parts[1]
@@ -150,16 +150,16 @@ def target(found, name, table):
 
 def objection(source, goal, table):
     """Why `source` may not include `goal`, or None."""
-    folder, room = source
+    folder, module = source
     if goal[0] in OUTER:
         return None if folder in OUTER[goal[0]] else f'nobody includes {goal[0]}/'
     if goal[0] != 'src':
         return None
     if folder == 'include':
         return 'include/ never includes src/'
-    if folder != 'src' or room == goal[1] or goal[1] in table.get(room, ()):
+    if folder != 'src' or module == goal[1] or goal[1] in table.get(module, ()):
         return None
-    return f'src/{room} may not include src/{goal[1]}'
+    return f'src/{module} may not include src/{goal[1]}'
 
 
 def includes_of(file):
@@ -170,40 +170,40 @@ def includes_of(file):
 
 
 class Lent:
-    """What the headers of include/lot/ bring of what rooms lend."""
+    """What the headers of include/lot/ bring of what modules lend."""
 
     def __init__(self, root, readme, table):
         self.root = root
-        self.rooms = read_lent(readme, table)
+        self.modules = read_lent(readme, table)
         self.brought = {}
 
     def missing(self):
         """Complaints: the table and the folder name the same headers."""
         there = {p.relative_to(self.root).as_posix() for p in (self.root / DETAIL).glob('*')}
-        return [f'{h}:1: no room of src/README.md lends it' for h in sorted(there - set(self.rooms))] + [
-            f'src/README.md:1: {self.rooms[h]} lends {h}, which is not there'
-            for h in sorted(set(self.rooms) - there)]
+        return [f'{h}:1: no module of src/README.md lends it' for h in sorted(there - set(self.modules))] + [
+            f'src/README.md:1: {self.modules[h]} lends {h}, which is not there'
+            for h in sorted(set(self.modules) - there)]
 
     def brings(self, header):
-        """{room: a lent header of it} for a header of include/lot/."""
+        """{module: a lent header of it} for a header of include/lot/."""
         name = header.as_posix()
-        if name in self.rooms:
-            return {self.rooms[name]: name}
+        if name in self.modules:
+            return {self.modules[name]: name}
         if name not in self.brought:
-            self.brought[name] = rooms = {}
+            self.brought[name] = modules = {}
             file = self.root / header
             for include, _ in includes_of(file):
                 found = file_of(self.root, file, include)
                 if found is not None and found.parts[0] == 'include':
-                    rooms.update(self.brings(found))
+                    modules.update(self.brings(found))
         return self.brought[name]
 
-    def objection(self, room, header, borrows):
-        """Why a room, or a header that it lends, may not include a header of include/lot/, or None."""
+    def objection(self, module, header, borrows):
+        """Why a module, or a header that it lends, may not include a header of include/lot/, or None."""
         for lender, name in sorted(self.brings(header).items()):
-            if lender != ANYBODY and lender not in borrows.get(room, ()):
+            if lender != ANYBODY and lender not in borrows.get(module, ()):
                 how = '' if name == header.as_posix() else f' brings {name}, which'
-                return f'{how} {lender} lends, and {room} may not include'.strip()
+                return f'{how} {lender} lends, and {module} may not include'.strip()
         return None
 
 
@@ -222,12 +222,12 @@ def check(root):
             relative = file.relative_to(root)
             source = place(relative)
             if top == 'src' and source[1] not in table:
-                complaints.append(f'{relative}:1: lies in no room of src/README.md')
+                complaints.append(f'{relative}:1: lies in no module of src/README.md')
                 continue
             rows = units.get(source[1]) if top == 'src' and len(relative.parts) == 3 else None
             if rows is not None and file.name.split('.')[0] not in rows:
                 complaints.append(f'{relative}:1: belongs to no unit of src/README.md')
-            borrower = source[1] if top == 'src' else lent.rooms.get(relative.as_posix())
+            borrower = source[1] if top == 'src' else lent.modules.get(relative.as_posix())
             for name, line in includes_of(file):
                 found = file_of(root, file, name)
                 goal = target(found, name, table)
@@ -241,7 +241,7 @@ def check(root):
 
 
 TABLE = '''
-| room | what | may include |
+| module | what | may include |
 |---|---|---|
 | `low` | a | nothing |
 | `side` | b | nothing |
@@ -249,7 +249,7 @@ TABLE = '''
 | `high` | d | all above |
 | `guest` | e | what all above lend |
 
-| room | lends |
+| module | lends |
 |---|---|
 | `anybody` | `common` |
 | `low` | `deep`, `other` |
@@ -295,8 +295,8 @@ PLANTED = [  # file, its text, what must be complained about
     ('src/high/stray.cpp', '', 'belongs to no unit'),
     ('src/high/left.cpp', '#include "support/help.hpp"\n', 'nobody includes tests/'),
     ('src/high/left.cpp', '#include "../../bench/micro/floor.hpp"\n', 'nobody includes bench/'),
-    ('src/stray/bad.cpp', '', 'lies in no room'),
-    ('src/bad.cpp', '', 'lies in no room'),
+    ('src/stray/bad.cpp', '', 'lies in no module'),
+    ('src/bad.cpp', '', 'lies in no module'),
     ('include/lot/bad.hpp', '#include "low/low.hpp"\n', 'include/ never includes src/'),
     ('include/lot/bad.hpp', '#include "../../src/gone/gone.hpp"\n', 'include/ never includes src/'),
     ('include/lot/bad.hpp', '#include "bench/micro/floor.hpp"\n', 'nobody includes bench/'),
@@ -312,13 +312,13 @@ PLANTED = [  # file, its text, what must be complained about
     ('include/lot/detail/deep.hpp', '#include "inline.hpp"\n', 'high lends, and low may not include'),
     ('include/lot/detail/deep.hpp', '\n#include "lot/noun.hpp"\n', 'detail/deep.hpp:2:'),
     ('include/lot/detail/common.hpp', '#include "inline.hpp"\n', 'high lends, and anybody may not include'),
-    ('include/lot/detail/stray.hpp', '', 'no room of src/README.md lends it'),
+    ('include/lot/detail/stray.hpp', '', 'no module of src/README.md lends it'),
 ]
 
 
 TABLES = [  # a row more, and what is wrong with it
-    ('| `top` | e | `missing` |\n', 'names an unknown room'),
-    ('| `missing` | `more` |\n', 'lends for an unknown room'),
+    ('| `top` | e | `missing` |\n', 'names an unknown module'),
+    ('| `missing` | `more` |\n', 'lends for an unknown module'),
     ('| `side` | `deep` |\n', 'lends a header twice'),
 ]
 

@@ -28,7 +28,7 @@ import subprocess
 import sys
 import tempfile
 
-ROOMS = ('src/lockfree_ring/*.hpp', 'src/refcount/*.hpp', 'src/recovery/*.hpp',
+MODULES = ('src/lockfree_ring/*.hpp', 'src/refcount/*.hpp', 'src/recovery/*.hpp',
          'src/robust_mutex/robust_condition.hpp', 'src/robust_mutex/lock_word.hpp',
          'src/segment/granules.hpp', 'src/segment/units.hpp', 'src/waiting/waiting.hpp',
          'src/selection/bounds.hpp', 'src/selection/selector.hpp',
@@ -155,7 +155,7 @@ def defined(head, words, where, outside, text):
 
 def protocol(root):
     """The headers, and what they define: {(namespace, name): header}."""
-    headers = [h for room in ROOMS for h in sorted(root.glob(room))]
+    headers = [h for module in MODULES for h in sorted(root.glob(module))]
     names = {}
     complaints = []
     for header in headers:

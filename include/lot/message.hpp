@@ -201,7 +201,7 @@ class ShmRef {
   ShmRef(const ShmRef<V>& other) : ShmRef() {
     assign(other.get(), other.control_here());
   }
-  /// The same, and lets go of what it referred to.
+  /// The same, and lets go of what it referred to. Throws as the class says.
   template <class V, detail::EnableIfConvertible<V, U> = 0>
   ShmRef& operator=(const ShmRef<V>& other) {
     assign(other.get(), other.control_here());

@@ -546,16 +546,20 @@ std::ostream& operator<<(std::ostream& out, const P& p) {
 /// ShmSharedPtr and ShmWeakPtr, also mixed.
 struct owner_less {
   using is_transparent = void;
+  /// a.owner_before(b). Throws nothing.
   template <class P, class Q>
   auto operator()(const P& a, const Q& b) const noexcept -> decltype(a.owner_before(b)) {
     return a.owner_before(b);
   }
 };
 
+/// ShmSharedPtr(std::move(unique)) needs no type. Throws nothing.
 template <class T>
 ShmSharedPtr(ShmUniquePtr<T>) -> ShmSharedPtr<T>;
+/// ShmSharedPtr(weak) needs no type. Throws std::bad_weak_ptr when the message has died.
 template <class T>
 ShmSharedPtr(ShmWeakPtr<T>) -> ShmSharedPtr<T>;
+/// ShmWeakPtr(shared) needs no type. Throws nothing.
 template <class T>
 ShmWeakPtr(ShmSharedPtr<T>) -> ShmWeakPtr<T>;
 

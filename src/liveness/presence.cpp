@@ -12,18 +12,18 @@ bool Presence::may_be_claimed(std::uint32_t k) noexcept {
   if (seat::stands(seat)) return false;
   if (seat::notice(seat) != seat::kUnwitnessed) return true;
   if (lock_file_.held_by_other(k)) {
-    is_sure(k);
+    clear_doubt(k);
     return false;
   }
   is_unsure_ = true;
-  return is_convinced(k, seat);
+  return doubted_long_enough(k, seat);
 }
 
 bool Presence::claim(std::uint32_t k) {
   const std::uint64_t seat = seen(k);
   if (seat::stands(seat)) return false;
   // Since may_be_claimed() a process with another lock file may have taken the seat.
-  if (seat::notice(seat) == seat::kUnwitnessed && !is_convinced(k, seat)) return false;
+  if (seat::notice(seat) == seat::kUnwitnessed && !doubted_long_enough(k, seat)) return false;
   if (!notice_.claim(seat_of(k), seat)) return false;
   // Relaxed: the name is all that it tells. The seat has released it to other processes (L3).
   name_.store(lock::make_name(k, seat::incarnation(seat) + 1), std::memory_order_relaxed);
@@ -44,7 +44,8 @@ bool Presence::is_gone(std::uint32_t name) noexcept {
   const std::uint64_t seat = seen(k);
   if (lock::make_name(k, seat::incarnation(seat)) != name) return true;
   if (looks_dead(k) || seat::notice(seat) == seat::kJudged) return true;
-  return !seat::stands(seat) && seat::notice(seat) != seat::kUnwitnessed && is_convinced(k, seat);
+  return !seat::stands(seat) && seat::notice(seat) != seat::kUnwitnessed &&
+         doubted_long_enough(k, seat);
 }
 
 LockOwner::Stopped Presence::stopped(std::uint32_t name) const {
@@ -57,19 +58,19 @@ bool Presence::looks_dead(std::uint32_t k) noexcept {
   const std::uint64_t seat = seen(k);
   const bool may_be = !seat::stands(seat) && !lock_file_.held_by_other(k);
   if (seat::notice(seat) != seat::kUnwitnessed) return may_be;
-  if (!may_be) is_sure(k);
-  return may_be && is_convinced(k, seat);
+  if (!may_be) clear_doubt(k);
+  return may_be && doubted_long_enough(k, seat);
 }
 
 bool Presence::judge(std::uint32_t k) noexcept {
   const std::uint64_t seat = seen(k);
   if (seat::stands(seat)) return false;
-  if (seat::notice(seat) == seat::kUnwitnessed && !is_convinced(k, seat)) return false;
+  if (seat::notice(seat) == seat::kUnwitnessed && !doubted_long_enough(k, seat)) return false;
   return seat::notice(seat) == seat::kJudged || DeathNotice::judge(seat_of(k), seat);
 }
 
 /// True when the seat has had this word at every look for long enough (kConviction).
-bool Presence::is_convinced(std::uint32_t k, std::uint64_t seat) noexcept {
+bool Presence::doubted_long_enough(std::uint32_t k, std::uint64_t seat) noexcept {
   const std::lock_guard guard(doubts_mutex_);
   Doubt& doubt = doubts_[k];
   const auto now = futex::Clock::now();
@@ -78,7 +79,7 @@ bool Presence::is_convinced(std::uint32_t k, std::uint64_t seat) noexcept {
   return now - doubt.since >= kConviction;
 }
 
-void Presence::is_sure(std::uint32_t k) noexcept {
+void Presence::clear_doubt(std::uint32_t k) noexcept {
   const std::lock_guard guard(doubts_mutex_);
   doubts_[k] = {};
 }

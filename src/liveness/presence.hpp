@@ -77,8 +77,8 @@ class Presence final : public LockOwner {
   std::uint64_t seen(std::uint32_t k) const noexcept {
     return seat_of(k).load(std::memory_order_acquire);
   }
-  bool is_convinced(std::uint32_t k, std::uint64_t seat) noexcept;
-  void is_sure(std::uint32_t k) noexcept;
+  bool doubted_long_enough(std::uint32_t k, std::uint64_t seat) noexcept;
+  void clear_doubt(std::uint32_t k) noexcept;
 
   const segment::Segment& segment_;
   const LockFile& lock_file_;

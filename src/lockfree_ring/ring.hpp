@@ -39,7 +39,7 @@
 ///   R6  space mark, then positions in Writer::room (seq_cst)
 ///       <-> position store, then space load on an empty poll (seq_cst)
 ///       the reader that makes room rings the sender that sleeps for it.
-///   R7  LIVE (release)                     -> writer load in Reader::join, adopt (acquire)
+///   R7  LIVE (release)                     -> writer load in Reader::join, take_awaited (acquire)
 ///       carries: what format() and await() made.
 ///   R8  who = 0 in Reader::leave, reaper (release) -> claim of who in Reader::join (acquire)
 ///       carries: the former reader's last stores to the cell.
@@ -142,9 +142,9 @@ struct Ring {
   }
 
   /// Gives a cell to each reader that subscribed before this ring was made. The cell stands for
-  /// the reader until it looks (Reader::adopt) or unsubscribes. pullers(p) says how many readers
-  /// participant p has. subscribes(p) says, by a seq_cst load (R13), whether p still has some.
-  /// REQUIRES: INIT; the caller has called format(); living subscribers are kept away.
+  /// the reader until it looks (Reader::take_awaited) or unsubscribes. pullers(p) says how many
+  /// readers participant p has. subscribes(p) says, by a seq_cst load (R13), whether p still has
+  /// some. REQUIRES: INIT; the caller has called format(); living subscribers are kept away.
   ///
   /// Crash: killed before LIVE, the ring was never there.
   template <class Pullers, class Subscribes>
@@ -271,7 +271,7 @@ struct Ring {
   }
 
   /// True when no reader needs this ring any more. REQUIRES: the ring has ended; no reader joins,
-  /// adopts or leaves a cell that awaits it meanwhile.
+  /// takes or leaves a cell that awaits it meanwhile.
   ///
   /// A reader that is at work in the ring needs it. A reader that the ring awaits needs it only if
   /// the ring has news for it; else that reader never learns that the ring was there. Messages that
@@ -709,7 +709,7 @@ class Reader {
   /// The reader that a cell awaits (Ring::await). It begins with the first message, however late it
   /// comes. Nothing: no cell awaits this participant. REQUIRES: no process recycles the ring
   /// meanwhile.
-  static std::optional<Reader> adopt(const Ring<P>& ring, std::uint32_t participant) {
+  static std::optional<Reader> take_awaited(const Ring<P>& ring, std::uint32_t participant) {
     (void)ring.writer->load(std::memory_order_acquire);  // R7
     for (std::uint32_t c = 0; c < ring.readers; ++c) {
       // Relaxed: R7 carries the name.

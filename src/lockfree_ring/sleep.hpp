@@ -127,9 +127,10 @@ void announce(Directory& directory, Rings&& rings, Wake&& wake) {
 /// Marks that the sender of a full ring sleeps for room. Returns the value of `space` to sleep on,
 /// or nothing when there is room() after all.
 template <class Writer, class Room>
-std::optional<std::uint32_t> wait_for_room(Writer& writer, Room&& room) {
+std::optional<std::uint32_t> arm_for_room(Writer& writer, Room&& room) {
   const std::uint32_t value = writer.mark_waiting();
-  if (room()) return std::nullopt;  // R6: made before the mark stood, so no reader rings
+  // R6: a reader that made room before the mark stood tells nobody.
+  if (room()) return std::nullopt;
   return value;
 }
 

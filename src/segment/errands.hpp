@@ -6,21 +6,24 @@
 
 namespace lot::segment {
 
-/// What other participants ask of a participant's warden.
+/// What a warden is asked for: kOwn by its own process, the others by any participant.
 namespace errand {
-inline constexpr std::uint32_t kLook = 1;  ///< a message that the home waits for may be free
-inline constexpr std::uint32_t kTrim = 2;  ///< give idle memory back
-inline constexpr std::uint32_t kOwn = 4;   ///< the warden's own process has something for it to do
-inline constexpr std::uint32_t kGive = 8;  ///< give messages up: request() says how much
-/// No errand. The participant itself says that a signal ends it. Then the last process, which
-/// removes the files, does not count it any more. Written and read in the gate. Stays until the
-/// next participant gets this index.
+/// A message that the home waits for may be free. Only a hint: the warden looks once a second.
+inline constexpr std::uint32_t kLook = 1;
+/// Give idle memory back. Only a hint: memory that stays idle goes by itself.
+inline constexpr std::uint32_t kTrim = 2;
+/// The warden's own process has something for it to do.
+inline constexpr std::uint32_t kOwn = 4;
+/// Give messages up: request() says how much. A participant that is killed before it brings this
+/// errand needs nothing more.
+inline constexpr std::uint32_t kGive = 8;
+/// A mark beside the errands, and none itself. The participant itself says that a signal ends it.
+/// Then the last process, which removes the files, does not count it any more. Written and read in
+/// the gate. Stays until the next participant gets this index.
 inline constexpr std::uint32_t kEnding = 16;
 }  // namespace errand
 
-/// The errands of one participant, in shared memory: all changes of these words are here. Errands
-/// are only hints. If a process is killed before it brings an errand, the warden does it at its own
-/// look, once a second.
+/// The errands of one participant, in shared memory. All changes of these words are here.
 ///
 /// Edges
 ///   E1  bring() (release) -> take() (acquire)
@@ -30,7 +33,9 @@ inline constexpr std::uint32_t kEnding = 16;
 ///
 /// Threads: all participants may call bring() and ask(); the warden calls take() and answer(), its
 ///          process the rest.
-/// Crash:   killed between bring() and the wake, the warden comes a second later.
+/// Crash:   killed between bring() and the wake, the warden finds the errand at its next look,
+/// within
+///          a second.
 class Errands {
  public:
   /// The futex that the warden sleeps on.

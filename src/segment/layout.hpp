@@ -18,7 +18,7 @@
 #include "segment/errands.hpp"
 #include "segment/sightings.hpp"
 
-// The classes that change a word of the segment: ChangedBy names them, and nothing else does.
+// The classes that ChangedBy names: each changes the words of its type, and no other code does.
 namespace lot::liveness {
 class DeathNotice;
 }
@@ -125,7 +125,7 @@ static_assert(sizeof(Witness) == 64 && offsetof(Witness, errands) == 8);
 
 /// The words that all processes look at to find each other.
 struct alignas(64) Directory {
-  ring::DirectoryVersion<Atomics> version;  ///< futex; bumped by each advertise
+  ring::DirectoryVersion<Atomics> version;  ///< futex; bumped by each advertise, and by reapers
   /// The reaper bumps it when the orphanage has got what the dead one had. Until it changes, no
   /// warden need search. Edge D3: bumped (release) before the dead one's name goes -> load by a
   /// warden before it searches (acquire); carries the homes that are the orphanage's now.
@@ -187,7 +187,7 @@ struct alignas(64) ChannelEntry {
 };
 static_assert(sizeof(ChannelEntry) == 64);
 
-/// ChannelEntry::extra. A room above makes of it what it wants.
+/// ChannelEntry::extra. A module above makes of it what it wants.
 inline constexpr std::uint32_t kExtraBytes = 16;
 
 /// ChannelEntry::taken.

@@ -8,7 +8,7 @@
 /// What people read: aligned columns and human units.
 namespace lot::tool {
 
-/// Columns as wide as their widest cell. ControlBlocks of the last columns may be left out.
+/// Columns as wide as their widest cell. Cells of the last columns may be left out.
 class Table {
  public:
   explicit Table(std::vector<std::string> head) : rows_{std::move(head)} {}

@@ -150,7 +150,7 @@ void Build::tell() noexcept {
 
 /// Takes over from an arena where the pieces are, in the extents that this build has. False: they
 /// cannot be there.
-bool Build::adopt_pieces(const Arena& said) noexcept {
+bool Build::learn_pieces(const Arena& said) noexcept {
   const std::uint8_t now = read_once(said.current);
   const std::uint64_t at = read_once(said.cursor);
   std::uint64_t begin = mapping->small_of(arena);
@@ -185,12 +185,12 @@ void Build::take(Arena& its) {
     extent[i] = copy_of(its.extent[i]);
     if (!s.holds(block, begin_of(extent[i]), bytes_of(extent[i]))) refuse_place(its);
   }
-  if (!adopt_pieces(its)) refuse_place(its);
+  if (!learn_pieces(its)) refuse_place(its);
 }
 
 void Build::take_again() noexcept {
   if (read_once(arena->changed_hands) == 0) return;
-  if (!adopt_pieces(*arena)) limit = cursor;  // it is damaged: no small piece fits any more
+  if (!learn_pieces(*arena)) limit = cursor;  // it is damaged: no small piece fits any more
 }
 
 void* Build::find_room(std::size_t bytes, std::size_t align) {

@@ -12,7 +12,7 @@
 namespace lot::transport {
 
 /// Sees which publishers of this process are idle, and does for them what they do in their turns:
-/// it buries messages that other processes have let go of, and gives old idle memory back.
+/// it destroys messages that other processes have let go of, and gives old idle memory back.
 ///
 /// Threads: one at a time, the warden.
 /// Memory:  private to the process, made once.

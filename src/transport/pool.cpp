@@ -64,8 +64,9 @@ void Holder::tell_home(std::uint32_t b) const noexcept {
 void Holder::release_references(std::uint32_t b) const noexcept {
   Arena& arena = segment->arena(b);
   if (arena.references == 0) return;
-  // A message that comes home may let others come home while it is buried, and so on. Such a chain
-  // may be longer than a stack is deep. So the outermost call buries them, one after the other.
+  // A message that comes home may let others come home while it is destroyed, and so on. Such a
+  // chain may be longer than a stack is deep. So the outermost call destroys them, one after the
+  // other.
   static thread_local HomeList* first = nullptr;
   const bool nested = first != nullptr && first->is_of(*this);
   HomeList mine(*this);
@@ -329,7 +330,7 @@ void Pool::settle_free() noexcept {
   }
 }
 
-void Pool::bury_whole(ControlBlock& c) noexcept {
+void Pool::destroy_whole(ControlBlock& c) noexcept {
   const std::uint32_t b = c.block;
   const detail::MessageType* const type = std::exchange(c.type, nullptr);
   Arena& arena = holder_.segment->arena(b);

@@ -317,9 +317,9 @@ class Pool {
   void note_batches() noexcept { may_wait_.store(true, std::memory_order_relaxed); }    // a hint
   bool may_wait() const noexcept { return may_wait_.load(std::memory_order_relaxed); }  // a hint
 
-  /// Buries messages that only other processes held, and that no process holds any more.
+  /// Destroys messages that only other processes held, and that no process holds any more.
   void settle() noexcept;
-  /// Buries messages that have left the ring and wait for the publisher's next turn. Those that
+  /// Destroys messages that have left the ring and wait for the publisher's next turn. Those that
   /// other processes still hold become kept ones.
   void settle_free() noexcept;
 
@@ -451,12 +451,12 @@ class Pool {
     return type.plain && segment::is_small(type);
   }
   void* lay_out_anew(detail::ControlBlock& control, const detail::MessageType& type, bool waits);
-  /// Buries a message that has died; the block is exclusively this pool's. Its destructor runs, its
-  /// references are let go, and its memory is kept for the next message.
+  /// Destroys a message that has died; the block is exclusively this pool's. Its destructor runs,
+  /// its references are let go, and its memory is kept for the next message.
   void destroy_message(detail::ControlBlock& control) noexcept {
-    if (control.type == nullptr || !is_laid_out_for_ever(*control.type)) bury_whole(control);
+    if (control.type == nullptr || !is_laid_out_for_ever(*control.type)) destroy_whole(control);
   }
-  void bury_whole(detail::ControlBlock& control) noexcept;
+  void destroy_whole(detail::ControlBlock& control) noexcept;
   void recycle_extents(detail::Build& build) noexcept;
   bool has_spare_in(std::uint32_t b) const noexcept;
   bool is_at_rest_here(std::uint32_t b) const noexcept;

@@ -582,7 +582,7 @@ class Puller final : public RingPuller {
       const segment::Ring ring = participant_->segment().ring(name.channel);
       std::string publisher = publisher_of(ring);
       std::optional<Reader> reader;
-      if (is_of_our_kind(ring)) reader = Reader::adopt(ring, participant_->index());
+      if (is_of_our_kind(ring)) reader = Reader::take_awaited(ring, participant_->index());
       if (reader) {
         begin(*reader, name, std::move(publisher));
       } else {  // its control is damaged

@@ -665,7 +665,7 @@ class Pusher final : public RingPusher, private Evictor {
    private:
     /// The value of `space` to sleep on; nothing: there is room.
     std::optional<std::uint32_t> mark() {
-      return ring::wait_for_room(*pusher_.writer_, [this] { return look(); });
+      return ring::arm_for_room(*pusher_.writer_, [this] { return look(); });
     }
 
     Pusher& pusher_;

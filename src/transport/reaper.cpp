@@ -17,7 +17,7 @@ constexpr auto kOrphanageLook = 100us;
 
 }  // namespace
 
-/// False: another process has acted for the orphanage all the time.
+/// False: another process has acted for the orphanage all the time, or memory is short.
 bool Reaper::repair_index(futex::Clock::time_point until) noexcept {
   if (world_.participant_state(index()).load(std::memory_order_acquire) == 0)
     return true;  // edge "state"

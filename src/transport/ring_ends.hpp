@@ -16,12 +16,12 @@
 #include "segment/segment.hpp"
 #include "transport/biased_lock.hpp"
 
-/// Pusher and puller, as rooms above this one see them: with their rings.
+/// Pusher and puller, as modules above this one see them: with their rings.
 namespace lot::transport {
 
 class Participant;
 
-/// A pusher whose ring a room above uses, too.
+/// A pusher whose ring a module above uses, too.
 class RingPusher : public detail::PusherCore {
  public:
   /// The pusher's ring. While this lives no other thread of the process pushes there.
@@ -69,7 +69,7 @@ class RingObserver {
   ~RingObserver() = default;
 };
 
-/// A puller whose rings a room above looks at, too.
+/// A puller whose rings a module above looks at, too.
 class RingPuller : public detail::PullerCore {
  public:
   /// The rings that it reads, until its next look.
@@ -90,7 +90,7 @@ std::unique_ptr<RingPusher> make_ring_pusher(std::shared_ptr<Participant> partic
                                              const detail::MessageType& type,
                                              const PusherOptions& options,
                                              detail::Delivery delivery, std::uint32_t extra);
-/// As detail::make_puller(). `observer` outlives the puller; null: no room above looks.
+/// As detail::make_puller(). `observer` outlives the puller; null: no module above looks.
 std::unique_ptr<RingPuller> make_ring_puller(std::shared_ptr<Participant> participant,
                                              std::string_view topic,
                                              const detail::MessageType& type,

@@ -56,7 +56,7 @@ class Stock {
 
   // The following let messages die, one thread at a time.
 
-  /// Buries kept messages that no other process holds any more. It leaves pools without kept
+  /// Destroys kept messages that no other process holds any more. It leaves pools without kept
   /// messages alone, and so the bias of their locks.
   void settle_kept() noexcept;
   /// Pool::trim_old() of that pool.

@@ -563,10 +563,10 @@ TEST_CASE("a subscriber that looks late gets every message of a lossless ring") 
   CHECK(channel.laggards() == std::vector<std::uint32_t>{1});
   channel.become(State::Orphan);
   CHECK_FALSE(channel.ring.deserted());
-  CHECK_FALSE(Reader::adopt(channel.ring, kParticipant + 1));
-  auto reader = Reader::adopt(channel.ring, kParticipant);
+  CHECK_FALSE(Reader::take_awaited(channel.ring, kParticipant + 1));
+  auto reader = Reader::take_awaited(channel.ring, kParticipant);
   REQUIRE(reader);
-  CHECK_FALSE(Reader::adopt(channel.ring, kParticipant));  // one cell, one reader
+  CHECK_FALSE(Reader::take_awaited(channel.ring, kParticipant));  // one cell, one reader
   CHECK(drain(*reader).blocks == blocks(0, 4));
   CHECK(reader->ended());
   reader->leave();
@@ -579,7 +579,7 @@ TEST_CASE("a subscriber that looks late counts what was overwritten") {
     channel.await(2, kParticipant);
     channel.publish(0, sent);
     CHECK(channel.writer.room());
-    auto reader = Reader::adopt(channel.ring, kParticipant);
+    auto reader = Reader::take_awaited(channel.ring, kParticipant);
     REQUIRE(reader);
     const auto seen = drain(*reader);
     const std::uint32_t begin = sent > 4 ? sent - 4 : 0;
@@ -593,7 +593,7 @@ TEST_CASE("a subscriber that goes without having looked frees its cell") {
   channel.await(0, kParticipant);
   channel.await(1, kParticipant);
   channel.publish(0, 2);
-  auto reader = Reader::adopt(channel.ring, kParticipant);
+  auto reader = Reader::take_awaited(channel.ring, kParticipant);
   REQUIRE(reader);
   drain(*reader);
   CHECK_FALSE(channel.writer.room());
@@ -782,7 +782,7 @@ TEST_CASE("what a reader looks at, or one that has not looked yet, does not come
   channel.await(0, kParticipant);
   channel.publish(0, 3);
   CHECK(channel.writer.evict_oldest() == kNoBlock);
-  auto reader = Reader::adopt(channel.ring, kParticipant);
+  auto reader = Reader::take_awaited(channel.ring, kParticipant);
   REQUIRE(reader);
   std::uint64_t missed = 0;
   CHECK(reader->poll(missed) == 0);
@@ -877,7 +877,7 @@ TEST_CASE("what is taken back stops at the first that a reader, or one to come, 
   channel.publish(0, 3);
   drain(reader);
   CHECK(channel.take_back(0).empty());  // one has subscribed that has not looked
-  auto late = Reader::adopt(channel.ring, kParticipant);
+  auto late = Reader::take_awaited(channel.ring, kParticipant);
   REQUIRE(late);
   std::uint64_t missed = 0;
   CHECK(late->poll(missed) == 0);

@@ -362,7 +362,7 @@ TEST_CASE_FIXTURE(Block, "a late reclaim leaves a block alone that was given bac
 
 // ---- threads of one process ---------------------------------------------------------------------
 
-TEST_CASE("the edge names its thread and leaves home and held readable") {
+TEST_CASE("a busy hold word names its thread and leaves home and held readable") {
   const std::uint64_t word = hold::kHome | hold::kHeld | hold::tag_of(0x1fff) | hold::kRing;
   for (const std::uint32_t thread : {1U, 4711U, (1U << 22) - 1}) {
     const std::uint64_t busy = hold::busy_word(word, thread);
@@ -487,7 +487,7 @@ TEST_CASE_FIXTURE(Block, "an adopted message lives until the orphanage lets it g
   CHECK(home.reclaim(words, 0));
 }
 
-TEST_CASE_FIXTURE(Block, "the orphanage buries a message only when no process holds it") {
+TEST_CASE_FIXTURE(Block, "the orphanage frees a message only when no process holds it") {
   REQUIRE(home.claim(words));
   other.acquire(words);
   // Home has died: its reaper clears its bit and takes the block over.

@@ -1048,7 +1048,7 @@ TEST_CASE("an item that its maker takes back is destroyed, though other processe
     }
   });
   REQUIRE(joined.next() == '.');
-  std::uint64_t taken_back = 0;
+  std::uint64_t came_back = 0;
   Mortal::destroyed = 0;
   {
     lot::ShmEngine engine(options);
@@ -1056,12 +1056,12 @@ TEST_CASE("an item that its maker takes back is destroyed, though other processe
     const OnCore first(false);
     for (int round = 0; round < kRounds; ++round) {
       for (int n = 0; n < 32; ++n) must_go(items.put(items.make()));
-      while (items.try_pop()) ++taken_back;
+      while (items.try_pop()) ++came_back;
     }
     end.tell();
     CHECK(other.wait() == 0);
   }
-  CHECK(Mortal::destroyed == taken_back);
+  CHECK(Mortal::destroyed == came_back);
   CHECK(files_of(options) == 0);
 }
 

@@ -29,11 +29,11 @@ constexpr std::uint32_t kSelf = 1;
 constexpr std::uint32_t kBlocks = 64;
 
 /// What a Stock needs.
-struct Alone {
-  Alone() {
+struct Needs {
+  Needs() {
     holder.segment = &local.segment();
     holder.own = lot::transport::HardwareOwnership(kSelf);
-    holder.controls = cells.all();
+    holder.controls = controls.all();
     holder.make_tables(kBlocks);
   }
 
@@ -63,7 +63,7 @@ struct Alone {
 
   LocalSegment local{{16 << 20, 3, kBlocks, 1, 4, 2}};
   lot::detail::Hub hub{};
-  lot::transport::ControlBlocks cells{kBlocks, hub};
+  lot::transport::ControlBlocks controls{kBlocks, hub};
   lot::transport::Holder holder;
   lot::transport::WardenThread warden;
   lot::transport::Ahead ahead{local.segment(), warden};
@@ -75,72 +75,72 @@ struct Alone {
 TEST_SUITE_BEGIN("transport");
 
 TEST_CASE("a Stock opens a pool again once its ring has closed, and another pool before") {
-  Alone alone;
-  Pool& first = alone.stock.open("/first");
-  alone.close_with_message(first);
-  CHECK(!alone.stock.drain([](const auto&) { return false; }));
-  CHECK(&alone.stock.open("/second") != &first);
-  CHECK(alone.stock.size() == 2);
+  Needs needs;
+  Pool& first = needs.stock.open("/first");
+  needs.close_with_message(first);
+  CHECK(!needs.stock.drain([](const auto&) { return false; }));
+  CHECK(&needs.stock.open("/second") != &first);
+  CHECK(needs.stock.size() == 2);
 
-  CHECK(alone.stock.drain([](const auto&) { return true; }));
-  CHECK(&alone.stock.open("/third") == &first);
-  CHECK(alone.stock.size() == 2);
+  CHECK(needs.stock.drain([](const auto&) { return true; }));
+  CHECK(&needs.stock.open("/third") == &first);
+  CHECK(needs.stock.size() == 2);
 }
 
 TEST_CASE("a Stock gives up the holds of a ring when the ring is closed, and not before") {
-  Alone alone;
-  const std::uint32_t all = alone.free_granules();
-  alone.close_with_message(alone.stock.open("/numbers"));
-  CHECK(!alone.stock.drain([](const auto&) { return false; }));
-  CHECK(!alone.stock.has_released());
-  CHECK(alone.free_granules() == all - 3);
+  Needs needs;
+  const std::uint32_t all = needs.free_granules();
+  needs.close_with_message(needs.stock.open("/numbers"));
+  CHECK(!needs.stock.drain([](const auto&) { return false; }));
+  CHECK(!needs.stock.has_released());
+  CHECK(needs.free_granules() == all - 3);
 
-  CHECK(alone.stock.drain([](const auto&) { return true; }));
-  CHECK(alone.stock.has_released());
-  CHECK(alone.free_granules() == all);
+  CHECK(needs.stock.drain([](const auto&) { return true; }));
+  CHECK(needs.stock.has_released());
+  CHECK(needs.free_granules() == all);
 }
 
 TEST_CASE("a Stock trims idle memory for another process, and reserve()'s only for its own pool") {
-  Alone alone;
-  const std::uint32_t all = alone.free_granules();
-  Pool& pool = alone.stock.open("/numbers");
-  const std::uint32_t idle = alone.loan(pool, 2);
-  const std::uint32_t reserved = alone.loan(pool, 4);
+  Needs needs;
+  const std::uint32_t all = needs.free_granules();
+  Pool& pool = needs.stock.open("/numbers");
+  const std::uint32_t idle = needs.loan(pool, 2);
+  const std::uint32_t reserved = needs.loan(pool, 4);
   pool.keep_reserved(reserved);
-  CHECK(!alone.stock.trim(Stock::kNobody));  // both are loaned
+  CHECK(!needs.stock.trim(Stock::kNobody));  // both are loaned
   pool.give_back(idle);
   pool.give_back(reserved);
 
-  CHECK(alone.stock.trim(Stock::kNobody));
-  CHECK(alone.free_granules() == all - 4);
-  CHECK(alone.stock.trim(pool.index()));
-  CHECK(alone.free_granules() == all);
+  CHECK(needs.stock.trim(Stock::kNobody));
+  CHECK(needs.free_granules() == all - 4);
+  CHECK(needs.stock.trim(pool.index()));
+  CHECK(needs.free_granules() == all);
 }
 
 TEST_CASE("a Stock has pointers while a loan is out, and none when only its pools have blocks") {
-  Alone alone;
-  Pool& pool = alone.stock.open("/numbers");
-  const std::uint32_t b = alone.loan(pool, 1);
-  CHECK(alone.stock.holds_pointers());
+  Needs needs;
+  Pool& pool = needs.stock.open("/numbers");
+  const std::uint32_t b = needs.loan(pool, 1);
+  CHECK(needs.stock.holds_pointers());
   pool.give_back(b);  // ready for the next loan, with a pointer hold of the pool
-  CHECK(!alone.stock.holds_pointers());
+  CHECK(!needs.stock.holds_pointers());
 }
 
 TEST_CASE("an IdleLook gives back what a loan's pool has not used for some looks, and no loan") {
-  Alone alone;
-  lot::transport::Eviction eviction(alone.holder, alone.local.segment());
+  Needs needs;
+  lot::transport::Eviction eviction(needs.holder, needs.local.segment());
   eviction.prepare(kBlocks, 4);
-  lot::transport::IdleLook idle(alone.local.segment(), alone.holder, alone.stock, eviction);
-  Pool& pool = alone.stock.open("/numbers");
-  const std::uint32_t all = alone.free_granules();
-  const std::uint32_t out = alone.loan(pool, 2);
-  pool.give_back(alone.loan(pool, 5));
+  lot::transport::IdleLook idle(needs.local.segment(), needs.holder, needs.stock, eviction);
+  Pool& pool = needs.stock.open("/numbers");
+  const std::uint32_t all = needs.free_granules();
+  const std::uint32_t out = needs.loan(pool, 2);
+  pool.give_back(needs.loan(pool, 5));
 
   for (unsigned n = 0; n < lot::transport::IdleLook::kOldLooks; ++n) {
-    CHECK(alone.free_granules() == all - 7);
+    CHECK(needs.free_granules() == all - 7);
     idle.look();
   }
   idle.look();
-  CHECK(alone.free_granules() == all - 2);
+  CHECK(needs.free_granules() == all - 2);
   pool.give_back(out);
 }

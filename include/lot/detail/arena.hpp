@@ -227,7 +227,7 @@ struct alignas(64) Build {
   unsigned char* at(std::uint64_t offset) const noexcept { return mapping->base() + offset; }
   std::uint64_t begin_of(const Extent& e) const noexcept;
   transport::Participant* home() const noexcept;
-  bool adopt_pieces(const Arena& said) noexcept;
+  bool learn_pieces(const Arena& said) noexcept;
   void* find_room(std::size_t bytes, std::size_t align);
   void* grow_told(std::size_t bytes, std::size_t align);
   void* find_extent(std::size_t bytes, std::size_t align, std::uint32_t granules);

@@ -139,7 +139,7 @@ struct alignas(64) Incarnation {
 /// An item that is for one of its readers.
 struct Item {
   static constexpr std::uint32_t kWrittenOff = ~std::uint32_t{0};
-  /// Of a task, beside its worker: that one is about to call finish(). Alone: finish() has
+  /// Of a task, beside its worker: that one is about to call finish(). By itself: finish() has
   /// returned.
   static constexpr std::uint32_t kFinishing = std::uint32_t{1} << 31;
   std::atomic<std::int64_t> put_at;  ///< just before its put began

@@ -3,9 +3,9 @@
 #include <lot/lot.hpp>
 
 // Only src/refcount/ownership.hpp, and HoldWord for copied pointers, change a hold word.
-void wrong(lot::detail::ControlBlock& cell) {
-  cell.hold.store(0);
-  cell.hold.fetch_add(1);
-  cell.hold.exchange(1);
-  cell.hold = 1;
+void wrong(lot::detail::ControlBlock& control) {
+  control.hold.store(0);
+  control.hold.fetch_add(1);
+  control.hold.exchange(1);
+  control.hold = 1;
 }

@@ -62,7 +62,7 @@ class Books {
         if (k != refcount::kOrphanage && !lives(k)) wrong(block + " is held by the dead");
       }
       if (home == refcount::kHomeFree && held) wrong(block + " is free and held");
-      if (home == refcount::kHomeOrphanage && !held) wrong(block + " was not buried");
+      if (home == refcount::kHomeOrphanage && !held) wrong(block + " was not freed");
       if (home > 1 && !held) wrong(block + " is at home and not held");
     }
   }

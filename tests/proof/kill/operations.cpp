@@ -960,7 +960,7 @@ void last_holders(std::vector<Operation>& all) {
                  waiting,
                  [](Node& n) { n.publish(2); }});
   // The first thread sleeps so long that the warden can do its errand meanwhile.
-  all.push_back({"the warden buries what another process has let go", Promise::Blocking, waiting,
+  all.push_back({"the warden destroys what another process has let go", Promise::Blocking, waiting,
                  [](Node& n) {
                    while (!n.weak.expired()) std::this_thread::sleep_for(300ms);
                  },

@@ -62,7 +62,7 @@ Tracee::Tracee(pid_t pid) : pid_(pid) {
       adopt(id, id != pid);
     }
   } catch (...) {
-    detach();  // a thread that stays traced can only be buried by us
+    detach();  // a thread that stays traced only we can wait for
     throw;
   }
 }
@@ -324,7 +324,8 @@ void Tracee::detach() {
     }
     if (trace(PTRACE_DETACH, thread.id, 0, static_cast<std::uintptr_t>(thread.signal)) == -1 &&
         thread.id != pid_) {
-      waitpid(thread.id, &status, __WALL | WNOHANG);  // it has died: only its tracer can bury it
+      waitpid(thread.id, &status,
+              __WALL | WNOHANG);  // it has died: only its tracer can wait for it
     }
   }
   threads_.clear();

@@ -463,7 +463,7 @@ struct AdoptsWhatIsLive : Scene<AdoptsWhatIsLive, 2> {
     }
     const Word writer = view.writer->load(std::memory_order_relaxed);
     if (ring::writer_state(writer) != ring::State::Live) return;
-    const auto reader = ring::Reader<Policy>::adopt(view, 2);
+    const auto reader = ring::Reader<Policy>::take_awaited(view, 2);
     RL_ASSERT(reader && reader->cursor() == Segment::kFirst);
   }
   Publisher publisher;

@@ -45,7 +45,7 @@ void Subscription::find_rings() {
         })) {
       continue;
     }
-    const auto reader = ring::Reader<Policy>::adopt(process_->ring(c), process_->index());
+    const auto reader = ring::Reader<Policy>::take_awaited(process_->ring(c), process_->index());
     if (reader) begin(c, generation, *reader);
   }
   version_ = version;

@@ -460,7 +460,7 @@ class ForRoom : public waiting::Steps<ForRoom> {
   ForRoom(ring::Writer<Policy>& writer, Turn& turn) : writer_(writer), turn_(turn) {}
   bool look() { return writer_.room(); }
   std::optional<waiting::Sleep<Machine::Space>> arm() {
-    const auto odd = ring::wait_for_room(writer_, [this] { return writer_.room(); });
+    const auto odd = ring::arm_for_room(writer_, [this] { return writer_.room(); });
     if (!odd) return std::nullopt;
     return {{{*writer_.ring().space, *odd}, std::nullopt}};
   }

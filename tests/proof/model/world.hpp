@@ -108,7 +108,8 @@ class Segment {
 class Process;
 class Publisher;
 
-/// Alone with a ring of the mutex engine, while this lives. Who has it from a dead one wakes all.
+/// Has a ring of the mutex engine for itself, while this lives. Who has it from a dead one wakes
+/// all.
 class Turn {
  public:
   Turn(Process& process, std::uint32_t channel);

@@ -684,8 +684,8 @@ joined:
     /* It looks again later: at a ring that has come meanwhile, and may have ended. */
     acquire_lock(registry); /* @ src/transport/puller.cpp find_new_rings: if (!registry.try_lock()) */
     if
-    :: STATE(writer) >= LIVE && !inside && formed && who == k + 1 -> inside = 1; assert(memory) /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
-    :: STATE(writer) < LIVE || inside || !formed || who != k + 1 /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
+    :: STATE(writer) >= LIVE && !inside && formed && who == k + 1 -> inside = 1; assert(memory) /* @ src/lockfree_ring/ring.hpp take_awaited: ring.who[c].load */
+    :: STATE(writer) < LIVE || inside || !formed || who != k + 1 /* @ src/lockfree_ring/ring.hpp take_awaited: ring.who[c].load */
     fi;
     release_lock(registry); /* @ src/transport/puller.cpp find_new_rings: registry.unlock() */
 #endif

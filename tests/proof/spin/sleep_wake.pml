@@ -442,7 +442,7 @@ mark:
     value = space /* @ src/lockfree_ring/ring.hpp mark_waiting: ring_.space->compare_exchange_strong(v, v + 1 */
   };
 #ifndef NO_ROOM_RECHECK
-  look_for_room(); /* @ src/lockfree_ring/sleep.hpp wait_for_room: if (room()) return std::nullopt */
+  look_for_room(); /* @ src/lockfree_ring/sleep.hpp arm_for_room: if (room()) return std::nullopt */
   if
   :: !crowded -> goto room
   :: else -> w = 0
@@ -590,9 +590,9 @@ look:
     };
     old = directory; /* @ src/transport/puller.cpp find_rings: const std::uint32_t version = directory_.load */
     if
-    :: STATE(writer[RINGS - 1]) >= LIVE && cursor[RINGS - 1] == 0 && who[(RINGS - 1) * READERS + r] == me -> /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
+    :: STATE(writer[RINGS - 1]) >= LIVE && cursor[RINGS - 1] == 0 && who[(RINGS - 1) * READERS + r] == me -> /* @ src/lockfree_ring/ring.hpp take_awaited: ring.who[c].load */
       cursor[RINGS - 1] = DEPTH
-    :: STATE(writer[RINGS - 1]) < LIVE || cursor[RINGS - 1] != 0 || who[(RINGS - 1) * READERS + r] != me /* @ src/lockfree_ring/ring.hpp adopt: ring.who[c].load */
+    :: STATE(writer[RINGS - 1]) < LIVE || cursor[RINGS - 1] != 0 || who[(RINGS - 1) * READERS + r] != me /* @ src/lockfree_ring/ring.hpp take_awaited: ring.who[c].load */
     fi;
     atomic {
       registry = 0; /* @ src/transport/puller.cpp find_new_rings: registry.unlock() */
