@@ -255,7 +255,7 @@ class Builds:
         units = ('world', 'subscription', mutant.unit + '_model')
         subprocess.run(
             [self.compiler, '-std=c++20', '-O1', '-w', '-I', source, '-I', self.root / 'src', '-I',
-             self.root / 'include', '-isystem', self.built / 'include',
+             self.root / 'include', '-I', self.root / 'tests', '-isystem', self.built / 'include',
              *(model / f'{unit}.cpp' for unit in units),
              *(self.built / 'CMakeFiles' / 'lot_model.dir' / f'{unit}.cpp.o' for unit in self.AS_BUILT),
              '-o', program], check=True, timeout=1800)
