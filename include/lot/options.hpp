@@ -10,8 +10,8 @@
 namespace lot {
 
 /// Which segment an engine uses, and how it is made when it is absent. What the environment says
-/// (LOT_SEGMENT, LOT_DIR, LOT_SIZE, LOT_PERMISSIONS, LOT_PERSIST, LOT_MLOCK) comes before what the
-/// code says.
+/// (LOT_SEGMENT, LOT_DIR, LOT_SIZE, LOT_PERMISSIONS, LOT_GROUP, LOT_USER, LOT_PERSIST, LOT_MLOCK)
+/// comes before what the code says.
 struct EngineOptions {
   std::string segment = "LOTROS";      ///< LOT_SEGMENT
   std::string directory = "/dev/shm";  ///< LOT_DIR; share it with the containers that are to meet
