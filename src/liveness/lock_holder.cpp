@@ -3,8 +3,12 @@
 
 #include <algorithm>
 #include <cctype>
+#include <csignal>
+#include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <limits>
 #include <sstream>
 #include <system_error>
@@ -67,7 +71,37 @@ std::optional<LockHolder> look_at(const fs::path& process, pid_t pid) {
   return LockHolder{pid, name, state == 'T' || state == 't'};
 }
 
+/// The hexadecimal number behind `key` in /proc/PID/status; 0: none.
+std::uint64_t mask_of(const std::string& status, const char* key) {
+  const auto at = status.find(key);
+  return at == std::string::npos
+             ? 0
+             : std::strtoull(status.c_str() + at + std::strlen(key), nullptr, 16);
+}
+
 }  // namespace
+
+bool is_being_killed(pid_t pid) noexcept try {
+  constexpr std::uint64_t kKill = std::uint64_t{1} << (SIGKILL - 1);
+  constexpr unsigned long kExiting = 4;  // PF_EXITING
+  const fs::path process = fs::path("/proc") / std::to_string(pid);
+  std::ifstream status_file(process / "status");
+  const std::string status(std::istreambuf_iterator<char>(status_file), {});
+  if (((mask_of(status, "SigPnd:") | mask_of(status, "ShdPnd:")) & kKill) != 0) return true;
+  // "PID (NAME) STATE PPID PGRP SESSION TTY TPGID FLAGS ...". The name may have any bytes in it.
+  std::ifstream file(process / "stat");
+  std::string text;
+  std::getline(file, text);
+  const auto end = text.rfind(')');
+  if (end == std::string::npos) return false;
+  std::istringstream words(text.substr(end + 1));
+  std::string state, parent, group, session, terminal, owner;
+  unsigned long flags = 0;
+  words >> state >> parent >> group >> session >> terminal >> owner >> flags;
+  return state == "Z" || state == "X" || (flags & kExiting) != 0;
+} catch (const std::exception&) {  // memory is short
+  return false;
+}
 
 std::string LockHolder::describe() const {
   return "process " + std::to_string(pid) + " (" + name + ")";

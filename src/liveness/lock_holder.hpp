@@ -24,4 +24,8 @@ struct LockHolder {
   static std::optional<LockHolder> find(const std::string& path, ino_t inode, std::uint32_t byte);
 };
 
+/// True when /proc shows that a process with that id is being killed, or ends. Only a hint how long
+/// to wait for its death: in another namespace the id may be another process's, or nobody's.
+bool is_being_killed(pid_t pid) noexcept;
+
 }  // namespace lot::liveness

@@ -14,6 +14,7 @@
 
 #include "lot/error.hpp"
 
+#include "liveness/lock_holder.hpp"
 #include "transport/gate.hpp"
 
 namespace lot::transport {
@@ -23,6 +24,9 @@ using namespace std::chrono_literals;
 /// A process that joins while all indexes are taken tries again for this long. A reaper may be
 /// freeing an index just now.
 constexpr auto kFullPatience = 200ms;
+/// How long a process that may be the last one waits, in the gate, for the end of those that are
+/// being killed. Less than others wait for the gate.
+constexpr auto kDyingPatience = 200ms;
 
 }  // namespace
 
@@ -124,6 +128,13 @@ void Membership::expel() noexcept {
   note_settled();
 }
 
+bool Membership::is_there(std::uint32_t k, bool are_locks_held) noexcept {
+  if (are_locks_held && lock_file_->held_by_other(k)) return true;
+  // Acquire: edge "state". A living process may have lost its byte to closefrom(). Its notice still
+  // stands then.
+  return participant_state(k).load(std::memory_order_acquire) != 0 && !presence_.looks_dead(k);
+}
+
 /// Removes the segment and its lock file if no other process uses them. The orphanage's lock does
 /// not count as use: the process that acts for the orphanage has an index of its own. A process
 /// that is ending may act for it to its end, behind its *ending* mark, since a thread closes a
@@ -133,12 +144,15 @@ void Membership::expel() noexcept {
 void Membership::remove_files_if_last() noexcept {
   if (!lock_file_->intact()) return;
   const bool are_locks_held = lock_file_->held_by_other(1, participants() - 1);
+  const auto until = futex::Clock::now() + kDyingPatience;
   for (std::uint32_t k = 1; k < participants(); ++k) {
     if (k == index() || segment_.witnesses()[k].errands.is_ending()) continue;
-    if (are_locks_held && lock_file_->held_by_other(k)) return;
-    if (participant_state(k).load(std::memory_order_acquire) == 0) continue;  // edge "state"
-    // A living process may have lost its byte to closefrom(). Its notice still stands then.
-    if (!presence_.looks_dead(k)) return;
+    while (is_there(k, are_locks_held)) {
+      // One that was killed just now removes nothing, and nobody would after us.
+      if (futex::Clock::now() >= until || !liveness::is_being_killed(segment_.participants()[k].pid))
+        return;
+      std::this_thread::sleep_for(1ms);
+    }
   }
   const bool is_there = segment_.is_at_its_path();
   // After the look at the others: one of them may have set it without the gate, and died since.

@@ -74,6 +74,9 @@ class Membership {
 
  private:
   bool try_take_index(bool of_a_dead_one, futex::Clock::time_point until, const Repair& repair);
+  /// Whether participant k lives, as far as its witnesses say. are_locks_held: whether any byte is
+  /// locked.
+  bool is_there(std::uint32_t k, bool are_locks_held) noexcept;
   std::uint32_t participants() const noexcept { return segment_.capacity().participants; }
   refcount::ParticipantState<segment::Atomics>& participant_state(std::uint32_t k) const noexcept {
     return segment_.participants()[k].state;

@@ -8,6 +8,7 @@
 #include <string>
 #include <thread>
 #include <unistd.h>
+#include <vector>
 
 #include <doctest/doctest.h>
 
@@ -129,6 +130,30 @@ TEST_CASE("end_cleanly_on_signals: a signal ends a segment's last process, and l
     CHECK(files_of(options) == 2);
     child.send(end.signal);
     CHECK(child.wait() == 128 + end.signal);
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("end_cleanly_on_signals beside a process that was killed just now leaves no file") {
+  const Watchdog watchdog(120);
+  for (int round = 0; round < 10; ++round) {
+    CAPTURE(round);
+    const auto options = fresh();
+    // Its end takes some time: the kernel frees this memory before it unlocks the byte.
+    Steps joined;
+    Child killed([&] {
+      const lot::ShmEngine engine(options);
+      const std::vector<char> memory(round % 2 == 0 ? std::size_t{256} << 20 : 1, 1);
+      must(memory.back() == 1, "its memory");
+      joined.tell();
+      pause();
+    });
+    REQUIRE(joined.next() != 0);
+    Child ends = start_and_wait("signals", options);
+    killed.send(SIGKILL);
+    ends.send(SIGTERM);
+    CHECK(ends.wait() == 128 + SIGTERM);
+    CHECK(killed.wait() == 128 + SIGKILL);
     CHECK(files_of(options) == 0);
   }
 }
