@@ -13,10 +13,10 @@
 /// Invariants
 ///   I1  A ring's owner holds each block in its ring, and each that was overwritten there while a
 ///       reader may still borrow it. Only the ring's owner looks at hazards.
-///   I2  The own bit of a home, other than the orphanage, stands from claim() to give_back(). At
-///   home only the hold word counts. I3  A hold moves in these steps: set the new bit, bump life,
-///   clear the old bit. I4  A word that names the dead is erased last: after all that a reaper
-///   finds by it is done.
+///   I2  A living home's own bit stands from claim() to give_back(). At home only the hold word
+///       counts.
+///   I3  A hold moves in these steps: set the new bit, bump life, clear the old bit.
+///   I4  A word that names the dead is erased last: after all that a reaper finds by it is done.
 ///
 /// Edges
 ///   O1  clearing an own bit (release)         -> own scan in die() (acquire)

@@ -237,7 +237,9 @@ bool Reaper::take_out(std::uint32_t channel, std::uint32_t b,
 bool Reaper::keep_own_lock(detail::Mutex& no_fork) noexcept {
   if (!lock_file_.intact()) {
     const std::lock_guard guard(reap_mutex_);
-    const std::lock_guard no_child(no_fork);
+    // Tried only: a handler of fork() may end a ring, and that waits for reap_mutex_.
+    const std::unique_lock no_child(no_fork, std::try_to_lock);
+    if (!no_child) return false;
     lock_lost_ = lock_file_.reopen();
   }
   // A process that probes the byte may have it for a moment. Then the next look tries again.
