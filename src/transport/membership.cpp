@@ -149,7 +149,8 @@ void Membership::remove_files_if_last() noexcept {
     if (k == index() || segment_.witnesses()[k].errands.is_ending()) continue;
     while (is_there(k, are_locks_held)) {
       // One that was killed just now removes nothing, and nobody would after us.
-      if (futex::Clock::now() >= until || !liveness::is_being_killed(segment_.participants()[k].pid))
+      if (futex::Clock::now() >= until ||
+          !liveness::is_being_killed(segment_.participants()[k].pid))
         return;
       std::this_thread::sleep_for(1ms);
     }
