@@ -2,7 +2,6 @@
 /// Camera -> detector -> logger, three processes and not one copy: a detection refers to the frame
 /// that it was made from, and each process finds the pixels at the same place of the segment.
 #include <algorithm>
-#include <chrono>
 #include <cinttypes>
 #include <cstdint>
 #include <cstdio>
@@ -14,8 +13,6 @@
 #include "example.hpp"
 
 namespace {
-
-using namespace std::chrono_literals;
 
 struct Frame {
   std::uint64_t place;  ///< where the camera has drawn the pixels
@@ -45,9 +42,10 @@ std::uint64_t place_of(const lot::ShmEngine& engine, const void* address) {
 }
 
 bool camera() {
+  const lot::StopToken stop = lot::stop_on_signals();  // Ctrl-C
   lot::ShmEngine engine;
   auto frames = engine.advertise<Frame>("/frames");
-  while (!frames.wait_for_readers(1, 100ms)) continue;
+  if (!frames.wait_for_readers(1, stop)) return false;
   for (std::uint64_t n = 1; n <= kFrames; ++n) {
     auto frame = frames.loan();
     frame->pixels.assign(kPixels, 0);
@@ -59,13 +57,12 @@ bool camera() {
 }
 
 bool detector() {
+  const lot::StopToken stop = lot::stop_on_signals();  // Ctrl-C
   lot::ShmEngine engine;
   auto detections = engine.advertise<Detection>("/detections");
-  while (!detections.wait_for_readers(1, 100ms)) continue;
+  if (!detections.wait_for_readers(1, stop)) return false;
   auto frames = engine.subscribe<Frame>("/frames");
-  for (std::uint64_t n = 1; n <= kFrames;) {
-    const auto frame = frames.pull(100ms);
-    if (!frame) continue;
+  while (const auto frame = frames.pull(stop)) {  // until the camera has gone, or Ctrl-C
     const auto& pixels = frame->pixels;
     auto detection = detections.loan();
     detection->frame = frame;
@@ -73,27 +70,27 @@ bool detector() {
         static_cast<std::uint64_t>(std::max_element(pixels.begin(), pixels.end()) - pixels.begin());
     detection->place = place_of(engine, pixels.data());
     (void)detections.push(std::move(detection));
-    ++n;
   }
   return true;
 }
 
 bool logger() {
+  const lot::StopToken stop = lot::stop_on_signals();  // Ctrl-C
   lot::ShmEngine engine;
   auto detections = engine.subscribe<Detection>("/detections");
   bool good = true;
-  for (std::uint64_t n = 1; n <= kFrames;) {
-    const auto detection = detections.pull(100ms);
-    if (!detection) continue;
+  std::uint64_t n = 0;
+  while (const auto detection = detections.pull(stop)) {  // until the detector has gone, or Ctrl-C
+    ++n;
     const Frame& frame = *detection->frame;
     const std::uint64_t place = place_of(engine, frame.pixels.data());
     std::printf("frame %" PRIu64 ": %zu bytes; camera, detector and logger have them at %#" PRIx64
                 ", %#" PRIx64 ", %#" PRIx64 "; pixel %" PRIu64 " is the brightest\n",
                 n, frame.pixels.size(), frame.place, detection->place, place, detection->brightest);
     good &= place != 0 && place == frame.place && place == detection->place;
-    good &= detection->brightest == n++ * 1000 && frame.pixels[detection->brightest] == 255;
+    good &= detection->brightest == n * 1000 && frame.pixels[detection->brightest] == 255;
   }
-  return good;
+  return good && n == kFrames;
 }
 
 }  // namespace

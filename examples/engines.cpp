@@ -18,7 +18,6 @@
 
 namespace {
 
-using namespace std::chrono_literals;
 using Clock = std::chrono::steady_clock;
 
 struct Ball {
@@ -39,11 +38,12 @@ Pushers both_arms(lot::ShmEngine& engine, const char* topic) {
 }
 
 bool echo() {
+  const lot::StopToken stop = lot::stop_on_signals();
   lot::ShmEngine engine;
   Pushers back = both_arms(engine, "/back");
   auto there = engine.subscribe<Ball>("/there");
-  for (;;) {  // until main() says SIGTERM
-    const auto ball = there.pull(100ms);
+  while (!stop.stop_requested()) {  // until main() says SIGTERM
+    const auto ball = there.pull(stop);
     if (ball) (void)back[ball->arm].push(back[ball->arm].loan(*ball));  // never Full
   }
   return true;
@@ -55,11 +55,12 @@ double quantile(std::vector<double> values, double part) {
 }
 
 bool play() {
+  const lot::StopToken stop = lot::stop_on_signals();
   lot::ShmEngine engine;
   Pushers there = both_arms(engine, "/there");
   auto back = engine.subscribe<Ball>("/back");
   for (auto& pusher : there) {
-    while (!pusher.wait_for_readers(1, 100ms)) continue;
+    if (!pusher.wait_for_readers(1, stop)) return false;
   }
   std::vector<double> microseconds[2], ratio;
   for (std::uint32_t block = 0; block <= kBlocks; ++block) {  // the first is not counted
@@ -70,7 +71,7 @@ bool play() {
       for (std::uint32_t n = 0; n < kTrips; ++n) {
         const auto begin = Clock::now();
         (void)there[arm].push(there[arm].loan(Ball{arm}));  // the oldest goes: never Full
-        while (!back.pull(100ms)) continue;
+        if (!back.pull(stop)) return false;
         trips.push_back(std::chrono::duration<double, std::micro>(Clock::now() - begin).count());
       }
       median[arm] = quantile(trips, 0.5);

@@ -18,12 +18,13 @@
 /// What the examples share: processes, and a segment of their own.
 namespace example {
 
-/// Calls `body`, which returns whether all went well. Returns the exit code.
+/// Calls `body`, which returns whether all went well, or early where Ctrl-C stops it. Returns the
+/// exit code.
 template <class Body>
 int guarded(const char* name, Body&& body) {
   try {
-    lot::end_cleanly_on_signals();  // Ctrl-C leaves no file
-    return body() ? 0 : 1;
+    const lot::StopToken stop = lot::stop_on_signals();
+    return body() || stop.stop_requested() ? 0 : 1;
   } catch (const std::exception& e) {
     std::fprintf(stderr, "%s: %s\n", name, e.what());
     return 1;
@@ -52,10 +53,13 @@ pid_t start(const char* name, Body&& body) {
   _exit(code);  // what we have inherited is the parent's to destroy
 }
 
-/// Waits for its end. True when all went well.
+/// Waits for its end, and stops it where this process is to stop. True when all went well.
 inline bool finish(pid_t child) {
+  const lot::StopToken stop = lot::stop_on_signals();
   int status = -1;
-  while (waitpid(child, &status, 0) == -1 && errno == EINTR) continue;
+  do {
+    if (stop.stop_requested()) kill(child, SIGTERM);
+  } while (waitpid(child, &status, 0) == -1 && errno == EINTR);
   return status == 0;
 }
 

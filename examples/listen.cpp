@@ -21,14 +21,13 @@ struct Number {
   std::uint64_t value;
 };
 
-lot::WaitSet* running = nullptr;
-
 bool sensors() {
+  const lot::StopToken stop = lot::stop_on_signals();
   lot::ShmEngine engine;
   auto imu = engine.advertise<Number>("/imu");
   auto front = engine.advertise<Number>("/camera/front");
   auto rear = engine.advertise<Number>("/camera/rear");
-  for (std::uint64_t n = 0;; ++n) {  // until main() says SIGTERM
+  for (std::uint64_t n = 0; !stop.stop_requested(); ++n) {  // until main() says SIGTERM
     // The oldest goes where a reader is slow: never Full.
     (void)imu.push(imu.loan(Number{n}));
     if (n % 30 == 0) (void)front.push(front.loan(Number{n}));
@@ -39,6 +38,7 @@ bool sensors() {
 }
 
 bool consumer() {
+  const lot::StopToken stop = lot::stop_on_signals();  // Ctrl-C
   lot::ShmEngine engine;
 
   lot::ThreadOptions thread;
@@ -65,12 +65,7 @@ bool consumer() {
     if (samples >= 100 && frames >= 10) set.stop();  // enough for an example
   });
 
-  // A program that catches signals itself: its engine goes, and with it the files.
-  running = &set;
-  const auto stop = [](int) { running->stop(); };  // may be called in a signal handler
-  for (const int number : {SIGINT, SIGTERM}) std::signal(number, stop);
-  set.run();
-  for (const int number : {SIGINT, SIGTERM}) std::signal(number, SIG_IGN);  // the set ends here
+  set.run(stop);  // until set.stop(), or Ctrl-C
   return true;
 }
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <optional>
@@ -20,13 +19,14 @@ struct Number {
 /// Publishes 0, 1, 2 ..., at a pace that lets the loops sleep now and then. None is lost: who
 /// waits for room asks for Policy::Block.
 inline bool publish_numbers(std::uint64_t count) {
+  const lot::StopToken stop = lot::stop_on_signals();
   lot::ShmEngine engine;
   lot::PusherOptions options;
   options.policy = lot::Policy::Block;
   auto pusher = engine.advertise<Number>("/numbers", options);
-  while (!pusher.wait_for_readers(1, std::chrono::milliseconds(100))) continue;
-  for (std::uint64_t n = 0; n < count;) {
-    if (pusher.push(pusher.loan(Number{n})) == lot::Status::Ok) ++n;
+  if (!pusher.wait_for_readers(1, stop)) return false;
+  for (std::uint64_t n = 0; n < count && !stop.stop_requested();) {
+    if (pusher.push(pusher.loan(Number{n}), stop) == lot::Status::Ok) ++n;
     if (n % 10 == 0) usleep(1000);
   }
   return true;
@@ -41,12 +41,13 @@ class Count {
   void pull_all() {
     while (const auto number = puller_.try_pull()) good_ &= number->value == next_++;
   }
-  /// Ends the loop.
-  bool reached(std::uint64_t count) const { return next_ >= count; }
+  /// Ends the loop, as Ctrl-C does.
+  bool reached(std::uint64_t count) const { return next_ >= count || stop_.stop_requested(); }
   bool good() const { return good_; }
   std::uint64_t value() const { return next_; }
 
  private:
+  const lot::StopToken stop_ = lot::stop_on_signals();
   lot::ShmPuller<Number>& puller_;
   std::uint64_t next_ = 0;
   bool good_ = true;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 /// The README's program: a camera and a reader in two processes. 16 MiB cross without a copy.
-#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <utility>
@@ -11,8 +10,6 @@
 
 namespace {
 
-using namespace std::chrono_literals;
-
 struct Frame {
   std::uint32_t width, height;
   lot::ShmString encoding;
@@ -22,10 +19,10 @@ struct Frame {
 constexpr std::uint32_t kFrames = 3;
 
 bool camera() {
+  const lot::StopToken stop = lot::stop_on_signals();  // Ctrl-C
   lot::ShmEngine engine;
   auto pusher = engine.advertise<Frame>("/camera/front");
-  while (!pusher.wait_for_readers(1, 100ms)) {
-  }
+  if (!pusher.wait_for_readers(1, stop)) return false;
   for (std::uint32_t n = 1; n <= kFrames; ++n) {
     lot::ShmUniquePtr<Frame> frame = pusher.loan();
     frame->width = 4096;
@@ -39,14 +36,15 @@ bool camera() {
 }
 
 bool reader() {
+  const lot::StopToken stop = lot::stop_on_signals();  // Ctrl-C
   lot::ShmEngine engine;
   auto puller = engine.subscribe<Frame>("/camera/front");
-  for (std::uint32_t n = 1; n <= kFrames;) {
-    lot::ShmSharedPtr<const Frame> seen = puller.pull(100ms);
-    if (!seen) continue;
+  for (std::uint32_t n = 1; n <= kFrames; ++n) {
+    lot::ShmSharedPtr<const Frame> seen = puller.pull(stop);
+    if (!seen) return false;  // Ctrl-C, or the camera has gone: status() says which
     std::printf("%u x %u %s, %zu bytes, the last of them %d\n", seen->width, seen->height,
                 seen->encoding.c_str(), seen->data.size(), seen->data.back());
-    if (seen->data.back() != n++) return false;
+    if (seen->data.back() != n) return false;
   }
   return true;
 }

@@ -52,11 +52,11 @@ lot::QueueOptions room_for_all() {
 }
 
 bool worker() {
+  const lot::StopToken stop = lot::stop_on_signals();  // Ctrl-C, and SIGTERM of main()
   lot::ShmEngine engine;
   auto tasks = engine.queue<lot::ShmUniquePtr<Task>>("tasks", until_finished());
   auto results = engine.queue<Result>("results", room_for_all());
-  for (;;) {  // until main() says SIGTERM
-    lot::ShmTask<Task> task = tasks.wait_and_take();
+  while (lot::ShmTask<Task> task = tasks.wait_and_take(stop)) {
     std::this_thread::sleep_for(1ms);  // hard work
     Result result{task->number, 0};
     for (const std::uint32_t n : task->numbers) result.sum += n;
@@ -67,6 +67,7 @@ bool worker() {
 }
 
 bool supervisor(std::vector<pid_t>& workers) {
+  const lot::StopToken stop = lot::stop_on_signals();
   lot::ShmEngine engine;
   auto tasks = engine.queue<lot::ShmUniquePtr<Task>>("tasks", until_finished());
   auto results = engine.queue<Result>("results");
@@ -77,8 +78,8 @@ bool supervisor(std::vector<pid_t>& workers) {
   bool right = true;
   const auto wait_for = [&](std::size_t count) {  // false: Ctrl-C
     while (done.size() < count) {
-      const auto result = results.wait_and_pop_for(100ms);
-      if (!result) continue;
+      const auto result = results.wait_and_pop(stop);
+      if (!result) break;
       right &= result->sum == std::uint64_t{kNumbers} * result->number;
       done.insert(result->number);
     }

@@ -14,7 +14,8 @@ enum class Status {
   Full,           ///< a slow reader holds the queue back, and the deadline has passed
   Timeout,        ///< nothing came until the deadline
   PublisherGone,  ///< nothing to read, and the topic has no publisher now
-  HoldsTooMuch    ///< the subscription holds all the memory that it may: let messages go
+  HoldsTooMuch,   ///< the subscription holds all the memory that it may: let messages go
+  Stopped         ///< its StopToken was told to stop
 };
 
 /// The status in words, as "publisher gone".

@@ -13,5 +13,6 @@
 #include "lot/pusher.hpp"         // IWYU pragma: export
 #include "lot/queue.hpp"          // IWYU pragma: export
 #include "lot/signals.hpp"        // IWYU pragma: export
+#include "lot/stop_token.hpp"     // IWYU pragma: export
 #include "lot/type_identity.hpp"  // IWYU pragma: export
 #include "lot/wait_set.hpp"       // IWYU pragma: export

@@ -8,6 +8,7 @@
 #include "lot/detail/core.hpp"
 #include "lot/duration.hpp"
 #include "lot/pointers.hpp"
+#include "lot/stop_token.hpp"
 
 namespace lot {
 
@@ -93,35 +94,54 @@ class ShmPuller {
 
   /// The next message, or null; status() says why, missed() how many were lost before it. Never
   /// waits. Throws lot::Error as the class says.
-  [[nodiscard]] ShmSharedPtr<const T> try_pull() { return pull_kept(false, {}, false); }
-  /// The next message; null when none came in time, or a second after one has come that may not be
-  /// kept (HoldsTooMuch). Throws lot::Error as the class says.
-  [[nodiscard]] ShmSharedPtr<const T> pull(Duration timeout) {
-    return pull_kept(true, detail::after(timeout), false);
+  [[nodiscard]] ShmSharedPtr<const T> try_pull() { return pull_kept(detail::Limit::now()); }
+  /// The next message, or null: none came in time; its last publisher has gone meanwhile; it was
+  /// told to stop; or one came a second ago that may not be kept (HoldsTooMuch). status() says
+  /// which. Throws lot::Error as the class says.
+  [[nodiscard]] ShmSharedPtr<const T> pull(Duration timeout, const StopToken& stop = {}) {
+    return pull_kept(detail::Limit::until(detail::after(timeout), stop));
   }
   /// The same until a time of the steady clock. Throws the same.
-  [[nodiscard]] ShmSharedPtr<const T> pull_until(Deadline deadline) {
-    return pull_kept(true, deadline, false);
+  [[nodiscard]] ShmSharedPtr<const T> pull_until(Deadline deadline, const StopToken& stop = {}) {
+    return pull_kept(detail::Limit::until(deadline, stop));
   }
-  /// Waits for ever for a message. Null, and HoldsTooMuch, a second after one has come that may not
-  /// be kept. A signal handler does not end it, nor any other wait. Throws the same.
-  [[nodiscard]] ShmSharedPtr<const T> pull() { return pull_kept(true, {}, true); }
+  /// The same without a limit. A signal handler does not end it, but by a StopToken. Throws the
+  /// same.
+  [[nodiscard]] ShmSharedPtr<const T> pull(const StopToken& stop = {}) {
+    return pull_kept(detail::Limit::forever(stop));
+  }
 
   /// The next message in place, or an empty borrow; status() and missed() as after try_pull().
   /// Never waits. Throws lot::Error as the class says.
-  [[nodiscard]] ShmBorrow<T> try_borrow() { return look(false, {}, false); }
-  /// The next message in place; empty when none came in time. Throws the same.
-  [[nodiscard]] ShmBorrow<T> borrow(Duration timeout) {
-    return look(true, detail::after(timeout), false);
+  [[nodiscard]] ShmBorrow<T> try_borrow() { return look(detail::Limit::now()); }
+  /// The next message in place; empty when none came in time, when the last publisher has gone
+  /// meanwhile, or when it was told to stop. Throws the same.
+  [[nodiscard]] ShmBorrow<T> borrow(Duration timeout, const StopToken& stop = {}) {
+    return look(detail::Limit::until(detail::after(timeout), stop));
   }
   /// The same until a time of the steady clock. Throws the same.
-  [[nodiscard]] ShmBorrow<T> borrow_until(Deadline deadline) { return look(true, deadline, false); }
-  /// Waits for ever for a message. Throws the same.
-  [[nodiscard]] ShmBorrow<T> borrow() { return look(true, {}, true); }
+  [[nodiscard]] ShmBorrow<T> borrow_until(Deadline deadline, const StopToken& stop = {}) {
+    return look(detail::Limit::until(deadline, stop));
+  }
+  /// The same without a limit. Throws the same.
+  [[nodiscard]] ShmBorrow<T> borrow(const StopToken& stop = {}) {
+    return look(detail::Limit::forever(stop));
+  }
 
-  /// How the last pull or borrow ended: Ok, Timeout; of a try_, Empty or PublisherGone (no
-  /// publisher now, or yet); of a pull also HoldsTooMuch. A pull that waits does so for a second at
-  /// most when the process may keep no more.
+  /// How the last pull or borrow ended:
+  ///
+  ///     Ok             there is a message
+  ///     Empty          of a try_: there is none now
+  ///     Timeout        none came in time
+  ///     PublisherGone  there is none, and no publisher now, or yet
+  ///     HoldsTooMuch   of a pull: the process may keep no more; one that waits does so for a
+  ///     second
+  ///                    at most
+  ///     Stopped        its StopToken was told to stop; messages may be there
+  ///
+  /// A wait ends at once when the last publisher goes whose messages this puller has read, and does
+  /// so once: the next one waits for another publisher, as one does that begins before there is
+  /// any.
   Status status() const noexcept { return status_; }
   /// Messages lost to this reader just before the last one that it got.
   std::uint64_t missed() const noexcept { return missed_; }
@@ -146,16 +166,16 @@ class ShmPuller {
   friend class WaitSet;
   friend class ShmListener;
 
-  ShmSharedPtr<const T> pull_kept(bool wait, detail::Clock::time_point deadline, bool forever) {
+  ShmSharedPtr<const T> pull_kept(detail::Limit limit) {
     detail::Borrowed kept;
-    status_ = core_->pull(kept, wait, deadline, forever);
+    status_ = core_->pull(kept, limit);
     count(kept);
     if (status_ != Status::Ok) return {};
     return detail::PointerAccess::shared(static_cast<const T*>(kept.root), kept.control);
   }
-  ShmBorrow<T> look(bool wait, detail::Clock::time_point deadline, bool forever) {
+  ShmBorrow<T> look(detail::Limit limit) {
     detail::Borrowed borrowed;
-    status_ = core_->borrow(borrowed, wait, deadline, forever);
+    status_ = core_->borrow(borrowed, limit);
     count(borrowed);
     if (status_ != Status::Ok) return {};
     return {core_.get(), borrowed};

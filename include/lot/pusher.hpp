@@ -9,6 +9,7 @@
 #include "lot/detail/core.hpp"
 #include "lot/duration.hpp"
 #include "lot/pointers.hpp"
+#include "lot/stop_token.hpp"
 #include "lot/type_identity.hpp"
 
 namespace lot {
@@ -107,23 +108,24 @@ class ShmPusher {
   }
 
   /// Publishes. Under Policy::Block it waits for a slow reader, at most PusherOptions::block_for
-  /// (or `block_for`); Status::Full then, and the message stays with the caller. Else always
-  /// Status::Ok.
+  /// (or `block_for`); Status::Full then, and the message stays with the caller. So it does where
+  /// the StopToken was told to stop: Status::Stopped, under each policy. Else always Status::Ok.
   ///
   /// Errors: lot::Error as the class says, and EINVAL for an empty pointer or a message of another
   /// segment. The message stays with the caller then, too.
-  [[nodiscard]] Status push(ShmUniquePtr<T>&& message) {
-    return push(std::move(message), block_for_);
+  [[nodiscard]] Status push(ShmUniquePtr<T>&& message, const StopToken& stop = {}) {
+    return push(std::move(message), block_for_, stop);
   }
   /// The same with another limit than the options'. Throws the same.
-  [[nodiscard]] Status push(ShmUniquePtr<T>&& message, Duration block_for) {
-    const Status status = core_->push_unique(detail::whole(message), block_for);
+  [[nodiscard]] Status push(ShmUniquePtr<T>&& message, Duration block_for,
+                            const StopToken& stop = {}) {
+    const Status status = core_->push_unique(detail::whole(message), {block_for, stop.word()});
     if (status == Status::Ok) detail::PointerAccess::take(message);
     return status;
   }
   /// The same, and never waits for a reader. Throws the same.
   [[nodiscard]] Status try_push(ShmUniquePtr<T>&& message) {
-    return push(std::move(message), std::chrono::nanoseconds(0));
+    return push(std::move(message), Duration());
   }
 
   /// Publishes a message that was received, or is kept: no copy. It can not grow from then on; its
@@ -134,27 +136,38 @@ class ShmPusher {
   /// another segment, or points to something else than its whole message: to a part of it, to
   /// private memory, to nothing. In the process that made the message its type is compared, too; in
   /// others, the place and that a T fits there.
-  [[nodiscard]] Status push(const ShmSharedPtr<const T>& message) {
-    return push(message, block_for_);
+  [[nodiscard]] Status push(const ShmSharedPtr<const T>& message, const StopToken& stop = {}) {
+    return push(message, block_for_, stop);
   }
   /// The same with another limit than the options'. Throws the same.
-  [[nodiscard]] Status push(const ShmSharedPtr<const T>& message, Duration block_for) {
-    return core_->push_shared(detail::PointerAccess::control(message), message.get(), block_for);
+  [[nodiscard]] Status push(const ShmSharedPtr<const T>& message, Duration block_for,
+                            const StopToken& stop = {}) {
+    return core_->push_shared(detail::PointerAccess::control(message), message.get(),
+                              {block_for, stop.word()});
   }
   /// The same by a pointer that could change the message. Throws the same.
-  [[nodiscard]] Status push(const ShmSharedPtr<T>& message) { return push(message, block_for_); }
+  [[nodiscard]] Status push(const ShmSharedPtr<T>& message, const StopToken& stop = {}) {
+    return push(message, block_for_, stop);
+  }
   /// The same with another limit than the options'. Throws the same.
-  [[nodiscard]] Status push(const ShmSharedPtr<T>& message, Duration block_for) {
-    return core_->push_shared(detail::PointerAccess::control(message), message.get(), block_for);
+  [[nodiscard]] Status push(const ShmSharedPtr<T>& message, Duration block_for,
+                            const StopToken& stop = {}) {
+    return core_->push_shared(detail::PointerAccess::control(message), message.get(),
+                              {block_for, stop.word()});
   }
 
   /// Subscribers that read this publisher: each gets what is pushed from now on, also one that has
   /// not looked yet. Throws lot::Error (ECHILD, ESTALE).
   std::size_t readers() const { return core_->readers(); }
-  /// Waits until so many read this publisher; it looks each millisecond. False: the time is up, and
-  /// there are fewer. Throws lot::Error (ECHILD, ESTALE).
-  [[nodiscard]] bool wait_for_readers(std::size_t count, Duration timeout) {
-    return core_->wait_for_readers(count, timeout);
+  /// Waits until so many read this publisher; it looks each millisecond. False: the time is up, or
+  /// it was told to stop, and there are fewer. Throws lot::Error (ECHILD, ESTALE).
+  [[nodiscard]] bool wait_for_readers(std::size_t count, Duration timeout,
+                                      const StopToken& stop = {}) {
+    return core_->wait_for_readers(count, detail::Limit::until(detail::after(timeout), stop));
+  }
+  /// The same without a limit. Throws the same.
+  [[nodiscard]] bool wait_for_readers(std::size_t count, const StopToken& stop) {
+    return core_->wait_for_readers(count, detail::Limit::forever(stop));
   }
   /// Makes memory for `count` messages of `bytes` each and touches it, so that the first frames are
   /// as fast as the later ones, and those of a publisher that seldom publishes.

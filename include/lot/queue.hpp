@@ -18,6 +18,7 @@
 #include "lot/options.hpp"
 #include "lot/pointers.hpp"
 #include "lot/pusher.hpp"
+#include "lot/stop_token.hpp"
 #include "lot/type_identity.hpp"
 
 namespace lot {
@@ -277,7 +278,6 @@ const MessageType& queue_type(const QueueOptions& options) {
 template <class T>
 class ShmQueue {
   using Item = detail::QueueItem<T>;
-  using Clock = std::chrono::steady_clock;
 
  public:
   using value_type = T;
@@ -310,51 +310,40 @@ class ShmQueue {
   /// lot::OutOfMemory where a value finds no memory, lot::Error as the class says, and EINVAL for a
   /// pointer to anything else than a whole message of this segment; what a copy of the value
   /// throws.
-  [[nodiscard]] Status put(const T& item) { return put_until(item, detail::after(kForever)); }
+  [[nodiscard]] Status put(const T& item, const StopToken& stop = {}) {
+    return put_copy(item, detail::Limit::forever(stop));
+  }
   /// Puts the item itself: a pointer is null afterwards, if it was put. Throws the same.
-  [[nodiscard]] Status put(T&& item) { return put_until(std::move(item), detail::after(kForever)); }
+  [[nodiscard]] Status put(T&& item, const StopToken& stop = {}) {
+    return put_moved(std::move(item), detail::Limit::forever(stop));
+  }
   /// As put(), and waits so long for a place at most. Throws the same.
-  [[nodiscard]] Status put_for(const T& item, Duration timeout) {
-    return put_until(item, detail::after(timeout));
+  [[nodiscard]] Status put_for(const T& item, Duration timeout, const StopToken& stop = {}) {
+    return put_until(item, detail::after(timeout), stop);
   }
   /// As put() of an item that is moved. Throws the same.
-  [[nodiscard]] Status put_for(T&& item, Duration timeout) {
-    return put_until(std::move(item), detail::after(timeout));
+  [[nodiscard]] Status put_for(T&& item, Duration timeout, const StopToken& stop = {}) {
+    return put_until(std::move(item), detail::after(timeout), stop);
   }
   /// As put(), and waits for a place until then. Throws the same.
-  [[nodiscard]] Status put_until(const T& item, Deadline deadline) {
-    if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
-      return core_->put_shared(detail::PointerAccess::control(item), item.get(), deadline);
-    } else {
-      static_assert(std::is_same_v<T, Element>,
-                    "lot: this item has one owner and can only be moved; use std::move()");
-      return put_made(make(item), deadline);
-    }
+  [[nodiscard]] Status put_until(const T& item, Deadline deadline, const StopToken& stop = {}) {
+    return put_copy(item, detail::Limit::until(deadline, stop));
   }
   /// As put() of an item that is moved. Throws the same.
-  [[nodiscard]] Status put_until(T&& item, Deadline deadline) {
-    if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
-      const Status status =
-          core_->put_shared(detail::PointerAccess::control(item), item.get(), deadline);
-      if (status == Status::Ok) item.reset();
-      return status;
-    } else if constexpr (std::is_same_v<T, Element>) {
-      return put_made(make(static_cast<const T&>(item)), deadline);
-    } else {
-      return put_made(std::move(item), deadline);
-    }
+  [[nodiscard]] Status put_until(T&& item, Deadline deadline, const StopToken& stop = {}) {
+    return put_moved(std::move(item), detail::Limit::until(deadline, stop));
   }
   /// As put(), and never waits for a place. Throws the same.
-  [[nodiscard]] Status try_put(const T& item) { return put_until(item, Clock::time_point::min()); }
+  [[nodiscard]] Status try_put(const T& item) { return put_copy(item, detail::Limit::now()); }
   /// As put() of an item that is moved. Throws the same.
   [[nodiscard]] Status try_put(T&& item) {
-    return put_until(std::move(item), Clock::time_point::min());
+    return put_moved(std::move(item), detail::Limit::now());
   }
   /// Builds the item in place, from args, and puts it as put(): the item is lost where it says
   /// Status::Full. Throws as make() and put().
   template <class... Args>
   [[nodiscard]] Status emplace(Args&&... args) {
-    return put_made(make(std::forward<Args>(args)...), detail::after(kForever));
+    return put_made(make(std::forward<Args>(args)...), detail::Limit::forever({}));
   }
 
   // Popping. Nothing when there was none in time. A pointer comes in an optional: (*item)->member.
@@ -363,38 +352,44 @@ class ShmQueue {
   /// items; what the copy of a value throws.
   [[nodiscard]] T wait_and_pop() {
     detail::Borrowed item;
-    core_->pop(item, detail::QueueCore::Wait::Forever, {}, Item::kMayComeBack);
+    core_->pop(item, detail::Limit::forever({}), Item::kMayComeBack);
     return Item::template from<T>(*core_, item);
   }
+  /// The next item, or nothing once it was told to stop. Throws the same.
+  [[nodiscard]] std::optional<T> wait_and_pop(const StopToken& stop) {
+    return pop(detail::Limit::forever(stop));
+  }
   /// The next item, if one comes in that time. Throws the same.
-  [[nodiscard]] std::optional<T> wait_and_pop_for(Duration timeout) {
-    return wait_and_pop_until(detail::after(timeout));
+  [[nodiscard]] std::optional<T> wait_and_pop_for(Duration timeout, const StopToken& stop = {}) {
+    return wait_and_pop_until(detail::after(timeout), stop);
   }
   /// The next item, if one comes until then. Throws the same.
-  [[nodiscard]] std::optional<T> wait_and_pop_until(Deadline deadline) {
-    return pop(detail::QueueCore::Wait::Until, deadline);
+  [[nodiscard]] std::optional<T> wait_and_pop_until(Deadline deadline, const StopToken& stop = {}) {
+    return pop(detail::Limit::until(deadline, stop));
   }
   /// The next item, if there is one now. Throws the same.
-  [[nodiscard]] std::optional<T> try_pop() { return pop(detail::QueueCore::Wait::Never, {}); }
+  [[nodiscard]] std::optional<T> try_pop() { return pop(detail::Limit::now()); }
 
   // Taking tasks, where the queue was made with QueueOptions::redeliver; popping is not for those.
   // lot::Error (EINVAL) for the one where the other is meant. An empty task when there was none in
   // time.
 
-  /// The next task; waits for ever for one. Throws lot::Error as the class says.
-  [[nodiscard]] ShmTask<Element> wait_and_take() {
-    return take(detail::QueueCore::Wait::Forever, {});
+  /// The next task; waits for ever for one, or until it is told to stop. Throws lot::Error as the
+  /// class says.
+  [[nodiscard]] ShmTask<Element> wait_and_take(const StopToken& stop = {}) {
+    return take(detail::Limit::forever(stop));
   }
   /// The next task, if one comes in that time. Throws the same.
-  [[nodiscard]] ShmTask<Element> wait_and_take_for(Duration timeout) {
-    return wait_and_take_until(detail::after(timeout));
+  [[nodiscard]] ShmTask<Element> wait_and_take_for(Duration timeout, const StopToken& stop = {}) {
+    return wait_and_take_until(detail::after(timeout), stop);
   }
   /// The next task, if one comes until then. Throws the same.
-  [[nodiscard]] ShmTask<Element> wait_and_take_until(Deadline deadline) {
-    return take(detail::QueueCore::Wait::Until, deadline);
+  [[nodiscard]] ShmTask<Element> wait_and_take_until(Deadline deadline,
+                                                     const StopToken& stop = {}) {
+    return take(detail::Limit::until(deadline, stop));
   }
   /// The next task, if there is one now. Throws the same.
-  [[nodiscard]] ShmTask<Element> try_take() { return take(detail::QueueCore::Wait::Never, {}); }
+  [[nodiscard]] ShmTask<Element> try_take() { return take(detail::Limit::now()); }
 
   /// Begins to read: of shared items this handle gets all that are put from now on. Throws
   /// lot::Error as the class says.
@@ -404,27 +399,53 @@ class ShmQueue {
   std::size_t size() { return core_->size(); }
   /// True when size() is 0. Throws the same.
   [[nodiscard]] bool is_empty() { return size() == 0; }
+  /// A descriptor as ShmPuller::fd(): readable from when an item may have come until a try_pop() or
+  /// try_take() has found none. It belongs to the handle. It begins to read as listen() does.
+  /// Throws as that, and lot::Error as ShmPuller::fd().
+  int fd() { return core_->fd(); }
   /// Items that one handle has in the queue at most.
   std::size_t capacity() const noexcept { return core_->capacity(); }
 
  private:
-  static constexpr std::chrono::nanoseconds kForever = std::chrono::nanoseconds::max();
+  friend class WaitSet;
 
-  std::optional<T> pop(detail::QueueCore::Wait wait, Clock::time_point deadline) {
+  Status put_copy(const T& item, detail::Limit limit) {
+    if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
+      return core_->put_shared(detail::PointerAccess::control(item), item.get(), limit);
+    } else {
+      static_assert(std::is_same_v<T, Element>,
+                    "lot: this item has one owner and can only be moved; use std::move()");
+      return put_made(make(item), limit);
+    }
+  }
+  Status put_moved(T&& item, detail::Limit limit) {
+    if constexpr (Item::kDelivery == detail::Delivery::ToAll) {
+      const Status status =
+          core_->put_shared(detail::PointerAccess::control(item), item.get(), limit);
+      if (status == Status::Ok) item.reset();
+      return status;
+    } else if constexpr (std::is_same_v<T, Element>) {
+      return put_made(make(static_cast<const T&>(item)), limit);
+    } else {
+      return put_made(std::move(item), limit);
+    }
+  }
+
+  std::optional<T> pop(detail::Limit limit) {
     detail::Borrowed item;
-    if (!core_->pop(item, wait, deadline, Item::kMayComeBack)) return std::nullopt;
+    if (!core_->pop(item, limit, Item::kMayComeBack)) return std::nullopt;
     return Item::template from<std::optional<T>>(*core_, item, std::in_place);
   }
 
-  ShmTask<Element> take(detail::QueueCore::Wait wait, Clock::time_point deadline) {
+  ShmTask<Element> take(detail::Limit limit) {
     detail::Claim claim;
-    if (!core_->take(claim, wait, deadline)) return {};
+    if (!core_->take(claim, limit)) return {};
     return {core_, claim};
   }
 
   template <class Made>
-  Status put_made(Made&& made, Clock::time_point deadline) {
-    const Status status = core_->put_unique(detail::whole(made), deadline);
+  Status put_made(Made&& made, detail::Limit limit) {
+    const Status status = core_->put_unique(detail::whole(made), limit);
     if (status == Status::Ok) detail::PointerAccess::take(made);
     return status;
   }

@@ -14,6 +14,8 @@
 #include "lot/duration.hpp"
 #include "lot/options.hpp"
 #include "lot/puller.hpp"
+#include "lot/queue.hpp"
+#include "lot/stop_token.hpp"
 
 namespace lot {
 
@@ -21,7 +23,7 @@ namespace detail {
 class WaitSetCore;
 }
 
-/// One thread for many pullers, timers and a stop request.
+/// One thread for many pullers, queues, timers and a stop request.
 ///
 ///     lot::WaitSet set;
 ///     set.add(camera, [&] { while (auto frame = camera.try_pull()) show(*frame); });
@@ -60,10 +62,24 @@ class WaitSet {
   void add(ShmPuller<T>& puller, Handler handler) {
     add(*puller.core_, std::move(handler));
   }
+  /// Calls `handler` when the queue may have an item to pop or to take; a handler uses try_pop() or
+  /// try_take(). Other threads may use the handle, too. It begins to read as ShmQueue::listen().
+  /// REQUIRES: the queue is removed before its handle is destroyed or moved from.
+  /// Throws as listen(), and lot::Error (EINVAL) when the handler is empty.
+  template <class T>
+  void add(ShmQueue<T>& queue, Handler handler) {
+    queue.listen();
+    add(*queue.core_, std::move(handler));
+  }
   /// Calls its handlers no more; does nothing for a puller that was not added. Throws nothing.
   template <class T>
   void remove(ShmPuller<T>& puller) {
     remove(*puller.core_);
+  }
+  /// The same of a queue. Throws nothing.
+  template <class T>
+  void remove(ShmQueue<T>& queue) {
+    remove(*queue.core_);
   }
 
   /// Calls `handler` every `period`, for the first time after one. Periods that were slept through
@@ -76,21 +92,22 @@ class WaitSet {
   /// Calls it no more; does nothing for a timer that has gone. Throws nothing.
   void remove(Timer timer);
 
-  /// Calls handlers until stop(). Throws what a handler throws, and lot::Error of a puller.
-  void run();
+  /// Calls handlers until stop(), or until the token was told to stop. Throws what a handler
+  /// throws, and lot::Error of a puller.
+  void run(const StopToken& stop = {});
   /// Waits until something can be done, or the time is up, and does it: the number of handlers that
-  /// were called. 0 as well when stop() was called. Throws as run().
-  std::size_t run_once(Duration timeout);
+  /// were called. 0 as well when stop() was called, or the token was told to stop. Throws as run().
+  std::size_t run_once(Duration timeout, const StopToken& stop = {});
 
   /// Ends run() after the handler that is at work, or the next run() at once. What was written
   /// before it is seen after run().
   void stop() noexcept;
 
-  /// As add() of the puller that it is the untyped half of: the library's own business. Throws the
-  /// same.
-  void add(detail::PullerCore& puller, Handler handler);
-  /// As remove() of that puller. Throws nothing.
-  void remove(detail::PullerCore& puller);
+  /// As add() of the puller or queue that it is the untyped half of: the library's own business.
+  /// Throws the same.
+  void add(detail::Waitable& waitable, Handler handler);
+  /// As remove() of that. Throws nothing.
+  void remove(detail::Waitable& waitable);
 
  private:
   std::unique_ptr<detail::WaitSetCore> core_;

@@ -320,7 +320,7 @@ void Inlet::read() {
   for (; may_deliver_ > 0; --may_deliver_) {
     lot::detail::Borrowed borrowed;
     lot::detail::PullerCore& puller = rings_->core();
-    if (puller.borrow(borrowed, false, {}, false) != Status::Ok) break;
+    if (puller.borrow(borrowed, lot::detail::Limit::now()) != Status::Ok) break;
     const struct End {
       lot::detail::PullerCore& puller;
       ~End() { puller.done(); }

@@ -591,7 +591,7 @@ void TopicOutlet::publish(const detail::Parcel& given, bool fresh, std::uint64_t
       undecided.push_back(&peer);
     }
   }
-  if (to_ring) ring_->core().push_shared(parcel.control, parcel.message.get(), 0ns);
+  if (to_ring) ring_->core().push_shared(parcel.control, parcel.message.get(), {0ns});
   for (Peer* peer : undecided) keep_for(*peer, message);
   last_is_latched_ = to_ring && latches;
   look_beside();

@@ -30,6 +30,8 @@ const char* to_string(Status status) noexcept {
       return "publisher gone";
     case Status::HoldsTooMuch:
       return "holds too much";
+    case Status::Stopped:
+      return "stopped";
   }
   return "?";
 }

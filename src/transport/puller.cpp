@@ -74,10 +74,9 @@ class Puller final : public RingPuller {
     participant_->topics().depart(std::move(departure_));
   }
 
-  [[gnu::hot]] Status borrow(detail::Borrowed& borrowed, bool wait,
-                             detail::Clock::time_point deadline, bool forever) override {
+  [[gnu::hot]] Status borrow(detail::Borrowed& borrowed, detail::Limit limit) override {
     keeping_ = false;
-    return look_or_wait(borrowed, wait, deadline, forever);
+    return look_or_wait(borrowed, limit);
   }
 
   [[gnu::hot]] void done() noexcept override {
@@ -98,15 +97,13 @@ class Puller final : public RingPuller {
                 "let messages go, or raise PullerOptions::max_held_bytes");
   }
 
-  [[gnu::hot]] Status pull(detail::Borrowed& kept, bool wait, detail::Clock::time_point deadline,
-                           bool forever) override {
+  [[gnu::hot]] Status pull(detail::Borrowed& kept, detail::Limit limit) override {
     keeping_ = true;
     if (!quota_.allows_one_more()) [[unlikely]] {
-      const Status status =
-          pull_when_full(wait, forever ? futex::Deadline() : futex::Deadline(deadline));
+      const Status status = pull_when_full(limit);
       if (status != Status::Ok) return found_none(kept, status);
     }
-    return look_or_wait(kept, wait, deadline, forever);
+    return look_or_wait(kept, limit);
   }
 
   void describe(detail::Claim& claim) const override {
@@ -198,6 +195,7 @@ class Puller final : public RingPuller {
     if (!settle()) return std::nullopt;
     // The caller looks first: it may have kept messages of a ring that has ended just now.
     if (observer_ != nullptr && sources_.size() != rings) return std::nullopt;
+    if (is_forsaken()) return std::nullopt;  // the next look tells it
     const ring::Rest rest = ring::prepare_to_sleep(
         sources_, directory_, version_, [&waits](const auto& word, auto value) {
           waits.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
@@ -228,9 +226,8 @@ class Puller final : public RingPuller {
     return nullptr;
   }
 
-  Status look_or_wait(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
-                      bool forever) {
-    const Status status = try_or_wait(borrowed, wait, deadline, forever);
+  Status look_or_wait(detail::Borrowed& borrowed, detail::Limit limit) {
+    const Status status = try_or_wait(borrowed, limit);
     return status == Status::Ok ? status : found_none(borrowed, status);
   }
 
@@ -240,20 +237,31 @@ class Puller final : public RingPuller {
     return status;
   }
 
-  Status try_or_wait(detail::Borrowed& borrowed, bool wait, detail::Clock::time_point deadline,
-                     bool forever) {
+  Status try_or_wait(detail::Borrowed& borrowed, detail::Limit limit) {
+    if (limit.is_stopped()) return Status::Stopped;
     if (look(borrowed)) {
       ++burst_;
       return Status::Ok;
     }
-    if (!wait) {
+    if (!limit.waits()) {
       if (!settle() && look(borrowed)) return Status::Ok;
-      // A ring that this reader has not found yet may hold what was published: the registry's lock
-      // was taken. Acquire: D1.
-      const bool all_seen = directory_.load(std::memory_order_acquire) == version_;
-      return sources_.empty() && all_seen ? Status::PublisherGone : Status::Empty;
+      return why_none(Status::Empty);
     }
-    return wait_and_look(borrowed, forever ? futex::Deadline() : futex::Deadline(deadline));
+    return wait_and_look(borrowed, limit);
+  }
+
+  /// True: no publisher has a ring. A ring that this reader has not found yet may hold what was
+  /// published: the registry's lock was taken. Acquire: D1.
+  bool is_alone() const noexcept {
+    return sources_.empty() && directory_.load(std::memory_order_acquire) == version_;
+  }
+  /// True: a publisher was there since this was told last, and none is now.
+  bool is_forsaken() const noexcept { return had_publisher_ && is_alone(); }
+  /// PublisherGone where there is no publisher, or what the look says otherwise.
+  Status why_none(Status otherwise) noexcept { return is_alone() ? tell_gone() : otherwise; }
+  Status tell_gone() noexcept {
+    had_publisher_ = false;
+    return Status::PublisherGone;
   }
 
   /// Looks once at every ring, beginning behind the ring that had the last message.
@@ -328,24 +336,28 @@ class Puller final : public RingPuller {
 
   /// A pull while the quota is full. Ok: the caller may look. Where there is no message the pull
   /// ends, or waits, as any other.
-  [[gnu::noinline]] Status pull_when_full(bool wait, const futex::Deadline& deadline) {
+  [[gnu::noinline]] Status pull_when_full(detail::Limit limit) {
+    if (limit.is_stopped()) return Status::Stopped;
     ForAny any(*this);
     if (!any.look()) {
-      if (!wait) {
-        const bool all_seen = directory_.load(std::memory_order_acquire) == version_;  // D1
-        return sources_.empty() && all_seen ? Status::PublisherGone : Status::Empty;
-      }
-      if (!waiting::wait(any, deadline)) return Status::Timeout;
+      if (!limit.waits()) return why_none(Status::Empty);
+      if (!waiting::wait(any, limit.deadline(), limit.stop())) return why_ended(limit);
     }
-    return wait && wait_for_quota(deadline) ? Status::Ok : Status::HoldsTooMuch;
+    if (is_forsaken()) return tell_gone();
+    if (limit.waits() && wait_for_quota(limit)) return Status::Ok;
+    return limit.is_stopped() ? Status::Stopped : Status::HoldsTooMuch;
   }
-  /// False: the time is up, and the process has let no message go.
-  bool wait_for_quota(const futex::Deadline& deadline) {
+  /// False: the time is up, or it was told to stop, and the process has let no message go.
+  bool wait_for_quota(detail::Limit limit) {
     if (quota_.allows_one_more()) return true;
     auto until = futex::Clock::now() + kWaitForRoom;
-    if (deadline) until = std::min(until, *deadline);
+    if (const auto deadline = limit.deadline()) until = std::min(until, *deadline);
     ForQuota let_go(*this);
-    return waiting::wait(let_go, until);
+    return waiting::wait(let_go, until, limit.stop());
+  }
+  /// Of a wait in which nothing came.
+  Status why_ended(detail::Limit limit) noexcept {
+    return limit.is_stopped() ? Status::Stopped : why_none(Status::Timeout);
   }
   /// When to report messages that wait while the subscription holds too much. Nothing: report them
   /// now.
@@ -422,20 +434,21 @@ class Puller final : public RingPuller {
         });
   }
 
-  [[gnu::hot]] Status wait_and_look(detail::Borrowed& borrowed, const futex::Deadline& deadline) {
+  [[gnu::hot]] Status wait_and_look(detail::Borrowed& borrowed, detail::Limit limit) {
     ForMessage message(*this, borrowed, std::exchange(burst_, 0) >= kBurst);
-    return waiting::wait(message, deadline) ? Status::Ok : Status::Timeout;
+    if (!waiting::wait(message, limit.deadline(), limit.stop())) return why_ended(limit);
+    return message.is_there() ? Status::Ok : tell_gone();
   }
 
   /// Leaves the marks for whatever this puller waits for. Nothing: look at once.
-  [[gnu::hot]] std::optional<waiting::Sleep<const detail::FutexWaits&>> prepare_to_sleep() {
+  [[gnu::hot]] std::optional<waiting::Sleep<detail::FutexWaits&>> prepare_to_sleep() {
     waits_.clear();
     const auto again = arm(waits_);
     if (!again) return std::nullopt;
     return {{waits_, again}};
   }
 
-  /// How a borrow and a pull wait for the next message.
+  /// How a borrow and a pull wait for the next message, or until the last publisher goes.
   struct ForMessage : waiting::Steps<ForMessage> {
     static constexpr unsigned kPollsPerClock = 64;
     /// They follow each other at once: a pause would add to the latency.
@@ -443,7 +456,11 @@ class Puller final : public RingPuller {
 
     ForMessage(Puller& puller, detail::Borrowed& borrowed, bool streaming)
         : puller_(puller), borrowed_(borrowed), streaming_(streaming) {}
-    bool look() { return puller_.look(borrowed_); }
+    bool look() {
+      is_there_ = puller_.look(borrowed_);
+      return is_there_ || puller_.is_forsaken();
+    }
+    bool is_there() const noexcept { return is_there_; }
     waiting::SpinHabit* spins() noexcept { return &puller_.habit_; }
     /// A publisher on the same core gets ahead then, instead of waking this reader for each
     /// message.
@@ -461,6 +478,7 @@ class Puller final : public RingPuller {
     Puller& puller_;
     detail::Borrowed& borrowed_;
     bool streaming_;
+    bool is_there_ = false;
   };
 
   /// How a pull that may keep no more waits until there is any message.
@@ -472,7 +490,7 @@ class Puller final : public RingPuller {
       if (puller_.directory_.load(std::memory_order_acquire) != puller_.version_) {
         puller_.find_new_rings();
       }
-      return puller_.has_messages() || !puller_.settle();
+      return puller_.has_messages() || !puller_.settle() || puller_.is_forsaken();
     }
     auto arm() { return puller_.prepare_to_sleep(); }
 
@@ -615,6 +633,7 @@ class Puller final : public RingPuller {
   void begin(const Reader& reader, const registry::ChannelName& name,
              std::string publisher) noexcept {
     missed_ += reader.skipped();
+    had_publisher_ = true;
     sources_.push_back(
         {reader, name, participant_->queue_lock(name.channel), std::move(publisher)});
   }
@@ -692,10 +711,11 @@ class Puller final : public RingPuller {
   std::uint32_t block_ = 0;
   unsigned burst_ = 0;  ///< messages since the last wait
   bool borrowing_ = false;
-  bool keeping_ = false;  ///< a message that is found is kept at once
-  bool taking_;           ///< each message is for one reader, which takes it
-  bool working_;          ///< and it stays in the queue until that reader has finished it
-  bool small_;            ///< the messages lie in their blocks' small payload
+  bool keeping_ = false;        ///< a message that is found is kept at once
+  bool had_publisher_ = false;  ///< since PublisherGone was told last
+  bool taking_;                 ///< each message is for one reader, which takes it
+  bool working_;                ///< and it stays in the queue until that reader has finished it
+  bool small_;                  ///< the messages lie in their blocks' small payload
   const detail::MessageType& type_;
   std::unique_ptr<waiting::Notifier> notifier_;  ///< once fd() was called
   const std::string topic_name_;

@@ -177,16 +177,16 @@ class Pusher final : public RingPusher, private Evictor {
     return loan;
   }
 
-  [[gnu::hot]] Status push_unique(detail::ControlBlock* control,
-                                  std::chrono::nanoseconds block_for) override {
+  [[gnu::hot]] Status push_unique(detail::ControlBlock* control, detail::RoomLimit limit) override {
     check(control);
+    if (limit.is_stopped()) return Status::Stopped;
     if (control->hub != participant_->hub() || participant_->was_received(*control)) {
-      return push_of_others(control, block_for);
+      return push_of_others(control, limit);
     }
     if (!type_->plain) participant_->holder().complete(control->block);
     std::unique_lock lock(pool_.lock());
     mutex_engine::QueueGuard queue_guard(queue_lock_);
-    if (!writer_->room() && !wait_for_room(lock, queue_guard, block_for)) return Status::Full;
+    if (!writer_->room() && !wait_for_room(lock, queue_guard, limit)) return why_full(limit);
     make_room();
     HardwareOwnership::hand_to_ring(control->hold);
     if (!type_->plain) participant_->holder().freeze_references(control->block);
@@ -195,11 +195,12 @@ class Pusher final : public RingPusher, private Evictor {
   }
 
   [[gnu::hot]] Status push_shared(const detail::ControlBlock* control, const void* object,
-                                  std::chrono::nanoseconds block_for) override {
+                                  detail::RoomLimit limit) override {
     check(control);
     if (!participant_->same_segment(*control)) refuse_elsewhere(*control);
     if (!is_whole(*control, object)) refuse_part(*control, object);
-    return push_held(control, block_for, true);
+    if (limit.is_stopped()) return Status::Stopped;
+    return push_held(control, limit, true);
   }
 
   std::size_t readers() override {
@@ -213,9 +214,9 @@ class Pusher final : public RingPusher, private Evictor {
     return n;
   }
 
-  bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) override {
+  bool wait_for_readers(std::size_t count, detail::Limit limit) override {
     ForReaders enough(*this, count);
-    return enough.look() || waiting::wait(enough, detail::after(timeout));
+    return enough.look() || waiting::wait(enough, limit.deadline(), limit.stop());
   }
 
   Held hold() override { return {std::unique_lock(pool_.lock()), *writer_}; }
@@ -311,11 +312,10 @@ class Pusher final : public RingPusher, private Evictor {
   }
 
   /// Publishes a message that another copy of the library has made, or that was taken from a queue.
-  [[gnu::noinline]] Status push_of_others(detail::ControlBlock* control,
-                                          std::chrono::nanoseconds block_for) {
+  [[gnu::noinline]] Status push_of_others(detail::ControlBlock* control, detail::RoomLimit limit) {
     if (!participant_->same_segment(*control)) refuse_elsewhere(*control);
     control->hub->shared_from_unique(control);  // its home writes down where its pieces are
-    const Status status = push_held(control, block_for, false);
+    const Status status = push_held(control, limit, false);
     if (status == Status::Ok) control->drop_pointer();
     return status;
   }
@@ -323,13 +323,13 @@ class Pusher final : public RingPusher, private Evictor {
   /// Publishes a message that the caller keeps a pointer to. `shared`: other threads of this
   /// process may have pointers, too, and could make the message grow. REQUIRES: the message lies in
   /// this segment.
-  [[gnu::hot]] Status push_held(const detail::ControlBlock* control,
-                                std::chrono::nanoseconds block_for, bool shared) {
+  [[gnu::hot]] Status push_held(const detail::ControlBlock* control, detail::RoomLimit limit,
+                                bool shared) {
     // read before the locked operations
     const bool was_received = participant_->was_received(*control);
     std::unique_lock lock(pool_.lock());
     mutex_engine::QueueGuard queue_guard(queue_lock_);
-    if (!writer_->room() && !wait_for_room(lock, queue_guard, block_for)) return Status::Full;
+    if (!writer_->room() && !wait_for_room(lock, queue_guard, limit)) return why_full(limit);
     make_room();
     participant_->holder().acquire(control->block, hold::kRing);
     if (!type_->plain) {
@@ -603,10 +603,13 @@ class Pusher final : public RingPusher, private Evictor {
   /// microseconds. Where that has been so, the sender spins first. Called with both locks held. It
   /// returns with both.
   bool wait_for_room(std::unique_lock<BiasedLock>& lock, mutex_engine::QueueGuard& queue_guard,
-                     std::chrono::nanoseconds block_for) {
+                     detail::RoomLimit limit) {
     if (!waits_) return false;
     ForRoom room(*this, lock, queue_guard);
-    return waiting::wait(room, detail::after(std::max(block_for, 0ns)));
+    return waiting::wait(room, detail::after(std::max(limit.time, 0ns)), limit.stop);
+  }
+  static Status why_full(detail::RoomLimit limit) noexcept {
+    return limit.is_stopped() ? Status::Stopped : Status::Full;
   }
 
   /// How wait_for_readers() waits: readers that come change no word.

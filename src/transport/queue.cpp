@@ -10,6 +10,7 @@
 
 #include "futex/futex.hpp"
 #include "transport/participant.hpp"
+#include "waiting/notifier.hpp"
 #include "waiting/waiting.hpp"
 
 namespace lot::transport {
@@ -38,29 +39,33 @@ class Queue final : public detail::QueueCore {
     topic_ = participant_->topics().enter(name, type);
   }
   ~Queue() override {
-    if (participant_->inert()) return;
+    if (participant_->inert()) {
+      (void)notifier_.release();  // a forked child has no such thread
+      return;
+    }
+    notifier_.reset();
     for (const detail::Borrowed& item : returned_) put_back(item);
     participant_->topics().leave(topic_);
   }
 
   detail::Loan loan(const detail::MessageType& type) override { return pusher().loan(type, true); }
 
-  Status put_unique(detail::ControlBlock* control, Clock::time_point deadline) override {
-    return pusher().push_unique(control, until(deadline));
+  Status put_unique(detail::ControlBlock* control, detail::Limit limit) override {
+    return pusher().push_unique(control, {time_of(limit), limit.stop()});
   }
   Status put_shared(const detail::ControlBlock* control, const void* object,
-                    Clock::time_point deadline) override {
-    return pusher().push_shared(control, object, until(deadline));
+                    detail::Limit limit) override {
+    return pusher().push_shared(control, object, {time_of(limit), limit.stop()});
   }
 
-  bool take(detail::Claim& claim, Wait wait, Clock::time_point deadline) override {
+  bool take(detail::Claim& claim, detail::Limit limit) override {
     participant_->check_usable();  // before the lock: a forked child may have inherited it locked
     if (!has_workers()) {
       throw Error(EINVAL, name_, "the queue was made without QueueOptions::redeliver",
                   "pop its items, or set redeliver in each process that uses it");
     }
     Place place(*this, false);
-    return look_or_wait(claim.item, wait, deadline, place, &claim);
+    return look_or_wait(claim.item, limit, place, &claim);
   }
   void finish(const detail::Claim& claim) override {
     participant_->check_usable();
@@ -79,15 +84,14 @@ class Queue final : public detail::QueueCore {
     claim.item.control->drop_pointer();
   }
 
-  bool pop(detail::Borrowed& item, Wait wait, Clock::time_point deadline,
-           bool may_come_back) override {
+  bool pop(detail::Borrowed& item, detail::Limit limit, bool may_come_back) override {
     participant_->check_usable();  // before the lock: a forked child may have inherited it locked
     if (has_workers()) {
       throw Error(EINVAL, name_, "an item of a queue that redelivers cannot be popped",
                   "wait_and_take() it, and finish() it when it is done");
     }
     Place place(*this, may_come_back);
-    if (!look_or_wait(item, wait, deadline, place, nullptr)) return false;
+    if (!look_or_wait(item, limit, place, nullptr)) return false;
     place.keep();
     return true;
   }
@@ -114,6 +118,25 @@ class Queue final : public detail::QueueCore {
     return returned_.size() + puller().size();
   }
   std::size_t capacity() const noexcept override { return putting_.depth; }
+
+  int fd() override {
+    participant_->check_usable();  // before the lock: a forked child may have inherited it locked
+    const std::lock_guard guard(mutex_);
+    if (!notifier_) {
+      notifier_ = std::make_unique<waiting::Notifier>();
+      notifier_->watch(held_);
+    }
+    return notifier_->fd();
+  }
+  bool ready() override {
+    const std::lock_guard guard(mutex_);
+    return has_items();
+  }
+  std::optional<Clock::time_point> arm(detail::FutexWaits& waits) override {
+    participant_->check_usable();  // before the lock: a forked child may have inherited it locked
+    const std::lock_guard guard(mutex_);
+    return arm_held(waits);
+  }
 
  private:
   /// Keeps room in returned_ for the item of one pop, from before the pop looks until its item is
@@ -147,14 +170,34 @@ class Queue final : public detail::QueueCore {
 
   bool has_workers() const { return delivery_ == detail::Delivery::ToWorker; }
 
-  /// Looks for an item, and waits as `wait` says. With a claim, it also notes where the item lies
+  /// Looks for an item, and waits as `limit` says. With a claim, it also notes where the item lies
   /// in the queue.
-  bool look_or_wait(detail::Borrowed& item, Wait wait, Clock::time_point deadline, Place& place,
+  bool look_or_wait(detail::Borrowed& item, detail::Limit limit, Place& place,
                     detail::Claim* claim) {
+    if (limit.is_stopped()) return false;
     ForItem next(*this, item, place, claim);
     if (next.look()) return true;
-    if (wait == Wait::Never) return false;
-    return waiting::wait(next, wait == Wait::Until ? futex::Deadline(deadline) : std::nullopt);
+    if (limit.waits() && waiting::wait(next, limit.deadline(), limit.stop())) return true;
+    if (notifier_) notifier_->watch(held_);
+    return false;
+  }
+
+  /// The queue as its notifier sees it, which is told of it by a thread that has the mutex.
+  struct Held : detail::Waitable {
+    explicit Held(Queue& queue) : queue_(queue) {}
+    bool ready() override { return queue_.has_items(); }
+    std::optional<Clock::time_point> arm(detail::FutexWaits& waits) override {
+      return queue_.arm_held(waits);
+    }
+
+   private:
+    Queue& queue_;
+  };
+  /// Both REQUIRE mutex_.
+  bool has_items() { return !returned_.empty() || puller().ready(); }
+  std::optional<Clock::time_point> arm_held(detail::FutexWaits& waits) {
+    if (!returned_.empty()) return std::nullopt;
+    return puller().arm(waits);
   }
 
   /// How a pop and a take wait for an item. It has the queue's mutex, except while it waits.
@@ -168,7 +211,7 @@ class Queue final : public detail::QueueCore {
       return true;
     }
     waiting::SpinHabit* spins() noexcept { return &queue_.habit_; }
-    std::optional<waiting::Sleep<const detail::FutexWaits&>> arm() {
+    std::optional<waiting::Sleep<detail::FutexWaits&>> arm() {
       waits_.clear();
       if (const auto again = queue_.puller().arm(waits_)) return {{waits_, again}};
       lock_.unlock();  // other threads of this handle get in, however often this one has to look
@@ -190,7 +233,7 @@ class Queue final : public detail::QueueCore {
   /// Takes an item that came back first: it is older than what lies in the queue. REQUIRES: mutex_.
   bool look(detail::Borrowed& item) {
     if (returned_.empty()) {
-      const Status status = puller().pull(item, false, {}, false);
+      const Status status = puller().pull(item, detail::Limit::now());
       if (status == Status::HoldsTooMuch) puller().refuse_to_hold();
       return status == Status::Ok;
     }
@@ -215,16 +258,17 @@ class Queue final : public detail::QueueCore {
   /// handle can get it.
   void put_back(const detail::Borrowed& item) noexcept {
     try {
-      if (pusher().push_unique(item.control, 0ns) == Status::Ok) return;
+      if (pusher().push_unique(item.control, {0ns}) == Status::Ok) return;
     } catch (const std::exception&) {  // no memory, or no room for another ring
     }
     item.control->drop_pointer();
   }
 
-  static std::chrono::nanoseconds until(Clock::time_point deadline) {
-    if (deadline == Clock::time_point::min()) return 0ns;
-    const auto now = Clock::now();
-    return deadline > now ? deadline - now : 0ns;
+  static std::chrono::nanoseconds time_of(detail::Limit limit) {
+    if (!limit.waits()) return 0ns;
+    const auto deadline = limit.deadline();
+    return deadline ? std::max<std::chrono::nanoseconds>(*deadline - Clock::now(), 0ns)
+                    : std::chrono::nanoseconds::max();
   }
 
   detail::PusherCore& pusher() {
@@ -253,6 +297,8 @@ class Queue final : public detail::QueueCore {
   detail::Mutex mutex_{detail::Rank::Queue};
   waiting::SpinHabit habit_;
   std::unique_ptr<detail::PullerCore> puller_;
+  Held held_{*this};
+  std::unique_ptr<waiting::Notifier> notifier_;  ///< once fd() was called
   /// Items that this handle has taken and could not copy. There is room for in_hand_ more.
   std::vector<detail::Borrowed> returned_;
   std::atomic<std::size_t> in_hand_{0};  ///< pops that may hand an item back, or look for one

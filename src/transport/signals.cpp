@@ -40,8 +40,14 @@ std::atomic<std::uint32_t> came{0};    ///< the number of the signal; the thread
 
 std::int64_t now() { return futex::Clock::now().time_since_epoch().count(); }
 
-/// The handler. It does only what a signal handler may do. Relaxed, all: a number is all that each
-/// word tells.
+/// Ends the process as soon as the handler that calls this has returned. For a handler.
+void end_at_once(int number) {
+  std::signal(number, SIG_DFL);
+  raise(number);
+}
+
+/// The handler of end_cleanly_on_signals(). It does only what a signal handler may do. Relaxed,
+/// all: a number is all that each word tells.
 void take(int number) {
   const int error = errno;
   const bool is_child = getpid() != process.load(std::memory_order_relaxed);
@@ -50,8 +56,28 @@ void take(int number) {
     came.store(static_cast<std::uint32_t>(number), std::memory_order_relaxed);
     futex::wake_all(&came);
   } else if (is_child || now() - first > std::chrono::nanoseconds(kCleaning).count()) {
-    std::signal(number, SIG_DFL);  // a forked child has no such thread; or removing takes too long
-    raise(number);                 // the signal comes when this handler has returned
+    end_at_once(number);  // a forked child has no such thread; or removing takes too long
+  }
+  errno = error;
+}
+
+/// The source of stop_on_signals(), never destroyed: a signal may come while statics go.
+StopSource& stopping() {
+  static auto* const source = new StopSource();
+  return *source;
+}
+std::atomic<StopSource*> to_stop{nullptr};  ///< what the handler stops
+std::atomic<std::int64_t> stopped_at{0};    ///< when the first signal came; 0: none has come
+
+/// The handler of stop_on_signals(). It does only what a signal handler may do. Relaxed, both: the
+/// time is all that the one tells, and the source is never changed.
+void stop(int number) {
+  const int error = errno;
+  std::int64_t first = 0;
+  if (stopped_at.compare_exchange_strong(first, now(), std::memory_order_relaxed)) {
+    to_stop.load(std::memory_order_relaxed)->request_stop();
+  } else if (now() - first > std::chrono::nanoseconds(kCleaning).count()) {
+    end_at_once(number);
   }
   errno = error;
 }
@@ -84,12 +110,13 @@ void await_end() {
   }
 }
 
-void install(int number) {
+/// Puts `handler` in the place of the default action, or of `other`.
+void install(int number, void (*handler)(int), int flags, void (*other)(int) = SIG_DFL) {
   struct sigaction action {};
-  if (sigaction(number, nullptr, &action) != 0) return;
-  if ((action.sa_flags & SA_SIGINFO) != 0 || action.sa_handler != SIG_DFL) return;
-  action.sa_handler = &take;
-  action.sa_flags = SA_RESTART;
+  if (sigaction(number, nullptr, &action) != 0 || (action.sa_flags & SA_SIGINFO) != 0) return;
+  if (action.sa_handler != SIG_DFL && action.sa_handler != other) return;
+  action.sa_handler = handler;
+  action.sa_flags = flags;
   sigaction(number, &action, nullptr);
 }
 
@@ -113,7 +140,15 @@ void end_cleanly_on_signals() {
   }
   static const int registered = std::atexit(&await_end);
   static_cast<void>(registered);  // if it fails, the exit code is main()'s
-  for (const int number : kSignals) install(number);
+  for (const int number : kSignals) install(number, &take, SA_RESTART);
+}
+
+StopToken stop_on_signals() {
+  const std::lock_guard guard(mutex);
+  // Relaxed: no handler runs before the system call that installs it.
+  to_stop.store(&stopping(), std::memory_order_relaxed);
+  for (const int number : kSignals) install(number, &stop, 0, &take);
+  return stopping().get_token();
 }
 
 }  // namespace lot

@@ -41,14 +41,14 @@ Notifier::~Notifier() {
   close(fd_);
 }
 
-void Notifier::watch(detail::PullerCore& puller) {
+void Notifier::watch(detail::Waitable& waitable) {
   // First, so that what comes from now on makes it readable again.
   eventfd_t count;
   eventfd_read(fd_, &count);
   detail::FutexWaits waits;
   std::optional<detail::Clock::time_point> again;
   try {
-    again = puller.arm(waits);
+    again = waitable.arm(waits);
   } catch (...) {
     ring();  // nothing watches: the puller's user has to look again
     throw;
@@ -91,7 +91,7 @@ struct Notifier::Watcher : waiting::Steps<Watcher> {
     if (rings) notifier_.ring();
     return false;
   }
-  std::optional<Sleep<const detail::FutexWaits&>> arm() {
+  std::optional<Sleep<detail::FutexWaits&>> arm() {
     waits_.push_back({&notifier_.orders_, seen_});
     return {{waits_, again_}};
   }

@@ -10,7 +10,8 @@
 
 namespace lot::waiting {
 
-/// Makes a descriptor readable when a puller may have a message: for epoll, poll, Asio and GLib.
+/// Makes a descriptor readable when a puller may have a message, or a queue an item: for epoll,
+/// poll, Asio and GLib.
 ///
 /// The puller's own thread looks and, when it finds nothing, hands over the words to sleep on. A
 /// thread of the notifier sleeps on them. So only the puller's user ever touches the puller.
@@ -26,7 +27,7 @@ class Notifier {
 
   int fd() const noexcept { return fd_; }
   /// The puller has nothing to read: from now on the descriptor is readable once it may have.
-  void watch(detail::PullerCore& puller);
+  void watch(detail::Waitable& waitable);
 
  private:
   struct Watcher;

@@ -19,20 +19,16 @@ namespace detail {
 
 using namespace std::chrono_literals;
 
-// Edges
-//   W1  stop_ = 1 (exchange, release) in stop() -> exchange (acquire) in take_stop()
-//       carries: what the thread or the signal handler that called stop() wrote before. It is there
-//       when run() has returned.
 class WaitSetCore {
  public:
   explicit WaitSetCore(Wait wait) : habit_(wait) {}
 
-  void add(PullerCore& puller, WaitSet::Handler handler) {
-    entries_.push_back({&puller, std::move(handler)});
+  void add(Waitable& waitable, WaitSet::Handler handler) {
+    entries_.push_back({&waitable, std::move(handler)});
   }
-  void remove(const PullerCore& puller) {
+  void remove(const Waitable& waitable) {
     for (Entry& e : entries_) {
-      if (e.puller == &puller) e.puller = nullptr;
+      if (e.waitable == &waitable) e.waitable = nullptr;
     }
   }
 
@@ -47,31 +43,21 @@ class WaitSetCore {
     }
   }
 
-  /// Relaxed: take_stop() follows, which acquires.
-  bool stopped() const noexcept { return stop_.load(std::memory_order_relaxed) != 0; }
-  /// True once for one stop, or for several that came together.
-  bool take_stop() noexcept {
-    return stopped() && stop_.exchange(0, std::memory_order_acquire) != 0;  // W1
-  }
-  /// Does only what a signal handler may do.
-  void stop() noexcept {
-    // W1. An exchange and not a store: it also carries what an earlier stop() of another thread has
-    // released.
-    stop_.exchange(1, std::memory_order_release);
-    futex::wake_all(&stop_);
-  }
+  void stop() noexcept { stop_.set(); }
 
   /// Returns how many handlers were called; nothing when the set was stopped.
-  std::optional<std::size_t> run_once(const futex::Deadline& deadline) {
+  std::optional<std::size_t> run_once(Limit limit) {
+    if (limit.is_stopped()) return std::nullopt;
+    token_ = limit.stop();
     Round round(*this);
-    if (!round.look()) waiting::wait(round, deadline);
-    if (round.is_stopped()) return std::nullopt;
+    if (!round.look()) waiting::wait(round, limit.deadline(), limit.stop());
+    if (round.is_stopped() || limit.is_stopped()) return std::nullopt;
     return round.called();
   }
 
  private:
   struct Entry {
-    PullerCore* puller;  ///< null: removed
+    Waitable* waitable;  ///< null: removed
     WaitSet::Handler handler;
   };
   struct Timer {
@@ -81,6 +67,11 @@ class WaitSetCore {
     WaitSet::Handler handler;
     bool removed = false;
   };
+
+  /// Between two handlers: the rest of the round is left out.
+  bool stopped() const noexcept {
+    return stop_.is_set() || (token_ != nullptr && token_->is_set());
+  }
 
   std::size_t call_timers() {
     std::size_t called = 0;
@@ -116,7 +107,7 @@ class WaitSetCore {
 
     /// True: handlers were called, or there was a stop. Else the pullers are armed, as well.
     bool look() {
-      if (set_.take_stop()) return is_stopped_ = true;
+      if (set_.stop_.take()) return is_stopped_ = true;
       called_ = set_.call_timers();
       set_.waits_.clear();
       again_ = set_.call_ready(called_);
@@ -130,8 +121,8 @@ class WaitSetCore {
     }
     waiting::SpinHabit* spins() noexcept { return set_.entries_.empty() ? nullptr : &set_.habit_; }
     /// The last look has armed the pullers.
-    std::optional<waiting::Sleep<const FutexWaits&>> arm() {
-      set_.waits_.push_back({&set_.stop_, 0});
+    std::optional<waiting::Sleep<FutexWaits&>> arm() {
+      set_.waits_.push_back(set_.stop_.wait());
       return {{set_.waits_, again_}};
     }
 
@@ -144,7 +135,7 @@ class WaitSetCore {
 
   bool is_ready() const {
     return std::any_of(entries_.begin(), entries_.end(),
-                       [](const Entry& e) { return e.puller->ready(); });
+                       [](const Entry& e) { return e.waitable->ready(); });
   }
 
   /// Calls the handlers of the pullers that have something to read, and collects the words that the
@@ -152,8 +143,8 @@ class WaitSetCore {
   std::optional<Clock::time_point> call_ready(std::size_t& called) {
     std::optional<Clock::time_point> until;
     for (auto e = entries_.begin(); e != entries_.end() && !stopped(); ++e) {
-      if (e->puller == nullptr) continue;
-      const auto again = e->puller->arm(waits_);
+      if (e->waitable == nullptr) continue;
+      const auto again = e->waitable->arm(waits_);
       if (again) {
         until = std::min(until.value_or(*again), *again);
       } else {
@@ -161,7 +152,7 @@ class WaitSetCore {
         e->handler();
       }
     }
-    entries_.remove_if([](const Entry& e) { return e.puller == nullptr; });
+    entries_.remove_if([](const Entry& e) { return e.waitable == nullptr; });
     return until;
   }
 
@@ -170,9 +161,9 @@ class WaitSetCore {
   std::list<Timer> timers_;
   std::uint64_t last_timer_ = 0;
   FutexWaits waits_;
-  /// Futex: 1 = stop() was called. Any thread and signal handlers set it. The thread in run()
-  /// resets it. Seen late, it costs one more look.
-  std::atomic<std::uint32_t> stop_{0};
+  /// stop() was called. The thread in run() takes it.
+  StopWord stop_;
+  const StopWord* token_ = nullptr;  ///< of the run() that is at work; null: it has none
 };
 
 }  // namespace detail
@@ -189,11 +180,11 @@ void check(const WaitSet::Handler& handler) {
 WaitSet::WaitSet(Wait wait) : core_(std::make_unique<detail::WaitSetCore>(wait)) {}
 WaitSet::~WaitSet() = default;
 
-void WaitSet::add(detail::PullerCore& puller, Handler handler) {
+void WaitSet::add(detail::Waitable& waitable, Handler handler) {
   check(handler);
-  core_->add(puller, std::move(handler));
+  core_->add(waitable, std::move(handler));
 }
-void WaitSet::remove(detail::PullerCore& puller) { core_->remove(puller); }
+void WaitSet::remove(detail::Waitable& waitable) { core_->remove(waitable); }
 
 WaitSet::Timer WaitSet::add_timer(Duration period, Handler handler) {
   if (period.count() <= 0) {
@@ -209,12 +200,12 @@ WaitSet::Timer WaitSet::add_timer_once(Duration delay, Handler handler) {
 }
 void WaitSet::remove(Timer timer) { core_->remove(timer); }
 
-void WaitSet::run() {
-  while (core_->run_once({})) {
+void WaitSet::run(const StopToken& stop) {
+  while (core_->run_once(detail::Limit::forever(stop))) {
   }
 }
-std::size_t WaitSet::run_once(Duration timeout) {
-  return core_->run_once(detail::after(timeout)).value_or(0);
+std::size_t WaitSet::run_once(Duration timeout, const StopToken& stop) {
+  return core_->run_once(detail::Limit::until(detail::after(timeout), stop)).value_or(0);
 }
 void WaitSet::stop() noexcept { core_->stop(); }
 

@@ -6,6 +6,7 @@
 #include <thread>
 
 #include "lot/detail/atomics.hpp"
+#include "lot/detail/stop_word.hpp"
 #include "lot/detail/wait.hpp"
 
 #include "futex/futex.hpp"
@@ -20,7 +21,7 @@
 /// all that follows. A *waiter* supplies the steps: how to look, which words to sleep on.
 ///
 /// No wake-up is lost, since arm() leaves the marks that ask for one, and looks once more when they
-/// stand. What comes later changes a word that the waiter is about to sleep on.
+/// stand. What comes later changes a word that the waiter is about to sleep on. So does a stop.
 ///
 /// Threads: a waiter belongs to one thread. Its habits may belong to several: they are touched
 ///          between lock() and unlock() only.
@@ -98,12 +99,29 @@ bool has_passed(const futex::Deadline& deadline) noexcept {
   return deadline && Machine::now() >= *deadline;
 }
 
+inline bool is_set(const detail::StopWord* stop) noexcept {
+  return stop != nullptr && stop->is_set();
+}
+
+/// Adds the word of a stop to those to sleep on.
+inline void add(detail::FutexWaits& words, const detail::StopWord* stop) {
+  if (stop != nullptr) words.push_back(stop->wait());
+}
+/// All other sleeps are short: the next look is soon enough.
+template <class Words>
+void add(Words&, const detail::StopWord*) noexcept {}
+
 /// Spins. Returns what wait() returns, or nothing: it is time to sleep.
 template <class Machine, class Waiter>
-std::optional<bool> spin(Waiter& waiter, SpinHabit& habit, const futex::Deadline& deadline) {
+std::optional<bool> spin(Waiter& waiter, SpinHabit& habit, const futex::Deadline& deadline,
+                         const detail::StopWord* stop) {
   const auto start = Machine::now();
   unsigned polls = 0;
   for (auto now = start;; now = Machine::now()) {
+    if (is_set(stop)) {
+      waiter.settle();
+      return false;
+    }
     if (deadline && now >= *deadline) {
       waiter.settle();
       return waiter.last_look();  // this thread may have been held up since the one before
@@ -141,16 +159,18 @@ bool yield(Waiter& waiter, YieldHabit& habit) {
 
 /// Waits until a look finds something: true. False when the deadline has passed; the last look
 /// comes after it. Without a deadline it waits for ever. A deadline that had passed before costs a
-/// look or two, and no sleep.
+/// look or two, and no sleep. False, too, when `stop` is set: no look comes after that. A waiter
+/// that sleeps on other words than FutexWaits sees a stop when it looks again.
 ///
 /// REQUIRES: the caller has looked, and has found nothing.
 /// Throws what the waiter's steps throw.
 ///
 /// It is inlined into its one caller for each waiter, so that it is hot or cold as the caller is.
 template <class Machine = Kernel, class Waiter>
-[[gnu::always_inline]] inline bool wait(Waiter& waiter, const futex::Deadline& deadline) {
+[[gnu::always_inline]] inline bool wait(Waiter& waiter, const futex::Deadline& deadline,
+                                        const detail::StopWord* stop = nullptr) {
   if (SpinHabit* const habit = waiter.spins(); habit != nullptr && habit->worthwhile()) {
-    if (const auto found = spin<Machine>(waiter, *habit, deadline)) return *found;
+    if (const auto found = spin<Machine>(waiter, *habit, deadline, stop)) return *found;
   }
   if (YieldHabit* const habit = waiter.yields(); habit != nullptr) {
     if (!has_passed<Machine>(deadline) && habit->worthwhile() && yield<Machine>(waiter, *habit)) {
@@ -158,12 +178,14 @@ template <class Machine = Kernel, class Waiter>
     }
   }
   for (;;) {
-    const auto sleep = waiter.arm();
+    auto sleep = waiter.arm();
+    if (is_set(stop)) return false;
     // Also where arm() asks for a look: while other readers are faster, it does so each time.
     if (has_passed<Machine>(deadline)) return waiter.last_look();
     bool in_time = true;
     if (sleep) {
       const bool is_last = deadline && (!sleep->again || *deadline <= *sleep->again);
+      add(sleep->words, stop);
       waiter.unlock();
       waiter.before_sleep();
       in_time = Machine::sleep(sleep->words, is_last ? deadline : sleep->again) || !is_last;

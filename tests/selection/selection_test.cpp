@@ -55,7 +55,7 @@ struct Fixture {
     auto letter = lot::detail::build<Letter>(by.loan(type, true));
     letter->number = number;
     const lot::ShmSharedPtr<const Letter> shared(std::move(letter));
-    REQUIRE(by.push_shared(lot::detail::PointerAccess::control(shared), shared.get(), 0ns) ==
+    REQUIRE(by.push_shared(lot::detail::PointerAccess::control(shared), shared.get(), {0ns}) ==
             lot::Status::Ok);
   }
 };
@@ -67,7 +67,7 @@ struct Got {
 };
 std::optional<Got> pull(lot::detail::SelectingPuller& puller) {
   lot::detail::Borrowed borrowed;
-  if (puller.core().borrow(borrowed, false, {}, false) != lot::Status::Ok) return std::nullopt;
+  if (puller.core().borrow(borrowed, lot::detail::Limit::now()) != lot::Status::Ok) return std::nullopt;
   const auto origin = puller.origin();
   const Got got{static_cast<const Letter*>(borrowed.root)->number, origin, puller.is_ours(origin)};
   puller.core().done();

@@ -361,3 +361,56 @@ TEST_CASE("what a step throws leaves the wait") {
   CHECK_THROWS_AS(lot::waiting::wait<Machine>(waiter, kForever), std::runtime_error);
   CHECK(Machine::locked);
 }
+
+TEST_CASE("a stop ends the spin, and no look comes after it") {
+  if (!lot::waiting::has_several_cores()) return;
+  lot::detail::StopWord stop;
+  Waiter waiter;
+  SpinHabit spin(Wait::Spin);
+  waiter.spin = &spin;
+  Machine::events.push_back({kStart + 10us, [&stop] { stop.set(); }});
+  CHECK_FALSE(lot::waiting::wait<Machine>(waiter, kForever, &stop));
+  CHECK(waiter.polls == 12);  // it looks at the stop when it looks at the clock
+  CHECK(Machine::steps == "settle settle settle settle");
+  CHECK(Machine::locked);
+}
+
+TEST_CASE("a stop before the sleep keeps the waiter from sleeping") {
+  lot::detail::StopWord stop;
+  Waiter waiter;
+  waiter.after_mark = [&stop] { stop.set(); };
+  CHECK_FALSE(lot::waiting::wait<Machine>(waiter, kForever, &stop));
+  CHECK(Machine::steps == "arm");
+  CHECK(Machine::locked);
+}
+
+TEST_CASE("a stop that comes in the sleep is seen at the next arm(), and what is found counts") {
+  lot::detail::StopWord stop;
+  Waiter waiter;
+  waiter.again = 1s;
+  Machine::events.push_back({kStart + 500ms, [&stop] { stop.set(); }});
+  CHECK_FALSE(lot::waiting::wait<Machine>(waiter, kStart + 1min, &stop));
+  CHECK(Machine::steps == "arm about sleep look arm");
+
+  stop.take();
+  Waiter finds;
+  finds.again = 1s;
+  Machine::events.push_back({kStart + 500ms, [&] {
+                               stop.set();
+                               finds.comes();
+                             }});
+  CHECK(lot::waiting::wait<Machine>(finds, kForever, &stop));
+  CHECK(Machine::steps == "arm about sleep look");
+}
+
+TEST_CASE("the word of a stop is slept on beside those of the waiter, where it can be") {
+  lot::detail::StopWord stop;
+  const std::uint32_t word = 0;
+  lot::detail::FutexWaits words{{&word, 0}};
+  lot::waiting::add(words, nullptr);
+  CHECK(words.size() == 1);
+  lot::waiting::add(words, &stop);
+  REQUIRE(words.size() == 2);
+  stop.set();
+  CHECK(lot::futex::wait_any(words, std::nullopt));  // at once
+}

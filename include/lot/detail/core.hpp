@@ -10,9 +10,11 @@
 
 #include "lot/detail/arena.hpp"
 #include "lot/detail/control.hpp"
+#include "lot/detail/stop_word.hpp"
 #include "lot/detail/wait.hpp"
 #include "lot/error.hpp"
 #include "lot/options.hpp"
+#include "lot/stop_token.hpp"
 
 namespace lot::transport {
 class Participant;
@@ -31,6 +33,47 @@ inline Clock::time_point after(std::chrono::nanoseconds timeout) {
   const auto now = Clock::now();
   return timeout < Clock::time_point::max() - now ? now + timeout : Clock::time_point::max();
 }
+
+/// How long a look for something waits for it, and what ends the wait before that.
+class Limit {
+ public:
+  /// It looks once, and does not wait.
+  static Limit now() noexcept { return {Clock::time_point::min(), nullptr}; }
+  static Limit forever(const StopToken& stop) noexcept {
+    return {Clock::time_point::max(), stop.word()};
+  }
+  /// The last time_point means for ever.
+  static Limit until(Clock::time_point deadline, const StopToken& stop) noexcept {
+    return {std::max(deadline, kFirst), stop.word()};
+  }
+
+  bool waits() const noexcept { return deadline_ >= kFirst; }
+  bool is_stopped() const noexcept { return stop_ != nullptr && stop_->is_set(); }
+  /// REQUIRES: it waits. None: for ever.
+  std::optional<Clock::time_point> deadline() const noexcept {
+    if (deadline_ == Clock::time_point::max()) return std::nullopt;
+    return deadline_;
+  }
+  /// Null: nothing ends it. The caller's token keeps the word.
+  const StopWord* stop() const noexcept { return stop_; }
+
+ private:
+  static constexpr Clock::time_point kFirst = Clock::time_point::min() + Clock::duration(1);
+
+  Limit(Clock::time_point deadline, const StopWord* stop) noexcept
+      : deadline_(deadline), stop_(stop) {}
+
+  Clock::time_point deadline_;
+  const StopWord* stop_;
+};
+
+/// How long a push waits for room, and what ends the wait before that.
+struct RoomLimit {
+  std::chrono::nanoseconds time;
+  const StopWord* stop = nullptr;
+
+  bool is_stopped() const noexcept { return stop != nullptr && stop->is_set(); }
+};
 
 /// Where the publisher builds a message.
 struct Loan {
@@ -68,24 +111,32 @@ class PusherCore {
  public:
   virtual ~PusherCore() = default;
   virtual Loan loan(const MessageType& type, bool or_throw) = 0;
-  /// Publishes a unique message. On Status::Full the caller keeps it.
-  virtual Status push_unique(ControlBlock* control, std::chrono::nanoseconds block_for) = 0;
+  /// Publishes a unique message. If it says anything but Ok, the caller keeps it.
+  virtual Status push_unique(ControlBlock* control, RoomLimit limit) = 0;
   /// Publishes a shared message. The caller keeps its pointer, which is to `object`. Throws
   /// lot::Error when `object` is not the message itself. The message can not grow from then on.
-  virtual Status push_shared(const ControlBlock* control, const void* object,
-                             std::chrono::nanoseconds block_for) = 0;
+  virtual Status push_shared(const ControlBlock* control, const void* object, RoomLimit limit) = 0;
   virtual std::size_t readers() = 0;
-  virtual bool wait_for_readers(std::size_t count, std::chrono::nanoseconds timeout) = 0;
+  virtual bool wait_for_readers(std::size_t count, Limit limit) = 0;
   /// Makes `count` blocks with `bytes` of touched memory each.
   virtual void reserve(std::size_t count, std::size_t bytes) = 0;
 };
 
-class PullerCore {
+/// What a WaitSet and a descriptor wait for.
+class Waitable {
  public:
-  virtual ~PullerCore() = default;
-  /// Borrows the next message. `wait`: false looks once and does not wait.
-  virtual Status borrow(Borrowed& borrowed, bool wait, Clock::time_point deadline,
-                        bool forever) = 0;
+  virtual ~Waitable() = default;
+  /// True when a look may find something. Costs a load for each publisher.
+  virtual bool ready() = 0;
+  /// Appends the futex words to sleep on until something comes. Returns when to look again in any
+  /// case, or nothing when the caller should look now.
+  virtual std::optional<Clock::time_point> arm(FutexWaits& waits) = 0;
+};
+
+class PullerCore : public Waitable {
+ public:
+  /// Borrows the next message.
+  virtual Status borrow(Borrowed& borrowed, Limit limit) = 0;
   virtual void done() noexcept = 0;
   /// Takes a pointer hold on the borrowed message. Throws as refuse_to_hold() when the quota is
   /// full.
@@ -93,7 +144,7 @@ class PullerCore {
   /// Throws what Status::HoldsTooMuch means: lot::Error, EDQUOT.
   [[noreturn]] virtual void refuse_to_hold() const = 0;
   /// borrow, keep and done in one.
-  virtual Status pull(Borrowed& kept, bool wait, Clock::time_point deadline, bool forever) = 0;
+  virtual Status pull(Borrowed& kept, Limit limit) = 0;
 
   // For queues whose workers finish messages. A puller stays in a ring while it has a claim there.
 
@@ -106,15 +157,9 @@ class PullerCore {
   virtual std::size_t publishers() = 0;
   /// How many messages the reader can read now.
   virtual std::size_t size() = 0;
-  /// True when a look may find something. Costs a load for each publisher.
-  virtual bool ready() = 0;
-
   /// A descriptor that becomes readable when a message may have come. It stays so until a look
   /// finds none.
   virtual int fd() = 0;
-  /// Appends the futex words to sleep on until a message comes. Returns when to look again in any
-  /// case, or nothing when the caller should look now.
-  virtual std::optional<Clock::time_point> arm(FutexWaits& waits) = 0;
 };
 
 std::shared_ptr<transport::Participant> join(const EngineOptions& options);
@@ -130,27 +175,26 @@ enum class Delivery { ToAll, ToOne, ToWorker };
 /// The untyped half of a ShmQueue.
 ///
 /// Threads: all members may be called at once.
-class QueueCore {
+class QueueCore : public Waitable {
  public:
-  virtual ~QueueCore() = default;
   virtual Loan loan(const MessageType& type) = 0;
-  virtual Status put_unique(ControlBlock* control, Clock::time_point deadline) = 0;
-  virtual Status put_shared(const ControlBlock* control, const void* object,
-                            Clock::time_point deadline) = 0;
-  enum class Wait { Never, Until, Forever };
+  virtual Status put_unique(ControlBlock* control, Limit limit) = 0;
+  virtual Status put_shared(const ControlBlock* control, const void* object, Limit limit) = 0;
   /// Takes an item to work on. False when none came in time.
-  virtual bool take(Claim& claim, Wait wait, Clock::time_point deadline) = 0;
+  virtual bool take(Claim& claim, Limit limit) = 0;
   /// Finishes the item: no worker gets it any more. Throws lot::Error in a forked child.
   virtual void finish(const Claim& claim) = 0;
   /// Gives the item back: another worker may take it.
   virtual void give_back(const Claim& claim) noexcept = 0;
   /// Pops an item, with a pointer hold on it. False when none came in time. `may_come_back`: the
   /// caller then calls copied() or hand_back(), once for each item, when it is done with it.
-  virtual bool pop(Borrowed& item, Wait wait, Clock::time_point deadline, bool may_come_back) = 0;
+  virtual bool pop(Borrowed& item, Limit limit, bool may_come_back) = 0;
   virtual void copied() noexcept = 0;
   /// Keeps the item, with its hold, for the next pop. Needs no memory.
   virtual void hand_back(const Borrowed& item) noexcept = 0;
   virtual void listen() = 0;
+  /// As PullerCore::fd().
+  virtual int fd() = 0;
   virtual std::size_t size() = 0;
   virtual std::size_t capacity() const noexcept = 0;
 };

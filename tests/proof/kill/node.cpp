@@ -124,7 +124,7 @@ void Node::publish(unsigned count) {
       *letter = numbered(source, published);
       const ShmSharedPtr<const Number> shared(std::move(letter));
       const auto* cell = detail::PointerAccess::control(shared);
-      if (selecting->core().push_shared(cell, shared.get(), 10s) == Status::Ok) ++published;
+      if (selecting->core().push_shared(cell, shared.get(), {10s}) == Status::Ok) ++published;
       continue;
     }
     auto message = pusher->loan(numbered(source, published));
@@ -284,7 +284,7 @@ void Node::select(const char* name, std::size_t back) {
 void Node::read_selected() {
   for (;;) {
     detail::Borrowed borrowed;
-    if (selected->core().borrow(borrowed, false, {}, false) != Status::Ok) return;
+    if (selected->core().borrow(borrowed, lot::detail::Limit::now()) != Status::Ok) return;
     const detail::Origin origin = selected->origin();
     const auto& number = *static_cast<const Number*>(borrowed.root);
     account.enter(number, borrowed.missed);

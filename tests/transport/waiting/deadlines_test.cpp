@@ -7,13 +7,13 @@
 #include <functional>
 #include <limits>
 #include <optional>
-#include <thread>
 
 #include <doctest/doctest.h>
 
 #include <lot/lot.hpp>
 
 #include "support/both_engines.hpp"
+#include "support/in_a_moment.hpp"
 #include "support/must_go.hpp"
 
 namespace {
@@ -98,23 +98,6 @@ void with_each_future(Use&& use) {
   use(At<std::chrono::hours>::max());
   use(At<duration<double>>::max());
 }
-
-/// While it lives, another thread does something in a moment: most likely the caller waits by then.
-class InAMoment {
- public:
-  template <class What>
-  explicit InAMoment(What what)
-      : thread_([what = std::move(what)]() mutable {
-          std::this_thread::sleep_for(2ms);
-          what();
-        }) {}
-  ~InAMoment() { thread_.join(); }
-  InAMoment(const InAMoment&) = delete;
-  InAMoment& operator=(const InAMoment&) = delete;
-
- private:
-  std::thread thread_;
-};
 
 /// Puts until the queue is full.
 template <class Put>

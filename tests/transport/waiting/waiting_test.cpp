@@ -71,6 +71,8 @@ TEST_CASE_FIXTURE(Fixture, "each way to wait sees each message, from processes t
           REQUIRE(message);
           CHECK(message->value == n);
         }
+        CHECK_FALSE(puller.pull(20s));
+        CHECK(puller.status() == Status::PublisherGone);
         CHECK(publisher.wait() == 0);
       }
     }
