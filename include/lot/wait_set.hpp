@@ -14,7 +14,6 @@
 #include "lot/duration.hpp"
 #include "lot/options.hpp"
 #include "lot/puller.hpp"
-#include "lot/queue.hpp"
 #include "lot/stop_token.hpp"
 
 namespace lot {
@@ -22,6 +21,8 @@ namespace lot {
 namespace detail {
 class WaitSetCore;
 }
+template <class T>
+class ShmQueue;
 
 /// One thread for many pullers, queues, timers and a stop request.
 ///

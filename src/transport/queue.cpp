@@ -267,8 +267,9 @@ class Queue final : public detail::QueueCore {
   static std::chrono::nanoseconds time_of(detail::Limit limit) {
     if (!limit.waits()) return 0ns;
     const auto deadline = limit.deadline();
-    return deadline ? std::max<std::chrono::nanoseconds>(*deadline - Clock::now(), 0ns)
-                    : std::chrono::nanoseconds::max();
+    if (!deadline) return std::chrono::nanoseconds::max();
+    const auto now = Clock::now();
+    return *deadline > now ? *deadline - now : 0ns;  // no difference that overflows
   }
 
   detail::PusherCore& pusher() {
