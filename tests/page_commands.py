@@ -44,8 +44,9 @@ class Tree:
         presets = json.loads((root / 'CMakePresets.json').read_text())
         self.presets = {kind: {p['name'] for p in presets[kind + 'Presets'] if not p.get('hidden')}
                         for kind in ('configure', 'build', 'test')}
-        lists = [path for path in [root / 'CMakeLists.txt', *root.glob('*/**/CMakeLists.txt'),
-                                   *root.glob('cmake/*.cmake')] if path.relative_to(root).parts[0] != 'build']
+        folders = ('bench', 'cmake', 'examples', 'fuzz', 'src', 'tests')
+        lists = [root / 'CMakeLists.txt', *root.glob('cmake/*.cmake'),
+                 *(path for folder in folders for path in (root / folder).rglob('CMakeLists.txt'))]
         text = '\n'.join(path.read_text() for path in lists)
         self.cmake_words = set(re.findall(r'\w+', text))
         self.cmake_words |= {f'{name}_fuzz{end}' for name in re.findall(r'\blot_fuzz\((\w+)', text)
