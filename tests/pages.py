@@ -51,8 +51,9 @@ CONTEXT = {
                        'void page() {', '}'),
     'auto tasks = ': (LOT + 'struct Task { int number; }; void work(const Task&);',
                       'void page(lot::ShmEngine& engine) {', '}'),
-    'lot::WaitSet set;': (LOT + 'struct Frame { int number; }; void show(const Frame&); void report();',
-                          'void page(lot::ShmPuller<Frame>& front) {', '}'),
+    'lot::WaitSet set;': (LOT + 'struct Frame { int number; }; void show(const Frame&); void report();'
+                          'struct Job { int number; }; void work(const Job&);',
+                          'void page(lot::ShmPuller<Frame>& front, lot::ShmQueue<Job>& jobs, const lot::StopToken& stop) {', '}'),
     'struct Track {': ('', '', ''),
     'lot::ros::NodeHandle nh;': ('#include <lot/ros.hpp>' + IMAGE, 'void page() {', '}'),
     'int main(': ('', '', ''),

@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <utility>
 
 #include "lot/compliance.hpp"
@@ -13,6 +14,7 @@
 #include "lot/puller.hpp"
 #include "lot/pusher.hpp"
 #include "lot/queue.hpp"
+#include "lot/service.hpp"
 #include "lot/wait_set.hpp"
 
 namespace lot {
@@ -108,6 +110,31 @@ class ShmEngine {
     popping.wait = options.wait;
     return ShmQueue<T>(detail::make_queue(participant_, name, detail::queue_type<T>(options),
                                           putting, popping, detail::delivery_of<T>(options)));
+  }
+  /// Answers the requests of a service by handler(const Request&, Response&), on a thread of its
+  /// own, until the server is destroyed. The response is built in shared memory: what the handler
+  /// makes of it, the client reads there.
+  /// Errors: EPROTOTYPE when the service has other types; EINVAL for a name of no or over 170
+  /// bytes; as queue(), advertise(), and the constructor of ShmListener.
+  template <class Request, class Response, class Handler>
+  [[nodiscard]] ShmServer<Request, Response> serve(std::string_view name, Handler&& handler,
+                                                   const ServerOptions& options = ServerOptions()) {
+    static_assert(std::is_invocable_v<std::decay_t<Handler>&, const Request&, Response&>,
+                  "lot: this handler does not take a request and a response: "
+                  "(const Request&, Response&)");
+    assert_message<Request>();
+    assert_message<Response>();
+    return {participant_, name, std::forward<Handler>(handler), options};
+  }
+  /// Asks the servers of a service, which may come later.
+  /// Errors: EPROTOTYPE when the service has other types; EINVAL for a name of no or over 170
+  /// bytes; as queue() and subscribe(); lot::OutOfMemory.
+  template <class Request, class Response>
+  [[nodiscard]] ShmClient<Request, Response> client(
+      std::string_view name, const ClientOptions& options = ClientOptions()) {
+    assert_message<Request>();
+    assert_message<Response>();
+    return {participant_, name, options};
   }
   /// A message that belongs to no topic: to be pushed on several, or referred to by others.
   /// Errors: lot::OutOfMemory; what the constructor of T throws.

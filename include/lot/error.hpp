@@ -15,7 +15,8 @@ enum class Status {
   Timeout,        ///< nothing came until the deadline
   PublisherGone,  ///< nothing to read, and the topic has no publisher now
   HoldsTooMuch,   ///< the subscription holds all the memory that it may: let messages go
-  Stopped         ///< its StopToken was told to stop
+  Stopped,        ///< its StopToken was told to stop
+  ServerGone      ///< of a call: its server has died or left, or no server has come
 };
 
 /// The status in words, as "publisher gone".

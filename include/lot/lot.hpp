@@ -12,6 +12,7 @@
 #include "lot/puller.hpp"         // IWYU pragma: export
 #include "lot/pusher.hpp"         // IWYU pragma: export
 #include "lot/queue.hpp"          // IWYU pragma: export
+#include "lot/service.hpp"        // IWYU pragma: export
 #include "lot/signals.hpp"        // IWYU pragma: export
 #include "lot/stop_token.hpp"     // IWYU pragma: export
 #include "lot/type_identity.hpp"  // IWYU pragma: export

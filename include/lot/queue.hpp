@@ -408,6 +408,8 @@ class ShmQueue {
 
  private:
   friend class WaitSet;
+  template <class Request, class Response>
+  friend class ShmServer;
 
   Status put_copy(const T& item, detail::Limit limit) {
     if constexpr (Item::kDelivery == detail::Delivery::ToAll) {

@@ -99,6 +99,8 @@ class WaitSet {
   /// Waits until something can be done, or the time is up, and does it: the number of handlers that
   /// were called. 0 as well when stop() was called, or the token was told to stop. Throws as run().
   std::size_t run_once(Duration timeout, const StopToken& stop = {});
+  /// The same until a time of the steady clock. Throws the same.
+  std::size_t run_once_until(Deadline deadline, const StopToken& stop = {});
 
   /// Ends run() after the handler that is at work, or the next run() at once. What was written
   /// before it is seen after run().
@@ -159,13 +161,19 @@ class ShmListener {
         },
         wait, thread);
   }
+  /// For ShmServer: calls on_ready() while there may be something. The waitable outlives this.
+  /// Throws the same.
+  ShmListener(detail::Waitable& waitable, std::function<void()> on_ready, Wait wait,
+              const ThreadOptions& thread) {
+    start(waitable, std::move(on_ready), wait, thread);
+  }
   ~ShmListener();
   ShmListener(ShmListener&&) noexcept;
   ShmListener& operator=(ShmListener&&) noexcept;
 
  private:
   static constexpr unsigned kAtOnce = 64;
-  void start(detail::PullerCore& puller, std::function<void()> on_ready, Wait wait,
+  void start(detail::Waitable& waitable, std::function<void()> on_ready, Wait wait,
              const ThreadOptions& thread);
 
   struct Impl;

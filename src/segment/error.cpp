@@ -32,6 +32,8 @@ const char* to_string(Status status) noexcept {
       return "holds too much";
     case Status::Stopped:
       return "stopped";
+    case Status::ServerGone:
+      return "server gone";
   }
   return "?";
 }

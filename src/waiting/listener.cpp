@@ -102,12 +102,12 @@ struct ShmListener::Impl {
   }
 };
 
-void ShmListener::start(detail::PullerCore& puller, std::function<void()> on_ready, Wait wait,
+void ShmListener::start(detail::Waitable& waitable, std::function<void()> on_ready, Wait wait,
                         const ThreadOptions& thread) {
   impl_ = std::make_shared<Impl>(wait);
   Impl& impl = *impl_;
   impl.options = thread;
-  impl.set.add(puller, std::move(on_ready));
+  impl.set.add(waitable, std::move(on_ready));
   try {
     const detail::NoSignals quiet;
     impl.thread = std::make_unique<std::thread>([&impl] { impl.run(); });

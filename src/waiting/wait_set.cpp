@@ -205,7 +205,10 @@ void WaitSet::run(const StopToken& stop) {
   }
 }
 std::size_t WaitSet::run_once(Duration timeout, const StopToken& stop) {
-  return core_->run_once(detail::Limit::until(detail::after(timeout), stop)).value_or(0);
+  return run_once_until(detail::after(timeout), stop);
+}
+std::size_t WaitSet::run_once_until(Deadline deadline, const StopToken& stop) {
+  return core_->run_once(detail::Limit::until(deadline, stop)).value_or(0);
 }
 void WaitSet::stop() noexcept { core_->stop(); }
 

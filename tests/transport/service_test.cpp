@@ -1,0 +1,471 @@
+// SPDX-License-Identifier: Apache-2.0
+// Request and response: what a call says, also when servers and clients come, go, fail and die.
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include <lot/lot.hpp>
+
+#include "support/both_engines.hpp"
+#include "support/error_of.hpp"
+#include "support/in_a_moment.hpp"
+#include "support/must_go.hpp"
+
+namespace {
+
+using namespace lot::testing;
+using lot::QueueEngine;
+using lot::Status;
+using lot::StopSource;
+
+struct Sum {
+  lot::ShmVector<std::uint32_t> numbers;
+};
+struct Total {
+  std::uint64_t value;
+  lot::ShmVector<std::uint32_t> numbers;  ///< again
+};
+using Client = lot::ShmClient<Sum, Total>;
+using Server = lot::ShmServer<Sum, Total>;
+
+void add_up(const Sum& sum, Total& total) {
+  total.value = 0;
+  for (const auto n : sum.numbers) total.value += n;
+  total.numbers = sum.numbers;
+}
+
+/// A request: to add 1 to n up.
+lot::ShmRequest<Sum> up_to(Client& client, std::uint32_t n) {
+  auto request = client.loan();
+  for (std::uint32_t i = 1; i <= n; ++i) request->numbers.push_back(i);
+  return request;
+}
+constexpr std::uint64_t total_of(std::uint64_t n) { return n * (n + 1) / 2; }
+
+/// A server process: `ready` when it serves, until it is killed or `go` is told.
+template <class Handler>
+Child serve(const lot::EngineOptions& options, const Steps& ready, const Steps& go,
+            Handler handler) {
+  return Child([&options, &ready, &go, handler] {
+    lot::ShmEngine engine(options);
+    const auto server = engine.serve<Sum, Total>("sum", handler);
+    ready.tell();
+    go.next(60s);
+  });
+}
+
+/// A fixture with both engines: the variable comes before the options of all queues.
+struct Fixture : BothEngines {
+  template <class Test>
+  void each(Test&& test) {
+    with_each_engine([&](QueueEngine engine) {
+      setenv("LOT_QUEUE", engine == QueueEngine::Ring ? "ring" : "mutex", 1);
+      test();
+      unsetenv("LOT_QUEUE");
+    });
+  }
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("service");
+
+TEST_CASE_FIXTURE(Fixture, "a call gets the answer to its request, without a copy") {
+  each([&] {
+    const Steps ready, go;
+    Child child = serve(options, ready, go, add_up);
+    CHECK(ready.next() == '.');
+    lot::ShmEngine engine(options);
+    auto client = engine.client<Sum, Total>("sum");
+    CHECK(client.servers() == 1);
+    for (std::uint32_t n = 0; n < 300; ++n) {
+      auto request = up_to(client, n);
+      const auto answer = client.call(std::move(request), 20s);
+      REQUIRE(answer);
+      CHECK(client.status() == Status::Ok);
+      CHECK(answer->value == total_of(n));
+      CHECK(answer->numbers.size() == n);
+      CHECK_FALSE(request);  // NOLINT: it was sent
+    }
+    // The answer lies where the server has built it: in the segment, not here.
+    auto large = client.loan();
+    large->numbers.resize(1 << 20, 3);
+    const auto answer = client.call(std::move(large));
+    REQUIRE(answer);
+    CHECK(answer->value == std::uint64_t{3} << 20);
+    const auto place = reinterpret_cast<std::uintptr_t>(answer->numbers.data());
+    const auto message = reinterpret_cast<std::uintptr_t>(answer.get());
+    CHECK(std::max(place, message) - std::min(place, message) < options.size_bytes);
+
+    Sum copied;
+    copied.numbers.assign(10, 1);
+    CHECK(client.call(copied, 20s)->value == 10);
+    CHECK(copied.numbers.size() == 10);
+    go.tell();
+    CHECK(child.wait() == 0);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "an answer that is kept outlives its client, server and engine") {
+  each([&] {
+    lot::ShmSharedPtr<const Total> kept;
+    {
+      lot::ShmEngine engine(options);
+      auto server = engine.serve<Sum, Total>("sum", add_up);
+      auto client = engine.client<Sum, Total>("sum");
+      kept = client.call(up_to(client, 4), 20s);
+    }
+    REQUIRE(kept);
+    CHECK(kept->value == 10);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "many clients and several servers: each request is done once") {
+  constexpr std::uint32_t kServers = 3, kClients = 4, kCalls = 100;
+  each([&] {
+    lot::ShmEngine engine(options);
+    std::atomic<std::uint32_t> done{0};
+    std::vector<Server> servers;
+    for (std::uint32_t s = 0; s < kServers; ++s) {
+      servers.push_back(engine.serve<Sum, Total>("sum", [&done](const Sum& sum, Total& total) {
+        add_up(sum, total);
+        ++done;
+      }));
+    }
+    std::vector<std::thread> threads;
+    std::atomic<std::uint32_t> right{0};
+    for (std::uint32_t c = 0; c < kClients; ++c) {
+      threads.emplace_back([&, c] {
+        auto client = engine.client<Sum, Total>("sum");
+        for (std::uint32_t n = 0; n < kCalls; ++n) {
+          const auto answer = client.call(up_to(client, n * kClients + c), 60s);
+          right += answer && answer->value == total_of(n * kClients + c);
+        }
+      });
+    }
+    for (auto& thread : threads) thread.join();
+    CHECK(right == kClients * kCalls);
+    CHECK(done == kClients * kCalls);
+    auto client = engine.client<Sum, Total>("sum");
+    CHECK(client.servers() == kServers);
+    servers.pop_back();
+    CHECK(client.servers() == kServers - 1);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "what a handler throws its client hears of, and the next call goes on") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto server = engine.serve<Sum, Total>("sum", [](const Sum& sum, Total& total) {
+      total.numbers.resize(1000);
+      if (sum.numbers.size() == 1) throw std::runtime_error("one is no sum");
+      if (sum.numbers.size() == 2) throw 2;
+      add_up(sum, total);
+    });
+    auto client = engine.client<Sum, Total>("sum");
+    const auto [number, text] = error_of([&] { (void)client.call(up_to(client, 1), 20s); });
+    CHECK(number == EREMOTEIO);
+    CHECK(names(text, "one is no sum"));
+    CHECK(names(text, "sum"));
+    CHECK(error_of([&] { (void)client.call(up_to(client, 2), 20s); }).first == EREMOTEIO);
+    CHECK(client.call(up_to(client, 3), 20s)->value == 6);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a service with other types, a bad name, a request that was sent") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto client = engine.client<Sum, Total>("sum");
+    CHECK(error_of([&] { (void)engine.client<Total, Total>("sum"); }).first == EPROTOTYPE);
+    CHECK(error_of([&] { (void)engine.client<Sum, Sum>("sum"); }).first == EPROTOTYPE);
+    const auto nothing = [](const Sum&, Sum&) {};
+    CHECK(error_of([&] { (void)engine.serve<Sum, Sum>("sum", nothing); }).first == EPROTOTYPE);
+    CHECK(error_of([&] { (void)engine.client<Sum, Total>(""); }).first == EINVAL);
+    CHECK(error_of([&] { (void)engine.client<Sum, Total>(std::string(200, 'n')); }).first ==
+          EINVAL);
+    CHECK(error_of([&] { (void)client.call(lot::ShmRequest<Sum>(), 20s); }).first == EINVAL);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a call waits for a server, and keeps its request where none comes") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto client = engine.client<Sum, Total>("sum");
+    auto request = up_to(client, 5);
+    CHECK_FALSE(client.call(std::move(request), 1ms));
+    CHECK(client.status() == Status::ServerGone);
+    CHECK_FALSE(client.wait_for_server(1ms));
+    CHECK(client.servers() == 0);
+    REQUIRE(request);  // NOLINT: it was not sent
+    std::optional<Server> server;
+    const InAMoment come([&] { server = engine.serve<Sum, Total>("sum", add_up); });
+    const auto answer = client.call(std::move(request));
+    REQUIRE(answer);
+    CHECK(answer->value == 15);
+    CHECK(client.wait_for_server(0ms));
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a late answer is dropped, and no server begins with a lapsed request") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    std::atomic<bool> held{true};
+    std::atomic<int> begun{0};
+    auto server = engine.serve<Sum, Total>("sum", [&](const Sum& sum, Total& total) {
+      ++begun;
+      while (held) std::this_thread::sleep_for(1ms);
+      add_up(sum, total);
+    });
+    auto client = engine.client<Sum, Total>("sum");
+    CHECK_FALSE(client.call(up_to(client, 2), 20ms));
+    CHECK(client.status() == Status::Timeout);
+    // The server is at work on the first. It never begins with the second.
+    auto other = engine.client<Sum, Total>("sum");
+    CHECK_FALSE(other.call(up_to(other, 3), 20ms));
+    CHECK(other.status() == Status::Timeout);
+    held = false;
+    CHECK(client.call(up_to(client, 4), 20s)->value == 10);
+    CHECK(other.call(up_to(other, 5), 20s)->value == 15);
+    CHECK(begun == 3);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a call ends when it is told to stop") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto client = engine.client<Sum, Total>("sum");
+    {
+      StopSource source;
+      const InAMoment stop([&] { source.request_stop(); });
+      CHECK_FALSE(client.call(up_to(client, 1), source.get_token()));  // it waits for a server
+      CHECK(client.status() == Status::Stopped);
+      CHECK_FALSE(client.wait_for_server(source.get_token()));
+    }
+    std::atomic<bool> held{true};
+    auto server = engine.serve<Sum, Total>("sum", [&](const Sum&, Total&) {
+      while (held) std::this_thread::sleep_for(1ms);
+    });
+    {
+      StopSource source;
+      const InAMoment stop([&] { source.request_stop(); });
+      CHECK_FALSE(client.call(up_to(client, 1), 1h, source.get_token()));  // and for an answer
+      CHECK(client.status() == Status::Stopped);
+      CHECK_FALSE(client.call(up_to(client, 1), 1h, source.get_token()));  // at once
+      CHECK(client.status() == Status::Stopped);
+    }
+    held = false;
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a call hears at once of the death of its only server") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto client = engine.client<Sum, Total>("sum");
+    const Steps ready, go, begun;
+    const auto hang = [&begun](const Sum&, Total&) {
+      begun.tell();
+      pause();
+    };
+    Child child = serve(options, ready, go, hang);
+    CHECK(ready.next() == '.');
+    {
+      std::thread kill([&] {
+        must(begun.next() == '.', "it has begun");
+        child.kill9();
+      });
+      CHECK_FALSE(client.call(up_to(client, 1)));  // without a limit
+      kill.join();
+    }
+    CHECK(client.status() == Status::ServerGone);
+    CHECK(client.servers() == 0);
+    // The next server does not begin with that request.
+    const Steps again;
+    Child next = serve(options, again, go, add_up);
+    CHECK(again.next() == '.');
+    CHECK(client.call(up_to(client, 6), 20s)->value == 21);
+    go.tell();
+    CHECK(next.wait() == 0);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "of several servers one dies at work: the call ends, or is done anew") {
+  each([&] {
+    for (const bool retry : {false, true}) {
+      CAPTURE(retry);
+      lot::ShmEngine engine(options);
+      lot::ClientOptions how;
+      how.retry = retry;
+      auto client = engine.client<Sum, Total>("sum", how);
+      const Steps ready, go, begun;
+      Child child = serve(options, ready, go, [&begun](const Sum&, Total&) {
+        begun.tell();
+        pause();
+      });
+      CHECK(ready.next() == '.');
+      std::optional<Server> other;
+      std::thread kill([&] {
+        must(begun.next() == '.', "it has begun");
+        other = engine.serve<Sum, Total>("sum", add_up);
+        child.kill9();
+      });
+      const auto answer = client.call(up_to(client, 7), 60s);
+      kill.join();
+      CHECK(client.status() == (retry ? Status::Ok : Status::ServerGone));
+      CHECK(bool(answer) == retry);
+      if (answer) CHECK(answer->value == 28);
+      CHECK(client.call(up_to(client, 8), 20s)->value == 36);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a server that leaves finishes what it has begun, and no more") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    std::atomic<int> begun{0};
+    std::atomic<bool> held{true};
+    auto server =
+        std::make_optional(engine.serve<Sum, Total>("sum", [&](const Sum& sum, Total& total) {
+          ++begun;
+          while (held) std::this_thread::sleep_for(1ms);
+          add_up(sum, total);
+        }));
+    std::vector<std::thread> threads;
+    std::atomic<int> answered{0}, gone{0};
+    for (int n = 0; n < 3; ++n) {
+      threads.emplace_back([&] {
+        auto client = engine.client<Sum, Total>("sum");
+        const auto answer = client.call(up_to(client, 3));
+        answered += answer && answer->value == 6;
+        gone += client.status() == Status::ServerGone;
+      });
+    }
+    while (begun == 0) std::this_thread::sleep_for(1ms);
+    std::this_thread::sleep_for(5ms);  // the others wait by then, most likely
+    const InAMoment end([&] { held = false; });
+    server.reset();
+    for (auto& thread : threads) thread.join();
+    CHECK(answered == begun);
+    CHECK(answered + gone == 3);
+    CHECK(answered >= 1);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "no server begins with a request whose client has died") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    std::atomic<int> begun{0};
+    std::atomic<bool> held{true};
+    const Steps at_work;
+    auto server = engine.serve<Sum, Total>("sum", [&](const Sum& sum, Total& total) {
+      if (++begun == 1) at_work.tell();
+      while (held) std::this_thread::sleep_for(1ms);
+      add_up(sum, total);
+    });
+    std::thread first([&] {
+      auto client = engine.client<Sum, Total>("sum");
+      must(client.call(up_to(client, 2), 60s) != nullptr, "answered");
+    });
+    CHECK(at_work.next() == '.');
+    const Steps sent;
+    Child child([&] {
+      lot::ShmEngine own(options);
+      auto client = own.client<Sum, Total>("sum");
+      auto request = up_to(client, 3);
+      sent.tell();
+      (void)client.call(std::move(request));
+    });
+    CHECK(sent.next() == '.');
+    std::this_thread::sleep_for(20ms);  // it waits by then, most likely
+    child.kill9();
+    {
+      lot::segment::Segment segment(engine.path());
+      const auto all = segment.participants();
+      CHECK(eventually([&] {  // it is reaped: we are alone, beside the orphanage
+        return std::count_if(all.begin() + 1, all.end(),
+                             [](const auto& p) { return p.state.load() != 0; }) == 1;
+      }));
+    }
+    held = false;
+    first.join();
+    auto client = engine.client<Sum, Total>("sum");
+    CHECK(client.call(up_to(client, 4), 20s)->value == 10);
+    CHECK(begun == 2);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "an answer that may not be kept is told, and comes no more") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto server = engine.serve<Sum, Total>("sum", [](const Sum&, Total& total) {
+      total.numbers.resize(1 << 20);  // 4 MiB: a quarter of the segment holds four
+    });
+    auto client = engine.client<Sum, Total>("sum");
+    std::vector<lot::ShmSharedPtr<const Total>> kept;
+    for (;;) {
+      auto answer = client.call(up_to(client, 1), 20s);
+      if (!answer) break;
+      kept.push_back(std::move(answer));
+      REQUIRE(kept.size() < 16);
+    }
+    CHECK(client.status() == Status::HoldsTooMuch);
+    kept.clear();
+    CHECK(client.call(up_to(client, 1), 20s));
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "servers are killed at any time: each call ends, nothing is left") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    const auto start = [&] {
+      return Child([&] {
+        lot::ShmEngine own(options);
+        const auto server = own.serve<Sum, Total>("sum", add_up);
+        pause();
+      });
+    };
+    std::vector<Child> servers;
+    for (int n = 0; n < 2; ++n) servers.push_back(start());
+    std::atomic<bool> ends{false};
+    std::atomic<int> answered{0}, wrong{0};
+    std::vector<std::thread> threads;
+    for (int c = 0; c < 2; ++c) {
+      threads.emplace_back([&, c] {
+        lot::ClientOptions how;
+        how.retry = c == 1;
+        auto client = engine.client<Sum, Total>("sum", how);
+        for (std::uint32_t n = 0; !ends; n = (n + 1) % 50) {
+          const auto answer = client.call(up_to(client, n), 60s);
+          const Status status = client.status();
+          if (answer) {
+            ++answered;
+            wrong += answer->value != total_of(n);
+          }
+          wrong += status != Status::Ok && status != Status::ServerGone;
+        }
+      });
+    }
+    for (int kills = 0; kills < 20; ++kills) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(kills));
+      servers[static_cast<std::size_t>(kills) % 2].kill9();
+      servers[static_cast<std::size_t>(kills) % 2] = start();
+    }
+    CHECK(eventually([&] { return answered > 100; }, 60s));
+    ends = true;
+    for (auto& thread : threads) thread.join();
+    servers.clear();
+    CHECK(wrong == 0);
+    // Requests that no server has taken wait for the next one, which drops them.
+    auto server = engine.serve<Sum, Total>("sum", add_up);
+    auto client = engine.client<Sum, Total>("sum");
+    CHECK(client.call(up_to(client, 9), 60s)->value == 45);
+  });
+}
+
+TEST_SUITE_END();
