@@ -2,28 +2,23 @@
 #include <algorithm>
 #include <cstdio>
 #include <sys/stat.h>
-#include <thread>
 
+#include "tool/rates.hpp"
 #include "tool/report.hpp"
 #include "tool/text.hpp"
 
 namespace lot::tool {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
-struct Rates {
-  Heads before;
-  Clock::time_point when;
-};
-
-/// Messages a second, or nothing when the queue is younger than the first look.
-Json rate_of(const Channel& c, const Rates& rates, Clock::time_point now) {
-  const auto before = rates.before.find({c.channel, c.generation});
-  const double seconds = std::chrono::duration<double>(now - rates.when).count();
-  if (before == rates.before.end() || seconds <= 0) return nullptr;
-  const auto n = ring::distance(c.next, before->second);
-  return static_cast<double>(n > 0 ? n : 0) / seconds;
+/// Nothing is known when the publisher has gone, or its queue is younger than the first look.
+Rate rate_of(const Channel& c, const Rates& rates) {
+  const auto found = rates.find({c.channel, c.generation});
+  return found != rates.end() && !c.orphan ? found->second : Rate();
+}
+Json or_null(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
+std::string text_of(const Rate& rate) {
+  if (rate.per_second) return rate_text(*rate.per_second);
+  return rate.below ? below_text(*rate.below) : "";
 }
 
 const char* engine_of(const Channel& c) {
@@ -65,8 +60,8 @@ void list_processes(const Observation& seen, Report& report, Json& entry) {
 
 class TopicList {
  public:
-  TopicList(const Observation& seen, const Rates& rates, Clock::time_point now)
-      : seen_(seen), rows_(rows(seen.channels)), rates_(rates), now_(now) {}
+  TopicList(const Observation& seen, const Rates& rates)
+      : seen_(seen), rows_(rows(seen.channels)), rates_(rates) {}
 
   void list(Report& report, Json& entry) {
     entry["topics"] = Json::array();
@@ -95,6 +90,7 @@ class TopicList {
   }
 
   void enter(const Channel& c, Json& out) const {
+    const Rate rate = rate_of(c, rates_);
     out["publishers"].push_back({{"process", c.publisher},
                                  {"channel", c.channel},
                                  {"gone", c.orphan},
@@ -105,7 +101,10 @@ class TopicList {
                                  {"held", c.queue.size()},
                                  {"unfinished", c.unfinished},
                                  {"published", c.published},
-                                 {"per_second", rate_of(c, rates_, now_)},
+                                 {"per_second", or_null(rate.per_second)},
+                                 {"per_second_below", or_null(rate.below)},
+                                 {"arrived", rate.messages},
+                                 {"arrived_seconds", rate.seconds},
                                  {"waits_for_room", c.waits}});
     for (const auto& r : c.readers) {
       out["subscribers"].push_back({{"process", r.process},
@@ -119,11 +118,10 @@ class TopicList {
 
   void list(const Row& shown) {
     const Channel& c = shown.channel;
-    const Json rate = rate_of(c, rates_, now_);
     row({"publisher", printable(seen_.publisher(shown), 24), engine_of(c),
          policy_of(c) + std::string(c.taken ? ", to one" : ""),
          std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
-         rate.is_null() ? "" : rate_text(rate.get<double>()), "", "",
+         text_of(rate_of(c, rates_)), "", "",
          c.waits             ? "waits for room"
          : c.unfinished != 0 ? std::to_string(c.unfinished) + " unfinished"
                              : ""});
@@ -167,7 +165,6 @@ class TopicList {
   const Observation& seen_;
   const std::vector<Row> rows_;
   const Rates& rates_;
-  Clock::time_point now_;
   std::vector<std::string> first_;
   Table table_{
       {"TOPIC", "TYPE", "ROLE", "PROCESS", "ENGINE", "POLICY", "HELD", "RATE", "LAG", "LOST", ""}};
@@ -184,7 +181,6 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
   Json entry;
   if (introduce(sight, report, entry)) {
     const Observation seen = observe(*sight.window);
-    const auto now = Clock::now();
     char instance[17];  // a name, since many JSON readers keep numbers only up to 2^53
     std::snprintf(instance, sizeof(instance), "%016llx",
                   static_cast<unsigned long long>(seen.instance));
@@ -202,7 +198,7 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
                  " held back, " + bytes_text(taken) + " taken from the system" +
                  (seen.persists ? "; persist" : "") + "\n\n");
     list_processes(seen, report, entry);
-    TopicList(seen, rates, now).list(report, entry);
+    TopicList(seen, rates).list(report, entry);
     judge(sight, seen, report, entry);
     for (const auto& c : seen.channels) {
       if (!c.waits) continue;
@@ -220,14 +216,9 @@ Exit ls(const Settings& settings, std::chrono::milliseconds interval) {
   report.document()["segments"] = Json::array();
   const auto found = sights(settings.where);
   if (found.empty()) nothing_found(settings, report);
-  std::vector<Rates> rates;
-  for (const auto& sight : found) {
-    const auto when = Clock::now();
-    rates.push_back({sight.window != nullptr ? heads(*sight.window) : Heads(), when});
-  }
-  if (std::any_of(rates.begin(), rates.end(), [](const Rates& r) { return !r.before.empty(); })) {
-    std::this_thread::sleep_for(interval);
-  }
+  std::vector<Window*> windows;
+  for (const auto& sight : found) windows.push_back(sight.window.get());
+  const std::vector<Rates> rates = measure(windows, interval);
   for (std::size_t i = 0; i < found.size(); ++i) {
     if (i != 0) report.print("\n");
     list(found[i], rates[i], report);

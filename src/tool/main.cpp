@@ -43,8 +43,8 @@ int run(int argc, char** argv) {
 
   auto* const list =
       app.add_subcommand("ls", "Segments, processes, topics, publishers and subscribers, memory");
-  unsigned interval_ms = 300;
-  list->add_option("--interval", interval_ms, "milliseconds over which rates are measured")
+  unsigned interval_ms = 1000;
+  list->add_option("--interval", interval_ms, "milliseconds for which rates are measured at most")
       ->check(CLI::Range(1, 600000))
       ->capture_default_str();
   auto* const holders =

@@ -595,22 +595,4 @@ Waiting waiting(Window& window) {
   return found;
 }
 
-Heads heads(Window& window) {
-  Segment& s = window.segment();
-  Heads found;
-  for (std::uint32_t c = 0; c < s.capacity().channels; ++c) {
-    const Word w = s.channels()[c].writer.load(std::memory_order_acquire);  // R7
-    if (ring::writer_state(w) != ring::State::Live) continue;
-    const segment::Ring r = s.ring(c);
-    if (r.depth == 0) continue;
-    Word newest = ring::sequence(r.slots[0].load(std::memory_order_acquire));  // R1
-    for (std::uint32_t i = 1; i < r.depth; ++i) {
-      const Word here = ring::sequence(r.slots[i].load(std::memory_order_acquire));  // R1
-      if (ring::distance(here, newest) > 0) newest = here;
-    }
-    found[{c, ring::writer_generation(w)}] = ring::next(newest);
-  }
-  return found;
-}
-
 }  // namespace lot::tool

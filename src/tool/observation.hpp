@@ -147,9 +147,4 @@ std::vector<std::uint32_t> dead(Window& window);
 using Waiting = std::map<std::string, std::uint64_t>;
 Waiting waiting(Window& window);
 
-/// {channel, generation} -> sequence of the next message. Two looks say how many messages were
-/// published in between.
-using Heads = std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint64_t>;
-Heads heads(Window& window);
-
 }  // namespace lot::tool

@@ -52,9 +52,18 @@ std::string count_text(std::uint64_t count) {
 }
 
 std::string rate_text(double per_second) {
+  if (per_second < 0.95) return with("%.2f%s", per_second, "/s");
   if (per_second < 1000) return with("%.1f%s", per_second, "/s");
   if (per_second < 1e6) return with("%.1f%s", per_second / 1e3, "k/s");
   return with("%.1f%s", per_second / 1e6, "M/s");
+}
+
+std::string below_text(double per_second) {
+  double unit = 1;
+  while (per_second / unit >= 1000 && unit < 1e6) unit *= 1000;
+  const double tenths = std::ceil(per_second / unit * 10 - 1e-9) / 10;
+  const std::string number = with(tenths == std::floor(tenths) ? "%.0f%s" : "%.1f%s", tenths, "");
+  return "< " + number + (unit == 1 ? "/s" : unit == 1e3 ? "k/s" : "M/s");
 }
 
 std::string age_text(double seconds) {

@@ -24,8 +24,10 @@ class Table {
 std::string bytes_text(std::uint64_t bytes);
 /// "1.2 million"
 std::string count_text(std::uint64_t count);
-/// "30.0/s"
+/// "30.0/s", "0.25/s"
 std::string rate_text(double per_second);
+/// "< 2/s": never less than the number.
+std::string below_text(double per_second);
 /// "12 s", "3 min"
 std::string age_text(double seconds);
 /// Replaces the bytes that a terminal would obey: names come from other processes. Cuts a long name

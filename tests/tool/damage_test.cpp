@@ -21,6 +21,7 @@
 #include "command.hpp"
 #include "support/janitor.hpp"
 #include "support/window.hpp"
+#include "tool/rates.hpp"
 #include "tool/sight.hpp"
 
 namespace {
@@ -191,7 +192,9 @@ TEST_CASE("a segment with changed words is looked at without a step outside of i
     const auto seen = lot::tool::observe(*sight.window);
     complaints += !seen.damage.empty();
     CHECK(seen.messages.size() <= 512);
-    lot::tool::heads(*sight.window);
+    lot::tool::RateMeter meter(*sight.window);
+    meter.look();
+    (void)meter.rates();
     const auto living = lot::tool::living(*sight.window);
     CHECK(living.size() + lot::tool::dead(*sight.window).size() <= 7);
   }

@@ -109,12 +109,15 @@ TEST_CASE("lot ls as a document has these keys") {
                                  ".segments[].processes[].since_unix",
                                  ".segments[].reason",
                                  ".segments[].topics[].name",
+                                 ".segments[].topics[].publishers[].arrived",
+                                 ".segments[].topics[].publishers[].arrived_seconds",
                                  ".segments[].topics[].publishers[].channel",
                                  ".segments[].topics[].publishers[].depth",
                                  ".segments[].topics[].publishers[].engine",
                                  ".segments[].topics[].publishers[].gone",
                                  ".segments[].topics[].publishers[].held",
                                  ".segments[].topics[].publishers[].per_second",
+                                 ".segments[].topics[].publishers[].per_second_below",
                                  ".segments[].topics[].publishers[].policy",
                                  ".segments[].topics[].publishers[].process",
                                  ".segments[].topics[].publishers[].published",
@@ -643,7 +646,7 @@ TEST_CASE("what waits in a queue is seen when its putter has gone, and what is u
   CHECK(eventually([&] { return queues().empty(); }));
 }
 
-TEST_CASE("a rate is what was published in between") {
+TEST_CASE("lot ls tells the rate of a publisher, and of a slow one no more than it has seen") {
   const Watchdog watchdog(60);
   const Room room;
   const auto options = room.options();
@@ -658,22 +661,27 @@ TEST_CASE("a rate is what was published in between") {
     pause();
   });
   REQUIRE(ready.next() == '.');
-  const auto rate = [&] {
-    const Json document = run_lot(on(options, {"ls", "--json", "--interval", "100"})).json();
-    return document.at("segments")
-        .at(0)
-        .at("topics")
-        .at(0)
-        .at("publishers")
-        .at(0)
-        .at("per_second")
-        .get<double>();
+  const auto publisher = [&](const char* interval) {
+    const Json document = run_lot(on(options, {"ls", "--json", "--interval", interval})).json();
+    return document.at("segments").at(0).at("topics").at(0).at("publishers").at(0);
   };
-  CHECK(eventually([&] { return rate() > 0; }));
-  CHECK(rate() < 1100);
+  Json fast;
+  REQUIRE(eventually([&] { return !(fast = publisher("100")).at("per_second").is_null(); }));
+  CHECK(fast.at("per_second").get<double>() > 0);
+  CHECK(fast.at("per_second").get<double>() < 1100);
+  CHECK(fast.at("per_second_below").is_null());
   halt.tell();
   REQUIRE(ready.next() == '.');
-  CHECK(rate() == 0);
+  for (const char* interval : {"1", "40"}) {
+    CAPTURE(interval);
+    const Json slow = publisher(interval);
+    CHECK(slow.at("per_second").is_null());
+    CHECK(slow.at("arrived") == 0);
+    CHECK(slow.at("arrived_seconds").get<double>() > 0);
+    CHECK(slow.at("per_second_below").get<double>() * slow.at("arrived_seconds").get<double>() ==
+          doctest::Approx(1));
+  }
+  CHECK(says(run_lot(on(options, {"ls", "--interval", "40"})).out, "  < "));
 }
 
 TEST_CASE("a segment at full speed, with queues that come and go, is never called damaged") {

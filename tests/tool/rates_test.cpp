@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// What `lot ls` says of a rate, from moments that the test makes up.
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "tool/tempo.hpp"
+#include "tool/text.hpp"
+
+namespace {
+
+using namespace lot::tool;
+
+/// {seconds, messages that have come since the moment before}
+using Arrivals = std::vector<std::pair<double, std::uint64_t>>;
+
+Rate seen_in(double seconds, const Arrivals& arrivals) {
+  Tempo tempo(0);
+  for (const auto& [at, n] : arrivals) tempo.see(at, n);
+  return tempo.rate(seconds);
+}
+
+Arrivals even(double first, double period, double until) {
+  Arrivals all;
+  for (int n = 0; first + n * period < until; ++n) all.push_back({first + n * period, 1});
+  return all;
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("rates");
+
+TEST_CASE("lot ls tells the rate of an even publisher, wherever its first message falls") {
+  for (const double rate : {0.1, 0.5, 1.0, 2.0, 5.0, 30.0, 1000.0}) {
+    for (const double part : {0.01, 0.3, 0.7, 0.99}) {
+      for (const double periods : {3.995, 4.5, 20.0}) {
+        CAPTURE(rate);
+        CAPTURE(part);
+        CAPTURE(periods);
+        const double seconds = periods / rate;
+        const Rate seen = seen_in(seconds, even(part / rate, 1 / rate, seconds));
+        REQUIRE(seen.per_second);
+        CHECK(*seen.per_second == doctest::Approx(rate));
+        CHECK(!seen.below);
+      }
+    }
+  }
+}
+
+TEST_CASE("of fewer than three messages lot ls tells a bound that holds, and no rate") {
+  for (const double rate : {0.1, 0.5, 1.0, 2.0, 3.0}) {
+    for (const double part : {0.01, 0.5, 0.99}) {
+      for (const double seconds : {0.001, 0.3, 0.6, 1.0}) {
+        CAPTURE(rate);
+        CAPTURE(part);
+        CAPTURE(seconds);
+        const auto arrivals = even(part / rate, 1 / rate, seconds);
+        const Rate seen = seen_in(seconds, arrivals);
+        CHECK(seen.messages == arrivals.size());
+        CHECK(seen.seconds == seconds);
+        if (arrivals.size() > 2) continue;
+        CHECK(!seen.per_second);
+        REQUIRE(seen.below);
+        CHECK(*seen.below > rate);
+      }
+    }
+  }
+}
+
+TEST_CASE("of a burst, a start and a halt lot ls tells no rate") {
+  const Arrivals burst = {{0.500, 1}, {0.501, 1}, {0.502, 40}};
+  CHECK(!seen_in(1, burst).per_second);
+  CHECK(*seen_in(1, burst).below == doctest::Approx(43));
+  CHECK(!seen_in(1, {{0.5, 42}}).per_second);
+  CHECK(!seen_in(1.05, {{0.01, 5}, {1.01, 5}}).per_second);  // two bursts, five a second
+  CHECK(!seen_in(1, even(0.6, 0.01, 1)).per_second);         // began meanwhile
+  CHECK(!seen_in(1, even(0, 0.01, 0.4)).per_second);         // halted meanwhile
+  Arrivals paused = even(0, 0.01, 0.3);
+  for (const auto& arrival : even(0.7, 0.01, 1)) paused.push_back(arrival);
+  CHECK(!seen_in(1, paused).per_second);
+}
+
+TEST_CASE("a fast publisher that is held up for a moment has a rate") {
+  Arrivals arrivals = even(0, 0.001, 0.5);
+  for (const auto& arrival : even(0.6, 0.001, 1)) arrivals.push_back(arrival);
+  REQUIRE(seen_in(1, arrivals).per_second);
+  CHECK(*seen_in(1, arrivals).per_second == doctest::Approx(900).epsilon(0.01));
+}
+
+TEST_CASE("many messages between two looks count, but those of the first look") {
+  Arrivals arrivals;
+  for (int n = 1; n <= 100; ++n) arrivals.push_back({n * 0.005, 5000});
+  CHECK(*seen_in(0.5, arrivals).per_second == doctest::Approx(1e6));
+}
+
+TEST_CASE("where lot has not looked, nothing is known") {
+  const Rate none = seen_in(0, {});
+  CHECK(!none.per_second);
+  CHECK(!none.below);
+}
+
+TEST_CASE("a rate is text, and a bound is never less than the number") {
+  CHECK(rate_text(0.1) == "0.10/s");
+  CHECK(rate_text(0.949) == "0.95/s");
+  CHECK(rate_text(1) == "1.0/s");
+  CHECK(rate_text(29.97) == "30.0/s");
+  CHECK(rate_text(1500) == "1.5k/s");
+  CHECK(below_text(1) == "< 1/s");
+  CHECK(below_text(0.997) == "< 1/s");
+  CHECK(below_text(1.004) == "< 1.1/s");
+  CHECK(below_text(0.1) == "< 0.1/s");
+  CHECK(below_text(0.02) == "< 0.1/s");
+  CHECK(below_text(999.97) == "< 1000/s");
+  CHECK(below_text(1001) == "< 1.1k/s");
+  CHECK(below_text(2e6) == "< 2M/s");
+}
+
+TEST_SUITE_END();
