@@ -38,7 +38,7 @@ class Cleaner {
         dry_(options.dry_run),
         with_items_(options.with_items),
         report_(report) {
-    for (const char* list : {"removed", "reaped", "given_back", "left_alone"}) {
+    for (const char* list : {"removed", "reaped", "given_back", "left_alone", "in_use"}) {
       report_.document()[list] = Json::array();
     }
     report_.document()["dry_run"] = dry_;
@@ -67,16 +67,37 @@ class Cleaner {
                              ": that user, or root, can remove it",
                          kWrong);
     }
-    if (dry_) return removed(path, why);
+    const Files files = files_of(name);
+    if (dry_) return removed(path, why, files);
     try {
       if (try_remove(name)) {
-        removed(path, why);
+        removed(path, why, files);
       } else if (exists(path)) {
         leave_alone(path, "it has been taken meanwhile", kWell);
       }
     } catch (const Error& e) {
       leave_alone(path, e.what(), kWrong);
     }
+  }
+
+  /// Says so when there was nothing to do, or to leave alone.
+  void conclude() {
+    for (const char* list : {"removed", "reaped", "given_back", "left_alone"}) {
+      if (!report_.document()[list].empty()) return;
+    }
+    const Json& in_use = report_.document()["in_use"];
+    std::string why;
+    if (in_use.empty()) {
+      why = where_.name.empty() ? "no segment lies in " + where_.directory
+                                : "no segment lies at " + path_of(where_, where_.name);
+    } else if (in_use.size() == 1) {
+      why = in_use.front().at("path").get<std::string>() +
+            " is in use, without a dead process or idle memory";
+    } else {
+      why = std::to_string(in_use.size()) + " segments of " + where_.directory +
+            " are in use, without a dead process or idle memory";
+    }
+    report_.print("nothing to do: " + printable(why, 400) + "\n");
   }
 
   void leave_alone(const std::string& path, const std::string& why, Exit exit,
@@ -96,9 +117,32 @@ class Cleaner {
                  command("clean --with-items", s.path));
   }
 
-  void removed(const std::string& path, const std::string& why) {
-    report_.document()["removed"].push_back({{"path", path}, {"why", why}});
-    report_.print((dry_ ? "would remove  " : "removed  ") + printable(path, 200) + ": " + why +
+  struct Files {
+    std::vector<std::string> paths;
+    std::uint64_t bytes = 0;  ///< that the file system has for them
+  };
+  /// What is there of a segment: the file, an unfinished one, the lock file.
+  Files files_of(const std::string& name) const {
+    Files files;
+    for (const char* suffix : {"", ".new", ".lock"}) {
+      const std::string path = path_of(where_, name) + suffix;
+      if (!exists(path)) continue;
+      files.paths.push_back(path);
+      files.bytes += bytes_on_disk(path);
+    }
+    return files;
+  }
+
+  void removed(const std::string& path, const std::string& why, const Files& files) {
+    report_.document()["removed"].push_back(
+        {{"path", path}, {"why", why}, {"files", files.paths}, {"bytes", files.bytes}});
+    std::string with;
+    for (const auto& file : files.paths) {
+      if (file != path) with += (with.empty() ? " with " : ", ") + file.substr(file.rfind('/') + 1);
+    }
+    report_.print((dry_ ? "would remove  " : "removed  ") + printable(path, 200) +
+                  printable(with, 200) + ": " + why +
+                  (files.bytes != 0 ? "; that gives " + bytes_text(files.bytes) + " back" : "") +
                   "\n");
   }
 
@@ -141,9 +185,7 @@ class Cleaner {
   /// any process does: so the dead are reaped, and memory goes back.
   void tend(Sight& s) {
     const auto the_dead = dead(*s.window);
-    std::vector<std::string> names;
     const Observation seen = observe(*s.window);
-    for (const std::uint32_t k : the_dead) names.push_back(seen.who(k));
     if (!seen.damage.empty()) {
       return leave_alone(s.path, "it is damaged (" + seen.damage.front() + "), and it is in use",
                          kDamaged);
@@ -176,24 +218,34 @@ class Cleaner {
         return leave_alone(s.path, e.what(), the_dead.empty() && is_full ? kWell : kWrong);
       }
     }
-    for (std::size_t i = 0; i < the_dead.size(); ++i) {
-      const bool gone = dry_ || std::count(left.begin(), left.end(), the_dead[i]) == 0;
-      if (!gone) {
+    for (const std::uint32_t k : the_dead) {
+      const bool gone = dry_ || std::count(left.begin(), left.end(), k) == 0;
+      if (gone) {
+        reaped(s, seen, k);
+      } else {
         leave_alone(s.path,
-                    names[i] +
+                    seen.who(k) +
                         " is dead and could not be reaped: look for a stopped "
                         "process (state T in ps)",
                     kWrong);
-        continue;
       }
-      report_.document()["reaped"].push_back({{"path", s.path}, {"process", the_dead[i]}});
-      report_.print((dry_ ? "would reap  " : "reaped  ") + printable(names[i]) + " in " +
-                    printable(s.path, 200) + "\n");
     }
+    report_.document()["in_use"].push_back({{"path", s.path}});
     if (given_back == 0) return;
     report_.document()["given_back"].push_back({{"path", s.path}, {"bytes", given_back}});
     report_.print((dry_ ? "would give back  " : "gave back  ") + printable(s.path, 200) + ": " +
                   bytes_text(given_back) + " that nobody uses\n");
+  }
+
+  void reaped(const Sight& s, const Observation& seen, std::uint32_t k) {
+    const Process* const p = seen.process(k);  // nothing: its place was empty when we observed
+    report_.document()["reaped"].push_back({{"path", s.path},
+                                            {"process", k},
+                                            {"name", p != nullptr ? p->name : ""},
+                                            {"pid", p != nullptr ? Json(p->pid) : Json(nullptr)}});
+    report_.print((dry_ ? "would reap  " : "reaped  ") + printable(seen.who(k)) +
+                  (p != nullptr ? " (pid " + std::to_string(p->pid) + ")" : "") + " in " +
+                  printable(s.path, 200) + "\n");
   }
 
   static std::uint64_t unused(const segment::Segment& s) {
@@ -248,6 +300,7 @@ Exit clean(const Settings& settings, const CleanOptions& options) {
                             "name (LOT_SEGMENT)",
                         kWrong);
   }
+  cleaner.conclude();
   return report.finish();
 }
 

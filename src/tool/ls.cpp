@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdio>
-#include <sys/stat.h>
 
 #include "tool/rates.hpp"
 #include "tool/report.hpp"
@@ -169,13 +168,6 @@ class TopicList {
   Table table_{
       {"TOPIC", "TYPE", "ROLE", "PROCESS", "ENGINE", "POLICY", "HELD", "RATE", "LAG", "LOST", ""}};
 };
-
-/// The bytes that the file system holds for the file, as du says it; 0 when the file has gone.
-std::uint64_t bytes_on_disk(const std::string& path) {
-  struct stat status {};
-  if (::stat(path.c_str(), &status) == -1) return 0;
-  return static_cast<std::uint64_t>(status.st_blocks) * 512;
-}
 
 void list(const Sight& sight, const Rates& rates, Report& report) {
   Json entry;

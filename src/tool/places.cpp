@@ -92,6 +92,12 @@ bool exists(const std::string& path) {
   return lstat(path.c_str(), &status) == 0;
 }
 
+std::uint64_t bytes_on_disk(const std::string& path) {
+  struct stat status {};
+  if (lstat(path.c_str(), &status) == -1) return 0;
+  return static_cast<std::uint64_t>(status.st_blocks) * 512;
+}
+
 bool begins_as_a_segment(const std::string& path) {
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
   if (fd == -1) return errno == EACCES && exists(path + std::string(kLock));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -37,6 +38,8 @@ Places find_places(const Where& where);
 
 std::string path_of(const Where& where, const std::string& name);
 bool exists(const std::string& path);
+/// The bytes that the file system holds for the file, as du says it; 0 when the file has gone.
+std::uint64_t bytes_on_disk(const std::string& path);
 /// True also for a file that the tool may not read and that has a lock file: the tool cannot prove
 /// that it is no segment.
 bool begins_as_a_segment(const std::string& path);

@@ -132,6 +132,57 @@ TEST_CASE("lot clean removes a segment whose last process was killed, with its l
   CHECK(room.files() == 0);
 }
 
+TEST_CASE("lot clean says which files it removes, and how much memory that gives back") {
+  const Watchdog watchdog(60);
+  const Room room;
+  leave_a_dead_segment(room.options());
+  const std::string path = path_of(room.options());
+  struct stat status {};
+  REQUIRE(stat(path.c_str(), &status) == 0);
+  const auto bytes = static_cast<std::uint64_t>(status.st_blocks) * 512;
+  const Ran dry = run_lot(on(room.options(), {"clean", "--dry-run", "--json"}));
+  const Json removed = dry.json().at("removed").at(0);
+  CHECK(removed.at("files") == Json({path, path + ".lock"}));
+  CHECK(removed.at("bytes") == bytes);
+  CHECK(bytes > 0);
+  const std::string would = run_lot(on(room.options(), {"clean", "--dry-run"})).out;
+  CHECK_MESSAGE(
+      would.find("would remove  " + path + " with s.lock: nobody lives in it; that gives ") == 0,
+      would);
+  const std::string did = run_lot(on(room.options(), {"clean"})).out;
+  CHECK(did == "removed" + would.substr(std::string("would remove").size()));
+}
+
+TEST_CASE("lot clean says that there is nothing to do, and why") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto says_nothing = [&](const std::vector<std::string>& where, const std::string& why) {
+    for (const char* option : {"--dry-run", "--with-items"}) {
+      std::vector<std::string> words = {"clean", option};
+      words.insert(words.end(), where.begin(), where.end());
+      const Ran ran = run_lot(words);
+      CHECK(ran.exit == 0);
+      CHECK(ran.out == "nothing to do: " + why + "\n");
+    }
+  };
+  const std::vector<std::string> all = {"--dir", room.path()};
+  const auto one = on(room.options(), {});
+  const std::string path = path_of(room.options());
+  says_nothing(all, "no segment lies in " + room.path());
+  says_nothing(one, "no segment lies at " + path);
+  const Actor actor(room.options(), "actor");
+  REQUIRE(run_lot(on(room.options(), {"clean"})).exit == 0);  // what was idle has gone
+  says_nothing(one, path + " is in use, without a dead process or idle memory");
+  says_nothing(all, path + " is in use, without a dead process or idle memory");
+  const Actor other(room.options("t"), "other");
+  REQUIRE(run_lot({"clean", "--dir", room.path()}).exit == 0);
+  says_nothing(
+      all, "2 segments of " + room.path() + " are in use, without a dead process or idle memory");
+  const Json in_use = run_lot({"clean", "--json", "--dir", room.path()}).json().at("in_use");
+  REQUIRE(in_use.size() == 2);
+  CHECK(in_use.at(0).at("path") == path);
+}
+
 TEST_CASE("a segment of another boot or version, or damaged, is removed when no process is there") {
   const Watchdog watchdog(60);
   for (const unsigned offset : {40U, 8U, 72U, 16U}) {
@@ -381,17 +432,25 @@ TEST_CASE("the dead among stopped processes are reaped, and the stopped go on af
   dead.act(kParcels, "advertise", 2);
   dead.act(kParcels, "loan");
   const std::uint32_t index = dead.index();
+  const pid_t pid = dead.child().pid();
   stop(publisher.child());  // nobody reaps
   stop(reader.child());
   dead.kill9();
   CHECK(run_lot(on(room.options(), {"ls"})).exit == 1);
   const Ran dry = run_lot(on(room.options(), {"clean", "--dry-run", "--json"}));
   CHECK(dry.json().at("reaped").size() == 1);
+  const std::string would = run_lot(on(room.options(), {"clean", "--dry-run"})).out;
   CHECK(run_lot(on(room.options(), {"ls"})).exit == 1);
   const Ran ran = run_lot(on(room.options(), {"clean", "--json"}));
   CHECK(ran.exit == 0);
   REQUIRE(ran.json().at("reaped").size() == 1);
   CHECK(ran.json().at("reaped").at(0).at("process") == index);
+  CHECK(ran.json().at("reaped").at(0).at("name") == "victim");
+  CHECK(ran.json().at("reaped").at(0).at("pid") == pid);
+  CHECK_MESSAGE(
+      would.find("would reap  " + std::to_string(index) + " victim (pid " + std::to_string(pid) +
+                 ") in " + path_of(room.options()) + "\n") != std::string::npos,
+      would);
   CHECK(run_lot(on(room.options(), {"ls"})).exit == 0);
   publisher.child().send(SIGCONT);
   reader.child().send(SIGCONT);

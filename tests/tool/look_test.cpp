@@ -310,8 +310,9 @@ TEST_CASE("lot clean as a document has these keys") {
   }
   const Json document = run_lot(on(room.options(), {"clean", "--json"})).json();
   CHECK(keys_of(document) == std::set<std::string>{".dry_run", ".exit", ".given_back", ".hints",
-                                                   ".left_alone", ".reaped", ".removed[].path",
-                                                   ".removed[].why"});
+                                                   ".in_use", ".left_alone", ".reaped",
+                                                   ".removed[].bytes", ".removed[].files[]",
+                                                   ".removed[].path", ".removed[].why"});
 }
 
 TEST_CASE("lot ls and lot who change no byte of a segment, and take no memory that is unused") {
