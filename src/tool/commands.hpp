@@ -13,9 +13,10 @@ struct Settings {
 };
 
 /// Lists what is there: segments, processes, topics, publishers, subscribers, memory.
-Exit ls(const Settings& settings, std::chrono::milliseconds interval);
+/// `each`: a row for each end, also where many are alike.
+Exit ls(const Settings& settings, std::chrono::milliseconds interval, bool each);
 /// Lists which process holds which message since when, and which reader is behind. `all`: queued
-/// and spare messages too.
+/// and spare messages too, and a row for each reader and publisher.
 Exit who(const Settings& settings, bool all);
 struct CleanOptions {
   bool dry_run = false;     ///< only say what would be done

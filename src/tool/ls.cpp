@@ -4,6 +4,7 @@
 
 #include "tool/rates.hpp"
 #include "tool/report.hpp"
+#include "tool/rows.hpp"
 #include "tool/text.hpp"
 
 namespace lot::tool {
@@ -41,12 +42,9 @@ double age_of(const Process& p) {
   return now > p.since_ns ? static_cast<double>(now - p.since_ns) * 1e-9 : 0.0;
 }
 
-void list_processes(const Observation& seen, Report& report, Json& entry) {
-  Table table({"PROCESS", "PID", "SINCE", "MEMORY", ""});
+void list_processes(const Observation& seen, bool each, Report& report, Json& entry) {
   entry["processes"] = Json::array();
   for (const auto& p : seen.processes) {
-    table.add({printable(seen.who(p.index)), std::to_string(p.pid), age_text(age_of(p)),
-               bytes_text(p.bytes), p.alive ? "" : "dead"});
     entry["processes"].push_back({{"index", p.index},
                                   {"name", p.name},
                                   {"pid", p.pid},
@@ -54,13 +52,33 @@ void list_processes(const Observation& seen, Report& report, Json& entry) {
                                   {"alive", p.alive},
                                   {"bytes", p.bytes}});
   }
+  Table table({"PROCESS", "PID", "SINCE", "MEMORY", ""}, {0});
+  for (const auto& group : groups(seen.processes, each)) {
+    const Process& first = group.front();
+    std::uint64_t bytes = 0;
+    double age = 0;
+    for (const auto& p : group) {
+      bytes += p.bytes;
+      age = std::max(age, age_of(p));
+    }
+    const bool one = group.size() == 1;
+    table.add({one ? printable(seen.who(first.index))
+                   : std::to_string(group.size()) + " processes " + printable(common_name(group)),
+               one ? std::to_string(first.pid) : "", age_text(age), bytes_text(bytes),
+               first.alive ? "" : "dead"});
+  }
   if (!table.empty()) report.print(table.text() + "\n");
+}
+
+/// "0-12"
+std::string range_text(std::uint64_t least, std::uint64_t most) {
+  return least == most ? count_text(most) : count_text(least) + "-" + count_text(most);
 }
 
 class TopicList {
  public:
-  TopicList(const Observation& seen, const Rates& rates)
-      : seen_(seen), rows_(rows(seen.channels)), rates_(rates) {}
+  TopicList(const Observation& seen, const Rates& rates, bool each)
+      : seen_(seen), rows_(rows(seen.channels, each)), rates_(rates), each_(each) {}
 
   void list(Report& report, Json& entry) {
     entry["topics"] = Json::array();
@@ -75,16 +93,14 @@ class TopicList {
                 {"type_bytes", topic.type_size},
                 {"publishers", Json::array()},
                 {"subscribers", Json::array()}};
-    first_ = {printable(topic.name, 40), printable(topic.type, 32)};
+    table_.add_line(printable(topic.name) + "  " + printable(topic.type, 32));
     for (const auto& c : seen_.channels) {
       if (c.topic == topic.index) enter(c, out);
     }
     for (const auto& row : rows_) {
-      if (row.channel.topic == topic.index) list(row);
+      if (row.sum.topic == topic.index) list(row);
     }
-    for (const std::uint32_t k : topic.subscribers) {
-      if (!reads_a_queue(topic, k)) list_waiting(topic, k, out);
-    }
+    list_waiting(topic, out);
     return out;
   }
 
@@ -115,37 +131,80 @@ class TopicList {
     }
   }
 
-  void list(const Row& shown) {
-    const Channel& c = shown.channel;
-    row({"publisher", printable(seen_.publisher(shown), 24), engine_of(c),
-         policy_of(c) + std::string(c.taken ? ", to one" : ""),
-         std::to_string(c.queue.size()) + " of " + std::to_string(c.depth),
-         text_of(rate_of(c, rates_)), "", "",
-         c.waits             ? "waits for room"
-         : c.unfinished != 0 ? std::to_string(c.unfinished) + " unfinished"
-                             : ""});
-    for (const auto& r : c.readers) {
-      row({"subscriber", printable(seen_.who(r.process), 24), "", "", "", "",
-           r.joining ? "" : std::to_string(r.lag), r.lost != 0 ? count_text(r.lost) : "",
-           r.joining      ? "joining"
-           : r.holds_back ? "holds the publisher back"
-           : r.awaited    ? "has not looked yet"
-                          : ""});
+  /// The rate of all queues of a row together.
+  std::string rate_of_row(const Row& row) const {
+    Rate all;
+    bool known = true;
+    double sum = 0;
+    for (const auto& c : row.channels) {
+      const Rate rate = rate_of(c, rates_);
+      if (!rate.per_second && !rate.below) return "";
+      known = known && rate.per_second;
+      sum += rate.per_second ? *rate.per_second : *rate.below;
     }
+    (known ? all.per_second : all.below) = sum;
+    return text_of(all);
   }
 
-  void list_waiting(const Topic& topic, std::uint32_t k, Json& out) {
-    out["subscribers"].push_back({{"process", k},
-                                  {"channel", nullptr},
-                                  {"joining", false},
-                                  {"lag", 0},
-                                  {"lost", 0},
-                                  {"holds_back", false}});
+  void list(const Row& row) {
+    const Channel& c = row.sum;
+    std::vector<std::uint32_t> publishers;
+    for (const auto& each : row.channels) publishers.push_back(each.publisher);
+    const bool alone = row.channels.size() == 1 || c.orphan;
+    add({alone ? "publisher" : publisher_text(seen_, row),
+         alone ? publisher_text(seen_, row) : processes_text(seen_, publishers),
+         policy_of(c) + std::string(c.taken ? ", to one" : "") +
+             (c.engine == QueueEngine::Mutex ? ", mutex" : ""),
+         count_text(c.queue.size()) + " of " + count_text(c.depth), rate_of_row(row), "", "",
+         c.waits             ? "waits for room"
+         : c.unfinished != 0 ? count_text(c.unfinished) + " unfinished"
+                             : ""});
+    for (const auto& readers : groups(c.readers, each_)) list(readers);
+  }
+
+  void list(const Readers& group) {
+    const Reader& first = group.front();
+    std::vector<std::uint32_t> processes;
+    for (const auto& r : group) processes.push_back(r.process);
+    const auto [least_lag, most_lag] = std::minmax_element(
+        group.begin(), group.end(), [](auto& a, auto& b) { return a.lag < b.lag; });
+    const auto [least_lost, most_lost] = std::minmax_element(
+        group.begin(), group.end(), [](auto& a, auto& b) { return a.lost < b.lost; });
+    add({subscribers_text(group.size()), processes_text(seen_, processes), "", "", "",
+         first.joining ? "" : range_text(least_lag->lag, most_lag->lag),
+         first.lost != 0 ? range_text(least_lost->lost, most_lost->lost) : "",
+         first.joining      ? "joining"
+         : first.holds_back ? "holds it back"
+         : first.awaited    ? "not looked yet"
+                            : ""});
+  }
+
+  static std::string subscribers_text(std::size_t n) {
+    return n == 1 ? "subscriber" : std::to_string(n) + " subscribers";
+  }
+
+  /// Subscribers that are in no queue yet.
+  void list_waiting(const Topic& topic, Json& out) {
     const bool published =
         std::any_of(seen_.channels.begin(), seen_.channels.end(),
                     [&](const Channel& c) { return c.topic == topic.index && !c.orphan; });
-    row({"subscriber", printable(seen_.who(k), 24), "", "", "", "", "", "",
-         published ? "has not looked yet" : "sees no publisher"});
+    std::vector<std::uint32_t> waiting;
+    for (const std::uint32_t k : topic.subscribers) {
+      if (reads_a_queue(topic, k)) continue;
+      waiting.push_back(k);
+      out["subscribers"].push_back({{"process", k},
+                                    {"channel", nullptr},
+                                    {"joining", false},
+                                    {"lag", 0},
+                                    {"lost", 0},
+                                    {"holds_back", false}});
+    }
+    const auto list_them = [&](const std::vector<std::uint32_t>& processes) {
+      add({subscribers_text(processes.size()), processes_text(seen_, processes), "", "", "", "", "",
+           published ? "not looked yet" : "no publisher"});
+    };
+    if (waiting.size() > kMostAlike && !each_) return list_them(waiting);
+    for (const std::uint32_t k : waiting) list_them({k});
   }
 
   bool reads_a_queue(const Topic& topic, std::uint32_t k) const {
@@ -155,21 +214,34 @@ class TopicList {
     });
   }
 
-  void row(std::vector<std::string> cells) {
-    cells.insert(cells.begin(), first_.begin(), first_.end());
+  void add(std::vector<std::string> cells) {
+    cells.front() = "  " + cells.front();
     table_.add(std::move(cells));
-    first_ = {"", ""};
   }
 
   const Observation& seen_;
   const std::vector<Row> rows_;
   const Rates& rates_;
-  std::vector<std::string> first_;
-  Table table_{
-      {"TOPIC", "TYPE", "ROLE", "PROCESS", "ENGINE", "POLICY", "HELD", "RATE", "LAG", "LOST", ""}};
+  const bool each_;
+  Table table_{{"TOPIC", "PROCESS", "POLICY", "HELD", "RATE", "LAG", "LOST", ""}, {1, 2}};
 };
 
-void list(const Sight& sight, const Rates& rates, Report& report) {
+/// Says which publishers wait for room.
+void hint_at_waits(const Sight& sight, const Observation& seen, bool each, Report& report) {
+  std::vector<std::uint32_t> waiting;
+  for (const auto& c : seen.channels) {
+    if (c.waits) waiting.push_back(c.publisher);
+  }
+  const std::string rest = " for room: " + command("who", sight.path) + " says for whom";
+  if (waiting.size() > kMostAlike && !each) {
+    return report.hint(std::to_string(waiting.size()) + " publishers wait" + rest);
+  }
+  for (const std::uint32_t k : waiting) {
+    report.hint("publisher " + printable(seen.who(k)) + " waits" + rest);
+  }
+}
+
+void list(const Sight& sight, const Rates& rates, bool each, Report& report) {
   Json entry;
   if (introduce(sight, report, entry)) {
     const Observation seen = observe(*sight.window);
@@ -189,21 +261,17 @@ void list(const Sight& sight, const Rates& rates, Report& report) {
                  std::to_string(seen.blocks.total) + " messages; " + bytes_text(seen.held_back) +
                  " held back, " + bytes_text(taken) + " taken from the system" +
                  (seen.persists ? "; persist" : "") + "\n\n");
-    list_processes(seen, report, entry);
-    TopicList(seen, rates).list(report, entry);
+    list_processes(seen, each, report, entry);
+    TopicList(seen, rates, each).list(report, entry);
     judge(sight, seen, report, entry);
-    for (const auto& c : seen.channels) {
-      if (!c.waits) continue;
-      report.hint("publisher " + printable(seen.who(c.publisher)) +
-                  " waits for room: " + command("who", sight.path) + " says for whom");
-    }
+    hint_at_waits(sight, seen, each, report);
   }
   report.document()["segments"].push_back(std::move(entry));
 }
 
 }  // namespace
 
-Exit ls(const Settings& settings, std::chrono::milliseconds interval) {
+Exit ls(const Settings& settings, std::chrono::milliseconds interval, bool each) {
   Report report(settings);
   report.document()["segments"] = Json::array();
   const auto found = sights(settings.where);
@@ -213,7 +281,7 @@ Exit ls(const Settings& settings, std::chrono::milliseconds interval) {
   const std::vector<Rates> rates = measure(windows, interval);
   for (std::size_t i = 0; i < found.size(); ++i) {
     if (i != 0) report.print("\n");
-    list(found[i], rates[i], report);
+    list(found[i], rates[i], each, report);
   }
   look_for_obstacles(settings, found, report);
   return report.finish();

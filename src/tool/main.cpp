@@ -43,14 +43,16 @@ int run(int argc, char** argv) {
 
   auto* const list =
       app.add_subcommand("ls", "Segments, processes, topics, publishers and subscribers, memory");
+  bool all = false;
+  list->add_flag("--all", all, "each publisher, subscriber and process, also where many are alike");
   unsigned interval_ms = 1000;
   list->add_option("--interval", interval_ms, "milliseconds for which rates are measured at most")
       ->check(CLI::Range(1, 600000))
       ->capture_default_str();
   auto* const holders =
       app.add_subcommand("who", "Who holds which message since when, and who is behind");
-  bool all = false;
-  holders->add_flag("--all", all, "queued messages too, and those that are loaned or spare");
+  holders->add_flag("--all", all,
+                    "queued messages too, and those that are loaned or spare; each publisher");
   auto* const cleaner = app.add_subcommand(
       "clean", "Reaps the dead, removes what nobody lives in, gives unused memory back");
   CleanOptions cleaning;
@@ -64,7 +66,7 @@ int run(int argc, char** argv) {
     return app.exit(e) == 0 ? kWell : kUsage;
   }
   settings.where.trust = lot::transport::trust_of_environment();
-  if (*list) return ls(settings, std::chrono::milliseconds(interval_ms));
+  if (*list) return ls(settings, std::chrono::milliseconds(interval_ms), all);
   if (*holders) return who(settings, all);
   return clean(settings, cleaning);
 }

@@ -471,30 +471,6 @@ class Observer {
   std::multimap<std::uint32_t, QueuedAt> queues_;             ///< by block
 };
 
-/// Adds the numbers of one queue to those of another, and each reader's numbers to those of the
-/// same process. A process that reads by several handles has as many readers in each queue.
-void add(const Channel& from, Channel& to) {
-  to.depth += from.depth;
-  to.unfinished += from.unfinished;
-  to.queue.insert(to.queue.end(), from.queue.begin(), from.queue.end());
-  std::set<std::size_t> met;
-  for (const Reader& r : from.readers) {
-    std::size_t i = 0;
-    while (i < to.readers.size() && (to.readers[i].process != r.process || met.contains(i))) ++i;
-    met.insert(i);
-    if (i == to.readers.size()) {
-      to.readers.push_back(r);
-      continue;
-    }
-    Reader& same = to.readers[i];
-    same.joining |= r.joining;
-    same.awaited |= r.awaited;
-    same.holds_back |= r.holds_back;
-    same.lag += r.lag;
-    same.lost += r.lost;
-  }
-}
-
 }  // namespace
 
 const char* to_string(Holder::How how) {
@@ -531,29 +507,6 @@ std::string Observation::who(std::uint32_t index) const {
   if (index == refcount::kOrphanage) return "(gone)";
   const Process* p = process(index);
   return std::to_string(index) + (p != nullptr && !p->name.empty() ? " " + p->name : "");
-}
-
-std::string Observation::publisher(const Row& row) const {
-  if (row.count > 1) return "(" + std::to_string(row.count) + " gone)";
-  return who(row.channel.publisher);
-}
-
-std::vector<Row> rows(const std::vector<Channel>& channels) {
-  std::vector<Row> all;
-  for (const Channel& c : channels) {
-    const auto alike = std::find_if(all.begin(), all.end(), [&](const Row& row) {
-      const Channel& r = row.channel;
-      return r.orphan && c.orphan && r.topic == c.topic && r.engine == c.engine &&
-             r.policy == c.policy && r.taken == c.taken;
-    });
-    if (alike == all.end()) {
-      all.push_back({c});
-    } else {
-      add(c, alike->channel);
-      ++alike->count;
-    }
-  }
-  return all;
 }
 
 Observation observe(Window& window) {

@@ -104,15 +104,6 @@ struct Fill {
   std::uint64_t total = 0;
 };
 
-/// What people read as one row: a queue, or all queues of a topic that are alike and whose
-/// publishers have gone. Such queues look the same to people. The row adds up their lengths, and
-/// the lags of their readers.
-struct Row {
-  Channel channel;
-  std::size_t count = 1;  ///< of queues
-};
-std::vector<Row> rows(const std::vector<Channel>& channels);
-
 struct Observation {
   std::uint64_t instance = 0;
   bool persists = false;  ///< its files stay when the last process leaves
@@ -131,8 +122,6 @@ struct Observation {
   const Topic* topic(std::uint32_t index) const;
   /// "3 camera", for people.
   std::string who(std::uint32_t index) const;
-  /// The same for the publisher of a row; "(2 gone)" for two.
-  std::string publisher(const Row& row) const;
 };
 
 /// Observes a segment. Throws nothing but bad_alloc, whatever the bytes of the segment are.

@@ -6,6 +6,7 @@
 #include "liveness/lock_file.hpp"
 #include "refcount/ownership.hpp"
 #include "robust_mutex/lock_word.hpp"
+#include "tool/rows.hpp"
 #include "tool/text.hpp"
 
 namespace lot::tool {
@@ -115,9 +116,15 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
              : ", as its owner or root: it belongs to " + segment::owner_and_mode(sight.path)));
     return;
   }
-  for (const auto& p : seen.processes) {
+  for (const auto& group : groups(seen.processes, false)) {
+    const Process& p = group.front();
     if (p.alive) continue;
     report.ends(kWrong);
+    if (group.size() > 1) {
+      report.hint(std::to_string(group.size()) + " processes (" + printable(common_name(group)) +
+                  ") in " + name + " are dead: run " + command("clean", sight.path));
+      continue;
+    }
     report.hint("process " + std::to_string(p.index) + " (" + printable(p.name) + ") in " + name +
                 " is dead: run " + command("clean", sight.path));
   }

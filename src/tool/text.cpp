@@ -16,17 +16,34 @@ std::string with(const char* format, double value, const char* unit) {
 
 }  // namespace
 
-std::string Table::text(const std::string& indent) const {
+std::vector<std::size_t> Table::widths(std::size_t indent) const {
+  static constexpr std::size_t kLeast = 8;
   std::vector<std::size_t> width;
   for (const auto& row : rows_) {
+    if (row.size() == 1) continue;  // a line of its own
     width.resize(std::max(width.size(), row.size()));
     for (std::size_t i = 0; i < row.size(); ++i) width[i] = std::max(width[i], row[i].size());
   }
+  std::size_t all = indent;
+  for (const std::size_t w : width) all += w + (w != 0 ? 2 : 0);
+  for (; all > kWidth + 2; --all) {
+    const auto widest = std::max_element(elastic_.begin(), elastic_.end(),
+                                         [&](auto a, auto b) { return width[a] < width[b]; });
+    if (widest == elastic_.end() || width[*widest] <= kLeast) break;
+    --width[*widest];
+  }
+  return width;
+}
+
+std::string Table::text(const std::string& indent) const {
+  const auto width = widths(indent.size());
   std::string out;
   for (const auto& row : rows_) {
     std::string line = indent;
     for (std::size_t i = 0; i < row.size(); ++i) {
-      line += row[i] + std::string(width[i] - row[i].size() + 2, ' ');
+      const std::string cell = row.size() == 1 ? row[i] : printable(row[i], width[i]);
+      line += cell +
+              std::string(row.size() == 1 || width[i] == 0 ? 0 : width[i] - cell.size() + 2, ' ');
     }
     line.erase(line.find_last_not_of(' ') + 1);
     out += line + "\n";

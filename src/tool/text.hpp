@@ -8,16 +8,26 @@
 /// What people read: aligned columns and human units.
 namespace lot::tool {
 
-/// Columns as wide as their widest cell. Cells of the last columns may be left out.
+/// Columns as wide as their widest cell, and a table that fits a screen. Cells of the last columns
+/// may be left out.
 class Table {
  public:
-  explicit Table(std::vector<std::string> head) : rows_{std::move(head)} {}
+  /// `elastic`: columns whose cells are cut where the table would be wider than kWidth.
+  explicit Table(std::vector<std::string> head, std::vector<std::size_t> elastic)
+      : rows_{std::move(head)}, elastic_(std::move(elastic)) {}
+  static constexpr std::size_t kWidth = 100;
+
   void add(std::vector<std::string> row) { rows_.push_back(std::move(row)); }
+  /// A line of its own, above the rows that follow.
+  void add_line(std::string text) { rows_.push_back({std::move(text)}); }
   bool empty() const { return rows_.size() == 1; }
   std::string text(const std::string& indent = "  ") const;
 
  private:
+  std::vector<std::size_t> widths(std::size_t indent) const;
+
   std::vector<std::vector<std::string>> rows_;
+  std::vector<std::size_t> elastic_;
 };
 
 /// "312 MiB"

@@ -3,6 +3,7 @@
 #include <set>
 
 #include "tool/report.hpp"
+#include "tool/rows.hpp"
 #include "tool/text.hpp"
 
 namespace lot::tool {
@@ -36,7 +37,7 @@ std::string topic_text(const Observation& seen, const Message& m) {
 Json or_null(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
 
 void list_messages(const Observation& seen, bool all, Report& report, Json& entry) {
-  Table table({"TOPIC", "MESSAGE", "SIZE", "MADE BY", "HOLDER", "HOW", "SINCE"});
+  Table table({"TOPIC", "MESSAGE", "SIZE", "MADE BY", "HOLDER", "HOW", "SINCE"}, {0, 3, 4});
   entry["messages"] = Json::array();
   for (const auto& m : seen.messages) {
     Json holders = Json::array();
@@ -67,8 +68,8 @@ void list_messages(const Observation& seen, bool all, Report& report, Json& entr
   report.print(table.empty() ? "  nobody keeps or borrows a message\n" : table.text());
 }
 
-void list_readers(const Observation& seen, Report& report, Json& entry) {
-  Table table({"BEHIND", "TOPIC", "PUBLISHER", "LAG", "LOST"});
+void list_readers(const Observation& seen, bool each, Report& report, Json& entry) {
+  Table table({"BEHIND", "TOPIC", "PUBLISHER", "LAG", "LOST"}, {0, 1, 2});
   entry["behind"] = Json::array();
   const auto name_of = [&](const Channel& c) {
     const Topic* topic = seen.topic(c.topic);
@@ -88,12 +89,12 @@ void list_readers(const Observation& seen, Report& report, Json& entry) {
                                  {"holds_back", r.holds_back}});
     }
   }
-  for (const auto& row : rows(seen.channels)) {
-    const Channel& c = row.channel;
+  for (const auto& row : rows(seen.channels, each)) {
+    const Channel& c = row.sum;
     for (const auto& r : c.readers) {
       if (r.lag == 0 && !r.joining) continue;
       table.add({printable(seen.who(r.process), 24), printable(name_of(c), 40),
-                 printable(seen.publisher(row), 24),
+                 publisher_text(seen, row),
                  r.joining ? "joining" : std::to_string(r.lag) + " of " + std::to_string(c.depth),
                  r.lost != 0 ? count_text(r.lost) : ""});
     }
@@ -148,7 +149,7 @@ Exit who(const Settings& settings, bool all) {
             {{"index", p.index}, {"name", p.name}, {"pid", p.pid}, {"alive", p.alive}});
       }
       list_messages(seen, all, report, entry);
-      list_readers(seen, report, entry);
+      list_readers(seen, all, report, entry);
       list_waiting(seen, report, entry);
       judge(found[i], seen, report, entry);
     }
