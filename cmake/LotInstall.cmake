@@ -7,8 +7,10 @@ include(CMakePackageConfigHelpers)
 set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
 
 install(TARGETS lot EXPORT lotTargets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
-if(TARGET lot_cli)
+if(TARGET lot_cli)  # the command, and the schema of its documents
   install(TARGETS lot_cli DESTINATION ${CMAKE_INSTALL_BINDIR})
+  install(FILES ${PROJECT_SOURCE_DIR}/src/tool/lot.schema.json
+    DESTINATION ${CMAKE_INSTALL_DATADIR}/lot)
 endif()
 if(TARGET lot_ros)
   install(TARGETS lot_ros EXPORT lotRosTargets LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})

@@ -38,6 +38,7 @@ class Cleaner {
         dry_(options.dry_run),
         with_items_(options.with_items),
         report_(report) {
+    report_.document()["command"] = "clean";
     for (const char* list : {"removed", "reaped", "given_back", "left_alone", "in_use"}) {
       report_.document()[list] = Json::array();
     }

@@ -273,6 +273,7 @@ void list(const Sight& sight, const Rates& rates, bool each, Report& report) {
 
 Exit ls(const Settings& settings, std::chrono::milliseconds interval, bool each) {
   Report report(settings);
+  report.document()["command"] = "ls";
   report.document()["segments"] = Json::array();
   const auto found = sights(settings.where);
   if (found.empty()) nothing_found(settings, report);

@@ -134,6 +134,7 @@ void list_waiting(const Observation& seen, Report& report, Json& entry) {
 
 Exit who(const Settings& settings, bool all) {
   Report report(settings);
+  report.document()["command"] = "who";
   report.document()["segments"] = Json::array();
   const auto found = sights(settings.where);
   if (found.empty()) nothing_found(settings, report);

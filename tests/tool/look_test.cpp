@@ -18,6 +18,7 @@
 #include "actor.hpp"
 #include "command.hpp"
 #include "liveness/lock_file.hpp"
+#include "scene.hpp"
 #include "support/error_of.hpp"
 #include "support/janitor.hpp"
 #include "support/lock_owner.hpp"
@@ -51,32 +52,6 @@ std::set<std::string> keys_of(const Json& document) {
   return keys;
 }
 
-/// Two processes with all that there is to see: queues of both kinds, messages that are kept,
-/// borrowed, loaned, and a publisher without room.
-struct Scene {
-  Scene() : publisher(options, "publisher"), reader(options, "reader") {
-    for (const char* topic : {kLetters, kParcels}) {
-      publisher.act(topic, "advertise", topic == kLetters ? 1 : 2);
-      reader.act(topic, "subscribe");
-      for (int n = 0; n < 6; ++n) {
-        publisher.act(topic, "loan");
-        publisher.act(topic, "push");
-        if (n == 0) reader.act(topic, "pull");
-        if (n == 1) reader.act(topic, "borrow");
-      }
-    }
-  }
-  void stop_all() const {
-    stop(publisher.child());
-    stop(reader.child());
-  }
-
-  Room room;
-  lot::EngineOptions options = room.options();
-  Actor publisher;
-  Actor reader;
-};
-
 }  // namespace
 
 TEST_SUITE_BEGIN("look");
@@ -86,6 +61,7 @@ TEST_CASE("lot ls as a document has these keys") {
   const Scene scene;
   const Json document = run_lot(on(scene.options, {"ls", "--json"})).json();
   CHECK(keys_of(document) == std::set<std::string>{
+                                 ".command",
                                  ".exit",
                                  ".hints[]",
                                  ".segments[].blocks.total",
@@ -262,6 +238,7 @@ TEST_CASE("lot who as a document has these keys") {
   const Scene scene;
   const Json document = run_lot(on(scene.options, {"who", "--json"})).json();
   CHECK(keys_of(document) == std::set<std::string>{
+                                 ".command",
                                  ".exit",
                                  ".hints[]",
                                  ".segments[].behind[].channel",
@@ -309,8 +286,8 @@ TEST_CASE("lot clean as a document has these keys") {
     actor.kill9();
   }
   const Json document = run_lot(on(room.options(), {"clean", "--json"})).json();
-  CHECK(keys_of(document) == std::set<std::string>{".dry_run", ".exit", ".given_back", ".hints",
-                                                   ".in_use", ".left_alone", ".reaped",
+  CHECK(keys_of(document) == std::set<std::string>{".command", ".dry_run", ".exit", ".given_back",
+                                                   ".hints", ".in_use", ".left_alone", ".reaped",
                                                    ".removed[].bytes", ".removed[].files[]",
                                                    ".removed[].path", ".removed[].why"});
 }

@@ -243,9 +243,7 @@ TEST_CASE("a subscriber that loses messages or holds its publisher back is not a
   CHECK(groups.at(2).at(0).process == 4);
 }
 
-TEST_CASE(
-    "processes of one name, but for the number at its end, share a row; the dead do not join "
-    "them") {
+TEST_CASE("processes whose names differ in a number share a row; the dead have another") {
   std::vector<tool::Process> processes;
   for (std::uint32_t n = 1; n <= 5; ++n) {
     processes.push_back({n, "camera_" + std::to_string(n), 100, 0, true, 0});

@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// The documents that `lot` writes, judged by its JSON Schema, through a validator that is not ours.
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <string>
+#include <unistd.h>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "scene.hpp"
+#include "support/janitor.hpp"
+#include "support/users.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+[[maybe_unused]] const bool has_janitor = start_janitor();
+
+/// Keeps documents, and has them judged.
+class Documents {
+ public:
+  const Json& add(const std::vector<std::string>& words) {
+    const Ran ran = run_lot(words);
+    CHECK(ran.exit != 2);
+    return all_.emplace_back(ran.json());
+  }
+
+  /// How many complaints there are: 0 is well, else python says them.
+  int judge(const std::string& option = "") const {
+    const std::string path = room_.path() + "/documents";
+    {
+      std::ofstream file(path);
+      for (const auto& document : all_) file << document.dump() << '\n';
+    }
+    const int status =
+        std::system((LOT_PYTHON " " LOT_JUDGE " " LOT_SCHEMA " " + option + " < " + path).c_str());
+    std::filesystem::remove(path);
+    return status;
+  }
+
+ private:
+  Room room_;
+  std::vector<Json> all_;
+};
+
+void make_other_version(const lot::EngineOptions& options) {
+  Actor(options, "actor").kill9();
+  const int file = open((options.directory + "/" + options.segment).c_str(), O_RDWR | O_CLOEXEC);
+  const std::uint32_t other = 999;
+  REQUIRE(pwrite(file, &other, sizeof(other), 8) == sizeof(other));
+  close(file);
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("schema");
+
+TEST_CASE("the documents of lot ls and lot who with all that there is to see fit the schema") {
+  const Watchdog watchdog(120);
+  const Scene scene;
+  Documents documents;
+  const Json ls = documents.add(on(scene.options, {"ls", "--json", "--interval", "1"}));
+  CHECK(!ls.at("segments").at(0).at("topics").at(0).at("publishers").empty());
+  documents.add(on(scene.options, {"who", "--json"}));
+  const Json who = documents.add(on(scene.options, {"who", "--json", "--all"}));
+  for (const char* list : {"messages", "behind", "waiting"}) {
+    CHECK(!who.at("segments").at(0).at(list).empty());
+  }
+  CHECK(documents.judge() == 0);
+  CHECK(documents.judge("--self-test") == 0);
+}
+
+TEST_CASE("the documents of what lot can not look into, and of nothing, fit the schema") {
+  const Watchdog watchdog(120);
+  const Room room;
+  Documents documents;
+  for (const char* verb : {"ls", "who"}) {
+    documents.add({verb, "--json", "--dir", room.path()});
+    documents.add(on(room.options(), {verb, "--json"}));
+  }
+  make_other_version(room.options("other"));
+  if (can_be_another_user()) {
+    { const lot::ShmEngine engine(room.options("untrusted")); }
+    Actor(room.options("untrusted"), "actor").kill9();
+    REQUIRE(chown((room.path() + "/untrusted").c_str(), 65532, 65532) == 0);
+  }
+  for (const char* verb : {"ls", "who"}) {
+    const Json seen = documents.add({verb, "--json", "--dir", room.path()});
+    CHECK(seen.at("segments").at(0).at("condition") == "damaged");
+    CHECK(seen.at("exit") == 3);
+  }
+  CHECK(documents.judge() == 0);
+}
+
+TEST_CASE("the documents of lot clean fit the schema, whatever it did") {
+  const Watchdog watchdog(120);
+  const Room room;
+  Documents documents;
+  documents.add({"clean", "--json", "--dir", room.path()});
+  std::ofstream(room.path() + "/doubtful.lock");
+  std::filesystem::permissions(room.path() + "/doubtful.lock", std::filesystem::perms(0600));
+  Actor(room.options("gone"), "actor").kill9();
+  {
+    auto options = room.options("items");
+    options.persist = true;
+    lot::ShmEngine engine(options);
+    CHECK(engine.queue<std::uint64_t>("jobs").put(1) == lot::Status::Ok);
+  }
+  Actor publisher(room.options("alive"), "publisher");
+  Actor victim(room.options("alive"), "victim");
+  {
+    struct Frame {
+      lot::ShmVector<char> data;
+    };
+    lot::ShmEngine engine(room.options("alive"));
+    auto pusher = engine.advertise<Frame>("/frames", {lot::Policy::Overwrite, 2, {}});
+    pusher.loan()->data.resize(4 << 20);
+  }
+  stop(publisher.child());  // so that no process reaps the dead one
+  victim.kill9();
+  for (const char* option : {"--dry-run", "--json", "--with-items"}) {
+    const Json did = documents.add({"clean", "--json", option, "--dir", room.path()});
+    CHECK(!did.at("left_alone").empty());
+    if (std::string(option) == "--json") {
+      for (const char* list : {"removed", "reaped", "given_back", "in_use"}) {
+        CAPTURE(list);
+        CHECK(!did.at(list).empty());
+      }
+    }
+  }
+  publisher.child().send(SIGCONT);
+  CHECK(documents.judge() == 0);
+}
+
+TEST_SUITE_END();
