@@ -22,7 +22,7 @@ WORDS = (
     'history', 'latched', 'missed()', 'loan', 'reserve', 'max_bytes', 'max_held_bytes', 'OutOfMemory',
     'HoldsTooMuch', 'PublisherGone', 'on_error', 'fd()', 'finish()', 'redeliver', 'persist',
     'permissions', 'LOT_GROUP', 'LOT_USER', 'fork', 'end_cleanly_on_signals',
-    'lot ls', 'lot who', 'lot clean')
+    'lot ls', 'lot who', 'lot clean', 'lot doctor')
 CASE = re.compile(r'TEST_CASE(?:_FIXTURE|_TEMPLATE)?\(.*')
 NAME = re.compile(r'"((?:[^"\\]|\\.)*)"')
 VAGUE = re.compile(r'\b(?:(?:any|every|no|some)body|who(?:m|so)?ever)\b|^who\b', re.I)

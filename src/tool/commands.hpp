@@ -25,4 +25,7 @@ struct CleanOptions {
 /// Reaps the dead and removes segments in which no process lives.
 Exit clean(const Settings& settings, const CleanOptions& options);
 
+/// Looks at the machine, and says what to change. It reads only.
+Exit doctor(const Settings& settings);
+
 }  // namespace lot::tool

@@ -20,7 +20,7 @@ constexpr const char* kFooter =
     "  2  wrong usage\n"
     "  3  a segment is damaged, or of another version\n"
     "\n"
-    "`ls` and `who` only read. docs/tool.md says what the words mean.";
+    "`ls`, `who` and `doctor` only read. docs/tool.md says what the words mean.";
 
 int run(int argc, char** argv) {
   using namespace lot::tool;
@@ -60,11 +60,15 @@ int run(int argc, char** argv) {
   cleaner->add_flag("--with-items", cleaning.with_items,
                     "also removes segments in whose queues items wait to be taken");
 
+  auto* const examiner = app.add_subcommand(
+      "doctor", "Looks at the machine: what keeps LOT from working well, and what to type");
+
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? kWell : kUsage;
   }
+  if (*examiner) return doctor(settings);
   settings.where.trust = lot::transport::trust_of_environment();
   if (*list) return ls(settings, std::chrono::milliseconds(interval_ms), all);
   if (*holders) return who(settings, all);

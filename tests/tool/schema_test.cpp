@@ -98,6 +98,17 @@ TEST_CASE("the documents of what lot can not look into, and of nothing, fit the 
   CHECK(documents.judge() == 0);
 }
 
+TEST_CASE("the document of lot doctor fits the schema") {
+  const Watchdog watchdog(120);
+  const Room room;
+  Documents documents;
+  const Actor actor(room.options("s"), "actor");
+  documents.add({"doctor", "--json", "--dir", room.path()});
+  documents.add({"doctor", "--json", "--dir", room.path() + "/none"});
+  CHECK(documents.judge() == 0);
+  CHECK(documents.judge("--self-test") == 0);
+}
+
 TEST_CASE("the documents of lot clean fit the schema, whatever it did") {
   const Watchdog watchdog(120);
   const Room room;
