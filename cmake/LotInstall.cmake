@@ -7,10 +7,18 @@ include(CMakePackageConfigHelpers)
 set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
 
 install(TARGETS lot EXPORT lotTargets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
-if(TARGET lot_cli)  # the command, and the schema of its documents
+if(TARGET lot_cli)  # the command, the schema of its documents, its pages, what shells offer
   install(TARGETS lot_cli DESTINATION ${CMAKE_INSTALL_BINDIR})
   install(FILES ${PROJECT_SOURCE_DIR}/src/tool/lot.schema.json
     DESTINATION ${CMAKE_INSTALL_DATADIR}/lot)
+  install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/man/ DESTINATION ${CMAKE_INSTALL_MANDIR}/man1)
+  set(lot_completions ${PROJECT_SOURCE_DIR}/src/tool/completions)
+  install(FILES ${lot_completions}/lot.bash RENAME lot
+    DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions)
+  install(FILES ${lot_completions}/lot.zsh RENAME _lot
+    DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/site-functions)
+  install(FILES ${lot_completions}/lot.fish
+    DESTINATION ${CMAKE_INSTALL_DATADIR}/fish/vendor_completions.d)
 endif()
 if(TARGET lot_ros)
   install(TARGETS lot_ros EXPORT lotRosTargets LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})

@@ -20,59 +20,87 @@ constexpr const char* kFooter =
     "  2  wrong usage\n"
     "  3  a segment is damaged, or of another version\n"
     "\n"
-    "`ls`, `who` and `doctor` only read. docs/tool.md says what the words mean.";
+    "`ls`, `who` and `doctor` only read. lot-ls(1) and lot-who(1) say what the words mean.";
+
+using namespace lot::tool;
+
+struct Arguments {
+  Settings settings;
+  bool all = false;
+  unsigned interval_ms = 1000;
+  CleanOptions cleaning;
+};
+
+/// The options of all verbs, also before the verb.
+void add_common(CLI::App& app, Settings& settings) {
+  app.set_help_flag("-h,--help", "says what there is, and ends");
+  app.add_option("-s,--segment", settings.where.name, "only this segment (LOT_SEGMENT)")
+      ->type_name("NAME");
+  app.add_option("-d,--dir", settings.where.directory, "where segments lie (LOT_DIR)")
+      ->type_name("DIR")
+      ->capture_default_str();
+  app.add_flag("--json", settings.json, "writes a document for programs");
+}
+
+CLI::App* add_verb(CLI::App& app, const char* name, const char* does, Arguments& arguments) {
+  CLI::App* const verb = app.add_subcommand(name, does);
+  add_common(*verb, arguments.settings);
+  return verb;
+}
+
+void add_verbs(CLI::App& app, Arguments& arguments) {
+  auto* const ls = add_verb(
+      app, "ls", "Segments, processes, topics, publishers and subscribers, memory", arguments);
+  ls->add_flag("--all", arguments.all,
+               "each publisher, subscriber and process, also where many are alike");
+  ls->add_option("--interval", arguments.interval_ms, "how long rates are measured at most")
+      ->check(CLI::Range(1, 600000))
+      ->type_name("MILLISECONDS")
+      ->capture_default_str();
+  auto* const who =
+      add_verb(app, "who", "Who holds which message since when, and who is behind", arguments);
+  who->add_flag("--all", arguments.all,
+                "queued, loaned and spare messages too, and each publisher by itself");
+  auto* const clean =
+      add_verb(app, "clean",
+               "Reaps the dead, removes what nobody lives in, gives unused memory back", arguments);
+  clean->add_flag("--dry-run", arguments.cleaning.dry_run, "only says what would be done");
+  clean->add_flag("--with-items", arguments.cleaning.with_items,
+                  "also removes segments in whose queues items wait to be taken");
+  add_verb(app, "doctor", "Looks at the machine: what keeps LOT from working well, what to type",
+           arguments);
+}
 
 int run(int argc, char** argv) {
-  using namespace lot::tool;
   CLI::App app{"Looks at LOT segments, and cleans up what the dead have left", "lot"};
-  Settings settings;
+  Arguments arguments;
+  Settings& settings = arguments.settings;
   // Not by CLI11's envname(): that one reads the environment of a set-user-ID program, too.
   using lot::transport::environment;
   if (const char* name = environment("LOT_SEGMENT")) settings.where.name = name;
   const char* const directory = environment("LOT_DIR");
   settings.where.directory = directory != nullptr ? directory : lot::EngineOptions().directory;
-  app.set_version_flag("--version", std::string("lot " LOT_VERSION ", layout ") +
-                                        std::to_string(lot::segment::kLayoutVersion));
+  app.set_version_flag(
+      "--version",
+      std::string("lot " LOT_VERSION ", layout ") + std::to_string(lot::segment::kLayoutVersion),
+      "says which version this is, and ends");
   app.footer(kFooter);
   app.require_subcommand(1);
-  app.fallthrough();
-  app.add_option("-s,--segment", settings.where.name, "only this segment (LOT_SEGMENT)");
-  app.add_option("-d,--dir", settings.where.directory, "where segments lie (LOT_DIR)")
-      ->capture_default_str();
-  app.add_flag("--json", settings.json, "for programs");
-
-  auto* const list =
-      app.add_subcommand("ls", "Segments, processes, topics, publishers and subscribers, memory");
-  bool all = false;
-  list->add_flag("--all", all, "each publisher, subscriber and process, also where many are alike");
-  unsigned interval_ms = 1000;
-  list->add_option("--interval", interval_ms, "milliseconds for which rates are measured at most")
-      ->check(CLI::Range(1, 600000))
-      ->capture_default_str();
-  auto* const holders =
-      app.add_subcommand("who", "Who holds which message since when, and who is behind");
-  holders->add_flag("--all", all,
-                    "queued messages too, and those that are loaned or spare; each publisher");
-  auto* const cleaner = app.add_subcommand(
-      "clean", "Reaps the dead, removes what nobody lives in, gives unused memory back");
-  CleanOptions cleaning;
-  cleaner->add_flag("--dry-run", cleaning.dry_run, "only says what would be done");
-  cleaner->add_flag("--with-items", cleaning.with_items,
-                    "also removes segments in whose queues items wait to be taken");
-
-  auto* const examiner = app.add_subcommand(
-      "doctor", "Looks at the machine: what keeps LOT from working well, and what to type");
-
+  add_common(app, settings);
+  add_verbs(app, arguments);
+  app.set_help_all_flag("--help-all", "the same for all verbs");
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? kWell : kUsage;
   }
-  if (*examiner) return doctor(settings);
+  if (app.got_subcommand("doctor")) return doctor(settings);
   settings.where.trust = lot::transport::trust_of_environment();
-  if (*list) return ls(settings, std::chrono::milliseconds(interval_ms), all);
-  if (*holders) return who(settings, all);
-  return clean(settings, cleaning);
+  if (app.got_subcommand("ls")) {
+    return ls(settings, std::chrono::milliseconds(arguments.interval_ms), arguments.all);
+  }
+  if (app.got_subcommand("who")) return who(settings, arguments.all);
+  return clean(settings, arguments.cleaning);
 }
 
 }  // namespace
