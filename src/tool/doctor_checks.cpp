@@ -214,12 +214,17 @@ Finding open_files(const Machine& m) {
 }
 
 Finding threads(const Machine& m) {
+  const std::string means = "Each process of LOT has two more than its own: joining may be EAGAIN.";
+  if (m.group_threads < kFewThreads) {
+    return {"threads", Verdict::Warning,
+            "the control group may begin " + std::to_string(m.group_threads) + " more threads",
+            means, "raise its limit (`docker run --pids-limit`, TasksMax=)"};
+  }
   const std::string seen = "a user may have " +
                            (m.threads == kUnlimited ? "any number of" : std::to_string(m.threads)) +
                            " threads";
   if (m.threads < kFewThreads && !m.is_root) {
-    return {"threads", Verdict::Warning, seen,
-            "Each process of LOT has two more than its own: joining may be EAGAIN.",
+    return {"threads", Verdict::Warning, seen, means,
             "`ulimit -u 4096`, or raise nproc in /etc/security/limits.conf"};
   }
   return ok("threads", seen);

@@ -185,6 +185,32 @@ bool is_in_pid_namespace(const std::string& root, const std::string& status) {
   return text_of(root + "/proc/2/comm") != "kthreadd\n";
 }
 
+/// How many threads the control group, and those above it, may still begin: the hierarchy that
+/// version 2 has, or that of `pids` in version 1.
+std::uint64_t threads_left(const std::string& root) {
+  std::uint64_t least = kUnlimited;
+  std::istringstream lines(text_of(root + "/proc/self/cgroup"));  // NUMBER:CONTROLLERS:GROUP
+  for (std::string line; std::getline(lines, line);) {
+    const auto first = line.find(':');
+    const auto second = line.find(':', first + 1);
+    if (second == line.npos) continue;
+    const std::string controllers = line.substr(first + 1, second - first - 1);
+    if (!controllers.empty() && controllers != "pids") continue;
+    const std::string mount = root + "/sys/fs/cgroup" + (controllers.empty() ? "" : "/pids");
+    std::string group = line.substr(second + 1);
+    for (;; group.erase(group.rfind('/'))) {
+      std::uint64_t most = 0;
+      std::uint64_t now = 0;
+      if (std::istringstream(text_of(mount + group + "/pids.max")) >> most &&
+          std::istringstream(text_of(mount + group + "/pids.current")) >> now) {
+        least = std::min(least, most > now ? most - now : 0);
+      }
+      if (group.find('/') == group.npos) break;
+    }
+  }
+  return least;
+}
+
 void ask_for_limits(const std::string& root, Machine& m) {
   m.file_bytes = segment::file_limit();
   m.locked_bytes = limit_of(RLIMIT_MEMLOCK);
@@ -192,6 +218,7 @@ void ask_for_limits(const std::string& root, Machine& m) {
   m.open_files = limit_of(RLIMIT_NOFILE);
   m.threads = limit_of(RLIMIT_NPROC);
   m.real_time_priority = limit_of(RLIMIT_RTPRIO);
+  m.group_threads = threads_left(root);
   m.group_bytes = segment::memory_limit(root + "/proc/self/cgroup", root + "/sys/fs/cgroup");
   if (m.group_bytes > kNoLimit) m.group_bytes = kUnlimited;
   const std::string status = text_of(root + "/proc/self/status");
@@ -272,6 +299,11 @@ void look_at_segments(const Settings& settings, const std::string& root, Machine
     m.segments.back().is_wanted = sight.name == m.segment;
   }
   m.obstacles = find_places(settings.where).obstacles;
+  const std::string path = path_of(settings.where, m.segment);
+  const std::string lock = path + ".lock";
+  if (!exists(path) && exists(lock) && !settings.where.trust.owns(lock)) {
+    m.obstacles.push_back({lock, "it belongs to " + segment::owner_and_mode(lock)});
+  }
 }
 
 }  // namespace

@@ -67,6 +67,7 @@ struct Machine {
   std::uint64_t address_bytes = segment::kUnlimited;
   std::uint64_t open_files = segment::kUnlimited;
   std::uint64_t threads = segment::kUnlimited;
+  std::uint64_t group_threads = segment::kUnlimited;  ///< that the control group may still begin
   std::uint64_t real_time_priority = 0;
   bool may_lock_memory = false;                     ///< CAP_IPC_LOCK
   bool may_be_real_time = false;                    ///< CAP_SYS_NICE

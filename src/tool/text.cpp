@@ -17,7 +17,7 @@ std::string with(const char* format, double value, const char* unit) {
 }  // namespace
 
 std::vector<std::size_t> Table::widths(std::size_t indent) const {
-  static constexpr std::size_t kLeast = 8;
+  static constexpr std::size_t kLeast = 9;
   std::vector<std::size_t> width;
   for (const auto& row : rows_) {
     if (row.size() == 1) continue;  // a line of its own

@@ -238,7 +238,7 @@ TEST_CASE("the command ends with 0, 1 or 3 and a whole document, whatever the se
   for (unsigned n = 0; n < 100; ++n) {
     CAPTURE(n);
     write_to(room.path() + "/s", damager.damaged());
-    for (const char* command : {"ls", "who", "clean"}) {
+    for (const char* command : {"ls", "who", "doctor", "clean"}) {
       CAPTURE(command);
       std::vector<std::string> words = {command, "--json", "--dir", room.path()};
       if (std::string(command) == "who") words.push_back("--all");

@@ -196,6 +196,7 @@ TEST_CASE("lot doctor finds limits of a process and of the machine that are too 
       {"address_space", Verdict::Problem, [](Machine& m) { m.address_bytes = 512 * kMiB; }},
       {"open_files", Verdict::Warning, [](Machine& m) { m.open_files = 10; }},
       {"threads", Verdict::Warning, [](Machine& m) { m.threads = 10; }},
+      {"threads", Verdict::Warning, [](Machine& m) { m.group_threads = 3; }},
       {"locked_memory", Verdict::Problem,
        [](Machine& m) {
          m.locks_memory = true;
@@ -377,7 +378,10 @@ TEST_CASE("what a machine says in /proc and /sys is read") {
   write(root + "/proc/self/mountinfo", "1 0 0:1 / / rw - tmpfs none rw\n");
   write(root + "/proc/self/cgroup", "0::/a\n");
   write(root + "/sys/fs/cgroup/a/memory.max", "4096\n");
+  write(root + "/sys/fs/cgroup/a/pids.max", "100\n");
+  write(root + "/sys/fs/cgroup/a/pids.current", "30\n");
   const Machine m = look();
+  CHECK(m.group_threads == 70);
   CHECK(m.has_proc);
   CHECK(m.available_bytes == 2 * kMiB);
   CHECK(m.is_strict);
@@ -393,6 +397,14 @@ TEST_CASE("what a machine says in /proc and /sys is read") {
   write(root + "/proc/self/status", "NSpid:\t7\t1\nCapEff:\t0\n");
   CHECK(look().in_pid_namespace);
   CHECK(!look().may_lock_memory);
+  write(root + "/proc/self/cgroup", "7:pids:/a/b\n3:cpu:/a\n");
+  CHECK(look().group_threads == lot::segment::kUnlimited);
+  for (const auto& [group, most] :
+       {std::pair("a/b", "90"), std::pair("a", "50"), std::pair("", "max")}) {
+    write(root + "/sys/fs/cgroup/pids/" + group + "/pids.max", most);
+    write(root + "/sys/fs/cgroup/pids/" + group + "/pids.current", "40");
+  }
+  CHECK(look().group_threads == 10);
 }
 
 TEST_CASE("lot doctor sees the segments of a directory, and changes nothing") {
@@ -443,6 +455,23 @@ TEST_CASE("lot doctor ends with 0 where all is well, and with 1 where it says wh
   const Ran none = run_lot({"doctor", "--json", "--dir", room.path() + "/none"});
   CHECK(none.exit == 1);
   CHECK(finding_of(none.json(), "directory").at("verdict") == "problem");
+}
+
+TEST_CASE("lot doctor names another user's lock file that is in the way" *
+          doctest::skip(!can_be_another_user())) {
+  const Watchdog watchdog(60);
+  const Room room;
+  const std::string lock = room.path() + "/LOTROS.lock";
+  const auto found = [&] {
+    return finding_of(run_lot({"doctor", "--json", "--dir", room.path()}).json(), "other_file");
+  };
+  CHECK(found().is_null());
+  std::ofstream{lock};
+  REQUIRE(chmod(lock.c_str(), 0600) == 0);
+  CHECK(found().is_null());
+  REQUIRE(chown(lock.c_str(), 65532, 65532) == 0);
+  CHECK(found().at("verdict") == "problem");
+  CHECK(found().at("seen").get<std::string>().find(lock + ": it belongs to uid 65532") == 0);
 }
 
 TEST_SUITE_END();

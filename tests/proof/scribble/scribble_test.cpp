@@ -157,7 +157,7 @@ constexpr Role kRoles[] = {
 
 [[noreturn]] void look_from_outside(const lot::EngineOptions& options) {
   for (;;) {
-    for (const char* command : {"ls", "who", "clean"}) {
+    for (const char* command : {"ls", "who", "doctor", "clean"}) {
       const Ran ran = run_lot({command, "--dir", options.directory, "--segment", options.segment});
       must(ran.exit < 128, (std::string("lot ") + command + ": " + ran.err).c_str());
     }
