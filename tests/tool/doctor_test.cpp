@@ -442,7 +442,8 @@ TEST_CASE("lot doctor ends with 0 where all is well, and with 1 where it says wh
   const auto doctor = [&] { return run_lot({"doctor", "--json", "--dir", room.path()}); };
   const Ran ran = doctor();
   bool is_well = true;
-  for (const auto& finding : ran.json().at("findings")) is_well &= finding.at("verdict") == "ok";
+  const Json document = ran.json();
+  for (const auto& finding : document.at("findings")) is_well &= finding.at("verdict") == "ok";
   CHECK(ran.exit == (is_well ? 0 : 1));
   {
     const Variable size("LOT_SIZE", "many");
