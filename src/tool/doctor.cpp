@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tool/doctor.hpp"
 
+#include <algorithm>
+
 #include "tool/report.hpp"
 #include "tool/text.hpp"
 
