@@ -51,6 +51,10 @@ CONTEXT = {
                        'void page() {', '}'),
     'auto tasks = ': (LOT + 'struct Task { int number; }; void work(const Task&);',
                       'void page(lot::ShmEngine& engine) {', '}'),
+    'auto server = ': (LOT + 'struct Goal { double x, y; }; struct Path { lot::ShmVector<double> points; };',
+                       'void page(lot::ShmEngine& engine) {', '}'),
+    'struct Goal {': (LOT + 'template <class T> void drive(const T&) {} void report(const char*);',
+                      'void page(lot::ShmEngine& engine) {', '}'),
     'lot::WaitSet set;': (LOT + 'struct Frame { int number; }; void show(const Frame&); void report();'
                           'struct Job { int number; }; void work(const Job&);',
                           'void page(lot::ShmPuller<Frame>& front, lot::ShmQueue<Job>& jobs, const lot::StopToken& stop) {', '}'),

@@ -37,8 +37,8 @@ struct ClientOptions {
 
 /// How a server waits, and what its thread is.
 struct ServerOptions {
-  Wait wait = Wait::Adaptive;  ///< how it passes the time until a request comes
-  ThreadOptions thread = named("lot-serve");
+  Wait wait = Wait::Adaptive;                 ///< how it passes the time until a request comes
+  ThreadOptions thread = named("lot-serve");  ///< how it is seen and scheduled
 
  private:
   static ThreadOptions named(const char* name) {

@@ -77,7 +77,7 @@ struct Fixture : BothEngines {
 
 TEST_SUITE_BEGIN("service");
 
-TEST_CASE_FIXTURE(Fixture, "a call gets the answer to its request, without a copy") {
+TEST_CASE_FIXTURE(Fixture, "a call() gets the answer to its request, without a copy") {
   each([&] {
     const Steps ready, go;
     Child child = serve(options, ready, go, add_up);

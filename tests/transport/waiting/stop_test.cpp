@@ -83,7 +83,7 @@ std::atomic<StopSource*> of_handler{nullptr};
 
 TEST_SUITE_BEGIN("stop");
 
-TEST_CASE("a token stops when its source is told to, for ever, and not before") {
+TEST_CASE("a StopToken stops when its source is told to, for ever, and not before") {
   const StopToken never;
   CHECK_FALSE(never.stop_possible());
   CHECK_FALSE(never.stop_requested());
