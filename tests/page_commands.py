@@ -98,7 +98,7 @@ class Tree:
 
     def of_program(self, folder, arguments):
         text = self.sources(folder)
-        verbs = re.findall(r'add_subcommand\(\s*"(\w+)"', text)
+        verbs = re.findall(r'add_(?:subcommand|verb)\(\s*(?:app, )?"(\w+)"', text)
         if verbs and arguments and re.fullmatch('[a-z]+', arguments[0]) and arguments[0] not in verbs:
             yield f'no such verb: {arguments[0]}'
         yield from self.options(arguments, text)
