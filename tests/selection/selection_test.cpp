@@ -67,7 +67,8 @@ struct Got {
 };
 std::optional<Got> pull(lot::detail::SelectingPuller& puller) {
   lot::detail::Borrowed borrowed;
-  if (puller.core().borrow(borrowed, lot::detail::Limit::now()) != lot::Status::Ok) return std::nullopt;
+  if (puller.core().borrow(borrowed, lot::detail::Limit::now()) != lot::Status::Ok)
+    return std::nullopt;
   const auto origin = puller.origin();
   const Got got{static_cast<const Letter*>(borrowed.root)->number, origin, puller.is_ours(origin)};
   puller.core().done();

@@ -430,7 +430,7 @@ inline look_for_room() {
 }
 
 inline wait_for_room(me) {
-  look_for_room(); /* @ src/transport/pusher.cpp push_unique: !writer_->room() && !wait_for_room(lock, queue_guard, block_for) */
+  look_for_room(); /* @ src/transport/pusher.cpp push_unique: !writer_->room() && !wait_for_room(lock, queue_guard, limit) */
   if
   :: !crowded -> goto room
   :: else
@@ -486,7 +486,7 @@ proctype publisher(byte mine) {
     do
     :: next < FIRST + MESSAGES ->
 #ifdef ROOM
-      wait_for_room(me); /* @ src/transport/pusher.cpp push_unique: wait_for_room(lock, queue_guard, block_for) */
+      wait_for_room(me); /* @ src/transport/pusher.cpp push_unique: wait_for_room(lock, queue_guard, limit) */
 #endif
       publish(mine) /* @ src/transport/pusher.cpp publish: writer_->publish(b) */
     :: else -> break
