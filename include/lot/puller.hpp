@@ -27,9 +27,6 @@ template <class T>
 class ShmBorrow {
  public:
   ShmBorrow() noexcept = default;
-  /// For ShmPuller.
-  ShmBorrow(detail::PullerCore* core, const detail::Borrowed& borrowed) noexcept
-      : core_(core), borrowed_(borrowed) {}
   ShmBorrow(ShmBorrow&& other) noexcept
       : core_(std::exchange(other.core_, nullptr)),
         borrowed_(std::exchange(other.borrowed_, detail::Borrowed())) {}
@@ -70,6 +67,9 @@ class ShmBorrow {
   }
 
  private:
+  template <class U>
+  friend class ShmPuller;
+
   detail::PullerCore* core_ = nullptr;
   detail::Borrowed borrowed_;
 };
@@ -171,14 +171,19 @@ class ShmPuller {
     status_ = core_->pull(kept, limit);
     count(kept);
     if (status_ != Status::Ok) return {};
-    return detail::PointerAccess::shared(static_cast<const T*>(kept.root), kept.control);
+    return detail::PointerAccess::shared(static_cast<const T*>(detail::alone(kept.root)),
+                                         detail::alone(kept.control));
   }
   ShmBorrow<T> look(detail::Limit limit) {
-    detail::Borrowed borrowed;
-    status_ = core_->borrow(borrowed, limit);
-    count(borrowed);
-    if (status_ != Status::Ok) return {};
-    return {core_.get(), borrowed};
+    ShmBorrow<T> borrow;  // filled where it stays: see detail::alone()
+    status_ = core_->borrow(borrow.borrowed_, limit);
+    count(borrow.borrowed_);
+    if (status_ == Status::Ok) {
+      borrow.core_ = core_.get();
+    } else {
+      borrow.borrowed_ = detail::Borrowed();
+    }
+    return borrow;
   }
   /// A look that found no message may have found that some were lost: those count at once in the
   /// total, and in missed() with the next message.

@@ -19,6 +19,7 @@ namespace detail {
 /// Builds a T in a loan; containers in it that are default-constructed meanwhile belong to it.
 template <class T, class... Args>
 ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
+  void* const root = alone(loan.root);
   struct Abandon {  // when the constructor of T throws
     ControlBlock* control;
     ~Abandon() {
@@ -26,26 +27,25 @@ ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
       control->type = nullptr;
       control->hub->abandoned(control);
     }
-  } abandon{loan.control};
+  } abandon{alone(loan.control)};
   T* object;
   if constexpr (sizeof...(Args) == 0 && std::is_trivially_default_constructible_v<T>) {
-    object = ::new (loan.root) T;  // no zeroing of pixels
+    object = ::new (root) T;  // no zeroing of pixels
   } else {
     const BuildScope scope(loan.arena);
     // As const: a move would take memory along that is not the message's.
     if constexpr (sizeof...(Args) == 0) {
-      object = ::new (loan.root) T;
+      object = ::new (root) T;
     } else if constexpr (std::is_constructible_v<T, const Args&...>) {
-      object = ::new (loan.root) T(static_cast<const Args&>(args)...);
+      object = ::new (root) T(static_cast<const Args&>(args)...);
     } else {
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wmissing-field-initializers"
-      object = ::new (loan.root) T{static_cast<const Args&>(args)...};
+      object = ::new (root) T{static_cast<const Args&>(args)...};
 #pragma GCC diagnostic pop
     }
   }
-  abandon.control = nullptr;
-  return PointerAccess::unique(object, loan.control);
+  return PointerAccess::unique(object, std::exchange(abandon.control, nullptr));
 }
 
 /// The control block of a message that is to be pushed. Throws lot::Error (EINVAL) for a pointer
