@@ -396,6 +396,7 @@ class Queue {
 
   void borrow(Subscriber& subscriber) {
     if (subscriber.borrowed != nullptr) {
+#ifdef __cpp_exceptions
       bool refused = false;
       try {
         (void)subscriber.puller.try_borrow();  // it throws
@@ -403,6 +404,7 @@ class Queue {
         refused = true;
       }
       require(refused, "a second borrow is refused");
+#endif
       return;
     }
     subscriber.borrow = look(subscriber, [&] { return subscriber.puller.try_borrow(); });

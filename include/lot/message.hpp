@@ -15,6 +15,7 @@
 #include "lot/detail/arena.hpp"
 #include "lot/detail/core.hpp"
 #include "lot/detail/offset_ptr.hpp"
+#include "lot/detail/raise.hpp"
 #include "lot/pointers.hpp"
 
 /// What messages are made of beside plain data: strings, vectors and references to other messages.
@@ -69,7 +70,7 @@ class ShmAllocator {
   /// Memory for n elements, not zeroed. Throws lot::OutOfMemory, lot::Error and std::bad_alloc as
   /// the class says.
   [[nodiscard]] pointer allocate(std::size_t n) {
-    if (n > std::numeric_limits<std::size_t>::max() / 2 / sizeof(T)) throw std::bad_alloc();
+    if (n > std::numeric_limits<std::size_t>::max() / 2 / sizeof(T)) detail::raise_too_large();
     if (detail::Arena* arena = arena_.get()) {
       return pointer(static_cast<T*>(arena->allocate(n * sizeof(T), alignof(T))));
     }
@@ -221,13 +222,10 @@ class ShmRef {
   void swap(ShmRef& other) {
     const ShmSharedPtr<U> mine = lock();
     const ShmSharedPtr<U> others = other.lock();
-    *this = others;
-    try {
-      other = mine;
-    } catch (...) {
-      *this = mine;
-      throw;
-    }
+    Hold here(*this, others.get(), detail::PointerAccess::control(others));
+    Hold there(other, mine.get(), detail::PointerAccess::control(mine));
+    here.refer();
+    there.refer();
   }
 
   /// The target where it lies in this process, or null. If another process has damaged the
@@ -261,23 +259,49 @@ class ShmRef {
     return control != nullptr ? control : private_control_;
   }
 
-  void assign(U* target, detail::ControlBlock* control) {
-    if (target == nullptr || control == nullptr) {
-      let_go();
-      return;
+  /// A hold on a target, for a reference that does not refer to it yet.
+  class Hold {
+   public:
+    /// Throws as an assignment of the reference.
+    Hold(ShmRef& ref, U* target, detail::ControlBlock* control) : ref_(ref) {
+      if (target == nullptr || control == nullptr) return;
+      if (detail::Arena* arena = ref.arena_.get()) {
+        block_ = detail::refer(*arena, control, target, sizeof(U));
+      } else {
+        control_ = detail::acquire_block(control);
+      }
+      target_ = target;
     }
-    // The new target first: it may be kept alive by the old one alone.
-    if (detail::Arena* arena = arena_.get()) {
-      const std::uint32_t block = detail::refer(*arena, control, target, sizeof(U));
-      let_go();
-      block_ = block;
-    } else {
-      control = detail::acquire_block(control);
-      let_go();
-      private_control_ = control;
+    ~Hold() { give_up(); }
+    Hold(const Hold&) = delete;
+    Hold& operator=(const Hold&) = delete;
+
+    /// The reference lets go of its target, and refers to this one.
+    void refer() noexcept {
+      ref_.let_go();
+      ref_.block_ = block_;
+      ref_.private_control_ = std::exchange(control_, nullptr);
+      ref_.target_ = std::exchange(target_, nullptr);
     }
-    target_ = target;
-  }
+
+   private:
+    void give_up() noexcept {
+      if (target_ == nullptr) return;
+      if (detail::Arena* arena = ref_.arena_.get()) {
+        detail::unrefer(*arena, block_);
+      } else {
+        control_->drop_pointer();
+      }
+    }
+
+    ShmRef& ref_;
+    U* target_ = nullptr;  ///< null: no hold
+    detail::ControlBlock* control_ = nullptr;
+    std::uint32_t block_ = 0;
+  };
+
+  /// The new target first: it may be kept alive by the old one alone.
+  void assign(U* target, detail::ControlBlock* control) { Hold(*this, target, control).refer(); }
 
   void let_go() noexcept {
     if (target_.get() == nullptr) return;

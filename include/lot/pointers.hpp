@@ -13,6 +13,7 @@
 #endif
 
 #include "lot/detail/control.hpp"
+#include "lot/detail/raise.hpp"
 
 namespace lot {
 
@@ -433,7 +434,7 @@ ShmSharedPtr<T>::ShmSharedPtr(ShmUniquePtr<U>&& unique) noexcept : object_(uniqu
 template <class T>
 template <class U, detail::EnableIfConvertible<U, T>>
 ShmSharedPtr<T>::ShmSharedPtr(const ShmWeakPtr<U>& weak) : ShmSharedPtr(weak.lock()) {
-  if (control_ == nullptr) throw std::bad_weak_ptr();
+  if (control_ == nullptr) detail::raise_expired();
 }
 
 /// The paper's helper: the same message, read only.
@@ -453,10 +454,17 @@ template <class T, class U>
 [[nodiscard]] ShmSharedPtr<T> const_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
   return {p, const_cast<T*>(p.get())};
 }
-/// A pointer to the same message, cast by dynamic_cast; null if the object is no T.
+/// A pointer to the same message, cast by dynamic_cast; null if the object is no T. It needs RTTI.
 template <class T, class U>
-[[nodiscard]] ShmSharedPtr<T> dynamic_pointer_cast(const ShmSharedPtr<U>& p) noexcept {
+[[nodiscard]] ShmSharedPtr<T> dynamic_pointer_cast(
+    [[maybe_unused]] const ShmSharedPtr<U>& p) noexcept {
+#ifdef __cpp_rtti
   if (T* object = dynamic_cast<T*>(p.get())) return {p, object};
+#else
+  static_assert(sizeof(ShmSharedPtr<U>) == 0,
+                "lot: dynamic_pointer_cast needs RTTI: compile without -fno-rtti, or use "
+                "lot::static_pointer_cast");
+#endif
   return {};
 }
 /// A pointer to the same message, cast by reinterpret_cast.

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <cerrno>
 #include <chrono>
 #include <cstddef>
+#include <exception>
 #include <memory>
 #include <optional>
 #include <string>
@@ -13,6 +13,7 @@
 
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
+#include "lot/detail/raise.hpp"
 #include "lot/duration.hpp"
 #include "lot/error.hpp"
 #include "lot/options.hpp"
@@ -123,13 +124,8 @@ struct QueueItem {
   static Result from(QueueCore& queue, const Borrowed& borrowed, How... how) {
     const auto& element = *static_cast<const T*>(borrowed.root);
     if constexpr (kMayComeBack) {
-      End end{queue, borrowed};
-      try {
-        return Result(how..., element);
-      } catch (...) {
-        end.copied = false;
-        throw;
-      }
+      const End end{queue, borrowed};
+      return Result(how..., element);
     } else {
       const LetGo let_go{borrowed.control};
       return Result(how..., element);
@@ -144,13 +140,13 @@ struct QueueItem {
   struct End {
     QueueCore& queue;
     const Borrowed& item;
-    bool copied = true;
+    const int exceptions = std::uncaught_exceptions();
     ~End() {
-      if (copied) {
+      if (std::uncaught_exceptions() > exceptions) {  // of the copy
+        queue.hand_back(item);
+      } else {
         item.control->drop_pointer();
         queue.copied();
-      } else {
-        queue.hand_back(item);
       }
     }
   };
@@ -212,9 +208,7 @@ template <class T>
 Delivery delivery_of(const QueueOptions& options) {
   if (!options.redeliver) return QueueItem<T>::kDelivery;
   if (QueueItem<T>::kDelivery == Delivery::ToAll) {
-    throw Error(EINVAL, message_type<typename QueueItem<T>::Element>().name,
-                "items that each reader gets cannot be redelivered",
-                "use ShmQueue<ShmUniquePtr<T>>, or ShmQueue<T>, whose items one worker gets");
+    raise_not_redelivered(message_type<typename QueueItem<T>::Element>().name);
   }
   return Delivery::ToWorker;
 }

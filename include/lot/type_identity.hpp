@@ -5,10 +5,10 @@
 #include <new>
 #include <string>
 #include <type_traits>
-#include <typeinfo>
 
 #include "lot/detail/control.hpp"
 #include "lot/detail/quiet_death.hpp"
+#include "lot/detail/type_name.hpp"
 
 namespace lot {
 
@@ -16,16 +16,14 @@ namespace lot {
 /// message a name of your own (say, one that all languages share) and a hash of its definition.
 template <class T>
 struct TypeIdentity {
-  /// The name of the type, which lives as long as the process. The default is the C++ name, and
-  /// throws std::bad_alloc at its first call.
+  /// The name of the type, which lives as long as the process. The default is the C++ name,
+  /// the same with RTTI and without, and throws std::bad_alloc at its first call.
   static const char* name();
   /// A hash of the definition; 0 by default. Throws nothing.
   static constexpr std::uint64_t hash() { return 0; }
 };
 
 namespace detail {
-
-std::string demangle(const char* name);
 
 template <class T>
 void destroy_message(void* message) noexcept {
@@ -52,7 +50,7 @@ template <class T>
 template <class T>
 const char* TypeIdentity<T>::name() {
   // Never destroyed: static objects may publish in their destructors.
-  static const auto* const name = new std::string(detail::demangle(typeid(T).name()));
+  static const auto* const name = new std::string(detail::NameOf<T>::text());
   return name->c_str();
 }
 

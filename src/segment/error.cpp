@@ -2,8 +2,13 @@
 #include "lot/error.hpp"
 
 #include <algorithm>
+#include <cerrno>
 #include <cstdio>
 #include <cstring>
+#include <memory>
+#include <new>
+
+#include "lot/detail/raise.hpp"
 
 namespace lot {
 namespace {
@@ -50,5 +55,16 @@ Error::Error(int error_number, std::string object, const std::string& reason,
 OutOfMemory::OutOfMemory(const char* what) noexcept : what_{} {
   std::snprintf(what_, sizeof(what_), "%s", what);
 }
+
+namespace detail {
+
+void raise_too_large() { throw std::bad_alloc(); }
+void raise_expired() { throw std::bad_weak_ptr(); }
+void raise_not_redelivered(const char* name) {
+  throw Error(EINVAL, name, "items that each reader gets cannot be redelivered",
+              "use ShmQueue<ShmUniquePtr<T>>, or ShmQueue<T>, whose items one worker gets");
+}
+
+}  // namespace detail
 
 }  // namespace lot

@@ -3,6 +3,7 @@
 #include <cerrno>
 #include <cstdlib>
 #include <memory>
+#include <string>
 
 #include <cxxabi.h>
 
@@ -18,6 +19,15 @@ std::string demangle(const char* name) {
   const std::unique_ptr<char, void (*)(void*)> text(
       abi::__cxa_demangle(name, nullptr, nullptr, &status), &std::free);
   return status == 0 ? text.get() : name;
+}
+
+std::string demangle_argument(const char* bearer) {
+  const std::string whole = demangle(bearer);  // lot::detail::NameOf<T>::bearer
+  const std::size_t begin = whole.find('<') + 1;
+  std::size_t end = whole.rfind(">::bearer");
+  if (end == std::string::npos) return whole;
+  if (whole[end - 1] == ' ') --end;  // "> >"
+  return whole.substr(begin, end - begin);
 }
 
 namespace {
