@@ -6,7 +6,9 @@ include(CMakePackageConfigHelpers)
 
 set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
 
-install(TARGETS lot EXPORT lotTargets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
+install(TARGETS lot EXPORT lotTargets
+  ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
+  LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
 if(TARGET lot_cli)  # the command, the schema of its documents, its pages, what shells offer
   install(TARGETS lot_cli DESTINATION ${CMAKE_INSTALL_BINDIR})
   install(FILES ${PROJECT_SOURCE_DIR}/src/tool/lot.schema.json
@@ -71,5 +73,11 @@ install(FILES
 set(lot_pc_dir ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
 file(RELATIVE_PATH lot_pc_prefix /p/${lot_pc_dir} /p)
 string(REGEX REPLACE "/$" "" lot_pc_prefix "${lot_pc_prefix}")
+set(lot_pc_libs "-pthread -lrt")  # what the library itself needs
+set(lot_pc_private_libs "")
+if(NOT LOT_FORM STREQUAL STATIC_LIBRARY)
+  set(lot_pc_private_libs "${lot_pc_libs}")
+  set(lot_pc_libs "")
+endif()
 configure_file(${CMAKE_CURRENT_LIST_DIR}/lot.pc.in ${PROJECT_BINARY_DIR}/lot.pc @ONLY)
 install(FILES ${PROJECT_BINARY_DIR}/lot.pc DESTINATION ${lot_pc_dir})

@@ -24,7 +24,7 @@ enum class Status {
 
 /// A failure from outside: the system said no, or a segment is not what it should be. what() names
 /// the object, the reason and what to do about it.
-class Error : public std::runtime_error {
+class [[gnu::visibility("default")]] Error : public std::runtime_error {
  public:
   /// `reason` and `advice` make what(). Throws std::bad_alloc.
   Error(int error_number, std::string object, const std::string& reason, const std::string& advice);
@@ -40,7 +40,7 @@ class Error : public std::runtime_error {
 };
 
 /// The segment has no room for a message. what() says how full it is and what to raise.
-class OutOfMemory : public std::bad_alloc {
+class [[gnu::visibility("default")]] OutOfMemory : public std::bad_alloc {
  public:
   /// Keeps a copy of the text, cut at 1023 bytes.
   explicit OutOfMemory(const char* what) noexcept;
