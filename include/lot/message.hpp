@@ -18,6 +18,13 @@
 #include "lot/detail/raise.hpp"
 #include "lot/pointers.hpp"
 
+#ifdef _LIBCPP_VERSION
+#ifndef BOOST_NO_CXX98_FUNCTION_BASE
+#define BOOST_NO_CXX98_FUNCTION_BASE  // Boost 1.74 does not know that libc++ has none
+#endif
+#include <boost/container/string.hpp>
+#endif
+
 /// What messages are made of beside plain data: strings, vectors and references to other messages.
 namespace lot {
 
@@ -142,8 +149,13 @@ class ShmAllocator {
 template <class T>
 struct is_shm_allocator<ShmAllocator<T>> : std::true_type {};
 
-/// A string in a message.
+/// A string in a message: std's, but Boost's where std is libc++. That one moves the bytes of a
+/// string, and a relative pointer would not survive it.
+#ifdef _LIBCPP_VERSION
+using ShmString = boost::container::basic_string<char, std::char_traits<char>, ShmAllocator<char>>;
+#else
 using ShmString = std::basic_string<char, std::char_traits<char>, ShmAllocator<char>>;
+#endif
 
 /// A vector in a message. resize() does not zero trivial elements.
 template <class T>
@@ -348,6 +360,6 @@ struct std::hash<lot::ShmRef<U>> {
 template <>
 struct std::hash<lot::ShmString> {
   std::size_t operator()(const lot::ShmString& text) const noexcept {
-    return std::hash<std::string_view>()(text);
+    return std::hash<std::string_view>()(std::string_view(text.data(), text.size()));
   }
 };

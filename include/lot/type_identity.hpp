@@ -30,18 +30,25 @@ void destroy_message(void* message) noexcept {
   static_cast<T*>(message)->~T();
 }
 
+/// Says whose containers a message has: those of libc++ lie in other bytes, which no size tells.
+#ifdef _LIBCPP_VERSION
+inline constexpr std::uint64_t kContainers = 0x6c69'6263'2b2b;  // "libc++"
+#else
+inline constexpr std::uint64_t kContainers = 0;
+#endif
+
 /// The one MessageType of T in this program, or shared object: hidden, so that no other one's
 /// destroy_message() is called, which may be of another version, or use another copy of the
 /// library.
 template <class T>
 [[gnu::visibility("hidden")]] const MessageType& message_type() {
-  static const MessageType type{
-      sizeof(T),
-      alignof(T),
-      TypeIdentity<T>::hash(),
-      TypeIdentity<T>::name(),
-      dies_quietly<T>() ? nullptr : &destroy_message<T>,
-      std::is_trivially_copyable_v<T> && std::is_trivially_destructible_v<T>};
+  constexpr bool kPlain = std::is_trivially_copyable_v<T> && std::is_trivially_destructible_v<T>;
+  static const MessageType type{sizeof(T),
+                                alignof(T),
+                                TypeIdentity<T>::hash() ^ (kPlain ? 0 : kContainers),
+                                TypeIdentity<T>::name(),
+                                dies_quietly<T>() ? nullptr : &destroy_message<T>,
+                                kPlain};
   return type;
 }
 

@@ -86,7 +86,7 @@ bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
     wake_all(&bell);
     return woken;
   };
-  std::vector<std::jthread> others;
+  std::vector<std::thread> others;  // libc++ 19 has no std::jthread
   try {
     const detail::NoSignals quiet;
     for (std::size_t begin = kMaxWords - 1; begin < waits.size(); begin += kMaxWords - 1) {
@@ -97,7 +97,9 @@ bool wait_chained(const detail::FutexWaits& waits, const Deadline& deadline) {
     wake_all(&bell);
     std::this_thread::sleep_for(kSlice);
   }
-  return sleep(0);
+  const bool woken = sleep(0);
+  for (std::thread& other : others) other.join();
+  return woken;
 }
 
 }  // namespace
