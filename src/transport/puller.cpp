@@ -19,15 +19,14 @@ namespace {
 using namespace std::chrono_literals;
 using ring::kNoBlock;
 
-using Policy = segment::Atomics;
-using Reader = ring::Reader<Policy>;
+using Reader = ring::Reader<segment::Atomics>;
 
 /// This many messages without a wait are a stream. The reader then pauses this often after a
 /// message before it looks again.
 constexpr unsigned kBurst = 4;
 constexpr unsigned kPausesAfterBurst = 50;
 /// In a stream, the reader fetches the cache lines of the message that is this many places ahead.
-constexpr std::uint32_t kPrefetchAhead = 6;
+constexpr std::uint32_t kLookAhead = 6;
 constexpr auto kBusyRegistry = 5ms;
 constexpr auto kLongestSleep = 1s;
 /// For a subscription that holds too much: the time between two looks whether messages have been
@@ -281,7 +280,7 @@ class Puller final : public RingPuller {
       // for nothing.
       if (reader.ring().arrived != nullptr && !reader.ready()) continue;
       prefetch(reader.peek(0));
-      if (burst_ >= kBurst) prefetch(reader.peek(kPrefetchAhead));
+      if (burst_ >= kBurst) prefetch(reader.peek(kLookAhead));
       if (look_into(source, borrowed)) return true;
     }
     return false;
@@ -400,8 +399,8 @@ class Puller final : public RingPuller {
   void prefetch(ring::Word b) const {
     if (b >= participant_->blocks()) return;
     const auto index = static_cast<std::uint32_t>(b);
-    Policy::prefetch_read(participant_->segment().small(index));
-    if (keeping_) Policy::prefetch_write(&participant_->holder().words(index));
+    segment::Atomics::prefetch_read(participant_->segment().small(index));
+    if (keeping_) segment::Atomics::prefetch_write(&participant_->holder().words(index));
   }
 
   void found(detail::Borrowed& borrowed, ring::Word b) {
