@@ -6,7 +6,7 @@ include(CMakePackageConfigHelpers)
 
 set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
 
-install(TARGETS lot EXPORT lotTargets
+install(TARGETS lot EXPORT lotTargets COMPONENT dev
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
   LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
 if(TARGET lot_cli)  # the command, the schema of its documents, its pages, what shells offer
@@ -23,18 +23,19 @@ if(TARGET lot_cli)  # the command, the schema of its documents, its pages, what 
     DESTINATION ${CMAKE_INSTALL_DATADIR}/fish/vendor_completions.d)
 endif()
 if(TARGET lot_ros)
-  install(TARGETS lot_ros EXPORT lotRosTargets LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
-  install(EXPORT lotRosTargets NAMESPACE lot:: DESTINATION ${lot_package_dir})
+  install(TARGETS lot_ros EXPORT lotRosTargets 
+    LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT ros_library NAMELINK_COMPONENT ros)
+  install(EXPORT lotRosTargets NAMESPACE lot:: DESTINATION ${lot_package_dir} COMPONENT ros)
   # The package `lot` of ROS. Programs lie where catkin looks for them; rosrun and roslaunch without
   # catkin find links to them, and so does the shell.
   set(lot_share ${CMAKE_INSTALL_DATADIR}/lot)
-  install(FILES ${PROJECT_SOURCE_DIR}/package.xml DESTINATION ${lot_share})
-  install(DIRECTORY ${PROJECT_SOURCE_DIR}/examples/ros/launch DESTINATION ${lot_share})
+  install(FILES ${PROJECT_SOURCE_DIR}/package.xml DESTINATION ${lot_share} COMPONENT ros)
+  install(DIRECTORY ${PROJECT_SOURCE_DIR}/examples/ros/launch DESTINATION ${lot_share} COMPONENT ros)
   function(lot_link program directory)
     file(RELATIVE_PATH target /p/${directory} /p/lib/lot/${program})
     set(place "\$ENV{DESTDIR}\${CMAKE_INSTALL_PREFIX}/${directory}")
     install(CODE "file(MAKE_DIRECTORY \"${place}\")
-      file(CREATE_LINK ${target} \"${place}/${program}\" SYMBOLIC)")
+      file(CREATE_LINK ${target} \"${place}/${program}\" SYMBOLIC)" COMPONENT ros)
   endfunction()
   file(RELATIVE_PATH lot_libraries /p/lib/lot /p/${CMAKE_INSTALL_LIBDIR})
   foreach(program IN ITEMS lot_relay ros_camera ros_edges ros_edges_lot)
@@ -43,21 +44,25 @@ if(TARGET lot_ros)
     endif()
   endforeach()
   if(TARGET lot_relay)
-    install(TARGETS lot_relay DESTINATION lib/lot)
+    install(TARGETS lot_relay DESTINATION lib/lot COMPONENT ros)
     lot_link(lot_relay ${lot_share})
     lot_link(lot_relay ${CMAKE_INSTALL_BINDIR})
   endif()
   foreach(program IN ITEMS ros_camera ros_edges ros_edges_lot)
     if(TARGET ${program})
-      install(TARGETS ${program} DESTINATION lib/lot)
+      install(TARGETS ${program} DESTINATION lib/lot COMPONENT ros)
       lot_link(${program} ${lot_share})
     endif()
   endforeach()
 endif()
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot
-  DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
-  FILES_MATCHING PATTERN "*.hpp")
-install(EXPORT lotTargets NAMESPACE lot:: DESTINATION ${lot_package_dir})
+set(lot_include_dir ${CMAKE_INSTALL_INCLUDEDIR}/lot)
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot/ DESTINATION ${lot_include_dir} COMPONENT dev
+  FILES_MATCHING PATTERN "*.hpp" PATTERN ros EXCLUDE PATTERN ros.hpp EXCLUDE)
+if(TARGET lot_ros)
+  install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot/ros DESTINATION ${lot_include_dir} COMPONENT ros)
+  install(FILES ${PROJECT_SOURCE_DIR}/include/lot/ros.hpp DESTINATION ${lot_include_dir} COMPONENT ros)
+endif()
+install(EXPORT lotTargets NAMESPACE lot:: DESTINATION ${lot_package_dir} COMPONENT dev)
 
 configure_package_config_file(
   ${CMAKE_CURRENT_LIST_DIR}/lotConfig.cmake.in ${PROJECT_BINARY_DIR}/lotConfig.cmake
@@ -68,7 +73,7 @@ write_basic_package_version_file(${PROJECT_BINARY_DIR}/lotConfigVersion.cmake
   COMPATIBILITY SameMinorVersion)
 install(FILES
   ${PROJECT_BINARY_DIR}/lotConfig.cmake ${PROJECT_BINARY_DIR}/lotConfigVersion.cmake
-  DESTINATION ${lot_package_dir})
+  DESTINATION ${lot_package_dir} COMPONENT dev)
 
 set(lot_pc_dir ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
 file(RELATIVE_PATH lot_pc_prefix /p/${lot_pc_dir} /p)
@@ -80,4 +85,4 @@ if(NOT LOT_FORM STREQUAL STATIC_LIBRARY)
   set(lot_pc_libs "")
 endif()
 configure_file(${CMAKE_CURRENT_LIST_DIR}/lot.pc.in ${PROJECT_BINARY_DIR}/lot.pc @ONLY)
-install(FILES ${PROJECT_BINARY_DIR}/lot.pc DESTINATION ${lot_pc_dir})
+install(FILES ${PROJECT_BINARY_DIR}/lot.pc DESTINATION ${lot_pc_dir} COMPONENT dev)

@@ -1,0 +1,123 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Checks Debian packages: lintian finds no error, dpkg installs them with what they depend on, and projects
+# of somebody else find what is in them.
+#
+#     packages.sh FOLDER         FOLDER has the packages
+#     packages.sh --self-test FOLDER   plants mistakes, and sees that each is found
+#
+# They are installed into a copy of this system that lies in memory (an overlay) and goes with the script.
+# It takes root, or sudo without a password. Where no overlay can be mounted, as in a container without the
+# right to, they are unpacked instead.
+set -euo pipefail
+
+self=$(realpath "${BASH_SOURCE[0]}")
+no_overlay=77  # an exit status
+
+judge() {  # FOLDER
+  lintian --fail-on error --allow-root "$1"/*.deb
+}
+
+# What users do. PREFIX: where the packages' /usr is.
+use() {  # PREFIX SCRATCH
+  local prefix=$1 scratch=$2 flags
+  export PKG_CONFIG_PATH=$prefix/lib/pkgconfig LOT_SEGMENT=${LOT_SEGMENT:-lot}_packages
+  "$prefix/bin/lot" --version
+  ("$prefix/bin/lot_relay" 2>&1 || true) | grep "^usage: lot_relay"
+  for package in liblot-dev liblot-ros0.1 liblot-ros-dev lot-tools; do
+    gzip -t "$prefix/share/doc/$package/changelog.gz" "$prefix/share/doc/$package/changelog.Debian.gz"
+    test -s "$prefix/share/doc/$package/copyright"
+  done
+  # The transport of image_transport: its description leads to it, and it finds the library.
+  local plugins=$prefix/share/lot_image_transport plugin
+  plugin=$(sed -n 's/.*<library path="\([^"]*\)".*/\1/p' "$plugins/plugins.xml")
+  ldd "$plugins/$plugin.so" | grep "liblot_ros.so.* => $prefix/"
+
+  flags=$(pkg-config --cflags --libs lot)
+  # shellcheck disable=SC2086  # flags are words
+  g++ -std=c++17 tests/proof/consumer/main.cpp $flags -o "$scratch/by_pkg_config"
+  "$scratch/by_pkg_config"
+  local project
+  for project in consumer consumer/ros; do
+    cmake -S "tests/proof/$project" -B "$scratch/$project.tree" -G Ninja -DCMAKE_BUILD_TYPE=Debug \
+      -DCMAKE_CXX_FLAGS_DEBUG=-O0 -DCMAKE_PREFIX_PATH="$prefix"
+    grep "^lot_DIR:PATH=$prefix/" "$scratch/$project.tree/CMakeCache.txt"
+    cmake --build "$scratch/$project.tree"
+    "$scratch/$project.tree/consumer"
+  done
+}
+
+# In a mount namespace of its own: a copy of this system in memory, into which the packages go.
+install_here() {  # FOLDER COPY
+  local folder=$1 copy=$2 place
+  mount -t tmpfs tmpfs "$copy" || exit $no_overlay
+  mkdir "$copy/changes" "$copy/work" "$copy/root"
+  mount -t overlay overlay -o "lowerdir=/,upperdir=$copy/changes,workdir=$copy/work" "$copy/root" ||
+    exit $no_overlay
+  for place in /proc /dev /sys "$PWD" "$folder"; do
+    mkdir -p "$copy/root$place"
+    mount --rbind "$place" "$copy/root$place"
+  done
+  chroot "$copy/root" dpkg --install "$folder"/*.deb
+  chroot "$copy/root" env -C "$PWD" "$self" --use /usr "$(chroot "$copy/root" mktemp -d)"
+}
+
+install_and_use() {  # FOLDER
+  local as_root=() status=0 scratch package
+  if [ "$(id -u)" -ne 0 ]; then as_root=(sudo -n -E); fi
+  scratch=$(mktemp -d)
+  "${as_root[@]}" unshare --mount true || status=$no_overlay
+  if [ $status -eq 0 ]; then
+    "${as_root[@]}" unshare --mount "$self" --install "$1" "$scratch" || status=$?
+  fi
+  if [ $status -eq $no_overlay ]; then
+    echo "no overlay can be mounted here: the packages are unpacked"
+    status=0
+    apt-get --simulate --no-install-recommends install "$1"/*.deb || status=$?
+    for package in "$1"/*.deb; do dpkg-deb --extract "$package" "$scratch"; done
+    mkdir "$scratch/work"
+    if [ $status -eq 0 ]; then "$self" --use "$scratch/usr" "$scratch/work" || status=$?; fi
+  fi
+  rm -rf "$scratch"
+  return $status
+}
+
+# Rebuilds a package after a change of its files, and expects that the check complains.
+plant() {  # FOLDER PACKAGE CHECK CHANGE
+  local bad status=0
+  bad=$(mktemp -d)
+  cp "$1"/*.deb "$bad"
+  dpkg-deb --raw-extract "$bad/$2"_*.deb "$bad/files"
+  (cd "$bad/files" && eval "$4")
+  dpkg-deb --root-owner-group --build "$bad/files" "$(echo "$bad/$2"_*.deb)" >/dev/null
+  rm -rf "$bad/files"
+  "$self" "--$3" "$bad" >"$bad/log" 2>&1 || status=$?  # a process of its own: here set -e does not hold
+  if [ $status -eq 0 ]; then
+    echo "not found: $4"
+    cat "$bad/log"
+  fi
+  rm -rf "$bad"
+  [ $status -ne 0 ]
+}
+
+self_test() {  # FOLDER
+  plant "$1" liblot-dev judge 'gzip -d usr/share/doc/liblot-dev/changelog.gz'
+  plant "$1" lot-tools install_and_use 'sed -i "s/^Depends: /Depends: no-such-package, /" DEBIAN/control'
+  plant "$1" liblot-dev install_and_use 'sed -i s/-llot/-lelse/ usr/lib/pkgconfig/lot.pc'
+  plant "$1" liblot-ros-dev install_and_use 'rm usr/lib/lot/image_transport/*.so'
+  echo "packages self-test: 4 mistakes found"
+}
+
+cd "$(dirname "${BASH_SOURCE[0]}")/../.."
+case ${1:-} in
+  --use) use "$2" "$3" ;;
+  --install) install_here "$2" "$3" ;;
+  --judge) judge "$2" ;;
+  --install_and_use) install_and_use "$2" ;;
+  --self-test) self_test "$(realpath "$2")" ;;
+  *)
+    folder=$(realpath "${1:?packages.sh: which folder?}")
+    judge "$folder"
+    install_and_use "$folder"
+    ;;
+esac
