@@ -147,11 +147,14 @@ class Builds:
         if done.returncode != -signal.SIGABRT or WRONG_TYPE not in done.stderr:
             raise Wrong(f'{name} {role}: status {done.returncode}, stderr: {done.stderr}')
 
-    def pair(self, publisher, reader, role='subscribe'):
+    def pair(self, publisher, reader, role='subscribe', publishes='publish'):
         """What one program publishes the other reads."""
         environment = segment(f'{publisher}_{reader}')
-        with subprocess.Popen([self.scratch / publisher, 'publish'], env=environment, stdout=subprocess.DEVNULL) as sender:
+        with subprocess.Popen([self.scratch / publisher, publishes], env=environment, stdout=subprocess.PIPE,
+                              text=True) as sender:
             try:
+                if sender.stdout.readline() != 'ready\n':
+                    raise Wrong(f'{publisher} has not begun to publish')
                 run([self.scratch / reader, role], 120, env=environment)
                 if sender.wait(60) != 0:
                     raise Wrong(f'{publisher}: status {sender.returncode} as the publisher for {reader}')
@@ -159,7 +162,8 @@ class Builds:
                 sender.kill()
 
     def strangers(self, publisher, reader):
-        """A message with containers of another standard library is refused."""
+        """A plain message of another standard library is read, one with containers is refused."""
+        self.pair(publisher, reader, 'subscribe_plain', 'publish_plain')
         try:
             self.pair(publisher, reader)
         except Wrong as wrong:

@@ -8,6 +8,7 @@
 //     consumer names          what its message types are called
 //     consumer publish        sends messages to one reader
 //     consumer subscribe      reads them
+//     consumer publish_plain, subscribe_plain    the same with a message without containers
 //     consumer wrong          subscribes to a topic of another type: an error
 
 #include <algorithm>
@@ -362,9 +363,16 @@ void names() {
 
 constexpr std::uint32_t kMessages = 200;
 
+/// The topics are there: the reader may begin.
+void ready() {
+  std::puts("ready");
+  std::fflush(stdout);
+}
+
 void publish(lot::ShmEngine& engine) {
   auto pusher = engine.advertise<Frame>("/pair", blocking());
   auto boxes = engine.advertise<Box<Hidden, 2>>("/pair/boxes", blocking());
+  ready();
   MUST(pusher.wait_for_readers(1, 60s) && boxes.wait_for_readers(1, 60s));
   for (std::uint32_t n = 0; n < kMessages; ++n) {
     auto frame = pusher.loan();
@@ -384,6 +392,15 @@ void subscribe(lot::ShmEngine& engine) {
     MUST(frame->encoding == "message " + lot::ShmString(n % 40, 'x'));
     MUST(boxes.borrow(60s));
   }
+}
+void publish_plain(lot::ShmEngine& engine) {
+  auto pusher = engine.advertise<Point>("/plain", blocking());
+  ready();
+  MUST(pusher.wait_for_readers(1, 60s) && pusher.push(pusher.loan(Point{1, 2})) == lot::Status::Ok);
+}
+void subscribe_plain(lot::ShmEngine& engine) {
+  const auto point = engine.subscribe<Point>("/plain").pull(60s);
+  MUST(point && point->x == 1 && point->y == 2);
 }
 void wrong(lot::ShmEngine& engine) {
   const auto pusher = engine.advertise<Named>("/wrong");
@@ -412,8 +429,12 @@ int main(int count, char** arguments) {
   options.size_bytes = 64 << 20;
   options.name = "consumer";
   lot::ShmEngine engine(options);
-  const std::map<std::string, void (*)(lot::ShmEngine&)> roles{
-      {"everything", everything}, {"publish", publish}, {"subscribe", subscribe}, {"wrong", wrong}};
+  const std::map<std::string, void (*)(lot::ShmEngine&)> roles{{"everything", everything},
+                                                               {"publish", publish},
+                                                               {"subscribe", subscribe},
+                                                               {"publish_plain", publish_plain},
+                                                               {"subscribe_plain", subscribe_plain},
+                                                               {"wrong", wrong}};
   const auto found = roles.find(role);
   MUST(found != roles.end());
   found->second(engine);
