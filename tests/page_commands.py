@@ -11,7 +11,7 @@ import shlex
 import subprocess
 
 # Commands that are not this tree's.
-OTHERS = {'base64', 'clang++', 'clang-format-14', 'echo', 'export', 'jq', 'mkdir', 'pkg-config', 'rosrun', 'unshare'}
+OTHERS = {'apt-get', 'base64', 'clang++', 'clang-format-14', 'echo', 'export', 'jq', 'mkdir', 'pkg-config', 'rosrun', 'unshare'}
 FOLDERS = re.compile(r'(bench|cmake|docs|examples|fuzz|include|scripts|src|tests)/[\w./-]+')
 ENDS = {'&&', '||', '|', ';', '&', '(', ')'}
 REDIRECTIONS = {'>', '>>', '<', '2>'}

@@ -294,6 +294,40 @@ void waiting(lot::ShmEngine& engine) {
   MUST(heard == 6);
 }
 
+void stops(lot::ShmEngine& engine) {
+  auto pusher = engine.advertise<Hidden>("/stops", blocking());
+  auto puller = engine.subscribe<Hidden>("/stops");
+  auto tasks = engine.queue<lot::ShmUniquePtr<Task>>("stops");
+  lot::StopSource source;
+  const lot::StopToken stop = source.get_token();
+  MUST(stop.stop_possible() && !lot::StopToken().stop_possible() && stop != lot::StopToken());
+  MUST(pusher.push(pusher.loan(Hidden{1}), stop) == lot::Status::Ok);
+  MUST(puller.pull(1s, stop) && tasks.put(tasks.make(Task{1}), stop) == lot::Status::Ok);
+  lot::WaitSet set;
+  std::uint32_t taken = 0;
+  set.add(tasks, [&] {
+    while (auto task = tasks.try_pop()) taken += (*task)->number;
+    source.request_stop();
+  });
+  set.run(stop);
+  MUST(taken == 1 && stop.stop_requested() && tasks.fd() >= 0);
+  MUST(!puller.pull(stop) && puller.status() == lot::Status::Stopped && !puller.borrow(stop));
+  MUST(!tasks.wait_and_pop(stop) && pusher.push(pusher.loan(Hidden{2}), stop) != lot::Status::Ok);
+  MUST(!lot::stop_on_signals().stop_requested());
+}
+
+void services(lot::ShmEngine& engine) {
+  const auto server = engine.serve<Task, Text>(
+      "consumer", [](const Task& task, Text& text) { text.text.assign(task.number, 'x'); });
+  auto client = engine.client<Task, Text>("consumer");
+  MUST(client.wait_for_server(1s) && client.servers() == 1);
+  auto request = client.loan();
+  request->number = 50;
+  const auto answer = client.call(std::move(request), 10s);
+  MUST(answer && answer->text.size() == 50 && client.status() == lot::Status::Ok);
+  MUST(client.call(Task{7})->text.size() == 7);
+}
+
 void errors(lot::ShmEngine& engine) {
   const auto pusher = engine.advertise<Named>("/errors");
 #ifdef __cpp_exceptions
@@ -412,6 +446,8 @@ void everything(lot::ShmEngine& engine) {
   pointers(engine);
   queues(engine);
   waiting(engine);
+  stops(engine);
+  services(engine);
   errors(engine);
   fuzz();
 }
