@@ -12,6 +12,7 @@
 #include <fcntl.h>
 #include <filesystem>
 #include <poll.h>
+#include <sched.h>
 #include <stdexcept>
 #include <sys/prctl.h>
 #include <sys/wait.h>
@@ -48,6 +49,13 @@ std::string end_of(int status) {
                              : "exit status " + std::to_string(WEXITSTATUS(status));
 }
 
+int wait_for(pid_t pid) {
+  int status = 0;
+  while (waitpid(pid, &status, 0) == -1 && errno == EINTR) {
+  }
+  return status;
+}
+
 bool finds(const char* program) {
   const char* const path = std::getenv("PATH");
   for (std::string rest = path != nullptr ? path : "/usr/bin:/bin"; !rest.empty();) {
@@ -56,6 +64,94 @@ bool finds(const char* program) {
     rest = colon == std::string::npos ? "" : rest.substr(colon + 1);
   }
   return false;
+}
+
+/// What a command in a container begins with.
+std::vector<std::string> container_in(const std::string& directory) {
+  return {"bwrap",
+          "--ro-bind",
+          "/",
+          "/",
+          "--dev",
+          "/dev",
+          "--bind",
+          directory,
+          "/dev/shm",
+          "--tmpfs",
+          "/tmp",
+          "--proc",
+          "/proc",
+          "--unshare-pid",
+          "--unshare-ipc",
+          "--unshare-uts",
+          "--unshare-net",
+          "--die-with-parent"};
+}
+
+/// Runs a command to its end. Returns "" when it has succeeded; else the first line that it said.
+std::string complaint_of(const std::vector<std::string>& command) {
+  int said[2] = {-1, -1};
+  if (pipe2(said, O_CLOEXEC) != 0) fail("pipe");
+  std::fflush(nullptr);
+  const pid_t pid = fork();
+  if (pid == -1) fail("fork");
+  if (pid == 0) {
+    setpgid(0, 0);  // Ctrl-C is ours to deal with
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    dup2(said[1], STDOUT_FILENO);
+    dup2(said[1], STDERR_FILENO);
+    become(command);
+  }
+  close(said[1]);
+  std::string text;
+  char piece[256];
+  for (ssize_t n = 0; (n = read(said[0], piece, sizeof piece)) > 0 || (n == -1 && errno == EINTR);)
+    text.append(piece, n > 0 ? static_cast<std::size_t>(n) : 0);
+  close(said[0]);
+  const int status = wait_for(pid);
+  if (status == 0) return "";
+  return text.empty() ? command[0] + ": " + end_of(status) : text.substr(0, text.find('\n'));
+}
+
+/// Tries to make a container. Returns "", or why there is none.
+std::string refused_container() {
+  std::vector<std::string> command = container_in("/dev/shm");
+  command.emplace_back("true");
+  const std::string why = complaint_of(command);
+  return why.empty() ? "" : "no containers here: " + why;
+}
+
+/// Tries to make the ends of a link in a network of its own, and to enter that. Returns "", or why
+/// it cannot be done.
+std::string refused_link() {
+  int told[2] = {-1, -1};
+  if (pipe2(told, O_CLOEXEC) != 0) fail("pipe");
+  std::fflush(nullptr);
+  const pid_t pid = fork();
+  if (pid == -1) fail("fork");
+  if (pid == 0) {
+    setpgid(0, 0);
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    const int error = unshare(CLONE_NEWNET) == 0 ? 0 : errno;
+    if (write(told[1], &error, sizeof error) == sizeof error) pause();
+    _exit(1);
+  }
+  close(told[1]);
+  int error = EIO;
+  if (read(told[0], &error, sizeof error) != sizeof error) error = EIO;
+  close(told[0]);
+  const std::string there = std::to_string(pid);
+  std::string why = error == 0 ? "" : std::string("unshare: ") + std::strerror(error);
+  if (why.empty()) {
+    why = complaint_of({"ip", "link", "add", "to0", "netns", there, "type", "veth", "peer", "name",
+                        "from0", "netns", there});
+  }
+  if (why.empty()) {
+    why = complaint_of({"nsenter", "-t", there, "-n", "ip", "link", "set", "to0", "up"});
+  }
+  kill(pid, SIGKILL);
+  wait_for(pid);
+  return why.empty() ? "" : "no network between containers here: " + why;
 }
 
 /// Each link between two containers has a network of its own; containers hide them from each other
@@ -144,9 +240,7 @@ void must_run(const std::vector<std::string>& command) {
     setpgid(0, 0);  // Ctrl-C is ours to deal with
     become(command);
   }
-  int status = 0;
-  while (waitpid(pid, &status, 0) == -1 && errno == EINTR) {
-  }
+  const int status = wait_for(pid);
   if (status == 0) return;
   std::string text;
   for (const std::string& c : command) text += c + " ";
@@ -186,26 +280,8 @@ void Crew::start(unsigned group, Place place, const std::string& directory) {
   if (place != Place::Host) {
     if (pipe(told) != 0) fail("pipe");
     fcntl(told[0], F_SETFD, FD_CLOEXEC);
-    command = {"bwrap",
-               "--ro-bind",
-               "/",
-               "/",
-               "--dev",
-               "/dev",
-               "--bind",
-               directory,
-               "/dev/shm",
-               "--tmpfs",
-               "/tmp",
-               "--proc",
-               "/proc",
-               "--unshare-pid",
-               "--unshare-ipc",
-               "--unshare-uts",
-               "--unshare-net",
-               "--die-with-parent",
-               "--info-fd",
-               std::to_string(told[1])};
+    command = container_in(directory);
+    command.insert(command.end(), {"--info-fd", std::to_string(told[1])});
   }
   command.insert(command.end(), inner.begin(), inner.end());
   std::fflush(nullptr);
@@ -292,13 +368,14 @@ std::string Crew::address(Place place, unsigned publisher, unsigned subscriber, 
 std::string Crew::unavailable(Place place, bool network) {
   if (place == Place::Host) return "";
   if (!finds("bwrap")) return "containers need bubblewrap (Debian: bubblewrap)";
-  if (place == Place::Containers && network) {
-    if (geteuid() != 0) return "a network between containers needs root";
-    if (!finds("ip") || !finds("nsenter")) {
-      return "a network between containers needs ip and nsenter (Debian: iproute2, util-linux)";
-    }
+  static const std::string no_container = refused_container();
+  if (!no_container.empty() || place != Place::Containers || !network) return no_container;
+  if (geteuid() != 0) return "a network between containers needs root";
+  if (!finds("ip") || !finds("nsenter")) {
+    return "a network between containers needs ip and nsenter (Debian: iproute2, util-linux)";
   }
-  return "";
+  static const std::string no_link = refused_link();
+  return no_link;
 }
 
 std::string Crew::ended() {

@@ -38,7 +38,7 @@ class Crew {
   /// Waits for all of them; after a while they are killed.
   void join();
 
-  /// Empty when containers can be had here; else why not.
+  /// Empty when containers can be had here; else why not. The first call tries it.
   static std::string unavailable(Place place, bool network);
   /// Of the two ends of a link, the publisher's address as the subscriber sees it; or, when
   /// messages go back over it, the subscriber's as the publisher sees it.

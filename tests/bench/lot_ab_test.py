@@ -8,13 +8,13 @@ Times are never asserted. A run that is too long is killed by the watchdog, and 
 """
 
 import ctypes
+import functools
 import glob
 import json
 import os
 import pathlib
 import platform
 import re
-import shutil
 import signal
 import struct
 import subprocess
@@ -139,14 +139,67 @@ def runs_and_saves():
         check(r.returncode == 0, 'figures: what cannot be drawn is left out')
 
 
+NO_CONTAINERS = 'no containers here'
+NO_NETWORK = 'no network between containers here'
+NO_ROOT = 'containers with networks of their own need root'
+
+
+@functools.lru_cache(maxsize=None)
+def lacking():
+    """What of containers cannot be had here, as lot_ab says, which has tried it. In tests/skips.txt is who may lack it."""
+    said = lot_ab('-t', 'ring,tcp', '-s', '4096', '--place', 'containers', '-n', '2', '--no-floors').stdout
+    print(said)
+    found = {reason for reason, text in ((NO_CONTAINERS, f': {NO_CONTAINERS}: '), (NO_NETWORK, f': {NO_NETWORK}: '),
+                                         (NO_ROOT, ': a network between containers needs root')) if text in said}
+    for reason in sorted(found):
+        print('skipped:', reason)
+    return found
+
+
 def places():
     for graph, place, transports in (('1p2s', 'container', 'ring,tcp'), ('2p2s', 'containers', 'ring,tcp'),
                                      ('1p2s', 'host', 'ring,intra')):
+        if place != 'host' and NO_CONTAINERS in lacking():
+            continue
+        if place == 'containers' and lacking():
+            transports = 'ring'
         r = lot_ab('-t', transports, '-g', graph, '-s', '4096', '--place', place, '-n', '20', '-r', '200', '--block', '10')
         ran = all(re.search(rf'^ {name} +\d', r.stdout, re.M) for name in transports.split(','))
         check(r.returncode == 0 and ran, f'{transports} {graph} {place}')
         if r.returncode != 0 or not ran:
             print(r.stdout)
+
+
+def refused_containers():
+    """Where the system refuses them lot_ab gives the words of what it has tried, and tries it once."""
+    words = 'bwrap: Failed to make / slave: Invalid argument'
+    with tempfile.TemporaryDirectory() as directory:
+        def replace(program, says):
+            path = pathlib.Path(directory, program)
+            path.write_text(f'#!/bin/sh\necho $0 >> {directory}/called\necho "{says}" >&2\necho more >&2\nexit 1\n',
+                            encoding='utf-8')
+            path.chmod(0o755)
+            return path
+
+        def run_there():
+            return subprocess.run([LOT_AB, '-t', 'ring,tcp', '-s', '128,4096', '--place', 'containers', '-n', '5',
+                                   '--no-floors'], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                                  timeout=WATCHDOG, check=False, env={**os.environ, 'PATH': f'{directory}:{os.environ["PATH"]}'})
+        bwrap = replace('bwrap', words)
+        r = run_there()
+        refusals = re.findall(rf'^  (ring|tcp): no containers here: {re.escape(words)}$', r.stdout, re.M)
+        check(r.returncode == 0 and refusals == ['ring', 'tcp'] * 2, f'containers are refused in the words of bwrap: {refusals}')
+        called = pathlib.Path(directory, 'called').read_text(encoding='utf-8').split()
+        check(called == [str(bwrap)], f'bwrap was tried once: {called}')
+        if lacking():
+            return
+        bwrap.unlink()
+        replace('ip', 'RTNETLINK answers: Operation not permitted')
+        r = run_there()
+        refusals = re.findall(r'^  (\w+): no network between containers here: RTNETLINK answers: Operation not permitted$',
+                              r.stdout, re.M)
+        check(r.returncode == 0 and refusals == ['tcp', 'tcp'], f'networks are refused in the words of ip: {refusals}')
+        check(re.search(r'^ ring +\d', r.stdout, re.M) is not None, 'what needs no network has run')
 
 
 def nodes_of(process):
@@ -183,7 +236,7 @@ def pins():
 
 
 def containers():
-    if not shutil.which('bwrap'):
+    if NO_CONTAINERS in lacking():
         return
     p = start('-t', 'ring', '-g', '1p2s', '-s', '4096', '-n', '100000', '--no-floors', '--place', 'containers')
     nodes = []
@@ -250,6 +303,8 @@ def bad_use():
 
 
 def interrupted_while_starting():
+    if NO_CONTAINERS in lacking():
+        return
     seen = set()
     for wait in (0.05, 0.2, 0.5, 2):
         p = start('-t', 'ring,tcp,uds', '-g', '2p2s', '-s', '4096', '--place', 'containers', '-n', '100000')
@@ -266,7 +321,7 @@ def interrupted_while_starting():
         check(wait_until(lambda: not theirs & all_namespaces() and not network_links()),
               f'none of {len(theirs)} namespaces is left, and no network link')
         seen |= theirs
-    check(seen or not shutil.which('bwrap'), 'there were namespaces to look for')
+    check(seen, 'there were namespaces to look for')
 
 
 def interrupted():
@@ -348,5 +403,5 @@ def vehicle():
         print(r.stdout)
 
 
-run((bad_use, runs_and_saves, places, pins, containers, many_publishers, vehicle, profile, interrupted, interrupted_while_starting,
+run((bad_use, runs_and_saves, places, refused_containers, pins, containers, many_publishers, vehicle, profile, interrupted, interrupted_while_starting,
      interrupted_with_peers, killed, node_killed))
