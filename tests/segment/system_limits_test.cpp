@@ -27,6 +27,7 @@
 #include "support/processes.hpp"
 #include "support/raw.hpp"
 #include "support/sanitizers.hpp"
+#include "support/users.hpp"
 
 namespace {
 
@@ -197,6 +198,7 @@ TEST_CASE("too few threads are an error that says so") {
     MESSAGE("skipped: the limit is of a user, who may have other processes");
     return;
   }
+  if (!can_be_another_user()) return;
   auto options = fresh();
   options.permissions = 0666;
   constexpr uid_t kUser = 64123;  // nobody's: it has no other process

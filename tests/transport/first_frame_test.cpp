@@ -28,6 +28,7 @@
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "support/small_disk.hpp"
+#include "support/users.hpp"
 #include "transport/participant.hpp"
 
 namespace {
@@ -467,7 +468,8 @@ TEST_CASE("memory under lock_memory is locked where it was touched, and stays") 
   CHECK(!pool.has_ahead());
 }
 
-TEST_CASE("a process that asks for LOT_MLOCK and may not lock so much is told of the limit") {
+TEST_CASE("a process that asks for LOT_MLOCK and may not lock so much is told of the limit" *
+          doctest::skip(!can_be_ordinary_user())) {
   const Watchdog watchdog(60);
   Child child([&] {
     const rlimit little{64 << 10, 64 << 10};

@@ -26,6 +26,7 @@
 #include "support/must_go.hpp"
 #include "support/neighbour.hpp"
 #include "support/raw.hpp"
+#include "support/users.hpp"
 
 namespace {
 
@@ -394,7 +395,8 @@ struct Directory {
 
 }  // namespace
 
-TEST_CASE("the segment removed, its lock file another user's: an error, those inside go on") {
+TEST_CASE("the segment removed, its lock file another user's: an error, those inside go on" *
+          doctest::skip(!can_be_ordinary_user())) {
   const Watchdog watchdog(60);
   const Directory directory;
   auto options = directory.options(directory.name);

@@ -18,6 +18,7 @@
 #include "support/janitor.hpp"
 #include "support/must_go.hpp"
 #include "support/neighbour.hpp"
+#include "support/users.hpp"
 
 namespace {
 
@@ -55,12 +56,6 @@ std::string use(const lot::EngineOptions& options) {
 }
 bool says(const std::string& text, const std::string& part) {
   return text.find(part) != std::string::npos;
-}
-
-bool can_be_another_user() {
-  if (getuid() == 0) return true;
-  std::printf("skipped: only root can be another user\n");
-  return false;
 }
 
 }  // namespace
