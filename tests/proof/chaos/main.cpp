@@ -27,7 +27,7 @@ std::string mistakes() {
 }
 
 void describe(CLI::App& app, Settings& s, std::string& plant, long& at_most, long& patience,
-              bool& no_namespaces) {
+              bool& no_namespaces, bool& or_without) {
   app.add_option("--kills", s.kills, "SIGKILLs to send")
       ->check(CLI::Range(1, 1000000))
       ->capture_default_str();
@@ -45,6 +45,7 @@ void describe(CLI::App& app, Settings& s, std::string& plant, long& at_most, lon
       ->capture_default_str();
   app.add_option("--plant", plant, "Makes a mistake that must be found (see below)");
   app.add_flag("--no-namespaces", no_namespaces, "All in the PID, IPC and mount namespace of this");
+  app.add_flag("--or-without", or_without, "The same where the system refuses namespaces");
   app.add_flag("--carry-on", s.carry_on, "Goes on after something was found");
   app.add_option("--save-segment", s.save_segment,
                  "Copies the segment to this file when something is found");
@@ -55,17 +56,34 @@ void describe(CLI::App& app, Settings& s, std::string& plant, long& at_most, lon
       mistakes() + "\n\nExit status: 0 nothing was found, 1 something was, 2 it cannot run here.");
 }
 
+/// False when there are no namespaces and nothing can be done without.
+bool enter(Namespaces& namespaces, bool or_without) {
+  const std::string why = namespaces.enter();
+  if (why.empty()) return true;
+  if (!or_without) {
+    std::fprintf(stderr,
+                 "lot_chaos: no namespaces here (%s); run it as root, or with --no-namespaces\n",
+                 why.c_str());
+    return false;
+  }
+  std::printf("no namespaces: %s\nskipped: no PID namespaces here\n", why.c_str());
+  std::fflush(stdout);
+  namespaces.do_without();
+  return true;
+}
+
 int run(int argc, char** argv) {
   Settings settings;
   std::string plant;
   long at_most = 0;
   long patience = settings.patience.count();
   bool no_namespaces = false;
+  bool or_without = false;
   CLI::App app(
       "Chaos: publishers, readers and relays in many processes that are killed and stopped"
       " at random,\nand started again at once; nothing may be lost, torn, leaked or stuck.",
       "lot_chaos");
-  describe(app, settings, plant, at_most, patience, no_namespaces);
+  describe(app, settings, plant, at_most, patience, no_namespaces, or_without);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
@@ -90,12 +108,7 @@ int run(int argc, char** argv) {
   std::fflush(stdout);
 
   Namespaces namespaces(settings.namespaces);
-  if (const std::string why = namespaces.enter(); !why.empty()) {
-    std::fprintf(stderr,
-                 "lot_chaos: no namespaces here (%s); run it as root, or with --no-namespaces\n",
-                 why.c_str());
-    return kCannot;
-  }
+  if (!enter(namespaces, or_without)) return kCannot;
   Board& board = Board::make();
   Supervisor supervisor(settings, board, namespaces);
   supervisor.run();

@@ -24,6 +24,8 @@ class Namespaces {
   /// Sees that it can be done, if need be in a user namespace of our own; the caller then goes on
   /// in a child, and `status` is what its parent exits with. Returns why it cannot, or "".
   std::string enter();
+  /// After enter() has failed: from now on fork() is an ordinary one.
+  void do_without() { wanted_ = false; }
   /// As fork(). In the child `SIGKILL` comes when the supervisor dies.
   pid_t fork();
 
