@@ -176,7 +176,7 @@ class Builds:
 def complain_of_exports(symbols):
     """Wrong, where a shared library exports what is not of its interface."""
     lines = symbols.splitlines()
-    ours = re.compile(r'(typeinfo (name )?for |vtable for |(non-)?virtual thunk to )?lot::([A-Z]|detail::|to_string|end_cleanly)|LIBLOT_')
+    ours = re.compile(r'(typeinfo (name )?for |vtable for |(non-)?virtual thunk to )?lot::([A-Z]|detail::|to_string|end_cleanly|stop_on_signals)|LIBLOT_')
     wrong = [line for line in lines if not ours.match(line[19:])]
     if wrong or len(lines) < 50:
         raise Wrong(f'{len(lines)} symbols are exported, among them\n' + '\n'.join(wrong))
