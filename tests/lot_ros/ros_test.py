@@ -861,9 +861,11 @@ class Settings(Case):
                 graph.wait_for(lambda: all(graph.peers('/t')), 'both')
                 size = (graph.shm / (graph.segment + '_own')).stat().st_size
                 self.assertEqual(size >> 20, 64)
-                seen = subprocess.run([TOOL, '-s', graph.segment + '_own', 'ls'], env=graph.env, text=True,
+                seen = subprocess.run([TOOL, '-s', graph.segment + '_own', 'ls', '--json'], env=graph.env, text=True,
                                       capture_output=True, timeout=60, check=True).stdout
-                self.assertRegex(seen, rf'/t .*\b{queue}\b')
+                engines = [publisher['engine'] for segment in json.loads(seen)['segments'] for topic in segment['topics']
+                           if topic['name'].endswith('/t') for publisher in topic['publishers']]
+                self.assertEqual(engines, [queue])
                 self.assert_all(graph.report(listener), 0, ['/talker'])
                 self.assertEqual(graph.report(talker)[0]['serialised'], 0)
 
