@@ -39,7 +39,7 @@ bool planner() {
       path.points[i] = {goal.x * part, goal.y * part};
     }
   });
-  while (!stop.stop_requested()) pause();  // the server has a thread of its own
+  lot::WaitSet().run(stop);  // the server has a thread of its own
   return true;
 }
 

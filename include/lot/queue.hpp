@@ -411,6 +411,7 @@ class ShmQueue {
     } else {
       static_assert(std::is_same_v<T, Element>,
                     "lot: this item has one owner and can only be moved; use std::move()");
+      if (limit.is_stopped()) return Status::Stopped;
       return put_made(make(item), limit);
     }
   }
@@ -421,6 +422,7 @@ class ShmQueue {
       if (status == Status::Ok) item.reset();
       return status;
     } else if constexpr (std::is_same_v<T, Element>) {
+      if (limit.is_stopped()) return Status::Stopped;
       return put_made(make(static_cast<const T&>(item)), limit);
     } else {
       return put_made(std::move(item), limit);

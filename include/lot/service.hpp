@@ -3,7 +3,9 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cstdint>
+#include <iterator>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -30,8 +32,8 @@ namespace lot {
 struct ClientOptions {
   Wait wait = Wait::Adaptive;  ///< how a call passes the time
   /// What becomes of a request whose server dies at work, while the service has another one. True:
-  /// that one gets it, so a request may be done more than once. False: the call ends with
-  /// Status::ServerGone.
+  /// that one gets it, so a request may be done more than once; after three deaths the call ends
+  /// all the same. False: the call ends with Status::ServerGone.
   bool retry = false;
 };
 
@@ -118,20 +120,20 @@ class ShmClient {
   /// The same with a copy of a request. Throws the same; what the copy throws.
   [[nodiscard]] ShmSharedPtr<const Response> call(const Request& request, Duration timeout,
                                                   const StopToken& stop = {}) {
-    return call(copy(request), timeout, stop);
+    return call_copy(request, detail::after(timeout), stop);
   }
   /// The same with a copy, without a limit. Throws the same.
   [[nodiscard]] ShmSharedPtr<const Response> call(const Request& request,
                                                   const StopToken& stop = {}) {
-    return call(copy(request), stop);
+    return call_copy(request, detail::Clock::time_point::max(), stop);
   }
 
   /// How the last call ended:
   ///
-  ///     Ok            there is an answer
+  ///     Ok            there is an answer, be it that the handler has thrown
   ///     Timeout       none came in time: a server may still be at work
   ///     ServerGone    the server that was to answer has died or left, or no server has come
-  ///     HoldsTooMuch  the answer came, and the process may keep no more: let answers go
+  ///     HoldsTooMuch  an answer came, and the process may keep no more: let answers go
   ///     Stopped       the StopToken was told to stop
   ///
   /// What comes later, of a call that has ended, is dropped. No server begins with its request.
@@ -177,37 +179,59 @@ class ShmClient {
     ShmSharedPtr<const Response> call(ShmUniquePtr<Call>& request, detail::Clock::time_point until,
                                       const StopToken& stop) {
       if (request == nullptr) detail::raise_no_request(names.name());
+      ++number;  // from here on what answers an earlier call is dropped
       answer = nullptr;
-      holds_too_much = false;
       if (!wait_for_server(until, stop)) {
         status = stop.stop_requested() ? Status::Stopped : Status::ServerGone;
         return nullptr;
       }
-      request->client = names.client();
-      request->number = ++number;
-      request->may_retry = may_retry;
-      request->ticket = ticket;
-      // Relaxed, here and below: putting the request carries it. A server that sees the end of the
-      // call late begins with a request for which nobody waits.
-      ticket->waits_for.store(number, std::memory_order_relaxed);
-      status = calls.put_until(std::move(request), until, stop);
-      if (status == Status::Full) status = Status::Timeout;
-      if (status == Status::Ok) status = wait_for_answer(until, stop);
-      ticket->waits_for.store(0, std::memory_order_relaxed);
+      look_for_answer();  // makes room for the answer
+      status = holds_too_much ? Status::HoldsTooMuch : ask(request, until, stop);
       return status == Status::Ok ? take_answer() : nullptr;
     }
 
-    Status wait_for_answer(detail::Clock::time_point until, const StopToken& stop) {
+    Status ask(ShmUniquePtr<Call>& request, detail::Clock::time_point until,
+               const StopToken& stop) {
+      request->client = names.client();
+      request->number = number;
+      request->may_retry = may_retry;
+      request->ticket = ticket;
+      // Relaxed, both: putting the request carries it. A server that sees the end of the call late
+      // begins with a request for which nobody waits.
+      ticket->waits_for.store(number, std::memory_order_relaxed);
+      const struct End {
+        detail::Ticket& ticket;
+        ~End() { ticket.waits_for.store(0, std::memory_order_relaxed); }  // relaxed: as above
+      } end{*ticket};
+      const Status sent = send(request, until, stop);
+      return sent == Status::Ok ? wait_for_answer(until, stop) : sent;
+    }
+
+    /// Requests of earlier calls may fill the queue, while servers are slow. Looks now and then
+    /// whether there are any.
+    Status send(ShmUniquePtr<Call>& request, detail::Clock::time_point until,
+                const StopToken& stop) {
       for (;;) {
-        if (answer != nullptr) return answer->has_given_up ? Status::ServerGone : Status::Ok;
-        if (holds_too_much) return Status::HoldsTooMuch;
-        if (!has_server) {
-          look_for_answer();  // it came before the end of its server
-          if (answer == nullptr && !holds_too_much) return Status::ServerGone;
-          continue;
-        }
-        if (!wait(until, stop)) return stop.stop_requested() ? Status::Stopped : Status::Timeout;
+        const auto soon = std::min(until, detail::after(std::chrono::milliseconds(50)));
+        const Status sent = calls.put_until(std::move(request), soon, stop);
+        if (sent != Status::Full) return sent;
+        see_servers();
+        if (!has_server) return Status::ServerGone;
+        if (soon == until) return Status::Timeout;
       }
+    }
+
+    Status wait_for_answer(detail::Clock::time_point until, const StopToken& stop) {
+      while (answer == nullptr && !holds_too_much && has_server) {
+        if (!wait(until, stop)) {
+          if (stop.stop_requested()) return Status::Stopped;
+          look_for_answer();  // a queue that holds too much is told of once a second only
+          if (answer == nullptr && !holds_too_much) return Status::Timeout;
+        }
+      }
+      if (answer == nullptr && !has_server) look_for_answer();  // it came before its server's end
+      if (answer != nullptr) return answer->has_given_up ? Status::ServerGone : Status::Ok;
+      return holds_too_much ? Status::HoldsTooMuch : Status::ServerGone;
     }
 
     bool wait_for_server(detail::Clock::time_point until, const StopToken& stop) {
@@ -223,9 +247,11 @@ class ShmClient {
       return set.run_once_until(until, stop) != 0;
     }
 
+    /// The first one counts: a server that has answered may die before it has finished the request,
+    /// and another one then gives it up.
     void look_for_answer() {
       while (auto came = answers.try_pull()) {
-        if (came->number == number) answer = std::move(came);
+        if (came->number == number && answer == nullptr) answer = std::move(came);
       }
       holds_too_much = answers.status() == Status::HoldsTooMuch;
     }
@@ -262,9 +288,15 @@ class ShmClient {
     Status status = Status::Empty;
   };
 
-  ShmRequest<Request> copy(const Request& request) {
-    return ShmRequest<Request>(core_->calls.make(std::uint64_t{0}, std::uint64_t{0}, false,
-                                                 ShmRef<const detail::Ticket>(), request));
+  ShmSharedPtr<const Response> call_copy(const Request& request, detail::Clock::time_point until,
+                                         const StopToken& stop) {
+    if (stop.stop_requested()) {
+      core_->status = Status::Stopped;
+      return nullptr;
+    }
+    auto copy = core_->calls.make(std::uint64_t{0}, std::uint64_t{0}, false,
+                                  ShmRef<const detail::Ticket>(), request);
+    return core_->call(copy, until, stop);
   }
 
   std::unique_ptr<Core> core_;
@@ -280,9 +312,10 @@ class ShmClient {
 ///
 /// Threads: the handler runs on that thread alone. When the server has been destroyed it is not
 ///          running any more; it must not destroy its own server.
-/// Errors:  what the handler throws its client hears of, as a lot::Error. What goes wrong besides
-///          goes to ThreadOptions::on_error (ENOMEM: there is no memory to answer; EPROTOTYPE: a
-///          client of another version); that client waits to its time-out.
+/// Errors:  what the handler throws its client hears of, as a lot::Error. What else keeps the
+/// server
+///          from answering (no memory, no channel for one more client) goes to
+///          ThreadOptions::on_error (EIO, with its text); that client waits to its time-out.
 /// Memory:  a thread with its stack; in the segment a queue for each client that it has answered,
 ///          with an answer in it until the client has read it and the server answers the next one.
 /// Crash:   clients that wait for it hear of it at once: see ClientOptions::retry. Requests that it
@@ -303,11 +336,20 @@ class ShmServer {
             options.wait, options.thread) {
     core_->announce();
   }
+  ShmServer(ShmServer&&) noexcept = default;
+  ShmServer& operator=(ShmServer&& other) noexcept {
+    listener_ = std::move(other.listener_);  // its thread uses what was here
+    core_ = std::move(other.core_);
+    return *this;
+  }
 
  private:
   using Call = detail::Call<Request>;
   using Answer = detail::Answer<Response>;
   using Serving = detail::Serving<Request, Response>;
+
+  /// So many may die at one request.
+  static constexpr std::uint32_t kMostServers = 3;
 
   struct Core {
     Core(std::shared_ptr<transport::Participant> p, std::string_view name, Wait wait)
@@ -326,18 +368,21 @@ class ShmServer {
 
     template <class Handler>
     void serve(Handler& handler) {
-      constexpr unsigned kAtOnce = 64;  // and then a look whether to stop
-      for (unsigned n = 0; n < kAtOnce; ++n) {
-        auto task = calls.try_take();
-        if (!task) return;
-        if (ShmPusher<Answer>* const client = client_of(*task)) {
-          if (task.deliveries() > 1 && !task->may_retry) {
-            give_up(*client, task->number);
-          } else {
-            answer(*client, *task, handler);
-          }
-        }
-        task.finish();
+      auto task = calls.try_take();
+      if (!task) return;
+      const auto failure = detail::failure_of([&] { handle(task, handler); });
+      task.finish();  // also then: given back it would be the next one, and again
+      if (failure) detail::raise_no_answer(names.name(), *failure);
+    }
+
+    template <class Handler>
+    void handle(const ShmTask<Call>& task, Handler& handler) {
+      ShmPusher<Answer>* const client = client_of(*task);
+      if (client == nullptr) return;
+      if (task.deliveries() > (task->may_retry ? kMostServers : 1)) {
+        give_up(*client, task->number);
+      } else {
+        answer(*client, *task, handler);
       }
     }
 
@@ -368,9 +413,12 @@ class ShmServer {
 
     template <class Handler>
     void answer(ShmPusher<Answer>& client, const Call& call, Handler& handler) {
-      auto result = loan(client, call.number);
-      const auto handle = [&] { handler(call.request, result->response); };
-      if (const auto failure = detail::failure_of(handle)) {
+      ShmUniquePtr<Answer> result;
+      const auto build = [&] {
+        result = loan(client, call.number);
+        handler(call.request, result->response);
+      };
+      if (const auto failure = detail::failure_of(build)) {
         result = nullptr;  // with the memory that it has
         result = loan(client, call.number);
         result->has_failed = true;
@@ -383,10 +431,8 @@ class ShmServer {
       result->has_given_up = true;
       (void)client.push(std::move(result));
     }
-    /// Throws lot::Error (ENOMEM), which the listener tells.
     ShmUniquePtr<Answer> loan(ShmPusher<Answer>& client, std::uint64_t number) {
-      auto result = client.try_loan();
-      if (result == nullptr) detail::raise_no_answer(names.name());
+      auto result = client.loan();
       result->number = number;
       result->has_given_up = false;
       result->has_failed = false;

@@ -43,10 +43,10 @@ struct FromStdToken<std::stop_token> : std::true_type {
 
 }  // namespace detail
 
-/// Ends waits early: of pulls, borrows, pops, takes, pushes and puts, and WaitSet::run(). Once its
-/// StopSource has been told to stop, each call that has the token returns at once, with
-/// Status::Stopped or with nothing, and takes nothing: also where there is something to be had. It
-/// stays so.
+/// Ends waits early: of pulls, borrows, pops, takes, pushes, puts and calls, and WaitSet::run().
+/// Once its StopSource has been told to stop, each call that begins with the token returns at once,
+/// with Status::Stopped or with nothing, and takes nothing: also where there is something to be
+/// had. One that waits ends, too; it may still take what comes at that moment. It stays so.
 ///
 ///     const lot::StopToken stop = lot::stop_on_signals();      // Ctrl-C
 ///     while (auto frame = puller.pull(stop)) show(*frame);

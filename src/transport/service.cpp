@@ -43,9 +43,9 @@ void raise_no_request(const std::string& service) {
   throw Error(EINVAL, service, "a request was sent twice", "loan() a new one for each call");
 }
 
-void raise_no_answer(const std::string& service) {
-  throw Error(ENOMEM, service, "there is no memory to answer a request",
-              "make the segment larger (LOT_SIZE), or let messages go");
+void raise_no_answer(const std::string& service, const std::string& text) {
+  throw Error(EIO, service, "a request cannot be answered: " + text,
+              "its client waits to its time-out");
 }
 
 }  // namespace lot::detail

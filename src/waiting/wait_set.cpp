@@ -79,6 +79,7 @@ class WaitSetCore {
     const WaitSet::Timer last{last_timer_};
     // a handler may add a timer: iterators of a list stay valid
     for (auto t = timers_.begin(); t != timers_.end(); ++t) {
+      if (stopped()) break;
       // A timer that a handler adds meanwhile waits for the next turn, even if it is overdue.
       // Otherwise a handler that adds such a timer each time would keep all others from being
       // called.
@@ -90,7 +91,6 @@ class WaitSetCore {
       }
       ++called;
       t->handler();
-      if (stopped()) break;
     }
     timers_.remove_if([](const Timer& t) { return t.removed; });
     return called;

@@ -159,8 +159,9 @@ bool yield(Waiter& waiter, YieldHabit& habit) {
 
 /// Waits until a look finds something: true. False when the deadline has passed; the last look
 /// comes after it. Without a deadline it waits for ever. A deadline that had passed before costs a
-/// look or two, and no sleep. False, too, when `stop` is set: no look comes after that. A waiter
-/// that sleeps on other words than FutexWaits sees a stop when it looks again.
+/// look or two, and no sleep. False, too, when `stop` is set: it is looked at with the clock, and
+/// before and after each sleep. A waiter that sleeps on other words than FutexWaits sees a stop
+/// when its short sleep ends.
 ///
 /// REQUIRES: the caller has looked, and has found nothing.
 /// Throws what the waiter's steps throw.
@@ -190,6 +191,7 @@ template <class Machine = Kernel, class Waiter>
       waiter.before_sleep();
       in_time = Machine::sleep(sleep->words, is_last ? deadline : sleep->again) || !is_last;
       waiter.lock();
+      if (is_set(stop)) return false;
     }
     if (waiter.look()) return true;
     if (!in_time) return false;

@@ -354,6 +354,10 @@ TEST_CASE_FIXTURE(Fixture, "a server that leaves finishes what it has begun, and
     CHECK(answered == begun);
     CHECK(answered + gone == 3);
     CHECK(answered >= 1);
+    // A server drops what no server has taken.
+    auto last = engine.serve<Sum, Total>("sum", add_up);
+    auto after = engine.client<Sum, Total>("sum");
+    CHECK(after.call(up_to(after, 4), 20s)->value == 10);
   });
 }
 
@@ -415,6 +419,10 @@ TEST_CASE_FIXTURE(Fixture, "an answer that may not be kept is told, and comes no
       REQUIRE(kept.size() < 16);
     }
     CHECK(client.status() == Status::HoldsTooMuch);
+    for (int n = 0; n < 6; ++n) {  // nor are requests sent
+      CHECK_FALSE(client.call(up_to(client, 1), 20ms));
+      CHECK(client.status() == Status::HoldsTooMuch);
+    }
     kept.clear();
     CHECK(client.call(up_to(client, 1), 20s));
   });
@@ -465,6 +473,125 @@ TEST_CASE_FIXTURE(Fixture, "servers are killed at any time: each call ends, noth
     auto server = engine.serve<Sum, Total>("sum", add_up);
     auto client = engine.client<Sum, Total>("sum");
     CHECK(client.call(up_to(client, 9), 60s)->value == 45);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a call that waits for a server drops the answer to the one before") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto client = engine.client<Sum, Total>("sum");
+    std::atomic<bool> held{true};
+    auto server =
+        std::make_optional(engine.serve<Sum, Total>("sum", [&](const Sum& sum, Total& total) {
+          while (held) std::this_thread::sleep_for(1ms);
+          add_up(sum, total);
+        }));
+    CHECK_FALSE(client.call(up_to(client, 2), 5ms));
+    held = false;
+    server.reset();  // it has answered, and left
+    std::optional<Server> next;
+    const InAMoment come([&] { next = engine.serve<Sum, Total>("sum", add_up); });
+    const auto answer = client.call(up_to(client, 5), 20s);
+    REQUIRE(answer);
+    CHECK(answer->value == 15);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a server is assigned to while its handler is at work") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    std::atomic<bool> begun{false};
+    auto server = engine.serve<Sum, Total>("sum", [&](const Sum& sum, Total& total) {
+      begun = true;
+      std::this_thread::sleep_for(20ms);
+      add_up(sum, total);
+    });
+    std::thread caller([&] {
+      auto client = engine.client<Sum, Total>("sum");
+      must(client.call(up_to(client, 3), 60s)->value == 6, "answered");
+    });
+    while (!begun) std::this_thread::sleep_for(1ms);
+    server = engine.serve<Sum, Total>("sum", add_up);
+    caller.join();
+    auto client = engine.client<Sum, Total>("sum");
+    CHECK(client.servers() == 1);
+    CHECK(client.call(up_to(client, 4), 20s)->value == 10);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a request that cannot be answered keeps nobody else from an answer") {
+  each([&] {
+    auto few = fresh();
+    few.channels = 8;
+    lot::ShmEngine engine(few);
+    std::atomic<int> told{0};
+    lot::ServerOptions how;
+    how.thread.on_error = [&](const lot::Error& error) { told += error.error_number() == EIO; };
+    auto server = engine.serve<Sum, Total>("sum", add_up, how);
+    auto good = engine.client<Sum, Total>("sum");
+    CHECK(good.call(up_to(good, 2), 20s)->value == 3);
+    auto bad = engine.client<Sum, Total>("sum");
+    auto request = up_to(bad, 3);
+    // No channel is left for the answers to the other client.
+    std::vector<lot::ShmPusher<Total>> others;
+    const auto take_all = [&] {
+      for (;;) others.push_back(engine.advertise<Total>("/" + std::to_string(others.size())));
+    };
+    CHECK(error_of(take_all).first == ENOSPC);
+    CHECK_FALSE(bad.call(std::move(request), 200ms));
+    CHECK(bad.status() == Status::Timeout);
+    CHECK(told == 1);  // and not again and again
+    CHECK(good.call(up_to(good, 4), 20s)->value == 10);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a call whose queue is full of lapsed ones ends with its server") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto client = engine.client<Sum, Total>("sum");
+    const Steps ready, go, begun;
+    Child child = serve(options, ready, go, [&begun](const Sum&, Total&) {
+      begun.tell();
+      pause();
+    });
+    CHECK(ready.next() == '.');
+    CHECK_FALSE(client.call(up_to(client, 1), 20ms));
+    CHECK(begun.next() == '.');
+    for (int n = 0; n < 18; ++n) CHECK_FALSE(client.call(up_to(client, 1), 1ms));
+    CHECK(client.status() == Status::Timeout);
+    const InAMoment kill([&] { child.kill9(); });
+    CHECK_FALSE(client.call(up_to(client, 1)));
+    CHECK(client.status() == Status::ServerGone);
+    // A server drops what no server has taken.
+    auto last = engine.serve<Sum, Total>("sum", add_up);
+    auto after = engine.client<Sum, Total>("sum");
+    CHECK(after.call(up_to(after, 4), 20s)->value == 10);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a request that ends each server ends three of them at most") {
+  each([&] {
+    const Steps ready, go;
+    std::vector<Child> servers;
+    for (int n = 0; n < 4; ++n) {
+      servers.push_back(serve(options, ready, go, [](const Sum& sum, Total& total) {
+        if (sum.numbers.empty()) raise(SIGKILL);
+        add_up(sum, total);
+      }));
+      CHECK(ready.next() == '.');
+    }
+    lot::ShmEngine engine(options);
+    lot::ClientOptions how;
+    how.retry = true;
+    auto client = engine.client<Sum, Total>("sum", how);
+    CHECK_FALSE(client.call(up_to(client, 0), 60s));
+    CHECK(client.status() == Status::ServerGone);
+    CHECK(client.call(up_to(client, 4), 60s)->value == 10);
+    CHECK(client.servers() == 1);
+    go.tell();
+    int ended_well = 0;
+    for (auto& server : servers) ended_well += server.wait() == 0;
+    CHECK(ended_well == 1);
   });
 }
 

@@ -64,7 +64,7 @@ class ServiceNames {
   std::uint64_t client_;
 };
 
-/// A number that no other client has had.
+/// A random number: no other client has it.
 std::uint64_t new_client();
 
 /// Calls what(); the text of what it throws, or nothing. Of std::bad_alloc, too.
@@ -75,10 +75,10 @@ std::optional<std::string> failure_of(What&& what) {
                     const_cast<void*>(static_cast<const void*>(&what)));
 }
 
-/// Throw lot::Error: EREMOTEIO, EINVAL, ENOMEM.
+/// Throw lot::Error: EREMOTEIO, EINVAL, EIO.
 [[noreturn]] void raise_failed_call(const std::string& service, const char* text);
 [[noreturn]] void raise_no_request(const std::string& service);
-[[noreturn]] void raise_no_answer(const std::string& service);
+[[noreturn]] void raise_no_answer(const std::string& service, const std::string& text);
 
 /// The queue of the requests of a service: one server takes each, and another one gets it when that
 /// one has died.
