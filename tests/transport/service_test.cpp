@@ -519,7 +519,7 @@ TEST_CASE_FIXTURE(Fixture, "a server is assigned to while its handler is at work
   });
 }
 
-TEST_CASE_FIXTURE(Fixture, "a request that cannot be answered keeps no other client from an answer") {
+TEST_CASE_FIXTURE(Fixture, "a request that cannot be answered holds up no other client") {
   each([&] {
     auto few = fresh();
     few.channels = 8;
