@@ -9,8 +9,8 @@
 
 namespace bench {
 
-/// One end of a ping-pong as somebody else writes it, with a type of his own and no look at what is
-/// lost. It is compiled several times, with the options that people use.
+/// One end of a ping-pong as a user of the library writes it, with a type of its own and no look at
+/// what is lost. It is compiled several times, with the options that people use.
 class OwnLoop {
  public:
   virtual ~OwnLoop() = default;

@@ -83,8 +83,8 @@ class ShmRequest {
 ///     if (auto path = plan.call(Goal{3, 4}, 1s)) drive(*path);
 ///     else if (plan.status() == lot::Status::ServerGone) ...
 ///
-/// One server gets a request; which one, nobody says. The answer is read where the server has built
-/// it: no copy.
+/// One server gets a request, and no order says which. The client reads the answer where the server
+/// has built it: no copy.
 ///
 /// Threads: one at a time. Each thread makes a client of its own.
 /// Errors:  lot::Error: EREMOTEIO with its text when the server's handler has thrown; EINVAL for a
@@ -197,7 +197,7 @@ class ShmClient {
       request->may_retry = may_retry;
       request->ticket = ticket;
       // Relaxed, both: putting the request carries it. A server that sees the end of the call late
-      // begins with a request for which nobody waits.
+      // begins with a request for which no client waits.
       ticket->waits_for.store(number, std::memory_order_relaxed);
       const struct End {
         detail::Ticket& ticket;
@@ -225,7 +225,7 @@ class ShmClient {
       while (answer == nullptr && !holds_too_much && has_server) {
         if (!wait(until, stop)) {
           if (stop.stop_requested()) return Status::Stopped;
-          look_for_answer();  // a queue that holds too much is told of once a second only
+          look_for_answer();  // the wait tells of an answer that may not be kept once a second only
           if (answer == nullptr && !holds_too_much) return Status::Timeout;
         }
       }
@@ -312,9 +312,8 @@ class ShmClient {
 ///
 /// Threads: the handler runs on that thread alone. When the server has been destroyed it is not
 ///          running any more; it must not destroy its own server.
-/// Errors:  what the handler throws its client hears of, as a lot::Error. What else keeps the
-/// server
-///          from answering (no memory, no channel for one more client) goes to
+/// Errors:  the client hears of what the handler throws, by a lot::Error. What else keeps this
+///          server from answering (no memory, no channel for one more client) goes to
 ///          ThreadOptions::on_error (EIO, with its text); that client waits to its time-out.
 /// Memory:  a thread with its stack; in the segment a queue for each client that it has answered,
 ///          with an answer in it until the client has read it and the server answers the next one.
@@ -348,7 +347,7 @@ class ShmServer {
   using Answer = detail::Answer<Response>;
   using Serving = detail::Serving<Request, Response>;
 
-  /// So many may die at one request.
+  /// Of a request that may go to another server: after so many deaths the call ends.
   static constexpr std::uint32_t kMostServers = 3;
 
   struct Core {
@@ -386,7 +385,7 @@ class ShmServer {
       }
     }
 
-    /// Null: nobody waits for the answer.
+    /// Null: no client waits for the answer.
     ShmPusher<Answer>* client_of(const Call& call) {
       // Relaxed: as in ShmClient.
       if (call.ticket->waits_for.load(std::memory_order_relaxed) != call.number) return nullptr;
@@ -400,7 +399,7 @@ class ShmServer {
       }
       PusherOptions options;
       options.depth = 4;
-      options.policy = Policy::Refuse;  // a client that does not look has ended its calls
+      options.policy = Policy::Refuse;  // never full: a client reads its answers before it asks
       options.history = 0;
       const detail::ServiceNames its(names.name(), client);
       return clients

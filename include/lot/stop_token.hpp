@@ -88,7 +88,7 @@ class StopToken {
   std::shared_ptr<const detail::StopWord> word_;  ///< null: it never stops
 };
 
-/// Tells to stop whoever waits with one of its tokens.
+/// Ends the waits that have one of its tokens.
 ///
 ///     lot::StopSource stopping;                                // a global one: for a handler
 ///     std::signal(SIGINT, [](int) { stopping.request_stop(); });
@@ -107,7 +107,8 @@ class StopSource {
 
   /// A token that stops when this is told to. Throws nothing.
   [[nodiscard]] StopToken get_token() const noexcept { return StopToken(word_); }
-  /// Stops all its tokens, for ever, and wakes those who wait. True: this call was the first.
+  /// Stops all its tokens, for ever, and wakes the threads that wait. True: this call was the
+  /// first.
   bool request_stop() noexcept { return word_->set(); }
   /// True: it was told to stop.
   [[nodiscard]] bool stop_requested() const noexcept { return word_->is_set(); }

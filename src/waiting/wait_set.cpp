@@ -69,9 +69,7 @@ class WaitSetCore {
   };
 
   /// Between two handlers: the rest of the round is left out.
-  bool stopped() const noexcept {
-    return stop_.is_set() || (token_ != nullptr && token_->is_set());
-  }
+  bool stopped() const noexcept { return stop_.is_set() || is_set(token_); }
 
   std::size_t call_timers() {
     std::size_t called = 0;

@@ -99,10 +99,6 @@ bool has_passed(const futex::Deadline& deadline) noexcept {
   return deadline && Machine::now() >= *deadline;
 }
 
-inline bool is_set(const detail::StopWord* stop) noexcept {
-  return stop != nullptr && stop->is_set();
-}
-
 /// Adds the word of a stop to those to sleep on.
 inline void add(detail::FutexWaits& words, const detail::StopWord* stop) {
   if (stop != nullptr) words.push_back(stop->wait());
@@ -118,7 +114,7 @@ std::optional<bool> spin(Waiter& waiter, SpinHabit& habit, const futex::Deadline
   const auto start = Machine::now();
   unsigned polls = 0;
   for (auto now = start;; now = Machine::now()) {
-    if (is_set(stop)) {
+    if (detail::is_set(stop)) {
       waiter.settle();
       return false;
     }
@@ -180,7 +176,7 @@ template <class Machine = Kernel, class Waiter>
   }
   for (;;) {
     auto sleep = waiter.arm();
-    if (is_set(stop)) return false;
+    if (detail::is_set(stop)) return false;
     // Also where arm() asks for a look: while other readers are faster, it does so each time.
     if (has_passed<Machine>(deadline)) return waiter.last_look();
     bool in_time = true;
@@ -191,7 +187,7 @@ template <class Machine = Kernel, class Waiter>
       waiter.before_sleep();
       in_time = Machine::sleep(sleep->words, is_last ? deadline : sleep->again) || !is_last;
       waiter.lock();
-      if (is_set(stop)) return false;
+      if (detail::is_set(stop)) return false;
     }
     if (waiter.look()) return true;
     if (!in_time) return false;

@@ -87,7 +87,7 @@ class Builds:
         run([compiler, '-std=c++17', *WARNINGS, *flags, f'-I{ROOT}/include', HERE / 'consumer.cpp', *libraries,
              '-o', self.scratch / name])
 
-    def library(self, name):
+    def make_library(self, name):
         """Builds and installs the library, and links the consumer with what its lot.pc says."""
         compiler, flags, options = LIBRARIES[name]
         tree, prefix = self.scratch / f'{name}.tree', self.scratch / f'{name}.prefix'
@@ -197,7 +197,7 @@ def in_parallel(jobs, steps):
 
 def matrix(builds, jobs):
     """Builds all, then runs what was built."""
-    build = [(f'library {name}', lambda n=name: builds.library(n)) for name in LIBRARIES]
+    build = [(f'library {name}', lambda n=name: builds.make_library(n)) for name in LIBRARIES]
     build += [(f'program {name}', lambda n=name, c=compiler, f=flags: builds.program(n, c, f))
               for name, (compiler, flags) in PROGRAMS.items()]
     build += [(f'{compiler} C++{short}', lambda c=compiler, s=standard: builds.compile(c, [f'-std={s}']))

@@ -48,7 +48,7 @@ class Limit {
   }
 
   bool waits() const noexcept { return deadline_ >= kFirst; }
-  bool is_stopped() const noexcept { return stop_ != nullptr && stop_->is_set(); }
+  bool is_stopped() const noexcept { return is_set(stop_); }
   /// REQUIRES: it waits. None: for ever.
   std::optional<Clock::time_point> deadline() const noexcept {
     if (deadline_ == Clock::time_point::max()) return std::nullopt;
@@ -72,7 +72,7 @@ struct RoomLimit {
   std::chrono::nanoseconds time;
   const StopWord* stop = nullptr;
 
-  bool is_stopped() const noexcept { return stop != nullptr && stop->is_set(); }
+  bool is_stopped() const noexcept { return is_set(stop); }
 };
 
 /// The pointer, loaded by itself. A compiler that vectorises loads two neighbours at once. Where

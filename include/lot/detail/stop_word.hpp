@@ -20,8 +20,8 @@ namespace lot::detail {
 class StopWord {
  public:
   bool is_set() const noexcept { return word_.load(std::memory_order_acquire) != 0; }  // W1
-  /// Sets it, and wakes all who sleep on it. False: it was set. Does only what a signal handler may
-  /// do, and leaves errno alone.
+  /// Sets it, and wakes all threads that sleep on it. False: it was set. Does only what a signal
+  /// handler may do, and leaves errno alone.
   bool set() noexcept;
   /// Clears it. True once for one set(), or for several that came together.
   bool take() noexcept {
@@ -37,5 +37,8 @@ class StopWord {
   /// another thread has released.
   std::atomic<std::uint32_t> word_{0};
 };
+
+/// Of a wait: null, nothing stops it.
+inline bool is_set(const StopWord* stop) noexcept { return stop != nullptr && stop->is_set(); }
 
 }  // namespace lot::detail

@@ -307,7 +307,7 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet runs until its token is told to stop") {
                  {"run_once", [&](const auto& stop) { return set.run_once(1h, stop) == 0; }}});
       CHECK(called == 0);
 
-      // A handler that leaves messages unread keeps nobody from stopping.
+      // A handler that leaves messages unread does not keep the set from stopping.
       must_go(pusher.push(pusher.loan(Number{1})));
       StopSource source;
       set.remove(puller);
@@ -395,7 +395,7 @@ TEST_CASE("stop_on_signals leaves a signal alone that is ignored, or has a handl
     const StopToken stop = lot::stop_on_signals();
     raise(SIGINT);
     raise(SIGTERM);
-    must(!stop.stop_requested(), "nobody has told it to stop");
+    must(!stop.stop_requested(), "no signal of ours stops it");
     Child grandchild([&] {
       raise(SIGHUP);
       must(stop.stop_requested(), "a child's own token");
