@@ -3,6 +3,7 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <linux/futex.h>
 #include <map>
 #include <random>
@@ -226,6 +227,14 @@ Companion::~Companion() {
   int status = 0;
   expect(waitpid(child_, &status, 0) == child_ && status == 0, "the second process failed");
   unpin();
+}
+
+std::chrono::nanoseconds Companion::cpu_time() const {
+  clockid_t clock{};
+  timespec used{};
+  expect(clock_getcpuclockid(child_, &clock) == 0 && clock_gettime(clock, &used) == 0,
+         "the processor time of the second process");
+  return std::chrono::seconds(used.tv_sec) + std::chrono::nanoseconds(used.tv_nsec);
 }
 
 void Companion::meet() {

@@ -94,6 +94,9 @@ class Companion {
   Companion(const Companion&) = delete;
   Companion& operator=(const Companion&) = delete;
 
+  /// In the parent: the processor time that the child's threads have used.
+  std::chrono::nanoseconds cpu_time() const;
+
   /// Returns when the other side has come here too.
   void meet();
   void tell(std::uint64_t order);
