@@ -5,7 +5,7 @@
 
 #include "segment/trust.hpp"
 
-/// What the variables of the environment say (README.md, Variables). Each function throws
+/// What the variables of the environment say (docs/api.md, Variables). Each function throws
 /// lot::Error that names a variable with a bad value.
 namespace lot::transport {
 
