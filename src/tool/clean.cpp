@@ -55,7 +55,7 @@ class Cleaner {
       s.window.reset();
       if (!items.empty() && !with_items_) return leave_items(s, items);
       return remove(s.name, s.path,
-                    "nobody lives in it" + (items.empty() ? "" : ", " + waiting_text(items)));
+                    "no process lives in it" + (items.empty() ? "" : ", " + waiting_text(items)));
     }
     if (s.window == nullptr) return leave_alone(s.path, s.reason + ", and it is in use", kDamaged);
     tend(s);
@@ -113,7 +113,7 @@ class Cleaner {
   /// Leaves a segment alone because items wait in it. A process has put them there to be taken:
   /// they go only when the user says so.
   void leave_items(const Sight& s, const Waiting& items) {
-    leave_alone(s.path, "nobody lives in it, but " + waiting_text(items), kWell, items);
+    leave_alone(s.path, "no process lives in it, but " + waiting_text(items), kWell, items);
     report_.hint(printable(s.name) + ": start a process that takes the items, or drop them by " +
                  command("clean --with-items", s.path));
   }
@@ -235,7 +235,7 @@ class Cleaner {
     if (given_back == 0) return;
     report_.document()["given_back"].push_back({{"path", s.path}, {"bytes", given_back}});
     report_.print((dry_ ? "would give back  " : "gave back  ") + printable(s.path, 200) + ": " +
-                  bytes_text(given_back) + " that nobody uses\n");
+                  bytes_text(given_back) + " that no process uses\n");
   }
 
   void reaped(const Sight& s, const Observation& seen, std::uint32_t k) {
@@ -291,8 +291,8 @@ Exit clean(const Settings& settings, const CleanOptions& options) {
   }
   for (const auto& name : places.doubtful) {
     const std::string path = path_of(settings.where, name) + ".lock";
-    cleaner.leave_alone(path, "it may be anybody's; " + command("clean", path) + " removes it",
-                        kWell);
+    cleaner.leave_alone(
+        path, "another program may own it; " + command("clean", path) + " removes it", kWell);
   }
   for (const auto& obstacle : places.obstacles) {
     cleaner.leave_alone(obstacle.path,

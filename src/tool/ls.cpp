@@ -232,7 +232,7 @@ void hint_at_waits(const Sight& sight, const Observation& seen, bool each, Repor
   for (const auto& c : seen.channels) {
     if (c.waits) waiting.push_back(c.publisher);
   }
-  const std::string rest = " for room: " + command("who", sight.path) + " says for whom";
+  const std::string rest = " for room: " + command("who", sight.path) + " says for which readers";
   if (waiting.size() > kMostAlike && !each) {
     return report.hint(std::to_string(waiting.size()) + " publishers wait" + rest);
   }

@@ -57,13 +57,14 @@ void add_verbs(CLI::App& app, Arguments& arguments) {
       ->check(CLI::Range(1, 600000))
       ->type_name("MILLISECONDS")
       ->capture_default_str();
-  auto* const who =
-      add_verb(app, "who", "Who holds which message since when, and who is behind", arguments);
+  auto* const who = add_verb(
+      app, "who", "Which process holds which message since when, and which reader is behind",
+      arguments);
   who->add_flag("--all", arguments.all,
                 "queued, loaned and spare messages too, and each publisher by itself");
-  auto* const clean =
-      add_verb(app, "clean",
-               "Reaps the dead, removes what nobody lives in, gives unused memory back", arguments);
+  auto* const clean = add_verb(
+      app, "clean", "Reaps the dead, removes segments without a process, gives unused memory back",
+      arguments);
   clean->add_flag("--dry-run", arguments.cleaning.dry_run, "only says what would be done");
   clean->add_flag("--with-items", arguments.cleaning.with_items,
                   "also removes segments in whose queues items wait to be taken");

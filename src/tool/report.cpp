@@ -105,7 +105,7 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
     report.ends(kWrong);
     const Waiting items = waiting(*sight.window);
     report.hint(
-        "nobody lives in " + name +
+        "no process lives in " + name +
         (!items.empty()
              ? "; " + waiting_text(items) + ": start a process that takes them, or drop them by " +
                    command("clean --with-items", sight.path)

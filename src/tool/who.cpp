@@ -65,7 +65,7 @@ void list_messages(const Observation& seen, bool all, Report& report, Json& entr
                                  {"made_by", m.home},
                                  {"holders", std::move(holders)}});
   }
-  report.print(table.empty() ? "  nobody keeps or borrows a message\n" : table.text());
+  report.print(table.empty() ? "  no process keeps or borrows a message\n" : table.text());
 }
 
 void list_readers(const Observation& seen, bool each, Report& report, Json& entry) {
@@ -120,7 +120,7 @@ void list_waiting(const Observation& seen, Report& report, Json& entry) {
       if (!names.empty()) names += c.taken ? " or " : ", ";
       names += printable(seen.who(k));
     }
-    if (names.empty()) names = "somebody";
+    if (names.empty()) names = "a reader";
     const Topic* topic = seen.topic(c.topic);
     const std::string name = topic != nullptr ? topic->name : "";
     report.hint("publisher " + printable(seen.who(c.publisher)) + " on " + printable(name) +

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// `lot clean` removes what nobody lives in, reaps the dead, and never touches the living.
+// `lot clean` removes segments without a process, reaps the dead, and never touches the living.
 
 #include <cerrno>
 #include <memory>
@@ -99,7 +99,7 @@ void check_left_alone(const Ran& ran, const lot::EngineOptions& options) {
   REQUIRE(document.at("left_alone").size() == 1);
   const Json& left = document.at("left_alone").at(0);
   CHECK(left.at("path") == path_of(options));
-  CHECK(left.at("why") == "nobody lives in it, but 3 items wait in jobs, 2 in notes");
+  CHECK(left.at("why") == "no process lives in it, but 3 items wait in jobs, 2 in notes");
   CHECK(left.at("waiting") == Json::parse(R"([{"queue": "jobs", "items": 3},
                                               {"queue": "notes", "items": 2}])"));
   REQUIRE(document.at("hints").size() == 1);
@@ -146,9 +146,9 @@ TEST_CASE("lot clean says which files it removes, and how much memory that gives
   CHECK(removed.at("bytes") == bytes);
   CHECK(bytes > 0);
   const std::string would = run_lot(on(room.options(), {"clean", "--dry-run"})).out;
-  CHECK_MESSAGE(
-      would.find("would remove  " + path + " with s.lock: nobody lives in it; that gives ") == 0,
-      would);
+  CHECK_MESSAGE(would.find("would remove  " + path +
+                           " with s.lock: no process lives in it; that gives ") == 0,
+                would);
   const std::string did = run_lot(on(room.options(), {"clean"})).out;
   CHECK(did == "removed" + would.substr(std::string("would remove").size()));
 }
@@ -224,7 +224,7 @@ TEST_CASE("a segment in which items wait is left alone until the command names t
   CHECK(dry.exit == 0);
   REQUIRE(dry.json().at("removed").size() == 1);
   CHECK(dry.json().at("removed").at(0).at("why") ==
-        "nobody lives in it, 3 items wait in jobs, 2 in notes");
+        "no process lives in it, 3 items wait in jobs, 2 in notes");
   CHECK(room.files() == 2);
   const Ran ran = run_lot(on(options, {"clean", "--with-items", "--json"}));
   CHECK(ran.exit == 0);

@@ -174,7 +174,8 @@ TEST_CASE("lot ls says that a segment stays, how many items wait there, and what
     CHECK(ran.exit == 1);
     REQUIRE(ran.json().at("hints").size() == 1);
     CHECK(ran.json().at("hints").at(0) ==
-          "nobody lives in s; 12 items wait in jobs: start a process that takes them, or drop them "
+          "no process lives in s; 12 items wait in jobs: start a process that takes them, or drop "
+          "them "
           "by `lot clean --with-items --dir " +
               room.path() + " --segment s`");
   }
@@ -184,7 +185,7 @@ TEST_CASE("lot ls says that a segment stays, how many items wait there, and what
     while (jobs.try_pop()) {
     }
   }
-  CHECK(says(ls(false).out, "nobody lives in s, which was to stay: `lot clean --dir " +
+  CHECK(says(ls(false).out, "no process lives in s, which was to stay: `lot clean --dir " +
                                 room.path() + " --segment s` removes it"));
 }
 

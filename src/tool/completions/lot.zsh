@@ -22,8 +22,8 @@ _lot() {
   )
   verbs=(
     'ls:Segments, processes, topics, publishers and subscribers, memory'
-    'who:Who holds which message since when, and who is behind'
-    'clean:Reaps the dead, removes what nobody lives in, gives unused memory back'
+    'who:Which process holds which message since when, and which reader is behind'
+    'clean:Reaps the dead, removes segments without a process, gives unused memory back'
     'doctor:Looks at the machine: what keeps LOT from working well, what to type'
   )
   _arguments -C $common \
