@@ -56,8 +56,9 @@ CONTEXT = {
     'struct Goal {': (LOT + 'template <class T> void drive(const T&) {} void report(const char*);',
                       'void page(lot::ShmEngine& engine) {', '}'),
     'lot::WaitSet set;': (LOT + 'struct Frame { int number; }; void show(const Frame&); void report();'
-                          'struct Job { int number; }; void work(const Job&);',
-                          'void page(lot::ShmPuller<Frame>& front, lot::ShmQueue<Job>& jobs, const lot::StopToken& stop) {', '}'),
+                          'struct Task { int number; }; void work(const Task&);',
+                          'void page(lot::ShmPuller<Frame>& front, lot::ShmQueue<lot::ShmUniquePtr<Task>>& tasks, '
+                          'const lot::StopToken& stop) {', '}'),
     'struct Track {': ('', '', ''),
     'lot::ros::NodeHandle nh;': ('#include <lot/ros.hpp>' + IMAGE, 'void page() {', '}'),
     'int main(': ('', '', ''),
