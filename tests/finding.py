@@ -7,9 +7,11 @@
 
 The page names every *_test.cpp and *_test.py, and only files and tests that there are. Each word of the
 interface stands in a case's name. A name stands on the line of its TEST_CASE, where one grep finds
-both, and it names who acts.
+both, and it names who acts. A case that another page names, by -tc='...' or as `some_test`: *a part of
+its name*, is there.
 """
 
+import fnmatch
 import pathlib
 import re
 import sys
@@ -28,6 +30,8 @@ NAME = re.compile(r'"((?:[^"\\]|\\.)*)"')
 VAGUE = re.compile(r'\b(?:(?:any|every|no|some)body|who(?:m|so)?ever)\b|^who\b', re.I)
 CODE = re.compile(r'`([^`]+)`')
 TEST = re.compile(r'(?:\b(?:lot|tool|faults)_test\(|\badd_test\(NAME )([\w.]+)')
+PATTERN = re.compile(r"-tc='([^']+)'")
+PARTS = re.compile(r'`\w+`: ((?:\*[^*]+\*(?:, )?)+)')
 
 
 def names_of_cases(root, complaints):
@@ -73,12 +77,25 @@ def check_page(root):
             yield f'tests/README.md: does not name tests/{path}'
 
 
+def check_mentions(root, names):
+    """Complaints about pages that name a case."""
+    names = [name.lower() for name in names]
+    for page in sorted([*root.glob('*.md'), *root.glob('docs/*.md'), *root.glob('tests/*.md')]):
+        for number, line in enumerate(page.read_text().splitlines(), 1):
+            wanted = PATTERN.findall(line)
+            for parts in PARTS.findall(line):
+                wanted += [f'*{part}*' for part in re.findall(r'\*([^*]+)\*', parts)]
+            for pattern in wanted:
+                if not fnmatch.filter(names, pattern.lower()):
+                    yield f'{page.relative_to(root)}:{number}: no case is named {pattern}'
+
+
 def check(root):
     complaints = []
     names = names_of_cases(root, complaints)
     complaints += [f'no name of a case has the word {word}'
                    for word in WORDS if not any(word in name for name in names)]
-    return complaints + list(check_page(root))
+    return complaints + list(check_page(root)) + list(check_mentions(root, names))
 
 
 PAGE = '''
@@ -94,6 +111,7 @@ GOOD = {
     'tests/low/low_test.cpp': ''.join(f'TEST_CASE_FIXTURE(F, "the reader has {word}") {{\n}}\n' for word in WORDS),
     'tests/low/more_test.py': '',
     'bench/CMakeLists.txt': '',
+    'docs/low.md': "`low_test`: *has fd()*, *has fork*. `build/low_test -tc='The reader*missed()'`\n",
 }
 PLANTED = [  # file, its text, what must be complained about
     ('tests/README.md', PAGE + '| gone | `low/gone.cpp` | `low_test` |\n',
@@ -107,6 +125,8 @@ PLANTED = [  # file, its text, what must be complained about
     ('tests/low/help.cpp', 'TEST_CASE(\n    "long") {}\n', 'help.cpp:1: the name is not on the line'),
     ('tests/low/help.cpp', '\nTEST_CASE("who waits") {}\n', 'help.cpp:2: does not name who acts'),
     ('tests/low/help.cpp', 'TEST_CASE("it goes when nobody waits" *\n', 'help.cpp:1: does not name who'),
+    ('docs/low.md', '\n(`low_test`: *has fd()*, *has no fd()*.)\n', 'docs/low.md:2: no case is named *has no fd()*'),
+    ('docs/low.md', "`build/low_test -tc='reader*'`\n", 'docs/low.md:1: no case is named reader*'),
 ]
 
 
