@@ -15,7 +15,6 @@ Rate rate_of(const Channel& c, const Rates& rates) {
   const auto found = rates.find({c.channel, c.generation});
   return found != rates.end() && !c.orphan ? found->second : Rate();
 }
-Json or_null(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
 std::string text_of(const Rate& rate) {
   if (rate.per_second) return rate_text(*rate.per_second);
   return rate.below ? below_text(*rate.below) : "";

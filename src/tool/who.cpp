@@ -34,8 +34,6 @@ std::string topic_text(const Observation& seen, const Message& m) {
   return "-";
 }
 
-Json or_null(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
-
 void list_messages(const Observation& seen, bool all, Report& report, Json& entry) {
   Table table({"TOPIC", "MESSAGE", "SIZE", "MADE BY", "HOLDER", "HOW", "SINCE"}, {0, 3, 4});
   entry["messages"] = Json::array();

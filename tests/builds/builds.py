@@ -94,7 +94,7 @@ class Builds:
         run(['cmake', '-S', ROOT, '-B', tree, '-G', 'Ninja', '-DCMAKE_BUILD_TYPE=Release', '-DCMAKE_CXX_FLAGS_RELEASE=-O1',
              f'-DCMAKE_CXX_COMPILER={compiler}', f'-DCMAKE_CXX_FLAGS={" ".join(flags)}', '-DCMAKE_UNITY_BUILD=ON',
              '-DLOT_BUILD_TESTS=OFF', '-DLOT_BUILD_BENCH=OFF', '-DLOT_BUILD_EXAMPLES=OFF', '-DLOT_BUILD_TOOL=OFF',
-             '-DLOT_BUILD_ROS=OFF', *options])
+             '-DLOT_BUILD_ROS=OFF', '-DLOT_LIBRARY_UNITY=ON', *options])
         run(['cmake', '--build', tree])
         run(['cmake', '--install', tree, '--prefix', prefix])
         pc = next(prefix.rglob('lot.pc'))
