@@ -174,7 +174,11 @@ Eviction::Step Eviction::evict(std::uint32_t asker, std::uint64_t need, Shortage
     if (ours->give_up_to_other(shortage, keep)) return {What::Given, 0, {}, 0};
   }
   if (other != nullptr) return {What::Ask, other->owner, request, 0};
-  if (can_give && own->give_up()) return {What::Given, 0, {}, 0};
+  const bool others_refer =
+      own != nullptr && others.would_follow([&](std::uint32_t k) { return givers[k]; });
+  if ((can_give || others_refer) && own->give_up()) {
+    return {others_refer ? What::Left : What::Given, 0, {}, 0};
+  }
   return take_out(true);
 }
 

@@ -21,7 +21,8 @@ class Evictor {
  public:
   /// What the messages in its ring weigh: bytes, or, where blocks are short, one for each block.
   /// Only what dies counts. A kept message does not. What a message refers to counts with the last
-  /// message that refers to it, if nothing else has it. What is reserved counts apart.
+  /// message that refers to it, if nothing else has it, whatever process has made it. What is
+  /// reserved counts apart.
   struct Stock {
     std::uint64_t held = 0;    ///< all messages that count
     std::uint64_t unread = 0;  ///< those of them that stay, since readers must not lose them
@@ -76,7 +77,9 @@ class Evictor {
 ///      since only its own publisher changes a ring. When that has gone, the process that acts for
 ///      the orphanage changes it.
 ///   3. Where no other publisher can give, the asker's own oldest message goes, whatever it is.
-///      Where it has none, the rest goes of what publishers that have gone have left.
+///      That may free nothing yet, since messages of another publisher refer to it: it weighs there
+///      from then on. Where the asker has none, the rest goes of what publishers that have gone
+///      have left.
 ///   4. For another topic these never go: the newest two messages of a publisher (a latched message
 ///      is among them), a message in a block that reserve() made, a message that is kept or
 ///      borrowed. The messages behind a kept, borrowed or reserved one do go. A message whose going
@@ -133,7 +136,8 @@ class Eviction {
 
   /// What rules 2 to 4 have decided.
   struct Step {
-    enum class What { Nothing, Given, Ask, TakeOut } what = What::Nothing;
+    /// Left: a message has left the asker's ring, and messages of others may refer to it.
+    enum class What { Nothing, Given, Left, Ask, TakeOut } what = What::Nothing;
     std::uint32_t from = 0;   ///< Ask: the participant; TakeOut: the channel of an ended ring
     Request request{};        ///< Ask: what is asked for
     std::uint32_t block = 0;  ///< TakeOut: the block of the message

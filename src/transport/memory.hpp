@@ -92,7 +92,7 @@ class Memory {
         case What::Nothing:
           return false;
         case What::Given:
-          stock_.trim(asker);
+        case What::Left:
           break;
         case What::Ask:
           given = givers[step.from] = neighbours_.ask_to_give(step.from, step.request);
@@ -101,6 +101,7 @@ class Memory {
           given = givers[refcount::kOrphanage] = take_out(step.from, step.block);
           break;
       }
+      if (given) stock_.trim(asker);  // also for what messages of others referred to
       if (enough()) return true;
       if (step.what == What::Given) continue;
       const bool is_late = futex::Clock::now() >= until;

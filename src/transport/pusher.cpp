@@ -813,16 +813,43 @@ class Pusher final : public RingPusher, private Evictor {
   /// True when the message dies as soon as it leaves the ring: no pointer, no reader and no other
   /// process has it, as far as can be seen. REQUIRES: see_hazards().
   bool is_in_ring_only(std::uint32_t b) const noexcept {
+    // Relaxed: a hint. The pool looks again before the message dies.
+    const std::uint64_t word =
+        participant_->holder().control(b).hold.load(std::memory_order_relaxed);
+    return (word & hold::kHome) != 0 && has_no_other_holder(b, participant_->holder().own.self);
+  }
+
+  /// True when no pointer, no reader and no process but this one and `home` has the message, as far
+  /// as can be seen. REQUIRES: see_hazards().
+  bool has_no_other_holder(std::uint32_t b, std::uint32_t home) const noexcept {
     const Holder& holder = participant_->holder();
-    // Relaxed, here and below: a hint. The pool looks again before the message dies.
+    // Relaxed, here and below: a hint, as above.
     const std::uint64_t word = holder.control(b).hold.load(std::memory_order_relaxed);
-    if ((word & hold::kHome) == 0 || hold::pointers(word) != 0 || seen_[b] == scan_) return false;
+    if (hold::pointers(word) != 0 || seen_[b] == scan_) return false;
     for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
       // Relaxed: as above.
-      const std::uint64_t own = holder.words(b).own[w].load(std::memory_order_relaxed);
-      if (HardwareOwnership::holders(own, w, holder.own.self) != 0) return false;
+      std::uint64_t own = holder.words(b).own[w].load(std::memory_order_relaxed);
+      for (const std::uint32_t k : {holder.own.self, home}) {
+        own = HardwareOwnership::holders(own, w, k);
+      }
+      if (own != 0) return false;
     }
     return true;
+  }
+
+  /// True when another process has made the message, has let go of it, and takes its memory back
+  /// when no process has it any more. As far as can be seen. What reserve() made goes to nobody
+  /// else.
+  bool goes_home(std::uint32_t b) const noexcept {
+    const Holder& holder = participant_->holder();
+    // Relaxed, here and below: hints, as in is_in_ring_only().
+    const std::uint32_t home = holder.words(b).home.load(std::memory_order_relaxed);
+    bool is_awaited = home == refcount::kHomeOrphanage;
+    for (auto& own : holder.words(b).own) {
+      is_awaited |= HardwareOwnership::is_awaited(own.load(std::memory_order_relaxed));
+    }
+    return is_awaited && home != refcount::kHomeFree && home != holder.own.self + 1 &&
+           !is_reserved(b) && has_no_other_holder(b, home - 1);
   }
 
   /// True when reserve() made its memory: other topics have no claim on it.
@@ -856,17 +883,19 @@ class Pusher final : public RingPusher, private Evictor {
     each_reference(*holder.segment, b, [&](std::uint32_t t) { ++holder.leaving[t]; });
   }
 
-  /// True when nothing holds the message any more, as far as can be seen, so that it dies.
+  /// True when nothing holds the message any more, as far as can be seen, so that it dies, or goes
+  /// home to another process.
   bool has_left(std::uint32_t b) const noexcept {
     const Holder& holder = participant_->holder();
     const std::uint64_t places =
         // Relaxed: a hint, as in is_in_ring_only().
         holder.control(b).hold.load(std::memory_order_relaxed) & hold::kRingMask;
-    return is_in_ring_only(b) && places == holder.leaving[b] * hold::kRing;
+    return places != 0 && places == holder.leaving[b] * hold::kRing &&
+           (is_in_ring_only(b) || goes_home(b));
   }
 
   /// Calls f(block) for the message that has just left, if that was its last place, and for each
-  /// message that only it referred to.
+  /// message that only it referred to, whatever process has made that one.
   template <class F>
   void each_that_dies(std::uint32_t b, F&& f) const noexcept {
     if (!has_left(b)) return;

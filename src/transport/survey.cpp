@@ -3,6 +3,8 @@
 
 #include "lot/options.hpp"
 
+#include "transport/references.hpp"
+
 namespace lot::transport {
 
 using Ownership = refcount::Ownership<segment::Atomics>;
@@ -39,11 +41,14 @@ ring::Word slowest(const segment::Ring& ring, ring::Word head) {
 void Survey::prepare() {
   granules_.resize(segment_.capacity().blocks);
   is_in_live_ring_.resize(segment_.capacity().blocks);
+  referrers_.resize(segment_.capacity().blocks);
+  follow_.reserve(segment_.capacity().blocks);
   publishers_.reserve(segment_.capacity().channels);
 }
 
 void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
   shortage_ = shortage;
+  self_ = self;
   publishers_.clear();
   std::fill(granules_.begin(), granules_.end(), 0);
   std::fill(is_in_live_ring_.begin(), is_in_live_ring_.end(), false);
@@ -52,64 +57,71 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
     const std::uint32_t tag = tags.tag(i);
     if (tag != 0 && tag <= granules_.size()) ++granules_[tag - 1];
   }
-  // The living publishers first, since what they still have does not die with an ended ring.
+  each_publisher(ring::State::Live, [this](std::uint32_t c, std::uint32_t) {
+    const segment::Ring ring = segment_.ring(c);
+    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+      // Relaxed: a hint.
+      const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
+      if (b < granules_.size()) is_in_live_ring_[static_cast<std::size_t>(b)] = true;
+    }
+  });
   for (const ring::State state : {ring::State::Live, ring::State::Orphan}) {
-    for (std::uint32_t c = 0; c < segment_.capacity().channels; ++c) {
-      // Acquire: R7, R9.
-      const ring::Word w = segment_.channels()[c].writer.load(std::memory_order_acquire);
-      if (w == 0) break;  // channels are taken lowest first: those behind it never were
-      const std::uint32_t owner = ring::writer_owner(w);
-      // A damaged word may say anything.
-      if (ring::writer_state(w) != state || owner >= segment_.capacity().participants ||
-          (state == ring::State::Orphan) != (owner == refcount::kOrphanage)) {
-        continue;
-      }
-      if (state == ring::State::Live) {
-        const segment::Ring ring = segment_.ring(c);
-        for (std::uint32_t i = 0; i < ring.depth; ++i) {
-          // Relaxed: a hint.
-          const ring::Word b = ring::block(ring.slots[i].load(std::memory_order_relaxed));
-          if (b < granules_.size()) is_in_live_ring_[static_cast<std::size_t>(b)] = true;
-        }
-      }
-      if (owner == self || !may_lose(segment_.channels()[c], state)) continue;
-      Publisher p{owner, c, 0, 0, 0, 0};
-      each_that_counts(
-          c, owner, [&](std::uint32_t b, std::uint64_t weight, std::uint32_t newer, bool was_read) {
-            if (p.held == 0) {
-              p.first = b;
-              if (newer >= kNewest && was_read) p.oldest = weight;
-            }
-            p.held += weight;
-            if (!was_read) p.unread += weight;
-            return true;
-          });
-      if (p.held != 0) publishers_.push_back(p);
+    each_publisher(state, [&](std::uint32_t c, std::uint32_t owner) {
+      if (owner != self && may_lose(segment_.channels()[c], state)) weigh(c, owner);
+    });
+  }
+}
+
+template <class F>
+void Survey::each_publisher(ring::State state, F&& f) const noexcept {
+  for (std::uint32_t c = 0; c < segment_.capacity().channels; ++c) {
+    // Acquire: R7, R9.
+    const ring::Word w = segment_.channels()[c].writer.load(std::memory_order_acquire);
+    if (w == 0) break;  // channels are taken lowest first: those behind it never were
+    const std::uint32_t owner = ring::writer_owner(w);
+    // A damaged word may say anything.
+    if (ring::writer_state(w) == state && owner < segment_.capacity().participants &&
+        (state == ring::State::Orphan) == (owner == refcount::kOrphanage)) {
+      f(c, owner);
     }
   }
 }
 
+void Survey::weigh(std::uint32_t channel, std::uint32_t owner) noexcept {
+  Publisher p{owner, channel, 0, 0, 0, 0, 0};
+  each_that_counts(channel, owner, [&](const Message& m) {
+    if (p.held == 0 && m.weight != 0) {
+      p.first = m.block;
+      if (m.newer >= kNewest && m.was_read) p.oldest = m.weight;
+    }
+    p.held += m.weight;
+    p.behind += m.behind;
+    if (!m.was_read) p.unread += m.weight;
+    return true;
+  });
+  if (p.held != 0 || p.behind != 0) publishers_.push_back(p);
+}
+
 void Survey::mark_of(const Publisher& p, std::uint64_t keep, bool unread,
-                     std::vector<bool>& blocks) const noexcept {
-  std::uint64_t held = p.held;
+                     std::vector<bool>& blocks) noexcept {
+  std::uint64_t held = p.held + p.behind;
   const bool has_gone = p.owner == refcount::kOrphanage;
-  each_that_counts(p.channel, p.owner,
-                   [&](std::uint32_t b, std::uint64_t weight, std::uint32_t newer, bool was_read) {
-                     if (!has_gone) {
-                       if ((!was_read && !unread) || newer < kNewest || held < keep + weight) {
-                         return false;
-                       }
-                       held -= weight;
-                     }
-                     blocks[b] = true;
-                     return true;
-                   });
+  each_that_counts(p.channel, p.owner, [&](const Message& m) {
+    const std::uint64_t weight = m.weight + m.behind;
+    if (!has_gone) {
+      if ((!m.was_read && !unread) || m.newer < kNewest || held < keep + weight) return false;
+      held -= weight;
+    }
+    blocks[m.block] = true;
+    for (const std::uint32_t t : follow_) blocks[t] = true;
+    return true;
+  });
 }
 
 /// A ring that is recycled meanwhile may say anything. The bounds in Segment::ring() and here make
 /// that harmless.
 template <class F>
-void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f) const {
+void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f) noexcept {
   const segment::Ring ring = segment_.ring(channel);
   // Relaxed: nothing that the slots lead to is read.
   const auto word = [&](std::uint32_t i) { return ring.slots[i].load(std::memory_order_relaxed); };
@@ -120,6 +132,13 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
     if (ring::distance(ring::sequence(word(i)), ring::sequence(word(newest))) > 0) newest = i;
   }
   if (left == 0) return;
+  const auto each_referred = [&](auto&& g) {
+    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+      const auto b = static_cast<std::uint32_t>(ring::block(word(i)));
+      if (b < granules_.size()) each_reference(segment_, b, g);
+    }
+  };
+  each_referred([this](std::uint32_t t) { ++referrers_[t]; });
   const bool loses = ring.guarded();
   const ring::Word place = loses ? 0 : slowest(ring, ring::next(ring::sequence(word(newest))));
   for (std::uint32_t n = 1; n <= ring.depth && left != 0; ++n) {
@@ -128,28 +147,61 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
     if (ring::block(slot) >= granules_.size()) continue;
     --left;
     const auto b = static_cast<std::uint32_t>(ring::block(slot));
-    const std::uint64_t weight = weight_of(b, owner);
-    if (weight == 0 || (owner == refcount::kOrphanage && ring.is_looked_at(b))) continue;
-    if (!f(b, weight, left, loses || ring::distance(ring::sequence(slot), place) < 0)) return;
+    if (!dies(b, owner) || (owner == refcount::kOrphanage && ring.is_looked_at(b))) continue;
+    Message m{b, weight_of(b), 0, left, loses || ring::distance(ring::sequence(slot), place) < 0};
+    follow(m, owner);
+    if ((m.weight != 0 || m.behind != 0) && !f(m)) break;
   }
+  each_referred([this](std::uint32_t t) { referrers_[t] = 0; });
 }
 
-std::uint64_t Survey::weight_of(std::uint32_t b, std::uint32_t owner) const noexcept {
+void Survey::follow(Message& message, std::uint32_t owner) noexcept {
+  follow_.clear();
+  each_reference(segment_, message.block, [&](std::uint32_t t) {
+    // The list may have changed since they were counted.
+    if (referrers_[t] == 0 || --referrers_[t] != 0) return;
+    const Had by = had(t, owner);
+    if (by == Had::ByOthers || follow_.size() == follow_.capacity()) return;
+    (by == Had::ByOwner ? message.weight : message.behind) += weight_of(t);
+    follow_.push_back(t);
+  });
+}
+
+Survey::Had Survey::had(std::uint32_t target, std::uint32_t owner) const noexcept {
+  segment::BlockWords& words = segment_.block(target);
+  // Relaxed, here and below: hints (Survey).
+  const std::uint32_t home = words.home.load(std::memory_order_relaxed);
+  if (home == refcount::kHomeFree || segment::is_reserved(segment_.arena(target)) ||
+      words.home_points.load(std::memory_order_relaxed) != 0) {  // a hint
+    return Had::ByOthers;
+  }
+  bool is_awaited = home == refcount::kHomeOrphanage || home == owner + 1;
+  for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
+    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);  // a hint
+    is_awaited |= Ownership::is_awaited(holders);
+    for (const std::uint32_t k : {owner, home - 1}) holders = Ownership::holders(holders, w, k);
+    if (holders != 0) return Had::ByOthers;
+  }
+  if (is_in_live_ring_[target]) return home == self_ + 1 ? Had::BySelfToo : Had::ByOthers;
+  return is_awaited ? Had::ByOwner : Had::ByOthers;
+}
+
+bool Survey::dies(std::uint32_t b, std::uint32_t owner) const noexcept {
   segment::BlockWords& words = segment_.block(b);
   // Relaxed, here and below: hints (Survey).
   const std::uint32_t home = words.home.load(std::memory_order_relaxed);
   const bool has_gone = owner == refcount::kOrphanage;
-  if (words.home_points.load(std::memory_order_relaxed) != 0) return 0;  // a hint
+  if (words.home_points.load(std::memory_order_relaxed) != 0) return false;  // a hint
   if (has_gone ? home == refcount::kHomeFree || is_in_live_ring_[b]
                : home != owner + 1 || segment::is_reserved(segment_.arena(b))) {
-    return 0;
+    return false;
   }
   for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
     std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);  // a hint
     for (const std::uint32_t k : {owner, home - 1}) holders = Ownership::holders(holders, w, k);
-    if (holders != 0) return 0;
+    if (holders != 0) return false;
   }
-  return shortage_ == Shortage::Blocks ? 1 : granules_[b];
+  return true;
 }
 
 }  // namespace lot::transport

@@ -54,7 +54,8 @@ struct Request {
 /// It counts by the granules' tags, since a counter could be wrong after a process is killed. All
 /// that it finds are hints: words change meanwhile, and only the publisher itself knows whether a
 /// reader looks at a message just now. So the survey chooses which process to ask, and that process
-/// decides. What messages refer to does not count.
+/// decides. What a message refers to counts with the last message of its ring that refers to it, if
+/// no other process has it.
 ///
 /// Threads: one at a time.
 /// Memory:  private to the process, made once: memory of another kind may be short as well.
@@ -72,6 +73,9 @@ class Survey {
     /// the weight of the oldest of them, if another topic may have it; else 0
     std::uint64_t oldest = 0;
     std::uint32_t first = 0;  ///< the block of the oldest of them
+    /// weight of what they refer to that only a ring of `self` has besides: it would be held if it
+    /// left that ring
+    std::uint64_t behind = 0;
   };
 
   /// Weighs the messages of all publishers but those of `self`, in granules or blocks.
@@ -97,10 +101,17 @@ class Survey {
   /// processes that may(owner) allows, and those of ended rings if may(kOrphanage) is true.
   /// `unread`: also those that readers have yet to read.
   template <class May>
-  void mark(std::uint64_t keep, bool unread, std::vector<bool>& blocks, May&& may) const noexcept {
+  void mark(std::uint64_t keep, bool unread, std::vector<bool>& blocks, May&& may) noexcept {
     for (const Publisher& p : publishers_) {
       if (may(p.owner)) mark_of(p, keep, unread, blocks);
     }
+  }
+  /// True when messages that `self` gives up would weigh with a publisher of a process that
+  /// may(owner) allows.
+  template <class May>
+  bool would_follow(May&& may) const noexcept {
+    return std::any_of(publishers_.begin(), publishers_.end(),
+                       [&](const Publisher& p) { return p.behind != 0 && may(p.owner); });
   }
   bool has_unread() const noexcept {
     return std::any_of(publishers_.begin(), publishers_.end(),
@@ -116,20 +127,42 @@ class Survey {
     }
     return most;
   }
-  void mark_of(const Publisher& p, std::uint64_t keep, bool unread,
-               std::vector<bool>& blocks) const noexcept;
-  /// Calls f(block, its weight, how many newer ones are in the ring, whether it may go) for each
-  /// message that counts, oldest first, until f says false. A message may go if no reader that must
-  /// not lose it still needs it.
+  /// Calls f(channel, owner) for each publisher in that state.
   template <class F>
-  void each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f) const;
-  /// The block's weight if the message dies when it leaves the ring, and is not reserved; else 0.
-  std::uint64_t weight_of(std::uint32_t block, std::uint32_t owner) const noexcept;
+  void each_publisher(ring::State state, F&& f) const noexcept;
+  /// Notes a publisher that holds something.
+  void weigh(std::uint32_t channel, std::uint32_t owner) noexcept;
+  void mark_of(const Publisher& p, std::uint64_t keep, bool unread,
+               std::vector<bool>& blocks) noexcept;
+  /// A message that dies if it leaves its ring. With it die `follow_`.
+  struct Message {
+    std::uint32_t block;
+    std::uint64_t weight;  ///< with what only it refers to
+    std::uint64_t behind;  ///< as Publisher::behind
+    std::uint32_t newer;   ///< so many newer ones are in the ring
+    bool was_read;         ///< no reader that must not lose it still needs it
+  };
+  /// Calls f(message) for each message that counts, oldest first, until f says false.
+  template <class F>
+  void each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f) noexcept;
+  /// Notes what dies with the message, the last one of its ring that refers to it.
+  void follow(Message& message, std::uint32_t owner) noexcept;
+  /// True when the message dies when it leaves the ring, and is not reserved.
+  bool dies(std::uint32_t block, std::uint32_t owner) const noexcept;
+  /// Who has a message that one of `owner` refers to: `owner` alone, or a ring of `self`, too.
+  enum class Had { ByOwner, BySelfToo, ByOthers };
+  Had had(std::uint32_t target, std::uint32_t owner) const noexcept;
+  std::uint64_t weight_of(std::uint32_t block) const noexcept {
+    return shortage_ == Shortage::Blocks ? 1 : granules_[block];
+  }
 
   segment::Segment& segment_;
   Shortage shortage_ = Shortage::Memory;
-  std::vector<std::uint32_t> granules_;  ///< [blocks] how many granules carry its tag
-  std::vector<bool> is_in_live_ring_;    ///< [blocks]
+  std::uint32_t self_ = 0;
+  std::vector<std::uint32_t> granules_;   ///< [blocks] how many granules carry its tag
+  std::vector<std::uint32_t> referrers_;  ///< [blocks] how many messages of one ring refer to it
+  std::vector<bool> is_in_live_ring_;     ///< [blocks]
+  std::vector<std::uint32_t> follow_;     ///< blocks that die with a message
   std::vector<Publisher> publishers_;
 };
 

@@ -45,6 +45,11 @@ struct Frame {
 struct Note {
   lot::ShmString text;
 };
+/// Small, but it keeps a frame.
+struct Detection {
+  std::uint64_t number = 0;
+  lot::ShmRef<const Frame> frame;
+};
 
 std::string topic(std::size_t n) { return "/camera" + std::to_string(n); }
 
@@ -97,6 +102,39 @@ class Camera {
 
  private:
   Steps ready_, published_, end_;
+  Child child_;
+};
+
+/// A process with default options that publishes a detection of each frame, which refers to it. It
+/// tells of each.
+class Detector {
+ public:
+  explicit Detector(const lot::EngineOptions& options)
+      : child_([&options, this] {
+          lot::ShmEngine engine(options);
+          auto frames = engine.subscribe<Frame>(topic(0));
+          auto pusher = engine.advertise<Detection>("/detections");
+          published_.tell();
+          while (end_.next(0ms) == 0) {
+            auto frame = frames.pull(10ms);
+            if (!frame) continue;
+            auto detection = pusher.loan();
+            detection->number = frame->number;
+            detection->frame = std::move(frame);
+            must(pusher.push(std::move(detection)) == lot::Status::Ok, "pushed");
+            published_.tell();
+          }
+        }) {}
+  /// The first time: it is ready.
+  bool has_published() const { return published_.next() == '.'; }
+  void kill() { child_.kill9(); }
+  int end() {
+    end_.tell();
+    return child_.wait();
+  }
+
+ private:
+  Steps published_, end_;
   Child child_;
 };
 
@@ -393,6 +431,75 @@ TEST_CASE("a stopped camera cannot give way, other ones do, and it does when it 
   }));
   CHECK(stopped.end() == 0);
   CHECK(other.end() == 0);
+}
+
+TEST_CASE("frames that messages of another process refer to give way, but for its newest two") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  Detector detector(options);
+  REQUIRE(detector.has_published());
+  {
+    lot::ShmEngine engine(options);
+    auto camera = engine.advertise<Frame>(topic(0));
+    for (std::uint64_t n = 0; n < 3 * kFits; ++n) {
+      push(camera, n);
+      REQUIRE(detector.has_published());
+    }
+    lot::PullerOptions newest;
+    newest.history = 2;
+    auto detections = engine.subscribe<Detection>("/detections", newest);
+    for (std::uint64_t n = 3 * kFits - 2; n < 3 * kFits; ++n) {
+      const auto detection = detections.try_borrow();
+      REQUIRE(detection);
+      CHECK(detection->number == n);
+      REQUIRE(detection->frame);
+      CHECK(detection->frame->number == n);
+      CHECK(detection->frame->data.back() == static_cast<unsigned char>(n));
+    }
+  }
+  CHECK(detector.end() == 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("frames that messages of another process refer to give way when the camera has gone") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  Detector detector(options);
+  REQUIRE(detector.has_published());
+  {
+    Camera camera(options, topic(0), 1, 1ms);
+    REQUIRE(camera.is_ready());
+    for (std::uint64_t n = 0; n < 2 * kFits; ++n) REQUIRE(detector.has_published());
+    SUBCASE("killed") { camera.kill(); }
+    SUBCASE("ended") { CHECK(camera.end() == 0); }
+  }
+  {
+    lot::ShmEngine engine(options);
+    auto late = engine.advertise<Frame>(topic(1));
+    for (std::uint64_t n = 0; n < 2 * kFits; ++n) push(late, n);
+    CHECK(held(engine, topic(1)) >= fair(2));
+  }
+  CHECK(detector.end() == 0);
+  CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("frames that messages of a killed process refer to give way") {
+  const Watchdog watchdog(60);
+  const auto options = fresh(kSegment);
+  lot::ShmEngine engine(options);
+  auto reader = engine.subscribe<Detection>("/detections");  // for it the killed one's queue stays
+  auto camera = engine.advertise<Frame>(topic(0));
+  {
+    Detector detector(options);
+    REQUIRE(detector.has_published());
+    for (std::uint64_t n = 0; n < 40; ++n) {
+      push(camera, n);
+      REQUIRE(detector.has_published());
+    }
+    detector.kill();
+  }
+  for (std::uint64_t n = 0; n < 3 * kFits; ++n) push(camera, n);
+  CHECK(held(engine, topic(0)) >= kFits * 8 / 10);
 }
 
 TEST_CASE("what reserve() made stays in the queue of another process that has published it again") {
