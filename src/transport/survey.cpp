@@ -158,8 +158,8 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
 void Survey::follow(Message& message, std::uint32_t owner) noexcept {
   follow_.clear();
   each_reference(segment_, message.block, [&](std::uint32_t t) {
-    // The list may have changed since they were counted.
-    if (referrers_[t] == 0 || --referrers_[t] != 0) return;
+    if (referrers_[t] == 0) return;  // the list has changed since they were counted
+    if (--referrers_[t] != 0) return;
     const Had by = had(t, owner);
     if (by == Had::ByOthers || follow_.size() == follow_.capacity()) return;
     (by == Had::ByOwner ? message.weight : message.behind) += weight_of(t);
