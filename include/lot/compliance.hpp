@@ -51,6 +51,13 @@
 ///          an aggregate: the search sees the union through the class. Trust the union too.
 namespace lot {
 
+template <class T>
+class ShmUniquePtr;
+template <class T>
+class ShmSharedPtr;
+template <class T>
+class ShmWeakPtr;
+
 /// Says that A allocates in shared memory and that its pointers may be read by other processes.
 ///
 /// Specialise it to true_type for an allocator whose `pointer` is relative.
@@ -84,6 +91,7 @@ enum class Reason {
   kNodeContainer,
   kVectorBool,
   kSmartPointer,
+  kShmPointer,
   kView,
   kFunction,
   kLockedAtomic,
@@ -282,6 +290,8 @@ constexpr Reason reason_against_class() {
   } else if constexpr (is_a<T, std::shared_ptr> || is_a<T, std::weak_ptr> ||
                        is_a<T, std::unique_ptr>) {
     return Reason::kSmartPointer;
+  } else if constexpr (is_a<T, ShmUniquePtr> || is_a<T, ShmSharedPtr> || is_a<T, ShmWeakPtr>) {
+    return Reason::kShmPointer;
   } else if constexpr (is_a<T, std::function>) {
     return Reason::kFunction;
   } else if constexpr (is_a<T, std::reference_wrapper>) {
@@ -423,6 +433,9 @@ struct Refused<Fault<Why, Culprit, Holders...>> {
   static_assert(Why != Reason::kSmartPointer,
                 "lot: this message has a smart pointer to memory of this process; hold the value "
                 "itself or use lot::ShmRef");
+  static_assert(Why != Reason::kShmPointer,
+                "lot: this message has a ShmUniquePtr, ShmSharedPtr or ShmWeakPtr, which belongs "
+                "to this process; use lot::ShmRef");
   static_assert(Why != Reason::kView,
                 "lot: this message has a view (string_view, span), which is a raw pointer and a "
                 "size; use lot::ShmString / lot::ShmVector");

@@ -1,0 +1,13 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <lot/lot.hpp>
+
+struct Frame {
+  int stamp;
+};
+struct Message {
+  int stamp;
+  lot::ShmSharedPtr<const Frame> frame;
+};
+
+static_assert(lot::assert_message<Message>());
