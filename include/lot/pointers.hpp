@@ -494,6 +494,10 @@ auto operator<=>(const P& a, const Q& b) noexcept
     -> decltype(std::compare_three_way()(a.get(), b.get())) {
   return std::compare_three_way()(a.get(), b.get());
 }
+template <class P, detail::EnableIfPointer<P> = 0>
+std::strong_ordering operator<=>(const P& p, std::nullptr_t) noexcept {
+  return std::compare_three_way()(p.get(), static_cast<decltype(p.get())>(nullptr));
+}
 #else
 template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
 auto operator!=(const P& a, const Q& b) noexcept -> decltype(a.get() != b.get()) {
@@ -526,6 +530,38 @@ auto operator<=(const P& a, const Q& b) noexcept -> decltype(b < a) {
 template <class P, class Q, detail::EnableIfPointers<P, Q> = 0>
 auto operator>=(const P& a, const Q& b) noexcept -> decltype(a < b) {
   return !(a < b);
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator<(const P& p, std::nullptr_t) noexcept {
+  return std::less<decltype(p.get())>()(p.get(), nullptr);
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator<(std::nullptr_t, const P& p) noexcept {
+  return std::less<decltype(p.get())>()(nullptr, p.get());
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator>(const P& p, std::nullptr_t) noexcept {
+  return nullptr < p;
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator>(std::nullptr_t, const P& p) noexcept {
+  return p < nullptr;
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator<=(const P& p, std::nullptr_t) noexcept {
+  return !(nullptr < p);
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator<=(std::nullptr_t, const P& p) noexcept {
+  return !(p < nullptr);
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator>=(const P& p, std::nullptr_t) noexcept {
+  return !(p < nullptr);
+}
+template <class P, detail::EnableIfPointer<P> = 0>
+bool operator>=(std::nullptr_t, const P& p) noexcept {
+  return !(nullptr < p);
 }
 #endif
 

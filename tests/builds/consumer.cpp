@@ -215,8 +215,10 @@ void pointers(lot::ShmEngine& engine) {
   MUST(ordered.count(shared) == 1 && ordered.count(weak.lock()) == 1);
   std::unordered_set<lot::ShmSharedPtr<Base>> hashed{shared};
   MUST(hashed.size() == 1 && !(shared < shared) && shared >= shared);
+  MUST(shared > nullptr && nullptr < shared && shared >= nullptr && nullptr <= shared);
+  MUST(!(shared < nullptr || nullptr > shared || shared <= nullptr || nullptr >= shared));
 #if __cplusplus >= 202002L
-  MUST((shared <=> constant) == 0);
+  MUST((shared <=> constant) == 0 && (shared <=> nullptr) > 0 && (nullptr <=> shared) < 0);
 #endif
   std::ostringstream text;
   text << shared;

@@ -244,6 +244,39 @@ TEST_CASE("a ShmUniquePtr converts to const and to a base, compares, hashes and 
 #endif
 }
 
+template <class Pointer>
+void check_order_with_null(const Pointer& none, const Pointer& some) {
+  CHECK_FALSE(none < nullptr);
+  CHECK_FALSE(nullptr < none);
+  CHECK_FALSE(none > nullptr);
+  CHECK_FALSE(nullptr > none);
+  CHECK(none <= nullptr);
+  CHECK(nullptr <= none);
+  CHECK(none >= nullptr);
+  CHECK(nullptr >= none);
+  CHECK(nullptr < some);
+  CHECK_FALSE(some < nullptr);
+  CHECK(some > nullptr);
+  CHECK_FALSE(nullptr > some);
+  CHECK(nullptr <= some);
+  CHECK_FALSE(some <= nullptr);
+  CHECK(some >= nullptr);
+  CHECK_FALSE(nullptr >= some);
+#if __cplusplus >= 202002L
+  CHECK((none <=> nullptr) == 0);
+  CHECK((some <=> nullptr) > 0);
+  CHECK((nullptr <=> some) < 0);
+#endif
+}
+
+TEST_CASE("pointers are ordered with nullptr, as std's pointers are") {
+  Place place;
+  check_order_with_null(Unique(), place.engine->make<Pair>());
+  const lot::ShmSharedPtr<Pair> shared = place.engine->make<Pair>();
+  check_order_with_null({}, shared);
+  check_order_with_null(lot::ShmRef<Pair>(), lot::ShmRef<Pair>(shared));
+}
+
 TEST_CASE("a push of a ShmUniquePtr to a base is refused: readers get whole messages") {
   Place place;
   auto pusher = place.engine->advertise<Pair>("/t");
