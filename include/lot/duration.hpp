@@ -52,9 +52,9 @@ constexpr std::chrono::nanoseconds to_nanoseconds(std::chrono::duration<Rep, Per
 /// A length of time, as every function takes it that waits: a std::chrono::duration of any unit,
 /// also of floating point.
 ///
-///     puller.pull(20ms);
-///     puller.pull(std::chrono::duration<double>(0.02));
-///     puller.pull(std::chrono::hours::max());  // for ever
+///     frame = puller.pull(20ms);
+///     frame = puller.pull(std::chrono::duration<double>(0.02));
+///     frame = puller.pull(std::chrono::hours::max());  // for ever
 ///
 /// It is nanoseconds that do not overflow: a longer time (292 years) becomes nanoseconds::max(),
 /// which means for ever, and what falls between two is the nearer one. Nothing and less than

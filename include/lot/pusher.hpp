@@ -66,8 +66,8 @@ ControlBlock* whole(const ShmUniquePtr<T>& message) {
 /// Publishes messages of type T on a topic.
 ///
 ///     auto frame = pusher.loan();
-///     frame->data.resize(16 << 20);      // not zeroed
-///     pusher.push(std::move(frame));      // readers see these bytes
+///     frame->data.resize(16 << 20);         // not zeroed
+///     (void)pusher.push(std::move(frame));  // readers see these bytes
 ///
 /// A push costs the same for any number of readers that are awake, and makes no system call. Where
 /// readers sleep it makes one, which takes longer with each of them.

@@ -231,7 +231,7 @@ const MessageType& queue_type(const QueueOptions& options) {
 /// A queue between threads of one process and of many.
 ///
 ///     auto queue = engine.queue<lot::ShmUniquePtr<Task>>("tasks");
-///     queue.put(queue.make(1, 2, 3));
+///     (void)queue.put(queue.make(1, 2, 3));
 ///     lot::ShmUniquePtr<Task> task = queue.wait_and_pop();
 ///
 /// T says what an item is and which readers get it:
