@@ -12,6 +12,10 @@ int ring_camera(const Settings& settings) {
   lot::ShmEngine engine(settings.engine());
   lot::PusherOptions options;
   options.depth = settings.depth;
+  // The machine may keep a consumer from running. The camera waits then, and skips pictures, as the
+  // TCP camera does: what is lost was lost by the transport.
+  options.policy = lot::Policy::Block;
+  options.block_for = 30s;
   options.engine = settings.mutex ? lot::QueueEngine::Mutex : lot::QueueEngine::Ring;
   auto pusher = engine.advertise<Frame>(kTopic, options);
   // As many as can exist at once, so that memory is warm from the first frame on.
@@ -31,7 +35,9 @@ int ring_camera(const Settings& settings) {
       control.wait();
     }
     frame->head.stamp_ns = now_ns();
-    (void)pusher.push(std::move(frame));  // the oldest goes: never Full
+    if (pusher.push(std::move(frame)) != lot::Status::Ok) {
+      throw std::runtime_error("a consumer has not read for 30 s");
+    }
   });
   return 0;
 }
