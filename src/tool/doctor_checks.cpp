@@ -39,15 +39,24 @@ std::uint64_t default_size(const Machine& m) {
 }
 
 Finding environment(const Machine& m) {
-  if (!m.bad_options.empty()) {
-    return {"environment", Verdict::Problem, m.bad_options, "No process can join with it.",
-            "correct the variable, or unset it"};
+  std::string unread, question;
+  for (const std::string& pair : m.misspelt) {
+    const auto colon = pair.find(": ");
+    unread += (unread.empty() ? "" : ", ") + pair.substr(0, colon);
+    question += (question.empty() ? "did you mean " : ", ") + pair.substr(colon + 2);
   }
-  if (!m.misspelt.empty()) {
-    const std::string& first = m.misspelt.front();
-    const auto colon = first.find(": ");
-    return {"environment", Verdict::Warning, first.substr(0, colon) + " is set",
-            "LOT reads no such variable.", "did you mean " + first.substr(colon + 2) + "?"};
+  if (!unread.empty()) {
+    unread += m.misspelt.size() == 1 ? " is set" : " are set";
+    question += "?";
+  }
+  if (!m.bad_options.empty()) {
+    return {"environment", Verdict::Problem,
+            m.bad_options + (unread.empty() ? "" : "; and " + unread + ", which LOT does not read"),
+            "No process can join with it.",
+            "correct the variable, or unset it" + (unread.empty() ? "" : "; " + question)};
+  }
+  if (!unread.empty()) {
+    return {"environment", Verdict::Warning, unread, "LOT reads no such variable.", question};
   }
   return ok("environment", "the LOT_ variables can be read");
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdio>
 #include <string>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 
@@ -18,7 +19,7 @@ constexpr const char* kFooter =
     "  0  all is well\n"
     "  1  nothing was found, or something is wrong: the last lines say what to do\n"
     "  2  wrong usage\n"
-    "  3  a segment is damaged, or of another version\n"
+    "  3  a segment is damaged, cut short, or of another version\n"
     "\n"
     "`ls`, `who` and `doctor` only read. lot-ls(1) and lot-who(1) say what the words mean.";
 
@@ -92,6 +93,14 @@ int run(int argc, char** argv) {
   app.set_help_all_flag("--help-all", "the same for all verbs");
   try {
     app.parse(argc, argv);
+  } catch (const CLI::RequiredError& e) {  // no verb: an unknown word is told of first
+    const std::vector<std::string> unknown = app.remaining();
+    if (unknown.empty()) {
+      app.exit(e);
+    } else {  // which prints them from the last to the first
+      app.exit(CLI::ExtrasError("lot", {unknown.rbegin(), unknown.rend()}));
+    }
+    return kUsage;
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? kWell : kUsage;
   }

@@ -59,7 +59,8 @@ bool introduce(const Sight& sight, Report& report, Json& entry) {
       break;
     default:
       report.ends(kDamaged);
-      report.hint(name + " is damaged, or of another version: stop what uses it and run " +
+      report.hint(name +
+                  " is damaged, cut short, or of another version: stop what uses it and run " +
                   command("clean", sight.path));
   }
   return false;

@@ -449,6 +449,14 @@ TEST_CASE("lot doctor ends with 0 where all is well, and with 1 where it says wh
     const Variable size("LOT_SIZE", "many");
     CHECK(doctor().exit == 1);
     CHECK(finding_of(doctor().json(), "environment").at("verdict") == "problem");
+    const Variable segment("LOT_SEGEMENT", "mine");
+    const Variable directory("LOT_DRI", "/tmp");
+    const std::string both = finding_of(doctor().json(), "environment").dump();
+    for (const char* name :
+         {"LOT_SIZE=many", "LOT_SEGEMENT", "LOT_SEGMENT", "LOT_DRI", "LOT_DIR"}) {
+      CAPTURE(name);
+      CHECK(both.find(name) != both.npos);
+    }
   }
   REQUIRE(mkdir((room.path() + "/LOTROS").c_str(), 0700) == 0);
   CHECK(doctor().exit == 1);

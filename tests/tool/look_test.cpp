@@ -341,7 +341,9 @@ TEST_CASE("the exit status: 0 well, 1 nothing or something wrong, 2 usage, 3 dam
   CHECK(exit_of({"clean"}) == 0);
   CHECK(run_lot({"ls", "--dir", room.path() + "/none"}).exit == 1);
   CHECK(run_lot({}).exit == 2);
-  CHECK(run_lot({"fly"}).exit == 2);
+  const Ran unknown = run_lot({"fly", "--json"});
+  CHECK(unknown.exit == 2);
+  CHECK(says(unknown.err, "not expected: fly"));
   CHECK(run_lot({"ls", "--interval", "soon"}).exit == 2);
   CHECK(run_lot({"--help"}).exit == 0);
   CHECK(run_lot({"--version"}).exit == 0);
