@@ -19,6 +19,13 @@ std::string printable(std::string name) {
   return name;
 }
 
+/// The system's words for the number, in brackets. None for a number that is only the kind of a
+/// failure: its words tell of sockets and disks.
+std::string words_of(int error_number) {
+  if (error_number == 0 || error_number == EPROTOTYPE || error_number == EREMOTEIO) return "";
+  return std::string(" (") + std::strerror(error_number) + ")";
+}
+
 }  // namespace
 
 const char* to_string(Status status) noexcept {
@@ -45,9 +52,7 @@ const char* to_string(Status status) noexcept {
 
 Error::Error(int error_number, std::string object, const std::string& reason,
              const std::string& advice)
-    : std::runtime_error("lot: " + printable(object) + ": " + reason +
-                         (error_number != 0 ? std::string(" (") + std::strerror(error_number) + ")"
-                                            : std::string()) +
+    : std::runtime_error("lot: " + printable(object) + ": " + reason + words_of(error_number) +
                          (advice.empty() ? std::string() : "; " + advice)),
       errno_(error_number),
       object_(std::move(object)) {}

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <cstring>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -173,6 +174,7 @@ TEST_CASE_FIXTURE(Fixture, "what a handler throws its client hears of, and the n
     const auto [number, text] = error_of([&] { (void)client.call(up_to(client, 1), 20s); });
     CHECK(number == EREMOTEIO);
     CHECK(names(text, "one is no sum"));
+    CHECK_FALSE(names(text, strerror(EREMOTEIO)));  // the system's words tell of other failures
     CHECK(names(text, "sum"));
     CHECK(error_of([&] { (void)client.call(up_to(client, 2), 20s); }).first == EREMOTEIO);
     CHECK(client.call(up_to(client, 3), 20s)->value == 6);
@@ -183,7 +185,9 @@ TEST_CASE_FIXTURE(Fixture, "a service with other types, a bad name, a request th
   each([&] {
     lot::ShmEngine engine(options);
     auto client = engine.client<Sum, Total>("sum");
-    CHECK(error_of([&] { (void)engine.client<Total, Total>("sum"); }).first == EPROTOTYPE);
+    const auto [number, text] = error_of([&] { (void)engine.client<Total, Total>("sum"); });
+    CHECK(number == EPROTOTYPE);
+    CHECK_FALSE(names(text, strerror(EPROTOTYPE)));
     CHECK(error_of([&] { (void)engine.client<Sum, Sum>("sum"); }).first == EPROTOTYPE);
     const auto nothing = [](const Sum&, Sum&) {};
     CHECK(error_of([&] { (void)engine.serve<Sum, Sum>("sum", nothing); }).first == EPROTOTYPE);
