@@ -46,7 +46,7 @@ class ShmEngine {
   ///
   /// Errors: EINVAL for options that cannot be (or variables of the environment), and where the
   /// file is no segment that may be replaced; EPERM for a segment of another user, or with other
-  /// rights; EBUSY while others use it with another size, or a stopped process opens or leaves it;
+  /// rights; EBUSY while it is in use with another size, or a stopped process opens or leaves it;
   /// ENOTEMPTY where another size would drop items that are to stay; EUSERS when as many processes
   /// are in it as it has room for; ENOSPC, EFBIG or ENOMEM when its directory, the file system or
   /// the address space has not the size; EAGAIN when there is no thread; what a system call said.

@@ -224,6 +224,12 @@ Header read_header(int fd, std::uint64_t& size) {
   return header;
 }
 
+/// Why a segment of `size` bytes is not one of `wanted`; "" where it is. 0: any will do.
+std::string size_objection(std::uint64_t size, std::uint64_t wanted) {
+  if (wanted == 0 || wanted / kUnit * kUnit == size) return "";
+  return "it has " + size_text(size) + ", " + size_text(wanted) + " were asked for";
+}
+
 Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
   std::uint64_t file_size = 0;
   const Header header = read_header(fd, file_size);
@@ -235,8 +241,8 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
   const std::uint64_t here = header.identity.boot != 0 ? boot() : 0;
   if (here != 0 && header.identity.boot != here) {
     reason = "it was left by another boot of the system";
-  } else if (wanted != 0 && wanted / kUnit * kUnit != file_size) {
-    reason = "it has " + size_text(file_size) + ", " + size_text(wanted) + " were asked for";
+  } else {
+    reason = size_objection(file_size, wanted);
   }
   return reason.empty() ? Segment::Fit::Fits : Segment::Fit::Stale;
 }
@@ -470,6 +476,10 @@ void Segment::remove(const std::string& path, const Trust& trust) noexcept {
   const std::string unfinished = path + ".new";
   if (trust.owns(path)) ::unlink(path.c_str());
   if (trust.owns(unfinished)) ::unlink(unfinished.c_str());
+}
+
+std::string Segment::other_size(std::uint64_t wanted) const {
+  return size_objection(capacity_.size, wanted);
 }
 
 bool Segment::is_at_its_path() const noexcept {

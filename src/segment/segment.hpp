@@ -61,6 +61,8 @@ class Segment {
   static Fit inspect(const std::string& path, const Trust& trust, std::string& reason);
   /// Removes the segment and an unfinished one. Leaves files of users that are not trusted.
   static void remove(const std::string& path, const Trust& trust) noexcept;
+  /// Why it is not a segment of `wanted` bytes; "" where it is. 0: any size will do.
+  std::string other_size(std::uint64_t wanted) const;
   /// False when the path names another file by now, or none.
   bool is_at_its_path() const noexcept;
 

@@ -26,6 +26,11 @@ void refuse_narrow(const std::string& path, const std::string& reason) {
                   "those do (LOT_GROUP, LOT_PERMISSIONS), or set LOT_SEGMENT");
 }
 
+void refuse_stale(const std::string& path, const std::string& reason) {
+  throw Error(EBUSY, path, reason + ", and it is in use",
+              "leave LOT_SIZE as those have it who use it, stop them, or set LOT_SEGMENT");
+}
+
 namespace {
 
 /// The contents of a segment that would be removed and made anew.
@@ -83,10 +88,7 @@ struct Found {
 /// Throws if what was found can neither be joined nor made anew.
 void require_free(const std::string& path, const Found& found, IfAbsent if_absent) {
   const bool is_narrow = found.fit == Fit::Narrow;
-  if (found.fit == Fit::Stale && found.used) {
-    throw Error(EBUSY, path, found.reason + ", and it is in use",
-                "leave LOT_SIZE as those have it who use it, stop them, or set LOT_SEGMENT");
-  }
+  if (found.fit == Fit::Stale && found.used) refuse_stale(path, found.reason);
   if (found.used && is_narrow) refuse_narrow(path, found.reason);
   if (found.used && !found.lock_reason.empty()) refuse_narrow(path + ".lock", found.lock_reason);
   if (found.fit == Fit::Fits) return;

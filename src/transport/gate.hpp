@@ -34,6 +34,9 @@ void pass_gate(const EngineOptions& options, const std::string& path, const segm
 /// Throws: the segment is in use and lets fewer users in than was asked for (*narrow*).
 [[noreturn]] void refuse_narrow(const std::string& path, const std::string& reason);
 
+/// Throws: the segment is in use, and is not the one that was asked for.
+[[noreturn]] void refuse_stale(const std::string& path, const std::string& reason);
+
 /// Throws: there is no memory for what a process needs to join.
 [[noreturn, gnu::cold]] void refuse_without_memory(const std::string& path);
 

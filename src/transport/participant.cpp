@@ -47,6 +47,8 @@ std::shared_ptr<Participant> Participant::joined(const EngineOptions& options,
   const std::lock_guard guard(process().mutex);
   existing = process().by_path[path].lock();
   if (!existing || existing->inert()) return nullptr;
+  const std::string other = existing->segment().other_size(options.size_bytes);
+  if (!other.empty()) refuse_stale(path, other);
   existing->membership_.lock_file().require(trust);
   const std::string reason = existing->membership_.lock_file().shortfall(trust);
   if (!reason.empty()) refuse_narrow(path + ".lock", reason);

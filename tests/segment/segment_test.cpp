@@ -250,6 +250,9 @@ TEST_CASE("a segment in use of another version or size is an error that says so"
     auto any = options;
     any.size_bytes = 0;
     must(refusal(any) == "", "no size means any");
+    const lot::ShmEngine mine(options);
+    must(refusal(bigger) == text, "a process that has it open already is told the same");
+    must(refusal(options) == "" && refusal(any) == "", "its own size, or any, is no error");
   });
   CHECK(other.wait() == 0);
   overwrite(engine.path(), 8, 999);
