@@ -28,6 +28,10 @@ use() {  # PREFIX SCRATCH
     gzip -t "$prefix/share/doc/$package/changelog.gz" "$prefix/share/doc/$package/changelog.Debian.gz"
     test -s "$prefix/share/doc/$package/copyright"
   done
+  # Where each shell of Debian looks.
+  test -s "$prefix/share/bash-completion/completions/lot"
+  test -s "$prefix/share/zsh/vendor-completions/_lot"
+  test -s "$prefix/share/fish/vendor_completions.d/lot.fish"
   # The transport of image_transport: its description leads to it, and it finds the library.
   local plugins=$prefix/share/lot_image_transport plugin
   plugin=$(sed -n 's/.*<library path="\([^"]*\)".*/\1/p' "$plugins/plugins.xml")
@@ -105,7 +109,8 @@ self_test() {  # FOLDER
   plant "$1" lot-tools install_and_use 'sed -i "s/^Depends: /Depends: no-such-package, /" DEBIAN/control'
   plant "$1" liblot-dev install_and_use 'sed -i s/-llot/-lelse/ usr/lib/pkgconfig/lot.pc'
   plant "$1" liblot-ros-dev install_and_use 'rm usr/lib/lot/image_transport/*.so'
-  echo "packages self-test: 4 mistakes found"
+  plant "$1" lot-tools install_and_use 'mv usr/share/zsh/vendor-completions usr/share/zsh/site-functions'
+  echo "packages self-test: 5 mistakes found"
 }
 
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
