@@ -16,9 +16,9 @@ struct EngineOptions {
   std::string segment = "LOTROS";      ///< LOT_SEGMENT
   std::string directory = "/dev/shm";  ///< LOT_DIR; share it with the containers that are to meet
   std::uint64_t size_bytes = 0;        ///< LOT_SIZE (512M, 2G); 0: 1 GiB, or less: docs/limits.md
-  /// LOT_PERMISSIONS, octal: 0600, 0660 or 0666, since joining reads and writes. Of new files; a
-  /// segment whose files give others more is not joined, nor one's own that gives less. 0: 0600, or
-  /// 0660 with a group.
+  /// LOT_PERMISSIONS, octal: 0600, 0660, 0606 or 0666, since joining reads and writes. Of new
+  /// files; a segment whose files give others more is not joined, nor one's own that gives less. 0:
+  /// 0600, or 0660 with a group.
   unsigned permissions = 0;
   /// LOT_GROUP, a name or a number. Its members share the segment: new files belong to it, and
   /// theirs are joined.
@@ -96,8 +96,9 @@ enum class Wait {
 /// What a subscription gets first, how much it keeps, and how it waits.
 struct PullerOptions {
   Wait wait = Wait::Adaptive;  ///< how pull() and borrow() pass the time
-  /// Messages published before this subscription that it gets first (latched: 1). At most what the
-  /// queue has: depth, under Block and Refuse one less.
+  /// Messages of each publisher from before this subscription that it gets first (latched: 1),
+  /// those of several publishers in no common order. At most what the queue has: depth, under Block
+  /// and Refuse one less.
   std::uint64_t history = 0;
   /// What is kept of this subscription's messages at once: memory, in bytes. Beyond it pulls say
   /// Status::HoldsTooMuch, and messages wait in the queue, or are overwritten, until some are let
