@@ -175,9 +175,12 @@ using ShmVector = std::vector<T, ShmAllocator<T>>;
 /// Threads: as the message: one thread at a time builds it, any number read it.
 /// Errors:  assignment throws lot::Error: EINVAL when the target is private memory, or lies in
 ///          another segment, or came to the process by another copy of the library; EPERM when the
-///          message that the reference lies in was received or is published; EBADMSG when a
-///          reference is damaged. lot::OutOfMemory when the message has no room to note one more
-///          target.
+///          message that the reference lies in was received, or was pushed as a ShmSharedPtr;
+///          EBADMSG when a reference is damaged. lot::OutOfMemory when the message has no room to
+///          note one more target. reset() and an assignment of nullptr throw nothing, also in a
+///          published message: its readers then find null. Nor is an assignment refused in the
+///          process that has made the message, pushed it as a ShmUniquePtr and pulled it again.
+///          Such a change takes a const_cast, which is the program's own fault.
 /// Memory:  32 bytes, and in the message a list with an entry for each target.
 /// Crash:   what was published keeps its target for as long as it lives; what was only loaned is
 ///          freed and lets its target go.
