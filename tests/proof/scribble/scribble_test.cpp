@@ -9,9 +9,11 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
+#include <optional>
 #include <random>
 #include <string>
 #include <thread>
@@ -267,13 +269,20 @@ TEST_CASE("changed words of the tables lead no process outside of the segment") 
     others.emplace_back([&] { look_from_outside(options); });
     REQUIRE(eventually([&] { return access(path.c_str(), F_OK) == 0; }));
     std::this_thread::sleep_for(30ms);
-    {
-      Scribbler scribbler(options, random);
-      for (int n = 0; n < kOfOneSegment; ++n) {
-        scribbler.change();
-        if (n % 4 == 0) std::this_thread::sleep_for(1ms);
+    std::optional<Scribbler> scribbler;
+    REQUIRE(eventually([&] {
+      try {
+        scribbler.emplace(options, random);
+      } catch (const lot::Error& e) {  // the last role has left, and none has come yet
+        must(e.error_number() == ENOENT, e.what());
       }
+      return scribbler.has_value();
+    }));
+    for (int n = 0; n < kOfOneSegment; ++n) {
+      scribbler->change();
+      if (n % 4 == 0) std::this_thread::sleep_for(1ms);
     }
+    scribbler.reset();
     std::this_thread::sleep_for(20ms);
     for (std::size_t i = 0; i < others.size(); ++i) {
       int status = 0;
