@@ -111,8 +111,8 @@ struct Ownership {
     return own & ~kWanted & ~(w == except / P::kBitsPerWord ? bit(except) : 0);
   }
 
-  /// True when the home has no hold of its own any more, and waits until the holders that this
-  /// ownership word names let go.
+  /// True when the home had no hold of its own when it last looked, and waits until the holders
+  /// that this ownership word names let go.
   static bool is_awaited(std::uint64_t own) { return (own & kWanted) != 0; }
 
   /// Adds `amount` (hold::kPointer or hold::kRing) to this process's holds. REQUIRES: the caller

@@ -193,7 +193,7 @@ bool Eviction::give(const Request& request) noexcept {
     Evictor::Stock stock;
     Evictor* const giver = richest(kNoAsker, request.keep * unit, request.shortage, stock);
     if (giver == nullptr || !giver->give_up_to_other(request.shortage, request.keep * unit)) break;
-    given += stock.oldest;
+    given += stock.frees;
     any = true;
   }
   return any;

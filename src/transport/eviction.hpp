@@ -26,9 +26,11 @@ class Evictor {
   struct Stock {
     std::uint64_t held = 0;    ///< all messages that count
     std::uint64_t unread = 0;  ///< those of them that stay, since readers must not lose them
-    std::uint64_t oldest = 0;  ///< the oldest of them, if another topic may have its memory; else 0
+    /// the oldest of them that frees something, if another topic may have its memory; else 0
+    std::uint64_t oldest = 0;
     std::uint64_t reserved = 0;  ///< besides them, what only the publisher itself may give up
-    std::uint32_t block = 0;     ///< the block of `oldest`
+    std::uint32_t block = 0;     ///< what goes next: that one, or an older one that frees nothing
+    std::uint64_t frees = 0;     ///< what that frees
 
     /// What the publisher can free for itself.
     std::uint64_t own() const noexcept { return held - unread + reserved; }
@@ -83,8 +85,8 @@ class Evictor {
 ///   4. For another topic these never go: the newest two messages of a publisher (a latched message
 ///      is among them), a message in a block that reserve() made, a message that is kept or
 ///      borrowed. The messages behind a kept, borrowed or reserved one do go. A message whose going
-///      frees nothing stays, and so do those behind it. Idle memory that reserve() made stays as
-///      well (Pool::trim).
+///      frees nothing goes only if one behind it may go that frees something. Idle memory that
+///      reserve() made stays as well (Pool::trim).
 ///   5. Of a publisher with Policy::Block or Refuse, no message ever goes that a reader has yet to
 ///      read. It counts: a publisher that waits for slow readers has its share. Tasks that wait for
 ///      a worker do not go, either. A publisher with Policy::Block waits for readers, its own and

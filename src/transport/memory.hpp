@@ -96,18 +96,21 @@ class Memory {
           break;
         case What::Ask:
           given = givers[step.from] = neighbours_.ask_to_give(step.from, step.request);
+          if (given) reaper_.collect();  // the home of what they referred to may be the orphanage
           break;
         case What::TakeOut:
           given = givers[refcount::kOrphanage] = take_out(step.from, step.block);
           break;
       }
-      if (given) stock_.trim(asker);  // also for what messages of others referred to
+      if (given) stock_.trim(asker);  // what messages of others referred to comes home
       if (enough()) return true;
+      // Or it lies idle in a third process, which has made it.
+      if (given && step.what == What::Ask && neighbours_.gather(enough)) return true;
       if (step.what == What::Given) continue;
       const bool is_late = futex::Clock::now() >= until;
       if (is_late) givers = {};  // messages of this process may still be enough
       eviction_.look_at_others(shortage);
-      if (given || possible(givers)) continue;
+      if ((given && !is_late) || possible(givers)) continue;
       // Without that giver there is no room. If it was silent it may be slow, and not stopped.
       if (is_late || step.what != What::Ask || !neighbours_.is_silent(step.from)) return false;
       givers[step.from] = true;

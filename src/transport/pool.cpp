@@ -6,6 +6,7 @@
 #include <cerrno>
 #include <utility>
 
+#include "lot/detail/mapping.hpp"
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
@@ -37,7 +38,7 @@ bool Holder::claim(std::uint32_t b, std::uint64_t topic) noexcept {
   queued(b).store(0, std::memory_order_relaxed);
   Arena& arena = segment->arena(b);
   segment->open_build(b);
-  arena.references = 0;
+  detail::write_once(arena.references, std::uint64_t{0});
   arena.topic = topic;
   segment::set_reserved(arena, false);
   return true;
@@ -76,7 +77,7 @@ void Holder::release_references(std::uint32_t b) const noexcept {
     if (left == Left::Home) home.push(target);
     if (left == Left::Wanted) tell_home(target);
   });
-  arena.references = 0;
+  detail::write_once(arena.references, std::uint64_t{0});
   if (nested) return;
   HomeList* const outer = std::exchange(first, &mine);
   while (!home.empty()) {

@@ -755,7 +755,8 @@ class Pusher final : public RingPusher, private Evictor {
   Stock weigh(Shortage shortage) noexcept {
     Stock stock;
     begin_to_weigh();
-    bool is_oldest = true;
+    bool is_oldest = true;  // none that frees something has come
+    std::optional<std::uint32_t> first;
     each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool was_read) {
       if (!is_in_ring_only(b)) return true;
       if (is_reserved(b)) {
@@ -767,9 +768,15 @@ class Pusher final : public RingPusher, private Evictor {
       const std::uint64_t weight = weight_of(b, shortage);
       stock.held += weight;
       if (!was_read) stock.unread += weight;
-      if (std::exchange(is_oldest, false) && newer >= kNewest && was_read) {
-        stock.oldest = weight;
-        stock.block = b;
+      if (is_oldest) {
+        const bool may_go = newer >= kNewest && was_read;
+        if (may_go) {
+          if (!first) first = b;
+          stock.oldest = weight;
+          stock.block = *first;
+          stock.frees = *first == b ? weight : 0;
+        }
+        is_oldest = may_go && weight == 0;
       }
       return true;
     });
@@ -787,7 +794,7 @@ class Pusher final : public RingPusher, private Evictor {
       leave(b);
       if (!own) {
         const std::uint64_t weight = weight_of(b, Shortage::Memory);
-        if (newer < kNewest || weight == 0 || held < keep + weight) return false;
+        if (newer < kNewest || held < keep + weight) return false;
         held -= weight;
       }
       each_that_dies(b, [&](std::uint32_t t) { blocks[t] = true; });
@@ -849,7 +856,9 @@ class Pusher final : public RingPusher, private Evictor {
       is_awaited |= HardwareOwnership::is_awaited(own.load(std::memory_order_relaxed));
     }
     return is_awaited && home != refcount::kHomeFree && home != holder.own.self + 1 &&
-           !is_reserved(b) && has_no_other_holder(b, home - 1);
+           holder.words(b).home_points.load(std::memory_order_relaxed) == 0 &&  // as above
+           (home == refcount::kHomeOrphanage || !is_reserved(b)) &&
+           has_no_other_holder(b, home - 1);
   }
 
   /// True when reserve() made its memory: other topics have no claim on it.
@@ -883,16 +892,16 @@ class Pusher final : public RingPusher, private Evictor {
     each_reference(*holder.segment, b, [&](std::uint32_t t) { ++holder.leaving[t]; });
   }
 
-  /// True when nothing holds the message any more, as far as can be seen, so that it dies, or goes
-  /// home to another process.
-  bool has_left(std::uint32_t b) const noexcept {
+  /// True when no ring and no message of this process has the message any more.
+  bool have_all_left(std::uint32_t b) const noexcept {
     const Holder& holder = participant_->holder();
     const std::uint64_t places =
         // Relaxed: a hint, as in is_in_ring_only().
         holder.control(b).hold.load(std::memory_order_relaxed) & hold::kRingMask;
-    return places != 0 && places == holder.leaving[b] * hold::kRing &&
-           (is_in_ring_only(b) || goes_home(b));
+    return places != 0 && places == holder.leaving[b] * hold::kRing;
   }
+  /// True when nothing holds the message any more, as far as can be seen, so that it dies.
+  bool has_left(std::uint32_t b) const noexcept { return have_all_left(b) && is_in_ring_only(b); }
 
   /// Calls f(block) for the message that has just left, if that was its last place, and for each
   /// message that only it referred to, whatever process has made that one.
@@ -901,7 +910,7 @@ class Pusher final : public RingPusher, private Evictor {
     if (!has_left(b)) return;
     f(b);
     each_reference(participant_->segment(), b, [&](std::uint32_t t) {
-      if (has_left(t)) f(t);
+      if (have_all_left(t) && (is_in_ring_only(t) || goes_home(t))) f(t);
     });
   }
 

@@ -14,7 +14,8 @@ namespace lot::transport {
 /// ones too, until f returns false. Bounds are checked, since the list may be damaged.
 ///
 /// The home writes the list. A reaper reads it under the dead home's byte lock, or after
-/// the message's death. `lot who` takes what it sees for a hint.
+/// the message's death. A process that is short of memory, and `lot who`, take what they see for
+/// hints.
 template <class F>
 void each_entry(const segment::Segment& segment, std::uint32_t b, F&& f) {
   using detail::ReferenceList;

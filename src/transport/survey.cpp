@@ -11,6 +11,9 @@ using Ownership = refcount::Ownership<segment::Atomics>;
 
 namespace {
 
+/// Not only the messages of this ring refer to it: how many do says nothing.
+constexpr std::uint32_t kOthersRefer = ~std::uint32_t{0};
+
 /// True if messages of the ring may go for another topic's need. False for the items of a queue
 /// without loss: only their takers get them. False for what a publisher without loss has left: its
 /// readers get that to the end.
@@ -41,6 +44,7 @@ ring::Word slowest(const segment::Ring& ring, ring::Word head) {
 void Survey::prepare() {
   granules_.resize(segment_.capacity().blocks);
   is_in_live_ring_.resize(segment_.capacity().blocks);
+  all_referrers_.resize(segment_.capacity().blocks);
   referrers_.resize(segment_.capacity().blocks);
   follow_.reserve(segment_.capacity().blocks);
   publishers_.reserve(segment_.capacity().channels);
@@ -52,6 +56,13 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
   publishers_.clear();
   std::fill(granules_.begin(), granules_.end(), 0);
   std::fill(is_in_live_ring_.begin(), is_in_live_ring_.end(), false);
+  std::fill(all_referrers_.begin(), all_referrers_.end(), 0);
+  std::fill(referrers_.begin(), referrers_.end(), 0);
+  for (std::uint32_t b = 0; b < granules_.size(); ++b) {
+    // Relaxed: a hint.
+    if (segment_.block(b).home.load(std::memory_order_relaxed) == refcount::kHomeFree) continue;
+    each_reference(segment_, b, [this](std::uint32_t t) { ++all_referrers_[t]; });
+  }
   const auto& tags = segment_.granules();
   for (std::uint32_t i = 0; i < tags.count(); ++i) {
     const std::uint32_t tag = tags.tag(i);
@@ -96,7 +107,7 @@ void Survey::weigh(std::uint32_t channel, std::uint32_t owner) noexcept {
     }
     p.held += m.weight;
     p.behind += m.behind;
-    if (!m.was_read) p.unread += m.weight;
+    if (!m.was_read) p.unread += m.weight + m.behind;
     return true;
   });
   if (p.held != 0 || p.behind != 0) publishers_.push_back(p);
@@ -139,6 +150,11 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
     }
   };
   each_referred([this](std::uint32_t t) { ++referrers_[t]; });
+  if (owner != refcount::kOrphanage) {  // of those all go
+    each_referred([this](std::uint32_t t) {
+      if (referrers_[t] < all_referrers_[t]) referrers_[t] = kOthersRefer;
+    });
+  }
   const bool loses = ring.guarded();
   const ring::Word place = loses ? 0 : slowest(ring, ring::next(ring::sequence(word(newest))));
   for (std::uint32_t n = 1; n <= ring.depth && left != 0; ++n) {
@@ -158,7 +174,8 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
 void Survey::follow(Message& message, std::uint32_t owner) noexcept {
   follow_.clear();
   each_reference(segment_, message.block, [&](std::uint32_t t) {
-    if (referrers_[t] == 0) return;  // the list has changed since they were counted
+    // Zero: the list has changed since they were counted.
+    if (referrers_[t] == 0 || referrers_[t] == kOthersRefer) return;
     if (--referrers_[t] != 0) return;
     const Had by = had(t, owner);
     if (by == Had::ByOthers || follow_.size() == follow_.capacity()) return;
@@ -171,7 +188,8 @@ Survey::Had Survey::had(std::uint32_t target, std::uint32_t owner) const noexcep
   segment::BlockWords& words = segment_.block(target);
   // Relaxed, here and below: hints (Survey).
   const std::uint32_t home = words.home.load(std::memory_order_relaxed);
-  if (home == refcount::kHomeFree || segment::is_reserved(segment_.arena(target)) ||
+  if (home == refcount::kHomeFree ||
+      (home != refcount::kHomeOrphanage && segment::is_reserved(segment_.arena(target))) ||
       words.home_points.load(std::memory_order_relaxed) != 0) {  // a hint
     return Had::ByOthers;
   }

@@ -94,7 +94,7 @@ class Survey {
   /// left.
   const Publisher* ended(bool all) const noexcept {
     return best([all](const Publisher& p) {
-      return p.owner == refcount::kOrphanage && (all || p.oldest != 0);
+      return p.owner == refcount::kOrphanage && (all ? p.held : p.oldest) != 0;
     });
   }
   /// Marks the blocks of messages that these publishers may give while each keeps `keep`: those of
@@ -159,10 +159,11 @@ class Survey {
   segment::Segment& segment_;
   Shortage shortage_ = Shortage::Memory;
   std::uint32_t self_ = 0;
-  std::vector<std::uint32_t> granules_;   ///< [blocks] how many granules carry its tag
-  std::vector<std::uint32_t> referrers_;  ///< [blocks] how many messages of one ring refer to it
-  std::vector<bool> is_in_live_ring_;     ///< [blocks]
-  std::vector<std::uint32_t> follow_;     ///< blocks that die with a message
+  std::vector<std::uint32_t> granules_;       ///< [blocks] how many granules carry its tag
+  std::vector<std::uint32_t> all_referrers_;  ///< [blocks] how many messages refer to it
+  std::vector<std::uint32_t> referrers_;      ///< [blocks] the same, of one ring
+  std::vector<bool> is_in_live_ring_;         ///< [blocks]
+  std::vector<std::uint32_t> follow_;         ///< blocks that die with a message
   std::vector<Publisher> publishers_;
 };
 

@@ -441,10 +441,18 @@ TEST_CASE("frames that messages of another process refer to give way, but for it
   {
     lot::ShmEngine engine(options);
     auto camera = engine.advertise<Frame>(topic(0));
+    auto viewer = engine.subscribe<Frame>(topic(0));
+    lot::ShmSharedPtr<const Frame>
+        kept;  // its detection frees nothing, and does not hold others up
+    bool keeps = false;
+    SUBCASE("and no reader keeps one") {}
+    SUBCASE("also behind one that a reader keeps") { keeps = true; }
     for (std::uint64_t n = 0; n < 3 * kFits; ++n) {
       push(camera, n);
       REQUIRE(detector.has_published());
+      if (keeps && n == 3) kept = viewer.try_pull();
     }
+    CHECK(static_cast<bool>(kept) == keeps);
     lot::PullerOptions newest;
     newest.history = 2;
     auto detections = engine.subscribe<Detection>("/detections", newest);
