@@ -53,6 +53,7 @@ void Survey::prepare() {
 void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
   shortage_ = shortage;
   self_ = self;
+  some_refer_ = false;
   publishers_.clear();
   std::fill(granules_.begin(), granules_.end(), 0);
   std::fill(is_in_live_ring_.begin(), is_in_live_ring_.end(), false);
@@ -61,7 +62,10 @@ void Survey::look(std::uint32_t self, Shortage shortage) noexcept {
   for (std::uint32_t b = 0; b < granules_.size(); ++b) {
     // Relaxed: a hint.
     if (segment_.block(b).home.load(std::memory_order_relaxed) == refcount::kHomeFree) continue;
-    each_reference(segment_, b, [this](std::uint32_t t) { ++all_referrers_[t]; });
+    each_reference(segment_, b, [this](std::uint32_t t) {
+      ++all_referrers_[t];
+      some_refer_ = true;
+    });
   }
   const auto& tags = segment_.granules();
   for (std::uint32_t i = 0; i < tags.count(); ++i) {
@@ -144,6 +148,7 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
   }
   if (left == 0) return;
   const auto each_referred = [&](auto&& g) {
+    if (!some_refer_) return;
     for (std::uint32_t i = 0; i < ring.depth; ++i) {
       const auto b = static_cast<std::uint32_t>(ring::block(word(i)));
       if (b < granules_.size()) each_reference(segment_, b, g);
@@ -173,6 +178,7 @@ void Survey::each_that_counts(std::uint32_t channel, std::uint32_t owner, F&& f)
 
 void Survey::follow(Message& message, std::uint32_t owner) noexcept {
   follow_.clear();
+  if (!some_refer_) return;
   each_reference(segment_, message.block, [&](std::uint32_t t) {
     // Zero: the list has changed since they were counted.
     if (referrers_[t] == 0 || referrers_[t] == kOthersRefer) return;

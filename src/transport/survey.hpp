@@ -159,6 +159,7 @@ class Survey {
   segment::Segment& segment_;
   Shortage shortage_ = Shortage::Memory;
   std::uint32_t self_ = 0;
+  bool some_refer_ = false;                   ///< some message refers to another one
   std::vector<std::uint32_t> granules_;       ///< [blocks] how many granules carry its tag
   std::vector<std::uint32_t> all_referrers_;  ///< [blocks] how many messages refer to it
   std::vector<std::uint32_t> referrers_;      ///< [blocks] the same, of one ring

@@ -173,7 +173,7 @@ TEST_CASE("advertise waits for a process that is slow, where no other can make r
   REQUIRE(filler.is_ready());
   filler.send(SIGSTOP);
   std::thread later([&] {
-    std::this_thread::sleep_for(400ms);  // longer than one answer is waited for
+    std::this_thread::sleep_for(300ms);  // longer than one answer is waited for
     filler.send(SIGCONT);
   });
   std::vector<lot::ShmPusher<Item>> others;
