@@ -111,9 +111,22 @@ struct Ownership {
     return own & ~kWanted & ~(w == except / P::kBitsPerWord ? bit(except) : 0);
   }
 
-  /// True when the home had no hold of its own when it last looked, and waits until the holders
-  /// that this ownership word names let go.
-  static bool is_awaited(std::uint64_t own) { return (own & kWanted) != 0; }
+  /// True when a participant besides these two holds the block. Relaxed: a hint.
+  static bool has_holder_besides(const Words& b, std::uint32_t one, std::uint32_t other) {
+    for (std::uint32_t w = 0; w < P::kOwnWords; ++w) {
+      const std::uint64_t own = holders(b.own[w].load(std::memory_order_relaxed), w, one);
+      if (holders(own, w, other) != 0) return true;
+    }
+    return false;
+  }
+  /// True when the home had no hold of its own when it last looked, and waits until all holders
+  /// have let go. Relaxed: a hint.
+  static bool is_awaited(const Words& b) {
+    for (const auto& own : b.own) {
+      if ((own.load(std::memory_order_relaxed) & kWanted) != 0) return true;  // as above
+    }
+    return false;
+  }
 
   /// Adds `amount` (hold::kPointer or hold::kRing) to this process's holds. REQUIRES: the caller
   /// protects the block by a hazard, a cursor or another hold.

@@ -157,7 +157,7 @@ Trust Trust::of(const EngineOptions& options) {
   if ((trust.mode & ~mode_t{0666}) != 0 || (trust.mode & kOwn) != kOwn) {
     throw Error(EINVAL, "permissions (LOT_PERMISSIONS) " + in_octal(trust.mode),
                 "not usable permissions",
-                "use 0600 (you), 0660 (and your group), 0606 (and all others), 0666 (everybody)");
+                "use 0600 (you), 0660 (and your group), 0606 (and all others), 0666 (all users)");
   }
   if (trust.group && (trust.mode & kOfGroup) != kOfGroup) {
     throw Error(EINVAL, "group (LOT_GROUP) " + options.group,
@@ -167,7 +167,7 @@ Trust Trust::of(const EngineOptions& options) {
   if (gives_half(trust.mode)) {
     throw Error(EINVAL, "permissions (LOT_PERMISSIONS) " + in_octal(trust.mode),
                 "nobody could join by one right alone: joining reads and writes",
-                "use 0600 (you), 0660 (and your group), 0606 (and all others), 0666 (everybody)");
+                "use 0600 (you), 0660 (and your group), 0606 (and all others), 0666 (all users)");
   }
   return trust;
 }

@@ -39,7 +39,7 @@ unsigned parse_permissions(const char* text) {
   if (*end != '\0' || (mode & ~0666UL) != 0 || (mode & 0600) != 0600) {
     throw Error(EINVAL, std::string("LOT_PERMISSIONS=") + text, "not usable permissions",
                 "write them in octal: 0600 (you), 0660 (and your group), 0606 (and all others), "
-                "0666 (everybody)");
+                "0666 (all users)");
   }
   return static_cast<unsigned>(mode);
 }

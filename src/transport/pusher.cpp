@@ -755,7 +755,7 @@ class Pusher final : public RingPusher, private Evictor {
   Stock weigh(Shortage shortage) noexcept {
     Stock stock;
     begin_to_weigh();
-    bool is_oldest = true;  // none that frees something has come
+    bool seeks = true;  // none that frees something has come
     std::optional<std::uint32_t> first;
     each_of_ring([&](std::uint32_t b, std::uint32_t newer, bool was_read) {
       if (!is_in_ring_only(b)) return true;
@@ -768,7 +768,7 @@ class Pusher final : public RingPusher, private Evictor {
       const std::uint64_t weight = weight_of(b, shortage);
       stock.held += weight;
       if (!was_read) stock.unread += weight;
-      if (is_oldest) {
+      if (seeks) {
         const bool may_go = newer >= kNewest && was_read;
         if (may_go) {
           if (!first) first = b;
@@ -776,7 +776,7 @@ class Pusher final : public RingPusher, private Evictor {
           stock.block = *first;
           stock.frees = *first == b ? weight : 0;
         }
-        is_oldest = may_go && weight == 0;
+        seeks = may_go && weight == 0;
       }
       return true;
     });
@@ -830,34 +830,24 @@ class Pusher final : public RingPusher, private Evictor {
   /// as can be seen. REQUIRES: see_hazards().
   bool has_no_other_holder(std::uint32_t b, std::uint32_t home) const noexcept {
     const Holder& holder = participant_->holder();
-    // Relaxed, here and below: a hint, as above.
+    // Relaxed: a hint, as above.
     const std::uint64_t word = holder.control(b).hold.load(std::memory_order_relaxed);
-    if (hold::pointers(word) != 0 || seen_[b] == scan_) return false;
-    for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
-      // Relaxed: as above.
-      std::uint64_t own = holder.words(b).own[w].load(std::memory_order_relaxed);
-      for (const std::uint32_t k : {holder.own.self, home}) {
-        own = HardwareOwnership::holders(own, w, k);
-      }
-      if (own != 0) return false;
-    }
-    return true;
+    return hold::pointers(word) == 0 && seen_[b] != scan_ &&
+           !HardwareOwnership::has_holder_besides(holder.words(b), holder.own.self, home);
   }
 
-  /// True when another process has made the message, has let go of it, and takes its memory back
-  /// when no process has it any more. As far as can be seen. What reserve() made goes to nobody
-  /// else.
+  /// True when another process has made the message and has let go of it, as far as can be seen: it
+  /// gets the memory back as soon as no process has the message. False for what reserve() made,
+  /// which stays with that process.
   bool goes_home(std::uint32_t b) const noexcept {
     const Holder& holder = participant_->holder();
     // Relaxed, here and below: hints, as in is_in_ring_only().
     const std::uint32_t home = holder.words(b).home.load(std::memory_order_relaxed);
-    bool is_awaited = home == refcount::kHomeOrphanage;
-    for (auto& own : holder.words(b).own) {
-      is_awaited |= HardwareOwnership::is_awaited(own.load(std::memory_order_relaxed));
-    }
-    return is_awaited && home != refcount::kHomeFree && home != holder.own.self + 1 &&
+    if (home == refcount::kHomeFree || home == holder.own.self + 1) return false;
+    const bool has_let_go = home == refcount::kHomeOrphanage ||
+                            (HardwareOwnership::is_awaited(holder.words(b)) && !is_reserved(b));
+    return has_let_go &&
            holder.words(b).home_points.load(std::memory_order_relaxed) == 0 &&  // as above
-           (home == refcount::kHomeOrphanage || !is_reserved(b)) &&
            has_no_other_holder(b, home - 1);
   }
 

@@ -199,15 +199,11 @@ Survey::Had Survey::had(std::uint32_t target, std::uint32_t owner) const noexcep
       words.home_points.load(std::memory_order_relaxed) != 0) {  // a hint
     return Had::ByOthers;
   }
-  bool is_awaited = home == refcount::kHomeOrphanage || home == owner + 1;
-  for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
-    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);  // a hint
-    is_awaited |= Ownership::is_awaited(holders);
-    for (const std::uint32_t k : {owner, home - 1}) holders = Ownership::holders(holders, w, k);
-    if (holders != 0) return Had::ByOthers;
-  }
+  if (Ownership::has_holder_besides(words, owner, home - 1)) return Had::ByOthers;
   if (is_in_live_ring_[target]) return home == self_ + 1 ? Had::BySelfToo : Had::ByOthers;
-  return is_awaited ? Had::ByOwner : Had::ByOthers;
+  const bool has_let_go =
+      home == refcount::kHomeOrphanage || home == owner + 1 || Ownership::is_awaited(words);
+  return has_let_go ? Had::ByOwner : Had::ByOthers;
 }
 
 bool Survey::dies(std::uint32_t b, std::uint32_t owner) const noexcept {
@@ -220,12 +216,7 @@ bool Survey::dies(std::uint32_t b, std::uint32_t owner) const noexcept {
                : home != owner + 1 || segment::is_reserved(segment_.arena(b))) {
     return false;
   }
-  for (std::uint32_t w = 0; w < segment::Atomics::kOwnWords; ++w) {
-    std::uint64_t holders = words.own[w].load(std::memory_order_relaxed);  // a hint
-    for (const std::uint32_t k : {owner, home - 1}) holders = Ownership::holders(holders, w, k);
-    if (holders != 0) return false;
-  }
-  return true;
+  return !Ownership::has_holder_besides(words, owner, home - 1);
 }
 
 }  // namespace lot::transport

@@ -149,7 +149,8 @@ class Survey {
   void follow(Message& message, std::uint32_t owner) noexcept;
   /// True when the message dies when it leaves the ring, and is not reserved.
   bool dies(std::uint32_t block, std::uint32_t owner) const noexcept;
-  /// Who has a message that one of `owner` refers to: `owner` alone, or a ring of `self`, too.
+  /// Which processes have a message that one of `owner` refers to: `owner` alone; that and a ring
+  /// of `self`; or others.
   enum class Had { ByOwner, BySelfToo, ByOthers };
   Had had(std::uint32_t target, std::uint32_t owner) const noexcept;
   std::uint64_t weight_of(std::uint32_t block) const noexcept {
