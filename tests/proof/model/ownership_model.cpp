@@ -423,6 +423,49 @@ struct LateReclaim : SceneBegins, rl::test_suite<LateReclaim, 3> {
   std::uint32_t generation = 0;
 };
 
+/// A queue of another process has a message that its home waits for, and a reader has it, too. Both
+/// ask what gives way: each sees the other as long as it holds the message, and what the home has
+/// said. The home gets the block, or is told when the last of them has let go.
+struct QueueGivesWhatIsAwaited : SceneBegins, rl::test_suite<QueueGivesWhatIsAwaited, 3> {
+  using Own = refcount::Ownership<Policy>;
+  void before() {
+    for (auto& word : block.own) test::raw(word).watch_bits(Policy::kBitsPerWord);
+    RL_ASSERT(home.claim(block, home_hold));
+    RL_ASSERT(!Own::is_awaited(block));
+    queue.acquire(block, queue_hold, hold::kRing);
+    RL_ASSERT(!Own::has_holder_besides(block, queue.self, home.self));
+    reader.acquire(block, reader_hold, hold::kPointer);
+    ours = told = false;
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(home.release(block, home_hold, hold::kPointer) == Left::Home);
+      ours = home.reclaim(block, home_hold, 0, [] { return true; });
+    } else if (t == 1) {
+      while (!Own::is_awaited(block)) Policy::pause();
+      RL_ASSERT(Own::has_holder_besides(block, queue.self, home.self));
+      let_go(queue, queue_hold, hold::kRing);
+    } else {
+      while (Own::has_holder_besides(block, reader.self, home.self)) Policy::pause();
+      let_go(reader, reader_hold, hold::kPointer);
+    }
+  }
+  void after() {
+    RL_ASSERT(ours || told);
+    RL_ASSERT(ours || home.reclaim(block, home_hold, 0));
+  }
+  void let_go(const Own& own, Own::Hold& h, std::uint64_t amount) {
+    if (own.release(block, h, amount) == Left::Wanted) told = true;
+  }
+  Own home{2};
+  Own queue{5};
+  Own reader{1};
+  refcount::BlockWords<Policy> block;
+  Own::Hold home_hold, queue_hold, reader_hold;
+  bool ours = false;  ///< both are looked at when all is over
+  bool told = false;
+};
+
 /// A wild write, or a home that was told wrong, frees a block that a process still holds. That one
 /// leaves it alone when it looks for a free block, and does not wait for its own hold to go.
 struct HeldAndFree : SceneBegins, rl::test_suite<HeldAndFree, 3> {
@@ -520,6 +563,8 @@ const Entered entered{
      cast_of<LateReclaim>, 2},
     {"home_is_told", "a home that has looked in vain is told when the last holder goes",
      cast_of<HomeIsTold>, 2},
+    {"queue_gives_what_is_awaited", "a queue sees who else has a message, and that its home waits",
+     cast_of<QueueGivesWhatIsAwaited>, 2},
     {"held_and_free", "who holds a block that is said to be free does not claim it",
      cast_of<HeldAndFree>, 3},
     {"threads_of_one_process", "threads share one ownership bit", cast_of<ThreadsOfOneProcess>, 1},
