@@ -32,7 +32,8 @@ void hand_over(std::atomic<std::uint32_t>& word, std::uint32_t n) {
 
 }  // namespace
 
-void serve_lines(Lines& lines, std::uint64_t count) {
+void serve_lines(Lines& all, std::uint64_t count) {
+  Lines::Pair& lines = all.pairs[all.served++ % Lines::kPairs];
   const std::uint64_t from = lines.pong.value.load(std::memory_order_relaxed);
   for (std::uint64_t n = from + 1; n <= from + count; ++n) {
     await(lines.ping, n);
@@ -40,7 +41,8 @@ void serve_lines(Lines& lines, std::uint64_t count) {
   }
 }
 
-double cross_lines(Lines& lines, std::uint64_t count) {
+double cross_lines(Lines& all, std::uint64_t count) {
+  Lines::Pair& lines = all.pairs[all.crossed++ % Lines::kPairs];
   const std::uint64_t from = lines.ping.value.load(std::memory_order_relaxed);
   return time_ns(2 * count, [&] {
     for (std::uint64_t n = from + 1; n <= from + count; ++n) {

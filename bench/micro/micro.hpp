@@ -167,9 +167,17 @@ struct alignas(kLine) Line {
   std::atomic<std::uint64_t> value{0};
 };
 
-/// Two lines of their own: one is written here and spun on there, the other the other way round.
+/// Pairs of lines: one is written here and spun on there, the other the other way round. A run uses
+/// one pair, and the next run the next one: how long a line takes depends on where it lies.
 struct Lines {
-  Line ping, pong;
+  struct alignas(4 * kLine) Pair {
+    Line ping, pong;
+  };
+  static constexpr std::size_t kPairs = 32;
+
+  Pair pairs[kPairs];
+  std::uint64_t served = 0;   ///< runs, counted by the end that serves
+  std::uint64_t crossed = 0;  ///< the same of the end that measures
 };
 void serve_lines(Lines& lines, std::uint64_t count);
 /// Nanoseconds one way.
