@@ -5,9 +5,9 @@
     builds.py --build DIR [--jobs N]   DIR: a build tree of g++ that has liblot.a
     builds.py --build DIR --self-test  plant mistakes and see that each is found
 
-consumer.cpp is compiled by each compiler in C++17, 20 and 23; without RTTI and without exceptions. The library is
-built as a shared one, with libc++, and with link-time optimisation by both compilers. Programs of different
-builds then talk to each other.
+consumer.cpp is compiled by each compiler in C++17, 20 and 23, and run in C++17; by g++ 12 and clang 19 it is run in all
+three, and without RTTI and without exceptions. The library is built as a shared one, with libc++, and with link-time
+optimisation by both compilers. Programs of different builds then talk to each other.
 """
 
 import argparse
@@ -34,16 +34,18 @@ LIBRARIES = {
     'lto-g++': ('g++-12', [], ['-DCMAKE_INTERPROCEDURAL_OPTIMIZATION=ON']),
     'lto-clang': ('clang++-19', [], ['-DCMAKE_INTERPROCEDURAL_OPTIMIZATION=ON']),
 }
-# name: (compiler, flags), all C++17 and with the library of g++
+# name: (compiler, flags), C++17 if these do not say else, and with the library of g++
 PROGRAMS = {
     **{f'17-{compiler}': (compiler, []) for compiler in COMPILERS},
+    **{f'{short}-{compiler}': (compiler, [f'-std={STANDARDS[short]}'])
+       for compiler in ('g++-12', 'clang++-19') for short in ('20', '23')},
     **{f'{short}-{compiler}': (compiler, flags)
        for compiler in ('g++-12', 'clang++-19')
        for short, flags in (('no-rtti', ['-fno-rtti']), ('no-exceptions', ['-fno-exceptions']),
                             ('neither', ['-fno-rtti', '-fno-exceptions']))},
 }
 # which publisher, which reader
-PAIRS = (('no-rtti-g++-12', '17-clang++-19'), ('17-g++-11', 'neither-clang++-19'), ('neither-g++-12', 'no-rtti-clang++-19'),
+PAIRS = (('no-rtti-g++-12', '17-clang++-19'), ('20-g++-12', '23-clang++-19'), ('17-g++-11', 'neither-clang++-19'), ('neither-g++-12', 'no-rtti-clang++-19'),
          ('shared', '17-g++-12'), ('17-clang++-14', 'shared'), ('libc++', 'libc++'), ('lto-g++', 'lto-clang'),
          ('lto-clang', '17-g++-12'))
 WRONG_TYPE = 'lot: /wrong: the topic carries example/Named'
@@ -201,7 +203,7 @@ def matrix(builds, jobs):
     build += [(f'program {name}', lambda n=name, c=compiler, f=flags: builds.program(n, c, f))
               for name, (compiler, flags) in PROGRAMS.items()]
     build += [(f'{compiler} C++{short}', lambda c=compiler, s=standard: builds.compile(c, [f'-std={s}']))
-              for compiler in COMPILERS for short, standard in STANDARDS.items() if short != '17']
+              for compiler in COMPILERS for short, standard in STANDARDS.items() if f'{short}-{compiler}' not in PROGRAMS]
     build += [(f'clang++-19 libc++ C++{short}', lambda s=standard: builds.compile('clang++-19', [LIBCXX, f'-std={s}']))
               for short, standard in STANDARDS.items() if short != '17']
     build += [(f'{compiler} cast', lambda c=compiler: builds.refused(c, ['-fno-rtti'], 'dynamic_pointer_cast needs RTTI'))

@@ -8,7 +8,7 @@
 #
 # They are installed into a copy of this system that lies in memory (an overlay) and goes with the script.
 # It takes root, or sudo without a password. Where no overlay can be mounted, as in a container without the
-# right to, they are unpacked instead.
+# right to, they are unpacked instead; with INSIST=1 in the environment that is a failure.
 set -euo pipefail
 
 self=$(realpath "${BASH_SOURCE[0]}")
@@ -81,6 +81,7 @@ install_and_use() {  # FOLDER
     for package in "$1"/*.deb; do dpkg-deb --extract "$package" "$scratch"; done
     mkdir "$scratch/work"
     if [ $status -eq 0 ]; then "$self" --use "$scratch/usr" "$scratch/work" || status=$?; fi
+    if [ "${INSIST:-0}" -eq 1 ]; then status=1; fi
   fi
   rm -rf "$scratch"
   return $status

@@ -14,7 +14,7 @@ stronger order. Where a mutant was caught the last time is kept in caught.txt an
 
     --build DIR       where the lot_model of this source tree is built (default: build/release)
     --compiler PATH   builds the recovery mutants (default: g++)
-    --quick           every 8th mutant, chosen by the seed; nothing that must be built
+    --quick           every 16th mutant, chosen by the seed; nothing that must be built
     --seed N          for --quick (default: a new one)
     --only TEXT       only mutants whose key contains TEXT
     --survivors       tries the justified survivors, too
@@ -45,6 +45,7 @@ ROOT = HERE.parents[2]
 FAILED = re.compile(r'^(\S+) +FAIL +(\d+) executions +[\d.]+ s  (.+)$', re.M)
 # What is tried until one search notices: quick ones first.
 SEARCHES = (('random', 20000), ('bounded', 0))
+ONE_IN = 16  # mutants, with --quick
 PATIENCE_S = 1800  # a watchdog, not a limit that is ever near
 
 
@@ -156,8 +157,8 @@ def main(arguments):
     if options.quick:
         seed = options.seed if options.seed is not None else random.randrange(10**6)
         print(f'seed: --seed {seed}')
-        offset = random.Random(seed).randrange(8)
-        chosen = chosen[offset::8]
+        offset = random.Random(seed).randrange(ONE_IN)
+        chosen = chosen[offset::ONE_IN]
 
     results, kept = {}, []
     show('site', 'written', 'instead', 'caught by')
