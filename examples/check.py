@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An example ends well by itself and by SIGINT (Ctrl-C) or SIGTERM, and leaves nothing behind.
 
-    check.py PROGRAM
+    check.py PROGRAM [ARGUMENT]...
 """
 
 import ctypes
@@ -31,14 +31,14 @@ def wait_until(what, true):
         time.sleep(0.002)
 
 
-def run(program, number=None, delay=0.0):
+def run(command, number=None, delay=0.0):
     """Returns the exit code, and whether a signal came in time.
 
     With a signal's number: sends that so much after its segment has come.
     All its processes get the signal, as from a terminal or a service manager.
     """
     in_time = False
-    process = subprocess.Popen([program], start_new_session=True)
+    process = subprocess.Popen(command, start_new_session=True)
     try:
         if number is not None:
             wait_until("its segment", lambda: files() or process.poll() is not None)
@@ -67,14 +67,14 @@ def any_left(group):
         return False
 
 
-def interrupt(program, number, chance, seed):
+def interrupt(command, number, chance, seed):
     """Ends it by this signal four times, at times by chance while it works."""
     ended = 0
     longest = 0.3
     for _ in range(40):
         delay = chance.uniform(0, longest)
-        code, in_time = run(program, number, delay)
-        if in_time and code in (-number, 0):  # 0: it catches the signal itself
+        code, in_time = run(command, number, delay)
+        if in_time and code in (-number, 0, 130):  # 0 and 130: it catches the signal itself
             ended += 1
         elif code == 0:
             longest *= 0.8  # it was through before
@@ -86,18 +86,18 @@ def interrupt(program, number, chance, seed):
 
 
 def main():
-    program = sys.argv[1]
+    command = sys.argv[1:]
     os.environ["LOT_SEGMENT"] += f"_{os.getpid()}"
     if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
         sys.exit(f"prctl: {os.strerror(ctypes.get_errno())}")
     seed = random.SystemRandom().getrandbits(32)
     chance = random.Random(seed)
     try:
-        code, _ = run(program)
+        code, _ = run(command)
         if code != 0:
             sys.exit(f"by itself: exit code {code}")
         for number in (signal.SIGINT, signal.SIGTERM):
-            interrupt(program, number, chance, seed)
+            interrupt(command, number, chance, seed)
     finally:
         for name in files():
             os.remove(name)

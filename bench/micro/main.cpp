@@ -40,6 +40,7 @@ constexpr Figure kFigures[] = {
     {"own_loop/borrowed/O1", "a caller's own loop, -O1, borrowed", "ratio", true, 1.1},
     {"own_loop/borrowed/O2", "  -O2, borrowed", "ratio", true, 1.1},
     {"own_loop/borrowed/O3", "  -O3, borrowed", "ratio", true, 1.1},
+    {"own_loop/borrowed/O3_words", "  -O3, borrowed, written by words", "ratio", true, 1.1},
     {"own_loop/kept/O1", "  -O1, kept", "ratio", true, 1.1},
     {"own_loop/kept/O2", "  -O2, kept", "ratio", true, 1.1},
     {"own_loop/kept/O3", "  -O3, kept", "ratio", true, 1.1},

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compiled once for each set of options: OWN_LOOP is its name. What the headers make for its type
-// is its own, since the type has no name outside.
+// Compiled once for each set of options: OWN_LOOP is its name. WORD_BY_WORD: 1 if the compiler may
+// not join the stores of the payload. What the headers make for its type is its own, since the type
+// has no name outside.
 #include "own_loop.hpp"
 
 #include <optional>
@@ -40,7 +41,10 @@ class Loop final : public OwnLoop {
   }
   void send(std::uint64_t n) {
     auto numbers = out_.loan();
-    for (auto& word : numbers->words) word = n;
+    for (auto& word : numbers->words) {
+      word = n;
+      if constexpr (WORD_BY_WORD) asm volatile("" ::: "memory");
+    }
     (void)out_.push(std::move(numbers));  // the oldest goes: never Full
   }
   std::uint64_t borrowed() {

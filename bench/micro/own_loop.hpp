@@ -20,6 +20,6 @@ class OwnLoop {
 
 using MakeOwnLoop = std::unique_ptr<OwnLoop>(lot::ShmEngine& engine, Companion& other, bool first,
                                              Use use);
-MakeOwnLoop own_loop_o1, own_loop_o2, own_loop_o3;
+MakeOwnLoop own_loop_o1, own_loop_o2, own_loop_o3, own_loop_o3_words;
 
 }  // namespace bench

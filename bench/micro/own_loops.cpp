@@ -70,6 +70,9 @@ BENCHMARK_CAPTURE(own_loop, , own_loop_o2, Use::Borrowed)
 BENCHMARK_CAPTURE(own_loop, , own_loop_o3, Use::Borrowed)
     ->Name("own_loop/borrowed/O3")
     ->UseRealTime();
+BENCHMARK_CAPTURE(own_loop, , own_loop_o3_words, Use::Borrowed)
+    ->Name("own_loop/borrowed/O3_words")
+    ->UseRealTime();
 BENCHMARK_CAPTURE(own_loop, , own_loop_o1, Use::Kept)->Name("own_loop/kept/O1")->UseRealTime();
 BENCHMARK_CAPTURE(own_loop, , own_loop_o2, Use::Kept)->Name("own_loop/kept/O2")->UseRealTime();
 BENCHMARK_CAPTURE(own_loop, , own_loop_o3, Use::Kept)->Name("own_loop/kept/O3")->UseRealTime();

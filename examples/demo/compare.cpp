@@ -101,11 +101,11 @@ void measure(const Settings& settings, Transport transport, Result& result) {
 
 void print_table(const std::array<Result, kTransports.size()>& results) {
   std::printf(
-      "\nlatency in ms, best .. worst consumer\n%-12s  %-15s  %-15s  %-15s %13s %9s %6s %7s\n", "",
+      "\nlatency in ms, best .. worst consumer\n%-11s  %-15s  %-15s  %-15s %12s %9s %6s %7s\n", "",
       "median", "p99", "max", "camera CPU s", "all CPU s", "lost", "unsent*");
   for (const Transport transport : kTransports) {
     const Result& r = results[index(transport)];
-    std::printf("%-12s  %-15s  %-15s  %-15s %13.2f %9.2f %6llu %7llu\n", kTitles[index(transport)],
+    std::printf("%-11s  %-15s  %-15s  %-15s %12.2f %9.2f %6llu %7llu\n", kTitles[index(transport)],
                 best_and_worst(r, 0.5).c_str(), best_and_worst(r, 0.99).c_str(),
                 best_and_worst(r, 1).c_str(), r.camera_cpu_seconds, r.cpu_seconds,
                 static_cast<unsigned long long>(r.lost),

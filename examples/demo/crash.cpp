@@ -140,8 +140,8 @@ class Drama {
       const bool good = lost == 0 && done.at("damaged") == 0 && by_run.size() == 3 &&
                         by_run[2] == pushed_second && (i == kVictim || by_run[1] == pushed_first_);
       std::printf(
-          "           consumer %u: %3llu of %llu frames before the camera's death, %3llu of "
-          "%llu after it, lost %llu%s%s\n",
+          "           consumer %u: %3llu of %llu frames before the kill, %3llu of %llu after it, "
+          "lost %llu%s%s\n",
           i, static_cast<unsigned long long>(by_run.size() > 1 ? by_run[1] : 0),
           static_cast<unsigned long long>(pushed_first_),
           static_cast<unsigned long long>(by_run.size() > 2 ? by_run[2] : 0),
@@ -162,7 +162,7 @@ class Drama {
     } catch (const std::runtime_error&) {  // shown below
     }
     const bool back = pages <= pages_before_;
-    tell("the camera has left, the consumers hold nothing: messages use %.1f MiB, as before: %s",
+    tell("the camera has left, consumers hold nothing: messages use %.1f MiB, as before: %s",
          mib(pages), back ? "nothing leaked" : "LEAKED");
     family_.dismiss();
     const auto files = files_of(path_);

@@ -70,25 +70,28 @@ void fit(Settings& s) {
   // A camera that was killed and the next one each have a whole ring and what consumers hold.
   const std::uint64_t frames = 2 * (s.depth + demo::kConsumers * (demo::kHeld + 1));
   const std::uint64_t most = s.size / frames / kLeast * kLeast;
-  if (!s.input.empty() || s.bytes <= most) return;
+  if (!s.input.empty()) {
+    std::printf("%s has %.0f MB free: a segment of %llu MB. Frames of a video keep their size\n\n",
+                directory().c_str(), static_cast<double>(available) / 1e6,
+                static_cast<unsigned long long>(s.size / 1'000'000));
+    return;
+  }
+  if (s.bytes <= most) return;
   s.bytes = std::max(most, kLeast);
   std::printf("%s has %.0f MB free: frames of %llu KiB, so that all of them fit\n\n",
               directory().c_str(), static_cast<double>(available) / 1e6,
               static_cast<unsigned long long>(s.bytes >> 10));
 }
 
-/// Removes our own segment if killed processes have left it. Not one that the user has named:
-/// others may be in it.
+/// Takes the segment along if killed processes have left it: the last process that leaves removes
+/// it. Where the user has named one, the others in there stay.
 struct Cleaner {
-  std::string name;
+  const Settings& settings;
   ~Cleaner() {
-    if (std::getenv("LOT_SEGMENT") != nullptr) return;
-    std::error_code ignored;
-    for (const auto& entry : std::filesystem::directory_iterator(directory(), ignored)) {
-      const std::string file = entry.path().filename().string();
-      if (file == name || file.rfind(name + ".", 0) == 0) {
-        std::filesystem::remove(entry.path(), ignored);
-      }
+    try {
+      const lot::ShmEngine last(settings.engine());
+    } catch (const lot::Error& e) {
+      std::fprintf(stderr, "lot_demo: %s\n", e.what());
     }
   }
 };
@@ -96,8 +99,8 @@ struct Cleaner {
 int direct(Settings& s) {
   demo::catch_signals();
   s.segment = "lotdemo_" + std::to_string(getpid());
-  const Cleaner cleaner{s.segment};
   fit(s);
+  const Cleaner cleaner{s};
   bool good = false;
   if (!s.input.empty()) {
     good = demo::video(s);
