@@ -140,7 +140,7 @@ class Drama {
       const bool good = lost == 0 && done.at("damaged") == 0 && by_run.size() == 3 &&
                         by_run[2] == pushed_second && (i == kVictim || by_run[1] == pushed_first_);
       std::printf(
-          "           consumer %u: %3llu of %llu frames before the kill, %3llu of %llu after it, "
+          "         consumer %u: %3llu of %llu frames before the kill, %3llu of %llu after it, "
           "lost %llu%s%s\n",
           i, static_cast<unsigned long long>(by_run.size() > 1 ? by_run[1] : 0),
           static_cast<unsigned long long>(pushed_first_),
@@ -162,8 +162,8 @@ class Drama {
     } catch (const std::runtime_error&) {  // shown below
     }
     const bool back = pages <= pages_before_;
-    tell("the camera has left, consumers hold nothing: messages use %.1f MiB, as before: %s",
-         mib(pages), back ? "nothing leaked" : "LEAKED");
+    tell("the camera has left, messages use %.1f MiB, as before: %s", mib(pages),
+         back ? "nothing leaked" : "LEAKED");
     family_.dismiss();
     const auto files = files_of(path_);
     tell("all have left: %zu files of the segment are left%s", files.size(),
