@@ -149,11 +149,18 @@ class Graph:
         try:
             status = process.wait(patience_s)
         except subprocess.TimeoutExpired:
+            others = self.others(process)  # as they are now
             raise AssertionError(f'{process.name} does not end:\n{self.has_got(process)}\n'
-                                 f'{self.said(process)}') from None
+                                 f'{self.said(process)}\n{others}') from None
         text = self.output(process)
         assert status == 0 and text, f'{process.name} ended with {status}:\n{self.said(process)}'
         return json.loads(text.splitlines()[-1])
+
+    def others(self, process):
+        """What all but this one have said, and what lies in the segment: for people."""
+        text = ''.join(f'-- {other.name}: status {other.poll()}\n{self.output(other)}{self.said(other)}'
+                       for other in self.started if other is not process)
+        return f'{text}-- lot ls\n{self.seen()}'
 
     def has_got(self, process):
         """What a node says of its ends when it is asked to end before it would."""
