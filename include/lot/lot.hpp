@@ -3,6 +3,8 @@
 
 /// Everything of LOT's interface.
 #include "lot/compliance.hpp"     // IWYU pragma: export
+#include "lot/describe.hpp"       // IWYU pragma: export
+#include "lot/description.hpp"    // IWYU pragma: export
 #include "lot/duration.hpp"       // IWYU pragma: export
 #include "lot/engine.hpp"         // IWYU pragma: export
 #include "lot/error.hpp"          // IWYU pragma: export

@@ -1,0 +1,313 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <map>
+#include <memory>
+#include <new>
+#include <string>
+#include <tuple>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "lot/compliance.hpp"
+#include "lot/description.hpp"
+#include "lot/detail/type_name.hpp"
+#include "lot/message.hpp"
+
+/// Makes the Description of a message type, by the walk that compliance.hpp checks it by.
+namespace lot {
+namespace detail {
+inline namespace LOT_NAMES {
+
+/// What makes a description: types that were met before are not described again.
+class Describer {
+ public:
+  /// The place of T in the list.
+  template <class T>
+  std::uint32_t add() {
+    using Plain = std::remove_cv_t<T>;
+    const auto [known, is_new] =
+        places_.emplace(&key<Plain>, static_cast<std::uint32_t>(result_.types.size()));
+    const std::uint32_t place = known->second;
+    if (is_new) {
+      result_.types.emplace_back();
+      Description::Type type = of<Plain>();  // the list may grow meanwhile
+      result_.types[place] = std::move(type);
+    }
+    return place;
+  }
+  Description take() && { return std::move(result_); }
+
+ private:
+  /// Its address stands for T.
+  template <class T>
+  static inline constexpr char key = 0;
+
+  template <class T>
+  Description::Type of() {
+    Description::Type type;
+    type.size = sizeof(T);
+    if constexpr (std::is_arithmetic_v<T> || std::is_same_v<T, std::byte>) {
+      type.kind = kind_of_number<T>();
+    } else if constexpr (std::is_enum_v<T>) {
+      type.kind = Kind::Enum;
+      type.name = NameOf<T>::text();
+      type.element = add<std::underlying_type_t<T>>();
+    } else if constexpr (std::is_array_v<T>) {
+      fill_array<std::remove_extent_t<T>>(type, std::extent_v<T>);
+    } else if constexpr (is_a<T, ShmRef>) {
+      type.kind = Kind::Reference;
+      type.element = add<typename T::element_type>();
+    } else if constexpr (is_trusted_message<T>::value) {
+      type.name = NameOf<T>::text();
+    } else if constexpr (StdParts<T>::known) {
+      fill_standard(type, static_cast<const T*>(nullptr));
+    } else if constexpr (Container<T>::known) {
+      fill_container<T>(type);
+    } else {
+      type.kind = Kind::Struct;
+      type.name = NameOf<T>::text();
+      fill_struct<T>(type, field_types<T>{});
+    }
+    return type;
+  }
+
+  template <class T>
+  static constexpr Kind kind_of_number() {
+    if constexpr (std::is_same_v<T, bool>) {
+      return Kind::Bool;
+    } else if constexpr (std::is_same_v<T, char>) {
+      return Kind::Char;
+    } else if constexpr (std::is_floating_point_v<T>) {
+      return Kind::Float;
+    } else if constexpr (std::is_signed_v<T>) {
+      return Kind::Int;
+    } else {
+      return Kind::UInt;
+    }
+  }
+
+  template <class Element>
+  void fill_array(Description::Type& type, std::uint64_t count) {
+    type.kind = Kind::Array;
+    type.count = count;
+    type.element = add<Element>();
+  }
+
+  // ---- standard types whose bytes are just those of their parts ----
+
+  template <class T, std::size_t N>
+  void fill_standard(Description::Type& type, const std::array<T, N>*) {
+    fill_array<T>(type, N);
+  }
+  template <class A, class B>
+  void fill_standard(Description::Type& type, const std::pair<A, B>*) {
+    using Pair = std::pair<A, B>;
+    type.kind = Kind::Struct;
+    type.name = NameOf<Pair>::text();
+    const Room<Pair> room;
+    add_field<A>(type, "first", room.offset_of(room.object().first));
+    add_field<B>(type, "second", room.offset_of(room.object().second));
+  }
+  template <class... T>
+  void fill_standard(Description::Type& type, const std::tuple<T...>*) {
+    type.kind = Kind::Struct;
+    type.name = NameOf<std::tuple<T...>>::text();
+    fill_tuple<T...>(type, std::index_sequence_for<T...>{});
+  }
+  template <class T>
+  void fill_standard(Description::Type& type, const std::complex<T>*) {
+    type.kind = Kind::Struct;
+    type.name = NameOf<std::complex<T>>::text();
+    add_field<T>(type, "real", 0);
+    add_field<T>(type, "imag", sizeof(T));
+  }
+  template <class Rep, class Period>
+  void fill_standard(Description::Type& type, const std::chrono::duration<Rep, Period>*) {
+    type.kind = Kind::Duration;
+    type.element = add<Rep>();
+    type.numerator = Period::num;
+    type.denominator = Period::den;
+  }
+  template <class Clock, class Span>
+  void fill_standard(Description::Type& type, const std::chrono::time_point<Clock, Span>*) {
+    type.kind = Kind::TimePoint;
+    type.name = name_of_clock<Clock>();
+    type.element = add<Span>();
+  }
+  /// As what it holds, where that lies alike; it may have padding.
+  template <class T>
+  void fill_standard(Description::Type& type, const std::atomic<T>*) {
+    if constexpr (sizeof(T) == sizeof(std::atomic<T>)) {
+      type = of<T>();
+    } else {
+      type.kind = Kind::Struct;
+      type.name = NameOf<std::atomic<T>>::text();
+      add_field<T>(type, "value", 0);
+    }
+  }
+
+  template <class... T, std::size_t... I>
+  void fill_tuple(Description::Type& type, std::index_sequence<I...>) {
+    const Room<std::tuple<T...>> room;
+    (add_field<T>(type, std::to_string(I), room.offset_of(std::get<I>(room.object()))), ...);
+  }
+
+  /// The C++ libraries put their clocks into namespaces of their own.
+  template <class Clock>
+  static std::string name_of_clock() {
+    if (std::is_same_v<Clock, std::chrono::system_clock>) return "system_clock";
+    if (std::is_same_v<Clock, std::chrono::steady_clock>) return "steady_clock";
+    return NameOf<Clock>::text();
+  }
+
+  // ---- containers ----
+
+#ifdef _LIBCPP_VERSION
+  static constexpr const char* kLibrary = "libc++";
+#else
+  static constexpr const char* kLibrary = "libstdc++";
+#endif
+
+  template <class T>
+  void fill_container(Description::Type& type) {
+    if constexpr (std::is_same_v<T, ShmString>) {
+      type.kind = Kind::String;
+      type.name = kLibrary;
+      type.element = add<char>();
+    } else if constexpr (is_a<T, std::vector>) {
+      type.kind = Kind::Vector;
+      type.name = kLibrary;
+      type.element = add<typename T::value_type>();
+    } else {
+      type.name = NameOf<T>::text();
+      type.element = add<typename T::value_type>();
+    }
+  }
+
+  // ---- structs ----
+
+  /// Room for a T that is never built: only the addresses of its fields are asked for, and bits
+  /// that it sets itself.
+  template <class T>
+  class Room {
+   public:
+    Room() : bytes_(static_cast<unsigned char*>(::operator new(sizeof(T), kAlign))) {}
+    ~Room() { ::operator delete(bytes_, kAlign); }
+    Room(const Room&) = delete;
+    Room& operator=(const Room&) = delete;
+    const T& object() const { return *reinterpret_cast<const T*>(bytes_); }
+    unsigned char* bytes() const { return bytes_; }
+    /// Of a copy elsewhere: sizeof(T) or more.
+    template <class F>
+    std::uint64_t offset_of(const F& field) const {
+      return reinterpret_cast<std::uintptr_t>(std::addressof(field)) -
+             reinterpret_cast<std::uintptr_t>(bytes_);
+    }
+
+   private:
+    static constexpr std::align_val_t kAlign{alignof(T)};
+    unsigned char* bytes_;
+  };
+
+  template <class F>
+  void add_field(Description::Type& type, std::string name, std::uint64_t offset) {
+    Description::Field field;
+    field.name = std::move(name);
+    field.offset = offset;
+    field.type = add<F>();
+    type.fields.push_back(std::move(field));
+  }
+
+  template <class T, class... F>
+  void fill_struct(Description::Type& type, Types<F...>) {
+    [[maybe_unused]] constexpr auto names = field_names<T>();  // there may be no field
+    const Room<T> room;
+    const std::vector<std::uint64_t> offsets = with_fields(room.object(), [&](const auto&... f) {
+      return std::vector<std::uint64_t>{room.offset_of(f)...};
+    });
+    std::size_t i = 0;
+    ((add_field<F>(type, std::string(names[i]), offsets[i]), ++i), ...);
+    find_bits(type, room);
+  }
+
+  /// Bit-fields have no address: they lie between those that have one. So each bit there is set by
+  /// itself, and the fields are asked which of them has changed.
+  template <class T>
+  void find_bits(Description::Type& type, const Room<T>& room) {
+    std::uint64_t end = 0;  // of what lies before
+    for (std::size_t i = 0; i < type.fields.size(); ++i) {
+      if (type.fields[i].offset < sizeof(T)) {
+        end = type.fields[i].offset + result_.types[type.fields[i].type].size;
+        continue;
+      }
+      std::size_t next = i;
+      while (next < type.fields.size() && type.fields[next].offset >= sizeof(T)) ++next;
+      const std::uint64_t begin = end;
+      end = next < type.fields.size() ? type.fields[next].offset : sizeof(T);
+      for (; i < next; ++i) find_bits(type.fields[i], i, room, begin, end);
+      --i;
+    }
+  }
+  template <class T>
+  static void find_bits(Description::Field& field, std::size_t i, const Room<T>& room,
+                        std::uint64_t begin, std::uint64_t end) {
+    std::memset(room.bytes() + begin, 0, end - begin);
+    field.bits = 0;
+    for (std::uint64_t b = 8 * begin; b < 8 * end; ++b) {
+      room.bytes()[b / 8] = static_cast<unsigned char>(1U << (b % 8));
+      if (is_set(room.object(), i)) {
+        if (field.bits == 0) {
+          field.offset = b / 8;
+          field.bit = b % 8;
+        }
+        ++field.bits;
+      }
+      room.bytes()[b / 8] = 0;
+    }
+  }
+  template <class T>
+  static bool is_set(const T& object, std::size_t i) {
+    return with_fields(object, [i](const auto&... f) {
+      std::size_t k = 0;
+      return ((k++ == i && is_not_zero(f)) || ...);
+    });
+  }
+  template <class F>
+  static bool is_not_zero(const F& value) {
+    if constexpr (std::is_integral_v<F> || std::is_enum_v<F>) {
+      return value != F{};
+    } else {
+      return false;  // has an address
+    }
+  }
+
+  Description result_;
+  std::map<const char*, std::uint32_t> places_;
+};
+
+}  // namespace LOT_NAMES
+}  // namespace detail
+
+inline namespace LOT_NAMES {
+
+/// What T is made of. It is made once, by the first call, and lives as long as the process. The
+/// compiler refuses a T that is no message. The first call throws std::bad_alloc.
+template <class T>
+const Description& describe() {
+  static_assert(assert_message<T>());
+  // Never destroyed: static objects may publish in their destructors.
+  static const auto* const description = [] {
+    detail::Describer describer;
+    describer.add<T>();
+    return new Description(std::move(describer).take());
+  }();
+  return *description;
+}
+
+}  // namespace LOT_NAMES
+}  // namespace lot

@@ -1,0 +1,353 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <complex>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include <lot/boost_containers.hpp>
+#include <lot/describe.hpp>
+#include <lot/lot.hpp>
+
+#include "described.hpp"
+
+using lot::Description;
+using lot::Kind;
+
+namespace named {
+
+struct Said {
+  int left, right;
+};
+LOT_DESCRIBE(Said, left, right);
+
+enum class Colour : std::uint16_t { Red };
+enum Plain { kNone };
+
+class Secret {
+ public:
+  int get() const { return value_; }
+
+ private:
+  int value_ = 0;
+};
+
+struct Empty {};
+struct Bits {
+  std::uint8_t low : 3;
+  std::uint8_t high : 5;
+  int whole;
+  unsigned wide : 20;
+  bool flag : 1;
+  Colour colour : 4;
+  std::uint8_t last;
+};
+struct OtherBits {
+  std::uint8_t low : 5;
+  std::uint8_t high : 3;
+  int whole;
+  unsigned wide : 20;
+  bool flag : 1;
+  Colour colour : 4;
+  std::uint8_t last;
+};
+struct Tree {
+  int value;
+  lot::ShmVector<Tree> branches;
+};
+struct Chain {
+  lot::ShmRef<Chain> next;
+  int value;
+};
+
+}  // namespace named
+
+template <>
+struct lot::is_trusted_message<named::Secret> : std::true_type {};
+
+namespace {
+
+/// The type of that field of the message's own type.
+const Description::Type& field_type(const Description& all, std::size_t i) {
+  return all.types.at(all.root().fields.at(i).type);
+}
+const Description::Type& element(const Description& all, const Description::Type& type) {
+  return all.types.at(type.element);
+}
+
+template <class T>
+Kind kind_of() {
+  return lot::describe<T>().root().kind;
+}
+
+/// The layout and the names of two types are alike.
+template <class A, class B>
+std::pair<bool, bool> alike() {
+  const Description& a = lot::describe<A>();
+  const Description& b = lot::describe<B>();
+  return {a.layout_hash() == b.layout_hash(), a.names_hash() == b.names_hash()};
+}
+constexpr std::pair kBoth{true, true};
+constexpr std::pair kNeither{false, false};
+constexpr std::pair kLayoutOnly{true, false};
+constexpr std::pair kNamesOnly{false, true};
+
+TEST_CASE("a description has the kind and the size of a number") {
+  CHECK(kind_of<bool>() == Kind::Bool);
+  CHECK(kind_of<char>() == Kind::Char);
+  CHECK(kind_of<signed char>() == Kind::Int);
+  CHECK(kind_of<std::int64_t>() == Kind::Int);
+  CHECK(kind_of<unsigned char>() == Kind::UInt);
+  CHECK(kind_of<std::byte>() == Kind::UInt);
+  CHECK(kind_of<char32_t>() == Kind::UInt);
+  CHECK(kind_of<float>() == Kind::Float);
+  CHECK(kind_of<double>() == Kind::Float);
+  CHECK(lot::describe<std::int16_t>().root().size == 2);
+  CHECK(lot::describe<double>().root().size == 8);
+}
+
+TEST_CASE("a description names the fields of a struct, and says where they lie") {
+  struct Local {
+    std::uint8_t first;
+    std::uint64_t second;
+    named::Empty third;
+  };
+  const Description& all = lot::describe<Local>();
+  CHECK(all.root().kind == Kind::Struct);
+  CHECK(all.root().size == sizeof(Local));
+  REQUIRE(all.root().fields.size() == 3);
+  CHECK(all.root().fields[0].name == "first");
+  CHECK(all.root().fields[0].offset == offsetof(Local, first));
+  CHECK(all.root().fields[1].name == "second");
+  CHECK(all.root().fields[1].offset == offsetof(Local, second));
+  CHECK(all.root().fields[1].bits == 0);
+  CHECK(all.root().fields[2].name == "third");
+  CHECK(field_type(all, 2).kind == Kind::Struct);
+  CHECK(field_type(all, 2).fields.empty());
+  CHECK(field_type(all, 2).name == "named::Empty");
+}
+
+TEST_CASE("a description tells enums, arrays, pairs, tuples, times and atomics") {
+  struct Parts {
+    named::Colour colour;
+    named::Plain plain;
+    int grid[2][3];
+    std::array<std::byte, 5> bytes;
+    std::pair<char, double> pair;
+    std::tuple<std::uint8_t, std::uint32_t> tuple;
+    std::complex<float> complex;
+    std::chrono::milliseconds wait;
+    std::chrono::system_clock::time_point at;
+    std::atomic<std::uint32_t> counter;
+  };
+  const Description& all = lot::describe<Parts>();
+  const auto& colour = field_type(all, 0);
+  CHECK(colour.kind == Kind::Enum);
+  CHECK(colour.name == "named::Colour");
+  CHECK(element(all, colour).kind == Kind::UInt);
+  CHECK(element(all, colour).size == 2);
+  CHECK(element(all, field_type(all, 1)).size == 4);
+  const auto& grid = field_type(all, 2);
+  CHECK(grid.kind == Kind::Array);
+  CHECK(grid.count == 2);
+  CHECK(element(all, grid).count == 3);
+  CHECK(element(all, element(all, grid)).kind == Kind::Int);
+  CHECK(field_type(all, 3).count == 5);
+  const auto& pair = field_type(all, 4);
+  CHECK(pair.kind == Kind::Struct);
+  CHECK(pair.fields.at(0).name == "first");
+  CHECK(pair.fields.at(1).name == "second");
+  CHECK(pair.fields.at(1).offset == 8);
+  const std::tuple<std::uint8_t, std::uint32_t> tuple;
+  const auto& fields = field_type(all, 5).fields;
+  CHECK(fields.at(0).name == "0");
+  for (std::size_t i = 0; i < 2; ++i) CHECK(fields[i].offset < sizeof tuple);
+  CHECK(fields[0].offset ==
+        static_cast<std::size_t>(reinterpret_cast<const char*>(&std::get<0>(tuple)) -
+                                 reinterpret_cast<const char*>(&tuple)));
+  CHECK(field_type(all, 6).fields.at(1).name == "imag");
+  CHECK(field_type(all, 6).fields.at(1).offset == 4);
+  const auto& wait = field_type(all, 7);
+  CHECK(wait.kind == Kind::Duration);
+  CHECK(wait.numerator == 1);
+  CHECK(wait.denominator == 1000);
+  const auto& at = field_type(all, 8);
+  CHECK(at.kind == Kind::TimePoint);
+  CHECK(at.name == "system_clock");
+  CHECK(element(all, at).kind == Kind::Duration);
+  CHECK(field_type(all, 9).kind == Kind::UInt);
+}
+
+TEST_CASE("a description tells strings, vectors and references; other containers are opaque") {
+  struct Parts {
+    lot::ShmString text;
+    lot::ShmVector<named::Said> said;
+    lot::ShmRef<named::Said> other;
+    lot::ShmMap<int, int> map;
+    named::Secret secret;
+  };
+  const Description& all = lot::describe<Parts>();
+  CHECK(field_type(all, 0).kind == Kind::String);
+  CHECK(field_type(all, 1).kind == Kind::Vector);
+  CHECK(element(all, field_type(all, 1)).name == "named::Said");
+  CHECK(field_type(all, 2).kind == Kind::Reference);
+  CHECK(field_type(all, 2).element == field_type(all, 1).element);
+  CHECK(field_type(all, 3).kind == Kind::Opaque);
+  CHECK(field_type(all, 3).name.find("map") != std::string::npos);
+  CHECK(field_type(all, 4).kind == Kind::Opaque);
+  CHECK(field_type(all, 4).name == "named::Secret");
+  CHECK(field_type(all, 4).size == sizeof(named::Secret));
+}
+
+TEST_CASE("a description finds each bit of a bit-field, and only those") {
+  named::Bits bits{};
+  const Description& all = lot::describe<named::Bits>();
+  const auto& fields = all.root().fields;
+  REQUIRE(fields.size() == 7);
+  CHECK(std::pair(fields[0].bits, fields[1].bits) == std::pair(3U, 5U));
+  CHECK(fields[2].bits == 0);
+  CHECK(fields[2].offset == offsetof(named::Bits, whole));
+  CHECK(fields[3].bits == 20);
+  CHECK(fields[4].bits == 1);
+  CHECK(fields[5].bits == 4);
+  CHECK(fields[6].offset == offsetof(named::Bits, last));
+  // What is written there is read as the field.
+  const auto* bytes = reinterpret_cast<const unsigned char*>(&bits);
+  bits.flag = true;
+  CHECK(bytes[fields[4].offset] == 1U << fields[4].bit);
+  bits.high = 1;
+  CHECK(bytes[fields[1].offset] == 1U << fields[1].bit);
+  for (const auto& field : fields) CHECK(field.name.empty());
+  CHECK(all.names_hash() == 0);
+}
+
+TEST_CASE("a description of a type within itself ends") {
+  const Description& tree = lot::describe<named::Tree>();
+  REQUIRE(tree.root().fields.size() == 2);
+  CHECK(field_type(tree, 1).kind == Kind::Vector);
+  CHECK(field_type(tree, 1).element == 0);
+  CHECK(tree.layout_hash() != 0);
+  CHECK(field_type(lot::describe<named::Chain>(), 0).element == 0);
+}
+
+TEST_CASE("describe() takes the names that LOT_DESCRIBE has said, and one description a type") {
+  const Description& all = lot::describe<named::Said>();
+  CHECK(all.root().fields.at(0).name == "left");
+  CHECK(all.root().fields.at(1).name == "right");
+  CHECK(&lot::describe<named::Said>() == &all);
+}
+
+TEST_CASE("a description is the same in C++17 and C++20") {
+  const Description& then = described::frame_in_17();
+  const Description& now = lot::describe<described::Frame>();
+  CHECK(&then != &now);
+  CHECK(then.layout_hash() == now.layout_hash());
+  CHECK(then.names_hash() == now.names_hash());
+  CHECK(then.names_hash() != 0);
+  REQUIRE(then.types.size() == now.types.size());
+  for (std::size_t i = 0; i < then.root().fields.size(); ++i) {
+    CHECK(then.root().fields[i].name == now.root().fields[i].name);
+    CHECK(then.root().fields[i].offset == now.root().fields[i].offset);
+  }
+  const Description& nameless = described::nameless_in_17();
+  CHECK(nameless.root().fields.at(0).name.empty());
+  CHECK(nameless.names_hash() == 0);
+  CHECK(nameless.layout_hash() == lot::describe<described::Nameless>().layout_hash());
+}
+
+TEST_CASE("the hashes of a description differ where a reader would find something else") {
+  struct Base {
+    int a;
+    float b;
+    long long c;
+  };
+  struct Same {
+    int a;
+    float b;
+    long c;
+  };
+  struct Renamed {
+    int a;
+    float d;
+    long long c;
+  };
+  struct Swapped {
+    float b;
+    int a;
+    long long c;
+  };
+  struct Unsigned {
+    unsigned a;
+    float b;
+    long long c;
+  };
+  struct Fewer {
+    int a;
+    float b;
+  };
+  struct Padded {
+    int a;
+    alignas(8) float b;
+    long long c;
+  };
+  CHECK(alike<Base, Same>() == kBoth);
+  CHECK(alike<Base, Renamed>() == kLayoutOnly);
+  CHECK(alike<Base, Swapped>() == kNeither);
+  CHECK(alike<Base, Unsigned>() == kNamesOnly);
+  CHECK(alike<Base, Fewer>() == kNeither);
+  CHECK(alike<Base, Padded>() == kNamesOnly);
+
+  struct Deep {
+    int n;
+    std::array<lot::ShmVector<std::pair<int, float>>, 2> parts;
+  };
+  struct OtherDeep {
+    int n;
+    std::array<lot::ShmVector<std::pair<int, int>>, 2> parts;
+  };
+  CHECK(alike<Deep, OtherDeep>() == kNamesOnly);
+  CHECK(alike<named::Bits, named::OtherBits>() == kNamesOnly);  // of neither are names known
+  CHECK(alike<std::chrono::seconds, std::chrono::milliseconds>().first == false);
+  CHECK(alike<int[2], int[3]>().first == false);
+  CHECK(alike<int[2], std::array<int, 2>>().first);
+  CHECK(
+      alike<std::chrono::system_clock::time_point, std::chrono::steady_clock::time_point>().first ==
+      false);
+}
+
+TEST_CASE("the hashes of a description do not depend on how often a type is met, or where") {
+  struct One {
+    int x;
+  };
+  struct Two {
+    int x;
+  };
+  struct Twice {
+    One a, b;
+  };
+  struct Each {
+    One a;
+    Two b;
+  };
+  CHECK(alike<Twice, Each>() == kBoth);
+
+  // A type within itself, seen from outside and from within.
+  struct Holder {
+    named::Tree first, second;
+  };
+  struct Around {
+    lot::ShmVector<named::Tree> branches;
+    int value;
+  };
+  CHECK(alike<Holder, Holder>() == kBoth);
+  CHECK(alike<Around, named::Tree>().first == false);
+}
+
+}  // namespace
