@@ -5,10 +5,9 @@
 // library.
 //
 //     consumer                everything, in one process
-//     consumer names          what its message types are called
-//     consumer publish        sends messages to one reader
-//     consumer subscribe      reads them
-//     consumer publish_plain, subscribe_plain    the same with a message without containers
+//     consumer names          what its message types are called, and the hashes of their
+//     descriptions consumer publish        sends messages to one reader consumer subscribe reads
+//     them consumer publish_plain, subscribe_plain    the same with a message without containers
 //     consumer wrong          subscribes to a topic of another type: an error
 
 #include <algorithm>
@@ -63,6 +62,7 @@ struct Frame {
   lot::ShmVector<lot::ShmString> labels;
   std::atomic<std::uint32_t> looks;
 };
+LOT_DESCRIBE(Frame, width, height, colour, encoding, data, labels, looks);
 struct Detection {
   lot::ShmRef<const Frame> frame;
   std::pair<float, float> corner;
@@ -378,6 +378,14 @@ template <class T>
 void name() {
   std::puts(lot::TypeIdentity<T>::name());
 }
+template <class T>
+void description() {
+  const lot::Description& all = lot::describe<T>();
+  std::printf("layout %llx, names %llx\n", static_cast<unsigned long long>(all.layout_hash()),
+              static_cast<unsigned long long>(all.names_hash()));
+}
+
+/// What the programs of all compilers and standards print alike.
 void names() {
   struct Local {
     int number;
@@ -395,6 +403,9 @@ void names() {
   name<void (*)(Frame&, const volatile int*) noexcept>();
   name<long double[4]>();
   name<std::uint8_t>();
+  description<Frame>();
+  std::printf("layout %llx\n",
+              static_cast<unsigned long long>(lot::describe<Detection>().layout_hash()));
 }
 
 constexpr std::uint32_t kMessages = 200;
