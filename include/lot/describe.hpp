@@ -295,10 +295,11 @@ class Describer {
 
 inline namespace LOT_NAMES {
 
-/// What T is made of. It is made once, by the first call, and lives as long as the process. The
-/// compiler refuses a T that is no message. The first call throws std::bad_alloc.
+/// What T is made of. It is made once in a program, or shared object, by the first call, and lives
+/// as long as the process. The compiler refuses a T that is no message. The first call throws
+/// std::bad_alloc.
 template <class T>
-const Description& describe() {
+[[gnu::visibility("hidden")]] const Description& describe() {
   static_assert(assert_message<T>());
   // Never destroyed: static objects may publish in their destructors.
   static const auto* const description = [] {
