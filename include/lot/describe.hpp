@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -242,13 +243,16 @@ class Describer {
     std::uint64_t end = 0;  // of what lies before
     for (std::size_t i = 0; i < type.fields.size(); ++i) {
       if (type.fields[i].offset < sizeof(T)) {
-        end = type.fields[i].offset + result_.types[type.fields[i].type].size;
+        const Description::Type& field = result_.types[type.fields[i].type];
+        const bool is_empty = field.kind == Kind::Struct && field.fields.empty();
+        end = type.fields[i].offset + (is_empty ? 0 : field.size);
         continue;
       }
       std::size_t next = i;
       while (next < type.fields.size() && type.fields[next].offset >= sizeof(T)) ++next;
-      const std::uint64_t begin = end;
+      const std::uint64_t before = end;
       end = next < type.fields.size() ? type.fields[next].offset : sizeof(T);
+      const std::uint64_t begin = std::min(before, end);  // an empty field may lie anywhere
       for (; i < next; ++i) find_bits(type.fields[i], i, room, begin, end);
       --i;
     }

@@ -53,7 +53,7 @@ struct Description {
 
   /// A member of a struct.
   struct Field {
-    std::string name;          ///< empty where nobody has said it
+    std::string name;          ///< empty where the program has none
     std::uint32_t type = 0;    ///< its place in the list
     std::uint64_t offset = 0;  ///< from the begin of the struct, in bytes
     std::uint32_t bit = 0;     ///< of a bit-field: the first bit in the byte at `offset`

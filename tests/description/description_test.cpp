@@ -58,6 +58,12 @@ struct OtherBits {
   Colour colour : 4;
   std::uint8_t last;
 };
+struct BitsBehindNothing {
+  [[no_unique_address]] Empty nothing;
+  std::uint8_t low : 3;
+  [[no_unique_address]] Empty more;
+  std::uint8_t last;
+};
 struct Tree {
   int value;
   lot::ShmVector<Tree> branches;
@@ -225,6 +231,8 @@ TEST_CASE("a description finds each bit of a bit-field, and only those") {
   bits.high = 1;
   CHECK(bytes[fields[1].offset] == 1U << fields[1].bit);
   for (const auto& field : fields) CHECK(field.name.empty());
+  // An empty field takes no room: the bits may lie where it does.
+  CHECK(lot::describe<named::BitsBehindNothing>().root().fields.at(1).bits == 3);
   CHECK(all.names_hash() == 0);
 }
 

@@ -139,7 +139,7 @@ constexpr std::array<std::string_view, sizeof...(I)> names_of_fields(std::index_
   return {name_of_field<T, I>()...};
 }
 
-/// The names of T's fields, in order; empty ones where nobody has said them.
+/// The names of T's fields, in order; empty ones where neither has them.
 ///
 /// REQUIRES: as field_types.
 template <typename T>

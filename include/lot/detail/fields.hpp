@@ -271,15 +271,24 @@ inline constexpr bool some_field_takes = some_slot_takes<T, Probe>(Types<>{},
 
 template <typename T>
 Types<> bind_fields(T&, std::integral_constant<std::size_t, 0>);
+template <typename T, typename Use>
+constexpr auto with_fields(const T&, Use&& use, std::integral_constant<std::size_t, 0>) {
+  return use();
+}
 
 // clang-format off
 #define LOT_NAME(n) f##n
 #define LOT_TYPE(n) decltype(f##n)
-#define LOT_BIND(n)                                                     \
-  template <typename T>                                                 \
-  auto bind_fields(T& object, std::integral_constant<std::size_t, n>) { \
-    [[maybe_unused]] auto& [LOT_LIST##n(LOT_NAME)] = object;            \
-    return Types<LOT_LIST##n(LOT_TYPE)>{};                              \
+#define LOT_BIND(n)                                                                                \
+  template <typename T>                                                                            \
+  auto bind_fields(T& object, std::integral_constant<std::size_t, n>) {                            \
+    [[maybe_unused]] auto& [LOT_LIST##n(LOT_NAME)] = object;                                       \
+    return Types<LOT_LIST##n(LOT_TYPE)>{};                                                         \
+  }                                                                                                \
+  template <typename T, typename Use>                                                              \
+  constexpr auto with_fields(const T& object, Use&& use, std::integral_constant<std::size_t, n>) { \
+    const auto& [LOT_LIST##n(LOT_NAME)] = object;                                                  \
+    return use(LOT_LIST##n(LOT_NAME));                                                             \
   }
 LOT_BIND(1) LOT_BIND(2) LOT_BIND(3) LOT_BIND(4) LOT_BIND(5)
 LOT_BIND(6) LOT_BIND(7) LOT_BIND(8) LOT_BIND(9) LOT_BIND(10)
@@ -299,36 +308,14 @@ using field_types = decltype(bind_fields(
     std::declval<T&>(), std::integral_constant<std::size_t, Fields<T>::count>{}));
 // clang-format on
 
+/// Calls `use` with T's fields, in order, as const references. A bit-field comes as a copy.
+///
+/// REQUIRES: as field_types.
 template <typename T, typename Use>
-constexpr auto with_fields(const T&, Use&& use, std::integral_constant<std::size_t, 0>) {
-  return use();
-}
-// clang-format off
-#define LOT_GIVE(n)                                                                             \
-  template <typename T, typename Use>                                                           \
-  constexpr auto with_fields(const T& object, Use&& use, std::integral_constant<std::size_t, n>) { \
-    const auto& [LOT_LIST##n(LOT_NAME)] = object;                                               \
-    return use(LOT_LIST##n(LOT_NAME));                                                          \
-  }
-LOT_GIVE(1) LOT_GIVE(2) LOT_GIVE(3) LOT_GIVE(4) LOT_GIVE(5)
-LOT_GIVE(6) LOT_GIVE(7) LOT_GIVE(8) LOT_GIVE(9) LOT_GIVE(10)
-LOT_GIVE(11) LOT_GIVE(12) LOT_GIVE(13) LOT_GIVE(14) LOT_GIVE(15)
-LOT_GIVE(16) LOT_GIVE(17) LOT_GIVE(18) LOT_GIVE(19) LOT_GIVE(20)
-LOT_GIVE(21) LOT_GIVE(22) LOT_GIVE(23) LOT_GIVE(24) LOT_GIVE(25)
-LOT_GIVE(26) LOT_GIVE(27) LOT_GIVE(28) LOT_GIVE(29) LOT_GIVE(30)
-LOT_GIVE(31) LOT_GIVE(32) LOT_GIVE(33) LOT_GIVE(34) LOT_GIVE(35)
-LOT_GIVE(36) LOT_GIVE(37) LOT_GIVE(38) LOT_GIVE(39) LOT_GIVE(40)
-    // clang-format on
-
-    /// Calls `use` with T's fields, in order, as const references. A bit-field comes as a copy.
-    ///
-    /// REQUIRES: as field_types.
-    template <typename T, typename Use>
-    constexpr auto with_fields(const T& object, Use&& use) {
+constexpr auto with_fields(const T& object, Use&& use) {
   return with_fields(object, use, std::integral_constant<std::size_t, Fields<T>::count>{});
 }
 
-#undef LOT_GIVE
 #undef LOT_BIND
 #undef LOT_TYPE
 #undef LOT_NAME
