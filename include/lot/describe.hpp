@@ -18,15 +18,29 @@
 #include "lot/description.hpp"
 #include "lot/detail/type_name.hpp"
 #include "lot/message.hpp"
+#include "lot/type_identity.hpp"
 
 /// Makes the Description of a message type, by the walk that compliance.hpp checks it by.
 namespace lot {
 namespace detail {
+
+/// Says what a type is made of that the walk below does not understand: say, one that
+/// is_trusted_message vouches for, which is opaque otherwise. A specialisation has `known` = true
+/// and fills a Type by a Describer, with its kind, its name and what lies in it:
+///
+///     template <class D>
+///     static void fill(D& describer, Description::Type& type);  // throws std::bad_alloc
+template <class T>
+struct DescribedBy {
+  static constexpr bool known = false;
+};
+
 inline namespace LOT_NAMES {
 
 /// What makes a description: types that were met before are not described again.
 class Describer {
  public:
+  Describer() { result_.types.reserve(kUsual); }
   /// The place of T in the list.
   template <class T>
   std::uint32_t add() {
@@ -43,6 +57,22 @@ class Describer {
   }
   Description take() && { return std::move(result_); }
 
+  // For fill().
+  template <class F>
+  void add_field(Description::Type& type, std::string name, std::uint64_t offset) {
+    Description::Field field;
+    field.name = std::move(name);
+    field.offset = offset;
+    field.type = add<F>();
+    type.fields.push_back(std::move(field));
+  }
+  template <class Element>
+  void fill_array(Description::Type& type, std::uint64_t count) {
+    type.kind = Kind::Array;
+    type.count = count;
+    type.element = add<Element>();
+  }
+
  private:
   /// Its address stands for T.
   template <class T>
@@ -56,22 +86,24 @@ class Describer {
       type.kind = kind_of_number<T>();
     } else if constexpr (std::is_enum_v<T>) {
       type.kind = Kind::Enum;
-      type.name = NameOf<T>::text();
+      type.name = TypeIdentity<T>::name();
       type.element = add<std::underlying_type_t<T>>();
     } else if constexpr (std::is_array_v<T>) {
       fill_array<std::remove_extent_t<T>>(type, std::extent_v<T>);
     } else if constexpr (is_a<T, ShmRef>) {
       type.kind = Kind::Reference;
       type.element = add<typename T::element_type>();
+    } else if constexpr (DescribedBy<T>::known) {
+      DescribedBy<T>::fill(*this, type);
     } else if constexpr (is_trusted_message<T>::value) {
-      type.name = NameOf<T>::text();
+      type.name = TypeIdentity<T>::name();
     } else if constexpr (StdParts<T>::known) {
       fill_standard(type, static_cast<const T*>(nullptr));
     } else if constexpr (Container<T>::known) {
       fill_container<T>(type);
     } else {
       type.kind = Kind::Struct;
-      type.name = NameOf<T>::text();
+      type.name = TypeIdentity<T>::name();
       fill_struct<T>(type, field_types<T>{});
     }
     return type;
@@ -92,14 +124,13 @@ class Describer {
     }
   }
 
-  template <class Element>
-  void fill_array(Description::Type& type, std::uint64_t count) {
-    type.kind = Kind::Array;
-    type.count = count;
-    type.element = add<Element>();
-  }
-
   // ---- standard types whose bytes are just those of their parts ----
+
+  /// A container that has its elements in itself.
+  template <class T>
+  void fill_standard(Description::Type& type, const T*) {
+    fill_opaque_container<T>(type);
+  }
 
   template <class T, std::size_t N>
   void fill_standard(Description::Type& type, const std::array<T, N>*) {
@@ -109,7 +140,7 @@ class Describer {
   void fill_standard(Description::Type& type, const std::pair<A, B>*) {
     using Pair = std::pair<A, B>;
     type.kind = Kind::Struct;
-    type.name = NameOf<Pair>::text();
+    type.name = TypeIdentity<Pair>::name();
     const Room<Pair> room;
     add_field<A>(type, "first", room.offset_of(room.object().first));
     add_field<B>(type, "second", room.offset_of(room.object().second));
@@ -117,13 +148,13 @@ class Describer {
   template <class... T>
   void fill_standard(Description::Type& type, const std::tuple<T...>*) {
     type.kind = Kind::Struct;
-    type.name = NameOf<std::tuple<T...>>::text();
+    type.name = TypeIdentity<std::tuple<T...>>::name();
     fill_tuple<T...>(type, std::index_sequence_for<T...>{});
   }
   template <class T>
   void fill_standard(Description::Type& type, const std::complex<T>*) {
     type.kind = Kind::Struct;
-    type.name = NameOf<std::complex<T>>::text();
+    type.name = TypeIdentity<std::complex<T>>::name();
     add_field<T>(type, "real", 0);
     add_field<T>(type, "imag", sizeof(T));
   }
@@ -147,7 +178,7 @@ class Describer {
       type = of<T>();
     } else {
       type.kind = Kind::Struct;
-      type.name = NameOf<std::atomic<T>>::text();
+      type.name = TypeIdentity<std::atomic<T>>::name();
       add_field<T>(type, "value", 0);
     }
   }
@@ -176,7 +207,7 @@ class Describer {
 
   template <class T>
   void fill_container(Description::Type& type) {
-    if constexpr (std::is_same_v<T, ShmString>) {
+    if constexpr (std::is_base_of_v<ShmString, T>) {  // one of ROS has another name
       type.kind = Kind::String;
       type.name = kLibrary;
       type.element = add<char>();
@@ -185,9 +216,13 @@ class Describer {
       type.name = kLibrary;
       type.element = add<typename T::value_type>();
     } else {
-      type.name = NameOf<T>::text();
-      type.element = add<typename T::value_type>();
+      fill_opaque_container<T>(type);
     }
+  }
+  template <class T>
+  void fill_opaque_container(Description::Type& type) {
+    type.name = TypeIdentity<T>::name();
+    type.element = add<typename T::value_type>();
   }
 
   // ---- structs ----
@@ -215,15 +250,6 @@ class Describer {
     unsigned char* bytes_;
   };
 
-  template <class F>
-  void add_field(Description::Type& type, std::string name, std::uint64_t offset) {
-    Description::Field field;
-    field.name = std::move(name);
-    field.offset = offset;
-    field.type = add<F>();
-    type.fields.push_back(std::move(field));
-  }
-
   template <class T, class... F>
   void fill_struct(Description::Type& type, Types<F...>) {
     [[maybe_unused]] constexpr auto names = field_names<T>();  // there may be no field
@@ -231,6 +257,7 @@ class Describer {
     const std::vector<std::uint64_t> offsets = with_fields(room.object(), [&](const auto&... f) {
       return std::vector<std::uint64_t>{room.offset_of(f)...};
     });
+    type.fields.reserve(sizeof...(F));
     std::size_t i = 0;
     ((add_field<F>(type, std::string(names[i]), offsets[i]), ++i), ...);
     find_bits(type, room);
@@ -289,6 +316,8 @@ class Describer {
       return false;  // has an address
     }
   }
+
+  static constexpr std::size_t kUsual = 32;  ///< most messages have fewer types
 
   Description result_;
   std::map<const char*, std::uint32_t> places_;

@@ -64,8 +64,8 @@ struct Description {
   struct Type {
     Kind kind = Kind::Opaque;  ///< what a value is
     std::uint64_t size = 0;    ///< bytes of a value
-    /// The C++ name of a struct, enum or opaque type; of a clock; whose a string or vector is
-    /// ("libstdc++", "libc++"): they lie in other bytes.
+    /// Of a struct, enum or opaque type what TypeIdentity says, by default its C++ name; the name
+    /// of a clock; whose a string or vector is ("libstdc++", "libc++"): they lie in other bytes.
     std::string name;
     std::uint32_t element = kNone;  ///< the type of what it holds
     std::uint64_t count = 0;        ///< elements of an array
@@ -91,8 +91,8 @@ struct Description {
 
 /// Names the fields of a struct, all of them and in their order: what a C++17 compiler cannot tell.
 /// It stands behind the struct, in its namespace. A name that is wrong, missing, or at another
-/// place does not compile. Structs with bit-fields cannot have it, and have no names in C++20
-/// either.
+/// place does not compile. A semicolon may follow. Structs with bit-fields cannot have it, and have
+/// no names in C++20 either.
 #define LOT_DESCRIBE(Type, ...)                                                               \
   [[maybe_unused]] constexpr auto lot_field_names(const Type*) noexcept {                     \
     constexpr auto names = std::array{LOT_DETAIL_EACH(LOT_DETAIL_TEXT, Type, __VA_ARGS__)};   \
@@ -104,5 +104,4 @@ struct Description {
             ::lot::detail::in_order({LOT_DETAIL_EACH(LOT_DETAIL_OFFSET, Type, __VA_ARGS__)}), \
             "lot: LOT_DESCRIBE must name the fields in the order of the struct");             \
     _Pragma("GCC diagnostic pop") return names;                                               \
-  }                                                                                           \
-  static_assert(true, "so that a semicolon may follow")
+  }

@@ -24,8 +24,8 @@ struct Nameless {
 };
 
 #if __cplusplus < 202002L
-LOT_DESCRIBE(Point, x, y);
-LOT_DESCRIBE(Frame, stamp, encoding, corners, centre);
+LOT_DESCRIBE(Point, x, y)
+LOT_DESCRIBE(Frame, stamp, encoding, corners, centre)
 #endif
 
 const lot::Description& frame_in_17();

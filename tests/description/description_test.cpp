@@ -73,10 +73,45 @@ struct Chain {
   int value;
 };
 
+/// Types with names of their own: shared ones.
+struct Shared {
+  int value;
+};
+enum class SharedColour : std::uint8_t { Red };
+class SharedSecret {
+ public:
+  int get() const { return value_; }
+
+ private:
+  int value_ = 0;
+};
+using SharedMap = lot::ShmMap<std::uint16_t, std::uint16_t>;
+struct HasShared {
+  Shared part;
+  SharedColour colour;
+  SharedSecret secret;
+  SharedMap map;
+};
+/// Stands before the names: what a function uses counts by what is specialised behind it, too.
+inline const Description& describe_shared() { return lot::describe<HasShared>(); }
+
 }  // namespace named
 
 template <>
 struct lot::is_trusted_message<named::Secret> : std::true_type {};
+template <>
+struct lot::is_trusted_message<named::SharedSecret> : std::true_type {};
+#define LOT_NAMED(Type, text)                           \
+  template <>                                           \
+  struct lot::TypeIdentity<Type> {                      \
+    static const char* name() { return text; }          \
+    static constexpr std::uint64_t hash() { return 0; } \
+  }
+LOT_NAMED(named::Shared, "shared/Part");
+LOT_NAMED(named::SharedColour, "shared/Colour");
+LOT_NAMED(named::SharedSecret, "shared/Secret");
+LOT_NAMED(named::SharedMap, "shared/Map");
+LOT_NAMED(named::HasShared, "shared/Whole");
 
 namespace {
 
@@ -210,6 +245,21 @@ TEST_CASE("a description tells strings, vectors and references; other containers
   CHECK(field_type(all, 4).kind == Kind::Opaque);
   CHECK(field_type(all, 4).name == "named::Secret");
   CHECK(field_type(all, 4).size == sizeof(named::Secret));
+}
+
+TEST_CASE("a type has the name of its TypeIdentity, at the root and inside") {
+  const Description& all = named::describe_shared();
+  CHECK(all.root().name == "shared/Whole");
+  CHECK(lot::AnyType::of<named::HasShared>().name() == "shared/Whole");
+  CHECK(field_type(all, 0).kind == Kind::Struct);
+  CHECK(field_type(all, 0).name == "shared/Part");
+  CHECK(field_type(all, 1).kind == Kind::Enum);
+  CHECK(field_type(all, 1).name == "shared/Colour");
+  CHECK(field_type(all, 2).kind == Kind::Opaque);
+  CHECK(field_type(all, 2).name == "shared/Secret");
+  CHECK(field_type(all, 3).kind == Kind::Opaque);
+  CHECK(field_type(all, 3).name == "shared/Map");
+  CHECK(lot::describe<named::SharedSecret>().root().name == "shared/Secret");
 }
 
 TEST_CASE("a description finds each bit of a bit-field, and only those") {

@@ -63,6 +63,11 @@ struct alignas(64) Arena {
   std::uint8_t extents;
   std::uint8_t current;
   std::uint64_t cursor;
+  /// When a publisher that stamps has pushed the message last, in ns of the monotonic clock. It
+  /// means something only in the ring of such a publisher: others leave what stands here. That
+  /// publisher writes it before each push, also while readers have the message. They read it only
+  /// when they are asked for it.
+  std::uint64_t pushed_ns;
   Extent extent[kMaxExtents];
 
   /// Returns memory for `bytes`, or throws OutOfMemory.

@@ -1,0 +1,606 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// A message is read by its description.
+
+#if defined(__GNUC__) && !defined(__clang__)
+// As in message_test.cpp.
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
+#endif
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <random>
+#include <span>
+#include <sstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include <lot/lot.hpp>
+
+#include "description/containers.hpp"
+#include "readable.hpp"
+#include "support/error_of.hpp"
+#include "support/seed.hpp"
+
+namespace {
+
+using namespace readable;
+using namespace std::chrono_literals;
+using lot::Kind;
+using lot::Value;
+using lot::testing::error_of;
+using lot::testing::names;
+
+// docs/layout.md says so, and containers.hpp.
+static_assert(sizeof(lot::ShmVector<int>) == lot::description::kVectorSize);
+static_assert(sizeof(lot::ShmRef<int>) == lot::description::ReferenceWords::kSize);
+#ifdef _LIBCPP_VERSION
+static_assert(sizeof(lot::ShmString) == lot::description::BoostString::kSize);
+#else
+static_assert(sizeof(lot::ShmString) == lot::description::StdString::kSize);
+#endif
+
+/// A message of every kind in a segment.
+struct Read : Place {
+  Read() : message(engine.make<Everything>()), frame(engine.make<Frame>()) {
+    fill(*message);
+    frame->stamp = 5;
+    frame->encoding = "rgb8";
+    target = std::move(frame);
+    message->frame = target;
+  }
+  Value root() { return lot::detail::value_of(lot::describe<Everything>(), message.get()); }
+
+  lot::ShmUniquePtr<Everything> message;
+  lot::ShmUniquePtr<Frame> frame;
+  lot::ShmSharedPtr<const Frame> target;
+};
+
+/// A T in this process's own memory, which is all that its values may look at.
+template <class T>
+struct Own {
+  Value root() const { return {lot::describe<T>(), &object, &object, &object + 1}; }
+  T object{};
+};
+
+TEST_CASE("a Value reads each kind of number, exactly") {
+  Read read;
+  const Value root = read.root();
+  const Everything& e = *read.message;
+  CHECK(root["yes"].as<bool>());
+  CHECK(root["letter"].as<char>() == 'x');
+  CHECK(root["i8"].as<std::int8_t>() == -8);
+  CHECK(root["u8"].as<int>() == 200);
+  CHECK(root["i16"].as<std::int16_t>() == -1600);
+  CHECK(root["u16"].as<std::uint64_t>() == 65000);
+  CHECK(root["i32"].as<std::int64_t>() == e.i32);
+  CHECK(root["u32"].as<std::uint32_t>() == e.u32);
+  CHECK(root["i64"].as<std::int64_t>() == INT64_MIN);
+  CHECK(root["u64"].as<std::uint64_t>() == UINT64_MAX);
+  CHECK(root["byte"].as<std::byte>() == std::byte{0xfe});
+  CHECK(root["f32"].as<float>() == 0.1F);
+  CHECK(root["f32"].as<double>() == double{0.1F});
+  CHECK(root["f64"].as<double>() == 0.1);
+  CHECK(root["f64"].as<float>() == 0.1F);
+  CHECK(root["real"].as<long double>() == 0.1L);
+  CHECK(root["colour"].as<Colour>() == Colour::None);
+  CHECK(root["colour"].as<int>() == -1);
+  CHECK(root["wide"].as<Wide>() == Wide::All);
+  CHECK(root["points"][1]["y"].as<int>() == 4);
+}
+
+TEST_CASE("a Value does not cut a number to the type that is asked for") {
+  Read read;
+  const Value root = read.root();
+  CHECK(error_of([&] { (void)root["u8"].as<std::int8_t>(); }).first == ERANGE);
+  CHECK(error_of([&] { (void)root["i8"].as<std::uint64_t>(); }).first == ERANGE);
+  CHECK(error_of([&] { (void)root["i64"].as<std::uint64_t>(); }).first == ERANGE);
+  CHECK(error_of([&] { (void)root["u64"].as<std::int64_t>(); }).first == ERANGE);
+  CHECK(error_of([&] { (void)root["u64"].as<double>(); }).first == ERANGE);
+  CHECK(root["i64"].as<double>() == -0x1p63);
+  CHECK(error_of([&] { (void)root["f64"].as<int>(); }).first == ERANGE);
+  read.message->f64 = 1e300;
+  CHECK(error_of([&] { (void)root["f64"].as<float>(); }).first == ERANGE);
+  CHECK(error_of([&] { (void)root["f64"].as<std::uint64_t>(); }).first == ERANGE);
+  read.message->f64 = std::numeric_limits<double>::quiet_NaN();
+  CHECK(std::isnan(root["f64"].as<float>()));
+  CHECK(error_of([&] { (void)root["f64"].as<int>(); }).first == ERANGE);
+  read.message->f64 = -0x1p63;
+  CHECK(root["f64"].as<std::int64_t>() == INT64_MIN);
+  read.message->f64 = 0x1p63;
+  CHECK(error_of([&] { (void)root["f64"].as<std::int64_t>(); }).first == ERANGE);
+  CHECK(root["f64"].as<std::uint64_t>() == std::uint64_t{1} << 63);
+}
+
+TEST_CASE("a Value reads bit-fields, with and without a sign") {
+  Read read;
+  const Value bits = read.root()["bits"];
+  CHECK(bits[0].as<int>() == 5);
+  CHECK(bits["_1"].as<int>() == 17);
+  CHECK(bits["_2"].as<int>() == -4);
+  CHECK(bits["_3"].as<int>() == -9);
+  CHECK(bits["_4"].as<bool>());
+  CHECK(bits["_5"].as<Small>() == Small::Seven);
+  CHECK(bits["_6"].as<std::uint64_t>() == (1UL << 63) - 2);
+  CHECK(bits["_6"].path() == "bits._6");
+}
+
+TEST_CASE("a Value reads durations and time points, exactly") {
+  Read read;
+  const Value root = read.root();
+  CHECK(root["span"].as<std::chrono::milliseconds>() == -1500ms);
+  CHECK(root["span"].as<std::chrono::nanoseconds>() == -1500ms);
+  CHECK(root["span"].as<std::chrono::duration<float>>() == std::chrono::duration<float>(-1.5F));
+  CHECK(root["span"].as<int>() == -1500);
+  CHECK(error_of([&] { (void)root["span"].as<std::chrono::seconds>(); }).first == ERANGE);
+  CHECK(root["seconds"].as<std::chrono::milliseconds>() == 250ms);
+  CHECK(root["when"].as<When>() == read.message->when);
+  CHECK(root["when"].as<std::chrono::nanoseconds>() == read.message->when.time_since_epoch());
+  const auto [error, text] =
+      error_of([&] { (void)root["when"].as<std::chrono::steady_clock::time_point>(); });
+  CHECK(error == EINVAL);
+  CHECK(names(text, "lot: when: it is a time point of system_clock"));
+  read.message->span = std::chrono::milliseconds::max();
+  CHECK(error_of([&] { (void)root["span"].as<std::chrono::nanoseconds>(); }).first == ERANGE);
+  read.message->span = std::chrono::milliseconds::min();
+  CHECK(root["span"].as<std::chrono::milliseconds>() == std::chrono::milliseconds::min());
+  CHECK(error_of([&] { (void)root["u64"].as<std::chrono::seconds>(); }).first == EINVAL);
+}
+
+TEST_CASE("a Value reads strings, vectors and arrays") {
+  Read read;
+  const Value root = read.root();
+  CHECK(root["text"].as<std::string_view>() == kLong);
+  CHECK(root["text"].size() == std::strlen(kLong));
+  CHECK(root.at("labels[0].name").as<std::string>() == "short");
+  CHECK(root.at("labels[0].notes[0]").as<std::string>() == "");
+  CHECK(root.at("labels[0].notes[1]").as<std::string>() == kLong);
+  CHECK(root.at("labels[1].name").as<std::string>() == kLong);
+  CHECK(root["labels"].size() == 2);
+  CHECK(root["rows"][0].size() == 0);
+  CHECK(root["rows"][1][4].as<int>() == 4);
+  CHECK(root["numbers"].size() == 3);
+  CHECK(root["numbers"][1].as<int>() == -2);
+  CHECK(root["tree"].at("branches[1].branches[0].number").as<int>() == 4);
+  CHECK(root["nothing"].size() == 0);
+  CHECK(root["pair"]["second"].as<double>() == 2.5);
+}
+
+TEST_CASE("a Value lends the bytes of plain elements, without a copy") {
+  Read read;
+  const Value root = read.root();
+  const lot::Bytes floats = root["floats"].bytes();
+  CHECK(static_cast<const void*>(floats.data()) == read.message->floats.data());
+  CHECK(floats.size() == 3 * sizeof(float));
+  CHECK(static_cast<const void*>(root["points"].bytes().data()) == read.message->points);
+  CHECK(root["text"].bytes().size() == std::strlen(kLong));
+  CHECK(root["rows"][0].bytes().size() == 0);
+  const std::span<const std::byte> span = root["floats"].bytes();
+  CHECK(span.size() == 12);
+  const auto [error, text] = error_of([&] { (void)root["labels"].bytes(); });
+  CHECK(error == EINVAL);
+  CHECK(names(text, "labels: a vector of readable::Label does not lie in one piece"));
+  CHECK(error_of([&] { (void)root.bytes(); }).first == EINVAL);
+  CHECK(error_of([&] { (void)root["bits"][0].bytes(); }).first == EINVAL);
+}
+
+TEST_CASE("a Value follows references, and says which lead nowhere") {
+  Read read;
+  const Value root = read.root();
+  CHECK(root["frame"].kind() == Kind::Reference);
+  CHECK(root["frame"]["stamp"].as<int>() == 5);
+  CHECK(root.at("frame.encoding").as<std::string>() == "rgb8");
+  CHECK(root.at("frame.encoding").path() == "frame.encoding");
+  CHECK(root["frame"].target().kind() == Kind::Struct);
+  CHECK(root["frame"].target().address() == read.target.get());
+  CHECK(!root["frame"].is_null());
+  read.message->frame = nullptr;
+  CHECK(root["frame"].is_null());
+  const auto [error, text] = error_of([&] { (void)root.at("frame.stamp"); });
+  CHECK(error == EINVAL);
+  CHECK(names(text, "lot: frame: it refers to nothing"));
+}
+
+TEST_CASE("references in a ring come to an end") {
+  Place place;
+  auto chain = place.engine.make<Chain>();
+  chain->number = 3;
+  lot::ShmSharedPtr<Chain> shared = std::move(chain);
+  shared->next = shared;
+  Value value = lot::detail::value_of(lot::describe<Chain>(), shared.get());
+  const auto [error, text] = error_of([&] {
+    while (true) {
+      const int number = value["number"].as<int>();
+      CHECK(number == 3);
+      value = value["next"].target();
+    }
+  });
+  CHECK(error == ELOOP);
+  CHECK(names(text, "more than 64 levels deep"));
+  CHECK(to_string(lot::detail::value_of(lot::describe<Chain>(), shared.get())).size() < 4000);
+  shared->next = nullptr;
+}
+
+TEST_CASE("at() says which part of a path is wrong, and what there is") {
+  Read read;
+  const Value root = read.root();
+  const auto why = [&](const char* path) {
+    const auto [error, text] = error_of([&] { (void)root.at(path); });
+    CHECK(error == EINVAL);
+    return text;
+  };
+  CHECK(names(why("labels[0].nam"), "lot: labels[0]: there is no field \"nam\""));
+  CHECK(names(why("labels[0].nam"), "there are name, score, notes"));
+  CHECK(names(why("labels[2]"), "lot: labels: it has 2 elements, and no [2]"));
+  CHECK(names(why("labels[x]"), "there is no number in [ ], in the path at \"[x]\""));
+  CHECK(names(why("labels[-1]"), "there is no number in [ ]"));
+  CHECK(names(why("labels[1"), "a ] is missing"));
+  CHECK(names(why("labels[0]name"), "a . or [ is missing, in the path at \"name\""));
+  CHECK(names(why("labels..name"), "a name is missing"));
+  CHECK(names(why(".yes"), "a name is missing"));
+  CHECK(names(why("yes."), "lot: yes: a name is missing"));
+  CHECK(names(why("yes.no"), "lot: yes: it is a bool, and has no field \"no\""));
+  CHECK(names(why("yes[0]"), "lot: yes: it is a bool, and has no elements"));
+  CHECK(names(why("labels.name"), "it is a vector of readable::Label, and has no field \"name\""));
+  CHECK(names(why("labels[18446744073709551616]"), "there is no number in [ ]"));
+  CHECK(root.at("").address() == read.message.get());
+  CHECK(root.has("yes"));
+  CHECK(!root.has("no"));
+  CHECK(error_of([&] { (void)root["yes"].as<std::string>(); }).first == EINVAL);
+  CHECK(error_of([&] { (void)root["text"].as<int>(); }).first == EINVAL);
+  CHECK(error_of([&] { (void)root[99]; }).first == EINVAL);
+}
+
+TEST_CASE("a loop over a Value sees its fields, or its elements") {
+  Read read;
+  const Value root = read.root();
+  std::string fields;
+  for (const Value& field : root) fields += field.name() + " ";
+  CHECK(fields.find("yes letter i8 ") == 0);
+  CHECK(std::distance(root.begin(), root.end()) == 31);
+  std::vector<float> floats;
+  for (const Value& item : root["floats"]) floats.push_back(item.as<float>());
+  CHECK(floats == std::vector<float>{1.5F, -2, 3});
+  CHECK(root["floats"][2].name() == "[2]");
+  CHECK(root["nothing"].begin() == root["nothing"].end());
+  CHECK(root["yes"].begin() == root["yes"].end());
+  CHECK(root.name() == "");
+}
+
+TEST_CASE("a Value says what its type is") {
+  Read read;
+  const Value root = read.root();
+  CHECK(root.type_name() == "readable::Everything");
+  CHECK(root["u16"].type_name() == "uint16");
+  CHECK(root["real"].type_name() == "long double");
+  CHECK(root["points"].type_name() == "readable::Point[2]");
+  CHECK(root["rows"].type_name() == "vector of vector of uint16");
+  CHECK(root["frame"].type_name() == "reference to readable::Frame");
+  CHECK(root["tree"].type_name() == "readable::Tree");
+}
+
+TEST_CASE("a Value is printed on one line, and not all of it when it is long") {
+  Read read;
+  std::ostringstream out;
+  out << read.root();
+  CHECK(out.str() ==
+        "{yes: true, letter: 'x', i8: -8, u8: 200, i16: -1600, u16: 65000, i32: -2000000000, "
+        "u32: 4000000000, i64: -9223372036854775808, u64: 18446744073709551615, byte: 254, "
+        "f32: 0.1, f64: 0.1, real: 0.100000000000000000001, colour: -1, "
+        "wide: 18446744073709551615, span: -1.5s, seconds: 0.25s, when: 1700000000.123456789s, "
+        "numbers: [1, -2, 3], name: \"hi\", points: [{x: 1, y: 2}, {x: 3, y: 4}], nothing: {}, "
+        "bits: {_0: 5, _1: 17, _2: -4, _3: -9, _4: true, _5: 7, _6: 9223372036854775806}, "
+        "text: \"a text that is much too long for the small string in place\", "
+        "floats: [1.5, -2, 3], labels: [{name: \"short\", score: 0.5, notes: [\"\", "
+        "\"a text that is much too long for the small string in place\"]}, "
+        "{name: \"a text that is much too long for the small string in place\", score: 1, "
+        "notes: [\"\", \"\"]}], rows: [[], [0, 1, 2, 3, 4]], "
+        "frame: {stamp: 5, encoding: \"rgb8\", data: []}, "
+        "tree: {number: 1, branches: [{number: 2, branches: []}, {number: 3, branches: "
+        "[{number: 4, branches: []}]}]}, pair: {first: 9, second: 2.5}}");
+  CHECK(to_string(read.root()["floats"], {1, 80, 100}) == "[1.5, ... 3 in all]");
+  CHECK(to_string(read.root()["text"], {1, 6, 100}) == "\"a text... 58 bytes\"");
+  CHECK(to_string(read.root()["points"], {16, 80, 2}) == "[{x: ..., y: ...}, ...]");
+  read.message->text = "\"\\\n\x7f";
+  CHECK(to_string(read.root()["text"]) == "\"\\\"\\\\\\x0a\\x7f\"");
+  read.message->f64 = -std::numeric_limits<double>::infinity();
+  CHECK(to_string(read.root()["f64"]) == "-inf");
+}
+
+TEST_CASE("a Value reads forty fields, opaque bytes, and a message that is one number") {
+  Own<Forty> forty;
+  forty.object.h9 = 39;
+  std::size_t n = 0;
+  for ([[maybe_unused]] const Value& field : forty.root()) ++n;
+  CHECK(n == 40);
+  CHECK(forty.root()["h9"].as<int>() == 39);
+  CHECK(forty.root()["i9"].as<std::string>() == "");
+
+  Own<HasSecret> secret;
+  CHECK(secret.root()["secret"].kind() == Kind::Opaque);
+  CHECK(secret.root()["secret"].size() == 4);
+  CHECK(secret.root()["secret"].bytes().size() == 4);
+  CHECK(to_string(secret.root()) == "{before: 0, secret: <4 bytes>, more: []}");
+
+  Own<double> number;
+  number.object = 2;
+  CHECK(number.root().as<int>() == 2);
+  CHECK(number.root().path() == "");
+}
+
+TEST_CASE("strings and vectors of libc++ are read wherever they were made, and of no third one") {
+  using namespace lot::description;
+  lot::Description all;
+  all.types.resize(4);
+  auto& root = all.types[0];
+  root.kind = Kind::Struct;
+  root.size = BoostString::kSize + kVectorSize;
+  root.fields = {{"text", 1, 0, 0, 0}, {"items", 2, BoostString::kSize, 0, 0}};
+  all.types[1].kind = Kind::String;
+  all.types[1].size = BoostString::kSize;
+  all.types[1].name = "libc++";
+  all.types[2].kind = Kind::Vector;
+  all.types[2].size = kVectorSize;
+  all.types[2].name = "libc++";
+  all.types[2].element = 3;
+  all.types[3].kind = Kind::UInt;
+  all.types[3].size = 1;
+  alignas(8) unsigned char memory[128] = {};
+  const auto put = [&](std::size_t at, std::uint64_t word) { std::memcpy(memory + at, &word, 8); };
+  put(0, kNull);
+  memory[8] = 5 << 1 | 1;
+  std::memcpy(memory + 9, "hello", 6);
+  put(32, 100 - 32);  // begin
+  put(40, 103 - 40);  // end
+  put(48, 110 - 48);  // capacity
+  put(56, kNull);     // the allocator
+  memory[102] = 77;
+  const Value value(all, memory, memory, memory + sizeof memory);
+  CHECK(value["text"].as<std::string>() == "hello");
+  CHECK(value["items"].size() == 3);
+  CHECK(value["items"][2].as<int>() == 77);
+  put(8, 20 << 1);  // a long one
+  put(16, 21);
+  put(24, 80 - 24);
+  std::memcpy(memory + 80, "twenty bytes of text", 20);
+  CHECK(value["text"].as<std::string>() == "twenty bytes of text");
+  memory[8] = 23 << 1 | 1;
+  CHECK(error_of([&] { (void)value["text"].size(); }).first == EBADMSG);
+  all.types[1].name = "another";
+  CHECK(error_of([&] { (void)value["text"].size(); }).first == EINVAL);
+  all.types[2].name = "another";
+  CHECK(error_of([&] { (void)value["items"].size(); }).first == EINVAL);
+}
+
+TEST_CASE("the words of a vector and a string that lead elsewhere are EBADMSG") {
+  Read read;
+  const Value root = read.root();
+  auto* const vector = reinterpret_cast<std::uint64_t*>(&read.message->floats);
+#ifdef _LIBCPP_VERSION
+  constexpr std::size_t kBegin = 0;
+#else
+  constexpr std::size_t kBegin = 1;
+#endif
+  const auto with = [&](std::size_t word, std::uint64_t bad) {
+    const std::uint64_t good = std::exchange(vector[word], bad);
+    const auto [error, text] = error_of([&] { (void)root["floats"][0].as<float>(); });
+    CHECK(names(text, "lot: floats: "));
+    vector[word] = good;
+    return error;
+  };
+  CHECK(with(kBegin, std::uint64_t{1} << 40) == EBADMSG);
+  CHECK(with(kBegin, ~std::uint64_t{0} >> 1) == EBADMSG);
+  CHECK(with(kBegin, 1) == EBADMSG);
+  CHECK(with(kBegin + 1, 1) == EBADMSG);
+  CHECK(with(kBegin + 1, vector[kBegin] - 16) == EBADMSG);
+  CHECK(with(kBegin + 1, vector[kBegin + 1] + 1) == EBADMSG);
+  CHECK(root["floats"][0].as<float>() == 1.5F);
+  CHECK(names(to_string(root), "floats: [1.5"));
+  const std::uint64_t good = std::exchange(vector[kBegin], vector[kBegin] + 1);
+  vector[kBegin + 1] += 1;
+  CHECK(error_of([&] { (void)root["floats"].bytes(); }).first == EBADMSG);  // not aligned
+  CHECK(root["floats"].size() == 3);
+  vector[kBegin] = good;
+  vector[kBegin + 1] -= 1;
+  read.message->yes = true;
+  std::memset(&read.message->yes, 2, 1);
+  CHECK(error_of([&] { (void)root["yes"].as<bool>(); }).first == EBADMSG);
+  CHECK(names(to_string(root), "{yes: <damaged>, letter: 'x'"));
+  std::memset(&read.message->yes, 1, 1);
+}
+
+/// Reads all of a value that can be read. It ends, however the values lead to each other.
+void look(const Value& value, std::size_t& left) {
+  if (left == 0) return;
+  --left;
+  try {
+    switch (value.kind()) {
+      case Kind::String:
+        left -= std::min(left, std::size_t{std::string(value.as<std::string_view>()).empty()});
+        break;
+      case Kind::Reference:
+        if (!value.is_null()) look(value.target(), left);
+        break;
+      case Kind::Struct:
+      case Kind::Array:
+      case Kind::Vector:
+        for (const Value& part : value) {
+          if (left == 0) return;
+          look(part, left);
+        }
+        break;
+      case Kind::Opaque:
+        (void)value.bytes();
+        break;
+      case Kind::Duration:
+        (void)value.as<std::chrono::duration<double>>();
+        break;
+      case Kind::Bool:
+        (void)value.as<bool>();
+        break;
+      default:
+        (void)value.as<long double>();
+    }
+  } catch (const lot::Error&) {
+    // it is damaged here
+  }
+}
+
+TEST_CASE("damaged messages give values or errors, and no byte outside of them is looked at") {
+  Read read;
+  const std::uint64_t seed = lot::testing::seed();
+  CAPTURE(seed);
+  std::mt19937_64 random(seed);
+  const Fenced fenced;
+  const Value root = fenced.copy_of(read.root());
+  REQUIRE(to_string(root) == to_string(read.root()));
+  const std::vector<unsigned char> whole(fenced.begin(), fenced.next());
+  std::size_t damaged = 0;
+  for (int i = 0; i < 1000; ++i) {
+    std::copy(whole.begin(), whole.end(), fenced.begin());
+    const std::uint64_t words = 1 + random() % 8;
+    for (std::uint64_t n = 0; n < words; ++n) {
+      const std::size_t at = random() % (whole.size() / 8) * 8;
+      std::uint64_t word = random() >> (random() % 64);
+      if (random() % 2 == 0) word = random() % Fenced::kBytes - at;  // leads to another part
+      if (random() % 8 == 0) word = ~std::uint64_t{0} >> (random() % 4);
+      std::memcpy(fenced.begin() + at, &word, sizeof word);
+    }
+    std::size_t left = 20'000;
+    look(root, left);
+    damaged += names(to_string(root, {4, 16, 1000}), "<damaged>") ? 1 : 0;
+  }
+  CHECK(damaged > 100);
+  CHECK(damaged < 1000);
+}
+
+TEST_CASE("a description that lies about its fields is an error") {
+  lot::Description all = lot::describe<Point>();
+  Own<Point> point;
+  const Value value(all, &point.object, &point.object, &point.object + 1);
+  CHECK(value["y"].as<double>() == 0);
+  all.types[0].fields[1].offset = 9;
+  CHECK(error_of([&] { (void)value["y"].as<double>(); }).first == EBADMSG);
+  all.types[0].fields[1].type = 99;
+  CHECK(error_of([&] { (void)value["y"].as<double>(); }).first == EBADMSG);
+  all.types[0].size = 1 << 20;
+  CHECK(error_of([&] { (void)value["x"].as<double>(); }).first == EBADMSG);
+}
+
+/// A description as no parser lets it through.
+lot::Description lie(std::mt19937_64& random) {
+  lot::Description all = lot::describe<Everything>();
+  for (std::uint64_t n = 1 + random() % 3; n != 0; --n) {
+    lot::Description::Type& type = all.types[random() % all.types.size()];
+    const std::uint64_t number = random() >> (random() % 64);
+    const auto place = static_cast<std::uint32_t>(random() % (all.types.size() + 1));
+    switch (random() % 6) {
+      case 0:
+        type.kind = static_cast<Kind>(random() % 14);
+        break;
+      case 1:
+        type.size = number;
+        break;
+      case 2:
+        type.count = number;
+        break;
+      case 3:
+        type.element = place;
+        break;
+      case 4:
+        type.numerator = static_cast<std::int64_t>(number);
+        break;
+      default:
+        if (type.fields.empty()) break;
+        lot::Description::Field& field = type.fields[random() % type.fields.size()];
+        field.offset = random() % 2 == 0 ? number : random() % 512;
+        field.type = place;
+        field.bit = static_cast<std::uint32_t>(random() % 16);
+        field.bits = random() % 4 == 0 ? static_cast<std::uint32_t>(random() % 80) : 0;
+    }
+  }
+  return all;
+}
+
+TEST_CASE("a description that lies gives values or errors, and nothing outside is looked at") {
+  Read read;
+  const std::uint64_t seed = lot::testing::seed();
+  CAPTURE(seed);
+  std::mt19937_64 random(seed);
+  const Fenced fenced;
+  const void* const message = fenced.copy_of(read.root()).address();
+  const std::vector<unsigned char> whole(fenced.begin(), fenced.next());
+  for (int i = 0; i < 1000; ++i) {
+    const lot::Description all = lie(random);
+    const Value root(all, message, fenced.begin(), fenced.begin() + Fenced::kBytes);
+    std::size_t left = 20'000;
+    look(root, left);
+    (void)to_string(root, {4, 16, 1000});
+    (void)error_of([&] { fenced.at_begin(all).construct(); });
+    std::copy(whole.begin(), whole.end(), fenced.begin());
+  }
+}
+
+TEST_CASE("an AnyMessage shares a message, and gives it back as its type, and as no other") {
+  Place place;
+  auto frame = place.engine.make<Frame>();
+  frame->stamp = 9;
+  frame->data.resize(3);
+  const lot::ShmSharedPtr<const Frame> shared = std::move(frame);
+  lot::AnyMessage any = shared;
+  CHECK(shared.use_count() == 2);
+  {
+    const std::vector<lot::AnyMessage> copies(1, any);
+    const lot::AnyMessage& copy = copies.front();
+    CHECK(shared.use_count() == 3);
+    CHECK(copy.root()["stamp"].as<int>() == 9);
+    CHECK(copy.root()["data"].size() == 3);
+  }
+  CHECK(shared.use_count() == 2);
+  CHECK(any.type().name() == "readable::Frame");
+  CHECK(any.as<Frame>() == shared);
+  CHECK(any.as<const Frame>() == shared);
+  CHECK(any.as<Point>() == nullptr);
+  CHECK(any.as<Everything>() == nullptr);
+
+  // What another program has described, with names and without.
+  lot::Description other = lot::describe<Frame>();
+  const auto of = [&](const std::string& name, std::uint64_t align) {
+    struct Other : lot::detail::MessageType {
+      lot::detail::Described known;
+    } type{lot::detail::message_type<Frame>(), lot::detail::make_described(other)};
+    type.name = name.c_str();
+    type.align = align;
+    type.described = [](const lot::detail::MessageType& self) -> const lot::detail::Described& {
+      return static_cast<const Other&>(self).known;
+    };
+    return lot::AnyMessage(shared, lot::AnyType(lot::detail::make_known_type(type, other)));
+  };
+  CHECK(of("readable::Frame", alignof(Frame)).as<Frame>() == shared);
+  CHECK(of("readable::Farm", alignof(Frame)).as<Frame>() == nullptr);
+  CHECK(of("readable::Frame", 64).as<Frame>() == nullptr);
+  other.types[0].fields[0].name = "";
+  CHECK(of("readable::Frame", alignof(Frame)).as<Frame>() == shared);
+  other.types[0].fields[0].name = "time";
+  CHECK(of("readable::Frame", alignof(Frame)).as<Frame>() == nullptr);
+  other.types[0].fields[0].name = "stamp";
+  other.types[0].fields[0].offset = 8;
+  CHECK(of("readable::Frame", alignof(Frame)).as<Frame>() == nullptr);
+  CHECK(shared.use_count() == 2);
+  any.reset();
+  CHECK(!any);
+  CHECK(any.as<Frame>() == nullptr);
+  CHECK(shared.use_count() == 1);
+  const lot::AnyMessage null = lot::ShmSharedPtr<Frame>();
+  CHECK(!null);
+}
+
+}  // namespace

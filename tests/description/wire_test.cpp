@@ -1,0 +1,223 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Descriptions as bytes: encoded, decoded, cut, and made by an enemy.
+
+#include "description/wire.hpp"
+
+#include <chrono>
+#include <cstdint>
+#include <string>
+#include <utility>
+
+#include <doctest/doctest.h>
+
+#include <lot/describe.hpp>
+#include <lot/lot.hpp>
+
+using lot::Description;
+using lot::Kind;
+using lot::description::decode;
+using lot::description::encode;
+using lot::description::first_difference;
+
+namespace {
+
+enum class Mode : std::uint16_t { Idle };
+struct Point {
+  float x, y, z;
+};
+struct Flags {
+  std::uint32_t low : 3, high : 7;
+  bool on;
+};
+struct Node {
+  int value;
+  lot::ShmVector<Node> children;
+};
+struct Every {
+  bool yes;
+  char letter;
+  std::uint8_t pixels[3][4];
+  Mode mode;
+  double real;
+  long double wide;
+  Point points[5];
+  lot::ShmString name;
+  lot::ShmVector<Point> cloud;
+  lot::ShmVector<lot::ShmString> names;
+  lot::ShmRef<const Node> tree;
+  std::chrono::microseconds span;
+  std::chrono::system_clock::time_point at;
+  Flags flags;
+  struct Empty {
+  } empty;
+};
+struct Renamed {
+  float x, y, depth;
+};
+struct Retyped {
+  float x;
+  std::uint32_t y;
+  float z;
+};
+
+bool is_equal(const Description& a, const Description& b) { return encode(a) == encode(b); }
+
+/// Structs in each other, `levels` deep, each with `width` fields.
+Description nested(std::size_t levels, std::size_t width) {
+  Description all;
+  for (std::size_t i = 0; i < levels; ++i) {
+    Description::Type type;
+    type.kind = Kind::Struct;
+    type.size = 8;
+    for (std::size_t f = 0; f < width; ++f) {
+      type.fields.push_back({"f", static_cast<std::uint32_t>(i + 1), 0, 0, 0});
+    }
+    all.types.push_back(type);
+  }
+  Description::Type leaf;
+  leaf.kind = Kind::UInt;
+  leaf.size = 8;
+  all.types.push_back(leaf);
+  return all;
+}
+
+/// Without its checks: as an enemy writes it.
+std::string raw(const Description& all) {
+  std::string bytes("\1", 1);
+  const auto number = [&bytes](std::uint64_t n) {
+    for (; n >= 0x80; n >>= 7) bytes += static_cast<char>(0x80 | (n & 0x7f));
+    bytes += static_cast<char>(n);
+  };
+  const auto text = [&](const std::string& t) {
+    number(t.size());
+    bytes += t;
+  };
+  number(all.types.size());
+  for (const auto& t : all.types) {
+    number(static_cast<std::uint64_t>(t.kind));
+    number(t.size);
+    text(t.name);
+    number(t.element == Description::kNone ? 0 : std::uint64_t{t.element} + 1);
+    number(t.count);
+    number(static_cast<std::uint64_t>(t.numerator));
+    number(static_cast<std::uint64_t>(t.denominator));
+    number(t.fields.size());
+    for (const auto& f : t.fields) {
+      text(f.name);
+      number(f.type);
+      number(f.offset);
+      number(f.bit);
+      number(f.bits);
+    }
+  }
+  return bytes;
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("description");
+
+TEST_CASE("a description comes back from its bytes as it was") {
+  const Description& every = lot::describe<Every>();
+  const std::string bytes = encode(every);
+  CHECK(bytes == raw(every));
+  const auto back = decode(bytes);
+  REQUIRE(back);
+  CHECK(encode(*back) == bytes);
+  CHECK(back->layout_hash() == every.layout_hash());
+  CHECK(back->names_hash() == every.names_hash());
+  CHECK(back->root().fields.size() == every.root().fields.size());
+  CHECK(first_difference(*back, every).empty());
+}
+
+TEST_CASE("bytes of a description that are cut or changed give nothing, or another description") {
+  const std::string bytes = encode(lot::describe<Every>());
+  for (std::size_t size = 0; size < bytes.size(); ++size) {
+    CHECK_FALSE(decode(std::string_view(bytes).substr(0, size)));
+  }
+  CHECK_FALSE(decode(bytes + '\0'));
+  std::size_t accepted = 0;
+  for (std::size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
+    std::string changed = bytes;
+    changed[bit / 8] = static_cast<char>(changed[bit / 8] ^ 1 << bit % 8);
+    const auto other = decode(changed);
+    if (!other) continue;
+    ++accepted;  // a letter of a name, or an offset
+    CHECK(encode(*other) == changed);
+  }
+  CHECK(accepted < 8 * bytes.size());
+}
+
+TEST_CASE("a description that an enemy has made is refused, and quickly") {
+  const auto decodes = [](const Description& d) { return decode(raw(d)).has_value(); };
+  CHECK(decodes(nested(15, 2)));
+  CHECK_FALSE(decodes(nested(16, 1)));  // too deep
+  CHECK(encode(nested(16, 1)).empty());
+  Description d = nested(1, 1);
+  SUBCASE("a struct within itself") { d.types[0].fields[0].type = 0; }
+  SUBCASE("a field behind the end") { d.types[0].fields[0].offset = 1; }
+  SUBCASE("an offset without end") { d.types[0].fields[0].offset = ~std::uint64_t{0}; }
+  SUBCASE("a type that is not there") { d.types[0].fields[0].type = 2; }
+  SUBCASE("a kind that is not there") { d.types[1].kind = static_cast<Kind>(14); }
+  SUBCASE("an integer of three bytes") { d.types[1].size = 3; }
+  SUBCASE("a number that has fields") { d.types[1].fields = d.types[0].fields; }
+  SUBCASE("more bits than the type") { d.types[0].fields[0].bits = 65; }
+  SUBCASE("bits of a float") {
+    d.types[1].kind = Kind::Float;
+    d.types[0].fields[0].bits = 2;
+  }
+  SUBCASE("an array of nothing") {
+    d.types[0] = Description::Type{};
+    d.types[0].kind = Kind::Array;
+  }
+  SUBCASE("an array whose size is not that of its elements") {
+    d.types[0].fields.clear();
+    d.types[0].kind = Kind::Array;
+    d.types[0].element = 1;
+    d.types[0].count = 1000;
+  }
+  SUBCASE("a vector of nothing") {
+    d.types[0].fields.clear();
+    d.types[0].kind = Kind::Vector;
+  }
+  CHECK_FALSE(decodes(d));
+}
+
+TEST_CASE("a description whose walk would have no end is refused") {
+  // Each level leads to the next one many times, and the last one back: nothing may be noted.
+  Description d = nested(14, 40);
+  d.types.back().kind = Kind::Vector;
+  d.types.back().element = 0;
+  CHECK_FALSE(decode(raw(d)));
+  CHECK(encode(d).empty());
+}
+
+TEST_CASE("a description that is too large has no bytes") {
+  Description d = nested(1, 4000);
+  CHECK(encode(d).empty());
+  CHECK_FALSE(decode(std::string(lot::description::kMostBytes + 1, '\1')));
+}
+
+TEST_CASE("the first field that differs is told, as each side has it") {
+  const Description& point = lot::describe<Point>();
+  CHECK(first_difference(point, point).empty());
+  CHECK(first_difference(point, lot::describe<Retyped>()) ==
+        (point.names_hash() == 0 ? "_1" : "y") +
+            std::string(": the topic has float32; this side has uint32"));
+  const Description& renamed = lot::describe<Renamed>();
+  if (point.names_hash() != 0) {
+    CHECK(first_difference(point, renamed) ==
+          "field 3: the topic has z, float32 at byte 8; this side has depth, float32 at byte 8");
+  }
+  const Description inner = nested(2, 1);
+  Description other = inner;
+  other.types[2].kind = Kind::Int;
+  CHECK(first_difference(inner, other) == "f.f: the topic has uint64; this side has int64");
+  other = inner;
+  other.types[1].fields.clear();
+  CHECK(first_difference(inner, other) ==
+        "field 1 of f: the topic has f, uint64 at byte 0; this side has none");
+  CHECK(first_difference(lot::describe<Node>(), lot::describe<Node>()).empty());
+  CHECK(is_equal(inner, inner));
+}
