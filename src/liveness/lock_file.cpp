@@ -11,6 +11,7 @@
 #include "lot/error.hpp"
 
 #include "robust_mutex/robust_mutex.hpp"
+#include "segment/descriptors.hpp"
 #include "segment/segment.hpp"
 
 namespace lot::liveness {
@@ -174,7 +175,7 @@ std::string LockFile::shortfall(const segment::Trust& trust) const {
 }
 
 bool LockFile::reopen() noexcept {
-  const int fd = ::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+  const int fd = segment::open_file(path_, O_RDWR | O_NOFOLLOW | O_NONBLOCK);
   if (fd == -1) return false;
   struct stat status {};
   if (fstat(fd, &status) == -1 || status.st_dev != device_ || status.st_ino != inode_) {
@@ -191,7 +192,7 @@ void LockFile::abandon() noexcept {
 }
 
 LockProbe::LockProbe(const std::string& path) noexcept
-    : path_(path), fd_(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK)) {
+    : path_(path), fd_(segment::open_file(path, O_RDONLY | O_NOFOLLOW | O_NONBLOCK)) {
   struct stat status {};
   if (fd_ == -1 || (fstat(fd_, &status) == 0 && S_ISREG(status.st_mode) && status.st_size == 0)) {
     return;

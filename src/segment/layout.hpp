@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <type_traits>
 
 #include "lot/detail/arena.hpp"
 #include "lot/detail/atomics.hpp"
@@ -47,7 +48,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 15;
+inline constexpr std::uint32_t kLayoutVersion = 16;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
@@ -59,6 +60,9 @@ inline constexpr std::uint64_t kSmallBytes = detail::Mapping::kSmallBytes;
 inline constexpr std::uint64_t kUnit = 2 << 20;
 inline constexpr std::size_t kTopicNameBytes = 200;
 inline constexpr std::size_t kTypeNameBytes = 232;
+/// The table of descriptions (docs/descriptions.md), in pieces of 64 bytes.
+inline constexpr std::uint64_t kDescriptionsBytes = 1 << 20;
+inline constexpr std::uint64_t kDescriptionPiece = 64;
 
 /// The first 64 bytes. They never change their meaning, so that a newer library can tell an old
 /// segment from other bytes.
@@ -87,7 +91,7 @@ struct Capacity {
 /// Offsets of the tables. Each process computes the same ones from the capacity.
 struct Geometry {
   std::uint64_t participants, witnesses, directory, topics, channels, blocks, arenas, small, tags,
-      units, sightings, replies, data;
+      units, sightings, replies, descriptions, data;
   std::uint64_t granules;  ///< in the data area
   static Geometry of(const Capacity& capacity);
 };
@@ -143,20 +147,39 @@ struct alignas(64) Directory {
 };
 static_assert(sizeof(Directory) == 192 && offsetof(Directory, persists) == 16);
 
-/// A topic exists while a `users` bit stands. Participant p and its reaper write bit p.
+/// Where a description lies in the table: {place in pieces 16, bytes 16, check 32}. The check is a
+/// hash of the bytes. 0: there is none.
+constexpr std::uint64_t make_description(std::uint64_t piece, std::uint64_t bytes,
+                                         std::uint32_t check) {
+  return piece << 48 | bytes << 32 | check;
+}
+constexpr std::uint64_t description_offset(std::uint64_t word) {
+  return (word >> 48) * kDescriptionPiece;
+}
+constexpr std::uint64_t description_bytes(std::uint64_t word) { return word >> 32 & 0xffff; }
+constexpr auto description_check(std::uint64_t word) { return static_cast<std::uint32_t>(word); }
+
+/// A topic exists while a bit of `users` or `observers` stands. Participant p and its reaper write
+/// bit p.
 struct alignas(64) TopicEntry {
   detail::ChangedBy<std::atomic<std::uint64_t>, registry::Registry> users[Atomics::kOwnWords];
+  /// Participants that only look on: the topic's name is free for another type.
+  detail::ChangedBy<std::atomic<std::uint64_t>, registry::Registry> observers[Atomics::kOwnWords];
   std::uint64_t type_size;
   std::uint64_t type_align;
-  std::uint64_t type_hash;
+  std::uint64_t type_hash;    ///< TypeIdentity::hash(), and whose containers it has
+  std::uint64_t type_layout;  ///< Description::layout_hash(); 0: its type says nothing
+  /// Description::names_hash(), or 0 until a process comes that knows the names.
+  detail::ChangedBy<std::atomic<std::uint64_t>, registry::Registry> type_names;
+  /// Where the description is. It may get another place, with names.
+  detail::ChangedBy<std::atomic<std::uint64_t>, registry::Registry> description;
   char name[kTopicNameBytes];
   char type_name[kTypeNameBytes];
   /// [p]: how many pullers participant p has on the topic. Written by p and its reaper. A lossless
   /// publisher waits for all of them.
   detail::ChangedBy<std::atomic<std::uint16_t>, registry::Registry> pullers[kMaxParticipants];
-  char padding[8];
 };
-static_assert(sizeof(TopicEntry) == 1152);
+static_assert(sizeof(TopicEntry) == 1216);
 
 /// What participants reply to the publishers of a topic that select their readers: two bits a
 /// participant (selection/replies.hpp). They mean something only while the participant has pullers
@@ -222,9 +245,16 @@ struct RingHead {
   alignas(64) std::atomic<std::uint32_t> roster;
   std::atomic<std::uint32_t> returned;
   std::atomic<ring::Word> floor;  ///< joiners of a lossless ring begin here at the earliest
+  /// The name of the publisher's process, as `name` of its ParticipantEntry: for Envelope, and for
+  /// publishers that select their readers. The maker writes it, and `stamps`, while the writer word
+  /// is INIT: R7 carries both. The name stays when the participant has gone.
+  char publisher[sizeof(ParticipantEntry::name)];
   alignas(64) std::atomic<std::uint32_t> space;
+  std::uint32_t stamps;     ///< 1: each push writes Arena::pushed_ns
   mutex_engine::Lock lock;  ///< of the mutex engine
 };
+static_assert(std::is_standard_layout_v<RingHead> && offsetof(RingHead, roster) == 0);
+static_assert(sizeof(RingHead) == 192 && offsetof(RingHead, space) == 64);
 
 /// The owner of one granule: 0 if free, block + 1, or kRingTag | channel. The owner's own words say
 /// whether it lives. So a reaper finds by the tags what it must free.

@@ -20,6 +20,7 @@
 #include "lot/error.hpp"
 #include "lot/options.hpp"
 
+#include "segment/descriptors.hpp"
 #include "segment/system_limits.hpp"
 
 namespace lot::segment {
@@ -296,7 +297,7 @@ void give_rights(int fd, const std::string& path, const Trust& trust) {
 /// mode 0600, or less by its umask.
 int make_private(const std::string& path, const Trust& trust) {
   const std::string directory = path.substr(0, path.rfind('/') + 1);
-  const int unnamed = ::open(directory.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
+  const int unnamed = open_file(directory, O_TMPFILE | O_RDWR, 0600);
   if (unnamed != -1) {
     give_rights(unnamed, path, trust);
     if (linkat(AT_FDCWD, ("/proc/self/fd/" + std::to_string(unnamed)).c_str(), AT_FDCWD,
@@ -306,7 +307,7 @@ int make_private(const std::string& path, const Trust& trust) {
     ::close(unnamed);
   }
   // There is a file of that name already, or the file cannot be made in this way.
-  const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600);
+  const int fd = open_file(path, O_RDWR | O_CREAT | O_EXCL | O_NOFOLLOW, 0600);
   if (fd == -1) return -1;
   try {
     give_rights(fd, path, trust);
@@ -333,7 +334,7 @@ int open_private(const std::string& path, const Trust& trust, int flags) {
     if ((flags & O_EXCL) == 0) {
       // Without O_CREAT: in a sticky directory fs.protected_regular refuses it for another user's
       // file, even if the file's mode lets us in. A file that is there keeps its mode and owner.
-      const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+      const int fd = open_file(path, O_RDWR | O_NOFOLLOW | O_NONBLOCK);
       if (fd != -1) {
         require_or_close(trust, fd, path);
         return fd;
@@ -352,15 +353,18 @@ int open_private(const std::string& path, const Trust& trust, int flags) {
   }
 }
 
+bool is_name(std::string_view name) noexcept {
+  const auto is_part = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' ||
+           c == '-' || c == '.';
+  };
+  return !name.empty() && name.size() <= 100 && name[0] != '.' &&
+         std::all_of(name.begin(), name.end(), is_part) && !name.ends_with(".lock") &&
+         !name.ends_with(".new");
+}
+
 std::string path_of(const std::string& directory, const std::string& name) {
-  const bool good = !name.empty() && name.size() <= 100 && name[0] != '.' &&
-                    std::all_of(name.begin(), name.end(),
-                                [](char c) {
-                                  return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
-                                         (c >= '0' && c <= '9') || c == '_' || c == '-' || c == '.';
-                                }) &&
-                    !name.ends_with(".lock") && !name.ends_with(".new");
-  if (!good) {
+  if (!is_name(name)) {
     throw Error(EINVAL, name, "not a name for a segment",
                 "use 1 to 100 letters, digits, '_', '-' and '.', not beginning with '.' nor ending "
                 "with .lock or .new");
@@ -399,6 +403,7 @@ Geometry Geometry::of(const Capacity& c) {
   table(g.units, units_of(c) * sizeof(Tag));
   table(g.sightings, c.participants * sizeof(Sightings));
   table(g.replies, c.topics * sizeof(Replies));
+  table(g.descriptions, kDescriptionsBytes);
   at = round_up(at, kGranule);  // payload begins on a page of its own
   table(g.small, c.blocks * kSmallBytes);
   g.data = round_up(at, kGranule);
@@ -446,7 +451,7 @@ void Segment::create(const std::string& path, Capacity capacity, const Trust& tr
 Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, const Trust& trust,
                               std::string& reason) {
   reason.clear();
-  Descriptor file(::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
+  Descriptor file(open_file(path, O_RDWR | O_NOFOLLOW | O_NONBLOCK));
   if (file.fd == -1) {
     if (errno == ENOENT) return Fit::Absent;
     refuse(path, "cannot open the segment", errno);
@@ -463,7 +468,7 @@ Segment::Fit Segment::examine(const std::string& path, std::uint64_t size, const
 
 Segment::Fit Segment::inspect(const std::string& path, const Trust& trust, std::string& reason) {
   reason.clear();
-  Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
+  Descriptor file(open_file(path, O_RDONLY | O_NOFOLLOW | O_NONBLOCK));
   if (file.fd == -1) {
     if (errno == ENOENT) return Fit::Absent;
     refuse(path, "cannot open it for reading", errno);
@@ -483,7 +488,7 @@ std::string Segment::other_size(std::uint64_t wanted) const {
 }
 
 bool Segment::is_at_its_path() const noexcept {
-  Descriptor file(::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK));
+  Descriptor file(open_file(path_, O_RDONLY | O_NOFOLLOW | O_NONBLOCK));
   std::uint64_t ignored = 0;
   return file.fd != -1 &&
          read_header(file.fd, ignored).identity.instance == header().identity.instance;
@@ -491,9 +496,8 @@ bool Segment::is_at_its_path() const noexcept {
 
 Segment::Segment(const std::string& path, Access access, const Trust& trust) : path_(path) {
   const bool writable = access == Access::ReadWrite;
-  Descriptor file(
-      ::open(path.c_str(), (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK),
-      writable ? boost::interprocess::read_write : boost::interprocess::read_only);
+  Descriptor file(open_file(path, (writable ? O_RDWR : O_RDONLY) | O_NOFOLLOW | O_NONBLOCK),
+                  writable ? boost::interprocess::read_write : boost::interprocess::read_only);
   if (file.fd == -1) refuse(path, "cannot open it", errno);
   trust.require(file.fd, path);
   std::uint64_t size = 0;
@@ -536,6 +540,9 @@ std::span<TopicEntry> Segment::topics() const noexcept {
 }
 std::span<Replies> Segment::replies() const noexcept {
   return {at<Replies>(geometry_.replies), capacity_.topics};
+}
+std::span<std::uint64_t> Segment::descriptions() const noexcept {
+  return {at<std::uint64_t>(geometry_.descriptions), kDescriptionsBytes / sizeof(std::uint64_t)};
 }
 std::span<ChannelEntry> Segment::channels() const noexcept {
   return {at<ChannelEntry>(geometry_.channels), capacity_.channels};
@@ -768,7 +775,7 @@ bool Segment::populate(std::uint32_t unit) noexcept {
   errno = error;
   if (!is_refused(error)) return false;
   // Else asks through the file, if the path still leads to this segment.
-  Descriptor file(::open(path_.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW));
+  Descriptor file(open_file(path_, O_RDWR | O_NOFOLLOW));
   std::uint64_t ignored = 0;
   return file.fd != -1 &&
          read_header(file.fd, ignored).identity.instance == header().identity.instance &&

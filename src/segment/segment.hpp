@@ -27,7 +27,9 @@ namespace lot::segment {
 /// O_EXCL in `flags` a file that is there is an error. Throws lot::Error with advice.
 int open_private(const std::string& path, const Trust& trust, int flags = 0);
 
-/// "<directory>/<name>", after a check that the name is valid. Throws lot::Error.
+/// Whether a segment can have this name.
+bool is_name(std::string_view name) noexcept;
+/// "<directory>/<name>". Throws lot::Error for a name that no segment can have.
 std::string path_of(const std::string& directory, const std::string& name);
 
 /// The number by which arenas name the topic that their messages were made for. Never 0.
@@ -92,6 +94,8 @@ class Segment {
   Directory& directory() const noexcept;
   std::span<TopicEntry> topics() const noexcept;
   std::span<Replies> replies() const noexcept;  ///< by topic
+  /// The table of descriptions, in words of 8 bytes.
+  std::span<std::uint64_t> descriptions() const noexcept;
   std::span<ChannelEntry> channels() const noexcept;
   std::span<BlockWords> blocks() const noexcept { return {blocks_, capacity_.blocks}; }
   BlockWords& block(std::uint32_t b) const noexcept { return blocks_[b]; }
@@ -123,6 +127,10 @@ class Segment {
   /// The ring of a channel. Its depth is 0 when its maker has not finished it, when its numbers
   /// make no sense, or when its memory belongs to another owner.
   Ring ring(std::uint32_t channel) const noexcept;
+  /// The first bytes of its memory. REQUIRES: its depth is not 0.
+  static RingHead& head_of(const Ring& ring) noexcept {
+    return *reinterpret_cast<RingHead*>(ring.roster);
+  }
   /// As ring(), also while the ring's maker makes it.
   Ring unformed_ring(std::uint32_t channel) const noexcept;
   /// How many items wait in a channel whose messages are each for one reader. Counts those that a

@@ -82,7 +82,7 @@ std::string describe(const struct stat& status) {
          ", mode " + in_octal(status.st_mode);
 }
 
-std::string kind_of(mode_t mode) {
+std::string kind_of_mode(mode_t mode) {
   return S_ISREG(mode)    ? ""
          : S_ISLNK(mode)  ? "a symbolic link"
          : S_ISDIR(mode)  ? "a directory"
@@ -179,7 +179,7 @@ void Trust::require(int fd, const std::string& path) const {
                 "try again; in a process with other threads do not close descriptors of others");
   }
   if (!S_ISREG(status.st_mode)) {
-    throw Error(EINVAL, path, "it is " + kind_of(status.st_mode) + ", no file of LOT",
+    throw Error(EINVAL, path, "it is " + kind_of_mode(status.st_mode) + ", no file of LOT",
                 "remove it if it is yours, or set LOT_SEGMENT or LOT_DIR");
   }
   if (!is_one_of(*this, status)) {
@@ -234,7 +234,7 @@ bool Trust::owns(const std::string& path) const noexcept {
 
 std::string kind_of(const std::string& path) {
   struct stat status {};
-  return lstat(path.c_str(), &status) == 0 ? kind_of(status.st_mode) : "";
+  return lstat(path.c_str(), &status) == 0 ? kind_of_mode(status.st_mode) : "";
 }
 
 std::string owner_and_mode(const std::string& path) {
