@@ -63,8 +63,9 @@ void destroy(void* message) noexcept {
   if (planted("destroyed_twice")) destroyed.push_back(payload.number);
 }
 
-constexpr MessageType kPlain{sizeof(Payload), alignof(Payload), 0, "plain", nullptr, true};
-constexpr MessageType kClass{sizeof(Payload), alignof(Payload), 0, "class", &destroy, false};
+constexpr MessageType kPlain{sizeof(Payload), alignof(Payload), 0, "plain", nullptr, true, nullptr};
+constexpr MessageType kClass{sizeof(Payload), alignof(Payload), 0, "class", &destroy,
+                             false,           nullptr};
 
 struct Message {
   std::uint32_t block;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Topics, rings and who is alive: participants come, take topics, open rings, join those of others,
-// leave, die and are reaped, up to the limits of every table. The model is sets; liveness is told
-// by the kernel's locks, as in earnest.
+// Topics, their types, rings and who is alive: participants come, take topics or look on there,
+// open rings, join those of others, leave, die and are reaped, up to the limits of every table. The
+// model is sets, and a list of where descriptions lie; liveness is told by the kernel's locks, as
+// in earnest.
 //
 // Input: operations, a byte each, with arguments behind it (corpus/registry/ has examples)
 
@@ -35,6 +36,7 @@ using lot::fuzz::require;
 using lot::liveness::LockFile;
 using lot::registry::ChannelName;
 using lot::registry::Registry;
+using lot::registry::Role;
 using lot::ring::State;
 using lot::testing::LocalSegment;
 using Reader = lot::ring::Reader<lot::segment::Atomics>;
@@ -45,10 +47,44 @@ constexpr std::uint32_t kTopics = 3;
 constexpr std::uint32_t kChannels = 4;
 constexpr std::uint32_t kReaders = 2;
 
-const MessageType kTypes[] = {{8, 8, 0, "Apple", nullptr, true},
-                              {8, 8, 0, "Pear", nullptr, true},
-                              {8, 8, 1, "Pear", nullptr, true},
-                              {16, 8, 0, "Apple", nullptr, true}};
+/// A type that says what it is made of, or nothing.
+struct Type : MessageType {
+  /// Types of one group carry each other, where not both have names, and others.
+  std::size_t group = 0;
+  lot::detail::Described known;
+};
+
+Type silent(std::size_t group, std::uint64_t size, std::uint64_t hash, const char* name) {
+  return {{size, 8, hash, name, nullptr, true, nullptr}, group, {}};
+}
+/// An Apple of eight numbers; `name`: what its fields are called.
+Type told(std::size_t group, lot::Kind kind, const std::string& name) {
+  lot::Description all;
+  all.types.resize(2);
+  all.types[0].kind = lot::Kind::Struct;
+  all.types[0].size = 8;
+  all.types[1].kind = kind;
+  all.types[1].size = 1;
+  for (std::uint64_t i = 0; i < 8; ++i) {
+    all.types[0].fields.push_back({name.empty() ? "" : name + std::to_string(i), 1, i, 0, 0});
+  }
+  Type type = silent(group, 8, 0, "Apple");
+  type.known = lot::detail::make_described(all);
+  type.described = [](const MessageType& self) -> const lot::detail::Described& {
+    return static_cast<const Type&>(self).known;
+  };
+  return type;
+}
+
+/// Their descriptions take one, two and four pieces of the table.
+const Type kTypes[] = {silent(0, 8, 0, "Apple"),
+                       silent(1, 8, 0, "Pear"),
+                       silent(2, 8, 1, "Pear"),
+                       silent(3, 16, 0, "Apple"),
+                       told(4, lot::Kind::UInt, ""),
+                       told(4, lot::Kind::UInt, "seed"),
+                       told(4, lot::Kind::UInt, "a part of the apple's peel "),
+                       told(5, lot::Kind::Int, "")};
 
 /// Names of topics; the last ones are none.
 const std::string kNames[] = {"/a",
@@ -65,6 +101,16 @@ struct Topic {
   std::size_t name = 0;
   std::size_t type = 0;
   std::set<std::uint32_t> users{};
+  std::set<std::uint32_t> observers{};
+  std::size_t told = 0;     ///< the type whose names and description it has
+  std::uint64_t piece = 0;  ///< where the description lies
+
+  bool exists() const { return !users.empty() || !observers.empty(); }
+  bool carries(std::size_t other) const {
+    const std::uint64_t mine = kTypes[told].known.names, theirs = kTypes[other].known.names;
+    return kTypes[type].group == kTypes[other].group &&
+           (mine == theirs || mine == 0 || theirs == 0);
+  }
 };
 
 struct Channel {
@@ -79,7 +125,8 @@ struct Channel {
 struct Player {
   std::unique_ptr<LockFile> lock{};
   std::uint32_t index = 0;
-  std::vector<std::uint32_t> topics{};  ///< a use each
+  std::vector<std::uint32_t> topics{};    ///< a use each
+  std::vector<std::uint32_t> observed{};  ///< the same, of an observer
   std::vector<ChannelName> rings{};
   std::vector<std::pair<std::uint32_t, Reader>> readers{};  ///< by channel
 };
@@ -111,8 +158,9 @@ class Fuzz {
     switch (operation / kPlayers % 16) {
       case 0:
       case 1:
+        return enter(player, Role::User);
       case 2:
-        return enter(player);
+        return enter(player, Role::Observer);
       case 3:
         return leave_topic(player);
       case 4:
@@ -154,39 +202,43 @@ class Fuzz {
     player.index = k;
   }
 
-  void enter(Player& player) {
+  void enter(Player& player, Role role) {
     const std::size_t name = bytes_.below(std::size(kNames));
     const std::size_t type = bytes_.below(std::size(kTypes));
-    std::optional<std::uint32_t> expected = topic_named(name);
-    if (expected && topics_[*expected].type != type) {
-      expected.reset();
-    } else if (!expected && name < kGoodNames) {
-      for (std::uint32_t t = kTopics; t-- > 0;) {
-        if (topics_[t].users.empty()) expected = t;
-      }
-    }
+    const auto expected = name < kGoodNames ? place_for(name, type) : std::nullopt;
     const auto topic = attempt([&] {
       const Registry::Lock lock(local_.registry());
-      return local_.registry().enter(kNames[name], kTypes[type], player.index);
+      return local_.registry().enter(kNames[name], kTypes[type], player.index, role);
     });
     require(topic == expected, "which topic is entered");
     if (!topic) return;
-    if (topics_[*topic].users.empty()) topics_[*topic] = {name, type};
-    topics_[*topic].users.insert(player.index);
-    player.topics.push_back(*topic);
+    Topic& entered = topics_[*topic];
+    const bool brings_names =
+        kTypes[type].known.names != 0 && kTypes[entered.told].known.names == 0;
+    if (!entered.exists() || brings_names) {
+      const std::uint64_t piece = piece_for(type);
+      if (!entered.exists()) entered = {name, type};
+      entered.told = type;
+      entered.piece = piece;
+    }
+    (role == Role::User ? entered.users : entered.observers).insert(player.index);
+    (role == Role::User ? player.topics : player.observed).push_back(*topic);
   }
 
   /// As the transport does it: the last use of a process takes it out of the topic.
   void leave_topic(Player& player) {
-    if (player.topics.empty()) return;
+    const std::size_t which = bytes_.below(player.topics.size() + player.observed.size());
+    const bool uses = which < player.topics.size();
+    auto& all = uses ? player.topics : player.observed;
+    if (all.empty()) return;
     const auto use =
-        player.topics.begin() + static_cast<std::ptrdiff_t>(bytes_.below(player.topics.size()));
+        all.begin() + static_cast<std::ptrdiff_t>(uses ? which : which - player.topics.size());
     const std::uint32_t topic = *use;
-    player.topics.erase(use);
-    if (std::count(player.topics.begin(), player.topics.end(), topic) != 0) return;
+    all.erase(use);
+    if (std::count(all.begin(), all.end(), topic) != 0) return;
     const Registry::Lock lock(local_.registry());
-    local_.registry().leave(topic, player.index);
-    topics_[topic].users.erase(player.index);
+    local_.registry().leave(topic, player.index, uses ? Role::User : Role::Observer);
+    (uses ? topics_[topic].users : topics_[topic].observers).erase(player.index);
   }
 
   void open(Player& player) {
@@ -288,7 +340,10 @@ class Fuzz {
     require(local_.reap(k), "there is something to repair");
     lock.unlock(0);
     dead_.erase(k);
-    for (Topic& topic : topics_) topic.users.erase(k);
+    for (Topic& topic : topics_) {
+      topic.users.erase(k);
+      topic.observers.erase(k);
+    }
     for (Channel& channel : channels_) {
       channel.readers.erase(k);
       if (channel.state == State::Live && channel.owner == k) {
@@ -324,11 +379,57 @@ class Fuzz {
     return nullptr;
   }
 
-  std::optional<std::uint32_t> topic_named(std::size_t name) const {
+  /// The topic of that name that has users; there is one at most.
+  std::optional<std::uint32_t> topic_used(std::size_t name) const {
     for (std::uint32_t t = 0; t < kTopics; ++t) {
       if (!topics_[t].users.empty() && topics_[t].name == name) return t;
     }
     return std::nullopt;
+  }
+
+  /// The last topic of that name that has observers only, and carries the type, or any.
+  std::optional<std::uint32_t> topic_observed(std::size_t name,
+                                              std::optional<std::size_t> type) const {
+    for (std::uint32_t t = kTopics; t-- > 0;) {
+      const Topic& topic = topics_[t];
+      if (topic.exists() && topic.users.empty() && topic.name == name &&
+          (!type || topic.carries(*type))) {
+        return t;
+      }
+    }
+    return std::nullopt;
+  }
+
+  /// Where a process comes to. Nothing: it is refused.
+  std::optional<std::uint32_t> place_for(std::size_t name, std::size_t type) const {
+    if (const auto used = topic_used(name)) {
+      return topics_[*used].carries(type) ? used : std::nullopt;
+    }
+    if (const auto observed = topic_observed(name, type)) return observed;
+    for (std::uint32_t t = 0; t < kTopics; ++t) {
+      if (!topics_[t].exists()) return t;
+    }
+    return std::nullopt;
+  }
+
+  static std::uint64_t pieces(std::size_t type) {
+    constexpr std::uint64_t kPiece = lot::segment::kDescriptionPiece;
+    return (kTypes[type].known.bytes.size() + kPiece - 1) / kPiece;
+  }
+  /// Where a description comes to lie: with equal bytes, else in the first gap.
+  std::uint64_t piece_for(std::size_t type) const {
+    std::set<std::uint64_t> taken;
+    for (const Topic& topic : topics_) {
+      if (!topic.exists() || pieces(topic.told) == 0) continue;
+      if (topic.told == type) return topic.piece;
+      for (std::uint64_t i = 0; i < pieces(topic.told); ++i) taken.insert(topic.piece + i);
+    }
+    std::uint64_t first = 0;
+    for (const std::uint64_t piece : taken) {
+      if (piece >= first + pieces(type)) break;
+      first = piece + 1;
+    }
+    return first;
   }
 
   /// What it returns, or nothing when it throws lot::Error.
@@ -348,8 +449,8 @@ class Fuzz {
       require((local_.world().participant_state(k).load() != 0) == (lives || dead_.count(k) != 0),
               "which indexes are taken");
     }
-    for (std::uint32_t t = 0; t < kTopics; ++t)
-      check_topic(local_.segment().topics()[t], topics_[t]);
+    for (std::uint32_t t = 0; t < kTopics; ++t) check_topic(t);
+    for (std::size_t name = 0; name < kGoodNames; ++name) check_type(name);
     for (std::uint32_t c = 0; c < kChannels; ++c) check_channel(c);
     for (std::uint32_t t = 0; t < kTopics; ++t) {
       std::vector<ChannelName> live;
@@ -364,15 +465,48 @@ class Fuzz {
     }
   }
 
-  static void check_topic(lot::segment::TopicEntry& real, const Topic& topic) {
-    std::uint64_t users = 0;
-    for (const std::uint32_t k : topic.users) users |= std::uint64_t{1} << k;
-    require(real.users[0].load() == users, "the users of a topic");
-    if (users == 0) return;
+  void check_topic(std::uint32_t t) {
+    lot::segment::TopicEntry& real = local_.segment().topics()[t];
+    const Topic& topic = topics_[t];
+    const auto bits = [](const std::set<std::uint32_t>& who) {
+      std::uint64_t all = 0;
+      for (const std::uint32_t k : who) all |= std::uint64_t{1} << k;
+      return all;
+    };
+    require(real.users[0].load() == bits(topic.users), "the users of a topic");
+    require(real.observers[0].load() == bits(topic.observers), "the observers of a topic");
+    if (!topic.exists()) return;
     const MessageType& type = kTypes[topic.type];
     require(real.name == kNames[topic.name] && real.type_name == std::string(type.name) &&
                 real.type_size == type.size && real.type_hash == type.hash,
             "name and type of a topic");
+    const lot::detail::Described& known = kTypes[topic.told].known;
+    require(real.type_layout == known.layout && real.type_names.load() == known.names,
+            "layout and names of a topic's type");
+    const std::uint64_t word = real.description.load();
+    require(
+        lot::segment::description_bytes(word) == known.bytes.size() &&
+            lot::segment::description_offset(word) == topic.piece * lot::segment::kDescriptionPiece,
+        "where a description lies");
+    require(word == 0 || lot::registry::TypeTable(local_.segment()).copy(word) == known.bytes,
+            "a description");
+    const auto used = topic_used(topic.name);
+    require(local_.registry().is_superseded(t) == (used && *used != t),
+            "whether a topic was made anew");
+  }
+
+  /// What a process is told that has no type.
+  void check_type(std::size_t name) const {
+    auto topic = topic_used(name);
+    if (!topic) topic = topic_observed(name, std::nullopt);
+    const auto found = local_.registry().type_of(kNames[name]);
+    require((found != nullptr) == topic.has_value(), "whether there is a topic");
+    if (!topic) return;
+    const lot::detail::Described& known = kTypes[topics_[*topic].told].known;
+    const lot::Description& description = found->description();
+    require((description.root().kind == lot::Kind::Opaque) == known.bytes.empty() &&
+                (known.bytes.empty() || description.names_hash() == known.names),
+            "the description of a topic");
   }
 
   void check_channel(std::uint32_t c) {
@@ -417,6 +551,11 @@ class Fuzz {
     auto& topic = local_.segment().topics()[0];
     if (planted("lost_user")) lot::test::raw(topic.users[0]) = 0;
     if (planted("leaked_user")) lot::test::raw(topic.users[0]) |= 8;
+    if (planted("lost_observer")) lot::test::raw(topic.observers[0]) = 0;
+    if (planted("moved_description") && topic.description.load() != 0) {
+      lot::test::raw(topic.description) += std::uint64_t{1} << 48;
+    }
+    if (planted("lost_names")) lot::test::raw(topic.type_names) = 0;
     if (planted("renamed_topic")) topic.name[1] = 'z';
     if (planted("retyped_topic")) ++topic.type_size;
     if (planted("lost_ring")) lot::test::raw(local_.world().channel_writer(0)) = 0;

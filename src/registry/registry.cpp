@@ -10,6 +10,7 @@
 
 #include "lot/error.hpp"
 
+#include "description/wire.hpp"
 #include "futex/futex.hpp"
 #include "lockfree_ring/sleep.hpp"
 #include "robust_mutex/robust_mutex.hpp"
@@ -21,11 +22,11 @@ using segment::Atomics;
 
 constexpr std::chrono::milliseconds kPatience{4800};
 
-bool in_use(const segment::TopicEntry& topic) {
-  for (const auto& users : topic.users) {
-    if (users.load(std::memory_order_acquire) != 0) return true;  // edge "users"
-  }
-  return false;
+/// `bits`: users or observers of a topic.
+bool has_any(const auto& bits) {
+  return std::any_of(std::begin(bits), std::end(bits), [](const auto& word) {
+    return word.load(std::memory_order_acquire) != 0;  // edge "users"
+  });
 }
 
 std::string describe(std::string_view name, std::uint64_t size, std::uint64_t align) {
@@ -44,6 +45,23 @@ void check_name(std::string_view name) {
 }
 
 std::string_view text(const char* bytes, std::size_t room) { return {bytes, strnlen(bytes, room)}; }
+
+std::string_view name_of(const detail::MessageType& type) {
+  return std::string_view(type.name).substr(0, segment::kTypeNameBytes - 1);
+}
+
+/// Whether the topic carries the type. Names of fields count where both sides know them.
+bool carries(const segment::TopicEntry& topic, const detail::MessageType& type) {
+  if (text(topic.type_name, sizeof(topic.type_name)) != name_of(type) ||
+      topic.type_size != type.size || topic.type_align != type.align ||
+      topic.type_hash != type.hash) {
+    return false;
+  }
+  if (type.described == nullptr) return topic.type_layout == 0;
+  const detail::Described& here = type.described(type);
+  const std::uint64_t names = topic.type_names.load(std::memory_order_relaxed);  // the lock
+  return topic.type_layout == here.layout && (names == here.names || names == 0 || here.names == 0);
+}
 
 [[noreturn]] void refuse_subscribers(const std::string& path, std::uint64_t subscribers,
                                      std::uint32_t readers) {
@@ -87,58 +105,141 @@ bool Registry::try_lock() noexcept { return mutex().try_lock() != RobustMutex::O
 void Registry::unlock() noexcept { mutex().unlock(); }
 RobustMutex Registry::mutex() const noexcept { return {segment_.directory().lock.word, owner_}; }
 
-std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& type,
-                              std::uint32_t participant) {
-  check_name(name);
+Registry::Found Registry::find(std::string_view name, const detail::MessageType* type) const {
   const auto topics = segment_.topics();
-  const std::string_view type_name =
-      std::string_view(type.name).substr(0, segment::kTypeNameBytes - 1);
   const std::vector<bool> waits = topics_with_items();
-  segment::TopicEntry* free = nullptr;
-  segment::TopicEntry* found = nullptr;
-  for (auto& topic : topics) {
-    if (!in_use(topic) && !waits[static_cast<std::size_t>(&topic - topics.data())]) {
-      if (free == nullptr) free = &topic;
+  Found found;
+  for (std::size_t i = 0; i < topics.size(); ++i) {
+    segment::TopicEntry& topic = topics[i];
+    const bool lasts = waits[i] || has_any(topic.users);
+    if (!lasts && !has_any(topic.observers)) {
+      if (found.free == nullptr) found.free = &topic;
     } else if (text(topic.name, sizeof(topic.name)) == name) {
-      found = &topic;
-      break;
+      if (lasts) {
+        found.lasting = &topic;
+        break;
+      }
+      if (type == nullptr || carries(topic, *type)) found.observed = &topic;
     }
   }
-  if (found != nullptr) {
-    const auto there = text(found->type_name, sizeof(found->type_name));
-    if (there != type_name || found->type_size != type.size || found->type_align != type.align ||
-        found->type_hash != type.hash) {
-      throw Error(EPROTOTYPE, std::string(name),
-                  "the topic carries " + describe(there, found->type_size, found->type_align) +
-                      ", this side wants " + describe(type_name, type.size, type.align),
-                  "build both sides with the same definition of the message, or use another topic");
-    }
-  } else if (free != nullptr) {
-    // No process finds the topic until a user's bit stands, and none makes a ring there before. If
-    // this process is killed in between, the entry is still free.
-    found = free;
-    found->type_size = type.size;
-    found->type_align = type.align;
-    found->type_hash = type.hash;
-    std::memset(found->name, 0, sizeof(found->name));
-    std::memset(found->type_name, 0, sizeof(found->type_name));
-    std::memcpy(found->name, name.data(), name.size());
-    std::memcpy(found->type_name, type_name.data(), type_name.size());
-  } else {
-    throw Error(ENOSPC, segment_.path(),
-                "all " + std::to_string(topics.size()) + " topics are in use",
-                "make the segment with a larger EngineOptions::topics");
-  }
-  found->users[participant / Atomics::kBitsPerWord].fetch_or(
-      bit(participant),
-      std::memory_order_release);  // edge "users"
-  return static_cast<std::uint32_t>(found - topics.data());
+  return found;
 }
 
-void Registry::leave(std::uint32_t topic, std::uint32_t participant) noexcept {
+std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& type,
+                              std::uint32_t participant, Role role) {
+  check_name(name);
+  const Found found = find(name, &type);
+  segment::TopicEntry* const topic = found.lasting != nullptr    ? found.lasting
+                                     : found.observed != nullptr ? found.observed
+                                                                 : found.free;
+  if (topic == nullptr) {
+    throw Error(ENOSPC, segment_.path(),
+                "all " + std::to_string(segment_.topics().size()) + " topics are in use",
+                "make the segment with a larger EngineOptions::topics");
+  }
+  if (topic == found.free) {
+    make_topic(*topic, name, type);
+  } else if (!carries(*topic, type)) {
+    refuse_type(*topic, type);
+  } else if (type.described != nullptr) {
+    name_fields(*topic, type.described(type));
+  }
+  auto& bits = role == Role::User ? topic->users : topic->observers;
+  bits[participant / Atomics::kBitsPerWord].fetch_or(bit(participant),
+                                                     std::memory_order_release);  // edge "users"
+  return static_cast<std::uint32_t>(topic - segment_.topics().data());
+}
+
+/// No process finds the topic until a user's bit stands, and none makes a ring there before. If
+/// this process is killed in between, the entry is still free.
+void Registry::make_topic(segment::TopicEntry& free, std::string_view name,
+                          const detail::MessageType& type) {
+  const std::string_view type_name = name_of(type);
+  free.type_size = type.size;
+  free.type_align = type.align;
+  free.type_hash = type.hash;
+  free.type_layout = 0;
+  // Relaxed: a user's bit carries them (edge "users").
+  free.type_names.store(0, std::memory_order_relaxed);
+  free.description.store(0, std::memory_order_relaxed);  // the same
+  std::memset(free.name, 0, sizeof(free.name));
+  std::memset(free.type_name, 0, sizeof(free.type_name));
+  std::memcpy(free.name, name.data(), name.size());
+  std::memcpy(free.type_name, type_name.data(), type_name.size());
+  if (type.described == nullptr) return;
+  const detail::Described& described = type.described(type);
+  free.type_layout = described.layout;
+  free.type_names.store(described.names, std::memory_order_relaxed);  // edge "users" carries it
+  free.description.store(TypeTable(segment_).place(described.bytes, descriptions()),
+                         std::memory_order_relaxed);  // edge "users" carries it
+}
+
+void Registry::name_fields(segment::TopicEntry& topic, const detail::Described& described) {
+  // Relaxed: the lock carries both words to the process that changes them.
+  const bool had_names = topic.type_names.load(std::memory_order_relaxed) != 0;
+  const std::uint64_t before = topic.description.load(std::memory_order_relaxed);
+  if (described.names == 0 || (had_names && before != 0)) return;
+  // Killed between the two steps, the next process that knows the names does both again.
+  const std::uint64_t word = TypeTable(segment_).place(described.bytes, descriptions());
+  // Relaxed: the lock carries both.
+  if (word != 0) topic.description.store(word, std::memory_order_relaxed);
+  topic.type_names.store(described.names, std::memory_order_relaxed);
+}
+
+std::shared_ptr<const KnownType> Registry::type_of(std::string_view name) const {
+  const Found found = find(name, nullptr);
+  const segment::TopicEntry* const topic =
+      found.lasting != nullptr ? found.lasting : found.observed;
+  if (topic == nullptr) return nullptr;
+  const std::uint64_t word = topic->description.load(std::memory_order_relaxed);  // the lock
+  std::optional<std::string> bytes("");
+  if (word != 0) bytes = TypeTable(segment_).copy(word);
+  return std::make_shared<const KnownType>(
+      std::string(text(topic->type_name, sizeof(topic->type_name))), *topic, std::move(bytes));
+}
+
+bool Registry::is_superseded(std::uint32_t topic) const {
+  const segment::TopicEntry& mine = segment_.topics()[topic];
+  const Found found = find(text(mine.name, sizeof(mine.name)), nullptr);
+  return found.lasting != nullptr && found.lasting != &mine;
+}
+
+std::vector<std::uint64_t> Registry::descriptions() const {
+  const std::vector<bool> waits = topics_with_items();
+  std::vector<std::uint64_t> words;
+  for (std::size_t i = 0; i < waits.size(); ++i) {
+    const segment::TopicEntry& topic = segment_.topics()[i];
+    const std::uint64_t word = topic.description.load(std::memory_order_relaxed);  // the lock
+    if (word != 0 && (waits[i] || has_any(topic.users) || has_any(topic.observers))) {
+      words.push_back(word);
+    }
+  }
+  return words;
+}
+
+void Registry::refuse_type(const segment::TopicEntry& topic,
+                           const detail::MessageType& type) const {
+  const auto there = text(topic.type_name, sizeof(topic.type_name));
+  std::string difference;
+  const std::uint64_t word = topic.description.load(std::memory_order_relaxed);  // the lock
+  if (word != 0 && type.described != nullptr && there == name_of(type)) {
+    const auto bytes = TypeTable(segment_).copy(word);
+    const auto theirs = bytes ? description::decode(*bytes) : std::nullopt;
+    const auto ours = description::decode(type.described(type).bytes);
+    if (theirs && ours) difference = description::first_difference(*theirs, *ours);
+  }
+  throw Error(EPROTOTYPE, std::string(text(topic.name, sizeof(topic.name))),
+              "the topic carries " + describe(there, topic.type_size, topic.type_align) +
+                  ", this side wants " + describe(name_of(type), type.size, type.align) +
+                  (difference.empty() ? "" : "; " + difference),
+              "build both sides with the same definition of the message, or use another topic");
+}
+
+void Registry::leave(std::uint32_t topic, std::uint32_t participant, Role role) noexcept {
+  auto& entry = segment_.topics()[topic];
+  auto& bits = role == Role::User ? entry.users : entry.observers;
   // Release, edge "users": a process that finds no user makes another topic of the entry.
-  segment_.topics()[topic].users[participant / Atomics::kBitsPerWord].fetch_and(
-      ~bit(participant), std::memory_order_release);
+  bits[participant / Atomics::kBitsPerWord].fetch_and(~bit(participant), std::memory_order_release);
 }
 
 void Registry::add_puller(std::uint32_t topic, std::uint32_t participant) noexcept {
@@ -173,16 +274,20 @@ void Registry::unsubscribe(std::uint32_t participant) noexcept {
 }
 
 void Registry::forget(std::uint32_t participant) noexcept {
-  for (auto& topic : segment_.topics()) {
-    auto& users = topic.users[participant / Atomics::kBitsPerWord];
+  const auto clear = [mine = bit(participant)](auto& word) {
     // Relaxed: the dead one's byte lock carries its bit.
-    if ((users.load(std::memory_order_relaxed) & bit(participant)) != 0) {
-      users.fetch_and(~bit(participant), std::memory_order_release);  // edge "users"
+    if ((word.load(std::memory_order_relaxed) & mine) != 0) {
+      word.fetch_and(~mine, std::memory_order_release);  // edge "users"
     }
+  };
+  for (auto& topic : segment_.topics()) {
+    clear(topic.users[participant / Atomics::kBitsPerWord]);
+    clear(topic.observers[participant / Atomics::kBitsPerWord]);
   }
 }
 
 void Registry::remove(const Departure& departure, std::uint32_t participant) noexcept {
+  if (departure.role == Role::Observer) return;  // nothing awaits it
   const auto channels = segment_.channels();
   for (std::uint32_t c = 0; c < channels.size(); ++c) {  // makes no list: this must not fail
     const auto w = channels[c].writer.load(std::memory_order_acquire);  // R7
@@ -218,6 +323,12 @@ void describe(segment::ChannelEntry& entry, std::uint32_t topic, const RingOptio
   entry.taken = options.taken;
   entry.extra = options.extra;
   entry.first = options.first != 0 ? options.first : options.depth;
+}
+
+/// Writes what readers are told of the publisher. REQUIRES: the ring is INIT; the caller makes it.
+void introduce(segment::RingHead& head, const segment::ParticipantEntry& publisher, bool stamps) {
+  std::memcpy(head.publisher, publisher.name, sizeof(head.publisher));
+  head.stamps = stamps ? 1 : 0;
 }
 
 }  // namespace
@@ -256,6 +367,8 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     segment::Segment::construct_queue_lock(ring);
     // R7 carries the zeros.
     if (ring.extra != nullptr) std::memset(ring.extra, 0, ring.readers * segment::kExtraBytes);
+    introduce(segment::Segment::head_of(ring), segment_.participants()[participant],
+              options.stamps);
     ring.format();
     // From here on a reaper looks at the cells.
     entry.formed.store(1, std::memory_order_seq_cst);  // R13, edge "formed"

@@ -2,16 +2,27 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <optional>
+#include <string>
 #include <string_view>
 #include <vector>
 
 #include "lot/detail/control.hpp"
+#include "lot/detail/described.hpp"
 #include "lot/options.hpp"
 
+#include "registry/known_type.hpp"
+#include "registry/type_table.hpp"
 #include "segment/segment.hpp"
 
 namespace lot::registry {
+
+/// How a process is at a topic.
+enum class Role {
+  User,     ///< the topic keeps its type while it is there
+  Observer  ///< it looks on: others may make the topic anew, with another type
+};
 
 /// How a publisher wants its ring.
 struct RingOptions {
@@ -22,6 +33,7 @@ struct RingOptions {
   std::uint32_t taken = 0;  ///< ChannelEntry::taken
   std::uint64_t first = 0;  ///< sequence of the first message; 0: the depth
   std::uint32_t extra = 0;  ///< ChannelEntry::extra: zero bytes when the ring is made
+  bool stamps = false;      ///< RingHead::stamps
 };
 
 /// One ring of a topic.
@@ -34,6 +46,7 @@ struct ChannelName {
 /// A puller that leaves, and the rings that it knows: no cell there awaits it any more.
 struct Departure {
   std::uint32_t topic = 0;
+  Role role = Role::User;
   std::vector<ChannelName> known;
 };
 
@@ -74,12 +87,18 @@ class Registry {
 
   // The following REQUIRE the lock.
 
-  /// Finds or makes a topic and enters the participant as one of its users. A topic is there as
-  /// long as it has users, or items that wait to be taken. Throws lot::Error when it has
-  /// another type, or the table is full.
+  /// Finds or makes a topic and enters the participant as one of its users or observers. A topic
+  /// is there as long as it has users, observers, or items that wait to be taken. One that has
+  /// observers only is passed over where the type is another one. Throws lot::Error when the topic
+  /// has another type, or the table is full.
   std::uint32_t enter(std::string_view name, const detail::MessageType& type,
-                      std::uint32_t participant);
-  void leave(std::uint32_t topic, std::uint32_t participant) noexcept;
+                      std::uint32_t participant, Role role = Role::User);
+  void leave(std::uint32_t topic, std::uint32_t participant, Role role = Role::User) noexcept;
+  /// The type of the topic that has users or items, else of one that is observed. Null: there is no
+  /// such topic. Throws as the constructor of KnownType.
+  std::shared_ptr<const KnownType> type_of(std::string_view name) const;
+  /// True when a topic that has only observers was made anew, with another type.
+  bool is_superseded(std::uint32_t topic) const;
   /// Announces a puller before it joins the rings that there are. Each ring that is opened later
   /// has a cell for it from the start.
   void add_puller(std::uint32_t topic, std::uint32_t participant) noexcept;
@@ -112,7 +131,23 @@ class Registry {
   void forget(std::uint32_t participant) noexcept;
 
  private:
+  /// What a name leads to.
+  struct Found {
+    segment::TopicEntry* lasting = nullptr;   ///< has users or items; there is one at most
+    segment::TopicEntry* observed = nullptr;  ///< has observers only, and the type asked for
+    segment::TopicEntry* free = nullptr;
+  };
   RobustMutex mutex() const noexcept;
+  /// `type`: that of a topic which is only observed. Null: any.
+  Found find(std::string_view name, const detail::MessageType* type) const;
+  /// The words of the descriptions of all topics that are there.
+  std::vector<std::uint64_t> descriptions() const;
+  void make_topic(segment::TopicEntry& free, std::string_view name,
+                  const detail::MessageType& type);
+  /// Gives the topic the names of its fields, and a description with names, if it has none.
+  void name_fields(segment::TopicEntry& topic, const detail::Described& described);
+  [[noreturn]] void refuse_type(const segment::TopicEntry& topic,
+                                const detail::MessageType& type) const;
   /// For each topic: true when items wait there whose publishers have gone.
   std::vector<bool> topics_with_items() const;
   /// How many pullers the participant has on the topic. Relaxed: the lock carries it.

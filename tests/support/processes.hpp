@@ -39,8 +39,8 @@ inline const std::string& prefix() {
   static const std::string text = [] {
     const char* v = std::getenv("LOT_SEGMENT");
     std::string p = v != nullptr && *v != '\0' ? v : "lottest";
-    for (const char* name :
-         {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_PERSIST", "LOT_MLOCK"}) {
+    for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_PERSIST",
+                             "LOT_MLOCK", "LOT_STAMP"}) {
       unsetenv(name);
     }
     return p + "_" + std::to_string(getpid());
@@ -210,7 +210,7 @@ struct Audit {
   std::size_t granules = 0;      ///< message memory in use
   std::size_t channels = 0;      ///< rings that are not free
   std::size_t readers = 0;       ///< cells taken in rings
-  std::size_t topics = 0;        ///< in use
+  std::size_t topics = 0;        ///< in use, or observed
   std::size_t participants = 0;  ///< entries taken
 
   explicit Audit(segment::Segment& s) {
@@ -230,6 +230,7 @@ struct Audit {
     for (auto& topic : s.topics()) {
       bool used = false;
       for (auto& word : topic.users) used |= word.load() != 0;
+      for (auto& word : topic.observers) used |= word.load() != 0;
       for (auto& pullers : topic.pullers) used |= pullers.load() != 0;
       topics += used;
     }
