@@ -8,5 +8,8 @@ if(LOT_SANITIZE)
   add_compile_options(-fsanitize=${lot_sanitizers} -fno-sanitize-recover=all
     -fno-omit-frame-pointer -g1)
   add_link_options(-fsanitize=${lot_sanitizers})
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
+    add_compile_options(-fsanitize-ignorelist=${CMAKE_CURRENT_LIST_DIR}/ubsan_ignore.txt)
+  endif()
   unset(lot_sanitizers)
 endif()

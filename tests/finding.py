@@ -21,7 +21,8 @@ WORDS = (
     'ShmEngine', 'ShmPusher', 'ShmPuller', 'ShmQueue', 'ShmListener', 'WaitSet',
     'ShmUniquePtr', 'ShmSharedPtr', 'ShmWeakPtr', 'weak', 'ShmRef', 'ShmString', 'ShmVector',
     'Policy::Block', 'Policy::Overwrite', 'Policy::Refuse', 'Overwrite', 'Refuse', 'block_for',
-    'history', 'latched', 'missed()', 'loan', 'reserve', 'max_bytes', 'max_held_bytes', 'OutOfMemory',
+    'history', 'latched', 'missed()', 'envelope', 'PusherOptions::stamp', 'LOT_STAMP',
+    'loan', 'reserve', 'max_bytes', 'max_held_bytes', 'OutOfMemory',
     'HoldsTooMuch', 'PublisherGone', 'on_error', 'fd()', 'finish()', 'redeliver', 'persist',
     'permissions', 'LOT_GROUP', 'LOT_USER', 'fork', 'end_cleanly_on_signals', 'stop_on_signals', 'StopToken', 'call()',
     'lot ls', 'lot who', 'lot clean', 'lot doctor')

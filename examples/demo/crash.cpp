@@ -36,9 +36,10 @@ class Drama {
     begin();
     kill_a_consumer();
     kill_the_camera();
+    const bool shown = show_a_frame();
     const bool whole = end();
     const bool clean = leave();
-    return whole && clean;
+    return shown && whole && clean;
   }
 
  private:
@@ -122,6 +123,15 @@ class Drama {
          gap.count());
     let_run(15);
     tell("all five go on; frames and queue have %.1f MiB", mib(memory_->pages()));
+  }
+
+  /// What any process can see of the topic, by the command `lot`, which does not know the type.
+  bool show_a_frame() {
+    if (*LOT_COMMAND == '\0') return true;  // built without the command
+    tell("lot echo %s --field head --count 1", kTopic);
+    const bool shown = echo_a_frame(path_);
+    if (!shown) std::printf("           ended badly  <-- WRONG\n");
+    return shown;
   }
 
   bool end() {

@@ -14,10 +14,9 @@ using Clock = std::chrono::steady_clock;  // one clock for all processes of a ma
 
 /// What goes before the picture, the same through the ring and through TCP.
 struct Head {
-  std::uint32_t run;     ///< which life of the camera
-  std::uint32_t number;  ///< from 0, without gaps
-  std::uint32_t last;    ///< 1: no more will come in this run
-  std::uint32_t reserved;
+  std::uint32_t run;      ///< which life of the camera
+  std::uint32_t number;   ///< from 0, without gaps
+  std::uint64_t last;     ///< 1: no more will come in this run
   std::int64_t stamp_ns;  ///< right before the push, or before the first send
 };
 
@@ -32,7 +31,7 @@ inline std::int64_t now_ns() {
 }
 
 inline Head make_head(std::uint32_t run, std::uint32_t number, bool last) {
-  return {run, number, last ? 1U : 0U, 0, 0};
+  return {run, number, last ? 1U : 0U, 0};
 }
 
 /// The picture: every byte says which frame it belongs to.

@@ -54,6 +54,9 @@ inline std::string how_far(Family& family) {
   return text;
 }
 
+/// Prints the head of one frame, by the command `lot`. False: it ended badly. Throws Interrupted.
+bool echo_a_frame(const std::string& segment);
+
 /// The files that a segment still has.
 inline std::vector<std::string> files_of(const std::string& path) {
   std::vector<std::string> found;

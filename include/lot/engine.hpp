@@ -7,8 +7,12 @@
 #include <type_traits>
 #include <utility>
 
+#include "lot/any_message.hpp"
+#include "lot/any_puller.hpp"
+#include "lot/any_pusher.hpp"
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
+#include "lot/detail/message_type.hpp"
 #include "lot/message.hpp"
 #include "lot/options.hpp"
 #include "lot/puller.hpp"
@@ -51,6 +55,9 @@ class ShmEngine {
   /// are in it as it has room for; ENOSPC, EFBIG or ENOMEM when its directory, the file system or
   /// the address space has not the size; EAGAIN when there is no thread; what a system call said.
   explicit ShmEngine(const EngineOptions& options = EngineOptions());
+  /// For programs of the library's own, which join in other ways. Throws lot::Error (ECHILD,
+  /// ESTALE).
+  explicit ShmEngine(std::shared_ptr<transport::Participant> participant);
   ~ShmEngine();
   ShmEngine(ShmEngine&&) noexcept = default;
   ShmEngine& operator=(ShmEngine&&) noexcept = default;
@@ -58,10 +65,11 @@ class ShmEngine {
   /// A publisher of the topic, which makes its queue. It may wait for a process that advertises,
   /// subscribes or leaves, five seconds at most.
   /// Errors: EPROTOTYPE when the topic carries another type; EINVAL for a name of no or over 199
-  /// bytes, for a depth that cannot be, for a bad LOT_QUEUE; ENOSPC when the segment has no topic
-  /// or channel left; EUSERS when the topic has more subscribers than EngineOptions::readers; EBUSY
-  /// when a stopped process keeps the registry; EBADMSG when a process has written where it should
-  /// not; lot::OutOfMemory when the segment has no room for the queue.
+  /// bytes, for a depth that cannot be, for a bad LOT_QUEUE or LOT_STAMP; ENOSPC when the segment
+  /// has no topic or channel left; EUSERS when the topic has more subscribers than
+  /// EngineOptions::readers; EBUSY when a stopped process keeps the registry; EBADMSG when a
+  /// process has written where it should not; lot::OutOfMemory when the segment has no room for the
+  /// queue.
   template <class T>
   [[nodiscard]] ShmPusher<T> advertise(std::string_view topic,
                                        const PusherOptions& options = PusherOptions()) {
@@ -81,14 +89,38 @@ class ShmEngine {
     return ShmPuller<T>(detail::make_puller(participant_, topic, detail::message_type<T>(), options,
                                             detail::Delivery::ToAll));
   }
+  /// What the topic carries; none where no process uses the topic. Errors: EBADMSG when a process
+  /// has written where it should not; EBUSY as advertise().
+  [[nodiscard]] AnyType type_of(std::string_view topic);
+  /// As subscribe(), without a type: that of the topic. Where you only look on, say so:
+  /// PullerOptions::observer.
+  /// Errors: ENOENT when no process uses the topic: try again later; EINVAL when it is a queue,
+  /// whose items are for those that take them; EBADMSG when a process has written where it should
+  /// not; as subscribe().
+  [[nodiscard]] AnyPuller subscribe_any(std::string_view topic,
+                                        const PullerOptions& options = PullerOptions());
+  /// As advertise(), of a type that the program may not have: that of another topic, or of a
+  /// message.
+  /// Errors: EINVAL when it is no type, or that of a queue's items; as advertise().
+  [[nodiscard]] AnyPusher advertise_any(std::string_view topic, const AnyType& type,
+                                        const PusherOptions& options = PusherOptions());
   /// Subscribes, and calls callback(const ShmSharedPtr<const T>&) for each message on a thread of
-  /// its own, until the listener is destroyed.
+  /// its own, until the listener is destroyed. A callback may take a const Envelope& as well.
   /// Errors: as subscribe(), and as the constructor of ShmListener.
   template <class T, class Callback>
   [[nodiscard]] ShmListener listen(std::string_view topic, Callback&& callback,
                                    const PullerOptions& options = PullerOptions(),
                                    const ThreadOptions& thread = ThreadOptions()) {
     return {subscribe<T>(topic, options), std::forward<Callback>(callback), options.wait, thread};
+  }
+  /// The same without a type: callback(const AnyMessage&), which may take a const Envelope& as
+  /// well.
+  /// Errors: as subscribe_any(), and as the constructor of ShmListener.
+  template <class Callback>
+  [[nodiscard]] ShmListener listen_any(std::string_view topic, Callback&& callback,
+                                       const PullerOptions& options = PullerOptions(),
+                                       const ThreadOptions& thread = ThreadOptions()) {
+    return {subscribe_any(topic, options), std::forward<Callback>(callback), options.wait, thread};
   }
   /// One end, or both, of a queue of items of type T. What is needed to put is made by the first
   /// put, and what is needed to pop by the first pop: see there.
@@ -150,6 +182,9 @@ class ShmEngine {
   const std::string& path() const noexcept;
 
  private:
+  /// The same type as this participant has it. Throws lot::Error.
+  AnyType shared(const AnyType& type, std::string_view topic);
+
   std::shared_ptr<transport::Participant> participant_;
   std::unique_ptr<detail::PusherCore> maker_;
 };

@@ -84,6 +84,10 @@ struct PusherOptions {
   std::uint32_t history = kAll;
   /// Of history: all that the queue has room for.
   static constexpr std::uint32_t kAll = ~std::uint32_t{0};
+  /// Each push notes when it was done, for Envelope::pushed: a look at the clock, and a write to
+  /// the line of the message's memory. LOT_STAMP, 1 or 0, in the environment comes before it, for
+  /// every publisher.
+  bool stamp = false;
 };
 
 /// How a puller passes the time until a message comes.
@@ -107,6 +111,11 @@ struct PullerOptions {
   /// its bytes. One message is always allowed. Besides, a subscription keeps at most a quarter of
   /// EngineOptions::blocks messages.
   std::uint64_t max_held_bytes = 0;
+  /// It only looks on: no publisher waits for it, it does not count in readers(), and `lot ls` says
+  /// so. It misses what is overwritten before it looks, also of a lossless publisher, and counts
+  /// it; not what a publisher sends that comes and goes between two looks. The topic is not kept
+  /// for it: where others make it anew with another type, pulls throw lot::Error (ESTALE).
+  bool observer = false;
   /// Of max_held_bytes: neither limit. Such a subscription can leave publishers without memory.
   static constexpr std::uint64_t kNoQuota = ~std::uint64_t{0};
 };

@@ -7,10 +7,24 @@
 
 #include "lot/detail/core.hpp"
 #include "lot/duration.hpp"
+#include "lot/envelope.hpp"
 #include "lot/pointers.hpp"
 #include "lot/stop_token.hpp"
 
 namespace lot {
+
+namespace detail {
+
+/// How the command `lot` gets at a puller's core.
+struct PullerAccess;
+
+inline Envelope envelope_of(const PullerCore& core, std::uint64_t missed) {
+  Envelope envelope = core.envelope();
+  envelope.missed = missed;
+  return envelope;
+}
+
+}  // namespace detail
 
 /// A message that is looked at in place and not kept: cheaper than a pointer.
 ///
@@ -19,7 +33,7 @@ namespace lot {
 ///
 /// Threads: one at a time, as its puller: what the thread of the puller and the thread of the
 ///          borrow do must not overlap.
-/// Errors:  only keep() throws.
+/// Errors:  only keep() and envelope() throw.
 /// Memory:  none: the reader's cell in the queue names the message. Its publisher cannot reuse the
 ///          message's memory meanwhile.
 /// Crash:   another process frees the cell, and the publisher has the memory again.
@@ -51,6 +65,11 @@ class ShmBorrow {
 
   /// Messages that this reader missed just before this one.
   std::uint64_t missed() const noexcept { return borrowed_.missed; }
+  /// Where the message comes from; empty where there is none. It is made when you ask. Throws
+  /// lot::Error (ECHILD, ESTALE), std::bad_alloc.
+  Envelope envelope() const {
+    return core_ != nullptr ? detail::envelope_of(*core_, missed()) : Envelope();
+  }
 
   /// A pointer to the message that outlives the borrow; null where there is none. Throws
   /// lot::Error: EDQUOT when the subscription holds all that it may
@@ -145,6 +164,10 @@ class ShmPuller {
   Status status() const noexcept { return status_; }
   /// Messages lost to this reader just before the last one that it got.
   std::uint64_t missed() const noexcept { return missed_; }
+  /// Where the last message that it got comes from; empty before the first. It is made when you
+  /// ask: ask for the time of the push while you have the message. Throws lot::Error (ECHILD,
+  /// ESTALE), std::bad_alloc.
+  Envelope envelope() const { return detail::envelope_of(*core_, missed_); }
   /// All that were lost to it, also those after the last message that it got.
   std::uint64_t missed_total() const noexcept { return missed_total_; }
   /// Publishers of the topic that are there now. It may wait for other processes that advertise,
@@ -165,6 +188,7 @@ class ShmPuller {
  private:
   friend class WaitSet;
   friend class ShmListener;
+  friend struct detail::PullerAccess;
 
   ShmSharedPtr<const T> pull_kept(detail::Limit limit) {
     detail::Borrowed kept;

@@ -7,10 +7,10 @@
 
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
+#include "lot/detail/message_type.hpp"
 #include "lot/duration.hpp"
 #include "lot/pointers.hpp"
 #include "lot/stop_token.hpp"
-#include "lot/type_identity.hpp"
 
 namespace lot {
 

@@ -13,6 +13,7 @@
 
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
+#include "lot/detail/message_type.hpp"
 #include "lot/detail/raise.hpp"
 #include "lot/duration.hpp"
 #include "lot/error.hpp"
@@ -20,7 +21,6 @@
 #include "lot/pointers.hpp"
 #include "lot/pusher.hpp"
 #include "lot/stop_token.hpp"
-#include "lot/type_identity.hpp"
 
 namespace lot {
 
@@ -176,10 +176,14 @@ struct QueueItem<ShmSharedPtr<U>> {
   }
 };
 
+/// The name of the MessageType of a queue whose items are taken begins so; no topic's does, since
+/// no C++ name has a space there.
+inline constexpr std::string_view kQueueTypes = "ShmQueue ";
+
 /// The MessageType of a queue whose items are each taken by one reader: no topic's.
 template <class U>
 const MessageType& taken_type() {
-  static const std::string name = std::string("ShmQueue of ") + message_type<U>().name;
+  static const std::string name = std::string(kQueueTypes) + "of " + message_type<U>().name;
   static const MessageType type = [] {
     MessageType t = message_type<U>();
     t.name = name.c_str();
@@ -193,7 +197,7 @@ const MessageType& taken_type() {
 template <class U>
 const MessageType& task_type() {
   static const std::string name =
-      std::string("ShmQueue with redelivery of ") + message_type<U>().name;
+      std::string(kQueueTypes) + "with redelivery of " + message_type<U>().name;
   static const MessageType type = [] {
     MessageType t = taken_type<U>();
     t.name = name.c_str();

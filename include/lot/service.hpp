@@ -15,6 +15,7 @@
 
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
+#include "lot/detail/message_type.hpp"
 #include "lot/detail/service.hpp"
 #include "lot/duration.hpp"
 #include "lot/error.hpp"

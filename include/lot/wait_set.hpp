@@ -12,6 +12,7 @@
 
 #include "lot/detail/core.hpp"
 #include "lot/duration.hpp"
+#include "lot/envelope.hpp"
 #include "lot/options.hpp"
 #include "lot/puller.hpp"
 #include "lot/stop_token.hpp"
@@ -23,6 +24,8 @@ class WaitSetCore;
 }
 template <class T>
 class ShmQueue;
+class AnyMessage;
+class AnyPuller;
 
 /// One thread for many pullers, queues, timers and a stop request.
 ///
@@ -72,11 +75,15 @@ class WaitSet {
     queue.listen();
     add(*queue.core_, std::move(handler));
   }
+  /// The same of a puller that has no type. Throws the same.
+  void add(AnyPuller& puller, Handler handler);
   /// Calls its handlers no more; does nothing for a puller that was not added. Throws nothing.
   template <class T>
   void remove(ShmPuller<T>& puller) {
     remove(*puller.core_);
   }
+  /// The same of a puller that has no type. Throws nothing.
+  void remove(AnyPuller& puller);
   /// The same of a queue. Throws nothing.
   template <class T>
   void remove(ShmQueue<T>& queue) {
@@ -143,23 +150,16 @@ class ShmListener {
   template <class T, class Callback>
   ShmListener(ShmPuller<T>&& puller, Callback&& callback, Wait wait, const ThreadOptions& thread) {
     static_assert(
-        std::is_invocable_v<std::decay_t<Callback>&, const ShmSharedPtr<const T>&>,
+        is_callback<Callback, const ShmSharedPtr<const T>&>,
         "lot: this callback does not take a message: (const lot::ShmSharedPtr<const T>&)");
-    auto mine = std::make_shared<ShmPuller<T>>(std::move(puller));
-    start(
-        *mine->core_,
-        [mine, callback = std::forward<Callback>(callback)]() mutable {
-          // So many at most, and then a look whether to stop.
-          for (unsigned n = 0; n < kAtOnce; ++n) {
-            const ShmSharedPtr<const T> message = mine->try_pull();
-            if (!message) {
-              if (mine->status() == Status::HoldsTooMuch) mine->core_->refuse_to_hold();
-              return;
-            }
-            callback(message);
-          }
-        },
-        wait, thread);
+    call_back(std::move(puller), std::forward<Callback>(callback), wait, thread);
+  }
+  /// The same of a puller that has no type. Throws the same.
+  template <class Callback>
+  ShmListener(AnyPuller&& puller, Callback&& callback, Wait wait, const ThreadOptions& thread) {
+    static_assert(is_callback<Callback, const AnyMessage&>,
+                  "lot: this callback does not take a message: (const lot::AnyMessage&)");
+    call_back(std::move(puller), std::forward<Callback>(callback), wait, thread);
   }
   /// For ShmServer: calls on_ready() while there may be something. The waitable outlives this.
   /// Throws the same.
@@ -173,6 +173,42 @@ class ShmListener {
 
  private:
   static constexpr unsigned kAtOnce = 64;
+
+  template <class Callback, class Message>
+  static constexpr bool takes_envelope =
+      std::is_invocable_v<std::decay_t<Callback>&, Message, const Envelope&>;
+  template <class Callback, class Message>
+  static constexpr bool is_callback =
+      takes_envelope<Callback, Message> || std::is_invocable_v<std::decay_t<Callback>&, Message>;
+
+  template <class T>
+  static detail::PullerCore& core_of(ShmPuller<T>& puller) noexcept {
+    return *puller.core_;
+  }
+  static detail::PullerCore& core_of(AnyPuller& puller) noexcept;
+
+  template <class Puller, class Callback>
+  void call_back(Puller&& puller, Callback&& callback, Wait wait, const ThreadOptions& thread) {
+    auto mine = std::make_shared<std::decay_t<Puller>>(std::forward<Puller>(puller));
+    start(
+        core_of(*mine),
+        [mine, callback = std::forward<Callback>(callback)]() mutable {
+          // So many at most, and then a look whether to stop.
+          for (unsigned n = 0; n < kAtOnce; ++n) {
+            const auto message = mine->try_pull();
+            if (!message) {
+              if (mine->status() == Status::HoldsTooMuch) core_of(*mine).refuse_to_hold();
+              return;
+            }
+            if constexpr (takes_envelope<Callback, decltype(message)&>) {
+              callback(message, mine->envelope());
+            } else {
+              callback(message);
+            }
+          }
+        },
+        wait, thread);
+  }
   void start(detail::Waitable& waitable, std::function<void()> on_ready, Wait wait,
              const ThreadOptions& thread);
 

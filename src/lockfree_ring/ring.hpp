@@ -195,11 +195,11 @@ struct Ring {
 
   /// How many messages before `head` a joiner may begin that wants `history` of them.
   ///
-  /// In a lossless ring the limit is the depth less one: the sender must not overtake the joiner,
-  /// and may be one message ahead of what the joiner saw. The floor is a limit as well, unless the
-  /// ring left it behind so long ago that the sequences have wrapped.
-  std::uint64_t reach(Word head, std::uint64_t history, Word lowest) const {
-    const std::uint64_t most = std::uint64_t{depth} - (guarded() ? 0 : 1);
+  /// For a reader that no hazard guards the limit is the depth less one: the sender must not
+  /// overtake it, and may be one message ahead of what the joiner saw. The floor is a limit as
+  /// well, unless the ring left it behind so long ago that the sequences have wrapped.
+  std::uint64_t reach(Word head, std::uint64_t history, Word lowest, bool is_guarded) const {
+    const std::uint64_t most = std::uint64_t{depth} - (is_guarded ? 0 : 1);
     const std::uint64_t back = std::min({history, most, published(head)});
     const std::int64_t since = distance(head, lowest);
     const bool limits = lowest != first && since >= 0;
@@ -458,6 +458,15 @@ class Writer {
     }
   }
 
+  /// True when readers may look at what publish(), take_back() or evict_oldest() has just replaced:
+  /// the caller asks hazards() before it uses that block again. REQUIRES: the call comes behind the
+  /// replacement. A joiner that this does not see finds the slot as it is now (R4).
+  bool readers_may_look() {
+    if (ring_.guarded()) return true;
+    refresh_roster();
+    return observers_ != 0;
+  }
+
   /// Calls seen(block) for each block that a reader may be looking at now.
   template <class Seen>
   void hazards(Seen&& seen) {
@@ -474,20 +483,22 @@ class Writer {
     refresh_roster();
     for (const std::uint32_t c : active_) {
       const Word position = ring_.cells[c].position.load(std::memory_order_relaxed);  // a hint
-      if (position == kIdle || ring_.taken) continue;
+      if (position == kIdle || ring_.taken || is_observer(position)) continue;
       if (is_joining(position)) continue;  // room() gives it a place
       if (distance(next_, sequence(position)) >= ring_.depth) lag(c);
     }
   }
 
-  /// Calls f(participant, cell) for each reader.
+  /// Calls f(participant, cell) for each reader that is no observer. For that it takes a joiner
+  /// that has not said yet what it is.
   template <class F>
   void each_reader(F&& f) {
     refresh_roster();
     for (const std::uint32_t c : active_) {
-      // Relaxed: a hint. The reader may leave at any time.
+      // Relaxed, both: a hint. The reader may leave at any time.
       const std::uint32_t who = ring_.who[c].load(std::memory_order_relaxed);
-      if (who != 0) f(who - 1, c);
+      const Word position = ring_.cells[c].position.load(std::memory_order_relaxed);
+      if (who != 0 && !is_observer(position)) f(who - 1, c);
     }
   }
 
@@ -508,9 +519,10 @@ class Writer {
   Word next_sequence() const { return next_; }
   std::uint32_t depth() const { return ring_.depth; }
   const Ring<P>& ring() const { return ring_; }
+  /// Observers do not count.
   std::size_t active_readers() {
     refresh_roster();
-    return active_.size();
+    return active_.size() - observers_;
   }
 
  private:
@@ -562,7 +574,7 @@ class Writer {
     minimum_known_ = true;
     for (const std::uint32_t c : active_) {
       const Word position = place_of(c);
-      if (position == kIdle) continue;
+      if (position == kIdle || is_observer(position)) continue;
       if (distance(sequence(position), minimum_) < 0) minimum_ = sequence(position);
     }
   }
@@ -592,7 +604,7 @@ class Writer {
     auto& word = ring_.cells[c].position;
     Word position = word.load(std::memory_order_seq_cst);  // R3, R6
     while (is_joining(position)) {
-      const std::uint64_t back = ring_.reach(next_, sequence(position), floor_);
+      const std::uint64_t back = ring_.reach(next_, sequence(position), floor_, ring_.guarded());
       const Word place = make(advance(next_, Word{0} - back), kNoBlock);
       // Relaxed: the place is all that it tells. If the joiner was quicker, its own place counts,
       // which the failing compare-and-swap acquires (R3).
@@ -611,9 +623,14 @@ class Writer {
     roster_known_ = true;
     minimum_known_ = false;  // a late joiner may stand behind the cached minimum
     active_.clear();
+    observers_ = 0;
     for (std::uint32_t c = 0; c < ring_.readers; ++c) {
       // R3: a reader that has left has read. The roster makes sure that joiners are seen (R4).
-      if (ring_.who[c].load(std::memory_order_acquire) != 0) active_.push_back(c);
+      if (ring_.who[c].load(std::memory_order_acquire) == 0) continue;
+      active_.push_back(c);
+      // The roster carries what an observer has stored before it bumped it (R4). R3: one that is
+      // none any more has read, and no hazard is asked for on its account.
+      observers_ += is_observer(ring_.cells[c].position.load(std::memory_order_acquire));
     }
   }
 
@@ -626,6 +643,7 @@ class Writer {
   bool roster_known_ = false;
   bool minimum_known_ = false;
   std::vector<std::uint32_t> active_;
+  std::size_t observers_ = 0;  ///< of active_; a number that may be too large when some have left
   std::vector<Word> put_;     ///< by slot, if messages are taken: the block whose hold the ring has
   std::uint32_t oldest_ = 0;  ///< slot of the oldest of put_
   std::uint64_t laps_ = 0;    ///< how often index_ has come back to 0
@@ -640,6 +658,9 @@ class Reader {
   static constexpr std::uint64_t kFromTheStart = ~std::uint64_t{0};
   /// How often in one lap of the ring done() asks whether the sender sleeps for room.
   static constexpr std::uint32_t kBellsPerLap = 4;
+  /// Of a reader that joins. Nothing waits for an observer: it misses what is overwritten, also in
+  /// a lossless ring.
+  enum class Manner { Reads, Observes };
   /// A reader that joins and prepares nothing.
   struct Nothing {
     void operator()(std::uint32_t) const noexcept {}
@@ -660,7 +681,7 @@ class Reader {
   template <class Prepare = Nothing>
   static std::optional<Reader> join(const Ring<P>& ring, std::uint32_t generation,
                                     std::uint32_t participant, std::uint64_t history, bool& full,
-                                    Prepare&& prepare = {}) {
+                                    Prepare&& prepare = {}, Manner manner = Manner::Reads) {
     full = false;
     std::uint32_t c = 0;
     for (; c < ring.readers; ++c) {
@@ -683,17 +704,20 @@ class Reader {
     }
     prepare(c);
     auto& position = ring.cells[c].position;
-    Word wish = joining(std::min<std::uint64_t>(history, ring.depth));
-    if (!ring.guarded()) position.store(wish, std::memory_order_release);  // R3, R14
-    ring.roster->fetch_add(1, std::memory_order_seq_cst);                  // R4, R15
     Reader reader;
+    const bool observes = manner == Manner::Observes;
+    reader.mark_ = observes ? kObserves : 0;
+    reader.guarded_ = ring.guarded() || observes;
+    Word wish = observes ? kObserverJoins : joining(std::min<std::uint64_t>(history, ring.depth));
+    if (observes || !ring.guarded()) position.store(wish, std::memory_order_release);  // R3, R14
+    ring.roster->fetch_add(1, std::memory_order_seq_cst);                              // R4, R15
     reader.ring_ = ring;
     reader.cell_ = c;
     reader.start_at_newest(history);
     // From here the cursor holds the sender back. The former reader of the cell may have borrowed a
     // message: this store lets its hazard go (R3).
-    const Word place = make(reader.cursor_, kNoBlock);
-    if (ring.guarded()) {
+    const Word place = make(reader.cursor_, kNoBlock) | reader.mark_;
+    if (reader.guarded_) {
       position.store(place, std::memory_order_release);  // R3, R14
       // Relaxed: the place belongs to the release sequence of the wish, which carries R3 and R14.
     } else if (!position.compare_exchange_strong(wish, place, std::memory_order_relaxed,
@@ -725,6 +749,7 @@ class Reader {
       }
       Reader reader;
       reader.ring_ = ring;
+      reader.guarded_ = ring.guarded();
       reader.cell_ = c;
       reader.cursor_ = reader.asked_ = sequence(position);  // in slot 0
       return reader;
@@ -763,9 +788,9 @@ class Reader {
         skip(1, missed);
         continue;
       }
-      if (ring_.guarded()) {
+      if (guarded_) {
         auto& position = ring_.cells[cell_].position;
-        position.store(seen, std::memory_order_seq_cst);                    // R2
+        position.store(seen | mark_, std::memory_order_seq_cst);            // R2
         if (place(slot.load(std::memory_order_seq_cst)) != seen) continue;  // R2
       }
       drained_ = false;
@@ -827,8 +852,11 @@ class Reader {
   /// message would cost both sides more than the message.
   bool done() {
     step(1);
-    ring_.cells[cell_].position.store(make(cursor_, kNoBlock), std::memory_order_release);  // R3
-    if (!ring_.blocking || distance(cursor_, asked_) < ring_.depth / kBellsPerLap) return false;
+    ring_.cells[cell_].position.store(make(cursor_, kNoBlock) | mark_,
+                                      std::memory_order_release);  // R3
+    if (!ring_.blocking || mark_ != 0 || distance(cursor_, asked_) < ring_.depth / kBellsPerLap) {
+      return false;
+    }
     asked_ = cursor_;
     // Relaxed: this may see a stale even number, and not every message makes this call. In both
     // cases the next empty poll rings, or the sender finds the room by its own look every
@@ -952,8 +980,8 @@ class Reader {
       }
     }
     const Word head = next(newest_);
-    std::uint64_t back = ring_.reach(head, history, lowest);
-    if (history == kFromTheStart && !ring_.blocking && !ring_.taken) {
+    std::uint64_t back = ring_.reach(head, history, lowest, guarded_);
+    if (history == kFromTheStart && guarded_ && !ring_.taken) {
       back = ring_.published(head);  // poll() counts overwritten messages as missed
     }
     start_at(advance(head, Word{0} - back));
@@ -1002,8 +1030,9 @@ class Reader {
 
   void when_empty() {
     auto& position = ring_.cells[cell_].position;
-    if (ring_.guarded()) {
-      position.store(make(cursor_, kNoBlock), std::memory_order_release);  // R3: lets a hazard go
+    if (guarded_) {
+      position.store(make(cursor_, kNoBlock) | mark_,
+                     std::memory_order_release);  // R3: lets a hazard go
     } else if (!drained_) {
       drained_ = true;
       position.store(make(cursor_, kNoBlock), std::memory_order_seq_cst);  // R6
@@ -1020,6 +1049,8 @@ class Reader {
   Word asked_ = 0;              ///< cursor when done() last asked whether the sender waits
   std::uint32_t returned_ = 0;  ///< the ring's `returned` when look_back() last looked
   bool drained_ = false;
+  bool guarded_ = false;  ///< its hazard protects the message that it looks at, else its cursor
+  Word mark_ = 0;         ///< kObserves, or 0: a part of each position
 };
 
 }  // namespace lot::ring

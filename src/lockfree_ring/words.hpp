@@ -16,7 +16,8 @@ namespace lot::ring {
 ///
 /// A reader's position has the same format. {cursor | 0 | kNoBlock} is a place. {sequence | 0 |
 /// block} is a place and a hazard. The sleeper bit is never part of a place: a word that has it
-/// says that no reader is at work here. Those are kIdle, awaited() and joining().
+/// says that no reader is at work here. Those are kIdle, awaited() and joining(). An observer's
+/// position has the round 2, or 3 until it has a place.
 using Word = std::uint64_t;
 
 inline constexpr unsigned kBlockBits = 19;
@@ -44,6 +45,12 @@ constexpr bool is_awaited(Word position) {
 constexpr Word joining(Word back) { return make(back, kNoBlock) | kSleeper | kRound; }
 constexpr bool is_joining(Word position) {
   return (position & (kSleeper | kRoundMask)) == (kSleeper | kRound);
+}
+/// The position of a reader that only observes, OR'ed to it: nothing waits for that reader.
+inline constexpr Word kObserves = kRound << 1;
+inline constexpr Word kObserverJoins = make(0, kNoBlock) | kObserves | kRound;
+constexpr bool is_observer(Word position) {
+  return (position & (kSleeper | kObserves)) == kObserves;
 }
 /// True for the position of a reader that is at work.
 constexpr bool is_place(Word position) { return (position & kSleeper) == 0; }

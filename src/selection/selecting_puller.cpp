@@ -31,7 +31,7 @@ detail::Origin ring_of(const Source& source) {
   return {source.name.channel, source.name.generation, 0};
 }
 
-class SelectingPuller final : public detail::SelectingPuller, private transport::RingObserver {
+class SelectingPuller final : public detail::SelectingPuller, private transport::RingWatcher {
  public:
   SelectingPuller(std::shared_ptr<transport::Participant> participant, std::string_view topic,
                   const detail::MessageType& type, const PullerOptions& options)

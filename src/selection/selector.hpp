@@ -30,7 +30,7 @@ class Selector {
   /// Tells the only reader that this participant has in the ring that the next message and all
   /// later ones are for it, and the last `back` ones before. Returns nothing when the participant
   /// has no reader here or several, when the reader has not yet read all that was for it before,
-  /// or when the last `back` messages are not all in the ring.
+  /// or when the last `back` messages are not all in the ring. Observers do not count.
   ///
   /// `still()` is asked after the look at the reader. It says whether the participant is still the
   /// one that is meant. `answer`: selects only a reader that joined with that answer.
@@ -47,8 +47,9 @@ class Selector {
     // A reader that has not finished joining may not have begun its round yet.
     const Word position = ring_.cells[*cell].position.load(std::memory_order_acquire);  // R3
     if (!ring::is_place(position)) return std::nullopt;
-    Word begin = from.load(std::memory_order_acquire);  // S2
-    Word end = to.load(std::memory_order_relaxed);      // its round is compared with that of `from`
+    if (ring::is_observer(position)) return std::nullopt;  // it begins none
+    Word begin = from.load(std::memory_order_acquire);     // S2
+    Word end = to.load(std::memory_order_relaxed);  // its round is compared with that of `from`
     const Word round = bound_round(begin);
     if (answer && begin != make_unbound(round, *answer)) return std::nullopt;
     if (bound_round(end) != round || is_set(begin) != is_set(end)) return std::nullopt;
@@ -83,11 +84,13 @@ class Selector {
     return true;
   }
 
-  /// False when that reader has left its cell. Any thread may ask.
+  /// False when that reader has left its cell, also where an observer of its process has taken it:
+  /// the round is the reader's then. Any thread may ask.
   static bool is_there(const ring::Ring<P>& ring, const Selected& selected) {
-    // Relaxed, both: a hint. The reader may leave at any time.
+    // Relaxed, all: a hint. The reader may leave at any time.
     const Word from = bounds_of(ring, selected.cell).from.load(std::memory_order_relaxed);
-    return bound_round(from) == selected.round &&
+    const Word position = ring.cells[selected.cell].position.load(std::memory_order_relaxed);
+    return bound_round(from) == selected.round && !ring::is_observer(position) &&
            ring.who[selected.cell].load(std::memory_order_relaxed) == selected.participant + 1;
   }
 

@@ -100,4 +100,9 @@ QueueEngine queue_engine(QueueEngine asked) {
               "write ring or mutex, or leave it away");
 }
 
+bool stamps(bool asked) {
+  const char* v = environment("LOT_STAMP");
+  return v != nullptr ? parse_switch("LOT_STAMP", v) : asked;
+}
+
 }  // namespace lot::transport

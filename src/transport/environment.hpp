@@ -23,4 +23,7 @@ segment::Trust trust_of_environment();
 /// The queue engine that LOT_QUEUE in the environment names, else the one that the code asks for.
 QueueEngine queue_engine(QueueEngine asked);
 
+/// Whether publishers stamp: what LOT_STAMP in the environment says, else what the code asks for.
+bool stamps(bool asked);
+
 }  // namespace lot::transport

@@ -79,10 +79,11 @@ std::shared_ptr<Participant> Participant::admit(const EngineOptions& options,
 }
 
 std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent if_absent) {
-  options = with_environment(std::move(options));
+  // A visitor says itself which segment it means.
+  if (if_absent == IfAbsent::Make) options = with_environment(std::move(options));
   const std::string path = segment::path_of(options.directory, options.segment);
   segment::Trust trust = segment::Trust::of(options);
-  trust.wants_all = if_absent == IfAbsent::Make;  // without Make the caller is a visitor
+  trust.wants_all = if_absent == IfAbsent::Make;
   watch_forks();
   const std::lock_guard joining(process().joining);
   std::shared_ptr<Participant> handle = joined(options, path, trust);

@@ -40,7 +40,8 @@ namespace lot::transport {
 ///          (Recovery::reap()).
 class Participant final : private Lifetime::Owner {
  public:
-  /// Joins the segment that the options name. Where there is none, it is made, or ENOENT is thrown.
+  /// Joins the segment that the options name, or the environment. Where there is none, it is made;
+  /// or ENOENT is thrown: then the caller is a visitor, whose options come before the environment.
   /// Throws lot::Error.
   static std::shared_ptr<Participant> join(EngineOptions options,
                                            IfAbsent if_absent = IfAbsent::Make);

@@ -8,7 +8,8 @@
 #include <cxxabi.h>
 
 #include "lot/detail/core.hpp"
-#include "lot/type_identity.hpp"
+#include "lot/detail/described.hpp"
+#include "lot/detail/type_name.hpp"
 
 #include "transport/participant.hpp"
 
@@ -58,6 +59,22 @@ ControlBlock* control_of(const void* reference, bool in_message, std::uint32_t b
 ControlBlock* acquire_block(ControlBlock* control) {
   control->hub->acquire(control);
   return control;
+}
+
+bool is_same(const MessageType& a, const MessageType& b) {
+  // A topic keeps the begin of a long name.
+  const auto name = [](const MessageType& type) {
+    return std::string_view(type.name).substr(0, segment::kTypeNameBytes - 1);
+  };
+  if (a.size != b.size || a.align != b.align || a.hash != b.hash || name(a) != name(b) ||
+      (a.described == nullptr) != (b.described == nullptr)) {
+    return false;
+  }
+  if (a.described == nullptr) return true;
+  const Described& there = a.described(a);
+  const Described& here = b.described(b);
+  return there.layout == here.layout &&
+         (there.names == here.names || there.names == 0 || here.names == 0);
 }
 
 void require_type(const ControlBlock& control, const MessageType& type) {

@@ -39,7 +39,7 @@ class Puller final : public RingPuller {
  public:
   Puller(std::shared_ptr<Participant> participant, std::string_view topic,
          const detail::MessageType& type, const PullerOptions& options, detail::Delivery delivery,
-         RingObserver* observer)
+         RingWatcher* watcher)
       : participant_(std::move(participant)),
         directory_(participant_->segment().directory().version),
         taking_(delivery != detail::Delivery::ToAll),
@@ -49,14 +49,15 @@ class Puller final : public RingPuller {
         topic_name_(topic),
         quota_(participant_->segment(), participant_->holder(),
                delivery == detail::Delivery::ToAll ? options.max_held_bytes : Quota::kNone),
-        topic_(participant_->topics().enter(topic, type)),
+        role_(options.observer ? Topics::Role::Observer : Topics::Role::User),
+        topic_(participant_->topics().enter(topic, type, role_)),
         habit_(options.wait),
-        observer_(observer) {
+        watcher_(watcher) {
     try {
       departure_.emplace_back();
       after_reaping(participant_->reaper(), [&] { subscribe(options); });
     } catch (...) {
-      participant_->topics().leave(topic_);
+      participant_->topics().leave(topic_, role_);
       throw;
     }
   }
@@ -69,7 +70,7 @@ class Puller final : public RingPuller {
     notifier_.reset();
     note_known();
     leave_sources();
-    departure_.front() = {topic_, std::move(passed_)};
+    departure_.front() = {topic_, role_, std::move(passed_)};
     participant_->topics().depart(std::move(departure_));
   }
 
@@ -147,7 +148,7 @@ class Puller final : public RingPuller {
   bool ready() override {
     if (keeping_ && quota_.is_full()) return false;  // arm() says when to look again
     // Relaxed: a hint. The next look acquires.
-    return (directory_.load(std::memory_order_relaxed) != version_ && !not_before_) ||
+    return (directory_.load(std::memory_order_relaxed) != version_ && !not_before_) || is_over() ||
            std::any_of(sources_.begin(), sources_.end(),
                        [](const Source& s) { return s.reader.ready() || s.reader.is_closing(); });
   }
@@ -156,9 +157,27 @@ class Puller final : public RingPuller {
 
   std::uint32_t topic() const noexcept override { return topic_; }
 
+  Envelope envelope() const override {
+    participant_->check_usable();
+    if (last_ == 0) return {};
+    if (last_source() == kLeft) {
+      return envelope_from(left_.name, left_.publisher, left_.first, left_.stamps);
+    }
+    const Source& s = sources_[last_source()];
+    return envelope_from(s.name, s.publisher, s.reader.ring().first, s.stamps);
+  }
+
   detail::Origin origin() const noexcept override {
     const Source& s = sources_[current_];
     return {s.name.channel, s.name.generation, s.reader.cursor()};
+  }
+
+  std::optional<detail::Clock::time_point> pushed() const noexcept override {
+    return sources_[current_].stamps ? time_of_push() : std::nullopt;
+  }
+
+  std::uint64_t memory() const noexcept override {
+    return std::max(granules() * segment::kGranule, segment::kSmallBytes);
   }
 
   bool join_anew(const registry::ChannelName& name) override {
@@ -193,8 +212,8 @@ class Puller final : public RingPuller {
     const std::size_t rings = sources_.size();
     if (!settle()) return std::nullopt;
     // The caller looks first: it may have kept messages of a ring that has ended just now.
-    if (observer_ != nullptr && sources_.size() != rings) return std::nullopt;
-    if (is_forsaken()) return std::nullopt;  // the next look tells it
+    if (watcher_ != nullptr && sources_.size() != rings) return std::nullopt;
+    if (is_forsaken() || is_over()) return std::nullopt;  // the next look tells it
     const ring::Rest rest = ring::prepare_to_sleep(
         sources_, directory_, version_, [&waits](const auto& word, auto value) {
           waits.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
@@ -218,6 +237,20 @@ class Puller final : public RingPuller {
   }
 
  private:
+  /// What last_ says: {sequence : 42 | index in sources_ : 21 | 1}. One word, since each message
+  /// writes it.
+  static constexpr ring::Word kSeen = 1;
+  static constexpr unsigned kIndexShift = 1;
+  static constexpr ring::Word kLeft = (ring::Word{1} << (ring::kSequenceShift - kIndexShift)) - 1;
+
+  /// What an envelope says of a ring that this puller has left.
+  struct LeftRing {
+    registry::ChannelName name{};
+    std::string publisher;
+    ring::Word first = 0;
+    bool stamps = false;
+  };
+
   Source* source_of(const detail::Origin& origin) {
     for (Source& s : sources_) {
       if (s.name.channel == origin.channel && s.name.generation == origin.generation) return &s;
@@ -254,6 +287,8 @@ class Puller final : public RingPuller {
   bool is_alone() const noexcept {
     return sources_.empty() && directory_.load(std::memory_order_acquire) == version_;
   }
+  /// True: the topic carries another type now, and what it carried before was read.
+  bool is_over() const noexcept { return is_superseded_ && sources_.empty(); }
   /// True: a publisher was there since this was told last, and none is now.
   bool is_forsaken() const noexcept { return had_publisher_ && is_alone(); }
   /// PublisherGone where there is no publisher, or what the look says otherwise.
@@ -283,6 +318,8 @@ class Puller final : public RingPuller {
       if (burst_ >= kBurst) prefetch(reader.peek(kLookAhead));
       if (look_into(source, borrowed)) return true;
     }
+    if (is_over()) [[unlikely]]
+      refuse_superseded();
     return false;
   }
 
@@ -319,7 +356,9 @@ class Puller final : public RingPuller {
   /// REQUIRES: the quota allows one more.
   [[gnu::hot]] detail::ControlBlock* hold_it() {
     participant_->holder().acquire(block_, hold::kPointer);
-    if (quota_.counts()) quota_.note(block_, small_ && type_.plain ? 0 : granules());
+    held_ = last_;
+    held_life_ = quota_.counts() ? quota_.note(block_, small_ && type_.plain ? 0 : granules())
+                                 : generation_of(block_);
     return &participant_->holder().control(block_);
   }
 
@@ -390,6 +429,40 @@ class Puller final : public RingPuller {
     return true;
   }
 
+  /// The index of the last message's ring in sources_, or kLeft: it is in left_. REQUIRES: there
+  /// was a message.
+  std::size_t last_source() const noexcept { return last_ >> kIndexShift & kLeft; }
+
+  Envelope envelope_from(const registry::ChannelName& name, const std::string& publisher,
+                         ring::Word first, bool stamps) const {
+    Envelope envelope;
+    envelope.sequence = ring::advance(ring::sequence(last_), ring::kSequenceMask + 1 - first);
+    envelope.publisher = publisher;
+    envelope.publisher_id = std::uint64_t{name.generation} << 32 | name.channel;
+    if (stamps) envelope.pushed = time_of_push();
+    return envelope;
+  }
+
+  /// When the last message was pushed. None: that message is not there any more. REQUIRES: its ring
+  /// is of a publisher that stamps.
+  ///
+  /// The word may belong to a later message of the block, if this process has let go of its own.
+  /// That message's home has bumped the block's generation before any process could write the word
+  /// for it. So the word is loaded first, by acquire, and then the generation.
+  std::optional<futex::Clock::time_point> time_of_push() const noexcept {
+    const std::uint64_t ns =
+        __atomic_load_n(&participant_->segment().arena(block_).pushed_ns, __ATOMIC_ACQUIRE);
+    const bool is_there = borrowing_ || (held_ == last_ && generation_of(block_) == held_life_);
+    // A number that the clock cannot have, as the difference to its times may not be one.
+    if (!is_there || ns == 0 || ns > std::uint64_t{INT64_MAX}) return std::nullopt;
+    return futex::Clock::time_point(std::chrono::nanoseconds(static_cast<std::int64_t>(ns)));
+  }
+  /// Relaxed: a message that is held keeps its generation. For others, see time_of_push().
+  std::uint32_t generation_of(std::uint32_t b) const noexcept {
+    return refcount::generation_of(
+        participant_->segment().block(b).life.load(std::memory_order_relaxed));
+  }
+
   /// Ends the borrow.
   void end(Source& source) noexcept {
     if (source.reader.done()) ring_bell(source.reader);
@@ -407,14 +480,16 @@ class Puller final : public RingPuller {
     segment::Segment& s = participant_->segment();
     if (b >= participant_->blocks()) [[unlikely]]
       skip_damaged("its slot in the queue cannot be right");
-    block_ = static_cast<std::uint32_t>(b);
+    const auto block = static_cast<std::uint32_t>(b);
     if (small_) {
-      borrowed.root = s.small(block_);
+      borrowed.root = s.small(block);
     } else {
-      borrowed.root = s.message_at(block_, type_);
+      borrowed.root = s.message_at(block, type_);
       if (borrowed.root == nullptr) [[unlikely]]
         skip_damaged("it is said to lie where it cannot be");
     }
+    block_ = block;
+    last_ = ring::make(sources_[current_].reader.cursor(), current_ << kIndexShift | kSeen);
     borrowed.control = &participant_->holder().control(block_);
     borrowed.missed = missed_;
     missed_ = 0;
@@ -426,7 +501,8 @@ class Puller final : public RingPuller {
     return ring::settle(
         sources_, [this](Reader& reader) { ring_bell(reader); },
         [this](Reader& reader) {
-          if (observer_ != nullptr) observer_->leaving(source_with(reader));
+          if (watcher_ != nullptr) watcher_->leaving(source_with(reader));
+          remember(reader);
           pass(reader);
           leave(reader);
           participant_->reaper().collect();
@@ -489,6 +565,7 @@ class Puller final : public RingPuller {
       if (puller_.directory_.load(std::memory_order_acquire) != puller_.version_) {
         puller_.find_new_rings();
       }
+      if (puller_.is_over()) puller_.refuse_superseded();
       return puller_.has_messages() || !puller_.settle() || puller_.is_forsaken();
     }
     auto arm() { return puller_.prepare_to_sleep(); }
@@ -537,7 +614,8 @@ class Puller final : public RingPuller {
   /// that await other pullers of this process remain. REQUIRES: the registry's lock.
   void announce_and_join(std::uint64_t history) {
     registry::Registry& registry = participant_->registry();
-    if (observer_ != nullptr) observer_->announcing(topic_);
+    if (watcher_ != nullptr) watcher_->announcing(topic_);
+    if (observes()) return join_what_is_there(history);
     registry.add_puller(topic_, participant_->index());
     try {
       join_what_is_there(history);
@@ -563,11 +641,7 @@ class Puller final : public RingPuller {
         }
         reader = join(ring, name, history, full);
       }
-      if (full) {
-        throw Error(EUSERS, participant_->segment().path(),
-                    "a publisher of the topic has all the readers that it can have",
-                    "make the segment with a larger EngineOptions::readers");
-      }
+      if (full) refuse_full();
       if (reader) {
         begin(*reader, name, std::move(publisher));
       } else {  // the ring has ended before
@@ -579,14 +653,17 @@ class Puller final : public RingPuller {
 
   std::optional<Reader> join(const segment::Ring& ring, const registry::ChannelName& name,
                              std::uint64_t history, bool& full) {
-    return Reader::join(ring, name.generation, participant_->index(), history, full,
-                        [&](std::uint32_t cell) {
-                          if (observer_ != nullptr) observer_->joining(ring, cell);
-                        });
+    return Reader::join(
+        ring, name.generation, participant_->index(), history, full,
+        [&](std::uint32_t cell) {
+          if (watcher_ != nullptr) watcher_->joining(ring, cell);
+        },
+        observes() ? Reader::Manner::Observes : Reader::Manner::Reads);
   }
 
   /// Finds rings that were made since. Each has a cell for this puller, which reads it from its
-  /// first message, also when it has ended meanwhile. REQUIRES: the registry's lock.
+  /// first message, also when it has ended meanwhile. No cell awaits an observer: it joins the ring
+  /// if that has not ended. REQUIRES: the registry's lock.
   void find_rings() {
     const std::uint32_t version = directory_.load(std::memory_order_acquire);  // D1
     const auto rings = participant_->registry().rings(topic_);
@@ -599,16 +676,30 @@ class Puller final : public RingPuller {
       const segment::Ring ring = participant_->segment().ring(name.channel);
       std::string publisher = publisher_of(ring);
       std::optional<Reader> reader;
-      if (is_of_our_kind(ring)) reader = Reader::take_awaited(ring, participant_->index());
+      if (is_of_our_kind(ring)) reader = find_place(ring, name);
       if (reader) {
         begin(*reader, name, std::move(publisher));
       } else {  // its control is damaged
         passed_.push_back(name);
       }
     }
+    if (observes()) is_superseded_ = participant_->registry().is_superseded(topic_);
     version_ = version;
     not_before_.reset();
   }
+
+  std::optional<Reader> find_place(const segment::Ring& ring, const registry::ChannelName& name) {
+    if (!observes()) return Reader::take_awaited(ring, participant_->index());
+    if (!participant_->registry().is_open(name)) return std::nullopt;
+    bool full = false;
+    const auto reader = join(ring, name, Reader::kFromTheStart, full);
+    if (full) {
+      passed_.push_back(name);  // the next look goes on
+      refuse_full();
+    }
+    return reader;
+  }
+  bool observes() const noexcept { return role_ == Topics::Role::Observer; }
 
   /// True if the ring is of this puller's kind, as the type of the topic says. It is unless the
   /// segment is damaged.
@@ -623,23 +714,47 @@ class Puller final : public RingPuller {
     passed_.reserve(passed_.size() + sources_.size() + 1);
   }
 
-  std::string publisher_of(const segment::Ring& ring) const {
-    // Acquire: R7.
-    const auto owner = ring::writer_owner(ring.writer->load(std::memory_order_acquire));
-    return std::string(participant_->world().name_of(owner));
+  /// A copy, as any process may change the name. Empty: the ring is damaged. REQUIRES: no process
+  /// recycles the ring meanwhile.
+  static std::string publisher_of(const segment::Ring& ring) {
+    std::string name;
+    if (ring.depth == 0) return name;
+    (void)ring.writer->load(std::memory_order_acquire);  // R7
+    for (const char& shared : segment::Segment::head_of(ring).publisher) {
+      const char c = detail::read_once(shared);
+      if (c == '\0') break;
+      name += c;
+    }
+    return name;
   }
 
   void begin(const Reader& reader, const registry::ChannelName& name,
              std::string publisher) noexcept {
     missed_ += reader.skipped();
     had_publisher_ = true;
+    const bool stamps = detail::read_once(segment::Segment::head_of(reader.ring()).stamps) == 1;
     sources_.push_back(
-        {reader, name, participant_->queue_lock(name.channel), std::move(publisher)});
+        {reader, name, participant_->queue_lock(name.channel), std::move(publisher), stamps});
   }
 
-  const Source& source_with(const Reader& reader) const {
+  Source& source_with(const Reader& reader) {
     return *std::find_if(sources_.begin(), sources_.end(),
                          [&reader](const Source& s) { return &s.reader == &reader; });
+  }
+  /// Keeps what envelope() needs, before this ring leaves sources_.
+  void remember(const Reader& reader) noexcept {
+    Source& s = source_with(reader);
+    const auto index = static_cast<std::size_t>(&s - sources_.data());
+    const bool is_held = held_ == last_;
+    held_ = is_held ? last_ : 0;  // else it could name a place that another ring will have
+    if (last_ == 0 || last_source() == kLeft || index > last_source()) return;
+    if (index < last_source()) {
+      last_ -= ring::Word{1} << kIndexShift;
+    } else {
+      left_ = {s.name, std::move(s.publisher), s.reader.ring().first, s.stamps};
+      last_ |= kLeft << kIndexShift;
+    }
+    held_ = is_held ? last_ : 0;
   }
   void pass(const Reader& reader) { passed_.push_back(source_with(reader).name); }
 
@@ -689,6 +804,16 @@ class Puller final : public RingPuller {
                 "end it (one borrow at a time), or keep() the message");
   }
 
+  [[noreturn, gnu::cold]] void refuse_full() const {
+    throw Error(EUSERS, participant_->segment().path(),
+                "a publisher of the topic has all the readers that it can have",
+                "make the segment with a larger EngineOptions::readers");
+  }
+
+  [[noreturn, gnu::cold]] void refuse_superseded() const {
+    throw Error(ESTALE, topic_name_, "the topic carries another type now", "subscribe to it again");
+  }
+
   /// The reader goes on behind the message, which counts as missed.
   [[noreturn]] void skip_damaged(const char* what) {
     Reader& reader = sources_[current_].reader;
@@ -708,12 +833,16 @@ class Puller final : public RingPuller {
   std::uint64_t missed_ = 0;
   std::uint32_t version_ = 0;  ///< the directory's version that sources_ is right for
   std::uint32_t block_ = 0;
-  unsigned burst_ = 0;  ///< messages since the last wait
+  unsigned burst_ = 0;           ///< messages since the last wait
+  ring::Word last_ = 0;          ///< the last message, in block_, for envelope(); 0: none
+  ring::Word held_ = 0;          ///< last_, if a pointer was made of that message
+  std::uint32_t held_life_ = 0;  ///< and its generation
   bool borrowing_ = false;
   bool keeping_ = false;        ///< a message that is found is kept at once
   bool had_publisher_ = false;  ///< since PublisherGone was told last
   bool taking_;                 ///< each message is for one reader, which takes it
   bool working_;                ///< and it stays in the queue until that reader has finished it
+  bool is_superseded_ = false;  ///< the topic was made anew, with another type
   bool small_;                  ///< the messages lie in their blocks' small payload
   const detail::MessageType& type_;
   std::unique_ptr<waiting::Notifier> notifier_;  ///< once fd() was called
@@ -721,6 +850,7 @@ class Puller final : public RingPuller {
   Quota quota_;
   futex::Clock::time_point tell_again_{};
 
+  const Topics::Role role_;
   std::uint32_t topic_;
   waiting::SpinHabit habit_;
   waiting::YieldHabit yield_;
@@ -730,9 +860,10 @@ class Puller final : public RingPuller {
   /// process may have a cell in them that it has not looked at yet.
   std::vector<registry::ChannelName> passed_;
   std::list<registry::Departure> departure_;  ///< one entry, made before it is needed
+  LeftRing left_;                             ///< the last message's ring, when it was left
   std::uint32_t claimed_slot_ = 0;            ///< the slot of the message that was claimed last
   ring::Word claim_ = 0;
-  RingObserver* const observer_;  ///< null: there is none
+  RingWatcher* const watcher_;  ///< null: there is none
 };
 
 }  // namespace
@@ -741,9 +872,9 @@ std::unique_ptr<RingPuller> make_ring_puller(std::shared_ptr<Participant> partic
                                              std::string_view topic,
                                              const detail::MessageType& type,
                                              const PullerOptions& options,
-                                             detail::Delivery delivery, RingObserver* observer) {
+                                             detail::Delivery delivery, RingWatcher* watcher) {
   participant->check_usable();
-  return std::make_unique<Puller>(std::move(participant), topic, type, options, delivery, observer);
+  return std::make_unique<Puller>(std::move(participant), topic, type, options, delivery, watcher);
 }
 
 }  // namespace lot::transport

@@ -77,11 +77,13 @@ class Pusher final : public RingPusher, private Evictor {
                     "use less, or make the segment with a larger EngineOptions::blocks");
       }
       const QueueEngine engine = queue_engine(options.engine);
+      stamps_ = delivery == detail::Delivery::ToAll && stamps(options.stamp);
       topic_ = participant_->topics().enter(topic, type);
-      name_ = participant_->rings().open(*topic_,
-                                         {options.depth, participant_->segment().capacity().readers,
-                                          options.policy, engine, taken_by(delivery), 0, extra},
-                                         pool_.index());
+      name_ = participant_->rings().open(
+          *topic_,
+          {options.depth, participant_->segment().capacity().readers, options.policy, engine,
+           taken_by(delivery), 0, extra, stamps_},
+          pool_.index());
     } catch (...) {
       if (topic_) participant_->topics().leave(*topic_);
       close_without_ring();
@@ -209,7 +211,9 @@ class Pusher final : public RingPusher, private Evictor {
     const auto& ring = writer_->ring();
     std::size_t n = 0;
     for (std::uint32_t c = 0; c < ring.readers; ++c) {
-      n += ring.who[c].load(std::memory_order_acquire) != 0;  // R8
+      if (ring.who[c].load(std::memory_order_acquire) == 0) continue;  // R8
+      // Relaxed: an observer says so before the ring's roster tells of it.
+      n += !ring::is_observer(ring.cells[c].position.load(std::memory_order_relaxed));
     }
     return n;
   }
@@ -229,7 +233,7 @@ class Pusher final : public RingPusher, private Evictor {
   std::uint32_t topic() const noexcept override { return *topic_; }
 
   void reserve(std::size_t count, std::size_t bytes) override {
-    static const detail::MessageType nothing{1, 1, 0, "", nullptr, false};
+    static const detail::MessageType nothing{1, 1, 0, "", nullptr, false, nullptr};
     std::vector<std::uint32_t> blocks;
     try {
       blocks.reserve(count);
@@ -274,9 +278,9 @@ class Pusher final : public RingPusher, private Evictor {
   void take_back_read_locked() noexcept {
     {
       const mutex_engine::QueueGuard queue_guard(queue_lock_, std::nothrow);
-      const bool guarded = writer_->ring().guarded();
       writer_->take_back(history_, [&](ring::Word b) {  // room_to_retire() has made room
-        if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), guarded);
+        if (b >= participant_->blocks()) return;
+        pool_.retire(static_cast<std::uint32_t>(b), writer_->readers_may_look());
       });
     }
     scan();
@@ -501,11 +505,17 @@ class Pusher final : public RingPusher, private Evictor {
   /// returns without them.
   [[gnu::hot]] void publish(std::unique_lock<BiasedLock>& lock,
                             mutex_engine::QueueGuard& queue_guard, std::uint32_t b) {
-    const bool guarded = writer_->ring().guarded();
+    bool guarded = writer_->ring().guarded();
     if (guarded) note_fit(fit(b));  // before publishing, since a reader that takes it may change it
     // Relaxed: publishing carries it (R1).
     if (writer_->ring().taken) participant_->holder().queued(b).store(1, std::memory_order_relaxed);
+    if (stamps_) [[unlikely]]
+      stamp(b);
     const auto published = writer_->publish(b);
+    if (!guarded && writer_->readers_may_look()) {
+      guarded = true;
+      note_fit(fit(b));
+    }
     queue_guard.unlock();
     // Wakes first: after a pause, all that is read here is out of the caches, and the sleeper would
     // wait for it.
@@ -543,6 +553,16 @@ class Pusher final : public RingPusher, private Evictor {
     if (pool_.has_foreign()) release_foreign(lock);
     if (is_short_of_blocks) [[unlikely]]
       ask_for_next(lock);
+  }
+
+  /// Notes when the message is pushed, for readers of this ring that ask. Killed in between, the
+  /// number tells nothing to any process.
+  [[gnu::noinline]] void stamp(std::uint32_t b) noexcept {
+    const auto now = std::chrono::steady_clock::now().time_since_epoch();
+    // Release: see Puller::time_of_push().
+    __atomic_store_n(&participant_->segment().arena(b).pushed_ns,
+                     static_cast<std::uint64_t>(std::chrono::nanoseconds(now).count()),
+                     __ATOMIC_RELEASE);
   }
 
   /// Asks Ahead for the next block. Only now, after the frame is out: the publisher needs its core
@@ -919,6 +939,7 @@ class Pusher final : public RingPusher, private Evictor {
   std::optional<ring::Writer<segment::Atomics>> writer_;
   mutex_engine::QueueLock queue_lock_;
   std::uint32_t history_ = PusherOptions::kAll;  ///< this many messages that all have read stay
+  bool stamps_ = false;                          ///< each push notes its time
   bool waits_ = false;  ///< it waits for room, and for memory at most this long:
   std::chrono::nanoseconds block_for_{};
   waiting::SpinHabit habit_{Wait::Adaptive};

@@ -88,7 +88,7 @@ Quota::Quota(segment::Segment& segment, const Holder& holder, std::uint64_t limi
   look_at_granules_ = kNone;
 }
 
-void Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
+std::uint32_t Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
   // Relaxed: the message is held, so its generation stays.
   const std::uint32_t generation =
       refcount::generation_of(segment_.block(block).life.load(std::memory_order_relaxed));
@@ -100,6 +100,7 @@ void Quota::note(std::uint32_t block, std::uint64_t granules) noexcept {
   } else {
     notes_.push_back({block, generation, granules});  // allows_one_more() has made room
   }
+  return generation;
 }
 
 bool Quota::look() {

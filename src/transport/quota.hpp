@@ -36,8 +36,9 @@ class Quota {
     return look();
   }
   /// Notes a message that this process has a pointer hold on. `granules`: its memory besides its
-  /// block. REQUIRES: counts(), and allows_one_more() was true since the last note.
-  void note(std::uint32_t block, std::uint64_t granules) noexcept;
+  /// block. Returns the generation of the block. REQUIRES: counts(), and allows_one_more() was true
+  /// since the last note.
+  std::uint32_t note(std::uint32_t block, std::uint64_t granules) noexcept;
 
   /// False: there is no limit, and no need for notes.
   bool counts() const noexcept { return limit_ != kNone; }

@@ -4,10 +4,12 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
 
+#include "lot/any_puller.hpp"
 #include "lot/detail/core.hpp"
 
 #include "lockfree_ring/ring.hpp"
@@ -45,6 +47,7 @@ struct alignas(64) Source {
   registry::ChannelName name;
   mutex_engine::QueueLock lock;
   std::string publisher;  ///< the name of its process
+  bool stamps;            ///< its messages have the time of their push
   struct Turn : mutex_engine::QueueGuard {
     explicit Turn(const Source& source) : QueueGuard(source.lock) {}
   };
@@ -53,7 +56,7 @@ struct alignas(64) Source {
 /// Hears of each ring that a puller begins or ends to read.
 ///
 /// Threads: one, the puller's.
-class RingObserver {
+class RingWatcher {
  public:
   /// Called before other processes can see that the puller is there. What this writes they see when
   /// they see the puller (edge "pullers").
@@ -66,7 +69,7 @@ class RingObserver {
   virtual void leaving(const Source& source) = 0;
 
  protected:
-  ~RingObserver() = default;
+  ~RingWatcher() = default;
 };
 
 /// A puller whose rings a module above looks at, too.
@@ -77,6 +80,12 @@ class RingPuller : public detail::PullerCore {
   virtual std::uint32_t topic() const noexcept = 0;
   /// The place of the borrowed message.
   virtual detail::Origin origin() const noexcept = 0;
+  /// Envelope::pushed of the borrowed message, without the rest of an envelope. REQUIRES: a message
+  /// is borrowed.
+  virtual std::optional<detail::Clock::time_point> pushed() const noexcept = 0;
+  /// Bytes of the memory that the borrowed message has, in whole granules where it does not fit
+  /// into its block. REQUIRES: a message is borrowed.
+  virtual std::uint64_t memory() const noexcept = 0;
   /// Joins a ring of sources() anew: takes a new cell, then leaves the old one, so that the ring's
   /// memory is not used again in between. The puller then reads the ring from its oldest message
   /// on, once more. False: the ring has no free cell, or has ended just now. REQUIRES: no message
@@ -90,11 +99,22 @@ std::unique_ptr<RingPusher> make_ring_pusher(std::shared_ptr<Participant> partic
                                              const detail::MessageType& type,
                                              const PusherOptions& options,
                                              detail::Delivery delivery, std::uint32_t extra);
-/// As detail::make_puller(). `observer` outlives the puller; null: no module above looks.
+/// As detail::make_puller(). `watcher` outlives the puller; null: no module above looks.
 std::unique_ptr<RingPuller> make_ring_puller(std::shared_ptr<Participant> participant,
                                              std::string_view topic,
                                              const detail::MessageType& type,
                                              const PullerOptions& options,
-                                             detail::Delivery delivery, RingObserver* observer);
+                                             detail::Delivery delivery, RingWatcher* watcher);
 
 }  // namespace lot::transport
+
+namespace lot::detail {
+
+struct PullerAccess {
+  /// The core of what ShmEngine::subscribe_any() has made. It lives as long as the puller.
+  static transport::RingPuller& core(AnyPuller& puller) noexcept {
+    return static_cast<transport::RingPuller&>(*puller.puller_.core_);
+  }
+};
+
+}  // namespace lot::detail

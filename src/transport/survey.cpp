@@ -31,6 +31,7 @@ ring::Word slowest(const segment::Ring& ring, ring::Word head) {
     const ring::Word position = ring.cells[c].position.load(std::memory_order_relaxed);
     // Relaxed: a hint.
     if (position == ring::kIdle || ring.who[c].load(std::memory_order_relaxed) == 0) continue;
+    if (ring::is_observer(position)) continue;
     const ring::Word its = ring::is_joining(position)
                                ? ring::advance(head, ring::kSequenceMask + 1 - ring.depth)
                                : ring::sequence(position);

@@ -1,30 +1,48 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "transport/topics.hpp"
 
+#include <algorithm>
 #include <exception>
 #include <utility>
 
 namespace lot::transport {
 
-std::uint32_t Topics::enter(std::string_view name, const detail::MessageType& type) {
+std::uint32_t Topics::enter(std::string_view name, const detail::MessageType& type, Role role) {
   std::uint32_t topic = 0;
   after_reaping(reaper_, [&] {
     const std::lock_guard guard(topics_mutex_);
     const registry::Registry::Lock lock(registry_);
-    topic = registry_.enter(name, type, index());
+    topic = registry_.enter(name, type, index(), role);
     try {
-      ++topic_uses_[topic];
+      ++topic_uses_[{topic, role}];
     } catch (...) {  // the entry was not there
-      registry_.leave(topic, index());
+      registry_.leave(topic, index(), role);
       throw;
     }
   });
   return topic;
 }
 
-void Topics::leave(std::uint32_t topic) noexcept {
+void Topics::leave(std::uint32_t topic, Role role) noexcept {
   const std::lock_guard guard(topics_mutex_);
-  count_out(topic);
+  count_out(topic, role);
+}
+
+std::shared_ptr<const registry::KnownType> Topics::type_of(std::string_view name) {
+  std::shared_ptr<const registry::KnownType> found;
+  after_reaping(reaper_, [&] {
+    const registry::Registry::Lock lock(registry_);
+    found = registry_.type_of(name);
+  });
+  return found;
+}
+
+const std::shared_ptr<const registry::KnownType>& Topics::share(
+    std::shared_ptr<const registry::KnownType> type) {
+  const std::lock_guard guard(topics_mutex_);
+  const auto earlier = std::ranges::find_if(
+      shared_types_, [&](const auto& shared) { return shared->is_equal(*type); });
+  return earlier != shared_types_.end() ? *earlier : shared_types_.emplace_back(std::move(type));
 }
 
 void Topics::depart(std::list<registry::Departure> departure) noexcept {
@@ -39,7 +57,7 @@ void Topics::depart(std::list<registry::Departure> departure) noexcept {
     holder_.ask(index(), segment::errand::kOwn);
     return;
   }
-  leave(departure.front().topic);
+  leave(departure.front().topic, departure.front().role);
 }
 
 bool Topics::finish_departures() noexcept {
@@ -50,17 +68,18 @@ bool Topics::finish_departures() noexcept {
   if (!topics || !registry_.try_lock()) return false;
   for (const auto& departure : departures_) {
     registry_.remove(departure, index());
-    count_out(departure.topic);
+    count_out(departure.topic, departure.role);
   }
   registry_.unlock();
   departures_.clear();
   return true;
 }
 
-void Topics::count_out(std::uint32_t topic) noexcept {
-  if (--topic_uses_[topic] == 0) {
-    topic_uses_.erase(topic);
-    registry_.leave(topic, index());
+void Topics::count_out(std::uint32_t topic, Role role) noexcept {
+  const auto uses = topic_uses_.find({topic, role});
+  if (--uses->second == 0) {
+    topic_uses_.erase(uses);
+    registry_.leave(topic, index(), role);
   }
 }
 

@@ -10,12 +10,13 @@
 #include "lot/detail/no_signals.hpp"
 
 #include "futex/futex.hpp"
+#include "segment/descriptors.hpp"
 #include "segment/system_limits.hpp"
 #include "waiting/waiting.hpp"
 
 namespace lot::waiting {
 
-Notifier::Notifier() : fd_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+Notifier::Notifier() : fd_(segment::above_standard(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK))) {
   if (fd_ == -1) {
     throw Error(errno, "eventfd", "no descriptor to wait for messages by",
                 "close descriptors, or raise the limit (ulimit -n)");

@@ -55,7 +55,10 @@ class Wrong(Exception):
     """What is not as it should be."""
 
 
-def run(command, seconds=300, **more):
+PATIENCE = 1800  # seconds; a watchdog: this may run at the lowest priority, beside other builds
+
+
+def run(command, seconds=PATIENCE, **more):
     """Its output, or Wrong."""
     done = subprocess.run([str(word) for word in command], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                           stderr=subprocess.STDOUT, text=True, errors='replace', timeout=seconds, check=False, **more)

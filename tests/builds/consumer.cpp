@@ -195,6 +195,53 @@ void messages(lot::ShmEngine& engine) {
   MUST(!engine.path().empty());
 }
 
+/// What programs without the type do.
+void values(lot::ShmEngine& engine) {
+  const std::string long_text(100, 'x');
+  auto frame = engine.make<Frame>();
+  lot::detail::Arena* const arena = frame->encoding.get_allocator().arena();
+  std::memset(static_cast<void*>(frame.get()), 0x5a, sizeof(Frame));
+  const lot::MutableValue made =
+      lot::detail::mutable_value_of(lot::describe<Frame>(), frame.get(), arena);
+  made.construct();
+  made.at("width").set(640);
+  made.at("colour").set(Colour::Green);
+  made.at("encoding").set(long_text);
+  made.at("data").resize(1000);
+  made.at("data[999]").set(7);
+  made.at("labels").resize(2);
+  made.at("labels[1]").set("short");
+  made.at("labels").resize(9);
+  MUST(frame->width == 640 && frame->colour == Colour::Green && frame->data[999] == 7);
+  MUST(std::string_view(frame->encoding.data(), frame->encoding.size()) == long_text);
+  MUST(frame->labels.size() == 9 && frame->labels[1] == "short" && frame->labels[8].empty());
+  frame->labels[1] += long_text.c_str();  // the type's code goes on
+  frame->labels.resize(20);
+  frame->encoding = "short";
+
+  const lot::AnyMessage message = lot::ShmSharedPtr<Frame>(std::move(frame));
+  const lot::Value root = message.root();
+  MUST(root["width"].as<int>() == 640 && root.at("data[999]").as<std::uint8_t>() == 7);
+  MUST(root["data"].bytes().size() == 1000 && root["labels"].size() == 20);
+  MUST(root["labels"][1].as<std::string>() == "short" + long_text);
+  MUST(root["encoding"].as<std::string_view>() == "short");
+  std::size_t fields = 0;
+  for (const lot::Value& field : root) fields += field.name().empty() ? 0 : 1;
+  MUST(fields == 7 && message.as<Frame>()->width == 640 && !message.as<Text>());
+  auto puller = engine.subscribe<Frame>("/any");
+  auto pusher = engine.advertise_any("/any", message.type());
+  auto any = engine.subscribe_any("/any");
+  lot::AnyLoan loan = pusher.loan();
+  loan.root()["width"].set(7);
+  MUST(pusher.push(std::move(loan)) == lot::Status::Ok && puller.try_pull()->width == 7);
+  MUST(any.try_borrow().root()["width"].as<int>() == 7);
+  MUST(pusher.push(message) == lot::Status::Ok && puller.try_pull() == message.as<Frame>());
+  MUST(any.try_pull().as<Frame>() == message.as<Frame>());
+  std::ostringstream text;
+  text << root["labels"];
+  MUST(text.str().find("[\"\", \"shortxxx") == 0);
+}
+
 void pointers(lot::ShmEngine& engine) {
   lot::ShmUniquePtr<Derived> made = engine.make<Derived>();
   made->kind = 1;
@@ -456,6 +503,7 @@ void wrong(lot::ShmEngine& engine) {
 
 void everything(lot::ShmEngine& engine) {
   messages(engine);
+  values(engine);
   pointers(engine);
   queues(engine);
   waiting(engine);

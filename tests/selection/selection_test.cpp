@@ -15,7 +15,9 @@
 
 #include "lot/lot.hpp"
 
+#include "registry/registry.hpp"
 #include "support/processes.hpp"
+#include "transport/participant.hpp"
 
 namespace {
 
@@ -50,6 +52,13 @@ struct Fixture {
   std::unique_ptr<lot::detail::SelectingPuller> puller(Member& of) const {
     return lot::detail::make_selecting_puller(of.participant, "/t", type, {lot::Wait::Park, ~0ULL});
   }
+  /// One that only looks on, and knows nothing of bounds: what a tool has.
+  std::unique_ptr<lot::detail::PullerCore> observer(Member& of) const {
+    lot::PullerOptions looks_on{lot::Wait::Park, ~0ULL};
+    looks_on.observer = true;
+    return lot::detail::make_puller(of.participant, "/t", type, looks_on,
+                                    lot::detail::Delivery::ToAll);
+  }
   void push(std::uint64_t number) const { push(pusher->core(), number); }
   void push(lot::detail::PusherCore& by, std::uint64_t number) const {
     auto letter = lot::detail::build<Letter>(by.loan(type, true));
@@ -83,6 +92,16 @@ std::vector<std::uint64_t> ours(lot::detail::SelectingPuller& puller) {
   return numbers;
 }
 using Numbers = std::vector<std::uint64_t>;
+/// The numbers of all that has come.
+Numbers all(lot::detail::PullerCore& puller) {
+  Numbers numbers;
+  lot::detail::Borrowed borrowed;
+  while (puller.borrow(borrowed, lot::detail::Limit::now()) == lot::Status::Ok) {
+    numbers.push_back(static_cast<const Letter*>(borrowed.root)->number);
+    puller.done();
+  }
+  return numbers;
+}
 
 }  // namespace
 
@@ -335,6 +354,67 @@ TEST_CASE("a reader that takes the cell of another one is told nothing that was 
   REQUIRE(got);
   CHECK_FALSE(got->ours.has_value());
   CHECK(next->publisher(got->origin) == "writer");
+}
+
+TEST_CASE("an observer of a reader's process gets each message once, and is not selected") {
+  Fixture f;
+  const auto before = f.observer(f.reader);  // its cell stands before the reader's
+  CHECK_FALSE(f.pusher->is_read_by("reader"));
+  CHECK_FALSE(f.pusher->expects("reader"));
+  CHECK_FALSE(f.pusher->select("reader", 0));
+  const auto puller = f.puller(f.reader);
+  const auto behind = f.observer(f.reader);
+  f.push(0);
+  CHECK(f.pusher->is_read_by("reader"));
+  const auto selected = f.pusher->select("reader", 0);
+  REQUIRE(selected);
+  CHECK(f.pusher->wants(*selected));
+  f.push(1);
+  f.push(2);
+  f.pusher->deselect(*selected, 0);
+  f.push(3);
+  CHECK(ours(*puller) == Numbers{1, 2});
+  for (lot::detail::PullerCore* observer : {before.get(), behind.get()}) {
+    CHECK(all(*observer) == Numbers{0, 1, 2, 3});
+  }
+}
+
+TEST_CASE("a process that has the name of a reader's and observes does not hide that reader") {
+  Fixture f;
+  Member twin(f.options, "reader", "/./.");
+  const auto observer = f.observer(twin);
+  const auto puller = f.puller(f.reader);
+  REQUIRE(f.pusher->select("reader", 0));
+  f.push(0);
+  CHECK(ours(*puller) == Numbers{0});
+  CHECK(all(*observer) == Numbers{0});
+}
+
+TEST_CASE("an observer is not selected in the place of a reader that has no cell") {
+  Fixture f;
+  const auto observer = f.observer(f.reader);
+  const std::uint32_t index = f.reader.participant->index();
+  lot::registry::Registry& registry = f.reader.participant->registry();
+  const lot::registry::Registry::Lock lock(registry);
+  const std::uint32_t topic = registry.enter("/t", f.type, index, lot::registry::Role::User);
+  registry.add_puller(topic, index);  // as a reader does before it joins
+  CHECK(f.pusher->expects("reader"));
+  CHECK_FALSE(f.pusher->is_read_by("reader"));
+  CHECK_FALSE(f.pusher->select("reader", 0));
+  registry.remove_puller(topic, index);
+  registry.leave(topic, index, lot::registry::Role::User);
+}
+
+TEST_CASE("an observer that takes the cell of a reader is not taken for it") {
+  Fixture f;
+  auto puller = f.puller(f.reader);
+  const auto selected = f.pusher->select("reader", 0);
+  REQUIRE(selected);
+  const auto other = f.puller(f.reader);  // the process goes on to read the topic
+  CHECK(f.pusher->wants(*selected));
+  puller.reset();
+  const auto observer = f.observer(f.reader);
+  CHECK_FALSE(f.pusher->wants(*selected));
 }
 
 TEST_SUITE_END();

@@ -538,7 +538,7 @@ TEST_CASE("a publisher as deep as there are blocks claims none in its steady sta
 
 TEST_CASE("a bound publisher has its whole depth again when memory is free again") {
   const Watchdog watchdog(60);
-  Place place(32 * kMiB);
+  Place place(34 * kMiB);
   auto camera = place.engine.advertise<Frame>("camera", {Policy::Overwrite, 16, {}});
   {
     auto other = place.engine.advertise<Frame>("other");

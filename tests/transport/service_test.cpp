@@ -252,13 +252,17 @@ TEST_CASE_FIXTURE(Fixture, "a call ends when it is told to stop") {
       CHECK(client.status() == Status::Stopped);
       CHECK_FALSE(client.wait_for_server(source.get_token()));
     }
-    std::atomic<bool> held{true};
+    std::atomic<bool> held{true}, begun{false};
     auto server = engine.serve<Sum, Total>("sum", [&](const Sum&, Total&) {
+      begun = true;
       while (held) std::this_thread::sleep_for(1ms);
     });
     {
       StopSource source;
-      const InAMoment stop([&] { source.request_stop(); });
+      const InAMoment stop([&] {
+        must(eventually([&] { return begun.load(); }), "the server has taken the request");
+        source.request_stop();
+      });
       CHECK_FALSE(client.call(up_to(client, 1), 1h, source.get_token()));  // and for an answer
       CHECK(client.status() == Status::Stopped);
       CHECK_FALSE(client.call(up_to(client, 1), 1h, source.get_token()));  // at once

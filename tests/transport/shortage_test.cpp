@@ -220,7 +220,7 @@ TEST_CASE("OutOfMemory of a full file system says what is free there, and advise
     const std::string zeros(kMiB, '\0');
     while (other.write(zeros.data(), static_cast<std::streamsize>(zeros.size())).flush()) {
     }
-    const std::string text = refusal(pusher, 20 * kMiB);
+    const std::string text = refusal(pusher, 18 * kMiB);
     CAPTURE(text);
     CHECK(names(text, "the file system is full"));
     CHECK(names(text, ("are free in " + disk.path).c_str()));

@@ -25,7 +25,7 @@ using lot::transport::World;
 namespace refcount = lot::refcount;
 
 constexpr std::uint32_t kDead = 2;
-constexpr lot::detail::MessageType kNumber{8, 8, 1, "number", nullptr, true};
+constexpr lot::detail::MessageType kNumber{8, 8, 1, "number", nullptr, true, nullptr};
 
 LocalSegment make() { return LocalSegment({6 << 20, 4, 64, 2, 3, 3}); }
 

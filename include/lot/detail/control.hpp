@@ -4,13 +4,13 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 
 #include "lot/detail/hold_word.hpp"
 
 namespace lot::detail {
 
 struct ControlBlock;
+struct Described;
 
 /// What a pointer needs of the copy of the library that made it. The pointer itself leads to it. So
 /// code that was linked with another copy can release the pointer.
@@ -48,14 +48,9 @@ struct MessageType {
   const char* name;
   void (*destroy)(void*) noexcept;  ///< the destructor; null: the type needs none
   bool plain;                       ///< trivially copyable: it has no memory beside its own bytes
+  /// What it is made of; null: that is not known. Throws std::bad_alloc.
+  const Described& (*described)(const MessageType&);
 };
-
-/// True when a message of one type may be taken for a message of the other. A topic compares types
-/// by it.
-inline bool is_same(const MessageType& a, const MessageType& b) noexcept {
-  return a.size == b.size && a.align == b.align && a.hash == b.hash &&
-         std::strcmp(a.name, b.name) == 0;
-}
 
 /// What this process knows of one block: the private hold word, and the library copy that releases
 /// the block.

@@ -12,6 +12,7 @@
 #include "lot/detail/control.hpp"
 #include "lot/detail/stop_word.hpp"
 #include "lot/detail/wait.hpp"
+#include "lot/envelope.hpp"
 #include "lot/error.hpp"
 #include "lot/options.hpp"
 #include "lot/stop_token.hpp"
@@ -154,6 +155,9 @@ class PullerCore : public Waitable {
   [[noreturn]] virtual void refuse_to_hold() const = 0;
   /// borrow, keep and done in one.
   virtual Status pull(Borrowed& kept, Limit limit) = 0;
+  /// The envelope of the message that was borrowed or pulled last, but for `missed`. Without one, a
+  /// default-constructed one. Throws lot::Error (ECHILD, ESTALE), std::bad_alloc.
+  virtual Envelope envelope() const = 0;
 
   // For queues whose workers finish messages. A puller stays in a ring while it has a claim there.
 
@@ -227,6 +231,8 @@ std::unique_ptr<PusherCore> make_maker(std::shared_ptr<transport::Participant> p
 /// target, and when the message that is built belongs to another process or is published.
 std::uint32_t refer(Arena& arena, ControlBlock* target, const void* object, std::size_t bytes);
 
+/// True when a message of one type may be taken for a message of the other. Throws std::bad_alloc.
+bool is_same(const MessageType& a, const MessageType& b);
 /// Throws lot::Error (EINVAL) unless the message is of that type, which two libraries of a process
 /// may each describe.
 void require_type(const ControlBlock& control, const MessageType& type);

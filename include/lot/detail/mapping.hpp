@@ -74,6 +74,7 @@ class Mapping {
   }
 
   unsigned char* base() const noexcept { return layout_.base; }
+  std::uint64_t size() const noexcept { return layout_.size; }
   std::uint64_t offset_of(const void* address) const noexcept {
     return static_cast<std::uint64_t>(static_cast<const unsigned char*>(address) - layout_.base);
   }

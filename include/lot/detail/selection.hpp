@@ -15,7 +15,8 @@
 /// the others by a second path. lot::ros works like that (docs/ros.md); the second path is TCPROS.
 ///
 /// Use it where each message must reach a reader once, by one of two paths. All pushers and pullers
-/// of the topic are then of this kind.
+/// of the topic are then of this kind, but for observers (PullerOptions::observer): these get all
+/// that goes into the rings, for any reader, and no publisher selects them.
 namespace lot::detail {
 
 /// A reader that a publisher has selected.

@@ -45,6 +45,9 @@ struct Answer {
 template <class Request, class Response>
 struct Serving {
   std::uint64_t is_there;
+  // Always null: so the description of the type has theirs, and all ends have the same ones.
+  ShmRef<const Request> request{};
+  ShmRef<const Response> response{};
 };
 
 /// The topics of a service.

@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <utility>
+
+#include "lot/compliance.hpp"
+#include "lot/describe.hpp"
+#include "lot/detail/arena.hpp"
+#include "lot/detail/control.hpp"
+#include "lot/detail/message_type.hpp"
+#include "lot/mutable_value.hpp"
+#include "lot/pointers.hpp"
+#include "lot/value.hpp"
+
+namespace lot {
+
+namespace registry {
+class KnownType;
+}
+
+namespace detail {
+
+/// What a program knows of a type, for AnyType. Throws std::bad_alloc.
+std::shared_ptr<const registry::KnownType> make_known_type(const MessageType& type,
+                                                           Description description);
+
+inline namespace LOT_NAMES {
+
+/// The same of T, made once.
+template <class T>
+[[gnu::visibility("hidden")]] const std::shared_ptr<const registry::KnownType>& known_type() {
+  // Never destroyed: static objects may publish in their destructors.
+  static const auto* const type = new std::shared_ptr<const registry::KnownType>(
+      make_known_type(message_type<T>(), describe<T>()));
+  return *type;
+}
+
+}  // namespace LOT_NAMES
+
+/// Where the parts of a message that is built in an arena get their memory.
+MessageMemory memory_of(Arena* arena) noexcept;
+
+/// A message of the segment, for reading. Throws lot::Error (EINVAL) when this copy of the library
+/// has not mapped it.
+Value value_of(const Description& description, const void* message);
+/// The same of a message that this process builds in that arena. Throws the same.
+MutableValue mutable_value_of(const Description& description, void* message, Arena* arena);
+
+}  // namespace detail
+
+/// A message type, to a program that may not have it: what ShmEngine::type_of() says of a topic.
+///
+/// Threads: distinct objects freely, one object with synchronisation.
+/// Errors:  of() throws std::bad_alloc at its first call for a type; description() throws
+///          lot::Error (EBADMSG) when another process has damaged what the topic says.
+/// Memory:  a share of the description, which lies in private memory.
+/// Crash:   nothing of it is shared with other processes.
+class AnyType {
+ public:
+  /// None.
+  AnyType() noexcept = default;
+  /// For ShmEngine::type_of(). Throws nothing.
+  explicit AnyType(std::shared_ptr<const registry::KnownType> type) noexcept
+      : type_(std::move(type)) {}
+  /// A type of this program. Throws std::bad_alloc.
+  template <class T>
+  [[nodiscard]] static AnyType of() {
+    using Plain = std::remove_cv_t<T>;
+    assert_message<Plain>();
+    return AnyType(detail::known_type<Plain>());
+  }
+
+  /// False: it is none.
+  [[nodiscard]] explicit operator bool() const noexcept { return type_ != nullptr; }
+  /// Its name, as TypeIdentity says; of a topic, at most 231 bytes of it. REQUIRES: it is one.
+  /// Throws nothing.
+  const std::string& name() const noexcept;
+  /// What it is made of: one opaque value where a topic has no description. REQUIRES: it is one.
+  /// Throws lot::Error (EBADMSG).
+  const Description& description() const;
+  /// Bytes of a message, without what its vectors and strings have. REQUIRES: it is one. Throws
+  /// nothing.
+  std::size_t size() const noexcept;
+  /// True when a message of the one type may be read as one of the other: name, size, alignment,
+  /// identity and layout are equal, and the names of the fields where both are known. Throws
+  /// std::bad_alloc.
+  [[nodiscard]] bool is_same(const AnyType& other) const;
+
+  /// What it is for the library. Throws nothing.
+  const std::shared_ptr<const registry::KnownType>& known() const noexcept { return type_; }
+
+ private:
+  std::shared_ptr<const registry::KnownType> type_;
+};
+
+namespace detail {
+
+/// For a publisher or a reader of the type.
+const MessageType& type_of(const registry::KnownType& type) noexcept;
+/// Throws lot::Error (EINVAL) unless a message of the one type may be pushed on a topic of the
+/// other.
+void require_same(const AnyType& message, const AnyType& topic);
+
+}  // namespace detail
+
+/// A message of any type, and the description of that type: as a ShmSharedPtr, for programs that do
+/// not have the type.
+///
+///     lot::AnyMessage message = seen;                             // a ShmSharedPtr<const Frame>
+///     std::cout << message.root() << '\n';
+///     if (const auto frame = message.as<Frame>()) use(*frame);
+///
+/// Threads: distinct objects freely, one object with synchronisation. In a forked child what it has
+///          inherited counts nothing.
+/// Errors:  the constructor from a pointer throws std::bad_alloc, at its first call for a type;
+///          root() and description() throw lot::Error.
+/// Memory:  a ShmSharedPtr, and a share of the description, which lies in private memory.
+/// Crash:   as a ShmSharedPtr.
+class AnyMessage {
+ public:
+  /// Null.
+  AnyMessage() noexcept = default;
+  /// Null.
+  AnyMessage(std::nullptr_t) noexcept {}
+  /// Shares the message of a pointer to the whole of it. Throws std::bad_alloc.
+  template <class T>
+  AnyMessage(const ShmSharedPtr<T>& message)
+      : message_(message), type_(message ? AnyType::of<T>() : AnyType()) {}
+  /// A message of that type. REQUIRES: the pointer leads to the whole of it. Throws nothing.
+  AnyMessage(ShmSharedPtr<const void> message, AnyType type) noexcept
+      : message_(std::move(message)), type_(std::move(type)) {}
+
+  /// False: it is null.
+  [[nodiscard]] explicit operator bool() const noexcept { return static_cast<bool>(message_); }
+  /// The message, to be read: valid as long as it is held. REQUIRES: it is not null. Throws
+  /// lot::Error: EINVAL when this copy of the library has not joined its segment, EBADMSG when the
+  /// description is damaged.
+  Value root() const { return detail::value_of(type_.description(), message_.get()); }
+  /// What it is. None where it is null. Throws nothing.
+  const AnyType& type() const noexcept { return type_; }
+
+  /// A pointer to the message, if it is a T, as AnyType::is_same() says. Else null. Throws
+  /// std::bad_alloc.
+  template <class T>
+  [[nodiscard]] ShmSharedPtr<const T> as() const {
+    if (!message_ || !type_.is_same(AnyType::of<T>())) return nullptr;
+    return {message_, static_cast<const T*>(message_.get())};
+  }
+  /// The pointer that it is. Throws nothing.
+  const ShmSharedPtr<const void>& pointer() const noexcept { return message_; }
+
+  /// Lets the message go, and is null.
+  void reset() noexcept { *this = AnyMessage(); }
+  /// Exchanges the messages.
+  void swap(AnyMessage& other) noexcept {
+    message_.swap(other.message_);
+    std::swap(type_, other.type_);
+  }
+
+ private:
+  ShmSharedPtr<const void> message_;
+  AnyType type_;
+};
+
+}  // namespace lot

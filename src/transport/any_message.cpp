@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "lot/any_message.hpp"
+
+#include <cerrno>
+#include <utility>
+
+#include "lot/detail/mapping.hpp"
+#include "lot/error.hpp"
+
+#include "registry/known_type.hpp"
+
+namespace lot {
+namespace detail {
+namespace {
+
+const Mapping& mapping_of(const void* message) {
+  const Mapping* const mapping = Mapping::of(message);
+  if (mapping == nullptr) {
+    throw Error(EINVAL, "message", "it lies in no segment that this copy of the library has joined",
+                "read it by the copy of the library that pulled it");
+  }
+  return *mapping;
+}
+
+}  // namespace
+
+std::shared_ptr<const registry::KnownType> make_known_type(const MessageType& type,
+                                                           Description description) {
+  return std::make_shared<const registry::KnownType>(type, std::move(description));
+}
+
+const MessageType& type_of(const registry::KnownType& type) noexcept { return type.type(); }
+
+void require_same(const AnyType& message, const AnyType& topic) {
+  if (message.is_same(topic)) return;
+  throw Error(EINVAL, topic.name(), "the message is of another type: " + message.name(),
+              "push it on a topic that carries its type, or copy what you need into a loan()");
+}
+
+MessageMemory memory_of(Arena* arena) noexcept {
+  return {arena,
+          [](void* its, std::size_t bytes, std::size_t align) {
+            return static_cast<Arena*>(its)->allocate(bytes, align);
+          },
+          [](void* its, void* piece, std::size_t bytes) noexcept {
+            static_cast<Arena*>(its)->deallocate(piece, bytes);
+          }};
+}
+
+Value value_of(const Description& description, const void* message) {
+  const Mapping& mapping = mapping_of(message);
+  return {description, message, mapping.base(), mapping.base() + mapping.size()};
+}
+
+MutableValue mutable_value_of(const Description& description, void* message, Arena* arena) {
+  const Mapping& mapping = mapping_of(message);
+  return {description, message, mapping.base(), mapping.base() + mapping.size(), memory_of(arena)};
+}
+
+}  // namespace detail
+
+const std::string& AnyType::name() const noexcept { return type_->name(); }
+const Description& AnyType::description() const { return type_->description(); }
+std::size_t AnyType::size() const noexcept { return type_->type().size; }
+bool AnyType::is_same(const AnyType& other) const {
+  return type_ == other.type_ || (type_ != nullptr && other.type_ != nullptr &&
+                                  detail::is_same(type_->type(), other.type_->type()));
+}
+
+}  // namespace lot
