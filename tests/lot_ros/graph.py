@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ROS graph for one test: a real rosmaster on a port of its own, nodes, and what they leave behind."""
 
+import contextlib
 import json
 import os
 import pathlib
@@ -56,10 +57,14 @@ class Graph:
 
     def __enter__(self):
         self.master = self.run([*self.inside, 'rosmaster', '--core', '-p', str(self.port), '-w', '3'])
-        if self.inside:
-            self.wait_for(self.answers, 'the master')
-        else:
-            self.wait_for(lambda: self.ask('getPid') is not None, 'the master')
+        try:
+            if self.inside:
+                self.wait_for(self.answers, 'the master')
+            else:
+                self.wait_for(lambda: self.ask('getPid') is not None, 'the master')
+        except BaseException:
+            self.__exit__()  # which `with` leaves out then
+            raise
         return self
 
     def answers(self):
@@ -77,13 +82,19 @@ class Graph:
                 except subprocess.TimeoutExpired:
                     pass
             if process.poll() is None:
-                process.kill()
+                self.kill_all_of(process)
             process.wait()
             process.out.close()
             process.err.close()
         shutil.rmtree(self.home, ignore_errors=True)
         for path in self.files():
             path.unlink()
+
+    @staticmethod
+    def kill_all_of(process):
+        """Kills it, and what it has started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
 
     def files(self):
         """What lies in the segment's directory of this graph."""
@@ -132,6 +143,13 @@ class Graph:
         segments = json.loads(self.seen())['segments']
         return segments[0] if segments else {'processes': [], 'blocks': {'used': 0}}
 
+    def ring(self, topic):
+        """The name that a topic has in the graph's segment."""
+        def found():
+            return [t['name'] for t in self.look().get('topics', []) if t['name'].endswith(' ' + topic)]
+        self.wait_for(found, f'{topic} in the segment')
+        return found()[0]
+
     def published(self):
         """How many messages are, or were, in the rings of the graph's segment."""
         return sum(publisher['published'] for topic in self.look().get('topics', []) for publisher in topic['publishers'])
@@ -155,6 +173,18 @@ class Graph:
         text = self.output(process)
         assert status == 0 and text, f'{process.name} ended with {status}:\n{self.said(process)}'
         return json.loads(text.splitlines()[-1])
+
+    def ended(self, process, patience_s):
+        """The status of a program of tests, which must end by itself. One that does not is told to abort: doctest then
+        says in which test it was."""
+        try:
+            return process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGABRT)
+            process.wait(PATIENCE_S)
+            self.kill_all_of(process)
+            raise AssertionError(f'{process.name} does not end:\n{self.output(process)}\n{self.said(process)}\n'
+                                 f'{self.others(process)}') from None
 
     def others(self, process):
         """What all but this one have said, and what lies in the segment: for people."""

@@ -13,6 +13,11 @@
 //               after: it begins then, when a message has just come, but quietly
 //               leave: it ends when it has got COUNT
 //               slow (lot): its callback takes a second for each 100th message
+//           look:HOW:TOPIC[:COUNT[:history=N][:as=NAME]]
+//               HOW: any (does not have the type), typed (has it: images)
+//               an observer of a topic of the segment, which ROS does not know; TOPIC is the name
+//               there. Without a COUNT (0) it looks on until a signal ends the node
+//               as: the name of its process in the segment
 //           TOPIC may be ~private.
 //
 // Ends when all publishers have sent all and all subscribers have got COUNT, or by SIGINT, SIGTERM
@@ -39,6 +44,8 @@
 #include <ros/ros.h>
 #include <sensor_msgs/Image.h>
 
+#include "lot/error.hpp"
+#include "lot/lot.hpp"
 #include "lot/ros.hpp"
 
 #include "changed.hpp"
@@ -258,6 +265,112 @@ class Subscription final : public End {
   lot::ros::Subscriber lot_;
 };
 
+/// An image, as a program that does not have the type reads it.
+struct Described {
+  explicit Described(const lot::Value& image)
+      : header{{image.at("header.stamp.sec").as<std::uint32_t>(),
+                image.at("header.stamp.nsec").as<std::uint32_t>()}},
+        width(image["width"].as<std::uint32_t>()),
+        encoding(image["encoding"].as<std::string>()),
+        data(image["data"].bytes()) {}
+  struct {
+    ros::Time stamp;
+  } header;
+  std::uint32_t width;
+  std::string encoding;
+  struct Data {
+    explicit Data(const lot::Bytes& b) : bytes(b) {}
+    std::size_t size() const { return bytes.size(); }
+    std::uint8_t operator[](std::size_t i) const {
+      return std::to_integer<std::uint8_t>(bytes.begin()[i]);
+    }
+    const void* data() const { return bytes.data(); }
+    lot::Bytes bytes;
+  } data;
+};
+
+/// Looks on at a topic of the segment, by a thread of its own: what a tool is.
+class Onlooker final : public End {
+ public:
+  explicit Onlooker(const std::vector<std::string>& words)
+      : how_(words.at(1)),
+        topic_(words.at(2)),
+        wanted_(words.size() > 3 ? std::stoul(words[3]) : 0) {
+    lot::EngineOptions process;
+    lot::PullerOptions options;
+    options.observer = true;
+    for (std::size_t i = 4; i < words.size(); ++i) {
+      if (words[i].rfind("history=", 0) == 0) options.history = std::stoul(words[i].substr(8));
+      if (words[i].rfind("as=", 0) == 0) process.name = words[i].substr(3);
+    }
+    engine_.emplace(process);
+    if (how_ == "typed") {
+      typed_.emplace(engine_->subscribe<Shared>(topic_, options));
+    } else {
+      any_.emplace(engine_->subscribe_any(topic_, options));
+      type_ = any_->type().name();
+    }
+    thread_ = std::thread([this] { run(); });
+  }
+  ~Onlooker() override {
+    ends_ = true;
+    thread_.join();
+  }
+  bool done() const override { return wanted_ != 0 && seen_ >= wanted_; }
+  Json json() const override {
+    const std::lock_guard guard(mutex_);
+    return {{"end", "look"}, {"how", how_},          {"topic", topic_},
+            {"type", type_}, {"seen", seen_.load()}, {"missed", missed_},
+            {"last", last_}, {"error", error_},      {"from", account_.json()}};
+  }
+
+ private:
+  void run() {
+    try {
+      while (!ends_) typed_ ? look(*typed_) : look(*any_);
+    } catch (const std::exception& e) {
+      const std::lock_guard guard(mutex_);
+      error_ = e.what();
+    }
+    typed_.reset();
+    any_.reset();
+  }
+  void look(lot::ShmPuller<Shared>& puller) {
+    const auto image = puller.borrow(kPatience);
+    if (!image) return;
+    account_.note(*image, "");
+    note(image.missed(), {});
+  }
+  void look(lot::AnyPuller& puller) {
+    const auto message = puller.borrow(kPatience);
+    if (!message) return;
+    if (type_ == "sensor_msgs/Image") account_.note(Described(message.root()), "");
+    note(message.missed(), lot::to_string(message.root()));
+  }
+  void note(std::uint64_t missed, std::string text) {
+    const std::lock_guard guard(mutex_);
+    last_ = std::move(text);
+    missed_ += missed;
+    ++seen_;
+  }
+
+  static constexpr std::chrono::milliseconds kPatience{20};
+  const std::string how_, topic_;
+  const std::size_t wanted_;
+  std::optional<lot::ShmEngine> engine_;
+  std::optional<lot::ShmPuller<Shared>> typed_;
+  std::optional<lot::AnyPuller> any_;
+  std::string type_;
+  Account account_;
+  mutable std::mutex mutex_;
+  std::string last_;  ///< message, as text
+  std::string error_;
+  std::uint64_t missed_ = 0;
+  std::atomic<std::size_t> seen_{0};
+  std::atomic<bool> ends_{false};
+  std::thread thread_;
+};
+
 class Publication final : public End {
  public:
   Publication(const std::vector<std::string>& words, lot::ros::NodeHandle& node)
@@ -397,6 +510,8 @@ int main(int argc, char** argv) {
     lot::ros::NodeHandle& handle = is_private ? own : node;
     if (words[0] == "pub") {
       ends.push_back(std::make_unique<Publication>(words, handle));
+    } else if (words[0] == "look") {
+      ends.push_back(std::make_unique<Onlooker>(words));
     } else {
       ends.push_back(std::make_unique<Subscription>(words, handle));
     }

@@ -17,6 +17,7 @@
 #include <ros/subscribe_options.h>
 
 #include "lot/detail/core.hpp"
+#include "lot/detail/message_type.hpp"
 #include "lot/pointers.hpp"
 #include "lot/pusher.hpp"
 #include "lot/ros/message.hpp"

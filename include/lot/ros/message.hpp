@@ -15,6 +15,7 @@
 
 #include "lot/compliance.hpp"
 #include "lot/message.hpp"
+#include "lot/ros/describe.hpp"
 #include "lot/ros/fields.hpp"
 #include "lot/type_identity.hpp"
 

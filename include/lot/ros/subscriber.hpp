@@ -12,6 +12,7 @@
 #include <ros/parameter_adapter.h>
 #include <ros/subscriber.h>
 
+#include "lot/detail/message_type.hpp"
 #include "lot/ros/core.hpp"
 
 namespace lot::ros {
