@@ -8,6 +8,7 @@
 #include "lot/error.hpp"
 
 #include "liveness/lock_file.hpp"
+#include "tool/onlooker.hpp"
 #include "tool/report.hpp"
 #include "tool/text.hpp"
 #include "transport/participant.hpp"
@@ -195,16 +196,7 @@ class Cleaner {
     std::uint64_t given_back = dry_ ? unused(s.window->segment()) : 0;
     if (!dry_) {
       try {
-        EngineOptions options;
-        options.directory = where_.directory;
-        options.segment = s.name;
-        const segment::Trust& trust = where_.trust;
-        options.permissions = trust.mode;
-        if (trust.user) options.user = std::to_string(*trust.user);
-        if (trust.group) options.group = std::to_string(*trust.group);
-        options.name = "lot clean";
-        using transport::Participant;
-        const auto participant = Participant::join(options, transport::IfAbsent::Throw);
+        const auto participant = visit(where_, s.name, "lot clean");
         const auto until = std::chrono::steady_clock::now() + kReapPatience;
         while (!(left = still_dead(s, the_dead)).empty() &&
                std::chrono::steady_clock::now() < until) {
@@ -295,11 +287,7 @@ Exit clean(const Settings& settings, const CleanOptions& options) {
         path, "another program may own it; " + command("clean", path) + " removes it", kWell);
   }
   for (const auto& obstacle : places.obstacles) {
-    cleaner.leave_alone(obstacle.path,
-                        obstacle.what +
-                            ", and no process can join: remove it if it is yours, or use another "
-                            "name (LOT_SEGMENT)",
-                        kWrong);
+    cleaner.leave_alone(obstacle.path, obstacle.advice(), kWrong);
   }
   cleaner.conclude();
   return report.finish();

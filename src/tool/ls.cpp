@@ -10,16 +10,6 @@
 namespace lot::tool {
 namespace {
 
-/// Nothing is known when the publisher has gone, or its queue is younger than the first look.
-Rate rate_of(const Channel& c, const Rates& rates) {
-  const auto found = rates.find({c.channel, c.generation});
-  return found != rates.end() && !c.orphan ? found->second : Rate();
-}
-std::string text_of(const Rate& rate) {
-  if (rate.per_second) return rate_text(*rate.per_second);
-  return rate.below ? below_text(*rate.below) : "";
-}
-
 const char* engine_of(const Channel& c) {
   return c.engine == QueueEngine::Mutex ? "mutex" : "ring";
 }
@@ -126,23 +116,9 @@ class TopicList {
                                     {"joining", r.joining},
                                     {"lag", r.lag},
                                     {"lost", r.lost},
-                                    {"holds_back", r.holds_back}});
+                                    {"holds_back", r.holds_back},
+                                    {"observes", r.observes}});
     }
-  }
-
-  /// The rate of all queues of a row together.
-  std::string rate_of_row(const Row& row) const {
-    Rate all;
-    bool known = true;
-    double sum = 0;
-    for (const auto& c : row.channels) {
-      const Rate rate = rate_of(c, rates_);
-      if (!rate.per_second && !rate.below) return "";
-      known = known && rate.per_second;
-      sum += rate.per_second ? *rate.per_second : *rate.below;
-    }
-    (known ? all.per_second : all.below) = sum;
-    return text_of(all);
   }
 
   void list(const Row& row) {
@@ -154,7 +130,8 @@ class TopicList {
          alone ? publisher_text(seen_, row) : processes_text(seen_, publishers),
          policy_of(c) + std::string(c.taken ? ", to one" : "") +
              (c.engine == QueueEngine::Mutex ? ", mutex" : ""),
-         count_text(c.queue.size()) + " of " + count_text(c.depth), rate_of_row(row), "", "",
+         count_text(c.queue.size()) + " of " + count_text(c.depth),
+         text_of(rate_of(row.channels, rates_)), "", "",
          c.waits             ? "waits for room"
          : c.unfinished != 0 ? count_text(c.unfinished) + " unfinished"
                              : ""});
@@ -173,6 +150,7 @@ class TopicList {
          first.joining ? "" : range_text(least_lag->lag, most_lag->lag),
          first.lost != 0 ? range_text(least_lost->lost, most_lost->lost) : "",
          first.joining      ? "joining"
+         : first.observes   ? "observes"
          : first.holds_back ? "holds it back"
          : first.awaited    ? "not looked yet"
                             : ""});
@@ -187,29 +165,40 @@ class TopicList {
     const bool published =
         std::any_of(seen_.channels.begin(), seen_.channels.end(),
                     [&](const Channel& c) { return c.topic == topic.index && !c.orphan; });
+    list_waiting(topic, topic.subscribers, false, published ? "not looked yet" : "no publisher",
+                 out);
+    list_waiting(topic, topic.observers, true, published ? "observes" : "observes, no publisher",
+                 out);
+  }
+
+  void list_waiting(const Topic& topic, const std::vector<std::uint32_t>& processes, bool observe,
+                    const char* state, Json& out) {
     std::vector<std::uint32_t> waiting;
-    for (const std::uint32_t k : topic.subscribers) {
-      if (reads_a_queue(topic, k)) continue;
+    for (const std::uint32_t k : processes) {
+      if (reads_a_queue(topic, k, observe)) continue;
       waiting.push_back(k);
       out["subscribers"].push_back({{"process", k},
                                     {"channel", nullptr},
                                     {"joining", false},
                                     {"lag", 0},
                                     {"lost", 0},
-                                    {"holds_back", false}});
+                                    {"holds_back", false},
+                                    {"observes", observe}});
     }
-    const auto list_them = [&](const std::vector<std::uint32_t>& processes) {
-      add({subscribers_text(processes.size()), processes_text(seen_, processes), "", "", "", "", "",
-           published ? "not looked yet" : "no publisher"});
+    const auto list_them = [&](const std::vector<std::uint32_t>& alike) {
+      add({subscribers_text(alike.size()), processes_text(seen_, alike), "", "", "", "", "",
+           state});
     };
     if (waiting.size() > kMostAlike && !each_) return list_them(waiting);
     for (const std::uint32_t k : waiting) list_them({k});
   }
 
-  bool reads_a_queue(const Topic& topic, std::uint32_t k) const {
+  bool reads_a_queue(const Topic& topic, std::uint32_t k, bool observe) const {
+    const auto is_its = [&](const Reader& r) {
+      return r.process == k && (r.observes == observe || r.joining);
+    };
     return std::any_of(seen_.channels.begin(), seen_.channels.end(), [&](const Channel& c) {
-      return c.topic == topic.index && std::any_of(c.readers.begin(), c.readers.end(),
-                                                   [k](const Reader& r) { return r.process == k; });
+      return c.topic == topic.index && std::any_of(c.readers.begin(), c.readers.end(), is_its);
     });
   }
 
@@ -255,11 +244,9 @@ void list(const Sight& sight, const Rates& rates, bool each, Report& report) {
                        {"total_bytes", seen.memory.total},
                        {"taken_bytes", taken}};
     entry["blocks"] = {{"used", seen.blocks.used}, {"total", seen.blocks.total}};
-    report.print(": " + bytes_text(seen.memory.used) + " of " + bytes_text(seen.memory.total) +
-                 ", " + std::to_string(seen.blocks.used) + " of " +
-                 std::to_string(seen.blocks.total) + " messages; " + bytes_text(seen.held_back) +
-                 " held back, " + bytes_text(taken) + " taken from the system" +
-                 (seen.persists ? "; persist" : "") + "\n\n");
+    report.print(": " + fill_text(seen) + "; " + bytes_text(seen.held_back) + " held back, " +
+                 bytes_text(taken) + " taken from the system" + (seen.persists ? "; persist" : "") +
+                 "\n\n");
     list_processes(seen, each, report, entry);
     TopicList(seen, rates, each).list(report, entry);
     judge(sight, seen, report, entry);

@@ -35,9 +35,9 @@ namespace {
 
 using segment::kUnlimited;
 
-constexpr std::array<std::string_view, 9> kVariables = {
+constexpr std::array<std::string_view, 10> kVariables = {
     "LOT_SEGMENT", "LOT_DIR",     "LOT_SIZE",  "LOT_PERMISSIONS", "LOT_GROUP",
-    "LOT_USER",    "LOT_PERSIST", "LOT_MLOCK", "LOT_QUEUE"};
+    "LOT_USER",    "LOT_PERSIST", "LOT_MLOCK", "LOT_QUEUE",       "LOT_STAMP"};
 
 /// Version 1 of control groups writes no limit as a number above this.
 constexpr std::uint64_t kNoLimit = std::uint64_t{1} << 60;
@@ -366,6 +366,7 @@ Machine look_at_machine(const Settings& settings, const std::string& root) {
     const EngineOptions options = transport::with_environment(EngineOptions());
     m.wanted_bytes = options.size_bytes;
     m.locks_memory = options.lock_memory;
+    (void)segment::path_of(m.directory, m.segment);  // a name that no segment can have throws
     mine.where.trust = transport::trust_of_environment();
   } catch (const Error& e) {
     m.bad_options = e.what();

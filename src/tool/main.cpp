@@ -1,6 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <cerrno>
+#include <charconv>
+#include <chrono>
+#include <cstdint>
 #include <cstdio>
+#include <new>
+#include <optional>
 #include <string>
+#include <system_error>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -9,7 +16,10 @@
 #include "lot/options.hpp"
 
 #include "segment/layout.hpp"
+#include "segment/segment.hpp"
 #include "tool/commands.hpp"
+#include "tool/onlooker.hpp"
+#include "tool/writers.hpp"
 #include "transport/environment.hpp"
 
 namespace {
@@ -21,21 +31,47 @@ constexpr const char* kFooter =
     "  2  wrong usage\n"
     "  3  a segment is damaged, cut short, or of another version\n"
     "\n"
-    "`ls`, `who` and `doctor` only read. lot-ls(1) and lot-who(1) say what the words mean.";
+    "`ls`, `top`, `who` and `doctor` only read. `echo`, `hz`, `bw` and `delay` look on: no\n"
+    "publisher waits for them. lot-ls(1) and lot-who(1) say what the words mean.";
 
 using namespace lot::tool;
+
+/// Of an error.
+constexpr std::size_t kLine = 2000;
+/// All of a message, but a tree of references without end.
+constexpr lot::TextLimits kInFull{~std::uint64_t{0}, ~std::uint64_t{0}, std::uint64_t{1} << 26};
 
 struct Arguments {
   Settings settings;
   bool all = false;
+  bool once = false;
   unsigned interval_ms = 1000;
   CleanOptions cleaning;
+  EchoOptions echo;
+  bool in_full = false;
+  std::optional<double> timeout;
+  PubOptions pub;
+  double wait = 0;
+  GaugeOptions gauge;
+  double window_seconds = 5;
+  double duration_seconds = 0;
 };
+
+/// What is wrong with the name of a segment; nothing: a segment can have it.
+std::string objection_to(const std::string& name) {
+  try {
+    (void)lot::segment::path_of("", name);
+    return "";
+  } catch (const lot::Error& e) {
+    return shown(reason_of(e), kLine);
+  }
+}
 
 /// The options of all verbs, also before the verb.
 void add_common(CLI::App& app, Settings& settings) {
   app.set_help_flag("-h,--help", "says what there is, and ends");
   app.add_option("-s,--segment", settings.where.name, "only this segment (LOT_SEGMENT)")
+      ->check(objection_to)
       ->type_name("NAME");
   app.add_option("-d,--dir", settings.where.directory, "where segments lie (LOT_DIR)")
       ->type_name("DIR")
@@ -49,6 +85,140 @@ CLI::App* add_verb(CLI::App& app, const char* name, const char* does, Arguments&
   return verb;
 }
 
+/// Of a number, which `nan` is none of.
+auto between(double least, double most) {
+  return [=](const std::string& text) -> std::string {
+    double number = 0;
+    if (CLI::detail::lexical_cast(text, number) && number >= least && number <= most) return "";
+    return text + " is no number from " + CLI::detail::to_string(least) + " to " +
+           CLI::detail::to_string(most);
+  };
+}
+
+/// Of a whole number.
+auto at_least(std::uint64_t least) {
+  return [=](const std::string& text) -> std::string {
+    std::uint64_t number = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+    if (error == std::errc() && end == text.data() + text.size() && number >= least) return "";
+    return text + " is no whole number from " + std::to_string(least) + " on";
+  };
+}
+
+/// A topic's name, as the registry takes it.
+void add_topic(CLI::App& verb, const char* name, std::string& topic, const char* is) {
+  verb.add_option(name, topic, is)
+      ->type_name(name[0] == '-' ? "TOPIC" : "")
+      ->check([](const std::string& text) {
+        const bool fits = !text.empty() && text.size() < lot::segment::kTopicNameBytes;
+        return fits ? std::string() : "a topic has a name of 1 to 199 bytes";
+      });
+}
+
+void add_echo(CLI::App& app, Arguments& arguments) {
+  auto* const echo = add_verb(
+      app, "echo", "Prints the messages of a topic as they come, as YAML or JSON", arguments);
+  EchoOptions& options = arguments.echo;
+  add_topic(*echo, "TOPIC", options.topic, "whose messages are printed");
+  echo->get_option("TOPIC")->required();
+  echo->add_option("--field", options.field, "prints this part alone, such as labels[2].name")
+      ->type_name("PATH");
+  auto* const full = echo->add_flag("--full", arguments.in_full, "shortens nothing");
+  echo->add_option("--elements", options.limits.elements, "so many of a list are printed")
+      ->excludes(full)
+      ->check(at_least(0))
+      ->type_name("NUMBER")
+      ->capture_default_str();
+  echo->add_option("--characters", options.limits.characters, "so many of a text are printed")
+      ->excludes(full)
+      ->check(at_least(0))
+      ->type_name("NUMBER")
+      ->capture_default_str();
+  echo->add_flag("--envelope", options.envelope, "prints where each message comes from as well");
+  echo->add_option("--history", options.history,
+                   "begins with so many messages of each publisher that are there already")
+      ->check(at_least(0))
+      ->type_name("NUMBER")
+      ->capture_default_str();
+  echo->add_option("--count", options.count, "ends after so many")
+      ->check(at_least(1))
+      ->type_name("NUMBER");
+  echo->add_option("--timeout", arguments.timeout, "ends when no message has come for so long")
+      ->check(between(0, 1e9))
+      ->type_name("SECONDS");
+}
+
+void add_pub(CLI::App& app, Arguments& arguments) {
+  auto* const pub =
+      add_verb(app, "pub", "Publishes messages on a topic, which YAML describes", arguments);
+  PubOptions& options = arguments.pub;
+  add_topic(*pub, "TOPIC", options.topic, "where they are published");
+  pub->get_option("TOPIC")->required();
+  pub->add_option("YAML", options.yaml,
+                  "the message: '{x: 1, name: left}'; several behind `---`; -: standard input")
+      ->required()
+      ->type_name("");
+  auto* const rate = pub->add_option("--rate", options.hertz, "again and again, so many a second")
+                         ->check(between(1e-6, 1e7))
+                         ->type_name("HERTZ");
+  pub->add_option("--count", options.count, "ends after so many")
+      ->needs(rate)
+      ->check(at_least(1))
+      ->type_name("NUMBER");
+  add_topic(*pub, "--like", options.like, "has the type, where no process uses the topic yet");
+  pub->add_option("--wait", arguments.wait, "waits so long for a subscriber, and for the topic")
+      ->check(between(0, 1e9))
+      ->type_name("SECONDS");
+  pub->add_flag("--latch", options.latch, "stays until Ctrl-C, for subscribers that come later")
+      ->excludes(rate);
+}
+
+/// What the verbs have in common that look at each message of a topic.
+void add_gauge_options(CLI::App& verb, Arguments& arguments) {
+  add_topic(verb, "TOPIC", arguments.gauge.topic, "whose messages are measured");
+  verb.get_option("TOPIC")->required();
+  verb.add_option("--interval", arguments.interval_ms, "how often it writes a line")
+      ->check(CLI::Range(1, 600000))
+      ->type_name("MILLISECONDS")
+      ->capture_default_str();
+  verb.add_option("--window", arguments.window_seconds, "the time that a line is about")
+      ->check(CLI::Range(0.001, 86400.0))
+      ->type_name("SECONDS")
+      ->capture_default_str();
+  verb.add_option("--count", arguments.gauge.count, "ends after so many messages")
+      ->check(at_least(1))
+      ->type_name("MESSAGES");
+  verb.add_option("--duration", arguments.duration_seconds, "ends after so long")
+      ->check(CLI::Range(0.001, 1e9))
+      ->type_name("SECONDS");
+}
+
+void add_gauges(CLI::App& app, Arguments& arguments) {
+  auto* const hz =
+      add_verb(app, "hz", "How often messages come on a topic, and how evenly", arguments);
+  add_gauge_options(*hz, arguments);
+  hz->add_flag("--all", arguments.gauge.each, "each publisher by itself, too");
+  auto* const bw = add_verb(
+      app, "bw", "How many bytes come on a topic, and how large its messages are", arguments);
+  add_gauge_options(*bw, arguments);
+  auto* const delay =
+      add_verb(app, "delay", "How long the messages of a topic have been under way", arguments);
+  add_gauge_options(*delay, arguments);
+  delay->add_option("--field", arguments.gauge.field, "since a time in the message: header.stamp")
+      ->type_name("PATH");
+}
+
+GaugeOptions gauge_options(const Arguments& arguments) {
+  const auto nanoseconds = [](double seconds) {
+    return std::chrono::nanoseconds(static_cast<std::int64_t>(seconds * 1e9));
+  };
+  GaugeOptions options = arguments.gauge;
+  options.interval = std::chrono::milliseconds(arguments.interval_ms);
+  options.window = nanoseconds(arguments.window_seconds);
+  options.duration = nanoseconds(arguments.duration_seconds);
+  return options;
+}
+
 void add_verbs(CLI::App& app, Arguments& arguments) {
   auto* const ls = add_verb(
       app, "ls", "Segments, processes, topics, publishers and subscribers, memory", arguments);
@@ -58,11 +228,22 @@ void add_verbs(CLI::App& app, Arguments& arguments) {
       ->check(CLI::Range(1, 600000))
       ->type_name("MILLISECONDS")
       ->capture_default_str();
+  auto* const top = add_verb(
+      app, "top", "A screen that stays: rates, bandwidth, memory, laggards of topics and processes",
+      arguments);
+  top->add_flag("--once", arguments.once, "one screen as text, as where there is no terminal");
+  top->add_option("--interval", arguments.interval_ms, "how often the screen is renewed")
+      ->check(CLI::Range(1, 600000))
+      ->type_name("MILLISECONDS")
+      ->capture_default_str();
   auto* const who = add_verb(
       app, "who", "Which process holds which message since when, and which reader is behind",
       arguments);
   who->add_flag("--all", arguments.all,
                 "queued, loaned and spare messages too, and each publisher by itself");
+  add_echo(app, arguments);
+  add_pub(app, arguments);
+  add_gauges(app, arguments);
   auto* const clean = add_verb(
       app, "clean", "Reaps the dead, removes segments without a process, gives unused memory back",
       arguments);
@@ -104,12 +285,34 @@ int run(int argc, char** argv) {
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? kWell : kUsage;
   }
-  if (app.got_subcommand("doctor")) return doctor(settings);
+  if (app.got_subcommand("doctor")) return doctor(settings);  // which tells of a bad LOT_SEGMENT
+  if (const std::string wrong = objection_to(settings.where.name);
+      !settings.where.name.empty() && !wrong.empty()) {
+    std::fprintf(stderr, "LOT_SEGMENT: %s\n", wrong.c_str());
+    return kUsage;
+  }
   settings.where.trust = lot::transport::trust_of_environment();
   if (app.got_subcommand("ls")) {
     return ls(settings, std::chrono::milliseconds(arguments.interval_ms), arguments.all);
   }
+  if (app.got_subcommand("top")) {
+    return top(settings, std::chrono::milliseconds(arguments.interval_ms), arguments.once);
+  }
   if (app.got_subcommand("who")) return who(settings, arguments.all);
+  using Seconds = std::chrono::duration<double>;
+  if (app.got_subcommand("echo")) {
+    EchoOptions& options = arguments.echo;
+    if (arguments.timeout) options.timeout = Seconds(*arguments.timeout);
+    if (arguments.in_full) options.limits = kInFull;
+    return echo(settings, options);
+  }
+  if (app.got_subcommand("pub")) {
+    arguments.pub.wait = Seconds(arguments.wait);
+    return pub(settings, arguments.pub);
+  }
+  if (app.got_subcommand("hz")) return hz(settings, gauge_options(arguments));
+  if (app.got_subcommand("bw")) return bw(settings, gauge_options(arguments));
+  if (app.got_subcommand("delay")) return delay(settings, gauge_options(arguments));
   return clean(settings, arguments.cleaning);
 }
 
@@ -119,7 +322,11 @@ int main(int argc, char** argv) {
   try {
     return run(argc, argv);
   } catch (const lot::Error& e) {
-    std::fprintf(stderr, "%s\n", e.what());
+    // Names come from other processes.
+    std::fprintf(stderr, "%s\n", lot::tool::shown(e.what(), kLine).c_str());
+    return e.error_number() == EBADMSG ? lot::tool::kDamaged : lot::tool::kWrong;
+  } catch (const lot::OutOfMemory& e) {
+    std::fprintf(stderr, "%s\n", lot::tool::shown(e.what(), kLine).c_str());
     return lot::tool::kWrong;
   } catch (const std::bad_alloc&) {
     std::fprintf(stderr, "lot: out of memory\n");

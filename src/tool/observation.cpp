@@ -34,6 +34,12 @@ double seconds_between(std::uint64_t earlier_ns, std::uint64_t later_ns) {
   return later_ns > earlier_ns ? static_cast<double>(later_ns - earlier_ns) * 1e-9 : 0.0;
 }
 
+/// Of the monotonic clock, in nanoseconds.
+std::uint64_t now_by_clock() {
+  const auto now = std::chrono::steady_clock::now().time_since_epoch();
+  return static_cast<std::uint64_t>(now / std::chrono::nanoseconds(1));
+}
+
 /// What the warden of one participant has noted.
 struct Noted {
   std::map<std::uint64_t, std::uint64_t> since_ns;  ///< by Sighting::what
@@ -61,8 +67,7 @@ class Observer {
     count_memory();
     find_references();
     note_queues();
-    const auto now = std::chrono::steady_clock::now().time_since_epoch();
-    now_ns_ = static_cast<std::uint64_t>(now / std::chrono::nanoseconds(1));
+    now_ns_ = now_by_clock();
     for (std::uint32_t b = 0; b < capacity_.blocks; ++b) find_message(b);
     return std::move(seen_);
   }
@@ -138,23 +143,36 @@ class Observer {
                   text_of(entry.type_name, sizeof(entry.type_name)),
                   entry.type_size,
                   {},
-                  waits[t]};
+                  waits[t],
+                  {}};
       if (!topic.name.empty()) name_of_key_[segment::topic_key(topic.name)] = topic.name;
-      for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
-        // Acquire, edge "users": name and type of the topic
-        const auto users =
-            entry.users[k / segment::Atomics::kBitsPerWord].load(std::memory_order_acquire);
-        if ((users & Own::bit(k)) == 0) continue;
-        if (k == 0 || k >= capacity_.participants) {
-          complain("topic " + std::to_string(t) + ": a user " + std::to_string(k) + " can not be");
-          continue;
-        }
+      topic.observers = participants_in(entry.observers, t, "an observer ");
+      for (const std::uint32_t k : participants_in(entry.users, t, "a user ")) {
         topic.used = true;
         // Acquire: as the users before it.
         if (entry.pullers[k].load(std::memory_order_acquire) != 0) topic.subscribers.push_back(k);
       }
-      if (topic.used) seen_.topics.push_back(std::move(topic));
+      if (topic.used || !topic.observers.empty()) seen_.topics.push_back(std::move(topic));
     }
+  }
+
+  /// The participants whose bits stand in a topic's users or observers.
+  template <class Words>
+  std::vector<std::uint32_t> participants_in(const Words& words, std::uint32_t topic,
+                                             const char* what) {
+    std::vector<std::uint32_t> found;
+    for (std::uint32_t k = 0; k < segment::kMaxParticipants; ++k) {
+      // Acquire, edge "users": name and type of the topic
+      const auto bits = words[k / segment::Atomics::kBitsPerWord].load(std::memory_order_acquire);
+      if ((bits & Own::bit(k)) == 0) continue;
+      if (k == 0 || k >= capacity_.participants) {
+        complain("topic " + std::to_string(topic) + ": " + what + std::to_string(k) +
+                 " can not be");
+      } else {
+        found.push_back(k);
+      }
+    }
+    return found;
   }
 
   /// A queue, and its writer word when the observer began to look at it.
@@ -203,6 +221,7 @@ class Observer {
     const segment::Ring r = s_.ring(c);
     if (r.depth == 0) return complain_of(at, "its numbers make no sense");
     channel.depth = r.depth;
+    channel.stamps = lot::detail::read_once(segment::Segment::head_of(r).stamps) == 1;
     channel.taken = r.taken;
     // The observer reads cursors before slots: so a reader is never ahead of the slots.
     const std::vector<Cursor> cursors = cursors_of(at, r);
@@ -259,8 +278,8 @@ class Observer {
         bad_slot = true;
         continue;
       }
-      channel.queue.push_back({ring::sequence(slot), static_cast<std::uint32_t>(b)});
       const std::uint32_t i = static_cast<std::uint32_t>((std::uint64_t{newest} + n) % r.depth);
+      channel.queue.push_back({ring::sequence(slot), static_cast<std::uint32_t>(b), i});
       if (r.claims != nullptr) {
         channel.unfinished += ring::is_claimed(r.claims[i], ring::sequence(slot));
       }
@@ -273,7 +292,9 @@ class Observer {
                    const Channel& channel) {
     Reader reader{cursor.process};
     reader.awaited = ring::is_awaited(cursor.position);
-    if (cursor.position == ring::kIdle || ring::is_joining(cursor.position)) {
+    reader.observes = ring::is_observer(cursor.position);
+    if (cursor.position == ring::kIdle || ring::is_joining(cursor.position) ||
+        cursor.position == ring::kObserverJoins) {
       reader.joining = true;
       return reader;
     }
@@ -285,8 +306,11 @@ class Observer {
           channel.queue.begin(), channel.queue.end(),
           [&](const Queued& q) { return ring::distance(q.sequence, next_read) >= 0; }));
     }
-    reader.lost = !r.blocking && !r.taken && reader.lag > r.depth ? reader.lag - r.depth : 0;
-    reader.holds_back = r.blocking && !r.taken && lag >= r.depth;
+    reader.lost = (!r.blocking || reader.observes) && !r.taken && reader.lag > r.depth
+                      ? reader.lag - r.depth
+                      : 0;
+    reader.holds_back = r.blocking && !reader.observes && !r.taken && lag >= r.depth;
+    if (channel.stamps && reader.lag != 0) reader.delay = delay_at(next_read, r, channel);
     const Word b = ring::block(cursor.position);
     if (b != ring::kNoBlock && b < capacity_.blocks) {
       borrows_.insert({{static_cast<std::uint32_t>(b), cursor.process}, channel.topic});
@@ -294,6 +318,24 @@ class Observer {
       complain_of(at, "a reader of it borrows a message that can not be");
     }
     return reader;
+  }
+
+  /// How long ago the first message was pushed that a reader at this place will find. Nothing: it
+  /// has gone meanwhile. REQUIRES: the publisher stamps.
+  std::optional<double> delay_at(Word next_read, const segment::Ring& r, const Channel& channel) {
+    const auto found =
+        std::find_if(channel.queue.begin(), channel.queue.end(),
+                     [&](const Queued& q) { return ring::distance(q.sequence, next_read) >= 0; });
+    if (found == channel.queue.end()) return std::nullopt;
+    // Acquire: the time is that of the message in the slot, or of a later one of the same block.
+    // Then the slot has changed before that time was written.
+    const std::uint64_t pushed =
+        __atomic_load_n(&s_.arena(found->block).pushed_ns, __ATOMIC_ACQUIRE);
+    const Word slot = r.slots[found->slot].load(std::memory_order_acquire);  // R1
+    if (ring::sequence(slot) != found->sequence || ring::block(slot) != found->block) {
+      return std::nullopt;
+    }
+    return seconds_between(pushed, now_by_clock());
   }
 
   void count_memory() {

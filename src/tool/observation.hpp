@@ -29,15 +29,20 @@ struct Process {
 struct Reader {
   std::uint32_t process;
   bool joining = false;     ///< the reader is joining: lag and lost are not known yet
+  bool observes = false;    ///< it only looks on: nothing waits for it
   bool awaited = false;     ///< the reader has not looked since the publisher came
   std::uint64_t lag = 0;    ///< published and not read yet; the message in hand counts
   std::uint64_t lost = 0;   ///< how many of the lag are overwritten already
   bool holds_back = false;  ///< the publisher has no room because of this reader
+  /// How long ago the oldest message of the lag was pushed that is still in the queue. Nothing: no
+  /// such message, or the publisher does not stamp.
+  std::optional<double> delay = std::nullopt;
 };
 
 struct Queued {
   std::uint64_t sequence;
   std::uint32_t block;
+  std::uint32_t slot = 0;
 };
 
 /// One publisher's queue.
@@ -50,6 +55,7 @@ struct Channel {
   std::uint32_t depth = 0;
   Policy policy = Policy::Overwrite;
   QueueEngine engine = QueueEngine::Ring;
+  bool stamps = false;         ///< each message has the time of its push
   bool taken = false;          ///< each message is for one reader, which takes it
   std::size_t unfinished = 0;  ///< messages that a worker works on
   bool waits = false;          ///< the publisher has found no room, and no reader has made any
@@ -66,6 +72,7 @@ struct Topic {
   std::uint64_t type_size;
   std::vector<std::uint32_t> subscribers;
   bool used;
+  std::vector<std::uint32_t> observers;  ///< only look on; a topic without a user may have some
 };
 
 /// Since when a process holds a message, as far as its warden has noted it.

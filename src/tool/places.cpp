@@ -15,6 +15,7 @@
 
 #include "liveness/lock_file.hpp"
 #include "segment/layout.hpp"
+#include "segment/segment.hpp"
 
 namespace lot::tool {
 namespace {
@@ -83,6 +84,11 @@ std::vector<Places::Obstacle> find_obstacles(const Where& where) {
 
 }  // namespace
 
+std::string Places::Obstacle::advice() const {
+  return what +
+         ", and no process can join: remove it if it is yours, or use another name (LOT_SEGMENT)";
+}
+
 std::string path_of(const Where& where, const std::string& name) {
   return where.directory + "/" + name;
 }
@@ -117,7 +123,7 @@ Places find_places(const Where& where) {
                : "";
   };
   const auto wanted = [&where](const std::string& name) {
-    return !name.empty() && (where.name.empty() || where.name == name);
+    return segment::is_name(name) && (where.name.empty() || where.name == name);
   };
   for (const auto& name : names) {
     const std::string path = path_of(where, name);

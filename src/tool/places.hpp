@@ -17,8 +17,9 @@ struct Where {
   segment::Trust trust;
 };
 
-/// What lies in the directory. The tool tells files of others from LOT's by their first bytes. A
-/// file that could belong to any program counts as LOT's only when the user named it.
+/// What lies in the directory. The tool tells files of others from LOT's by their names and by
+/// their first bytes. A file that could belong to any program counts as LOT's only when the user
+/// named it.
 struct Places {
   std::vector<std::string> segments;    ///< names of files that begin as a segment does
   std::vector<std::string> unfinished;  ///< names X where a file X.new was left by a dead creator
@@ -29,6 +30,9 @@ struct Places {
   struct Obstacle {
     std::string path;
     std::string what;  ///< "it is a directory"
+
+    /// What is wrong, and what to do.
+    std::string advice() const;
   };
   std::vector<Obstacle> obstacles;
 };

@@ -49,19 +49,35 @@ std::optional<segment::Ring> live_ring(segment::Segment& s, std::uint32_t channe
 
 }  // namespace
 
-RateMeter::RateMeter(Window& window) : window_(window), now_(seconds_now()) {
-  segment::Segment& s = window.segment();
+template <class Told>
+Meter<Told>::Meter(Window& window) : window_(window) {
+  find_queues();
+}
+
+template <class Told>
+void Meter<Told>::find_queues() {
+  now_ = seconds_now();
+  segment::Segment& s = window_.segment();
+  std::erase_if(queues_, [&](const Watched& queue) {
+    return !live_ring(s, queue.channel, queue.generation);
+  });
+  const auto is_watched = [this](std::uint32_t channel, std::uint32_t generation) {
+    return std::any_of(queues_.begin(), queues_.end(), [&](const Watched& queue) {
+      return queue.channel == channel && queue.generation == generation;
+    });
+  };
   for (std::uint32_t c = 0; c < s.capacity().channels; ++c) {
     const auto generation =
         ring::writer_generation(s.channels()[c].writer.load(std::memory_order_acquire));  // R7
     const auto r = live_ring(s, c, generation);
-    if (!r) continue;
+    if (!r || is_watched(c, generation)) continue;
     const std::uint32_t newest = newest_slot(*r);
-    queues_.push_back({c, generation, newest, sequence_at(*r, newest), Tempo(now_)});
+    queues_.push_back({c, generation, newest, sequence_at(*r, newest), Told(now_)});
   }
 }
 
-std::uint64_t RateMeter::arrivals(Watched& queue) {
+template <class Told>
+std::uint64_t Meter<Told>::arrivals(Watched& queue) {
   const auto r = live_ring(window_.segment(), queue.channel, queue.generation);
   if (!r || queue.index >= r->depth) return 0;
   const Word before = queue.newest;
@@ -74,24 +90,30 @@ std::uint64_t RateMeter::arrivals(Watched& queue) {
   return n > 0 ? static_cast<std::uint64_t>(n) : 0;
 }
 
-void RateMeter::look() {
+template <class Told>
+void Meter<Told>::look() {
   now_ = seconds_now();
-  for (auto& queue : queues_) queue.tempo.see(now_, arrivals(queue));
+  for (auto& queue : queues_) queue.told.see(now_, arrivals(queue));
 }
 
-bool RateMeter::has_enough() const {
+template <class Told>
+bool Meter<Told>::has_enough() const {
   return std::all_of(queues_.begin(), queues_.end(), [this](const Watched& queue) {
-    return queue.tempo.rate(now_).per_second.has_value();
+    return queue.told.rate(now_).per_second.has_value();
   });
 }
 
-Rates RateMeter::rates() const {
+template <class Told>
+Rates Meter<Told>::rates() const {
   Rates rates;
   for (const auto& queue : queues_) {
-    rates[{queue.channel, queue.generation}] = queue.tempo.rate(now_);
+    rates[{queue.channel, queue.generation}] = queue.told.rate(now_);
   }
   return rates;
 }
+
+template class Meter<Tempo>;
+template class Meter<Pace>;
 
 std::vector<Rates> measure(const std::vector<Window*>& windows, std::chrono::milliseconds at_most) {
   std::vector<std::unique_ptr<RateMeter>> meters;

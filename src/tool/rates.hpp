@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "tool/pace.hpp"
 #include "tool/tempo.hpp"
 #include "tool/window.hpp"
 
@@ -14,12 +15,18 @@ namespace lot::tool {
 /// By {channel, generation}.
 using Rates = std::map<std::pair<std::uint32_t, std::uint32_t>, Rate>;
 
-/// Sees the messages of a segment come, in all queues whose publisher lives.
+/// Sees the messages of a segment come, in all queues whose publisher lives. `Told` says what that
+/// means for the rate of a queue: Tempo or Pace.
 ///
 /// Threads: one.
-class RateMeter {
+template <class Told>
+class Meter {
  public:
-  explicit RateMeter(Window& window);
+  /// Watches the queues that are there now.
+  explicit Meter(Window& window);
+
+  /// Watches the queues that have come since, too, and forgets those that have gone.
+  void find_queues();
 
   /// Notes what has come since the last look.
   void look();
@@ -33,7 +40,7 @@ class RateMeter {
     std::uint32_t generation;
     std::uint32_t index;   ///< slot of the newest message
     std::uint64_t newest;  ///< its sequence
-    Tempo tempo;
+    Told told;
   };
 
   /// How many messages have come; the place goes on to the newest one.
@@ -41,8 +48,10 @@ class RateMeter {
 
   Window& window_;
   std::vector<Watched> queues_;
-  double now_;
+  double now_ = 0;  ///< when it looked last
 };
+using RateMeter = Meter<Tempo>;  ///< for one look of a given length
+using PaceMeter = Meter<Pace>;   ///< for a screen that stays
 
 /// Looks at all windows until each rate is known: for 0.3 s at least, but never longer than
 /// `at_most`. A null window has no rates.

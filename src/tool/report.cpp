@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tool/report.hpp"
 
-#include <cstdio>
-
 #include "liveness/lock_file.hpp"
 #include "refcount/ownership.hpp"
 #include "robust_mutex/lock_word.hpp"
+#include "tool/output.hpp"
 #include "tool/rows.hpp"
 #include "tool/text.hpp"
 
@@ -21,7 +20,7 @@ Exit Report::finish() {
     text_ += "\n";
     for (const auto& hint : hints_) text_ += "* " + hint + "\n";
   }
-  std::fwrite(text_.data(), 1, text_.size(), stdout);
+  if (!write_out(text_, StopToken())) ends(kWrong);
   return exit_;
 }
 
@@ -158,9 +157,7 @@ void look_for_obstacles(const Settings& settings, const std::vector<Sight>& foun
   const Places places = find_places(settings.where);
   for (const auto& obstacle : places.obstacles) {
     report.ends(kWrong);
-    report.hint(printable(obstacle.path, 200) + ": " + printable(obstacle.what, 200) +
-                ", and no process can join: remove it if it is yours, or use another name "
-                "(LOT_SEGMENT)");
+    report.hint(printable(obstacle.path, 200) + ": " + printable(obstacle.advice(), 400));
   }
   for (const Sight& sight : found) {
     if (sight.condition != Sight::Condition::Untrusted) {

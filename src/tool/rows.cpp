@@ -9,6 +9,8 @@
 namespace lot::tool {
 namespace {
 
+constexpr double kNegligible = 0.01;  ///< so small a part of a sum does not count
+
 /// Adds the numbers of one queue to those of another, and each reader's numbers to those of the
 /// same process. A process that reads by several handles has as many readers in each queue.
 void add(const Channel& from, Channel& to) {
@@ -26,6 +28,7 @@ void add(const Channel& from, Channel& to) {
     }
     Reader& same = to.readers[i];
     same.joining |= r.joining;
+    same.observes &= r.observes;
     same.awaited |= r.awaited;
     same.holds_back |= r.holds_back;
     same.lag += r.lag;
@@ -89,10 +92,42 @@ std::vector<Row> rows(const std::vector<Channel>& channels, bool each) {
   return all;
 }
 
+Rate rate_of(const Channel& c, const Rates& rates) {
+  const auto found = rates.find({c.channel, c.generation});
+  return found != rates.end() && !c.orphan ? found->second : Rate();
+}
+
+Rate rate_of(const std::vector<Channel>& channels, const Rates& rates) {
+  Rate all;
+  double known = 0;
+  double bounds = 0;
+  bool is_known = true;
+  for (const auto& c : channels) {
+    const Rate rate = rate_of(c, rates);
+    if (!rate.per_second && !rate.below) return {};
+    is_known = is_known && rate.per_second;
+    known += rate.per_second.value_or(0);
+    bounds += rate.per_second ? 0 : *rate.below;
+  }
+  if (channels.empty()) return {};
+  // A publisher that is silent does not hide the rate of the others.
+  if (is_known || bounds < kNegligible * known) {
+    all.per_second = known;
+  } else {
+    all.below = known + bounds;
+  }
+  return all;
+}
+
+std::string text_of(const Rate& rate) {
+  if (rate.per_second) return rate_text(*rate.per_second);
+  return rate.below ? below_text(*rate.below) : "";
+}
+
 std::vector<Readers> groups(const std::vector<Reader>& readers, bool each) {
   const auto alike = [](const Reader& a, const Reader& b) {
-    return a.joining == b.joining && a.awaited == b.awaited && a.holds_back == b.holds_back &&
-           (a.lost != 0) == (b.lost != 0);
+    return a.joining == b.joining && a.observes == b.observes && a.awaited == b.awaited &&
+           a.holds_back == b.holds_back && (a.lost != 0) == (b.lost != 0);
   };
   return grouped(readers, alike, [each](const Readers& group) { return !each && are_many(group); });
 }
@@ -116,6 +151,12 @@ std::string processes_text(const Observation& seen, const std::vector<std::uint3
   const std::set<std::uint32_t> different(indices.begin(), indices.end());
   return different.size() == 1 ? printable(seen.who(*different.begin()), 24)
                                : std::to_string(different.size()) + " processes";
+}
+
+std::string fill_text(const Observation& seen) {
+  return bytes_text(seen.memory.used) + " of " + bytes_text(seen.memory.total) + ", " +
+         std::to_string(seen.blocks.used) + " of " + std::to_string(seen.blocks.total) +
+         " messages";
 }
 
 std::string publisher_text(const Observation& seen, const Row& row) {

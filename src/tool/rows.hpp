@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "tool/observation.hpp"
+#include "tool/rates.hpp"
 
 /// What people read as one row. Ten publishers and ten subscribers of one topic are 110 ends, and
 /// most of them say the same.
@@ -22,6 +23,13 @@ struct Row {
 /// `each`: a row for each queue.
 std::vector<Row> rows(const std::vector<Channel>& channels, bool each);
 
+/// Nothing is known when the publisher has gone, or its queue is younger than the first look.
+Rate rate_of(const Channel& c, const Rates& rates);
+/// The rate of all these queues together; nothing is known when nothing is known of one.
+Rate rate_of(const std::vector<Channel>& channels, const Rates& rates);
+/// "30.0/s", "< 2/s", ""
+std::string text_of(const Rate& rate);
+
 /// Readers of a row that are alike.
 using Readers = std::vector<Reader>;
 std::vector<Readers> groups(const std::vector<Reader>& readers, bool each);
@@ -34,6 +42,8 @@ std::string common_name(const Processes& group);
 
 /// "3 camera" where all are the same process, else "10 processes".
 std::string processes_text(const Observation& seen, const std::vector<std::uint32_t>& indices);
+/// "68 MiB of 1012 MiB, 77 of 16384 messages"
+std::string fill_text(const Observation& seen);
 /// The publisher of a row: "1 camera", "(gone)", "(2 gone)", "10 publishers".
 std::string publisher_text(const Observation& seen, const Row& row);
 

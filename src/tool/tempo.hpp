@@ -44,9 +44,7 @@ class Tempo {
     const double seconds = now - begin_;
     Rate rate{{}, {}, messages_, seconds};
     if (seconds <= 0) return rate;
-    const double per_second =
-        last_ > first_ ? static_cast<double>(followed_) / (last_ - first_) : 0;
-    if (followed_ >= kLeast && per_second > 0 && is_even(per_second, now)) {
+    if (const auto per_second = mean(); per_second && is_even(*per_second, now)) {
       rate.per_second = per_second;
     } else {
       rate.below = static_cast<double>(messages_ + 1) / seconds;
@@ -54,10 +52,17 @@ class Tempo {
     return rate;
   }
 
+  /// Messages a second from the first arrival to the last one, also when they came unevenly;
+  /// nothing when fewer than two have followed the first one.
+  std::optional<double> mean() const {
+    if (followed_ < kLeast || last_ <= first_) return std::nullopt;
+    return static_cast<double>(followed_) / (last_ - first_);
+  }
+
  private:
-  static constexpr std::uint64_t kLeast = 2;
-  static constexpr double kPeriods = 3;  ///< a pause as long is none
-  static constexpr double kPart = 0.2;   ///< nor one of this part of the time: a fast one may halt
+  static constexpr std::uint64_t kLeast = 2;  ///< messages behind the first one
+  static constexpr double kPeriods = 3;       ///< a pause as long is none
+  static constexpr double kPart = 0.2;  ///< nor one of this part of the time: a fast one may halt
 
   bool is_even(double per_second, double now) const {
     const double silence = std::max(silence_, now - last_);

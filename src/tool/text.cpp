@@ -14,6 +14,15 @@ std::string with(const char* format, double value, const char* unit) {
   return text;
 }
 
+std::string bytes_text(double value, const char* end) {
+  static constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
+  std::size_t unit = 0;
+  for (; value >= 1024 && unit + 1 < std::size(kUnits); ++unit) value /= 1024;
+  return with(unit == 0 || value >= 10 || value == std::floor(value) ? "%.0f %s" : "%.1f %s", value,
+              kUnits[unit]) +
+         end;
+}
+
 }  // namespace
 
 std::vector<std::size_t> Table::widths(std::size_t indent) const {
@@ -51,15 +60,11 @@ std::string Table::text(const std::string& indent) const {
   return out;
 }
 
-std::string bytes_text(std::uint64_t bytes) {
-  static constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
-  auto value = static_cast<double>(bytes);
-  std::size_t unit = 0;
-  for (; value >= 1024 && unit + 1 < std::size(kUnits); ++unit) value /= 1024;
-  return with(unit == 0 || value >= 10 || value == std::floor(value) ? "%.0f %s" : "%.1f %s", value,
-              kUnits[unit]);
-}
+std::string bytes_text(std::uint64_t bytes) { return bytes_text(static_cast<double>(bytes), ""); }
 
+std::string bandwidth_text(double bytes_per_second) {
+  return bytes_text(std::round(bytes_per_second), "/s");
+}
 std::string count_text(std::uint64_t count) {
   const auto value = static_cast<double>(count);
   if (count < 100000) return std::to_string(count);
@@ -73,6 +78,30 @@ std::string rate_text(double per_second) {
   if (per_second < 1000) return with("%.1f%s", per_second, "/s");
   if (per_second < 1e6) return with("%.1f%s", per_second / 1e3, "k/s");
   return with("%.1f%s", per_second / 1e6, "M/s");
+}
+
+std::string precise_rate_text(double per_second) {
+  static constexpr const char* kUnits[] = {"/s", "k/s", "M/s", "G/s"};
+  std::size_t unit = 0;
+  for (; per_second >= 999.95 && unit + 1 < std::size(kUnits); ++unit) per_second /= 1000;
+  const char* const format = per_second >= 999.95   ? "%.0f%s"
+                             : per_second >= 99.995 ? "%.1f%s"
+                             : per_second >= 9.9995 ? "%.2f%s"
+                             : per_second >= 0.9999 ? "%.3f%s"
+                                                    : "%.4f%s";
+  return with(format, per_second, kUnits[unit]);
+}
+
+std::string span_text(double seconds) {
+  static constexpr const char* kUnits[] = {"ns", "us", "ms", "s"};
+  double value = seconds * 1e9;
+  std::size_t unit = 0;
+  for (; std::abs(value) >= 999.5 && unit + 1 < std::size(kUnits); ++unit) value /= 1000;
+  const double size = std::abs(value);
+  const char* const format = unit == 0 || size >= 99.95 ? "%.0f %s"
+                             : size >= 9.995            ? "%.1f %s"
+                                                        : "%.2f %s";
+  return with(format, value, kUnits[unit]);
 }
 
 std::string below_text(double per_second) {

@@ -32,10 +32,16 @@ class Table {
 
 /// "312 MiB"
 std::string bytes_text(std::uint64_t bytes);
+/// "30.0 MiB/s"
+std::string bandwidth_text(double bytes_per_second);
 /// "1.2 million"
 std::string count_text(std::uint64_t count);
 /// "30.0/s", "0.25/s"
 std::string rate_text(double per_second);
+/// "29.97/s", "1.000M/s": four digits.
+std::string precise_rate_text(double per_second);
+/// "32.1 ms", "-450 ns": three digits, or whole nanoseconds.
+std::string span_text(double seconds);
 /// "< 2/s": never less than the number.
 std::string below_text(double per_second);
 /// "12 s", "3 min"

@@ -522,7 +522,7 @@ TEST_CASE("root looks into another user's segment, and cleans it, when that one 
   });
   REQUIRE(bob.wait() == 0);
   const Variable permissions("LOT_PERMISSIONS", "0666");
-  for (const char* command : {"ls", "who", "clean"}) {
+  for (const char* command : {"ls", "top", "who", "clean"}) {
     CAPTURE(command);
     const Ran ran = run_lot(on(options, {command}));
     CHECK(ran.exit == 1);
@@ -563,7 +563,7 @@ TEST_CASE("a segment is not looked into beside a lock file that is not trusted")
   const Room room;
   leave_a_dead_segment(room.options());
   REQUIRE(chmod((path_of(room.options()) + ".lock").c_str(), 0666) == 0);
-  for (const char* command : {"ls", "who", "clean"}) {
+  for (const char* command : {"ls", "top", "who", "clean"}) {
     CAPTURE(command);
     const Ran ran = run_lot(on(room.options(), {command}));
     CHECK(ran.exit == 1);

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <csignal>
 #include <fcntl.h>
 #include <fstream>
 #include <iterator>
+#include <poll.h>
 #include <string>
+#include <sys/mman.h>
+#include <sys/prctl.h>
 #include <vector>
 
 #include <nlohmann/json.hpp>
@@ -42,13 +46,14 @@ inline int command_file() {
   return file;
 }
 
-inline Ran run_lot(std::vector<std::string> words) {
+/// Runs what `become` makes of the forked process, with these words.
+template <class Become>
+Ran run_by(std::vector<std::string>& words, Become&& become) {
   prefix();  // takes LOT_SEGMENT and the like out of the environment
   int out[2];
   int err[2];
   must(pipe2(out, O_CLOEXEC) == 0 && pipe2(err, O_CLOEXEC) == 0, "pipes");
   std::vector<char*> arguments;
-  words.insert(words.begin(), LOT_COMMAND);
   for (auto& w : words) arguments.push_back(w.data());
   arguments.push_back(nullptr);
   const pid_t pid = fork();
@@ -60,7 +65,7 @@ inline Ran run_lot(std::vector<std::string> words) {
       signal(s, SIG_DFL);
     }
     alarm(60);
-    fexecve(command_file(), arguments.data(), environ);
+    become(arguments.data());
     _exit(127);
   }
   close(out[1]);
@@ -76,6 +81,91 @@ inline Ran run_lot(std::vector<std::string> words) {
   ran.exit = WIFSIGNALED(status) ? 128 + WTERMSIG(status) : WEXITSTATUS(status);
   return ran;
 }
+
+inline Ran run_lot(std::vector<std::string> words) {
+  words.insert(words.begin(), LOT_COMMAND);
+  return run_by(words, [](char** arguments) { fexecve(command_file(), arguments, environ); });
+}
+
+/// Another program, which the shell would find.
+inline Ran run_program(std::vector<std::string> words) {
+  return run_by(words, [](char** arguments) { execvp(arguments[0], arguments); });
+}
+
+/// The command, as long as it runs. It dies with this object.
+class Running {
+ public:
+  explicit Running(std::vector<std::string> words) : err_(memfd_create("err", MFD_CLOEXEC)) {
+    prefix();
+    int out[2];
+    must(err_ != -1 && pipe2(out, O_CLOEXEC) == 0, "a pipe");
+    words.insert(words.begin(), LOT_COMMAND);
+    std::vector<char*> arguments;
+    for (auto& w : words) arguments.push_back(w.data());
+    arguments.push_back(nullptr);
+    command_file();
+    child_ = Child([&] {
+      dup2(out[1], STDOUT_FILENO);
+      dup2(err_, STDERR_FILENO);
+      fexecve(command_file(), arguments.data(), environ);
+    });
+    close(out[1]);
+    out_ = out[0];
+  }
+  ~Running() {
+    close_output();
+    child_.kill9();
+    close(err_);
+  }
+  Running(const Running&) = delete;
+  Running& operator=(const Running&) = delete;
+
+  const Child& child() const { return child_; }
+  /// The next line of standard output, without its end; "" where none comes.
+  std::string line(std::chrono::milliseconds most = 20s) {
+    std::string text;
+    for (;;) {
+      pollfd p{out_, POLLIN, 0};
+      char c = 0;
+      if (poll(&p, 1, static_cast<int>(most.count())) != 1 || read(out_, &c, 1) != 1) return text;
+      if (c == '\n') return text;
+      text += c;
+    }
+  }
+  Json json() { return Json::parse(line()); }
+  /// What it has written to standard error so far.
+  std::string err() const {
+    std::string text(1 << 16, '\0');
+    const ssize_t n = pread(err_, text.data(), text.size(), 0);
+    text.resize(n > 0 ? static_cast<std::size_t>(n) : 0);
+    return text;
+  }
+  /// Until it has said that on standard error.
+  bool says(const std::string& text) const {
+    return eventually([&] { return err().find(text) != std::string::npos; });
+  }
+  /// As the end of the program behind a pipe does.
+  void close_output() {
+    if (out_ != -1) close(std::exchange(out_, -1));
+  }
+  /// Reads the rest of its output until it ends.
+  Ran finish() {
+    Ran ran;
+    if (out_ != -1) ran.out = read_all(out_);
+    ran.exit = child_.wait();
+    ran.err = err();
+    return ran;
+  }
+  Ran interrupt() {
+    child_.send(SIGINT);
+    return finish();
+  }
+
+ private:
+  int err_;
+  int out_ = -1;
+  Child child_;
+};
 
 /// The words that name this segment alone.
 inline std::vector<std::string> on(const EngineOptions& options, std::vector<std::string> words) {

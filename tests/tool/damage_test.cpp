@@ -238,11 +238,13 @@ TEST_CASE("the command ends with 0, 1 or 3 and a whole document, whatever the se
   for (unsigned n = 0; n < 100; ++n) {
     CAPTURE(n);
     write_to(room.path() + "/s", damager.damaged());
-    for (const char* command : {"ls", "who", "doctor", "clean"}) {
+    for (const char* command : {"ls", "top", "who", "doctor", "clean"}) {
       CAPTURE(command);
       std::vector<std::string> words = {command, "--json", "--dir", room.path()};
       if (std::string(command) == "who") words.push_back("--all");
-      if (std::string(command) == "ls") words.insert(words.end(), {"--interval", "1"});
+      if (std::string(command) == "ls" || std::string(command) == "top") {
+        words.insert(words.end(), {"--interval", "1"});
+      }
       const Ran ran = run_lot(words);
       CAPTURE(ran.err);
       CHECK((ran.exit == 0 || ran.exit == 1 || ran.exit == 3));

@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <optional>
 #include <set>
 #include <string>
 #include <sys/stat.h>
@@ -55,6 +56,25 @@ std::set<std::string> keys_of(const Json& document) {
 }  // namespace
 
 TEST_SUITE_BEGIN("look");
+
+TEST_CASE("lot says that its output can not be written") {
+  const Room room;
+  for (const char* verb : {"ls", "who", "doctor"}) {
+    CAPTURE(verb);
+    for (const bool is_full : {false, true}) {
+      CAPTURE(is_full);
+      std::vector<std::string> words = on(room.options(), {verb});
+      words.insert(words.begin(), LOT_COMMAND);
+      const Ran ran = run_by(words, [&](char** arguments) {
+        const int full = is_full ? open("/dev/full", O_WRONLY) : -1;
+        is_full ? dup2(full, STDOUT_FILENO) : close(STDOUT_FILENO);
+        fexecve(command_file(), arguments, environ);
+      });
+      CHECK(ran.exit == 1);
+      CHECK(says(ran.err, is_full ? "No space left" : "Bad file descriptor"));
+    }
+  }
+}
 
 TEST_CASE("lot ls as a document has these keys") {
   const Watchdog watchdog(60);
@@ -105,6 +125,7 @@ TEST_CASE("lot ls as a document has these keys") {
                                  ".segments[].topics[].subscribers[].joining",
                                  ".segments[].topics[].subscribers[].lag",
                                  ".segments[].topics[].subscribers[].lost",
+                                 ".segments[].topics[].subscribers[].observes",
                                  ".segments[].topics[].subscribers[].process",
                                  ".segments[].topics[].type",
                                  ".segments[].topics[].type_bytes",
@@ -148,6 +169,79 @@ TEST_CASE("lot ls says what is used, what is held back, and what was taken from 
   CHECK(std::abs(number(busy, "taken_bytes") - du()) <= du() / 100);
 }
 
+TEST_CASE("lot ls says which subscribers only observe") {
+  const Watchdog watchdog(60);
+  struct Note {
+    int number;
+  };
+  const Room room;
+  lot::ShmEngine engine(room.options());
+  lot::PusherOptions lossless;
+  lossless.depth = 2;
+  lossless.policy = lot::Policy::Refuse;
+  auto pusher = engine.advertise<Note>("/notes", lossless);
+  lot::PullerOptions observing;
+  observing.observer = true;
+  const auto observer = engine.subscribe<Note>("/notes", observing);
+  const auto reader = engine.subscribe<Note>("/notes");
+  for (int n = 0; n < 2; ++n) CHECK(pusher.push(pusher.loan(Note{n})) == lot::Status::Ok);
+  CHECK(pusher.push(pusher.loan(Note{2})) == lot::Status::Full);
+  const Json document = run_lot(on(room.options(), {"ls", "--json"})).json();
+  const Json subscribers = document["segments"][0]["topics"][0]["subscribers"];
+  REQUIRE(subscribers.size() == 2);
+  for (const Json& one : subscribers) {
+    CHECK(one["lag"] == 2);
+    CHECK(one["observes"] != one["holds_back"]);  // nothing waits for the observer
+  }
+  CHECK(subscribers[0]["observes"] != subscribers[1]["observes"]);
+  const std::string text = run_lot(on(room.options(), {"ls"})).out;
+  CHECK(text.find("observes") != std::string::npos);
+  CHECK(text.find("holds it back") != std::string::npos);
+}
+
+TEST_CASE("lot ls shows an observer that is in no queue, also where the topic has nothing else") {
+  const Watchdog watchdog(60);
+  struct Note {
+    int number;
+  };
+  const Room room;
+  lot::EngineOptions named = room.options();
+  named.name = "onlooker";
+  lot::ShmEngine engine(named);
+  lot::PullerOptions observing;
+  observing.observer = true;
+  std::optional reader(engine.subscribe<Note>("/notes"));
+  const auto observer = engine.subscribe_any("/notes", observing);
+  const auto topic = [&] {
+    const Json document = run_lot(on(room.options(), {"ls", "--json"})).json();
+    CHECK(document["segments"][0]["damage"].empty());
+    REQUIRE(document["segments"][0]["topics"].size() == 1);
+    return document["segments"][0]["topics"][0];
+  };
+  const auto text = [&] { return run_lot(on(room.options(), {"ls"})).out; };
+  Json subscribers = topic()["subscribers"];
+  REQUIRE(subscribers.size() == 2);
+  CHECK(subscribers[0]["observes"] == false);
+  CHECK(subscribers[1]["observes"] == true);
+  CHECK(subscribers[1]["channel"].is_null());
+  CHECK(says(text(), "observes, no publisher\n"));
+
+  reader.reset();
+  const Json alone = topic();
+  CHECK(alone["name"] == "/notes");
+  CHECK(alone["publishers"].empty());
+  REQUIRE(alone["subscribers"].size() == 1);
+  CHECK(alone["subscribers"][0]["observes"] == true);
+  CHECK(says(text(), "1 onlooker"));
+  CHECK(!says(run_lot(on(room.options(), {"top", "--once", "--interval", "1"})).out, "/notes"));
+
+  const auto pusher = engine.advertise<Note>("/notes");
+  subscribers = topic()["subscribers"];  // it has not looked since
+  REQUIRE(subscribers.size() == 1);
+  CHECK(subscribers[0]["observes"] == true);
+  CHECK(says(text(), "  observes\n"));
+}
+
 TEST_CASE("lot ls says that a segment stays, how many items wait there, and what to do") {
   const Watchdog watchdog(60);
   const Room room;
@@ -168,7 +262,7 @@ TEST_CASE("lot ls says that a segment stays, how many items wait there, and what
     for (std::uint64_t n = 0; n < 12; ++n) CHECK(jobs.put(n) == lot::Status::Ok);
     CHECK(ls(true).exit == 0);
   }
-  for (const char* command : {"ls", "who"}) {
+  for (const char* command : {"ls", "top", "who"}) {
     CAPTURE(command);
     const Ran ran = run_lot(on(options, {command, "--json"}));
     CHECK(ran.exit == 1);
@@ -204,34 +298,75 @@ TEST_CASE("the command of a hint does what it says when a shell runs it" *
     const std::string program = "lot() { " LOT_COMMAND " \"$@\"; }; ";
     return std::system(("{ " + program + command + "; } > /dev/null").c_str());
   };
-  for (const char* name : {"s", "it's two words"}) {
+  for (const char* name : {"", "/it's two words"}) {
+    const std::string directory = room.path() + name;
+    std::filesystem::create_directories(directory);
     for (const auto& [group, permissions] :
          {std::pair("", 0U), std::pair("65533", 0U), std::pair("", 0666U), std::pair("", 0660U)}) {
       CAPTURE(name);
       CAPTURE(group);
       CAPTURE(permissions);
       auto options = room.options();
+      options.directory = directory;
       options.group = group;
       options.permissions = permissions;
       options.persist = true;
       { const lot::ShmEngine engine(options); }
-      for (const char* suffix : {"", ".lock"}) {
-        std::filesystem::rename(room.path() + "/s" + suffix, room.path() + "/" + name + suffix);
-      }
       const Variable its_group("LOT_GROUP", group);
       char octal[8];
       std::snprintf(octal, sizeof(octal), "0%o", permissions);
       const Variable its_permissions("LOT_PERMISSIONS", permissions != 0 ? octal : "");
-      const std::string command =
-          advised_command(run_lot({"ls", "--dir", room.path(), "--segment", name}).out);
+      const std::string command = advised_command(run_lot(on(options, {"ls"})).out);
       CAPTURE(command);
       unsetenv("LOT_GROUP");
       unsetenv("LOT_PERMISSIONS");
       CHECK(says(command, "lot clean --dir"));
       CHECK(shell(command) == 0);
-      CHECK(room.files() == 0);
+      CHECK(std::filesystem::is_empty(directory));
     }
   }
+}
+
+TEST_CASE("a name that no segment can have is wrong usage, and a file of such a name none of LOT") {
+  const Watchdog watchdog(120);
+  const Room room;
+  const std::vector<std::vector<std::string>> verbs = {{"ls"},
+                                                       {"top"},
+                                                       {"who"},
+                                                       {"clean"},
+                                                       {"doctor"},
+                                                       {"echo", "/a"},
+                                                       {"pub", "/a", "{}"},
+                                                       {"hz", "/a"},
+                                                       {"bw", "/a"},
+                                                       {"delay", "/a"}};
+  for (const auto& verb : verbs) {
+    for (const char* name : {"../../etc", "a/b", ".", "..", "", "a b", "s.lock"}) {
+      CAPTURE(verb.front());
+      CAPTURE(name);
+      auto words = verb;
+      words.insert(words.end(), {"--dir", room.path(), "--segment", name});
+      const Ran ran = run_lot(words);
+      CHECK(ran.exit == 2);
+      CHECK_MESSAGE(says(ran.err, "not a name for a segment"), ran.err);
+      CHECK(ran.out.empty());
+    }
+    prefix();
+    const Variable variable("LOT_SEGMENT", "a/b");
+    auto words = verb;
+    words.insert(words.end(), {"--dir", room.path()});
+    const Ran ran = run_lot(words);
+    CHECK(ran.exit == (verb.front() == "doctor" ? 1 : 2));
+    CHECK_MESSAGE(says(ran.out + ran.err, "a/b: not a name for a segment"), ran.err);
+  }
+  auto options = room.options();
+  options.persist = true;
+  { const lot::ShmEngine engine(options); }
+  std::filesystem::rename(room.path() + "/s", room.path() + "/s (copy)");
+  std::filesystem::remove(room.path() + "/s.lock");
+  CHECK(says(run_lot({"ls", "--dir", room.path()}).out, "no segments in "));
+  CHECK(run_lot({"clean", "--dir", room.path()}).exit == 0);
+  CHECK(room.files() == 1);
 }
 
 TEST_CASE("lot who as a document has these keys") {
@@ -384,7 +519,7 @@ TEST_CASE("all segments of a directory are listed, and nothing else") {
   CHECK(document.at("exit") == 0);
 }
 
-TEST_CASE("lot ls, who and clean say what lies in the place of a segment or its lock file") {
+TEST_CASE("lot ls, top, who and clean say what lies in the place of a segment or its lock file") {
   const Watchdog watchdog(60);
   for (const char* name : {"s", "LOTROS"}) {
     for (const std::string suffix : {"", ".lock"}) {
@@ -393,7 +528,7 @@ TEST_CASE("lot ls, who and clean say what lies in the place of a segment or its 
       const Room room;
       const std::string path = room.path() + "/" + name + suffix;
       const auto check = [&](const std::string& what, int error) {
-        for (const char* command : {"ls", "who", "clean"}) {
+        for (const char* command : {"ls", "top", "who", "clean"}) {
           CAPTURE(command);
           const Ran ran = run_lot(on(room.options(name), {command}));
           CHECK(ran.exit == 1);
@@ -427,12 +562,12 @@ TEST_CASE("lot ls, who and clean say what lies in the place of a segment or its 
   }
 }
 
-TEST_CASE("lot ls, who and clean say what keeps a new segment from being made") {
+TEST_CASE("lot ls, top, who and clean say what keeps a new segment from being made") {
   const Watchdog watchdog(60);
   const Room room;
   const std::string path = room.path() + "/s.new";
   const auto check = [&](const std::string& what) {
-    for (const char* command : {"ls", "who", "clean"}) {
+    for (const char* command : {"ls", "top", "who", "clean"}) {
       const Ran ran = run_lot(on(room.options("s"), {command}));
       CHECK(ran.exit == 1);
       CHECK_MESSAGE(says(ran.out, path + ": it " + what), ran.out);
@@ -456,7 +591,7 @@ TEST_CASE("a process that is stopped where other processes must pass is named, a
   const auto is_named = [&](const Child& child, const std::string& where) {
     stop(child);
     const std::string pid = std::to_string(child.pid());
-    for (const char* command : {"ls", "who"}) {
+    for (const char* command : {"ls", "top", "who"}) {
       CAPTURE(command);
       const Ran ran = run_lot(on(room.options(), {command}));
       CHECK(ran.exit == 1);
@@ -691,6 +826,7 @@ TEST_CASE("a segment at full speed, with queues that come and go, is never calle
   for (unsigned n = 0; n < 3; ++n) REQUIRE(ready.next() == '.');
   for (unsigned n = 0; n < 60; ++n) {
     for (const auto& words : {std::vector<std::string>{"ls", "--json", "--interval", "1"},
+                              std::vector<std::string>{"top", "--json", "--interval", "1"},
                               std::vector<std::string>{"who", "--all", "--json"}}) {
       const Ran ran = run_lot(on(options, words));
       CHECK(ran.exit == 0);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// What `lot ls` says of a rate, from moments that the test makes up.
+// What `lot ls` and `lot top` say of a rate, from moments that the test makes up.
 
 #include <cstdint>
 #include <utility>
@@ -8,6 +8,7 @@
 
 #include <doctest/doctest.h>
 
+#include "tool/pace.hpp"
 #include "tool/tempo.hpp"
 #include "tool/text.hpp"
 
@@ -95,6 +96,95 @@ TEST_CASE("many messages between two looks count, but those of the first look") 
   Arrivals arrivals;
   for (int n = 1; n <= 100; ++n) arrivals.push_back({n * 0.005, 5000});
   CHECK(*seen_in(0.5, arrivals).per_second == doctest::Approx(1e6));
+}
+
+TEST_CASE("lot top tells the rate of a topic of 0.1 Hz and of one of 1 MHz") {
+  constexpr double kLook = 0.01;
+  for (const double rate : {0.1, 0.3, 1.0, 10.0, 30.0, 1000.0, 1e6}) {
+    for (const double seconds : {35 / rate, 40 / rate + 7}) {
+      CAPTURE(rate);
+      CAPTURE(seconds);
+      Pace pace(0);
+      std::uint64_t before = 0;
+      double at = 0;
+      for (int n = 1; n * kLook < seconds; ++n) {  // it sees counts, at the moments of its looks
+        at = n * kLook;
+        const auto now = static_cast<std::uint64_t>(at * rate);
+        pace.see(at, now - before);
+        before = now;
+      }
+      const Rate seen = pace.rate(at);
+      if (before < 3 || at < 0.2) continue;
+      REQUIRE(seen.per_second);
+      CHECK(*seen.per_second == doctest::Approx(rate).epsilon(0.02));
+    }
+  }
+}
+
+TEST_CASE("lot top tells a new rate within seconds, none of a publisher that has halted") {
+  Pace pace(0);
+  for (const auto& [at, n] : even(0.1, 0.1, 20)) pace.see(at, n);
+  CHECK(*pace.rate(20).per_second == doctest::Approx(10));
+  for (const auto& [at, n] : even(20, 0.01, 26)) pace.see(at, n);
+  CHECK(*pace.rate(26).per_second == doctest::Approx(100));
+  CHECK(pace.rate(26.5).per_second);
+  pace.see(36, 0);
+  const Rate halted = pace.rate(36);
+  CHECK(!halted.per_second);
+  CHECK(*halted.below == doctest::Approx(0.1).epsilon(0.01));
+  for (const auto& [at, n] : even(60, 1, 64.5)) pace.see(at, n);  // goes on, slower
+  CHECK(*pace.rate(64.5).per_second == doctest::Approx(1));
+}
+
+TEST_CASE("lot top that was stopped for a while tells the rate of all that came") {
+  for (const double rate : {1.0, 30.0, 1e5}) {
+    CAPTURE(rate);
+    Pace pace(0);
+    std::uint64_t before = 0;
+    const auto look = [&](double at) {
+      const auto now = static_cast<std::uint64_t>(at * rate);
+      pace.see(at, now - before);
+      before = now;
+      return pace.rate(at);
+    };
+    for (int n = 1; n <= 1000; ++n) look(n * 0.01);
+    for (int n = 4000; n < 4400; ++n) {
+      const Rate seen = look(n * 0.01);
+      REQUIRE(seen.per_second);
+      CHECK(*seen.per_second == doctest::Approx(rate).epsilon(0.1));
+    }
+  }
+}
+
+TEST_CASE("of a publisher that was stopped and catches up lot top tells no bound that is absurd") {
+  constexpr double kHertz = 10;
+  for (const std::uint64_t piled_up : {1U, 64U, 10000U}) {
+    CAPTURE(piled_up);
+    Pace pace(0);
+    for (int n = 1; n <= 500; ++n) pace.see(n * 0.01, n % 10 == 0 ? 1 : 0);
+    for (int n = 501; n < 2000; ++n) pace.see(n * 0.01, 0);
+    CHECK(*pace.rate(19.99).below == doctest::Approx(1 / 14.99));
+    for (int n = 2000; n < 2200; ++n) {
+      const double at = n * 0.01;
+      pace.see(at, n == 2000 ? piled_up : n % 10 == 0 ? 1 : 0);
+      const Rate seen = pace.rate(at);
+      if (seen.per_second) CHECK(*seen.per_second == doctest::Approx(kHertz).epsilon(0.01));
+      if (seen.below) CHECK(*seen.below > kHertz);
+      if (seen.below) CHECK(*seen.below < 2 * kHertz);
+    }
+    CHECK(pace.rate(21.99).per_second);
+  }
+}
+
+TEST_CASE("of bursts lot top tells the mean, once it has seen some seconds of them") {
+  Pace pace(0);
+  for (int n = 0; n < 10; ++n) {
+    pace.see(n + 0.01, 5);
+    if (n == 1) CHECK(!pace.rate(n + 0.5).per_second);
+  }
+  REQUIRE(pace.rate(9.5).per_second);
+  CHECK(*pace.rate(9.5).per_second == doctest::Approx(5));
+  CHECK(!pace.rate(9.5).below);
 }
 
 TEST_CASE("where lot has not looked, nothing is known") {

@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <sstream>
 #include <string>
 #include <unistd.h>
 #include <utility>
@@ -30,6 +31,13 @@ class Documents {
     CHECK(ran.exit != 2);
     return all_.emplace_back(ran.json());
   }
+
+  /// Those of a verb that writes one a line.
+  void add_lines(const std::vector<std::string>& words) {
+    std::istringstream lines(run_lot(words).out);
+    for (std::string line; std::getline(lines, line);) all_.push_back(Json::parse(line));
+  }
+  std::size_t size() const { return all_.size(); }
 
   /// How many complaints there are: 0 is well, else python says them.
   int judge(const std::string& option = "") const {
@@ -61,12 +69,15 @@ void make_other_version(const lot::EngineOptions& options) {
 
 TEST_SUITE_BEGIN("schema");
 
-TEST_CASE("the documents of lot ls and lot who with all that there is to see fit the schema") {
+TEST_CASE("documents of lot ls, top and who with all that there is fit the schema") {
   const Watchdog watchdog(120);
   const Scene scene;
   Documents documents;
   const Json ls = documents.add(on(scene.options, {"ls", "--json", "--interval", "1"}));
   CHECK(!ls.at("segments").at(0).at("topics").at(0).at("publishers").empty());
+  const Json top = documents.add(on(scene.options, {"top", "--json", "--interval", "1"}));
+  CHECK(!top.at("segments").at(0).at("topics").empty());
+  CHECK(!top.at("segments").at(0).at("processes").empty());
   documents.add(on(scene.options, {"who", "--json"}));
   const Json who = documents.add(on(scene.options, {"who", "--json", "--all"}));
   for (const char* list : {"messages", "behind", "waiting"}) {
@@ -80,7 +91,7 @@ TEST_CASE("the documents of what lot can not look into, and of nothing, fit the 
   const Watchdog watchdog(120);
   const Room room;
   Documents documents;
-  for (const char* verb : {"ls", "who"}) {
+  for (const char* verb : {"ls", "top", "who"}) {
     documents.add({verb, "--json", "--dir", room.path()});
     documents.add(on(room.options(), {verb, "--json"}));
   }
@@ -90,12 +101,67 @@ TEST_CASE("the documents of what lot can not look into, and of nothing, fit the 
     Actor(room.options("untrusted"), "actor").kill9();
     REQUIRE(chown((room.path() + "/untrusted").c_str(), 65532, 65532) == 0);
   }
-  for (const char* verb : {"ls", "who"}) {
+  for (const char* verb : {"ls", "top", "who"}) {
     const Json seen = documents.add({verb, "--json", "--dir", room.path()});
     CHECK(seen.at("segments").at(0).at("condition") == "damaged");
     CHECK(seen.at("exit") == 3);
   }
   CHECK(documents.judge() == 0);
+}
+
+TEST_CASE("the documents of lot echo and lot pub fit the schema") {
+  const Watchdog watchdog(120);
+  struct Note {
+    int number;
+  };
+  const Room room;
+  Documents documents;
+  lot::ShmEngine engine(room.options());
+  lot::PusherOptions stamping;
+  stamping.stamp = true;
+  auto pusher = engine.advertise<Note>("/stamped", stamping);
+  auto plain = engine.advertise<Note>("/plain");
+  const auto reader = engine.subscribe<Note>("/plain");
+  CHECK(pusher.push(pusher.loan(Note{1})) == lot::Status::Ok);
+  CHECK(plain.push(plain.loan(Note{1})) == lot::Status::Ok);
+  documents.add(on(room.options(), {"pub", "--json", "/plain", "{number: 3}"}));
+  CHECK(documents.judge("--self-test") == 0);
+  for (const char* topic : {"/stamped", "/plain"}) {  // a message may be anything
+    documents.add(on(room.options(), {"echo", "--json", "--envelope", "--count", "1", topic}));
+  }
+  CHECK(documents.judge() == 0);
+}
+
+TEST_CASE("the documents of lot hz, bw and delay fit the schema, also where nothing comes") {
+  const Watchdog watchdog(120);
+  const Room room;
+  Documents documents;
+  Steps ready;
+  const Child publisher([&] {
+    lot::ShmEngine engine(room.options());
+    auto notes = engine.advertise<Letter>("/notes", {lot::Policy::Overwrite, 4, {}});
+    lot::PusherOptions stamping;
+    stamping.stamp = true;
+    auto stamped = engine.advertise<Letter>("/stamped", stamping);
+    ready.tell();
+    for (;; usleep(2000)) {
+      (void)notes.push(notes.loan());
+      (void)stamped.push(stamped.loan());
+    }
+  });
+  REQUIRE(ready.next() == '.');
+  for (const char* verb : {"hz", "bw", "delay"}) {
+    for (const char* topic : {"/notes", "/stamped", "/none"}) {
+      CAPTURE(std::string(verb));
+      CAPTURE(std::string(topic));
+      const std::size_t before = documents.size();
+      documents.add_lines(
+          on(room.options(), {verb, topic, "--json", "--interval", "100", "--duration", "0.35"}));
+      CHECK(documents.size() >= before + 2);
+    }
+  }
+  CHECK(documents.judge() == 0);
+  CHECK(documents.judge("--self-test") == 0);
 }
 
 TEST_CASE("the document of lot doctor fits the schema") {

@@ -17,7 +17,7 @@ import tempfile
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 COMPLETIONS = ROOT / 'src/tool/completions'
 PAGES = ROOT / 'docs/man'
-OPTION = re.compile(r'^ +(?:(-\w),)?(--[\w-]+)(?: ([A-Z]+))?', re.M)
+OPTION = re.compile(r'^ +(?:(-\w),)?(--[\w-]+)(?: ([A-Z]+)(?![a-z]))?', re.M)
 VERB = re.compile(r'^  ([a-z]+)  ', re.M)
 SOMETIMES = {'segment', 'other_file'}  # checks of what may not be there
 
@@ -160,6 +160,17 @@ def check_page(program, name, text):
         yield from (f'{name}: the column {head} is missing' for head in sorted(heads - explained))
         if not heads:
             yield f'{name}: no table was found in the source'
+    if verb in ('hz', 'bw', 'delay'):
+        head = re.search(r'Row head\(\) const override \{(.*?)^  \}', (ROOT / f'src/tool/{verb}.cpp').read_text(), re.M | re.S)
+        explained = {column for item in items(text, 'OUTPUT') for column in item.removeprefix('Li ').split(' , ')}
+        yield from difference(f'{name}, OUTPUT', explained, re.findall(r'"([A-Z0-9]+)"', head.group(1)))
+    if verb == 'top':
+        columns = re.findall(r"^ +\{'(\w)', (?:\"(\w+)\"|nullptr), (?:\"(\w+)\"|nullptr), ",
+                             (ROOT / 'src/tool/board.cpp').read_text(), re.M)
+        heads = {head for _, *both in columns for head in both if head}
+        yield from difference(f'{name}, OUTPUT', (head.removeprefix('Li ') for head in items(text, 'OUTPUT')), heads)
+        letters = next((head for head in items(text, 'KEYS') if head.startswith('Li n ,')), '')
+        yield from difference(f'{name}, KEYS', re.findall(r'\b[a-z]\b', letters), (key for key, *_ in columns))
     if verb == 'doctor':
         checks = {head.removeprefix('Li ') for head in items(text, 'CHECKS')}
         yield from difference(name, checks - SOMETIMES, program.checks - SOMETIMES)

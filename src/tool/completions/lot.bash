@@ -14,6 +14,9 @@ _lot_segments() {
 _lot() {
   local current=${COMP_WORDS[COMP_CWORD]} before=${COMP_WORDS[COMP_CWORD - 1]}
   local directory=${LOT_DIR:-/dev/shm} verb= words= i
+  # Options that a value follows.
+  local valued='--interval --characters --count --duration --elements --field --history --like --rate'
+  valued+=' --timeout --wait --window'
   # The line is split at "=" as well.
   if [[ $current == = ]]; then
     current=
@@ -26,10 +29,12 @@ _lot() {
         if [[ ${COMP_WORDS[++i]} == = ]]; then ((++i)); fi
         if ((i < COMP_CWORD)); then directory=${COMP_WORDS[i]}; fi
         ;;
-      -s | --segment | --interval)
+      -s | --segment)
         if [[ ${COMP_WORDS[++i]} == = ]]; then ((++i)); fi
         ;;
-      -*) ;;
+      -*)
+        if [[ " $valued " == *" ${COMP_WORDS[i]} "* && ${COMP_WORDS[++i]} == = ]]; then ((++i)); fi
+        ;;
       *) if [[ -z $verb ]]; then verb=${COMP_WORDS[i]}; fi ;;
     esac
   done
@@ -47,12 +52,18 @@ _lot() {
       mapfile -t COMPREPLY < <(compgen -d -- "$current")
       return
       ;;
-    --interval) return ;;
   esac
+  if [[ " $valued " == *" $before "* ]]; then return; fi
   case $verb in
-    '') words='ls who clean doctor --version --help-all' ;;
+    '') words='ls top who echo pub hz bw delay clean doctor --version --help-all' ;;
     ls) words='--all --interval' ;;
+    top) words='--once --interval' ;;
     who) words='--all' ;;
+    echo) words='--field --full --elements --characters --envelope --history --count --timeout' ;;
+    pub) words='--rate --count --like --wait --latch' ;;
+    hz) words='--interval --window --count --duration --all' ;;
+    bw) words='--interval --window --count --duration' ;;
+    delay) words='--interval --window --count --duration --field' ;;
     clean) words='--dry-run --with-items' ;;
     doctor) ;;
     *) return ;;

@@ -22,7 +22,13 @@ _lot() {
   )
   verbs=(
     'ls:Segments, processes, topics, publishers and subscribers, memory'
+    'top:A screen that stays: rates, bandwidth, memory, laggards of topics and processes'
     'who:Which process holds which message since when, and which reader is behind'
+    'echo:Prints the messages of a topic as they come, as YAML or JSON'
+    'pub:Publishes messages on a topic, which YAML describes'
+    'hz:How often messages come on a topic, and how evenly'
+    'bw:How many bytes come on a topic, and how large its messages are'
+    'delay:How long the messages of a topic have been under way'
     'clean:Reaps the dead, removes segments without a process, gives unused memory back'
     'doctor:Looks at the machine: what keeps LOT from working well, what to type'
   )
@@ -40,9 +46,56 @@ _lot() {
             '--all[each publisher, subscriber and process, also where many are alike]' \
             '--interval[how long rates are measured at most]:milliseconds: '
           ;;
+        top)
+          _arguments $common \
+            '--once[one screen as text, as where there is no terminal]' \
+            '--interval[how often the screen is renewed]:milliseconds: '
+          ;;
         who)
           _arguments $common \
             '--all[queued, loaned and spare messages too, and each publisher by itself]'
+          ;;
+        echo)
+          _arguments $common \
+            '--field[prints this part alone, such as labels\[2\].name]:path: ' \
+            '--full[shortens nothing]' \
+            '--elements[so many of a list are printed]:number: ' \
+            '--characters[so many of a text are printed]:number: ' \
+            '--envelope[prints where each message comes from as well]' \
+            '--history[begins with so many messages of each publisher that are there already]:number: ' \
+            '--count[ends after so many]:number: ' \
+            '--timeout[ends when no message has come for so long]:seconds: '
+          ;;
+        pub)
+          _arguments $common \
+            '--rate[again and again, so many a second]:hertz: ' \
+            '--count[ends after so many]:number: ' \
+            '--like[has the type, where no process uses the topic yet]:topic: ' \
+            '--wait[waits so long for a subscriber, and for the topic]:seconds: ' \
+            '--latch[stays until Ctrl-C, for subscribers that come later]'
+          ;;
+        hz)
+          _arguments $common '1:topic: ' \
+            '--interval[how often it writes a line]:milliseconds: ' \
+            '--window[the time that a line is about]:seconds: ' \
+            '--count[ends after so many messages]:messages: ' \
+            '--duration[ends after so long]:seconds: ' \
+            '--all[each publisher by itself, too]'
+          ;;
+        bw)
+          _arguments $common '1:topic: ' \
+            '--interval[how often it writes a line]:milliseconds: ' \
+            '--window[the time that a line is about]:seconds: ' \
+            '--count[ends after so many messages]:messages: ' \
+            '--duration[ends after so long]:seconds: '
+          ;;
+        delay)
+          _arguments $common '1:topic: ' \
+            '--interval[how often it writes a line]:milliseconds: ' \
+            '--window[the time that a line is about]:seconds: ' \
+            '--count[ends after so many messages]:messages: ' \
+            '--duration[ends after so long]:seconds: ' \
+            '--field[since a time in the message\: header.stamp]:path: '
           ;;
         clean)
           _arguments $common \

@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <csignal>
+#include <cstdio>
+#include <optional>
+#include <string>
+#include <type_traits>
+#include <utility>
+
+#include "lot/detail/core.hpp"
+#include "lot/error.hpp"
+#include "lot/signals.hpp"
+
+#include "tool/commands.hpp"
+#include "tool/field_path.hpp"
+#include "tool/onlooker.hpp"
+#include "tool/output.hpp"
+#include "tool/text.hpp"
+#include "tool/values.hpp"
+
+namespace lot::tool {
+namespace {
+
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+/// Between two looks whether a process still reads what is printed.
+constexpr std::chrono::milliseconds kLookAtOutput = 500ms;
+
+std::string seconds_text(std::chrono::nanoseconds time) {
+  char text[64];
+  std::snprintf(text, sizeof(text), "%.9f", std::chrono::duration<double>(time).count());
+  return text;
+}
+
+class Echo {
+ public:
+  Echo(const Settings& settings, const EchoOptions& options)
+      : json_(settings.json),
+        options_(options),
+        onlooker_(settings.where, options.topic, "lot echo", options.history) {}
+
+  Exit run() {
+    std::signal(SIGPIPE, SIG_IGN);  // so that it leaves the segment as at any other end
+    const StopToken stop = stop_on_signals();
+    auto deadline = detail::after(options_.timeout);
+    while (printed_ < options_.count) {
+      AnyBorrow message = next(std::min(deadline, Clock::now() + kLookAtOutput), stop);
+      if (message) {
+        if (!tell(message, stop)) break;
+        deadline = detail::after(options_.timeout);
+      } else if (stop.stop_requested() || output_is_gone()) {
+        break;
+      } else if (Clock::now() >= deadline) {
+        onlooker_.say("no message came in time");
+        if (options_.count != EchoOptions::kNoLimit) exit_ = graver(exit_, kWrong);
+        break;
+      }
+    }
+    exit_ = graver(exit_, complaints_.exit());
+    return printed_ == 0 ? graver(exit_, kWrong) : exit_;
+  }
+
+ private:
+  AnyBorrow next(Clock::time_point until, const StopToken& stop) {
+    try {
+      return onlooker_.next(until, stop);
+    } catch (const Error& e) {
+      if (!onlooker_.has_topic()) throw;
+      complaints_.note(e);  // of one message, or of one publisher
+      return {};
+    }
+  }
+
+  /// Prints a message. False: nothing more can be printed.
+  bool tell(AnyBorrow& message, const StopToken& stop) {
+    const auto now = Clock::now();
+    if (const std::uint64_t n = message.missed(); n != 0) {
+      onlooker_.say(plural(n, "message", "messages") + " missed");
+    }
+    if (!has_field(message.type())) return true;
+    std::string text;
+    try {
+      const auto whole = json_ ? document<JsonWriter>(message, now, stop)
+                               : document<YamlWriter>(message, now, stop);
+      if (!whole) return false;
+      text = json_ ? *whole + "\n" : (printed_ == 0 ? "" : "---\n") + *whole;
+    } catch (const Error& e) {
+      complaints_.note(e);
+      return true;
+    }
+    // Output may be slow, and a borrow keeps the message's memory from its publisher.
+    message.end();
+    complaints_.forget();
+    if (!write_out(text, stop)) return false;
+    ++printed_;
+    return true;
+  }
+
+  /// Whether messages of the type can have the field. Throws lot::Error where the first type can
+  /// not, and for a description that is damaged.
+  bool has_field(const AnyType& type) {
+    if (times_ == onlooker_.times()) return has_field_;
+    const bool is_first = std::exchange(times_, onlooker_.times()) == 0;
+    has_field_ = true;
+    if (type.description().root().kind == Kind::Opaque) onlooker_.say(kOpaque);
+    try {
+      (void)type_at(type.description(), options_.field);
+    } catch (const Error& e) {
+      if (is_first || e.error_number() != EINVAL) throw;
+      onlooker_.say(reason_of(e));
+      has_field_ = false;
+    }
+    return has_field_;
+  }
+
+  /// Nothing: it was told to stop meanwhile.
+  template <class Writer>
+  std::optional<std::string> document(const AnyBorrow& message, Clock::time_point now,
+                                      const StopToken& stop) const {
+    const Value value = message.root().at(options_.field);
+    Writer out;
+    if (!options_.envelope) {
+      if (!write(out, value, options_.limits, stop)) return std::nullopt;
+      return out.take();
+    }
+    const Envelope envelope = message.envelope();
+    out.begin_map();
+    if constexpr (std::is_same_v<Writer, JsonWriter>) {
+      out.key("command");
+      out.text("echo");
+      out.key("topic");
+      out.text(options_.topic);
+    }
+    out.key("sequence");
+    out.number(std::to_string(envelope.sequence));
+    out.key("missed");
+    out.number(std::to_string(envelope.missed));
+    out.key("publisher");
+    out.text(envelope.publisher);
+    out.key("publisher_id");
+    char id[17];  // a name, since many JSON readers keep numbers only up to 2^53
+    std::snprintf(id, sizeof(id), "%016llx",
+                  static_cast<unsigned long long>(envelope.publisher_id));
+    out.text(id);
+    write_time(out, "pushed_seconds", envelope.pushed, Clock::time_point());
+    write_time(out, "age_seconds", envelope.pushed ? std::optional(now) : std::nullopt,
+               envelope.pushed.value_or(now));
+    out.key("message");
+    if (!write(out, value, options_.limits, stop)) return std::nullopt;
+    out.end_map();
+    return out.take();
+  }
+
+  template <class Writer>
+  static void write_time(Writer& out, const char* name,
+                         const std::optional<Clock::time_point>& time, Clock::time_point since) {
+    out.key(name);
+    time ? out.number(seconds_text(*time - since)) : out.null();
+  }
+
+  const bool json_;
+  const EchoOptions& options_;
+  Onlooker onlooker_;
+  std::uint64_t printed_ = 0;
+  unsigned times_ = 0;
+  bool has_field_ = true;
+  Complaints complaints_{onlooker_};
+  Exit exit_ = kWell;
+};
+
+}  // namespace
+
+Exit echo(const Settings& settings, const EchoOptions& options) {
+  return Echo(settings, options).run();
+}
+
+}  // namespace lot::tool

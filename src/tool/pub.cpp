@@ -1,0 +1,280 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <iostream>
+#include <iterator>
+#include <optional>
+#include <set>
+#include <string>
+#include <sys/prctl.h>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <yaml-cpp/depthguard.h>
+#include <yaml-cpp/yaml.h>
+
+#include "lot/detail/core.hpp"
+#include "lot/engine.hpp"
+#include "lot/error.hpp"
+#include "lot/signals.hpp"
+
+#include "futex/futex.hpp"
+#include "tool/onlooker.hpp"
+#include "tool/report.hpp"
+#include "tool/text.hpp"
+#include "tool/values.hpp"
+#include "transport/participant.hpp"
+
+namespace lot::tool {
+namespace {
+
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+/// So long it stays for those that have not read yet. A subscriber gets the messages all the same;
+/// one that only observes does not, once their publisher has left.
+constexpr std::chrono::seconds kForReaders = 1s;
+/// So long a topic is there before its first message where this process makes it: programs that
+/// wait for a topic look for it ten times a second.
+constexpr std::chrono::milliseconds kForOnlookers = 500ms;
+/// So long it waits for memory that subscribers have yet to read.
+constexpr std::chrono::seconds kForMemory = 5s;
+/// Further behind its schedule than this it does not send faster to make up for it.
+constexpr std::chrono::seconds kMostBehind = 1s;
+
+/// Each document of the YAML is a message. Throws lot::Error (EINVAL).
+std::vector<YAML::Node> messages_in(const std::string& yaml) {
+  std::string text = yaml;
+  if (yaml == "-") text.assign(std::istreambuf_iterator<char>(std::cin), {});
+  std::vector<YAML::Node> messages;
+  try {
+    messages = YAML::LoadAll(text);
+  } catch (const YAML::DeepRecursion& e) {
+    throw Error(
+        EINVAL, "the YAML",
+        "its lists and maps lie more than " + std::to_string(e.depth() - 1) + " deep in each other",
+        "no message is as deep");
+  } catch (const YAML::Exception& e) {
+    throw Error(EINVAL, "the YAML",
+                "line " + std::to_string(e.mark.line + 1) + ", column " +
+                    std::to_string(e.mark.column + 1) + ": " + e.msg,
+                "quote it from the shell: lot pub TOPIC '{x: 1, name: left}'");
+  }
+  if (messages.empty()) {
+    throw Error(EINVAL, "the YAML", "there is no message in it", "{} is a message of zeros");
+  }
+  return messages;
+}
+
+/// Sleeps until then. False: it was told to stop.
+bool sleep_until(Clock::time_point time, const StopToken& stop) {
+  while (!stop.stop_requested()) {
+    if (Clock::now() >= time) return true;
+    const detail::FutexWait word = stop.word()->wait();
+    futex::wait(word.word, word.value, time);
+  }
+  return false;
+}
+
+/// When each message is due: at equal distances, whenever the ones before were sent.
+class Schedule {
+ public:
+  explicit Schedule(double hertz) : hertz_(hertz) {}
+
+  Clock::time_point next() {
+    const auto now = Clock::now();
+    auto due =
+        begin_ + std::chrono::nanoseconds(std::llround(static_cast<double>(n_++) * 1e9 / hertz_));
+    if (now - due > kMostBehind) {
+      behind_ += now - due;
+      begin_ += now - due;
+      due = now;
+    }
+    return due;
+  }
+  /// How much later it is than it was to be, in all.
+  std::chrono::nanoseconds behind() const { return behind_; }
+
+ private:
+  double hertz_;
+  Clock::time_point begin_ = Clock::now();
+  std::uint64_t n_ = 0;
+  std::chrono::nanoseconds behind_{};
+};
+
+class Publication {
+ public:
+  Publication(const Settings& settings, const PubOptions& options)
+      : where_(settings.where),
+        search_(settings.where),
+        options_(options),
+        messages_(messages_in(options.yaml)),
+        report_(settings),
+        deadline_(detail::after(options.wait)) {}
+
+  Exit run() {
+    const StopToken stop = stop_on_signals();
+    std::optional<std::string> segment;
+    while (!(segment = find_segment())) {
+      if (Clock::now() >= deadline_) throw_unknown();
+      if (!sleep_until(std::min(deadline_, Clock::now() + 100ms), stop)) return kWrong;
+    }
+    const auto participant = visit(where_, *segment, "lot pub");
+    ShmEngine engine(participant);
+    PusherOptions how;
+    how.stamp = true;
+    if (!options_.hertz) {  // nothing but the readers says how fast the messages go
+      how.policy = Policy::Block;
+      how.block_for = kForMemory;
+    }
+    const bool is_new = !engine.type_of(options_.topic);
+    const AnyType type = type_on(engine);
+    if (type.description().root().kind == Kind::Opaque) {
+      throw Error(EINVAL, options_.topic, kOpaque, "nothing was published");
+    }
+    AnyPusher pusher = engine.advertise_any(options_.topic, type, how);
+    const auto begin = is_new ? Clock::now() + kForOnlookers : Clock::now();
+    for (const YAML::Node& message : messages_) build(pusher, message);  // to say what is wrong now
+    if (options_.wait > 0s && !pusher.wait_for_readers(1, deadline_ - Clock::now(), stop)) {
+      if (stop.stop_requested()) return kWrong;
+      throw Error(0, options_.topic, "no process subscribes to it", "nothing was published");
+    }
+    if (!sleep_until(begin, stop)) return kWrong;
+    push(pusher, stop);
+    linger(*segment, *participant);
+    tell(*segment, pusher);
+    const Exit exit = report_.finish();
+    std::fflush(stdout);
+    if (options_.latch) sleep_until(Clock::time_point::max(), stop);
+    return exit;
+  }
+
+ private:
+  /// The segment that has the topic, or the one that it is like.
+  std::optional<std::string> find_segment() {
+    auto found = search_.segment_with(options_.topic);
+    if (!found && !options_.like.empty()) found = search_.segment_with(options_.like);
+    return found;
+  }
+  [[noreturn]] void throw_unknown() const {
+    if (options_.like.empty()) {
+      throw Error(ENOENT, options_.topic, "no process uses this topic, so its type is not known",
+                  "start one that does, wait for it (--wait SECONDS), or name a topic of the same "
+                  "type (--like TOPIC); `lot ls` lists them");
+    }
+    throw Error(ENOENT, options_.like, "no process uses this topic either",
+                "`lot ls` lists those that are used");
+  }
+
+  AnyType type_on(ShmEngine& engine) const {
+    AnyType type = engine.type_of(options_.topic);
+    if (!type && !options_.like.empty()) type = engine.type_of(options_.like);
+    if (!type) throw_unknown();
+    return type;
+  }
+
+  static AnyLoan build(AnyPusher& pusher, const YAML::Node& message) {
+    AnyLoan loan = pusher.loan();
+    fill(loan.root(), message);
+    return loan;
+  }
+
+  void push(AnyPusher& pusher, const StopToken& stop) {
+    constexpr std::uint64_t kForEver = ~std::uint64_t{0};
+    const std::uint64_t most =
+        options_.count.value_or(options_.hertz ? kForEver : messages_.size());
+    // The kernel wakes a sleeper up to 50 us late by default, and several at once.
+    if (options_.hertz) prctl(PR_SET_TIMERSLACK, 1UL);
+    Schedule schedule(options_.hertz.value_or(1));
+    for (; pushed_ < most; ++pushed_) {
+      AnyLoan message = build(pusher, messages_[pushed_ % messages_.size()]);
+      if (options_.hertz && !sleep_until(schedule.next(), stop)) break;
+      if (pusher.push(std::move(message), Duration::max(), stop) != Status::Ok) break;
+    }
+    if (const auto behind = schedule.behind(); behind > 0s) {
+      report_.hint("it came " + age_text(std::chrono::duration<double>(behind).count()) +
+                   " behind its schedule: this machine does not send at that rate");
+    }
+  }
+
+  /// Stays until all that look at the topic have read, but not for long.
+  void linger(const std::string& segment, const transport::Participant& me) {
+    const Sight seen = sight(where_, segment);
+    if (seen.window == nullptr) return;
+    const auto until = Clock::now() + kForReaders;
+    for (auto pause = 1ms;; pause = std::min(2 * pause, 50ms)) {
+      count_readers(observe(*seen.window), me.index());
+      if (unread_ == 0 || Clock::now() >= until) return;
+      std::this_thread::sleep_for(pause);
+    }
+  }
+  void count_readers(const Observation& seen, std::uint32_t me) {
+    std::set<std::uint32_t> looking;
+    std::set<std::uint32_t> have_read;
+    observers_ = 0;
+    for (const Topic& topic : seen.topics) {
+      if (topic.name != options_.topic) continue;
+      observers_ += topic.observers.size();
+      looking.insert(topic.subscribers.begin(), topic.subscribers.end());
+      looking.insert(topic.observers.begin(), topic.observers.end());
+      for (const Channel& channel : seen.channels) {
+        if (channel.topic != topic.index || channel.publisher != me) continue;
+        for (const Reader& reader : channel.readers) {
+          if (!reader.joining && reader.lag == 0) have_read.insert(reader.process);
+        }
+      }
+    }
+    unread_ = static_cast<std::size_t>(
+        std::count_if(looking.begin(), looking.end(), [&](std::uint32_t k) {
+          const Process* const process = seen.process(k);
+          return process != nullptr && process->alive && !have_read.contains(k);
+        }));
+  }
+
+  void tell(const std::string& segment, const AnyPusher& pusher) {
+    const std::size_t subscribers = pusher.readers();
+    Json& out = report_.document();
+    out["command"] = "pub";
+    out["segment"] = segment;
+    out["topic"] = options_.topic;
+    out["type"] = pusher.type().name();
+    out["pushed"] = pushed_;
+    out["subscribers"] = subscribers;
+    out["observers"] = observers_;
+    out["unread"] = unread_;
+    report_.print("pushed " + plural(pushed_, "message", "messages") + " on " +
+                  printable(options_.topic, 200) + " (" + printable(pusher.type().name()) +
+                  ") to " + plural(subscribers, "subscriber", "subscribers") + "\n");
+    if (pushed_ == 0) report_.ends(kWrong);
+    if (unread_ != 0) {
+      report_.hint(plural(unread_, "process has", "processes have") +
+                   " not read all of it yet: subscribers get it when they look");
+    } else if (subscribers + observers_ == 0 && !options_.latch) {
+      report_.hint(
+          "no process subscribes to it: --wait SECONDS waits for one, and --latch stays "
+          "for those that come later");
+    }
+  }
+
+  const Where where_;
+  Search search_;
+  const PubOptions& options_;
+  const std::vector<YAML::Node> messages_;
+  Report report_;
+  const Clock::time_point deadline_;
+  std::uint64_t pushed_ = 0;
+  std::size_t observers_ = 0;
+  std::size_t unread_ = 0;  ///< processes
+};
+
+}  // namespace
+
+Exit pub(const Settings& settings, const PubOptions& options) {
+  return Publication(settings, options).run();
+}
+
+}  // namespace lot::tool

@@ -1,0 +1,239 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// How large a message is for `lot bw`, and which time it has for `lot delay --field`.
+
+#if defined(__GNUC__) && !defined(__clang__)
+// As in message_test.cpp.
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
+#endif
+
+#include <array>
+#include <cerrno>
+#include <chrono>
+#include <cstdint>
+#include <string>
+
+#include <doctest/doctest.h>
+
+#include <lot/boost_containers.hpp>
+#include <lot/lot.hpp>
+
+#include "description/readable.hpp"
+#include "support/error_of.hpp"
+#include "tool/message_bytes.hpp"
+#include "tool/time_field.hpp"
+
+namespace sizes {
+
+struct Fixed {
+  std::uint64_t number;
+  std::array<float, 16> values;
+};
+struct Listed {
+  lot::ShmList<std::uint32_t> numbers;
+};
+struct InPlace {
+  boost::container::static_vector<std::uint32_t, 100> numbers;
+};
+struct Stamp {
+  std::uint32_t sec, nsec;
+};
+struct Header {
+  std::uint32_t seq;
+  Stamp stamp;
+  lot::ShmString frame_id;
+};
+struct Laps {
+  lot::ShmVector<Header> laps;
+};
+/// Only its own program knows what it counts from.
+struct OwnClock {
+  using duration = std::chrono::seconds;
+  using rep = duration::rep;
+  using period = duration::period;
+  using time_point = std::chrono::time_point<OwnClock>;
+  static constexpr bool is_steady = false;
+};
+struct Timed {
+  Header header;
+  std::chrono::system_clock::time_point taken;
+  std::chrono::time_point<std::chrono::steady_clock, std::chrono::microseconds> read;
+  std::chrono::nanoseconds since_boot;
+  std::chrono::duration<double> since_1970;
+  std::array<Stamp, 2> more;
+  OwnClock::time_point own;
+};
+
+}  // namespace sizes
+
+namespace {
+
+using namespace readable;
+using namespace sizes;
+using namespace std::chrono_literals;
+using lot::testing::error_of;
+using lot::testing::names;
+using lot::tool::bytes_by_memory;
+using lot::tool::MessageBytes;
+using lot::tool::TimeField;
+
+struct Places {
+  lot::EngineOptions options = lot::testing::fresh();
+  lot::ShmEngine engine{options};
+
+  template <class T>
+  std::uint64_t bytes(const lot::ShmUniquePtr<T>& message) {
+    const MessageBytes sizes(lot::describe<T>());
+    REQUIRE(sizes.is_exact());
+    return sizes.of(lot::detail::value_of(lot::describe<T>(), message.get()));
+  }
+};
+
+TimeField::Now now_at(std::chrono::nanoseconds system, std::chrono::nanoseconds steady) {
+  return {system, steady};
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("sizes");
+
+TEST_CASE("the size of a message is its struct, and what its vectors and strings hold") {
+  Places here;
+  const MessageBytes fixed(lot::describe<Fixed>());
+  CHECK(fixed.is_constant());
+  CHECK(fixed.type_size() == sizeof(Fixed));
+  CHECK(here.bytes(here.engine.make<Fixed>()) == sizeof(Fixed));
+
+  auto frame = here.engine.make<Frame>();
+  CHECK(!MessageBytes(lot::describe<Frame>()).is_constant());
+  CHECK(here.bytes(frame) == sizeof(Frame));
+  frame->encoding = "rgb8";  // lies in the struct
+  CHECK(here.bytes(frame) == sizeof(Frame));
+  frame->data.resize(921600);
+  CHECK(here.bytes(frame) == sizeof(Frame) + 921600);
+  frame->encoding = std::string(100, 'x').c_str();
+  CHECK(here.bytes(frame) == sizeof(Frame) + 921600 + 100);
+
+  auto label = here.engine.make<Label>();  // strings in an array
+  label->notes[1] = std::string(40, 'y').c_str();
+  CHECK(here.bytes(label) == sizeof(Label) + 40);
+
+  auto tree = here.engine.make<Tree>();  // a type in itself
+  tree->branches.resize(3);
+  tree->branches[1].branches.resize(2);
+  tree->branches[1].branches[0].branches.resize(1);
+  CHECK(here.bytes(tree) == 7 * sizeof(Tree));
+
+  auto chain = here.engine.make<Chain>();  // what it refers to is another message
+  CHECK(MessageBytes(lot::describe<Chain>()).is_constant());
+  CHECK(here.bytes(chain) == sizeof(Chain));
+}
+
+TEST_CASE("of what no description explains the memory says the size") {
+  CHECK(!MessageBytes(lot::describe<Listed>()).is_exact());
+  CHECK(!MessageBytes(lot::describe<InPlace>()).is_exact());
+  CHECK(bytes_by_memory(256, sizeof(Listed)) == sizeof(Listed));
+  CHECK(bytes_by_memory(4096, sizeof(Listed)) == 4096);
+  CHECK(bytes_by_memory(256, sizeof(InPlace)) == 256);  // smaller than the type: damage
+  CHECK(bytes_by_memory(4096, sizeof(InPlace)) == sizeof(InPlace));
+  CHECK(bytes_by_memory(8192, sizeof(InPlace)) == 8192);
+  CHECK(bytes_by_memory(8192, 5000) == 5000);
+  CHECK(bytes_by_memory(12288, 5000) == 12288);
+}
+
+TEST_CASE("a damaged message has no size") {
+  Places here;
+  auto frame = here.engine.make<Frame>();
+  frame->data.resize(100);
+  unsigned char whole[sizeof(Frame)];
+  std::memcpy(whole, static_cast<const void*>(frame.get()), sizeof(whole));
+  std::memset(static_cast<void*>(&frame->data), 0x5a, sizeof(frame->data));
+  CHECK(error_of([&] { (void)here.bytes(frame); }).first == EBADMSG);
+  std::memcpy(static_cast<void*>(frame.get()), whole, sizeof(whole));
+  CHECK(here.bytes(frame) == sizeof(Frame) + 100);
+}
+
+TEST_CASE("a time in a message is told from the right clock") {
+  Places here;
+  auto message = here.engine.make<Timed>();
+  const auto system = 1700000000s + 123456789ns;
+  const auto steady = 5000s;
+  const auto age = [&](const std::string& path, TimeField::Clock clock) {
+    TimeField field(path);
+    field.begin(lot::describe<Timed>());
+    const auto value = lot::detail::value_of(lot::describe<Timed>(), message.get());
+    const auto found = field.age(value, now_at(system, steady));
+    if (found) CHECK(field.clock() == clock);
+    return found;
+  };
+  using Clock = TimeField::Clock;
+  for (const char* path :
+       {"header.stamp", "taken", "read", "since_boot", "since_1970", "more[1]"}) {
+    CAPTURE(path);
+    CHECK(!age(path, Clock::Unknown));  // it is zero
+  }
+  message->header.stamp = {1700000000, 100000000};
+  CHECK(age("header.stamp", Clock::System) == 23456789ns);
+  message->header.stamp = {1700000001, 0};
+  CHECK(age("header.stamp", Clock::System) == 123456789ns - 1s);  // it lies ahead
+  message->more[1] = {4999, 999999999};
+  CHECK(age("more[1]", Clock::Steady) == 1ns);
+  message->taken = std::chrono::system_clock::time_point(system - 5ms);
+  CHECK(age("taken", Clock::System) == 5ms);
+  message->read = decltype(message->read)(4999s);
+  CHECK(age("read", Clock::Steady) == 1s);
+  message->since_boot = 4000s;
+  CHECK(age("since_boot", Clock::Steady) == 1000s);
+  message->since_1970 = std::chrono::duration<double>(1700000000);
+  CHECK(age("since_1970", Clock::System) == 123456789ns);
+  message->since_1970 = std::chrono::duration<double>(1e300);  // any number may stand there
+  CHECK(*age("since_1970", Clock::System) < -24h * 365 * 50);
+}
+
+TEST_CASE("the clock of a number of seconds is that of the first one of its type") {
+  Places here;
+  auto message = here.engine.make<Timed>();
+  TimeField field("since_boot");
+  field.begin(lot::describe<Timed>());
+  const auto age = [&](std::chrono::nanoseconds time) {
+    message->since_boot = time;
+    return field.age(lot::detail::value_of(lot::describe<Timed>(), message.get()),
+                     now_at(1700000000s, 5000s));
+  };
+  CHECK(age(4999s) == 1s);
+  CHECK(age(1699999999s) == 5000s - 1699999999s);
+  field.begin(lot::describe<Timed>());
+  CHECK(age(1699999999s) == 1s);
+}
+
+TEST_CASE("a field that has no time is refused, and the words say which would do") {
+  const auto error = [](const std::string& path) {
+    return error_of([&] { TimeField(path).begin(lot::describe<Timed>()); });
+  };
+  for (const char* path : {"header.seq", "header", "header.frame_id", "header.stamp.sec", "more",
+                           "none", "more[2]", "own", ""}) {
+    CAPTURE(std::string(path));
+    CHECK(error(path).first == EINVAL);
+  }
+  CHECK(names(error("header.seq").second, "struct of sec and nsec"));
+  CHECK(names(error("own").second, "OwnClock"));
+  CHECK(names(error("header.time").second, "stamp"));
+}
+
+TEST_CASE("a time behind a vector that is too short is refused in this message alone") {
+  Places here;
+  TimeField field("laps[1].stamp");
+  field.begin(lot::describe<Laps>());
+  auto message = here.engine.make<Laps>();
+  const auto age = [&] {
+    return field.age(lot::detail::value_of(lot::describe<Laps>(), message.get()),
+                     now_at(1700000000s, 5000s));
+  };
+  message->laps.resize(1);
+  CHECK(error_of([&] { (void)age(); }).first == EINVAL);
+  message->laps.resize(2);
+  message->laps[1].stamp = {1699999999, 0};
+  CHECK(age() == 1s);
+}
+
+TEST_SUITE_END();
