@@ -34,7 +34,7 @@ void Account::after_subscribe(std::uint64_t history) {
   });
   for (Early& e : early_) {
     const Incarnation& r = record(e.incarnation);
-    const std::uint64_t depth = r.depth - r.blocking;
+    const std::uint64_t depth = r.depth - (blocking(e.incarnation) ? 1 : 0);
     const auto back = [&](std::uint64_t head) { return head - std::min({history, depth, head}); };
     e.joined = e.was_live && life_.lives(r);
     e.least = e.was_live ? back(e.least) : 0;

@@ -34,12 +34,16 @@ namespace lot::chaos {
 ///  - *Block.* There is no gap at all behind the first number. (Before it there may be one: a
 ///    reader that joins later than the publisher came gets at most depth - 1 old messages and the
 ///    rest as missed.)
+///  - *Observers.* For one all publishers overwrite: under Block there may be gaps, too, which
+///    missed() covers. A publisher that comes later is read from its number 0 on, if a look has
+///    found it before it ended.
 ///  - *Little memory.* Publishers under Overwrite then take their oldest messages back, and a
 ///    reader may have counted some whose number it cannot tell yet. Then only "not lost" is
 ///    checked, by the gaps, and not "none too many"; under Block all of it is.
 class Account {
  public:
-  Account(Life& life, std::uint32_t topic) : life_(life), topic_(topic) {}
+  Account(Life& life, std::uint32_t topic, bool observes)
+      : life_(life), topic_(topic), observes_(observes) {}
 
   void before_subscribe();
   void after_subscribe(std::uint64_t history);
@@ -76,7 +80,8 @@ class Account {
   };
 
   Incarnation& record(std::uint32_t i) const { return life_.board.incarnations[i]; }
-  bool blocking(std::uint32_t i) const { return record(i).blocking != 0; }
+  /// True when this publisher waits for the reader.
+  bool blocking(std::uint32_t i) const { return record(i).blocking != 0 && !observes_; }
   bool is_exact(std::uint32_t i) const { return life_.epoch.roomy || blocking(i); }
   /// A reader that joins a ring of depth 1 late, under Block, is told what it missed, and gets
   /// nothing.
@@ -95,6 +100,7 @@ class Account {
 
   Life& life_;
   std::uint32_t topic_;
+  bool observes_;
   std::uint32_t began_ = 0;  ///< incarnations from here on are read from their number 0
   std::vector<Early> early_;
   std::vector<Ring> rings_;

@@ -6,6 +6,7 @@
 
 #include "lockfree_ring/words.hpp"
 #include "refcount/ownership.hpp"
+#include "support/topic_types.hpp"
 
 namespace lot::chaos {
 namespace {
@@ -53,7 +54,7 @@ class Auditor {
     std::uint64_t readers = 0;
     for (std::uint32_t t = 0; t < kTopics; ++t) {
       pushers += living_.pushers[t];
-      readers += std::uint64_t{living_.pushers[t]} * living_.pullers[t];
+      readers += std::uint64_t{living_.pushers[t]} * (living_.pullers[t] + living_.observers[t]);
     }
     for (std::uint32_t c = 0; c < s_.capacity().channels; ++c) {
       const auto w = s_.channels()[c].writer.load();
@@ -81,19 +82,31 @@ class Auditor {
 
   void topics() {
     std::uint32_t used = 0;
-    std::uint32_t wanted = 0;
-    for (std::uint32_t t = 0; t < kTopics; ++t)
-      wanted += living_.pushers[t] + living_.pullers[t] != 0;
-    for (auto& topic : s_.topics()) {
-      bool any = false;
-      for (std::uint32_t k = 0; k < s_.capacity().participants; ++k) {
-        if ((topic.users[k / segment::Atomics::kBitsPerWord].load() & Own::bit(k)) == 0) continue;
-        any = true;
-        if (!lives(k)) say(std::string("topic ") + topic.name + " is used by " + std::to_string(k));
-      }
-      used += any;
+    std::uint32_t observed = 0;
+    std::uint32_t wanted_used = 0;
+    std::uint32_t wanted_observed = 0;
+    for (std::uint32_t t = 0; t < kTopics; ++t) {
+      wanted_used += living_.pushers[t] + living_.pullers[t] != 0;
+      wanted_observed += living_.observers[t] != 0;
     }
-    expect("topics", used, wanted);
+    for (auto& topic : s_.topics()) {
+      used += is_anybodys(topic.users, std::string("topic ") + topic.name + " is used by ");
+      observed +=
+          is_anybodys(topic.observers, std::string("topic ") + topic.name + " is observed by ");
+    }
+    expect("topics", used, wanted_used);
+    expect("observed topics", observed, wanted_observed);
+    if (const std::string wrong = testing::wrong_types(s_); !wrong.empty()) say(wrong);
+  }
+  /// `bits`: users or observers of a topic.
+  bool is_anybodys(const auto& bits, const std::string& what) {
+    bool any = false;
+    for (std::uint32_t k = 0; k < s_.capacity().participants; ++k) {
+      if ((bits[k / segment::Atomics::kBitsPerWord].load() & Own::bit(k)) == 0) continue;
+      any = true;
+      if (!lives(k)) say(what + std::to_string(k));
+    }
+    return any;
   }
 
   void blocks() {

@@ -17,12 +17,15 @@ struct Living {
   std::uint32_t participants = 0;
   std::array<std::uint32_t, kTopics> pushers{};
   std::array<std::uint32_t, kTopics> pullers{};
+  std::array<std::uint32_t, kTopics> observers{};
   std::array<std::uint32_t, kMostNodes> pushers_of{};  ///< each node
 };
 
 /// What the segment holds that the living do not explain, or "":
 ///  - every index, ring, reader's cell, topic, home and ownership bit is a living participant's,
 ///    and there are as many of them as the living have;
+///  - a topic that observers have and others, or observers only, is there once for each type, and
+///    carries that whole type;
 ///  - a living one has no more blocks than its publishers can need;
 ///  - what the orphanage keeps is a message that a living one still has in its ring, or that such
 ///    a message refers to;

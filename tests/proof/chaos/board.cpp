@@ -19,6 +19,15 @@ Board& Board::make() {
   return *board;
 }
 
+bool Doubt::lasts(std::chrono::nanoseconds most) {
+  constexpr std::uint32_t kLooks = 20;
+  const std::int64_t now =
+      std::chrono::steady_clock::now().time_since_epoch() / std::chrono::nanoseconds(1);
+  std::int64_t begun = 0;
+  if (since.compare_exchange_strong(begun, now)) begun = now;
+  return looks.fetch_add(1) >= kLooks && now - begun > most.count();
+}
+
 void Board::report(Finding finding, std::uint32_t slot, std::string_view text) {
   found[static_cast<std::size_t>(finding)].fetch_add(1);
   const std::uint32_t n = reports_begun.fetch_add(1);
@@ -33,6 +42,7 @@ void Board::report(Finding finding, std::uint32_t slot, std::string_view text) {
 
 void Board::forget_publishers() {
   for (auto& n : newest) n.store(0);
+  for (Doubt& doubt : refused) doubt.forget();
   // Zeroes again.
   if (madvise(items.data(), sizeof(items), MADV_REMOVE) == -1) {
     throw std::system_error(errno, std::generic_category(), "madvise");

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <string_view>
 
@@ -44,6 +45,7 @@ enum class Count : std::uint32_t {
   Opened,
   Advertised,
   Subscribed,
+  Observed,
   Published,
   Refused,
   Received,
@@ -61,12 +63,15 @@ enum class Count : std::uint32_t {
   Finished,
   GivenBack,
   Redelivered,
+  TypeRefused,
+  TypeChanged,
   kCounts
 };
 inline constexpr std::array kCountNames{
     "engines opened",
     "advertised",
     "subscribed",
+    "subscribed, to look on",
     "published",
     "refused (Full)",
     "received",
@@ -84,6 +89,8 @@ inline constexpr std::array kCountNames{
     "tasks finished",
     "tasks given back",
     "tasks delivered again",
+    "refused, as the topic carries another type",
+    "left, as the topic got another type",
 };
 static_assert(kCountNames.size() == static_cast<std::size_t>(Count::kCounts));
 
@@ -102,6 +109,8 @@ constexpr std::uint32_t step_of(std::uint32_t checkpoint, Stage stage) {
 
 /// One name under which a node is started again and again.
 struct alignas(64) NodeRecord {
+  using Ends = std::array<std::atomic<std::uint16_t>, kTopics>;  ///< by topic
+
   std::atomic<std::uint32_t> life;     ///< how often it has been started
   std::atomic<std::uint32_t> doomed;   ///< 1: the supervisor ends it, or has
   std::atomic<std::uint64_t> beats;    ///< moves with everything it does
@@ -109,8 +118,9 @@ struct alignas(64) NodeRecord {
   std::atomic<std::uint32_t> reached;  ///< step_of() the last checkpoint that it has reached
   std::atomic<std::uint64_t> serial;   ///< messages made under this name, in all lives
   std::atomic<std::int64_t> taking;    ///< since when it takes an item that has no mark yet, or 0
-  std::array<std::atomic<std::uint16_t>, kTopics> pushers;  ///< that it has now
-  std::array<std::atomic<std::uint16_t>, kTopics> pullers;
+  Ends pushers;                        ///< that it has now
+  Ends pullers;
+  Ends observers;
   std::array<std::atomic<std::uint64_t>, static_cast<std::size_t>(Count::kCounts)> counts;
 };
 
@@ -156,6 +166,20 @@ struct Relayed {
   std::atomic<std::uint32_t> number;
 };
 
+/// Something that may be for a moment, and must not last.
+struct Doubt {
+  std::atomic<std::int64_t> since;
+  std::atomic<std::uint32_t> looks;
+
+  void forget() {
+    since.store(0);
+    looks.store(0);
+  }
+  /// Notes that a look finds it so. True when many looks have, and none other, for longer than
+  /// `most`.
+  bool lasts(std::chrono::nanoseconds most);
+};
+
 struct Report {
   std::atomic<std::uint32_t> written;
   Finding finding;
@@ -176,6 +200,8 @@ struct Board {
   std::atomic<std::uint32_t> checkpoint;          ///< counts them; what `reached` refers to
   std::atomic<std::uint32_t> incarnations_begun;  ///< the next one; 0 is none
   std::array<std::atomic<std::uint32_t>, kTopics> newest;  ///< incarnation on each topic
+  /// By shape: processes are refused, and none is there that has the other type.
+  std::array<Doubt, kTopics - kFirstShape> refused;
   std::atomic<std::uint32_t> reports_begun;
   std::atomic<std::int64_t> stalled_at;  ///< when the machine stood still (canary.hpp)
   std::array<std::atomic<std::int64_t>, kProcessors> canary_seen;

@@ -4,10 +4,11 @@
 # LOT_TEST_ONE_IN=N: one of each N mistakes, others with each LOT_TEST_SEED.
 set(mistakes
     tear=torn smear=torn refer=torn weak=torn
-    skip=lost miss=lost more=lost ghost=lost overrun=lost deaf=lost
-    drop=lost spill=lost forget=lost
+    skip=lost miss=lost overlook=lost more=lost ghost=lost overrun=lost deaf=lost
+    drop=lost spill=lost forget=lost blind=lost
     twice=twice take-twice=twice share=twice recount=twice
     leak=leaked leak-at-end=leaked hoard=leaked greed=leaked
+    cling=leaked keep=leaked spoil=leaked
     file=files
     wedge=wedged doze=wedged stay=wedged
     crash=crashed)
@@ -34,7 +35,8 @@ foreach(planted IN LISTS mistakes)
   list(GET planted 1 finding)
   set(size --or-without --kills 800 --checkpoint 40)
   # Few readers sleep that long; and few see a publisher that comes later, where little is running.
-  if(mistake MATCHES "^(doze|deaf)$")
+  # Few observers live that long beside another type.
+  if(mistake MATCHES "^(doze|deaf|blind)$")
     set(size --or-without --kills 4000 --checkpoint 400)
   endif()
   # It is found every time. What it is found as is chance, since one mistake has many consequences (a

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <chrono>
 #include <deque>
@@ -34,7 +35,7 @@ class Inlet final : public Job {
         engine_(engine),
         topic_(topic),
         plan_(reading(life.random, role)),
-        account_(life, topic) {
+        account_(life, topic, plan_.options.observer) {
     subscribe();
   }
   ~Inlet() override {
@@ -106,16 +107,22 @@ class Inlet final : public Job {
     account_.before_subscribe();
     PullerOptions real = plan_.options;
     if (life_.has(Plant::Greed)) real.max_held_bytes = PullerOptions::kNoQuota;
+    if (life_.has(Plant::Cling) && topic_ >= kFirstShape) real.observer = false;
     puller_.emplace(engine_.subscribe<T>(kTopic[topic_].name, real));
     ++subscriptions_;
     account_.after_subscribe(plan_.options.history);
-    life_.me.pullers[topic_].fetch_add(1);
-    life_.count(Count::Subscribed);
+    mine().fetch_add(1);
+    life_.count(plan_.options.observer ? Count::Observed : Count::Subscribed);
   }
   void leave() {
     life_.doing(Doing::Closing, topic_);
-    life_.me.pullers[topic_].fetch_sub(1);
+    if (!puller_) return;  // it was refused when it came again
+    mine().fetch_sub(1);
     puller_.reset();
+  }
+  /// How many such subscriptions this node has.
+  std::atomic<std::uint16_t>& mine() {
+    return (plan_.options.observer ? life_.me.observers : life_.me.pullers)[topic_];
   }
 
   template <class Handle>
@@ -203,6 +210,7 @@ class Inlet final : public Job {
       return;
     }
     if (life_.has(Plant::Miss)) missed = 0;
+    if (life_.has(Plant::Overlook) && plan_.options.observer) missed = 0;
     if (life_.has(Plant::More, 1)) ++missed;
     account_.received(place, missed);
   }

@@ -7,17 +7,11 @@
 #include "juggler.hpp"
 #include "publisher.hpp"
 #include "relay.hpp"
+#include "retyper.hpp"
 #include "worker.hpp"
 
 namespace lot::chaos {
 namespace {
-
-std::unique_ptr<Job> make_publisher(Life& life, ShmEngine& engine, std::uint32_t topic) {
-  if (kTopic[topic].kind == Kind::Plain) {
-    return std::make_unique<Publisher<Plain>>(life, engine, topic);
-  }
-  return std::make_unique<Publisher<Frame>>(life, engine, topic);
-}
 
 std::unique_ptr<Job> make_putter(Life& life, ShmEngine& engine, const Part& part) {
   if (part.from != part.to) return std::make_unique<Worker>(life, engine, part.from, part.to);
@@ -50,6 +44,13 @@ std::unique_ptr<Job> make_relay(Life& life, ShmEngine& engine, const Part& part)
 
 }  // namespace
 
+std::unique_ptr<Job> make_publisher(Life& life, ShmEngine& engine, std::uint32_t topic) {
+  if (kTopic[topic].kind == Kind::Plain) {
+    return std::make_unique<Publisher<Plain>>(life, engine, topic);
+  }
+  return std::make_unique<Publisher<Frame>>(life, engine, topic);
+}
+
 std::unique_ptr<Job> make_inlet(Life& life, ShmEngine& engine, std::uint32_t topic, Role role) {
   if (has_tasks(topic)) return make_finisher(life, engine, topic);
   if (is_put(topic)) return make_taker(life, engine, topic);
@@ -67,7 +68,11 @@ Jobs make_jobs(Life& life, std::optional<ShmEngine>& engine) {
   const Part part = part_of(life.slot);
   Jobs jobs;
   const auto read_some = [&](std::uint64_t n) {
-    for (; n > 0; --n) jobs.push_back(make_inlet(life, *engine, life.random.pick(kTopics)));
+    for (; n > 0; --n) {
+      const std::uint32_t topic = life.random.pick(kFirstShape);
+      const bool observes = part.role == Role::Observe;
+      jobs.push_back(make_inlet(life, *engine, topic, observes ? Role::Observe : Role::Read));
+    }
   };
   switch (part.role) {
     case Role::Publish:
@@ -75,6 +80,7 @@ Jobs make_jobs(Life& life, std::optional<ShmEngine>& engine) {
       if (life.random.chance(20)) read_some(1);
       break;
     case Role::Read:
+    case Role::Observe:
       read_some(1 + life.random.below(3));
       break;
     case Role::Sleep:
@@ -92,7 +98,7 @@ Jobs make_jobs(Life& life, std::optional<ShmEngine>& engine) {
       }
       break;
     case Role::Finish:
-      for (std::uint32_t t = kFirstTask; t < kTopics; ++t) {
+      for (std::uint32_t t = kFirstTask; t < kFirstShape; ++t) {
         jobs.push_back(make_finisher(life, *engine, t));
       }
       break;
@@ -101,6 +107,9 @@ Jobs make_jobs(Life& life, std::optional<ShmEngine>& engine) {
       break;
     case Role::Annotate:
       jobs.push_back(std::make_unique<Annotator>(life, *engine, part.from, part.to));
+      break;
+    case Role::Retype:
+      jobs.push_back(std::make_unique<Retyper>(life, *engine));
       break;
     case Role::Juggle:
       engine.reset();

@@ -22,7 +22,7 @@ void Juggler::turn() {
   std::optional<Publisher<Plain>> publisher;
   std::unique_ptr<Job> reader;
   if (random.chance(80)) publisher.emplace(life_, second ? *second : *first, topic_);
-  if (random.chance(80)) reader = make_inlet(life_, *first, random.pick(kTopics));
+  if (random.chance(80)) reader = make_inlet(life_, *first, random.pick(kFirstShape));
   if (random.chance(30)) second.reset();
   for (std::uint64_t n = random.below(8); n > 0 && life_.stage() == Stage::Run; --n) {
     if (publisher) publisher->turn();

@@ -7,6 +7,7 @@
 #include <exception>
 #include <fstream>
 #include <new>
+#include <string_view>
 
 #include "canary.hpp"
 #include "jobs.hpp"
@@ -39,6 +40,22 @@ void plant_in_segment(Life& life) {
     const std::uint32_t nobody = s.capacity().participants - 1;
     using Own = refcount::Ownership<segment::Atomics>;
     test::raw(Own::word(s.block(s.capacity().blocks - 1), nobody)).fetch_or(Own::bit(nobody));
+  } else if (life.has(Plant::Keep)) {
+    segment::Segment s(path);
+    const std::uint32_t nobody = s.capacity().participants - 1;
+    for (auto& topic : s.topics()) {
+      if (topic.users[0].load() == 0 || topic.name != std::string_view("/shape")) continue;
+      using Own = refcount::Ownership<segment::Atomics>;
+      test::raw(topic.users[nobody / segment::Atomics::kBitsPerWord]).fetch_or(Own::bit(nobody));
+    }
+  } else if (life.has(Plant::Spoil)) {
+    segment::Segment s(path);
+    for (auto& topic : s.topics()) {
+      const std::uint64_t word = topic.description.load();
+      if (topic.users[0].load() == 0 || word == 0) continue;
+      s.descriptions()[segment::description_offset(word) / sizeof(std::uint64_t)] ^= 1;
+      break;
+    }
   } else if (life.has(Plant::File)) {
     std::ofstream(path + ".stray") << "left";
   }
@@ -75,7 +92,7 @@ void take_what_waits(Board& board, const Settings& settings, const Epoch& epoch,
                      segment::Segment& s) {
   Life life(board, settings, epoch, kMostNodes);
   Jobs jobs;
-  for (std::uint32_t t = kFirstTaken; t < kTopics; ++t) {
+  for (std::uint32_t t = kFirstTaken; t < kFirstShape; ++t) {
     jobs.push_back(make_inlet(life, engine, t));
   }
   const auto no_rings = [&] {

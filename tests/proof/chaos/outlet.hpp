@@ -30,7 +30,12 @@ class Outlet {
       real.policy = Policy::Overwrite;
       --real.depth;  // as much history as under Block
     }
-    pusher_.emplace(engine.advertise<T>(kTopic[topic].name, pusher_options(real)));
+    try {
+      pusher_.emplace(engine.advertise<T>(kTopic[topic].name, pusher_options(real)));
+    } catch (...) {
+      record().state.store(Incarnation::Closed, std::memory_order_release);
+      throw;
+    }
     reserve();
     record().state.store(Incarnation::Live, std::memory_order_release);
     life_.me.pushers[topic].fetch_add(1);

@@ -12,7 +12,7 @@ using namespace std::chrono_literals;
 Part part_of(unsigned slot) {
   // Relays and their sources first, so that a small run has them too. One relay for each relayed
   // topic: then a message is never in two rings of it.
-  static constexpr std::array<Part, 42> parts{{
+  static constexpr std::array<Part, 46> parts{{
       {Role::Publish, 0, kCount},
       {Role::Read, 0, 0},
       {Role::Publish, 0, kCamera},
@@ -39,7 +39,7 @@ Part part_of(unsigned slot) {
       {Role::Publish, 0, kLossless},
       {Role::Read, 0, 0},
       {Role::Juggle, 0, kLossless},
-      {Role::Read, 0, 0},
+      {Role::Observe, 0, 0},
       {Role::Publish, 0, kCount},
       {Role::Juggle, 0, kCount},
       {Role::Sleep, 0, 0},
@@ -55,6 +55,10 @@ Part part_of(unsigned slot) {
       {Role::Finish, 0, 0},
       {Role::Put, kErrands, kErrands},
       {Role::Finish, 0, 0},
+      {Role::Retype, 0, 0},
+      {Role::Retype, 0, 0},
+      {Role::Retype, 0, 0},
+      {Role::Retype, 0, 0},
   }};
   return slot < parts.size() ? parts[slot] : Part{Role::Read, 0, 0};
 }
@@ -72,11 +76,14 @@ Doing aim_at(Role role, Random& random) {
     case Role::Put:
       return one_of({Advertising, Loaning, Filling, Pushing, Pushing});
     case Role::Read:
+    case Role::Observe:
     case Role::Take:
     case Role::Sleep:
       return one_of({Subscribing, Looking, Reading, Reading, Closing});
     case Role::Finish:
       return one_of({Looking, Reading, Reading, Finishing, Finishing});
+    case Role::Retype:
+      return one_of({Advertising, Advertising, Subscribing, Subscribing, Closing});
     case Role::Juggle:
       return one_of({Opening, Advertising, Subscribing, Loaning, Pushing, Closing, Closing});
     default:
@@ -182,6 +189,8 @@ Reading reading(Random& random, Role role) {
   if ((role == Role::Read || role == Role::Sleep) && random.chance(40)) {
     plan.options.max_held_bytes = (1 + random.below(64)) << 10;
   }
+  plan.options.observer =
+      role == Role::Observe || ((role == Role::Read || role == Role::Sleep) && random.chance(20));
   plan.patience = plan.options.wait == Wait::Spin ? 200us : random.between(500us, 5ms);
   if (role != Role::Relay) {  // which reads what comes, so that it never relays a message twice
     plan.options.history = std::array<std::uint64_t, 5>{0, 0, 1, 3, 1000}[random.below(5)];

@@ -17,7 +17,19 @@
 namespace lot::chaos {
 
 /// What a name does, in all its lives. Parameters differ from life to life.
-enum class Role : std::uint8_t { Publish, Read, Sleep, Relay, Annotate, Juggle, Put, Take, Finish };
+enum class Role : std::uint8_t {
+  Publish,
+  Read,
+  Observe,
+  Sleep,
+  Relay,
+  Annotate,
+  Juggle,
+  Put,
+  Take,
+  Finish,
+  Retype
+};
 
 struct Part {
   Role role;

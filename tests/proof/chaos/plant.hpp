@@ -17,6 +17,7 @@ enum class Plant : std::uint8_t {
   Weak,
   Skip,
   Miss,
+  Overlook,
   More,
   Ghost,
   Overrun,
@@ -32,6 +33,10 @@ enum class Plant : std::uint8_t {
   LeakAtEnd,
   Hoard,
   Greed,
+  Cling,
+  Keep,
+  Spoil,
+  Blind,
   File,
   Wedge,
   Doze,
@@ -46,13 +51,16 @@ struct Mistake {
   const char* says;
 };
 
-inline constexpr std::array<Mistake, 26> kMistakes{{
+inline constexpr std::array<Mistake, 31> kMistakes{{
     {Plant::Tear, "tear", Finding::Torn, "a publisher writes into what it pushes just now"},
     {Plant::Smear, "smear", Finding::Torn, "a publisher writes into what it has pushed before"},
     {Plant::Refer, "refer", Finding::Torn, "a message refers to another one than it says"},
     {Plant::Weak, "weak", Finding::Torn, "a weak pointer leads to another message"},
     {Plant::Skip, "skip", Finding::Lost, "a publisher leaves a number out"},
     {Plant::Miss, "miss", Finding::Lost, "a reader is told of too few that it missed"},
+    {Plant::Overlook, "overlook", Finding::Lost, "an observer is not told what it missed"},
+    {Plant::Blind, "blind", Finding::Lost,
+     "an observer is not told that its topic has another type"},
     {Plant::More, "more", Finding::Lost, "a reader is told of too many that it missed"},
     {Plant::Ghost, "ghost", Finding::Lost, "a message is published that no look finds"},
     {Plant::Overrun, "overrun", Finding::Lost, "a publisher says Block and overwrites"},
@@ -69,6 +77,9 @@ inline constexpr std::array<Mistake, 26> kMistakes{{
      "a block is held by nobody, after all ended"},
     {Plant::Hoard, "hoard", Finding::Leaked, "a publisher has more blocks than it can need"},
     {Plant::Greed, "greed", Finding::Leaked, "a reader keeps more than it may"},
+    {Plant::Cling, "cling", Finding::Leaked, "a topic is kept for an observer"},
+    {Plant::Keep, "keep", Finding::Leaked, "a topic that no process uses keeps its type"},
+    {Plant::Spoil, "spoil", Finding::Leaked, "the description of a topic is written"},
     {Plant::File, "file", Finding::Files, "a file of the segment stays"},
     {Plant::Wedge, "wedge", Finding::Wedged, "a node stops making progress"},
     {Plant::Doze, "doze", Finding::Wedged, "a reader sleeps on when a message comes"},

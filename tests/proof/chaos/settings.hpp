@@ -14,7 +14,7 @@ namespace lot::chaos {
 /// What the command line says.
 struct Settings {
   unsigned kills = 10000;
-  unsigned processes = 42;
+  unsigned processes = 46;
   unsigned checkpoint = 1000;  ///< kills from one calm to the next
   std::uint64_t seed = 0;
   std::chrono::seconds at_most{0};  ///< 0: as long as it takes

@@ -312,6 +312,7 @@ Living Supervisor::living() const {
       living.pushers[t] += pushers;
       living.pushers_of[slot] += pushers;
       living.pullers[t] += board_.nodes[slot].pullers[t].load();
+      living.observers[t] += board_.nodes[slot].observers[t].load();
     }
   }
   return living;

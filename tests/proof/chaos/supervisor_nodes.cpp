@@ -31,6 +31,7 @@ void Supervisor::start(unsigned slot) {
   record.reached.store(0);
   for (auto& n : record.pushers) n.store(0);
   for (auto& n : record.pullers) n.store(0);
+  for (auto& n : record.observers) n.store(0);
   record.life.store(life);
   record.doomed.store(0, std::memory_order_release);
   const bool spared =

@@ -30,10 +30,13 @@ enum TopicId : std::uint32_t {
   kDone,
   kTasks,
   kErrands,
+  kPlainShape,
+  kFrameShape,
   kTopics,
   kFirstRelay = kCameraRelay,
   kFirstTaken = kJobs,
-  kFirstTask = kTasks
+  kFirstTask = kTasks,
+  kFirstShape = kPlainShape
 };
 
 struct Topic {
@@ -61,6 +64,8 @@ inline constexpr std::array<Topic, kTopics> kTopic{{
     {"/jobs/done", Kind::Plain, Queueing::Block, {1, 3, 9}},
     {"/tasks", Kind::Plain, Queueing::Block, {1, 4, 32}},
     {"/errands", Kind::Frame, Queueing::Block, {2, 3, 8}},
+    {"/shape", Kind::Plain, Queueing::Either, {2, 5, 16}},
+    {"/shape", Kind::Frame, Queueing::Either, {2, 3, 8}},
 }};
 
 /// Topics on which messages of others are published again, each by one node.
@@ -68,8 +73,12 @@ constexpr bool is_relayed(std::uint32_t topic) {
   return topic >= kFirstRelay && topic < kFirstTaken;
 }
 /// Queues whose items are each for one of their readers.
-constexpr bool is_put(std::uint32_t topic) { return topic >= kFirstTaken; }
+constexpr bool is_put(std::uint32_t topic) { return topic >= kFirstTaken && topic < kFirstShape; }
 /// Of these, those whose items are tasks: they come back until a worker has finished them.
-constexpr bool has_tasks(std::uint32_t topic) { return topic >= kFirstTask; }
+constexpr bool has_tasks(std::uint32_t topic) { return topic >= kFirstTask && topic < kFirstShape; }
+/// One name, and two types: it carries the one or the other. Each has its own books.
+constexpr std::uint32_t other_shape(std::uint32_t topic) {
+  return topic == kPlainShape ? kFrameShape : kPlainShape;
+}
 
 }  // namespace lot::chaos

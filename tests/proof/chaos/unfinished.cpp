@@ -12,7 +12,7 @@ std::uint64_t segment_file(const std::string& path) {
 
 std::string unfinished(Board& board, const Hands& hands, const Living& living,
                        std::uint64_t segment) {
-  for (std::uint32_t topic = kFirstTask; topic < kTopics; ++topic) {
+  for (std::uint32_t topic = kFirstTask; topic < kFirstShape; ++topic) {
     if (living.pullers[topic] == 0) continue;
     std::uint32_t unnoted = 0;
     for (std::uint32_t i = board.newest[topic].load(); i != 0; i = board.incarnations[i].before) {

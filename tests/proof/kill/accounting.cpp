@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "support/lock_owner.hpp"
+#include "support/topic_types.hpp"
 
 namespace lot::kill {
 namespace {
@@ -21,6 +22,7 @@ class Books {
     blocks();
     channels();
     topics();
+    if (const std::string types = testing::wrong_types(segment_); !types.empty()) wrong(types);
     granules();
     registry_lock();
     return text_;
@@ -108,11 +110,16 @@ class Books {
   void topics() {
     for (auto& topic : segment_.topics()) {
       for (std::uint32_t k = 0; k < segment_.capacity().participants; ++k) {
-        const auto& users = topic.users[k / segment::Atomics::kBitsPerWord];
-        if ((users.load() & Own::bit(k)) != 0 && !lives(k)) wrong("a topic is used by the dead");
+        if (has(topic.users, k) && !lives(k)) wrong("a topic is used by the dead");
+        if (has(topic.observers, k) && !lives(k)) wrong("a topic is observed by the dead");
         if (topic.pullers[k].load() != 0 && !lives(k)) wrong("a topic counts pullers of the dead");
       }
     }
+  }
+
+  /// `bits`: users or observers of a topic.
+  static bool has(const auto& bits, std::uint32_t k) {
+    return (bits[k / segment::Atomics::kBitsPerWord].load() & Own::bit(k)) != 0;
   }
 
   void granules() {

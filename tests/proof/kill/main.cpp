@@ -133,8 +133,10 @@ class Run {
       ++planted;
       missed += !found;
     };
-    for (const auto& [operation, text] : planted_operations()) {
-      if (is_mine()) judge(operation.name, at(operation, Trial::kMost).violations, text);
+    for (const auto& plants : {planted_operations(), planted_beside_observers()}) {
+      for (const auto& [operation, text] : plants) {
+        if (is_mine()) judge(operation.name, at(operation, Trial::kMost).violations, text);
+      }
     }
     options_.every = 5;  // a leak that stays takes its time
     const Plant failure = planted_failure();
@@ -160,6 +162,7 @@ class Run {
       if (is_mine()) judge(operation.name, unshown({operation}), operation.name);
     }
     options_.stop = true;
+    options_.every = 1;
     const auto operations = all_operations();
     const auto locked = std::find_if(
         operations.begin(), operations.end(),
@@ -168,7 +171,9 @@ class Run {
       const Probe& p = all_probes()[i];
       if (p.found_as == nullptr || !is_mine()) continue;
       probes_ = {{i, true}};
-      judge(p.name, at(*locked, 8).violations, p.found_as);
+      // At its end the operation has no lock.
+      const std::uint64_t point = p.waits_for_registry ? Trial::kMost : 8;
+      judge(p.name, at(*locked, point).violations, p.found_as);
     }
     std::printf("summary: %u planted mistakes, %u not found\n", planted, missed);
     return missed == 0 && planted > 0 ? 0 : 1;

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "node.hpp"
 
+#include <cerrno>
 #include <chrono>
+#include <utility>
 
 #include "support/block_words.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
+#include "support/topic_types.hpp"
 #include "transport/participant.hpp"
+#include "types.hpp"
 
 namespace lot::kill {
 
@@ -14,6 +18,12 @@ using namespace std::chrono_literals;
 
 Number numbered(std::uint64_t source, std::uint64_t number) {
   return {source, number, source * 0x9e3779b97f4a7c15U + number * 0xff51afd7ed558ccdU};
+}
+
+PullerOptions observing(std::uint64_t history) {
+  PullerOptions options{Wait::Park, history};
+  options.observer = true;
+  return options;
 }
 
 bool intact(const Number& message) {
@@ -54,16 +64,9 @@ void Node::drop_all() {
   borrow.end();
   over = true;
   if (sleeper.joinable()) sleeper.join();
-  drop_probes();
-  probe_queue.reset();
+  disarm();
   tasks.reset();
   queue.reset();
-  probe_frames.reset();
-  probe_block_puller.reset();
-  probe_puller.reset();
-  probe_block.reset();
-  probe_again.reset();
-  probe_pusher.reset();
   own.reset();
   weak.reset();
   kept.clear();
@@ -72,10 +75,28 @@ void Node::drop_all() {
   frame_puller.reset();
   frames.reset();
   puller.reset();
+  ear.reset();
+  nameless.reset();
+  other.reset();
+  for (const std::uint32_t topic : std::exchange(fillers, {})) {
+    transport::Participant::join(options)->topics().leave(topic);
+  }
   second.reset();
   pusher.reset();
   selected.reset();
   selecting.reset();
+}
+
+void Node::disarm() {
+  drop_probes();
+  probe_queue.reset();
+  probe_frames.reset();
+  probe_observer.reset();
+  probe_block_puller.reset();
+  probe_puller.reset();
+  probe_block.reset();
+  probe_again.reset();
+  probe_pusher.reset();
 }
 
 void Node::drop_probes() {
@@ -128,8 +149,46 @@ void Node::publish(unsigned count) {
       continue;
     }
     auto message = pusher->loan(numbered(source, published));
-    if (pusher->push(std::move(message), 10s) == Status::Ok) ++published;
+    if (ear) {
+      publish_heard(std::move(message));
+    } else if (pusher->push(std::move(message), 10s) == Status::Ok) {
+      ++published;
+    }
   }
+}
+
+/// There is room at once: the only reader that counts has read all before. It gets this one, too.
+void Node::publish_heard(ShmUniquePtr<Number> message) {
+  if (pusher->try_push(std::move(message)) != Status::Ok) {
+    return account.complain("a publisher waits for an observer");
+  }
+  const auto heard = ear->try_borrow();
+  if (!heard || heard->number != published || heard.missed() != 0) {
+    account.complain("a reader misses a message beside an observer");
+  }
+  ++published;
+}
+
+void Node::observe(const char* topic, std::uint64_t history) {
+  puller.emplace(engine->subscribe<Number>(topic, observing(history)));
+  reads_topic = std::string_view(topic) == kTopic;
+}
+
+void Node::hear(const char* topic) { ear.emplace(engine->subscribe<Number>(topic)); }
+
+void Node::enter_halves(std::uint32_t from, std::uint32_t to) {
+  auto& topics = transport::Participant::join(options)->topics();
+  for (std::uint32_t n = from; n < to; ++n) {
+    fillers.push_back(topics.enter("/half" + std::to_string(n), half(n)));
+  }
+}
+
+std::optional<Description> Node::look_up(const char* topic) const {
+  const auto found = transport::Participant::join(options)->topics().type_of(topic);
+  if (!found) return std::nullopt;
+  const Description& description = found->description();  // throws where it is damaged
+  if (found->type().described(found->type()).bytes.empty()) return std::nullopt;
+  return description;
 }
 
 void Node::publish_watched() {
@@ -321,6 +380,7 @@ void Node::arm() {
   (void)probe_puller->try_borrow();  // and ends it
   probe_block.emplace(engine->advertise<Number>("/probe-block", {Policy::Block, 1, 1s}));
   probe_block_puller.emplace(engine->subscribe<Number>("/probe-block"));
+  probe_observer.emplace(engine->subscribe<Number>("/probe-block", observing()));
   probe_queue.emplace(engine->queue<Number>("/probe-items", {2, Policy::Overwrite}));
   testing::must_go(probe_queue->put(numbered(7, 0)));
   (void)probe_queue->try_pop();  // and drops it
@@ -328,6 +388,7 @@ void Node::arm() {
 
 void Node::inspect() {
   using testing::must;
+  if (ear) publish(4);  // before the dead one is reaped, too
   drop_probes();
   reap();
   if (held) {
@@ -339,7 +400,11 @@ void Node::inspect() {
     must(testing::eventually([&] { return weak.expired(); }, 3s),
          "a message dies that nobody holds any more");
   }
-  if (queue) {
+  if (nameless) inspect_names();
+  if (!fillers.empty()) inspect_room();
+  if (retypes) {
+    inspect_other_type();
+  } else if (queue) {
     inspect_queue();
   } else if (selected) {
     inspect_selected();
@@ -354,7 +419,9 @@ void Node::inspect() {
     must(ended, "the reader learned that its publisher is gone");
   }
   auto frame = inspect_frames();
-  if (pusher) {
+  if (pusher && ear) {
+    publish(6);
+  } else if (pusher) {
     for (int i = 0; i < 6; ++i) {
       auto message = pusher->loan(numbered(source, published));
       must(pusher->push(std::move(message), 20s) == Status::Ok, "nobody holds the publisher back");
@@ -402,6 +469,74 @@ void Node::inspect_selected() {
   }
   must(resent <= count, "only what was a reader's own is sent once more");
   must(!selected->has_remaining("the victim"), "nothing is left unread");
+}
+
+/// The topic has one whole type, with names or without. A process that knows names may join if the
+/// topic has the same ones, or none.
+void Node::inspect_names() {
+  using testing::must;
+  const auto names = [this] {
+    const auto found = transport::Participant::join(options)->topics().type_of(kTopic);
+    return found->type().described(found->type()).names;
+  };
+  const auto& type = detail::message_type<Number>();
+  const std::uint64_t before = names();
+  const std::uint64_t ours = type.described(type).names;
+  bool may_join = true;
+  try {
+    pusher.emplace(engine->advertise<Number>(kTopic, {Policy::Overwrite, 4, 1s}));
+  } catch (const Error& e) {
+    must(e.error_number() == EPROTOTYPE, e.what());
+    may_join = false;
+  }
+  must(may_join == (before == 0 || before == ours), "names decide which process may join");
+  must(names() == (before == 0 ? ours : before), "a topic keeps its names");
+  const auto description = look_up(kTopic);
+  must(description && description->names_hash() == names(),
+       "the description has the topic's names");
+  nameless.reset();  // it never looks
+}
+
+/// The topic carries frames now. An observer of the former one is told so.
+void Node::inspect_other_type() {
+  using testing::must;
+  frames.reset();
+  auto sends = engine->advertise<Frame>(kTopic, {Policy::Overwrite, 2, 1s});
+  auto& segment = transport::Participant::join(options)->segment();
+  const std::string wrong = testing::wrong_types(segment);  // the former one is whole, too
+  must(wrong.empty(), wrong.c_str());
+  if (puller) {
+    must(testing::eventually([this] { return is_superseded(); }), "an observer learns of the type");
+    puller.reset();
+  }
+  auto looks_on = engine->subscribe<Frame>(kTopic, observing());
+  testing::must_go(sends.push(sends.loan()));
+  must(bool(looks_on.pull(10s)), "a message of the new type comes");
+}
+
+/// True when a look says so. Reads what came before, and learns that its publisher has gone.
+bool Node::is_superseded() {
+  try {
+    receive_all();
+    receive_all();
+  } catch (const Error& e) {
+    testing::must(e.error_number() == ESTALE, e.what());
+    return true;
+  }
+  return false;
+}
+
+/// When the topics have gone that filled the table, as many descriptions of the largest size find
+/// room as it can have.
+void Node::inspect_room() {
+  disarm();
+  const auto participant = transport::Participant::join(options);
+  for (const std::uint32_t topic : std::exchange(fillers, {})) participant->topics().leave(topic);
+  for (std::uint32_t n = 0; n < kLargest; ++n) {
+    fillers.push_back(participant->topics().enter("/largest" + std::to_string(n), largest(n)));
+    const auto& entry = participant->segment().topics()[fillers.back()];
+    testing::must(entry.description.load() != 0, "room for descriptions comes back");
+  }
 }
 
 /// All items that nobody has taken are ours, and there is room for more.
@@ -464,6 +599,7 @@ void Node::live_again() {
 }
 
 void Node::meet() {
+  for (const char* topic : {kTopic, kOther, kFrames}) look_up(topic);  // none is damaged
   if (!puller) return;
   const bool all = testing::eventually([&] {
     const auto message = puller->borrow(50ms);

@@ -32,6 +32,8 @@ struct Frame {
 
 Number numbered(std::uint64_t source, std::uint64_t number);
 bool intact(const Number& message);
+/// Of a subscription that looks on.
+PullerOptions observing(std::uint64_t history = 0);
 
 /// What a reader has seen of each publisher: numbers from 0 that follow each other, but for those
 /// that it was told it missed.
@@ -69,6 +71,12 @@ struct Node {
 
   // Steps that scenes are made of.
   void publish(unsigned count = 1);
+  void publish_heard(ShmUniquePtr<Number> message);
+  void observe(const char* topic, std::uint64_t history = 0);  ///< `puller` looks on
+  void hear(const char* topic);  ///< `ear` hears what this node publishes there
+  void enter_halves(std::uint32_t from, std::uint32_t to);  ///< a topic for each of these types
+  /// The description of a topic, if there is such a topic and it has one.
+  std::optional<Description> look_up(const char* topic) const;
   void publish_watched();  ///< one that `weak` points to; it must die before inspect() ends
   bool receive();          ///< the next message, if there is one, goes into the account
   void receive_all();      ///< those that are there
@@ -93,15 +101,20 @@ struct Node {
   void select(const char* name, std::size_t back = 0);  ///< there must be such a reader
   void read_selected();                                 ///< what is there goes into the account
   void arm();                                           ///< makes what the probes use
+  void disarm();                                        ///< all of that goes
 
   // After a death.
   void inspect_queue();
   void inspect_selected();
+  void inspect_names();
+  void inspect_other_type();
+  void inspect_room();
+  bool is_superseded();
   void enter_item(const Number& item);
   void inspect();  ///< repairs, reads and publishes all it can, looks at what it holds
   ShmSharedPtr<const Frame> inspect_frames();
   void live_again();  ///< what a node does that was started again
-  void meet();        ///< receives what the second life published
+  void meet();        ///< asks what topics carry, and receives what the second life published
   void start();       ///< joins, publishes to itself and reads it
   void await(const std::function<bool(const segment::Ring&)>& mark) const;
 
@@ -113,6 +126,13 @@ struct Node {
   std::optional<ShmEngine> engine;
   std::optional<ShmPusher<Number>> pusher, second;
   std::optional<ShmPuller<Number>> puller;
+  /// The only reader of what this node publishes that others wait for: it reads each message at
+  /// once.
+  std::optional<ShmPuller<Number>> ear;
+  /// An end of kTopic that knows no names, or other ones.
+  std::unique_ptr<detail::PullerCore> nameless;
+  std::unique_ptr<detail::PusherCore> other;
+  std::vector<std::uint32_t> fillers;  ///< topics with descriptions that fill their table
   std::optional<ShmPusher<Frame>> frames;
   std::optional<ShmPuller<Frame>> frame_puller;
   std::optional<ShmQueue<Number>> queue;
@@ -146,13 +166,14 @@ struct Node {
   bool reads_topic = false;  ///< the puller is the topic's
   bool blocking = false;     ///< the pusher's policy is Block
   bool locked = false;       ///< the scene's queue has the mutex engine
+  bool retypes = false;      ///< only observers have kTopic in the end: it gets another type
   std::uint64_t frames_seen = 0;
   std::optional<Number> held;  ///< what was borrowed or kept first must stay like this
   std::thread sleeper;
 
   // What the probes use.
   std::optional<ShmPusher<Number>> probe_pusher, probe_again, probe_block;
-  std::optional<ShmPuller<Number>> probe_puller, probe_block_puller;
+  std::optional<ShmPuller<Number>> probe_puller, probe_block_puller, probe_observer;
   std::optional<ShmQueue<Number>> probe_queue;
   std::optional<ShmPusher<Frame>> probe_frames;
   ShmBorrow<Number> probe_borrow;
@@ -211,9 +232,13 @@ struct Operation {
   Rival rival = Rival::None;
   unsigned every = 1;  ///< its points are alike (each granule's tag): one of so many is enough
   bool ends = false;   ///< the process does nothing behind it
+  std::uint32_t topics = 8;  ///< that the segment can have
 };
 
 std::vector<Operation> all_operations();
+// Parts of them.
+void observers(std::vector<Operation>& all, QueueEngine engine);
+void types(std::vector<Operation>& all);
 
 /// What a neighbour does while the victim stands still in the middle of its operation.
 struct Probe {
@@ -222,6 +247,7 @@ struct Probe {
   std::function<void(Node&)> run;
   std::function<bool(Node&)> ready{};  ///< before it is counted; false: not in this scene
   const char* found_as = nullptr;      ///< it breaks its promise, and this must be said of it
+  bool waits_for_registry = false;     ///< for its lock, and for nothing else
 };
 /// Those that are planted come last.
 const std::vector<Probe>& all_probes();
@@ -232,6 +258,8 @@ struct Plant {
   const char* found_as;
 };
 std::vector<Plant> planted_operations();
+/// The same, where observers are, and descriptions.
+std::vector<Plant> planted_beside_observers();
 /// To be found when its system calls fail.
 Plant planted_failure();
 /// Its calls are fewer from its second run on: most of its points are never reached.

@@ -11,10 +11,11 @@
 #include <unistd.h>
 #include <utility>
 
-#include "node.hpp"
+#include "acts.hpp"
 #include "support/must_go.hpp"
 #include "support/raw.hpp"
 #include "transport/participant.hpp"
+#include "types.hpp"
 
 namespace lot::kill {
 namespace {
@@ -56,6 +57,32 @@ void holds_both_ways(Node& n) {
   n.hold(true);
 }
 
+std::uint32_t index_of_witness(Node& n) {
+  const auto entries = participant(n)->segment().participants();
+  std::uint32_t k = 1;
+  while (std::strcmp(entries[k].name, "the witness") != 0) ++k;
+  return k;
+}
+void make_witness_use(Node& n, segment::TopicEntry& topic) {
+  test::raw(topic.users[0]).fetch_or(std::uint64_t{1} << index_of_witness(n));
+}
+/// Makes a topic that the witness uses and does not know, with the type of the first one.
+segment::TopicEntry& another_topic(Node& n, const char* name) {
+  const auto topics = participant(n)->segment().topics();
+  const segment::TopicEntry& first = topics[0];
+  segment::TopicEntry& other = topics[3];
+  other.type_size = first.type_size;
+  other.type_align = first.type_align;
+  other.type_hash = first.type_hash;
+  other.type_layout = first.type_layout;
+  test::raw(other.type_names) = first.type_names.load();
+  test::raw(other.description) = first.description.load();
+  std::memcpy(other.type_name, first.type_name, sizeof(other.type_name));
+  std::strncpy(other.name, name, sizeof(other.name) - 1);
+  make_witness_use(n, other);
+  return other;
+}
+
 }  // namespace
 
 std::vector<Plant> planted_operations() {
@@ -92,6 +119,38 @@ std::vector<Plant> planted_operations() {
   plant("a topic of nobody", "a topic is used by the dead", [](Node& n) {
     test::raw(participant(n)->segment().topics()[3].users[0]).fetch_or(std::uint64_t{1} << kNobody);
   });
+  plant("an observer that is not there", "a topic is observed by the dead", [](Node& n) {
+    test::raw(participant(n)->segment().topics()[3].observers[0])
+        .fetch_or(std::uint64_t{1} << kNobody);
+  });
+  plant("two topics of one name", "topic /numbers is there twice",
+        [](Node& n) { another_topic(n, kTopic); });
+  plant("a topic with a description that is none", "topic /more has a damaged description",
+        [](Node& n) { test::raw(another_topic(n, "/more").description) = 1; });
+  plant("a topic with the description of another type",
+        "topic /more has the description of another type",
+        [](Node& n) { another_topic(n, "/more").type_layout ^= 1; });
+  plant("a topic with a description of other names",
+        "topic /more has a description with other names",
+        [](Node& n) { test::raw(another_topic(n, "/more").type_names) ^= 1; });
+  plant("equal descriptions in two places", "topic /more does not share its description",
+        [](Node& n) {
+          constexpr std::uint64_t kElsewhere = 100;
+          auto& word = test::raw(another_topic(n, "/more").description);
+          const std::uint64_t from = segment::description_offset(word);
+          const std::uint64_t bytes = segment::description_bytes(word);
+          auto* const table =
+              reinterpret_cast<unsigned char*>(participant(n)->segment().descriptions().data());
+          std::memcpy(table + kElsewhere * segment::kDescriptionPiece, table + from, bytes);
+          word = segment::make_description(kElsewhere, bytes, segment::description_check(word));
+        });
+  plant("a description is written", "the description of this type is damaged", [](Node& n) {
+    auto& segment = participant(n)->segment();
+    const std::uint64_t at = segment::description_offset(segment.topics()[0].description.load());
+    segment.descriptions()[at / sizeof(std::uint64_t)] ^= 1;
+  });
+  plant("the table of descriptions is written where nothing lies", "memory that nobody owns",
+        [](Node& n) { participant(n)->segment().descriptions().back() ^= 1; });
   plant(
       "a held message is written", "a held message did not change",
       [](Node& n) {
@@ -203,6 +262,58 @@ std::vector<Plant> planted_operations() {
                  "the rival got an item that was not in the queue"});
   all.push_back(
       {{"a frame is lost", Promise::Blocking, frames, [](Node&) {}}, "published 1 frames, seen 0"});
+  return all;
+}
+
+std::vector<Plant> planted_beside_observers() {
+  std::vector<Plant> all;
+  const auto plant = [&](const char* name, const char* found_as, Acts before,
+                         std::function<void(Node&)> harm, std::uint32_t topics = 8) {
+    Operation operation{name, Promise::Blocking, std::move(before), std::move(harm)};
+    operation.topics = topics;
+    all.push_back({std::move(operation), found_as});
+  };
+  const Acts both{witness(join), victim(join)};
+  const Acts heard = both + Acts{publisher(witness, block(2), kOther),
+                                 witness([](Node& n) { n.hear(kOther); }), publishes(witness, 1)};
+  plant("an observer is waited for", "a publisher waits for an observer", heard, [](Node& n) {
+    const auto ring = participant(n)->world().ring(0);
+    ring.who[ring.readers - 1].store(index_of_witness(n) + 1);
+    ring.cells[ring.readers - 1].position.store(ring::make(ring.first, ring::kNoBlock));
+    ring.roster->fetch_add(1);
+  });
+  plant("a message comes between", "a reader misses a message beside an observer", heard,
+        [](Node& n) {
+          n.pusher.emplace(n.engine->advertise<Number>(kOther, overwrite(2)));
+          n.publish(1);
+        });
+  const Acts deserted = both + Acts{witness([](Node& n) {
+                          n.observe(kTopic);
+                          n.reads_topic = false;
+                          n.retypes = true;
+                        })};
+  plant("an observed topic keeps its type", "the topic carries lot::kill::Number", deserted,
+        [](Node& n) { make_witness_use(n, participant(n)->segment().topics()[0]); });
+  plant("an observer does not learn that its topic has another type",
+        "an observer learns of the type", deserted,
+        [](Node& n) { participant(n)->segment().topics()[0].name[1] = 'x'; });
+  const Acts no_names = both + Acts{witness([](Node& n) {
+                          n.nameless =
+                              detail::make_puller(participant(n), kTopic, nameless_number(),
+                                                  parked(), detail::Delivery::ToAll);
+                        })};
+  plant("names without a description of them", "the description has the topic's names", no_names,
+        [](Node& n) { test::raw(participant(n)->segment().topics()[0].type_names) = 1; });
+  plant("a topic without names that is closed to all", "names decide which process may join",
+        no_names, [](Node& n) { participant(n)->segment().topics()[0].type_layout ^= 1; });
+  plant(
+      "a description whose topic stays", "room for descriptions comes back",
+      both + Acts{witness([](Node& n) { n.enter_halves(1, kHalves); })},
+      [](Node& n) {
+        n.enter_halves(0, 1);
+        make_witness_use(n, participant(n)->segment().topics()[n.fillers.back()]);
+      },
+      kHalves + 8);
   return all;
 }
 

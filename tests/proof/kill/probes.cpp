@@ -11,7 +11,12 @@ namespace {
 using namespace std::chrono_literals;
 
 void read_all(Node& n) {
-  if (n.reads_now()) n.receive_all();
+  if (!n.reads_now()) return;
+  if (n.retypes) {
+    n.is_superseded();
+  } else {
+    n.receive_all();
+  }
 }
 void read_own(Node& n) {
   while (n.probe_puller->try_borrow()) {
@@ -19,6 +24,10 @@ void read_own(Node& n) {
 }
 void publish_own(Node& n) {
   testing::must_go(n.probe_pusher->push(n.probe_pusher->loan(numbered(7, 0))));
+}
+void look_on(Node& n) {
+  while (n.probe_observer->try_borrow()) {
+  }
 }
 void put_and_pop(Node& n) {
   testing::must_go(n.probe_queue->put(numbered(7, 0)));
@@ -40,12 +49,15 @@ void read_selected(Node& n) {
   n.selected->confirm();
   n.read_selected();
 }
+/// The victim looks on. What it has not read holds nothing up.
+bool is_heard(Node& n) { return n.ear && !n.locked; }
+void publish_heard(Node& n) { n.publish(1); }
 /// The lock of its queues is nobody's who stands still.
 bool unlocked(Node& n) { return !n.locked; }
 bool locked(Node& n) { return n.locked && !n.sleeper.joinable(); }
 /// To the victim, if it reads here.
 void publish_other(Node& n) {
-  if (!n.pusher) return;
+  if (!n.pusher || n.ear) return;  // publish_heard() has that reader
   auto message = n.pusher->loan(numbered(n.source, n.published));
   if (n.pusher->try_push(std::move(message)) == Status::Ok) ++n.published;
 }
@@ -202,6 +214,7 @@ void lock_dead(Node& n) {
 void doze(Node&) {
   for (int i = 0; i < 10; ++i) std::this_thread::sleep_for(10ms);
 }
+void sleep_long(Node&) { std::this_thread::sleep_for(500ms); }
 void grow_often(Node& n) {
   for (int i = 0; i < 20; ++i) grow(n);
 }
@@ -229,6 +242,8 @@ const std::vector<Probe>& all_probes() {
       {"loan, give back", kLockFree, loan_and_give_back},
       {"loan and push, overwrite", kLockFree, publish_own},
       {"push, block, full: refused", kLockFree, push_refused, fill_block},
+      {"push beside an observer, block", kLockFree, publish_heard, is_heard},
+      {"look on, block", kLockFree, look_on, fill_block},
       {"publish to the victim", kLockFree, publish_other, unlocked},
       {"pull, copy, weak lock, drop", kLockFree, keep_and_drop},
       {"borrow", kLockFree, read_own},
@@ -242,9 +257,15 @@ const std::vector<Probe>& all_probes() {
       {"collect what nobody needs", kLockFree, collect},
       {"look for the dead", kLockFree, look_for_the_dead},
       {"loan, blocks have run out", kLockFree, loan_without_blocks, take_all_blocks},
-      {"subscribe, unsubscribe", kBlocking, subscribe},
-      {"advertise, unadvertise", kBlocking, advertise},
+      {"subscribe, unsubscribe", kBlocking, subscribe, {}, nullptr, true},
+      {"advertise, unadvertise", kBlocking, advertise, {}, nullptr, true},
       {"mutex: the victim's queue", kBlocking, read_or_pop, locked},
+      {"one that waits for more than the registry's lock",
+       kBlocking,
+       sleep_long,
+       {},
+       "is free",
+       true},
       {"a lock-free one that takes the registry's lock", kLockFree, advertise, {}, "waits for"},
       {"a wait-free one that sleeps", kWaitFree, doze, {}, ": sleeps"},
       {"a wait-free one that takes long", kWaitFree, grow_often, {}, "more than 5000 instructions"},

@@ -8,6 +8,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "description/wire.hpp"
+
 namespace lot::kill {
 
 using segment::kGranule;
@@ -45,6 +47,7 @@ void Shadow::look_for_file() {
   device_ = status.st_dev;
   inode_ = status.st_ino;
   before_.clear();
+  described_ = 0;
   ever_owned_.clear();
   watched_.clear();
   capacity_.size = size;
@@ -81,11 +84,25 @@ void Shadow::watch() {
   }
 }
 
+std::uint64_t Shadow::end_of_descriptions() const {
+  const auto* topics = reinterpret_cast<const segment::TopicEntry*>(now_ + geometry_.topics);
+  std::uint64_t end = 0;
+  for (std::uint32_t i = 0; i < capacity_.topics; ++i) {
+    const std::uint64_t word = topics[i].description.load(std::memory_order_relaxed);
+    end = std::max(end, segment::description_offset(word) + segment::description_bytes(word));
+  }
+  return std::min(end + segment::kDescriptionPiece + description::kMostBytes,
+                  segment::kDescriptionsBytes);
+}
+
 bool Shadow::changed() {
   if (now_ == nullptr) return false;
+  described_ = std::max(described_, end_of_descriptions());
   const std::uint64_t tags = geometry_.granules * sizeof(std::uint32_t);
   if (std::memcmp(now_ + geometry_.tags, before_.data() + geometry_.tags, tags) != 0) watch();
-  bool any = compare(0, geometry_.data);
+  const std::uint64_t behind = geometry_.descriptions + segment::kDescriptionsBytes;
+  bool any = compare(0, geometry_.descriptions + described_);
+  any |= compare(behind, geometry_.data - behind);
   for (const std::uint64_t g : watched_) any |= compare(geometry_.data + g * kGranule, kGranule);
   return any;
 }
@@ -93,6 +110,7 @@ bool Shadow::changed() {
 std::size_t Shadow::stray() {
   std::size_t n = 0;
   if (now_ == nullptr) return n;
+  n += compare(geometry_.descriptions + described_, segment::kDescriptionsBytes - described_);
   for (std::uint64_t g = 0; g < geometry_.granules; ++g) {
     n += !ever_owned_[g] && compare(geometry_.data + g * kGranule, kGranule);
   }

@@ -294,7 +294,7 @@ Trial::Trial(const Operation& operation, std::string segment, bool probes) : ope
   options_.size_bytes = 6 << 20;
   options_.processes = 7;
   options_.blocks = 64;
-  options_.topics = 8;
+  options_.topics = operation.topics;
   options_.channels = 12;
   options_.readers = 4;
   try {
@@ -580,6 +580,7 @@ std::vector<Trial::Probed> Trial::probe(const std::vector<Asked>& which) {
     const Probe& p = all_probes()[i];
     witness_->tell(Actor::Order::Ready, i);
     if (!must_answer(*witness_, p.name).probe_ready) continue;
+    const bool registry_is_free = p.waits_for_registry && is_registry_free();
     {
       Tracee neighbour(witness_->pid());
       witness_->tell(Actor::Order::Probe, i);
@@ -600,6 +601,9 @@ std::vector<Trial::Probed> Trial::probe(const std::vector<Asked>& which) {
       }
       results[i].ran = true;
     }
+    if (results[i].waited && registry_is_free) {
+      violation(std::string(p.name) + ": waits, and the registry's lock is free");
+    }
     if (results[i].waited) {  // now the one that stood still dies
       note_published();
       traced_->kill();
@@ -609,6 +613,13 @@ std::vector<Trial::Probed> Trial::probe(const std::vector<Asked>& which) {
     if (results[i].waited) break;
   }
   return results;
+}
+
+/// While the victim stands still. Others have the lock for a moment only.
+bool Trial::is_registry_free() const {
+  segment::Segment segment(options_.directory + "/" + options_.segment);
+  const auto& word = segment.directory().lock.word;
+  return testing::eventually([&word] { return word.load() == 0; }, std::chrono::milliseconds(50));
 }
 
 /// Steps a probe to its end, unless it waits.

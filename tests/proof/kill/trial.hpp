@@ -34,7 +34,7 @@ class Actor {
     Probe,    ///< the probe of that number, between the marks
     Inspect,  ///< reads and publishes all it can, looks at what it holds
     NewLife,  ///< what a node does that was started again
-    Meet,     ///< receives what the new life published
+    Meet,     ///< asks what topics carry, and receives what the new life published
     Start,    ///< joins, publishes to itself: works after everybody has died
     Drop,     ///< drops all but the engine
     Leave
@@ -146,6 +146,7 @@ class Trial {
   void let_go_on() const;
   void help_sleeper();
   bool has_ended();
+  bool is_registry_free() const;
   Probed step(Tracee& neighbour, const Probe& probe);
   void inspect();
   Actor::Reply must_answer(Actor& actor, const char* what);

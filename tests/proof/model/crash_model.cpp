@@ -224,6 +224,39 @@ struct LaggardKilled : Scene<LaggardKilled, 3> {
   Subscriber subscriber;
 };
 
+/// An observer is killed anywhere between joining and leaving. A lossless publisher finds room at
+/// once, before the reap and after it, and gets every block back.
+struct ObserverKilled : Scene<ObserverKilled, 2> {
+  ObserverKilled() : Scene({.blocks = 3, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    start(2);
+    RL_ASSERT(publisher.send());
+  }
+  void thread(unsigned t) {
+    if (t == 1) {
+      die_within(2, 30, [this] {
+        if (!observer.join(process(2), 0, 1, 1, Subscriber::Manner::Observes)) return;
+        for (int i = 0; i < 2; ++i) observer.receive();
+        observer.leave();
+      });
+      return;
+    }
+    send(2);
+    segment.await_end_of(2);
+    process(4).see_reaped(2);
+    send(3);
+  }
+  void send(int count) {
+    for (int i = 0; i < count; ++i) {
+      RL_ASSERT(publisher.send());
+      publisher.scan();
+    }
+  }
+  Publisher publisher;
+  Subscriber observer;
+};
+
 /// A reader is killed while it joins, and reaped while the sender gives it a place.
 struct JoinerKilledBesideSender : Scene<JoinerKilledBesideSender, 2> {
   JoinerKilledBesideSender() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
@@ -715,6 +748,8 @@ const Entered entered{
     {"reader_killed_and_followed", "a dead reader's place can be had as soon as it is free",
      cast_of<ReaderKilledAndFollowed>, 2},
     {"laggard_killed", "a dead reader does not hold the sender back", cast_of<LaggardKilled>, 1},
+    {"observer_killed", "a dead observer holds no lossless publisher up", cast_of<ObserverKilled>,
+     2},
     {"joiner_killed_beside_sender", "a dead joiner does not, even if it gets a place meanwhile",
      cast_of<JoinerKilledBesideSender>, 2},
     {"sender_reaps_laggard", "a sender gets rid of whoever holds it back",

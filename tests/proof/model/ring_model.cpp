@@ -88,6 +88,95 @@ struct BlockingLossless : Scene<BlockingLossless, 3> {
   Subscriber subscribers[2];
 };
 
+/// An observer of a lossless ring borrows and keeps: what it looks at is never written, and neither
+/// the publisher nor the reader waits for it.
+struct ObserverBorrows : Scene<ObserverBorrows, 3> {
+  ObserverBorrows() : Scene({.blocks = 3, .depth = 2, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(reader.join(start(2), 0, 1, 0));
+    RL_ASSERT(observer.join(start(3), 0, 1, 0, Subscriber::Manner::Observes));
+    for (int i = 0; i < 2; ++i) RL_ASSERT(publisher.send() && reader.receive());
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 4; ++i) {
+        publisher.send();
+        publisher.scan();
+      }
+    } else if (t == 1) {
+      for (int i = 0; i < 3; ++i) reader.receive();
+    } else {
+      observer.receive();
+      observer.receive_and_keep();
+    }
+  }
+  void check() {
+    while (reader.receive()) {
+    }
+    RL_ASSERT(reader.missed() == 0 && reader.received() == publisher.sent());
+    publisher.scan();
+    // The observer stands still behind a message, then at the end.
+    for (const std::uint64_t end : {10U, 14U}) {
+      while (publisher.sent() < end) {
+        RL_ASSERT(publisher.send());
+        RL_ASSERT(reader.receive());
+        publisher.scan();
+      }
+      while (observer.receive()) {
+      }
+      publisher.scan();
+    }
+  }
+  Publisher publisher;
+  Subscriber reader, observer;
+};
+
+/// The same with one slot and no reader, while the observer joins: small enough for the bounded
+/// search.
+struct ObserverJoins : Scene<ObserverJoins, 2> {
+  ObserverJoins() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    start(2);
+    publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) {
+        publisher.send();
+        publisher.scan();
+      }
+    } else {
+      RL_ASSERT(observer.join(process(2), 0, 1, 1, Subscriber::Manner::Observes));
+      observer.receive();
+    }
+  }
+  Publisher publisher;
+  Subscriber observer;
+};
+
+/// A lossless publisher takes back what its reader has read, while an observer looks at it.
+struct ObserverAgainstTakingBack : Scene<ObserverAgainstTakingBack, 2> {
+  ObserverAgainstTakingBack() : Scene({.blocks = 3, .depth = 2, .readers = 2}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    RL_ASSERT(observer.join(start(2), 0, 1, 0, Subscriber::Manner::Observes));
+    for (int i = 0; i < 2; ++i) publisher.send();
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.take_back(0);
+      publisher.scan();
+      publisher.send();
+    } else {
+      for (int i = 0; i < 2; ++i) observer.receive();
+    }
+  }
+  Publisher publisher;
+  Subscriber observer;
+};
+
 /// Readers that sleep for each message get all of them, if they are not lapped.
 struct Sleepers : Scene<Sleepers, 3> {
   Sleepers() : Scene({.blocks = 4, .depth = 2, .readers = 2}) {}
@@ -540,6 +629,11 @@ const Entered entered{
     {"one_slot", "the same on the smallest ring", cast_of<OneSlot>, 2},
     {"blocking_lossless", "under back-pressure nobody misses a message", cast_of<BlockingLossless>,
      1},
+    {"observer_borrows", "an observer of a lossless ring holds nobody up, and reads whole messages",
+     cast_of<ObserverBorrows>, 1},
+    {"observer_joins", "the same while it joins", cast_of<ObserverJoins>, 2},
+    {"observer_against_taking_back", "the same while the publisher takes messages back",
+     cast_of<ObserverAgainstTakingBack>, 2},
     {"sleepers", "a sleeping reader is woken by each message", cast_of<Sleepers>, 2},
     {"both_sleep", "sender and reader never both sleep for ever", cast_of<BothSleep>, 2},
     {"late_joiner_blocking", "a late joiner misses nothing from its start on",

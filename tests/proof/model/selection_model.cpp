@@ -390,6 +390,56 @@ struct SelectedComesAgain : Scene<SelectedComesAgain, 2> {
   SelectedSubscriber next;
 };
 
+/// An observer of a reader's process joins, and is not selected in the place of a reader.
+struct ObserverIsNotSelected : Scene<ObserverIsNotSelected, 2> {
+  ObserverIsNotSelected() : Scene({.blocks = 3, .depth = 2, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4));
+    start(2);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) {
+        publisher.try_select(2);
+        publisher.push();
+      }
+    } else {
+      RL_ASSERT(observer.join(process(2), 0, 1, 2, Subscriber::Manner::Observes));
+      observer.receive();
+    }
+  }
+  void check() { RL_ASSERT(!publisher.is_selected()); }
+  SelectingPublisher publisher;
+  Subscriber observer;
+};
+
+/// A reader leaves, and an observer of its process takes its cell: it is not taken for the reader.
+struct ObserverTakesTheCell : Scene<ObserverTakesTheCell, 2> {
+  ObserverTakesTheCell() : Scene({.blocks = 4, .depth = 3, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4));
+    RL_ASSERT(reader.join(start(2), 0));
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      publisher.try_select(2);
+      publisher.push();
+    } else {
+      reader.leave();
+      RL_ASSERT(observer.join(process(2), 0, 1, 2, Subscriber::Manner::Observes));
+    }
+  }
+  void check() {
+    RL_ASSERT(!publisher.has_its_reader());
+    while (observer.receive()) {
+    }
+    RL_ASSERT(observer.number() == publisher.sent());  // it has read to the end
+  }
+  SelectingPublisher publisher;
+  SelectedSubscriber reader;
+  Subscriber observer;
+};
+
 const Entered entered{
     {"selected_reader", "each message comes once, by the ring or another way",
      cast_of<SelectedReader>, 2},
@@ -403,6 +453,10 @@ const Entered entered{
      cast_of<SelectedCellChangesHands>, 2},
     {"selected_comes_again", "who comes again is not taken for the reader that it was",
      cast_of<SelectedComesAgain>, 2},
+    {"observer_is_not_selected", "an observer that joins is not selected",
+     cast_of<ObserverIsNotSelected>, 2},
+    {"observer_takes_the_cell", "an observer is not taken for the reader that had its cell",
+     cast_of<ObserverTakesTheCell>, 2},
 };
 
 }  // namespace

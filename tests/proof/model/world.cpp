@@ -534,7 +534,7 @@ void Publisher::publish(Word b, Turn& turn) {
 }
 
 void Publisher::retire(Word b) {
-  if (!writer_.ring().guarded() || garden.omitted.hazards) {
+  if (!writer_.readers_may_look() || garden.omitted.hazards) {
     process_->take_from_ring(b);
   } else {
     retired_.push_back(b);
@@ -569,20 +569,24 @@ void Publisher::scan() {
 
 namespace {
 
-/// Joins as a reader that the publisher may select.
+/// Joins as a reader that the publisher may select, or as an observer, which begins no round.
 std::optional<ring::Reader<Policy>> join_ring(const ring::Ring<Policy>& ring,
                                               std::uint32_t generation, std::uint32_t participant,
-                                              std::uint64_t history, Word answer) {
+                                              std::uint64_t history, Word answer,
+                                              Subscriber::Manner manner) {
   bool full = false;
   return ring::Reader<Policy>::join(
       ring, generation, participant, history, full,
-      [&](std::uint32_t cell) { selection::begin_round(ring, cell, answer); });
+      [&](std::uint32_t cell) {
+        if (manner == Subscriber::Manner::Reads) selection::begin_round(ring, cell, answer);
+      },
+      manner);
 }
 
 }  // namespace
 
 bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generation,
-                      std::uint64_t history) {
+                      std::uint64_t history, Manner manner) {
   const bool locked = !garden.omitted.rings_lock;
   while (locked && !process.lock_rings()) Policy::pause();
   std::optional<ring::Reader<Policy>> reader;
@@ -590,7 +594,7 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
   const auto state = ring::writer_state(writer);
   if (state == ring::State::Live ||
       (state == ring::State::Orphan && process.segment().shape.taken)) {
-    reader = join_ring(process.ring(c), generation, process.index(), history, 0);
+    reader = join_ring(process.ring(c), generation, process.index(), history, 0, manner);
   }
   if (locked) process.unlock_rings();
   if (!reader) return false;
@@ -604,7 +608,7 @@ bool Subscriber::join(Process& process, std::uint32_t c, std::uint32_t generatio
 
 bool Subscriber::join_anew(Word answer) {
   const auto reader = join_ring(reader_.ring(), generation_, process_->index(),
-                                ring::Reader<Policy>::kFromTheStart, answer);
+                                ring::Reader<Policy>::kFromTheStart, answer, Manner::Reads);
   if (reader) process_->move_in(channel_, reader->cell());
   leave();
   if (reader) reader_ = *reader;

@@ -312,9 +312,10 @@ void sleep_on(Sources& sources, Segment& segment, std::uint32_t version) {
 /// The receiving end of a channel. For scenarios in which nobody advertises.
 class Subscriber {
  public:
+  using Manner = ring::Reader<Policy>::Manner;
   /// Joins generation `generation` of a channel under the registry's lock.
   bool join(Process& process, std::uint32_t channel, std::uint32_t generation,
-            std::uint64_t history);
+            std::uint64_t history, Manner manner = Manner::Reads);
   void leave();
   /// Joins it once more, with an answer, and leaves then. Without the lock: it was there all along.
   bool join_anew(Word answer);

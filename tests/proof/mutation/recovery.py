@@ -160,8 +160,22 @@ MISTAKES = (
         '    refresh_roster();\n    if (!minimum_known_) find_slowest();\n'
         '    return distance(message, minimum_) < 0;\n', '    return true;\n'),)),
     Planted('the sender gives a joiner a place before the floor', 'src/lockfree_ring/ring.hpp', 'ring', ((
-        'ring_.reach(next_, sequence(position), floor_);',
-        'ring_.reach(next_, sequence(position), ring_.first);'),)),
+        'ring_.reach(next_, sequence(position), floor_, ring_.guarded());',
+        'ring_.reach(next_, sequence(position), ring_.first, ring_.guarded());'),)),
+    Planted('a lossless publisher waits for an observer', 'src/lockfree_ring/ring.hpp', 'ring', ((
+        '      if (position == kIdle || is_observer(position)) continue;\n      if (distance(sequence',
+        '      if (position == kIdle) continue;\n      if (distance(sequence'),)),
+    Planted('a lossless publisher uses the block again that an observer looks at', 'src/lockfree_ring/ring.hpp', 'ring', ((
+        '    return observers_ != 0;\n', '    return false;\n'),)),
+    Planted('an observer does not say what it looks at', 'src/lockfree_ring/ring.hpp', 'ring', ((
+        'reader.guarded_ = ring.guarded() || observes;', 'reader.guarded_ = ring.guarded();'),)),
+    Planted('an observer is a reader behind its first message', 'src/lockfree_ring/ring.hpp', 'ring', ((
+        '    ring_.cells[cell_].position.store(make(cursor_, kNoBlock) | mark_,\n'
+        '                                      std::memory_order_release);  // R3\n    if',
+        '    ring_.cells[cell_].position.store(make(cursor_, kNoBlock),\n'
+        '                                      std::memory_order_release);  // R3\n    if'),)),
+    Planted('an observer that finds nothing is a reader', 'src/lockfree_ring/ring.hpp', 'ring', ((
+        '      position.store(make(cursor_, kNoBlock) | mark_,\n', '      position.store(make(cursor_, kNoBlock),\n'),)),
     Planted('a woken locker does not say that others sleep', LOCK, 'lock', ((
         'has_slept ? name | kSleepers : name', 'name'),)),
     Planted('the first who sleeps for a lock does not say so', LOCK, 'lock', ((
@@ -203,6 +217,10 @@ MISTAKES = (
         '    if (is_set(end) && precedes(ring::sequence(position), end)) return std::nullopt;\n', ''),)),
     Planted('a reader is selected before it has a place', SELECTOR, 'selection', ((
         '    if (!ring::is_place(position)) return std::nullopt;\n', ''),)),
+    Planted('an observer is selected', SELECTOR, 'selection', ((
+        '    if (ring::is_observer(position)) return std::nullopt;  // it begins none\n', ''),)),
+    Planted('an observer is taken for the reader that had its cell', SELECTOR, 'selection', ((
+        ' && !ring::is_observer(position)', ''),)),
     Planted('the cell is not looked at again when its round is known', SELECTOR, 'selection', ((
         ' || ring_.who[*cell].load(std::memory_order_relaxed) != participant + 1', ''),)),
 )
