@@ -294,7 +294,7 @@ void Crew::start(unsigned group, Place place, const std::string& directory) {
     if (getppid() != me) _exit(1);
     // What is asked of the library is said in code, for every node alike.
     for (const char* name : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_PERSIST",
-                             "LOT_MLOCK", "LOT_QUEUE"}) {
+                             "LOT_MLOCK", "LOT_QUEUE", "LOT_STAMP"}) {
       unsetenv(name);
     }
     become(command);

@@ -70,6 +70,9 @@ constexpr Figure kFigures[] = {
      0.85},
     {"frames/16M/overwrite/depth:4/bare:1", "  16 MiB, depth 4 / one bare buffer", "faster", false,
      0.85},
+    {"advertise/first", "us that a description adds, first publisher", "more_us", true, 20},
+    {"advertise/another", "  first publisher of another type", "more_us", true, 20},
+    {"advertise/again", "  later publishers of the type", "more_us", true, 20},
     {"locks/vs_pthread", "lock + unlock / pthread's robust mutex", "ratio", true, 0.8},
     {"pointers/vs_std", "copy + destroy / std::shared_ptr", "ratio", true, 1.1},
     {"pointers/two_processes_vs_boost", "  two processes: faster than Boost", "faster", false, 5},
@@ -288,6 +291,17 @@ void Rounds::report_faster(benchmark::State& state) const {
   const double lo = inverse("hi");
   const double hi = inverse("lo");
   state.counters["faster"] = inverse("ratio");
+  state.counters["lo"] = lo;
+  state.counters["hi"] = hi;
+}
+
+void Rounds::report_difference(benchmark::State& state) const {
+  report(state);
+  std::vector<double> more;
+  for (std::size_t i = 0; i < arm_.size(); ++i) more.push_back((arm_[i] - floor_[i]) / 1000);
+  if (more.empty()) return;
+  const auto [lo, hi] = interval(more);
+  state.counters["more_us"] = median(more);
   state.counters["lo"] = lo;
   state.counters["hi"] = hi;
 }

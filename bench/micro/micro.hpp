@@ -129,7 +129,9 @@ class Rounds {
   void report(benchmark::State& state) const;
   /// The same, and `faster` = floor / arm.
   void report_faster(benchmark::State& state) const;
-  /// The same, and `M/s`.
+  /// The same, and `more_us` = arm - floor of a round, whose interval `lo` .. `hi` is.
+  void report_difference(benchmark::State& state) const;
+  /// The same as report(), and `M/s`.
   void report_rate(benchmark::State& state) const;
 
  private:
