@@ -34,7 +34,7 @@ void on_interrupt(int) { was_interrupted = 1; }
 
 void on_end(int signal) {
   // The result does not matter: the process ends.
-  if (write(STDOUT_FILENO, restoring, restoring_bytes) == -1) has_gone = 1;
+  if (::write(STDOUT_FILENO, restoring, restoring_bytes) == -1) has_gone = 1;
   tcsetattr(STDOUT_FILENO, TCSADRAIN, &settings_before);
   std::signal(signal, SIG_DFL);
   raise(signal);

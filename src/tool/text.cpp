@@ -14,7 +14,7 @@ std::string with(const char* format, double value, const char* unit) {
   return text;
 }
 
-std::string bytes_text(double value, const char* end) {
+std::string in_bytes(double value, const char* end) {
   static constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
   std::size_t unit = 0;
   for (; value >= 1024 && unit + 1 < std::size(kUnits); ++unit) value /= 1024;
@@ -26,7 +26,7 @@ std::string bytes_text(double value, const char* end) {
 }  // namespace
 
 std::vector<std::size_t> Table::widths(std::size_t indent) const {
-  static constexpr std::size_t kLeast = 9;
+  static constexpr std::size_t kNarrowest = 9;
   std::vector<std::size_t> width;
   for (const auto& row : rows_) {
     if (row.size() == 1) continue;  // a line of its own
@@ -38,7 +38,7 @@ std::vector<std::size_t> Table::widths(std::size_t indent) const {
   for (; all > kWidth + 2; --all) {
     const auto widest = std::max_element(elastic_.begin(), elastic_.end(),
                                          [&](auto a, auto b) { return width[a] < width[b]; });
-    if (widest == elastic_.end() || width[*widest] <= kLeast) break;
+    if (widest == elastic_.end() || width[*widest] <= kNarrowest) break;
     --width[*widest];
   }
   return width;
@@ -60,10 +60,10 @@ std::string Table::text(const std::string& indent) const {
   return out;
 }
 
-std::string bytes_text(std::uint64_t bytes) { return bytes_text(static_cast<double>(bytes), ""); }
+std::string bytes_text(std::uint64_t bytes) { return in_bytes(static_cast<double>(bytes), ""); }
 
 std::string bandwidth_text(double bytes_per_second) {
-  return bytes_text(std::round(bytes_per_second), "/s");
+  return in_bytes(std::round(bytes_per_second), "/s");
 }
 std::string count_text(std::uint64_t count) {
   const auto value = static_cast<double>(count);

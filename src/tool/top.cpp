@@ -18,10 +18,10 @@ using namespace std::chrono_literals;
 using Clock = std::chrono::steady_clock;
 
 /// Between two looks at what has come: the error of a moment of arrival.
-constexpr std::chrono::milliseconds kLook = 10ms;
+constexpr std::chrono::milliseconds kLookPeriod = 10ms;
 /// The first screen has no rates yet, so the second one follows soon.
 constexpr std::chrono::milliseconds kSecond = 500ms;
-constexpr std::chrono::milliseconds kLeast = 300ms;
+constexpr std::chrono::milliseconds kLeastWindow = 300ms;
 /// Of a text that no terminal cuts: all of STATE is in it.
 constexpr std::size_t kWide = 200;
 
@@ -71,8 +71,8 @@ Exit once(const Settings& settings, std::chrono::milliseconds interval) {
     watch.refresh();
     const auto begin = Clock::now();
     for (auto passed = 0ns; passed < interval; passed = Clock::now() - begin) {
-      if (passed >= kLeast && watch.has_enough()) break;
-      std::this_thread::sleep_for(std::min<Clock::duration>(kLook, interval - passed));
+      if (passed >= kLeastWindow && watch.has_enough()) break;
+      std::this_thread::sleep_for(std::min<Clock::duration>(kLookPeriod, interval - passed));
       watch.look();
     }
     watch.refresh();
@@ -97,7 +97,7 @@ Exit live(const Settings& settings, std::chrono::milliseconds interval) {
   for (bool is_new = true; !terminal.has_ended();) {
     if (is_new) terminal.show(board.screen(watch, terminal.width(), terminal.height()));
     is_new = false;
-    for (auto key = terminal.key(kLook); key; key = terminal.key(0ms)) {
+    for (auto key = terminal.key(kLookPeriod); key; key = terminal.key(0ms)) {
       if (*key == 'q') return kWell;
       is_new |= board.press(*key);
     }
