@@ -139,11 +139,12 @@ TEST_CASE("end_cleanly_on_signals beside a process that was killed just now leav
   for (int round = 0; round < 10; ++round) {
     CAPTURE(round);
     const auto options = fresh();
-    // Its end takes some time: the kernel frees this memory before it unlocks the byte.
+    // Its end takes some time: the kernel frees this memory before it unlocks the byte. Not more
+    // than the other waits for, also beside busy loops.
     Steps joined;
     Child killed([&] {
       const lot::ShmEngine engine(options);
-      const std::vector<char> memory(round % 2 == 0 ? std::size_t{256} << 20 : 1, 1);
+      const std::vector<char> memory(round % 2 == 0 ? std::size_t{64} << 20 : 1, 1);
       must(memory.back() == 1, "its memory");
       joined.tell();
       pause();
