@@ -153,9 +153,7 @@ class ShmPuller {
   ///     Empty          of a try_: there is none now
   ///     Timeout        none came in time
   ///     PublisherGone  there is none, and no publisher now, or yet
-  ///     HoldsTooMuch   of a pull: the process may keep no more; one that waits does so for a
-  ///     second
-  ///                    at most
+  ///     HoldsTooMuch   of a pull: the process may keep no more; it waits a second at most
   ///     Stopped        its StopToken was told to stop; messages may be there
   ///
   /// A wait ends at once when the last publisher goes whose messages this puller has read, and does
