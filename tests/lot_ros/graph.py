@@ -167,7 +167,7 @@ class Graph:
         try:
             status = process.wait(patience_s)
         except subprocess.TimeoutExpired:
-            others = self.others(process)  # as they are now
+            others = self.stacks(process) + self.others(process)  # as they are now
             raise AssertionError(f'{process.name} does not end:\n{self.has_got(process)}\n'
                                  f'{self.said(process)}\n{others}') from None
         text = self.output(process)
@@ -180,15 +180,28 @@ class Graph:
         try:
             return process.wait(patience_s)
         except subprocess.TimeoutExpired:
+            others = self.stacks(process) + self.others(process)  # as they are now
             process.send_signal(signal.SIGABRT)
             process.wait(PATIENCE_S)
             self.kill_all_of(process)
             raise AssertionError(f'{process.name} does not end:\n{self.output(process)}\n{self.said(process)}\n'
-                                 f'{self.others(process)}') from None
+                                 f'{others}') from None
+
+    @staticmethod
+    def stacks(process):
+        """Where its threads stand: for people."""
+        if process.poll() is not None:
+            return ''
+        try:
+            seen = subprocess.run(['eu-stack', '-p', str(process.pid)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                                  timeout=PATIENCE_S, check=False, text=True, errors='replace')
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return f'{error}\n'
+        return seen.stdout
 
     def others(self, process):
-        """What all but this one have said, and what lies in the segment: for people."""
-        text = ''.join(f'-- {other.name}: status {other.poll()}\n{self.output(other)}{self.said(other)}'
+        """What all but this one have said, where they stand, and what lies in the segment: for people."""
+        text = ''.join(f'-- {other.name}: status {other.poll()}\n{self.output(other)}{self.said(other)}{self.stacks(other)}'
                        for other in self.started if other is not process)
         return f'{text}-- lot ls\n{self.seen()}'
 
@@ -216,7 +229,7 @@ class Graph:
         while not condition():
             if time.monotonic() > until:
                 for process in self.started:
-                    print(f'--- {process.name}\n{self.said(process)}', file=sys.stderr)
+                    print(f'--- {process.name}\n{self.said(process)}{self.stacks(process)}', file=sys.stderr)
                 print(f'--- the segment\n{self.seen()}', file=sys.stderr)
                 raise AssertionError(f'in vain: waiting for {what}')
             time.sleep(0.01)
