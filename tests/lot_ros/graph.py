@@ -211,7 +211,7 @@ class Graph:
         try:
             process.wait(5)
         except subprocess.TimeoutExpired:
-            return 'nor when it is asked to'
+            return f'nor when it is asked to\n{self.output(process)}'
         return self.output(process)
 
     def stop(self, process, how=signal.SIGINT):

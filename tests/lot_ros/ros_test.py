@@ -828,8 +828,9 @@ class Observers(Case):
         with Graph() as graph:
             talker = graph.node('talker', 'pub:lot:/t:1000:300:20000:wait=1')
             observer = graph.node('observer', f'look:any:{graph.ring("/t")}')
-            node = graph.node('both', 'sub:plain:/t:100:leave', 'sub:lot:/t:1000')
-            self.assert_all(graph.report(node)[1:], 0, ['/talker'], 1000)
+            # The talker begins when it has one of them, which is the first.
+            node = graph.node('both', 'sub:lot:/t:1000', 'sub:plain:/t:100:leave')
+            self.assert_all(graph.report(node)[:1], 0, ['/talker'], 1000)
             serialised = graph.report(talker)[0]['serialised']
             report = graph.stop(observer)[0]
             seen = report['from']['/talker']
@@ -842,7 +843,7 @@ class Observers(Case):
 
     def test_one_that_stands_still_or_dies_holds_none_up(self):
         with Graph() as graph:
-            talker = graph.node('talker', 'pub:lot:/t:1000:300:10000:wait=2:queue=16')
+            talker = graph.node('talker', 'pub:lot:/t:1000:300:10000:wait=2:queue=100')
             name = graph.ring('/t')
             observers = [graph.node(f'observer{i}', f'look:any:{name}') for i in range(3)]
             listeners = [graph.node(f'listener{i}', 'sub:lot:/t:1000') for i in range(2)]
