@@ -126,7 +126,7 @@ inline open_segment(p) {
   skip;
 again:
   if
-  :: atomic { lock_name != NONE -> lock_file[p] = lock_name } /* @ src/segment/segment.cpp open_private: const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK) */
+  :: atomic { lock_name != NONE -> lock_file[p] = lock_name } /* @ src/segment/segment.cpp open_private: const int fd = open_file(path, O_RDWR | O_NOFOLLOW | O_NONBLOCK) */
   :: lock_name == NONE -> /* @ src/segment/segment.cpp open_private: if (errno != ENOENT) refuse(path, "cannot open it", errno) */
     atomic {
       if
@@ -169,7 +169,7 @@ again:
   :: else
   fi;
   atomic {
-    mapped[p] = segment_name; /* @ src/segment/segment.cpp Segment: (writable ? O_RDWR : O_RDONLY) | O_CLOEXEC | O_NOFOLLOW */
+    mapped[p] = segment_name; /* @ src/segment/segment.cpp Segment: open_file(path, (writable ? O_RDWR : O_RDONLY) | O_NOFOLLOW */
     assert(mapped[p] != NONE);
     assert(complete[mapped[p]])
   };
