@@ -6,6 +6,7 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <unistd.h>
 #include <vector>
 
 #include <nlohmann/json.hpp>
@@ -197,6 +198,7 @@ class Actor {
               .dump() +
           "\n";
       for (const char c : text) answers_.tell(c);
+      alarm(60);  // as Child, but from here on: a play may take longer
       const auto order = nlohmann::json::parse(line(orders_));
       if (order.empty()) return;
       const auto what = order.at(1).get<std::string>();
