@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "micro.hpp"
 
-/// What an envelope costs those who ask for it: the publisher that stamps, beside one that does
+/// What an envelope costs where it is asked for: the publisher that stamps, beside one that does
 /// not; the reader that asks, beside one that does not. In one process, all lines warm.
 namespace bench {
 namespace {

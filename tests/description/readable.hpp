@@ -220,7 +220,7 @@ inline void copy(const lot::Value& from, const lot::MutableValue& to) {
   }
 }
 
-/// Memory for a message, between two pages that nobody may touch.
+/// Memory for a message, between two pages that no code may touch.
 class Fenced {
  public:
   static constexpr std::size_t kBytes = 64 << 10;

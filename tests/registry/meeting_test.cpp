@@ -303,7 +303,7 @@ TEST_CASE("types that may meet on a topic exchange messages there, others are re
       const std::string publisher_first =
           refusal(table()[i].sample, table()[k].sample, engine, true);
       CHECK(publisher_first.empty() == may_meet(i, k));
-      // What either has been told depends on who comes second, not on which end it is.
+      // What either has been told depends on which comes second, not on which end it is.
       CHECK(refusal(table()[i].sample, table()[k].sample, engine, false) == publisher_first);
     }
   }

@@ -221,7 +221,7 @@ TEST_CASE("a full table leaves topics without descriptions, and no process is re
   CHECK(table.refusal(last, large("other")) == EPROTOTYPE);
   CHECK(table.refusal(last, made(300, "", 5)) == EPROTOTYPE);
   CHECK(table.word(topics.back()) == 0);
-  // When there is room, who comes next brings the description.
+  // When there is room, the next user brings the description.
   for (int i = 0; i < 3; ++i) table.leave(topics[static_cast<std::size_t>(i)]);
   CHECK(table.refusal(last, large(names)) == 0);
   CHECK(table.seen(last) == large(names).known.bytes);

@@ -16,7 +16,7 @@ namespace lot::kill {
 ///
 /// After each instruction the tables and all granules that have an owner are compared. Of the table
 /// of descriptions those bytes are that a description can get: up to the last one that a topic
-/// names, and the largest one behind it. The rest, and granules that nobody owns, are compared at
+/// names, and the largest one behind it. The rest, and granules without an owner, are compared at
 /// the end (stray()).
 class Shadow {
  public:
@@ -29,7 +29,7 @@ class Shadow {
   void look_for_file();
   /// True when something has changed since the last call. The copy is brought up to date.
   bool changed();
-  /// Granules that changed while nobody owned them, and the rest of the table of descriptions if it
+  /// Granules that changed without an owner, and the rest of the table of descriptions if it
   /// did.
   std::size_t stray();
 
