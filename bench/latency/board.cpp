@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "board.hpp"
 
-#include <cerrno>
 #include <climits>
 #include <cstring>
 #include <ctime>
@@ -10,15 +9,12 @@
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
-#include <system_error>
 #include <unistd.h>
+
+#include "throw_errno.hpp"
 
 namespace ab {
 namespace {
-
-[[noreturn]] void fail(const char* what) {
-  throw std::system_error(errno, std::generic_category(), what);
-}
 
 constexpr std::size_t kPage = 4096;
 constexpr std::size_t pages(std::size_t bytes) { return (bytes + kPage - 1) / kPage * kPage; }
@@ -48,12 +44,12 @@ std::uint32_t Gate::wait_while(std::uint32_t seen, std::chrono::nanoseconds pati
 
 Board::Board(std::size_t arms, std::size_t nodes, std::size_t bytes)
     : fd_(memfd_create("lot_ab", 0)) {  // inherited: no CLOEXEC
-  if (fd_ < 0) fail("memfd_create");
+  if (fd_ < 0) throw_errno("memfd_create");
   const std::size_t free_at = kArmsAt + pages(arms * kEach) + nodes * kNode;
   const std::size_t size = pages(free_at + bytes);
   if (ftruncate(fd_, static_cast<off_t>(size)) != 0) {
     close(fd_);
-    fail("ftruncate");
+    throw_errno("ftruncate");
   }
   map(size);
   head().arms = static_cast<std::uint32_t>(arms);
@@ -63,7 +59,7 @@ Board::Board(std::size_t arms, std::size_t nodes, std::size_t bytes)
 
 Board::Board(int fd) : fd_(fd) {
   struct stat s {};
-  if (fstat(fd, &s) != 0) fail("the board of lot_ab");
+  if (fstat(fd, &s) != 0) throw_errno("the board of lot_ab");
   map(static_cast<std::size_t>(s.st_size));
 }
 
@@ -71,7 +67,7 @@ void Board::map(std::size_t size) {
   void* const at = mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, fd_, 0);
   if (at == MAP_FAILED) {
     close(fd_);
-    fail("mmap");
+    throw_errno("mmap");
   }
   base_ = static_cast<std::byte*>(at);
   size_ = size;

@@ -16,20 +16,16 @@
 #include <stdexcept>
 #include <sys/prctl.h>
 #include <sys/wait.h>
-#include <system_error>
 #include <thread>
 #include <unistd.h>
 
 #include "node.hpp"
+#include "throw_errno.hpp"
 
 namespace ab {
 namespace {
 
 using namespace std::chrono_literals;
-
-[[noreturn]] void fail(const std::string& what) {
-  throw std::system_error(errno, std::generic_category(), what);
-}
 
 std::string self() { return std::filesystem::read_symlink("/proc/self/exe"); }
 
@@ -91,10 +87,10 @@ std::vector<std::string> container_in(const std::string& directory) {
 /// Runs a command to its end. Returns "" when it has succeeded; else the first line that it said.
 std::string complaint_of(const std::vector<std::string>& command) {
   int said[2] = {-1, -1};
-  if (pipe2(said, O_CLOEXEC) != 0) fail("pipe");
+  if (pipe2(said, O_CLOEXEC) != 0) throw_errno("pipe");
   std::fflush(nullptr);
   const pid_t pid = fork();
-  if (pid == -1) fail("fork");
+  if (pid == -1) throw_errno("fork");
   if (pid == 0) {
     setpgid(0, 0);  // Ctrl-C is ours to deal with
     prctl(PR_SET_PDEATHSIG, SIGKILL);
@@ -125,10 +121,10 @@ std::string refused_container() {
 /// it cannot be done.
 std::string refused_link() {
   int told[2] = {-1, -1};
-  if (pipe2(told, O_CLOEXEC) != 0) fail("pipe");
+  if (pipe2(told, O_CLOEXEC) != 0) throw_errno("pipe");
   std::fflush(nullptr);
   const pid_t pid = fork();
-  if (pid == -1) fail("fork");
+  if (pid == -1) throw_errno("fork");
   if (pid == 0) {
     setpgid(0, 0);
     prctl(PR_SET_PDEATHSIG, SIGKILL);
@@ -185,7 +181,7 @@ int run_processes(Board& board, const Plan& plan, const std::vector<unsigned>& n
   for (const unsigned node : nodes) {
     std::fflush(nullptr);
     const pid_t pid = fork();
-    if (pid == -1) fail("fork");
+    if (pid == -1) throw_errno("fork");
     if (pid == 0) {
       prctl(PR_SET_PDEATHSIG, SIGKILL);
       if (getppid() != me) _exit(1);
@@ -198,7 +194,7 @@ int run_processes(Board& board, const Plan& plan, const std::vector<unsigned>& n
     int status = 0;
     const pid_t pid = wait(&status);
     if (pid == -1 && errno == EINTR) continue;
-    if (pid == -1) fail("wait");
+    if (pid == -1) throw_errno("wait");
     const auto at = std::find_if(children.begin(), children.end(),
                                  [pid](const auto& child) { return child.first == pid; });
     if (at == children.end()) continue;  // somebody else's
@@ -235,7 +231,7 @@ int run_group(int fd, unsigned arm, unsigned group) {
 void must_run(const std::vector<std::string>& command) {
   std::fflush(nullptr);
   const pid_t pid = fork();
-  if (pid == -1) fail("fork");
+  if (pid == -1) throw_errno("fork");
   if (pid == 0) {
     setpgid(0, 0);  // Ctrl-C is ours to deal with
     become(command);
@@ -278,7 +274,7 @@ void Crew::start(unsigned group, Place place, const std::string& directory) {
   std::vector<std::string> command;
   int told[2] = {-1, -1};
   if (place != Place::Host) {
-    if (pipe(told) != 0) fail("pipe");
+    if (pipe(told) != 0) throw_errno("pipe");
     fcntl(told[0], F_SETFD, FD_CLOEXEC);
     command = container_in(directory);
     command.insert(command.end(), {"--info-fd", std::to_string(told[1])});
@@ -287,7 +283,7 @@ void Crew::start(unsigned group, Place place, const std::string& directory) {
   std::fflush(nullptr);
   const pid_t me = getpid();
   const pid_t pid = fork();
-  if (pid == -1) fail("fork");
+  if (pid == -1) throw_errno("fork");
   if (pid == 0) {
     setpgid(0, 0);
     prctl(PR_SET_PDEATHSIG, SIGKILL);

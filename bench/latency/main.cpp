@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <atomic>
-#include <cerrno>
 #include <cmath>
 #include <csignal>
 #include <cstdio>
@@ -10,7 +9,6 @@
 #include <iostream>
 #include <stdexcept>
 #include <string>
-#include <system_error>
 #include <unistd.h>
 #include <vector>
 
@@ -26,6 +24,7 @@
 #include "report.hpp"
 #include "resume.hpp"
 #include "revision.hpp"
+#include "throw_errno.hpp"
 #include "transport.hpp"
 
 namespace {
@@ -226,7 +225,7 @@ class Progress {
 void must_be_writable(const std::string& dir) {
   std::filesystem::create_directories(dir);
   if (access(dir.c_str(), W_OK | X_OK) != 0) {
-    throw std::system_error(errno, std::generic_category(), "--out " + dir);
+    throw_errno("--out " + dir);
   }
 }
 

@@ -16,6 +16,7 @@
 
 #include "message.hpp"
 #include "sampler.hpp"
+#include "throw_errno.hpp"
 #include "transport.hpp"
 
 namespace ab {
@@ -117,7 +118,7 @@ class Node {
       CPU_ZERO(&set);
       for (const int core : me_.cores) CPU_SET(core, &set);
       if (sched_setaffinity(0, sizeof set, &set) != 0) {
-        throw std::system_error(errno, std::generic_category(), "sched_setaffinity");
+        throw_errno("sched_setaffinity");
       }
     }
     for (const std::int64_t until = now_ns() + static_cast<std::int64_t>(me_.delay_s * 1e9);

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <cerrno>
 #include <csignal>
 #include <cstddef>
 #include <cstdint>
@@ -16,7 +15,6 @@
 #include <string>
 #include <sys/syscall.h>
 #include <sys/time.h>
-#include <system_error>
 #include <ucontext.h>
 #include <unistd.h>
 #include <utility>
@@ -24,6 +22,8 @@
 
 #include <cxxabi.h>
 #include <elfutils/libdwfl.h>
+
+#include "throw_errno.hpp"
 
 namespace ab {
 namespace {
@@ -171,7 +171,7 @@ void start_sampler() {
     action.sa_sigaction = take;
     action.sa_flags = SA_SIGINFO | SA_RESTART;
     if (sigaction(SIGPROF, &action, nullptr) != 0) {
-      throw std::system_error(errno, std::generic_category(), "SIGPROF");
+      throw_errno("SIGPROF");
     }
   }
   // The interval timer is asked only when the kernel's clock ticks: few samples of who runs

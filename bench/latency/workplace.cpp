@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "workplace.hpp"
 
-#include <cerrno>
 #include <cstdio>
 #include <fcntl.h>
 #include <filesystem>
 #include <random>
 #include <sys/file.h>
-#include <system_error>
 #include <unistd.h>
+
+#include "throw_errno.hpp"
 
 namespace ab {
 namespace {
@@ -55,7 +55,7 @@ Workplace::Workplace() {
   lock_ = open(unnamed.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
   if (lock_ < 0 || flock(lock_, LOCK_EX | LOCK_NB) != 0 ||
       rename(unnamed.c_str(), lock_of(name_).c_str()) != 0) {
-    throw std::system_error(errno, std::generic_category(), lock_of(name_));
+    throw_errno(lock_of(name_));
   }
 }
 

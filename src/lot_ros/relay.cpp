@@ -23,7 +23,7 @@ constexpr int kQueue = 100;  ///< unless ~queue_size says otherwise
 /// A message in shared memory may come before its publisher's link, which says whether the
 /// publisher latches. The relay waits for the link so long, and looks so often.
 using Clock = std::chrono::steady_clock;
-constexpr std::chrono::seconds kPatience{1};
+constexpr std::chrono::seconds kLinkComes{1};
 constexpr double kLook_s = 0.01;
 
 /// The type of a topic; waits until a node publishes it. Empty: the node is to end.
@@ -83,7 +83,7 @@ class Forward final : public ::ros::SubscriptionCallbackHelper {
       const auto latches = in_->latches(publisher);
       if (!latches) {
         const bool is_doubtful = doubtful_.count(publisher) != 0;
-        const bool has_time = Clock::now() - since < kPatience && waiting_.size() < queue_size_;
+        const bool has_time = Clock::now() - since < kLinkComes && waiting_.size() < queue_size_;
         if (has_time && !is_doubtful) break;
         doubtful_[publisher] = message;
       } else {

@@ -280,7 +280,7 @@ void Board::add(const Cells& cells, std::vector<Line>& lines) {
 std::vector<Line> Board::tables(const std::vector<Watched>& segments, std::size_t width) {
   std::vector<Cells> tables;
   for (const Kind kind : {Kind::Topic, Kind::Process}) {
-    if (shown_ == (kind == Kind::Topic ? Shown::Processes : Shown::Topics)) continue;
+    if (shown_ == (kind == Kind::Topic ? Shown::OnlyProcesses : Shown::OnlyTopics)) continue;
     if (auto table = cells(segments, kind)) tables.push_back(std::move(*table));
   }
   std::size_t name = 0;  // the columns of one table stand below those of the other
@@ -392,9 +392,9 @@ bool Board::press(int key) {
       paused_ = !paused_;
       return true;
     case 't':
-      shown_ = shown_ == Shown::Both     ? Shown::Topics
-               : shown_ == Shown::Topics ? Shown::Processes
-                                         : Shown::Both;
+      shown_ = shown_ == Shown::Both         ? Shown::OnlyTopics
+               : shown_ == Shown::OnlyTopics ? Shown::OnlyProcesses
+                                             : Shown::Both;
       first_ = 0;
       return true;
     case '-':

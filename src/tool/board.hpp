@@ -41,7 +41,7 @@ class Board {
   std::vector<Line> tables(const std::vector<Watched>& segments, std::size_t width);
 
  private:
-  enum class Shown { Both, Topics, Processes };
+  enum class Shown { Both, OnlyTopics, OnlyProcesses };
   enum class Kind { Topic, Process };
   struct Row {
     const Watched* segment;

@@ -5,13 +5,6 @@
 #include <string>
 
 namespace lot::chaos {
-namespace {
-
-/// Books of publishers that are long gone are closed, the oldest first.
-constexpr std::size_t kMostRings = 128;
-
-}  // namespace
-
 void Account::before_subscribe() {
   rings_.clear();
   early_.clear();

@@ -5,13 +5,6 @@
 #include <string>
 
 namespace lot::chaos {
-namespace {
-
-/// Books of putters that are long gone are closed, the oldest first.
-constexpr std::size_t kMostRings = 128;
-
-}  // namespace
-
 void Deliveries::got(const Stamp& stamp, std::uint32_t deliveries) {
   check_origin(stamp);
   Item& task = item(stamp);

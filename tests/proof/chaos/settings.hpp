@@ -2,6 +2,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <string>
 
@@ -31,5 +32,9 @@ struct Epoch {
   bool rests = false;  ///< it has checkpoints with everybody alive
   bool roomy = true;   ///< memory never runs out: nothing is evicted, and missed counts are exact
 };
+
+/// The books of so many rings are kept: those of writers that are long gone are closed, the oldest
+/// first.
+inline constexpr std::size_t kMostRings = 128;
 
 }  // namespace lot::chaos

@@ -4,13 +4,6 @@
 #include <algorithm>
 
 namespace lot::chaos {
-namespace {
-
-/// Books of putters that are long gone are closed, the oldest first.
-constexpr std::size_t kMostRings = 128;
-
-}  // namespace
-
 void Takings::before_listen() {
   rings_.clear();
   for (std::uint32_t i = life_.board.newest[topic_].load(); i != 0; i = record(i).before) {
