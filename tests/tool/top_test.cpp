@@ -19,6 +19,7 @@
 #include "scene.hpp"
 #include "support/janitor.hpp"
 #include "support/must_go.hpp"
+#include "support/variable.hpp"
 #include "terminal.hpp"
 
 namespace {
@@ -469,8 +470,9 @@ TEST_CASE("the bandwidth of a topic is its rate times the size of its messages")
 TEST_CASE("the picture of lot top for the README can be made, and has what the screen has") {
   const Watchdog watchdog(100);
   const Room room;
+  const Variable stamps("LOT_STAMP", "1");
   const Traffic traffic(room);
-  const Terminal terminal(room, 96, 16, top_of(traffic.options));
+  const Terminal terminal(room, 104, 16, top_of(traffic.options));
   REQUIRE(terminal.shows("recorder loses"));
   for (const std::string name : {"/pose", "/camera/front", "/camera/left"}) {
     CAPTURE(name);
@@ -486,8 +488,9 @@ TEST_CASE("the picture of lot top for the README can be made, and has what the s
   for (auto at = svg.find("&#160;"); at != svg.npos; at = svg.find("&#160;", at))
     svg.replace(at, 6, " ");
   CHECK(says(svg, "</svg>"));
-  for (const std::string words : {"TOPIC", "BANDWIDTH", "/camera/front", "/camera/left", "/pose",
-                                  "PROCESS", "detector", "recorder loses messages", "q quit"}) {
+  for (const std::string words :
+       {"TOPIC", "BANDWIDTH", "DELAY", "/camera/front", "/camera/left", "/pose", "PROCESS",
+        "detector", "recorder loses messages", "q quit"}) {
     CAPTURE(words);
     CHECK(says(svg, words));
   }
