@@ -17,7 +17,7 @@ import xmlrpc.client
 
 NODE = os.environ.get('LOT_ROS_NODE', 'ros_node')
 TOOL = os.environ.get('LOT_TOOL', 'lot')
-PATIENCE_S = 25
+PATIENCE_S = 50
 
 
 def free_port():

@@ -96,6 +96,7 @@ int echo(int argc, char** argv) {
   const std::string topic = argv[2];
   lot::ros::NodeHandle node;
   auto heard = node.advertise<String>(topic + "/heard", 1000);
+  while (ros::ok() && heard.getNumSubscribers() == 0) std::this_thread::sleep_for(1ms);
   auto ear = node.subscribe<String>(
       topic, 1000, [&](const boost::shared_ptr<String const>& message) { heard.publish(message); });
   auto nothing =
