@@ -5,6 +5,8 @@
     builds.py --build DIR [--jobs N]   DIR: a build tree of g++ that has liblot.a
     builds.py --build DIR --self-test  plant mistakes and see that each is found
 
+LOT_TEST_ONE_IN=N: one of each N libraries, programs and compilers, others with each LOT_TEST_SEED, which is printed.
+
 consumer.cpp is compiled by each compiler in C++17, 20 and 23, and run in C++17; by g++ 12 and clang 19 it is run in all
 three, and without RTTI and without exceptions. The library is built as a shared one, with libc++, and with link-time
 optimisation by both compilers. Programs of different builds then talk to each other.
@@ -15,6 +17,7 @@ import concurrent.futures
 import os
 import pathlib
 import re
+import secrets
 import signal
 import subprocess
 import sys
@@ -44,6 +47,7 @@ PROGRAMS = {
        for short, flags in (('no-rtti', ['-fno-rtti']), ('no-exceptions', ['-fno-exceptions']),
                             ('neither', ['-fno-rtti', '-fno-exceptions']))},
 }
+REFERENCE = '17-g++-12'  # in every share
 # which publisher, which reader
 PAIRS = (('no-rtti-g++-12', '17-clang++-19'), ('20-g++-12', '23-clang++-19'), ('17-g++-11', 'neither-clang++-19'), ('neither-g++-12', 'no-rtti-clang++-19'),
          ('shared', '17-g++-12'), ('17-clang++-14', 'shared'), ('libc++', 'libc++'), ('lto-g++', 'lto-clang'),
@@ -200,28 +204,54 @@ def in_parallel(jobs, steps):
     return complaints
 
 
-def matrix(builds, jobs):
-    """Builds all, then runs what was built."""
-    build = [(f'library {name}', lambda n=name: builds.make_library(n)) for name in LIBRARIES]
-    build += [(f'program {name}', lambda n=name, c=compiler, f=flags: builds.program(n, c, f))
-              for name, (compiler, flags) in PROGRAMS.items()]
-    build += [(f'{compiler} C++{short}', lambda c=compiler, s=standard: builds.compile(c, [f'-std={s}']))
+class Share:
+    """One of each `shares` things, by the seed."""
+
+    def __init__(self, shares, seed):
+        self.shares = shares
+        self.seed = seed
+
+    def of(self, things):
+        things = list(things)
+        return [thing for i, thing in enumerate(things) if i % self.shares == self.seed % min(self.shares, len(things))]
+
+
+def share_of_environment():
+    shares = int(os.environ.get('LOT_TEST_ONE_IN', 1))
+    seed = int(os.environ.get('LOT_TEST_SEED', secrets.randbelow(1 << 32)))
+    print(f'seed: LOT_TEST_SEED={seed}')
+    return Share(shares, seed)
+
+
+def matrix(builds, jobs, share):
+    """Builds a share of all, then runs what was built."""
+    libraries = share.of(LIBRARIES)
+    programs = [name for name in PROGRAMS if name == REFERENCE or name in share.of(PROGRAMS)]
+    build = [(f'library {name}', lambda n=name: builds.make_library(n)) for name in libraries]
+    build += [(f'program {name}', lambda n=name: builds.program(n, *PROGRAMS[n])) for name in programs]
+    looks = [(f'{compiler} C++{short}', lambda c=compiler, s=standard: builds.compile(c, [f'-std={s}']))
               for compiler in COMPILERS for short, standard in STANDARDS.items() if f'{short}-{compiler}' not in PROGRAMS]
-    build += [(f'clang++-19 libc++ C++{short}', lambda s=standard: builds.compile('clang++-19', [LIBCXX, f'-std={s}']))
+    looks += [(f'clang++-19 libc++ C++{short}', lambda s=standard: builds.compile('clang++-19', [LIBCXX, f'-std={s}']))
               for short, standard in STANDARDS.items() if short != '17']
-    build += [(f'{compiler} cast', lambda c=compiler: builds.refused(c, ['-fno-rtti'], 'dynamic_pointer_cast needs RTTI'))
+    looks += [(f'{compiler} cast', lambda c=compiler: builds.refused(c, ['-fno-rtti'], 'dynamic_pointer_cast needs RTTI'))
               for compiler in COMPILERS]
+    build += share.of(looks)
     complaints = in_parallel(jobs, build)
     if complaints:
         return complaints, len(build)
-    expected = run([builds.scratch / '17-g++-12', 'names'])
-    work = [(f'{name}: everything', lambda n=name: builds.everything(n)) for name in (*PROGRAMS, *LIBRARIES)]
+    built = [*programs, *libraries]
+    expected = run([builds.scratch / REFERENCE, 'names'])
+    work = [(f'{name}: everything', lambda n=name: builds.everything(n)) for name in built]
     work += [(f'{name}: names', lambda n=name: builds.names(n, expected))
-             for name in (*PROGRAMS, *LIBRARIES) if name != 'libc++']
+             for name in built if name != 'libc++']
     work += [(f'{name}: wrong', lambda n=name: builds.dies(n))
-             for name in (*PROGRAMS, *LIBRARIES) if not name.startswith(('17', 'no-rtti'))]
-    work += [(f'{publisher} to {reader}', lambda p=publisher, r=reader: builds.pair(p, r)) for publisher, reader in PAIRS]
-    work += [('17-g++-12 to libc++', lambda: builds.strangers('17-g++-12', 'libc++'))]
+             for name in built if not name.startswith(('17', 'no-rtti'))]
+    pairs = [pair for pair in PAIRS if set(pair) <= set(built)]
+    pairs += [pair for name in built if name not in (REFERENCE, 'libc++') and not any(name in pair for pair in pairs)
+              for pair in ((name, REFERENCE), (REFERENCE, name))]
+    work += [(f'{publisher} to {reader}', lambda p=publisher, r=reader: builds.pair(p, r)) for publisher, reader in pairs]
+    if 'libc++' in built:
+        work += [(f'{REFERENCE} to libc++', lambda: builds.strangers(REFERENCE, 'libc++'))]
     return in_parallel(jobs, work), len(build) + len(work)
 
 
@@ -267,7 +297,7 @@ def main():
     with tempfile.TemporaryDirectory(prefix='lot_builds.') as scratch:
         builds = Builds(pathlib.Path(scratch), options.build.resolve() / 'liblot.a')
         try:
-            complaints, count = self_test(builds) if options.self_test else matrix(builds, options.jobs)
+            complaints, count = self_test(builds) if options.self_test else matrix(builds, options.jobs, share_of_environment())
         finally:
             own = segment('')['LOT_SEGMENT']
             for file in pathlib.Path('/dev/shm').glob(f'{own}*'):  # of programs that have died
