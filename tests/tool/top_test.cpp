@@ -472,7 +472,7 @@ TEST_CASE("the picture of lot top for the README can be made, and has what the s
   const Room room;
   const Variable stamps("LOT_STAMP", "1");
   const Traffic traffic(room);
-  const Terminal terminal(room, 104, 16, top_of(traffic.options));
+  const Terminal terminal(room, 112, 16, top_of(traffic.options));
   REQUIRE(terminal.shows("recorder loses"));
   for (const std::string name : {"/pose", "/camera/front", "/camera/left"}) {
     CAPTURE(name);
