@@ -6,6 +6,8 @@
     builds.py --build DIR --self-test  plant mistakes and see that each is found
 
 LOT_TEST_ONE_IN=N: one of each N libraries, programs and compilers, others with each LOT_TEST_SEED, which is printed.
+Of PAIRS only those run whose programs are both in the share: some need all. A program without such a pair talks to
+17-g++-12, both ways.
 
 consumer.cpp is compiled by each compiler in C++17, 20 and 23, and run in C++17; by g++ 12 and clang 19 it is run in all
 three, and without RTTI and without exceptions. The library is built as a shared one, with libc++, and with link-time

@@ -5,6 +5,7 @@
 #include <string>
 
 namespace lot::chaos {
+
 void Account::before_subscribe() {
   rings_.clear();
   early_.clear();

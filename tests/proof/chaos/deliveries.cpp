@@ -5,6 +5,7 @@
 #include <string>
 
 namespace lot::chaos {
+
 void Deliveries::got(const Stamp& stamp, std::uint32_t deliveries) {
   check_origin(stamp);
   Item& task = item(stamp);

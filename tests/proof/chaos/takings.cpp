@@ -4,6 +4,7 @@
 #include <algorithm>
 
 namespace lot::chaos {
+
 void Takings::before_listen() {
   rings_.clear();
   for (std::uint32_t i = life_.board.newest[topic_].load(); i != 0; i = record(i).before) {
