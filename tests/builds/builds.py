@@ -287,6 +287,11 @@ def self_test(builds):
             failures.append(f'not found: {name}')
         except (Wrong, OSError):
             pass
+    for shares in 1, 4, len(PROGRAMS) + 1:
+        for things in LIBRARIES, PROGRAMS:
+            seen = [Share(shares, seed).of(things) for seed in range(min(shares, len(things)))]
+            if sorted(name for share in seen for name in share) != sorted(things):
+                failures.append(f'{shares} shares have not each of {", ".join(things)} once')
     return failures, len(mistakes)
 
 
