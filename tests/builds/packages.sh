@@ -6,6 +6,8 @@
 #     packages.sh FOLDER         FOLDER has the packages
 #     packages.sh --self-test FOLDER   plants mistakes, and sees that each is found
 #
+# LOT_TEST_ONE_IN=N: one of each N mistakes, others with each LOT_TEST_SEED.
+#
 # They are installed into a copy of this system that lies in memory (an overlay) and goes with the script.
 # It takes root, or sudo without a password. Where no overlay can be mounted, as in a container without the
 # right to, they are unpacked instead; with INSIST=1 in the environment that is a failure.
@@ -105,13 +107,22 @@ plant() {  # FOLDER PACKAGE CHECK CHANGE
   [ $status -ne 0 ]
 }
 
+mistakes=(  # PACKAGE CHECK CHANGE
+  "liblot-dev judge gzip -d usr/share/doc/liblot-dev/changelog.gz"
+  "lot-tools install_and_use sed -i 's/^Depends: /Depends: no-such-package, /' DEBIAN/control"
+  "liblot-dev install_and_use sed -i s/-llot/-lelse/ usr/lib/pkgconfig/lot.pc"
+  "liblot-ros-dev install_and_use rm usr/lib/lot/image_transport/*.so"
+  "lot-tools install_and_use mv usr/share/zsh/vendor-completions usr/share/zsh/site-functions")
+
 self_test() {  # FOLDER
-  plant "$1" liblot-dev judge 'gzip -d usr/share/doc/liblot-dev/changelog.gz'
-  plant "$1" lot-tools install_and_use 'sed -i "s/^Depends: /Depends: no-such-package, /" DEBIAN/control'
-  plant "$1" liblot-dev install_and_use 'sed -i s/-llot/-lelse/ usr/lib/pkgconfig/lot.pc'
-  plant "$1" liblot-ros-dev install_and_use 'rm usr/lib/lot/image_transport/*.so'
-  plant "$1" lot-tools install_and_use 'mv usr/share/zsh/vendor-completions usr/share/zsh/site-functions'
-  echo "packages self-test: 5 mistakes found"
+  local seed=${LOT_TEST_SEED:-$EPOCHSECONDS} step=${LOT_TEST_ONE_IN:-1} k found=0 package check change
+  echo "seed: LOT_TEST_SEED=$seed"
+  for ((k = seed % step; k < ${#mistakes[@]}; k += step)); do
+    read -r package check change <<<"${mistakes[k]}"
+    plant "$1" "$package" "$check" "$change"
+    found=$((found + 1))
+  done
+  echo "packages self-test: $found mistakes found"
 }
 
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
