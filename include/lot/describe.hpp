@@ -263,8 +263,9 @@ class Describer {
     find_bits(type, room);
   }
 
-  /// Bit-fields have no address: they lie between those that have one. So each bit there is set by
-  /// itself, and the fields are asked which of them has changed.
+  /// Bit-fields have no address, nor have fields that `packed` put where their type may not lie:
+  /// g++ hands out copies of them. They lie between those that have one. So each bit there is set
+  /// by itself, and the fields are asked which of them has changed.
   template <class T>
   void find_bits(Description::Type& type, const Room<T>& room) {
     std::uint64_t end = 0;  // of what lies before
@@ -289,31 +290,49 @@ class Describer {
                         std::uint64_t begin, std::uint64_t end) {
     std::memset(room.bytes() + begin, 0, end - begin);
     field.bits = 0;
+    std::uint64_t size = 0;
     for (std::uint64_t b = 8 * begin; b < 8 * end; ++b) {
       room.bytes()[b / 8] = static_cast<unsigned char>(1U << (b % 8));
-      if (is_set(room.object(), i)) {
+      if (const Set set = what_is_set(room.object(), i); set.is_set) {
         if (field.bits == 0) {
-          field.offset = b / 8;
+          field.offset = b / 8 - set.byte;
           field.bit = b % 8;
         }
+        size = set.size;
         ++field.bits;
       }
       room.bytes()[b / 8] = 0;
     }
+    if (field.bit == 0 && (size == 0 || field.bits == 8 * size)) field.bits = 0;  // all of its type
   }
+
+  /// What the bit that is set does in a field.
+  struct Set {
+    bool is_set = false;
+    std::uint64_t byte = 0;  ///< where in its type, if that is no number
+    std::uint64_t size = 0;  ///< of a number or an enum, which alone can have a part of its bits
+  };
   template <class T>
-  static bool is_set(const T& object, std::size_t i) {
+  static Set what_is_set(const T& object, std::size_t i) {
     return with_fields(object, [i](const auto&... f) {
+      Set set;
       std::size_t k = 0;
-      return ((k++ == i && is_not_zero(f)) || ...);
+      ((k++ == i ? void(set = what_is_set(f)) : void()), ...);
+      return set;
     });
   }
   template <class F>
-  static bool is_not_zero(const F& value) {
+  static Set what_is_set(const F& value) {
     if constexpr (std::is_integral_v<F> || std::is_enum_v<F>) {
-      return value != F{};
+      return {value != F{}, 0, sizeof(F)};
+    } else if constexpr (std::is_trivially_copyable_v<F>) {
+      const auto* const bytes = reinterpret_cast<const unsigned char*>(std::addressof(value));
+      for (std::uint64_t k = 0; k < sizeof(F); ++k) {
+        if (bytes[k] != 0) return {true, k, 0};
+      }
+      return {};
     } else {
-      return false;  // has an address
+      return {};  // has an address
     }
   }
 

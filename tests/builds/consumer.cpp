@@ -99,6 +99,15 @@ struct Task {
 struct Text {
   lot::ShmString text;
 };
+/// Some compilers have addresses of these fields, others have not.
+struct __attribute__((packed)) Packed {
+  std::uint8_t id;
+  double x;
+  Point point;
+  unsigned few : 5;
+  unsigned rest : 27;
+  std::uint32_t number;
+};
 
 }  // namespace consumer
 
@@ -451,6 +460,7 @@ void names() {
   name<long double[4]>();
   name<std::uint8_t>();
   description<Frame>();
+  description<Packed>();
   std::printf("layout %llx\n",
               static_cast<unsigned long long>(lot::describe<Detection>().layout_hash()));
 }

@@ -58,6 +58,39 @@ struct OtherBits {
   Colour colour : 4;
   std::uint8_t last;
 };
+/// The first has fields that g++ hands out as copies; the second has none, and the same bytes.
+struct Sample {
+  std::int16_t first;
+  float second;
+};
+struct __attribute__((packed)) Packed {
+  std::uint8_t id;
+  double x;
+  Sample sample;
+  std::int32_t n;
+  long double real;
+  Sample two[2];
+  Colour colour;
+  unsigned few : 5;
+  unsigned rest : 27;
+  unsigned all : 32;
+  std::int64_t last;
+};
+#pragma pack(push, 1)
+struct ByPragma {
+  std::uint8_t id;
+  double x;
+  Sample sample;
+  std::int32_t n;
+  long double real;
+  Sample two[2];
+  Colour colour;
+  unsigned few : 5;
+  unsigned rest : 27;
+  std::uint32_t all;
+  std::int64_t last;
+};
+#pragma pack(pop)
 struct BitsBehindNothing {
   [[no_unique_address]] Empty nothing;
   std::uint8_t low : 3;
@@ -284,6 +317,39 @@ TEST_CASE("a description finds each bit of a bit-field, and only those") {
   // An empty field takes no room: the bits may lie where it does.
   CHECK(lot::describe<named::BitsBehindNothing>().root().fields.at(1).bits == 3);
   CHECK(all.names_hash() == 0);
+}
+
+TEST_CASE("a description finds the fields of a packed struct, where they have no address") {
+  const Description& all = lot::describe<named::Packed>();
+  const auto& fields = all.root().fields;
+  const std::uint64_t offsets[] = {0,
+                                   offsetof(named::Packed, x),
+                                   offsetof(named::Packed, sample),
+                                   offsetof(named::Packed, n),
+                                   offsetof(named::Packed, real),
+                                   offsetof(named::Packed, two),
+                                   offsetof(named::Packed, colour),
+                                   offsetof(named::Packed, colour) + sizeof(named::Colour),
+                                   offsetof(named::Packed, colour) + sizeof(named::Colour),
+                                   offsetof(named::Packed, last) - 4,
+                                   offsetof(named::Packed, last)};
+  REQUIRE(fields.size() == std::size(offsets));
+  for (std::size_t i = 0; i < fields.size(); ++i) {
+    CAPTURE(i);
+    CHECK(fields[i].offset == offsets[i]);
+    CHECK(fields[i].bits == (i == 7 ? 5U : i == 8 ? 27U : 0U));
+  }
+  CHECK(all.layout_hash() == lot::describe<named::ByPragma>().layout_hash());
+
+  named::Packed packed{};
+  packed.x = 1.5;
+  packed.two[1] = {-2, 0.25F};
+  packed.last = -3;
+  const auto* const bytes = reinterpret_cast<const unsigned char*>(&packed);
+  const lot::Value value(all, bytes, bytes, bytes + sizeof(packed));
+  CHECK(value[1].as<double>() == 1.5);
+  CHECK(value[5][1][1].as<float>() == 0.25F);
+  CHECK(value[10].as<std::int64_t>() == -3);
 }
 
 TEST_CASE("a description of a type within itself ends") {
