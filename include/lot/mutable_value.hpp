@@ -93,7 +93,8 @@ class MutableValue {
   /// lot::Error and lot::OutOfMemory.
   void resize(std::size_t count) const;
   /// Gives a vector these bytes for elements, or an array. Throws lot::Error and lot::OutOfMemory,
-  /// also where the elements have vectors, strings or references (EINVAL).
+  /// also where the elements have vectors, strings or references (EINVAL), and for a bool that is
+  /// neither 0 nor 1 (ERANGE).
   void assign(Bytes bytes) const;
 
  private:

@@ -89,6 +89,23 @@ void store_bits(const Value& value, const detail::Number& number, bool is_signed
   }
 }
 
+/// Whether each bool in such bytes is false or true. REQUIRES: there is nothing but scalars, arrays
+/// and structs.
+bool has_good_bools(const Value& value, std::uint32_t place, const std::byte* bytes) {
+  const Description::Type& type = Access::type_at(value, place);
+  if (type.kind == Kind::Bool) return std::to_integer<unsigned>(*bytes) <= 1;
+  if (type.kind == Kind::Array) {
+    const std::uint64_t size = Access::type_at(value, type.element).size;
+    for (std::uint64_t i = 0; size != 0 && i < type.count; ++i) {
+      if (!has_good_bools(value, type.element, bytes + i * size)) return false;
+    }
+  }
+  if (type.kind != Kind::Struct) return true;
+  return std::all_of(type.fields.begin(), type.fields.end(), [&](const auto& field) {
+    return field.bits != 0 || has_good_bools(value, field.type, bytes + field.offset);
+  });
+}
+
 }  // namespace
 
 void detail::ValueAccess::set_ticks(const MutableValue& to, const Number& count, Period period) {
@@ -172,6 +189,12 @@ void MutableValue::assign(Bytes bytes) const {
   if (bytes.size() % before.stride != 0) {
     Access::refuse(value_, ERANGE,
                    std::to_string(bytes.size()) + " bytes are no whole number of its elements");
+  }
+  for (std::size_t at = 0; facts.has_bool && at < bytes.size(); at += before.stride) {
+    if (has_good_bools(value_, before.type, bytes.data() + at)) continue;
+    Access::refuse(value_, ERANGE,
+                   "element " + std::to_string(at / before.stride) + " would have a bool in it " +
+                       "that is neither 0 nor 1");
   }
   description::Builder(Access::description(value_), memory_)
       .resize(value_, bytes.size() / before.stride, false);

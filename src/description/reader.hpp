@@ -52,6 +52,7 @@ struct ValueAccess {
   struct Facts {
     bool is_plain = true;     ///< has no pointer in it: its bytes are all of it
     bool is_opaque = false;   ///< has something opaque in it
+    bool has_bool = false;    ///< has a byte in it that is 0 or 1
     std::uint64_t align = 1;  ///< what its parts are aligned to
   };
   static Facts facts(const Value& v, std::uint32_t place);

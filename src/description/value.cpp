@@ -138,6 +138,7 @@ ValueAccess::Facts ValueAccess::facts(const Value& v, std::uint32_t place) {
       facts.is_opaque = true;
     } else {
       facts.align = std::max(facts.align, lowest_bit(type.size));
+      facts.has_bool = facts.has_bool || type.kind == Kind::Bool;
     }
   }
   // A packed struct is aligned less than its fields.

@@ -55,12 +55,11 @@ class Echo {
         break;
       } else if (Clock::now() >= deadline) {
         onlooker_.say("no message came in time");
-        if (options_.count != EchoOptions::kNoLimit) exit_ = graver(exit_, kWrong);
         break;
       }
     }
-    exit_ = graver(exit_, complaints_.exit());
-    return printed_ == 0 ? graver(exit_, kWrong) : exit_;
+    const bool are_too_few = options_.count != EchoOptions::kNoLimit && printed_ < options_.count;
+    return graver(printed_ == 0 || are_too_few ? kWrong : kWell, complaints_.exit());
   }
 
  private:
@@ -168,7 +167,6 @@ class Echo {
   unsigned times_ = 0;
   bool has_field_ = true;
   Complaints complaints_{onlooker_};
-  Exit exit_ = kWell;
 };
 
 }  // namespace

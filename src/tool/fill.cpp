@@ -10,6 +10,10 @@
 #include <string_view>
 #include <vector>
 
+#include <boost/archive/iterators/binary_from_base64.hpp>
+#include <boost/archive/iterators/dataflow_exception.hpp>
+#include <boost/archive/iterators/transform_width.hpp>
+
 #include "lot/error.hpp"
 
 #include "description/reader.hpp"
@@ -135,11 +139,26 @@ void fill_char(const MutableValue& value, const YAML::Node& node) {
   value.set(text.front());
 }
 
+/// "7 * 1/90000s", as times are told whose decimals have no end.
+bool parse_ticks(const std::string& text, detail::Number& count, detail::Period& period) {
+  const std::size_t times = text.find(" * ");
+  const std::size_t slash = text.find('/');
+  if (times == text.npos || slash == text.npos || slash < times || text.back() != 's') return false;
+  const auto part = [&](std::size_t from, std::size_t to, std::int64_t& number) {
+    const char* const end = text.data() + to;
+    const auto [stop, error] = std::from_chars(text.data() + from, end, number);
+    return error == std::errc() && stop == end && number > 0;
+  };
+  return parse(std::string_view(text).substr(0, times), count) &&
+         part(times + 3, slash, period.numerator) &&
+         part(slash + 1, text.size() - 1, period.denominator);
+}
+
 /// "-1.5s", "20ms".
 void fill_time(const MutableValue& value, const YAML::Node& node) {
   struct Unit {
     const char* name;
-    detail::Period period;
+    detail::Period period{};
   };
   constexpr Unit kUnits[] = {{"ns", {1, 1'000'000'000}}, {"us", {1, 1'000'000}}, {"ms", {1, 1000}},
                              {"min", {60, 1}},           {"h", {3600, 1}},       {"s", {1, 1}}};
@@ -147,13 +166,23 @@ void fill_time(const MutableValue& value, const YAML::Node& node) {
       "write a time with a unit: 1.5s, 20ms; there are ns, us, ms, s, min, h";
   if (!node.IsScalar()) refuse(value, node, wanted);
   std::string text = node.Scalar();
-  const std::size_t unit_at = text.find_first_not_of("+-0123456789.");
-  const std::string name = unit_at == std::string::npos ? "" : text.substr(unit_at);
+  detail::Number count;
+  detail::Period period;
+  if (parse_ticks(text, count, period)) return Access::set_ticks(value, count, period);
+  const bool is_real = Access::scalar(value.value()).kind == Kind::Float;
+  std::size_t unit_at = text.find_first_not_of("+-0123456789.");
+  if (is_real) {
+    char* end = nullptr;
+    count = detail::Number::of(std::strtold(text.c_str(), &end));
+    unit_at = static_cast<std::size_t>(end - text.c_str());
+  }
+  const std::string name = unit_at < text.size() ? text.substr(unit_at) : "";
   const auto* const unit = std::find_if(std::begin(kUnits), std::end(kUnits),
                                         [&](const Unit& u) { return name == u.name; });
-  if (unit == std::end(kUnits)) refuse(value, node, wanted);
+  if (unit == std::end(kUnits) || unit_at == 0) refuse(value, node, wanted);
+  period = unit->period;
+  if (is_real) return Access::set_ticks(value, count, period);
   text.resize(unit_at);
-  detail::Period period = unit->period;
   if (const std::size_t point = text.find('.'); point != std::string::npos) {
     text.erase(text.find_last_not_of('0') + 1);
     for (std::size_t digits = text.size() - 1 - point; digits != 0; --digits) {
@@ -163,15 +192,30 @@ void fill_time(const MutableValue& value, const YAML::Node& node) {
     }
     text.erase(point, 1);
   }
-  detail::Number count;
   if (!parse(text, count)) refuse(value, node, wanted);
   Access::set_ticks(value, count, period);
 }
 
 std::string decoded(const MutableValue& value, const YAML::Node& node) {
-  const std::vector<unsigned char> bytes = YAML::DecodeBase64(node.Scalar());
-  if (bytes.empty() && !node.Scalar().empty()) refuse(value, node, "write base64");
-  return {bytes.begin(), bytes.end()};
+  using namespace boost::archive::iterators;
+  using Bytes = transform_width<binary_from_base64<const char*>, 8, 6>;
+  std::string text = node.Scalar();
+  text.erase(std::remove_if(text.begin(), text.end(),
+                            [](char c) { return c == ' ' || c == '\t' || c == '\n' || c == '\r'; }),
+             text.end());
+  const std::size_t digits = text.find_last_not_of('=') + 1;  // 0: npos + 1
+  const std::size_t padding = text.size() - digits;
+  const std::string wanted = "write base64, with its padding: \"AQI=\"";
+  if (text.size() % 4 != 0 || padding > 2 || text.find('=') < digits) refuse(value, node, wanted);
+  std::fill(text.begin() + static_cast<std::ptrdiff_t>(digits), text.end(), 'A');  // zeros
+  try {
+    const char* const begin = text.data();
+    std::string bytes(Bytes(begin), Bytes(begin + text.size()));
+    bytes.resize(bytes.size() - padding);
+    return bytes;
+  } catch (const dataflow_exception&) {
+    refuse(value, node, wanted);
+  }
 }
 
 bool is_binary(const YAML::Node& node) {

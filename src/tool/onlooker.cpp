@@ -57,21 +57,22 @@ std::shared_ptr<transport::Participant> visit(const Where& where, const std::str
 }
 
 std::optional<std::string> Search::segment_with(const std::string& topic) {
-  std::optional<std::string> found;
+  std::vector<std::string> found;  // those that have most of it
   Has most = Has::Nothing;
   const auto all = sights(where_);
   for (const Sight& s : all) {
     if (s.window == nullptr) continue;
     const Has has = what_has(*s.window, topic);
     if (has == Has::Nothing || has < most) continue;
-    if (has == most) {
-      throw Error(EINVAL, topic, "the segments " + *found + " and " + s.name + " have this topic",
-                  "say which one you mean: --segment NAME");
-    }
+    if (has > most) found.clear();
     most = has;
-    found = s.name;
+    found.push_back(s.name);
   }
-  if (found) return found;
+  if (found.size() > 1) {
+    throw Error(EINVAL, topic, "the segments " + found[0] + " and " + found[1] + " have this topic",
+                "say which one you mean: --segment NAME");
+  }
+  if (!found.empty()) return found.front();
   for (const Sight& s : all) {
     if (s.window != nullptr) continue;
     const bool is_damaged = s.condition == Sight::Condition::Damaged;

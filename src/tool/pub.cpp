@@ -3,9 +3,8 @@
 #include <cerrno>
 #include <chrono>
 #include <cmath>
+#include <csignal>
 #include <cstdio>
-#include <iostream>
-#include <iterator>
 #include <optional>
 #include <set>
 #include <string>
@@ -14,7 +13,6 @@
 #include <utility>
 #include <vector>
 
-#include <yaml-cpp/depthguard.h>
 #include <yaml-cpp/yaml.h>
 
 #include "lot/detail/core.hpp"
@@ -23,6 +21,7 @@
 #include "lot/signals.hpp"
 
 #include "futex/futex.hpp"
+#include "tool/documents.hpp"
 #include "tool/onlooker.hpp"
 #include "tool/report.hpp"
 #include "tool/text.hpp"
@@ -45,30 +44,6 @@ constexpr std::chrono::milliseconds kForOnlookers = 500ms;
 constexpr std::chrono::seconds kForMemory = 5s;
 /// Further behind its schedule than this it does not send faster to make up for it.
 constexpr std::chrono::seconds kMostBehind = 1s;
-
-/// Each document of the YAML is a message. Throws lot::Error (EINVAL).
-std::vector<YAML::Node> messages_in(const std::string& yaml) {
-  std::string text = yaml;
-  if (yaml == "-") text.assign(std::istreambuf_iterator<char>(std::cin), {});
-  std::vector<YAML::Node> messages;
-  try {
-    messages = YAML::LoadAll(text);
-  } catch (const YAML::DeepRecursion& e) {
-    throw Error(
-        EINVAL, "the YAML",
-        "its lists and maps lie more than " + std::to_string(e.depth() - 1) + " deep in each other",
-        "no message is as deep");
-  } catch (const YAML::Exception& e) {
-    throw Error(EINVAL, "the YAML",
-                "line " + std::to_string(e.mark.line + 1) + ", column " +
-                    std::to_string(e.mark.column + 1) + ": " + e.msg,
-                "quote it from the shell: lot pub TOPIC '{x: 1, name: left}'");
-  }
-  if (messages.empty()) {
-    throw Error(EINVAL, "the YAML", "there is no message in it", "{} is a message of zeros");
-  }
-  return messages;
-}
 
 /// Sleeps until then. False: it was told to stop.
 bool sleep_until(Clock::time_point time, const StopToken& stop) {
@@ -112,12 +87,15 @@ class Publication {
       : where_(settings.where),
         search_(settings.where),
         options_(options),
-        messages_(messages_in(options.yaml)),
+        documents_(options.yaml),
         report_(settings),
         deadline_(detail::after(options.wait)) {}
 
   Exit run() {
+    std::signal(SIGPIPE, SIG_IGN);  // so that it leaves the segment as at any other end
     const StopToken stop = stop_on_signals();
+    read_first(stop);
+    if (stop.stop_requested()) return kWrong;
     std::optional<std::string> segment;
     while (!(segment = find_segment())) {
       if (Clock::now() >= deadline_) throw_unknown();
@@ -154,6 +132,19 @@ class Publication {
   }
 
  private:
+  /// Reads all messages; of those that come by and by (standard input, once each) the first.
+  void read_first(const StopToken& stop) {
+    const bool come_later = options_.yaml == "-" && !options_.hertz;
+    while (messages_.empty() || !come_later) {
+      auto message = documents_.next(stop);
+      if (!message) break;
+      messages_.push_back(std::move(*message));
+    }
+    if (messages_.empty() && !stop.stop_requested()) {
+      throw Error(EINVAL, "the YAML", "there is no message in it", "{} is a message of zeros");
+    }
+  }
+
   /// The segment that has the topic, or the one that it is like.
   std::optional<std::string> find_segment() {
     auto found = search_.segment_with(options_.topic);
@@ -184,15 +175,23 @@ class Publication {
   }
 
   void push(AnyPusher& pusher, const StopToken& stop) {
+    if (options_.hertz) return push_at_rate(pusher, *options_.hertz, stop);
+    while (!messages_.empty()) {
+      for (const YAML::Node& message : messages_) {
+        if (pusher.push(build(pusher, message), Duration::max(), stop) != Status::Ok) return;
+        ++pushed_;
+      }
+      messages_.clear();
+      if (auto next = documents_.next(stop)) messages_.push_back(std::move(*next));
+    }
+  }
+  void push_at_rate(AnyPusher& pusher, double hertz, const StopToken& stop) {
     constexpr std::uint64_t kForEver = ~std::uint64_t{0};
-    const std::uint64_t most =
-        options_.count.value_or(options_.hertz ? kForEver : messages_.size());
-    // The kernel wakes a sleeper up to 50 us late by default, and several at once.
-    if (options_.hertz) prctl(PR_SET_TIMERSLACK, 1UL);
-    Schedule schedule(options_.hertz.value_or(1));
-    for (; pushed_ < most; ++pushed_) {
+    prctl(PR_SET_TIMERSLACK, 1UL);  // else the kernel wakes a sleeper up to 50 us late
+    Schedule schedule(hertz);
+    for (; pushed_ < options_.count.value_or(kForEver); ++pushed_) {
       AnyLoan message = build(pusher, messages_[pushed_ % messages_.size()]);
-      if (options_.hertz && !sleep_until(schedule.next(), stop)) break;
+      if (!sleep_until(schedule.next(), stop)) break;
       if (pusher.push(std::move(message), Duration::max(), stop) != Status::Ok) break;
     }
     if (const auto behind = schedule.behind(); behind > 0s) {
@@ -263,7 +262,8 @@ class Publication {
   const Where where_;
   Search search_;
   const PubOptions& options_;
-  const std::vector<YAML::Node> messages_;
+  Documents documents_;
+  std::vector<YAML::Node> messages_;  ///< that are published next; at a rate, again and again
   Report report_;
   const Clock::time_point deadline_;
   std::uint64_t pushed_ = 0;

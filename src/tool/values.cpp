@@ -90,21 +90,24 @@ class Teller {
     if (--left_ % kLook == 0 && stop_.stop_requested()) throw Stopped();
   }
 
+  /// What is checked is what is written: a faulty process may change the message meanwhile.
   void tell_text(std::string_view text) {
-    const std::string_view begin = begin_of(text, limits_.characters);
-    if (!description::is_utf8(begin)) return tell_binary(text);
-    if (begin.size() == text.size()) return out_.text(text);
-    begin_cut("bytes", text.size());
-    out_.text(begin);
-    out_.end_map();
+    const std::uint64_t most = std::min<std::uint64_t>(text.size(), limits_.characters);
+    count_text(most);
+    const std::string copied(text.substr(0, most + 1));  // with what says where a character ends
+    const std::string_view begin = begin_of(copied, most);
+    const bool is_cut = most < text.size();
+    if (is_cut) begin_cut("bytes", text.size());
+    description::is_utf8(begin) ? out_.text(begin)
+                                : out_.binary(std::string_view(copied).substr(0, most));
+    if (is_cut) out_.end_map();
   }
-
-  void tell_binary(std::string_view bytes) {
-    const std::string_view begin = bytes.substr(0, limits_.characters);
-    if (begin.size() == bytes.size()) return out_.binary(begin);
-    begin_cut("bytes", bytes.size());
-    out_.binary(begin);
-    out_.end_map();
+  /// Strings of a forged message may all be the same memory, and each as large as the segment.
+  void count_text(std::uint64_t bytes) {
+    constexpr std::uint64_t kAsLongAsOne = 16;
+    constexpr std::uint64_t kMuch = 1 << 16;
+    left_ -= std::min(left_, bytes / kAsLongAsOne);
+    if (bytes >= kMuch && stop_.stop_requested()) throw Stopped();
   }
 
   /// Something that is long, of which a part follows.

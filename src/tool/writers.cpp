@@ -41,7 +41,8 @@ std::uint32_t code_of(std::string_view character) {
     case 3:
       return (byte(0) & 0xfU) << 12 | (byte(1) & 0x3fU) << 6 | (byte(2) & 0x3fU);
     default:
-      return 0x10000;  // none of those steers anything
+      return (byte(0) & 0x7U) << 18 | (byte(1) & 0x3fU) << 12 | (byte(2) & 0x3fU) << 6 |
+             (byte(3) & 0x3fU);
   }
 }
 /// What a terminal obeys: control characters, those that turn the direction of a line, and those
@@ -52,10 +53,17 @@ bool steers(std::uint32_t code) {
          (code >= 0x2066 && code <= 0x2069) || code == 0xfeff;
 }
 
-bool steers(std::string_view text) {
+/// What Unicode calls no character: yaml-cpp writes U+FFFD for one.
+bool is_no_character(std::uint32_t code) {
+  return (code & 0xfffe) == 0xfffe || (code >= 0xfdd0 && code <= 0xfdef);
+}
+
+/// Whether a character of the text is such a one. REQUIRES: UTF-8.
+template <class Such>
+bool has(std::string_view text, Such&& such) {
   for (std::size_t i = 0; i < text.size();) {
     const std::size_t length = length_of(static_cast<unsigned char>(text[i]));
-    if (steers(code_of(text.substr(i, length)))) return true;
+    if (such(code_of(text.substr(i, length)))) return true;
     i += length;
   }
   return false;
@@ -92,9 +100,11 @@ bool is_plain_key(std::string_view name) {
 
 std::string_view begin_of(std::string_view text, std::uint64_t most) {
   if (text.size() <= most) return text;
+  constexpr std::size_t kMostOfOne = 3;  // bytes of a character, but for its first
+  const std::size_t least = most < kMostOfOne ? 0 : most - kMostOfOne;
   std::size_t end = most;
-  while (end > 0 && goes_on(text[end])) --end;
-  return text.substr(0, end);
+  while (end > least && goes_on(text[end])) --end;
+  return text.substr(0, goes_on(text[end]) ? most : end);  // else it is no UTF-8
 }
 
 std::string shown(std::string_view text, std::size_t most) {
@@ -137,13 +147,16 @@ void JsonWriter::number(std::string_view text) {
 
 void YamlWriter::quoted(std::string_view text) {
   std::string clean(description::is_utf8(text) ? text : as_utf8(text));
-  if (steers(clean)) out_ << YAML::EscapeNonAscii;
+  if (has(clean, steers)) out_ << YAML::EscapeNonAscii;
   out_ << YAML::DoubleQuoted << clean;
 }
 void YamlWriter::key(std::string_view name) {
   is_plain_key(name) ? void(out_ << std::string(name)) : quoted(name);
 }
-void YamlWriter::text(std::string_view value) { quoted(value); }
+void YamlWriter::text(std::string_view value) {
+  const bool is_kept = !description::is_utf8(value) || !has(value, is_no_character);
+  is_kept ? quoted(value) : binary(value);
+}
 void YamlWriter::binary(std::string_view bytes) {
   out_ << YAML::SecondaryTag("binary") << YAML::DoubleQuoted << base64(bytes);
 }

@@ -12,14 +12,15 @@
 
 /// Documents of messages as text, written piece by piece: a message may be of any size, and a tree
 /// of its numbers would be fifty times as large. Texts and keys are UTF-8, with U+FFFD for what is
-/// not, and escaped so that no terminal obeys them.
+/// not, and escaped so that no terminal obeys them. A text that YAML cannot keep becomes base64.
 namespace lot::tool {
 
 /// The text as a terminal may show it: '?' stands for each character that would steer the terminal,
 /// and for each byte beyond ASCII where the text is no UTF-8. One of more than `most` bytes is cut
 /// in its middle. REQUIRES: `most` is 10 or more.
 std::string shown(std::string_view text, std::size_t most);
-/// The begin of a text, of at most so many bytes, which ends with a whole character.
+/// The begin of a text, of at most so many bytes, which ends with a whole character where it is
+/// UTF-8.
 std::string_view begin_of(std::string_view text, std::uint64_t most);
 
 /// JSON, in one line of ASCII.

@@ -214,6 +214,29 @@ TEST_CASE("lot echo ends with 1 where less messages came than it was to print") 
   Running echo(on(camera.options, {"echo", "/none"}));
   CHECK(echo.says("* /none: no process uses this topic yet: waiting"));
   CHECK(echo.interrupt().exit == 1);
+  Running waits(camera.echo({"--field", "number", "--count", "2"}));
+  CHECK(waits.line() == "1");
+  CHECK(waits.interrupt().exit == 1);
+}
+
+TEST_CASE("a topic that other processes only look at in two segments is found in a third") {
+  const Watchdog watchdog(60);
+  const Room room;
+  lot::PullerOptions looks;
+  looks.observer = true;
+  lot::ShmEngine a(room.options("a"));
+  lot::ShmEngine b(room.options("b"));
+  lot::ShmEngine c(room.options("c"));
+  const auto in_a = a.subscribe<Note>("/notes", looks);
+  const auto in_b = b.subscribe<Note>("/notes", looks);
+  auto pusher = c.advertise<Note>("/notes");
+  must_go(pusher.push(pusher.loan(Note{3})));
+  const std::vector<std::string> words = {"echo", "/notes", "--dir", room.path(), "--count", "1"};
+  CHECK(run_lot(words).out == "number: 3\n");
+  const auto reader = b.subscribe<Note>("/notes");
+  const Ran ran = run_lot(words);
+  CHECK(ran.exit == 1);
+  CHECK(names(ran.err, "the segments b and c have this topic"));
 }
 
 TEST_CASE("--envelope says where a message comes from") {

@@ -8,6 +8,7 @@
 #include <fstream>
 #include <optional>
 #include <string>
+#include <sys/stat.h>
 #include <thread>
 #include <type_traits>
 #include <utility>
@@ -156,6 +157,70 @@ TEST_CASE("several documents are several messages, as fast as the slowest subscr
   publishes.join();
   CHECK(ran.exit == 0);
   CHECK(names(ran.out, "pushed 300 messages"));
+}
+
+TEST_CASE("each document of standard input is published when its end comes") {
+  const Watchdog watchdog(60);
+  Robot robot;
+  const std::string pipe = robot.room.path() + "/pipe";
+  REQUIRE(mkfifo(pipe.c_str(), 0600) == 0);
+  const std::string pub = std::string(LOT_COMMAND) + " pub /goal - --dir " + robot.room.path() +
+                          " --segment s < " + pipe;
+  Ran ran;
+  std::thread publishes([&] { ran = run_program({"sh", "-c", pub}); });
+  std::ofstream input(pipe);
+  input << "# three\nnumber: 1\n---\n" << std::flush;
+  CHECK(robot.next() == 1);
+  input << "{number: 2}\n...\n" << std::flush;
+  CHECK(robot.next() == 2);
+  input << "---\n---\nnumber: 3";
+  input.close();
+  CHECK(robot.next() == 3);
+  publishes.join();
+  CHECK(ran.exit == 0);
+  CHECK(names(ran.out, "pushed 3 messages"));
+
+  publishes = std::thread([&] { ran = run_program({"sh", "-c", pub}); });
+  input.open(pipe);
+  input << "number: 4\n---\nnumber: 5\n---\n- [\n";
+  input.close();
+  CHECK(robot.next() == 4);
+  CHECK(robot.next() == 5);
+  publishes.join();
+  CHECK(ran.exit == 1);
+  CHECK(names(ran.err, "lot: the YAML: line 7, column"));
+}
+
+TEST_CASE("Ctrl-C ends a lot pub that waits for standard input") {
+  const Watchdog watchdog(60);
+  Robot robot;
+  const std::string pipe = robot.room.path() + "/pipe";
+  REQUIRE(mkfifo(pipe.c_str(), 0600) == 0);
+  std::fstream input(pipe);  // for both: it has no end
+  const std::string pub = "exec timeout --preserve-status -s INT 0.5 " LOT_COMMAND
+                          " pub /goal - --dir " +
+                          robot.room.path() + " --segment s < " + pipe;
+  CHECK(run_program({"sh", "-c", pub}).exit == 1);
+  input << "number: 1\n---\n" << std::flush;
+  const Ran ran = run_program({"sh", "-c", pub});
+  CHECK(ran.exit == 0);
+  CHECK(names(ran.out, "pushed 1 message"));
+  CHECK(robot.next() == 1);
+}
+
+TEST_CASE("a lot pub whose output no process reads leaves the segment well") {
+  const Watchdog watchdog(60);
+  Robot robot;
+  Running pub(robot.pub({"{number: 6}", "--latch"}));
+  pub.close_output();
+  CHECK(robot.next() == 6);
+  lot::PullerOptions latched;
+  latched.history = 1;
+  auto late = robot.engine.subscribe<Goal>("/goal", latched);
+  const auto goal = late.pull(20s);
+  REQUIRE(goal);
+  CHECK(goal->number == 6);
+  CHECK(pub.interrupt().exit == 1);
 }
 
 TEST_CASE("lot pub reads what lot echo prints") {

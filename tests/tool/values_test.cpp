@@ -41,6 +41,15 @@ struct Fork {
   lot::ShmRef<const Fork> left, right;
   lot::ShmVector<lot::ShmRef<const Fork>> many;
 };
+struct Times {
+  std::chrono::duration<double> seconds;
+  std::chrono::duration<float, std::milli> span;
+  std::chrono::duration<std::int64_t, std::ratio<1, 90000>> ticks;
+};
+struct Flags {
+  bool each[2];
+  lot::ShmVector<std::pair<bool, std::uint8_t>> pairs;
+};
 struct Second {
   lot::ShmRef<const lot::ShmRef<const Chain>> to;
 };
@@ -102,6 +111,43 @@ TEST_CASE("a Value becomes YAML that reads as the same value") {
   CHECK(shown.yaml("f32") == "-.inf\n");
   shown.message->text = "true: \"no\"\n\xc3\xa4";
   CHECK(YAML::Load(shown.yaml("text")).as<std::string>() == "true: \"no\"\n\xc3\xa4");
+}
+
+TEST_CASE("a text that is no UTF-8 is told as bytes, also where it is cut") {
+  Shown shown;
+  const lot::TextLimits limits{16, 4, 100};
+  const auto told = [&](const std::string& text) {
+    shown.message->text.assign(text.data(), text.size());
+    return to_json(shown.root()["text"], limits);
+  };
+  CHECK(told(std::string(100, '\x80')) == R"({"bytes":100,"first":{"base64":"gICAgA=="}})");
+  CHECK(told("ab" + std::string(100, '\x80')) == R"({"bytes":102,"first":{"base64":"YWKAgA=="}})");
+  CHECK(told("abc\xf0\x9f\x98\x80z") == R"({"bytes":8,"first":"abc"})");
+  CHECK(told("abcd\xff") == R"({"bytes":5,"first":"abcd"})");
+}
+
+TEST_CASE("what Unicode calls no character goes through YAML, too") {
+  Shown shown;
+  Shown other;
+  for (const char* text : {"a\xef\xbf\xbe", "\xef\xbf\xbf", "\xf0\x9f\xbf\xbf", "\xef\xb7\x90",
+                           "\xf4\x8f\xbf\xbe", "\xf0\x9f\x98\x80"}) {
+    CAPTURE(std::string(text));
+    shown.message->text = text;
+    CHECK(nlohmann::json::parse(shown.json("text")).get<std::string>() == text);
+    lot::tool::fill(other.mutable_root(), YAML::Load("{text: " + shown.yaml("text") + "}"));
+    CHECK(other.message->text == text);
+  }
+}
+
+TEST_CASE("strings that are much together are left out as other values are") {
+  Shown shown;
+  shown.message->labels.resize(10);
+  for (auto& label : shown.message->labels) label.name.assign(32'000, 'x');
+  const std::string json = to_json(shown.root()["labels"], {~0ULL, ~0ULL, 5000});
+  CHECK(nlohmann::json::accept(json));
+  CHECK(json.size() > 2 * 32'000);
+  CHECK(json.size() < 4 * 32'000);
+  CHECK(names(json, R"("...")"));
 }
 
 TEST_CASE("what is long is cut in JSON and YAML, and its length is said") {
@@ -310,6 +356,58 @@ TEST_CASE("a message that is filled from its own YAML is the same message") {
   CHECK(std::isnan(other.message->f64));
 }
 
+TEST_CASE("times of any period and size go through YAML") {
+  Place place;
+  auto from = place.engine.make<Times>();
+  auto to = place.engine.make<Times>();
+  const Value value = lot::detail::value_of(lot::describe<Times>(), from.get());
+  const MutableValue other =
+      lot::detail::mutable_value_of(lot::describe<Times>(), to.get(), nullptr);
+  const double infinity = std::numeric_limits<double>::infinity();
+  for (const double seconds : {5e-6, 0.1, -1.5, 100'000.0, 1e300, 1e-300, 0.0, 12345.678901234567,
+                               infinity, -infinity, std::nan("")}) {
+    CAPTURE(seconds);
+    from->seconds = std::chrono::duration<double>(seconds);
+    from->span = std::chrono::duration<float, std::milli>(seconds == 1e300 ? 0.F : 1e-6F);
+    from->ticks = std::chrono::duration<std::int64_t, std::ratio<1, 90000>>(-7);
+    const std::string yaml = to_yaml(value);
+    CAPTURE(yaml);
+    lot::tool::fill(other, YAML::Load(yaml));
+    CHECK(
+        (to->seconds == from->seconds || (std::isnan(seconds) && std::isnan(to->seconds.count()))));
+    CHECK(to->span.count() == doctest::Approx(from->span.count()));
+    CHECK(to->ticks == from->ticks);
+  }
+  lot::tool::fill(other, YAML::Load("{seconds: 2min, span: 1e-3s, ticks: 3s}"));
+  CHECK(to->seconds.count() == 120);
+  CHECK(to->span.count() == 1);
+  CHECK(to->ticks.count() == 270'000);
+  for (const char* bad :
+       {"{ticks: 7 * 1/0s}", "{ticks: 7 * -1/3s}", "{ticks: 7 * 1/3}", "{ticks: 7 * s}",
+        "{ticks: 1e-6s}", "{seconds: s}", "{seconds: 1}", "{seconds: 1 s}"}) {
+    CAPTURE(std::string(bad));
+    CHECK(error_of([&] { lot::tool::fill(other, YAML::Load(bad)); }).first == EINVAL);
+  }
+}
+
+TEST_CASE("bytes make no bool that is neither true nor false") {
+  Place place;
+  auto flags = place.engine.make<Flags>();
+  const MutableValue value = lot::detail::mutable_value_of(lot::describe<Flags>(), flags.get(),
+                                                           flags->pairs.get_allocator().arena());
+  lot::tool::fill(value, YAML::Load("{each: !!binary AAE=, pairs: !!binary AQUABg==}"));
+  CHECK(flags->each[1]);
+  REQUIRE(flags->pairs.size() == 2);
+  CHECK(flags->pairs[0] == std::pair(true, std::uint8_t{5}));
+  const auto why = [&](const char* yaml) {
+    return error_of([&] { lot::tool::fill(value, YAML::Load(yaml)); });
+  };
+  CHECK(why("{each: !!binary AgM=}").first == ERANGE);
+  CHECK(names(why("{pairs: !!binary AQUCBg==}").second,
+              "lot: pairs: element 1 would have a bool in it that is neither 0 nor 1"));
+  CHECK(flags->pairs.size() == 2);
+}
+
 TEST_CASE("a char is a character in quotes, and a number without them") {
   Shown shown;
   const auto letter = [&](const char* text) {
@@ -424,7 +522,13 @@ TEST_CASE("YAML that does not fit a message is an error that names the path and 
   CHECK(names(why("{yes: \"true\"}"), "write true or false"));
   CHECK(names(why("{text: [a]}"), "lot: text: it is a string, and the YAML has a list"));
   CHECK(names(why("{text: ~}"), "and the YAML has nothing"));
-  CHECK(names(why("{text: !!binary \"*\"}"), "write base64"));
+  for (const char* bad : {"*", "QUJD*A==", "AQIDBA", "AQI", "A===", "AQ=A", "=AAA",
+                          "====", "\xc3\x84\xc3\x96\xc3\x9c="}) {
+    CAPTURE(std::string(bad));
+    CHECK(names(why((std::string("{text: !!binary \"") + bad + "\"}").c_str()), "write base64"));
+  }
+  CHECK(shown.filled("{text: !!binary \" QU\\n JD \"}").second == "no error");
+  CHECK(shown.message->text == "ABC");
   CHECK(names(why("{name: 123456789}", ERANGE), "lot: name: 9 bytes of text do not fit a char[8]"));
   CHECK(names(why("{numbers: [1, 2]}"), "lot: numbers: it is a int16[3]"));
   CHECK(names(why("{numbers: [1, 2]}"), "write a list of 3, not of 2"));
