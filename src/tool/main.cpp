@@ -182,14 +182,14 @@ void add_gauge_options(CLI::App& verb, Arguments& arguments) {
       ->type_name("MILLISECONDS")
       ->capture_default_str();
   verb.add_option("--window", arguments.window_seconds, "the time that a line is about")
-      ->check(CLI::Range(0.001, 86400.0))
+      ->check(between(0.001, 86400))
       ->type_name("SECONDS")
       ->capture_default_str();
   verb.add_option("--count", arguments.gauge.count, "ends after so many messages")
       ->check(at_least(1))
       ->type_name("MESSAGES");
   verb.add_option("--duration", arguments.duration_seconds, "ends after so long")
-      ->check(CLI::Range(0.001, 1e9))
+      ->check(between(0.001, 1e9))
       ->type_name("SECONDS");
 }
 

@@ -2,8 +2,11 @@
 #include "tool/message_bytes.hpp"
 
 #include <algorithm>
+#include <cerrno>
+#include <string>
 #include <string_view>
 
+#include "description/reader.hpp"
 #include "segment/layout.hpp"
 
 namespace lot::tool {
@@ -31,8 +34,8 @@ std::uint64_t bytes_by_memory(std::uint64_t memory, std::uint64_t type_size) {
   return is_type_alone && type_size != 0 ? type_size : memory;
 }
 
-MessageBytes::MessageBytes(const Description& description)
-    : all_(&description), size_(description.root().size) {
+MessageBytes::MessageBytes(const Description& description, std::uint64_t most)
+    : all_(&description), most_(most), size_(description.root().size) {
   const auto& types = description.types;
   std::vector<bool> is_part(types.size(), false);  // of the message, but for references
   std::vector<std::uint32_t> open{0};
@@ -60,16 +63,23 @@ MessageBytes::MessageBytes(const Description& description)
 }
 
 std::uint64_t MessageBytes::of(const Value& message) const {
-  return size_ + (is_constant() ? 0 : beside(message, 0));
+  std::uint64_t left = most_;
+  return size_ + (is_constant() ? 0 : beside(message, 0, left));
 }
 
-/// What a value of that type holds beside its own bytes. REQUIRES: it may hold something.
-std::uint64_t MessageBytes::beside(const Value& value, std::uint32_t type) const {
+/// What a value of that type holds beside its own bytes. `left`: so many more are looked at.
+/// REQUIRES: it may hold something.
+std::uint64_t MessageBytes::beside(const Value& value, std::uint32_t type,
+                                   std::uint64_t& left) const {
+  if (left-- == 0) {
+    detail::ValueAccess::refuse(value, EBADMSG,
+                                std::to_string(most_) + " vectors and strings lie before it");
+  }
   const Description::Type& its = all_->types[type];
   std::uint64_t sum = 0;
   if (its.kind == Kind::Struct) {
     for (std::size_t i = 0; i < its.fields.size(); ++i) {
-      if (grows_[its.fields[i].type]) sum += beside(value[i], its.fields[i].type);
+      if (grows_[its.fields[i].type]) sum += beside(value[i], its.fields[i].type, left);
     }
     return sum;
   }
@@ -82,7 +92,7 @@ std::uint64_t MessageBytes::beside(const Value& value, std::uint32_t type) const
   const std::size_t elements = value.size();
   if (its.kind == Kind::Vector) sum = elements * all_->types[its.element].size;
   if (grows_[its.element]) {
-    for (std::size_t i = 0; i < elements; ++i) sum += beside(value[i], its.element);
+    for (std::size_t i = 0; i < elements; ++i) sum += beside(value[i], its.element, left);
   }
   return sum;
 }

@@ -22,7 +22,9 @@ class MessageBytes {
  public:
   /// Of no type: messages of 0 bytes.
   MessageBytes() = default;
-  explicit MessageBytes(const Description& description);
+  /// `most`: so many values are looked at in one message, as `lot echo --full` prints.
+  explicit MessageBytes(const Description& description,
+                        std::uint64_t most = std::uint64_t{1} << 26);
 
   /// False: there are types that the description does not explain, such as Boost's containers. Then
   /// bytes_by_memory() is what can be said.
@@ -31,13 +33,16 @@ class MessageBytes {
   std::uint64_t type_size() const noexcept { return size_; }
   /// True: each message has the size of the type.
   bool is_constant() const noexcept { return is_exact_ && (grows_.empty() || !grows_.front()); }
-  /// REQUIRES: is_exact(); it is a message of that type. Throws as Value.
+  /// REQUIRES: is_exact(); it is a message of that type. Throws as Value, and lot::Error (EBADMSG)
+  /// for one with more vectors and strings than a message has: those of a forged one can be the
+  /// same again and again.
   std::uint64_t of(const Value& message) const;
 
  private:
-  std::uint64_t beside(const Value& value, std::uint32_t type) const;
+  std::uint64_t beside(const Value& value, std::uint32_t type, std::uint64_t& left) const;
 
   const Description* all_ = nullptr;
+  std::uint64_t most_ = 0;
   std::uint64_t size_ = 0;
   bool is_exact_ = true;
   std::vector<bool> grows_;  ///< for each type: a value may hold more than its own bytes

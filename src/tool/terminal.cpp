@@ -30,14 +30,23 @@ termios settings_before{};
 char restoring[256];
 std::size_t restoring_bytes = 0;
 
-void on_interrupt(int) { was_interrupted = 1; }
-
 void on_end(int signal) {
-  // The result does not matter: the process ends.
-  if (::write(STDOUT_FILENO, restoring, restoring_bytes) == -1) has_gone = 1;
-  tcsetattr(STDOUT_FILENO, TCSADRAIN, &settings_before);
+  // A terminal that was stopped (Ctrl-S) takes nothing. The results do not matter: the process
+  // ends.
+  pollfd output{STDOUT_FILENO, POLLOUT, 0};
+  if (poll(&output, 1, 0) == 1 && ::write(STDOUT_FILENO, restoring, restoring_bytes) == -1) {
+    has_gone = 1;
+  }
+  tcsetattr(STDOUT_FILENO, TCSANOW, &settings_before);
   std::signal(signal, SIG_DFL);
   raise(signal);
+}
+
+/// The first one ends the loop, at its next turn. A second one ends the process, as ncurses may
+/// wait for a terminal that takes nothing.
+void on_interrupt(int signal) {
+  if (was_interrupted != 0) on_end(signal);
+  was_interrupted = 1;
 }
 
 /// SIGBUS is not among them: Window has it, for segments that are cut short.

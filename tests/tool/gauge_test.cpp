@@ -572,8 +572,8 @@ TEST_CASE("the gauges refuse a queue, and a topic that two segments have") {
     ran = run_lot({verb, "/notes", "--dir", room.path(), "--segment", "two", "--count", "3"});
     CHECK(ran.exit == 0);
     CHECK(run_lot({verb, "--dir", room.path()}).exit == 2);
-    for (const char* wrong :
-         {"--window=0", "--interval=0", "--count=0", "--duration=-1", "--field"}) {
+    for (const char* wrong : {"--window=0", "--window=nan", "--interval=0", "--count=0",
+                              "--duration=-1", "--duration=nan", "--field"}) {
       CHECK(run_lot({verb, "/notes", "--dir", room.path(), wrong}).exit == 2);
     }
   }

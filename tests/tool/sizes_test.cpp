@@ -11,7 +11,9 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdint>
+#include <cstring>
 #include <string>
+#include <vector>
 
 #include <doctest/doctest.h>
 
@@ -218,6 +220,33 @@ TEST_CASE("a field that has no time is refused, and the words say which would do
   CHECK(names(error("header.seq").second, "struct of sec and nsec"));
   CHECK(names(error("own").second, "OwnClock"));
   CHECK(names(error("header.time").second, "stamp"));
+}
+
+TEST_CASE("vectors of a forged message that lie in each other again and again have an end") {
+  using readable::Tree;
+  Place place;
+  constexpr std::size_t kLevels = 40;  // 2^40 ways
+  std::vector<lot::ShmUniquePtr<Tree>> levels;
+  for (std::size_t k = 0; k < kLevels; ++k) {
+    levels.push_back(place.engine.make<Tree>());
+    levels.back()->branches.resize(2);
+  }
+  const auto copy = [](Tree& to, const Tree& from) {
+    std::memcpy(static_cast<void*>(&to.branches), &from.branches, sizeof(to.branches));
+  };
+  const Tree empty{};
+  for (std::size_t k = 0; k + 1 < kLevels; ++k) {
+    for (Tree& branch : levels[k]->branches) copy(branch, *levels[k + 1]);
+  }
+  const lot::Description& description = lot::describe<Tree>();
+  const lot::tool::MessageBytes bytes(description, 10'000);
+  const auto root = lot::detail::value_of(description, levels[0].get());
+  CHECK(error_of([&] { (void)bytes.of(root); }).first == EBADMSG);
+  const auto leaf = lot::detail::value_of(description, levels[kLevels - 10].get());
+  CHECK(bytes.of(leaf) > 1000 * sizeof(Tree));
+  for (std::size_t k = 0; k + 1 < kLevels; ++k) {
+    for (Tree& branch : levels[k]->branches) copy(branch, empty);
+  }
 }
 
 TEST_CASE("a time behind a vector that is too short is refused in this message alone") {

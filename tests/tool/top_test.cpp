@@ -5,11 +5,13 @@
 #include <algorithm>
 #include <cctype>
 #include <chrono>
+#include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <optional>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -291,6 +293,24 @@ TEST_CASE("q, Ctrl-C and a signal end lot top, and leave the terminal as it was"
   ends("q", 0);
   ends("C-c", 0);
   for (const int signal : {SIGTERM, SIGHUP, SIGSEGV, SIGABRT}) ends("", signal);
+}
+
+TEST_CASE("a signal ends lot top also where its terminal takes nothing") {
+  const Watchdog watchdog(100);
+  const Room room;
+  const auto options = room.options();
+  const Child child = letters(options, "child", "/letters", 10);
+  const std::string file = room.path() + "/pid";
+  for (const int signal : {SIGTERM, SIGINT}) {
+    const Terminal terminal(
+        room, 100, 20,
+        "sh -c \"echo \\$\\$ >" + file + "; exec " + top_of(options) + "\"; exec sleep 100");
+    REQUIRE(terminal.shows("/letters"));
+    const pid_t pid = std::stoi(bytes_of(file));
+    terminal.press("C-s");
+    std::this_thread::sleep_for(600ms);  // three screens
+    CHECK(eventually([&] { return kill(pid, signal) != 0; }));
+  }
 }
 
 TEST_CASE("lot top goes on when a segment goes, comes back, and is damaged") {
