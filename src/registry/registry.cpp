@@ -228,6 +228,10 @@ void Registry::refuse_type(const segment::TopicEntry& topic,
     const auto ours = description::decode(type.described(type).bytes);
     if (theirs && ours) difference = description::first_difference(*theirs, *ours);
   }
+  if (difference.empty() && there == name_of(type) && topic.type_hash != type.hash) {
+    difference =
+        "their TypeIdentity::hash() differs, or the standard library that they are built with";
+  }
   throw Error(EPROTOTYPE, std::string(text(topic.name, sizeof(topic.name))),
               "the topic carries " + describe(there, topic.type_size, topic.type_align) +
                   ", this side wants " + describe(name_of(type), type.size, type.align) +

@@ -350,6 +350,8 @@ TEST_CASE("a refused process is told which field differs first, and what each si
        "text[]: the topic has char; this side has uint8"},
       {sample<Refers>(""), sample<RefersElsewhere>(""),
        "target.value: the topic has uint32; this side has float32"},
+      {sample<Opaque>(""), sample<OtherHash>(""),
+       "their TypeIdentity::hash() differs, or the standard library that they are built with"},
       {sample<HasPart>(""), sample<HasNobodys>(""),
        "part: the topic has part, 4 bytes; this side has (anonymous namespace)::Nobodys, 4 bytes"},
   };
