@@ -62,6 +62,7 @@ CONTEXT = {
     'struct Track {': ('', '', ''),
     'lot::ros::NodeHandle nh;': ('#include <lot/ros.hpp>' + IMAGE, 'void page() {', '}'),
     'int main(': ('', '', ''),
+    'using namespace std::chrono_literals;': ('', '', ''),
 }
 # What the pages call the user's own.
 OTHERS = {'my_msgs/Cloud.h': """
