@@ -86,6 +86,12 @@ struct Counting {
   ~Counting() { ++destroyed; }
   static inline int destroyed = 0;
 };
+/// Its fields need no destructor: it has one.
+struct Farewell {
+  int number;
+  ~Farewell() { ++destroyed; }
+  static inline int destroyed = 0;
+};
 struct HoldsCounting {
   lot::ShmVector<Counting> members;
 };
@@ -331,8 +337,11 @@ TEST_CASE("a message of strings and vectors is freed as a whole; any other destr
   static_assert(dies_quietly<std::array<lot::ShmString, 2>>() && dies_quietly<Tree>());
   static_assert(!dies_quietly<Failing>() && !dies_quietly<Detections>());
   static_assert(!dies_quietly<Counting>() && !dies_quietly<HoldsCounting>());
+  static_assert(!dies_quietly<Farewell>() && !dies_quietly<std::array<Farewell, 2>>());
   Place place;
   auto pusher = place.engine.advertise<HoldsCounting>("/t", {lot::Policy::Overwrite, 1, 1s});
+  place.engine.make<Farewell>()->number = 7;
+  CHECK(Farewell::destroyed == 1);
   const int before = Counting::destroyed;
   for (int n = 0; n < 100; ++n) {
     auto message = pusher.loan();
