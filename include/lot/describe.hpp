@@ -84,6 +84,7 @@ class Describer {
     type.size = sizeof(T);
     if constexpr (std::is_arithmetic_v<T> || std::is_same_v<T, std::byte>) {
       type.kind = kind_of_number<T>();
+      if (type.kind == Kind::Opaque) type.name = TypeIdentity<T>::name();
     } else if constexpr (std::is_enum_v<T>) {
       type.kind = Kind::Enum;
       type.name = TypeIdentity<T>::name();
@@ -92,7 +93,7 @@ class Describer {
       fill_array<std::remove_extent_t<T>>(type, std::extent_v<T>);
     } else if constexpr (is_a<T, ShmRef>) {
       type.kind = Kind::Reference;
-      type.element = add<typename T::element_type>();
+      type.element = add_target<typename T::element_type>();
     } else if constexpr (DescribedBy<T>::known) {
       DescribedBy<T>::fill(*this, type);
     } else if constexpr (is_trusted_message<T>::value) {
@@ -109,14 +110,37 @@ class Describer {
     return type;
   }
 
+  /// A reference may lead to a part of another message, which need not be a message.
+  template <class T>
+  std::uint32_t add_target() {
+    using Plain = std::remove_cv_t<T>;
+    if constexpr (is_message_v<Plain>) {
+      return add<Plain>();
+    } else {
+      const auto [known, is_new] =
+          places_.emplace(&key<Plain>, static_cast<std::uint32_t>(result_.types.size()));
+      if (is_new) {
+        Description::Type& type = result_.types.emplace_back();
+        type.size = sizeof(Plain);
+        type.name = TypeIdentity<Plain>::name();
+      }
+      return known->second;
+    }
+  }
+
+  /// Opaque: a number that C++ does not name, such as __int128 and __float128.
   template <class T>
   static constexpr Kind kind_of_number() {
+    constexpr bool is_real =
+        std::is_same_v<T, float> || std::is_same_v<T, double> || std::is_same_v<T, long double>;
     if constexpr (std::is_same_v<T, bool>) {
       return Kind::Bool;
     } else if constexpr (std::is_same_v<T, char>) {
       return Kind::Char;
-    } else if constexpr (std::is_floating_point_v<T>) {
+    } else if constexpr (is_real) {
       return Kind::Float;
+    } else if constexpr (std::is_floating_point_v<T> || sizeof(T) > sizeof(std::uint64_t)) {
+      return Kind::Opaque;
     } else if constexpr (std::is_signed_v<T>) {
       return Kind::Int;
     } else {
@@ -134,7 +158,12 @@ class Describer {
 
   template <class T, std::size_t N>
   void fill_standard(Description::Type& type, const std::array<T, N>*) {
-    fill_array<T>(type, N);
+    if constexpr (N == 0) {  // which takes a byte or more
+      type.kind = Kind::Struct;
+      type.name = TypeIdentity<std::array<T, 0>>::name();
+    } else {
+      fill_array<T>(type, N);
+    }
   }
   template <class A, class B>
   void fill_standard(Description::Type& type, const std::pair<A, B>*) {
@@ -252,6 +281,10 @@ class Describer {
 
   template <class T, class... F>
   void fill_struct(Description::Type& type, Types<F...>) {
+    if constexpr (((alignof(F) > alignof(T)) || ...) && sizeof(T) > kMostCopied) {
+      type.kind = Kind::Opaque;  // g++ would copy all of a packed struct onto the stack
+      return;
+    }
     [[maybe_unused]] constexpr auto names = field_names<T>();  // there may be no field
     const Room<T> room;
     const std::vector<std::uint64_t> offsets = with_fields(room.object(), [&](const auto&... f) {
@@ -264,46 +297,56 @@ class Describer {
   }
 
   /// Bit-fields have no address, nor have fields that `packed` put where their type may not lie:
-  /// g++ hands out copies of them. They lie between those that have one. So each bit there is set
-  /// by itself, and the fields are asked which of them has changed.
+  /// g++ hands out copies of them. They lie behind the fields before them, but for rare ones. So
+  /// each bit there is set by itself, and the field is asked whether it has changed.
   template <class T>
   void find_bits(Description::Type& type, const Room<T>& room) {
-    std::uint64_t end = 0;  // of what lies before
+    std::uint64_t from = 0;  // the first bit behind the fields before
     for (std::size_t i = 0; i < type.fields.size(); ++i) {
-      if (type.fields[i].offset < sizeof(T)) {
-        const Description::Type& field = result_.types[type.fields[i].type];
-        const bool is_empty = field.kind == Kind::Struct && field.fields.empty();
-        end = type.fields[i].offset + (is_empty ? 0 : field.size);
-        continue;
+      Description::Field& field = type.fields[i];
+      if (field.offset >= sizeof(T)) {
+        std::uint64_t end = sizeof(T);
+        for (std::size_t k = type.fields.size(); k-- > i + 1;) {
+          const std::uint64_t offset = type.fields[k].offset;
+          if (8 * offset > from && offset < end) end = offset;
+        }
+        // Beside an empty field, or in the padding of the one before, it may lie anywhere.
+        if (!find_bits(field, i, room, from, end) && !find_bits(field, i, room, 0, sizeof(T))) {
+          field.offset = 0;  // it has no bits
+        }
       }
-      std::size_t next = i;
-      while (next < type.fields.size() && type.fields[next].offset >= sizeof(T)) ++next;
-      const std::uint64_t before = end;
-      end = next < type.fields.size() ? type.fields[next].offset : sizeof(T);
-      const std::uint64_t begin = std::min(before, end);  // an empty field may lie anywhere
-      for (; i < next; ++i) find_bits(type.fields[i], i, room, begin, end);
-      --i;
+      const Description::Type& its = result_.types[field.type];
+      const bool is_empty = its.kind == Kind::Struct && its.fields.empty();
+      from = field.bits != 0 ? 8 * field.offset + field.bit + field.bits
+                             : 8 * (field.offset + (is_empty ? 0 : its.size));
     }
   }
+  /// Looks from that bit on, and before that byte. False: the field is not there.
   template <class T>
-  static void find_bits(Description::Field& field, std::size_t i, const Room<T>& room,
-                        std::uint64_t begin, std::uint64_t end) {
-    std::memset(room.bytes() + begin, 0, end - begin);
-    field.bits = 0;
-    std::uint64_t size = 0;
-    for (std::uint64_t b = 8 * begin; b < 8 * end; ++b) {
+  static bool find_bits(Description::Field& field, std::size_t i, const Room<T>& room,
+                        std::uint64_t from, std::uint64_t end) {
+    if (from >= 8 * end) return false;
+    std::memset(room.bytes() + from / 8, 0, end - from / 8);
+    Set first;
+    std::uint32_t bits = 0;
+    for (std::uint64_t b = from; b < 8 * end; ++b) {
       room.bytes()[b / 8] = static_cast<unsigned char>(1U << (b % 8));
-      if (const Set set = what_is_set(room.object(), i); set.is_set) {
-        if (field.bits == 0) {
-          field.offset = b / 8 - set.byte;
-          field.bit = b % 8;
-        }
-        size = set.size;
-        ++field.bits;
-      }
+      const Set set = what_is_set(room.object(), i);
       room.bytes()[b / 8] = 0;
+      if (!set.is_set && bits != 0) break;
+      if (!set.is_set) continue;
+      if (bits++ == 0) {
+        first = set;
+        field.offset = b / 8 - set.byte;
+        field.bit = b % 8;
+      }
+      if (first.size == 0) break;  // no number: its first byte says where it lies
     }
-    if (field.bit == 0 && (size == 0 || field.bits == 8 * size)) field.bits = 0;  // all of its type
+    if (bits == 0) return false;
+    const bool is_whole = first.size == 0 || (field.bit == 0 && bits == 8 * first.size);
+    if (is_whole) field.bit = 0;
+    field.bits = is_whole ? 0 : bits;
+    return true;
   }
 
   /// What the bit that is set does in a field.
@@ -337,6 +380,7 @@ class Describer {
   }
 
   static constexpr std::size_t kUsual = 32;  ///< most messages have fewer types
+  static constexpr std::size_t kMostCopied = std::size_t{1} << 20;
 
   Description result_;
   std::map<const char*, std::uint32_t> places_;

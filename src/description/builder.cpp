@@ -138,9 +138,17 @@ void Builder::require_makeable(const Value& value, std::uint32_t place) {
   }
 }
 
+void Builder::clear_bits(const Value& value, std::uint32_t bits) {
+  unsigned char* const at = mine(Access::address(value));
+  for (std::uint32_t bit = Access::bit(value); bits != 0; ++bit, --bits) {
+    at[bit / 8] = static_cast<unsigned char>(at[bit / 8] & ~(1U << (bit % 8)));
+  }
+}
+
 void Builder::construct(const Value& value) {
   const Type& type = Access::inside(value);
   require_makeable(value, Access::place(value));
+  if (const std::uint32_t bits = Access::bits(value); bits != 0) return clear_bits(value, bits);
   std::memset(mine(Access::address(value)), 0, type.size);
   each_container(value, [this](const Value& container) { construct_container(container); });
 }
@@ -276,6 +284,9 @@ void Builder::moved(const Value& container, std::uint64_t distance) {
 
 void Builder::require_no_references(const Value& value) {
   each_container(value, [this](const Value& container) {
+    if (looks_left_-- == 0) {  // vectors of a forged message can be the same again and again
+      Access::damaged(container, std::to_string(kMostLooks) + " others lie before it");
+    }
     const Kind kind = container.kind();
     if (kind == Kind::Reference && !container.is_null()) {
       Access::refuse(container, EINVAL, "a reference cannot be let go here");

@@ -45,6 +45,7 @@ class Builder {
   void each_container(const Value& value, F&& f);
 
   void require_makeable(const Value& value, std::uint32_t place);
+  static void clear_bits(const Value& value, std::uint32_t bits);
   void construct_container(const Value& value) const;
   void grow(const Value& vector, const Items& has, std::uint64_t count, bool zeroed);
   void make_items(const Value& vector, const Items& items, std::uint64_t from, bool zeroed);
@@ -60,9 +61,12 @@ class Builder {
   unsigned char* copy_of(std::string_view text) const;
   void give_back(const unsigned char* piece, std::uint64_t bytes) const noexcept;
 
+  static constexpr std::uint64_t kMostLooks = std::uint64_t{1} << 26;
+
   const Description& all_;
   detail::MessageMemory memory_;
-  std::vector<signed char> needs_;  ///< by place; -1: not asked yet
+  std::uint64_t looks_left_ = kMostLooks;  ///< of require_no_references()
+  std::vector<signed char> needs_;         ///< by place; -1: not asked yet
 };
 
 }  // namespace lot::description

@@ -89,22 +89,39 @@ void store_bits(const Value& value, const detail::Number& number, bool is_signed
   }
 }
 
-/// Whether each bool in such bytes is false or true. REQUIRES: there is nothing but scalars, arrays
-/// and structs.
-bool has_good_bools(const Value& value, std::uint32_t place, const std::byte* bytes) {
-  const Description::Type& type = Access::type_at(value, place);
-  if (type.kind == Kind::Bool) return std::to_integer<unsigned>(*bytes) <= 1;
-  if (type.kind == Kind::Array) {
-    const std::uint64_t size = Access::type_at(value, type.element).size;
-    for (std::uint64_t i = 0; size != 0 && i < type.count; ++i) {
-      if (!has_good_bools(value, type.element, bytes + i * size)) return false;
+/// Looks at the bools among elements of a type that has nothing but scalars, arrays and structs.
+class Bools {
+ public:
+  Bools(const Value& value, std::uint32_t place, std::uint64_t bytes)
+      : value_(value), place_(place), left_(kEach * bytes + kEach) {}
+
+  /// Whether each is false or true.
+  bool are_good(const std::byte* element) { return are_good(place_, element); }
+
+ private:
+  /// A description says at most so often of a byte what it is, unless it is forged.
+  static constexpr std::uint64_t kEach = 64;
+
+  bool are_good(std::uint32_t place, const std::byte* bytes) {
+    if (left_-- == 0) Access::damaged(value_, "its description has fields that share bytes");
+    const Description::Type& type = Access::type_at(value_, place);
+    if (type.kind == Kind::Bool) return std::to_integer<unsigned>(*bytes) <= 1;
+    if (type.kind == Kind::Array) {
+      const std::uint64_t size = Access::type_at(value_, type.element).size;
+      for (std::uint64_t i = 0; i < type.count; ++i) {
+        if (!are_good(type.element, bytes + i * size)) return false;
+      }
     }
+    if (type.kind != Kind::Struct) return true;
+    return std::all_of(type.fields.begin(), type.fields.end(), [&](const auto& field) {
+      return field.bits != 0 || are_good(field.type, bytes + field.offset);
+    });
   }
-  if (type.kind != Kind::Struct) return true;
-  return std::all_of(type.fields.begin(), type.fields.end(), [&](const auto& field) {
-    return field.bits != 0 || has_good_bools(value, field.type, bytes + field.offset);
-  });
-}
+
+  const Value& value_;
+  std::uint32_t place_;
+  std::uint64_t left_;
+};
 
 }  // namespace
 
@@ -190,8 +207,9 @@ void MutableValue::assign(Bytes bytes) const {
     Access::refuse(value_, ERANGE,
                    std::to_string(bytes.size()) + " bytes are no whole number of its elements");
   }
+  Bools bools(value_, before.type, bytes.size());
   for (std::size_t at = 0; facts.has_bool && at < bytes.size(); at += before.stride) {
-    if (has_good_bools(value_, before.type, bytes.data() + at)) continue;
+    if (bools.are_good(bytes.data() + at)) continue;
     Access::refuse(value_, ERANGE,
                    "element " + std::to_string(at / before.stride) + " would have a bool in it " +
                        "that is neither 0 nor 1");

@@ -50,12 +50,13 @@ struct ValueAccess {
   /// The number or char that an enum, a duration or a time point lies as.
   static const Type& scalar(const Value& v);
   struct Facts {
-    bool is_plain = true;     ///< has no pointer in it: its bytes are all of it
-    bool is_opaque = false;   ///< has something opaque in it
-    bool has_bool = false;    ///< has a byte in it that is 0 or 1
-    std::uint64_t align = 1;  ///< what its parts are aligned to
+    bool is_plain = true;    ///< has no pointer in it: its bytes are all of it
+    bool is_opaque = false;  ///< has something opaque in it
+    bool has_bool = false;   ///< has a byte in it that is 0 or 1
   };
   static Facts facts(const Value& v, std::uint32_t place);
+  /// What the elements of a vector are aligned to. 1 for structs: they may be packed.
+  static std::uint64_t align(const Value& v, std::uint32_t place);
   static std::string name_of(const Description& all, std::uint32_t place, int levels);
 
   // ---- parts ----

@@ -118,7 +118,6 @@ const ValueAccess::Type& ValueAccess::scalar(const Value& v) {
 }
 
 ValueAccess::Facts ValueAccess::facts(const Value& v, std::uint32_t place) {
-  const auto lowest_bit = [](std::uint64_t n) { return n & (~n + 1); };
   Facts facts;
   std::vector<char> seen(v.all_->types.size(), 0);
   std::vector<std::uint32_t> open{place};
@@ -129,7 +128,6 @@ ValueAccess::Facts ValueAccess::facts(const Value& v, std::uint32_t place) {
     if (seen[next]++ != 0) continue;
     if (type.kind == Kind::String || type.kind == Kind::Vector || type.kind == Kind::Reference) {
       facts.is_plain = false;
-      facts.align = std::max(facts.align, description::kWord);
     } else if (type.kind == Kind::Struct) {
       for (const Description::Field& field : type.fields) open.push_back(field.type);
     } else if (type.kind == Kind::Array) {
@@ -137,14 +135,20 @@ ValueAccess::Facts ValueAccess::facts(const Value& v, std::uint32_t place) {
     } else if (type.kind == Kind::Opaque) {
       facts.is_opaque = true;
     } else {
-      facts.align = std::max(facts.align, lowest_bit(type.size));
       facts.has_bool = facts.has_bool || type.kind == Kind::Bool;
     }
   }
-  // A packed struct is aligned less than its fields.
-  facts.align =
-      std::min(facts.align, std::max<std::uint64_t>(lowest_bit(type_at(v, place).size), 1));
   return facts;
+}
+
+std::uint64_t ValueAccess::align(const Value& v, std::uint32_t place) {
+  const Type* type = &type_at(v, place);
+  for (std::size_t levels = 0; type->kind == Kind::Array; ++levels) {
+    if (levels == Way::kMost) damaged(v, "its description has no end");
+    type = &type_at(v, type->element);
+  }
+  return type->kind == Kind::Struct ? 1
+                                    : std::max<std::uint64_t>(type->size & (~type->size + 1), 1);
 }
 
 std::string ValueAccess::name_of(const Description& all, std::uint32_t place, int levels) {
@@ -569,12 +573,12 @@ Bytes Value::bytes() const {
     size = items.count * items.stride;
     place = items.type;
   }
-  const Access::Facts facts = Access::facts(here, place);
-  if (!facts.is_plain || here.bits_ != 0) {
+  if (!Access::facts(here, place).is_plain || here.bits_ != 0) {
     Access::refuse(here, EINVAL, "a " + here.type_name() + " does not lie in one piece",
                    "look at its parts");
   }
-  if (reinterpret_cast<std::uintptr_t>(data) % facts.align != 0) {
+  if (type.kind == Kind::Vector &&
+      reinterpret_cast<std::uintptr_t>(data) % Access::align(here, place) != 0) {
     Access::damaged(here, "its elements are not aligned");
   }
   return {reinterpret_cast<const std::byte*>(data), size};

@@ -211,12 +211,13 @@ class Check {
   const Description& all_;
 };
 
-/// True when no value of a type lies in a value of the same type, which would have no end. What
-/// lies elsewhere (behind a vector or a reference) may.
+/// True when no value of a type lies in a value of the same type, which would have no end, and each
+/// is within the limits. What lies elsewhere (behind a vector or a reference) may be of the same
+/// type.
 class Inside {
  public:
   explicit Inside(const Description& description)
-      : all_(description), states_(description.types.size()) {}
+      : all_(description), sizes_(description.types.size()) {}
 
   bool all_end() {
     for (std::uint32_t i = 0; i < all_.types.size(); ++i) {
@@ -226,29 +227,49 @@ class Inside {
   }
 
  private:
-  enum class State : std::uint8_t { New, Open, Done };
+  /// Of what lies in a value of a type, how often it may stand there.
+  struct Size {
+    bool is_open = false;
+    std::size_t levels = 0;
+    std::size_t steps = 0;  ///< 0: not known yet
+  };
 
   bool ends(std::uint32_t place, std::size_t level) {
-    if (states_[place] == State::Done) return true;
-    if (states_[place] == State::Open || level > kMostLevels) return false;
-    states_[place] = State::Open;
+    Size& size = sizes_[place];
+    if (size.steps != 0) return true;
+    if (size.is_open || level > kMostLevels) return false;
+    size.is_open = true;
     const Description::Type& t = all_.types[place];
     const bool elsewhere = t.kind == Kind::String || t.kind == Kind::Vector ||
                            t.kind == Kind::Reference || t.kind == Kind::Opaque;
-    bool good = elsewhere || t.element == Description::kNone || ends(t.element, level + 1);
-    for (const Description::Field& field : t.fields) good = good && ends(field.type, level + 1);
-    states_[place] = State::Done;
-    return good;
+    Size sum;
+    sum.steps = 1;
+    if (!elsewhere && t.element != Description::kNone && !add(t.element, level, sum)) return false;
+    for (const Description::Field& field : t.fields) {
+      if (!add(field.type, level, sum)) return false;
+    }
+    size = sum;
+    return true;
+  }
+  bool add(std::uint32_t part, std::size_t level, Size& sum) {
+    if (!ends(part, level + 1)) return false;
+    sum.levels = std::max(sum.levels, sizes_[part].levels + 1);
+    sum.steps += sizes_[part].steps;
+    return sum.levels <= kMostLevels && sum.steps <= kMostSteps;
   }
 
   const Description& all_;
-  std::vector<State> states_;
+  std::vector<Size> sizes_;
 };
+
+bool is_sound(const Description& description) {
+  return Check(description).is_good() && Inside(description).all_end() && is_small(description);
+}
 
 }  // namespace
 
 std::string encode(const Description& description) {
-  if (!is_small(description)) return {};
+  if (!is_sound(description)) return {};
   Bytes bytes;
   bytes.add(kFormat);
   bytes.add(description.types.size());
@@ -268,10 +289,7 @@ std::optional<Description> decode(std::string_view bytes) {
   for (std::size_t i = 0; i < types && parser.is_good(); ++i) {
     description.types.push_back(parse_type(parser, types));
   }
-  if (!parser.is_good() || !parser.is_at_end() || !Check(description).is_good() ||
-      !Inside(description).all_end() || !is_small(description)) {
-    return std::nullopt;
-  }
+  if (!parser.is_good() || !parser.is_at_end() || !is_sound(description)) return std::nullopt;
   return description;
 }
 

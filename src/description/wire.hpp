@@ -20,7 +20,8 @@ inline constexpr std::size_t kMostSteps = 1 << 16;
 /// True when a walk over all parts ends within the limits above.
 bool is_small(const Description& description);
 
-/// Empty: the description is larger than the limits. Throws std::bad_alloc.
+/// Empty: the description is larger than the limits, or has what decode() would refuse. Throws
+/// std::bad_alloc.
 std::string encode(const Description& description);
 /// Nothing: the bytes are no description. They may have come from anywhere: each number is checked,
 /// types lie in each other as in memory, and is_small() holds. Throws std::bad_alloc.

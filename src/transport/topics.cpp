@@ -8,6 +8,7 @@
 namespace lot::transport {
 
 std::uint32_t Topics::enter(std::string_view name, const detail::MessageType& type, Role role) {
+  if (type.described != nullptr) (void)type.described(type);  // made once, and under no lock
   std::uint32_t topic = 0;
   after_reaping(reaper_, [&] {
     const std::lock_guard guard(topics_mutex_);

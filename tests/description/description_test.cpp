@@ -17,6 +17,7 @@
 #include <lot/lot.hpp>
 
 #include "described.hpp"
+#include "description/wire.hpp"
 
 using lot::Description;
 using lot::Kind;
@@ -91,6 +92,29 @@ struct ByPragma {
   std::int64_t last;
 };
 #pragma pack(pop)
+struct BitsBeforeNothing {
+  std::uint8_t low : 3;
+  [[no_unique_address]] Empty nothing;
+  std::uint8_t last;
+};
+struct Volatile {
+  volatile int changing;
+  std::array<int, 0> none;
+  int last;
+};
+/// Too large to be copied onto a stack.
+struct __attribute__((packed)) PackedPicture {
+  std::uint8_t id;
+  float pixels[1 << 20];
+};
+/// No message, but a part of one.
+class Shape {
+ public:
+  virtual ~Shape() = default;
+};
+struct RefersToShape {
+  lot::ShmRef<const Shape> shape;
+};
 struct BitsBehindNothing {
   [[no_unique_address]] Empty nothing;
   std::uint8_t low : 3;
@@ -350,6 +374,36 @@ TEST_CASE("a description finds the fields of a packed struct, where they have no
   CHECK(value[1].as<double>() == 1.5);
   CHECK(value[5][1][1].as<float>() == 0.25F);
   CHECK(value[10].as<std::int64_t>() == -3);
+}
+
+TEST_CASE("a bit-field beside an empty field has its place") {
+  const auto& fields = lot::describe<named::BitsBeforeNothing>().root().fields;
+  REQUIRE(fields.size() == 3);
+  CHECK(fields[0].offset == 0);
+  CHECK(fields[0].bits == 3);
+  CHECK(fields[2].offset == offsetof(named::BitsBeforeNothing, last));
+  CHECK(fields[2].bits == 0);
+}
+
+TEST_CASE("types that no walk can explain have a description that every reader takes") {
+  using lot::description::decode;
+  using lot::description::encode;
+  const Description& all = lot::describe<named::Volatile>();
+  REQUIRE(all.root().fields.size() == 3);
+  CHECK(all.root().fields[0].name ==
+        (lot::describe<named::Empty>().names_hash() != 0 ? "changing" : ""));
+  CHECK(field_type(all, 1).kind == Kind::Struct);
+  CHECK(field_type(all, 1).fields.empty());
+  CHECK(lot::describe<named::PackedPicture>().root().kind == Kind::Opaque);
+  const Description& refers = lot::describe<named::RefersToShape>();
+  CHECK(refers.types.at(field_type(refers, 0).element).kind == Kind::Opaque);
+  CHECK(refers.types.at(field_type(refers, 0).element).name.find("Shape") != std::string::npos);
+  for (const Description* d :
+       {&all, &refers, &lot::describe<named::PackedPicture>(), &lot::describe<named::Packed>(),
+        &lot::describe<named::BitsBeforeNothing>(), &lot::describe<named::BitsBehindNothing>()}) {
+    CAPTURE(d->root().name);
+    CHECK(decode(encode(*d)).has_value());
+  }
 }
 
 TEST_CASE("a description of a type within itself ends") {

@@ -202,6 +202,15 @@ TEST_CASE("bit-fields are set, and their neighbours stay") {
   CHECK(error_of([&] { bits[3].set(-17); }).first == ERANGE);
   CHECK(error_of([&] { bits[6].set(1UL << 63); }).first == ERANGE);
   CHECK(is.high == 31);
+  built.root["bits"]["_2"].set(-7);
+  for (const std::size_t i : {0U, 3U, 6U}) bits[i].construct();
+  CHECK(is.low == 0);
+  CHECK(is.high == 31);
+  CHECK(is.whole == -7);
+  CHECK(is.few == 0);
+  CHECK(is.flag);
+  CHECK(static_cast<int>(is.small) == 15);
+  CHECK(std::uint64_t{is.most} == 0);
 }
 
 TEST_CASE("times are set exactly, or not at all") {

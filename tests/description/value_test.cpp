@@ -192,6 +192,21 @@ TEST_CASE("a Value lends the bytes of plain elements, without a copy") {
   CHECK(error_of([&] { (void)root["bits"][0].bytes(); }).first == EINVAL);
 }
 
+TEST_CASE("the bytes of a packed struct lie where they lie") {
+  struct __attribute__((packed)) Packed {
+    std::uint8_t id;
+    float values[2];
+  };
+  Packed packed{1, {1.5F, -2}};
+  const lot::Description& description = lot::describe<Packed>();
+  const auto* const at = reinterpret_cast<const unsigned char*>(&packed);
+  const Value value(description, at, at, at + sizeof(packed));
+  const lot::Bytes bytes = value[1].bytes();
+  REQUIRE(bytes.size() == 2 * sizeof(float));
+  CHECK(static_cast<const void*>(bytes.data()) == at + 1);
+  CHECK(value[1][1].as<float>() == -2);
+}
+
 TEST_CASE("a Value follows references, and says which lead nowhere") {
   Read read;
   const Value root = read.root();

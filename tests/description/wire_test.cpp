@@ -152,7 +152,17 @@ TEST_CASE("bytes of a description that are cut or changed give nothing, or anoth
 TEST_CASE("a description that an enemy has made is refused, and quickly") {
   const auto decodes = [](const Description& d) { return decode(raw(d)).has_value(); };
   CHECK(decodes(nested(15, 2)));
+  CHECK_FALSE(decodes(nested(15, 3)));  // too many steps: 3 to the power of 15
   CHECK_FALSE(decodes(nested(16, 1)));  // too deep
+  Description upside_down;              // each type comes before those that hold it
+  for (std::uint32_t i = 0; i < 30; ++i) {
+    Description::Type type;
+    type.kind = i == 1 ? Kind::UInt : Kind::Struct;
+    type.size = 8;
+    if (i != 1) type.fields.push_back({"f", i == 0 ? 29 : i - 1, 0, 0, 0});
+    upside_down.types.push_back(type);
+  }
+  CHECK_FALSE(decodes(upside_down));
   CHECK(encode(nested(16, 1)).empty());
   Description d = nested(1, 1);
   SUBCASE("a struct within itself") { d.types[0].fields[0].type = 0; }

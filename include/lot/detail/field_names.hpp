@@ -96,7 +96,7 @@ template <std::size_t I, typename T>
 constexpr auto pointer_to_field(const T& object) {
   return with_fields(object, [](const auto&... field) {
     const auto& chosen = std::get<I>(std::tie(field...));
-    return Pointer<std::remove_cvref_t<decltype(chosen)>>{&chosen};
+    return Pointer<std::remove_const_t<std::remove_reference_t<decltype(chosen)>>>{&chosen};
   });
 }
 
