@@ -104,7 +104,8 @@ std::string_view begin_of(std::string_view text, std::uint64_t most) {
   const std::size_t least = most < kMostOfOne ? 0 : most - kMostOfOne;
   std::size_t end = most;
   while (end > least && goes_on(text[end])) --end;
-  return text.substr(0, goes_on(text[end]) ? most : end);  // else it is no UTF-8
+  const bool begins = static_cast<unsigned char>(text[end]) >= 0xc0;  // else it is no UTF-8
+  return text.substr(0, begins ? end : most);
 }
 
 std::string shown(std::string_view text, std::size_t most) {
