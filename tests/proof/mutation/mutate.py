@@ -45,6 +45,7 @@ ROOT = HERE.parents[2]
 FAILED = re.compile(r'^(\S+) +FAIL +(\d+) executions +[\d.]+ s  (.+)$', re.M)
 # What is tried until one search notices: quick ones first.
 SEARCHES = (('random', 20000), ('bounded', 0))
+LONG = 300000  # schedules of one scenario: some seconds
 ONE_IN = 16  # mutants, with --quick
 PATIENCE_S = 1800  # a watchdog, not a limit that is ever near
 
@@ -95,10 +96,11 @@ def search(model, weaken, kind, count, scenarios=()):
 
 
 def try_out(model, weaken, hint):
-    """Looks where it was caught the last time, then everywhere."""
+    """Looks where it was caught the last time, then everywhere. A change of a scenario, or of the
+    code, makes other schedules of the same random numbers."""
     if hint:
         scenario, kind, executions = hint
-        found = search(model, weaken, kind, executions, (scenario,))
+        found = search(model, weaken, kind, max(executions, LONG), (scenario,))
         if found:
             return found
     for kind, count in SEARCHES:
