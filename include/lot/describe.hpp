@@ -269,8 +269,8 @@ class Describer {
     unsigned char* bytes() const { return bytes_; }
     /// Of a copy elsewhere: sizeof(T) or more.
     template <class F>
-    std::uint64_t offset_of(const F& field) const {
-      return reinterpret_cast<std::uintptr_t>(std::addressof(field)) -
+    LOT_MAY_BE_PACKED std::uint64_t offset_of(const F& field) const {
+      return reinterpret_cast<std::uintptr_t>(__builtin_addressof(field)) -
              reinterpret_cast<std::uintptr_t>(bytes_);
     }
 
@@ -281,15 +281,18 @@ class Describer {
 
   template <class T, class... F>
   void fill_struct(Description::Type& type, Types<F...>) {
-    if constexpr (((alignof(F) > alignof(T)) || ...) && sizeof(T) > kMostCopied) {
-      type.kind = Kind::Opaque;  // g++ would copy all of a packed struct onto the stack
+    constexpr std::size_t not_aligned =
+        (std::size_t{0} + ... + (alignof(F) > alignof(T) ? sizeof(F) : 0));
+    if constexpr (not_aligned > kMostCopied) {
+      type.kind = Kind::Opaque;  // g++ may copy such fields of a packed struct onto the stack
       return;
     }
     [[maybe_unused]] constexpr auto names = field_names<T>();  // there may be no field
     const Room<T> room;
-    const std::vector<std::uint64_t> offsets = with_fields(room.object(), [&](const auto&... f) {
-      return std::vector<std::uint64_t>{room.offset_of(f)...};
-    });
+    const std::vector<std::uint64_t> offsets =
+        with_fields(room.object(), [&](const auto&... f) LOT_MAY_BE_PACKED {
+          return std::vector<std::uint64_t>{room.offset_of(f)...};
+        });
     type.fields.reserve(sizeof...(F));
     std::size_t i = 0;
     ((add_field<F>(type, std::string(names[i]), offsets[i]), ++i), ...);
@@ -297,85 +300,89 @@ class Describer {
   }
 
   /// Bit-fields have no address, nor have fields that `packed` put where their type may not lie:
-  /// g++ hands out copies of them. They lie behind the fields before them, but for rare ones. So
-  /// each bit there is set by itself, and the field is asked whether it has changed.
+  /// g++ hands out copies of them. Such a field is asked what has changed in it while the bytes of
+  /// a room change.
   template <class T>
   void find_bits(Description::Type& type, const Room<T>& room) {
     std::uint64_t from = 0;  // the first bit behind the fields before
+    bool is_first = true;
     for (std::size_t i = 0; i < type.fields.size(); ++i) {
       Description::Field& field = type.fields[i];
+      const Description::Type& its = result_.types[field.type];
       if (field.offset >= sizeof(T)) {
-        std::uint64_t end = sizeof(T);
-        for (std::size_t k = type.fields.size(); k-- > i + 1;) {
-          const std::uint64_t offset = type.fields[k].offset;
-          if (8 * offset > from && offset < end) end = offset;
-        }
-        // Beside an empty field, or in the padding of the one before, it may lie anywhere.
-        if (!find_bits(field, i, room, from, end) && !find_bits(field, i, room, 0, sizeof(T))) {
+        if (std::exchange(is_first, false)) std::memset(room.bytes(), 0, sizeof(T));
+        if (!look_at(room, i).is_number) {
+          field.offset = place_of(i, its.size, room);
+        } else if (!find_bits(field, i, room, from) && !find_bits(field, i, room, 0)) {
           field.offset = 0;  // it has no bits
         }
       }
-      const Description::Type& its = result_.types[field.type];
       const bool is_empty = its.kind == Kind::Struct && its.fields.empty();
       from = field.bits != 0 ? 8 * field.offset + field.bit + field.bits
                              : 8 * (field.offset + (is_empty ? 0 : its.size));
     }
   }
-  /// Looks from that bit on, and before that byte. False: the field is not there.
+  /// A number or an enum may have a part of its bits. Each bit is set by itself, from that one on:
+  /// the field lies behind those before it, but beside an empty one, or in the padding of another,
+  /// it may lie anywhere. False: it is not there. REQUIRES: all bytes are zero.
   template <class T>
   static bool find_bits(Description::Field& field, std::size_t i, const Room<T>& room,
-                        std::uint64_t from, std::uint64_t end) {
-    if (from >= 8 * end) return false;
-    std::memset(room.bytes() + from / 8, 0, end - from / 8);
-    Set first;
+                        std::uint64_t from) {
+    std::uint64_t size = 0;
     std::uint32_t bits = 0;
-    for (std::uint64_t b = from; b < 8 * end; ++b) {
+    for (std::uint64_t b = from; b < 8 * sizeof(T); ++b) {
       room.bytes()[b / 8] = static_cast<unsigned char>(1U << (b % 8));
-      const Set set = what_is_set(room.object(), i);
+      const Look look = look_at(room, i);
       room.bytes()[b / 8] = 0;
-      if (!set.is_set && bits != 0) break;
-      if (!set.is_set) continue;
-      if (bits++ == 0) {
-        first = set;
-        field.offset = b / 8 - set.byte;
+      if (!look.is_set && bits != 0) break;
+      if (look.is_set && bits++ == 0) {
+        size = look.size;
+        field.offset = b / 8;
         field.bit = b % 8;
       }
-      if (first.size == 0) break;  // no number: its first byte says where it lies
     }
-    if (bits == 0) return false;
-    const bool is_whole = first.size == 0 || (field.bit == 0 && bits == 8 * first.size);
-    if (is_whole) field.bit = 0;
+    const bool is_whole = field.bit == 0 && bits == 8 * size;
     field.bits = is_whole ? 0 : bits;
-    return true;
+    return bits != 0;
+  }
+  /// Anything else begins with a byte of its own: each byte of the room is told where it lies,
+  /// digit by digit. Leaves all bytes zero.
+  template <class T>
+  static std::uint64_t place_of(std::size_t i, std::uint64_t size, const Room<T>& room) {
+    std::uint64_t place = 0;
+    for (std::uint64_t digit = 0; digit == 0 || (sizeof(T) - 1) >> digit != 0; digit += 8) {
+      for (std::uint64_t k = 0; k < sizeof(T); ++k) {
+        room.bytes()[k] = static_cast<unsigned char>(k >> digit);
+      }
+      place |= std::uint64_t{look_at(room, i).first} << digit;
+    }
+    std::memset(room.bytes(), 0, sizeof(T));
+    return place <= sizeof(T) - size ? place : 0;
   }
 
-  /// What the bit that is set does in a field.
-  struct Set {
-    bool is_set = false;
-    std::uint64_t byte = 0;  ///< where in its type, if that is no number
-    std::uint64_t size = 0;  ///< of a number or an enum, which alone can have a part of its bits
+  /// What stands in a field.
+  struct Look {
+    bool is_number = false;   ///< or an enum
+    bool is_set = false;      ///< of a number
+    std::uint64_t size = 0;   ///< of its type
+    unsigned char first = 0;  ///< its first byte
   };
   template <class T>
-  static Set what_is_set(const T& object, std::size_t i) {
-    return with_fields(object, [i](const auto&... f) {
-      Set set;
+  LOT_MAY_BE_PACKED static Look look_at(const Room<T>& room, std::size_t i) {
+    return with_fields(room.object(), [i](const auto&... f) LOT_MAY_BE_PACKED {
+      Look look;
       std::size_t k = 0;
-      ((k++ == i ? void(set = what_is_set(f)) : void()), ...);
-      return set;
+      ((k++ == i ? void(look = look_at(f)) : void()), ...);
+      return look;
     });
   }
   template <class F>
-  static Set what_is_set(const F& value) {
+  LOT_MAY_BE_PACKED static Look look_at(const F& value) {
     if constexpr (std::is_integral_v<F> || std::is_enum_v<F>) {
-      return {value != F{}, 0, sizeof(F)};
-    } else if constexpr (std::is_trivially_copyable_v<F>) {
-      const auto* const bytes = reinterpret_cast<const unsigned char*>(std::addressof(value));
-      for (std::uint64_t k = 0; k < sizeof(F); ++k) {
-        if (bytes[k] != 0) return {true, k, 0};
-      }
-      return {};
+      return {true, value != F{}, sizeof(F), 0};
     } else {
-      return {};  // has an address
+      return {false, false, sizeof(F),
+              *reinterpret_cast<const volatile unsigned char*>(__builtin_addressof(value))};
     }
   }
 

@@ -284,8 +284,8 @@ class Value {
   }
   /// The bytes as they lie, without a copy: of a string its text, of a vector or an array all
   /// elements; of anything else its own. They lie as the elements' alignment wants it, but for
-  /// those of a packed struct. Throws lot::Error, also for what has vectors, strings or references
-  /// in it (EINVAL).
+  /// structs, which may be packed. Throws lot::Error, also for what has vectors, strings or
+  /// references in it (EINVAL).
   Bytes bytes() const;
   /// Where it lies. Throws nothing.
   const void* address() const noexcept { return at_; }

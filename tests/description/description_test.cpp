@@ -97,8 +97,21 @@ struct BitsBeforeNothing {
   [[no_unique_address]] Empty nothing;
   std::uint8_t last;
 };
+struct BitsInEmptiness {
+  unsigned first : 3;
+  [[no_unique_address]] Empty nothing;
+  [[no_unique_address]] Empty more;
+  unsigned second : 3;
+  std::uint32_t last;
+};
+struct __attribute__((packed)) RealBehindBits {
+  unsigned few : 5;
+  long double real;
+  std::array<Sample, 2> two;
+};
 struct Volatile {
   volatile int changing;
+  volatile float too;
   std::array<int, 0> none;
   int last;
 };
@@ -221,6 +234,7 @@ TEST_CASE("a description names the fields of a struct, and says where they lie")
   CHECK(all.root().kind == Kind::Struct);
   CHECK(all.root().size == sizeof(Local));
   REQUIRE(all.root().fields.size() == 3);
+  CHECK(all.root().fields[0].name == "first");
   CHECK(all.root().fields[0].offset == offsetof(Local, first));
   CHECK(all.root().fields[1].name == "second");
   CHECK(all.root().fields[1].offset == offsetof(Local, second));
@@ -382,15 +396,26 @@ TEST_CASE("a bit-field beside an empty field has its place") {
   CHECK(fields[0].bits == 3);
   CHECK(fields[2].offset == offsetof(named::BitsBeforeNothing, last));
   CHECK(fields[2].bits == 0);
+  named::BitsInEmptiness bits{};
+  const auto& beside = lot::describe<named::BitsInEmptiness>().root().fields;
+  REQUIRE(beside.size() == 5);
+  CHECK(beside[3].bits == 3);
+  bits.second = 1;
+  CHECK(reinterpret_cast<const unsigned char*>(&bits)[beside[3].offset] == 1U << beside[3].bit);
+  const auto& real = lot::describe<named::RealBehindBits>().root().fields;
+  REQUIRE(real.size() == 3);
+  CHECK(real[0].bits == 5);
+  CHECK(real[1].offset == offsetof(named::RealBehindBits, real));
+  CHECK(real[2].offset == offsetof(named::RealBehindBits, two));
 }
 
 TEST_CASE("types that no walk can explain have a description that every reader takes") {
   using lot::description::decode;
   using lot::description::encode;
   const Description& all = lot::describe<named::Volatile>();
-  REQUIRE(all.root().fields.size() == 3);
-  CHECK(field_type(all, 1).kind == Kind::Struct);
-  CHECK(field_type(all, 1).fields.empty());
+  REQUIRE(all.root().fields.size() == 4);
+  CHECK(field_type(all, 2).kind == Kind::Struct);
+  CHECK(field_type(all, 2).fields.empty());
   CHECK(lot::describe<named::PackedPicture>().root().kind == Kind::Opaque);
   const Description& refers = lot::describe<named::RefersToShape>();
   CHECK(refers.types.at(field_type(refers, 0).element).kind == Kind::Opaque);

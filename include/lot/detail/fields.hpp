@@ -276,6 +276,9 @@ constexpr auto with_fields(const T&, Use&& use, std::integral_constant<std::size
   return use();
 }
 
+/// A function that only hands on where a field lies: a packed struct has some that are not aligned.
+#define LOT_MAY_BE_PACKED __attribute__((no_sanitize("alignment")))
+
 // clang-format off
 #define LOT_NAME(n) f##n
 #define LOT_TYPE(n) decltype(f##n)
@@ -286,7 +289,8 @@ constexpr auto with_fields(const T&, Use&& use, std::integral_constant<std::size
     return Types<LOT_LIST##n(LOT_TYPE)>{};                                                         \
   }                                                                                                \
   template <typename T, typename Use>                                                              \
-  constexpr auto with_fields(const T& object, Use&& use, std::integral_constant<std::size_t, n>) { \
+  LOT_MAY_BE_PACKED constexpr auto with_fields(const T& object, Use&& use,                         \
+                                               std::integral_constant<std::size_t, n>) {           \
     const auto& [LOT_LIST##n(LOT_NAME)] = object;                                                  \
     return use(LOT_LIST##n(LOT_NAME));                                                             \
   }
