@@ -34,8 +34,7 @@ Documents::Documents(const std::string& yaml) : has_ended_(yaml != "-") {
 
 std::optional<YAML::Node> Documents::next(const StopToken& stop) {
   while (ready_.empty()) {
-    cut();
-    if (!ready_.empty()) break;
+    if (cut()) continue;
     if (has_ended_) {
       if (begin_ == text_.size()) return std::nullopt;
       take(text_.size());
@@ -68,19 +67,23 @@ void Documents::read(const StopToken& stop) {
   if (n > 0) text_.append(more, static_cast<std::size_t>(n));
 }
 
-/// Takes the first document whose end is there.
-void Documents::cut() {
+/// Takes the first document whose end is there. False: there is none.
+bool Documents::cut() {
   for (std::size_t end; (end = text_.find('\n', line_at_)) != text_.npos;) {
     const auto line = std::string_view(text_).substr(line_at_, end - line_at_);
     if (is_mark(line, "...")) {
-      line_at_ = end + 1;
-      return take(line_at_);
+      take(end + 1);
+      return true;
     }
     const bool begins = is_mark(line, "---");
-    if (begins && has_content_) return take(line_at_);
+    if (begins && has_content_) {
+      take(line_at_);
+      return true;
+    }
     has_content_ = has_content_ || says_something(begins ? line.substr(3) : line);
     line_at_ = end + 1;
   }
+  return false;
 }
 
 /// Takes what lies before `end`.

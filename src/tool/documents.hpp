@@ -29,7 +29,7 @@ class Documents {
 
  private:
   void read(const StopToken& stop);
-  void cut();
+  bool cut();
   void take(std::size_t end);
   void parse(const std::string& document);
 

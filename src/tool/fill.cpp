@@ -175,6 +175,9 @@ void fill_time(const MutableValue& value, const YAML::Node& node) {
     char* end = nullptr;
     count = detail::Number::of(std::strtold(text.c_str(), &end));
     unit_at = static_cast<std::size_t>(end - text.c_str());
+    if (std::isinf(count.real) && text.find("inf") == text.npos) {
+      Access::refuse(value, ERANGE, text + " does not fit a " + value.value().type_name());
+    }
   }
   const std::string name = unit_at < text.size() ? text.substr(unit_at) : "";
   const auto* const unit = std::find_if(std::begin(kUnits), std::end(kUnits),

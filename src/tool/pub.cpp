@@ -88,14 +88,14 @@ class Publication {
         search_(settings.where),
         options_(options),
         documents_(options.yaml),
-        report_(settings),
-        deadline_(detail::after(options.wait)) {}
+        report_(settings) {}
 
   Exit run() {
     std::signal(SIGPIPE, SIG_IGN);  // so that it leaves the segment as at any other end
     const StopToken stop = stop_on_signals();
     read_first(stop);
     if (stop.stop_requested()) return kWrong;
+    deadline_ = detail::after(options_.wait);
     std::optional<std::string> segment;
     while (!(segment = find_segment())) {
       if (Clock::now() >= deadline_) throw_unknown();
@@ -122,7 +122,12 @@ class Publication {
       throw Error(0, options_.topic, "no process subscribes to it", "nothing was published");
     }
     if (!sleep_until(begin, stop)) return kWrong;
-    push(pusher, stop);
+    try {
+      push(pusher, stop);
+    } catch (...) {  // what came before is to be read all the same
+      linger(*segment, *participant);
+      throw;
+    }
     linger(*segment, *participant);
     tell(*segment, pusher);
     const Exit exit = report_.finish();
@@ -265,7 +270,7 @@ class Publication {
   Documents documents_;
   std::vector<YAML::Node> messages_;  ///< that are published next; at a rate, again and again
   Report report_;
-  const Clock::time_point deadline_;
+  Clock::time_point deadline_;  ///< for the topic and a subscriber
   std::uint64_t pushed_ = 0;
   std::size_t observers_ = 0;
   std::size_t unread_ = 0;  ///< processes

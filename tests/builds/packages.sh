@@ -116,6 +116,7 @@ mistakes=(  # PACKAGE CHECK CHANGE
 
 self_test() {  # FOLDER
   local seed=${LOT_TEST_SEED:-$EPOCHSECONDS} step=${LOT_TEST_ONE_IN:-1} k found=0 package check change
+  step=$((step < ${#mistakes[@]} ? step : ${#mistakes[@]}))
   echo "seed: LOT_TEST_SEED=$seed"
   for ((k = seed % step; k < ${#mistakes[@]}; k += step)); do
     read -r package check change <<<"${mistakes[k]}"

@@ -4,13 +4,16 @@
 
 #include <algorithm>
 #include <chrono>
+#include <csignal>
 #include <cstdint>
+#include <fcntl.h>
 #include <fstream>
 #include <optional>
 #include <string>
 #include <sys/stat.h>
 #include <thread>
 #include <type_traits>
+#include <unistd.h>
 #include <utility>
 #include <vector>
 
@@ -50,6 +53,17 @@ struct Char {
 struct Chars {
   Char each[256];
 };
+
+/// Whether a process has a handler of its own for a signal.
+bool catches(pid_t pid, int signal) {
+  std::ifstream status("/proc/" + std::to_string(pid) + "/status");
+  for (std::string line; std::getline(status, line);) {
+    if (line.rfind("SigCgt:", 0) == 0) {
+      return (std::stoull(line.substr(7), nullptr, 16) >> (signal - 1) & 1) != 0;
+    }
+  }
+  return false;
+}
 
 /// A subscriber of goals in a segment of its own.
 struct Robot {
@@ -198,15 +212,34 @@ TEST_CASE("Ctrl-C ends a lot pub that waits for standard input") {
   const std::string pipe = robot.room.path() + "/pipe";
   REQUIRE(mkfifo(pipe.c_str(), 0600) == 0);
   std::fstream input(pipe);  // for both: it has no end
-  const std::string pub = "exec timeout --preserve-status -s INT 0.5 " LOT_COMMAND
-                          " pub /goal - --dir " +
-                          robot.room.path() + " --segment s < " + pipe;
-  CHECK(run_program({"sh", "-c", pub}).exit == 1);
-  input << "number: 1\n---\n" << std::flush;
-  const Ran ran = run_program({"sh", "-c", pub});
-  CHECK(ran.exit == 0);
-  CHECK(names(ran.out, "pushed 1 message"));
-  CHECK(robot.next() == 1);
+  const int before = dup(STDIN_FILENO);
+  const int end = open(pipe.c_str(), O_RDONLY | O_CLOEXEC);
+  REQUIRE(dup2(end, STDIN_FILENO) == STDIN_FILENO);
+  {
+    Running waits(robot.pub({"-"}));
+    CHECK(eventually([&] { return catches(waits.child().pid(), SIGINT); }));
+    CHECK(waits.interrupt().exit == 1);
+    Running pub(robot.pub({"-"}));
+    input << "null\n---\nnumber: 1\n---\n" << std::flush;
+    CHECK(robot.next() == 1);
+    const Ran ran = pub.interrupt();
+    CHECK(ran.exit == 0);
+    CHECK(names(ran.out, "pushed 1 message"));
+  }
+  dup2(before, STDIN_FILENO);
+  close(before);
+  close(end);
+}
+
+TEST_CASE("an observer sees what came before a document that is no message") {
+  const Watchdog watchdog(60);
+  Robot robot;
+  Running echo(on(robot.options, {"echo", "/goal", "--json", "--field", "number"}));
+  CHECK(eventually([&] {
+    return names(run_lot(on(robot.options, {"ls", "--interval", "1"})).out, "lot echo");
+  }));
+  CHECK(robot.run_with("number: 1\n---\n- [\n", "- --wait 50").exit == 1);
+  CHECK(echo.line() == "1");
 }
 
 TEST_CASE("a lot pub whose output no process reads leaves the segment well") {

@@ -382,6 +382,8 @@ TEST_CASE("times of any period and size go through YAML") {
   CHECK(to->seconds.count() == 120);
   CHECK(to->span.count() == 1);
   CHECK(to->ticks.count() == 270'000);
+  CHECK(error_of([&] { lot::tool::fill(other, YAML::Load("{seconds: 1e5000s}")); }).first ==
+        ERANGE);
   for (const char* bad :
        {"{ticks: 7 * 1/0s}", "{ticks: 7 * -1/3s}", "{ticks: 7 * 1/3}", "{ticks: 7 * s}",
         "{ticks: 1e-6s}", "{seconds: s}", "{seconds: 1}", "{seconds: 1 s}"}) {
