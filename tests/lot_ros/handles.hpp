@@ -22,9 +22,9 @@ inline std::string fresh_topic() {
   return "/handles" + std::to_string(++n);
 }
 
-/// Spins until it holds. False: in vain for 20 s.
+/// Spins until it holds. False: in vain for a minute.
 inline bool comes(const std::function<bool()>& condition) {
-  const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+  const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(60);
   while (!condition()) {
     if (std::chrono::steady_clock::now() > until) return false;
     ::ros::getGlobalCallbackQueue()->callAvailable(::ros::WallDuration(0.01));

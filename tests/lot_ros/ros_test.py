@@ -121,16 +121,16 @@ class Pairs(Case):
     def test_a_plain_subscriber_comes_late_to_a_lot_one(self):
         # With a message each 333 ms each one is asked about, so none is missed.
         with Graph() as graph:
-            node = graph.node('both', 'sub:lot:/t:20', 'sub:plain:/t:1:after=2.5')
-            talker = graph.node('talker', 'pub:lot:/t:20:3:1000:wait=1')
+            node = graph.node('both', 'sub:lot:/t:40', 'sub:plain:/t:1:after=2.5')
+            talker = graph.node('talker', 'pub:lot:/t:40:3:1000:wait=1')
             lot, plain = graph.report(node)
-            self.assert_all([lot], 0, ['/talker'], 20)
+            self.assert_all([lot], 0, ['/talker'], 40)
             seen = plain['from']['/talker']
             for wrong in ('twice', 'disorder', 'torn', 'gaps'):
                 self.assertEqual(seen[wrong], 0, brief(seen))
             self.assertGreaterEqual(plain['base'], 0)
             self.assertGreaterEqual(seen['first'], plain['base'])
-            self.assertEqual(seen['last'], 19)
+            self.assertEqual(seen['last'], 39)
             # The publisher serialises each message from the moment it knows of the subscriber.
             self.assertEqual(graph.report(talker)[0]['serialised'], seen['received'])
 
