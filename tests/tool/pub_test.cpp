@@ -7,6 +7,7 @@
 #include <csignal>
 #include <cstdint>
 #include <fcntl.h>
+#include <filesystem>
 #include <fstream>
 #include <optional>
 #include <string>
@@ -54,9 +55,11 @@ struct Chars {
   Char each[256];
 };
 
-/// Whether a process has a handler of its own for a signal.
+/// Whether a process is the command already, and has a handler for a signal.
 bool catches(pid_t pid, int signal) {
-  std::ifstream status("/proc/" + std::to_string(pid) + "/status");
+  const std::string process = "/proc/" + std::to_string(pid);
+  if (!std::filesystem::equivalent(process + "/exe", LOT_COMMAND)) return false;
+  std::ifstream status(process + "/status");
   for (std::string line; std::getline(status, line);) {
     if (line.rfind("SigCgt:", 0) == 0) {
       return (std::stoull(line.substr(7), nullptr, 16) >> (signal - 1) & 1) != 0;
