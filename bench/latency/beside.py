@@ -15,6 +15,7 @@ import json
 import os
 import pathlib
 import pty
+import signal
 import statistics
 import struct
 import subprocess
@@ -45,6 +46,7 @@ def tool(lot, words):
     pid, terminal = pty.fork()
     if pid == 0:
         os.environ['TERM'] = 'xterm'
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # a script's & has it ignored
         os.execv(lot, [lot, *words])
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack('HHHH', 40, 100, 0, 0))
 
@@ -61,7 +63,7 @@ def tool(lot, words):
             sys.exit(f'beside.py: lot {" ".join(words)} has ended')
     finally:
         with contextlib.suppress(ProcessLookupError, ChildProcessError):
-            os.kill(pid, 2)
+            os.kill(pid, signal.SIGINT)
             os.waitpid(pid, 0)
         os.close(terminal)
         reader.join()
