@@ -59,39 +59,32 @@ struct OtherBits {
   Colour colour : 4;
   std::uint8_t last;
 };
-/// The first has fields that g++ hands out as copies; the second has none, and the same bytes.
 struct Sample {
   std::int16_t first;
   float second;
 };
-struct __attribute__((packed)) Packed {
-  std::uint8_t id;
-  double x;
-  Sample sample;
-  std::int32_t n;
-  long double real;
-  Sample two[2];
-  Colour colour;
-  unsigned few : 5;
-  unsigned rest : 27;
-  unsigned all : 32;
+/// The same bytes twice: of the first g++ hands out fields as copies, of the second none.
+#define LOT_TEST_PACKED_FIELDS \
+  std::uint8_t id;             \
+  double x;                    \
+  Sample sample;               \
+  std::int32_t n;              \
+  long double real;            \
+  Sample two[2];               \
+  Colour colour;               \
+  unsigned few : 5;            \
+  unsigned rest : 27;          \
+  unsigned all : 32;           \
   std::int64_t last;
+struct __attribute__((packed)) Packed {
+  LOT_TEST_PACKED_FIELDS
 };
 #pragma pack(push, 1)
 struct ByPragma {
-  std::uint8_t id;
-  double x;
-  Sample sample;
-  std::int32_t n;
-  long double real;
-  Sample two[2];
-  Colour colour;
-  unsigned few : 5;
-  unsigned rest : 27;
-  std::uint32_t all;
-  std::int64_t last;
+  LOT_TEST_PACKED_FIELDS
 };
 #pragma pack(pop)
+#undef LOT_TEST_PACKED_FIELDS
 struct BitsBeforeNothing {
   std::uint8_t low : 3;
   [[no_unique_address]] Empty nothing;

@@ -94,6 +94,13 @@ struct Robot {
                             " --segment s " + words + " < " + room.path() + "/input"});
   }
 
+  /// A pipe with a name, for standard input that comes by and by.
+  std::string pipe() const {
+    const std::string path = room.path() + "/pipe";
+    must(mkfifo(path.c_str(), 0600) == 0, "a pipe");
+    return path;
+  }
+
   Room room;
   lot::EngineOptions options = room.options();
   lot::ShmEngine engine;
@@ -179,8 +186,7 @@ TEST_CASE("several documents are several messages, as fast as the slowest subscr
 TEST_CASE("each document of standard input is published when its end comes") {
   const Watchdog watchdog(60);
   Robot robot;
-  const std::string pipe = robot.room.path() + "/pipe";
-  REQUIRE(mkfifo(pipe.c_str(), 0600) == 0);
+  const std::string pipe = robot.pipe();
   const std::string pub = std::string(LOT_COMMAND) + " pub /goal - --dir " + robot.room.path() +
                           " --segment s < " + pipe;
   Ran ran;
@@ -212,8 +218,7 @@ TEST_CASE("each document of standard input is published when its end comes") {
 TEST_CASE("Ctrl-C ends a lot pub that waits for standard input") {
   const Watchdog watchdog(60);
   Robot robot;
-  const std::string pipe = robot.room.path() + "/pipe";
-  REQUIRE(mkfifo(pipe.c_str(), 0600) == 0);
+  const std::string pipe = robot.pipe();
   std::fstream input(pipe);  // for both: it has no end
   const int before = dup(STDIN_FILENO);
   const int end = open(pipe.c_str(), O_RDONLY | O_CLOEXEC);
