@@ -117,12 +117,12 @@ bool waits_for_many() noexcept {
   return syscall(kFutexWaitv, nullptr, 0, 0, nullptr, CLOCK_MONOTONIC) == -1 && errno == EINVAL;
 }
 
-void wake_one(const void* word) noexcept {
-  syscall(SYS_futex, word, FUTEX_WAKE, 1, nullptr, nullptr, 0);
+int wake(const void* word, int count) noexcept {
+  return static_cast<int>(syscall(SYS_futex, word, FUTEX_WAKE, count, nullptr, nullptr, 0));
 }
 
-void wake_all(const void* word) noexcept {
-  syscall(SYS_futex, word, FUTEX_WAKE, INT_MAX, nullptr, nullptr, 0);
-}
+void wake_one(const void* word) noexcept { wake(word, 1); }
+
+void wake_all(const void* word) noexcept { wake(word, INT_MAX); }
 
 }  // namespace lot::futex

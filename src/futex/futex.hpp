@@ -44,7 +44,12 @@ inline constexpr std::size_t kMaxWords = 128;
 /// True where the kernel lets a thread sleep on many words for as long as it likes.
 bool waits_for_many() noexcept;
 
+/// Wakes `count` sleepers at most, those that have slept longest first. Returns how many.
+[[gnu::hot]] int wake(const void* word, int count) noexcept;
 void wake_one(const void* word) noexcept;
-[[gnu::hot]] void wake_all(const void* word) noexcept;
+void wake_all(const void* word) noexcept;
+
+/// A push wakes so many of the sleepers of a word, and a sleeper that was woken wakes as many more.
+inline constexpr int kWakes = 2;
 
 }  // namespace lot::futex

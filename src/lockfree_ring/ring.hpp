@@ -887,10 +887,16 @@ class Reader {
   /// to sleep on, or nothing when there may be a message. Before the caller sleeps it must look at
   /// ended() and the directory.
   std::optional<Word> mark_sleeping() {
+    bool stood = false;
+    return mark_sleeping(stood);
+  }
+  /// The same. `stood`: the mark was there. Of all readers that sleep on one word, one has left it.
+  std::optional<Word> mark_sleeping(bool& stood) {
     auto& slot = ring_.slots[index_];
     Word seen = slot.load(std::memory_order_acquire);  // R5: the mark may be another reader's
     if (distance(sequence(seen), cursor_) >= 0) return std::nullopt;
-    if ((seen & kSleeper) == 0) {
+    stood = (seen & kSleeper) != 0;
+    if (!stood) {
       if (!slot.compare_exchange_strong(seen, seen | kSleeper, std::memory_order_acquire,
                                         std::memory_order_relaxed)) {  // R5
         return std::nullopt;
@@ -901,9 +907,9 @@ class Reader {
   }
 
   /// As mark_sleeping(), where readers sleep on the mutex engine's condition. REQUIRES: its lock.
-  std::optional<std::uint32_t> announce_sleeping() {
+  std::optional<std::uint32_t> announce_sleeping(bool& stood) {
     if (ready()) return std::nullopt;
-    return RobustCondition(*ring_.arrived).announce();
+    return RobustCondition(*ring_.arrived).announce(stood);
   }
 
   /// True when the publisher has gone: no message will follow those that are in the ring.

@@ -63,19 +63,21 @@ template <class Sources, class RingBell, class Leave>
 template <class Source, class SleepOn>
 bool leave_mark(Source& source, SleepOn& sleep_on) {
   auto* arrived = source.reader.ring().arrived;
+  bool stood = false;
   if (arrived == nullptr) {
-    const auto marked = source.reader.mark_sleeping();
-    if (marked) sleep_on(source.reader.slot(), *marked);
+    const auto marked = source.reader.mark_sleeping(stood);
+    if (marked) sleep_on(source.reader.slot(), *marked, stood);
     return marked.has_value();
   }
   const typename Source::Turn turn(source);
-  const auto announced = source.reader.announce_sleeping();
-  if (announced) sleep_on(*arrived, *announced);
+  const auto announced = source.reader.announce_sleeping(stood);
+  if (announced) sleep_on(*arrived, *announced, stood);
   return announced.has_value();
 }
 
-/// Leaves marks in the rings, and calls sleep_on(word, value) for each word to sleep on. `version`
-/// is the directory's version at which the sources were all rings of the topic.
+/// Leaves marks in the rings, and calls sleep_on(word, value, stood) for each word to sleep on.
+/// `stood`: another sleeper has left the mark, and a push may wake only some of them. `version` is
+/// the directory's version at which the sources were all rings of the topic.
 ///
 /// Crash: the marks stay behind, and cost one needless wake each.
 template <class Sources, class Directory, class SleepOn>
@@ -93,7 +95,7 @@ Rest prepare_to_sleep(Sources& sources, const Directory& directory, std::uint32_
   }
   const std::uint32_t now = directory.load(std::memory_order_relaxed);  // R5 has acquired it
   // A new publisher wakes the readers of live rings (announce), and sleepers on the directory.
-  if (now != version || !any_live) sleep_on(directory.word(), now);
+  if (now != version || !any_live) sleep_on(directory.word(), now, false);
   return now == version ? Rest::Sleep : Rest::Doze;
 }
 

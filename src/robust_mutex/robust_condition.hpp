@@ -15,8 +15,8 @@ namespace lot {
 /// It is one word in shared memory, {changes : 31 | a waiter sleeps : 1}. No word counts waiters: a
 /// waiter that is killed leaves at most a mark, which costs one needless wake.
 ///
-/// Every wake is for all waiters. A wake for one would be lost if that waiter is killed before it
-/// gets the mutex.
+/// Every wake is for all waiters, in the end. A wake for one would be lost if that waiter is killed
+/// before it gets the mutex.
 ///
 ///     A waiter that has the mutex and finds nothing to do:
 ///       seen = condition.announce(); unlock; sleep_until(seen, ...)
@@ -39,7 +39,14 @@ class RobustCondition {
 
   /// Says that the caller is about to sleep. Returns the value to sleep on.
   std::uint32_t announce() {
-    return word_.fetch_or(kWaits, std::memory_order_acquire) | kWaits;  // Q1
+    bool stood = false;
+    return announce(stood);
+  }
+  /// The same. `stood`: another waiter had said so before, on the same value.
+  std::uint32_t announce(bool& stood) {
+    const std::uint32_t seen = word_.fetch_or(kWaits, std::memory_order_acquire);  // Q1
+    stood = (seen & kWaits) != 0;
+    return seen | kWaits;
   }
 
   /// Sleeps until something has changed since announce(). False when the deadline has passed. In
@@ -48,7 +55,8 @@ class RobustCondition {
     return futex::wait(&word_, seen, deadline);
   }
 
-  /// Says that something has changed. True when a waiter may sleep: the caller then wakes all.
+  /// Says that something has changed. True when a waiter may sleep: the caller then sees to it that
+  /// all wake.
   [[nodiscard]] bool changed() {
     // Both steps are relaxed: the mutex orders them.
     if ((word_.load(std::memory_order_relaxed) & kWaits) == 0) return false;

@@ -101,6 +101,7 @@ Participant::Participant(const EngineOptions& options, const segment::Trust& tru
       hub_(membership_, lifetime_, holder_),
       control_blocks_(blocks(), hub_),
       ahead_(segment(), warden_thread_),
+      rouser_(warden_thread_),
       eviction_(holder_, segment()),
       stock_(segment(), holder_, ahead_),
       reaper_(membership_, world_, holder_),
@@ -139,6 +140,7 @@ void Participant::handle_gone(Participant* p) noexcept {
   if (p->inert()) return;  // a forked child touches nothing and has no thread to stop
   p->lifetime_.enter();
   p->ahead_.stop();  // the block that it is making is a hold of this process
+  p->rouser_.stop();
   // Closing is finished here: when the warden brings the last block home, no thread checks whether
   // the participant may leave. The wait is bounded, since a process that acts for the orphanage may
   // be stopped.

@@ -21,6 +21,7 @@
 #include "transport/pool.hpp"
 #include "transport/reaper.hpp"
 #include "transport/rings.hpp"
+#include "transport/rouser.hpp"
 #include "transport/stock.hpp"
 #include "transport/topics.hpp"
 #include "transport/warden.hpp"
@@ -81,6 +82,7 @@ class Participant final : private Lifetime::Owner {
   const detail::Hub* hub() const noexcept { return &hub_; }
   Holder& holder() noexcept { return holder_; }
   Ahead& ahead() noexcept { return ahead_; }
+  Rouser& rouser() noexcept { return rouser_; }
   Eviction& eviction() noexcept { return eviction_; }
   Stock& stock() noexcept { return stock_; }
   Reaper& reaper() noexcept { return reaper_; }
@@ -120,6 +122,7 @@ class Participant final : private Lifetime::Owner {
   alignas(64) Holder holder_;
   WardenThread warden_thread_;
   Ahead ahead_;
+  Rouser rouser_;
   Eviction eviction_;
   Stock stock_;
   Reaper reaper_;

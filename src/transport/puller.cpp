@@ -215,8 +215,8 @@ class Puller final : public RingPuller {
     if (watcher_ != nullptr && sources_.size() != rings) return std::nullopt;
     if (is_forsaken() || is_over()) return std::nullopt;  // the next look tells it
     const ring::Rest rest = ring::prepare_to_sleep(
-        sources_, directory_, version_, [&waits](const auto& word, auto value) {
-          waits.push_back({futex_of(word), static_cast<std::uint32_t>(value)});
+        sources_, directory_, version_, [&waits](const auto& word, auto value, bool stood) {
+          waits.push_back_marked(futex_of(word), static_cast<std::uint32_t>(value), stood);
         });
     if (rest == ring::Rest::Look) return std::nullopt;
     // Doze: another process keeps the registry's lock for a short time, else the new rings would

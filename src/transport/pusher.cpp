@@ -589,7 +589,8 @@ class Pusher final : public RingPusher, private Evictor {
 
   void wake_readers(const std::atomic<ring::Word>& slot) const {
     const std::atomic<std::uint32_t>* arrived = writer_->ring().arrived;
-    futex::wake_all(arrived != nullptr ? arrived : futex::low_half(slot));
+    const void* const word = arrived != nullptr ? arrived : futex::low_half(slot);
+    if (futex::wake(word, futex::kWakes) == futex::kWakes) participant_->rouser().rouse(word);
   }
 
   /// How many messages like this one a batch may hold, at least one.

@@ -137,7 +137,8 @@ void Warden::stand_guard() noexcept {
       rested = futex::Clock::now() + kErrandRest;
     }
     const bool finished = look_around();
-    watched_.assign(1, {errands.word(), left});
+    watched_.clear();
+    watched_.push_back({errands.word(), left});
     const bool all_stand = watch_others();
     auto until = looked_ + kIdleLook;
     if (left != 0) until = std::min(until, rested);

@@ -90,7 +90,7 @@ class Warden {
   // Only the thread uses these.
   IdleLook idle_look_;
   HeldSince held_since_;
-  std::vector<detail::FutexWait> watched_;  ///< what it sleeps on
+  detail::FutexWaits watched_;       ///< what it sleeps on
   futex::Clock::time_point looked_;  ///< its last look for what no errand and no notice tells it
   bool orphans_ = true;              ///< the last search found orphans, or there was no search yet
   std::uint32_t adoptions_ = 0;      ///< Directory::adoptions before the last search

@@ -22,15 +22,18 @@ class WardenThread {
   void join() { thread_.join(); }
   bool is_current() const noexcept { return std::this_thread::get_id() == thread_.get_id(); }
 
-  /// Lets the calling thread run on the warden's cores, with the priority of a batch thread: it
-  /// takes no core from a thread that runs. It was started by a thread that may have a core and a
-  /// priority of its own.
-  void place_beside() noexcept {
+  /// Lets the calling thread run on the warden's cores. It was started by a thread that may have a
+  /// core of its own.
+  void lend_cores() noexcept {
     cpu_set_t cores;
     if (thread_.joinable() &&
         pthread_getaffinity_np(thread_.native_handle(), sizeof(cores), &cores) == 0) {
       pthread_setaffinity_np(pthread_self(), sizeof(cores), &cores);
     }
+  }
+  /// The same, with the priority of a batch thread: it takes no core from a thread that runs.
+  void place_beside() noexcept {
+    lend_cores();
     const sched_param none{};
     pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
   }

@@ -74,6 +74,20 @@ struct Steps {
   void before_sleep() {}
 };
 
+/// Passes a wake-up on that may have been for others, too (docs/waiting.md, "How a push wakes
+/// many"). Called when a sleep has ended, for whatever reason.
+///
+/// Only where the word has changed: else sleepers would wake each other for ever. Relaxed: the look
+/// that follows acquires.
+inline void pass_on(const detail::FutexWaits& words) noexcept {
+  for (const detail::FutexWait& wait : words) {
+    if (!wait.is_shared) continue;
+    const auto* word = static_cast<const std::uint32_t*>(wait.word);
+    if (__atomic_load_n(word, __ATOMIC_RELAXED) == wait.value) continue;  // as above
+    futex::wake(wait.word, futex::kWakes);
+  }
+}
+
 /// What wait() needs of the machine. Tests have a clock and words of their own.
 struct Kernel {
   static futex::Clock::time_point now() noexcept { return futex::Clock::now(); }
@@ -82,7 +96,9 @@ struct Kernel {
 
   /// False when the time is up.
   static bool sleep(const detail::FutexWaits& words, const futex::Deadline& until) noexcept {
-    return futex::wait_any(words, until);
+    const bool in_time = futex::wait_any(words, until);
+    pass_on(words);
+    return in_time;
   }
   static bool sleep(const detail::FutexWait& word, const futex::Deadline& until) noexcept {
     return futex::wait(word.word, word.value, until);

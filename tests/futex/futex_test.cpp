@@ -202,7 +202,7 @@ TEST_CASE_FIXTURE(Fixture, "the last deadline that there is never passes") {
       set(shared->words[1], 1);
     });
     FutexWaits waits(count, {&shared->words[0], 0});
-    waits.back() = {&shared->words[1], 0};
+    waits[waits.size() - 1] = {&shared->words[1], 0};
     while (shared->words[1] == 0) CHECK(futex::wait_any(waits, futex::Clock::time_point::max()));
     CHECK(status_of(child) == 0);
   }
@@ -284,7 +284,7 @@ TEST_CASE_FIXTURE(Fixture, "where the kernel has no futex_waitv, each word ends 
       while (futex::wait_any(waits, deadline)) {  // looks again now and then
       }
       if (futex::Clock::now() < deadline) _exit(2);
-      waits.back() = {&shared->words[2], 0};
+      waits[waits.size() - 1] = {&shared->words[2], 0};
       set(shared->words[3], 1);
       while (shared->words[2] == 0) futex::wait_any(waits, std::nullopt);
     });

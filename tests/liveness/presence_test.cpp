@@ -109,16 +109,17 @@ TEST_SUITE_BEGIN("presence");
 
 TEST_CASE("no signal of the application comes to a thread of the library, from its first step on") {
   const Watchdog watchdog(60);
-  lot::ShmEngine engine(fresh());
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
   auto puller = engine.subscribe<Number>("/t");
   puller.fd();
   const auto listener = engine.listen<Number>("/t", [](const lot::ShmSharedPtr<const Number>&) {});
   auto pusher = engine.advertise<Large>("/large");
-  const std::map<std::string, bool> all{{"lot-witness", false},
-                                        {"lot-warden", false},
-                                        {"lot-notify", false},
-                                        {"lot-listen", false},
-                                        {"lot-ahead", false}};
+  const std::uint32_t word = 0;
+  lot::transport::Participant::join(options)->rouser().rouse(&word);
+  const std::map<std::string, bool> all{{"lot-witness", false}, {"lot-warden", false},
+                                        {"lot-notify", false},  {"lot-listen", false},
+                                        {"lot-ahead", false},   {"lot-rouser", false}};
   CHECK(eventually([&] {
     const std::lock_guard guard(begun_mutex);
     return begun == all;

@@ -930,11 +930,15 @@ TEST_CASE("a sleeper's mark is seen by the next publish and by no other") {
     Reader one = channel.join();
     Reader two = channel.join();
     for (Word block = 0; block < 10; ++block) {
-      const auto mark = one.mark_sleeping();
+      bool left_before = true;
+      const auto mark = one.mark_sleeping(left_before);
       REQUIRE(mark.has_value());
+      CHECK_FALSE(left_before);
       CHECK((*mark & kSleeper) != 0);
       CHECK(*mark == one.slot());
-      CHECK(two.mark_sleeping() == mark);  // two may sleep on one mark
+      bool stood = false;
+      CHECK(two.mark_sleeping(stood) == mark);  // two may sleep on one mark
+      CHECK(stood);
       CHECK_FALSE(one.ready());
       const auto published = channel.writer.publish(block);
       CHECK(published.wake);

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <initializer_list>
 #include <vector>
 
 namespace lot::detail {
@@ -10,7 +12,47 @@ namespace lot::detail {
 struct FutexWait {
   const void* word;
   std::uint32_t value;
+  /// Others may sleep on this value of the word, and a wake-up may be for a few of them only: the
+  /// sleeper passes it on (waiting::pass_on).
+  bool is_shared = false;
 };
-using FutexWaits = std::vector<FutexWait>;
+
+/// The words that one sleeper sleeps on. It remembers what it slept on last, so that it knows its
+/// own marks.
+class FutexWaits {
+ public:
+  FutexWaits() = default;
+  FutexWaits(std::initializer_list<FutexWait> waits) : waits_(waits), size_(waits.size()) {}
+  FutexWaits(std::size_t count, const FutexWait& wait) : waits_(count, wait), size_(count) {}
+
+  void reserve(std::size_t count) { waits_.reserve(count); }
+  void clear() noexcept { size_ = 0; }
+  void push_back(const FutexWait& wait) {
+    if (size_ == waits_.size()) {
+      waits_.push_back(wait);
+    } else {
+      waits_[size_] = wait;
+    }
+    ++size_;
+  }
+  /// Adds a word with a sleeper's mark, which was `found` there. One that this sleeper has left
+  /// itself, when it slept on the same value in the same place, does not make the word shared.
+  void push_back_marked(const void* word, std::uint32_t value, bool found) {
+    const bool is_own = size_ < waits_.size() && waits_[size_].word == word &&
+                        waits_[size_].value == value && !waits_[size_].is_shared;
+    push_back({word, value, found && !is_own});
+  }
+
+  std::size_t size() const noexcept { return size_; }
+  bool empty() const noexcept { return size_ == 0; }
+  const FutexWait* begin() const noexcept { return waits_.data(); }
+  const FutexWait* end() const noexcept { return waits_.data() + size_; }
+  const FutexWait& operator[](std::size_t i) const { return waits_[i]; }
+  FutexWait& operator[](std::size_t i) { return waits_[i]; }
+
+ private:
+  std::vector<FutexWait> waits_;  ///< behind size_: of an earlier sleep
+  std::size_t size_ = 0;
+};
 
 }  // namespace lot::detail

@@ -78,13 +78,11 @@ Segment::Fit wrap_examine(const std::string& path, std::uint64_t size, const Tru
 }
 
 bool real_wait_any(const FutexWaits&, const Deadline&) asm(
-    "__real__ZN3lot5futex8wait_anyERKSt6vectorINS_6detail9FutexWaitESaIS3_"
-    "EERKSt8optionalINSt6chrono10"
-    "time_pointINS9_3_V212steady_clockENS9_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+    "__real__ZN3lot5futex8wait_anyERKNS_6detail10FutexWaitsERKSt8optionalINSt6chrono10"
+    "time_pointINS6_3_V212steady_clockENS6_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
 bool wrap_wait_any(const FutexWaits&, const Deadline&) asm(
-    "__wrap__ZN3lot5futex8wait_anyERKSt6vectorINS_6detail9FutexWaitESaIS3_"
-    "EERKSt8optionalINSt6chrono10"
-    "time_pointINS9_3_V212steady_clockENS9_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+    "__wrap__ZN3lot5futex8wait_anyERKNS_6detail10FutexWaitsERKSt8optionalINSt6chrono10"
+    "time_pointINS6_3_V212steady_clockENS6_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
 bool wrap_wait_any(const FutexWaits& waits, const Deadline& deadline) {
   if (deadline && planted("deadline-in-real-time")) return wait_in_real_time(waits[0], deadline);
   return real_wait_any(waits, deadline);

@@ -44,13 +44,11 @@ std::atomic<bool> released{false};
 
 // The linker (--wrap) sends the callers of futex::wait_any() to the second of these.
 bool really_wait(const lot::detail::FutexWaits&, const lot::futex::Deadline&) asm(
-    "__real__ZN3lot5futex8wait_anyERKSt6vectorINS_6detail9FutexWaitESaIS3_"
-    "EERKSt8optionalINSt6chrono10"
-    "time_pointINS9_3_V212steady_clockENS9_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+    "__real__ZN3lot5futex8wait_anyERKNS_6detail10FutexWaitsERKSt8optionalINSt6chrono10"
+    "time_pointINS6_3_V212steady_clockENS6_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
 bool wait_held_up(const lot::detail::FutexWaits&, const lot::futex::Deadline&) asm(
-    "__wrap__ZN3lot5futex8wait_anyERKSt6vectorINS_6detail9FutexWaitESaIS3_"
-    "EERKSt8optionalINSt6chrono10"
-    "time_pointINS9_3_V212steady_clockENS9_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
+    "__wrap__ZN3lot5futex8wait_anyERKNS_6detail10FutexWaitsERKSt8optionalINSt6chrono10"
+    "time_pointINS6_3_V212steady_clockENS6_8durationIlSt5ratioILl1ELl1000000000EEEEEEE");
 
 bool wait_held_up(const lot::detail::FutexWaits& waits, const lot::futex::Deadline& deadline) {
   if (held_up) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "futex/futex.hpp"
 #include "plant.hpp"
 #include "relacy.hpp"
 
@@ -66,8 +67,16 @@ class Bed {
 
   /// One word more to sleep on, while it has this value.
   template <class T>
-  void add(const CheckedAtomic<T>& word, T value) {
+  void add(const CheckedAtomic<T>& word, T value, bool is_shared = false) {
     words_.push_back([this, &word, value](Where where) { return queue_on(word, value, where); });
+    if (!is_shared) return;
+    duties_.push_back([&word, value] {
+      if (word.load(std::memory_order_relaxed) != value) word.wake(futex::kWakes);
+    });
+  }
+  /// As waiting::pass_on().
+  void pass_on() const {
+    for (const auto& duty : duties_) duty();
   }
   void sleep(Where where = Where::current()) {
     for (const auto& queue_on : words_) {
@@ -100,6 +109,7 @@ class Bed {
   rl::atomic<unsigned> pillow_;
   std::vector<std::function<bool(Where)>> words_;
   std::vector<std::function<void()>> queues_;  ///< how to leave those that we are on
+  std::vector<std::function<void()>> duties_;  ///< how to wake others that sleep on them
 };
 
 /// A plain variable: two accesses that nothing orders are a data race, and fail the run.
@@ -217,14 +227,18 @@ class CheckedAtomic {
     bed.sleep(where);
   }
 
-  /// FUTEX_WAKE of one.
-  void wake_one(Where where = Where::current()) const {
+  /// FUTEX_WAKE of some: how many there were.
+  int wake(int count, Where where = Where::current()) const {
     killer.step();
     take_bucket(where);
-    if (beds_.empty()) return;
-    beds_.front()->wake(where);
-    beds_.erase(beds_.begin());
+    int woken = 0;
+    for (; woken < count && !beds_.empty(); ++woken) {
+      beds_.front()->wake(where);
+      beds_.erase(beds_.begin());
+    }
+    return woken;
   }
+  void wake_one(Where where = Where::current()) const { wake(1, where); }
 
   /// FUTEX_WAKE of everybody.
   void wake_all(Where where = Where::current()) const {

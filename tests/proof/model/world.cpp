@@ -526,8 +526,12 @@ void Publisher::publish(Word b, Turn& turn) {
   turn.unlock();
   ++sent_;
   if (published.wake && !garden.omitted.wake_readers) {
+    // What the rouser does comes next here: how the two run side by side is the business of Spin.
+    const auto rouse = [](const auto& word) {
+      if (word.wake(futex::kWakes) == futex::kWakes) word.wake_all();
+    };
     auto* arrived = writer_.ring().arrived;
-    arrived != nullptr ? arrived->wake_all() : published.slot->wake_all();
+    arrived != nullptr ? rouse(*arrived) : rouse(*published.slot);
   }
   if (published.replaced != kNoBlock) retire(published.replaced);
   retire_taken();

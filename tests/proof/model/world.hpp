@@ -302,10 +302,13 @@ class Publisher {
 template <class Sources>
 void sleep_on(Sources& sources, Segment& segment, std::uint32_t version) {
   Bed bed;
-  const ring::Rest rest =
-      ring::prepare_to_sleep(sources, segment.version, version,
-                             [&bed](const auto& word, auto value) { bed.add(word, value); });
-  if (rest == ring::Rest::Sleep) bed.sleep();
+  const ring::Rest rest = ring::prepare_to_sleep(
+      sources, segment.version, version,
+      [&bed](const auto& word, auto value, bool is_shared) { bed.add(word, value, is_shared); });
+  if (rest == ring::Rest::Sleep) {
+    bed.sleep();
+    bed.pass_on();
+  }
   if (rest == ring::Rest::Doze) Policy::pause();
 }
 
