@@ -39,8 +39,8 @@ namespace lot {
 ///          forked child, and ESTALE in a process that was stopped and that another process took
 ///          for dead meanwhile: make a new engine. std::bad_alloc when the process has no memory.
 /// Memory:  the segment is mapped whole: address space of its size. The process has a place in it,
-///          tables with an entry for each of its blocks, and the threads lot-warden, lot-witness
-///          and, once it publishes large messages, lot-ahead.
+///          tables with an entry for each of its blocks, and the threads lot-warden, lot-witness,
+///          lot-ahead once it publishes large messages, and lot-rouser once a push wakes two.
 /// Crash:   the other processes see the death within milliseconds, free what the process had, and
 ///          its place. What it has pushed and put stays.
 class ShmEngine {

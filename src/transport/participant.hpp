@@ -34,7 +34,8 @@ namespace lot::transport {
 /// for as long as a handle or a pointer needs them. Engines, pushers and pullers share it.
 ///
 /// It runs two threads. The witness thread does nothing but end with the process
-/// (liveness/death_notice.hpp). The other one is the Warden's.
+/// (liveness/death_notice.hpp). The other one is the Warden's. Ahead and the Rouser each start one
+/// when they first need it.
 ///
 /// Threads: all members may be called at once.
 /// Crash:   what a participant leaves is found by its index and repaired by a reaper

@@ -310,6 +310,16 @@ void pushes(std::vector<Operation>& all, QueueEngine engine) {
       loaned(victim_publishes(overwrite(2, engine), 1)) +
           Acts{witness([](Node& n) { n.receive_all(); }),
                witness([](Node& n) { n.sleep_on_topic(); })});
+  // The push wakes two, and asks the rouser to wake the rest: its thread starts.
+  const auto falls_asleep = [](Act (*who)(std::function<void(Node&)>)) {
+    return Acts{who([](Node& n) { n.receive_all(); }), who([](Node& n) { n.sleep_on_topic(); })};
+  };
+  add("push, overwrite, two readers sleep", Promise::Blocking,
+      loaned(victim_publishes(overwrite(2, engine), 0) +
+             Acts{bystander(join), reader(bystander, kTopic),
+                  bystander([=](Node& n) { n.locked = engine == QueueEngine::Mutex; }),
+                  publishes(victim, 1)}) +
+          falls_asleep(witness) + falls_asleep(bystander));
   add("push, overwrite, a reader borrows", shown,
       loaned(victim_publishes(overwrite(1, engine), 1) +
              Acts{witness([](Node& n) { n.hold(true); })}));

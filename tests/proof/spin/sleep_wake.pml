@@ -8,7 +8,8 @@
  *
  * Everything is sequentially consistent here: memory orders are the business of tests/proof/model. Who may
  * reap whom is the business of join_leave_reap.pml: a warden that finds a dead participant's byte
- * free takes it.
+ * free takes it. A push wakes two, which are all here: how the rest wakes is the business of
+ * many_sleepers.pml.
  *
  * run stream -DMESSAGES=3 -DDEPTH=2 : two readers, three messages in two slots
  * run close -DCLOSES : two readers, a message, and the publisher goes
@@ -729,7 +730,7 @@ settle:
         fi;
 #endif
         if
-        :: slot[SLOT(s, cursor[s])] == w -> queued[me] = queued[me] | 1 << SLOT(s, cursor[s]) /* @ src/lockfree_ring/sleep.hpp leave_mark: sleep_on(source.reader.slot(), *marked) */
+        :: slot[SLOT(s, cursor[s])] == w -> queued[me] = queued[me] | 1 << SLOT(s, cursor[s]) /* @ src/lockfree_ring/sleep.hpp leave_mark: sleep_on(source.reader.slot(), *marked, stood) */
         :: else -> GIVE_UP(look)
         fi;
         w = 0; s++; next_ring(s) }
@@ -740,7 +741,7 @@ settle:
         if
         :: ALONE ->
           if
-          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp prepare_to_sleep: if (now != version || !any_live) sleep_on(directory.word(), now) */
+          :: directory == version -> queued[me] = queued[me] | 1 << DIRECTORY /* @ src/lockfree_ring/sleep.hpp prepare_to_sleep: if (now != version || !any_live) sleep_on(directory.word(), now, false) */
           :: else -> GIVE_UP(look)
           fi
         :: else
