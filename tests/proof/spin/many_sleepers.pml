@@ -15,10 +15,11 @@
  * run rousing -DNO_PASSING_ON -DMESSAGES=2 -DTIMES_OUT : no reader passes anything on
  * run threads -DNO_PASSING_ON -DPUSHERS=2 -DREADERS=2 -DWAKES=0 -DMAY_NOT_START : two threads ask the rouser at once, and it may not start
  * run reader_killed -DMORTAL_READERS=1 : a reader is killed, perhaps with a wake-up that it has not passed on
- * run publisher_killed -DMORTAL_PUBLISHER -DMORTAL_READERS=1 : and so is the publisher
+ * run publisher_killed -DMORTAL_PUBLISHER : the publisher is killed, with its rouser
  * run publisher_stands -DSTANDS -DMESSAGES=2 -DTIMES_OUT : the publisher stands still behind its wake of two
  * run quiet -DQUIET -DREADERS=2 -DTIMES_OUT : sleepers do not wake each other for ever
- * full readers_killed -DREADERS=4 -DMORTAL_READERS=2 : two readers of four are killed
+ * full both_killed -DMORTAL_PUBLISHER -DMORTAL_READERS=1 -DNO_ROUSER : the publisher and a reader are killed
+ * full readers_killed -DMORTAL_READERS=2 : two readers of three are killed
  *
  * pan -DNFAIR=3 -DCOLLAPSE
  *
@@ -405,7 +406,7 @@ init {
 #ifdef MORTAL_PUBLISHER
     run reaper();
 #endif
-#if MORTAL_READERS
+#if MORTAL_READERS || defined(MORTAL_PUBLISHER)
     run kernel_fate();
 #endif
     i = 0
