@@ -86,7 +86,7 @@ class AnyType {
   /// nothing.
   std::size_t size() const noexcept;
   /// True when a message of the one type may be read as one of the other: name, size, alignment,
-  /// identity and layout are equal, and the names of the fields where both are known. Throws
+  /// identity and layout are equal, and each name of a field that both know. Throws
   /// std::bad_alloc.
   [[nodiscard]] bool is_same(const AnyType& other) const;
 

@@ -82,8 +82,8 @@ struct Description {
   /// opaque types. Equal where g++ and clang, and all levels of optimisation, lay a type out alike.
   /// Names of fields, structs and enums do not count. Never 0. Throws std::bad_alloc.
   std::uint64_t layout_hash() const;
-  /// A hash of the names of all fields to any depth. 0: some field has no name. Throws
-  /// std::bad_alloc.
+  /// A hash of the names of all fields to any depth. 0: some field has no name, and a topic's two
+  /// ends compare name by name. Throws std::bad_alloc.
   std::uint64_t names_hash() const;
 };
 

@@ -88,6 +88,8 @@ class Difference {
                        (a.element == Description::kNone) == (b.element == Description::kNone);
     return alike ? std::string() : told(there, here, path);
   }
+  /// Of the fields that of() has met.
+  const Names& names() const { return names_; }
 
  private:
   /// What is between a path and the path of what lies in it.
@@ -123,6 +125,8 @@ class Difference {
       const Description::Field& f = a.fields[i];
       const Description::Field& g = b.fields[i];
       const bool same_name = f.name == g.name || f.name.empty() || g.name.empty();
+      names_.topic_knows_more |= g.name.empty() && !f.name.empty();
+      names_.here_knows_more |= f.name.empty() && !g.name.empty();
       if (!same_name || f.offset != g.offset || f.bit != g.bit || f.bits != g.bits) {
         return said(number, text_of(topic_, f), text_of(here_, g));
       }
@@ -135,12 +139,33 @@ class Difference {
   const Description& topic_;
   const Description& here_;
   std::set<std::pair<std::uint32_t, std::uint32_t>> met_;
+  Names names_;
 };
 
 }  // namespace
 
 std::string first_difference(const Description& topic, const Description& here) {
   return Difference(topic, here).of(0, 0, "");
+}
+
+bool has_names(const Description& description) noexcept {
+  return std::any_of(description.types.begin(), description.types.end(), [](const auto& type) {
+    return std::any_of(type.fields.begin(), type.fields.end(),
+                       [](const auto& field) { return !field.name.empty(); });
+  });
+}
+
+Names compare_names(std::string_view topic, std::string_view here) {
+  if (topic == here) return {};
+  const auto theirs = decode(topic);
+  const auto ours = decode(here);
+  if (!theirs || !ours) return {};
+  Difference difference(*theirs, *ours);
+  const bool differ = !difference.of(0, 0, "").empty();
+  Names names = difference.names();
+  names.differ = differ;
+  names.topic_knows_all = theirs->names_hash() != 0;
+  return names;
 }
 
 }  // namespace lot::description

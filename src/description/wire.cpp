@@ -298,7 +298,8 @@ std::optional<Description> decode(std::string_view bytes) {
 namespace lot::detail {
 
 Described make_described(const Description& description) {
-  return {description.layout_hash(), description.names_hash(), description::encode(description)};
+  return {description.layout_hash(), description.names_hash(), description::has_names(description),
+          description::encode(description)};
 }
 
 }  // namespace lot::detail

@@ -32,4 +32,17 @@ std::optional<Description> decode(std::string_view bytes);
 /// std::bad_alloc.
 std::string first_difference(const Description& topic, const Description& here);
 
+/// True when some field has a name. Throws nothing.
+bool has_names(const Description& description) noexcept;
+
+/// What two descriptions of one layout know of the names of fields.
+struct Names {
+  bool differ = false;            ///< a field has a name at each side, and they are not the same
+  bool topic_knows_all = false;   ///< each field has a name there
+  bool topic_knows_more = false;  ///< some field has a name there alone
+  bool here_knows_more = false;   ///< some field has a name here alone
+};
+/// All is false where the bytes are the same, or no description. Throws std::bad_alloc.
+Names compare_names(std::string_view topic, std::string_view here);
+
 }  // namespace lot::description

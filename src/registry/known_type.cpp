@@ -39,11 +39,14 @@ KnownType::KnownType(std::string name, const segment::TopicEntry& topic,
   // A layout of 0: the topic's users have a type without a description.
   if (topic.type_layout != 0) {
     const std::uint64_t names = topic.type_names.load(std::memory_order_relaxed);  // the lock
-    describe({topic.type_layout, names, bytes.value_or("")});
+    describe({topic.type_layout, names, false, bytes.value_or("")});
   }
   if (!bytes) return;
   description_ = bytes->empty() ? opaque(name_, type_.size) : description::decode(*bytes);
   if (description_ && description_->root().size != type_.size) description_.reset();
+  // All names, though the topic has none: their process was killed before it had them.
+  type_.known.has_names = description_ && description::has_names(*description_) &&
+                          (type_.known.names != 0 || description_->names_hash() == 0);
 }
 
 KnownType::KnownType(const detail::MessageType& type, Description description)

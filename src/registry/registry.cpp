@@ -50,8 +50,24 @@ std::string_view name_of(const detail::MessageType& type) {
   return std::string_view(type.name).substr(0, segment::kTypeNameBytes - 1);
 }
 
+/// What the topic and this side know of the names of fields, where one of them does not know all.
+/// Nothing differs where the topic has no description, or a damaged one.
+description::Names names_of(const segment::Segment& segment, const segment::TopicEntry& topic,
+                            const detail::Described& here) {
+  const std::uint64_t word = topic.description.load(std::memory_order_relaxed);  // the lock
+  if (word == 0 || !here.has_names) return {};
+  const auto there = TypeTable(segment).copy(word);
+  if (!there) return {};
+  const description::Names names = description::compare_names(*there, here.bytes);
+  // A process that knew all names was killed before the topic had them: they do not count.
+  const bool has_all = topic.type_names.load(std::memory_order_relaxed) != 0;  // the lock
+  if (names.topic_knows_all && !has_all) return {.here_knows_more = true};
+  return names;
+}
+
 /// Whether the topic carries the type. Names of fields count where both sides know them.
-bool carries(const segment::TopicEntry& topic, const detail::MessageType& type) {
+bool carries(const segment::Segment& segment, const segment::TopicEntry& topic,
+             const detail::MessageType& type) {
   if (text(topic.type_name, sizeof(topic.type_name)) != name_of(type) ||
       topic.type_size != type.size || topic.type_align != type.align ||
       topic.type_hash != type.hash) {
@@ -60,7 +76,9 @@ bool carries(const segment::TopicEntry& topic, const detail::MessageType& type) 
   if (type.described == nullptr) return topic.type_layout == 0;
   const detail::Described& here = type.described(type);
   const std::uint64_t names = topic.type_names.load(std::memory_order_relaxed);  // the lock
-  return topic.type_layout == here.layout && (names == here.names || names == 0 || here.names == 0);
+  if (topic.type_layout != here.layout) return false;
+  if (names != 0 && here.names != 0) return names == here.names;
+  return !names_of(segment, topic, here).differ;
 }
 
 [[noreturn]] void refuse_subscribers(const std::string& path, std::uint64_t subscribers,
@@ -119,7 +137,7 @@ Registry::Found Registry::find(std::string_view name, const detail::MessageType*
         found.lasting = &topic;
         break;
       }
-      if (type == nullptr || carries(topic, *type)) found.observed = &topic;
+      if (type == nullptr || carries(segment_, topic, *type)) found.observed = &topic;
     }
   }
   return found;
@@ -139,7 +157,7 @@ std::uint32_t Registry::enter(std::string_view name, const detail::MessageType& 
   }
   if (topic == found.free) {
     make_topic(*topic, name, type);
-  } else if (!carries(*topic, type)) {
+  } else if (!carries(segment_, *topic, type)) {
     refuse_type(*topic, type);
   } else if (type.described != nullptr) {
     name_fields(*topic, type.described(type));
@@ -178,8 +196,14 @@ void Registry::name_fields(segment::TopicEntry& topic, const detail::Described& 
   // Relaxed: the lock carries both words to the process that changes them.
   const bool had_names = topic.type_names.load(std::memory_order_relaxed) != 0;
   const std::uint64_t before = topic.description.load(std::memory_order_relaxed);
-  if (described.names == 0 || (had_names && before != 0)) return;
-  // Killed between the two steps, the next process that knows the names does both again.
+  if (described.names == 0) {
+    if (had_names) return;
+    const description::Names names = names_of(segment_, topic, described);
+    if (!names.here_knows_more || names.topic_knows_more) return;
+  } else if (had_names && before != 0) {
+    return;
+  }
+  // Killed between the two steps, the next process that knows all names does both again.
   const std::uint64_t word = TypeTable(segment_).place(described.bytes, descriptions());
   // Relaxed: the lock carries both.
   if (word != 0) topic.description.store(word, std::memory_order_relaxed);

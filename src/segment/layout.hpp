@@ -169,7 +169,7 @@ struct alignas(64) TopicEntry {
   std::uint64_t type_align;
   std::uint64_t type_hash;    ///< TypeIdentity::hash(), and whose containers it has
   std::uint64_t type_layout;  ///< Description::layout_hash(); 0: its type says nothing
-  /// Description::names_hash(), or 0 until a process comes that knows the names.
+  /// Description::names_hash(), or 0 until a process comes that knows all names.
   detail::ChangedBy<std::atomic<std::uint64_t>, registry::Registry> type_names;
   /// Where the description is. It may get another place, with names.
   detail::ChangedBy<std::atomic<std::uint64_t>, registry::Registry> description;

@@ -11,6 +11,7 @@
 #include "lot/detail/described.hpp"
 #include "lot/detail/type_name.hpp"
 
+#include "description/wire.hpp"
 #include "transport/participant.hpp"
 
 namespace lot::detail {
@@ -73,8 +74,10 @@ bool is_same(const MessageType& a, const MessageType& b) {
   if (a.described == nullptr) return true;
   const Described& there = a.described(a);
   const Described& here = b.described(b);
-  return there.layout == here.layout &&
-         (there.names == here.names || there.names == 0 || here.names == 0);
+  if (there.layout != here.layout) return false;
+  if (there.names != 0 && here.names != 0) return there.names == here.names;
+  return !there.has_names || !here.has_names ||
+         !description::compare_names(there.bytes, here.bytes).differ;
 }
 
 void require_type(const ControlBlock& control, const MessageType& type) {

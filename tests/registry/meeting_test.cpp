@@ -87,6 +87,41 @@ struct alignas(64) OtherBits {
   std::uint32_t high : 20;
   float x, y;
 };
+/// Of the bit-fields no program knows the names, of the rest each does.
+struct Low {
+  std::uint32_t low : 16;
+  std::uint32_t high : 16;
+};
+struct OtherPoint {
+  float x, z;
+};
+struct alignas(64) BesideBits {
+  Low low;
+  float x, y;
+  Point at;
+};
+struct alignas(64) SwappedBesideBits {
+  Low low;
+  float y, x;
+  Point at;
+};
+struct alignas(64) RenamedBesideBits {
+  Low low;
+  float x, y;
+  OtherPoint at;
+};
+struct __attribute__((packed)) Tight {
+  std::uint8_t kind;
+  std::uint32_t value;
+};
+struct alignas(64) BesideTight {
+  Tight tight;
+  float x, y;
+};
+struct alignas(64) SwappedBesideTight {
+  Tight tight;
+  float y, x;
+};
 struct alignas(64) Gap {
   std::uint32_t id;
   alignas(8) float x;
@@ -191,6 +226,11 @@ LOT_SAMPLE(TwoOf, 0);
 LOT_SAMPLE(ThreeOf, 0);
 LOT_SAMPLE(Bits, 0);
 LOT_SAMPLE(OtherBits, 0);
+LOT_SAMPLE(BesideBits, 0);
+LOT_SAMPLE(SwappedBesideBits, 0);
+LOT_SAMPLE(RenamedBesideBits, 0);
+LOT_SAMPLE(BesideTight, 0);
+LOT_SAMPLE(SwappedBesideTight, 0);
 LOT_SAMPLE(Gap, 0);
 LOT_SAMPLE(Flag, 0);
 LOT_SAMPLE(Byte, 0);
@@ -253,7 +293,16 @@ const std::vector<Row>& table() {
       {sample<OtherHash>("other hash"), "..............................+"},
       {sample<HasPart>("has an opaque part"), "...............................+"},
       {sample<HasPartToo>("has an opaque part, too"), "...............................++"},
-      {sample<HasNobodys>("has another opaque part"), ".................................+"}};
+      {sample<HasNobodys>("has another opaque part"), ".................................+"},
+      {sample<BesideBits>("beside bits"), "..................................+"},
+      {sample<SwappedBesideBits>("swapped beside bits"), "...................................+"},
+      {sample<RenamedBesideBits>("renamed beside bits"), "....................................+"},
+      {meeting::beside_bits_in_17(), "..................................++++"},
+      {meeting::partly_beside_bits_in_17(), "..................................+.+++"},
+      {sample<BesideTight>("beside tight"), ".......................................+"},
+      {sample<SwappedBesideTight>("swapped beside tight"),
+       "........................................+"},
+      {meeting::beside_tight_in_17(), ".......................................+.+"}};
   return rows;
 }
 bool may_meet(std::size_t a, std::size_t b) {
@@ -336,6 +385,10 @@ TEST_CASE("a refused process is told which field differs first, and what each si
       {sample<Bits>(""), sample<OtherBits>(""),
        "field 1: the topic has uint32 of 16 bits at byte 0, bit 0; this side has uint32 of 12 bits "
        "at byte 0, bit 0"},
+      {sample<BesideBits>(""), sample<SwappedBesideBits>(""),
+       "field 2: the topic has x, float32 at byte 4; this side has y, float32 at byte 4"},
+      {sample<BesideTight>(""), sample<SwappedBesideTight>(""),
+       "field 2: the topic has x, float32 at byte 8; this side has y, float32 at byte 8"},
       {sample<Flag>(""), sample<Byte>(""), "on: the topic has bool; this side has uint8"},
       {sample<Span>(""), sample<Ticks>(""),
        "t: the topic has duration of int64 in 1/1000000000 s; this side has int64"},
@@ -385,6 +438,31 @@ TEST_CASE("the first process that knows names gives them, processes with others 
   }
   named.reset();  // the topic keeps the names, as long as it has users
   CHECK_THROWS_AS(sample<Renamed>("").subscribe(engine, "/meeting"), lot::Error);
+}
+
+TEST_CASE("a process that knows more names gives them, also where no process knows all") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh());
+  const auto first = meeting::beside_bits_in_17().advertise(engine, "/meeting");
+  {
+    // So far the topic has no names.
+    lot::ShmEngine other(fresh());
+    const auto same = meeting::beside_bits_in_17().advertise(other, "/meeting");
+    const auto swapped = sample<SwappedBesideBits>("").subscribe(other, "/meeting");
+    CHECK_THROWS_AS(sample<BesideBits>("").subscribe(other, "/meeting"), lot::Error);
+    CHECK_THROWS_AS(meeting::partly_beside_bits_in_17().subscribe(other, "/meeting"), lot::Error);
+  }
+  auto partly = meeting::partly_beside_bits_in_17().subscribe(engine, "/meeting");
+  CHECK_THROWS_AS(sample<SwappedBesideBits>("").subscribe(engine, "/meeting"), lot::Error);
+  const auto named = sample<BesideBits>("").subscribe(engine, "/meeting");
+  CHECK_THROWS_AS(sample<RenamedBesideBits>("").subscribe(engine, "/meeting"), lot::Error);
+  const auto nameless = meeting::beside_bits_in_17().subscribe(engine, "/meeting");
+  const std::string said = first->go();
+  for (End* subscriber : {partly.get(), named.get(), nameless.get()}) {
+    CHECK(subscriber->go() == said);
+  }
+  partly.reset();
+  CHECK_THROWS_AS(sample<RenamedBesideBits>("").subscribe(engine, "/meeting"), lot::Error);
 }
 
 TEST_SUITE_END();

@@ -13,6 +13,7 @@ namespace lot::detail {
 struct Described {
   std::uint64_t layout = 0;  ///< Description::layout_hash()
   std::uint64_t names = 0;   ///< Description::names_hash()
+  bool has_names = false;    ///< some field has a name
   /// The description as the segment keeps it (docs/layout.md). Empty: it is too large.
   std::string bytes;
 };
