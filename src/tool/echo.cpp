@@ -28,6 +28,10 @@ using Clock = std::chrono::steady_clock;
 
 /// Between two looks whether a process still reads what is printed.
 constexpr std::chrono::milliseconds kLookAtOutput = 500ms;
+/// Between two lines about messages that could not be printed.
+constexpr std::chrono::seconds kSayAgain = 10s;
+/// For what is there already, where messages that can not be printed come first.
+constexpr std::chrono::milliseconds kForTheOthers = 500ms;
 
 std::string seconds_text(std::chrono::nanoseconds time) {
   char text[64];
@@ -48,16 +52,23 @@ class Echo {
     auto deadline = detail::after(options_.timeout);
     while (printed_ < options_.count) {
       AnyBorrow message = next(std::min(deadline, Clock::now() + kLookAtOutput), stop);
-      if (message) {
-        if (!tell(message, stop)) break;
+      const std::uint64_t before = printed_;
+      if (message && !tell(message, stop)) break;
+      if (printed_ != before) {
         deadline = detail::after(options_.timeout);
-      } else if (stop.stop_requested() || output_is_gone()) {
-        break;
-      } else if (Clock::now() >= deadline) {
-        onlooker_.say("no message came in time");
+        continue;
+      }
+      if (message) ++left_out_;
+      if (stop.stop_requested() || output_is_gone()) break;
+      const auto now = Clock::now();
+      if (now - (message ? kForTheOthers : 0ms) >= deadline) {
+        onlooker_.say(left_out_ == 0 ? "no message came in time"
+                                     : "no message that can be printed came in time");
         break;
       }
+      if (now >= say_again_) say_left_out();
     }
+    say_left_out();
     const bool are_too_few = options_.count != EchoOptions::kNoLimit && printed_ < options_.count;
     return graver(printed_ == 0 || are_too_few ? kWrong : kWell, complaints_.exit());
   }
@@ -73,7 +84,16 @@ class Echo {
     }
   }
 
-  /// Prints a message. False: nothing more can be printed.
+  /// How many messages it has not printed since it has said so last.
+  void say_left_out() {
+    if (left_out_ != said_) {
+      onlooker_.say(plural(left_out_, "message", "messages") + " could not be printed so far");
+    }
+    said_ = left_out_;
+    say_again_ = Clock::now() + kSayAgain;
+  }
+
+  /// Prints a message, if it can be printed. False: nothing more can be printed.
   bool tell(AnyBorrow& message, const StopToken& stop) {
     const auto now = Clock::now();
     if (const std::uint64_t n = message.missed(); n != 0) {
@@ -164,6 +184,9 @@ class Echo {
   const EchoOptions& options_;
   Onlooker onlooker_;
   std::uint64_t printed_ = 0;
+  std::uint64_t left_out_ = 0;
+  std::uint64_t said_ = 0;  ///< of those left out
+  Clock::time_point say_again_ = Clock::now() + kSayAgain;
   unsigned times_ = 0;
   bool has_field_ = true;
   Complaints complaints_{onlooker_};

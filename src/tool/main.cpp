@@ -143,7 +143,7 @@ void add_echo(CLI::App& app, Arguments& arguments) {
   echo->add_option("--count", options.count, "ends after so many")
       ->check(at_least(1))
       ->type_name("NUMBER");
-  echo->add_option("--timeout", arguments.timeout, "ends when no message has come for so long")
+  echo->add_option("--timeout", arguments.timeout, "ends when it has printed no message for so long")
       ->check(between(0, 1e9))
       ->type_name("SECONDS");
 }

@@ -3,6 +3,7 @@
 // What lot echo prints of a topic, for how long, and what it does where something is wrong.
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstdint>
@@ -14,6 +15,7 @@
 #include <string>
 #include <sys/stat.h>
 #include <sys/wait.h>
+#include <thread>
 #include <type_traits>
 #include <unistd.h>
 #include <utility>
@@ -297,6 +299,32 @@ TEST_CASE("--field prints a part; a message without it is told of once, and ends
   const Ran ran = echo.interrupt();
   CHECK(ran.exit == 0);
   CHECK(ran.err.find("labels") == ran.err.rfind("labels"));
+}
+
+TEST_CASE("messages that can not be printed do not keep lot echo from its end, and are counted") {
+  const Watchdog watchdog(60);
+  Camera camera;
+  camera.push(1, 2);
+  std::atomic<bool> has_ended = false;
+  std::thread sends([&] {
+    auto pusher = camera.engine.advertise<Frame>("/frames", stamping());
+    while (!has_ended) {
+      must_go(pusher.push(pusher.loan()));
+      std::this_thread::sleep_for(1ms);
+    }
+  });
+  const Ran some = camera.run({"--field", "labels[1].name", "--count", "2", "--timeout", "0.2"});
+  CHECK(some.exit == 1);
+  CHECK(names(some.err, "* /frames: no message that can be printed came in time\n"));
+  CHECK(names(some.err, " could not be printed so far\n"));
+  Running waits(camera.echo({"--field", "labels[1].name"}));
+  CHECK(waits.line() == "\"left\"");
+  CHECK(waits.says("* /frames: labels: it has 0 elements, and no [1]"));
+  const Ran ran = waits.interrupt();
+  CHECK(ran.exit == 0);
+  CHECK(names(ran.err, " could not be printed so far\n"));
+  has_ended = true;
+  sends.join();
 }
 
 TEST_CASE("a path that no message can have is an error, which says what there is") {

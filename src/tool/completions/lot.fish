@@ -43,7 +43,7 @@ complete -c lot -n '__fish_seen_subcommand_from echo' -l characters -x -d 'so ma
 complete -c lot -n '__fish_seen_subcommand_from echo' -l envelope -d 'prints where each message comes from as well'
 complete -c lot -n '__fish_seen_subcommand_from echo' -l history -x -d 'begins with so many messages of each publisher that are there already'
 complete -c lot -n '__fish_seen_subcommand_from echo' -l count -x -d 'ends after so many'
-complete -c lot -n '__fish_seen_subcommand_from echo' -l timeout -x -d 'ends when no message has come for so long'
+complete -c lot -n '__fish_seen_subcommand_from echo' -l timeout -x -d 'ends when it has printed no message for so long'
 complete -c lot -n '__fish_seen_subcommand_from pub' -l rate -x -d 'again and again, so many a second'
 complete -c lot -n '__fish_seen_subcommand_from pub' -l count -x -d 'ends after so many'
 complete -c lot -n '__fish_seen_subcommand_from pub' -l like -x -d 'has the type, where no process uses the topic yet'

@@ -64,7 +64,7 @@ _lot() {
             '--envelope[prints where each message comes from as well]' \
             '--history[begins with so many messages of each publisher that are there already]:number: ' \
             '--count[ends after so many]:number: ' \
-            '--timeout[ends when no message has come for so long]:seconds: '
+            '--timeout[ends when it has printed no message for so long]:seconds: '
           ;;
         pub)
           _arguments $common \
