@@ -68,7 +68,7 @@ struct ValueAccess {
   /// Of an array or a vector.
   static Items items(const Value& v);
   static Items vector_items(const Value& v, const Type& type);
-  /// A field with that name, or type.fields.size().
+  /// A field with that name; else the one at that place (`_0`, `_1`, ...), or type.fields.size().
   static std::uint64_t find(const Type& type, std::string_view name);
 
   static const unsigned char* address(const Value& v) noexcept { return v.at_; }

@@ -268,12 +268,18 @@ bool ValueAccess::leads_away(const Value& v) {
 }
 
 std::uint64_t ValueAccess::find(const Type& type, std::string_view name) {
+  const auto& fields = type.fields;
+  if (name.empty()) return fields.size();
+  const auto found = std::find_if(fields.begin(), fields.end(),
+                                  [&](const Description::Field& f) { return f.name == name; });
+  if (found != fields.end()) return static_cast<std::uint64_t>(found - fields.begin());
   std::uint64_t i = 0;
-  for (; i < type.fields.size(); ++i) {
-    const std::string& has = type.fields[i].name;
-    if (has.empty() ? name_of_field(type, i) == name : has == name) break;
-  }
-  return i;
+  const char* const end = name.data() + name.size();
+  const bool may_be = name.size() == 2 || (name.size() > 2 && name[1] != '0');  // no _01
+  if (name[0] != '_' || !may_be) return fields.size();
+  const auto [stop, error] = std::from_chars(name.data() + 1, end, i);
+  return error == std::errc() && stop == end ? std::min<std::uint64_t>(i, fields.size())
+                                             : fields.size();
 }
 
 namespace {

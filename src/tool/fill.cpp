@@ -251,14 +251,15 @@ void fill_elements(const MutableValue& value, const YAML::Node& node) {
 
 void fill_fields(const MutableValue& value, const YAML::Node& node) {
   if (!node.IsMap()) refuse(value, node, "write a map of its fields");
-  std::set<std::string> named;
+  std::set<std::uint64_t> named;  // `_0` may be another word for it
   for (const auto& entry : node) {
     const YAML::Node& key = entry.first;
     if (!key.IsScalar()) refuse(value, key, "write a map of its fields");
-    if (!named.insert(key.Scalar()).second) {
+    const MutableValue field = value[key.Scalar()];
+    if (!named.insert(Access::find(value.value().type(), key.Scalar())).second) {
       Access::refuse(value, EINVAL, "the YAML names the field \"" + key.Scalar() + "\" twice");
     }
-    fill(value[key.Scalar()], entry.second);
+    fill(field, entry.second);
   }
 }
 

@@ -120,6 +120,29 @@ TEST_CASE("a Value does not cut a number to the type that is asked for") {
   CHECK(root["f64"].as<std::uint64_t>() == std::uint64_t{1} << 63);
 }
 
+TEST_CASE("a field has its place as a second name, unless another one is called so") {
+  Read read;
+  const Value root = read.root();
+  CHECK(root["_0"].path() == "yes");
+  CHECK(root["_2"].as<int>() == root["i8"].as<int>());
+  CHECK(root.at("pair._1").as<double>() == 2.5);
+  CHECK(root.has("_0"));
+  for (const char* none : {"_", "_00", "_02", "_x", "_0x", "_-1", "_31", "_99999999999999999999"}) {
+    CAPTURE(none);
+    CHECK(!root.has(none));
+    CHECK(error_of([&] { (void)root[none]; }).first == EINVAL);
+  }
+  struct Numbered {
+    int _1, x;
+  };
+  const Numbered numbered{5, 6};
+  const auto* const at = reinterpret_cast<const unsigned char*>(&numbered);
+  const Value value(lot::describe<Numbered>(), at, at, at + sizeof(numbered));
+  CHECK(value["_1"].as<int>() == 5);
+  CHECK(value["_0"].as<int>() == 5);
+  CHECK(value["x"].as<int>() == 6);
+}
+
 TEST_CASE("a Value reads bit-fields, with and without a sign") {
   Read read;
   const Value bits = read.root()["bits"];

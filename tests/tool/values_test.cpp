@@ -542,6 +542,7 @@ TEST_CASE("YAML that does not fit a message is an error that names the path and 
   CHECK(names(why("{span: 1.0000000000000000000000001s}"), "less digits"));
   CHECK(names(why("{frame: {stamp: 1}}"), "a reference cannot be set"));
   CHECK(names(why("{u8: 1, u8: 2}"), "the YAML names the field \"u8\" twice"));
+  CHECK(names(why("{yes: true, _0: false}"), "the YAML names the field \"_0\" twice"));
   CHECK(names(why("[1]"), "it is a readable::Everything, and the YAML has a list"));
   CHECK(names(why("{[1]: 2}"), "write a map of its fields"));
   CHECK(names(why("{letter: ab}"), "lot: letter: it is a char, and the YAML has \"ab\""));
