@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdio>
+#include <utility>
 
 #include "tool/rates.hpp"
 #include "tool/report.hpp"
@@ -266,10 +267,13 @@ Exit ls(const Settings& settings, std::chrono::milliseconds interval, bool each)
   std::vector<Window*> windows;
   for (const auto& sight : found) windows.push_back(sight.window.get());
   const std::vector<Rates> rates = measure(windows, interval);
+  bool is_first = true;
   for (std::size_t i = 0; i < found.size(); ++i) {
-    if (i != 0) report.print("\n");
+    if (was_left(found[i])) continue;  // while the rates were measured
+    if (!std::exchange(is_first, false)) report.print("\n");
     list(found[i], rates[i], each, report);
   }
+  if (is_first && !found.empty()) nothing_found(settings, report);
   look_for_obstacles(settings, found, report);
   return report.finish();
 }

@@ -101,6 +101,9 @@ void judge(const Sight& sight, const Observation& seen, Report& report, Json& en
   }
   bool any_alive = false;
   for (const auto& p : seen.processes) any_alive |= p.alive;
+  if (!any_alive && was_left(sight)) {
+    return report.hint(name + " has just gone: its last process has left it");
+  }
   if (!any_alive) {
     report.ends(kWrong);
     const Waiting items = waiting(*sight.window);

@@ -71,6 +71,10 @@ Sight sight(const Where& where, const std::string& name) {
   }
 }
 
+bool was_left(const Sight& sight) {
+  return sight.window != nullptr && !sight.window->segment().is_at_its_path();
+}
+
 std::vector<Sight> sights(const Where& where) {
   std::vector<Sight> found;
   for (const auto& name : find_places(where).segments) {

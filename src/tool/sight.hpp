@@ -31,6 +31,9 @@ const char* to_string(Sight::Condition condition);
 Sight sight(const Where& where, const std::string& name);
 /// Looks at all segments that `where` names. Throws lot::Error when the directory can not be read.
 std::vector<Sight> sights(const Where& where);
+/// Whether a segment that it has looked into does not lie there any more: its last process has left
+/// it, or its file was removed.
+bool was_left(const Sight& sight);
 
 /// How a command ends (docs/tool.md).
 enum Exit : int { kWell = 0, kWrong = 1, kUsage = 2, kDamaged = 3 };

@@ -76,6 +76,7 @@ Exit once(const Settings& settings, std::chrono::milliseconds interval) {
       watch.look();
     }
     watch.refresh();
+    if (watch.segments().empty()) nothing_found(settings, report);
     for (const auto& segment : watch.segments()) add(segment, report);
     std::string text;
     for (const auto& line : Board().tables(watch.segments(), kWide)) {

@@ -632,6 +632,24 @@ TEST_CASE("a process that is stopped where other processes must pass is named, a
   is_named(in_registry, "has the registry's lock of");
 }
 
+TEST_CASE("a segment that is left while lot ls looks at it is not there") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  std::optional<lot::ShmEngine> engine(options);
+  std::optional pusher(engine->advertise<Letter>(kLetters));
+  Running ls(on(options, {"ls", "--interval", "2000"}));
+  const std::string path = options.directory + "/" + options.segment;
+  const std::string maps = "/proc/" + std::to_string(ls.child().pid()) + "/maps";
+  REQUIRE(eventually([&] { return says(bytes_of(maps), path); }));
+  pusher.reset();
+  engine.reset();
+  const Ran ran = ls.finish();
+  CHECK(ran.exit == 1);
+  CHECK(ran.out == "no segment " + path + "\n");
+  CHECK(ran.err.empty());
+}
+
 TEST_CASE("names that would steer a terminal are printed harmless, and whole as a document") {
   const Watchdog watchdog(60);
   const Room room;
