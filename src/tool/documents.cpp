@@ -43,9 +43,11 @@ std::optional<YAML::Node> Documents::next(const StopToken& stop) {
     if (stop.stop_requested()) return std::nullopt;
     read(stop);
   }
-  YAML::Node first = ready_.front();
+  const Ready first = ready_.front();
   ready_.pop_front();
-  return first;
+  document_line_ = first.line;
+  ++count_;
+  return first.node;
 }
 
 /// More of standard input, when it comes.
@@ -98,7 +100,8 @@ void Documents::take(std::size_t end) {
 void Documents::parse(const std::string& document) {
   try {
     for (const YAML::Node& node : YAML::LoadAll(document)) {
-      if (!node.IsNull()) ready_.push_back(node);
+      const auto line = line_ + static_cast<std::size_t>(node.Mark().line) + 1;
+      if (!node.IsNull()) ready_.push_back({node, line});
     }
   } catch (const YAML::DeepRecursion& e) {
     throw Error(

@@ -26,6 +26,10 @@ class Documents {
   /// The next one. Nothing: there is none any more, or it was told to stop. Throws lot::Error:
   /// EINVAL for what is no YAML, with its line.
   std::optional<YAML::Node> next(const StopToken& stop);
+  /// How many next() has given so far.
+  std::size_t count() const noexcept { return count_; }
+  /// The line in which a document of the last next() begins.
+  std::size_t line() const noexcept { return document_line_; }
 
  private:
   void read(const StopToken& stop);
@@ -39,7 +43,13 @@ class Documents {
   std::size_t line_ = 0;      ///< which line of all the document begins with
   bool has_content_ = false;  ///< lines of the document that were looked at say something
   bool has_ended_;            ///< nothing comes any more behind text_
-  std::deque<YAML::Node> ready_;
+  struct Ready {
+    YAML::Node node;
+    std::size_t line;
+  };
+  std::deque<Ready> ready_;
+  std::size_t count_ = 0;
+  std::size_t document_line_ = 1;
 };
 
 }  // namespace lot::tool

@@ -42,6 +42,8 @@ constexpr std::chrono::seconds kForReaders = 1s;
 constexpr std::chrono::milliseconds kForOnlookers = 500ms;
 /// So long it waits for memory that subscribers have yet to read.
 constexpr std::chrono::seconds kForMemory = 5s;
+/// Of an error.
+constexpr std::size_t kLine = 2000;
 /// Further behind its schedule than this it does not send faster to make up for it.
 constexpr std::chrono::seconds kMostBehind = 1s;
 
@@ -84,7 +86,8 @@ class Schedule {
 class Publication {
  public:
   Publication(const Settings& settings, const PubOptions& options)
-      : where_(settings.where),
+      : json_(settings.json),
+        where_(settings.where),
         search_(settings.where),
         options_(options),
         documents_(options.yaml),
@@ -93,6 +96,21 @@ class Publication {
   Exit run() {
     std::signal(SIGPIPE, SIG_IGN);  // so that it leaves the segment as at any other end
     const StopToken stop = stop_on_signals();
+    try {
+      return publish(stop);
+    } catch (const Error& e) {
+      return refuse(e);
+    }
+  }
+
+ private:
+  /// A message, and where it stands in the YAML.
+  struct Document {
+    YAML::Node node;
+    std::string at;  ///< empty: it is the only one
+  };
+
+  Exit publish(const StopToken& stop) {
     read_first(stop);
     if (stop.stop_requested()) return kWrong;
     deadline_ = detail::after(options_.wait);
@@ -116,7 +134,9 @@ class Publication {
     }
     AnyPusher pusher = engine.advertise_any(options_.topic, type, how);
     const auto begin = is_new ? Clock::now() + kForOnlookers : Clock::now();
-    for (const YAML::Node& message : messages_) build(pusher, message);  // to say what is wrong now
+    segment_ = *segment;
+    type_ = type.name();
+    for (const Document& message : messages_) build(pusher, message);  // to say what is wrong now
     if (options_.wait > 0s && !pusher.wait_for_readers(1, deadline_ - Clock::now(), stop)) {
       if (stop.stop_requested()) return kWrong;
       throw Error(0, options_.topic, "no process subscribes to it", "nothing was published");
@@ -126,24 +146,56 @@ class Publication {
       push(pusher, stop);
     } catch (...) {  // what came before is to be read all the same
       linger(*segment, *participant);
+      subscribers_ = pusher.readers();
       throw;
     }
     linger(*segment, *participant);
-    tell(*segment, pusher);
+    subscribers_ = pusher.readers();
+    tell();
     const Exit exit = report_.finish();
     std::fflush(stdout);
     if (options_.latch) sleep_until(Clock::time_point::max(), stop);
     return exit;
   }
 
- private:
+  /// Says what is wrong: with which document, and how many messages it has pushed before.
+  Exit refuse(const Error& error) {
+    std::string text = (at_.empty() ? "" : at_ + ": ") + reason_of(error);
+    if (comes_in()) {
+      text += "; " + plural(pushed_, "message was", "messages were") + " pushed";
+    }
+    text = shown("lot: " + text, kLine);
+    std::fprintf(stderr, "%s\n", text.c_str());
+    const Exit exit = error.error_number() == EBADMSG ? kDamaged : kWrong;
+    if (!json_) return exit;
+    report_.ends(exit);
+    report_.hint(text);
+    fill_document();
+    return report_.finish();
+  }
+
+  /// Whether the documents come from standard input.
+  bool comes_in() const { return options_.yaml == "-"; }
+
+  /// The next message of the YAML. False: there is none, or it was told to stop.
+  bool read_next(const StopToken& stop) {
+    const auto name = [&](std::size_t n) {
+      return comes_in() || n > 1 ? "document " + std::to_string(n) : std::string();
+    };
+    at_ = name(documents_.count() + 1);
+    auto node = documents_.next(stop);
+    at_.clear();
+    if (!node) return false;
+    std::string at = name(documents_.count());
+    if (!at.empty()) at += ", from line " + std::to_string(documents_.line()) + " on";
+    messages_.push_back({*node, std::move(at)});
+    return true;
+  }
+
   /// Reads all messages; of those that come by and by (standard input, once each) the first.
   void read_first(const StopToken& stop) {
-    const bool come_later = options_.yaml == "-" && !options_.hertz;
-    while (messages_.empty() || !come_later) {
-      auto message = documents_.next(stop);
-      if (!message) break;
-      messages_.push_back(std::move(*message));
+    const bool come_later = comes_in() && !options_.hertz;
+    while ((messages_.empty() || !come_later) && read_next(stop)) {
     }
     if (messages_.empty() && !stop.stop_requested()) {
       throw Error(EINVAL, "the YAML", "there is no message in it", "{} is a message of zeros");
@@ -173,21 +225,23 @@ class Publication {
     return type;
   }
 
-  static AnyLoan build(AnyPusher& pusher, const YAML::Node& message) {
+  AnyLoan build(AnyPusher& pusher, const Document& message) {
     AnyLoan loan = pusher.loan();
-    fill(loan.root(), message);
+    at_ = message.at;
+    fill(loan.root(), message.node);
+    at_.clear();
     return loan;
   }
 
   void push(AnyPusher& pusher, const StopToken& stop) {
     if (options_.hertz) return push_at_rate(pusher, *options_.hertz, stop);
     while (!messages_.empty()) {
-      for (const YAML::Node& message : messages_) {
+      for (const Document& message : messages_) {
         if (pusher.push(build(pusher, message), Duration::max(), stop) != Status::Ok) return;
         ++pushed_;
       }
       messages_.clear();
-      if (auto next = documents_.next(stop)) messages_.push_back(std::move(*next));
+      read_next(stop);
     }
   }
   void push_at_rate(AnyPusher& pusher, double hertz, const StopToken& stop) {
@@ -239,39 +293,47 @@ class Publication {
         }));
   }
 
-  void tell(const std::string& segment, const AnyPusher& pusher) {
-    const std::size_t subscribers = pusher.readers();
+  void fill_document() {
     Json& out = report_.document();
     out["command"] = "pub";
-    out["segment"] = segment;
+    out["segment"] = or_null(segment_);
     out["topic"] = options_.topic;
-    out["type"] = pusher.type().name();
+    out["type"] = or_null(type_);
     out["pushed"] = pushed_;
-    out["subscribers"] = subscribers;
+    out["subscribers"] = subscribers_;
     out["observers"] = observers_;
     out["unread"] = unread_;
+  }
+
+  void tell() {
+    fill_document();
     report_.print("pushed " + plural(pushed_, "message", "messages") + " on " +
-                  printable(options_.topic, 200) + " (" + printable(pusher.type().name()) +
-                  ") to " + plural(subscribers, "subscriber", "subscribers") + "\n");
+                  printable(options_.topic, 200) + " (" + printable(type_.value_or("")) + ") to " +
+                  plural(subscribers_, "subscriber", "subscribers") + "\n");
     if (pushed_ == 0) report_.ends(kWrong);
     if (unread_ != 0) {
       report_.hint(plural(unread_, "process has", "processes have") +
                    " not read all of it yet: subscribers get it when they look");
-    } else if (subscribers + observers_ == 0 && !options_.latch) {
+    } else if (subscribers_ + observers_ == 0 && !options_.latch) {
       report_.hint(
           "no process subscribes to it: --wait SECONDS waits for one, and --latch stays "
           "for those that come later");
     }
   }
 
+  const bool json_;
   const Where where_;
   Search search_;
   const PubOptions& options_;
   Documents documents_;
-  std::vector<YAML::Node> messages_;  ///< that are published next; at a rate, again and again
+  std::vector<Document> messages_;  ///< that are published next; at a rate, again and again
+  std::string at_;                  ///< of the document that is read now, or built
+  std::optional<std::string> segment_;
+  std::optional<std::string> type_;
   Report report_;
   Clock::time_point deadline_;  ///< for the topic and a subscriber
   std::uint64_t pushed_ = 0;
+  std::size_t subscribers_ = 0;
   std::size_t observers_ = 0;
   std::size_t unread_ = 0;  ///< processes
 };

@@ -13,7 +13,8 @@
 namespace lot::tool {
 
 using Json = nlohmann::ordered_json;
-inline Json or_null(const std::optional<double>& value) {
+template <class T>
+Json or_null(const std::optional<T>& value) {
   return value ? Json(*value) : Json(nullptr);
 }
 

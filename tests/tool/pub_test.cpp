@@ -212,7 +212,35 @@ TEST_CASE("each document of standard input is published when its end comes") {
   publishes.join();
   CHECK(ran.exit == 1);
   CAPTURE(ran.err);
-  CHECK(names(ran.err, "lot: the YAML: line 6, column"));
+  CHECK(names(ran.err, "lot: document 3: the YAML: line 6, column"));
+  CHECK(names(ran.err, "; 2 messages were pushed\n"));
+}
+
+TEST_CASE("a document that is no message is named, and JSON says how many came before") {
+  const Watchdog watchdog(60);
+  Robot robot;
+  const std::string text = "# one\nnumber: 4\n---\n---\nnumber: 5\n---\nnumber: 6\nnumbr: 7\n";
+  const Ran plain = robot.run_with(text, "-");
+  CHECK(plain.exit == 1);
+  CHECK(plain.out.empty());
+  CHECK(names(plain.err, "lot: document 3, from line 7 on: message: there is no field \"numbr\""));
+  CHECK(names(plain.err, "; 2 messages were pushed\n"));
+  for (const unsigned number : {4U, 5U}) CHECK(robot.next() == number);
+  const Ran ran = robot.run_with(text, "- --json");
+  CHECK(ran.exit == 1);
+  CHECK(ran.err == plain.err);
+  const Json told = ran.json();
+  CHECK(told["pushed"] == 2);
+  CHECK(told["exit"] == 1);
+  CHECK(told["segment"] == "s");
+  CHECK(told["subscribers"] == 1);
+  CHECK(told["hints"].at(0).get<std::string>() + "\n" == ran.err);
+  for (const unsigned number : {4U, 5U}) CHECK(robot.next() == number);
+  const Json unknown = run_lot(on(robot.options, {"pub", "/none", "{}", "--json"})).json();
+  CHECK(unknown["pushed"] == 0);
+  CHECK(unknown["segment"].is_null());
+  CHECK(unknown["type"].is_null());
+  CHECK(unknown["exit"] == 1);
 }
 
 TEST_CASE("Ctrl-C ends a lot pub that waits for standard input") {
@@ -471,7 +499,8 @@ TEST_CASE("YAML that is no message of the type is an error that says why, and pu
   CHECK(names(why(""), "there is no message in it"));
   CHECK(names(why("*unknown"), "lot: the YAML: line 1, column"));
   CHECK(names(why(std::string(100'000, '[')), "lot: the YAML: its lists and maps lie more than "));
-  CHECK(names(why("{number: 1}\n---\n{number: x}"), "lot: number: it is a uint32"));
+  CHECK(names(why("{number: 1}\n---\n{number: x}"),
+              "lot: document 2, from line 3 on: number: it is a uint32"));
   CHECK(names(why("{\"\\e[2J\": 1}"), "there is no field \"?[2J\""));
   CHECK(robot.puller.try_pull() == nullptr);
   CHECK(robot.puller.missed_total() == 0);

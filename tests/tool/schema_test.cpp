@@ -125,6 +125,8 @@ TEST_CASE("the documents of lot echo and lot pub fit the schema") {
   CHECK(pusher.push(pusher.loan(Note{1})) == lot::Status::Ok);
   CHECK(plain.push(plain.loan(Note{1})) == lot::Status::Ok);
   documents.add(on(room.options(), {"pub", "--json", "/plain", "{number: 3}"}));
+  documents.add(on(room.options(), {"pub", "--json", "/plain", "{numbr: 3}"}));
+  documents.add(on(room.options(), {"pub", "--json", "/none", "{}"}));
   CHECK(documents.judge("--self-test") == 0);
   for (const char* topic : {"/stamped", "/plain"}) {  // a message may be anything
     documents.add(on(room.options(), {"echo", "--json", "--envelope", "--count", "1", topic}));
