@@ -499,7 +499,8 @@ detail::Number Value::number() const {
     if (bits < 64) number.whole |= ~std::uint64_t{0} << bits;
   }
   if (type.kind == Kind::Bool && number.whole > 1) {
-    Access::damaged(here, "a bool is " + std::to_string(number.whole));
+    Access::refuse(here, EBADMSG, "a bool is " + std::to_string(number.whole),
+                   "its publisher has not set it; or a process writes where it should not");
   }
   return number;
 }

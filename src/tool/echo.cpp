@@ -101,9 +101,10 @@ class Echo {
     }
     if (!has_field(message.type())) return true;
     std::string text;
+    std::optional<Error> unset;  // a bool that is neither true nor false
     try {
-      const auto whole = json_ ? document<JsonWriter>(message, now, stop)
-                               : document<YamlWriter>(message, now, stop);
+      const auto whole = json_ ? document<JsonWriter>(message, now, stop, unset)
+                               : document<YamlWriter>(message, now, stop, unset);
       if (!whole) return false;
       text = json_ ? *whole + "\n" : (printed_ == 0 ? "" : "---\n") + *whole;
     } catch (const Error& e) {
@@ -112,7 +113,7 @@ class Echo {
     }
     // Output may be slow, and a borrow keeps the message's memory from its publisher.
     message.end();
-    complaints_.forget();
+    unset ? complaints_.note(*unset) : complaints_.forget();
     if (!write_out(text, stop)) return false;
     ++printed_;
     return true;
@@ -138,11 +139,11 @@ class Echo {
   /// Nothing: it was told to stop meanwhile.
   template <class Writer>
   std::optional<std::string> document(const AnyBorrow& message, Clock::time_point now,
-                                      const StopToken& stop) const {
+                                      const StopToken& stop, std::optional<Error>& unset) const {
     const Value value = message.root().at(options_.field);
     Writer out;
     if (!options_.envelope) {
-      if (!write(out, value, options_.limits, stop)) return std::nullopt;
+      if (!write(out, value, options_.limits, stop, &unset)) return std::nullopt;
       return out.take();
     }
     const Envelope envelope = message.envelope();
@@ -168,7 +169,7 @@ class Echo {
     write_time(out, "age_seconds", envelope.pushed ? std::optional(now) : std::nullopt,
                envelope.pushed.value_or(now));
     out.key("message");
-    if (!write(out, value, options_.limits, stop)) return std::nullopt;
+    if (!write(out, value, options_.limits, stop, &unset)) return std::nullopt;
     out.end_map();
     return out.take();
   }

@@ -5,6 +5,7 @@
 #include <cerrno>
 #include <cstdint>
 #include <cstdlib>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <type_traits>
@@ -20,6 +21,7 @@ namespace {
 using Access = detail::ValueAccess;
 
 const char* const kLeftOut = "...";
+const char* const kNotSet = "<damaged>";
 
 /// What lies in an array of char, a vector of char or a string; none for anything else.
 bool is_text(const Value& value) {
@@ -52,8 +54,8 @@ struct Stopped {};
 template <class Writer>
 class Teller {
  public:
-  Teller(Writer& out, const TextLimits& limits, const StopToken& stop)
-      : out_(out), limits_(limits), left_(limits.values), stop_(stop) {}
+  Teller(Writer& out, const TextLimits& limits, const StopToken& stop, std::optional<Error>* unset)
+      : out_(out), limits_(limits), left_(limits.values), stop_(stop), unset_(unset) {}
 
   void tell(const Value& value) {
     if (left_ == 0) return out_.text(kLeftOut);
@@ -71,7 +73,11 @@ class Teller {
       case Kind::Opaque:
         return tell_opaque(value);
       case Kind::Bool:
-        return out_.boolean(value.as<bool>());
+        if (is_set(value)) out_.boolean(value.as<bool>());
+        return;
+      case Kind::Enum:
+        if (is_set(value)) tell_number(value);
+        return;
       case Kind::Char:
         if (const std::string text = char_text(value); !text.empty()) return out_.text(text);
         return tell_number(value);
@@ -88,6 +94,21 @@ class Teller {
   void count_one() {
     constexpr std::uint64_t kLook = 1024;
     if (--left_ % kLook == 0 && stop_.stop_requested()) throw Stopped();
+  }
+
+  /// Whether a bool, or an enum of one, is true or false. Else it is told as damaged: the rest of
+  /// the message is not.
+  bool is_set(const Value& value) {
+    (void)Access::inside(value);
+    try {
+      (void)Access::number(value);
+      return true;
+    } catch (const Error& e) {
+      if (e.error_number() != EBADMSG) throw;
+      out_.text(kNotSet);
+      if (unset_ != nullptr && !*unset_) *unset_ = e;
+      return false;
+    }
   }
 
   /// What is checked is what is written: a faulty process may change the message meanwhile.
@@ -238,12 +259,14 @@ class Teller {
   TextLimits limits_;
   std::uint64_t left_;
   const StopToken& stop_;
+  std::optional<Error>* unset_;
 };
 
 template <class Writer>
-bool tell(Writer& out, const Value& value, const TextLimits& limits, const StopToken& stop) {
+bool tell(Writer& out, const Value& value, const TextLimits& limits, const StopToken& stop,
+          std::optional<Error>* unset) {
   try {
-    Teller<Writer>(out, limits, stop).tell(value);
+    Teller<Writer>(out, limits, stop, unset).tell(value);
     return true;
   } catch (const Stopped&) {
     return false;
@@ -259,11 +282,13 @@ std::string document_of(const Value& value, const TextLimits& limits) {
 
 }  // namespace
 
-bool write(JsonWriter& out, const Value& value, const TextLimits& limits, const StopToken& stop) {
-  return tell(out, value, limits, stop);
+bool write(JsonWriter& out, const Value& value, const TextLimits& limits, const StopToken& stop,
+           std::optional<Error>* unset) {
+  return tell(out, value, limits, stop, unset);
 }
-bool write(YamlWriter& out, const Value& value, const TextLimits& limits, const StopToken& stop) {
-  return tell(out, value, limits, stop);
+bool write(YamlWriter& out, const Value& value, const TextLimits& limits, const StopToken& stop,
+           std::optional<Error>* unset) {
+  return tell(out, value, limits, stop, unset);
 }
 
 std::string to_json(const Value& value, const TextLimits& limits) {

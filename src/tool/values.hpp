@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include <yaml-cpp/yaml.h>
 
+#include "lot/error.hpp"
 #include "lot/mutable_value.hpp"
 #include "lot/stop_token.hpp"
 #include "lot/value.hpp"
@@ -15,9 +17,12 @@
 namespace lot::tool {
 
 /// Writes the value, of which `limits` leave out what is too long. False: the token was told to
-/// stop meanwhile. Throws as Value. What is written is no whole document in both cases.
-bool write(JsonWriter& out, const Value& value, const TextLimits& limits, const StopToken& stop);
-bool write(YamlWriter& out, const Value& value, const TextLimits& limits, const StopToken& stop);
+/// stop meanwhile. Throws as Value. What is written is no whole document in both cases. A bool that
+/// is neither true nor false is written as "<damaged>", and `unset` gets the first one's error.
+bool write(JsonWriter& out, const Value& value, const TextLimits& limits, const StopToken& stop,
+           std::optional<Error>* unset = nullptr);
+bool write(YamlWriter& out, const Value& value, const TextLimits& limits, const StopToken& stop,
+           std::optional<Error>* unset = nullptr);
 /// The same as a document: JSON in one line without its end, YAML in lines. Throws as Value.
 std::string to_json(const Value& value, const TextLimits& limits = TextLimits());
 std::string to_yaml(const Value& value, const TextLimits& limits = TextLimits());

@@ -120,6 +120,16 @@ TEST_CASE("a Value does not cut a number to the type that is asked for") {
   CHECK(root["f64"].as<std::uint64_t>() == std::uint64_t{1} << 63);
 }
 
+TEST_CASE("a bool that its publisher has not set is an error, which says so") {
+  Read read;
+  std::memset(static_cast<void*>(&read.message->yes), 0xaa, 1);
+  const auto [error, text] = error_of([&] { (void)read.root()["yes"].as<bool>(); });
+  CHECK(error == EBADMSG);
+  CHECK(names(text, "lot: yes: a bool is 170"));
+  CHECK(names(text, "its publisher has not set it"));
+  CHECK(names(to_string(read.root()), "{yes: <damaged>, letter: "));
+}
+
 TEST_CASE("a field has its place as a second name, unless another one is called so") {
   Read read;
   const Value root = read.root();

@@ -634,6 +634,38 @@ TEST_CASE("a damaged message is told of, the next one is printed, and the end is
   CHECK(echo.interrupt().exit == 3);
 }
 
+TEST_CASE("a bool that is not set is marked, and the rest of the message is printed") {
+  const Watchdog watchdog(60);
+  enum class Switch : bool { Off, On };
+  struct Flags {
+    std::uint8_t number;
+    bool lit;
+    Switch too;
+    bool list[2];
+  };
+  const Room room;
+  lot::ShmEngine engine(room.options());
+  auto pusher = engine.advertise<Flags>("/flags");
+  auto flags = pusher.loan();
+  std::memset(static_cast<void*>(flags.get()), 0xaa, sizeof(Flags));
+  flags->number = 5;
+  flags->list[1] = true;
+  must_go(pusher.push(std::move(flags)));
+  const auto echo = [&](std::vector<std::string> more) {
+    std::vector<std::string> words = {"echo", "/flags", "--count", "1"};
+    words.insert(words.end(), more.begin(), more.end());
+    return run_lot(on(room.options(), words));
+  };
+  const Ran ran = echo({});
+  CHECK(ran.exit == 3);
+  CHECK(ran.out ==
+        "number: 5\nlit: \"<damaged>\"\ntoo: \"<damaged>\"\nlist: [\"<damaged>\", true]\n");
+  CHECK(names(ran.err, "* /flags: lit: a bool is 170 (Bad message); its publisher has not set it"));
+  CHECK(std::count(ran.err.begin(), ran.err.end(), '\n') == 1);
+  CHECK(echo({"--json", "--field", "lit"}).out == "\"<damaged>\"\n");
+  CHECK(echo({"--field", "number"}).exit == 0);
+}
+
 TEST_CASE("a damaged description ends lot echo with 3") {
   const Watchdog watchdog(60);
   Camera camera;
