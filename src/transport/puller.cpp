@@ -641,7 +641,7 @@ class Puller final : public RingPuller {
         }
         reader = join(ring, name, history, full);
       }
-      if (full) refuse_full();
+      if (full) refuse_full(ring);
       if (reader) {
         begin(*reader, name, std::move(publisher));
       } else {  // the ring has ended before
@@ -695,7 +695,7 @@ class Puller final : public RingPuller {
     const auto reader = join(ring, name, Reader::kFromTheStart, full);
     if (full) {
       passed_.push_back(name);  // the next look goes on
-      refuse_full();
+      refuse_full(ring);
     }
     return reader;
   }
@@ -804,9 +804,16 @@ class Puller final : public RingPuller {
                 "end it (one borrow at a time), or keep() the message");
   }
 
-  [[noreturn, gnu::cold]] void refuse_full() const {
+  [[noreturn, gnu::cold]] void refuse_full(const segment::Ring& ring) const {
+    std::uint32_t observers = 0;
+    for (std::uint32_t c = 0; c < ring.readers; ++c) {
+      observers +=
+          ring::is_observer(ring.cells[c].position.load(std::memory_order_relaxed));  // a hint
+    }
     throw Error(EUSERS, participant_->segment().path(),
-                "a publisher of the topic has all the readers that it can have",
+                "a publisher of the topic has all the " + std::to_string(ring.readers) +
+                    " readers that it can have, of which " + std::to_string(observers) +
+                    " only observe",
                 "make the segment with a larger EngineOptions::readers");
   }
 

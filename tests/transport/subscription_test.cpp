@@ -16,6 +16,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/error_of.hpp"
 #include "support/lock_owner.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
@@ -318,6 +319,26 @@ TEST_CASE("a subscribe that fails takes nothing from the other pullers of its pr
       CHECK(message->value == n);
     }
   }
+}
+
+TEST_CASE("an observer counts as a reader, and an error says how many there are") {
+  const Watchdog watchdog(100);
+  auto options = fresh();
+  options.readers = 3;
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Number>("/t");
+  lot::PullerOptions looks;
+  looks.observer = true;
+  std::vector<lot::ShmPuller<Number>> observers;
+  for (int i = 0; i < 2; ++i) {
+    observers.push_back(engine.subscribe<Number>("/t", looks));
+    (void)observers.back().try_pull();
+  }
+  const auto reader = engine.subscribe<Number>("/t");
+  const auto [error, text] = error_of([&] { (void)engine.subscribe<Number>("/t"); });
+  CHECK(error == EUSERS);
+  CAPTURE(text);
+  CHECK(text.find("all the 3 readers that it can have, of which 2 only observe") != text.npos);
 }
 
 TEST_CASE("missed() counts what memory pressure took before the publisher died") {
