@@ -100,6 +100,7 @@ enum class Reason {
   kBaseClass,
   kTooManyMembers,
   kUnclearMembers,
+  kCompilersOwn,
 };
 
 /// The largest alignment a segment gives: its mapping begins on a page.
@@ -326,7 +327,7 @@ constexpr Reason reason_against() {
   } else if constexpr (std::is_class_v<T> || std::is_union_v<T>) {
     return reason_against_class<T>();
   } else {
-    return Reason::kNotAggregate;  // A compiler's own type: __int128 in strict mode, a vector.
+    return Reason::kCompilersOwn;
   }
 }
 
@@ -466,6 +467,10 @@ struct Refused<Fault<Why, Culprit, Holders...>> {
                 "several, or the elements of an array, have no default constructor; give them "
                 "one, or specialise lot::is_trusted_message<T> if every byte of it means the same "
                 "in another process");
+  static_assert(Why != Reason::kCompilersOwn,
+                "lot: this message has a type that C++ does not know, such as __int128 without "
+                "-std=gnu++17, or a vector of the compiler; use an array of numbers, or specialise "
+                "lot::is_trusted_message<T> if every byte of it means the same in another process");
 };
 
 }  // namespace detail
