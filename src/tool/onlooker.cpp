@@ -89,6 +89,16 @@ std::optional<std::string> Search::segment_with(const std::string& topic) {
   return std::nullopt;
 }
 
+std::string Search::other_name(const std::string& topic) const {
+  const std::string other = topic.starts_with('/') ? topic.substr(1) : "/" + topic;
+  for (const Sight& s : sights(where_)) {
+    if (s.window != nullptr && what_has(*s.window, other) != Has::Nothing) {
+      return "there is " + other;
+    }
+  }
+  return "";
+}
+
 void Search::say_once(const std::string& path, const std::string& reason) {
   if (said_.insert(path).second) say_of(path, reason);
 }
@@ -160,6 +170,12 @@ std::uint64_t Onlooker::memory() const noexcept { return core_->memory(); }
 bool Onlooker::find(Deadline deadline, const StopToken& stop) {
   while (!try_to_find()) {
     say_that_it_waits("no process uses this topic yet");
+    constexpr unsigned kSeldom = 10;  // it takes as long as the look before
+    if (!has_said_other_ && looks_++ % kSeldom == 0) {
+      const std::string other = search_.other_name(topic_);
+      has_said_other_ = !other.empty();
+      if (has_said_other_) say(other);
+    }
     const auto now = std::chrono::steady_clock::now();
     if (stop.stop_requested() || now >= deadline) return false;
     std::this_thread::sleep_for(std::min<std::chrono::nanoseconds>(kLook, deadline - now));

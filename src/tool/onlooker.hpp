@@ -43,6 +43,9 @@ class Search {
   /// lot::Error: EINVAL where several have the topic; of a segment that the user named, what keeps
   /// the tool from looking there.
   std::optional<std::string> segment_with(const std::string& topic);
+  /// "there is /same", where no segment has `same`: the name with its first slash, or without.
+  /// Empty: there is none either. Throws nothing but std::bad_alloc.
+  std::string other_name(const std::string& topic) const;
 
  private:
   void say_once(const std::string& path, const std::string& reason);
@@ -114,6 +117,8 @@ class Onlooker {
   std::string type_;                       ///< name of the last one
   unsigned times_ = 0;
   bool waits_ = false;  ///< and has said so, since the last message
+  bool has_said_other_ = false;
+  unsigned looks_ = 0;  ///< for a topic that is not there
 };
 
 /// Says what is wrong with messages of a topic that goes on: once as long as the same place is. It

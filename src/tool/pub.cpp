@@ -210,7 +210,10 @@ class Publication {
   }
   [[noreturn]] void throw_unknown() const {
     if (options_.like.empty()) {
-      throw Error(ENOENT, options_.topic, "no process uses this topic, so its type is not known",
+      const std::string other = search_.other_name(options_.topic);
+      throw Error(ENOENT, options_.topic,
+                  "no process uses this topic, so its type is not known" +
+                      (other.empty() ? "" : "; " + other),
                   "start one that does, wait for it (--wait SECONDS), or name a topic of the same "
                   "type (--like TOPIC); `lot ls` lists them");
     }

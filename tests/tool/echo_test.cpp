@@ -353,6 +353,22 @@ TEST_CASE("a path that no message can have is an error, which says what there is
   CHECK(names(why("\x1b[2J"), "--field ?[2J: "));
 }
 
+TEST_CASE("a topic without its slash, or with one too much, is told what there is") {
+  const Watchdog watchdog(60);
+  const Room room;
+  lot::ShmEngine engine(room.options());
+  const auto frames = engine.advertise<Note>("/frames");
+  const auto jobs = engine.advertise<Note>("jobs");
+  Running echo(on(room.options(), {"echo", "frames"}));
+  CHECK(echo.says("* frames: there is /frames\n"));
+  Running hz(on(room.options(), {"hz", "/jobs"}));
+  CHECK(hz.says("* /jobs: there is jobs\n"));
+  Running other(on(room.options(), {"echo", "/frames/left"}));
+  CHECK(other.says("* /frames/left: no process uses this topic yet"));
+  CHECK(names(run_lot(on(room.options(), {"pub", "frames", "{}"})).err, "; there is /frames"));
+  CHECK(!names(other.interrupt().err, "there is"));
+}
+
 TEST_CASE("lot echo waits for segment, topic and publisher, and says so") {
   const Watchdog watchdog(60);
   const Room room;
