@@ -4,8 +4,10 @@
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
+#include <iostream>
 #include <new>
 #include <optional>
+#include <sstream>
 #include <string>
 #include <system_error>
 #include <vector>
@@ -14,11 +16,13 @@
 
 #include "lot/error.hpp"
 #include "lot/options.hpp"
+#include "lot/stop_token.hpp"
 
 #include "segment/layout.hpp"
 #include "segment/segment.hpp"
 #include "tool/commands.hpp"
 #include "tool/onlooker.hpp"
+#include "tool/output.hpp"
 #include "tool/writers.hpp"
 #include "transport/environment.hpp"
 
@@ -143,7 +147,8 @@ void add_echo(CLI::App& app, Arguments& arguments) {
   echo->add_option("--count", options.count, "ends after so many")
       ->check(at_least(1))
       ->type_name("NUMBER");
-  echo->add_option("--timeout", arguments.timeout, "ends when it has printed no message for so long")
+  echo->add_option("--timeout", arguments.timeout,
+                   "ends when it has printed no message for so long")
       ->check(between(0, 1e9))
       ->type_name("SECONDS");
 }
@@ -283,7 +288,9 @@ int run(int argc, char** argv) {
     }
     return kUsage;
   } catch (const CLI::ParseError& e) {
-    return app.exit(e) == 0 ? kWell : kUsage;
+    std::ostringstream asked;  // the help, or the version
+    if (app.exit(e, asked, std::cerr) != 0) return kUsage;
+    return write_out(asked.str(), lot::StopToken()) ? kWell : kWrong;
   }
   if (app.got_subcommand("doctor")) return doctor(settings);  // which tells of a bad LOT_SEGMENT
   if (const std::string wrong = objection_to(settings.where.name);

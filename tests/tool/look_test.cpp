@@ -59,7 +59,7 @@ TEST_SUITE_BEGIN("look");
 
 TEST_CASE("lot says that its output can not be written") {
   const Room room;
-  for (const char* verb : {"ls", "who", "doctor"}) {
+  for (const char* verb : {"ls", "who", "doctor", "--version", "--help", "--help-all"}) {
     CAPTURE(verb);
     for (const bool is_full : {false, true}) {
       CAPTURE(is_full);
