@@ -285,6 +285,9 @@ int run(int argc, char** argv) {
       app.exit(e);
     } else {  // which prints them from the last to the first
       app.exit(CLI::ExtrasError("lot", {unknown.rbegin(), unknown.rend()}));
+      std::string verbs;
+      for (const CLI::App* verb : app.get_subcommands({})) verbs += " " + verb->get_name();
+      std::fprintf(stderr, "The commands are:%s\n", verbs.c_str());
     }
     return kUsage;
   } catch (const CLI::ParseError& e) {

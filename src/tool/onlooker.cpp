@@ -77,7 +77,7 @@ std::optional<std::string> Search::segment_with(const std::string& topic) {
     if (s.window != nullptr) continue;
     const bool is_damaged = s.condition == Sight::Condition::Damaged;
     if (!where_.name.empty()) {
-      throw Error(is_damaged ? EBADMSG : EPERM, s.path, s.reason,
+      throw Error(is_damaged ? EBADMSG : 0, s.path, s.reason,
                   "`lot doctor` and `lot ls` say what to do");
     }
     say_once(s.path, to_string(s.condition) + (": " + s.reason));

@@ -3,6 +3,7 @@
 
 #include <cerrno>
 #include <optional>
+#include <string_view>
 #include <utility>
 
 #include "lot/error.hpp"
@@ -29,6 +30,15 @@ const char* to_string(Sight::Condition condition) {
 
 namespace {
 
+/// What an error says, without the path where that is the segment's own: it stands before.
+std::string reason_of(const Error& e, const std::string& path) {
+  std::string_view text = e.what();
+  for (const std::string& begin : {std::string("lot: "), path + ": "}) {
+    if (text.starts_with(begin)) text.remove_prefix(begin.size());
+  }
+  return std::string(text);
+}
+
 /// Looks at a segment. Nothing: the segment was not there, or went meanwhile.
 std::optional<Sight> try_sight(const Where& where, const std::string& name) {
   using segment::Segment;
@@ -54,7 +64,7 @@ std::optional<Sight> try_sight(const Where& where, const std::string& name) {
     s.condition = segment::means_damage(e)    ? Sight::Condition::Damaged
                   : e.error_number() == EPERM ? Sight::Condition::Untrusted
                                               : Sight::Condition::Unreadable;
-    if (s.reason.empty()) s.reason = e.what();
+    if (s.reason.empty()) s.reason = reason_of(e, s.path);
   }
   return s;
 }

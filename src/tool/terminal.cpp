@@ -130,8 +130,8 @@ Terminal::Terminal() : screen_(nullptr) {
   const char* const type = std::getenv("TERM");
   SCREEN* const screen = newterm(nullptr, stdout, stdin);
   if (screen == nullptr) {
-    throw Error(ENOTTY, printable(type != nullptr ? type : ""),
-                "ncurses does not know this terminal (TERM)",
+    throw Error(0, "TERM=" + printable(type != nullptr ? type : ""),
+                "ncurses does not know this terminal",
                 "set TERM to one that it knows, or use `lot top --once`");
   }
   screen_ = new Screen{screen};

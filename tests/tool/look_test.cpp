@@ -632,6 +632,40 @@ TEST_CASE("a process that is stopped where other processes must pass is named, a
   is_named(in_registry, "has the registry's lock of");
 }
 
+TEST_CASE("what can not be read is told with its path and the system's words once") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  const lot::ShmEngine engine(options);
+  const std::string path = options.directory + "/" + options.segment;
+  REQUIRE(chmod(path.c_str(), 0666) == 0);  // open to too many
+  const auto count = [](const std::string& text, const std::string& what) {
+    std::size_t n = 0;
+    for (auto at = text.find(what); at != text.npos; at = text.find(what, at + 1)) ++n;
+    return n;
+  };
+  const std::string kReason = "Operation not permitted";
+  const Ran ls = run_lot(on(options, {"ls"}));
+  CAPTURE(ls.out);
+  CHECK(ls.exit == 1);
+  CHECK(says(ls.out, "s  " + path + "\n  not trusted: "));
+  CHECK(count(ls.out, path) == 1);
+  CHECK(count(ls.out, kReason) == 1);
+  const Ran echo = run_lot(on(options, {"echo", kLetters, "--timeout", "0"}));
+  CAPTURE(echo.err);
+  CHECK(echo.exit == 1);
+  CHECK(echo.err.starts_with("lot: " + path + ": "));
+  CHECK(count(echo.err, path) == 1);
+  CHECK(count(echo.err, kReason) == 1);
+}
+
+TEST_CASE("an unknown command is told which ones there are") {
+  const Ran ran = run_lot({"foo"});
+  CHECK(ran.exit == 2);
+  CHECK(says(ran.err, "foo"));
+  CHECK(says(ran.err, "The commands are: ls top who echo pub hz bw delay clean doctor\n"));
+}
+
 TEST_CASE("a segment that is left while lot ls looks at it is not there") {
   const Watchdog watchdog(60);
   const Room room;

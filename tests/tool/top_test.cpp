@@ -295,6 +295,17 @@ TEST_CASE("q, Ctrl-C and a signal end lot top, and leave the terminal as it was"
   for (const int signal : {SIGTERM, SIGHUP, SIGSEGV, SIGABRT}) ends("", signal);
 }
 
+TEST_CASE("lot top names the TERM that ncurses does not know") {
+  const Watchdog watchdog(100);
+  const Room room;
+  const lot::ShmEngine engine(room.options());
+  const Terminal terminal(room, 150, 20,
+                          "TERM= " + top_of(room.options()) + "; echo ended by $?; sleep 100");
+  CHECK_MESSAGE(terminal.shows("lot: TERM=: ncurses does not know this terminal; set TERM to"),
+                terminal.text());
+  CHECK(terminal.shows("ended by 1"));
+}
+
 TEST_CASE("a signal ends lot top also where its terminal takes nothing") {
   const Watchdog watchdog(100);
   const Room room;
