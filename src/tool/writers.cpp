@@ -53,6 +53,11 @@ bool steers(std::uint32_t code) {
          (code >= 0x2066 && code <= 0x2069) || code == 0xfeff;
 }
 
+/// What yaml-cpp escapes only together with all that is not ASCII.
+bool steers_unescaped(std::uint32_t code) {
+  return steers(code) && (code == 0x7f || code > 0xa0) && code != 0xfeff;
+}
+
 /// What Unicode calls no character: yaml-cpp writes U+FFFD for one.
 bool is_no_character(std::uint32_t code) {
   return (code & 0xfffe) == 0xfffe || (code >= 0xfdd0 && code <= 0xfdef);
@@ -148,7 +153,7 @@ void JsonWriter::number(std::string_view text) {
 
 void YamlWriter::quoted(std::string_view text) {
   std::string clean(description::is_utf8(text) ? text : as_utf8(text));
-  if (has(clean, steers)) out_ << YAML::EscapeNonAscii;
+  if (has(clean, steers_unescaped)) out_ << YAML::EscapeNonAscii;
   out_ << YAML::DoubleQuoted << clean;
 }
 void YamlWriter::key(std::string_view name) {

@@ -223,6 +223,16 @@ TEST_CASE("no text of a message steers a terminal, and what reads the text gets 
                           "x1_: 7\n\"1\": 7\n");
 }
 
+TEST_CASE("only what steers a terminal is escaped in YAML, and no umlaut beside it") {
+  Shown shown;
+  shown.message->text =
+      "Gr\xc3\xb6\xc3\x9f"
+      "e\n\x1b[2J\xc2\x9b";
+  CHECK(shown.yaml("text") ==
+        "\"Gr\xc3\xb6\xc3\x9f"
+        "e\\n\\x1b[2J\\x9b\"\n");
+}
+
 TEST_CASE("an error is shown as it is, but for what steers a terminal") {
   using lot::tool::shown;
   CHECK(shown("gr\xc3\xb6\xc3\x9f"
