@@ -233,7 +233,8 @@ class Value {
   std::size_t size() const;
   /// An element, or a field by its number. Throws lot::Error.
   Value operator[](std::size_t i) const;
-  /// A field. Throws lot::Error.
+  /// A field by its name, or by its place (`_0`, `_1`, ...) where none is called so. Throws
+  /// lot::Error.
   Value operator[](std::string_view field) const;
   /// A field of a field, an element of a vector and so on: "labels[2].name". Throws lot::Error,
   /// which says what is wrong with the path, and which fields there are.

@@ -17,22 +17,10 @@ namespace {
 
 using Access = detail::ValueAccess;
 
-std::string text_of(const detail::Number& number) {
-  if (number.is_real) {
-    char text[64];
-    const auto rounded = static_cast<double>(number.real);
-    if (rounded == number.real) return std::string(description::text_of_number(rounded, text));
-    std::snprintf(text, sizeof text, "%.21Lg", number.real);
-    return text;
-  }
-  return number.is_negative ? std::to_string(static_cast<std::int64_t>(number.whole))
-                            : std::to_string(number.whole);
-}
-
 [[noreturn]] void does_not_fit(const Value& value, const detail::Number& number) {
   Access::refuse(
       value, ERANGE,
-      text_of(number) + " does not fit a " + value.type_name() +
+      description::number_text(number) + " does not fit a " + value.type_name() +
           (Access::bits(value) == 0 ? "" : " of " + std::to_string(Access::bits(value)) + " bits"));
 }
 
@@ -164,8 +152,7 @@ void MutableValue::set_ticks(const detail::Number& count, detail::Period period)
   detail::Number ticks;
   if (!description::convert(count, period, {type->numerator, type->denominator}, rounded, ticks)) {
     Access::refuse(value_, ERANGE,
-                   text_of(count) + " * " + std::to_string(period.numerator) + "/" +
-                       std::to_string(period.denominator) + " s is no whole number of its units (" +
+                   description::seconds_text(count, period) + " is no whole number of its units (" +
                        std::to_string(type->numerator) + "/" + std::to_string(type->denominator) +
                        " s), or too many");
   }

@@ -69,6 +69,12 @@ std::string number_text(const Value& value) {
   return number.is_real ? real_text(number.real, here.type().size) : whole_text(number);
 }
 
+std::string number_text(const detail::Number& number) {
+  const bool is_double = number.is_real && static_cast<double>(number.real) == number.real;
+  return number.is_real ? real_text(number.real, is_double ? sizeof(double) : sizeof(long double))
+                        : whole_text(number);
+}
+
 std::string seconds_text(const Value& value) {
   const Value here = value.target();
   const Description::Type& type = duration_of(here);
@@ -76,15 +82,19 @@ std::string seconds_text(const Value& value) {
   if (type.kind != Kind::Duration || type.numerator <= 0 || type.denominator <= 0) {
     detail::ValueAccess::damaged(here, "it has no period");
   }
+  return seconds_text(count, {type.numerator, type.denominator});
+}
+
+std::string seconds_text(const detail::Number& count, detail::Period period) {
   if (count.is_real) {
-    return real_text(count.real * static_cast<long double>(type.numerator) /
-                         static_cast<long double>(type.denominator),
+    return real_text(count.real * static_cast<long double>(period.numerator) /
+                         static_cast<long double>(period.denominator),
                      sizeof(double)) +
            "s";
   }
-  const auto common = std::gcd(type.numerator, type.denominator);
-  const auto above = static_cast<std::uint64_t>(type.numerator / common);
-  const auto below = static_cast<std::uint64_t>(type.denominator / common);
+  const auto common = std::gcd(period.numerator, period.denominator);
+  const auto above = static_cast<std::uint64_t>(period.numerator / common);
+  const auto below = static_cast<std::uint64_t>(period.denominator / common);
   const std::uint64_t size = count.is_negative ? ~count.whole + 1 : count.whole;
   std::uint64_t parts = 0;
   std::uint64_t power = 1;

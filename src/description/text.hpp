@@ -26,6 +26,10 @@ std::string number_text(const Value& value);
 /// A duration, or a time point since its epoch, in seconds: "-1.000000005s"; "7 * 1/3s" where that
 /// has no end in decimals. Throws as Value::as().
 std::string seconds_text(const Value& value);
+/// The same of a count of periods, which are above 0.
+std::string seconds_text(const detail::Number& count, detail::Period period);
+/// A number as it is, the shortest text that is this double, or this long double.
+std::string number_text(const detail::Number& number);
 /// The text of an array of char, up to its first zero.
 std::string_view text_of_chars(const Value& value);
 bool is_utf8(std::string_view text) noexcept;

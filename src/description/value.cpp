@@ -11,6 +11,7 @@
 #include "description/containers.hpp"
 #include "description/ratio.hpp"
 #include "description/reader.hpp"
+#include "description/text.hpp"
 
 namespace lot {
 
@@ -592,11 +593,9 @@ Bytes Value::bytes() const {
 }
 
 void Value::cannot_have(const detail::Number& number) const {
-  const std::string text = number.is_real ? std::to_string(number.real)
-                           : number.is_negative
-                               ? std::to_string(static_cast<std::int64_t>(number.whole))
-                               : std::to_string(number.whole);
-  Access::refuse(*this, ERANGE, "it is " + text + ", which the type that is asked for cannot have");
+  Access::refuse(*this, ERANGE,
+                 "it is " + description::number_text(number) +
+                     ", which the type that is asked for cannot have");
 }
 
 }  // namespace lot

@@ -108,7 +108,9 @@ TEST_CASE("a Value does not cut a number to the type that is asked for") {
   CHECK(root["i64"].as<double>() == -0x1p63);
   CHECK(error_of([&] { (void)root["f64"].as<int>(); }).first == ERANGE);
   read.message->f64 = 1e300;
-  CHECK(error_of([&] { (void)root["f64"].as<float>(); }).first == ERANGE);
+  const auto [error, text] = error_of([&] { (void)root["f64"].as<float>(); });
+  CHECK(error == ERANGE);
+  CHECK(names(text, "lot: f64: it is 1e+300, which the type"));
   CHECK(error_of([&] { (void)root["f64"].as<std::uint64_t>(); }).first == ERANGE);
   read.message->f64 = std::numeric_limits<double>::quiet_NaN();
   CHECK(std::isnan(root["f64"].as<float>()));
