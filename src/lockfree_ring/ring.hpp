@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "lockfree_ring/claims.hpp"
+#include "lockfree_ring/slots.hpp"
 #include "lockfree_ring/words.hpp"
 #include "lockfree_ring/writer_word.hpp"
 #include "robust_mutex/robust_condition.hpp"
@@ -97,7 +98,7 @@ struct Ring {
   using Atomic = typename P::template Atomic<T>;
 
   WriterWord<P>* writer = nullptr;          ///< names the publisher
-  Atomic<Word>* slots = nullptr;            ///< [depth]
+  Slots<P> slots;                           ///< [places()]
   Cell<P>* cells = nullptr;                 ///< [readers]
   Atomic<std::uint32_t>* who = nullptr;     ///< [readers] 0, or participant + 1
   Atomic<std::uint32_t>* roster = nullptr;  ///< bumped by each joiner: "look at who[] again"
@@ -119,7 +120,14 @@ struct Ring {
   /// never looks there. Null: there is none.
   void* extra = nullptr;
 
-  /// True where a reader protects the message that it looks at by a hazard. Else its cursor does.
+  /// True where messages travel in the slots themselves (slots.hpp).
+  bool in_slots() const { return slots.have_messages(); }
+  /// How many slots there are. Where messages are in the slots there is one more than `depth`: the
+  /// slot that is written next has no message. So a publisher that is killed while it writes takes
+  /// none away. A lossless ring whose messages are taken needs none: it writes into empty slots.
+  std::uint32_t places() const { return depth + (in_slots() && !(taken && blocking) ? 1 : 0); }
+  /// True where the cursor of a reader does not hold the sender back: a hazard protects the block
+  /// that it looks at, or a message in its slot is copied.
   bool guarded() const { return taken || !blocking; }
 
   /// Makes the words of a new ring. REQUIRES: writer is INIT and the caller owns it.
@@ -129,9 +137,9 @@ struct Ring {
     space->store(0, std::memory_order_relaxed);                              // R7
     if (returned != nullptr) returned->store(0, std::memory_order_relaxed);  // R7
     floor->store(first, std::memory_order_relaxed);                          // R7
-    for (std::uint32_t i = 0; i < depth; ++i) {
-      const Word before = advance(first, Word{i} - depth);
-      slots[i].store(make(before, kNoBlock), std::memory_order_relaxed);  // R7
+    for (std::uint32_t i = 0; i < places(); ++i) {
+      const Word before = advance(first, Word{i} - places());
+      slots.format(i, before);  // R7
       // R7
       if (claims != nullptr) claims[i].store(make_claim(before, 0, 0), std::memory_order_relaxed);
     }
@@ -209,7 +217,7 @@ struct Ring {
   /// wrapped the ring has long been full, and this is the depth.
   std::uint64_t published(Word head) const {
     const std::int64_t since_first = distance(head, first);
-    if (since_first < 0 || (since_first < depth && slot_was_used(depth - 1))) return depth;
+    if (since_first < 0 || (since_first < places() && slot_was_used(places() - 1))) return depth;
     return static_cast<std::uint64_t>(since_first);
   }
   /// False while slot i is as format() made it.
@@ -217,7 +225,7 @@ struct Ring {
     // Relaxed: a joiner depends on its seq_cst loads of the slots (R4), not on this one. The writer
     // has written the slots itself.
     const Word word = slots[i].load(std::memory_order_relaxed);
-    return block(word) != kNoBlock || sequence(word) != advance(first, Word{i} - depth);
+    return block(word) != kNoBlock || sequence(word) != advance(first, Word{i} - places());
   }
 
   /// True when a reader's position names the block: a hint.
@@ -233,13 +241,13 @@ struct Ring {
   /// before. The caller then wakes all sleepers, whatever the marks were.
   void clear_sleepers() {
     if (arrived != nullptr) return RobustCondition(*arrived).renew();
-    for (std::uint32_t i = 0; i < depth; ++i) clear_sleeper(slots[i]);
+    for (std::uint32_t i = 0; i < places(); ++i) clear_sleeper(slots[i]);
   }
   /// Calls wake(word) for each word on which a reader may sleep.
   template <class Wake>
   void wake_sleepers(Wake&& wake) {
     if (arrived != nullptr) return wake(*arrived);
-    for (std::uint32_t i = 0; i < depth; ++i) wake(slots[i]);
+    for (std::uint32_t i = 0; i < places(); ++i) wake(slots[i]);
   }
 
   /// Takes back the claims of a dead worker, so that any worker may claim those messages again.
@@ -290,7 +298,7 @@ struct Ring {
   bool has_news() const {
     if (depth == 0) return false;  // a process that was killed in recycling leaves a ring like this
     if (!taken) return slot_was_used(0);
-    for (std::uint32_t i = 0; i < depth; ++i) {
+    for (std::uint32_t i = 0; i < places(); ++i) {
       // Relaxed: the lock for ended rings carries what was written or taken under it.
       if (block(slots[i].load(std::memory_order_relaxed)) != kNoBlock) return true;
     }
@@ -310,9 +318,10 @@ class Writer {
   };
 
   Writer() = default;
-  explicit Writer(const Ring<P>& ring) : ring_(ring), next_(ring.first), floor_(ring.first) {
+  explicit Writer(const Ring<P>& ring)
+      : ring_(ring), places_(ring.places()), next_(ring.first), floor_(ring.first) {
     active_.reserve(ring.readers);
-    if (ring.taken) put_.resize(ring.depth, kNoBlock);
+    if (ring.taken && !ring.in_slots()) put_.resize(ring.depth, kNoBlock);
   }
 
   /// True if the next publish overwrites nothing that a reader still needs. Always true where
@@ -342,21 +351,39 @@ class Writer {
     const Word old = slot.exchange(make(next_, block), std::memory_order_seq_cst);  // R1, R2, R4
     Published published{ring::block(old), (old & kSleeper) != 0, &slot};
     if (ring_.arrived != nullptr) published.wake = RobustCondition(*ring_.arrived).changed();
-    if (ring_.taken) {
+    if (!put_.empty()) {
       published.replaced = std::exchange(put_[index_], block);
       if (published.replaced != kNoBlock && oldest_ == index_) oldest_ = after(index_);
     }
     next_ = next(next_);
-    if (++index_ == ring_.depth) {
+    if (++index_ == places_) {
       index_ = 0;
       ++laps_;
     }
     prefetch();
     return published;
   }
+  /// Publishes a message in its slot: so many words of it, the last of which may end behind it, and
+  /// the time of the push if `time` is not null. It replaces no block. REQUIRES: room(); the
+  /// messages of the ring are in its slots.
+  ///
+  /// Crash: killed before the exchange, the message was never published. Killed behind it, the
+  /// message is there; where messages are overwritten, so is the one that it should have replaced.
+  [[gnu::hot]] Published publish(const void* message, std::size_t words, const Word* time) {
+    ring_.slots.write(index_, message, words, time);
+    Published published = publish(kInSlot);
+    published.replaced = kNoBlock;
+    if (!ring_.taken) {
+      ring_.slots.begin(index_, next_);
+    } else if (!ring_.blocking) {
+      // A taker that is in its copy there will find that the message is not its own.
+      ring_.slots[index_].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R10
+    }
+    return published;
+  }
   /// Fetches the slot of the next message into this core's cache: a reader that looked at it has
   /// its line.
-  void prefetch() const { P::prefetch_write(&ring_.slots[index_]); }
+  void prefetch() const { ring_.slots.prefetch_write(index_); }
 
   /// Calls gone(block) for messages that readers have taken out of their slots. The caller retires
   /// the holds on them. REQUIRES: the messages of the ring are taken.
@@ -365,6 +392,7 @@ class Writer {
   /// finished message: one task that takes long must not hold up the others.
   template <class Gone>
   void each_taken(Gone&& gone) {
+    if (put_.empty()) return;
     if (ring_.claims != nullptr) return each_finished(gone);
     for (std::uint32_t n = 0; n < ring_.depth; ++n) {
       Word& put = put_[oldest_];
@@ -425,7 +453,7 @@ class Writer {
       const std::uint32_t i = oldest_slot(n);
       // Relaxed: only the writer puts a block into a slot.
       const Word held =
-          ring_.taken ? put_[i] : block(ring_.slots[i].load(std::memory_order_relaxed));
+          !put_.empty() ? put_[i] : block(ring_.slots[i].load(std::memory_order_relaxed));
       if (held == kNoBlock) note_empty(n);
       if (held == kNoBlock || !may(held)) continue;
       return take_out(n) ? held : kNoBlock;
@@ -462,6 +490,7 @@ class Writer {
   /// the caller asks hazards() before it uses that block again. REQUIRES: the call comes behind the
   /// replacement. A joiner that this does not see finds the slot as it is now (R4).
   bool readers_may_look() {
+    if (ring_.in_slots()) return false;  // there are no blocks
     if (ring_.guarded()) return true;
     refresh_roster();
     return observers_ != 0;
@@ -526,11 +555,12 @@ class Writer {
   }
 
  private:
-  std::uint32_t after(std::uint32_t i) const { return i + 1 == ring_.depth ? 0 : i + 1; }
+  std::uint32_t after(std::uint32_t i) const { return i + 1 == places_ ? 0 : i + 1; }
   /// The slot of the n-th oldest message that the ring can hold. REQUIRES: n < depth.
   std::uint32_t oldest_slot(std::uint32_t n) const {
-    const std::uint32_t i = index_ + n;
-    return i < ring_.depth ? i : i - ring_.depth;
+    const std::uint32_t places = places_;
+    const std::uint32_t i = index_ + (places - ring_.depth) + n;
+    return i < places ? i : i - places;
   }
 
   /// The number of the oldest slots that all readers have read. None where each message is for one
@@ -546,7 +576,7 @@ class Writer {
   }
 
   /// How many messages were published: the place of the oldest slot. Does not wrap, as next_ does.
-  std::uint64_t place() const { return laps_ * ring_.depth + index_; }
+  std::uint64_t place() const { return laps_ * places_ + index_; }
   /// So many of the oldest slots hold no message, for sure. So an eviction need not look at what
   /// the evictions before it have emptied.
   std::uint32_t empty_slots() const {
@@ -562,7 +592,7 @@ class Writer {
     if (!ring_.guarded() && !close_off(advance(next_, Word{n} - ring_.depth))) return false;
     // fetch_or makes the block kNoBlock and leaves sequence and sleeper as they are.
     ring_.slots[i].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R2
-    if (ring_.taken) put_[i] = kNoBlock;
+    if (!put_.empty()) put_[i] = kNoBlock;
     if (oldest_ == i) oldest_ = after(i);
     note_empty(n);
     return true;
@@ -635,6 +665,7 @@ class Writer {
   }
 
   Ring<P> ring_;
+  std::uint32_t places_ = 0;  ///< ring_.places()
   Word next_ = 0;
   Word minimum_ = 0;
   Word floor_ = 0;           ///< what *ring_.floor says
@@ -644,9 +675,10 @@ class Writer {
   bool minimum_known_ = false;
   std::vector<std::uint32_t> active_;
   std::size_t observers_ = 0;  ///< of active_; a number that may be too large when some have left
-  std::vector<Word> put_;     ///< by slot, if messages are taken: the block whose hold the ring has
-  std::uint32_t oldest_ = 0;  ///< slot of the oldest of put_
-  std::uint64_t laps_ = 0;    ///< how often index_ has come back to 0
+  /// By slot: the block whose hold the ring has, if blocks are taken. Else it is empty.
+  std::vector<Word> put_;
+  std::uint32_t oldest_ = 0;   ///< slot of the oldest of put_
+  std::uint64_t laps_ = 0;     ///< how often index_ has come back to 0
   std::uint64_t emptied_ = 0;  ///< no slot before this place holds a message; counted as place()
 };
 
@@ -706,12 +738,14 @@ class Reader {
     auto& position = ring.cells[c].position;
     Reader reader;
     const bool observes = manner == Manner::Observes;
-    reader.mark_ = observes ? kObserves : 0;
+    reader.mark_ = observes ? std::uint32_t{kObserves} : 0;
     reader.guarded_ = ring.guarded() || observes;
+    reader.hazards_ = reader.guarded_ && !ring.in_slots();
     Word wish = observes ? kObserverJoins : joining(std::min<std::uint64_t>(history, ring.depth));
     if (observes || !ring.guarded()) position.store(wish, std::memory_order_release);  // R3, R14
     ring.roster->fetch_add(1, std::memory_order_seq_cst);                              // R4, R15
     reader.ring_ = ring;
+    reader.places_ = ring.places();
     reader.cell_ = c;
     reader.start_at_newest(history);
     // From here the cursor holds the sender back. The former reader of the cell may have borrowed a
@@ -726,7 +760,7 @@ class Reader {
       const std::int64_t before = distance(reader.cursor_, ring.first);
       reader.skipped_ = history == kFromTheStart && before > 0 ? static_cast<Word>(before) : 0;
     }
-    reader.asked_ = reader.cursor_;
+    reader.asked_ = low_half(reader.cursor_);
     return reader;
   }
 
@@ -749,18 +783,22 @@ class Reader {
       }
       Reader reader;
       reader.ring_ = ring;
+      reader.places_ = ring.places();
       reader.guarded_ = ring.guarded();
+      reader.hazards_ = reader.guarded_ && !ring.in_slots();
       reader.cell_ = c;
-      reader.cursor_ = reader.asked_ = sequence(position);  // in slot 0
+      reader.cursor_ = sequence(position);  // in slot 0
+      reader.asked_ = low_half(reader.cursor_);
       return reader;
     }
     return std::nullopt;
   }
 
   /// Borrows the next message: its block, or kNoBlock when there is none. The block and its payload
-  /// are protected until done(). Adds to `missed` the messages that were overwritten before this
-  /// reader could read them. kDamaged: a process that is no publisher here has written into the
-  /// ring; done() goes on behind that slot.
+  /// are protected until done(). kInSlot: the caller copies the message, which nothing protects.
+  /// Adds to `missed` the messages that were overwritten before this reader could read them.
+  /// kDamaged: a process that is no publisher here has written into the ring; done() goes on behind
+  /// that slot.
   [[gnu::hot]] Word poll(std::uint64_t& missed) {
     Word lapped = 0;
     return poll(missed, lapped);
@@ -780,7 +818,7 @@ class Reader {
         lapped += static_cast<Word>(ahead);
         // No publisher leaps by less than whole laps. A leap through half of all sequences is
         // damage, too: the loop might never end.
-        if (ahead % ring_.depth != 0 || lapped > kSequenceMask / 2) return kDamaged;
+        if (ahead % places_ != 0 || lapped > kSequenceMask / 2) return kDamaged;
         skip(static_cast<Word>(ahead) + 1 - ring_.depth, missed);
         continue;
       }
@@ -788,7 +826,7 @@ class Reader {
         skip(1, missed);
         continue;
       }
-      if (guarded_) {
+      if (hazards_) {
         auto& position = ring_.cells[cell_].position;
         position.store(seen | mark_, std::memory_order_seq_cst);            // R2
         if (place(slot.load(std::memory_order_seq_cst)) != seen) continue;  // R2
@@ -796,6 +834,18 @@ class Reader {
       drained_ = false;
       return block(seen);
     }
+  }
+
+  /// Copies the message that poll() has found in its slot, and the time of its push if `time` is
+  /// not null. False: it was overwritten meanwhile, and counts as missed; the caller polls again.
+  /// Damaged: as kDamaged of poll(). REQUIRES: poll() has returned kInSlot; the message is not
+  /// longer than the ring's slots have room for.
+  ///
+  /// It may be called again until done(): without loss it is then the same message.
+  [[gnu::hot]] Copy copy(void* into, std::size_t words, Word* time, std::uint64_t& missed) {
+    const Copy copy = ring_.slots.read(index_, cursor_, places_, into, words, time);
+    if (copy == Copy::Overwritten) skip(1, missed);
+    return copy;
   }
 
   /// Takes the message that poll() has found out of the ring, for this reader alone. False: another
@@ -840,11 +890,14 @@ class Reader {
   /// it may be wrong.
   Word peek(std::uint32_t ahead) const {
     if (ahead >= ring_.depth) return kNoBlock;
-    const std::uint32_t i = index_ + ahead;
     // Relaxed: for prefetching only.
-    const Word seen =
-        ring_.slots[i < ring_.depth ? i : i - ring_.depth].load(std::memory_order_relaxed);
+    const Word seen = ring_.slots[slot_ahead(ahead)].load(std::memory_order_relaxed);
     return sequence(seen) == advance(cursor_, ahead) ? block(seen) : kNoBlock;
+  }
+  /// Fetches the slot of the message that is `ahead` of the next one, if that is there. REQUIRES:
+  /// messages are in their slots.
+  void prefetch(std::uint32_t ahead) const {
+    if (peek(ahead) == kInSlot) ring_.slots.prefetch_rest(slot_ahead(ahead));
   }
 
   /// Ends a borrow. Returns true when the sender sleeps for room: the caller then calls ring_bell()
@@ -854,10 +907,10 @@ class Reader {
     step(1);
     ring_.cells[cell_].position.store(make(cursor_, kNoBlock) | mark_,
                                       std::memory_order_release);  // R3
-    if (!ring_.blocking || mark_ != 0 || distance(cursor_, asked_) < ring_.depth / kBellsPerLap) {
+    if (!ring_.blocking || mark_ != 0 || low_half(cursor_) - asked_ < ring_.depth / kBellsPerLap) {
       return false;
     }
-    asked_ = cursor_;
+    asked_ = low_half(cursor_);
     // Relaxed: this may see a stale even number, and not every message makes this call. In both
     // cases the next empty poll rings, or the sender finds the room by its own look every
     // millisecond.
@@ -962,7 +1015,7 @@ class Reader {
       const Word seen = ring_.slots[i].load(std::memory_order_relaxed);  // only counted
       if (distance(sequence(seen), advance(cursor_, ahead)) < 0) break;
       if (block(seen) != kNoBlock) ++n;
-      if (++i == ring_.depth) i = 0;
+      if (++i == places_) i = 0;
     }
     return n;
   }
@@ -972,13 +1025,15 @@ class Reader {
   std::uint32_t cell() const { return cell_; }
 
  private:
+  static std::uint32_t low_half(Word sequence) { return static_cast<std::uint32_t>(sequence); }
+
   /// Puts the cursor `history` messages before the newest one, as far as the ring goes back.
   void start_at_newest(std::uint64_t history) {
     // The floor before the slots: so the floor is not beyond the newest message found in them.
     const Word lowest = ring_.floor->load(std::memory_order_seq_cst);  // R15
     newest_index_ = 0;
     newest_ = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
-    for (std::uint32_t i = 1; i < ring_.depth; ++i) {
+    for (std::uint32_t i = 1; i < places_; ++i) {
       const Word here = sequence(ring_.slots[i].load(std::memory_order_seq_cst));  // R4
       if (distance(here, newest_) > 0) {
         newest_ = here;
@@ -1014,17 +1069,22 @@ class Reader {
   void start_at(Word cursor) {
     cursor_ = cursor;
     // Sequences and indexes advance together, also where the sequences wrap.
-    const std::int64_t depth = ring_.depth;
-    const std::int64_t ahead = distance(cursor, newest_) % depth + depth;
-    index_ = static_cast<std::uint32_t>((newest_index_ + ahead) % depth);
+    const std::int64_t places = places_;
+    const std::int64_t ahead = distance(cursor, newest_) % places + places;
+    index_ = static_cast<std::uint32_t>((newest_index_ + ahead) % places);
+  }
+  /// REQUIRES: ahead < depth.
+  std::uint32_t slot_ahead(std::uint32_t ahead) const {
+    const std::uint32_t i = index_ + ahead;
+    return i < places_ ? i : i - places_;
   }
 
   void step(Word by) {
     cursor_ = advance(cursor_, by);
     if (by == 1) {
-      if (++index_ == ring_.depth) index_ = 0;
+      if (++index_ == places_) index_ = 0;
     } else {
-      index_ = static_cast<std::uint32_t>((index_ + by) % ring_.depth);
+      index_ = static_cast<std::uint32_t>((index_ + by) % places_);
     }
   }
 
@@ -1036,12 +1096,12 @@ class Reader {
 
   void when_empty() {
     auto& position = ring_.cells[cell_].position;
-    if (guarded_) {
+    if (hazards_) {
       position.store(make(cursor_, kNoBlock) | mark_,
                      std::memory_order_release);  // R3: lets a hazard go
     } else if (!drained_) {
       drained_ = true;
-      position.store(make(cursor_, kNoBlock), std::memory_order_seq_cst);  // R6
+      position.store(make(cursor_, kNoBlock) | mark_, std::memory_order_seq_cst);  // R6
     }
   }
 
@@ -1051,12 +1111,14 @@ class Reader {
   Word newest_ = 0;                 ///< the newest message when this reader joined
   std::uint32_t newest_index_ = 0;  ///< the slot of newest_
   std::uint32_t index_ = 0;
+  std::uint32_t places_ = 0;  ///< ring_.places()
   std::uint32_t cell_ = 0;
-  Word asked_ = 0;              ///< cursor when done() last asked whether the sender waits
+  std::uint32_t asked_ = 0;     ///< low half of cursor_ when done() last asked for the sender
   std::uint32_t returned_ = 0;  ///< the ring's `returned` when look_back() last looked
+  std::uint32_t mark_ = 0;      ///< kObserves, or 0: a part of each position
   bool drained_ = false;
-  bool guarded_ = false;  ///< its hazard protects the message that it looks at, else its cursor
-  Word mark_ = 0;         ///< kObserves, or 0: a part of each position
+  bool guarded_ = false;  ///< its cursor does not hold the sender back
+  bool hazards_ = false;  ///< its hazard protects the block that it looks at
 };
 
 }  // namespace lot::ring

@@ -110,7 +110,7 @@ void wake_sleepers(Ring& ring, Wake&& wake) {
     wake(*ring.arrived);
     return;
   }
-  for (std::uint32_t i = 0; i < ring.depth; ++i) {
+  for (std::uint32_t i = 0; i < ring.places(); ++i) {
     if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);
   }
 }

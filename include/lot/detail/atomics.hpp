@@ -40,6 +40,15 @@ struct HardwareAtomics {
   /// The protocol reaches such a step only when a foreign write has damaged the words.
   static void damage_seen() noexcept {}
 
+  /// What follows comes behind all that this thread has loaded.
+  static void acquire_fence() noexcept {
+    std::atomic_thread_fence(std::memory_order_acquire);  // acquire: the caller says why
+  }
+  /// What it stores then comes behind all that it has loaded or stored.
+  static void release_fence() noexcept {
+    std::atomic_thread_fence(std::memory_order_release);  // release: the caller says why
+  }
+
   static void prefetch_read(const void* address) noexcept { __builtin_prefetch(address, 0); }
   static void prefetch_write(const void* address) noexcept { __builtin_prefetch(address, 1); }
 };

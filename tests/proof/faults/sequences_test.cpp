@@ -140,9 +140,11 @@ TEST_CASE("a reader sleeps before each message on both sides of the wrap, and is
       lot::segment::Segment s(engine.path());
       const auto is_marked = [&] {
         const auto ring = s.ring(0);
-        return std::any_of(ring.slots, ring.slots + ring.depth, [](const auto& slot) {
-          return (slot.load() & lot::ring::kSleeper) != 0;
-        });
+        bool any = false;
+        for (std::uint32_t i = 0; i < ring.places(); ++i) {
+          any = any || (ring.slots[i].load() & lot::ring::kSleeper) != 0;
+        }
+        return any;
       };
       for (std::uint64_t n = 0; n < 10; ++n) {
         const bool sleeps =

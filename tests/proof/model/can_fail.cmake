@@ -17,6 +17,8 @@ foreach(mistake IN ITEMS
     no-wake
     no-ring-for-room
     no-look-at-hazards
+    no-fence-behind-a-copy
+    no-fence-before-a-message
     no-lock-for-joiners
     taken-without-a-look
     "evicted-and-left-there evicted_while_taken_two_slots"

@@ -130,6 +130,35 @@ struct KilledAtTheExchangeScene : Scene<Derived, 2> {
 struct KilledAtTheExchange : KilledAtTheExchangeScene<KilledAtTheExchange, false> {};
 struct KilledAtTheExchangeBlocking : KilledAtTheExchangeScene<KilledAtTheExchangeBlocking, true> {};
 
+/// The publisher is killed while it sends its second message into a ring of one: its reader finds
+/// the first one there, or the second one.
+struct KilledWhileItWritesOver : Scene<KilledWhileItWritesOver, 2> {
+  KilledWhileItWritesOver() : Scene({.blocks = 1, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(publisher.send());
+    RL_ASSERT(subscriber.join(start(2), 0, 1, 1));
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      die_within(4, 10, [this] { publisher.send(); });
+      process(3).see_reaped(4);
+      return;
+    }
+    segment.await_end_of(4);
+    while (!subscriber.ended()) {
+      if (!subscriber.receive()) subscriber.sleep();
+    }
+  }
+  void check() {
+    const std::uint64_t got = subscriber.received();
+    RL_ASSERT(got >= 1 && got + subscriber.missed() <= 2);
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
 /// The publisher is killed while it makes its ring; the next one finds the channel free.
 struct OpenerKilled : Scene<OpenerKilled, 2> {
   OpenerKilled() : Scene({.blocks = 2, .depth = 1, .readers = 1}) {}
@@ -777,6 +806,25 @@ const Entered entered{
      cast_of<SubscriberReapedWhileARingIsMade>, 2},
     {"subscriber_reaped_and_followed", "the cell of a dead subscriber is not taken from the next",
      cast_of<SubscriberReapedAndFollowed>, 2},
+
+    {"publisher_killed_overwrite_in_slots", "readers get whole copies, then the end",
+     cast_of<InSlots<PublisherKilledOverwrite>>},
+    {"publisher_killed_blocking_in_slots", "the same under back-pressure, and miss nothing",
+     cast_of<InSlots<PublisherKilledBlocking>>},
+    {"killed_while_it_writes_over",
+     "a publisher that dies in the middle of a message takes none away",
+     cast_of<InSlots<KilledWhileItWritesOver>>, 2},
+    {"reader_killed_in_slots", "a dead reader's place comes back", cast_of<InSlots<ReaderKilled>>,
+     2},
+    {"laggard_killed_in_slots", "a dead reader does not hold the sender back",
+     cast_of<InSlots<LaggardKilled>>, 1},
+    {"observer_killed_in_slots", "a dead observer holds no lossless publisher up",
+     cast_of<InSlots<ObserverKilled>>, 2},
+    {"subscriber_looks_late_in_slots",
+     "what a dead publisher sent waits for a reader that had subscribed",
+     cast_of<InSlots<SubscriberLooksLate>>},
+    {"subscriber_looks_late_blocking_in_slots", "the same under back-pressure, and misses nothing",
+     cast_of<InSlots<SubscriberLooksLateBlocking>>},
 };
 
 }  // namespace

@@ -262,6 +262,13 @@ const Entered entered{
      cast_of<ReaderKilledWithTheLock>},
     {"taker_killed_with_the_lock", "what the dead has not taken is its neighbour's",
      cast_of<TakerKilledWithTheLock>, 1},
+
+    {"both_sleep_under_a_lock_in_slots", "sender and reader never both sleep for ever",
+     cast_of<InSlots<BothSleepUnderALock>>, 2},
+    {"last_before_the_end_in_slots", "a reader finds the last message before the end",
+     cast_of<InSlots<LastBeforeTheEnd>>, 2},
+    {"taker_killed_with_the_lock_in_slots", "what the dead has not taken is its neighbour's",
+     cast_of<InSlots<TakerKilledWithTheLock>>, 1},
 };
 
 }  // namespace

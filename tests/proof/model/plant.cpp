@@ -61,9 +61,14 @@ const NamedPlant kPlants[] = {
 };
 
 const std::pair<const char*, bool Omissions::*> kOmissions[] = {
-    {"no-wake", &Omissions::wake_readers},         {"no-ring-for-room", &Omissions::ring_for_room},
-    {"no-look-at-hazards", &Omissions::hazards},   {"no-lock-for-joiners", &Omissions::rings_lock},
-    {"no-look-at-the-answer", &Omissions::answer}, {"no-repair-after-a-death", &Omissions::repair},
+    {"no-wake", &Omissions::wake_readers},
+    {"no-ring-for-room", &Omissions::ring_for_room},
+    {"no-look-at-hazards", &Omissions::hazards},
+    {"no-lock-for-joiners", &Omissions::rings_lock},
+    {"no-look-at-the-answer", &Omissions::answer},
+    {"no-repair-after-a-death", &Omissions::repair},
+    {"no-fence-behind-a-copy", &Omissions::fence_of_reader},
+    {"no-fence-before-a-message", &Omissions::fence_of_writer},
 };
 
 }  // namespace

@@ -59,12 +59,14 @@ struct Plant {
 
 /// The mistakes that are not in an atomic step but in what the transport does around it.
 struct Omissions {
-  bool wake_readers = false;   ///< publish() says "wake", nobody does
-  bool ring_for_room = false;  ///< a reader makes room and does not ring
-  bool hazards = false;        ///< the pool reclaims what has left the ring without a look
-  bool rings_lock = false;     ///< joiners do not take the registry's lock
-  bool answer = false;         ///< a reader that was invited is selected whatever it answers
-  bool repair = false;         ///< the next owner of a dead one's lock wakes nobody
+  bool wake_readers = false;     ///< publish() says "wake", nobody does
+  bool ring_for_room = false;    ///< a reader makes room and does not ring
+  bool hazards = false;          ///< the pool reclaims what has left the ring without a look
+  bool rings_lock = false;       ///< joiners do not take the registry's lock
+  bool answer = false;           ///< a reader that was invited is selected whatever it answers
+  bool fence_of_reader = false;  ///< a reader does not order its copy before its look at `begin`
+  bool fence_of_writer = false;  ///< a writer does not order `begin` before the message
+  bool repair = false;           ///< the next owner of a dead one's lock wakes nobody
 };
 
 /// The mistake of this run, and the list of all steps that were seen.

@@ -328,6 +328,12 @@ struct Policy {
   /// Set by scenarios that do damage. All others must never see any.
   static inline bool does_damage = false;
   static void damage_seen() { RL_ASSERT(does_damage); }
+  static void acquire_fence() {
+    if (!garden.omitted.fence_of_reader) rl::atomic_thread_fence(rl::mo_acquire, RL_INFO);
+  }
+  static void release_fence() {
+    if (!garden.omitted.fence_of_writer) rl::atomic_thread_fence(rl::mo_release, RL_INFO);
+  }
   static void prefetch_read(const void*) {}
   static void prefetch_write(const void*) {}
 };

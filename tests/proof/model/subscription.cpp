@@ -67,10 +67,13 @@ bool Subscription::receive() {
     // Nobody is kept from the lock for nothing.
     if (source.reader.ring().arrived != nullptr && !source.reader.ready()) continue;
     const Source::Turn turn(source);
-    const Word b = source.reader.poll(missed_);
+    Letter letter;
+    Word b = source.reader.poll(missed_);
+    while (!letter.copy(source.reader, b, missed_)) b = source.reader.poll(missed_);
     if (b == kNoBlock) continue;
     const std::int64_t number = ring::distance(source.reader.cursor(), Segment::kFirst);
-    RL_ASSERT(process_->read(b) == static_cast<std::uint64_t>(number));
+    const std::uint64_t read = b == ring::kInSlot ? letter.read() : process_->read(b);
+    RL_ASSERT(read == static_cast<std::uint64_t>(number));
     source.reader.done();
     ++received_;
     return true;

@@ -369,6 +369,22 @@ const Entered entered{
     {"item_waits_for_taker", "an item waits when its publisher has gone",
      cast_of<ItemWaitsForTaker>, 1},
     {"task_waits_for_worker", "so does a task", cast_of<TaskWaitsForWorker>, 1},
+
+    {"worked_by_two_over_one_slot_in_slots", "each task is done once, and its copy is whole",
+     cast_of<InSlots<WorkedByTwoOverOneSlot>>, 2},
+    {"worked_by_two_over_two_slots_in_slots", "the same over two slots",
+     cast_of<InSlots<WorkedByTwoOverTwoSlots>>, 1},
+    {"given_back_to_sleeper_in_slots", "who sleeps hears of a task that has come back",
+     cast_of<InSlots<GivenBackToSleeper>>},
+    {"worker_killed_in_slots", "what the dead has not done is done",
+     cast_of<InSlots<WorkerKilled>>},
+    {"finished_and_killed_in_slots", "what a dead one has finished is done once",
+     cast_of<InSlots<FinishedAndKilled>>, 1},
+    {"late_for_a_message_in_slots",
+     "who is late for a message leaves the next one in its slot alone",
+     cast_of<InSlots<LateForAMessage>>, 2},
+    {"task_waits_for_worker_in_slots", "a task waits when its publisher has gone",
+     cast_of<InSlots<TaskWaitsForWorker>>, 1},
 };
 
 }  // namespace

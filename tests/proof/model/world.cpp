@@ -9,7 +9,7 @@ namespace lot::model {
 // --------------------------------------------------------------------------
 
 Channel::Channel(const Shape& shape)
-    : slots(shape.depth),
+    : slots((shape.depth + 1) * shape.slot_words()),
       cells(shape.readers),
       who(shape.readers),
       claims(shape.depth),
@@ -301,7 +301,10 @@ ring::Ring<Policy> Process::ring(std::uint32_t c) {
 ring::Ring<Policy> Process::unformed_ring(std::uint32_t c) {
   Channel& channel = segment_->channels[c];
   return {&channel.writer,
-          channel.slots.data(),
+          segment_->shape.in_slots
+              ? ring::Slots<Policy>::with_messages(channel.slots.data(),
+                                                   segment_->shape.slot_words() * sizeof(Word))
+              : ring::Slots<Policy>(channel.slots.data()),
           channel.cells.data(),
           channel.who.data(),
           &channel.roster,
@@ -423,6 +426,12 @@ void Publisher::announce() {
 }
 
 bool Publisher::send() {
+  if (process_->segment().shape.in_slots) {
+    Turn turn(*process_, channel_);
+    if (!writer_.room()) return false;
+    publish_letter(turn);
+    return true;
+  }
   const Word b = process_->loan();
   if (b == Process::kNone) return false;
   process_->write(b, sent_);
@@ -475,12 +484,14 @@ class ForRoom : public waiting::Steps<ForRoom> {
 }  // namespace
 
 void Publisher::send_and_wait() {
-  const Word b = process_->loan();
+  const bool in_slots = process_->segment().shape.in_slots;
+  const Word b = in_slots ? ring::kInSlot : process_->loan();
   RL_ASSERT(b != Process::kNone);
-  process_->write(b, sent_);
+  if (!in_slots) process_->write(b, sent_);
   Turn turn(*process_, channel_);
   ForRoom room(writer_, turn);
   if (!room.look()) RL_ASSERT(waiting::wait<Machine>(room, std::nullopt));
+  if (in_slots) return publish_letter(turn);
   process_->hand_own_to_ring(b);
   publish(b, turn);
 }
@@ -509,7 +520,9 @@ std::optional<Word> Publisher::evict() {
 void Publisher::take_back(std::uint32_t keep) {
   std::vector<Word> gone;
   Turn turn(*process_, channel_);
-  writer_.take_back(keep, [&](Word b) { gone.push_back(b); });
+  writer_.take_back(keep, [&](Word b) {
+    if (b != ring::kInSlot) gone.push_back(b);
+  });
   turn.unlock();
   for (const Word b : gone) retire(b);
 }
@@ -521,8 +534,14 @@ void Publisher::close() {
   for (const Word b : put) process_->take_from_ring(b);
 }
 
-void Publisher::publish(Word b, Turn& turn) {
-  const auto published = writer_.publish(b);
+void Publisher::publish(Word b, Turn& turn) { tell(writer_.publish(b), turn); }
+
+void Publisher::publish_letter(Turn& turn) {
+  const Letter letter = Letter::of(sent_);
+  tell(writer_.publish(&letter, Letter::kWords, &letter.time), turn);
+}
+
+void Publisher::tell(const ring::Writer<Policy>::Published& published, Turn& turn) {
   turn.unlock();
   ++sent_;
   if (published.wake && !garden.omitted.wake_readers) {
@@ -627,7 +646,8 @@ void Subscriber::leave() {
 
 Word Subscriber::borrow() {
   Turn turn(*process_, channel_);
-  const Word b = reader_.poll(missed_);
+  Word b = reader_.poll(missed_);
+  while (!letter_.copy(reader_, b, missed_)) b = reader_.poll(missed_);
   turn.unlock();
   if (b == kNoBlock && reader_.sender_waits()) ring_for_room();
   return b;
@@ -660,20 +680,32 @@ void Subscriber::sleep(std::uint32_t version) {
 bool Subscriber::receive() {
   const Word b = borrow();
   if (b == kNoBlock) return false;
-  RL_ASSERT(process_->read(b) == number());
+  RL_ASSERT(read(b) == number());
   done();
   ++received_;
   return true;
+}
+
+std::uint64_t Subscriber::read(Word b) {
+  return b == ring::kInSlot ? letter_.read() : process_->read(b);
+}
+
+void Subscriber::keep(Word b) {
+  if (b != ring::kInSlot) process_->keep(b);
+}
+
+void Subscriber::drop(Word b) {
+  if (b != ring::kInSlot) process_->drop(b);
 }
 
 bool Subscriber::receive_and_keep() {
   const Word b = borrow();
   if (b == kNoBlock) return false;
   const std::uint64_t expected = number();
-  process_->keep(b);
+  keep(b);
   done();
-  RL_ASSERT(process_->read(b) == expected);
-  process_->drop(b);
+  RL_ASSERT(read(b) == expected);
+  drop(b);
   ++received_;
   return true;
 }
@@ -687,12 +719,13 @@ Word Subscriber::take_one(std::uint64_t& taken) {
       if (reader_.sender_waits()) ring_for_room();
       return b;
     }
-    process_->keep(b);
+    if (!letter_.copy(reader_, b, missed_)) continue;
+    keep(b);
     taken = number();
     const bool ours = reader_.take();
     if (reader_.done()) ring_for_room();
     if (ours) return b;
-    process_->drop(b);
+    drop(b);
   }
 }
 
@@ -705,24 +738,25 @@ bool Subscriber::start_work() {
       if (reader_.sender_waits()) ring_for_room();
       return false;
     }
-    process_->keep(b);
+    if (!letter_.copy(reader_, b, missed_)) continue;
+    keep(b);
     work_ = {b, number(), reader_.index(), 0};
     work_.claim = reader_.claim(process_->index());
     if (reader_.done()) ring_for_room();
     if (work_.claim != 0) {
-      RL_ASSERT(process_->read(b) == work_.number);
+      RL_ASSERT(read(b) == work_.number);
       return true;
     }
-    process_->drop(b);
+    drop(b);
   }
 }
 
 void Subscriber::finish_work() {
-  RL_ASSERT(process_->read(work_.block) == work_.number);
+  RL_ASSERT(read(work_.block) == work_.number);
   ring::empty(reader_.ring().slots[work_.slot], ring::claim_sequence(work_.claim));
   if (reader_.sender_waits()) ring_for_room();
   if (reader_.is_closing()) process_->wake_sleepers(channel_);
-  process_->drop(work_.block);
+  drop(work_.block);
   ++received_;
 }
 
@@ -730,7 +764,7 @@ void Subscriber::give_work_back() {
   ring::Ring<Policy> ring = reader_.ring();
   ring.give_back(work_.slot, work_.claim);
   process_->wake_sleepers(channel_);
-  process_->drop(work_.block);
+  drop(work_.block);
 }
 
 std::uint64_t Subscriber::number() const {

@@ -39,6 +39,32 @@ struct Shape {
   bool taken = false;     ///< each message is for one reader, which takes it
   bool locked = false;    ///< the mutex engine
   bool finished = false;  ///< what is taken stays in its slot until it is finished
+  bool in_slots = false;  ///< messages travel in the slots themselves
+  /// Words of a slot.
+  std::size_t slot_words() const { return in_slots ? 8 : 1; }
+};
+
+/// A message that travels in a slot: its number, in words that must belong together.
+struct Letter {
+  static constexpr std::size_t kWords = 2;
+  std::uint64_t number = 0;
+  std::uint64_t again = 0;
+  Word time = 0;
+
+  static Letter of(std::uint64_t number) { return {number, ~number, ~number}; }
+  /// Copies the message that the reader has found, if it is in its slot. False: it has gone.
+  bool copy(ring::Reader<Policy>& reader, Word block, std::uint64_t& missed) {
+    RL_ASSERT(block == kNoBlock || (block == ring::kInSlot) == reader.ring().in_slots());
+    if (block != ring::kInSlot) return true;
+    const ring::Copy copy = reader.copy(this, kWords, &time, missed);
+    RL_ASSERT(copy != ring::Copy::Damaged);
+    return copy == ring::Copy::Whole;
+  }
+  std::uint64_t read() const {
+    const Letter whole = of(number);
+    RL_ASSERT(again == whole.again && time == whole.time);
+    return number;
+  }
 };
 
 /// One channel's words, and the plain ones that the publisher writes before it goes LIVE.
@@ -270,7 +296,8 @@ class Publisher {
   bool send();
   /// The same, and sleeps while there is no room. REQUIRES: blocks enough.
   void send_and_wait();
-  /// Publishes a block that we have a pointer hold on, which becomes the ring's.
+  /// Publishes a block that we have a pointer hold on, which becomes the ring's. REQUIRES: as
+  /// send_own(), messages are in blocks.
   void forward(Word b);
   /// Publishes a loaned block. REQUIRES: room.
   void send_own(Word b);
@@ -288,6 +315,8 @@ class Publisher {
  private:
   bool make_ring(Process& process, std::uint32_t channel, bool blocking);
   void publish(Word b, Turn& turn);
+  void publish_letter(Turn& turn);
+  void tell(const ring::Writer<Policy>::Published& published, Turn& turn);
   void retire(Word b);
   void retire_taken();
 
@@ -323,7 +352,7 @@ class Subscriber {
   /// Joins it once more, with an answer, and leaves then. Without the lock: it was there all along.
   bool join_anew(Word answer);
 
-  /// The next message's block, or kNone; protected until done().
+  /// The next message's block, or kNone; protected until done(). Of a message in its slot: kInSlot.
   Word borrow();
   void done();
   bool ended() const { return reader_.ended(); }
@@ -365,6 +394,9 @@ class Subscriber {
 
   /// Takes the next message, and holds it: its block, or kNone.
   Word take_one(std::uint64_t& number);
+  std::uint64_t read(Word b);
+  void keep(Word b);
+  void drop(Word b);
   void ring_for_room();
 
   Process* process_ = nullptr;
@@ -374,6 +406,7 @@ class Subscriber {
   std::uint64_t missed_ = 0;
   std::uint64_t received_ = 0;
   Work work_;
+  Letter letter_;  ///< the message that was copied last
 };
 
 template <class Mine>
@@ -382,12 +415,32 @@ bool Subscriber::take(Mine&& mine) {
   const Word b = take_one(number);
   if (b == kNoBlock) return false;
   mine(number);
-  RL_ASSERT(process_->read(b) == number);
-  process_->write(b, ~number);
-  process_->drop(b);
+  RL_ASSERT(read(b) == number);
+  if (b != ring::kInSlot) process_->write(b, ~number);
+  drop(b);
   ++received_;
   return true;
 }
+
+/// While this lives, the rings of new scenes have their messages in their slots.
+class Letters {
+ public:
+  Letters() { on_ = true; }
+  ~Letters() { on_ = false; }
+  Letters(const Letters&) = delete;
+  Letters& operator=(const Letters&) = delete;
+
+  static Shape in(Shape shape) {
+    shape.in_slots = shape.in_slots || on_;
+    return shape;
+  }
+
+ private:
+  static inline bool on_ = false;
+};
+/// A scene whose messages travel in the slots instead of in blocks.
+template <class Scene>
+struct InSlots : private Letters, public Scene {};
 
 /// First in every scene, before anything allocates.
 struct SceneBegins {
@@ -412,7 +465,7 @@ class Scene : SceneBegins, public rl::test_suite<Derived, kThreads> {
   void check() {}
 
  protected:
-  explicit Scene(const Shape& shape = {}) : segment(shape) {}
+  explicit Scene(const Shape& shape = {}) : segment(Letters::in(shape)) {}
 
   /// Starts a process; in the place of one that has ended, if need be.
   Process& start(std::uint32_t index) {

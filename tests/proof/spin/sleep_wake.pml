@@ -619,7 +619,7 @@ poll:
 #ifndef NO_LOOK_AT_SPACE
     if
     :: ring_bell() /* @ src/transport/puller.cpp end: if (source.reader.done()) ring_bell(source.reader) */
-    :: true /* @ src/lockfree_ring/ring.hpp done: distance(cursor_, asked_) < ring_.depth / kBellsPerLap */
+    :: true /* @ src/lockfree_ring/ring.hpp done: low_half(cursor_) - asked_ < ring_.depth / kBellsPerLap */
     fi;
 #endif
     if
