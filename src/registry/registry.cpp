@@ -335,7 +335,8 @@ void Registry::remove(const Departure& departure, std::uint32_t participant) noe
 
 std::uint32_t Registry::granules_of(const RingOptions& options) noexcept {
   const std::uint64_t bytes = segment::Segment::ring_bytes(
-      options.depth, options.readers, options.taken == segment::kFinished, options.extra);
+      {options.depth, options.stride, options.taken == 0 || options.policy == Policy::Overwrite},
+      options.readers, options.taken == segment::kFinished, options.extra);
   return static_cast<std::uint32_t>((bytes + segment::kGranule - 1) / segment::kGranule);
 }
 
@@ -348,7 +349,8 @@ void describe(segment::ChannelEntry& entry, std::uint32_t topic, const RingOptio
   entry.readers = options.readers;
   entry.policy = static_cast<std::uint32_t>(options.policy);
   entry.engine = static_cast<std::uint32_t>(options.engine);
-  entry.taken = options.taken;
+  entry.taken = static_cast<std::uint16_t>(options.taken);
+  entry.stride = options.stride;
   entry.extra = options.extra;
   entry.first = options.first != 0 ? options.first : options.depth;
 }

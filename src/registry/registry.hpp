@@ -30,10 +30,11 @@ struct RingOptions {
   std::uint32_t readers = 0;
   Policy policy = Policy::Overwrite;
   QueueEngine engine = QueueEngine::Ring;
-  std::uint32_t taken = 0;  ///< ChannelEntry::taken
-  std::uint64_t first = 0;  ///< sequence of the first message; 0: the depth
-  std::uint32_t extra = 0;  ///< ChannelEntry::extra: zero bytes when the ring is made
-  bool stamps = false;      ///< RingHead::stamps
+  std::uint32_t taken = 0;   ///< ChannelEntry::taken
+  std::uint64_t first = 0;   ///< sequence of the first message; 0: the depth
+  std::uint32_t extra = 0;   ///< ChannelEntry::extra: zero bytes when the ring is made
+  bool stamps = false;       ///< RingHead::stamps
+  std::uint16_t stride = 0;  ///< ChannelEntry::stride
 };
 
 /// One ring of a topic.

@@ -48,7 +48,7 @@ using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 16;
+inline constexpr std::uint32_t kLayoutVersion = 17;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
@@ -205,8 +205,11 @@ struct alignas(64) ChannelEntry {
   /// 1: the plain fields are complete.
   detail::ChangedBy<std::atomic<std::uint32_t>, registry::Registry> formed;
   std::uint32_t engine;  ///< lot::QueueEngine
-  std::uint32_t taken;   ///< 0: all readers get a message; else kTaken, kFinished
-  std::uint32_t extra;   ///< bytes of extra memory for each reader: 0 or kExtraBytes
+  std::uint16_t taken;   ///< 0: all readers get a message; else kTaken, kFinished
+  /// Bytes from slot to slot where messages travel in the slots: 64, 128 or 256. 0: they lie in
+  /// blocks, and a slot is a word.
+  std::uint16_t stride;
+  std::uint32_t extra;  ///< bytes of extra memory for each reader: 0 or kExtraBytes
 };
 static_assert(sizeof(ChannelEntry) == 64);
 
@@ -216,6 +219,24 @@ inline constexpr std::uint32_t kExtraBytes = 16;
 /// ChannelEntry::taken.
 inline constexpr std::uint32_t kTaken = 1;     ///< one reader takes a message
 inline constexpr std::uint32_t kFinished = 2;  ///< and the message stays in its slot until finished
+
+inline constexpr std::uint16_t kStrides[] = {64, 128, 256};
+
+/// ChannelEntry::stride for messages of this type, with the time of their push or without: 0 where
+/// they can not travel in the slots.
+constexpr std::uint16_t stride_for(const detail::MessageType& type, bool with_time) {
+  if (!type.plain || type.align > 16) return 0;
+  for (const std::uint16_t stride : kStrides) {
+    if (type.size <= ring::Slots<Atomics>::room(stride, with_time)) return stride;
+  }
+  return 0;
+}
+
+/// Words of a message that travels in its slot. The last one may end behind the message: there the
+/// payload of a block goes on, and so does what a reader copies into.
+constexpr std::uint32_t words_of(const detail::MessageType& type) {
+  return static_cast<std::uint32_t>((type.size + sizeof(ring::Word) - 1) / sizeof(ring::Word));
+}
 
 /// True when messages of the type lie in the payload that every block has.
 constexpr bool is_small(const detail::MessageType& type) {
@@ -239,8 +260,9 @@ inline bool is_reserved(const detail::Arena& arena) {
   return detail::read_once(arena.reserved) != 0;
 }
 
-/// The first bytes of a ring's memory. Behind it lie who[], slots[], cells[], claims[] where
-/// workers must finish messages, and the extra memory if the ring's maker has asked for it.
+/// The first bytes of a ring's memory. Behind it lie who[], slots[] (at a multiple of the stride),
+/// cells[], claims[] where workers must finish messages, and the extra memory if the ring's maker
+/// has asked for it.
 struct RingHead {
   alignas(64) std::atomic<std::uint32_t> roster;
   std::atomic<std::uint32_t> returned;
@@ -250,7 +272,7 @@ struct RingHead {
   /// is INIT: R7 carries both. The name stays when the participant has gone.
   char publisher[sizeof(ParticipantEntry::name)];
   alignas(64) std::atomic<std::uint32_t> space;
-  std::uint32_t stamps;     ///< 1: each push writes Arena::pushed_ns
+  std::uint32_t stamps;     ///< 1: each push writes its time: Arena::pushed_ns, or into the slot
   mutex_engine::Lock lock;  ///< of the mutex engine
 };
 static_assert(std::is_standard_layout_v<RingHead> && offsetof(RingHead, roster) == 0);

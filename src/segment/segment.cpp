@@ -549,14 +549,21 @@ std::span<ChannelEntry> Segment::channels() const noexcept {
 }
 
 namespace {
-constexpr std::uint64_t who_bytes(std::uint32_t readers) { return round_up(readers * 4ULL, 64); }
-constexpr std::uint64_t slot_bytes(std::uint32_t depth) { return round_up(depth * 8ULL, 64); }
+constexpr std::uint64_t claim_bytes(std::uint32_t depth) { return round_up(depth * 8ULL, 64); }
+/// From the begin of a ring's memory to its slots. That memory begins with a granule.
+constexpr std::uint64_t before_slots(std::uint32_t readers, std::uint16_t stride) {
+  return round_up(sizeof(RingHead) + readers * 4ULL, std::max<std::uint64_t>(stride, 64));
+}
 }  // namespace
 
-std::uint64_t Segment::ring_bytes(std::uint32_t depth, std::uint32_t readers, bool finished,
+std::uint64_t Segment::SlotShape::bytes() const noexcept {
+  return stride != 0 ? std::uint64_t{places()} * stride : round_up(depth * 8ULL, 64);
+}
+
+std::uint64_t Segment::ring_bytes(const SlotShape& slots, std::uint32_t readers, bool finished,
                                   std::uint32_t extra) noexcept {
-  return sizeof(RingHead) + who_bytes(readers) + slot_bytes(depth) + readers * sizeof(Cell) +
-         (finished ? slot_bytes(depth) : 0) + std::uint64_t{readers} * extra;
+  return before_slots(readers, slots.stride) + slots.bytes() + readers * sizeof(Cell) +
+         (finished ? claim_bytes(slots.depth) : 0) + std::uint64_t{readers} * extra;
 }
 
 bool Segment::holds(std::uint32_t b, std::uint64_t offset, std::uint64_t bytes) const noexcept {
@@ -591,39 +598,45 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   const std::uint32_t granules = detail::read_once(entry.granules);
   const std::uint32_t engine = detail::read_once(entry.engine);
   const std::uint32_t taken = detail::read_once(entry.taken);
+  const bool blocking =
+      detail::read_once(entry.policy) != static_cast<std::uint32_t>(Policy::Overwrite);
+  const SlotShape slots{depth, detail::read_once(entry.stride), taken == 0 || !blocking};
   const std::uint32_t extra = detail::read_once(entry.extra);
   if (depth == 0 || depth > kDeepest || readers == 0 || readers > capacity_.readers ||
       granule >= geometry_.granules || granules > geometry_.granules - granule ||
       (extra != 0 && extra != kExtraBytes) || taken > kFinished ||
-      ring_bytes(depth, readers, taken == kFinished, extra) > kGranule * granules ||
+      (slots.stride != 0 &&
+       std::count(std::begin(kStrides), std::end(kStrides), slots.stride) == 0) ||
+      ring_bytes(slots, readers, taken == kFinished, extra) > kGranule * granules ||
       engine > static_cast<std::uint32_t>(QueueEngine::Mutex)) {
     return ring;
   }
   for (std::uint32_t i = 0; i < granules; ++i) {
     if (granules_.tag(granule + i) != (kRingTag | channel)) return ring;
   }
-  std::uint64_t place = granule_offset(granule);
-  auto* head = at<RingHead>(place);
+  const std::uint64_t begin = granule_offset(granule);
+  auto* head = at<RingHead>(begin);
   if (engine == static_cast<std::uint32_t>(QueueEngine::Mutex)) ring.arrived = &head->lock.arrived;
   ring.roster = &head->roster;
   ring.space = &head->space;
   ring.floor = &head->floor;
-  place += sizeof(RingHead);
-  ring.who = at<std::atomic<std::uint32_t>>(place);
-  place += who_bytes(readers);
-  ring.slots = at<std::atomic<ring::Word>>(place);
-  place += slot_bytes(depth);
+  ring.who = at<std::atomic<std::uint32_t>>(begin + sizeof(RingHead));
+  std::uint64_t place = begin + before_slots(readers, slots.stride);
+  auto* const words = at<std::atomic<ring::Word>>(place);
+  ring.slots = slots.stride != 0 ? ring::Slots<Atomics>::with_messages(words, slots.stride)
+                                 : ring::Slots<Atomics>(words);
+  place += slots.bytes();
   ring.cells = at<Cell>(place);
   place += readers * sizeof(Cell);
   if (taken == kFinished) {
     ring.claims = at<std::atomic<ring::Word>>(place);
     ring.returned = &head->returned;
-    place += slot_bytes(depth);
+    place += claim_bytes(depth);
   }
   if (extra != 0) ring.extra = at<unsigned char>(place);
   ring.depth = depth;
   ring.readers = readers;
-  ring.blocking = entry.policy != static_cast<std::uint32_t>(Policy::Overwrite);
+  ring.blocking = blocking;
   ring.taken = taken != 0;
   ring.first = entry.first;
   return ring;
@@ -635,7 +648,7 @@ std::uint32_t Segment::waiting_items(std::uint32_t channel) const noexcept {
   if (state != ring::State::Live && state != ring::State::Orphan) return 0;
   const Ring r = ring(channel);
   std::uint32_t items = 0;
-  for (std::uint32_t i = 0; r.taken && i < r.depth; ++i) {
+  for (std::uint32_t i = 0; r.taken && i < r.places(); ++i) {
     // Relaxed: the items are only counted.
     items += ring::block(r.slots[i].load(std::memory_order_relaxed)) != ring::kNoBlock;
   }

@@ -147,9 +147,18 @@ class Segment {
   /// Makes that lock. REQUIRES: the channel is INIT, its memory is claimed, and the caller owns it.
   static void construct_queue_lock(const Ring& ring) noexcept;
   static constexpr std::uint32_t kDeepest = 65536;  ///< the most slots of a ring
+  /// What the slots of a ring are like.
+  struct SlotShape {
+    std::uint32_t depth;
+    std::uint16_t stride;  ///< ChannelEntry::stride
+    bool has_spare;        ///< where messages are in the slots: one slot more than `depth`
+    /// How many there are: Ring::places().
+    std::uint32_t places() const noexcept { return depth + (stride != 0 && has_spare ? 1 : 0); }
+    std::uint64_t bytes() const noexcept;
+  };
   /// The memory of a ring. `finished`: with a claim for each slot. `extra`: bytes of extra memory
   /// for each reader.
-  static std::uint64_t ring_bytes(std::uint32_t depth, std::uint32_t readers, bool finished,
+  static std::uint64_t ring_bytes(const SlotShape& slots, std::uint32_t readers, bool finished,
                                   std::uint32_t extra) noexcept;
 
   Granules<Atomics>& granules() noexcept { return granules_; }
