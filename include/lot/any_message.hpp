@@ -47,6 +47,8 @@ MessageMemory memory_of(Arena* arena) noexcept;
 /// A message of the segment, for reading. Throws lot::Error (EINVAL) when this copy of the library
 /// has not mapped it.
 Value value_of(const Description& description, const void* message);
+/// The same of a message that this process has borrowed: so many bytes.
+Value borrowed_value_of(const Description& description, const void* message, std::size_t size);
 /// The same of a message that this process builds in that arena. Throws the same.
 MutableValue mutable_value_of(const Description& description, void* message, Arena* arena);
 

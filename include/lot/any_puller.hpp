@@ -34,7 +34,9 @@ class AnyBorrow {
   [[nodiscard]] explicit operator bool() const noexcept { return static_cast<bool>(borrow_); }
   /// The message, to be read as long as this lives. REQUIRES: there is one. Throws lot::Error:
   /// EBADMSG when the description is damaged; ECHILD.
-  Value root() const { return detail::value_of(type_.description(), borrow_.get()); }
+  Value root() const {
+    return detail::borrowed_value_of(type_.description(), borrow_.get(), type_.size());
+  }
   /// What it is. Throws nothing.
   const AnyType& type() const noexcept { return type_; }
   /// Messages that this reader missed just before this one.

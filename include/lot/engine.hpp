@@ -138,6 +138,7 @@ class ShmEngine {
     putting.depth = options.depth;
     putting.policy = options.policy;
     putting.engine = options.engine;
+    putting.fast_lane = options.fast_lane;
     PullerOptions popping;
     popping.wait = options.wait;
     return ShmQueue<T>(detail::make_queue(participant_, name, detail::queue_type<T>(options),

@@ -76,7 +76,8 @@ class ShmBorrow {
   /// (PullerOptions::max_held_bytes); ECHILD, ESTALE.
   [[nodiscard]] ShmSharedPtr<const T> keep() const {
     if (core_ == nullptr) return {};
-    return detail::PointerAccess::shared(get(), core_->keep());
+    const detail::Kept kept = core_->keep();
+    return detail::PointerAccess::shared(static_cast<const T*>(kept.root), kept.control);
   }
 
   /// Ends the borrow early.

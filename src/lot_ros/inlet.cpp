@@ -325,7 +325,9 @@ void Inlet::read() {
       lot::detail::PullerCore& puller;
       ~End() { puller.done(); }
     } end{puller};
-    borrowed.control = puller.keep();
+    const lot::detail::Kept kept = puller.keep();
+    borrowed.control = kept.control;
+    borrowed.root = kept.root;
     claim({kind_.adopt(borrowed), rings_->origin()});
   }
   deliver_claimed();

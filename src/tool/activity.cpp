@@ -148,10 +148,13 @@ void Sizes::note(const Observation& seen) {
       ++messages;
     };
     for (const auto& q : c.queue) {
-      const auto found = by_block.find(q.block);
-      if (found == by_block.end() || (!is_new && ring::distance(q.sequence, sum.next) < 0))
-        continue;
-      add(*found->second);
+      if (!is_new && ring::distance(q.sequence, sum.next) < 0) continue;
+      if (q.block == ring::kInSlot) {
+        bytes += static_cast<double>(type_size);
+        ++messages;
+      } else if (const auto found = by_block.find(q.block); found != by_block.end()) {
+        add(*found->second);
+      }
     }
     if (messages == 0 && sum.messages == 0 && topic != nullptr) {  // readers were faster
       for (const auto& m : seen.messages) {

@@ -35,9 +35,9 @@ namespace {
 
 using segment::kUnlimited;
 
-constexpr std::array<std::string_view, 10> kVariables = {
-    "LOT_SEGMENT", "LOT_DIR",     "LOT_SIZE",  "LOT_PERMISSIONS", "LOT_GROUP",
-    "LOT_USER",    "LOT_PERSIST", "LOT_MLOCK", "LOT_QUEUE",       "LOT_STAMP"};
+constexpr std::array<std::string_view, 11> kVariables = {
+    "LOT_SEGMENT", "LOT_DIR",   "LOT_SIZE",  "LOT_PERMISSIONS", "LOT_GROUP",    "LOT_USER",
+    "LOT_PERSIST", "LOT_MLOCK", "LOT_QUEUE", "LOT_STAMP",       "LOT_FAST_LANE"};
 
 /// Version 1 of control groups writes no limit as a number above this.
 constexpr std::uint64_t kNoLimit = std::uint64_t{1} << 60;

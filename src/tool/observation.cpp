@@ -262,26 +262,26 @@ class Observer {
   void find_queue(const Looked& at, const segment::Ring& r, Channel& channel) {
     bool bad_slot = false;
     std::uint32_t newest = 0;
-    std::vector<Word> slots(r.depth);
-    for (std::uint32_t i = 0; i < r.depth; ++i) {
+    const std::uint32_t places = r.places();
+    std::vector<Word> slots(places);
+    for (std::uint32_t i = 0; i < places; ++i) {
       slots[i] = r.slots[i].load(std::memory_order_acquire);  // R1
       if (ring::distance(ring::sequence(slots[i]), ring::sequence(slots[newest])) > 0) newest = i;
     }
     channel.next = ring::next(ring::sequence(slots[newest]));
     channel.published = static_cast<std::uint64_t>(
         std::max<std::int64_t>(0, ring::distance(channel.next, r.first & ring::kSequenceMask)));
-    for (std::uint32_t n = 1; n <= r.depth; ++n) {  // from the oldest
-      const Word slot = slots[(std::uint64_t{newest} + n) % r.depth];
-      const Word b = ring::block(slot);
+    for (std::uint32_t n = 1 + places - r.depth; n <= places; ++n) {  // from the oldest
+      const auto i = static_cast<std::uint32_t>((std::uint64_t{newest} + n) % places);
+      const Word b = ring::block(slots[i]);
       if (b == ring::kNoBlock) continue;
-      if (b >= capacity_.blocks) {
+      if (b >= capacity_.blocks && !(b == ring::kInSlot && r.in_slots())) {
         bad_slot = true;
         continue;
       }
-      const std::uint32_t i = static_cast<std::uint32_t>((std::uint64_t{newest} + n) % r.depth);
-      channel.queue.push_back({ring::sequence(slot), static_cast<std::uint32_t>(b), i});
+      channel.queue.push_back({ring::sequence(slots[i]), static_cast<std::uint32_t>(b), i});
       if (r.claims != nullptr) {
-        channel.unfinished += ring::is_claimed(r.claims[i], ring::sequence(slot));
+        channel.unfinished += ring::is_claimed(r.claims[i], ring::sequence(slots[i]));
       }
     }
     if (bad_slot) complain_of(at, "a slot of it names a message that can not be");
@@ -327,10 +327,18 @@ class Observer {
         std::find_if(channel.queue.begin(), channel.queue.end(),
                      [&](const Queued& q) { return ring::distance(q.sequence, next_read) >= 0; });
     if (found == channel.queue.end()) return std::nullopt;
+    std::uint64_t pushed = 0;
+    if (r.in_slots()) {
+      // The word said so when the queue was found.
+      if (r.slots.read(found->slot, found->sequence, r.places(), nullptr, 0, &pushed) !=
+          ring::Copy::Whole) {
+        return std::nullopt;
+      }
+      return seconds_between(pushed, now_by_clock());
+    }
     // Acquire: the time is that of the message in the slot, or of a later one of the same block.
     // Then the slot has changed before that time was written.
-    const std::uint64_t pushed =
-        __atomic_load_n(&s_.arena(found->block).pushed_ns, __ATOMIC_ACQUIRE);
+    pushed = __atomic_load_n(&s_.arena(found->block).pushed_ns, __ATOMIC_ACQUIRE);
     const Word slot = r.slots[found->slot].load(std::memory_order_acquire);  // R1
     if (ring::sequence(slot) != found->sequence || ring::block(slot) != found->block) {
       return std::nullopt;
@@ -376,6 +384,7 @@ class Observer {
     for (const Channel& channel : seen_.channels) {
       // An orphaned queue belongs to the orphanage once its publisher's name is gone.
       for (const Queued& q : channel.queue) {
+        if (q.block == ring::kInSlot) continue;
         queues_.insert({q.block, {channel.publisher, q.sequence, channel.topic}});
       }
     }

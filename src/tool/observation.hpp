@@ -41,7 +41,7 @@ struct Reader {
 
 struct Queued {
   std::uint64_t sequence;
-  std::uint32_t block;
+  std::uint32_t block;  ///< ring::kInSlot: it lies in the queue itself
   std::uint32_t slot = 0;
 };
 

@@ -29,7 +29,7 @@ Word sequence_at(const segment::Ring& r, std::uint32_t i) {
 /// The slot of the newest message.
 std::uint32_t newest_slot(const segment::Ring& r) {
   std::uint32_t newest = 0;
-  for (std::uint32_t i = 1; i < r.depth; ++i) {
+  for (std::uint32_t i = 1; i < r.places(); ++i) {
     if (ring::distance(sequence_at(r, i), sequence_at(r, newest)) > 0) newest = i;
   }
   return newest;
@@ -79,10 +79,10 @@ void Meter<Told>::find_queues() {
 template <class Told>
 std::uint64_t Meter<Told>::arrivals(Watched& queue) {
   const auto r = live_ring(window_.segment(), queue.channel, queue.generation);
-  if (!r || queue.index >= r->depth) return 0;
+  if (!r || queue.index >= r->places()) return 0;
   const Word before = queue.newest;
   // Most looks find nothing new in the slot of the next message, and need no other slot.
-  const std::uint32_t next = (queue.index + 1) % r->depth;
+  const std::uint32_t next = (queue.index + 1) % r->places();
   if (ring::distance(sequence_at(*r, next), before) <= 0) return 0;
   queue.index = newest_slot(*r);
   queue.newest = sequence_at(*r, queue.index);

@@ -52,6 +52,13 @@ Value value_of(const Description& description, const void* message) {
   return {description, message, mapping.base(), mapping.base() + mapping.size()};
 }
 
+Value borrowed_value_of(const Description& description, const void* message, std::size_t size) {
+  if (Mapping::of(message) != nullptr) return value_of(description, message);
+  // It was borrowed from its slot: a copy in private memory. It has no pointer in it.
+  const auto* const begin = static_cast<const unsigned char*>(message);
+  return {description, message, begin, begin + size};
+}
+
 MutableValue mutable_value_of(const Description& description, void* message, Arena* arena) {
   const Mapping& mapping = mapping_of(message);
   return {description, message, mapping.base(), mapping.base() + mapping.size(), memory_of(arena)};

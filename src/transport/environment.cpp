@@ -105,4 +105,9 @@ bool stamps(bool asked) {
   return v != nullptr ? parse_switch("LOT_STAMP", v) : asked;
 }
 
+bool fast_lane(bool asked) {
+  const char* v = environment("LOT_FAST_LANE");
+  return v != nullptr ? parse_switch("LOT_FAST_LANE", v) : asked;
+}
+
 }  // namespace lot::transport

@@ -26,4 +26,8 @@ QueueEngine queue_engine(QueueEngine asked);
 /// Whether publishers stamp: what LOT_STAMP in the environment says, else what the code asks for.
 bool stamps(bool asked);
 
+/// Whether small messages travel in the queue: what LOT_FAST_LANE in the environment says, else
+/// what the code asks for.
+bool fast_lane(bool asked);
+
 }  // namespace lot::transport

@@ -3,9 +3,12 @@
 
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <string_view>
 
+#include "lot/detail/core.hpp"
+#include "lot/detail/mutex.hpp"
 #include "lot/options.hpp"
 
 #include "registry/registry.hpp"
@@ -92,6 +95,16 @@ class Participant final : private Lifetime::Owner {
   Topics& topics() noexcept { return topics_; }
   Rings& rings() noexcept { return rings_; }
 
+  /// Makes the blocks into which pullers copy what they keep of slots: one for all pullers of the
+  /// process, as long as one needs it. make() makes it; what that throws is thrown.
+  template <class Make>
+  std::shared_ptr<detail::PusherCore> keeper(Make&& make) {
+    const std::lock_guard guard(keeper_mutex_);
+    auto keeper = keeper_.lock();
+    if (!keeper) keeper_ = keeper = make();
+    return keeper;
+  }
+
  private:
   Participant(const EngineOptions& options, const segment::Trust& trust,
               std::shared_ptr<liveness::LockFile> lock_file);
@@ -132,6 +145,8 @@ class Participant final : private Lifetime::Owner {
   Topics topics_;
   Rings rings_;
   Warden warden_;
+  detail::Mutex keeper_mutex_{detail::Rank::Keeper};
+  std::weak_ptr<detail::PusherCore> keeper_;  ///< it keeps this participant
 };
 
 }  // namespace lot::transport

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cerrno>
+#include <cstring>
 #include <list>
 #include <string>
 
@@ -44,9 +45,11 @@ class Puller final : public RingPuller {
         directory_(participant_->segment().directory().version),
         taking_(delivery != detail::Delivery::ToAll),
         working_(delivery == detail::Delivery::ToWorker),
-        small_(type.size <= segment::kSmallBytes && type.align <= 64),
+        small_(segment::is_small(type)),
+        words_(segment::words_of(type)),
         type_(type),
         topic_name_(topic),
+        topic_key_(segment::topic_key(topic)),
         quota_(participant_->segment(), participant_->holder(),
                delivery == detail::Delivery::ToAll ? options.max_held_bytes : Quota::kNone),
         role_(options.observer ? Topics::Role::Observer : Topics::Role::User),
@@ -68,6 +71,7 @@ class Puller final : public RingPuller {
       return;
     }
     notifier_.reset();
+    if (spare_.control != nullptr) spare_.control->hub->abandoned(spare_.control);
     note_known();
     leave_sources();
     departure_.front() = {topic_, role_, std::move(passed_)};
@@ -86,10 +90,13 @@ class Puller final : public RingPuller {
     end(source);
   }
 
-  [[gnu::hot]] detail::ControlBlock* keep() override {
+  [[gnu::hot]] detail::Kept keep() override {
     participant_->check_usable();
     if (!quota_.allows_one_more()) refuse_to_hold();
-    return hold_it();
+    if (!in_slot_) return {hold_it(), root_};
+    if (!has_spare()) refuse_to_hold();
+    std::memcpy(spare_.root, letter_, type_.size);
+    return hold_spare();
   }
 
   [[noreturn, gnu::cold]] void refuse_to_hold() const override {
@@ -99,7 +106,7 @@ class Puller final : public RingPuller {
 
   [[gnu::hot]] Status pull(detail::Borrowed& kept, detail::Limit limit) override {
     keeping_ = true;
-    if (!quota_.allows_one_more()) [[unlikely]] {
+    if (!may_keep_one()) [[unlikely]] {
       const Status status = pull_when_full(limit);
       if (status != Status::Ok) return found_none(kept, status);
     }
@@ -146,7 +153,7 @@ class Puller final : public RingPuller {
   }
 
   bool ready() override {
-    if (keeping_ && quota_.is_full()) return false;  // arm() says when to look again
+    if (keeping_ && may_be_full()) return false;  // arm() says when to look again
     // Relaxed: a hint. The next look acquires.
     return (directory_.load(std::memory_order_relaxed) != version_ && !not_before_) || is_over() ||
            std::any_of(sources_.begin(), sources_.end(),
@@ -177,6 +184,7 @@ class Puller final : public RingPuller {
   }
 
   std::uint64_t memory() const noexcept override {
+    if (in_slot_) return sources_[current_].reader.ring().slots.stride();
     return std::max(granules() * segment::kGranule, segment::kSmallBytes);
   }
 
@@ -206,7 +214,7 @@ class Puller final : public RingPuller {
     if (borrowing_) return std::nullopt;  // the next look reports what is wrong
     if (directory_.load(std::memory_order_acquire) != version_) find_new_rings();  // D1
     if (has_messages()) {
-      const bool is_full = keeping_ && quota_.is_full() && !quota_.allows_one_more();
+      const bool is_full = keeping_ && may_be_full() && !may_keep_one();
       return is_full ? when_to_tell() : std::nullopt;
     }
     const std::size_t rings = sources_.size();
@@ -314,8 +322,12 @@ class Puller final : public RingPuller {
       // A mutex ring is looked at only if it is ready: else other threads would wait for its lock
       // for nothing.
       if (reader.ring().arrived != nullptr && !reader.ready()) continue;
-      prefetch(reader.peek(0));
-      if (burst_ >= kBurst) prefetch(reader.peek(kLookAhead));
+      if (reader.ring().in_slots()) {
+        if (burst_ >= kBurst) reader.prefetch(kLookAhead);
+      } else {
+        prefetch(reader.peek(0));
+        if (burst_ >= kBurst) prefetch(reader.peek(kLookAhead));
+      }
       if (look_into(source, borrowed)) return true;
     }
     if (is_over()) [[unlikely]]
@@ -333,6 +345,17 @@ class Puller final : public RingPuller {
       const ring::Word b = working_ ? source.reader.poll_unclaimed(missed_, lapped)
                                     : source.reader.poll(missed_, lapped);
       if (b == kNoBlock) return false;
+      if (b == ring::kInSlot && source.reader.ring().in_slots()) {
+        // The ring may have been found just now. arm() says when to look again.
+        if (keeping_ && !has_spare()) return false;
+        if (!copied(borrowed, source)) continue;
+        if (!keeping_) return true;
+        const bool ours = !taking_ || take(source);
+        end(source);
+        if (!ours) continue;
+        borrowed.control = hold_spare().control;
+        return true;
+      }
       found(borrowed, b);
       if (!keeping_) return true;
       borrowed.control = hold_it();
@@ -342,6 +365,49 @@ class Puller final : public RingPuller {
       borrowed.control->drop_pointer();
     }
     return false;
+  }
+
+  bool may_keep_one() { return quota_.allows_one_more() && has_spare(); }
+  /// Whether it could keep no more when it last tried.
+  bool may_be_full() const noexcept { return quota_.is_full() || lacks_spare_; }
+
+  /// Copies the message that the poll has found in its slot: into the spare block if it is to be
+  /// kept. False: it has gone meanwhile.
+  [[gnu::hot]] bool copied(detail::Borrowed& borrowed, Source& source) {
+    void* const into = keeping_ ? spare_.root : letter_;
+    const ring::Copy copy =
+        source.reader.copy(into, words_, source.stamps ? &pushed_ns_ : nullptr, missed_);
+    if (copy == ring::Copy::Overwritten) return false;
+    if (copy == ring::Copy::Damaged) [[unlikely]]
+      skip_damaged("its slot in the queue says what no publisher says");
+    note_found(borrowed);
+    borrowed.root = into;
+    borrowed.control = nullptr;
+    in_slot_ = true;
+    return true;
+  }
+
+  /// True if there is a block into which a message can be copied, or none is needed. Makes it.
+  bool has_spare() { return !copies_ || spare_.control != nullptr || make_spare(); }
+  bool make_spare() {
+    if (!keeper_) {
+      keeper_ = participant_->keeper(
+          [this] { return std::shared_ptr<detail::PusherCore>(detail::make_maker(participant_)); });
+    }
+    spare_ = keeper_->loan(type_, false);
+    lacks_spare_ = spare_.control == nullptr;
+    return !lacks_spare_;
+  }
+  /// Makes the message in the spare block one that the caller has a pointer to. REQUIRES:
+  /// has_spare(), and the quota allows one more.
+  [[gnu::hot]] detail::Kept hold_spare() {
+    const detail::Loan message = std::exchange(spare_, {});
+    // A taken message has one owner, as one that is loaned.
+    if (!taking_) message.control->hub->points(message.control);
+    block_ = message.control->block;
+    detail::write_once(participant_->segment().arena(block_).topic, topic_key_);  // for people
+    note_held(0);
+    return {message.control, message.root};
   }
 
   /// Items that have come back are the oldest there are: the next look begins at their ring.
@@ -356,10 +422,13 @@ class Puller final : public RingPuller {
   /// REQUIRES: the quota allows one more.
   [[gnu::hot]] detail::ControlBlock* hold_it() {
     participant_->holder().acquire(block_, hold::kPointer);
-    held_ = last_;
-    held_life_ = quota_.counts() ? quota_.note(block_, small_ && type_.plain ? 0 : granules())
-                                 : generation_of(block_);
+    note_held(small_ && type_.plain ? 0 : granules());
     return &participant_->holder().control(block_);
+  }
+  /// Notes that a pointer was made of the last message, which is in block_.
+  void note_held(std::uint64_t granules) noexcept {
+    held_ = last_;
+    held_life_ = quota_.counts() ? quota_.note(block_, granules) : generation_of(block_);
   }
 
   std::uint64_t granules() const noexcept {
@@ -387,7 +456,7 @@ class Puller final : public RingPuller {
   }
   /// False: the time is up, or it was told to stop, and the process has let no message go.
   bool wait_for_quota(detail::Limit limit) {
-    if (quota_.allows_one_more()) return true;
+    if (may_keep_one()) return true;
     auto until = futex::Clock::now() + kWaitForRoom;
     if (const auto deadline = limit.deadline()) until = std::min(until, *deadline);
     ForQuota let_go(*this);
@@ -420,6 +489,7 @@ class Puller final : public RingPuller {
       return claim_ != 0;
     }
     if (!source.reader.take()) return false;
+    if (in_slot_) return true;
     // Only after the take: the reader that was faster may be the home.
     if (participant_->holder().is_home(block_)) {
       participant_->segment().build(block_).take_again();
@@ -451,7 +521,9 @@ class Puller final : public RingPuller {
   /// for it. So the word is loaded first, by acquire, and then the generation.
   std::optional<futex::Clock::time_point> time_of_push() const noexcept {
     const std::uint64_t ns =
-        __atomic_load_n(&participant_->segment().arena(block_).pushed_ns, __ATOMIC_ACQUIRE);
+        in_slot_
+            ? pushed_ns_
+            : __atomic_load_n(&participant_->segment().arena(block_).pushed_ns, __ATOMIC_ACQUIRE);
     const bool is_there = borrowing_ || (held_ == last_ && generation_of(block_) == held_life_);
     // A number that the clock cannot have, as the difference to its times may not be one.
     if (!is_there || ns == 0 || ns > std::uint64_t{INT64_MAX}) return std::nullopt;
@@ -489,8 +561,13 @@ class Puller final : public RingPuller {
         skip_damaged("it is said to lie where it cannot be");
     }
     block_ = block;
-    last_ = ring::make(sources_[current_].reader.cursor(), current_ << kIndexShift | kSeen);
+    root_ = borrowed.root;
+    in_slot_ = false;
+    note_found(borrowed);
     borrowed.control = &participant_->holder().control(block_);
+  }
+  void note_found(detail::Borrowed& borrowed) noexcept {
+    last_ = ring::make(sources_[current_].reader.cursor(), current_ << kIndexShift | kSeen);
     borrowed.missed = missed_;
     missed_ = 0;
     borrowing_ = true;
@@ -577,7 +654,7 @@ class Puller final : public RingPuller {
   /// How it then waits until the process lets messages go, which changes no word.
   struct ForQuota : waiting::Steps<ForQuota> {
     explicit ForQuota(Puller& puller) : puller_(puller) {}
-    bool look() { return puller_.quota_.allows_one_more(); }
+    bool look() { return puller_.may_keep_one(); }
     std::optional<waiting::Sleep<waiting::NoWords>> arm() const {
       return {{{}, futex::Clock::now() + kLookForRoom}};
     }
@@ -704,7 +781,13 @@ class Puller final : public RingPuller {
   /// True if the ring is of this puller's kind, as the type of the topic says. It is unless the
   /// segment is damaged.
   bool is_of_our_kind(const segment::Ring& ring) const {
-    return ring.depth != 0 && ring.taken == taking_ && (ring.claims != nullptr) == working_;
+    return ring.depth != 0 && ring.taken == taking_ && (ring.claims != nullptr) == working_ &&
+           (!ring.in_slots() || fits_into_slots(ring));
+  }
+
+  bool fits_into_slots(const segment::Ring& ring) const {
+    const bool with_time = detail::read_once(segment::Segment::head_of(ring).stamps) == 1;
+    return type_.size <= ring::Slots<segment::Atomics>::room(ring.slots.stride(), with_time);
   }
 
   /// Makes room first, as publisher_of() does: where there is no memory, no cell is lost. A source
@@ -733,6 +816,7 @@ class Puller final : public RingPuller {
     missed_ += reader.skipped();
     had_publisher_ = true;
     const bool stamps = detail::read_once(segment::Segment::head_of(reader.ring()).stamps) == 1;
+    copies_ = copies_ || reader.ring().in_slots();
     sources_.push_back(
         {reader, name, participant_->queue_lock(name.channel), std::move(publisher), stamps});
   }
@@ -840,6 +924,7 @@ class Puller final : public RingPuller {
   std::uint64_t missed_ = 0;
   std::uint32_t version_ = 0;  ///< the directory's version that sources_ is right for
   std::uint32_t block_ = 0;
+  const void* root_ = nullptr;   ///< the last message that was borrowed from its block
   unsigned burst_ = 0;           ///< messages since the last wait
   ring::Word last_ = 0;          ///< the last message, in block_, for envelope(); 0: none
   ring::Word held_ = 0;          ///< last_, if a pointer was made of that message
@@ -851,9 +936,13 @@ class Puller final : public RingPuller {
   bool working_;                ///< and it stays in the queue until that reader has finished it
   bool is_superseded_ = false;  ///< the topic was made anew, with another type
   bool small_;                  ///< the messages lie in their blocks' small payload
+  const std::uint32_t words_;   ///< so many words are in a slot
+  bool copies_ = false;         ///< some of them travel in the slots of their queue
+  bool in_slot_ = false;        ///< the last message did
   const detail::MessageType& type_;
   std::unique_ptr<waiting::Notifier> notifier_;  ///< once fd() was called
   const std::string topic_name_;
+  const std::uint64_t topic_key_;
   Quota quota_;
   futex::Clock::time_point tell_again_{};
 
@@ -868,7 +957,13 @@ class Puller final : public RingPuller {
   std::vector<registry::ChannelName> passed_;
   std::list<registry::Departure> departure_;  ///< one entry, made before it is needed
   LeftRing left_;                             ///< the last message's ring, when it was left
-  std::uint32_t claimed_slot_ = 0;            ///< the slot of the message that was claimed last
+  std::uint64_t pushed_ns_ = 0;  ///< when the last message that travelled in its slot was pushed
+  std::shared_ptr<detail::PusherCore> keeper_;  ///< makes blocks for what is kept of slots
+  detail::Loan spare_;                          ///< for the next one
+  bool lacks_spare_ = false;                    ///< there was no block for the next one
+  /// A message that was borrowed from its slot.
+  alignas(64) unsigned char letter_[segment::kSmallBytes];
+  std::uint32_t claimed_slot_ = 0;  ///< the slot of the message that was claimed last
   ring::Word claim_ = 0;
   RingWatcher* const watcher_;  ///< null: there is none
 };

@@ -82,7 +82,9 @@ class Pusher final : public RingPusher, private Evictor {
       name_ = participant_->rings().open(
           *topic_,
           {options.depth, participant_->segment().capacity().readers, options.policy, engine,
-           taken_by(delivery), 0, extra, stamps_},
+           taken_by(delivery), 0, extra, stamps_,
+           extra == 0 && fast_lane(options.fast_lane) ? segment::stride_for(type, stamps_)
+                                                      : std::uint16_t{0}},
           pool_.index());
     } catch (...) {
       if (topic_) participant_->topics().leave(*topic_);
@@ -98,6 +100,8 @@ class Pusher final : public RingPusher, private Evictor {
                     "end the process that writes where it should not, and try again");
       }
       writer_.emplace(ring);
+      in_slots_ = ring.in_slots();
+      words_ = segment::words_of(type);
       pool_.make_room(room_to_retire());
       seen_.resize(participant_->blocks());
     } catch (...) {
@@ -182,6 +186,7 @@ class Pusher final : public RingPusher, private Evictor {
   [[gnu::hot]] Status push_unique(detail::ControlBlock* control, detail::RoomLimit limit) override {
     check(control);
     if (limit.is_stopped()) return Status::Stopped;
+    if (in_slots_) return push_unique_copy(control, limit);
     if (control->hub != participant_->hub() || participant_->was_received(*control)) {
       return push_of_others(control, limit);
     }
@@ -202,7 +207,7 @@ class Pusher final : public RingPusher, private Evictor {
     if (!participant_->same_segment(*control)) refuse_elsewhere(*control);
     if (!is_whole(*control, object)) refuse_part(*control, object);
     if (limit.is_stopped()) return Status::Stopped;
-    return push_held(control, limit, true);
+    return in_slots_ ? push_copy(control, limit) : push_held(control, limit, true);
   }
 
   std::size_t readers() override {
@@ -313,6 +318,36 @@ class Pusher final : public RingPusher, private Evictor {
       throw Error(EINVAL, participant_->segment().path(), "an empty pointer was pushed",
                   "loan() a message, or look at the pointer before");
     }
+  }
+
+  /// Publishes a message in its slot. The caller keeps its pointer. REQUIRES: the message lies in
+  /// this segment.
+  [[gnu::hot]] Status push_copy(const detail::ControlBlock* control, detail::RoomLimit limit) {
+    std::unique_lock lock(pool_.lock());
+    mutex_engine::QueueGuard queue_guard(queue_lock_);
+    if (!writer_->room() && !wait_for_room(lock, queue_guard, limit)) return why_full(limit);
+    ring::Word time = 0;
+    if (stamps_) [[unlikely]]
+      time = now_ns();
+    const auto published = writer_->publish(participant_->segment().small(control->block), words_,
+                                            stamps_ ? &time : nullptr);
+    queue_guard.unlock();
+    lock.unlock();
+    if (published.wake) wake_readers(*published.slot);
+    return Status::Ok;
+  }
+  /// The same of a message that the caller then has no more.
+  [[gnu::hot]] Status push_unique_copy(detail::ControlBlock* control, detail::RoomLimit limit) {
+    const bool ours = control->hub == participant_->hub() && !participant_->was_received(*control);
+    if (!ours && !participant_->same_segment(*control)) refuse_elsewhere(*control);
+    const Status status = push_copy(control, limit);
+    if (status != Status::Ok) return status;
+    if (ours) {
+      participant_->holder().pool_of(*control).give_back(*control);
+    } else {
+      control->hub->abandoned(control);
+    }
+    return status;
   }
 
   /// Publishes a message that another copy of the library has made, or that was taken from a queue.
@@ -477,7 +512,7 @@ class Pusher final : public RingPusher, private Evictor {
   /// The same, for messages that may(block) allows.
   template <class May>
   bool evict_own(May&& may) noexcept {
-    if (!writer_) return false;
+    if (!writer_ || in_slots_) return false;
     const mutex_engine::QueueGuard queue_guard(queue_lock_, std::nothrow);
     const ring::Word b = writer_->evict_oldest(may);
     if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
@@ -558,11 +593,12 @@ class Pusher final : public RingPusher, private Evictor {
   /// Notes when the message is pushed, for readers of this ring that ask. Killed in between, the
   /// number tells nothing to any process.
   [[gnu::noinline]] void stamp(std::uint32_t b) noexcept {
-    const auto now = std::chrono::steady_clock::now().time_since_epoch();
     // Release: see Puller::time_of_push().
-    __atomic_store_n(&participant_->segment().arena(b).pushed_ns,
-                     static_cast<std::uint64_t>(std::chrono::nanoseconds(now).count()),
-                     __ATOMIC_RELEASE);
+    __atomic_store_n(&participant_->segment().arena(b).pushed_ns, now_ns(), __ATOMIC_RELEASE);
+  }
+  static std::uint64_t now_ns() noexcept {
+    const auto now = std::chrono::steady_clock::now().time_since_epoch();
+    return static_cast<std::uint64_t>(std::chrono::nanoseconds(now).count());
   }
 
   /// Asks Ahead for the next block. Only now, after the frame is out: the publisher needs its core
@@ -941,6 +977,8 @@ class Pusher final : public RingPusher, private Evictor {
   mutex_engine::QueueLock queue_lock_;
   std::uint32_t history_ = PusherOptions::kAll;  ///< this many messages that all have read stay
   bool stamps_ = false;                          ///< each push notes its time
+  bool in_slots_ = false;                        ///< its messages travel in their slots:
+  std::uint32_t words_ = 0;                      ///< so many words
   bool waits_ = false;  ///< it waits for room, and for memory at most this long:
   std::chrono::nanoseconds block_for_{};
   waiting::SpinHabit habit_{Wait::Adaptive};

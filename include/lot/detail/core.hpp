@@ -94,11 +94,18 @@ struct Loan {
 
 /// A message that is borrowed. The reader may read it until the borrow ends.
 struct Borrowed {
-  ControlBlock* control = nullptr;  ///< null: there is no message
+  /// Null: there is no message, or it has no block: it was borrowed from its slot.
+  ControlBlock* control = nullptr;
   const void* root = nullptr;
   /// How many messages this reader lost just before this one. Without a message: how many since its
   /// last look.
   std::uint64_t missed = 0;
+};
+
+/// A message that is kept: with a pointer hold on its block.
+struct Kept {
+  ControlBlock* control;
+  const void* root;
 };
 
 /// A message's place in one publisher's queue.
@@ -148,9 +155,9 @@ class PullerCore : public Waitable {
   /// Borrows the next message.
   virtual Status borrow(Borrowed& borrowed, Limit limit) = 0;
   virtual void done() noexcept = 0;
-  /// Takes a pointer hold on the borrowed message. Throws as refuse_to_hold() when the quota is
-  /// full.
-  virtual ControlBlock* keep() = 0;
+  /// Takes a pointer hold on the borrowed message, or on a copy of it where it travels in its slot.
+  /// Throws as refuse_to_hold() when the quota is full, or there is no block for a copy.
+  virtual Kept keep() = 0;
   /// Throws what Status::HoldsTooMuch means: lot::Error, EDQUOT.
   [[noreturn]] virtual void refuse_to_hold() const = 0;
   /// borrow, keep and done in one.
