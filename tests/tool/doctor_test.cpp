@@ -330,7 +330,7 @@ TEST_CASE("a variable that is nearly one of LOT's is found, others are not") {
   CHECK(tool::misspelt_of({"LOT_SIZES", "lot_DIR"}).size() == 1);
   CHECK(tool::misspelt_of({"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_PERMISSIONS", "LOT_GROUP",
                            "LOT_USER", "LOT_PERSIST", "LOT_MLOCK", "LOT_QUEUE", "LOT_STAMP",
-                           "LOT_TEST_SEED", "PATH", ""})
+                           "LOT_FAST_LANE", "LOT_TEST_SEED", "PATH", ""})
             .empty());
 }
 
