@@ -12,20 +12,21 @@ struct Game {
   lot::Wait wait;
   unsigned core;  ///< of the second process
   std::uint64_t trips;
+  bool fast_lane = false;
 };
 
 constexpr std::uint64_t kFloor = 1;
 constexpr std::uint64_t kArm = 2;
 
 /// `floor` and `serve` are the two ends of the bare hand-over on a Floor.
-template <class Floor>
+template <class Message = Ball, class Floor>
 void play(benchmark::State& state, const Game& game, double (*floor)(Floor&, std::uint64_t),
           void (*serve)(Floor&, std::uint64_t)) {
   if (game.core != 0 && !needs_two_cores(state)) return;
   const Shared<Floor> bare;
   Companion other([&](Companion& here) {
     lot::ShmEngine engine(segment());
-    auto end = End<Ball>::make(engine, here, false, game.policy, game.wait);
+    auto end = End<Message>::make(engine, here, false, game.policy, game.wait, game.fast_lane);
     pin(game.core);
     std::uint64_t ball = 0;
     for (std::uint64_t order; (order = here.hear()) != Companion::kStop; here.meet()) {
@@ -40,7 +41,7 @@ void play(benchmark::State& state, const Game& game, double (*floor)(Floor&, std
     }
   });
   lot::ShmEngine engine(segment());
-  auto end = End<Ball>::make(engine, other, true, game.policy, game.wait);
+  auto end = End<Message>::make(engine, other, true, game.policy, game.wait, game.fast_lane);
   pin(0);
   std::uint64_t ball = 0;
   Rounds rounds;
@@ -66,12 +67,23 @@ void play(benchmark::State& state, const Game& game, double (*floor)(Floor&, std
 }
 
 void hot(benchmark::State& state, Use use, lot::Policy policy) {
-  play<Lines>(state, {use, policy, lot::Wait::Spin, 1, 1'000}, cross_lines, serve_lines);
+  play<>(state, {use, policy, lot::Wait::Spin, 1, 1'000}, cross_lines, serve_lines);
+}
+
+/// A message of kWords words, in its slot or in a block.
+template <std::uint64_t kWords>
+void small(benchmark::State& state, Use use, bool fast_lane) {
+  play<BallOf<kWords>>(state, {use, lot::Policy::Overwrite, lot::Wait::Spin, 1, 1'000, fast_lane},
+                       cross_lines, serve_lines);
+}
+void small_48(benchmark::State& state, Use use, bool fast_lane) { small<6>(state, use, fast_lane); }
+void small_128(benchmark::State& state, Use use, bool fast_lane) {
+  small<16>(state, use, fast_lane);
 }
 
 void parked(benchmark::State& state, unsigned core) {
-  play<Futexes>(state, {Use::Borrowed, lot::Policy::Overwrite, lot::Wait::Park, core, 100},
-                cross_futexes, serve_futexes);
+  play<>(state, {Use::Borrowed, lot::Policy::Overwrite, lot::Wait::Park, core, 100}, cross_futexes,
+         serve_futexes);
 }
 
 /// Both ends push the same message again and again, a large one and a small one in turn: what is
@@ -147,6 +159,22 @@ BENCHMARK_CAPTURE(hot, , Use::Kept, lot::Policy::Overwrite)
     ->Name("latency/kept/overwrite")
     ->UseRealTime();
 BENCHMARK_CAPTURE(hot, , Use::Kept, lot::Policy::Block)->Name("latency/kept/block")->UseRealTime();
+BENCHMARK_CAPTURE(small_48, , Use::Borrowed, false)
+    ->Name("latency/48B/block/borrowed")
+    ->UseRealTime();
+BENCHMARK_CAPTURE(small_48, , Use::Borrowed, true)
+    ->Name("latency/48B/slot/borrowed")
+    ->UseRealTime();
+BENCHMARK_CAPTURE(small_48, , Use::Kept, false)->Name("latency/48B/block/kept")->UseRealTime();
+BENCHMARK_CAPTURE(small_48, , Use::Kept, true)->Name("latency/48B/slot/kept")->UseRealTime();
+BENCHMARK_CAPTURE(small_128, , Use::Borrowed, false)
+    ->Name("latency/128B/block/borrowed")
+    ->UseRealTime();
+BENCHMARK_CAPTURE(small_128, , Use::Borrowed, true)
+    ->Name("latency/128B/slot/borrowed")
+    ->UseRealTime();
+BENCHMARK_CAPTURE(small_128, , Use::Kept, false)->Name("latency/128B/block/kept")->UseRealTime();
+BENCHMARK_CAPTURE(small_128, , Use::Kept, true)->Name("latency/128B/slot/kept")->UseRealTime();
 BENCHMARK(big)->Name("latency/16MiB_vs_128B")->UseRealTime();
 BENCHMARK_CAPTURE(parked, , 0)->Name("latency/parked/one_core")->UseRealTime();
 BENCHMARK_CAPTURE(parked, , 1)->Name("latency/parked/across")->UseRealTime();

@@ -34,6 +34,14 @@ constexpr Figure kFigures[] = {
     {"latency/borrowed/block", "  the same under back-pressure", "ratio", true, 1.8},
     {"latency/kept/overwrite", "ping-pong, kept / line hand-over", "ratio", true, 2.5},
     {"latency/kept/block", "  the same under back-pressure", "ratio", true, 2.5},
+    {"latency/48B/block/borrowed", "  48 B in blocks, borrowed", "ratio", true, 1.8},
+    {"latency/48B/slot/borrowed", "  48 B in slots, borrowed", "ratio", true, 1.2},
+    {"latency/48B/block/kept", "  48 B in blocks, kept", "ratio", true, 2.5},
+    {"latency/48B/slot/kept", "  48 B in slots, kept", "ratio", true, 1.8},
+    {"latency/128B/block/borrowed", "  128 B in blocks, borrowed", "ratio", true, 1.8},
+    {"latency/128B/slot/borrowed", "  128 B in slots, borrowed", "ratio", true, 1.5},
+    {"latency/128B/block/kept", "  128 B in blocks, kept", "ratio", true, 2.5},
+    {"latency/128B/slot/kept", "  128 B in slots, kept", "ratio", true, 1.8},
     {"latency/16MiB_vs_128B", "16 MiB / 128 B, not rewritten", "ratio", true, 1.05},
     {"latency/parked/one_core", "parked / futex hand-over, one core", "ratio", true, 1.15},
     {"latency/parked/across", "  across cores, upper end", "hi", true, 1.1},
@@ -45,6 +53,7 @@ constexpr Figure kFigures[] = {
     {"own_loop/kept/O2", "  -O2, kept", "ratio", true, 1.1},
     {"own_loop/kept/O3", "  -O3, kept", "ratio", true, 1.1},
     {"publish/vs_exchange", "publish / locked exchange", "ratio", true, 4},
+    {"publish/slot/vs_exchange", "  in slots", "ratio", true, 2.5},
     {"publish/readers_250_vs_1", "publish, 250 readers / 1 reader", "ratio", true, 1.1},
     {"publish/deep_vs_shallow", "loan + push, depth = blocks / depth 64", "ratio", true, 4},
     {"publish/full_vs_roomy", "  16 MiB, full segment / depth 8", "ratio", true, 2},
@@ -78,6 +87,8 @@ constexpr Figure kFigures[] = {
     {"pointers/two_processes_vs_boost", "  two processes: faster than Boost", "faster", false, 5},
     {"throughput/borrowed", "64 B, M/s, none lost, borrowed", "M/s", false, 20},
     {"throughput/kept", "64 B, M/s, none lost, kept", "M/s", false, 8},
+    {"throughput/slot/borrowed", "  in slots, borrowed", "M/s", false, 20},
+    {"throughput/slot/kept", "  in slots, kept", "M/s", false, 13},
 };
 
 double median(std::vector<double> values) {

@@ -142,19 +142,21 @@ class Rounds {
 /// Skips the benchmark where two processes cannot run at once. False: skipped.
 bool needs_two_cores(benchmark::State& state);
 
-/// 64 bytes that say by themselves whether they are whole.
-struct Ball {
-  std::uint64_t words[8];
+/// So many words that say by themselves whether they are whole.
+template <std::uint64_t kWords>
+struct BallOf {
+  std::uint64_t words[kWords];
 
   void fill(std::uint64_t n) noexcept {
-    for (std::uint64_t i = 0; i < 8; ++i) words[i] = n + i;
+    for (std::uint64_t i = 0; i < kWords; ++i) words[i] = n + i;
   }
   bool is(std::uint64_t n) const noexcept {
     std::uint64_t sum = 0;
     for (const std::uint64_t w : words) sum += w;
-    return sum == 8 * n + 28;
+    return sum == kWords * n + kWords * (kWords - 1) / 2;
   }
 };
+using Ball = BallOf<8>;
 static_assert(sizeof(Ball) == kLine);
 
 struct Frame {

@@ -65,10 +65,12 @@ void read(Companion& here, const char* topic, std::size_t readers, const char* s
   }
 }
 
-void vs_exchange(benchmark::State& state) {
+void vs_exchange(benchmark::State& state, bool fast_lane) {
   Companion other([](Companion& here) { read(here, "/one", 1, "/other"); });
   lot::ShmEngine engine(segment());
-  auto out = engine.advertise<Ball>("/one");
+  lot::PusherOptions options;
+  options.fast_lane = fast_lane;
+  auto out = engine.advertise<Ball>("/one", options);
   auto unused = engine.advertise<Ball>("/other");
   other.meet();
   other.meet();
@@ -182,7 +184,8 @@ void full_vs_roomy(benchmark::State& state) {
 
 }  // namespace
 
-BENCHMARK(vs_exchange)->Name("publish/vs_exchange")->UseRealTime();
+BENCHMARK_CAPTURE(vs_exchange, , false)->Name("publish/vs_exchange")->UseRealTime();
+BENCHMARK_CAPTURE(vs_exchange, , true)->Name("publish/slot/vs_exchange")->UseRealTime();
 BENCHMARK(readers_250_vs_1)->Name("publish/readers_250_vs_1")->UseRealTime();
 BENCHMARK(deep_vs_shallow)->Name("publish/deep_vs_shallow")->UseRealTime();
 BENCHMARK(full_vs_roomy)->Name("publish/full_vs_roomy")->UseRealTime();

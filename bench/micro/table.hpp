@@ -17,9 +17,10 @@ struct End {
   lot::ShmPuller<T> in;
 
   static End make(lot::ShmEngine& engine, Companion& other, bool first, lot::Policy policy,
-                  lot::Wait wait) {
+                  lot::Wait wait, bool fast_lane = false) {
     lot::PusherOptions pushing;
     pushing.policy = policy;
+    pushing.fast_lane = fast_lane;
     lot::PullerOptions pulling;
     pulling.wait = wait;
     auto out = engine.advertise<T>(first ? "/ping" : "/pong", pushing);
@@ -30,13 +31,15 @@ struct End {
   }
 };
 
-inline void send(End<Ball>& end, std::uint64_t n) {
+template <class T>
+void send(End<T>& end, std::uint64_t n) {
   auto ball = end.out.loan();
   ball->fill(n);
   expect(end.out.push(std::move(ball)) == lot::Status::Ok, "push");
 }
 
-inline void receive(End<Ball>& end, std::uint64_t n, Use use) {
+template <class T>
+void receive(End<T>& end, std::uint64_t n, Use use) {
   if (use == Use::Borrowed) {
     const auto ball = end.in.borrow(10s);
     expect(ball && ball->is(n) && ball.missed() == 0, "a ball was lost");

@@ -12,7 +12,7 @@ constexpr std::uint64_t kFloor = 1;
 constexpr std::uint64_t kArm = 2;
 
 template <class Receive>
-void stream(benchmark::State& state, Receive receive) {
+void stream(benchmark::State& state, bool fast_lane, Receive receive) {
   if (!needs_two_cores(state)) return;
   const Shared<BareQueue> bare;
   const Shared<Line> done;  // blocks that the reader has read
@@ -44,6 +44,7 @@ void stream(benchmark::State& state, Receive receive) {
   lot::ShmEngine engine(segment());
   lot::PusherOptions options;
   options.policy = lot::Policy::Block;
+  options.fast_lane = fast_lane;
   auto out = engine.advertise<Ball>("/stream", options);
   other.meet();
   other.meet();
@@ -83,16 +84,19 @@ void stream(benchmark::State& state, Receive receive) {
   rounds.report_rate(state);
 }
 
-void borrowed(benchmark::State& state) {
-  stream(state, [](auto& in, Clock::time_point until) { return in.borrow_until(until); });
+void borrowed(benchmark::State& state, bool fast_lane) {
+  stream(state, fast_lane,
+         [](auto& in, Clock::time_point until) { return in.borrow_until(until); });
 }
-void kept(benchmark::State& state) {
-  stream(state, [](auto& in, Clock::time_point until) { return in.pull_until(until); });
+void kept(benchmark::State& state, bool fast_lane) {
+  stream(state, fast_lane, [](auto& in, Clock::time_point until) { return in.pull_until(until); });
 }
 
 }  // namespace
 
-BENCHMARK(borrowed)->Name("throughput/borrowed")->UseRealTime();
-BENCHMARK(kept)->Name("throughput/kept")->UseRealTime();
+BENCHMARK_CAPTURE(borrowed, , false)->Name("throughput/borrowed")->UseRealTime();
+BENCHMARK_CAPTURE(kept, , false)->Name("throughput/kept")->UseRealTime();
+BENCHMARK_CAPTURE(borrowed, , true)->Name("throughput/slot/borrowed")->UseRealTime();
+BENCHMARK_CAPTURE(kept, , true)->Name("throughput/slot/kept")->UseRealTime();
 
 }  // namespace bench
