@@ -159,8 +159,16 @@ void Pool::prepare() noexcept {
 void Pool::prefetch(std::uint64_t b) const noexcept {
   if (b >= holder_.segment->capacity().blocks) return;
   const auto index = static_cast<std::uint32_t>(b);
-  detail::HardwareAtomics::prefetch_write(holder_.segment->small(index));
+  const unsigned char* const small = holder_.segment->small(index);
+  detail::HardwareAtomics::prefetch_write(small);
   detail::HardwareAtomics::prefetch_write(&holder_.words(index));
+  // The next message is most likely as long as the last one.
+  const detail::MessageType* const type = holder_.control(index).type;
+  const std::uint64_t size = type != nullptr && segment::is_small(*type) ? type->size : 0;
+  for (std::uint64_t at = detail::HardwareAtomics::kLine; at < size;
+       at += detail::HardwareAtomics::kLine) {
+    detail::HardwareAtomics::prefetch_write(small + at);
+  }
 }
 
 /// Makes the block exclusively this pool's again. On failure the block is the last of the kept
