@@ -144,8 +144,8 @@ MISTAKES = (
         '    if (ahead > 0 || (ahead == 0 && claim_worker(seen) != 0)) return 0;',
         '    if (ahead > 0) return 0;'),)),
     Planted('who sleeps beside a task hears of no new ring', SLEEP, 'task', ((
-        '  if (now != version || !any_live) sleep_on(directory.word(), now);',
-        '  if (now != version || sources.empty()) sleep_on(directory.word(), now);'),)),
+        '  if (now != version || !any_live) sleep_on(directory.word(), now, false);',
+        '  if (now != version || sources.empty()) sleep_on(directory.word(), now, false);'),)),
     Planted('a reader of the ring is not told after the dead one', 'src/lockfree_ring/ring.hpp', 'task', ((
         '    if (reads) returned->fetch_add(1, std::memory_order_release);  // C2\n', ''),)),
     Planted('a ring with items is deserted', 'src/lockfree_ring/ring.hpp', 'task', ((
