@@ -139,7 +139,7 @@ struct Ring {
     floor->store(first, std::memory_order_relaxed);                          // R7
     for (std::uint32_t i = 0; i < places(); ++i) {
       const Word before = advance(first, Word{i} - places());
-      slots.format(i, before);  // R7
+      slots.format(i, advance(first, i), before);  // R7
       // R7
       if (claims != nullptr) claims[i].store(make_claim(before, 0, 0), std::memory_order_relaxed);
     }
@@ -844,6 +844,8 @@ class Reader {
   /// It may be called again until done(): without loss it is then the same message.
   [[gnu::hot]] Copy copy(void* into, std::size_t words, Word* time, std::uint64_t& missed) {
     const Copy copy = ring_.slots.read(index_, cursor_, places_, into, words, time);
+    // The take, or the second look behind the claim, says whether the copy is whole.
+    if (ring_.taken) return Copy::Whole;
     if (copy == Copy::Overwritten) skip(1, missed);
     return copy;
   }

@@ -17,8 +17,9 @@
 ///
 /// `word` says which message is there, as in any ring; its block is kInSlot. `begin` says which
 /// message the publisher has last begun to write there. So a slot has a message for a reader at `s`
-/// while `word` says s and `begin` says no more than s. The reader copies the message and then
-/// looks at `begin`. No process waits for another one that is in the middle of a copy.
+/// while both say s. Where messages are taken, `begin` says nothing: a reader whose copy is not
+/// whole does not get the message out of its slot. The reader copies the message and then looks at
+/// `begin`. No process waits for another one that is in the middle of a copy.
 ///
 /// Edge
 ///   R16  begin store, fence (release), stores of the message in Slots::write
@@ -64,11 +65,12 @@ class Slots {
   /// Bytes from slot to slot.
   std::size_t stride() const noexcept { return sizeof(Word) << shift_; }
 
-  /// Makes slot i, before any process knows the ring.
-  void format(std::uint32_t i, Word before) const {
+  /// Makes slot i, before any process knows the ring. `first` is the sequence of its first message,
+  /// `before` the one of the message that would have been there a lap earlier.
+  void format(std::uint32_t i, Word first, Word before) const {
     words_[std::size_t{i} << shift_].store(make(before, kNoBlock),
-                                           std::memory_order_relaxed);          // R7
-    if (have_messages()) begin_of(i).store(before, std::memory_order_relaxed);  // R7
+                                           std::memory_order_relaxed);         // R7
+    if (have_messages()) begin_of(i).store(first, std::memory_order_relaxed);  // R7
   }
 
   /// Says that the message of this sequence comes into slot i next: what is there goes.
@@ -111,11 +113,10 @@ class Slots {
     }
     if (time != nullptr) *time = time_of(i).load(std::memory_order_relaxed);  // R1, R16
     P::acquire_fence();                                                       // R16
-    const std::int64_t newer =
-        distance(begin_of(i).load(std::memory_order_relaxed), sequence);  // R16
-    if (newer <= 0) [[likely]]
+    const Word begun = begin_of(i).load(std::memory_order_relaxed);           // R16
+    if (begun == sequence) [[likely]]
       return Copy::Whole;
-    return newer % places == 0 ? Copy::Overwritten : Copy::Damaged;
+    return distance(begun, sequence) % places == 0 ? Copy::Overwritten : Copy::Damaged;
   }
 
   /// Fetches the cache lines of slot i for a reader that has the first one.

@@ -605,6 +605,7 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   if (depth == 0 || depth > kDeepest || readers == 0 || readers > capacity_.readers ||
       granule >= geometry_.granules || granules > geometry_.granules - granule ||
       (extra != 0 && extra != kExtraBytes) || taken > kFinished ||
+      (taken == kFinished && !blocking) ||  // a claim for each of `depth` slots
       (slots.stride != 0 &&
        std::count(std::begin(kStrides), std::end(kStrides), slots.stride) == 0) ||
       ring_bytes(slots, readers, taken == kFinished, extra) > kGranule * granules ||

@@ -94,7 +94,7 @@ class Puller final : public RingPuller {
     participant_->check_usable();
     if (!quota_.allows_one_more()) refuse_to_hold();
     if (!in_slot_) return {hold_it(), root_};
-    if (!has_spare()) refuse_to_hold();
+    if (spare_.control == nullptr && !make_spare()) refuse_to_hold();
     std::memcpy(spare_.root, letter_, type_.size);
     return hold_spare();
   }
@@ -106,7 +106,7 @@ class Puller final : public RingPuller {
 
   [[gnu::hot]] Status pull(detail::Borrowed& kept, detail::Limit limit) override {
     keeping_ = true;
-    if (!may_keep_one()) [[unlikely]] {
+    if (!quota_.allows_one_more()) [[unlikely]] {
       const Status status = pull_when_full(limit);
       if (status != Status::Ok) return found_none(kept, status);
     }
@@ -283,6 +283,8 @@ class Puller final : public RingPuller {
       ++burst_;
       return Status::Ok;
     }
+    if (lacks_spare_) [[unlikely]]
+      return wait_for_spare(borrowed, limit);
     if (!limit.waits()) {
       if (!settle() && look(borrowed)) return Status::Ok;
       return why_none(Status::Empty);
@@ -313,6 +315,7 @@ class Puller final : public RingPuller {
     if (directory_.load(std::memory_order_acquire) != version_) [[unlikely]]  // D1
       find_new_rings();
     const std::size_t n = sources_.size();
+    lacks_spare_ = false;
     if (working_) [[unlikely]]
       begin_with_returns();
     for (std::size_t i = 0; i < n; ++i) {
@@ -323,6 +326,8 @@ class Puller final : public RingPuller {
       // for nothing.
       if (reader.ring().arrived != nullptr && !reader.ready()) continue;
       if (reader.ring().in_slots()) {
+        // The block first: once its copy is there, a message can be kept.
+        if (keeping_ && spare_.control == nullptr && reader.ready() && !make_spare()) continue;
         if (burst_ >= kBurst) reader.prefetch(kLookAhead);
       } else {
         prefetch(reader.peek(0));
@@ -345,9 +350,11 @@ class Puller final : public RingPuller {
       const ring::Word b = working_ ? source.reader.poll_unclaimed(missed_, lapped)
                                     : source.reader.poll(missed_, lapped);
       if (b == kNoBlock) return false;
-      if (b == ring::kInSlot && source.reader.ring().in_slots()) {
-        // The ring may have been found just now. arm() says when to look again.
-        if (keeping_ && !has_spare()) return false;
+      if (source.reader.ring().in_slots()) {
+        if (b != ring::kInSlot) [[unlikely]]
+          skip_damaged("its slot in the queue cannot be right");
+        // It has come since: the next look has a block for it.
+        if (keeping_ && spare_.control == nullptr) return false;
         if (!copied(borrowed, source)) continue;
         if (!keeping_) return true;
         const bool ours = !taking_ || take(source);
@@ -367,7 +374,7 @@ class Puller final : public RingPuller {
     return false;
   }
 
-  bool may_keep_one() { return quota_.allows_one_more() && has_spare(); }
+  bool may_keep_one() { return quota_.allows_one_more() && (!lacks_spare_ || make_spare()); }
   /// Whether it could keep no more when it last tried.
   bool may_be_full() const noexcept { return quota_.is_full() || lacks_spare_; }
 
@@ -375,21 +382,23 @@ class Puller final : public RingPuller {
   /// kept. False: it has gone meanwhile.
   [[gnu::hot]] bool copied(detail::Borrowed& borrowed, Source& source) {
     void* const into = keeping_ ? spare_.root : letter_;
+    ring::Word time = 0;
     const ring::Copy copy =
-        source.reader.copy(into, words_, source.stamps ? &pushed_ns_ : nullptr, missed_);
+        source.reader.copy(into, words_, source.stamps ? &time : nullptr, missed_);
     if (copy == ring::Copy::Overwritten) return false;
     if (copy == ring::Copy::Damaged) [[unlikely]]
       skip_damaged("its slot in the queue says what no publisher says");
     note_found(borrowed);
+    pushed_ns_ = time;
     borrowed.root = into;
     borrowed.control = nullptr;
     in_slot_ = true;
     return true;
   }
 
-  /// True if there is a block into which a message can be copied, or none is needed. Makes it.
-  bool has_spare() { return !copies_ || spare_.control != nullptr || make_spare(); }
+  /// Makes a block into which a message can be copied. False: there is none.
   bool make_spare() {
+    participant_->check_usable();  // before the lock: a forked child may have inherited it locked
     if (!keeper_) {
       keeper_ = participant_->keeper(
           [this] { return std::shared_ptr<detail::PusherCore>(detail::make_maker(participant_)); });
@@ -399,7 +408,7 @@ class Puller final : public RingPuller {
     return !lacks_spare_;
   }
   /// Makes the message in the spare block one that the caller has a pointer to. REQUIRES:
-  /// has_spare(), and the quota allows one more.
+  /// there is one, and the quota allows one more.
   [[gnu::hot]] detail::Kept hold_spare() {
     const detail::Loan message = std::exchange(spare_, {});
     // A taken message has one owner, as one that is loaned.
@@ -589,7 +598,13 @@ class Puller final : public RingPuller {
   [[gnu::hot]] Status wait_and_look(detail::Borrowed& borrowed, detail::Limit limit) {
     ForMessage message(*this, borrowed, std::exchange(burst_, 0) >= kBurst);
     if (!waiting::wait(message, limit.deadline(), limit.stop())) return why_ended(limit);
-    return message.is_there() ? Status::Ok : tell_gone();
+    if (message.is_there()) return Status::Ok;
+    return lacks_spare_ ? wait_for_spare(borrowed, limit) : tell_gone();
+  }
+  /// There is a message in a slot, and no block to keep it in.
+  [[gnu::noinline]] Status wait_for_spare(detail::Borrowed& borrowed, detail::Limit limit) {
+    if (limit.waits() && wait_for_quota(limit) && look(borrowed)) return Status::Ok;
+    return limit.is_stopped() ? Status::Stopped : Status::HoldsTooMuch;
   }
 
   /// Leaves the marks for whatever this puller waits for. Nothing: look at once.
@@ -610,7 +625,7 @@ class Puller final : public RingPuller {
         : puller_(puller), borrowed_(borrowed), streaming_(streaming) {}
     bool look() {
       is_there_ = puller_.look(borrowed_);
-      return is_there_ || puller_.is_forsaken();
+      return is_there_ || puller_.is_forsaken() || puller_.lacks_spare_;
     }
     bool is_there() const noexcept { return is_there_; }
     waiting::SpinHabit* spins() noexcept { return &puller_.habit_; }
@@ -787,7 +802,9 @@ class Puller final : public RingPuller {
 
   bool fits_into_slots(const segment::Ring& ring) const {
     const bool with_time = detail::read_once(segment::Segment::head_of(ring).stamps) == 1;
-    return type_.size <= ring::Slots<segment::Atomics>::room(ring.slots.stride(), with_time);
+    // A type without a description here is not plain, and has no destructor.
+    return (type_.plain || type_.destroy == nullptr) &&
+           type_.size <= ring::Slots<segment::Atomics>::room(ring.slots.stride(), with_time);
   }
 
   /// Makes room first, as publisher_of() does: where there is no memory, no cell is lost. A source
@@ -816,7 +833,6 @@ class Puller final : public RingPuller {
     missed_ += reader.skipped();
     had_publisher_ = true;
     const bool stamps = detail::read_once(segment::Segment::head_of(reader.ring()).stamps) == 1;
-    copies_ = copies_ || reader.ring().in_slots();
     sources_.push_back(
         {reader, name, participant_->queue_lock(name.channel), std::move(publisher), stamps});
   }
@@ -937,7 +953,6 @@ class Puller final : public RingPuller {
   bool is_superseded_ = false;  ///< the topic was made anew, with another type
   bool small_;                  ///< the messages lie in their blocks' small payload
   const std::uint32_t words_;   ///< so many words are in a slot
-  bool copies_ = false;         ///< some of them travel in the slots of their queue
   bool in_slot_ = false;        ///< the last message did
   const detail::MessageType& type_;
   std::unique_ptr<waiting::Notifier> notifier_;  ///< once fd() was called
@@ -960,7 +975,7 @@ class Puller final : public RingPuller {
   std::uint64_t pushed_ns_ = 0;  ///< when the last message that travelled in its slot was pushed
   std::shared_ptr<detail::PusherCore> keeper_;  ///< makes blocks for what is kept of slots
   detail::Loan spare_;                          ///< for the next one
-  bool lacks_spare_ = false;                    ///< there was no block for the next one
+  bool lacks_spare_ = false;  ///< the last look has found a message, and no block for it
   /// A message that was borrowed from its slot.
   alignas(64) unsigned char letter_[segment::kSmallBytes];
   std::uint32_t claimed_slot_ = 0;  ///< the slot of the message that was claimed last

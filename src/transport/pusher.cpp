@@ -67,9 +67,11 @@ class Pusher final : public RingPusher, private Evictor {
         type_(&type) {
     try {
       check_depth(topic, options.depth);
+      stamps_ = delivery == detail::Delivery::ToAll && stamps(options.stamp);
+      if (extra == 0 && fast_lane(options.fast_lane)) stride_ = segment::stride_for(type, stamps_);
       // Messages for all readers without loss: up to `depth` of them may be unread at once.
-      if (options.policy != Policy::Overwrite && delivery == detail::Delivery::ToAll &&
-          options.depth >= participant_->blocks()) {
+      if (stride_ == 0 && options.policy != Policy::Overwrite &&
+          delivery == detail::Delivery::ToAll && options.depth >= participant_->blocks()) {
         throw Error(EINVAL, std::string(topic),
                     "PusherOptions::depth " + std::to_string(options.depth) +
                         " without loss, and the segment has " +
@@ -77,14 +79,11 @@ class Pusher final : public RingPusher, private Evictor {
                     "use less, or make the segment with a larger EngineOptions::blocks");
       }
       const QueueEngine engine = queue_engine(options.engine);
-      stamps_ = delivery == detail::Delivery::ToAll && stamps(options.stamp);
       topic_ = participant_->topics().enter(topic, type);
       name_ = participant_->rings().open(
           *topic_,
           {options.depth, participant_->segment().capacity().readers, options.policy, engine,
-           taken_by(delivery), 0, extra, stamps_,
-           extra == 0 && fast_lane(options.fast_lane) ? segment::stride_for(type, stamps_)
-                                                      : std::uint16_t{0}},
+           taken_by(delivery), 0, extra, stamps_, stride_},
           pool_.index());
     } catch (...) {
       if (topic_) participant_->topics().leave(*topic_);
@@ -94,13 +93,14 @@ class Pusher final : public RingPusher, private Evictor {
     try {
       pool_.limit(options.max_bytes);
       const segment::Ring ring = participant_->segment().ring(name_.channel);
-      if (ring.depth == 0) {
+      const bool is_as_asked = ring.depth != 0 && ring.in_slots() == (stride_ != 0) &&
+                               (stride_ == 0 || ring.slots.stride() == stride_);
+      if (!is_as_asked) {
         throw Error(EBADMSG, participant_->segment().path(),
                     "another process has changed the queue that was made for " + std::string(topic),
                     "end the process that writes where it should not, and try again");
       }
       writer_.emplace(ring);
-      in_slots_ = ring.in_slots();
       words_ = segment::words_of(type);
       pool_.make_room(room_to_retire());
       seen_.resize(participant_->blocks());
@@ -186,7 +186,7 @@ class Pusher final : public RingPusher, private Evictor {
   [[gnu::hot]] Status push_unique(detail::ControlBlock* control, detail::RoomLimit limit) override {
     check(control);
     if (limit.is_stopped()) return Status::Stopped;
-    if (in_slots_) return push_unique_copy(control, limit);
+    if (stride_ != 0) return push_unique_copy(control, limit);
     if (control->hub != participant_->hub() || participant_->was_received(*control)) {
       return push_of_others(control, limit);
     }
@@ -207,7 +207,7 @@ class Pusher final : public RingPusher, private Evictor {
     if (!participant_->same_segment(*control)) refuse_elsewhere(*control);
     if (!is_whole(*control, object)) refuse_part(*control, object);
     if (limit.is_stopped()) return Status::Stopped;
-    return in_slots_ ? push_copy(control, limit) : push_held(control, limit, true);
+    return stride_ != 0 ? push_copy(control, limit) : push_held(control, limit, true);
   }
 
   std::size_t readers() override {
@@ -512,7 +512,7 @@ class Pusher final : public RingPusher, private Evictor {
   /// The same, for messages that may(block) allows.
   template <class May>
   bool evict_own(May&& may) noexcept {
-    if (!writer_ || in_slots_) return false;
+    if (!writer_ || stride_ != 0) return false;
     const mutex_engine::QueueGuard queue_guard(queue_lock_, std::nothrow);
     const ring::Word b = writer_->evict_oldest(may);
     if (b < participant_->blocks()) pool_.retire(static_cast<std::uint32_t>(b), true);
@@ -977,9 +977,9 @@ class Pusher final : public RingPusher, private Evictor {
   mutex_engine::QueueLock queue_lock_;
   std::uint32_t history_ = PusherOptions::kAll;  ///< this many messages that all have read stay
   bool stamps_ = false;                          ///< each push notes its time
-  bool in_slots_ = false;                        ///< its messages travel in their slots:
-  std::uint32_t words_ = 0;                      ///< so many words
-  bool waits_ = false;  ///< it waits for room, and for memory at most this long:
+  std::uint16_t stride_ = 0;  ///< not 0: its messages travel in their slots, so far apart,
+  std::uint32_t words_ = 0;   ///< and have so many words
+  bool waits_ = false;        ///< it waits for room, and for memory at most this long:
   std::chrono::nanoseconds block_for_{};
   waiting::SpinHabit habit_{Wait::Adaptive};
   waiting::YieldHabit yield_;

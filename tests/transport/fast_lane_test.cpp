@@ -536,8 +536,22 @@ TEST_CASE_FIXTURE(BothEngines, "a slot that no publisher can have written is an 
   });
   const QueueEngine engine = QueueEngine::Ring;
   lot::ShmEngine shm(options);
+  {
+    // Where items are taken, `begin` says nothing.
+    auto queue = shm.queue<lot::ShmUniquePtr<Ball>>("/items", queueing(engine, false));
+    auto item = queue.make();
+    *item = {3, ~std::uint64_t{3}};
+    CHECK(queue.put_for(std::move(item), 10s) == Status::Ok);
+    lot::segment::Segment(shm.path()).ring(0).slots.begin(0, lot::ring::kSequenceMask / 2);
+    CHECK(is(**queue.wait_and_pop_for(10s), 3));
+  }
   auto out = shm.advertise<Ball>("/ball", pushing(engine));
   lot::segment::Segment s(shm.path());
+  // A queue that redelivers has no slot more than claims.
+  const auto taken = s.channels()[0].taken;
+  s.channels()[0].taken = lot::segment::kFinished;
+  CHECK(s.ring(0).depth == 0);
+  s.channels()[0].taken = taken;
   for (const unsigned stride : {8U, 32U, 65U, 512U}) {
     s.channels()[0].stride = static_cast<std::uint16_t>(stride);
     CHECK(error_of([&] { (void)shm.subscribe<Ball>("/ball"); }).first == EBADMSG);

@@ -566,7 +566,7 @@ inline open() {
   if
   :: atomic { STATE(writer) == FREE -> writer = WRITER(GENERATION(writer) + 1, INIT, k) }; /* @ src/registry/registry.cpp open: entry.writer.claim(w, participant) */
     atomic { memory = 1; kernel_garbage() }; /* @ src/registry/registry.cpp open: segment_.claim_run(granules, segment::kRingTag | c) */
-    slot = 0; /* @ src/lockfree_ring/ring.hpp format: slots.format(i, before) */
+    slot = 0; /* @ src/lockfree_ring/ring.hpp format: slots.format(i, advance(first, i), before) */
     who = 0; /* @ src/lockfree_ring/ring.hpp format: who[c].store(0 */
     formed = 1; /* @ src/registry/registry.cpp open: entry.formed.store(1 */
 #ifdef SUBSCRIBED
