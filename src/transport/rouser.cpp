@@ -16,6 +16,7 @@ void Rouser::rouse(const void* word) noexcept {
   if (!note(word)) return futex::wake_all(word);
   std::uint32_t is = state_.load(std::memory_order_seq_cst);  // N1
   if (is == kAwake) return;
+  if (is == kEnding) return futex::wake_all(word);
   const bool starts = is == kAbsent;
   // N1. Relaxed where it fails: another thread was quicker, and does what this one would.
   if (!state_.compare_exchange_strong(is, kAwake, std::memory_order_seq_cst,

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
+#include <utility>
 #include <vector>
 
 namespace lot::detail {
@@ -24,6 +25,17 @@ class FutexWaits {
   FutexWaits() = default;
   FutexWaits(std::initializer_list<FutexWait> waits) : waits_(waits), size_(waits.size()) {}
   FutexWaits(std::size_t count, const FutexWait& wait) : waits_(count, wait), size_(count) {}
+  FutexWaits(const FutexWaits&) = default;
+  FutexWaits& operator=(const FutexWaits&) = default;
+  /// The other one is empty then.
+  FutexWaits(FutexWaits&& other) noexcept
+      : waits_(std::move(other.waits_)), size_(std::exchange(other.size_, 0)) {}
+  FutexWaits& operator=(FutexWaits&& other) noexcept {
+    waits_ = std::move(other.waits_);
+    size_ = std::exchange(other.size_, 0);
+    return *this;
+  }
+  ~FutexWaits() = default;
 
   void reserve(std::size_t count) { waits_.reserve(count); }
   void clear() noexcept { size_ = 0; }
