@@ -65,7 +65,8 @@ std::string text_of(const Description& all, const Description::Field& field) {
 /// Looks at two descriptions side by side.
 class Difference {
  public:
-  Difference(const Description& topic, const Description& here) : topic_(topic), here_(here) {}
+  Difference(const Description& topic, const Description& here)
+      : topic_(topic), here_(here), merged_(topic) {}
 
   /// Empty: the types at these places do not differ.
   std::string of(std::uint32_t there, std::uint32_t here, const std::string& path) {
@@ -74,7 +75,7 @@ class Difference {
     const Description::Type& b = here_.types[here];
     if (a.kind != b.kind) return told(there, here, path);
     if (a.kind == Kind::Struct) {
-      std::string found = of_fields(a, b, path);
+      std::string found = of_fields(there, here, path);
       return found.empty() && a.size != b.size ? told_size(a, b, path) : found;
     }
     if ((a.element == Description::kNone) == (b.element == Description::kNone) &&
@@ -90,6 +91,8 @@ class Difference {
   }
   /// Of the fields that of() has met.
   const Names& names() const { return names_; }
+  /// The topic's description, with the names that this side alone has.
+  const Description& merged() const { return merged_; }
 
  private:
   /// What is between a path and the path of what lies in it.
@@ -115,8 +118,9 @@ class Difference {
                 std::to_string(b.size) + " bytes");
   }
 
-  std::string of_fields(const Description::Type& a, const Description::Type& b,
-                        const std::string& path) {
+  std::string of_fields(std::uint32_t there, std::uint32_t here, const std::string& path) {
+    const Description::Type& a = topic_.types[there];
+    const Description::Type& b = here_.types[here];
     for (std::size_t i = 0; i < std::max(a.fields.size(), b.fields.size()); ++i) {
       const std::string number =
           "field " + std::to_string(i + 1) + (path.empty() ? "" : " of " + path);
@@ -126,7 +130,10 @@ class Difference {
       const Description::Field& g = b.fields[i];
       const bool same_name = f.name == g.name || f.name.empty() || g.name.empty();
       names_.topic_knows_more |= g.name.empty() && !f.name.empty();
-      names_.here_knows_more |= f.name.empty() && !g.name.empty();
+      if (f.name.empty() && !g.name.empty()) {
+        names_.here_knows_more = true;
+        merged_.types[there].fields[i].name = g.name;
+      }
       if (!same_name || f.offset != g.offset || f.bit != g.bit || f.bits != g.bits) {
         return said(number, text_of(topic_, f), text_of(here_, g));
       }
@@ -138,6 +145,7 @@ class Difference {
 
   const Description& topic_;
   const Description& here_;
+  Description merged_;
   std::set<std::pair<std::uint32_t, std::uint32_t>> met_;
   Names names_;
 };
@@ -165,6 +173,10 @@ Names compare_names(std::string_view topic, std::string_view here) {
   Names names = difference.names();
   names.differ = differ;
   names.topic_knows_all = theirs->names_hash() != 0;
+  if (!differ && names.topic_knows_more && names.here_knows_more) {
+    names.merged = encode(difference.merged());
+    names.merged_names = difference.merged().names_hash();
+  }
   return names;
 }
 

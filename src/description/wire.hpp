@@ -41,6 +41,10 @@ struct Names {
   bool topic_knows_all = false;   ///< each field has a name there
   bool topic_knows_more = false;  ///< some field has a name there alone
   bool here_knows_more = false;   ///< some field has a name here alone
+  /// Where each side knows more than the other: the description with the names of both, and their
+  /// hash (Description::names_hash()).
+  std::string merged = {};
+  std::uint64_t merged_names = 0;
 };
 /// All is false where the bytes are the same, or no description. Throws std::bad_alloc.
 Names compare_names(std::string_view topic, std::string_view here);

@@ -196,18 +196,25 @@ void Registry::name_fields(segment::TopicEntry& topic, const detail::Described& 
   // Relaxed: the lock carries both words to the process that changes them.
   const bool had_names = topic.type_names.load(std::memory_order_relaxed) != 0;
   const std::uint64_t before = topic.description.load(std::memory_order_relaxed);
-  if (described.names == 0) {
+  std::string_view bytes = described.bytes;
+  std::uint64_t names = described.names;
+  description::Names known;
+  if (names == 0) {
     if (had_names) return;
-    const description::Names names = names_of(segment_, topic, described);
-    if (!names.here_knows_more || names.topic_knows_more) return;
+    known = names_of(segment_, topic, described);
+    if (!known.here_knows_more) return;
+    if (known.topic_knows_more) {
+      bytes = known.merged;
+      names = known.merged_names;
+    }
   } else if (had_names && before != 0) {
     return;
   }
   // Killed between the two steps, the next process that knows all names does both again.
-  const std::uint64_t word = TypeTable(segment_).place(described.bytes, descriptions());
+  const std::uint64_t word = TypeTable(segment_).place(bytes, descriptions());
   // Relaxed: the lock carries both.
   if (word != 0) topic.description.store(word, std::memory_order_relaxed);
-  topic.type_names.store(described.names, std::memory_order_relaxed);
+  topic.type_names.store(names, std::memory_order_relaxed);
 }
 
 std::shared_ptr<const KnownType> Registry::type_of(std::string_view name) const {

@@ -145,8 +145,8 @@ class Registry {
   std::vector<std::uint64_t> descriptions() const;
   void make_topic(segment::TopicEntry& free, std::string_view name,
                   const detail::MessageType& type);
-  /// Gives the topic the names of its fields, and a description with names, if this side knows all
-  /// names that the topic has, and more.
+  /// Gives the topic the names of its fields that this side knows and the topic does not, and a
+  /// description with them. REQUIRES: no name differs.
   void name_fields(segment::TopicEntry& topic, const detail::Described& described);
   [[noreturn]] void refuse_type(const segment::TopicEntry& topic,
                                 const detail::MessageType& type) const;

@@ -128,9 +128,11 @@ Sample sample(const char* what) {
 Sample nameless_in_17();
 Sample named_in_17();
 Sample opaque_in_17();
-/// With a struct of bit-fields in them: one without names, and one whose own names are given alone.
+/// With a struct of bit-fields in them: one without names, one whose own names are given alone, and
+/// one where those of a struct in it are.
 Sample beside_bits_in_17();
 Sample partly_beside_bits_in_17();
+Sample inner_beside_bits_in_17();
 /// With a packed struct, all of whose names are given.
 Sample beside_tight_in_17();
 

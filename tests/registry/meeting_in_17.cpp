@@ -33,6 +33,15 @@ struct alignas(64) PartlyNamed {
   Point at;
 };
 LOT_DESCRIBE(PartlyNamed, low, x, y, at);
+struct Inner {
+  float x, y;
+};
+LOT_DESCRIBE(Inner, x, y);
+struct alignas(64) InnerNamed {
+  Low low;
+  float x, y;
+  Inner at;
+};
 struct __attribute__((packed)) Tight {
   std::uint8_t kind;
   std::uint32_t value;
@@ -55,6 +64,7 @@ LOT_SAMPLE(Nameless, 0);
 LOT_SAMPLE(Named, 0);
 LOT_SAMPLE(BesideBits, 0);
 LOT_SAMPLE(PartlyNamed, 0);
+LOT_SAMPLE(InnerNamed, 0);
 LOT_SAMPLE(BesideTight, 0);
 LOT_SAMPLE(Opaque, 1);
 
@@ -64,5 +74,8 @@ meeting::Sample meeting::opaque_in_17() { return sample<Opaque>("opaque in 17");
 meeting::Sample meeting::beside_bits_in_17() { return sample<BesideBits>("beside bits in 17"); }
 meeting::Sample meeting::partly_beside_bits_in_17() {
   return sample<PartlyNamed>("partly named in 17");
+}
+meeting::Sample meeting::inner_beside_bits_in_17() {
+  return sample<InnerNamed>("inner named in 17");
 }
 meeting::Sample meeting::beside_tight_in_17() { return sample<BesideTight>("beside tight in 17"); }

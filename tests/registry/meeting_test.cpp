@@ -465,4 +465,22 @@ TEST_CASE("a process that knows more names gives them, also where no process kno
   CHECK_THROWS_AS(sample<RenamedBesideBits>("").subscribe(engine, "/meeting"), lot::Error);
 }
 
+TEST_CASE("a topic has the names of all its processes, of which each knows others") {
+  const Watchdog watchdog(60);
+  for (const bool inner_first : {false, true}) {
+    CAPTURE(inner_first);
+    lot::ShmEngine engine(fresh());
+    const Sample outer = meeting::partly_beside_bits_in_17();
+    const Sample inner = meeting::inner_beside_bits_in_17();
+    const auto first = (inner_first ? inner : outer).advertise(engine, "/meeting");
+    const auto second = (inner_first ? outer : inner).subscribe(engine, "/meeting");
+    CHECK_THROWS_AS(sample<RenamedBesideBits>("").subscribe(engine, "/meeting"), lot::Error);
+    CHECK_THROWS_AS(sample<SwappedBesideBits>("").subscribe(engine, "/meeting"), lot::Error);
+    const auto both = sample<BesideBits>("").subscribe(engine, "/meeting");
+    const std::string said = first->go();
+    CHECK(second->go() == said);
+    CHECK(both->go() == said);
+  }
+}
+
 TEST_SUITE_END();
