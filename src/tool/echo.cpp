@@ -80,6 +80,7 @@ class Echo {
     } catch (const Error& e) {
       if (!onlooker_.has_topic()) throw;
       complaints_.note(e);  // of one message, or of one publisher
+      ++left_out_;
       return {};
     }
   }

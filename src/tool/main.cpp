@@ -259,24 +259,8 @@ void add_verbs(CLI::App& app, Arguments& arguments) {
            arguments);
 }
 
-int run(int argc, char** argv) {
-  CLI::App app{"Looks at LOT segments, and cleans up what the dead have left", "lot"};
-  Arguments arguments;
-  Settings& settings = arguments.settings;
-  // Not by CLI11's envname(): that one reads the environment of a set-user-ID program, too.
-  using lot::transport::environment;
-  if (const char* name = environment("LOT_SEGMENT")) settings.where.name = name;
-  const char* const directory = environment("LOT_DIR");
-  settings.where.directory = directory != nullptr ? directory : lot::EngineOptions().directory;
-  app.set_version_flag(
-      "--version",
-      std::string("lot " LOT_VERSION ", layout ") + std::to_string(lot::segment::kLayoutVersion),
-      "says which version this is, and ends");
-  app.footer(kFooter);
-  app.require_subcommand(1);
-  add_common(app, settings);
-  add_verbs(app, arguments);
-  app.set_help_all_flag("--help-all", "the same for all verbs");
+/// Reads the arguments. An exit status: there is nothing more to do than what was said.
+std::optional<int> parse(CLI::App& app, int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::RequiredError& e) {  // no verb: an unknown word is told of first
@@ -295,13 +279,12 @@ int run(int argc, char** argv) {
     if (app.exit(e, asked, std::cerr) != 0) return kUsage;
     return write_out(asked.str(), lot::StopToken()) ? kWell : kWrong;
   }
-  if (app.got_subcommand("doctor")) return doctor(settings);  // which tells of a bad LOT_SEGMENT
-  if (const std::string wrong = objection_to(settings.where.name);
-      !settings.where.name.empty() && !wrong.empty()) {
-    std::fprintf(stderr, "LOT_SEGMENT: %s\n", wrong.c_str());
-    return kUsage;
-  }
-  settings.where.trust = lot::transport::trust_of_environment();
+  return std::nullopt;
+}
+
+/// Does what the command says.
+int call(const CLI::App& app, Arguments& arguments) {
+  const Settings& settings = arguments.settings;
   if (app.got_subcommand("ls")) {
     return ls(settings, std::chrono::milliseconds(arguments.interval_ms), arguments.all);
   }
@@ -324,6 +307,35 @@ int run(int argc, char** argv) {
   if (app.got_subcommand("bw")) return bw(settings, gauge_options(arguments));
   if (app.got_subcommand("delay")) return delay(settings, gauge_options(arguments));
   return clean(settings, arguments.cleaning);
+}
+
+int run(int argc, char** argv) {
+  CLI::App app{"Looks at LOT segments, and cleans up what the dead have left", "lot"};
+  Arguments arguments;
+  Settings& settings = arguments.settings;
+  // Not by CLI11's envname(): that one reads the environment of a set-user-ID program, too.
+  using lot::transport::environment;
+  if (const char* name = environment("LOT_SEGMENT")) settings.where.name = name;
+  const char* const directory = environment("LOT_DIR");
+  settings.where.directory = directory != nullptr ? directory : lot::EngineOptions().directory;
+  app.set_version_flag(
+      "--version",
+      std::string("lot " LOT_VERSION ", layout ") + std::to_string(lot::segment::kLayoutVersion),
+      "says which version this is, and ends");
+  app.footer(kFooter);
+  app.require_subcommand(1);
+  add_common(app, settings);
+  add_verbs(app, arguments);
+  app.set_help_all_flag("--help-all", "the same for all verbs");
+  if (const auto status = parse(app, argc, argv)) return *status;
+  if (app.got_subcommand("doctor")) return doctor(settings);  // which tells of a bad LOT_SEGMENT
+  if (const std::string wrong = objection_to(settings.where.name);
+      !settings.where.name.empty() && !wrong.empty()) {
+    std::fprintf(stderr, "LOT_SEGMENT: %s\n", wrong.c_str());
+    return kUsage;
+  }
+  settings.where.trust = lot::transport::trust_of_environment();
+  return call(app, arguments);
 }
 
 }  // namespace

@@ -99,7 +99,11 @@ class Publication {
     try {
       return publish(stop);
     } catch (const Error& e) {
-      return refuse(e);
+      return refuse(reason_of(e), e.error_number() == EBADMSG ? kDamaged : kWrong);
+    } catch (const OutOfMemory& e) {
+      const std::string_view text = e.what();
+      constexpr std::string_view kBegin = "lot: ";
+      return refuse(std::string(text.substr(text.starts_with(kBegin) ? kBegin.size() : 0)), kWrong);
     }
   }
 
@@ -107,7 +111,7 @@ class Publication {
   /// A message, and where it stands in the YAML.
   struct Document {
     YAML::Node node;
-    std::string at;  ///< empty: it is the only one
+    std::string at;  ///< empty: it is the first of the command line
   };
 
   Exit publish(const StopToken& stop) {
@@ -159,14 +163,13 @@ class Publication {
   }
 
   /// Says what is wrong: with which document, and how many messages it has pushed before.
-  Exit refuse(const Error& error) {
-    std::string text = (at_.empty() ? "" : at_ + ": ") + reason_of(error);
+  Exit refuse(const std::string& reason, Exit exit) {
+    std::string text = (at_.empty() ? "" : at_ + ": ") + reason;
     if (comes_in()) {
       text += "; " + plural(pushed_, "message was", "messages were") + " pushed";
     }
     text = shown("lot: " + text, kLine);
     std::fprintf(stderr, "%s\n", text.c_str());
-    const Exit exit = error.error_number() == EBADMSG ? kDamaged : kWrong;
     if (!json_) return exit;
     report_.ends(exit);
     report_.hint(text);
