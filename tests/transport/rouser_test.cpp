@@ -139,7 +139,7 @@ TEST_CASE_FIXTURE(Fixture, "a Rouser that is stopped has done what it was asked"
   CHECK_FALSE(has_thread("lot-rouser"));
 }
 
-TEST_CASE_FIXTURE(Fixture, "where no thread can start, who asks a Rouser wakes all") {
+TEST_CASE_FIXTURE(Fixture, "where no thread can start, the thread that asks a Rouser wakes all") {
   Child alone([this] {
     std::deque<Word> words(3);
     Deaf deaf;
@@ -158,13 +158,28 @@ TEST_CASE_FIXTURE(Fixture, "where no thread can start, who asks a Rouser wakes a
   CHECK(alone.wait() == 0);
 }
 
+/// A publisher, and a reader that sleeps at once.
+struct Topic {
+  Topic(const lot::EngineOptions& options, QueueEngine engine)
+      : shm(options),
+        pusher(shm.advertise<Number>("/t", pushing(engine))),
+        puller(shm.subscribe<Number>("/t", {lot::Wait::Park, 0})) {}
+  static lot::PusherOptions pushing(QueueEngine engine) {
+    lot::PusherOptions options;
+    options.engine = engine;
+    return options;
+  }
+
+  lot::ShmEngine shm;
+  lot::ShmPusher<Number> pusher;
+  lot::ShmPuller<Number> puller;
+};
+
 TEST_CASE_FIXTURE(Fixture, "a push wakes readers behind two that are woken and do nothing") {
   with_each_engine([&](QueueEngine engine) {
-    lot::ShmEngine shm(options);
-    lot::PusherOptions with;
-    with.engine = engine;
-    auto pusher = shm.advertise<Number>("/t", with);
-    auto puller = shm.subscribe<Number>("/t", {lot::Wait::Park, 0});
+    Topic topic(options, engine);
+    auto& pusher = topic.pusher;
+    auto& puller = topic.puller;
     CHECK_FALSE(has_thread("lot-rouser"));
     // A mark stands, which the puller has left. The others sleep on its word, as readers do that
     // have found it.
@@ -191,11 +206,9 @@ TEST_CASE_FIXTURE(Fixture, "a push wakes readers behind two that are woken and d
 
 TEST_CASE_FIXTURE(Fixture, "a push that wakes a reader that is alone starts no rouser") {
   with_each_engine([&](QueueEngine engine) {
-    lot::ShmEngine shm(options);
-    lot::PusherOptions with;
-    with.engine = engine;
-    auto pusher = shm.advertise<Number>("/t", with);
-    auto puller = shm.subscribe<Number>("/t", {lot::Wait::Park, 0});
+    Topic topic(options, engine);
+    auto& pusher = topic.pusher;
+    auto& puller = topic.puller;
     std::thread reader([&] {
       for (int n = 0; n < 50; ++n) must(bool(puller.pull(1h)), "a message");
     });
