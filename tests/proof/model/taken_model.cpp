@@ -492,7 +492,7 @@ const Entered entered{
      cast_of<InSlots<TakenOverOneSlot>>, 1},
     {"taken_over_two_slots_in_slots", "the same over two slots",
      cast_of<InSlots<TakenOverTwoSlots>>, 1},
-    {"taken_or_overwritten_one_slot_in_slots", "the same where what nobody takes in time is lost",
+    {"taken_or_overwritten_one_slot_in_slots", "the same where what no taker takes in time is lost",
      cast_of<InSlots<TakenOrOverwrittenOneSlot>>, 1},
     {"taken_or_overwritten_two_slots_in_slots", "the same over two slots",
      cast_of<InSlots<TakenOrOverwrittenTwoSlots>>, 1},

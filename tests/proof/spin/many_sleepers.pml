@@ -81,7 +81,7 @@ bit noted[SLOTS]; /* the rouser's places: the slots that it is to wake */
 byte state;       /* and what it does */
 
 /* kernel */
-chan line = [READERS] of { byte }; /* who sleeps, the oldest first */
+chan line = [READERS] of { byte }; /* the sleepers, the oldest first */
 byte queued[READERS];              /* on which slot, from 1; 0: on none */
 bit woken[READERS];
 bit rouser_sleeps;
@@ -417,7 +417,7 @@ init {
   }
 }
 
-/* Under weak fairness: who can move all the time does so in the end. */
+/* Under weak fairness: a process that can move all the time does so in the end. */
 #ifdef QUIET
 ltl quiet { <> (ended[0] && ended[READERS - 1]) }
 #endif
