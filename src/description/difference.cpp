@@ -172,7 +172,6 @@ Names compare_names(std::string_view topic, std::string_view here) {
   const bool differ = !difference.of(0, 0, "").empty();
   Names names = difference.names();
   names.differ = differ;
-  names.topic_knows_all = theirs->names_hash() != 0;
   if (!differ && names.topic_knows_more && names.here_knows_more) {
     names.merged = encode(difference.merged());
     names.merged_names = difference.merged().names_hash();

@@ -38,7 +38,6 @@ bool has_names(const Description& description) noexcept;
 /// What two descriptions of one layout know of the names of fields.
 struct Names {
   bool differ = false;            ///< a field has a name at each side, and they are not the same
-  bool topic_knows_all = false;   ///< each field has a name there
   bool topic_knows_more = false;  ///< some field has a name there alone
   bool here_knows_more = false;   ///< some field has a name here alone
   /// Where each side knows more than the other: the description with the names of both, and their

@@ -44,9 +44,10 @@ KnownType::KnownType(std::string name, const segment::TopicEntry& topic,
   if (!bytes) return;
   description_ = bytes->empty() ? opaque(name_, type_.size) : description::decode(*bytes);
   if (description_ && description_->root().size != type_.size) description_.reset();
-  // All names, though the topic has none: their process was killed before it had them.
-  type_.known.has_names = description_ && description::has_names(*description_) &&
-                          (type_.known.names != 0 || description_->names_hash() == 0);
+  if (!description_) return;
+  type_.known.has_names = description::has_names(*description_);
+  // A process was killed after it had described the type with all names, before their hash.
+  if (type_.known.names == 0) type_.known.names = description_->names_hash();
 }
 
 KnownType::KnownType(const detail::MessageType& type, Description description)

@@ -57,12 +57,7 @@ description::Names names_of(const segment::Segment& segment, const segment::Topi
   const std::uint64_t word = topic.description.load(std::memory_order_relaxed);  // the lock
   if (word == 0 || !here.has_names) return {};
   const auto there = TypeTable(segment).copy(word);
-  if (!there) return {};
-  const description::Names names = description::compare_names(*there, here.bytes);
-  // A process that knew all names was killed before the topic had them: they do not count.
-  const bool has_all = topic.type_names.load(std::memory_order_relaxed) != 0;  // the lock
-  if (names.topic_knows_all && !has_all) return {.here_knows_more = true};
-  return names;
+  return there ? description::compare_names(*there, here.bytes) : description::Names{};
 }
 
 /// Whether the topic carries the type. Names of fields count where both sides know them.
@@ -210,7 +205,8 @@ void Registry::name_fields(segment::TopicEntry& topic, const detail::Described& 
   } else if (had_names && before != 0) {
     return;
   }
-  // Killed between the two steps, the next process that knows all names does both again.
+  // The description says all: names_of() reads it where the hash is missing. A process that is
+  // killed between the two steps has named the fields; the next one that knows all brings the hash.
   const std::uint64_t word = TypeTable(segment_).place(bytes, descriptions());
   // Relaxed: the lock carries both.
   if (word != 0) topic.description.store(word, std::memory_order_relaxed);

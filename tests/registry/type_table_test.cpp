@@ -352,17 +352,19 @@ TEST_CASE("killed after the bytes: they are free") {
   CHECK(table.seen("/b") == large("b").known.bytes);
 }
 
-TEST_CASE("killed before the names: the next process that knows them writes both") {
+TEST_CASE("killed before the names' hash: the names count, and the next process brings the hash") {
   Table table;
-  const Made nameless = made(3, ""), killed = made(3, "k"), named = made(3, "n");
+  const Made nameless = made(3, ""), killed = made(3, "k"), other = made(3, "n");
   const auto a = table.enter("/a", nameless);
   table.set_word(a, table.place(killed.known.bytes, {table.word(a)}));
   CHECK(table.seen("/a") == killed.known.bytes);
   CHECK(table.refusal("/a", nameless) == 0);
-  CHECK(table.refusal("/a", named) == 0);
-  CHECK(table.seen("/a") == named.known.bytes);
-  CHECK(table.entry(a).type_names.load() == named.known.names);
-  CHECK(table.refusal("/a", killed) == EPROTOTYPE);
+  CHECK(table.refusal("/a", other) == EPROTOTYPE);
+  CHECK(table.entry(a).type_names.load() == 0);
+  CHECK(table.refusal("/a", killed) == 0);
+  CHECK(table.seen("/a") == killed.known.bytes);
+  CHECK(table.entry(a).type_names.load() == killed.known.names);
+  CHECK(table.refusal("/a", other) == EPROTOTYPE);
 }
 
 TEST_CASE("killed before the user's bit: there is no topic, and its bytes are free") {
