@@ -39,19 +39,21 @@ foreach(planted IN LISTS mistakes)
   if(mistake MATCHES "^(doze|deaf|blind)$")
     set(size --or-without --kills 4000 --checkpoint 400)
   endif()
-  # It is found every time. What it is found as is chance, since one mistake has many consequences (a
-  # number used twice leaves less history to a late joiner, who finds a loss); so a few seeds are
-  # tried until it was found as what it is.
+  # What it is found as is chance, since one mistake has many consequences (a number used twice
+  # leaves less history to a late joiner, which finds a loss). On a machine that is busy, little
+  # runs between two kills, and a mistake may have no consequence at all (a publisher that does not
+  # wait for its readers, where all are faster). So a few seeds are tried until it was found as what
+  # it is.
   foreach(seed RANGE 4 8)
     execute_process(
       COMMAND ${CHAOS} ${size} --patience 6 --seed ${seed} --plant ${mistake}
       RESULT_VARIABLE status
       OUTPUT_VARIABLE output
       ERROR_VARIABLE output)
-    if(NOT status EQUAL 1 OR output MATCHES "\n${finding}: ")
+    if(NOT status MATCHES "^[01]$" OR output MATCHES "\n${finding}: ")
       break()
     endif()
-    message(STATUS "${mistake}: found as something else, seed ${seed}\n${output}")
+    message(STATUS "${mistake}: not found as ${finding}, seed ${seed}\n${output}")
   endforeach()
   if(output MATCHES "\nskipped: ([^\n]*)")
     message(STATUS "skipped: ${CMAKE_MATCH_1}")
