@@ -138,7 +138,9 @@ struct Ownership {
       if ((v & hold::kBusy) != 0) {
         v = await_idle(h, v);
       } else if ((v & hold::kHeld) != 0) {  // the own bit stands, and has stood all the time
-        if (h.compare_exchange_weak(v, v + amount, std::memory_order_acquire,
+        // What a ring or another message has, other processes may see.
+        const std::uint64_t seen = amount == hold::kRing ? v & ~hold::kUnseen : v;
+        if (h.compare_exchange_weak(v, seen + amount, std::memory_order_acquire,
                                     std::memory_order_relaxed)) {  // O4, O6
           if (amount == hold::kPointer) note_first_pointer(b, v);
           return;
@@ -201,6 +203,43 @@ struct Ownership {
     if ((h.load(std::memory_order_relaxed) & hold::kHome) != 0) {
       b.home_points.store(1, std::memory_order_relaxed);  // see above
     }
+  }
+
+  /// The same of a message that no other process will see unless this one publishes it: the mark
+  /// says so, until a ring or another message takes a hold, or a weak pointer comes. Not a locked
+  /// operation: see hand_to_ring().
+  static void keep_unseen(Words& b, Hold& h) {
+    note_pointers(b, h);
+    // Relaxed, both: no other thread has a pointer.
+    h.store(h.load(std::memory_order_relaxed) | hold::kUnseen, std::memory_order_relaxed);  // above
+  }
+  /// A weak pointer to the message comes: its generation must end in the way that others expect.
+  /// REQUIRES: the caller has a pointer, or the message has died and this changes nothing of worth.
+  static void end_unseen(Hold& h) {
+    std::uint64_t v = h.load(std::memory_order_relaxed);  // the compare-and-swap checks it
+    while ((v & (hold::kUnseen | hold::kBusy)) == hold::kUnseen &&
+           !h.compare_exchange_weak(v, v & ~hold::kUnseen, std::memory_order_relaxed,
+                                    std::memory_order_relaxed)) {  // carries nothing
+    }
+  }
+  /// The death of a message that no other process has seen, with its last pointer. The block is
+  /// then exclusively owned, with that pointer's hold. False, and nothing has changed: others may
+  /// have seen it, or it has more holds. REQUIRES: the caller has a pointer.
+  ///
+  /// Crash:   killed at any step: the reaper frees the block with its home.
+  static bool die_unseen(Words& b, Hold& h) {
+    // O4: the threads that have dropped the other pointers have read all that they wanted to.
+    const std::uint64_t v = h.load(std::memory_order_acquire);
+    if (!hold::is_last_of_unseen(v)) return false;
+    // All is relaxed: no other thread or process can have this block. Not a locked operation: only
+    // a weak pointer to an earlier message of the block may bump the version meanwhile. That bump
+    // may be lost, as its process finds the message dead and holds nothing.
+    b.home_points.store(0, std::memory_order_relaxed);                                   // as above
+    const std::uint64_t life = next_generation(b.life.load(std::memory_order_relaxed));  // as above
+    b.life.store(life, std::memory_order_relaxed);                                       // as above
+    h.store(hold::kHome | hold::kHeld | hold::kPointer | hold::tag_of(generation_of(life)),
+            std::memory_order_relaxed);  // as above
+    return true;
   }
 
   /// Turns the pointer hold of an exclusively owned message into a hold of the ring.

@@ -438,6 +438,64 @@ TEST_CASE_FIXTURE(Block, "a ring's hold goes at once if there is another hold, a
   CHECK((home.word.load() & hold::kHolds) == hold::kRing);
 }
 
+// ---- a message that no other process has seen ---------------------------------------------------
+
+TEST_CASE_FIXTURE(Block, "a message that is unseen dies with its last pointer, as a loan does") {
+  REQUIRE(home.claim(words));
+  const std::uint32_t before = generation();
+  Ownership::keep_unseen(words, home.word);
+  CHECK(words.home_points.load() == 1);
+  home.word.add_pointer();
+  CHECK_FALSE(Ownership::die_unseen(words, home.word));
+  CHECK(home.word.drop_pointer_of_several());
+  REQUIRE(Ownership::die_unseen(words, home.word));
+  CHECK(generation() == before + 1);
+  CHECK(words.home_points.load() == 0);
+  CHECK(hold::pointers(home.word.load()) == 1);  // the pool's, as of a block that is ready
+  CHECK((home.word.load() & hold::kUnseen) == 0);
+  CHECK((home.word.load() & hold::kTagMask) == hold::tag_of(before + 1));
+  CHECK_FALSE(home.lock(words, before));
+}
+
+TEST_CASE_FIXTURE(Block, "the generation of an unseen message wraps") {
+  lot::test::raw(words.life) = 0x5'ffffffff;
+  REQUIRE(home.claim(words));
+  Ownership::keep_unseen(words, home.word);
+  REQUIRE(Ownership::die_unseen(words, home.word));
+  CHECK(generation() == 0);
+  CHECK((home.word.load() & hold::kTagMask) == hold::tag_of(0));
+}
+
+TEST_CASE_FIXTURE(Block, "what others may see does not die unseen") {
+  REQUIRE(home.claim(words));
+  const std::uint32_t before = generation();
+  Ownership::keep_unseen(words, home.word);
+  SUBCASE("a ring has had it") {
+    home.acquire(words, hold::kRing);
+    CHECK_FALSE(Ownership::die_unseen(words, home.word));
+    other.acquire(words);
+    CHECK(Ownership::drop_ring_hold_of_several(home.word));
+  }
+  SUBCASE("a weak pointer was made") { Ownership::end_unseen(home.word); }
+  SUBCASE("it is a loan, or was kept of a block") {
+    Ownership::end_unseen(home.word);
+    Ownership::end_unseen(home.word);
+  }
+  CHECK_FALSE(Ownership::die_unseen(words, home.word));
+  CHECK(generation() == before);
+  CHECK(home.release(words));
+}
+
+TEST_CASE_FIXTURE(Block,
+                  "a weak pointer to a dead message changes no word of a thread that is busy") {
+  const std::uint64_t busy = hold::busy_word(hold::kHome | hold::kHeld, 1);
+  REQUIRE((busy & hold::kUnseen) != 0);  // there it is a bit of the thread
+  Ownership::Hold word{};
+  lot::test::raw(word) = busy;
+  Ownership::end_unseen(word);
+  CHECK(word.load() == busy);
+}
+
 // ---- the home's pointers, as other processes count them -----------------------------------------
 
 TEST_CASE_FIXTURE(Block, "use_count() elsewhere counts the home while it has pointers") {

@@ -17,15 +17,18 @@ namespace lot::detail {
 /// ownership bit, and flips only when the hold word goes from none to some or back. So a thread
 /// that copies a pointer never touches a cache line that another process writes.
 ///
-///     63           36 35        16 15     3  2    1    0
-///    +---------------+------------+---------+----+----+----+
-///    | pointers : 28 | rings : 20 | tag: 13 |home|held|busy|
-///    +---------------+------------+---------+----+----+----+
+///     63           37 36        17 16     4  3      2    1    0
+///    +---------------+------------+---------+------+----+----+----+
+///    | pointers : 27 | rings : 20 | tag: 13 |unseen|home|held|busy|
+///    +---------------+------------+---------+------+----+----+----+
 ///
 ///  - pointers: ShmSharedPtr, ShmUniquePtr (and the pool, for a block that is ready to be loaned)
 ///  - rings:    holds by rings and by messages that refer to this one
 ///  - tag:      low bits of the block's generation while this process is its home; makes a weak
 ///              lock's compare-and-swap fail on a block that has died meanwhile
+///  - unseen:   only pointers of this process have, and had, the message: no ring, no other
+///  message,
+///              no weak pointer, no other process. So its last pointer ends it as a unique one does
 ///  - home:     this process owns the block's memory
 ///  - held:     our ownership bit stands in the shared word
 ///  - busy:     a thread is moving the ownership bit; the others wait for it
@@ -47,16 +50,23 @@ namespace hold {
 inline constexpr std::uint64_t kBusy = 1;
 inline constexpr std::uint64_t kHeld = 2;
 inline constexpr std::uint64_t kHome = 4;
-inline constexpr unsigned kTagShift = 3;
+inline constexpr std::uint64_t kUnseen = 8;
+inline constexpr unsigned kTagShift = 4;
 inline constexpr std::uint64_t kTagMask = ((std::uint64_t{1} << 13) - 1) << kTagShift;
 inline constexpr unsigned kThreadShift = 3;
 inline constexpr std::uint64_t kThreadMask = ((std::uint64_t{1} << 22) - 1) << kThreadShift;
-inline constexpr std::uint64_t kRing = std::uint64_t{1} << 16;
-inline constexpr std::uint64_t kRingMask = ((std::uint64_t{1} << 20) - 1) << 16;
-inline constexpr std::uint64_t kPointer = std::uint64_t{1} << 36;
-inline constexpr std::uint64_t kHolds = ~((std::uint64_t{1} << 16) - 1);  ///< rings and pointers
+inline constexpr std::uint64_t kRing = std::uint64_t{1} << 17;
+inline constexpr std::uint64_t kRingMask = ((std::uint64_t{1} << 20) - 1) << 17;
+inline constexpr unsigned kPointerShift = 37;
+inline constexpr std::uint64_t kPointer = std::uint64_t{1} << kPointerShift;
+inline constexpr std::uint64_t kHolds = kRingMask | ~(kPointer - 1);
 
-constexpr std::uint64_t pointers(std::uint64_t word) { return word >> 36; }
+constexpr std::uint64_t pointers(std::uint64_t word) { return word >> kPointerShift; }
+/// True when the one pointer to a message may end it as a unique pointer does. Never of a busy
+/// word.
+constexpr bool is_last_of_unseen(std::uint64_t word) {
+  return (word & (kHolds | kUnseen)) == (kPointer | kUnseen);
+}
 /// The word while `thread` has it busy. The kernel's thread ids are below 2^22.
 constexpr std::uint64_t busy_word(std::uint64_t word, std::uint32_t thread) {
   return (word & (kHome | kHeld)) | kBusy | ((std::uint64_t{thread} << kThreadShift) & kThreadMask);

@@ -388,6 +388,138 @@ struct RingAndPointersLetGo : SceneBegins, rl::test_suite<RingAndPointersLetGo, 
   int deaths = 0;  ///< looked at when all is over
 };
 
+/// Threads of one process have pointers to a message that no other process has seen. The last one
+/// that goes ends it, as a unique pointer does.
+struct Unseen : SceneBegins {
+  using Own = refcount::Ownership<Policy>;
+  void begin() {
+    for (auto& word : block.own) test::raw(word).watch_bits(Policy::kBitsPerWord);
+    test::raw(block.home_points).watch_bits(1);
+    RL_ASSERT(home.claim(block, home_hold));
+    generation = refcount::generation_of(block.life.load(std::memory_order_relaxed));
+    payload.write(1);
+    Own::keep_unseen(block, home_hold);
+    home_hold.add_pointer();
+    home_hold.add_pointer();
+    deaths = 0;
+  }
+  void has_died_once() {
+    RL_ASSERT(deaths == 1);
+    RL_ASSERT(refcount::generation_of(block.life.load(std::memory_order_relaxed)) ==
+              generation + 1);
+  }
+  void read_and_drop() {
+    RL_ASSERT(payload.read() == 1);
+    if (home_hold.drop_pointer_of_several()) return;
+    if (!Own::die_unseen(block, home_hold) &&
+        (home.release(block, home_hold, hold::kPointer) != Left::Home ||
+         !home.reclaim(block, home_hold, 0))) {
+      return;
+    }
+    payload.write(2);
+    ++deaths;
+  }
+  Own home{2};
+  refcount::BlockWords<Policy> block;
+  Own::Hold home_hold;
+  Plain<int> payload;
+  std::uint32_t generation = 0;
+  int deaths = 0;  ///< looked at when all is over
+};
+struct UnseenDies : Unseen, rl::test_suite<UnseenDies, 3> {
+  void before() { begin(); }
+  void thread(unsigned) { read_and_drop(); }
+  void after() { has_died_once(); }
+};
+
+/// The same, and one thread makes a weak pointer, drops its other one, and locks that.
+struct UnseenGetsAWeakPointer : Unseen, rl::test_suite<UnseenGetsAWeakPointer, 3> {
+  void before() { begin(); }
+  void thread(unsigned t) {
+    if (t == 0) {
+      Own::end_unseen(home_hold);
+      read_and_drop();
+      if (home.acquire_weak(block, home_hold, generation) == Left::Held) read_and_drop();
+    } else {
+      read_and_drop();
+    }
+  }
+  void after() { has_died_once(); }
+};
+
+/// The same, and one thread publishes the message. A reader in another process keeps it.
+struct UnseenIsPublished : Unseen, rl::test_suite<UnseenIsPublished, 3> {
+  void before() { begin(); }
+  void thread(unsigned t) {
+    if (t == 0) {
+      home.acquire(block, home_hold, hold::kRing);
+      other.acquire(block, other_hold, hold::kPointer);
+      is_kept.store(1, std::memory_order_release);
+      read_and_drop();
+      if (!Own::drop_ring_hold_of_several(home_hold) &&
+          home.reclaim(block, home_hold, hold::kRing)) {
+        payload.write(2);
+        ++deaths;
+      }
+    } else if (t == 1) {
+      read_and_drop();
+    } else {
+      while (is_kept.load(std::memory_order_acquire) == 0) Policy::pause();
+      read_and_drop();
+      RL_ASSERT(payload.read() == 1);
+      other.release(block, other_hold, hold::kPointer);
+    }
+  }
+  void after() {
+    if (deaths == 0 && home.reclaim(block, home_hold, 0)) ++deaths;
+    has_died_once();
+  }
+  Own other{5};
+  Own::Hold other_hold;
+  Atomic<std::uint32_t> is_kept;
+};
+
+/// The same, and another process locks a weak pointer to the message that the block had before.
+/// Then the block has a third message, which a third process keeps.
+struct UnseenBesideAStaleWeakPointer : Unseen, rl::test_suite<UnseenBesideAStaleWeakPointer, 3> {
+  void before() {
+    begin();
+    RL_ASSERT(home_hold.drop_pointer_of_several() && home_hold.drop_pointer_of_several());
+    RL_ASSERT(Own::die_unseen(block, home_hold));
+    Own::keep_unseen(block, home_hold);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      read_and_drop();
+      Own::hand_to_ring(home_hold);
+      is_public.store(1, std::memory_order_release);
+      while (is_kept.load(std::memory_order_acquire) == 0) Policy::pause();
+      if (!home.reclaim(block, home_hold, hold::kRing)) return;
+      payload.write(3);
+      ++deaths;
+    } else if (t == 1) {
+      RL_ASSERT(other.acquire_weak(block, other_hold, generation) != Left::Held);
+    } else {
+      while (is_public.load(std::memory_order_acquire) == 0) Policy::pause();
+      third.acquire(block, third_hold, hold::kPointer);
+      is_kept.store(1, std::memory_order_release);
+      RL_ASSERT(payload.read() == 2);
+      third.release(block, third_hold, hold::kPointer);
+    }
+  }
+  void after() {
+    if (deaths == 1 && home.reclaim(block, home_hold, 0)) ++deaths;
+    RL_ASSERT(deaths == 2);
+    RL_ASSERT(refcount::generation_of(block.life.load(std::memory_order_relaxed)) ==
+              generation + 3);
+  }
+  Own other{5};
+  Own third{4};
+  Own::Hold other_hold, third_hold;
+  Atomic<std::uint32_t> is_public;
+  Atomic<std::uint32_t> is_kept;
+};
+
 /// One thread has let its last hold go, and comes late: another one has locked a weak pointer, let
 /// go and given the block back, and another process may have it.
 struct LateReclaim : SceneBegins, rl::test_suite<LateReclaim, 3> {
@@ -559,6 +691,14 @@ const Entered entered{
      cast_of<HomeCountsItsPointers<true>>, 3},
     {"ring_and_pointers_let_go", "a message dies once, whichever of its holds goes last",
      cast_of<RingAndPointersLetGo>, 3},
+    {"unseen_dies", "what no other process has seen dies with its last pointer",
+     cast_of<UnseenDies>, 3},
+    {"unseen_gets_a_weak_pointer", "the same, and a weak pointer gets it alive or not at all",
+     cast_of<UnseenGetsAWeakPointer>, 2},
+    {"unseen_is_published", "the same, and it lives until its last reader lets go",
+     cast_of<UnseenIsPublished>, 2},
+    {"unseen_beside_a_stale_weak_pointer", "the same beside a weak pointer to an earlier message",
+     cast_of<UnseenBesideAStaleWeakPointer>, 2},
     {"late_reclaim", "who comes late does not touch a block that was given back",
      cast_of<LateReclaim>, 2},
     {"home_is_told", "a home that has looked in vain is told when the last holder goes",

@@ -200,6 +200,11 @@ MISTAKES = (
         '    return (others & ~kWanted) == 0 &&\n',
         '''    life = b.life.load(std::memory_order_relaxed);
     return (others & ~kWanted) == 0 &&\n'''),)),
+    Planted('what a ring takes stays unseen', OWNERSHIP, 'ownership', ((
+        'amount == hold::kRing ? v & ~hold::kUnseen : v;', 'v;'),)),
+    Planted('what a weak pointer looks after stays unseen', OWNERSHIP, 'ownership', ((
+        '(hold::kUnseen | hold::kBusy)) == hold::kUnseen &&',
+        '(hold::kUnseen | hold::kBusy)) == hold::kHolds &&'),)),
     Planted('memory goes back without being claimed', UNITS, 'granules', (
         ('    if (!granules.extend(first, run, tag)) return false;\n', '    (void)tag;\n'),
         ('    granules.put_back(first, run);\n', ''))),
