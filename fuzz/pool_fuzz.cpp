@@ -75,6 +75,7 @@ struct Message {
   bool plain;
   bool dead = false;
   bool destroyed = false;                  ///< what it referred to is let go
+  bool seen = false;                       ///< its pointers are not all that ever had it
   std::vector<std::uint64_t> refers_to{};  ///< numbers
 };
 
@@ -192,8 +193,7 @@ class Fuzz {
       case 16:
         return leave_ring(p);
       case 17:
-        if (const auto m = pick(p.pointers)) weak_.push_back(*m);
-        return;
+        return make_weak(p);
       case 18:
         return lock_weak(p);
       case 19:
@@ -285,6 +285,7 @@ class Fuzz {
   void publish(Process& p, std::uint64_t m) {
     Pool& pool = *p.real->pools[0];
     const auto published = p.real->writer.publish(block(m));
+    messages_[m].seen = true;
     RingModel& ring = rings_.at(p.channel);
     std::optional<std::uint64_t> replaced;
     if (ring.slots.size() == ring.depth) {
@@ -314,8 +315,24 @@ class Fuzz {
     if (!m) return;
     std::erase(p.loans, *m);
     p.pointers.push_back(*m);
-    lot::transport::HardwareOwnership::note_pointers(local_.world().block(block(*m)),
-                                                     control(p, *m).hold);
+    auto& words = local_.world().block(block(*m));
+    messages_[*m].seen = bytes_.below(2) == 0;
+    if (messages_[*m].seen) {
+      lot::transport::HardwareOwnership::note_pointers(words, control(p, *m).hold);
+    } else {
+      lot::transport::HardwareOwnership::keep_unseen(words, control(p, *m).hold);
+    }
+  }
+
+  /// As a ShmWeakPtr does it.
+  void make_weak(Process& p) {
+    const auto m = pick(p.pointers);
+    if (!m) return;
+    weak_.push_back(*m);
+    if (!planted("weak_unseen")) {
+      lot::transport::HardwareOwnership::end_unseen(control(p, *m).hold);
+    }
+    messages_[*m].seen = true;
   }
 
   void abandon(Process& p) {
@@ -336,8 +353,17 @@ class Fuzz {
     if (p.pointers.empty()) return;
     const std::uint64_t m = p.pointers[index];
     p.pointers.erase(p.pointers.begin() + static_cast<std::ptrdiff_t>(index));
-    if (control(p, m).hold.drop_pointer_of_several()) return;
-    p.real->holder.release(block(m), hold::kPointer);
+    auto& word = control(p, m).hold;
+    if (word.drop_pointer_of_several()) return;
+    const bool unseen =
+        lot::transport::HardwareOwnership::die_unseen(local_.world().block(block(m)), word);
+    require(unseen != messages_[m].seen, "what dies as a unique pointer's message");
+    if (unseen) {
+      messages_[m].dead = true;
+      p.real->pools[control(p, m).pool]->give_back(block(m));
+    } else {
+      p.real->holder.release(block(m), hold::kPointer);
+    }
   }
 
   void join(Process& p) {
@@ -425,6 +451,7 @@ class Fuzz {
     p.real->holder.acquire(block(*target), hold::kRing);
     list.entry[to.size()] = {block(*target), 1};
     to.push_back(*target);
+    messages_[*target].seen = true;
   }
 
   /// A loaned message takes an extent.

@@ -20,6 +20,10 @@ void PointerHub::fill_pointers() noexcept {
   drop_last = [](detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
     if (p.membership_.is_inert()) return;
+    if (HardwareOwnership::die_unseen(p.segment_.block(c->block), c->hold)) {
+      p.give_back(*c);
+      return;
+    }
     p.lifetime_.enter();
     p.holder_.release(c->block, hold::kPointer);
     p.lifetime_.exit();
@@ -27,12 +31,12 @@ void PointerHub::fill_pointers() noexcept {
   abandoned = [](detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
     if (p.membership_.is_inert()) return;
-    p.lifetime_.enter();
-    if (p.holder_.was_received(*c)) {
-      p.holder_.release(c->block, hold::kPointer);
-    } else {
-      p.holder_.pool_of(*c).give_back(*c);
+    if (!p.holder_.was_received(*c)) {
+      p.give_back(*c);
+      return;
     }
+    p.lifetime_.enter();
+    p.holder_.release(c->block, hold::kPointer);
     p.lifetime_.exit();
   };
   acquire = [](detail::ControlBlock* c) noexcept {
@@ -48,6 +52,15 @@ void PointerHub::fill_pointers() noexcept {
     const PointerHub& p = of(c);
     HardwareOwnership::note_pointers(p.segment_.block(c->block), c->hold);
   };
+}
+
+/// Gives a block back that is exclusively the caller's: its message was never shared, or has died.
+void PointerHub::give_back(detail::ControlBlock& control) const noexcept {
+  Pool& pool = holder_.pool_of(control);
+  if (pool.try_give_back(control)) return;
+  lifetime_.enter();
+  pool.give_back(control);
+  lifetime_.exit();
 }
 
 /// Fills in what weak pointers do.
@@ -76,6 +89,7 @@ void PointerHub::fill_weak_pointers() noexcept {
   weak_count = [](detail::ControlBlock* c, int change) noexcept {
     const PointerHub& p = of(c);
     if (change > 0) {
+      HardwareOwnership::end_unseen(c->hold);
       p.lifetime_.add_reference();
     } else {
       p.lifetime_.drop_reference();

@@ -31,6 +31,7 @@ class PointerHub : public detail::Hub {
   std::uint32_t index() const noexcept { return holder_.own.self; }
   /// True when the one pointer of this process is all that can see the message.
   bool is_alone(const detail::ControlBlock& control) const noexcept;
+  void give_back(detail::ControlBlock& control) const noexcept;
 
   Membership& membership_;
   Lifetime& lifetime_;

@@ -250,16 +250,7 @@ void* Pool::lay_out_anew(ControlBlock& c, const detail::MessageType& type, bool 
 }
 
 void Pool::give_back(ControlBlock& c) noexcept {
-  const std::uint32_t b = c.block;
-  destroy_message(c);
-  {
-    const std::lock_guard guard(lock_);
-    if (is_in_use_) {
-      ready_.push_back(b);
-      return;
-    }
-  }
-  release_block(b);
+  if (!try_give_back(c)) release_block(c.block);
 }
 
 void Pool::last_hold_gone(std::uint32_t b) noexcept {

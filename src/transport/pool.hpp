@@ -272,6 +272,17 @@ class Pool {
   /// Takes back an exclusively owned block: its message was never shared, or has died.
   void give_back(std::uint32_t b) noexcept { give_back(holder_.control(b)); }
   void give_back(detail::ControlBlock& control) noexcept;
+  /// The same while the pool has a publisher. Callable without Lifetime::enter(): that publisher is
+  /// one of the participant's handles, so the participant does not wait for its last pointer. When
+  /// the handles have gone, the pool has the block, and this thread has touched nothing since it
+  /// left the lock. False: there is no publisher, and the caller still has the block.
+  bool try_give_back(detail::ControlBlock& control) noexcept {
+    destroy_message(control);
+    const std::uint32_t b = control.block;
+    const std::lock_guard guard(lock_);
+    if (is_in_use_) ready_.push_back(b);
+    return is_in_use_;
+  }
   /// The last hold of this process on a message of the pool has gone.
   void last_hold_gone(std::uint32_t b) noexcept;
 

@@ -411,9 +411,11 @@ class Puller final : public RingPuller {
   /// there is one, and the quota allows one more.
   [[gnu::hot]] detail::Kept hold_spare() {
     const detail::Loan message = std::exchange(spare_, {});
-    // A taken message has one owner, as one that is loaned.
-    if (!taking_) message.control->hub->points(message.control);
     block_ = message.control->block;
+    // A taken message has one owner, as one that is loaned.
+    if (!taking_) {
+      HardwareOwnership::keep_unseen(participant_->segment().block(block_), message.control->hold);
+    }
     detail::write_once(participant_->segment().arena(block_).topic, topic_key_);  // for people
     note_held(0);
     return {message.control, message.root};

@@ -340,6 +340,32 @@ TEST_CASE_FIXTURE(BothEngines, "what is kept of a slot is the keeper's own messa
   });
 }
 
+TEST_CASE_FIXTURE(BothEngines, "what was kept of slots and let go does not count as held") {
+  lot::EngineOptions few = options;
+  few.blocks = 64;  // a subscription may hold a quarter
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(few);
+    auto in = shm.subscribe<Ball>("/ball");
+    auto out = shm.advertise<Ball>("/ball", pushing(engine));
+    std::array<lot::ShmSharedPtr<const Ball>, 3> kept;
+    std::array<lot::ShmWeakPtr<const Ball>, 3> weak;
+    for (std::uint64_t n = 0; n < 2000; ++n) {
+      CHECK(push(out, n) == Status::Ok);
+      auto ball = in.try_pull();
+      REQUIRE(ball);
+      const std::size_t at = n * n % kept.size();  // some live longer than others
+      kept[at] = std::move(ball);
+      CHECK(is(*kept[at], n));
+      CHECK(in.envelope().sequence == n);
+      if (n % 4 != 0) continue;
+      const auto before = std::exchange(weak[at], kept[at]);
+      CHECK(before.expired());
+      CHECK(is(*weak[at].lock(), n));
+    }
+    CHECK(in.missed_total() == 0);
+  });
+}
+
 TEST_CASE_FIXTURE(BothEngines, "a pull needs a block for what it finds in a slot, a borrow none") {
   lot::EngineOptions few = options;
   few.blocks = 3;
