@@ -23,6 +23,7 @@ struct Plain {
 struct Frame {
   lot::ShmVector<std::byte> bytes;
 };
+constexpr std::size_t kLargestInSlot = 128;
 constexpr std::size_t kLargestPlain = 4096;
 /// Messages come back to the publisher in batches of so many, or of so many bytes.
 constexpr std::size_t kBatch = 32;
@@ -31,13 +32,19 @@ constexpr std::size_t kBatchedBytes = 256 << 10;
 /// Calls f with the message type of this size.
 template <class F>
 auto with_message_of(std::size_t size, F&& f) {
-  if (size <= 128) return f(std::type_identity<Plain<128>>());
+  if (size <= kLargestInSlot) return f(std::type_identity<Plain<kLargestInSlot>>());
   if (size <= 512) return f(std::type_identity<Plain<512>>());
   if (size <= kLargestPlain) return f(std::type_identity<Plain<kLargestPlain>>());
   return f(std::type_identity<Frame>());
 }
 
 enum class Read { Keep, Borrow };
+/// How LOT carries a message.
+struct Way {
+  lot::QueueEngine queue = lot::QueueEngine::Ring;
+  Read read = Read::Keep;
+  bool in_slots = false;
+};
 
 /// Messages that one publisher has in memory: in the queue, at hand, and on their way home.
 std::size_t prepared(const Stream& stream) {
@@ -60,8 +67,8 @@ lot::EngineOptions engine_options(const Stream& stream) {
 template <class T>
 class LotSender final : public Sender {
  public:
-  LotSender(const Stream& stream, lot::QueueEngine queue)
-      : size_(stream.size), engine_(engine_options(stream)), pusher_(advertise(stream, queue)) {
+  LotSender(const Stream& stream, const Way& way)
+      : size_(stream.size), engine_(engine_options(stream)), pusher_(advertise(stream, way)) {
     // First touch belongs to the start, not to the figures.
     pusher_.reserve(prepared(stream), stream.size);
   }
@@ -83,12 +90,13 @@ class LotSender final : public Sender {
   }
 
  private:
-  lot::ShmPusher<T> advertise(const Stream& stream, lot::QueueEngine queue) {
+  lot::ShmPusher<T> advertise(const Stream& stream, const Way& way) {
     lot::PusherOptions options;
     options.policy = stream.lossless ? lot::Policy::Block : lot::Policy::Overwrite;
     options.depth = stream.depth;
     options.block_for = 30s;
-    options.engine = queue;
+    options.engine = way.queue;
+    options.fast_lane = way.in_slots;
     return engine_.advertise<T>("/ab", options);
   }
 
@@ -134,19 +142,21 @@ class LotReceiver final : public Receiver {
   lot::ShmPuller<T> puller_;
 };
 
-Transport lot_transport(std::string name, std::string about, lot::QueueEngine queue, Read read) {
+Transport lot_transport(std::string name, std::string about, const Way& way) {
   Transport t;
   t.name = std::move(name);
   t.about = std::move(about);
-  t.refuses = [](const Stream&) { return std::string(); };
-  t.sender = [queue](const Stream& stream, unsigned) {
+  t.refuses = [way](const Stream& stream) {
+    return std::string(way.in_slots && stream.size > kLargestInSlot ? "only up to 128 B" : "");
+  };
+  t.sender = [way](const Stream& stream, unsigned) {
     return with_message_of(stream.size, [&](auto type) -> std::unique_ptr<Sender> {
-      return std::make_unique<LotSender<typename decltype(type)::type>>(stream, queue);
+      return std::make_unique<LotSender<typename decltype(type)::type>>(stream, way);
     });
   };
-  t.receiver = [read](const Stream& stream, unsigned) {
+  t.receiver = [way](const Stream& stream, unsigned) {
     return with_message_of(stream.size, [&](auto type) -> std::unique_ptr<Receiver> {
-      return std::make_unique<LotReceiver<typename decltype(type)::type>>(stream, read);
+      return std::make_unique<LotReceiver<typename decltype(type)::type>>(stream, way.read);
     });
   };
   return t;
@@ -156,12 +166,15 @@ Transport lot_transport(std::string name, std::string about, lot::QueueEngine qu
 
 std::vector<Transport> lot_transports() {
   return {
-      lot_transport("ring", "LOT: lock-free ring, each message kept by a smart pointer",
-                    lot::QueueEngine::Ring, Read::Keep),
+      lot_transport("ring", "LOT: lock-free ring, each message kept by a smart pointer", {}),
       lot_transport("ring-borrow", "LOT: lock-free ring, each message borrowed for the callback",
-                    lot::QueueEngine::Ring, Read::Borrow),
-      lot_transport("mutex", "LOT: the queue under a robust mutex", lot::QueueEngine::Mutex,
-                    Read::Keep),
+                    {.read = Read::Borrow}),
+      lot_transport("slots", "LOT: as ring, and the message travels in its slot",
+                    {.in_slots = true}),
+      lot_transport("slots-borrow", "LOT: as ring-borrow, and the message travels in its slot",
+                    {.read = Read::Borrow, .in_slots = true}),
+      lot_transport("mutex", "LOT: the queue under a robust mutex",
+                    {.queue = lot::QueueEngine::Mutex}),
   };
 }
 
