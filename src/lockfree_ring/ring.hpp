@@ -360,7 +360,7 @@ class Writer {
       index_ = 0;
       ++laps_;
     }
-    prefetch();
+    prefetch_ahead();
     return published;
   }
   /// Publishes a message in its slot: so many words of it, the last of which may end behind it, and
@@ -384,6 +384,15 @@ class Writer {
   /// Fetches the slot of the next message into this core's cache: a reader that looked at it has
   /// its line.
   void prefetch() const { ring_.slots.prefetch_write(index_); }
+  /// Where messages lie in their slots, the same for a later message: each takes lines of its own.
+  /// In a lossless ring only if no reader has still to read what is there.
+  void prefetch_ahead() const {
+    if (!ring_.in_slots()) return prefetch();
+    const bool is_read =
+        !ring_.blocking || (minimum_known_ && distance(next_, minimum_) + kAhead < ring_.depth);
+    const std::uint32_t i = index_ + (is_read ? kAhead : 0);
+    ring_.slots.prefetch_write(i < places_ ? i : i - places_);
+  }
 
   /// Calls gone(block) for messages that readers have taken out of their slots. The caller retires
   /// the holds on them. REQUIRES: the messages of the ring are taken.
@@ -664,6 +673,9 @@ class Writer {
     }
   }
 
+  /// How far before its turn a slot that has a message is fetched.
+  static constexpr std::uint32_t kAhead = 2;
+
   Ring<P> ring_;
   std::uint32_t places_ = 0;  ///< ring_.places()
   Word next_ = 0;
@@ -690,6 +702,8 @@ class Reader {
   static constexpr std::uint64_t kFromTheStart = ~std::uint64_t{0};
   /// How often in one lap of the ring done() asks whether the sender sleeps for room.
   static constexpr std::uint32_t kBellsPerLap = 4;
+  /// How far behind the slot that prefetch() looks at it fetches the word that it will look at.
+  static constexpr std::uint32_t kNextLook = 2;
   /// Of a reader that joins. Nothing waits for an observer: it misses what is overwritten, also in
   /// a lossless ring.
   enum class Manner { Reads, Observes };
@@ -898,8 +912,13 @@ class Reader {
   }
   /// Fetches the slot of the message that is `ahead` of the next one, if that is there. REQUIRES:
   /// messages are in their slots.
+  ///
+  /// A look at a word that another core has would hold up all that comes behind it. So the word of
+  /// a later slot is fetched, too, which one of the next calls looks at.
   void prefetch(std::uint32_t ahead) const {
-    if (peek(ahead) == kInSlot) ring_.slots.prefetch_rest(slot_ahead(ahead));
+    if (peek(ahead) != kInSlot) return;
+    ring_.slots.prefetch_rest(slot_ahead(ahead));
+    if (ahead + kNextLook < places_) ring_.slots.prefetch_first(slot_ahead(ahead + kNextLook));
   }
 
   /// Ends a borrow. Returns true when the sender sleeps for room: the caller then calls ring_bell()
@@ -1075,7 +1094,7 @@ class Reader {
     const std::int64_t ahead = distance(cursor, newest_) % places + places;
     index_ = static_cast<std::uint32_t>((newest_index_ + ahead) % places);
   }
-  /// REQUIRES: ahead < depth.
+  /// REQUIRES: ahead < places_.
   std::uint32_t slot_ahead(std::uint32_t ahead) const {
     const std::uint32_t i = index_ + ahead;
     return i < places_ ? i : i - places_;

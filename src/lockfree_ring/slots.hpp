@@ -119,6 +119,8 @@ class Slots {
     return distance(begun, sequence) % places == 0 ? Copy::Overwritten : Copy::Damaged;
   }
 
+  /// Fetches the first cache line of slot i for a reader.
+  void prefetch_first(std::uint32_t i) const { P::prefetch_read(&(*this)[i]); }
   /// Fetches the cache lines of slot i for a reader that has the first one.
   void prefetch_rest(std::uint32_t i) const {
     const Shared* const slot = &(*this)[i];

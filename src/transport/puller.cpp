@@ -328,7 +328,9 @@ class Puller final : public RingPuller {
       if (reader.ring().in_slots()) {
         // The block first: once its copy is there, a message can be kept.
         if (keeping_ && spare_.control == nullptr && reader.ready() && !make_spare()) continue;
-        if (burst_ >= kBurst) reader.prefetch(kLookAhead);
+        // A reader that borrows is as fast as its publisher: it would take away lines that are
+        // being written. One that keeps lags behind, and its messages are there before their turn.
+        if (keeping_ && burst_ >= kBurst) reader.prefetch(kLookAhead);
       } else {
         prefetch(reader.peek(0));
         if (burst_ >= kBurst) prefetch(reader.peek(kLookAhead));
@@ -447,6 +449,9 @@ class Puller final : public RingPuller {
     return segment::granules_of(s.arena(block_), s.granules().count());
   }
 
+  bool looks_into_slots() const noexcept {
+    return current_ < sources_.size() && sources_[current_].reader.ring().in_slots();
+  }
   bool has_messages() const noexcept {
     return std::any_of(sources_.begin(), sources_.end(),
                        [](const Source& s) { return s.reader.ready(); });
@@ -635,10 +640,11 @@ class Puller final : public RingPuller {
     /// message.
     waiting::YieldHabit* yields() noexcept { return streaming_ ? &puller_.yield_ : nullptr; }
     /// Right behind a streaming publisher, every message would cost both sides the slot's cache
-    /// line. So the reader first lets the publisher get ahead.
+    /// line. So the reader first lets the publisher get ahead. And where the message lies in its
+    /// slot, each look takes the line away from the publisher that is writing there.
     unsigned pauses(unsigned n) const noexcept {
       if (n == 0 && streaming_) return kPausesAfterBurst;
-      return n < kEagerPolls ? 0 : 1;
+      return n < kEagerPolls && !puller_.looks_into_slots() ? 0 : 1;
     }
     void settle() { puller_.settle(); }  // else a publisher that waits for room may sleep
     auto arm() { return puller_.prepare_to_sleep(); }
