@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <ctime>
+#include <iterator>
 #include <linux/futex.h>
 #include <memory>
 #include <sys/syscall.h>
@@ -94,6 +95,57 @@ void BareQueue::receive(std::uint64_t from, std::uint64_t count) {
     expect(slots_[(head + i) % kDepth].is(from + i), "the bare queue lost a message");
     head_.value.store(head + i + 1, std::memory_order_release);
   }
+}
+
+void OneLineRing::send(std::uint64_t from, std::uint64_t count) {
+  constexpr std::uint64_t kAhead = 2;  // the line is here when its turn comes
+  for (std::uint64_t n = from; n < from + count; ++n) {
+    while (n - seen_head_ >= kDepth) {
+      spin();
+      seen_head_ = head_.value.load(std::memory_order_acquire);
+    }
+    Slot& slot = slots_[n % kDepth];
+    Message message;
+    message.fill(n);
+    for (std::size_t w = 0; w < std::size(message.words); ++w) {
+      slot.words[w].store(message.words[w], std::memory_order_relaxed);
+    }
+    slot.word.exchange(n + 1, std::memory_order_seq_cst);
+    if (n + kAhead - seen_head_ < kDepth) {
+      lot::detail::HardwareAtomics::prefetch_write(&slots_[(n + kAhead) % kDepth]);
+    }
+  }
+}
+
+void OneLineRing::receive(std::uint64_t from, std::uint64_t count) {
+  for (std::uint64_t n = from; n < from + count; ++n) {
+    Slot& slot = slots_[n % kDepth];
+    while (slot.word.load(std::memory_order_acquire) != n + 1) spin();
+    Message message;
+    for (std::size_t w = 0; w < std::size(message.words); ++w) {
+      message.words[w] = slot.words[w].load(std::memory_order_relaxed);
+    }
+    std::atomic_thread_fence(std::memory_order_acquire);
+    expect(slot.word.load(std::memory_order_relaxed) == n + 1 && message.is(n),
+           "the one-line ring lost a message");
+    head_.value.store(n + 1, std::memory_order_release);
+  }
+}
+
+void serve_one_lines(OneLineTable& table, std::uint64_t count) {
+  for (const std::uint64_t end = table.served + count; table.served != end; ++table.served) {
+    table.ping.receive(table.served, 1);
+    table.pong.send(table.served, 1);
+  }
+}
+
+double cross_one_lines(OneLineTable& table, std::uint64_t count) {
+  return time_ns(2 * count, [&] {
+    for (const std::uint64_t end = table.crossed + count; table.crossed != end; ++table.crossed) {
+      table.ping.send(table.crossed, 1);
+      table.pong.receive(table.crossed, 1);
+    }
+  });
 }
 
 double exchange(std::uint64_t count) {

@@ -81,6 +81,33 @@ void small_128(benchmark::State& state, Use use, bool fast_lane) {
   small<16>(state, use, fast_lane);
 }
 
+/// The prototype beside a bare line, in the place of LOT.
+void one_line(benchmark::State& state) {
+  if (!needs_two_cores(state)) return;
+  constexpr std::uint64_t kTrips = 1'000;
+  const Shared<Lines> lines;
+  const Shared<OneLineTable> table;
+  Companion other([&](Companion& here) {
+    pin(1);
+    for (std::uint64_t order; (order = here.hear()) != Companion::kStop; here.meet()) {
+      order == kFloor ? serve_lines(*lines, kTrips) : serve_one_lines(*table, kTrips);
+    }
+  });
+  pin(0);
+  Rounds rounds;
+  const auto block = [&](std::uint64_t order) {
+    other.tell(order);
+    const double ns =
+        order == kFloor ? cross_lines(*lines, kTrips) : cross_one_lines(*table, kTrips);
+    other.meet();
+    return ns;
+  };
+  for ([[maybe_unused]] auto _ : state) {
+    rounds.run([&] { return block(kArm); }, [&] { return block(kFloor); });
+  }
+  rounds.report(state);
+}
+
 void parked(benchmark::State& state, unsigned core) {
   play<>(state, {Use::Borrowed, lot::Policy::Overwrite, lot::Wait::Park, core, 100}, cross_futexes,
          serve_futexes);
@@ -167,6 +194,7 @@ BENCHMARK_CAPTURE(small_48, , Use::Borrowed, true)
     ->UseRealTime();
 BENCHMARK_CAPTURE(small_48, , Use::Kept, false)->Name("latency/48B/block/kept")->UseRealTime();
 BENCHMARK_CAPTURE(small_48, , Use::Kept, true)->Name("latency/48B/slot/kept")->UseRealTime();
+BENCHMARK(one_line)->Name("latency/48B/one_line")->UseRealTime();
 BENCHMARK_CAPTURE(small_128, , Use::Borrowed, false)
     ->Name("latency/128B/block/borrowed")
     ->UseRealTime();

@@ -131,8 +131,10 @@ class Rounds {
   void report_faster(benchmark::State& state) const;
   /// The same, and `more_us` = arm - floor of a round, whose interval `lo` .. `hi` is.
   void report_difference(benchmark::State& state) const;
-  /// The same as report(), and `M/s`.
+  /// The same as report(), and `M/s`, whose interval `lo` .. `hi` is.
   void report_rate(benchmark::State& state) const;
+  /// The same as report(), and `M/s`.
+  void report_with_rate(benchmark::State& state) const;
 
  private:
   std::vector<double> arm_;
@@ -206,6 +208,38 @@ class BareQueue {
   Line tail_, head_;
   Ball slots_[kDepth];
 };
+
+/// A ring of messages of 48 bytes that lie in one line each: what LOT's fast lane is at least. The
+/// publisher writes the message, and exchanges the word before it. The reader copies, and looks at
+/// the word again. One writer and one reader, who must live; nothing is kept, and no process
+/// sleeps.
+class OneLineRing {
+ public:
+  using Message = BallOf<6>;
+
+  void send(std::uint64_t from, std::uint64_t count);
+  void receive(std::uint64_t from, std::uint64_t count);
+
+ private:
+  static constexpr std::uint64_t kDepth = 64;
+  struct alignas(kLine) Slot {
+    std::atomic<std::uint64_t> word{0};     ///< the number of its message, and one more
+    std::atomic<std::uint64_t> sleeper{0};  ///< as in a ring with sleepers
+    std::atomic<std::uint64_t> words[6] = {};
+  };
+  Line head_;
+  alignas(kLine) std::uint64_t seen_head_ = 0;  ///< the publisher's own
+  Slot slots_[kDepth];
+};
+/// A game of ping-pong over two of them.
+struct OneLineTable {
+  OneLineRing ping, pong;
+  std::uint64_t served = 0;   ///< messages, counted by the end that serves
+  std::uint64_t crossed = 0;  ///< the same of the end that measures
+};
+void serve_one_lines(OneLineTable& table, std::uint64_t count);
+/// Nanoseconds one way.
+double cross_one_lines(OneLineTable& table, std::uint64_t count);
 
 /// One locked exchange on a line that nobody else has.
 double exchange(std::uint64_t count);

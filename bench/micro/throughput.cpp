@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <type_traits>
+
 #include "micro.hpp"
 
-/// 64-byte messages from one process to another, none lost, every one checked; beside it a queue
-/// that protects nothing.
+/// 64-byte messages from one process to another, none lost, every one checked; beside them a queue
+/// that protects nothing, or where they travel in slots, a ring of one line a message.
 namespace bench {
 namespace {
 
@@ -11,10 +13,11 @@ constexpr std::uint64_t kMessages = 20'000;
 constexpr std::uint64_t kFloor = 1;
 constexpr std::uint64_t kArm = 2;
 
-template <class Receive>
-void stream(benchmark::State& state, bool fast_lane, Receive receive) {
+template <class Floor, class Receive>
+void stream(benchmark::State& state, Receive receive) {
+  constexpr bool kFastLane = std::is_same_v<Floor, OneLineRing>;
   if (!needs_two_cores(state)) return;
-  const Shared<BareQueue> bare;
+  const Shared<Floor> bare;
   const Shared<Line> done;  // blocks that the reader has read
   Companion other([&](Companion& here) {
     lot::ShmEngine engine(segment());
@@ -44,7 +47,7 @@ void stream(benchmark::State& state, bool fast_lane, Receive receive) {
   lot::ShmEngine engine(segment());
   lot::PusherOptions options;
   options.policy = lot::Policy::Block;
-  options.fast_lane = fast_lane;
+  options.fast_lane = kFastLane;
   auto out = engine.advertise<Ball>("/stream", options);
   other.meet();
   other.meet();
@@ -81,22 +84,23 @@ void stream(benchmark::State& state, bool fast_lane, Receive receive) {
     return ns;
   };
   for ([[maybe_unused]] auto _ : state) rounds.run(arm_block, floor_block);
-  rounds.report_rate(state);
+  kFastLane ? rounds.report_with_rate(state) : rounds.report_rate(state);
 }
 
-void borrowed(benchmark::State& state, bool fast_lane) {
-  stream(state, fast_lane,
-         [](auto& in, Clock::time_point until) { return in.borrow_until(until); });
+template <class Floor>
+void borrowed(benchmark::State& state) {
+  stream<Floor>(state, [](auto& in, Clock::time_point until) { return in.borrow_until(until); });
 }
-void kept(benchmark::State& state, bool fast_lane) {
-  stream(state, fast_lane, [](auto& in, Clock::time_point until) { return in.pull_until(until); });
+template <class Floor>
+void kept(benchmark::State& state) {
+  stream<Floor>(state, [](auto& in, Clock::time_point until) { return in.pull_until(until); });
 }
 
 }  // namespace
 
-BENCHMARK_CAPTURE(borrowed, , false)->Name("throughput/borrowed")->UseRealTime();
-BENCHMARK_CAPTURE(kept, , false)->Name("throughput/kept")->UseRealTime();
-BENCHMARK_CAPTURE(borrowed, , true)->Name("throughput/slot/borrowed")->UseRealTime();
-BENCHMARK_CAPTURE(kept, , true)->Name("throughput/slot/kept")->UseRealTime();
+BENCHMARK(borrowed<BareQueue>)->Name("throughput/borrowed")->UseRealTime();
+BENCHMARK(kept<BareQueue>)->Name("throughput/kept")->UseRealTime();
+BENCHMARK(borrowed<OneLineRing>)->Name("throughput/slot/borrowed")->UseRealTime();
+BENCHMARK(kept<OneLineRing>)->Name("throughput/slot/kept")->UseRealTime();
 
 }  // namespace bench
