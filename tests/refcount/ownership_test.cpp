@@ -486,8 +486,7 @@ TEST_CASE_FIXTURE(Block, "what others may see does not die unseen") {
   CHECK(home.release(words));
 }
 
-TEST_CASE_FIXTURE(Block,
-                  "a weak pointer to a dead message changes no word of a thread that is busy") {
+TEST_CASE_FIXTURE(Block, "a weak pointer to a dead message leaves a busy hold word alone") {
   const std::uint64_t busy = hold::busy_word(hold::kHome | hold::kHeld, 1);
   REQUIRE((busy & hold::kUnseen) != 0);  // there it is a bit of the thread
   Ownership::Hold word{};
