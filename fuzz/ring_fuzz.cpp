@@ -1,17 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 // Any sequence of ring operations against a model that is too simple to be wrong: a deque of the
 // messages that are left, and for each reader the index of the message that it reads next. In half
-// of the rings each message is taken by one reader; a reader then takes what it has done with.
+// of the rings each message is taken by one reader; a reader then takes what it has done with. In
+// half of them messages travel in the slots; a reader then copies what it has done with.
 // Where a ring has room for one reader, under back-pressure, boost::lockfree::spsc_queue is asked
 // as well.
 //
-// Input: depth - 1 | policy and readers | first sequence | operations, a byte each:
+// Input: depth - 1, and whether in slots | policy and readers | first sequence | operations, a byte
+// each:
 //     7     5 4      3 2         0
 //    +-------+--------+-----------+
 //    |  arg  | reader | operation |     corpus/ring/ has examples
 //    +-------+--------+-----------+
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
@@ -34,6 +37,8 @@ namespace {
 
 using lot::detail::HardwareAtomics;
 using lot::fuzz::planted;
+using lot::ring::Copy;
+using lot::ring::kInSlot;
 using lot::ring::kNoBlock;
 using lot::ring::kSequenceMask;
 using lot::ring::kSleeper;
@@ -42,6 +47,7 @@ using Ring = lot::ring::Ring<HardwareAtomics>;
 using Cell = lot::ring::Cell<HardwareAtomics>;
 using Writer = lot::ring::Writer<HardwareAtomics>;
 using Reader = lot::ring::Reader<HardwareAtomics>;
+using Slots = lot::ring::Slots<HardwareAtomics>;
 
 /// Aborts, and names what differs from the model.
 void require(bool same, const char* what) {
@@ -53,7 +59,16 @@ void require(bool same, const char* what) {
 enum Operation : unsigned { Publish, Poll, Borrow, Done, Join, Leave, Evict, Sleep };
 
 /// Any block that a slot can name, different for messages that are near each other.
-Word block_of(Word index) { return index * 40503 % kNoBlock; }
+Word block_of(Word index) { return index * 40503 % kInSlot; }
+
+constexpr std::size_t kStride = 64;
+/// What a message says that lies in its slot.
+using Letter = std::array<Word, 6>;
+Letter letter_of(Word index) {
+  Letter letter;
+  for (std::size_t i = 0; i < letter.size(); ++i) letter[i] = index * 40503 + i;
+  return letter;
+}
 
 constexpr Word kFirst[] = {0,
                            1,
@@ -69,10 +84,14 @@ constexpr std::uint64_t kHistory[] = {0, 1, 2, 3, 5, 9, 100, Reader::kFromTheSta
 
 class Fuzz {
  public:
-  Fuzz(std::uint32_t depth, bool blocking, bool taken, std::uint32_t readers, Word first)
-      : slots_(depth), cells_(readers), who_(readers), readers_(readers) {
+  Fuzz(std::uint32_t depth, bool in_slots, bool blocking, bool taken, std::uint32_t readers,
+       Word first)
+      : slots_(in_slots ? (depth + 1) * kStride / sizeof(Word) : depth),
+        cells_(readers),
+        who_(readers),
+        readers_(readers) {
     ring_.writer = &writer_word_;
-    ring_.slots = slots_.data();
+    ring_.slots = in_slots ? Slots::with_messages(slots_.data(), kStride) : Slots(slots_.data());
     ring_.cells = cells_.data();
     ring_.who = who_.data();
     ring_.roster = &roster_;
@@ -190,15 +209,17 @@ class Fuzz {
       replaced = kept_.front().value_or(kNoBlock);
       kept_.pop_front();
     }
-    if (ring_.taken) {
+    if (ring_.taken && !ring_.in_slots()) {
       replaced = held_.size() == ring_.depth ? held_.front().value_or(kNoBlock) : kNoBlock;
       if (held_.size() == ring_.depth) held_.pop_front();
       held_.emplace_back(block_of(published_));
     }
-    const auto result = writer_.publish(block_of(published_));
-    require(result.replaced == replaced, "replaced");
+    const Letter letter = letter_of(published_);
+    const auto result = ring_.in_slots() ? writer_.publish(letter.data(), letter.size(), nullptr)
+                                         : writer_.publish(block_of(published_));
+    require(result.replaced == (ring_.in_slots() ? kNoBlock : replaced), "replaced");
     require(result.wake == marked_, "wake");
-    require(result.slot == &slots_[published_ % ring_.depth], "slot");
+    require(result.slot == &ring_.slots[published_ % ring_.places()], "slot");
     marked_ = false;
     if (read) oracle_->push(block_of(published_));
     kept_.emplace_back(block_of(published_++));
@@ -226,6 +247,7 @@ class Fuzz {
   }
 
   void evict() {
+    if (ring_.in_slots()) return empty();
     if (ring_.blocking) {
       if (ring_.taken) {
         give_up();
@@ -246,6 +268,26 @@ class Fuzz {
     }
     kept_[static_cast<std::size_t>(oldest - held.begin())].reset();
     oldest->reset();
+  }
+
+  /// A lossless ring empties the slots that all have read. Who joins later begins behind them.
+  void empty() {
+    if (!ring_.blocking || ring_.taken) return;
+    Word expected = 0;
+    for (Word m = oldest(); m < published_; ++m) {
+      if (std::any_of(readers_.begin(), readers_.end(),
+                      [m](auto& r) { return r && r->next <= m; })) {
+        break;
+      }
+      auto& kept = kept_[m - oldest()];
+      expected += kept.has_value();
+      if (kept) closed_off_ = m + 1;
+      kept.reset();
+    }
+    writer_.take_back(0, [&expected](Word block) {
+      require(block == kInSlot && expected-- != 0, "what is taken back");
+    });
+    require(expected == 0, "all that was read is taken back");
   }
 
   /// A lossless ring gives up what all have read. Who joins later begins behind it.
@@ -273,7 +315,12 @@ class Fuzz {
     if (reader.next < published_) reader.borrowed = kept_[reader.next - oldest()];
 
     std::uint64_t missed = 7;  // it adds
-    require(reader.real.poll(missed) == reader.borrowed.value_or(kNoBlock), "poll");
+    Word found = reader.real.poll(missed);
+    // A slot has its message until the next one is in there, though it has begun to go.
+    while (found == kInSlot && copied(reader, missed) == Copy::Overwritten) {
+      found = reader.real.poll(missed);
+    }
+    require(found == name_of(reader.borrowed), "poll");
     if (oracle_) {
       const bool any = oracle_->read_available() != 0;
       require((any ? oracle_->front() : kNoBlock) == reader.borrowed.value_or(kNoBlock),
@@ -283,7 +330,32 @@ class Fuzz {
     if (!reader.borrowed) ring_bell(reader.real.sender_waits());
   }
 
+  /// What a reader is told of a message that is there, or of none.
+  Word name_of(const std::optional<Word>& block) const {
+    return block && ring_.in_slots() ? kInSlot : block.value_or(kNoBlock);
+  }
+
+  /// Copies the message that the reader stands at out of its slot. If it has gone, the reader is
+  /// behind it.
+  Copy copied(Model& reader, std::uint64_t& missed) {
+    const Word at = lot::ring::advance(reader.real.cursor(), Word{0} - ring_.first);
+    const bool is_there = at == reader.next && reader.next >= oldest();
+    Letter letter{};
+    const Copy copied = reader.real.copy(letter.data(), letter.size(), nullptr, missed);
+    if (planted("torn_letter") && ++copies_ % 8 == 0) letter[5] ^= 1;
+    require(copied == (is_there || ring_.taken ? Copy::Whole : Copy::Overwritten), "copy");
+    require(!is_there || letter == letter_of(reader.next), "what a copy says");
+    return copied;
+  }
+
   void done(Model& reader) {
+    std::uint64_t missed = 7;  // it adds
+    if (ring_.in_slots() && copied(reader, missed) == Copy::Overwritten) {
+      require(missed == 8, "missed by a copy");
+      reader.borrowed.reset();
+      ++reader.next;
+      return;
+    }
     if (ring_.taken) {
       const bool lapped = reader.next < oldest();
       const bool there = !lapped && kept_[reader.next - oldest()].has_value();
@@ -334,9 +406,14 @@ class Fuzz {
   /// Makes one of the mistakes that must be found.
   void spoil() {
     if (++steps_ % 8 != 0) return;
-    if (planted("lost_message")) writer_.publish(0);
-    if (planted("changed_slot")) slots_[0] ^= 1;
-    if (planted("forgotten_sleeper")) slots_[published_ % ring_.depth] &= ~kSleeper;
+    if (planted("lost_message") && ring_.in_slots()) {
+      const Letter letter = letter_of(0);
+      writer_.publish(letter.data(), letter.size(), nullptr);
+    } else if (planted("lost_message")) {
+      writer_.publish(0);
+    }
+    if (planted("changed_slot")) ring_.slots[0] ^= 1;
+    if (planted("forgotten_sleeper")) ring_.slots[published_ % ring_.places()] &= ~kSleeper;
     for (auto& reader : readers_) {
       if (planted("moved_reader") && reader) reader->real.done();
     }
@@ -354,12 +431,16 @@ class Fuzz {
       require(reader.real.cursor() == lot::ring::advance(ring_.first, reader.next), "cursor");
       require(reader.real.ready() == (reader.next < published_), "ready");
       require(!reader.real.ended(), "ended while the publisher lives");
-      Word next = kNoBlock;
+      std::optional<Word> next;
       if (reader.next < published_ && reader.next >= oldest()) {
-        next = kept_[reader.next - oldest()].value_or(kNoBlock);
+        next = kept_[reader.next - oldest()];
       }
-      require(reader.real.peek(0) == next, "peek");
-      if (reader.borrowed && ring_.guarded()) expected.push_back(*reader.borrowed);
+      const bool is_going = ring_.in_slots() && !ring_.blocking && !ring_.taken &&
+                            published_ - reader.next == ring_.places();
+      require(reader.real.peek(0) == (is_going ? kInSlot : name_of(next)), "peek");
+      if (reader.borrowed && ring_.guarded() && !ring_.in_slots()) {
+        expected.push_back(*reader.borrowed);
+      }
       if (!ring_.guarded() && published_ - reader.next >= ring_.depth) late.push_back(i);
     }
     writer_.hazards([&](Word block) { hazards.push_back(block); });
@@ -391,14 +472,15 @@ class Fuzz {
   bool marked_ = false;   ///< somebody sleeps on the slot of the next message
   bool waiting_ = false;  ///< the sender sleeps for room
   unsigned steps_ = 0;
+  unsigned copies_ = 0;
 };
 
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   if (size < 3) return 0;
-  Fuzz fuzz(1 + data[0] % 9, (data[1] & 1) != 0, data[1] >= 128, 1 + (data[1] >> 1) % 3U,
-            kFirst[data[2] % std::size(kFirst)]);
+  Fuzz fuzz(1 + data[0] % 9, data[0] >= 128, (data[1] & 1) != 0, data[1] >= 128,
+            1 + (data[1] >> 1) % 3U, kFirst[data[2] % std::size(kFirst)]);
   for (std::size_t i = 3; i < size; ++i) fuzz.run(data[i]);
   fuzz.end();
   return 0;
