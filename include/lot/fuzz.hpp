@@ -111,7 +111,9 @@ class Place {
   static std::string own_name() {
     const char* prefix = std::getenv("LOT_SEGMENT");
     std::string name = prefix != nullptr && *prefix != '\0' ? prefix : "lot_fuzz";
-    for (const char* variable : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE"}) ::unsetenv(variable);
+    for (const char* variable : {"LOT_SEGMENT", "LOT_DIR", "LOT_SIZE", "LOT_FAST_LANE"}) {
+      ::unsetenv(variable);
+    }
     return name + "_" + std::to_string(::getpid());
   }
   /// A directory that is spelt otherwise is another participant.
@@ -158,13 +160,23 @@ class Queue {
   static constexpr std::size_t kMost = 4;  ///< publishers, subscribers, weak pointers
   static constexpr std::size_t kMostPointers = 8;
   static constexpr std::uint64_t kEverything = ~std::uint64_t{0};
+  /// As PusherOptions::fast_lane says.
+  static constexpr bool fits_into_slot =
+      std::is_trivially_copyable_v<Mail> && sizeof(Mail) <= 240 && alignof(Mail) <= 16;
 
+  /// A message, and the object in shared memory that carries it: pointers to one object count each
+  /// other. 0: there is none, the message travels in its slot.
+  struct Sent {
+    std::uint64_t number;
+    std::uint64_t object;
+  };
   struct Channel {
     std::size_t topic;
     std::uint32_t depth;
     bool blocking;
+    bool in_slots;  ///< what is kept of it is a copy
     bool open = true;
-    std::vector<std::uint64_t> log{};  ///< the numbers of its messages
+    std::vector<Sent> log{};
     std::uint64_t oldest() const { return log.size() - std::min<std::size_t>(log.size(), depth); }
   };
   struct Publisher {
@@ -187,7 +199,7 @@ class Queue {
   };
   template <class Pointer>
   struct Known {
-    std::uint64_t number;
+    Sent what;
     std::size_t side;
     Pointer pointer;
   };
@@ -215,7 +227,7 @@ class Queue {
         if (auto* p = pick(pointers_)) pointers_.erase(pointers_.begin() + (p - pointers_.data()));
         break;
       case 8:
-        if (auto* p = pick(pointers_)) remember(p->number, p->side, p->pointer);
+        if (auto* p = pick(pointers_)) remember(p->what, p->side, p->pointer);
         break;
       case 9:
         forward();
@@ -223,7 +235,7 @@ class Queue {
       case 10:
         if (auto* p = pick(pointers_)) {
           if (weak_.size() == kMost) weak_.erase(weak_.begin());
-          weak_.push_back({p->number, p->side, ShmWeakPtr<const Mail>(p->pointer)});
+          weak_.push_back({p->what, p->side, ShmWeakPtr<const Mail>(p->pointer)});
         }
         break;
       case 11:
@@ -256,7 +268,9 @@ class Queue {
     const std::size_t side = bytes_.below(2);
     const std::size_t topic = bytes_.below(kTopics);
     PusherOptions options;
-    const std::size_t how = bytes_.below(8);
+    const std::uint8_t byte = bytes_.byte();
+    const unsigned how = byte % 8;
+    options.fast_lane = byte >= 128;
     options.policy = how % 2 == 0 ? Policy::Overwrite : how < 4 ? Policy::Block : Policy::Refuse;
     options.engine = how / 2 % 2 == 0 ? QueueEngine::Ring : QueueEngine::Mutex;
     options.depth = static_cast<std::uint32_t>(1 + bytes_.below(8));
@@ -267,7 +281,8 @@ class Queue {
     for (const auto& s : subscribers_) {
       if (s->topic == topic) s->sources.push_back({channels_.size(), 0});
     }
-    channels_.push_back({topic, options.depth, options.policy != Policy::Overwrite});
+    channels_.push_back({topic, options.depth, options.policy != Policy::Overwrite,
+                         options.fast_lane && fits_into_slot});
   }
 
   void close(Publisher& publisher) {
@@ -332,7 +347,7 @@ class Queue {
   void push(Publisher& publisher) {
     const std::uint8_t how = bytes_.byte();
     ShmUniquePtr<Mail> mail = write(publisher);
-    const std::uint64_t number = mail->number;
+    const Sent sent{mail->number, ++objects_};
     if (how % 8 == 7) return;  // loaned, not pushed
     const bool full = is_full(publisher);
     Status status;
@@ -343,21 +358,24 @@ class Queue {
       status = publisher.pusher.try_push(std::move(mail));
       require(static_cast<bool>(mail) == full, "who has a message after a push");
     }
-    pushed(publisher, number, status, full);
+    pushed(publisher, sent, status, full);
   }
 
   void forward() {
     const auto* p = pick(pointers_);
     auto* publisher = pick(publishers_);
-    if (p == nullptr || publisher == nullptr || is_elsewhere(p->number, publisher->channel)) return;
+    if (p == nullptr || publisher == nullptr) return;
+    if (is_elsewhere(p->what.number, publisher->channel)) return;
     const bool full = is_full(*publisher);
     const Status status = publisher->pusher.push(p->pointer, std::chrono::nanoseconds(0));
-    pushed(*publisher, p->number, status, full);
+    pushed(*publisher, p->what, status, full);
   }
 
-  void pushed(Publisher& publisher, std::uint64_t number, Status status, bool full) {
+  void pushed(Publisher& publisher, Sent sent, Status status, bool full) {
     require(status == (full ? Status::Full : Status::Ok), "the status of a push");
-    if (!full) channels_[publisher.channel].log.push_back(number);
+    Channel& channel = channels_[publisher.channel];
+    if (channel.in_slots) sent.object = 0;
+    if (!full) channel.log.push_back(sent);
   }
 
   bool is_full(const Publisher& publisher) const {
@@ -378,8 +396,9 @@ class Queue {
   bool is_elsewhere(std::uint64_t number, std::size_t channel) const {
     for (std::size_t c = 0; c < channels_.size(); ++c) {
       const auto& log = channels_[c].log;
+      const auto is_it = [number](const Sent& sent) { return sent.number == number; };
       if (c != channel && channels_[c].topic == channels_[channel].topic &&
-          std::find(log.begin(), log.end(), number) != log.end()) {
+          std::any_of(log.begin(), log.end(), is_it)) {
         return true;
       }
     }
@@ -390,8 +409,16 @@ class Queue {
     if (subscriber.borrowed != nullptr) return;
     const auto mail = look(subscriber, [&] { return subscriber.puller.try_pull(); });
     if (!mail) return;
-    ++found(subscriber, mail->number).next;
-    remember(mail->number, subscriber.side, mail);
+    Source& source = found(subscriber, mail->number);
+    remember(kept(at(source)), subscriber.side, mail);
+    ++source.next;
+  }
+
+  const Sent& at(const Source& source) const { return channels_[source.channel].log[source.next]; }
+  /// What a subscriber has that keeps this: of a message in its slot, a copy.
+  Sent kept(Sent what) {
+    if (what.object == 0) what.object = ++objects_;
+    return what;
   }
 
   void borrow(Subscriber& subscriber) {
@@ -420,7 +447,7 @@ class Queue {
 
   void keep(Subscriber& subscriber) {
     if (subscriber.borrowed == nullptr) return;
-    remember(subscriber.borrow->number, subscriber.side, subscriber.borrow.keep());
+    remember(kept(at(*subscriber.borrowed)), subscriber.side, subscriber.borrow.keep());
   }
 
   /// Takes the next message by `take`; empty only when the model has nothing to read.
@@ -460,7 +487,7 @@ class Queue {
     for (Source& s : subscriber.sources) {
       const Channel& channel = channels_[s.channel];
       const std::uint64_t next = std::max(s.next, channel.oldest());
-      if (next == channel.log.size() || channel.log[next] != number) continue;
+      if (next == channel.log.size() || channel.log[next].number != number) continue;
       require(subscriber.puller.missed() == subscriber.skipped + (next - s.next),
               "how many were missed");
       subscriber.skipped = 0;
@@ -472,29 +499,30 @@ class Queue {
   }
 
   /// The pointer is a copy: it may be one of those that move here.
-  void remember(std::uint64_t number, std::size_t side, ShmSharedPtr<const Mail> pointer) {
+  void remember(Sent what, std::size_t side, ShmSharedPtr<const Mail> pointer) {
     if (pointers_.size() == kMostPointers) pointers_.erase(pointers_.begin());
-    pointers_.push_back({number, side, std::move(pointer)});
+    pointers_.push_back({what, side, std::move(pointer)});
   }
 
   void lock(const Known<ShmWeakPtr<const Mail>>& weak) {
     const auto pointer = weak.pointer.lock();
-    require(pointer || !is_alive(weak.number), "a weak pointer to a message that lives");
+    require(pointer || !is_alive(weak.what.object), "a weak pointer to a message that lives");
     require(static_cast<bool>(pointer) == !weak.pointer.expired(), "whether a message has expired");
-    if (pointer) remember(weak.number, weak.side, pointer);
+    if (pointer) remember(weak.what, weak.side, pointer);
   }
 
-  /// True when a holder of the model must still find the message.
-  bool is_alive(std::uint64_t number) const {
+  /// True when a holder of the model must still find the object.
+  bool is_alive(std::uint64_t object) const {
     for (const auto& p : pointers_) {
-      if (p.number == number) return true;
+      if (p.what.object == object) return true;
     }
     for (const auto& s : subscribers_) {
-      if (s->borrowed != nullptr && s->borrow->number == number) return true;
+      if (s->borrowed != nullptr && at(*s->borrowed).object == object) return true;
     }
     for (const Channel& c : channels_) {
-      const auto kept = c.log.begin() + static_cast<std::ptrdiff_t>(c.oldest());
-      if (c.open && std::find(kept, c.log.end(), number) != c.log.end()) return true;
+      const auto waiting = c.log.begin() + static_cast<std::ptrdiff_t>(c.oldest());
+      const auto is_it = [object](const Sent& sent) { return sent.object == object; };
+      if (c.open && std::any_of(waiting, c.log.end(), is_it)) return true;
     }
     return false;
   }
@@ -502,10 +530,10 @@ class Queue {
   /// What must hold between steps.
   void check() {
     for (const auto& p : pointers_) {
-      same(*p.pointer, p.number, "a message that is kept");
+      same(*p.pointer, p.what.number, "a message that is kept");
       const auto uses = [&](std::size_t side) {
         return std::count_if(pointers_.begin(), pointers_.end(), [&](const auto& other) {
-          return other.number == p.number && other.side == side;
+          return other.what.object == p.what.object && other.side == side;
         });
       };
       const long here = static_cast<long>(uses(p.side));
@@ -515,8 +543,7 @@ class Queue {
     }
     for (const auto& s : subscribers_) {
       if (s->borrowed != nullptr) {
-        same(*s->borrow, channels_[s->borrowed->channel].log[s->borrowed->next],
-             "a message that is borrowed");
+        same(*s->borrow, at(*s->borrowed).number, "a message that is borrowed");
       }
     }
     for (auto& p : publishers_) {
@@ -540,6 +567,7 @@ class Queue {
   Fill& fill_;
   Print& print_;
   std::vector<std::string> texts_;  ///< by number: what each message says
+  std::uint64_t objects_ = 0;       ///< so many were there
   std::vector<Channel> channels_;
   std::vector<Publisher> publishers_;
   std::vector<std::unique_ptr<Subscriber>> subscribers_;
