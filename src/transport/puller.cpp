@@ -417,6 +417,8 @@ class Puller final : public RingPuller {
     // A taken message has one owner, as one that is loaned.
     if (!taking_) {
       HardwareOwnership::keep_unseen(participant_->segment().block(block_), message.control->hold);
+    } else {
+      message.control->type = nullptr;  // the queue's: its element's is not known here
     }
     detail::write_once(participant_->segment().arena(block_).topic, topic_key_);  // for people
     note_held(0);

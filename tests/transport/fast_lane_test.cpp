@@ -432,6 +432,28 @@ TEST_CASE_FIXTURE(BothEngines, "each item in a slot is for one that pops, and it
   });
 }
 
+TEST_CASE_FIXTURE(BothEngines, "what was taken out of a slot can be put and pushed again") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto items = shm.queue<lot::ShmUniquePtr<Ball>>("/items", queueing(engine, false));
+    auto others = shm.queue<lot::ShmUniquePtr<Ball>>("/others", queueing(engine, false));
+    auto in = shm.subscribe<Ball>("/balls");
+    auto out = shm.advertise<Ball>("/balls", pushing(engine));
+    auto item = items.make();
+    *item = {3, ~std::uint64_t{3}};
+    CHECK(items.put(std::move(item)) == Status::Ok);
+    auto popped = items.try_pop();
+    REQUIRE(popped.has_value());
+    CHECK(others.put(std::move(*popped)) == Status::Ok);
+    popped = others.try_pop();
+    REQUIRE(popped.has_value());
+    const lot::ShmSharedPtr<const Ball> shared(std::move(*popped));
+    CHECK(out.push(shared) == Status::Ok);
+    const auto seen = in.try_pull();
+    CHECK((seen && is(*seen, 3)));
+  });
+}
+
 TEST_CASE_FIXTURE(BothEngines, "a task in a slot comes back when its worker is killed") {
   with_each_engine([&](QueueEngine engine) {
     const Steps taken;
