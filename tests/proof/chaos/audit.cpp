@@ -13,6 +13,8 @@ namespace {
 
 /// The ring (64), two batches of retired ones, and what all readers together kept a moment ago.
 constexpr std::uint32_t kBlocksOfPublisher = 400;
+/// What a reader keeps out of slots, and a block for the next one.
+constexpr std::uint32_t kBlocksOfReader = 10;
 
 using Own = refcount::Ownership<segment::Atomics>;
 
@@ -154,9 +156,11 @@ class Auditor {
       unsigned slot = 0;
       if (std::sscanf(name, "chaos%u", &slot) != 1 || slot >= kMostNodes) {
         say("participant " + std::to_string(k) + " is none of the nodes: " + name);
-      } else if (at_home[k] > kBlocksOfPublisher * living_.pushers_of[slot]) {
+      } else if (at_home[k] > kBlocksOfPublisher * living_.pushers_of[slot] +
+                                  kBlocksOfReader * living_.pullers_of[slot]) {
         say(std::to_string(at_home[k]) + " blocks are at home with " + name + ", which has " +
-            std::to_string(living_.pushers_of[slot]) + " publishers");
+            std::to_string(living_.pushers_of[slot]) + " publishers and " +
+            std::to_string(living_.pullers_of[slot]) + " readers");
       }
     }
   }

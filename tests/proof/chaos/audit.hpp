@@ -19,6 +19,7 @@ struct Living {
   std::array<std::uint32_t, kTopics> pullers{};
   std::array<std::uint32_t, kTopics> observers{};
   std::array<std::uint32_t, kMostNodes> pushers_of{};  ///< each node
+  std::array<std::uint32_t, kMostNodes> pullers_of{};  ///< each node, observers among them
 };
 
 /// What the segment holds that the living do not explain, or "":
@@ -26,7 +27,8 @@ struct Living {
 ///    and there are as many of them as the living have;
 ///  - a topic that observers have and others, or observers only, is there once for each type, and
 ///    carries that whole type;
-///  - a living one has no more blocks than its publishers can need;
+///  - a living one has no more blocks than its publishers can need, and than its readers can that
+///    keep messages out of slots;
 ///  - what the orphanage keeps is a message that a living one still has in its ring, or that such
 ///    a message refers to;
 ///  - every granule belongs to a ring or a block that is in use.

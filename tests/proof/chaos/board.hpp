@@ -44,6 +44,7 @@ inline constexpr std::array kDoingNames{
 enum class Count : std::uint32_t {
   Opened,
   Advertised,
+  InSlots,
   Subscribed,
   Observed,
   Published,
@@ -70,6 +71,7 @@ enum class Count : std::uint32_t {
 inline constexpr std::array kCountNames{
     "engines opened",
     "advertised",
+    "advertised, with messages in their slots",
     "subscribed",
     "subscribed, to look on",
     "published",

@@ -3,7 +3,7 @@
 # Usage: cmake -D CHAOS=path/to/lot_chaos -P can_fail.cmake
 # LOT_TEST_ONE_IN=N: one of each N mistakes, others with each LOT_TEST_SEED.
 set(mistakes
-    tear=torn smear=torn refer=torn weak=torn
+    tear=torn smear=torn refer=torn weak=torn trust=torn
     skip=lost miss=lost overlook=lost more=lost ghost=lost overrun=lost deaf=lost
     drop=lost spill=lost forget=lost blind=lost
     twice=twice take-twice=twice share=twice recount=twice

@@ -19,6 +19,7 @@
 #include "life.hpp"
 #include "plan.hpp"
 #include "segment/layout.hpp"
+#include "slot_copy.hpp"
 
 namespace lot::chaos {
 
@@ -204,6 +205,9 @@ class Inlet final : public Job {
     life_.count(Count::Received);
     life_.count(Count::Missed, missed);
     if (const std::string w = wrong(message); !w.empty()) torn(w, message.stamp);
+    if constexpr (std::is_same_v<T, Plain>) {
+      if (life_.has(Plant::Trust, 20)) trust_a_copy();
+    }
     const Place place = place_of(message.stamp);
     if (life_.has(Plant::Deaf) && account_.is_late(place.incarnation) &&
         kTopic[topic_].queueing == Queueing::Overwrite) {
@@ -213,6 +217,13 @@ class Inlet final : public Job {
     if (life_.has(Plant::Overlook) && plan_.options.observer) missed = 0;
     if (life_.has(Plant::More, 1)) ++missed;
     account_.received(place, missed);
+  }
+
+  /// A mistake.
+  void trust_a_copy() {
+    const auto copy = copy_of_a_slot(engine_.path(), kTopic[topic_].name);
+    if (!copy) return;
+    if (const std::string w = wrong(*copy); !w.empty()) torn("in a slot, " + w, copy->stamp);
   }
 
   /// Under which number it came on this topic.

@@ -2,11 +2,13 @@
 #pragma once
 
 #include <optional>
+#include <type_traits>
 #include <utility>
 
 #include "lot/lot.hpp"
 
 #include "life.hpp"
+#include "message.hpp"
 #include "plan.hpp"
 
 namespace lot::chaos {
@@ -40,6 +42,7 @@ class Outlet {
     record().state.store(Incarnation::Live, std::memory_order_release);
     life_.me.pushers[topic].fetch_add(1);
     life_.count(Count::Advertised);
+    if (plan_.in_slots && std::is_same_v<T, Plain>) life_.count(Count::InSlots);
   }
   ~Outlet() {
     life_.doing(Doing::Closing, topic_);

@@ -169,12 +169,14 @@ Publishing publishing(Random& random, std::uint32_t topic) {
   if (plan.refuses && random.chance(50)) plan.policy = Policy::Refuse;
   plan.reserved = random.chance(20) ? 1 + random.below(4) : 0;
   plan.max_bytes = random.chance(20) ? (64 + random.below(1024)) << 10 : 0;
+  plan.in_slots = random.chance(50);
   return plan;
 }
 
 PusherOptions pusher_options(const Publishing& plan) {
   PusherOptions options{plan.policy, plan.depth, plan.block_for, plan.engine, 0, plan.history};
   options.max_bytes = plan.max_bytes;
+  options.fast_lane = plan.in_slots;
   return options;
 }
 

@@ -85,6 +85,7 @@ struct Publishing {
   bool refuses;             ///< never waits, whether its policy is Refuse or it tries
   std::size_t reserved;     ///< messages of kReserved bytes
   std::uint64_t max_bytes;  ///< 0: as the library chooses
+  bool in_slots;            ///< its messages travel in their slots, if they are plain
   bool is_lossless() const { return policy != Policy::Overwrite; }
 };
 Publishing publishing(Random& random, std::uint32_t topic);

@@ -15,6 +15,7 @@ enum class Plant : std::uint8_t {
   Smear,
   Refer,
   Weak,
+  Trust,
   Skip,
   Miss,
   Overlook,
@@ -51,11 +52,12 @@ struct Mistake {
   const char* says;
 };
 
-inline constexpr std::array<Mistake, 31> kMistakes{{
+inline constexpr std::array<Mistake, 32> kMistakes{{
     {Plant::Tear, "tear", Finding::Torn, "a publisher writes into what it pushes just now"},
     {Plant::Smear, "smear", Finding::Torn, "a publisher writes into what it has pushed before"},
     {Plant::Refer, "refer", Finding::Torn, "a message refers to another one than it says"},
     {Plant::Weak, "weak", Finding::Torn, "a weak pointer leads to another message"},
+    {Plant::Trust, "trust", Finding::Torn, "a reader copies a slot, and does not look again"},
     {Plant::Skip, "skip", Finding::Lost, "a publisher leaves a number out"},
     {Plant::Miss, "miss", Finding::Lost, "a reader is told of too few that it missed"},
     {Plant::Overlook, "overlook", Finding::Lost, "an observer is not told what it missed"},

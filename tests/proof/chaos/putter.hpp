@@ -12,6 +12,7 @@
 
 #include "job.hpp"
 #include "life.hpp"
+#include "message.hpp"
 #include "plan.hpp"
 #include "unfinished.hpp"
 
@@ -102,12 +103,14 @@ class Putter final : public Job {
     options.policy =
         life_.has(Plant::Spill) && !options.redeliver ? Policy::Overwrite : plan_.policy;
     options.engine = plan_.engine;
+    options.fast_lane = plan_.in_slots;
     queue_.emplace(engine_.queue<ShmUniquePtr<T>>(kTopic[topic_].name, options));
     make_ring();
     record().state.store(Incarnation::Live, std::memory_order_release);
     life_.me.pushers[topic_].fetch_add(1);
     is_open_ = true;
     life_.count(Count::Advertised);
+    if (plan_.in_slots && std::is_same_v<T, Plain>) life_.count(Count::InSlots);
   }
   /// The first thing that is put makes the ring. There may be no block for an item; what is empty
   /// needs none, and is refused behind that.

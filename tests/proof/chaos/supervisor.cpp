@@ -38,8 +38,6 @@ const char* name_of(EpochPlan::End end) {
   }
 }
 
-double seconds(Clock::duration d) { return std::chrono::duration<double>(d).count(); }
-
 }  // namespace
 
 Supervisor::Supervisor(const Settings& settings, Board& board, Namespaces& namespaces)
@@ -311,8 +309,11 @@ Living Supervisor::living() const {
       const std::uint32_t pushers = board_.nodes[slot].pushers[t].load();
       living.pushers[t] += pushers;
       living.pushers_of[slot] += pushers;
-      living.pullers[t] += board_.nodes[slot].pullers[t].load();
-      living.observers[t] += board_.nodes[slot].observers[t].load();
+      const std::uint32_t pullers = board_.nodes[slot].pullers[t].load();
+      const std::uint32_t observers = board_.nodes[slot].observers[t].load();
+      living.pullers[t] += pullers;
+      living.observers[t] += observers;
+      living.pullers_of[slot] += pullers + observers;
     }
   }
   return living;

@@ -4,14 +4,6 @@
 #include <cstdio>
 
 namespace lot::chaos {
-namespace {
-
-double seconds(std::chrono::steady_clock::duration d) {
-  return std::chrono::duration<double>(d).count();
-}
-
-}  // namespace
-
 void Tally::print(const Board& board, const Settings& settings) const {
   std::printf("\nkilled while         first 12 ms    later   of these, stopped\n");
   Kills all;

@@ -10,6 +10,10 @@
 
 namespace lot::chaos {
 
+inline double seconds(std::chrono::steady_clock::duration d) {
+  return std::chrono::duration<double>(d).count();
+}
+
 /// What a run has done, and the table of it.
 struct Tally {
   /// Where the killed were.

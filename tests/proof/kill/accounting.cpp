@@ -90,6 +90,7 @@ class Books {
       } else {
         lock.unlock();
       }
+      slots(ring, channel);
       for (std::uint32_t i = 0; i < ring.readers; ++i) {
         const std::uint32_t who = ring.who[i].load();
         if (who != 0 && !lives(who - 1)) wrong(channel + " has a dead reader");
@@ -104,6 +105,21 @@ class Books {
       if (state == ring::State::Orphan && owner == refcount::kOrphanage && ring.deserted()) {
         wrong(channel + " is an orphan without readers");
       }
+    }
+  }
+
+  /// Where messages travel in their slots no slot names a block, and each says `begin` of its own
+  /// message, or of the next one that comes there.
+  void slots(const segment::Ring& ring, const std::string& channel) {
+    if (!ring.in_slots()) return;
+    for (std::uint32_t i = 0; i < ring.places(); ++i) {
+      const ring::Word word = ring.slots[i].load();
+      const ring::Word b = ring::block(word);
+      if (b == ring::kNoBlock) continue;
+      if (b != ring::kInSlot) wrong(channel + " has a block in a slot for messages");
+      const auto copy =
+          ring.slots.read(i, ring::sequence(word), ring.places(), nullptr, 0, nullptr);
+      if (!ring.taken && copy == ring::Copy::Damaged) wrong(channel + " has a damaged slot");
     }
   }
 

@@ -16,11 +16,29 @@ namespace lot::kill {
 
 using namespace std::chrono_literals;
 
-inline PusherOptions overwrite(std::uint32_t depth, QueueEngine engine = QueueEngine::Ring) {
-  return {Policy::Overwrite, depth, 10s, engine};
+/// How a scene's queue works, and where its messages travel.
+struct Way {
+  Way(QueueEngine e, bool s = false) : engine(e), in_slots(s) {}
+  QueueEngine engine;
+  bool in_slots;  ///< in their slots, else in blocks
+};
+inline const Way kRing{QueueEngine::Ring};
+inline const Way kSlots{QueueEngine::Ring, true};
+
+inline PusherOptions pushing(Policy policy, std::uint32_t depth, const Way& way) {
+  PusherOptions options{policy, depth, 10s, way.engine};
+  options.fast_lane = way.in_slots;
+  return options;
 }
-inline PusherOptions block(std::uint32_t depth, QueueEngine engine = QueueEngine::Ring) {
-  return {Policy::Block, depth, 10s, engine};
+inline PusherOptions overwrite(std::uint32_t depth, const Way& way = kRing) {
+  return pushing(Policy::Overwrite, depth, way);
+}
+inline PusherOptions block(std::uint32_t depth, const Way& way = kRing) {
+  return pushing(Policy::Block, depth, way);
+}
+inline QueueOptions queueing(std::uint32_t depth, Policy policy, const Way& way,
+                             bool redeliver = false) {
+  return {depth, policy, way.engine, Wait::Park, redeliver, way.in_slots};
 }
 inline PullerOptions parked(std::uint64_t history = 0) { return {Wait::Park, history}; }
 
@@ -88,12 +106,18 @@ inline void push_loan(Node& n) {
   n.loans.pop_back();
 }
 
-/// What promises not to wait does so with the ring; the mutex engine's steps wait for a lock.
-inline Pledge under(QueueEngine engine, const Pledge& pledge) {
-  return engine == QueueEngine::Ring ? pledge : Pledge(Promise::Blocking);
+/// What promises not to wait does so with the ring; the mutex engine's steps wait for a lock. Where
+/// messages travel in their slots, a probe shows it that uses such ones.
+inline Pledge under(const Way& way, const Pledge& pledge) {
+  if (way.engine == QueueEngine::Mutex) return Promise::Blocking;
+  return way.in_slots ? Pledge(pledge.promise, shown_in_slots(pledge.shown_by)) : pledge;
 }
-inline std::string named(const std::string& name, QueueEngine engine) {
-  return engine == QueueEngine::Ring ? name : "mutex: " + name;
+inline std::string named(const std::string& name, const Way& way) {
+  return std::string(way.in_slots ? "slots: " : "") +
+         (way.engine == QueueEngine::Mutex ? "mutex: " : "") + name;
 }
+/// Leaves out those of the operations from `first` on whose name has none of these in it.
+void keep_only(std::vector<Operation>& all, std::size_t first,
+               const std::vector<std::string>& names);
 
 }  // namespace lot::kill

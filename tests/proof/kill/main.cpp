@@ -52,7 +52,7 @@ struct Shared {
   std::atomic<std::size_t> next{0};  ///< operation to be done next
   std::atomic<std::uint64_t> operations{0}, instructions{0}, points{0}, kills{0}, not_reached{0},
       spared{0}, shorter{0}, strayed{0}, violations{0};
-  Neighbour neighbours[40];
+  Neighbour neighbours[48];
 };
 
 using Violations = std::vector<std::string>;

@@ -52,6 +52,7 @@ void Account::enter(const Number& message, std::uint64_t missed) {
   }
   seen_[source] = true;
   next_[source] = message.number + 1;
+  missed_ += missed;
 }
 
 std::uint64_t Account::last(std::uint64_t source) const {
@@ -89,6 +90,9 @@ void Node::drop_all() {
 
 void Node::disarm() {
   drop_probes();
+  probe_slots_queue.reset();
+  probe_slots_puller.reset();
+  probe_slots.reset();
   probe_queue.reset();
   probe_frames.reset();
   probe_observer.reset();
@@ -241,7 +245,7 @@ void Node::sleep_for_room() {
 void Node::await_sleeper() {
   await([](const segment::Ring& ring) {
     if (ring.arrived != nullptr) return (ring.arrived->load() & 1) != 0;
-    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+    for (std::uint32_t i = 0; i < ring.places(); ++i) {
       if ((ring.slots[i].load() & ring::kSleeper) != 0) return true;
     }
     return false;
@@ -293,6 +297,16 @@ bool Node::pop() {
   const auto item = next_item(0ms);
   if (item) enter_item(*item);
   return item.has_value();
+}
+
+void Node::contend() {
+  if (queue) {
+    pop();
+    return;
+  }
+  kept.push_back(puller->try_pull());
+  if (kept.back()) account.enter(*kept.back(), puller->missed());
+  receive_all();
 }
 
 void Node::take_work() {
@@ -384,6 +398,21 @@ void Node::arm() {
   probe_queue.emplace(engine->queue<Number>("/probe-items", {2, Policy::Overwrite}));
   testing::must_go(probe_queue->put(numbered(7, 0)));
   (void)probe_queue->try_pop();  // and drops it
+  arm_in_slots();
+}
+
+void Node::arm_in_slots() {
+  PusherOptions pushing{Policy::Overwrite, 2, 1s};
+  pushing.fast_lane = true;
+  probe_slots.emplace(engine->advertise<Number>("/probe-slots", pushing));
+  probe_slots_puller.emplace(engine->subscribe<Number>("/probe-slots"));
+  testing::must_go(probe_slots->push(probe_slots->loan(numbered(7, 0))));
+  (void)probe_slots_puller->try_pull();  // and drops it
+  QueueOptions putting{2, Policy::Overwrite};
+  putting.fast_lane = true;
+  probe_slots_queue.emplace(engine->queue<Number>("/probe-slots-items", putting));
+  testing::must_go(probe_slots_queue->put(numbered(7, 0)));
+  (void)probe_slots_queue->try_pop();  // and drops it
 }
 
 void Node::inspect() {

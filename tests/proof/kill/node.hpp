@@ -45,13 +45,15 @@ class Account {
   void enter(const Number& message, std::uint64_t missed);
   void complain(const std::string& what);
 
-  std::uint64_t last(std::uint64_t source) const;  ///< number of the last message + 1
+  std::uint64_t last(std::uint64_t source) const;   ///< number of the last message + 1
+  std::uint64_t missed() const { return missed_; }  ///< messages of all sources
   const std::string& complaint() const { return complaint_; }
 
  private:
   static constexpr std::size_t kSources = 8;
   std::uint64_t next_[kSources] = {};
   bool seen_[kSources] = {};
+  std::uint64_t missed_ = 0;
   bool late_ = false;
   std::string complaint_;
 };
@@ -91,6 +93,7 @@ struct Node {
   void open_queue(const QueueOptions& options);
   void put(unsigned count = 1);  ///< items into the queue
   bool pop();                    ///< the next item, if there is one, goes into `items`
+  void contend();                ///< pops an item, or keeps a message and reads the rest
   void take_work();              ///< the next task, which must be there, is ours until the end
   /// The next item, which is finished where it is a task. Nothing: none came in time.
   std::optional<Number> next_item(std::chrono::milliseconds most);
@@ -101,7 +104,8 @@ struct Node {
   void select(const char* name, std::size_t back = 0);  ///< there must be such a reader
   void read_selected();                                 ///< what is there goes into the account
   void arm();                                           ///< makes what the probes use
-  void disarm();                                        ///< all of that goes
+  void arm_in_slots();
+  void disarm();  ///< all of that goes
 
   // After a death.
   void inspect_queue();
@@ -172,9 +176,10 @@ struct Node {
   std::thread sleeper;
 
   // What the probes use.
-  std::optional<ShmPusher<Number>> probe_pusher, probe_again, probe_block;
-  std::optional<ShmPuller<Number>> probe_puller, probe_block_puller, probe_observer;
-  std::optional<ShmQueue<Number>> probe_queue;
+  std::optional<ShmPusher<Number>> probe_pusher, probe_again, probe_block, probe_slots;
+  std::optional<ShmPuller<Number>> probe_puller, probe_block_puller, probe_observer,
+      probe_slots_puller;
+  std::optional<ShmQueue<Number>> probe_queue, probe_slots_queue;
   std::optional<ShmPusher<Frame>> probe_frames;
   ShmBorrow<Number> probe_borrow;
   ShmUniquePtr<Number> probe_loan;
@@ -214,10 +219,12 @@ struct Pledge {
 };
 
 /// A process that is in the middle of a pop when the victim operates: it holds an item, and has not
-/// taken it out of the queue.
+/// taken it out of the queue. Where messages travel in their slots, it has copied one. It may read
+/// the topic there, too.
 enum class Rival : std::uint8_t {
   None,
   Stopped,  ///< it goes on when the victim is dead
+  Halfway,  ///< the same, but the last word of its copy is missing
   Killed
 };
 
@@ -237,7 +244,10 @@ struct Operation {
 
 std::vector<Operation> all_operations();
 // Parts of them.
-void observers(std::vector<Operation>& all, QueueEngine engine);
+struct Way;
+void observers(std::vector<Operation>& all, const Way& way);
+/// What only messages in slots have.
+void slots(std::vector<Operation>& all);
 void types(std::vector<Operation>& all);
 
 /// What a neighbour does while the victim stands still in the middle of its operation.
@@ -251,6 +261,8 @@ struct Probe {
 };
 /// Those that are planted come last.
 const std::vector<Probe>& all_probes();
+/// The probe that does the same with messages in slots; null: none need be named.
+const char* shown_in_slots(const char* probe);
 
 /// An operation that breaks a promise, and what must be said of it.
 struct Plant {

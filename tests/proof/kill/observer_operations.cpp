@@ -63,19 +63,19 @@ Act subscribes_nameless(Act (*who)(std::function<void(Node&)>)) {
 
 }  // namespace
 
-void observers(std::vector<Operation>& all, QueueEngine engine) {
+void observers(std::vector<Operation>& all, const Way& way) {
   const auto add = [&](const std::string& name, const Pledge& pledge, const Acts& before,
                        std::function<void(Node&)> run,
                        std::function<void(Node&)> when_asleep = {}) {
-    all.push_back({named(name, engine), under(engine, pledge), before, std::move(run),
-                   std::move(when_asleep)});
+    all.push_back(
+        {named(name, way), under(way, pledge), before, std::move(run), std::move(when_asleep)});
   };
   const auto publish_one = [](Node& n) { n.publish(1); };
   const auto look = [](Node& n) { n.receive(); };
 
   // The witness publishes without loss, and reads that itself. The victim looks on.
   const Acts both{witness(join), victim(join)};
-  const Acts lossless{publisher(witness, block(2, engine), kOther),
+  const Acts lossless{publisher(witness, block(2, way), kOther),
                       witness([](Node& n) { n.hear(kOther); })};
   const auto observed = [&](unsigned count) {
     return both + lossless + Acts{observer(victim, kOther), publishes(witness, count)};
@@ -92,7 +92,7 @@ void observers(std::vector<Operation>& all, QueueEngine engine) {
   add("observer: a new publisher has come", looking,
       both + Acts{observer(victim, kOther)} + lossless + Acts{publishes(witness, 1)}, look);
   add("observer: the publisher has gone", looking,
-      both + Acts{observer(victim, kOther), publisher(witness, block(2, engine), kOther),
+      both + Acts{observer(victim, kOther), publisher(witness, block(2, way), kOther),
                   victim([](Node& n) { n.receive(); }), publishes(witness, 1),
                   witness([](Node& n) { n.pusher.reset(); })},
       [](Node& n) {
@@ -121,29 +121,29 @@ void observers(std::vector<Operation>& all, QueueEngine engine) {
            Acts{bystander(join),
                 publisher(victim, options, kTopic),
                 reader(witness, kTopic),
-                witness([=](Node& n) { n.locked = engine == QueueEngine::Mutex; }),
+                witness([=](Node& n) { n.locked = way.engine == QueueEngine::Mutex; }),
                 observer(bystander, kTopic),
                 publishes(victim, 2)} +
            looks + Acts{witness([](Node& n) { n.receive_all(); }), victim(loan_one)};
   };
   const Pledge pushing{Promise::LockFree, "push beside an observer, block"};
-  add("push, block, an observer has not looked", pushing, looked_on(block(2, engine), {}),
+  add("push, block, an observer has not looked", pushing, looked_on(block(2, way), {}),
       push_at_once);
   add("push, block, an observer borrows", pushing,
-      looked_on(block(2, engine), {bystander([](Node& n) { n.hold(true); })}), push_at_once);
+      looked_on(block(2, way), {bystander([](Node& n) { n.hold(true); })}), push_at_once);
   add("push, block, an observer keeps", pushing,
-      looked_on(block(2, engine), {bystander([](Node& n) { n.hold(false); })}), push_at_once);
+      looked_on(block(2, way), {bystander([](Node& n) { n.hold(false); })}), push_at_once);
   add("push, block, an observer sleeps", pushing,
-      looked_on(block(2, engine), {bystander([](Node& n) { n.receive_all(); }),
-                                   bystander([](Node& n) { n.sleep_on_topic(); })}),
+      looked_on(block(2, way), {bystander([](Node& n) { n.receive_all(); }),
+                                bystander([](Node& n) { n.sleep_on_topic(); })}),
       push_at_once);
   add("push, block, an observer has died", pushing,
-      victim_publishes(block(2, engine), 0) +
+      victim_publishes(block(2, way), 0) +
           Acts{dead(join), observer(dead, kTopic), publishes(victim, 2),
                dead([](Node& n) { n.hold(true); }), witness([](Node& n) { n.receive_all(); }),
                victim(loan_one)},
       push_at_once);
-  PusherOptions short_history = block(4, engine);
+  PusherOptions short_history = block(4, way);
   short_history.history = 1;
   add("loan, an observer borrows what is taken back",
       {Promise::LockFree, "loan and push, overwrite"},
@@ -152,9 +152,9 @@ void observers(std::vector<Operation>& all, QueueEngine engine) {
       both + Acts{bystander(join), observer(bystander, kTopic),
                   bystander([](Node& n) { n.reads_topic = false; }),  // the ring may end unseen
                   reader(witness, kTopic),
-                  witness([=](Node& n) { n.locked = engine == QueueEngine::Mutex; })},
+                  witness([=](Node& n) { n.locked = way.engine == QueueEngine::Mutex; })},
       [=](Node& n) {
-        n.pusher.emplace(n.engine->advertise<Number>(kTopic, block(2, engine)));
+        n.pusher.emplace(n.engine->advertise<Number>(kTopic, block(2, way)));
         n.publish(2);
       });
 }

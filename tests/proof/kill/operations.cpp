@@ -2,7 +2,10 @@
 
 // Every operation of the public interface that touches the segment, in the situations that make a
 // difference to it.
+#include <algorithm>
+#include <cstddef>
 #include <fstream>
+#include <string>
 #include <string_view>
 #include <thread>
 #include <utility>
@@ -117,6 +120,20 @@ void topics(std::vector<Operation>& all) {
                  [](Node& n) { n.puller.emplace(n.engine->subscribe<Number>(kOther, parked())); }});
 }
 
+/// The witness has read all of them but one, and the newest stays.
+void takes_back(std::vector<Operation>& all, const Way& way) {
+  for (const bool blocking : {false, true}) {
+    PusherOptions options = blocking ? block(4, way) : overwrite(4, way);
+    options.history = 1;
+    const std::string policy = blocking ? ", block" : ", overwrite";
+    all.push_back({named("loan, what was read is taken back" + policy, way),
+                   under(way, {Promise::LockFree, "loan and push, overwrite"}),
+                   victim_publishes(options, 3) +
+                       Acts{witness([](Node& n) { n.receive_all(); }), publishes(victim, 1)},
+                   loan_one});
+  }
+}
+
 void loans(std::vector<Operation>& all) {
   const Acts fresh{witness(join), victim(join), publisher(victim, overwrite(2), kTopic)};
   all.push_back({"loan, a fresh block", {Promise::LockFree, "loan, give back"}, fresh, loan_one});
@@ -124,17 +141,6 @@ void loans(std::vector<Operation>& all) {
                  {Promise::LockFree, "loan and push, overwrite"},
                  victim_publishes(overwrite(1), 40),
                  loan_one});
-  // The witness has read all of them but one, and the newest stays.
-  for (const bool blocking : {false, true}) {
-    PusherOptions options = blocking ? block(4) : overwrite(4);
-    options.history = 1;
-    const std::string policy = blocking ? ", block" : ", overwrite";
-    all.push_back({"loan, what was read is taken back" + policy,
-                   {Promise::LockFree, "loan and push, overwrite"},
-                   victim_publishes(options, 3) +
-                       Acts{witness([](Node& n) { n.receive_all(); }), publishes(victim, 1)},
-                   loan_one});
-  }
   // Two are left, which the probes of a neighbour may take: another process gives none up for them.
   all.push_back({"loan, blocks have run out: evict",
                  {Promise::LockFree, "loan, blocks have run out"},
@@ -296,24 +302,23 @@ void loans(std::vector<Operation>& all) {
                  }});
 }
 
-void pushes(std::vector<Operation>& all, QueueEngine engine) {
+void pushes(std::vector<Operation>& all, const Way& way) {
   const auto loaned = [](Acts acts) { return std::move(acts) + Acts{victim(loan_one)}; };
   const auto add = [&](const char* name, const Pledge& pledge, const Acts& before) {
-    all.push_back({named(name, engine), pledge, before, push_loan});
+    all.push_back({named(name, way), pledge, before, push_loan});
   };
-  const Pledge shown = under(engine, {Promise::WaitFree, "push, overwrite"});
-  add("push, overwrite, an empty ring", shown, loaned(victim_publishes(overwrite(2, engine), 0)));
-  add("push, overwrite, a full ring wraps", shown,
-      loaned(victim_publishes(overwrite(2, engine), 4)));
-  add("push, overwrite, one slot", shown, loaned(victim_publishes(overwrite(1, engine), 1)));
+  const Pledge shown = under(way, {Promise::WaitFree, "push, overwrite"});
+  add("push, overwrite, an empty ring", shown, loaned(victim_publishes(overwrite(2, way), 0)));
+  add("push, overwrite, a full ring wraps", shown, loaned(victim_publishes(overwrite(2, way), 4)));
+  add("push, overwrite, one slot", shown, loaned(victim_publishes(overwrite(1, way), 1)));
   add("push, overwrite, a reader sleeps", shown,
-      loaned(victim_publishes(overwrite(2, engine), 1)) +
+      loaned(victim_publishes(overwrite(2, way), 1)) +
           Acts{witness([](Node& n) { n.receive_all(); }),
                witness([](Node& n) { n.sleep_on_topic(); })});
   // The others stand still, so a push wakes none of them. This one does what it does behind a wake
   // of two: the rouser's thread starts.
-  all.push_back({named("push, overwrite, the rouser is asked", engine), Promise::Blocking,
-                 loaned(victim_publishes(overwrite(2, engine), 1)) +
+  all.push_back({named("push, overwrite, the rouser is asked", way), Promise::Blocking,
+                 loaned(victim_publishes(overwrite(2, way), 1)) +
                      Acts{witness([](Node& n) { n.receive_all(); }),
                           witness([](Node& n) { n.sleep_on_topic(); })},
                  [](Node& n) {
@@ -323,95 +328,92 @@ void pushes(std::vector<Operation>& all, QueueEngine engine) {
                    participant->rouser().rouse(futex::low_half(ring.slots[1]));
                  }});
   add("push, overwrite, a reader borrows", shown,
-      loaned(victim_publishes(overwrite(1, engine), 1) +
+      loaned(victim_publishes(overwrite(1, way), 1) +
              Acts{witness([](Node& n) { n.hold(true); })}));
   add("push, overwrite, a reader keeps", shown,
-      loaned(victim_publishes(overwrite(1, engine), 1) +
+      loaned(victim_publishes(overwrite(1, way), 1) +
              Acts{witness([](Node& n) { n.hold(false); })}));
   all.push_back(
-      {named("loan and push, a batch is scanned", engine),
-       under(engine, {Promise::LockFree, "loan and push, overwrite"}),
-       victim_publishes(overwrite(1, engine), 33) + Acts{witness([](Node& n) { n.hold(true); })},
+      {named("loan and push, a batch is scanned", way),
+       under(way, {Promise::LockFree, "loan and push, overwrite"}),
+       victim_publishes(overwrite(1, way), 33) + Acts{witness([](Node& n) { n.hold(true); })},
        [](Node& n) { n.publish(2); }});
-  add("push, block, room", Promise::Blocking, loaned(victim_publishes(block(2, engine), 1)));
+  add("push, block, room", Promise::Blocking, loaned(victim_publishes(block(2, way), 1)));
   add("push, block, wraps", Promise::Blocking,
-      loaned(victim_publishes(block(2, engine), 2) +
-             Acts{witness([](Node& n) { n.receive_all(); })}));
+      loaned(victim_publishes(block(2, way), 2) + Acts{witness([](Node& n) { n.receive_all(); })}));
   add("push, block, a reader sleeps", Promise::Blocking,
-      loaned(victim_publishes(block(2, engine), 1)) +
+      loaned(victim_publishes(block(2, way), 1)) +
           Acts{witness([](Node& n) { n.receive_all(); }),
                witness([](Node& n) { n.sleep_on_topic(); })});
   add("push, block, a reader borrows", Promise::Blocking,
-      loaned(victim_publishes(block(2, engine), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
-  all.push_back({named("push, block, full: refused", engine),
-                 under(engine, {Promise::LockFree, "push, block, full: refused"}),
-                 loaned(victim_publishes(block(1, engine), 1)), [](Node& n) {
+      loaned(victim_publishes(block(2, way), 1) + Acts{witness([](Node& n) { n.hold(true); })}));
+  all.push_back({named("push, block, full: refused", way),
+                 under(way, {Promise::LockFree, "push, block, full: refused"}),
+                 loaned(victim_publishes(block(1, way), 1)), [](Node& n) {
                    if (n.pusher->try_push(std::move(n.loans.back())) == Status::Ok) std::abort();
                  }});
-  all.push_back({named("push, block, full: waits for room", engine), Promise::Blocking,
-                 loaned(victim_publishes(block(1, engine), 1)), push_loan,
+  all.push_back({named("push, block, full: waits for room", way), Promise::Blocking,
+                 loaned(victim_publishes(block(1, way), 1)), push_loan,
                  [](Node& n) { n.receive_all(); }});
 }
 
-void pulls(std::vector<Operation>& all, QueueEngine engine) {
+void pulls(std::vector<Operation>& all, const Way& way) {
   for (const bool blocking : {false, true}) {
     const std::string policy = blocking ? ", block" : ", overwrite";
-    const PusherOptions options = blocking ? block(2, engine) : overwrite(2, engine);
-    all.push_back({named("try, nothing there" + policy, engine),
-                   under(engine, {Promise::LockFree, "borrow"}), victim_reads(options, 0),
+    const PusherOptions options = blocking ? block(2, way) : overwrite(2, way);
+    all.push_back({named("try, nothing there" + policy, way),
+                   under(way, {Promise::LockFree, "borrow"}), victim_reads(options, 0),
                    [](Node& n) { return n.puller->try_borrow(); }});
-    all.push_back({named("borrow and end" + policy, engine),
-                   under(engine, {Promise::LockFree, "borrow"}), victim_reads(options, 2),
-                   [](Node& n) { n.receive(); }});
-    all.push_back({named("pull and let go" + policy, engine),
-                   under(engine, {Promise::LockFree, "pull, copy, weak lock, drop"}),
+    all.push_back({named("borrow and end" + policy, way), under(way, {Promise::LockFree, "borrow"}),
+                   victim_reads(options, 2), [](Node& n) { n.receive(); }});
+    all.push_back({named("pull and let go" + policy, way),
+                   under(way, {Promise::LockFree, "pull, copy, weak lock, drop"}),
                    victim_reads(options, 2), [](Node& n) { return n.puller->try_pull(); }});
-    all.push_back({named("pull sleeps and is woken" + policy, engine), Promise::Blocking,
+    all.push_back({named("pull sleeps and is woken" + policy, way), Promise::Blocking,
                    victim_reads(options, 0), [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                    [](Node& n) { n.publish(1); }});
   }
   all.push_back(
-      {named("borrow and end, the sender sleeps for room", engine),
-       under(engine, {Promise::LockFree, "read what the victim published"}),
-       victim_reads(block(1, engine), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
+      {named("borrow and end, the sender sleeps for room", way),
+       under(way, {Promise::LockFree, "read what the victim published"}),
+       victim_reads(block(1, way), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
        [](Node& n) {
          n.receive();
          (void)n.puller->try_borrow();  // and ends it
        }});
   all.push_back(
-      {named("unsubscribe, the sender sleeps for room", engine), Promise::Blocking,
-       victim_reads(block(1, engine), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
+      {named("unsubscribe, the sender sleeps for room", way), Promise::Blocking,
+       victim_reads(block(1, way), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })},
        [](Node& n) { n.puller.reset(); }});
-  all.push_back({named("pull sleeps on two publishers", engine), Promise::Blocking,
-                 victim_reads(overwrite(2, engine), 0) + Acts{witness([=](Node& n) {
-                   n.second.emplace(n.engine->advertise<Number>(kOther, overwrite(2, engine)));
+  all.push_back({named("pull sleeps on two publishers", way), Promise::Blocking,
+                 victim_reads(overwrite(2, way), 0) + Acts{witness([=](Node& n) {
+                   n.second.emplace(n.engine->advertise<Number>(kOther, overwrite(2, way)));
                  })},
                  [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                  [](Node& n) { n.publish(1); }});
-  all.push_back({named("pull sleeps until a publisher comes", engine), Promise::Blocking,
+  all.push_back({named("pull sleeps until a publisher comes", way), Promise::Blocking,
                  Acts{witness(join), victim(join), reader(victim, kOther),
-                      witness([=](Node& n) { n.locked = engine == QueueEngine::Mutex; })},
+                      witness([=](Node& n) { n.locked = way.engine == QueueEngine::Mutex; })},
                  [](Node& n) { n.kept.push_back(n.puller->pull(10s)); },
                  [=](Node& n) {
-                   n.pusher.emplace(n.engine->advertise<Number>(kOther, overwrite(2, engine)));
+                   n.pusher.emplace(n.engine->advertise<Number>(kOther, overwrite(2, way)));
                    n.publish(1);
                  }});
-  all.push_back({named("borrow spins, sleeps and is woken", engine), Promise::Blocking,
-                 Acts{witness(join), victim(join), publisher(witness, overwrite(2, engine), kOther),
+  all.push_back({named("borrow spins, sleeps and is woken", way), Promise::Blocking,
+                 Acts{witness(join), victim(join), publisher(witness, overwrite(2, way), kOther),
                       victim([](Node& n) {
                         n.puller.emplace(n.engine->subscribe<Number>(kOther, {Wait::Adaptive, 0}));
                       })},
                  [](Node& n) { n.borrow = n.puller->borrow(10s); }, [](Node& n) { n.publish(1); }});
-  all.push_back({named("timed pull, too late", engine), Promise::Blocking,
-                 victim_reads(overwrite(2, engine), 0),
-                 [](Node& n) { return n.puller->pull(2ms); }});
-  all.push_back({named("borrow, lapped", engine),
-                 under(engine, {Promise::LockFree, "read what the victim published"}),
-                 victim_reads(overwrite(2, engine), 7), [](Node& n) { n.receive_all(); }});
+  all.push_back({named("timed pull, too late", way), Promise::Blocking,
+                 victim_reads(overwrite(2, way), 0), [](Node& n) { return n.puller->pull(2ms); }});
+  all.push_back({named("borrow, lapped", way),
+                 under(way, {Promise::LockFree, "read what the victim published"}),
+                 victim_reads(overwrite(2, way), 7), [](Node& n) { n.receive_all(); }});
   all.push_back(
-      {named("try, the publisher has gone", engine),
-       under(engine, {Promise::LockFree, "read what the victim published"}),
-       victim_reads(overwrite(2, engine), 1) + Acts{witness([](Node& n) { n.pusher.reset(); })},
+      {named("try, the publisher has gone", way),
+       under(way, {Promise::LockFree, "read what the victim published"}),
+       victim_reads(overwrite(2, way), 1) + Acts{witness([](Node& n) { n.pusher.reset(); })},
        [](Node& n) {
          n.receive_all();
          (void)n.puller->try_borrow();  // finds none
@@ -419,14 +421,14 @@ void pulls(std::vector<Operation>& all, QueueEngine engine) {
 }
 
 /// Subscribers for which a new ring has a cell, since they had subscribed before it came.
-void subscribers(std::vector<Operation>& all, QueueEngine engine) {
+void subscribers(std::vector<Operation>& all, const Way& way) {
   const auto add = [&](const std::string& name, const Pledge& pledge, const Acts& before,
                        std::function<void(Node&)> run,
                        std::function<void(Node&)> when_asleep = {}) {
-    all.push_back({named(name, engine), under(engine, pledge), before, std::move(run),
-                   std::move(when_asleep)});
+    all.push_back(
+        {named(name, way), under(way, pledge), before, std::move(run), std::move(when_asleep)});
   };
-  const Acts locks{witness([engine](Node& n) { n.locked = engine == QueueEngine::Mutex; })};
+  const Acts locks{witness([way](Node& n) { n.locked = way.engine == QueueEngine::Mutex; })};
   const Acts both = Acts{witness(join), victim(join)} + locks;
   const Pledge reads{Promise::LockFree, "read what the victim published"};
   const auto look = [](Node& n) { n.receive(); };
@@ -438,7 +440,7 @@ void subscribers(std::vector<Operation>& all, QueueEngine engine) {
   const Acts gone{witness([](Node& n) { n.pusher.reset(); })};
   for (const bool blocking : {false, true}) {
     const std::string policy = blocking ? ", block" : ", overwrite";
-    const PusherOptions options = blocking ? block(2, engine) : overwrite(2, engine);
+    const PusherOptions options = blocking ? block(2, way) : overwrite(2, way);
     add("try, a new publisher has come" + policy, reads, victim_is_awaited(options, 1), look);
     add("try, a new publisher has come and gone" + policy, reads,
         victim_is_awaited(options, 2) + gone, read);
@@ -456,26 +458,25 @@ void subscribers(std::vector<Operation>& all, QueueEngine engine) {
         });
   }
   const Acts for_room =
-      victim_is_awaited(block(1, engine), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })};
+      victim_is_awaited(block(1, way), 1) + Acts{witness([](Node& n) { n.sleep_for_room(); })};
   add("try, a new publisher sleeps for room", reads, for_room, read);
   add("unsubscribe unseen, the sender sleeps for room", Promise::Blocking, for_room, unsubscribe);
   // The witness has not looked either: all is there for it.
   add("try, a new publisher has come and died", reads,
       both + Acts{dead(join), reader(witness, kTopic), reader(victim, kTopic),
-                  publisher(dead, overwrite(2, engine), kTopic), publishes(dead, 2)},
+                  publisher(dead, overwrite(2, way), kTopic), publishes(dead, 2)},
       [=](Node& n) {
         n.reap();
         read(n);
       });
   add("advertise and push, a subscriber has died", Promise::Blocking,
       both + Acts{dead(join), reader(dead, kTopic), reader(witness, kTopic)}, [=](Node& n) {
-        n.pusher.emplace(n.engine->advertise<Number>(kTopic, block(2, engine)));
+        n.pusher.emplace(n.engine->advertise<Number>(kTopic, block(2, way)));
         n.publish(2);
       });
 
-  const Acts full =
-      both + Acts{reader(witness, kTopic), publisher(victim, block(1, engine), kTopic),
-                  publishes(victim, 1), victim(loan_one)};
+  const Acts full = both + Acts{reader(witness, kTopic), publisher(victim, block(1, way), kTopic),
+                                publishes(victim, 1), victim(loan_one)};
   add("push, block, waits for who has not looked", Promise::Blocking, full, push_loan,
       [](Node& n) { n.receive_all(); });
   add("push, block, who has not looked unsubscribes", Promise::Blocking, full, push_loan,
@@ -484,16 +485,16 @@ void subscribers(std::vector<Operation>& all, QueueEngine engine) {
         n.reads_topic = false;
       });
   add("push, block, who has not looked has died", Promise::Blocking,
-      both + Acts{dead(join), reader(dead, kTopic), publisher(victim, block(1, engine), kTopic),
+      both + Acts{dead(join), reader(dead, kTopic), publisher(victim, block(1, way), kTopic),
                   reader(witness, kTopic), publishes(victim, 1),
                   witness([](Node& n) { n.receive_all(); }), victim(loan_one)},
       push_loan);
 }
 
 /// A queue whose items are each taken by one. The witness pops what is left.
-void queues(std::vector<Operation>& all, QueueEngine engine) {
-  const auto options = [engine](std::uint32_t depth, Policy policy = Policy::Block) {
-    return QueueOptions{depth, policy, engine, Wait::Park};
+void queues(std::vector<Operation>& all, const Way& way) {
+  const auto options = [way](std::uint32_t depth, Policy policy = Policy::Block) {
+    return queueing(depth, policy, way);
   };
   const auto both = [](const QueueOptions& o) {
     const auto open = [o](Node& n) {
@@ -512,9 +513,9 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
   const auto add = [&](const char* name, const Pledge& pledge, const Acts& before,
                        std::function<void(Node&)> run,
                        std::function<void(Node&)> when_asleep = {}) {
-    all.push_back({named(name, engine), pledge, before, std::move(run), std::move(when_asleep)});
+    all.push_back({named(name, way), pledge, before, std::move(run), std::move(when_asleep)});
   };
-  const Pledge shown = under(engine, {Promise::LockFree, "put and pop, overwrite"});
+  const Pledge shown = under(way, {Promise::LockFree, "put and pop, overwrite"});
   const auto put = [](Node& n) { n.put(); };
   const auto pop = [](Node& n) { n.pop(); };
   const auto sleeps = witness([](Node& n) { n.sleep_on_queue(); });
@@ -583,31 +584,30 @@ void queues(std::vector<Operation>& all, QueueEngine engine) {
                 })};
   };
   add("pop, who put the first items has died",
-      under(engine, {Promise::LockFree, "pop what the victim put"}),
+      under(way, {Promise::LockFree, "pop what the victim put"}),
       listens(witness) + listens(victim) + listens(dead) + puts(dead, 2), [](Node& n) {
         n.reap();
         n.pop();
       });
-  add("reap, a dead one who puts, items left",
-      under(engine, {Promise::LockFree, "look for the dead"}),
+  add("reap, a dead one who puts, items left", under(way, {Promise::LockFree, "look for the dead"}),
       listens(witness) + listens(dead) + puts(dead, 1) + Acts{witness(pop), victim(join)} +
           puts(dead, 2),
       [](Node& n) { n.reap(); });
   add("reap, a dead one who puts, a reader sleeps",
-      under(engine, {Promise::LockFree, "look for the dead"}),
+      under(way, {Promise::LockFree, "look for the dead"}),
       listens(witness) + listens(dead) + Acts{victim(join)} + puts(dead, 1) +
           Acts{witness(pop), sleeps},
       [](Node& n) { n.reap(); });
-  add("reap, a dead taker", under(engine, {Promise::LockFree, "look for the dead"}),
+  add("reap, a dead taker", under(way, {Promise::LockFree, "look for the dead"}),
       listens(witness) + listens(dead) + Acts{victim(join)} + puts(witness, 2) + Acts{dead(pop)},
       [](Node& n) { n.reap(); });
 }
 
 /// Another one is in the middle of a pop: it holds the item that comes first. A lock lets nobody in
 /// beside it; so with the mutex engine it has died there.
-void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
-  const auto options = [engine](std::uint32_t depth, Policy policy) {
-    return QueueOptions{depth, policy, engine, Wait::Park};
+void rivals(std::vector<Operation>& all, const Way& way, Rival how) {
+  const auto options = [way](std::uint32_t depth, Policy policy) {
+    return queueing(depth, policy, way);
   };
   const auto three = [](const QueueOptions& o) {
     const auto open = [o](Node& n) {
@@ -618,14 +618,11 @@ void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
   };
   const auto add = [&](const std::string& name, const Pledge& pledge, const Acts& before,
                        std::function<void(Node&)> run) {
-    const char* beside = how == Rival::Stopped ? ", a rival holds it" : ", a dead rival holds it";
-    all.push_back({named(name + beside, engine),
-                   under(engine, pledge),
-                   before,
-                   std::move(run),
-                   {},
-                   false,
-                   how});
+    const char* beside = how == Rival::Stopped   ? ", a rival holds it"
+                         : how == Rival::Halfway ? ", a rival copies it"
+                                                 : ", a dead rival holds it";
+    all.push_back(
+        {named(name + beside, way), under(way, pledge), before, std::move(run), {}, false, how});
   };
   const Pledge shown{Promise::LockFree, "put and pop, overwrite"};
   // There is a ring, and the witness has looked there.
@@ -647,6 +644,7 @@ void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
   add("put, overwrite", shown, items(victim, 4, options(2, Policy::Overwrite)),
       [](Node& n) { n.put(2); });
   if (how == Rival::Killed) return;  // it is reaped before anything is evicted
+  if (way.in_slots) return;          // nothing is evicted there
   // Of all blocks, those in the queue are left, and two. So the third evicts: first what the rival
   // holds, which frees nothing yet, and then the next one.
   add("put and evict", {Promise::LockFree, "loan, blocks have run out"},
@@ -658,9 +656,9 @@ void rivals(std::vector<Operation>& all, QueueEngine engine, Rival how) {
 }
 
 /// A queue of tasks: what the dead has not finished is the witness's.
-void tasks(std::vector<Operation>& all, QueueEngine engine) {
-  const auto options = [engine](std::uint32_t depth) {
-    return QueueOptions{depth, Policy::Block, engine, Wait::Park, true};
+void tasks(std::vector<Operation>& all, const Way& way) {
+  const auto options = [way](std::uint32_t depth) {
+    return queueing(depth, Policy::Block, way, true);
   };
   const auto listens = [](Act (*who)(std::function<void(Node&)>), const QueueOptions& o) {
     return Acts{who(join), who([o](Node& n) {
@@ -677,10 +675,10 @@ void tasks(std::vector<Operation>& all, QueueEngine engine) {
   };
   const auto add = [&](const char* name, const Pledge& pledge, const Acts& before,
                        std::function<void(Node&)> run) {
-    all.push_back({named(name, engine), pledge, before, std::move(run), {}});
+    all.push_back({named(name, way), pledge, before, std::move(run), {}});
   };
-  const Pledge shown = under(engine, {Promise::LockFree, "put and pop, overwrite"});
-  const Pledge looks = under(engine, {Promise::LockFree, "look for the dead"});
+  const Pledge shown = under(way, {Promise::LockFree, "put and pop, overwrite"});
+  const Pledge looks = under(way, {Promise::LockFree, "look for the dead"});
   add("take a task and finish it", shown, both(2) + puts(witness, 2), [](Node& n) { n.pop(); });
   add("take a task and give it back", shown, both(2) + puts(witness, 2), [](Node& n) {
     n.take_work();
@@ -751,13 +749,13 @@ void locked_queues(std::vector<Operation>& all) {
 }
 
 /// Each reader is told which messages are for it.
-void selection(std::vector<Operation>& all, QueueEngine engine) {
-  const PusherOptions options = overwrite(8, engine);
+void selection(std::vector<Operation>& all, const Way& way) {
+  const PusherOptions options = overwrite(8, way);
   const auto add = [&](const char* name, const Pledge& pledge, const Acts& before,
                        std::function<void(Node&)> run) {
-    all.push_back({named(name, engine), under(engine, pledge), before, std::move(run)});
+    all.push_back({named(name, way), under(way, pledge), before, std::move(run)});
   };
-  const auto locks = [engine](Node& n) { n.locked = engine == QueueEngine::Mutex; };
+  const auto locks = [way](Node& n) { n.locked = way.engine == QueueEngine::Mutex; };
   const auto ours = [](std::uint64_t from, std::uint64_t to, std::uint64_t end = ~0ULL) {
     return witness([=](Node& n) {
       n.due_from = n.may_from = from;
@@ -896,71 +894,64 @@ void last_holders(std::vector<Operation>& all) {
                  let_go});
 }
 
-void pointers(std::vector<Operation>& all) {
-  const Acts holding = victim_reads(overwrite(2), 1) + Acts{victim([](Node& n) { n.hold(false); })};
-  all.push_back({"keep a borrowed message",
-                 {Promise::WaitFree, "keep"},
-                 victim_reads(overwrite(2), 1) + Acts{victim([](Node& n) { n.hold(true); })},
+void pointers(std::vector<Operation>& all, const Way& way) {
+  const Acts holding =
+      victim_reads(overwrite(2, way), 1) + Acts{victim([](Node& n) { n.hold(false); })};
+  all.push_back({named("keep a borrowed message", way), under(way, {Promise::WaitFree, "keep"}),
+                 victim_reads(overwrite(2, way), 1) + Acts{victim([](Node& n) { n.hold(true); })},
                  [](Node& n) { n.kept.push_back(n.borrow.keep()); }});
-  all.push_back({"copy a pointer", {Promise::WaitFree, "copy"}, holding, [](Node& n) {
-                   n.kept.push_back(n.kept.front());
-                 }});
-  all.push_back({"drop a copy",
-                 {Promise::WaitFree, "drop a copy"},
+  all.push_back({named("copy a pointer", way), under(way, {Promise::WaitFree, "copy"}), holding,
+                 [](Node& n) { n.kept.push_back(n.kept.front()); }});
+  all.push_back({named("drop a copy", way), under(way, {Promise::WaitFree, "drop a copy"}),
                  holding + Acts{victim([](Node& n) { n.kept.push_back(n.kept.front()); })},
                  [](Node& n) { n.kept.pop_back(); }});
-  all.push_back({"last pointer of a reader",
-                 {Promise::WaitFree, "drop the last one here"},
-                 holding,
+  all.push_back({named("last pointer of a reader", way),
+                 under(way, {Promise::WaitFree, "drop the last one here"}), holding,
                  [](Node& n) { n.kept.clear(); }});
-  all.push_back({"last pointer anywhere, the message was overwritten",
-                 {Promise::WaitFree, "drop the last one here"},
-                 holding + Acts{publishes(witness, 3)},
-                 [](Node& n) { n.kept.clear(); }});
-  all.push_back({"weak lock, alive",
-                 {Promise::WaitFree, "weak lock, alive"},
+  all.push_back({named("last pointer anywhere, the message was overwritten", way),
+                 under(way, {Promise::WaitFree, "drop the last one here"}),
+                 holding + Acts{publishes(witness, 3)}, [](Node& n) { n.kept.clear(); }});
+  all.push_back({named("weak lock, alive", way),
+                 under(way, {Promise::WaitFree, "weak lock, alive"}),
                  holding + Acts{victim([](Node& n) {
                    n.weak = n.kept.front();
                    n.kept.clear();
                  })},
                  [](Node& n) { n.kept.push_back(n.weak.lock()); }});
-  all.push_back({"weak lock, dead",
-                 {Promise::WaitFree, "weak lock, dead"},
+  all.push_back({named("weak lock, dead", way), under(way, {Promise::WaitFree, "weak lock, dead"}),
                  holding + Acts{victim([](Node& n) {
                                   n.weak = n.kept.front();
                                   n.kept.clear();
                                 }),
                                 publishes(witness, 70)},
                  [](Node& n) { n.kept.push_back(n.weak.lock()); }});
-  const Acts made =
-      victim_publishes(overwrite(1), 0) + Acts{victim(loan_one), victim([](Node& n) {
-                                                 n.kept.emplace_back(std::move(n.loans.back()));
-                                                 n.loans.clear();
-                                                 n.weak = n.kept.back();
-                                                 if (n.pusher->push(n.kept.back()) == Status::Ok)
-                                                   ++n.published;
-                                                 n.kept.clear();
-                                               })};
-  all.push_back({"weak lock, alive, by its maker",
-                 {Promise::WaitFree, "weak lock, alive"},
-                 made,
+  const Acts made = victim_publishes(overwrite(1, way), 0) +
+                    Acts{victim(loan_one), victim([](Node& n) {
+                           n.kept.emplace_back(std::move(n.loans.back()));
+                           n.loans.clear();
+                           n.weak = n.kept.back();
+                           if (n.pusher->push(n.kept.back()) == Status::Ok) ++n.published;
+                           n.kept.clear();
+                         })};
+  all.push_back({named("weak lock, alive, by its maker", way),
+                 under(way, {Promise::WaitFree, "weak lock, alive"}), made,
                  [](Node& n) { n.kept.push_back(n.weak.lock()); }});
-  all.push_back({"weak lock, dead, by its maker",
-                 {Promise::WaitFree, "weak lock, dead"},
+  all.push_back({named("weak lock, dead, by its maker", way),
+                 under(way, {Promise::WaitFree, "weak lock, dead"}),
                  made + Acts{publishes(victim, 70)},
                  [](Node& n) { n.kept.push_back(n.weak.lock()); }});
-  all.push_back(
-      {"share one's own, and drop it",
-       {Promise::LockFree, "make, share, copy, drop"},
-       Acts{witness(join), victim(join), publisher(victim, overwrite(1), kTopic), victim(loan_one)},
-       [](Node& n) {
-         n.own = ShmSharedPtr<Number>(std::move(n.loans.back()));
-         n.own.reset();
-       }});
-  all.push_back({"publish again what was received",
-                 {Promise::LockFree, "publish again what was received"},
-                 holding + Acts{victim([](Node& n) {
-                   n.pusher.emplace(n.engine->advertise<Number>("/again", overwrite(1)));
+  all.push_back({named("share one's own, and drop it", way),
+                 under(way, {Promise::LockFree, "make, share, copy, drop"}),
+                 Acts{witness(join), victim(join), publisher(victim, overwrite(1, way), kTopic),
+                      victim(loan_one)},
+                 [](Node& n) {
+                   n.own = ShmSharedPtr<Number>(std::move(n.loans.back()));
+                   n.own.reset();
+                 }});
+  all.push_back({named("publish again what was received", way),
+                 under(way, {Promise::LockFree, "publish again what was received"}),
+                 holding + Acts{victim([=](Node& n) {
+                   n.pusher.emplace(n.engine->advertise<Number>("/again", overwrite(1, way)));
                  })},
                  [](Node& n) {
                    testing::must_go(n.pusher->push(n.kept.front()));
@@ -974,16 +965,15 @@ void pointers(std::vector<Operation>& all) {
                        n.frame_loans.push_back(n.frames->loan());
                      }),
                      witness(read_frames)};
-  all.push_back({"a message refers to another",
-                 {Promise::LockFree, "publish a message that refers"},
-                 referring,
+  all.push_back({named("a message refers to another", way),
+                 under(way, {Promise::LockFree, "publish a message that refers"}), referring,
                  [](Node& n) {
                    n.frame_loans.back()->reference = n.kept.front();
                    n.kept.clear();
                    testing::must_go(n.frames->push(std::move(n.frame_loans.back())));
                  }});
-  all.push_back({"a reference is assigned again",
-                 {Promise::LockFree, "publish a message that refers"},
+  all.push_back({named("a reference is assigned again", way),
+                 under(way, {Promise::LockFree, "publish a message that refers"}),
                  referring + Acts{victim([](Node& n) {
                    n.frame_loans.back()->reference =
                        ShmSharedPtr<const Number>(n.engine->make<Number>(numbered(n.source, 0)));
@@ -993,8 +983,8 @@ void pointers(std::vector<Operation>& all) {
                    n.kept.clear();
                    testing::must_go(n.frames->push(std::move(n.frame_loans.back())));
                  }});
-  all.push_back({"a message that refers dies",
-                 {Promise::LockFree, "publish a message that refers"},
+  all.push_back({named("a message that refers dies", way),
+                 under(way, {Promise::LockFree, "publish a message that refers"}),
                  referring + Acts{victim([](Node& n) {
                    n.frame_loans.back()->reference = n.kept.front();
                    n.kept.clear();
@@ -1002,31 +992,31 @@ void pointers(std::vector<Operation>& all) {
                  [](Node& n) { n.frame_loans.clear(); }});
 }
 
-void reaps(std::vector<Operation>& all) {
+void reaps(std::vector<Operation>& all, const Way& way) {
   const Acts three{witness(join), victim(join), dead(join)};
   const auto reap = [](Node& n) { n.reap(); };
-  all.push_back({"reap, a dead publisher, a reader sleeps",
-                 {Promise::LockFree, "look for the dead"},
-                 three + Acts{publisher(dead, overwrite(2), kTopic), reader(witness, kTopic),
+  all.push_back({named("reap, a dead publisher, a reader sleeps", way),
+                 under(way, {Promise::LockFree, "look for the dead"}),
+                 three + Acts{publisher(dead, overwrite(2, way), kTopic), reader(witness, kTopic),
                               publishes(dead, 1), witness([](Node& n) { n.receive_all(); }),
                               witness([](Node& n) { n.sleep_on_topic(); })},
                  reap});
-  all.push_back({"reap, a dead publisher, messages unread and held",
-                 {Promise::LockFree, "look for the dead"},
-                 three + Acts{publisher(dead, overwrite(3), kTopic), reader(witness, kTopic),
+  all.push_back({named("reap, a dead publisher, messages unread and held", way),
+                 under(way, {Promise::LockFree, "look for the dead"}),
+                 three + Acts{publisher(dead, overwrite(3, way), kTopic), reader(witness, kTopic),
                               publishes(dead, 4), witness([](Node& n) { n.hold(false); }),
                               witness([](Node& n) { n.hold(true); }),
                               dead([](Node& n) { n.loans.push_back(n.pusher->loan()); })},
                  reap});
-  all.push_back({"reap, a dead reader",
-                 {Promise::LockFree, "look for the dead"},
-                 three + Acts{publisher(witness, block(2), kOther), reader(dead, kOther),
+  all.push_back({named("reap, a dead reader", way),
+                 under(way, {Promise::LockFree, "look for the dead"}),
+                 three + Acts{publisher(witness, block(2, way), kOther), reader(dead, kOther),
                               publishes(witness, 2), dead([](Node& n) { n.hold(false); }),
                               dead([](Node& n) { n.hold(true); })},
                  reap});
-  all.push_back({"reap, a dead referrer",
-                 {Promise::LockFree, "look for the dead"},
-                 three + Acts{publisher(witness, overwrite(1), kOther), reader(dead, kOther),
+  all.push_back({named("reap, a dead referrer", way),
+                 under(way, {Promise::LockFree, "look for the dead"}),
+                 three + Acts{publisher(witness, overwrite(1, way), kOther), reader(dead, kOther),
                               publishes(witness, 1), dead([](Node& n) {
                                 n.hold(false);
                                 n.frames.emplace(n.engine->advertise<Frame>(kFrames, overwrite(1)));
@@ -1038,9 +1028,9 @@ void reaps(std::vector<Operation>& all) {
                                 testing::must_go(n.frames->push(std::move(frame)));
                               })},
                  reap});
-  all.push_back({"collect, an orphan ring loses its last reader",
-                 {Promise::LockFree, "collect what nobody needs"},
-                 three + Acts{publisher(dead, overwrite(2), kTopic), reader(victim, kTopic),
+  all.push_back({named("collect, an orphan ring loses its last reader", way),
+                 under(way, {Promise::LockFree, "collect what nobody needs"}),
+                 three + Acts{publisher(dead, overwrite(2, way), kTopic), reader(victim, kTopic),
                               publishes(dead, 2)},
                  [](Node& n) {
                    n.reap();
@@ -1050,27 +1040,85 @@ void reaps(std::vector<Operation>& all) {
 
 }  // namespace
 
+void keep_only(std::vector<Operation>& all, std::size_t first,
+               const std::vector<std::string>& names) {
+  const auto is_left_out = [&names](const Operation& operation) {
+    return std::none_of(names.begin(), names.end(), [&operation](const std::string& name) {
+      return operation.name.find(name) != std::string::npos;
+    });
+  };
+  all.erase(
+      std::remove_if(all.begin() + static_cast<std::ptrdiff_t>(first), all.end(), is_left_out),
+      all.end());
+}
+
+namespace {
+
+/// The scenes in which it makes a difference that messages travel in their slots.
+void in_slots(std::vector<Operation>& all) {
+  std::size_t first = all.size();
+  pushes(all, kSlots);
+  pulls(all, kSlots);
+  takes_back(all, kSlots);
+  tasks(all, kSlots);
+  for (const Rival how : {Rival::Killed, Rival::Stopped, Rival::Halfway}) rivals(all, kSlots, how);
+  first = all.size();
+  subscribers(all, kSlots);
+  keep_only(all, first,
+            {"a new publisher has come", "nobody has looked, overwrite", "push, block, "});
+  first = all.size();
+  queues(all, kSlots);
+  keep_only(all, first, {": put, ", ": pop", ": close a queue with items", ": reap"});
+  first = all.size();
+  observers(all, kSlots);
+  keep_only(all, first,
+            {"borrow and end", "pull and keep", "push, block", "taken back", "a dead observer"});
+  first = all.size();
+  pointers(all, kSlots);
+  keep_only(all, first,
+            {"keep a", "last pointer of", "weak lock, ", "publish again", "refers to another"});
+  reaps(all, kSlots);
+
+  const Way mutex{QueueEngine::Mutex, true};
+  first = all.size();
+  pushes(all, mutex);
+  pulls(all, mutex);
+  queues(all, mutex);
+  tasks(all, mutex);
+  rivals(all, mutex, Rival::Killed);
+  keep_only(all, first,
+            {"a full ring wraps", "overwrite, a reader sleeps", "push, block, wraps",
+             "full: waits for room", "mutex: borrow and end, overwrite", "pull and let go, block",
+             "borrow, lapped", "put, overwrite", "pop, overwritten", "put it again",
+             "take a task and", "dead worker, a", "a dead rival"});
+  slots(all);
+}
+
+}  // namespace
+
 std::vector<Operation> all_operations() {
   std::vector<Operation> all;
   membership(all);
   topics(all);
   loans(all);
-  for (const auto engine : {QueueEngine::Ring, QueueEngine::Mutex}) {
-    pushes(all, engine);
-    pulls(all, engine);
-    subscribers(all, engine);
-    queues(all, engine);
-    tasks(all, engine);
-    rivals(all, engine, Rival::Killed);
-    selection(all, engine);
-    observers(all, engine);
+  takes_back(all, kRing);
+  for (const Way way : {kRing, Way(QueueEngine::Mutex)}) {
+    pushes(all, way);
+    pulls(all, way);
+    subscribers(all, way);
+    queues(all, way);
+    tasks(all, way);
+    rivals(all, way, Rival::Killed);
+    selection(all, way);
+    observers(all, way);
   }
-  rivals(all, QueueEngine::Ring, Rival::Stopped);
+  rivals(all, kRing, Rival::Stopped);
   locked_queues(all);
-  pointers(all);
+  pointers(all, kRing);
   last_holders(all);
-  reaps(all);
+  reaps(all, kRing);
   types(all);
+  in_slots(all);
   return all;
 }
 

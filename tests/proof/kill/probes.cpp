@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 
 // What a neighbour can do while another process stands still anywhere.
+#include <map>
+#include <string_view>
+
 #include "node.hpp"
 #include "support/must_go.hpp"
 #include "transport/participant.hpp"
@@ -32,6 +35,32 @@ void look_on(Node& n) {
 void put_and_pop(Node& n) {
   testing::must_go(n.probe_queue->put(numbered(7, 0)));
   (void)n.probe_queue->try_pop();  // and drops it
+}
+/// The same with messages in slots.
+bool loan_slots(Node& n) {
+  n.probe_loan = n.probe_slots->loan(numbered(7, 0));
+  return true;
+}
+void push_slots(Node& n) { testing::must_go(n.probe_slots->push(std::move(n.probe_loan))); }
+void publish_slots(Node& n) {
+  testing::must_go(n.probe_slots->push(n.probe_slots->loan(numbered(7, 0))));
+}
+void publish_and_borrow_slots(Node& n) {
+  publish_slots(n);
+  while (n.probe_slots_puller->try_borrow()) {
+  }
+}
+void keep_slots(Node& n) {
+  publish_slots(n);
+  if (const auto borrowed = n.probe_slots_puller->try_borrow()) n.probe_kept = borrowed.keep();
+  n.probe_kept.reset();
+  publish_slots(n);
+  n.probe_kept = n.probe_slots_puller->try_pull();
+  n.probe_kept.reset();
+}
+void put_and_pop_slots(Node& n) {
+  testing::must_go(n.probe_slots_queue->put(numbered(7, 0)));
+  (void)n.probe_slots_queue->try_pop();  // and drops it
 }
 void pop_item(Node& n) {
   if (n.queue && !n.sleeper.joinable()) n.pop();
@@ -221,6 +250,20 @@ void grow_often(Node& n) {
 
 }  // namespace
 
+const char* shown_in_slots(const char* probe) {
+  if (probe == nullptr) return nullptr;
+  static const std::map<std::string_view, const char*> probes = {
+      {"push, overwrite", "slots: push, overwrite"},
+      {"loan and push, overwrite", "slots: loan, push and borrow"},
+      {"borrow", "slots: loan, push and borrow"},
+      {"drop the last one here", "drop the last one at home"},
+      {"pull, copy, weak lock, drop", "slots: keep, pull, drop"},
+      {"publish again what was received", "slots: keep, pull, drop"},
+      {"put and pop, overwrite", "slots: put and pop, overwrite"}};
+  const auto found = probes.find(probe);
+  return found != probes.end() ? found->second : probe;
+}
+
 const std::vector<Probe>& all_probes() {
   constexpr auto kWaitFree = Promise::WaitFree;
   constexpr auto kLockFree = Promise::LockFree;
@@ -257,6 +300,10 @@ const std::vector<Probe>& all_probes() {
       {"collect what nobody needs", kLockFree, collect},
       {"look for the dead", kLockFree, look_for_the_dead},
       {"loan, blocks have run out", kLockFree, loan_without_blocks, take_all_blocks},
+      {"slots: push, overwrite", kWaitFree, push_slots, loan_slots},
+      {"slots: loan, push and borrow", kLockFree, publish_and_borrow_slots},
+      {"slots: keep, pull, drop", kLockFree, keep_slots},
+      {"slots: put and pop, overwrite", kLockFree, put_and_pop_slots},
       {"subscribe, unsubscribe", kBlocking, subscribe, {}, nullptr, true},
       {"advertise, unadvertise", kBlocking, advertise, {}, nullptr, true},
       {"mutex: the victim's queue", kBlocking, read_or_pop, locked},

@@ -76,6 +76,25 @@ void each_ring(segment::Segment& segment, const char* topic, F&& f) {
   }
 }
 
+/// How many messages came into a ring: its slots say so.
+std::uint64_t published_in(const segment::Ring& ring) {
+  std::uint64_t most = 0;
+  for (std::uint32_t i = 0; i < ring.places(); ++i) {
+    const ring::Word w = ring.slots[i].load();
+    if (ring::block(w) == ring::kNoBlock) continue;
+    most = std::max(most,
+                    static_cast<std::uint64_t>(ring::distance(ring::sequence(w), ring.first) + 1));
+  }
+  return most;
+}
+
+/// The message in a slot. REQUIRES: messages travel in their slots there.
+Number message_in(const segment::Ring& ring, std::uint32_t i) {
+  Number message{};
+  ring.slots.read(i, 0, ring.places(), &message, sizeof(message) / sizeof(ring::Word), nullptr);
+  return message;
+}
+
 struct Told {
   Actor::Order order;
   std::uint32_t number;
@@ -202,6 +221,7 @@ void Actor::serve(const Operation& operation, Node& node) {
     if (node.engine && !(told.order == Order::Operate && operation.ends))
       reply.index = transport::Participant::join(node.options)->index();
     for (std::uint64_t s = 0; s < std::size(reply.last); ++s) reply.last[s] = node.account.last(s);
+    reply.missed = node.account.missed();
     reply.reads_topic = node.reads_topic;
     reply.reads_frames = node.frame_puller.has_value();
     reply.frames = node.frames_seen;
@@ -231,7 +251,7 @@ void Actor::obey(Order order, std::uint32_t number, const Operation& operation, 
       break;
     case Order::Contend:
       lot_kill_begins();
-      node.pop();
+      node.contend();
       testing::must(node.account.complaint().empty(), node.account.complaint().c_str());
       break;
     case Order::WhenAsleep:
@@ -359,7 +379,10 @@ void Trial::set_up() {
                                                    : *dead_;
     actor.tell(Actor::Order::Act, i);
     const Actor::Reply reply = must_answer(actor, "before");
-    if (acts[i].who == Who::Rival) rival_index_ = reply.index;
+    if (acts[i].who == Who::Rival) {
+      rival_index_ = reply.index;
+      rival_reads_ = reply.reads_topic;
+    }
   }
   if (rival_) stop_rival();
 }
@@ -386,14 +409,18 @@ void Trial::stop_rival() {
 }
 
 /// True when the rival's bit stands in the block of an item that is in the queue, and its home can
-/// see that.
+/// see that. Where items travel in their slots: when the rival has copied one.
 bool Trial::rival_holds(segment::Segment& segment, const std::vector<std::uint64_t>& lives) const {
   using Own = refcount::Ownership<segment::Atomics>;
   bool holds = false;
-  each_ring(segment, kItems, [&](const segment::Ring& ring) {
-    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+  each_ring(segment, rival_reads_ ? kTopic : kItems, [&](const segment::Ring& ring) {
+    for (std::uint32_t i = 0; i < ring.places(); ++i) {
       const ring::Word b = ring::block(ring.slots[i].load());
       if (b == ring::kNoBlock) continue;
+      if (b == ring::kInSlot) {
+        holds = holds || rival_has_copied(segment, message_in(ring, i));
+        continue;
+      }
       auto& words = segment.block(static_cast<std::uint32_t>(b));
       holds = holds || ((Own::word(words, rival_index_).load() & Own::bit(rival_index_)) != 0 &&
                         words.life.load() != lives[static_cast<std::size_t>(b)]);
@@ -402,10 +429,29 @@ bool Trial::rival_holds(segment::Segment& segment, const std::vector<std::uint64
   return holds;
 }
 
-/// It takes what the victim has left of the queue, or nothing, and leaves.
+/// True when a block of the rival has all words of this message, or where it is to be halfway, all
+/// but the last one.
+bool Trial::rival_has_copied(segment::Segment& segment, const Number& message) const {
+  const bool halfway = operation_.rival == Rival::Halfway;
+  for (std::uint32_t b = 0; b < segment.capacity().blocks; ++b) {
+    if (segment.block(b).home.load() != rival_index_ + 1) continue;
+    Number copy{};
+    std::memcpy(&copy, segment.small(b), sizeof(copy));
+    if (copy.source == message.source && copy.number == message.number &&
+        (copy.check == message.check) != halfway) {
+      return true;
+    }
+  }
+  return false;
+}
+
+/// It takes what the victim has left of the queue, or nothing, or reads what the victim has
+/// published, and leaves.
 void Trial::let_rival_go_on() {
   stopped_.reset();
-  rivals_ = must_answer(*rival_, "the rival").items;
+  const Actor::Reply seen = must_answer(*rival_, "the rival");
+  rivals_ = seen.items;
+  if (seen.reads_topic) look_at_reader(seen, "the rival");
   rival_->tell(Actor::Order::Leave);
   must_answer(*rival_, "the rival leaves");
   rival_.reset();
@@ -685,6 +731,7 @@ std::size_t Trial::files() const { return testing::files_of(options_); }
 void Trial::note_published() {
   if (!witness_) return;
   published_ = std::max(published_, published_on(kTopic));
+  may_miss_ = std::max(may_miss_, overwritten_on(kTopic));
   frames_ = std::max(frames_, published_on(kFrames));
   untaken_ = untaken();
 }
@@ -694,7 +741,7 @@ std::uint64_t Trial::untaken() const {
   segment::Segment segment(options_.directory + "/" + options_.segment);
   std::uint64_t items = 0;
   each_ring(segment, kItems, [&](const segment::Ring& ring) {
-    for (std::uint32_t i = 0; i < ring.depth; ++i) {
+    for (std::uint32_t i = 0; i < ring.places(); ++i) {
       const ring::Word w = ring.slots[i].load();
       if (ring::block(w) == ring::kNoBlock) continue;
       items |= std::uint64_t{1} << ring::distance(ring::sequence(w), ring.first);
@@ -707,26 +754,42 @@ std::uint64_t Trial::untaken() const {
 std::uint64_t Trial::published_on(const char* topic) const {
   segment::Segment segment(options_.directory + "/" + options_.segment);
   std::uint64_t most = 0;
-  each_ring(segment, topic, [&](const segment::Ring& ring) {
-    for (std::uint32_t i = 0; i < ring.depth; ++i) {
-      const ring::Word w = ring.slots[i].load();
-      if (ring::block(w) == ring::kNoBlock) continue;
-      most = std::max(
-          most, static_cast<std::uint64_t>(ring::distance(ring::sequence(w), ring.first) + 1));
-    }
-  });
+  each_ring(segment, topic,
+            [&](const segment::Ring& ring) { most = std::max(most, published_in(ring)); });
   return most;
+}
+
+/// A reader of the topic has got all that was published, but for what was overwritten.
+void Trial::look_at_reader(const Actor::Reply& seen, const char* reader) {
+  const std::uint64_t read = seen.last[kVictim] + seen.last[kDead];
+  if (read != published_) {
+    violation("published " + std::to_string(published_) + ", seen by " + reader + " " +
+              std::to_string(read));
+  }
+  if (seen.missed > may_miss_) {
+    violation(std::string(reader) + " missed " + std::to_string(seen.missed) + ", and " +
+              std::to_string(may_miss_) + " were overwritten");
+  }
+}
+
+/// How many messages of a topic are in no slot any more. Where they travel in blocks, an eviction
+/// may have taken more of them.
+std::uint64_t Trial::overwritten_on(const char* topic) const {
+  segment::Segment segment(options_.directory + "/" + options_.segment);
+  std::uint64_t count = 0;
+  each_ring(segment, topic, [&](const segment::Ring& ring) {
+    if (!ring.in_slots()) count = kMost / 2;
+    const std::uint64_t published = published_in(ring);
+    count += published > ring.depth ? published - ring.depth : 0;
+  });
+  return count;
 }
 
 /// It has got all that was published, and leaves.
 void Trial::inspect_with_bystander() {
   bystander_->tell(Actor::Order::Inspect);
   const Actor::Reply seen = must_answer(*bystander_, "the bystander");
-  const std::uint64_t read = seen.last[kVictim] + seen.last[kDead];
-  if (seen.reads_topic && read != published_) {
-    violation("published " + std::to_string(published_) + ", seen by a bystander " +
-              std::to_string(read));
-  }
+  if (seen.reads_topic) look_at_reader(seen, "the bystander");
   bystander_->tell(Actor::Order::Leave);
   must_answer(*bystander_, "the bystander leaves");
   bystander_.reset();
@@ -748,10 +811,7 @@ void Trial::inspect_with_witness() {
     violation("items that nobody had taken, or the witness: " + std::to_string(expected) +
               ", that it got: " + std::to_string(seen.items) + " (a bit each)");
   }
-  const std::uint64_t read = seen.last[kVictim] + seen.last[kDead];
-  if (seen.reads_topic && read != published_) {
-    violation("published " + std::to_string(published_) + ", seen " + std::to_string(read));
-  }
+  if (seen.reads_topic) look_at_reader(seen, "the witness");
   if (seen.reads_frames && seen.frames != frames_) {
     violation("published " + std::to_string(frames_) + " frames, seen " +
               std::to_string(seen.frames));

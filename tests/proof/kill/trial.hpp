@@ -27,7 +27,7 @@ class Actor {
   enum class Order : std::uint32_t {
     Act,      ///< the scene's act of that number
     Operate,  ///< the operation itself, between the marks
-    Contend,  ///< a pop, behind the first mark
+    Contend,  ///< a pop, or a pull, behind the first mark
     WhenAsleep,
     Arm,      ///< prepares what the probes need
     Ready,    ///< prepares what the probe of that number needs
@@ -43,6 +43,7 @@ class Actor {
     bool ok;
     std::uint32_t index;    ///< of the participant; 0: none
     std::uint64_t last[8];  ///< by source: number of the last message + 1
+    std::uint64_t missed;   ///< messages of all sources that it was told it missed
     bool reads_topic;
     bool reads_frames;
     std::uint64_t frames;
@@ -140,6 +141,7 @@ class Trial {
   void clean_up();
   void stop_rival();
   bool rival_holds(segment::Segment& segment, const std::vector<std::uint64_t>& lives) const;
+  bool rival_has_copied(segment::Segment& segment, const Number& message) const;
   void let_rival_go_on();
   void begin();
   std::optional<Tracee::Step> next(const Path* path, std::size_t done, bool helped);
@@ -151,6 +153,8 @@ class Trial {
   void inspect();
   Actor::Reply must_answer(Actor& actor, const char* what);
   std::uint64_t published_on(const char* topic) const;
+  std::uint64_t overwritten_on(const char* topic) const;
+  void look_at_reader(const Actor::Reply& seen, const char* reader);
   std::uint64_t untaken() const;
   void note_published();
   void inspect_with_witness();
@@ -172,13 +176,15 @@ class Trial {
   std::vector<std::string> violations_;
   /// What the rings said while they stood still: those that are closed may be gone later.
   std::uint64_t published_ = 0, frames_ = 0;
-  std::uint64_t untaken_ = 0;  ///< items that were in the queue at the end: the witness's
+  std::uint64_t may_miss_ = 0;  ///< of the topic's messages: they were overwritten
+  std::uint64_t untaken_ = 0;   ///< items that were in the queue at the end: the witness's
   /// Where a call of the victim failed, others go on before it has answered: what they may have
   /// got.
   std::uint64_t may_come_early_ = 0;
   std::uint64_t popped_ = 0;  ///< items that the witness had got before
   std::uint64_t put_ = 0;     ///< how many it had put before
   std::uint32_t rival_index_ = 0;
+  bool rival_reads_ = false;  ///< it reads the topic, and takes no item
   std::uint64_t rivals_ = 0;  ///< items that the rival has got
 };
 
