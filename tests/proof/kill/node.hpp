@@ -272,6 +272,8 @@ struct Plant {
 std::vector<Plant> planted_operations();
 /// The same, where observers are, and descriptions.
 std::vector<Plant> planted_beside_observers();
+/// The same, where messages travel in their slots.
+std::vector<Plant> planted_in_slots();
 /// To be found when its system calls fail.
 Plant planted_failure();
 /// Its calls are fewer from its second run on: most of its points are never reached.

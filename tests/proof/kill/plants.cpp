@@ -57,6 +57,16 @@ void holds_both_ways(Node& n) {
   n.hold(true);
 }
 
+/// A word of the message in a slot of the first ring.
+unsigned char& message_word(Node& n, std::uint32_t slot, std::size_t word) {
+  constexpr std::size_t kHead = 2;  // the words before the message
+  auto& first = participant(n)->world().ring(0).slots[slot];
+  return reinterpret_cast<unsigned char&>(*(&first + kHead + word));
+}
+bool holds_number(const unsigned char& small, const Number& number) {
+  return std::memcmp(&small, &number, sizeof(number)) == 0;
+}
+
 std::uint32_t index_of_witness(Node& n) {
   const auto entries = participant(n)->segment().participants();
   std::uint32_t k = 1;
@@ -158,7 +168,7 @@ std::vector<Plant> planted_operations() {
         const auto ring = p->world().ring(0);
         for (std::uint32_t i = 0; i < ring.depth; ++i) {
           const ring::Word b = ring::block(ring.slots[i].load());
-          if (b == ring::kNoBlock) continue;
+          if (b >= p->blocks()) continue;
           *p->segment().small(static_cast<std::uint32_t>(b)) ^= 1;
         }
       },
@@ -172,7 +182,7 @@ std::vector<Plant> planted_operations() {
     --n.published;
     n.publish(1);
   });
-  plant("a message is taken back", "published 4, seen 2", [](Node& n) {
+  plant("a message is taken back", "published 4, seen by the witness 2", [](Node& n) {
     n.publish(1);
     auto& slot = participant(n)->world().ring(0).slots[2];
     slot.store(ring::make(ring::sequence(slot.load()) - 4, ring::kNoBlock));
@@ -314,6 +324,77 @@ std::vector<Plant> planted_beside_observers() {
         make_witness_use(n, participant(n)->segment().topics()[n.fillers.back()]);
       },
       kHalves + 8);
+  return all;
+}
+
+std::vector<Plant> planted_in_slots() {
+  std::vector<Plant> all;
+  const auto plant = [&](const char* name, const char* found_as, Acts before,
+                         std::function<void(Node&)> harm, Rival rival = Rival::None) {
+    all.push_back({{named(name, kSlots),
+                    Promise::Blocking,
+                    std::move(before),
+                    std::move(harm),
+                    {},
+                    false,
+                    rival},
+                   found_as});
+  };
+  // The witness has read none of the four, which fill the ring.
+  const Acts full = victim_publishes(overwrite(4, kSlots), 4);
+  plant("an unread message is written", "a torn message", full,
+        [](Node& n) { message_word(n, 1, 2) ^= 1; });
+  plant("a publisher begins before its time", "missed 1, and 0 were overwritten", full,
+        [](Node& n) {
+          const auto ring = participant(n)->world().ring(0);
+          ring.slots.begin(0, ring::advance(ring.first, ring.places()));
+        });
+  // In a ring of the witness, whose first slots no process reads or writes again.
+  const Acts at_rest{witness(join), victim(join), publisher(witness, overwrite(16, kSlots), kOther),
+                     publishes(witness, 2)};
+  plant("a slot says what no publisher says", "has a damaged slot", at_rest, [](Node& n) {
+    const auto ring = participant(n)->world().ring(0);
+    ring.slots.begin(0, ring::advance(ring.first, 1));
+  });
+  plant("a slot for messages has a block", "has a block in a slot for messages", at_rest,
+        [](Node& n) {
+          const auto ring = participant(n)->world().ring(0);
+          ring.slots[0].store(ring::make(ring.first, kFreeBlock));
+        });
+  plant("a kept copy is written", "a held message did not change",
+        full + Acts{witness([](Node& n) { n.hold(false); })}, [](Node& n) {
+          const auto p = participant(n);
+          for (std::uint32_t b = 0; b < p->blocks(); ++b) {
+            if (p->world().block(b).home.load() == index_of_witness(n) + 1) {
+              *p->segment().small(b) ^= 1;
+            }
+          }
+        });
+  // The witness has looked at the victim's ring, and does so again when the rival has gone on.
+  const Acts copied{witness(join),
+                    victim(join),
+                    rival(join),
+                    publisher(victim, overwrite(4, kSlots), kTopic),
+                    reader(witness, kTopic),
+                    reader(rival, kTopic),
+                    publishes(victim, 1),
+                    witness([](Node& n) { n.receive_all(); })};
+  plant(
+      "a slot is written where a reader copies it", "the rival: child: not so: a torn message",
+      copied, [](Node& n) { message_word(n, 0, 2) ^= 1; }, Rival::Halfway);
+  plant(
+      "a copy is written that its reader has made", "the rival: child: not so: a torn message",
+      copied,
+      [](Node& n) {
+        const auto p = participant(n);
+        for (std::uint32_t b = 0; b < p->blocks(); ++b) {
+          if (holds_number(*p->segment().small(b), numbered(kVictim, 0)) &&
+              p->world().block(b).home.load() != p->index() + 1) {
+            *p->segment().small(b) ^= 1;
+          }
+        }
+      },
+      Rival::Stopped);
   return all;
 }
 
