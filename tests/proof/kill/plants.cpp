@@ -364,8 +364,9 @@ std::vector<Plant> planted_in_slots() {
   plant("a kept copy is written", "a held message did not change",
         full + Acts{witness([](Node& n) { n.hold(false); })}, [](Node& n) {
           const auto p = participant(n);
+          const std::uint32_t home = index_of_witness(n) + 1;
           for (std::uint32_t b = 0; b < p->blocks(); ++b) {
-            if (p->world().block(b).home.load() == index_of_witness(n) + 1) {
+            if (p->world().block(b).home.load() == home) {
               *p->segment().small(b) ^= 1;
             }
           }
