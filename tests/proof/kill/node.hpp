@@ -239,7 +239,7 @@ struct Operation {
   Rival rival = Rival::None;
   unsigned every = 1;  ///< its points are alike (each granule's tag): one of so many is enough
   bool ends = false;   ///< the process does nothing behind it
-  std::uint32_t topics = 8;  ///< that the segment can have
+  std::uint32_t topics = 10;  ///< that the segment can have
 };
 
 std::vector<Operation> all_operations();

@@ -161,7 +161,7 @@ void observers(std::vector<Operation>& all, const Way& way) {
 
 void types(std::vector<Operation>& all) {
   const auto add = [&](const std::string& name, const Acts& before, std::function<void(Node&)> run,
-                       std::uint32_t topics = 8) {
+                       std::uint32_t topics = 10) {
     Operation operation{name, Promise::Blocking, before, std::move(run)};
     operation.topics = topics;
     all.push_back(std::move(operation));
@@ -222,7 +222,7 @@ void types(std::vector<Operation>& all) {
   });
 
   // The table of descriptions is full.
-  constexpr std::uint32_t kTopics = kHalves + 8;
+  constexpr std::uint32_t kTopics = kHalves + 10;
   add("advertise, the table of descriptions is full",
       both + Acts{witness([](Node& n) { n.enter_halves(0, kHalves); })}, advertise, kTopics);
   add("advertise, the table of descriptions has little room",

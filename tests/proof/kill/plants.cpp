@@ -278,7 +278,7 @@ std::vector<Plant> planted_operations() {
 std::vector<Plant> planted_beside_observers() {
   std::vector<Plant> all;
   const auto plant = [&](const char* name, const char* found_as, Acts before,
-                         std::function<void(Node&)> harm, std::uint32_t topics = 8) {
+                         std::function<void(Node&)> harm, std::uint32_t topics = 10) {
     Operation operation{name, Promise::Blocking, std::move(before), std::move(harm)};
     operation.topics = topics;
     all.push_back({std::move(operation), found_as});
@@ -323,7 +323,7 @@ std::vector<Plant> planted_beside_observers() {
         n.enter_halves(0, 1);
         make_witness_use(n, participant(n)->segment().topics()[n.fillers.back()]);
       },
-      kHalves + 8);
+      kHalves + 10);
   return all;
 }
 

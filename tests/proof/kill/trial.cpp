@@ -315,7 +315,7 @@ Trial::Trial(const Operation& operation, std::string segment, bool probes) : ope
   options_.processes = 7;
   options_.blocks = 64;
   options_.topics = operation.topics;
-  options_.channels = 12;
+  options_.channels = 14;
   options_.readers = 4;
   try {
     set_up();
