@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
+#include <utility>
 
 #include "lot/detail/changed_by.hpp"
 #include "lot/detail/hold_word.hpp"
@@ -19,7 +22,7 @@
 ///   I4  A word that names the dead is erased last: after all that a reaper finds by it is done.
 ///
 /// Edges
-///   O1  clearing an own bit (release)         -> own scan in die() (acquire)
+///   O1  clearing an own bit (release)         -> own scan in look() (acquire)
 ///       carries: "the holder has read all that it wanted to".
 ///   O2  life bump in acquire() (release)      -> life load in die() (acquire)
 ///       carries: the new own bit: a home that sees the bump sees the bit.
@@ -100,7 +103,9 @@ struct Ownership {
 
   Ownership() = default;
   explicit Ownership(std::uint32_t participant)
-      : self(participant), own_word_(participant / P::kBitsPerWord), own_bit_(bit(participant)) {}
+      : self(participant), own_word_(participant / P::kBitsPerWord), own_bit_(bit(participant)) {
+    others_[own_word_] = ~own_bit_;
+  }
 
   std::uint32_t self = 0;
 
@@ -301,12 +306,12 @@ struct Ownership {
 
   /// The death of a message. True: only the home held the block, and no process can have taken a
   /// hold meanwhile. Where the orphanage is the home even its own bit must be gone.
-  /// `seen`: gets all bits of the words that were looked at.
+  /// `seen`: gets kWanted if a word that was looked at has it.
   /// REQUIRES: at home, with the busy bit, or byte lock 0.
-  bool die(Words& b, std::uint64_t& seen) const { return die(b, own_word_, own_bit_, seen); }
+  bool die(Words& b, std::uint64_t& seen) const { return die(b, others_, seen); }
   static bool die_in_orphanage(Words& b) {
     std::uint64_t seen = 0;
-    if (!die(b, 0, 0, seen)) return false;
+    if (!die(b, kAll, seen)) return false;
     if ((seen & kWanted) != 0) ask_nobody(b);
     return true;
   }
@@ -343,13 +348,13 @@ struct Ownership {
     }
     std::uint64_t seen = 0;
     bool dead = die(b, seen);
-    if (!dead && !ask_holders(b, note_waiting())) {
-      // A holder may have let go before it was asked. So the home looks again, and twice. The first
-      // look may fail only because such a holder has bumped the version. Its scan then has seen
-      // that holder's bit gone, and with it the version. So the second look knows that version.
-      dead = die(b, seen) || die(b, seen);
+    if (!dead) [[unlikely]] {
+      std::uint64_t all_seen = seen;  // so that `seen` itself may stay in a register
+      dead = await_holders(b, all_seen, note_waiting);
+      seen = all_seen;
     }
-    if (dead && (seen & kWanted) != 0) ask_nobody(b);
+    if (dead && (seen & kWanted) != 0) [[unlikely]]
+      ask_nobody(b);
     const std::uint64_t base = hold::kHome | hold::kHeld;
     if (dead) {
       // Both are relaxed: the block is only this thread's. Another thread gets it from this one by
@@ -443,20 +448,44 @@ struct Ownership {
     }
   }
 
-  static bool die(Words& b, std::uint32_t except_word, std::uint64_t except, std::uint64_t& seen) {
+  /// By ownership word: the bits that count.
+  using Masks = std::array<std::uint64_t, P::kOwnWords>;
+  static constexpr Masks all() {
+    Masks masks{};
+    for (auto& mask : masks) mask = ~std::uint64_t{0};
+    return masks;
+  }
+  static constexpr Masks kAll = all();
+
+  static bool die(Words& b, const Masks& count, std::uint64_t& seen) {
     std::uint64_t life = b.life.load(std::memory_order_acquire);  // O2
-    std::uint64_t others = 0;
-    for (std::uint32_t w = 0; w < P::kOwnWords; ++w) {
-      const std::uint64_t own = b.own[w].load(std::memory_order_acquire);  // O1
-      seen |= own;
-      others |= w == except_word ? own & ~except : own;
-    }
+    const std::uint64_t holders = look(b, count, std::make_index_sequence<P::kOwnWords>{});
+    seen |= holders & kWanted;
     // The compare-and-swap fails if a process has bumped the version since the load. So the load
     // has acquired every bump, and the compare-and-swap may be relaxed. Killed after it: the block
     // is exclusively owned and unpublished, and the reaper frees it.
-    return (others & ~kWanted) == 0 &&
+    return (holders & ~kWanted) == 0 &&
            b.life.compare_exchange_strong(life, next_generation(life), std::memory_order_relaxed,
                                           std::memory_order_relaxed);
+  }
+  /// The bits that count, of all words together. It has no loop: each instruction between two
+  /// locked ones costs.
+  template <std::size_t... W>
+  static std::uint64_t look(const Words& b, const Masks& count, std::index_sequence<W...>) {
+    std::uint64_t bits = 0;
+    ((bits |= b.own[W].load(std::memory_order_acquire) & count[W]), ...);  // O1
+    return bits;
+  }
+
+  /// The home has found that others hold the block: asks them to tell it when they let go. True:
+  /// they have let go meanwhile, and the message has died.
+  template <class Note>
+  [[gnu::noinline]] bool await_holders(Words& b, std::uint64_t& seen, Note& note_waiting) const {
+    if (ask_holders(b, note_waiting())) return false;
+    // A holder may have let go before it was asked. So the home looks again, and twice. The first
+    // look may fail only because such a holder has bumped the version. Its scan then has seen
+    // that holder's bit gone, and with it the version. So the second look knows that version.
+    return die(b, seen) || die(b, seen);
   }
 
   /// Clears the own bit. REQUIRES: the busy bit, and not at home.
@@ -489,7 +518,7 @@ struct Ownership {
   }
   /// Clears kWanted. All is relaxed: the block is exclusively the caller's, and a bit that the next
   /// home finds costs only a needless errand.
-  static void ask_nobody(Words& b) {
+  [[gnu::noinline]] static void ask_nobody(Words& b) {
     for (auto& own : b.own) {
       if ((own.load(std::memory_order_relaxed) & kWanted) != 0) {  // relaxed as said above
         own.fetch_and(~kWanted, std::memory_order_relaxed);        // relaxed as said above
@@ -501,7 +530,7 @@ struct Ownership {
 
   /// Waits until the word is not busy. Returns the hold word. The other thread has only a few
   /// instructions left; P::Patience makes sure that it gets to run.
-  static std::uint64_t await_idle(Hold& h, std::uint64_t v) {
+  [[gnu::noinline]] static std::uint64_t await_idle(Hold& h, std::uint64_t v) {
     typename P::Patience patience;
     do {
       patience.wait(hold::busy_thread(v));
@@ -510,9 +539,10 @@ struct Ownership {
     return v;
   }
 
-  // Both follow from `self`. They are kept, since each instruction between two locked ones costs.
+  // All follow from `self`. They are kept, since each instruction between two locked ones costs.
   std::uint32_t own_word_ = 0;
   std::uint64_t own_bit_ = bit(0);
+  Masks others_ = kAll;  ///< all bits but the own one
 };
 
 }  // namespace lot::refcount
