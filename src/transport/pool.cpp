@@ -153,20 +153,22 @@ void Pool::prepare() noexcept {
     free_.pop_front();
     if (reclaim(b, hold::kRing)) ready_.push_back(b);
   }
-  if (!ready_.empty()) prefetch(ready_.back());
+  if (!ready_.empty()) fetch(ready_.back());
 }
 
 void Pool::prefetch(std::uint64_t b) const noexcept {
-  if (b >= holder_.segment->capacity().blocks) return;
-  const auto index = static_cast<std::uint32_t>(b);
-  const unsigned char* const small = holder_.segment->small(index);
+  if (b < holder_.segment->capacity().blocks) fetch(static_cast<std::uint32_t>(b));
+}
+
+void Pool::fetch(std::uint32_t b) const noexcept {
+  constexpr std::uint64_t kLine = detail::HardwareAtomics::kLine;
+  const unsigned char* const small = holder_.segment->small(b);
   detail::HardwareAtomics::prefetch_write(small);
-  detail::HardwareAtomics::prefetch_write(&holder_.words(index));
+  detail::HardwareAtomics::prefetch_write(&holder_.words(b));
   // The next message is most likely as long as the last one.
-  const detail::MessageType* const type = holder_.control(index).type;
-  const std::uint64_t size = type != nullptr && segment::is_small(*type) ? type->size : 0;
-  for (std::uint64_t at = detail::HardwareAtomics::kLine; at < size;
-       at += detail::HardwareAtomics::kLine) {
+  const detail::MessageType* const type = holder_.control(b).type;
+  if (type == nullptr || type->size <= kLine || !segment::is_small(*type)) return;
+  for (std::uint64_t at = kLine; at < type->size; at += kLine) {
     detail::HardwareAtomics::prefetch_write(small + at);
   }
 }
@@ -176,34 +178,43 @@ void Pool::prefetch(std::uint64_t b) const noexcept {
 /// On success the block is not among the kept ones. REQUIRES: the lock, and that the block is at
 /// home in this pool.
 bool Pool::reclaim(std::uint32_t b, std::uint64_t expected) noexcept {
-  ControlBlock& c = holder_.control(b);
   // The block is on the list before a holder can see kWanted. The holder asks the warden, perhaps
   // before this thread goes on, and the warden looks only at pools that have kept blocks.
-  const bool ours = holder_.own.reclaim(holder_.words(b), c.hold, expected,
-                                        [&] { return kept_.enter(b); });  // E1
-  if (ours) {
-    kept_.remove(b);
-    // Relaxed, both: the block is exclusively this thread's.
-    if (holder_.queued(b).load(std::memory_order_relaxed) != 0) {
-      holder_.queued(b).store(0, std::memory_order_relaxed);  // as above
-      // A small plain message is laid out once for all. So what its taker has written there is
-      // cleared here.
-      if (c.type != nullptr && c.type->plain) {
-        Arena& arena = holder_.segment->arena(b);
-        arena.changed_hands = 0;
-        arena.frozen = 0;
-      }
-    }
-    return true;
+  const bool ours = holder_.own.reclaim(holder_.words(b), holder_.control(b).hold, expected,
+                                        [this, b] { return kept_.enter(b); });  // E1
+  if (!ours) [[unlikely]] {
+    keep(b);
+    return false;
   }
+  kept_.remove(b);
+  // Relaxed: the block is exclusively this thread's.
+  if (holder_.queued(b).load(std::memory_order_relaxed) != 0) forget_queue(b);
+  return true;
+}
+
+/// What reclaim() does with a block that others still hold.
+[[gnu::noinline]] void Pool::keep(std::uint32_t b) noexcept {
   // Relaxed: a hold that changes now calls last_hold_gone(), which waits for the lock.
-  const std::uint64_t v = c.hold.load(std::memory_order_relaxed);
+  const std::uint64_t v = holder_.control(b).hold.load(std::memory_order_relaxed);
   if ((v & hold::kHome) != 0 && (v & hold::kHolds) == 0) {
     kept_.move_to_end(b);
   } else {
     kept_.remove(b);
   }
-  return false;
+}
+
+/// The message of a block was in a queue, and has died. Relaxed: the block is exclusively this
+/// thread's.
+[[gnu::noinline]] void Pool::forget_queue(std::uint32_t b) noexcept {
+  const ControlBlock& c = holder_.control(b);
+  holder_.queued(b).store(0, std::memory_order_relaxed);  // as above
+  // A small plain message is laid out once for all. So what its taker has written there is cleared
+  // here.
+  if (c.type != nullptr && c.type->plain) {
+    Arena& arena = holder_.segment->arena(b);
+    arena.changed_hands = 0;
+    arena.frozen = 0;
+  }
 }
 
 std::uint32_t Pool::claim() {
@@ -275,17 +286,19 @@ bool Pool::is_at_rest_here(std::uint32_t b) const noexcept {
          c.pool.load(std::memory_order_relaxed) == index_;  // O4 carries it
 }
 
-void Pool::retire(std::uint32_t b, bool borrowed) {
-  if (borrowed) {
-    retired_.push_back(b);
-    // Relaxed, both: the ring's hold keeps the block where it is.
-  } else if ((holder_.control(b).hold.load(std::memory_order_relaxed) & hold::kHome) != 0 &&
-             holder_.control(b).pool.load(std::memory_order_relaxed) == index_) {
-    if (!HardwareOwnership::drop_ring_hold_of_several(holder_.control(b).hold)) free_.push_back(b);
-  } else {
-    foreign_.push_back(b);
+/// A block has left the ring, and no reader looks at it.
+void Pool::let_go(std::uint32_t b) {
+  ControlBlock& c = holder_.control(b);
+  // Relaxed, both: the ring's hold keeps the block where it is.
+  if ((c.hold.load(std::memory_order_relaxed) & hold::kHome) == 0 ||
+      c.pool.load(std::memory_order_relaxed) != index_) [[unlikely]] {
+    retire_foreign(b);
+  } else if (!HardwareOwnership::drop_ring_hold_of_several(c.hold)) {
+    free_.push_back(b);
   }
 }
+
+[[gnu::noinline]] void Pool::retire_foreign(std::uint32_t b) { foreign_.push_back(b); }
 
 void Pool::poll_kept() {
   for (std::size_t n = kept_.size(); n > 0 && !kept_.empty(); --n) {

@@ -255,7 +255,8 @@ class Pool {
   /// Does as much of the next loan's work as it can, after a publish, when no reader waits for it.
   /// Locked.
   void prepare() noexcept;
-  /// Fetches the cache lines that a loan of this block will write.
+  /// Fetches the cache lines that a loan of this block will write. Does nothing where there is no
+  /// such block.
   void prefetch(std::uint64_t b) const noexcept;
   /// A block as by try_loan(), from the free blocks of the segment.
   std::uint32_t claim();
@@ -272,6 +273,9 @@ class Pool {
   /// Takes back an exclusively owned block: its message was never shared, or has died.
   void give_back(std::uint32_t b) noexcept { give_back(holder_.control(b)); }
   void give_back(detail::ControlBlock& control) noexcept;
+  /// The same for that publisher. Locked. REQUIRES: the message has no destructor to run, and no
+  /// memory besides its own bytes.
+  void take_back(std::uint32_t b) noexcept { ready_.push_back(b); }
   /// The same while the pool has a publisher. Callable without Lifetime::enter(): that publisher is
   /// one of the participant's handles, so the participant does not wait for its last pointer. When
   /// the handles have gone, the pool has the block, and this thread has touched nothing since it
@@ -288,7 +292,7 @@ class Pool {
 
   /// A block has left the ring; its hold is still the ring's. Locked. `borrowed` says whether a
   /// reader may still look at it.
-  void retire(std::uint32_t b, bool borrowed);
+  void retire(std::uint32_t b, bool borrowed) { borrowed ? retired_.push_back(b) : let_go(b); }
   /// Makes room to retire so many more blocks. Throws std::bad_alloc, and then all is as before.
   /// Locked.
   void make_room(std::size_t more) {
@@ -302,7 +306,7 @@ class Pool {
   /// many. Locked.
   std::size_t take_foreign(std::span<std::uint32_t> into) noexcept;
   /// A message of another pool has left the ring, or the same message has replaced itself. Locked.
-  void retire_foreign(std::uint32_t b) { foreign_.push_back(b); }
+  void retire_foreign(std::uint32_t b);
   /// How many blocks only other processes hold. Callable at any time, without the lock.
   std::size_t kept() const noexcept { return kept_.size(); }
   bool has_free() const noexcept { return !ready_.empty() || !free_.empty(); }
@@ -472,6 +476,10 @@ class Pool {
   bool has_spare_in(std::uint32_t b) const noexcept;
   bool is_at_rest_here(std::uint32_t b) const noexcept;
   bool reclaim(std::uint32_t b, std::uint64_t expected) noexcept;
+  void keep(std::uint32_t b) noexcept;
+  void forget_queue(std::uint32_t b) noexcept;
+  void let_go(std::uint32_t b);
+  void fetch(std::uint32_t b) const noexcept;
   void grow(std::size_t room);
   template <class May>
   bool release_idle(May&& may) noexcept;
