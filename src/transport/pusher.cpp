@@ -207,7 +207,7 @@ class Pusher final : public RingPusher, private Evictor {
     if (!participant_->same_segment(*control)) refuse_elsewhere(*control);
     if (!is_whole(*control, object)) refuse_part(*control, object);
     if (limit.is_stopped()) return Status::Stopped;
-    return stride_ != 0 ? push_copy(control, limit) : push_held(control, limit, true);
+    return stride_ != 0 ? push_copy(control, limit, false) : push_held(control, limit, true);
   }
 
   std::size_t readers() override {
@@ -321,8 +321,10 @@ class Pusher final : public RingPusher, private Evictor {
   }
 
   /// Publishes a message in its slot. The caller keeps its pointer. REQUIRES: the message lies in
-  /// this segment.
-  [[gnu::hot]] Status push_copy(const detail::ControlBlock* control, detail::RoomLimit limit) {
+  /// this segment. `goes_home`: the caller has no pointer afterwards, and the block is this pool's.
+  /// It goes back with the same lock.
+  [[gnu::hot]] Status push_copy(const detail::ControlBlock* control, detail::RoomLimit limit,
+                                bool goes_home) {
     std::unique_lock lock(pool_.lock());
     mutex_engine::QueueGuard queue_guard(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, queue_guard, limit)) return why_full(limit);
@@ -332,6 +334,7 @@ class Pusher final : public RingPusher, private Evictor {
     const auto published = writer_->publish(participant_->segment().small(control->block), words_,
                                             stamps_ ? &time : nullptr);
     queue_guard.unlock();
+    if (goes_home) pool_.take_back(control->block);  // a message for a slot is plain and small
     lock.unlock();
     if (published.wake) wake_readers(*published.slot);
     return Status::Ok;
@@ -340,8 +343,9 @@ class Pusher final : public RingPusher, private Evictor {
   [[gnu::hot]] Status push_unique_copy(detail::ControlBlock* control, detail::RoomLimit limit) {
     const bool ours = control->hub == participant_->hub() && !participant_->was_received(*control);
     if (!ours && !participant_->same_segment(*control)) refuse_elsewhere(*control);
-    const Status status = push_copy(control, limit);
-    if (status != Status::Ok) return status;
+    const bool goes_home = ours && &participant_->holder().pool_of(*control) == &pool_;
+    const Status status = push_copy(control, limit, goes_home);
+    if (status != Status::Ok || goes_home) return status;
     if (ours) {
       participant_->holder().pool_of(*control).give_back(*control);
     } else {
@@ -453,6 +457,10 @@ class Pusher final : public RingPusher, private Evictor {
     --room_ahead_;
   }
 
+  /// True when `retired` fill a batch. The readers are counted only if that may be so.
+  bool is_batch(std::size_t retired) {
+    return retired >= std::min(fit_, kUsualBatch) && retired >= batch();
+  }
   std::size_t batch() {
     if (!writer_ || fit_ == 1) return 1;
     return std::min(fit_, std::max(kUsualBatch, 2 * writer_->active_readers()));
@@ -547,20 +555,14 @@ class Pusher final : public RingPusher, private Evictor {
     if (stamps_) [[unlikely]]
       stamp(b);
     const auto published = writer_->publish(b);
-    if (!guarded && writer_->readers_may_look()) {
+    if (!guarded && writer_->observers_may_look()) [[unlikely]] {
       guarded = true;
       note_fit(fit(b));
     }
     queue_guard.unlock();
     // Wakes first: after a pause, all that is read here is out of the caches, and the sleeper would
     // wait for it.
-    if (published.wake) {
-      ++owed_;
-      lock.unlock();  // the thread that is woken may want the lock, on this core
-      wake_readers(*published.slot);
-      lock.lock();
-      --owed_;
-    }
+    if (published.wake) wake_unlocked(lock, *published.slot);
     if (published.replaced == b) {
       pool_.retire_foreign(
           b);  // the same message again: the ring has it, and this hold is one too many
@@ -569,18 +571,18 @@ class Pusher final : public RingPusher, private Evictor {
       if (guarded) {
         // Small messages wait for the next loan to look at them, unless nothing is ever loaned
         // here.
-        const std::size_t enough = batch();
-        if (enough == 1 || pool_.retired() >= 2 * enough) scan();
+        if (fit_ == 1 || is_batch(pool_.retired() / 2)) scan();
       }
     }
-    if (retire_taken() && batch() == 1) scan();
+    const bool taken = writer_->ring().taken;
+    if (taken && retire_taken() && batch() == 1) scan();
     if (guarded && fit_ == 1) {  // large messages wait for no loan
       pool_.poll_free();
       // Else messages wait in the ring as well.
-      if (!writer_->ring().taken && history_ == PusherOptions::kAll) pool_.note_waiting();
+      if (!taken && history_ == PusherOptions::kAll) pool_.note_waiting();
     }
     if (!published.wake) {
-      if (!pool_.has_free() && pool_.retired() >= batch()) scan();
+      if (!pool_.has_free() && is_batch(pool_.retired())) scan();
       pool_.prepare();
       if (!guarded) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // in a lossless stream
     }
@@ -612,7 +614,7 @@ class Pusher final : public RingPusher, private Evictor {
 
   /// Releases the ring's holds on blocks of other pools. That takes the locks of those pools. So it
   /// is called with the lock and returns without it.
-  void release_foreign(std::unique_lock<BiasedLock>& lock) noexcept {
+  [[gnu::noinline]] void release_foreign(std::unique_lock<BiasedLock>& lock) noexcept {
     std::array<std::uint32_t, 16> foreign;
     for (;;) {
       const std::size_t n = pool_.take_foreign(foreign);
@@ -623,7 +625,16 @@ class Pusher final : public RingPusher, private Evictor {
     }
   }
 
-  void wake_readers(const std::atomic<ring::Word>& slot) const {
+  /// Wakes without the lock, since the thread that is woken may want it, on this core.
+  [[gnu::noinline]] void wake_unlocked(std::unique_lock<BiasedLock>& lock,
+                                       const std::atomic<ring::Word>& slot) {
+    ++owed_;
+    lock.unlock();
+    wake_readers(slot);
+    lock.lock();
+    --owed_;
+  }
+  [[gnu::noinline]] void wake_readers(const std::atomic<ring::Word>& slot) const {
     const std::atomic<std::uint32_t>* arrived = writer_->ring().arrived;
     const void* const word = arrived != nullptr ? arrived : futex::low_half(slot);
     if (futex::wake(word, futex::kWakes) == futex::kWakes) participant_->rouser().rouse(word);
