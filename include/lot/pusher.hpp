@@ -52,9 +52,8 @@ ShmUniquePtr<T> build(const Loan& loan, Args&&... args) {
 /// that was converted to one to a base: readers would find a message of another type. The type is
 /// known where the message was made; one that was taken from a queue is not looked at.
 template <class T>
-ControlBlock* whole(const ShmUniquePtr<T>& message) {
+ControlBlock* whole(const ShmUniquePtr<T>& message, const MessageType& type = message_type<T>()) {
   ControlBlock* const control = PointerAccess::control(message);
-  const MessageType& type = message_type<T>();
   if (control != nullptr && control->type != &type && control->type != nullptr) {
     require_type(*control, type);
   }
@@ -94,15 +93,14 @@ class ShmPusher {
   /// throws.
   template <class... Args>
   [[nodiscard]] ShmUniquePtr<T> loan(Args&&... args) {
-    return detail::build<T>(core_->loan(detail::message_type<T>(), true),
-                            std::forward<Args>(args)...);
+    return detail::build<T>(core_->loan(*type_, true), std::forward<Args>(args)...);
   }
   /// The same, but null at once when the segment has no room for the struct. Vectors and strings in
   /// it ask for memory when they grow, as those of a loan() do, and throw lot::OutOfMemory.
   /// Errors: lot::Error as the class says; what the constructor of T throws.
   template <class... Args>
   [[nodiscard]] ShmUniquePtr<T> try_loan(Args&&... args) {
-    const detail::Loan loan = core_->loan(detail::message_type<T>(), false);
+    const detail::Loan loan = core_->loan(*type_, false);
     if (loan.control == nullptr) return nullptr;
     return detail::build<T>(loan, std::forward<Args>(args)...);
   }
@@ -119,7 +117,8 @@ class ShmPusher {
   /// The same with another limit than the options'. Throws the same.
   [[nodiscard]] Status push(ShmUniquePtr<T>&& message, Duration block_for,
                             const StopToken& stop = {}) {
-    const Status status = core_->push_unique(detail::whole(message), {block_for, stop.word()});
+    const Status status =
+        core_->push_unique(detail::whole(message, *type_), {block_for, stop.word()});
     if (status == Status::Ok) detail::PointerAccess::take(message);
     return status;
   }
@@ -181,6 +180,8 @@ class ShmPusher {
  private:
   std::unique_ptr<detail::PusherCore> core_;
   std::chrono::nanoseconds block_for_;
+  /// kept, since each call of message_type() looks whether it is the first
+  const detail::MessageType* type_ = &detail::message_type<T>();
 };
 
 }  // namespace lot
