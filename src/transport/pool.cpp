@@ -147,15 +147,6 @@ std::uint32_t Pool::try_reclaim() {
   return kNone;
 }
 
-void Pool::prepare() noexcept {
-  if (ready_.empty() && !free_.empty()) {
-    const std::uint32_t b = free_.front();
-    free_.pop_front();
-    if (reclaim(b, hold::kRing)) ready_.push_back(b);
-  }
-  if (!ready_.empty()) fetch(ready_.back());
-}
-
 void Pool::prefetch(std::uint64_t b) const noexcept {
   if (b < holder_.segment->capacity().blocks) fetch(static_cast<std::uint32_t>(b));
 }

@@ -254,7 +254,14 @@ class Pool {
   std::uint32_t try_loan() { return ready_.empty() ? try_reclaim() : ready_.pop_back(); }
   /// Does as much of the next loan's work as it can, after a publish, when no reader waits for it.
   /// Locked.
-  void prepare() noexcept;
+  void prepare() noexcept {
+    if (ready_.empty() && !free_.empty()) {
+      const std::uint32_t b = free_.front();
+      free_.pop_front();
+      if (reclaim(b, hold::kRing)) ready_.push_back(b);
+    }
+    if (!ready_.empty()) fetch(ready_.back());
+  }
   /// Fetches the cache lines that a loan of this block will write. Does nothing where there is no
   /// such block.
   void prefetch(std::uint64_t b) const noexcept;

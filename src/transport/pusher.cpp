@@ -102,6 +102,7 @@ class Pusher final : public RingPusher, private Evictor {
       }
       writer_.emplace(ring);
       words_ = segment::words_of(type);
+      fits_vary_ = !type.plain || !segment::is_small(type);
       pool_.make_room(room_to_retire());
       seen_.resize(participant_->blocks());
     } catch (...) {
@@ -549,7 +550,8 @@ class Pusher final : public RingPusher, private Evictor {
   [[gnu::always_inline]] void publish(std::unique_lock<BiasedLock>& lock,
                                       mutex_engine::QueueGuard& queue_guard, std::uint32_t b) {
     bool guarded = writer_->ring().guarded();
-    if (guarded) note_fit(fit(b));  // before publishing, since a reader that takes it may change it
+    // before publishing, since a reader that takes it may change it
+    if (guarded && fits_vary_) note_fit(fit(b));
     // Relaxed: publishing carries it (R1).
     if (writer_->ring().taken) participant_->holder().queued(b).store(1, std::memory_order_relaxed);
     if (stamps_) [[unlikely]]
@@ -557,7 +559,7 @@ class Pusher final : public RingPusher, private Evictor {
     const auto published = writer_->publish(b);
     if (!guarded && writer_->observers_may_look()) [[unlikely]] {
       guarded = true;
-      note_fit(fit(b));
+      if (fits_vary_) note_fit(fit(b));
     }
     queue_guard.unlock();
     // Wakes first: after a pause, all that is read here is out of the caches, and the sleeper would
@@ -996,6 +998,7 @@ class Pusher final : public RingPusher, private Evictor {
   waiting::YieldHabit yield_;
   /// how many messages like the largest in the ring fit into a batch
   std::size_t fit_ = kBatchedBytes;
+  bool fits_vary_ = true;            ///< not all messages are as small as can be
   std::uint32_t since_fit_ = 0;      ///< messages since the last one of that size
   bool will_need_next_ = false;      ///< it has claimed a block since it last told Ahead
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
