@@ -255,11 +255,13 @@ class Pool {
   /// Does as much of the next loan's work as it can, after a publish, when no reader waits for it.
   /// Locked.
   void prepare() noexcept {
-    if (ready_.empty() && !free_.empty()) {
-      const std::uint32_t b = free_.front();
-      free_.pop_front();
-      if (reclaim(b, hold::kRing)) ready_.push_back(b);
-    }
+    if (!ready_.empty() || free_.empty()) return;
+    const std::uint32_t b = free_.front();
+    free_.pop_front();
+    if (reclaim(b, hold::kRing)) ready_.push_back(b);
+  }
+  /// Fetches the cache lines that the next loan will write. Locked.
+  void fetch_ready() const noexcept {
     if (!ready_.empty()) fetch(ready_.back());
   }
   /// Fetches the cache lines that a loan of this block will write. Does nothing where there is no

@@ -586,12 +586,21 @@ class Pusher final : public RingPusher, private Evictor {
     if (!published.wake) {
       if (!pool_.has_free() && is_batch(pool_.retired())) scan();
       pool_.prepare();
-      if (!guarded) pool_.prefetch(writer_->upcoming(kPrefetchAhead));  // in a lossless stream
+      if (guarded || !fetch_ahead()) pool_.fetch_ready();
     }
     const bool is_short_of_blocks = will_need_next_;
     if (pool_.has_foreign()) release_foreign(lock);
     if (is_short_of_blocks) [[unlikely]]
       ask_for_next(lock);
+  }
+
+  /// In a lossless stream: fetches the block that will be replaced some publishes from now. True
+  /// when this was done for the block that has been replaced now, which is loaned next. A hint.
+  bool fetch_ahead() noexcept {
+    const ring::Word b = writer_->upcoming(kPrefetchAhead);
+    fetched_ = fetched_ << 1 | static_cast<std::uint32_t>(b != kNoBlock);
+    if (b != kNoBlock) pool_.prefetch(b);
+    return (fetched_ >> (kPrefetchAhead + 1) & 1) != 0;
   }
 
   /// Notes when the message is pushed, for readers of this ring that ask. Killed in between, the
@@ -630,6 +639,7 @@ class Pusher final : public RingPusher, private Evictor {
   /// Wakes without the lock, since the thread that is woken may want it, on this core.
   [[gnu::noinline]] void wake_unlocked(std::unique_lock<BiasedLock>& lock,
                                        const std::atomic<ring::Word>& slot) {
+    fetched_ = 0;  // this publish fetches nothing ahead
     ++owed_;
     lock.unlock();
     wake_readers(slot);
@@ -1003,6 +1013,7 @@ class Pusher final : public RingPusher, private Evictor {
   bool will_need_next_ = false;      ///< it has claimed a block since it last told Ahead
   std::vector<std::uint32_t> seen_;  ///< by block: the last scan that saw it in a hazard
   std::uint32_t scan_ = 0;
+  std::uint32_t fetched_ = 0;     ///< by publish, the last one in bit 0: fetch_ahead() had a block
   std::uint32_t read_slots_ = 0;  ///< Writer::read_slots() when the ring was last weighed
   std::size_t room_ahead_ = 0;
   std::size_t owed_ = 0;  ///< threads that have published and wake readers before they retire
