@@ -35,16 +35,20 @@ class AnyPuller;
 ///     set.add_timer(100ms, [&] { report(); });
 ///     set.run();                            // until another thread, or a signal, calls stop()
 ///
-/// It sleeps on the queues of all its pullers at once (futex_waitv; of more than 128 queues, some
-/// threads of its own help). A handler that leaves messages unread is called again.
+/// It sleeps on the queues of all its pullers at once. However many they are, a wake-up costs the
+/// same: it learns which queues have news (docs/ear.md). A handler that leaves messages unread is
+/// called again.
 ///
 /// Threads: stop() at any time, also in a signal handler; all others by the thread that runs.
 ///          Handlers run in it, and may add, remove and stop, but not run.
 /// Errors:  what a handler throws leaves run() and run_once(), which can be called again. So does
 ///          lot::Error (ECHILD, ESTALE) of a puller. lot::Error (EINVAL) for an empty handler and
 ///          for a period of nothing. std::bad_alloc.
-/// Memory:  private: an entry for each puller and timer.
-/// Crash:   nothing of it is in the segment.
+/// Memory:  private: an entry for each puller and timer. A set of more than 8 queues has an ear in
+///          the segment of its pullers, and keeps the segment until it has removed the last of them
+///          or is destroyed; all sets of a segment have 192. One without an ear sleeps on 128 queues
+///          at most (futex_waitv), and threads of its own help with the rest.
+/// Crash:   an ear is freed by the reaper.
 class WaitSet {
  public:
   /// What is called when there is something to do.

@@ -34,6 +34,7 @@
 ///   R4  roster bump, then slot loads in Reader::join (seq_cst)
 ///       <-> slot exchange, then roster load in Writer::hazards / roster load before the exchange
 ///       in Writer::room (seq_cst): a joiner is on the writer's list, or starts behind the message.
+///   H1  see lockfree_ring/ear.hpp
 ///   R5  clear_sleeper() (release)          -> sleeper's look at the slot (acquire)
 ///       carries: what was stored before the clearing: the writer word ORPHAN, the directory's new
 ///       version, or `returned`.
@@ -85,7 +86,8 @@ bool clear_sleeper(Slot& slot) {
     // A read-modify-write even where no mark stands: edge R5 depends on it.
     const bool marked = (seen & kSleeper) != 0;
     if (slot.compare_exchange_weak(seen, marked ? next_round(seen) : seen,
-                                   std::memory_order_release, std::memory_order_relaxed)) {  // R5
+                                   std::memory_order_seq_cst,
+                                   std::memory_order_relaxed)) {  // R5, H1
       return marked;
     }
   }
@@ -119,6 +121,7 @@ struct Ring {
   /// [readers] Memory that the ring's maker has asked for, for each reader some. The ring itself
   /// never looks there. Null: there is none.
   void* extra = nullptr;
+  std::uint32_t channel = 0;  ///< by which ears know it (ear.hpp)
 
   /// True where messages travel in the slots themselves (slots.hpp).
   bool in_slots() const { return slots.have_messages(); }
@@ -349,7 +352,8 @@ class Writer {
   /// Inlined: its three results then need no memory, which costs as much as its own steps.
   [[gnu::always_inline]] Published publish(Word block) {
     auto& slot = ring_.slots[index_];
-    const Word old = slot.exchange(make(next_, block), std::memory_order_seq_cst);  // R1, R2, R4
+    // R1, R2, R4, H1
+    const Word old = slot.exchange(make(next_, block), std::memory_order_seq_cst);
     Published published{ring::block(old), (old & kSleeper) != 0, &slot};
     if (ring_.arrived != nullptr) published.wake = RobustCondition(*ring_.arrived).changed();
     if (!put_.empty()) {
@@ -974,7 +978,7 @@ class Reader {
   /// The same. `stood`: the mark was there. Of all readers that sleep on one word, one has left it.
   std::optional<Word> mark_sleeping(bool& stood) {
     auto& slot = ring_.slots[index_];
-    Word seen = slot.load(std::memory_order_acquire);  // R5: the mark may be another reader's
+    Word seen = slot.load(std::memory_order_seq_cst);  // R5, H1: the mark may be another reader's
     if (distance(sequence(seen), cursor_) >= 0) return std::nullopt;
     stood = (seen & kSleeper) != 0;
     if (!stood) {

@@ -99,30 +99,32 @@ Rest prepare_to_sleep(Sources& sources, const Directory& directory, std::uint32_
   return now == version ? Rest::Sleep : Rest::Doze;
 }
 
-/// Wakes the readers that sleep on a ring, so that they look again.
+/// Wakes the readers that sleep on a ring, so that they look again. ring_ears(channel) rings the
+/// ears that listen to the ring (ear.hpp).
 ///
 /// Crash: killed after it has taken a mark away and before the wake, it leaves a reader asleep
 /// without a mark.
-template <class Ring, class Wake>
-void wake_sleepers(Ring& ring, Wake&& wake) {
+template <class Ring, class Wake, class RingEars>
+void wake_sleepers(Ring& ring, Wake&& wake, RingEars&& ring_ears) {
   if (ring.arrived != nullptr) {
     ring.clear_sleepers();
     wake(*ring.arrived);
-    return;
+  } else {
+    for (std::uint32_t i = 0; i < ring.places(); ++i) {
+      if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);
+    }
   }
-  for (std::uint32_t i = 0; i < ring.places(); ++i) {
-    if (clear_sleeper(ring.slots[i])) wake(ring.slots[i]);
-  }
+  ring_ears(ring.channel);
 }
 
 /// Says that there is a new ring, and wakes the readers that may want it. A reader without a ring
 /// sleeps on the directory's version. The other readers sleep in the other rings of the topic.
 ///
 /// Crash: as wake_sleepers(). The reaper wakes all sleepers of all rings.
-template <class Directory, class Rings, class Wake>
-void announce(Directory& directory, Rings&& rings, Wake&& wake) {
+template <class Directory, class Rings, class Wake, class RingEars>
+void announce(Directory& directory, Rings&& rings, Wake&& wake, RingEars&& ring_ears) {
   directory.bump();
-  for (auto&& ring : rings) wake_sleepers(ring, wake);
+  for (auto&& ring : rings) wake_sleepers(ring, wake, ring_ears);
   wake(directory.word());
 }
 

@@ -32,9 +32,10 @@
 ///   recycle_ring(c)              -> releases the ring's memory and names
 ///   release_extents(dead)        -> releases the memory of the blocks named in vector<bool> dead
 ///   unsubscribe(k)               -> participant k has no pullers any more (R13)
-///   forget(k)                    -> clears what else names participant k (users of topics)
+///   forget(k)                    -> clears what else names participant k (users of topics, ears)
 ///   renew_directory()            -> makes readers look for rings of their topics again
 ///   wake(word)                   -> wakes all threads that sleep on the word
+///   ring_ears(c)                 -> rings all ears that listen to channel c, and wakes them
 namespace lot::recovery {
 
 template <class P, class World>
@@ -100,6 +101,7 @@ class Recovery {
   void wake_readers(ring::Ring<P>& r) {
     r.clear_sleepers();
     r.wake_sleepers([this](auto& word) { world_.wake(word); });
+    world_.ring_ears(r.channel);
   }
 
   /// Frees what no participant needs any more: rings without readers, adopted blocks that no orphan

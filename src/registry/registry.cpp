@@ -470,17 +470,19 @@ void Registry::announce(std::uint32_t topic) noexcept {
     const auto w = channels[c].writer.load(std::memory_order_acquire);  // R7
     return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic;
   };
-  ring::announce(segment_.directory().version,
-                 std::views::iota(std::uint32_t{0}, static_cast<std::uint32_t>(channels.size())) |
-                     std::views::filter(is_of_topic) |
-                     std::views::transform([this](std::uint32_t c) { return segment_.ring(c); }),
-                 [](const auto& word) {
-                   if constexpr (sizeof(word) == sizeof(ring::Word)) {
-                     futex::wake_all(futex::low_half(word));
-                   } else {
-                     futex::wake_all(&word);
-                   }
-                 });
+  ring::announce(
+      segment_.directory().version,
+      std::views::iota(std::uint32_t{0}, static_cast<std::uint32_t>(channels.size())) |
+          std::views::filter(is_of_topic) |
+          std::views::transform([this](std::uint32_t c) { return segment_.ring(c); }),
+      [](const auto& word) {
+        if constexpr (sizeof(word) == sizeof(ring::Word)) {
+          futex::wake_all(futex::low_half(word));
+        } else {
+          futex::wake_all(&word);
+        }
+      },
+      [this](std::uint32_t c) { segment_.ring_ears(c); });
 }
 
 }  // namespace lot::registry

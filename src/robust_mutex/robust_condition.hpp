@@ -32,6 +32,7 @@ namespace lot {
 /// Edges
 ///   Q1  renew() (release) -> announce() (acquire)
 ///       carries: what the caller of renew() stored before, without the mutex.
+///   H1  see lockfree_ring/ear.hpp
 template <class Word = std::atomic<std::uint32_t>>
 class RobustCondition {
  public:
@@ -44,7 +45,7 @@ class RobustCondition {
   }
   /// The same. `stood`: another waiter had said so before, on the same value.
   std::uint32_t announce(bool& stood) {
-    const std::uint32_t seen = word_.fetch_or(kWaits, std::memory_order_acquire);  // Q1
+    const std::uint32_t seen = word_.fetch_or(kWaits, std::memory_order_seq_cst);  // Q1, H1
     stood = (seen & kWaits) != 0;
     return seen | kWaits;
   }
@@ -69,7 +70,7 @@ class RobustCondition {
   /// waiters. The caller then wakes all, whatever the mark says. With the mutex or without it.
   void renew() {
     // Adds 2, so that the mark stays: only a caller with the mutex may take it away.
-    word_.fetch_add(2 * kWaits, std::memory_order_release);  // Q1
+    word_.fetch_add(2 * kWaits, std::memory_order_seq_cst);  // Q1, H1
   }
 
  private:

@@ -10,6 +10,7 @@
 #include "lot/detail/changed_by.hpp"
 #include "lot/detail/control.hpp"
 
+#include "lockfree_ring/ear.hpp"
 #include "lockfree_ring/ring.hpp"
 #include "lockfree_ring/sleep.hpp"
 #include "lockfree_ring/writer_word.hpp"
@@ -46,13 +47,20 @@ using Atomics = detail::HardwareAtomics;
 using BlockWords = refcount::BlockWords<Atomics>;
 using Ring = ring::Ring<Atomics>;
 using Cell = ring::Cell<Atomics>;
+using Listeners = ring::Listeners<Atomics>;
+using EarWords = ring::EarWords<Atomics>;
+using Ear = ring::Ear<Atomics>;
 
 inline constexpr char kMagic[8] = {'L', 'O', 'T', 'S', 'H', 'M', '\r', '\n'};
-inline constexpr std::uint32_t kLayoutVersion = 17;
+inline constexpr std::uint32_t kLayoutVersion = 18;
 
 inline constexpr std::uint32_t kMaxParticipants = 320;  // index 0, the orphanage, included
 static_assert(kMaxParticipants <= Atomics::kOwnWords * Atomics::kBitsPerWord);
 static_assert(kMaxParticipants <= ring::kWorkerMask);
+/// The first ears (docs/ear.md) are those of the participants, by index; wait sets claim the
+/// others.
+inline constexpr std::uint32_t kFirstFreeEar = kMaxParticipants;
+static_assert(kFirstFreeEar < ring::kEars);
 inline constexpr std::uint64_t kGranule = 4096;  ///< unit of message memory
 /// Payload that every block has without an extent.
 inline constexpr std::uint64_t kSmallBytes = detail::Mapping::kSmallBytes;
@@ -91,7 +99,7 @@ struct Capacity {
 /// Offsets of the tables. Each process computes the same ones from the capacity.
 struct Geometry {
   std::uint64_t participants, witnesses, directory, topics, channels, blocks, arenas, small, tags,
-      units, sightings, replies, descriptions, data;
+      units, sightings, replies, descriptions, listeners, ears, news, data;
   std::uint64_t granules;  ///< in the data area
   static Geometry of(const Capacity& capacity);
 };
@@ -286,5 +294,11 @@ inline constexpr std::uint32_t kRingTag = std::uint32_t{1} << 31;
 static_assert(sizeof(detail::Arena) == kSmallBytes);  // Mapping::small_of()
 static_assert(sizeof(BlockWords) == 64);
 static_assert(sizeof(Cell) == 64);
+static_assert(sizeof(Listeners) == 64 && sizeof(EarWords) == 64);
+/// Bytes of the news of one ear, a bit for each channel, in whole lines.
+constexpr std::uint64_t news_bytes(std::uint32_t channels) {
+  return (Ear::news_words(channels) * sizeof(ring::Word) + 63) / 64 * 64;
+}
+static_assert(news_bytes(2048) == 256);
 
 }  // namespace lot::segment

@@ -20,6 +20,7 @@
 #include "lot/error.hpp"
 #include "lot/options.hpp"
 
+#include "futex/futex.hpp"
 #include "segment/descriptors.hpp"
 #include "segment/system_limits.hpp"
 
@@ -404,6 +405,9 @@ Geometry Geometry::of(const Capacity& c) {
   table(g.sightings, c.participants * sizeof(Sightings));
   table(g.replies, c.topics * sizeof(Replies));
   table(g.descriptions, kDescriptionsBytes);
+  table(g.listeners, c.channels * sizeof(Listeners));
+  table(g.ears, ring::kEars * sizeof(EarWords));
+  table(g.news, ring::kEars * news_bytes(c.channels));
   at = round_up(at, kGranule);  // payload begins on a page of its own
   table(g.small, c.blocks * kSmallBytes);
   g.data = round_up(at, kGranule);
@@ -548,6 +552,39 @@ std::span<ChannelEntry> Segment::channels() const noexcept {
   return {at<ChannelEntry>(geometry_.channels), capacity_.channels};
 }
 
+std::span<Listeners> Segment::listeners() const noexcept {
+  return {at<Listeners>(geometry_.listeners), capacity_.channels};
+}
+Ear Segment::ear(std::uint32_t e) const noexcept {
+  return {at<EarWords>(geometry_.ears) + e,
+          at<std::atomic<ring::Word>>(geometry_.news + e * news_bytes(capacity_.channels))};
+}
+
+void Segment::ring_ears(std::uint32_t channel) const noexcept {
+  ring_ears(channel, [](const void* bell, bool is_asleep) {
+    if (is_asleep) futex::wake_all(bell);
+  });
+}
+
+std::optional<std::uint32_t> Segment::claim_ear(std::uint32_t participant) const noexcept {
+  for (std::uint32_t e = kFirstFreeEar; e < ring::kEars; ++e) {
+    if (ear(e).words->owner.claim(participant)) return e;
+  }
+  return std::nullopt;
+}
+
+void Segment::free_ear(std::uint32_t e) const noexcept {
+  for (Listeners& of_channel : listeners()) of_channel.remove(e);
+  if (e >= kFirstFreeEar) ear(e).words->owner.free();
+}
+
+void Segment::free_ears(std::uint32_t participant) const noexcept {
+  free_ear(participant);
+  for (std::uint32_t e = kFirstFreeEar; e < ring::kEars; ++e) {
+    if (ear(e).words->owner.is(participant)) free_ear(e);
+  }
+}
+
 namespace {
 constexpr std::uint64_t claim_bytes(std::uint32_t depth) { return round_up(depth * 8ULL, 64); }
 /// From the begin of a ring's memory to its slots. That memory begins with a granule.
@@ -584,6 +621,7 @@ Ring Segment::ring(std::uint32_t channel) const noexcept {
   if (entry.formed.load(std::memory_order_seq_cst) != 0) return unformed_ring(channel);
   Ring ring;
   ring.writer = &entry.writer;
+  ring.channel = channel;
   return ring;
 }
 
@@ -591,6 +629,7 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   ChannelEntry& entry = channels()[channel];
   Ring ring;
   ring.writer = &entry.writer;
+  ring.channel = channel;
   // Reads each field once: a process that changes it meanwhile cannot get past the checks.
   const std::uint32_t depth = detail::read_once(entry.depth);
   const std::uint32_t readers = detail::read_once(entry.readers);

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -97,6 +98,30 @@ class Segment {
   /// The table of descriptions, in words of 8 bytes.
   std::span<std::uint64_t> descriptions() const noexcept;
   std::span<ChannelEntry> channels() const noexcept;
+  std::span<Listeners> listeners() const noexcept;  ///< by channel
+  /// REQUIRES: e < ring::kEars.
+  Ear ear(std::uint32_t e) const noexcept;
+  /// Tells the ears that listen to a ring that it has news, and calls wake(bell, is_asleep) for
+  /// each. The caller has changed the word in which the listeners have left their marks.
+  template <class Wake>
+  void ring_ears(std::uint32_t channel, Wake&& wake) const noexcept {
+    if (channel >= capacity_.channels) return;
+    listeners()[channel].each([&](std::uint32_t e) {
+      Ear told = ear(e);
+      const bool is_asleep = told.tell(channel);
+      wake(&told.words->bell.word(), is_asleep);
+    });
+  }
+  /// The same, and wakes those that are asleep.
+  void ring_ears(std::uint32_t channel) const noexcept;
+  /// Takes an ear for a wait set. None: there is no free one.
+  std::optional<std::uint32_t> claim_ear(std::uint32_t participant) const noexcept;
+  /// The ear listens to no ring any more, and no participant owns it.
+  void free_ear(std::uint32_t e) const noexcept;
+  /// The same of all ears of the participant. REQUIRES: it is dead, or is the caller, which leaves.
+  ///
+  /// Crash: may be repeated.
+  void free_ears(std::uint32_t participant) const noexcept;
   std::span<BlockWords> blocks() const noexcept { return {blocks_, capacity_.blocks}; }
   BlockWords& block(std::uint32_t b) const noexcept { return blocks_[b]; }
   detail::Arena& arena(std::uint32_t b) const noexcept { return arenas_[b]; }

@@ -141,6 +141,7 @@ void Participant::handle_gone(Participant* p) noexcept {
   p->lifetime_.enter();
   p->ahead_.stop();  // the block that it is making is a hold of this process
   p->rouser_.stop();
+  p->descriptors_.stop();
   // Closing is finished here: when the warden brings the last block home, no thread checks whether
   // the participant may leave. The wait is bounded, since a process that acts for the orphanage may
   // be stopped.

@@ -30,6 +30,8 @@
 #include "transport/warden.hpp"
 #include "transport/warden_thread.hpp"
 #include "transport/world.hpp"
+#include "waiting/ear.hpp"
+#include "waiting/notifier.hpp"
 
 namespace lot::transport {
 
@@ -37,13 +39,13 @@ namespace lot::transport {
 /// for as long as a handle or a pointer needs them. Engines, pushers and pullers share it.
 ///
 /// It runs two threads. The witness thread does nothing but end with the process
-/// (liveness/death_notice.hpp). The other one is the Warden's. Ahead and the Rouser each start one
-/// when they first need it.
+/// (liveness/death_notice.hpp). The other one is the Warden's. Ahead, the Rouser and Descriptors
+/// each start one when they first need it.
 ///
 /// Threads: all members may be called at once.
 /// Crash:   what a participant leaves is found by its index and repaired by a reaper
 ///          (Recovery::reap()).
-class Participant final : private Lifetime::Owner {
+class Participant final : private Lifetime::Owner, public waiting::EarOwner {
  public:
   /// Joins the segment that the options name, or the environment. Where there is none, it is made;
   /// or ENOENT is thrown: then the caller is a visitor, whose options come before the environment.
@@ -87,6 +89,7 @@ class Participant final : private Lifetime::Owner {
   Holder& holder() noexcept { return holder_; }
   Ahead& ahead() noexcept { return ahead_; }
   Rouser& rouser() noexcept { return rouser_; }
+  waiting::Descriptors& descriptors() noexcept { return descriptors_; }
   Eviction& eviction() noexcept { return eviction_; }
   Stock& stock() noexcept { return stock_; }
   Reaper& reaper() noexcept { return reaper_; }
@@ -108,7 +111,11 @@ class Participant final : private Lifetime::Owner {
  private:
   Participant(const EngineOptions& options, const segment::Trust& trust,
               std::shared_ptr<liveness::LockFile> lock_file);
-  ~Participant() = default;
+  ~Participant() override = default;
+
+  segment::Segment& ear_segment() noexcept override { return membership_.segment(); }
+  std::uint32_t ear_index() const noexcept override { return index(); }
+  bool has_lost_ears() const noexcept override { return inert(); }
 
   static std::shared_ptr<Participant> joined(const EngineOptions& options, const std::string& path,
                                              const segment::Trust& trust);
@@ -137,6 +144,7 @@ class Participant final : private Lifetime::Owner {
   WardenThread warden_thread_;
   Ahead ahead_;
   Rouser rouser_;
+  waiting::Descriptors descriptors_{*this};
   Eviction eviction_;
   Stock stock_;
   Reaper reaper_;

@@ -197,13 +197,14 @@ class Puller final : public RingPuller {
     if (!again) return false;
     leave(s->reader);
     s->reader = *again;
+    participant_->segment().ring_ears(name.channel);  // its marks are not where it goes on
     return true;
   }
 
   int fd() override {
     participant_->check_usable();
     if (!notifier_) {
-      notifier_ = std::make_unique<waiting::Notifier>();
+      notifier_ = std::make_unique<waiting::Notifier>(participant_->descriptors());
       notifier_->watch(*this);
     }
     return notifier_->fd();
@@ -222,16 +223,19 @@ class Puller final : public RingPuller {
     // The caller looks first: it may have kept messages of a ring that has ended just now.
     if (watcher_ != nullptr && sources_.size() != rings) return std::nullopt;
     if (is_forsaken() || is_over()) return std::nullopt;  // the next look tells it
-    const ring::Rest rest = ring::prepare_to_sleep(
-        sources_, directory_, version_, [&waits](const auto& word, auto value, bool stood) {
-          waits.push_back_marked(futex_of(word), static_cast<std::uint32_t>(value), stood);
-        });
+    const ring::Rest rest = waits.hearer() != nullptr ? arm_by(*waits.hearer()) : arm_words(waits);
     if (rest == ring::Rest::Look) return std::nullopt;
     // Doze: another process keeps the registry's lock for a short time, else the new rings would
     // have been found. Sleep: the low half of a slot repeats after 1024 messages, so a sleeper that
     // was delayed for exactly 1024 messages can miss its wake-up. It looks again after
     // kLongestSleep.
     return futex::Clock::now() + (rest == ring::Rest::Sleep ? kLongestSleep : kBusyRegistry);
+  }
+
+  std::shared_ptr<waiting::EarOwner> ear_owner() noexcept override { return participant_; }
+
+  void ring_own_ears() noexcept override {
+    for (const Source& s : sources_) participant_->segment().ring_ears(s.name.channel);
   }
 
   std::size_t publishers() override {
@@ -616,6 +620,22 @@ class Puller final : public RingPuller {
     return limit.is_stopped() ? Status::Stopped : Status::HoldsTooMuch;
   }
 
+  ring::Rest arm_words(detail::FutexWaits& waits) {
+    return ring::prepare_to_sleep(
+        sources_, directory_, version_, [&waits](const auto& word, auto value, bool stood) {
+          waits.push_back_marked(futex_of(word), static_cast<std::uint32_t>(value), stood);
+        });
+  }
+  ring::Rest arm_by(detail::Hearer& hearer) {
+    for (const Source& s : sources_) hearer.listen(s.name.channel);  // before the marks: H1
+    return ring::prepare_to_sleep(sources_, directory_, version_,
+                                  [&](const auto& word, auto value, bool /*stood*/) {
+                                    if (futex_of(word) == &directory_.word()) {
+                                      hearer.watch_directory(static_cast<std::uint32_t>(value));
+                                    }
+                                  });
+  }
+
   /// Leaves the marks for whatever this puller waits for. Nothing: look at once.
   [[gnu::hot]] std::optional<waiting::Sleep<detail::FutexWaits&>> prepare_to_sleep() {
     waits_.clear();
@@ -688,8 +708,10 @@ class Puller final : public RingPuller {
     Puller& puller_;
   };
 
-  static void wake_sleepers(segment::Ring& ring) noexcept {
-    ring::wake_sleepers(ring, [](const auto& word) { futex::wake_all(futex_of(word)); });
+  void wake_sleepers(segment::Ring& ring) noexcept {
+    ring::wake_sleepers(
+        ring, [](const auto& word) { futex::wake_all(futex_of(word)); },
+        [this](std::uint32_t channel) { participant_->segment().ring_ears(channel); });
   }
 
   static const void* futex_of(const std::atomic<ring::Word>& word) { return futex::low_half(word); }

@@ -647,6 +647,11 @@ class Pusher final : public RingPusher, private Evictor {
     --owed_;
   }
   [[gnu::noinline]] void wake_readers(const std::atomic<ring::Word>& slot) const {
+    int woken = 0;
+    participant_->segment().ring_ears(name_.channel, [&](const void* bell, bool is_asleep) {
+      if (!is_asleep) return;
+      ++woken <= futex::kWakes ? futex::wake_all(bell) : participant_->rouser().rouse(bell);
+    });
     const std::atomic<std::uint32_t>* arrived = writer_->ring().arrived;
     const void* const word = arrived != nullptr ? arrived : futex::low_half(slot);
     if (futex::wake(word, futex::kWakes) == futex::kWakes) participant_->rouser().rouse(word);

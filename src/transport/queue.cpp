@@ -123,7 +123,7 @@ class Queue final : public detail::QueueCore {
     participant_->check_usable();  // before the lock: a forked child may have inherited it locked
     const std::lock_guard guard(mutex_);
     if (!notifier_) {
-      notifier_ = std::make_unique<waiting::Notifier>();
+      notifier_ = std::make_unique<waiting::Notifier>(participant_->descriptors());
       notifier_->watch(held_);
     }
     return notifier_->fd();
@@ -137,6 +137,7 @@ class Queue final : public detail::QueueCore {
     const std::lock_guard guard(mutex_);
     return arm_held(waits);
   }
+  std::shared_ptr<waiting::EarOwner> ear_owner() noexcept override { return participant_; }
 
  private:
   /// Keeps room in returned_ for the item of one pop, from before the pop looks until its item is
@@ -250,6 +251,8 @@ class Queue final : public detail::QueueCore {
       detail::FutexWaits waits;
       puller().arm(waits);
       for (const auto& wait : waits) futex::wake_all(wait.word);
+      puller().ring_own_ears();
+      if (notifier_) notifier_->ring_now();
     } catch (const std::exception&) {  // no memory: they look by themselves after a second
     }
   }

@@ -62,6 +62,7 @@ void World::forget(std::uint32_t k) noexcept {
   // The dead participant may have had this lock. Freed here, it keeps no process waiting.
   if (registry_.try_lock()) registry_.unlock();
   registry_.forget(k);
+  segment_.free_ears(k);
   segment_.directory().adoptions.fetch_add(1, std::memory_order_release);  // D3
 }
 

@@ -52,6 +52,10 @@ class World {
   void forget(std::uint32_t k) noexcept;
   void wake(std::atomic<ring::Word>& word) noexcept { futex::wake_all(futex::low_half(word)); }
   void wake(std::atomic<std::uint32_t>& word) noexcept { futex::wake_all(&word); }
+  /// Unconditionally: a dead process may have rung them, and not have woken them.
+  void ring_ears(std::uint32_t c) noexcept {
+    segment_.ring_ears(c, [](const void* bell, bool) { futex::wake_all(bell); });
+  }
 
   std::uint32_t used_channels() noexcept;
   bool has_orphan_rings() noexcept;

@@ -20,6 +20,9 @@
 namespace lot::transport {
 class Participant;
 }
+namespace lot::waiting {
+class EarOwner;
+}
 
 /// The untyped halves of engine, pusher and puller. They live in the library. The typed halves are
 /// thin templates in the public headers.
@@ -145,9 +148,11 @@ class Waitable {
   virtual ~Waitable() = default;
   /// True when a look may find something. Costs a load for each publisher.
   virtual bool ready() = 0;
-  /// Appends the futex words to sleep on until something comes. Returns when to look again in any
-  /// case, or nothing when the caller should look now.
+  /// Appends the futex words to sleep on until something comes, or has the words' hearer listen for
+  /// that. Returns when to look again in any case, or nothing when the caller should look now.
   virtual std::optional<Clock::time_point> arm(FutexWaits& waits) = 0;
+  /// Whose ears hear for it, in its segment. Null: none do.
+  virtual std::shared_ptr<waiting::EarOwner> ear_owner() noexcept { return nullptr; }
 };
 
 class PullerCore : public Waitable {
@@ -175,6 +180,8 @@ class PullerCore : public Waitable {
   virtual void finish(const Claim& claim) noexcept = 0;
   virtual void give_back(const Claim& claim) noexcept = 0;
   virtual std::size_t publishers() = 0;
+  /// Rings the ears that listen to its rings: for what changes no word of them.
+  virtual void ring_own_ears() noexcept = 0;
   /// How many messages the reader can read now.
   virtual std::size_t size() = 0;
   /// A descriptor that becomes readable when a message may have come. It stays so until a look

@@ -18,6 +18,19 @@ struct FutexWait {
   bool is_shared = false;
 };
 
+/// Hears of many rings by one word (docs/ear.md). What is armed by it needs no words of its own.
+class Hearer {
+ public:
+  /// Hears of the ring of this channel from now on. Called before the mark is left there. Throws
+  /// std::bad_alloc.
+  virtual void listen(std::uint32_t channel) = 0;
+  /// Hears once the directory has another version than this. Throws std::bad_alloc.
+  virtual void watch_directory(std::uint32_t version) = 0;
+
+ protected:
+  ~Hearer() = default;
+};
+
 /// The words that one sleeper sleeps on. It remembers what it slept on last, so that it knows its
 /// own marks.
 class FutexWaits {
@@ -55,6 +68,10 @@ class FutexWaits {
     push_back({word, value, found && !is_own});
   }
 
+  /// By what the next one is armed. Null: it adds its words.
+  Hearer* hearer() const noexcept { return hearer_; }
+  void hear_by(Hearer* hearer) noexcept { hearer_ = hearer; }
+
   std::size_t size() const noexcept { return size_; }
   bool empty() const noexcept { return size_ == 0; }
   const FutexWait* begin() const noexcept { return waits_.data(); }
@@ -65,6 +82,7 @@ class FutexWaits {
  private:
   std::vector<FutexWait> waits_;  ///< behind size_: of an earlier sleep
   std::size_t size_ = 0;
+  Hearer* hearer_ = nullptr;
 };
 
 }  // namespace lot::detail

@@ -57,7 +57,7 @@ const NamedPlant kPlants[] = {
     {"floor-relaxed",  // R15: the writer looks for joiners before they can see the floor
      {"ring.hpp", 0, 0, "::raise_floor", Operation::Store, kSeqCst, {.order = kRelaxed}}},
     {"marks-not-cleared",  // R5: a late sleeper does not see the end
-     {"ring.hpp", 0, 0, "clear_sleeper(", Operation::CompareExchange, kRelease, {.drop = true}}},
+     {"ring.hpp", 0, 0, "clear_sleeper(", Operation::CompareExchange, kSeqCst, {.drop = true}}},
 };
 
 const std::pair<const char*, bool Omissions::*> kOmissions[] = {

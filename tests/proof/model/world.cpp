@@ -36,6 +36,8 @@ Segment::Segment(const Shape& s)
     : shape(s),
       states(kParticipants),
       blocks(s.blocks),
+      listeners(s.channels),
+      news(1),
       pullers(kParticipants),
       payloads(s.blocks),
       references(s.blocks),
@@ -318,7 +320,8 @@ ring::Ring<Policy> Process::unformed_ring(std::uint32_t c) {
           segment_->shape.locked ? &channel.arrived : nullptr,
           segment_->shape.finished ? channel.claims.data() : nullptr,
           segment_->shape.finished ? &channel.returned : nullptr,
-          channel.bounds.data()};
+          channel.bounds.data(),
+          c};
 }
 
 void Process::close_ring(std::uint32_t c) {
@@ -335,7 +338,8 @@ void Process::close_ring(std::uint32_t c) {
 
 void Process::wake_sleepers(std::uint32_t c) {
   ring::Ring<Policy> r = ring(c);
-  ring::wake_sleepers(r, [](const auto& word) { word.wake_all(); });
+  ring::wake_sleepers(
+      r, [](const auto& word) { word.wake_all(); }, [this](std::uint32_t of) { ring_ears(of); });
 }
 
 bool Process::ring_closed(std::uint32_t c) {
@@ -422,7 +426,9 @@ void Publisher::announce() {
     const Word writer = process_->channel_writer(c).load(std::memory_order_acquire);
     if (ring::writer_state(writer) == ring::State::Live) rings.push_back(process_->ring(c));
   }
-  ring::announce(process_->segment().version, rings, [](const auto& word) { word.wake_all(); });
+  ring::announce(
+      process_->segment().version, rings, [](const auto& word) { word.wake_all(); },
+      [this](std::uint32_t c) { process_->ring_ears(c); });
 }
 
 bool Publisher::send() {
@@ -545,6 +551,9 @@ void Publisher::tell(const ring::Writer<Policy>::Published& published, Turn& tur
   turn.unlock();
   ++sent_;
   if (published.wake && !garden.omitted.wake_readers) {
+    process_->tell_ears(writer_.ring().channel, [](const auto& bell, bool is_asleep) {
+      if (is_asleep) bell.wake_all();
+    });
     // What the rouser does comes next here: how the two run side by side is the business of Spin.
     const auto rouse = [](const auto& word) {
       if (word.wake(futex::kWakes) == futex::kWakes) word.wake_all();
@@ -665,16 +674,14 @@ void Subscriber::ring_for_room() {
 }
 
 void Subscriber::sleep(std::uint32_t version) {
-  struct Source {
-    ring::Reader<Policy>& reader;
-    Process& process;
-    std::uint32_t channel;
-    struct Turn : model::Turn {
-      explicit Turn(const Source& s) : model::Turn(s.process, s.channel) {}
-    };
-  };
   std::array<Source, 1> only{{{reader_, *process_, channel_}}};
   sleep_on(only, process_->segment(), version);
+}
+
+bool Subscriber::leave_mark() {
+  std::array<Source, 1> only{{{reader_, *process_, channel_}}};
+  return ring::prepare_to_sleep(only, process_->segment().version, 0,
+                                [](const auto&, auto, bool) {}) == ring::Rest::Sleep;
 }
 
 bool Subscriber::receive() {

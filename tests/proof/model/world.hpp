@@ -3,6 +3,7 @@
 
 #include <atomic>  // the headers under test name memory orders and include no atomics of their own
 
+#include "lockfree_ring/ear.hpp"
 #include "lockfree_ring/sleep.hpp"
 #include "policy.hpp"
 #include "recovery/recovery.hpp"
@@ -10,6 +11,10 @@
 #include "robust_mutex/lock_word.hpp"
 #include "selection/bounds.hpp"
 #include "support/raw.hpp"
+
+/// One word of ears is enough here, and keeps the search small.
+template <>
+inline constexpr std::uint32_t lot::ring::kEarWords<lot::model::Policy> = 1;
 
 /// A small world around the headers under test: a segment, processes in it, and what the transport
 /// does with them (pool, publisher, subscriber), reduced to its atomic steps.
@@ -40,6 +45,7 @@ struct Shape {
   bool locked = false;    ///< the mutex engine
   bool finished = false;  ///< what is taken stays in its slot until it is finished
   bool in_slots = false;  ///< messages travel in the slots themselves
+  bool has_ear = false;   ///< there is a sleeper that listens to all rings (ear.hpp)
   /// Words of a slot.
   std::size_t slot_words() const { return in_slots ? 8 : 1; }
 };
@@ -119,6 +125,11 @@ class Segment {
   std::deque<Channel> channels;
   /// The directory's.
   ring::DirectoryVersion<Policy> version;
+  /// The ears that listen to a channel, and the words of ear 0.
+  std::vector<ring::Listeners<Policy>> listeners;
+  ring::EarWords<Policy> ear_words;
+  std::vector<Atomic<Word>> news;
+  ring::Ear<Policy> ear() { return {&ear_words, news.data()}; }
   /// By participant, of the one topic.
   std::vector<Atomic<std::uint32_t>> pullers;
   /// The message of a block: its number. Any access that the protocol does not order is a race.
@@ -249,6 +260,19 @@ class Process {
   void wake(Atomic<T>& word) {
     word.wake_all();
   }
+  /// Unconditionally, as it is for a reaper.
+  void ring_ears(std::uint32_t c) {
+    tell_ears(c, [](const auto& bell, bool) { bell.wake_all(); });
+  }
+  /// Calls wake(bell, is_asleep) for each ear that listens to the channel.
+  template <class Wake>
+  void tell_ears(std::uint32_t c, Wake&& wake) {
+    if (!segment_->shape.has_ear) return;
+    segment_->listeners[c].each([&](std::uint32_t) {
+      const bool is_asleep = segment_->ear().tell(c);
+      wake(segment_->ear_words.bell.word(), is_asleep);
+    });
+  }
 
  private:
   using Recovery = recovery::Recovery<Policy, Process>;
@@ -359,6 +383,8 @@ class Subscriber {
   const ring::Reader<Policy>& reader() const { return reader_; }
   /// Sleeps until there may be something to look at; it knows of the directory's `version`.
   void sleep(std::uint32_t version = 0);
+  /// Only leaves its mark. False: there may be something to look at.
+  bool leave_mark();
 
   /// Borrows, reads, and checks that it is the message of this place. False: there is none.
   bool receive();
@@ -390,6 +416,15 @@ class Subscriber {
     std::uint64_t number = 0;
     std::uint32_t slot = 0;
     Word claim = 0;
+  };
+
+  struct Source {
+    ring::Reader<Policy>& reader;
+    Process& process;
+    std::uint32_t channel;
+    struct Turn : model::Turn {
+      explicit Turn(const Source& s) : model::Turn(s.process, s.channel) {}
+    };
   };
 
   /// Takes the next message, and holds it: its block, or kNone.
