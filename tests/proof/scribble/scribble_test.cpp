@@ -108,6 +108,26 @@ void wait_for_both(lot::ShmEngine& engine) {
   set.run();
 }
 
+/// More words than a set sleeps on: it has an ear. So have the descriptors.
+void wait_for_many(lot::ShmEngine& engine) {
+  std::vector<lot::ShmPuller<Number>> pullers;
+  for (int n = 0; n < 12; ++n) pullers.push_back(engine.subscribe<Number>("/numbers"));
+  lot::WaitSet set;
+  int rounds = 0;
+  for (auto& puller : pullers) {
+    (void)puller.fd();
+    set.add(puller, [&] {
+      while (puller.try_pull()) {
+      }
+      ++rounds;
+    });
+  }
+  set.add_timer(5ms, [&] {
+    if (++rounds > 100) set.stop();
+  });
+  set.run();
+}
+
 const lot::QueueOptions kTasks = [] {
   lot::QueueOptions options;
   options.depth = 16;
@@ -140,6 +160,7 @@ constexpr Role kRoles[] = {
     [](lot::ShmEngine& e) { receive<Frame>(e, "/frames"); },
     [](lot::ShmEngine& e) { receive<Number>(e, "/numbers"); },
     wait_for_both,
+    wait_for_many,
     put,
     take,
 };
@@ -191,7 +212,7 @@ class Scribbler {
     const auto entry = [&](std::uint64_t table, std::uint64_t count, std::uint64_t size) {
       return table + below(std::min<std::uint64_t>(count, 16)) * size + below(size);
     };
-    switch (below(14)) {
+    switch (below(17)) {
       case 0:
         return below(sizeof(Header));
       case 1:
@@ -212,6 +233,12 @@ class Scribbler {
         return entry(geometry_.sightings, c.participants, sizeof(Sightings));
       case 9:
         return entry(geometry_.replies, std::min(c.topics, 3U), sizeof(Replies));
+      case 12:
+        return entry(geometry_.listeners, std::min(c.channels, 6U), sizeof(Listeners));
+      case 13:
+        return geometry_.ears + below(lot::ring::kEars * sizeof(EarWords));
+      case 14:
+        return geometry_.news + below(lot::ring::kEars * news_bytes(c.channels));
       case 10:
       case 11:
         return entry(geometry_.arenas, c.blocks, sizeof(lot::detail::Arena));
