@@ -22,6 +22,7 @@ class Books {
     blocks();
     channels();
     topics();
+    ears();
     if (const std::string types = testing::wrong_types(segment_); !types.empty()) wrong(types);
     granules();
     registry_lock();
@@ -130,6 +131,22 @@ class Books {
         if (has(topic.observers, k) && !lives(k)) wrong("a topic is observed by the dead");
         if (topic.pullers[k].load() != 0 && !lives(k)) wrong("a topic counts pullers of the dead");
       }
+    }
+  }
+
+  void ears() {
+    std::vector<std::uint32_t> owners(ring::kEars, 0);
+    for (std::uint32_t e = 0; e < ring::kEars; ++e) {
+      const std::uint32_t owner = segment_.ear(e).words->owner.load(std::memory_order_relaxed);
+      owners[e] = e < segment::kFirstFreeEar ? e + 1 : owner;
+      if (owner != 0 && !lives(owner - 1)) wrong("ear " + std::to_string(e) + " is the dead's");
+    }
+    for (std::uint32_t c = 0; c < segment_.capacity().channels; ++c) {
+      segment_.listeners()[c].each([&](std::uint32_t e) {
+        if (owners[e] == 0 || !lives(owners[e] - 1)) {
+          wrong("channel " + std::to_string(c) + " has a dead listener");
+        }
+      });
     }
   }
 

@@ -65,6 +65,8 @@ void Node::drop_all() {
   borrow.end();
   over = true;
   if (sleeper.joinable()) sleeper.join();
+  set.reset();
+  quiet.clear();
   disarm();
   tasks.reset();
   queue.reset();
@@ -226,6 +228,24 @@ void Node::sleep_on_topic() {
         return;
       }
     }
+  });
+  await_sleeper();
+}
+
+void Node::listen() {
+  constexpr std::size_t kMoreThanFew = 9;
+  set.emplace();
+  set->add(*puller, [this] { receive_all(); });
+  for (std::size_t i = 0; i < kMoreThanFew; ++i) {
+    quiet.push_back(std::make_unique<ShmPuller<Number>>(engine->subscribe<Number>(kQuiet)));
+    set->add(*quiet.back(), [] {});
+  }
+}
+
+void Node::listen_until_the_end() {
+  listen();
+  sleeper = std::thread([this] {
+    while (!over && puller->status() != Status::PublisherGone) set->run_once(100ms);
   });
   await_sleeper();
 }

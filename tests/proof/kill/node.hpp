@@ -83,6 +83,8 @@ struct Node {
   bool receive();          ///< the next message, if there is one, goes into the account
   void receive_all();      ///< those that are there
   void sleep_on_topic();   ///< a thread of its own sleeps for the topic's messages until the end
+  void listen();           ///< `set` waits for the puller, by an ear
+  void listen_until_the_end();  ///< a thread of its own runs that set
   void sleep_for_room();   ///< a thread of its own publishes one more, for which there is no room
   void hold(bool borrow);  ///< the next message stays borrowed, or is kept
   void reap();             ///< repairs what the dead left, now
@@ -160,6 +162,9 @@ struct Node {
   std::size_t resent = 0;                      ///< how many letters were
   std::uint64_t due_from = 0, due_to = 0;      ///< the numbers of letters that must be its own
   std::uint64_t may_from = 0, may_to = ~0ULL;  ///< of those that may be
+  /// Of a set: more words than it sleeps on, in pullers that no publisher is there for.
+  std::vector<std::unique_ptr<ShmPuller<Number>>> quiet;
+  std::optional<WaitSet> set;
   ShmBorrow<Number> borrow;
   std::vector<ShmUniquePtr<Number>> loans;
   std::vector<ShmUniquePtr<Frame>> frame_loans;
@@ -248,6 +253,7 @@ struct Way;
 void observers(std::vector<Operation>& all, const Way& way);
 /// What only messages in slots have.
 void slots(std::vector<Operation>& all);
+void ears(std::vector<Operation>& all, QueueEngine engine);
 void types(std::vector<Operation>& all);
 
 /// What a neighbour does while the victim stands still in the middle of its operation.
@@ -288,6 +294,7 @@ std::vector<Operation> planted_pledges();
 inline constexpr const char* kTopic = "/numbers";  ///< the victim publishes here
 inline constexpr const char* kOther = "/others";   ///< the witness publishes here
 inline constexpr const char* kFrames = "/frames";
+inline constexpr const char* kQuiet = "/quiet";  ///< no process publishes here
 inline constexpr const char* kItems = "/items";  ///< each is taken by one
 inline constexpr const char* kLeft = "/left";    ///< the same, of the victim for itself
 inline constexpr std::uint64_t kVictim = 1, kWitness = 2, kDead = 3, kSecondLife = 4, kRival = 5,

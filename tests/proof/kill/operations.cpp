@@ -1112,6 +1112,7 @@ std::vector<Operation> all_operations() {
     rivals(all, way, Rival::Killed);
     selection(all, way);
     observers(all, way);
+    ears(all, way.engine);
   }
   rivals(all, kRing, Rival::Stopped);
   locked_queues(all);
