@@ -236,6 +236,7 @@ class Puller final : public RingPuller {
 
   void ring_own_ears() noexcept override {
     for (const Source& s : sources_) participant_->segment().ring_ears(s.name.channel);
+    participant_->call_watchers();
   }
 
   std::size_t publishers() override {

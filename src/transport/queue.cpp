@@ -250,9 +250,8 @@ class Queue final : public detail::QueueCore {
     try {
       detail::FutexWaits waits;
       puller().arm(waits);
-      for (const auto& wait : waits) futex::wake_all(wait.word);
       puller().ring_own_ears();
-      if (notifier_) notifier_->ring_now();
+      for (const auto& wait : waits) futex::wake_all(wait.word);
     } catch (const std::exception&) {  // no memory: they look by themselves after a second
     }
   }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -21,6 +22,16 @@ class EarOwner {
   virtual std::uint32_t ear_index() const noexcept = 0;
   /// True when its words in the segment are not its own any more.
   virtual bool has_lost_ears() const noexcept = 0;
+
+  /// Those that watch the directory are due, whatever its version is. The caller then wakes the
+  /// sleepers on the directory's version. Relaxed: a call that comes too early for a sleeper is
+  /// made up for within a second.
+  void call_watchers() noexcept { calls_.fetch_add(1, std::memory_order_relaxed); }
+  /// How often they were called. Relaxed: as above.
+  std::uint32_t calls() const noexcept { return calls_.load(std::memory_order_relaxed); }
+
+ private:
+  std::atomic<std::uint32_t> calls_{0};
 };
 
 /// The process's side of one ear (docs/ear.md): which of its clients listens to which ring.
@@ -59,26 +70,21 @@ class Ear {
 
   /// Takes the news. Calls due(client) for each client that should look and arm itself again: it
   /// does not listen any more to the rings that had news. False: the ear is lost, so all clients
-  /// should look. `each_wake`: a sleep that ends without news is for those that watch the
-  /// directory, too, whatever its version is.
+  /// should look.
   template <class Due>
-  bool take(bool each_wake, Due&& due) {
+  bool take(Due&& due) {
     if (owner_.has_lost_ears()) return false;
-    const bool woken = std::exchange(sleeps_, false);
-    if (woken) shared_.words->bell.wake_up();
+    if (std::exchange(sleeps_, false)) shared_.words->bell.wake_up();
     rung_ = shared_.words->bell.rung();
-    const bool any = take_news(due);
-    take_watchers(each_wake && woken && !any, due);
+    take_news(due);
+    take_watchers(due);
     return true;
   }
   /// The same without the directory, at any time: also while another thread sleeps by the ear,
-  /// which will find that these news have gone. True: there were some. REQUIRES: the ear is not
-  /// lost.
+  /// which will find that these news have gone. REQUIRES: the ear is not lost.
   template <class Due>
-  bool take_news(Due&& due) {
-    bool any = false;
+  void take_news(Due&& due) {
     shared_.take(segment_.capacity().channels, [&](std::uint32_t channel) {
-      any = true;
       Client* const first = std::exchange(first_[channel], nullptr);
       if (first != nullptr) {
         due(*first);
@@ -91,7 +97,6 @@ class Ear {
         return true;
       });
     });
-    return any;
   }
   /// True when there may be news since they were taken.
   bool has_rung() const noexcept { return shared_.words->bell.rung() != rung_; }
@@ -111,7 +116,9 @@ class Ear {
   Ear(EarOwner& owner, std::uint32_t index);
 
   template <class Due>
-  void take_watchers(bool all, Due& due) {
+  void take_watchers(Due& due) {
+    const std::uint32_t calls = owner_.calls();
+    const bool all = std::exchange(calls_, calls) != calls;
     if (watchers_.empty()) return;
     // Acquire: D1. It carries nothing: the registry's lock carries the rings.
     version_ = segment_.directory().version.load(std::memory_order_acquire);
@@ -129,6 +136,7 @@ class Ear {
   segment::Ear shared_;
   std::uint32_t rung_ = 0;        ///< how often it was rung before the news that were taken last
   std::uint32_t version_ = 0;     ///< the directory's, when the watchers were looked at last
+  std::uint32_t calls_ = 0;       ///< EarOwner::calls() at that time
   bool sleeps_ = false;           ///< it has said that it sleeps
   std::vector<Client*> first_;    ///< by channel: the first client that listens, or null
   std::vector<Listener> others_;  ///< the others, where there is a first one

@@ -95,8 +95,7 @@ class Descriptors::Watcher : public waiting::Steps<Watcher> {
     const std::lock_guard guard(all_.mutex_);
     if (all_.is_to_end_) return true;
     // A lost ear: the users' own looks say why.
-    const bool hears =
-        all_.ear_->take(false, [](Ear::Client& c) { static_cast<Notifier&>(c).ring(); });
+    const bool hears = all_.ear_->take([](Ear::Client& c) { static_cast<Notifier&>(c).ring(); });
     const auto now = futex::Clock::now();
     if (!hears || (all_.again_ && *all_.again_ <= now)) ring_by(hears ? now + kTogether : kEver);
     return false;
@@ -164,7 +163,8 @@ void Notifier::watch(detail::Waitable& waitable) {
   try {
     again = waitable.arm(by_ear_);
   } catch (...) {
-    ring_now();  // it may not be armed: the puller's user has to look again
+    const std::lock_guard guard(descriptors_.mutex_);
+    ring();  // it may not be armed: the puller's user has to look again
     throw;
   }
   const std::lock_guard guard(descriptors_.mutex_);
@@ -187,12 +187,7 @@ void Notifier::watch_directory(std::uint32_t version) {
   if (descriptors_.ear_->watch_directory(*this, version)) descriptors_.give_order();
 }
 
-void Notifier::ring_now() noexcept {
-  const std::lock_guard guard(descriptors_.mutex_);
-  ring();
-}
-
-/// The puller's thread then looks, and arms it again. REQUIRES: the mutex.
+/// The puller's thread then looks, and arms it again.
 void Notifier::ring() noexcept {
   again_.reset();
   eventfd_write(fd_, 1);

@@ -67,7 +67,7 @@ class Descriptors {
 ///
 /// Threads: watch() one at a time.
 /// Errors:  lot::Error when the system has no descriptor or no thread left.
-class Notifier : private Ear::Client, private detail::Hearer {
+class Notifier final : private Ear::Client, private detail::Hearer {
  public:
   /// `descriptors` outlives this.
   explicit Notifier(Descriptors& descriptors);
@@ -78,14 +78,13 @@ class Notifier : private Ear::Client, private detail::Hearer {
   int fd() const noexcept { return fd_; }
   /// The puller has nothing to read: from now on the descriptor is readable once it may have.
   void watch(detail::Waitable& waitable);
-  /// The descriptor is readable until the next watch(). Any thread may call it.
-  void ring_now() noexcept;
 
  private:
   friend class Descriptors;
 
   void listen(std::uint32_t channel) override;
   void watch_directory(std::uint32_t version) override;
+  /// REQUIRES: the mutex of `descriptors_`.
   void ring() noexcept;
 
   Descriptors& descriptors_;

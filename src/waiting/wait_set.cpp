@@ -191,7 +191,7 @@ class WaitSetCore {
   void gather(Clock::time_point now) {
     for (SetEar& s : ears_) {
       const bool hears = s.ear->take(
-          true, [this](waiting::Ear::Client& client) { is_due(static_cast<Entry&>(client)); });
+          [this](waiting::Ear::Client& client) { is_due(static_cast<Entry&>(client)); });
       if (!hears) all_are_due();  // their looks say why
     }
     finds_ears_ = uses_ears_ && now >= all_again_;

@@ -42,9 +42,9 @@ struct Fixture {
   Owner owner{segment, kOwner};
 
   /// Who is due.
-  std::multiset<const Ear::Client*> take(Ear& ear, bool each_wake = false) {
+  std::multiset<const Ear::Client*> take(Ear& ear) {
     std::multiset<const Ear::Client*> due;
-    REQUIRE(ear.take(each_wake, [&](Ear::Client& client) { due.insert(&client); }));
+    REQUIRE(ear.take([&](Ear::Client& client) { due.insert(&client); }));
     return due;
   }
   /// How many ears listen to the channel.
@@ -173,7 +173,7 @@ TEST_CASE_FIXTURE(Fixture, "news that another thread has taken leave nothing but
   ear.prepare_to_sleep(waits);
   CHECK(ring_ears(1) == 1);
   Clients due;
-  CHECK(ear.take_news([&](Ear::Client& client) { due.insert(&client); }));
+  ear.take_news([&](Ear::Client& client) { due.insert(&client); });
   CHECK(due == Clients{&a});
   CHECK(!would_sleep(waits));
   CHECK(take(ear).empty());
@@ -199,12 +199,10 @@ TEST_CASE_FIXTURE(Fixture, "those that watch the directory are due when its vers
   CHECK(ear.watch_directory(a, version() - 1));  // it has not found the rings yet
   CHECK(take(ear) == Clients{&a});
   ear.watch_directory(a, version());
-  waits.clear();
-  ear.prepare_to_sleep(waits);
-  CHECK(take(ear, false).empty());
-  ear.prepare_to_sleep(waits);
-  CHECK(take(ear, true) == Clients{&a});  // each wake-up without news
-  CHECK(take(ear, true).empty());
+  CHECK(take(ear).empty());
+  owner.call_watchers();
+  CHECK(take(ear) == Clients{&a});
+  CHECK(take(ear).empty());
   ear.forget(a);
   ear.forget(b);
 }
@@ -279,7 +277,7 @@ TEST_CASE_FIXTURE(Fixture, "a lost ear touches nothing") {
   ear->listen(a, 4);
   ring_ears(4);
   owner.lost = true;
-  CHECK(!ear->take(false, [](Ear::Client&) { FAIL("no client is due"); }));
+  CHECK(!ear->take([](Ear::Client&) { FAIL("no client is due"); }));
   lot::detail::FutexWaits waits;
   ear->prepare_to_sleep(waits);
   CHECK(waits.empty());
@@ -298,7 +296,7 @@ TEST_CASE_FIXTURE(Fixture, "damaged words name no channel that there is not") {
     segment.ear(kOwner).news[w].store(~ring::Word{0}, std::memory_order_relaxed);
   }
   std::size_t due = 0;
-  CHECK(ear.take(false, [&](Ear::Client&) { ++due; }));
+  CHECK(ear.take([&](Ear::Client&) { ++due; }));
   CHECK(due == kChannels);
   CHECK(take(ear).empty());
   segment.ring_ears(kChannels);  // no such channel

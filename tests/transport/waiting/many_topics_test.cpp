@@ -96,29 +96,30 @@ TEST_CASE_FIXTURE(Fixture, "a set of many topics gets all that publishers send a
     for (const lot::Wait wait : {lot::Wait::Park, lot::Wait::Adaptive, lot::Wait::Spin}) {
       lot::ShmEngine shm(options);
       auto in = pullers(shm);
+      constexpr std::uint64_t kMessages = 10;  // more than a queue is deep
       std::vector<std::uint64_t> got(kTopics, 0);
       std::uint64_t all = 0;
       WaitSet set(wait);
       for (std::size_t t = 0; t < kTopics; ++t) {
         set.add(*in[t], [&, t] {
           while (const auto message = in[t]->try_pull()) {
-            CHECK(message->value == got[t] % 20);
+            CHECK(message->value == got[t] % kMessages);
             ++got[t];
             ++all;
           }
         });
       }
       CHECK(set.run_once(1ms) == 0);
-      for (int life = 0; life < 3; ++life) {
+      for (std::uint64_t life = 1; life <= 2; ++life) {
         Child publisher([&] {
           lot::ShmEngine mine(options);
           auto out = pushers(mine, with(engine));
-          for (std::uint64_t n = 0; n < 20; ++n) {
+          for (std::uint64_t n = 0; n < kMessages; ++n) {
             for (auto& pusher : out) publish(pusher, n);
             if (n % 8 == 0) std::this_thread::sleep_for(1ms);
           }
         });
-        while (all < (static_cast<std::uint64_t>(life) + 1) * 20 * kTopics) set.run_once(20s);
+        while (all < life * kMessages * kTopics) set.run_once(20s);
         CHECK(publisher.wait() == 0);
       }
       CHECK(Ears(shm.path()).claimed == 1);
