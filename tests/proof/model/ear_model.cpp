@@ -1,0 +1,208 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scenario.hpp"
+#include "world.hpp"
+
+/// One sleeper listens to many rings (docs/ear.md) while publishers send, go and die.
+namespace lot::model {
+namespace {
+
+/// The sleeper: it looks only at the rings that had news. Ear 0 is its.
+class Listening {
+ public:
+  void begin(Process& process, std::uint32_t channels) {
+    segment_ = &process.segment();
+    subscribers_.resize(channels);
+    is_due_.assign(channels, true);
+    for (std::uint32_t c = 0; c < channels; ++c) {
+      RL_ASSERT(subscribers_[c].join(process, c, 1, 0));
+    }
+  }
+  /// Receives so many messages, or until all rings have ended.
+  void receive(std::uint64_t count) {
+    bool sleeps = false;
+    while (received() < count && ended_ < subscribers_.size()) {
+      if (sleeps) segment_->ear_words.bell.wake_up();
+      const std::uint32_t rung = segment_->ear_words.bell.rung();
+      segment_->ear().take(segment_->shape.channels,
+                           [this](std::uint32_t c) { is_due_[c] = true; });
+      sleeps = !look();
+      if (!sleeps) continue;
+      Bed bed;
+      bed.add(segment_->ear_words.bell.word(), segment_->ear_words.bell.sleep(rung));
+      bed.sleep();
+    }
+  }
+  std::uint64_t received() const {
+    std::uint64_t sum = 0;
+    for (const Subscriber& s : subscribers_) sum += s.received();
+    return sum;
+  }
+  std::size_t ended() const { return ended_; }
+
+ private:
+  /// Looks at what is due, and arms it. True: it has found something.
+  bool look() {
+    bool any = false;
+    for (std::uint32_t c = 0; c < subscribers_.size(); ++c) {
+      if (!is_due_[c]) continue;
+      Subscriber& subscriber = subscribers_[c];
+      if (subscriber.receive()) {
+        any = true;
+      } else if (subscriber.ended()) {
+        is_due_[c] = false;
+        ++ended_;
+        any = true;
+      } else {
+        segment_->listeners[c].add(0);
+        is_due_[c] = !subscriber.leave_mark();
+        any = any || is_due_[c];
+      }
+    }
+    return any;
+  }
+
+  Segment* segment_ = nullptr;
+  std::deque<Subscriber> subscribers_;
+  std::vector<bool> is_due_;
+  std::size_t ended_ = 0;
+};
+
+struct HearsTwoRings : Scene<HearsTwoRings, 3> {
+  HearsTwoRings()
+      : Scene({.blocks = 4, .depth = 1, .readers = 1, .channels = 2, .has_ear = true}) {}
+  void prepare() {
+    publishers[0].open(start(4), 0, false);
+    publishers[1].open(start(5), 1, false);
+    listening.begin(start(2), 2);
+  }
+  void thread(unsigned t) {
+    if (t < 2) {
+      RL_ASSERT(publishers[t].send());
+    } else {
+      listening.receive(2);
+    }
+  }
+  Publisher publishers[2];
+  Listening listening;
+};
+
+/// Two messages of one publisher, with back-pressure: none is missed.
+struct HearsTwice : Scene<HearsTwice, 2> {
+  HearsTwice() : Scene({.blocks = 4, .depth = 2, .readers = 1, .has_ear = true}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    listening.begin(start(2), 1);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.send());
+      RL_ASSERT(publisher.send());
+    } else {
+      listening.receive(2);
+    }
+  }
+  Publisher publisher;
+  Listening listening;
+};
+
+/// The mutex engine: the mark is on its condition.
+struct HearsTheMutexEngine : Scene<HearsTheMutexEngine, 2> {
+  HearsTheMutexEngine()
+      : Scene({.blocks = 4, .depth = 2, .readers = 1, .locked = true, .has_ear = true}) {}
+  void prepare() {
+    publisher.open(start(4), 0, true);
+    listening.begin(start(2), 1);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.send());
+    } else {
+      listening.receive(1);
+    }
+  }
+  Publisher publisher;
+  Listening listening;
+};
+
+/// Another reader sleeps on the slot, and may have left the mark that the ear depends on.
+struct HearsBesideASleeper : Scene<HearsBesideASleeper, 3> {
+  HearsBesideASleeper() : Scene({.blocks = 2, .depth = 1, .readers = 2, .has_ear = true}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    RL_ASSERT(sleeper.join(start(1), 0, 1, 0));
+    listening.begin(start(2), 1);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(publisher.send());
+    } else if (t == 1) {
+      while (!sleeper.receive()) sleeper.sleep();
+    } else {
+      listening.receive(1);
+    }
+  }
+  Publisher publisher;
+  Subscriber sleeper;
+  Listening listening;
+};
+
+/// A publisher closes its ring.
+template <bool kLocked>
+struct HearsTheEnd : Scene<HearsTheEnd<kLocked>, 2> {
+  using Base = Scene<HearsTheEnd<kLocked>, 2>;
+  HearsTheEnd()
+      : Base({.blocks = 2, .depth = 1, .readers = 1, .locked = kLocked, .has_ear = true}) {}
+  void prepare() {
+    publisher.open(this->start(4), 0, false);
+    listening.begin(this->start(2), 1);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      this->process(4).leave();
+    } else {
+      listening.receive(1);
+      RL_ASSERT(listening.ended() == 1);
+    }
+  }
+  Publisher publisher;
+  Listening listening;
+};
+
+/// A publisher is killed anywhere in its push, and reaped: the message or the end is heard.
+struct RingerKilled : Scene<RingerKilled, 3> {
+  RingerKilled() : Scene({.blocks = 2, .depth = 1, .readers = 1, .has_ear = true}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    listening.begin(start(2), 1);
+    start(3);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      die_within(4, 30, [this] { publisher.send(); });
+    } else if (t == 1) {
+      segment.await_end_of(4);
+      process(3).see_reaped(4);
+    } else {
+      listening.receive(2);  // both, at most
+      RL_ASSERT(listening.ended() == 1);
+    }
+  }
+  Publisher publisher;
+  Listening listening;
+};
+
+const Entered entered{
+    {"hears_two_rings", "an ear of two rings gets the messages of both", cast_of<HearsTwoRings>, 2},
+    {"hears_twice", "an ear gets all messages of a ring", cast_of<HearsTwice>, 2},
+    {"hears_the_mutex_engine", "an ear hears of a ring of the mutex engine",
+     cast_of<HearsTheMutexEngine>, 2},
+    {"hears_beside_a_sleeper", "an ear and a sleeper on one slot both get the message",
+     cast_of<HearsBesideASleeper>, 2},
+    {"hears_the_end", "an ear hears that a ring has ended", cast_of<HearsTheEnd<false>>, 2},
+    {"hears_the_end_mutex_engine", "the same of the mutex engine", cast_of<HearsTheEnd<true>>, 2},
+    {"ringer_killed", "an ear hears of a publisher that is killed in its push",
+     cast_of<RingerKilled>, 1},
+};
+
+}  // namespace
+}  // namespace lot::model
