@@ -212,7 +212,7 @@ proctype ear() {
   };
 take:
   any = 0;
-  bell = bell & ~ASLEEP; /* @ src/waiting/ear.hpp take: if (woken) shared_.words->bell.wake_up() */
+  bell = bell & ~ASLEEP; /* @ src/waiting/ear.hpp take: if (std::exchange(sleeps_, false)) shared_.words->bell.wake_up() */
 #ifndef COUNT_AFTER_NEWS
   rung = bell & ~ASLEEP; /* @ src/waiting/ear.hpp take: rung_ = shared_.words->bell.rung() */
 #endif
