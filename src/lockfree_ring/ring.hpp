@@ -381,8 +381,9 @@ class Writer {
     if (!ring_.taken) {
       ring_.slots.begin(index_, next_);
     } else if (!ring_.blocking) {
-      // A taker that is in its copy there will find that the message is not its own.
-      ring_.slots[index_].fetch_or(kNoBlock, std::memory_order_seq_cst);  // R10
+      // A taker that is in its copy there will find that the message is not its own. Or it was
+      // quicker: then its copy comes before what is written there next. It has no hazard to see.
+      ring_.slots[index_].fetch_or(kNoBlock, std::memory_order_acquire);  // R10
     }
     return published;
   }
