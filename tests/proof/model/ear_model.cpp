@@ -191,6 +191,34 @@ struct RingerKilled : Scene<RingerKilled, 3> {
   Listening listening;
 };
 
+/// A process gives its ear up while the next one waits for it. The next one's bit stays: the former
+/// one's has gone before its name.
+struct EarChangesHands : SceneBegins, rl::test_suite<EarChangesHands, 2> {
+  static constexpr std::uint32_t kEar = 3;
+  void before() {
+    RL_ASSERT(words.owner.claim(1));
+    RL_ASSERT(words.owner.is(1) && !words.owner.claim(2));
+    listeners.add(kEar);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      listeners.remove(kEar);
+      words.owner.free();
+      return;
+    }
+    while (!words.owner.claim(2)) Policy::pause();
+    listeners.add(kEar);
+  }
+  void after() {
+    RL_ASSERT(words.owner.is(2));
+    unsigned listen = 0;
+    listeners.each([&](std::uint32_t ear) { listen += ear == kEar ? 1 : 100; });
+    RL_ASSERT(listen == 1);
+  }
+  ring::EarWords<Policy> words;
+  ring::Listeners<Policy> listeners;
+};
+
 const Entered entered{
     {"hears_two_rings", "an ear of two rings gets the messages of both", cast_of<HearsTwoRings>, 2},
     {"hears_twice", "an ear gets all messages of a ring", cast_of<HearsTwice>, 2},
@@ -200,6 +228,7 @@ const Entered entered{
      cast_of<HearsBesideASleeper>, 2},
     {"hears_the_end", "an ear hears that a ring has ended", cast_of<HearsTheEnd<false>>, 2},
     {"hears_the_end_mutex_engine", "the same of the mutex engine", cast_of<HearsTheEnd<true>>, 2},
+    {"ear_changes_hands", "an ear's next owner keeps its bit", cast_of<EarChangesHands>, 3},
     {"ringer_killed", "an ear hears of a publisher that is killed in its push",
      cast_of<RingerKilled>, 1},
 };
