@@ -197,9 +197,9 @@ MISTAKES = (
     Planted('re-check: at home, before a reclaim', OWNERSHIP, 'ownership', ((
         '      if ((v & hold::kHome) == 0) return false;\n', ''),)),
     Planted('re-check: the version, at the death', OWNERSHIP, 'ownership', ((
-        '    return (others & ~kWanted) == 0 &&\n',
+        '    return (holders & ~kWanted) == 0 &&\n',
         '''    life = b.life.load(std::memory_order_relaxed);
-    return (others & ~kWanted) == 0 &&\n'''),)),
+    return (holders & ~kWanted) == 0 &&\n'''),)),
     Planted('what a ring takes stays unseen', OWNERSHIP, 'ownership', ((
         'amount == hold::kRing ? v & ~hold::kUnseen : v;', 'v;'),)),
     Planted('what a weak pointer looks after stays unseen', OWNERSHIP, 'ownership', ((
