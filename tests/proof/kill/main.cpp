@@ -236,6 +236,7 @@ class Run {
   void work(const std::vector<Operation>& operations, unsigned job) {
     stay_on_one_core(job);
     for (std::size_t i; (i = totals_.next++) < operations.size();) {
+      if (options_.stop && !operations[i].leaves_blocks) continue;
       if (chosen(i, operations[i].name)) options_.fail ? fail(operations[i]) : one(operations[i]);
     }
   }

@@ -245,6 +245,8 @@ struct Operation {
   unsigned every = 1;  ///< its points are alike (each granule's tag): one of so many is enough
   bool ends = false;   ///< the process does nothing behind it
   std::uint32_t topics = 10;  ///< that the segment can have
+  /// False: the victim has all blocks, so there are none for what a neighbour does (--stop).
+  bool leaves_blocks = true;
 };
 
 std::vector<Operation> all_operations();

@@ -55,6 +55,9 @@ void without_blocks(std::vector<Operation>& all) {
                  }});
   all.push_back({named("borrow, no block is left", kSlots), kPushes, has_all,
                  [](Node& n) { testing::must(n.receive(), "a borrow needs no block"); }});
+  for (auto operation = all.end() - 2; operation != all.end(); ++operation) {
+    operation->leaves_blocks = false;
+  }
 }
 
 void ends(std::vector<Operation>& all) {
