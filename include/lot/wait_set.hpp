@@ -46,8 +46,8 @@ class AnyPuller;
 ///          for a period of nothing. std::bad_alloc.
 /// Memory:  private: an entry for each puller and timer. A set of more than 8 queues has an ear in
 ///          the segment of its pullers, and keeps the segment until it has removed the last of them
-///          or is destroyed; all sets of a segment have 192. One without an ear sleeps on 128 queues
-///          at most (futex_waitv), and threads of its own help with the rest.
+///          or is destroyed; all sets of a segment have 192. One without an ear sleeps on 128
+///          queues at most (futex_waitv), and threads of its own help with the rest.
 /// Crash:   an ear is freed by the reaper.
 class WaitSet {
  public:

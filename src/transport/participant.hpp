@@ -30,7 +30,7 @@
 #include "transport/warden.hpp"
 #include "transport/warden_thread.hpp"
 #include "transport/world.hpp"
-#include "waiting/ear.hpp"
+#include "waiting/hearing.hpp"
 #include "waiting/notifier.hpp"
 
 namespace lot::transport {

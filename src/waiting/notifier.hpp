@@ -11,7 +11,7 @@
 #include "lot/detail/mutex.hpp"
 
 #include "futex/futex.hpp"
-#include "waiting/ear.hpp"
+#include "waiting/hearing.hpp"
 
 namespace lot::waiting {
 

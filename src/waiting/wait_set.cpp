@@ -13,7 +13,7 @@
 #include "lot/error.hpp"
 
 #include "futex/futex.hpp"
-#include "waiting/ear.hpp"
+#include "waiting/hearing.hpp"
 #include "waiting/waiting.hpp"
 
 namespace lot {

@@ -2,8 +2,6 @@
 
 // One ear over a bare segment (docs/ear.md): what it hears of, when it sleeps, and what the reaper
 // of its process leaves. Publishers are played by the calls that they make.
-#include "waiting/ear.hpp"
-
 #include <cstdint>
 #include <memory>
 #include <set>
@@ -13,6 +11,7 @@
 
 #include "futex/futex.hpp"
 #include "support/local_segment.hpp"
+#include "waiting/hearing.hpp"
 
 namespace {
 

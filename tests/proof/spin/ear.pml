@@ -212,9 +212,9 @@ proctype ear() {
   };
 take:
   any = 0;
-  bell = bell & ~ASLEEP; /* @ src/waiting/ear.hpp take: if (std::exchange(sleeps_, false)) shared_.words->bell.wake_up() */
+  bell = bell & ~ASLEEP; /* @ src/waiting/hearing.hpp take: if (std::exchange(sleeps_, false)) shared_.words->bell.wake_up() */
 #ifndef COUNT_AFTER_NEWS
-  rung = bell & ~ASLEEP; /* @ src/waiting/ear.hpp take: rung_ = shared_.words->bell.rung() */
+  rung = bell & ~ASLEEP; /* @ src/waiting/hearing.hpp take: rung_ = shared_.words->bell.rung() */
 #endif
 #ifdef NEWS_IN_TWO_STEPS
   atomic { for (c : 0 .. RINGS - 1) { due[c] = due[c] | news[c] } };
@@ -320,7 +320,7 @@ next:
 #ifdef NEVER_SAYS_THAT_IT_SLEEPS
     :: bell == rung -> ear_sleeps = 1
 #else
-    :: bell == (rung | ASLEEP) -> ear_sleeps = 1 /* @ src/waiting/ear.cpp prepare_to_sleep: shared_.words->bell.sleep(rung_) */
+    :: bell == (rung | ASLEEP) -> ear_sleeps = 1 /* @ src/waiting/hearing.cpp prepare_to_sleep: shared_.words->bell.sleep(rung_) */
 #endif
     :: else -> goto take
     fi

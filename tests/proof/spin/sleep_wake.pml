@@ -394,7 +394,7 @@ inline publish(mine) {
 #endif
   atomic {
     if
-    :: old & MARK -> kernel_wake(SLOT(mine, next)) /* @ src/transport/pusher.cpp publish: if (published.wake) { ++owed_; lock.unlock(); wake_readers(*published.slot) */
+    :: old & MARK -> kernel_wake(SLOT(mine, next)) /* @ src/transport/pusher.cpp publish: if (published.wake) wake_unlocked(lock, *published.slot); */
     :: else
     fi;
     old = 0;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "waiting/ear.hpp"
+#include "waiting/hearing.hpp"
 
 #include <algorithm>
 
