@@ -270,7 +270,7 @@ class Fuzz {
     oldest->reset();
   }
 
-  /// A lossless ring empties the slots that all have read. Who joins later begins behind them.
+  /// A lossless ring empties the slots that all have read. Later joiners begin behind them.
   void empty() {
     if (!ring_.blocking || ring_.taken) return;
     Word expected = 0;

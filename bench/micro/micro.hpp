@@ -211,7 +211,7 @@ class BareQueue {
 
 /// A ring of messages of 48 bytes that lie in one line each: what LOT's fast lane is at least. The
 /// publisher writes the message, and exchanges the word before it. The reader copies, and looks at
-/// the word again. One writer and one reader, who must live; nothing is kept, and no process
+/// the word again. One writer and one reader, both alive; nothing is kept, and no process
 /// sleeps.
 class OneLineRing {
  public:

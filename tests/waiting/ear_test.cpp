@@ -40,7 +40,7 @@ struct Fixture {
   segment::Segment& segment = local.segment();
   Owner owner{segment, kOwner};
 
-  /// Who is due.
+  /// Which clients are due.
   std::multiset<const Ear::Client*> take(Ear& ear) {
     std::multiset<const Ear::Client*> due;
     REQUIRE(ear.take([&](Ear::Client& client) { due.insert(&client); }));
@@ -156,7 +156,7 @@ TEST_CASE_FIXTURE(Fixture, "an ear that was rung since it took its news does not
   ear.prepare_to_sleep(waits);
   CHECK(would_sleep(waits));
   CHECK(ring_ears(1) == 1);
-  CHECK(ring_ears(1) == 1);  // who rings does not rely on another one's wake
+  CHECK(ring_ears(1) == 1);  // a ringer does not rely on another one's wake
   CHECK(!would_sleep(waits));
   CHECK(take(ear) == Clients{&a});
   ear.listen(a, 1);

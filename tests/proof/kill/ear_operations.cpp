@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Wait sets and descriptors that listen by ears (docs/ear.md): who listens is killed, and who
-// rings.
+// Wait sets and descriptors that listen by ears (docs/ear.md): the listener is killed, and the
+// ringer.
 #include <string>
 #include <utility>
 

@@ -33,7 +33,7 @@
  * plant ONLY_MY_MARK beside : a reader that finds a mark takes it for no business of the ears
  * plant NO_RECHECK_ORPHAN close : the writer word is not looked at after the mark
  * plant CLOSE_RINGS_FIRST close : a closing publisher rings before it says that it has gone
- * plant ANNOUNCER_WAKES_SLOTS_ONLY announce : who takes a mark away without a message rings no ears
+ * plant ANNOUNCER_WAKES_SLOTS_ONLY announce : a waker that takes a mark away without a message rings no ears
  * plant NO_DIRECTORY_RECHECK announce : the directory is not looked at after the mark
  * plant REAPER_TRUSTS_MARKS killed : the reaper rings only where it finds a mark
  * plant REAPER_WAKES_SLOTS_ONLY killed : the reaper rings no ears
@@ -88,7 +88,7 @@ inline kernel_wake_slot(c) { if :: (c) == 0 -> reader_sleeps = 0 :: else fi }
 #define MAY_STAND(c) skip
 #endif
 
-/* The steps of who has changed the slot of a ring: they tell the ear, if it listens. */
+/* The steps of the process that has changed the slot of a ring: they tell the ear, if it listens. */
 inline ring_ears(c, b) {
   if
   :: listener[c] -> /* @ src/lockfree_ring/ear.hpp each: Word left = words_[w].load(std::memory_order_seq_cst) */
