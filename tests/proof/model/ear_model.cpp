@@ -86,39 +86,20 @@ struct HearsTwoRings : Scene<HearsTwoRings, 3> {
   Listening listening;
 };
 
-/// Two messages of one publisher, with back-pressure: none is missed.
-struct HearsTwice : Scene<HearsTwice, 2> {
-  HearsTwice() : Scene({.blocks = 4, .depth = 2, .readers = 1, .has_ear = true}) {}
+/// Messages of one publisher, with back-pressure: none is missed. `kLocked`: the mutex engine,
+/// where the mark is on its condition.
+template <bool kLocked, std::uint64_t kMessages>
+struct HearsOne : Scene<HearsOne<kLocked, kMessages>, 2> {
+  HearsOne()
+      : Scene<HearsOne, 2>(
+            {.blocks = 4, .depth = 2, .readers = 1, .locked = kLocked, .has_ear = true}) {}
   void prepare() {
-    publisher.open(start(4), 0, true);
-    listening.begin(start(2), 1);
+    publisher.open(this->start(4), 0, true);
+    listening.begin(this->start(2), 1);
   }
   void thread(unsigned t) {
-    if (t == 0) {
-      RL_ASSERT(publisher.send());
-      RL_ASSERT(publisher.send());
-    } else {
-      listening.receive(2);
-    }
-  }
-  Publisher publisher;
-  Listening listening;
-};
-
-/// The mutex engine: the mark is on its condition.
-struct HearsTheMutexEngine : Scene<HearsTheMutexEngine, 2> {
-  HearsTheMutexEngine()
-      : Scene({.blocks = 4, .depth = 2, .readers = 1, .locked = true, .has_ear = true}) {}
-  void prepare() {
-    publisher.open(start(4), 0, true);
-    listening.begin(start(2), 1);
-  }
-  void thread(unsigned t) {
-    if (t == 0) {
-      RL_ASSERT(publisher.send());
-    } else {
-      listening.receive(1);
-    }
+    if (t == 1) return listening.receive(kMessages);
+    for (std::uint64_t n = 0; n < kMessages; ++n) RL_ASSERT(publisher.send());
   }
   Publisher publisher;
   Listening listening;
@@ -221,9 +202,9 @@ struct EarChangesHands : SceneBegins, rl::test_suite<EarChangesHands, 2> {
 
 const Entered entered{
     {"hears_two_rings", "an ear of two rings gets the messages of both", cast_of<HearsTwoRings>, 2},
-    {"hears_twice", "an ear gets all messages of a ring", cast_of<HearsTwice>, 2},
+    {"hears_twice", "an ear gets all messages of a ring", cast_of<HearsOne<false, 2>>, 2},
     {"hears_the_mutex_engine", "an ear hears of a ring of the mutex engine",
-     cast_of<HearsTheMutexEngine>, 2},
+     cast_of<HearsOne<true, 1>>, 2},
     {"hears_beside_a_sleeper", "an ear and a sleeper on one slot both get the message",
      cast_of<HearsBesideASleeper>, 2},
     {"hears_the_end", "an ear hears that a ring has ended", cast_of<HearsTheEnd<false>>, 2},
