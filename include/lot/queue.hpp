@@ -189,6 +189,7 @@ const MessageType& taken_type() {
     MessageType t = message_type<U>();
     t.name = name.c_str();
     if (t.hash != 0) t.hash = ~t.hash;
+    t.element = &message_type<U>();
     return t;
   }();
   return type;

@@ -410,7 +410,7 @@ class Puller final : public RingPuller {
       keeper_ = participant_->keeper(
           [this] { return std::shared_ptr<detail::PusherCore>(detail::make_maker(participant_)); });
     }
-    spare_ = keeper_->loan(type_, false);
+    spare_ = keeper_->loan(type_.element != nullptr ? *type_.element : type_, false);
     lacks_spare_ = spare_.control == nullptr;
     return !lacks_spare_;
   }
@@ -419,11 +419,8 @@ class Puller final : public RingPuller {
   [[gnu::hot]] detail::Kept hold_spare() {
     const detail::Loan message = std::exchange(spare_, {});
     block_ = message.control->block;
-    // A taken message has one owner, as one that is loaned.
-    if (!taking_) {
+    if (!taking_) {  // a taken message has one owner, as one that is loaned
       HardwareOwnership::keep_unseen(participant_->segment().block(block_), message.control->hold);
-    } else {
-      message.control->type = nullptr;  // the queue's: its element's is not known here
     }
     detail::write_once(participant_->segment().arena(block_).topic, topic_key_);  // for people
     note_held(0);

@@ -50,6 +50,7 @@ struct MessageType {
   bool plain;                       ///< trivially copyable: it has no memory beside its own bytes
   /// What it is made of; null: that is not known. Throws std::bad_alloc.
   const Described& (*described)(const MessageType&);
+  const MessageType* element = nullptr;  ///< of a queue's: what one item is; null: the type itself
 };
 
 /// What this process knows of one block: the private hold word, and the library copy that releases
