@@ -34,9 +34,9 @@ struct Envelope {
   /// Another publisher gets the number only after 2^32 uses of its place in the segment.
   std::uint64_t publisher_id = 0;
   /// When the message was pushed, by the clock of the machine that all processes share
-  /// (CLOCK_MONOTONIC). Of one that was pushed several times, the last time. None: its publisher
-  /// does not stamp (PusherOptions::stamp); or you ask when its borrow has ended, or when no
-  /// process has the message any more.
+  /// (CLOCK_MONOTONIC). Of one in a block (PusherOptions::fast_lane) that was pushed several
+  /// times, the last time. None: its publisher does not stamp (PusherOptions::stamp); or you ask
+  /// when its borrow has ended, or when no process has the message any more.
   ///
   /// A process in another time namespace reads another clock: there the difference to now() means
   /// nothing.

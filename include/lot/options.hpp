@@ -88,12 +88,12 @@ struct PusherOptions {
   /// the line of the message's memory. LOT_STAMP, 1 or 0, in the environment comes before it, for
   /// every publisher.
   bool stamp = false;
-  /// True: plain messages of up to 240 bytes (232 with `stamp`) travel in the queue itself and not
-  /// in a block. A reader that borrows finds them in the cache line that tells it of them. A reader
-  /// that keeps one copies it into a block of its own: two that keep it have two messages, and a
-  /// weak pointer of the publisher does not see them. LOT_FAST_LANE, 1 or 0, in the environment
-  /// comes before it, for every publisher.
-  bool fast_lane = false;
+  /// Plain messages of up to 240 bytes (232 with `stamp`) travel in the queue itself and not in a
+  /// block. A reader that borrows finds them in the cache line that tells it of them. A reader that
+  /// keeps one copies it into a block of its own: two that keep it have two messages, and a weak
+  /// pointer of the publisher does not see them. False: all messages travel in blocks.
+  /// LOT_FAST_LANE, 1 or 0, in the environment comes before it, for every publisher.
+  bool fast_lane = true;
 };
 
 /// How a puller passes the time until a message comes.

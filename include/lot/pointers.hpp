@@ -247,7 +247,8 @@ class ShmSharedPtr {
   /// other message or other process has it. While it may be seen the answer is false, also for some
   /// time longer: until the publisher has taken the message back from its queue. A process that has
   /// received the message hears false as long as the process that made it stays, which may publish
-  /// it again at any time; but for an item that it has taken from a queue and not published since.
+  /// it again at any time; but for an item that it has taken from a queue and not published since,
+  /// and for a message of PusherOptions::fast_lane, which is a copy of this process.
   [[nodiscard]] bool unique() const noexcept {
     return control_ != nullptr && control_->hub->alone(control_);
   }
@@ -352,7 +353,8 @@ class ShmWeakPtr {
     return shared.control_ != nullptr ? shared.use_count() - 1 : 0;
   }
   /// True when the message has died, or when this process has left the segment: lock() is null
-  /// then. (A message that only the publisher's queue holds has not died.)
+  /// then. (A message that only the publisher's queue holds has not died, where it travels in a
+  /// block: PusherOptions::fast_lane.)
   [[nodiscard]] bool expired() const noexcept {
     return control_ == nullptr || control_->hub->expired(control_, generation_);
   }

@@ -35,7 +35,7 @@ struct QueueOptions {
   /// another worker gets the task. All handles of the queue must say the same. Not for items that
   /// each reader gets, nor with Policy::Overwrite.
   bool redeliver = false;
-  bool fast_lane = false;  ///< PusherOptions::fast_lane; LOT_FAST_LANE comes before it
+  bool fast_lane = true;  ///< PusherOptions::fast_lane; LOT_FAST_LANE comes before it
 };
 
 /// A task that this process works on, and has not finished: a read-only item of a queue that was

@@ -55,6 +55,7 @@ class Desk {
       how.policy = policy_;
       how.depth = kDepth;
       how.engine = engine_of(number);
+      how.fast_lane = false;  // truth() is of blocks
       pusher_.emplace(engine_.advertise<T>(topic_, how));
       id_ = number;
       pushed_.clear();

@@ -14,6 +14,7 @@
 #include "lot/lot.hpp"
 
 #include "support/both_engines.hpp"
+#include "support/in_blocks.hpp"
 
 namespace {
 
@@ -46,7 +47,7 @@ TEST_SUITE_BEGIN("transport");
 TEST_CASE_FIXTURE(BothEngines, "a reader asks for an envelope while its message is pushed again") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
-    auto out = shm.advertise<Ball>("/t", stamping(engine));
+    auto out = shm.advertise<Ball>("/t", in_blocks(stamping(engine)));
     auto in = shm.subscribe<Ball>("/t");
     push(out, 5);
     const auto ball = in.try_pull();

@@ -24,6 +24,7 @@
 
 #include "segment/segment.hpp"
 #include "support/both_engines.hpp"
+#include "support/in_blocks.hpp"
 #include "support/processes.hpp"
 #include "support/variable.hpp"
 
@@ -312,9 +313,9 @@ TEST_CASE_FIXTURE(BothEngines, "LOT_STAMP in the environment comes before Pusher
 TEST_CASE_FIXTURE(BothEngines, "a message that is pushed again has the time of its last push") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
-    auto first = shm.advertise<Ball>("/first", pushing(engine, true));
-    auto again = shm.advertise<Ball>("/again", pushing(engine, true));
-    auto silent = shm.advertise<Ball>("/silent", pushing(engine, false));
+    auto first = shm.advertise<Ball>("/first", in_blocks(pushing(engine, true)));
+    auto again = shm.advertise<Ball>("/again", in_blocks(pushing(engine, true)));
+    auto silent = shm.advertise<Ball>("/silent", in_blocks(pushing(engine, false)));
     auto in_first = shm.subscribe<Ball>("/first");
     auto in_again = shm.subscribe<Ball>("/again");
     auto in_silent = shm.subscribe<Ball>("/silent");
@@ -346,8 +347,8 @@ TEST_CASE_FIXTURE(BothEngines, "a message that is pushed again has the time of i
 TEST_CASE_FIXTURE(BothEngines, "a stamped block that is loaned anew, unstamped, tells no time") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
-    auto silent = shm.advertise<Ball>("/silent", pushing(engine, false, 1));
-    auto stamping = shm.advertise<Ball>("/stamping", pushing(engine, true, 1));
+    auto silent = shm.advertise<Ball>("/silent", in_blocks(pushing(engine, false, 1)));
+    auto stamping = shm.advertise<Ball>("/stamping", in_blocks(pushing(engine, true, 1)));
     auto in = shm.subscribe<Ball>("/silent");
     auto stamped = shm.subscribe<Ball>("/stamping");
     auto ball = silent.loan();
@@ -370,7 +371,7 @@ TEST_CASE_FIXTURE(BothEngines, "a stamped block that is loaned anew, unstamped, 
 TEST_CASE_FIXTURE(BothEngines, "ShmPuller: a message that has gone has an envelope, but no time") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
-    auto out = shm.advertise<Ball>("/t", pushing(engine, true, 1));
+    auto out = shm.advertise<Ball>("/t", in_blocks(pushing(engine, true, 1)));
     auto in = shm.subscribe<Ball>("/t");
     push(out, 0);
     auto ball = in.try_pull();
@@ -413,7 +414,7 @@ TEST_CASE_FIXTURE(BothEngines, "an envelope bears anything that another process 
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     lot::segment::Segment s(shm.path());
-    auto out = shm.advertise<Ball>("/t", pushing(engine, true));
+    auto out = shm.advertise<Ball>("/t", in_blocks(pushing(engine, true)));
     std::memset(only_ring(s).publisher, 'x', sizeof(only_ring(s).publisher));  // it has no end
     auto in = shm.subscribe<Ball>("/t");
     push(out, 1);

@@ -16,6 +16,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/in_blocks.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -452,7 +453,7 @@ TEST_CASE("a loan waits for blocks as for memory") {
   auto options = fresh(kSegment);
   options.blocks = 32;
   lot::ShmEngine engine(options);
-  auto pusher = engine.advertise<Note>("/notes", {Policy::Block, 31, 20s});
+  auto pusher = engine.advertise<Note>("/notes", in_blocks({Policy::Block, 31, 20s}));
   auto reader = engine.subscribe<Note>("/notes");
   for (std::uint64_t n = 0; n < 20; ++n) REQUIRE(pusher.push(pusher.loan(n)) == Status::Ok);
   std::vector<lot::ShmUniquePtr<Note>> loans;
@@ -471,8 +472,8 @@ TEST_CASE("blocks that were read come back, too") {
   auto options = fresh(kSegment);
   options.blocks = 64;
   lot::ShmEngine engine(options);
-  auto one = engine.advertise<Note>("/one", {Policy::Refuse, 63});
-  auto two = engine.advertise<Note>("/two", {Policy::Block, 63});
+  auto one = engine.advertise<Note>("/one", in_blocks({Policy::Refuse, 63}));
+  auto two = engine.advertise<Note>("/two", in_blocks({Policy::Block, 63}));
   auto of_one = engine.subscribe<Note>("/one");
   auto of_two = engine.subscribe<Note>("/two");
   for (std::uint64_t n = 0; n < 1000; ++n) {

@@ -16,6 +16,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/in_blocks.hpp"
 #include "support/lock_owner.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
@@ -402,7 +403,7 @@ TEST_CASE("a block that a damaged queue leads to is not given back under a point
   Steps go;
   Child other([&] {
     lot::ShmEngine engine(options);
-    auto pusher = engine.advertise<Number>("/t");
+    auto pusher = engine.advertise<Number>("/t", in_blocks());
     done.tell();
     must(go.next() != 0, "somebody reads");
     must(send(pusher, 7) == Status::Ok, "it is sent");

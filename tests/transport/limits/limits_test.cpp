@@ -17,6 +17,7 @@
 
 #include "message.hpp"
 #include "support/error_of.hpp"
+#include "support/in_blocks.hpp"
 #include "support/processes.hpp"
 
 namespace {
@@ -212,13 +213,13 @@ TEST_CASE("when all blocks are taken, the error names them") {
   lot::ShmEngine engine(options);
   {
     const auto [error, text] = error_of([&] {
-      return engine.advertise<Numbered>("/t", {lot::Policy::Block, 100, 0s});
+      return engine.advertise<Numbered>("/t", in_blocks({lot::Policy::Block, 100, 0s}));
     });
     CHECK(error == EINVAL);
     CHECK(names(text, "PusherOptions::depth"));
     CHECK(names(text, "EngineOptions::blocks"));
   }
-  auto pusher = engine.advertise<Numbered>("/t", {lot::Policy::Block, 99, 0s});
+  auto pusher = engine.advertise<Numbered>("/t", in_blocks({lot::Policy::Block, 99, 0s}));
   auto puller = engine.subscribe<Numbered>("/t");
   for (std::uint64_t n = 0; n < 1000; ++n) REQUIRE(passes(pusher, puller, n));
   auto other = engine.advertise<Numbered>("/u");
@@ -249,18 +250,18 @@ TEST_CASE("when the segment is full, the error names LOT_SIZE; a message as larg
     CHECK(pusher.push(std::move(message)) == lot::Status::Ok);
     CHECK(puller.try_pull()->data.back() == 7);
   }
+  const lot::PusherOptions how{lot::Policy::Overwrite, 65536, 1s};
   std::vector<lot::ShmPusher<Numbered>> deep;
-  const std::string text =
-      error_of([&] {
-        for (;;) {
-          deep.push_back(engine.advertise<Numbered>("/deep", {lot::Policy::Overwrite, 65536, 1s}));
-        }
-      }).second;
+  const std::string text = error_of([&] {
+                             for (;;) {
+                               deep.push_back(engine.advertise<Numbered>("/deep", in_blocks(how)));
+                             }
+                           }).second;
   CHECK(deep.size() > 10);
   CHECK(names(text, "LOT_SIZE"));
   CHECK(names(text, "depth"));
   deep.pop_back();
-  deep.push_back(engine.advertise<Numbered>("/deep", {lot::Policy::Overwrite, 65536, 1s}));
+  deep.push_back(engine.advertise<Numbered>("/deep", in_blocks(how)));
 }
 
 TEST_CASE("a size that is too small for the tables is refused, and the error names LOT_SIZE") {
