@@ -326,7 +326,7 @@ void Registry::remove(const Departure& departure, std::uint32_t participant) noe
     const ChannelName name{c, ring::writer_generation(w)};
     const auto& known = departure.known;
     if ((state != ring::State::Live && state != ring::State::Orphan) ||
-        channels[c].topic != departure.topic ||
+        detail::read_once(channels[c].topic) != departure.topic ||
         std::find(known.begin(), known.end(), name) != known.end()) {
       continue;
     }
@@ -345,23 +345,29 @@ std::uint32_t Registry::granules_of(const RingOptions& options) noexcept {
 
 namespace {
 
-/// Writes what the ring is to be into its entry. REQUIRES: this process has claimed the entry.
+/// Writes what the ring is to be into its entry. A warden without the registry's lock may still
+/// look at the ring that was there before: so each word is written at once. R7 carries them all.
+/// REQUIRES: this process has claimed the entry.
 void describe(segment::ChannelEntry& entry, std::uint32_t topic, const RingOptions& options) {
-  entry.topic = topic;
-  entry.depth = options.depth;
-  entry.readers = options.readers;
-  entry.policy = static_cast<std::uint32_t>(options.policy);
-  entry.engine = static_cast<std::uint32_t>(options.engine);
-  entry.taken = static_cast<std::uint16_t>(options.taken);
-  entry.stride = options.stride;
-  entry.extra = options.extra;
-  entry.first = options.first != 0 ? options.first : options.depth;
+  detail::write_once(entry.topic, topic);
+  detail::write_once(entry.depth, options.depth);
+  detail::write_once(entry.readers, options.readers);
+  detail::write_once(entry.policy, static_cast<std::uint32_t>(options.policy));
+  detail::write_once(entry.engine, static_cast<std::uint32_t>(options.engine));
+  detail::write_once(entry.taken, static_cast<std::uint16_t>(options.taken));
+  detail::write_once(entry.stride, options.stride);
+  detail::write_once(entry.extra, options.extra);
+  detail::write_once(entry.first,
+                     options.first != 0 ? options.first : std::uint64_t{options.depth});
 }
 
 /// Writes what readers are told of the publisher. REQUIRES: the ring is INIT; the caller makes it.
 void introduce(segment::RingHead& head, const segment::ParticipantEntry& publisher, bool stamps) {
-  std::memcpy(head.publisher, publisher.name, sizeof(head.publisher));
-  head.stamps = stamps ? 1 : 0;
+  // As describe(): `lot` may still look at what was there before.
+  for (std::size_t i = 0; i < sizeof(head.publisher); ++i) {
+    detail::write_once(head.publisher[i], publisher.name[i]);
+  }
+  detail::write_once(head.stamps, std::uint32_t{stamps});
 }
 
 }  // namespace
@@ -384,8 +390,8 @@ std::optional<ChannelName> Registry::open(std::uint32_t topic, std::uint32_t par
     describe(entry, topic, options);
     const std::uint32_t granules = granules_of(options);
     const std::uint32_t run = segment_.claim_run(granules, segment::kRingTag | c);
-    entry.granules = granules;
-    entry.granule = run;
+    detail::write_once(entry.granules, granules);  // as describe()
+    detail::write_once(entry.granule, run);
     if (run == segment::Granules<Atomics>::kNone) {
       entry.writer.free(generation);
       return std::nullopt;
@@ -424,7 +430,7 @@ std::vector<ChannelName> Registry::rings(std::uint32_t topic) const {
     const auto w = channels[c].writer.load(std::memory_order_acquire);  // R7
     const auto state = ring::writer_state(w);
     if ((state == ring::State::Live || state == ring::State::Orphan) &&
-        channels[c].topic == topic) {
+        detail::read_once(channels[c].topic) == topic) {
       found.push_back({c, ring::writer_generation(w)});
     }
   }
@@ -436,7 +442,8 @@ std::vector<bool> Registry::topics_with_items() const {
   for (const auto& channel : segment_.channels()) {
     const ring::Word w = channel.writer.load(std::memory_order_acquire);  // R7
     if (w == 0) break;  // channels are taken lowest first: no later one was ever taken
-    if (ring::writer_state(w) != ring::State::Orphan || channel.taken == 0) continue;
+    if (ring::writer_state(w) != ring::State::Orphan) continue;
+    if (detail::read_once(channel.taken) == 0) continue;
     const auto c = static_cast<std::uint32_t>(&channel - segment_.channels().data());
     const std::uint32_t topic = detail::read_once(channel.topic);
     if (topic < found.size() && segment_.ring(c).has_news()) found[topic] = true;
@@ -450,8 +457,9 @@ bool Registry::is_open(const ChannelName& name) const noexcept {
   const auto state = ring::writer_state(w);
   if (ring::writer_generation(w) != name.generation) return false;
   // An ended ring without items may belong to an earlier topic in the same entry.
-  return state == ring::State::Live || (state == ring::State::Orphan && channel.taken != 0 &&
-                                        segment_.ring(name.channel).has_news());
+  return state == ring::State::Live ||
+         (state == ring::State::Orphan && detail::read_once(channel.taken) != 0 &&
+          segment_.ring(name.channel).has_news());
 }
 
 void Registry::recycle(std::uint32_t channel) noexcept {
@@ -468,7 +476,8 @@ void Registry::announce(std::uint32_t topic) noexcept {
   const auto channels = segment_.channels();
   const auto is_of_topic = [&](std::uint32_t c) {
     const auto w = channels[c].writer.load(std::memory_order_acquire);  // R7
-    return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic;
+    return ring::writer_state(w) == ring::State::Live &&
+           detail::read_once(channels[c].topic) == topic;
   };
   ring::announce(
       segment_.directory().version,

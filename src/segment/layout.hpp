@@ -200,7 +200,8 @@ struct Replies {
 static_assert(sizeof(Replies) == 80 && kMaxParticipants % Replies::kPerWord == 0);
 
 /// One publisher's ring on a topic. The publisher writes the plain fields while the writer word is
-/// INIT.
+/// INIT, each by write_once(): processes without the registry's lock read them by read_once() and
+/// may have seen the ring that was there before.
 struct alignas(64) ChannelEntry {
   ring::WriterWord<Atomics> writer;
   std::uint64_t first;  ///< sequence of the first message

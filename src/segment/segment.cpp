@@ -678,7 +678,7 @@ Ring Segment::unformed_ring(std::uint32_t channel) const noexcept {
   ring.readers = readers;
   ring.blocking = blocking;
   ring.taken = taken != 0;
-  ring.first = entry.first;
+  ring.first = detail::read_once(entry.first);
   return ring;
 }
 

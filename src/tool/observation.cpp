@@ -132,7 +132,8 @@ class Observer {
     for (const auto& channel : s_.channels()) {
       // R9
       const auto state = ring::writer_state(channel.writer.load(std::memory_order_acquire));
-      const bool is_left = state == ring::State::Orphan && channel.taken != 0;
+      const bool is_left =
+          state == ring::State::Orphan && lot::detail::read_once(channel.taken) != 0;
       const std::uint32_t topic = lot::detail::read_once(channel.topic);
       if (is_left && topic < topics.size()) waits[topic] = true;
     }
@@ -208,9 +209,9 @@ class Observer {
     channel.generation = ring::writer_generation(w);
     channel.orphan = state == ring::State::Orphan;
     channel.publisher = ring::writer_owner(w);
-    channel.topic = entry.topic;
-    channel.policy = static_cast<Policy>(entry.policy);
-    channel.engine = static_cast<QueueEngine>(entry.engine);
+    channel.topic = lot::detail::read_once(entry.topic);
+    channel.policy = static_cast<Policy>(lot::detail::read_once(entry.policy));
+    channel.engine = static_cast<QueueEngine>(lot::detail::read_once(entry.engine));
     if (state != ring::State::Live && state != ring::State::Orphan) {
       return complain_of(at, "its state is " + std::to_string(static_cast<unsigned>(state)));
     }

@@ -18,8 +18,8 @@ constexpr std::uint32_t kOthersRefer = ~std::uint32_t{0};
 /// without loss: only their takers get them. False for what a publisher without loss has left: its
 /// readers get that to the end.
 bool may_lose(const segment::ChannelEntry& entry, ring::State state) {
-  return entry.policy == static_cast<std::uint32_t>(Policy::Overwrite) ||
-         (state == ring::State::Live && entry.taken == 0);
+  return detail::read_once(entry.policy) == static_cast<std::uint32_t>(Policy::Overwrite) ||
+         (state == ring::State::Live && detail::read_once(entry.taken) == 0);
 }
 
 /// The place of the slowest reader of a lossless ring. `head`: the ring's next message. A reader
