@@ -3,6 +3,7 @@
 // and go and are killed, what a handler does and leaves, and what is left in the segment.
 #include <cerrno>
 #include <cstdint>
+#include <deque>
 #include <filesystem>
 #include <iterator>
 #include <memory>
@@ -66,6 +67,58 @@ struct Ears {
   std::size_t claimed = 0;
 };
 
+/// A child that works from go() on. It is forked before this process has threads: under
+/// ThreadSanitizer a child whose parent had some may start none.
+class Helper {
+ public:
+  template <class Work>
+  explicit Helper(Work&& work)
+      : child_([&] {
+          alarm(100);  // as the fixture's watchdog
+          must(go_.next(100s) != 0, "it may begin");
+          alarm(60);
+          work();
+        }) {}
+
+  void go() const { go_.tell(); }
+  /// Waits until a look says true, which sleeps for a while. Fails at once where the child has.
+  template <class Look>
+  void wait_until(Look&& look) {
+    while (!look()) {
+      if (child_.ended(status_)) REQUIRE(status_ == 0);
+    }
+  }
+  /// Its exit status.
+  int wait() { return status_ == 0 ? 0 : child_.wait(); }
+  void kill9() { child_.kill9(); }
+
+ private:
+  Steps go_;
+  Child child_;
+  int status_ = -1;
+};
+
+/// The children of a scene: so many for each engine, in the order of with_each_engine().
+class Children {
+ public:
+  template <class Work>
+  explicit Children(Work&& work, std::size_t lives = 1) {
+    for (const QueueEngine engine : kEngines) {
+      for (std::size_t n = 0; n < lives; ++n) all_.emplace_back([&] { work(engine); });
+    }
+  }
+  /// The next one, which begins to work.
+  Helper& begin_next() {
+    Helper& helper = all_.at(begun_++);
+    helper.go();
+    return helper;
+  }
+
+ private:
+  std::deque<Helper> all_;
+  std::size_t begun_ = 0;
+};
+
 struct Fixture : BothEngines {
   static lot::PusherOptions with(QueueEngine engine, std::uint32_t depth = 8) {
     return {Policy::Block, depth, 10s, engine};
@@ -92,11 +145,22 @@ struct Fixture : BothEngines {
 TEST_SUITE_BEGIN("waiting");
 
 TEST_CASE_FIXTURE(Fixture, "a set of many topics gets all that publishers send and leave") {
-  with_each_engine([&](QueueEngine engine) {
-    for (const lot::Wait wait : {lot::Wait::Park, lot::Wait::Adaptive, lot::Wait::Spin}) {
+  constexpr lot::Wait kWaits[] = {lot::Wait::Park, lot::Wait::Adaptive, lot::Wait::Spin};
+  constexpr std::uint64_t kLives = 2;
+  constexpr std::uint64_t kMessages = 10;  // more than a queue is deep
+  const auto work = [&](QueueEngine engine) {
+    lot::ShmEngine mine(options);
+    auto out = pushers(mine, with(engine));
+    for (std::uint64_t n = 0; n < kMessages; ++n) {
+      for (auto& pusher : out) publish(pusher, n);
+      if (n % 8 == 0) std::this_thread::sleep_for(1ms);
+    }
+  };
+  Children publishers(work, std::size(kWaits) * kLives);
+  with_each_engine([&](QueueEngine) {
+    for (const lot::Wait wait : kWaits) {
       lot::ShmEngine shm(options);
       auto in = pullers(shm);
-      constexpr std::uint64_t kMessages = 10;  // more than a queue is deep
       std::vector<std::uint64_t> got(kTopics, 0);
       std::uint64_t all = 0;
       WaitSet set(wait);
@@ -110,21 +174,13 @@ TEST_CASE_FIXTURE(Fixture, "a set of many topics gets all that publishers send a
         });
       }
       CHECK(set.run_once(1ms) == 0);
-      for (std::uint64_t life = 1; life <= 2; ++life) {
-        Child publisher([&] {
-          lot::ShmEngine mine(options);
-          auto out = pushers(mine, with(engine));
-          for (std::uint64_t n = 0; n < kMessages; ++n) {
-            for (auto& pusher : out) publish(pusher, n);
-            if (n % 8 == 0) std::this_thread::sleep_for(1ms);
-          }
+      for (std::uint64_t life = 1; life <= kLives; ++life) {
+        Helper& publisher = publishers.begin_next();
+        publisher.wait_until([&] {
+          if (all < life * kMessages * kTopics) set.run_once(1s);
+          return all == life * kMessages * kTopics;
         });
-        int status = -1;
-        while (all < life * kMessages * kTopics) {
-          set.run_once(1s);
-          if (publisher.ended(status)) REQUIRE(status == 0);  // else this would wait for ever
-        }
-        CHECK((status == 0 || publisher.wait() == 0));
+        CHECK(publisher.wait() == 0);
       }
       CHECK(Ears(shm.path()).claimed == 1);
       for (auto& puller : in) set.remove(*puller);
@@ -362,26 +418,27 @@ TEST_CASE_FIXTURE(Fixture, "a forked child takes no news from its parent's set a
 }
 
 TEST_CASE_FIXTURE(Fixture, "a process that is killed leaves no ear, and no bit of one") {
+  Steps steps;
+  Children readers([&](QueueEngine) {
+    lot::ShmEngine mine(options);
+    auto in = pullers(mine);
+    WaitSet set;
+    for (auto& puller : in) {
+      (void)puller->fd();
+      set.add(*puller, [&] {
+        while (puller->try_pull()) {
+        }
+      });
+    }
+    set.run_once(1ms);
+    steps.tell();
+    set.run();
+  });
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto out = pushers(shm, {Policy::Overwrite, 4, 1s, engine});
-    Steps steps;
-    Child reader([&] {
-      lot::ShmEngine mine(options);
-      auto in = pullers(mine);
-      WaitSet set;
-      for (auto& puller : in) {
-        (void)puller->fd();
-        set.add(*puller, [&] {
-          while (puller->try_pull()) {
-          }
-        });
-      }
-      set.run_once(1ms);
-      steps.tell();
-      set.run();
-    });
-    REQUIRE(steps.next() != 0);
+    Helper& reader = readers.begin_next();
+    reader.wait_until([&] { return steps.next(100ms) != 0; });
     CHECK(Ears(shm.path()).claimed == 1);
     CHECK(Ears(shm.path()).listen == 2 * kTopics);  // of the set, and of the descriptors
     for (auto& pusher : out) publish(pusher, 1);
@@ -393,7 +450,15 @@ TEST_CASE_FIXTURE(Fixture, "a process that is killed leaves no ear, and no bit o
 }
 
 TEST_CASE_FIXTURE(Fixture, "a set of many topics hears of a publisher that is killed") {
-  with_each_engine([&](QueueEngine engine) {
+  Steps steps;
+  Children publishers([&](QueueEngine engine) {
+    lot::ShmEngine mine(options);
+    auto out = pushers(mine, with(engine));
+    for (auto& pusher : out) publish(pusher, 1);
+    steps.tell();
+    pause();
+  });
+  with_each_engine([&](QueueEngine) {
     lot::ShmEngine shm(options);
     auto in = pullers(shm);
     WaitSet set;
@@ -409,15 +474,8 @@ TEST_CASE_FIXTURE(Fixture, "a set of many topics hears of a publisher that is ki
         }
       });
     }
-    Steps steps;
-    Child publisher([&] {
-      lot::ShmEngine mine(options);
-      auto out = pushers(mine, with(engine));
-      for (auto& pusher : out) publish(pusher, 1);
-      steps.tell();
-      pause();
-    });
-    REQUIRE(steps.next() != 0);
+    Helper& publisher = publishers.begin_next();
+    publisher.wait_until([&] { return steps.next(100ms) != 0; });
     set.run_once(20s);
     publisher.kill9();
     while (ends < kTopics) set.run_once(20s);
@@ -426,14 +484,27 @@ TEST_CASE_FIXTURE(Fixture, "a set of many topics hears of a publisher that is ki
 }
 
 TEST_CASE_FIXTURE(Fixture, "queues and tasks in a set of many topics") {
+  const auto queue = [&](lot::ShmEngine& shm, QueueEngine engine, bool redeliver) {
+    lot::QueueOptions how;
+    how.engine = engine;
+    how.redeliver = redeliver;
+    return shm.queue<Number>(redeliver ? "tasks" : "items", how);
+  };
+  Children others([&](QueueEngine engine) {
+    lot::ShmEngine mine(options);
+    auto out = queue(mine, engine, false);
+    auto work = queue(mine, engine, true);
+    for (std::uint64_t n = 0; n < 30; ++n) {
+      must_go(out.put(Number{n}));
+      must_go(work.put(Number{n}));
+      if (n % 10 == 0) std::this_thread::sleep_for(1ms);
+    }
+  });
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto in = pullers(shm);
-    lot::QueueOptions how;
-    how.engine = engine;
-    auto items = shm.queue<Number>("items", how);
-    how.redeliver = true;
-    auto tasks = shm.queue<Number>("tasks", how);
+    auto items = queue(shm, engine, false);
+    auto tasks = queue(shm, engine, true);
     std::size_t popped = 0, taken = 0;
     WaitSet set;
     for (auto& puller : in) set.add(*puller, [] {});
@@ -446,17 +517,11 @@ TEST_CASE_FIXTURE(Fixture, "queues and tasks in a set of many topics") {
       }
     });
     CHECK(set.run_once(1ms) == 0);
-    Child other([&] {
-      lot::ShmEngine mine(options);
-      auto out = mine.queue<Number>("items", {.engine = engine});
-      auto work = mine.queue<Number>("tasks", how);
-      for (std::uint64_t n = 0; n < 30; ++n) {
-        must_go(out.put(Number{n}));
-        must_go(work.put(Number{n}));
-        if (n % 10 == 0) std::this_thread::sleep_for(1ms);
-      }
+    Helper& other = others.begin_next();
+    other.wait_until([&] {
+      if (popped < 30 || taken < 60) set.run_once(1s);
+      return popped == 30 && taken == 60;
     });
-    while (popped < 30 || taken < 60) set.run_once(20s);
     CHECK(other.wait() == 0);
     set.remove(items);
     set.remove(tasks);
@@ -465,6 +530,18 @@ TEST_CASE_FIXTURE(Fixture, "queues and tasks in a set of many topics") {
 }
 
 TEST_CASE_FIXTURE(Fixture, "one thread serves all descriptors, and each is readable by itself") {
+  Steps steps, finished;
+  Children publishers([&](QueueEngine engine) {
+    lot::ShmEngine mine(options);
+    auto out = pushers(mine, with(engine));
+    auto put = mine.queue<Number>("items", {.engine = engine});
+    for (std::uint64_t n = 0; n < 20; ++n) {
+      publish(out[n], n);
+      must(steps.next() != 0, "it was read");
+    }
+    must_go(put.put(Number{1}));
+    must(finished.next(30s) != 0, "all is read");
+  });
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
     auto in = pullers(shm);
@@ -475,30 +552,18 @@ TEST_CASE_FIXTURE(Fixture, "one thread serves all descriptors, and each is reada
     const int of_queue = items.fd();
     CHECK(threads() == before + 1);
     for (const int fd : fds) CHECK(!readable(fd, 0));
-    Steps steps, finished;
-    Child publisher([&] {
-      lot::ShmEngine mine(options);
-      auto out = pushers(mine, with(engine));
-      auto put = mine.queue<Number>("items", {.engine = engine});
-      for (std::uint64_t n = 0; n < 20; ++n) {
-        publish(out[n], n);
-        must(steps.next() != 0, "it was read");
-      }
-      must_go(put.put(Number{1}));
-      must(finished.next(30s) != 0, "all is read");
-    });
+    Helper& publisher = publishers.begin_next();
     for (std::uint64_t n = 0; n < 20; ++n) {
       std::unique_ptr<Puller>& puller = in[n];
-      for (bool got = false; !got;) {
-        REQUIRE(readable(fds[n], 20'000));
+      publisher.wait_until([&] {
+        if (!readable(fds[n], 100)) return false;
         const auto message = puller->try_pull();
-        got = message != nullptr;
-        if (got) CHECK(message->value == n);
-      }
+        if (message) CHECK(message->value == n);
+        return message != nullptr;
+      });
       steps.tell();
     }
-    REQUIRE(readable(of_queue, 20'000));
-    while (!items.try_pop()) REQUIRE(readable(of_queue, 20'000));
+    publisher.wait_until([&] { return readable(of_queue, 100) && items.try_pop(); });
     in[3].reset();  // others go on
     finished.tell();
     CHECK(publisher.wait() == 0);
