@@ -454,7 +454,9 @@ TEST_CASE("a thread that is short of memory takes nothing that a message uses") 
 
 TEST_CASE("after many loans of any size most of the segment serves before one is refused") {
   const Watchdog watchdog(300);
-  constexpr std::uint64_t kRounds = 11;
+  // Rounds of messages that are being built may end early, at a fill that varies much: so the
+  // median is that of many rounds.
+  constexpr std::uint64_t kRounds = std::max<std::uint64_t>(11, kLoans / 30'000);
   constexpr std::uint64_t kLifetime = 80;  // of a message on average, in loans
   bool is_complete = false;
   SUBCASE("messages that are complete") { is_complete = true; }
