@@ -14,7 +14,7 @@ stronger order. Where a mutant was caught the last time is kept in caught.txt an
 
     --build DIR       where the lot_model of this source tree is built (default: build/release)
     --compiler PATH   builds the recovery mutants (default: g++)
-    --quick           every 16th mutant, chosen by the seed; nothing that must be built
+    --quick           every 32nd mutant, chosen by the seed; nothing that must be built
     --seed N          for --quick (default: a new one)
     --only TEXT       only mutants whose key contains TEXT
     --survivors       tries the justified survivors, too
@@ -46,7 +46,7 @@ FAILED = re.compile(r'^(\S+) +FAIL +(\d+) executions +[\d.]+ s  (.+)$', re.M)
 # What is tried until one search notices: quick ones first.
 SEARCHES = (('random', 20000), ('bounded', 0))
 LONG = 300000  # schedules of one scenario: some seconds
-ONE_IN = 16  # mutants, with --quick
+ONE_IN = 32  # mutants, with --quick
 PATIENCE_S = 1800  # a watchdog, not a limit that is ever near
 
 
