@@ -88,8 +88,8 @@ constexpr Figure kFigures[] = {
     {"locks/vs_pthread", "lock + unlock / pthread's robust mutex", "ratio", true, 0.8},
     {"pointers/vs_std", "copy + destroy / std::shared_ptr", "ratio", true, 1.1},
     {"pointers/two_processes_vs_boost", "  two processes: faster than Boost", "faster", false, 5},
-    {"throughput/borrowed", "64 B, M/s, none lost, borrowed", "M/s", false, 20},
-    {"throughput/kept", "64 B, M/s, none lost, kept", "M/s", false, 8},
+    {"throughput/borrowed", "64 B, M/s, none lost, in blocks, borrowed", "M/s", false, 20},
+    {"throughput/kept", "64 B, M/s, none lost, in blocks, kept", "M/s", false, 8},
     {"throughput/slot/borrowed", "  in slots, borrowed / one-line ring", "ratio", true, 2},
     {"throughput/slot/kept", "  in slots, kept / one-line ring", "ratio", true, 3},
 };
