@@ -19,6 +19,7 @@
 #include "liveness/lock_file.hpp"
 #include "lockfree_ring/words.hpp"
 #include "robust_mutex/robust_mutex.hpp"
+#include "support/in_blocks.hpp"
 #include "support/janitor.hpp"
 #include "support/lock_owner.hpp"
 #include "support/must_go.hpp"
@@ -93,8 +94,9 @@ std::size_t kill_a_publisher(Fault fault) {
   Child publisher([&] {
     lot::ShmEngine engine(named(options, "publisher"));
     std::vector<lot::ShmPusher<Number>> pushers;
+    const auto how = in_blocks({Policy::Overwrite, kDepth, 1s});  // the orphanage holds blocks
     for (std::uint64_t i = 0; i < kRings; ++i) {
-      pushers.push_back(engine.advertise<Number>(topic(i), {Policy::Overwrite, kDepth, 1s}));
+      pushers.push_back(engine.advertise<Number>(topic(i), how));
     }
     ready.tell();
     must(joined.next() == '.', "the reader");

@@ -20,6 +20,7 @@
 
 #include "first_sequence.hpp"
 #include "lockfree_ring/words.hpp"
+#include "support/in_blocks.hpp"
 #include "support/janitor.hpp"
 #include "support/must_go.hpp"
 #include "support/neighbour.hpp"
@@ -62,7 +63,7 @@ std::uint64_t newest(lot::segment::Segment& s) {
     if (lot::ring::writer_state(s.channels()[c].writer.load()) != lot::ring::State::Live) continue;
     const auto ring = s.ring(c);
     std::uint64_t most = lot::ring::sequence(ring.slots[0].load());
-    for (std::uint32_t i = 1; i < ring.depth; ++i) {
+    for (std::uint32_t i = 1; i < ring.places(); ++i) {
       const auto here = lot::ring::sequence(ring.slots[i].load());
       if (lot::ring::distance(here, most) > 0) most = here;
     }
@@ -82,6 +83,8 @@ TEST_CASE("two processes hand messages over across the wrap, each depth and each
   for (const std::uint32_t depth : kDepths) {
     for (const auto wait : {Wait::Spin, Wait::Adaptive, Wait::Park}) {
       if (depth == 65536 && wait != Wait::Adaptive) continue;
+      lot::PusherOptions how{Policy::Block, depth, 60s};
+      how.fast_lane = depth != 64;
       CAPTURE(depth);
       CAPTURE(static_cast<int>(wait));
       const std::uint64_t before = depth + 100;
@@ -102,7 +105,7 @@ TEST_CASE("two processes hand messages over across the wrap, each depth and each
       REQUIRE(joined.next() == '.');
       const BeforeTheWrap start(before);
       lot::ShmEngine engine(options);
-      auto pusher = engine.advertise<Number>("/t", {Policy::Block, depth, 60s});
+      auto pusher = engine.advertise<Number>("/t", how);
       REQUIRE(pusher.wait_for_readers(1, 20s));
       for (std::uint64_t n = 0; n < count; ++n) {
         REQUIRE(pusher.push(pusher.loan(n)) == Status::Ok);
@@ -125,7 +128,9 @@ TEST_CASE("a reader sleeps before each message on both sides of the wrap, and is
       const Room options(depth);
       const BeforeTheWrap start(5);
       lot::ShmEngine engine(options);
-      auto pusher = engine.advertise<Number>("/t", {policy, depth, 10s});
+      lot::PusherOptions how{policy, depth, 10s};
+      how.fast_lane = depth != 64;
+      auto pusher = engine.advertise<Number>("/t", how);
       std::atomic<pid_t> thread{0};
       std::atomic<std::uint64_t> next{0};
       std::thread reader([&] {
@@ -182,7 +187,9 @@ Trace run(const Setting& setting, std::uint64_t its_seed) {
   Room options(setting.depth);
   if (setting.blocks != 0) options.blocks = setting.blocks;
   lot::ShmEngine engine(options);
-  auto pusher = engine.advertise<Number>("/t", {setting.policy, setting.depth, 1s});
+  lot::PusherOptions how{setting.policy, setting.depth, 1s};
+  how.fast_lane = setting.blocks == 0 && its_seed % 2 == 0;
+  auto pusher = engine.advertise<Number>("/t", how);
   std::deque<lot::ShmPuller<Number>> readers;
   std::deque<lot::ShmSharedPtr<const Number>> kept;
   const std::uint64_t depth = setting.depth;
@@ -329,7 +336,7 @@ TEST_CASE("the last message before the wrap is borrowed while its publisher runs
     options.blocks = depth + 40;  // so that what is free is used again soon
     const BeforeTheWrap start(1);
     lot::ShmEngine engine(options);
-    auto pusher = engine.advertise<Number>("/t", {Policy::Overwrite, depth, 1s});
+    auto pusher = engine.advertise<Number>("/t", in_blocks({Policy::Overwrite, depth, 1s}));
     auto puller = engine.subscribe<Number>("/t");
     must_go(pusher.push(pusher.loan(std::uint64_t{77})));
     auto look = puller.borrow(10s);
