@@ -90,6 +90,7 @@ std::shared_ptr<Participant> Participant::join(EngineOptions options, IfAbsent i
   if (handle) return handle;
   pass_gate(options, path, trust, if_absent,
             [&](const auto& lock_file) { handle = admit(options, path, trust, lock_file); });
+  handle->reaper().reap_all_dead();
   return handle;
 }
 

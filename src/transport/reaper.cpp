@@ -122,13 +122,29 @@ bool Reaper::reap_if_dead(std::uint32_t k) noexcept {
 bool Reaper::reap_dead() noexcept {
   bool done = false;
   for (std::uint32_t k = 1; k < world_.participants(); ++k) {
-    // Acquire: edge "state".
-    if (k != index() && world_.participant_state(k).load(std::memory_order_acquire) != 0 &&
-        presence_.looks_dead(k)) {
-      done |= reap_if_dead(k);
-    }
+    if (looks_dead(k)) done |= reap_if_dead(k);
   }
   return done;
+}
+
+void Reaper::reap_all_dead() noexcept {
+  const auto until = futex::Clock::now() + kAnotherReaper;
+  while (has_dead() && futex::Clock::now() < until) {
+    if (!reap_dead()) std::this_thread::sleep_for(1ms);
+  }
+}
+
+bool Reaper::looks_dead(std::uint32_t k) noexcept {
+  // Acquire: edge "state".
+  return k != index() && world_.participant_state(k).load(std::memory_order_acquire) != 0 &&
+         presence_.looks_dead(k);
+}
+
+bool Reaper::has_dead() noexcept {
+  for (std::uint32_t k = 1; k < world_.participants(); ++k) {
+    if (looks_dead(k)) return true;
+  }
+  return false;
 }
 
 /// Whether an ended ring has no reader any more. Only the process that acts for the orphanage may

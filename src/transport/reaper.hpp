@@ -17,6 +17,9 @@
 
 namespace lot::transport {
 
+/// For so long another process may be reaping.
+inline constexpr std::chrono::milliseconds kAnotherReaper{20};
+
 /// Acts for the orphanage in the name of this process: reaps the dead and what this process leaves,
 /// frees what the orphanage has and no process needs, takes over rings that this process has
 /// closed.
@@ -47,6 +50,9 @@ class Reaper {
   bool reap_if_dead(std::uint32_t k) noexcept;
   /// Reaps all dead participants. True when it has reaped one.
   bool reap_dead() noexcept;
+  /// The same, for a process that has just joined: what died before is not in the way of its first
+  /// calls. Waits a moment where another thread or process is reaping.
+  void reap_all_dead() noexcept;
   /// Frees what the orphanage has and no process needs any more: rings without readers, dead
   /// messages. False when the orphanage had nothing.
   bool collect() noexcept;
@@ -74,6 +80,8 @@ class Reaper {
 
  private:
   std::uint32_t index() const noexcept { return membership_.index(); }
+  bool looks_dead(std::uint32_t k) noexcept;
+  bool has_dead() noexcept;
   bool is_closing(std::uint32_t channel) noexcept;
   bool enter_orphanage() noexcept;
   void leave_orphanage() noexcept;
@@ -90,11 +98,9 @@ class Reaper {
   bool lock_lost_ = false;  ///< this process must lock its byte again; the warden's
 };
 
-/// Calls f. If f finds all places taken, it is called again after the dead have lost theirs. For so
-/// long another process may be reaping.
+/// Calls f. If f finds all places taken, it is called again after the dead have lost theirs.
 template <class F>
 void after_reaping(Reaper& reaper, F&& f) {
-  constexpr std::chrono::milliseconds kAnotherReaper{20};
   const auto until = futex::Clock::now() + kAnotherReaper;
   for (;;) {
     try {

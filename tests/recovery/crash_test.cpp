@@ -52,6 +52,12 @@ lot::EngineOptions node_options(const lot::EngineOptions& options, const char* n
   return o;
 }
 
+lot::QueueOptions redelivering() {
+  lot::QueueOptions options;
+  options.redeliver = true;
+  return options;
+}
+
 volatile std::sig_atomic_t stop_requested = 0;
 void request_stop(int) { stop_requested = 1; }
 
@@ -484,6 +490,59 @@ TEST_CASE("after all processes were killed, the next one starts and its exit cle
     CHECK(puller.pull(10s));
   }
   CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("what killed processes have left is not in the way of the next one's first calls") {
+  const Watchdog watchdog(100);
+  for (int round = 0; round < 10; ++round) {
+    CAPTURE(round);
+    const auto options = fresh();
+    Steps done;
+    Child dead([&] {
+      lot::ShmEngine engine(options);
+      auto pusher = engine.advertise<Number>("/t");
+      auto puller = engine.subscribe<Number>("/t");
+      auto tasks = engine.queue<Number>("tasks", redelivering());
+      for (unsigned n = 0; n < 3; ++n) must_go(tasks.put(Number{n}));
+      const auto task = tasks.wait_and_take();
+      done.tell();
+      pause();
+    });
+    REQUIRE(done.next() != 0);
+    dead.kill9();
+    Child next([&] {
+      lot::ShmEngine engine(options);
+      auto other = engine.advertise<Frame>("/t");  // of another type
+      auto tasks = engine.queue<Number>("tasks", redelivering());
+      const auto task = tasks.wait_and_take();
+      must(task->value == 0 && task.deliveries() == 2, "the dead worker's task comes first");
+    });
+    CHECK(next.wait() == 0);
+    CHECK(files_of(options) == 0);
+  }
+}
+
+TEST_CASE("a reader that starts behind the death of the last publisher waits for the next one") {
+  const Watchdog watchdog(100);
+  const auto options = fresh();
+  Child dead([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Number>("/t");
+    must_go(pusher.push(pusher.loan(1u)));
+    raise(SIGKILL);
+  });
+  CHECK(dead.wait() == 128 + SIGKILL);
+  lot::ShmEngine engine(options);
+  auto puller = engine.subscribe<Number>("/t");
+  std::thread next([&] {
+    std::this_thread::sleep_for(50ms);
+    auto pusher = engine.advertise<Number>("/t");
+    must_go(pusher.push(pusher.loan(2u)));
+  });
+  const auto message = puller.pull(20s);
+  next.join();
+  REQUIRE(message);
+  CHECK(message->value == 2);
 }
 
 TEST_CASE("a storm of kills at random moments leaves nothing behind") {
