@@ -88,11 +88,12 @@ struct PusherOptions {
   /// the line of the message's memory. LOT_STAMP, 1 or 0, in the environment comes before it, for
   /// every publisher.
   bool stamp = false;
-  /// Plain messages of up to 240 bytes (232 with `stamp`) travel in the queue itself and not in a
-  /// block. A reader that borrows finds them in the cache line that tells it of them. A reader that
-  /// keeps one copies it into a block of its own: two that keep it have two messages, and a weak
-  /// pointer of the publisher does not see them. False: all messages travel in blocks.
-  /// LOT_FAST_LANE, 1 or 0, in the environment comes before it, for every publisher.
+  /// Plain messages (trivially copyable and destructible) of up to 240 bytes (232 with `stamp`) and
+  /// an alignment of up to 16 travel in the queue itself and not in a block. A reader that borrows
+  /// finds them in the cache line that tells it of them. A reader that keeps one copies it into a
+  /// block of its own: two that keep it have two messages, and a weak pointer of the publisher does
+  /// not see them. False: all messages travel in blocks. LOT_FAST_LANE, 1 or 0, in the environment
+  /// comes before it, for every publisher.
   bool fast_lane = true;
 };
 
@@ -114,8 +115,8 @@ struct PullerOptions {
   /// Status::HoldsTooMuch, and messages wait in the queue, or are overwritten, until some are let
   /// go. 0: a quarter of the segment. At most 7/16 of it; less while other subscriptions hold much,
   /// since all together leave the half. The limit counts what a message takes, a little more than
-  /// its bytes. One message is always allowed. Besides, a subscription keeps at most a quarter of
-  /// EngineOptions::blocks messages.
+  /// its bytes; plain messages of up to 256 bytes do not count. One message is always allowed.
+  /// Besides, a subscription keeps at most a quarter of EngineOptions::blocks messages.
   std::uint64_t max_held_bytes = 0;
   /// It only looks on: no publisher waits for it, it does not count in readers(), and `lot ls` says
   /// so. It misses what is overwritten before it looks, also of a lossless publisher, and counts

@@ -26,7 +26,8 @@ inline Envelope envelope_of(const PullerCore& core, std::uint64_t missed) {
 
 }  // namespace detail
 
-/// A message that is looked at in place and not kept: cheaper than a pointer.
+/// A message that is looked at in place and not kept: cheaper than a pointer. One that has come in
+/// a slot (PusherOptions::fast_lane) is a copy in private memory.
 ///
 /// It ends with the object. While it lives the message can not change, however far the publisher
 /// runs ahead. One at a time per puller, which it must not outlive.
@@ -73,7 +74,8 @@ class ShmBorrow {
 
   /// A pointer to the message that outlives the borrow; null where there is none. Throws
   /// lot::Error: EDQUOT when the subscription holds all that it may
-  /// (PullerOptions::max_held_bytes); ECHILD, ESTALE.
+  /// (PullerOptions::max_held_bytes); ECHILD, ESTALE. lot::OutOfMemory when the message has come in
+  /// a slot (PusherOptions::fast_lane), and there is no block for the copy.
   [[nodiscard]] ShmSharedPtr<const T> keep() const {
     if (core_ == nullptr) return {};
     const detail::Kept kept = core_->keep();

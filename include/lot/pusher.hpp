@@ -127,7 +127,8 @@ class ShmPusher {
     return push(std::move(message), Duration());
   }
 
-  /// Publishes a message that was received, or is kept: no copy. It can not grow from then on; its
+  /// Publishes a message that was received, or is kept: no copy, but for one that travels in a slot
+  /// (PusherOptions::fast_lane). It can not grow from then on; its
   /// elements must not be written any more either, since readers look at them. It waits, and says
   /// Status::Full, as the push of a ShmUniquePtr.
   ///
@@ -171,8 +172,9 @@ class ShmPusher {
   /// Makes memory for `count` messages of `bytes` each and touches it, so that the first frames are
   /// as fast as the later ones, and those of a publisher that seldom publishes.
   ///
-  /// count: the depth, the loans at once, and the messages that readers keep. bytes: of all vectors
-  /// and strings of a message. No other publisher gets it; it counts for PusherOptions::max_bytes.
+  /// count: the depth, the loans at once, and the messages that readers keep; of messages that
+  /// travel in slots (PusherOptions::fast_lane) only the loans at once. bytes: of all vectors and
+  /// strings of a message. No other publisher gets it; it counts for PusherOptions::max_bytes.
   /// Under Policy::Block it waits for memory as loan() does.
   /// Errors: lot::OutOfMemory, and then nothing is reserved; lot::Error as the class says.
   void reserve(std::size_t count, std::size_t bytes) { core_->reserve(count, bytes); }

@@ -269,7 +269,9 @@ const MessageType& queue_type(const QueueOptions& options) {
 ///          item for its next pop. When the handle goes, it puts the item back into the queue,
 ///          behind the others; if there is no room or no memory for that, it drops the item. EDQUOT
 ///          when a handle that pops shared items holds too many of them
-///          (PullerOptions::max_held_bytes, its default).
+///          (PullerOptions::max_held_bytes, its default). lot::OutOfMemory when all blocks
+///          (EngineOptions::blocks) are in use and an item of QueueOptions::fast_lane is to be
+///          popped or taken: it stays in the queue.
 /// Memory:  in the segment, for a handle that puts, a queue of QueueOptions::depth slots with its
 ///          items; for one that pops, a cell in each of these. An item has its memory until its
 ///          last owner has gone.

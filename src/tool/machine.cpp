@@ -368,6 +368,9 @@ Machine look_at_machine(const Settings& settings, const std::string& root) {
     m.locks_memory = options.lock_memory;
     (void)segment::path_of(m.directory, m.segment);  // a name that no segment can have throws
     mine.where.trust = transport::trust_of_environment();
+    (void)transport::queue_engine({});  // these three are for publishers
+    (void)transport::stamps(false);
+    (void)transport::fast_lane(false);
   } catch (const Error& e) {
     m.bad_options = e.what();
   }

@@ -46,7 +46,7 @@ unsigned parse_permissions(const char* text) {
 
 bool parse_switch(const char* name, const char* text) {
   if (std::strcmp(text, "0") == 0 || std::strcmp(text, "1") == 0) return *text == '1';
-  throw Error(EINVAL, std::string(name) + "=" + text, "neither yes nor no",
+  throw Error(EINVAL, std::string(name) + "=" + text, "neither 1 nor 0",
               "write 1 or 0, or leave it away");
 }
 

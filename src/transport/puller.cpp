@@ -8,6 +8,7 @@
 #include "lot/detail/core.hpp"
 
 #include "lockfree_ring/sleep.hpp"
+#include "transport/fill.hpp"
 #include "transport/participant.hpp"
 #include "transport/quota.hpp"
 #include "transport/ring_ends.hpp"
@@ -100,6 +101,7 @@ class Puller final : public RingPuller {
   }
 
   [[noreturn, gnu::cold]] void refuse_to_hold() const override {
+    if (lacks_spare_) throw OutOfMemory(describe_block_shortage(participant_->memory()).c_str());
     throw Error(EDQUOT, topic_name_, "the subscription " + quota_.describe(),
                 "let messages go, or raise PullerOptions::max_held_bytes");
   }

@@ -445,6 +445,11 @@ TEST_CASE("lot doctor ends with 0 where all is well, and with 1 where it says wh
   const Json document = ran.json();
   for (const auto& finding : document.at("findings")) is_well &= finding.at("verdict") == "ok";
   CHECK(ran.exit == (is_well ? 0 : 1));
+  for (const char* name : {"LOT_QUEUE", "LOT_STAMP", "LOT_FAST_LANE"}) {
+    CAPTURE(name);
+    const Variable wrong(name, "yes");
+    CHECK(finding_of(doctor().json(), "environment").dump().find(name) != std::string::npos);
+  }
   {
     const Variable size("LOT_SIZE", "many");
     CHECK(doctor().exit == 1);

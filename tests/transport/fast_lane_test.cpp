@@ -393,6 +393,41 @@ TEST_CASE_FIXTURE(BothEngines, "a pull needs a block for what it finds in a slot
   }
 }
 
+TEST_CASE_FIXTURE(BothEngines, "where all blocks are in use a pop says so, and the item stays") {
+  lot::EngineOptions few = options;
+  few.blocks = 64;
+  for (const QueueEngine engine : kEngines) {
+    CAPTURE(static_cast<int>(engine));
+    lot::ShmEngine shm(few);
+    auto values = shm.queue<Ball>("/values", queueing(engine, false));
+    auto items = shm.queue<lot::ShmUniquePtr<Ball>>("/items", queueing(engine, false));
+    auto in = shm.subscribe<Ball>("/ball");
+    auto out = shm.advertise<Ball>("/ball", pushing(engine));
+    CHECK(values.put({1, ~std::uint64_t{1}}) == Status::Ok);
+    CHECK(items.put(items.make(Ball{2, ~std::uint64_t{2}})) == Status::Ok);
+    CHECK(push(out, 3) == Status::Ok);
+    auto greedy = shm.advertise<Ball>("/greedy", pushing(engine));
+    std::vector<lot::ShmUniquePtr<Ball>> loans;
+    while (auto loan = greedy.try_loan()) loans.push_back(std::move(loan));
+    const auto says = doctest::Contains("EngineOptions::blocks");
+    CHECK_THROWS_WITH_AS((void)values.try_pop(), says, lot::OutOfMemory);
+    CHECK_THROWS_WITH_AS((void)items.wait_and_pop_for(10ms), says, lot::OutOfMemory);
+    CHECK(!in.try_pull());
+    CHECK(in.status() == Status::HoldsTooMuch);
+    {
+      const auto borrow = in.try_borrow();
+      REQUIRE(borrow);
+      CHECK(is(*borrow, 3));
+      CHECK_THROWS_WITH_AS((void)borrow.keep(), says, lot::OutOfMemory);
+    }
+    loans.clear();
+    const auto value = values.try_pop();
+    CHECK((value && is(*value, 1)));
+    const auto item = items.try_pop();
+    CHECK((item && is(**item, 2)));
+  }
+}
+
 TEST_CASE_FIXTURE(BothEngines, "each item in a slot is for one that pops, and its own") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);

@@ -163,7 +163,8 @@ class PullerCore : public Waitable {
   /// Takes a pointer hold on the borrowed message, or on a copy of it where it travels in its slot.
   /// Throws as refuse_to_hold() when the quota is full, or there is no block for a copy.
   virtual Kept keep() = 0;
-  /// Throws what Status::HoldsTooMuch means: lot::Error, EDQUOT.
+  /// Throws what Status::HoldsTooMuch means: lot::Error, EDQUOT; lot::OutOfMemory where the segment
+  /// has no block for a copy.
   [[noreturn]] virtual void refuse_to_hold() const = 0;
   /// borrow, keep and done in one.
   virtual Status pull(Borrowed& kept, Limit limit) = 0;
