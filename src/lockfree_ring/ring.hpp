@@ -1044,13 +1044,14 @@ class Reader {
     if (ring_.claims != nullptr) return unclaimed();
     std::uint32_t n = 0;
     std::uint32_t i = index_;
-    for (std::uint32_t ahead = 0; ahead < ring_.depth; ++ahead) {
+    // All places: where there is one more than the depth, the empty one may lie anywhere.
+    for (std::uint32_t ahead = 0; ahead < places_; ++ahead) {
       const Word seen = ring_.slots[i].load(std::memory_order_relaxed);  // only counted
       if (distance(sequence(seen), advance(cursor_, ahead)) < 0) break;
       if (block(seen) != kNoBlock) ++n;
       if (++i == places_) i = 0;
     }
-    return n;
+    return std::min(n, ring_.depth);
   }
 
   const Ring<P>& ring() const { return ring_; }

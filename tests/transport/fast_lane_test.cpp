@@ -467,6 +467,27 @@ TEST_CASE_FIXTURE(BothEngines, "each item in a slot is for one that pops, and it
   });
 }
 
+TEST_CASE_FIXTURE(BothEngines, "a handle that lags counts each item that waits in the slots") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto overwriting = queueing(engine, false);
+    overwriting.policy = Policy::Overwrite;
+    auto out = shm.queue<Ball>("/items", overwriting);
+    auto in = shm.queue<Ball>("/items", overwriting);
+    for (std::uint64_t n = 0; n < 5 * kDepth; ++n) {
+      CHECK(out.put(Ball{n, ~n}) == Status::Ok);
+      if (n == 0) CHECK(in.try_pop().has_value());  // from then on it lags
+      CHECK(in.size() == std::min<std::uint64_t>(n, kDepth));
+    }
+    for (std::uint64_t n = kDepth; n > 0; --n) {
+      CHECK(in.size() == n);
+      const auto item = in.try_pop();
+      CHECK((item && is(*item, 5 * kDepth - n)));
+    }
+    CHECK(in.is_empty());
+  });
+}
+
 TEST_CASE_FIXTURE(BothEngines, "what was taken out of a slot can be put and pushed again") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);
