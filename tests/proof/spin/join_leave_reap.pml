@@ -367,8 +367,8 @@ proctype warden(byte me) {
   {
 end_idle:
     do
-    :: atomic { CAN_BE_REAPED(1) -> k = 1; break } /* @ src/transport/reaper.cpp reap_dead: presence_.looks_dead(k) */
-    :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/reaper.cpp reap_dead: presence_.looks_dead(k) */
+    :: atomic { CAN_BE_REAPED(1) -> k = 1; break } /* @ src/transport/reaper.cpp looks_dead: presence_.looks_dead(k) */
+    :: atomic { CAN_BE_REAPED(2) -> k = 2; break } /* @ src/transport/reaper.cpp looks_dead: presence_.looks_dead(k) */
     :: CAN_BE_COLLECTED -> /* @ src/transport/warden.cpp look_around: reaper_.reap_dead() || (due && (orphans_ || adoptions != adoptions_)) || reaper_.has_deserted_ring() */
       if
       :: atomic { CAN_ENTER_ORPHANAGE -> enters_orphanage() }; /* @ src/transport/reaper.cpp collect: enter_orphanage() */

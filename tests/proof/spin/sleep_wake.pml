@@ -335,7 +335,7 @@ inline announce() {
   directory++; /* @ src/lockfree_ring/sleep.hpp announce: directory.bump() */
 #ifndef ANNOUNCE_WAKES_DIRECTORY_ONLY
   do
-  :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp announce: return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
+  :: c < RINGS && STATE(writer[c]) == LIVE -> /* @ src/registry/registry.cpp announce: return ring::writer_state(w) == ring::State::Live && detail::read_once(channels[c].topic) == topic; */
     do
     :: atomic { i < DEPTH ->
         old = slot[SLOT(c, i)]; /* @ src/lockfree_ring/ring.hpp clear_sleeper: const bool marked = (seen & kSleeper) != 0 */
@@ -350,7 +350,7 @@ inline announce() {
       }
     :: atomic { i == DEPTH -> i = 0; c++; break }
     od
-  :: atomic { c < RINGS && STATE(writer[c]) != LIVE -> c++ } /* @ src/registry/registry.cpp announce: return ring::writer_state(w) == ring::State::Live && channels[c].topic == topic */
+  :: atomic { c < RINGS && STATE(writer[c]) != LIVE -> c++ } /* @ src/registry/registry.cpp announce: return ring::writer_state(w) == ring::State::Live && detail::read_once(channels[c].topic) == topic; */
   :: atomic { c == RINGS -> c = 0; break }
   od;
 #endif
