@@ -129,6 +129,9 @@ struct Ring {
   /// slot that is written next has no message. So a publisher that is killed while it writes takes
   /// none away. A lossless ring whose messages are taken needs none: it writes into empty slots.
   std::uint32_t places() const { return depth + (in_slots() && !(taken && blocking) ? 1 : 0); }
+  /// How many messages may lie before the newest one's end. A publisher of messages that are taken
+  /// may have been killed before it has emptied the slot that is written next.
+  std::uint32_t most() const { return taken ? places() : depth; }
   /// True where the cursor of a reader does not hold the sender back: a hazard protects the block
   /// that it looks at, or a message in its slot is copied.
   bool guarded() const { return taken || !blocking; }
@@ -210,17 +213,17 @@ struct Ring {
   /// overtake it, and may be one message ahead of what the joiner saw. The floor is a limit as
   /// well, unless the ring left it behind so long ago that the sequences have wrapped.
   std::uint64_t reach(Word head, std::uint64_t history, Word lowest, bool is_guarded) const {
-    const std::uint64_t most = std::uint64_t{depth} - (is_guarded ? 0 : 1);
-    const std::uint64_t back = std::min({history, most, published(head)});
+    const std::uint64_t limit = std::uint64_t{most()} - (is_guarded ? 0 : 1);
+    const std::uint64_t back = std::min({history, limit, published(head)});
     const std::int64_t since = distance(head, lowest);
     const bool limits = lowest != first && since >= 0;
     return limits ? std::min(back, static_cast<std::uint64_t>(since)) : back;
   }
   /// The number of all messages that were ever published before `head`. When that number has
-  /// wrapped the ring has long been full, and this is the depth.
+  /// wrapped the ring has long been full, and this is the most that it may have.
   std::uint64_t published(Word head) const {
     const std::int64_t since_first = distance(head, first);
-    if (since_first < 0 || (since_first < places() && slot_was_used(places() - 1))) return depth;
+    if (since_first < 0 || (since_first < places() && slot_was_used(places() - 1))) return most();
     return static_cast<std::uint64_t>(since_first);
   }
   /// False while slot i is as format() made it.
@@ -845,7 +848,7 @@ class Reader {
         // No publisher leaps by less than whole laps. A leap through half of all sequences is
         // damage, too: the loop might never end.
         if (ahead % places_ != 0 || lapped > kSequenceMask / 2) return kDamaged;
-        skip(static_cast<Word>(ahead) + 1 - ring_.depth, missed);
+        skip(static_cast<Word>(ahead) + 1 - ring_.most(), missed);
         continue;
       }
       if (block(seen) == kNoBlock) {  // evicted, or taken by another reader
