@@ -100,6 +100,7 @@ void Arena::deallocate(void* piece, std::size_t bytes) noexcept {
   Build* const build = Build::of(*this);
   if (build == nullptr) return;
   if (build->arena == this) {
+    if (!build->is_told) poison(piece, bytes);
     build->give_back(piece, bytes);
     return;
   }
@@ -134,7 +135,13 @@ void Build::open(Arena& its, const Mapping& here) noexcept {
   wanted.store(0, std::memory_order_relaxed);  // as above
 }
 
+void Build::unpoison_whole() const noexcept {
+  unpoison(at(mapping->small_of(arena)), segment::kSmallBytes);
+  for (unsigned i = 0; i < extents; ++i) unpoison(at(begin_of(extent[i])), bytes_of(extent[i]));
+}
+
 void Build::tell() noexcept {
+  if (!is_told) unpoison_all();
   is_told = true;
   Arena& said = *arena;
   write_once(said.extents, extents);

@@ -340,6 +340,7 @@ void Pool::destroy_whole(ControlBlock& c) noexcept {
   Arena& arena = holder_.segment->arena(b);
   Build& build = holder_.segment->build(b);
   build.own_spare();
+  build.unpoison_all();
   if (type == nullptr) {  // nothing was built, or the constructor threw
     for (unsigned i = 0; i < build.extents; ++i) build.extent[i].living = 0;
     holder_.release_references(b);
@@ -464,6 +465,9 @@ bool Pool::extend_run(std::uint32_t end, std::uint32_t granules, std::uint32_t t
 
 void Pool::release_run(std::uint32_t first, std::uint32_t granules) noexcept {
   count_out(granules);
+  // What a message gives back while it is built: another process may claim it at once.
+  detail::unpoison(holder_.segment->base() + holder_.segment->granule_offset(first),
+                   segment::kGranule * granules);
   holder_.segment->granules().release(first, granules);
 }
 

@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include "lot/detail/mapping.hpp"
+#include "lot/detail/poison.hpp"
 
 namespace lot::transport {
 class Participant;
@@ -210,9 +211,15 @@ struct alignas(64) Build {
   bool is_spare() const noexcept { return spare.load(std::memory_order_acquire) == kSpare; }  // M2
 
   void* grow(std::size_t bytes, std::size_t align) {
-    return is_told ? grow_told(bytes, align) : find_room(bytes, align);
+    void* const piece = is_told ? grow_told(bytes, align) : find_room(bytes, align);
+    unpoison(piece, bytes);
+    return piece;
   }
   void give_back(const void* piece, std::size_t bytes) noexcept;
+  /// Other processes, or another message, may have the memory from now on.
+  void unpoison_all() const noexcept {
+    if constexpr (kPoisons) unpoison_whole();
+  }
 
   /// Fills this Build from the arena. It is a Build of a message that another process has made and
   /// this process has taken from a queue. Throws lot::Error (EBADMSG) when what the arena says is
@@ -245,6 +252,7 @@ struct alignas(64) Build {
   void resize(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept;
   void shorten(transport::Participant& p, unsigned index, std::uint32_t granules) noexcept;
   void trim_whole() noexcept;
+  void unpoison_whole() const noexcept;
   void await_taker() noexcept;
   void trim_current() noexcept;
   void drop_idle(transport::Participant& p) noexcept;
@@ -266,6 +274,7 @@ inline void* Arena::allocate(std::size_t bytes, std::size_t align) {
     if (begin < end && bytes <= end - begin && bytes < Build::kLargePiece) {
       build->cursor = begin + bytes;
       if (build->current != 0) build->note_piece(build->current - 1U);
+      unpoison(build->mapping->base() + begin, bytes);
       return build->mapping->base() + begin;
     }
     return build->grow(bytes, align);
