@@ -246,7 +246,10 @@ void* Pool::lay_out_anew(ControlBlock& c, const detail::MessageType& type, bool 
     root = arena.allocate(type.size, type.align);
   }
   arena.root = build.root = s.offset_of(root);
-  if (type.plain) build.tell();  // it does not grow
+  if (type.plain) {  // it does not grow: what a larger message had here, it will never need
+    build.trim();
+    build.tell();
+  }
   c.type = &type;
   return root;
 }

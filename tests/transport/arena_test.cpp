@@ -159,6 +159,21 @@ TEST_CASE("a message that grows after it became shared has told so, also when it
   CHECK(granules() >= 4096);
 }
 
+TEST_CASE("a plain message has no memory of the larger one that was in its block before") {
+  struct Plain {
+    std::uint64_t number;
+  };
+  lot::ShmEngine engine(fresh(64 << 20));
+  lot::segment::Segment view(engine.path());
+  {
+    auto large = engine.make<Parts>();
+    large->large.resize(8 << 20);
+  }
+  const auto plain = engine.make<Plain>();
+  CHECK(plain);
+  CHECK(view.granules().used() == 0);
+}
+
 TEST_CASE("reserve() of any number of bytes that is too large throws OutOfMemory") {
   lot::ShmEngine engine(fresh(64 << 20));
   auto pusher = engine.advertise<Parts>("/parts");
