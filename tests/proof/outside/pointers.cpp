@@ -528,7 +528,8 @@ class Model {
   }
 
   void refer(int k, Hand& h) {
-    const unsigned a = pick(h.unique);
+    unsigned a = pick(h.unique);
+    for (unsigned i = 0; i < kUnique && h.unique[a] == kNone; ++i) a = (a + 1) % kUnique;
     const unsigned b = static_cast<unsigned>(random_.below(2));
     const unsigned from = pick(h.shared);
     const unsigned to = pick(h.shared);
@@ -538,7 +539,7 @@ class Model {
       h.shared[to] = object(h.shared[from]).refs[b];
     } else if (h.unique[a] == kNone) {
       return;
-    } else if (random_.chance(80) && h.shared[from] != kNone) {
+    } else if (random_.chance(60) && h.shared[from] != kNone) {
       tell(k, Do::Refer, 0, a, b, from);
       object(h.unique[a]).refs[b] = h.shared[from];
       object(h.unique[a]).refers = true;
@@ -703,11 +704,11 @@ void wrap_unrefer(lot::detail::Arena&, std::uint32_t) noexcept
 std::uint32_t wrap_refer(lot::detail::Arena& arena, lot::detail::ControlBlock* target,
                          const void* object, std::size_t bytes) {
   const std::uint32_t block = real_refer(arena, target, object, bytes);
-  if (lot::outside::makes("unheld")) real_unrefer(arena, block);
+  if (lot::outside::makes("unheld", 1)) real_unrefer(arena, block);
   return block;
 }
 void wrap_unrefer(lot::detail::Arena& arena, std::uint32_t block) noexcept {
-  if (!lot::outside::makes("unlet", 2)) real_unrefer(arena, block);
+  if (!lot::outside::makes("unlet", 1)) real_unrefer(arena, block);
 }
 
 int main(int argc, char** argv) { return lot::outside::main(argc, argv); }

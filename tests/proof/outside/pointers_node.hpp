@@ -101,8 +101,8 @@ inline const std::vector<Mistake> kPointerMistakes{
     {"unlet", "a reference that goes does not let go"},
 };
 inline std::string pointer_plant;
-/// One in `several` times.
-inline bool makes(std::string_view mistake, unsigned several = 4) {
+/// One in `several` times in each life of a process.
+inline bool makes(std::string_view mistake, unsigned several = 2) {
   static unsigned chances = 0;
   return pointer_plant == mistake && ++chances % several == 0;
 }
@@ -196,7 +196,7 @@ class Holder {
         return;
       case Do::Alias:
         part_[c.b] =
-            makes("alias", 2)
+            makes("alias", 1)
                 ? ShmSharedPtr<const std::uint64_t>(ShmSharedPtr<const M>(), &shared_[c.a]->serial)
                 : ShmSharedPtr<const std::uint64_t>(shared_[c.a], &shared_[c.a]->serial);
         return;

@@ -123,6 +123,7 @@ inline const std::vector<Mistake> kQueueMistakes{
     {"recount", "a worker is told of too few deliveries"},
 };
 inline std::string queue_plant;
+/// One in `several` times in each life of a process.
 inline bool errs(std::string_view mistake, unsigned several = 4) {
   static unsigned chances = 0;
   return queue_plant == mistake && ++chances % several == 0;
@@ -207,7 +208,7 @@ class QueueNode {
     answer.status = puller.status();
     answer.count = puller.missed_total();
     if (answer.has_letter) answer.missed = puller.missed();
-    if (answer.missed != 0 && errs("miscount")) --answer.missed;
+    if (answer.missed != 0 && errs("miscount", 1)) --answer.missed;
   }
   static void note(const Letter& letter, QueueAnswer& answer) {
     require(letter.check == Letter::seal(letter.channel, letter.number), "a letter is torn");
@@ -233,9 +234,9 @@ class QueueNode {
       case Act::Take:
         return take(c.a, answer);
       case Act::Finish:
-        return errs("share") ? tasks_[c.a].give_back() : tasks_[c.a].finish();
+        return errs("share", 1) ? tasks_[c.a].give_back() : tasks_[c.a].finish();
       case Act::GiveBack:
-        return errs("forget") ? tasks_[c.a].finish() : tasks_[c.a].give_back();
+        return errs("forget", 1) ? tasks_[c.a].finish() : tasks_[c.a].give_back();
       default:
         return burst(c);
     }
