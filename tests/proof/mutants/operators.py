@@ -198,9 +198,7 @@ class Finder:
             elif child.kind in SCOPES:
                 self.declarations(child)
             elif child.kind == K.FIELD_DECL:
-                before, self.question = self.question, 'maybe'
-                self.initialiser(child)
-                self.question = before
+                self.early(child)
 
     def any_function(self, cursor):
         if cursor.kind == K.FRIEND_DECL:
@@ -213,7 +211,7 @@ class Finder:
         if not bodies:
             for child in children:
                 if child.kind == K.PARM_DECL:
-                    self.initialiser(child)
+                    self.early(child)
             return
         head = self.text[cursor.extent.start.offset:bodies[-1].extent.start.offset]
         if re.search(r'\bconsteval\b', head):
@@ -223,12 +221,18 @@ class Finder:
         self.question = 'maybe' if re.search(r'\bconstexpr\b', head) else 'is'
         for child in children:
             if child.kind == K.PARM_DECL:
-                self.initialiser(child)
+                self.early(child)
             elif child in bodies:
                 self.statement(child)
             elif cursor.kind == K.CONSTRUCTOR and child.kind.is_expression():
                 self.expression(child)
         self.function, self.result, self.question = before
+
+    def early(self, cursor):
+        """The initialiser of a member or parameter, which constexpr functions may use, too."""
+        before, self.question = self.question, 'maybe'
+        self.initialiser(cursor)
+        self.question = before
 
     def initialiser(self, cursor):
         """Of a variable, a member or a parameter: what stands behind its name."""
@@ -452,6 +456,8 @@ class Finder:
             self.expression(children[0], asked=True)
             return
         if kind == K.CALL_EXPR:
+            if self.text.startswith('__builtin_', around[0]):
+                return  # its arguments may have to be constants
             self.extreme(c)
         same = len(children) == 1 and self.span(children[0]) == around or kind == K.PAREN_EXPR
         for child in children:
@@ -584,8 +590,8 @@ class Finder:
 
     def lambda_expression(self, c):
         around = self.span(c)
-        before = self.result, self.question
-        self.result, self.question = None, 'is'
+        before = self.result
+        self.result = None
         for child in c.get_children():
             if not self.inside(child, around):
                 continue
@@ -593,7 +599,7 @@ class Finder:
                 self.statement(child)
             elif child.kind.is_expression() and child.kind != K.DECL_REF_EXPR:
                 self.expression(child)
-        self.result, self.question = before
+        self.result = before
 
 
 def write(text, mutants):

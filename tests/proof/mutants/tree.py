@@ -68,7 +68,8 @@ def arguments(command):
     for word in words:
         if word == '-o':
             next(words)
-        elif word != '-c' and not word.startswith(('-O', '-W')):
+        elif word != '-c' and not word.startswith('-O') and (
+                not word.startswith('-W') or word.startswith('-Wno-')):
             kept.append(word)
     return kept[:-1]
 

@@ -227,6 +227,44 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet is stopped from another thread and from a 
   sigaction(SIGUSR1, &before, nullptr);
 }
 
+TEST_CASE("a timer of a WaitSet is never early, and once late it leaves out what has passed") {
+  // Only too early is wrong: a machine at work may be late by any time.
+  constexpr auto kPeriod = 5ms;
+  WaitSet set;
+  const auto begin = std::chrono::steady_clock::now();
+  int calls = 0, other = 0;
+  bool early = false;
+  std::optional<std::chrono::steady_clock::time_point> woke;
+  set.add_timer(kPeriod, [&] {
+    ++calls;
+    early = early || std::chrono::steady_clock::now() < begin + calls * kPeriod;
+    if (calls != 3) return;
+    std::this_thread::sleep_for(10 * kPeriod);
+    woke = std::chrono::steady_clock::now();
+  });
+  set.add_timer_once(7ms, [&] {
+    ++other;
+    early = early || std::chrono::steady_clock::now() < begin + 7ms;
+  });
+  while (!woke) set.run_once(1h);
+  CHECK_FALSE(early);
+  CHECK(other == 1);
+  // One that is overdue, one that may be due at any moment, and then one in each period.
+  for (int n = 0; n < 4; ++n) CHECK(set.run_once(1h) == 1);
+  CHECK(std::chrono::steady_clock::now() >= *woke + 2 * kPeriod);
+}
+
+TEST_CASE("a WaitSet removes the timer that it is told to, and no other") {
+  WaitSet set;
+  int first = 0, second = 0, third = 0;
+  set.add_timer(1ms, [&] { ++first; });
+  const WaitSet::Timer timer = set.add_timer(1ms, [&] { ++second; });
+  set.add_timer(1ms, [&] { ++third; });
+  set.remove(timer);
+  while (first == 0 || third == 0) set.run_once(1h);
+  CHECK(second == 0);
+}
+
 TEST_CASE_FIXTURE(Fixture, "a WaitSet refuses an empty handler and a period of nothing") {
   lot::ShmEngine shm(options);
   auto puller = shm.subscribe<Number>("/t");
