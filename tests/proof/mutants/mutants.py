@@ -243,17 +243,16 @@ def table(title, groups):
         print(f'{name:{width}}  {len(results):7}  {caught:6}  {len(results) - caught - idle:7}  {idle:11}')
 
 
-def judge(chosen, results, lists, texts, full):
+def judge(chosen, results, known_open, texts, full):
     """Prints what has come out; returns the problems."""
-    counted = [m for m in chosen if m.key not in lists['equivalent.txt']]
-    survivors = [m for m in counted if results.known[m.key]['by'] is None]
+    survivors = [m for m in chosen if results.known[m.key]['by'] is None]
     for mutant in survivors:
         why = 'no test reaches it' if not results.known[mutant.key]['tried'] else 'no test catches it'
-        listed = lists['open.txt'].get(mutant.key)
+        listed = known_open.get(mutant.key)
         print(f'\n{as_diff(mutant, texts[mutant.file])}\n  {why}; ' +
               (f'open: {listed}' if listed else f'its key: {mutant.key}'))
     by_room, by_operator, by_side = (collections.defaultdict(list) for _ in range(3))
-    for mutant in counted:
+    for mutant in chosen:
         result = results.known[mutant.key]
         by_room['/'.join(mutant.file.split('/')[:-1])].append(result)
         by_operator[mutant.operator].append(result)
@@ -269,13 +268,12 @@ def judge(chosen, results, lists, texts, full):
         print(f'\n{side}: {caught} of {n} are caught ({100 * caught / n:.1f} %)', end='')
         if caught + slack < limit * n:
             problems.append(f'{side}: less than {limit:.0%} are caught')
-    for mutant in counted:
-        if results.known[mutant.key]['by'] and mutant.key in lists['open.txt']:
+    for mutant in chosen:
+        if results.known[mutant.key]['by'] and mutant.key in known_open:
             problems.append(f'open.txt says that nothing catches it: {mutant.key}')
-        if full and mutant in survivors and mutant.key not in lists['open.txt']:
+        if full and mutant in survivors and mutant.key not in known_open:
             problems.append(f'survives, and stands in no list: {mutant.key}')
-    print(f'\nsummary: {len(counted)} mutants, {len(counted) - len(survivors)} caught, '
-          f'{len(survivors)} survive; {len(chosen) - len(counted)} equivalent')
+    print(f'\nsummary: {len(chosen)} mutants, {len(chosen) - len(survivors)} caught, {len(survivors)} survive')
     return problems
 
 
@@ -329,26 +327,41 @@ def tests_of(tree, wanted):
     return [t for t in listed() if t[1]]
 
 
-def main(arguments):
-    options = parse(arguments)
-    if options.self_test:
-        import sample
-        return sample.main()
-    options.build.mkdir(parents=True, exist_ok=True)
-    tree = trees.Tree(options.build, os.cpu_count() or 1)
-    found = tree.find()
-    lists = {name: read_list(HERE / name) for name in ('equivalent.txt', 'open.txt')}
-    if options.list:
-        print('\n'.join(m.key for m in found))
-        return 0
-    problems = list(check_lists({m.key for m in found}, lists))
+def try_all(tree, options, choose_of):
+    """The mutants that are chosen of all that the compiler takes, and what has come of each."""
+    found = [m for of_file in tree.mutants.values() for m in of_file]
     tree.write()
     tests = tests_of(tree, options.tests)
     reach = Reach(options.build, tree.objects).record(tests, options.jobs)
-    chosen = choose([m for m in found if m.key not in tree.refused], options)
+    chosen = choose_of([m for m in found if m.key not in tree.refused])
     results = Results(options.build / f'results-{tree.key(options.tests, str(options.patience))}.jsonl')
-    Trial(options, reach).run([m for m in chosen if m.key not in lists['equivalent.txt']], results)
-    problems += judge(chosen, results, lists, tree.texts, options.full)
+    Trial(options, reach).run(chosen, results)
+    return chosen, results
+
+
+def main(arguments):
+    options = parse(arguments)
+    if options.self_test:
+        import self
+        return self.main(options, try_all)
+    options.build.mkdir(parents=True, exist_ok=True)
+    tree = trees.Tree(options.build, os.cpu_count() or 1)
+    keys = {m.key for m in tree.find()}
+    if options.list:
+        print('\n'.join(sorted(keys)))
+        return 0
+    lists = {name: read_list(HERE / name) for name in ('equivalent.txt', 'open.txt')}
+    problems = list(check_lists(keys, lists))
+
+    def choose_of(found):
+        return [m for m in choose(found, options) if m.key not in lists['equivalent.txt']]
+
+    try:
+        chosen, results = try_all(tree, options, choose_of)
+    except OSError as error:
+        print(f'skipped: no PID namespaces here ({error})')
+        return 1 if options.full else 0
+    problems += judge(chosen, results, lists['open.txt'], tree.texts, options.full)
     for problem in problems:
         print(problem)
     return 1 if problems else 0

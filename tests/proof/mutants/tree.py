@@ -53,12 +53,11 @@ def write_if_other(path, data):
 
 def tracked(root):
     """All files of the sources, by name."""
-    names = subprocess.run(['git', 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
-                           cwd=root, capture_output=True, text=True)
-    if names.returncode == 0:
-        found = names.stdout.split('\0')
+    if (root / '.git').exists():
+        found = subprocess.run(['git', 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
+                               cwd=root, capture_output=True, text=True, check=True).stdout.split('\0')
     else:
-        found = [str(p.relative_to(root)) for p in root.rglob('*')]
+        found = files_below(root)
     return sorted(n for n in found if n and not n.startswith('build/') and (root / n).is_file())
 
 
@@ -232,7 +231,7 @@ class Tree:
     def write(self):
         """The tree; only what is other than before is written."""
         ours = set(self.names) | {'include/lot_mutant.hpp'}
-        for old in tracked_files(self.tree):
+        for old in files_below(self.tree):
             if old not in ours:
                 (self.tree / old).unlink()
         for name in self.names:
@@ -268,7 +267,7 @@ class Tree:
 
     def targets_of(self, tests):
         """What must be built for these tests."""
-        known = set(re.findall(r'^(\w+): phony', subprocess.run(
+        known = set(re.findall(r'^(\w+): ', subprocess.run(
             ['ninja', '-C', self.objects, '-t', 'targets', 'all'], capture_output=True, text=True).stdout, re.M))
         targets = {name.removesuffix('_mutex') for name in tests} & known
         for name in tests:
@@ -290,7 +289,7 @@ class Tree:
                 return
             refused = self.blame(run.stdout + run.stderr)
             if not refused:
-                raise RuntimeError(f'the mutated tree does not build, see {self.build}/build.log')
+                raise RuntimeError(f'the mutated tree does not build:\n{(run.stdout + run.stderr)[-3000:]}')
             self.log(f'the compiler refuses {len(refused)} mutants')
             self.refused |= {m.key for m in refused}
             self.refused_file.write_text(json.dumps(sorted(self.refused), indent=0))
@@ -299,24 +298,22 @@ class Tree:
         raise RuntimeError('the compiler refuses mutants for ever')
 
     def blame(self, output):
-        """The mutants at which the errors stand, or, of an error in lot_mutant.hpp, the notes."""
-        refused, open_error = [], False
-        for path, line, column, kind, _ in ERROR.findall(output):
-            if kind == 'note' and not open_error:
-                continue
+        """The mutants at which the errors stand. An error in lot_mutant.hpp has notes that say where it
+        comes from; what should be a constant expression, one that says where the value is declared."""
+        errors = []
+        for path, line, column, kind, text in ERROR.findall(output):
+            place = os.path.relpath(os.path.join(self.objects, path), self.tree), int(line), int(column)
             if kind == 'error':
-                open_error = True
-            name = os.path.relpath(os.path.join(self.objects, path), self.tree)
-            if name not in self.places:
-                continue
-            found = self.around(name, int(line), int(column))
-            if found:
-                refused += found
-                open_error = False
-        return refused
+                errors.append([place])
+            elif errors:
+                errors[-1].insert(0 if text == 'declared here' else len(errors[-1]), place)
+        return [m for places in errors
+                for m in next(filter(None, (self.around(*place) for place in places)), [])]
 
     def around(self, name, line, column):
         """The innermost mutants around a place of the mutated file; else all of its line."""
+        if name not in self.places:
+            return []
         text = (self.tree / name).read_bytes().decode('latin-1')
         starts = [0] + [m.end() for m in re.finditer('\n', text)]
         if line > len(starts):
@@ -330,7 +327,7 @@ class Tree:
         return [m for b, e, m in self.places[name] if starts[line - 1] <= b < end]
 
 
-def tracked_files(tree):
+def files_below(tree):
     if not tree.exists():
         return []
     return [str(p.relative_to(tree)) for p in tree.rglob('*') if p.is_file()]
