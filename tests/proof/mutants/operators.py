@@ -152,7 +152,8 @@ class Finder:
     def drop(self, cursor):
         b, e = self.span(cursor)
         text = self.text[b:e]
-        if cursor.kind != K.CXX_FOR_RANGE_STMT or not text.endswith('}'):
+        body = list(cursor.get_children())[-1:] if cursor.kind == K.CXX_FOR_RANGE_STMT else []
+        if not body or body[0].kind != K.COMPOUND_STMT:
             e = self.semicolon(e)
         if e is None or MACRO.match(text) or re.match(r'(static_cast<void>|\(void\))', text):
             return
@@ -207,7 +208,8 @@ class Finder:
                     self.any_function(child)
             return
         children = list(cursor.get_children())
-        bodies = [c for c in children if c.kind in (K.COMPOUND_STMT, K.CXX_TRY_STMT)]
+        bodies = [c for c in children if c.kind in (K.COMPOUND_STMT, K.CXX_TRY_STMT) and
+                  self.at(c).startswith(('{', 'try'))]  # one that is defaulted has a body of no text
         if not bodies:
             for child in children:
                 if child.kind == K.PARM_DECL:
