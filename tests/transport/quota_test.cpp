@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cerrno>
 #include <cstdint>
+#include <poll.h>
 #include <string>
 #include <thread>
 #include <utility>
@@ -336,6 +337,61 @@ TEST_CASE("a WaitSet and a listener's on_error hear of HoldsTooMuch at times, an
   push(pusher, 4);
   push(pusher, 5);
   CHECK(eventually([&] { return errors > 0; }));
+}
+
+TEST_CASE("fd() is readable again once a reader at its max_held_bytes has let messages go") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  auto pusher = engine.advertise<Frame>("/frames");
+  auto keeper = engine.subscribe<Frame>("/frames", quota(2 * kFrame));
+  const int fd = keeper.fd();
+  Kept kept;
+  for (std::uint64_t n = 0; n < 4; ++n) push(pusher, n);
+  REQUIRE(hoard(keeper, kept) == lot::Status::HoldsTooMuch);
+  kept.clear();  // no queue has news of this: the descriptor has to look by itself
+  while (kept.empty()) {
+    pollfd descriptor{fd, POLLIN, 0};
+    REQUIRE(poll(&descriptor, 1, 20'000) == 1);
+    hoard(keeper, kept);
+  }
+  CHECK(kept.front()->number == 2);
+}
+
+TEST_CASE("max_held_bytes of the whole segment, or more, still leaves others more than the half") {
+  const Watchdog watchdog(60);
+  for (const std::uint64_t asked : {std::uint64_t{kSegment}, std::uint64_t{1} << 50}) {
+    lot::ShmEngine engine(fresh(kSegment));
+    auto pusher = engine.advertise<Frame>("/frames");
+    auto keeper = engine.subscribe<Frame>("/frames", quota(asked));
+    Kept kept;
+    for (std::uint64_t n = 0; n < 50; ++n) {
+      push(pusher, n);
+      hoard(keeper, kept);
+    }
+    CHECK(keeper.status() == lot::Status::HoldsTooMuch);
+    CHECK(kept.size() > kSegment / kFrame / 4);
+    CHECK(kept.size() < kSegment / kFrame / 2);
+  }
+}
+
+TEST_CASE("what another subscription keeps leaves less to take, also the segment's first message") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  auto large = engine.advertise<Frame>("/large");
+  auto reader = engine.subscribe<Frame>("/large");
+  push(large, 0, 20 * kFrame);
+  const auto first = reader.try_pull();
+  REQUIRE(first);
+  auto pusher = engine.advertise<Frame>("/frames");
+  auto keeper = engine.subscribe<Frame>("/frames", quota(kSegment));
+  Kept kept;
+  for (std::uint64_t n = 0; n < 40; ++n) {
+    push(pusher, n);
+    hoard(keeper, kept);
+  }
+  CHECK(keeper.status() == lot::Status::HoldsTooMuch);
+  CHECK(kept.size() >= 4);
+  CHECK(kept.size() <= 14);  // it would be 27 if the large one did not count
 }
 
 TEST_CASE("a queue of shared items says that its reader holds too much") {
