@@ -324,6 +324,18 @@ TEST_CASE_FIXTURE(Fixture, "a WaitSet runs until its token is told to stop") {
   });
 }
 
+TEST_CASE("run_once() of a WaitSet says 0 where a handler has told its token to stop") {
+  lot::WaitSet set;
+  StopSource source;
+  int called = 0;
+  set.add_timer_once(0s, [&] {
+    ++called;
+    source.request_stop();
+  });
+  CHECK(set.run_once(1h, source.get_token()) == 0);
+  CHECK(called == 1);
+}
+
 TEST_CASE_FIXTURE(Fixture, "a signal handler stops the thread that it interrupts, and others") {
   with_each_engine([&](QueueEngine engine) {
     StopSource source;

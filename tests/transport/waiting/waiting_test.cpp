@@ -265,6 +265,17 @@ TEST_CASE("a WaitSet removes the timer that it is told to, and no other") {
   CHECK(second == 0);
 }
 
+TEST_CASE("a WaitSet forgets the handler of a timer that was removed, or called once") {
+  WaitSet set;
+  auto held = std::make_shared<int>();
+  const std::weak_ptr<int> seen = held;
+  set.add_timer_once(0s, [held] {});
+  set.remove(set.add_timer(1h, [held] {}));
+  held.reset();
+  CHECK(set.run_once(1h) == 1);
+  CHECK(seen.expired());
+}
+
 TEST_CASE_FIXTURE(Fixture, "a WaitSet refuses an empty handler and a period of nothing") {
   lot::ShmEngine shm(options);
   auto puller = shm.subscribe<Number>("/t");
