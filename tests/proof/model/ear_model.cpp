@@ -26,10 +26,17 @@ class Listening {
       segment_->ear().take(segment_->shape.channels,
                            [this](std::uint32_t c) { is_due_[c] = true; });
       sleeps = !look();
-      if (!sleeps) continue;
-      Bed bed;
-      bed.add(segment_->ear_words.bell.word(), segment_->ear_words.bell.sleep(rung));
-      bed.sleep();
+      if (sleeps) sleep(rung);
+    }
+  }
+  /// Sleeps until it has seen the directory's new version.
+  void await_a_ring() {
+    while (segment_->version.load(std::memory_order_relaxed) == 0) {
+      const std::uint32_t rung = segment_->ear_words.bell.rung();
+      segment_->ear().take(segment_->shape.channels, [](std::uint32_t) {});
+      segment_->listeners[0].add(0);
+      if (subscribers_[0].leave_mark()) sleep(rung);
+      segment_->ear_words.bell.wake_up();
     }
   }
   std::uint64_t received() const {
@@ -40,6 +47,11 @@ class Listening {
   std::size_t ended() const { return ended_; }
 
  private:
+  void sleep(std::uint32_t rung) {
+    Bed bed;
+    bed.add(segment_->ear_words.bell.word(), segment_->ear_words.bell.sleep(rung));
+    bed.sleep();
+  }
   /// Looks at what is due, and arms it. True: it has found something.
   bool look() {
     bool any = false;
@@ -149,6 +161,33 @@ struct HearsTheEnd : Scene<HearsTheEnd<kLocked>, 2> {
   Listening listening;
 };
 
+/// A publisher announces a ring while an ear falls asleep that listens to another one.
+template <bool kLocked>
+struct HearsOfARing : Scene<HearsOfARing<kLocked>, 2> {
+  using Base = Scene<HearsOfARing<kLocked>, 2>;
+  HearsOfARing()
+      : Base({.blocks = 1,
+              .depth = 1,
+              .readers = 1,
+              .channels = 2,
+              .locked = kLocked,
+              .has_ear = true}) {}
+  void prepare() {
+    silent.open(this->start(4), 0, false);
+    listening.begin(this->start(2), 1);
+    this->start(5);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      RL_ASSERT(fresh.advertise(this->process(5), 1, false));
+    } else {
+      listening.await_a_ring();
+    }
+  }
+  Publisher silent, fresh;
+  Listening listening;
+};
+
 /// A publisher is killed anywhere in its push, and reaped: the message or the end is heard.
 struct RingerKilled : Scene<RingerKilled, 3> {
   RingerKilled() : Scene({.blocks = 2, .depth = 1, .readers = 1, .has_ear = true}) {}
@@ -209,6 +248,9 @@ const Entered entered{
      cast_of<HearsBesideASleeper>, 2},
     {"hears_the_end", "an ear hears that a ring has ended", cast_of<HearsTheEnd<false>>, 2},
     {"hears_the_end_mutex_engine", "the same of the mutex engine", cast_of<HearsTheEnd<true>>, 2},
+    {"hears_of_a_ring", "an ear hears of a new ring", cast_of<HearsOfARing<false>>, 2},
+    {"hears_of_a_ring_mutex_engine", "the same of the mutex engine", cast_of<HearsOfARing<true>>,
+     2},
     {"ear_changes_hands", "an ear's next owner keeps its bit", cast_of<EarChangesHands>, 3},
     {"ringer_killed", "an ear hears of a publisher that is killed in its push",
      cast_of<RingerKilled>, 1},

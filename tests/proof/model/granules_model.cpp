@@ -239,7 +239,7 @@ struct AttemptsAreNoted : SceneBegins, rl::test_suite<AttemptsAreNoted<kWasGiven
     units.give_back(
         0, 0, granules, 0, 2, 9,
         [&] {
-          given[0].store(0, std::memory_order_seq_cst);
+          given[0].exchange(0, std::memory_order_acq_rel);
           return true;
         },
         [](std::uint32_t) { return false; });
@@ -250,12 +250,14 @@ struct AttemptsAreNoted : SceneBegins, rl::test_suite<AttemptsAreNoted<kWasGiven
     RL_ASSERT(is_there ? units.is_old(0, 0) : !units.has(0, 0));
   }
   bool ask() {
-    given[0].store(1, std::memory_order_seq_cst);
+    given[0].exchange(1, std::memory_order_acq_rel);
     return true;
   }
   std::vector<CheckedAtomic<std::uint32_t>> tags;
   std::vector<CheckedAtomic<std::uint32_t>> words;
-  std::vector<CheckedAtomic<std::uint32_t>> given;  ///< by the system, whose calls have an order
+  /// By the system. Its calls take a lock of its own: a later one has seen what stood before an
+  /// earlier one.
+  std::vector<CheckedAtomic<std::uint32_t>> given;
 };
 
 /// The process that gives a unit back is killed anywhere, and reaped; a living one uses the unit

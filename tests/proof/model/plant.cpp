@@ -27,6 +27,7 @@ struct NamedPlant {
 };
 
 constexpr auto kRelaxed = std::memory_order_relaxed;
+constexpr auto kAcqRel = std::memory_order_acq_rel;
 constexpr auto kRelease = std::memory_order_release;
 constexpr auto kSeqCst = std::memory_order_seq_cst;
 
@@ -58,6 +59,15 @@ const NamedPlant kPlants[] = {
      {"ring.hpp", 0, 0, "::raise_floor", Operation::Store, kSeqCst, {.order = kRelaxed}}},
     {"marks-not-cleared",  // R5: a late sleeper does not see the end
      {"ring.hpp", 0, 0, "clear_sleeper(", Operation::CompareExchange, kSeqCst, {.drop = true}}},
+    // Only lot_weak can find these.
+    {"clearing-acq-rel",  // H1: the waker looks for ears before its change can be seen
+     {"ring.hpp", 0, 0, "clear_sleeper(", Operation::CompareExchange, kSeqCst, {.order = kAcqRel}}},
+    {"no-order-of-news",  // H2: a sleeper sees the news, and not what they are about
+     {"ear.hpp", 0, 0, "::tell(", Operation::Fetch, kRelease, {.order = kRelaxed}}},
+    {"own-bit-not-told",  // O4: another thread takes the hold for granted, and the bit is not there
+     {"ownership.hpp", 0, 0, "::acquire(", Operation::Store, kRelease, {.order = kRelaxed}}},
+    {"no-barrier",  // P1, M1
+     {"private_model.cpp", 0, 0, "::pass(", Operation::Fetch, kSeqCst, {.drop = true}}},
 };
 
 const std::pair<const char*, bool Omissions::*> kOmissions[] = {

@@ -197,14 +197,8 @@ class CheckedAtomic {
                                Where where = Where::current()) {
     const Done done = begin(Operation::CompareExchange, success, failure, where);
     if (done.dropped) return true;
-    rl::context& c = rl::ctx();
-    c.sched();
-    rl::preemption_disabler one_step(c);
-    // Relacy wants a failure order that is no stronger than the other; C++17 does not. So it is
-    // only told the order of what is about to happen.
-    const bool will = value_.debug_value() == expected;
-    const rl::memory_order order = will ? for_both(done.order) : for_load(done.failure);
-    value_.compare_exchange(rl::bool_t<false>(), expected, desired, order, info(where));
+    const bool will = rl::compare_exchange(value_, expected, desired, for_both(done.order),
+                                           for_load(done.failure), info(where));
     remember(expected);
     return will;
   }
