@@ -256,16 +256,17 @@ std::uint64_t change_sequence(C& c, C& other, Random& random) {
       return static_cast<std::uint64_t>(std::distance(c.begin(), it));
     }
     case 4:
-      c.insert(place(c, from), count, value);
+      // Where nothing is inserted or erased, Boost 1.74's deque moves an element onto itself.
+      if (count != 0) c.insert(place(c, from), count, value);
       return c.size();
     case 5:
-      if (&c != &other) c.insert(place(c, from), other.begin(), place(other, part));
+      if (&c != &other && part != 0) c.insert(place(c, from), other.begin(), place(other, part));
       return c.size();
     case 6:
       if (from < c.size()) c.erase(place(c, from));
       return c.size();
     case 7:
-      c.erase(place(c, from), place(c, to));
+      if (from != to) c.erase(place(c, from), place(c, to));
       return c.size();
     case 8:
       c.assign(count, value);
