@@ -7,7 +7,7 @@ foreach(mistake IN LISTS PLANTS)
     RESULT_VARIABLE status OUTPUT_VARIABLE output ERROR_VARIABLE output)
   # Memory that two containers have may end the program before it can compare.
   if((status EQUAL 1 AND output MATCHES "DIFFERS in step ([^\n]*)") OR
-      output MATCHES "(ERROR: AddressSanitizer: [^\n]*)")
+      output MATCHES "(ERROR: AddressSanitizer: [^\n]*|runtime error: [^\n]*)")
     message(STATUS "${mistake}: found: ${CMAKE_MATCH_1}")
   elseif(NOT status MATCHES "^[0-9]+$")
     message(STATUS "${mistake}: found: ${status}")
