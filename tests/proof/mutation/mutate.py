@@ -43,8 +43,9 @@ import sites
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
 FAILED = re.compile(r'^(\S+) +FAIL +(\d+) executions +[\d.]+ s  (.+)$', re.M)
-# What is tried until one search notices: quick ones first.
-SEARCHES = (('random', 20000), ('bounded', 0))
+# What is tried until one search notices: quick ones first. `weak` is lot_weak (../weak), the others
+# are lot_model.
+SEARCHES = (('random', 20000), ('bounded', 0), ('weak', 20000))
 LONG = 300000  # schedules of one scenario: some seconds
 ONE_IN = 32  # mutants, with --quick
 PATIENCE_S = 1800  # a watchdog, not a limit that is ever near
@@ -83,7 +84,10 @@ def read_survivors(path):
 
 def search(model, weaken, kind, count, scenarios=()):
     """The first scenario that fails, as (scenario, search, executions, what), or None."""
-    command = [model, '--stop', *weaken]
+    program = model.parents[1] / 'weak' / 'lot_weak' if kind == 'weak' else model
+    if not program.exists():  # a mutant that was compiled is one of lot_model only
+        return None
+    command = [program, '--stop', *weaken]
     command += ['--bounded'] if kind == 'bounded' else ['--random', str(count)]
     run = subprocess.run(command + list(scenarios), capture_output=True, text=True,
                          timeout=PATIENCE_S)
