@@ -53,9 +53,16 @@ def all_tests(objects):
     return found
 
 
+def place_of(program):
+    """Where it lies in its build tree, wherever that is."""
+    path = pathlib.Path(program)
+    root = next((p for p in path.parents if (p / 'CMakeCache.txt').exists()), path.parent)
+    return path.relative_to(root).as_posix()
+
+
 def cases_of(name, command, environment, folder):
     """A program of doctest, or a file of unittest, has many cases; another command is one."""
-    if len(command) == 1 and '/tests/' in command[0]:
+    if len(command) == 1 and place_of(command[0]).startswith('tests/'):
         listed = subprocess.run([command[0], '-ltc', '-nc'], cwd=folder, capture_output=True, text=True,
                                 env={**os.environ, **environment}, timeout=60)
         lines = [line for line in listed.stdout.splitlines() if not line.startswith(('[doctest]', '==='))]
