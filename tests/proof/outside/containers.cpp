@@ -289,7 +289,7 @@ class Model {
         heaps_(std::in_place, place_, "heaps", false, run.random()),
         random_(run.random()) {}
 
-  void step() {
+  void step(unsigned) {
     switch (random_.below(6)) {
       case 0:
       case 1:
@@ -347,11 +347,7 @@ int main(int argc, char** argv) {
   for (const Mistake& m : kMistakes) {
     if (run.planted(m.name)) plant = m.name;
   }
-  Model model(run);
-  return run.all([&](unsigned n) {
-    model.step();
-    if (n + 1 == run.steps()) model.end();
-  });
+  return run_model<Model>(run);
 }
 
 }  // namespace

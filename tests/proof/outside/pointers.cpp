@@ -675,12 +675,7 @@ int main(int argc, char** argv) {
   for (const Mistake& m : kPointerMistakes) {
     if (run.planted(m.name)) pointer_plant = m.name;
   }
-  std::optional<Model> model;
-  return run.all([&](unsigned n) {
-    if (!model) model.emplace(run);
-    model->step(n);
-    if (n + 1 == run.steps()) model->end();
-  });
+  return run_model<Model>(run);
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include <cstring>
 #include <exception>
 #include <initializer_list>
+#include <optional>
 #include <random>
 #include <stdexcept>
 #include <string>
@@ -109,5 +110,16 @@ class Run {
   std::string plant_;
   Random random_{0};
 };
+
+/// Does all steps of a model, which the first one makes, and looks at the end.
+template <class Model>
+int run_model(Run& run) {
+  std::optional<Model> model;
+  return run.all([&](unsigned n) {
+    if (!model) model.emplace(run);
+    model->step(n);
+    if (n + 1 == run.steps()) model->end();
+  });
+}
 
 }  // namespace lot::outside
