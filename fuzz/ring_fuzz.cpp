@@ -384,7 +384,7 @@ class Fuzz {
     auto real = Reader::join(ring_, 1, 1, history, full);
     require(full == (seat == readers_.end()) && full == !real, "join");
     if (!real) return;
-    Word back = ring_.guarded() ? ring_.depth : ring_.depth - 1;
+    Word back = ring_.guarded() ? ring_.most() : ring_.depth - 1;
     if (!ring_.blocking && !ring_.taken && history == Reader::kFromTheStart) back = published_;
     back = std::min({back, Word{history}, published_});
     if (!ring_.guarded()) back = std::min(back, published_ - closed_off_);

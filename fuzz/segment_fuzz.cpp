@@ -23,6 +23,7 @@
 #include <optional>
 #include <string>
 #include <sys/stat.h>
+#include <type_traits>
 #include <unistd.h>
 #include <utility>
 #include <vector>
@@ -395,6 +396,14 @@ void read_message(const T* message) {
           "a message lies in the segment");
   if (is_readable(message, 1)) read(*message);
 }
+/// Of a message that travels in a slot a reader borrows a copy, which lies elsewhere.
+template <class T>
+void read_borrowed(const T* message) {
+  const auto* place = reinterpret_cast<const unsigned char*>(message);
+  const bool is_inside = place >= window::base() && place < window::base() + window::size();
+  if (!std::is_same_v<T, Small> || is_inside) return read_message(message);
+  read(*message);
+}
 template <class T>
 void read_reference(const lot::ShmRef<const T>& reference) {
   try {
@@ -444,7 +453,7 @@ class Station {
         if (puller_) {
           borrow_.end();
           borrow_ = puller_->try_borrow();
-          if (borrow_) read_message(borrow_.get());
+          if (borrow_) read_borrowed(borrow_.get());
         }
         return;
       case 5:
