@@ -105,7 +105,10 @@ class Memory {
       if (given) stock_.trim(asker);  // what messages of others referred to comes home
       if (enough()) return true;
       // Or it lies idle in a third process, which has made it.
-      if (given && step.what == What::Ask && neighbours_.gather(enough)) return true;
+      if (given && step.what == What::Ask &&
+          neighbours_.gather(enough) == Neighbours::Gathered::Enough) {
+        return true;
+      }
       if (step.what == What::Given) continue;
       const bool is_late = futex::Clock::now() >= until;
       if (is_late) givers = {};  // messages of this process may still be enough
@@ -127,13 +130,26 @@ class Memory {
     if (granules > segment_.granules().count()) return false;
     tidy(asker);
     if (enough()) return true;
-    const bool gathers = neighbours_.may_gather();
-    if (gathers && neighbours_.gather(enough)) return true;
     const auto possible = [&](const Eviction::Givers& givers) {
       return eviction_.can_free_run(asker, granules, givers);
     };
-    return evict_until(enough, asker, segment::kGranule * granules, Shortage::Memory, possible) ||
-           (!gathers && neighbours_.gather(enough));
+    return gather_or_evict(enough, asker, segment::kGranule * granules, Shortage::Memory, possible);
+  }
+
+  /// Asks the other processes for what lies idle with them, and then lets messages go, until
+  /// enough() is true. True when enough() was. Where neither helps it waits longer for the
+  /// processes that have not answered: a busy machine runs their wardens late. The rest is
+  /// evict_until()'s.
+  template <class Enough, class Possible>
+  bool gather_or_evict(Enough&& enough, std::uint32_t asker, std::uint64_t need, Shortage shortage,
+                       Possible&& possible) noexcept {
+    using Gathered = Neighbours::Gathered;
+    const Gathered first = neighbours_.may_gather() ? neighbours_.gather(enough) : Gathered::Some;
+    if (first == Gathered::Enough) return true;
+    if (evict_until(enough, asker, need, shortage, possible)) return true;
+    const auto patience =
+        warden_.is_current() ? Neighbours::kAnswerPatience : Neighbours::kGiverPatience;
+    return first == Gathered::Some && neighbours_.gather(enough, patience) == Gathered::Enough;
   }
 
   /// A publisher that waits for room in its queue waits for memory and blocks, too, while readers

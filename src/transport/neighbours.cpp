@@ -18,22 +18,29 @@ void Neighbours::ask_others(Questions& questions) noexcept {
     // Acquire: edge "state".
     if (k == holder_.own.self || world_.participant_state(k).load(std::memory_order_acquire) == 0)
       continue;
-    questions.asked[k] = true;
+    questions.awaited[k] = !is_silent(k);
     // Relaxed: an answer to an earlier question is as good as one to this question.
     questions.answers[k] = segment_.witnesses()[k].errands.answers();
     holder_.ask(k, segment::errand::kTrim);
   }
 }
 
-bool Neighbours::all_have_answered(const Questions& questions) noexcept {
+bool Neighbours::has_answered(const Questions& questions, std::uint32_t k) const noexcept {
+  // E2. G1 carries the memory itself.
+  return segment_.witnesses()[k].errands.answers_acquired() != questions.answers[k];
+}
+
+bool Neighbours::all_have_answered(const Questions& questions) const noexcept {
   for (std::uint32_t k = 1; k < world_.participants(); ++k) {
-    // E2. G1 carries the memory itself.
-    if (questions.asked[k] &&
-        segment_.witnesses()[k].errands.answers_acquired() == questions.answers[k]) {
-      return false;
-    }
+    if (questions.awaited[k] && !has_answered(questions, k)) return false;
   }
   return true;
+}
+
+void Neighbours::note_silent(const Questions& questions) noexcept {
+  for (std::uint32_t k = 1; k < world_.participants(); ++k) {
+    if (questions.awaited[k] && !has_answered(questions, k)) note_silent(k, questions.answers[k]);
+  }
 }
 
 bool Neighbours::ask_to_give(std::uint32_t k, const Request& request) noexcept {

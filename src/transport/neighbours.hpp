@@ -30,22 +30,31 @@ class Neighbours {
   Neighbours(segment::Segment& segment, World& world, const Holder& holder) noexcept
       : segment_(segment), world_(world), holder_(holder) {}
 
+  enum class Gathered : std::uint8_t {
+    Enough,  ///< enough() was true
+    All,     ///< all have answered but the silent ones, and it was not
+    Some     ///< the patience has ended before
+  };
   /// Asks all other processes to give back the idle memory of their pools. Returns when enough() is
-  /// true (it is asked now and then), when all have answered, or when the patience has ended, so
-  /// that a stopped process delays the caller no longer. True when enough() was.
+  /// true (it is asked now and then), when all have answered but the silent ones, or when the
+  /// patience has ended. The giver's patience is the longest one: a process that has not answered
+  /// in it is silent from then on, so that a stopped process delays the caller once.
   template <class Enough>
-  bool gather(Enough&& enough, std::chrono::milliseconds patience = kAnswerPatience) noexcept {
+  Gathered gather(Enough&& enough, std::chrono::milliseconds patience = kAnswerPatience) noexcept {
     Questions questions;
     ask_others(questions);
     const auto until = futex::Clock::now() + patience;
-    bool all = false;
-    while (!all) {
+    for (;;) {
       // Asked before enough(), so that the last answers count.
-      all = all_have_answered(questions) || futex::Clock::now() >= until;
-      if (enough()) return true;
-      if (!all) std::this_thread::sleep_for(kAnswerLook);
+      const bool all = all_have_answered(questions);
+      const bool is_late = futex::Clock::now() >= until;
+      if (enough()) return Gathered::Enough;
+      if (all) return Gathered::All;
+      if (is_late) break;
+      std::this_thread::sleep_for(kAnswerLook);
     }
-    return false;
+    if (patience >= kGiverPatience) note_silent(questions);
+    return Gathered::Some;
   }
   /// True when the other processes were not asked within the last 100 ms. While messages of this
   /// process can make room, the others are asked no more often.
@@ -62,8 +71,7 @@ class Neighbours {
     const auto until = futex::Clock::now() + kGiverPatience;
     while (!done()) {
       if (futex::Clock::now() >= until) {
-        // Relaxed: it only says how long to wait.
-        silent_[k].store(std::uint64_t{before} + 1, std::memory_order_relaxed);
+        note_silent(k, before);
         return false;
       }
       std::this_thread::sleep_for(kAnswerLook);
@@ -75,14 +83,20 @@ class Neighbours {
 
  private:
   static constexpr std::chrono::microseconds kAnswerLook{100};
-  /// Which participants were asked for memory, and how often they had answered before.
+  /// Whose answers are waited for, and how often these participants had answered before.
   struct Questions {
-    std::array<bool, segment::kMaxParticipants> asked{};
+    std::array<bool, segment::kMaxParticipants> awaited{};
     std::array<std::uint32_t, segment::kMaxParticipants> answers;
   };
 
   void ask_others(Questions& questions) noexcept;
-  bool all_have_answered(const Questions& questions) noexcept;
+  bool has_answered(const Questions& questions, std::uint32_t k) const noexcept;
+  bool all_have_answered(const Questions& questions) const noexcept;
+  void note_silent(const Questions& questions) noexcept;
+  void note_silent(std::uint32_t k, std::uint32_t answers) noexcept {
+    // Relaxed: it only says how long to wait.
+    silent_[k].store(std::uint64_t{answers} + 1, std::memory_order_relaxed);
+  }
 
   segment::Segment& segment_;
   World& world_;

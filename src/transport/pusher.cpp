@@ -778,11 +778,8 @@ class Pusher final : public RingPusher, private Evictor {
     const auto search = [&] {
       participant_->memory().tidy(pool_.index());
       if (look()) return true;
-      const bool gathers = participant_->neighbours().may_gather();
-      if (gathers && participant_->neighbours().gather(look)) return true;
-      return participant_->memory().evict_until(look, pool_.index(), 1, Shortage::Blocks,
-                                                [](const Eviction::Givers&) { return true; }) ||
-             (!gathers && participant_->neighbours().gather(look));
+      return participant_->memory().gather_or_evict(look, pool_.index(), 1, Shortage::Blocks,
+                                                    [](const Eviction::Givers&) { return true; });
     };
     if (!search() && waits && participant_->memory().may_await_readers(pool_.index())) {
       participant_->memory().await_readers(search, look, pool_.index(), Shortage::Blocks);

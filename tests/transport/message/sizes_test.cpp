@@ -5,10 +5,13 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cmath>
+#include <csignal>
 #include <cstdint>
 #include <filesystem>
 #include <random>
+#include <sys/wait.h>
 #include <thread>
 #include <type_traits>
 #include <utility>
@@ -391,6 +394,32 @@ TEST_CASE("what a message that is being built has no need of serves other messag
     });
     CHECK(child.wait() == 0);
     small->data.resize(kMiB);
+  }
+  SUBCASE("of another process, which answers late") {
+    Steps ready, end;
+    Child child([&] {
+      lot::EngineOptions same;
+      same.segment = std::filesystem::path(segment.engine.path()).filename();
+      lot::ShmEngine theirs(same);
+      auto other = theirs.advertise<Frame>("/other");
+      other.loan()->data.resize(100 * kMiB);
+      const auto small = other.loan();
+      ready.tell();
+      end.next(60s);
+    });
+    REQUIRE(ready.next() == '.');
+    child.send(SIGSTOP);
+    int status = 0;
+    REQUIRE(waitpid(child.pid(), &status, WUNTRACED) == child.pid());
+    std::thread later([&] {
+      std::this_thread::sleep_for(30ms);  // longer than the first look at the others
+      child.send(SIGCONT);
+    });
+    auto large = pusher.loan();
+    CHECK_NOTHROW(large->data.resize(100 * kMiB));
+    later.join();
+    end.tell();
+    CHECK(child.wait() == 0);
   }
   SUBCASE("but for what reserve() made, and what it uses") {
     pusher.reserve(1, 60 * kMiB);
