@@ -81,7 +81,8 @@ TEST_CASE("what OutOfMemory says would have fitted does fit") {
   std::smatch found;
   REQUIRE(std::regex_search(text, found, std::regex("(\\d+) MiB would have fitted")));
   const auto fits = static_cast<std::size_t>(std::stoul(found[1]));
-  CHECK(fits >= 20);
+  // Two messages and a block made ahead stay. Wherever they lie, they leave four pieces at most.
+  CHECK(fits >= 12);
   CHECK(names(text, " MiB are of /front, made by node (pid "));
   CHECK(names(text, "raise LOT_SIZE"));
   CHECK(!names(text, "depth"));
