@@ -406,16 +406,23 @@ void Node::reap() {
 }
 
 void Node::arm() {
-  probe_pusher.emplace(engine->advertise<Number>("/probe", {Policy::Overwrite, 2, 1s}));
-  probe_again.emplace(engine->advertise<Number>("/probe", {Policy::Overwrite, 1, 1s}));
+  const auto in_blocks = [](Policy policy, std::uint32_t depth) {
+    PusherOptions pushing{policy, depth, 1s};
+    pushing.fast_lane = false;
+    return pushing;
+  };
+  probe_pusher.emplace(engine->advertise<Number>("/probe", in_blocks(Policy::Overwrite, 2)));
+  probe_again.emplace(engine->advertise<Number>("/probe", in_blocks(Policy::Overwrite, 1)));
   probe_puller.emplace(engine->subscribe<Number>("/probe"));
   probe_frames.emplace(engine->advertise<Frame>("/probe-frames", {Policy::Overwrite, 1, 1s}));
   testing::must_go(probe_pusher->push(probe_pusher->loan(numbered(7, 0))));
   (void)probe_puller->try_borrow();  // and ends it
-  probe_block.emplace(engine->advertise<Number>("/probe-block", {Policy::Block, 1, 1s}));
+  probe_block.emplace(engine->advertise<Number>("/probe-block", in_blocks(Policy::Block, 1)));
   probe_block_puller.emplace(engine->subscribe<Number>("/probe-block"));
   probe_observer.emplace(engine->subscribe<Number>("/probe-block", observing()));
-  probe_queue.emplace(engine->queue<Number>("/probe-items", {2, Policy::Overwrite}));
+  QueueOptions putting{2, Policy::Overwrite};
+  putting.fast_lane = false;
+  probe_queue.emplace(engine->queue<Number>("/probe-items", putting));
   testing::must_go(probe_queue->put(numbered(7, 0)));
   (void)probe_queue->try_pop();  // and drops it
   arm_in_slots();
