@@ -680,8 +680,16 @@ void Subscriber::sleep(std::uint32_t version) {
 
 bool Subscriber::leave_mark() {
   std::array<Source, 1> only{{{reader_, *process_, channel_}}};
-  return ring::prepare_to_sleep(only, process_->segment().version, 0,
-                                [](const auto&, auto, bool) {}) == ring::Rest::Sleep;
+  const ring::Rest rest = ring::prepare_to_sleep(only, process_->segment().version, version_,
+                                                 [](const auto&, auto, bool) {});
+  if (rest == ring::Rest::Doze) look_at_the_directory();
+  return rest == ring::Rest::Sleep;
+}
+
+void Subscriber::look_at_the_directory() {
+  if (!process_->lock_rings()) return Policy::pause();
+  version_ = process_->segment().version.load(std::memory_order_acquire);
+  process_->unlock_rings();
 }
 
 bool Subscriber::receive() {

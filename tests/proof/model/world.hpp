@@ -411,6 +411,9 @@ class Subscriber {
   std::uint64_t number() const;
 
  private:
+  /// A reader that finds another version of the directory looks at its rings, under the registry's
+  /// lock; or it dozes, and tries again.
+  void look_at_the_directory();
   struct Work {
     Word block = kNoBlock;
     std::uint64_t number = 0;
@@ -438,6 +441,7 @@ class Subscriber {
   std::uint32_t channel_ = 0;
   std::uint32_t generation_ = 0;
   ring::Reader<Policy> reader_;
+  std::uint32_t version_ = 0;  ///< of the directory, as it last looked there
   std::uint64_t missed_ = 0;
   std::uint64_t received_ = 0;
   Work work_;
