@@ -12,6 +12,7 @@
 #include <doctest/doctest.h>
 
 #include "support/processes.hpp"
+#include "support/seed.hpp"
 #include "transport.hpp"
 
 /// Every transport, without the harness: real processes, every byte looked at.
@@ -177,11 +178,25 @@ void run(const Transport& transport, Stream stream) {
   }
 }
 
+/// How many pairs of a transport and a stream there are for each one that is run.
+unsigned shares() {
+  constexpr unsigned kMost = 4;
+  const char* said = std::getenv("LOT_TEST_ONE_IN");
+  const unsigned one_in =
+      said != nullptr ? static_cast<unsigned>(std::strtoul(said, nullptr, 10)) : 1;
+  return std::clamp(one_in, 1U, kMost);
+}
+
+/// LOT_AB_TRANSPORT: that one only. LOT_TEST_ONE_IN: a share of the pairs with what f() does,
+/// another one with each seed.
 template <class F>
 void each_transport(F&& f) {
+  static std::uint64_t pair = 0;
+  const lot::testing::Share share(shares());
   const char* only = std::getenv("LOT_AB_TRANSPORT");
   for (const Transport& transport : transports()) {
     if (!transport.delivers || (only != nullptr && transport.name != only)) continue;
+    if (only == nullptr && !share.has(pair++)) continue;
     f(transport);
   }
 }
