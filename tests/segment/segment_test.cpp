@@ -2,6 +2,8 @@
 
 // A segment is absent or complete, and what can not be a segment is an error that says what to do.
 
+#include "segment/segment.hpp"
+
 #include <cstdint>
 #include <cstdlib>
 #include <fcntl.h>
@@ -18,6 +20,7 @@
 
 #include "lot/lot.hpp"
 
+#include "support/local_segment.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
 #include "support/small_disk.hpp"
@@ -435,6 +438,35 @@ TEST_CASE("a directory that is full, or becomes full later, is an error and neve
     CHECK(pusher.push(std::move(frame)) == lot::Status::Ok);
   }
   CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("the last unit of a segment may be shorter, and goes back to the system, too") {
+  using lot::segment::kGranule;
+  using lot::segment::kUnit;
+  lot::testing::LocalSegment local({16 * kUnit + 3 * kGranule, 3, 8, 1, 4, 2});
+  lot::segment::Segment& s = local.segment();
+  REQUIRE(s.size() == 16 * kUnit + 3 * kGranule);
+  REQUIRE(s.units() == 17);
+  for (std::uint32_t unit = 0; unit < 16; ++unit) CHECK(s.bytes_of_unit(unit) == kUnit);
+  CHECK(s.bytes_of_unit(16) == 3 * kGranule);
+
+  const std::uint32_t all = s.granules().count();
+  for (int round = 0; round < 2; ++round) {
+    const std::uint32_t run = s.claim_run(all, 1);
+    REQUIRE(run == 0);
+    s.base()[s.size() - 1] = 7;
+    s.granules().release(run, all);
+    s.look_at_units();
+    std::uint64_t bytes = 0;
+    for (std::uint32_t unit = s.first_unit(); unit < s.units(); ++unit) {
+      CHECK(s.is_unused(unit, 1));
+      bytes += s.give_back(unit, 1, 1);
+      CHECK(!s.is_unused(unit, 1));
+    }
+    CHECK(bytes == s.size() - s.first_unit() * kUnit);
+    CHECK(s.base()[s.size() - 1] == 0);  // it has gone
+    CHECK(s.granules().used() == 0);
+  }
 }
 
 TEST_CASE("two segments in one process have nothing to do with each other") {

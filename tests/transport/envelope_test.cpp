@@ -197,6 +197,61 @@ TEST_CASE_FIXTURE(BothEngines, "an envelope stays when its own ring ends, or ano
   });
 }
 
+TEST_CASE_FIXTURE(BothEngines, "an envelope stays when a ring ends that the reader found later") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto in = shm.subscribe<Ball>("/t");
+    std::vector<std::optional<lot::ShmPusher<Ball>>> out(3);
+    for (auto& one : out) {
+      one.emplace(shm.advertise<Ball>("/t", pushing(engine, true)));
+      CHECK(in.try_pull() == nullptr);  // the reader finds the ring
+    }
+    out[1].reset();
+    CHECK(in.try_pull() == nullptr);
+    CHECK(in.envelope().publisher.empty());  // there is no message yet
+    CHECK(in.envelope().publisher_id == 0);
+
+    push(*out[0], 1);
+    REQUIRE(in.try_pull() != nullptr);
+    const Envelope last = in.envelope();
+    CHECK(last.publisher == kHere);
+    out[2].reset();
+    CHECK(in.try_pull() == nullptr);
+    CHECK(in.envelope().publisher_id == last.publisher_id);
+    CHECK(in.envelope().sequence == last.sequence);
+    push(*out[0], 2);
+    REQUIRE(in.try_pull() != nullptr);
+    CHECK(in.envelope().publisher_id == last.publisher_id);
+    CHECK(in.envelope().sequence == 1);
+  });
+}
+
+TEST_CASE_FIXTURE(BothEngines, "a message that a reader keeps does not lend its time to another") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto in = shm.subscribe<Ball>("/t");
+    std::vector<std::optional<lot::ShmPusher<Ball>>> out(3);
+    for (auto& one : out) {
+      one.emplace(shm.advertise<Ball>("/t", pushing(engine, true)));
+      CHECK(in.try_pull() == nullptr);  // the reader finds the ring
+    }
+    push(*out[1], 1);
+    const auto kept = in.try_pull();
+    REQUIRE(kept != nullptr);
+    CHECK(in.envelope().pushed.has_value());
+    push(*out[0], 2);
+    REQUIRE(in.try_borrow());  // and ends
+    CHECK(!in.envelope().pushed.has_value());
+    // The ring of the third publisher takes the place of that of the second one.
+    out[0].reset();
+    CHECK(in.try_pull() == nullptr);
+    push(*out[2], 3);
+    REQUIRE(in.try_borrow());  // and ends
+    CHECK(in.envelope().sequence == 0);
+    CHECK(!in.envelope().pushed.has_value());
+  });
+}
+
 TEST_CASE_FIXTURE(BothEngines, "sequences of envelopes go on, and their gaps are missed()") {
   with_each_engine([&](QueueEngine engine) {
     lot::ShmEngine shm(options);

@@ -19,6 +19,7 @@
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
+#include <thread>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -269,6 +270,27 @@ TEST_CASE("what is made ahead is the first that goes when memory is short") {
   }
   CHECK(!pool.has_ahead());
   CHECK(engine.subscribe<Frame>("ours", latched).size() == 2);  // no message went for it
+}
+
+TEST_CASE("frames are made ahead again a while after memory was short") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(48 * kMiB));
+  auto ours = engine.advertise<Frame>("ours", {Policy::Overwrite, 2, {}});
+  lot::transport::Pool& pool = push(ours, 4 * kMiB);
+  REQUIRE(is_made(pool));
+  {
+    auto other = engine.advertise<Frame>("other");
+    std::vector<lot::ShmUniquePtr<Frame>> loans;
+    try {
+      for (;;) loans.push_back(filled(other, 4 * kMiB));
+    } catch (const lot::OutOfMemory&) {
+    }
+    CHECK(!pool.has_ahead());
+  }
+  while (!pool.has_ahead()) {  // else the watchdog
+    push(ours, 4 * kMiB);
+    std::this_thread::sleep_for(10ms);
+  }
 }
 
 TEST_CASE("what is made ahead and not loaned goes back") {

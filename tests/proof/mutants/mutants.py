@@ -5,6 +5,7 @@
     tests/proof/mutants/mutants.py --choose 400    so many, by the hash of the revision
     tests/proof/mutants/mutants.py --full          all of them: for many hours
     tests/proof/mutants/mutants.py --only REGEX    those whose key it matches
+    tests/proof/mutants/mutants.py --one-file 20   so many of one file, in a build that is there (one_file.py)
     tests/proof/mutants/mutants.py --self-test     mutants of a sample: those that must be caught are
 
 All mutants are compiled into one copy of the tree (tree.py, operators.py); each process asks at run
@@ -28,6 +29,7 @@ import os
 import pathlib
 import pickle
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -41,6 +43,7 @@ import tree as trees  # noqa: E402
 PROTOCOL = ('src/lockfree_ring/', 'src/refcount/', 'src/recovery/')
 LIMITS = {'protocol': 0.95, 'around': 0.85}
 DEAREST_S = 20  # a case that takes longer is left to the other parts of scripts/prove
+TELLING = 8  # of so many mutants of one file, one at least is caught, unless something is broken
 
 
 # ---- lists --------------------------------------------------------------------------------------
@@ -245,14 +248,31 @@ def table(title, groups):
         print(f'{name:{width}}  {len(results):7}  {caught:6}  {len(results) - caught - idle:7}  {idle:11}')
 
 
+def tell(mutant, results, known_open, texts):
+    why = 'no test reaches it' if not results.known[mutant.key]['tried'] else 'no test catches it'
+    listed = known_open.get(mutant.key)
+    print(f'\n{as_diff(mutant, texts[mutant.file])}\n  {why}; ' +
+          (f'open: {listed}' if listed else f'its key: {mutant.key}'))
+
+
+def judge_one_file(chosen, results, known_open, texts):
+    """Survivors are told, and no failure: the change at hand has nothing to do with them, and tests
+    that were not run may catch them."""
+    survivors = [m for m in chosen if results.known[m.key]['by'] is None]
+    for mutant in survivors:
+        tell(mutant, results, known_open, texts)
+    print(f'\nsummary: {len(chosen)} mutants of one file, {len(chosen) - len(survivors)} caught, '
+          f'{len(survivors)} survive these tests')
+    if len(survivors) == len(chosen) >= TELLING:
+        return ['no mutant is caught: the tests do not have them, or test nothing']
+    return []
+
+
 def judge(chosen, results, known_open, texts, full):
     """Prints what has come out; returns the problems."""
     survivors = [m for m in chosen if results.known[m.key]['by'] is None]
     for mutant in survivors:
-        why = 'no test reaches it' if not results.known[mutant.key]['tried'] else 'no test catches it'
-        listed = known_open.get(mutant.key)
-        print(f'\n{as_diff(mutant, texts[mutant.file])}\n  {why}; ' +
-              (f'open: {listed}' if listed else f'its key: {mutant.key}'))
+        tell(mutant, results, known_open, texts)
     by_room, by_operator, by_side = (collections.defaultdict(list) for _ in range(3))
     for mutant in chosen:
         result = results.known[mutant.key]
@@ -304,6 +324,9 @@ def parse(arguments):
     parser.add_argument('--choose', type=int)
     parser.add_argument('--full', action='store_true')
     parser.add_argument('--only')
+    parser.add_argument('--one-file', type=int)
+    parser.add_argument('--release', type=pathlib.Path, default=trees.ROOT / 'build' / 'release',
+                        help='the build for --one-file')
     parser.add_argument('--revision', help='a hash: choose as on that revision')
     parser.add_argument('--tests', default='', help='only these (a regular expression)')
     parser.add_argument('--jobs', type=int, default=2 * (os.cpu_count() or 1))
@@ -312,9 +335,10 @@ def parse(arguments):
     parser.add_argument('--self-test', action='store_true')
     options = parser.parse_args(arguments)
     options.build = options.build.resolve()
-    options.patience = options.patience or (600 if options.full else 60)
-    if not (options.choose or options.full or options.only or options.list or options.self_test):
-        parser.error('say --choose N, --full or --only REGEX')
+    options.patience = options.patience or (600 if options.full else 10 if options.one_file else 60)
+    if not (options.choose or options.full or options.only or options.one_file or options.list or
+            options.self_test):
+        parser.error('say --choose N, --full, --only REGEX or --one-file N')
     return options
 
 
@@ -330,15 +354,44 @@ def tests_of(tree, wanted):
 
 
 def try_all(tree, options, choose_of):
-    """The mutants that are chosen of all that the compiler takes, and what has come of each."""
+    """The mutants that are chosen of all that the compiler takes, and what has come of each.
+    choose_of(mutants, numbers of those that a case reaches)."""
     found = [m for of_file in tree.mutants.values() for m in of_file]
     tree.write()
     tests = tests_of(tree, options.tests)
     reach = Reach(options.build, tree.objects).record(tests, options.jobs)
-    chosen = choose_of([m for m in found if m.key not in tree.refused])
+    reached = set().union(*(found for _, found in reach))
+    chosen = choose_of([m for m in found if m.key not in tree.refused], reached)
     results = Results(options.build / f'results-{tree.key(options.tests, str(options.patience))}.jsonl')
     Trial(options, reach).run(chosen, results)
     return chosen, results
+
+
+def try_one_file(options):
+    import one_file
+    options.build = options.build / 'one_file'
+    shutil.rmtree(options.build, ignore_errors=True)
+    options.build.mkdir(parents=True)
+    seed = options.revision or revision(trees.ROOT)
+    print(f'chosen by revision {seed} (--revision)')
+    tree = one_file.OneFile(options.build, os.cpu_count() or 1, options.release.resolve(), seed)
+    tree.find()
+    options.tests = f'^({"|".join(tree.names_of_tests)})$'
+    lists = {name: read_list(HERE / name) for name in ('equivalent.txt', 'open.txt')}
+
+    def choose_of(found, reached):
+        there = [m for m in found if m.number in reached and m.key not in lists['equivalent.txt']]
+        print(f'{len(there)} of {len(found)} mutants are reached by these tests')
+        return sorted(there, key=lambda m: one_file.number_of(seed, m.key))[:options.one_file]
+
+    try:
+        chosen, results = try_all(tree, options, choose_of)
+    except OSError as error:
+        print(f'skipped: no PID namespaces here ({error})')
+        return 0
+    problems = judge_one_file(chosen, results, lists['open.txt'], tree.texts)
+    print(*problems, sep='\n', end='\n' * bool(problems))
+    return 1 if problems else 0
 
 
 def main(arguments):
@@ -346,6 +399,8 @@ def main(arguments):
     if options.self_test:
         import self
         return self.main(options, try_all)
+    if options.one_file:
+        return try_one_file(options)
     options.build.mkdir(parents=True, exist_ok=True)
     tree = trees.Tree(options.build, os.cpu_count() or 1)
     keys = {m.key for m in tree.find()}
@@ -355,7 +410,7 @@ def main(arguments):
     lists = {name: read_list(HERE / name) for name in ('equivalent.txt', 'open.txt')}
     problems = list(check_lists(keys, lists))
 
-    def choose_of(found):
+    def choose_of(found, _):
         return [m for m in choose(found, options) if m.key not in lists['equivalent.txt']]
 
     try:

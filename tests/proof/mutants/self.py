@@ -39,7 +39,7 @@ def main(options, try_all):
         found = tree.find()
         text = tree.texts['src/sample.hpp']
         try:
-            chosen, results = try_all(tree, options, lambda all_of_them: all_of_them)
+            chosen, results = try_all(tree, options, lambda all_of_them, _: all_of_them)
         except OSError as error:
             print(f'skipped: no PID namespaces here ({error})')
             return 0

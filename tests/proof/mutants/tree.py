@@ -278,18 +278,23 @@ class Tree:
                             'lot_image_transport', 'ros_nodelets', 'ros_edges_lot'} & known
         return sorted(targets)
 
+    def build_once(self, targets):
+        """Builds the targets; what the compiler says, if it refuses."""
+        run = subprocess.run(['cmake', '--build', self.objects, '-j', str(self.jobs), '--target', *targets,
+                              '--', '-k', '0'], capture_output=True, text=True)
+        return '' if run.returncode == 0 else run.stdout + run.stderr
+
     def compile(self, targets):
         """Builds the targets; what the compiler refuses is taken out, and remembered."""
         self.log('build the mutated tree')
         for _ in range(40):
-            run = subprocess.run(['cmake', '--build', self.objects, '-j', str(self.jobs), '--target', *targets,
-                                  '--', '-k', '0'], capture_output=True, text=True)
-            (self.build / 'build.log').write_text(run.stdout + run.stderr)
-            if run.returncode == 0:
+            said = self.build_once(targets)
+            (self.build / 'build.log').write_text(said)
+            if not said:
                 return
-            refused = self.blame(run.stdout + run.stderr)
+            refused = self.blame(said)
             if not refused:
-                raise RuntimeError(f'the mutated tree does not build:\n{(run.stdout + run.stderr)[-3000:]}')
+                raise RuntimeError(f'the mutated tree does not build:\n{said[-3000:]}')
             self.log(f'the compiler refuses {len(refused)} mutants')
             self.refused |= {m.key for m in refused}
             self.refused_file.write_text(json.dumps(sorted(self.refused), indent=0))

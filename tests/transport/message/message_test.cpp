@@ -565,6 +565,44 @@ TEST_CASE("a ShmRef in a message may change as often as it likes") {
   CHECK(after.granules < before + 10);
 }
 
+TEST_CASE("a message may refer to all other messages that its segment has room for") {
+  const Watchdog watchdog(60);
+  lot::EngineOptions options = fresh();
+  options.blocks = 66;  // such that each of the lists that a message can have is needed
+  lot::ShmEngine engine(options);
+  std::vector<lot::ShmWeakPtr<const Target>> targets;
+  {
+    auto message = engine.make<Detections>();
+    message->refs.reserve(options.blocks);
+    try {
+      for (std::uint64_t n = 0;; ++n) {
+        lot::ShmSharedPtr<Target> target = engine.make<Target>();
+        target->number = n;
+        message->refs.emplace_back(lot::ShmSharedPtr<const Target>(target));
+        targets.emplace_back(lot::ShmSharedPtr<const Target>(target));
+      }
+    } catch (const lot::OutOfMemory&) {
+    }
+    CHECK(targets.size() == options.blocks - 1);
+    for (std::uint64_t n = 0; n < targets.size(); ++n) {
+      CHECK(message->refs[n]->number == n);
+      CHECK(!targets[n].expired());
+    }
+    // Half of the references go again while it is built. Others take their places.
+    for (std::uint64_t n = 0; n < targets.size(); n += 2) message->refs[n] = message->refs[1];
+    for (std::uint64_t n = 0; n < targets.size(); ++n) CHECK(targets[n].expired() == (n % 2 == 0));
+    CHECK(message->refs[1]->number == 1);
+    for (std::uint64_t n = 0; n < targets.size(); n += 2) {
+      message->refs[n] = lot::ShmSharedPtr<const Target>(engine.make<Target>());
+    }
+    CHECK(!targets[1].expired());
+  }
+  for (const auto& target : targets) CHECK(target.expired());
+  // All blocks serve again.
+  std::vector<lot::ShmUniquePtr<Target>> again;
+  for (std::uint32_t n = 0; n < options.blocks; ++n) again.push_back(engine.make<Target>());
+}
+
 TEST_CASE("a ShmRef to a part of a message is good, to anything else it is refused") {
   Place place;
   auto target = place.engine.make<Target>();

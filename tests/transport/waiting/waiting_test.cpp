@@ -2,11 +2,16 @@
 // Every way to wait: spinning, parked, WaitSet, listeners and descriptors. Both engines.
 #include <atomic>
 #include <csignal>
+#include <fcntl.h>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <poll.h>
 #include <sched.h>
+#include <stdexcept>
+#include <string>
 #include <sys/epoll.h>
+#include <sys/eventfd.h>
 #include <thread>
 #include <vector>
 
@@ -254,6 +259,57 @@ TEST_CASE("a timer of a WaitSet is never early, and once late it leaves out what
   CHECK(std::chrono::steady_clock::now() >= *woke + 2 * kPeriod);
 }
 
+TEST_CASE("a WaitSet wakes for the earliest of its timers, in whichever order they came") {
+  const Watchdog watchdog(60);
+  for (const bool early_first : {true, false}) {
+    WaitSet set;
+    int early = 0, late = 0;
+    if (early_first) set.add_timer_once(2ms, [&] { ++early; });
+    set.add_timer(1h, [&] { ++late; });
+    if (!early_first) set.add_timer_once(2ms, [&] { ++early; });
+    CHECK(set.run_once(1h) == 1);
+    CHECK(early == 1);
+    CHECK(late == 0);
+    CHECK(set.run_once(1ms) == 0);  // the one that is left is far away
+  }
+}
+
+TEST_CASE("a timer that a handler adds waits for the next turn, though it is overdue") {
+  const Watchdog watchdog(60);
+  WaitSet set;
+  int calls = 0;
+  std::function<void()> again = [&] {
+    ++calls;
+    set.add_timer_once(-1s, again);
+  };
+  set.add_timer_once(0s, again);
+  for (int n = 1; n <= 3; ++n) {
+    CHECK(set.run_once(1h) == 1);
+    CHECK(calls == n);
+  }
+}
+
+TEST_CASE("a WaitSet whose timer throws calls the others in the next turn, and that one again") {
+  const Watchdog watchdog(60);
+  WaitSet set;
+  int thrown = 0, others = 0;
+  set.add_timer(1ms, [&] {
+    ++thrown;
+    throw std::runtime_error("no picture");
+  });
+  set.add_timer(1ms, [&] { ++others; });
+  set.add_timer_once(0s, [] { throw std::runtime_error("once"); });
+  int failed = 0;
+  while (thrown < 3 || others == 0) {  // else the watchdog
+    try {
+      set.run_once(1h);
+    } catch (const std::runtime_error& e) {
+      failed += std::string(e.what()) == "once";
+    }
+  }
+  CHECK(failed <= 1);
+}
+
 TEST_CASE("a WaitSet removes the timer that it is told to, and no other") {
   WaitSet set;
   int first = 0, second = 0, third = 0;
@@ -423,6 +479,47 @@ TEST_CASE_FIXTURE(Fixture, "fd() is readable while there are messages, for poll 
     finished.tell();
     CHECK(publisher.wait() == 0);
   });
+}
+
+TEST_CASE_FIXTURE(Fixture, "fd() of an idle puller is readable once in a while") {
+  // So its reader looks by itself, whatever the thread has failed to hear.
+  const Watchdog watchdog(60);
+  lot::ShmEngine shm(options);
+  auto pusher = shm.advertise<Number>("/t");
+  auto first = shm.subscribe<Number>("/t");
+  auto second = shm.subscribe<Number>("/t");
+  const int fd = first.fd();
+  REQUIRE(readable(fd, 20'000));
+  CHECK(!first.try_pull());
+  CHECK(!readable(fd, 0));
+  // A descriptor that is watched anew all the time does not put the others off.
+  second.fd();
+  while (!readable(fd, 10)) CHECK(!second.try_pull());  // else the watchdog
+}
+
+TEST_CASE_FIXTURE(Fixture, "fd() of a puller that has gone is closed, and never written to") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine shm(options);
+  auto pusher = shm.advertise<Number>("/t");
+  auto other = shm.subscribe<Number>("/other");
+  int fd = -1;
+  {
+    auto puller = shm.subscribe<Number>("/t");
+    fd = puller.fd();
+  }
+  CHECK(fcntl(fd, F_GETFD) == -1);
+  // What the program opens next has its number.
+  const int ours = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+  REQUIRE(ours == fd);
+  const int theirs = other.fd();
+  publish(pusher, 1);
+  // When this one's time has come, the time of the one that has gone has passed, too.
+  for (int n = 0; n < 2; ++n) {
+    REQUIRE(readable(theirs, 20'000));
+    CHECK(!other.try_pull());
+  }
+  CHECK(!readable(ours, 0));
+  close(ours);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a WaitSet beside a borrow leaves the borrow alone") {
