@@ -440,15 +440,13 @@ TEST_CASE("a directory that is full, or becomes full later, is an error and neve
   CHECK(files_of(options) == 0);
 }
 
-TEST_CASE("the last unit of a segment may be shorter, and goes back to the system, too") {
-  using lot::segment::kGranule;
+TEST_CASE("all units of a segment go back to the system, as they were given, and are given again") {
   using lot::segment::kUnit;
-  lot::testing::LocalSegment local({16 * kUnit + 3 * kGranule, 3, 8, 1, 4, 2});
+  lot::testing::LocalSegment local({16 * kUnit, 3, 8, 1, 4, 2});
   lot::segment::Segment& s = local.segment();
-  REQUIRE(s.size() == 16 * kUnit + 3 * kGranule);
-  REQUIRE(s.units() == 17);
+  REQUIRE(s.size() == 16 * kUnit);
+  REQUIRE(s.units() == 16);
   for (std::uint32_t unit = 0; unit < 16; ++unit) CHECK(s.bytes_of_unit(unit) == kUnit);
-  CHECK(s.bytes_of_unit(16) == 3 * kGranule);
 
   const std::uint32_t all = s.granules().count();
   for (int round = 0; round < 2; ++round) {

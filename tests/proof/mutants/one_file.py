@@ -82,8 +82,8 @@ class Build:
 
 
 class OneFile(trees.Tree):
-    def __init__(self, build, jobs, release, seed):
-        super().__init__(build, jobs)
+    def __init__(self, build, jobs, release, seed, root=trees.ROOT):
+        super().__init__(build, jobs, root)
         self.objects, self.seed = release, seed
         self.release = Build(release)
         self.chosen, self.made, self.over = [], {}, []
