@@ -206,12 +206,12 @@ TEST_CASE_FIXTURE(BothEngines, "an envelope stays when a ring ends that the read
       one.emplace(shm.advertise<Ball>("/t", pushing(engine, true)));
       CHECK(in.try_pull() == nullptr);  // the reader finds the ring
     }
-    out[1].reset();
+    out[0].reset();
     CHECK(in.try_pull() == nullptr);
     CHECK(in.envelope().publisher.empty());  // there is no message yet
     CHECK(in.envelope().publisher_id == 0);
 
-    push(*out[0], 1);
+    push(*out[1], 1);
     REQUIRE(in.try_pull() != nullptr);
     const Envelope last = in.envelope();
     CHECK(last.publisher == kHere);
@@ -219,7 +219,7 @@ TEST_CASE_FIXTURE(BothEngines, "an envelope stays when a ring ends that the read
     CHECK(in.try_pull() == nullptr);
     CHECK(in.envelope().publisher_id == last.publisher_id);
     CHECK(in.envelope().sequence == last.sequence);
-    push(*out[0], 2);
+    push(*out[1], 2);
     REQUIRE(in.try_pull() != nullptr);
     CHECK(in.envelope().publisher_id == last.publisher_id);
     CHECK(in.envelope().sequence == 1);
@@ -243,7 +243,7 @@ TEST_CASE_FIXTURE(BothEngines, "a message that a reader keeps does not lend its 
     REQUIRE(in.try_borrow());  // and ends
     CHECK(!in.envelope().pushed.has_value());
     // The ring of the third publisher takes the place of that of the second one.
-    out[0].reset();
+    out[1].reset();
     CHECK(in.try_pull() == nullptr);
     push(*out[2], 3);
     REQUIRE(in.try_borrow());  // and ends

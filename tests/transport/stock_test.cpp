@@ -10,6 +10,7 @@
 #include <cerrno>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -19,7 +20,10 @@
 #include "support/local_segment.hpp"
 #include "transport/ahead.hpp"
 #include "transport/control_blocks.hpp"
+#include "transport/held_since.hpp"
 #include "transport/idle_look.hpp"
+#include "transport/kept_list.hpp"
+#include "transport/quota.hpp"
 #include "transport/warden_thread.hpp"
 
 namespace {
@@ -78,6 +82,18 @@ struct Needs {
   Stock stock{local.segment(), holder, ahead};
 };
 
+/// Another process of the segment.
+struct Other {
+  explicit Other(Needs& needs) : controls(kBlocks, needs.hub) {
+    holder.segment = &needs.local.segment();
+    holder.own = lot::transport::HardwareOwnership(kSelf + 1);
+    holder.controls = controls.all();
+    holder.make_tables(kBlocks);
+  }
+  lot::transport::ControlBlocks controls;
+  lot::transport::Holder holder;
+};
+
 }  // namespace
 
 TEST_SUITE_BEGIN("transport");
@@ -132,15 +148,25 @@ TEST_CASE("a pool keeps the memory that reserve() made though a message uses non
   const std::uint32_t reserved = needs.loan(pool, 3);
   needs.add_run(pool, reserved, 2);
   const std::uint32_t other = needs.loan(pool, 5);
+  needs.add_run(pool, other, 7);
+  needs.add_run(pool, other, 6);
   pool.keep_reserved(reserved);
   const lot::detail::MessageType large{1 << 20, 8, 0, "", nullptr, true, nullptr};
   for (const std::uint32_t b : {reserved, other}) {
-    for (auto& extent : needs.local.segment().build(b).extent) extent.living = 0;
+    auto& extent = needs.local.segment().build(b).extent;
+    extent[0].living = 0;
+    if (b == reserved) extent[1].living = 0;
     needs.holder.control(b).type = &large;
     pool.give_back(b);
   }
-  CHECK(needs.free_granules() == all - 5);  // both pieces of the one, nothing of the other
-  CHECK(pool.granules() == 5);
+  CHECK(needs.free_granules() == all - 5 - 7 - 6);  // of the other, what its message used
+  CHECK(pool.granules() == 5 + 7 + 6);
+  const lot::detail::Build& build = needs.local.segment().build(other);
+  REQUIRE(build.extents == 2);
+  CHECK(build.extent[0].granules == 7);
+  CHECK(build.extent[1].granules == 6);
+  CHECK(build.extent[0].living + build.extent[1].living == 0);
+  CHECK(needs.local.segment().build(reserved).extents == 2);
 }
 
 TEST_CASE("a pool's count of its memory is never below nothing, and keeps what max_bytes allows") {
@@ -202,6 +228,155 @@ TEST_CASE("a pool hands out the foreign blocks that left its ring, as many as th
     needs.holder.release(b, hold::kRing);
     theirs.give_back(b);
   }
+}
+
+TEST_CASE("a closed pool is opened again when its last block has come home, wherever it was") {
+  Needs needs;
+  Other other(needs);
+  const std::uint32_t all = needs.free_granules();
+  Pool& pool = needs.stock.open("/numbers");
+  const auto drains = [&] { return needs.stock.drain([](const auto&) { return true; }); };
+
+  const std::uint32_t kept = needs.loan(pool, 1);
+  other.holder.acquire(kept, hold::kPointer);
+  needs.holder.release(kept, hold::kPointer);
+  CHECK(pool.kept() == 1);
+  std::uint32_t borrowed = 0;
+  for (const bool is_borrowed : {false, true}) {
+    borrowed = needs.loan(pool, 1);
+    needs.holder.acquire(borrowed, hold::kRing);
+    needs.holder.release(borrowed, hold::kPointer);
+    pool.retire(borrowed, is_borrowed);
+  }
+  CHECK(pool.has_free());
+  CHECK(pool.retired() == 1);
+  needs.stock.close(pool, {0, 1}, {});
+
+  CHECK(!drains());
+  CHECK(!pool.has_free());
+  CHECK(needs.free_granules() == all - 2);
+  other.holder.release(kept, hold::kPointer);
+  CHECK(!drains());
+  CHECK(pool.kept() == 0);
+  CHECK(needs.free_granules() == all - 1);
+  pool.scan([](std::uint32_t) { return false; });
+  CHECK(drains());
+  CHECK(needs.free_granules() == all);
+  CHECK(&needs.stock.open("/next") == &pool);
+}
+
+TEST_CASE("a KeptList gives its blocks in order, wherever one is taken off or moved to the end") {
+  using lot::transport::KeptList;
+  std::vector<KeptList::Link> links(8);
+  KeptList list(links.data());
+  KeptList other(links.data());
+  const auto said = [](KeptList& of) {
+    std::vector<std::uint32_t> blocks;
+    while (!of.empty()) {
+      blocks.push_back(of.front());
+      of.remove(of.front());
+    }
+    CHECK(of.size() == 0);
+    return blocks;
+  };
+  using Blocks = std::vector<std::uint32_t>;
+  for (const std::uint32_t off : {0U, 3U, 5U, 7U}) {
+    for (const std::uint32_t b : {0U, 7U, 3U, 5U}) CHECK(list.enter(b));
+    CHECK(!list.enter(7));
+    CHECK(list.size() == 4);
+    for (const std::uint32_t b : {1U, 2U}) CHECK(other.enter(b));
+    list.remove(off);
+    list.remove(off);  // it is on no list
+    CHECK(list.size() == 3);
+    Blocks rest{0, 7, 3, 5};
+    rest.erase(std::find(rest.begin(), rest.end(), off));
+    CHECK(said(list) == rest);
+    CHECK(said(other) == Blocks{1, 2});
+  }
+  for (const std::uint32_t last : {0U, 1U, 2U}) {
+    for (const std::uint32_t b : {0U, 1U}) list.move_to_end(b);  // they come
+    list.move_to_end(last);                                      // one more comes, or one moves
+    CHECK(list.size() == (last == 2 ? 3 : 2));
+    CHECK(said(list) == (last == 0 ? Blocks{1, 0} : last == 1 ? Blocks{0, 1} : Blocks{0, 1, 2}));
+  }
+}
+
+TEST_CASE("a Quota counts what its subscription still holds, each message once") {
+  using lot::transport::Quota;
+  Needs needs;
+  Pool& theirs = needs.stock.open("/numbers");
+  const auto all = std::uint64_t{needs.free_granules()};
+  Quota quota(needs.local.segment(), needs.holder, 40 * lot::segment::kGranule);
+  Quota none(needs.local.segment(), needs.holder, Quota::kNone);
+  CHECK(quota.counts());
+  CHECK(!none.counts());
+  CHECK(none.allows_one_more());
+  REQUIRE(all > 400);
+
+  std::vector<std::uint32_t> held;
+  for (int n = 0; n < 4; ++n) {
+    held.push_back(needs.loan(theirs, 10));
+    CHECK(quota.allows_one_more());
+    CHECK(!quota.is_full());
+    quota.note(held.back(), 10);
+  }
+  CHECK(!quota.allows_one_more());
+  CHECK(quota.is_full());
+  CHECK(quota.describe() == "holds 0 MiB in 4 messages, which is all that it may");
+  CHECK(!quota.allows_one_more());  // looks each time now
+
+  theirs.release(held.back());
+  CHECK(quota.allows_one_more());
+  quota.note(held.front(), 10);  // once more: it counts once
+  quota.note(held.front(), 10);
+  CHECK(quota.allows_one_more());
+  const std::uint32_t other = needs.loan(theirs, 10);
+  quota.note(other, 10);
+  CHECK(!quota.allows_one_more());
+  for (const std::uint32_t b : {held[0], held[1], held[2], other}) theirs.release(b);
+  CHECK(quota.allows_one_more());
+  CHECK(!quota.is_full());
+}
+
+TEST_CASE("HeldSince tells since when the oldest messages are held, and forgets what was let go") {
+  using lot::segment::Sightings;
+  Needs needs;
+  Other other(needs);
+  lot::transport::HeldSince held(needs.local.segment(), needs.local.world(), needs.holder);
+  const Sightings& table = needs.local.segment().sightings()[kSelf];
+  const auto look = [&] {
+    held.note();
+    std::vector<std::pair<std::uint64_t, std::uint64_t>> seen;  // block, since when
+    for (const auto& place : table.seen) {
+      if (place.what.load() != 0)
+        seen.emplace_back((place.what.load() >> 32) - 1, place.since_ns.load());
+    }
+    return seen;
+  };
+  CHECK(look().empty());
+  const std::uint64_t first_look = table.looked_ns.load();
+  CHECK(first_look != 0);
+  CHECK(needs.stock.open("/numbers").claim() == 0);  // ready for a loan: nothing that it keeps
+
+  for (std::uint32_t b = 1; b <= Sightings::kMost + 2; ++b) {
+    REQUIRE(other.holder.claim(b, 0));
+    needs.holder.acquire(b, hold::kPointer);
+    look();
+  }
+  CHECK(table.looked_ns.load() > first_look);
+  const auto before = look();
+  REQUIRE(before.size() == Sightings::kMost);
+  for (std::size_t n = 0; n < before.size(); ++n) {
+    CHECK(before[n].first == n + 1);
+    CHECK(before[n].second > (n == 0 ? first_look : before[n - 1].second));
+  }
+  needs.holder.release(1, hold::kPointer);
+  auto after = look();
+  REQUIRE(after.size() == Sightings::kMost);
+  CHECK(std::equal(before.begin() + 1, before.end(), after.begin()));
+  CHECK(after.back().first == Sightings::kMost + 1);
+  for (std::uint32_t b = 2; b <= Sightings::kMost + 2; ++b) needs.holder.release(b, hold::kPointer);
+  CHECK(look().empty());
 }
 
 TEST_CASE("a BlockQueue gives blocks out as they came, also where it is full and begins anew") {
