@@ -441,6 +441,7 @@ TEST_CASE("a directory that is full, or becomes full later, is an error and neve
 }
 
 TEST_CASE("all units of a segment go back to the system, as they were given, and are given again") {
+  using lot::segment::kGranule;
   using lot::segment::kUnit;
   lot::testing::LocalSegment local({16 * kUnit, 3, 8, 1, 4, 2});
   lot::segment::Segment& s = local.segment();
@@ -455,6 +456,19 @@ TEST_CASE("all units of a segment go back to the system, as they were given, and
     s.base()[s.size() - 1] = 7;
     s.granules().release(run, all);
     s.look_at_units();
+    // One granule at either end keeps a unit, and no other.
+    const auto first = static_cast<std::uint32_t>((9 * kUnit - s.granule_offset(0)) / kGranule);
+    for (const std::uint32_t used : {first, first + std::uint32_t{kUnit / kGranule} - 1}) {
+      REQUIRE(s.granules().extend(used, 1, 1));
+      for (std::uint32_t unit = s.first_unit(); unit < s.units(); ++unit) {
+        CHECK(s.is_unused(unit, 1) == (unit != 9));
+      }
+      CHECK(s.give_back(9, 1, 1) == 0);
+      s.look_at_units();
+      s.granules().release(used, 1);
+      CHECK(!s.is_unused(9, 1));  // no look has found it unused
+      s.look_at_units();
+    }
     std::uint64_t bytes = 0;
     for (std::uint32_t unit = s.first_unit(); unit < s.units(); ++unit) {
       CHECK(s.is_unused(unit, 1));
@@ -464,6 +478,7 @@ TEST_CASE("all units of a segment go back to the system, as they were given, and
     CHECK(bytes == s.size() - s.first_unit() * kUnit);
     CHECK(s.base()[s.size() - 1] == 0);  // it has gone
     CHECK(s.granules().used() == 0);
+    CHECK(s.can_give_back());
   }
 }
 

@@ -502,6 +502,7 @@ TEST_CASE_FIXTURE(Fixture, "fd() of a puller that has gone is closed, and never 
   lot::ShmEngine shm(options);
   auto pusher = shm.advertise<Number>("/t");
   auto other = shm.subscribe<Number>("/other");
+  const int theirs = other.fd();
   int fd = -1;
   {
     auto puller = shm.subscribe<Number>("/t");
@@ -511,7 +512,6 @@ TEST_CASE_FIXTURE(Fixture, "fd() of a puller that has gone is closed, and never 
   // What the program opens next has its number.
   const int ours = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   REQUIRE(ours == fd);
-  const int theirs = other.fd();
   publish(pusher, 1);
   // When this one's time has come, the time of the one that has gone has passed, too.
   for (int n = 0; n < 2; ++n) {
