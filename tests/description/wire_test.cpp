@@ -82,6 +82,20 @@ Description nested(std::size_t levels, std::size_t width) {
   return all;
 }
 
+Description::Type typed(Kind kind, std::uint64_t size) {
+  Description::Type type;
+  type.kind = kind;
+  type.size = size;
+  return type;
+}
+/// A type that has an element.
+Description of(Kind kind, std::uint64_t size, Kind element, std::uint64_t element_size) {
+  Description d{{typed(kind, size), typed(element, element_size)}};
+  d.types[0].element = 1;
+  if (kind == Kind::Duration) d.types[0].numerator = d.types[0].denominator = 1;
+  return d;
+}
+
 /// Without its checks: as an enemy writes it.
 std::string raw(const Description& all) {
   std::string bytes("\1", 1);
@@ -192,6 +206,109 @@ TEST_CASE("a description that an enemy has made is refused, and quickly") {
     d.types[0].kind = Kind::Vector;
   }
   CHECK_FALSE(decodes(d));
+}
+
+TEST_CASE("a type has the sizes, elements and numbers that its kind can have, and no others") {
+  const auto good = [](const Description& d) { return decode(raw(d)).has_value(); };
+  const auto leaf = [&](Kind kind, std::uint64_t size) { return good({{typed(kind, size)}}); };
+  for (std::uint64_t size = 0; size < 20; ++size) {
+    const bool is_power = size == 1 || size == 2 || size == 4 || size == 8;
+    CHECK(leaf(Kind::Bool, size) == (size == 1));
+    CHECK(leaf(Kind::Char, size) == (size == 1));
+    CHECK(leaf(Kind::Int, size) == is_power);
+    CHECK(leaf(Kind::UInt, size) == is_power);
+    CHECK(leaf(Kind::Float, size) == (size == 4 || size == 8 || size == 12 || size == 16));
+    CHECK(leaf(Kind::Struct, size) == (size != 0));
+    CHECK(leaf(Kind::Opaque, size) == (size != 0));
+    for (const Kind kind : {Kind::String, Kind::Vector, Kind::Reference, Kind::Opaque}) {
+      CHECK(good(of(kind, size, Kind::Char, 1)) == (size != 0));
+    }
+  }
+  for (const Kind element :
+       {Kind::Bool, Kind::Char, Kind::Int, Kind::UInt, Kind::Float, Kind::Struct, Kind::Opaque}) {
+    const bool is_float = element == Kind::Float;
+    const bool is_number = element != Kind::Struct && element != Kind::Opaque;
+    const std::uint64_t size = is_float ? 4 : 1;
+    CHECK(good(of(Kind::Enum, size, element, size)) == (is_number && !is_float));
+    CHECK(good(of(Kind::Duration, size, element, size)) == is_number);
+    CHECK(!good(of(Kind::TimePoint, size, element, size)));
+    CHECK(good(of(Kind::String, 32, element, size)) == (element == Kind::Char));
+    CHECK(!good(of(element, size, Kind::Char, 1)) == (element != Kind::Opaque));
+  }
+  CHECK(!good(of(Kind::Enum, 2, Kind::Int, 4)));
+  CHECK(!good(of(Kind::Duration, 4, Kind::Int, 8)));
+  for (const Kind kind : {Kind::Enum, Kind::Duration, Kind::TimePoint, Kind::Array, Kind::String,
+                          Kind::Vector, Kind::Reference}) {
+    CHECK(!leaf(kind, 8));  // of nothing
+  }
+
+  Description d = of(Kind::Duration, 8, Kind::Int, 8);
+  d.types.push_back(d.types[0]);
+  d.types[0] = typed(Kind::TimePoint, 8);
+  d.types[0].element = 2;
+  d.types[2].element = 1;
+  CHECK(good(d));
+  d.types[0].size = 4;
+  CHECK(!good(d));
+  for (const auto number : {&Description::Type::numerator, &Description::Type::denominator}) {
+    d = of(Kind::Duration, 8, Kind::Int, 8);
+    d.types[0].*number = 0;
+    CHECK(!good(d));
+    d = of(Kind::Vector, 8, Kind::Int, 8);
+    d.types[0].*number = 1;
+    CHECK(!good(d));
+  }
+  d = of(Kind::Vector, 8, Kind::Int, 8);
+  d.types[0].count = 1;
+  CHECK(!good(d));
+  for (const std::uint64_t size : {7U, 8U, 9U, 10U}) {
+    d = of(Kind::Array, size, Kind::Int, 2);
+    d.types[0].count = 4;
+    CHECK(good(d) == (size == 8));
+  }
+}
+
+TEST_CASE("a field lies in its struct, also one of some bits") {
+  const auto good = [](Kind kind, std::uint64_t size, const Description::Field& field) {
+    Description d{{typed(Kind::Struct, 8), typed(kind, size)}};
+    d.types[0].fields.push_back(field);
+    return decode(raw(d)).has_value();
+  };
+  CHECK(good(Kind::UInt, 4, {"f", 1, 4, 0, 0}));
+  CHECK(!good(Kind::UInt, 4, {"f", 1, 5, 0, 0}));
+  CHECK(!good(Kind::UInt, 4, {"f", 1, 0, 1, 0}));  // a bit, and no number of bits
+  CHECK(good(Kind::Struct, 8, {"f", 1, 0, 0, 0}));
+  CHECK(!good(Kind::Struct, 9, {"f", 1, 0, 0, 0}));
+
+  for (const Kind kind : {Kind::UInt, Kind::Int, Kind::Bool, Kind::Char}) {
+    CHECK(good(kind, 1, {"f", 1, 7, 0, 8}));
+    CHECK(!good(kind, 1, {"f", 1, 7, 0, 9}));
+    CHECK(good(kind, 1, {"f", 1, 7, 5, 3}));
+    CHECK(!good(kind, 1, {"f", 1, 7, 5, 4}));  // its last bit lies behind the end
+    CHECK(!good(kind, 1, {"f", 1, 8, 0, 1}));
+    CHECK(!good(kind, 1, {"f", 1, 0, 8, 1}));
+  }
+  CHECK(good(Kind::UInt, 8, {"f", 1, 0, 0, 64}));
+  CHECK(!good(Kind::Struct, 8, {"f", 1, 0, 0, 3}));
+  CHECK(!good(Kind::Opaque, 8, {"f", 1, 0, 0, 3}));
+}
+
+TEST_CASE("a number in the bytes of a description has one spelling, and 64 bits") {
+  const std::string bytes = raw({{typed(Kind::UInt, 8)}});
+  REQUIRE(decode(bytes));
+  const auto with_format = [&](const std::string& format) {
+    return decode(format + bytes.substr(1)).has_value();
+  };
+  CHECK(with_format("\1"));
+  CHECK(!with_format(std::string("\0", 1)));
+  CHECK(!with_format("\2"));
+  CHECK(!with_format(std::string("\x81\0", 2)));
+  CHECK(!with_format(std::string("\x81\x80\0", 3)));
+  CHECK(!with_format(std::string("\x81\x80\x80\x80\x80\x80\x80\x80\x80\x02")));
+  CHECK(!with_format(std::string(10, '\x80') + '\1'));
+  // So many types are said to follow, and do not.
+  CHECK(!decode(std::string("\1\2", 2) + bytes.substr(2)));
+  CHECK(!decode(std::string("\1\0", 2)));
 }
 
 TEST_CASE("a description whose walk would have no end is refused") {
