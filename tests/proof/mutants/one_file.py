@@ -103,7 +103,7 @@ class OneFile(trees.Tree):
 
     def find_in(self, name, objects):
         command = self.release.compiled[min(objects, key=lambda o: (o.startswith('tests/'), o))]
-        flags = without_precompiled(trees.arguments(command['command']))
+        flags = for_clang(trees.arguments(command['command']))
         found = trees.analyse((self.root, command['file'], flags, [name])).get(name, [])
         for number, mutant in enumerate(found, 1):
             mutant.number = number
@@ -112,23 +112,25 @@ class OneFile(trees.Tree):
 
     def choose(self, name, objects):
         """Which objects are compiled anew, and which tests are run."""
-        own = {t[0]: self.programs_of(t) for t in cases.all_tests(self.objects)}
-        library = sorted((o for o in objects if not o.startswith('tests/')),
+        own = {t[0]: self.programs_of(t) for t in cases.all_tests(self.objects)
+               if 'ros' in pathlib.PurePath(name).parent.name or not t[0].startswith('ros_')}
+        parts_of = {t: set().union(*map(self.release.parts, own[t])) for t in own}
+        library = sorted((o for o in objects & set().union(*parts_of.values()) if not o.startswith('tests/')),
                          key=lambda o: number_of(self.seed, o))
         self.chosen = library[:LIBRARY]
-        seconds, spent, self.names_of_tests = self.release.seconds(), 0.0, []
+        seconds, costs, compiled = self.release.seconds(), {}, {}
         for test in sorted(own, key=lambda t: (self.distance(name, t, own[t]), number_of(self.seed, t))):
-            parts = set().union(*map(self.release.parts, own[test]))
-            more = {o for o in parts & objects if o.startswith('tests/')}
-            if not parts & (more | set(self.chosen)):
-                continue
-            cost = LINK_S + COMPILE_S * len(more - set(self.chosen)) + 2 * seconds.get(test, UNKNOWN_S)
-            if self.names_of_tests and spent + cost > BUDGET_S:
-                continue
-            spent += cost
-            self.names_of_tests.append(test)
-            self.chosen += sorted(more - set(self.chosen))
-            self.over += own[test]
+            compiled[test] = sorted(o for o in parts_of[test] & objects if o.startswith('tests/'))
+            if parts_of[test] & {*compiled[test], *self.chosen}:
+                costs[test] = LINK_S + COMPILE_S * len(compiled[test]) + 2 * seconds.get(test, UNKNOWN_S)
+        spent, self.names_of_tests = 0.0, []
+        for test, cost in costs.items():
+            if spent + cost <= BUDGET_S or min(costs.values()) == cost > BUDGET_S:
+                spent += cost
+                self.names_of_tests.append(test)
+        for test in self.names_of_tests:
+            self.chosen += [o for o in compiled[test] if o not in self.chosen]
+            self.over += [p for p in own[test] if p not in self.over]
         print(f'{name}: {len(self.mutants[name])} mutants, compiled into {len(self.chosen)} of {len(objects)} '
               f'objects, for {" ".join(self.names_of_tests)}', flush=True)
 
@@ -174,7 +176,10 @@ class OneFile(trees.Tree):
             else:
                 said += output
         if not said:
-            cases.OVER[:] = [(self.remake(p), str(self.objects / p)) for p in dict.fromkeys(self.over)]
+            for program in filter(self.is_other, self.over):
+                self.remake(program)
+            cases.OVER[:] = [(new, str(self.objects / name)) for name, new in self.made.items()
+                             if name in self.release.linked and not name.endswith('.a')]
         return said
 
     def place(self, name):
@@ -184,7 +189,7 @@ class OneFile(trees.Tree):
 
     def start(self, target):
         command = self.release.compiled[target]
-        words = without_precompiled(trees.arguments(command['command']))
+        words = for_clang(trees.arguments(command['command']))
         return subprocess.Popen(
             [trees.CLANG, *words, *trees.FLAGS.split(), '-O0', '-I', trees.HERE, '-ivfsoverlay',
              self.build / 'overlay.json', '-c', command['file'], '-o', self.place(target)],
@@ -204,12 +209,12 @@ class OneFile(trees.Tree):
         return word in self.release.linked and bool(self.release.parts(word) & set(self.chosen))
 
 
-def without_precompiled(words):
-    """The headers that were compiled ahead are those of another compiler, and without mutants."""
+def for_clang(words):
+    """Without what only g++ knows. Headers that it has compiled ahead have no mutants, too."""
     kept = []
     for word in words:
         if word.endswith('cmake_pch.hxx') and kept[-1:] == ['-include']:
             kept.pop()
-        elif word != '-Winvalid-pch':
+        elif word not in ('-Winvalid-pch', '-fno-gnu-unique'):
             kept.append(word)
     return kept
