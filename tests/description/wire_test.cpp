@@ -306,6 +306,17 @@ TEST_CASE("a number in the bytes of a description has one spelling, and 64 bits"
   CHECK(!with_format(std::string("\x81\x80\0", 3)));
   CHECK(!with_format(std::string("\x81\x80\x80\x80\x80\x80\x80\x80\x80\x02")));
   CHECK(!with_format(std::string(10, '\x80') + '\1'));
+  // A name that is one byte longer than what follows it, where that makes sense without a name.
+  std::string nameless = bytes;
+  REQUIRE(nameless.size() == 10);
+  nameless[4] = 6;
+  CHECK(!decode(nameless));
+  for (const std::uint64_t size : {127U, 128U, 129U, 16383U, 16384U}) {
+    const Description d{{typed(Kind::Struct, size)}};
+    CHECK(encode(d) == raw(d));
+    REQUIRE(decode(raw(d)));
+    CHECK(decode(raw(d))->types[0].size == size);
+  }
   // So many types are said to follow, and do not.
   CHECK(!decode(std::string("\1\2", 2) + bytes.substr(2)));
   CHECK(!decode(std::string("\1\0", 2)));

@@ -565,6 +565,20 @@ TEST_CASE("a ShmRef in a message may change as often as it likes") {
   CHECK(after.granules < before + 10);
 }
 
+TEST_CASE("many ShmRef of a message to one other take no more memory than one") {
+  Place place;
+  const lot::ShmSharedPtr<const Target> target = place.engine.make<Target>();
+  auto message = place.engine.make<Detections>();
+  message->refs.reserve(2000);
+  message->refs.emplace_back(target);
+  lot::segment::Segment s(place.engine.path());
+  const std::size_t before = Audit(s).granules;
+  while (message->refs.size() < 2000) message->refs.emplace_back(target);
+  CHECK(Audit(s).granules == before);
+  message->refs.resize(1);
+  CHECK(message->refs[0].get() == target.get());
+}
+
 TEST_CASE("a message may refer to all other messages that its segment has room for") {
   const Watchdog watchdog(60);
   lot::EngineOptions options = fresh();

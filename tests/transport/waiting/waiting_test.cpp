@@ -497,6 +497,17 @@ TEST_CASE_FIXTURE(Fixture, "fd() of an idle puller is readable once in a while")
   while (!readable(fd, 10)) CHECK(!second.try_pull());  // else the watchdog
 }
 
+TEST_CASE_FIXTURE(Fixture, "fd() of an idle puller has a time of its own beside another's") {
+  lot::ShmEngine shm(options);
+  auto first = shm.subscribe<Number>("/t");
+  auto second = shm.subscribe<Number>("/t");
+  const int earlier = first.fd();
+  std::this_thread::sleep_for(300ms);  // so that they do not become readable together
+  const int later = second.fd();
+  CHECK(readable(later, 20'000));
+  CHECK(readable(earlier, 0));
+}
+
 TEST_CASE_FIXTURE(Fixture, "fd() of a puller that has gone is closed, and never written to") {
   const Watchdog watchdog(60);
   lot::ShmEngine shm(options);
