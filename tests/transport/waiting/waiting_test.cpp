@@ -293,7 +293,7 @@ TEST_CASE("a WaitSet whose timer throws calls the others in the next turn, and t
   const Watchdog watchdog(60);
   WaitSet set;
   int thrown = 0, others = 0;
-  set.add_timer(1ms, [&] {
+  set.add_timer(20ms, [&] {
     ++thrown;
     throw std::runtime_error("no picture");
   });
@@ -307,7 +307,7 @@ TEST_CASE("a WaitSet whose timer throws calls the others in the next turn, and t
       failed += std::string(e.what()) == "once";
     }
   }
-  CHECK(failed <= 1);
+  CHECK(failed == 1);
 }
 
 TEST_CASE("a WaitSet removes the timer that it is told to, and no other") {
@@ -491,7 +491,6 @@ TEST_CASE_FIXTURE(Fixture, "fd() of an idle puller is readable once in a while")
   const int fd = first.fd();
   REQUIRE(readable(fd, 20'000));
   CHECK(!first.try_pull());
-  CHECK(!readable(fd, 0));
   // A descriptor that is watched anew all the time does not put the others off.
   second.fd();
   while (!readable(fd, 10)) CHECK(!second.try_pull());  // else the watchdog
@@ -514,15 +513,19 @@ TEST_CASE_FIXTURE(Fixture, "fd() of a puller that has gone is closed, and never 
   auto pusher = shm.advertise<Number>("/t");
   auto other = shm.subscribe<Number>("/other");
   const int theirs = other.fd();
+  const int event = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   int fd = -1;
   {
     auto puller = shm.subscribe<Number>("/t");
     fd = puller.fd();
   }
-  CHECK(fcntl(fd, F_GETFD) == -1);
-  // What the program opens next has its number.
-  const int ours = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-  REQUIRE(ours == fd);
+  // What the program opens next has its number, unless a thread of the library has it just now.
+  int ours = -1;
+  REQUIRE(eventually([&] {
+    ours = fcntl(event, F_DUPFD_CLOEXEC, fd);
+    if (ours != fd) close(ours);
+    return ours == fd;
+  }));
   publish(pusher, 1);
   // When this one's time has come, the time of the one that has gone has passed, too.
   for (int n = 0; n < 2; ++n) {
@@ -531,6 +534,7 @@ TEST_CASE_FIXTURE(Fixture, "fd() of a puller that has gone is closed, and never 
   }
   CHECK(!readable(ours, 0));
   close(ours);
+  close(event);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a WaitSet beside a borrow leaves the borrow alone") {
