@@ -483,7 +483,6 @@ TEST_CASE_FIXTURE(Fixture, "fd() is readable while there are messages, for poll 
 
 TEST_CASE_FIXTURE(Fixture, "fd() of an idle puller is readable once in a while") {
   // So its reader looks by itself, whatever the thread has failed to hear.
-  const Watchdog watchdog(60);
   lot::ShmEngine shm(options);
   auto pusher = shm.advertise<Number>("/t");
   auto first = shm.subscribe<Number>("/t");
@@ -508,7 +507,6 @@ TEST_CASE_FIXTURE(Fixture, "fd() of an idle puller has a time of its own beside 
 }
 
 TEST_CASE_FIXTURE(Fixture, "fd() of a puller that has gone is closed, and never written to") {
-  const Watchdog watchdog(60);
   lot::ShmEngine shm(options);
   auto pusher = shm.advertise<Number>("/t");
   auto other = shm.subscribe<Number>("/other");
