@@ -37,9 +37,7 @@ std::vector<Act> scene(std::function<void(Node&)> last, unsigned published = 2) 
   return {{Who::Witness, [](Node& n) { n.join(); }},
           {Who::Victim, [](Node& n) { n.join(); }},
           {Who::Victim,
-           [](Node& n) {
-             n.pusher.emplace(n.engine->advertise<Number>(kTopic, {Policy::Overwrite, 4, 1s}));
-           }},
+           [](Node& n) { n.pusher.emplace(n.engine->advertise<Number>(kTopic, overwrite(4))); }},
           {Who::Witness, subscribe},
           {Who::Victim, [=](Node& n) { n.publish(published); }},
           {Who::Witness, std::move(last)}};
