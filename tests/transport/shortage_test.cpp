@@ -262,4 +262,33 @@ TEST_CASE("OutOfMemory names a process that has the memory and does not answer")
   CHECK(other.wait() == 0);
 }
 
+TEST_CASE("OutOfMemory names a process that builds a message and does not answer") {
+  const Watchdog watchdog(60);
+  const auto options = named("the builder");
+  Steps ready, end;
+  Child other([&] {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Frame>("/built");
+    auto frame = pusher.loan();
+    frame->data.resize(20 * kMiB);
+    ready.tell();
+    end.next(60s);
+  });
+  REQUIRE(ready.next() == '.');
+  other.send(SIGSTOP);
+  int status = 0;
+  REQUIRE(waitpid(other.pid(), &status, WUNTRACED) == other.pid());
+  {
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Frame>("/late");
+    const std::string text = refusal(pusher, 40 * kMiB);  // nothing may go for it
+    CAPTURE(text);
+    CHECK(names(text, "of /built, made by the builder (pid "));
+    CHECK(names(text, "which does not answer"));
+  }
+  other.send(SIGCONT);
+  end.tell();
+  CHECK(other.wait() == 0);
+}
+
 TEST_SUITE_END();
