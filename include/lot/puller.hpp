@@ -115,7 +115,8 @@ class ShmPuller {
   explicit ShmPuller(std::unique_ptr<detail::PullerCore> core) : core_(std::move(core)) {}
 
   /// The next message, or null; status() says why, missed() how many were lost before it. Never
-  /// waits. Throws lot::Error as the class says.
+  /// waits, also not for the registry's lock: while another thread or process has it, a publisher
+  /// that has just come is found 5 ms later. Throws lot::Error as the class says.
   [[nodiscard]] ShmSharedPtr<const T> try_pull() { return pull_kept(detail::Limit::now()); }
   /// The next message, or null: none came in time; its last publisher has gone meanwhile; it was
   /// told to stop; or one came a second ago that may not be kept (HoldsTooMuch). status() says
