@@ -14,8 +14,9 @@ stronger order. Where a mutant was caught the last time is kept in caught.txt an
 
     --build DIR       where the lot_model of this source tree is built (default: build/release)
     --compiler PATH   builds the recovery mutants (default: g++)
-    --quick           every 32nd mutant, chosen by the seed; nothing that must be built
-    --seed N          for --quick (default: a new one)
+    --one-in N        one of each N mutants, chosen by the seed
+    --quick           one of each 32, and nothing that must be built
+    --seed N          what chooses (default: LOT_TEST_SEED, or a new one)
     --only TEXT       only mutants whose key contains TEXT
     --survivors       tries the justified survivors, too
     --update          writes caught.txt anew
@@ -28,6 +29,7 @@ Exit status: 0 every mutant was caught or is justified, 1 not so, 2 wrong usage.
 
 import argparse
 import concurrent.futures
+import os
 import pathlib
 import random
 import re
@@ -47,7 +49,7 @@ FAILED = re.compile(r'^(\S+) +FAIL +(\d+) executions +[\d.]+ s  (.+)$', re.M)
 # are lot_model.
 SEARCHES = (('random', 20000), ('bounded', 0), ('weak', 20000))
 LONG = 300000  # schedules of one scenario: some seconds
-ONE_IN = 32  # mutants, with --quick
+QUICK_ONE_IN = 32
 PATIENCE_S = 1800  # a watchdog, not a limit that is ever near
 
 
@@ -131,6 +133,7 @@ def parse(arguments):
     parser = argparse.ArgumentParser(usage=__doc__, add_help=True)
     parser.add_argument('--build', type=pathlib.Path, default=ROOT / 'build' / 'release')
     parser.add_argument('--compiler', default='g++')
+    parser.add_argument('--one-in', type=int, default=1)
     parser.add_argument('--quick', action='store_true')
     parser.add_argument('--seed', type=int)
     parser.add_argument('--only', default='')
@@ -139,10 +142,25 @@ def parse(arguments):
     parser.add_argument('--jobs', type=int, default=2)
     parser.add_argument('--self-test', action='store_true')
     options = parser.parse_args(arguments)
+    if options.one_in < 1:
+        parser.error('--one-in takes a number from 1')
+    if options.quick:
+        options.one_in = QUICK_ONE_IN
     options.model = options.build.resolve() / 'tests' / 'proof' / 'model' / 'lot_model'
     if not options.self_test and not options.model.exists():
         parser.error(f'there is no {options.model}: build it, or say --build')
     return options
+
+
+def offset_of(options):
+    """Which of each options.one_in mutants are chosen."""
+    if options.one_in == 1:
+        return 0
+    seed = options.seed if options.seed is not None else os.environ.get('LOT_TEST_SEED')
+    if seed is None:
+        seed = random.randrange(10**6)
+    print(f'seed: --seed {seed}')
+    return random.Random(int(seed)).randrange(options.one_in)
 
 
 def main(arguments):
@@ -160,11 +178,8 @@ def main(arguments):
                 for s in found if s.key not in at]
     problems += [f'survivors.txt names no mutant: {key}'
                  for key in survivors if key not in {m.key for m in orders + rechecks}]
-    if options.quick:
-        seed = options.seed if options.seed is not None else random.randrange(10**6)
-        print(f'seed: --seed {seed}')
-        offset = random.Random(seed).randrange(ONE_IN)
-        chosen = chosen[offset::ONE_IN]
+    offset = offset_of(options)
+    chosen = chosen[offset::options.one_in]
 
     results, kept = {}, []
     show('site', 'written', 'instead', 'caught by')
@@ -192,7 +207,7 @@ def main(arguments):
             show(mutant.site.key, mutant.written, mutant.instead, verdict)
         planted = []
         if not options.quick:
-            planted = [m for m in recovery.MISTAKES if options.only in m.name]
+            planted = [m for m in recovery.MISTAKES if options.only in m.name][offset::options.one_in]
             builds = recovery.Builds(ROOT, options.compiler, options.model.parent)
             for mutant, how in zip(planted, pool.map(
                     lambda m: builds.try_out(m, caught.known.get(m.name), try_out), planted)):
@@ -205,7 +220,7 @@ def main(arguments):
                 show(mutant.name, 'planted', pathlib.PurePath(mutant.file).name, verdict)
 
     if options.update:
-        if options.quick or options.only:
+        if options.one_in > 1 or options.only:
             problems.append('--update is for a whole run: caught.txt stays as it is')
         else:
             caught.write(results)
