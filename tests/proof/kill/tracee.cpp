@@ -112,17 +112,23 @@ bool Tracee::fail_if_due(const Thread& thread) {
   return true;
 }
 
-bool Tracee::asleep(const Thread& thread) const {
+char Tracee::state_of(pid_t thread) const {
   const std::string name =
-      "/proc/" + std::to_string(pid_) + "/task/" + std::to_string(thread.id) + "/stat";
+      "/proc/" + std::to_string(pid_) + "/task/" + std::to_string(thread) + "/stat";
   std::FILE* file = std::fopen(name.c_str(), "r");
-  if (file == nullptr) return false;
+  if (file == nullptr) return '\0';
   char text[512] = {};
   const std::size_t n = std::fread(text, 1, sizeof(text) - 1, file);
   std::fclose(file);
   text[n] = '\0';
   const char* end = std::strrchr(text, ')');
-  return end != nullptr && end[1] == ' ' && end[2] == 'S';
+  return end != nullptr && end[1] == ' ' ? end[2] : '\0';
+}
+
+void Tracee::poll_others(pid_t thread) {
+  for (std::size_t i = threads_.size(); i-- > 0;) {
+    if (threads_[i].id != thread) poll(i);
+  }
 }
 
 bool Tracee::note(std::size_t index, int status) {
@@ -142,6 +148,12 @@ bool Tracee::note(std::size_t index, int status) {
     thread.signal = WSTOPSIG(status);
   }
   return true;
+}
+
+std::size_t Tracee::index_of(pid_t thread) const {
+  std::size_t i = 0;
+  while (threads_[i].id != thread) ++i;
+  return i;
 }
 
 /// Has the thread come back from its system call?
@@ -178,7 +190,8 @@ Tracee::Step Tracee::step(unsigned patience_ms, std::optional<unsigned> number) 
       done.system_call ? trace(PTRACE_PEEKUSER, id, offsetof(user_regs_struct, rax)) : -1;
   done.waits = call == SYS_futex || call == kFutexWaitv || call == SYS_clock_nanosleep;
   if (done.system_call && fail_if_due(thread)) return done;
-  const bool may_sleep = done.resumed || done.system_call;
+  // A signal may end the process.
+  const bool may_sleep = done.resumed || done.system_call || thread.signal != 0;
   thread.stopped = false;
   trace(PTRACE_SINGLESTEP, id, 0, static_cast<std::uintptr_t>(std::exchange(thread.signal, 0)));
   const auto yields_until = std::chrono::steady_clock::now() + kYields;
@@ -186,14 +199,17 @@ Tracee::Step Tracee::step(unsigned patience_ms, std::optional<unsigned> number) 
   for (;;) {
     int status = 0;
     if (waitpid(id, &status, __WALL | (may_sleep ? WNOHANG : 0)) == id) {
-      note(turn, status);
+      note(index_of(id), status);
       if (dead_) done.event = Event::Ended;
       return done;
     }
     if (std::chrono::steady_clock::now() < yields_until) {
       sched_yield();
     } else {
-      sleeps = asleep(thread) ? sleeps + 1 : 0;
+      const char state = state_of(id);
+      // The end of the first thread is reported when the others have been waited for.
+      if (state == 'Z') poll_others(id);
+      sleeps = state == 'S' ? sleeps + 1 : 0;
       if (sleeps == 3) {
         done.event = Event::Asleep;
         return done;
@@ -307,7 +323,10 @@ void Tracee::kill() {
 }
 
 void Tracee::detach() {
-  for (Thread& thread : threads_) {
+  // The first thread at last: if the process has died, its end is reported behind those of the
+  // others.
+  for (std::size_t i = threads_.size(); i-- > 0;) {
+    Thread& thread = threads_[i];
     int status = 0;
     const auto stops = [&] {
       return waitpid(thread.id, &status, __WALL) == thread.id && WIFSTOPPED(status);
@@ -324,8 +343,7 @@ void Tracee::detach() {
     }
     if (trace(PTRACE_DETACH, thread.id, 0, static_cast<std::uintptr_t>(thread.signal)) == -1 &&
         thread.id != pid_) {
-      waitpid(thread.id, &status,
-              __WALL | WNOHANG);  // it has died: only its tracer can wait for it
+      waitpid(thread.id, &status, __WALL);  // it is dying: only its tracer can wait for it
     }
   }
   threads_.clear();

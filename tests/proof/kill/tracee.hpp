@@ -104,12 +104,16 @@ class Tracee {
   bool run(std::size_t index, int how, std::uint64_t place, std::chrono::milliseconds patience);
   /// Waits for a stop of a thread that runs.
   bool stops(std::size_t index, std::chrono::milliseconds patience);
-  bool asleep(const Thread& thread) const;
+  /// The state of a thread as /proc has it ('S': asleep, 'Z': ended); '\0': there is none.
+  char state_of(pid_t thread) const;
   std::string status_of(const Thread& thread, const std::string& title) const;
   bool trap_is_pending(const Thread& thread) const;
   /// Takes note of a stop or an end that waitpid reported. False: the thread has ended.
   bool note(std::size_t index, int status);
   bool poll(std::size_t index);
+  /// Takes note of the stops and ends of all threads but this one.
+  void poll_others(pid_t thread);
+  std::size_t index_of(pid_t thread) const;
   void adopt(pid_t thread, bool may_have_ended);
 
   pid_t pid_;
