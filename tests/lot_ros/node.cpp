@@ -327,7 +327,7 @@ class Onlooker final : public End {
  private:
   void run() {
     try {
-      while (!ends_) typed_ ? look(*typed_) : look(*any_);
+      while (!ends_) typed_ ? borrow_from(*typed_) : borrow_from(*any_);
     } catch (const std::exception& e) {
       const std::lock_guard guard(mutex_);
       error_ = e.what();
@@ -335,13 +335,13 @@ class Onlooker final : public End {
     typed_.reset();
     any_.reset();
   }
-  void look(lot::ShmPuller<Shared>& puller) {
+  void borrow_from(lot::ShmPuller<Shared>& puller) {
     const auto image = puller.borrow(kPatience);
     if (!image) return;
     account_.note(*image, "");
     note(image.missed(), {});
   }
-  void look(lot::AnyPuller& puller) {
+  void borrow_from(lot::AnyPuller& puller) {
     const auto message = puller.borrow(kPatience);
     if (!message) return;
     if (type_ == "sensor_msgs/Image") account_.note(Described(message.root()), "");
