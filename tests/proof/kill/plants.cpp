@@ -232,7 +232,9 @@ std::vector<Plant> planted_operations() {
   frames.push_back({Who::Witness, [](Node& n) { (void)n.frame_puller->try_pull(); }});
   const auto opens = [](Node& n) {
     n.join();
-    n.open_queue({4, Policy::Block, QueueEngine::Ring, Wait::Park});
+    QueueOptions putting{4, Policy::Block, QueueEngine::Ring, Wait::Park};
+    putting.fast_lane = false;  // what is planted writes into blocks
+    n.open_queue(putting);
     n.queue->listen();
   };
   const std::vector<Act> items{{Who::Witness, opens},
