@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # Plants mistakes that the model must find: a model that cannot fail proves nothing.
 # Usage: cmake -D MODEL=path/to/lot_model -P can_fail.cmake
+# LOT_TEST_ONE_IN=N: one of each N mistakes, others with each LOT_TEST_SEED.
 # A mistake, or a mistake and the scenario that must find it by itself, perhaps by bounded search.
-foreach(mistake IN ITEMS
+set(mistakes
     publish-release-only
     second-look-relaxed
     second-look-stale
@@ -26,6 +27,9 @@ foreach(mistake IN ITEMS
     "no-look-at-hazards --bounded evicted_block_changes_hands"
     "no-look-at-the-answer selected_when_invited_twice"
     no-repair-after-a-death)
+include(${CMAKE_CURRENT_LIST_DIR}/../../support/sample.cmake)
+sample(mistakes)
+foreach(mistake IN LISTS mistakes)
   separate_arguments(words UNIX_COMMAND "${mistake}")
   foreach(executions IN ITEMS 1000 20000)  # most are found soon
     execute_process(
