@@ -274,6 +274,8 @@ TEST_CASE("messages of a killed camera give way, before those of living ones") {
     REQUIRE(killed.is_ready());
     killed.kill();
   }
+  lot::segment::Segment segment(engine.path());
+  CHECK(eventually([&] { return Audit(segment).participants == 1; }));  // it is known to be dead
   auto pusher = engine.advertise<Frame>(topic(1));
   // More than fit, wherever the others lie.
   for (std::uint64_t n = 0; n < 70; ++n) push(pusher, n);

@@ -121,7 +121,7 @@ class Children {
 
 struct Fixture : BothEngines {
   static lot::PusherOptions with(QueueEngine engine, std::uint32_t depth = 8) {
-    return {Policy::Block, depth, 10s, engine};
+    return {Policy::Block, depth, 50s, engine};
   }
   /// Subscribes to all topics.
   static std::vector<std::unique_ptr<Puller>> pullers(lot::ShmEngine& shm) {
