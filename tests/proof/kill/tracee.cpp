@@ -13,13 +13,14 @@
 #include <linux/futex.h>
 #include <sched.h>
 #include <stdexcept>
-#include <sys/ptrace.h>
 #include <sys/syscall.h>
 #include <sys/user.h>
 #include <sys/wait.h>
 #include <thread>
 #include <unistd.h>
 #include <utility>
+
+#include "support/ptrace.hpp"
 
 namespace lot::kill {
 namespace {
@@ -32,12 +33,9 @@ constexpr long kFutexWaitv = 449;
 /// Who has not come to its next station by then has gone another way.
 constexpr std::chrono::milliseconds kStrays{5000};
 
-long trace(__ptrace_request request, pid_t thread, std::uintptr_t address = 0,
-           std::uintptr_t data = 0) {
-  return ptrace(request, thread, reinterpret_cast<void*>(address), reinterpret_cast<void*>(data));
-}
+using testing::trace;
 
-bool is_clone_event(int status) { return status >> 8 == (SIGTRAP | (PTRACE_EVENT_CLONE << 8)); }
+bool is_clone_event(int status) { return testing::is_event(status, PTRACE_EVENT_CLONE); }
 bool is_stop_event(int status) { return status >> 16 == PTRACE_EVENT_STOP; }
 
 }  // namespace
@@ -256,7 +254,7 @@ bool Tracee::run(std::size_t index, int how, std::uint64_t place,
   const pid_t id = threads_[index].id;
   const auto go = [&](int request) {
     threads_[index].stopped = false;
-    trace(static_cast<__ptrace_request>(request), id, 0,
+    trace(request, id, 0,
           static_cast<std::uintptr_t>(std::exchange(threads_[index].signal, 0)));
   };
   if (std::exchange(threads_[index].in_clone, false)) {
