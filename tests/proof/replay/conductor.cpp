@@ -80,7 +80,7 @@ void Conductor::start(unsigned worker) {
                                    std::to_string(life), "--seed", std::to_string(plan_.seed),
                                    "--operations", std::to_string(plan_.operations)},
                                   plan_.seed);
-  processes_.push_back(std::make_unique<Process>(Process{pid, worker, life}));
+  processes_.push_back(std::make_unique<Process>(pid, worker, life));
   adopt(pid, *processes_.back());
 }
 

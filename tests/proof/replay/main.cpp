@@ -61,7 +61,7 @@ std::string make_the_place() {
                : std::string(where) + " cannot be mounted: " + std::strerror(errno);
   };
   std::string why = mounts("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr);
-  if (why.empty()) why = mounts("replay", "/dev/shm", "tmpfs", 0, "size=64m");
+  if (why.empty()) why = mounts("replay", "/dev/shm", "tmpfs", 0, "size=256m");
   if (why.empty()) why = mounts("proc", "/proc", "proc", 0, nullptr);
   return why;
 }

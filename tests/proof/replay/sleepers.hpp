@@ -20,6 +20,8 @@ struct Place {
 
 /// A worker, as long as it lives.
 struct Process {
+  Process(pid_t id, unsigned number, unsigned which) : pid(id), worker(number), life(which) {}
+
   pid_t pid;
   unsigned worker;
   unsigned life;

@@ -41,7 +41,9 @@ std::uint64_t seal(std::uint32_t channel, std::uint32_t number) {
   return Random::mix(std::uint64_t{channel} << 32 | number);
 }
 
-void wrong(const std::string& what) { tell(Tell::Wrong, what.data(), what.size()); }
+void wrong(const std::string& what) { 
+  tell(Tell::Wrong, reinterpret_cast<std::uintptr_t>(what.data()), what.size());
+ }
 
 void check(const Frame& frame, const char* when) {
   const std::uint64_t first = seal(frame.channel, frame.number);
@@ -139,7 +141,7 @@ class Subscriber {
 EngineOptions options_of_segment(const Task& task) {
   EngineOptions options;
   options.segment = "replay";
-  options.size_bytes = 4 << 20;
+  options.size_bytes = 12 << 20;
   options.name = "worker " + std::to_string(task.worker);
   options.processes = 7;
   options.blocks = 64;
