@@ -206,18 +206,36 @@ bool Conductor::go_to_kernel(Thread& thread, const user_regs_struct& registers) 
     books_.wrong("a worker ended in system call " + std::to_string(number));
     return false;
   }
-  const user_regs_struct after = replay::registers(thread.id);
-  note(registers.orig_rax, after.rax);
+  const long result = correct(thread, registers, static_cast<long>(replay::registers(thread.id).rax));
+  note(registers.orig_rax, static_cast<std::uint64_t>(result));
   return true;
+}
+
+/// Sees to what the kernel has put into a worker's memory. Returns the result of the call.
+long Conductor::correct(const Thread& thread, const user_regs_struct& call, long result) {
+  const pid_t process = thread.process->pid;
+  const auto fd = static_cast<int>(call.rdi);
+  if (call.orig_rax == SYS_openat && result >= 0) {
+    proc_files_.opened(process, static_cast<int>(result), read_text(thread.id, call.rsi, 200));
+  } else if (call.orig_rax == SYS_close) {
+    proc_files_.closed(process, fd);
+  } else if (call.orig_rax == SYS_read && result > 0 && proc_files_.has(process, fd)) {
+    std::string text(static_cast<std::size_t>(result), '\0');
+    read_memory(thread.id, call.rsi, text.data(), text.size());
+    text = proc_files_.instead(process, fd, text);
+    write_memory(thread.id, call.rsi, text.data(), text.size());
+    result = static_cast<long>(text.size());
+    answer(thread.id, result);
+  }
+  return result;
 }
 
 bool Conductor::hear(Thread& thread, const user_regs_struct& r) {
   const auto what = static_cast<Tell>(r.rdi);
   thread.process->is_at_work = true;
   if (what == Tell::Wrong) {
-    std::string text(std::min<std::uint64_t>(r.rdx, 500), '\0');
-    read_memory(thread.id, r.rsi, text.data(), text.size());
-    books_.wrong("worker " + std::to_string(thread.process->worker) + ": " + text);
+    books_.wrong("worker " + std::to_string(thread.process->worker) + ": " +
+                 read_text(thread.id, r.rsi, r.rdx));
     return false;
   }
   if (what == Tell::Stage) {

@@ -10,6 +10,7 @@
 #include "books.hpp"
 #include "calls.hpp"
 #include "chaos/random.hpp"
+#include "proc_files.hpp"
 #include "record.hpp"
 #include "sleepers.hpp"
 #include "tracing.hpp"
@@ -52,6 +53,7 @@ class Conductor {
   /// False: the thread does not go on in this turn.
   bool call(Thread& thread);
   bool go_to_kernel(Thread& thread, const user_regs_struct& registers);
+  long correct(const Thread& thread, const user_regs_struct& call, long result);
   bool hear(Thread& thread, const user_regs_struct& registers);
   void come_to_stage(Thread& thread, Stage stage);
   bool let_stage_begin();
@@ -71,6 +73,7 @@ class Conductor {
   chaos::Random random_;
   Calls calls_;
   Books books_;
+  ProcFiles proc_files_;
   std::vector<std::unique_ptr<Process>> processes_;
   std::vector<std::unique_ptr<Thread>> owned_;
   std::vector<Thread*> threads_;  ///< those that live, in the order of their coming

@@ -11,6 +11,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <exception>
+#include <fcntl.h>
 #include <filesystem>
 #include <sched.h>
 #include <string>
@@ -66,12 +67,21 @@ std::string make_the_place() {
   return why;
 }
 
+/// Whoever has started this program has left other descriptors open each time; the workers would
+/// inherit them.
+void keep_no_descriptors() {
+  const int null = open("/dev/null", O_RDWR);
+  for (int standard = 0; standard < 3; ++standard) dup2(null, standard);
+  close_range(3, ~0U, 0);
+}
+
 void conduct(const Options& options, std::uint64_t seed, const std::string& program,
              Record& record) {
   try {
     if (const std::string why = make_the_place(); !why.empty()) {
       return record.finish(Record::End::Skipped, why);
     }
+    keep_no_descriptors();
     Plan plan = Plan::of(seed);
     if (options.operations != 0) plan.operations = static_cast<unsigned>(options.operations);
     Conductor(plan, program, record).run();

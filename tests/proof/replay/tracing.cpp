@@ -151,6 +151,14 @@ bool read_memory(pid_t process, std::uint64_t address, void* into, std::size_t b
   return process_vm_readv(process, &here, 1, &there, 1, 0) == static_cast<ssize_t>(bytes);
 }
 
+std::string read_text(pid_t process, std::uint64_t address, std::size_t most) {
+  std::string text;
+  for (char c; text.size() < most && read_memory(process, address, &c, 1) && c != '\0'; ++address) {
+    text += c;
+  }
+  return text;
+}
+
 bool write_memory(pid_t process, std::uint64_t address, const void* from, std::size_t bytes) {
   const iovec here{const_cast<void*>(from), bytes};
   const iovec there{reinterpret_cast<void*>(address), bytes};

@@ -51,6 +51,8 @@ std::uint64_t place(pid_t thread);
 /// Copies of a stopped process's memory. False: there is none, or not all of it.
 bool read_memory(pid_t process, std::uint64_t address, void* into, std::size_t bytes);
 bool write_memory(pid_t process, std::uint64_t address, const void* from, std::size_t bytes);
+/// A text that ends by a zero byte, or after so many bytes.
+std::string read_text(pid_t process, std::uint64_t address, std::size_t most);
 template <class T>
 T read_word(pid_t process, std::uint64_t address) {
   T word{};
