@@ -144,9 +144,9 @@ EngineOptions options_of_segment(const Task& task) {
   options.size_bytes = 12 << 20;
   options.name = "worker " + std::to_string(task.worker);
   options.processes = 7;
-  options.blocks = 64;
+  options.blocks = 128;
   options.topics = 8;
-  options.channels = 16;
+  options.channels = 64;
   options.readers = 8;
   return options;
 }
@@ -156,6 +156,7 @@ class Worker {
   explicit Worker(const Task& task)
       : task_(task),
         random_(Random::of(task.seed, task.worker, task.life)),
+        lean_(Random::of(task.seed, 3).pick(3)),
         engine_(options_of_segment(task)),
         queue_(engine_.queue<Letter>("items", options_of_queue())),
         again_(engine_.advertise<Frame>("again", options_of(Policy::Overwrite, 2))) {
@@ -222,8 +223,13 @@ class Worker {
 
   Duration some_time() { return random_.chance(30) ? Duration() : random_.between(1ms, 60ms); }
 
+  /// Each run leans towards one kind of operations.
   void operate() {
     const unsigned dice = random_.pick(100);
+    if (random_.chance(60)) {
+      if (lean_ == 0) return on_letters();
+      if (lean_ == 1) return on_items();
+    }
     if (dice < 30) {
       frames_out_->push();
     } else if (dice < 45) {
@@ -300,6 +306,7 @@ class Worker {
 
   Task task_;
   Random random_;
+  const unsigned lean_;
   ShmEngine engine_;
   std::optional<ShmQueue<Letter>> queue_;
   std::optional<ShmPusher<Frame>> again_;
