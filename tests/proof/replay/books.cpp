@@ -46,7 +46,6 @@ long Books::hear(unsigned worker, Tell what, const Arguments& with) {
       got_none(readers_.at(with[0]), with[1]);
       break;
     case Tell::Put:
-      putters_[with[0]].worker = worker;
       putters_[with[0]].begun = with[1];
       break;
     case Tell::HasPut:
@@ -153,10 +152,11 @@ void Books::took(unsigned worker, std::uint64_t channel, std::uint64_t number) {
   const auto it = putters_.find(channel);
   const std::string where = "item " + n(number) + " of " + n(channel);
   if (it == putters_.end() || number > it->second.begun) return wrong(where + " was never put");
-  Putter& p = it->second;
-  if (number <= p.taken) return wrong(where + " was taken after " + n(p.taken));
-  p.lost += number - p.taken - 1;
-  p.taken = number;
+  if (!it->second.taken.insert(number).second) return wrong(where + " was taken twice");
+  // Of two takers the one that took first may tell it last.
+  std::uint64_t& last = last_taken_[{worker, channel}];
+  if (number < last) return wrong(where + " was taken after " + n(last) + " by the same worker");
+  last = number;
 }
 
 void Books::died(unsigned worker) {
@@ -203,7 +203,7 @@ void Books::drained() {
 void Books::look_for_items() {
   std::uint64_t lost = 0;
   for (const auto& [channel, p] : putters_) {
-    lost += p.lost + p.done - std::min(p.done, p.taken);
+    for (std::uint64_t number = 1; number <= p.done; ++number) lost += p.taken.count(number) == 0;
   }
   if (lost > lost_takes_) {
     wrong(n(lost) + " items were put and not taken; " + n(lost_takes_) +

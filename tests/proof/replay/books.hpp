@@ -65,8 +65,8 @@ class Books {
     bool is_there = false, waits = false, has_gone = false;
   };
   struct Putter {
-    unsigned worker;
-    std::uint64_t begun = 0, done = 0, taken = 0, lost = 0;
+    std::uint64_t begun = 0, done = 0;
+    std::set<std::uint64_t> taken{};
   };
 
   void subscribe(unsigned worker, std::uint64_t topic);
@@ -85,7 +85,8 @@ class Books {
   std::vector<Channel> channels_;
   std::vector<Reader> readers_;
   std::map<std::uint64_t, Putter> putters_;
-  std::set<unsigned> taking_;  ///< workers in a take that waits
+  std::map<std::pair<unsigned, std::uint64_t>, std::uint64_t> last_taken_;  ///< by worker, channel
+  std::set<unsigned> taking_;  ///< workers that are about to take an item
   std::uint64_t lost_takes_ = 0;
   std::uint64_t operations_ = 0, messages_ = 0;
   std::string text_;

@@ -32,12 +32,11 @@ struct Options {
   std::uint64_t seed = 1;
   std::uint64_t runs = 1;
   bool twice = false;
+  bool stop = false;             ///< at the first violation
   std::uint64_t operations = 0;  ///< 0: the seed says
   std::uint64_t worker = kNone;  ///< this process is that worker: the conductor has started it
   std::uint64_t life = 0;
 };
-
-constexpr int kSkipped = 77;
 
 /// All threads of all runs are on the first core that there is: what it is called is the same in
 /// each run.
@@ -142,52 +141,65 @@ std::string difference(const Record& a, const Record& b) {
   return "the end";
 }
 
+struct Sum {
+  std::uint64_t seeds = 0, twice = 0, steps = 0, kills = 0, violations = 0, differences = 0;
+};
+
+/// False: the system refuses what a run needs.
+bool try_seed(chaos::Namespaces& namespaces, const Options& options, std::uint64_t seed,
+              const std::string& program, Sum& sum) {
+  Record& first = Record::make();
+  run(namespaces, options, seed, program, first);
+  if (first.end == Record::End::Skipped) {
+    std::printf("%s\nskipped: can not mount a tmpfs\n", first.text);
+    return false;
+  }
+  print(seed, first);
+  ++sum.seeds;
+  sum.violations += first.end != Record::End::Passed;
+  sum.steps += first.steps;
+  sum.kills += first.kills;
+  if (options.twice) {
+    Record& second = Record::make();
+    run(namespaces, options, seed, program, second);
+    ++sum.twice;
+    if (const std::string where = difference(first, second); !where.empty()) {
+      ++sum.differences;
+      std::printf("DIFFERS in the second run of seed %" PRIu64 ": %s\n", seed, where.c_str());
+      print(seed, second);
+    }
+    Record::let_go(second);
+  }
+  Record::let_go(first);
+  return true;
+}
+
 int all(const Options& options) {
   std::setvbuf(stdout, nullptr, _IOLBF, 0);
   const std::string program = std::filesystem::read_symlink("/proc/self/exe");
   chaos::Namespaces namespaces(true);
   if (const std::string why = namespaces.enter(); !why.empty()) {
-    std::printf("skipped: no namespaces: %s\n", why.c_str());
-    return kSkipped;
+    std::printf("%s\nskipped: no PID namespaces here\n", why.c_str());
+    return 0;
   }
   stay_on_one_core();
-  std::uint64_t violations = 0, differences = 0, steps = 0, kills = 0;
+  Sum sum;
   for (std::uint64_t seed = options.seed; seed < options.seed + options.runs; ++seed) {
-    Record& first = Record::make();
-    run(namespaces, options, seed, program, first);
-    if (first.end == Record::End::Skipped) {
-      std::printf("skipped: %s\n", first.text);
-      return kSkipped;
-    }
-    print(seed, first);
-    if (first.end != Record::End::Passed) ++violations;
-    steps += first.steps;
-    kills += first.kills;
-    if (options.twice) {
-      Record& second = Record::make();
-      run(namespaces, options, seed, program, second);
-      const std::string where = difference(first, second);
-      if (!where.empty()) {
-        ++differences;
-        std::printf("DIFFERS in the second run of seed %" PRIu64 ": %s\n", seed, where.c_str());
-        print(seed, second);
-      }
-      Record::let_go(second);
-    }
-    Record::let_go(first);
+    if (!try_seed(namespaces, options, seed, program, sum)) return 0;
+    if (options.stop && sum.violations + sum.differences != 0) break;
   }
-  std::printf("summary: %" PRIu64 " seeds%s, %" PRIu64 " steps, %" PRIu64 " kills, %" PRIu64
-              " violations, %" PRIu64 " differences\n",
-              options.runs, options.twice ? ", each twice" : "", steps, kills, violations,
-              differences);
-  return violations + differences == 0 ? 0 : 1;
+  std::printf("summary: %" PRIu64 " seeds, %" PRIu64 " of them twice, %" PRIu64 " steps, %" PRIu64
+              " kills, %" PRIu64 " violations, %" PRIu64 " differences\n",
+              sum.seeds, sum.twice, sum.steps, sum.kills, sum.violations, sum.differences);
+  return sum.violations + sum.differences == 0 ? 0 : 1;
 }
 
 constexpr const char* kUsage =
-    "usage: lot_replay [--seed N] [--runs M] [--twice] [--operations K]\n"
+    "usage: lot_replay [--seed N] [--runs M] [--twice] [--stop] [--operations K]\n"
     "  --seed N        the first seed (default: 1)\n"
     "  --runs M        so many seeds (default: 1)\n"
     "  --twice         each seed twice: both runs must be the same\n"
+    "  --stop          at the first violation\n"
     "  --operations K  of each worker; otherwise the seed says\n";
 
 /// Where the value of an option goes; null: there is no such option.
@@ -203,8 +215,8 @@ std::uint64_t* value_of(Options& options, const std::string& name) {
 bool parse(int argc, char** argv, Options& options) {
   for (int i = 1; i < argc; ++i) {
     const std::string name = argv[i];
-    if (name == "--twice") {
-      options.twice = true;
+    if (name == "--twice" || name == "--stop") {
+      (name == "--stop" ? options.stop : options.twice) = true;
       continue;
     }
     std::uint64_t* const value = value_of(options, name);
