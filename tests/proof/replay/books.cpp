@@ -223,13 +223,18 @@ bool Books::has_room(std::uint64_t channel) const {
   return true;
 }
 
-void Books::all_asleep() {
+void Books::falls_asleep(unsigned worker) {
   for (std::uint64_t c = 0; c < channels_.size(); ++c) {
-    if (channels_[c].is_pushing && channels_[c].topic == kLetters && has_room(c)) {
-      wrong("all sleep, also worker " + n(channels_[c].worker) +
-            ": it waits for room in channel " + n(c) + ", and there is room");
+    const Channel& channel = channels_[c];
+    if (channel.worker != worker || !channel.is_pushing || channel.topic != kLetters) continue;
+    if (has_room(c)) {
+      wrong("worker " + n(worker) + " falls asleep until there is room in channel " + n(c) +
+            ", and there is room");
     }
   }
+}
+
+void Books::all_asleep() {
   for (const Reader& r : readers_) {
     if (!r.waits || r.has_gone) continue;
     for (const auto& [c, source] : r.sources) {

@@ -20,7 +20,8 @@ namespace lot::replay {
 ///     lie in between. At the end: a push that said Ok is neither delivered nor missed.
 ///   - An item goes to one taker, in the order of its putter. A taker that is killed in a take takes
 ///     one with it at most.
-///   - No worker sleeps while there is something for it to do.
+///   - No worker falls asleep for room while there is room, and not all sleep while there is a
+///     message for one of them.
 ///
 /// Each member that takes a tell returns what the worker is answered; text() is then the first
 /// thing that was wrong, or "".
@@ -31,6 +32,9 @@ class Books {
   void died(unsigned worker);
   /// All workers have read what was left for them.
   void drained();
+  /// The worker, which may be waiting for room, sleeps on a word of the segment. A reader that has
+  /// told of a message has made room before, and has woken it.
+  void falls_asleep(unsigned worker);
   /// No thread of any worker runs, and none will before its time is over: is there a worker that
   /// should not sleep?
   void all_asleep();

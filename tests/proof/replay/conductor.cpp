@@ -169,6 +169,7 @@ bool Conductor::call(Thread& thread) {
       note(registers.orig_rax, static_cast<std::uint64_t>(verdict.result));
       return registers.orig_rax != SYS_sched_yield;
     case Verdict::What::Sleeps:
+      look_at_sleeper(thread);
       return false;
     case Verdict::What::Kernel:
       return go_to_kernel(thread, registers);
@@ -185,6 +186,19 @@ bool Conductor::call(Thread& thread) {
                                ", of which the conductor knows nothing");
   }
   return false;
+}
+
+/// A worker's first thread does its operations.
+void Conductor::look_at_sleeper(const Thread& thread) {
+  const bool is_first = thread.id == thread.process->pid;
+  if (is_first && is_settled() && thread.words.size() == 1 && thread.words.front().is_shared()) {
+    books_.falls_asleep(thread.process->worker);
+  }
+}
+
+/// No death has happened lately: until it is reaped, a worker may wait for what a dead one had.
+bool Conductor::is_settled() const {
+  return !last_death_ || calls_.now() - *last_death_ > kReaped;
 }
 
 bool Conductor::go_to_kernel(Thread& thread, const user_regs_struct& registers) {
@@ -299,8 +313,7 @@ bool Conductor::leap() {
   }
   const bool naps = std::any_of(threads_.begin(), threads_.end(),
                                 [](const Thread* t) { return t->sleeps && t->naps; });
-  const bool is_settled = !last_death_ || calls_.now() - *last_death_ > kReaped;
-  if (!naps && is_settled && stage_ == Stage::Work) books_.all_asleep();
+  if (!naps && is_settled() && stage_ == Stage::Work) books_.all_asleep();
   if (*next > calls_.now()) calls_.pass(*next - calls_.now());
   note(0, *next);
   return true;

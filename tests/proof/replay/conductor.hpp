@@ -52,6 +52,8 @@ class Conductor {
   void run_thread(Thread& thread);
   /// False: the thread does not go on in this turn.
   bool call(Thread& thread);
+  void look_at_sleeper(const Thread& thread);
+  bool is_settled() const;
   bool go_to_kernel(Thread& thread, const user_regs_struct& registers);
   long correct(const Thread& thread, const user_regs_struct& call, long result);
   bool hear(Thread& thread, const user_regs_struct& registers);

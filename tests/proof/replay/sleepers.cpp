@@ -36,8 +36,7 @@ Place Process::place_of(std::uint64_t address) {
     return {m.file, address - m.begin + m.offset};
   }
   // Of no shared file: the address says it, within this process.
-  constexpr std::uint64_t kOwn = std::uint64_t{1} << 63;
-  return {kOwn | static_cast<std::uint64_t>(pid), address};
+  return {Place::kOwn | static_cast<std::uint64_t>(pid), address};
 }
 
 void Sleepers::sleep(Thread& thread, std::vector<Place> words, std::optional<std::uint64_t> until) {

@@ -11,11 +11,13 @@ namespace lot::replay {
 
 /// A word of memory, by whichever address a process sees it.
 struct Place {
+  /// Marks what is in no shared file.
+  static constexpr std::uint64_t kOwn = std::uint64_t{1} << 63;
+
   std::uint64_t file;    ///< a shared file, or a process's own memory
   std::uint64_t offset;  ///< in the file, or the address
-  bool operator==(const Place& other) const {
-    return file == other.file && offset == other.offset;
-  }
+  bool operator==(const Place& other) const = default;
+  bool is_shared() const { return (file & kOwn) == 0; }
 };
 
 /// A worker, as long as it lives.
