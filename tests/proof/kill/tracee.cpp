@@ -254,8 +254,7 @@ bool Tracee::run(std::size_t index, int how, std::uint64_t place,
   const pid_t id = threads_[index].id;
   const auto go = [&](int request) {
     threads_[index].stopped = false;
-    trace(request, id, 0,
-          static_cast<std::uintptr_t>(std::exchange(threads_[index].signal, 0)));
+    trace(request, id, 0, static_cast<std::uintptr_t>(std::exchange(threads_[index].signal, 0)));
   };
   if (std::exchange(threads_[index].in_clone, false)) {
     go(PTRACE_SINGLESTEP);  // to the end of the call

@@ -106,8 +106,8 @@ void Books::got(std::uint64_t reader, std::uint64_t channel, std::uint64_t numbe
   Reader& r = readers_.at(reader);
   r.waits = false;
   ++messages_;
-  const std::string where = "reader " + n(reader) + ", channel " + n(channel) + ": message " +
-                            n(number);
+  const std::string where =
+      "reader " + n(reader) + ", channel " + n(channel) + ": message " + n(number);
   if (channel >= channels_.size() || channels_[channel].topic != r.topic) {
     return wrong(where + " is of no channel of its topic");
   }

@@ -15,11 +15,11 @@ struct Verdict {
   enum class What {
     Answered,  ///< `result`
     Sleeps,
-    Kernel,    ///< the kernel does it: it says the same in each run
-    Ends,      ///< the thread ends
-    EndsAll,   ///< its process ends
-    Tells,     ///< the worker tells something (tells.hpp)
-    Unknown,   ///< nothing is known of such a call: the run cannot go on
+    Kernel,   ///< the kernel does it: it says the same in each run
+    Ends,     ///< the thread ends
+    EndsAll,  ///< its process ends
+    Tells,    ///< the worker tells something (tells.hpp)
+    Unknown,  ///< nothing is known of such a call: the run cannot go on
   };
   What what;
   long result = 0;
@@ -31,8 +31,7 @@ class Calls {
  public:
   explicit Calls(std::uint64_t seed) : random_(seed) {}
 
-  Verdict handle(Thread& thread, const user_regs_struct& call,
-                 const std::vector<Thread*>& threads);
+  Verdict handle(Thread& thread, const user_regs_struct& call, const std::vector<Thread*>& threads);
 
   std::uint64_t now() const { return now_; }
   void pass(std::uint64_t ns) { now_ += ns; }

@@ -75,11 +75,11 @@ void Conductor::run() {
 
 void Conductor::start(unsigned worker) {
   const unsigned life = lives_[worker]++;
-  const pid_t pid = start_program(program_,
-                                  {"lot_replay", "--worker", std::to_string(worker), "--life",
-                                   std::to_string(life), "--seed", std::to_string(plan_.seed),
-                                   "--operations", std::to_string(plan_.operations)},
-                                  plan_.seed);
+  const pid_t pid = start_program(
+      program_,
+      {"lot_replay", "--worker", std::to_string(worker), "--life", std::to_string(life), "--seed",
+       std::to_string(plan_.seed), "--operations", std::to_string(plan_.operations)},
+      plan_.seed);
   processes_.push_back(std::make_unique<Process>(pid, worker, life));
   adopt(pid, *processes_.back());
 }
@@ -197,9 +197,7 @@ void Conductor::look_at_sleeper(const Thread& thread) {
 }
 
 /// No death has happened lately: until it is reaped, a worker may wait for what a dead one had.
-bool Conductor::is_settled() const {
-  return !last_death_ || calls_.now() - *last_death_ > kReaped;
-}
+bool Conductor::is_settled() const { return !last_death_ || calls_.now() - *last_death_ > kReaped; }
 
 bool Conductor::go_to_kernel(Thread& thread, const user_regs_struct& registers) {
   const auto number = static_cast<long>(registers.orig_rax);
@@ -220,7 +218,8 @@ bool Conductor::go_to_kernel(Thread& thread, const user_regs_struct& registers) 
     books_.wrong("a worker ended in system call " + std::to_string(number));
     return false;
   }
-  const long result = correct(thread, registers, static_cast<long>(replay::registers(thread.id).rax));
+  const long result =
+      correct(thread, registers, static_cast<long>(replay::registers(thread.id).rax));
   note(registers.orig_rax, static_cast<std::uint64_t>(result));
   return true;
 }
@@ -256,8 +255,7 @@ bool Conductor::hear(Thread& thread, const user_regs_struct& r) {
     come_to_stage(thread, static_cast<Stage>(r.rsi));
     return false;
   }
-  answer(thread.id,
-         books_.hear(thread.process->worker, what, {r.rsi, r.rdx, r.r10, r.r8, r.r9}));
+  answer(thread.id, books_.hear(thread.process->worker, what, {r.rsi, r.rdx, r.r10, r.r8, r.r9}));
   return true;
 }
 
@@ -355,7 +353,8 @@ void Conductor::end_process(Process& process, const Thread* caller) {
   } else {
     ::kill(process.pid, SIGKILL);
   }
-  for (auto t = its.rbegin(); t != its.rend(); ++t) {  // the first thread's end is the last to be told
+  for (auto t = its.rbegin(); t != its.rend();
+       ++t) {  // the first thread's end is the last to be told
     int status = 0;
     while (waitpid((*t)->id, &status, __WALL) == (*t)->id && WIFSTOPPED(status)) {
     }

@@ -33,7 +33,8 @@ struct Plan {
 
 /// Runs workers, one thread of all their threads at a time, as the seed says.
 ///
-/// REQUIRES: process 1 of a PID namespace, with an empty /dev/shm and a /proc of that namespace. One
+/// REQUIRES: process 1 of a PID namespace, with an empty /dev/shm and a /proc of that namespace.
+/// One
 ///           core.
 class Conductor {
  public:
@@ -81,8 +82,8 @@ class Conductor {
   std::vector<Thread*> threads_;  ///< those that live, in the order of their coming
   unsigned came_ = 0;
   std::vector<unsigned> lives_;
-  Thread* last_ = nullptr;    ///< that ran in the turn before
-  Thread* slow_ = nullptr;    ///< does not run while others can
+  Thread* last_ = nullptr;  ///< that ran in the turn before
+  Thread* slow_ = nullptr;  ///< does not run while others can
   unsigned slow_turns_ = 0;
   unsigned last_call_ = 0;
   Stage stage_ = Stage::Work;

@@ -54,8 +54,8 @@ void stay_on_one_core() {
 
 /// As process 1 of a new PID namespace: an empty /dev/shm, and the namespace's /proc. "" when done.
 std::string make_the_place() {
-  const auto mounts = [](const char* what, const char* where, const char* type,
-                         unsigned long flags, const char* how) {
+  const auto mounts = [](const char* what, const char* where, const char* type, unsigned long flags,
+                         const char* how) {
     return mount(what, where, type, flags, how) == 0
                ? ""
                : std::string(where) + " cannot be mounted: " + std::strerror(errno);
@@ -107,8 +107,9 @@ void run(chaos::Namespaces& namespaces, const Options& options, std::uint64_t se
 }
 
 void print(std::uint64_t seed, const Record& r) {
-  std::printf("seed %" PRIu64 ": fingerprint %016" PRIx64 ", %" PRIu64 " steps in %zu turns, %" PRIu64
-              " calls, %" PRIu64 " kills, %" PRIu64 " operations, %" PRIu64 " messages\n",
+  std::printf("seed %" PRIu64 ": fingerprint %016" PRIx64 ", %" PRIu64
+              " steps in %zu turns, %" PRIu64 " calls, %" PRIu64 " kills, %" PRIu64
+              " operations, %" PRIu64 " messages\n",
               seed, r.fingerprint, r.steps, r.count, r.calls, r.kills, r.operations, r.messages);
   if (r.end == Record::End::Passed) return;
   constexpr std::size_t kShown = 12;

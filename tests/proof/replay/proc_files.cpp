@@ -36,7 +36,8 @@ std::string short_stat(const std::string& text) {
 void ProcFiles::opened(pid_t process, int fd, const std::string& path) {
   closed(process, fd);
   const auto ends_in = [&path](const std::string& end) {
-    return path.size() >= end.size() && path.compare(path.size() - end.size(), end.size(), end) == 0;
+    return path.size() >= end.size() &&
+           path.compare(path.size() - end.size(), end.size(), end) == 0;
   };
   if (path.rfind("/proc/", 0) != 0) return;
   if (ends_in("/stat")) open_[{process, fd}] = Kind::Stat;

@@ -51,7 +51,7 @@ Stop go(pid_t thread, int how) {
 /// What the kernel tells the program on its stack: no clock page, and random bytes of the seed.
 void settle_auxiliary_vector(pid_t process, std::uint64_t seed) {
   std::uint64_t at = registers(process).rsp;
-  at += 8 * (read_word<std::uint64_t>(process, at) + 2);     // argc, arguments, null
+  at += 8 * (read_word<std::uint64_t>(process, at) + 2);       // argc, arguments, null
   while (read_word<std::uint64_t>(process, at) != 0) at += 8;  // the environment
   for (at += 8;; at += sizeof(Elf64_auxv_t)) {
     auto entry = read_word<Elf64_auxv_t>(process, at);
@@ -142,7 +142,8 @@ void answer(pid_t thread, long result) {
 }
 
 std::uint64_t place(pid_t thread) {
-  return static_cast<std::uint64_t>(trace(PTRACE_PEEKUSER, thread, offsetof(user_regs_struct, rip)));
+  return static_cast<std::uint64_t>(
+      trace(PTRACE_PEEKUSER, thread, offsetof(user_regs_struct, rip)));
 }
 
 bool read_memory(pid_t process, std::uint64_t address, void* into, std::size_t bytes) {

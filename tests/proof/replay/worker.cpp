@@ -41,9 +41,9 @@ std::uint64_t seal(std::uint32_t channel, std::uint32_t number) {
   return Random::mix(std::uint64_t{channel} << 32 | number);
 }
 
-void wrong(const std::string& what) { 
+void wrong(const std::string& what) {
   tell(Tell::Wrong, reinterpret_cast<std::uintptr_t>(what.data()), what.size());
- }
+}
 
 void check(const Frame& frame, const char* when) {
   const std::uint64_t first = seal(frame.channel, frame.number);
