@@ -223,12 +223,12 @@ bool Books::has_room(std::uint64_t channel) const {
   return true;
 }
 
-void Books::falls_asleep(unsigned worker) {
+void Books::sleeps(unsigned worker) {
   for (std::uint64_t c = 0; c < channels_.size(); ++c) {
     const Channel& channel = channels_[c];
     if (channel.worker != worker || !channel.is_pushing || channel.topic != kLetters) continue;
     if (has_room(c)) {
-      wrong("worker " + n(worker) + " falls asleep until there is room in channel " + n(c) +
+      wrong("worker " + n(worker) + " sleeps until there is room in channel " + n(c) +
             ", and there is room");
     }
   }

@@ -21,7 +21,7 @@ namespace lot::replay {
 ///   - An item goes to one taker, in the order of its putter. A taker that is killed in a take
 ///   takes
 ///     one with it at most.
-///   - No worker falls asleep for room while there is room, and not all sleep while there is a
+///   - No worker sleeps for room while there is room, and not all sleep while there is a
 ///     message for one of them.
 ///
 /// Each member that takes a tell returns what the worker is answered; text() is then the first
@@ -33,9 +33,10 @@ class Books {
   void died(unsigned worker);
   /// All workers have read what was left for them.
   void drained();
-  /// The worker, which may be waiting for room, sleeps on a word of the segment. A reader that has
-  /// told of a message has made room before, and has woken it.
-  void falls_asleep(unsigned worker);
+  /// The worker, which may be waiting for room, sleeps on a word of the segment, at the moment at
+  /// which it falls asleep or a reader tells of a message: that reader has made room before, and
+  /// has woken it.
+  void sleeps(unsigned worker);
   /// No thread of any worker runs, and none will before its time is over: is there a worker that
   /// should not sleep?
   void all_asleep();

@@ -120,7 +120,7 @@ Thread* Conductor::choose() {
     if (!t->sleeps) ready.push_back(t);
   }
   if (ready.empty()) return nullptr;
-  if (slow_turns_ == 0 && random_.chance(2)) {
+  if (slow_turns_ == 0 && random_.chance(4)) {
     slow_ = ready[below(ready.size())];
     slow_turns_ = 20 + below(200);
   }
@@ -188,11 +188,13 @@ bool Conductor::call(Thread& thread) {
   return false;
 }
 
-/// A worker's first thread does its operations.
+/// A worker's first thread does its operations. Called when it falls asleep, and when a reader has
+/// made room.
 void Conductor::look_at_sleeper(const Thread& thread) {
   const bool is_first = thread.id == thread.process->pid;
-  if (is_first && is_settled() && thread.words.size() == 1 && thread.words.front().is_shared()) {
-    books_.falls_asleep(thread.process->worker);
+  if (is_first && thread.sleeps && is_settled() && thread.words.size() == 1 &&
+      thread.words.front().is_shared()) {
+    books_.sleeps(thread.process->worker);
   }
 }
 
@@ -256,6 +258,9 @@ bool Conductor::hear(Thread& thread, const user_regs_struct& r) {
     return false;
   }
   answer(thread.id, books_.hear(thread.process->worker, what, {r.rsi, r.rdx, r.r10, r.r8, r.r9}));
+  if (what == Tell::Got) {
+    for (const Thread* t : threads_) look_at_sleeper(*t);
+  }
   return true;
 }
 
