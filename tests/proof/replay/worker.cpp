@@ -110,7 +110,8 @@ class Subscriber {
     if (most != Duration()) tell(Tell::Wait, reader_);
     auto message = most == Duration() ? puller_.try_pull() : puller_.pull(most);
     if (message) {
-      got(*message);
+      check(*message, "as it came");
+      tell(Tell::Got, reader_, message->channel, message->number, puller_.missed_total());
     } else {
       tell(Tell::GotNone, reader_, puller_.missed_total());
     }
@@ -118,22 +119,19 @@ class Subscriber {
   }
   /// A look in place. False: there was none.
   bool look() {
-    const auto borrow = puller_.try_borrow();
+    auto borrow = puller_.try_borrow();
     if (!borrow) {
       tell(Tell::GotNone, reader_, puller_.missed_total());
       return false;
     }
-    got(*borrow);
     check(*borrow, "in a borrow");
+    const std::uint32_t channel = borrow->channel, number = borrow->number;
+    borrow.end();  // makes room: what is told has been done
+    tell(Tell::Got, reader_, channel, number, puller_.missed_total());
     return true;
   }
 
  private:
-  void got(const T& message) {
-    check(message, "as it came");
-    tell(Tell::Got, reader_, message.channel, message.number, puller_.missed_total());
-  }
-
   std::uint32_t reader_;
   ShmPuller<T> puller_;
 };
