@@ -2,7 +2,7 @@
 # Finds a seed with which a planted mistake shows itself, and shows that this seed repeats it: a
 # second program run says the same, step by step.
 # Usage: cmake -D REPLAY=program -P can_fail.cmake
-set(most 200)  # about one in 40 shows it
+set(most 200)  # one in some dozens shows it
 execute_process(COMMAND ${REPLAY} --runs ${most} --stop
   RESULT_VARIABLE status OUTPUT_VARIABLE output ERROR_VARIABLE output)
 if(output MATCHES "skipped: ([^\n]*)")
