@@ -215,9 +215,11 @@ bool Books::has_room(std::uint64_t channel) const {
   const Channel& c = channels_[channel];
   for (const Reader& r : readers_) {
     if (r.has_gone || r.topic != c.topic) continue;
-    if (!is_sure_of(r, channel)) return false;  // not known: the reader was just coming
     const auto known = r.sources.find(channel);
-    const std::uint64_t last = known == r.sources.end() ? 0 : known->second.last;
+    const bool has_begun = known != r.sources.end();
+    // Not known where it begins: the reader was just coming.
+    if (!has_begun && !is_sure_of(r, channel)) return false;
+    const std::uint64_t last = has_begun ? known->second.last : 0;
     if (c.done - std::min(c.done, last) >= c.depth) return false;
   }
   return true;

@@ -19,8 +19,7 @@ namespace lot::replay {
 ///   - A reader gets the next message of a channel, or a later one, and as many count as missed as
 ///     lie in between. At the end: a push that said Ok is neither delivered nor missed.
 ///   - An item goes to one taker, in the order of its putter. A taker that is killed in a take
-///   takes
-///     one with it at most.
+///     takes one with it at most.
 ///   - No worker sleeps for room while there is room, and not all sleep while there is a
 ///     message for one of them.
 ///
