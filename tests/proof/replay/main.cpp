@@ -22,6 +22,7 @@
 #include "chaos/namespaces.hpp"
 #include "conductor.hpp"
 #include "record.hpp"
+#include "tracing.hpp"
 #include "worker.hpp"
 
 namespace lot::replay {
@@ -78,12 +79,14 @@ void conduct(const Options& options, std::uint64_t seed, const std::string& prog
              Record& record) {
   try {
     if (const std::string why = make_the_place(); !why.empty()) {
-      return record.finish(Record::End::Skipped, why);
+      return record.finish(Record::End::Skipped, why + "\nskipped: can not mount a tmpfs");
     }
     keep_no_descriptors();
     Plan plan = Plan::of(seed);
     if (options.operations != 0) plan.operations = static_cast<unsigned>(options.operations);
     Conductor(plan, program, record).run();
+  } catch (const Refused& e) {
+    record.finish(Record::End::Skipped, std::string(e.what()) + "\nskipped: no tracing here");
   } catch (const std::exception& e) {
     record.finish(Record::End::Unfinished, e.what());
   }
@@ -152,7 +155,7 @@ bool try_seed(chaos::Namespaces& namespaces, const Options& options, std::uint64
   Record& first = Record::make();
   run(namespaces, options, seed, program, first);
   if (first.end == Record::End::Skipped) {
-    std::printf("%s\nskipped: can not mount a tmpfs\n", first.text);
+    std::printf("%s\n", first.text);
     return false;
   }
   print(seed, first);

@@ -17,7 +17,7 @@ struct Record {
     Unfinished,  ///< the conductor itself has failed: `text`
     Passed,
     Violation,  ///< `text`
-    Skipped,    ///< `text`: what the system refuses
+    Skipped,    ///< `text`: what the system refuses, and a line for tests/skips.txt
   };
   /// A turn: one thread has run without another one between.
   struct Turn {

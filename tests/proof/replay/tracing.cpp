@@ -5,7 +5,6 @@
 #include <csignal>
 #include <cstring>
 #include <elf.h>
-#include <stdexcept>
 #include <sys/personality.h>
 #include <sys/uio.h>
 #include <sys/wait.h>
@@ -72,7 +71,7 @@ void settle_auxiliary_vector(pid_t process, std::uint64_t seed) {
   argv.push_back(nullptr);
   char* environment[] = {nullptr};
   personality(ADDR_NO_RANDOMIZE);
-  trace(PTRACE_TRACEME, 0);
+  if (trace(PTRACE_TRACEME, 0) == -1) _exit(127);
   raise(SIGSTOP);
   execve(path.c_str(), argv.data(), environment);
   _exit(127);
@@ -87,7 +86,7 @@ pid_t start_program(const std::string& path, const std::vector<std::string>& arg
   if (child == 0) become(path, arguments);
   if (!WIFSTOPPED(wait_for(child)) || trace(PTRACE_SETOPTIONS, child, 0, kOptions) == -1 ||
       trace(PTRACE_CONT, child) == -1) {
-    fail("a worker cannot be traced");
+    throw Refused("a worker cannot be traced");
   }
   if (!testing::is_event(wait_for(child), PTRACE_EVENT_EXEC)) {
     throw std::runtime_error("a worker cannot be started");

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <stdexcept>
 #include <string>
 #include <sys/types.h>
 #include <sys/user.h>
@@ -27,9 +28,14 @@ struct Stop {
   int signal = 0;
 };
 
+/// The system lets no process be traced: no run can be made.
+struct Refused : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
 /// Starts this program anew, as a traced child: at the same addresses each time, with an empty
 /// environment, without the kernel's clock page (the vDSO), and with the same random bytes. Returns
-/// when it stands before its first instruction. Throws std::runtime_error.
+/// when it stands before its first instruction. Throws Refused, or std::runtime_error.
 pid_t start_program(const std::string& path, const std::vector<std::string>& arguments,
                     std::uint64_t seed);
 
