@@ -2,8 +2,8 @@
 # Finds a seed with which a planted mistake shows itself, and shows that this seed repeats it: a
 # second program run says the same, step by step.
 # Usage: cmake -D REPLAY=program -P can_fail.cmake
-set(most 200)  # one in some dozens shows it
-execute_process(COMMAND ${REPLAY} --runs ${most} --stop
+set(most 40)
+execute_process(COMMAND ${REPLAY} --letters --seed 1 --runs ${most} --stop
   RESULT_VARIABLE status OUTPUT_VARIABLE output ERROR_VARIABLE output)
 if(output MATCHES "skipped: ([^\n]*)")
   message(STATUS "skipped: ${CMAKE_MATCH_1}")
@@ -16,7 +16,7 @@ set(seed ${CMAKE_MATCH_1})
 set(found ${CMAKE_MATCH_0})
 string(REGEX MATCH "seed ${seed}: fingerprint [^\n]*" first "${output}")
 
-execute_process(COMMAND ${REPLAY} --seed ${seed}
+execute_process(COMMAND ${REPLAY} --letters --seed ${seed}
   RESULT_VARIABLE status OUTPUT_VARIABLE again ERROR_VARIABLE again)
 string(REGEX MATCH "seed ${seed}: fingerprint [^\n]*" second "${again}")
 string(FIND "${again}" "${found}" at)

@@ -46,6 +46,14 @@ Plan Plan::of(std::uint64_t seed) {
   return plan;
 }
 
+Plan Plan::of_letters(std::uint64_t seed) {
+  Plan plan = of(seed);
+  plan.workers = 2;
+  plan.kills = 0;
+  plan.only_letters = true;
+  return plan;
+}
+
 Conductor::Conductor(const Plan& plan, const std::string& program, Record& record)
     : plan_(plan),
       program_(program),
@@ -75,11 +83,17 @@ void Conductor::run() {
 
 void Conductor::start(unsigned worker) {
   const unsigned life = lives_[worker]++;
-  const pid_t pid = start_program(
-      program_,
-      {"lot_replay", "--worker", std::to_string(worker), "--life", std::to_string(life), "--seed",
-       std::to_string(plan_.seed), "--operations", std::to_string(plan_.operations)},
-      plan_.seed);
+  std::vector<std::string> arguments{"lot_replay",
+                                     "--worker",
+                                     std::to_string(worker),
+                                     "--life",
+                                     std::to_string(life),
+                                     "--seed",
+                                     std::to_string(plan_.seed),
+                                     "--operations",
+                                     std::to_string(plan_.operations)};
+  if (plan_.only_letters) arguments.push_back("--letters");
+  const pid_t pid = start_program(program_, arguments, plan_.seed);
   processes_.push_back(std::make_unique<Process>(pid, worker, life));
   adopt(pid, *processes_.back());
 }

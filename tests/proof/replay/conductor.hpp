@@ -27,15 +27,18 @@ struct Plan {
   unsigned workers;
   unsigned operations;  ///< of each worker
   unsigned kills;       ///< so many at most
+  bool only_letters;    ///< workers do nothing but push and pull letters
 
   static Plan of(std::uint64_t seed);
+  /// Two workers that only push and pull letters, and no kill: the shortest way to a mistake
+  /// between a publisher and its reader.
+  static Plan of_letters(std::uint64_t seed);
 };
 
 /// Runs workers, one thread of all their threads at a time, as the seed says.
 ///
-/// REQUIRES: process 1 of a PID namespace, with an empty /dev/shm and a /proc of that namespace.
-/// One
-///           core.
+/// REQUIRES: process 1 of a PID namespace, on one core, with an empty /dev/shm and a /proc of that
+///           namespace.
 class Conductor {
  public:
   Conductor(const Plan& plan, const std::string& program, Record& record);

@@ -22,6 +22,7 @@
 #include "chaos/namespaces.hpp"
 #include "conductor.hpp"
 #include "record.hpp"
+#include "support/seed.hpp"
 #include "tracing.hpp"
 #include "worker.hpp"
 
@@ -30,10 +31,11 @@ namespace {
 
 struct Options {
   static constexpr std::uint64_t kNone = ~std::uint64_t{0};
-  std::uint64_t seed = 1;
+  std::uint64_t seed = kNone;
   std::uint64_t runs = 1;
   bool twice = false;
-  bool stop = false;             ///< at the first violation
+  bool stop = false;  ///< at the first violation
+  bool only_letters = false;
   std::uint64_t operations = 0;  ///< 0: the seed says
   std::uint64_t worker = kNone;  ///< this process is that worker: the conductor has started it
   std::uint64_t life = 0;
@@ -67,8 +69,7 @@ std::string make_the_place() {
   return why;
 }
 
-/// Whoever has started this program has left other descriptors open each time; the workers would
-/// inherit them.
+/// The workers would inherit what happens to be open, and it differs from run to run.
 void keep_no_descriptors() {
   const int null = open("/dev/null", O_RDWR);
   for (int standard = 0; standard < 3; ++standard) dup2(null, standard);
@@ -82,7 +83,7 @@ void conduct(const Options& options, std::uint64_t seed, const std::string& prog
       return record.finish(Record::End::Skipped, why + "\nskipped: can not mount a tmpfs");
     }
     keep_no_descriptors();
-    Plan plan = Plan::of(seed);
+    Plan plan = options.only_letters ? Plan::of_letters(seed) : Plan::of(seed);
     if (options.operations != 0) plan.operations = static_cast<unsigned>(options.operations);
     Conductor(plan, program, record).run();
   } catch (const Refused& e) {
@@ -109,7 +110,15 @@ void run(chaos::Namespaces& namespaces, const Options& options, std::uint64_t se
   }
 }
 
-void print(std::uint64_t seed, const Record& r) {
+/// What repeats the run.
+std::string command(const Options& options, std::uint64_t seed) {
+  std::string words = "lot_replay --seed " + std::to_string(seed);
+  if (options.only_letters) words += " --letters";
+  if (options.operations != 0) words += " --operations " + std::to_string(options.operations);
+  return words;
+}
+
+void print(const Options& options, std::uint64_t seed, const Record& r) {
   std::printf("seed %" PRIu64 ": fingerprint %016" PRIx64 ", %" PRIu64
               " steps in %zu turns, %" PRIu64 " calls, %" PRIu64 " kills, %" PRIu64
               " operations, %" PRIu64 " messages\n",
@@ -123,6 +132,7 @@ void print(std::uint64_t seed, const Record& r) {
   }
   std::printf("%s of seed %" PRIu64 " in step %" PRIu64 ": %s\n",
               r.end == Record::End::Violation ? "VIOLATION" : "UNFINISHED", seed, r.steps, r.text);
+  std::printf("once more: %s\n", command(options, seed).c_str());
 }
 
 /// Where the second run has gone another way; "" if it has not.
@@ -158,7 +168,7 @@ bool try_seed(chaos::Namespaces& namespaces, const Options& options, std::uint64
     std::printf("%s\n", first.text);
     return false;
   }
-  print(seed, first);
+  print(options, seed, first);
   ++sum.seeds;
   sum.violations += first.end != Record::End::Passed;
   sum.steps += first.steps;
@@ -170,7 +180,7 @@ bool try_seed(chaos::Namespaces& namespaces, const Options& options, std::uint64
     if (const std::string where = difference(first, second); !where.empty()) {
       ++sum.differences;
       std::printf("DIFFERS in the second run of seed %" PRIu64 ": %s\n", seed, where.c_str());
-      print(seed, second);
+      print(options, seed, second);
     }
     Record::let_go(second);
   }
@@ -178,8 +188,9 @@ bool try_seed(chaos::Namespaces& namespaces, const Options& options, std::uint64
   return true;
 }
 
-int all(const Options& options) {
+int all(Options options) {
   std::setvbuf(stdout, nullptr, _IOLBF, 0);
+  if (options.seed == Options::kNone) options.seed = testing::seed();
   const std::string program = std::filesystem::read_symlink("/proc/self/exe");
   chaos::Namespaces namespaces(true);
   if (const std::string why = namespaces.enter(); !why.empty()) {
@@ -199,11 +210,12 @@ int all(const Options& options) {
 }
 
 constexpr const char* kUsage =
-    "usage: lot_replay [--seed N] [--runs M] [--twice] [--stop] [--operations K]\n"
-    "  --seed N        the first seed (default: 1)\n"
+    "usage: lot_replay [--seed N] [--runs M] [--twice] [--stop] [--letters] [--operations K]\n"
+    "  --seed N        the first seed (default: LOT_TEST_SEED, or a new one)\n"
     "  --runs M        so many seeds (default: 1)\n"
     "  --twice         each seed twice: both runs must be the same\n"
     "  --stop          at the first violation\n"
+    "  --letters       two workers that only push and pull letters, and no kill\n"
     "  --operations K  of each worker; otherwise the seed says\n";
 
 /// Where the value of an option goes; null: there is no such option.
@@ -216,11 +228,19 @@ std::uint64_t* value_of(Options& options, const std::string& name) {
   return nullptr;
 }
 
+/// The same of an option without a value.
+bool* flag_of(Options& options, const std::string& name) {
+  if (name == "--twice") return &options.twice;
+  if (name == "--stop") return &options.stop;
+  if (name == "--letters") return &options.only_letters;
+  return nullptr;
+}
+
 bool parse(int argc, char** argv, Options& options) {
   for (int i = 1; i < argc; ++i) {
     const std::string name = argv[i];
-    if (name == "--twice" || name == "--stop") {
-      (name == "--stop" ? options.stop : options.twice) = true;
+    if (bool* const flag = flag_of(options, name)) {
+      *flag = true;
       continue;
     }
     std::uint64_t* const value = value_of(options, name);
@@ -244,7 +264,8 @@ int main(int argc, char** argv) {
   }
   if (options.worker != Options::kNone) {
     return work({options.seed, static_cast<unsigned>(options.worker),
-                 static_cast<unsigned>(options.life), static_cast<unsigned>(options.operations)});
+                 static_cast<unsigned>(options.life), static_cast<unsigned>(options.operations),
+                 options.only_letters});
   }
   return all(options);
 }

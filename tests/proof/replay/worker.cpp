@@ -78,6 +78,7 @@ class Publisher {
   Publisher(const Publisher&) = delete;
   Publisher& operator=(const Publisher&) = delete;
 
+  void wait_for_reader() { (void)pusher_.wait_for_readers(1, 1s); }
   void push() {
     auto message = pusher_.try_loan();
     if (!message) return;
@@ -168,6 +169,7 @@ class Worker {
   }
 
   void run() {
+    if (task_.only_letters && letters_out_) letters_out_->wait_for_reader();
     for (unsigned n = 0; n < task_.operations; ++n) {
       tell(Tell::Operation);
       operate();
@@ -223,6 +225,7 @@ class Worker {
 
   /// Each run leans towards one kind of operations.
   void operate() {
+    if (task_.only_letters) return pass_a_letter();
     const unsigned dice = random_.pick(100);
     if (random_.chance(60)) {
       if (lean_ == 0) return on_letters();
@@ -246,6 +249,14 @@ class Worker {
       open(frames_in_, "frames", kFrames);
     } else if (letters_out_) {
       open(letters_out_, "letters", kLetters, Policy::Block);
+    }
+  }
+  /// Each push is pulled: the publisher waits for room, and the reader for a message.
+  void pass_a_letter() {
+    if (letters_out_) {
+      letters_out_->push();
+    } else {
+      letters_in_->pull(60ms);
     }
   }
   void on_letters() {

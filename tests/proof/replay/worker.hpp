@@ -11,6 +11,7 @@ struct Task {
   unsigned worker;      ///< its number, from 0
   unsigned life;        ///< how many workers of that number were killed before it
   unsigned operations;  ///< so many, then it waits for the others
+  bool only_letters;    ///< it does nothing but push and pull letters
 };
 
 /// A worker's whole life: it publishes, reads, keeps and takes by the public interface, as `task`
