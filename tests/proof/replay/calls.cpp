@@ -150,7 +150,7 @@ Verdict Calls::handle(Thread& thread, const user_regs_struct& call,
 
 Verdict Calls::futex(Thread& thread, const user_regs_struct& call,
                      const std::vector<Thread*>& threads) {
-  switch (call.rsi & FUTEX_CMD_MASK) {
+  switch (static_cast<int>(call.rsi) & FUTEX_CMD_MASK) {
     case FUTEX_WAIT:
       return wait(thread, call, false);
     case FUTEX_WAIT_BITSET:
