@@ -194,10 +194,25 @@ void Books::drained() {
     }
     if (r.missed < least || r.missed > most) {
       wrong("a reader of topic " + n(r.topic) + " was told of " + n(r.missed) +
-            " missed messages; " + n(least) + " to " + n(most) + " did not come");
+            " missed messages; " + n(least) + " to " + n(most) + " did not come" + places_of(r));
     }
   }
   look_for_items();
+}
+
+/// What there is of each channel of the reader's topic, and what the reader has had.
+std::string Books::places_of(const Reader& r) const {
+  std::string text;
+  for (std::uint64_t c = 0; c < channels_.size(); ++c) {
+    const Channel& channel = channels_[c];
+    if (channel.topic != r.topic) continue;
+    const auto known = r.sources.find(c);
+    text += "; channel " + n(c) + " of worker " + n(channel.worker) + ": " + n(channel.done) +
+            (known == r.sources.end() ? ", none came" : ", the last is " + n(known->second.last));
+    if (is_sure_of(r, c)) text += ", all are the reader's";
+    if (channel.was_killed) text += ", killed in a push";
+  }
+  return text;
 }
 
 void Books::look_for_items() {

@@ -85,6 +85,7 @@ class Books {
   std::uint64_t begins_behind(const Reader& reader, std::uint64_t channel) const;
   bool is_sure_of(const Reader& reader, std::uint64_t channel) const;
   bool has_room(std::uint64_t channel) const;
+  std::string places_of(const Reader& reader) const;
   void look_for_items();
 
   std::vector<Channel> channels_;

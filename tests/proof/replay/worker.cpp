@@ -36,6 +36,7 @@ struct Letter {
 
 constexpr std::size_t kMostWords = 48;
 constexpr std::size_t kKept = 3;
+constexpr Duration kPatience = 100ms;  ///< of the virtual clock
 
 std::uint64_t seal(std::uint32_t channel, std::uint32_t number) {
   return Random::mix(std::uint64_t{channel} << 32 | number);
@@ -175,11 +176,12 @@ class Worker {
       operate();
     }
     tell(Tell::Stage, Stage::Drain);
-    while (frames_in_->pull({})) {
+    // A look that does not wait may find a new publisher some milliseconds later only (try_pull()).
+    while (frames_in_->pull(kPatience)) {
     }
-    while (letters_in_ && letters_in_->look()) {
+    while (letters_in_ && letters_in_->pull(kPatience)) {
     }
-    while (take({})) {
+    while (take(kPatience)) {
     }
     tell(Tell::Stage, Stage::Let_go);
     for (auto& message : kept_) let_go(message);
