@@ -1,0 +1,192 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "codec/encode.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <limits>
+#include <string>
+#include <string_view>
+
+#include "description/reader.hpp"
+
+namespace lot::codec {
+
+using Access = detail::ValueAccess;
+
+/// Carries the steps out.
+///
+/// Invariants
+///   - Each address comes from a Value, which has found all bytes of its type in the segment.
+///   - The message may change meanwhile: what has to be looked at is looked at in the copy.
+class Encoder {
+ public:
+  Encoder(const Program& program, Encoded& into) : program_(program), to_(into) {
+    to_.size_ = 0;
+    to_.buffer_.clear();
+    to_.large_.clear();
+  }
+
+  void run(const Value& message) {
+    constexpr std::array<unsigned char, kHeadBytes> kHead{0, 1, 0, 0};
+    add(message, kHead.data(), kHead.size());
+    body(message, program_.steps().data(), program_.steps().data() + program_.steps().size());
+  }
+
+ private:
+  /// The position in the payload.
+  std::uint64_t position() const noexcept { return to_.size_ - kHeadBytes; }
+
+  void count(const Value& about, std::uint64_t bytes) {
+    if (bytes > to_.most_ - std::min(to_.most_, to_.size_)) {
+      Access::refuse(about, EMSGSIZE,
+                     "it has more than the " + std::to_string(to_.most_) +
+                         " bytes that a message may have here");
+    }
+    to_.size_ += bytes;
+  }
+  void add(const Value& about, const unsigned char* from, std::uint64_t bytes) {
+    count(about, bytes);
+    const auto* const first = reinterpret_cast<const std::byte*>(from);
+    if (bytes >= to_.large_from_) {
+      to_.large_.push_back({to_.buffer_.size(), Bytes(first, bytes)});
+    } else {
+      to_.buffer_.insert(to_.buffer_.end(), first, first + bytes);
+    }
+  }
+  void add_word(const Value& about, std::uint64_t word, std::uint64_t bytes) {
+    align(about, bytes);
+    std::array<std::byte, 8> little{};
+    std::memcpy(little.data(), &word, sizeof word);
+    count(about, bytes);
+    to_.buffer_.insert(to_.buffer_.end(), little.begin(),
+                       little.begin() + static_cast<std::ptrdiff_t>(bytes));
+  }
+  void align(const Value& about, std::uint64_t to) {
+    const std::uint64_t bytes = padding(position(), to);
+    count(about, bytes);
+    to_.buffer_.resize(to_.buffer_.size() + bytes);
+  }
+  void add_count(const Value& about, std::uint64_t number) {
+    if (number > std::numeric_limits<std::uint32_t>::max()) {
+      Access::refuse(about, ERANGE,
+                     "it has " + std::to_string(number) + " parts, more than CDR can");
+    }
+    add_word(about, number, sizeof(std::uint32_t));
+  }
+  void add_bools(const Value& about, const unsigned char* from, std::uint64_t number) {
+    count(about, number);
+    const auto* const first = reinterpret_cast<const std::byte*>(from);
+    const std::size_t before = to_.buffer_.size();
+    to_.buffer_.insert(to_.buffer_.end(), first, first + number);
+    const auto bad = std::find_if(to_.buffer_.begin() + static_cast<std::ptrdiff_t>(before),
+                                  to_.buffer_.end(), [](std::byte b) { return b > std::byte{1}; });
+    if (bad != to_.buffer_.end()) {
+      Access::refuse(about, EBADMSG, "a bool is " + std::to_string(std::to_integer<unsigned>(*bad)),
+                     "its publisher has not set it; or a process writes where it should not");
+    }
+  }
+
+  /// All steps of a value.
+  void body(const Value& value, const Step* step, const Step* end) {
+    const auto* const at = Access::address(value);
+    for (; step != end; step += 1 + step->body) {
+      if (!step->needs_value) {
+        flat(value, at, step);
+        continue;
+      }
+      const Value part = program_.part(value, *step);
+      if (step->what == Do::Text) {
+        text(part);
+      } else if (step->what == Do::Bits) {
+        bits(part, *step);
+      } else {
+        items(part, step);
+      }
+    }
+  }
+
+  /// A step that looks only at the bytes at `at`, which are of `value` or of a part of it.
+  void flat(const Value& value, const unsigned char* at, const Step* step) {
+    switch (step->what) {
+      case Do::Numbers:
+        align(value, step->align);
+        return add(value, at + step->offset, step->count * step->align);
+      case Do::Bools:
+        return add_bools(value, at + step->offset, step->count);
+      case Do::Blank:
+        return add_word(value, 0, 1);
+      case Do::Run:
+        align(value, step->align);
+        if (is_one_copy(position(), step->offset, step->widest)) {
+          return add(value, at + step->offset, step->count);
+        }
+        return flat_body(value, at, step);
+      case Do::Each:
+        return flat_items(value, at + step->offset, step->count, step);
+      default:
+        return;  // Clear: CDR does not have it
+    }
+  }
+  void flat_body(const Value& value, const unsigned char* at, const Step* of) {
+    const Step* const end = of + 1 + of->body;
+    for (const Step* step = of + 1; step != end; step += 1 + step->body) flat(value, at, step);
+  }
+  /// Elements whose bytes are all of them.
+  void flat_items(const Value& value, const unsigned char* at, std::uint64_t number,
+                  const Step* step) {
+    if (number == 0) return;
+    if (step->widest != 0) {
+      align(value, step->align);
+      if (is_one_copy(position(), 0, step->widest)) return add(value, at, number * step->stride);
+    }
+    for (std::uint64_t i = 0; i < number; ++i) flat_body(value, at + i * step->stride, step);
+  }
+
+  void items(const Value& part, const Step* step) {
+    const Access::Items items = Access::items(part);
+    if (step->what == Do::Items) add_count(part, items.count);
+    const bool is_flat =
+        std::none_of(step + 1, step + 1 + step->body, [](const Step& s) { return s.needs_value; });
+    if (is_flat) return flat_items(part, items.data, items.count, step);
+    for (std::uint64_t i = 0; i < items.count; ++i) {
+      body(Access::item(part, items, i), step + 1, step + 1 + step->body);
+    }
+  }
+
+  void text(const Value& part) {
+    const std::string_view text = Access::text(part);
+    add_count(part, text.size() + 1);
+    add(part, reinterpret_cast<const unsigned char*>(text.data()), text.size());
+    add_word(part, 0, 1);
+  }
+
+  void bits(const Value& part, const Step& step) {
+    const std::uint64_t word = step.is_signed ? static_cast<std::uint64_t>(part.as<std::int64_t>())
+                                              : part.as<std::uint64_t>();
+    add_word(part, word, step.count);
+  }
+
+  const Program& program_;
+  Encoded& to_;
+};
+
+std::vector<Bytes> Encoded::pieces() const {
+  std::vector<Bytes> result;
+  std::size_t done = 0;
+  for (const Large& large : large_) {
+    if (large.before != done) result.emplace_back(buffer_.data() + done, large.before - done);
+    result.push_back(large.bytes);
+    done = large.before;
+  }
+  if (done != buffer_.size()) result.emplace_back(buffer_.data() + done, buffer_.size() - done);
+  return result;
+}
+
+void encode(const Program& program, const Value& message, Encoded& into) {
+  program.require(message);
+  Encoder(program, into).run(message);
+}
+
+}  // namespace lot::codec
