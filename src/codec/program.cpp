@@ -144,6 +144,7 @@ class Compiler {
     Step step = placed(Do::Bits, offset);
     step.align = static_cast<std::uint8_t>(its.size);
     step.count = its.size;
+    step.stride = (std::uint64_t{field.bit} + field.bits + 7) / 8;
     step.is_signed = its.kind == Kind::Int || (its.kind == Kind::Char && std::is_signed_v<char>);
     push(body, step, its.size);
   }
@@ -154,7 +155,9 @@ class Compiler {
             ? type.size == description::StdString::kSize
             : description::is_libcxx(type.name) && type.size == description::BoostString::kSize;
     if (!is_known) refuse(EINVAL, "it is a string of another library: " + type.name);
-    push(body, placed(Do::Text, offset), 4);
+    Step step = placed(Do::Text, offset);
+    step.stride = type.size;
+    push(body, step, 4);
   }
 
   // ---- what has parts ----
@@ -261,23 +264,38 @@ class Compiler {
         return step.count * step.stride;
       case Do::Items:
         return description::kVectorSize;
+      case Do::Bits:
       case Do::Text:
-        return description::BoostString::kSize;  // the shorter one
+        return step.stride;
       default:
-        return 0;  // shares its bytes with others
+        return 0;  // Blank: an empty struct may lie anywhere
     }
   }
 
   /// A decoder writes one step after the other: none may write where another has built something.
+  /// Bit-fields share bytes among themselves.
   void require_apart(const std::vector<Step>& steps) {
-    std::vector<std::pair<std::uint64_t, std::uint64_t>> taken;
+    struct Place {
+      std::uint64_t begin;
+      std::uint64_t end;
+      bool is_bits;
+    };
+    std::vector<Place> taken;
     for (std::size_t i = 0; i < steps.size(); i += 1 + steps[i].body) {
       const std::uint64_t bytes = bytes_of(steps[i]);
-      if (bytes != 0) taken.emplace_back(steps[i].offset, steps[i].offset + bytes);
+      const std::uint64_t begin = steps[i].offset;
+      if (bytes != 0) taken.push_back({begin, begin + bytes, steps[i].what == Do::Bits});
     }
-    std::sort(taken.begin(), taken.end());
-    for (std::size_t i = 1; i < taken.size(); ++i) {
-      if (taken[i].first < taken[i - 1].second) contradiction("has fields that share bytes");
+    std::sort(taken.begin(), taken.end(),
+              [](const Place& a, const Place& b) { return a.begin < b.begin; });
+    std::uint64_t end = 0;          // of what comes before
+    std::uint64_t end_of_bits = 0;  // the same of bit-fields
+    for (const Place& place : taken) {
+      if (place.begin < end || (!place.is_bits && place.begin < end_of_bits)) {
+        contradiction("has fields that share bytes");
+      }
+      std::uint64_t& its = place.is_bits ? end_of_bits : end;
+      its = std::max(its, place.end);
     }
   }
 

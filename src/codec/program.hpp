@@ -37,7 +37,7 @@ struct Step {
   std::uint32_t body = 0;      ///< Run, Each, Items: how many of the next steps belong to it
   std::uint64_t offset = 0;    ///< where it lies
   std::uint64_t count = 0;     ///< Numbers, Bools, Each: how many; Run, Clear, Bits: bytes
-  std::uint64_t stride = 0;    ///< Each, Items: from element to element
+  std::uint64_t stride = 0;    ///< Each, Items: bytes of an element; Text, Bits: its own
   std::uint64_t least = 0;     ///< Each, Items: bytes of CDR that an element has at least
   std::uint32_t way = 0;       ///< where it begins in ways()
   std::uint32_t way_size = 0;  ///< how many fields lead from the body's value to it

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compares the codec with one of two others, byte for byte, for types and values made up by chance.
 
-    tests/codec/independent.py fastcdr|rosmsg2 PROGRAM [COMPILER]
+    tests/codec/independent.py fastcdr|rosmsg2 PROGRAM COMPILER
 
 PROGRAM is random_messages. `fastcdr` makes C++ of our IDL by fastddsgen, and encodes by Fast CDR. `rosmsg2` reads our
 .msg by @foxglove/rosmsg, and encodes by @foxglove/rosmsg2-serialization. Each gets the values of a message as a
@@ -42,58 +42,66 @@ def run(command, **options):
     return result.stdout
 
 
+def own(idl, number):
+    """Types of the codec's own package are alike in name alone: each file gets its own package of them."""
+    return idl.replace('lot::msg::', f'lot{number}::msg::').replace('module lot {', f'module lot{number} {{')
+
+
 def getters(idl):
-    """(C++ that reads a value of each struct in an IDL file, the last struct's name)."""
-    text, name = '', ''
+    """(C++ that declares what gives each struct of an IDL file its values, C++ that defines it, the last struct)."""
+    declared, defined, name = '', '', ''
     for package, struct, members in STRUCT.findall(idl):
         name = f'{package}::msg::{struct}'
         fields = ''.join(f' get(values, v.{m}());' for m in MEMBER.findall(members))
-        text += f'inline void get(Values& values, {name}& v) {{{fields} }}\n'
-    return text, name
-
-
-def declared(idl):
-    """The same functions, declared before the templates that call them."""
-    return ''.join(f'inline void get(Values& values, {p}::msg::{s}& v);\n' for p, s, _ in STRUCT.findall(idl))
+        declared += f'inline void get(Values& values, {name}& v);\n'
+        defined += f'inline void get(Values& values, {name}& v) {{{fields} }}\n'
+    return declared, defined, name
 
 
 def driver(folder, numbers, part):
-    """Writes the program that encodes types by Fast CDR, and returns its sources."""
-    idls = {n: (folder / f'{n}.idl').read_text() for n in numbers}
-    joined = ''.join(dict.fromkeys(  # types of namespace `lot` are alike in name alone: each file has its own
-        idls[n].replace('lot::msg::', f'lot{n}::msg::').replace('module lot {', f'module lot{n} {{') for n in numbers))
-    (folder / f'types{part}.idl').write_text(joined)
-    run(['fastddsgen', '-d', folder, '-t', folder, '-replace', folder / f'types{part}.idl'])
-    calls, text = '', declared(joined)
-    bodies = ''
-    for n in numbers:
-        own = idls[n].replace('lot::msg::', f'lot{n}::msg::').replace('module lot {', f'module lot{n} {{')
-        code, name = getters(own)
-        bodies += code
-        calls += f'  good = compare<{name}>({n}) && good;\n'
-    source = (HERE / 'fastcdr_driver.cpp').read_text()
-    source = source.replace('// TYPES\n', f'#include "types{part}.h"\n').replace('// DECLARED\n', text)
-    source = source.replace('// BODIES\n', bodies).replace('  // CALLS\n', calls)
+    """Builds the program that encodes these types by Fast CDR."""
+    idls = {n: own((folder / f'{n}.idl').read_text(), n) for n in numbers}
+    (folder / f'types{part}.idl').write_text(''.join(idls.values()))
+    run(['fastddsgen', '-cs', '-d', folder, '-t', folder, '-replace', folder / f'types{part}.idl'])
+    source = (HERE / 'fastcdr_driver.cpp').read_text().replace('// TYPES\n', f'#include "types{part}.h"\n')
+    made = {n: getters(idl) for n, idl in idls.items()}
+    source = source.replace('// DECLARED\n', ''.join(m[0] for m in made.values()))
+    source = source.replace('// BODIES\n', ''.join(m[1] for m in made.values()))
+    source = source.replace('  // CALLS\n', ''.join(f'  good = compare<{m[2]}>({n}) && good;\n'
+                                                  for n, m in made.items()))
     (folder / f'driver{part}.cpp').write_text(source)
     return [folder / f'driver{part}.cpp', folder / f'types{part}.cxx']
 
 
 def fastcdr(folder, count, compiler):
+    """The commands that compare all types by Fast CDR."""
+    commands = []
     for part, first in enumerate(range(0, count, IN_ONE_FILE)):
         sources = driver(folder, range(first, min(first + IN_ONE_FILE, count)), part)
         program = folder / f'driver{part}'
         run([compiler, '-std=c++17', '-O0', '-w', *sources, '-o', program, '-lfastcdr'])
-        print(run([program], cwd=folder), end='')
+        commands.append([program])
+    return commands
 
 
 def rosmsg2(folder, count, _):
-    modules = run(['npm', 'root', '-g']).strip()
-    environment = dict(os.environ, NODE_PATH=modules)
-    print(run(['node', HERE / 'rosmsg2_driver.cjs', folder, str(count)], env=environment), end='')
+    os.environ['NODE_PATH'] = run(['npm', 'root', '-g']).strip()
+    return [['node', HERE / 'rosmsg2_driver.cjs', folder, str(count)]]
+
+
+def require_can_fail(command, folder):
+    """A comparison that cannot fail proves nothing: the first type gets another byte."""
+    file = folder / '0.cdr'
+    changed = bytearray(file.read_bytes())
+    changed[-1] ^= 1
+    file.write_bytes(changed)
+    result = subprocess.run(command, stdout=subprocess.PIPE, text=True, cwd=folder)
+    if result.returncode == 0 or not result.stdout.startswith('type 0: '):
+        sys.exit(f'a changed byte was not found: {result.stdout}')
 
 
 def main():
-    which, program = sys.argv[1], sys.argv[2]
+    which, program, compiler = sys.argv[1:]
     if which == 'fastcdr' and not (shutil.which('fastddsgen') and pathlib.Path('/usr/include/fastcdr/Cdr.h').exists()):
         skip('no fastddsgen and Fast CDR here')
     if which == 'rosmsg2':
@@ -106,8 +114,12 @@ def main():
     seed = os.environ.get('LOT_TEST_SEED') or str(random.SystemRandom().randrange(2 ** 32))
     print(f'seed: LOT_TEST_SEED={seed}', flush=True)
     with tempfile.TemporaryDirectory(prefix='lot_codec.') as folder:
+        folder = pathlib.Path(folder)
         run([program, seed, str(count), folder])
-        {'fastcdr': fastcdr, 'rosmsg2': rosmsg2}[which](pathlib.Path(folder), count, *sys.argv[3:4] or ['g++'])
+        commands = {'fastcdr': fastcdr, 'rosmsg2': rosmsg2}[which](folder, count, compiler)
+        for command in commands:
+            run(command, cwd=folder)
+        require_can_fail(commands[0], folder)
     print(f'{which}: {count} types have the same bytes')
 
 
