@@ -21,7 +21,7 @@ enum class Do : std::uint8_t {
   Run,      ///< steps that are one copy where the position allows it
   Blank,    ///< a struct without fields: a byte, which is 0
   Clear,    ///< bytes of the message that CDR does not have: a decoder sets them to 0
-  Each,     ///< the elements of an array. Alone, if its body does not need a Value
+  Each,     ///< the elements of an array
   Items,    ///< the elements of a vector
   Text,     ///< a string
   Bits      ///< a bit-field

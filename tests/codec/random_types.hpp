@@ -48,7 +48,7 @@ class RandomType {
     type.kind = kKinds[below(std::size(kKinds))];
     type.size = std::uint64_t{1} << below(4);
     if (type.kind == Kind::Bool || type.kind == Kind::Char) type.size = 1;
-    if (type.kind == Kind::Float) type.size = 4 << below(2);
+    if (type.kind == Kind::Float) type.size = std::uint64_t{4} << below(2);
     return put(type, type.size);
   }
   /// An enum, a duration or a time point.
