@@ -20,6 +20,7 @@
 #include "lot/describe.hpp"
 #include "lot/fuzz.hpp"
 
+#include "codec/carried.hpp"
 #include "codec/decode.hpp"
 #include "codec/encode.hpp"
 #include "codec/random_types.hpp"
@@ -32,32 +33,12 @@ namespace {
 using lot::fuzz::Bytes;
 using lot::fuzz::planted;
 using lot::fuzz::require;
+using lot::testing::Cloud;
+using lot::testing::Flags;
 using lot::testing::Heap;
+using lot::testing::Plain;
 
 enum class Mode : std::int16_t { Idle };
-struct Mixed {
-  float x, y;
-  double z;
-};
-struct Flags {
-  std::uint16_t low : 3;
-  std::int16_t high : 9;
-};
-struct Plain {
-  std::uint8_t a;
-  std::int16_t b;
-  bool c;
-  double d;
-  lot::ShmString s;
-  lot::ShmVector<std::uint16_t> v;
-  std::uint8_t e;
-};
-struct Cloud {
-  lot::ShmString name;
-  Mixed first;
-  std::array<Mixed, 2> pair;
-  lot::ShmVector<Mixed> points;
-};
 struct Part {
   lot::ShmString name;
   bool is_there;

@@ -9,32 +9,32 @@
 #include <string>
 #include <string_view>
 
+#include "codec/walk.hpp"
 #include "description/reader.hpp"
 
 namespace lot::codec {
 
 using Access = detail::ValueAccess;
 
-/// Carries the steps out.
-///
-/// Invariants
-///   - Each address comes from a Value, which has found all bytes of its type in the segment.
-///   - The message may change meanwhile: what has to be looked at is looked at in the copy.
-class Encoder {
+/// Carries the steps out. The message may change meanwhile: what has to be looked at is looked at
+/// in the copy.
+class Encoder : private Walk<Encoder, Value, const unsigned char> {
  public:
-  Encoder(const Program& program, Encoded& into) : program_(program), to_(into) {
+  Encoder(const Program& program, Encoded& into) : Walk(program), to_(into) {
     to_.size_ = 0;
     to_.buffer_.clear();
     to_.large_.clear();
   }
 
-  void run(const Value& message) {
+  void run(const Value& value) {
     constexpr std::array<unsigned char, kHeadBytes> kHead{0, 1, 0, 0};
-    add(message, kHead.data(), kHead.size());
-    body(message, program_.steps().data(), program_.steps().data() + program_.steps().size());
+    numbers(value, kHead.data(), kHead.size());
+    message(value);
   }
 
  private:
+  friend Walk;
+
   /// The position in the payload.
   std::uint64_t position() const noexcept { return to_.size_ - kHeadBytes; }
 
@@ -46,7 +46,7 @@ class Encoder {
     }
     to_.size_ += bytes;
   }
-  void add(const Value& about, const unsigned char* from, std::uint64_t bytes) {
+  void numbers(const Value& about, const unsigned char* from, std::uint64_t bytes) {
     count(about, bytes);
     const auto* const first = reinterpret_cast<const std::byte*>(from);
     if (bytes >= to_.large_from_) {
@@ -75,7 +75,7 @@ class Encoder {
     }
     add_word(about, number, sizeof(std::uint32_t));
   }
-  void add_bools(const Value& about, const unsigned char* from, std::uint64_t number) {
+  void bools(const Value& about, const unsigned char* from, std::uint64_t number) {
     count(about, number);
     const auto* const first = reinterpret_cast<const std::byte*>(from);
     const std::size_t before = to_.buffer_.size();
@@ -88,77 +88,21 @@ class Encoder {
     }
   }
 
-  /// All steps of a value.
-  void body(const Value& value, const Step* step, const Step* end) {
-    const auto* const at = Access::address(value);
-    for (; step != end; step += 1 + step->body) {
-      if (!step->needs_value) {
-        flat(value, at, step);
-        continue;
-      }
-      const Value part = program_.part(value, *step);
-      if (step->what == Do::Text) {
-        text(part);
-      } else if (step->what == Do::Bits) {
-        bits(part, *step);
-      } else {
-        items(part, step);
-      }
-    }
+  static const unsigned char* bytes_of(const Value& value) noexcept {
+    return Access::address(value);
   }
-
-  /// A step that looks only at the bytes at `at`, which are of `value` or of a part of it.
-  void flat(const Value& value, const unsigned char* at, const Step* step) {
-    switch (step->what) {
-      case Do::Numbers:
-        align(value, step->align);
-        return add(value, at + step->offset, step->count * step->align);
-      case Do::Bools:
-        return add_bools(value, at + step->offset, step->count);
-      case Do::Blank:
-        return add_word(value, 0, 1);
-      case Do::Run:
-        align(value, step->align);
-        if (is_one_copy(position(), step->offset, step->widest)) {
-          return add(value, at + step->offset, step->count);
-        }
-        return flat_body(value, at, step);
-      case Do::Each:
-        return flat_items(value, at + step->offset, step->count, step);
-      default:
-        return;  // Clear: CDR does not have it
-    }
-  }
-  void flat_body(const Value& value, const unsigned char* at, const Step* of) {
-    const Step* const end = of + 1 + of->body;
-    for (const Step* step = of + 1; step != end; step += 1 + step->body) flat(value, at, step);
-  }
-  /// Elements whose bytes are all of them.
-  void flat_items(const Value& value, const unsigned char* at, std::uint64_t number,
-                  const Step* step) {
-    if (number == 0) return;
-    if (step->widest != 0) {
-      align(value, step->align);
-      if (is_one_copy(position(), 0, step->widest)) return add(value, at, number * step->stride);
-    }
-    for (std::uint64_t i = 0; i < number; ++i) flat_body(value, at + i * step->stride, step);
-  }
-
-  void items(const Value& part, const Step* step) {
+  void blank(const Value& about) { add_word(about, 0, 1); }
+  static void clear(const unsigned char* /*at*/, std::uint64_t /*bytes*/) noexcept {}
+  Access::Items items(const Value& part, const Step& /*step*/) {
     const Access::Items items = Access::items(part);
-    if (step->what == Do::Items) add_count(part, items.count);
-    const bool is_flat =
-        std::none_of(step + 1, step + 1 + step->body, [](const Step& s) { return s.needs_value; });
-    if (is_flat) return flat_items(part, items.data, items.count, step);
-    for (std::uint64_t i = 0; i < items.count; ++i) {
-      body(Access::item(part, items, i), step + 1, step + 1 + step->body);
-    }
+    add_count(part, items.count);
+    return items;
   }
 
   void text(const Value& part) {
     const std::string_view text = Access::text(part);
     add_count(part, text.size() + 1);
-    add(part, reinterpret_cast<const unsigned char*>(text.data()), text.size());
+    numbers(part, reinterpret_cast<const unsigned char*>(text.data()), text.size());
     add_word(part, 0, 1);
   }
 
@@ -168,7 +112,6 @@ class Encoder {
     add_word(part, word, step.count);
   }
 
-  const Program& program_;
   Encoded& to_;
 };
 

@@ -16,6 +16,7 @@
 
 #include <lot/lot.hpp>
 
+#include "codec/carried.hpp"
 #include "codec/decode.hpp"
 #include "codec/encode.hpp"
 #include "codec/random_types.hpp"
@@ -29,39 +30,18 @@ using lot::Kind;
 using lot::codec::Encoded;
 using lot::codec::Program;
 using lot::testing::bytes_of;
+using lot::testing::Cloud;
 using lot::testing::error_of;
+using lot::testing::Flags;
 using lot::testing::Heap;
 using lot::testing::joined;
 using lot::testing::list_of_values;
 using lot::testing::names;
+using lot::testing::Plain;
 using namespace std::string_literals;
 
 namespace {
 
-/// By hand.
-struct Golden {
-  std::uint8_t a;
-  std::int16_t b;
-  bool c;
-  double d;
-  lot::ShmString s;
-  lot::ShmVector<std::uint16_t> v;
-  std::uint8_t e;
-};
-struct Mixed {
-  float x, y;
-  double z;
-};
-struct Cloud {
-  lot::ShmString name;
-  Mixed first;
-  std::array<Mixed, 2> pair;
-  lot::ShmVector<Mixed> points;
-};
-struct Flags {
-  std::uint16_t low : 3;
-  std::int16_t high : 9;
-};
 struct Nested {
   struct Empty {
   } empty;
@@ -110,17 +90,17 @@ std::pair<int, std::string> refusal() {
   return error_of([] { Program program(lot::describe<T>()); });
 }
 
-Golden* fill_golden(const lot::MutableValue& golden) {
-  golden["a"].set(1);
-  golden["b"].set(-2);
-  golden["c"].set(true);
-  golden["d"].set(1.5);
-  golden["s"].set("hi");
-  golden["v"].resize(2);
-  golden.at("v[0]").set(3);
-  golden.at("v[1]").set(4);
-  golden["e"].set(5);
-  return static_cast<Golden*>(const_cast<void*>(golden.value().address()));
+Plain* fill_plain(const lot::MutableValue& plain) {
+  plain["a"].set(1);
+  plain["b"].set(-2);
+  plain["c"].set(true);
+  plain["d"].set(1.5);
+  plain["s"].set("hi");
+  plain["v"].resize(2);
+  plain.at("v[0]").set(3);
+  plain.at("v[1]").set(4);
+  plain["e"].set(5);
+  return static_cast<Plain*>(const_cast<void*>(plain.value().address()));
 }
 
 const std::string kGolden =
@@ -134,10 +114,10 @@ const std::string kGolden =
 }  // namespace
 
 TEST_CASE("the bytes of a message are those that the encoding says") {
-  Made<Golden> made;
-  fill_golden(made.message);
+  Made<Plain> made;
+  fill_plain(made.message);
   CHECK(encoded(made.program, made.message) == kGolden);
-  Made<Golden> other;
+  Made<Plain> other;
   decode(other.program, bytes_of(kGolden), other.message);
   CHECK(list_of_values(other.message) == list_of_values(made.message));
   CHECK(other.typed().s == "hi");
@@ -146,7 +126,7 @@ TEST_CASE("the bytes of a message are those that the encoding says") {
 }
 
 TEST_CASE("a head may have options, and up to three bytes may follow") {
-  Made<Golden> made;
+  Made<Plain> made;
   std::string bytes = kGolden;
   bytes[3] = 3;
   decode(made.program, bytes_of(bytes + "\1\2\3"s), made.message);
@@ -212,8 +192,7 @@ TEST_CASE("empty structs, bit-fields, arrays in arrays, vectors in vectors, time
 }
 
 TEST_CASE("what ROS 2 does not have is refused when a type is compiled, by its path") {
-  using Error = std::pair<int, std::string>;
-  const Error reference = refusal<readable::Chain>();
+  const std::pair<int, std::string> reference = refusal<readable::Chain>();
   CHECK(reference.first == EINVAL);
   CHECK(names(reference.second, "lot: next: it leads to another message"));
   CHECK(names(refusal<readable::HasSecret>().second, "lot: secret: a "));
@@ -230,7 +209,7 @@ TEST_CASE("what ROS 2 does not have is refused when a type is compiled, by its p
 }
 
 TEST_CASE("a message of another description is refused") {
-  Made<Golden> made;
+  Made<Plain> made;
   Made<Image> other;
   CHECK(error_of([&] { (void)encoded(made.program, other.message); }).first == EINVAL);
   CHECK(error_of([&] { decode(made.program, bytes_of(kGolden), other.message); }).first == EINVAL);
@@ -238,7 +217,7 @@ TEST_CASE("a message of another description is refused") {
 }
 
 TEST_CASE("bytes that end early are an error, wherever they are cut") {
-  Made<Golden> made;
+  Made<Plain> made;
   for (std::size_t size = 0; size < kGolden.size(); ++size) {
     const std::string cut =
         kGolden.substr(0, size);  // with no byte behind it, for AddressSanitizer
@@ -247,7 +226,7 @@ TEST_CASE("bytes that end early are an error, wherever they are cut") {
 }
 
 TEST_CASE("a forged count is refused before memory is taken") {
-  Made<Golden> made;
+  Made<Plain> made;
   for (const std::size_t at : {20U, 28U}) {  // of s, and of v
     for (const char* const count : {"\xff\xff\xff\xff", "\x00\x00\x00\x80", "\x40\x00\x00\x01"}) {
       std::string bytes = kGolden;
@@ -261,7 +240,7 @@ TEST_CASE("a forged count is refused before memory is taken") {
 }
 
 TEST_CASE("a text ends with a zero, and may have others in it") {
-  Made<Golden> made;
+  Made<Plain> made;
   std::string bytes = kGolden;
   bytes[26] = 'x';
   CHECK(names(error_of([&] { decode(made.program, bytes_of(bytes), made.message); }).second,
@@ -274,7 +253,7 @@ TEST_CASE("a text ends with a zero, and may have others in it") {
 }
 
 TEST_CASE("a text without any byte is empty") {
-  Made<Golden> made;
+  Made<Plain> made;
   const std::string bytes = kGolden.substr(0, 20) + "\0\0\0\0\0\0\0\0\x05"s;
   decode(made.program, bytes_of(bytes), made.message);
   CHECK(made.typed().s.empty());
@@ -299,9 +278,9 @@ TEST_CASE("a bool that is neither 0 nor 1 is refused, both ways") {
 }
 
 TEST_CASE("a damaged message is an error, as for a Value") {
-  Made<Golden> made;
-  Golden* const golden = fill_golden(made.message);
-  auto* const words = reinterpret_cast<std::uint64_t*>(&golden->v);
+  Made<Plain> made;
+  Plain* const plain = fill_plain(made.message);
+  auto* const words = reinterpret_cast<std::uint64_t*>(&plain->v);
   const std::uint64_t end = std::exchange(words[2], std::uint64_t{1} << 40);
   CHECK(error_of([&] { (void)encoded(made.program, made.message); }).first == EBADMSG);
   words[2] = end;
@@ -410,8 +389,8 @@ TEST_CASE("ROS 1's header has no seq, and its time is ROS 2's") {
 TEST_CASE("bytes become a message that is loaned, which the type's own code reads") {
   const readable::Place place;
   lot::ShmEngine engine(place.options);
-  auto seen = engine.subscribe<Golden>("/golden");
-  auto typed = engine.advertise<Golden>("/golden");
+  auto seen = engine.subscribe<Plain>("/golden");
+  auto typed = engine.advertise<Plain>("/golden");
   const lot::AnyType type = engine.type_of("/golden");
   auto pusher = engine.advertise_any("/golden", type);
   const Program program(type.description());
