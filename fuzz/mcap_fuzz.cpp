@@ -73,7 +73,7 @@ Lines write(Bytes& bytes, bool& crcs) {
   const auto schema = writer.add(mcap::Schema{0, "S", "e", {std::byte{1}}});
   for (const char* topic : {"/a", "/b"}) writer.add(mcap::Channel{0, schema, topic, "", {}});
   Lines expected;
-  for (unsigned i = bytes.below(12); i != 0; --i) {
+  for (auto i = static_cast<unsigned>(bytes.below(12)); i != 0; --i) {
     const std::string payload(1 + bytes.byte(), static_cast<char>('a' + i));
     const mcap::MessageHead head{static_cast<std::uint16_t>(1 + i % 2), i, 100 - i, i};
     const mcap::View piece = std::as_bytes(std::span(payload));

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <tuple>
 #include <utility>
 
 #include "lot/error.hpp"
@@ -126,9 +127,9 @@ void Messages::open(const Part& part) try {
     }
   }
   if (opened.left.empty()) return;
-  std::ranges::reverse(opened.left);
-  std::ranges::stable_sort(opened.left, [](const Message* a, const Message* b) {
-    return a->head.log_time > b->head.log_time;
+  // The last one first. Of equal times, the place in the chunk decides: they lie in one array.
+  std::ranges::sort(opened.left, [](const Message* a, const Message* b) {
+    return std::tie(a->head.log_time, a) > std::tie(b->head.log_time, b);
   });
   open_bytes_ += opened.records->bytes();
   if (open_bytes_ > reader_->limits_.overlap_bytes) {

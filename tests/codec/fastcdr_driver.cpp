@@ -38,11 +38,11 @@ void get(Values& values, T& number) {
     number = static_cast<T>(bits);
   }
 }
-void get(Values& values, std::string& text) {
+[[maybe_unused]] void get(Values& values, std::string& text) {
   text.resize(next(values));
   for (char& c : text) c = static_cast<char>(next(values));
 }
-void get(Values& values, std::vector<bool>& bools) {
+[[maybe_unused]] void get(Values& values, std::vector<bool>& bools) {
   bools.resize(next(values));
   for (std::size_t i = 0; i < bools.size(); ++i) bools[i] = next(values) != 0;
 }

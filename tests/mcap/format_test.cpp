@@ -81,7 +81,7 @@ TEST_CASE("a recording has the bytes that were put together by hand") {
   const mcap::Bytes data{std::byte{'d'}};
   const auto schema = writer.add(mcap::Schema{0, "S", "e", data});
   const auto channel = writer.add(mcap::Channel{0, schema, "/t", "e", {{"k", "v"}}});
-  write(writer, {channel, 2, 5, 4}, "hi");
+  put(writer, {channel, 2, 5, 4}, "hi");
   writer.flush();
   CHECK(read_file(directory.file()) == golden_data());
   writer.close();

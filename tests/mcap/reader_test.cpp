@@ -92,8 +92,8 @@ std::string small_file(const std::string& path, Compression compression, bool cr
   const auto schema = writer.add(mcap::Schema{0, "S", "e", {std::byte{1}}});
   for (const char* topic : {"/a", "/b"}) writer.add(mcap::Channel{0, schema, topic, "", {}});
   for (unsigned i = 0; i < 6; ++i) {
-    write(writer, {static_cast<std::uint16_t>(1 + i % 2), i, 10 + i, i},
-          i == 4 ? payload(i, 150) : "m");
+    put(writer, {static_cast<std::uint16_t>(1 + i % 2), i, 10 + i, i},
+        i == 4 ? payload(i, 150) : "m");
   }
   writer.add(mcap::Attachment{1, 2, "n", "t", {std::byte{1}}});
   writer.add(mcap::Metadata{"m", {{"k", "v"}}});
@@ -134,7 +134,7 @@ TEST_CASE("a Reader gives messages by log time, across chunks that overlap") {
   std::vector<std::pair<std::uint64_t, std::uint32_t>> all;
   for (unsigned i = 0; i < 300; ++i) {
     const std::uint64_t time = 1000 + i * 10 - i * 7919 % 97 * 3;
-    write(writer, {static_cast<std::uint16_t>(1 + i % 3), i, time, 0}, payload(i, i % 40));
+    put(writer, {static_cast<std::uint16_t>(1 + i % 3), i, time, 0}, payload(i, i % 40));
     all.emplace_back(time, i);
   }
   writer.close();
@@ -367,7 +367,7 @@ TEST_CASE("a Reader refuses more than its limits") {
   options.chunk_bytes = 100;
   mcap::Writer writer(directory.file(), options);
   const auto channel = writer.add(mcap::Channel{0, 0, "/t", "", {}});
-  for (unsigned i = 0; i < 3; ++i) write(writer, {channel, i, 10 - i, 0}, payload(i, 1000));
+  for (unsigned i = 0; i < 3; ++i) put(writer, {channel, i, 10 - i, 0}, payload(i, 1000));
   writer.close();
   mcap::Limits limits;
   limits.chunk_bytes = 1000;

@@ -125,7 +125,7 @@ void write_one(const std::string& path, const std::string& compression, bool crc
   for (unsigned i = 0; i < 300; ++i) {
     const std::uint64_t time = 1000 + i - i * 37 % 11;
     const std::size_t size = i % 50 == 3 ? 100000 : i % 7 * 30;
-    write(writer, {channels[i % 2], i, time, i}, payload(i, size));
+    put(writer, {channels[i % 2], i, time, i}, payload(i, size));
     if (i != 150) continue;
     writer.add(mcap::Attachment{7, 8, "notes", "text/plain", {std::byte{3}}});
     writer.add(mcap::Metadata{"machine", {{"host", "x"}, {"a", "b"}}});

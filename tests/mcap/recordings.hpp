@@ -71,7 +71,7 @@ inline std::string payload(std::uint64_t seed, std::size_t size) {
   return bytes;
 }
 
-inline void write(mcap::Writer& writer, const mcap::MessageHead& head, std::string_view bytes) {
+inline void put(mcap::Writer& writer, const mcap::MessageHead& head, std::string_view bytes) {
   const mcap::View piece = view(bytes);
   writer.write(head, std::span(&piece, 1));
 }

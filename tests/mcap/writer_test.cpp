@@ -86,7 +86,7 @@ std::vector<std::string> fill(mcap::Writer& writer, unsigned messages) {
   for (unsigned i = 0; i < messages; ++i) {
     const std::string bytes = payload(i, i % 7 == 3 ? 3 * kChunk : i % 5 * 100);
     const mcap::MessageHead head{channels[i % 2], i, 1000 + i, 900 + i};
-    write(writer, head, bytes);
+    put(writer, head, bytes);
     expected.push_back(line({head, view(bytes)}));
   }
   return expected;
@@ -130,13 +130,13 @@ TEST_CASE("a large message has a chunk of its own, and comes in pieces") {
   const Directory directory;
   mcap::Writer writer(directory.file(), options());
   const auto channel = add_channel(writer, "/image");
-  write(writer, {channel, 0, 1, 1}, "before");
+  put(writer, {channel, 0, 1, 1}, "before");
   const std::string bytes = payload(1, 100000);
   std::vector<mcap::View> pieces;  // more than one pwritev takes
   for (std::size_t i = 0; i < bytes.size(); i += 50) pieces.push_back(view(bytes).subspan(i, 50));
   writer.write({channel, 1, 2, 2}, pieces);
   CHECK(writer.statistics().chunks == 2);
-  write(writer, {channel, 2, 3, 3}, "behind");
+  put(writer, {channel, 2, 3, 3}, "behind");
   writer.close();
   const auto all = lines(mcap::Stream(directory.file()));
   REQUIRE(all.size() == 3);
@@ -162,17 +162,17 @@ TEST_CASE("a Writer says what is wrong with a place, a channel, a schema") {
   CHECK(gone.first == ENOENT);
   CHECK(names(gone.second, "no/a.mcap"));
   mcap::Writer writer(directory.file(), options());
-  CHECK(error_of([&] { write(writer, {1, 0, 0, 0}, ""); }).first == EINVAL);
+  CHECK(error_of([&] { put(writer, {1, 0, 0, 0}, ""); }).first == EINVAL);
   CHECK(error_of([&] { writer.add(mcap::Channel{0, 9, "/t", "", {}}); }).first == EINVAL);
   const auto channel = add_channel(writer, "/a");
   std::filesystem::remove(directory.file());
-  write(writer, {channel, 0, 0, 0}, "x");
+  put(writer, {channel, 0, 0, 0}, "x");
   const auto removed = error_of([&] { writer.flush(); });
   CHECK(removed.first == ENOENT);
   CHECK(names(removed.second, "removed while it was written"));
   CHECK(writer.lost() == 1);
   CHECK(error_of([&] { writer.close(); }).first == ENOENT);
-  CHECK(error_of([&] { write(writer, {channel, 0, 0, 0}, "x"); }).first == EBADF);
+  CHECK(error_of([&] { put(writer, {channel, 0, 0, 0}, "x"); }).first == EBADF);
 }
 
 TEST_CASE("a Writer goes on behind interrupted and short writes") {
@@ -192,15 +192,15 @@ TEST_CASE("a write that fails takes its chunk with it, and the file stays whole"
   mcap::Writer writer(directory.file(), options());
   const auto channel = add_channel(writer, "/a");
   const std::string large = payload(1, 2 * kChunk);
-  write(writer, {channel, 0, 10, 10}, large);
+  put(writer, {channel, 0, 10, 10}, large);
   const auto before = read_file(directory.file());
 
   fault = {2, 50, 1, EIO};
-  CHECK(error_of([&] { write(writer, {channel, 1, 11, 11}, large); }).first == EIO);
+  CHECK(error_of([&] { put(writer, {channel, 1, 11, 11}, large); }).first == EIO);
   CHECK(read_file(directory.file()) == before);
   CHECK(writer.lost() == 1);
   fault = {};
-  write(writer, {channel, 2, 12, 12}, large);
+  put(writer, {channel, 2, 12, 12}, large);
   writer.close();
   const std::vector<std::string> expected{"1 0 10 10 " + large, "1 2 12 12 " + large};
   CHECK(lines(mcap::Reader(directory.file()).messages()) == expected);
@@ -224,7 +224,7 @@ TEST_CASE("a full disk is an error, and what was written before can be read") {
     const mcap::MessageHead head{channel, i, i, i};
     error = {};
     try {
-      write(writer, head, bytes);
+      put(writer, head, bytes);
       expected.push_back(line({head, view(bytes)}));
     } catch (const Error& e) {
       error = {e.error_number(), e.what()};
@@ -277,7 +277,7 @@ TEST_CASE("what a kill leaves at any moment is read up to the last chunk, and re
       const auto channel = add_channel(writer, "/a");
       steps.tell();
       for (unsigned i = 0;; ++i) {
-        write(writer, {channel, i, i, i}, payload(i, i % 7 == 3 ? 3 * kChunk : 200));
+        put(writer, {channel, i, i, i}, payload(i, i % 7 == 3 ? 3 * kChunk : 200));
       }
     });
     REQUIRE(steps.next() == '.');
