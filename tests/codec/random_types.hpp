@@ -213,7 +213,8 @@ class RandomValues {
   /// As many bits as the value can have; of what has a sign, every other one is negative.
   void fill_whole(const MutableValue& value) {
     const std::uint64_t bits = random_();
-    for (int less = 0; less < 64; ++less) {
+    const Value& here = value;
+    for (auto less = 64 - 8 * static_cast<int>(here.type().size); less < 64; ++less) {
       if (takes(value, static_cast<std::int64_t>(bits) >> less)) return;
       if (takes(value, bits >> less)) return;
     }
