@@ -9,7 +9,8 @@
 A profile is a file that is mapped, shared (continuous mode): what a process has counted stays when
 it is killed, and children count into the same. A branch is one outcome of one condition, at its place
 in the file; it is taken when any instance of a template, in any program, has taken it.
-not_covered.txt names what is not taken, and why. An entry that fits nothing is an error.
+not_covered.txt names what is not taken, and why. An entry that fits nothing is an error, and so is one
+that fits more branches than it says.
 """
 
 import argparse
@@ -95,6 +96,10 @@ def report(counts, root, reasons, missing):
     problems = [f'not_covered.txt has an entry that fits nothing: {what.pattern}'
                 for what, _ in reasons if not used[what]]
     problems += [f'not_covered.txt gives no reason: {what.pattern}' for what, why in reasons if not why]
+    for what, why in reasons:
+        most = re.match(r'At most (\d+)\. ', why)
+        if not most or used[what] > int(most[1]):
+            problems.append(f'not_covered.txt has another reason for {used[what]} branches: {what.pattern}')
     if taken < LEAST * total:
         problems.append(f'less than {LEAST:.0%} of the branches are taken')
     print(f'summary: {total} branches, {taken / total:.1%} taken; '
