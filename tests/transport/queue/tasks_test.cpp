@@ -560,8 +560,10 @@ TEST_CASE_FIXTURE(Fixture, "400 tasks are done at least once, with workers kille
       CHECK(putters[p].wait() == (p % 2 == 1 ? 128 + SIGKILL : 0));
     }
     for (auto& worker : workers) worker.kill9();
-    // What the last kills left unfinished is still there, and nothing else.
     lot::ShmEngine shm(options);
+    lot::segment::Segment segment(shm.path());
+    CHECK(eventually([&] { return Audit(segment).participants == 1; }));  // each death is known
+    // What the last kills left unfinished is still there, and nothing else.
     auto rest = shm.queue<lot::ShmUniquePtr<Job>>("jobs", redelivering(engine, 32));
     while (auto task = rest.wait_and_take_for(200ms)) {
       CHECK(is_whole(*task));
