@@ -43,7 +43,6 @@ import tree as trees  # noqa: E402
 PROTOCOL = ('src/lockfree_ring/', 'src/refcount/', 'src/recovery/')
 LIMITS = {'protocol': 0.95, 'around': 0.85}
 DEAREST_S = 20  # a case that takes longer is left to the other parts of scripts/prove
-TELLING = 8  # of so many mutants of one file, one at least is caught, unless something is broken
 
 
 # ---- lists --------------------------------------------------------------------------------------
@@ -255,17 +254,14 @@ def tell(mutant, results, known_open, texts):
           (f'open: {listed}' if listed else f'its key: {mutant.key}'))
 
 
-def judge_one_file(chosen, results, known_open, texts):
-    """Survivors are told, and no failure: the change at hand has nothing to do with them, and tests
-    that were not run may catch them."""
+def tell_one_file(chosen, results, known_open, texts):
+    """Survivors are told, and no failure, even if all survive: the change at hand has nothing to do with
+    them, and tests that were not run may catch them. That mutants get into tests --self-test shows."""
     survivors = [m for m in chosen if results.known[m.key]['by'] is None]
     for mutant in survivors:
         tell(mutant, results, known_open, texts)
     print(f'\nsummary: {len(chosen)} mutants of one file, {len(chosen) - len(survivors)} caught, '
           f'{len(survivors)} survive these tests')
-    if len(survivors) == len(chosen) >= TELLING:
-        return ['no mutant is caught: the tests do not have them, or test nothing']
-    return []
 
 
 def judge(chosen, results, known_open, texts, full):
@@ -389,9 +385,8 @@ def try_one_file(options):
     except OSError as error:
         print(f'skipped: no PID namespaces here ({error})')
         return 0
-    problems = judge_one_file(chosen, results, lists['open.txt'], tree.texts)
-    print(*problems, sep='\n', end='\n' * bool(problems))
-    return 1 if problems else 0
+    tell_one_file(chosen, results, lists['open.txt'], tree.texts)
+    return 0
 
 
 def main(arguments):
