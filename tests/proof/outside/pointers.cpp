@@ -174,8 +174,11 @@ class Model {
 
   // ---- what is alive, by the model
 
+  /// A ring that has ended may still have its messages, or be gone: a rest waits until it is.
+  enum class Ended { MayHave, HasNothing };
+
   template <class F>
-  void each_root(F&& f) {
+  void each_root(Ended ended, F&& f) {
     for (Node& n : nodes_) {
       for (Hand& h : n.hands) {
         for (const int o : h.unique) f(o);
@@ -184,11 +187,11 @@ class Model {
       }
     }
     for (const Ring& ring : rings_) {
-      if (ring.in_slots) continue;
+      if (ring.in_slots || (ring.ended && ended == Ended::HasNothing)) continue;
       for (std::size_t i = ring.oldest(); i < ring.log.size(); ++i) f(ring.log[i]);
     }
   }
-  std::vector<bool> alive() {
+  std::vector<bool> alive(Ended ended = Ended::MayHave) {
     std::vector<bool> lives(objects_.size(), false);
     std::vector<int> to_follow;
     const auto reach = [&](int o) {
@@ -196,7 +199,7 @@ class Model {
       lives[static_cast<std::size_t>(o)] = true;
       to_follow.push_back(o);
     };
-    each_root(reach);
+    each_root(ended, reach);
     while (!to_follow.empty()) {
       const int o = to_follow.back();
       to_follow.pop_back();
@@ -608,7 +611,7 @@ class Model {
   void lock(int k, unsigned kind, Hand& h, unsigned weak, unsigned to) {
     const int o = h.weak[weak];
     if (o == kNone) return;
-    const bool lives = alive()[static_cast<std::size_t>(o)];
+    const bool lives = alive(Ended::HasNothing)[static_cast<std::size_t>(o)];
     const PointerAnswer answer = tell(k, Do::Lock, kind, weak, to);
     if (answer.serial == 0) return require(!lives, "a weak pointer to a living message");
     require(answer.serial == object(o).serial, "what a weak pointer leads to");
