@@ -254,15 +254,18 @@ def tell(mutant, results, known_open, texts):
           (f'open: {listed}' if listed else f'its key: {mutant.key}'))
 
 
-def judge_one_file(chosen, wanted, results, known_open, texts):
+def judge_one_file(chosen, wanted, found, results, known_open, texts):
     """Survivors are told, and no failure: the change at hand has nothing to do with them, and tests
-    that were not run may catch them. But of a whole sample one at least is caught. Where the tests reach
-    fewer, these may all lie in one function that no test of them looks at."""
+    that were not run may catch them. But of a whole sample one at least is caught, and of a file that
+    has so many mutants some are reached: else the tests do not have them. A few that are reached may all
+    lie in one function that no test of them looks at."""
     survivors = [m for m in chosen if results.known[m.key]['by'] is None]
     for mutant in survivors:
         tell(mutant, results, known_open, texts)
     print(f'\nsummary: {len(chosen)} mutants of one file, {len(chosen) - len(survivors)} caught, '
           f'{len(survivors)} survive these tests')
+    if not chosen and found >= wanted:
+        return [f'none of {found} mutants is reached: the tests do not have them']
     if len(survivors) == len(chosen) >= wanted:
         return ['no mutant is caught: the tests do not have them, or test nothing']
     return []
@@ -389,7 +392,8 @@ def try_one_file(options):
     except OSError as error:
         print(f'skipped: no PID namespaces here ({error})')
         return 0
-    problems = judge_one_file(chosen, options.one_file, results, lists['open.txt'], tree.texts)
+    found = sum(map(len, tree.mutants.values()))
+    problems = judge_one_file(chosen, options.one_file, found, results, lists['open.txt'], tree.texts)
     print(*problems, sep='\n', end='\n' * bool(problems))
     return 1 if problems else 0
 

@@ -38,6 +38,10 @@ def in_order(seed, texts):
     return sorted(texts, key=lambda n: math.log(number_of(seed, n)) / max(len(texts[n]), 1), reverse=True)
 
 
+def is_of_tests(compiled):
+    return '/tests/' in f'/{compiled}'
+
+
 class Build:
     """What a build of Ninja says of itself. All paths are relative to its folder."""
 
@@ -56,13 +60,19 @@ class Build:
                               text=True).stdout.replace(f"ninja: Entering directory `{self.folder}'\n", '')
 
     def including(self):
-        """{file: the objects that include it}."""
-        found, current = collections.defaultdict(set), None
+        """{file: the objects that include it, also by headers that are compiled ahead}."""
+        named, current = collections.defaultdict(set), None
         for line in self.ninja('deps').splitlines():
             if not line.startswith(' '):
                 current = line.partition(':')[0]
-            elif current in self.compiled:
-                found[os.path.normpath(self.folder / line.strip())].add(current)
+            elif line.strip():
+                named[current].add(os.path.normpath(self.folder / line.strip()))
+        found = collections.defaultdict(set)
+        for name, command in self.compiled.items():
+            ahead = re.findall(r'-include (\S+cmake_pch\.hxx)', command['command'])
+            for one in (name, *(os.path.relpath(h, self.folder) + '.gch' for h in ahead)):
+                for file in named[one]:
+                    found[file].add(name)
         return found
 
     def parts(self, name):
@@ -102,7 +112,7 @@ class OneFile(trees.Tree):
         raise RuntimeError(f'no object of {self.objects} includes a file of src/ or include/')
 
     def find_in(self, name, objects):
-        command = self.release.compiled[min(objects, key=lambda o: (o.startswith('tests/'), o))]
+        command = self.release.compiled[min(objects, key=lambda o: (is_of_tests(o), o))]
         flags = for_clang(trees.arguments(command['command']))
         found = trees.analyse((self.root, command['file'], flags, [name])).get(name, [])
         for number, mutant in enumerate(found, 1):
@@ -115,12 +125,12 @@ class OneFile(trees.Tree):
         own = {t[0]: self.programs_of(t) for t in cases.all_tests(self.objects)
                if 'ros' in pathlib.PurePath(name).parent.name or not t[0].startswith('ros_')}
         parts_of = {t: set().union(*map(self.release.parts, own[t])) for t in own}
-        library = sorted((o for o in objects & set().union(*parts_of.values()) if not o.startswith('tests/')),
+        library = sorted((o for o in objects & set().union(*parts_of.values()) if not is_of_tests(o)),
                          key=lambda o: number_of(self.seed, o))
         self.chosen = library[:LIBRARY]
         seconds, costs, compiled = self.release.seconds(), {}, {}
         for test in sorted(own, key=lambda t: (self.distance(name, t, own[t]), number_of(self.seed, t))):
-            compiled[test] = sorted(o for o in parts_of[test] & objects if o.startswith('tests/'))
+            compiled[test] = sorted(o for o in parts_of[test] & objects if is_of_tests(o))
             if parts_of[test] & {*compiled[test], *self.chosen}:
                 costs[test] = LINK_S + COMPILE_S * len(compiled[test]) + 2 * seconds.get(test, UNKNOWN_S)
         spent, self.names_of_tests = 0.0, []
