@@ -85,6 +85,12 @@ TEST_CASE("of a burst, a start and a halt lot ls tells no rate") {
   CHECK(!seen_in(1, paused).per_second);
 }
 
+TEST_CASE("a halt is one wherever the clock begins") {
+  Tempo tempo(100);
+  for (const auto& [at, n] : even(100, 0.01, 100.4)) tempo.see(at, n);
+  CHECK(!tempo.rate(101).per_second);
+}
+
 TEST_CASE("a fast publisher that is held up for a moment has a rate") {
   Arrivals arrivals = even(0, 0.001, 0.5);
   for (const auto& arrival : even(0.6, 0.001, 1)) arrivals.push_back(arrival);
@@ -185,6 +191,10 @@ TEST_CASE("of bursts lot top tells the mean, once it has seen some seconds of th
   REQUIRE(pace.rate(9.5).per_second);
   CHECK(*pace.rate(9.5).per_second == doctest::Approx(5));
   CHECK(!pace.rate(9.5).below);
+  Pace just(0);  // half of the time that it keeps, and not evenly
+  for (const double at : {0.5, 0.75, 3.0}) just.see(at, 2);
+  REQUIRE(just.rate(3).per_second);
+  CHECK(*just.rate(3).per_second == doctest::Approx(4 / Pace::kSpan * 2));
 }
 
 TEST_CASE("where lot has not looked, nothing is known") {

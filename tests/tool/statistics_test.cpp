@@ -354,4 +354,13 @@ TEST_CASE("texts of rates and times have as many digits as they promise") {
   CHECK(span_text(86400) == "86400 s");
 }
 
+TEST_CASE("an age is told in the unit that has few digits, and never as more than it is") {
+  CHECK(age_text(119.9) == "119 s");
+  CHECK(age_text(120) == "2 min");
+  CHECK(age_text(7199) == "119 min");
+  CHECK(age_text(7200) == "2 h");
+  CHECK(age_text(48 * 3600 - 1) == "47 h");
+  CHECK(age_text(48 * 3600) == "2 days");
+}
+
 TEST_SUITE_END();
