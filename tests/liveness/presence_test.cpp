@@ -207,6 +207,34 @@ TEST_CASE("the lock of a dead process is taken over, though a child of it has it
   CHECK(eventually([&] { return !seats.is_there(2); }, 30s));  // the child has ended
 }
 
+TEST_CASE("a waiter takes a process for gone at once if it was judged, and never while it stands") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  const lot::ShmEngine engine(options);
+  Seats seats(engine);
+  Steps joined;
+  Child other([&] {
+    const lot::ShmEngine mine(options);
+    joined.tell();
+    pause();
+  });
+  REQUIRE(joined.next() != 0);
+  other.send(SIGSTOP);  // so that it does not correct its notice
+  const lot::liveness::LockFile lock_file(engine.path() + ".lock");
+  lot::liveness::Presence presence(seats.segment(), lock_file);
+  const std::uint32_t incarnation = seat::incarnation(seats.of(2));
+  const std::uint32_t name = lot::lock::make_name(2, incarnation);
+  const auto until = lot::futex::Clock::now() + lot::liveness::Presence::kConviction + 200ms;
+  while (lot::futex::Clock::now() < until) {
+    REQUIRE_FALSE(presence.is_gone(name));
+    std::this_thread::sleep_for(50ms);
+  }
+  CHECK(presence.is_gone(lot::lock::make_name(2, incarnation + 1)));
+  seats.set(2, seat::make(incarnation, seat::kJudged));
+  CHECK(presence.is_gone(name));
+  other.kill9();
+}
+
 TEST_CASE("a process that was taken for dead does nothing more, says so, and may join anew") {
   const Watchdog watchdog(60);
   bool is_judged = false;  // else another one has its index

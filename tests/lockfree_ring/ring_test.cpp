@@ -19,6 +19,7 @@
 
 // The policy comes first: the algorithm takes its atomics and their memory orders from it.
 #include "lockfree_ring/ring.hpp"
+#include "lockfree_ring/sleep.hpp"
 #include "lockfree_ring/words.hpp"
 #include "support/raw.hpp"
 
@@ -345,6 +346,38 @@ TEST_CASE("a borrowed block is a hazard until it is given back") {
   CHECK(missed == 0);
   CHECK(one.poll(missed) == 18);
   CHECK(missed == 7);  // block 10 was read, 11 to 17 were not
+}
+
+TEST_CASE("a ring knows which blocks its readers look at, in whichever cells they are") {
+  Channel channel(3, Policy::Overwrite);
+  Reader first = channel.join();
+  Reader second = channel.join();
+  channel.publish(10, 13);
+  std::uint64_t missed = 0;
+  CHECK_FALSE(channel.ring.is_looked_at(10));
+  CHECK(first.poll(missed) == 10);
+  CHECK(channel.ring.is_looked_at(10));
+  CHECK(second.poll(missed) == 10);
+  second.done();
+  CHECK(second.poll(missed) == 11);
+  CHECK(channel.ring.is_looked_at(10));
+  CHECK(channel.ring.is_looked_at(11));
+  first.done();
+  CHECK_FALSE(channel.ring.is_looked_at(10));
+  CHECK(channel.ring.is_looked_at(11));
+}
+
+TEST_CASE("a writer foretells which block it replaces next, no further than one lap") {
+  for (const std::uint32_t depth : {1U, 3U}) {
+    Channel channel(depth, Policy::Overwrite);
+    channel.publish(10, 10 + 2 * depth);
+    for (std::uint32_t ahead = 0; ahead < depth; ++ahead) {
+      CHECK(channel.writer.upcoming(ahead) == 10 + depth + ahead);
+    }
+    for (std::uint32_t ahead = depth; ahead < 3 * depth; ++ahead) {
+      CHECK(channel.writer.upcoming(ahead) == kNoBlock);
+    }
+  }
 }
 
 TEST_CASE("a poll that borrows the next message or finds none lets the hazard before it go") {
@@ -818,6 +851,23 @@ TEST_CASE("a reader that joins a lossless ring begins behind all that came back,
   CHECK(drain(four).blocks == Blocks{5});
 }
 
+TEST_CASE("a reader that joins while its publisher looks for what to take back misses nothing") {
+  Channel channel(4, Policy::Blocking);
+  Reader ahead = channel.join();
+  channel.publish(0, 4);
+  drain(ahead);
+  std::optional<Reader> joiner;
+  const auto all_but_the_oldest = [&](Word block) {
+    if (!joiner) joiner = channel.join(4);
+    return block != 0;
+  };
+  CHECK(channel.writer.evict_oldest(all_but_the_oldest) == kNoBlock);
+  REQUIRE(joiner);
+  const Drained drained = drain(*joiner);
+  CHECK(drained.blocks == blocks(1, 4));
+  CHECK(drained.missed == 0);
+}
+
 TEST_CASE("what all have read is taken back, but for the newest, and readers miss nothing") {
   for (const Policy policy : {Policy::Overwrite, Policy::Blocking}) {
     for (const Word first : {Word{0}, kSequenceMask - 2}) {
@@ -992,6 +1042,29 @@ TEST_CASE("clearing the marks changes the word that a sleeper waits on") {
   channel.ring.clear_sleepers();
   CHECK(reader.slot() == lot::ring::next_round(*mark));
   CHECK_FALSE(channel.writer.publish(0).wake);
+}
+
+TEST_CASE("a new ring wakes those that sleep in the other rings of its topic, and for a ring") {
+  Channel one(2, Policy::Overwrite);
+  Channel two(2, Policy::Overwrite);
+  one.ring.channel = 4;
+  two.ring.channel = 9;
+  Reader reader = two.join();
+  Reader awake = one.join();
+  const auto mark = reader.mark_sleeping();
+  REQUIRE(mark.has_value());
+  const Word before = awake.slot();
+  lot::ring::DirectoryVersion<HardwareAtomics> directory;
+  std::vector<const void*> woken;
+  std::vector<std::uint32_t> ears;
+  lot::ring::announce(
+      directory, std::vector{one.ring, two.ring}, [&](auto& word) { woken.push_back(&word); },
+      [&](std::uint32_t channel) { ears.push_back(channel); });
+  CHECK(directory.load() == 1);
+  CHECK(woken == std::vector<const void*>{&reader.slot(), &directory.word()});
+  CHECK(ears == std::vector<std::uint32_t>{4, 9});
+  CHECK(reader.slot() == lot::ring::next_round(*mark));
+  CHECK(awake.slot() == before);
 }
 
 // ---- the end ------------------------------------------------------------------------------------

@@ -174,6 +174,28 @@ TEST_CASE_FIXTURE(Block, "the excepted bit excepts that participant and not its 
 
 // ---- reclaim ------------------------------------------------------------------------------------
 
+TEST_CASE_FIXTURE(Block,
+                  "holders besides two are found in any word, and a home that waits is none") {
+  const auto besides = [&](std::uint32_t one, std::uint32_t two) {
+    return Ownership::has_holder_besides(words, one, two);
+  };
+  REQUIRE(home.claim(words));
+  CHECK(besides(2, 3));
+  CHECK_FALSE(besides(1, 2));
+  other.acquire(words);
+  CHECK(besides(1, 3));
+  CHECK_FALSE(besides(1, 2));
+  far.acquire(words);
+  CHECK(besides(1, 2));
+  far.release(words);
+  CHECK_FALSE(Ownership::is_awaited(words));
+  CHECK(home.release(words));
+  CHECK_FALSE(home.reclaim(words, 0));
+  CHECK(Ownership::is_awaited(words));
+  CHECK_FALSE(besides(1, 2));
+  CHECK(besides(1, 3));
+}
+
 TEST_CASE_FIXTURE(Block, "the last release at home makes the block ours again, as a new message") {
   REQUIRE(home.claim(words));
   for (std::uint32_t message = 0; message < 3; ++message) {

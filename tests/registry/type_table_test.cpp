@@ -43,7 +43,9 @@ struct Made : MessageType {
 };
 
 /// `fields` numbers, called `names` and a number; "": nameless. `odd`: one of them is another kind.
-Made made(std::size_t fields, const std::string& names, std::size_t odd = ~std::size_t{0}) {
+/// Only the first `named` ones have names.
+Made made(std::size_t fields, const std::string& names, std::size_t odd = ~std::size_t{0},
+          std::size_t named = ~std::size_t{0}) {
   Description all;
   all.types.resize(3);
   all.types[0].kind = lot::Kind::Struct;
@@ -53,7 +55,7 @@ Made made(std::size_t fields, const std::string& names, std::size_t odd = ~std::
   all.types[1].size = all.types[2].size = 4;
   for (std::size_t i = 0; i < fields; ++i) {
     Description::Field field;
-    if (!names.empty()) field.name = names + std::to_string(i);
+    if (!names.empty() && i < named) field.name = names + std::to_string(i);
     field.type = i == odd ? 2 : 1;
     field.offset = 4 * i;
     all.types[0].fields.push_back(field);
@@ -108,6 +110,12 @@ class Table {
     } catch (const lot::Error& e) {
       return e.error_number() == EBADMSG ? "damaged" : e.what();
     }
+  }
+  /// What a process knows by the topic that has no type.
+  lot::detail::Described known(const std::string& name) {
+    const Registry::Lock lock(registry());
+    const auto found = registry().type_of(name);
+    return found->type().described(found->type());
   }
   std::uint64_t place(const std::string& bytes, const std::vector<std::uint64_t>& words) {
     return TypeTable(local_.segment()).place(bytes, words);
@@ -247,6 +255,25 @@ TEST_CASE("a topic whose first process knows no names gets them, and a descripti
   CHECK(description_offset(table.word(b)) == description_offset(before));
 }
 
+TEST_CASE("where the table is full, a topic that gets names keeps the description that it has") {
+  Table table;
+  const auto numbered = [](std::size_t number) { return large(std::to_string(1000 + number)); };
+  const Made nameless = made(300, ""), named = numbered(0), other = numbered(1);
+  const Made partly = made(300, std::string(8, 'x') + "1000", ~std::size_t{0}, 299);
+  REQUIRE(partly.known.names == 0);
+  const auto a = table.enter("/a", nameless);
+  const std::uint64_t before = table.word(a);
+  for (std::size_t i = 2; table.word(table.enter("/" + std::to_string(i), numbered(i))) != 0;) ++i;
+  REQUIRE(table.enter("/a", named, 2) == a);
+  CHECK(table.word(a) == before);
+  CHECK(table.seen("/a") == nameless.known.bytes);
+  CHECK(table.entry(a).type_names.load() == named.known.names);
+  // A process that knows some of the names does not take the hash of all away.
+  CHECK(table.refusal("/a", partly) == 0);
+  CHECK(table.entry(a).type_names.load() == named.known.names);
+  CHECK(table.refusal("/a", other) == EPROTOTYPE);
+}
+
 TEST_CASE("damaged bytes are damaged for tools, and typed ends go on") {
   Table table;
   const Made type = made(5, "a");
@@ -358,6 +385,8 @@ TEST_CASE("killed before the names' hash: the names count, and the next process 
   const auto a = table.enter("/a", nameless);
   table.set_word(a, table.place(killed.known.bytes, {table.word(a)}));
   CHECK(table.seen("/a") == killed.known.bytes);
+  CHECK(table.known("/a").names == killed.known.names);
+  CHECK(table.known("/a").has_names);
   CHECK(table.refusal("/a", nameless) == 0);
   CHECK(table.refusal("/a", other) == EPROTOTYPE);
   CHECK(table.entry(a).type_names.load() == 0);

@@ -1,9 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "segment/descriptors.hpp"
 
+#include <atomic>
+#include <cerrno>
+#include <csignal>
 #include <fcntl.h>
+#include <pthread.h>
+#include <string>
 #include <sys/eventfd.h>
 #include <sys/stat.h>
+#include <thread>
+#include <unistd.h>
 
 #include <doctest/doctest.h>
 
@@ -64,6 +71,31 @@ TEST_CASE("a file is opened above the standard descriptors, whichever are closed
                  "errno is open's");
           }).wait() == 0);
   }
+}
+
+TEST_CASE("errno is that of open(), though another thread closes standard descriptors meanwhile") {
+  const Watchdog watchdog(60);
+  CHECK(child_without(7, [] {
+          const std::string fifo = "/tmp/" + unique_name();
+          must(mkfifo(fifo.c_str(), 0600) == 0, "a FIFO, where open() waits for its other end");
+          struct sigaction interrupts {};
+          interrupts.sa_handler = [](int) {};
+          sigaction(SIGUSR1, &interrupts, nullptr);  // no SA_RESTART: open() ends with EINTR
+          std::atomic<int> error{0};
+          std::thread opener([&] {
+            const int fd = segment::open_file(fifo, O_RDONLY);
+            error.store(fd == -1 ? errno : -1);
+          });
+          while (!is_open(2)) std::this_thread::yield();  // it comes last
+          for (int standard = 0; standard < 3; ++standard) close(standard);
+          while (error.load() == 0) {
+            pthread_kill(opener.native_handle(), SIGUSR1);
+            usleep(1000);
+          }
+          opener.join();
+          unlink(fifo.c_str());
+          must(error.load() == EINTR, "errno is open's");
+        }).wait() == 0);
 }
 
 TEST_CASE("a descriptor that is no file moves above the standard ones") {

@@ -87,6 +87,12 @@ TEST_CASE("the first place that fits is taken, also one that was given back sinc
   pool.granules.release(runs[3].first, 300);
   CHECK(pool.granules.claim(290, 34) == runs[3].first + 10);  // from above, as near as it can
   CHECK(pool.granules.claim(260, 35) == runs[5].first + 50);
+  Pool small(7);
+  REQUIRE(small.granules.claim(1, 1) == 0);
+  REQUIRE(small.granules.claim(4, 2) == 1);  // of the longest kind that goes in
+  small.granules.release(0, 1);
+  small.granules.release(1, 4);
+  CHECK(small.granules.claim(4, 3) == 0);
 }
 
 TEST_CASE("what another process has given back is found as well") {
@@ -233,6 +239,9 @@ TEST_CASE("the granules of the dead are found by their tag, even half a run") {
   CHECK(pool.granules.used() == 4);
   CHECK(pool.is_run(living, 4, 5));
   pool.granules.release_if([](std::uint32_t tag) { return tag == 0; });  // a free one has no owner
+  CHECK(pool.granules.used() == 4);
+  REQUIRE(pool.granules.claim(3, 1) != Granules::kNone);
+  pool.granules.release_if([](std::uint32_t tag) { return tag == 1; });
   CHECK(pool.granules.used() == 4);
 }
 

@@ -4,6 +4,7 @@
 
 #include "segment/segment.hpp"
 
+#include <cerrno>
 #include <cstdint>
 #include <cstdlib>
 #include <fcntl.h>
@@ -145,6 +146,26 @@ TEST_CASE("what another version or a crash left is replaced when no process uses
     CHECK(refusal(options) == "");
     CHECK(files_of(options) == 0);
   }
+}
+
+TEST_CASE("a segment that knows of no boot stays where the system tells of its own") {
+  const Watchdog watchdog(60);
+  auto options = fresh();
+  options.persist = true;
+  const auto instance = [&] {
+    struct stat status {};
+    return stat(file_of(options).c_str(), &status) == 0 ? status.st_ino : 0;
+  };
+  { const lot::ShmEngine engine(options); }
+  const ino_t before = instance();
+  overwrite(file_of(options), 40, 0);  // boot
+  overwrite(file_of(options), 44, 0);
+  { const lot::ShmEngine engine(options); }
+  CHECK(instance() == before);
+  options.persist = false;
+  overwrite(file_of(options), 8, 999);  // layout version: the next process makes it anew
+  { const lot::ShmEngine engine(options); }
+  CHECK(files_of(options) == 0);
 }
 
 TEST_CASE("with persist a segment stays, whichever process leaves last") {
@@ -418,7 +439,9 @@ TEST_CASE("a directory that is full, or becomes full later, is an error and neve
     close(fd);
   };
   fill_up(0);
-  CHECK(says(refusal(options), "--shm-size"));
+  const std::string text = refusal(options);
+  CHECK(says(text, "are free in " + disk.path + ", and it takes at most three quarters of that"));
+  CHECK(says(text, "--shm-size"));
   CHECK(files_of(options) == 0);
   std::filesystem::remove(disk.path + "/ballast");
   {
@@ -496,6 +519,15 @@ TEST_CASE("two segments in one process have nothing to do with each other") {
     CHECK(right.try_pull() != nullptr);
   }
   CHECK(files_of(one) + files_of(two) == 0);
+}
+
+TEST_CASE("a run that the segment does not have is no error of the system") {
+  LocalSegment local({6 << 20, 4, 64, 2, 3, 3});
+  auto& segment = local.segment();
+  errno = EIO;
+  CHECK(segment.claim_run(segment.granules().count() + 1, 5) ==
+        lot::segment::Granules<lot::segment::Atomics>::kNone);
+  CHECK(errno == 0);
 }
 
 TEST_SUITE_END();

@@ -263,6 +263,29 @@ TEST_CASE("too little memory for the threads is an error that names the limit" *
   CHECK(refused > 0);
 }
 
+TEST_CASE("advice names the limits that are set, each, and no other") {
+  const Watchdog watchdog(60);
+  Child child([] {
+    rlimit space{};
+    must(getrlimit(RLIMIT_AS, &space) == 0, "a limit");
+    const std::string before =
+        space.rlim_cur == RLIM_INFINITY
+            ? ""
+            : "RLIMIT_AS (ulimit -v) is " + lot::segment::size_text(space.rlim_cur) + ", ";
+    limit(RLIMIT_DATA, std::uint64_t{1} << 50);  // enough for every build of the test
+    const std::string data = before + "RLIMIT_DATA (ulimit -d) is 1073741824 MiB";
+    std::string text = lot::segment::advice_on_address_space();
+    must(text.rfind(data + ": raise it", 0) == 0, text.c_str());
+    limit(RLIMIT_NPROC, 100);
+    text = lot::segment::advice_on_threads();
+    must(text == data +
+                     ", RLIMIT_NPROC (ulimit -u) is 100: raise it, or pids.max of the control "
+                     "group",
+         text.c_str());
+  });
+  CHECK(child.wait() == 0);
+}
+
 TEST_CASE("a full segment of the most processes does not say to ask for more") {
   const Watchdog watchdog(60);
   for (const std::uint32_t processes : {2U, 319U}) {

@@ -2,6 +2,8 @@
 
 // A process joins only what it may trust: whose the files are, and what they give to others.
 
+#include "segment/trust.hpp"
+
 #include <cerrno>
 #include <csignal>
 #include <cstdint>
@@ -128,6 +130,23 @@ int as(uid_t user, gid_t group, const std::function<void()>& body) {
 }  // namespace
 
 TEST_SUITE_BEGIN("trust" * doctest::skip(!can_be_another_user()));
+
+TEST_CASE("a file belongs to the users that are named now, and to none that was named before") {
+  const Room room;
+  const std::string path = file_of(room.options());
+  write_to(path, "");
+  must(chown(path.c_str(), kBob, kGroup) == 0, "its user");
+  lot::segment::Trust trust;
+  CHECK_FALSE(trust.owns(path));
+  trust.user = kBob;
+  CHECK(trust.owns(path));
+  trust.user.reset();
+  CHECK_FALSE(trust.owns(path));
+  trust.group = kGroup;
+  CHECK(trust.owns(path));
+  trust.group.reset();
+  CHECK_FALSE(trust.owns(path));
+}
 
 TEST_CASE("without LOT_USER or LOT_GROUP no process joins another user's segment, nor does root") {
   const Watchdog watchdog(60);

@@ -16,6 +16,8 @@
 #include "lot/lot.hpp"
 
 #include "registry/registry.hpp"
+#include "selection/selector.hpp"
+#include "support/local_segment.hpp"
 #include "support/processes.hpp"
 #include "transport/participant.hpp"
 
@@ -120,6 +122,28 @@ TEST_CASE("only what was said to be for a reader is its own") {
   CHECK(ours(*puller) == Numbers{1, 2});
   CHECK_FALSE(puller->has_remaining("writer"));
   CHECK(puller->resent("writer") == 0);
+}
+
+TEST_CASE("what was evicted is not among the last messages that the ring has") {
+  LocalSegment local({6 << 20, 4, 64, 2, 3, 3});
+  std::uint32_t channel = 0;
+  {
+    const lot::registry::Registry::Lock lock(local.registry());
+    const std::uint32_t topic =
+        local.registry().enter("/t", lot::detail::message_type<Letter>(), 2);
+    channel = local.registry().open(topic, 2, {4, 3}).value().channel;
+  }
+  using lot::segment::Atomics;
+  lot::ring::Writer<Atomics> writer(local.segment().ring(channel));
+  const lot::selection::Selector<Atomics> selector(writer);
+  CHECK(selector.has_last(0));
+  CHECK_FALSE(selector.has_last(1));
+  for (lot::ring::Word block = 0; block < 3; ++block) writer.publish(block);
+  CHECK(selector.has_last(3));
+  CHECK_FALSE(selector.has_last(4));
+  CHECK(writer.evict_oldest() == 0);
+  CHECK(selector.has_last(2));
+  CHECK_FALSE(selector.has_last(3));
 }
 
 TEST_CASE("nothing is said to readers without a cell, of another name, or that decline") {

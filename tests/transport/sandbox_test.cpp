@@ -7,7 +7,9 @@
 #include <cerrno>
 #include <csignal>
 #include <cstdint>
+#include <cstdio>
 #include <cstring>
+#include <string>
 #include <sys/syscall.h>
 #include <thread>
 #include <unistd.h>
@@ -130,6 +132,27 @@ TEST_CASE("without madvise and fallocate a message throws, and the error names t
   });
   CHECK(child.wait() == 0);
   CHECK(files_of(options) == 0);
+}
+
+TEST_CASE("without madvise no memory comes from another segment that lies at the path by now") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  auto others = fresh();
+  others.persist = true;
+  Child child([&] {
+    must(refuse(SYS_madvise, EPERM), "a filter");
+    lot::ShmEngine engine(options);
+    auto pusher = engine.advertise<Frame>("/t");
+    { const lot::ShmEngine other(others); }
+    const std::string path = others.directory + "/" + others.segment;
+    must(rename(path.c_str(), engine.path().c_str()) == 0, "another file at the path");
+    const auto [error, text] = error_of([&] { pusher.loan()->data.resize(1 << 20); });
+    must(error == 0 && names(text, "the system gives no memory"), text.c_str());
+    unlink((path + ".lock").c_str());
+    unlink(engine.path().c_str());
+  });
+  CHECK(child.wait() == 0);
+  CHECK(files_of(others) == 0);
 }
 
 TEST_CASE("a sandbox that ends the witness thread alone is an error that names it, and no hang") {

@@ -25,6 +25,7 @@ using lot::transport::World;
 namespace refcount = lot::refcount;
 
 constexpr std::uint32_t kDead = 2;
+constexpr std::uint32_t kReader = 3;
 constexpr lot::detail::MessageType kNumber{8, 8, 1, "number", nullptr, true, nullptr};
 
 LocalSegment make() { return LocalSegment({6 << 20, 4, 64, 2, 3, 3}); }
@@ -88,4 +89,39 @@ TEST_CASE("a World reads a participant's name up to its end, and none for an ind
   std::memset(entry.name, 'x', sizeof(entry.name));
   CHECK(local.world().name_of(kDead).size() == sizeof(entry.name));
   CHECK(local.world().name_of(local.world().participants()).empty());
+}
+
+TEST_CASE("what a reader looks at outlives its publisher's death, though no slot has it any more") {
+  LocalSegment local = make();
+  World& world = local.world();
+  world.participant_state(kDead).take();
+  lot::registry::ChannelName name{};
+  {
+    const lot::registry::Registry::Lock lock(local.registry());
+    const std::uint32_t topic = local.registry().enter("/numbers", kNumber, kDead);
+    name = local.registry().open(topic, kDead, {1, 3}).value();
+  }
+  const auto ring = local.segment().ring(name.channel);
+  lot::ring::Writer<lot::segment::Atomics> writer(ring);
+  bool full = false;
+  auto reader =
+      lot::ring::Reader<lot::segment::Atomics>::join(ring, name.generation, kReader, 0, full);
+  REQUIRE(reader);
+  REQUIRE(reader->cell() == 0);
+  HardwareOwnership::Hold holds[2]{};
+  std::uint64_t missed = 0;
+  for (std::uint32_t b = 0; b < 2; ++b) {
+    REQUIRE(HardwareOwnership(kDead).claim(world.block(b), holds[b]));
+    writer.publish(b);
+    if (b == 0) REQUIRE(reader->poll(missed) == 0);
+  }
+
+  CHECK(local.reap(kDead));
+  CHECK(world.block(0).home.load() == refcount::kHomeOrphanage);
+  CHECK(world.block(1).home.load() == refcount::kHomeOrphanage);
+
+  reader->done();
+  CHECK(local.collect());
+  CHECK(world.block(0).home.load() == refcount::kHomeFree);
+  CHECK(world.block(1).home.load() == refcount::kHomeOrphanage);
 }

@@ -219,6 +219,22 @@ TEST_CASE_FIXTURE(Fixture, "one message of one topic calls one handler, however 
   for (auto& puller : in) set.remove(*puller);
 }
 
+TEST_CASE_FIXTURE(Fixture, "a puller that is removed is heard for no more") {
+  lot::ShmEngine shm(options);
+  auto out = pushers(shm, {Policy::Overwrite, 4});
+  auto in = pullers(shm);
+  WaitSet set;
+  for (auto& puller : in) set.add(*puller, [] {});
+  CHECK(set.run_once(1ms) == 0);
+  const std::size_t before = Ears(shm.path()).listen;
+  REQUIRE(before >= kTopics);
+  set.remove(*in[7]);
+  publish(out[7], 1);
+  CHECK(set.run_once(0ms) == 0);
+  CHECK(Ears(shm.path()).listen == before - 1);
+  for (auto& puller : in) set.remove(*puller);
+}
+
 TEST_CASE_FIXTURE(Fixture, "what a handler leaves unread, or throws at, is due again") {
   lot::ShmEngine shm(options);
   auto out = pushers(shm, {Policy::Overwrite, 4});
