@@ -361,8 +361,7 @@ TEST_CASE_FIXTURE(Fixture, "a wake without a sleeper does nothing") {
   CHECK_FALSE(futex::wait(&shared->words[0], 0, futex::Clock::now() + 1ms));
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "a waiter that was woken by the thread it lent to leaves no loan behind") {
+TEST_CASE_FIXTURE(Fixture, "a waiter that got what it waited for leaves no loan behind") {
   Word probe{0};
   constexpr int kLockPi2 = 13;
   if (syscall(SYS_futex, &probe, kLockPi2 | FUTEX_PRIVATE_FLAG, 0, nullptr, nullptr, 0) != 0) {

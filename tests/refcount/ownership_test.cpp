@@ -174,8 +174,7 @@ TEST_CASE_FIXTURE(Block, "the excepted bit excepts that participant and not its 
 
 // ---- reclaim ------------------------------------------------------------------------------------
 
-TEST_CASE_FIXTURE(Block,
-                  "holders besides two are found in any word, and a home that waits is none") {
+TEST_CASE_FIXTURE(Block, "a holder besides two is found in any word; a wish is no holder") {
   const auto besides = [&](std::uint32_t one, std::uint32_t two) {
     return Ownership::has_holder_besides(words, one, two);
   };

@@ -147,9 +147,9 @@ TEST_CASE("without madvise no memory comes from another segment that lies at the
     const std::string path = others.directory + "/" + others.segment;
     must(rename(path.c_str(), engine.path().c_str()) == 0, "another file at the path");
     const auto [error, text] = error_of([&] { pusher.loan()->data.resize(1 << 20); });
-    must(error == 0 && names(text, "the system gives no memory"), text.c_str());
     unlink((path + ".lock").c_str());
     unlink(engine.path().c_str());
+    must(error == 0 && names(text, "the system gives no memory"), text.c_str());
   });
   CHECK(child.wait() == 0);
   CHECK(files_of(others) == 0);
