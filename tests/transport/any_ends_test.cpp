@@ -21,6 +21,7 @@
 #include "support/processes.hpp"
 #include "support/raw.hpp"
 #include "support/secret.hpp"
+#include "transport/ring_ends.hpp"
 
 namespace {
 
@@ -356,4 +357,41 @@ TEST_CASE("wait sets, descriptors and listeners take what has no type") {
   }));
   set.remove(puller);
   CHECK(eventually([&] { return heard == 42 && sequence == 2; }));
+}
+
+template <std::uint64_t kNames>
+const lot::detail::Described& too_large_to_keep(const lot::detail::MessageType&) {
+  static const lot::detail::Described described{1, kNames, true, ""};
+  return described;
+}
+
+TEST_CASE("types whose descriptions are too large to keep differ by the hash of their names") {
+  const lot::detail::MessageType one{8, 8, 1, "large", nullptr, true, &too_large_to_keep<1>};
+  const lot::detail::MessageType same{8, 8, 1, "large", nullptr, true, &too_large_to_keep<1>};
+  const lot::detail::MessageType other{8, 8, 1, "large", nullptr, true, &too_large_to_keep<2>};
+  CHECK(lot::detail::is_same(one, same));
+  CHECK(!lot::detail::is_same(one, other));
+}
+
+TEST_CASE("the core of a puller tells a borrowed message's memory, and joins no ring it lacks") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh());
+  auto pusher = engine.advertise<Frame>("/frames");
+  auto puller = engine.subscribe_any("/frames");
+  lot::transport::RingPuller& core = lot::detail::PullerAccess::core(puller);
+  for (const std::size_t granules : {std::size_t{2}, std::size_t{3}}) {
+    auto frame = pusher.loan();
+    frame->points.resize(granules * lot::segment::kGranule / sizeof(Point));
+    must_go(pusher.push(std::move(frame)));
+    const auto borrow = puller.borrow(10s);
+    REQUIRE(borrow);
+    CHECK(core.memory() == granules * lot::segment::kGranule);
+  }
+  REQUIRE(core.sources().size() == 1);
+  lot::registry::ChannelName other = core.sources().front().name;
+  ++other.generation;
+  CHECK(!core.join_anew(other));
+  const auto typed = engine.subscribe<Frame>("/silent");
+  auto silent = engine.subscribe_any("/silent");
+  CHECK(!lot::detail::PullerAccess::core(silent).join_anew(other));
 }

@@ -23,6 +23,7 @@
 #include "support/processes.hpp"
 #include "support/seed.hpp"
 #include "transport/participant.hpp"
+#include "transport/pieces.hpp"
 
 namespace {
 
@@ -293,6 +294,66 @@ TEST_CASE("what a message that was taken says about its memory is checked before
   CHECK(is_refused([&] { arena.extents = 15; }));
   CHECK(has_words(*item, 0, 20, 'a'));
   CHECK(is_all(item->large, 1));
+  made.steps.tell();
+  CHECK(made.maker.wait() == 0);
+}
+
+TEST_CASE("the next message is expected to have what this one uses and its newest extent") {
+  lot::detail::Build build;
+  build.extents = 4;
+  build.extent[0] = {0, 100, 1, 0};
+  build.extent[1] = {100, 200, 0, 0};                 // nothing lives in it
+  build.extent[2] = {300, 400, 1, Arena::kReserved};  // only reserve() makes such
+  build.extent[3] = {700, 800, 0, 0};
+  CHECK(lot::transport::Pieces::of(build, 3).granules() == 900);
+  CHECK(lot::transport::Pieces::of(build, lot::detail::Build::kMaxExtents).granules() == 100);
+}
+
+TEST_CASE("a published message says that it has the memory that it has, and no more") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(64 << 20));
+  auto pusher = engine.advertise<Parts>("/parts");
+  for (const std::size_t count : {std::size_t{1'000}, std::size_t{5'000}, std::size_t{23'000}}) {
+    CAPTURE(count);
+    auto message = pusher.loan();
+    add_words(*message, count, 'a');
+    Participant& p = *Participant::at(message.get());
+    const std::uint32_t block = block_of(p, message.get());
+    must_go(pusher.push(std::move(message)));
+    const auto& tags = p.segment().granules();
+    std::uint32_t has = 0;
+    for (std::uint32_t i = 0; i < tags.count(); ++i) has += tags.tag(i) == block + 1;
+    CHECK(has != 0);
+    CHECK(lot::segment::granules_of(p.segment().arena(block), tags.count()) == has);
+  }
+}
+
+TEST_CASE("an extent with more pieces than can be counted is not begun anew while some live") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(64 << 20));
+  auto pusher = engine.advertise<Parts>("/parts");
+  pusher.reserve(1, 16 << 20);
+  auto message = pusher.loan();
+  constexpr std::size_t kPieces = 70'000;
+  message->words.reserve(kPieces);
+  add_words(*message, kPieces, 'a');
+  message->words.resize(100);
+  add_words(*message, 100, 'b');
+  CHECK(has_words(*message, 0, 100, 'a'));
+  CHECK(has_words(*message, 100, 100, 'b'));
+}
+
+TEST_CASE("a message that was taken has room for a piece where a larger one was") {
+  const Watchdog watchdog(60);
+  Made made;
+  Items out = made.engine.queue<lot::ShmUniquePtr<Parts>>("out");
+  auto item = out.wait_and_pop();
+  item->large.clear();
+  item->large.shrink_to_fit();
+  item->more.resize(90'000);
+  std::fill(item->more.begin(), item->more.end(), std::uint8_t{5});
+  CHECK(is_all(item->more, 5));
+  CHECK(has_words(*item, 0, 20, 'a'));
   made.steps.tell();
   CHECK(made.maker.wait() == 0);
 }

@@ -669,4 +669,27 @@ TEST_CASE_FIXTURE(BothEngines, "a slot that no publisher can have written is an 
   CHECK_NOTHROW((void)shm.subscribe<Ball>("/ball"));
 }
 
+TEST_CASE_FIXTURE(BothEngines, "a subscription gives the block back that it had at hand") {
+  lot::EngineOptions few = options;
+  few.blocks = 8;
+  for (const QueueEngine engine : kEngines) {
+    CAPTURE(static_cast<int>(engine));
+    lot::ShmEngine shm(few);
+    auto out = shm.advertise<Ball>("/ball", pushing(engine));
+    const lot::segment::Segment view(shm.path());
+    for (unsigned round = 0; round < 3 * few.blocks; ++round) {
+      auto in = shm.subscribe<Ball>("/ball");
+      REQUIRE(push(out, round) == Status::Ok);
+      const auto ring = view.ring(0);
+      for (std::uint32_t i = 0; i < ring.places(); ++i) {
+        auto* const words = &ring.slots[i];
+        words[1].store(lot::ring::sequence(words[0].load()) + 1);  // of another slot
+      }
+      CHECK(error_of([&] { (void)in.try_pull(); }).first == EBADMSG);
+    }
+    auto other = shm.advertise<Ball>("/other", pushing(engine));
+    CHECK(other.try_loan());
+  }
+}
+
 }  // namespace

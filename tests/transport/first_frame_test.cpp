@@ -14,12 +14,14 @@
 #include <memory>
 #include <optional>
 #include <random>
+#include <sched.h>
 #include <string>
 #include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
+#include <thread>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -523,5 +525,40 @@ TEST_CASE("a process that asks for LOT_MLOCK and may not lock so much is told of
 }
 
 TEST_SUITE_END();
+
+/// The thread of this process with that name; 0: there is none.
+pid_t thread_named(const std::string& name) {
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::string of;
+    std::ifstream comm(task.path() / "comm");
+    if (std::getline(comm, of) && of == name) return std::stoi(task.path().filename().string());
+  }
+  return 0;
+}
+
+TEST_CASE("the thread that makes frames ahead runs on all cores, not on its publisher's alone") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(128 * kMiB));
+  cpu_set_t all;
+  REQUIRE(sched_getaffinity(0, sizeof(all), &all) == 0);
+  std::thread publisher([&] {
+    cpu_set_t one;
+    CPU_ZERO(&one);
+    for (int c = 0; CPU_COUNT(&one) == 0; ++c) {
+      if (CPU_ISSET(c, &all)) CPU_SET(c, &one);
+    }
+    must(sched_setaffinity(0, sizeof(one), &one) == 0, "one core");
+    auto pusher = engine.advertise<Frame>("/frames");
+    push(pusher, kFrame);
+    must(eventually([&] { return thread_named("lot-ahead") != 0; }), "it is there");
+    must(eventually([&] {
+           cpu_set_t its;
+           return sched_getaffinity(thread_named("lot-ahead"), sizeof(its), &its) == 0 &&
+                  CPU_EQUAL(&its, &all);
+         }),
+         "on all cores");
+  });
+  publisher.join();
+}
 
 }  // namespace

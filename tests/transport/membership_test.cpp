@@ -14,12 +14,14 @@
 
 #include <doctest/doctest.h>
 
+#include "lot/detail/core.hpp"
 #include "lot/error.hpp"
 #include "lot/options.hpp"
 
 #include "registry/registry.hpp"
 #include "support/processes.hpp"
 #include "transport/gate.hpp"
+#include "transport/participant.hpp"
 #include "transport/pool.hpp"
 #include "transport/reaper.hpp"
 #include "transport/world.hpp"
@@ -122,7 +124,9 @@ TEST_CASE("a member that was expelled or forked is inert, and says why") {
   Member expelled(place, "expelled");
   Member forked(place, "forked");
   expelled.membership->expel();
+  REQUIRE(forked.membership->presence().name() != 0);
   forked.membership->abandon();
+  CHECK(forked.membership->presence().name() == 0);  // it has no lock of its parent
   CHECK_THROWS_WITH_AS(expelled.membership->check_usable(), doctest::Contains("taken for dead"),
                        lot::Error);
   CHECK_THROWS_WITH_AS(forked.membership->check_usable(), doctest::Contains("fork()"), lot::Error);
@@ -146,4 +150,30 @@ TEST_CASE("a joiner whose admission fails leaves no segment behind that it has m
       lot::transport::pass_gate(place.options, place.path, place.trust, IfAbsent::Make, fail),
       lot::Error);
   CHECK(!std::filesystem::exists(place.path));
+}
+
+TEST_CASE("a ring is closed once it is another one's, or has another generation") {
+  const Watchdog watchdog(60);
+  const Place place;
+  Member member(place, "member");
+  constexpr lot::detail::MessageType kNumber{8, 8, 1, "number", nullptr, true, nullptr};
+  lot::registry::ChannelName ring{};
+  {
+    const lot::registry::Registry::Lock lock(*member.registry);
+    const std::uint32_t self = member.membership->index();
+    const std::uint32_t topic = member.registry->enter("/numbers", kNumber, self);
+    ring = member.registry->open(topic, self, {4, 3}).value();
+  }
+  CHECK(!member.reaper->ring_closed(ring));
+  CHECK(member.reaper->ring_closed({ring.channel, ring.generation - 1}));
+  member.reaper->end_ring(ring);
+  CHECK(member.reaper->give_up_rings());
+  CHECK(member.reaper->ring_closed(ring));
+}
+
+TEST_CASE("a process that has joined gets another name") {
+  const Watchdog watchdog(60);
+  const auto joined = lot::transport::Participant::join(fresh(16 << 20));
+  lot::detail::rename(*joined, "another");
+  CHECK(joined->world().name_of(joined->membership().index()) == "another");
 }

@@ -828,4 +828,70 @@ TEST_CASE("whichever allocation of a message with a ShmRef fails, nothing is los
 
 TEST_SUITE_END();
 
+TEST_CASE("no message goes for a run that only readers of a lossless topic could make free") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  lot::PusherOptions lossless;
+  lossless.policy = Policy::Block;
+  lossless.depth = 12;
+  auto slow = place.engine.advertise<Frame>("slow", lossless);
+  auto unread = place.engine.subscribe<Frame>("slow");
+  auto other = place.engine.advertise<Frame>("other");
+  auto keeper = place.engine.advertise<Frame>("keeper");
+  auto asker = place.engine.advertise<Frame>("asker");
+  push_frames(slow, 12, kMiB);
+  push_frames(other, 10, kMiB);
+  std::vector<lot::ShmUniquePtr<Frame>> kept;
+  for (;;) {
+    auto loan = keeper.try_loan();
+    lot::segment::Segment& s = lot::transport::Participant::at(loan.get())->segment();
+    if (s.granules().count() - s.granules().used() < 4 * kMiB / lot::segment::kGranule) break;
+    loan->data.resize(kMiB);
+    kept.push_back(std::move(loan));
+  }
+  auto late = place.engine.subscribe<Frame>("other", latched(64));
+  const std::size_t before = late.size();
+  REQUIRE(before > 7);
+  auto frame = asker.loan();
+  CHECK_THROWS_AS(frame->data.resize(6 * kMiB), lot::OutOfMemory);
+  CHECK(late.size() == before);
+}
+
+TEST_CASE("a publisher whose messages readers keep gives none of them up in vain") {
+  const Watchdog watchdog(60);
+  Place place(16 * kMiB, 8);
+  auto pusher = place.engine.advertise<Frame>("camera");
+  auto keeper = place.engine.subscribe<Frame>("camera");
+  std::vector<lot::ShmSharedPtr<const Frame>> kept;
+  const auto push_one = [&] {
+    must_go(pusher.push(pusher.loan()));
+    if (auto frame = keeper.try_pull()) kept.push_back(std::move(frame));
+  };
+  for (int n = 0; n < 2; ++n) push_one();
+  auto greedy = place.engine.advertise<Frame>("greedy");
+  std::vector<lot::ShmUniquePtr<Frame>> loans;
+  while (auto loan = greedy.try_loan()) loans.push_back(std::move(loan));
+  REQUIRE(kept.size() == 2);
+  auto late = place.engine.subscribe<Frame>("camera", latched(64));
+  REQUIRE(late.size() == 2);
+  CHECK_THROWS_AS((void)pusher.loan(), lot::OutOfMemory);
+  CHECK(late.size() == 2);
+}
+
+TEST_CASE("a publisher that needs more than its share gives its own messages up as well") {
+  const Watchdog watchdog(60);
+  Place place(32 * kMiB);
+  auto front = place.engine.advertise<Frame>("front");
+  auto rear = place.engine.advertise<Frame>("rear");
+  push_frames(front, 100, kMiB);
+  push_frames(rear, 8, kMiB);
+  auto its = place.engine.subscribe<Frame>("rear", latched(64));
+  REQUIRE(its.size() == 8);
+  auto large = rear.loan();
+  large->data.resize(10 * kMiB);
+  auto fronts = place.engine.subscribe<Frame>("front", latched(64));
+  CHECK(its.size() < 8);
+  CHECK(fronts.size() >= 8);
+}
+
 }  // namespace

@@ -738,3 +738,14 @@ TEST_CASE("what reserve() made goes to no other process, neither idle nor in a r
   end.tell();
   CHECK(greedy.wait() == 0);
 }
+
+TEST_CASE("a message that is as large as max_held_bytes is the only one that may be kept") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(kSegment));
+  auto pusher = engine.advertise<Frame>("/frames");
+  auto keeper = engine.subscribe<Frame>("/frames", quota(kFrame));
+  Kept kept;
+  for (std::uint64_t n = 0; n < 3; ++n) push(pusher, n);
+  CHECK(hoard(keeper, kept) == lot::Status::HoldsTooMuch);
+  CHECK(kept.size() == 1);
+}

@@ -439,3 +439,19 @@ TEST_CASE("an IdleLook gives back what a loan's pool has not used for some looks
   CHECK(needs.free_granules() == all - 2);
   pool.give_back(out);
 }
+
+TEST_CASE("a Quota does not look for what was let go while there is far to its limit") {
+  using lot::transport::Quota;
+  Needs needs;
+  Pool& theirs = needs.stock.open("/numbers");
+  Quota quota(needs.local.segment(), needs.holder, 40 * lot::segment::kGranule);
+  std::vector<std::uint32_t> held;
+  for (int n = 0; n < 3; ++n) {
+    held.push_back(needs.loan(theirs, 1));
+    CHECK(quota.allows_one_more());
+    quota.note(held.back(), 1);
+  }
+  theirs.release(held.front());
+  CHECK(quota.allows_one_more());
+  CHECK(quota.describe() == "holds 0 MiB in 3 messages, which is all that it may");
+}

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <sys/wait.h>
@@ -340,6 +341,29 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
   CHECK(in_registry.wait() == 0);
   CHECK(waits_for_registry.wait() == 0);
   CHECK(files_of(registry_kept) == 0);
+}
+
+TEST_CASE("a subscriber that goes while a stopped process keeps the registry leaves its topic") {
+  const Ground options;
+  Steps inside, done;
+  lot::ShmEngine engine(options);
+  std::optional puller(engine.subscribe<Number>("/left"));
+  Child keeps([&] {
+    lot::ShmEngine theirs(options);
+    lot::segment::Segment s(theirs.path());
+    InOurName name(s);
+    lot::registry::Registry registry(s, name);
+    const lot::registry::Registry::Lock lock(registry);
+    inside.tell();
+    must(done.next() == '.', "continued");
+  });
+  REQUIRE(inside.next() == '.');
+  stop(keeps);
+  puller.reset();
+  keeps.send(SIGCONT);
+  done.tell();
+  CHECK(keeps.wait() == 0);
+  CHECK(eventually([&] { return !engine.type_of("/left"); }));
 }
 
 TEST_CASE("a process is stopped while it joins or leaves: others get in, or hear which one it is") {

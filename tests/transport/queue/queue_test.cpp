@@ -425,6 +425,33 @@ TEST_CASE_FIXTURE(Fixture, "an item that was taken from another process can not 
   CHECK(maker.wait() == 0);
 }
 
+TEST_CASE_FIXTURE(Fixture, "an item that was taken keeps what it refers to until it goes home") {
+  struct Referring {
+    lot::ShmRef<const Task> task;
+  };
+  Steps steps;
+  Child maker([&] {
+    lot::ShmEngine shm(options);
+    auto queue = shm.queue<lot::ShmUniquePtr<Referring>>("q");
+    lot::ShmSharedPtr<const Task> target = shm.make<Task>();
+    const lot::ShmWeakPtr<const Task> weak = target;
+    auto item = queue.make();
+    item->task = target;
+    target.reset();
+    must(queue.put(std::move(item)) == Status::Ok, "put");
+    steps.next();
+    must(eventually([&] { return weak.expired(); }), "what it referred to has gone");
+  });
+  lot::ShmEngine shm(options);
+  auto queue = shm.queue<lot::ShmUniquePtr<Referring>>("q");
+  auto item = queue.wait_and_pop();
+  CHECK(item->task);
+  item->task.reset();
+  item.reset();
+  steps.tell();
+  CHECK(maker.wait() == 0);
+}
+
 TEST_CASE_FIXTURE(Fixture, "items that are handed on for ever give their memory back") {
   auto small = options;
   small.segment += "_small";
