@@ -10,8 +10,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <iterator>
-#include <linux/futex.h>
 #include <new>
 #include <optional>
 #include <sys/mman.h>
@@ -28,14 +26,6 @@
 #include "support/sandbox.hpp"
 
 namespace {
-
-/// The loans of ThisThread. An explicit instantiation may name a private member.
-template <auto Loans>
-struct Reveal {
-  friend auto loans_of_threads() { return Loans; }
-};
-auto loans_of_threads();
-template struct Reveal<&lot::detail::ThisThread::loans_>;
 
 namespace futex = lot::futex;
 using namespace std::chrono_literals;
@@ -359,38 +349,6 @@ TEST_CASE_FIXTURE(Fixture, "a thread can be lent to, though one before it in its
 TEST_CASE_FIXTURE(Fixture, "a wake without a sleeper does nothing") {
   futex::wake_all(&shared->words[0]);
   CHECK_FALSE(futex::wait(&shared->words[0], 0, futex::Clock::now() + 1ms));
-}
-
-TEST_CASE_FIXTURE(Fixture, "a waiter that got what it waited for leaves no loan behind") {
-  Word probe{0};
-  constexpr int kLockPi2 = 13;
-  if (syscall(SYS_futex, &probe, kLockPi2 | FUTEX_PRIVATE_FLAG, 0, nullptr, nullptr, 0) != 0) {
-    MESSAGE("skipped: no FUTEX_LOCK_PI2 here");
-    return;
-  }
-  const auto loan_to = [](std::uint32_t thread) -> const Word& {
-    auto& loans = *loans_of_threads();
-    return loans[thread % std::size(loans)];
-  };
-  for (int round = 0; round < 50; ++round) {
-    std::atomic<std::uint32_t> inside{0};
-    std::thread other([&] {
-      const std::uint32_t self = lot::detail::ThisThread::id();
-      inside.store(self);
-      const Word& loan = loan_to(self);
-      while ((loan.load() & FUTEX_WAITERS) == 0) std::this_thread::yield();  // the waiter sleeps
-      inside.store(0);
-      lot::detail::ThisThread::passed();
-    });
-    while (inside.load() == 0) std::this_thread::yield();
-    const std::uint32_t thread = inside.load();
-    {
-      lot::detail::Patience patience;
-      for (std::uint32_t seen; (seen = inside.load()) != 0;) patience.wait(seen);
-    }
-    other.join();
-    REQUIRE(loan_to(thread).load() == 0);
-  }
 }
 
 TEST_SUITE_END();

@@ -828,35 +828,6 @@ TEST_CASE("whichever allocation of a message with a ShmRef fails, nothing is los
 
 TEST_SUITE_END();
 
-TEST_CASE("no message goes for a run that only readers of a lossless topic could make free") {
-  const Watchdog watchdog(60);
-  Place place(32 * kMiB);
-  lot::PusherOptions lossless;
-  lossless.policy = Policy::Block;
-  lossless.depth = 12;
-  auto slow = place.engine.advertise<Frame>("slow", lossless);
-  auto unread = place.engine.subscribe<Frame>("slow");
-  auto other = place.engine.advertise<Frame>("other");
-  auto keeper = place.engine.advertise<Frame>("keeper");
-  auto asker = place.engine.advertise<Frame>("asker");
-  push_frames(slow, 12, kMiB);
-  push_frames(other, 10, kMiB);
-  std::vector<lot::ShmUniquePtr<Frame>> kept;
-  for (;;) {
-    auto loan = keeper.try_loan();
-    lot::segment::Segment& s = lot::transport::Participant::at(loan.get())->segment();
-    if (s.granules().count() - s.granules().used() < 4 * kMiB / lot::segment::kGranule) break;
-    loan->data.resize(kMiB);
-    kept.push_back(std::move(loan));
-  }
-  auto late = place.engine.subscribe<Frame>("other", latched(64));
-  const std::size_t before = late.size();
-  REQUIRE(before > 7);
-  auto frame = asker.loan();
-  CHECK_THROWS_AS(frame->data.resize(6 * kMiB), lot::OutOfMemory);
-  CHECK(late.size() == before);
-}
-
 TEST_CASE("a publisher whose messages readers keep gives none of them up in vain") {
   const Watchdog watchdog(60);
   Place place(16 * kMiB, 8);
