@@ -4,6 +4,7 @@
 
 #include <cerrno>
 #include <cmath>
+#include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -676,8 +677,11 @@ TEST_CASE("a segment that is left while lot ls looks at it is not there") {
   const std::string path = options.directory + "/" + options.segment;
   const std::string maps = "/proc/" + std::to_string(ls.child().pid()) + "/maps";
   REQUIRE(eventually([&] { return says(bytes_of(maps), path); }));
+  // Between its two looks, however long it takes to leave.
+  REQUIRE(kill(ls.child().pid(), SIGSTOP) == 0);
   pusher.reset();
   engine.reset();
+  REQUIRE(kill(ls.child().pid(), SIGCONT) == 0);
   const Ran ran = ls.finish();
   CHECK(ran.exit == 1);
   CHECK(ran.out == "no segment " + path + "\n");
