@@ -849,20 +849,4 @@ TEST_CASE("a publisher whose messages readers keep gives none of them up in vain
   CHECK(late.size() == 2);
 }
 
-TEST_CASE("a publisher that needs more than its share gives its own messages up as well") {
-  const Watchdog watchdog(60);
-  Place place(32 * kMiB);
-  auto front = place.engine.advertise<Frame>("front");
-  auto rear = place.engine.advertise<Frame>("rear");
-  push_frames(front, 100, kMiB);
-  push_frames(rear, 8, kMiB);
-  auto its = place.engine.subscribe<Frame>("rear", latched(64));
-  REQUIRE(its.size() == 8);
-  auto large = rear.loan();
-  large->data.resize(10 * kMiB);
-  auto fronts = place.engine.subscribe<Frame>("front", latched(64));
-  CHECK(its.size() < 8);
-  CHECK(fronts.size() >= 8);
-}
-
 }  // namespace
