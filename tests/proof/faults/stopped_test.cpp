@@ -281,22 +281,23 @@ TEST_CASE("a stopped reader that borrows: Policy::Block waits, Overwrite goes on
   CHECK(files_of(options) == 0);
 }
 
+/// A process that keeps the registry's lock until it is told.
+void keep_registry(const lot::EngineOptions& where, Steps& inside, Steps& done) {
+  lot::ShmEngine engine(where);
+  lot::segment::Segment s(engine.path());
+  InOurName name(s);
+  lot::registry::Registry registry(s, name);
+  const lot::registry::Registry::Lock lock(registry);
+  inside.tell();
+  must(done.next() == '.', "continued");
+}
+
 TEST_CASE("a process stopped inside a lock of slow paths: others get errors that say so, no hang") {
   const Watchdog watchdog(60);
   const Ground registry_kept, gate_kept;
   Steps inside, done;
   // One keeps the registry of the first segment, one the gate of the second.
-  Child in_registry([&] {
-    lot::ShmEngine engine(registry_kept);
-    lot::segment::Segment s(engine.path());
-    InOurName name(s);
-    lot::registry::Registry registry(s, name);
-    {
-      const lot::registry::Registry::Lock lock(registry);
-      inside.tell();
-      must(done.next() == '.', "continued");
-    }
-  });
+  Child in_registry([&] { keep_registry(registry_kept, inside, done); });
   REQUIRE(inside.next() == '.');
   stop(in_registry);
   Child waits_for_registry([&] {
@@ -344,19 +345,12 @@ TEST_CASE("a process stopped inside a lock of slow paths: others get errors that
 }
 
 TEST_CASE("a subscriber that goes while a stopped process keeps the registry leaves its topic") {
+  const Watchdog watchdog(60);
   const Ground options;
   Steps inside, done;
   lot::ShmEngine engine(options);
   std::optional puller(engine.subscribe<Number>("/left"));
-  Child keeps([&] {
-    lot::ShmEngine theirs(options);
-    lot::segment::Segment s(theirs.path());
-    InOurName name(s);
-    lot::registry::Registry registry(s, name);
-    const lot::registry::Registry::Lock lock(registry);
-    inside.tell();
-    must(done.next() == '.', "continued");
-  });
+  Child keeps([&] { keep_registry(options, inside, done); });
   REQUIRE(inside.next() == '.');
   stop(keeps);
   puller.reset();
