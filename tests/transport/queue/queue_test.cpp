@@ -404,10 +404,11 @@ TEST_CASE_FIXTURE(Fixture, "an item that was taken from another process can not 
   CHECK(maker.wait() == 0);
 }
 
+struct Referring {
+  lot::ShmRef<const Task> task;
+};
+
 TEST_CASE_FIXTURE(Fixture, "an item that was taken from another process can not refer to others") {
-  struct Referring {
-    lot::ShmRef<const Task> task;
-  };
   Steps steps;
   Child maker([&] {
     lot::ShmEngine shm(options);
@@ -426,9 +427,6 @@ TEST_CASE_FIXTURE(Fixture, "an item that was taken from another process can not 
 }
 
 TEST_CASE_FIXTURE(Fixture, "an item that was taken keeps what it refers to until it goes home") {
-  struct Referring {
-    lot::ShmRef<const Task> task;
-  };
   Steps steps;
   Child maker([&] {
     lot::ShmEngine shm(options);
