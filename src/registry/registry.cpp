@@ -225,6 +225,14 @@ std::shared_ptr<const KnownType> Registry::type_of(std::string_view name) const 
       std::string(text(topic->type_name, sizeof(topic->type_name))), *topic, std::move(bytes));
 }
 
+std::vector<std::string> Registry::names() const {
+  std::vector<std::string> found;
+  for (const segment::TopicEntry& topic : segment_.topics()) {
+    if (has_any(topic.users)) found.emplace_back(text(topic.name, sizeof(topic.name)));
+  }
+  return found;
+}
+
 bool Registry::is_superseded(std::uint32_t topic) const {
   const segment::TopicEntry& mine = segment_.topics()[topic];
   const Found found = find(text(mine.name, sizeof(mine.name)), nullptr);

@@ -98,6 +98,8 @@ class Registry {
   /// The type of the topic that has users or items, else of one that is observed. Null: there is no
   /// such topic. Throws as the constructor of KnownType.
   std::shared_ptr<const KnownType> type_of(std::string_view name) const;
+  /// The names of all topics that have users.
+  std::vector<std::string> names() const;
   /// True when a topic that has only observers was made anew, with another type.
   bool is_superseded(std::uint32_t topic) const;
   /// Announces a puller before it joins the rings that there are. Each ring that is opened later

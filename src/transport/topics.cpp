@@ -38,6 +38,11 @@ std::shared_ptr<const registry::KnownType> Topics::type_of(std::string_view name
   return found;
 }
 
+std::vector<std::string> Topics::names() {
+  const registry::Registry::Lock lock(registry_);
+  return registry_.names();
+}
+
 const std::shared_ptr<const registry::KnownType>& Topics::share(
     std::shared_ptr<const registry::KnownType> type) {
   const std::lock_guard guard(topics_mutex_);

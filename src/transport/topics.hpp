@@ -6,8 +6,10 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include "lot/detail/control.hpp"
 #include "lot/detail/mutex.hpp"
@@ -37,6 +39,8 @@ class Topics {
   void leave(std::uint32_t topic, Role role = Role::User) noexcept;
   /// Null: there is no such topic. Throws lot::Error (EBADMSG, EBUSY).
   std::shared_ptr<const registry::KnownType> type_of(std::string_view name);
+  /// The names of all topics that have users. Throws lot::Error (EBUSY).
+  std::vector<std::string> names();
   /// One of the types that this process publishes or reads without having them: the one that was
   /// given, or an earlier one that is the same. It lives as long as this. Throws std::bad_alloc.
   const std::shared_ptr<const registry::KnownType>& share(

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "mcap/records.hpp"
+#include "record/stream.hpp"
+
+namespace lot::record {
+
+/// The messages of the last seconds, as bytes in this process's memory.
+///
+/// Threads: one at a time.
+/// Errors:  std::bad_alloc.
+class Past {
+ public:
+  struct Kept {
+    std::shared_ptr<const Stream> stream;
+    mcap::MessageHead head;
+    std::vector<std::byte> bytes;
+  };
+
+  /// So many nanoseconds, and at most so many bytes.
+  Past(std::uint64_t time, std::uint64_t most_bytes) : time_(time), most_bytes_(most_bytes) {}
+
+  void add(Kept kept) {
+    bytes_ += kept.bytes.size();
+    const std::uint64_t now = kept.head.log_time;
+    kept_.push_back(std::move(kept));
+    while (kept_.size() > 1 && (bytes_ > most_bytes_ || is_old(kept_.front(), now))) drop();
+  }
+  /// Forgets what is older than it keeps.
+  void look(std::uint64_t now) {
+    while (!kept_.empty() && is_old(kept_.front(), now)) drop();
+  }
+  bool is_empty() const { return kept_.empty(); }
+  std::deque<Kept> take() {
+    bytes_ = 0;
+    return std::exchange(kept_, {});
+  }
+
+ private:
+  bool is_old(const Kept& kept, std::uint64_t now) const {
+    return now > kept.head.log_time && now - kept.head.log_time > time_;
+  }
+  void drop() {
+    bytes_ -= kept_.front().bytes.size();
+    kept_.pop_front();
+  }
+
+  std::uint64_t time_;
+  std::uint64_t most_bytes_;
+  std::deque<Kept> kept_;
+  std::uint64_t bytes_ = 0;
+};
+
+}  // namespace lot::record
