@@ -153,12 +153,13 @@ void Files::write(const Stream& stream, mcap::MessageHead head,
     head.channel = its.channel;
     if (begin_ == 0) begin_ = std::max<std::uint64_t>(head.log_time, 1);
     ++its.messages;
-    ledger_.add(stream.line, &Topic::messages, 1);
     is_given = true;
     writer_->write(head, payload);
+    ledger_.add(stream.line, &Topic::messages, 1);
     ledger_.add(stream.line, &Topic::bytes, bytes);
   } catch (const std::exception& e) {
-    if (!is_given) ledger_.add(stream.line, &Topic::lost, 1);
+    // What was given counts as recorded, until count_lost() takes it back.
+    ledger_.add(stream.line, is_given ? &Topic::messages : &Topic::lost, 1);
     count_lost(e);
     throw;
   }

@@ -69,8 +69,10 @@ void Observer::run(const StopToken& stop) {
   for (Subscription& s : subscriptions_) {
     try {
       const std::size_t there = s.puller.size();
-      for (std::size_t done = 0; done < there && !s.has_gone; done += kAtOnce) {
-        take_some(s, std::min(kAtOnce, there - done));
+      for (std::size_t done = 0; done < there && !s.has_gone;) {
+        const std::size_t taken = take_some(s, std::min(kAtOnce, there - done));
+        if (taken == 0) break;
+        done += taken;
       }
     } catch (const std::exception& e) {
       note(s, e);
@@ -264,15 +266,17 @@ void Observer::note(Subscription& s, const std::exception& error) noexcept {
   }
 }
 
-void Observer::take_some(Subscription& s, std::size_t most) noexcept {
+std::size_t Observer::take_some(Subscription& s, std::size_t most) noexcept {
+  std::size_t taken = 0;
   try {
     const std::uint64_t room = backlog_.room(limit());
-    for (std::size_t n = 0; n < most; ++n) {
+    for (; taken < most; ++taken) {
       if (batch_held_ != 0 && batch_held_ >= room) break;
       if (!take(s)) break;
     }
   } catch (const std::exception& e) {
     note(s, e);
+    ++taken;  // the next look goes on behind what was wrong
   }
   try {
     backlog_.put(batch_);
@@ -285,6 +289,7 @@ void Observer::take_some(Subscription& s, std::size_t most) noexcept {
     batch_held_ = 0;
     note(s, e);
   }
+  return taken;
 }
 
 bool Observer::take(Subscription& s) {

@@ -80,8 +80,8 @@ class Observer {
   std::shared_ptr<const Stream> stream_of(const std::string& topic, const AnyType& type);
   void forget_those_that_have_gone();
 
-  /// Takes messages, so many at most, and notes what goes wrong.
-  void take_some(Subscription& s, std::size_t most) noexcept;
+  /// Takes messages, so many at most, and notes what goes wrong. How many it took.
+  std::size_t take_some(Subscription& s, std::size_t most) noexcept;
   /// False: there is none now.
   bool take(Subscription& s);
   void put_in(Subscription& s, AnyBorrow& message);

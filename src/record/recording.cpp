@@ -97,7 +97,8 @@ struct Recording::Impl {
       end = std::max(end, all.end);
       has_messages = true;
     }
-    if (!read_counts(file)) count_gaps(file);
+    const bool is_told = read_counts(file);
+    if (!is_told || !file.reader.has_summary()) look_through(file, !is_told);
   }
 
   std::size_t topic_of(File& file, const mcap::Channel& channel) {
@@ -146,9 +147,11 @@ struct Recording::Impl {
     }
     return is_there;
   }
-  /// Of a file that was not closed: by the numbers of its messages.
-  void count_gaps(File& file) {
-    if (file.reader.has_summary() && !file.reader.header().library.starts_with("lot ")) return;
+  /// Finds out whether the file was closed and, if that is asked, by the numbers of its messages
+  /// what was missed.
+  void look_through(File& file, bool counts_gaps) {
+    const bool is_ours = file.reader.header().library.starts_with("lot ");
+    if (file.reader.has_summary() && !is_ours) return;
     struct Span {
       std::uint32_t first = 0;
       std::uint32_t last = 0;
@@ -164,7 +167,7 @@ struct Recording::Impl {
       span.last = message->head.sequence;
     }
     file.is_cut = !stream.is_whole();
-    if (!file.reader.header().library.starts_with("lot ")) return;
+    if (!counts_gaps || !is_ours) return;
     for (const auto& [topic, span] : spans) {
       const std::uint64_t there = std::uint64_t{span.last - span.first} + 1;
       topics[topic].missed += there - std::min(there, span.messages);
