@@ -3,10 +3,14 @@
 
 #include <chrono>
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "lot/duration.hpp"
+#include "lot/recorder.hpp"
+#include "lot/recording.hpp"
 #include "lot/value.hpp"
 
 #include "tool/sight.hpp"
@@ -58,6 +62,35 @@ struct PubOptions {
 };
 /// Publishes messages of a topic's type.
 Exit pub(const Settings& settings, const PubOptions& options);
+
+struct RecordOptions {
+  RecorderOptions what;
+  Duration duration = Duration::max();  ///< it ends after so long
+};
+/// Records topics into files, until the user ends it.
+Exit record(const Settings& settings, const RecordOptions& options);
+
+struct InfoOptions {
+  std::vector<std::string> files;
+  bool recover = false;  ///< writes what a recorder that was killed has not written
+};
+/// Says what recordings hold, also damaged ones.
+Exit info(const Settings& settings, const InfoOptions& options);
+
+struct PlayOptions {
+  std::vector<std::string> files;
+  RecordingQuery query;
+  std::vector<std::string> except;             ///< topics that are left out
+  std::map<std::string, std::string> renamed;  ///< topics, and what they are called here
+  double rate = 1;                             ///< so many times as fast
+  Duration start = Duration();                 ///< so long behind the first message
+  Duration end = Duration::max();              ///< and no message so long behind it
+  Duration wait = Duration();                  ///< for a subscriber
+  bool loop = false;                           ///< again and again
+  bool paused = false;                         ///< it begins with a pause
+};
+/// Publishes what was recorded.
+Exit play(const Settings& settings, const PlayOptions& options);
 
 /// What `lot hz`, `lot bw` and `lot delay` are asked for.
 struct GaugeOptions {

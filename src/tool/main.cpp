@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
+#include <ctime>
 #include <iostream>
 #include <new>
 #include <optional>
@@ -33,10 +34,10 @@ constexpr const char* kFooter =
     "  0  all is well\n"
     "  1  nothing was found, or something is wrong: the last lines say what to do\n"
     "  2  wrong usage\n"
-    "  3  a segment is damaged, cut short, or of another version\n"
+    "  3  a segment or a recording is damaged or cut short, or a segment of another version\n"
     "\n"
-    "`ls`, `top`, `who` and `doctor` only read. `echo`, `hz`, `bw` and `delay` look on: no\n"
-    "publisher waits for them. lot-ls(1) and lot-who(1) say what the words mean.";
+    "`ls`, `top`, `who` and `doctor` only read. `echo`, `hz`, `bw`, `delay` and `record` look on:\n"
+    "no publisher waits for them. lot-ls(1) and lot-who(1) say what the words mean.";
 
 using namespace lot::tool;
 
@@ -59,6 +60,21 @@ struct Arguments {
   GaugeOptions gauge;
   double window_seconds = 5;
   double duration_seconds = 0;
+  RecordOptions record;
+  bool all_topics = false;
+  bool no_crc = false;
+  std::string compression = "none";
+  double split_mib = 0;
+  double split_seconds = 0;
+  double last_seconds = 0;
+  double after_seconds = 0;
+  double memory_mib = 1024;
+  double quota_mib = 0;
+  InfoOptions info;
+  PlayOptions play;
+  std::vector<std::string> remaps;
+  double start_seconds = 0;
+  std::optional<double> end_seconds;
 };
 
 /// What is wrong with the name of a segment; nothing: a segment can have it.
@@ -213,6 +229,147 @@ void add_gauges(CLI::App& app, Arguments& arguments) {
       ->type_name("PATH");
 }
 
+void add_record(CLI::App& app, Arguments& arguments) {
+  auto* const record = add_verb(
+      app, "record", "Records topics into MCAP files, which ROS 2 and Foxglove read", arguments);
+  lot::RecorderOptions& what = arguments.record.what;
+  auto* const topics =
+      record->add_option("TOPIC", what.topics, "names, or patterns such as '/camera/*'")
+          ->type_name("");
+  record->add_flag("--all", arguments.all_topics, "all topics")->excludes(topics);
+  record->add_option("--except", what.except, "leaves these out: names or patterns")
+      ->allow_extra_args(false)
+      ->type_name("TOPIC");
+  record->add_option("-o,--output", what.path, "the file; default: a name with the time")
+      ->type_name("FILE");
+  record->add_option("--compression", arguments.compression, "none, lz4 or zstd")
+      ->check(CLI::IsMember({"none", "lz4", "zstd"}))
+      ->type_name("NAME")
+      ->capture_default_str();
+  record->add_flag("--no-crc", arguments.no_crc, "leaves checksums out");
+  record->add_option("--split-size", arguments.split_mib, "begins a new file after so much")
+      ->check(between(0.001, 1e9))
+      ->type_name("MEBIBYTES");
+  record->add_option("--split-time", arguments.split_seconds, "begins a new file after so long")
+      ->check(between(0.001, 1e9))
+      ->type_name("SECONDS");
+  record->add_option("--duration", arguments.duration_seconds, "ends after so long")
+      ->check(between(0.001, 1e9))
+      ->type_name("SECONDS");
+  record->add_option("--max-rate", what.max_rate, "at most so many messages a second of each topic")
+      ->check(between(1e-6, 1e9))
+      ->type_name("HERTZ");
+  record
+      ->add_option("--quota", arguments.quota_mib,
+                   "messages that wait to be written take at most so much of the segment")
+      ->check(between(0.001, 1e9))
+      ->type_name("MEBIBYTES");
+  auto* const last =
+      record
+          ->add_option("--last", arguments.last_seconds,
+                       "keeps only the last seconds, and writes them at SIGUSR1 or --trigger")
+          ->check(between(0.001, 1e9))
+          ->type_name("SECONDS");
+  record->add_option("--after", arguments.after_seconds, "and writes so long behind that, too")
+      ->needs(last)
+      ->check(between(0.001, 1e9))
+      ->type_name("SECONDS");
+  record->add_option("--memory", arguments.memory_mib, "what is kept takes at most so much memory")
+      ->needs(last)
+      ->check(between(0.001, 1e9))
+      ->type_name("MEBIBYTES")
+      ->capture_default_str();
+  add_topic(*record, "--trigger", what.trigger, "each message of it is a trigger");
+  record->get_option("--trigger")->needs(last);
+}
+
+void add_info(CLI::App& app, Arguments& arguments) {
+  auto* const info = add_verb(app, "info", "What recordings hold, also damaged ones", arguments);
+  info->add_option("FILE", arguments.info.files, "MCAP files")->required()->type_name("");
+  info->add_flag("--recover", arguments.info.recover,
+                 "writes the index of a file whose recorder was killed");
+}
+
+void add_play(CLI::App& app, Arguments& arguments) {
+  auto* const play = add_verb(app, "play", "Publishes what was recorded", arguments);
+  PlayOptions& options = arguments.play;
+  play->add_option("FILE", options.files, "MCAP files, which are played as one")
+      ->required()
+      ->type_name("");
+  play->add_option("--topic", options.query.topics, "only these: names or patterns")
+      ->allow_extra_args(false)
+      ->type_name("TOPIC");
+  play->add_option("--except", options.except, "leaves these out: names or patterns")
+      ->allow_extra_args(false)
+      ->type_name("TOPIC");
+  play->add_option("--remap", arguments.remaps, "publishes a topic under another name: /a:=/b")
+      ->allow_extra_args(false)
+      ->check([](const std::string& text) {
+        const auto at = text.find(":=");
+        const bool fits = at != std::string::npos && at != 0 && at + 2 < text.size();
+        return fits ? std::string() : text + " is not of the form /a:=/b";
+      })
+      ->type_name("NAMES");
+  play->add_option("--rate", options.rate, "so many times as fast")
+      ->check(between(1e-3, 1e6))
+      ->type_name("FACTOR")
+      ->capture_default_str();
+  play->add_option("--start", arguments.start_seconds, "begins so long behind the first message")
+      ->check(between(0, 1e9))
+      ->type_name("SECONDS");
+  play->add_option("--end", arguments.end_seconds, "ends so long behind the first message")
+      ->check(between(0, 1e9))
+      ->type_name("SECONDS");
+  play->add_option("--wait", arguments.wait, "waits so long for a subscriber")
+      ->check(between(0, 1e9))
+      ->type_name("SECONDS");
+  play->add_flag("--loop", options.loop, "again and again, until Ctrl-C");
+  play->add_flag("--paused", options.paused, "begins with a pause: the space bar goes on");
+}
+
+/// "lot_2026-11-30_02-19-48.mcap"
+std::string name_by_time() {
+  const std::time_t now = std::time(nullptr);
+  std::tm parts{};
+  char text[64];
+  if (localtime_r(&now, &parts) == nullptr) return "lot.mcap";
+  std::strftime(text, sizeof(text), "lot_%Y-%m-%d_%H-%M-%S.mcap", &parts);
+  return text;
+}
+
+RecordOptions record_options(const Arguments& arguments) {
+  using Seconds = std::chrono::duration<double>;
+  const auto bytes = [](double mib) { return static_cast<std::uint64_t>(mib * (1 << 20)); };
+  RecordOptions options = arguments.record;
+  lot::RecorderOptions& what = options.what;
+  if (arguments.all_topics) what.topics = {"*"};
+  if (what.path.empty()) what.path = name_by_time();
+  if (arguments.compression == "lz4") what.compression = lot::Compression::Lz4;
+  if (arguments.compression == "zstd") what.compression = lot::Compression::Zstd;
+  what.crcs = !arguments.no_crc;
+  what.split_bytes = bytes(arguments.split_mib);
+  what.split_time = Seconds(arguments.split_seconds);
+  what.keep_last = Seconds(arguments.last_seconds);
+  what.keep_after = Seconds(arguments.after_seconds);
+  what.keep_last_bytes = bytes(arguments.memory_mib);
+  what.max_held_bytes = bytes(arguments.quota_mib);
+  if (arguments.duration_seconds > 0) options.duration = Seconds(arguments.duration_seconds);
+  return options;
+}
+
+PlayOptions play_options(const Arguments& arguments) {
+  using Seconds = std::chrono::duration<double>;
+  PlayOptions options = arguments.play;
+  for (const std::string& remap : arguments.remaps) {
+    const auto at = remap.find(":=");
+    options.renamed[remap.substr(0, at)] = remap.substr(at + 2);
+  }
+  options.start = Seconds(arguments.start_seconds);
+  if (arguments.end_seconds) options.end = Seconds(*arguments.end_seconds);
+  options.wait = Seconds(arguments.wait);
+  return options;
+}
+
 GaugeOptions gauge_options(const Arguments& arguments) {
   const auto nanoseconds = [](double seconds) {
     return std::chrono::nanoseconds(static_cast<std::int64_t>(seconds * 1e9));
@@ -249,6 +406,9 @@ void add_verbs(CLI::App& app, Arguments& arguments) {
   add_echo(app, arguments);
   add_pub(app, arguments);
   add_gauges(app, arguments);
+  add_record(app, arguments);
+  add_info(app, arguments);
+  add_play(app, arguments);
   auto* const clean = add_verb(
       app, "clean", "Reaps the dead, removes segments without a process, gives unused memory back",
       arguments);
@@ -306,6 +466,15 @@ int call(const CLI::App& app, Arguments& arguments) {
   if (app.got_subcommand("hz")) return hz(settings, gauge_options(arguments));
   if (app.got_subcommand("bw")) return bw(settings, gauge_options(arguments));
   if (app.got_subcommand("delay")) return delay(settings, gauge_options(arguments));
+  if (app.got_subcommand("record")) {
+    if (arguments.record.what.topics.empty() && !arguments.all_topics) {
+      std::fprintf(stderr, "lot record: which topics? Name them, or say --all\n");
+      return kUsage;
+    }
+    return record(settings, record_options(arguments));
+  }
+  if (app.got_subcommand("info")) return info(settings, arguments.info);
+  if (app.got_subcommand("play")) return play(settings, play_options(arguments));
   return clean(settings, arguments.cleaning);
 }
 

@@ -6,10 +6,8 @@
 #include <csignal>
 #include <cstdio>
 #include <optional>
-#include <set>
 #include <string>
 #include <sys/prctl.h>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -20,10 +18,11 @@
 #include "lot/error.hpp"
 #include "lot/signals.hpp"
 
-#include "futex/futex.hpp"
+#include "tool/audience.hpp"
 #include "tool/documents.hpp"
 #include "tool/onlooker.hpp"
 #include "tool/report.hpp"
+#include "tool/sleep.hpp"
 #include "tool/text.hpp"
 #include "tool/values.hpp"
 #include "transport/participant.hpp"
@@ -34,9 +33,6 @@ namespace {
 using namespace std::chrono_literals;
 using Clock = std::chrono::steady_clock;
 
-/// So long it stays for those that have not read yet. A subscriber gets the messages all the same;
-/// one that only observes does not, once their publisher has left.
-constexpr std::chrono::seconds kForReaders = 1s;
 /// So long a topic is there before its first message where this process makes it: programs that
 /// wait for a topic look for it ten times a second.
 constexpr std::chrono::milliseconds kForOnlookers = 500ms;
@@ -46,16 +42,6 @@ constexpr std::chrono::seconds kForMemory = 5s;
 constexpr std::size_t kLine = 2000;
 /// Further behind its schedule than this it does not send faster to make up for it.
 constexpr std::chrono::seconds kMostBehind = 1s;
-
-/// Sleeps until then. False: it was told to stop.
-bool sleep_until(Clock::time_point time, const StopToken& stop) {
-  while (!stop.stop_requested()) {
-    if (Clock::now() >= time) return true;
-    const detail::FutexWait word = stop.word()->wait();
-    futex::wait(word.word, word.value, time);
-  }
-  return false;
-}
 
 /// When each message is due: at equal distances, whenever the ones before were sent.
 class Schedule {
@@ -149,11 +135,11 @@ class Publication {
     try {
       push(pusher, stop);
     } catch (...) {  // what came before is to be read all the same
-      linger(*segment, *participant);
+      stay(*segment, *participant);
       subscribers_ = pusher.readers();
       throw;
     }
-    linger(*segment, *participant);
+    stay(*segment, *participant);
     subscribers_ = pusher.readers();
     tell();
     const Exit exit = report_.finish();
@@ -266,37 +252,8 @@ class Publication {
   }
 
   /// Stays until all that look at the topic have read, but not for long.
-  void linger(const std::string& segment, const transport::Participant& me) {
-    const Sight seen = sight(where_, segment);
-    if (seen.window == nullptr) return;
-    const auto until = Clock::now() + kForReaders;
-    for (auto pause = 1ms;; pause = std::min(2 * pause, 50ms)) {
-      count_readers(observe(*seen.window), me.index());
-      if (unread_ == 0 || Clock::now() >= until) return;
-      std::this_thread::sleep_for(pause);
-    }
-  }
-  void count_readers(const Observation& seen, std::uint32_t me) {
-    std::set<std::uint32_t> looking;
-    std::set<std::uint32_t> have_read;
-    observers_ = 0;
-    for (const Topic& topic : seen.topics) {
-      if (topic.name != options_.topic) continue;
-      observers_ += topic.observers.size();
-      looking.insert(topic.subscribers.begin(), topic.subscribers.end());
-      looking.insert(topic.observers.begin(), topic.observers.end());
-      for (const Channel& channel : seen.channels) {
-        if (channel.topic != topic.index || channel.publisher != me) continue;
-        for (const Reader& reader : channel.readers) {
-          if (!reader.joining && reader.lag == 0) have_read.insert(reader.process);
-        }
-      }
-    }
-    unread_ = static_cast<std::size_t>(
-        std::count_if(looking.begin(), looking.end(), [&](std::uint32_t k) {
-          const Process* const process = seen.process(k);
-          return process != nullptr && process->alive && !have_read.contains(k);
-        }));
+  void stay(const std::string& segment, const transport::Participant& me) {
+    audience_ = linger(where_, segment, me.index(), {options_.topic});
   }
 
   void fill_document() {
@@ -307,8 +264,8 @@ class Publication {
     out["type"] = or_null(type_);
     out["pushed"] = pushed_;
     out["subscribers"] = subscribers_;
-    out["observers"] = observers_;
-    out["unread"] = unread_;
+    out["observers"] = audience_.observers;
+    out["unread"] = audience_.unread;
   }
 
   void tell() {
@@ -317,10 +274,10 @@ class Publication {
                   printable(options_.topic, 200) + " (" + printable(type_.value_or("")) + ") to " +
                   plural(subscribers_, "subscriber", "subscribers") + "\n");
     if (pushed_ == 0) report_.ends(kWrong);
-    if (unread_ != 0) {
-      report_.hint(plural(unread_, "process has", "processes have") +
+    if (audience_.unread != 0) {
+      report_.hint(plural(audience_.unread, "process has", "processes have") +
                    " not read all of it yet: subscribers get it when they look");
-    } else if (subscribers_ + observers_ == 0 && !options_.latch) {
+    } else if (subscribers_ + audience_.observers == 0 && !options_.latch) {
       report_.hint(
           "no process subscribes to it: --wait SECONDS waits for one, and --latch stays "
           "for those that come later");
@@ -340,8 +297,7 @@ class Publication {
   Clock::time_point deadline_;  ///< for the topic and a subscriber
   std::uint64_t pushed_ = 0;
   std::size_t subscribers_ = 0;
-  std::size_t observers_ = 0;
-  std::size_t unread_ = 0;  ///< processes
+  Audience audience_;
 };
 
 }  // namespace

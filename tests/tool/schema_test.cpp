@@ -13,6 +13,7 @@
 
 #include <doctest/doctest.h>
 
+#include "record/scratch.hpp"
 #include "scene.hpp"
 #include "support/janitor.hpp"
 #include "support/users.hpp"
@@ -29,6 +30,7 @@ class Documents {
   const Json& add(const std::vector<std::string>& words) {
     const Ran ran = run_lot(words);
     CHECK(ran.exit != 2);
+    if (ran.out.empty()) MESSAGE(ran.err);
     return all_.emplace_back(ran.json());
   }
 
@@ -132,6 +134,36 @@ TEST_CASE("the documents of lot echo and lot pub fit the schema") {
     documents.add(on(room.options(), {"echo", "--json", "--envelope", "--count", "1", topic}));
   }
   CHECK(documents.judge() == 0);
+}
+
+TEST_CASE("the documents of lot record, info and play fit the schema") {
+  const Watchdog watchdog(120);
+  struct Note {
+    int number;
+  };
+  struct Chained {
+    lot::ShmRef<const Note> note;
+  };
+  const Room room;
+  const Directory directory;
+  Documents documents;
+  lot::ShmEngine engine(room.options());
+  auto notes = engine.advertise<Note>("/notes");
+  auto chained = engine.advertise<Chained>("/chained");
+  CHECK(notes.push(notes.loan(Note{1})) == lot::Status::Ok);
+  const std::string file = directory.file();
+  const Json recorded = documents.add(
+      on(room.options(), {"record", "--json", "--all", "--duration", "0.3", "-o", file}));
+  CHECK(recorded.at("topics").size() == 1);
+  CHECK(recorded.at("refused").size() == 1);
+  documents.add({"info", "--json", file, directory.file("none")});
+  write_file(directory.file("cut"), std::string_view(read_file(file)).substr(0, 700));
+  documents.add({"info", "--json", directory.file("cut")});
+  documents.add(on(room.options(), {"play", "--json", file}));
+  auto other = engine.advertise<Chained>("/other");
+  documents.add(on(room.options(), {"play", "--json", file, "--remap", "/notes:=/other"}));
+  CHECK(documents.judge() == 0);
+  CHECK(documents.judge("--self-test") == 0);
 }
 
 TEST_CASE("the documents of lot hz, bw and delay fit the schema, also where nothing comes") {

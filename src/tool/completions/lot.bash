@@ -16,7 +16,8 @@ _lot() {
   local directory=${LOT_DIR:-/dev/shm} verb= words= i
   # Options that a value follows.
   local valued='--interval --characters --count --duration --elements --field --history --like --rate'
-  valued+=' --timeout --wait --window'
+  valued+=' --timeout --wait --window --after --compression --end --except --last --max-rate --memory'
+  valued+=' -o --output --quota --remap --split-size --split-time --start --topic --trigger'
   # The line is split at "=" as well.
   if [[ $current == = ]]; then
     current=
@@ -53,9 +54,16 @@ _lot() {
       return
       ;;
   esac
+  if [[ $before == -o || $before == --output || ($current != -* && ($verb == info || $verb == play)) ]]; then
+    compopt -o filenames 2>/dev/null
+    if [[ $before == -o || $before == --output || " $valued " != *" $before "* ]]; then
+      mapfile -t COMPREPLY < <(compgen -f -- "$current")
+    fi
+    return
+  fi
   if [[ " $valued " == *" $before "* ]]; then return; fi
   case $verb in
-    '') words='ls top who echo pub hz bw delay clean doctor --version --help-all' ;;
+    '') words='ls top who echo pub hz bw delay record info play clean doctor --version --help-all' ;;
     ls) words='--all --interval' ;;
     top) words='--once --interval' ;;
     who) words='--all' ;;
@@ -64,6 +72,12 @@ _lot() {
     hz) words='--interval --window --count --duration --all' ;;
     bw) words='--interval --window --count --duration' ;;
     delay) words='--interval --window --count --duration --field' ;;
+    record)
+      words='--all --except -o --output --compression --no-crc --split-size --split-time'
+      words+=' --duration --max-rate --quota --last --after --memory --trigger'
+      ;;
+    info) words='--recover' ;;
+    play) words='--topic --except --remap --rate --start --end --wait --loop --paused' ;;
     clean) words='--dry-run --with-items' ;;
     doctor) ;;
     *) return ;;

@@ -29,6 +29,9 @@ _lot() {
     'hz:How often messages come on a topic, and how evenly'
     'bw:How many bytes come on a topic, and how large its messages are'
     'delay:How long the messages of a topic have been under way'
+    'record:Records topics into MCAP files, which ROS 2 and Foxglove read'
+    'info:What recordings hold, also damaged ones'
+    'play:Publishes what was recorded'
     'clean:Reaps the dead, removes segments without a process, gives unused memory back'
     'doctor:Looks at the machine: what keeps LOT from working well, what to type'
   )
@@ -96,6 +99,39 @@ _lot() {
             '--count[ends after so many messages]:messages: ' \
             '--duration[ends after so long]:seconds: ' \
             '--field[since a time in the message\: header.stamp]:path: '
+          ;;
+        record)
+          _arguments $common \
+            '--all[all topics]' \
+            '--except[leaves these out\: names or patterns]:topic: ' \
+            '(-o --output)'{-o,--output}'[the file; default\: a name with the time]:file:_files' \
+            '--compression[none, lz4 or zstd]:name: ' \
+            '--no-crc[leaves checksums out]' \
+            '--split-size[begins a new file after so much]:mebibytes: ' \
+            '--split-time[begins a new file after so long]:seconds: ' \
+            '--duration[ends after so long]:seconds: ' \
+            '--max-rate[at most so many messages a second of each topic]:hertz: ' \
+            '--quota[messages that wait to be written take at most so much of the segment]:mebibytes: ' \
+            '--last[keeps only the last seconds, and writes them at SIGUSR1 or --trigger]:seconds: ' \
+            '--after[and writes so long behind that, too]:seconds: ' \
+            '--memory[what is kept takes at most so much memory]:mebibytes: ' \
+            '--trigger[each message of it is a trigger]:topic: '
+          ;;
+        info)
+          _arguments $common '*:file:_files' \
+            '--recover[writes the index of a file whose recorder was killed]'
+          ;;
+        play)
+          _arguments $common '*:file:_files' \
+            '--topic[only these\: names or patterns]:topic: ' \
+            '--except[leaves these out\: names or patterns]:topic: ' \
+            '--remap[publishes a topic under another name\: /a\:=/b]:names: ' \
+            '--rate[so many times as fast]:factor: ' \
+            '--start[begins so long behind the first message]:seconds: ' \
+            '--end[ends so long behind the first message]:seconds: ' \
+            '--wait[waits so long for a subscriber]:seconds: ' \
+            '--loop[again and again, until Ctrl-C]' \
+            '--paused[begins with a pause\: the space bar goes on]'
           ;;
         clean)
           _arguments $common \

@@ -1,0 +1,174 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cerrno>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <ctime>
+#include <filesystem>
+#include <optional>
+#include <set>
+#include <string>
+#include <system_error>
+#include <utility>
+
+#include "lot/error.hpp"
+#include "lot/recording.hpp"
+
+#include "mcap/reader.hpp"
+#include "mcap/recover.hpp"
+#include "tool/commands.hpp"
+#include "tool/onlooker.hpp"
+#include "tool/report.hpp"
+#include "tool/text.hpp"
+
+namespace lot::tool {
+namespace {
+
+/// "2026-11-30 02:19:48.125 UTC"
+std::string time_text(RecordedTime time) {
+  const auto since = time.time_since_epoch();
+  const auto whole = std::chrono::floor<std::chrono::seconds>(since);
+  const std::time_t seconds = whole.count();
+  std::tm parts{};
+  char text[64];
+  if (gmtime_r(&seconds, &parts) == nullptr) return std::to_string(since.count()) + " ns";
+  const std::size_t length = std::strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &parts);
+  const auto rest = std::chrono::duration_cast<std::chrono::milliseconds>(since - whole).count();
+  std::snprintf(text + length, sizeof(text) - length, ".%03d UTC", static_cast<int>(rest));
+  return text;
+}
+
+double seconds_of(std::chrono::nanoseconds time) {
+  return std::chrono::duration<double>(time).count();
+}
+
+class Info {
+ public:
+  Info(const Settings& settings, const InfoOptions& options)
+      : options_(options), report_(settings) {}
+
+  Exit run() {
+    report_.document()["command"] = "info";
+    report_.document()["files"] = Json::array();
+    bool is_first = true;
+    for (const std::string& file : options_.files) {
+      if (!std::exchange(is_first, false)) report_.print("\n");
+      Json entry;
+      entry["path"] = file;
+      try {
+        if (options_.recover) recover(file);
+        tell(file, entry);
+      } catch (const Error& e) {
+        report_.print(printable(file, 200) + "\n");
+        report_.hint(printable(reason_of(e), 500));
+        report_.ends(e.error_number() == EINVAL ? kDamaged : kWrong);
+        entry = {{"path", file}, {"error", reason_of(e)}};
+      }
+      report_.document()["files"].push_back(std::move(entry));
+    }
+    return report_.finish();
+  }
+
+ private:
+  void recover(const std::string& file) {
+    const mcap::Recovered done = mcap::recover(file);
+    if (done.was_whole) return;
+    report_.hint(printable(file, 200) + ": its index is written; " +
+                 (done.cut_bytes == 0 ? "nothing" : bytes_text(done.cut_bytes)) +
+                 " was cut off behind the last whole record");
+  }
+
+  void tell(const std::string& file, Json& entry) {
+    Recording recording(file);
+    const mcap::Reader reader(file);
+    const RecordingDamage damage = recording.damage();
+    const auto bytes = std::filesystem::file_size(file);
+    tell_file(file, recording, reader, bytes, entry);
+    tell_topics(recording, entry);
+    entry["damage"] = {{"chunks", damage.chunks},
+                       {"records", damage.records},
+                       {"bytes", damage.bytes},
+                       {"first", damage.first},
+                       {"is_cut", damage.is_cut}};
+    if (damage.is_cut) {
+      report_.hint(printable(file, 200) +
+                   ": its recorder has not closed it: it was killed, or still writes. `lot info "
+                   "--recover` writes the index of a file that no recorder writes any more");
+    }
+    if (!damage.first.empty()) {
+      report_.ends(kDamaged);
+      report_.hint(printable(file, 200) + ": " + bytes_text(damage.bytes) +
+                   " cannot be read: " + printable(damage.first, 300));
+    }
+  }
+
+  void tell_file(const std::string& file, const Recording& recording, const mcap::Reader& reader,
+                 std::uint64_t bytes, Json& entry) {
+    std::set<std::string> compressions;
+    for (const mcap::ChunkIndex& chunk : reader.chunks()) {
+      compressions.insert(chunk.compression.empty() ? "none" : chunk.compression);
+    }
+    std::string compression;
+    for (const std::string& one : compressions) {
+      compression += (compression.empty() ? "" : ", ") + one;
+    }
+    const std::chrono::nanoseconds span = recording.end() - recording.begin();
+    entry["bytes"] = bytes;
+    entry["library"] = reader.header().library;
+    entry["profile"] = reader.header().profile;
+    entry["has_summary"] = reader.has_summary();
+    entry["compression"] = compressions;
+    entry["chunks"] = reader.chunks().size();
+    entry["messages"] = reader.statistics().messages;
+    entry["begin_ns"] = recording.begin().time_since_epoch().count();
+    entry["end_ns"] = recording.end().time_since_epoch().count();
+    report_.print(printable(file, 200) + "  " + bytes_text(bytes) + ", by " +
+                  printable(reader.header().library) + "\n");
+    if (reader.statistics().messages == 0) return report_.print("  no messages\n");
+    char length[32];
+    std::snprintf(length, sizeof(length), "%.3f s", seconds_of(span));
+    report_.print("  from " + time_text(recording.begin()) + ", " + length + "; " +
+                  plural(reader.chunks().size(), "chunk", "chunks") + ", compression " +
+                  printable(compression) + "\n");
+  }
+
+  void tell_topics(const Recording& recording, Json& entry) {
+    entry["topics"] = Json::array();
+    const double seconds = seconds_of(recording.end() - recording.begin());
+    Table table({"TOPIC", "TYPE", "MESSAGES", "RATE", "MISSED", "LOST"}, {0, 1});
+    for (const RecordedTopic& topic : recording.topics()) {
+      std::optional<double> rate;
+      if (topic.messages > 1 && seconds > 0) {
+        rate = static_cast<double>(topic.messages) / seconds;
+      }
+      table.add({printable(topic.name, 200), printable(topic.type), std::to_string(topic.messages),
+                 rate ? rate_text(*rate) : "", std::to_string(topic.missed),
+                 std::to_string(topic.lost)});
+      entry["topics"].push_back({{"name", topic.name},
+                                 {"type", topic.type},
+                                 {"encoding", topic.encoding},
+                                 {"schema_encoding", topic.schema_encoding},
+                                 {"messages", topic.messages},
+                                 {"per_second", or_null(rate)},
+                                 {"missed", topic.missed},
+                                 {"lost", topic.lost},
+                                 {"left_out", topic.left_out},
+                                 {"objection", topic.objection}});
+      if (!topic.objection.empty()) {
+        report_.hint("`lot play` leaves it out: " + printable(topic.objection, 500));
+      }
+    }
+    if (!table.empty()) report_.print(table.text());
+  }
+
+  const InfoOptions& options_;
+  Report report_;
+};
+
+}  // namespace
+
+Exit info(const Settings& settings, const InfoOptions& options) {
+  return Info(settings, options).run();
+}
+
+}  // namespace lot::tool

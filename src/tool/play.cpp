@@ -1,0 +1,327 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <cmath>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <sys/prctl.h>
+#include <utility>
+#include <vector>
+
+#include "lot/detail/core.hpp"
+#include "lot/engine.hpp"
+#include "lot/error.hpp"
+#include "lot/recording.hpp"
+#include "lot/signals.hpp"
+
+#include "codec/schema.hpp"
+#include "record/pattern.hpp"
+#include "record/types.hpp"
+#include "tool/audience.hpp"
+#include "tool/commands.hpp"
+#include "tool/keys.hpp"
+#include "tool/onlooker.hpp"
+#include "tool/report.hpp"
+#include "tool/sleep.hpp"
+#include "tool/text.hpp"
+#include "tool/writers.hpp"
+#include "transport/participant.hpp"
+
+namespace lot::tool {
+namespace {
+
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+/// So long topics are there before their first message where this process makes them: programs that
+/// wait for a topic look for it ten times a second.
+constexpr auto kForThoseThatWait = 500ms;
+/// Between two looks for a key, and for a subscriber.
+constexpr auto kLookForKeys = 20ms;
+/// Further behind than this it does not publish faster to make up for it.
+constexpr auto kMostBehindPlay = 1s;
+
+class Play {
+ public:
+  Play(const Settings& settings, const PlayOptions& options)
+      : where_(settings.where), options_(options), recording_(options.files), report_(settings) {}
+
+  Exit run() {
+    std::signal(SIGPIPE, SIG_IGN);
+    const auto participant = join();
+    const StopToken stop = stop_on_signals();
+    ShmEngine engine(participant);
+    const bool is_new = open_topics(engine);
+    if (outs_.empty()) {
+      report_.hint("nothing of it can be published");
+      report_.ends(kWrong);
+    } else if (begin(is_new, stop)) {
+      do {
+        ++rounds_;
+      } while (play_once(stop) && options_.loop);
+      stay(*participant);
+    }
+    tell();
+    return report_.finish();
+  }
+
+ private:
+  /// A topic that is published.
+  struct Out {
+    Out(const RecordedTopic& its_topic, std::string its_name, AnyPusher its_pusher)
+        : topic(&its_topic), name(std::move(its_name)), pusher(std::move(its_pusher)) {}
+    const RecordedTopic* topic;
+    std::string name;
+    AnyPusher pusher;
+    std::uint64_t pushed = 0;
+  };
+
+  // ---- before ----
+
+  /// The one segment there, or the named one. It is made where there is none.
+  std::shared_ptr<transport::Participant> join() {
+    segment_ = where_.name;
+    if (segment_.empty()) {
+      for (const Sight& s : sights(where_)) {
+        if (s.window == nullptr) continue;
+        if (!segment_.empty()) {
+          throw Error(EINVAL, where_.directory,
+                      "there are the segments " + segment_ + " and " + s.name,
+                      "say which one you mean: --segment NAME");
+        }
+        segment_ = s.name;
+      }
+    }
+    EngineOptions made;
+    if (segment_.empty()) segment_ = made.segment;
+    try {
+      return visit(where_, segment_, "lot play");
+    } catch (const Error& e) {
+      if (e.error_number() != ENOENT) throw;
+    }
+    made.name = "lot play";
+    // What the command says comes before what the environment said.
+    setenv("LOT_SEGMENT", segment_.c_str(), 1);
+    setenv("LOT_DIR", where_.directory.c_str(), 1);
+    return transport::Participant::join(made);
+  }
+
+  /// True: a topic was not there before.
+  bool open_topics(ShmEngine& engine) {
+    bool is_new = false;
+    for (const RecordedTopic& topic : recording_.topics()) {
+      const auto& chosen = options_.query.topics;
+      if (!chosen.empty() && !lot::record::matches_any(chosen, topic.name)) continue;
+      if (lot::record::matches_any(options_.except, topic.name)) continue;
+      const auto renamed = options_.renamed.find(topic.name);
+      const std::string name = renamed == options_.renamed.end() ? topic.name : renamed->second;
+      try {
+        const AnyType there = engine.type_of(name);
+        is_new = is_new || !there;
+        PusherOptions how;
+        how.stamp = true;
+        outs_.emplace_back(topic, name,
+                           engine.advertise_any(name, type_on(topic, name, there), how));
+      } catch (const Error& e) {
+        left_out_.emplace_back(topic.name, reason_of(e));
+        report_.hint(printable(topic.name, 200) + " is left out: " + printable(reason_of(e), 500));
+        report_.ends(kWrong);
+      }
+    }
+    return is_new;
+  }
+
+  /// What a topic is to carry: the type that it has, if that has the same fields.
+  AnyType type_on(const RecordedTopic& topic, const std::string& name, const AnyType& there) const {
+    const AnyType recorded = recording_.type_of(topic);
+    if (!there || there.is_same(recorded)) return recorded;
+    if (lot::record::are_alike(topic.schema, codec::schema_of(there.description()).msg)) {
+      return there;
+    }
+    throw Error(EINVAL, name,
+                "it carries " + there.name() + ", whose fields are not those of " + topic.type,
+                "play it under another name: --remap " + name + ":=/other");
+  }
+
+  /// Waits for those that are to hear it. False: it is to publish nothing.
+  bool begin(bool is_new, const StopToken& stop) {
+    const auto from = is_new ? Clock::now() + kForThoseThatWait : Clock::now();
+    const auto until = detail::after(options_.wait);
+    const auto has_reader = [](const Out& out) { return out.pusher.readers() != 0; };
+    while (options_.wait > Duration() && std::ranges::none_of(outs_, has_reader)) {
+      if (Clock::now() >= until) {
+        report_.hint("no process subscribes to it: nothing was published");
+        report_.ends(kWrong);
+        return false;
+      }
+      if (!sleep_until(Clock::now() + kLookForKeys, stop)) return false;
+    }
+    return sleep_until(from, stop);
+  }
+
+  // ---- messages ----
+
+  /// False: it was told to stop, or there is nothing to be published again.
+  bool play_once(const StopToken& stop) {
+    RecordingQuery query;
+    for (const Out& out : outs_) query.topics.push_back(out.topic->name);
+    const RecordedTime first = recording_.begin() + options_.start;
+    query.from = first;
+    if (options_.end < recording_.end() - recording_.begin()) {
+      query.until = recording_.begin() + options_.end;
+    }
+    RecordedMessages messages = recording_.messages(query);
+    begin_ = Clock::now();
+    if (paused_at_) paused_at_ = begin_;
+    const std::uint64_t before = pushed_;
+    prctl(PR_SET_TIMERSLACK, 1UL);  // else the kernel wakes a sleeper up to 50 us late
+    while (const auto message = messages.next()) {
+      Out* const out = out_of(message->topic());
+      if (out == nullptr) continue;
+      std::optional<AnyLoan> loan = built(*out, *message);
+      if (!wait_until(message->log_time() - first, stop)) return false;
+      if (!loan) continue;
+      if (out->pusher.push(std::move(*loan), Duration::max(), stop) != Status::Ok) return false;
+      ++out->pushed;
+      ++pushed_;
+    }
+    return pushed_ != before && !stop.stop_requested();
+  }
+
+  Out* out_of(const RecordedTopic& topic) {
+    const auto found =
+        std::ranges::find_if(outs_, [&](const Out& out) { return out.topic == &topic; });
+    return found == outs_.end() ? nullptr : &*found;
+  }
+
+  /// Nothing: it cannot be built, and that is noted.
+  std::optional<AnyLoan> built(Out& out, const RecordedMessage& message) {
+    try {
+      AnyLoan loan = out.pusher.loan();
+      message.copy_to(loan);
+      return loan;
+    } catch (const Error& e) {
+      if (e.error_number() == ESTALE) throw;
+      why_ = reason_of(e);
+    } catch (const OutOfMemory& e) {
+      why_ = e.what();
+    }
+    ++damaged_;
+    return std::nullopt;
+  }
+
+  /// Waits until the message is due that was recorded so long behind the first one. False: it was
+  /// told to stop.
+  bool wait_until(std::chrono::nanoseconds behind_first, const StopToken& stop) {
+    const auto after = std::chrono::nanoseconds(
+        std::llround(static_cast<double>(behind_first.count()) / options_.rate));
+    for (;;) {
+      look_at_keys();
+      const auto now = Clock::now();
+      if (paused_at_) {
+        if (!sleep_until(now + kLookForKeys, stop)) return false;
+        continue;
+      }
+      const auto due = begin_ + after;
+      if (now - due > kMostBehindPlay) {
+        behind_ += now - due;
+        begin_ += now - due;
+      }
+      if (now >= due) return !stop.stop_requested();
+      const auto next = keys_.can_come() ? std::min(due, now + kLookForKeys) : due;
+      if (!sleep_until(next, stop)) return false;
+    }
+  }
+
+  void look_at_keys() {
+    while (const auto key = keys_.next()) {
+      if (*key != ' ') continue;
+      if (paused_at_) {
+        begin_ += Clock::now() - *paused_at_;
+        paused_at_.reset();
+      } else {
+        paused_at_ = Clock::now();
+      }
+      std::fprintf(stderr, "* %s\n", paused_at_ ? "paused: the space bar goes on" : "goes on");
+    }
+  }
+
+  /// Stays until all that look at the topics have read, but not for long.
+  void stay(const transport::Participant& me) {
+    std::set<std::string> names;
+    for (const Out& out : outs_) names.insert(out.name);
+    (void)linger(where_, segment_, me.index(), names);
+  }
+
+  // ---- behind ----
+
+  void tell() {
+    Json& out = report_.document();
+    out["command"] = "play";
+    out["segment"] = segment_;
+    out["topics"] = Json::array();
+    Table table({"TOPIC", "RECORDED AS", "PUSHED"}, {0, 1});
+    for (const Out& one : outs_) {
+      table.add(
+          {printable(one.name, 200), printable(one.topic->name, 200), std::to_string(one.pushed)});
+      out["topics"].push_back({{"name", one.name},
+                               {"recorded_as", one.topic->name},
+                               {"type", one.pusher.type().name()},
+                               {"pushed", one.pushed}});
+    }
+    out["left_out"] = Json::array();
+    for (const auto& [name, why] : left_out_) {
+      out["left_out"].push_back({{"name", name}, {"why", why}});
+    }
+    out["rounds"] = rounds_;
+    out["not_built"] = damaged_;
+    if (!table.empty()) report_.print(table.text());
+    if (damaged_ != 0) {
+      report_.ends(kWrong);
+      report_.hint(plural(damaged_, "message", "messages") +
+                   " could not be built: " + printable(why_, 500));
+    }
+    if (const RecordingDamage damage = recording_.damage(); !damage.first.empty()) {
+      report_.ends(kDamaged);
+      report_.hint(bytes_text(damage.bytes) +
+                   " of the recording cannot be read: " + printable(damage.first, 300));
+    }
+    if (behind_ > Clock::duration()) {
+      report_.hint("it came " + age_text(std::chrono::duration<double>(behind_).count()) +
+                   " behind its schedule: this machine does not publish at that rate");
+    }
+    if (pushed_ == 0) report_.ends(kWrong);
+  }
+
+  const Where where_;
+  const PlayOptions& options_;
+  Recording recording_;
+  Report report_;
+  std::string segment_;
+  std::deque<Out> outs_;
+  std::vector<std::pair<std::string, std::string>> left_out_;
+  Keys keys_;
+  Clock::time_point begin_;  ///< when the first message was due, later by all pauses
+  std::optional<Clock::time_point> paused_at_ =
+      options_.paused ? std::optional(Clock::now()) : std::nullopt;
+  Clock::duration behind_{};
+  std::uint64_t pushed_ = 0;
+  std::uint64_t rounds_ = 0;
+  std::uint64_t damaged_ = 0;
+  std::string why_;  ///< of the last one that could not be built
+};
+
+}  // namespace
+
+Exit play(const Settings& settings, const PlayOptions& options) {
+  return Play(settings, options).run();
+}
+
+}  // namespace lot::tool

@@ -1,0 +1,265 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// lot record, lot info, lot play: what they print, write and publish, and how they end.
+
+#include <chrono>
+#include <csignal>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include <lot/lot.hpp>
+#include <lot/recording.hpp>
+
+#include "command.hpp"
+#include "record/scratch.hpp"
+#include "support/janitor.hpp"
+#include "support/must_go.hpp"
+
+namespace {
+
+using namespace lot::testing;
+
+[[maybe_unused]] const bool has_janitor = start_janitor();
+
+struct Pose {
+  double x = 0;
+  lot::ShmString frame;
+};
+struct Other {
+  std::uint64_t count = 0;
+};
+
+void put(lot::ShmPusher<Pose>& pusher, double x) {
+  auto pose = pusher.loan();
+  pose->x = x;
+  pose->frame = "map";
+  must_go(pusher.push(std::move(pose)));
+}
+
+/// A segment, and a file.
+struct Stage {
+  std::vector<std::string> record(std::vector<std::string> words) const {
+    words.insert(words.begin(), "record");
+    words.insert(words.end(), {"-o", file()});
+    return on(options, std::move(words));
+  }
+  std::vector<std::string> play(std::vector<std::string> words) const {
+    words.insert(words.begin(), {"play", file()});
+    return on(options, std::move(words));
+  }
+  std::string file() const { return directory.file(); }
+  /// Records ten poses, half a tenth of a second apart from each other.
+  Ran record_ten() {
+    auto pusher = engine.advertise<Pose>("/pose");
+    Running recorder(record({"/pose"}));
+    REQUIRE(recorder.says("writes"));
+    for (int i = 0; i < 10; ++i) {
+      put(pusher, i);
+      std::this_thread::sleep_for(5ms);
+    }
+    return recorder.interrupt();
+  }
+
+  Room room;
+  Directory directory;
+  lot::EngineOptions options = room.options();
+  lot::ShmEngine engine{options};
+};
+
+std::vector<std::string> payloads(const std::string& file) {
+  lot::Recording recording(file);
+  std::vector<std::string> all;
+  auto messages = recording.messages();
+  while (const auto message = messages.next()) all.push_back(text(message->payload()));
+  return all;
+}
+
+TEST_SUITE_BEGIN("record");
+
+TEST_CASE("lot record writes what comes until Ctrl-C, and says what it was") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  const Ran ran = stage.record_ten();
+  CHECK(ran.exit == 0);
+  CHECK(ran.out.find("/pose") != std::string::npos);
+  CHECK(ran.out.find("10") != std::string::npos);
+  CHECK(payloads(stage.file()).size() == 10);
+}
+
+TEST_CASE("lot record waits for a segment, and for topics") {
+  const Watchdog watchdog(120);
+  const Room room;
+  const Directory directory;
+  const lot::EngineOptions options = room.options();
+  Running recorder(on(options, {"record", "--all", "-o", directory.file()}));
+  REQUIRE(recorder.says("waiting"));
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Pose>("/pose");
+  put(pusher, 1);
+  std::this_thread::sleep_for(300ms);
+  const Ran ran = recorder.interrupt();
+  CHECK(ran.exit == 0);
+  CHECK(payloads(directory.file()).size() == 1);
+}
+
+TEST_CASE("lot record says what is wrong: no topics, a file that is there, nothing that came") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  CHECK(run_lot(stage.record({})).exit == 2);
+  CHECK(run_lot(stage.record({"--all", "/pose"})).exit == 2);
+  CHECK(run_lot(stage.record({"--all", "--after", "1"})).exit == 2);
+  CHECK(run_lot(stage.record({"--all", "--compression", "rar"})).exit == 2);
+  write_file(stage.file(), "mine");
+  const Ran ran = run_lot(stage.record({"--all"}));
+  CHECK(ran.exit == 1);
+  CHECK(ran.err.find("never overwritten") != std::string::npos);
+  CHECK(read_file(stage.file()) == "mine");
+  std::filesystem::remove(stage.file());
+  const Ran nothing = run_lot(stage.record({"--all", "--duration", "0.2"}));
+  CHECK(nothing.exit == 1);
+  CHECK(nothing.out.find("nothing was recorded") != std::string::npos);
+}
+
+TEST_CASE("lot record --last: SIGUSR1 writes what is kept") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  Running recorder(stage.record({"/pose", "--last", "1000"}));
+  for (int i = 0; i < 10; ++i) put(pusher, i);
+  std::this_thread::sleep_for(500ms);
+  CHECK_FALSE(std::filesystem::exists(stage.directory.file("a_0.mcap")));
+  recorder.child().send(SIGUSR1);
+  CHECK(recorder.says("writes"));
+  CHECK(recorder.interrupt().exit == 0);
+  CHECK(payloads(stage.directory.file("a_0.mcap")).size() >= 1);
+}
+
+TEST_CASE("lot info says what a file holds") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  const Ran ran = run_lot({"info", stage.file()});
+  CHECK(ran.exit == 0);
+  CHECK(ran.out.find("/pose") != std::string::npos);
+  const Json json = run_lot({"info", "--json", stage.file()}).json();
+  const Json& file = json.at("files").at(0);
+  CHECK(file.at("messages") == 10);
+  CHECK(file.at("topics").at(0).at("name") == "/pose");
+  CHECK(file.at("topics").at(0).at("missed") == 0);
+  CHECK(file.at("has_summary") == true);
+  CHECK(file.at("damage").at("is_cut") == false);
+}
+
+TEST_CASE("lot info of a file that is cut off says what is left, and --recover makes it whole") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  const std::string whole = read_file(stage.file());
+  write_file(stage.file(), std::string_view(whole).substr(0, whole.size() - 100));
+  const Ran cut = run_lot({"info", stage.file()});
+  CHECK(cut.out.find("--recover") != std::string::npos);
+  CHECK(cut.out.find("/pose") != std::string::npos);
+  CHECK(run_lot({"info", "--recover", stage.file()}).exit == 0);
+  const Json json = run_lot({"info", "--json", stage.file()}).json();
+  CHECK(json.at("exit") == 0);
+  CHECK(json.at("files").at(0).at("messages") == 10);
+}
+
+TEST_CASE("lot info of what is none: a status for each kind, and the other files all the same") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  write_file(stage.directory.file("text"), "some text that is long enough to be read");
+  CHECK(run_lot({"info", stage.directory.file("none")}).exit == 1);
+  const Ran both = run_lot({"info", stage.directory.file("text"), stage.file()});
+  CHECK(both.exit == 3);
+  CHECK(both.out.find("/pose") != std::string::npos);
+}
+
+TEST_CASE("lot play publishes what was recorded to typed subscribers, at its distances") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  auto puller = stage.engine.subscribe<Pose>("/pose");
+  const lot::Recording recording(stage.file());
+  const auto begin = std::chrono::steady_clock::now();
+  Running player(stage.play({"--wait", "60"}));
+  for (int i = 0; i < 10; ++i) {
+    const auto pose = puller.pull(20s);
+    REQUIRE(pose);
+    CHECK(pose->x == i);
+    CHECK(pose->frame == "map");
+  }
+  CHECK(std::chrono::steady_clock::now() - begin >= recording.end() - recording.begin());
+  const Ran ran = player.finish();
+  CHECK(ran.exit == 0);
+  CHECK(ran.out.find("10") != std::string::npos);
+}
+
+TEST_CASE("lot play: what is recorded meanwhile has the same payloads") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  const std::string again = stage.directory.file("again.mcap");
+  Running recorder(on(stage.options, {"record", "/pose", "-o", again}));
+  REQUIRE(recorder.says("writes"));
+  CHECK(run_lot(stage.play({"--rate", "100"})).exit == 0);
+  CHECK(recorder.interrupt().exit == 0);
+  CHECK(payloads(again) == payloads(stage.file()));
+}
+
+TEST_CASE("lot play: chosen topics, other names, a part of the time") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  auto puller = stage.engine.subscribe<Pose>("/b");
+  const Ran part =
+      run_lot(stage.play({"--remap", "/pose:=/b", "--start", "0.02", "--rate", "10", "--json"}));
+  const auto pushed = part.json().at("topics").at(0).at("pushed").get<std::uint64_t>();
+  CHECK(part.exit == 0);
+  CHECK(pushed < 10);
+  CHECK(pushed > 0);
+  CHECK(puller.size() == pushed);
+  CHECK(run_lot(stage.play({"--topic", "/none"})).exit == 1);
+  CHECK(run_lot(stage.play({"--except", "/p*"})).exit == 1);
+  CHECK(run_lot(stage.play({"--remap", "/pose"})).exit == 2);
+}
+
+TEST_CASE("lot play --loop goes on until Ctrl-C") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  auto puller = stage.engine.subscribe<Pose>("/pose");
+  Running player(stage.play({"--loop", "--rate", "100", "--json"}));
+  for (int i = 0; i < 35; ++i) REQUIRE(puller.pull(20s));
+  const Ran ran = player.interrupt();
+  CHECK(ran.json().at("rounds") >= 4);
+}
+
+TEST_CASE("lot play does not publish on a topic of other fields") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  auto other = stage.engine.advertise<Other>("/pose");
+  const Ran ran = run_lot(stage.play({}));
+  CHECK(ran.exit == 1);
+  CHECK(ran.out.find("--remap") != std::string::npos);
+}
+
+TEST_CASE("lot play makes a segment where there is none") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  const Room room;
+  const Ran ran = run_lot(on(room.options("new"), {"play", stage.file()}));
+  CHECK(ran.exit == 0);
+  CHECK(room.files() == 0);
+}
+
+}  // namespace
