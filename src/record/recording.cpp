@@ -17,7 +17,6 @@
 #include "codec/decode.hpp"
 #include "codec/encode.hpp"
 #include "codec/program.hpp"
-#include "codec/schema.hpp"
 #include "mcap/reader.hpp"
 #include "record/pattern.hpp"
 #include "record/private_memory.hpp"
@@ -25,8 +24,6 @@
 
 namespace lot {
 namespace {
-
-using record::are_alike;
 
 RecordedTime time_of(std::uint64_t nanoseconds) {
   constexpr auto kMost = static_cast<std::uint64_t>(RecordedTime::max().time_since_epoch().count());
@@ -61,7 +58,7 @@ AnyType type_for(const mcap::Channel& channel, const mcap::Schema* schema) {
   const std::string text(reinterpret_cast<const char*>(schema->data.data()), schema->data.size());
   if (AnyType type = record::type_of(channel.metadata)) {
     // A file may say anything: the schema is what others read it by.
-    if (are_alike(codec::schema_of(type.description()).msg, text)) return type;
+    if (record::is_like(type, text)) return type;
   }
   return record::type_of_schema(schema->name, text);
 }
@@ -273,8 +270,7 @@ struct RecordedMessage::Reading {
     }
     const Recording::Impl::Carried& its = carried(message);
     const bool is_same =
-        its.type.is_same(type) ||
-        are_alike(impl->topics[message.number_].schema, codec::schema_of(type.description()).msg);
+        its.type.is_same(type) || record::is_like(type, impl->topics[message.number_].schema);
     if (!is_same) {
       throw Error(
           EINVAL, impl->topics[message.number_].name,

@@ -13,6 +13,8 @@
 #include "lot/compliance.hpp"
 #include "lot/error.hpp"
 
+#include "codec/program.hpp"
+#include "codec/schema.hpp"
 #include "description/wire.hpp"
 #include "record/schema_text.hpp"
 #include "registry/known_type.hpp"
@@ -114,6 +116,15 @@ AnyType type_of_schema(const std::string& name, const std::string& text) {
   const std::string its_name = made.description.root().name;
   const std::uint64_t size = made.description.root().size;
   return type_with(its_name, size, made.align, hash, std::move(made.description));
+}
+
+bool is_like(const AnyType& type, const std::string& schema) {
+  try {
+    const codec::Program program(type.description());  // schema_of() wants one that it takes
+    return are_alike(schema, codec::schema_of(program.description()).msg);
+  } catch (const Error&) {
+    return false;
+  }
 }
 
 bool are_alike(const std::string& one, const std::string& other) {

@@ -20,6 +20,9 @@ AnyType type_of(const mcap::Pairs& pairs);
 /// it behind lines of `=`. Its name is the schema's. Throws lot::Error: EINVAL for a text that is
 /// none, with its line, and for types that no message of LOT can have.
 AnyType type_of_schema(const std::string& name, const std::string& text);
+/// Whether messages of the type have the fields that the schema says, as are_alike(): false for a
+/// type that the codec does not take. Throws std::bad_alloc.
+bool is_like(const AnyType& type, const std::string& schema);
 /// Whether messages of both have the same fields in the same order, to any depth: then they have
 /// the same bytes. Names of types do not count. Both are `.msg`; one that cannot be read is the
 /// same as itself alone. Throws std::bad_alloc.

@@ -267,7 +267,7 @@ void add_record(CLI::App& app, Arguments& arguments) {
   auto* const last =
       record
           ->add_option("--last", arguments.last_seconds,
-                       "keeps only the last seconds, and writes them at SIGUSR1 or --trigger")
+                       "keeps only the last seconds, and writes them when a trigger comes")
           ->check(between(0.001, 1e9))
           ->type_name("SECONDS");
   record->add_option("--after", arguments.after_seconds, "and writes so long behind that, too")

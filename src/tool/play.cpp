@@ -21,7 +21,6 @@
 #include "lot/recording.hpp"
 #include "lot/signals.hpp"
 
-#include "codec/schema.hpp"
 #include "record/pattern.hpp"
 #include "record/types.hpp"
 #include "tool/audience.hpp"
@@ -142,9 +141,7 @@ class Play {
   AnyType type_on(const RecordedTopic& topic, const std::string& name, const AnyType& there) const {
     const AnyType recorded = recording_.type_of(topic);
     if (!there || there.is_same(recorded)) return recorded;
-    if (lot::record::are_alike(topic.schema, codec::schema_of(there.description()).msg)) {
-      return there;
-    }
+    if (lot::record::is_like(there, topic.schema)) return there;
     throw Error(EINVAL, name,
                 "it carries " + there.name() + ", whose fields are not those of " + topic.type,
                 "play it under another name: --remap " + name + ":=/other");

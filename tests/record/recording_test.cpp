@@ -48,6 +48,9 @@ struct Picture {
 struct OtherNote {
   std::uint64_t number = 0;
 };
+struct Chained {
+  ShmRef<const Note> note;
+};
 struct Unlike {
   std::uint64_t count = 0;
 };
@@ -304,6 +307,7 @@ TEST_CASE("a loan of another type is filled if its fields are the same") {
   second->copy_to(loan);
   CHECK(loan.root().value()["number"].as<std::uint64_t>() == 1);
   CHECK(error_of([&] { second->copy_to(unlike.loan()); }).first == EINVAL);
+  CHECK_FALSE(record::is_like(AnyType::of<Chained>(), "uint64 number\n"));
 }
 
 // ---- files of others

@@ -664,7 +664,8 @@ TEST_CASE("an unknown command is told which ones there are") {
   const Ran ran = run_lot({"foo"});
   CHECK(ran.exit == 2);
   CHECK(says(ran.err, "foo"));
-  CHECK(says(ran.err, "The commands are: ls top who echo pub hz bw delay record info play clean doctor\n"));
+  CHECK(says(ran.err,
+             "The commands are: ls top who echo pub hz bw delay record info play clean doctor\n"));
 }
 
 TEST_CASE("a segment that is left while lot ls looks at it is not there") {

@@ -76,7 +76,7 @@ complete -c lot -n '__fish_seen_subcommand_from record' -l split-time -x -d 'beg
 complete -c lot -n '__fish_seen_subcommand_from record' -l duration -x -d 'ends after so long'
 complete -c lot -n '__fish_seen_subcommand_from record' -l max-rate -x -d 'at most so many messages a second of each topic'
 complete -c lot -n '__fish_seen_subcommand_from record' -l quota -x -d 'messages that wait to be written take at most so much of the segment'
-complete -c lot -n '__fish_seen_subcommand_from record' -l last -x -d 'keeps only the last seconds, and writes them at SIGUSR1 or --trigger'
+complete -c lot -n '__fish_seen_subcommand_from record' -l last -x -d 'keeps only the last seconds, and writes them when a trigger comes'
 complete -c lot -n '__fish_seen_subcommand_from record' -l after -x -d 'and writes so long behind that, too'
 complete -c lot -n '__fish_seen_subcommand_from record' -l memory -x -d 'what is kept takes at most so much memory'
 complete -c lot -n '__fish_seen_subcommand_from record' -l trigger -x -d 'each message of it is a trigger'

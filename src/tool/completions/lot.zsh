@@ -112,7 +112,7 @@ _lot() {
             '--duration[ends after so long]:seconds: ' \
             '--max-rate[at most so many messages a second of each topic]:hertz: ' \
             '--quota[messages that wait to be written take at most so much of the segment]:mebibytes: ' \
-            '--last[keeps only the last seconds, and writes them at SIGUSR1 or --trigger]:seconds: ' \
+            '--last[keeps only the last seconds, and writes them when a trigger comes]:seconds: ' \
             '--after[and writes so long behind that, too]:seconds: ' \
             '--memory[what is kept takes at most so much memory]:mebibytes: ' \
             '--trigger[each message of it is a trigger]:topic: '
