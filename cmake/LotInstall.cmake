@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# cmake --install: the library, its headers, the CMake package `lot` (component `ros`: lot::ros)
-# and lot.pc. Both descriptions find their prefix from where they lie, so that the installed tree may be
+# cmake --install: the library, its headers, the CMake package `lot` (components `record`: lot::record,
+# and `ros`: lot::ros) and lot.pc. Both descriptions find their prefix from where they lie, so that the installed tree may be
 # moved.
 include(CMakePackageConfigHelpers)
 
@@ -9,6 +9,15 @@ set(lot_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/lot)
 install(TARGETS lot EXPORT lotTargets COMPONENT dev
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
   LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
+# On top of the static library's inside, which a shared one hides.
+set(lot_record_headers "")
+if(TARGET lot_record AND LOT_FORM STREQUAL STATIC_LIBRARY)
+  install(TARGETS lot_record EXPORT lotRecordTargets COMPONENT dev
+    ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
+  install(EXPORT lotRecordTargets NAMESPACE lot:: DESTINATION ${lot_package_dir} COMPONENT dev)
+else()
+  set(lot_record_headers PATTERN recorder.hpp EXCLUDE PATTERN recording.hpp EXCLUDE)
+endif()
 if(TARGET lot_cli)  # the command, the schema of its documents, its pages, what shells offer
   install(TARGETS lot_cli DESTINATION ${CMAKE_INSTALL_BINDIR})
   install(FILES ${PROJECT_SOURCE_DIR}/src/tool/lot.schema.json
@@ -57,7 +66,7 @@ if(TARGET lot_ros)
 endif()
 set(lot_include_dir ${CMAKE_INSTALL_INCLUDEDIR}/lot)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot/ DESTINATION ${lot_include_dir} COMPONENT dev
-  FILES_MATCHING PATTERN "*.hpp" PATTERN ros EXCLUDE PATTERN ros.hpp EXCLUDE)
+  FILES_MATCHING PATTERN "*.hpp" PATTERN ros EXCLUDE PATTERN ros.hpp EXCLUDE ${lot_record_headers})
 if(TARGET lot_ros)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot/ros DESTINATION ${lot_include_dir} COMPONENT ros)
   install(FILES ${PROJECT_SOURCE_DIR}/include/lot/ros.hpp DESTINATION ${lot_include_dir} COMPONENT ros)

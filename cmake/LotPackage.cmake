@@ -46,9 +46,9 @@ function(lot_package component package section summary text)
 endfunction()
 
 lot_package(dev liblot-dev libdevel "messages in shared memory, without copies - development files"
-"This package has the headers, the static library, and its descriptions for
-CMake and pkg-config."
-  SUGGESTS "libboost-dev, lot-tools")
+"This package has the headers, the static libraries, and their descriptions for
+CMake and pkg-config. The one for recordings needs what is suggested."
+  SUGGESTS "libboost-dev, libdeflate-dev, liblz4-dev, libzstd-dev, lot-tools")
 
 if(TARGET lot_cli)
   lot_package(tools lot-tools utils "messages in shared memory, without copies - command line tool"

@@ -44,7 +44,7 @@ use() {  # PREFIX SCRATCH
   g++ -std=c++17 tests/proof/consumer/main.cpp $flags -o "$scratch/by_pkg_config"
   "$scratch/by_pkg_config"
   local project
-  for project in consumer consumer/ros; do
+  for project in consumer consumer/record consumer/ros; do
     cmake -S "tests/proof/$project" -B "$scratch/$project.tree" -G Ninja -DCMAKE_BUILD_TYPE=Debug \
       -DCMAKE_CXX_FLAGS_DEBUG=-O0 -DCMAKE_PREFIX_PATH="$prefix"
     grep "^lot_DIR:PATH=$prefix/" "$scratch/$project.tree/CMakeCache.txt"
@@ -111,6 +111,7 @@ mistakes=(  # PACKAGE CHECK CHANGE
   "liblot-dev judge gzip -d usr/share/doc/liblot-dev/changelog.gz"
   "lot-tools install_and_use sed -i 's/^Depends: /Depends: no-such-package, /' DEBIAN/control"
   "liblot-dev install_and_use sed -i s/-llot/-lelse/ usr/lib/pkgconfig/lot.pc"
+  "liblot-dev install_and_use rm usr/lib/liblot_record.a"
   "liblot-ros-dev install_and_use rm usr/lib/lot/image_transport/*.so"
   "lot-tools install_and_use mv usr/share/zsh/vendor-completions usr/share/zsh/site-functions")
 
