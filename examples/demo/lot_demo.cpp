@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// Shows what LOT does: one camera process, five consumer processes, beside a plain TCP copy; then
-/// what happens when processes are killed. With --input, a real video instead.
+/// what happens when processes are killed; then frames are recorded and played back. With --input, a
+/// real video instead.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
@@ -107,6 +108,9 @@ int direct(Settings& s) {
   } else {
     good = demo::compare(s);
     good &= demo::crash(s);
+#ifdef LOT_DEMO_RECORDS
+    good &= demo::record(s);
+#endif
   }
   std::printf("\n%s\n", good ? "All is well: nothing lost, nothing leaked."
                              : "FAILED: something was lost or leaked, see above.");

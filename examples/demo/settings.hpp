@@ -56,5 +56,6 @@ int video_camera(const Settings& settings);
 bool compare(const Settings& settings);
 bool crash(const Settings& settings);
 bool video(const Settings& settings);
+bool record(const Settings& settings);  ///< needs the command `lot`
 
 }  // namespace demo
