@@ -27,7 +27,8 @@ import threading
 from headline import QUICK, ROOT, cell, microseconds
 
 # What runs beside; none: nothing does.
-ARMS = {'nothing': None, 'lot top': ['top'], 'lot echo': ['echo', '/ab'], 'lot hz': ['hz', '/ab']}
+ARMS = {'nothing': None, 'lot top': ['top'], 'lot echo': ['echo', '/ab'], 'lot hz': ['hz', '/ab'],
+        'lot record': ['record', '/ab', '-o', 'FILE']}  # FILE: one in a tmpfs, which goes again
 # Title; messages, and a few; what lot_ab is asked for.
 ROWS = (
     ('30 Hz, asleep, 1 MiB', 120, ('--size', '1M', '--wait', 'park')),
@@ -113,8 +114,10 @@ def main():
                 messages = max(messages // QUICK, 10)
             names = list(ARMS)
             for name in names[number % len(names):] + names[:number % len(names)]:  # each one first in turn
-                with tool(arguments.lot, ARMS[name]):
-                    figures[title, name] = measure(arguments.lot_ab, messages, options)
+                with tempfile.TemporaryDirectory(prefix='lot_beside.', dir='/dev/shm') as place:
+                    words = ARMS[name] and [w.replace('FILE', f'{place}/file.mcap') for w in ARMS[name]]
+                    with tool(arguments.lot, words):
+                        figures[title, name] = measure(arguments.lot_ab, messages, options)
         runs.append(figures)
     print(table(runs))
 
