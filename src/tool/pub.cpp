@@ -22,7 +22,7 @@
 #include "tool/documents.hpp"
 #include "tool/onlooker.hpp"
 #include "tool/report.hpp"
-#include "tool/sleep.hpp"
+#include "tool/sleep_until.hpp"
 #include "tool/text.hpp"
 #include "tool/values.hpp"
 #include "transport/participant.hpp"

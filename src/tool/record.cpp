@@ -17,7 +17,7 @@
 #include "tool/commands.hpp"
 #include "tool/onlooker.hpp"
 #include "tool/report.hpp"
-#include "tool/sleep.hpp"
+#include "tool/sleep_until.hpp"
 #include "tool/text.hpp"
 #include "tool/writers.hpp"
 #include "transport/participant.hpp"
