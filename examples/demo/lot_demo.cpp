@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// Shows what LOT does: one camera process, five consumer processes, beside a plain TCP copy; then
-/// what happens when processes are killed; then frames are recorded and played back. With --input, a
-/// real video instead.
+/// what happens when processes are killed; then frames are recorded and played back. With --input,
+/// a real video instead.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
