@@ -73,9 +73,10 @@ namespace my_msgs { template <class A> using Cloud_ = sensor_msgs::PointCloud2_<
 
 # A package `lot` with the targets of the installed one, and a compiler that need not be tried.
 PACKAGE = """
-foreach(name lot ros)
+foreach(name lot record ros)
   add_library(lot::${name} INTERFACE IMPORTED)
 endforeach()
+set(lot_record_FOUND TRUE)
 set(lot_ros_FOUND TRUE)
 """
 PROJECT = """

@@ -25,7 +25,7 @@ subprocess.run([os.environ['REAL'], *words, '--dry-run'], check=True, stdout=sub
 here = pathlib.Path(os.environ['HERE'])
 order = here / 'order'
 number = len(order.read_text().split()) if order.exists() else 0
-tool = ['', 'top', 'echo', 'hz'][(number + number // 12) % 4]
+tool = ['', 'top', 'echo', 'hz', 'record'][(number + number // 15) % 5]
 with order.open('a') as file:
     file.write('x ')
 while tool and not (here / tool).exists():
@@ -69,7 +69,7 @@ def makes_its_table():
     check(done.returncode == 0, f'every command is understood: {done.stderr}')
     check(left == ['lot', 'lot_ab', 'order'], f'each tool has ended: {left}')
     rows = [[cell.strip() for cell in line.split('|')[1:-1]] for line in done.stdout.splitlines()]
-    check(len(rows) == 5 and all(len(row) == 5 for row in rows), f'a table of three rows: {done.stdout}')
+    check(len(rows) == 5 and all(len(row) == 6 for row in rows), f'a table of three rows: {done.stdout}')
     check(rows[2][1:3] == ['10 (10-10)', '20 (20-20), 2.00'], f'the latency, and its ratio: {rows[2]}')
     check(rows[4][1:3] == ['1 (1-1)', '2 (2-2), 2.00'], f'of blocks: the time of a message: {rows[4]}')
 
