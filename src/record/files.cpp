@@ -167,6 +167,16 @@ void Files::write(const Stream& stream, mcap::MessageHead head,
 
 void Files::count_lost(const std::exception& why) {
   if (!writer_) return;
+  const auto* const error = dynamic_cast<const Error*>(&why);
+  if (error != nullptr && error->error_number() == ENOENT) {
+    settle();
+    forget_file();
+  } else if (writer_->lost() != lost_) {
+    settle();  // else the open chunk is still there
+  }
+}
+
+void Files::settle() {
   const auto& written = writer_->statistics().channel_messages;
   for (auto& [line, its] : channels_) {
     const auto found = written.find(its.channel);
@@ -176,12 +186,12 @@ void Files::count_lost(const std::exception& why) {
     ledger_.take(line, &Topic::messages, lost);
     ledger_.add(line, &Topic::lost, lost);
   }
-  const auto* const error = dynamic_cast<const Error*>(&why);
-  if (error != nullptr && error->error_number() == ENOENT) forget_file();
+  lost_ = writer_->lost();
 }
 
 void Files::forget_file() {
   writer_.reset();
+  lost_ = 0;
   channels_.clear();
   schemas_.clear();
 }
@@ -190,6 +200,7 @@ void Files::flush() {
   if (!writer_) return;
   try {
     writer_->flush();
+    settle();
   } catch (const std::exception& e) {
     count_lost(e);
     throw;

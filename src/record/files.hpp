@@ -59,12 +59,15 @@ class Files {
   void note_end();
   /// A write has failed: notes which messages that has cost. A file that was removed is no more.
   void count_lost(const std::exception& why);
+  /// There is no open chunk: what the writer was given and has not written is lost.
+  void settle();
   void forget_file();
 
   const RecorderOptions& options_;
   Ledger& ledger_;
   const Clock& clock_;
   std::optional<mcap::Writer> writer_;
+  std::uint64_t lost_ = 0;  ///< of what the writer has lost, what the ledger says
   std::string path_;
   unsigned number_ = 0;                    ///< of the next file
   std::uint64_t begin_ = 0;                ///< the log time of the file's first message

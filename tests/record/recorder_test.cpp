@@ -8,10 +8,8 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdint>
-#include <cstring>
 #include <filesystem>
 #include <memory>
-#include <numeric>
 #include <string>
 #include <thread>
 #include <utility>
@@ -22,67 +20,20 @@
 #include "lot/lot.hpp"
 
 #include "codec/encode.hpp"
-#include "mcap/reader.hpp"
 #include "record/observer.hpp"
-#include "record/scratch.hpp"
+#include "record/scene.hpp"
 #include "support/error_of.hpp"
-#include "support/must_go.hpp"
 #include "support/processes.hpp"
-#include "support/processes.hpp"  // before write() of mcap/recordings.hpp
 #include "support/small_disk.hpp"
 
 namespace lot::testing {
 namespace {
 
-struct Note {
-  std::uint64_t number = 0;
-};
-struct Picture {
-  std::uint32_t number;
-  ShmString label;
-  ShmVector<std::uint8_t> pixels;
-};
 struct Chained {
   ShmRef<const Note> note;
 };
 
 [[maybe_unused]] const std::string& prefix_taken = prefix();
-
-/// What a file has, in its order.
-struct Content {
-  struct One {
-    std::string topic;
-    std::uint32_t sequence;
-    std::uint64_t log_time;
-    std::uint64_t publish_time;
-    std::string payload;
-  };
-  explicit Content(const std::string& path) : reader(path) {
-    auto each = reader.messages();
-    while (const auto message = each.next()) {
-      messages.push_back({reader.channels().at(message->head.channel).topic, message->head.sequence,
-                          message->head.log_time, message->head.publish_time,
-                          text(message->payload)});
-    }
-  }
-  std::vector<One> of(const std::string& topic) const {
-    std::vector<One> found;
-    for (const One& one : messages) {
-      if (one.topic == topic) found.push_back(one);
-    }
-    return found;
-  }
-  /// What the file's end says of a topic.
-  std::string said(const std::string& topic, const std::string& key) {
-    for (const auto& index : reader.metadata()) {
-      const mcap::Metadata about = reader.read(index);
-      if (about.name == "lot.topic" && about.pairs.at("topic") == topic) return about.pairs.at(key);
-    }
-    return "";
-  }
-  mcap::Reader reader;
-  std::vector<One> messages;
-};
 
 /// A message as CDR.
 template <class T>
@@ -96,46 +47,6 @@ std::string cdr(const T& message) {
     all.append(reinterpret_cast<const char*>(piece.data()), piece.size());
   }
   return all;
-}
-
-void put(ShmPusher<Note>& pusher, std::uint64_t number) {
-  must_go(pusher.push(pusher.loan(Note{number})));
-}
-void put(ShmPusher<Picture>& pusher, std::uint32_t number, std::size_t bytes) {
-  auto picture = pusher.loan();
-  picture->number = number;
-  picture->label = "picture " + std::to_string(number);
-  picture->pixels.resize(bytes);
-  std::iota(picture->pixels.begin(), picture->pixels.end(), static_cast<std::uint8_t>(number));
-  must_go(pusher.push(std::move(picture)));
-}
-std::uint64_t number_in(const std::string& payload) {
-  std::uint64_t number = 0;
-  std::memcpy(&number, payload.data() + 4, sizeof(number));
-  return number;
-}
-
-struct Scene {
-  RecorderOptions what() const {
-    RecorderOptions options;
-    options.path = directory.file();
-    options.topics = {"*"};
-    return options;
-  }
-  Directory directory;
-  EngineOptions where = fresh();
-  ShmEngine engine{where};
-};
-const RecorderStatus::Topic* topic_of(const RecorderStatus& status, const std::string& name) {
-  for (const auto& topic : status.topics) {
-    if (topic.name == name) return &topic;
-  }
-  return nullptr;
-}
-std::uint64_t recorded(const Recorder& recorder, const std::string& name) {
-  const RecorderStatus status = recorder.status();
-  const auto* const topic = topic_of(status, name);
-  return topic == nullptr ? 0 : topic->messages;
 }
 
 TEST_SUITE_BEGIN("record");
