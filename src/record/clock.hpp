@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 
@@ -14,10 +15,18 @@ class Clock {
  public:
   using Steady = std::chrono::steady_clock;
 
-  /// Nanoseconds since 1970.
+  Clock() = default;
+  /// At `steady` it was `begin`, in nanoseconds since 1970.
+  Clock(std::uint64_t begin, Steady::time_point steady) : begin_(begin), steady_(steady) {}
+
+  /// Nanoseconds since 1970; 0 for what was before that.
   std::uint64_t at(Steady::time_point time) const {
-    const auto since = std::chrono::duration_cast<std::chrono::nanoseconds>(time - steady_);
-    return begin_ + static_cast<std::uint64_t>(since.count());
+    const auto between = [](Steady::duration span) {
+      const auto whole = std::chrono::duration_cast<std::chrono::nanoseconds>(span);
+      return static_cast<std::uint64_t>(whole.count());
+    };
+    if (time >= steady_) return begin_ + between(time - steady_);
+    return begin_ - std::min(begin_, between(steady_ - time));
   }
   std::uint64_t now() const { return at(Steady::now()); }
   /// How far the system's clock is ahead of it now.

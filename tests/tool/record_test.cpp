@@ -16,10 +16,8 @@
 #include <lot/lot.hpp>
 #include <lot/recording.hpp>
 
-#include "command.hpp"
-#include "record/scratch.hpp"
+#include "stage.hpp"
 #include "support/janitor.hpp"
-#include "support/must_go.hpp"
 
 namespace {
 
@@ -27,58 +25,9 @@ using namespace lot::testing;
 
 [[maybe_unused]] const bool has_janitor = start_janitor();
 
-struct Pose {
-  double x = 0;
-  lot::ShmString frame;
-};
 struct Other {
   std::uint64_t count = 0;
 };
-
-void put(lot::ShmPusher<Pose>& pusher, double x) {
-  auto pose = pusher.loan();
-  pose->x = x;
-  pose->frame = "map";
-  must_go(pusher.push(std::move(pose)));
-}
-
-/// A segment, and a file.
-struct Stage {
-  std::vector<std::string> record(std::vector<std::string> words) const {
-    words.insert(words.begin(), "record");
-    words.insert(words.end(), {"-o", file()});
-    return on(options, std::move(words));
-  }
-  std::vector<std::string> play(std::vector<std::string> words) const {
-    words.insert(words.begin(), {"play", file()});
-    return on(options, std::move(words));
-  }
-  std::string file() const { return directory.file(); }
-  /// Records ten poses, half a tenth of a second apart from each other.
-  Ran record_ten() {
-    auto pusher = engine.advertise<Pose>("/pose");
-    Running recorder(record({"/pose"}));
-    REQUIRE(recorder.says("writes"));
-    for (int i = 0; i < 10; ++i) {
-      put(pusher, i);
-      std::this_thread::sleep_for(5ms);
-    }
-    return recorder.interrupt();
-  }
-
-  Room room;
-  Directory directory;
-  lot::EngineOptions options = room.options();
-  lot::ShmEngine engine{options};
-};
-
-std::vector<std::string> payloads(const std::string& file) {
-  lot::Recording recording(file);
-  std::vector<std::string> all;
-  auto messages = recording.messages();
-  while (const auto message = messages.next()) all.push_back(text(message->payload()));
-  return all;
-}
 
 TEST_SUITE_BEGIN("record");
 
