@@ -46,14 +46,34 @@ constexpr auto kForThoseThatWait = 500ms;
 constexpr auto kLookForKeys = 20ms;
 /// Further behind than this it does not publish faster to make up for it.
 constexpr auto kMostBehindPlay = 1s;
+/// In nanoseconds: what is due later than in 200 years is never due. A file may say any time.
+constexpr double kNever = 7e18;
+
+/// As the constructor of Recording; EBADMSG for what is no recording.
+Recording opened(const std::vector<std::string>& files) {
+  try {
+    return Recording(files);
+  } catch (const Error& e) {
+    if (e.error_number() != EINVAL) throw;
+    throw Error(EBADMSG, e.object(), reason_of(e), "");
+  }
+}
 
 class Play {
  public:
   Play(const Settings& settings, const PlayOptions& options)
-      : where_(settings.where), options_(options), recording_(options.files), report_(settings) {}
+      : where_(settings.where),
+        options_(options),
+        recording_(opened(options.files)),
+        report_(settings) {}
 
   Exit run() {
     std::signal(SIGPIPE, SIG_IGN);
+    if (options_.paused && !keys_.can_come()) {
+      std::fprintf(stderr, "lot play: --paused needs a terminal, whose space bar goes on\n");
+      return kUsage;
+    }
+    require_renamed();
     const auto participant = join();
     const StopToken stop = stop_on_signals();
     ShmEngine engine(participant);
@@ -62,6 +82,7 @@ class Play {
       report_.hint("nothing of it can be published");
       report_.ends(kWrong);
     } else if (begin(is_new, stop)) {
+      if (paused_at_) say_whether_paused();
       do {
         ++rounds_;
       } while (play_once(stop) && options_.loop);
@@ -110,6 +131,16 @@ class Play {
     setenv("LOT_SEGMENT", segment_.c_str(), 1);
     setenv("LOT_DIR", where_.directory.c_str(), 1);
     return transport::Participant::join(made);
+  }
+
+  /// A name that was mistyped would be published where its owner does not expect it.
+  void require_renamed() const {
+    for (const auto& [name, its_new_name] : options_.renamed) {
+      const auto is_it = [&wanted = name](const RecordedTopic& t) { return t.name == wanted; };
+      if (std::ranges::any_of(recording_.topics(), is_it)) continue;
+      throw Error(ENOENT, name, "the recording has no such topic, and --remap names it",
+                  "`lot info` lists its topics");
+    }
   }
 
   /// True: a topic was not there before.
@@ -169,6 +200,7 @@ class Play {
   bool play_once(const StopToken& stop) {
     RecordingQuery query;
     for (const Out& out : outs_) query.topics.push_back(out.topic->name);
+    if (options_.start > recording_.end() - recording_.begin()) return false;
     const RecordedTime first = recording_.begin() + options_.start;
     query.from = first;
     if (options_.end < recording_.end() - recording_.begin()) {
@@ -217,8 +249,7 @@ class Play {
   /// Waits until the message is due that was recorded so long behind the first one. False: it was
   /// told to stop.
   bool wait_until(std::chrono::nanoseconds behind_first, const StopToken& stop) {
-    const auto after = std::chrono::nanoseconds(
-        std::llround(static_cast<double>(behind_first.count()) / options_.rate));
+    const double after = static_cast<double>(behind_first.count()) / options_.rate;
     for (;;) {
       look_at_keys();
       const auto now = Clock::now();
@@ -226,7 +257,8 @@ class Play {
         if (!sleep_until(now + kLookForKeys, stop)) return false;
         continue;
       }
-      const auto due = begin_ + after;
+      const auto due = after > kNever ? Clock::time_point::max()
+                                      : begin_ + std::chrono::nanoseconds(std::llround(after));
       if (now - due > kMostBehindPlay) {
         behind_ += now - due;
         begin_ += now - due;
@@ -246,8 +278,11 @@ class Play {
       } else {
         paused_at_ = Clock::now();
       }
-      std::fprintf(stderr, "* %s\n", paused_at_ ? "paused: the space bar goes on" : "goes on");
+      say_whether_paused();
     }
+  }
+  void say_whether_paused() const {
+    std::fprintf(stderr, "* %s\n", paused_at_ ? "paused: the space bar goes on" : "goes on");
   }
 
   /// Stays until all that look at the topics have read, but not for long.
