@@ -23,6 +23,7 @@ namespace {
 /// A text may say more than any message has.
 constexpr std::uint64_t kMostElements = std::uint64_t{1} << 32;
 constexpr std::size_t kMostFields = 4096;
+constexpr std::size_t kMostTypes = 1024;
 
 struct Primitive {
   const char* name;
@@ -43,6 +44,15 @@ const Primitive* primitive(const std::string& name) {
   const auto* const found =
       std::ranges::find_if(kPrimitives, [&](const Primitive& p) { return name == p.name; });
   return found == std::end(kPrimitives) ? nullptr : found;
+}
+
+/// ROS allows no other names. `are_alike()` puts them between other signs.
+bool is_name(const std::string& text) {
+  const auto is_letter = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '_';
+  };
+  const auto is_part = [&](char c) { return is_letter(c) || (c >= '0' && c <= '9'); };
+  return !text.empty() && is_letter(text.front()) && std::ranges::all_of(text, is_part);
 }
 
 /// `pkg/msg/Name` and `pkg/Name` are one name.
@@ -75,6 +85,7 @@ class SchemaReader {
       } else if (line.starts_with("MSG: ")) {
         current = short_name(trimmed(line.substr(5)));
         definitions_[current];
+        if (definitions_.size() > kMostTypes) fail("more than 1024 types");
       } else if (auto field = field_of(line)) {
         if (current.empty()) fail("fields behind ===, and no line MSG: that names their type");
         if (++fields_ > kMostFields) fail("more than 4096 fields");
@@ -144,6 +155,7 @@ class SchemaReader {
     if (end != std::string::npos && behind != std::string::npos && rest[behind] == '=') {
       return std::nullopt;  // a constant
     }
+    if (!is_name(field.name)) fail("no name of a field: " + field.name);
     if (const auto bracket = type.find('['); bracket != std::string::npos) {
       read_list(type.substr(bracket), field);
       type.resize(bracket);
@@ -174,8 +186,9 @@ class SchemaReader {
         return found->first;
       }
     }
+    const std::string end = "/" + name;
     const auto found = std::ranges::find_if(
-        definitions_, [&](const auto& each) { return each.first.ends_with("/" + name); });
+        definitions_, [&](const auto& each) { return each.first.ends_with(end); });
     if (found == definitions_.end()) fail("the type " + type + " is not in it");
     return found->first;
   }
@@ -246,7 +259,10 @@ class SchemaReader {
     type.kind = Kind::Struct;
     type.name = name;
     part.fields = "{";
+    std::set<std::string> names;
     for (const FieldText& text : definitions_.at(name)) {
+      line_ = text.line;
+      if (!names.insert(text.name).second) fail("two fields are called " + text.name);
       const Part its = add_field(text, name, level);
       Description::Field field;
       field.name = text.name;

@@ -341,6 +341,13 @@ TEST_CASE("what cannot be decoded is said, and its bytes can be read all the sam
   CHECK(objection("wstring n\n").find("wstring") != std::string::npos);
   CHECK(objection("uint64\n").find("line 1") != std::string::npos);
   CHECK(objection("Count n\n").find("within itself") != std::string::npos);
+  CHECK(objection("uint8 a\nuint8 a\n").find("line 2") != std::string::npos);
+  for (const char* name : {"a:uint8,b", "1", "a-b", "n\x80"}) {
+    CHECK(objection("uint64 " + std::string(name) + "\n").find("no name") != std::string::npos);
+  }
+  std::string many = "uint64 n\n";
+  for (int i = 0; i < 2000; ++i) many += "===\nMSG: p/T" + std::to_string(i) + "\nuint8 n\n";
+  CHECK(objection(many).find("1024 types") != std::string::npos);
   CHECK(objection("uint8[0] n\n").find("array of 0") != std::string::npos);
   CHECK(objection("uint8[18446744073709551616] n\n").find("array of") != std::string::npos);
   Recording recording(file_of_others(directory, "{}", "json", "jsonschema"));
@@ -351,6 +358,11 @@ TEST_CASE("what cannot be decoded is said, and its bytes can be read all the sam
   const auto again = messages.next();
   CHECK(error_of([&] { (void)again->root(); }).first == EINVAL);
   CHECK(error_of([&] { (void)recording.type_of(recording.topics()[0]); }).first == EINVAL);
+}
+
+TEST_CASE("two fields are not taken for one whose name looks like both") {
+  CHECK(record::are_alike("uint8 a\nuint8 b\n", "uint8 a\nbyte b  # the same\n"));
+  CHECK_FALSE(record::are_alike("uint8 a\nuint8 b\n", "uint8 a:uint8,b\n"));
 }
 
 TEST_CASE("metadata that does not say what the schema says is not believed") {
