@@ -902,6 +902,50 @@ class Observers(Case):
                     self.assertEqual((report['type'], report['last'], report['error']), (kind, text, ''))
 
 
+class Recordings(Case):
+    """lot record beside nodes, and lot play for a program that has the type."""
+
+    @staticmethod
+    def record(graph, path):
+        recorder = graph.run([TOOL, 'record', '/t', '-o', str(path)])
+        graph.wait_for(lambda: 'writes' in graph.said(recorder), 'the file')
+        return recorder
+
+    def end(self, graph, recorder):
+        recorder.send_signal(signal.SIGINT)
+        self.assertEqual(recorder.wait(60), 0, graph.output(recorder) + graph.said(recorder))
+
+    def info(self, graph, path):
+        told = subprocess.run([TOOL, 'info', '--json', str(path)], env=graph.env, text=True, capture_output=True,
+                              timeout=60, check=True).stdout
+        (topic,) = json.loads(told)['files'][0]['topics']
+        return {key: topic[key] for key in ('name', 'type', 'messages', 'missed', 'objection')}
+
+    def test_images_are_recorded_as_ros_calls_them_and_played_to_another_program(self):
+        with Graph() as graph:
+            path, again = (graph.home / name for name in ('x.mcap', 'again.mcap'))
+            listener = graph.node('listener', f'sub:lot:/t:{COUNT}')
+            recorder = self.record(graph, path)
+            talker = graph.node('talker', f'pub:lot:/t:{COUNT}:100:100000:wait=1')
+            self.assert_all(graph.report(listener), 0, ['/talker'])
+            self.assertEqual(graph.report(talker)[0]['serialised'], 0)  # nor for the recorder
+            self.end(graph, recorder)
+            expected = {'name': '/t', 'type': 'sensor_msgs/msg/Image', 'messages': COUNT, 'missed': 0, 'objection': ''}
+            self.assertEqual(self.info(graph, path), expected)
+            text = path.read_bytes()
+            for line in (b'\nuint32 height\n', b'\nuint8[] data\n', b'\nMSG: std_msgs/Header\n'):
+                self.assertIn(line, text)
+
+            viewer = graph.node('viewer', f'look:typed:/t:{COUNT}')
+            recorder = self.record(graph, again)
+            play = graph.run([TOOL, 'play', str(path)])
+            self.assertEqual(play.wait(60), 0, graph.output(play) + graph.said(play))
+            self.assert_all(graph.report(viewer), 0, ['/talker'])
+            self.end(graph, recorder)
+            self.assertEqual(self.info(graph, again), expected)
+            self.assertEqual(graph.files(), [])
+
+
 class Settings(Case):
     def test_lot_is_off(self):
         with Graph() as graph:
