@@ -65,6 +65,9 @@ bool WallClock::take() {
   setenv("LD_PRELOAD", path.c_str(), 1);
   setenv(kSetting, setting.c_str(), 1);
   setenv("FAKETIME_NO_CACHE", "1", 1);
+  // Its fstat() takes a semaphore that it shares with its children. A child that ends meanwhile, in
+  // another thread, would keep it.
+  setenv("NO_FAKE_STAT", "1", 1);
   setenv("FAKETIME_DONT_FAKE_MONOTONIC", "1", 1);
   setenv("DONT_FAKE_MONOTONIC", "1", 1);
   std::ifstream commandline("/proc/self/cmdline");
