@@ -229,7 +229,6 @@ class Inside {
  private:
   /// Of what lies in a value of a type, how often it may stand there.
   struct Size {
-    bool is_open = false;
     std::size_t levels = 0;
     std::size_t steps = 0;  ///< 0: not known yet
   };
@@ -237,8 +236,7 @@ class Inside {
   bool ends(std::uint32_t place, std::size_t level) {
     Size& size = sizes_[place];
     if (size.steps != 0) return true;
-    if (size.is_open || level > kMostLevels) return false;
-    size.is_open = true;
+    if (level > kMostLevels) return false;  // as where a type lies in itself
     const Description::Type& t = all_.types[place];
     const bool elsewhere = t.kind == Kind::String || t.kind == Kind::Vector ||
                            t.kind == Kind::Reference || t.kind == Kind::Opaque;
