@@ -11,6 +11,7 @@
 #include <random>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <doctest/doctest.h>
 
@@ -58,6 +59,24 @@ struct Image {
   lot::ShmString encoding;
   lot::ShmVector<std::uint8_t> data;
   std::array<bool, 1 << 17> mask;
+};
+/// Numbers of several sizes without a gap.
+struct Mixed {
+  std::uint64_t a;
+  std::uint32_t b;
+  std::uint16_t c, d;
+};
+struct Mixes {
+  lot::ShmVector<Mixed> points;
+  std::array<std::uint64_t, 1 << 14> numbers;
+  std::uint32_t last;
+};
+struct ThreeBits {
+  std::uint8_t low : 3;
+};
+struct Arrays {
+  std::array<lot::ShmString, 2> texts;
+  std::array<ThreeBits, 3> bits;
 };
 struct Bools {
   bool one;
@@ -191,6 +210,22 @@ TEST_CASE("empty structs, bit-fields, arrays in arrays, vectors in vectors, time
   CHECK(error_of([&] { decode(other.program, bytes_of(wide), other.message); }).first == ERANGE);
 }
 
+TEST_CASE("an array has no count before its texts, nor before its bit-fields") {
+  Made<Arrays> made;
+  made.message.at("texts[0]").set("a");
+  for (std::size_t i = 0; i < 3; ++i) made.message["bits"][i][std::size_t{0}].set(i + 1);
+  const std::string expected =
+      "\x00\x01\x00\x00"
+      "\x02\x00\x00\x00"
+      "a\x00\0\0"
+      "\x01\x00\x00\x00\x00"
+      "\x01\x02\x03"s;
+  CHECK(encoded(made.program, made.message) == expected);
+  Made<Arrays> other;
+  decode(other.program, bytes_of(expected), other.message);
+  CHECK(list_of_values(other.message) == list_of_values(made.message));
+}
+
 TEST_CASE("what ROS 2 does not have is refused when a type is compiled, by its path") {
   const std::pair<int, std::string> reference = refusal<readable::Chain>();
   CHECK(reference.first == EINVAL);
@@ -314,6 +349,24 @@ TEST_CASE("what is large stays in the message, and bools do not") {
   CHECK(encoded(other.program, other.message) == bytes);
 }
 
+TEST_CASE("numbers of several sizes without a gap are one piece, which stays in the message") {
+  Made<Mixes> made(8 << 20);
+  for (const std::size_t count : {std::size_t{1} << 14, std::size_t{0}}) {
+    made.message["points"].resize(count);
+    Encoded parts(64 << 10);
+    encode(made.program, made.message, parts);
+    const Mixes& typed = made.typed();
+    std::vector<std::pair<const void*, std::size_t>> large;
+    for (const auto piece : parts.pieces()) {
+      if (piece.size() >= 64 << 10) large.emplace_back(piece.data(), piece.size());
+    }
+    std::vector<std::pair<const void*, std::size_t>> expected;
+    if (count != 0) expected.emplace_back(typed.points.data(), count * sizeof(Mixed));
+    expected.emplace_back(typed.numbers.data(), sizeof(typed.numbers) + sizeof(typed.last));
+    CHECK(large == expected);
+  }
+}
+
 TEST_CASE("types and values by chance come back as they were") {
   std::mt19937_64 random(lot::testing::seed());
   Heap heap(4 << 20);
@@ -352,6 +405,9 @@ TEST_CASE("the schema of a type is its text as .msg and as IDL") {
   CHECK(lot::codec::schema_of(lot::describe<lot::ShmString>()).msg == "string data\n");
   CHECK(lot::codec::schema_of(lot::describe<std::pair<std::uint8_t, double>>()).name ==
         "std/msg/PairUnsignedCharDouble");
+  Description renamed = lot::describe<readable::Label>();
+  renamed.types[0].name = "Acme/3DLabel";  // a package has no capitals, a name begins with a letter
+  CHECK(lot::codec::schema_of(renamed).name == "acme/msg/DLabel");
 }
 
 TEST_CASE("ROS 1's header has no seq, and its time is ROS 2's") {

@@ -298,6 +298,32 @@ TEST_CASE("a vector that is resized keeps its elements, and what lies in them") 
   CHECK(error_of([&] { built.root["text"].resize(4); }).first == EINVAL);
 }
 
+TEST_CASE("texts in elements that go are given back") {
+  struct Pieces {
+    unsigned char* next;
+    int in_use;
+  };
+  const Fenced fenced;
+  unsigned char* const begin = fenced.begin();
+  Pieces pieces{begin + 4096, 0};
+  const lot::detail::MessageMemory memory{
+      &pieces,
+      [](void* to, std::size_t bytes, std::size_t) {
+        auto& all = *static_cast<Pieces*>(to);
+        ++all.in_use;
+        return static_cast<void*>(std::exchange(all.next, all.next + (bytes + 63) / 64 * 64));
+      },
+      [](void* of, void*, std::size_t) noexcept { --static_cast<Pieces*>(of)->in_use; }};
+  const MutableValue texts(lot::describe<Texts>(), begin, begin, begin + Fenced::kBytes, memory);
+  texts.construct();
+  texts["more"].resize(2);
+  const int without_texts = pieces.in_use;
+  for (const std::size_t i : {0U, 1U}) texts["more"][i].set(kLong);
+  CHECK(pieces.in_use == without_texts + 2);
+  texts["more"].resize(0);
+  CHECK(pieces.in_use == without_texts);
+}
+
 TEST_CASE("a vector that does not fit the segment throws OutOfMemory, and is what it was") {
   Built<Everything> built;
   const MutableValue floats = built.root["floats"];

@@ -249,6 +249,7 @@ TEST_CASE("a Value follows references, and says which lead nowhere") {
   CHECK(root["frame"]["stamp"].as<int>() == 5);
   CHECK(root.at("frame.encoding").as<std::string>() == "rgb8");
   CHECK(root.at("frame.encoding").path() == "frame.encoding");
+  CHECK(root["frame"][std::size_t{0}].as<int>() == 5);
   CHECK(root["frame"].target().kind() == Kind::Struct);
   CHECK(root["frame"].target().address() == read.target.get());
   CHECK(!root["frame"].is_null());
@@ -541,8 +542,21 @@ TEST_CASE("a description that lies about its fields is an error") {
   CHECK(error_of([&] { (void)value["y"].as<double>(); }).first == EBADMSG);
   all.types[0].fields[1].type = 99;
   CHECK(error_of([&] { (void)value["y"].as<double>(); }).first == EBADMSG);
+  all.types.push_back(all.types[1]);
+  all.types.pop_back();  // what lies behind the last type looks like one
+  all.types[0].fields[1].offset = 4;
+  all.types[0].fields[1].type = static_cast<std::uint32_t>(all.types.size());
+  CHECK(error_of([&] { (void)value["y"].as<double>(); }).first == EBADMSG);
   all.types[0].size = 1 << 20;
   CHECK(error_of([&] { (void)value["x"].as<double>(); }).first == EBADMSG);
+}
+
+TEST_CASE("a vector that is not aligned is an error") {
+  alignas(8) const unsigned char zeros[64] = {};
+  const Value value(lot::describe<lot::ShmVector<float>>(), zeros + 4, zeros, zeros + sizeof zeros);
+  const auto [error, text] = error_of([&] { (void)value.size(); });
+  CHECK(error == EBADMSG);
+  CHECK(names(text, "it is not aligned"));
 }
 
 /// A description as no parser lets it through.

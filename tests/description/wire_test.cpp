@@ -279,6 +279,12 @@ TEST_CASE("a field lies in its struct, also one of some bits") {
   CHECK(!good(Kind::UInt, 4, {"f", 1, 0, 1, 0}));  // a bit, and no number of bits
   CHECK(good(Kind::Struct, 8, {"f", 1, 0, 0, 0}));
   CHECK(!good(Kind::Struct, 9, {"f", 1, 0, 0, 0}));
+  Description empty{{typed(Kind::Struct, 8), typed(Kind::Array, 0), typed(Kind::UInt, 4)}};
+  empty.types[1].element = 2;
+  for (const std::uint64_t offset : {7U, 8U, 9U}) {  // no elements: they may lie at the end
+    empty.types[0].fields = {{"f", 1, offset, 0, 0}};
+    CHECK(decode(raw(empty)).has_value() == (offset <= 8));
+  }
 
   for (const Kind kind : {Kind::UInt, Kind::Int, Kind::Bool, Kind::Char}) {
     CHECK(good(kind, 1, {"f", 1, 7, 0, 8}));

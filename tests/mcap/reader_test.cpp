@@ -225,6 +225,8 @@ TEST_CASE("what a chunk says wrong skips it as a whole, and is counted") {
     mcap::Stream stream(directory.file());
     CHECK(lines(stream) == std::vector<std::string>{"1 7 2 0 x"});
     CHECK(stream.damage().chunks == 1);
+    CHECK(stream.damage().bytes ==
+          Forge().chunk(head, records).text().size() - Forge().text().size());
     CHECK(names(stream.damage().first, why));
     mcap::Reader reader(directory.file());
     CHECK(lines(reader.messages()) == std::vector<std::string>{"1 7 2 0 x"});
@@ -294,6 +296,12 @@ TEST_CASE("a forged summary leads nowhere: the file is read") {
     CHECK_FALSE(reader.has_summary());
     CHECK(lines(reader.messages()) == messages);
   }
+  std::string other_end = whole;
+  other_end.back() = 'x';
+  write_file(directory.file(), other_end);
+  mcap::Reader unsigned_file(directory.file());
+  CHECK_FALSE(unsigned_file.has_summary());
+  CHECK(lines(unsigned_file.messages()) == messages);
   // The chunks' places in the index, moved: a reader skips what is not there.
   for (std::size_t at = summary; at < footer; ++at) {
     std::string bytes = whole;

@@ -126,6 +126,23 @@ TEST_CASE("what a Writer writes is read, with each compression, with and without
   }
 }
 
+TEST_CASE("a Writer that is told nothing makes chunks of 1 MiB, by the usual level") {
+  const Directory directory;
+  const auto write = [&](const char* name, const mcap::WriterOptions& how) {
+    mcap::Writer writer(directory.file(name), how);
+    const auto channel = add_channel(writer, "/a");
+    for (unsigned i = 0; i < 1200; ++i) put(writer, {channel, i, i, i}, payload(i, 1000));
+    writer.close();
+    CHECK(mcap::Reader(directory.file(name)).chunks().size() == 2);
+    return read_file(directory.file(name));
+  };
+  mcap::WriterOptions untold;
+  untold.compression = Compression::Zstd;
+  mcap::WriterOptions usual = untold;
+  usual.level = 0;
+  CHECK(write("untold.mcap", untold) == write("usual.mcap", usual));
+}
+
 TEST_CASE("a large message has a chunk of its own, and comes in pieces") {
   const Directory directory;
   mcap::Writer writer(directory.file(), options());
