@@ -127,6 +127,15 @@ TEST_CASE("lot top sorts by the column that is chosen; rates that are alike stay
   CHECK(order(board) == "bca");
 }
 
+TEST_CASE("a rate below one comes before none") {
+  std::vector<Watched> all(1);
+  all[0].topics = {activity("/never", 0, 0), activity("/seldom", 0.1, 0)};
+  Board board;
+  board.press('r');
+  const std::string rows = text(board.tables(all, 200));
+  CHECK(rows.find("/seldom") < rows.find("/never"));
+}
+
 TEST_CASE("left and right go round the columns that are on the screen") {
   Board board;
   (void)board.tables(segments(), 20);

@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstring>
 #include <fcntl.h>
+#include <optional>
 #include <random>
 #include <string>
 #include <sys/stat.h>
@@ -19,6 +20,7 @@
 
 #include "actor.hpp"
 #include "command.hpp"
+#include "robust_mutex/lock_word.hpp"
 #include "support/janitor.hpp"
 #include "support/window.hpp"
 #include "tool/rates.hpp"
@@ -289,6 +291,9 @@ TEST_CASE("each kind of damage is named") {
   CHECK(says(said(72 + 8, 0), "its header is damaged"));
   CHECK(says(said(geometry.directory + offsetof(lot::segment::Directory, lock), 400),
              "the lock of the registry: its holder can not be"));
+  CHECK(says(said(geometry.directory + offsetof(lot::segment::Directory, lock),
+                  lot::lock::make_name(capacity.participants, 0)),
+             "the lock of the registry: its holder can not be"));
   CHECK(says(said(geometry.participants + 64, 7), "process 1: its state is 7"));
   CHECK(says(said(geometry.channels + offsetof(ChannelEntry, topic), 999), "its topic can not be"));
   CHECK(says(said(geometry.channels + offsetof(ChannelEntry, depth), 1 << 30),
@@ -296,7 +301,9 @@ TEST_CASE("each kind of damage is named") {
   CHECK(says(said(geometry.channels, 5000 | 2 << 24), "its publisher can not be"));
   CHECK(says(said(geometry.channels + 3, 77), "its state is 77"));
   const auto ring = place_of_ring(0);
-  CHECK(says(said(ring + sizeof(lot::segment::RingHead), 999), "a reader of it can not be"));
+  const std::string forged = said(ring + sizeof(lot::segment::RingHead), 999);
+  CHECK(says(forged, "a reader of it can not be"));
+  CHECK(!says(forged, "998"));  // nor is it listed
   CHECK(says(said(ring + sizeof(lot::segment::RingHead) + 64, 0x7fff0),
              "a slot of it names a message that can not be"));
   CHECK(says(said(ring + sizeof(lot::segment::RingHead) + 64 + 64, 0x7fff0),
@@ -363,6 +370,20 @@ TEST_CASE("a segment that is cut short while it is looked at is said to be so") 
     REQUIRE(!seen.damage.empty());
     CHECK(seen.damage.back() == "it is shorter than it was when we began to look");
   }
+}
+
+TEST_CASE("a segment may be cut short when the one that was opened before it is closed") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const std::string path = room.path() + "/s";
+  for (const std::string& file : {path, room.path() + "/older"}) write_to(file, image());
+  std::optional<lot::tool::Window> older(std::in_place, room.path() + "/older",
+                                         lot::segment::Trust{});
+  lot::tool::Window newer(path, {});
+  older.reset();
+  REQUIRE(truncate(path.c_str(), 4096) == 0);
+  (void)lot::tool::observe(newer);
+  CHECK(newer.torn());
 }
 
 TEST_SUITE_END();

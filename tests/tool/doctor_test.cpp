@@ -213,6 +213,8 @@ TEST_CASE("lot doctor finds limits of a process and of the machine that are too 
     m.commit_left = 4096 * kMiB;
   }));
   CHECK(well([](Machine& m) { m.group_bytes = 4096 * kMiB; }));
+  CHECK(well([](Machine& m) { m.file_bytes = 1024 * kMiB; }));  // just what a new segment takes
+  CHECK(well([](Machine& m) { m.segments.at(0).bytes = m.free_bytes + 64 * kMiB; }));
   CHECK(well([](Machine& m) {
     m.wanted_bytes = 100 * kMiB;
     m.file_bytes = 512 * kMiB;

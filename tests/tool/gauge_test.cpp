@@ -293,6 +293,18 @@ TEST_CASE("a topic that falls silent has no rate, and has one again when message
   (void)hz.document(has_rate);
 }
 
+TEST_CASE("of a slow topic lot hz tells the rate, and how long ago its last message came") {
+  const Watchdog watchdog(120);
+  const Room room;
+  const Publisher publisher(room.options(), "camera", "/notes", 3s, false);
+  Running hz(on(room.options(), {"hz", "/notes", "--interval", "100"}));
+  std::string line;
+  for (int n = 0; n < 400 && line.find("/s") == line.npos; ++n) line = hz.line();
+  for (int n = 0; n < 200 && line.find(", the last ") == line.npos; ++n) line = hz.line();
+  CHECK_MESSAGE(line.find(", the last ") != line.npos, line);
+  CHECK(line.ends_with(" ago"));
+}
+
 TEST_CASE("the gauges wait for a topic, and end with 1 when nothing came") {
   const Watchdog watchdog(120);
   for (const char* verb : {"hz", "bw", "delay"}) {

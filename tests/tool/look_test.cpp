@@ -38,6 +38,10 @@ bool says(const std::string& text, const std::string& part) {
   return text.find(part) != std::string::npos;
 }
 
+struct Refers {
+  lot::ShmRef<const Letter> to;
+};
+
 /// All paths to values in a document; "[]" stands for each element of a list.
 void collect_keys(const Json& value, const std::string& path, std::set<std::string>& keys) {
   if (value.is_object()) {
@@ -762,6 +766,67 @@ TEST_CASE("a queue whose items are taken: the process that has one, and those th
   CHECK(seen.at("messages").at(0).at("holders").size() == 1);
   CHECK(seen.at("messages").at(0).at("holders").at(0).at("process") == 2);
   CHECK(seen.at("messages").at(0).at("holders").at(0).at("how") == "keeps");
+}
+
+TEST_CASE("a process that puts into a full queue waits for any of those that take from it") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  lot::QueueOptions how;
+  how.depth = 3;
+  lot::ShmEngine engine(options);
+  auto taken = engine.queue<lot::ShmUniquePtr<Parcel>>("/queue", how);
+  taken.listen();
+  Child putter([&] {
+    lot::ShmEngine mine(options);
+    auto queue = mine.queue<lot::ShmUniquePtr<Parcel>>("/queue", how);
+    for (;;) (void)queue.put(queue.make());
+  });
+  Json waiting;
+  REQUIRE(eventually([&] {
+    const Json document = run_lot(on(options, {"who", "--json"})).json();
+    waiting = document.at("segments").at(0).value("waiting", Json::array());
+    return !waiting.empty();
+  }));
+  REQUIRE(waiting.size() == 1);
+  CHECK(waiting.at(0).at("process") == 2);
+  CHECK(waiting.at(0).at("topic") == "/queue");
+  CHECK(waiting.at(0).at("waits_for") == Json::array({1}));
+  const Json document = run_lot(on(options, {"ls", "--json", "--interval", "1"})).json();
+  const Json& processes = document.at("segments").at(0).at("processes");
+  REQUIRE(processes.size() == 2);
+  CHECK(processes.at(0).at("bytes") == 0);  // it has made no message
+  CHECK(processes.at(1).at("bytes") >= 4 * sizeof(Parcel));
+}
+
+TEST_CASE("a message that another one refers to has its maker for a holder") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  lot::ShmEngine engine(options);
+  Steps ready;
+  Child child([&] {
+    lot::ShmEngine mine(options);
+    auto letters = mine.subscribe<Letter>("/others");
+    auto out = mine.advertise<Refers>("/refers");
+    ready.tell();
+    auto message = out.loan();
+    message->to = letters.pull();
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() == '.');
+  auto pusher = engine.advertise<Letter>("/others");
+  must_go(pusher.push(pusher.loan()));
+  REQUIRE(ready.next() == '.');
+  const Json seen = run_lot(on(options, {"who", "--json"})).json().at("segments").at(0);
+  std::set<std::string> how;
+  for (const auto& message : seen.at("messages")) {
+    for (const auto& holder : message.at("holders")) {
+      if (holder.at("process") == 2) how.insert(holder.at("how"));
+    }
+  }
+  CHECK(how.count("refers") == 1);
 }
 
 TEST_CASE("what waits in a queue is seen when its putter has gone, and what is unfinished") {

@@ -161,8 +161,10 @@ TEST_CASE("lot echo shows each message of a lot pub that leaves at once") {
   });
   for (unsigned n = 0; n < 20; ++n) {
     const Ran ran = robot.run({"{number: " + std::to_string(n) + "}", "--json"});
+    CHECK(ran.json()["subscribers"] == 1);
     CHECK(ran.json()["observers"] == 1);
     CHECK(ran.json()["unread"] == 0);
+    CHECK(ran.json()["hints"].empty());
     CHECK(echo.line() == std::to_string(n));
   }
   reads.join();
@@ -367,6 +369,14 @@ TEST_CASE("--rate publishes nothing before it is due, and several messages take 
     REQUIRE(envelope.pushed);
     CHECK(*envelope.pushed - before >= n * std::chrono::milliseconds(5));
   }
+}
+
+TEST_CASE("at a rate, all documents of standard input take turns") {
+  const Watchdog watchdog(60);
+  Robot robot;
+  const Ran ran = robot.run_with("number: 1\n---\nnumber: 2\n", "- --rate 200 --count 4");
+  CHECK(ran.exit == 0);
+  for (const unsigned number : {1U, 2U, 1U, 2U}) CHECK(robot.next() == number);
 }
 
 TEST_CASE("--rate makes up for a delay: each message has a time of its own") {

@@ -162,6 +162,9 @@ TEST_CASE("lot ls shows ten publishers and ten subscribers of a topic in three r
   CHECK(count(few, "/a/topic") == kMany);
   CHECK(count(few, "10 processes /a_publisher") == 1);
   CHECK(count(few, "10 processes /a_subscriber") == 1);
+  // Many processes have no pid together: behind the name comes since when they are there.
+  const std::string together = line_with(few, "10 processes /a_publisher");
+  CHECK(std::count(together.begin(), together.end(), ' ') == 6);
   CHECK(line_with(few, "10 publishers").find("10 publishers 10 processes overwrite 30 of 40 <") ==
         0);
   CHECK(line_with(few, "10 subscribers") == "10 subscribers 10 processes 30");
@@ -200,7 +203,7 @@ TEST_CASE("up to three publishers that are alike have a row each, more share one
   std::vector<tool::Channel> channels;
   for (std::uint32_t n = 1; n <= 4; ++n) {
     CHECK(tool::rows(channels, false).size() == channels.size());
-    channels.push_back(channel(n, {reader(9, n), reader(8, 0)}));
+    channels.push_back(channel(n, {reader(9, n), reader(8, 0, n)}));
   }
   const auto rows = tool::rows(channels, false);
   REQUIRE(rows.size() == 1);
@@ -210,6 +213,7 @@ TEST_CASE("up to three publishers that are alike have a row each, more share one
   REQUIRE(rows.at(0).sum.readers.size() == 2);
   CHECK(rows.at(0).sum.readers.at(0).lag == 1 + 2 + 3 + 4);
   CHECK(rows.at(0).sum.readers.at(1).lag == 0);
+  CHECK(rows.at(0).sum.readers.at(1).lost == 1 + 2 + 3 + 4);
   CHECK(tool::rows(channels, true).size() == 4);
 }
 

@@ -57,8 +57,12 @@ struct OwnClock {
   using time_point = std::chrono::time_point<OwnClock>;
   static constexpr bool is_steady = false;
 };
+struct Whole {
+  std::uint32_t sec;
+};
 struct Timed {
   Header header;
+  Whole whole;
   std::chrono::system_clock::time_point taken;
   std::chrono::time_point<std::chrono::steady_clock, std::chrono::microseconds> read;
   std::chrono::nanoseconds since_boot;
@@ -214,7 +218,7 @@ TEST_CASE("a field that has no time is refused, and the words say which would do
     return error_of([&] { TimeField(path).begin(lot::describe<Timed>()); });
   };
   for (const char* path : {"header.seq", "header", "header.frame_id", "header.stamp.sec", "more",
-                           "none", "more[2]", "own", ""}) {
+                           "none", "more[2]", "own", "whole", ""}) {
     CAPTURE(std::string(path));
     CHECK(error(path).first == EINVAL);
   }

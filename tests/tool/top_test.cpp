@@ -434,6 +434,24 @@ TEST_CASE("names that would steer a terminal reach it harmless") {
   CHECK(says(text.out, "1 a?[2Jb??1m"));
 }
 
+TEST_CASE("in a terminal, too, lot top --once is text, and so is what goes elsewhere") {
+  const Watchdog watchdog(100);
+  const Room room;
+  const auto options = room.options();
+  const Child child = letters(options, "child", "/letters", 10);
+  REQUIRE(eventually([&] {
+    return says(run_lot(on(options, {"ls", "--interval", "1"})).out, "/letters");
+  }));
+  const std::string file = room.path() + "/text";
+  const Terminal terminal(room, 200, 40,
+                          top_of(options, "--once") + "; echo ended by $?; " + top_of(options) +
+                              " >" + file + "; echo both ended; exec sleep 100");
+  REQUIRE_MESSAGE(terminal.shows("ended by 0"), terminal.text());
+  REQUIRE_MESSAGE(terminal.shows("both ended"), terminal.text());
+  CHECK(terminal.shows("/letters"));
+  CHECK(says(bytes_of(file), "/letters"));
+}
+
 TEST_CASE("without a terminal lot top prints one screen as text, and ends as lot ls does") {
   const Watchdog watchdog(100);
   const Room room;

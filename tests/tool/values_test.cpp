@@ -50,6 +50,10 @@ struct Flags {
   bool each[2];
   lot::ShmVector<std::pair<bool, std::uint8_t>> pairs;
 };
+struct Limits {
+  lot::ShmVector<std::int64_t> least;
+  lot::ShmVector<std::uint64_t> most;
+};
 struct Second {
   lot::ShmRef<const lot::ShmRef<const Chain>> to;
 };
@@ -328,6 +332,26 @@ TEST_CASE("a token that is told to stop ends the writing of a large message") {
   lot::tool::JsonWriter part;
   CHECK(!write(part, picture, all, source.get_token()));
   CHECK(part.take().size() < 8192);  // far from the end
+}
+
+TEST_CASE("a token that is told to stop ends the writing of one large text") {
+  Shown shown;
+  shown.message->text.assign(1 << 16, 'x');
+  const lot::TextLimits all{~0ULL, ~0ULL, 1ULL << 26};
+  lot::StopSource source;
+  source.request_stop();
+  lot::tool::JsonWriter writer;
+  CHECK(!write(writer, shown.root().at("text"), all, source.get_token()));
+}
+
+TEST_CASE("lists of the largest numbers are written as they are") {
+  Place place;
+  auto limits = place.engine.make<Limits>();
+  limits->least.push_back(INT64_MIN);
+  limits->most.push_back(UINT64_MAX);
+  const Value value = lot::detail::value_of(lot::describe<Limits>(), limits.get());
+  CHECK(to_json(value["least"]) == "[-9223372036854775808]");
+  CHECK(to_json(value["most"]) == "[18446744073709551615]");
 }
 
 TEST_CASE("YAML has the lines that people write") {

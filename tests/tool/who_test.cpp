@@ -493,6 +493,15 @@ TEST_CASE("since when a message is kept is known after some seconds, and grows")
   reader.act(kLetters, "end");
   reader.act(kLetters, "release");
   CHECK(ages().empty());
+  publisher.act(kLetters, "loan");
+  publisher.act(kLetters, "push");
+  reader.act(kLetters, "pull");
+  const Json young = run_lot(on(options, {"who", "--json"})).json();
+  REQUIRE(segment_of(young).at("messages").size() == 1);
+  const Json& holder = segment_of(young).at("messages").at(0).at("holders").at(0);
+  CHECK(holder.at("process") == reader.index());
+  // It is not known yet, or no more than what has passed since the last look.
+  CHECK(holder.at("seconds").is_null() != holder.at("at_most_seconds").is_null());
 }
 
 TEST_SUITE_END();
