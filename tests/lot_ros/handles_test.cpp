@@ -340,6 +340,28 @@ TEST_CASE("a publisher that is shut down publishes no more, whatever copies ther
   CHECK(ear.heard == Words{"first"});
 }
 
+TEST_CASE("a subscriber that is shut down is none, and another one of its topic goes on") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  Ear first, second;
+  auto one = node.subscribe<String>(topic, 10, first.callback());
+  auto other = node.subscribe<String>(topic, 10, second.callback());
+  const auto copy = one;
+  CHECK(one == copy);
+  CHECK_FALSE(one == other);
+  CHECK(one != other);
+  auto talker = node.advertise<String>(topic, 10);
+  REQUIRE(comes([&] { return other.getNumPublishers() == 1; }));
+  one.shutdown();
+  CHECK_FALSE(one);
+  CHECK(one == lot::ros::Subscriber());
+  CHECK(copy.getNumPublishers() == 0);
+  CHECK(other.getNumPublishers() == 1);
+  say(talker, "further");
+  CHECK(comes([&] { return second.heard == Words{"further"}; }));
+  CHECK(first.heard.empty());
+}
+
 TEST_CASE("a late subscriber gets what each publisher has latched, and so does one beside it") {
   lot::ros::NodeHandle node;
   const auto topic = fresh_topic();
@@ -643,6 +665,20 @@ TEST_CASE("memory that was reserved is used") {
   image->data.resize(1 << 20);
   CHECK(image.is_shared());
   lot::ros::Publisher<Image>().reserve(1, 1);  // nobody's: nothing
+}
+
+TEST_CASE("plain subscribers of the publisher's process get messages that no code serialises") {
+  lot::ros::NodeHandle node;
+  const auto topic = fresh_topic();
+  Words heard;
+  auto plain = node.subscribe<std_msgs::String>(
+      topic, 10, [&](const std_msgs::String& s) { heard.push_back(s.data); });
+  auto talker = node.advertise<String>(topic, 10);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  say(talker, "one");
+  say(talker, "two");
+  CHECK(comes([&] { return heard == Words{"one", "two"}; }));
+  CHECK(talker.serialised() == 0);
 }
 
 TEST_CASE("a burst is heard once, and what follows, when a plain subscriber is found") {
@@ -1104,6 +1140,38 @@ TEST_CASE("a callback on LOT's thread holds up no thread that ends or opens anot
   }
   say(voice, "still here");
   CHECK(comes_unspun([&] { return heard == 1; }));
+}
+
+TEST_CASE("a frame that LOT's thread has yet to look at goes with its topic's last subscriber") {
+  auto node = immediate();
+  lot::ros::NodeHandle other;
+  ros::NodeHandle plain;
+  const auto topic = fresh_topic();
+  std::atomic<bool> is_held{false};
+  std::atomic<bool> goes_on{false};
+  auto holder = node.subscribe<String>(topic, 10, [&](const String&) {
+    is_held = true;
+    (void)comes_unspun([&] { return goes_on.load(); });
+    is_held = false;
+  });
+  auto talker = node.advertise<String>(topic, 10);
+  auto voice = plain.advertise<std_msgs::String>(topic + "/plain", 10);
+  REQUIRE(comes([&] { return talker.getNumSubscribers() == 1; }));
+  for (int round = 0; round < 5; ++round) {
+    goes_on = false;
+    Ear ear;
+    auto listener = other.subscribe<String>(topic + "/plain", 10, ear.callback());
+    REQUIRE(comes([&] { return voice.getNumSubscribers() == 1; }));
+    say(talker, "hold");
+    REQUIRE(comes_unspun([&] { return is_held.load(); }));
+    voice.publish(std_msgs::String());
+    std::this_thread::sleep_for(20ms);  // the frame is on its way
+    listener.shutdown();
+    goes_on = true;
+    CHECK(comes_unspun([&] { return !is_held; }));
+    CHECK(comes([&] { return voice.getNumSubscribers() == 0; }));
+    CHECK(ear.heard.empty());
+  }
 }
 
 TEST_CASE("the last subscriber of a process ends while another one's callback is at work") {

@@ -291,6 +291,67 @@ TEST_CASE("clouds go to PCL and back with every point") {
   }
 }
 
+TEST_CASE("points of three floats, or none, go to PCL's points, which are larger") {
+  using F = sensor_msgs::PointField;
+  Made<Cloud> cloud;
+  lot::ros::PointCloud2Modifier modifier(*cloud);
+  modifier.setPointCloud2Fields(3, "x", 1, F::FLOAT32, "y", 1, F::FLOAT32, "z", 1, F::FLOAT32);
+  modifier.resize(100);
+  REQUIRE(cloud->point_step == 12);
+  float next = 0;
+  for (lot::ros::PointCloud2Iterator<float> x(*cloud, "x"); x != x.end(); ++x) {
+    for (int i = 0; i < 3; ++i) x[i] = next++;
+  }
+  pcl::PointCloud<pcl::PointXYZ> points;
+  pcl::fromROSMsg(*cloud, points);
+  REQUIRE(points.size() == 100);
+  CHECK(points[1].x == 3);
+  CHECK(points[99].z == 299);
+  cloud->width = cloud->height = cloud->row_step = 0;
+  cloud->data.clear();
+  pcl::fromROSMsg(*cloud, points);
+  CHECK(points.empty());
+}
+
+TEST_CASE("a cloud of several rows that is cleared has none") {
+  Made<Cloud> cloud;
+  lot::ros::PointCloud2Modifier modifier(*cloud);
+  modifier.setPointCloud2FieldsByString(1, "xyz");
+  modifier.resize(100);
+  cloud->width = cloud->height = 10;
+  cloud->row_step = 10 * cloud->point_step;
+  modifier.clear();
+  CHECK(cloud->width == 0);
+  CHECK(cloud->height == 0);
+  CHECK(cloud->row_step == 0);
+  CHECK(cloud->data.empty());
+}
+
+TEST_CASE("of the standard messages that have gone a converter keeps some, and no more") {
+  static int in_use = 0;
+  lot::ros::detail::Kind kind = lot::ros::detail::kind_of<Image>();
+  kind.standard.make = []() -> void* {
+    ++in_use;
+    return new sensor_msgs::Image;
+  };
+  kind.standard.destroy = [](void* image) noexcept {
+    --in_use;
+    delete static_cast<sensor_msgs::Image*>(image);
+  };
+  const auto message = boost::make_shared<Image>();
+  constexpr int kKept = lot::ros::detail::Converter::kIdle;
+  {
+    const auto converter = lot::ros::detail::make_converter(kind);
+    for (const int count : {kKept + 5, 1, kKept + 1}) {
+      std::vector<boost::shared_ptr<void const>> all;
+      for (int i = 0; i < count; ++i) all.push_back(converter->make(message));
+      all.clear();
+      CHECK(in_use == kKept);
+    }
+  }
+  CHECK(in_use == 0);
+}
+
 TEST_CASE("a standard message is made once for all that ask, in memory that is used again") {
   lot::ShmEngine engine(options());
   auto out = engine.advertise<Image>("/made");

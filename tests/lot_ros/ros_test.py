@@ -968,8 +968,9 @@ class Settings(Case):
     def test_a_wrong_setting_is_said_and_messages_go_over_tcpros(self):
         for name, value, words in (('queue', 'heap', 'write ring or mutex'),
                                    ('size', '12 potatoes', 'not a size'),
+                                   ('size', '-64M', 'not a size'),
                                    ('segment', 'no/such', 'LOT is off')):
-            with self.subTest(name=name), Graph() as graph:
+            with self.subTest(name=name, value=value), Graph() as graph:
                 graph.env.pop('LOT_SEGMENT')
                 graph.set_parameter(f'/talker/lot/{name}', value)
                 graph.set_parameter('/listener/lot/segment', graph.segment)
