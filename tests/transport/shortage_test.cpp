@@ -14,6 +14,7 @@
 
 #include "lot/lot.hpp"
 
+#include "segment/segment.hpp"
 #include "support/error_of.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
@@ -202,6 +203,35 @@ TEST_CASE("OutOfMemory where all blocks are in use names the processes that have
     CHECK(names(text, "blocks are of /owner"));
     CHECK(names(text, "let that one keep fewer messages"));
   }
+}
+
+TEST_CASE("each message of a publisher that has left goes for a need of blocks") {
+  const Watchdog watchdog(60);
+  auto options = named("node");
+  options.blocks = 64;
+  lot::ShmEngine engine(options);
+  const auto reader = engine.subscribe<Note>("/left");
+  lot::PusherOptions how;
+  how.fast_lane = false;
+  how.depth = 3;
+  auto pusher = engine.advertise<Note>("/late", how);
+  Child leaver([&] {
+    lot::ShmEngine theirs(options);
+    lot::PusherOptions all = how;
+    all.depth = options.blocks;
+    auto left = theirs.advertise<Note>("/left", all);
+    std::vector<lot::ShmUniquePtr<Note>> loans;
+    (void)refusal_of_blocks(left, loans);
+    for (auto& loan : loans) must(left.push(std::move(loan)) == lot::Status::Ok, "pushed");
+  });
+  CHECK(leaver.wait() == 0);
+  const lot::segment::Segment view(engine.path());
+  const auto& home = view.block(0).home;  // where a word says nothing, it says block 0
+  REQUIRE(home.load() == lot::refcount::kHomeOrphanage);
+  std::vector<lot::ShmUniquePtr<Note>> loans;
+  (void)refusal_of_blocks(pusher, loans);
+  CHECK(loans.size() == options.blocks);
+  CHECK(home.load() != lot::refcount::kHomeOrphanage);
 }
 
 TEST_CASE("OutOfMemory of a full file system says what is free there, and advises another one") {
