@@ -204,6 +204,48 @@ TEST_CASE_FIXTURE(Fixture, "a push wakes readers behind two that are woken and d
   CHECK_FALSE(has_thread("lot-rouser"));  // it has gone with the last handle
 }
 
+/// Waits for a message of a topic by a wait set that is large enough to have an ear.
+void await_by_ear(lot::ShmEngine& shm) {
+  const lot::PullerOptions parks{lot::Wait::Park, 0};
+  auto puller = shm.subscribe<Number>("/t", parks);
+  std::deque<lot::ShmPuller<Number>> quiet;
+  bool has_read = false;
+  lot::WaitSet set(lot::Wait::Park);
+  set.add(puller, [&] { has_read = has_read || puller.try_pull(); });
+  for (int i = 0; i < 10; ++i) {
+    quiet.push_back(shm.subscribe<Number>("/quiet" + std::to_string(i), parks));
+    set.add(quiet.back(), [] {});
+  }
+  while (!has_read) set.run_once(1h);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a push wakes two wait sets itself, and leaves others to the rouser") {
+  with_each_engine([&](QueueEngine engine) {
+    constexpr unsigned kSets = 4;
+    lot::ShmEngine shm(options);
+    auto pusher = shm.advertise<Number>("/t", Topic::pushing(engine));
+    std::deque<lot::ShmPusher<Number>> quiet;
+    for (int i = 0; i < 10; ++i) {
+      quiet.push_back(shm.advertise<Number>("/quiet" + std::to_string(i)));
+    }
+    std::vector<std::thread> readers;
+    for (unsigned i = 0; i < kSets; ++i) readers.emplace_back([&shm] { await_by_ear(shm); });
+    const auto participant = lot::transport::Participant::join(options);
+    const auto& segment = participant->segment();
+    const auto asleep = [&segment] {
+      unsigned count = 0;
+      segment.listeners()[0].each(
+          [&](std::uint32_t ear) { count += segment.ear(ear).words->bell.word() & 1; });
+      return count;
+    };
+    while (asleep() != kSets) std::this_thread::sleep_for(1ms);
+    CHECK_FALSE(has_thread("lot-rouser"));
+    must_go(pusher.push(pusher.loan(Number{1})));
+    for (std::thread& reader : readers) reader.join();
+    CHECK(has_thread("lot-rouser"));
+  });
+}
+
 TEST_CASE_FIXTURE(Fixture, "a push that wakes a reader that is alone starts no rouser") {
   with_each_engine([&](QueueEngine engine) {
     Topic topic(options, engine);
