@@ -44,6 +44,7 @@ void PointerHub::fill_pointers() noexcept {
   };
   shared_from_unique = [](detail::ControlBlock* c) noexcept {
     const PointerHub& p = of(c);
+    if (p.membership_.is_inert()) return;
     // Only one thread has the pointer.
     if (p.holder_.is_home(c->block)) p.holder_.complete(c->block);
     p.points(c);

@@ -205,6 +205,25 @@ TEST_CASE("a child of fork() builds none of its parent's messages") {
   CHECK(message->words.empty());
 }
 
+TEST_CASE("a child of fork() may share its parent's message, which goes on at home") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh(64 << 20));
+  auto pusher = engine.advertise<Parts>("/parts");
+  auto puller = engine.subscribe<Parts>("/parts");
+  auto message = pusher.loan();
+  message->more.resize(100);
+  Child child([&] {
+    const lot::ShmSharedPtr<Parts> shared(std::move(message));
+    must(shared->more.size() == 100, "it is there");
+  });
+  CHECK(child.wait() == 0);
+  message->more.resize(200);
+  must_go(pusher.push(std::move(message)));
+  const auto seen = puller.try_pull();
+  REQUIRE(seen);
+  CHECK(seen->more.size() == 200);
+}
+
 /// A queue's item, made by another process.
 struct Made {
   explicit Made(std::size_t reserve = 0)
