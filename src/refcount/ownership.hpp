@@ -218,8 +218,10 @@ struct Ownership {
     // Relaxed, both: no other thread has a pointer.
     h.store(h.load(std::memory_order_relaxed) | hold::kUnseen, std::memory_order_relaxed);  // above
   }
-  /// A weak pointer to the message comes: its generation must end in the way that others expect.
-  /// REQUIRES: the caller has a pointer, or the message has died and this changes nothing of worth.
+  /// A weak pointer to the message comes, and its generation must end in the way that others
+  /// expect; or another copy of the library in this process publishes it, which has holds of its
+  /// own. REQUIRES: the caller has a pointer, or the message has died and this changes nothing of
+  /// worth.
   static void end_unseen(Hold& h) {
     std::uint64_t v = h.load(std::memory_order_relaxed);  // the compare-and-swap checks it
     while ((v & (hold::kUnseen | hold::kBusy)) == hold::kUnseen &&

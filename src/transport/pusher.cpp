@@ -202,7 +202,7 @@ class Pusher final : public RingPusher, private Evictor {
     return Status::Ok;
   }
 
-  [[gnu::hot]] Status push_shared(const detail::ControlBlock* control, const void* object,
+  [[gnu::hot]] Status push_shared(detail::ControlBlock* control, const void* object,
                                   detail::RoomLimit limit) override {
     check(control);
     if (!participant_->same_segment(*control)) refuse_elsewhere(*control);
@@ -367,7 +367,7 @@ class Pusher final : public RingPusher, private Evictor {
   /// Publishes a message that the caller keeps a pointer to. `shared`: other threads of this
   /// process may have pointers, too, and could make the message grow. REQUIRES: the message lies in
   /// this segment.
-  [[gnu::hot]] Status push_held(const detail::ControlBlock* control, detail::RoomLimit limit,
+  [[gnu::hot]] Status push_held(detail::ControlBlock* control, detail::RoomLimit limit,
                                 bool shared) {
     // read before the locked operations
     const bool was_received = participant_->was_received(*control);
@@ -375,6 +375,9 @@ class Pusher final : public RingPusher, private Evictor {
     mutex_engine::QueueGuard queue_guard(queue_lock_);
     if (!writer_->room() && !wait_for_room(lock, queue_guard, limit)) return why_full(limit);
     make_room();
+    // Its mark is of the copy of the library that made the pointer: this one's hold does not end
+    // it.
+    if (control->hub != participant_->hub()) HardwareOwnership::end_unseen(control->hold);
     participant_->holder().acquire(control->block, hold::kRing);
     if (!type_->plain) {
       if (participant_->holder().is_home(control->block))

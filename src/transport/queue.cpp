@@ -53,7 +53,7 @@ class Queue final : public detail::QueueCore {
   Status put_unique(detail::ControlBlock* control, detail::Limit limit) override {
     return pusher().push_unique(control, {time_of(limit), limit.stop()});
   }
-  Status put_shared(const detail::ControlBlock* control, const void* object,
+  Status put_shared(detail::ControlBlock* control, const void* object,
                     detail::Limit limit) override {
     return pusher().push_shared(control, object, {time_of(limit), limit.stop()});
   }

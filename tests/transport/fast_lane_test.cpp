@@ -345,6 +345,38 @@ TEST_CASE_FIXTURE(BothEngines, "what is kept of a slot is the keeper's own messa
   });
 }
 
+TEST_CASE_FIXTURE(BothEngines,
+                  "what one engine keeps of a slot, and another one publishes, stays") {
+  with_each_engine([&](QueueEngine engine) {
+    // By another name of the directory: a participant of its own, as each copy of the library is.
+    lot::EngineOptions elsewhere = options;
+    elsewhere.directory += "/.";
+    lot::ShmEngine one(options);
+    lot::ShmEngine other(elsewhere);
+    auto keeps = other.subscribe<Ball>("/ball");
+    auto out = one.advertise<Ball>("/ball", pushing(engine));
+    lot::PusherOptions by_pointer = pushing(engine);
+    by_pointer.fast_lane = false;
+    auto on = one.advertise<Ball>("/on", by_pointer);
+    auto reads = one.subscribe<Ball>("/on");
+    const auto keep = [&](std::uint64_t number) {
+      CHECK(push(out, number) == Status::Ok);
+      auto kept = keeps.pull(10s);
+      REQUIRE(kept);
+      CHECK(is(*kept, number));
+      return kept;
+    };
+    auto kept = keep(1);
+    CHECK(on.push(kept) == Status::Ok);
+    kept.reset();
+    const auto read = reads.pull(10s);
+    REQUIRE(read);
+    CHECK(push(on, 2) == Status::Ok);
+    for (std::uint64_t n = 3; n < 10 * kDepth; ++n) (void)keep(n);
+    CHECK(is(*read, 1));
+  });
+}
+
 TEST_CASE_FIXTURE(BothEngines, "what was kept of slots and let go does not count as held") {
   lot::EngineOptions few = options;
   few.blocks = 64;  // a subscription may hold a quarter

@@ -135,7 +135,7 @@ class PusherCore {
   virtual Status push_unique(ControlBlock* control, RoomLimit limit) = 0;
   /// Publishes a shared message. The caller keeps its pointer, which is to `object`. Throws
   /// lot::Error when `object` is not the message itself. The message can not grow from then on.
-  virtual Status push_shared(const ControlBlock* control, const void* object, RoomLimit limit) = 0;
+  virtual Status push_shared(ControlBlock* control, const void* object, RoomLimit limit) = 0;
   virtual std::size_t readers() = 0;
   virtual bool wait_for_readers(std::size_t count, Limit limit) = 0;
   /// Makes `count` blocks with `bytes` of touched memory each.
@@ -207,7 +207,7 @@ class QueueCore : public Waitable {
  public:
   virtual Loan loan(const MessageType& type) = 0;
   virtual Status put_unique(ControlBlock* control, Limit limit) = 0;
-  virtual Status put_shared(const ControlBlock* control, const void* object, Limit limit) = 0;
+  virtual Status put_shared(ControlBlock* control, const void* object, Limit limit) = 0;
   /// Takes an item to work on. False when none came in time.
   virtual bool take(Claim& claim, Limit limit) = 0;
   /// Finishes the item: no worker gets it any more. Throws lot::Error in a forked child.
