@@ -3,6 +3,7 @@
 // What <lot/fuzz.hpp> makes of some bytes: its model and the library agree.
 
 #include <cstdint>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -10,10 +11,16 @@
 
 #include <lot/fuzz.hpp>
 
+#include "support/seed.hpp"
+
 namespace {
 
 struct Small {
   std::uint32_t number;
+};
+struct Text {
+  std::uint32_t number;
+  lot::ShmString text;
 };
 using Input = std::vector<std::uint8_t>;
 
@@ -24,6 +31,15 @@ int run_small(const Input& input) {
         message.number = bytes.number<std::uint32_t>();
       },
       [](const Small& message) { return std::to_string(message.number); });
+}
+int run_text(const Input& input) {
+  return lot::fuzz::queue<Text>(
+      input.data(), input.size(),
+      [](Text& message, lot::fuzz::Bytes& bytes) {
+        message.number = bytes.number<std::uint32_t>();
+        message.text = bytes.text(60);
+      },
+      [](const Text& message) { return std::to_string(message.number) + message.text.c_str(); });
 }
 /// How often a message was looked at.
 unsigned looks = 0;
@@ -41,6 +57,18 @@ int run_counted(const Input& input) {
 enum Step : std::uint8_t { Push = 0, Pull = 2, Borrow = 4, Advertise = 12, Subscribe = 13, Close };
 
 }  // namespace
+
+TEST_CASE("bytes by chance never find the library other than the model") {
+  const std::uint64_t seed = lot::testing::seed();
+  CAPTURE(seed);
+  std::mt19937_64 random(seed);
+  for (int i = 0; i < 100; ++i) {
+    Input input(random() % 600);
+    for (std::uint8_t& byte : input) byte = static_cast<std::uint8_t>(random());
+    CHECK(run_small(input) == 0);
+    CHECK(run_text(input) == 0);
+  }
+}
 
 TEST_CASE("a publisher that refuses is full, beside one of another topic") {
   Input input;
