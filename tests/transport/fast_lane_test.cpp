@@ -345,8 +345,7 @@ TEST_CASE_FIXTURE(BothEngines, "what is kept of a slot is the keeper's own messa
   });
 }
 
-TEST_CASE_FIXTURE(BothEngines,
-                  "what one engine keeps of a slot, and another one publishes, stays") {
+TEST_CASE_FIXTURE(BothEngines, "what is kept of a slot stays if another engine publishes it") {
   with_each_engine([&](QueueEngine engine) {
     // By another name of the directory: a participant of its own, as each copy of the library is.
     lot::EngineOptions elsewhere = options;
