@@ -150,7 +150,7 @@ void Node::publish(unsigned count) {
           detail::build<Number>(selecting->core().loan(detail::message_type<Number>(), true));
       *letter = numbered(source, published);
       const ShmSharedPtr<const Number> shared(std::move(letter));
-      const auto* cell = detail::PointerAccess::control(shared);
+      auto* const cell = detail::PointerAccess::control(shared);
       if (selecting->core().push_shared(cell, shared.get(), {10s}) == Status::Ok) ++published;
       continue;
     }
