@@ -62,6 +62,7 @@ struct RecorderStatus {
   /// A topic that it records.
   struct Topic {
     std::string name;            ///< in the file
+    std::string in_segment;      ///< its name there: lot::ros puts a run before it
     std::string type;            ///< in the file, as ROS 2 would call it
     std::uint64_t messages = 0;  ///< recorded: written, or in the open chunk
     std::uint64_t bytes = 0;     ///< of these
@@ -75,11 +76,13 @@ struct RecorderStatus {
     std::string name;  ///< as in a Topic
     std::string why;   ///< in words
   };
-  std::vector<Topic> topics;       ///< in the order of their first look
-  std::vector<Refused> refused;    ///< a queue, an opaque type
-  std::vector<std::string> files;  ///< that were made
-  std::uint64_t held_bytes = 0;    ///< seen and not written yet
-  std::string error;               ///< the last thing that went wrong; empty: nothing
+  std::vector<Topic> topics;        ///< in the order of their first look
+  std::vector<Refused> refused;     ///< a queue, an opaque type
+  std::vector<std::string> files;   ///< that were made
+  std::uint64_t held_bytes = 0;     ///< seen and not written yet
+  std::uint64_t kept_messages = 0;  ///< with RecorderOptions::keep_last: what a trigger would write
+  std::uint64_t kept_bytes = 0;     ///< of these
+  std::string error;                ///< the last thing that went wrong; empty: nothing
 };
 
 /// Records topics, on two threads of its own, from its construction on until stop().

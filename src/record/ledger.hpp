@@ -27,7 +27,8 @@ class Ledger {
 
   /// The line of a topic with that type, whose name is `type` and which is what `pairs` say. Lines
   /// never go.
-  std::size_t line_of(const std::string& name, const std::string& type, const mcap::Pairs& pairs) {
+  std::size_t line_of(const std::string& name, const std::string& in_segment,
+                      const std::string& type, const mcap::Pairs& pairs) {
     const std::lock_guard guard(mutex_);
     for (std::size_t line = 0; line < told_.topics.size(); ++line) {
       const Topic& topic = told_.topics[line];
@@ -35,6 +36,7 @@ class Ledger {
     }
     Topic topic;
     topic.name = name;
+    topic.in_segment = in_segment;
     topic.type = type;
     told_.topics.push_back(std::move(topic));
     sequences_.push_back(0);
@@ -71,6 +73,11 @@ class Ledger {
     } else {
       found->why = why;
     }
+  }
+  void keeps(std::uint64_t messages, std::uint64_t bytes) {
+    const std::lock_guard guard(mutex_);
+    told_.kept_messages = messages;
+    told_.kept_bytes = bytes;
   }
   void made(const std::string& file) {
     const std::lock_guard guard(mutex_);

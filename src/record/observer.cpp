@@ -220,7 +220,7 @@ std::shared_ptr<const Stream> Observer::stream_of(const std::string& topic, cons
   auto stream = std::make_shared<Stream>(topic, type);
   stream->metadata = pairs_of(type);
   stream->metadata["lot.topic"] = topic;
-  stream->line = ledger_.line_of(stream->name, stream->schema.name, stream->metadata);
+  stream->line = ledger_.line_of(stream->name, topic, stream->schema.name, stream->metadata);
   streams_.push_back(stream);
   return stream;
 }

@@ -39,6 +39,8 @@ class Past {
     while (!kept_.empty() && is_old(kept_.front(), now)) drop();
   }
   bool is_empty() const { return kept_.empty(); }
+  std::uint64_t messages() const { return kept_.size(); }
+  std::uint64_t bytes() const { return bytes_; }
   std::deque<Kept> take() {
     bytes_ = 0;
     return std::exchange(kept_, {});

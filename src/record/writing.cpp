@@ -111,6 +111,7 @@ void Writing::write_or_keep(const std::shared_ptr<const Stream>& stream,
       kept.bytes.insert(kept.bytes.end(), piece.begin(), piece.end());
     }
     past_.add(std::move(kept));
+    ledger_.keeps(past_.messages(), past_.bytes());
   });
   if (!is_kept) ledger_.add(stream->line, &Topic::lost, 1);
 }
@@ -130,6 +131,7 @@ void Writing::pull_trigger() {
     const mcap::View piece(kept.bytes);
     write(kept.stream, kept.head, std::span(&piece, 1));
   }
+  ledger_.keeps(0, 0);
   writes_until_ = now + nanoseconds(options_.keep_after);
   if (options_.keep_after <= Duration()) carefully([&] { files_.close(); });
 }
@@ -137,6 +139,7 @@ void Writing::pull_trigger() {
 void Writing::look(std::uint64_t now) {
   if (!keeps_past()) return;
   past_.look(now);
+  ledger_.keeps(past_.messages(), past_.bytes());
   if (files_.is_open() && now > writes_until_) carefully([&] { files_.close(); });
 }
 

@@ -67,6 +67,7 @@ class Record {
     if (options_.what.keep_last > Duration()) std::signal(SIGUSR1, ask_for_trigger);
     const Where where = where_;
     Recorder recorder(options_.what, [where] { return join_the_one(where); });
+    if (options_.what.keep_last > Duration()) say_what_triggers();
     const Clock::time_point end = detail::after(options_.duration);
     while (sleep_until(std::min(end, Clock::now() + kLookAtRecorder), stop) && Clock::now() < end) {
       if (trigger_was_asked != 0) {
@@ -86,6 +87,12 @@ class Record {
   }
 
  private:
+  void say_what_triggers() const {
+    const std::string& topic = options_.what.trigger;
+    say("keeps the last messages in memory: SIGUSR1" +
+        (topic.empty() ? "" : ", or a message on " + topic + ",") + " writes them");
+  }
+
   /// Says on standard error what is new.
   void look(const RecorderStatus& now) {
     if (now.topics.empty() && now.refused.empty() && !has_said_that_it_waits_) {
@@ -134,6 +141,12 @@ class Record {
     }
     for (const std::string& file : now.files) report_.print(printable(file, 200) + "\n");
     if (!table.empty()) report_.print(table.text());
+    for (const auto& topic : now.topics) {
+      if (topic.messages != 0 || topic.in_segment == topic.name) continue;
+      report_.hint(printable(topic.name, 200) +
+                   " is a topic of ROS: its messages are in the segment while a node of LOT in "
+                   "another process subscribes to it, and else on ROS's own links");
+    }
     if (messages == 0) report_.hint("nothing was recorded");
     if (messages == 0 || lost != 0) report_.ends(kWrong);
     if (missed != 0) {

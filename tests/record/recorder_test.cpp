@@ -369,11 +369,11 @@ TEST_CASE("only the last seconds: nothing is written before a trigger, and then 
   what.keep_last = 1h;
   Recorder recorder(what, scene.where);
   for (std::uint64_t i = 0; i < 10; ++i) put(notes, i);
-  REQUIRE(eventually([&] { return recorder.status().topics.size() == 1; }));
-  std::this_thread::sleep_for(200ms);
+  REQUIRE(eventually([&] { return recorder.status().kept_messages == 10; }));
   CHECK(recorder.status().files.empty());
   recorder.trigger();
-  REQUIRE(eventually([&] { return recorded(recorder, "/notes") >= 1; }));
+  REQUIRE(eventually([&] { return recorded(recorder, "/notes") == 10; }));
+  CHECK(recorder.status().kept_messages == 0);
   put(notes, 10);
   recorder.stop();
   REQUIRE(recorder.status().files.size() == 1);
@@ -391,13 +391,17 @@ TEST_CASE("only the last seconds: at most so many bytes are kept") {
   what.keep_last = 1h;
   what.keep_last_bytes = 1'000'000;
   Recorder recorder(what, scene.where);
-  for (std::uint32_t i = 0; i < 50; ++i) put(pictures, i, 100'000);
-  std::this_thread::sleep_for(200ms);
+  for (std::uint32_t i = 0; i < 49; ++i) put(pictures, i, 100'000);
+  put(pictures, 49, 300'000);  // it takes the place of three
+  REQUIRE(eventually([&] {
+    const RecorderStatus status = recorder.status();
+    return status.kept_messages == 7 && status.kept_bytes > 900'000;
+  }));
   recorder.trigger();
   recorder.stop();
   REQUIRE(recorder.status().files.size() == 1);
   const Content content(recorder.status().files[0]);
-  CHECK(content.messages.size() == 9);
+  CHECK(content.messages.size() == 7);
   CHECK(content.messages.back().sequence == 49);
 }
 
@@ -413,7 +417,7 @@ TEST_CASE("a message on the trigger's topic is a trigger, and what comes behind 
   what.trigger = "/fault";
   Recorder recorder(what, scene.where);
   put(notes, 1);
-  std::this_thread::sleep_for(200ms);
+  REQUIRE(eventually([&] { return recorder.status().kept_messages == 1; }));
   put(faults, 1);
   REQUIRE(eventually([&] { return recorded(recorder, "/notes") == 1; }));
   put(notes, 2);

@@ -75,16 +75,27 @@ TEST_CASE("lot record says what is wrong: no topics, a file that is there, nothi
   CHECK(nothing.out.find("nothing was recorded") != std::string::npos);
 }
 
+TEST_CASE("lot record says where the messages of ROS may be when none came") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  const auto pusher = stage.engine.advertise<Pose>("0123abcd /pose");
+  const Ran ran = run_lot(stage.record({"--all", "--duration", "0.2"}));
+  CHECK(ran.exit == 1);
+  CHECK(ran.out.find("/pose is a topic of ROS") != std::string::npos);
+}
+
 TEST_CASE("lot record --last: SIGUSR1 writes what is kept") {
   const Watchdog watchdog(120);
   Stage stage;
   auto pusher = stage.engine.advertise<Pose>("/pose");
   Running recorder(stage.record({"/pose", "--last", "1000"}));
+  REQUIRE(recorder.says("SIGUSR1 writes them"));
   for (int i = 0; i < 10; ++i) put(pusher, i);
-  std::this_thread::sleep_for(500ms);
   CHECK_FALSE(std::filesystem::exists(stage.directory.file("a_0.mcap")));
-  recorder.child().send(SIGUSR1);
-  CHECK(recorder.says("writes"));
+  CHECK(eventually([&] {  // one that comes before the first message writes nothing
+    recorder.child().send(SIGUSR1);
+    return recorder.err().find("a_0.mcap") != std::string::npos;
+  }));
   CHECK(recorder.interrupt().exit == 0);
   CHECK(payloads(stage.directory.file("a_0.mcap")).size() >= 1);
 }
