@@ -13,7 +13,6 @@ import argparse
 import json
 import os
 import pathlib
-import signal
 import statistics
 import subprocess
 import sys
@@ -56,7 +55,7 @@ def film(arguments, row, words, directory, environment):
     figures = {'push': cameras['push_us_median'], 'p99': cameras['push_us_p99']}
     if recorder is None:
         return figures
-    recorder.send_signal(signal.SIGINT)
+    recorder.terminate()
     said = recorder.stdout.read()
     _, status, used = os.wait4(recorder.pid, 0)
     recorder.returncode = os.waitstatus_to_exitcode(status)

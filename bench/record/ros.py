@@ -12,6 +12,7 @@ import argparse
 import json
 import os
 import pathlib
+import signal
 import statistics
 import sys
 import tempfile
@@ -75,7 +76,7 @@ def film(arm, row, seconds, arguments, directory):
         figures = {'cameras': cpu_of(cameras)}
         if recorder is None:
             return figures
-        recorder.terminate() if arm == 'lot record' else recorder.send_signal(2)
+        recorder.send_signal(signal.SIGTERM if arm == 'lot record' else signal.SIGINT)  # a script's & ignores SIGINT
         figures['recorder'] = cpu_of(recorder)
         graph.wait_for(file.exists, 'the file')
         figures['missed'] = int(graph.output(cameras)) - recorded(arm, graph, recorder, file)
