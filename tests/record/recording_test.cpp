@@ -24,11 +24,11 @@
 #include "codec/schema.hpp"
 #include "mcap/writer.hpp"
 #include "record/schema_text.hpp"
-#include "record/scratch.hpp"
 #include "record/types.hpp"
 #include "support/error_of.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
+#include "support/scratch.hpp"
 #include "support/seed.hpp"
 
 namespace lot::testing {

@@ -12,9 +12,9 @@
 #include "lot/recorder.hpp"
 
 #include "mcap/reader.hpp"
-#include "record/scratch.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
+#include "support/scratch.hpp"
 
 /// What the tests of lot::Recorder share: messages, a segment with a directory, a file's content.
 namespace lot::testing {

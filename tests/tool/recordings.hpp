@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "mcap/writer.hpp"
-#include "record/scratch.hpp"
+#include "support/scratch.hpp"
 
 /// Recordings of another program, for the tests of lot info and lot play.
 namespace lot::testing {

@@ -13,9 +13,9 @@
 
 #include <doctest/doctest.h>
 
-#include "record/scratch.hpp"
 #include "scene.hpp"
 #include "support/janitor.hpp"
+#include "support/scratch.hpp"
 #include "support/users.hpp"
 
 namespace {

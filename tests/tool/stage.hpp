@@ -13,8 +13,8 @@
 #include <lot/recording.hpp>
 
 #include "command.hpp"
-#include "record/scratch.hpp"
 #include "support/must_go.hpp"
+#include "support/scratch.hpp"
 
 /// What the tests of lot record, lot info and lot play share.
 namespace lot::testing {

@@ -9,7 +9,7 @@
 #include <string>
 #include <string_view>
 
-/// What the tests of recorders share: a directory of their own, and files as bytes.
+/// What tests of recordings share: a directory of their own, and files as bytes.
 namespace lot::testing {
 
 /// A directory that goes with it.
@@ -34,10 +34,15 @@ inline std::string read_file(const std::string& path) {
   if (!stream) throw std::runtime_error("cannot read " + path);
   return {std::istreambuf_iterator<char>(stream), {}};
 }
+/// Makes a file of these bytes. A file that is there is written over and then cut: one that is
+/// emptied first is written to the disk when it is closed (ext4), for which a test of thousands
+/// waits.
 inline void write_file(const std::string& path, std::string_view bytes) {
-  std::ofstream stream(path, std::ios::binary | std::ios::trunc);
+  std::ofstream(path, std::ios::binary | std::ios::app);  // it is there
+  std::ofstream stream(path, std::ios::binary | std::ios::in);
   stream.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
   if (!stream.flush()) throw std::runtime_error("cannot write " + path);
+  std::filesystem::resize_file(path, bytes.size());
 }
 
 /// Bytes of a file or of a message.
