@@ -99,6 +99,7 @@ constexpr const char* kKeys[][2] = {
     {"t", "topics, processes, or both"},
     {"space, p", "pauses, and goes on"},
     {"up, down", "scroll, as page up and page down"},
+    {"home, end", "to the first line, or to the last one of all that come"},
     {"h, ?", "this help, and back"},
     {"q, Ctrl-C", "ends"},
 };
@@ -352,7 +353,8 @@ std::vector<Line> Board::screen(const Watch& watch, std::size_t width, std::size
   }
   std::vector<Line> all = body(watch, width);
   room_ = height > 2 ? height - 2 : 1;
-  first_ = std::min(first_, all.size() > room_ ? all.size() - room_ : 0);
+  const std::size_t last = all.size() > room_ ? all.size() - room_ : 0;
+  first_ = at_end_ ? last : std::min(first_, last);
   std::vector<Line> lines;
   if (height > 1) lines.push_back(title(width));
   for (std::size_t i = first_; i < std::min(all.size(), first_ + room_); ++i) {
@@ -379,13 +381,18 @@ void Board::step(int by) {
   choose(next != visible_.begin() ? *std::prev(next) : visible_.back());
 }
 
+void Board::to_begin() {
+  first_ = 0;
+  at_end_ = false;
+}
+
 bool Board::press(int key) {
   const std::size_t page = std::max<std::size_t>(room_, 2) - 1;
   switch (key) {
     case 'h':
     case '?':
       helps_ = !helps_;
-      first_ = 0;
+      to_begin();
       return true;
     case 'p':
     case ' ':
@@ -395,7 +402,7 @@ bool Board::press(int key) {
       shown_ = shown_ == Shown::Both         ? Shown::OnlyTopics
                : shown_ == Shown::OnlyTopics ? Shown::OnlyProcesses
                                              : Shown::Both;
-      first_ = 0;
+      to_begin();
       return true;
     case '-':
       reversed_ = !reversed_;
@@ -407,6 +414,7 @@ bool Board::press(int key) {
     case kUp:
     case kPageUp:
     case kBegin:
+      at_end_ = false;
       first_ -= std::min(first_, key == kBegin ? first_ : key == kUp ? 1 : page);
       return true;
     case kDown:
@@ -414,7 +422,7 @@ bool Board::press(int key) {
       first_ += key == kDown ? 1 : page;  // screen() brings it back from behind the end
       return true;
     case kEnd:
-      first_ = static_cast<std::size_t>(-1) / 2;
+      at_end_ = true;
       return true;
     case kResize:
       return true;

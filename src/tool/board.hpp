@@ -57,6 +57,7 @@ class Board {
   Line foot(std::size_t lines, std::size_t width) const;
   void choose(std::size_t column);
   void step(int by);
+  void to_begin();
 
   Shown shown_ = Shown::Both;
   std::size_t column_;
@@ -64,6 +65,7 @@ class Board {
   bool paused_ = false;
   bool helps_ = false;
   std::size_t first_ = 0;             ///< line of the body at the top
+  bool at_end_ = false;               ///< the last line stays in sight, also when more come
   std::size_t room_ = 1;              ///< lines of the body on the screen
   std::vector<std::size_t> visible_;  ///< columns of the last screen
 };

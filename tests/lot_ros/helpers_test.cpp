@@ -300,7 +300,7 @@ TEST_CASE("points of three floats, or none, go to PCL's points, which are larger
   REQUIRE(cloud->point_step == 12);
   float next = 0;
   for (lot::ros::PointCloud2Iterator<float> x(*cloud, "x"); x != x.end(); ++x) {
-    for (int i = 0; i < 3; ++i) x[i] = next++;
+    for (int i = 0; i < 3; ++i) x[static_cast<std::size_t>(i)] = next++;
   }
   pcl::PointCloud<pcl::PointXYZ> points;
   pcl::fromROSMsg(*cloud, points);
