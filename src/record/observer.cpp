@@ -22,7 +22,7 @@ namespace {
 using namespace std::chrono_literals;
 using Topic = RecorderStatus::Topic;
 
-constexpr auto kLook = 100ms;  ///< between two looks for topics
+constexpr auto kLook = Visits::kSpan;  ///< between two looks for topics
 /// So many messages of a topic are taken before another one has its turn.
 constexpr std::size_t kAtOnce = 64;
 /// A message of so much memory is copied at once: it takes no block while it waits.
@@ -57,7 +57,10 @@ void Observer::begin() {
 }
 
 void Observer::run(const StopToken& stop) {
-  set_.add_timer(kLook, [this] { look_and_note(); });
+  set_.add_timer(kLook, [this] {
+    look_and_note();
+    choose_visits();
+  });
   while (!stop.stop_requested()) {
     try {
       set_.run(stop);
@@ -96,7 +99,7 @@ void Observer::join() {
 
 void Observer::leave() {
   for (Subscription& s : subscriptions_) {
-    if (!s.has_gone) set_.remove(s.puller);
+    deafen(s);
     s.has_gone = true;
   }
   forget_those_that_have_gone();
@@ -209,7 +212,41 @@ void Observer::subscribe(const std::string& topic, bool is_trigger) {
   if (has_begun_) {
     for (const transport::Source& source : s.core->sources()) s.fresh.push_back(source.name);
   }
+  listen(s);
+}
+
+void Observer::listen(Subscription& s) {
+  if (s.is_listening) return;
   set_.add(s.puller, [this, &s] { take_some(s, kAtOnce); });
+  s.is_listening = true;
+}
+
+void Observer::deafen(Subscription& s) noexcept {
+  if (std::exchange(s.is_listening, false)) set_.remove(s.puller);
+}
+
+void Observer::choose_visits() {
+  bool is_any = false;
+  for (Subscription& s : subscriptions_) {
+    if (s.has_gone) continue;
+    std::uint32_t depth = std::numeric_limits<std::uint32_t>::max();
+    for (const transport::Source& source : s.core->sources()) {
+      depth = std::min(depth, source.reader.ring().depth);
+    }
+    s.visits.decide(depth);
+    const bool is_visited = s.visits.by_timer();
+    if (!is_visited) listen(s);
+    if (is_visited) deafen(s);
+    is_any = is_any || is_visited;
+  }
+  if (is_any && !visiting_) visiting_ = set_.add_timer(Visits::kEvery, [this] { visit(); });
+  if (!is_any && visiting_) set_.remove(*std::exchange(visiting_, {}));
+}
+
+void Observer::visit() noexcept {
+  for (Subscription& s : subscriptions_) {
+    if (s.visits.by_timer() && !s.has_gone) take_some(s, kAtOnce);
+  }
 }
 
 std::shared_ptr<const Stream> Observer::stream_of(const std::string& topic, const AnyType& type) {
@@ -256,7 +293,7 @@ void Observer::note(Subscription& s, const std::exception& error) noexcept {
   try {
     if (known != nullptr && known->error_number() == ESTALE) {
       s.has_gone = true;
-      set_.remove(s.puller);
+      deafen(s);
       again_ = true;
     } else {
       ledger_.went_wrong(error.what());
@@ -268,6 +305,7 @@ void Observer::note(Subscription& s, const std::exception& error) noexcept {
 
 std::size_t Observer::take_some(Subscription& s, std::size_t most) noexcept {
   std::size_t taken = 0;
+  const std::uint64_t told = s.told;
   try {
     const std::uint64_t room = backlog_.room(limit());
     for (; taken < most; ++taken) {
@@ -278,6 +316,7 @@ std::size_t Observer::take_some(Subscription& s, std::size_t most) noexcept {
     note(s, e);
     ++taken;  // the next look goes on behind what was wrong
   }
+  s.visits.took(taken, s.told - told);
   try {
     backlog_.put(batch_);
     batch_held_ = 0;

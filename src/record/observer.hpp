@@ -21,6 +21,7 @@
 #include "record/clock.hpp"
 #include "record/ledger.hpp"
 #include "record/stream.hpp"
+#include "record/visits.hpp"
 #include "transport/participant.hpp"
 #include "transport/ring_ends.hpp"
 
@@ -60,7 +61,9 @@ class Observer {
     transport::RingPuller* core;           ///< of puller
     std::shared_ptr<const Stream> stream;  ///< null: it is a trigger
     std::uint64_t told = 0;                ///< of what it missed
-    Clock::Steady::time_point due{};       ///< with a rate: not before this time the next one
+    Visits visits;
+    bool is_listening = false;        ///< `set_` has the puller
+    Clock::Steady::time_point due{};  ///< with a rate: not before this time the next one
     /// Rings that were there before it, of publishers that came after the begin: what left them
     /// before the subscription was missed, too.
     std::vector<registry::ChannelName> fresh;
@@ -77,6 +80,12 @@ class Observer {
   void consider(const std::string& topic);
   bool is_chosen(const std::string& name) const;
   void subscribe(const std::string& topic, bool is_trigger);
+  /// From now on pushes to its queues wake the observer.
+  void listen(Subscription& s);
+  void deafen(Subscription& s) noexcept;
+  /// Decides which topics are visited by the timer, and begins or ends that.
+  void choose_visits();
+  void visit() noexcept;
   std::shared_ptr<const Stream> stream_of(const std::string& topic, const AnyType& type);
   void forget_those_that_have_gone();
 
@@ -99,6 +108,7 @@ class Observer {
   std::shared_ptr<transport::Participant> participant_;
   std::optional<ShmEngine> engine_;
   WaitSet set_;
+  std::optional<WaitSet::Timer> visiting_;  ///< where some topics are visited
   std::list<Subscription> subscriptions_;
   std::map<std::string, std::string> refused_;  ///< topics, and what they carried
   std::vector<std::shared_ptr<const Stream>> streams_;
