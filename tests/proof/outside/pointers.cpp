@@ -2,7 +2,9 @@
 
 // Pointers of each kind in three processes in lockstep, against a model of std::shared_ptr's: who
 // points to what. Messages refer to others, are published, published again and kept, by blocks and
-// in slots, by both queue engines; publishers close; at rest a process is killed and replaced.
+// in slots, by both queue engines; publishers close; at rest a process is killed and replaced. The
+// first process has two copies of the library, which publish each other's messages: the model has
+// four nodes.
 //
 // At every rest there is an exact account. For each block of the segment that is in use: which
 // message it has, whose it is, which processes hold it, how many granules it has. This must be what
@@ -36,7 +38,9 @@
 namespace lot::outside {
 namespace {
 
-constexpr unsigned kNodes = 3;
+constexpr unsigned kNodes = 4;
+constexpr int kHost = 0, kTwin = 3;  ///< two nodes that are one process
+constexpr int process_of(int node) { return node == kTwin ? kHost : node; }
 constexpr unsigned kStepsToRest = 40;
 constexpr int kNone = -1;
 constexpr int kOrphan = -2;
@@ -116,7 +120,7 @@ class Model {
     options_.topics = 8;
     options_.channels = 32;
     options_.readers = 8;
-    for (unsigned k = 0; k < kNodes; ++k) start(k);
+    for (int k = 0; k < kTwin; ++k) start(k);
   }
 
   void step(unsigned n) {
@@ -137,36 +141,43 @@ class Model {
     }
     rest();
     require(expected().empty(), "the model is empty in the end");
-    for (auto& node : nodes_) require(node.puppet->leave() == 0, "a process leaves");
+    for (int k = 0; k < kTwin; ++k) require(node(k).puppet->leave() == 0, "a process leaves");
     require(testing::files_of(options_) == 0, "no file is left");
   }
 
  private:
   using Process = Puppet<PointerCommand, PointerAnswer>;
   struct Node {
-    std::unique_ptr<Process> puppet;
+    std::unique_ptr<Process> puppet;  ///< null: it is the twin
     std::string name;
     std::uint32_t index = 0;
     std::array<Hand, kKinds> hands;
   };
 
-  void start(unsigned k) {
-    Node& node = nodes_[k];
-    node = Node();
-    node.name = "node" + std::to_string(k) + "_" + std::to_string(lives_++);
+  void start(int k) {
+    begin_node(k);
+    std::string twin;
+    if (k == kHost) twin = begin_node(kTwin).name;
     EngineOptions options = options_;
-    options.name = node.name;
-    node.puppet =
-        std::make_unique<Process>([options] { return std::make_unique<PointerNode>(options); });
-    node.index = node.puppet->act({Do::Settle, 0, 0, 0, 0, 0}).index;
+    options.name = node(k).name;
+    node(k).puppet = std::make_unique<Process>(
+        [options, twin] { return std::make_unique<PointerNode>(options, twin); });
+    node(k).index = tell(k, Do::Settle, 0).index;
+    if (k == kHost) node(kTwin).index = tell(kTwin, Do::Settle, 0).index;
     if (!segment_) segment_.emplace(options_.directory + "/" + options_.segment);
+  }
+  Node& begin_node(int k) {
+    node(k) = Node();
+    node(k).name = "node" + std::to_string(k) + "_" + std::to_string(lives_++);
+    return node(k);
   }
 
   PointerAnswer tell(int k, Do what, unsigned kind, unsigned a = 0, unsigned b = 0,
                      std::uint64_t n = 0, std::uint64_t serial = 0) {
-    return node(k).puppet->act({what, static_cast<std::uint8_t>(kind), static_cast<std::uint8_t>(a),
-                                static_cast<std::uint8_t>(b), static_cast<std::uint32_t>(n),
-                                serial});
+    return node(process_of(k))
+        .puppet->act({what, static_cast<std::uint8_t>(kind), static_cast<std::uint8_t>(a),
+                      static_cast<std::uint8_t>(b), static_cast<std::uint32_t>(n), serial,
+                      k == kTwin});
   }
   Node& node(int k) { return nodes_[static_cast<unsigned>(k)]; }
   Hand& hand(int k, unsigned kind) { return node(k).hands[kind]; }
@@ -313,7 +324,7 @@ class Model {
     const bool good = testing::eventually(
         [&] {
           drain_ended();
-          for (Node& n : nodes_) (void)n.puppet->act({Do::Settle, 0, 0, 0, 0, 0});
+          for (int k = 0; k < static_cast<int>(kNodes); ++k) tell(k, Do::Settle, 0);
           wrong = what_is_wrong();
           return wrong.empty();
         },
@@ -500,9 +511,13 @@ class Model {
   }
   void push_again(int k, unsigned kind, Hand& h) {
     const unsigned a = pick(h.shared);
-    if (h.ring == nullptr || h.shared[a] == kNone) return;
-    require(tell(k, Do::PushShared, kind, a).status == Status::Ok, "a push of a shared message");
-    h.ring->log.push_back(h.shared[a]);
+    const bool has_twin = k == kHost || k == kTwin;
+    const bool is_twins = has_twin && random_.chance(50);
+    const int o = is_twins ? hand(k == kHost ? kTwin : kHost, kind).shared[a] : h.shared[a];
+    if (h.ring == nullptr || o == kNone) return;
+    const Do what = is_twins ? Do::PushTwins : Do::PushShared;
+    require(tell(k, what, kind, a).status == Status::Ok, "a push of a shared message");
+    h.ring->log.push_back(o);
   }
 
   /// False: there was no message.
@@ -637,16 +652,17 @@ class Model {
   }
 
   void kill(int k) {
-    node(k).puppet->kill9();
+    const int process = process_of(k);
+    node(process).puppet->kill9();
     for (Ring& ring : rings_) {
-      if (ring.node != k) continue;
+      if (ring.node < 0 || process_of(ring.node) != process) continue;
       ring.node = kNone;
       ring.ended = true;
     }
     for (Object& o : objects_) {
-      if (o.home == k) o.home = kOrphan;
+      if (o.home >= 0 && process_of(o.home) == process) o.home = kOrphan;
     }
-    start(static_cast<unsigned>(k));
+    start(process);
   }
 
   void let_go(int k, unsigned kind) {

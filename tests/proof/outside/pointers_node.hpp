@@ -56,6 +56,7 @@ enum class Do : std::uint8_t {
   DropWeak,
   PushUnique,  ///< a
   PushShared,  ///< a
+  PushTwins,   ///< shared a of the process's other copy of the library
   Pull,        ///< to shared a
   Settle,      ///< what the warden does when it finds the time
   Report       ///< all cells
@@ -67,6 +68,7 @@ struct PointerCommand {
   std::uint8_t a, b;
   std::uint32_t n;
   std::uint64_t serial;
+  bool by_twin;  ///< the process's second copy of the library does it
 };
 
 /// What a cell has.
@@ -135,9 +137,7 @@ class Holder {
         answer.status = pusher_->push(std::move(unique_[c.a]));
         return;
       case Do::PushShared:
-        if (makes("leak")) leaked_.push_back(shared_[c.a]);
-        answer.status = pusher_->push(shared_[c.a]);
-        return;
+        return push(shared_[c.a], answer);
       case Do::Pull:
         return pull(c.a, answer);
       case Do::Report:
@@ -145,6 +145,9 @@ class Holder {
       default:
         return point(c, answer);
     }
+  }
+  void push_of(const Holder& twin, const PointerCommand& c, PointerAnswer& answer) {
+    push(twin.shared_[c.a], answer);
   }
 
  private:
@@ -161,6 +164,11 @@ class Holder {
     PullerOptions options;
     options.max_held_bytes = PullerOptions::kNoQuota;
     puller_.emplace(engine.subscribe<M>(topic_, options));
+  }
+
+  void push(const ShmSharedPtr<const M>& message, PointerAnswer& answer) {
+    if (makes("leak")) leaked_.push_back(message);
+    answer.status = pusher_->push(message);
   }
 
   void regrow(unsigned cell, std::uint32_t numbers) {
@@ -270,22 +278,30 @@ class Holder {
   std::vector<ShmSharedPtr<const M>> leaked_;
 };
 
-class PointerNode {
+/// A copy of the library: it is a participant of its own.
+class PointerCopy {
  public:
-  explicit PointerNode(const EngineOptions& options)
+  explicit PointerCopy(const EngineOptions& options)
       : engine_(options), participant_(detail::join(options)) {}
 
-  void act(const PointerCommand& c, PointerAnswer& answer) {
+  void act(const PointerCommand& c, PointerCopy* twin, PointerAnswer& answer) {
     answer.index = participant_->index();
     if (c.what == Do::Settle) return settle();
     if (c.kind == 0) {
-      leaves_.act(engine_, c, answer);
+      act(leaves_, &PointerCopy::leaves_, c, twin, answer);
     } else {
-      plains_.act(engine_, c, answer);
+      act(plains_, &PointerCopy::plains_, c, twin, answer);
     }
   }
 
  private:
+  template <class M>
+  void act(Holder<M>& holder, Holder<M> PointerCopy::*of, const PointerCommand& c,
+           PointerCopy* twin, PointerAnswer& answer) {
+    if (c.what == Do::PushTwins) return holder.push_of(twin->*of, c, answer);
+    holder.act(engine_, c, answer);
+  }
+
   /// All that may be left to be done later is done now: memory that lies idle, messages that have
   /// died, processes too.
   void settle() {
@@ -301,6 +317,29 @@ class PointerNode {
   std::shared_ptr<transport::Participant> participant_;
   Holder<Leaf> leaves_{"/leaves"};
   Holder<Plain> plains_{"/plains"};
+};
+
+/// With a twin it is what two libraries are that have each linked LOT: two participants, and a
+/// pointer of one may be published by the other. By another name of the directory, they do not know
+/// each other.
+class PointerNode {
+ public:
+  PointerNode(const EngineOptions& options, const std::string& twin) : copy_(options) {
+    if (twin.empty()) return;
+    EngineOptions its = options;
+    its.directory += "/.";
+    its.name = twin;
+    twin_.emplace(its);
+  }
+
+  void act(const PointerCommand& c, PointerAnswer& answer) {
+    if (c.by_twin) return twin_->act(c, &copy_, answer);
+    copy_.act(c, twin_ ? &*twin_ : nullptr, answer);
+  }
+
+ private:
+  PointerCopy copy_;
+  std::optional<PointerCopy> twin_;
 };
 
 }  // namespace lot::outside
