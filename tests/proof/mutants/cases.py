@@ -164,6 +164,8 @@ def inside(build, work):
 
 def limited():
     os.setsid()
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):  # a script in the background ignores them
+        signal.signal(number, signal.SIG_DFL)
     resource.setrlimit(resource.RLIMIT_DATA, (HEAP_BYTES, HEAP_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
