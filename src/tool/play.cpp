@@ -46,6 +46,8 @@ constexpr auto kForThoseThatWait = 500ms;
 constexpr auto kLookForKeys = 20ms;
 /// Further behind than this it does not publish faster to make up for it.
 constexpr auto kMostBehindPlay = 1s;
+/// A wait as long as this is told: else it looks as if the player stood still.
+constexpr auto kLongWait = 10s;
 /// In nanoseconds: what is due later than in 200 years is never due. A file may say any time.
 constexpr double kNever = 7e18;
 
@@ -250,7 +252,7 @@ class Play {
   /// told to stop.
   bool wait_until(std::chrono::nanoseconds behind_first, const StopToken& stop) {
     const double after = static_cast<double>(behind_first.count()) / options_.rate;
-    for (;;) {
+    for (bool is_told = false;;) {
       look_at_keys();
       const auto now = Clock::now();
       if (paused_at_) {
@@ -264,6 +266,10 @@ class Play {
         begin_ += now - due;
       }
       if (now >= due) return !stop.stop_requested();
+      if (due - now > kLongWait && !std::exchange(is_told, true)) {
+        const std::string span = age_text(std::chrono::duration<double>(due - now).count());
+        std::fprintf(stderr, "* the next message comes in %s\n", span.c_str());
+      }
       const auto next = keys_.can_come() ? std::min(due, now + kLookForKeys) : due;
       if (!sleep_until(next, stop)) return false;
     }
