@@ -8,8 +8,8 @@ CPU is the recorder's own, user and system, in seconds; behind it the ratio to `
 Each figure is the median of the runs, with the lowest and the highest of them. `push` is what a camera's loan
 and push take together, and its ratio to the arm without a recorder.
 
-Before each arm as many bytes are written there and removed again as it and its `cp` write: so a guest's pages are
-its own, and not given by the host at their first touch. `tmpfs` is how fast that went the second time.
+Before a recording and before its `cp` as many bytes are written there and removed again: so a guest's pages are its
+own, and not given by the host at their first touch. `tmpfs` is how fast that went just before the recording.
 """
 
 import argparse
@@ -56,12 +56,12 @@ def film(arguments, row, words, directory, environment):
     _, size, hz, seconds = row
     if arguments.quick:
         seconds = 2
-    all_bytes = 2 * 4 * size * hz * seconds
-    fill(directory / 'warm', all_bytes)
-    tmpfs = fill(directory / 'warm', all_bytes)
+    warm, all_bytes = directory / 'warm', 4 * size * hz * seconds
     file = directory / 'cameras.mcap'
     recorder = None
     if words is not None:
+        fill(warm, all_bytes)
+        tmpfs = fill(warm, all_bytes)
         recorder = subprocess.Popen([arguments.lot, 'record', '/camera/*', '--json', '-o', file, *words],
                                     stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment)
         while not file.exists():
@@ -70,7 +70,7 @@ def film(arguments, row, words, directory, environment):
             time.sleep(0.01)
     _, said = cpu_of([arguments.cameras, '--bytes', str(size), '--hz', str(hz), '--seconds', str(seconds)], env=environment)
     cameras = json.loads(said)
-    figures = {'push': cameras['push_us_median'], 'p99': cameras['push_us_p99'], 'tmpfs': tmpfs}
+    figures = {'push': cameras['push_us_median'], 'p99': cameras['push_us_p99']}
     if recorder is None:
         return figures
     recorder.terminate()
@@ -81,8 +81,10 @@ def film(arguments, row, words, directory, environment):
         sys.exit(f'record.py: lot record ended with {recorder.returncode}')
     topics = json.loads(said)['topics']
     recorded = sum(t['messages'] for t in topics)
+    figures['tmpfs'] = tmpfs
     figures['missed'] = cameras['sent'] - recorded
     figures['cpu'] = used.ru_utime + used.ru_stime
+    fill(warm, all_bytes)
     figures['cp'], _ = cpu_of(['cp', file, directory / 'copy'])
     figures['GB'] = file.stat().st_size / 1e9
     (directory / 'copy').unlink()
@@ -105,10 +107,10 @@ def table(rows, runs):
             push = cell([g['push'] for g in got], 1)
             p99 = cell([g['p99'] for g in got], 1)
             ratio = cell([g['push'] / a['push'] for g, a in zip(got, alone)], 2)
-            tmpfs = cell([g['tmpfs'] for g in got], 1)
             if words is None:
-                lines.append(f'| {row[0]} | {arm} | {tmpfs} | | | | | {push} | | {p99} |')
+                lines.append(f'| {row[0]} | {arm} | | | | | | {push} | | {p99} |')
                 continue
+            tmpfs = cell([g['tmpfs'] for g in got], 1)
             lines.append(f'| {row[0]} | {arm} | {tmpfs} | {got[0]["GB"]:.2f} | {max(g["missed"] for g in got)} | '
                          f'{cell([g["cpu"] for g in got], 2)} | {cell([g["cpu"] / g["cp"] for g in got], 2)} | '
                          f'{push} | {ratio} | {p99} |')
@@ -122,7 +124,7 @@ def main():
     parser.add_argument('--cameras', type=pathlib.Path, default=ROOT / 'build/release/bench/lot_cameras')
     parser.add_argument('--lot', type=pathlib.Path, default=ROOT / 'build/release/src/tool/lot')
     parser.add_argument('--to', type=pathlib.Path, default='/dev/shm',
-                        help='a directory in a tmpfs with 18 GB free (%(default)s)')
+                        help='a directory in a tmpfs with 17 GB free (%(default)s)')
     arguments = parser.parse_args()
     if arguments.runs < 1:
         parser.error('--runs: at least one')
