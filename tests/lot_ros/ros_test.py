@@ -21,6 +21,7 @@ from graph import NODE, TOOL, Graph
 COUNT = 200
 RELAY = os.environ.get('LOT_RELAY', 'lot_relay')
 HANDLES = os.environ.get('LOT_ROS_HANDLES', 'ros_handles_test')
+CHOSEN = os.environ.get('LOT_ROS_CHOSEN', '').split()  # options of doctest: which cases of a node
 FILTERS = os.environ.get('LOT_ROS_FILTERS')
 CAMERA = os.environ.get('LOT_ROS_CAMERA')
 KILLING_S = float(os.environ.get('LOT_ROS_KILLING_S', 20))
@@ -185,7 +186,7 @@ class Pairs(Case):
 class Handles(Case):
     def test_handles_in_one_node(self):
         with Graph() as graph:
-            node = graph.run([HANDLES])
+            node = graph.run([HANDLES, *CHOSEN])
             status = graph.ended(node, 200)
             self.assertEqual(status, 0, graph.output(node) + graph.said(node))
             self.assertEqual(graph.files(), [])
@@ -195,7 +196,7 @@ class Handles(Case):
 class Filters(Case):
     def test_filters_and_cameras_in_one_node(self):
         with Graph() as graph:
-            node = graph.run([FILTERS])
+            node = graph.run([FILTERS, *CHOSEN])
             status = graph.ended(node, 200)
             self.assertEqual(status, 0, graph.output(node) + graph.said(node))
             self.assertEqual(graph.files(), [])

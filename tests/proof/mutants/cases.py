@@ -61,20 +61,36 @@ def place_of(program):
     return path.relative_to(root).as_posix()
 
 
+def cases_of_doctest(program, environment, folder):
+    """(case, the options that choose it) of each."""
+    listed = subprocess.run([program, '-ltc', '-nc'], cwd=folder, capture_output=True, text=True,
+                            env={**os.environ, **environment}, timeout=60)
+    lines = [line for line in listed.stdout.splitlines() if not line.startswith(('[doctest]', '==='))]
+    return [(line.strip(), ['-nc', '-aa=1', f'-f={i}', f'-l={i}']) for i, line in enumerate(lines, 1)]
+
+
+# The models from outside: a few short runs of each. And nodes of ROS that have many cases.
+SEEDS = (1, 2, 3)
+NODES = {'Handles': 'LOT_ROS_HANDLES', 'Filters': 'LOT_ROS_FILTERS'}
+
+
 def cases_of(name, command, environment, folder):
     """A program of doctest, or a file of unittest, has many cases; another command is one."""
+    if name.startswith('outside_'):
+        return [Case(f'{name}: seed {seed}', [*command, '--seed', str(seed)], environment, folder) for seed in SEEDS]
     if len(command) == 1 and place_of(command[0]).startswith('tests/'):
-        listed = subprocess.run([command[0], '-ltc', '-nc'], cwd=folder, capture_output=True, text=True,
-                                env={**os.environ, **environment}, timeout=60)
-        lines = [line for line in listed.stdout.splitlines() if not line.startswith(('[doctest]', '==='))]
-        return [Case(f'{name}: {line.strip()}', [*command, '-nc', '-aa=1', f'-f={i}', f'-l={i}'],
-                     environment, folder) for i, line in enumerate(lines, 1)]
+        return [Case(f'{name}: {line}', [*command, *chosen], environment, folder)
+                for line, chosen in cases_of_doctest(command[0], environment, folder)]
     if command[-1].endswith('.py') and 'unittest.main' in (text := pathlib.Path(command[-1]).read_text()):
         found, group = [], None
         for line in text.splitlines():
             if match := re.match(r'class (\w+)\(', line):
                 group = match.group(1)
-            elif match := re.match(r'    def (test_\w+)\(', line):
+            elif (match := re.match(r'    def (test_\w+)\(', line)) and NODES.get(group, '') in environment:
+                found += [Case(f'{name}: {group}: {its}', [*command, f'{group}.{match.group(1)}'],
+                               {**environment, 'LOT_ROS_CHOSEN': ' '.join(chosen)}, folder) for its, chosen in
+                          cases_of_doctest(environment[NODES[group]], environment, folder)]
+            elif match:
                 found.append(Case(f'{name}: {group}.{match.group(1)}',
                                   [*command, f'{group}.{match.group(1)}'], environment, folder))
         return found

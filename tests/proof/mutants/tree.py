@@ -30,10 +30,18 @@ FLAGS = ('-w -Wno-error -Wno-narrowing -Wno-invalid-constexpr -ferror-limit=0 '
          '-fno-caret-diagnostics -fno-color-diagnostics')
 SETTINGS = {
     'CMAKE_CXX_COMPILER': CLANG, 'CMAKE_BUILD_TYPE': 'Release', 'LOT_BUILD_BENCH': 'OFF',
-    'LOT_BUILD_MODEL': 'OFF', 'LOT_BUILD_EXAMPLES': 'OFF', 'LOT_RELAY_PACKAGES': 'std_msgs',
+    'LOT_BUILD_MODEL': 'OFF', 'LOT_BUILD_EXAMPLES': 'OFF',
+    'LOT_RELAY_PACKAGES': 'std_msgs;sensor_msgs;nav_msgs;visualization_msgs;tf2_msgs',
     'LOT_WERROR': 'OFF', 'CMAKE_CXX_FLAGS': FLAGS, 'CMAKE_CXX_FLAGS_RELEASE': '-O0 -DNDEBUG',
     'LOT_LIBRARY_OPTIONS': '-O1', 'LOT_TEST_OPTIONS': '', 'LOT_BUSY_TEST_OPTIONS': '-O1',
     'LOT_LIBRARY_UNITY': 'ON', 'CMAKE_UNITY_BUILD': 'ON'}
+# What tests need beside the program of their name, by the first word of that.
+NEEDED = {
+    'tool': {'lot_cli'},
+    'ros': {'lot_cli', 'src/lot_ros/all', 'tests/lot_ros/all'},
+    'outside': {'tests/proof/outside/all'},
+    'codec': {'tests/codec/all'},
+    'crash': {'crash_node'}}
 ERROR = re.compile(r'^(?:In file included from )?([^\s:][^:\n]*):(\d+):(\d+): (?:fatal )?(error|note): (.*)$', re.M)
 
 
@@ -267,16 +275,12 @@ class Tree:
 
     def targets_of(self, tests):
         """What must be built for these tests."""
-        known = set(re.findall(r'^(\w+): ', subprocess.run(
+        known = set(re.findall(r'^([\w/]+): ', subprocess.run(
             ['ninja', '-C', self.objects, '-t', 'targets', 'all'], capture_output=True, text=True).stdout, re.M))
-        targets = {name.removesuffix('_mutex') for name in tests} & known
+        targets = {name.removesuffix('_mutex') for name in tests}
         for name in tests:
-            if name.startswith('tool_'):
-                targets.add('lot_cli')
-            elif name.startswith('ros_'):
-                targets |= {'lot_cli', 'lot_relay', 'ros_node', 'ros_handles_test', 'ros_filters_test',
-                            'lot_image_transport', 'ros_nodelets', 'ros_edges_lot'} & known
-        return sorted(targets)
+            targets |= NEEDED.get(name.partition('_')[0], set())
+        return sorted(targets & known)
 
     def build_once(self, targets):
         """Builds the targets; what the compiler says, if it refuses."""
