@@ -225,6 +225,7 @@ class SchemaReader {
 
   Part add_field(const FieldText& field, const std::string& from, std::size_t level) {
     Part element = add_plain(field, from, level);
+    line_ = field.line;
     if (!field.is_list) return element;
     Description::Type type;
     type.element = element.type;

@@ -313,6 +313,173 @@ TEST_CASE("points of three floats, or none, go to PCL's points, which are larger
   CHECK(points.empty());
 }
 
+TEST_CASE("a cloud of a column stays one, any other one becomes a row") {
+  Made<Cloud> cloud;
+  lot::ros::PointCloud2Modifier modifier(*cloud);
+  CHECK(modifier.size() == 0);  // no fields yet
+  modifier.setPointCloud2FieldsByString(1, "xyz");
+  const auto shape = [&] {
+    return std::vector<std::uint32_t>{cloud->width, cloud->height, cloud->row_step};
+  };
+  using Shape = std::vector<std::uint32_t>;
+  modifier.reserve(9);
+  CHECK(cloud->data.capacity() >= 9 * 16);
+  modifier.resize(9);
+  CHECK(shape() == Shape{9, 1, 144});
+  CHECK(modifier.size() == 9);
+  cloud->width = 1, cloud->height = 9, cloud->row_step = 16;
+  modifier.resize(4);
+  CHECK(shape() == Shape{1, 4, 16});
+  CHECK(cloud->data.size() == 64);
+  modifier.clear();
+  CHECK(shape() == Shape{1, 0, 16});
+  cloud->width = 3, cloud->height = 2, cloud->row_step = 48;
+  modifier.resize(6);
+  CHECK(shape() == Shape{6, 1, 96});
+  modifier.clear();
+  CHECK(shape() == Shape{0, 1, 0});
+  cloud->width = 1;
+  modifier.resize(2);  // one point in one row
+  CHECK(shape() == Shape{2, 1, 32});
+}
+
+TEST_CASE("fields of a cloud: each size, colours in both byte orders, and what there is not") {
+  using F = sensor_msgs::PointField;
+  Made<Cloud> cloud;
+  lot::ros::PointCloud2Modifier modifier(*cloud);
+  modifier.setPointCloud2Fields(9, "a", 1, F::INT8, "b", 1, F::UINT8, "c", 1, F::INT16, "d", 1,
+                                F::UINT16, "e", 1, F::INT32, "f", 1, F::UINT32, "g", 1, F::FLOAT32,
+                                "h", 1, F::FLOAT64, "i", 2, F::UINT16);
+  std::vector<std::uint32_t> offsets;
+  for (const auto& field : cloud->fields) offsets.push_back(field.offset);
+  CHECK(offsets == std::vector<std::uint32_t>{0, 1, 2, 4, 6, 10, 14, 18, 26});
+  CHECK(cloud->point_step == 30);
+  CHECK_THROWS_AS(modifier.setPointCloud2Fields(1, "x", 1, 0), std::runtime_error);
+  CHECK_THROWS_AS(modifier.setPointCloud2Fields(1, "x", 1, 9), std::runtime_error);
+  CHECK_THROWS_AS(modifier.setPointCloud2FieldsByString(1, "hsv"), std::runtime_error);
+
+  modifier.setPointCloud2FieldsByString(1, "rgba");
+  modifier.resize(2);
+  fill(*cloud, 2);
+  const auto byte = [&](const char* name) {
+    return *(lot::ros::PointCloud2Iterator<std::uint8_t>(*cloud, name) + 1) - cloud->data[16];
+  };
+  for (const bool is_bigendian : {false, true}) {
+    cloud->is_bigendian = is_bigendian;
+    CHECK(byte("b") == (is_bigendian ? 39 : 0));  // bytes differ by 13 each
+    CHECK(byte("g") == (is_bigendian ? 26 : 13));
+    CHECK(byte("r") == (is_bigendian ? 13 : 26));
+    CHECK(byte("a") == (is_bigendian ? 0 : 39));
+  }
+  CHECK_THROWS_AS(lot::ros::PointCloud2Iterator<std::uint8_t>(*cloud, "gb"), std::runtime_error);
+  CHECK_THROWS_AS(lot::ros::PointCloud2Iterator<std::uint16_t>(*cloud, "r"), std::runtime_error);
+  CHECK_THROWS_AS(lot::ros::PointCloud2Iterator<double>(*cloud, "rgba"), std::runtime_error);
+  cloud->fields[0].count = 0;  // as old drivers say it
+  lot::ros::PointCloud2Iterator<float> all(*cloud, "rgba");
+  const auto first = all;
+  CHECK(all == first);
+  CHECK(!(all != first));
+  CHECK(!(all < first));
+  CHECK(first < ++all);
+  CHECK(all != first);
+  CHECK(++all == first.end());
+  CHECK(first + 2 == first.end());
+  cloud->point_step = 3;  // the field does not fit into a point
+  CHECK_THROWS_AS(lot::ros::PointCloud2Iterator<float>(*cloud, "rgba"), std::runtime_error);
+}
+
+TEST_CASE("PCL's cloud without a size is one row; one of another size than it says is refused") {
+  pcl::PointCloud<pcl::PointXYZ> points;
+  points.points.resize(6);
+  Made<Cloud> cloud;
+  const auto shape = [&](std::uint32_t width, std::uint32_t height) {
+    points.width = width, points.height = height;
+    pcl::toROSMsg(points, *cloud);
+    return std::vector<std::uint32_t>{cloud->width, cloud->height, cloud->row_step,
+                                      static_cast<std::uint32_t>(cloud->data.size())};
+  };
+  using Shape = std::vector<std::uint32_t>;
+  CHECK(shape(0, 0) == Shape{6, 1, 96, 96});
+  CHECK(shape(6, 1) == Shape{6, 1, 96, 96});
+  CHECK(shape(1, 6) == Shape{1, 6, 16, 96});
+  CHECK(shape(2, 3) == Shape{2, 3, 32, 96});
+  CHECK_THROWS_AS(shape(0, 6), std::runtime_error);
+  CHECK_THROWS_AS(shape(6, 0), std::runtime_error);
+  CHECK_THROWS_AS(shape(5, 1), std::runtime_error);
+  CHECK_THROWS_AS(shape(7, 1), std::runtime_error);
+  CHECK_THROWS_AS(lot::ros::shape<pcl::PointXYZ>(*cloud, 1U << 28), std::runtime_error);
+  points.points.clear();
+  CHECK(shape(0, 0) == Shape{0, 1, 0, 0});
+}
+
+TEST_CASE("points where they lie: as they are laid out, or a word why not") {
+  pcl::PointCloud<pcl::PointXYZ> points(5, 2);
+  for (std::size_t i = 0; i < 10; ++i) points[i].x = static_cast<float>(i);
+  Made<Cloud> made;
+  made->data.reserve(1 << 17);  // pieces that large are aligned
+  pcl::toROSMsg(points, *made);
+  const auto why = [](auto& cloud) -> std::string {
+    try {
+      (void)lot::ros::points<pcl::PointXYZ>(cloud);
+      return "";
+    } catch (const std::runtime_error& e) {
+      return e.what();
+    }
+  };
+  const auto says = [](const std::string& text, const char* what) {
+    return text.find(what) != std::string::npos;
+  };
+  const Cloud& read = *made;
+  REQUIRE(why(read) == "");
+  CHECK(why(*made) == "");
+  const auto there = lot::ros::points<pcl::PointXYZ>(read);
+  CHECK(there.size() == 10);
+  CHECK(!there.empty());
+  CHECK(there.end() - there.begin() == 10);
+  CHECK(there[9].x == 9);
+  CHECK(lot::ros::points<pcl::PointXYZ>(*made).begin()->x == 0);
+
+  const Cloud good = *made;
+  const auto with = [&](auto&& change) {
+    Cloud cloud = good;
+    change(cloud);
+    return why(cloud);
+  };
+  CHECK(says(with([](Cloud& c) { c.fields[1].name = "w"; }), "has no field y of that type"));
+  CHECK(says(with([](Cloud& c) { c.fields[1].datatype = 8; }), "has no field y of that type"));
+  CHECK(says(with([](Cloud& c) { c.fields[1].offset = 12; }), "laid out otherwise"));
+  CHECK(says(with([](Cloud& c) { c.row_step = 81; }), "has only 160 bytes"));
+  CHECK(says(with([](Cloud& c) { c.data.pop_back(); }), "5 x 2 points has only 159 bytes"));
+  CHECK(says(with([](Cloud& c) { c.row_step = 79; }), "has only"));
+  CHECK(says(with([](Cloud& c) { c.height = 1, c.row_step = 79; }), "has only"));
+  CHECK(with([](Cloud& c) { c.height = 1, c.row_step = 1000; }) == "");
+  CHECK(with([](Cloud& c) { c.height = 0; }) == "");
+  CHECK(says(with([](Cloud& c) { c.row_step = 96, c.data.resize(200); }), "bytes apart"));
+  CHECK(says(with([](Cloud& c) { c.point_step = 20, c.row_step = 100, c.data.resize(200); }),
+             "20 bytes apart, and not 16"));
+  Cloud none;
+  none.fields = good.fields;
+  none.point_step = 16;
+  CHECK(lot::ros::points<pcl::PointXYZ>(none).empty());
+
+  pcl::PointCloud<pcl::PointXYZ> back;
+  Cloud beyond = good;
+  beyond.fields[2].offset = 13;
+  CHECK_THROWS_AS(pcl::fromROSMsg(beyond, back), std::runtime_error);
+  Cloud dense = good;
+  dense.is_dense = 0;
+  dense.header.seq = 77;
+  pcl::fromROSMsg(dense, back);
+  CHECK(!back.is_dense);
+  CHECK(back.header.seq == 77);
+  CHECK(back.width == 5);
+  CHECK(back.height == 2);
+  Made<Cloud> again;
+  pcl::toROSMsg(back, *again);
+  CHECK(again->header.seq == 77);
+  CHECK(!again->is_dense);
+}
+
 TEST_CASE("a cloud of several rows that is cleared has none") {
   Made<Cloud> cloud;
   lot::ros::PointCloud2Modifier modifier(*cloud);

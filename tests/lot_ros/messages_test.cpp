@@ -285,6 +285,34 @@ TEST_CASE("strings, vectors and headers convert to and from the standard ones") 
   CHECK(cloud.fields[4].name == field.name);
 }
 
+TEST_CASE("strings and vectors compare with the standard ones as these do with each other") {
+  const std::vector<std::string> texts{"", "a", "ab", "b"};
+  for (const std::string& a : texts) {
+    for (const std::string& b : texts) {
+      CAPTURE(a);
+      CAPTURE(b);
+      const lot::ros::String x = a;
+      const lot::ros::String y = b;
+      const auto orders = [](const auto& one, const auto& other) {
+        return std::vector<bool>{one == other, one != other, one<other, one> other, one <= other,
+                                 one >= other};
+      };
+      CHECK(orders(x, b) == orders(a, b));
+      CHECK(orders(a, y) == orders(a, b));
+      CHECK(orders(x, y) == orders(a, b));
+      CHECK(x + b == a + b);
+      CHECK(a + y == a + b);
+      const std::vector<char> p(a.begin(), a.end());
+      const std::vector<char> q(b.begin(), b.end());
+      const lot::ros::Vector<char> in_message = p;
+      CHECK((in_message == q) == (p == q));
+      CHECK((in_message != q) == (p != q));
+      CHECK((q == in_message) == (p == q));
+      CHECK((q != in_message) == (p != q));
+    }
+  }
+}
+
 TEST_CASE("what is assigned to a field in shared memory lies there") {
   auto pusher = engine().advertise<lot::ros::Message<sensor_msgs::PointCloud2_>>("/fields");
   auto cloud = pusher.loan();

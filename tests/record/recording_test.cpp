@@ -420,6 +420,62 @@ float64 y
   CHECK(made.align == 8);
 }
 
+TEST_CASE("a schema that no message can have is refused by its line and the reason") {
+  const auto why = [](const std::string& text) -> std::string {
+    try {
+      (void)record::type_of_schema("p/msg/T", text);
+      return "";
+    } catch (const Error& e) {
+      const std::string said = e.what();
+      const auto begin = said.find("line ");
+      return said.substr(begin, said.rfind(" (") - begin);
+    }
+  };
+  const std::vector<std::pair<std::string, std::string>> refused = {
+      {"uint8", "line 1 of its schema: a type without a name: uint8"},
+      {"# a comment\n\nuint8 1a", "line 3 of its schema: no name of a field: 1a"},
+      {"uint8 a-b", "line 1 of its schema: no name of a field: a-b"},
+      {"uint8[ a", "line 1 of its schema: [ without ]"},
+      {"uint8[0] a", "line 1 of its schema: an array of 0"},
+      {"uint8[x] a", "line 1 of its schema: an array of x"},
+      {"uint8[3x] a", "line 1 of its schema: an array of 3x"},
+      {"uint8[4294967296] a", "line 1 of its schema: an array of 4294967296"},
+      {"uint8 a\nA[4294967295] b\n===\nMSG: p/A\nfloat64[4294967295] c",
+       "line 2 of its schema: an array that is too large"},
+      {"wstring s", "line 1 of its schema: a wstring, which no message of LOT can have"},
+      {"other/Thing t", "line 1 of its schema: the type other/Thing is not in it"},
+      {"uint8 a\nint8 a", "line 2 of its schema: two fields are called a"},
+      {"===\nuint8 a",
+       "line 2 of its schema: fields behind ===, and no line MSG: that names their type"},
+      {"T t", "line 1 of its schema: p/T lies within itself"},
+      {"A a\n===\nMSG: p/A\nT t", "line 4 of its schema: p/T lies within itself"},
+  };
+  for (const auto& [text, reason] : refused) {
+    CAPTURE(text);
+    CHECK(why(text) == reason);
+  }
+  for (const char* good : {"", "uint8[4294967295] a", "uint8 A=3\nuint8 a", "uint8[<=3] a"}) {
+    CAPTURE(good);
+    CHECK(why(good) == "");
+  }
+  const auto many = [](std::size_t count, const std::string& before, const std::string& behind) {
+    std::string text;
+    for (std::size_t i = 0; i < count; ++i) text += before + std::to_string(i) + behind;
+    return text;
+  };
+  const std::string is_large =
+      "it is larger than 16 KiB as a description, or has more than 16 levels";
+  CHECK(why(many(4097, "uint8 f", "\n")) == "line 4097 of its schema: more than 4096 fields");
+  CHECK(why(many(4096, "uint8 f", "\n")) == "line 4096 of its schema: " + is_large);
+  CHECK(why(many(1023, "MSG: p/A", "\n")) == "");
+  CHECK(why(many(1024, "MSG: p/A", "\n")) == "line 1024 of its schema: more than 1024 types");
+  std::string deep = "A0 a\n";
+  for (int i = 0; i < 40; ++i) {
+    deep += "MSG: p/A" + std::to_string(i) + "\nA" + std::to_string(i + 1) + " a\n";
+  }
+  CHECK(why(deep + "MSG: p/A40\nuint8 a\n").ends_with("types that lie too deep in each other"));
+}
+
 TEST_CASE("types by chance: their schema gives a type whose messages have the same bytes") {
   std::mt19937_64 random(seed());
   Heap heap(16 << 20);
