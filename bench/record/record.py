@@ -8,11 +8,12 @@ CPU is the recorder's own, user and system, in seconds; behind it the ratio to `
 Each figure is the median of the runs, with the lowest and the highest of them. `push` is what a camera's loan
 and push take together, and its ratio to the arm without a recorder.
 
-Before a recording and before its `cp` as many bytes are written there and removed again: so a guest's pages are its
-own, and not given by the host at their first touch. `tmpfs` is how fast that went just before the recording.
+A recording and its `cp` get the pages of a file that was there, which shrinks as theirs grows: so they are a guest's
+own, and not given by the host at their first touch. `tmpfs` is how fast that file was written, the second time.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import pathlib
@@ -20,6 +21,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -40,15 +42,33 @@ def cpu_of(command, **how):
 
 
 def fill(file, size):
-    """Writes so many bytes and removes them; returns GB/s."""
+    """Writes so many bytes; returns GB/s."""
     piece = bytes(8 << 20)
     before = time.monotonic()
     with open(file, 'wb', buffering=0) as out:
         for _ in range(0, size, len(piece)):
             out.write(piece)
-    took = time.monotonic() - before
-    file.unlink()
-    return size / took / 1e9
+    return size / (time.monotonic() - before) / 1e9
+
+
+@contextlib.contextmanager
+def shrinking(warm, size, grows):
+    """Meanwhile `warm`, of that size, gives up what `grows` takes, and half a GB more."""
+    over = threading.Event()
+
+    def shrink():
+        while not over.wait(0.05):
+            there = grows.stat().st_size if grows.exists() else 0
+            os.truncate(warm, max(0, size - there - (512 << 20)))
+
+    thread = threading.Thread(target=shrink)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        warm.unlink()
 
 
 def film(arguments, row, words, directory, environment):
@@ -68,7 +88,9 @@ def film(arguments, row, words, directory, environment):
             if recorder.poll() is not None:
                 sys.exit('record.py: lot record has ended')
             time.sleep(0.01)
-    _, said = cpu_of([arguments.cameras, '--bytes', str(size), '--hz', str(hz), '--seconds', str(seconds)], env=environment)
+    with shrinking(warm, all_bytes, file) if recorder else contextlib.nullcontext():
+        _, said = cpu_of([arguments.cameras, '--bytes', str(size), '--hz', str(hz), '--seconds', str(seconds)],
+                         env=environment)
     cameras = json.loads(said)
     figures = {'push': cameras['push_us_median'], 'p99': cameras['push_us_p99']}
     if recorder is None:
@@ -85,7 +107,8 @@ def film(arguments, row, words, directory, environment):
     figures['missed'] = cameras['sent'] - recorded
     figures['cpu'] = used.ru_utime + used.ru_stime
     fill(warm, all_bytes)
-    figures['cp'], _ = cpu_of(['cp', file, directory / 'copy'])
+    with shrinking(warm, all_bytes, directory / 'copy'):
+        figures['cp'], _ = cpu_of(['cp', file, directory / 'copy'])
     figures['GB'] = file.stat().st_size / 1e9
     (directory / 'copy').unlink()
     file.unlink()
