@@ -53,7 +53,8 @@ struct RecorderOptions {
   /// it, which are kept in this process's memory until then.
   Duration keep_last = Duration();
   std::uint64_t keep_last_bytes = std::uint64_t{1} << 30;  ///< at most so much of them
-  Duration keep_after = Duration();                        ///< and those of so long after it
+  /// And those of so long after it. Only with keep_last, as `trigger`.
+  Duration keep_after = Duration();
   std::string trigger;  ///< a topic, each message of which is a trigger(); empty: none
 };
 
@@ -65,9 +66,9 @@ struct RecorderStatus {
     std::string in_segment;      ///< its name there: lot::ros puts a run before it
     std::string type;            ///< in the file, as ROS 2 would call it
     std::uint64_t messages = 0;  ///< recorded: written, or in the open chunk
-    std::uint64_t bytes = 0;     ///< of these
+    std::uint64_t bytes = 0;     ///< of these, as in the file before its compression
     std::uint64_t missed = 0;    ///< overwritten before it looked
-    std::uint64_t lost = 0;      ///< could not be written
+    std::uint64_t lost = 0;      ///< could not be written, or went with a file that was removed
     std::uint64_t damaged = 0;   ///< could not be encoded
     std::uint64_t left_out = 0;  ///< beyond RecorderOptions::max_rate
   };
@@ -76,8 +77,10 @@ struct RecorderStatus {
     std::string name;  ///< as in a Topic
     std::string why;   ///< in words
   };
-  std::vector<Topic> topics;        ///< in the order of their first look
-  std::vector<Refused> refused;     ///< a queue, an opaque type
+  std::vector<Topic> topics;     ///< in the order of their first look
+  std::vector<Refused> refused;  ///< a queue, an opaque type
+  /// Names and patterns of RecorderOptions (topics, except, trigger) that no topic has fitted yet.
+  std::vector<std::string> unmatched;
   std::vector<std::string> files;   ///< that were made
   std::uint64_t held_bytes = 0;     ///< seen and not written yet
   std::uint64_t kept_messages = 0;  ///< with RecorderOptions::keep_last: what a trigger would write

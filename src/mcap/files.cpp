@@ -5,8 +5,10 @@
 #include <cerrno>
 #include <climits>
 #include <fcntl.h>
+#include <filesystem>
 #include <sys/file.h>
 #include <sys/stat.h>
+#include <system_error>
 #include <unistd.h>
 
 #include "lot/error.hpp"
@@ -16,22 +18,33 @@
 namespace lot::mcap {
 namespace {
 
-std::string advice_for(int error) {
+bool is_directory(const std::string& path) {
+  std::error_code ignored;
+  return std::filesystem::is_directory(path, ignored);
+}
+
+std::string advice_for(int error, const std::string& path) {
+  const std::string parent = std::filesystem::path(path).parent_path();
   switch (error) {
     case EEXIST:
-      return "a recording is never overwritten: choose another name, or remove it";
+    case EISDIR:
+      return is_directory(path) ? "it is a directory: name a file in it"
+                                : "a recording is never overwritten: choose another name, or "
+                                  "remove it";
     case ENOSPC:
     case EDQUOT:
       return "what was written before can be read; make room, or record to another disk";
     case ENOENT:
-      return "make its directory first";
+      return is_directory(parent.empty() ? "." : parent)
+                 ? "its directory takes no new files: record to another one"
+                 : "make its directory first";
     default:
       return "";
   }
 }
 
 [[noreturn]] void fail(const std::string& path, const std::string& what, int error = errno) {
-  throw Error(error, path, what, advice_for(error));
+  throw Error(error, path, what, advice_for(error, path));
 }
 
 struct stat status_of(int fd, const std::string& path) {
@@ -48,7 +61,11 @@ Descriptor::~Descriptor() {
 
 OutFile::OutFile(std::string path, int flags)
     : path_(std::move(path)), fd_(segment::open_file(path_, flags, 0666)) {
-  if (fd_.get() == -1) fail(path_, "cannot open the file to write it");
+  if (fd_.get() == -1) {
+    const bool is_not_there = errno == ENOENT && (flags & O_CREAT) == 0;
+    throw Error(errno, path_, "cannot open the file to write it",
+                is_not_there ? "" : advice_for(errno, path_));
+  }
   const struct stat status = status_of(fd_.get(), path_);
   if (!S_ISREG(status.st_mode)) {
     throw Error(EINVAL, path_, "not an ordinary file", "a recording is written at any place of it");

@@ -130,7 +130,7 @@ void Writer::write(const MessageHead& head, std::span<const View> payload) {
   make_room(record_bytes);
   if (record_bytes < options_.chunk_bytes) {
     chunk_.reserve(options_.chunk_bytes);  // so that nothing below runs out of memory half way
-    noted_.push_back({head, chunk_.size()});
+    noted_.push_back({head, chunk_.size(), payload_bytes});
     encode(chunk_, head, payload_bytes);
     for (const View piece : payload) Encoder(chunk_).raw(piece);
     return;
@@ -139,7 +139,7 @@ void Writer::write(const MessageHead& head, std::span<const View> payload) {
   encode(message_head_, head, payload_bytes);
   std::vector<View> records{message_head_};
   records.insert(records.end(), payload.begin(), payload.end());
-  noted_.push_back({head, 0});
+  noted_.push_back({head, 0, payload_bytes});
   write_chunk(records);
 }
 
@@ -211,6 +211,7 @@ void Writer::write_chunk(std::span<const View> records) try {
 
   for (const Noted& message : noted_) {
     contents_.statistics.count(message.head.channel, message.head.log_time);
+    payload_bytes_[message.head.channel] += message.payload_bytes;
   }
   ++contents_.statistics.chunks;
   noted_.clear();

@@ -61,6 +61,11 @@ class Writer {
   std::uint64_t bytes() const { return written_ + chunk_.size(); }
   /// What has been written, without the open chunk.
   const Statistics& statistics() const { return contents_.statistics; }
+  /// How many bytes the payloads of a channel's messages have that have been written.
+  std::uint64_t payload_bytes(std::uint16_t channel) const {
+    const auto found = payload_bytes_.find(channel);
+    return found == payload_bytes_.end() ? 0 : found->second;
+  }
   /// How many messages went down with chunks that could not be written, or were refused when their
   /// write() had to make room and failed.
   std::uint64_t lost() const { return lost_; }
@@ -69,6 +74,7 @@ class Writer {
   struct Noted {
     MessageHead head;
     std::uint64_t offset;
+    std::uint64_t payload_bytes;
   };
 
   void require_open() const;
@@ -90,8 +96,9 @@ class Writer {
   std::optional<Compressor> compressor_;
   Contents contents_;
   Crc crc_;
-  Bytes chunk_;                ///< the records of the open chunk
-  std::vector<Noted> noted_;   ///< its messages
+  Bytes chunk_;                                           ///< the records of the open chunk
+  std::vector<Noted> noted_;                              ///< its messages
+  std::map<std::uint16_t, std::uint64_t> payload_bytes_;  ///< of channels
   Bytes message_head_;         ///< of a message that has a chunk of its own
   std::uint64_t written_ = 0;  ///< how large the file is
   std::uint64_t lost_ = 0;

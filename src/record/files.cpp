@@ -153,6 +153,7 @@ void Files::write(const Stream& stream, mcap::MessageHead head,
     head.channel = its.channel;
     if (begin_ == 0) begin_ = std::max<std::uint64_t>(head.log_time, 1);
     ++its.messages;
+    its.bytes += bytes;
     is_given = true;
     writer_->write(head, payload);
     ledger_.add(stream.line, &Topic::messages, 1);
@@ -160,6 +161,7 @@ void Files::write(const Stream& stream, mcap::MessageHead head,
   } catch (const std::exception& e) {
     // What was given counts as recorded, until count_lost() takes it back.
     ledger_.add(stream.line, is_given ? &Topic::messages : &Topic::lost, 1);
+    if (is_given) ledger_.add(stream.line, &Topic::bytes, bytes);
     count_lost(e);
     throw;
   }
@@ -169,21 +171,25 @@ void Files::count_lost(const std::exception& why) {
   if (!writer_) return;
   const auto* const error = dynamic_cast<const Error*>(&why);
   if (error != nullptr && error->error_number() == ENOENT) {
-    settle();
+    settle(true);
     forget_file();
   } else if (writer_->lost() != lost_) {
     settle();  // else the open chunk is still there
   }
 }
 
-void Files::settle() {
+void Files::settle(bool is_removed) {
   const auto& written = writer_->statistics().channel_messages;
   for (auto& [line, its] : channels_) {
     const auto found = written.find(its.channel);
-    const std::uint64_t there = found == written.end() ? 0 : found->second;
-    const std::uint64_t lost = its.messages - std::min(its.messages, there);
+    const bool has_some = !is_removed && found != written.end();
+    const std::uint64_t lost = its.messages - std::min(its.messages, has_some ? found->second : 0);
+    const std::uint64_t there = has_some ? writer_->payload_bytes(its.channel) : 0;
+    const std::uint64_t lost_bytes = its.bytes - std::min(its.bytes, there);
     its.messages -= lost;
+    its.bytes -= lost_bytes;
     ledger_.take(line, &Topic::messages, lost);
+    ledger_.take(line, &Topic::bytes, lost_bytes);
     ledger_.add(line, &Topic::lost, lost);
   }
   lost_ = writer_->lost();

@@ -49,6 +49,7 @@ class Files {
     std::string topic;
     std::uint16_t channel = 0;
     std::uint64_t messages = 0;  ///< that the writer was given
+    std::uint64_t bytes = 0;     ///< of these
   };
   std::string next_path();
   bool numbers_files() const;
@@ -59,8 +60,9 @@ class Files {
   void note_end();
   /// A write has failed: notes which messages that has cost. A file that was removed is no more.
   void count_lost(const std::exception& why);
-  /// There is no open chunk: what the writer was given and has not written is lost.
-  void settle();
+  /// There is no open chunk: what the writer was given and has not written is lost. `is_removed`:
+  /// so is what it has written.
+  void settle(bool is_removed = false);
   void forget_file();
 
   const RecorderOptions& options_;

@@ -13,6 +13,7 @@
 #include "lot/recorder.hpp"
 
 #include "mcap/records.hpp"
+#include "record/pattern.hpp"
 
 namespace lot::record {
 
@@ -74,6 +75,21 @@ class Ledger {
       found->why = why;
     }
   }
+  /// Names and patterns that are to be fitted by topics.
+  void expects(std::vector<std::string> patterns) {
+    const std::lock_guard guard(mutex_);
+    told_.unmatched = std::move(patterns);
+  }
+  bool expects_more() const {
+    const std::lock_guard guard(mutex_);
+    return !told_.unmatched.empty();
+  }
+  /// There is a topic of that name.
+  void saw(const std::string& name) {
+    const std::lock_guard guard(mutex_);
+    std::erase_if(told_.unmatched,
+                  [&](const std::string& pattern) { return matches(pattern, name); });
+  }
   void keeps(std::uint64_t messages, std::uint64_t bytes) {
     const std::lock_guard guard(mutex_);
     told_.kept_messages = messages;
@@ -81,7 +97,8 @@ class Ledger {
   }
   void made(const std::string& file) {
     const std::lock_guard guard(mutex_);
-    told_.files.push_back(file);
+    const bool is_anew = std::ranges::find(told_.files, file) != told_.files.end();
+    if (!is_anew) told_.files.push_back(file);
   }
   void went_wrong(const std::string& what) {
     const std::lock_guard guard(mutex_);

@@ -166,6 +166,7 @@ void Observer::find_topics() {
     const std::string name = name_in_file(topic);
     const bool is_trigger = !options_.trigger.empty() && name == options_.trigger;
     try {
+      if (ledger_.expects_more() && engine_->type_of(topic)) ledger_.saw(name);
       if (is_trigger && !has(true)) subscribe(topic, true);
       if (is_chosen(name) && !has(false)) consider(topic);
     } catch (const Error& e) {

@@ -9,11 +9,14 @@
 
 namespace lot::record {
 
-/// Whether one of the names, or patterns of a shell, is that name. `*` matches `/` as well.
+/// Whether the name, or pattern of a shell, is that name. `*` matches `/` as well.
+inline bool matches(const std::string& pattern, const std::string& name) {
+  return pattern == name || fnmatch(pattern.c_str(), name.c_str(), 0) == 0;
+}
+/// Whether one of them is.
 inline bool matches_any(const std::vector<std::string>& patterns, const std::string& name) {
-  return std::ranges::any_of(patterns, [&](const std::string& pattern) {
-    return pattern == name || fnmatch(pattern.c_str(), name.c_str(), 0) == 0;
-  });
+  return std::ranges::any_of(patterns,
+                             [&](const std::string& pattern) { return matches(pattern, name); });
 }
 
 }  // namespace lot::record

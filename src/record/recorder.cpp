@@ -9,6 +9,7 @@
 #include <thread>
 #include <unistd.h>
 #include <utility>
+#include <vector>
 
 #include "lot/detail/no_signals.hpp"
 #include "lot/error.hpp"
@@ -36,6 +37,9 @@ void check(const RecorderOptions& what) {
   if (splits && what.keep_last > Duration()) {
     refuse("keep_last and a split at once", "a file of the last seconds is not split");
   }
+  if (what.keep_last > Duration()) return;
+  if (!what.trigger.empty()) refuse("a trigger without keep_last", "say how long is kept");
+  if (what.keep_after > Duration()) refuse("keep_after without keep_last", "say how long is kept");
 }
 
 std::thread begin_thread(const char* name, auto&& body) {
@@ -58,6 +62,10 @@ struct Recorder::Impl {
         writing(options, ledger, clock, backlog) {}
 
   void begin() {
+    std::vector<std::string> wanted = options.topics;
+    wanted.insert(wanted.end(), options.except.begin(), options.except.end());
+    if (!options.trigger.empty()) wanted.push_back(options.trigger);
+    ledger.expects(std::move(wanted));
     observer.begin();
     writing.begin();
     writer = begin_thread("lot-record", [this] { writing.run(); });

@@ -218,6 +218,7 @@ TEST_CASE("a write that fails takes its chunk with it, and the file stays whole"
   CHECK(writer.lost() == 1);
   fault = {};
   put(writer, {channel, 2, 12, 12}, large);
+  CHECK(writer.payload_bytes(channel) == 2 * large.size());
   writer.close();
   const std::vector<std::string> expected{"1 0 10 10 " + large, "1 2 12 12 " + large};
   CHECK(lines(mcap::Reader(directory.file()).messages()) == expected);

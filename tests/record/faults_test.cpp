@@ -110,6 +110,8 @@ TEST_CASE("a chunk that cannot be written: its messages are lost, and the file i
     CHECK(content.messages[1].sequence == 4);
     CHECK(content.said("/pictures", "lost") == "3");
     CHECK(recorder.status().topics[0].messages == 2);
+    CHECK(recorder.status().topics[0].bytes ==
+          content.messages[0].payload.size() + content.messages[1].payload.size());
   }
 }
 

@@ -115,6 +115,21 @@ TEST_CASE("topics are chosen by names and patterns, and left out by others") {
   CHECK(content.of("/b/deep/er").size() == 1);
 }
 
+TEST_CASE("names and patterns that no topic has fitted are told until one does") {
+  const Watchdog watchdog(60);
+  Scene scene;
+  auto notes = scene.engine.advertise<Note>("/notes");
+  RecorderOptions what = scene.what();
+  what.topics = {"/notes", "/late", "/pic*"};
+  what.except = {"/notes/*"};
+  Recorder recorder(what, scene.where);
+  CHECK(recorder.status().unmatched == std::vector<std::string>{"/late", "/pic*", "/notes/*"});
+  auto pictures = scene.engine.advertise<Picture>("/pictures");
+  auto left_out = scene.engine.advertise<Note>("/notes/inner");
+  CHECK(
+      eventually([&] { return recorder.status().unmatched == std::vector<std::string>{"/late"}; }));
+}
+
 TEST_CASE("a topic that comes later is recorded from its first message on") {
   const Watchdog watchdog(60);
   Scene scene;
@@ -450,6 +465,8 @@ TEST_CASE("a directory that is not there, and options that cannot be, are refuse
            [](RecorderOptions& o) { o.path.clear(); }, [](RecorderOptions& o) { o.topics.clear(); },
            [](RecorderOptions& o) { o.chunk_bytes = 1; },
            [](RecorderOptions& o) { o.max_rate = -1; },
+           [](RecorderOptions& o) { o.trigger = "/fault"; },
+           [](RecorderOptions& o) { o.keep_after = 1s; },
            [](RecorderOptions& o) {
              o.split_bytes = 1;
              o.keep_last = 1s;
@@ -472,15 +489,20 @@ TEST_CASE("a directory that vanishes: what cannot be written is counted, and it 
   REQUIRE(eventually([&] { return recorded(recorder, "/pictures") == 1; }));
   std::filesystem::remove_all(scene.directory.file("room"));
   put(pictures, 1, 2'000'000);
-  REQUIRE(eventually([&] { return recorder.status().topics[0].lost == 1; }));
+  // The one that was written is gone with its file.
+  REQUIRE(eventually([&] { return recorder.status().topics[0].lost == 2; }));
+  CHECK(recorder.status().topics[0].messages == 0);
+  CHECK(recorder.status().topics[0].bytes == 0);
   CHECK(eventually([&] { return recorder.status().error.find("removed") != std::string::npos; }));
   std::filesystem::create_directory(scene.directory.file("room"));
-  for (std::uint32_t i = 2; recorder.status().files.size() < 2; ++i) {
+  for (std::uint32_t i = 2; recorded(recorder, "/pictures") == 0; ++i) {
     put(pictures, i, 2'000'000);
     std::this_thread::sleep_for(20ms);
   }
   CHECK(error_of([&] { recorder.stop(); }).first == ENOENT);
+  CHECK(recorder.status().files.size() == 1);
   const Content content(what.path);
+  CHECK(content.messages.size() == recorder.status().topics[0].messages);
   REQUIRE_FALSE(content.messages.empty());
   CHECK(content.messages.front().sequence >= 2);
 }
