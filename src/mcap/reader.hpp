@@ -77,6 +77,8 @@ class Reader {
 
   /// False: the index was made by reading.
   bool has_summary() const { return index_.has_summary; }
+  /// What is wrong with the summary of a file that was closed; empty: nothing, or it has none.
+  const std::string& summary_fault() const { return index_.summary_fault; }
   /// What was skipped so far.
   const Damage& damage() const { return index_.damage; }
 

@@ -72,6 +72,7 @@ Recovered recover(const std::string& path, const Limits& limits) {
   result.was_whole = closed || (index.has_loose && index.is_whole);
   if (result.was_whole) return result;
   result.cut_bytes = file.size() - index.data_end;
+  result.cut_old_end = index.has_data_end;
   Bytes end = missing_indexes(file, limits, index);
   const Bytes footer = end_of(index, index.data_end + end.size());
   end.insert(end.end(), footer.begin(), footer.end());

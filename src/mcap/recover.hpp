@@ -11,7 +11,8 @@ namespace lot::mcap {
 /// What recover() has done.
 struct Recovered {
   bool was_whole = false;       ///< it had all, and was not touched
-  std::uint64_t cut_bytes = 0;  ///< what was behind the last whole record
+  std::uint64_t cut_bytes = 0;  ///< what was behind the last whole record of the data
+  bool cut_old_end = false;     ///< these were the old summary and footer, which have no messages
   Statistics statistics;        ///< what is in the file
   Damage damage;                ///< what the summary leaves out
 };

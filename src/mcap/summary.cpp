@@ -171,6 +171,7 @@ Index index_by_summary(InFile& file, const Limits& limits) {
   std::tie(index.header, data_begin) = read_header(file, limits);
   Frame end;
   const Footer footer = read_footer(file, limits, end);
+  if (footer.summary_start == 0) throw NoSummary("it has no summary");
   if (footer.summary_start < data_begin || footer.summary_start > end.at) {
     throw Malformed("it is not where the footer says");
   }
@@ -200,6 +201,7 @@ Index index_by_reading(InFile& file, const Limits& limits) {
     if (in_data && (frame->is(Opcode::DataEnd) || frame->is(Opcode::Footer))) {
       in_data = false;
       index.data_end = frame->at;
+      index.has_data_end = true;
     }
     if (in_data) take(file, *frame, scan, limits, index);
   }
@@ -217,11 +219,18 @@ Index index_by_reading(InFile& file, const Limits& limits) {
 }
 
 Index index_of(InFile& file, const Limits& limits) {
+  std::string fault;
   try {
     return index_by_summary(file, limits);
-  } catch (const Malformed&) {
-    return index_by_reading(file, limits);
+  } catch (const Incomplete&) {
+    // It is right, and has less than the file.
+  } catch (const NoSummary&) {
+  } catch (const Malformed& malformed) {
+    fault = malformed.what();
   }
+  Index index = index_by_reading(file, limits);
+  if (index.is_whole) index.summary_fault = fault;
+  return index;
 }
 
 }  // namespace lot::mcap

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "mcap/contents.hpp"
@@ -27,11 +28,19 @@ struct Index {
   bool has_summary = false;    ///< it comes from the summary
   bool has_loose = false;      ///< there are messages outside of chunks
   bool is_whole = false;       ///< the file ends with a footer
+  bool has_data_end = false;   ///< at `data_end` there is a DataEnd or a Footer
+  /// What is wrong with the summary of a file that was closed; empty: nothing, or it has none.
+  std::string summary_fault;
   Damage damage;
 };
 
 /// A summary that is right, and does not lead to all that the file has.
 struct Incomplete : Malformed {
+  using Malformed::Malformed;
+};
+
+/// A file that was closed, whose writer has left the summary out.
+struct NoSummary : Malformed {
   using Malformed::Malformed;
 };
 

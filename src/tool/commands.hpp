@@ -73,6 +73,7 @@ Exit record(const Settings& settings, const RecordOptions& options);
 struct InfoOptions {
   std::vector<std::string> files;
   bool recover = false;  ///< writes what a recorder that was killed has not written
+  bool quick = false;    ///< reads the index, and no chunk
 };
 /// Says what recordings hold, also damaged ones.
 Exit info(const Settings& settings, const InfoOptions& options);

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <cerrno>
 #include <chrono>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <ctime>
 #include <filesystem>
@@ -10,6 +12,7 @@
 #include <string>
 #include <system_error>
 #include <utility>
+#include <vector>
 
 #include "lot/error.hpp"
 #include "lot/recording.hpp"
@@ -37,6 +40,9 @@ std::string time_text(RecordedTime time) {
   std::snprintf(text + length, sizeof(text) - length, ".%03d UTC", static_cast<int>(rest));
   return text;
 }
+
+/// A file that is larger takes so long to read that it is said before.
+constexpr std::uint64_t kLarge = std::uint64_t{4} << 30;
 
 double seconds_of(std::chrono::nanoseconds time) {
   return std::chrono::duration<double>(time).count();
@@ -73,24 +79,56 @@ class Info {
   void recover(const std::string& file) {
     const mcap::Recovered done = mcap::recover(file);
     if (done.was_whole) return;
+    const std::string cut = bytes_text(done.cut_bytes);
     report_.hint(printable(file, 200) + ": its index is written; " +
-                 (done.cut_bytes == 0 ? "nothing" : bytes_text(done.cut_bytes)) +
-                 " was cut off behind the last whole record");
+                 (done.cut_bytes == 0 ? "nothing had to be cut off"
+                  : done.cut_old_end
+                      ? "it replaces the old one of " + cut + ": no message was there"
+                      : cut + " behind the last whole record are cut off"));
+  }
+
+  /// What cannot be read of a file. Where it has no index, opening it has read all of it.
+  RecordingDamage damage_of(const std::string& file, const Recording& recording,
+                            const mcap::Reader& reader, std::uint64_t bytes) const {
+    RecordingDamage damage = recording.damage();
+    if (options_.quick || !reader.has_summary()) return damage;
+    if (bytes > kLarge) {
+      std::fprintf(stderr, "* reads %s, %s: `lot info --quick` reads only the index\n",
+                   printable(file, 200).c_str(), bytes_text(bytes).c_str());
+    }
+    mcap::Stream stream(file);
+    while (stream.next()) {
+      // Only what it skips counts.
+    }
+    damage.chunks = stream.damage().chunks;
+    damage.records = stream.damage().records;
+    damage.bytes = stream.damage().bytes;
+    damage.first = stream.damage().first;
+    return damage;
   }
 
   void tell(const std::string& file, Json& entry) {
     Recording recording(file);
     const mcap::Reader reader(file);
-    const RecordingDamage damage = recording.damage();
     const auto bytes = std::filesystem::file_size(file);
     tell_file(file, recording, reader, bytes, entry);
     tell_topics(recording, entry);
-    entry["damage"] = {{"chunks", damage.chunks},
-                       {"records", damage.records},
-                       {"bytes", damage.bytes},
-                       {"first", damage.first},
-                       {"is_cut", damage.is_cut}};
+    tell_damage(file, damage_of(file, recording, reader, bytes), reader.summary_fault(), entry);
+  }
+
+  void tell_damage(const std::string& file, const RecordingDamage& damage,
+                   const std::string& summary_fault, Json& entry) {
+    entry["damage"] = {{"chunks", damage.chunks}, {"records", damage.records},
+                       {"bytes", damage.bytes},   {"first", damage.first},
+                       {"is_cut", damage.is_cut}, {"index", summary_fault}};
+    if (!summary_fault.empty()) {
+      report_.ends(kDamaged);
+      report_.hint(printable(file, 200) + ": its index is damaged (" + printable(summary_fault) +
+                   "), and all of the file was read in its place. `lot info --recover` writes the "
+                   "index anew");
+    }
     if (damage.is_cut) {
+      report_.ends(kWrong);
       report_.hint(printable(file, 200) +
                    ": its recorder has not closed it: it was killed, or still writes. `lot info "
                    "--recover` writes the index of a file that no recorder writes any more");
@@ -117,6 +155,8 @@ class Info {
     entry["library"] = reader.header().library;
     entry["profile"] = reader.header().profile;
     entry["has_summary"] = reader.has_summary();
+    const bool is_checked = !options_.quick || !reader.has_summary();
+    entry["checked"] = is_checked;
     entry["compression"] = compressions;
     entry["chunks"] = reader.chunks().size();
     entry["messages"] = reader.statistics().messages;
@@ -129,21 +169,27 @@ class Info {
     std::snprintf(length, sizeof(length), "%.3f s", seconds_of(span));
     report_.print("  from " + time_text(recording.begin()) + ", " + length + "; " +
                   plural(reader.chunks().size(), "chunk", "chunks") + ", compression " +
-                  printable(compression) + "\n");
+                  printable(compression) + (is_checked ? "" : ", not read (--quick)") + "\n");
   }
 
   void tell_topics(const Recording& recording, Json& entry) {
     entry["topics"] = Json::array();
     const double seconds = seconds_of(recording.end() - recording.begin());
-    Table table({"TOPIC", "TYPE", "MESSAGES", "RATE", "MISSED", "LOST"}, {0, 1});
+    std::vector<std::string> head = {"TOPIC", "TYPE", "MESSAGES", "RATE", "MISSED", "LOST"};
+    const auto has_rate_limit = [](const RecordedTopic& topic) { return topic.left_out != 0; };
+    const bool has_left_out = std::ranges::any_of(recording.topics(), has_rate_limit);
+    if (has_left_out) head.emplace_back("LEFT OUT");
+    Table table(head, {0, 1});
     for (const RecordedTopic& topic : recording.topics()) {
       std::optional<double> rate;
       if (topic.messages > 1 && seconds > 0) {
         rate = static_cast<double>(topic.messages) / seconds;
       }
-      table.add({printable(topic.name, 200), printable(topic.type), std::to_string(topic.messages),
-                 rate ? rate_text(*rate) : "", std::to_string(topic.missed),
-                 std::to_string(topic.lost)});
+      std::vector<std::string> row = {printable(topic.name, 200),     printable(topic.type),
+                                      std::to_string(topic.messages), rate ? rate_text(*rate) : "",
+                                      std::to_string(topic.missed),   std::to_string(topic.lost)};
+      if (has_left_out) row.push_back(std::to_string(topic.left_out));
+      table.add(std::move(row));
       entry["topics"].push_back({{"name", topic.name},
                                  {"type", topic.type},
                                  {"encoding", topic.encoding},

@@ -288,6 +288,8 @@ void add_info(CLI::App& app, Arguments& arguments) {
   info->add_option("FILE", arguments.info.files, "MCAP files")->required()->type_name("");
   info->add_flag("--recover", arguments.info.recover,
                  "writes the index of a file whose recorder was killed");
+  info->add_flag("--quick", arguments.info.quick,
+                 "reads only the index: damage elsewhere is not found");
 }
 
 void add_play(CLI::App& app, Arguments& arguments) {

@@ -294,6 +294,7 @@ TEST_CASE("a forged summary leads nowhere: the file is read") {
     write_file(directory.file(), bytes);
     mcap::Reader reader(directory.file());
     CHECK_FALSE(reader.has_summary());
+    CHECK(reader.summary_fault().empty() == (forged == 0));  // 0: there is none
     CHECK(lines(reader.messages()) == messages);
   }
   std::string other_end = whole;
@@ -301,6 +302,7 @@ TEST_CASE("a forged summary leads nowhere: the file is read") {
   write_file(directory.file(), other_end);
   mcap::Reader unsigned_file(directory.file());
   CHECK_FALSE(unsigned_file.has_summary());
+  CHECK(unsigned_file.summary_fault().empty());  // it was not closed
   CHECK(lines(unsigned_file.messages()) == messages);
   // The chunks' places in the index, moved: a reader skips what is not there.
   for (std::size_t at = summary; at < footer; ++at) {

@@ -123,12 +123,52 @@ TEST_CASE("lot info of a file that is cut off says what is left, and --recover m
   const std::string whole = read_file(stage.file());
   write_file(stage.file(), std::string_view(whole).substr(0, whole.size() - 100));
   const Ran cut = run_lot({"info", stage.file()});
+  CHECK(cut.exit != 0);
   CHECK(cut.out.find("--recover") != std::string::npos);
   CHECK(cut.out.find("/pose") != std::string::npos);
   CHECK(run_lot({"info", "--recover", stage.file()}).exit == 0);
   const Json json = run_lot({"info", "--json", stage.file()}).json();
   CHECK(json.at("exit") == 0);
   CHECK(json.at("files").at(0).at("messages") == 10);
+}
+
+TEST_CASE("lot info finds wrong bytes within a chunk, and --quick says that it has not looked") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  std::string bytes = read_file(stage.file());
+  const std::size_t at = bytes.rfind(std::string("map\0", 4));  // in the last chunk with a message
+  REQUIRE(at != std::string::npos);
+  bytes.replace(at, 3, "rat");
+  write_file(stage.file(), bytes);
+  const Ran told = run_lot({"info", stage.file()});
+  CHECK(told.exit == 3);
+  CHECK(told.out.find("cannot be read") != std::string::npos);
+  const Json damage = run_lot({"info", "--json", stage.file()}).json().at("files").at(0);
+  CHECK(damage.at("damage").at("chunks") == 1);
+  CHECK(damage.at("checked") == true);
+  CHECK(run_lot({"info", "--recover", stage.file()}).exit == 3);
+  const Ran quick = run_lot({"info", "--quick", stage.file()});
+  CHECK(quick.exit == 0);
+  CHECK(quick.out.find("not read (--quick)") != std::string::npos);
+}
+
+TEST_CASE("lot info of a closed file whose index is damaged says so, and --recover loses nothing") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  std::string bytes = read_file(stage.file());
+  const std::size_t crc = bytes.size() - 9;  // before the magic
+  bytes[crc] = static_cast<char>(~bytes[crc]);
+  write_file(stage.file(), bytes);
+  const Ran told = run_lot({"info", stage.file()});
+  CHECK(told.exit == 3);
+  CHECK(told.out.find("its index is damaged") != std::string::npos);
+  const Ran recovered = run_lot({"info", "--recover", stage.file()});
+  CHECK(recovered.exit == 0);
+  CHECK(recovered.out.find("no message was there") != std::string::npos);
+  CHECK(run_lot({"info", stage.file()}).exit == 0);
+  CHECK(payloads(stage.file()).size() == 10);
 }
 
 TEST_CASE("lot info of what is none: a status for each kind, and the other files all the same") {

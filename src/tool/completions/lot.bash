@@ -76,7 +76,7 @@ _lot() {
       words='--all --except -o --output --compression --no-crc --split-size --split-time'
       words+=' --duration --max-rate --quota --last --after --memory --trigger'
       ;;
-    info) words='--recover' ;;
+    info) words='--recover --quick' ;;
     play) words='--topic --except --remap --rate --start --end --wait --loop --paused' ;;
     clean) words='--dry-run --with-items' ;;
     doctor) ;;

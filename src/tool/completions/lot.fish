@@ -82,6 +82,7 @@ complete -c lot -n '__fish_seen_subcommand_from record' -l memory -x -d 'what is
 complete -c lot -n '__fish_seen_subcommand_from record' -l trigger -x -d 'each message of it is a trigger'
 complete -c lot -n '__fish_seen_subcommand_from info' -F
 complete -c lot -n '__fish_seen_subcommand_from info' -l recover -d 'writes the index of a file whose recorder was killed'
+complete -c lot -n '__fish_seen_subcommand_from info' -l quick -d 'reads only the index: damage elsewhere is not found'
 complete -c lot -n '__fish_seen_subcommand_from play' -F
 complete -c lot -n '__fish_seen_subcommand_from play' -l topic -x -d 'only these: names or patterns'
 complete -c lot -n '__fish_seen_subcommand_from play' -l except -x -d 'leaves these out: names or patterns'

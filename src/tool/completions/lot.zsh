@@ -119,7 +119,8 @@ _lot() {
           ;;
         info)
           _arguments $common '*:file:_files' \
-            '--recover[writes the index of a file whose recorder was killed]'
+            '--recover[writes the index of a file whose recorder was killed]' \
+            '--quick[reads only the index\: damage elsewhere is not found]'
           ;;
         play)
           _arguments $common '*:file:_files' \
