@@ -27,6 +27,7 @@
 
 #include "lot/error.hpp"
 
+#include "tool/nearest.hpp"
 #include "tool/observation.hpp"
 #include "transport/environment.hpp"
 
@@ -90,21 +91,6 @@ std::string unescaped(const std::string& text) {
 bool is_below(const std::string& path, const std::string& directory) {
   return directory == "/" || path == directory ||
          path.compare(0, directory.size() + 1, directory + "/") == 0;
-}
-
-/// How many letters to change, add or take away.
-std::size_t distance(std::string_view a, std::string_view b) {
-  std::vector<std::size_t> row(b.size() + 1);
-  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
-  for (std::size_t i = 1; i <= a.size(); ++i) {
-    std::size_t corner = std::exchange(row[0], i);
-    for (std::size_t j = 1; j <= b.size(); ++j) {
-      const std::size_t changed = corner + (a[i - 1] != b[j - 1] ? 1 : 0);
-      corner = row[j];
-      row[j] = std::min({changed, row[j] + 1, row[j - 1] + 1});
-    }
-  }
-  return row.back();
 }
 
 // ---- the kernel --------------------------------------------------------------------------------
@@ -332,7 +318,7 @@ std::vector<std::string> misspelt_of(const std::vector<std::string>& names) {
   for (const auto& name : names) {
     if (std::find(kVariables.begin(), kVariables.end(), name) != kVariables.end()) continue;
     for (const auto& variable : kVariables) {
-      if (distance(name, variable) > 2) continue;
+      if (letters_apart(name, variable) > 2) continue;
       found.push_back(name + ": " + std::string(variable));
       break;
     }

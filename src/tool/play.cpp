@@ -26,6 +26,7 @@
 #include "tool/audience.hpp"
 #include "tool/commands.hpp"
 #include "tool/keys.hpp"
+#include "tool/nearest.hpp"
 #include "tool/onlooker.hpp"
 #include "tool/report.hpp"
 #include "tool/sleep_until.hpp"
@@ -51,13 +52,18 @@ constexpr auto kLongWait = 10s;
 /// In nanoseconds: what is due later than in 200 years is never due. A file may say any time.
 constexpr double kNever = 7e18;
 
-/// As the constructor of Recording; EBADMSG for what is no recording.
+/// A file that is no recording.
+struct NoRecording {
+  Error why;
+};
+
+/// As the constructor of Recording; NoRecording for what is none.
 Recording opened(const std::vector<std::string>& files) {
   try {
     return Recording(files);
   } catch (const Error& e) {
     if (e.error_number() != EINVAL) throw;
-    throw Error(EBADMSG, e.object(), reason_of(e), "");
+    throw NoRecording{e};
   }
 }
 
@@ -75,7 +81,7 @@ class Play {
       std::fprintf(stderr, "lot play: --paused needs a terminal, whose space bar goes on\n");
       return kUsage;
     }
-    require_renamed();
+    require_named();
     const auto participant = join();
     const StopToken stop = stop_on_signals();
     ShmEngine engine(participant);
@@ -135,14 +141,30 @@ class Play {
     return transport::Participant::join(made);
   }
 
-  /// A name that was mistyped would be published where its owner does not expect it.
-  void require_renamed() const {
+  /// A name that was mistyped would be published where its owner does not expect it, or though it
+  /// was to be left out.
+  void require_named() const {
+    std::vector<std::string> there;
+    for (const RecordedTopic& topic : recording_.topics()) there.push_back(topic.name);
+    sort_out(there);
+    const auto require = [&](const std::string& wanted, const char* option, bool is_there) {
+      if (is_there) return;
+      const std::string advice = advice_for(wanted, there);
+      throw Error(0, wanted,
+                  std::string("the recording has no such topic, and ") + option + " names it",
+                  advice.empty() ? "it has no topic" : advice);
+    };
+    const auto fits = [&](const std::string& pattern) {
+      return std::ranges::any_of(
+          there, [&](const std::string& name) { return lot::record::matches(pattern, name); });
+    };
     for (const auto& [name, its_new_name] : options_.renamed) {
-      const auto is_it = [&wanted = name](const RecordedTopic& t) { return t.name == wanted; };
-      if (std::ranges::any_of(recording_.topics(), is_it)) continue;
-      throw Error(ENOENT, name, "the recording has no such topic, and --remap names it",
-                  "`lot info` lists its topics");
+      require(name, "--remap", std::ranges::count(there, name) != 0);
     }
+    for (const std::string& pattern : options_.query.topics) {
+      require(pattern, "--topic", fits(pattern));
+    }
+    for (const std::string& pattern : options_.except) require(pattern, "--except", fits(pattern));
   }
 
   /// True: a topic was not there before.
@@ -177,7 +199,7 @@ class Play {
     if (lot::record::is_like(there, topic.schema)) return there;
     throw Error(EINVAL, name,
                 "it carries " + there.name() + ", whose fields are not those of " + topic.type,
-                "play it under another name: --remap " + name + ":=/other");
+                "play it under another name: --remap " + topic.name + ":=/other");
   }
 
   /// Waits for those that are to hear it. False: it is to publish nothing.
@@ -336,6 +358,30 @@ class Play {
                    " behind its schedule: this machine does not publish at that rate");
     }
     if (pushed_ == 0) report_.ends(kWrong);
+    const bool is_told = damaged_ != 0 || !recording_.damage().first.empty();
+    if (pushed_ == 0 && rounds_ != 0 && !is_told) tell_why_nothing();
+  }
+
+  void tell_why_nothing() {
+    const auto length = recording_.end() - recording_.begin();
+    const auto seconds = [](std::chrono::nanoseconds span) {
+      char text[64];
+      std::snprintf(text, sizeof(text), "%.3f s", std::chrono::duration<double>(span).count());
+      return std::string(text);
+    };
+    const auto has_any = [](const RecordedTopic& topic) { return topic.messages != 0; };
+    if (std::ranges::none_of(recording_.topics(), has_any)) {
+      report_.hint("the recording has no message");
+    } else if (options_.end < options_.start) {
+      report_.hint("--end lies before --start: nothing is between them");
+    } else if (options_.start > length) {
+      report_.hint("--start lies behind the last message: the recording is " + seconds(length) +
+                   " long");
+    } else {
+      report_.hint(
+          "no message was published: the chosen topics have none there, or it was stopped "
+          "before the first one");
+    }
   }
 
   const Where where_;
@@ -358,8 +404,11 @@ class Play {
 
 }  // namespace
 
-Exit play(const Settings& settings, const PlayOptions& options) {
+Exit play(const Settings& settings, const PlayOptions& options) try {
   return Play(settings, options).run();
+} catch (const NoRecording& none) {
+  std::fprintf(stderr, "%s\n", shown(none.why.what(), 2000).c_str());
+  return kDamaged;
 }
 
 }  // namespace lot::tool

@@ -98,8 +98,12 @@ TEST_CASE("lot play --start and --end: a part of the time, both ends included") 
     CAPTURE(words);
     std::vector<std::string> all = words;
     all.insert(all.end(), {"--rate", "1000"});
-    CHECK(audience.play(file, all).exit == (numbers.empty() ? 1 : 0));
+    const Ran ran = audience.play(file, all);
+    CHECK(ran.exit == (numbers.empty() ? 1 : 0));
     CHECK(audience.heard("/count") == numbers);
+    const Json hints = ran.json().at("hints");
+    CHECK(hints.size() == (numbers.empty() ? 1 : 0));
+    if (numbers.empty()) CHECK(says(hints.at(0), words.size() == 2 ? "2.000 s" : "--end lies"));
   }
 }
 
@@ -159,6 +163,23 @@ TEST_CASE("lot play --remap of a topic that is not in the recording publishes no
   const Ran ran = audience.play(file, {"--remap", "/cuont:=/x", "--rate", "1000"});
   CHECK(ran.exit == 1);
   CHECK(says(ran.err, "/cuont"));
+  CHECK(audience.heard("/count").empty());
+}
+
+TEST_CASE("lot play --topic or --except of what is not in the recording publishes nothing") {
+  const Watchdog watchdog(120);
+  const Directory directory;
+  const std::string file = five(directory);
+  Audience audience(file, {"/count"});
+  for (const char* option : {"--topic", "--except"}) {
+    for (const char* name : {"/cuont", "/none*"}) {
+      CAPTURE(name);
+      const Ran ran = audience.play(file, {option, name, "--topic", "/count", "--rate", "1000"});
+      CHECK(ran.exit == 1);
+      CHECK(says(ran.err, std::string(name) + ": the recording has no such topic, and " + option));
+      CHECK(says(ran.err, "there is /count"));
+    }
+  }
   CHECK(audience.heard("/count").empty());
 }
 

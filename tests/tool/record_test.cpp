@@ -18,6 +18,7 @@
 
 #include "stage.hpp"
 #include "support/janitor.hpp"
+#include "terminal.hpp"
 
 namespace {
 
@@ -73,6 +74,142 @@ TEST_CASE("lot record says what is wrong: no topics, a file that is there, nothi
   const Ran nothing = run_lot(stage.record({"--all", "--duration", "0.2"}));
   CHECK(nothing.exit == 1);
   CHECK(nothing.out.find("nothing was recorded") != std::string::npos);
+}
+
+TEST_CASE("lot record says which topics are not there and which are, and leaves no empty file") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  const auto pusher = stage.engine.advertise<Pose>("/pose");
+  Running recorder(stage.record({"/psoe"}));
+  REQUIRE(recorder.says("* no topic is called /psoe; there is /pose: waiting"));
+  const Ran ran = recorder.interrupt();
+  CHECK(ran.exit == 1);
+  CHECK(ran.out.find("nothing was recorded") != std::string::npos);
+  CHECK(ran.out.find("* no topic is called /psoe; there is /pose\n") != std::string::npos);
+  CHECK(ran.out.find("was removed") != std::string::npos);
+  CHECK_FALSE(std::filesystem::exists(stage.file()));
+  CHECK(stage.record_ten().exit == 0);  // into the same file
+}
+
+TEST_CASE("lot record of several topics says which one never came: a name ends it with 1") {
+  const Watchdog watchdog(200);
+  const struct {
+    std::vector<std::string> words;
+    int exit;
+    std::string says;
+  } parts[] = {{{"/psoe"}, 1, "no topic is called /psoe; there is /pose"},
+               {{"pose"}, 1, "no topic is called pose; there is /pose"},
+               {{"/none*"}, 0, "no topic fits /none*; there is /pose"},
+               {{"po*"}, 0, "no topic fits po*; /po* fits /pose"},
+               {{"/po["}, 0, "no topic fits /po[; its [ has no ]"},
+               {{"/po\\"}, 0, "it ends with a backslash"},
+               {{"--except", "/psoe"}, 0, "--except: no topic is called /psoe; there is /pose"},
+               {{"--last", "9", "--trigger", "/fault"}, 0, "--trigger: no topic is called /fault"}};
+  for (const auto& [words, exit, says] : parts) {
+    CAPTURE(words);
+    Stage stage;
+    auto pusher = stage.engine.advertise<Pose>("/pose");
+    put(pusher, 1);
+    std::vector<std::string> all = words;
+    all.insert(all.end(), {"/pose", "--duration", "1.5"});
+    const Ran ran = run_lot(stage.record(all));
+    CHECK(ran.exit == exit);
+    CHECK(ran.err.find(says) != std::string::npos);
+    CHECK(ran.out.find(says) != std::string::npos);
+  }
+}
+
+TEST_CASE("lot record says for which segment or directory it waits") {
+  const Watchdog watchdog(120);
+  const Stage stage;
+  const auto record = [&](const std::string& directory, const std::string& segment) {
+    std::vector<std::string> words = {"record", "--all",      "--json", "--duration", "0.3",
+                                      "-o",     stage.file(), "--dir",  directory};
+    if (!segment.empty()) words.insert(words.end(), {"--segment", segment});
+    return run_lot(std::move(words));
+  };
+  const Ran no_directory = record(stage.directory.file("none"), "");
+  CHECK(no_directory.err.find("there is no directory " + stage.directory.file("none")) !=
+        std::string::npos);
+  CHECK(no_directory.exit == 1);
+  CHECK(no_directory.json().at("files").empty());
+  CHECK(no_directory.json().at("unmatched").at(0) == "*");
+  const Ran other = record(stage.options.directory, "other");
+  CHECK(other.err.find("there is no segment other in ") != std::string::npos);
+  CHECK(other.err.find("; there is " + stage.options.segment) != std::string::npos);
+  const Room empty;
+  CHECK(record(empty.path(), "").err.find("there is no segment in ") != std::string::npos);
+}
+
+TEST_CASE("lot record says why its file cannot be made") {
+  const Watchdog watchdog(120);
+  const Stage stage;
+  const auto record = [&](const std::string& file) {
+    return run_lot(on(stage.options, {"record", "--all", "-o", file})).err;
+  };
+  CHECK(record(stage.directory.file("")).find("it is a directory") != std::string::npos);
+  CHECK(record(stage.directory.file("none/a")).find("make its directory") != std::string::npos);
+  CHECK(record("/proc/a.mcap").find("takes no new files") != std::string::npos);
+}
+
+TEST_CASE("lot record names each file of a split, also the last one") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  Running recorder(stage.record({"/pose", "--split-time", "0.001", "--json"}));
+  REQUIRE(recorder.says("writes"));
+  for (int i = 0; i < 20; ++i) {
+    put(pusher, i);
+    std::this_thread::sleep_for(5ms);
+  }
+  const Ran ran = recorder.interrupt();
+  const Json json = ran.json();
+  CHECK(json.at("files").size() > 2);
+  for (const Json& file : json.at("files")) {
+    CHECK(ran.err.find("* writes " + file.get<std::string>() + "\n") != std::string::npos);
+  }
+}
+
+TEST_CASE("lot record --max-rate and lot info say what was left out, in a column of its own") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  Running recorder(stage.record({"/pose", "--max-rate", "0.001"}));
+  REQUIRE(recorder.says("writes"));
+  for (int i = 0; i < 10; ++i) put(pusher, i);
+  const Ran ran = recorder.interrupt();
+  CHECK(ran.out.find("LEFT OUT") != std::string::npos);
+  CHECK(run_lot({"info", stage.file()}).out.find("LEFT OUT") != std::string::npos);
+}
+
+TEST_CASE("lot record --last without a trigger says what it kept, and ends with 0 by SIGTERM") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  Running recorder(stage.record({"/pose", "--last", "1000"}));
+  REQUIRE(recorder.says("keeps the last"));
+  for (int i = 0; i < 10; ++i) put(pusher, i);
+  recorder.child().send(SIGTERM);
+  const Ran ran = recorder.finish();
+  CHECK(ran.exit == 0);
+  CHECK(ran.out.find("no trigger came: 10 messages") != std::string::npos);
+  CHECK(ran.err.find("held") == std::string::npos);  // no terminal, no line that is renewed
+}
+
+TEST_CASE("lot record on a terminal has a line that says how it goes") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  std::string command = LOT_COMMAND;
+  for (const std::string& word : stage.record({"/pose"})) command += " '" + word + "'";
+  const Terminal terminal(stage.room, 100, 20, command + "; sleep 100");
+  REQUIRE(terminal.shows("* writes"));
+  REQUIRE(terminal.shows("0 messages, 0 B, 0 B/s; 0 missed, 0 lost; 0 B held"));
+  for (int i = 0; i < 10; ++i) put(pusher, i);
+  CHECK(terminal.shows(": 10 messages"));
+  terminal.press("C-c");
+  CHECK(terminal.shows("MESSAGES"));
+  CHECK(terminal.shows_no("held"));
 }
 
 TEST_CASE("lot record says where the messages of ROS may be when none came") {
@@ -249,7 +386,10 @@ TEST_CASE("lot play does not publish on a topic of other fields") {
   auto other = stage.engine.advertise<Other>("/pose");
   const Ran ran = run_lot(stage.play({}));
   CHECK(ran.exit == 1);
-  CHECK(ran.out.find("--remap") != std::string::npos);
+  CHECK(ran.out.find("--remap /pose:=/other") != std::string::npos);
+  auto camera = stage.engine.advertise<Other>("/camera");
+  const Ran remapped = run_lot(stage.play({"--remap", "/pose:=/camera"}));
+  CHECK(remapped.out.find("--remap /pose:=/other") != std::string::npos);
 }
 
 TEST_CASE("lot play makes a segment where there is none") {
