@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # cmake --install: the library, its headers, the CMake package `lot` (components `record`: lot::record,
-# and `ros`: lot::ros) and lot.pc. Both descriptions find their prefix from where they lie, so that the installed tree may be
+# and `ros`: lot::ros), lot.pc and lot-record.pc. All find their prefix from where they lie, so that the installed tree may be
 # moved.
 include(CMakePackageConfigHelpers)
 
@@ -95,3 +95,7 @@ if(NOT LOT_FORM STREQUAL STATIC_LIBRARY)
 endif()
 configure_file(${CMAKE_CURRENT_LIST_DIR}/lot.pc.in ${PROJECT_BINARY_DIR}/lot.pc @ONLY)
 install(FILES ${PROJECT_BINARY_DIR}/lot.pc DESTINATION ${lot_pc_dir} COMPONENT dev)
+if(TARGET lot_record AND LOT_FORM STREQUAL STATIC_LIBRARY)
+  configure_file(${CMAKE_CURRENT_LIST_DIR}/lot-record.pc.in ${PROJECT_BINARY_DIR}/lot-record.pc @ONLY)
+  install(FILES ${PROJECT_BINARY_DIR}/lot-record.pc DESTINATION ${lot_pc_dir} COMPONENT dev)
+endif()

@@ -3,15 +3,31 @@
 //
 //     scripts/setup test                       installs the packages of npm into build/judges
 //     node examples/read_recording.mjs FILE    says what each topic has, and its first message
+//
+// In a project of your own: copy this file, and install the packages beside it.
+//     npm install @mcap/core @mcap/support @foxglove/rosmsg @foxglove/rosmsg2-serialization
 
 import { open } from 'node:fs/promises';
 import { createRequire } from 'node:module';
 
-const require = createRequire(new URL('../build/judges/', import.meta.url));
-const { McapIndexedReader } = require('@mcap/core');
-const { loadDecompressHandlers } = require('@mcap/support');
-const { parse } = require('@foxglove/rosmsg');
-const { MessageReader } = require('@foxglove/rosmsg2-serialization');
+if (process.argv.length !== 3) {
+  console.error('usage: node read_recording.mjs FILE');
+  process.exit(2);
+}
+
+/** A package beside this file, or one that scripts/setup has installed. */
+const load = (name) => {
+  try {
+    return createRequire(import.meta.url)(name);
+  } catch (error) {
+    if (error.code !== 'MODULE_NOT_FOUND') throw error;
+    return createRequire(new URL('../build/judges/', import.meta.url))(name);
+  }
+};
+const { McapIndexedReader } = load('@mcap/core');
+const { loadDecompressHandlers } = load('@mcap/support');
+const { parse } = load('@foxglove/rosmsg');
+const { MessageReader } = load('@foxglove/rosmsg2-serialization');
 
 /** A long array is told by its kind and length. */
 const shortened = (_, value) =>

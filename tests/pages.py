@@ -59,6 +59,8 @@ CONTEXT = {
                           'struct Task { int number; }; void work(const Task&);',
                           'void page(lot::ShmPuller<Frame>& front, lot::ShmQueue<lot::ShmUniquePtr<Task>>& tasks, '
                           'const lot::StopToken& stop) {', '}'),
+    'lot::RecorderOptions what;': (LOT + '#include <iostream>\n#include <lot/recorder.hpp>\n#include <lot/recording.hpp>\nvoid drive();',
+                                   'void page() {', '}'),
     'struct Track {': ('', '', ''),
     'lot::ros::NodeHandle nh;': ('#include <lot/ros.hpp>' + IMAGE, 'void page() {', '}'),
     'int main(': ('', '', ''),

@@ -43,6 +43,10 @@ use() {  # PREFIX SCRATCH
   # shellcheck disable=SC2086  # flags are words
   g++ -std=c++17 tests/proof/consumer/main.cpp $flags -o "$scratch/by_pkg_config"
   "$scratch/by_pkg_config"
+  flags=$(pkg-config --cflags --libs lot-record)
+  # shellcheck disable=SC2086  # flags are words
+  g++ -std=c++20 tests/proof/consumer/record/main.cpp $flags -o "$scratch/record_by_pkg_config"
+  "$scratch/record_by_pkg_config"
   local project
   for project in consumer consumer/record consumer/ros; do
     cmake -S "tests/proof/$project" -B "$scratch/$project.tree" -G Ninja -DCMAKE_BUILD_TYPE=Debug \
@@ -112,6 +116,7 @@ mistakes=(  # PACKAGE CHECK CHANGE
   "lot-tools install_and_use sed -i 's/^Depends: /Depends: no-such-package, /' DEBIAN/control"
   "liblot-dev install_and_use sed -i s/-llot/-lelse/ usr/lib/pkgconfig/lot.pc"
   "liblot-dev install_and_use rm usr/lib/liblot_record.a"
+  "liblot-dev install_and_use sed -i s/-llot_record/-lelse/ usr/lib/pkgconfig/lot-record.pc"
   "liblot-ros-dev install_and_use rm usr/lib/lot/image_transport/*.so"
   "lot-tools install_and_use mv usr/share/zsh/vendor-completions usr/share/zsh/site-functions")
 
