@@ -7,8 +7,7 @@
 #include <type_traits>
 #include <utility>
 
-#include "lot/compliance.hpp"
-#include "lot/describe.hpp"
+#include "lot/any_type.hpp"
 #include "lot/detail/arena.hpp"
 #include "lot/detail/control.hpp"
 #include "lot/detail/message_type.hpp"
@@ -18,28 +17,7 @@
 
 namespace lot {
 
-namespace registry {
-class KnownType;
-}
-
 namespace detail {
-
-/// What a program knows of a type, for AnyType. Throws std::bad_alloc.
-std::shared_ptr<const registry::KnownType> make_known_type(const MessageType& type,
-                                                           Description description);
-
-inline namespace LOT_NAMES {
-
-/// The same of T, made once.
-template <class T>
-[[gnu::visibility("hidden")]] const std::shared_ptr<const registry::KnownType>& known_type() {
-  // Never destroyed: static objects may publish in their destructors.
-  static const auto* const type = new std::shared_ptr<const registry::KnownType>(
-      make_known_type(message_type<T>(), describe<T>()));
-  return *type;
-}
-
-}  // namespace LOT_NAMES
 
 /// Where the parts of a message that is built in an arena get their memory.
 MessageMemory memory_of(Arena* arena) noexcept;
@@ -52,60 +30,13 @@ Value borrowed_value_of(const Description& description, const void* message, std
 /// The same of a message that this process builds in that arena. Throws the same.
 MutableValue mutable_value_of(const Description& description, void* message, Arena* arena);
 
-}  // namespace detail
-
-/// A message type, to a program that may not have it: what ShmEngine::type_of() says of a topic.
-///
-/// Threads: distinct objects freely, one object with synchronisation.
-/// Errors:  of() throws std::bad_alloc at its first call for a type; description() throws
-///          lot::Error (EBADMSG) when another process has damaged what the topic says.
-/// Memory:  a share of the description, which lies in private memory.
-/// Crash:   nothing of it is shared with other processes.
-class AnyType {
- public:
-  /// None.
-  AnyType() noexcept = default;
-  /// For ShmEngine::type_of(). Throws nothing.
-  explicit AnyType(std::shared_ptr<const registry::KnownType> type) noexcept
-      : type_(std::move(type)) {}
-  /// A type of this program. Throws std::bad_alloc.
-  template <class T>
-  [[nodiscard]] static AnyType of() {
-    using Plain = std::remove_cv_t<T>;
-    assert_message<Plain>();
-    return AnyType(detail::known_type<Plain>());
-  }
-
-  /// False: it is none.
-  [[nodiscard]] explicit operator bool() const noexcept { return type_ != nullptr; }
-  /// Its name, as TypeIdentity says; of a topic, at most 231 bytes of it. REQUIRES: it is one.
-  /// Throws nothing.
-  const std::string& name() const noexcept;
-  /// What it is made of: one opaque value where a topic has no description. REQUIRES: it is one.
-  /// Throws lot::Error (EBADMSG).
-  const Description& description() const;
-  /// Bytes of a message, without what its vectors and strings have. REQUIRES: it is one. Throws
-  /// nothing.
-  std::size_t size() const noexcept;
-  /// True when a message of the one type may be read as one of the other: name, size, alignment,
-  /// identity and layout are equal, and each name of a field that both know. Throws
-  /// std::bad_alloc.
-  [[nodiscard]] bool is_same(const AnyType& other) const;
-
-  /// What it is for the library. Throws nothing.
-  const std::shared_ptr<const registry::KnownType>& known() const noexcept { return type_; }
-
- private:
-  std::shared_ptr<const registry::KnownType> type_;
-};
-
-namespace detail {
-
 /// For a publisher or a reader of the type.
 const MessageType& type_of(const registry::KnownType& type) noexcept;
 /// Throws lot::Error (EINVAL) unless a message of the one type may be pushed on a topic of the
 /// other.
 void require_same(const AnyType& message, const AnyType& topic);
+/// Throws lot::Error (EINVAL) unless the type is opaque as a whole.
+void require_opaque(const AnyType& type);
 
 }  // namespace detail
 

@@ -37,6 +37,8 @@ class AnyBorrow {
   Value root() const {
     return detail::borrowed_value_of(type_.description(), borrow_.get(), type_.size());
   }
+  /// Where it lies, so many bytes as its type says; null: there is none. Throws nothing.
+  const void* data() const noexcept { return borrow_.get(); }
   /// What it is. Throws nothing.
   const AnyType& type() const noexcept { return type_; }
   /// Messages that this reader missed just before this one.

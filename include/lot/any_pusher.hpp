@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cstddef>
+#include <cstring>
 #include <memory>
 #include <utility>
 
@@ -26,12 +27,17 @@ class AnyLoan {
   /// None.
   AnyLoan() noexcept = default;
   /// For AnyPusher: a message that the publisher has lent, with nothing in it yet. Throws
-  /// lot::Error as AnyPusher::loan(), and then the message is free again.
-  AnyLoan(const detail::Loan& loan, AnyType type)
+  /// lot::Error as AnyPusher::loan(), and then the message is free again. `zeroed`: as
+  /// loan_zeroed().
+  AnyLoan(const detail::Loan& loan, AnyType type, bool zeroed)
       : message_(detail::PointerAccess::unique(static_cast<std::byte*>(loan.root), loan.control)),
         arena_(loan.arena),
         type_(std::move(type)) {
-    root().construct();
+    if (zeroed) {
+      std::memset(message_.get(), 0, type_.size());
+    } else {
+      root().construct();
+    }
   }
 
   /// False: there is none.
@@ -40,6 +46,8 @@ class AnyLoan {
   MutableValue root() const {
     return detail::mutable_value_of(type_.description(), message_.get(), arena_);
   }
+  /// Where it lies, so many bytes as its type says; null: there is none. Throws nothing.
+  void* data() const noexcept { return message_.get(); }
   /// What it is. Throws nothing.
   const AnyType& type() const noexcept { return type_; }
 
@@ -80,7 +88,14 @@ class AnyPusher {
   /// the type is opaque: only its own programs can make that; EBADMSG when the description is
   /// damaged.
   [[nodiscard]] AnyLoan loan() {
-    return {core_->loan(detail::type_of(*type_.known()), true), type_};
+    return {core_->loan(detail::type_of(*type_.known()), true), type_, false};
+  }
+  /// The same of a type that is opaque as a whole: all its bytes are zero. For a program that knows
+  /// what they mean, as that of AnyType::opaque().
+  /// Errors: EINVAL when the type is not opaque; else as loan().
+  [[nodiscard]] AnyLoan loan_zeroed() {
+    detail::require_opaque(type_);
+    return {core_->loan(detail::type_of(*type_.known()), true), type_, true};
   }
 
   /// Publishes. It waits, and says Status::Full or Status::Stopped, as ShmPusher::push(): the

@@ -10,6 +10,7 @@
 #include "lot/any_message.hpp"
 #include "lot/any_puller.hpp"
 #include "lot/any_pusher.hpp"
+#include "lot/any_type.hpp"
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
 #include "lot/detail/message_type.hpp"
@@ -98,6 +99,11 @@ class ShmEngine {
   /// whose items are for those that take them; EBADMSG when a process has written where it should
   /// not; as subscribe().
   [[nodiscard]] AnyPuller subscribe_any(std::string_view topic,
+                                        const PullerOptions& options = PullerOptions());
+  /// The same, of a type that the program may not have: made while it runs, or that of another
+  /// topic. No process need use the topic yet.
+  /// Errors: EINVAL when it is no type, or that of a queue's items; as subscribe().
+  [[nodiscard]] AnyPuller subscribe_any(std::string_view topic, const AnyType& type,
                                         const PullerOptions& options = PullerOptions());
   /// As advertise(), of a type that the program may not have: that of another topic, or of a
   /// message.

@@ -56,6 +56,13 @@ KnownType::KnownType(const detail::MessageType& type, Description description)
   if (type.described != nullptr) describe(type.described(type));
 }
 
+KnownType::KnownType(std::string name, std::uint64_t align, std::uint64_t hash,
+                     Description description)
+    : name_(std::move(name)), description_(std::move(description)) {
+  fill(description_->root().size, align, hash);
+  describe(detail::make_described(*description_));
+}
+
 void KnownType::fill(std::uint64_t size, std::uint64_t align, std::uint64_t hash) noexcept {
   type_.size = size;
   type_.align = align;

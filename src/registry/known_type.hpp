@@ -24,6 +24,9 @@ class KnownType {
             const std::optional<std::string>& bytes);
   /// A type of this program. Throws std::bad_alloc.
   KnownType(const detail::MessageType& type, Description description);
+  /// A type that was made while the program runs. REQUIRES: decode() would take the description.
+  /// Throws std::bad_alloc.
+  KnownType(std::string name, std::uint64_t align, std::uint64_t hash, Description description);
   KnownType(const KnownType&) = delete;
   KnownType& operator=(const KnownType&) = delete;
 

@@ -37,6 +37,11 @@ void require_same(const AnyType& message, const AnyType& topic) {
               "push it on a topic that carries its type, or copy what you need into a loan()");
 }
 
+void require_opaque(const AnyType& type) {
+  if (type.description().root().kind == Kind::Opaque) return;
+  throw Error(EINVAL, type.name(), "the type is not opaque", "build the message by loan()");
+}
+
 MessageMemory memory_of(Arena* arena) noexcept {
   return {arena,
           [](void* its, std::size_t bytes, std::size_t align) {
@@ -65,13 +70,4 @@ MutableValue mutable_value_of(const Description& description, void* message, Are
 }
 
 }  // namespace detail
-
-const std::string& AnyType::name() const noexcept { return type_->name(); }
-const Description& AnyType::description() const { return type_->description(); }
-std::size_t AnyType::size() const noexcept { return type_->type().size; }
-bool AnyType::is_same(const AnyType& other) const {
-  return type_ == other.type_ || (type_ != nullptr && other.type_ != nullptr &&
-                                  detail::is_same(type_->type(), other.type_->type()));
-}
-
 }  // namespace lot

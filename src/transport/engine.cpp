@@ -63,12 +63,16 @@ AnyPuller ShmEngine::subscribe_any(std::string_view topic, const PullerOptions& 
   }
 }
 
+AnyPuller ShmEngine::subscribe_any(std::string_view topic, const AnyType& type,
+                                   const PullerOptions& options) {
+  const AnyType mine = shared(type, topic);
+  return {detail::make_puller(participant_, topic, mine.known()->type(), options,
+                              detail::Delivery::ToAll),
+          mine};
+}
+
 AnyPusher ShmEngine::advertise_any(std::string_view topic, const AnyType& type,
                                    const PusherOptions& options) {
-  if (!type) {
-    throw Error(EINVAL, std::string(topic), "the topic is to carry no type",
-                "take the type of a topic that is used (type_of), or of a message");
-  }
   const AnyType mine = shared(type, topic);
   return {detail::make_pusher(participant_, topic, mine.known()->type(), options,
                               detail::Delivery::ToAll),
@@ -77,6 +81,10 @@ AnyPusher ShmEngine::advertise_any(std::string_view topic, const AnyType& type,
 
 AnyType ShmEngine::shared(const AnyType& type, std::string_view topic) {
   participant_->check_usable();
+  if (!type) {
+    throw Error(EINVAL, std::string(topic), "the topic is to carry no type",
+                "take the type of a topic that is used (type_of), or of a message");
+  }
   if (type.name().starts_with(detail::kQueueTypes)) {
     throw Error(EINVAL, std::string(topic), "this is a queue, not a topic (" + type.name() + ")",
                 "use ShmEngine::queue(): an item is for the one process that takes it");
