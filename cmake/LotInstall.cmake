@@ -66,7 +66,7 @@ if(TARGET lot_ros)
 endif()
 set(lot_include_dir ${CMAKE_INSTALL_INCLUDEDIR}/lot)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot/ DESTINATION ${lot_include_dir} COMPONENT dev
-  FILES_MATCHING PATTERN "*.hpp" PATTERN ros EXCLUDE PATTERN ros.hpp EXCLUDE ${lot_record_headers})
+  FILES_MATCHING PATTERN "*.hpp" PATTERN "*.h" PATTERN ros EXCLUDE PATTERN ros.hpp EXCLUDE ${lot_record_headers})
 if(TARGET lot_ros)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/lot/ros DESTINATION ${lot_include_dir} COMPONENT ros)
   install(FILES ${PROJECT_SOURCE_DIR}/include/lot/ros.hpp DESTINATION ${lot_include_dir} COMPONENT ros)

@@ -11,7 +11,7 @@ import shlex
 import subprocess
 
 # Commands that are not this tree's.
-OTHERS = {'addr2line', 'apt-get', 'base64', 'clang++', 'clang-format-14', 'echo', 'export', 'g++', 'jq', 'kill', 'mkdir', 'node', 'npm', 'objdump', 'pkg-config', 'rosrun', 'unshare', 'valgrind', 'wait'}
+OTHERS = {'addr2line', 'apt-get', 'base64', 'cc', 'clang++', 'clang-format-14', 'echo', 'export', 'g++', 'jq', 'kill', 'mkdir', 'node', 'npm', 'objdump', 'pkg-config', 'rosrun', 'unshare', 'valgrind', 'wait'}
 FOLDERS = re.compile(r'(bench|cmake|docs|examples|fuzz|include|scripts|src|tests)/[\w./-]+')
 ENDS = {'&&', '||', '|', ';', '&', '(', ')'}
 REDIRECTIONS = {'>', '>>', '<', '2>'}

@@ -9,6 +9,8 @@ A block is fenced, and its fence says what it is; or it is indented by four:
 
     cpp                is compiled. What it takes for granted (a callback, a message type) is in CONTEXT, by
                        its first line. A block that is not there continues the one before it on its page
+    c                  is compiled as C11, as the body of a function; C_CONTEXT has what it takes for granted
+    python             is read by Python's parser
     sh                 is read by `bash -n`; its scripts, presets, targets, tests, verbs and options exist
     cmake              is configured, with a package lot that has the installed one's targets
     json               is parsed
@@ -20,6 +22,7 @@ Blocks of lot::ros are compiled with --ros only, which checks nothing else.
 """
 
 import argparse
+import ast
 import collections
 import dataclasses
 import functools
@@ -66,6 +69,13 @@ CONTEXT = {
     'int main(': ('', '', ''),
     'using namespace std::chrono_literals;': ('', '', ''),
 }
+C_CONTEXT = """
+#include <stdio.h>
+#include <lot/lot.h>
+extern lot_type *uint32_type, *bytes_type, *frame_type;
+void page(void);
+void page(void) {
+"""
 # What the pages call the user's own.
 OTHERS = {'my_msgs/Cloud.h': """
 #include <sensor_msgs/PointCloud2.h>
@@ -87,7 +97,7 @@ set(CMAKE_CXX_COMPILER_FORCED TRUE)
 project(page LANGUAGES CXX)
 """
 
-KINDS = {'cpp': 'cpp', 'c++': 'cpp', 'sh': 'sh', 'bash': 'sh', 'cmake': 'cmake', 'json': 'json', 'text': 'text'}
+KINDS = {'cpp': 'cpp', 'c++': 'cpp', 'c': 'c', 'python': 'python', 'sh': 'sh', 'bash': 'sh', 'cmake': 'cmake', 'json': 'json', 'text': 'text'}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,6 +204,23 @@ def complaints_of_cpp(found, compiler, scratch):
     return failures
 
 
+def complaints_of_c(block, compiler, scratch):
+    source = scratch / 'page.c'
+    source.write_text(f'{C_CONTEXT}#line {block.line} "{block.page}"\n{block.code}\n}}\n')
+    includes = [flag for flag in compiler if flag.startswith('-I')]
+    run = subprocess.run([compiler[0], '-x', 'c', '-std=c11', '-pedantic', '-Wall', '-Wextra', *includes,
+                          '-fsyntax-only', str(source)], capture_output=True, text=True, cwd=ROOT)
+    return [line for line in run.stderr.splitlines() if re.search(r': (fatal )?(error|warning): ', line)]
+
+
+def complaints_of_python(block):
+    try:
+        ast.parse(block.code)
+    except SyntaxError as error:
+        return [f'{block.page}:{block.line + (error.lineno or 1) - 1}: Python: {error.msg}']
+    return []
+
+
 def complaints_of_cmake(block, scratch):
     project = pathlib.Path(tempfile.mkdtemp(dir=scratch))
     (project / 'lotConfig.cmake').write_text(PACKAGE)
@@ -214,12 +241,16 @@ def tree():
     return page_commands.Tree(ROOT)
 
 
-def complaints(block, scratch):
+def complaints(block, compiler, scratch):
     """What is wrong with a block that is not C++."""
     if block.kind == 'text':
         return []
     if block.kind == 'cmake':
         return complaints_of_cmake(block, scratch)
+    if block.kind == 'c':
+        return complaints_of_c(block, compiler, scratch)
+    if block.kind == 'python':
+        return complaints_of_python(block)
     if block.kind == 'json':
         try:
             json.loads(block.code)
@@ -227,7 +258,7 @@ def complaints(block, scratch):
             return [f'{block.place}: JSON: {error}']
         return []
     if block.kind not in ('sh', 'transcript'):
-        return [f'{block.place}: a fence says cpp, sh, cmake, json or text, and not {block.kind}']
+        return [f'{block.place}: a fence says cpp, c, python, sh, cmake, json or text, and not {block.kind}']
     code = block.code
     if block.kind == 'transcript':
         code = '\n'.join(line[2:] if line.startswith('$ ') else '' for line in code.split('\n'))
@@ -290,6 +321,14 @@ anything
 ```
 anything
 ```
+```c
+lot_engine* engine = NULL;
+lot_engine_shut(engine);
+```
+```python
+import lot
+def f(:
+```
 """
 EXPECTED = [('page.md:10', "no member named .walk."), ('page.md:16', 'stage: nothing'),
             ('page.md:17', 'group: elsewhere'), ('page.md:17', 'file: scripts/gone'),
@@ -301,7 +340,7 @@ EXPECTED = [('page.md:10', "no member named .walk."), ('page.md:16', 'stage: not
             ('page.md:22', 'option: --stages'), ('page.md:23', 'file: src/gone.cpp'),
             ('page.md:24', 'relay.launch has no argument on'), ('page.md:27', 'bash does not read'),
             ('page.md:32', 'option: --intervall'), ('page.md:35', 'JSON'),
-            ('page.md:46', 'CMake does not configure'), ('page.md:54', 'a fence says')]
+            ('page.md:46', 'CMake does not configure'), ('page.md:54', 'a fence says'), ('page.md:58', 'lot_engine_shut'), ('page.md:62', 'Python')]
 
 
 def self_test(compiler, scratch):
@@ -314,7 +353,7 @@ def self_test(compiler, scratch):
     said = [line for line in said if ' error: ' in line]
     for block in found:
         if block.kind != 'cpp':
-            said += [line for line in complaints(block, scratch) if line.startswith('page.md')]
+            said += [line for line in complaints(block, compiler, scratch) if line.startswith('page.md')]
     for place, text in EXPECTED:
         if not any(re.match(f'{place}:.*{text}', line) for line in said):
             failures.append(f'{place}: not found: {text}')
@@ -335,7 +374,7 @@ def check(of_ros, compiler, scratch):
     others = [] if of_ros else [block for block in found if block.kind != 'cpp']
     failures = complaints_of_cpp(cpp, compiler, scratch)
     for block in others:
-        failures += complaints(block, scratch)
+        failures += complaints(block, compiler, scratch)
     return (failures, collections.Counter(block.kind for block in [*cpp, *others]),
             [block.place for block in others if block.kind == 'text'])
 

@@ -187,7 +187,7 @@ class Builds:
 def complain_of_exports(symbols):
     """Wrong, where a shared library exports what is not of its interface."""
     lines = symbols.splitlines()
-    ours = re.compile(r'(typeinfo (name )?for |vtable for |(non-)?virtual thunk to )?lot::([A-Z]|detail::|to_string|end_cleanly|stop_on_signals)|LIBLOT_')
+    ours = re.compile(r'(typeinfo (name )?for |vtable for |(non-)?virtual thunk to )?lot::([A-Z]|detail::|to_string|end_cleanly|stop_on_signals)|lot_\w+@@|LIBLOT_')
     wrong = [line for line in lines if not ours.match(line[19:])]
     if wrong or len(lines) < 50:
         raise Wrong(f'{len(lines)} symbols are exported, among them\n' + '\n'.join(wrong))
@@ -266,6 +266,7 @@ def self_test(builds):
     expected = run([builds.scratch / 'good', 'names'])
     exports = '0000000000012340 T lot::detail::name()@@LIBLOT_0.1\n' * 60
     complain_of_exports(exports)
+    complain_of_exports(exports + '0000000000012340 T lot_engine_open@@LIBLOT_0.1\n')
     mistakes = {
         'a warning': lambda: builds.compile('g++-12', ['-std=c++17'], planted),
         'a cast that is accepted': lambda: builds.refused('g++-12', [], 'needs RTTI'),
