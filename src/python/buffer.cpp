@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cstddef>
+#include <exception>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "lot/error.hpp"
+
+#include "python/part.hpp"
+
+namespace py = pybind11;
+
+namespace lot::python {
+namespace {
+
+using Type = Description::Type;
+
+/// Tells elements as PEP 3118 has it.
+class Format {
+ public:
+  explicit Format(const Description& all) : all_(all) {}
+
+  /// Empty: they are not just bytes. `alone`: in native sizes, as memoryview reads them.
+  std::string of(std::uint32_t place, bool alone) {
+    const Type& type = all_.types.at(place);
+    switch (type.kind) {
+      case Kind::Bool:
+        return alone ? "?" : "=?";
+      case Kind::Char:
+        return alone ? "c" : "=c";
+      case Kind::Int:
+      case Kind::UInt:
+      case Kind::Float:
+        return number(type, alone);
+      case Kind::Enum:
+      case Kind::Duration:
+      case Kind::TimePoint:
+        return of(type.element, alone);
+      case Kind::Array:
+        return array(type);
+      case Kind::Struct:
+        return structure(type);
+      case Kind::Opaque:
+        return std::to_string(type.size) + "s";
+      default:
+        return {};
+    }
+  }
+
+ private:
+  static std::string number(const Type& type, bool alone) {
+    const char* const codes = type.kind == Kind::Float ? "..fd"
+                              : type.kind == Kind::Int ? "bhiq"
+                                                       : "BHIQ";
+    for (unsigned i = 0; i < 4; ++i) {
+      if (type.size == std::uint64_t{1} << i && codes[i] != '.') {
+        return (alone ? "" : "=") + std::string(1, codes[i]);
+      }
+    }
+    return std::to_string(type.size) + "s";  // long double
+  }
+  std::string array(const Type& type) {
+    const std::string element = of(type.element, false);
+    return element.empty() ? element : "(" + std::to_string(type.count) + ")" + element;
+  }
+  std::string structure(const Type& type) {
+    std::string text = "T{";
+    std::uint64_t end = 0;
+    for (std::size_t i = 0; i < type.fields.size(); ++i) {
+      const Description::Field& field = type.fields[i];
+      const std::string its = of(field.type, false);
+      if (its.empty()) return {};
+      const std::string name = field.name.empty() ? "_" + std::to_string(i) : field.name;
+      const bool can_be_told =
+          field.bits == 0 && field.offset >= end && name.find(':') == std::string::npos;
+      if (!can_be_told) return std::to_string(type.size) + "s";
+      pad(text, field.offset - end);
+      text += its + ":" + name + ":";
+      end = field.offset + all_.types.at(field.type).size;
+    }
+    pad(text, type.size - end);
+    return text + "}";
+  }
+  static void pad(std::string& text, std::uint64_t bytes) {
+    if (bytes != 0) text += std::to_string(bytes) + "x";
+  }
+
+  const Description& all_;
+};
+
+/// What a view has of its own, until it is released.
+struct View {
+  std::shared_ptr<Held> held;
+  std::string format;
+  std::vector<Py_ssize_t> shape;
+  std::vector<Py_ssize_t> strides;
+  Py_ssize_t item = 0;
+};
+
+/// Without the bytes: what is told of a part. Its format is empty where there can be no view.
+View view_of(const Part& part) {
+  const Value& value = part.value();
+  const Description& all = part.held()->description();
+  View view;
+  view.held = part.held();
+  const Type* type = &value.type();
+  if (type->kind == Kind::Vector || type->kind == Kind::Array) {
+    view.shape.push_back(static_cast<Py_ssize_t>(value.size()));
+    while (all.types.at(type->element).kind == Kind::Array) {
+      type = &all.types.at(type->element);
+      view.shape.push_back(static_cast<Py_ssize_t>(type->count));
+    }
+    const Type& element = all.types.at(type->element);
+    view.format = Format(all).of(type->element, true);
+    view.item = static_cast<Py_ssize_t>(element.size);
+  } else {
+    const auto place = static_cast<std::uint32_t>(type - all.types.data());
+    view.format = Format(all).of(place, true);
+    view.item = static_cast<Py_ssize_t>(type->size);
+  }
+  view.strides.resize(view.shape.size());
+  Py_ssize_t stride = view.item;
+  for (std::size_t i = view.shape.size(); i-- > 0; stride *= view.shape[i])
+    view.strides[i] = stride;
+  return view;
+}
+
+void fill(PyObject* self, Py_buffer* buffer, int flags) {
+  const auto& part = py::handle(self).cast<const Part&>();
+  auto view = std::make_unique<View>(view_of(part));
+  if (view->format.empty()) {
+    throw py::buffer_error("its elements have strings, vectors or references: use them one by one");
+  }
+  const bool is_loan = part.held()->is_loan();
+  if ((flags & PyBUF_WRITABLE) != 0 && !is_loan) {
+    throw py::buffer_error("a received message is read-only");
+  }
+  static constexpr std::byte kNothing{};  // an empty vector has no memory
+  const Bytes bytes = part.value().bytes();
+  const std::byte* const at = part.held()->pin(bytes.data());
+  buffer->buf = const_cast<std::byte*>(bytes.size() == 0 ? &kNothing : at);
+  buffer->len = static_cast<Py_ssize_t>(bytes.size());
+  buffer->itemsize = view->item;
+  buffer->readonly = is_loan ? 0 : 1;
+  buffer->ndim = static_cast<int>(view->shape.size());
+  buffer->format = (flags & PyBUF_FORMAT) != 0 ? view->format.data() : nullptr;
+  buffer->shape = (flags & PyBUF_ND) != 0 ? view->shape.data() : nullptr;
+  buffer->strides = (flags & PyBUF_STRIDES) == PyBUF_STRIDES ? view->strides.data() : nullptr;
+  buffer->suboffsets = nullptr;
+  buffer->internal = view.release();
+  Py_INCREF(self);
+  buffer->obj = self;
+}
+
+int get_buffer(PyObject* self, Py_buffer* buffer, int flags) noexcept {
+  buffer->obj = nullptr;
+  try {
+    fill(self, buffer, flags);
+    return 0;
+  } catch (py::error_already_set& error) {
+    error.restore();
+  } catch (const py::builtin_exception& error) {
+    error.set_error();
+  } catch (const std::exception& error) {
+    PyErr_SetString(PyExc_BufferError, error.what());
+  }
+  return -1;
+}
+
+void release_buffer(PyObject*, Py_buffer* buffer) noexcept {
+  const std::unique_ptr<View> view(static_cast<View*>(buffer->internal));
+  view->held->unpin();
+}
+
+}  // namespace
+
+bool has_buffer(const Part& part) { return !view_of(part).format.empty(); }
+
+void add_buffer_protocol(PyHeapTypeObject* type) {
+  type->ht_type.tp_as_buffer = &type->as_buffer;
+  type->as_buffer.bf_getbuffer = get_buffer;
+  type->as_buffer.bf_releasebuffer = release_buffer;
+}
+
+}  // namespace lot::python

@@ -1,0 +1,378 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "python/ends.hpp"
+
+#include <cerrno>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include <pybind11/stl.h>
+
+#include "lot/engine.hpp"
+
+#include "python/part.hpp"
+#include "python/waits.hpp"
+
+namespace py = pybind11;
+
+namespace lot::python {
+namespace {
+
+/// A thread looks by the subscription, and leaves the GIL to others meanwhile.
+class Use {
+ public:
+  explicit Use(Subscription& subscription) : subscription_(subscription) {
+    if (subscription.is_used) {
+      throw Error(EBUSY, subscription.puller.type().name(),
+                  "another thread looks by this subscriber",
+                  "give each thread a subscriber of its own");
+    }
+    subscription.is_used = true;
+  }
+  ~Use() { subscription_.is_used = false; }
+  Use(const Use&) = delete;
+  Use& operator=(const Use&) = delete;
+
+ private:
+  Subscription& subscription_;
+};
+
+/// What a borrow() gives: for `with`.
+class Borrow {
+ public:
+  explicit Borrow(std::shared_ptr<Held> held) : held_(std::move(held)) {}
+  ~Borrow() { end(); }
+  Borrow(Borrow&&) = default;
+  Borrow& operator=(Borrow&&) = delete;
+
+  py::object message() const { return held_ ? py::cast(Part(held_)) : py::none(); }
+  bool has_message() const noexcept { return held_ != nullptr; }
+  void end() noexcept {
+    if (held_) held_->end();
+  }
+
+ private:
+  std::shared_ptr<Held> held_;  ///< null: nothing came
+};
+
+class Subscriber {
+ public:
+  explicit Subscriber(AnyPuller puller)
+      : its_(std::make_shared<Subscription>(Subscription{std::move(puller)})) {}
+
+  Borrow borrow(Seconds timeout) {
+    const auto its = its_;  // also while the last reference goes in another thread
+    AnyBorrow found;
+    look(*its, timeout, [&](AnyPuller& puller, auto end) {
+      found = end ? puller.borrow_until(Deadline(*end)) : puller.try_borrow();
+    });
+    return Borrow(found ? std::make_shared<Held>(std::move(found), its) : nullptr);
+  }
+  py::object pull(Seconds timeout) {
+    const auto its = its_;
+    AnyMessage found;
+    look(*its, timeout, [&](AnyPuller& puller, auto end) {
+      found = end ? puller.pull_until(Deadline(*end)) : puller.try_pull();
+    });
+    if (!found) return py::none();
+    return py::cast(Part(std::make_shared<Held>(std::move(found))));
+  }
+  AnyPuller& puller() const noexcept { return its_->puller; }
+  /// For what is asked of a puller beside its looks. Throws lot::Error (EBUSY).
+  template <class F>
+  auto ask(F&& f) const {
+    const auto its = its_;
+    const Use use(*its);
+    const py::gil_scoped_release release;
+    return f(its->puller);
+  }
+
+ private:
+  template <class Look>
+  static void look(Subscription& its, Seconds timeout, Look&& take) {
+    const Use use(its);
+    if (timeout && *timeout <= 0) {
+      const py::gil_scoped_release release;
+      return take(its.puller, std::optional<Clock::time_point>());
+    }
+    wait(deadline_after(timeout), [&](Clock::time_point end) {
+      take(its.puller, std::optional<Clock::time_point>(end));
+      return its.puller.status();
+    });
+  }
+
+  std::shared_ptr<Subscription> its_;
+};
+
+class Publisher {
+ public:
+  Publisher(AnyPusher pusher, const PusherOptions& options)
+      : its_(std::make_shared<AnyPusher>(std::move(pusher))),
+        policy_(options.policy),
+        block_for_(options.block_for) {}
+
+  py::object loan(const py::kwargs& fields) {
+    const auto its = its_;
+    AnyLoan made;
+    {
+      const py::gil_scoped_release release;
+      const bool is_opaque = its->type().description().root().kind == Kind::Opaque;
+      made = is_opaque ? its->loan_zeroed() : its->loan();
+    }
+    Part part(std::make_shared<Held>(std::move(made)));
+    for (const auto& [name, value] : fields) part.set_attribute(name.cast<std::string>(), value);
+    return py::cast(std::move(part));
+  }
+
+  /// False: Status::Full, and the message is still the caller's.
+  bool push(const Part& part, std::optional<double> block_for) {
+    if (!part.is_whole()) throw py::type_error("a part of a message cannot be pushed");
+    const auto its = its_;
+    const auto held = part.held();
+    if (!held->is_loan()) {
+      const AnyMessage message = held->share();
+      return push_until(block_for,
+                        [&](std::chrono::nanoseconds time) { return its->push(message, time); });
+    }
+    struct Taken {  // back to its owner, also where the push throws
+      Held& held;
+      AnyLoan loan;
+      ~Taken() {
+        if (loan) held.give_back(std::move(loan));
+      }
+    } taken{*held, held->take_loan()};
+    return push_until(block_for, [&](std::chrono::nanoseconds time) {
+      return its->push(std::move(taken.loan), time);
+    });
+  }
+
+  AnyPusher& pusher() const noexcept { return *its_; }
+
+ private:
+  template <class Push>
+  bool push_until(std::optional<double> block_for, Push&& push) const {
+    const bool waits = policy_ == Policy::Block;
+    const double limit = block_for ? *block_for : std::chrono::duration<double>(block_for_).count();
+    const auto deadline = waits ? deadline_after(limit) : Clock::now();
+    return wait(deadline, [&](Clock::time_point end) {
+             return push(std::max(end - Clock::now(), Clock::duration::zero()));
+           }) == Status::Ok;
+  }
+
+  std::shared_ptr<AnyPusher> its_;
+  Policy policy_;
+  std::chrono::nanoseconds block_for_;
+};
+
+class Engine {
+ public:
+  explicit Engine(const EngineOptions& options) : engine_(options) {}
+
+  Publisher advertise(const std::string& topic, const AnyType& type, const PusherOptions& options) {
+    const py::gil_scoped_release release;
+    return {engine_.advertise_any(topic, type, options), options};
+  }
+  Subscriber subscribe(const std::string& topic, const std::optional<AnyType>& type,
+                       const PullerOptions& options) {
+    const py::gil_scoped_release release;
+    return Subscriber(type ? engine_.subscribe_any(topic, *type, options)
+                           : engine_.subscribe_any(topic, options));
+  }
+  std::optional<AnyType> type_of(const std::string& topic) {
+    const py::gil_scoped_release release;
+    AnyType found = engine_.type_of(topic);
+    if (!found) return std::nullopt;
+    return found;
+  }
+  const std::string& path() const { return engine_.path(); }
+
+ private:
+  ShmEngine engine_;
+};
+
+std::unique_ptr<Engine> join(const std::string& segment, const std::string& directory,
+                             std::uint64_t size_bytes, unsigned permissions,
+                             const std::string& group, const std::string& user, bool persist,
+                             bool lock_memory, const std::string& name) {
+  EngineOptions options;
+  if (!segment.empty()) options.segment = segment;
+  if (!directory.empty()) options.directory = directory;
+  options.size_bytes = size_bytes;
+  options.permissions = permissions;
+  options.group = group;
+  options.user = user;
+  options.persist = persist;
+  options.lock_memory = lock_memory;
+  options.name = name;
+  const py::gil_scoped_release release;
+  return std::make_unique<Engine>(options);
+}
+
+Publisher advertise(Engine& engine, const std::string& topic, const AnyType& type, Policy policy,
+                    std::uint32_t depth, double block_for, std::optional<std::uint32_t> history,
+                    std::uint64_t max_bytes, bool stamp, QueueEngine queue) {
+  PusherOptions options;
+  options.policy = policy;
+  options.depth = depth;
+  options.block_for = std::chrono::duration<double>(block_for);
+  if (history) options.history = *history;
+  options.max_bytes = max_bytes;
+  options.stamp = stamp;
+  options.engine = queue;
+  return engine.advertise(topic, type, options);
+}
+
+Subscriber subscribe(Engine& engine, const std::string& topic, const std::optional<AnyType>& type,
+                     Wait wait, std::uint64_t history, std::uint64_t max_held_bytes,
+                     bool observer) {
+  PullerOptions options;
+  options.wait = wait;
+  options.history = history;
+  options.max_held_bytes = max_held_bytes;
+  options.observer = observer;
+  return engine.subscribe(topic, type, options);
+}
+
+void define_engine(py::module_& module) {
+  py::class_<Engine>(module, "Engine", "This process's place in a segment.")
+      .def(py::init(&join), py::kw_only(), py::arg("segment") = "", py::arg("directory") = "",
+           py::arg("size_bytes") = 0, py::arg("permissions") = 0, py::arg("group") = "",
+           py::arg("user") = "", py::arg("persist") = false, py::arg("lock_memory") = false,
+           py::arg("name") = "")
+      .def("_advertise", &advertise)
+      .def("_subscribe", &subscribe)
+      .def("type_of", &Engine::type_of, py::arg("topic"),
+           "What the topic carries; None where no process uses it.")
+      .def_property_readonly("path", &Engine::path, "The file that the segment is.");
+}
+
+void define_publisher(py::module_& module) {
+  py::class_<Publisher>(module, "Publisher", "Publishes messages on a topic, from any thread.")
+      .def("loan", &Publisher::loan,
+           "A new message in shared memory, with these fields set: numbers are zero, else empty.")
+      .def(
+          "push", &Publisher::push, py::arg("message"), py::arg("block_for") = py::none(),
+          "Publishes a loan, or a message that was received, without a copy. False: a slow reader\n"
+          "holds the queue back, and the message is still the caller's.")
+      .def(
+          "readers", [](const Publisher& its) { return its.pusher().readers(); },
+          "Subscribers that read it.")
+      .def(
+          "wait_for_readers",
+          [](const Publisher& its, std::size_t count, Seconds timeout) {
+            return wait(deadline_after(timeout), [&](Clock::time_point end) {
+                     const auto left = std::max(end - Clock::now(), Clock::duration::zero());
+                     return its.pusher().wait_for_readers(count, left) ? Status::Ok
+                                                                       : Status::Timeout;
+                   }) == Status::Ok;
+          },
+          py::arg("count") = 1, py::arg("timeout") = py::none(),
+          "Waits until so many read it. False: the time is up.")
+      .def(
+          "reserve",
+          [](const Publisher& its, std::size_t count, std::size_t bytes) {
+            const py::gil_scoped_release release;
+            its.pusher().reserve(count, bytes);
+          },
+          py::arg("count"), py::arg("bytes"), "Makes memory for so many messages now.")
+      .def_property_readonly(
+          "type", [](const Publisher& its) { return its.pusher().type(); }, "What it sends.");
+}
+
+void define_subscriber(py::module_& module) {
+  py::class_<Borrow>(module, "Borrow", "A message that is looked at in place: for `with`.")
+      .def("__enter__", &Borrow::message)
+      .def("__exit__", [](Borrow& its, const py::args&) { its.end(); })
+      .def("__bool__", &Borrow::has_message)
+      .def("end", &Borrow::end, "Ends it early.");
+  py::class_<Subscriber>(module, "Subscriber",
+                         "Receives the messages of a topic. One thread at a time.")
+      .def("borrow", &Subscriber::borrow, py::arg("timeout") = py::none(),
+           "The next message in place: `with sub.borrow(0.1) as m`. m is None: nothing came. "
+           "timeout\n"
+           "in seconds; None: for ever; 0: now.")
+      .def("pull", &Subscriber::pull, py::arg("timeout") = py::none(),
+           "The next message, which lives as long as any part or view of it. None: nothing came.")
+      .def(
+          "envelope",
+          [](const Subscriber& its) {
+            return its.ask([](AnyPuller& puller) { return puller.envelope(); });
+          },
+          "Where the last message comes from.")
+      .def(
+          "publishers",
+          [](const Subscriber& its) {
+            return its.ask([](AnyPuller& puller) { return puller.publishers(); });
+          },
+          "Publishers of the topic.")
+      .def(
+          "size",
+          [](const Subscriber& its) {
+            return its.ask([](AnyPuller& puller) { return puller.size(); });
+          },
+          "Messages that are there to be read.")
+      .def(
+          "fileno",
+          [](const Subscriber& its) {
+            return its.ask([](AnyPuller& puller) { return puller.fd(); });
+          },
+          "A descriptor for select and asyncio: readable until a look with timeout 0 finds "
+          "nothing.")
+      .def_property_readonly(
+          "status", [](const Subscriber& its) { return its.puller().status(); },
+          "How the last look ended.")
+      .def_property_readonly(
+          "missed", [](const Subscriber& its) { return its.puller().missed(); },
+          "Messages lost just before the last one.")
+      .def_property_readonly(
+          "missed_total", [](const Subscriber& its) { return its.puller().missed_total(); },
+          "All that were lost.")
+      .def_property_readonly(
+          "type", [](const Subscriber& its) { return its.puller().type(); }, "What it gets.");
+}
+
+void define_envelope(py::module_& module) {
+  py::class_<Envelope>(module, "Envelope", "Where a message comes from.")
+      .def_readonly("sequence", &Envelope::sequence, "0 for the first of its publisher.")
+      .def_readonly("missed", &Envelope::missed, "Messages missed just before it.")
+      .def_readonly("publisher", &Envelope::publisher, "The name of its process.")
+      .def_readonly("publisher_id", &Envelope::publisher_id, "Tells publishers apart.")
+      .def_property_readonly(
+          "pushed_ns",
+          [](const Envelope& its) -> std::optional<std::int64_t> {
+            if (!its.pushed) return std::nullopt;
+            return std::chrono::nanoseconds(its.pushed->time_since_epoch()).count();
+          },
+          "When it was pushed, as time.monotonic_ns(); None: its publisher does not stamp.");
+}
+
+}  // namespace
+
+void define_ends(py::module_& module) {
+  py::enum_<Status>(module, "Status", "How a look ended.")
+      .value("OK", Status::Ok)
+      .value("EMPTY", Status::Empty)
+      .value("FULL", Status::Full)
+      .value("TIMEOUT", Status::Timeout)
+      .value("PUBLISHER_GONE", Status::PublisherGone)
+      .value("HOLDS_TOO_MUCH", Status::HoldsTooMuch)
+      .value("STOPPED", Status::Stopped);
+  py::enum_<Policy>(module, "Policy", "What a push does where a reader is a whole queue behind.")
+      .value("OVERWRITE", Policy::Overwrite)
+      .value("BLOCK", Policy::Block)
+      .value("REFUSE", Policy::Refuse);
+  py::enum_<QueueEngine>(module, "QueueEngine", "How a queue works inside.")
+      .value("RING", QueueEngine::Ring)
+      .value("MUTEX", QueueEngine::Mutex);
+  py::enum_<Wait>(module, "Wait", "How a subscriber passes the time.")
+      .value("SPIN", Wait::Spin)
+      .value("ADAPTIVE", Wait::Adaptive)
+      .value("PARK", Wait::Park);
+  define_envelope(module);
+  define_engine(module);
+  define_publisher(module);
+  define_subscriber(module);
+}
+
+}  // namespace lot::python

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LOT: messages in shared memory, without copies. docs/python.md says what its objects keep.
+
+    engine = lot.Engine()
+    sub = engine.subscribe("/camera/front")
+    with sub.borrow(timeout=0.1) as frame:
+        if frame is not None:
+            image = numpy.asarray(frame.data).reshape(frame.height, frame.width, 3)
+"""
+
+import asyncio
+import enum
+import errno
+import inspect
+
+import numpy
+
+from lot._lot import (Borrow, Engine, Envelope, Error, Kind, OutOfMemory, Part, Policy, Publisher, QueueEngine,
+                      Status, Subscriber, Type, Wait)
+
+__all__ = ['Borrow', 'Engine', 'Envelope', 'Error', 'Kind', 'OutOfMemory', 'Part', 'Policy', 'Publisher',
+           'QueueEngine', 'Status', 'Subscriber', 'Type', 'Wait', 'array', 'boolean', 'char', 'duration', 'enumeration',
+           'f32', 'f64', 'i8', 'i16', 'i32', 'i64', 'message', 'ref', 'string', 'time_point', 'type_of', 'u8',
+           'u16', 'u32', 'u64', 'vector']
+
+boolean = Type.number(Kind.BOOL, 1)
+char = Type.number(Kind.CHAR, 1)
+i8, i16, i32, i64 = (Type.number(Kind.INT, size) for size in (1, 2, 4, 8))
+u8, u16, u32, u64 = (Type.number(Kind.UINT, size) for size in (1, 2, 4, 8))
+f32, f64 = (Type.number(Kind.FLOAT, size) for size in (4, 8))
+string = Type.string()
+
+
+def type_of(what):
+    """The Type that a class, a Type, or bool, int, float, str stands for."""
+    plain = {bool: boolean, int: i64, float: f64, str: string}
+    if isinstance(what, Type):
+        return what
+    if what in plain:
+        return plain[what]
+    found = vars(what).get('__lot_type__') if isinstance(what, type) else None
+    if found is None:
+        raise TypeError(f'{what!r} is no message type: use @lot.message, lot.f32, lot.vector[...]')
+    return found
+
+
+class vector:
+    """lot.vector[T]: any number of T."""
+
+    def __class_getitem__(cls, element):
+        return Type.vector(type_of(element))
+
+
+class array:
+    """lot.array[T, n]: n of T."""
+
+    def __class_getitem__(cls, parts):
+        element, count = parts
+        return Type.array(type_of(element), count)
+
+
+class ref:
+    """lot.ref[T]: a reference to a message of type T."""
+
+    def __class_getitem__(cls, target):
+        return Type.reference(type_of(target))
+
+
+class duration:
+    """lot.duration[T, numerator, denominator]: so many seconds, numerator / denominator, are one."""
+
+    def __class_getitem__(cls, parts):
+        number, numerator, denominator = parts
+        return Type.duration(type_of(number), numerator, denominator)
+
+
+def time_point(clock, span):
+    """A time point of 'system_clock' or 'steady_clock'; span: a lot.duration."""
+    return Type.time_point(clock, span)
+
+
+def enumeration(number, name=None):
+    """Decorates an IntEnum: it lies as that integer. name: the C++ name, by default the class's."""
+
+    def decorate(cls):
+        if not issubclass(cls, enum.IntEnum):
+            raise TypeError(f'{cls.__name__} is no IntEnum')
+        cls.__lot_type__ = Type.enumeration(name or cls.__name__, type_of(number))
+        return cls
+
+    return decorate
+
+
+def message(cls=None, *, name=None):
+    """Decorates a class with annotations: the type of messages whose C++ struct has that name and these
+    fields, in this order. name: the C++ name with its namespaces, by default the class's.
+
+        @lot.message(name='robot::Box')
+        class Box:
+            x: lot.f32
+            label: lot.string
+    """
+
+    def decorate(decorated):
+        hints = inspect.get_annotations(decorated, eval_str=True)
+        decorated.__lot_type__ = Type.structure(
+            name or decorated.__name__, [(field, type_of(what)) for field, what in hints.items()])
+        return decorated
+
+    return decorate if cls is None else decorate(cls)
+
+
+def _advertise(self, topic, message_type, *, policy=Policy.OVERWRITE, depth=64, block_for=1.0, history=None, max_bytes=0,
+               stamp=False, queue_engine=QueueEngine.RING):
+    """A publisher of the topic. message_type: a class, or a Type. block_for: seconds that a push waits under
+    Policy.BLOCK. history: how many of the newest messages stay for later readers; None: all."""
+    return self._advertise(topic, type_of(message_type), policy, depth, block_for, history, max_bytes, stamp, queue_engine)
+
+
+def _subscribe(self, topic, message_type=None, *, wait=Wait.ADAPTIVE, history=0, max_held_bytes=0, observer=False):
+    """A subscriber of the topic. message_type: a class, or a Type; None: what the topic carries, which some process
+    must use then (errno.ENOENT). history: how many messages of before come first. observer: it only looks on."""
+    wanted = None if message_type is None else type_of(message_type)
+    return self._subscribe(topic, wanted, wait, history, max_held_bytes, observer)
+
+
+def _require_room(self):
+    if self.status == Status.HOLDS_TOO_MUCH:
+        raise Error(errno.EDQUOT, 'the subscription keeps all that it may (max_held_bytes): let messages go')
+
+
+def _iterate(self):
+    """Messages until the last publisher has gone."""
+    while True:
+        found = self.pull()
+        if found is None:
+            _require_room(self)
+            return
+        yield found
+        del found  # what the caller has let go does not count while this waits
+
+
+async def _iterate_async(self):
+    """Messages until the last publisher has gone; other tasks run meanwhile."""
+    loop = asyncio.get_running_loop()
+    descriptor = self.fileno()
+    had_publisher = self.publishers() > 0
+    while True:
+        found = self.pull(timeout=0)
+        if found is not None:
+            had_publisher = True
+            yield found
+            del found
+            continue
+        _require_room(self)
+        has_publisher = self.publishers() > 0
+        if had_publisher and not has_publisher and self.size() == 0:
+            return
+        had_publisher = has_publisher
+        readable = loop.create_future()
+        loop.add_reader(descriptor, lambda: readable.done() or readable.set_result(None))
+        try:
+            await readable
+        finally:
+            loop.remove_reader(descriptor)
+
+
+def _fill(part, source):
+    """Sets elements; a number that does not fit is an error, where numpy would cut it."""
+    target, values = numpy.asarray(part), numpy.asarray(source)
+    casting = 'same_kind'
+    if target.dtype.kind in 'iu' and values.dtype.kind in 'iu' and not numpy.can_cast(values.dtype, target.dtype):
+        bounds = numpy.iinfo(target.dtype)
+        if values.size and (values.min() < bounds.min or values.max() > bounds.max):
+            raise OverflowError(f'some of these do not fit a {target.dtype}')
+        casting = 'unsafe'
+    numpy.copyto(target, values, casting=casting)
+
+
+def _same(copy):
+    """What a message is pickled as: a copy in plain Python."""
+    return copy
+
+
+Engine.advertise = _advertise
+Engine.subscribe = _subscribe
+Subscriber.__iter__ = _iterate
+Subscriber.__aiter__ = _iterate_async

@@ -1,0 +1,265 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "python/part.hpp"
+
+#include <cerrno>
+#include <string_view>
+
+#include "lot/error.hpp"
+#include "lot/mutable_value.hpp"
+
+namespace py = pybind11;
+
+namespace lot::python {
+namespace {
+
+py::object text_of(std::string_view text) {
+  PyObject* const made =
+      PyUnicode_DecodeUTF8(text.data(), static_cast<Py_ssize_t>(text.size()), "surrogateescape");
+  if (made == nullptr) throw py::error_already_set();
+  return py::reinterpret_steal<py::object>(made);
+}
+
+/// What the number of an enum, duration or time point is.
+Kind kind_of_number(const Description& all, const Description::Type& type) {
+  const Description::Type* inner = &type;
+  while (inner->kind == Kind::Enum || inner->kind == Kind::Duration ||
+         inner->kind == Kind::TimePoint) {
+    inner = &all.types.at(inner->element);
+  }
+  return inner->kind;
+}
+
+/// numpy cannot make structs of dicts: these are set one by one.
+bool are_dicts(const Description& all, const Description::Type& type, py::handle object) {
+  return all.types.at(type.element).kind == Kind::Struct && PyObject_CheckBuffer(object.ptr()) == 0;
+}
+
+bool is_sequence(Kind kind) { return kind == Kind::Array || kind == Kind::Vector; }
+
+void set(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object);
+
+void set_number(const MutableValue& place, py::handle object) {
+  if (py::isinstance<py::bool_>(object)) return place.set(object.cast<bool>());
+  if (PyIndex_Check(object.ptr()) == 0) {
+    const double real = PyFloat_AsDouble(object.ptr());  // TypeError for what is no number
+    if (PyErr_Occurred() != nullptr) throw py::error_already_set();
+    return place.set(real);
+  }
+  const auto whole = py::reinterpret_steal<py::object>(PyNumber_Index(object.ptr()));
+  if (!whole) throw py::error_already_set();
+  int overflow = 0;
+  const long long number = PyLong_AsLongLongAndOverflow(whole.ptr(), &overflow);
+  if (overflow == 0) return place.set(static_cast<std::int64_t>(number));
+  const unsigned long long large = PyLong_AsUnsignedLongLong(whole.ptr());
+  if (PyErr_Occurred() != nullptr) throw py::error_already_set();
+  place.set(static_cast<std::uint64_t>(large));
+}
+
+void set_text(Held& held, const MutableValue& place, py::handle object) {
+  const auto bytes = py::isinstance<py::bytes>(object)
+                         ? py::reinterpret_borrow<py::bytes>(object)
+                         : py::reinterpret_steal<py::bytes>(
+                               PyUnicode_AsEncodedString(object.ptr(), "utf-8", "surrogateescape"));
+  if (!bytes) throw py::error_already_set();
+  held.grow();
+  place.set(static_cast<std::string_view>(bytes));
+}
+
+/// numpy converts the elements; a vector gets as many as the object has.
+void set_elements(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
+  const Value& value = place.value();
+  if (value.kind() == Kind::Vector) {
+    const std::size_t count = py::len(object);
+    held->grow();
+    place.resize(count);
+    if (count == 0) return;
+  }
+  py::module_::import("lot").attr("_fill")(py::cast(Part(held, value)), object);
+}
+
+void set_each(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
+  const auto items = py::reinterpret_borrow<py::sequence>(object);
+  if (place.value().kind() == Kind::Vector) {
+    held->grow();
+    place.resize(items.size());
+  } else if (items.size() != place.size()) {
+    throw py::value_error("the array has " + std::to_string(place.size()) + " elements, always");
+  }
+  for (std::size_t i = 0; i < items.size(); ++i) set(held, place[i], py::object(items[i]));
+}
+
+void set(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
+  const Value& value = place.value();
+  const Kind kind = value.kind();
+  if (kind == Kind::Struct) {
+    if (!py::isinstance<py::dict>(object)) {
+      throw py::type_error("a struct is set by a dict of its fields, or field by field");
+    }
+    for (const auto& [name, its] : py::reinterpret_borrow<py::dict>(object)) {
+      set(held, place[std::string_view(name.cast<std::string>())], its);
+    }
+  } else if (is_sequence(kind)) {
+    const bool is_text = py::isinstance<py::str>(object) || py::isinstance<py::bytes>(object);
+    if (is_text && kind == Kind::Array) return set_text(*held, place, object);
+    if (has_buffer(Part(held, value)) && !are_dicts(held->description(), value.type(), object)) {
+      set_elements(held, place, object);
+    } else {
+      set_each(held, place, object);
+    }
+  } else if (kind == Kind::String || kind == Kind::Reference || kind == Kind::Opaque) {
+    set_text(*held, place, object);
+  } else if (kind == Kind::Char && py::isinstance<py::str>(object)) {
+    const auto text = object.cast<std::string>();
+    if (text.size() != 1) throw py::value_error("a char is one byte of text");
+    place.set(text.front());
+  } else {
+    set_number(place, object);
+  }
+}
+
+}  // namespace
+
+const Value& Part::value() const {
+  held_->require_open();
+  if (generation_ != held_->generation()) {
+    value_ = held_->root().at(value_.path());
+    generation_ = held_->generation();
+  }
+  return value_;
+}
+
+py::object to_python(const std::shared_ptr<Held>& held, const Value& value) {
+  const Description::Type& type = value.type();
+  switch (kind_of_number(held->description(), type)) {
+    case Kind::Bool:
+      return py::bool_(value.as<bool>());
+    case Kind::Char:
+      return text_of(std::string(1, value.as<char>()));
+    case Kind::Int:
+      return py::int_(value.as<std::int64_t>());
+    case Kind::UInt:
+      return py::int_(value.as<std::uint64_t>());
+    case Kind::Float:
+      return py::float_(value.as<double>());
+    case Kind::String:
+      return text_of(value.as<std::string_view>());
+    case Kind::Reference:
+      if (value.is_null()) return py::none();
+      return to_python(held, value.target());
+    default:
+      return py::cast(Part(held, value));
+  }
+}
+
+py::object Part::attribute(const std::string& name) const {
+  if (!value().has(name)) {
+    throw py::attribute_error("the message has no field '" + name + "' here");
+  }
+  return to_python(held_, value()[std::string_view(name)]);
+}
+
+std::size_t Part::index(py::handle key) const {
+  const Py_ssize_t given = PyNumber_AsSsize_t(key.ptr(), PyExc_IndexError);
+  if (given == -1 && PyErr_Occurred() != nullptr) throw py::error_already_set();
+  const auto count = static_cast<Py_ssize_t>(size());
+  const Py_ssize_t place = given < 0 ? given + count : given;
+  if (place < 0 || place >= count) throw py::index_error("there is no such element");
+  return static_cast<std::size_t>(place);
+}
+
+py::object Part::item(py::object key) const {
+  if (py::isinstance<py::str>(key)) return to_python(held_, value().at(key.cast<std::string>()));
+  if (py::isinstance<py::slice>(key) || py::isinstance<py::tuple>(key)) {
+    return py::module_::import("numpy").attr("asarray")(py::cast(*this)).attr("__getitem__")(key);
+  }
+  return to_python(held_, value()[index(key)]);
+}
+
+void Part::set_attribute(const std::string& name, py::handle object) {
+  const MutableValue whole = held_->building().at(value().path());
+  if (!value().has(name)) {
+    throw py::attribute_error("the message has no field '" + name + "' here");
+  }
+  set(held_, whole[std::string_view(name)], object);
+}
+
+void Part::set_item(py::object key, py::handle object) {
+  const MutableValue whole = held_->building().at(value().path());
+  if (py::isinstance<py::str>(key)) {
+    set(held_, whole.at(key.cast<std::string>()), object);
+  } else if (py::isinstance<py::slice>(key) || py::isinstance<py::tuple>(key)) {
+    py::module_::import("numpy").attr("asarray")(py::cast(*this)).attr("__setitem__")(key, object);
+  } else {
+    set(held_, whole[index(key)], object);
+  }
+}
+
+void Part::resize(std::size_t count) {
+  const MutableValue place = held_->building().at(value().path());
+  held_->grow();
+  place.resize(count);
+}
+
+void Part::assign(py::handle object) { set(held_, held_->building().at(value().path()), object); }
+
+py::list Part::fields() const {
+  py::list names;
+  if (value().kind() != Kind::Struct) return names;
+  for (const Value field : value()) names.append(text_of(field.name()));
+  return names;
+}
+
+py::object Part::copy() const {
+  const auto copied = [](const py::object& object) {
+    return py::isinstance<Part>(object) ? object.cast<const Part&>().copy() : object;
+  };
+  const Kind kind = value().kind();
+  if (kind != Kind::Struct && has_buffer(*this)) {
+    return py::module_::import("numpy").attr("array")(py::cast(*this));
+  }
+  if (kind != Kind::Struct) {
+    py::list items;
+    for (const Value item : value()) items.append(copied(to_python(held_, item)));
+    return items;
+  }
+  const py::object made = py::module_::import("types").attr("SimpleNamespace")();
+  for (const Value field : value()) {
+    py::setattr(made, text_of(field.name()), copied(to_python(held_, field)));
+  }
+  return made;
+}
+
+void define_part(py::module_& module) {
+  py::class_<Part>(module, "Part", py::custom_type_setup(add_buffer_protocol),
+                   "A message, or a struct, array, vector or opaque value in it. It keeps the\n"
+                   "message. Fields are attributes, elements items; numpy looks without a copy.")
+      .def("__getattr__", &Part::attribute)
+      .def("__setattr__", &Part::set_attribute)
+      .def("__getitem__", &Part::item)
+      .def("__setitem__", &Part::set_item)
+      .def("__len__", &Part::size)
+      .def("__bool__", [](const Part&) { return true; })
+      .def("__dir__",
+           [](py::object self) {
+             py::list names =
+                 py::module_::import("builtins").attr("list")(py::type::of(self).attr("__dict__"));
+             for (const auto name : self.cast<const Part&>().fields()) names.append(name);
+             return names;
+           })
+      .def("__repr__", [](const Part& part) { return text_of(to_string(part.value())); })
+      .def("__reduce__",
+           [](const Part& part) {
+             return py::make_tuple(py::module_::import("lot").attr("_same"),
+                                   py::make_tuple(part.copy()));
+           })
+      .def("resize", &Part::resize, py::arg("count"),
+           "Gives a vector of a loan so many elements: those that come are zero, or empty.")
+      .def("assign", &Part::assign, py::arg("value"),
+           "Sets all of it: a vector or array by a sequence or an array of numpy, a struct by a "
+           "dict.")
+      .def("fields", &Part::fields, "The names of a struct's fields.")
+      .def("copy", &Part::copy,
+           "A copy in plain Python: structs as SimpleNamespace, numbers as arrays of numpy.");
+}
+
+}  // namespace lot::python

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include <pybind11/pybind11.h>
+
+#include "lot/value.hpp"
+
+#include "python/held.hpp"
+
+namespace lot::python {
+
+/// A struct, array, vector, or opaque value in a message, or the whole message.
+///
+/// Threads: under the GIL.
+class Part {
+ public:
+  /// The whole message. Throws lot::Error.
+  explicit Part(std::shared_ptr<Held> held) : Part(held, held->root()) {}
+  Part(std::shared_ptr<Held> held, const Value& value)
+      : held_(std::move(held)), value_(value), generation_(held_->generation()) {}
+
+  const std::shared_ptr<Held>& held() const noexcept { return held_; }
+  /// Where it lies now. Throws ValueError after the end, lot::Error where it has gone.
+  const Value& value() const;
+  /// True: it is the message itself.
+  bool is_whole() const { return value_.path().empty(); }
+
+  pybind11::object attribute(const std::string& name) const;
+  pybind11::object item(pybind11::object key) const;
+  void set_attribute(const std::string& name, pybind11::handle object);
+  void set_item(pybind11::object key, pybind11::handle object);
+  std::size_t size() const { return value().size(); }
+  void resize(std::size_t count);
+  void assign(pybind11::handle object);
+  pybind11::list fields() const;
+  /// A copy in plain Python.
+  pybind11::object copy() const;
+
+ private:
+  std::size_t index(pybind11::handle key) const;
+
+  std::shared_ptr<Held> held_;
+  mutable Value value_;
+  mutable std::uint64_t generation_;
+};
+
+/// What Python sees of a value: a number, a text, None, or a part. Throws lot::Error.
+pybind11::object to_python(const std::shared_ptr<Held>& held, const Value& value);
+
+/// Lets numpy and memoryview look at parts, without a copy.
+void add_buffer_protocol(PyHeapTypeObject* type);
+/// True where that works: the elements are just bytes. Throws lot::Error.
+bool has_buffer(const Part& part);
+
+void define_part(pybind11::module_& module);
+
+}  // namespace lot::python
