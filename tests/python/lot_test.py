@@ -271,9 +271,9 @@ class Lifetimes(Case):
         pub, sub = self.ends(Frame, depth=2)
         self.push(pub, 1)
         view = np.asarray(sub.pull(0).data)[10:20]
-        for value in range(2, 20):
+        for value in range(2, 200):  # each block of the publisher comes again
             self.push(pub, value)
-        self.assertEqual(view.tolist(), [1] * 10)
+        self.assertTrue((view == 1).all())
 
     def test_a_view_outlives_its_borrow_and_a_part_does_not(self):
         pub, sub = self.ends(Frame, depth=2)
@@ -281,14 +281,14 @@ class Lifetimes(Case):
         with sub.borrow(0) as frame:
             view = np.asarray(frame.data)
             data = frame.data
-        for value in range(2, 20):
+        for value in range(2, 200):  # each block of the publisher comes again
             self.push(pub, value)
-        self.assertEqual(view.tolist(), [1] * 1000)
+        self.assertTrue((view == 1).all())
         for use in (lambda: frame.width, lambda: len(data), lambda: np.asarray(data, dtype=np.uint8)[0], lambda: repr(frame)):
             with self.assertRaises((ValueError, BufferError)):
                 use()
         with sub.borrow(0) as frame:
-            self.assertEqual(frame.width, 18)
+            self.assertEqual(frame.width, 198)
 
     def test_a_borrow_is_closed_by_an_exception(self):
         pub, sub = self.ends(Frame)
