@@ -129,7 +129,7 @@ class Publisher {
   bool push(const Part& part, std::optional<double> block_for) {
     if (!part.is_whole()) throw py::type_error("a part of a message cannot be pushed");
     const auto its = its_;
-    const auto held = part.held();
+    const auto& held = part.held();
     if (!held->is_loan()) {
       const AnyMessage message = held->share();
       return push_until(block_for,

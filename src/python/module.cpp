@@ -33,7 +33,7 @@ void raise(PyObject* type, int number, const char* text, const std::string& obje
   PyErr_SetObject(type, error.ptr());
 }
 
-void translate(std::exception_ptr thrown) {
+void translate(std::exception_ptr thrown) {  // NOLINT: pybind11 gives it by value
   try {
     if (thrown) std::rethrow_exception(thrown);
   } catch (const OutOfMemory& error) {
@@ -74,7 +74,7 @@ std::vector<AnyType::Field> fields_of(const py::sequence& fields) {
   return parts;
 }
 
-void define_types(py::module_& module) {
+void define_kinds(py::module_& module) {
   py::enum_<Kind>(module, "Kind", "What a value is.")
       .value("OPAQUE", Kind::Opaque)
       .value("BOOL", Kind::Bool)
@@ -90,9 +90,11 @@ void define_types(py::module_& module) {
       .value("STRING", Kind::String)
       .value("VECTOR", Kind::Vector)
       .value("REFERENCE", Kind::Reference);
-  py::class_<AnyType>(module, "Type",
-                      "A message type, which lies as the C++ type of that name does.")
-      .def_static("number", &AnyType::number, py::arg("kind"), py::arg("size"))
+}
+
+/// Types that a program makes.
+void define_making(py::class_<AnyType>& type) {
+  type.def_static("number", &AnyType::number, py::arg("kind"), py::arg("size"))
       .def_static("string", &AnyType::string)
       .def_static("vector", &AnyType::vector, py::arg("element"))
       .def_static("array", &AnyType::array, py::arg("element"), py::arg("count"))
@@ -115,8 +117,14 @@ void define_types(py::module_& module) {
              std::uint64_t hash) {
             return AnyType::decoded(name, alignment, static_cast<std::string_view>(bytes), hash);
           },
-          py::arg("name"), py::arg("alignment"), py::arg("bytes"), py::arg("hash") = 0)
-      .def("encode", [](const AnyType& type) { return py::bytes(type.encoded()); })
+          py::arg("name"), py::arg("alignment"), py::arg("bytes"), py::arg("hash") = 0);
+}
+
+void define_types(py::module_& module) {
+  py::class_<AnyType> made(module, "Type",
+                           "A message type, which lies as the C++ type of that name does.");
+  define_making(made);
+  made.def("encode", [](const AnyType& type) { return py::bytes(type.encoded()); })
       .def_property_readonly("name", &AnyType::name)
       .def_property_readonly("size", &AnyType::size)
       .def_property_readonly("alignment", &AnyType::alignment)
@@ -153,6 +161,7 @@ void define_types(py::module_& module) {
 PYBIND11_MODULE(_lot, module) {
   module.doc() = "LOT: messages in shared memory, without copies.";
   define_errors(module);
+  define_kinds(module);
   define_types(module);
   define_part(module);
   define_ends(module);

@@ -167,7 +167,7 @@ std::size_t Part::index(py::handle key) const {
   return static_cast<std::size_t>(place);
 }
 
-py::object Part::item(py::object key) const {
+py::object Part::item(const py::object& key) const {
   if (py::isinstance<py::str>(key)) return to_python(held_, value().at(key.cast<std::string>()));
   if (py::isinstance<py::slice>(key) || py::isinstance<py::tuple>(key)) {
     return py::module_::import("numpy").attr("asarray")(py::cast(*this)).attr("__getitem__")(key);
@@ -183,7 +183,7 @@ void Part::set_attribute(const std::string& name, py::handle object) {
   set(held_, whole[std::string_view(name)], object);
 }
 
-void Part::set_item(py::object key, py::handle object) {
+void Part::set_item(const py::object& key, py::handle object) {
   const MutableValue whole = held_->building().at(value().path());
   if (py::isinstance<py::str>(key)) {
     set(held_, whole.at(key.cast<std::string>()), object);
@@ -240,7 +240,7 @@ void define_part(py::module_& module) {
       .def("__len__", &Part::size)
       .def("__bool__", [](const Part&) { return true; })
       .def("__dir__",
-           [](py::object self) {
+           [](const py::object& self) {
              py::list names =
                  py::module_::import("builtins").attr("list")(py::type::of(self).attr("__dict__"));
              for (const auto name : self.cast<const Part&>().fields()) names.append(name);

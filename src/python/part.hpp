@@ -20,7 +20,7 @@ namespace lot::python {
 class Part {
  public:
   /// The whole message. Throws lot::Error.
-  explicit Part(std::shared_ptr<Held> held) : Part(held, held->root()) {}
+  explicit Part(const std::shared_ptr<Held>& held) : Part(held, held->root()) {}
   Part(std::shared_ptr<Held> held, const Value& value)
       : held_(std::move(held)), value_(value), generation_(held_->generation()) {}
 
@@ -31,9 +31,9 @@ class Part {
   bool is_whole() const { return value_.path().empty(); }
 
   pybind11::object attribute(const std::string& name) const;
-  pybind11::object item(pybind11::object key) const;
+  pybind11::object item(const pybind11::object& key) const;
   void set_attribute(const std::string& name, pybind11::handle object);
-  void set_item(pybind11::object key, pybind11::handle object);
+  void set_item(const pybind11::object& key, pybind11::handle object);
   std::size_t size() const { return value().size(); }
   void resize(std::size_t count);
   void assign(pybind11::handle object);

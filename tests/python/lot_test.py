@@ -11,6 +11,7 @@ import errno
 import gc
 import os
 import pickle
+import random
 import select
 import signal
 import subprocess
@@ -352,6 +353,87 @@ class Lifetimes(Case):
             out.push(frame.data)
         other = self.engine.advertise('/other', Point)
         self.raises(errno.EINVAL, other.push, frame)
+
+
+class Program:
+    """A random program of loans, pushes, pulls, borrows, views, slices, deletes and exceptions."""
+
+    def __init__(self, case, chance):
+        self.case, self.chance = case, chance
+        self.pub, self.sub = case.ends(Frame, depth=chance.randint(1, 8))
+        self.loans, self.kept, self.views = [], [], []
+        self.number = 0
+
+    def step(self):
+        self.chance.choice((self.loan, self.push, self.push, self.pull, self.pull, self.borrow, self.look, self.grow,
+                            self.forget, self.forget))()
+        for view, value in self.views:
+            self.case.assertTrue((view == value).all())
+
+    def loan(self):
+        self.number += 1
+        loan = self.pub.loan(width=self.number % 251)
+        loan.data.resize(self.chance.choice((1, 100, 5000, 100000)))
+        np.asarray(loan.data)[:] = loan.width
+        self.loans.append(loan)
+
+    def push(self):
+        if self.loans:
+            loan = self.loans.pop(self.chance.randrange(len(self.loans)))
+            view = np.asarray(loan.data) if self.chance.random() < 0.2 else None
+            if view is not None:
+                with self.case.assertRaises(BufferError):
+                    self.pub.push(loan)
+                del view
+            self.case.assertTrue(self.pub.push(loan))
+            with self.case.assertRaises(ValueError):
+                loan.width
+
+    def pull(self):
+        frame = self.sub.pull(0)
+        if frame is not None:
+            self.kept.append(frame)
+
+    def borrow(self):
+        try:
+            with self.sub.borrow(0) as frame:
+                if frame is not None and self.chance.random() < 0.5:
+                    self.views.append((np.asarray(frame.data)[self.chance.randrange(3)::2], frame.width))
+                if self.chance.random() < 0.3:
+                    raise KeyError
+        except KeyError:
+            pass
+        if frame is not None:
+            with self.case.assertRaises(ValueError):
+                frame.width
+
+    def look(self):
+        if self.kept:
+            frame = self.chance.choice(self.kept)
+            self.views.append((np.asarray(frame.data)[::3], frame.width))
+
+    def grow(self):
+        if self.loans:
+            loan = self.chance.choice(self.loans)
+            data = loan.data
+            data.resize(self.chance.randint(1, 9999))
+            np.asarray(data)[:] = loan.width
+
+    def forget(self):
+        some = self.chance.choice((self.loans, self.kept, self.views))
+        if some:
+            some.pop(self.chance.randrange(len(some)))
+
+
+class RandomPrograms(Case):
+    def test_random_programs_see_what_was_sent_and_leave_nothing(self):
+        seed = random.SystemRandom().getrandbits(32)
+        for number in range(100):
+            with self.subTest(seed=seed, number=number):
+                program = Program(self, random.Random(f'{seed} {number}'))
+                for _ in range(60):
+                    program.step()
+                del program
 
 
 class Waits(Case):
