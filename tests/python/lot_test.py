@@ -22,6 +22,7 @@ import unittest
 
 sys.path.insert(0, sys.argv.pop(1))
 PEER = sys.argv.pop(1)
+os.environ.pop('LD_PRELOAD', None)  # of a sanitizer: the peer has its own
 
 import lot  # noqa: E402
 import numpy as np  # noqa: E402
