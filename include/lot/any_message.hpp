@@ -17,6 +17,8 @@
 
 namespace lot {
 
+class AnyMessage;
+
 namespace detail {
 
 /// Where the parts of a message that is built in an arena get their memory.
@@ -29,6 +31,10 @@ Value value_of(const Description& description, const void* message);
 Value borrowed_value_of(const Description& description, const void* message, std::size_t size);
 /// The same of a message that this process builds in that arena. Throws the same.
 MutableValue mutable_value_of(const Description& description, void* message, Arena* arena);
+
+/// Of a message that this process builds: a reference in it refers to that one, which it keeps.
+/// Throws lot::Error (EINVAL), and as an assignment of a ShmRef.
+void refer(const MutableValue& reference, const AnyMessage& target);
 
 /// For a publisher or a reader of the type.
 const MessageType& type_of(const registry::KnownType& type) noexcept;

@@ -50,9 +50,22 @@ class AnyLoan {
   void* data() const noexcept { return message_.get(); }
   /// What it is. Throws nothing.
   const AnyType& type() const noexcept { return type_; }
+  /// Has a reference in the message refer to another message, which this one keeps then; null: to
+  /// nothing. REQUIRES: `reference` is a place in root(). Throws lot::Error: EINVAL where it is no
+  /// reference, or refers to messages of another type; as an assignment of a ShmRef.
+  void refer(const MutableValue& reference, const AnyMessage& target) const {
+    detail::refer(reference, target);
+  }
+  /// The message as it is, for all who get it from here on: to be pushed on several topics, or
+  /// referred to by others. The loan is empty then. Throws nothing.
+  [[nodiscard]] AnyMessage share() && noexcept {
+    arena_ = nullptr;
+    return AnyMessage(ShmSharedPtr<const void>(std::move(message_)), std::move(type_));
+  }
 
  private:
   friend class AnyPusher;
+  friend class AnyQueue;
 
   ShmUniquePtr<std::byte> message_;
   detail::Arena* arena_ = nullptr;

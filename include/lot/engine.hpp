@@ -10,6 +10,7 @@
 #include "lot/any_message.hpp"
 #include "lot/any_puller.hpp"
 #include "lot/any_pusher.hpp"
+#include "lot/any_queue.hpp"
 #include "lot/any_type.hpp"
 #include "lot/compliance.hpp"
 #include "lot/detail/core.hpp"
@@ -140,16 +141,13 @@ class ShmEngine {
     using Item = detail::QueueItem<T>;
     using Element = typename Item::Element;
     assert_message<Element>();
-    PusherOptions putting;
-    putting.depth = options.depth;
-    putting.policy = options.policy;
-    putting.engine = options.engine;
-    putting.fast_lane = options.fast_lane;
-    PullerOptions popping;
-    popping.wait = options.wait;
     return ShmQueue<T>(detail::make_queue(participant_, name, detail::queue_type<T>(options),
-                                          putting, popping, detail::delivery_of<T>(options)));
+                                          options, detail::delivery_of<T>(options)));
   }
+  /// As queue() of values, or of ShmUniquePtrs, of a type that the program may not have.
+  /// Errors: EINVAL when it is no type, or that of a queue's items; as queue().
+  [[nodiscard]] AnyQueue queue_any(std::string_view name, const AnyType& type,
+                                   const QueueOptions& options = QueueOptions());
   /// Answers the requests of a service by handler(const Request&, Response&), on a thread of its
   /// own, until the server is destroyed. The response is built in shared memory: what the handler
   /// makes of it, the client reads there.
@@ -183,6 +181,10 @@ class ShmEngine {
     return detail::build<T>(maker_->loan(detail::message_type<T>(), true),
                             std::forward<Args>(args)...);
   }
+
+  /// The same of a type that the program may not have: to be built, and then shared. See
+  /// AnyPusher::loan(). Throws the same.
+  [[nodiscard]] AnyLoan make_any(const AnyType& type);
 
   /// The file that the segment is. The reference is valid as long as the engine, or anything that
   /// it has made.

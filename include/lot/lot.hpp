@@ -5,6 +5,7 @@
 #include "lot/any_message.hpp"    // IWYU pragma: export
 #include "lot/any_puller.hpp"     // IWYU pragma: export
 #include "lot/any_pusher.hpp"     // IWYU pragma: export
+#include "lot/any_queue.hpp"      // IWYU pragma: export
 #include "lot/any_type.hpp"       // IWYU pragma: export
 #include "lot/compliance.hpp"     // IWYU pragma: export
 #include "lot/describe.hpp"       // IWYU pragma: export

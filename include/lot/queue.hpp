@@ -180,11 +180,15 @@ struct QueueItem<ShmSharedPtr<U>> {
 /// The name of the MessageType of a queue whose items are taken begins so; no topic's does, since
 /// no C++ name has a space there.
 inline constexpr std::string_view kQueueTypes = "ShmQueue ";
+/// That name. Throws std::bad_alloc.
+inline std::string queue_type_name(const char* item, bool redelivers) {
+  return std::string(kQueueTypes) + (redelivers ? "with redelivery of " : "of ") + item;
+}
 
 /// The MessageType of a queue whose items are each taken by one reader: no topic's.
 template <class U>
 const MessageType& taken_type() {
-  static const std::string name = std::string(kQueueTypes) + "of " + message_type<U>().name;
+  static const std::string name = queue_type_name(message_type<U>().name, false);
   static const MessageType type = [] {
     MessageType t = message_type<U>();
     t.name = name.c_str();
@@ -198,8 +202,7 @@ const MessageType& taken_type() {
 /// never meet.
 template <class U>
 const MessageType& task_type() {
-  static const std::string name =
-      std::string(kQueueTypes) + "with redelivery of " + message_type<U>().name;
+  static const std::string name = queue_type_name(message_type<U>().name, true);
   static const MessageType type = [] {
     MessageType t = taken_type<U>();
     t.name = name.c_str();
@@ -230,6 +233,20 @@ const MessageType& queue_type(const QueueOptions& options) {
       break;
   }
   return message_type<Element>();
+}
+
+/// The untyped half of a queue. Throws as ShmEngine::queue().
+inline std::unique_ptr<QueueCore> make_queue(std::shared_ptr<transport::Participant> participant,
+                                             std::string_view name, const MessageType& type,
+                                             const QueueOptions& options, Delivery delivery) {
+  PusherOptions putting;
+  putting.depth = options.depth;
+  putting.policy = options.policy;
+  putting.engine = options.engine;
+  putting.fast_lane = options.fast_lane;
+  PullerOptions popping;
+  popping.wait = options.wait;
+  return make_queue(std::move(participant), name, type, putting, popping, delivery);
 }
 
 }  // namespace detail

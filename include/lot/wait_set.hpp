@@ -26,6 +26,7 @@ template <class T>
 class ShmQueue;
 class AnyMessage;
 class AnyPuller;
+class AnyQueue;
 
 /// One thread for many pullers, queues, timers and a stop request.
 ///
@@ -81,6 +82,8 @@ class WaitSet {
   }
   /// The same of a puller that has no type. Throws the same.
   void add(AnyPuller& puller, Handler handler);
+  /// The same of a queue whose items have no type here. Throws as that of a ShmQueue.
+  void add(AnyQueue& queue, Handler handler);
   /// Calls its handlers no more; does nothing for a puller that was not added. Throws nothing.
   template <class T>
   void remove(ShmPuller<T>& puller) {
@@ -88,6 +91,8 @@ class WaitSet {
   }
   /// The same of a puller that has no type. Throws nothing.
   void remove(AnyPuller& puller);
+  /// The same of a queue whose items have no type here. Throws nothing.
+  void remove(AnyQueue& queue);
   /// The same of a queue. Throws nothing.
   template <class T>
   void remove(ShmQueue<T>& queue) {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "python/ends.hpp"
 
-#include <cerrno>
 #include <memory>
 #include <optional>
 #include <string>
@@ -11,99 +10,18 @@
 
 #include "lot/engine.hpp"
 
+#include "python/loans.hpp"
 #include "python/part.hpp"
+#include "python/queue.hpp"
+#include "python/recording.hpp"
+#include "python/subscriber.hpp"
+#include "python/wait_set.hpp"
 #include "python/waits.hpp"
 
 namespace py = pybind11;
 
 namespace lot::python {
 namespace {
-
-/// A thread looks by the subscription, and leaves the GIL to others meanwhile.
-class Use {
- public:
-  explicit Use(Subscription& subscription) : subscription_(subscription) {
-    if (subscription.is_used) {
-      throw Error(EBUSY, subscription.puller.type().name(),
-                  "another thread looks by this subscriber",
-                  "give each thread a subscriber of its own");
-    }
-    subscription.is_used = true;
-  }
-  ~Use() { subscription_.is_used = false; }
-  Use(const Use&) = delete;
-  Use& operator=(const Use&) = delete;
-
- private:
-  Subscription& subscription_;
-};
-
-/// What a borrow() gives: for `with`.
-class Borrow {
- public:
-  explicit Borrow(std::shared_ptr<Held> held) : held_(std::move(held)) {}
-  ~Borrow() { end(); }
-  Borrow(Borrow&&) = default;
-  Borrow& operator=(Borrow&&) = delete;
-
-  py::object message() const { return held_ ? py::cast(Part(held_)) : py::none(); }
-  bool has_message() const noexcept { return held_ != nullptr; }
-  void end() noexcept {
-    if (held_) held_->end();
-  }
-
- private:
-  std::shared_ptr<Held> held_;  ///< null: nothing came
-};
-
-class Subscriber {
- public:
-  explicit Subscriber(AnyPuller puller)
-      : its_(std::make_shared<Subscription>(Subscription{std::move(puller)})) {}
-
-  Borrow borrow(Seconds timeout) {
-    const auto its = its_;  // also while the last reference goes in another thread
-    AnyBorrow found;
-    look(*its, timeout, [&](AnyPuller& puller, auto end) {
-      found = end ? puller.borrow_until(Deadline(*end)) : puller.try_borrow();
-    });
-    return Borrow(found ? std::make_shared<Held>(std::move(found), its) : nullptr);
-  }
-  py::object pull(Seconds timeout) {
-    const auto its = its_;
-    AnyMessage found;
-    look(*its, timeout, [&](AnyPuller& puller, auto end) {
-      found = end ? puller.pull_until(Deadline(*end)) : puller.try_pull();
-    });
-    if (!found) return py::none();
-    return py::cast(Part(std::make_shared<Held>(std::move(found))));
-  }
-  AnyPuller& puller() const noexcept { return its_->puller; }
-  /// For what is asked of a puller beside its looks. Throws lot::Error (EBUSY).
-  template <class F>
-  auto ask(F&& f) const {
-    const auto its = its_;
-    const Use use(*its);
-    const py::gil_scoped_release release;
-    return f(its->puller);
-  }
-
- private:
-  template <class Look>
-  static void look(Subscription& its, Seconds timeout, Look&& take) {
-    const Use use(its);
-    if (timeout && *timeout <= 0) {
-      const py::gil_scoped_release release;
-      return take(its.puller, std::optional<Clock::time_point>());
-    }
-    wait(deadline_after(timeout), [&](Clock::time_point end) {
-      take(its.puller, std::optional<Clock::time_point>(end));
-      return its.puller.status();
-    });
-  }
-
-  std::shared_ptr<Subscription> its_;
-};
 
 class Publisher {
  public:
@@ -113,37 +31,20 @@ class Publisher {
         block_for_(options.block_for) {}
 
   py::object loan(const py::kwargs& fields) {
-    const auto its = its_;
-    AnyLoan made;
-    {
-      const py::gil_scoped_release release;
-      const bool is_opaque = its->type().description().root().kind == Kind::Opaque;
-      made = is_opaque ? its->loan_zeroed() : its->loan();
-    }
-    Part part(std::make_shared<Held>(std::move(made)));
-    for (const auto& [name, value] : fields) part.set_attribute(name.cast<std::string>(), value);
-    return py::cast(std::move(part));
+    return build([its = its_] { return loan_of(*its); }, fields);
   }
 
   /// False: Status::Full, and the message is still the caller's.
   bool push(const Part& part, std::optional<double> block_for) {
-    if (!part.is_whole()) throw py::type_error("a part of a message cannot be pushed");
     const auto its = its_;
-    const auto& held = part.held();
-    if (!held->is_loan()) {
-      const AnyMessage message = held->share();
+    if (!part.held()->is_loan()) {
+      const AnyMessage message = part.message();
       return push_until(block_for,
                         [&](std::chrono::nanoseconds time) { return its->push(message, time); });
     }
-    struct Taken {  // back to its owner, also where the push throws
-      Held& held;
-      AnyLoan loan;
-      ~Taken() {
-        if (loan) held.give_back(std::move(loan));
-      }
-    } taken{*held, held->take_loan()};
+    Taken taken(part);
     return push_until(block_for, [&](std::chrono::nanoseconds time) {
-      return its->push(std::move(taken.loan), time);
+      return its->push(std::move(taken.loan()), time);
     });
   }
 
@@ -184,6 +85,13 @@ class Engine {
     AnyType found = engine_.type_of(topic);
     if (!found) return std::nullopt;
     return found;
+  }
+  py::object make(const AnyType& type, const py::kwargs& fields) {
+    return build([&] { return engine_.make_any(type); }, fields);
+  }
+  Queue queue(const std::string& name, const AnyType& type, const QueueOptions& options) {
+    const py::gil_scoped_release release;
+    return {engine_.queue_any(name, type, options), options.policy == Policy::Block};
   }
   const std::string& path() const { return engine_.path(); }
 
@@ -234,6 +142,17 @@ Subscriber subscribe(Engine& engine, const std::string& topic, const std::option
   return engine.subscribe(topic, type, options);
 }
 
+Queue queue(Engine& engine, const std::string& name, const AnyType& type, std::uint32_t depth,
+            Policy policy, bool redeliver, Wait wait, QueueEngine queue_engine) {
+  QueueOptions options;
+  options.depth = depth;
+  options.policy = policy;
+  options.redeliver = redeliver;
+  options.wait = wait;
+  options.engine = queue_engine;
+  return engine.queue(name, type, options);
+}
+
 void define_engine(py::module_& module) {
   py::class_<Engine>(module, "Engine", "This process's place in a segment.")
       .def(py::init(&join), py::kw_only(), py::arg("segment") = "", py::arg("directory") = "",
@@ -242,6 +161,8 @@ void define_engine(py::module_& module) {
            py::arg("name") = "")
       .def("_advertise", &advertise)
       .def("_subscribe", &subscribe)
+      .def("_queue", &queue)
+      .def("_make", &Engine::make)
       .def("type_of", &Engine::type_of, py::arg("topic"),
            "What the topic carries; None where no process uses it.")
       .def_property_readonly("path", &Engine::path, "The file that the segment is.");
@@ -370,9 +291,12 @@ void define_ends(py::module_& module) {
       .value("ADAPTIVE", Wait::Adaptive)
       .value("PARK", Wait::Park);
   define_envelope(module);
+  define_queue(module);
   define_engine(module);
   define_publisher(module);
   define_subscriber(module);
+  define_wait_set(module);
+  define_recording(module);
 }
 
 }  // namespace lot::python

@@ -19,26 +19,53 @@ Held::Held(AnyBorrow borrow, std::shared_ptr<Subscription> subscription)
 
 void Held::require_open() const {
   if (state_ == State::Ended) {
-    throw py::value_error("the borrow has ended, or the loan was pushed: the message is not here");
+    throw py::value_error(
+        "the borrow or the task has ended, or the loan was pushed: the message is not here");
   }
 }
 
 Value Held::root() const {
   require_open();
-  if (state_ == State::Kept) return kept_.root();
-  return state_ == State::Borrowed ? borrow_.root() : loan_.root().value();
+  switch (state_) {
+    case State::Borrowed:
+      return borrow_.root();
+    case State::Loan:
+      return loan_.root().value();
+    case State::Task:
+      return task_.root();
+    case State::Lent:
+      return *lent_;
+    default:
+      return kept_.root();
+  }
 }
 
-const Description& Held::description() const {
+const AnyType& Held::type() const {
   require_open();
-  if (state_ == State::Kept) return kept_.type().description();
-  return (state_ == State::Borrowed ? borrow_.type() : loan_.type()).description();
+  switch (state_) {
+    case State::Borrowed:
+      return borrow_.type();
+    case State::Loan:
+      return loan_.type();
+    case State::Task:
+      return task_.type();
+    case State::Lent:
+      return lent_type_;
+    default:
+      return kept_.type();
+  }
 }
 
 MutableValue Held::building() const {
   require_open();
   if (!is_loan()) throw py::type_error("a received message is read-only");
   return loan_.root();
+}
+
+const AnyLoan& Held::filling() {
+  (void)building();
+  grow();
+  return loan_;
 }
 
 void Held::grow() {
@@ -49,16 +76,25 @@ void Held::grow() {
 }
 
 void Held::end() noexcept {
-  if (state_ != State::Borrowed) return;
-  state_ = State::Ended;
-  if (pins_ != 0 && !is_in_slot_) {
-    try {
-      kept_ = borrow_.keep();
-    } catch (const std::exception&) {
-      return;  // it may not be kept: the borrow goes on until the last view has gone
-    }
+  if (state_ == State::Kept || state_ == State::Loan) return;
+  const bool is_seen = pins_ != 0 && !is_in_slot_;
+  const State before = std::exchange(state_, State::Ended);
+  try {
+    if (before == State::Borrowed && is_seen) kept_ = borrow_.keep();
+    if (before == State::Task && is_seen) kept_ = task_.keep();
+  } catch (const std::exception&) {
+    return;  // it may not be kept: the borrow goes on until the last view has gone
   }
   borrow_.end();
+  task_.give_back();
+}
+
+void Held::finish() {
+  require_open();
+  if (state_ != State::Task) throw py::type_error("the message is no task");
+  if (pins_ != 0) kept_ = task_.keep();
+  task_.finish();
+  state_ = State::Ended;
 }
 
 AnyLoan Held::take_loan() {
@@ -76,8 +112,16 @@ void Held::give_back(AnyLoan loan) noexcept {
 
 AnyMessage Held::share() const {
   require_open();
-  if (is_loan()) throw py::type_error("the message is a loan: push it first");
-  return state_ == State::Kept ? kept_ : borrow_.keep();
+  switch (state_) {
+    case State::Kept:
+      return kept_;
+    case State::Borrowed:
+      return borrow_.keep();
+    case State::Task:
+      return task_.keep();
+    default:
+      throw py::type_error("the message is a loan, or of a recording: push it first");
+  }
 }
 
 const std::byte* Held::pin(const std::byte* place) {
@@ -99,6 +143,7 @@ const std::byte* Held::pin(const std::byte* place) {
 void Held::unpin() noexcept {
   if (--pins_ != 0 || state_ != State::Ended) return;
   borrow_.end();
+  task_.give_back();
   kept_.reset();
 }
 

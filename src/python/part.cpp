@@ -88,6 +88,15 @@ void set_each(const std::shared_ptr<Held>& held, const MutableValue& place, py::
   for (std::size_t i = 0; i < items.size(); ++i) set(held, place[i], py::object(items[i]));
 }
 
+/// None, or the message of a whole part.
+void set_reference(const Held& held, const MutableValue& place, py::handle object) {
+  if (object.is_none()) return held.refer(place, nullptr);
+  if (!py::isinstance<Part>(object)) {
+    throw py::type_error("a reference is set to a message, or None");
+  }
+  held.refer(place, object.cast<const Part&>().message());
+}
+
 void set(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
   const Value& value = place.value();
   const Kind kind = value.kind();
@@ -106,7 +115,9 @@ void set(const std::shared_ptr<Held>& held, const MutableValue& place, py::handl
     } else {
       set_each(held, place, object);
     }
-  } else if (kind == Kind::String || kind == Kind::Reference || kind == Kind::Opaque) {
+  } else if (kind == Kind::Reference) {
+    set_reference(*held, place, object);
+  } else if (kind == Kind::String || kind == Kind::Opaque) {
     set_text(*held, place, object);
   } else if (kind == Kind::Char && py::isinstance<py::str>(object)) {
     const auto text = object.cast<std::string>();
@@ -126,6 +137,15 @@ const Value& Part::value() const {
     generation_ = held_->generation();
   }
   return value_;
+}
+
+void Part::require_whole() const {
+  if (!is_whole()) throw py::type_error("this is a part of a message, not the message");
+}
+
+AnyMessage Part::message() const {
+  require_whole();
+  return held_->share();
 }
 
 py::object to_python(const std::shared_ptr<Held>& held, const Value& value) {
@@ -229,7 +249,40 @@ py::object Part::copy() const {
   return made;
 }
 
+namespace {
+
+class Weak {
+ public:
+  explicit Weak(const AnyMessage& message) : message_(message.pointer()), type_(message.type()) {}
+  py::object lock() const {
+    auto kept = message_.lock();
+    if (!kept) return py::none();
+    return py::cast(Part(std::make_shared<Held>(AnyMessage(std::move(kept), type_))));
+  }
+
+ private:
+  ShmWeakPtr<const void> message_;
+  AnyType type_;
+};
+
+}  // namespace
+
 void define_part(py::module_& module) {
+  py::class_<Weak>(module, "Weak", "Looks after a message without keeping it: lot.weak().")
+      .def("__call__", &Weak::lock, "The message; None when it has died.");
+  module.def(
+      "weak", [](const Part& part) { return Weak(part.message()); }, py::arg("message"),
+      "Looks after a received message without keeping it.");
+  module.def(
+      "share",
+      [](const Part& part) {
+        part.require_whole();
+        return Part(std::make_shared<Held>(part.held()->take_loan().share()));
+      },
+      py::arg("loan"),
+      "Ends a loan without a push: the message as all see it from here on, to be pushed on "
+      "several\n"
+      "topics, or referred to.");
   py::class_<Part>(module, "Part", py::custom_type_setup(add_buffer_protocol),
                    "A message, or a struct, array, vector or opaque value in it. It keeps the\n"
                    "message. Fields are attributes, elements items; numpy looks without a copy.")

@@ -29,6 +29,11 @@ class Part {
   const Value& value() const;
   /// True: it is the message itself.
   bool is_whole() const { return value_.path().empty(); }
+  /// Throws TypeError.
+  void require_whole() const;
+
+  /// The message itself, to be kept. Throws TypeError for a part of it, or a loan; lot::Error.
+  AnyMessage message() const;
 
   pybind11::object attribute(const std::string& name) const;
   pybind11::object item(const pybind11::object& key) const;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cerrno>
 #include <chrono>
 #include <optional>
 
@@ -13,6 +14,26 @@
 namespace lot::python {
 
 using Clock = std::chrono::steady_clock;
+
+/// A thread works on what one thread at a time may use, and leaves the GIL to others meanwhile.
+///
+/// Threads: under the GIL.
+class Use {
+ public:
+  /// Throws lot::Error (EBUSY) where another thread does.
+  Use(bool& is_used, const char* what) : is_used_(is_used) {
+    if (is_used) {
+      throw Error(EBUSY, what, "another thread uses it", "give each thread one of its own");
+    }
+    is_used = true;
+  }
+  ~Use() { is_used_ = false; }
+  Use(const Use&) = delete;
+  Use& operator=(const Use&) = delete;
+
+ private:
+  bool& is_used_;
+};
 
 /// Seconds, as Python gives them; none: for ever.
 using Seconds = std::optional<double>;

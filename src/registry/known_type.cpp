@@ -63,6 +63,14 @@ KnownType::KnownType(std::string name, std::uint64_t align, std::uint64_t hash,
   describe(detail::make_described(*description_));
 }
 
+KnownType::KnownType(std::string name, const KnownType& item)
+    : name_(std::move(name)), description_(item.description_) {
+  const std::uint64_t hash = item.type_.hash;
+  fill(item.type_.size, item.type_.align, hash != 0 ? ~hash : 0);  // as detail::taken_type()
+  if (item.type_.described != nullptr) describe(item.type_.known);
+  type_.element = &item.type_;
+}
+
 void KnownType::fill(std::uint64_t size, std::uint64_t align, std::uint64_t hash) noexcept {
   type_.size = size;
   type_.align = align;

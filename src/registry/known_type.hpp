@@ -27,6 +27,9 @@ class KnownType {
   /// A type that was made while the program runs. REQUIRES: decode() would take the description.
   /// Throws std::bad_alloc.
   KnownType(std::string name, std::uint64_t align, std::uint64_t hash, Description description);
+  /// The type of a queue of such items, each taken by one reader. REQUIRES: `item` lives as long.
+  /// Throws std::bad_alloc.
+  KnownType(std::string name, const KnownType& item);
   KnownType(const KnownType&) = delete;
   KnownType& operator=(const KnownType&) = delete;
 

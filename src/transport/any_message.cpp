@@ -6,7 +6,11 @@
 
 #include "lot/detail/mapping.hpp"
 #include "lot/error.hpp"
+#include "lot/message.hpp"
 
+#include "description/compose.hpp"
+#include "description/reader.hpp"
+#include "description/wire.hpp"
 #include "registry/known_type.hpp"
 
 namespace lot {
@@ -40,6 +44,29 @@ void require_same(const AnyType& message, const AnyType& topic) {
 void require_opaque(const AnyType& type) {
   if (type.description().root().kind == Kind::Opaque) return;
   throw Error(EINVAL, type.name(), "the type is not opaque", "build the message by loan()");
+}
+
+void refer(const MutableValue& reference, const AnyMessage& target) {
+  const Value& place = reference.value();
+  if (place.kind() != Kind::Reference) {
+    throw Error(EINVAL, place.path(), "it is a " + place.type_name() + ", and no reference",
+                "set a reference to a message");
+  }
+  auto& ref =
+      *static_cast<ShmRef<const std::byte>*>(const_cast<void*>(place.address()));  // any ShmRef
+  if (!target) return ref.reset();
+  const Description wanted =
+      description::part(ValueAccess::description(place), place.type().element);
+  const Description& given = target.type().description();
+  const bool is_right = wanted.layout_hash() == given.layout_hash() &&
+                        (!description::has_names(wanted) || !description::has_names(given) ||
+                         wanted.names_hash() == given.names_hash());
+  if (!is_right) {
+    throw Error(EINVAL, place.path(), "the message is of another type: " + target.type().name(),
+                "refer to a " + place.type_name());
+  }
+  ref = ShmSharedPtr<const std::byte>(target.pointer(),
+                                      static_cast<const std::byte*>(target.pointer().get()));
 }
 
 MessageMemory memory_of(Arena* arena) noexcept {

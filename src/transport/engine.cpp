@@ -2,11 +2,13 @@
 #include "lot/engine.hpp"
 
 #include <cerrno>
+#include <memory>
 #include <string>
 #include <utility>
 
 #include "lot/error.hpp"
 
+#include "registry/known_type.hpp"
 #include "transport/participant.hpp"
 
 namespace lot {
@@ -77,6 +79,24 @@ AnyPusher ShmEngine::advertise_any(std::string_view topic, const AnyType& type,
   return {detail::make_pusher(participant_, topic, mine.known()->type(), options,
                               detail::Delivery::ToAll),
           mine, options.block_for};
+}
+
+AnyQueue ShmEngine::queue_any(std::string_view name, const AnyType& type,
+                              const QueueOptions& options) {
+  const AnyType item = shared(type, name);
+  // The participant keeps the item's type, too, to its end.
+  const auto its = participant_->topics().share(std::make_shared<const registry::KnownType>(
+      detail::queue_type_name(item.name().c_str(), options.redeliver), *item.known()));
+  return {
+      detail::make_queue(participant_, name, its->type(), options,
+                         options.redeliver ? detail::Delivery::ToWorker : detail::Delivery::ToOne),
+      item};
+}
+
+AnyLoan ShmEngine::make_any(const AnyType& type) {
+  const AnyType mine = shared(type, "message");
+  const bool is_opaque = mine.description().root().kind == Kind::Opaque;
+  return {maker_->loan(mine.known()->type(), true), mine, is_opaque};
 }
 
 AnyType ShmEngine::shared(const AnyType& type, std::string_view topic) {

@@ -9,6 +9,7 @@ import asyncio
 import enum
 import errno
 import gc
+import importlib.util
 import os
 import pickle
 import random
@@ -16,6 +17,7 @@ import select
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import unittest
@@ -60,6 +62,28 @@ class Frame:
     height: lot.u32
     width: lot.u32
     data: lot.vector[lot.u8]
+
+
+@lot.message
+class Job:
+    number: lot.i32
+    text: lot.string
+
+
+@lot.message
+class Note:
+    label: lot.string
+    scores: lot.vector[lot.f32]
+    points: lot.vector[Point]
+    names: lot.vector[lot.string]
+    is_good: bool
+
+
+@lot.message
+class Pair:
+    left: lot.ref[Point]
+    right: lot.ref[Point]
+    boxes: lot.vector[lot.ref[Box]]
 
 
 def setUpModule():
@@ -159,6 +183,28 @@ class Peers(Case):
             self.assertTrue(answers.push(answer))
             said = peer.stdout.read()
         self.assertEqual((peer.returncode, said), (0, 'left \u00e9 7 2.5 2.5 40 3 6\n'))
+
+
+    def test_items_go_both_ways(self):
+        jobs, points = self.engine.queue('/items', Job), self.engine.queue('/points', Point)
+        self.assertTrue(jobs.put(jobs.loan(number=7, text='x' * 50)))
+        said = subprocess.run([PEER, 'items'], check=True, capture_output=True, text=True).stdout
+        self.assertEqual(said, f"7 {'x' * 50}\n")
+        self.assertEqual([points.pop().x, points.pop().x], [1.5, 2.5])
+        self.assertIsNone(points.pop(0))
+
+    def test_a_task_of_a_killed_worker_comes_again(self):
+        tasks = self.engine.queue('/tasks', Job, redeliver=True)
+        for number in range(3):
+            self.assertTrue(tasks.put(tasks.loan(number=number)))
+        peer = subprocess.run([PEER, 'tasks'], capture_output=True, text=True)
+        self.assertEqual((peer.returncode, peer.stdout), (-signal.SIGKILL, '0\n'))
+        seen = set()
+        for _ in range(2):
+            with tasks.take() as task:
+                seen.add((task.item.number, task.deliveries))
+        self.assertEqual(seen, {(1, 2), (2, 1)})
+        self.assertIsNone(tasks.take(0))
 
 
 class Values(Case):
@@ -354,6 +400,330 @@ class Lifetimes(Case):
             out.push(frame.data)
         other = self.engine.advertise('/other', Point)
         self.raises(errno.EINVAL, other.push, frame)
+
+
+    def test_a_weak_pointer_keeps_nothing(self):
+        pub, sub = self.ends(Frame, depth=2)
+        self.push(pub, 5)
+        frame = sub.pull(0)
+        weak = lot.weak(frame)
+        self.assertEqual(weak().width, 5)
+        with self.assertRaises(TypeError):
+            lot.weak(frame.data)
+        del frame
+        for value in range(200):
+            self.push(pub, value)
+            sub.pull(0)
+        self.assertIsNone(weak())
+
+    def test_references_keep_their_targets(self):
+        pub, sub = self.ends(Pair)
+        left = lot.share(self.engine.make(Point, x=3))
+        with self.assertRaises(TypeError):
+            left.x = 5
+        pair = pub.loan(left=left)
+        pair.boxes.resize(2)
+        other = self.engine.make(Box, label='left', scores=[1, 2])
+        other.home = left
+        pair.boxes[1] = lot.share(other)
+        pair.right = left
+        pair.right = None
+        for wrong, error in ((3, TypeError), (pair, TypeError), (self.engine.make(Point), TypeError)):
+            with self.assertRaises(error, msg=wrong):
+                pair.right = wrong
+        self.raises(errno.EINVAL, setattr, pair, 'right', lot.share(self.engine.make(Box)))
+        del left, other
+        self.assertTrue(pub.push(pair))
+        del pub, pair
+        seen = sub.pull(0)
+        self.assertEqual((seen.left.x, seen.right, seen.boxes[0]), (3, None, None))
+        self.assertEqual((seen.boxes[1].label, seen.boxes[1].home.x), ('left', 3))
+        view = np.asarray(seen.boxes[1].scores)
+        del seen
+        self.assertEqual(view.tolist(), [1, 2])
+
+    def test_a_message_of_no_topic_goes_on_several(self):
+        point = lot.share(self.engine.make(Point, x=3))
+        subs = []
+        for topic in ('/a', '/b'):
+            pub, sub = self.ends(Point, topic)
+            self.assertTrue(pub.push(point))
+            subs.append(sub)
+        self.assertEqual([sub.pull(0).x for sub in subs], [3, 3])
+
+    def test_dlpack_takes_loans(self):
+        pub, sub = self.ends(Frame)
+        frame = pub.loan()
+        frame.data.resize(100)
+        np.asarray(frame.data)[:] = 7
+        seen = np.from_dlpack(frame.data)
+        self.assertEqual(seen.ctypes.data, np.asarray(frame.data).ctypes.data)
+        with self.assertRaises(BufferError):
+            pub.push(frame)
+        del seen
+        self.assertTrue(pub.push(frame))
+        kept = sub.pull(0)
+        self.assertEqual(np.asarray(kept.data).sum(), 700)
+        with self.assertRaises(BufferError):
+            np.from_dlpack(kept.data)
+
+    def image(self):
+        """A received frame of 4 x 6 pixels with three colours, and its view."""
+        pub, sub = self.ends(Frame)
+        frame = pub.loan(height=4, width=6)
+        frame.data = np.arange(72, dtype=np.uint8)
+        pub.push(frame)
+        frame = sub.pull(0)
+        return frame, np.asarray(frame.data).reshape(frame.height, frame.width, 3)
+
+    @unittest.skipUnless(importlib.util.find_spec('cv2'), 'OpenCV is not installed (python3-opencv)')
+    def test_opencv_takes_views(self):
+        import cv2
+        frame, image = self.image()
+        self.assertEqual(cv2.extractChannel(image, 1).tolist(), image[:, :, 1].tolist())
+        self.assertEqual(cv2.sumElems(image)[0], image[:, :, 0].sum())
+
+    @unittest.skipUnless(importlib.util.find_spec('PIL'), 'Pillow is not installed (python3-pil)')
+    def test_pillow_takes_views(self):
+        from PIL import Image
+        frame, pixels = self.image()
+        image = Image.frombuffer('L', (18, 4), frame.data, 'raw', 'L', 0, 1)
+        self.assertEqual(np.asarray(image).tolist(), pixels.reshape(4, 18).tolist())
+
+
+class Queues(Case):
+    def test_items_wait_for_the_one_that_pops(self):
+        jobs = self.engine.queue('jobs', Job, depth=2, policy=lot.Policy.REFUSE)
+        self.assertIsNone(jobs.pop(0))
+        self.assertIsNone(jobs.pop(0.02))
+        for number in range(2):
+            self.assertTrue(jobs.put(jobs.loan(number=number)))
+        job = jobs.loan(number=2)
+        self.assertFalse(jobs.put(job))
+        self.assertEqual((jobs.size(), jobs.capacity, jobs.type), (2, 2, lot.type_of(Job)))
+        first = jobs.pop()
+        self.assertEqual(first.number, 0)
+        with self.assertRaises(TypeError):
+            first.number = 3
+        self.assertTrue(jobs.put(job))
+        with self.assertRaises(ValueError):
+            job.number
+        self.assertEqual([jobs.pop(1).number, jobs.pop(1).number], [1, 2])
+        self.raises(errno.EINVAL, jobs.take, 0)
+        self.raises(errno.EINVAL, jobs.put, self.engine.make(Point))
+        self.raises(errno.EPROTOTYPE, self.engine.queue, 'jobs', Point)
+        self.raises(errno.EPROTOTYPE, self.engine.queue, 'jobs', Job, redeliver=True)
+
+    def test_a_full_queue_is_waited_for(self):
+        jobs = self.engine.queue('jobs', Job, depth=1)
+        self.assertTrue(jobs.put(jobs.loan(number=1)))
+        job = jobs.loan(number=2)
+        self.assertFalse(jobs.put(job, 0))
+        self.assertFalse(jobs.put(job, 0.06))
+        popper = threading.Timer(0.1, lambda: jobs.pop(0))
+        popper.start()
+        self.assertTrue(jobs.put(job))
+        popper.join()
+        self.assertEqual(jobs.pop(0).number, 2)
+
+    def test_a_task_is_done_at_the_end_of_its_with(self):
+        tasks = self.engine.queue('tasks', Job, redeliver=True)
+        self.assertTrue(tasks.put(tasks.loan(number=1)))
+        with self.assertRaises(ZeroDivisionError):
+            with tasks.take() as task:
+                1 / 0
+        with self.assertRaises(ValueError):
+            task.item.number
+        with tasks.take() as task:
+            self.assertEqual((task.item.number, task.deliveries), (1, 2))
+            self.assertIsNone(tasks.take(0))
+            task.give_back()
+        del task
+        task = tasks.take()
+        item = task.item
+        self.assertEqual(task.deliveries, 3)
+        task.finish()
+        with self.assertRaises(ValueError):
+            item.number
+        with self.assertRaises(ValueError):
+            task.finish()
+        self.assertIsNone(tasks.take(0))
+        self.raises(errno.EINVAL, tasks.pop, 0)
+
+    def test_views_keep_the_item_of_a_task(self):
+        frames = self.engine.queue('frames', Frame, redeliver=True, depth=2)
+
+        def put(value):
+            frame = frames.loan(width=value)
+            frame.data = np.full(1000, value, np.uint8)
+            self.assertTrue(frames.put(frame))
+        put(1)
+        with frames.take() as task:
+            view = np.asarray(task.item.data)
+        put(2)
+        with self.assertRaises(ZeroDivisionError):
+            with frames.take() as task:
+                other = np.asarray(task.item.data)
+                1 / 0
+        with frames.take() as task:
+            self.assertEqual(task.item.width, 2)
+        for value in range(3, 200):
+            put(value)
+            with frames.take():
+                pass
+        self.assertTrue((view == 1).all() and (other == 2).all())
+
+    def test_ctrl_c_ends_a_pop(self):
+        jobs, tasks = self.engine.queue('jobs', Job, depth=1), self.engine.queue('tasks', Job, redeliver=True)
+        jobs.put(jobs.loan())
+        for call in (tasks.take, lambda: jobs.put(jobs.loan())):
+            threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+            with self.assertRaises(KeyboardInterrupt):
+                call()
+
+
+class WaitSets(Case):
+    def test_handlers_are_called(self):
+        pub, sub = self.ends(Point)
+        jobs = self.engine.queue('jobs', Job)
+        waits, seen = lot.WaitSet(), []
+        waits.add(sub, lambda: seen.append(sub.pull(0).x))
+        waits.add(jobs, lambda: seen.append(jobs.pop(0).number))
+        self.assertEqual(waits.run_once(0), 0)
+        self.assertEqual(waits.run_once(0.06), 0)
+        for x in range(2):
+            pub.push(pub.loan(x=x))
+        jobs.put(jobs.loan(number=7))
+        while len(seen) < 3:
+            waits.run_once()
+        self.assertEqual(sorted(seen), [0, 1, 7])
+        waits.remove(sub)
+        pub.push(pub.loan(x=9))
+        self.assertEqual(waits.run_once(0.02), 0)
+        for wrong, error in ((lambda: waits.add(sub, 3), TypeError), (lambda: waits.add(pub, print), TypeError),
+                             (lambda: waits.add_timer(0, print), lot.Error)):
+            with self.assertRaises(error):
+                wrong()
+
+    def test_timers_and_stop(self):
+        waits, calls = lot.WaitSet(), []
+        timer = waits.add_timer(0.001, lambda: calls.append('often'))
+        waits.add_timer_once(0.01, lambda: calls.append('once'))
+        waits.add_timer_once(0.05, waits.stop)
+        waits.run()
+        self.assertEqual(calls.count('once'), 1)
+        self.assertGreater(calls.count('often'), 1)
+        waits.remove(timer)
+        calls.clear()
+        self.assertEqual((waits.run_once(0.02), calls), (0, []))
+        waits.stop()
+        self.assertIsNone(waits.run_once())
+        stopper = threading.Timer(0.05, waits.stop)
+        stopper.start()
+        waits.run()
+        stopper.join()
+
+    def test_what_a_handler_raises_leaves_run(self):
+        pub, sub = self.ends(Point)
+        waits, seen = lot.WaitSet(), []
+
+        def handle():
+            seen.append(sub.pull(0).x)
+            if seen[-1] == 0:
+                raise KeyError
+        waits.add(sub, handle)
+        for x in range(2):
+            pub.push(pub.loan(x=x))
+        with self.assertRaises(KeyError):
+            waits.run()
+        waits.run_once()
+        self.assertEqual(seen, [0, 1])
+
+    def test_ends_may_go_before_their_set(self):
+        pub, sub = self.ends(Point)
+        waits = lot.WaitSet()
+        waits.add(sub, lambda end=sub: waits.stop() or end.pull(0))
+        del sub
+        pub.push(pub.loan())
+        waits.run()
+
+    def test_one_thread_waits(self):
+        pub, sub = self.ends(Point)
+        waits, refused = lot.WaitSet(), []
+        waits.add(sub, lambda: sub.pull(0))
+
+        def look():
+            for call in (lambda: waits.run_once(0), lambda: sub.pull(0)):
+                try:
+                    call()
+                except lot.Error as error:
+                    refused.append(error.errno)
+        timer = threading.Timer(0.1, look)
+        timer.start()
+        waits.run_once(0.5)
+        timer.join()
+        self.assertEqual(refused, [errno.EBUSY] * 2)
+
+    def test_ctrl_c_ends_run(self):
+        waits = lot.WaitSet()
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+        with self.assertRaises(KeyboardInterrupt):
+            waits.run()
+
+
+class Recordings(Case):
+    def setUp(self):
+        super().setUp()
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.file = os.path.join(folder.name, 'some.mcap')
+        pub = self.engine.advertise('/topic', Note)
+
+        def push(number):
+            self.assertTrue(pub.push(pub.loan(label=f'note {number}', scores=[number, 0.5], points=[{'x': number}], names=['a'],
+                                              is_good=True)))
+        push(0)
+        with subprocess.Popen([PEER, 'record', self.file], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as peer:
+            self.assertEqual(peer.stdout.readline(), b'ready\n')  # it has the first one
+            push(1)
+            push(2)
+            peer.stdin.close()
+        self.assertEqual(peer.returncode, 0)
+
+    def test_messages_are_read(self):
+        recording = lot.Recording(self.file)
+        topic, = recording.topics
+        self.assertEqual((topic.name, topic.messages, topic.objection), ('/topic', 3, ''))
+        seen = []
+        for message in recording:
+            its = message.message
+            seen.append((its.label, its.scores.tolist(), its.points['x'].tolist(), its.names, its.is_good))
+            self.assertEqual((message.topic, message.sequence % 2**31), ('/topic', len(seen) - 1))
+            self.assertTrue(recording.begin_ns <= message.log_time_ns <= recording.end_ns)
+            last = message
+        self.assertEqual(seen, [(f'note {n}', [n, 0.5], [n], ['a'], True) for n in range(3)])
+        for use in (lambda: last.payload, lambda: last.message):
+            with self.assertRaises(ValueError):
+                use()
+        self.assertEqual(recording.damage().first, '')
+
+    def test_what_is_asked_for_comes(self):
+        recording = lot.Recording([self.file])
+        times = [message.log_time_ns for message in recording.messages(['/top*'])]
+        self.assertEqual(len(times), 3)
+        self.assertEqual([m.log_time_ns for m in recording.messages(from_ns=times[1], until_ns=times[1])], times[1:2])
+        self.assertEqual(list(recording.messages(['/other'])), [])
+        self.raises(errno.ENOENT, lot.Recording, self.file + '.none')
+
+    def test_messages_are_published_again(self):
+        recording = lot.Recording(self.file)
+        pub = self.engine.advertise('/again', recording.type_of(recording.topics[0]))
+        sub = self.engine.subscribe('/again')
+        for message in recording:
+            loan = pub.loan()
+            message.copy_to(loan)
+            self.assertTrue(pub.push(loan))
+        self.assertEqual([sub.pull(0).label for _ in range(3)], [f'note {number}' for number in range(3)])
 
 
 class Program:

@@ -3,15 +3,21 @@
 ///
 ///     peer types    prints each type: its name, size, alignment and hashes
 ///     peer send     publishes points, in slots and in blocks, and a box; waits for a box in return
+///     peer items    pops a job of /items, puts two points into /points
+///     peer tasks    does one task of /tasks, and is killed at work on the next
+///     peer record FILE    records /topic until its standard input ends
 #include <array>
 #include <chrono>
+#include <csignal>
 #include <cstdint>
 #include <cstdio>
 #include <exception>
 #include <string_view>
+#include <thread>
 #include <utility>
 
 #include <lot/lot.hpp>
+#include <lot/recorder.hpp>
 
 enum class Mode : std::uint16_t { Idle = 0, Moving = 7 };
 
@@ -25,6 +31,11 @@ struct Point {
 struct Frame {
   std::uint32_t height = 0, width = 0;
   lot::ShmVector<std::uint8_t> data;
+};
+
+struct Job {
+  std::int32_t number = 0;
+  lot::ShmString text;
 };
 
 namespace robot {
@@ -111,16 +122,66 @@ bool send() {
   return true;
 }
 
+bool items() {
+  const lot::StopToken stop = lot::stop_on_signals();
+  lot::ShmEngine engine;
+  auto jobs = engine.queue<lot::ShmUniquePtr<Job>>("/items");
+  auto points = engine.queue<Point>("/points");
+  const auto job = jobs.wait_and_pop(stop);
+  if (!job) return false;
+  std::printf("%d %s\n", (*job)->number, (*job)->text.c_str());
+  Point point;
+  for (const double x : {1.5, 2.5}) {
+    point.x = x;
+    if (points.put(point, stop) != lot::Status::Ok) return false;
+  }
+  return true;
+}
+
+bool tasks() {
+  const lot::StopToken stop = lot::stop_on_signals();
+  lot::ShmEngine engine;
+  lot::QueueOptions options;
+  options.redeliver = true;
+  auto jobs = engine.queue<lot::ShmUniquePtr<Job>>("/tasks", options);
+  auto first = jobs.wait_and_take(stop);
+  if (!first) return false;
+  std::printf("%d\n", first->number);
+  std::fflush(stdout);
+  first.finish();
+  const auto second = jobs.wait_and_take(stop);
+  if (second) std::raise(SIGKILL);
+  return false;
+}
+
+bool record(const char* file) {
+  lot::RecorderOptions options;
+  options.path = file;
+  options.topics = {"/topic"};
+  lot::Recorder recorder(options);
+  while (recorder.status().topics.empty()) std::this_thread::sleep_for(1ms);
+  std::puts("ready");
+  std::fflush(stdout);
+  while (std::getchar() != EOF) {
+  }
+  recorder.stop();
+  return true;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   try {
-    if (argc == 2 && argv[1] == std::string_view("types")) {
+    const std::string_view what = argc > 1 ? argv[1] : "send";
+    if (what == "types") {
       print_type<Point>();
       print_type<Frame>();
       print_type<robot::Box>();
       return 0;
     }
+    if (what == "items") return items() ? 0 : 1;
+    if (what == "tasks") return tasks() ? 0 : 1;
+    if (what == "record" && argc == 3) return record(argv[2]) ? 0 : 1;
     return send() ? 0 : 1;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "peer: %s\n", error.what());

@@ -9,19 +9,23 @@
 """
 
 import asyncio
+import collections
 import enum
 import errno
 import inspect
+import itertools
 
 import numpy
 
-from lot._lot import (Borrow, Engine, Envelope, Error, Kind, OutOfMemory, Part, Policy, Publisher, QueueEngine,
-                      Status, Subscriber, Type, Wait)
+from lot._lot import (Borrow, Engine, Envelope, Error, Kind, OutOfMemory, Part, Policy, Publisher, Queue, QueueEngine,
+                      RecordedMessage, RecordedMessages, RecordedTopic, Recording, RecordingDamage, Status, Subscriber,
+                      Task, Type, Wait, Weak, _Waits, share, weak)
 
-__all__ = ['Borrow', 'Engine', 'Envelope', 'Error', 'Kind', 'OutOfMemory', 'Part', 'Policy', 'Publisher',
-           'QueueEngine', 'Status', 'Subscriber', 'Type', 'Wait', 'array', 'boolean', 'char', 'duration', 'enumeration',
-           'f32', 'f64', 'i8', 'i16', 'i32', 'i64', 'message', 'ref', 'string', 'time_point', 'type_of', 'u8',
-           'u16', 'u32', 'u64', 'vector']
+__all__ = ['Borrow', 'Engine', 'Envelope', 'Error', 'Kind', 'OutOfMemory', 'Part', 'Policy', 'Publisher', 'Queue',
+           'QueueEngine', 'RecordedMessage', 'RecordedMessages', 'RecordedTopic', 'Recording', 'RecordingDamage', 'Status',
+           'Subscriber', 'Task', 'Type', 'Wait', 'WaitSet', 'Weak', 'array', 'boolean', 'char', 'duration', 'enumeration',
+           'f32', 'f64', 'i8', 'i16', 'i32', 'i64', 'message', 'ref', 'share', 'string', 'time_point', 'type_of', 'u8',
+           'u16', 'u32', 'u64', 'vector', 'weak']
 
 boolean = Type.number(Kind.BOOL, 1)
 char = Type.number(Kind.CHAR, 1)
@@ -124,6 +128,105 @@ def _subscribe(self, topic, message_type=None, *, wait=Wait.ADAPTIVE, history=0,
     return self._subscribe(topic, wanted, wait, history, max_held_bytes, observer)
 
 
+def _make(self, message_type, **fields):
+    """A message that belongs to no topic, with these fields set: to be finished by lot.share()."""
+    return self._make(type_of(message_type), **fields)
+
+
+def _queue(self, name, item_type, *, depth=64, policy=Policy.BLOCK, redeliver=False, wait=Wait.ADAPTIVE,
+           queue_engine=QueueEngine.RING):
+    """A queue whose items are each taken by one reader. item_type: a class, or a Type. depth: how many of this handle
+    wait in it at most. redeliver: items are tasks (take()), which another worker gets if one dies at work."""
+    return self._queue(name, type_of(item_type), depth, policy, redeliver, wait, queue_engine)
+
+
+class WaitSet:
+    """One thread for many subscribers, queues and timers.
+
+        waits = lot.WaitSet()
+        waits.add(camera, lambda: show(camera.pull(0)))
+        waits.add_timer(0.1, report)
+        waits.run()                      # until another thread, a handler or a signal calls stop()
+
+    A handler that leaves messages unread is called again. What it raises leaves run(), which may be called again.
+    stop() may be called by any thread, the rest by one at a time; handlers may add, remove and stop.
+    """
+
+    def __init__(self, wait=Wait.PARK):
+        self._waits = _Waits(wait)
+        self._numbers = itertools.count()
+        self._entries = {}  # by number: what, the handler, and whether it is called once only
+        self._due = collections.deque()
+
+    def _enter(self, what, handler, once=False):
+        if not callable(handler):
+            raise TypeError(f'{handler!r} is no handler')
+        number = next(self._numbers)
+        self._entries[number] = (what, handler, once)
+        return number
+
+    def add(self, end, handler):
+        """Calls handler() when the Subscriber or Queue may have something. A handler looks with timeout 0."""
+        number = self._enter(end, handler)
+        try:
+            self._waits.add(number, end)
+        except BaseException:
+            del self._entries[number]
+            raise
+
+    def add_timer(self, period, handler):
+        """Calls handler() every so many seconds. Gives a number, for remove()."""
+        number = self._enter(None, handler)
+        try:
+            self._waits.add_timer(number, period, True)
+        except BaseException:
+            del self._entries[number]
+            raise
+        return number
+
+    def add_timer_once(self, delay, handler):
+        """Calls handler() once, after so many seconds. Gives a number, for remove()."""
+        number = self._enter(None, handler, once=True)
+        self._waits.add_timer(number, delay, False)
+        return number
+
+    def remove(self, what):
+        """A Subscriber, a Queue or a timer's number: it is not called any more. Nothing where it was not added."""
+        numbers = [number for number, entry in self._entries.items() if entry[0] is what or number is what]
+        for number in numbers:
+            self._waits.remove(number)
+            del self._entries[number]
+
+    def run_once(self, timeout=None):
+        """Waits until something can be done, so many seconds at most, and does it: the number of handlers that were
+        called. None: stop() was called."""
+        if not self._due:
+            news = self._waits.wait(timeout)
+            if news is None:
+                return None
+            self._due.extend(news)
+        called = 0
+        while self._due:  # a handler that raises leaves the rest for the next time
+            entry = self._entries.get(self._due[0])
+            number = self._due.popleft()
+            if entry is None:  # another handler has removed it
+                continue
+            if entry[2]:
+                del self._entries[number]
+            called += 1
+            entry[1]()
+        return called
+
+    def run(self):
+        """Calls handlers until stop()."""
+        while self.run_once() is not None:
+            pass
+
+    def stop(self):
+        """Ends run() after the handlers that are at work, or the next run() at once."""
+        self._waits.stop()
+
+
 def _require_room(self):
     if self.status == Status.HOLDS_TOO_MUCH:
         raise Error(errno.EDQUOT, 'the subscription keeps all that it may (max_held_bytes): let messages go')
@@ -177,6 +280,15 @@ def _fill(part, source):
     numpy.copyto(target, values, casting=casting)
 
 
+def _dlpack(self, **arguments):
+    """For torch.from_dlpack() and others: the elements, without a copy. Of a loan: DLPack cannot say read-only."""
+    return numpy.asarray(self).__dlpack__(**arguments)
+
+
+def _dlpack_device(self):
+    return numpy.asarray(self).__dlpack_device__()
+
+
 def _same(copy):
     """What a message is pickled as: a copy in plain Python."""
     return copy
@@ -184,5 +296,9 @@ def _same(copy):
 
 Engine.advertise = _advertise
 Engine.subscribe = _subscribe
+Engine.make = _make
+Engine.queue = _queue
+Part.__dlpack__ = _dlpack
+Part.__dlpack_device__ = _dlpack_device
 Subscriber.__iter__ = _iterate
 Subscriber.__aiter__ = _iterate_async
