@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Publishers and subscribers that do not have their topic's type: AnyPuller, AnyPusher.
+// Publishers, subscribers and queues that do not have their type: AnyPuller, AnyPusher, AnyQueue.
 
 #include <atomic>
 #include <cerrno>
@@ -356,7 +356,134 @@ TEST_CASE("wait sets, descriptors and listeners take what has no type") {
     return seen == 42;
   }));
   set.remove(puller);
+  auto queue = engine.queue_any("/sums", AnyType::of<Sum>());
+  unsigned popped = 0;
+  set.add(queue, [&] { popped += queue.try_pop() ? 1 : 0; });
+  must_go(queue.try_put(queue.loan()));
+  CHECK(eventually([&] {
+    (void)set.run_once(10ms);
+    return popped == 1;
+  }));
+  set.remove(queue);
   CHECK(eventually([&] { return heard == 42 && sequence == 2; }));
+}
+
+TEST_CASE("a queue without the type and one with it share their items") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh());
+  auto sums = engine.queue_any("/sums", AnyType::of<Sum>());
+  auto values = engine.queue<Sum>("/sums");
+  auto item = sums.loan();
+  item.root()["value"].set(7);
+  must_go(sums.put_until(std::move(item), lot::Deadline(std::chrono::steady_clock::now() + 10s)));
+  CHECK(!item);
+  CHECK(values.wait_and_pop().value == 7);
+  values.listen();
+  must_go(values.put(Sum{8}));  // in its slot
+  const AnyMessage popped =
+      sums.wait_and_pop_until(lot::Deadline(std::chrono::steady_clock::now() + 10s));
+  REQUIRE(popped);
+  CHECK(popped.as<Sum>()->value == 8);
+  CHECK(!sums.try_pop());
+
+  auto frames = engine.queue_any("/frames", AnyType::of<Frame>());
+  auto pointers = engine.queue<lot::ShmUniquePtr<Frame>>("/frames");
+  auto frame = pointers.make();
+  frame->width = 9;
+  frame->encoding = "longer than what a string has in its own bytes";
+  must_go(pointers.put(std::move(frame)));
+  const AnyMessage seen = frames.try_pop();
+  REQUIRE(seen);
+  CHECK(seen.root()["encoding"].as<std::string_view>().size() == 46);
+  CHECK(frames.size() == 0);
+  CHECK(frames.fd() >= 0);
+  CHECK(frames.capacity() == 64);
+}
+
+TEST_CASE("what a queue without the type does not take stays with the caller") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh());
+  lot::QueueOptions options;
+  options.depth = 1;
+  auto sums = engine.queue_any("/sums", AnyType::of<Sum>(), options);
+  must_go(sums.try_put(sums.loan()));
+  auto more = sums.loan();
+  CHECK(sums.try_put(std::move(more)) == Status::Full);
+  CHECK(more);
+  auto other = engine.make_any(AnyType::of<Frame>());
+  CHECK(error_of([&] { (void)sums.try_put(std::move(other)); }).first == EINVAL);
+  CHECK(other);
+  CHECK(error_of([&] { (void)sums.loan_zeroed(); }).first == EINVAL);
+  CHECK(error_of([&] { (void)sums.try_take(); }).first == EINVAL);
+  CHECK(error_of([&] { (void)engine.queue_any("/none", AnyType()); }).first == EINVAL);
+  CHECK(error_of([&] { (void)engine.queue_any("/none", engine.type_of("/sums")); }).first ==
+        EINVAL);
+  CHECK(error_of([&] { (void)engine.queue_any("/sums", AnyType::of<Frame>()); }).first ==
+        EPROTOTYPE);
+}
+
+TEST_CASE("a task without the type is finished, given back, and kept longer than it lasts") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh());
+  lot::QueueOptions options;
+  options.redeliver = true;
+  auto tasks = engine.queue_any("/tasks", AnyType::of<Sum>(), options);
+  auto workers = engine.queue<Sum>("/tasks", options);
+  must_go(workers.put(Sum{7}));
+  AnyMessage kept;
+  {
+    const auto task = tasks.try_take();
+    REQUIRE(task);
+    CHECK(task.root()["value"].as<unsigned>() == 7);
+    CHECK(task.deliveries() == 1);
+    kept = task.keep();
+  }  // it goes back
+  auto again = workers.try_take();
+  REQUIRE(again);
+  CHECK(again->value == 7);
+  CHECK(again.deliveries() == 2);
+  again.give_back();
+  auto last = tasks.wait_and_take_until(lot::Deadline(std::chrono::steady_clock::now() + 10s));
+  CHECK(last.deliveries() == 3);
+  lot::AnyTask moved;
+  moved = std::move(last);
+  moved.finish();
+  moved.finish();
+  CHECK(!moved);
+  CHECK(!moved.keep());
+  CHECK(!tasks.try_take());
+  for (std::uint64_t n = 0; n < 200; ++n) {  // blocks are used again
+    must_go(workers.put(Sum{n}));
+    workers.try_take().finish();
+  }
+  CHECK(kept.root()["value"].as<unsigned>() == 7);
+}
+
+TEST_CASE("a message without the type refers to others, which it keeps") {
+  const Watchdog watchdog(60);
+  lot::ShmEngine engine(fresh());
+  auto puller = engine.subscribe<Frame>("/frames");
+  auto pusher = engine.advertise_any("/frames", AnyType::of<Frame>());
+  auto home = engine.make_any(AnyType::of<Point>());
+  home.root()["x"].set(7);
+  AnyMessage shared = std::move(home).share();
+  CHECK(!home);
+  auto frame = pusher.loan();
+  const auto reference = frame.root()["home"];
+  frame.refer(reference, shared);
+  CHECK(frame.root().value().at("home.x").as<int>() == 7);
+  frame.refer(reference, nullptr);
+  CHECK(frame.root().value()["home"].is_null());
+  const AnyMessage sum = engine.make_any(AnyType::of<Sum>()).share();
+  CHECK(error_of([&] { frame.refer(reference, sum); }).first == EINVAL);
+  CHECK(error_of([&] { frame.refer(frame.root()["width"], shared); }).first == EINVAL);
+  frame.refer(reference, shared);
+  must_go(pusher.push(std::move(frame)));
+  shared.reset();
+  const auto seen = puller.pull(10s);
+  REQUIRE(seen);
+  REQUIRE(seen->home);
+  CHECK(seen->home->x == 7.0F);
 }
 
 template <std::uint64_t kNames>
