@@ -31,6 +31,12 @@ if(TARGET lot_cli)  # the command, the schema of its documents, its pages, what 
   install(FILES ${lot_completions}/lot.fish
     DESTINATION ${CMAKE_INSTALL_DATADIR}/fish/vendor_completions.d)
 endif()
+if(TARGET lot_python)  # where Debian's Python looks, below /usr
+  set(LOT_PYTHON_DIR lib/python3/dist-packages CACHE STRING "Where the package for Python is installed")
+  install(TARGETS lot_python LIBRARY DESTINATION ${LOT_PYTHON_DIR}/lot COMPONENT python)
+  install(DIRECTORY ${PROJECT_SOURCE_DIR}/src/python/lot DESTINATION ${LOT_PYTHON_DIR} COMPONENT python
+    FILES_MATCHING PATTERN "*.py" PATTERN "*.pyi" PATTERN py.typed PATTERN __pycache__ EXCLUDE)
+endif()
 if(TARGET lot_ros)
   install(TARGETS lot_ros EXPORT lotRosTargets 
     LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT ros_library NAMELINK_COMPONENT ros)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# Debian packages, by cpack (scripts/package), one for each component: liblot-dev (dev), lot-tools (tools)
-# and, where lot::ros is built, liblot-ros0.1 (ros_library) and liblot-ros-dev (ros).
+# Debian packages, by cpack (scripts/package), one for each component: liblot-dev (dev), lot-tools (tools),
+# where the package for Python is built, python3-lot (python), and, where lot::ros is built, liblot-ros0.1 (ros_library) and liblot-ros-dev (ros).
 set(LOT_PACKAGE_MAINTAINER "The LOT team <lot@example.org>" CACHE STRING "Who makes the packages")
 
 set(CPACK_GENERATOR DEB)
@@ -55,6 +55,21 @@ if(TARGET lot_cli)
 "This package has the command lot, which shows segments, topics, rates and
 who holds which message, and removes what dead processes have left."
     SHLIBDEPS ON)
+endif()
+
+if(TARGET lot_python)
+  execute_process(  # the extension is of this version alone: "3.11 3.12"
+    COMMAND ${PYTHON_EXECUTABLE} -c "import sys; v = sys.version_info; print(f'3.{v.minor} 3.{v.minor + 1}')"
+    OUTPUT_VARIABLE lot_python_versions OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)
+  string(REPLACE " " ";" lot_python_versions "${lot_python_versions}")
+  list(GET lot_python_versions 0 lot_python_version)
+  list(GET lot_python_versions 1 lot_python_next)
+  lot_package(python python3-lot python "messages in shared memory, without copies - for Python 3"
+"This package has the module lot: topics, queues, services and recordings,
+whose messages numpy looks at without a copy."
+    DEPENDS "python3 (>= ${lot_python_version}~), python3 (<< ${lot_python_next}), python3-numpy"
+    SHLIBDEPS ON
+    SUGGESTS "lot-tools")
 endif()
 
 if(TARGET lot_ros)

@@ -7,6 +7,8 @@
 #include <cstdio>
 #include <fstream>
 #include <string>
+#include <string_view>
+#include <vector>
 
 #include <lot/lot.hpp>
 
@@ -95,12 +97,14 @@ bool logger() {
 
 }  // namespace
 
-int main() {
-  return example::run("chain", [] {
-    const pid_t first = example::start("camera", camera);
-    const pid_t second = example::start("detector", detector);
+/// `chain around`: the two without the detector, which is another program (python/detector.py).
+int main(int argc, char** argv) {
+  const bool has_detector = argc < 2 || argv[1] != std::string_view("around");
+  return example::run("chain", [&] {
+    std::vector<pid_t> children{example::start("camera", camera)};
+    if (has_detector) children.push_back(example::start("detector", detector));
     bool good = logger();
-    for (const pid_t child : {first, second}) good = example::finish(child) && good;
+    for (const pid_t child : children) good = example::finish(child) && good;
     return good;
   });
 }

@@ -14,6 +14,7 @@
 #include "python/part.hpp"
 #include "python/queue.hpp"
 #include "python/recording.hpp"
+#include "python/service.hpp"
 #include "python/subscriber.hpp"
 #include "python/wait_set.hpp"
 #include "python/waits.hpp"
@@ -93,6 +94,7 @@ class Engine {
     const py::gil_scoped_release release;
     return {engine_.queue_any(name, type, options), options.policy == Policy::Block};
   }
+  Ticket ticket() { return Ticket(engine_); }
   const std::string& path() const { return engine_.path(); }
 
  private:
@@ -163,6 +165,7 @@ void define_engine(py::module_& module) {
       .def("_subscribe", &subscribe)
       .def("_queue", &queue)
       .def("_make", &Engine::make)
+      .def("_ticket", &Engine::ticket)
       .def("type_of", &Engine::type_of, py::arg("topic"),
            "What the topic carries; None where no process uses it.")
       .def_property_readonly("path", &Engine::path, "The file that the segment is.");
@@ -278,7 +281,8 @@ void define_ends(py::module_& module) {
       .value("TIMEOUT", Status::Timeout)
       .value("PUBLISHER_GONE", Status::PublisherGone)
       .value("HOLDS_TOO_MUCH", Status::HoldsTooMuch)
-      .value("STOPPED", Status::Stopped);
+      .value("STOPPED", Status::Stopped)
+      .value("SERVER_GONE", Status::ServerGone);
   py::enum_<Policy>(module, "Policy", "What a push does where a reader is a whole queue behind.")
       .value("OVERWRITE", Policy::Overwrite)
       .value("BLOCK", Policy::Block)
@@ -297,6 +301,7 @@ void define_ends(py::module_& module) {
   define_subscriber(module);
   define_wait_set(module);
   define_recording(module);
+  define_service(module);
 }
 
 }  // namespace lot::python

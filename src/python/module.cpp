@@ -11,6 +11,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include "lot/any_message.hpp"
 #include "lot/any_type.hpp"
 #include "lot/error.hpp"
 
@@ -130,6 +131,9 @@ void define_types(py::module_& module) {
       .def_property_readonly("alignment", &AnyType::alignment)
       .def_property_readonly("kind",
                              [](const AnyType& type) { return type.description().root().kind; })
+      .def_property_readonly(
+          "hash", [](const AnyType& type) { return detail::type_of(*type.known()).hash; },
+          "What its program says of it beside the layout (TypeIdentity::hash()), mostly 0.")
       .def_property_readonly("layout_hash",
                              [](const AnyType& type) { return type.description().layout_hash(); })
       .def_property_readonly("names_hash",

@@ -283,6 +283,7 @@ void define_part(py::module_& module) {
       "Ends a loan without a push: the message as all see it from here on, to be pushed on "
       "several\n"
       "topics, or referred to.");
+  module.def("_whole", [](const Part& part) { return Part(part.held()); });
   py::class_<Part>(module, "Part", py::custom_type_setup(add_buffer_protocol),
                    "A message, or a struct, array, vector or opaque value in it. It keeps the\n"
                    "message. Fields are attributes, elements items; numpy looks without a copy.")

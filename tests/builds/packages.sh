@@ -26,7 +26,7 @@ use() {  # PREFIX SCRATCH
   export PKG_CONFIG_PATH=$prefix/lib/pkgconfig LOT_SEGMENT=${LOT_SEGMENT:-lot}_packages
   "$prefix/bin/lot" --version
   ("$prefix/bin/lot_relay" 2>&1 || true) | grep "^usage: lot_relay"
-  for package in liblot-dev liblot-ros0.1 liblot-ros-dev lot-tools; do
+  for package in liblot-dev liblot-ros0.1 liblot-ros-dev lot-tools python3-lot; do
     gzip -t "$prefix/share/doc/$package/changelog.gz" "$prefix/share/doc/$package/changelog.Debian.gz"
     test -s "$prefix/share/doc/$package/copyright"
   done
@@ -38,6 +38,8 @@ use() {  # PREFIX SCRATCH
   local plugins=$prefix/share/lot_image_transport plugin
   plugin=$(sed -n 's/.*<library path="\([^"]*\)".*/\1/p' "$plugins/plugins.xml")
   ldd "$plugins/$plugin.so" | grep "liblot_ros.so.* => $prefix/"
+
+  PYTHONPATH=$prefix/lib/python3/dist-packages PYTHONDONTWRITEBYTECODE=1 /usr/bin/python3 tests/proof/consumer/main.py
 
   flags=$(pkg-config --cflags --libs lot)
   # shellcheck disable=SC2086  # flags are words
@@ -117,6 +119,7 @@ mistakes=(  # PACKAGE CHECK CHANGE
   "liblot-dev install_and_use sed -i s/-llot/-lelse/ usr/lib/pkgconfig/lot.pc"
   "liblot-dev install_and_use rm usr/lib/liblot_record.a"
   "liblot-dev install_and_use sed -i s/-llot_record/-lelse/ usr/lib/pkgconfig/lot-record.pc"
+  "python3-lot install_and_use rm usr/lib/python3/dist-packages/lot/service.py"
   "liblot-ros-dev install_and_use rm usr/lib/lot/image_transport/*.so"
   "lot-tools install_and_use mv usr/share/zsh/vendor-completions usr/share/zsh/site-functions")
 

@@ -24,7 +24,7 @@ import unittest
 
 sys.path.insert(0, sys.argv.pop(1))
 PEER = sys.argv.pop(1)
-os.environ.pop('LD_PRELOAD', None)  # of a sanitizer: the peer has its own
+RUNTIME = os.environ.pop('LD_PRELOAD', '')  # of a sanitizer: the peer has its own
 
 import lot  # noqa: E402
 import numpy as np  # noqa: E402
@@ -669,6 +669,81 @@ class WaitSets(Case):
         threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
         with self.assertRaises(KeyboardInterrupt):
             waits.run()
+
+
+def answer(job, frame):
+    if job.number < 0:
+        raise ValueError('no frame is so small')
+    frame.width = len(job.text)
+    frame.data = np.full(job.number, 7, np.uint8)
+
+
+class Services(Case):
+    def test_a_client_asks_a_server(self):
+        client = self.engine.client('/frame', Job, Frame)
+        self.assertFalse(client.wait_for_server(0.02))
+        self.assertIsNone(client.call(number=3, timeout=0.02))
+        self.assertEqual(client.status, lot.Status.SERVER_GONE)
+        with self.engine.serve('/frame', Job, Frame, answer):
+            self.assertTrue(client.wait_for_server())
+            self.assertEqual(client.servers(), 1)
+            frame = client.call(number=3, text='ab')
+            self.assertEqual((frame.width, np.asarray(frame.data).tolist()), (2, [7, 7, 7]))
+            self.assertEqual(client.status, lot.Status.OK)
+            with self.assertRaisesRegex(lot.Error, 'no frame is so small') as caught:
+                client.call(number=-1)
+            self.assertEqual(caught.exception.errno, errno.EREMOTEIO)
+            request = client.loan(number=100)
+            request.text = 'x' * 100
+            self.assertEqual(len(client.call(request, timeout=60).data), 100)
+            with self.assertRaises(ValueError):
+                client.call(request)
+            self.raises(errno.EPROTOTYPE, self.engine.client, '/frame', Job, Job)
+        self.assertIsNone(client.call(number=3, timeout=0.02))
+        self.assertEqual(frame.width, 2)
+
+    def test_what_a_handler_leaves_is_no_answer(self):
+        kept = []
+        with self.engine.serve('/frame', Job, Frame, lambda job, frame: (answer(job, frame), kept.append(np.asarray(frame.data)))):
+            client = self.engine.client('/frame', Job, Frame)
+            with self.assertRaisesRegex(lot.Error, 'views of this loan'):
+                client.call(number=3)
+        kept.clear()
+
+    def test_a_late_answer_is_dropped(self):
+        go = threading.Event()
+
+        def late(job, frame):
+            go.wait()
+            answer(job, frame)
+        with self.engine.serve('/frame', Job, Frame, late):
+            client = self.engine.client('/frame', Job, Frame)
+            self.assertIsNone(client.call(number=1, timeout=0.1))
+            self.assertEqual(client.status, lot.Status.TIMEOUT)
+            go.set()
+            self.assertEqual(len(client.call(number=2).data), 2)
+
+    def test_a_client_asks_cpp(self):
+        client = self.engine.client('/frame', Job, Frame)
+        with subprocess.Popen([PEER, 'serve'], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as peer:
+            frame = client.call(number=3, text='ab')
+            self.assertEqual((frame.width, np.asarray(frame.data).tolist()), (2, [7, 7, 7]))
+            with self.assertRaisesRegex(lot.Error, 'no frame is so small'):
+                client.call(number=-1)
+            peer.kill()
+        self.assertIsNone(client.call(number=3, timeout=0.02))
+
+    def test_cpp_asks_a_server(self):
+        with self.engine.serve('/frame', Job, Frame, answer):
+            said = subprocess.run([PEER, 'call'], check=True, capture_output=True, text=True).stdout
+        self.assertEqual(said, '46 3\n1\n')
+
+    def test_a_server_ends_with_its_program(self):
+        program = (f"import sys; sys.path.insert(0, {sys.path[0]!r}); import lot; Job = lot.message(type('Job', (), dict("
+                   "__annotations__=dict(number=lot.i32)))); lot.Engine().serve('/job', Job, Job, print); print('end')")
+        said = subprocess.run([sys.executable, '-c', program], check=True, capture_output=True, text=True,
+                              env=dict(os.environ, LD_PRELOAD=RUNTIME)).stdout
+        self.assertEqual(said, 'end\n')
 
 
 class Recordings(Case):

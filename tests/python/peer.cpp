@@ -5,13 +5,17 @@
 ///     peer send     publishes points, in slots and in blocks, and a box; waits for a box in return
 ///     peer items    pops a job of /items, puts two points into /points
 ///     peer tasks    does one task of /tasks, and is killed at work on the next
+///     peer serve    answers /frame: a Job's number is the size of the Frame; until its input ends
+///     peer call     asks /frame for one of 3 bytes, and for one that cannot be made
 ///     peer record FILE    records /topic until its standard input ends
 #include <array>
+#include <cerrno>
 #include <chrono>
 #include <csignal>
 #include <cstdint>
 #include <cstdio>
 #include <exception>
+#include <stdexcept>
 #include <string_view>
 #include <thread>
 #include <utility>
@@ -154,16 +158,51 @@ bool tasks() {
   return false;
 }
 
+void wait_for_end_of_input() {
+  std::puts("ready");
+  std::fflush(stdout);
+  while (std::getchar() != EOF) {
+  }
+}
+
+bool serve() {
+  lot::ShmEngine engine;
+  const auto server = engine.serve<Job, Frame>("/frame", [](const Job& job, Frame& frame) {
+    if (job.number < 0) throw std::runtime_error("no frame is so small");
+    frame.width = static_cast<std::uint32_t>(job.text.size());
+    frame.data.assign(static_cast<std::size_t>(job.number), 7);
+  });
+  wait_for_end_of_input();
+  return true;
+}
+
+bool call() {
+  const lot::StopToken stop = lot::stop_on_signals();
+  lot::ShmEngine engine;
+  auto client = engine.client<Job, Frame>("/frame");
+  auto request = client.loan();
+  request->number = 3;
+  request->text = "longer than what a string has in its own bytes";
+  const auto frame = client.call(std::move(request), stop);
+  if (!frame) return false;
+  std::printf("%u %zu\n", frame->width, frame->data.size());
+  auto wrong = client.loan();
+  wrong->number = -1;
+  try {
+    (void)client.call(std::move(wrong), stop);
+  } catch (const lot::Error& error) {
+    std::printf("%d\n", error.error_number() == EREMOTEIO ? 1 : 0);
+  }
+  return true;
+}
+
 bool record(const char* file) {
   lot::RecorderOptions options;
   options.path = file;
   options.topics = {"/topic"};
   lot::Recorder recorder(options);
   while (recorder.status().topics.empty()) std::this_thread::sleep_for(1ms);
-  std::puts("ready");
-  std::fflush(stdout);
-  while (std::getchar() != EOF) {
-  }
+  wait_for_end_of_input();
   recorder.stop();
   return true;
 }
@@ -181,6 +220,8 @@ int main(int argc, char** argv) {
     }
     if (what == "items") return items() ? 0 : 1;
     if (what == "tasks") return tasks() ? 0 : 1;
+    if (what == "serve") return serve() ? 0 : 1;
+    if (what == "call") return call() ? 0 : 1;
     if (what == "record" && argc == 3) return record(argv[2]) ? 0 : 1;
     return send() ? 0 : 1;
   } catch (const std::exception& error) {

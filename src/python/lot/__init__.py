@@ -9,20 +9,20 @@
 """
 
 import asyncio
-import collections
 import enum
 import errno
 import inspect
-import itertools
 
 import numpy
 
 from lot._lot import (Borrow, Engine, Envelope, Error, Kind, OutOfMemory, Part, Policy, Publisher, Queue, QueueEngine,
                       RecordedMessage, RecordedMessages, RecordedTopic, Recording, RecordingDamage, Status, Subscriber,
-                      Task, Type, Wait, Weak, _Waits, share, weak)
+                      Task, Type, Wait, Weak, share, weak)
+from lot.service import Client, Server, _Ends as _ServiceEnds, print_error
+from lot.waits import WaitSet
 
-__all__ = ['Borrow', 'Engine', 'Envelope', 'Error', 'Kind', 'OutOfMemory', 'Part', 'Policy', 'Publisher', 'Queue',
-           'QueueEngine', 'RecordedMessage', 'RecordedMessages', 'RecordedTopic', 'Recording', 'RecordingDamage', 'Status',
+__all__ = ['Borrow', 'Client', 'Engine', 'Envelope', 'Error', 'Kind', 'OutOfMemory', 'Part', 'Policy', 'Publisher', 'Queue',
+           'QueueEngine', 'RecordedMessage', 'RecordedMessages', 'RecordedTopic', 'Recording', 'RecordingDamage', 'Server', 'Status',
            'Subscriber', 'Task', 'Type', 'Wait', 'WaitSet', 'Weak', 'array', 'boolean', 'char', 'duration', 'enumeration',
            'f32', 'f64', 'i8', 'i16', 'i32', 'i64', 'message', 'ref', 'share', 'string', 'time_point', 'type_of', 'u8',
            'u16', 'u32', 'u64', 'vector', 'weak']
@@ -140,91 +140,17 @@ def _queue(self, name, item_type, *, depth=64, policy=Policy.BLOCK, redeliver=Fa
     return self._queue(name, type_of(item_type), depth, policy, redeliver, wait, queue_engine)
 
 
-class WaitSet:
-    """One thread for many subscribers, queues and timers.
+def _serve(self, name, request_type, response_type, handler, *, wait=Wait.ADAPTIVE, on_error=print_error):
+    """Answers the requests of a service by handler(request, response), which fills the response in shared memory, on a
+    thread of its own: until Server.close(), or the end of its `with`. What the handler raises, the client gets as an
+    Error. on_error(exception): told what else keeps a request from its answer."""
+    return Server(self, _ServiceEnds(name, type_of(request_type), type_of(response_type)), handler, wait, on_error)
 
-        waits = lot.WaitSet()
-        waits.add(camera, lambda: show(camera.pull(0)))
-        waits.add_timer(0.1, report)
-        waits.run()                      # until another thread, a handler or a signal calls stop()
 
-    A handler that leaves messages unread is called again. What it raises leaves run(), which may be called again.
-    stop() may be called by any thread, the rest by one at a time; handlers may add, remove and stop.
-    """
-
-    def __init__(self, wait=Wait.PARK):
-        self._waits = _Waits(wait)
-        self._numbers = itertools.count()
-        self._entries = {}  # by number: what, the handler, and whether it is called once only
-        self._due = collections.deque()
-
-    def _enter(self, what, handler, once=False):
-        if not callable(handler):
-            raise TypeError(f'{handler!r} is no handler')
-        number = next(self._numbers)
-        self._entries[number] = (what, handler, once)
-        return number
-
-    def add(self, end, handler):
-        """Calls handler() when the Subscriber or Queue may have something. A handler looks with timeout 0."""
-        number = self._enter(end, handler)
-        try:
-            self._waits.add(number, end)
-        except BaseException:
-            del self._entries[number]
-            raise
-
-    def add_timer(self, period, handler):
-        """Calls handler() every so many seconds. Gives a number, for remove()."""
-        number = self._enter(None, handler)
-        try:
-            self._waits.add_timer(number, period, True)
-        except BaseException:
-            del self._entries[number]
-            raise
-        return number
-
-    def add_timer_once(self, delay, handler):
-        """Calls handler() once, after so many seconds. Gives a number, for remove()."""
-        number = self._enter(None, handler, once=True)
-        self._waits.add_timer(number, delay, False)
-        return number
-
-    def remove(self, what):
-        """A Subscriber, a Queue or a timer's number: it is not called any more. Nothing where it was not added."""
-        numbers = [number for number, entry in self._entries.items() if entry[0] is what or number is what]
-        for number in numbers:
-            self._waits.remove(number)
-            del self._entries[number]
-
-    def run_once(self, timeout=None):
-        """Waits until something can be done, so many seconds at most, and does it: the number of handlers that were
-        called. None: stop() was called."""
-        if not self._due:
-            news = self._waits.wait(timeout)
-            if news is None:
-                return None
-            self._due.extend(news)
-        called = 0
-        while self._due:  # a handler that raises leaves the rest for the next time
-            entry = self._entries.get(self._due[0])
-            number = self._due.popleft()
-            if entry is None:  # another handler has removed it
-                continue
-            if entry[2]:
-                del self._entries[number]
-            called += 1
-            entry[1]()
-        return called
-
-    def run(self):
-        """Calls handlers until stop()."""
-        while self.run_once() is not None:
-            pass
-
-    def stop(self):
-        """Ends run() after the handlers that are at work, or the next run() at once."""
-        self._waits.stop()
+def _client(self, name, request_type, response_type, *, wait=Wait.ADAPTIVE, retry=False):
+    """Asks the servers of a service. retry: a request whose server dies at work goes to another one, so it may be done
+    more than once."""
+    return Client(self, _ServiceEnds(name, type_of(request_type), type_of(response_type)), wait, retry)
 
 
 def _require_room(self):
@@ -296,8 +222,10 @@ def _same(copy):
 
 Engine.advertise = _advertise
 Engine.subscribe = _subscribe
+Engine.client = _client
 Engine.make = _make
 Engine.queue = _queue
+Engine.serve = _serve
 Part.__dlpack__ = _dlpack
 Part.__dlpack_device__ = _dlpack_device
 Subscriber.__iter__ = _iterate

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Builds the package `lot` by CMake: for pip, which reads pyproject.toml. LOT_CMAKE_OPTIONS in the environment: more options of
+CMake."""
+
+import os
+import pathlib
+import re
+import shlex
+import subprocess
+import sys
+
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+
+ROOT = pathlib.Path(__file__).resolve().parent
+VERSION = re.search(r'^ *VERSION ([0-9.]+)$', (ROOT / 'CMakeLists.txt').read_text(), re.M)[1]
+OPTIONS = ['-DCMAKE_BUILD_TYPE=Release', '-DLOT_LIBRARY_UNITY=ON', '-DLOT_BUILD_PYTHON=ON', '-DLOT_BUILD_RECORD=ON',
+           *(f'-DLOT_BUILD_{what}=OFF' for what in ('TOOL', 'TESTS', 'BENCH', 'EXAMPLES', 'ROS'))]
+
+
+class BuildByCMake(build_ext):
+    def build_extension(self, extension):
+        tree = pathlib.Path(self.build_temp).resolve()
+        subprocess.run(['cmake', '-S', ROOT, '-B', tree, f'-DPYTHON_EXECUTABLE={sys.executable}', *OPTIONS,
+                        *shlex.split(os.environ.get('LOT_CMAKE_OPTIONS', ''))], check=True)
+        subprocess.run(['cmake', '--build', tree, '--target', 'lot_python', '--parallel', str(os.cpu_count())], check=True)
+        built, = (tree / 'python' / 'lot').glob('_lot.*.so')
+        self.copy_file(built, self.get_ext_fullpath(extension.name))
+
+
+setup(version=VERSION, packages=['lot'], package_dir={'lot': 'src/python/lot'}, package_data={'lot': ['*.pyi', 'py.typed']},
+      ext_modules=[Extension('lot._lot', [])], cmdclass={'build_ext': BuildByCMake}, zip_safe=False)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wait sets: one thread for many subscribers, queues and timers."""
+
+import collections
+import itertools
+
+from lot._lot import Wait, _Waits
+
+
+class WaitSet:
+    """One thread for many subscribers, queues and timers.
+
+        waits = lot.WaitSet()
+        waits.add(camera, lambda: show(camera.pull(0)))
+        waits.add_timer(0.1, report)
+        waits.run()                      # until another thread, a handler or a signal calls stop()
+
+    A handler that leaves messages unread is called again. What it raises leaves run(), which may be called again.
+    stop() may be called by any thread, the rest by one at a time; handlers may add, remove and stop.
+    """
+
+    def __init__(self, wait=Wait.PARK):
+        self._waits = _Waits(wait)
+        self._numbers = itertools.count()
+        self._entries = {}  # by number: what, the handler, and whether it is called once only
+        self._due = collections.deque()
+
+    def _enter(self, what, handler, once=False):
+        if not callable(handler):
+            raise TypeError(f'{handler!r} is no handler')
+        number = next(self._numbers)
+        self._entries[number] = (what, handler, once)
+        return number
+
+    def add(self, end, handler):
+        """Calls handler() when the Subscriber or Queue may have something. A handler looks with timeout 0."""
+        number = self._enter(end, handler)
+        try:
+            self._waits.add(number, end)
+        except BaseException:
+            del self._entries[number]
+            raise
+
+    def add_timer(self, period, handler):
+        """Calls handler() every so many seconds. Gives a number, for remove()."""
+        number = self._enter(None, handler)
+        try:
+            self._waits.add_timer(number, period, True)
+        except BaseException:
+            del self._entries[number]
+            raise
+        return number
+
+    def add_timer_once(self, delay, handler):
+        """Calls handler() once, after so many seconds. Gives a number, for remove()."""
+        number = self._enter(None, handler, once=True)
+        self._waits.add_timer(number, delay, False)
+        return number
+
+    def remove(self, what):
+        """A Subscriber, a Queue or a timer's number: it is not called any more. Nothing where it was not added."""
+        numbers = [number for number, entry in self._entries.items() if entry[0] is what or number is what]
+        for number in numbers:
+            self._waits.remove(number)
+            del self._entries[number]
+
+    def run_once(self, timeout=None):
+        """Waits until something can be done, so many seconds at most, and does it: the number of handlers that were
+        called. None: stop() was called."""
+        if not self._due:
+            news = self._waits.wait(timeout)
+            if news is None:
+                return None
+            self._due.extend(news)
+        called = 0
+        while self._due:  # a handler that raises leaves the rest for the next time
+            entry = self._entries.get(self._due[0])
+            number = self._due.popleft()
+            if entry is None:  # another handler has removed it
+                continue
+            if entry[2]:
+                del self._entries[number]
+            called += 1
+            entry[1]()
+        return called
+
+    def run(self):
+        """Calls handlers until stop()."""
+        while self.run_once() is not None:
+            pass
+
+    def stop(self):
+        """Ends run() after the handlers that are at work, or the next run() at once."""
+        self._waits.stop()
