@@ -20,11 +20,13 @@ struct Frame {
   std::uint64_t place;  ///< where the camera has drawn the pixels
   lot::ShmVector<std::uint8_t> pixels;
 };
+LOT_DESCRIBE(Frame, place, pixels)  // for python/detector.py; C++20 needs no such line
 struct Detection {
   lot::ShmRef<const Frame> frame;  ///< as long as the detection lives, the frame does
   std::uint64_t brightest;         ///< pixel
   std::uint64_t place;             ///< where the detector has seen the pixels
 };
+LOT_DESCRIBE(Detection, frame, brightest, place)
 
 constexpr std::uint64_t kFrames = 5;
 constexpr std::uint64_t kPixels = 4 << 20;

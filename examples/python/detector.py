@@ -46,7 +46,11 @@ def detect():
 def main(chain):
     os.environ.setdefault('LOT_SEGMENT', f'lot_detector_{os.getpid()}')
     with subprocess.Popen([chain, 'around']) as nodes:  # the camera and the logger
-        detect()
+        try:
+            detect()
+        except BaseException:
+            nodes.terminate()  # they would wait for a detector
+            raise
     return nodes.returncode
 
 

@@ -3,12 +3,14 @@
 #include <cstddef>
 #include <exception>
 #include <memory>
+#include <new>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "lot/error.hpp"
 
+#include "python/errors.hpp"
 #include "python/part.hpp"
 
 namespace py = pybind11;
@@ -17,6 +19,27 @@ namespace lot::python {
 namespace {
 
 using Type = Description::Type;
+
+/// What call() returns; where it throws, the error of Python is set, and `failed` is returned.
+template <class Result, class Call>
+Result guarded(Result failed, Call&& call) noexcept {
+  try {
+    return call();
+  } catch (py::error_already_set& error) {
+    error.restore();
+  } catch (const py::builtin_exception& error) {
+    error.set_error();
+  } catch (const OutOfMemory&) {
+    set_error(std::current_exception());
+  } catch (const Error&) {
+    set_error(std::current_exception());
+  } catch (const std::bad_alloc&) {
+    PyErr_NoMemory();
+  } catch (const std::exception& error) {
+    PyErr_SetString(PyExc_RuntimeError, error.what());
+  }
+  return failed;
+}
 
 /// Tells elements as PEP 3118 has it.
 class Format {
@@ -62,9 +85,16 @@ class Format {
     }
     return std::to_string(type.size) + "s";  // long double
   }
+  /// Arrays of arrays have one shape: "(2,3)=f".
   std::string array(const Type& type) {
-    const std::string element = of(type.element, false);
-    return element.empty() ? element : "(" + std::to_string(type.count) + ")" + element;
+    std::string shape = std::to_string(type.count);
+    const Type* its = &type;
+    while (all_.types.at(its->element).kind == Kind::Array) {
+      its = &all_.types.at(its->element);
+      shape += "," + std::to_string(its->count);
+    }
+    const std::string element = of(its->element, false);
+    return element.empty() ? element : "(" + shape + ")" + element;
   }
   std::string structure(const Type& type) {
     std::string text = "T{";
@@ -157,17 +187,23 @@ void fill(PyObject* self, Py_buffer* buffer, int flags) {
 
 int get_buffer(PyObject* self, Py_buffer* buffer, int flags) noexcept {
   buffer->obj = nullptr;
-  try {
+  return guarded(-1, [&] {
     fill(self, buffer, flags);
     return 0;
-  } catch (py::error_already_set& error) {
-    error.restore();
-  } catch (const py::builtin_exception& error) {
-    error.set_error();
-  } catch (const std::exception& error) {
-    PyErr_SetString(PyExc_BufferError, error.what());
-  }
-  return -1;
+  });
+}
+
+/// What Python would find by __getattr__, had it not first made an AttributeError of its own and
+/// thrown it away: that is half of the time.
+PyObject* get_attribute(PyObject* self, PyObject* name) noexcept {
+  if (_PyType_Lookup(Py_TYPE(self), name) != nullptr) return PyObject_GenericGetAttr(self, name);
+  return guarded(static_cast<PyObject*>(nullptr), [&] {
+    Py_ssize_t size = 0;
+    const char* const text = PyUnicode_AsUTF8AndSize(name, &size);
+    if (text == nullptr) throw py::error_already_set();
+    const auto& part = py::handle(self).cast<const Part&>();
+    return part.attribute({text, static_cast<std::size_t>(size)}).release().ptr();
+  });
 }
 
 void release_buffer(PyObject*, Py_buffer* buffer) noexcept {
@@ -179,7 +215,8 @@ void release_buffer(PyObject*, Py_buffer* buffer) noexcept {
 
 bool has_buffer(const Part& part) { return !view_of(part).format.empty(); }
 
-void add_buffer_protocol(PyHeapTypeObject* type) {
+void add_protocols(PyHeapTypeObject* type) {
+  type->ht_type.tp_getattro = get_attribute;
   type->ht_type.tp_as_buffer = &type->as_buffer;
   type->as_buffer.bf_getbuffer = get_buffer;
   type->as_buffer.bf_releasebuffer = release_buffer;

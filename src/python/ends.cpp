@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <type_traits>
 #include <utility>
 
 #include <pybind11/stl.h>
@@ -101,20 +102,33 @@ class Engine {
   ShmEngine engine_;
 };
 
-std::unique_ptr<Engine> join(const std::string& segment, const std::string& directory,
-                             std::uint64_t size_bytes, unsigned permissions,
-                             const std::string& group, const std::string& user, bool persist,
-                             bool lock_memory, const std::string& name) {
+/// Of the names that EngineOptions has. Throws TypeError, and as ShmEngine.
+std::unique_ptr<Engine> join(const py::kwargs& given) {
   EngineOptions options;
-  if (!segment.empty()) options.segment = segment;
-  if (!directory.empty()) options.directory = directory;
-  options.size_bytes = size_bytes;
-  options.permissions = permissions;
-  options.group = group;
-  options.user = user;
-  options.persist = persist;
-  options.lock_memory = lock_memory;
-  options.name = name;
+  const py::dict left = given.attr("copy")();
+  const auto take = [&left](const char* name, auto& option) {
+    if (!left.contains(name)) return;
+    option = left[name].template cast<std::decay_t<decltype(option)>>();
+    left.attr("pop")(name);
+  };
+  take("segment", options.segment);
+  take("directory", options.directory);
+  take("size_bytes", options.size_bytes);
+  take("permissions", options.permissions);
+  take("group", options.group);
+  take("user", options.user);
+  take("persist", options.persist);
+  take("lock_memory", options.lock_memory);
+  take("name", options.name);
+  take("processes", options.processes);
+  take("blocks", options.blocks);
+  take("topics", options.topics);
+  take("channels", options.channels);
+  take("readers", options.readers);
+  if (!left.empty()) {
+    const auto name = py::str(left.attr("popitem")().attr("__getitem__")(0)).cast<std::string>();
+    throw py::type_error("an engine has no option '" + name + "'");
+  }
   const py::gil_scoped_release release;
   return std::make_unique<Engine>(options);
 }
@@ -157,10 +171,10 @@ Queue queue(Engine& engine, const std::string& name, const AnyType& type, std::u
 
 void define_engine(py::module_& module) {
   py::class_<Engine>(module, "Engine", "This process's place in a segment.")
-      .def(py::init(&join), py::kw_only(), py::arg("segment") = "", py::arg("directory") = "",
-           py::arg("size_bytes") = 0, py::arg("permissions") = 0, py::arg("group") = "",
-           py::arg("user") = "", py::arg("persist") = false, py::arg("lock_memory") = false,
-           py::arg("name") = "")
+      .def(py::init(&join),
+           "Joins the segment, and makes it where there is none. Options, by name: segment,\n"
+           "directory, size_bytes, permissions, group, user, persist, lock_memory, name; of a new\n"
+           "segment: processes, blocks, topics, channels, readers.")
       .def("_advertise", &advertise)
       .def("_subscribe", &subscribe)
       .def("_queue", &queue)

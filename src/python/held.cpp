@@ -76,7 +76,8 @@ void Held::grow() {
 }
 
 void Held::end() noexcept {
-  if (state_ == State::Kept || state_ == State::Loan) return;
+  const bool can_end = state_ == State::Borrowed || state_ == State::Task || state_ == State::Lent;
+  if (!can_end) return;  // it has ended before, and a view may still have the borrow
   const bool is_seen = pins_ != 0 && !is_in_slot_;
   const State before = std::exchange(state_, State::Ended);
   try {

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// The compiled half of the package `lot`: docs/python.md says what its objects keep.
-#include <cerrno>
 #include <cstdint>
-#include <exception>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -13,58 +11,15 @@
 
 #include "lot/any_message.hpp"
 #include "lot/any_type.hpp"
-#include "lot/error.hpp"
 
 #include "python/ends.hpp"
+#include "python/errors.hpp"
 #include "python/part.hpp"
 
 namespace py = pybind11;
 
 namespace lot::python {
 namespace {
-
-PyObject* error_type = nullptr;          // never released: it lives as long as the module
-PyObject* out_of_memory_type = nullptr;  // the same
-
-void raise(PyObject* type, int number, const char* text, const std::string& object) {
-  const py::object error =
-      py::reinterpret_steal<py::object>(PyObject_CallFunction(type, "is", number, text));
-  if (!error) return;  // what failed is set
-  py::setattr(error, "object", py::str(object));
-  PyErr_SetObject(type, error.ptr());
-}
-
-void translate(std::exception_ptr thrown) {  // NOLINT: pybind11 gives it by value
-  try {
-    if (thrown) std::rethrow_exception(thrown);
-  } catch (const OutOfMemory& error) {
-    raise(out_of_memory_type, ENOBUFS, error.what(), "segment");
-  } catch (const Error& error) {
-    if (error.error_number() == ERANGE) {
-      PyErr_SetString(PyExc_OverflowError, error.what());
-    } else {
-      raise(error_type, error.error_number(), error.what(), error.object());
-    }
-  }
-}
-
-void define_errors(py::module_& module) {
-  const auto make = [&](const char* name, const char* text, const py::tuple& bases) {
-    py::dict attributes;
-    attributes["__doc__"] = text;
-    attributes["__module__"] = "lot";
-    attributes["object"] = "";
-    const py::object made = py::module_::import("builtins").attr("type")(name, bases, attributes);
-    module.attr(name) = made;
-    return py::object(made).release().ptr();
-  };
-  error_type =
-      make("Error", "A failure from outside: errno, a text that says what to do, and `object`.",
-           py::make_tuple(py::handle(PyExc_OSError)));
-  out_of_memory_type = make("OutOfMemory", "The segment has no room for a message.",
-                            py::make_tuple(py::handle(error_type), py::handle(PyExc_MemoryError)));
-  py::register_exception_translator(&translate);
-}
 
 std::vector<AnyType::Field> fields_of(const py::sequence& fields) {
   std::vector<AnyType::Field> parts;

@@ -171,11 +171,16 @@ py::object to_python(const std::shared_ptr<Held>& held, const Value& value) {
   }
 }
 
-py::object Part::attribute(const std::string& name) const {
+py::object Part::attribute(std::string_view name) const {
   if (!value().has(name)) {
-    throw py::attribute_error("the message has no field '" + name + "' here");
+    throw py::attribute_error("the message has no field '" + std::string(name) + "' here");
   }
-  return to_python(held_, value()[std::string_view(name)]);
+  return to_python(held_, value()[name]);
+}
+
+MutableValue Part::building() const {
+  const MutableValue message = held_->building();
+  return is_whole_ ? message : message.at(value().path());
 }
 
 std::size_t Part::index(py::handle key) const {
@@ -196,7 +201,7 @@ py::object Part::item(const py::object& key) const {
 }
 
 void Part::set_attribute(const std::string& name, py::handle object) {
-  const MutableValue whole = held_->building().at(value().path());
+  const MutableValue whole = building();
   if (!value().has(name)) {
     throw py::attribute_error("the message has no field '" + name + "' here");
   }
@@ -204,7 +209,7 @@ void Part::set_attribute(const std::string& name, py::handle object) {
 }
 
 void Part::set_item(const py::object& key, py::handle object) {
-  const MutableValue whole = held_->building().at(value().path());
+  const MutableValue whole = building();
   if (py::isinstance<py::str>(key)) {
     set(held_, whole.at(key.cast<std::string>()), object);
   } else if (py::isinstance<py::slice>(key) || py::isinstance<py::tuple>(key)) {
@@ -215,12 +220,12 @@ void Part::set_item(const py::object& key, py::handle object) {
 }
 
 void Part::resize(std::size_t count) {
-  const MutableValue place = held_->building().at(value().path());
+  const MutableValue place = building();
   held_->grow();
   place.resize(count);
 }
 
-void Part::assign(py::handle object) { set(held_, held_->building().at(value().path()), object); }
+void Part::assign(py::handle object) { set(held_, building(), object); }
 
 py::list Part::fields() const {
   py::list names;
@@ -284,10 +289,9 @@ void define_part(py::module_& module) {
       "several\n"
       "topics, or referred to.");
   module.def("_whole", [](const Part& part) { return Part(part.held()); });
-  py::class_<Part>(module, "Part", py::custom_type_setup(add_buffer_protocol),
+  py::class_<Part>(module, "Part", py::custom_type_setup(add_protocols),
                    "A message, or a struct, array, vector or opaque value in it. It keeps the\n"
                    "message. Fields are attributes, elements items; numpy looks without a copy.")
-      .def("__getattr__", &Part::attribute)
       .def("__setattr__", &Part::set_attribute)
       .def("__getitem__", &Part::item)
       .def("__setitem__", &Part::set_item)

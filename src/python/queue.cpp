@@ -55,12 +55,10 @@ py::object Queue::pop(Seconds timeout) {
   return py::cast(Part(std::make_shared<Held>(std::move(found))));
 }
 
-py::object Queue::take(Seconds timeout) {
-  auto found = find<AnyTask>(timeout, [its = its_](std::optional<Deadline> end) {
+Task Queue::take(Seconds timeout) {
+  return Task(find<AnyTask>(timeout, [its = its_](std::optional<Deadline> end) {
     return end ? its->wait_and_take_until(*end) : its->try_take();
-  });
-  if (!found) return py::none();
-  return py::cast(Task(std::move(found)));
+  }));
 }
 
 namespace {
@@ -69,7 +67,11 @@ void define_task(py::module_& module) {
   py::class_<Task>(module, "Task",
                    "A task that this process works on. At the end of its `with` it is done, but\n"
                    "another worker gets it where an exception passes, or the process dies.")
-      .def("__enter__", [](const py::object& self) { return self; })
+      .def("__enter__",
+           [](const py::object& self) {
+             return self.cast<const Task&>().has_item() ? self : py::object(py::none());
+           })
+      .def("__bool__", &Task::has_item)
       .def("__exit__",
            [](Task& its, const py::object& type, const py::object&, const py::object&) {
              if (!its.is_open()) return;
@@ -100,8 +102,8 @@ void define_queue(py::module_& module) {
       .def("pop", &Queue::pop, py::arg("timeout") = py::none(),
            "The next item, which lives as long as any part or view of it. None: nothing came.")
       .def("take", &Queue::take, py::arg("timeout") = py::none(),
-           "The next task of a queue with redeliver: `with queue.take() as task`. None: nothing\n"
-           "came.")
+           "The next task of a queue with redeliver: `with queue.take() as task`. None there, and\n"
+           "False: nothing came.")
       .def(
           "listen",
           [](const Queue& its) {

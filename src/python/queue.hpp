@@ -17,21 +17,30 @@ namespace lot::python {
 /// exception passes.
 class Task {
  public:
-  explicit Task(AnyTask task) : held_(std::make_shared<Held>(std::move(task))) {}
-  ~Task() {
-    if (held_) held_->end();
-  }
+  explicit Task(AnyTask task) : held_(task ? std::make_shared<Held>(std::move(task)) : nullptr) {}
+  ~Task() { give_back(); }
   Task(Task&&) = default;
   Task& operator=(Task&&) = delete;
 
-  Part item() const { return Part(held_); }
-  std::uint32_t deliveries() const noexcept { return held_->deliveries(); }
-  void finish() { held_->finish(); }
-  void give_back() noexcept { held_->end(); }
-  bool is_open() const noexcept { return held_->is_open(); }
+  /// False: nothing came.
+  bool has_item() const noexcept { return held_ != nullptr; }
+  bool is_open() const noexcept { return held_ && held_->is_open(); }
+  /// Throws ValueError where nothing came.
+  Part item() const { return Part(held()); }
+  std::uint32_t deliveries() const noexcept { return held_ ? held_->deliveries() : 0; }
+  /// Throws ValueError after its end, lot::Error.
+  void finish() { held()->finish(); }
+  void give_back() noexcept {
+    if (held_) held_->end();
+  }
 
  private:
-  std::shared_ptr<Held> held_;
+  const std::shared_ptr<Held>& held() const {
+    if (!held_) throw pybind11::value_error("no task came");
+    return held_;
+  }
+
+  std::shared_ptr<Held> held_;  ///< null: nothing came
 };
 
 /// Threads: any, under the GIL.
@@ -45,7 +54,7 @@ class Queue {
   /// False: the queue is full, and the item is still the caller's.
   bool put(const Part& part, Seconds timeout);
   pybind11::object pop(Seconds timeout);
-  pybind11::object take(Seconds timeout);
+  Task take(Seconds timeout);
   /// Outlives the calls that use it.
   const std::shared_ptr<AnyQueue>& its() const noexcept { return its_; }
 

@@ -2,6 +2,7 @@
 #include "lot/any_message.hpp"
 
 #include <cerrno>
+#include <string>
 #include <utility>
 
 #include "lot/detail/mapping.hpp"
@@ -57,12 +58,11 @@ void refer(const MutableValue& reference, const AnyMessage& target) {
   if (!target) return ref.reset();
   const Description wanted =
       description::part(ValueAccess::description(place), place.type().element);
-  const Description& given = target.type().description();
-  const bool is_right = wanted.layout_hash() == given.layout_hash() &&
-                        (!description::has_names(wanted) || !description::has_names(given) ||
-                         wanted.names_hash() == given.names_hash());
-  if (!is_right) {
-    throw Error(EINVAL, place.path(), "the message is of another type: " + target.type().name(),
+  const std::string difference =
+      description::first_difference(wanted, target.type().description());
+  if (!difference.empty()) {
+    throw Error(EINVAL, place.path(),
+                "the message is of another type, " + target.type().name() + ": " + difference,
                 "refer to a " + place.type_name());
   }
   ref = ShmSharedPtr<const std::byte>(target.pointer(),

@@ -172,9 +172,9 @@ class Server:
         self._waits = WaitSet(wait)
         self._waits.add(self._tasks, self._serve)
         self._presence = engine.advertise(ends.presence, ends.serving)
+        self._presence.push(self._presence.loan(is_there=1))  # clients that wait for a server look then
         self._thread = threading.Thread(target=self._run, name='lot-serve')
         self._thread.start()
-        self._presence.push(self._presence.loan(is_there=1))  # clients that wait for a server look then
 
     def __enter__(self):
         return self
@@ -200,7 +200,7 @@ class Server:
 
     def _serve(self):
         task = self._tasks.take(0)
-        if task is None:
+        if not task:
             return
         try:
             self._handle(task)

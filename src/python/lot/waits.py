@@ -22,47 +22,39 @@ class WaitSet:
     def __init__(self, wait=Wait.PARK):
         self._waits = _Waits(wait)
         self._numbers = itertools.count()
-        self._entries = {}  # by number: what, the handler, and whether it is called once only
+        self._entries = {}  # by number: the end, the handler, and whether it is called once only
         self._due = collections.deque()
 
-    def _enter(self, what, handler, once=False):
+    def _enter(self, what, handler, once, add):
         if not callable(handler):
             raise TypeError(f'{handler!r} is no handler')
         number = next(self._numbers)
         self._entries[number] = (what, handler, once)
+        try:
+            add(number)
+        except BaseException:
+            del self._entries[number]
+            raise
         return number
 
     def add(self, end, handler):
         """Calls handler() when the Subscriber or Queue may have something. A handler looks with timeout 0."""
-        number = self._enter(end, handler)
-        try:
-            self._waits.add(number, end)
-        except BaseException:
-            del self._entries[number]
-            raise
+        self._enter(end, handler, False, lambda number: self._waits.add(number, end))
 
     def add_timer(self, period, handler):
         """Calls handler() every so many seconds. Gives a number, for remove()."""
-        number = self._enter(None, handler)
-        try:
-            self._waits.add_timer(number, period, True)
-        except BaseException:
-            del self._entries[number]
-            raise
-        return number
+        return self._enter(None, handler, False, lambda number: self._waits.add_timer(number, period, True))
 
     def add_timer_once(self, delay, handler):
         """Calls handler() once, after so many seconds. Gives a number, for remove()."""
-        number = self._enter(None, handler, once=True)
-        self._waits.add_timer(number, delay, False)
-        return number
+        return self._enter(None, handler, True, lambda number: self._waits.add_timer(number, delay, False))
 
     def remove(self, what):
         """A Subscriber, a Queue or a timer's number: it is not called any more. Nothing where it was not added."""
-        numbers = [number for number, entry in self._entries.items() if entry[0] is what or number is what]
-        for number in numbers:
-            self._waits.remove(number)
-            del self._entries[number]
+        for number, (end, _, _) in list(self._entries.items()):
+            if end is what or (end is None and number == what):
+                self._waits.remove(number)
+                del self._entries[number]
 
     def run_once(self, timeout=None):
         """Waits until something can be done, so many seconds at most, and does it: the number of handlers that were
@@ -74,14 +66,15 @@ class WaitSet:
             self._due.extend(news)
         called = 0
         while self._due:  # a handler that raises leaves the rest for the next time
-            entry = self._entries.get(self._due[0])
             number = self._due.popleft()
-            if entry is None:  # another handler has removed it
+            if number not in self._entries:  # another handler has removed it
                 continue
-            if entry[2]:
+            _, handler, once = self._entries[number]
+            if once:
+                self._waits.remove(number)
                 del self._entries[number]
             called += 1
-            entry[1]()
+            handler()
         return called
 
     def run(self):

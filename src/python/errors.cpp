@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "python/errors.hpp"
+
+#include <cerrno>
+#include <string>
+
+#include "lot/error.hpp"
+
+namespace py = pybind11;
+
+namespace lot::python {
+namespace {
+
+PyObject* error_type = nullptr;          // never released: it lives as long as the module
+PyObject* out_of_memory_type = nullptr;  // the same
+
+void raise(PyObject* type, int number, const char* text, const std::string& object) {
+  const py::object error =
+      py::reinterpret_steal<py::object>(PyObject_CallFunction(type, "is", number, text));
+  if (!error) return;  // what failed is set
+  py::setattr(error, "object", py::str(object));
+  PyErr_SetObject(type, error.ptr());
+}
+
+}  // namespace
+
+void set_error(const std::exception_ptr& thrown) {
+  try {
+    if (thrown) std::rethrow_exception(thrown);
+  } catch (const OutOfMemory& error) {
+    raise(out_of_memory_type, ENOBUFS, error.what(), "segment");
+  } catch (const Error& error) {
+    if (error.error_number() == ERANGE) {
+      PyErr_SetString(PyExc_OverflowError, error.what());
+    } else {
+      raise(error_type, error.error_number(), error.what(), error.object());
+    }
+  }
+}
+
+void define_errors(py::module_& module) {
+  const auto make = [&](const char* name, const char* text, const py::tuple& bases) {
+    py::dict attributes;
+    attributes["__doc__"] = text;
+    attributes["__module__"] = "lot";
+    attributes["object"] = "";
+    const py::object made = py::module_::import("builtins").attr("type")(name, bases, attributes);
+    module.attr(name) = made;
+    return py::object(made).release().ptr();
+  };
+  error_type =
+      make("Error", "A failure from outside: errno, a text that says what to do, and `object`.",
+           py::make_tuple(py::handle(PyExc_OSError)));
+  out_of_memory_type = make("OutOfMemory", "The segment has no room for a message.",
+                            py::make_tuple(py::handle(error_type), py::handle(PyExc_MemoryError)));
+  // NOLINTNEXTLINE(performance-unnecessary-value-param): pybind11 gives it by value
+  py::register_exception_translator([](std::exception_ptr thrown) { set_error(thrown); });
+}
+
+}  // namespace lot::python
