@@ -5,6 +5,7 @@
     lot_test.py PACKAGES PEER [unittest's arguments]    PACKAGES: the folder that has lot/; PEER: peer.cpp's program
 """
 
+import ast
 import asyncio
 import enum
 import errno
@@ -21,6 +22,7 @@ import tempfile
 import threading
 import time
 import unittest
+import unittest.mock
 
 sys.path.insert(0, sys.argv.pop(1))
 PEER = sys.argv.pop(1)
@@ -204,7 +206,7 @@ class Peers(Case):
             with tasks.take() as task:
                 seen.add((task.item.number, task.deliveries))
         self.assertEqual(seen, {(1, 2), (2, 1)})
-        self.assertIsNone(tasks.take(0))
+        self.assertFalse(tasks.take(0))
 
 
 class Values(Case):
@@ -536,7 +538,7 @@ class Queues(Case):
             task.item.number
         with tasks.take() as task:
             self.assertEqual((task.item.number, task.deliveries), (1, 2))
-            self.assertIsNone(tasks.take(0))
+            self.assertFalse(tasks.take(0))
             task.give_back()
         del task
         task = tasks.take()
@@ -547,7 +549,11 @@ class Queues(Case):
             item.number
         with self.assertRaises(ValueError):
             task.finish()
-        self.assertIsNone(tasks.take(0))
+        with tasks.take(0.02) as none:
+            self.assertIsNone(none)
+        for use in (lambda: tasks.take(0).item, tasks.take(0).finish):
+            with self.assertRaises(ValueError):
+                use()
         self.raises(errno.EINVAL, tasks.pop, 0)
 
     def test_views_keep_the_item_of_a_task(self):
@@ -872,14 +878,51 @@ class Program:
 
 
 class RandomPrograms(Case):
+    """LOT_PYTHON_PROGRAMS=10000: so many, where there is time."""
+
+    def setUp(self):
+        super().setUp()
+        self._seed = random.SystemRandom().getrandbits(32)
+
     def test_random_programs_see_what_was_sent_and_leave_nothing(self):
-        seed = random.SystemRandom().getrandbits(32)
-        for number in range(100):
-            with self.subTest(seed=seed, number=number):
-                program = Program(self, random.Random(f'{seed} {number}'))
+        for number in range(int(os.environ.get('LOT_PYTHON_PROGRAMS', '100'))):
+            with self.subTest(seed=self._seed, number=number):
+                program = Program(self, random.Random(f'{self._seed} {number}'))
                 for _ in range(60):
                     program.step()
                 del program
+
+    def test_killed_programs_leave_nothing(self):
+        chance = random.Random(self._seed)
+        for number in range(int(os.environ.get('LOT_PYTHON_PROGRAMS', '100')) // 10):
+            ready, told = os.pipe()
+            child = os.fork()
+            if child == 0:
+                try:
+                    self.engine = lot.Engine()
+                    program = Program(self, random.Random(f'{self._seed} {number}'))
+                    os.write(told, b'.')
+                    while True:
+                        program.step()
+                finally:
+                    os._exit(1)
+            self.assertEqual(os.read(ready, 1), b'.', f'seed {self._seed}, program {number}')
+            time.sleep(chance.uniform(0, 0.02))
+            os.kill(child, signal.SIGKILL)
+            self.assertEqual(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), -signal.SIGKILL,
+                             f'seed {self._seed}, program {number}')
+            os.close(ready)
+            os.close(told)
+        # What they had is free again: half of the segment goes into one message.
+        loan = self.engine.advertise('/large', Frame).loan()
+        patience = time.monotonic() + 60
+        while len(loan.data) == 0:
+            try:
+                loan.data.resize(30 << 20)
+            except lot.OutOfMemory:
+                if time.monotonic() > patience:
+                    raise
+                time.sleep(0.01)
 
 
 class Waits(Case):
@@ -987,6 +1030,73 @@ class Waits(Case):
 
         asyncio.run(both())
         self.assertEqual(seen, [0, 1, 2, 3, 4])
+
+
+class Options(Case):
+    def test_an_engine_takes_the_options_of_cpp(self):
+        with unittest.mock.patch.dict(os.environ):
+            name = os.environ.pop('LOT_SEGMENT') + '_small'  # these come before options
+            del os.environ['LOT_SIZE']
+            engine = lot.Engine(segment=name, size_bytes=32 << 20, processes=4, topics=2, name='some')
+        self.assertEqual(os.path.basename(engine.path), name)
+        ends = [engine.advertise(f'/{number}', Point) for number in range(2)]
+        self.raises(errno.ENOSPC, engine.advertise, '/2', Point)
+        with self.assertRaisesRegex(TypeError, 'colour'):
+            lot.Engine(colour=3)
+        del ends
+
+    def test_no_publisher_waits_for_an_observer(self):
+        pub = self.engine.advertise('/topic', Point, policy=lot.Policy.REFUSE, depth=2)
+        sub = self.engine.subscribe('/topic', observer=True)
+        for x in range(5):
+            self.assertTrue(pub.push(pub.loan(x=x)))
+        self.assertEqual(pub.readers(), 0)
+        first = sub.pull(0).x
+        self.assertGreater(first, 0)
+        self.assertEqual((sub.missed, sub.missed_total), (first, first))
+
+    def test_history_comes_first(self):
+        pub = self.engine.advertise('/topic', Point)
+        for x in range(5):
+            pub.push(pub.loan(x=x))
+        late = self.engine.subscribe('/topic', history=2)
+        self.assertEqual([late.pull(0).x, late.pull(0).x, late.pull(0)], [3, 4, None])
+
+    def test_a_quota_ends_pulls_until_messages_go(self):
+        pub = self.engine.advertise('/topic', Frame)
+        sub = self.engine.subscribe('/topic', Frame, max_held_bytes=1 << 20)
+        for _ in range(6):
+            frame = pub.loan()
+            frame.data.resize(800_000)
+            pub.push(frame)
+        kept = []
+        while (frame := sub.pull(0)) is not None:
+            kept.append(frame)
+        self.assertIn(len(kept), range(1, 4))
+        self.assertEqual(sub.status, lot.Status.HOLDS_TOO_MUCH)
+        self.raises(errno.EDQUOT, next, iter(sub))
+        with sub.borrow(0) as frame:
+            view = np.asarray(frame.data)  # it may not be kept: the borrow goes on with its view
+        self.raises(errno.EBUSY, sub.borrow, 0)
+        del view, kept
+        self.assertIsNotNone(sub.pull(0))
+
+
+class Stubs(unittest.TestCase):
+    def test_stubs_say_what_there_is(self):
+        with open(os.path.join(os.path.dirname(lot.__file__), '__init__.pyi')) as file:
+            known = {its.name: its for its in ast.parse(file.read()).body if isinstance(its, (ast.ClassDef, ast.FunctionDef))}
+        for name in lot.__all__:
+            its = getattr(lot, name)
+            if isinstance(its, lot.Type):  # lot.f32
+                continue
+            self.assertIn(name, known)
+            if not isinstance(its, type):
+                continue
+            said = {item.name for item in known[name].body if isinstance(item, ast.FunctionDef)}
+            there = {key for key in vars(its) if not key.startswith('_')}
+            if not issubclass(its, OSError) and not hasattr(its, '__members__'):
+                self.assertEqual({key for key in said if not key.startswith('_')}, there, name)
 
 
 class Faults(Case):

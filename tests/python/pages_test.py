@@ -23,7 +23,7 @@ FRAMES, BYTES = 30, 1 << 20
 
 
 def python(*words, **options):
-    return subprocess.run([sys.executable, *map(str, words)], env=PYTHON, capture_output=True, text=True, timeout=250, **options)
+    return subprocess.run([sys.executable, *map(str, words)], env=PYTHON, capture_output=True, text=True, timeout=100, **options)
 
 
 class Pages(unittest.TestCase):
@@ -35,7 +35,7 @@ class Pages(unittest.TestCase):
         """The demo's, in its second life: it waits for no consumer."""
         camera = subprocess.Popen([DEMO, '--role=ring-camera', '--run=2', f'--frames={FRAMES}', '--hz=20', f'--bytes={BYTES}'],
                                   stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self.addCleanup(camera.communicate)
+        self.addCleanup(camera.kill)
         self.assertIn('ready', camera.stdout.readline())
         return camera
 
