@@ -180,7 +180,7 @@ class Zmq:
             self.socket.connect(self.place)
 
     def send(self, frame):
-        self.socket.send(frame, copy=False)
+        self.socket.send(frame)  # a copy: the next frame goes into the same memory
 
     def receive(self):
         return np.frombuffer(self.socket.recv(copy=False).buffer, np.uint8)
