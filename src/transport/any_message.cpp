@@ -58,8 +58,7 @@ void refer(const MutableValue& reference, const AnyMessage& target) {
   if (!target) return ref.reset();
   const Description wanted =
       description::part(ValueAccess::description(place), place.type().element);
-  const std::string difference =
-      description::first_difference(wanted, target.type().description());
+  const std::string difference = description::first_difference(wanted, target.type().description());
   if (!difference.empty()) {
     throw Error(EINVAL, place.path(),
                 "the message is of another type, " + target.type().name() + ": " + difference,
