@@ -131,9 +131,7 @@ static bool viewer(lot_stop* stop) {
 }
 
 /* Runs one of the two. It ends well, too, where Ctrl-C has ended it. */
-static int run(bool (*body)(lot_stop* stop)) {
-  lot_stop* stop = NULL;
-  if (!good(lot_stop_on_signals(&stop), "signals")) return 1;
+static int run(bool (*body)(lot_stop* stop), lot_stop* stop) {
   const int code = body(stop) || lot_stop_requested(stop) ? 0 : 1;
   lot_stop_release(stop);
   return code;
@@ -144,14 +142,16 @@ int main(void) {
   snprintf(segment, sizeof segment, "lot_camera_%d", (int)getpid());
   setenv("LOT_SEGMENT", segment, 0); /* unless the caller names one */
 
+  lot_stop* stop = NULL; /* before the child begins: no signal ends it in another way */
+  if (!good(lot_stop_on_signals(&stop), "signals")) return 1;
   const pid_t parent = getpid();
   const pid_t child = fork(); /* before any engine: a child's handles are inert */
   if (child == -1) return 1;
   if (child == 0) {
     prctl(PR_SET_PDEATHSIG, SIGTERM);
-    return getppid() == parent ? run(camera) : 1;
+    return getppid() == parent ? run(camera, stop) : 1;
   }
-  const int code = run(viewer);
+  const int code = run(viewer, stop);
   if (code != 0) kill(child, SIGTERM);
   int status = -1;
   while (waitpid(child, &status, 0) == -1) continue;
