@@ -120,6 +120,9 @@ const ValueAccess::Type& ValueAccess::scalar(const Value& v) {
 
 ValueAccess::Facts ValueAccess::facts(const Value& v, std::uint32_t place) {
   Facts facts;
+  const Kind kind = type_at(v, place).kind;
+  if (kind == Kind::Int || kind == Kind::UInt || kind == Kind::Float)
+    return facts;  // no list of one
   std::vector<char> seen(v.all_->types.size(), 0);
   std::vector<std::uint32_t> open{place};
   while (!open.empty()) {

@@ -1,14 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <algorithm>
 #include <cstddef>
-#include <exception>
+#include <cstdint>
 #include <memory>
-#include <new>
 #include <string>
-#include <utility>
-#include <vector>
-
-#include "lot/error.hpp"
 
 #include "python/errors.hpp"
 #include "python/part.hpp"
@@ -19,27 +13,6 @@ namespace lot::python {
 namespace {
 
 using Type = Description::Type;
-
-/// What call() returns; where it throws, the error of Python is set, and `failed` is returned.
-template <class Result, class Call>
-Result guarded(Result failed, Call&& call) noexcept {
-  try {
-    return call();
-  } catch (py::error_already_set& error) {
-    error.restore();
-  } catch (const py::builtin_exception& error) {
-    error.set_error();
-  } catch (const OutOfMemory&) {
-    set_error(std::current_exception());
-  } catch (const Error&) {
-    set_error(std::current_exception());
-  } catch (const std::bad_alloc&) {
-    PyErr_NoMemory();
-  } catch (const std::exception& error) {
-    PyErr_SetString(PyExc_RuntimeError, error.what());
-  }
-  return failed;
-}
 
 /// Tells elements as PEP 3118 has it.
 class Format {
@@ -123,44 +96,48 @@ class Format {
 
 /// What a view has of its own, until it is released.
 struct View {
+  /// A vector, and arrays in arrays as deep as a description tells (docs/layout.md).
+  static constexpr int kMostDimensions = 17;
+
+  void add(std::uint64_t count) {
+    if (dimensions == kMostDimensions) throw py::buffer_error("it has too many dimensions");
+    shape[dimensions++] = static_cast<Py_ssize_t>(count);
+  }
+
   std::shared_ptr<Held> held;
-  std::string format;
-  std::vector<Py_ssize_t> shape;
-  std::vector<Py_ssize_t> strides;
+  std::string format;  // mostly one letter, which needs no memory
+  int dimensions = 0;
+  Py_ssize_t shape[kMostDimensions];
+  Py_ssize_t strides[kMostDimensions];
   Py_ssize_t item = 0;
 };
 
-/// Without the bytes: what is told of a part. Its format is empty where there can be no view.
-View view_of(const Part& part) {
+/// What is told of a part, without the bytes. The format stays empty where there can be no view.
+void describe(const Part& part, View& view) {
   const Value& value = part.value();
   const Description& all = part.held()->description();
-  View view;
-  view.held = part.held();
   const Type* type = &value.type();
   if (type->kind == Kind::Vector || type->kind == Kind::Array) {
-    view.shape.push_back(static_cast<Py_ssize_t>(value.size()));
+    view.add(value.size());
     while (all.types.at(type->element).kind == Kind::Array) {
       type = &all.types.at(type->element);
-      view.shape.push_back(static_cast<Py_ssize_t>(type->count));
+      view.add(type->count);
     }
-    const Type& element = all.types.at(type->element);
     view.format = Format(all).of(type->element, true);
-    view.item = static_cast<Py_ssize_t>(element.size);
+    view.item = static_cast<Py_ssize_t>(all.types.at(type->element).size);
   } else {
     const auto place = static_cast<std::uint32_t>(type - all.types.data());
     view.format = Format(all).of(place, true);
     view.item = static_cast<Py_ssize_t>(type->size);
   }
-  view.strides.resize(view.shape.size());
   Py_ssize_t stride = view.item;
-  for (std::size_t i = view.shape.size(); i-- > 0; stride *= view.shape[i])
-    view.strides[i] = stride;
-  return view;
+  for (int i = view.dimensions; i-- > 0; stride *= view.shape[i]) view.strides[i] = stride;
 }
 
 void fill(PyObject* self, Py_buffer* buffer, int flags) {
-  const auto& part = py::handle(self).cast<const Part&>();
-  auto view = std::make_unique<View>(view_of(part));
+  const Part& part = part_of(self);
+  auto view = std::make_unique<View>();
+  describe(part, *view);
   if (view->format.empty()) {
     throw py::buffer_error("its elements have strings, vectors or references: use them one by one");
   }
@@ -171,19 +148,22 @@ void fill(PyObject* self, Py_buffer* buffer, int flags) {
   static constexpr std::byte kNothing{};  // an empty vector has no memory
   const Bytes bytes = part.value().bytes();
   const std::byte* const at = part.held()->pin(bytes.data());
+  view->held = part.held();
   buffer->buf = const_cast<std::byte*>(bytes.size() == 0 ? &kNothing : at);
   buffer->len = static_cast<Py_ssize_t>(bytes.size());
   buffer->itemsize = view->item;
   buffer->readonly = is_loan ? 0 : 1;
-  buffer->ndim = static_cast<int>(view->shape.size());
+  buffer->ndim = view->dimensions;
   buffer->format = (flags & PyBUF_FORMAT) != 0 ? view->format.data() : nullptr;
-  buffer->shape = (flags & PyBUF_ND) != 0 ? view->shape.data() : nullptr;
-  buffer->strides = (flags & PyBUF_STRIDES) == PyBUF_STRIDES ? view->strides.data() : nullptr;
+  buffer->shape = (flags & PyBUF_ND) != 0 ? view->shape : nullptr;
+  buffer->strides = (flags & PyBUF_STRIDES) == PyBUF_STRIDES ? view->strides : nullptr;
   buffer->suboffsets = nullptr;
   buffer->internal = view.release();
   Py_INCREF(self);
   buffer->obj = self;
 }
+
+}  // namespace
 
 int get_buffer(PyObject* self, Py_buffer* buffer, int flags) noexcept {
   buffer->obj = nullptr;
@@ -193,33 +173,15 @@ int get_buffer(PyObject* self, Py_buffer* buffer, int flags) noexcept {
   });
 }
 
-/// What Python would find by __getattr__, had it not first made an AttributeError of its own and
-/// thrown it away: that is half of the time.
-PyObject* get_attribute(PyObject* self, PyObject* name) noexcept {
-  if (_PyType_Lookup(Py_TYPE(self), name) != nullptr) return PyObject_GenericGetAttr(self, name);
-  return guarded(static_cast<PyObject*>(nullptr), [&] {
-    Py_ssize_t size = 0;
-    const char* const text = PyUnicode_AsUTF8AndSize(name, &size);
-    if (text == nullptr) throw py::error_already_set();
-    const auto& part = py::handle(self).cast<const Part&>();
-    return part.attribute({text, static_cast<std::size_t>(size)}).release().ptr();
-  });
-}
-
 void release_buffer(PyObject*, Py_buffer* buffer) noexcept {
   const std::unique_ptr<View> view(static_cast<View*>(buffer->internal));
   view->held->unpin();
 }
 
-}  // namespace
-
-bool has_buffer(const Part& part) { return !view_of(part).format.empty(); }
-
-void add_protocols(PyHeapTypeObject* type) {
-  type->ht_type.tp_getattro = get_attribute;
-  type->ht_type.tp_as_buffer = &type->as_buffer;
-  type->as_buffer.bf_getbuffer = get_buffer;
-  type->as_buffer.bf_releasebuffer = release_buffer;
+bool has_buffer(const Part& part) {
+  View view;
+  describe(part, view);
+  return !view.format.empty();
 }
 
 }  // namespace lot::python

@@ -4,7 +4,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <utility>
 
 #include <pybind11/pybind11.h>
@@ -41,7 +40,9 @@ class Held {
   explicit Held(AnyTask task) : state_(State::Task), task_(std::move(task)) {}
   /// A message in private memory, which is there until end(): no view may outlive that.
   Held(const Value& value, AnyType type)
-      : state_(State::Lent), lent_(value), lent_type_(std::move(type)) {}
+      : state_(State::Lent),
+        lent_(std::make_unique<const Value>(value)),
+        lent_type_(std::move(type)) {}
   Held(const Held&) = delete;
   Held& operator=(const Held&) = delete;
 
@@ -92,7 +93,7 @@ class Held {
   AnyBorrow borrow_;
   AnyLoan loan_;
   AnyTask task_;
-  std::optional<Value> lent_;
+  std::unique_ptr<const Value> lent_;  ///< apart: it is large, and few have one
   AnyType lent_type_;
   bool is_in_slot_ = false;            ///< borrowed: the message is a copy in the puller's memory
   std::unique_ptr<std::byte[]> copy_;  ///< of that, for views

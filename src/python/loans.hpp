@@ -33,7 +33,7 @@ pybind11::object build(Lend&& lend, const pybind11::kwargs& fields) {
   for (const auto& [name, value] : fields) {
     part.set_attribute(name.template cast<std::string>(), value);
   }
-  return pybind11::cast(std::move(part));
+  return to_object(std::move(part));
 }
 
 /// A loan on its way to readers: it goes back to its part unless it was taken from here.

@@ -122,6 +122,7 @@ PYBIND11_MODULE(_lot, module) {
   define_errors(module);
   define_kinds(module);
   define_types(module);
+  define_part_type(module);
   define_part(module);
   define_ends(module);
 }

@@ -74,7 +74,7 @@ void set_elements(const std::shared_ptr<Held>& held, const MutableValue& place, 
     place.resize(count);
     if (count == 0) return;
   }
-  py::module_::import("lot").attr("_fill")(py::cast(Part(held, value)), object);
+  py::module_::import("lot").attr("_fill")(to_object(Part(held, value)), object);
 }
 
 void set_each(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
@@ -91,10 +91,10 @@ void set_each(const std::shared_ptr<Held>& held, const MutableValue& place, py::
 /// None, or the message of a whole part.
 void set_reference(const Held& held, const MutableValue& place, py::handle object) {
   if (object.is_none()) return held.refer(place, nullptr);
-  if (!py::isinstance<Part>(object)) {
+  if (!is_part(object)) {
     throw py::type_error("a reference is set to a message, or None");
   }
-  held.refer(place, object.cast<const Part&>().message());
+  held.refer(place, part_of(object).message());
 }
 
 void set(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
@@ -167,7 +167,7 @@ py::object to_python(const std::shared_ptr<Held>& held, const Value& value) {
       if (value.is_null()) return py::none();
       return to_python(held, value.target());
     default:
-      return py::cast(Part(held, value));
+      return to_object(Part(held, value));
   }
 }
 
@@ -195,17 +195,17 @@ std::size_t Part::index(py::handle key) const {
 py::object Part::item(const py::object& key) const {
   if (py::isinstance<py::str>(key)) return to_python(held_, value().at(key.cast<std::string>()));
   if (py::isinstance<py::slice>(key) || py::isinstance<py::tuple>(key)) {
-    return py::module_::import("numpy").attr("asarray")(py::cast(*this)).attr("__getitem__")(key);
+    return py::module_::import("numpy").attr("asarray")(to_object(*this)).attr("__getitem__")(key);
   }
   return to_python(held_, value()[index(key)]);
 }
 
-void Part::set_attribute(const std::string& name, py::handle object) {
+void Part::set_attribute(std::string_view name, py::handle object) {
   const MutableValue whole = building();
   if (!value().has(name)) {
-    throw py::attribute_error("the message has no field '" + name + "' here");
+    throw py::attribute_error("the message has no field '" + std::string(name) + "' here");
   }
-  set(held_, whole[std::string_view(name)], object);
+  set(held_, whole[name], object);
 }
 
 void Part::set_item(const py::object& key, py::handle object) {
@@ -213,7 +213,7 @@ void Part::set_item(const py::object& key, py::handle object) {
   if (py::isinstance<py::str>(key)) {
     set(held_, whole.at(key.cast<std::string>()), object);
   } else if (py::isinstance<py::slice>(key) || py::isinstance<py::tuple>(key)) {
-    py::module_::import("numpy").attr("asarray")(py::cast(*this)).attr("__setitem__")(key, object);
+    py::module_::import("numpy").attr("asarray")(to_object(*this)).attr("__setitem__")(key, object);
   } else {
     set(held_, whole[index(key)], object);
   }
@@ -234,13 +234,15 @@ py::list Part::fields() const {
   return names;
 }
 
+py::object Part::text() const { return text_of(to_string(value())); }
+
 py::object Part::copy() const {
   const auto copied = [](const py::object& object) {
-    return py::isinstance<Part>(object) ? object.cast<const Part&>().copy() : object;
+    return is_part(object) ? part_of(object).copy() : object;
   };
   const Kind kind = value().kind();
   if (kind != Kind::Struct && has_buffer(*this)) {
-    return py::module_::import("numpy").attr("array")(py::cast(*this));
+    return py::module_::import("numpy").attr("array")(to_object(*this));
   }
   if (kind != Kind::Struct) {
     py::list items;
@@ -262,7 +264,7 @@ class Weak {
   py::object lock() const {
     auto kept = message_.lock();
     if (!kept) return py::none();
-    return py::cast(Part(std::make_shared<Held>(AnyMessage(std::move(kept), type_))));
+    return to_object(Part(std::make_shared<Held>(AnyMessage(std::move(kept), type_))));
   }
 
  private:
@@ -289,35 +291,6 @@ void define_part(py::module_& module) {
       "several\n"
       "topics, or referred to.");
   module.def("_whole", [](const Part& part) { return Part(part.held()); });
-  py::class_<Part>(module, "Part", py::custom_type_setup(add_protocols),
-                   "A message, or a struct, array, vector or opaque value in it. It keeps the\n"
-                   "message. Fields are attributes, elements items; numpy looks without a copy.")
-      .def("__setattr__", &Part::set_attribute)
-      .def("__getitem__", &Part::item)
-      .def("__setitem__", &Part::set_item)
-      .def("__len__", &Part::size)
-      .def("__bool__", [](const Part&) { return true; })
-      .def("__dir__",
-           [](const py::object& self) {
-             py::list names =
-                 py::module_::import("builtins").attr("list")(py::type::of(self).attr("__dict__"));
-             for (const auto name : self.cast<const Part&>().fields()) names.append(name);
-             return names;
-           })
-      .def("__repr__", [](const Part& part) { return text_of(to_string(part.value())); })
-      .def("__reduce__",
-           [](const Part& part) {
-             return py::make_tuple(py::module_::import("lot").attr("_same"),
-                                   py::make_tuple(part.copy()));
-           })
-      .def("resize", &Part::resize, py::arg("count"),
-           "Gives a vector of a loan so many elements: those that come are zero, or empty.")
-      .def("assign", &Part::assign, py::arg("value"),
-           "Sets all of it: a vector or array by a sequence or an array of numpy, a struct by a "
-           "dict.")
-      .def("fields", &Part::fields, "The names of a struct's fields.")
-      .def("copy", &Part::copy,
-           "A copy in plain Python: structs as SimpleNamespace, numbers as arrays of numpy.");
 }
 
 }  // namespace lot::python

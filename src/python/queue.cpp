@@ -52,7 +52,7 @@ py::object Queue::pop(Seconds timeout) {
     return end ? its->wait_and_pop_until(*end) : its->try_pop();
   });
   if (!found) return py::none();
-  return py::cast(Part(std::make_shared<Held>(std::move(found))));
+  return to_object(Part(std::make_shared<Held>(std::move(found))));
 }
 
 Task Queue::take(Seconds timeout) {

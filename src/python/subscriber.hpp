@@ -20,9 +20,7 @@ class Borrow {
   Borrow(Borrow&&) = default;
   Borrow& operator=(Borrow&&) = delete;
 
-  pybind11::object message() const {
-    return held_ ? pybind11::cast(Part(held_)) : pybind11::none();
-  }
+  pybind11::object message() const { return held_ ? to_object(Part(held_)) : pybind11::none(); }
   bool has_message() const noexcept { return held_ != nullptr; }
   void end() noexcept {
     if (held_) held_->end();
@@ -52,7 +50,7 @@ class Subscriber {
       found = end ? puller.pull_until(Deadline(*end)) : puller.try_pull();
     });
     if (!found) return pybind11::none();
-    return pybind11::cast(Part(std::make_shared<Held>(std::move(found))));
+    return to_object(Part(std::make_shared<Held>(std::move(found))));
   }
   AnyPuller& puller() const noexcept { return its_->puller; }
   const std::shared_ptr<Subscription>& subscription() const noexcept { return its_; }

@@ -23,6 +23,7 @@ import threading
 import time
 import unittest
 import unittest.mock
+import weakref
 
 sys.path.insert(0, sys.argv.pop(1))
 PEER = sys.argv.pop(1)
@@ -88,7 +89,17 @@ class Pair:
     boxes: lot.vector[lot.ref[Box]]
 
 
+NEEDED = {'cv2': 'no OpenCV here', 'PIL': 'no Pillow here'}  # scripts/setup test has them
+
+
+def needs(name):
+    return unittest.skipUnless(importlib.util.find_spec(name), NEEDED[name])
+
+
 def setUpModule():
+    for name, reason in NEEDED.items():
+        if not importlib.util.find_spec(name):
+            print('skipped:', reason)
     os.environ.setdefault('LOT_SEGMENT', f'lot_python_{os.getpid()}')
     os.environ['LOT_SIZE'] = '64M'
 
@@ -281,6 +292,24 @@ class Values(Case):
             box.points[2]
         self.raises(errno.EINVAL, box.__getitem__, 'points[2]')
         self.assertEqual(box.mode, 7)
+
+    def test_parts_are_objects_like_others(self):
+        pub = self.engine.advertise('/topic', Box)
+        box = self.box(pub)
+        for wrong, error in ((lot.Part, TypeError), (lambda: type('Mine', (lot.Part,), {}), TypeError),
+                             (lambda: delattr(box, 'mode'), TypeError), (lambda: box.scores.__delitem__(0), TypeError),
+                             (lambda: box.scores.resize('x'), TypeError), (lambda: box.scores.resize(-1), OverflowError),
+                             (lambda: box.scores.resize(1 << 64), OverflowError), (lambda: box[1.5], TypeError),
+                             (lambda: getattr(box, '\udcff'), UnicodeEncodeError)):
+            with self.assertRaises(error):
+                wrong()
+        seen = weakref.ref(box)
+        self.assertIs(seen(), box)
+        self.assertEqual((len({box, box}), bool(box.names), [*reversed(box.scores)]), (1, True, [2.5, 1.5, 0.5]))
+        self.assertEqual([name for name in dir(box) if not name.startswith('_')],
+                         sorted(['assign', 'copy', 'fields', 'resize', *box.fields()]))
+        del box
+        self.assertIsNone(seen())
 
     def test_received_messages_are_read_only(self):
         pub, sub = self.ends(Box)
@@ -478,14 +507,14 @@ class Lifetimes(Case):
         frame = sub.pull(0)
         return frame, np.asarray(frame.data).reshape(frame.height, frame.width, 3)
 
-    @unittest.skipUnless(importlib.util.find_spec('cv2'), 'OpenCV is not installed (python3-opencv)')
+    @needs('cv2')
     def test_opencv_takes_views(self):
         import cv2
         frame, image = self.image()
         self.assertEqual(cv2.extractChannel(image, 1).tolist(), image[:, :, 1].tolist())
         self.assertEqual(cv2.sumElems(image)[0], image[:, :, 0].sum())
 
-    @unittest.skipUnless(importlib.util.find_spec('PIL'), 'Pillow is not installed (python3-pil)')
+    @needs('PIL')
     def test_pillow_takes_views(self):
         from PIL import Image
         frame, pixels = self.image()
