@@ -3,11 +3,15 @@
 """What the package for Python costs, beside multiprocessing.shared_memory, a Unix socket with pickle, and pyzmq (where
 it is installed), in one run, in turn.
 
-    python.py PACKAGES [--rounds N] [--json FILE]      PACKAGES: the folder that has lot/
+    python.py PACKAGES [--rounds N] [--json FILE] [--cpp PROGRAM] [--quick]
+
+PACKAGES: the folder that has lot/; PROGRAM: of python_arm.cpp, which is LOT in C++; --quick: that it works, not how fast.
 
   view      a frame from the call that receives it to an array of numpy that shows it, in microseconds, for frames of
-            several sizes: what waits is there already
-  small     messages of 16 bytes a second, from one process to another: both ends work as fast as they can
+            several sizes: one after another. LOT's have all been sent by then; the other arms have no room for so many
+  rested    the same where the reader has slept for 20 ms before each frame: the processor has other things in its caches
+  small     messages of 16 bytes a second, from before the first push to after the last receipt, from one process to
+            another: both ends work as fast as they can
   parked    a message at 30 Hz, from before its push to after its receipt, in microseconds: the reader sleeps
 
 Each array is read at its last byte, which says which frame it must be.
@@ -22,6 +26,7 @@ import pickle
 import socket
 import statistics
 import struct
+import subprocess
 import sys
 import tempfile
 import time
@@ -30,6 +35,8 @@ arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argpars
 arguments.add_argument('packages')
 arguments.add_argument('--rounds', type=int, default=5)
 arguments.add_argument('--json')
+arguments.add_argument('--cpp')
+arguments.add_argument('--quick', action='store_true')
 OPTIONS = arguments.parse_args()
 sys.path.insert(0, OPTIONS.packages)
 
@@ -41,9 +48,9 @@ try:
 except ImportError:
     zmq = None
 
-SIZES = (1 << 10, 1 << 16, 1 << 20, 16 << 20)
-SMALL = 100_000
-PARKED = 60
+SIZES = (1 << 10, 1 << 20) if OPTIONS.quick else (1 << 10, 1 << 16, 1 << 20, 16 << 20)
+FRAMES, SMALL, PARKED = (4, 1000, 3) if OPTIONS.quick else (20, 100_000, 60)
+HZ = 30
 
 
 @lot.message
@@ -66,12 +73,12 @@ class Lot:
 
     def open(self, is_sender, what):
         self.engine = lot.Engine(segment=self.place, size_bytes=1 << 29)
-        kind = {'frame': Frame, 'small': Small}[what]
+        kind = Frame if what == 'frame' else Small
         if is_sender:
             self.end = self.engine.advertise('/topic', kind, policy=lot.Policy.BLOCK, block_for=60, depth=64)
             self.end.wait_for_readers()
         else:
-            self.end = self.engine.subscribe('/topic', kind)
+            self.end = self.engine.subscribe('/topic', kind, wait=lot.Wait.PARK if what == 'parked' else lot.Wait.ADAPTIVE)
 
     def send(self, frame):
         loan = self.end.loan()
@@ -195,76 +202,101 @@ class Zmq:
 ARMS = {'lot': Lot, 'shared_memory': SharedMemory, 'socket and pickle': Pickled, **({'pyzmq': Zmq} if zmq else {})}
 
 
-def send_frames(arm, size, count):
+def send_frames(arm, sent, size, pause):
     frame = np.zeros(size, np.uint8)
-    for number in range(count):
+    for number in range(FRAMES):
         frame[-1] = number
         arm.send(frame)
+    sent.set()
 
 
-def receive_frames(arm, size, count):
+def receive_frames(arm, sent, size, pause):
+    sent.wait(1)
     times = []
-    for number in range(count):
-        time.sleep(0.02)  # what is sent is there by now
+    for number in range(FRAMES):
+        time.sleep(pause)
         begin = time.perf_counter_ns()
         view = arm.receive()
         times.append((time.perf_counter_ns() - begin) / 1000)
         if view.size != size or view[-1] != number:
             raise RuntimeError(f'{type(arm).__name__}: frame {number} is another one')
         del view
-    return statistics.median(times[count // 4:])
+    return statistics.median(times[FRAMES // 4:])
 
 
-def send_small(arm, count, pause):
+def send_small(arm, sent, count, pause):
     for number in range(count):
         if pause:
             time.sleep(pause)
         arm.send_small(number, time.monotonic_ns())
 
 
-def receive_small(arm, count, pause):
-    delays, total = [], 0
-    begin = time.perf_counter()
+def receive_small(arm, sent, count, pause):
+    delays, total, begin = [], 0, 0
     for number in range(count):
         seen, stamp = arm.receive_small()
         if pause:
             delays.append((time.monotonic_ns() - stamp) / 1000)
         total += seen
-        if number == 0:
-            begin = time.perf_counter()
-    seconds = time.perf_counter() - begin
+        begin = begin or stamp
+    seconds = (time.monotonic_ns() - begin) / 1e9
     if total != count * (count - 1) // 2:
         raise RuntimeError(f'{type(arm).__name__}: not all messages came')
-    return statistics.median(delays) if pause else (count - 1) / seconds
+    return statistics.median(delays) if pause else count / seconds
 
 
-def far_end(arm, what, work, rest):
+def far_end(arm, what, work, sent, rest):
     arm.open(True, what)
-    work(arm, *rest)
+    work(arm, sent, *rest)
     time.sleep(0.2)  # until all is read
     if isinstance(arm, SharedMemory):
         arm.memory.unlink()
 
 
 def measure(arm_type, what, sender, receiver, *rest):
-    arm = arm_type(f'lot_bench_{os.getpid()}_{time.monotonic_ns()}')
-    far = multiprocessing.get_context('fork').Process(target=far_end, args=(arm, what, sender, rest))
+    arm, forked = arm_type(place()), multiprocessing.get_context('fork')
+    sent = forked.Event()
+    far = forked.Process(target=far_end, args=(arm, what, sender, sent, rest))
     far.start()
     arm.open(False, what)
-    figure = receiver(arm, *rest)
+    figure = receiver(arm, sent, *rest)
     far.join()
     return figure
 
 
+def place():
+    return f'lot_bench_{os.getpid()}_{time.monotonic_ns()}'
+
+
+def measure_cpp(count, pause):
+    """What measure() says of LOT: the same ends in C++."""
+    env = dict(os.environ, LOT_SEGMENT=place())
+    words = [str(count), str(int(pause * 1e9))]
+    with subprocess.Popen([OPTIONS.cpp, 'send', *words], env=env) as sender:
+        said = subprocess.run([OPTIONS.cpp, 'receive', *words], env=env, check=True, capture_output=True, text=True).stdout
+    if sender.returncode != 0:
+        raise RuntimeError(f'{OPTIONS.cpp} send: {sender.returncode}')
+    return float(said)
+
+
+def one_round(rows):
+    def add(question, unit, name, figure):
+        rows.setdefault((question, unit, name), []).append(figure)
+    for name, arm in ARMS.items():
+        for size in SIZES:
+            for question, pause in (('view', 0), ('rested', 0.02)):
+                add(question, f'{size >> 10} KiB, us', name, measure(arm, 'frame', send_frames, receive_frames, size, pause))
+        add('small', '1/s', name, measure(arm, 'small', send_small, receive_small, SMALL, 0))
+        add('parked', 'us', name, measure(arm, 'parked', send_small, receive_small, PARKED, 1 / HZ))
+    if OPTIONS.cpp:
+        add('small', '1/s', 'lot in C++', measure_cpp(SMALL, 0))
+        add('parked', 'us', 'lot in C++', measure_cpp(PARKED, 1 / HZ))
+
+
 def main():
     rows = {}
-    for _ in range(OPTIONS.rounds):
-        for name, arm in ARMS.items():
-            for size in SIZES:
-                figure = measure(arm, 'frame', send_frames, receive_frames, size, 20)
-                rows.setdefault(('view', f'{size >> 10} KiB, us', name), []).append(figure)
-            rows.setdefault(('small', '1/s', name), []).append(measure(arm, 'small', send_small, receive_small, SMALL, 0))
-            rows.setdefault(('parked', 'us', name), []).append(measure(arm, 'small', send_small, receive_small, PARKED, 1 / 30))
+    for _ in range(1 if OPTIONS.quick else OPTIONS.rounds):
+        one_round(rows)
     for (question, unit, name), figures in sorted(rows.items()):
         print(f'{question:7} {unit:14} {name:18} {statistics.median(figures):12.1f}  ({min(figures):.1f} .. {max(figures):.1f})')
     if OPTIONS.json:
