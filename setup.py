@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds the package `lot` by CMake: for pip, which reads pyproject.toml. LOT_CMAKE_OPTIONS in the environment: more options of
-CMake."""
+"""Builds the package `lot` by CMake: for pip, which reads pyproject.toml. In the environment: LOT_CMAKE_OPTIONS, more options of
+CMake; LOT_BUILD_TREE, a tree of CMake that is configured already, in place of one that is made and thrown away."""
 
 import os
 import pathlib
@@ -20,9 +20,11 @@ OPTIONS = ['-DCMAKE_BUILD_TYPE=Release', '-DLOT_LIBRARY_UNITY=ON', '-DLOT_BUILD_
 
 class BuildByCMake(build_ext):
     def build_extension(self, extension):
-        tree = pathlib.Path(self.build_temp).resolve()
-        subprocess.run(['cmake', '-S', ROOT, '-B', tree, f'-DPYTHON_EXECUTABLE={sys.executable}', *OPTIONS,
-                        *shlex.split(os.environ.get('LOT_CMAKE_OPTIONS', ''))], check=True)
+        known = os.environ.get('LOT_BUILD_TREE')
+        tree = pathlib.Path(known or self.build_temp).resolve()
+        if not known:
+            subprocess.run(['cmake', '-S', ROOT, '-B', tree, f'-DPYTHON_EXECUTABLE={sys.executable}', *OPTIONS,
+                            *shlex.split(os.environ.get('LOT_CMAKE_OPTIONS', ''))], check=True)
         subprocess.run(['cmake', '--build', tree, '--target', 'lot_python', '--parallel', str(os.cpu_count())], check=True)
         built, = (tree / 'python' / 'lot').glob('_lot.*.so')
         self.copy_file(built, self.get_ext_fullpath(extension.name))
