@@ -13,8 +13,9 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
 ROOT = pathlib.Path(__file__).resolve().parent
+SCRATCH = ROOT / 'build' / 'pip'
 VERSION = re.search(r'^ *VERSION ([0-9.]+)$', (ROOT / 'CMakeLists.txt').read_text(), re.M)[1]
-OPTIONS = ['-DCMAKE_BUILD_TYPE=Release', '-DLOT_LIBRARY_UNITY=ON', '-DLOT_BUILD_PYTHON=ON', '-DLOT_BUILD_RECORD=ON',
+OPTIONS = ['-DCMAKE_BUILD_TYPE=Release', '-DCMAKE_UNITY_BUILD=ON', '-DLOT_LIBRARY_UNITY=ON', '-DLOT_BUILD_PYTHON=ON', '-DLOT_BUILD_RECORD=ON',
            *(f'-DLOT_BUILD_{what}=OFF' for what in ('TOOL', 'TESTS', 'BENCH', 'EXAMPLES', 'ROS'))]
 
 
@@ -30,5 +31,7 @@ class BuildByCMake(build_ext):
         self.copy_file(built, self.get_ext_fullpath(extension.name))
 
 
+SCRATCH.mkdir(parents=True, exist_ok=True)
 setup(version=VERSION, packages=['lot'], package_dir={'lot': 'src/python/lot'}, package_data={'lot': ['*.pyi', 'py.typed']},
-      ext_modules=[Extension('lot._lot', [])], cmdclass={'build_ext': BuildByCMake}, zip_safe=False)
+      ext_modules=[Extension('lot._lot', [])], cmdclass={'build_ext': BuildByCMake}, zip_safe=False,
+      options={'build': {'build_base': str(SCRATCH)}, 'egg_info': {'egg_base': str(SCRATCH)}})
