@@ -97,6 +97,7 @@ def needs(name):
 
 
 def setUpModule():
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
     for name, reason in NEEDED.items():
         if not importlib.util.find_spec(name):
             print('skipped:', reason)
