@@ -5,6 +5,7 @@
     pages_test.py PACKAGES DEMO CHAIN PEER [unittest's arguments]     DEMO, CHAIN, PEER: programs
 """
 
+import contextlib
 import os
 import pathlib
 import re
@@ -31,13 +32,16 @@ class Pages(unittest.TestCase):
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         return done.stdout.splitlines()
 
+    @contextlib.contextmanager
     def camera(self):
-        """The demo's, in its second life: it waits for no consumer."""
+        """The demo's, in its second life: it waits for no consumer. It leaves when its input ends."""
         camera = subprocess.Popen([DEMO, '--role=ring-camera', '--run=2', f'--frames={FRAMES}', '--hz=20', f'--bytes={BYTES}'],
                                   stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.addCleanup(camera.kill)
         self.assertIn('ready', camera.stdout.readline())
-        return camera
+        yield
+        camera.communicate(timeout=100)  # its output is read to the end: else SIGPIPE would kill it
+        self.assertEqual(camera.returncode, 0)
 
     def test_the_lines_of_the_readme_show_live_frames(self):
         lines = re.search(r'^```python\n(.*?)^```$', (ROOT / 'README.md').read_text(), re.M | re.S)[1]
