@@ -225,6 +225,7 @@ Index index_of(InFile& file, const Limits& limits) {
   } catch (const Incomplete&) {
     // It is right, and has less than the file.
   } catch (const NoSummary&) {
+    // Its writer has left it out.
   } catch (const Malformed& malformed) {
     fault = malformed.what();
   }

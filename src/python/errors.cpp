@@ -14,12 +14,23 @@ namespace {
 PyObject* error_type = nullptr;          // never released: it lives as long as the module
 PyObject* out_of_memory_type = nullptr;  // the same
 
-void raise(PyObject* type, int number, const char* text, const std::string& object) {
-  const py::object error =
-      py::reinterpret_steal<py::object>(PyObject_CallFunction(type, "is", number, text));
-  if (!error) return;  // what failed is set
-  py::setattr(error, "object", py::str(object));
-  PyErr_SetObject(type, error.ptr());
+/// A new reference; null: what failed is set. Texts of others may be no UTF-8.
+PyObject* decoded(const std::string& text) noexcept {
+  return PyUnicode_DecodeUTF8(text.data(), static_cast<Py_ssize_t>(text.size()), "surrogateescape");
+}
+
+void raise(PyObject* type, int number, const std::string& what,
+           const std::string& object) noexcept {
+  PyObject* const text = decoded(what);
+  PyObject* const its = decoded(object);
+  PyObject* const error =
+      text != nullptr && its != nullptr ? PyObject_CallFunction(type, "iO", number, text) : nullptr;
+  if (error != nullptr && PyObject_SetAttrString(error, "object", its) == 0) {
+    PyErr_SetObject(type, error);
+  }
+  Py_XDECREF(error);
+  Py_XDECREF(its);
+  Py_XDECREF(text);
 }
 
 }  // namespace

@@ -33,6 +33,8 @@ Result guarded(Result failed, Call&& call) noexcept {
     PyErr_NoMemory();
   } catch (const std::exception& error) {
     PyErr_SetString(PyExc_RuntimeError, error.what());
+  } catch (...) {
+    PyErr_SetString(PyExc_RuntimeError, "an exception that has no text");
   }
   return failed;
 }

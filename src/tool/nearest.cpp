@@ -37,7 +37,11 @@ std::string list_of(const std::vector<std::string>& names) {
 /// What keeps the pattern from being one; empty: nothing.
 std::string fault_of(const std::string& pattern) {
   for (std::size_t i = 0; i < pattern.size(); ++i) {
-    if (pattern[i] == '\\' && ++i == pattern.size()) return "it ends with a backslash";
+    if (pattern[i] == '\\') {
+      ++i;  // what it stands before is meant itself
+      if (i == pattern.size()) return "it ends with a backslash";
+      continue;
+    }
     if (pattern[i] != '[') continue;
     std::size_t first = i + 1;
     if (first < pattern.size() && (pattern[first] == '!' || pattern[first] == '^')) ++first;
