@@ -42,7 +42,8 @@ using ShmList = boost::container::list<T, ShmAllocator<T>>;
 /// A list that is linked forwards only.
 template <class T>
 using ShmSlist = boost::container::slist<T, ShmAllocator<T>>;
-/// Elements never move, however it grows.
+/// Elements never move, however it grows. After OutOfMemory it is of no more use, until it is
+/// swapped with an empty one: without NDEBUG an assertion of Boost 1.74 ends the program.
 template <class T>
 using ShmStableVector = boost::container::stable_vector<T, ShmAllocator<T>>;
 /// The first N elements lie in the container itself.

@@ -2,6 +2,8 @@
 #include "python/errors.hpp"
 
 #include <cerrno>
+#include <exception>
+#include <new>
 #include <string>
 
 #include "lot/error.hpp"
@@ -46,6 +48,28 @@ void set_error(const std::exception_ptr& thrown) {
     } else {
       raise(error_type, error.error_number(), error.what(), error.object());
     }
+  }
+}
+
+void set_current_error() noexcept {
+  try {
+    try {
+      throw;
+    } catch (py::error_already_set& error) {
+      error.restore();
+    } catch (const py::builtin_exception& error) {
+      error.set_error();
+    } catch (const OutOfMemory&) {
+      set_error(std::current_exception());
+    } catch (const Error&) {
+      set_error(std::current_exception());
+    } catch (const std::bad_alloc&) {
+      PyErr_NoMemory();
+    } catch (const std::exception& error) {
+      PyErr_SetString(PyExc_RuntimeError, error.what());
+    }
+  } catch (...) {
+    PyErr_SetString(PyExc_RuntimeError, "an exception that has no text");
   }
 }
 

@@ -201,6 +201,8 @@ class Gallery {
     try {
       seen = change_part(c.real(), other.real(), one_memory, random_);
     } catch (const OutOfMemory&) {  // it may have happened in part
+      mend_after_failure(c.real());
+      mend_after_failure(other.real());
       c.model = as<D<Std>>(c.real());
       other.model = as<D<Std>>(other.real());
       return;

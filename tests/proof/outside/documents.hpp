@@ -485,6 +485,18 @@ std::uint64_t change(C& c, C& other, Random& random) {
   }
 }
 
+/// After an allocation that failed. Boost 1.74's stable vector may then have more spare nodes than
+/// its index has room for, and an assertion of its next call ends the program: it is emptied.
+template <class D>
+void mend_after_failure(D& document) {
+  const auto mend = []<class C>(C& c) {
+    if constexpr (std::is_same_v<C, ShmStableVector<typename C::value_type>>) {
+      C(c.get_allocator()).swap(c);
+    }
+  };
+  std::apply([&](auto&... parts) { (mend(parts), ...); }, document.parts());
+}
+
 constexpr std::uint64_t kMostParts = 32;
 
 /// Changes one container of a document, perhaps with the same one of another document.
