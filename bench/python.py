@@ -211,7 +211,7 @@ def send_frames(arm, sent, size, pause):
 
 
 def receive_frames(arm, sent, size, pause):
-    sent.wait(1)
+    sent.wait(1 if isinstance(arm, Lot) else 0.2)  # the others wait for the receiver
     times = []
     for number in range(FRAMES):
         time.sleep(pause)
