@@ -181,7 +181,7 @@ TEST_CASE("a segment with changed words is looked at without a step outside of i
   const std::string path = room.path() + "/s";
   unsigned mapped = 0;
   unsigned complaints = 0;
-  for (unsigned n = 0; n < 1500; ++n) {
+  for (unsigned n = 0; n < 1000; ++n) {
     CAPTURE(n);
     write_to(path, damager.damaged());
     lot::tool::Sight sight = lot::tool::sight({room.path(), "", {}}, "s");
@@ -237,7 +237,7 @@ TEST_CASE("the command ends with 0, 1 or 3 and a whole document, whatever the se
   const Watchdog watchdog(300);
   Damager damager(image(), seed() + 1);
   const Room room;
-  for (unsigned n = 0; n < 100; ++n) {
+  for (unsigned n = 0; n < 50; ++n) {
     CAPTURE(n);
     write_to(room.path() + "/s", damager.damaged());
     for (const char* command : {"ls", "top", "who", "doctor", "clean"}) {
