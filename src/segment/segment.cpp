@@ -256,10 +256,13 @@ Segment::Fit fit_of(int fd, std::uint64_t wanted, std::string& reason) {
   }
   const std::string owner = error == EACCES ? owner_and_mode(path) : "";
   if (!owner.empty()) {
-    throw Error(error, path, std::string(what) + ", it belongs to " + owner,
-                way_in(path) + ", or set LOT_SEGMENT or LOT_DIR");
+    throw Error(error, path, std::string(what) + ", it belongs to " + owner, way_in(path));
   }
-  const char* advice = error == EROFS    ? "the directory is read-only: name another with LOT_DIR"
+  const bool is_there = !owner_and_mode(path).empty();
+  const char* advice = error == EROFS && is_there
+                           ? "its directory is mounted read-only, and each process that joins "
+                             "writes: mount it so that you may write"
+                       : error == EROFS  ? "the directory is read-only: name another with LOT_DIR"
                        : error == ENOENT ? "make the directory, or name another with LOT_DIR"
                        : error == ENOSPC ? "free memory there, or name another with LOT_DIR"
                        : error == EAGAIN

@@ -187,8 +187,9 @@ void Trust::require(int fd, const std::string& path) const {
                 "it belongs to " + describe(status) +
                     ": neither to you or root, nor to a user or group that was named",
                 advice(status,
-                       "set LOT_SEGMENT or LOT_DIR, or have it removed, or made anew with "
-                       "LOT_GROUP=<a common group>"));
+                       "have it removed, or made anew with LOT_GROUP=<a common group>, and set the "
+                       "same as a member of that group; for a segment of your own set LOT_SEGMENT "
+                       "or LOT_DIR"));
   }
   if (status.st_nlink > 1) {
     throw Error(EPERM, path, "it has another name, too: no file that LOT has made has two",
@@ -244,11 +245,15 @@ std::string owner_and_mode(const std::string& path) {
 
 std::string way_in(const std::string& path) {
   struct stat status {};
+  const std::string own = "; for a segment of your own set LOT_SEGMENT or LOT_DIR";
   if (lstat(path.c_str(), &status) == 0 && (status.st_mode & kOfGroup) == kOfGroup &&
       !is_overflow(status.st_gid, "gid")) {
-    return "become a member of its group (a new login knows of that)";
+    return "become a member of its group (a new login knows of that), and set LOT_GROUP=" +
+           std::to_string(status.st_gid) + own;
   }
-  return "let its owner end all that use it, and make it anew with LOT_GROUP=<a common group>";
+  return "let its owner end all that use it, and make it anew with LOT_GROUP=<a common group>; set "
+         "the same, as a member of that group" +
+         own;
 }
 
 std::string command(const std::string& words, const std::string& path) {

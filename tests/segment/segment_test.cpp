@@ -13,6 +13,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <sys/mount.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #include <vector>
@@ -367,6 +368,23 @@ TEST_CASE("a directory that is absent, no directory or read-only is named with a
   const std::string text = refusal(options);
   CHECK(says(text, "read-only"));
   CHECK(says(text, "LOT_DIR"));
+}
+
+TEST_CASE("a segment in a directory that is mounted read-only: no other directory is advised") {
+  const SmallDisk disk("size=64m");
+  if (disk.path.empty()) {
+    MESSAGE("skipped: can not mount a tmpfs");
+    return;
+  }
+  auto options = fresh();
+  options.directory = disk.path;
+  options.size_bytes = 16 << 20;
+  options.persist = true;
+  { const lot::ShmEngine engine(options); }
+  REQUIRE(mount("", disk.path.c_str(), nullptr, MS_REMOUNT | MS_RDONLY, nullptr) == 0);
+  const std::string text = refusal(options);
+  CHECK(says(text, "mounted read-only"));
+  CHECK_FALSE(says(text, "LOT_DIR"));
 }
 
 TEST_CASE("links are not followed") {

@@ -174,7 +174,9 @@ TEST_CASE("a user outside the group is told whose file it is") {
       const std::string text = error.what();
       must(error.error_number() == EACCES, "EACCES");
       must(text.find("uid 65531, gid 65533, mode 0660") != std::string::npos, "whose it is");
-      must(text.find("become a member of its group") != std::string::npos, "what to do");
+      must(text.find("become a member of its group (a new login knows of that), and set "
+                     "LOT_GROUP=65533;") != std::string::npos,
+           "what to do");
       return;
     }
     must(false, "Bob is not let in");
