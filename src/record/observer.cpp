@@ -69,19 +69,26 @@ void Observer::run(const StopToken& stop) {
     }
   }
   look_and_note();
+  take_the_rest();
+  leave();
+}
+
+void Observer::take_the_rest() noexcept {
   for (Subscription& s : subscriptions_) {
     try {
-      const std::size_t there = s.puller.size();
-      for (std::size_t done = 0; done < there && !s.has_gone;) {
-        const std::size_t taken = take_some(s, std::min(kAtOnce, there - done));
-        if (taken == 0) break;
-        done += taken;
-      }
+      s.rest = s.puller.size();
     } catch (const std::exception& e) {
       note(s, e);
     }
   }
-  leave();
+  end_ = Clock::Steady::now();
+  for (Subscription& s : subscriptions_) {
+    while (s.rest != 0 && !s.has_gone) {
+      const std::size_t taken = take_some(s, std::min(kAtOnce, s.rest));
+      if (taken == 0) break;
+      s.rest -= std::min(s.rest, taken);
+    }
+  }
 }
 
 // ---- the segment
@@ -358,7 +365,8 @@ std::uint64_t Observer::missed_before(Subscription& s, const AnyBorrow& message)
 }
 
 void Observer::put_in(Subscription& s, AnyBorrow& message) {
-  const auto now = Clock::Steady::now();
+  if (end_) *end_ += 1ns;
+  const auto now = end_.value_or(Clock::Steady::now());
   const Stream& stream = *s.stream;
   const std::uint64_t missed = message.missed() + missed_before(s, message);
   s.told += message.missed();
@@ -376,7 +384,7 @@ void Observer::put_in(Subscription& s, AnyBorrow& message) {
   entry.head.sequence = ledger_.number(stream.line, missed);
   entry.head.log_time = clock_.at(now);
   const auto pushed = s.core->pushed();
-  entry.head.publish_time = pushed ? clock_.at(*pushed) : entry.head.log_time;
+  entry.head.publish_time = pushed ? clock_.at(std::min(*pushed, now)) : entry.head.log_time;
   entry.held = s.core->memory();
   try {
     if (entry.held <= kSmall) {

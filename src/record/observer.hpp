@@ -67,6 +67,7 @@ class Observer {
     /// Rings that were there before it, of publishers that came after the begin: what left them
     /// before the subscription was missed, too.
     std::vector<registry::ChannelName> fresh;
+    std::size_t rest = 0;  ///< at the end: messages that are to be taken
     bool has_gone = false;
   };
 
@@ -89,6 +90,9 @@ class Observer {
   std::shared_ptr<const Stream> stream_of(const std::string& topic, const AnyType& type);
   void forget_those_that_have_gone();
 
+  /// At the end: what all topics have at one moment, with the log time of that moment. A disk that
+  /// is slow holds the observer up, and else the topic whose turn is last would go on for longer.
+  void take_the_rest() noexcept;
   /// Takes messages, so many at most, and notes what goes wrong. How many it took.
   std::size_t take_some(Subscription& s, std::size_t most) noexcept;
   /// False: there is none now.
@@ -115,6 +119,9 @@ class Observer {
   std::optional<std::uint32_t> version_;  ///< of the directory, at the last look
   bool again_ = false;                    ///< some topic could not be subscribed to
   bool has_begun_ = false;                ///< what comes now comes later
+  /// When the recording ends, as soon as that is known. What comes then is a nanosecond behind the
+  /// message before, so that its log time says its order.
+  std::optional<Clock::Steady::time_point> end_;
   std::vector<Entry> batch_;
   std::uint64_t batch_held_ = 0;
   codec::Encoded encoded_;

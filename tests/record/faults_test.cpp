@@ -3,6 +3,7 @@
 // lot::Recorder when its file cannot be written: each place where a disk can be full, quotas,
 // failing devices. The error is said, what is lost is counted, and the file is right.
 
+#include <algorithm>
 #include <atomic>
 #include <cerrno>
 #include <chrono>
@@ -13,6 +14,7 @@
 #include <fstream>
 #include <string>
 #include <sys/uio.h>
+#include <thread>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -52,6 +54,15 @@ struct Fault {
 };
 Fault fault;
 
+/// A disk that takes no chunk while it is held. While it is paced, each chunk waits for an answer.
+struct Slow {
+  std::atomic<bool> is_held{false};
+  std::atomic<bool> is_paced{false};
+  std::atomic<std::uint64_t> chunks{0};
+  std::atomic<std::uint64_t> answers{0};
+};
+Slow slow;
+
 }  // namespace
 
 extern "C" ssize_t __real_pwritev(int fd, const iovec* pieces, int count, off_t at);
@@ -60,6 +71,11 @@ extern "C" ssize_t __wrap_pwritev(int fd, const iovec* pieces, int count, off_t 
     --fault.times;
     errno = fault.error;
     return -1;
+  }
+  if (*static_cast<const unsigned char*>(pieces[0].iov_base) == static_cast<int>(Begin::Chunk)) {
+    while (slow.is_held) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    const std::uint64_t number = ++slow.chunks;
+    while (slow.is_paced && slow.answers < number) std::this_thread::yield();
   }
   return __real_pwritev(fd, pieces, count, at);
 }
@@ -113,6 +129,54 @@ TEST_CASE("a chunk that cannot be written: its messages are lost, and the file i
     CHECK(recorder.status().topics[0].bytes ==
           content.messages[0].payload.size() + content.messages[1].payload.size());
   }
+}
+
+TEST_CASE("a recording ends at one moment for all topics, also where the disk is slow") {
+  const Watchdog watchdog(120);
+  Scene scene;
+  lot::PusherOptions deep;
+  deep.depth = 256;
+  auto first = scene.engine.advertise<Picture>("/first", deep);
+  auto second = scene.engine.advertise<Picture>("/second", deep);
+  RecorderOptions what = scene.what();
+  what.chunk_bytes = 1024;  // a chunk for each message
+  what.max_held_bytes = 1;  // and one message at a time
+  Recorder recorder(what, scene.where);
+  std::uint32_t number = 0;
+  const auto publish = [&] {
+    put(first, number, 5'000);
+    put(second, number, 5'000);
+    ++number;
+  };
+  slow.is_held = true;
+  while (number < 40) publish();
+  std::thread stopping([&] { recorder.stop(); });
+  std::this_thread::sleep_for(200ms);  // so that it has been told to stop
+  slow.chunks = slow.answers = 0;
+  slow.is_paced = true;
+  std::thread publishing([&] {  // two messages for each one that is written
+    while (slow.is_paced) {
+      if (slow.answers == slow.chunks) {
+        std::this_thread::yield();
+        continue;
+      }
+      if (number < 200) publish();
+      ++slow.answers;
+    }
+  });
+  slow.is_held = false;
+  stopping.join();
+  slow.is_paced = false;
+  publishing.join();
+  Content content(scene.directory.file());
+  const auto firsts = content.of("/first");
+  const auto seconds = content.of("/second");
+  REQUIRE(firsts.size() >= 40);
+  REQUIRE(seconds.size() >= 40);
+  const auto [from, until] = std::minmax(firsts.back().log_time, seconds.back().log_time);
+  CHECK(until - from <= firsts.size() + seconds.size());  // nanoseconds: it is one moment
+  CHECK(firsts.size() <= seconds.size() + 8);
+  CHECK(seconds.size() <= firsts.size() + 8);
 }
 
 TEST_CASE("a topic that cannot be noted is lost, and what others have in the open chunk is not") {
