@@ -81,11 +81,16 @@ struct RecorderStatus {
   std::vector<Refused> refused;  ///< a queue, an opaque type
   /// Names and patterns of RecorderOptions (topics, except, trigger) that no topic has fitted yet.
   std::vector<std::string> unmatched;
-  std::vector<std::string> files;   ///< that were made
-  std::uint64_t held_bytes = 0;     ///< seen and not written yet
+  std::vector<std::string> segments;  ///< paths of those that it has joined, in their order
+  std::vector<std::string> files;     ///< that were made
+  std::uint64_t held_bytes = 0;       ///< seen and not written yet
   std::uint64_t kept_messages = 0;  ///< with RecorderOptions::keep_last: what a trigger would write
   std::uint64_t kept_bytes = 0;     ///< of these
-  std::string error;                ///< the last thing that went wrong; empty: nothing
+  std::uint64_t cut_messages = 0;   ///< of the kept ones, that keep_last_bytes had no room for
+  Duration cut_time = Duration();   ///< how long a time was kept when the last of these went
+  std::uint64_t triggers = 0;       ///< that have come
+  std::string first_error;          ///< the first thing that went wrong; empty: nothing
+  std::string error;                ///< the last one
 };
 
 /// Records topics, on two threads of its own, from its construction on until stop().

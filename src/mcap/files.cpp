@@ -4,8 +4,11 @@
 #include <algorithm>
 #include <cerrno>
 #include <climits>
+#include <cstdlib>
 #include <fcntl.h>
 #include <filesystem>
+#include <fstream>
+#include <string_view>
 #include <sys/file.h>
 #include <sys/stat.h>
 #include <system_error>
@@ -23,19 +26,36 @@ bool is_directory(const std::string& path) {
   return std::filesystem::is_directory(path, ignored);
 }
 
-std::string advice_for(int error, const std::string& path) {
+/// A symbolic link to what is not there.
+bool leads_nowhere(const std::string& path) {
+  std::error_code ignored;
+  return std::filesystem::is_symlink(path, ignored) && !std::filesystem::exists(path, ignored);
+}
+
+std::string directory_of(const std::string& path) {
   const std::string parent = std::filesystem::path(path).parent_path();
+  std::error_code ignored;
+  return parent.empty() ? std::filesystem::current_path(ignored).string() : parent;
+}
+
+std::string advice_for(int error, const std::string& path) {
   switch (error) {
     case EEXIST:
     case EISDIR:
-      return is_directory(path) ? "it is a directory: name a file in it"
-                                : "a recording is never overwritten: choose another name, or "
-                                  "remove it";
+      return is_directory(path)    ? "it is a directory: name a file in it"
+             : leads_nowhere(path) ? "it is a symbolic link that leads nowhere, and a recording "
+                                     "makes its file itself: choose another name, or remove it"
+                                   : "a recording is never overwritten: choose another name, or "
+                                     "remove it";
     case ENOSPC:
     case EDQUOT:
-      return "what was written before can be read; make room, or record to another disk";
+      return "make room, or record to another disk";
+    case EACCES:
+    case EROFS:
+      return "you may not make files in " + directory_of(path) +
+             ": name a file in another directory";
     case ENOENT:
-      return is_directory(parent.empty() ? "." : parent)
+      return is_directory(directory_of(path))
                  ? "its directory takes no new files: record to another one"
                  : "make its directory first";
     default:
@@ -43,8 +63,25 @@ std::string advice_for(int error, const std::string& path) {
   }
 }
 
+/// Of a file that is there.
+std::string advice_to_open(int error) {
+  const bool may_read = error == EACCES || error == EROFS || error == EPERM;
+  return may_read ? "it can be read and played as it is; a copy of it can be recovered" : "";
+}
+
 [[noreturn]] void fail(const std::string& path, const std::string& what, int error = errno) {
   throw Error(error, path, what, advice_for(error, path));
+}
+
+/// The process's umask. umask(2) tells it only by changing it, for all threads.
+mode_t umask_of_process() {
+  constexpr std::string_view kName = "Umask:";
+  std::ifstream status("/proc/self/status");
+  for (std::string line; std::getline(status, line);) {
+    if (!line.starts_with(kName)) continue;
+    return static_cast<mode_t>(std::strtoul(line.c_str() + kName.size(), nullptr, 8));
+  }
+  return 077;  // there is no /proc
 }
 
 struct stat status_of(int fd, const std::string& path) {
@@ -60,11 +97,11 @@ Descriptor::~Descriptor() {
 }
 
 OutFile::OutFile(std::string path, int flags)
-    : path_(std::move(path)), fd_(segment::open_file(path_, flags, 0666)) {
+    : path_(std::move(path)), fd_(segment::open_file(path_, flags, 0600)) {
   if (fd_.get() == -1) {
-    const bool is_not_there = errno == ENOENT && (flags & O_CREAT) == 0;
+    const bool makes_it = (flags & O_CREAT) != 0;
     throw Error(errno, path_, "cannot open the file to write it",
-                is_not_there ? "" : advice_for(errno, path_));
+                makes_it ? advice_for(errno, path_) : advice_to_open(errno));
   }
   const struct stat status = status_of(fd_.get(), path_);
   if (!S_ISREG(status.st_mode)) {
@@ -117,6 +154,12 @@ void OutFile::write_rest(std::span<iovec> pieces) {
       if (piece.iov_len == 0) pieces = pieces.subspan(1);
     }
   }
+}
+
+void OutFile::permit(mode_t mode) noexcept {
+  const mode_t usual = mode & 0666 & ~umask_of_process();
+  // A file system without modes has that of its mount.
+  (void)!fchmod(fd_.get(), 0600 | usual);
 }
 
 void OutFile::cut(std::uint64_t bytes) {

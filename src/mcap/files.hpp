@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <span>
 #include <string>
+#include <sys/types.h>
 #include <sys/uio.h>
 #include <utility>
 #include <vector>
@@ -43,6 +44,8 @@ class OutFile {
 
   /// Appends the pieces as a whole, or throws, and the file is as it was.
   void append(std::span<const iovec> pieces);
+  /// Gives it this mode, but for what the umask takes away; of what make() has made it is 0600.
+  void permit(mode_t mode) noexcept;
   /// Cuts it off, and goes on there.
   void cut(std::uint64_t bytes);
 

@@ -143,6 +143,10 @@ void Writer::write(const MessageHead& head, std::span<const View> payload) {
   write_chunk(records);
 }
 
+void Writer::permit(mode_t mode) noexcept {
+  if (file_) file_->permit(mode);
+}
+
 void Writer::flush() {
   require_open();
   if (noted_.empty()) return;

@@ -52,6 +52,9 @@ class Writer {
   /// not need them any more. When it throws, the message is lost. EINVAL: its channel is not there.
   void write(const MessageHead& head, std::span<const View> payload);
 
+  /// Gives the file this mode, but for what the umask takes away. Before it is 0600.
+  void permit(mode_t mode) noexcept;
+
   /// Writes the open chunk.
   void flush();
   /// Writes the open chunk and the summary. The file is closed then, also when it throws.

@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <cerrno>
 #include <exception>
+#include <filesystem>
 #include <limits>
+#include <system_error>
 #include <utility>
 
 #include "lot/error.hpp"
@@ -64,7 +66,7 @@ std::string Files::next_path() {
   return stem + "_" + std::to_string(number_) + (has_ending ? std::string(kEnding) : "");
 }
 
-void Files::open() {
+void Files::make() {
   mcap::WriterOptions how;
   how.header.library = "lot " LOT_VERSION;
   how.compression = compression_of(options_.compression);
@@ -82,6 +84,18 @@ void Files::open() {
     }
     if (writer_ || numbers_files()) ++number_;
   }
+}
+
+void Files::try_out() {
+  make();
+  forget_file();
+  number_ = 0;
+  std::error_code ignored;
+  std::filesystem::remove(path_, ignored);
+}
+
+void Files::open() {
+  make();
   begin_ = 0;
   ledger_.made(path_);
   note_begin();
@@ -152,6 +166,7 @@ void Files::write(const Stream& stream, mcap::MessageHead head,
     Given& its = given(stream);
     head.channel = its.channel;
     if (begin_ == 0) begin_ = std::max<std::uint64_t>(head.log_time, 1);
+    permit();
     ++its.messages;
     its.bytes += bytes;
     is_given = true;
@@ -165,6 +180,13 @@ void Files::write(const Stream& stream, mcap::MessageHead head,
     count_lost(e);
     throw;
   }
+}
+
+void Files::permit() {
+  const mode_t mode = ledger_.mode();
+  if (permitted_ == mode) return;
+  permitted_ = mode;
+  writer_->permit(mode);
 }
 
 void Files::count_lost(const std::exception& why) {
@@ -197,6 +219,7 @@ void Files::settle(bool is_removed) {
 
 void Files::forget_file() {
   writer_.reset();
+  permitted_.reset();
   lost_ = 0;
   channels_.clear();
   schemas_.clear();

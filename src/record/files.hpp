@@ -9,6 +9,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <sys/types.h>
 #include <utility>
 
 #include "lot/recorder.hpp"
@@ -37,6 +38,8 @@ class Files {
   bool is_open() const { return writer_.has_value(); }
   /// Makes the next file.
   void open();
+  /// Throws what keeps open() from making the first file, and leaves none.
+  void try_out();
   /// Where there is no file, it makes one, or else the message is lost.
   void write(const Stream& stream, mcap::MessageHead head, std::span<const mcap::View> payload);
   /// Writes the open chunk.
@@ -52,12 +55,15 @@ class Files {
     std::uint64_t bytes = 0;     ///< of these
   };
   std::string next_path();
+  void make();
   bool numbers_files() const;
   bool is_full(std::uint64_t log_time, std::uint64_t bytes) const;
   Given& given(const Stream& stream);
   std::uint16_t schema_of(const Stream& stream);
   void note_begin();
   void note_end();
+  /// A message is to be written: the file is to be as open as the segments that it is from.
+  void permit();
   /// A write has failed: notes which messages that has cost. A file that was removed is no more.
   void count_lost(const std::exception& why);
   /// There is no open chunk: what the writer was given and has not written is lost. `is_removed`:
@@ -69,7 +75,8 @@ class Files {
   Ledger& ledger_;
   const Clock& clock_;
   std::optional<mcap::Writer> writer_;
-  std::uint64_t lost_ = 0;  ///< of what the writer has lost, what the ledger says
+  std::optional<mode_t> permitted_;  ///< of the open file
+  std::uint64_t lost_ = 0;           ///< of what the writer has lost, what the ledger says
   std::string path_;
   unsigned number_ = 0;                    ///< of the next file
   std::uint64_t begin_ = 0;                ///< the log time of the file's first message

@@ -2,10 +2,12 @@
 #pragma once
 
 #include <algorithm>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <mutex>
 #include <string>
+#include <sys/types.h>
 #include <utility>
 #include <vector>
 
@@ -13,6 +15,7 @@
 #include "lot/recorder.hpp"
 
 #include "mcap/records.hpp"
+#include "record/past.hpp"
 #include "record/pattern.hpp"
 
 namespace lot::record {
@@ -90,10 +93,23 @@ class Ledger {
     std::erase_if(told_.unmatched,
                   [&](const std::string& pattern) { return matches(pattern, name); });
   }
-  void keeps(std::uint64_t messages, std::uint64_t bytes) {
+  /// `mode`: of the segment's file.
+  void joined(const std::string& segment, mode_t mode) {
     const std::lock_guard guard(mutex_);
-    told_.kept_messages = messages;
-    told_.kept_bytes = bytes;
+    mode_ &= mode;
+    const bool is_anew = std::ranges::find(told_.segments, segment) != told_.segments.end();
+    if (!is_anew) told_.segments.push_back(segment);
+  }
+  void keeps(const Past& past) {
+    const std::lock_guard guard(mutex_);
+    told_.kept_messages = past.messages();
+    told_.kept_bytes = past.bytes();
+    told_.cut_messages = past.cut_messages();
+    told_.cut_time = std::chrono::nanoseconds(past.cut_time());
+  }
+  void triggered() {
+    const std::lock_guard guard(mutex_);
+    ++told_.triggers;
   }
   void made(const std::string& file) {
     const std::lock_guard guard(mutex_);
@@ -102,9 +118,15 @@ class Ledger {
   }
   void went_wrong(const std::string& what) {
     const std::lock_guard guard(mutex_);
+    if (told_.first_error.empty()) told_.first_error = what;
     told_.error = what;
   }
 
+  /// What all segments together give that were joined so far.
+  mode_t mode() const {
+    const std::lock_guard guard(mutex_);
+    return mode_;
+  }
   Topic topic(std::size_t line) const {
     const std::lock_guard guard(mutex_);
     return told_.topics[line];
@@ -117,6 +139,7 @@ class Ledger {
  private:
   mutable detail::Mutex mutex_{detail::Rank::Recording};
   RecorderStatus told_;
+  mode_t mode_ = 0666;
   std::vector<std::uint32_t> sequences_;  ///< of the next message, for each topic
   std::vector<mcap::Pairs> pairs_;        ///< what each topic carries
 };

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <limits>
 #include <new>
+#include <sys/stat.h>
 #include <thread>
 #include <utility>
 
@@ -102,6 +103,9 @@ void Observer::join() {
     return;  // there is none: the next look asks again
   }
   engine_.emplace(participant_);
+  struct stat status {};
+  const std::string& path = participant_->segment().path();
+  ledger_.joined(path, stat(path.c_str(), &status) == 0 ? status.st_mode : 0);
 }
 
 void Observer::leave() {

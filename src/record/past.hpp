@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -32,7 +33,12 @@ class Past {
     bytes_ += kept.bytes.size();
     const std::uint64_t now = kept.head.log_time;
     kept_.push_back(std::move(kept));
-    while (kept_.size() > 1 && (bytes_ > most_bytes_ || is_old(kept_.front(), now))) drop();
+    while (kept_.size() > 1 && is_old(kept_.front(), now)) drop();
+    while (kept_.size() > 1 && bytes_ > most_bytes_) {
+      drop();
+      ++cut_messages_;
+      cut_time_ = now - std::min(now, kept_.front().head.log_time);
+    }
   }
   /// Forgets what is older than it keeps.
   void look(std::uint64_t now) {
@@ -41,6 +47,10 @@ class Past {
   bool is_empty() const { return kept_.empty(); }
   std::uint64_t messages() const { return kept_.size(); }
   std::uint64_t bytes() const { return bytes_; }
+  /// Those that went before their time, since there were too many bytes.
+  std::uint64_t cut_messages() const { return cut_messages_; }
+  /// How many nanoseconds were kept when the last one of them went.
+  std::uint64_t cut_time() const { return cut_time_; }
   std::deque<Kept> take() {
     bytes_ = 0;
     return std::exchange(kept_, {});
@@ -59,6 +69,8 @@ class Past {
   std::uint64_t most_bytes_;
   std::deque<Kept> kept_;
   std::uint64_t bytes_ = 0;
+  std::uint64_t cut_messages_ = 0;
+  std::uint64_t cut_time_ = 0;
 };
 
 }  // namespace lot::record

@@ -34,9 +34,7 @@ Writing::Writing(const RecorderOptions& options, Ledger& ledger, const Clock& cl
       past_(nanoseconds(options.keep_last), options.keep_last_bytes),
       encoded_(kLarge) {}
 
-void Writing::begin() {
-  if (!keeps_past()) files_.open();
-}
+void Writing::begin() { keeps_past() ? files_.try_out() : files_.open(); }
 
 void Writing::run() noexcept {
   while (!backlog_.is_over()) {
@@ -111,7 +109,7 @@ void Writing::write_or_keep(const std::shared_ptr<const Stream>& stream,
       kept.bytes.insert(kept.bytes.end(), piece.begin(), piece.end());
     }
     past_.add(std::move(kept));
-    ledger_.keeps(past_.messages(), past_.bytes());
+    ledger_.keeps(past_);
   });
   if (!is_kept) ledger_.add(stream->line, &Topic::lost, 1);
 }
@@ -123,6 +121,7 @@ void Writing::write(const std::shared_ptr<const Stream>& stream, const mcap::Mes
 
 void Writing::pull_trigger() {
   if (!keeps_past()) return;
+  ledger_.triggered();
   const std::uint64_t now = clock_.now();
   look(now);
   if (past_.is_empty() && options_.keep_after <= Duration()) return;    // there is nothing to write
@@ -131,7 +130,7 @@ void Writing::pull_trigger() {
     const mcap::View piece(kept.bytes);
     write(kept.stream, kept.head, std::span(&piece, 1));
   }
-  ledger_.keeps(0, 0);
+  ledger_.keeps(past_);
   writes_until_ = now + nanoseconds(options_.keep_after);
   if (options_.keep_after <= Duration()) carefully([&] { files_.close(); });
 }
@@ -139,7 +138,7 @@ void Writing::pull_trigger() {
 void Writing::look(std::uint64_t now) {
   if (!keeps_past()) return;
   past_.look(now);
-  ledger_.keeps(past_.messages(), past_.bytes());
+  ledger_.keeps(past_);
   if (files_.is_open() && now > writes_until_) carefully([&] { files_.close(); });
 }
 

@@ -30,7 +30,8 @@ class Writing {
  public:
   Writing(const RecorderOptions& options, Ledger& ledger, const Clock& clock, Backlog& backlog);
 
-  /// Makes the first file, where there is to be one from the begin. Throws as mcap::Writer.
+  /// Makes the first file, where there is to be one from the begin; else looks whether one can be
+  /// made. Throws as mcap::Writer.
   void begin();
   /// Until the backlog is over; then it closes the file.
   void run() noexcept;

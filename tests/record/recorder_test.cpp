@@ -51,6 +51,34 @@ std::string cdr(const T& message) {
 
 TEST_SUITE_BEGIN("record");
 
+TEST_CASE("a file is as open as its segment, but for what the umask takes away") {
+  const Watchdog watchdog(60);
+  const mode_t before = umask(022);
+  const struct {
+    mode_t segment;
+    mode_t file;
+  } modes[] = {{0600, 0600}, {0660, 0640}, {0666, 0644}};
+  for (const auto& [its_mode, expected] : modes) {
+    CAPTURE(its_mode);
+    EngineOptions where = fresh();
+    where.permissions = its_mode;
+    const Directory directory;
+    ShmEngine engine(where);
+    auto notes = engine.advertise<Note>("/notes");
+    RecorderOptions what;
+    what.path = directory.file();
+    what.topics = {"*"};
+    Recorder recorder(what, where);
+    const auto mode = [&] { return std::filesystem::status(what.path).permissions(); };
+    CHECK(mode() == std::filesystem::perms(0600));
+    put(notes, 1);
+    REQUIRE(eventually([&] { return recorded(recorder, "/notes") == 1; }));
+    CHECK(mode() == std::filesystem::perms(expected));
+    recorder.stop();
+  }
+  umask(before);
+}
+
 TEST_CASE("all messages between construction and stop are in the file, in their order") {
   const Watchdog watchdog(60);
   Scene scene;
