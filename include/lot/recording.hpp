@@ -30,7 +30,7 @@ struct RecordedTopic {
   std::string schema;           ///< its text
   std::uint64_t messages = 0;   ///< in the files
   std::uint64_t missed = 0;     ///< by the recorder, where the file says so: before it looked
-  std::uint64_t lost = 0;       ///< could not be written, or encoded
+  std::uint64_t lost = 0;       ///< could not be written, or encoded; or are damaged in the file
   std::uint64_t left_out = 0;   ///< beyond a rate
   /// Why its messages cannot be decoded; empty: they can be.
   std::string objection;

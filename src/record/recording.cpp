@@ -165,9 +165,12 @@ struct Recording::Impl {
     }
     file.is_cut = !stream.is_whole();
     if (!counts_gaps || !is_ours) return;
+    // A gap of a damaged file may be what the damage has taken.
+    const bool is_damaged = stream.damage().chunks + stream.damage().records != 0;
+    const auto count = is_damaged ? &RecordedTopic::lost : &RecordedTopic::missed;
     for (const auto& [topic, span] : spans) {
       const std::uint64_t there = std::uint64_t{span.last - span.first} + 1;
-      topics[topic].missed += there - std::min(there, span.messages);
+      topics[topic].*count += there - std::min(there, span.messages);
     }
   }
 

@@ -132,8 +132,9 @@ std::string alone(const Watched& w) {
 void add_segment(const Watched& w, std::size_t width, std::vector<Line>& lines) {
   const std::string name = printable(w.sight.name);
   if (w.sight.window == nullptr) {
-    add_wrapped(name + ": " + to_string(w.sight.condition) + ": " + printable(w.sight.reason, 500),
-                width, Style::Wrong, lines);
+    add_wrapped(
+        name + ": " + to_string(w.sight.condition) + ": " + printable(w.sight.reason, kLine), width,
+        Style::Wrong, lines);
     return;
   }
   add_wrapped(name + ": " + fill_text(w.seen), width, Style::Plain, lines);

@@ -99,14 +99,14 @@ class Cleaner {
       why = std::to_string(in_use.size()) + " segments of " + where_.directory +
             " are in use, without a dead process or idle memory";
     }
-    report_.print("nothing to do: " + printable(why, 400) + "\n");
+    report_.print("nothing to do: " + printable(why, kLine) + "\n");
   }
 
   void leave_alone(const std::string& path, const std::string& why, Exit exit,
                    const Waiting& items = {}) {
     report_.document()["left_alone"].push_back(
         {{"path", path}, {"why", why}, {"waiting", waiting_json(items)}});
-    report_.print("left alone  " + printable(path, 200) + ": " + printable(why, 500) + "\n");
+    report_.print("left alone  " + printable(path, 200) + ": " + printable(why, kLine) + "\n");
     report_.ends(exit);
   }
 

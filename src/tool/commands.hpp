@@ -65,6 +65,7 @@ Exit pub(const Settings& settings, const PubOptions& options);
 
 struct RecordOptions {
   RecorderOptions what;
+  bool has_default_name = false;        ///< `what.path` is one with the time
   Duration duration = Duration::max();  ///< it ends after so long
 };
 /// Records topics into files, until the user ends it.

@@ -66,7 +66,7 @@ class Info {
         tell(file, entry);
       } catch (const Error& e) {
         report_.print(printable(file, 200) + "\n");
-        report_.hint(printable(reason_of(e), 500));
+        report_.hint(printable(reason_of(e), kLine));
         report_.ends(e.error_number() == EINVAL ? kDamaged : kWrong);
         entry = {{"path", file}, {"error", reason_of(e)}};
       }
@@ -87,23 +87,27 @@ class Info {
                       : cut + " behind the last whole record are cut off"));
   }
 
+  struct Damage {
+    RecordingDamage what;
+    std::uint64_t messages;  ///< that the index has, and that cannot be read
+  };
   /// What cannot be read of a file. Where it has no index, opening it has read all of it.
-  RecordingDamage damage_of(const std::string& file, const Recording& recording,
-                            const mcap::Reader& reader, std::uint64_t bytes) const {
-    RecordingDamage damage = recording.damage();
+  Damage damage_of(const std::string& file, const Recording& recording, const mcap::Reader& reader,
+                   std::uint64_t bytes) const {
+    Damage damage{recording.damage(), 0};
     if (options_.quick || !reader.has_summary()) return damage;
     if (bytes > kLarge) {
       std::fprintf(stderr, "* reads %s, %s: `lot info --quick` reads only the index\n",
                    printable(file, 200).c_str(), bytes_text(bytes).c_str());
     }
     mcap::Stream stream(file);
-    while (stream.next()) {
-      // Only what it skips counts.
-    }
-    damage.chunks = stream.damage().chunks;
-    damage.records = stream.damage().records;
-    damage.bytes = stream.damage().bytes;
-    damage.first = stream.damage().first;
+    std::uint64_t read = 0;
+    while (stream.next()) ++read;
+    damage.messages = reader.statistics().messages - std::min(reader.statistics().messages, read);
+    damage.what.chunks = stream.damage().chunks;
+    damage.what.records = stream.damage().records;
+    damage.what.bytes = stream.damage().bytes;
+    damage.what.first = stream.damage().first;
     return damage;
   }
 
@@ -113,14 +117,17 @@ class Info {
     const auto bytes = std::filesystem::file_size(file);
     tell_file(file, recording, reader, bytes, entry);
     tell_topics(recording, entry);
-    tell_damage(file, damage_of(file, recording, reader, bytes), reader.summary_fault(), entry);
+    tell_damage(file, damage_of(file, recording, reader, bytes), reader, entry);
   }
 
-  void tell_damage(const std::string& file, const RecordingDamage& damage,
-                   const std::string& summary_fault, Json& entry) {
+  void tell_damage(const std::string& file, const Damage& found, const mcap::Reader& reader,
+                   Json& entry) {
+    const RecordingDamage& damage = found.what;
+    const std::string& summary_fault = reader.summary_fault();
     entry["damage"] = {{"chunks", damage.chunks}, {"records", damage.records},
-                       {"bytes", damage.bytes},   {"first", damage.first},
-                       {"is_cut", damage.is_cut}, {"index", summary_fault}};
+                       {"bytes", damage.bytes},   {"messages", found.messages},
+                       {"first", damage.first},   {"is_cut", damage.is_cut},
+                       {"index", summary_fault}};
     if (!summary_fault.empty()) {
       report_.ends(kDamaged);
       report_.hint(printable(file, 200) + ": its index is damaged (" + printable(summary_fault) +
@@ -135,8 +142,13 @@ class Info {
     }
     if (!damage.first.empty()) {
       report_.ends(kDamaged);
-      report_.hint(printable(file, 200) + ": " + bytes_text(damage.bytes) +
-                   " cannot be read: " + printable(damage.first, 300));
+      const std::string messages =
+          found.messages == 0 ? "" : ", " + plural(found.messages, "message", "messages") + ",";
+      report_.hint(printable(file, 200) + ": " + bytes_text(damage.bytes) + messages +
+                   " cannot be read: " + printable(damage.first, kLine));
+    }
+    if (options_.quick && !reader.has_summary() && summary_fault.empty()) {
+      report_.hint(printable(file, 200) + " has no index: --quick has read all of it as well");
     }
   }
 

@@ -8,6 +8,7 @@
 #include <iostream>
 #include <new>
 #include <optional>
+#include <set>
 #include <sstream>
 #include <string>
 #include <system_error>
@@ -24,6 +25,7 @@
 #include "tool/commands.hpp"
 #include "tool/onlooker.hpp"
 #include "tool/output.hpp"
+#include "tool/text.hpp"
 #include "tool/writers.hpp"
 #include "transport/environment.hpp"
 
@@ -41,8 +43,6 @@ constexpr const char* kFooter =
 
 using namespace lot::tool;
 
-/// Of an error.
-constexpr std::size_t kLine = 2000;
 /// All of a message, but a tree of references without end.
 constexpr lot::TextLimits kInFull{~std::uint64_t{0}, ~std::uint64_t{0}, std::uint64_t{1} << 26};
 
@@ -241,6 +241,10 @@ void add_record(CLI::App& app, Arguments& arguments) {
       ->allow_extra_args(false)
       ->type_name("TOPIC");
   record->add_option("-o,--output", what.path, "the file; default: a name with the time")
+      ->check([](const std::string& text) -> std::string {
+        if (text == "-") return "a recording is no stream: name a file";
+        return text.empty() ? "a file has a name" : "";
+      })
       ->type_name("FILE");
   record->add_option("--compression", arguments.compression, "none, lz4 or zstd")
       ->check(CLI::IsMember({"none", "lz4", "zstd"}))
@@ -345,7 +349,8 @@ RecordOptions record_options(const Arguments& arguments) {
   RecordOptions options = arguments.record;
   lot::RecorderOptions& what = options.what;
   if (arguments.all_topics) what.topics = {"*"};
-  if (what.path.empty()) what.path = name_by_time();
+  options.has_default_name = what.path.empty();
+  if (options.has_default_name) what.path = name_by_time();
   if (arguments.compression == "lz4") what.compression = lot::Compression::Lz4;
   if (arguments.compression == "zstd") what.compression = lot::Compression::Zstd;
   what.crcs = !arguments.no_crc;
@@ -357,6 +362,16 @@ RecordOptions record_options(const Arguments& arguments) {
   what.max_held_bytes = bytes(arguments.quota_mib);
   if (arguments.duration_seconds > 0) options.duration = Seconds(arguments.duration_seconds);
   return options;
+}
+
+/// A topic that has two new names; empty: there is none.
+std::string remapped_twice(const std::vector<std::string>& remaps) {
+  std::set<std::string> topics;
+  for (const std::string& remap : remaps) {
+    const std::string topic = remap.substr(0, remap.find(":="));
+    if (!topics.insert(topic).second) return topic;
+  }
+  return "";
 }
 
 PlayOptions play_options(const Arguments& arguments) {
@@ -436,6 +451,12 @@ std::optional<int> parse(CLI::App& app, int argc, char** argv) {
       std::fprintf(stderr, "The commands are:%s\n", verbs.c_str());
     }
     return kUsage;
+  } catch (const CLI::ArgumentMismatch& e) {
+    const std::string text = e.what();
+    const auto at = text.find(": At Most 1 required");  // an option of one value
+    const std::string plain = text.substr(0, at) + " stands there twice: write it once";
+    app.exit(at == text.npos ? e : CLI::ArgumentMismatch(plain, e.get_exit_code()));
+    return kUsage;
   } catch (const CLI::ParseError& e) {
     std::ostringstream asked;  // the help, or the version
     if (app.exit(e, asked, std::cerr) != 0) return kUsage;
@@ -476,7 +497,14 @@ int call(const CLI::App& app, Arguments& arguments) {
     return record(settings, record_options(arguments));
   }
   if (app.got_subcommand("info")) return info(settings, arguments.info);
-  if (app.got_subcommand("play")) return play(settings, play_options(arguments));
+  if (app.got_subcommand("play")) {
+    if (const std::string topic = remapped_twice(arguments.remaps); !topic.empty()) {
+      std::fprintf(stderr, "lot play: --remap gives %s two names: a topic is published under one\n",
+                   shown(topic, kLine).c_str());
+      return kUsage;
+    }
+    return play(settings, play_options(arguments));
+  }
   return clean(settings, arguments.cleaning);
 }
 

@@ -99,21 +99,15 @@ std::string why_no_segment(const Where& where) {
     return "there is no directory " + directory;
   }
   std::vector<std::string> names;
-  std::string other;  // what is wrong with one
   try {
     for (const Sight& s : sights({where.directory, "", where.trust})) {
       const bool is_meant = where.name.empty() || s.name == where.name;
       if (s.window != nullptr && is_meant) return "";
       if (s.window != nullptr) names.push_back(s.name);
-      if (s.window == nullptr && is_meant) {
-        other = printable(s.path, 200) + ": " + to_string(s.condition) + ": " +
-                printable(s.reason, 300);
-      }
     }
   } catch (const Error& e) {
-    return printable(reason_of(e), 300);
+    return printable(reason_of(e), kLine);
   }
-  if (!other.empty()) return other;
   if (where.name.empty()) return "there is no segment in " + directory;
   const std::string list = list_of(names);
   return "there is no segment " + name_of(where.name) + " in " + directory +

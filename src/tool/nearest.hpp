@@ -24,7 +24,8 @@ std::vector<std::string> topics_there(const Where& where);
 /// In their order, each one once.
 void sort_out(std::vector<std::string>& names);
 
-/// Why no segment can be looked into there; empty: one can. Throws nothing but std::bad_alloc.
+/// Why no segment is there that can be looked into, but for hindrances(); empty: one is. Throws
+/// nothing but std::bad_alloc.
 std::string why_no_segment(const Where& where);
 
 /// For a name or pattern that none of those that are there fits: "there is /pose"; what is wrong

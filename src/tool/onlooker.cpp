@@ -34,7 +34,7 @@ Has what_has(Window& window, const std::string& topic) {
 
 /// A line on standard error.
 void say_of(const std::string& what, const std::string& text) {
-  std::fprintf(stderr, "* %s: %s\n", shown(what, 200).c_str(), shown(text, 400).c_str());
+  std::fprintf(stderr, "* %s: %s\n", shown(what, 200).c_str(), shown(text, kLine).c_str());
 }
 
 /// Envelope::publisher_id
@@ -73,18 +73,11 @@ std::optional<std::string> Search::segment_with(const std::string& topic) {
                 "say which one you mean: --segment NAME");
   }
   if (!found.empty()) return found.front();
-  for (const Sight& s : all) {
-    if (s.window != nullptr) continue;
-    const bool is_damaged = s.condition == Sight::Condition::Damaged;
+  for (const Hindrance& h : hindrances(where_, all)) {
     if (!where_.name.empty()) {
-      throw Error(is_damaged ? EBADMSG : 0, s.path, s.reason,
-                  "`lot doctor` and `lot ls` say what to do");
+      throw Error(h.is_damaged ? EBADMSG : 0, h.path, h.reason, h.advice);
     }
-    say_once(s.path, to_string(s.condition) + (": " + s.reason));
-  }
-  for (const auto& obstacle : find_places(where_).obstacles) {
-    if (!where_.name.empty()) throw Error(0, obstacle.path, obstacle.advice(), "");
-    say_once(obstacle.path, obstacle.advice());
+    say_once(h.path, h.reason);
   }
   return std::nullopt;
 }

@@ -38,8 +38,6 @@ using Clock = std::chrono::steady_clock;
 constexpr std::chrono::milliseconds kForOnlookers = 500ms;
 /// So long it waits for memory that subscribers have yet to read.
 constexpr std::chrono::seconds kForMemory = 5s;
-/// Of an error.
-constexpr std::size_t kLine = 2000;
 /// Further behind its schedule than this it does not send faster to make up for it.
 constexpr std::chrono::seconds kMostBehind = 1s;
 
@@ -72,8 +70,7 @@ class Schedule {
 class Publication {
  public:
   Publication(const Settings& settings, const PubOptions& options)
-      : json_(settings.json),
-        where_(settings.where),
+      : where_(settings.where),
         search_(settings.where),
         options_(options),
         documents_(options.yaml),
@@ -154,13 +151,8 @@ class Publication {
     if (comes_in()) {
       text += "; " + plural(pushed_, "message was", "messages were") + " pushed";
     }
-    text = shown("lot: " + text, kLine);
-    std::fprintf(stderr, "%s\n", text.c_str());
-    if (!json_) return exit;
-    report_.ends(exit);
-    report_.hint(text);
     fill_document();
-    return report_.finish();
+    return report_.refuse(shown("lot: " + text, kLine), exit);
   }
 
   /// Whether the documents come from standard input.
@@ -272,7 +264,11 @@ class Publication {
     fill_document();
     report_.print("pushed " + plural(pushed_, "message", "messages") + " on " +
                   printable(options_.topic, 200) + " (" + printable(type_.value_or("")) + ") to " +
-                  plural(subscribers_, "subscriber", "subscribers") + "\n");
+                  plural(subscribers_, "subscriber", "subscribers") +
+                  (audience_.observers == 0
+                       ? ""
+                       : " and " + plural(audience_.observers, "observer", "observers")) +
+                  "\n");
     if (pushed_ == 0) report_.ends(kWrong);
     if (audience_.unread != 0) {
       report_.hint(plural(audience_.unread, "process has", "processes have") +
@@ -284,7 +280,6 @@ class Publication {
     }
   }
 
-  const bool json_;
   const Where where_;
   Search search_;
   const PubOptions& options_;

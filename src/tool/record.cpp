@@ -44,23 +44,28 @@ constexpr auto kSayErrorAgain = 10s;
 constexpr auto kForTopics = 1s;
 /// Between two states of the line that is renewed.
 constexpr auto kShowAgain = 1s;
+/// Between two looks at what is there beside the segment that is recorded.
+constexpr auto kLookAround = 1s;
+/// So many names are tried where the user has named no file.
+constexpr unsigned kMostNames = 100;
+constexpr const char* kWaits = ": waiting (Ctrl-C ends)";
 
 volatile std::sig_atomic_t trigger_was_asked = 0;
 void ask_for_trigger(int) { trigger_was_asked = 1; }
 
-/// Joins the one segment that `where` names. Throws lot::Error: ENOENT where there is none, EINVAL
-/// where there are several.
-std::shared_ptr<transport::Participant> join_the_one(const Where& where) {
-  std::string name = where.name;
-  if (name.empty()) {
-    for (const Sight& s : sights(where)) {
-      if (s.window == nullptr) continue;
-      if (!name.empty()) {
-        throw Error(EINVAL, where.directory, "there are the segments " + name + " and " + s.name,
-                    "say which one you mean: --segment NAME");
-      }
-      name = s.name;
+/// Joins the one segment that `where` names. Throws lot::Error: ENOENT where there is none that it
+/// can look into, EINVAL where there are several. `is_first`: of one that the user has named, also
+/// what keeps it from looking there; later it waits.
+std::shared_ptr<transport::Participant> join_the_one(const Where& where, bool is_first) {
+  if (is_first && !where.name.empty()) return visit(where, where.name, "lot record");
+  std::string name;
+  for (const Sight& s : sights(where)) {
+    if (s.window == nullptr) continue;
+    if (!name.empty()) {
+      throw Error(EINVAL, where.directory, "there are the segments " + name + " and " + s.name,
+                  "say which one you mean: --segment NAME");
     }
+    name = s.name;
   }
   if (name.empty()) throw Error(ENOENT, where.directory, "there is no segment", "");
   return visit(where, name, "lot record");
@@ -77,6 +82,21 @@ bool remove_empty(const std::string& file) {
   }
   std::error_code ignored;
   return std::filesystem::remove(file, ignored);
+}
+
+/// "lot_1.mcap" for "lot.mcap".
+std::string numbered(const std::string& file, unsigned number) {
+  std::filesystem::path path(file);
+  const std::string ending = path.extension();
+  path.replace_extension();
+  return path.string() + "_" + std::to_string(number) + ending;
+}
+
+std::string short_seconds(std::chrono::nanoseconds time) {
+  const double seconds = std::chrono::duration<double>(time).count();
+  char text[32];
+  std::snprintf(text, sizeof(text), seconds < 100 ? "%.2g s" : "%.0f s", seconds);
+  return text;
 }
 
 /// What the topics of a status are together.
@@ -100,26 +120,33 @@ class Record {
   Exit run() {
     std::signal(SIGPIPE, SIG_IGN);
     const StopToken stop = stop_on_signals();
-    if (keeps_last()) std::signal(SIGUSR1, ask_for_trigger);
-    const Where where = where_;
-    Recorder recorder(options_.what, [where] { return join_the_one(where); });
+    std::signal(SIGUSR1, ask_for_trigger);
+    std::unique_ptr<Recorder> recorder;
+    try {
+      recorder = begin();
+    } catch (const Error& e) {
+      fill_document(RecorderStatus());
+      std::string text = e.what();
+      if (options_.has_default_name && e.object() == options_.what.path) {
+        text += "; -o FILE names the file";
+      }
+      return report_.refuse(shown(text, kLine), e.error_number() == EBADMSG ? kDamaged : kWrong);
+    }
     if (keeps_last()) say_what_triggers();
     const Clock::time_point end = detail::after(options_.duration);
     while (sleep_until(std::min(end, Clock::now() + kLookAtRecorder), stop) && Clock::now() < end) {
-      if (trigger_was_asked != 0) {
-        trigger_was_asked = 0;
-        recorder.trigger();
-      }
-      look(recorder.status());
+      pass_trigger_on(*recorder);
+      look(recorder->status());
     }
+    pass_trigger_on(*recorder);
     line_.clear();
     try {
-      recorder.stop();
+      recorder->stop();
     } catch (const Error& e) {
-      report_.hint(printable(reason_of(e), 500));
+      report_.hint(printable(reason_of(e), kLine));
       report_.ends(kWrong);
     }
-    RecorderStatus told = recorder.status();
+    RecorderStatus told = recorder->status();
     say_files(told);
     tell(std::move(told));
     return report_.finish();
@@ -128,9 +155,31 @@ class Record {
  private:
   bool keeps_last() const { return options_.what.keep_last > Duration(); }
 
+  /// Where the user has named no file, and there is one of this second's name: the next name.
+  std::unique_ptr<Recorder> begin() const {
+    RecorderOptions what = options_.what;
+    for (unsigned n = 1;; ++n) {
+      try {
+        return std::make_unique<Recorder>(what, [where = where_, is_first = true]() mutable {
+          return join_the_one(where, std::exchange(is_first, false));
+        });
+      } catch (const Error& e) {
+        if (!options_.has_default_name || e.error_number() != EEXIST || n > kMostNames) throw;
+      }
+      what.path = numbered(options_.what.path, n);
+    }
+  }
+
+  void pass_trigger_on(Recorder& recorder) {
+    if (trigger_was_asked == 0) return;
+    trigger_was_asked = 0;
+    if (keeps_last()) return recorder.trigger();
+    say("SIGUSR1 is a trigger with --last alone: nothing is done");
+  }
+
   void say(const std::string& text) {
     line_.clear();
-    std::fprintf(stderr, "* %s\n", shown(text, 400).c_str());
+    std::fprintf(stderr, "* %s\n", shown(text, kLine).c_str());
   }
 
   void say_what_triggers() {
@@ -141,15 +190,17 @@ class Record {
 
   /// Says on standard error what is new.
   void look(const RecorderStatus& now) {
+    look_around(now);
     say_what_is_missing(now);
+    say_cut(now);
     for (const auto& refused : now.refused) {
       if (said_.insert(refused.name).second) say("left out: " + refused.why);
     }
     say_files(now);
     if (now.error != error_ && Clock::now() >= say_again_) {
+      say(error_.empty() ? now.first_error : now.error);
       error_ = now.error;
       say_again_ = Clock::now() + kSayErrorAgain;
-      say(error_);
     }
     show_how_it_goes(now);
   }
@@ -158,12 +209,68 @@ class Record {
     for (; files_ < now.files.size(); ++files_) say("writes " + now.files[files_]);
   }
 
+  std::string cut_text(const RecorderStatus& now) const {
+    char memory[32];
+    std::snprintf(memory, sizeof(memory), "%g",
+                  static_cast<double>(options_.what.keep_last_bytes) / (1 << 20));
+    return "of the last " + short_seconds(options_.what.keep_last) + " only " +
+           short_seconds(now.cut_time) + " fit in --memory " + memory;
+  }
+  void say_cut(const RecorderStatus& now) {
+    if (now.cut_messages != 0 && !std::exchange(has_said_cut_, true)) say(cut_text(now));
+  }
+
+  /// Says what is there beside what it records, or in its place: files that it cannot look into,
+  /// and other segments.
+  void look_around(const RecorderStatus& now) {
+    if (Clock::now() < look_around_) return;
+    look_around_ = Clock::now() + kLookAround;
+    const Surroundings there = surroundings(now);
+    is_hindered_ = !there.hindrances.empty();
+    const std::string end = there.is_recording ? "" : kWaits;
+    for (const std::string& line : there.hindrances) {
+      if (said_.insert(line).second) say(line + end);
+    }
+    for (const std::string& line : there.others) {
+      if (said_.insert(line).second) say(line);
+    }
+  }
+
+  /// Lines about what is there and is not recorded.
+  struct Surroundings {
+    std::vector<std::string> hindrances;
+    std::vector<std::string> others;
+    bool is_recording = false;  ///< a segment that it has joined is there
+  };
+  Surroundings surroundings(const RecorderStatus& now) const try {
+    Surroundings there;
+    const std::vector<Sight> all = sights(where_);
+    for (const Hindrance& h : hindrances(where_, all)) {
+      there.hindrances.push_back(printable(h.path, 200) + ": " + printable(h.reason, kLine));
+    }
+    const auto is_recorded = [&](const Sight& s) {
+      return s.window != nullptr && std::ranges::count(now.segments, s.path) != 0;
+    };
+    there.is_recording = std::ranges::any_of(all, is_recorded);
+    for (const Sight& s : all) {
+      // Without one that it records it may join this one at its next look.
+      if (!there.is_recording || s.window == nullptr || is_recorded(s)) continue;
+      there.others.push_back(printable(s.path, 200) +
+                             " is there, too, and is not recorded: `lot "
+                             "record --segment " +
+                             printable(s.name, 200) + "` records it");
+    }
+    return there;
+  } catch (const Error&) {
+    return {};  // there is no directory: why_no_segment() says it
+  }
+
   /// Once: where there is nothing at all, and a while later where some of it has not come.
   void say_what_is_missing(const RecorderStatus& now) {
     const bool is_nothing = now.topics.empty() && now.refused.empty();
     if (has_said_what_is_missing_ || (!is_nothing && Clock::now() < begin_ + kForTopics)) return;
     has_said_what_is_missing_ = true;
-    for (const std::string& line : missing(now, ": waiting (Ctrl-C ends)")) say(line);
+    for (const std::string& line : missing(now, kWaits)) say(line);
   }
 
   /// For each name or pattern that no topic has fitted a line that says what is there. `end`: of a
@@ -173,7 +280,8 @@ class Record {
     std::vector<std::string> there = topics_there(where_);
     for (const auto& topic : now.topics) there.push_back(topic.name);
     for (const auto& refused : now.refused) there.push_back(refused.name);
-    if (there.empty()) {
+    if (there.empty() && now.segments.empty()) {
+      if (is_hindered_) return {};
       if (const std::string why = why_no_segment(where_); !why.empty()) return {why + end};
     }
     sort_out(there);
@@ -224,14 +332,17 @@ class Record {
     const RecorderStatus::Topic sum = sum_of(now);
     std::vector<std::string> removed;
     std::erase_if(now.files, [&](const std::string& file) {
-      const bool is_gone = sum.messages == 0 && remove_empty(file);
+      const bool may_be_empty = sum.messages == 0 || sum.lost != 0;
+      const bool is_gone = may_be_empty && remove_empty(file);
       if (is_gone) removed.push_back(file);
       return is_gone;
     });
-    report_.document()["command"] = "record";
-    report_.document()["files"] = now.files;
     for (const std::string& file : now.files) report_.print(printable(file, 200) + "\n");
-    tell_topics(now);
+    for (const std::string& segment : now.segments) {
+      report_.print("  segment " + printable(segment, 200) + "\n");
+    }
+    fill_document(now);
+    print_topics(now);
     for (const std::string& file : removed) {
       report_.hint(printable(file, 200) + " had no message, and was removed");
     }
@@ -244,6 +355,12 @@ class Record {
                    "another process subscribes to it, and else on ROS's own links");
     }
     if (sum.messages == 0) tell_why_nothing(now);
+    if (now.cut_messages != 0) {
+      report_.hint(cut_text(now) + ": " +
+                   plural(now.cut_messages, "message went", "messages went") +
+                   " before the time was over; a larger --memory keeps more");
+    }
+    tell_surroundings(now);
     tell_what_is_missing(now);
     if (sum.missed != 0) {
       report_.hint(plural(sum.missed, "message was", "messages were") +
@@ -252,9 +369,14 @@ class Record {
     }
   }
 
-  void tell_topics(const RecorderStatus& now) {
-    Json& out = report_.document();
-    out["topics"] = Json::array();
+  void tell_surroundings(const RecorderStatus& now) {
+    const Surroundings there = surroundings(now);
+    is_hindered_ = !there.hindrances.empty();
+    for (const std::string& line : there.hindrances) report_.hint(line);
+    for (const std::string& line : there.others) report_.hint(line);
+  }
+
+  void print_topics(const RecorderStatus& now) {
     const bool has_left_out = sum_of(now).left_out != 0;
     std::vector<std::string> head = {"TOPIC", "TYPE", "MESSAGES", "BYTES", "MISSED", "LOST"};
     if (has_left_out) head.emplace_back("LEFT OUT");
@@ -266,6 +388,20 @@ class Record {
           std::to_string(topic.missed),   std::to_string(topic.lost + topic.damaged)};
       if (has_left_out) row.push_back(std::to_string(topic.left_out));
       table.add(std::move(row));
+    }
+    if (!table.empty()) report_.print(table.text());
+  }
+
+  void fill_document(const RecorderStatus& now) {
+    Json& out = report_.document();
+    out["command"] = "record";
+    out["segments"] = Json::array();
+    for (const std::string& path : now.segments) {
+      out["segments"].push_back(std::filesystem::path(path).filename().string());
+    }
+    out["files"] = now.files;
+    out["topics"] = Json::array();
+    for (const auto& topic : now.topics) {
       out["topics"].push_back({{"name", topic.name},
                                {"type", topic.type},
                                {"messages", topic.messages},
@@ -280,15 +416,17 @@ class Record {
       out["refused"].push_back({{"name", refused.name}, {"why", refused.why}});
     }
     out["unmatched"] = now.unmatched;
-    if (!table.empty()) report_.print(table.text());
   }
 
   void tell_why_nothing(const RecorderStatus& now) {
-    if (keeps_last() && now.files.empty() && !now.topics.empty()) {
+    if (keeps_last() && now.triggers == 0 && !now.topics.empty()) {
       return report_.hint("no trigger came: " + plural(now.kept_messages, "message", "messages") +
                           " of the last seconds were kept, and are not written");
     }
-    report_.hint("nothing was recorded");
+    report_.hint(now.triggers == 0 ? "nothing was recorded"
+                 : now.first_error.empty()
+                     ? "nothing was recorded: no message was there when the trigger came"
+                     : "nothing was recorded: a trigger came, and its file could not be written");
     report_.ends(kWrong);
   }
 
@@ -307,6 +445,9 @@ class Record {
   StatusLine line_;
   const Clock::time_point begin_ = Clock::now();
   bool has_said_what_is_missing_ = false;
+  bool has_said_cut_ = false;
+  bool is_hindered_ = false;  ///< at the last look around
+  Clock::time_point look_around_{};
   std::set<std::string> said_;
   std::size_t files_ = 0;
   std::string error_;

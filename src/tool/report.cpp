@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tool/report.hpp"
 
+#include <cstdio>
+
 #include "liveness/lock_file.hpp"
 #include "refcount/ownership.hpp"
 #include "robust_mutex/lock_word.hpp"
@@ -24,6 +26,14 @@ Exit Report::finish() {
   return exit_;
 }
 
+Exit Report::refuse(const std::string& text, Exit exit) {
+  std::fprintf(stderr, "%s\n", text.c_str());
+  if (!json_) return exit;
+  ends(exit);
+  hint(text);
+  return finish();
+}
+
 std::string command(const std::string& words, const std::string& path) {
   return printable(segment::command(words, path), 500);
 }
@@ -39,7 +49,7 @@ bool introduce(const Sight& sight, Report& report, Json& entry) {
     return true;
   }
   report.print("\n  " + std::string(to_string(sight.condition)) + ": " +
-               printable(sight.reason, 500) + "\n");
+               printable(sight.reason, kLine) + "\n");
   const std::string name = printable(sight.name);
   switch (sight.condition) {
     case Sight::Condition::OtherBoot:
@@ -160,7 +170,7 @@ void look_for_obstacles(const Settings& settings, const std::vector<Sight>& foun
   const Places places = find_places(settings.where);
   for (const auto& obstacle : places.obstacles) {
     report.ends(kWrong);
-    report.hint(printable(obstacle.path, 200) + ": " + printable(obstacle.advice(), 400));
+    report.hint(printable(obstacle.path, 200) + ": " + printable(obstacle.advice(), kLine));
   }
   for (const Sight& sight : found) {
     if (sight.condition != Sight::Condition::Untrusted) {

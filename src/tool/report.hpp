@@ -32,6 +32,9 @@ class Report {
 
   /// Writes everything to standard output.
   Exit finish();
+  /// For a command that cannot go on: writes the text to standard error; with --json the document,
+  /// too, where it is a hint.
+  Exit refuse(const std::string& text, Exit exit);
 
  private:
   bool json_;

@@ -85,6 +85,20 @@ bool was_left(const Sight& sight) {
   return sight.window != nullptr && !sight.window->segment().is_at_its_path();
 }
 
+std::vector<Hindrance> hindrances(const Where& where, const std::vector<Sight>& found) {
+  std::vector<Hindrance> all;
+  for (const Sight& s : found) {
+    if (s.window != nullptr) continue;
+    all.push_back({s.path, to_string(s.condition) + (": " + s.reason),
+                   "`lot doctor` and `lot ls` say what to do",
+                   s.condition == Sight::Condition::Damaged});
+  }
+  for (const auto& obstacle : find_places(where).obstacles) {
+    all.push_back({obstacle.path, obstacle.advice(), "", false});
+  }
+  return all;
+}
+
 std::vector<Sight> sights(const Where& where) {
   std::vector<Sight> found;
   for (const auto& name : find_places(where).segments) {

@@ -31,6 +31,16 @@ const char* to_string(Sight::Condition condition);
 Sight sight(const Where& where, const std::string& name);
 /// Looks at all segments that `where` names. Throws lot::Error when the directory can not be read.
 std::vector<Sight> sights(const Where& where);
+/// Something that keeps the tool from looking at what `where` names.
+struct Hindrance {
+  std::string path;
+  std::string reason;  ///< "not trusted: it belongs to ..."
+  std::string advice;  ///< what says more; empty: the reason has all
+  bool is_damaged = false;
+};
+/// The segments that it has found and not looked into, and what lies in the place of one. Throws as
+/// sights().
+std::vector<Hindrance> hindrances(const Where& where, const std::vector<Sight>& found);
 /// Whether a segment that it has looked into does not lie there any more: its last process has left
 /// it, or its file was removed.
 bool was_left(const Sight& sight);

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <vector>
 
 /// What people read: aligned columns and human units.
 namespace lot::tool {
+
+/// So many bytes of an error are printed: its end says what to do.
+constexpr std::size_t kLine = 2000;
 
 /// Columns as wide as their widest cell, and a table that fits a screen. Cells of the last columns
 /// may be left out.

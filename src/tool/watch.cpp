@@ -90,7 +90,7 @@ void Watch::refresh() {
   try {
     found = sights(where_);
   } catch (const Error& e) {  // the directory has gone, or was closed to this user
-    problem_ = printable(e.what(), 500);
+    problem_ = printable(e.what(), kLine);
   }
   std::vector<std::string> names;
   for (const auto& segment : segments_) names.push_back(segment.sight.name);

@@ -429,6 +429,12 @@ TEST_CASE("a topic that no process uses gets the type of --like, and --wait wait
   CHECK(names(ran.out, "to 0 subscribers\n"));
   CHECK(names(ran.out, "* no process subscribes to it: --wait SECONDS waits for one"));
 
+  {
+    Running observer(on(robot.options, {"echo", "/new"}));
+    REQUIRE(observer.says("waiting"));
+    ran = pub({"/new", "{number: 1}", "--like", "/goal"});
+    CHECK(names(ran.out, "to 0 subscribers and 1 observer\n"));
+  }
   ran = pub({"/new", "{number: 1}", "--like", "/goal", "--wait", "0.05"});
   CHECK(ran.exit == 1);
   CHECK(names(ran.err, "lot: /new: no process subscribes to it; nothing was published"));

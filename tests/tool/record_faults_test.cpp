@@ -276,6 +276,40 @@ TEST_CASE("lot record on a disk that is full says so, counts it, and ends with 1
   std::filesystem::remove(file);
 }
 
+TEST_CASE("lot record on a disk that is full from the begin: no file stays") {
+  const Watchdog watchdog(120);
+  const SmallDisk disk("size=64k");
+  if (disk.path.empty()) {
+    std::printf("skipped: can not mount a tmpfs\n");
+    return;
+  }
+  const Stage stage;
+  lot::ShmEngine engine(stage.options);
+  auto pictures = engine.advertise<Picture>("/pictures");
+  const std::string room(48 << 10, 'x');  // a page or two stay free: a file's begin has room there
+  for (const std::size_t more : {std::size_t{8} << 10, std::size_t{16} << 10}) {
+    CAPTURE(more);
+    write_file(disk.path + "/full", room + std::string(more, 'x'));
+    const std::string file = disk.path + "/a.mcap";
+    Running recorder(
+        on(stage.options, {"record", "--all", "--json", "--split-time", "1000", "-o", file}));
+    const bool begins = more < 16 << 10;
+    if (begins) {
+      REQUIRE(recorder.says("writes"));
+      put(pictures, 0, 400'000);
+      REQUIRE(recorder.says("No space left"));
+    }
+    const Ran ran = begins ? recorder.interrupt() : recorder.finish();
+    CHECK(ran.exit == 1);
+    CHECK(ran.json().at("exit") == 1);
+    CHECK(says(ran.err, "No space left"));
+    CHECK(says(ran.err, "make room, or record to another disk"));
+    CHECK_FALSE(says(ran.err, "can be read"));
+    CHECK(files_in(disk.path) == std::vector<std::string>{disk.path + "/full"});
+    std::filesystem::remove(disk.path + "/full");
+  }
+}
+
 TEST_CASE("lot record whose directory vanishes says so, and ends with 1") {
   const Watchdog watchdog(120);
   Stage stage;

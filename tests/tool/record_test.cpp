@@ -6,8 +6,10 @@
 #include <csignal>
 #include <cstdint>
 #include <filesystem>
+#include <iterator>
 #include <string>
 #include <thread>
+#include <unistd.h>
 #include <utility>
 #include <vector>
 
@@ -18,6 +20,7 @@
 
 #include "stage.hpp"
 #include "support/janitor.hpp"
+#include "support/users.hpp"
 #include "terminal.hpp"
 
 namespace {
@@ -25,6 +28,10 @@ namespace {
 using namespace lot::testing;
 
 [[maybe_unused]] const bool has_janitor = start_janitor();
+
+bool says(const std::string& text, const std::string& what) {
+  return text.find(what) != std::string::npos;
+}
 
 struct Other {
   std::uint64_t count = 0;
@@ -150,6 +157,231 @@ TEST_CASE("lot record says why its file cannot be made") {
   CHECK(record(stage.directory.file("")).find("it is a directory") != std::string::npos);
   CHECK(record(stage.directory.file("none/a")).find("make its directory") != std::string::npos);
   CHECK(record("/proc/a.mcap").find("takes no new files") != std::string::npos);
+  std::filesystem::create_symlink(stage.directory.file("none"), stage.file());
+  CHECK(record(stage.file()).find("a symbolic link that leads nowhere") != std::string::npos);
+  CHECK(record("").find("a file has a name") != std::string::npos);
+  CHECK(record("-").find("a recording is no stream") != std::string::npos);
+}
+
+TEST_CASE("lot record --last says at its begin why no file can be made, and leaves none there") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  for (const std::string& file : {stage.directory.file("none/a"), std::string("/proc/a.mcap")}) {
+    CAPTURE(file);
+    const std::vector<std::string> words =
+        on(stage.options, {"record", "--all", "--json", "-o", file});
+    std::vector<std::string> keeps = words;
+    keeps.insert(keeps.end(), {"--last", "5"});
+    const Ran kept = run_lot(keeps);
+    CHECK(kept.exit == 1);
+    CHECK(kept.json().at("exit") == 1);
+    CHECK(kept.json().at("hints").size() == 1);
+    if (file.starts_with("/tmp")) CHECK(says(kept.err, "make its directory first"));
+    CHECK_FALSE(says(kept.out, "no trigger came"));
+  }
+  Running recorder(stage.record({"/pose", "--last", "1000"}));
+  REQUIRE(recorder.says("keeps the last"));
+  CHECK(std::filesystem::is_empty(stage.directory.file("")));
+  CHECK(recorder.interrupt().exit == 1);
+}
+
+TEST_CASE("lot record --last does not say that no trigger came where its file was not made") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  const std::string room = stage.directory.file("room");
+  std::filesystem::create_directory(room);
+  Running recorder(
+      on(stage.options, {"record", "/pose", "--last", "1000", "-o", room + "/a.mcap"}));
+  REQUIRE(recorder.says("keeps the last"));
+  put(pusher, 1);
+  std::filesystem::remove_all(room);
+  REQUIRE(eventually([&] {
+    recorder.child().send(SIGUSR1);
+    return says(recorder.err(), "make its directory first");
+  }));
+  const Ran ran = recorder.interrupt();
+  CHECK(ran.exit == 1);
+  CHECK_FALSE(says(ran.out, "no trigger came"));
+  CHECK(says(ran.out, "a trigger came, and its file could not be written"));
+  // The line of the moment is the one of the end.
+  CHECK(says(ran.out, room + "/a_0.mcap: cannot open the file to write it"));
+  CHECK(says(ran.err, room + "/a_0.mcap: cannot open the file to write it"));
+}
+
+TEST_CASE("lot record --last says once how little of the time fits in --memory") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  const std::string memory = "0.00390625";  // 4096 bytes
+  Running recorder(stage.record({"/pose", "--last", "1000", "--memory", memory, "--json"}));
+  REQUIRE(recorder.says("keeps the last"));
+  while (!says(recorder.err(), "* of the last 1000 s only ")) {
+    put(pusher, 1);
+    std::this_thread::sleep_for(1ms);
+  }
+  const Ran ran = recorder.interrupt();
+  const std::string end = " fit in --memory " + memory;
+  CHECK(says(ran.err, end + "\n"));
+  CHECK(ran.err.find(end) == ran.err.rfind(end));
+  const std::string hints = ran.json().at("hints").dump();
+  CHECK(says(hints, end + ": "));
+  CHECK(says(hints, " went before the time was over"));
+}
+
+TEST_CASE("SIGUSR1 does not end a lot record without --last") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  Running recorder(stage.record({"/pose"}));
+  REQUIRE(recorder.says("writes"));
+  put(pusher, 1);
+  recorder.child().send(SIGUSR1);
+  REQUIRE(recorder.says("* SIGUSR1 is a trigger with --last alone"));
+  CHECK(recorder.interrupt().exit == 0);
+  CHECK(payloads(stage.file()).size() == 1);
+}
+
+TEST_CASE("lot record without a file's name takes the next one where another takes it") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  put(pusher, 1);
+  std::string command = "cd '" + stage.directory.file("") + "'; for i in 1 2 3; do " LOT_COMMAND;
+  for (const std::string& word : on(stage.options, {"record", "/pose", "--duration", "0.5"})) {
+    command += " '" + word + "'";
+  }
+  const Ran ran = run_program({"sh", "-c", command + " & done; wait"});
+  CHECK_FALSE(says(ran.err, "never overwritten"));
+  const std::filesystem::directory_iterator all(stage.directory.file(""));
+  CHECK(std::distance(begin(all), end(all)) == 3);
+}
+
+// ---- what lies beside the segment
+// ------------------------------------------------------------------
+
+/// A file that lot cannot look into: it begins as a segment does.
+void make_damaged(const std::string& path) {
+  write_file(path, "LOTSHM\r\n" + std::string(8184, 'x'));
+  std::filesystem::permissions(path, std::filesystem::perms(0600));
+}
+std::vector<std::string> in(const std::string& directory, std::vector<std::string> words) {
+  words.insert(words.end(), {"--dir", directory});
+  return words;
+}
+
+TEST_CASE("lot record says which segments it cannot look into beside the one that it records") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  put(pusher, 1);
+  const std::string damaged = stage.room.path() + "/damaged";
+  make_damaged(damaged);
+  std::string stranger;
+  if (can_be_another_user()) {
+    stranger = stage.room.path() + "/stranger";
+    auto options = stage.room.options("stranger");
+    options.permissions = 0660;
+    options.persist = true;
+    { const lot::ShmEngine engine(options); }
+    for (const char* suffix : {"", ".lock"}) {
+      REQUIRE(chown((stranger + suffix).c_str(), kBob, kOtherGroup) == 0);
+    }
+  }
+  const Ran ran = run_lot(in(
+      stage.room.path(), {"record", "--all", "--json", "--duration", "0.5", "-o", stage.file()}));
+  CHECK(ran.exit == 0);
+  CHECK(ran.json().at("segments") == Json::array({stage.options.segment}));
+  const std::string hints = ran.json().at("hints").dump();
+  for (const std::string& text : {ran.err, hints}) {
+    CHECK(says(text, damaged + ": damaged: "));
+    if (stranger.empty()) continue;
+    CHECK(says(text, stranger + ": not trusted: "));
+    CHECK(says(text, "it belongs to uid 65532"));  // and no part is cut
+    CHECK(says(text, "if you trust its users, set LOT_GROUP=65530; else have it removed"));
+    CHECK(says(text, "for a segment of your own set LOT_SEGMENT or LOT_DIR"));
+  }
+  CHECK(ran.err.find(damaged) == ran.err.rfind(damaged));  // it is said once
+  const Ran alone = run_lot(on(stage.options, {"record", "/pose", "--duration", "0.3", "-o",
+                                               stage.directory.file("b.mcap")}));
+  CHECK(says(alone.out, "  segment " + stage.engine.path() + "\n"));
+  CHECK_FALSE(says(alone.err, damaged));  // the user has named one
+}
+
+TEST_CASE("lot record says that another segment has come, and is not recorded") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  Running recorder(in(stage.room.path(), {"record", "--all", "--json", "-o", stage.file()}));
+  REQUIRE(recorder.says("writes"));
+  put(pusher, 1);
+  const lot::ShmEngine later(stage.room.options("later"));
+  REQUIRE(recorder.says("* " + later.path() +
+                        " is there, too, and is not recorded: `lot record --segment later`"));
+  const Ran ran = recorder.interrupt();
+  CHECK(ran.exit == 0);
+  CHECK(ran.err.find(later.path()) == ran.err.rfind(later.path()));
+  CHECK(says(ran.json().at("hints").dump(), later.path()));
+}
+
+TEST_CASE("lot record that waits says why it cannot look into a segment that comes") {
+  const Watchdog watchdog(120);
+  for (const bool is_named : {false, true}) {
+    CAPTURE(is_named);
+    const Room room;
+    const Directory directory;
+    std::vector<std::string> words = in(room.path(), {"record", "--all", "-o", directory.file()});
+    if (is_named) words.insert(words.end(), {"--segment", "s"});
+    Running recorder(words);
+    REQUIRE(recorder.says(": waiting (Ctrl-C ends)"));
+    const std::string path = room.path() + "/s";
+    make_damaged(path + "_");
+    std::filesystem::rename(path + "_", path);
+    REQUIRE(recorder.says("* " + path + ": damaged: "));
+    const Ran ran = recorder.interrupt();
+    CHECK(ran.exit == 1);
+    CHECK(says(ran.out, "* " + path + ": damaged: "));
+    CHECK_FALSE(says(ran.out, "there is no segment"));
+    const Ran again = run_lot([&] {  // it is there at the begin
+      std::vector<std::string> all = words;
+      all.insert(all.end(), {"--duration", "0.3", "--json"});
+      return all;
+    }());
+    CHECK(again.exit == 1);
+    CHECK(again.json().at("exit") == 1);
+    CHECK(says(again.err, "* " + path + ": damaged: "));
+    CHECK(says(again.json().at("hints").dump(), path + ": damaged: "));
+  }
+}
+
+TEST_CASE("lot record of a segment that is there and is not trusted: named it ends, else it waits" *
+          doctest::skip(!can_be_another_user())) {
+  const Watchdog watchdog(120);
+  const Room room;
+  const Directory directory;
+  auto options = room.options();
+  options.permissions = 0660;
+  options.persist = true;
+  { const lot::ShmEngine engine(options); }
+  const std::string path = room.path() + "/s";
+  for (const char* suffix : {"", ".lock"}) {
+    REQUIRE(chown((path + suffix).c_str(), kBob, kOtherGroup) == 0);
+  }
+  std::vector<std::string> words =
+      in(room.path(), {"record", "--all", "--json", "--duration", "0.3", "-o", directory.file()});
+  for (const bool is_named : {false, true}) {
+    CAPTURE(is_named);
+    if (is_named) words.insert(words.end(), {"--segment", "s"});
+    const Ran ran = run_lot(words);
+    CHECK(ran.exit == 1);
+    CHECK(ran.json().at("exit") == 1);
+    CHECK(ran.json().at("segments").empty());
+    CHECK(says(ran.err, ": waiting (Ctrl-C ends)") == !is_named);
+    for (const std::string& text : {ran.err, ran.json().at("hints").dump()}) {
+      CHECK(says(text, "it belongs to uid 65532"));
+      CHECK(says(text, "if you trust its users, set LOT_GROUP=65530"));
+    }
+  }
 }
 
 TEST_CASE("lot record names each file of a split, also the last one") {
@@ -288,6 +520,80 @@ TEST_CASE("lot info finds wrong bytes within a chunk, and --quick says that it h
   const Ran quick = run_lot({"info", "--quick", stage.file()});
   CHECK(quick.exit == 0);
   CHECK(quick.out.find("not read (--quick)") != std::string::npos);
+}
+
+TEST_CASE("lot info of a damaged chunk says how many messages it cost, and calls none missed") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  {
+    auto pusher = stage.engine.advertise<Pose>("/pose");
+    Running recorder(stage.record({"/pose"}));
+    REQUIRE(recorder.says("writes"));
+    for (int chunk = 0; chunk < 3; ++chunk) {  // the open chunk is written once a second
+      put(pusher, chunk);
+      REQUIRE(eventually(
+          [&] { return payloads(stage.file()).size() == static_cast<std::size_t>(chunk + 1); }));
+    }
+    CHECK(recorder.interrupt().exit == 0);
+  }
+  std::string bytes = read_file(stage.file());
+  const std::size_t first = bytes.find(std::string("map\0", 4));
+  const std::size_t at = bytes.find(std::string("map\0", 4), first + 1);  // in the second chunk
+  REQUIRE(at != std::string::npos);
+  bytes.replace(at, 3, "rat");
+  write_file(stage.file(), bytes);
+  const Ran told = run_lot({"info", "--json", stage.file()});
+  const Json file = told.json().at("files").at(0);
+  CHECK(file.at("damage").at("messages") == 1);
+  CHECK(says(told.json().at("hints").dump(), ", 1 message, cannot be read"));
+  CHECK(file.at("topics").at(0).at("missed") == 0);
+  const std::size_t third = bytes.find(std::string("map\0", 4), at + 1);
+  const std::size_t end = bytes.find("lot.topic", third) - 13;  // a kill leaves no such record
+  write_file(stage.file(), std::string_view(bytes).substr(0, end));
+  const Json cut = run_lot({"info", "--json", stage.file()}).json().at("files").at(0);
+  CHECK(cut.at("messages") == 2);
+  CHECK(cut.at("topics").at(0).at("missed") == 0);
+  CHECK(cut.at("topics").at(0).at("lost") == 1);
+  const Ran quick = run_lot({"info", "--quick", stage.file()});
+  CHECK(says(quick.out, "has no index: --quick has read all of it as well"));
+}
+
+TEST_CASE("lot info --recover of a file that the user may not write says what he can do" *
+          doctest::skip(!can_be_another_user())) {
+  const Watchdog watchdog(120);
+  Stage stage;
+  stage.record_ten();
+  const std::string whole = read_file(stage.file());
+  write_file(stage.file(), std::string_view(whole).substr(0, whole.size() - 100));
+  std::filesystem::permissions(stage.file(), std::filesystem::perms(0644));
+  std::filesystem::permissions(stage.directory.file(""), std::filesystem::perms(0755));
+  std::vector<std::string> words = {LOT_COMMAND, "info", "--recover", stage.file()};
+  const Ran ran = run_by(words, [](char** arguments) {
+    become(kAnn, kOtherGroup);
+    fexecve(command_file(), arguments, environ);
+  });
+  CHECK(ran.exit == 1);
+  CHECK(says(ran.out, "it can be read and played as it is; a copy of it can be recovered"));
+}
+
+TEST_CASE("lot record names the directory in which the user may not make its file" *
+          doctest::skip(!can_be_another_user())) {
+  const Watchdog watchdog(120);
+  const Stage stage;
+  const std::string directory = stage.directory.file("mine");
+  std::filesystem::create_directory(directory);
+  std::filesystem::permissions(directory, std::filesystem::perms(0755));
+  std::filesystem::permissions(stage.directory.file(""), std::filesystem::perms(0755));
+  std::vector<std::string> words = {LOT_COMMAND, "record", "--all", "--dir",
+                                    stage.directory.file("")};
+  const Ran ran = run_by(words, [&](char** arguments) {
+    must(chdir(directory.c_str()) == 0, "the directory");
+    become(kAnn, kOtherGroup);
+    fexecve(command_file(), arguments, environ);
+  });
+  CHECK(ran.exit == 1);
+  CHECK(says(ran.err, "you may not make files in " + directory));
+  CHECK(says(ran.err, "-o FILE names the file"));
 }
 
 TEST_CASE("lot info of a closed file whose index is damaged says so, and --recover loses nothing") {
