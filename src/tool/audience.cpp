@@ -52,4 +52,21 @@ Audience linger(const Where& where, const std::string& segment, std::uint32_t me
   }
 }
 
+std::set<std::string> publishers_of(const Where& where, const std::string& segment,
+                                    std::uint32_t me, const std::string& topic) {
+  std::set<std::string> names;
+  const Sight seen = sight(where, segment);
+  if (seen.window == nullptr) return names;
+  const Observation all = observe(*seen.window);
+  for (const Channel& channel : all.channels) {
+    const Topic* const its = all.topic(channel.topic);
+    const Process* const process = all.process(channel.publisher);
+    const bool publishes = process != nullptr && process->alive && channel.publisher != me;
+    if (publishes && its != nullptr && its->name == topic) {
+      names.insert(all.who(channel.publisher));
+    }
+  }
+  return names;
+}
+
 }  // namespace lot::tool

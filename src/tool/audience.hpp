@@ -22,4 +22,8 @@ struct Audience {
 Audience linger(const Where& where, const std::string& segment, std::uint32_t me,
                 const std::set<std::string>& topics);
 
+/// Processes but for the participant `me` that publish on the topic: "3 camera".
+std::set<std::string> publishers_of(const Where& where, const std::string& segment,
+                                    std::uint32_t me, const std::string& topic);
+
 }  // namespace lot::tool

@@ -70,10 +70,7 @@ Recording opened(const std::vector<std::string>& files) {
 class Play {
  public:
   Play(const Settings& settings, const PlayOptions& options)
-      : where_(settings.where),
-        options_(options),
-        recording_(opened(options.files)),
-        report_(settings) {}
+      : where_(settings.where), options_(options), report_(settings) {}
 
   Exit run() {
     std::signal(SIGPIPE, SIG_IGN);
@@ -81,11 +78,23 @@ class Play {
       std::fprintf(stderr, "lot play: --paused needs a terminal, whose space bar goes on\n");
       return kUsage;
     }
+    try {
+      return play_all();
+    } catch (const NoRecording& none) {
+      return refuse(none.why, kDamaged);
+    } catch (const Error& e) {
+      return refuse(e, e.error_number() == EBADMSG ? kDamaged : kWrong);
+    }
+  }
+
+ private:
+  Exit play_all() {
+    recording_.emplace(opened(options_.files));
     require_named();
     const auto participant = join();
     const StopToken stop = stop_on_signals();
     ShmEngine engine(participant);
-    const bool is_new = open_topics(engine);
+    const bool is_new = open_topics(engine, *participant);
     if (outs_.empty()) {
       report_.hint("nothing of it can be published");
       report_.ends(kWrong);
@@ -100,7 +109,11 @@ class Play {
     return report_.finish();
   }
 
- private:
+  Exit refuse(const Error& why, Exit exit) {
+    fill_document();
+    return report_.refuse(shown(why.what(), kLine), exit);
+  }
+
   /// A topic that is published.
   struct Out {
     Out(const RecordedTopic& its_topic, std::string its_name, AnyPusher its_pusher)
@@ -115,37 +128,39 @@ class Play {
 
   /// The one segment there, or the named one. It is made where there is none.
   std::shared_ptr<transport::Participant> join() {
-    segment_ = where_.name;
-    if (segment_.empty()) {
+    std::string name = where_.name;
+    if (name.empty()) {
       for (const Sight& s : sights(where_)) {
         if (s.window == nullptr) continue;
-        if (!segment_.empty()) {
-          throw Error(EINVAL, where_.directory,
-                      "there are the segments " + segment_ + " and " + s.name,
+        if (!name.empty()) {
+          throw Error(EINVAL, where_.directory, "there are the segments " + name + " and " + s.name,
                       "say which one you mean: --segment NAME");
         }
-        segment_ = s.name;
+        name = s.name;
       }
     }
     EngineOptions made;
-    if (segment_.empty()) segment_ = made.segment;
+    segment_ = name.empty() ? made.segment : name;
     try {
       return visit(where_, segment_, "lot play");
     } catch (const Error& e) {
       if (e.error_number() != ENOENT) throw;
     }
+    const std::string absent = where_.name.empty() ? "" : why_no_segment(where_);
     made.name = "lot play";
     // What the command says comes before what the environment said.
     setenv("LOT_SEGMENT", segment_.c_str(), 1);
     setenv("LOT_DIR", where_.directory.c_str(), 1);
-    return transport::Participant::join(made);
+    auto participant = transport::Participant::join(made);
+    if (!absent.empty()) std::fprintf(stderr, "* %s: it is made\n", shown(absent, kLine).c_str());
+    return participant;
   }
 
   /// A name that was mistyped would be published where its owner does not expect it, or though it
   /// was to be left out.
   void require_named() const {
     std::vector<std::string> there;
-    for (const RecordedTopic& topic : recording_.topics()) there.push_back(topic.name);
+    for (const RecordedTopic& topic : recording_->topics()) there.push_back(topic.name);
     sort_out(there);
     const auto require = [&](const std::string& wanted, const char* option, bool is_there) {
       if (is_there) return;
@@ -168,9 +183,9 @@ class Play {
   }
 
   /// True: a topic was not there before.
-  bool open_topics(ShmEngine& engine) {
+  bool open_topics(ShmEngine& engine, const transport::Participant& me) {
     bool is_new = false;
-    for (const RecordedTopic& topic : recording_.topics()) {
+    for (const RecordedTopic& topic : recording_->topics()) {
       const auto& chosen = options_.query.topics;
       if (!chosen.empty() && !lot::record::matches_any(chosen, topic.name)) continue;
       if (lot::record::matches_any(options_.except, topic.name)) continue;
@@ -179,22 +194,37 @@ class Play {
       try {
         const AnyType there = engine.type_of(name);
         is_new = is_new || !there;
+        if (there) tell_who_publishes(me, name);
         PusherOptions how;
         how.stamp = true;
         outs_.emplace_back(topic, name,
                            engine.advertise_any(name, type_on(topic, name, there), how));
       } catch (const Error& e) {
         left_out_.emplace_back(topic.name, reason_of(e));
-        report_.hint(printable(topic.name, 200) + " is left out: " + printable(reason_of(e), 500));
+        report_.hint(printable(topic.name, 200) +
+                     " is left out: " + printable(reason_of(e), kLine));
         report_.ends(kWrong);
       }
     }
     return is_new;
   }
 
+  /// Subscribers of a topic cannot tell messages of two publishers apart.
+  void tell_who_publishes(const transport::Participant& me, const std::string& topic) {
+    const std::set<std::string> names = publishers_of(where_, segment_, me.index(), topic);
+    if (names.empty()) return;
+    std::string list;
+    for (const std::string& name : names) list += (list.empty() ? "" : ", ") + printable(name);
+    const std::string text = printable(topic, 200) + ": " + list +
+                             " publishes on it as well, and its subscribers get both: --remap "
+                             "plays it under another name";
+    std::fprintf(stderr, "* %s\n", text.c_str());
+    report_.hint(text);
+  }
+
   /// What a topic is to carry: the type that it has, if that has the same fields.
   AnyType type_on(const RecordedTopic& topic, const std::string& name, const AnyType& there) const {
-    const AnyType recorded = recording_.type_of(topic);
+    const AnyType recorded = recording_->type_of(topic);
     if (!there || there.is_same(recorded)) return recorded;
     if (lot::record::is_like(there, topic.schema)) return there;
     throw Error(EINVAL, name,
@@ -224,13 +254,13 @@ class Play {
   bool play_once(const StopToken& stop) {
     RecordingQuery query;
     for (const Out& out : outs_) query.topics.push_back(out.topic->name);
-    if (options_.start > recording_.end() - recording_.begin()) return false;
-    const RecordedTime first = recording_.begin() + options_.start;
+    if (options_.start > recording_->end() - recording_->begin()) return false;
+    const RecordedTime first = recording_->begin() + options_.start;
     query.from = first;
-    if (options_.end < recording_.end() - recording_.begin()) {
-      query.until = recording_.begin() + options_.end;
+    if (options_.end < recording_->end() - recording_->begin()) {
+      query.until = recording_->begin() + options_.end;
     }
-    RecordedMessages messages = recording_.messages(query);
+    RecordedMessages messages = recording_->messages(query);
     begin_ = Clock::now();
     if (paused_at_) paused_at_ = begin_;
     const std::uint64_t before = pushed_;
@@ -322,15 +352,12 @@ class Play {
 
   // ---- behind ----
 
-  void tell() {
+  void fill_document() {
     Json& out = report_.document();
     out["command"] = "play";
-    out["segment"] = segment_;
+    out["segment"] = segment_.empty() ? Json(nullptr) : Json(segment_);
     out["topics"] = Json::array();
-    Table table({"TOPIC", "RECORDED AS", "PUSHED"}, {0, 1});
     for (const Out& one : outs_) {
-      table.add(
-          {printable(one.name, 200), printable(one.topic->name, 200), std::to_string(one.pushed)});
       out["topics"].push_back({{"name", one.name},
                                {"recorded_as", one.topic->name},
                                {"type", one.pusher.type().name()},
@@ -342,35 +369,44 @@ class Play {
     }
     out["rounds"] = rounds_;
     out["not_built"] = damaged_;
+  }
+
+  void tell() {
+    fill_document();
+    Table table({"TOPIC", "RECORDED AS", "PUSHED"}, {0, 1});
+    for (const Out& one : outs_) {
+      table.add(
+          {printable(one.name, 200), printable(one.topic->name, 200), std::to_string(one.pushed)});
+    }
     if (!table.empty()) report_.print(table.text());
     if (damaged_ != 0) {
       report_.ends(kWrong);
       report_.hint(plural(damaged_, "message", "messages") +
-                   " could not be built: " + printable(why_, 500));
+                   " could not be built: " + printable(why_, kLine));
     }
-    if (const RecordingDamage damage = recording_.damage(); !damage.first.empty()) {
+    if (const RecordingDamage damage = recording_->damage(); !damage.first.empty()) {
       report_.ends(kDamaged);
       report_.hint(bytes_text(damage.bytes) +
-                   " of the recording cannot be read: " + printable(damage.first, 300));
+                   " of the recording cannot be read: " + printable(damage.first, kLine));
     }
     if (behind_ > Clock::duration()) {
       report_.hint("it came " + age_text(std::chrono::duration<double>(behind_).count()) +
                    " behind its schedule: this machine does not publish at that rate");
     }
     if (pushed_ == 0) report_.ends(kWrong);
-    const bool is_told = damaged_ != 0 || !recording_.damage().first.empty();
+    const bool is_told = damaged_ != 0 || !recording_->damage().first.empty();
     if (pushed_ == 0 && rounds_ != 0 && !is_told) tell_why_nothing();
   }
 
   void tell_why_nothing() {
-    const auto length = recording_.end() - recording_.begin();
+    const auto length = recording_->end() - recording_->begin();
     const auto seconds = [](std::chrono::nanoseconds span) {
       char text[64];
       std::snprintf(text, sizeof(text), "%.3f s", std::chrono::duration<double>(span).count());
       return std::string(text);
     };
     const auto has_any = [](const RecordedTopic& topic) { return topic.messages != 0; };
-    if (std::ranges::none_of(recording_.topics(), has_any)) {
+    if (std::ranges::none_of(recording_->topics(), has_any)) {
       report_.hint("the recording has no message");
     } else if (options_.end < options_.start) {
       report_.hint("--end lies before --start: nothing is between them");
@@ -386,7 +422,7 @@ class Play {
 
   const Where where_;
   const PlayOptions& options_;
-  Recording recording_;
+  std::optional<Recording> recording_;
   Report report_;
   std::string segment_;
   std::deque<Out> outs_;
@@ -404,11 +440,8 @@ class Play {
 
 }  // namespace
 
-Exit play(const Settings& settings, const PlayOptions& options) try {
+Exit play(const Settings& settings, const PlayOptions& options) {
   return Play(settings, options).run();
-} catch (const NoRecording& none) {
-  std::fprintf(stderr, "%s\n", shown(none.why.what(), 2000).c_str());
-  return kDamaged;
 }
 
 }  // namespace lot::tool

@@ -102,8 +102,8 @@ TEST_CASE("lot play --start and --end: a part of the time, both ends included") 
     CHECK(ran.exit == (numbers.empty() ? 1 : 0));
     CHECK(audience.heard("/count") == numbers);
     const Json hints = ran.json().at("hints");
-    CHECK(hints.size() == (numbers.empty() ? 1 : 0));
-    if (numbers.empty()) CHECK(says(hints.at(0), words.size() == 2 ? "2.000 s" : "--end lies"));
+    CHECK(hints.size() == (numbers.empty() ? 2 : 1));  // the first one names the audience
+    if (numbers.empty()) CHECK(says(hints.at(1), words.size() == 2 ? "2.000 s" : "--end lies"));
   }
 }
 
@@ -181,6 +181,73 @@ TEST_CASE("lot play --topic or --except of what is not in the recording publishe
     }
   }
   CHECK(audience.heard("/count").empty());
+}
+
+TEST_CASE("lot play --remap of one topic to two names, and an option twice, are wrong usage") {
+  const Watchdog watchdog(60);
+  const Directory directory;
+  const std::string file = five(directory);
+  Audience audience(file, {"/count"});
+  const Ran twice = audience.play(file, {"--remap", "/count:=/a", "--remap", "/count:=/b"});
+  CHECK(twice.exit == 2);
+  CHECK(says(twice.err, "--remap gives /count two names"));
+  const Ran end = audience.play(file, {"--end", "1", "--end", "2"});
+  CHECK(end.exit == 2);
+  CHECK(says(end.err, "--end stands there twice: write it once"));
+  CHECK(audience.heard("/count").empty());
+}
+
+TEST_CASE("lot play says which other process publishes on its topic") {
+  const Watchdog watchdog(120);
+  const Directory directory;
+  const std::string file = five(directory);
+  Audience audience(file, {"/count"});
+  const Ran both = audience.play(file, {"--rate", "100"});
+  CHECK(both.exit == 0);
+  const std::string line = "/count: 1 tool_play publishes on it as well, and its subscribers get";
+  CHECK(says(both.err, "* " + line));
+  CHECK(says(both.json().at("hints").dump(), line));
+  const Ran alone = audience.play(file, {"--rate", "100", "--remap", "/count:=/other"});
+  CHECK(alone.exit == 0);
+  CHECK_FALSE(says(alone.err, "publishes on it as well"));
+}
+
+TEST_CASE("lot play --json has a document, with its status, also where it ends at its begin") {
+  const Watchdog watchdog(120);
+  const Directory directory;
+  const std::string file = five(directory);
+  const Audience audience(file, {"/count"});
+  write_file(directory.file("text"), "some text that is long enough to be read");
+  const struct {
+    std::string file;
+    std::vector<std::string> words;
+    int exit;
+    std::string says;
+  } parts[] = {{directory.file("none"), {}, 1, "No such file"},
+               {directory.file("text"), {}, 3, "not an MCAP file"},
+               {file, {"--topic", "/conut"}, 1, "there is /count"}};
+  for (const auto& [name, words, exit, says_why] : parts) {
+    CAPTURE(name);
+    const Ran ran = audience.play(name, words);
+    CHECK(ran.exit == exit);
+    CHECK(ran.json().at("exit") == exit);
+    CHECK(ran.json().at("segment").is_null());
+    CHECK(says(ran.json().at("hints").at(0).get<std::string>(), says_why));
+    CHECK(says(ran.err, says_why));
+  }
+}
+
+TEST_CASE("lot play of a segment's name that is mistyped says which there are, and makes it") {
+  const Watchdog watchdog(120);
+  const Directory directory;
+  const std::string file = five(directory);
+  const Audience audience(file, {"/count"});
+  auto options = audience.stage.options;
+  options.segment = "typo";
+  const Ran ran = run_lot(on(options, {"play", file, "--rate", "100"}));
+  CHECK(ran.exit == 0);
+  CHECK(says(ran.err, "* there is no segment typo in "));
+  CHECK(says(ran.err, "; there is " + audience.stage.options.segment + ": it is made\n"));
 }
 
 TEST_CASE("lot play --loop plays the same part again and again") {
