@@ -17,8 +17,8 @@ std::string with(const char* format, double value, const char* unit) {
 std::string in_bytes(double value, const char* end) {
   static constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
   std::size_t unit = 0;
-  for (; value >= 1024 && unit + 1 < std::size(kUnits); ++unit) value /= 1024;
-  return with(unit == 0 || value >= 10 || value == std::floor(value) ? "%.0f %s" : "%.1f %s", value,
+  for (; std::round(value) >= 1024 && unit + 1 < std::size(kUnits); ++unit) value /= 1024;
+  return with(value >= 9.95 || value == std::floor(value) ? "%.0f %s" : "%.1f %s", value,
               kUnits[unit]) +
          end;
 }
@@ -68,15 +68,15 @@ std::string bandwidth_text(double bytes_per_second) {
 std::string count_text(std::uint64_t count) {
   const auto value = static_cast<double>(count);
   if (count < 100000) return std::to_string(count);
-  if (count < 1000000) return with("%.0f%s", value / 1e3, "k");
-  if (count < 1000000000) return with("%.1f%s", value / 1e6, "M");
+  if (count < 999500) return with("%.0f%s", value / 1e3, "k");
+  if (count < 999950000) return with("%.1f%s", value / 1e6, "M");
   return with("%.1f%s", value / 1e9, "G");
 }
 
 std::string rate_text(double per_second) {
   if (per_second < 0.95) return with("%.2f%s", per_second, "/s");
-  if (per_second < 1000) return with("%.1f%s", per_second, "/s");
-  if (per_second < 1e6) return with("%.1f%s", per_second / 1e3, "k/s");
+  if (per_second < 999.95) return with("%.1f%s", per_second, "/s");
+  if (per_second < 999950) return with("%.1f%s", per_second / 1e3, "k/s");
   return with("%.1f%s", per_second / 1e6, "M/s");
 }
 

@@ -36,9 +36,9 @@ class Table {
 
 /// "312 MiB"
 std::string bytes_text(std::uint64_t bytes);
-/// "30.0 MiB/s"
+/// "30 MiB/s"
 std::string bandwidth_text(double bytes_per_second);
-/// "1.2 million"
+/// "1.2M"
 std::string count_text(std::uint64_t count);
 /// "30.0/s", "0.25/s"
 std::string rate_text(double per_second);
