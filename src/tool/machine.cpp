@@ -316,12 +316,10 @@ Mount mount_of(const std::string& directory, const std::string& mountinfo) {
 std::vector<std::string> misspelt_of(const std::vector<std::string>& names) {
   std::vector<std::string> found;
   for (const auto& name : names) {
-    if (std::find(kVariables.begin(), kVariables.end(), name) != kVariables.end()) continue;
-    for (const auto& variable : kVariables) {
-      if (letters_apart(name, variable) > 2) continue;
-      found.push_back(name + ": " + std::string(variable));
-      break;
-    }
+    const auto far = [&](std::string_view variable) { return letters_apart(name, variable); };
+    const auto nearest = std::ranges::min_element(kVariables, {}, far);
+    const std::size_t apart = far(*nearest);
+    if (apart != 0 && apart <= 2) found.push_back(name + ": " + std::string(*nearest));
   }
   return found;
 }
