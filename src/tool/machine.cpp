@@ -132,7 +132,8 @@ Call try_populate() {
 void try_files(Machine& m) {
   const int file = memfd_create("lot doctor", MFD_CLOEXEC);
   if (file == -1) return;  // nothing is known: the calls may work
-  m.fallocate = judged(fallocate(file, 0, 0, 4096) == 0, errno);
+  const bool has_memory = fallocate(file, 0, 0, 4096) == 0;
+  m.fallocate = judged(has_memory, errno);
   struct flock lock {};
   lock.l_type = F_WRLCK;
   const bool asked = fcntl(file, F_OFD_GETLK, &lock) == 0;
