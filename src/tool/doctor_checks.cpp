@@ -170,14 +170,14 @@ Finding memory_group(const Machine& m) {
   if (m.group_bytes == kUnlimited)
     return ok("memory_group", "the control group has no limit of memory");
   const std::string seen = "the control group may have " + bytes_text(m.group_bytes);
-  const std::uint64_t size = m.wanted_bytes != 0 ? m.wanted_bytes : m.group_bytes / 2;
+  const std::uint64_t size = m.group_bytes / 2;
   if (m.wanted_bytes > m.group_bytes) {
     return {"memory_group", Verdict::Warning,
             seen + ", and LOT_SIZE asks for " + bytes_text(m.wanted_bytes),
             "The kernel ends processes of the group when the segment grows.",
             "lower LOT_SIZE, or raise the limit (`docker run --memory`, MemoryMax=)"};
   }
-  if (size < kSmall && m.wanted_bytes == 0) {
+  if (m.wanted_bytes == 0 && size < kSmall) {
     return {"memory_group", Verdict::Warning, seen,
             "A new segment gets at most half of it, " + bytes_text(size) + ".",
             "raise the limit (`docker run --memory`, MemoryMax=), or set LOT_SIZE"};
