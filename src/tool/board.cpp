@@ -105,8 +105,6 @@ constexpr const char* kKeys[][2] = {
 };
 constexpr const char* kShortHelp = "q quit  h help  t tables  left/right sort  - reverse  p pause";
 
-std::string cut(const std::string& text, std::size_t width) { return text.substr(0, width); }
-
 /// Adds the text in lines of the width, broken between words where that can be.
 void add_wrapped(const std::string& text, std::size_t width, Style style,
                  std::vector<Line>& lines) {
@@ -316,7 +314,7 @@ std::vector<Line> Board::body(const Watch& watch, std::size_t width) {
   for (const auto& segment : watch.segments()) add_segment(segment, width, lines);
   for (const auto& news : watch.news()) add_wrapped(news, width, Style::Wrong, lines);
   const auto all = tables(watch.segments(), width);
-  if (!lines.empty() && !all.empty()) lines.push_back({});
+  if (!all.empty()) lines.push_back({});
   lines.insert(lines.end(), all.begin(), all.end());
   return lines;
 }
@@ -349,8 +347,11 @@ Line Board::foot(std::size_t lines, std::size_t width) const {
 
 std::vector<Line> Board::screen(const Watch& watch, std::size_t width, std::size_t height) {
   if (width < kNarrowest) {
-    return {{{cut("too narrow: it needs " + std::to_string(kNarrowest) + " columns", width),
-              Style::Wrong}}};
+    std::vector<Line> lines;
+    add_wrapped("too narrow: it needs " + std::to_string(kNarrowest) + " columns",
+                std::max<std::size_t>(width, 1), Style::Wrong, lines);
+    lines.resize(std::min(lines.size(), std::max<std::size_t>(height, 1)));
+    return lines;
   }
   std::vector<Line> all = body(watch, width);
   room_ = height > 2 ? height - 2 : 1;
