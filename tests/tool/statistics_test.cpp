@@ -72,6 +72,138 @@ class Player {
 
 TEST_SUITE_BEGIN("statistics");
 
+TEST_CASE("moments of a few numbers, and of parts that become one") {
+  const auto text = [](const Moments& m) {
+    const auto whole = [](double x) { return std::to_string(std::llround(x * 100)); };
+    return std::to_string(m.count()) + ": " + whole(m.mean()) + " +- " + whole(m.deviation()) +
+           ", " + whole(m.least()) + ".." + whole(m.most());
+  };
+  CHECK(text(moments_of({3})) == "1: 300 +- 0, 300..300");
+  CHECK(text(moments_of({2, 4, 4, 4, 5, 5, 7, 9})) == "8: 500 +- 200, 200..900");
+  CHECK(text(moments_of({-3, -1})) == "2: -200 +- 100, -300..-100");
+  const auto merged = [&](Moments to, const Moments& from) {
+    to.merge(from);
+    return text(to);
+  };
+  CHECK(merged(moments_of({1, 2, 3}), moments_of({10})) == "4: 400 +- 354, 100..1000");
+  CHECK(merged(moments_of({10}), moments_of({1, 2, 3})) == "4: 400 +- 354, 100..1000");
+  CHECK(merged(moments_of({5, 7}), moments_of({})) == "2: 600 +- 100, 500..700");
+  CHECK(merged(moments_of({}), moments_of({5, 7})) == "2: 600 +- 100, 500..700");
+  CHECK(std::isnan(moments_of({}).deviation()));
+}
+
+TEST_CASE("a bucket is a whole number below 64, and then 1/32 as wide as its numbers are large") {
+  const std::pair<std::int64_t, double> kMiddles[] = {{0, 0},
+                                                      {1, 1},
+                                                      {31, 31},
+                                                      {32, 32},
+                                                      {63, 63},
+                                                      {64, 64.5},
+                                                      {65, 64.5},
+                                                      {66, 66.5},
+                                                      {127, 126.5},
+                                                      {128, 129.5},
+                                                      {131, 129.5},
+                                                      {132, 133.5},
+                                                      {1000, 999.5},
+                                                      {1023, 1015.5},
+                                                      {1024, 1039.5},
+                                                      {-1, -1},
+                                                      {-64, -64},
+                                                      {-65, -65.5},
+                                                      {-67, -67.5},
+                                                      {-129, -130.5},
+                                                      {1 << 20, 0x1p20 + 0x1p14 - 0.5},
+                                                      {INT64_MAX, 0x1p63 - 0x1p56},
+                                                      {INT64_MIN, -0x1p63 + 0x1p56}};
+  for (const auto& [number, middle] : kMiddles) {
+    CAPTURE(number);
+    Ranks ranks;
+    ranks.add(number);
+    CHECK(ranks.at(1) == middle);
+    CHECK(ranks.at(0.001) == middle);
+  }
+}
+
+TEST_CASE("a part of numbers does not exceed the rank that is asked for") {
+  const auto ranks_of = [](std::initializer_list<std::int64_t> numbers) {
+    Ranks ranks;
+    for (const std::int64_t x : numbers) ranks.add(x);
+    return ranks;
+  };
+  const auto text = [](const Ranks& ranks) {
+    std::string all = std::to_string(ranks.count()) + ":";
+    for (const double q : {0.01, 0.25, 0.26, 0.5, 0.75, 0.76, 1.0}) {
+      all += " " + std::to_string(std::lround(ranks.at(q)));
+    }
+    return all;
+  };
+  CHECK(text(ranks_of({4, 1, 3, 2})) == "4: 1 1 2 2 3 4 4");
+  CHECK(text(ranks_of({7, -5, 0, -3})) == "4: -5 -5 -3 -3 0 7 7");
+  CHECK(text(ranks_of({-1, -2, -3, -4})) == "4: -4 -4 -3 -3 -2 -1 -1");
+  CHECK(text(ranks_of({5, 5, 5, 9})) == "4: 5 5 5 5 5 9 9");
+  CHECK(ranks_of({}).at(0.5) == 0);
+  for (const bool is_larger : {false, true}) {
+    Ranks a = ranks_of({-1, 4});
+    Ranks b = ranks_of({-30, 50});
+    (is_larger ? b : a).merge(is_larger ? a : b);
+    CHECK(text(is_larger ? b : a) == "4: -30 -30 -1 -1 4 50 50");
+  }
+}
+
+TEST_CASE("a rank is never outside of all numbers") {
+  const auto figures_of = [](std::initializer_list<std::int64_t> numbers) {
+    Figures figures;
+    for (const std::int64_t x : numbers) figures.add(x);
+    return figures;
+  };
+  CHECK(figures_of({}).empty());
+  CHECK(!figures_of({0}).empty());
+  CHECK(figures_of({64}).at(0.5) == 64);
+  CHECK(figures_of({65}).at(0.5) == 65);
+  CHECK(figures_of({64, 65}).at(1) == 64.5);
+  Figures both = figures_of({1, 2});
+  both.merge(figures_of({1000}));
+  CHECK(both.at(0.5) == 2);
+  CHECK(both.at(1) == 999.5);
+  CHECK(both.moments.count() == 3);
+}
+
+TEST_CASE("a window has a part for each 1/16 of it, and drops one that is too old as a whole") {
+  struct Part {
+    std::uint64_t n = 0;
+    std::uint64_t weight() const { return n; }
+    void merge(const Part& other) { n += other.n; }
+  };
+  Panes<Part> panes(16s, 2);
+  const auto push = [&](Span when) {
+    ++panes.at(at(when)).n;
+    return panes.size();
+  };
+  CHECK(push(0s) == 1);
+  CHECK(push(999ms) == 1);
+  CHECK(push(1s) == 2);
+  CHECK(push(2s) == 3);
+  CHECK(push(2500ms) == 3);
+  CHECK(panes.whole(at(17s - 1ns)).n == 5);
+  CHECK(panes.whole(at(17s)).n == 3);  // the first part has gone
+  CHECK(panes.size() == 2);
+  CHECK(panes.whole(at(18s)).n == 2);
+  CHECK(panes.whole(at(1h)).n == 2);  // two stay, however old they are
+  CHECK(push(1h) == 2);
+  CHECK(push(1h + 1s) == 3);
+  CHECK(panes.whole(at(1h + 1s)).n == 2);  // the last two are enough by now
+  CHECK(panes.size() == 2);
+  panes.clear();
+  CHECK(panes.size() == 0);
+  CHECK(panes.whole(at(2h)).n == 0);
+  Panes<Part> least(8ns, 0);
+  for (const Span when : {0ns, 1ns, 2ns}) ++least.at(at(when)).n;
+  CHECK(least.size() == 3);
+  CHECK(least.whole(at(9ns)).n == 2);
+  CHECK(least.whole(at(1h)).n == 0);
+}
+
 TEST_CASE("the deviation is right where it is small beside the mean") {
   std::mt19937_64 random(7);
   for (const double mean : {1.0, 1e3, 1e6, 1e10, 1e13}) {  // up to hours, in nanoseconds
