@@ -1,0 +1,376 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// `lot ls` and `lot who`, word by word, for scenes in which everything is known. They run within
+// the test.
+
+#include <chrono>
+#include <fcntl.h>
+#include <functional>
+#include <regex>
+#include <string>
+#include <sys/mman.h>
+#include <unistd.h>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "scene.hpp"
+#include "support/janitor.hpp"
+#include "support/must_go.hpp"
+#include "tool/commands.hpp"
+
+namespace {
+
+using namespace lot::testing;
+namespace tool = lot::tool;
+
+[[maybe_unused]] const bool has_janitor = start_janitor();
+
+/// What the verb prints, and how it ends.
+std::pair<std::string, tool::Exit> printed(const std::function<tool::Exit()>& verb) {
+  std::fflush(stdout);
+  const int before = dup(STDOUT_FILENO);
+  const int file = memfd_create("printed", MFD_CLOEXEC);
+  must(before != -1 && file != -1 && dup2(file, STDOUT_FILENO) != -1, "standard output");
+  const tool::Exit exit = verb();
+  dup2(before, STDOUT_FILENO);
+  close(before);
+  std::string text(static_cast<std::size_t>(lseek(file, 0, SEEK_END)), '\0');
+  must(pread(file, text.data(), text.size(), 0) == static_cast<ssize_t>(text.size()), "a text");
+  close(file);
+  return {text, exit};
+}
+
+/// What differs from run to run: the room, pids, times, what the system gave. More than one blank
+/// is two.
+std::string steady(std::string text, const std::string& room) {
+  for (auto at = text.find(room); at != text.npos; at = text.find(room)) {
+    text.replace(at, room.size(), "ROOM");
+  }
+  const std::pair<const char*, const char*> kWords[] = {
+      {R"((\n  \S[^\n]*  )\d{2,}(  +)(\d+ s|\d+ min)(  ))", "$1PID$2AGE$4"},
+      {R"(, [0-9.]+ (KiB|MiB) taken from)", ", MEMORY taken from"},
+      {R"((< \d+ s|\?|\d+ s)\n)", "AGE\n"},
+      {R"x(("(seconds|at_most_seconds|since_unix|arrived_seconds)":)[0-9.e-]+)x", "$1TIME"},
+      {R"x(("(seconds|at_most_seconds)":)(null|TIME))x", "$1TIME"},
+      {R"x(("(pid|taken_bytes)":)\d+)x", "$1NUMBER"},
+      {R"("instance":"[0-9a-f]{16}")", "\"instance\":HEX"},
+      {"   +", "  "}};
+  for (const auto& [what, with] : kWords) text = std::regex_replace(text, std::regex(what), with);
+  return "\n" + text;
+}
+
+/// A document in few lines.
+std::string compact(const std::string& text) {
+  std::string line = nlohmann::ordered_json::parse(text).dump();
+  for (const char* const begin : {R"(,{"index")", R"(,{"name")", R"(,{"block")", R"("publishers")",
+                                  R"("subscribers")", R"("behind")", R"("hints")"}) {
+    for (auto at = line.find(begin); at != line.npos; at = line.find(begin, at + 2)) {
+      line.insert(at + (*begin == ',' ? 1 : 0), "\n");
+    }
+  }
+  return line + "\n";
+}
+
+struct Shown {
+  const Room& room;
+  tool::Settings settings{{room.path(), "", {}}, false};
+
+  std::string ls(tool::Exit exit = tool::kWell) const {
+    return ran([&] { return tool::ls(settings, std::chrono::milliseconds(0), false); }, exit);
+  }
+  std::string who(bool all = false, tool::Exit exit = tool::kWell) const {
+    return ran([&] { return tool::who(settings, all); }, exit);
+  }
+
+ private:
+  std::string ran(const std::function<tool::Exit()>& verb, tool::Exit exit) const {
+    const auto [text, ended] = printed(verb);
+    CHECK(ended == exit);
+    return steady(settings.json ? compact(text) : text, room.path());
+  }
+};
+
+/// A process that has joined, and done `what`; until it is killed.
+Child resident(const lot::EngineOptions& options, const std::string& name,
+               const std::function<void(lot::ShmEngine&, const std::function<void()>&)>& what) {
+  Steps ready;
+  Child child([&] {
+    lot::EngineOptions mine = options;
+    mine.name = name;
+    lot::ShmEngine engine(mine);
+    what(engine, [&] {
+      ready.tell();
+      pause();
+    });
+  });
+  must(ready.next() == '.', "it is ready");
+  return child;
+}
+
+}  // namespace
+
+TEST_SUITE_BEGIN("lists");
+
+TEST_CASE("lot ls and lot who of two processes with messages in queues and in hands") {
+  const Watchdog watchdog(60);
+  const Scene scene;
+  Shown shown{scene.room};
+  CHECK(shown.ls() == R"(
+s  ROOM/s: 56 KiB of 11 MiB, 12 of 512 messages; 8 KiB held back, MEMORY taken from the system
+
+  PROCESS  PID  SINCE  MEMORY
+  1 publisher  PID  AGE  50 KiB
+  2 reader  PID  AGE  0 B
+
+  TOPIC  PROCESS  POLICY  HELD  RATE  LAG  LOST
+  /letters  lot::testing::Letter
+  publisher  1 publisher  overwrite  4 of 4
+  subscriber  2 reader  5  1
+  /parcels  lot::testing::Parcel
+  publisher  1 publisher  block, mutex  4 of 4  waits for room
+  subscriber  2 reader  4  holds it back
+
+* publisher 1 publisher waits for room: `lot who --dir ROOM --segment s` says for which readers
+)");
+  CHECK(shown.who() == R"(
+s  ROOM/s
+
+  TOPIC  MESSAGE  SIZE  MADE BY  HOLDER  HOW  SINCE
+  /letters  64  256 B  1 publisher  2 reader  keeps  AGE
+  /letters  65  256 B  1 publisher  2 reader  borrows  AGE
+  /parcels  70  8 KiB  1 publisher  2 reader  keeps  AGE
+
+  BEHIND  TOPIC  PUBLISHER  LAG  LOST
+  2 reader  /letters  1 publisher  5 of 4  1
+  2 reader  /parcels  1 publisher  4 of 4
+
+* publisher 1 publisher on /parcels waits for room until 2 reader has read
+)");
+  CHECK(shown.who(true) == R"(
+s  ROOM/s
+
+  TOPIC  MESSAGE  SIZE  MADE BY  HOLDER  HOW  SINCE
+  /letters  64  256 B  1 publisher  2 reader  keeps  AGE
+  /letters  65  256 B  1 publisher  2 reader  borrows  AGE
+  /letters  66  256 B  1 publisher  1 publisher  queues
+  /letters  67  256 B  1 publisher  1 publisher  queues
+  /letters  68  256 B  1 publisher  1 publisher  queues
+  /letters  69  256 B  1 publisher  1 publisher  queues
+  /parcels  70  8 KiB  1 publisher  2 reader  keeps  AGE
+  /parcels  71  8 KiB  1 publisher  1 publisher  queues
+  /parcels  72  8 KiB  1 publisher  1 publisher  queues
+  /parcels  73  8 KiB  1 publisher  1 publisher  queues
+  /parcels  74  8 KiB  1 publisher  1 publisher  queues
+  /parcels  75  8 KiB  1 publisher  1 publisher  spare
+
+  BEHIND  TOPIC  PUBLISHER  LAG  LOST
+  2 reader  /letters  1 publisher  5 of 4  1
+  2 reader  /parcels  1 publisher  4 of 4
+
+* publisher 1 publisher on /parcels waits for room until 2 reader has read
+)");
+  shown.settings.json = true;
+  CHECK(shown.ls() == R"(
+{"command":"ls","segments":[{"name":"s","path":"ROOM/s","condition":"sound","reason":"","bytes":12582912,"instance":HEX,"persist":false,"memory":{"used_bytes":57344,"held_back_bytes":8192,"total_bytes":11137024,"taken_bytes":NUMBER},"blocks":{"used":12,"total":512},"processes":[{"index":1,"name":"publisher","pid":NUMBER,"since_unix":TIME,"alive":true,"bytes":50688},
+{"index":2,"name":"reader","pid":NUMBER,"since_unix":TIME,"alive":true,"bytes":0}],"topics":[{"name":"/letters","type":"lot::testing::Letter","type_bytes":24,
+"publishers":[{"process":1,"channel":0,"gone":false,"engine":"ring","policy":"overwrite","to":"all","depth":4,"held":4,"unfinished":0,"published":6,"per_second":null,"per_second_below":null,"arrived":0,"arrived_seconds":TIME,"waits_for_room":false}],
+"subscribers":[{"process":2,"channel":0,"joining":false,"lag":5,"lost":1,"holds_back":false,"observes":false}]},
+{"name":"/parcels","type":"lot::testing::Parcel","type_bytes":6024,
+"publishers":[{"process":1,"channel":1,"gone":false,"engine":"mutex","policy":"block","to":"all","depth":4,"held":4,"unfinished":0,"published":5,"per_second":null,"per_second_below":null,"arrived":0,"arrived_seconds":TIME,"waits_for_room":true}],
+"subscribers":[{"process":2,"channel":1,"joining":false,"lag":4,"lost":0,"holds_back":true,"observes":false}]}],"damage":[]}],
+"hints":["publisher 1 publisher waits for room: `lot who --dir ROOM --segment s` says for which readers"],"exit":0}
+)");
+  CHECK(shown.who(true) == R"(
+{"command":"who","segments":[{"name":"s","path":"ROOM/s","condition":"sound","reason":"","bytes":12582912,"processes":[{"index":1,"name":"publisher","pid":NUMBER,"alive":true},
+{"index":2,"name":"reader","pid":NUMBER,"alive":true}],"messages":[{"block":64,"generation":0,"topic":"/letters","bytes":256,"made_by":1,"holders":[{"process":2,"how":"keeps","seconds":TIME,"at_most_seconds":TIME,"sequence":null,"topic":null}]},
+{"block":65,"generation":0,"topic":"/letters","bytes":256,"made_by":1,"holders":[{"process":2,"how":"borrows","seconds":TIME,"at_most_seconds":TIME,"sequence":null,"topic":"/letters"}]},
+{"block":66,"generation":0,"topic":"/letters","bytes":256,"made_by":1,"holders":[{"process":1,"how":"queues","seconds":TIME,"at_most_seconds":TIME,"sequence":6,"topic":"/letters"}]},
+{"block":67,"generation":0,"topic":"/letters","bytes":256,"made_by":1,"holders":[{"process":1,"how":"queues","seconds":TIME,"at_most_seconds":TIME,"sequence":7,"topic":"/letters"}]},
+{"block":68,"generation":0,"topic":"/letters","bytes":256,"made_by":1,"holders":[{"process":1,"how":"queues","seconds":TIME,"at_most_seconds":TIME,"sequence":8,"topic":"/letters"}]},
+{"block":69,"generation":0,"topic":"/letters","bytes":256,"made_by":1,"holders":[{"process":1,"how":"queues","seconds":TIME,"at_most_seconds":TIME,"sequence":9,"topic":"/letters"}]},
+{"block":70,"generation":0,"topic":"/parcels","bytes":8192,"made_by":1,"holders":[{"process":2,"how":"keeps","seconds":TIME,"at_most_seconds":TIME,"sequence":null,"topic":null}]},
+{"block":71,"generation":0,"topic":"/parcels","bytes":8192,"made_by":1,"holders":[{"process":1,"how":"queues","seconds":TIME,"at_most_seconds":TIME,"sequence":5,"topic":"/parcels"}]},
+{"block":72,"generation":0,"topic":"/parcels","bytes":8192,"made_by":1,"holders":[{"process":1,"how":"queues","seconds":TIME,"at_most_seconds":TIME,"sequence":6,"topic":"/parcels"}]},
+{"block":73,"generation":0,"topic":"/parcels","bytes":8192,"made_by":1,"holders":[{"process":1,"how":"queues","seconds":TIME,"at_most_seconds":TIME,"sequence":7,"topic":"/parcels"}]},
+{"block":74,"generation":0,"topic":"/parcels","bytes":8192,"made_by":1,"holders":[{"process":1,"how":"queues","seconds":TIME,"at_most_seconds":TIME,"sequence":8,"topic":"/parcels"}]},
+{"block":75,"generation":0,"topic":"/parcels","bytes":8192,"made_by":1,"holders":[{"process":1,"how":"spare","seconds":TIME,"at_most_seconds":TIME,"sequence":null,"topic":null}]}],
+"behind":[{"process":2,"topic":"/letters","publisher":1,"channel":0,"depth":4,"joining":false,"lag":5,"lost":1,"holds_back":false},{"process":2,"topic":"/parcels","publisher":1,"channel":1,"depth":4,"joining":false,"lag":4,"lost":0,"holds_back":true}],"waiting":[{"process":1,"topic":"/parcels","channel":1,"waits_for":[2]}],"damage":[]}],
+"hints":["publisher 1 publisher on /parcels waits for room until 2 reader has read"],"exit":0}
+)");
+}
+
+TEST_CASE("lot ls and lot who of subscribers that observe, have not looked, have no publisher") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  const Child first = resident(options, "first", [](auto& engine, auto&& stay) {
+    lot::PusherOptions how;
+    how.depth = 4;
+    how.stamp = true;
+    auto pusher = engine.template advertise<Letter>("/stamped", how);
+    auto idle = engine.template subscribe<Letter>("/nothing");
+    for (int n = 0; n < 6; ++n) must_go(pusher.push(pusher.loan()));
+    stay();
+  });
+  const Child second = resident(options, "second", [](auto& engine, auto&& stay) {
+    lot::PullerOptions how;
+    how.observer = true;
+    auto watching = engine.template subscribe<Letter>("/stamped", how);
+    must(!watching.try_pull(), "it begins behind");
+    auto idle = engine.template subscribe<Letter>("/nothing", how);
+    stay();
+  });
+  const Child third = resident(options, "third", [](auto& engine, auto&& stay) {
+    auto late = engine.template subscribe<Letter>("/stamped");
+    lot::PullerOptions how;
+    how.history = 2;
+    auto reads = engine.template subscribe<Letter>("/stamped", how);
+    must(bool(reads.try_pull()), "one of two");
+    stay();
+  });
+  Shown shown{room};
+  CHECK(shown.ls() == R"(
+s  ROOM/s: 4 KiB of 11 MiB, 2 of 512 messages; 0 B held back, MEMORY taken from the system
+
+  PROCESS  PID  SINCE  MEMORY
+  1 first  PID  AGE  256 B
+  2 second  PID  AGE  0 B
+  3 third  PID  AGE  256 B
+
+  TOPIC  PROCESS  POLICY  HELD  RATE  LAG  LOST
+  /stamped  lot::testing::Letter
+  publisher  1 first  overwrite  4 of 4
+  subscriber  2 second  0  observes
+  subscriber  3 third  0
+  subscriber  3 third  1
+  /nothing  lot::testing::Letter
+  subscriber  1 first  no publisher
+  subscriber  2 second  observes, no publisher
+)");
+  CHECK(shown.who() == R"(
+s  ROOM/s
+
+  no process keeps or borrows a message
+
+  BEHIND  TOPIC  PUBLISHER  LAG  LOST
+  3 third  /stamped  1 first  1 of 4
+)");
+}
+
+TEST_CASE("lot ls and lot who of queues, whose putters wait and whose workers have items") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const auto options = room.options();
+  lot::QueueOptions how;
+  how.depth = 3;
+  how.redeliver = true;
+  const Child worker = resident(options, "worker", [&](auto& engine, auto&& stay) {
+    auto jobs = engine.template queue<lot::ShmUniquePtr<Parcel>>("jobs", how);
+    must(jobs.put(jobs.make()) == lot::Status::Ok, "an item");
+    auto job = jobs.try_take();
+    must(bool(job), "an item");
+    auto listens = engine.template queue<lot::ShmUniquePtr<Parcel>>("full");
+    listens.listen();
+    stay();
+  });
+  const Child putter = resident(options, "putter", [&](auto& engine, auto&& stay) {
+    auto jobs = engine.template queue<lot::ShmUniquePtr<Parcel>>("jobs", how);
+    for (int n = 0; n < 2; ++n) must(jobs.put(jobs.make()) == lot::Status::Ok, "an item");
+    {
+      auto left = engine.template queue<int>("left");
+      (void)left.put(1);
+    }
+    stay();
+  });
+  const Child waits = resident(options, "waits", [&](auto& engine, auto&& stay) {
+    lot::QueueOptions few;
+    few.depth = 1;
+    auto full = engine.template queue<lot::ShmUniquePtr<Parcel>>("full", few);
+    must(full.put(full.make()) == lot::Status::Ok, "an item");
+    std::thread([&] { (void)full.put(full.make()); }).detach();
+    stay();
+  });
+  Shown shown{room};
+  REQUIRE(eventually([&] { return shown.who().find("waits for room") != std::string::npos; }));
+  CHECK(shown.ls() == R"(
+s  ROOM/s: 60 KiB of 11 MiB, 5 of 512 messages; 8 KiB held back, MEMORY taken from the system
+
+  PROCESS  PID  SINCE  MEMORY
+  1 worker  PID  AGE  8 KiB
+  2 putter  PID  AGE  16 KiB
+  3 waits  PID  AGE  16 KiB
+
+  TOPIC  PROCESS  POLICY  HELD  RATE  LAG  LOST
+  jobs  ShmQueue with r..testing::Parcel
+  publisher  1 worker  block, to one  1 of 3  1 unfinished
+  subscriber  1 worker  0
+  publisher  2 putter  block, to one  2 of 3
+  subscriber  1 worker  2  not looked yet
+  full  ShmQueue of lot::testing::Parcel
+  publisher  3 waits  block, to one  1 of 1  waits for room
+  subscriber  1 worker  1  not looked yet
+  left  ShmQueue of int
+  publisher  (gone)  block, to one  1 of 64
+
+* publisher 3 waits waits for room: `lot who --dir ROOM --segment s` says for which readers
+)");
+  CHECK(shown.who() == R"(
+s  ROOM/s
+
+  TOPIC  MESSAGE  SIZE  MADE BY  HOLDER  HOW  SINCE
+  jobs  64  8 KiB  1 worker  1 worker  keeps  AGE
+
+  BEHIND  TOPIC  PUBLISHER  LAG  LOST
+  1 worker  jobs  2 putter  2 of 3
+  1 worker  full  3 waits  1 of 1
+
+* publisher 3 waits on full waits for room until 1 worker has looked
+)");
+}
+
+TEST_CASE("lot ls and lot who of a segment whose last process was killed, and of nothing") {
+  const Watchdog watchdog(60);
+  const Room room;
+  Shown shown{room};
+  CHECK(shown.ls(tool::kWrong) == R"(
+no segments in ROOM
+)");
+  CHECK(shown.who(false, tool::kWrong) == R"(
+no segments in ROOM
+)");
+  shown.settings.where.name = "t";
+  CHECK(shown.ls(tool::kWrong) == R"(
+no segment ROOM/t
+)");
+  shown.settings.where.name = "";
+  Child camera = resident(room.options(), "camera", [](auto& engine, auto&& stay) {
+    auto pusher = engine.template advertise<Parcel>("/image");
+    must_go(pusher.push(pusher.loan()));
+    stay();
+  });
+  camera.kill9();
+  CHECK(shown.ls(tool::kWrong) == R"(
+s  ROOM/s: 12 KiB of 11 MiB, 1 of 512 messages; 0 B held back, MEMORY taken from the system
+
+  PROCESS  PID  SINCE  MEMORY
+  1 camera  PID  AGE  8 KiB  dead
+
+  TOPIC  PROCESS  POLICY  HELD  RATE  LAG  LOST
+  /image  lot::testing::Parcel
+  publisher  1 camera  overwrite  1 of 64
+
+* no process lives in s: run `lot clean --dir ROOM --segment s`
+)");
+  CHECK(shown.who(true, tool::kWrong) == R"(
+s  ROOM/s
+
+  TOPIC  MESSAGE  SIZE  MADE BY  HOLDER  HOW  SINCE
+  /image  64  8 KiB  1 camera  1 camera  queues
+
+* no process lives in s: run `lot clean --dir ROOM --segment s`
+)");
+}
+
+TEST_SUITE_END();
