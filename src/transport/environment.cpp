@@ -25,7 +25,8 @@ std::uint64_t parse_size(const char* text) {
                          : unit == 'G' || unit == 'g' ? 30
                          : unit == 'T' || unit == 't' ? 40
                                                       : 64;
-  if (end == text || *end != '\0' || shift == 64 || errno != 0 || n == 0 || text[0] == '-' ||
+  const bool is_number = *text >= '0' && *text <= '9';  // strtoull takes blanks and signs, too
+  if (!is_number || *end != '\0' || shift == 64 || errno != 0 || n == 0 ||
       n > (~std::uint64_t{0} >> shift)) {
     throw Error(EINVAL, std::string("LOT_SIZE=") + text, "not a size",
                 "write a number of bytes, or one with K, M, G or T behind it");
