@@ -20,8 +20,7 @@ namespace {
 
 template <class T>
 std::string_view shortest(T number, char (&room)[64]) {
-  if (std::isnan(number)) return "nan";
-  if (std::isinf(number)) return number < 0 ? "-inf" : "inf";
+  if (std::isnan(number)) return "nan";  // with no sign
   return {room,
           static_cast<std::size_t>(std::to_chars(room, room + sizeof room, number).ptr - room)};
 }
