@@ -36,10 +36,16 @@ Type array(std::uint64_t size, std::uint32_t of, std::uint64_t count) {
   return type(Kind::Array, size, "", of, count);
 }
 
+/// Follows a way, and says which it is.
+struct Way {
+  std::string path;
+  Way operator[](std::size_t i) const { return {path + "." + std::to_string(i)}; }
+};
+
 /// "Numbers 4@8 *3": three numbers aligned to 4, at offset 8. Then what else there is: w the widest
 /// alignment, b the steps of the body, s the stride, l the least bytes of an element, v what needs
 /// a value.
-std::string text_of(const Step& step) {
+std::string text_of(const Program& program, const Step& step) {
   static const char* const kNames[] = {"Numbers", "Bools", "Run",  "Blank", "Clear",
                                        "Each",    "Items", "Text", "Bits"};
   const auto more = [](const char* what, std::uint64_t n) {
@@ -48,14 +54,15 @@ std::string text_of(const Step& step) {
   return std::string(kNames[static_cast<int>(step.what)]) + " " + std::to_string(step.align) + "@" +
          std::to_string(step.offset) + more("*", step.count) + more("w", step.widest) +
          more("b", step.body) + more("s", step.stride) + more("l", step.least) +
-         (step.is_signed ? " signed" : "") + (step.needs_value ? " v" : "");
+         (step.is_signed ? " signed" : "") +
+         (step.needs_value ? " v" + program.part(Way(), step).path : "");
 }
 
 std::string steps_of(const Description& description) {
   const Program program(description);
   std::string all;
   for (const Step& step : program.steps()) {
-    all += (all.empty() ? "" : ", ") + text_of(step);
+    all += (all.empty() ? "" : ", ") + text_of(program, step);
   }
   return all;
 }
@@ -81,6 +88,9 @@ TEST_CASE("numbers that lie side by side are one step, and of several sizes a ru
   const std::pair<Description, const char*> kTypes[] = {
       {{{kU32}}, "Numbers 4@0 *1"},
       {{{kBool}}, "Bools 1@0 *1"},
+      {{{type(Kind::Float, 4)}}, "Numbers 4@0 *1"},
+      {{{type(Kind::Float, 8)}}, "Numbers 8@0 *1"},
+      {with(8, {field("e", 1, 8)}, {structure("E", 0, {})}), "Blank 1@8"},
       {with(8, {field("a", 1, 0), field("b", 1, 4)}, {kU32}), "Numbers 4@0 *2"},
       {with(12, {field("a", 1, 0), field("b", 1, 8)}, {kU32}), "Numbers 4@0 *1, Numbers 4@8 *1"},
       {with(2, {field("a", 1, 0), field("b", 1, 1)}, {kBool}), "Bools 1@0 *2"},
@@ -121,6 +131,21 @@ TEST_CASE("arrays of numbers are numbers, other arrays and vectors have steps fo
       {{{array(24, 1, 2), structure("P", 12, {field("a", 2, 0), field("b", 3, 8)}), kU64, kU32}},
        "Each 8@0 *2 b3 s12 l12, Run 8@0 *12 w8 b2, Numbers 8@0 *1, Numbers 4@8 *1"},
       {{{array(80, 1, 2), kText}}, "Each 1@0 *2 b1 s40 l4 v, Text 1@0 s40 v"},
+      {{{array(4, 1, 2), structure("P", 2, {field("a", 2, 0)}), kBool}},
+       "Each 1@0 *2 b1 s2 l1, Bools 1@0 *1"},
+      {{{array(8, 1, 2), structure("P", 4, {field("a", 2, 2)}), kU16}},
+       "Each 1@0 *2 b1 s4 l2, Numbers 2@2 *1"},
+      {{{array(8, 1, 2), structure("P", 4, {field("a", 2, 1)}), kU8}},
+       "Each 1@0 *2 b1 s4 l1, Numbers 1@1 *1"},
+      {{{array(4, 1, 2), structure("P", 2, {field("a", 2, 0), field("b", 3, 1)}), kBool, kU8}},
+       "Each 1@0 *2 b2 s2 l2, Bools 1@0 *1, Numbers 1@1 *1"},
+      {{{vector(1), structure("P", 4, {field("a", 2, 0), field("e", 3, 3)}), kU32,
+         structure("E", 1, {})}},
+       "Items 1@0 b2 s4 l5 v, Numbers 4@0 *1, Blank 1@3"},
+      {{{vector(1), structure("P", 8, {field("a", 2, 0), field("b", 2, 2), field("c", 3, 4)}), kU16,
+         kU32}},
+       "Items 2@0 w4 b3 s8 l8 v, Run 2@0 *8 w4 b2, Numbers 2@0 *2, Numbers 4@4 *1"},
+      {{{vector(1), array(12, 2, 3), kU32}}, "Items 4@0 w4 b1 s12 l12 v, Numbers 4@0 *3"},
       {{{vector(1), kU32}}, "Items 4@0 w4 b1 s4 l4 v, Numbers 4@0 *1"},
       {{{vector(1), kBool}}, "Items 1@0 b1 s1 l1 v, Bools 1@0 *1"},
       {{{vector(1), vector(2), kU16}},
@@ -128,18 +153,51 @@ TEST_CASE("arrays of numbers are numbers, other arrays and vectors have steps fo
       {{{vector(1), kBoostText}}, "Items 1@0 b1 s32 l4 v, Text 1@0 s32 v"},
       {{{type(Kind::Vector, 32, "libc++", 1), kU8}}, "Items 1@0 w1 b1 s1 l1 v, Numbers 1@0 *1"},
       {with(48, {field("n", 1, 0), field("v", 2, 8), field("m", 1, 40)}, {kU64, vector(1)}),
-       "Numbers 8@0 *1, Items 8@8 w8 b1 s8 l8 v, Numbers 8@0 *1, Numbers 8@40 *1"}};
+       "Numbers 8@0 *1, Items 8@8 w8 b1 s8 l8 v.1, Numbers 8@0 *1, Numbers 8@40 *1"}};
   for (const auto& [description, steps] : kTypes) CHECK(steps_of(description) == steps);
+}
+
+TEST_CASE("what needs a value is found by its way, in a struct, an array and a vector") {
+  const Type inner = structure("I", 80, {field("n", 2, 0), field("t", 3, 8), field("u", 3, 40)});
+  CHECK(steps_of(with(200, {field("a", 2, 0), field("i", 1, 8), field("v", 4, 100)},
+                      {inner, kU64, type(Kind::String, 32, "libc++"), vector(1)})) ==
+        "Numbers 8@0 *2, Text 1@16 s32 v.1.1, Text 1@48 s32 v.1.2, Items 1@100 b3 s80 l16 v.2, "
+        "Numbers 8@0 *1, Text 1@8 s32 v.1, Text 1@40 s32 v.2");
+}
+
+TEST_CASE("sizes that no number holds are the largest number, and parts are counted") {
+  const Type empty = structure("E", 1, {});
+  const Type four =
+      structure("P", 1, {field("a", 3, 0), field("b", 3, 0), field("c", 3, 0), field("d", 3, 0)});
+  const std::string blanks = ", Blank 1@0, Blank 1@0, Blank 1@0, Blank 1@0";
+  const std::uint64_t many = std::uint64_t{1} << 63;
+  CHECK(steps_of({{vector(1), array(many, 2, many), four, empty}}) ==
+        "Items 1@0 b5 s9223372036854775808 l18446744073709551615 v, "
+        "Each 1@0 *9223372036854775808 b4 s1 l4" +
+            blanks);
+  const std::string part = " *2305843009213693952 b4 s1 l4" + blanks;
+  CHECK(steps_of({{vector(4), array(many / 4, 2, many / 4), four, empty,
+                   structure("Q", many / 2, {field("a", 1, 0), field("b", 1, many / 4)})}}) ==
+        "Items 1@0 b10 s4611686018427387904 l18446744073709551615 v, Each 1@0" + part +
+            ", Each 1@2305843009213693952" + part);
+  const auto fields = [&](std::size_t n) {
+    return with(1, std::vector<Field>(n, field("e", 1, 0)), {empty});
+  };
+  CHECK(Program(fields(65535)).steps().size() == 65535);
+  CHECK(refusal(fields(65536)) == "e: it has too many parts");
 }
 
 TEST_CASE("bit-fields, enums, times, and what ROS 1 has in front of its messages") {
   const Type milliseconds = duration(8, 2, 1, 1000);
   const std::pair<Description, const char*> kTypes[] = {
       {with(4, {field("a", 1, 0, 3, 0), field("b", 1, 0, 5, 3)}, {kU16}),
-       "Bits 2@0 *2 s1 v, Bits 2@0 *2 s1 v"},
-      {with(4, {field("a", 1, 1, 9, 7)}, {kI16}), "Bits 2@1 *2 s2 signed v"},
-      {with(4, {field("a", 1, 1, 10, 7)}, {kI16}), "Bits 2@1 *2 s3 signed v"},
-      {with(1, {field("a", 1, 0, 1, 7)}, {kBool}), "Bits 1@0 *1 s1 v"},
+       "Bits 2@0 *2 s1 v.0, Bits 2@0 *2 s1 v.1"},
+      {with(1, {field("a", 1, 0, 8, 0)}, {kU8}), "Bits 1@0 *1 s1 v.0"},
+      {with(8, {field("a", 1, 0, 64, 0)}, {kU64}), "Bits 8@0 *8 s8 v.0"},
+      {with(1, {field("a", 1, 0, 3, 0)}, {type(Kind::Char, 1)}), "Bits 1@0 *1 s1 signed v.0"},
+      {with(4, {field("a", 1, 1, 9, 7)}, {kI16}), "Bits 2@1 *2 s2 signed v.0"},
+      {with(4, {field("a", 1, 1, 10, 7)}, {kI16}), "Bits 2@1 *2 s3 signed v.0"},
+      {with(1, {field("a", 1, 0, 1, 7)}, {kBool}), "Bits 1@0 *1 s1 v.0"},
       {{{type(Kind::Enum, 2, "E", 1), kI16}}, "Numbers 2@0 *1"},
       {{{type(Kind::Enum, 1, "E", 1), kBool}}, "Bools 1@0 *1"},
       {{{type(Kind::TimePoint, 8, "system_clock", 1), milliseconds, kU64}}, "Numbers 8@0 *1"},
@@ -148,7 +206,17 @@ TEST_CASE("bit-fields, enums, times, and what ROS 1 has in front of its messages
       {{{structure("std_msgs/Header", 12,
                    {field("seq", 1, 0), field("stamp", 1, 4), field("frame_id", 1, 8)}),
          kU32}},
-       "Clear 1@0 *4, Numbers 4@4 *2"}};
+       "Clear 1@0 *4, Numbers 4@4 *2"},
+      {with(40, {field("a", 2, 0), field("h", 1, 16)},
+            {structure("std_msgs/Header", 12,
+                       {field("seq", 2, 8), field("stamp", 2, 0), field("frame_id", 2, 4)}),
+             kU32}),
+       "Numbers 4@0 *1, Clear 1@24 *4, Numbers 4@16 *2"},
+      {{{vector(1),
+         structure("std_msgs/Header", 12,
+                   {field("seq", 2, 0), field("stamp", 2, 4), field("frame_id", 2, 8)}),
+         kU32}},
+       "Items 1@0 b2 s12 l8 v, Clear 1@0 *4, Numbers 4@4 *2"}};
   for (const auto& [description, steps] : kTypes) CHECK(steps_of(description) == steps);
 }
 
@@ -180,6 +248,9 @@ TEST_CASE("a description that contradicts itself, or has what ROS 2 lacks, is re
       {one(type(Kind::Enum, 2, "E", 9)), "damaged: x: its description has a number that is none"},
       {one(type(Kind::Enum, 40, "E", 2), {kText}),
        "damaged: x: its description has a number that is none"},
+      {one(array(12, 2, 4), {kU32}),
+       "damaged: x: its description has more elements than fit, or none"},
+      {one(type(Kind::String, 32, "mine")), "x: it is a string of another library: mine"},
       {one(type(Kind::String, 40, "mine")), "x: it is a string of another library: mine"},
       {one(type(Kind::String, 32, "libstdc++")), "x: it is a string of another library: libstdc++"},
       {one(type(Kind::String, 40, "libc++")), "x: it is a string of another library: libc++"},
@@ -230,6 +301,11 @@ TEST_CASE("the schema of a type names packages, classes and fields as ROS 2 has 
   };
   const std::pair<const char*, const char*> kNames[] = {{"robot::Frame", "robot/msg/Frame"},
                                                         {"robot/Frame", "robot/msg/Frame"},
+                                                        {"AZaz09::AZaz09", "azaz09/msg/AZaz09"},
+                                                        {"p::a_z", "p/msg/AZ"},
+                                                        {"p::@a[Z`b{c/d", "p_a_z_b_c/msg/D"},
+                                                        {"p::x@a[Z`b{c", "p/msg/XAZBC"},
+                                                        {"a/b/c", "a_b/msg/C"},
                                                         {"a::b::Frame", "a_b/msg/Frame"},
                                                         {"Frame", "lot/msg/Frame"},
                                                         {"", "lot/msg/Message"},
@@ -261,7 +337,7 @@ TEST_CASE("the schema of a type has a line for each field, in .msg and in IDL") 
                  field("minutes", 16, 152)},
            {kBool, type(Kind::Char, 1), type(Kind::Float, 4), type(Kind::Float, 8), kU8,
             type(Kind::TimePoint, 8, "steady\\clock\n", 7), duration(8, 14, 1, 1000),
-            type(Kind::Enum, 2, "E~\x7f", 17), array(12, 10, 2), array(6, 17, 3), vector(18),
+            type(Kind::Enum, 2, "E ~\x7f", 17), array(12, 10, 2), array(6, 17, 3), vector(18),
             vector(11), structure("q::In", 4, {field("n", 17, 0)}), type(Kind::Int, 8),
             structure("q::In", 1, {}), duration(8, 14, 60, 1), kI16, kText}));
   CHECK(schema.name == "p/msg/S");
@@ -273,7 +349,7 @@ float64 long
 uint8 Struct
 int64 when  # unit: 1/1000 s, since the epoch of steady?clock?
 int64 span  # unit: 1/1000 s
-int16 e  # E~?
+int16 e  # E ~?
 int16[6] grid
 string[] texts
 lot/Items[] rows
@@ -330,7 +406,7 @@ struct S {
   uint8 _Struct;
   int64 when;  // unit: 1/1000 s, since the epoch of steady?clock?
   int64 span;  // unit: 1/1000 s
-  int16 e;  // E~?
+  int16 e;  // E ~?
   int16 grid[6];
   sequence<string> texts;
   sequence<lot::msg::Items> rows;

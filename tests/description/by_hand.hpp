@@ -35,7 +35,7 @@ inline Type duration(std::uint64_t size, std::uint32_t element, std::int64_t num
   t.denominator = denominator;
   return t;
 }
-inline Field field(const std::string& name, std::uint32_t of, std::uint32_t offset,
+inline Field field(const std::string& name, std::uint32_t of, std::uint64_t offset,
                    std::uint32_t bits = 0, std::uint32_t bit = 0) {
   Field f;
   f.name = name;

@@ -176,6 +176,8 @@ TEST_CASE("of two descriptions each may know names that the other one does not")
   CHECK(text(names("a", "b"), names("a", "b")).empty());
   CHECK(text(names("a", "b"), names("a", "")) == "topic ");
   CHECK(text(names("a", ""), names("a", "b")) == "here ");
+  CHECK(text(names("", ""), names("", "b")) == "here ");
+  CHECK(text(names("", "b"), names("", "")) == "topic ");
   CHECK(text(names("a", "b"), names("", "c")) == "differ topic ");
   CHECK(text(names("", "b"), names("a", "c")) == "differ here ");
   CHECK(text(names("a", ""), names("", "b")) == "topic here merged hash");

@@ -50,7 +50,9 @@ TEST_CASE("a number's text is the shortest that is this number") {
   CHECK(text_of_number(0.1, room) == "0.1");
   CHECK(text_of_number(static_cast<double>(0.1F), room) == "0.10000000149011612");
   CHECK(text_of_number(-std::numeric_limits<float>::infinity(), room) == "-inf");
+  CHECK(text_of_number(std::numeric_limits<float>::infinity(), room) == "inf");
   CHECK(text_of_number(std::nanf(""), room) == "nan");
+  CHECK(text_of_number(std::copysign(std::nan(""), -1), room) == "nan");
 }
 
 TEST_CASE("a duration's text is exact, in decimals where they end") {
@@ -122,6 +124,9 @@ TEST_CASE("a text is UTF-8 by the table of Unicode") {
     CAPTURE(std::string(text));
     CHECK(!is_utf8(text));
   }
+  for (const std::string_view text : {"\xc2\x80", "\xe2\x82\xac", "\xf0\x9f\x98\x80"}) {
+    for (std::size_t size = 1; size < text.size(); ++size) CHECK(!is_utf8(text.substr(0, size)));
+  }
 }
 
 namespace {
@@ -138,7 +143,7 @@ struct Mixed {
 
 /// Of the fields of Mixed, one after the other.
 std::string text_of(const Mixed& mixed, const char* field, TextLimits limits = {},
-                    std::int64_t denominator = 1000) {
+                    std::int64_t denominator = 1000, std::int64_t numerator = 1) {
   Description all;
   all.types.resize(8);
   const auto set = [&](std::size_t place, Kind kind, std::uint64_t size, std::uint32_t element,
@@ -157,7 +162,7 @@ std::string text_of(const Mixed& mixed, const char* field, TextLimits limits = {
   set(5, Kind::Array, 5, 4, 5);
   set(6, Kind::Float, 4, none, 0);
   set(7, Kind::Duration, 8, 8, 0);
-  all.types[7].numerator = 1;
+  all.types[7].numerator = numerator;
   all.types[7].denominator = denominator;
   all.types.resize(11);
   set(8, Kind::Int, 8, none, 0);
@@ -212,12 +217,18 @@ TEST_CASE("a Value of each kind has its own text, and no more of it than the lim
   mixed.name[2] = '\xe4';
   mixed.name[3] = '~';
   CHECK(text_of(mixed, "name") == "\"\\\"\\\\\\xe4~\"");
+  mixed.name[1] = ' ';
+  mixed.name[2] = '\x7f';
+  CHECK(text_of(mixed, "name") == "\"\\\" \\x7f~\"");
   mixed.real = std::nanf("");
   CHECK(text_of(mixed, "real") == "nan");
   mixed.long_real = -std::numeric_limits<long double>::infinity();
   CHECK(text_of(mixed, "long_real") == "-inf");
   CHECK(text_of(mixed, "span", {}, 0) == "<damaged>");
   CHECK(text_of(mixed, "span", {}, -1) == "<damaged>");
+  CHECK(text_of(mixed, "span", {}, 1) == "-1500s");
+  CHECK(text_of(mixed, "span", {}, 1000, 0) == "<damaged>");
+  CHECK(text_of(mixed, "span", {}, 1000, -1) == "<damaged>");
   mixed.yes = false;
   CHECK(text_of(mixed, "yes") == "false");
   reinterpret_cast<unsigned char&>(mixed.yes) = 2;

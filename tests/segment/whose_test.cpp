@@ -148,6 +148,20 @@ TEST_CASE("a file is trusted by its user, its group and its mode; else the error
       {{0, 0, 0601}, {none, none, 0666}, mode_is_none("0601")},
       {{0, 0, 04600}, {}, mode_is_none("04600")}};
   for (const auto& [file, trust, says] : kCases) CHECK(said(trust, put(room, file)) == says);
+  for (const auto& [owner, error] : {std::pair(kAnn, 0), std::pair(uid_t{0}, 0),
+                                     std::pair(kBob, EPERM), std::pair(uid_t{1}, EPERM)}) {
+    const std::string path = put(room, {owner, kGroup, 0600});
+    const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
+    Child ann([&, of = owner, refused = error] {
+      become(kAnn, kGroup);
+      const auto [number, text] = error_of([&] { Trust().require(fd, path); });
+      must(number == refused, text.c_str());
+      must(refused == 0 || names(text, of == kBob ? "set LOT_USER=65532" : "set LOT_USER=1;"),
+           text.c_str());
+    });
+    CHECK(ann.wait() == 0);
+    close(fd);
+  }
 }
 
 TEST_CASE("what is no file, or has two names, is not used") {
@@ -223,6 +237,7 @@ TEST_CASE("a file has owners, may let fewer in than was asked for, and users may
   CHECK(lot::segment::way_in(roots) == member);
   CHECK(lot::segment::way_in(put(room, {0, kGroup, 0640}, "h")) == owner);
   CHECK(lot::segment::way_in(put(room, {0, 65534, 0660}, "h")) == owner);
+  CHECK(lot::segment::way_in(put(room, {0, kGroup, 0661}, "h")) == member);
   CHECK(lot::segment::way_in(room.file("nothing")) == owner);
   CHECK(lot::segment::may_remove(anns));  // root may
   const std::string shared = room.file("shared");
@@ -267,6 +282,7 @@ TEST_CASE("options of trust are a user, a group and permissions that fit each ot
       {of("", "", 0), "600"},
       {of("17", "", 0), "user 17 600"},
       {of("root", "root", 0), "user 0 group 0 660"},
+      {of("daemon", "daemon", 0), "user 1 group 1 660"},
       {of("", "4294967294", 0), "group 4294967294 660"},
       {of("", "4294967295", 0), "group (LOT_GROUP) 4294967295: there is no such group"},
       {of("99999999999999999999", "", 0),
@@ -324,6 +340,10 @@ TEST_CASE("a command names the segment as a shell takes it, with the variables t
       {{0, 0, 0640}, "`"}};
   for (const auto& [file, begin] : kFiles) {
     CHECK(command("ls", put(room, file)) == begin + end);
+  }
+  {
+    const Variable empty("LOT_USER", "");
+    CHECK(command("ls", put(room, {0, kGroup, 0660})) == "`LOT_GROUP=65533 " + end);
   }
   const Variable user("LOT_USER", "5"), group("LOT_GROUP", "6");
   CHECK(command("ls", put(room, {kAnn, kGroup, 0660})) == "`LOT_GROUP=65533 LOT_USER= " + end);
