@@ -92,6 +92,10 @@ struct Shown {
   }
 };
 
+struct Refers {
+  lot::ShmRef<const Letter> to;
+};
+
 /// A process that has joined, and done `what`; until it is killed.
 Child resident(const lot::EngineOptions& options, const std::string& name,
                const std::function<void(lot::ShmEngine&, const std::function<void()>&)>& what) {
@@ -327,6 +331,83 @@ s  ROOM/s
   1 worker  full  3 waits  1 of 1
 
 * publisher 3 waits on full waits for room until 1 worker has looked
+)");
+}
+
+TEST_CASE("lot ls and lot who of messages of no topic, references, readers that are waited for") {
+  const Watchdog watchdog(60);
+  const Room room;
+  const Child one = resident(room.options(), "one", [](auto& engine, auto&& stay) {
+    auto parcels = engine.template subscribe<Parcel>("/parcels");
+    const lot::ShmSharedPtr<const Letter> kept = engine.template make<Letter>();
+    auto refers = engine.template make<Refers>();
+    refers->to = kept;
+    const lot::ShmSharedPtr<const Refers> more = std::move(refers);
+    stay();
+  });
+  const Child two = resident(room.options(), "two", [](auto& engine, auto&& stay) {
+    auto parcels = engine.template subscribe<Parcel>("/parcels");
+    stay();
+  });
+  const Child sender = resident(room.options(), "sender", [](auto& engine, auto&& stay) {
+    auto pusher = engine.template advertise<Parcel>("/parcels", {lot::Policy::Block, 2, 60s});
+    for (int n = 0; n < 2; ++n) must_go(pusher.push(pusher.loan()));
+    std::thread([&] { (void)pusher.push(pusher.loan()); }).detach();
+    stay();
+  });
+  const Child other = resident(room.options("t"), "other", [](auto&, auto&& stay) { stay(); });
+  Shown shown{room};
+  REQUIRE(eventually([&] { return shown.who().find("waits for room") != std::string::npos; }));
+  CHECK(shown.ls() == R"(
+s  ROOM/s: 28 KiB of 11 MiB, 5 of 512 messages; 8 KiB held back, MEMORY taken from the system
+
+  PROCESS  PID  SINCE  MEMORY
+  1 one  PID  AGE  512 B
+  2 two  PID  AGE  0 B
+  3 sender  PID  AGE  24 KiB
+
+  TOPIC  PROCESS  POLICY  HELD  RATE  LAG  LOST
+  /parcels  lot::testing::Parcel
+  publisher  3 sender  block  2 of 2  waits for room
+  subscriber  1 one  2  holds it back
+  subscriber  2 two  2  holds it back
+
+t  ROOM/t: 0 B of 11 MiB, 0 of 512 messages; 0 B held back, MEMORY taken from the system
+
+  PROCESS  PID  SINCE  MEMORY
+  1 other  PID  AGE  0 B
+
+
+* publisher 3 sender waits for room: `lot who --dir ROOM --segment s` says for which readers
+)");
+  CHECK(shown.who() == R"(
+s  ROOM/s
+
+  TOPIC  MESSAGE  SIZE  MADE BY  HOLDER  HOW  SINCE
+  -  64  256 B  1 one  1 one  refers
+  1 one  keeps  AGE
+  -  65  256 B  1 one  1 one  keeps  AGE
+
+  BEHIND  TOPIC  PUBLISHER  LAG  LOST
+  1 one  /parcels  3 sender  2 of 2
+  2 two  /parcels  3 sender  2 of 2
+
+t  ROOM/t
+
+  no process keeps or borrows a message
+
+* publisher 3 sender on /parcels waits for room until 1 one, 2 two has looked
+)");
+  shown.settings.json = true;
+  CHECK(shown.who() == R"(
+{"command":"who","segments":[{"name":"s","path":"ROOM/s","condition":"sound","reason":"","bytes":12582912,"processes":[{"index":1,"name":"one","pid":NUMBER,"alive":true},
+{"index":2,"name":"two","pid":NUMBER,"alive":true},
+{"index":3,"name":"sender","pid":NUMBER,"alive":true}],"messages":[{"block":64,"generation":0,"topic":"","bytes":256,"made_by":1,"holders":[{"process":1,"how":"refers","seconds":TIME,"at_most_seconds":TIME,"sequence":null,"topic":null},{"process":1,"how":"keeps","seconds":TIME,"at_most_seconds":TIME,"sequence":null,"topic":null}]},
+{"block":65,"generation":0,"topic":"","bytes":256,"made_by":1,"holders":[{"process":1,"how":"keeps","seconds":TIME,"at_most_seconds":TIME,"sequence":null,"topic":null}]}],
+"behind":[{"process":1,"topic":"/parcels","publisher":3,"channel":0,"depth":2,"joining":false,"lag":2,"lost":0,"holds_back":true},{"process":2,"topic":"/parcels","publisher":3,"channel":0,"depth":2,"joining":false,"lag":2,"lost":0,"holds_back":true}],"waiting":[{"process":3,"topic":"/parcels","channel":0,"waits_for":[1,2]}],"damage":[]},
+{"name":"t","path":"ROOM/t","condition":"sound","reason":"","bytes":12582912,"processes":[{"index":1,"name":"other","pid":NUMBER,"alive":true}],"messages":[],
+"behind":[],"waiting":[],"damage":[]}],
+"hints":["publisher 3 sender on /parcels waits for room until 1 one, 2 two has looked"],"exit":0}
 )");
 }
 
