@@ -10,7 +10,9 @@
 #include <pybind11/stl.h>
 
 #include "lot/engine.hpp"
+#include "lot/signals.hpp"
 
+#include "python/gil.hpp"
 #include "python/loans.hpp"
 #include "python/part.hpp"
 #include "python/queue.hpp"
@@ -73,17 +75,17 @@ class Engine {
   explicit Engine(const EngineOptions& options) : engine_(options) {}
 
   Publisher advertise(const std::string& topic, const AnyType& type, const PusherOptions& options) {
-    const py::gil_scoped_release release;
+    const Released release;
     return {engine_.advertise_any(topic, type, options), options};
   }
   Subscriber subscribe(const std::string& topic, const std::optional<AnyType>& type,
                        const PullerOptions& options) {
-    const py::gil_scoped_release release;
+    const Released release;
     return Subscriber(type ? engine_.subscribe_any(topic, *type, options)
                            : engine_.subscribe_any(topic, options));
   }
   std::optional<AnyType> type_of(const std::string& topic) {
-    const py::gil_scoped_release release;
+    const Released release;
     AnyType found = engine_.type_of(topic);
     if (!found) return std::nullopt;
     return found;
@@ -92,7 +94,7 @@ class Engine {
     return build([&] { return engine_.make_any(type); }, fields);
   }
   Queue queue(const std::string& name, const AnyType& type, const QueueOptions& options) {
-    const py::gil_scoped_release release;
+    const Released release;
     return {engine_.queue_any(name, type, options), options.policy == Policy::Block};
   }
   Ticket ticket() { return Ticket(engine_); }
@@ -129,7 +131,7 @@ std::unique_ptr<Engine> join(const py::kwargs& given) {
     const auto name = py::str(left.attr("popitem")().attr("__getitem__")(0)).cast<std::string>();
     throw py::type_error("an engine has no option '" + name + "'");
   }
-  const py::gil_scoped_release release;
+  const Released release;
   return std::make_unique<Engine>(options);
 }
 
@@ -210,7 +212,7 @@ void define_publisher(py::module_& module) {
       .def(
           "reserve",
           [](const Publisher& its, std::size_t count, std::size_t bytes) {
-            const py::gil_scoped_release release;
+            const Released release;
             its.pusher().reserve(count, bytes);
           },
           py::arg("count"), py::arg("bytes"), "Makes memory for so many messages now.")
@@ -316,6 +318,11 @@ void define_ends(py::module_& module) {
   define_wait_set(module);
   define_recording(module);
   define_service(module);
+  module.def(
+      "end_cleanly_on_signals", &end_cleanly_on_signals,
+      "SIGTERM and SIGHUP end the process as by default, but the last process of a segment\n"
+      "leaves no file. A signal that has a handler (SIGINT, mostly) is left alone. A child of\n"
+      "fork() calls it again.");
 }
 
 }  // namespace lot::python

@@ -3,7 +3,10 @@
 
 #include <exception>
 
+#include <cxxabi.h>
 #include <pybind11/pybind11.h>
+
+#include "python/gil.hpp"
 
 namespace lot::python {
 
@@ -21,6 +24,8 @@ template <class Result, class Call>
 Result guarded(Result failed, Call&& call) noexcept {
   try {
     return call();
+  } catch (abi::__forced_unwind&) {  // of a thread that code of Python, within the call, was in
+    stop_here();
   } catch (...) {
     set_current_error();
   }

@@ -9,6 +9,7 @@
 
 #include "lot/any_pusher.hpp"
 
+#include "python/gil.hpp"
 #include "python/held.hpp"
 #include "python/part.hpp"
 
@@ -26,7 +27,7 @@ template <class Lend>
 pybind11::object build(Lend&& lend, const pybind11::kwargs& fields) {
   AnyLoan made;
   {
-    const pybind11::gil_scoped_release release;
+    const Released release;
     made = lend();
   }
   Part part(std::make_shared<Held>(std::move(made)));

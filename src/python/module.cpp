@@ -14,6 +14,7 @@
 
 #include "python/ends.hpp"
 #include "python/errors.hpp"
+#include "python/gil.hpp"
 #include "python/part.hpp"
 
 namespace py = pybind11;
@@ -119,6 +120,7 @@ void define_types(py::module_& module) {
 
 PYBIND11_MODULE(_lot, module) {
   module.doc() = "LOT: messages in shared memory, without copies.";
+  define_gil(module);
   define_errors(module);
   define_kinds(module);
   define_types(module);

@@ -6,6 +6,7 @@
 
 #include <pybind11/stl.h>
 
+#include "python/gil.hpp"
 #include "python/loans.hpp"
 
 namespace py = pybind11;
@@ -18,7 +19,7 @@ template <class Found, class Look>
 Found find(Seconds timeout, Look&& look) {
   Found found;
   if (timeout && *timeout <= 0) {
-    const py::gil_scoped_release release;
+    const Released release;
     found = look(std::optional<Deadline>());
     return found;
   }
@@ -39,7 +40,7 @@ bool Queue::put(const Part& part, Seconds timeout) {
   const auto its = its_;  // also while the last reference goes in another thread
   Taken taken(part);
   if (!may_wait_ || (timeout && *timeout <= 0)) {
-    const py::gil_scoped_release release;
+    const Released release;
     return its->try_put(std::move(taken.loan())) == Status::Ok;
   }
   return wait(deadline_after(timeout), [&](Clock::time_point end) {
@@ -107,21 +108,21 @@ void define_queue(py::module_& module) {
       .def(
           "listen",
           [](const Queue& its) {
-            const py::gil_scoped_release release;
+            const Released release;
             its.its()->listen();
           },
           "Begins to read.")
       .def(
           "size",
           [](const Queue& its) {
-            const py::gil_scoped_release release;
+            const Released release;
             return its.its()->size();
           },
           "Items that could be had now.")
       .def(
           "fileno",
           [](const Queue& its) {
-            const py::gil_scoped_release release;
+            const Released release;
             return its.its()->fd();
           },
           "A descriptor for select and asyncio: readable until a look with timeout 0 finds "

@@ -13,6 +13,7 @@
 
 #include "lot/recording.hpp"
 
+#include "python/gil.hpp"
 #include "python/part.hpp"
 #include "python/waits.hpp"
 
@@ -103,7 +104,7 @@ class Messages {
     ++reading->number;
     std::optional<RecordedMessage> found;
     {
-      const py::gil_scoped_release release;
+      const Released release;
       found = reading->messages.next();
     }
     if (!found) throw py::stop_iteration();
@@ -118,7 +119,7 @@ class Messages {
 class Recorded {
  public:
   explicit Recorded(const std::vector<std::string>& paths) {
-    const py::gil_scoped_release release;
+    const Released release;
     opened_ = std::make_shared<Opened>(paths);
   }
 

@@ -7,6 +7,7 @@
 
 #include <pybind11/pybind11.h>
 
+#include "python/gil.hpp"
 #include "python/part.hpp"
 #include "python/waits.hpp"
 
@@ -59,7 +60,7 @@ class Subscriber {
   auto ask(F&& f) const {
     const auto its = its_;
     const Use use(its->is_used, "subscriber");
-    const pybind11::gil_scoped_release release;
+    const Released release;
     return f(its->puller);
   }
 
@@ -68,7 +69,7 @@ class Subscriber {
   static void look(Subscription& its, Seconds timeout, Look&& take) {
     const Use use(its.is_used, "subscriber");
     if (timeout && *timeout <= 0) {
-      const pybind11::gil_scoped_release release;
+      const Released release;
       return take(its.puller, std::optional<Clock::time_point>());
     }
     wait(deadline_after(timeout), [&](Clock::time_point end) {

@@ -11,6 +11,8 @@
 #include "lot/duration.hpp"
 #include "lot/error.hpp"
 
+#include "python/gil.hpp"
+
 namespace lot::python {
 
 using Clock = std::chrono::steady_clock;
@@ -50,14 +52,16 @@ inline constexpr std::chrono::milliseconds kStep{50};
 
 /// Waits by step(end), without the GIL, until it says something else than that the time is up; a
 /// publisher that has gone is told by the step in which it has gone. Throws what a handler of a
-/// signal raises, and what the step throws.
+/// signal raises, what the step throws, and SystemExit at the end of the interpreter.
 template <class Step>
 Status wait(Clock::time_point deadline, Step&& step) {
+  const Waiting waiting;
   for (bool had_publisher = false;;) {
+    waiting.require_interpreter();
     const auto end = std::min(deadline, Clock::now() + kStep);
     Status said;
     {
-      const pybind11::gil_scoped_release release;
+      const Released release;
       said = step(end);
     }
     const auto now = Clock::now();

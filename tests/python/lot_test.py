@@ -782,6 +782,84 @@ class Services(Case):
         self.assertEqual(said, 'end\n')
 
 
+PROGRAM = """
+import signal, sys, threading, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.path.insert(0, sys.argv[1])
+import lot
+@lot.message
+class Job:
+    number: lot.i32
+engine = lot.Engine()
+sub, jobs, waits = engine.subscribe('/topic', Job), engine.queue('jobs', Job), lot.WaitSet()
+waits.add(sub, print)
+begun = threading.Event()
+def loop():
+    for _ in sub:
+        pass
+def often():
+    while True:
+        sub.pull(0.1)
+def stubborn():
+    while True:
+        try:
+            sub.pull(0.01)
+        except BaseException:
+            pass
+def start(work, daemon=True):
+    def run():
+        begun.set()
+        work()
+    thread = threading.Thread(target=run, daemon=daemon)
+    thread.start()
+    begun.wait()
+    time.sleep(0.1)
+    return thread
+"""
+
+
+class Ends(Case):
+    """Programs that end while a thread of theirs waits, or by a signal."""
+
+    def run_program(self, text, number=None):
+        """Its exit status, whether its segment is still there, and what it said of errors."""
+        segment = f"{os.environ['LOT_SEGMENT']}_ends"
+        environment = dict(os.environ, LD_PRELOAD=RUNTIME, LOT_SEGMENT=segment)
+        path = os.path.join(os.path.dirname(self.path), segment)
+        with subprocess.Popen([sys.executable, '-c', PROGRAM + text, sys.path[0]], env=environment, stdout=subprocess.PIPE,
+                              stderr=subprocess.PIPE, text=True) as program:
+            if number is not None:
+                program.stdout.readline()
+                program.send_signal(number)
+            said = program.communicate()[1]
+        stays = os.path.exists(path)
+        for name in (path, path + '.lock'):
+            if os.path.exists(name):
+                os.unlink(name)
+        return program.returncode, stays, said
+
+    def test_a_program_ends_while_a_daemon_thread_waits(self):
+        for work in ('sub.pull', 'loop', 'jobs.pop', 'waits.run', 'often'):
+            for end, status in (('pass', 0), ('sys.exit(3)', 3)):
+                with self.subTest(work=work, end=end):
+                    self.assertEqual(self.run_program(f'start({work}); {end}'), (status, False, ''))
+
+    def test_a_program_ends_while_a_thread_will_not(self):
+        status, _, said = self.run_program('start(stubborn); sys.exit(3)')
+        self.assertEqual((status, said), (3, ''))
+
+    def test_ctrl_c_ends_a_program_that_joins_a_waiting_thread(self):
+        for daemon in (True, False):
+            status, stays, said = self.run_program(f"its = start(sub.pull, {daemon}); print('ready', flush=True); its.join()",
+                                                   number=signal.SIGINT)
+            self.assertEqual((status, stays, said.splitlines()[-1:]), (-signal.SIGINT, False, ['KeyboardInterrupt']))
+
+    def test_signals_leave_no_file(self):
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            self.assertEqual(self.run_program("lot.end_cleanly_on_signals(); print('ready', flush=True); sub.pull()", number=number),
+                             (-number, False, ''))
+
+
 class Recordings(Case):
     def setUp(self):
         super().setUp()

@@ -17,15 +17,15 @@ import numpy
 
 from lot._lot import (Borrow, Engine, Envelope, Error, Kind, OutOfMemory, Part, Policy, Publisher, Queue, QueueEngine,
                       RecordedMessage, RecordedMessages, RecordedTopic, Recording, RecordingDamage, Status, Subscriber,
-                      Task, Type, Wait, Weak, share, weak)
+                      Task, Type, Wait, Weak, end_cleanly_on_signals, share, weak)
 from lot.service import Client, Server, _Ends as _ServiceEnds, print_error
 from lot.waits import WaitSet
 
 __all__ = ['Borrow', 'Client', 'Engine', 'Envelope', 'Error', 'Kind', 'OutOfMemory', 'Part', 'Policy', 'Publisher', 'Queue',
            'QueueEngine', 'RecordedMessage', 'RecordedMessages', 'RecordedTopic', 'Recording', 'RecordingDamage', 'Server', 'Status',
-           'Subscriber', 'Task', 'Type', 'Wait', 'WaitSet', 'Weak', 'array', 'boolean', 'char', 'duration', 'enumeration',
-           'f32', 'f64', 'i8', 'i16', 'i32', 'i64', 'message', 'ref', 'share', 'string', 'time_point', 'type_of', 'u8',
-           'u16', 'u32', 'u64', 'vector', 'weak']
+           'Subscriber', 'Task', 'Type', 'Wait', 'WaitSet', 'Weak', 'array', 'boolean', 'char', 'duration',
+           'end_cleanly_on_signals', 'enumeration', 'f32', 'f64', 'i8', 'i16', 'i32', 'i64', 'message', 'ref', 'share', 'string',
+           'time_point', 'type_of', 'u8', 'u16', 'u32', 'u64', 'vector', 'weak']
 
 boolean = Type.number(Kind.BOOL, 1)
 char = Type.number(Kind.CHAR, 1)

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wait sets: one thread for many subscribers, queues and timers."""
 
+import atexit
 import collections
 import itertools
+import threading
+import time
 
-from lot._lot import Wait, _Waits
+from lot import _lot
+from lot._lot import Error, Queue, Subscriber, Wait, _Waits
 
 
 class WaitSet:
@@ -85,3 +89,14 @@ class WaitSet:
     def stop(self):
         """Ends run() after the handlers that are at work, or the next run() at once."""
         self._waits.stop()
+
+
+def _end_waits():
+    """At the end of the program: daemon threads that wait in LOT end, and let go of their objects."""
+    waiting, until = _lot._end_waits() - {threading.get_ident()}, time.monotonic() + 1
+    # Not by join(): a thread whose join() Ctrl-C has ended counts as gone.
+    while time.monotonic() < until and any(thread.ident in waiting for thread in threading.enumerate()):
+        time.sleep(0.002)
+
+
+atexit.register(_end_waits)
