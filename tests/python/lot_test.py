@@ -746,6 +746,25 @@ class Services(Case):
                 client.call(number=3)
         kept.clear()
 
+    def test_a_server_outlives_what_its_handler_raises(self):
+        def leave(job, frame):
+            if job.number < 0:
+                sys.exit('cannot do that')
+            answer(job, frame)
+        server = self.engine.serve('/frame', Job, Frame, leave)
+        with server:
+            client = self.engine.client('/frame', Job, Frame)
+            with self.assertRaisesRegex(lot.Error, 'SystemExit: cannot do that'):
+                client.call(number=-1)
+            self.assertEqual(len(client.call(number=3).data), 3)
+            server.close()
+        server.close()
+
+    def test_a_call_without_a_limit_ends_where_there_is_no_server(self):
+        client = self.engine.client('/frame', Job, Frame)
+        self.assertIsNone(client.call(number=3))
+        self.assertEqual(client.status, lot.Status.SERVER_GONE)
+
     def test_a_late_answer_is_dropped(self):
         go = threading.Event()
 
@@ -762,6 +781,7 @@ class Services(Case):
     def test_a_client_asks_cpp(self):
         client = self.engine.client('/frame', Job, Frame)
         with subprocess.Popen([PEER, 'serve'], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as peer:
+            self.assertTrue(client.wait_for_server())
             frame = client.call(number=3, text='ab')
             self.assertEqual((frame.width, np.asarray(frame.data).tolist()), (2, [7, 7, 7]))
             with self.assertRaisesRegex(lot.Error, 'no frame is so small'):

@@ -10,7 +10,7 @@ import time
 import traceback
 
 from lot import _lot
-from lot._lot import Error, Policy, Status, Type
+from lot._lot import Error, Part, Policy, Status, Type
 from lot.waits import WaitSet
 
 _u64, _bool = Type.number(_lot.Kind.UINT, 8), Type.number(_lot.Kind.BOOL, 1)
@@ -75,14 +75,16 @@ class Client:
         return request
 
     def call(self, request=None, timeout=None, **fields):
-        """Sends a request of loan(), or one with these fields, and waits for the answer: seconds; None: as long as there
-        is a server. The answer lives as long as any part or view of it. None: `status` says why. A handler that has
-        raised is an Error (errno.EREMOTEIO)."""
+        """Sends a request of loan(), or one with these fields, and waits for the answer: so many seconds, also for a server;
+        None: as long as there is a server, and where there is none not at all. The answer lives as long as any part or
+        view of it. None: `status` says why. A handler that has raised is an Error (errno.EREMOTEIO)."""
+        if request is not None and not isinstance(request, Part):
+            raise TypeError(f'request: takes what loan() gives, or fields by name, call(x=3); not {request!r}')
         call = _lot._whole(self.loan(**fields) if request is None else request)
         until = float('inf') if timeout is None else time.monotonic() + timeout
         self._number += 1  # from here on what answers an earlier call is dropped
         self._answer = None
-        if not self._wait_for_server(until):
+        if not self._wait_for_server(0 if timeout is None else until):
             self.status = Status.SERVER_GONE
             return None
         self._look_for_answer()  # makes room for the answer
@@ -183,7 +185,9 @@ class Server:
         self.close()
 
     def close(self):
-        """Ends after the request that it works on. The others go to other servers."""
+        """Ends after the request that it works on. The others go to other servers. Once more: nothing."""
+        if self._waits is None:
+            return
         self._waits.stop()
         self._thread.join()
         self._waits = self._presence = self._tasks = self._engine = None
@@ -222,7 +226,7 @@ class Server:
         try:
             self._handler(call.request, answer.response)
             client.push(answer)  # a view that the handler has left is an error of its own, too
-        except Exception as error:
+        except BaseException as error:  # SystemExit, too, is of this request, and the server goes on
             failed = client.loan(number=call.number, has_failed=True)
             failed.error = ''.join(traceback.format_exception_only(error)).strip()
             client.push(failed)
