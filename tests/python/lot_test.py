@@ -641,6 +641,16 @@ class WaitSets(Case):
             with self.assertRaises(error):
                 wrong()
 
+    def test_an_end_is_added_once(self):
+        pub, sub = self.ends(Point)
+        waits = lot.WaitSet()
+        waits.add(sub, print)
+        self.raises(errno.EEXIST, waits.add, sub, print)
+        waits.remove(sub)
+        waits.add(sub, waits.stop)
+        pub.push(pub.loan())
+        waits.run()
+
     def test_timers_and_stop(self):
         waits, calls = lot.WaitSet(), []
         timer = waits.add_timer(0.001, lambda: calls.append('often'))

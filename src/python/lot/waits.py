@@ -3,6 +3,7 @@
 
 import atexit
 import collections
+import errno
 import itertools
 import threading
 import time
@@ -42,7 +43,12 @@ class WaitSet:
         return number
 
     def add(self, end, handler):
-        """Calls handler() when the Subscriber or Queue may have something. A handler looks with timeout 0."""
+        """Calls handler() when the Subscriber or Queue may have something. A handler looks with timeout 0. Each end is
+        added once (errno.EEXIST)."""
+        if not isinstance(end, (Subscriber, Queue)):
+            raise TypeError(f'end: takes a Subscriber or a Queue, not {end!r}')
+        if any(its is end for its, _, _ in self._entries.values()):
+            raise Error(errno.EEXIST, 'the wait set has this subscriber or queue: remove() it before')
         self._enter(end, handler, False, lambda number: self._waits.add(number, end))
 
     def add_timer(self, period, handler):
