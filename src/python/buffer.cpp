@@ -141,8 +141,8 @@ void fill(PyObject* self, Py_buffer* buffer, int flags) {
   if (view->format.empty()) {
     throw py::buffer_error("its elements have strings, vectors or references: use them one by one");
   }
-  const bool is_loan = part.held()->is_loan();
-  if ((flags & PyBUF_WRITABLE) != 0 && !is_loan) {
+  const bool can_change = part.held()->can_change();
+  if ((flags & PyBUF_WRITABLE) != 0 && !can_change) {
     throw py::buffer_error("a received message is read-only");
   }
   static constexpr std::byte kNothing{};  // an empty vector has no memory
@@ -152,7 +152,7 @@ void fill(PyObject* self, Py_buffer* buffer, int flags) {
   buffer->buf = const_cast<std::byte*>(bytes.size() == 0 ? &kNothing : at);
   buffer->len = static_cast<Py_ssize_t>(bytes.size());
   buffer->itemsize = view->item;
-  buffer->readonly = is_loan ? 0 : 1;
+  buffer->readonly = can_change ? 0 : 1;
   buffer->ndim = view->dimensions;
   buffer->format = (flags & PyBUF_FORMAT) != 0 ? view->format.data() : nullptr;
   buffer->shape = (flags & PyBUF_ND) != 0 ? view->shape : nullptr;

@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "python/held.hpp"
 
+#include <cerrno>
 #include <cstring>
 #include <exception>
+#include <new>
+#include <pthread.h>
 #include <utility>
 
 #include "lot/detail/mapping.hpp"
+#include "lot/error.hpp"
 
 namespace py = pybind11;
 
@@ -56,9 +60,22 @@ const AnyType& Held::type() const {
   }
 }
 
+unsigned Held::forks() {
+  static unsigned count = 0;
+  static const int registered = pthread_atfork(nullptr, nullptr, [] { ++count; });
+  if (registered != 0) throw std::bad_alloc();
+  return count;
+}
+
+bool Held::can_change() const noexcept { return is_loan() && forks_ == forks(); }
+
 MutableValue Held::building() const {
   require_open();
   if (!is_loan()) throw py::type_error("a received message is read-only");
+  if (!can_change()) {
+    throw Error(ECHILD, "loan", "it is of the parent of this process, which builds it",
+                "make a new lot.Engine in the child, and a loan of its own");
+  }
   return loan_.root();
 }
 

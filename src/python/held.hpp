@@ -47,6 +47,8 @@ class Held {
   Held& operator=(const Held&) = delete;
 
   bool is_loan() const noexcept { return state_ == State::Loan; }
+  /// It is a loan of this process, not of a parent.
+  bool can_change() const noexcept;
   /// Changes when parts of a loan may have moved.
   std::uint64_t generation() const noexcept { return generation_; }
   /// Throws ValueError after the end, lot::Error.
@@ -85,6 +87,9 @@ class Held {
   void unpin() noexcept;
 
  private:
+  /// How many forks made this process, of those since it began to count.
+  static unsigned forks();
+
   enum class State { Kept, Borrowed, Loan, Task, Lent, Ended };
 
   State state_;
@@ -99,6 +104,7 @@ class Held {
   std::unique_ptr<std::byte[]> copy_;  ///< of that, for views
   std::size_t pins_ = 0;
   std::uint64_t generation_ = 0;
+  unsigned forks_ = forks();
 };
 
 }  // namespace lot::python

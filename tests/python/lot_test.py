@@ -1249,20 +1249,23 @@ class Faults(Case):
     def test_a_forked_child_has_inert_objects(self):
         pub, sub = self.ends(Point)
         pub.push(pub.loan(x=1))
-        kept = sub.pull(0)
+        kept, loan = sub.pull(0), pub.loan(x=5)
         child = os.fork()
         if child == 0:
             code = 1
             try:
-                for call in (lambda: sub.pull(0), lambda: pub.loan(), lambda: self.engine.advertise('/x', Point)):
+                for call in (lambda: sub.pull(0), lambda: pub.loan(), lambda: self.engine.advertise('/x', Point),
+                             lambda: setattr(loan, 'x', 6), lambda: loan.counts.assign([1, 2, 3])):
                     self.raises(errno.ECHILD, call)
+                self.assertEqual((loan.x, memoryview(loan).readonly), (5, True))
                 lot.Engine().advertise('/mine', Point)
                 code = 0
             finally:
                 os._exit(code)
         self.assertEqual(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), 0)
         self.assertEqual(kept.x, 1)
-        self.assertTrue(pub.push(pub.loan(x=2)))
+        self.assertEqual(loan.x, 5)
+        self.assertTrue(pub.push(loan))
 
     def test_a_killed_process_leaves_what_it_has_pushed(self):
         sub = self.engine.subscribe('/topic', Point)
