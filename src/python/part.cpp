@@ -29,8 +29,9 @@ Kind kind_of_number(const Description& all, const Description::Type& type) {
   return inner->kind;
 }
 
-/// numpy cannot make structs of dicts: these are set one by one.
-bool are_dicts(const Description& all, const Description::Type& type, py::handle object) {
+/// numpy makes no structs of dicts, and cuts numbers in tuples: these are set one by one.
+bool are_structs_of_python(const Description& all, const Description::Type& type,
+                           py::handle object) {
   return all.types.at(type.element).kind == Kind::Struct && PyObject_CheckBuffer(object.ptr()) == 0;
 }
 
@@ -56,6 +57,9 @@ void set_number(const MutableValue& place, py::handle object) {
 }
 
 void set_text(Held& held, const MutableValue& place, py::handle object) {
+  if (!py::isinstance<py::bytes>(object) && !py::isinstance<py::str>(object)) {
+    throw py::type_error("takes a str or bytes, not " + py::repr(object).cast<std::string>());
+  }
   const auto bytes = py::isinstance<py::bytes>(object)
                          ? py::reinterpret_borrow<py::bytes>(object)
                          : py::reinterpret_steal<py::bytes>(
@@ -68,13 +72,15 @@ void set_text(Held& held, const MutableValue& place, py::handle object) {
 /// numpy converts the elements; a vector gets as many as the object has.
 void set_elements(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
   const Value& value = place.value();
+  const py::module_ package = py::module_::import("lot");
+  const py::object elements = package.attr("_elements")(to_object(Part(held, value)), object);
   if (value.kind() == Kind::Vector) {
-    const std::size_t count = py::len(object);
+    const std::size_t count = py::len(elements);
     held->grow();
     place.resize(count);
     if (count == 0) return;
   }
-  py::module_::import("lot").attr("_fill")(to_object(Part(held, value)), object);
+  package.attr("_fill")(to_object(Part(held, value)), elements);
 }
 
 void set_each(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
@@ -97,20 +103,53 @@ void set_reference(const Held& held, const MutableValue& place, py::handle objec
   held.refer(place, part_of(object).message());
 }
 
-void set(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
+/// Throws AttributeError, which says which fields there are.
+void require_field(const Value& value, std::string_view name) {
+  if (value.has(name)) return;
+  std::string text = value.type_name() + " has no field '" + std::string(name) + "'";
+  const bool is_told = value.kind() == Kind::Struct && name.substr(0, 2) != "__";
+  for (std::size_t i = 0; is_told && i < value.size(); ++i) {
+    text += (i == 0 ? ": it has " : ", ") + value[i].name();
+  }
+  throw py::attribute_error(text);
+}
+
+/// By a dict of some fields, or a tuple of all.
+void set_struct(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
+  const Value& value = place.value();
+  if (py::isinstance<py::tuple>(object)) {
+    const auto items = py::reinterpret_borrow<py::tuple>(object);
+    if (items.size() != value.size()) {
+      throw py::value_error("it has " + std::to_string(value.size()) + " fields, the tuple " +
+                            std::to_string(items.size()));
+    }
+    for (std::size_t i = 0; i < items.size(); ++i) set(held, place[i], py::object(items[i]));
+    return;
+  }
+  if (!py::isinstance<py::dict>(object)) {
+    throw py::type_error(
+        "a struct is set by a dict of its fields, a tuple of all of them, or field by field");
+  }
+  for (const auto& [key, its] : py::reinterpret_borrow<py::dict>(object)) {
+    const auto name = py::str(key).cast<std::string>();
+    require_field(value, name);
+    set(held, place[std::string_view(name)], its);
+  }
+}
+
+void set_here(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
   const Value& value = place.value();
   const Kind kind = value.kind();
   if (kind == Kind::Struct) {
-    if (!py::isinstance<py::dict>(object)) {
-      throw py::type_error("a struct is set by a dict of its fields, or field by field");
-    }
-    for (const auto& [name, its] : py::reinterpret_borrow<py::dict>(object)) {
-      set(held, place[std::string_view(name.cast<std::string>())], its);
-    }
+    set_struct(held, place, object);
   } else if (is_sequence(kind)) {
+    if (kind == Kind::Vector && PySequence_Check(object.ptr()) == 0) {
+      throw py::type_error("takes a sequence or an array");
+    }
     const bool is_text = py::isinstance<py::str>(object) || py::isinstance<py::bytes>(object);
     if (is_text && kind == Kind::Array) return set_text(*held, place, object);
-    if (has_buffer(Part(held, value)) && !are_dicts(held->description(), value.type(), object)) {
+    if (has_buffer(Part(held, value)) &&
+        !are_structs_of_python(held->description(), value.type(), object)) {
       set_elements(held, place, object);
     } else {
       set_each(held, place, object);
@@ -126,6 +165,40 @@ void set(const std::shared_ptr<Held>& held, const MutableValue& place, py::handl
   } else {
     set_number(place, object);
   }
+}
+
+/// An error whose text names the value.
+class NamedError : public py::error_already_set {
+ public:
+  using py::error_already_set::error_already_set;
+};
+
+/// Throws the error of Python that is set, with the name of the value.
+[[noreturn]] void raise_named(const MutableValue& place) {
+  const py::error_already_set error;
+  PyObject* const type = error.type().ptr();
+  const bool has_plain_text =
+      type == PyExc_TypeError || type == PyExc_ValueError || type == PyExc_OverflowError;
+  if (!has_plain_text) throw error;
+  const Value& value = place.value();
+  const std::string path = value.path();
+  const auto text = py::str(error.value()).cast<std::string>();
+  PyErr_SetString(type,
+                  ((path.empty() ? path : path + ", ") + value.type_name() + ": " + text).c_str());
+  throw NamedError();
+}
+
+void set(const std::shared_ptr<Held>& held, const MutableValue& place, py::handle object) {
+  try {
+    return set_here(held, place, object);
+  } catch (const NamedError&) {
+    throw;
+  } catch (py::error_already_set& error) {
+    error.restore();
+  } catch (const py::builtin_exception& error) {
+    error.set_error();
+  }
+  raise_named(place);
 }
 
 }  // namespace
@@ -172,9 +245,7 @@ py::object to_python(const std::shared_ptr<Held>& held, const Value& value) {
 }
 
 py::object Part::attribute(std::string_view name) const {
-  if (!value().has(name)) {
-    throw py::attribute_error("the message has no field '" + std::string(name) + "' here");
-  }
+  require_field(value(), name);
   return to_python(held_, value()[name]);
 }
 
@@ -202,9 +273,7 @@ py::object Part::item(const py::object& key) const {
 
 void Part::set_attribute(std::string_view name, py::handle object) {
   const MutableValue whole = building();
-  if (!value().has(name)) {
-    throw py::attribute_error("the message has no field '" + std::string(name) + "' here");
-  }
+  require_field(value(), name);
   set(held_, whole[name], object);
 }
 

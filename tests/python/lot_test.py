@@ -294,6 +294,56 @@ class Values(Case):
         self.raises(errno.EINVAL, box.__getitem__, 'points[2]')
         self.assertEqual(box.mode, 7)
 
+    def test_errors_name_the_field(self):
+        box = self.box(self.engine.advertise('/topic', Box))
+        fields = "Point has no field 'z': it has flag, x, counts, y"
+        for name, value, error, text in (
+                ('mode', 'x', TypeError, 'mode, Mode: must be real'), ('mode', 70000, OverflowError, 'mode'),
+                ('label', 3, TypeError, 'label, string: takes a str or bytes, not 3'),
+                ('names', 3, TypeError, 'names, vector of string: takes a sequence'),
+                ('scores', ['x'], TypeError, 'scores, vector'), ('home', 3, TypeError, 'home'),
+                ('points', [{'x': 'y'}], TypeError, r'points\[0\].x, float64: must be real'),
+                ('points', [(1, 2)], ValueError, r'points\[0\], Point: it has 4 fields'),
+                ('points', [{'z': 1}], AttributeError, fields)):
+            with self.assertRaisesRegex(error, text):
+                setattr(box, name, value)
+        with self.assertRaisesRegex(AttributeError, fields):
+            box.points[0].z
+
+    def test_arrays_of_any_shape_fill_elements(self):
+        pub = self.engine.advertise('/topic', Frame)
+        image = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
+        for data in (image, image[:, ::-1], image.tobytes(), bytearray(image), memoryview(image)):
+            loan = pub.loan(data=data)
+            self.assertEqual(np.asarray(loan.data).tobytes(), data.tobytes() if isinstance(data, np.ndarray) else bytes(data))
+        self.assertEqual(len(pub.loan(data=b'').data), 0)
+        box = self.engine.advertise('/box', Box).loan()
+        box.scores = np.ones((2, 3))
+        self.assertEqual(len(box.scores), 6)
+        box.grid = np.arange(6)
+        self.assertEqual(np.asarray(box.grid).tolist(), [[0, 1], [2, 3], [4, 5]])
+        for wrong in ({'scores': b'abcd'}, {'points': np.ones((2, 4))}):
+            with self.assertRaisesRegex(TypeError, 'bytes fill|a list of dicts'):
+                setattr(box, *wrong.popitem())
+        with self.assertRaises(ValueError):
+            box.grid = np.arange(5)
+
+    def test_structs_are_filled_by_tuples_and_rows(self):
+        @lot.message
+        class Corner:
+            x: lot.f32
+            y: lot.f32
+
+        @lot.message
+        class Shape:
+            corners: lot.vector[Corner]
+            origin: Corner
+        shape = self.engine.advertise('/shape', Shape).loan(corners=[(1, 2), (3, 4)], origin=(5, 6))
+        self.assertEqual([(corner.x, corner.y) for corner in shape.corners], [(1, 2), (3, 4)])
+        self.assertEqual(shape.origin.y, 6)
+        shape.corners = np.arange(6).reshape(3, 2)
+        self.assertEqual((len(shape.corners), shape.corners[2].y), (3, 5))
+
     def test_parts_are_objects_like_others(self):
         pub = self.engine.advertise('/topic', Box)
         box = self.box(pub)

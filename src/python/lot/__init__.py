@@ -194,9 +194,28 @@ async def _iterate_async(self):
             loop.remove_reader(descriptor)
 
 
+def _elements(part, source):
+    """What the vector or array is to be filled with, in its shape. Whoever gives an array of another shape means its
+    elements in their order: an image of three dimensions fills a vector of bytes."""
+    with memoryview(part) as view:
+        size, (_, *inner), is_struct = view.itemsize, view.shape, view.format.startswith('T{')
+    if isinstance(source, (bytes, bytearray)):
+        if size != 1 or is_struct:
+            raise TypeError('bytes fill elements of one byte: use numpy.frombuffer(...) with the type of the elements')
+        its = numpy.asarray(part).dtype
+        source = numpy.frombuffer(source, numpy.uint8 if its.kind == 'b' else its)  # not every byte is a bool
+    values = numpy.asarray(source)
+    has_shape = isinstance(source, (numpy.ndarray, memoryview, Part)) and bool(values.dtype.names) == is_struct
+    if not has_shape or values.ndim in (0, 1 + len(inner)):
+        return values
+    return values.reshape(-1, *inner)
+
+
 def _fill(part, source):
     """Sets elements; a number that does not fit is an error, where numpy would cut it."""
     target, values = numpy.asarray(part), numpy.asarray(source)
+    if target.dtype.names and not values.dtype.names:
+        target = _plain(target, values.shape)
     casting = 'same_kind'
     if target.dtype.kind in 'iu' and values.dtype.kind in 'iu' and not numpy.can_cast(values.dtype, target.dtype):
         bounds = numpy.iinfo(target.dtype)
@@ -204,6 +223,16 @@ def _fill(part, source):
             raise OverflowError(f'some of these do not fit a {target.dtype}')
         casting = 'unsafe'
     numpy.copyto(target, values, casting=casting)
+
+
+def _plain(structs, shape):
+    """Structs of equal fields as rows of an array, to be set by an array of (n, fields)."""
+    fields = [structs.dtype[name] for name in structs.dtype.names]
+    are_rows = len(set(fields)) == 1 and fields[0].kind in 'biuf' and structs.dtype.itemsize == len(fields) * fields[0].itemsize
+    if not are_rows or shape[1:] != (len(fields),):
+        raise TypeError('structs are set by a list of dicts or tuples, by a structured array, or, where all fields have one type, '
+                        'by an array of (n, fields)')
+    return structs.view(fields[0]).reshape(-1, len(fields))
 
 
 def _dlpack(self, **arguments):
