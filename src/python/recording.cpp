@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "python/recording.hpp"
 
+#include <cerrno>
 #include <chrono>
 #include <cstdint>
 #include <memory>
@@ -11,6 +12,7 @@
 
 #include <pybind11/stl.h>
 
+#include "lot/error.hpp"
 #include "lot/recording.hpp"
 
 #include "python/gil.hpp"
@@ -23,6 +25,23 @@ namespace lot::python {
 namespace {
 
 std::int64_t count_of(RecordedTime time) { return time.time_since_epoch().count(); }
+
+/// One text, or each of a sequence. Throws TypeError, which says what `what` is.
+std::vector<std::string> texts_of(const py::object& given, const char* what) {
+  const auto text_of = [&](const py::object& one) {
+    const auto path = py::reinterpret_steal<py::object>(PyOS_FSPath(one.ptr()));
+    if (!path || !py::isinstance<py::str>(path)) {
+      PyErr_Clear();
+      throw py::type_error(std::string(what) + ", not " + py::repr(one).cast<std::string>());
+    }
+    return path.cast<std::string>();
+  };
+  if (!py::isinstance<py::list>(given) && !py::isinstance<py::tuple>(given))
+    return {text_of(given)};
+  std::vector<std::string> texts;
+  for (const auto one : given) texts.push_back(text_of(py::reinterpret_borrow<py::object>(one)));
+  return texts;
+}
 
 RecordedTime time_of(std::optional<std::int64_t> count, RecordedTime otherwise) {
   return count ? RecordedTime(std::chrono::nanoseconds(*count)) : otherwise;
@@ -123,11 +142,11 @@ class Recorded {
     opened_ = std::make_shared<Opened>(paths);
   }
 
-  Messages messages(const std::vector<std::string>& topics, std::optional<std::int64_t> from,
+  Messages messages(const py::object& topics, std::optional<std::int64_t> from,
                     std::optional<std::int64_t> until) {
     const Use use(opened_->is_used, "recording");
     RecordingQuery query;
-    query.topics = topics;
+    query.topics = texts_of(topics, "topics: a name or a list of names");
     query.from = time_of(from, query.from);
     query.until = time_of(until, query.until);
     return Messages(std::make_shared<Reading>(opened_, opened_->recording.messages(query)));
@@ -135,9 +154,16 @@ class Recorded {
   const std::vector<RecordedTopic>& topics() const { return opened_->recording.topics(); }
   std::int64_t begin() const { return count_of(opened_->recording.begin()); }
   std::int64_t end() const { return count_of(opened_->recording.end()); }
-  AnyType type_of(const RecordedTopic& topic) const {
+  AnyType type_of(const py::object& topic) const {
     const Use use(opened_->is_used, "recording");
-    return opened_->recording.type_of(topic);
+    if (py::isinstance<RecordedTopic>(topic)) {
+      return opened_->recording.type_of(topic.cast<const RecordedTopic&>());
+    }
+    const std::string name = texts_of(topic, "topic: a RecordedTopic or a name").at(0);
+    for (const RecordedTopic& its : topics()) {
+      if (its.name == name) return opened_->recording.type_of(its);
+    }
+    throw Error(ENOENT, name, "the recording has no such topic", "look at its topics");
   }
   RecordingDamage damage() const {
     const Use use(opened_->is_used, "recording");
@@ -196,21 +222,23 @@ void define_recording(py::module_& module) {
   define_message(module);
   py::class_<Recorded>(module, "Recording",
                        "A recording: one MCAP file, or the files of one that was split.")
-      .def(py::init([](const std::string& path) {
-             return std::make_unique<Recorded>(std::vector<std::string>{path});
+      .def(py::init([](const py::object& path) {
+             return std::make_unique<Recorded>(texts_of(path, "path: a path or a list of paths"));
            }),
            py::arg("path"))
-      .def(py::init<const std::vector<std::string>&>(), py::arg("paths"))
-      .def("messages", &Recorded::messages, py::arg("topics") = std::vector<std::string>(),
-           py::arg("from_ns") = py::none(), py::arg("until_ns") = py::none(),
-           "The messages of these topics (names, and patterns of a shell; none: all) in the order\n"
-           "of their log times, from a time to a time, both included.")
-      .def("__iter__", [](Recorded& its) { return its.messages({}, std::nullopt, std::nullopt); })
+      .def(
+          "messages", &Recorded::messages, py::arg("topics") = py::tuple(),
+          py::arg("from_ns") = py::none(), py::arg("until_ns") = py::none(),
+          "The messages of a topic, or of a list of topics (names, and patterns of a shell; none:\n"
+          "all) in the order of their log times, from a time to a time, both included.")
+      .def("__iter__",
+           [](Recorded& its) { return its.messages(py::tuple(), std::nullopt, std::nullopt); })
       .def_property_readonly("topics", &Recorded::topics, "What it has.")
       .def_property_readonly("begin_ns", &Recorded::begin, "The first log time.")
       .def_property_readonly("end_ns", &Recorded::end, "The last log time.")
-      .def("type_of", &Recorded::type_of, py::arg("topic"),
-           "The type of a RecordedTopic's messages, for Engine.advertise().")
+      .def(
+          "type_of", &Recorded::type_of, py::arg("topic"),
+          "The type of a topic's messages, for Engine.advertise(): of a RecordedTopic, or by name.")
       .def("damage", &Recorded::damage, "What was skipped so far.");
 }
 

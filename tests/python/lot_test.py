@@ -12,6 +12,7 @@ import errno
 import gc
 import importlib.util
 import os
+import pathlib
 import pickle
 import random
 import select
@@ -983,6 +984,14 @@ class Recordings(Case):
         self.assertEqual([m.log_time_ns for m in recording.messages(from_ns=times[1], until_ns=times[1])], times[1:2])
         self.assertEqual(list(recording.messages(['/other'])), [])
         self.raises(errno.ENOENT, lot.Recording, self.file + '.none')
+        self.assertEqual(len(list(recording.messages('/topic'))), 3)
+        self.assertEqual(lot.Recording(pathlib.Path(self.file)).type_of('/topic'), lot.type_of(Note))
+        self.raises(errno.ENOENT, recording.type_of, '/other')
+        for wrong, text in ((lambda: lot.Recording(3), 'path: a path or a list of paths, not 3'),
+                            (lambda: recording.messages([3]), 'topics: a name or a list of names, not 3'),
+                            (lambda: recording.type_of(3), 'topic: a RecordedTopic or a name, not 3')):
+            with self.assertRaisesRegex(TypeError, text):
+                wrong()
 
     def test_messages_are_published_again(self):
         recording = lot.Recording(self.file)
